@@ -1,0 +1,1 @@
+"""odt_plugins."""

@@ -1,0 +1,41 @@
+"""All exceptions and warnings of odt_plugins.
+
+Every message says what was found, where (first offending index, how many), what was
+expected and what to try.
+"""
+
+
+class ODTError(Exception):
+    """Root of every error raised on purpose by odt_plugins."""
+
+
+class InvalidMeshError(ODTError, ValueError):
+    """The mesh itself is broken: shapes, indices, coordinates, orientation, topology."""
+
+
+class UnsupportedMeshError(ODTError, TypeError):
+    """The object or its cell types are nothing odt_plugins can optimise."""
+
+
+class InvalidOptionError(ODTError, ValueError):
+    """An option has an unknown name or a value outside its range."""
+
+
+class MissingDependencyError(ODTError, ImportError):
+    """An optional package is needed for what was asked and is not installed."""
+
+
+class MeshFileError(ODTError, OSError):
+    """A file could not be read or written."""
+
+
+class ODTWarning(UserWarning):
+    """Root of every warning issued by odt_plugins."""
+
+
+class DataNotKeptWarning(ODTWarning):
+    """Some data of the caller's object could not be carried to the result."""
+
+
+class NotConvergedWarning(ODTWarning):
+    """An iterative solver stopped before it reached its tolerance."""
