@@ -1,0 +1,112 @@
+"""Cells across every facet."""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from odt_plugins.engine.star import OffsetArray, Stars, vertex_stars
+from odt_plugins.errors import InvalidMeshError
+from odt_plugins.mesh import IntArray
+
+
+@njit(nogil=True, cache=True)
+def _match_facets(
+    cells: IntArray,
+    indptr: OffsetArray,
+    indices: IntArray,
+    head: OffsetArray,
+    chain: OffsetArray,
+    neighbors: IntArray,
+) -> int:
+    """Pair facets bucketed by (smallest, middle) vertex; first facet with three cells or -1.
+
+    head[v] starts the chain of facets seen with middle vertex v in the current bucket;
+    a facet is numbered cell * (d + 1) + local index of the opposite vertex.
+    """
+    k = cells.shape[1]
+    n = indptr.shape[0] - 1
+    for v in range(n):
+        for s in range(indptr[v], indptr[v + 1]):
+            c = indices[s]
+            for opposite in range(k):
+                low = mid = top = -1
+                for a in range(k):
+                    if a == opposite:
+                        continue
+                    u = cells[c, a]
+                    if u < v:
+                        low = -2
+                    elif u == v:
+                        if low != -2:
+                            low = v
+                    elif mid == -1:
+                        mid = u
+                    else:
+                        top = u
+                if low != v:
+                    continue
+                if top != -1 and top < mid:
+                    mid, top = top, mid
+                facet = c * k + opposite
+                other = head[mid]
+                while other != -1:
+                    oc = other // k
+                    found = top == -1
+                    if not found:
+                        for a in range(k):
+                            if a != other - oc * k and cells[oc, a] == top:
+                                found = True
+                    if found:
+                        break
+                    other = chain[other]
+                if other == -1:
+                    chain[facet] = head[mid]
+                    head[mid] = facet
+                else:
+                    oc = other // k
+                    if neighbors[oc, other - oc * k] != -1:
+                        return facet
+                    neighbors[oc, other - oc * k] = c
+                    neighbors[c, opposite] = oc
+        for s in range(indptr[v], indptr[v + 1]):
+            c = indices[s]
+            for a in range(k):
+                head[cells[c, a]] = -1
+    return -1
+
+
+def cell_neighbors(cells: IntArray, stars: Stars | None = None) -> IntArray:
+    """Find the cell across every facet.
+
+    Parameters
+    ----------
+    cells : (m, d + 1) int32
+    stars : Stars, optional      of these cells, when already known
+
+    Returns
+    -------
+    (m, d + 1) int32             cell that shares the facet opposite to local vertex i, -1 outside
+
+    Raises
+    ------
+    InvalidMeshError             three cells share a facet
+    """
+    cells = np.ascontiguousarray(cells, dtype=np.int32)
+    neighbors = np.full(cells.shape, -1, dtype=np.int32)
+    if cells.size == 0:
+        return neighbors
+    if stars is None:
+        stars = vertex_stars(cells, int(cells.max()) + 1)
+    head = np.full(stars.indptr.size - 1, -1, dtype=np.int64)
+    chain = np.empty(cells.size, dtype=np.int64)
+    bad = _match_facets(cells, stars.indptr, stars.indices, head, chain, neighbors)
+    if bad >= 0:
+        cell, opposite = divmod(int(bad), cells.shape[1])
+        facet = np.delete(cells[cell], opposite).tolist()
+        msg = (
+            f"got a third cell on the facet {facet} at index {cell}, expected at most two cells "
+            "on a facet, try removing doubled or overlapping cells"
+        )
+        raise InvalidMeshError(msg)
+    return neighbors
