@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numba import njit
 
@@ -18,7 +20,7 @@ def _match_facets(
     head: OffsetArray,
     chain: OffsetArray,
     neighbors: IntArray,
-) -> int:
+) -> Any:
     """Pair facets bucketed by (smallest, middle) vertex; first facet with three cells or -1.
 
     head[v] starts the chain of facets seen with middle vertex v in the current bucket;
