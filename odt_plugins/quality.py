@@ -187,7 +187,7 @@ def uniformity(
     if callable(h):
         if not np.isfinite(radius).all():
             return float("inf")
-        size = np.asarray(h(centre), dtype=np.float64)
+        size = np.asarray(h(np.asarray(centre)), dtype=np.float64)
     else:
         size = np.asarray(h, dtype=np.float64)
     if size.shape == (len(t),) or size.ndim == 0:
@@ -333,7 +333,7 @@ class _Geometry:
             bc, ca, ab = _cross(b, c), _cross(c, a), _cross(a, b)
             self.det = _dot(a, bc)
             self.normals = (_cross(c - a, b - a), bc, ca, ab)
-            self.edges = (_norm(a), _norm(b), _norm(c), _norm(b - a), _norm(c - a), _norm(c - b))
+            self.edges = [_norm(a), _norm(b), _norm(c), _norm(b - a), _norm(c - a), _norm(c - b)]
             self.numerator = (self.edges[0] ** 2 * bc + self.edges[1] ** 2 * ca
                               + self.edges[2] ** 2 * ab)
         else:
@@ -341,13 +341,14 @@ class _Geometry:
                 self.det = _norm(_cross(a, b))
             else:
                 self.det = a[0] * b[1] - a[1] * b[0]
-            self.edges = (_norm(a), _norm(b), _norm(b - a))
+            self.edges = [_norm(a), _norm(b), _norm(b - a)]
 
     def volume(self) -> FloatArray:
-        return self.det / (6.0 if self.k == 4 else 2.0) * self.scale ** (self.k - 1)
+        unit = 6.0 if self.k == 4 else 2.0
+        return np.asarray(self.det / unit * self.scale ** (self.k - 1))
 
     def circumradius(self) -> FloatArray:
-        return self._radius() * self.scale
+        return np.asarray(self._radius() * self.scale)
 
     def _radius(self) -> FloatArray:
         """R of the scaled cell; never below half the longest edge, infinite when flat."""
@@ -355,7 +356,7 @@ class _Geometry:
         top = _norm(self.numerator) if self.k == 4 else np.prod(self.edges, axis=0)
         with np.errstate(divide="ignore", invalid="ignore"):
             radius = np.where(size > 0, top / (2 * size), np.inf)
-        return np.maximum(radius, np.max(self.edges, axis=0) / 2)
+        return np.asarray(np.maximum(radius, np.max(self.edges, axis=0) / 2))
 
     def circumcenter(self) -> FloatArray:
         with np.errstate(divide="ignore", invalid="ignore"):

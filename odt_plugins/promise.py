@@ -1,0 +1,348 @@
+"""The promise: what every output of the optimiser must keep, checked in numpy alone.
+
+This file is the judge of the engine and shares no kernel with it. It compares a mesh with the
+mesh it came from and says in plain sentences what does not hold.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.mesh import SimplexMesh
+from odt_plugins.options import FIGURES
+from odt_plugins.quality import QualitySummary, cell_figures, summarize
+
+SLACK = 1e-12
+"""Relative slack for a figure that must not get worse: the rounding of a mean, no more."""
+
+LOWER_IS_BETTER = frozenset({"max_angle", "below_5", "below_10", "below_20", "inverted",
+                             "uniformity"})
+
+WORDS = 1 << 64
+"""Number of different keys that 64 bits can hold."""
+
+LOCAL_FACETS = {3: ((1, 2), (2, 0), (0, 1)),
+                4: ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))}
+"""Facets of a positive simplex by local vertex, outward, the one opposite vertex 0 first."""
+
+
+class LockedFacets(NamedTuple):
+    """Facets that must stay: on the boundary or between two region labels, once per side.
+
+    Attributes
+    ----------
+    facets : (k, d) vertex indices, outward from its cell
+    labels : (k,) region label of that cell
+    cells : (k,) index of that cell
+    boundary : (k,) bool, no cell on the other side
+    """
+
+    facets: NDArray[Any]
+    labels: NDArray[Any]
+    cells: NDArray[Any]
+    boundary: NDArray[np.bool_]
+
+
+def broken_promises(
+    before: SimplexMesh,
+    points: NDArray[np.float64],
+    cells: NDArray[np.int32],
+    regions: NDArray[np.int32],
+    keep: Sequence[str] = FIGURES,
+    before_summary: QualitySummary | None = None,
+) -> list[str]:
+    """Say what of the promise does not hold for an optimised mesh.
+
+    Parameters
+    ----------
+    before : SimplexMesh                the valid mesh the optimiser started from
+    points, cells, regions : arrays     (n, d), (m', d + 1), (m',): the mesh to be judged
+    keep : names of figures             of :class:`QualitySummary`; none may be worse than
+                                        before by more than 1e-12 of its size
+    before_summary : QualitySummary     of ``before``, when it is at hand already
+
+    Returns
+    -------
+    list of str                         one sentence per broken promise; empty when all hold
+
+    Notes
+    -----
+    With every cell positive, no directed facet twice and the directed boundary facets as before,
+    every place of the old domain is covered exactly once: the mapping degree says so. The
+    volume of every region is compared all the same.
+    """
+    broken = _malformed(before, points, cells, regions)
+    if broken:
+        return broken
+    figures = cell_figures(points, cells)
+    bad = np.flatnonzero(~(figures.volume > 0))
+    if len(bad):
+        broken.append(f"cell {bad[0]} has volume {figures.volume[bad[0]]:.3g}, "
+                      f"{len(bad)} cells are not positive")
+    old_locked = locked_facets(before.cells, before.regions, len(points))
+    broken += _moved(before, points, old_locked)
+    broken += _dropped(before, cells)
+    broken += _torn(old_locked, cells, regions, len(points))
+    broken += _volume_changed(before, points, cells, regions)
+    broken += _thawed(before, cells, regions)
+    if keep:
+        old = before_summary or summarize(before.points, before.cells)
+        broken += worse_figures(old, summarize(points, cells, figures), keep)
+    return broken
+
+
+def worse_figures(
+    old: QualitySummary, new: QualitySummary, keep: Sequence[str] = FIGURES
+) -> list[str]:
+    """Say which of the figures ``keep`` got worse from ``old`` to ``new``."""
+    sentences = []
+    for name in keep:
+        a, b = float(getattr(old, name)), float(getattr(new, name))
+        slack = SLACK * abs(a)
+        if name in LOWER_IS_BETTER:
+            worse, verb = not b <= a + slack, "rose"
+        else:
+            worse, verb = not b >= a - slack, "fell"
+        if worse:
+            sentences.append(f"{name} {verb} from {a:.6g} to {b:.6g}")
+    return sentences
+
+
+def locked_facets(
+    cells: NDArray[Any], regions: NDArray[Any], n_points: int
+) -> LockedFacets:
+    """Collect the boundary and interface facets of a mesh, sorted; any broken mesh will do.
+
+    Parameters
+    ----------
+    cells : (m, d + 1) int
+    regions : (m,) int
+    n_points : int
+
+    Returns
+    -------
+    LockedFacets             a facet between two labels appears twice, once from each side
+    """
+    locked, _ = _facet_census(cells, regions, n_points)
+    return locked
+
+
+def _malformed(before: SimplexMesh, points: Any, cells: Any, regions: Any) -> list[str]:
+    n, d = before.points.shape
+    if points.shape != (n, d):
+        return [f"points have shape {points.shape}, they had {(n, d)}"]
+    if cells.ndim != 2 or cells.shape[1] != d + 1 or not len(cells):
+        return [f"cells have shape {cells.shape}, expected some of {d + 1} vertices"]
+    if regions.shape != (len(cells),):
+        return [f"regions have shape {regions.shape} for {len(cells)} cells"]
+    bad = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if len(bad):
+        return [f"vertex {bad[0]} is not finite, {len(bad)} in all"]
+    if cells.min() < 0 or cells.max() >= n:
+        return [f"cells name vertices from {cells.min()} to {cells.max()}, there are {n}"]
+    return []
+
+
+def _moved(
+    before: SimplexMesh, points: NDArray[np.float64], locked: LockedFacets
+) -> list[str]:
+    """Compare the coordinates of all vertices that are held, bit for bit."""
+    n = len(points)
+    held = {"boundary": np.zeros(n, bool), "interface": np.zeros(n, bool),
+            "fixed": np.asarray(before.fixed, bool), "frozen": np.zeros(n, bool),
+            "unused": np.ones(n, bool)}
+    held["boundary"][locked.facets[locked.boundary]] = True
+    held["interface"][locked.facets[~locked.boundary]] = True
+    held["unused"][before.cells] = False
+    frozen = getattr(before, "frozen", None)
+    if frozen is not None:
+        held["frozen"][before.cells[frozen]] = True
+    old, new = (np.ascontiguousarray(p, np.float64).view(np.int64)
+                for p in (before.points, points))
+    differs = (old != new).any(axis=1)
+    sentences = []
+    for name, mask in held.items():
+        bad = np.flatnonzero(mask & differs)
+        if len(bad):
+            sentences.append(f"{name} vertex {bad[0]} moved, {len(bad)} in all")
+    return sentences
+
+
+def _dropped(before: SimplexMesh, cells: NDArray[np.int32]) -> list[str]:
+    n = len(before.points)
+    was, now = (np.bincount(t.ravel(), minlength=n) > 0 for t in (before.cells, cells))
+    lost, gained = np.flatnonzero(was & ~now), np.flatnonzero(now & ~was)
+    sentences = []
+    if len(lost):
+        sentences.append(f"vertex {lost[0]} is no longer used, {len(lost)} in all")
+    if len(gained):
+        sentences.append(f"vertex {gained[0]} was unused and is used, {len(gained)} in all")
+    return sentences
+
+
+def _torn(old: LockedFacets, cells: NDArray[Any], regions: NDArray[Any], n: int) -> list[str]:
+    """Check conformity, and boundary and interface facets with their labels."""
+    new, overlaps = _facet_census(cells, regions, n)
+    sentences = []
+    if len(overlaps):
+        first = tuple(int(v) for v in overlaps[0])
+        sentences.append(f"facet {first} has two cells on one side, {len(overlaps)} such facets")
+    for name, side in (("boundary", True), ("interface", False)):
+        a, b = (_signature(f, f.boundary == side) for f in (old, new))
+        if np.array_equal(a, b):
+            continue
+        gone, fresh = _not_in(a, b), _not_in(b, a)
+        if len(gone):
+            sentences.append(f"{name} facet {_tuple(gone[0])} is gone, {len(gone)} in all")
+        if len(fresh):
+            sentences.append(f"{name} facet {_tuple(fresh[0])} is new, {len(fresh)} in all")
+        if not len(gone) and not len(fresh):
+            sentences.append(f"{name} facets appear in other numbers than before")
+    return sentences
+
+
+def _volume_changed(
+    before: SimplexMesh, points: Any, cells: Any, regions: Any
+) -> list[str]:
+    """Compare the volume of every region within the rounding of its own sum."""
+    labels = np.union1d(before.regions, regions)
+    old, spread = _volume_per_label(before.points, before.cells, before.regions, labels)
+    new, other = _volume_per_label(points, cells, regions, labels)
+    bad = np.flatnonzero(~(np.abs(new - old) <= 1e-13 * (spread + other)))
+    return [f"the volume of region {labels[i]} went from {old[i]:.15g} to {new[i]:.15g}"
+            for i in bad]
+
+
+def _volume_per_label(
+    points: Any, cells: Any, regions: Any, labels: Any
+) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Volume of each label, and the sum of products of edge lengths that bounds its rounding."""
+    d = points.shape[1]
+    det, size = np.empty(len(cells)), np.empty(len(cells))
+    for start in range(0, len(cells), 1 << 15):
+        part = slice(start, start + (1 << 15))
+        x0 = points[cells[part, 0]].T
+        edges = [points[cells[part, i]].T - x0 for i in range(1, d + 1)]
+        if d == 2:
+            (ax, ay), (bx, by) = edges
+            det[part] = ax * by - ay * bx
+        else:
+            (ax, ay, az), (bx, by, bz), (cx, cy, cz) = edges
+            det[part] = (ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz)
+                         + az * (bx * cy - by * cx))
+        size[part] = np.prod([np.abs(e).max(axis=0) for e in edges], axis=0)
+    order = np.argsort(regions, kind="stable")
+    ends = np.searchsorted(regions[order], labels, side="right")
+    groups = np.split(order, ends)[:-1]
+    volume = np.array([det[g].sum() for g in groups])
+    spread = np.array([size[g].sum() for g in groups])
+    return volume / (2 if d == 2 else 6), spread
+
+
+def _thawed(before: SimplexMesh, cells: NDArray[Any], regions: NDArray[Any]) -> list[str]:
+    """Look every frozen cell up, with its label."""
+    frozen = getattr(before, "frozen", None)
+    if frozen is None or not np.any(frozen):
+        return []
+    n = len(before.points)
+    old = np.sort(before.cells[frozen], axis=1)
+    touched = np.zeros(n, bool)
+    touched[old] = True
+    near = np.flatnonzero(touched[cells].all(axis=1))
+    new = np.sort(cells[near], axis=1)
+    labels = np.union1d(before.regions, regions)
+    a, b = _pack([[*old.T, np.searchsorted(labels, before.regions[frozen])],
+                  [*new.T, np.searchsorted(labels, regions[near])]],
+                 [n] * old.shape[1] + [len(labels)])
+    gone = np.flatnonzero(~np.isin(a, b))
+    if not len(gone):
+        return []
+    index = np.flatnonzero(frozen)[gone[0]]
+    return [f"frozen cell {index} is gone, {len(gone)} in all"]
+
+
+def _facet_census(
+    cells: NDArray[Any], regions: NDArray[Any], n_points: int
+) -> tuple[LockedFacets, NDArray[Any]]:
+    """Locked facets, and the facets that two cells claim from the same side (overlaps).
+
+    The key of a facet is its sorted vertices and, as last bit, the parity of the sorting, so
+    that one sort brings both sides of every facet together.
+    """
+    m, k = cells.shape
+    key = np.concatenate(_facet_keys(cells, n_points))
+    order = np.argsort(key)
+    ordered = key[order]
+    side = ordered >> np.uint64(1)
+    first = np.flatnonzero(side[1:] == side[:-1])
+    twice = first[ordered[first] == ordered[first + 1]]
+    label = regions[order % m]
+    inside = np.zeros(len(order), bool)
+    inside[first] = inside[first + 1] = True
+    split = first[label[first] != label[first + 1]]
+    locked = ~inside
+    locked[split] = locked[split + 1] = True
+    at = np.flatnonzero(locked)
+    index = order[at]
+
+    def facets(i: NDArray[Any]) -> NDArray[Any]:
+        local = np.array(LOCAL_FACETS[k])[i // m]
+        return np.asarray(cells[(i % m)[:, None], local])
+
+    return LockedFacets(facets(index), label[at], index % m, ~inside[at]), facets(order[twice])
+
+
+def _facet_keys(cells: NDArray[Any], n: int) -> list[NDArray[np.uint64]]:
+    """Give the key of every facet: one array per local facet, opposite vertex 0 first."""
+    tables = [_with_parity([cells[:, i] for i in local]) for local in LOCAL_FACETS[cells.shape[1]]]
+    return _pack(tables, [n] * (cells.shape[1] - 1) + [2])
+
+
+def _with_parity(facet: list[NDArray[Any]]) -> list[NDArray[Any]]:
+    """Sort the vertices of facets and append whether the permutation was odd."""
+    if len(facet) == 2:
+        a, b = facet
+        return [np.minimum(a, b), np.maximum(a, b), a > b]
+    a, b, c = facet
+    odd = (a > b) ^ (b > c) ^ (a > c)
+    low, high = np.minimum(a, b), np.maximum(a, b)
+    return [np.minimum(low, c), np.maximum(low, np.minimum(high, c)), np.maximum(high, c), odd]
+
+
+def _pack(tables: list[list[NDArray[Any]]], bases: list[int]) -> list[NDArray[np.uint64]]:
+    """Give equal integers to equal rows of the tables, each a list of columns.
+
+    Column j holds values below ``bases[j]``. Where 64 bits do not suffice the rows are ranked
+    before the next column is taken in.
+    """
+    size = 1
+    keys = [np.zeros(len(t[0]), np.uint64) for t in tables]
+    for j, base in enumerate(bases):
+        if size * base > WORDS:
+            ranked = np.unique(np.concatenate(keys), return_inverse=True)[1].astype(np.uint64)
+            keys = np.split(ranked, np.cumsum([len(k) for k in keys])[:-1])
+            size = int(ranked.max()) + 1
+        size *= base
+        for key, table in zip(keys, tables, strict=True):
+            key *= np.uint64(base)
+            key += table[j].astype(np.uint64)
+    return keys
+
+
+def _signature(f: LockedFacets, mask: NDArray[np.bool_]) -> NDArray[Any]:
+    """Directed facets (sorted vertices, parity) with their labels, in the order of the census."""
+    columns = _with_parity(list(f.facets[mask].T))
+    return np.column_stack([*columns, f.labels[mask]]).astype(np.int64)
+
+
+def _not_in(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
+    known = {tuple(row) for row in b.tolist()}
+    return np.array([row for row in a.tolist() if tuple(row) not in known])
+
+
+def _tuple(row: NDArray[Any]) -> tuple[int, ...]:
+    return tuple(int(v) for v in row[:-2])
