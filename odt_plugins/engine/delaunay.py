@@ -316,8 +316,8 @@ def _matching_pieces(
     n_old, n_new = int(old_piece.max()) + 1, int(new_piece.max()) + 1
 
     # open: a facet of one cell that the other mesh lacks, or a side that only one mesh fills
-    lone_old: BoolArray = has_old & ~has_new & (shared | ~has_old.all(axis=1))[:, None]
-    lone_new: BoolArray = has_new & ~has_old & (shared | ~has_new.all(axis=1))[:, None]
+    lone_old = has_old & ~has_new & np.asarray(shared | ~has_old.all(axis=1))[:, None]
+    lone_new = has_new & ~has_old & np.asarray(shared | ~has_new.all(axis=1))[:, None]
     old_open = np.zeros(n_old, dtype=np.bool_)
     new_open = np.zeros(n_new, dtype=np.bool_)
     old_open[old_piece[old_at[lone_old]]] = True

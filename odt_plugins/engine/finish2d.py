@@ -1,0 +1,150 @@
+"""Planar finishing: descent of F_p = sum of q^-p by edge flips and vertex smoothing.
+
+A small p over the whole mesh serves the mean, a large p near the worst triangles the minimum.
+Flips and moves lower the same sum, so neither undoes the other.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from odt_plugins.engine.active import spread, vertex_order
+from odt_plugins.engine.adjacency import cell_neighbors
+from odt_plugins.engine.flips2d import quality_flips
+from odt_plugins.engine.smooth2d import smooth_vertices_2d
+from odt_plugins.engine.star import Stars, vertex_stars
+from odt_plugins.engine.threads import run_chunks
+from odt_plugins.engine.triangle import triangle_shape
+from odt_plugins.mesh import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Phase2d:
+    """One descent.
+
+    Attributes
+    ----------
+    power : float    exponent p of F_p
+    share : float    part of the triangles, worst first, that it starts from
+    rounds : int     most rounds of flips and smoothing
+    sweeps : int     sweeps of smoothing in a round
+    """
+
+    power: float
+    share: float
+    rounds: int
+    sweeps: int
+
+
+PHASES = (
+    Phase2d(2.0, 1.0, 20, 2),
+    Phase2d(4.0, 0.05, 10, 2),
+    Phase2d(8.0, 0.01, 10, 2),
+    Phase2d(16.0, 0.003, 10, 2),
+)
+SETTLED = 1e-3
+"""A vertex whose star gained less than this part of F_p does not wake its neighbours."""
+
+
+def finish2d(
+    points: FloatArray,
+    cells: IntArray,
+    regions: IntArray,
+    movable: BoolArray,
+    *,
+    movable_cells: BoolArray | None = None,
+    bounds: FloatArray | None = None,
+    phases: tuple[Phase2d, ...] = PHASES,
+    pool: ThreadPoolExecutor | None = None,
+    threads: int = 1,
+) -> tuple[FloatArray, IntArray]:
+    """Improve the shape of a planar mesh; no vertex is added or removed, no boundary changed.
+
+    Parameters
+    ----------
+    points : (n, 2) float64
+    cells : (m, 3) int32          counterclockwise
+    regions : (m,) int32          region labels; row t of the result has the label of row t
+    movable : (n,) bool           vertices that may move; none on the boundary or an interface
+    movable_cells : (m,) bool     an edge is flipped only between two such cells; None means all
+    bounds : (3,) float64         least radius ratio, largest and smallest cosine of an angle that
+                                  may appear where it was not before; None takes those of the mesh
+    phases : tuple of Phase2d     what is done, in order
+    pool, threads                 see :func:`run_chunks`; the result does not depend on them
+
+    Returns
+    -------
+    points : (n, 2) float64       other vertices bit-identical
+    cells : (m, 3) int32
+    """
+    points = points.copy()
+    cells = cells.copy()
+    if len(cells) == 0:
+        return points, cells
+    neighbors = cell_neighbors(cells)
+    shapes = np.empty((len(cells), 3))
+    _shapes(points, cells, shapes)
+    if bounds is None:
+        bounds = np.array([shapes[:, 0].min(), shapes[:, 1].max(), shapes[:, 2].min()])
+    for phase in phases:
+        _shapes(points, cells, shapes)
+        limit = np.quantile(shapes[:, 0], phase.share)
+        near = np.zeros(len(points), dtype=np.bool_)
+        near[cells[shapes[:, 0] <= limit]] = True
+        pending = np.asarray(near[cells].any(axis=1))
+        _descend(points, cells, neighbors, regions, movable, movable_cells, bounds, phase,
+                 pending, pool, threads)
+    return points, cells
+
+
+def _descend(
+    points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
+    movable: BoolArray, movable_cells: BoolArray | None, bounds: FloatArray, phase: Phase2d,
+    pending: BoolArray, pool: ThreadPoolExecutor | None, threads: int,
+) -> None:
+    """Flip and smooth, in place, from the pending cells on, until nothing gains."""
+    wanted = np.zeros(len(points), dtype=np.bool_)
+    wanted[cells[pending]] = True
+    moved = np.zeros(len(points))
+    for _ in range(phase.rounds):
+        changed = np.zeros(len(cells), dtype=np.bool_)
+        quality_flips(points, cells, neighbors, regions, movable_cells, phase.power, bounds,
+                      seeds=pending, changed=changed)
+        wanted[cells[changed]] = True
+        stars = vertex_stars(cells, len(points))
+        status = np.zeros(len(cells), dtype=np.uint8)
+        for _ in range(phase.sweeps):
+            _sweep(points, cells, stars, wanted & movable, phase.power, bounds, moved, pool, threads)
+            spread(cells, stars.indptr, stars.indices, moved, SETTLED, wanted, status)
+        pending = status == 1
+        if not pending.any():
+            break
+
+
+def _sweep(
+    points: FloatArray, cells: IntArray, stars: Stars, wanted: BoolArray, power: float,
+    bounds: FloatArray, moved: FloatArray, pool: ThreadPoolExecutor | None, threads: int,
+) -> None:
+    """Smooth every wanted vertex once, colour after colour."""
+    order, offsets = vertex_order(cells, stars, wanted)
+    moved[:] = 0.0
+
+    def work(start: int, stop: int) -> int:
+        return int(smooth_vertices_2d(points, cells, stars.indptr, stars.indices, order,
+                                      start, stop, power, bounds, moved))
+
+    run_chunks(pool, threads, offsets, work)
+
+
+@njit(nogil=True, cache=True)
+def _shapes(points: FloatArray, cells: IntArray, shapes: FloatArray) -> None:
+    """Radius ratio (5.1), cosine of the smallest and of the largest angle of every triangle."""
+    for t in range(cells.shape[0]):
+        q, large, small = triangle_shape(points, cells[t, 0], cells[t, 1], cells[t, 2])
+        shapes[t, 0] = q
+        shapes[t, 1] = large
+        shapes[t, 2] = small
