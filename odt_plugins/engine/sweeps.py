@@ -1,0 +1,376 @@
+"""Local mesh smoothing, Section 4.2: one vertex at a time (Gauss-Seidel) or all at once (Jacobi).
+
+A vertex moves to the weighted mean of the centres of its star, by alpha = 1, 1/2, 1/4, ... of the
+way: the largest step that leaves every cell of the star a sound volume.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from odt_plugins.engine.geometry import signed_volumes
+from odt_plugins.engine.star import OffsetArray, star_sum
+from odt_plugins.engine.topology import Topology
+from odt_plugins.mesh import BoolArray, FloatArray, IntArray
+
+Center = Literal["odt", "cpt", "laplacian"]
+
+HALVINGS = 8
+"""alpha is not tried below 2^-HALVINGS; the vertex then stays (Section 4.2.1)."""
+
+THIN = 1e-3
+"""No move may leave a cell below this part of the star's mean volume, unless one was already."""
+
+ROUNDING = 1e-13
+"""Volumes below this part of (longest edge)^d are rounding errors: never accepted."""
+
+CHUNK = 2048
+"""Fewer vertices of one colour than this are not worth a second thread."""
+
+
+class StepStats(NamedTuple):
+    """What a position step did.
+
+    Attributes
+    ----------
+    moved : int         vertices that changed place
+    max_move : float    longest move, in root mean square edge lengths of the vertex's star
+    reduced : int       vertices whose alpha is below 1, those that stayed for it included
+    alpha : float       step length of the whole step; 1 for sweeps, 0 when nothing was accepted
+    """
+
+    moved: int
+    max_move: float
+    reduced: int
+    alpha: float = 1.0
+
+
+@njit(nogil=True, cache=True, error_model="numpy")
+def _move_vertices(
+    points: FloatArray,
+    out: FloatArray,
+    cells: IntArray,
+    indptr: OffsetArray,
+    indices: IntArray,
+    use_barycenter: BoolArray,
+    rho: FloatArray,
+    equal_weights: bool,
+    row_start: OffsetArray,
+    row_vertices: IntArray,
+    order: IntArray,
+    start: int,
+    stop: int,
+    omega: float,
+    largest_star: int,
+    stats: FloatArray,
+) -> None:
+    """Move order[start:stop] from points to out, which may be the same array.
+
+    Offsets are taken from x_i. With a = x_1 - x_i, ... the other corners in positive order,
+    det = d! |tau| and c - x_i = moment / (2 det): weights |tau| cancel the division, so flat cells
+    do no harm. det is linear in x_i, so one gradient a cell decides every alpha.
+    """
+    d = points.shape[1]
+    laplacian = row_start.shape[0] > 0
+    cell = np.empty((largest_star, 4))
+    moved = 0.0
+    reduced = 0.0
+    longest = 0.0
+    for position in range(start, stop):
+        i = order[position]
+        x = points[i, 0]
+        y = points[i, 1]
+        z = points[i, 2] if d == 3 else 0.0
+        first = indptr[i]
+        count = indptr[i + 1] - first
+        tx = ty = tz = weight = 0.0
+        total = 0.0
+        lowest = np.inf
+        edge_sum = 0.0
+        edge_max = 0.0
+        for s in range(count):
+            c = indices[first + s]
+            corner_rho = 0.0
+            for a in range(d + 1):
+                corner_rho += rho[cells[c, a]]
+            if d == 2:
+                if cells[c, 0] == i:
+                    j, k = cells[c, 1], cells[c, 2]
+                elif cells[c, 1] == i:
+                    j, k = cells[c, 2], cells[c, 0]
+                else:
+                    j, k = cells[c, 0], cells[c, 1]
+                ax, ay = points[j, 0] - x, points[j, 1] - y
+                bx, by = points[k, 0] - x, points[k, 1] - y
+                aa = ax * ax + ay * ay
+                bb = bx * bx + by * by
+                det = ax * by - ay * bx
+                gx, gy, gz = ay - by, bx - ax, 0.0
+                edges = aa + bb
+                longer = max(aa, bb)
+                if use_barycenter[c]:
+                    ox, oy, oz = (ax + bx) / 3.0, (ay + by) / 3.0, 0.0
+                    scale = 1.0 if equal_weights else det * corner_rho
+                else:
+                    ox, oy, oz = aa * by - bb * ay, bb * ax - aa * bx, 0.0
+                    scale = 0.5 / det if equal_weights else 0.5 * corner_rho
+            else:
+                if cells[c, 0] == i:
+                    j, k, n = cells[c, 1], cells[c, 2], cells[c, 3]
+                elif cells[c, 1] == i:
+                    j, k, n = cells[c, 0], cells[c, 3], cells[c, 2]
+                elif cells[c, 2] == i:
+                    j, k, n = cells[c, 0], cells[c, 1], cells[c, 3]
+                else:
+                    j, k, n = cells[c, 0], cells[c, 2], cells[c, 1]
+                ax, ay, az = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
+                bx, by, bz = points[k, 0] - x, points[k, 1] - y, points[k, 2] - z
+                ex, ey, ez = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
+                aa = ax * ax + ay * ay + az * az
+                bb = bx * bx + by * by + bz * bz
+                ee = ex * ex + ey * ey + ez * ez
+                px, py, pz = by * ez - bz * ey, bz * ex - bx * ez, bx * ey - by * ex
+                qx, qy, qz = ey * az - ez * ay, ez * ax - ex * az, ex * ay - ey * ax
+                rx, ry, rz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+                det = ax * px + ay * py + az * pz
+                gx, gy, gz = -(px + qx + rx), -(py + qy + ry), -(pz + qz + rz)
+                edges = aa + bb + ee
+                longer = max(aa, bb, ee)
+                if use_barycenter[c]:
+                    ox, oy, oz = 0.25 * (ax + bx + ex), 0.25 * (ay + by + ey), 0.25 * (az + bz + ez)
+                    scale = 1.0 if equal_weights else det * corner_rho
+                else:
+                    ox = aa * px + bb * qx + ee * rx
+                    oy = aa * py + bb * qy + ee * ry
+                    oz = aa * pz + bb * qz + ee * rz
+                    scale = 0.5 / det if equal_weights else 0.5 * corner_rho
+            tx += scale * ox
+            ty += scale * oy
+            tz += scale * oz
+            weight += 1.0 if equal_weights else det * corner_rho
+            cell[s, 0], cell[s, 1], cell[s, 2], cell[s, 3] = det, gx, gy, gz
+            total += det
+            lowest = min(lowest, det)
+            edge_sum += edges
+            edge_max = max(edge_max, longer)
+        if laplacian:
+            tx = ty = tz = 0.0
+            weight = float(row_start[i + 1] - row_start[i])
+            for s in range(row_start[i], row_start[i + 1]):
+                j = row_vertices[s]
+                tx += points[j, 0] - x
+                ty += points[j, 1] - y
+                if d == 3:
+                    tz += points[j, 2] - z
+        noise = ROUNDING * edge_max * (np.sqrt(edge_max) if d == 3 else 1.0)
+        floor = max(min(lowest, THIN * total / count), noise)
+        alpha = omega / weight
+        accepted = False
+        mx = my = mz = 0.0
+        for halving in range(HALVINGS + 1):
+            mx = (x + alpha * tx) - x
+            my = (y + alpha * ty) - y
+            mz = (z + alpha * tz) - z
+            accepted = True
+            for s in range(count):
+                new = cell[s, 0] + (cell[s, 1] * mx + cell[s, 2] * my + cell[s, 3] * mz)
+                if not new >= floor:
+                    accepted = False
+                    break
+            if accepted:
+                break
+            if halving == 0:
+                reduced += 1.0
+            alpha *= 0.5
+        if not accepted:
+            mx = my = mz = 0.0
+        out[i, 0] = x + mx
+        out[i, 1] = y + my
+        if d == 3:
+            out[i, 2] = z + mz
+        length = mx * mx + my * my + mz * mz
+        if length > 0.0:
+            moved += 1.0
+            longest = max(longest, length * (count * d) / edge_sum)
+    stats[0] = moved
+    stats[1] = np.sqrt(longest)
+    stats[2] = reduced
+
+
+def _sweep(
+    points: FloatArray,
+    out: FloatArray,
+    topology: Topology,
+    rho: FloatArray | None,
+    method: Center,
+    inverse_volume: bool,
+    omega: float,
+    boundary_rule: bool,
+    threads: int,
+    groups: OffsetArray,
+) -> StepStats:
+    """Run the kernel over groups of independent vertices, each group cut into chunks."""
+    if method == "odt" and boundary_rule:
+        use_barycenter = topology.boundary_cells
+    else:
+        use_barycenter = np.full(len(topology.cells), method != "odt")
+    if rho is None:
+        rho = np.ones(len(points))
+    rows = topology.neighbors if method == "laplacian" else None
+    row_start = rows.indptr if rows else np.empty(0, dtype=np.int64)
+    row_vertices = rows.indices if rows else np.empty(0, dtype=np.int32)
+    order = topology.coloring.order
+
+    def run(start: int, stop: int) -> FloatArray:
+        stats = np.zeros(3)
+        _move_vertices(
+            points,
+            out,
+            topology.cells,
+            topology.stars.indptr,
+            topology.stars.indices,
+            use_barycenter,
+            np.ascontiguousarray(rho),
+            inverse_volume,
+            row_start,
+            row_vertices,
+            order,
+            start,
+            stop,
+            float(omega),
+            topology.largest_star,
+            stats,
+        )
+        return stats
+
+    results = []
+    with ThreadPoolExecutor(max(1, threads)) as pool:
+        for start, stop in pairwise(groups):
+            parts = max(1, min(threads, int(stop - start) // CHUNK))
+            cuts = np.linspace(start, stop, parts + 1).astype(int)
+            pairs = list(pairwise(cuts.tolist()))
+            if parts == 1:
+                results.append(run(*pairs[0]))
+            else:
+                results.extend(pool.map(lambda pair: run(*pair), pairs))
+    if not results:
+        return StepStats(0, 0.0, 0)
+    table = np.array(results)
+    moved, _, reduced = table.sum(axis=0)
+    return StepStats(int(moved), float(table[:, 1].max()), int(reduced))
+
+
+def gauss_seidel_sweep(
+    points: FloatArray,
+    topology: Topology,
+    rho: FloatArray | None = None,
+    *,
+    method: Center = "odt",
+    inverse_volume: bool = False,
+    omega: float = 1.0,
+    boundary_rule: bool = True,
+    threads: int = 1,
+) -> tuple[FloatArray, StepStats]:
+    """Move every movable vertex once, colour after colour, to the mean centre of its star.
+
+    Parameters
+    ----------
+    points : (n, d) float64         not changed
+    topology : Topology             cells of positive volume, movable vertices, boundary
+    rho : (n,) float64, optional    density at the vertices; its mean over a cell is rho_tau
+    method : {"odt", "cpt", "laplacian"}
+                                    circumcenters (4.13), barycenters (4.20), neighbours (4.21)
+    inverse_volume : bool           every cell counts the same, rho_tau = 1/|tau| (4.22); like rho
+                                    it means nothing to "laplacian"
+    omega : float                   relaxation, the first alpha
+    boundary_rule : bool            barycenters for cells that touch the boundary (Section 4.2.1)
+    threads : int                   worker threads; the result does not depend on it, bit for bit
+
+    Returns
+    -------
+    points : (n, d) float64         every cell has a positive volume
+    stats : StepStats
+
+    References
+    ----------
+    CMAME 200 (2011) 967-984, Sections 4.1.3 and 4.2, (4.11), (4.13), (4.20)-(4.22).
+    """
+    new = np.array(points, dtype=np.float64, order="C")
+    groups = topology.coloring.offsets
+    stats = _sweep(
+        new, new, topology, rho, method, inverse_volume, omega, boundary_rule, threads, groups
+    )
+    return new, stats
+
+
+def jacobi_sweep(
+    points: FloatArray,
+    topology: Topology,
+    rho: FloatArray | None = None,
+    *,
+    method: Center = "odt",
+    inverse_volume: bool = False,
+    omega: float = 1.0,
+    boundary_rule: bool = True,
+    threads: int = 1,
+) -> tuple[FloatArray, StepStats]:
+    """Move all movable vertices at once, each by what the old positions ask (Section 4.1.2).
+
+    Parameters and results as in :func:`gauss_seidel_sweep`. Neighbours that move together may
+    spoil a cell that each alone would not: their steps are then halved.
+    """
+    old = np.ascontiguousarray(points, dtype=np.float64)
+    target = old.copy()
+    groups = np.array([0, topology.coloring.order.size], dtype=np.int64)
+    stats = _sweep(
+        old, target, topology, rho, method, inverse_volume, omega, boundary_rule, threads, groups
+    )
+    new, reduced = guarded_move(old, topology, target - old)
+    return new, stats._replace(reduced=stats.reduced + reduced)
+
+
+def guarded_move(
+    points: FloatArray, topology: Topology, displacement: FloatArray
+) -> tuple[FloatArray, int]:
+    """Move all vertices together, halving the steps around cells that would fold.
+
+    Parameters
+    ----------
+    points : (n, d) float64          cells of positive volume
+    topology : Topology
+    displacement : (n, d) float64    wanted moves; vertices that may not move are left alone
+
+    Returns
+    -------
+    points : (n, d) float64          no cell gets below THIN of the mean volume around it
+    reduced : int                    vertices whose step was shortened or dropped
+    """
+    cells = topology.cells
+    old = signed_volumes(points, cells)
+    star_mean = star_sum(old, cells, len(points)) / np.maximum(np.diff(topology.stars.indptr), 1)
+    floor = np.minimum(old, THIN * star_mean[cells].mean(axis=1))
+    share = topology.movable.astype(np.float64)
+    moved = np.where(topology.movable[:, None], displacement, 0.0)
+    unchecked = np.arange(len(cells))
+    new = points + moved
+    cut = np.zeros(len(points), dtype=np.bool_)
+    lowest = 0.5**HALVINGS
+    while unchecked.size:
+        volumes = signed_volumes(new, cells[unchecked])
+        bad = unchecked[~(volumes >= floor[unchecked])]
+        hit = np.unique(cells[bad])
+        hit = hit[share[hit] > 0.0]
+        if not hit.size:
+            break
+        cut[hit] = True
+        share[hit] = np.where(share[hit] > lowest, 0.5 * share[hit], 0.0)
+        new[hit] = points[hit] + share[hit, None] * moved[hit]
+        changed = np.zeros(len(points), dtype=np.bool_)
+        changed[hit] = True
+        unchecked = np.flatnonzero(changed[cells].any(axis=1))
+    return new, int(cut.sum())
