@@ -1,0 +1,143 @@
+"""Stage 2: descent of F_p = sum of q^-p by flips and smoothing, first everywhere, then where bad.
+
+Both moves lower the same sum, so they cannot undo each other's work.  A small p serves the mean,
+a large p the worst cells; bounds keep every change within the extremes that the input had.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+
+import numpy as np
+from numba import njit
+
+from odt_plugins.engine import flips3d, smooth3d
+from odt_plugins.engine.active import spread, vertex_order, vertices_of_pending
+from odt_plugins.engine.complex import PENDING, Complex, slot_stars
+from odt_plugins.engine.tetrahedron import QUALITY, tet_quality
+from odt_plugins.engine.threads import run_chunks
+from odt_plugins.mesh import FloatArray, IntArray
+
+GAIN = 1e-3
+RING = 10
+
+
+@dataclass(frozen=True)
+class Phase:
+    """One descent: exponent p, share of the cells that are worked on, number of rounds."""
+
+    power: float
+    share: float
+    rounds: int
+    sweeps: int
+
+
+BULK = (Phase(1.0, 1.0, 6, 3),)
+TAIL = (Phase(2.0, 0.08, 3, 3), Phase(4.0, 0.03, 3, 3), Phase(8.0, 0.005, 3, 3))
+
+
+@njit(nogil=True, cache=True)
+def slot_qualities(points, cells, q):
+    """Radius ratio of the cell in every slot, 2 in a free slot."""
+    for c in range(cells.shape[0]):
+        if cells[c, 0] < 0:
+            q[c] = 2.0
+        else:
+            q[c] = tet_quality(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
+
+
+def qualities(mesh: Complex) -> FloatArray:
+    """Radius ratio (5.1) of the cell in every used slot, 2 in a free slot."""
+    q = np.empty(int(mesh.slots[0]))
+    slot_qualities(mesh.points, mesh.cells[: len(q)], q)
+    return q
+
+
+def flip_pending(
+    mesh: Complex, objective: int, power: float, ring: int, bounds: FloatArray, passes: int
+) -> int:
+    """Flip at the pending cells, worst first, until none is left or the passes are used up."""
+    total = 0
+    for _ in range(passes):
+        used = int(mesh.slots[0])
+        pending = np.flatnonzero(
+            (mesh.status[:used] == PENDING) & (mesh.cells[:used, 0] >= 0)
+        ).astype(np.int32)
+        if objective == QUALITY:
+            q = qualities(mesh)[pending]
+            pending = pending[np.argsort(q, kind="stable")]
+        flips = flips3d.flip_pass(
+            mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status,
+            pending, mesh.slots, mesh.free, objective, power, ring, bounds, 1.0,
+        )
+        total += flips
+        if mesh.slots[2]:
+            grow(mesh)
+        elif flips == 0:
+            break
+    return total
+
+
+def grow(mesh: Complex) -> None:
+    """Give a complex that ran out of room a quarter more."""
+    extra = len(mesh.cells) // 4 + 64
+    mesh.cells = np.concatenate([mesh.cells, np.full((extra, mesh.dim + 1), -1, dtype=np.int32)])
+    mesh.neighbors = np.concatenate(
+        [mesh.neighbors, np.full((extra, mesh.dim + 1), -1, dtype=np.int32)]
+    )
+    mesh.regions = np.concatenate([mesh.regions, np.zeros(extra, dtype=np.int32)])
+    mesh.status = np.concatenate([mesh.status, np.zeros(extra, dtype=np.uint8)])
+    mesh.free = np.concatenate([mesh.free, np.empty(extra, dtype=np.int32)])
+    mesh.slots[2] = 0
+
+
+def descend(
+    mesh: Complex,
+    phase: Phase,
+    bounds: FloatArray,
+    pool: ThreadPoolExecutor | None,
+    threads: int,
+    tick: Callable[[], None],
+) -> tuple[int, int]:
+    """Lower F_p by flips and smoothing; returns the numbers of flips and of vertex moves."""
+    q = qualities(mesh)
+    used = len(q)
+    mesh.status[:] = 0
+    if phase.share < 1.0:
+        live = int((q < 1.5).sum())
+        limit = np.partition(q, int(phase.share * live))[int(phase.share * live)]
+        bad = q < limit
+        touched = np.zeros(len(mesh.points), dtype=bool)
+        touched[mesh.cells[:used][bad].ravel()] = True
+        near = touched[mesh.cells[:used]].any(axis=1) & (q < 1.5)
+        mesh.status[:used][near] = PENDING
+    else:
+        mesh.status[:used][q < 1.5] = PENDING
+    active = np.zeros(len(mesh.points), dtype=bool)
+    vertices_of_pending(mesh.cells[:used], mesh.status, active)
+    moved = np.zeros(len(mesh.points))
+    flips = moves = 0
+    for _ in range(phase.rounds):
+        flips += flip_pending(mesh, QUALITY, phase.power, RING, bounds, 4)
+        used = int(mesh.slots[0])
+        mesh.status[mesh.status == flips3d.DONE] = 0
+        stars = slot_stars(mesh)
+        cells = mesh.cells[:used]
+        pushed = 0
+        for _ in range(phase.sweeps):
+            order, offsets = vertex_order(cells, stars, active & ~mesh.locked)
+            moved[:] = 0.0
+            moves += run_chunks(
+                pool, threads, offsets,
+                lambda lo, hi, order=order: smooth3d.smooth_vertices(
+                    mesh.points, cells, stars.indptr, stars.indices, order, lo, hi,
+                    phase.power, bounds, moved,
+                ),
+            )
+            pushed = spread(cells, stars.indptr, stars.indices, moved, GAIN, active, mesh.status)
+            tick()
+        if pushed == 0 and flips == 0:
+            break
+    return flips, moves

@@ -1,0 +1,330 @@
+"""Newton smoothing of one vertex at a time for F_p = sum over its star of q^-p, d = 3.
+
+With only one vertex x moving, det is linear in x, the products of opposite edges are quadratic
+and the Hessian of a face area is rank one, so gradient and Hessian of log q are exact and cheap.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+from odt_plugins.engine.tetrahedron import tet_cosines, tet_quality
+
+HALVINGS = 7
+
+
+@njit(nogil=True, cache=True)
+def _opposite(cells, c, v):
+    """The other three vertices of cell c, such that (v, i, j, k) is positive."""
+    if cells[c, 0] == v:
+        return cells[c, 1], cells[c, 2], cells[c, 3]
+    if cells[c, 1] == v:
+        return cells[c, 0], cells[c, 3], cells[c, 2]
+    if cells[c, 2] == v:
+        return cells[c, 0], cells[c, 1], cells[c, 3]
+    return cells[c, 0], cells[c, 2], cells[c, 1]
+
+
+@njit(nogil=True, cache=True)
+def add_quality_terms(points, v, i, j, k, power, out):
+    """Add q^-p, its gradient and its Hessian in x_v to out = [F, g (3), H (xx xy xz yy yz zz)].
+
+    False when the cell is not positive.
+    """
+    x = points[v, 0]
+    y = points[v, 1]
+    z = points[v, 2]
+    ax = points[i, 0] - x
+    ay = points[i, 1] - y
+    az = points[i, 2] - z
+    bx = points[j, 0] - x
+    by = points[j, 1] - y
+    bz = points[j, 2] - z
+    cx = points[k, 0] - x
+    cy = points[k, 1] - y
+    cz = points[k, 2] - z
+    nax = by * cz - bz * cy
+    nay = bz * cx - bx * cz
+    naz = bx * cy - by * cx
+    nbx = cy * az - cz * ay
+    nby = cz * ax - cx * az
+    nbz = cx * ay - cy * ax
+    ncx = ay * bz - az * by
+    ncy = az * bx - ax * bz
+    ncz = ax * by - ay * bx
+    nox = nax + nbx + ncx
+    noy = nay + nby + ncy
+    noz = naz + nbz + ncz
+    det = ax * nax + ay * nay + az * naz
+    if not det > 0.0:
+        return False
+    na = math.sqrt(nax * nax + nay * nay + naz * naz)
+    nb = math.sqrt(nbx * nbx + nby * nby + nbz * nbz)
+    nc = math.sqrt(ncx * ncx + ncy * ncy + ncz * ncz)
+    no = math.sqrt(nox * nox + noy * noy + noz * noz)
+    s = na + nb + nc + no
+    # edges of the fixed facet
+    ex = bx - cx
+    ey = by - cy
+    ez = bz - cz
+    fx = cx - ax
+    fy = cy - ay
+    fz = cz - az
+    hx = ax - bx
+    hy = ay - by
+    hz = az - bz
+    ee = ex * ex + ey * ey + ez * ez
+    ff = fx * fx + fy * fy + fz * fz
+    hh = hx * hx + hy * hy + hz * hz
+    u1 = (ax * ax + ay * ay + az * az) * ee
+    u2 = (bx * bx + by * by + bz * bz) * ff
+    u3 = (cx * cx + cy * cy + cz * cz) * hh
+    h = 2.0 * (u1 * u2 + u2 * u3 + u3 * u1) - u1 * u1 - u2 * u2 - u3 * u3
+    if not h > 0.0:
+        return False
+    q = 12.0 * det * det / (s * math.sqrt(h))
+    ia = 1.0 / na
+    ib = 1.0 / nb
+    ic = 1.0 / nc
+    nax *= ia
+    nay *= ia
+    naz *= ia
+    nbx *= ib
+    nby *= ib
+    nbz *= ib
+    ncx *= ic
+    ncy *= ic
+    ncz *= ic
+    # gradient of the sum of the face normals' lengths
+    sx = (ey * naz - ez * nay) + (fy * nbz - fz * nby) + (hy * ncz - hz * ncy)
+    sy = (ez * nax - ex * naz) + (fz * nbx - fx * nbz) + (hz * ncx - hx * ncz)
+    sz = (ex * nay - ey * nax) + (fx * nby - fy * nbx) + (hx * ncy - hy * ncx)
+    # gradients of u1, u2, u3
+    t1 = -2.0 * ee
+    t2 = -2.0 * ff
+    t3 = -2.0 * hh
+    u1x = t1 * ax
+    u1y = t1 * ay
+    u1z = t1 * az
+    u2x = t2 * bx
+    u2y = t2 * by
+    u2z = t2 * bz
+    u3x = t3 * cx
+    u3y = t3 * cy
+    u3z = t3 * cz
+    h1 = 2.0 * (u2 + u3 - u1)
+    h2 = 2.0 * (u3 + u1 - u2)
+    h3 = 2.0 * (u1 + u2 - u3)
+    gx = h1 * u1x + h2 * u2x + h3 * u3x
+    gy = h1 * u1y + h2 * u2y + h3 * u3y
+    gz = h1 * u1z + h2 * u2z + h3 * u3z
+    tx = u1x + u2x + u3x
+    ty = u1y + u2y + u3y
+    tz = u1z + u2z + u3z
+    iso = 2.0 * (h1 * ee + h2 * ff + h3 * hh)
+    idet = 1.0 / det
+    dx = -nox * idet
+    dy = -noy * idet
+    dz = -noz * idet
+    isum = 1.0 / s
+    sx *= isum
+    sy *= isum
+    sz *= isum
+    ih = 0.5 / h
+    gx *= ih
+    gy *= ih
+    gz *= ih
+    # grad log q, then -Hess log q
+    lx = 2.0 * dx - sx - gx
+    ly = 2.0 * dy - sy - gy
+    lz = 2.0 * dz - sz - gz
+    wa = ee * ia * isum
+    wb = ff * ib * isum
+    wc = hh * ic * isum
+    w2 = 2.0 * ih
+    w4 = 4.0 * ih
+    f = q**-power
+    pf = power * f
+    pp = power * pf
+    out[0] += f
+    out[1] -= pf * lx
+    out[2] -= pf * ly
+    out[3] -= pf * lz
+    out[4] += pp * lx * lx + pf * (
+        2.0 * dx * dx - sx * sx - 2.0 * gx * gx
+        + wa * nax * nax + wb * nbx * nbx + wc * ncx * ncx
+        + ih * iso + w2 * tx * tx - w4 * (u1x * u1x + u2x * u2x + u3x * u3x)
+    )
+    out[5] += pp * lx * ly + pf * (
+        2.0 * dx * dy - sx * sy - 2.0 * gx * gy
+        + wa * nax * nay + wb * nbx * nby + wc * ncx * ncy
+        + w2 * tx * ty - w4 * (u1x * u1y + u2x * u2y + u3x * u3y)
+    )
+    out[6] += pp * lx * lz + pf * (
+        2.0 * dx * dz - sx * sz - 2.0 * gx * gz
+        + wa * nax * naz + wb * nbx * nbz + wc * ncx * ncz
+        + w2 * tx * tz - w4 * (u1x * u1z + u2x * u2z + u3x * u3z)
+    )
+    out[7] += pp * ly * ly + pf * (
+        2.0 * dy * dy - sy * sy - 2.0 * gy * gy
+        + wa * nay * nay + wb * nby * nby + wc * ncy * ncy
+        + ih * iso + w2 * ty * ty - w4 * (u1y * u1y + u2y * u2y + u3y * u3y)
+    )
+    out[8] += pp * ly * lz + pf * (
+        2.0 * dy * dz - sy * sz - 2.0 * gy * gz
+        + wa * nay * naz + wb * nby * nbz + wc * ncy * ncz
+        + w2 * ty * tz - w4 * (u1y * u1z + u2y * u2z + u3y * u3z)
+    )
+    out[9] += pp * lz * lz + pf * (
+        2.0 * dz * dz - sz * sz - 2.0 * gz * gz
+        + wa * naz * naz + wb * nbz * nbz + wc * ncz * ncz
+        + ih * iso + w2 * tz * tz - w4 * (u1z * u1z + u2z * u2z + u3z * u3z)
+    )
+    return True
+
+
+@njit(nogil=True, cache=True)
+def _newton_direction(out, step):
+    """Solve (H + s I) step = -g with the least shift s of a short ladder that makes it SPD."""
+    trace = abs(out[4]) + abs(out[7]) + abs(out[9])
+    shift = 0.0
+    for _ in range(12):
+        a = out[4] + shift
+        d = out[7] + shift
+        f = out[9] + shift
+        if a > 1e-12 * trace:
+            l10 = out[5] / a
+            l20 = out[6] / a
+            d1 = d - l10 * out[5]
+            if d1 > 1e-12 * trace:
+                m = out[8] - l20 * out[5]
+                l21 = m / d1
+                d2 = f - l20 * out[6] - l21 * m
+                if d2 > 1e-12 * trace:
+                    y0 = -out[1]
+                    y1 = -out[2] - l10 * y0
+                    y2 = -out[3] - l20 * y0 - l21 * y1
+                    step[2] = y2 / d2
+                    step[1] = y1 / d1 - l21 * step[2]
+                    step[0] = y0 / a - l10 * step[1] - l20 * step[2]
+                    return True
+        shift = 0.01 * trace if shift == 0.0 else 2.5 * shift
+    return False
+
+
+@njit(nogil=True, cache=True)
+def star_cost(points, cells, indices, start, stop, power, limit):
+    """Sum of q^-p over cells indices[start:stop]; infinite above the limit or if inverted."""
+    total = 0.0
+    for s in range(start, stop):
+        c = indices[s]
+        q = tet_quality(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
+        if q <= 1e-9:
+            return np.inf
+        total += q**-power
+        if total >= limit:
+            return np.inf
+    return total
+
+
+@njit(nogil=True, cache=True)
+def star_extremes(points, cells, indices, start, stop):
+    """Worst q, largest and smallest dihedral cosine over cells indices[start:stop]."""
+    worst = 1.0
+    large = -1.0
+    small = 1.0
+    for s in range(start, stop):
+        c = indices[s]
+        worst = min(
+            worst, tet_quality(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
+        )
+        hi, lo = tet_cosines(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
+        large = max(large, hi)
+        small = min(small, lo)
+    return worst, large, small
+
+
+@njit(nogil=True, cache=True)
+def smooth_vertices(points, cells, indptr, indices, order, start, stop, power, bounds, moved):
+    """One guarded Newton step on F_p for vertices order[start:stop], in place.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, cells : (m, 4) int32
+    indptr, indices                      stars in CSR form
+    order : (k,) int32                   vertices; those of one call share no cell
+    power : float                        p
+    bounds : (3,) float64                least q, largest and smallest cosine that may appear
+    moved : (n,) float64                 relative decrease of the star's cost is written here
+
+    Returns
+    -------
+    int                                  number of vertices moved
+    """
+    out = np.empty(10)
+    step = np.empty(3)
+    count = 0
+    for o in range(start, stop):
+        v = order[o]
+        lo = indptr[v]
+        hi = indptr[v + 1]
+        moved[v] = 0.0
+        if lo == hi:
+            continue
+        out[:] = 0.0
+        valid = True
+        for s in range(lo, hi):
+            i, j, k = _opposite(cells, indices[s], v)
+            if not add_quality_terms(points, v, i, j, k, power, out):
+                valid = False
+                break
+        if not valid or not _newton_direction(out, step):
+            continue
+        x = points[v, 0]
+        y = points[v, 1]
+        z = points[v, 2]
+        slope = out[1] * step[0] + out[2] * step[1] + out[3] * step[2]
+        if -slope < 1e-9 * out[0]:
+            continue
+        alpha = 1.0
+        done = False
+        for _ in range(HALVINGS):
+            points[v, 0] = x + alpha * step[0]
+            points[v, 1] = y + alpha * step[1]
+            points[v, 2] = z + alpha * step[2]
+            cost = star_cost(points, cells, indices, lo, hi, power, out[0] + 1e-4 * alpha * slope)
+            if cost < out[0]:
+                worst, large, small = star_extremes(points, cells, indices, lo, hi)
+                if worst < bounds[0] or large > bounds[1] or small < bounds[2]:
+                    new_x = points[v, 0]
+                    new_y = points[v, 1]
+                    new_z = points[v, 2]
+                    points[v, 0] = x
+                    points[v, 1] = y
+                    points[v, 2] = z
+                    old_worst, old_large, old_small = star_extremes(points, cells, indices, lo, hi)
+                    done = (
+                        worst >= min(bounds[0], old_worst)
+                        and large <= max(bounds[1], old_large)
+                        and small >= min(bounds[2], old_small)
+                    )
+                    if done:
+                        points[v, 0] = new_x
+                        points[v, 1] = new_y
+                        points[v, 2] = new_z
+                else:
+                    done = True
+                if done:
+                    moved[v] = 1.0 - cost / out[0]
+                    break
+            alpha *= 0.5
+        if done:
+            count += 1
+        else:
+            points[v, 0] = x
+            points[v, 1] = y
+            points[v, 2] = z
+    return count

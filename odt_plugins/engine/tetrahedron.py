@@ -1,0 +1,141 @@
+"""Scalar measures of one tetrahedron, for the kernels that move vertices and flip."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numba import njit
+
+ENERGY = 0
+QUALITY = 1
+
+
+@njit(nogil=True, cache=True, inline="never")
+def tet_quality(points, i, j, k, l):
+    """Radius ratio 3 r/R (Section 5) of tetrahedron (i, j, k, l); negative if inverted.
+
+    With g_a the inward face normals of length twice the area, V = det/6 and H the Heron form of
+    the products of opposite edges, 24 V R = sqrt(H), so 3 r/R = 12 det^2 / (sum |g_a| sqrt(H)).
+    """
+    ax = points[j, 0] - points[i, 0]
+    ay = points[j, 1] - points[i, 1]
+    az = points[j, 2] - points[i, 2]
+    bx = points[k, 0] - points[i, 0]
+    by = points[k, 1] - points[i, 1]
+    bz = points[k, 2] - points[i, 2]
+    cx = points[l, 0] - points[i, 0]
+    cy = points[l, 1] - points[i, 1]
+    cz = points[l, 2] - points[i, 2]
+    g1x = by * cz - bz * cy
+    g1y = bz * cx - bx * cz
+    g1z = bx * cy - by * cx
+    g2x = cy * az - cz * ay
+    g2y = cz * ax - cx * az
+    g2z = cx * ay - cy * ax
+    g3x = ay * bz - az * by
+    g3y = az * bx - ax * bz
+    g3z = ax * by - ay * bx
+    det = ax * g1x + ay * g1y + az * g1z
+    g0x = g1x + g2x + g3x
+    g0y = g1y + g2y + g3y
+    g0z = g1z + g2z + g3z
+    s = (
+        math.sqrt(g0x * g0x + g0y * g0y + g0z * g0z)
+        + math.sqrt(g1x * g1x + g1y * g1y + g1z * g1z)
+        + math.sqrt(g2x * g2x + g2y * g2y + g2z * g2z)
+        + math.sqrt(g3x * g3x + g3y * g3y + g3z * g3z)
+    )
+    ux = cx - bx
+    uy = cy - by
+    uz = cz - bz
+    vx = ax - cx
+    vy = ay - cy
+    vz = az - cz
+    wx = bx - ax
+    wy = by - ay
+    wz = bz - az
+    p1 = math.sqrt((ax * ax + ay * ay + az * az) * (ux * ux + uy * uy + uz * uz))
+    p2 = math.sqrt((bx * bx + by * by + bz * bz) * (vx * vx + vy * vy + vz * vz))
+    p3 = math.sqrt((cx * cx + cy * cy + cz * cz) * (wx * wx + wy * wy + wz * wz))
+    h = (p1 + p2 + p3) * (p1 + p2 - p3) * (p2 + p3 - p1) * (p3 + p1 - p2)
+    if not (h > 0.0 and s > 0.0):
+        return -1.0 if det <= 0.0 else 0.0
+    q = 12.0 * det * det / (s * math.sqrt(h))
+    return q if det > 0.0 else -q
+
+
+@njit(nogil=True, cache=True, inline="never")
+def tet_energy(points, i, j, k, l):
+    """20 times the ODT energy (2.2) of tetrahedron (i, j, k, l); infinite if not positive."""
+    ax = points[j, 0] - points[i, 0]
+    ay = points[j, 1] - points[i, 1]
+    az = points[j, 2] - points[i, 2]
+    bx = points[k, 0] - points[i, 0]
+    by = points[k, 1] - points[i, 1]
+    bz = points[k, 2] - points[i, 2]
+    cx = points[l, 0] - points[i, 0]
+    cy = points[l, 1] - points[i, 1]
+    cz = points[l, 2] - points[i, 2]
+    det = (
+        ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+    )
+    aa = ax * ax + ay * ay + az * az
+    bb = bx * bx + by * by + bz * bz
+    cc = cx * cx + cy * cy + cz * cz
+    mixed = ax * bx + ay * by + az * bz + bx * cx + by * cy + bz * cz + cx * ax + cy * ay + cz * az
+    t = 3.0 * (aa + bb + cc) - 2.0 * mixed
+    if not det > 1e-10 * t * math.sqrt(t):
+        return np.inf
+    return det * t / 6.0
+
+
+@njit(nogil=True, cache=True, inline="never")
+def tet_cosines(points, i, j, k, l):
+    """Largest and smallest cosine of the six dihedral angles: (of the smallest, of the largest)."""
+    ax = points[j, 0] - points[i, 0]
+    ay = points[j, 1] - points[i, 1]
+    az = points[j, 2] - points[i, 2]
+    bx = points[k, 0] - points[i, 0]
+    by = points[k, 1] - points[i, 1]
+    bz = points[k, 2] - points[i, 2]
+    cx = points[l, 0] - points[i, 0]
+    cy = points[l, 1] - points[i, 1]
+    cz = points[l, 2] - points[i, 2]
+    x1 = by * cz - bz * cy
+    y1 = bz * cx - bx * cz
+    z1 = bx * cy - by * cx
+    x2 = cy * az - cz * ay
+    y2 = cz * ax - cx * az
+    z2 = cx * ay - cy * ax
+    x3 = ay * bz - az * by
+    y3 = az * bx - ax * bz
+    z3 = ax * by - ay * bx
+    x0 = -(x1 + x2 + x3)
+    y0 = -(y1 + y2 + y3)
+    z0 = -(z1 + z2 + z3)
+    n0 = 1.0 / math.sqrt(max(x0 * x0 + y0 * y0 + z0 * z0, 1e-300))
+    n1 = 1.0 / math.sqrt(max(x1 * x1 + y1 * y1 + z1 * z1, 1e-300))
+    n2 = 1.0 / math.sqrt(max(x2 * x2 + y2 * y2 + z2 * z2, 1e-300))
+    n3 = 1.0 / math.sqrt(max(x3 * x3 + y3 * y3 + z3 * z3, 1e-300))
+    c01 = -(x0 * x1 + y0 * y1 + z0 * z1) * n0 * n1
+    c02 = -(x0 * x2 + y0 * y2 + z0 * z2) * n0 * n2
+    c03 = -(x0 * x3 + y0 * y3 + z0 * z3) * n0 * n3
+    c12 = -(x1 * x2 + y1 * y2 + z1 * z2) * n1 * n2
+    c13 = -(x1 * x3 + y1 * y3 + z1 * z3) * n1 * n3
+    c23 = -(x2 * x3 + y2 * y3 + z2 * z3) * n2 * n3
+    return (
+        max(max(max(c01, c02), max(c03, c12)), max(c13, c23)),
+        min(min(min(c01, c02), min(c03, c12)), min(c13, c23)),
+    )
+
+
+@njit(nogil=True, cache=True)
+def tet_cost(points, i, j, k, l, objective, power):
+    """Cost of one cell: ODT energy, or q^-power; infinite if the cell is not positive."""
+    if objective == ENERGY:
+        return tet_energy(points, i, j, k, l)
+    q = tet_quality(points, i, j, k, l)
+    if q <= 1e-9:
+        return np.inf
+    return q**-power
