@@ -153,14 +153,12 @@ def _moved(
     """Compare the coordinates of all vertices that are held, bit for bit."""
     n = len(points)
     held = {"boundary": np.zeros(n, bool), "interface": np.zeros(n, bool),
-            "fixed": np.asarray(before.fixed, bool), "frozen": np.zeros(n, bool),
+            "fixed": before.fixed, "frozen": np.zeros(n, bool),
             "unused": np.ones(n, bool)}
     held["boundary"][locked.facets[locked.boundary]] = True
     held["interface"][locked.facets[~locked.boundary]] = True
     held["unused"][before.cells] = False
-    frozen = getattr(before, "frozen", None)
-    if frozen is not None:
-        held["frozen"][before.cells[frozen]] = True
+    held["frozen"][before.cells[before.frozen]] = True
     old, new = (np.ascontiguousarray(p, np.float64).view(np.int64)
                 for p in (before.points, points))
     differs = (old != new).any(axis=1)
@@ -245,8 +243,8 @@ def _volume_per_label(
 
 def _thawed(before: SimplexMesh, cells: NDArray[Any], regions: NDArray[Any]) -> list[str]:
     """Look every frozen cell up, with its label."""
-    frozen = getattr(before, "frozen", None)
-    if frozen is None or not np.any(frozen):
+    frozen = before.frozen
+    if not frozen.any():
         return []
     n = len(before.points)
     old = np.sort(before.cells[frozen], axis=1)
