@@ -131,6 +131,24 @@ def locked_facets(
     return locked
 
 
+def held_vertices(mesh: SimplexMesh) -> NDArray[np.bool_]:
+    """Say which vertices must stay bit for bit: (n,) bool, unused vertices included."""
+    locked = locked_facets(mesh.cells, mesh.regions, len(mesh.points))
+    return np.asarray(np.logical_or.reduce(list(_held(mesh, locked).values())))
+
+
+def _held(mesh: SimplexMesh, locked: LockedFacets) -> dict[str, NDArray[np.bool_]]:
+    """Give the vertices that must stay, by the reason why."""
+    n = len(mesh.points)
+    held = {"boundary": np.zeros(n, bool), "interface": np.zeros(n, bool),
+            "fixed": mesh.fixed, "frozen": np.zeros(n, bool), "unused": np.ones(n, bool)}
+    held["boundary"][locked.facets[locked.boundary]] = True
+    held["interface"][locked.facets[~locked.boundary]] = True
+    held["frozen"][mesh.cells[mesh.frozen]] = True
+    held["unused"][mesh.cells] = False
+    return held
+
+
 def _malformed(before: SimplexMesh, points: Any, cells: Any, regions: Any) -> list[str]:
     n, d = before.points.shape
     if points.shape != (n, d):
@@ -151,14 +169,7 @@ def _moved(
     before: SimplexMesh, points: NDArray[np.float64], locked: LockedFacets
 ) -> list[str]:
     """Compare the coordinates of all vertices that are held, bit for bit."""
-    n = len(points)
-    held = {"boundary": np.zeros(n, bool), "interface": np.zeros(n, bool),
-            "fixed": before.fixed, "frozen": np.zeros(n, bool),
-            "unused": np.ones(n, bool)}
-    held["boundary"][locked.facets[locked.boundary]] = True
-    held["interface"][locked.facets[~locked.boundary]] = True
-    held["unused"][before.cells] = False
-    held["frozen"][before.cells[before.frozen]] = True
+    held = _held(before, locked)
     old, new = (np.ascontiguousarray(p, np.float64).view(np.int64)
                 for p in (before.points, points))
     differs = (old != new).any(axis=1)
