@@ -23,6 +23,9 @@ INK = "#22313f"
 GREY = "#9aa5b1"
 BLUE = "#2f6fb0"
 
+SCALE = (0.3, 1.0)
+"""Radius ratios at the ends of the colour scale; worse cells have the colour of the lower end."""
+
 
 def plot_report(report: Report, path: str | PathLike[str]) -> None:
     """Draw the histograms before and after (cf. Figs 6 and 10 of the paper) and the energy.
@@ -75,20 +78,22 @@ def plot_before_after(
     """
     figure = _figure((12.0, 8.4))
     grid = figure.add_gridspec(2, 2, height_ratios=(3.1, 1.0), hspace=0.10, wspace=0.08,
-                               left=0.065, right=0.90, top=0.93, bottom=0.075)
+                               left=0.065, right=0.90, top=0.915, bottom=0.075)
     top = 1.08 * max(*report.histogram_before, *report.histogram_after, 1)
     columns = (("before", before, report.histogram_before, report.before, GREY),
                ("after", after, report.histogram_after, report.after, BLUE))
     for column, (name, mesh, counts, summary, colour) in enumerate(columns):
         picture = figure.add_subplot(grid[0, column])
         painted = _cut_open(picture, *mesh, up=up)
-        picture.set_title(name, fontsize=15, color=INK)
+        picture.set_title(name, fontsize=14, color=INK)
         _histogram(figure.add_subplot(grid[1, column]), counts, summary, "", colour, top)
-    bar = figure.colorbar(painted, cax=figure.add_axes((0.925, 0.36, 0.014, 0.5)))
-    bar.set_label("radius ratio  3 r / R", color=INK)
+        if column:
+            figure.axes[-1].set(ylabel="", yticklabels=[])
+    bar = figure.colorbar(painted, cax=figure.add_axes((0.925, 0.40, 0.014, 0.42)), extend="min")
+    bar.set_label("radius ratio 3 r / R", color=INK, fontsize=11)
     bar.outline.set_visible(False)
     if title:
-        figure.suptitle(title, fontsize=16, color=INK, y=0.985)
+        figure.suptitle(title, fontsize=16, color=INK, x=0.4825, y=0.985, weight="bold")
     _save(figure, path, dpi=110)
 
 
@@ -144,10 +149,10 @@ def _cut_open(axes: Any, points: NDArray[np.float64], cells: NDArray[Any], *, up
     seen = np.flatnonzero(normal[:, 2] > 0)
     order = seen[np.argsort(corners[seen].mean(axis=1)[:, 2], kind="stable")]
     light = np.array([-0.35, 0.5, 0.8]) / np.linalg.norm([-0.35, 0.5, 0.8])
-    shade = 0.62 + 0.38 * np.clip(normal[order] @ light, 0, 1)
+    shade = 0.76 + 0.24 * np.clip(normal[order] @ light, 0, 1)
     painted = PolyCollection(corners[order][:, :, :2], linewidths=0.25, rasterized=True,
                              cmap="RdYlBu")
-    painted.set_clim(0.0, 1.0)
+    painted.set_clim(*SCALE)
     colour = painted.to_rgba(quality[shell.cells[order]])
     colour[:, :3] *= shade[:, None]
     painted.set_facecolor(colour)
