@@ -128,56 +128,69 @@ def _write_ring(a, b, ring, n, split, new, stack):
 
 @njit(nogil=True, cache=True)
 def _admissible(points, cells, locked, old, n_old, new, n_new, objective, bounds):
-    """Whether no new cell is worse than both the bound and the worst cell it replaces.
+    """Whether no new cell is worse than both the bounds and the worst cell it replaces.
 
-    A cell with locked vertices only can never be repaired by smoothing, so in the energy
-    objective the same is asked of such cells, with their own worst predecessor as the bound.
+    A cell with locked vertices only can never be repaired by smoothing: it is held to the worst
+    such cell among the old ones, other cells to the worst of all.  In the energy objective, which
+    smoothing and finishing follow, only the locked cells are held to anything.
     """
-    q_floor, cos_ceiling, cos_floor = bounds[0], bounds[1], bounds[2]
-    if objective == ENERGY:
-        worst_locked = 1.0
-        for m in range(n_old):
-            c = old[m]
-            if (
-                locked[cells[c, 0]]
-                and locked[cells[c, 1]]
-                and locked[cells[c, 2]]
-                and locked[cells[c, 3]]
-            ):
-                q = tet_quality(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
-                worst_locked = min(worst_locked, q)
-        if worst_locked == 1.0:
-            worst_locked = q_floor
-        for m in range(n_new):
-            if (
-                locked[new[m, 0]]
-                and locked[new[m, 1]]
-                and locked[new[m, 2]]
-                and locked[new[m, 3]]
-            ):
-                q = tet_quality(points, new[m, 0], new[m, 1], new[m, 2], new[m, 3])
-                if q < worst_locked:
-                    return False
-        return True
-    new_q = 1.0
+    new_q = 2.0
     new_large = -1.0
     new_small = 1.0
+    locked_q = 2.0
+    locked_large = -1.0
+    locked_small = 1.0
     for m in range(n_new):
-        new_q = min(new_q, tet_quality(points, new[m, 0], new[m, 1], new[m, 2], new[m, 3]))
+        is_locked = (
+            locked[new[m, 0]] and locked[new[m, 1]] and locked[new[m, 2]] and locked[new[m, 3]]
+        )
+        if objective == ENERGY and not is_locked:
+            continue
+        q = tet_quality(points, new[m, 0], new[m, 1], new[m, 2], new[m, 3])
         large, small = tet_cosines(points, new[m, 0], new[m, 1], new[m, 2], new[m, 3])
-        new_large = max(new_large, large)
-        new_small = min(new_small, small)
-    if new_q >= q_floor and new_large <= cos_ceiling and new_small >= cos_floor:
+        if is_locked:
+            locked_q = min(locked_q, q)
+            locked_large = max(locked_large, large)
+            locked_small = min(locked_small, small)
+        else:
+            new_q = min(new_q, q)
+            new_large = max(new_large, large)
+            new_small = min(new_small, small)
+    if (
+        new_q >= bounds[0]
+        and locked_q >= bounds[3]
+        and new_large <= bounds[1]
+        and new_small >= bounds[2]
+        and locked_large <= bounds[4]
+        and locked_small >= bounds[5]
+    ):
         return True
+    q_floor, large_ceiling, small_floor = bounds[0], bounds[1], bounds[2]
+    locked_floor, locked_ceiling, locked_depth = bounds[3], bounds[4], bounds[5]
     for m in range(n_old):
         c = old[m]
-        q_floor = min(
-            q_floor, tet_quality(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
-        )
+        q = tet_quality(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
         large, small = tet_cosines(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
-        cos_ceiling = max(cos_ceiling, large)
-        cos_floor = min(cos_floor, small)
-    return new_q >= q_floor and new_large <= cos_ceiling and new_small >= cos_floor
+        q_floor = min(q_floor, q)
+        large_ceiling = max(large_ceiling, large)
+        small_floor = min(small_floor, small)
+        if (
+            locked[cells[c, 0]]
+            and locked[cells[c, 1]]
+            and locked[cells[c, 2]]
+            and locked[cells[c, 3]]
+        ):
+            locked_floor = min(locked_floor, q)
+            locked_ceiling = max(locked_ceiling, large)
+            locked_depth = min(locked_depth, small)
+    return (
+        new_q >= q_floor
+        and new_large <= large_ceiling
+        and new_small >= small_floor
+        and locked_q >= locked_floor
+        and locked_large <= locked_ceiling
+        and locked_small >= locked_depth
+    )
 
 
 @njit(nogil=True, cache=True)
@@ -327,7 +340,8 @@ def flip_pass(points, cells, neighbors, regions, locked, status, order, slots, f
     slots, free                           see ``_replace_cavity``
     objective, power                      see ``tetrahedron.tet_cost``
     max_ring : int                        longest ring that edge removal takes
-    bounds : (3,) float64                 least q, largest and smallest cosine that may appear
+    bounds : (6,) float64                 least q, largest and smallest cosine that may appear;
+                                          the same for a cell with locked vertices only
     threshold : float                     with QUALITY: cells of better quality are passed over
 
     Returns
