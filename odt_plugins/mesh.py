@@ -1,15 +1,28 @@
-"""The one mesh type that the engine knows."""
+"""The one mesh type that the engine knows, and the checks a mesh passes on its way in."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, field, replace
+from itertools import combinations
+from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
+
+from odt_plugins.errors import InvalidMeshError, InvalidOptionError
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int32]
 BoolArray = NDArray[np.bool_]
+
+FLAT = 1e-14
+"""A cell is flat when d! |volume| <= FLAT * (its extent)^d: the rounding error of that volume."""
+
+SPAN_LIMIT = 1e90
+"""Lengths outside [1 / SPAN_LIMIT, SPAN_LIMIT] overflow or vanish in products of three."""
+
+CHUNK = 1 << 16
 
 
 @dataclass(frozen=True)
@@ -22,14 +35,364 @@ class SimplexMesh:
     cells : (m, d + 1) int32, C-contiguous   vertex indices, signed volume positive
     regions : (m,) int32                     label of every cell; facets between two labels stay
     fixed : (n,) bool                        vertices that must not move (boundary not included)
+    frozen : (m,) bool                       cells that must stay as they are; none by default
     """
 
     points: FloatArray
     cells: IntArray
     regions: IntArray
     fixed: BoolArray
+    frozen: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+
+    def __post_init__(self) -> None:
+        if self.frozen.size != len(self.cells):
+            object.__setattr__(self, "frozen", np.zeros(len(self.cells), dtype=np.bool_))
 
     @property
     def dim(self) -> int:
         """Dimension d of the space."""
         return int(self.points.shape[1])
+
+
+def simplex_mesh(
+    points: ArrayLike,
+    cells: ArrayLike,
+    *,
+    regions: ArrayLike | None = None,
+    fixed: ArrayLike | None = None,
+    selection: ArrayLike | None = None,
+    orient: bool = False,
+) -> tuple[SimplexMesh, int]:
+    """Check a mesh and bring it into the form the engine works on; the input is not changed.
+
+    Parameters
+    ----------
+    points : (n, d) float32 or float64    d = 2 or 3, any unit
+    cells : (m, d + 1) int                triangles in the plane or tetrahedra in space
+    regions : (m,) int                    labels of any integer type, compacted to 0, 1, ...
+                                          in increasing order
+    fixed : (n,) bool or (k,) int         vertices that must not move
+    selection : (m,) bool or (k,) int     only these cells may change; the others are frozen
+    orient : bool                         turn the cells of a mesh of mixed orientation
+
+    Returns
+    -------
+    mesh : SimplexMesh                    every signed volume positive
+    orientation : int                     -1 when every cell came with negative volume, else 1
+
+    Raises
+    ------
+    InvalidMeshError                      wrong shapes, types, indices, coordinates; flat, mixed,
+                                          repeated or overlapping cells; more than two cells
+                                          on a facet. Unused vertices are allowed and so are
+                                          boundary edges shared by several boundary facets
+    InvalidOptionError                    `regions`, `fixed` or `selection` does not fit the mesh
+    """
+    p, t = mesh_arrays(points, cells)
+    if t.shape[1] != p.shape[1] + 1:
+        msg = f"got triangles with points of dimension {p.shape[1]}; expected points (n, 2)"
+        raise InvalidMeshError(msg)
+    _check_vertices(t)
+    sign = _signs(p, t)
+    orientation = -1 if (sign < 0).all() else 1
+    if orientation == 1 and (sign < 0).any() and not orient:
+        n_negative = int((sign < 0).sum())
+        odd = np.flatnonzero(sign < 0 if 2 * n_negative <= len(t) else sign > 0)
+        msg = (
+            f"got {_where(odd, 'cell')} of {len(t)} turned against the others (negative against "
+            f"positive volume); expected one orientation, try orient=True"
+        )
+        raise InvalidMeshError(msg)
+    t = reverse(t, sign < 0)
+    _check_facets(t, len(p))
+    mesh = SimplexMesh(
+        points=p,
+        cells=t,
+        regions=compact_labels(regions, len(t)),
+        fixed=_mask(fixed, len(p), "fixed", "vertices"),
+    )
+    if selection is not None:
+        mesh = freeze(mesh, ~_mask(selection, len(t), "selection", "cells"))
+    return mesh, orientation
+
+
+def mesh_arrays(points: ArrayLike, cells: ArrayLike) -> tuple[FloatArray, IntArray]:
+    """Check shapes, types, coordinates and indices alone; new float64 and int32 arrays.
+
+    Triangles may have points in space here.
+
+    Raises
+    ------
+    InvalidMeshError    the arrays are no mesh, whatever the shape of its cells
+    """
+    p = _points(points)
+    return p, _cells(cells, p.shape)
+
+
+def freeze(
+    mesh: SimplexMesh, frozen: BoolArray, vertices: NDArray[np.integer] | None = None
+) -> SimplexMesh:
+    """Add cells (m,) bool that must stay, with their vertices, and more vertices (k,) to fix."""
+    fixed = mesh.fixed.copy()
+    fixed[mesh.cells[frozen].ravel()] = True
+    if vertices is not None:
+        fixed[vertices] = True
+    return replace(mesh, fixed=fixed, frozen=mesh.frozen | frozen)
+
+
+def reverse(cells: NDArray[Any], which: BoolArray) -> NDArray[Any]:
+    """Turn the orientation of some cells: a copy with their last two vertices exchanged."""
+    out = cells.copy()
+    out[which, -2], out[which, -1] = cells[which, -1], cells[which, -2]
+    return out
+
+
+def row_keys(rows: NDArray[np.integer], n: int) -> NDArray[np.int64]:
+    """Give one number for every row of indices below n: equal numbers are equal rows.
+
+    Parameters
+    ----------
+    rows : (m, k) int    indices in [0, n)
+    n : int
+
+    Returns
+    -------
+    (m,) int64           in [0, 2^62); comparable within one call only
+    """
+    key = rows[:, 0].astype(np.int64)
+    span = max(n, 1)
+    for column in rows.T[1:]:
+        if span > (1 << 62) // max(n, 1):
+            distinct, key = np.unique(key, return_inverse=True)
+            span = len(distinct)
+        key = key * n + column
+        span *= n
+    return key
+
+
+def directed_facets(cells: IntArray, n: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Key and side of every facet of positively oriented cells.
+
+    Returns
+    -------
+    key : (m, d + 1) int64     equal for facets of the same vertices
+    side : (m, d + 1) int64    0 or 1: on which side of the facet its cell lies
+
+    Notes
+    -----
+    Column i leaves out the i-th smallest vertex of the cell. With the vertices sorted by a
+    permutation of parity s the induced orientation of that facet is (-1)^(s + i).
+    """
+    m, k = cells.shape
+    parity = np.zeros(m, dtype=np.int64)
+    for i, j in combinations(range(k), 2):
+        parity ^= cells[:, i] > cells[:, j]
+    ordered = np.sort(cells, axis=1)
+    facets = np.concatenate([np.delete(ordered, i, axis=1) for i in range(k)])
+    key = row_keys(facets, n).reshape(k, m).T
+    return key, parity[:, None] ^ (np.arange(k) & 1)
+
+
+def _points(points: ArrayLike) -> FloatArray:
+    raw = np.asarray(points)
+    if raw.dtype.kind != "f" or raw.dtype.itemsize not in (4, 8):
+        msg = (
+            f"points have dtype {raw.dtype}; expected float64 or float32, "
+            f"try numpy.asarray(points, dtype=float)"
+        )
+        raise InvalidMeshError(msg)
+    if raw.ndim != 2 or raw.shape[1] not in (2, 3):
+        msg = f"points have shape {raw.shape}; expected (n, 2) or (n, 3), one row per vertex"
+        raise InvalidMeshError(msg)
+    if len(raw) >= 1 << 31:
+        msg = f"the mesh has {len(raw)} vertices; expected fewer than 2^31, try cutting it up"
+        raise InvalidMeshError(msg)
+    bad = np.flatnonzero(~np.isfinite(raw).all(axis=1))
+    if bad.size:
+        msg = (
+            f"got {_where(bad, 'point')} with NaN or infinite coordinates; expected finite "
+            f"numbers, try removing or repairing those vertices"
+        )
+        raise InvalidMeshError(msg)
+    return np.array(raw, dtype=np.float64, order="C")
+
+
+def _cells(cells: ArrayLike, shape: tuple[int, ...]) -> IntArray:
+    n, d = shape
+    raw = np.asarray(cells)
+    if raw.size == 0:
+        msg = f"the mesh has no cells ({n} vertices); expected at least one triangle or tetrahedron"
+        raise InvalidMeshError(msg)
+    if raw.ndim != 2 or not 3 <= raw.shape[1] <= d + 1:
+        tetrahedra = " or (m, 4) for tetrahedra" if d == 3 else ""
+        msg = (
+            f"cells have shape {raw.shape} for points of dimension {d}; expected (m, 3) for "
+            f"triangles{tetrahedra}, one row of vertex indices per cell"
+        )
+        raise InvalidMeshError(msg)
+    if raw.dtype.kind == "f":
+        bad = np.flatnonzero((raw != np.floor(raw)).any(axis=1) | ~np.isfinite(raw).all(axis=1))
+        if bad.size:
+            msg = (
+                f"got {_where(bad, 'cell')} with vertex indices that are not integers (dtype "
+                f"{raw.dtype}); expected an integer type"
+            )
+            raise InvalidMeshError(msg)
+    elif raw.dtype.kind not in "iu":
+        msg = f"cells have dtype {raw.dtype}; expected an integer type, try cells.astype('int32')"
+        raise InvalidMeshError(msg)
+    outside = (raw < 0) | (raw >= n)
+    bad = np.flatnonzero(outside.any(axis=1))
+    if bad.size:
+        vertex = int(raw[bad[0]][outside[bad[0]]][0])
+        msg = (
+            f"got {_where(bad, 'cell')} with vertex indices out of range (vertex {vertex}); "
+            f"expected 0 to {n - 1} for {n} vertices, counted from zero"
+        )
+        raise InvalidMeshError(msg)
+    return np.array(raw, dtype=np.int32, order="C")
+
+
+def _check_vertices(t: IntArray) -> None:
+    same = np.zeros(len(t), dtype=np.bool_)
+    for i, j in combinations(range(t.shape[1]), 2):
+        same |= t[:, i] == t[:, j]
+    bad = np.flatnonzero(same)
+    if bad.size:
+        msg = (
+            f"got {_where(bad, 'cell')} with a vertex used twice; expected {t.shape[1]} different "
+            f"vertices, try removing such cells"
+        )
+        raise InvalidMeshError(msg)
+
+
+def _signs(p: FloatArray, t: IntArray) -> NDArray[np.int8]:
+    """Sign of every signed volume, (m,) int8; raises when one of them is zero."""
+    span = float((p.max(axis=0) - p.min(axis=0)).max())
+    if span != 0.0 and not 1.0 / SPAN_LIMIT < span < SPAN_LIMIT:
+        msg = (
+            f"the mesh is {span:.1e} long; expected between {1 / SPAN_LIMIT:.0e} and "
+            f"{SPAN_LIMIT:.0e}, try scaling it"
+        )
+        raise InvalidMeshError(msg)
+    # An exact power of two keeps products of lengths away from underflow.
+    scaled = np.ldexp(p, -int(np.frexp(span)[1])) if span else p
+    sign = np.zeros(len(t), dtype=np.int8)
+    for part in _chunks(len(t)):
+        corner = scaled[t[part]]
+        edge = [corner[:, i] - corner[:, 0] for i in range(1, t.shape[1])]
+        extent = (corner.max(axis=1) - corner.min(axis=1)).max(axis=1)
+        det = _determinant(edge)
+        sign[part] = np.sign(det) * (np.abs(det) > FLAT * extent ** p.shape[1])
+    bad = np.flatnonzero(sign == 0)
+    if bad.size:
+        name = "area" if p.shape[1] == 2 else "volume"
+        msg = (
+            f"got {_where(bad, 'cell')} of {len(t)} with zero {name} relative to their size; "
+            f"expected every {name} different from zero, try removing such cells"
+        )
+        raise InvalidMeshError(msg)
+    return sign
+
+
+def _determinant(edge: list[FloatArray]) -> FloatArray:
+    if len(edge) == 2:
+        (a, b), (c, d) = edge[0].T, edge[1].T
+        return np.asarray(a * d - b * c)
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = (e.T for e in edge)
+    return np.asarray(
+        ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+    )
+
+
+def _check_facets(t: IntArray, n: int) -> None:
+    """Refuse two cells on the same side of a facet; three on one facet always hold such a pair."""
+    key, side = directed_facets(t, n)
+    directed = np.sort((key * 2 + side).ravel())
+    if not (directed[1:] == directed[:-1]).any():
+        return
+    ordered = np.sort(t, axis=1)
+    _, first, inverse = np.unique(row_keys(ordered, n), return_index=True, return_inverse=True)
+    repeated = np.flatnonzero(first[inverse] != np.arange(len(t)))
+    if repeated.size:
+        msg = (
+            f"got {_where(repeated, 'cell')} with the same vertices as an earlier cell (cell "
+            f"{first[inverse[repeated[0]]]}); expected each cell once, try removing repeated cells"
+        )
+        raise InvalidMeshError(msg)
+    noun = "edge" if t.shape[1] == 3 else "face"
+    _, inverse, count = np.unique(key, return_inverse=True, return_counts=True)
+    crowded = np.flatnonzero((count[inverse] > 2).reshape(key.shape).any(axis=1))
+    if crowded.size:
+        column = int(np.flatnonzero(count[inverse].reshape(key.shape)[crowded[0]] > 2)[0])
+        vertices = np.delete(ordered[crowded[0]], column).tolist()
+        msg = (
+            f"{int((count > 2).sum())} {noun}s belong to more than two cells (non-manifold), the "
+            f"first of cell {crowded[0]} with vertices {vertices}; expected at most two, "
+            f"try removing the cells that overlap"
+        )
+        raise InvalidMeshError(msg)
+    _, inverse, count = np.unique(key * 2 + side, return_inverse=True, return_counts=True)
+    bad = np.flatnonzero((count[inverse] > 1).reshape(key.shape).any(axis=1))
+    msg = (
+        f"got {_where(bad, 'cell')} overlapping a neighbour: both lie on the same side of a common "
+        f"{noun}; expected one on each side, try removing or untangling those cells"
+    )
+    raise InvalidMeshError(msg)
+
+
+def compact_labels(regions: ArrayLike | None, m: int) -> IntArray:
+    """Number region labels (m,) of any integer type 0, 1, ... in increasing order."""
+    if regions is None:
+        return np.zeros(m, dtype=np.int32)
+    raw = np.asarray(regions)
+    if raw.shape != (m,):
+        msg = f"regions have shape {raw.shape}; expected ({m},), one label per cell"
+        raise InvalidOptionError(msg)
+    if raw.dtype.kind not in "iub" and not (
+        raw.dtype.kind == "f" and np.isfinite(raw).all() and (raw == np.floor(raw)).all()
+    ):
+        msg = f"regions have dtype {raw.dtype}; expected integer labels, try regions.astype(int)"
+        raise InvalidOptionError(msg)
+    return np.unique(raw, return_inverse=True)[1].astype(np.int32)
+
+
+def _mask(value: ArrayLike | None, count: int, name: str, what: str) -> BoolArray:
+    """Bring a mask or a list of indices into a mask (count,)."""
+    mask = np.zeros(count, dtype=np.bool_)
+    if value is None:
+        return mask
+    raw = np.asarray(value)
+    if raw.dtype.kind == "b":
+        if raw.shape != (count,):
+            msg = f"{name} is a mask of shape {raw.shape}; expected ({count},), as many as {what}"
+            raise InvalidOptionError(msg)
+        return raw.copy()
+    if raw.size == 0:
+        return mask
+    if raw.ndim != 1 or raw.dtype.kind not in "iu":
+        msg = (
+            f"{name} has dtype {raw.dtype} and shape {raw.shape}; expected a boolean mask of the "
+            f"{what} ({count},) or a list of their indices"
+        )
+        raise InvalidOptionError(msg)
+    bad = np.flatnonzero((raw < 0) | (raw >= count))
+    if bad.size:
+        msg = (
+            f"{name}[{bad[0]}] is {raw[bad[0]]} ({bad.size} out of range); expected indices of "
+            f"{what} from 0 to {count - 1}"
+        )
+        raise InvalidOptionError(msg)
+    mask[raw] = True
+    return mask
+
+
+def _where(indices: NDArray[np.integer], noun: str) -> str:
+    """Say how many there are and which is the first: "3 cells (first: cell 7)"."""
+    first = f"first: {noun} {indices[0]}"
+    return f"{len(indices)} {noun}{'s' if len(indices) != 1 else ''} ({first})"
+
+
+def _chunks(m: int) -> Iterator[slice]:
+    for start in range(0, m, CHUNK):
+        yield slice(start, start + CHUNK)

@@ -4,13 +4,25 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any, Literal
+from numbers import Integral, Real
+from typing import Any, Literal, get_args
+
+from odt_plugins.errors import InvalidOptionError
 
 Method = Literal["odt", "cpt", "laplacian", "cvt"]
 Solver = Literal["gauss-seidel", "jacobi", "richardson", "global", "lbfgs"]
 Connectivity = Literal["auto", "delaunay", "flips", "none"]
 Boundary = Literal["fixed"]
 LinearSolver = Literal["auto", "direct", "amg"]
+
+CHOICES: dict[str, tuple[str, ...]] = {
+    "method": get_args(Method),
+    "solver": get_args(Solver),
+    "linear_solver": get_args(LinearSolver),
+    "connectivity": get_args(Connectivity),
+    "boundary": get_args(Boundary),
+}
+DENSITIES = ("keep", "uniform", "inverse-volume")
 
 FIGURES = ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle")
 
@@ -62,3 +74,42 @@ class Options:
     orient: bool = False
     threads: int = 1
     progress: Progress | None = None
+
+    def __post_init__(self) -> None:
+        """Refuse values outside their range, and options that would have no effect."""
+        for name, choices in CHOICES.items():
+            value = getattr(self, name)
+            good = isinstance(value, str) and value in choices
+            _expect(good, name, value, f"one of {choices}")
+        if isinstance(self.density, str):
+            what = f"one of {DENSITIES}, an array or a callable"
+            _expect(self.density in DENSITIES, "density", self.density, what)
+        if self.exponent is not None:
+            good = _is_number(self.exponent) and 0 < self.exponent < float("inf")
+            _expect(good, "exponent", self.exponent, "a positive number or None")
+            good = isinstance(self.density, str) and self.density == "keep"
+            _expect(good, "exponent", self.exponent, "None unless density is 'keep'")
+        if self.linear_solver != "auto":
+            good = self.solver == "global"
+            _expect(good, "linear_solver", self.linear_solver, "'auto' unless solver is 'global'")
+        for name, least in (("rounds", 0), ("cycles", 0), ("threads", 1)):
+            value = getattr(self, name)
+            good = isinstance(value, Integral) and not isinstance(value, bool)
+            good = good and int(value) >= least
+            _expect(good, name, value, f"an integer of at least {least}")
+        for name in ("finish", "orient"):
+            _expect(isinstance(getattr(self, name), bool), name, getattr(self, name), "a bool")
+        good = isinstance(self.keep, tuple | list) and all(k in FIGURES for k in self.keep)
+        _expect(good, "keep", self.keep, f"some of {FIGURES}")
+        good = self.progress is None or callable(self.progress)
+        _expect(good, "progress", self.progress, "None or a callable progress(stage, fraction)")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def _expect(good: bool, name: str, value: object, expected: str) -> None:
+    if not good:
+        msg = f"got {name}={value!r}; expected {expected}"
+        raise InvalidOptionError(msg)

@@ -1,0 +1,197 @@
+"""Mesh files by path, through meshio: read, check, and write so that no half file is ever seen."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import tempfile
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from odt_plugins.adapters import meshio_mesh
+from odt_plugins.adapters.host import HostMesh, Result
+from odt_plugins.errors import DataNotKeptWarning, MeshFileError
+
+PREFERRED = {".msh": "gmsh"}
+"""Format to take first where several share a suffix."""
+
+
+def matches(mesh: object) -> bool:
+    """Say whether this is a path."""
+    return isinstance(mesh, str | os.PathLike)
+
+
+def read(mesh: Any, regions: str | None = None) -> HostMesh:
+    """Read the file and take the arrays out as of any meshio.Mesh."""
+    return meshio_mesh.read(read_file(mesh), regions)
+
+
+def write(result: Result, host: HostMesh) -> Any:
+    """Give back a meshio.Mesh; :func:`write_file` is what writes it."""
+    return meshio_mesh.write(result, host)
+
+
+def read_file(path: str | os.PathLike[str]) -> Any:
+    """Read a mesh file of any format that meshio knows, by its suffix.
+
+    Returns
+    -------
+    meshio.Mesh
+
+    Raises
+    ------
+    MeshFileError    there is no such file, its suffix is unknown, or it cannot be read
+    """
+    path = Path(path)
+    formats = _formats(path)
+    if not path.is_file():
+        kind = "a directory" if path.is_dir() else "missing"
+        msg = f"cannot read {path}: it is {kind}; expected a mesh file"
+        raise MeshFileError(msg)
+    return _read_as(path, formats)
+
+
+def check_output(path: str | os.PathLike[str]) -> None:
+    """See whether a mesh file could be written there, before any work is done.
+
+    Raises
+    ------
+    MeshFileError    the suffix is unknown, or the directory is missing or not writable
+    """
+    path = Path(path)
+    _formats(path)
+    folder = path.parent
+    if not folder.is_dir():
+        msg = f"cannot write {path}: {folder} is not a directory; expected an existing one"
+        raise MeshFileError(msg)
+    if path.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+        what = f"{path} is a directory" if path.is_dir() else f"{folder} is not writable"
+        msg = f"cannot write {path}: {what}; expected a path for a new file, try another one"
+        raise MeshFileError(msg)
+
+
+def write_file(path: str | os.PathLike[str], mesh: Any) -> None:
+    """Write a meshio.Mesh; the format is that of the suffix.
+
+    The file is written in a directory beside the target, read back and compared, and renamed
+    only then: whatever happens, the target is either as it was before or complete.
+
+    Parameters
+    ----------
+    path : path            target
+    mesh : meshio.Mesh     not changed
+
+    Raises
+    ------
+    MeshFileError          it cannot be written, or the format does not hold such a mesh
+
+    Warns
+    -----
+    DataNotKeptWarning     the format holds the mesh but drops data or rounds coordinates
+    """
+    path = Path(path)
+    check_output(path)
+    try:
+        beside = Path(tempfile.mkdtemp(prefix=f".{path.stem}-", dir=path.parent))
+    except OSError as exc:
+        msg = f"cannot write {path}: {exc.strerror or exc}; try another directory"
+        raise MeshFileError(msg) from exc
+    try:
+        lost = _write_and_compare(beside / path.name, mesh)
+        # Formats such as xdmf write companions; the file that refers to them comes last.
+        for part in sorted(beside.iterdir(), key=lambda part: part.name == path.name):
+            os.replace(part, path.parent / part.name)
+    except OSError as exc:
+        if isinstance(exc, MeshFileError):
+            raise
+        msg = f"cannot write {path}: {exc.strerror or exc}; try another path"
+        raise MeshFileError(msg) from exc
+    finally:
+        shutil.rmtree(beside, ignore_errors=True)
+    if lost:
+        msg = f"{path} does not keep {', '.join(lost)}; try a .vtu file or another format"
+        warnings.warn(msg, DataNotKeptWarning, stacklevel=3)
+
+
+def _formats(path: Path) -> list[str]:
+    """Formats of meshio for a suffix, the most likely first."""
+    from meshio import extension_to_filetypes
+
+    for count in range(len(path.suffixes)):
+        suffix = "".join(path.suffixes[count:]).lower()
+        if suffix in extension_to_filetypes:
+            first = PREFERRED.get(suffix)
+            return sorted(extension_to_filetypes[suffix], key=lambda name: name != first)
+    msg = (
+        f"{path} has no suffix of a mesh file; expected one of "
+        f"{' '.join(sorted(extension_to_filetypes))}"
+    )
+    raise MeshFileError(msg)
+
+
+def _read_as(path: Path, formats: list[str]) -> Any:
+    from meshio._helpers import reader_map
+
+    cause: Exception | None = None
+    for name in formats:
+        if name not in reader_map:
+            continue
+        try:
+            return reader_map[name](str(path))
+        # A parser may raise anything at all on a broken file.
+        except Exception as exc:
+            cause = cause or exc
+    reason = " ".join(str(cause).split()) if cause is not None else ""
+    reason = reason or (type(cause).__name__ if cause is not None else "no reader for it")
+    msg = f"cannot read {path} as {' or '.join(formats)}: {reason[:200]}; expected a complete file"
+    raise MeshFileError(msg) from cause
+
+
+def _write_and_compare(path: Path, mesh: Any) -> list[str]:
+    """Write a file, read it again and name the data that are gone."""
+    import meshio
+
+    name = _formats(path)[0]
+    if name == "gmsh" and "gmsh:dim_tags" not in mesh.point_data:
+        name = "gmsh22"
+    try:
+        meshio.write(path, mesh.copy(), file_format=name)
+    except OSError:
+        raise
+    # A writer may raise anything at all on a mesh that its format does not hold.
+    except Exception as exc:
+        reason = " ".join(str(exc).split()) or type(exc).__name__
+        msg = f"cannot write {path.name} as {name}: {reason[:200]}; try another format such as .vtu"
+        raise MeshFileError(msg) from exc
+    back = _read_as(path, _formats(path))
+    if _sizes(back) != _sizes(mesh) or len(back.points) != len(mesh.points):
+        msg = (
+            f"cannot write {path.name}: the format {name} does not hold {len(mesh.points)} points "
+            f"with cells {_sizes(mesh)}; try another format such as .vtu"
+        )
+        raise MeshFileError(msg)
+    return _lost(mesh, back)
+
+
+def _sizes(mesh: Any) -> dict[str, int]:
+    """Number of cells by type."""
+    sizes: dict[str, int] = {}
+    for block in mesh.cells:
+        if len(block.data):
+            sizes[block.type] = sizes.get(block.type, 0) + len(block.data)
+    return dict(sorted(sizes.items()))
+
+
+def _lost(mesh: Any, back: Any) -> list[str]:
+    lost = []
+    d = min(mesh.points.shape[1], back.points.shape[1])
+    if not np.array_equal(mesh.points[:, :d], back.points[:, :d]):
+        lost.append("the last digits of the coordinates")
+    for kind in ("point_data", "cell_data", "field_data", "point_sets", "cell_sets"):
+        gone = sorted(set(getattr(mesh, kind)) - set(getattr(back, kind)))
+        if gone:
+            lost.append(f"{kind.replace('_', ' ')} {', '.join(map(repr, gone))}")
+    return lost

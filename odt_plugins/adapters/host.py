@@ -1,0 +1,115 @@
+"""What an adapter reads from a caller's object and what it is given to write back."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any, NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.errors import InvalidOptionError
+
+REGION_ARRAYS = ("marker", "gmsh:physical", "medit:ref")
+"""Integer cell arrays taken as regions by default, in this order: the names that
+pytetwild.tetrahedralize_csg, Gmsh and Medit give to the material of a cell."""
+
+
+class KeptCells(NamedTuple):
+    """Cells beside the optimised ones that come back as they are.
+
+    Attributes
+    ----------
+    kind : str             name of their cell type, for messages
+    rows : (q, r) int      r = 1: vertices that must not move; r = 2, 3: lines or triangles
+                           that must stay faces of the mesh
+    """
+
+    kind: str
+    rows: NDArray[Any]
+
+
+@dataclass(frozen=True)
+class HostMesh:
+    """A caller's mesh as raw arrays, not yet checked.
+
+    Attributes
+    ----------
+    points : (n, D) array             in the caller's dtype
+    cells : (m, k) array              triangles or tetrahedra in the caller's dtype and order
+    regions : (m,) int or None        labels found in the object
+    blocks : (m,) int or None         groups of cells that must not mix, such as meshio's blocks
+    kept : tuple of KeptCells         cells that are not optimised
+    source : object                   the caller's object, never changed
+    layout : object                   what else the writer of this adapter needs
+    """
+
+    points: NDArray[Any]
+    cells: NDArray[Any]
+    regions: NDArray[Any] | None = None
+    blocks: NDArray[Any] | None = None
+    kept: tuple[KeptCells, ...] = ()
+    source: Any = None
+    layout: Any = None
+
+
+class Result(NamedTuple):
+    """An optimised mesh in the caller's terms.
+
+    Attributes
+    ----------
+    points : (n, D)            caller's dtype; vertices keep their index
+    cells : (m', k)            caller's dtype and orientation, sorted by `source`
+    source : (m',) int32       input cell from which the data of each cell come
+    """
+
+    points: NDArray[Any]
+    cells: NDArray[Any]
+    source: NDArray[np.int32]
+
+
+class Adapter(Protocol):
+    """The three functions of an adapter module."""
+
+    def matches(self, mesh: object) -> bool:
+        """Say whether this adapter reads the object, without importing its toolkit."""
+        ...
+
+    def read(self, mesh: Any, regions: str | None = None) -> HostMesh:
+        """Take the arrays out; `regions` names the cell array of region labels."""
+        ...
+
+    def write(self, result: Result, host: HostMesh) -> Any:
+        """Build a new object of the class that was read, with all its data."""
+        ...
+
+
+def is_instance(mesh: object, module: str, name: str) -> bool:
+    """Say whether an object is of a toolkit's class or a subclass, by the names alone."""
+    return any(
+        base.__name__ == name and base.__module__.partition(".")[0] == module
+        for base in type(mesh).__mro__
+    )
+
+
+def region_array(arrays: Mapping[str, NDArray[Any]], name: str | None) -> NDArray[Any] | None:
+    """Choose the cell array of region labels: by name, or the first known one that has integers.
+
+    Raises
+    ------
+    InvalidOptionError     there is no array of that name
+    """
+    if name is not None:
+        if name not in arrays:
+            msg = (
+                f"regions={name!r} names no cell array; expected one of "
+                f"{sorted(arrays)} or an array of integer labels, one per cell"
+            )
+            raise InvalidOptionError(msg)
+        return arrays[name]
+    for known in REGION_ARRAYS:
+        values = arrays.get(known)
+        if values is not None and values.ndim == 1 and values.dtype.kind in "iu":
+            return values
+    return None

@@ -1,0 +1,91 @@
+"""Keep sound the cells that lie beside the optimised ones: lines, boundary triangles, hexahedra."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.adapters.host import KeptCells
+from odt_plugins.errors import InvalidMeshError
+from odt_plugins.mesh import BoolArray, SimplexMesh, directed_facets, freeze, row_keys
+
+
+def protect(mesh: SimplexMesh, kept: tuple[KeptCells, ...]) -> SimplexMesh:
+    """Fix vertices and freeze cells so that the kept cells fit the optimised mesh as before.
+
+    Parameters
+    ----------
+    mesh : SimplexMesh
+    kept : tuple of KeptCells    a line or triangle on the boundary or on an interface stays
+                                 anyway; for one inside, one cell that holds it is frozen;
+                                 of anything else the vertices are fixed
+
+    Returns
+    -------
+    SimplexMesh                  the same mesh with more in `fixed` and `frozen`
+
+    Raises
+    ------
+    InvalidMeshError             a kept cell refers to a vertex that does not exist
+    """
+    n = len(mesh.points)
+    frozen = np.zeros(len(mesh.cells), dtype=np.bool_)
+    loose: list[NDArray[np.int64]] = [np.zeros(0, dtype=np.int64)]
+    for kind, raw in kept:
+        bad = np.flatnonzero(((raw < 0) | (raw >= n)).any(axis=1))
+        if bad.size:
+            msg = (
+                f"got {bad.size} {kind} cells with vertex indices out of range (vertices "
+                f"{raw[bad[0]].tolist()}); the mesh has {n} vertices, expected 0 to {n - 1}"
+            )
+            raise InvalidMeshError(msg)
+        rows = np.asarray(raw, dtype=np.int64)
+        if rows.shape[1] > 1:
+            rows = rows[~_hold(mesh, rows, frozen)]
+        loose.append(rows.ravel())
+    return freeze(mesh, frozen, np.concatenate(loose))
+
+
+def _hold(mesh: SimplexMesh, rows: NDArray[np.int64], frozen: BoolArray) -> BoolArray:
+    """Say which rows are faces of cells, and mark in `frozen` a cell for each that could vanish."""
+    n, r = len(mesh.points), rows.shape[1]
+    marked = np.zeros(n, dtype=np.bool_)
+    marked[rows] = True
+    near = np.flatnonzero(marked[mesh.cells].sum(axis=1) >= r)
+    if not near.size:
+        return np.zeros(len(rows), dtype=np.bool_)
+    cells = mesh.cells[near]
+    ordered = np.sort(cells, axis=1)
+    columns = list(combinations(range(cells.shape[1]), r))
+    faces = np.stack([ordered[:, c] for c in columns], axis=1)
+    keys = row_keys(np.concatenate([np.sort(rows, axis=1), faces.reshape(-1, r)]), n)
+    row_key, face_key = keys[: len(rows)], keys[len(rows) :]
+
+    facet_stays = _staying_facets(mesh, near)
+    face_stays = np.stack(
+        [np.delete(facet_stays, c, axis=1).any(axis=1) for c in columns], axis=1
+    ).ravel()
+    held = np.isin(row_key, face_key)
+    exposed = held & ~np.isin(row_key, face_key[face_stays])
+    distinct, first = np.unique(face_key, return_index=True)
+    frozen[near[first[np.searchsorted(distinct, row_key[exposed])] // len(columns)]] = True
+    return held
+
+
+def _staying_facets(mesh: SimplexMesh, near: NDArray[np.intp]) -> BoolArray:
+    """Facets of the cells `near` with no neighbour among them, or one of another region.
+
+    A facet whose neighbour is not in `near` counts as boundary: it holds none of the faces
+    that are looked for, since its neighbour would hold them as well.
+    """
+    key, _ = directed_facets(mesh.cells[near], len(mesh.points))
+    _, inverse, count = np.unique(key, return_inverse=True, return_counts=True)
+    inverse = inverse.ravel()
+    order = np.argsort(inverse, kind="stable")
+    start = np.concatenate([[0], np.cumsum(count)[:-1]])
+    label = np.repeat(mesh.regions[near], key.shape[1])[order]
+    differ = np.minimum.reduceat(label, start) != np.maximum.reduceat(label, start)
+    stays = (count == 1) | differ
+    return np.asarray(stays[inverse].reshape(key.shape))

@@ -1,0 +1,118 @@
+"""meshio.Mesh of tetrahedra or planar triangles.
+
+Everything survives: the blocks and their tags, point, cell and field data, point and cell sets.
+Cells of different blocks never mix. Blocks of other linear cells come back as they are;
+quadratic cells and polyhedra are refused by name.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance, region_array
+from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError
+
+FACES = {"line": 2, "triangle": 3}
+"""Cells that must stay faces of the optimised ones, with their number of vertices."""
+
+LINEAR = ("vertex", "line", "triangle", "quad", "polygon", "tetra", "hexahedron", "wedge",
+          "pyramid")
+
+NOT_CELL_INDICES = ("gmsh:bounding_entities",)
+"""Cell sets that hold something else than indices of cells."""
+
+
+def matches(mesh: object) -> bool:
+    """Say whether this is a meshio.Mesh."""
+    return is_instance(mesh, "meshio", "Mesh")
+
+
+def read(mesh: Any, regions: str | None = None) -> HostMesh:
+    """Take the tetrahedra, or the triangles if there are none, out of all blocks.
+
+    Parameters
+    ----------
+    mesh : meshio.Mesh
+    regions : str or None      name of the cell data of region labels; None takes "marker",
+                               "gmsh:physical" or "medit:ref" if it is there
+
+    Raises
+    ------
+    UnsupportedMeshError       no tetrahedra and no triangles, or cells that cannot be kept
+    InvalidMeshError           cell data whose length is not that of their block
+    InvalidOptionError         there is no cell data of that name
+    """
+    for block in mesh.cells:
+        if block.type not in LINEAR:
+            msg = (
+                f"got {len(block.data)} cells of type {block.type}; expected linear cells such as "
+                f"tetra or triangle, try converting the mesh to linear cells"
+            )
+            raise UnsupportedMeshError(msg)
+    kind = "tetra" if any(b.type == "tetra" and len(b.data) for b in mesh.cells) else "triangle"
+    chosen = [i for i, block in enumerate(mesh.cells) if block.type == kind]
+    if not chosen:
+        found = ", ".join(sorted({block.type for block in mesh.cells})) or "no type at all"
+        msg = f"got a mesh with cells of {found}; expected tetra or triangle cells"
+        raise (UnsupportedMeshError if mesh.cells else InvalidMeshError)(msg)
+    size = [len(mesh.cells[i].data) for i in chosen]
+    arrays = {name: _joined(name, values, mesh, chosen)
+              for name, values in mesh.cell_data.items()}
+    kept = tuple(
+        _kept(block.type, np.asarray(block.data))
+        for i, block in enumerate(mesh.cells)
+        if i not in chosen and block.type != "vertex" and len(block.data)
+    )
+    return HostMesh(
+        points=np.asarray(mesh.points),
+        cells=np.concatenate([mesh.cells[i].data for i in chosen]),
+        regions=region_array(arrays, regions),
+        blocks=np.repeat(np.arange(len(chosen)), size) if len(chosen) > 1 else None,
+        kept=kept,
+        source=mesh,
+        layout=dict(zip(chosen, np.cumsum([0, *size[:-1]]).tolist(), strict=True)),
+    )
+
+
+def write(result: Result, host: HostMesh) -> Any:
+    """Copy the caller's mesh and exchange its points and the optimised blocks."""
+    out = host.source.copy()
+    out.points = result.points
+    for i, start in host.layout.items():
+        block = out.cells[i]
+        end = start + len(block.data)
+        here = np.flatnonzero((result.source >= start) & (result.source < end))
+        local = result.source[here] - start
+        block.data = result.cells[here].astype(block.data.dtype)
+        for values in out.cell_data.values():
+            values[i] = np.asarray(values[i])[local]
+        for name, members in out.cell_sets.items():
+            if name not in NOT_CELL_INDICES and members[i] is not None:
+                members[i] = _members(np.asarray(members[i]), local, end - start)
+    return out
+
+
+def _joined(name: str, values: list[Any], mesh: Any, chosen: list[int]) -> NDArray[Any]:
+    """Cell data of all optimised blocks one after another."""
+    for i in chosen:
+        if len(values[i]) != len(mesh.cells[i].data):
+            msg = (
+                f"cell data {name!r} of block {i} has {len(values[i])} entries; expected "
+                f"{len(mesh.cells[i].data)}, one per cell"
+            )
+            raise InvalidMeshError(msg)
+    return np.concatenate([np.asarray(values[i]) for i in chosen])
+
+
+def _kept(kind: str, data: NDArray[Any]) -> KeptCells:
+    return KeptCells(kind, data if kind in FACES else data.reshape(-1, 1))
+
+
+def _members(members: NDArray[Any], local: NDArray[np.int32], size: int) -> NDArray[Any]:
+    """Cells of a block that come from members of a cell set, in increasing order."""
+    inside = np.zeros(size, dtype=np.bool_)
+    inside[members] = True
+    return np.flatnonzero(inside[local]).astype(members.dtype)

@@ -1,0 +1,217 @@
+"""pyvista.UnstructuredGrid of tetrahedra or planar triangles, pyvista.PolyData of planar triangles.
+
+Everything survives: class, dtype of the points, point, cell and field data, active arrays and
+user dictionary. Other linear cells (lines, boundary triangles, quadrilaterals, hexahedra, ...)
+come back as they are; quadratic cells, polyhedra and triangle strips are refused by name.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance, region_array
+from odt_plugins.errors import UnsupportedMeshError
+
+IndexArray = NDArray[np.int64]
+
+VERTEX, POLY_VERTEX, LINE, POLY_LINE, TRIANGLE, TETRA = 1, 2, 3, 4, 5, 10
+
+LINEAR = {
+    VERTEX: "vertex",
+    POLY_VERTEX: "poly-vertex",
+    LINE: "line",
+    POLY_LINE: "poly-line",
+    TRIANGLE: "triangle",
+    6: "triangle strip",
+    7: "polygon",
+    8: "pixel",
+    9: "quadrilateral",
+    TETRA: "tetrahedron",
+    11: "voxel",
+    12: "hexahedron",
+    13: "wedge",
+    14: "pyramid",
+    15: "pentagonal prism",
+    16: "hexagonal prism",
+}
+"""Cell types of VTK, by their number, that may lie in a mesh."""
+
+
+def matches(mesh: object) -> bool:
+    """Say whether this is a pyvista UnstructuredGrid or PolyData."""
+    return is_instance(mesh, "pyvista", "UnstructuredGrid") or is_instance(
+        mesh, "pyvista", "PolyData"
+    )
+
+
+def read(mesh: Any, regions: str | None = None) -> HostMesh:
+    """Take the arrays out of a grid or of PolyData.
+
+    Parameters
+    ----------
+    mesh : pyvista.UnstructuredGrid or pyvista.PolyData
+    regions : str or None      name of the cell array of region labels; None takes "marker" or
+                               another known name if it is there
+
+    Raises
+    ------
+    UnsupportedMeshError       no tetrahedra and no triangles, or cells that cannot be kept
+    InvalidOptionError         there is no cell array of that name
+    """
+    grid = is_instance(mesh, "pyvista", "UnstructuredGrid")
+    cells, ids, kept = _read_grid(mesh) if grid else _read_polydata(mesh)
+    labels = region_array({name: np.asarray(mesh.cell_data[name])
+                           for name in mesh.cell_data.keys()}, regions)
+    return HostMesh(
+        points=np.asarray(mesh.points),
+        cells=cells,
+        regions=None if labels is None else labels[ids],
+        kept=kept,
+        source=mesh,
+        layout=ids,
+    )
+
+
+def write(result: Result, host: HostMesh) -> Any:
+    """Copy the caller's object and exchange its points, cells and cell data."""
+    out = host.source.copy(deep=True)
+    ids: IndexArray = host.layout
+    out.cell_data.clear()
+    if is_instance(host.source, "pyvista", "UnstructuredGrid"):
+        rows = _write_grid(out, result, host.source, ids)
+    else:
+        rows = _write_polydata(out, result, ids)
+    out.points = result.points
+    _carry_cell_data(out, host.source, rows)
+    return out
+
+
+def _read_grid(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]]:
+    types = np.asarray(mesh.celltypes)
+    _refuse_unknown(types)
+    offset, flat = _connectivity(mesh)
+    kind = TETRA if (types == TETRA).any() else TRIANGLE
+    ids = np.flatnonzero(types == kind)
+    if not ids.size and types.size:
+        found = ", ".join(LINEAR[int(t)] for t in np.unique(types))
+        msg = f"got a grid of {types.size} cells of type {found}; expected tetrahedra or triangles"
+        raise UnsupportedMeshError(msg)
+    cells = flat[offset[ids][:, None] + np.arange(4 if kind == TETRA else 3)]
+
+    kept = []
+    for other in np.unique(types).tolist():
+        if other in (kind, VERTEX, POLY_VERTEX):
+            continue
+        which = np.flatnonzero(types == other)
+        start, size = offset[which], np.diff(offset)[which]
+        if other in (LINE, POLY_LINE):
+            first = _positions(start, size - 1)
+            rows = np.stack([flat[first], flat[first + 1]], axis=1)
+        elif other == TRIANGLE:
+            rows = flat[start[:, None] + np.arange(3)]
+        else:
+            rows = flat[_positions(start, size)][:, None]
+        kept.append(KeptCells(LINEAR[other], rows))
+    return cells, ids, tuple(kept)
+
+
+def _connectivity(mesh: Any) -> tuple[IndexArray, IndexArray]:
+    """Offsets and vertex indices of the ragged cells; pyvista 0.49 renamed the first."""
+    offset = mesh.cell_offsets if hasattr(mesh, "cell_offsets") else mesh.offset
+    return np.asarray(offset), np.asarray(mesh.cell_connectivity)
+
+
+def _refuse_unknown(types: NDArray[Any]) -> None:
+    bad = np.flatnonzero(~np.isin(types, list(LINEAR)))
+    if bad.size:
+        from pyvista import CellType
+
+        name = CellType(int(types[bad[0]])).name
+        msg = (
+            f"got {bad.size} cells of type {name} (first: cell {bad[0]}); expected linear "
+            f"tetrahedra or triangles, try grid.linear_copy() or extracting the linear cells"
+        )
+        raise UnsupportedMeshError(msg)
+
+
+def _write_grid(out: Any, result: Result, source: Any, ids: IndexArray) -> IndexArray:
+    """Set the cells of a grid, each near the cell it came from; return where their data lie."""
+    types = np.asarray(source.celltypes)
+    offset, flat = _connectivity(source)
+    k = result.cells.shape[1]
+    others = np.setdiff1d(np.arange(len(types)), ids)
+    rows = np.concatenate([ids[result.source], others])
+    order = np.argsort(rows, kind="stable")
+
+    pool = np.concatenate([result.cells.ravel(), flat])
+    start = np.concatenate([np.arange(len(result.cells)) * k, result.cells.size + offset[others]])
+    size = np.concatenate([np.full(len(result.cells), k), np.diff(offset)[others]])
+    rows, start, size = rows[order], start[order], size[order]
+    _set_cells(out, types[rows], size, pool[_positions(start, size)])
+    return np.asarray(rows)
+
+
+def _set_cells(out: Any, types: NDArray[Any], size: IndexArray, flat: NDArray[Any]) -> None:
+    from pyvista import CellArray, convert_array
+
+    offset = np.concatenate([[0], np.cumsum(size)])
+    cells = CellArray.from_arrays(offset, np.asarray(flat, dtype=int), deep=True)
+    out.SetCells(convert_array(np.ascontiguousarray(types, dtype=np.uint8), deep=True), cells)
+
+
+def _read_polydata(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]]:
+    n_faces = mesh.n_cells - mesh.n_verts - mesh.n_lines - mesh.n_strips
+    faces = np.asarray(mesh.faces)
+    triangles = faces.size == 4 * n_faces and bool((faces[::4] == 3).all())
+    if mesh.n_strips or not triangles:
+        found = f"{mesh.n_strips} triangle strips" if mesh.n_strips else "other polygons"
+        msg = f"got PolyData with {found}; expected triangles only, try mesh.triangulate()"
+        raise UnsupportedMeshError(msg)
+    if not n_faces and mesh.n_cells:
+        found = f"{mesh.n_verts} vertex and {mesh.n_lines} line cells"
+        msg = f"got PolyData of {found}; expected triangles"
+        raise UnsupportedMeshError(msg)
+    ids = np.arange(mesh.n_cells - n_faces, mesh.n_cells)
+    kept = (KeptCells("line", _segments(np.asarray(mesh.lines))),) if mesh.n_lines else ()
+    return faces.reshape(-1, 4)[:, 1:].copy(), ids, kept
+
+
+def _segments(lines: IndexArray) -> IndexArray:
+    """Segments (q, 2) of poly-lines stored as count, indices, count, indices, ..."""
+    rows, at = [], 0
+    while at < len(lines):
+        chain = lines[at + 1 : at + 1 + lines[at]]
+        rows.append(np.stack([chain[:-1], chain[1:]], axis=1))
+        at += 1 + int(lines[at])
+    return np.concatenate(rows)
+
+
+def _write_polydata(out: Any, result: Result, ids: IndexArray) -> IndexArray:
+    count = np.full((len(result.cells), 1), 3, dtype=result.cells.dtype)
+    out.faces = np.concatenate([count, result.cells], axis=1).ravel()
+    return np.concatenate([np.arange(ids[0]), ids[result.source]])
+
+
+def _carry_cell_data(out: Any, source: Any, rows: IndexArray) -> None:
+    """Give every cell the data of the cell it came from, and make the same arrays active."""
+    old, new = source.cell_data, out.cell_data
+    for name in old.keys():
+        new.set_array(np.asarray(old[name])[rows], name)
+    for role in ("scalars", "vectors", "normals", "texture_coordinates"):
+        name = getattr(old, f"active_{role}_name")
+        if name is not None:
+            setattr(new, f"active_{role}_name", name)
+    info = source.active_scalars_info
+    if info.name is not None and info.name in (*out.point_data.keys(), *new.keys()):
+        side = "cell" if info.association.name == "CELL" else "point"
+        out.set_active_scalars(info.name, preference=side)
+
+
+def _positions(start: IndexArray, size: IndexArray) -> IndexArray:
+    """Positions start[0], ..., start[0] + size[0] - 1, start[1], ... of ragged rows."""
+    ends = np.cumsum(size)
+    total = int(ends[-1]) if len(ends) else 0
+    return np.asarray(np.arange(total) + np.repeat(start - (ends - size), size))

@@ -1,0 +1,331 @@
+"""The public functions: a caller's mesh in, optimised, the same type out.
+
+This is the only place where adapters and engine meet.
+"""
+
+from __future__ import annotations
+
+import difflib
+import inspect
+import os
+from collections.abc import Callable
+from dataclasses import fields, replace
+from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict, TypeVar, Unpack, overload
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from odt_plugins.adapters.files import check_output, read_file, write_file
+from odt_plugins.adapters.host import Adapter, HostMesh, Result
+from odt_plugins.adapters.kept import protect
+from odt_plugins.adapters.registry import find_adapter
+from odt_plugins.carry import in_input_order
+from odt_plugins.errors import InvalidOptionError
+from odt_plugins.mesh import (
+    FloatArray,
+    SimplexMesh,
+    compact_labels,
+    mesh_arrays,
+    reverse,
+    simplex_mesh,
+)
+from odt_plugins.options import (
+    Boundary,
+    Connectivity,
+    LinearSolver,
+    Method,
+    Options,
+    Progress,
+    Solver,
+)
+from odt_plugins.planar import PlaneFrame, plane_frame
+
+if TYPE_CHECKING:
+    from odt_plugins.engine.driver import Outcome
+    from odt_plugins.quality import QualitySummary
+    from odt_plugins.report import Report
+
+MeshT = TypeVar("MeshT")
+FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
+
+ROUNDED = (
+    "the input, since the optimised coordinates broke the promise once rounded to the caller's "
+    "type: "
+)
+
+
+class OptionKeywords(TypedDict, total=False):
+    """Keyword arguments of :func:`optimize`: the fields of :class:`odt_plugins.Options`."""
+
+    method: Method
+    solver: Solver
+    linear_solver: LinearSolver
+    connectivity: Connectivity
+    density: str | ArrayLike | Callable[[FloatArray], ArrayLike]
+    exponent: float | None
+    rounds: int
+    cycles: int
+    finish: bool
+    boundary: Boundary
+    fixed: ArrayLike | None
+    selection: ArrayLike | None
+    regions: str | ArrayLike | None
+    keep: tuple[str, ...]
+    orient: bool
+    threads: int
+    progress: Progress | None
+
+
+class _Prepared(NamedTuple):
+    """A caller's mesh in the engine's form, and the way back."""
+
+    adapter: Adapter
+    host: HostMesh
+    frame: PlaneFrame | None
+    mesh: SimplexMesh
+    orientation: int
+
+
+def _with_option_signature(function: FunctionT) -> FunctionT:
+    """Let help() and inspect show every option with its default instead of `**options`."""
+    signature = inspect.signature(function)
+    own = [p for p in signature.parameters.values() if p.kind is not p.VAR_KEYWORD]
+    keywords = [
+        inspect.Parameter(
+            f.name, inspect.Parameter.KEYWORD_ONLY, default=f.default, annotation=f.type
+        )
+        for f in fields(Options)
+    ]
+    function.__signature__ = signature.replace(parameters=[*own, *keywords])  # type: ignore[attr-defined]
+    return function
+
+
+@overload
+def optimize(mesh: str | os.PathLike[str], **options: Unpack[OptionKeywords]) -> Any: ...
+@overload
+def optimize(mesh: MeshT, **options: Unpack[OptionKeywords]) -> MeshT: ...
+@_with_option_signature
+def optimize(mesh: Any, **options: Unpack[OptionKeywords]) -> Any:
+    """Improve a mesh of tetrahedra or planar triangles by Optimal Delaunay Triangulation.
+
+    Parameters
+    ----------
+    mesh : (points, cells) or (points, cells, regions) arrays, pyvista.UnstructuredGrid,
+        pyvista.PolyData, meshio.Mesh, or the path of a mesh file. It is never changed.
+    **options
+        The fields of :class:`odt_plugins.Options`, all by keyword.
+
+    Returns
+    -------
+    same type as `mesh`
+        A meshio.Mesh for a path. Vertices keep their index; dtype, orientation, point, cell and
+        field data come back. A cell that is still there keeps its data; a new one takes those of
+        the input cell of its region with the nearest barycentre.
+
+    Raises
+    ------
+    InvalidMeshError        the mesh is broken
+    UnsupportedMeshError    the object, or one of its cell types, is nothing that can be optimised
+    InvalidOptionError      an option is unknown or out of range
+    MeshFileError           the file cannot be read
+
+    References
+    ----------
+    L. Chen, M. Holst, CMAME 200 (2011) 967-984, doi:10.1016/j.cma.2010.11.007.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import odt_plugins
+    >>> points = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.9, 0.8]])
+    >>> cells = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+    >>> better_points, better_cells = odt_plugins.optimize((points, cells))
+    >>> bool((better_points[:4] == points[:4]).all())
+    True
+    """
+    return _run(mesh, make_options(**options))[0]
+
+
+@overload
+def optimize_with_report(
+    mesh: str | os.PathLike[str], **options: Unpack[OptionKeywords]
+) -> tuple[Any, Report]: ...
+@overload
+def optimize_with_report(
+    mesh: MeshT, **options: Unpack[OptionKeywords]
+) -> tuple[MeshT, Report]: ...
+@_with_option_signature
+def optimize_with_report(mesh: Any, **options: Unpack[OptionKeywords]) -> tuple[Any, Report]:
+    """Improve a mesh as :func:`optimize` does and tell what was done.
+
+    Returns
+    -------
+    mesh : same type as the input
+    report : Report     figures before and after, energy, times, why it stopped, what binds
+    """
+    from odt_plugins.report import make_report
+
+    chosen = make_options(**options)
+    result, before, outcome = _run(mesh, chosen)
+    return result, make_report(before, outcome, chosen)
+
+
+@_with_option_signature
+def optimize_file(
+    source: str | os.PathLike[str],
+    target: str | os.PathLike[str],
+    **options: Unpack[OptionKeywords],
+) -> Report:
+    """Improve the mesh of one file and write it to another, or to the same.
+
+    Parameters
+    ----------
+    source, target : path    any format of meshio, by suffix
+    **options
+        The fields of :class:`odt_plugins.Options`.
+
+    Returns
+    -------
+    Report
+
+    Raises
+    ------
+    MeshFileError            a file cannot be read or written; `target` is then as it was before
+    """
+    chosen = make_options(**options)
+    check_output(target)
+    mesh, report = optimize_with_report(read_file(source), **_keywords(chosen))
+    write_file(target, mesh)
+    return report
+
+
+def measure(mesh: Any) -> QualitySummary:
+    """Sum up the quality of a mesh of any kind that :func:`optimize` takes.
+
+    Flat and inverted cells are counted, not refused; a mesh most of whose cells have negative
+    volume counts as turned.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import odt_plugins
+    >>> points = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, 0.75**0.5]])
+    >>> round(odt_plugins.measure((points, np.array([[0, 1, 2]]))).min_quality, 12)
+    1.0
+    """
+    from odt_plugins.quality import summarize, volumes
+
+    host = find_adapter(mesh).read(mesh)
+    points, _ = _flat_points(host)
+    p, t = mesh_arrays(points, host.cells)
+    if 2 * int((volumes(p, t) < 0).sum()) > len(t):
+        t = reverse(t, np.ones(len(t), dtype=np.bool_))
+    return summarize(p, t)
+
+
+def make_options(**options: Any) -> Options:
+    """Make :class:`Options` of keyword arguments.
+
+    Raises
+    ------
+    InvalidOptionError    an unknown name, or a value out of range; both say what is expected
+    """
+    names = [f.name for f in fields(Options)]
+    unknown = [name for name in options if name not in names]
+    if unknown:
+        near = difflib.get_close_matches(unknown[0], names, n=1)
+        hint = f", did you mean {near[0]!r}?" if near else ""
+        msg = f"got unknown options {unknown}; expected some of {names}{hint}"
+        raise InvalidOptionError(msg)
+    return Options(**options)
+
+
+def _keywords(options: Options) -> OptionKeywords:
+    values: Any = {f.name: getattr(options, f.name) for f in fields(Options)}
+    keywords: OptionKeywords = values
+    return keywords
+
+
+def _run(mesh: Any, options: Options) -> tuple[Any, SimplexMesh, Outcome]:
+    """Adapter, engine, adapter: the caller's new mesh, the engine's input and its outcome."""
+    from odt_plugins.engine.driver import run
+
+    work = _prepare(mesh, options)
+    outcome = run(work.mesh, _in_frame(options, work.frame))
+    points, outcome = _placed(work, outcome, options)
+    cells, regions, source = in_input_order(
+        work.mesh, outcome.points, outcome.cells, outcome.regions
+    )
+    outcome = replace(outcome, cells=cells, regions=regions)
+    if work.orientation < 0:
+        cells = reverse(cells, np.ones(len(cells), dtype=np.bool_))
+    result = Result(points, cells.astype(work.host.cells.dtype), source)
+    return work.adapter.write(result, work.host), work.mesh, outcome
+
+
+def _prepare(mesh: Any, options: Options) -> _Prepared:
+    adapter = find_adapter(mesh)
+    named = isinstance(options.regions, str)
+    host = adapter.read(mesh, options.regions if named else None)
+    points, frame = _flat_points(host)
+    labels = host.regions if named or options.regions is None else options.regions
+    if host.blocks is not None:
+        labels = compact_labels(labels, len(host.cells)).astype(np.int64)
+        labels = labels * (int(host.blocks.max()) + 1) + host.blocks
+    simplices, orientation = simplex_mesh(
+        points,
+        host.cells,
+        regions=labels,
+        fixed=options.fixed,
+        selection=options.selection,
+        orient=options.orient,
+    )
+    return _Prepared(adapter, host, frame, protect(simplices, host.kept), orientation)
+
+
+def _flat_points(host: HostMesh) -> tuple[FloatArray, PlaneFrame | None]:
+    """Coordinates as the engine wants them: those of triangles in space lie in their plane."""
+    points, cells = mesh_arrays(host.points, host.cells)
+    if points.shape[1] == cells.shape[1] - 1:
+        return points, None
+    frame = plane_frame(points, cells)
+    return frame.to_plane(points), frame
+
+
+def _in_frame(options: Options, frame: PlaneFrame | None) -> Options:
+    """Let a density function see the caller's coordinates."""
+    density = options.density
+    if frame is None or not callable(density):
+        return options
+    return replace(options, density=lambda x: density(frame.to_space(x)))
+
+
+def _placed(
+    work: _Prepared, outcome: Outcome, options: Options
+) -> tuple[NDArray[Any], Outcome]:
+    """Round the outcome to the caller's coordinates; if that breaks the promise, the input.
+
+    A vertex that did not move keeps the caller's coordinates bit for bit.
+    """
+    from odt_plugins.promise import broken_promises
+
+    moved = (outcome.points != work.mesh.points).any(axis=1)
+    points = np.array(work.host.points)
+    new = outcome.points[moved]
+    points[moved] = new if work.frame is None else work.frame.to_space(new)
+    exact = np.array(points, dtype=np.float64)
+    exact = exact if work.frame is None else work.frame.to_plane(exact)
+    if np.array_equal(exact, outcome.points):
+        return points, outcome
+    broken = broken_promises(work.mesh, exact, outcome.cells, outcome.regions, options.keep)
+    if not broken:
+        return points, replace(outcome, points=exact)
+    mesh = work.mesh
+    outcome = replace(
+        outcome,
+        points=mesh.points,
+        cells=mesh.cells,
+        regions=mesh.regions,
+        fallback=ROUNDED + broken[0],
+    )
+    return np.array(work.host.points), outcome
