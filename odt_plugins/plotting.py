@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.errors import MeshFileError, MissingDependencyError
-from odt_plugins.promise import LOCAL_FACETS, locked_facets
+from odt_plugins.promise import locked_facets
 from odt_plugins.quality import QualitySummary, radius_ratio
 
 if TYPE_CHECKING:
@@ -153,10 +153,11 @@ def _cut_open(axes: Any, points: NDArray[np.float64], cells: NDArray[Any], *, up
     painted = PolyCollection(corners[order][:, :, :2], linewidths=0.25, rasterized=True,
                              cmap="RdYlBu")
     painted.set_clim(*SCALE)
-    colour = painted.to_rgba(quality[shell.cells[order]])
+    colour: Any = painted.to_rgba(quality[shell.cells[order]])
     colour[:, :3] *= shade[:, None]
     painted.set_facecolor(colour)
-    painted.set_edgecolor(np.column_stack([0.45 * colour[:, :3], np.ones(len(colour))]))
+    edges: Any = np.column_stack([0.45 * colour[:, :3], np.ones(len(colour))])
+    painted.set_edgecolor(edges)
     axes.add_collection(painted)
     low, high = x[:, :2].min(axis=0), x[:, :2].max(axis=0)
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")

@@ -43,6 +43,7 @@ class QualitySummary:
 
     Attributes
     ----------
+    dim : int                                       2 for triangles, 3 for tetrahedra
     n_points, n_cells : int
     min_quality, p1_quality, mean_quality : float   radius ratio (5.1): least, 1 % quantile, mean
     min_angle, max_angle : float                    (dihedral) angles in degrees
@@ -52,6 +53,7 @@ class QualitySummary:
     volume : float                                  sum of the signed volumes
     """
 
+    dim: int
     n_points: int
     n_cells: int
     min_quality: float
@@ -247,6 +249,7 @@ def summarize(
     f = cell_figures(p, t) if figures is None else figures
     below = [int(np.count_nonzero(f.min_angle < limit)) for limit in ANGLE_LIMITS]
     return QualitySummary(
+        dim=t.shape[1] - 1,
         n_points=len(p),
         n_cells=len(t),
         min_quality=float(f.quality.min()),

@@ -9,17 +9,19 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.metadata import PackageNotFoundError, version
 from os import PathLike
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.binding import BindingCell, binding_cells
-from odt_plugins.engine.driver import Outcome
 from odt_plugins.mesh import SimplexMesh
 from odt_plugins.options import Options
 from odt_plugins.promise import held_vertices
 from odt_plugins.quality import QualitySummary, cell_figures, summarize
+
+if TYPE_CHECKING:
+    from odt_plugins.engine.driver import Outcome
 
 BINS = np.linspace(0.0, 1.0, 51)
 """Bins of the quality histograms, 0:0.02:1 as in Figs 6 and 10 of the paper."""
@@ -84,7 +86,7 @@ class Report:
 
     def __str__(self) -> str:
         """Text of a page: the table of figures, then how it went."""
-        lines = [*table_lines({"before": self.before, "after": self.after}, self.dim), ""]
+        lines = [*table_lines({"before": self.before, "after": self.after}), ""]
         lines.append(f"{self.n_movable} of {self.n_used} vertices may move "
                      f"({100 * self.movable_share:.0f} %)")
         if self.energy:
@@ -176,9 +178,9 @@ def histogram(quality: NDArray[np.float64]) -> tuple[int, ...]:
     return tuple(int(c) for c in counts)
 
 
-def table_lines(columns: Mapping[str, QualitySummary], dim: int) -> list[str]:
+def table_lines(columns: Mapping[str, QualitySummary]) -> list[str]:
     """Set summaries side by side as aligned text, one row per figure."""
-    angle = "angle" if dim == 2 else "dihedral"
+    angle = "dihedral" if all(s.dim == 3 for s in columns.values()) else "angle"
     width = max(10, *(len(name) + 2 for name in columns))
     lines = [" " * 20 + "".join(f"{name:>{width}}" for name in columns)]
     for name, heading, form in ROWS:

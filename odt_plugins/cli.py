@@ -1,0 +1,375 @@
+"""The command line ``odt-plugins``: optimize, quality, demo. Only here is anything printed."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import tempfile
+import threading
+import warnings
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import fields
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+import click
+import numpy as np
+
+from odt_plugins.errors import (
+    InvalidOptionError,
+    MeshFileError,
+    MissingDependencyError,
+    ODTError,
+    ODTWarning,
+)
+from odt_plugins.options import FIGURES, Options
+
+DONE, COULD_NOT, WRONG_USE = 0, 1, 2
+
+HELP = {
+    "method": "Centre a vertex moves to: circumcenters (odt), barycenters (cpt), neighbours "
+              "(laplacian), Lloyd (cvt).",
+    "solver": "How the positions are iterated.",
+    "linear_solver": "Solver of the global step.",
+    "connectivity": "How cells are reconnected.",
+    "density": "keep, uniform, inverse-volume, or the name of a point or cell array of INPUT "
+               "with the values of rho.",
+    "exponent": "r in rho = h^-r for the density keep; d + 2 unless given.",
+    "rounds": "Most rounds of smoothing and reconnection in one cycle.",
+    "cycles": "How often the two stages follow each other.",
+    "finish": "Whether bad cells are finished by their quality.",
+    "boundary": "What happens to the boundary: fixed keeps it bit for bit.",
+    "fixed": "Vertices that must not move: a file of indices (text or .npy), or the name of a "
+             "point array, non-zero where fixed.",
+    "selection": "Cells that may change: a file of indices (text or .npy), or the name of a "
+                 "cell array, non-zero where selected.",
+    "regions": "Name of the cell array of region labels; interfaces between labels stay.",
+    "keep": "Figures that must not get worse, separated by commas, or none.",
+    "orient": "Turn cells of mixed orientation instead of refusing them.",
+    "threads": "Worker threads; the result does not depend on it.",
+}
+
+PLOT_SUFFIXES = (".png", ".pdf", ".svg")
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code: 0 done, 1 could not, 2 wrong use.
+
+    Parameters
+    ----------
+    argv : sequence of str    the words after the program's name; those of the process if None
+    """
+    with _stoppable():
+        try:
+            code = cli.main(args=None if argv is None else list(argv), prog_name="odt-plugins",
+                            standalone_mode=False)
+        except click.exceptions.NoArgsIsHelpError as exc:
+            click.echo(exc.format_message(), err=True)
+            return WRONG_USE
+        except click.UsageError as exc:
+            where = exc.ctx.command_path if exc.ctx else "odt-plugins"
+            return _fail(f"{exc.format_message().rstrip('.')} (see {where} --help)", WRONG_USE)
+        except InvalidOptionError as exc:
+            return _fail(exc, WRONG_USE)
+        except ODTError as exc:
+            return _fail(exc, COULD_NOT)
+        except (click.Abort, KeyboardInterrupt):
+            return _fail("stopped before the end, no half-written file is left", COULD_NOT)
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return COULD_NOT
+        except MemoryError:
+            return _fail("not enough memory for a mesh of this size", COULD_NOT)
+    return code if isinstance(code, int) else DONE
+
+
+@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="odt-plugins")
+def cli() -> None:
+    """Optimal Delaunay Triangulation for the tet and triangle meshes you already have."""
+
+
+def _option_flags(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command one flag for every field of Options; names and defaults are read there."""
+    hints = get_type_hints(Options)
+    for field in reversed(fields(Options)):
+        if field.name == "progress":
+            continue
+        flag = "--" + field.name.replace("_", "-")
+        settings: dict[str, Any] = {"default": field.default, "help": HELP[field.name],
+                                    "show_default": field.default is not None}
+        hint = hints[field.name]
+        if get_origin(hint) is Literal:
+            settings["type"] = click.Choice(get_args(hint))
+        elif hint is bool:
+            flag = f"{flag}/--no-{field.name.replace('_', '-')}"
+        elif hint is int:
+            settings["type"] = click.IntRange(min=1 if field.name == "threads" else 0)
+        elif field.name == "exponent":
+            settings["type"] = float
+        elif field.name == "keep":
+            settings |= {"default": ",".join(FIGURES), "callback": _figure_names}
+        else:
+            settings["type"] = str
+        command = click.option(flag, field.name, **settings)(command)
+    return command
+
+
+def _figure_names(_ctx: click.Context, _param: click.Parameter, text: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    if names == ("none",):
+        return ()
+    for name in names:
+        if name not in FIGURES:
+            msg = f"got {name!r}; expected some of {', '.join(FIGURES)}, separated by commas"
+            raise click.BadParameter(msg)
+    return names
+
+
+@cli.command()
+@click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
+@click.argument("target", metavar="OUTPUT", type=click.Path(path_type=Path))
+@_option_flags
+@click.option("--report", "report_file", type=click.Path(path_type=Path), metavar="FILE.json",
+              help="Write the report there as JSON.")
+@click.option("--plot", "plot_file", type=click.Path(path_type=Path), metavar="FILE.png",
+              help="Draw histograms before and after there (.png, .pdf, .svg).")
+@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+def optimize(
+    source: Path,
+    target: Path,
+    report_file: Path | None,
+    plot_file: Path | None,
+    quiet: bool,
+    **options: Any,
+) -> int:
+    """Improve the mesh INPUT and write it to OUTPUT with all its data.
+
+    Files are of any format that meshio knows, by their suffix. The boundary stays as it is and
+    no figure named in --keep gets worse.
+    """
+    from odt_plugins.adapters import files
+
+    files.check_output(target)
+    _check_paths(target, report_file, plot_file)
+    options = _resolve_arrays(source, options)
+    from odt_plugins.api import optimize_file
+
+    with _warnings_told(), _progress(quiet) as progress:
+        report = optimize_file(source, target, **options, progress=progress)
+    if not quiet:
+        click.echo(str(report))
+    if report_file:
+        _write_beside(report_file, lambda path: path.write_text(report.to_json() + "\n"))
+    if plot_file:
+        _write_beside(plot_file, report.plot)
+    return DONE
+
+
+@cli.command()
+@click.argument("sources", metavar="INPUT...", nargs=-1, required=True,
+                type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
+def quality(sources: tuple[Path, ...], as_json: bool) -> int:
+    """Print the quality figures of mesh files."""
+    from odt_plugins.api import measure
+    from odt_plugins.report import table_lines
+
+    code = DONE
+    found = {}
+    for source in sources:
+        try:
+            with _warnings_told():
+                found[str(source)] = measure(source)
+        except ODTError as exc:
+            code = _fail(exc, COULD_NOT)
+    if as_json:
+        rows = [{"file": name, **summary.to_dict()} for name, summary in found.items()]
+        click.echo(json.dumps(rows, indent=2, allow_nan=False))
+    elif found:
+        click.echo("\n".join(table_lines(found)))
+    return code
+
+
+@cli.command()
+@click.option("--out", type=click.Path(path_type=Path), default=Path("demo-output"),
+              show_default=True, help="Directory for the demo's files.")
+@click.option("--edge-length", type=click.FloatRange(min=0.0, max=1.0, min_open=True),
+              default=None, help="For TetWild, relative to the diagonal of the bunny.")
+@click.option("--threads", type=click.IntRange(min=1), default=os.cpu_count() or 1,
+              show_default="all processors", help=HELP["threads"])
+def demo(out: Path, edge_length: float | None, threads: int) -> int:
+    """Improve a TetWild mesh of the Stanford bunny and draw it before and after."""
+    from odt_plugins.demo import EDGE_LENGTH, FILES, run_demo
+
+    with _warnings_told(), _progress(quiet=False) as progress:
+        report = run_demo(out, edge_length=edge_length or EDGE_LENGTH, say=click.echo,
+                          threads=threads, progress=progress)
+    click.echo(f"\n{report}\n")
+    click.echo("written: " + ", ".join(str(out / name) for name in FILES))
+    return DONE
+
+
+def _check_paths(target: Path, report_file: Path | None, plot_file: Path | None) -> None:
+    """Refuse a report or a figure that cannot be written, before any work is done."""
+    given = [p for p in (target, report_file, plot_file) if p is not None]
+    if len({p.absolute() for p in given}) < len(given):
+        msg = "OUTPUT, --report and --plot name the same file; expected different ones"
+        raise click.UsageError(msg)
+    if plot_file is not None:
+        if plot_file.suffix.lower() not in PLOT_SUFFIXES:
+            msg = f"got {plot_file.name!r}; expected a file ending in {', '.join(PLOT_SUFFIXES)}"
+            raise click.BadParameter(msg, param_hint="--plot")
+        if find_spec("matplotlib") is None:
+            msg = ("--plot needs matplotlib, not installed here; try "
+                   'pip install "odt-plugins[plot]"')
+            raise MissingDependencyError(msg)
+    for path in (report_file, plot_file):
+        if path is None:
+            continue
+        folder = path.absolute().parent
+        if path.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+            what = "it is a directory" if path.is_dir() else f"{folder} is no writable directory"
+            msg = f"cannot write {path}: {what}; try another path"
+            raise MeshFileError(msg)
+
+
+def _resolve_arrays(source: Path, options: dict[str, Any]) -> dict[str, Any]:
+    """Replace names of arrays and of index files by their values."""
+    from odt_plugins.adapters import files
+
+    options = dict(options)
+    host = None
+    if options["density"] not in ("keep", "uniform", "inverse-volume"):
+        host = files.read(source)
+        options["density"] = _file_array(host, options["density"], "density", "point", "cell")
+    for name, place in (("fixed", "point"), ("selection", "cell")):
+        given = options[name]
+        if given is None:
+            continue
+        if Path(given).is_file():
+            options[name] = _indices(Path(given), name)
+        else:
+            host = host or files.read(source)
+            options[name] = _file_array(host, given, name, place) != 0
+    return options
+
+
+def _file_array(host: Any, name: str, option: str, *places: str) -> Any:
+    """Take a point array (n,) or a cell array (m,) of a mesh file by its name."""
+    mesh, known = host.source, []
+    for place in places:
+        data = mesh.point_data if place == "point" else mesh.cell_data
+        known += [f"{key} ({place})" for key in data]
+        if name not in data:
+            continue
+        values = data[name] if place == "point" else np.concatenate(
+            [np.asarray(data[name][block]) for block in host.layout])
+        if np.ndim(values) != 1:
+            msg = f"array {name!r} has shape {np.shape(values)}; expected one value for each"
+            raise click.BadParameter(msg, param_hint=f"--{option}")
+        return np.asarray(values)
+    what = " or ".join(places)
+    file = "" if option == "density" else " or a file of indices"
+    msg = (f"got {name!r}; expected the name of a {what} array of INPUT{file}, it has "
+           f"{', '.join(known) or 'none'}")
+    raise click.BadParameter(msg, param_hint=f"--{option}")
+
+
+def _indices(path: Path, option: str) -> Any:
+    """Read indices from a .npy file or from text, one or more on a line, # for remarks."""
+    try:
+        if path.suffix == ".npy":
+            values = np.load(path, allow_pickle=False)
+        else:
+            words = [line.partition("#")[0].split()
+                     for line in path.read_text(encoding="utf-8").splitlines()]
+            values = np.array([int(w) for line in words for w in line], dtype=np.int64)
+    except (OSError, ValueError, EOFError) as exc:
+        msg = f"cannot read indices from {path}: {_one_line(exc)}; expected whole numbers or .npy"
+        raise click.BadParameter(msg, param_hint=f"--{option}") from exc
+    return values
+
+
+def _write_beside(path: Path, write: Callable[[Path], Any]) -> None:
+    """Write a file in a directory beside its place and rename it when it is complete."""
+    try:
+        with tempfile.TemporaryDirectory(prefix=f".{path.stem}-",
+                                         dir=path.absolute().parent) as folder:
+            write(Path(folder) / path.name)
+            os.replace(Path(folder) / path.name, path)
+    except OSError as exc:
+        if isinstance(exc, MeshFileError):
+            raise
+        msg = f"cannot write {path}: {exc.strerror or exc}; try another path"
+        raise MeshFileError(msg) from exc
+
+
+@contextmanager
+def _stoppable() -> Iterator[None]:
+    """Treat SIGTERM as Ctrl-C, so that open files are cleaned up."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    old = signal.signal(signal.SIGTERM, signal.default_int_handler)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, old)
+
+
+@contextmanager
+def _warnings_told() -> Iterator[None]:
+    """Show the package's own warnings as one line each on stderr."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", ODTWarning)
+        yield
+    for warning in caught:
+        if issubclass(warning.category, ODTWarning):
+            click.echo(f"odt-plugins: warning: {_one_line(warning.message)}", err=True)
+
+
+@contextmanager
+def _progress(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
+    """Show a bar on stderr when that is a terminal; nothing in a pipe."""
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    if not _kernels_compiled():
+        click.echo("the kernels are compiled once, at the first run (about a minute) ...", err=True)
+    bar = Progress(TextColumn("{task.description:<24}"), BarColumn(), TimeElapsedColumn(),
+                   console=Console(stderr=True), transient=True)
+    with bar:
+        task = bar.add_task("reading", total=None)
+
+        def progress(stage: str, fraction: float) -> None:
+            bar.update(task, description=stage, total=1.0, completed=min(max(fraction, 0.0), 1.0))
+
+        yield progress
+
+
+def _kernels_compiled() -> bool:
+    """Say whether numba has left compiled kernels beside the engine or in its own directory."""
+    folder = os.environ.get("NUMBA_CACHE_DIR")
+    place = Path(folder) if folder else Path(__file__).parent / "engine"
+    return next(place.rglob("*.nbi"), None) is not None
+
+
+def _one_line(message: object) -> str:
+    return " ".join(str(message).split())
+
+
+def _fail(message: object, code: int) -> int:
+    click.echo(f"odt-plugins: {_one_line(message)}", err=True)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

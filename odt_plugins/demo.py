@@ -1,0 +1,163 @@
+"""The demo: the Stanford bunny from the pymeshlab wheel, tetrahedralised by TetWild, improved."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.errors import MeshFileError, MissingDependencyError
+from odt_plugins.report import Report
+
+BUNNY = Path("tests", "sample_meshes", "bunny10k_textured.obj")
+"""Place of the bunny inside the pymeshlab package."""
+
+EDGE_LENGTH = 0.08
+"""Edge length asked of TetWild, relative to the bounding-box diagonal; coarse to be quick."""
+
+EPSILON = 0.003
+"""Envelope of TetWild around the surface, relative to the diagonal."""
+
+FILES = ("bunny-before.vtu", "bunny-after.vtu", "report.json", "bunny.png")
+
+
+def run_demo(
+    out: Path,
+    *,
+    edge_length: float = EDGE_LENGTH,
+    epsilon: float = EPSILON,
+    say: Callable[[str], None] = lambda line: None,
+    **options: Any,
+) -> Report:
+    """Make the bunny, improve it and write meshes, report and picture.
+
+    Parameters
+    ----------
+    out : directory          is made; gets bunny-before.vtu, bunny-after.vtu, report.json and
+                             bunny.png
+    edge_length : float      for TetWild, relative to the diagonal of the bunny
+    epsilon : float          TetWild's envelope, relative to the diagonal
+    say : callable           is told, line by line, what happens
+    **options                of :func:`odt_plugins.optimize`
+
+    Returns
+    -------
+    Report
+
+    Raises
+    ------
+    MissingDependencyError   pymeshlab, pytetwild or matplotlib is not installed
+    MeshFileError            `out` cannot be written to, or TetWild gave no mesh
+    """
+    from odt_plugins.adapters import files
+    from odt_plugins.api import optimize_file
+    from odt_plugins.plotting import plot_before_after
+
+    _require("pymeshlab", "pytetwild", "matplotlib", "meshio")
+    try:
+        out.mkdir(parents=True, exist_ok=True)
+    except OSError as exc:
+        msg = f"got {out} for the demo's files, it cannot be made: {exc}; try another --out"
+        raise MeshFileError(msg) from exc
+    before, after, report_file, picture = (out / name for name in FILES)
+    files.check_output(before)
+
+    points, faces = read_obj(bunny_path())
+    say(f"Stanford bunny: {len(points)} vertices, {len(faces)} triangles")
+    say("TetWild fills it with tetrahedra (half a minute or so) ...")
+    start = time.perf_counter()
+    vertices, tets = tetrahedralize(points, faces, edge_length, epsilon)
+    say(f"  {len(vertices)} vertices, {len(tets)} tetrahedra in "
+        f"{time.perf_counter() - start:.0f} s")
+    import meshio
+
+    files.write_file(before, meshio.Mesh(vertices, [("tetra", tets)]))
+    say("odt-plugins improves it, surface fixed ...")
+    report = optimize_file(before, after, **options)
+    report_file.write_text(report.to_json() + "\n", encoding="utf-8")
+    improved = files.read(after)
+    plot_before_after((vertices, tets), (improved.points, improved.cells), report, picture,
+                      title="Stanford bunny, TetWild mesh cut open", up=1)
+    return report
+
+
+def bunny_path() -> Path:
+    """Find the bunny in the installed pymeshlab, without importing it.
+
+    Raises
+    ------
+    MissingDependencyError    pymeshlab is not installed, or came without its sample meshes
+    """
+    spec = find_spec("pymeshlab")
+    for folder in (spec.submodule_search_locations or []) if spec else []:
+        if (Path(folder) / BUNNY).is_file():
+            return Path(folder) / BUNNY
+    msg = ("the demo takes the Stanford bunny from the pymeshlab wheel and did not find it; try "
+           'pip install "odt-plugins[all]"')
+    raise MissingDependencyError(msg)
+
+
+def read_obj(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Read the vertices (n, 3) and the triangles (m, 3) of an OBJ file, and nothing else."""
+    points, faces = [], []
+    for line in path.read_text(encoding="utf-8").splitlines():
+        kind, *words = line.split() or [""]
+        if kind == "v":
+            points.append([float(x) for x in words[:3]])
+        elif kind == "f":
+            faces.append([int(word.split("/")[0]) - 1 for word in words[:3]])
+    return np.array(points), np.array(faces, dtype=np.int32)
+
+
+def tetrahedralize(
+    points: NDArray[np.float64], faces: NDArray[np.int32], edge_length: float, epsilon: float
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Run TetWild in a process and a directory of its own.
+
+    It writes files into its working directory, and its C++ code cannot be interrupted.
+
+    Raises
+    ------
+    MeshFileError    TetWild ended without a mesh
+    """
+    with tempfile.TemporaryDirectory(prefix="odt-plugins-") as folder:
+        np.savez(Path(folder) / "surface.npz", points=points, faces=faces)
+        done = subprocess.run(
+            [sys.executable, "-c", TETWILD, str(edge_length), str(epsilon)],
+            cwd=folder, capture_output=True, text=True, check=False,
+        )
+        result = Path(folder) / "tets.npz"
+        if done.returncode or not result.is_file():
+            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+            msg = f"TetWild gave no mesh of the bunny: {last}; try another --edge-length"
+            raise MeshFileError(msg)
+        with np.load(result) as data:
+            return data["points"], data["cells"]
+
+
+TETWILD = """
+import sys
+import numpy as np
+import pytetwild
+surface = np.load("surface.npz")
+points, cells = pytetwild.tetrahedralize(
+    surface["points"], surface["faces"], edge_length_fac=float(sys.argv[1]),
+    epsilon=float(sys.argv[2]), vtk_ordering=True)
+np.savez("tets.npz", points=points, cells=cells)
+"""
+
+
+def _require(*names: str) -> None:
+    missing = [name for name in names if find_spec(name) is None]
+    if missing:
+        msg = (f"the demo needs {' and '.join(missing)}, not installed here; try "
+               'pip install "odt-plugins[all]"')
+        raise MissingDependencyError(msg)
