@@ -13,6 +13,7 @@ from odt_plugins.engine.geometry import (
     barycenters,
     circumcenters,
     signed_volumes,
+    squared_edge_sum,
     volume_gradients,
 )
 from odt_plugins.engine.star import star_average, star_sum
@@ -108,6 +109,26 @@ def gradient(points: FloatArray, cells: IntArray, rho: CellDensity = 1.0) -> Flo
     CMAME 200 (2011) 967-984, Lemma 4.2 (4.5), Lemma 4.4 (4.11).
     """
     return centers_gradient(points, cells, circumcenters(points, cells), rho)
+
+
+def energy_gradient(points: FloatArray, cells: IntArray, rho: CellDensity = 1.0) -> FloatArray:
+    """Exact derivative of (2.2) with rho_tau fixed to the cells, at every vertex, shape (n, d).
+
+    Notes
+    -----
+    rho_tau / ((d + 1)(d + 2)) [nabla_{x_i}|tau| sum t + 2 |tau| sum_k (x_i - x_k)]. At interior
+    vertices and rho = 1 it equals (4.3)-(4.5). With a density it differs from (4.11), where rho is
+    fixed in space; folded cells are allowed.
+    """
+    d = cells.shape[1] - 1
+    x = points[cells]
+    pull = 2.0 * ((d + 1) * x - x.sum(axis=1, keepdims=True))
+    forces = (
+        squared_edge_sum(points, cells)[:, None, None] * volume_gradients(points, cells)
+        + signed_volumes(points, cells)[:, None, None] * pull
+    )
+    weights = np.broadcast_to(np.asarray(rho) / ((d + 1) * (d + 2)), (len(cells),))
+    return _scatter(weights[:, None, None] * forces, cells, len(points))
 
 
 def gradient_p1(

@@ -39,7 +39,8 @@ class StepStats(NamedTuple):
     Attributes
     ----------
     moved : int         vertices that changed place
-    max_move : float    longest move, in root mean square edge lengths of the vertex's star
+    max_move : float    longest move relative to the cells of the vertex's star: their mean volume
+                        to the power 1/d
     reduced : int       vertices whose alpha is below 1, those that stayed for it included
     alpha : float       step length of the whole step; 1 for sweeps, 0 when nothing was accepted
     """
@@ -76,6 +77,7 @@ def _move_vertices(
     do no harm. det is linear in x_i, so one gradient a cell decides every alpha.
     """
     d = points.shape[1]
+    factorial = 2.0 if d == 2 else 6.0
     laplacian = row_start.shape[0] > 0
     cell = np.empty((largest_star, 4))
     moved = 0.0
@@ -91,7 +93,6 @@ def _move_vertices(
         tx = ty = tz = weight = 0.0
         total = 0.0
         lowest = np.inf
-        edge_sum = 0.0
         edge_max = 0.0
         for s in range(count):
             c = indices[first + s]
@@ -111,7 +112,6 @@ def _move_vertices(
                 bb = bx * bx + by * by
                 det = ax * by - ay * bx
                 gx, gy, gz = ay - by, bx - ax, 0.0
-                edges = aa + bb
                 longer = max(aa, bb)
                 if use_barycenter[c]:
                     ox, oy, oz = (ax + bx) / 3.0, (ay + by) / 3.0, 0.0
@@ -139,7 +139,6 @@ def _move_vertices(
                 rx, ry, rz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
                 det = ax * px + ay * py + az * pz
                 gx, gy, gz = -(px + qx + rx), -(py + qy + ry), -(pz + qz + rz)
-                edges = aa + bb + ee
                 longer = max(aa, bb, ee)
                 if use_barycenter[c]:
                     ox, oy, oz = 0.25 * (ax + bx + ex), 0.25 * (ay + by + ey), 0.25 * (az + bz + ez)
@@ -156,7 +155,6 @@ def _move_vertices(
             cell[s, 0], cell[s, 1], cell[s, 2], cell[s, 3] = det, gx, gy, gz
             total += det
             lowest = min(lowest, det)
-            edge_sum += edges
             edge_max = max(edge_max, longer)
         if laplacian:
             tx = ty = tz = 0.0
@@ -196,9 +194,10 @@ def _move_vertices(
         length = mx * mx + my * my + mz * mz
         if length > 0.0:
             moved += 1.0
-            longest = max(longest, length * (count * d) / edge_sum)
+            power = length if d == 2 else length * np.sqrt(length)
+            longest = max(longest, power * factorial * count / total)
     stats[0] = moved
-    stats[1] = np.sqrt(longest)
+    stats[1] = longest ** (1.0 / d)
     stats[2] = reduced
 
 
@@ -331,7 +330,7 @@ def jacobi_sweep(
         old, target, topology, rho, method, inverse_volume, omega, boundary_rule, threads, groups
     )
     new, reduced = guarded_move(old, topology, target - old)
-    return new, stats._replace(reduced=stats.reduced + reduced)
+    return new, move_stats(old, new, topology, stats.reduced + reduced, 1.0)
 
 
 def guarded_move(
@@ -352,8 +351,7 @@ def guarded_move(
     """
     cells = topology.cells
     old = signed_volumes(points, cells)
-    star_mean = star_sum(old, cells, len(points)) / np.maximum(np.diff(topology.stars.indptr), 1)
-    floor = np.minimum(old, THIN * star_mean[cells].mean(axis=1))
+    floor = np.minimum(old, THIN * _mean_star_volumes(points, topology)[cells].mean(axis=1))
     share = topology.movable.astype(np.float64)
     moved = np.where(topology.movable[:, None], displacement, 0.0)
     unchecked = np.arange(len(cells))
@@ -374,3 +372,22 @@ def guarded_move(
         changed[hit] = True
         unchecked = np.flatnonzero(changed[cells].any(axis=1))
     return new, int(cut.sum())
+
+
+def _mean_star_volumes(points: FloatArray, topology: Topology) -> FloatArray:
+    volumes = signed_volumes(points, topology.cells)
+    count = np.maximum(np.diff(topology.stars.indptr), 1)
+    means: FloatArray = star_sum(volumes, topology.cells, len(points)) / count
+    return means
+
+
+def move_stats(
+    points: FloatArray, new: FloatArray, topology: Topology, reduced: int, alpha: float
+) -> StepStats:
+    """Describe a step of all vertices from points to new; alpha is 0 if none moved."""
+    moved = np.flatnonzero(np.any(new != points, axis=1))
+    if not moved.size:
+        return StepStats(0, 0.0, reduced, 0.0)
+    size = _mean_star_volumes(points, topology)[moved] ** (1 / points.shape[1])
+    longest = float((np.linalg.norm(new[moved] - points[moved], axis=1) / size).max())
+    return StepStats(int(moved.size), longest, reduced, alpha)
