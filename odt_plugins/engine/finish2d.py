@@ -41,7 +41,7 @@ class Phase2d:
 
 
 PHASES = (
-    Phase2d(2.0, 1.0, 20, 2),
+    Phase2d(1.0, 1.0, 20, 2),
     Phase2d(4.0, 0.05, 10, 2),
     Phase2d(8.0, 0.01, 10, 2),
     Phase2d(16.0, 0.003, 10, 2),
@@ -118,7 +118,8 @@ def _descend(
         stars = vertex_stars(cells, len(points))
         status = np.zeros(len(cells), dtype=np.uint8)
         for _ in range(phase.sweeps):
-            _sweep(points, cells, stars, wanted & movable, phase.power, bounds, moved, pool, threads)
+            _sweep(points, cells, stars, wanted & movable, phase.power, bounds, moved, pool,
+                   threads)
             spread(cells, stars.indptr, stars.indices, moved, SETTLED, wanted, status)
         pending = status == 1
         if not pending.any():
