@@ -1,11 +1,29 @@
-"""The outer loop: stage 1 and stage 2 in cycles, guard, best-state memory."""
+"""The outer loop: stage 1 and stage 2 in cycles, best-state memory, and the promise at the end."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+import math
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field, replace
 
-from odt_plugins.mesh import FloatArray, IntArray, SimplexMesh
+import numpy as np
+
+from odt_plugins.engine.complex import Complex, make_complex
+from odt_plugins.engine.density import Density, make_density
+from odt_plugins.engine.figures import Figures, figures
+from odt_plugins.engine.finishing import finish
+from odt_plugins.engine.geometry import boundary_vertices
+from odt_plugins.engine.order import curve_order
+from odt_plugins.engine.phases import Phase, bulk, tail
+from odt_plugins.engine.smoothing import Log, smooth
+from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
 from odt_plugins.options import Options
+from odt_plugins.promise import broken_promises
+
+LOCKED_QUALITY = 0.3
+LOCKED_ANGLES = (12.0, 160.0)
+"""What a cell without a movable vertex must reach when there was none such before (d = 3)."""
 
 
 @dataclass(frozen=True)
@@ -34,7 +52,275 @@ class Outcome:
     counts: dict[str, int] = field(default_factory=dict)
 
 
+@dataclass(frozen=True)
+class State:
+    """A mesh worth returning, with its figures."""
+
+    points: FloatArray
+    cells: IntArray
+    regions: IntArray
+    figures: Figures
+    name: str
+
+
+class Memory:
+    """Remembers the best state that keeps every named figure, and what the others broke."""
+
+    def __init__(self, before: Figures, keep: tuple[str, ...]) -> None:
+        self.before = before
+        self.keep = keep
+        self.states: list[State] = []
+        self.worse: list[str] = []
+
+    def offer(self, mesh: Complex, name: str) -> bool:
+        """Take the state if it keeps the figures; only the two best are held."""
+        cells, regions = mesh.mesh_arrays()
+        now = figures(mesh.points, cells)
+        worse = now.worse_than(self.before, self.keep)
+        if worse:
+            self.worse = worse
+            return False
+        self.states.append(State(mesh.points.copy(), cells, regions, now, name))
+        self.states.sort(key=lambda state: -state.figures.score)
+        del self.states[2:]
+        return True
+
+
+@dataclass(frozen=True)
+class Frame:
+    """Numbering and unit inside the engine, and the way back.
+
+    Attributes
+    ----------
+    vertices : (k,) int32     caller's index of every inner vertex
+    active : (m1,) intp       caller's index of every inner cell, all but the frozen ones
+    centre : (d,) float64, scale : float
+        inner coordinates are (x - centre) * scale, scale a power of two
+    """
+
+    vertices: IntArray
+    active: IntArray
+    centre: FloatArray
+    scale: float
+
+    def inside(self, points: FloatArray) -> FloatArray:
+        """Inner coordinates of the caller's points."""
+        return np.ascontiguousarray((points - self.centre) * self.scale)
+
+    def outside(self, points: FloatArray) -> FloatArray:
+        """Caller's coordinates of inner points."""
+        moved: FloatArray = points / self.scale + self.centre
+        return moved
+
+
+def make_frame(mesh: SimplexMesh) -> tuple[Frame, IntArray]:
+    """Leave out frozen cells and unused vertices, number along a curve, scale to unit size.
+
+    Returns
+    -------
+    Frame, and the inner cells (m1, d + 1) int32
+    """
+    active = np.flatnonzero(~mesh.frozen)
+    cells = mesh.cells[active]
+    used = np.unique(cells)
+    vertices, order = curve_order(mesh.points, cells)
+    in_use = np.zeros(len(mesh.points), dtype=bool)
+    in_use[used] = True
+    vertices = vertices[in_use[vertices]]
+    rank = np.full(len(mesh.points), -1, dtype=np.int32)
+    rank[vertices] = np.arange(len(vertices), dtype=np.int32)
+    low = mesh.points[used].min(axis=0)
+    high = mesh.points[used].max(axis=0)
+    span = float((high - low).max())
+    scale = 2.0 ** -round(math.log2(span)) if span > 0.0 else 1.0
+    frame = Frame(vertices, active[order], 0.5 * (low + high), scale)
+    return frame, np.ascontiguousarray(rank[cells[order]])
+
+
+def locked_vertices(mesh: SimplexMesh) -> tuple[BoolArray, BoolArray]:
+    """Vertices that may not move, and those on the boundary or on an interface, (n,) each.
+
+    A vertex of a frozen cell may not move either.
+    """
+    rim = boundary_vertices(mesh.cells, len(mesh.points), mesh.regions)
+    locked = rim | mesh.fixed
+    locked[mesh.cells[mesh.frozen]] = True
+    return locked, rim
+
+
 def run(mesh: SimplexMesh, options: Options) -> Outcome:
-    """Optimise a valid mesh; see :class:`Outcome`."""
-    return Outcome(mesh.points.copy(), mesh.cells.copy(), mesh.regions.copy(),
-                   stop_reason="the engine is not wired yet")
+    """Optimise a valid mesh.
+
+    Parameters
+    ----------
+    mesh : SimplexMesh
+    options : Options
+
+    Returns
+    -------
+    Outcome    a mesh that keeps the promise, at worst the input itself
+    """
+    clock = time.perf_counter()
+    locked, rim = locked_vertices(mesh)
+    if mesh.frozen.all() or len(mesh.cells) == 0:
+        return _unchanged(mesh, "no cell may change")
+    frame, cells = make_frame(mesh)
+    inner_locked = np.ascontiguousarray(locked[frame.vertices])
+    inner_rim = np.ascontiguousarray(rim[frame.vertices])
+    points = frame.inside(mesh.points[frame.vertices])
+    regions = np.ascontiguousarray(mesh.regions[frame.active])
+    start = make_complex(points, cells, regions, inner_locked, inner_rim)
+    before = figures(points, cells)
+    memory = Memory(before, tuple(options.keep))
+    density = _density(mesh, options, frame, points, cells)
+    log = Log()
+    times = {"prepare": time.perf_counter() - clock}
+    bounds = _bounds(before, tuple(options.keep))
+    pool = ThreadPoolExecutor(options.threads) if options.threads > 1 else None
+    try:
+        reason = _cycles(start, density, options, bounds, memory, log, times, pool)
+        if not memory.states and options.finish:
+            second = make_complex(
+                frame.inside(mesh.points[frame.vertices]), cells, regions, inner_locked, inner_rim
+            )
+            log.add("runs of finishing alone", 1)
+            _finishing_alone(second, options, bounds, memory, times, pool, log)
+    finally:
+        if pool is not None:
+            pool.shutdown()
+    clock = time.perf_counter()
+    outcome = _best(mesh, frame, inner_locked, memory, options, log, reason)
+    times["check"] = time.perf_counter() - clock
+    return replace(outcome, times=times, energy=log.energy, counts=log.counts)
+
+
+def _unchanged(mesh: SimplexMesh, reason: str) -> Outcome:
+    return Outcome(mesh.points.copy(), mesh.cells.copy(), mesh.regions.copy(), stop_reason=reason)
+
+
+def _density(
+    mesh: SimplexMesh, options: Options, frame: Frame, points: FloatArray, cells: IntArray
+) -> Density:
+    """The density in inner numbering and coordinates."""
+    spec = options.density
+    if callable(spec):
+        function = spec
+
+        def inner(inner_points: FloatArray) -> FloatArray:
+            return np.asarray(function(frame.outside(inner_points)), dtype=np.float64)
+
+        spec = inner
+    elif not isinstance(spec, str):
+        make_density(spec, options.exponent, mesh.points, mesh.cells)
+        values = np.asarray(spec, dtype=np.float64)
+        per_cell = len(values) == len(mesh.cells) and len(values) != len(mesh.points)
+        spec = values[frame.active] if per_cell else values[frame.vertices]
+    return make_density(spec, options.exponent, points.copy(), cells)
+
+
+def _bounds(before: Figures, keep: tuple[str, ...]) -> FloatArray:
+    """Extremes that no new cell may pass: those of the input, where they are to be kept."""
+    ceiling = before.cos_min_angle if "min_angle" in keep else 1.0
+    floor = before.cos_max_angle if "max_angle" in keep else -1.0
+    return np.array([
+        before.min_quality if "min_quality" in keep else 0.0,
+        ceiling,
+        floor,
+        LOCKED_QUALITY,
+        min(ceiling, math.cos(math.radians(LOCKED_ANGLES[0]))),
+        max(floor, math.cos(math.radians(LOCKED_ANGLES[1]))),
+    ])
+
+
+def _cycles(
+    mesh: Complex, density: Density, options: Options, bounds: FloatArray, memory: Memory,
+    log: Log, times: dict[str, float], pool: ThreadPoolExecutor | None,
+) -> str:
+    """Alternate the two stages; returns why stage 1 stopped last."""
+    report = options.progress if options.progress is not None else _silent
+    cycles = options.cycles if options.finish else 1
+    reason = "nothing was asked for"
+    best = -np.inf
+    for cycle in range(cycles):
+        clock = time.perf_counter()
+        base = cycle / cycles
+        watch = None if options.finish else lambda state: memory.offer(state, "smoothing")
+        mesh, reason = smooth(
+            mesh, density, options, bounds, log,
+            lambda share, base=base: report("smoothing", base + 0.5 * share / cycles), watch,
+        )
+        times["smoothing"] = times.get("smoothing", 0.0) + time.perf_counter() - clock
+        if not options.finish:
+            continue
+        clock = time.perf_counter()
+        _finish(mesh, bulk(mesh.dim), bounds, log, pool, options.threads)
+        report("finishing", (cycle + 1) / cycles)
+        cells, _ = mesh.mesh_arrays()
+        mean = figures(mesh.points, cells).mean_quality
+        times["finishing"] = times.get("finishing", 0.0) + time.perf_counter() - clock
+        settled = mean - best < 5e-4
+        best = max(best, mean)
+        if settled:
+            reason = f"the mean quality settled after {cycle + 1} cycles"
+            break
+    if options.finish:
+        clock = time.perf_counter()
+        _finish(mesh, tail(mesh.dim), bounds, log, pool, options.threads)
+        memory.offer(mesh, "finished")
+        times["finishing"] = times.get("finishing", 0.0) + time.perf_counter() - clock
+    report("finishing", 1.0)
+    return reason
+
+
+def _finish(
+    mesh: Complex, phases: tuple[Phase, ...], bounds: FloatArray, log: Log,
+    pool: ThreadPoolExecutor | None, threads: int,
+) -> None:
+    """Run phases of stage 2 and count."""
+    flips, moves = finish(mesh, phases, bounds, pool, threads)
+    log.add("quality flips", flips)
+    log.add("vertex moves", moves)
+
+
+def _finishing_alone(
+    mesh: Complex, options: Options, bounds: FloatArray, memory: Memory,
+    times: dict[str, float], pool: ThreadPoolExecutor | None, log: Log,
+) -> None:
+    """Improve the input by stage 2 alone, which never leaves the extremes of the input."""
+    clock = time.perf_counter()
+    for phases in (bulk(mesh.dim), tail(mesh.dim)):
+        _finish(mesh, phases, bounds, log, pool, options.threads)
+        memory.offer(mesh, "finishing alone")
+    times["finishing alone"] = time.perf_counter() - clock
+
+
+def _silent(stage: str, share: float) -> None:
+    """Report progress to nobody."""
+
+
+def _best(
+    mesh: SimplexMesh, frame: Frame, locked: BoolArray, memory: Memory, options: Options,
+    log: Log, reason: str,
+) -> Outcome:
+    """The best remembered state that keeps the promise, at worst the input."""
+    broken: list[str] = [f"{name} would be worse" for name in memory.worse]
+    for rank, state in enumerate(memory.states):
+        points = mesh.points.copy()
+        free = ~locked
+        points[frame.vertices[free]] = frame.outside(state.points[free])
+        cells = np.concatenate([mesh.cells[mesh.frozen], frame.vertices[state.cells]])
+        regions = np.concatenate([mesh.regions[mesh.frozen], state.regions])
+        faults = broken_promises(mesh, points, cells, regions, tuple(options.keep))
+        if not faults:
+            fallback = None
+            if rank or state.name == "finishing alone":
+                fallback = f"a later state was given up ({'; '.join(broken)})"
+            return Outcome(points, np.ascontiguousarray(cells), regions, stop_reason=reason,
+                           fallback=fallback)
+        log.add("states refused", 1)
+        broken = faults
+    unchanged = _unchanged(mesh, reason)
+    return replace(
+        unchanged,
+        fallback=f"the input is returned: every other state broke the promise ({'; '.join(broken)})",
+    )

@@ -7,7 +7,6 @@ Flips and moves lower the same sum, so neither undoes the other.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -15,6 +14,7 @@ from numba import njit
 from odt_plugins.engine.active import spread, vertex_order
 from odt_plugins.engine.adjacency import cell_neighbors
 from odt_plugins.engine.flips2d import quality_flips
+from odt_plugins.engine.phases import Phase, bulk, tail
 from odt_plugins.engine.smooth2d import smooth_vertices_2d
 from odt_plugins.engine.star import Stars, vertex_stars
 from odt_plugins.engine.threads import run_chunks
@@ -22,30 +22,6 @@ from odt_plugins.engine.triangle import triangle_shape
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
 
-@dataclass(frozen=True)
-class Phase2d:
-    """One descent.
-
-    Attributes
-    ----------
-    power : float    exponent p of F_p
-    share : float    part of the triangles, worst first, that it starts from
-    rounds : int     most rounds of flips and smoothing
-    sweeps : int     sweeps of smoothing in a round
-    """
-
-    power: float
-    share: float
-    rounds: int
-    sweeps: int
-
-
-PHASES = (
-    Phase2d(1.0, 1.0, 20, 2),
-    Phase2d(4.0, 0.05, 10, 2),
-    Phase2d(8.0, 0.01, 10, 2),
-    Phase2d(16.0, 0.003, 10, 2),
-)
 SETTLED = 1e-3
 """A vertex whose star gained less than this part of F_p does not wake its neighbours."""
 
@@ -58,7 +34,7 @@ def finish2d(
     *,
     movable_cells: BoolArray | None = None,
     bounds: FloatArray | None = None,
-    phases: tuple[Phase2d, ...] = PHASES,
+    phases: tuple[Phase, ...] | None = None,
     pool: ThreadPoolExecutor | None = None,
     threads: int = 1,
 ) -> tuple[FloatArray, IntArray]:
@@ -73,7 +49,7 @@ def finish2d(
     movable_cells : (m,) bool     an edge is flipped only between two such cells; None means all
     bounds : (3,) float64         least radius ratio, largest and smallest cosine of an angle that
                                   may appear where it was not before; None takes those of the mesh
-    phases : tuple of Phase2d     what is done, in order
+    phases : tuple of Phase     what is done, in order
     pool, threads                 see :func:`run_chunks`; the result does not depend on them
 
     Returns
@@ -90,7 +66,7 @@ def finish2d(
     _shapes(points, cells, shapes)
     if bounds is None:
         bounds = np.array([shapes[:, 0].min(), shapes[:, 1].max(), shapes[:, 2].min()])
-    for phase in phases:
+    for phase in bulk(2) + tail(2) if phases is None else phases:
         _shapes(points, cells, shapes)
         limit = np.quantile(shapes[:, 0], phase.share)
         near = np.zeros(len(points), dtype=np.bool_)
@@ -103,7 +79,7 @@ def finish2d(
 
 def _descend(
     points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
-    movable: BoolArray, movable_cells: BoolArray | None, bounds: FloatArray, phase: Phase2d,
+    movable: BoolArray, movable_cells: BoolArray | None, bounds: FloatArray, phase: Phase,
     pending: BoolArray, pool: ThreadPoolExecutor | None, threads: int,
 ) -> None:
     """Flip and smooth, in place, from the pending cells on, until nothing gains."""

@@ -6,36 +6,23 @@ a large p the worst cells; bounds keep every change within the extremes that the
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
 
 from odt_plugins.engine import flips3d, smooth3d
 from odt_plugins.engine.active import spread, vertex_order, vertices_of_pending
+from odt_plugins.engine.adjacency import cell_neighbors
 from odt_plugins.engine.complex import PENDING, Complex, slot_stars
+from odt_plugins.engine.finish2d import finish2d
+from odt_plugins.engine.phases import Phase
 from odt_plugins.engine.tetrahedron import QUALITY, tet_quality
 from odt_plugins.engine.threads import run_chunks
 from odt_plugins.mesh import FloatArray, IntArray
 
 GAIN = 1e-3
 RING = 10
-
-
-@dataclass(frozen=True)
-class Phase:
-    """One descent: exponent p, share of the cells that are worked on, number of rounds."""
-
-    power: float
-    share: float
-    rounds: int
-    sweeps: int
-
-
-BULK = (Phase(1.0, 1.0, 6, 3),)
-TAIL = (Phase(2.0, 0.08, 3, 3), Phase(4.0, 0.03, 3, 3), Phase(8.0, 0.005, 3, 3))
 
 
 @njit(nogil=True, cache=True)
@@ -99,7 +86,6 @@ def descend(
     bounds: FloatArray,
     pool: ThreadPoolExecutor | None,
     threads: int,
-    tick: Callable[[], None],
 ) -> tuple[int, int]:
     """Lower F_p by flips and smoothing; returns the numbers of flips and of vertex moves."""
     q = qualities(mesh)
@@ -117,6 +103,7 @@ def descend(
         mesh.status[:used][q < 1.5] = PENDING
     active = np.zeros(len(mesh.points), dtype=bool)
     vertices_of_pending(mesh.cells[:used], mesh.status, active)
+    zone = ~mesh.locked if phase.share == 1.0 else active & ~mesh.locked
     moved = np.zeros(len(mesh.points))
     flips = moves = 0
     for _ in range(phase.rounds):
@@ -127,7 +114,7 @@ def descend(
         cells = mesh.cells[:used]
         pushed = 0
         for _ in range(phase.sweeps):
-            order, offsets = vertex_order(cells, stars, active & ~mesh.locked)
+            order, offsets = vertex_order(cells, stars, active & zone)
             moved[:] = 0.0
             moves += run_chunks(
                 pool, threads, offsets,
@@ -137,7 +124,43 @@ def descend(
                 ),
             )
             pushed = spread(cells, stars.indptr, stars.indices, moved, GAIN, active, mesh.status)
-            tick()
         if pushed == 0 and flips == 0:
             break
+    return flips, moves
+
+
+def finish(
+    mesh: Complex,
+    phases: tuple[Phase, ...],
+    bounds: FloatArray,
+    pool: ThreadPoolExecutor | None,
+    threads: int,
+) -> tuple[int, int]:
+    """Run phases of the finishing stage on a complex, in place.
+
+    Parameters
+    ----------
+    mesh : Complex
+    phases : tuple of Phase
+    bounds : (6,) float64      see ``flips3d.flip_pass``; the plane uses the first three
+    pool, threads              see ``run_chunks``; the result does not depend on them
+
+    Returns
+    -------
+    flips, moves : int
+    """
+    if mesh.dim == 2:
+        points, cells = finish2d(
+            mesh.points, mesh.cells, mesh.regions, ~mesh.locked, bounds=bounds[:3].copy(),
+            phases=phases, pool=pool, threads=threads,
+        )
+        mesh.points[:] = points
+        mesh.cells[:] = cells
+        mesh.neighbors[:] = cell_neighbors(cells)
+        return 0, 0
+    flips = moves = 0
+    for phase in phases:
+        more_flips, more_moves = descend(mesh, phase, bounds, pool, threads)
+        flips += more_flips
+        moves += more_moves
     return flips, moves

@@ -1,0 +1,35 @@
+"""The schedule of the finishing stage."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Phase:
+    """One descent of F_p = sum of q^-p.
+
+    Attributes
+    ----------
+    power : float    exponent p
+    share : float    part of the cells, worst first, that it starts from
+    rounds : int     most rounds of flips and smoothing
+    sweeps : int     sweeps of smoothing in a round
+    """
+
+    power: float
+    share: float
+    rounds: int
+    sweeps: int
+
+
+def bulk(dim: int) -> tuple[Phase, ...]:
+    """Phases for the mean: every cell, a small p."""
+    return (Phase(2.0, 1.0, 20, 2),) if dim == 2 else (Phase(1.0, 1.0, 6, 3),)
+
+
+def tail(dim: int) -> tuple[Phase, ...]:
+    """Phases for the worst cells: fewer and fewer of them, a larger and larger p."""
+    if dim == 2:
+        return (Phase(4.0, 0.05, 10, 2), Phase(8.0, 0.01, 10, 2), Phase(16.0, 0.003, 10, 2))
+    return (Phase(2.0, 0.08, 3, 3), Phase(4.0, 0.03, 3, 3), Phase(8.0, 0.002, 3, 3))

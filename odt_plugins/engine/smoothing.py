@@ -1,0 +1,175 @@
+"""Stage 1: rounds of a position step and of connectivity, both lowering the ODT energy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from odt_plugins.engine.complex import PENDING, Complex, make_complex
+from odt_plugins.engine.cvt import cvt_step
+from odt_plugins.engine.delaunay import delaunay_exchange
+from odt_plugins.engine.density import Density, cell_density
+from odt_plugins.engine.energy import energy
+from odt_plugins.engine.finishing import flip_pending
+from odt_plugins.engine.flips2d import lawson_flips
+from odt_plugins.engine.graph_laplacian import global_step
+from odt_plugins.engine.solvers import lbfgs_step, richardson_step
+from odt_plugins.engine.star import vertex_stars
+from odt_plugins.engine.sweeps import StepStats, gauss_seidel_sweep, jacobi_sweep
+from odt_plugins.engine.tetrahedron import ENERGY
+from odt_plugins.engine.topology import Topology
+from odt_plugins.mesh import FloatArray
+from odt_plugins.options import Options
+
+FAR = 0.1
+"""Longest move, in edge lengths, above which "delaunay" asks scipy (Section 3.2, row 10)."""
+
+MODERATE = 20_000
+"""Most cells for which "auto" asks scipy in the first round; beyond, local flips are cheaper."""
+
+CONVERGED = 1e-4
+"""A stage ends when a round lowers the energy by less than this part of it."""
+
+RING = 7
+"""Longest ring of an edge that is removed for the sake of the energy."""
+
+PASSES = 3
+"""Passes of flips in a round; what is left pending waits for the next round."""
+
+
+@dataclass
+class Log:
+    """What the stages count and record.
+
+    Attributes
+    ----------
+    energy : list of (stage, E)
+    counts : dict name -> int
+    """
+
+    energy: list[tuple[str, float]] = field(default_factory=list)
+    counts: dict[str, int] = field(default_factory=dict)
+
+    def add(self, name: str, amount: int) -> None:
+        """Add to a count."""
+        self.counts[name] = self.counts.get(name, 0) + int(amount)
+
+
+def position_step(
+    points: FloatArray, topology: Topology, rho: FloatArray | None, options: Options,
+    inverse_volume: bool,
+) -> tuple[FloatArray, StepStats]:
+    """Move all vertices once by the chosen method and solver (Sections 4.1 to 4.3).
+
+    Parameters
+    ----------
+    points : (n, d) float64, topology : Topology
+    rho : (n,) float64 or None     density at the vertices
+    options : Options              method, solver, linear_solver, threads
+    inverse_volume : bool          density (4.22)
+    """
+    if options.method == "cvt":
+        return cvt_step(points, topology, rho)
+    if options.solver == "global":
+        method = "cpt" if options.method == "cpt" else "odt"
+        return global_step(
+            points, topology, rho, method=method, inverse_volume=inverse_volume,
+            linear_solver=options.linear_solver,
+        )
+    if options.solver == "richardson":
+        return richardson_step(points, topology, rho, inverse_volume=inverse_volume)
+    if options.solver == "lbfgs":
+        return lbfgs_step(points, topology, rho, inverse_volume=inverse_volume)
+    sweep = jacobi_sweep if options.solver == "jacobi" else gauss_seidel_sweep
+    return sweep(
+        points, topology, rho, method=options.method, inverse_volume=inverse_volume,
+        threads=options.threads,
+    )
+
+
+def exchange(mesh: Complex, log: Log) -> Complex:
+    """Replace pieces of the mesh by scipy's Delaunay triangulation (Section 3.2)."""
+    cells, regions = mesh.mesh_arrays()
+    cells, regions, stats = delaunay_exchange(mesh.points, cells, regions, mesh.locked)
+    log.add("delaunay calls", 1)
+    log.add("regions exchanged", stats.exchanged)
+    if not stats.exchanged:
+        return mesh
+    return make_complex(mesh.points, cells, regions, mesh.locked, mesh.rim)
+
+
+def local_flips(mesh: Complex, bounds: FloatArray, log: Log) -> None:
+    """Flip towards Delaunay (Section 3.1): Lawson's edges in the plane, energy flips in space."""
+    if mesh.dim == 2:
+        flips = lawson_flips(
+            mesh.points, mesh.cells, mesh.neighbors, mesh.regions, fixed=mesh.locked
+        )
+    else:
+        mesh.status[:] = PENDING
+        flips = flip_pending(mesh, ENERGY, 1.0, RING, bounds, PASSES)
+    log.add("energy flips", flips)
+
+
+def smooth(
+    mesh: Complex,
+    density: Density,
+    options: Options,
+    bounds: FloatArray,
+    log: Log,
+    tick: Callable[[float], None],
+    watch: Callable[[Complex], None] | None = None,
+) -> tuple[Complex, str]:
+    """Run stage 1 until the energy settles or the rounds are used up.
+
+    Parameters
+    ----------
+    mesh : Complex              its points are changed
+    density : Density
+    options : Options
+    bounds : (6,) float64       see ``flips3d.flip_pass``
+    log : Log
+    tick : callable             called with the share of the rounds that is done
+    watch : callable, optional  called with the mesh after every round
+
+    Returns
+    -------
+    mesh : Complex              the same or, after an exchange, a new one
+    reason : str                why it stopped
+    """
+    previous = np.inf
+    reason = f"the {options.rounds} rounds were used up"
+    movable = ~mesh.locked
+    for k in range(options.rounds):
+        cells, _ = mesh.mesh_arrays()
+        stars = vertex_stars(cells, len(mesh.points))
+        topology = Topology(cells, movable, mesh.rim, stars)
+        rho = density.at(mesh.points)
+        points, stats = position_step(
+            mesh.points, topology, rho, options, density.inverse_volume
+        )
+        mesh.points[:] = points
+        log.add("vertex moves", stats.moved)
+        log.add("shortened moves", stats.reduced)
+        moderate = len(cells) <= MODERATE
+        if options.connectivity == "delaunay" or (
+            options.connectivity == "auto" and k == 0 and moderate and stats.max_move > FAR
+        ):
+            mesh = exchange(mesh, log)
+        if options.connectivity in ("auto", "flips") or (
+            options.connectivity == "delaunay" and stats.max_move <= FAR
+        ):
+            local_flips(mesh, bounds, log)
+        cells, _ = mesh.mesh_arrays()
+        weights = 1.0 if density.inverse_volume else cell_density(mesh.points, cells, rho)
+        current = energy(mesh.points, cells, weights)
+        log.energy.append((options.method, current))
+        tick((k + 1) / options.rounds)
+        if watch is not None:
+            watch(mesh)
+        if abs(previous - current) <= CONVERGED * abs(current):
+            reason = f"the energy settled after {k + 1} rounds"
+            break
+        previous = current
+    return mesh, reason
