@@ -106,14 +106,18 @@ def bunny_path() -> Path:
 
 
 def read_obj(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Read the vertices (n, 3) and the triangles (m, 3) of an OBJ file, and nothing else."""
+    """Read the vertices (n, 3) and the triangles (m, 3) of an OBJ file, and nothing else.
+
+    OBJ counts from 1, or from -1 backwards from the last vertex so far.
+    """
     points, faces = [], []
     for line in path.read_text(encoding="utf-8").splitlines():
         kind, *words = line.split() or [""]
         if kind == "v":
             points.append([float(x) for x in words[:3]])
         elif kind == "f":
-            faces.append([int(word.split("/")[0]) - 1 for word in words[:3]])
+            corner = [int(word.split("/")[0]) for word in words[:3]]
+            faces.append([i - 1 if i > 0 else len(points) + i for i in corner])
     return np.array(points), np.array(faces, dtype=np.int32)
 
 
@@ -136,7 +140,7 @@ def tetrahedralize(
         )
         result = Path(folder) / "tets.npz"
         if done.returncode or not result.is_file():
-            last = (done.stderr.strip().splitlines() or ["no message"])[-1]
+            last = (done.stderr.strip().splitlines() or [f"it ended with {done.returncode}"])[-1]
             msg = f"TetWild gave no mesh of the bunny: {last}; try another --edge-length"
             raise MeshFileError(msg)
         with np.load(result) as data:
