@@ -332,3 +332,17 @@ def test_facet_ids_when_the_key_leaves_63_bits():
     large, same_count = delaunay._facet_ids(facets, 2**40)
     assert count == same_count == len(np.unique(facets, axis=0))
     np.testing.assert_array_equal(small, large)
+
+
+def test_piece_with_an_open_facet_or_two_counterparts_has_no_match():
+    # an annulus whose inner edges the other mesh lacks: 0 1 2 outside, 3 4 5 inside
+    ring = np.array([[0, 1, 3], [1, 4, 3], [1, 2, 4], [2, 5, 4], [2, 0, 5], [0, 3, 5]])
+    fan = np.array([[0, 1, 6], [1, 2, 6], [2, 0, 6]])
+    inner = np.array([[4, 3, 7], [5, 4, 7], [3, 5, 7]])
+    for old, new in ((ring, fan), (fan, ring), (ring, np.vstack([fan, inner])),
+                     (np.vstack([fan, inner]), ring)):
+        assert (delaunay._matching_pieces(old, new, 8)[2] == -1).all()
+    whole = np.vstack([ring, [[3, 4, 5]]])
+    piece, _, partner = delaunay._matching_pieces(whole, fan, 8)
+    assert (piece == 0).all()
+    np.testing.assert_array_equal(partner, [0])

@@ -30,6 +30,12 @@ def edges(cells):
     return set(planar.edge_cells(cells))
 
 
+def goodness(points, cells):
+    """Three figures, each the better the larger: worst q, smallest angle, minus the largest."""
+    q, angles = planar.shape(points, cells)
+    return np.array([q.min(), angles.min(), -angles.max()])
+
+
 def check_mesh(points, start, cells, neighbors, regions):
     """The adjacency is that of the cells, the domain and its interfaces are the old ones."""
     np.testing.assert_array_equal(neighbors, ref.brute_neighbors(cells))
@@ -203,26 +209,51 @@ def test_quality_flips_lower_the_sum_and_respect_the_mesh(seed, two, power):
             assert (q**-power).sum() >= (1 - 1e-8) * (after[own] ** -power).sum()
 
 
-def test_quality_flips_stay_within_bounds():
-    blocked = 0
-    for seed in range(10):
-        points, start = grid(seed)
+@pytest.mark.parametrize("which", [0, 1, 2])
+def test_bounds_refuse_a_flip_that_is_worse_there_and_beyond(which):
+    """Random quadrilaterals: worst q, smallest angle, minus the largest angle of the pair."""
+    rng = np.random.default_rng(5)
+    regions = np.zeros(2, dtype=np.int32)
+    free, tight = np.array([0.0, 1.0, -1.0]), np.array([0.0, 1.0, -1.0])
+    tight[which] = (1.0, -1.0, 1.0)[which]
+    refused = within = 0
+    for _ in range(6000):
+        points = rng.normal(size=(4, 2)) * [3.0, 1.0]
+        start = planar.oriented(points, [[0, 1, 2], [3, 2, 1]])
+        if (start[0] == [0, 1, 2]).all() != (start[1] == [3, 2, 1]).all():
+            continue
+        figures = []
+        for bounds in (free, tight):
+            cells, neighbors = start.copy(), ref.brute_neighbors(start)
+            count = quality_flips(points, cells, neighbors, regions, None, 0.1, bounds)
+            figures.append((count, goodness(points, cells)[which]))
+        before = goodness(points, start)[which]
+        if figures[0][0] == 0:
+            assert figures[1][0] == 0
+        elif figures[0][1] < before - 1e-9:
+            assert figures[1][0] == 0
+            refused += 1
+            loose = tight.copy()
+            edge = figures[0][1] - 1e-6
+            loose[which] = edge if which == 0 else np.cos(np.radians(abs(edge)))
+            cells, neighbors = start.copy(), ref.brute_neighbors(start)
+            within += quality_flips(points, cells, neighbors, regions, None, 0.1, loose)
+        elif figures[0][1] > before + 1e-9:
+            assert figures[1][0] == 1
+    assert refused > 3
+    assert within == refused
+
+
+def test_bounds_hold_on_a_whole_mesh():
+    for seed in range(6):
+        points, start = grid(seed, flips=30)
         regions = np.zeros(len(start), dtype=np.int32)
         q, angles = planar.shape(points, start)
-        for bounds in ([q.min(), 1.0, -1.0], [0.0, np.cos(np.radians(angles.min())), -1.0],
-                       [0.0, 1.0, np.cos(np.radians(angles.max()))], [0.9, 0.7, 0.2]):
-            cells, neighbors = start.copy(), ref.brute_neighbors(start)
-            quality_flips(points, cells, neighbors, regions, None, 0.1, np.array(bounds))
-            new_q, new_angles = planar.shape(points, cells)
-            assert new_q.min() >= min(q.min(), bounds[0]) - 1e-12 or bounds[0] == 0.0
-            if bounds[1] < 1.0:
-                assert new_angles.min() >= angles.min() - 1e-9
-            if bounds[2] > -1.0:
-                assert new_angles.max() <= angles.max() + 1e-9
-            free, neighbors = start.copy(), ref.brute_neighbors(start)
-            quality_flips(points, free, neighbors, regions, None, 0.1)
-            blocked += edges(free) != edges(cells)
-    assert blocked > 0
+        bounds = np.array([q.min(), np.cos(np.radians(angles.min())),
+                           np.cos(np.radians(angles.max()))])
+        cells, neighbors = start.copy(), ref.brute_neighbors(start)
+        assert quality_flips(points, cells, neighbors, regions, None, 0.1, bounds) > 0
+        assert (goodness(points, cells) >= goodness(points, start) - 1e-9).all()
 
 
 def test_quality_flips_look_at_seeds_and_movable_cells_only():

@@ -21,7 +21,6 @@ from odt_plugins.engine.threads import run_chunks
 from odt_plugins.engine.triangle import triangle_shape
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
-
 SETTLED = 1e-3
 """A vertex whose star gained less than this part of F_p does not wake its neighbours."""
 
@@ -49,7 +48,7 @@ def finish2d(
     movable_cells : (m,) bool     an edge is flipped only between two such cells; None means all
     bounds : (3,) float64         least radius ratio, largest and smallest cosine of an angle that
                                   may appear where it was not before; None takes those of the mesh
-    phases : tuple of Phase     what is done, in order
+    phases : tuple of Phase       what is done, in order; None takes the whole schedule
     pool, threads                 see :func:`run_chunks`; the result does not depend on them
 
     Returns
