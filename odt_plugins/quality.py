@@ -192,11 +192,8 @@ def uniformity(
         size = np.asarray(h(np.asarray(centre)), dtype=np.float64)
     else:
         size = np.asarray(h, dtype=np.float64)
-    if size.shape == (len(t),) or size.ndim == 0:
-        pass
-    elif size.shape == (len(p),) and not callable(h):
-        size = size[t].mean(axis=1)
-    else:
+    per_vertex = size.shape == (len(p),) and not callable(h)
+    if size.ndim and size.shape != (len(t),) and not per_vertex:
         msg = (f"h has shape {size.shape}; expected one value, ({len(t)},) for cells or "
                f"({len(p)},) for vertices")
         raise InvalidOptionError(msg)
@@ -205,6 +202,8 @@ def uniformity(
         msg = (f"h is {size.flat[bad[0]]} at index {bad[0]} ({len(bad)} of them); expected finite "
                "positive sizes")
         raise InvalidOptionError(msg)
+    if size.ndim and size.shape != (len(t),):
+        size = size[t].mean(axis=1)
     return _variation(radius / size)
 
 

@@ -1,0 +1,239 @@
+"""The judge of outputs: meshes broken on purpose in every way are found out."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from scipy.spatial import Delaunay
+
+from odt_plugins import promise
+from odt_plugins.mesh import SimplexMesh, simplex_mesh
+from odt_plugins.promise import broken_promises, held_vertices, locked_facets
+from odt_plugins.quality import summarize
+
+
+def grid_mesh(d: int, seed: int = 809) -> SimplexMesh:
+    """Delaunay mesh of a jittered grid in the unit box, two regions, some vertices inside."""
+    rng = np.random.default_rng(seed)
+    side = np.linspace(0.0, 1.0, 6)
+    x = np.stack(np.meshgrid(*[side] * d, indexing="ij"), axis=-1).reshape(-1, d)
+    inside = ((x > 0) & (x < 1)).all(axis=1)
+    x[inside] += rng.uniform(-0.06, 0.06, size=(inside.sum(), d))
+    x[~inside] += 1e-9 * rng.uniform(-1, 1, size=((~inside).sum(), d)) * (x[~inside] % 1 > 0)
+    cells = Delaunay(x).simplices
+    corners = x[cells]
+    size = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1]))
+    cells = cells[size > 1e-4 * np.median(size)]
+    regions = (x[cells].mean(axis=1)[:, 0] > 0.5).astype(np.int32)
+    return simplex_mesh(x, cells, regions=regions, orient=True)[0]
+
+
+@pytest.fixture(params=[2, 3])
+def mesh(request: pytest.FixtureRequest) -> SimplexMesh:
+    return grid_mesh(request.param)
+
+
+def sentences(
+    mesh: SimplexMesh, points: object = None, cells: object = None, regions: object = None,
+    keep: tuple[str, ...] = (),
+) -> list[str]:
+    return broken_promises(
+        mesh,
+        mesh.points if points is None else points,
+        mesh.cells if cells is None else cells,
+        mesh.regions if regions is None else regions,
+        keep,
+    )
+
+
+def said(found: list[str], pattern: str) -> bool:
+    return any(re.search(pattern, sentence) for sentence in found)
+
+
+def test_the_mesh_itself_keeps_the_promise(mesh: SimplexMesh) -> None:
+    assert sentences(mesh, keep=("min_quality", "mean_quality", "max_angle")) == []
+
+
+def test_order_of_cells_and_even_permutations_are_free(mesh: SimplexMesh) -> None:
+    order = np.random.default_rng(811).permutation(len(mesh.cells))
+    cells = mesh.cells[order]
+    cells[::2] = cells[::2][:, [1, 2, 0, *range(3, mesh.dim + 1)]]
+    assert sentences(mesh, cells=cells, regions=mesh.regions[order],
+                     keep=("min_quality", "mean_quality")) == []
+
+
+def test_a_free_vertex_may_move(mesh: SimplexMesh) -> None:
+    v = np.flatnonzero(~held_vertices(mesh))[0]
+    points = mesh.points.copy()
+    points[v] += 1e-4
+    assert sentences(mesh, points) == []
+
+
+def test_held_vertices_by_a_slow_twin(mesh: SimplexMesh) -> None:
+    owners: dict[frozenset[int], list[int]] = {}
+    for c, cell in enumerate(mesh.cells.tolist()):
+        for v in cell:
+            owners.setdefault(frozenset(cell) - {v}, []).append(int(mesh.regions[c]))
+    held = {v for facet, labels in owners.items()
+            if len(labels) == 1 or labels[0] != labels[1] for v in facet}
+    assert set(np.flatnonzero(held_vertices(mesh))) == held
+
+
+def test_locked_facets_look_outward(mesh: SimplexMesh) -> None:
+    locked = locked_facets(mesh.cells, mesh.regions, len(mesh.points))
+    assert (~locked.boundary).sum() % 2 == 0
+    assert (~locked.boundary).any()
+    for facet, cell in zip(locked.facets, locked.cells, strict=True):
+        inner = mesh.points[mesh.cells[cell]].mean(axis=0)
+        corner = mesh.points[facet]
+        assert np.linalg.det(np.vstack([corner[1:] - corner[0], inner - corner[0]])) * \
+            (1 if mesh.dim == 2 else -1) > 0
+
+
+def test_every_shape_is_checked_first(mesh: SimplexMesh) -> None:
+    assert said(sentences(mesh, mesh.points[:-1]), "points have shape")
+    assert said(sentences(mesh, cells=mesh.cells[:, 1:]), "cells have shape")
+    assert said(sentences(mesh, regions=mesh.regions[1:]), "regions have shape")
+    outside = mesh.cells.copy()
+    outside[3, 0] = len(mesh.points)
+    assert said(sentences(mesh, cells=outside), "cells name vertices")
+
+
+def test_a_vertex_that_is_not_finite(mesh: SimplexMesh) -> None:
+    points = mesh.points.copy()
+    points[5, 0] = np.nan
+    assert sentences(mesh, points) == ["vertex 5 is not finite, 1 in all"]
+
+
+def test_an_inverted_cell(mesh: SimplexMesh) -> None:
+    v = np.flatnonzero(~held_vertices(mesh))[0]
+    points = mesh.points.copy()
+    points[v] += 3.0
+    assert said(sentences(mesh, points), r"cell \d+ has volume -")
+
+
+def test_a_flat_cell_is_not_positive(mesh: SimplexMesh) -> None:
+    cells = np.vstack([mesh.cells, np.repeat(mesh.cells[:1, :1], mesh.dim + 1, axis=1)])
+    regions = np.append(mesh.regions, mesh.regions[0]).astype(np.int32)
+    assert said(sentences(mesh, cells=cells, regions=regions), "has volume 0, 1 cells")
+
+
+@pytest.mark.parametrize("why", ["boundary", "interface", "fixed", "frozen", "unused"])
+def test_a_held_vertex_that_moved_by_one_bit(mesh: SimplexMesh, why: str) -> None:
+    n = len(mesh.points)
+    locked = locked_facets(mesh.cells, mesh.regions, n)
+    on_boundary = np.zeros(n, bool)
+    on_boundary[locked.facets[locked.boundary]] = True
+    free = np.flatnonzero(~held_vertices(mesh))
+    v = free[0]
+    if why == "boundary":
+        v = np.flatnonzero(on_boundary)[0]
+    elif why == "interface":
+        v = np.setdiff1d(locked.facets[~locked.boundary], np.flatnonzero(on_boundary))[0]
+    elif why == "fixed":
+        mesh = replace(mesh, fixed=np.arange(n) == v)
+    elif why == "frozen":
+        mesh = replace(mesh, frozen=(mesh.cells == v).any(axis=1))
+    else:
+        mesh = replace(mesh, points=np.vstack([mesh.points, np.full(mesh.dim, 0.3)]),
+                       fixed=np.append(mesh.fixed, False))
+        v = n
+    points = mesh.points.copy()
+    points[v, 0] = np.nextafter(points[v, 0], 2.0)
+    assert said(sentences(mesh, points), f"^{why} vertex {v} moved, 1 in all")
+
+
+def test_minus_zero_is_not_zero() -> None:
+    mesh = grid_mesh(2)
+    v = np.flatnonzero(mesh.points[:, 0] == 0)[0]
+    points = mesh.points.copy()
+    points[v, 0] = -0.0
+    assert said(sentences(mesh, points), f"boundary vertex {v} moved")
+
+
+def test_a_vertex_that_is_dropped(mesh: SimplexMesh) -> None:
+    v = int(np.flatnonzero(~held_vertices(mesh))[0])
+    rest = (mesh.cells != v).all(axis=1)
+    found = sentences(mesh, cells=mesh.cells[rest], regions=mesh.regions[rest])
+    assert said(found, f"vertex {v} is no longer used")
+    assert said(found, "boundary facet .* is new")
+    assert said(found, "the volume of region")
+
+
+def test_a_lost_cell_at_the_boundary(mesh: SimplexMesh) -> None:
+    locked = locked_facets(mesh.cells, mesh.regions, len(mesh.points))
+    lost = locked.cells[locked.boundary][0]
+    rest = np.arange(len(mesh.cells)) != lost
+    found = sentences(mesh, cells=mesh.cells[rest], regions=mesh.regions[rest])
+    assert said(found, "boundary facet .* is gone")
+
+
+def test_a_cell_that_appears_twice(mesh: SimplexMesh) -> None:
+    cells = np.vstack([mesh.cells, mesh.cells[-1:]])
+    regions = np.append(mesh.regions, mesh.regions[-1]).astype(np.int32)
+    assert said(sentences(mesh, cells=cells, regions=regions),
+                rf"two cells on one side, {mesh.dim + 1} such facets")
+
+
+def test_a_cell_that_changed_its_region(mesh: SimplexMesh) -> None:
+    inner = int(np.flatnonzero((~held_vertices(mesh))[mesh.cells].any(axis=1))[0])
+    regions = mesh.regions.copy()
+    regions[inner] = 1 - regions[inner]
+    found = sentences(mesh, regions=regions)
+    assert said(found, "interface facet .* is new")
+    assert said(found, "the volume of region 0 went from")
+
+
+def test_labels_swapped_on_both_sides_of_an_interface(mesh: SimplexMesh) -> None:
+    assert said(sentences(mesh, regions=(1 - mesh.regions).astype(np.int32)),
+                "interface facet .* is gone")
+
+
+def test_a_flip_is_allowed_but_not_of_a_frozen_cell_nor_across_regions() -> None:
+    square = np.array([[0.0, 0], [1, 0], [1, 1.1], [0, 1]])
+    old, new = np.array([[0, 1, 2], [0, 2, 3]]), np.array([[0, 1, 3], [1, 2, 3]])
+    mesh = simplex_mesh(square, old)[0]
+    cells, none = new.astype(np.int32), np.zeros(2, np.int32)
+    assert sentences(mesh, cells=cells, regions=none) == []
+    frozen = replace(mesh, frozen=np.array([True, False]))
+    assert sentences(frozen, cells=cells, regions=none) == ["frozen cell 0 is gone, 1 in all"]
+    two = replace(mesh, regions=np.array([0, 1], np.int32))
+    assert said(sentences(two, cells=cells, regions=two.regions), r"facet \(0, 2\) is gone")
+
+
+def test_a_figure_that_got_worse_and_only_if_it_was_named(mesh: SimplexMesh) -> None:
+    free = ~held_vertices(mesh)
+    points = mesh.points.copy()
+    points[free] += np.random.default_rng(821).uniform(-0.006, 0.006, (free.sum(), mesh.dim))
+    old, new = summarize(mesh.points, mesh.cells), summarize(points, mesh.cells)
+    assert new.inverted == 0
+    for name, verb, worse in (
+        ("min_quality", "fell", new.min_quality < old.min_quality),
+        ("p1_quality", "fell", new.p1_quality < old.p1_quality),
+        ("mean_quality", "fell", new.mean_quality < old.mean_quality),
+        ("min_angle", "fell", new.min_angle < old.min_angle),
+        ("max_angle", "rose", new.max_angle > old.max_angle),
+    ):
+        sentence = f"{name} {verb} from {getattr(old, name):.6g} to {getattr(new, name):.6g}"
+        assert sentences(mesh, points, keep=(name,)) == ([sentence] if worse else [])
+    assert any((new.min_quality < old.min_quality, new.mean_quality < old.mean_quality))
+
+
+def test_the_slack_is_rounding_and_no_more() -> None:
+    old = summarize(grid_mesh(2).points, grid_mesh(2).cells)
+    for factor, holds in ((1 - 1e-13, True), (1 - 1e-11, False), (1.1, True)):
+        new = replace(old, min_quality=old.min_quality * factor)
+        assert (promise.worse_figures(old, new) == []) is holds
+    assert promise.worse_figures(old, replace(old, mean_quality=float("nan"))) != []
+
+
+def test_facet_keys_beyond_64_bits(mesh: SimplexMesh, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(promise, "WORDS", 1000)
+    assert sentences(mesh) == []
+    rest = np.arange(len(mesh.cells)) != 7
+    assert sentences(mesh, cells=mesh.cells[rest], regions=mesh.regions[rest]) != []
+    flagged = replace(mesh, frozen=np.arange(len(mesh.cells)) % 3 == 0)
+    assert sentences(flagged) == []
