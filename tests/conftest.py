@@ -1,10 +1,20 @@
-"""In CI every test runs: one that is skipped there fails the run."""
+"""Settings shared by all tests; in CI one that is skipped fails the run."""
 
 from __future__ import annotations
 
 import os
 
 import pytest
+from hypothesis import settings
+
+settings.register_profile("odt", deadline=None, max_examples=25, derandomize=True)
+settings.load_profile("odt")
+
+
+@pytest.fixture(params=[2, 3], ids=["d2", "d3"])
+def d(request: pytest.FixtureRequest) -> int:
+    """Dimension of the space."""
+    return int(request.param)
 
 
 def pytest_sessionfinish(session: pytest.Session) -> None:

@@ -131,35 +131,31 @@ def energy_gradient(points: FloatArray, cells: IntArray, rho: CellDensity = 1.0)
     return _scatter(weights[:, None, None] * forces, cells, len(points))
 
 
-def gradient_p1(
-    points: FloatArray, cells: IntArray, vertex_rho: FloatArray, rho_gradient: FloatArray
-) -> FloatArray:
-    """Gradient of E by (4.10) with the density interpolated at the vertices.
+def gradient_p1(points: FloatArray, cells: IntArray, vertex_rho: FloatArray) -> FloatArray:
+    """Gradient of E by (4.10) with the density interpolated at the vertices, shape (n, d).
 
     Parameters
     ----------
     points : (n, d) float64
     cells : (m, d + 1) int32
-    vertex_rho : (n,) float64        rho(x_i)
-    rho_gradient : (n, d) float64    nabla rho(x_i)
+    vertex_rho : (n,) float64    rho(x_i)
 
     Returns
     -------
-    (n, d) float64    sum_tau sum_{k != i} ||x_k - x_i||^2 nabla_{x_i}|tau|_{rho phi_k}
+    (n, d) float64               2 sum_tau (x_i - c_tau) |tau|_{rho_I phi_i}
 
     Notes
     -----
-    The origin is put at x_i as in (4.4), where the first term of (4.10) vanishes, and
-    |tau|_{rho phi_k} is the quadrature below (4.11), differentiated through |tau| and rho(x_i).
+    With rho fixed in space only u_I depends on x_i, and the corners' barycentric coordinates
+    change by -lambda_i nabla lambda_k. With the origin at x_i,
+    sum_k ||x_k - x_i||^2 nabla_{x_k}|tau| = 2 |tau| (c_tau - x_i) by (4.6), so
+    2 sum_tau (x_i - c_tau) |tau|_{rho phi_i} is the gradient without the approximation of (4.10),
+    and (4.11) is its one-point quadrature. Here |tau|_{rho phi_i} is the quadrature below (4.11),
+    exact for rho linear on every cell.
     """
-    d = cells.shape[1] - 1
-    x = points[cells]
-    t = ((x[:, :, None] - x[:, None, :]) ** 2).sum(axis=3)
-    volumes = signed_volumes(points, cells)
-    per_volume = hat_weighted_volumes(points, cells, vertex_rho) / volumes[:, None]
-    forces = np.einsum("mik,mk->mi", t, per_volume)[:, :, None] * volume_gradients(points, cells)
-    drift = (t.sum(axis=2) * volumes[:, None] / ((d + 1) * (d + 2)))[:, :, None]
-    return _scatter(forces + drift * rho_gradient[cells], cells, len(points))
+    weights = hat_weighted_volumes(points, cells, vertex_rho)
+    pull = points[cells] - circumcenters(points, cells)[:, None, :]
+    return _scatter(2.0 * weights[:, :, None] * pull, cells, len(points))
 
 
 def approximate_gradient(
