@@ -64,11 +64,16 @@ class State:
 
 
 class Memory:
-    """Remembers the best state that keeps every named figure, and what the others broke."""
+    """Remembers the best state that keeps every named figure, and what the others broke.
 
-    def __init__(self, before: Figures, keep: tuple[str, ...]) -> None:
+    After finishing the best is the one of highest score; without it, the latest, since then a
+    certain number of rounds of a certain method was asked for.
+    """
+
+    def __init__(self, before: Figures, keep: tuple[str, ...], *, by_score: bool) -> None:
         self.before = before
         self.keep = keep
+        self.by_score = by_score
         self.states: list[State] = []
         self.worse: list[str] = []
 
@@ -80,8 +85,11 @@ class Memory:
         if worse:
             self.worse = worse
             return False
-        self.states.append(State(mesh.points.copy(), cells, regions, now, name))
-        self.states.sort(key=lambda state: -state.figures.score)
+        if self.by_score and not now.score > self.before.score:
+            return False
+        self.states.insert(0, State(mesh.points.copy(), cells, regions, now, name))
+        if self.by_score:
+            self.states.sort(key=lambda state: -state.figures.score)
         del self.states[2:]
         return True
 
@@ -171,7 +179,7 @@ def run(mesh: SimplexMesh, options: Options) -> Outcome:
     regions = np.ascontiguousarray(mesh.regions[frame.active])
     start = make_complex(points, cells, regions, inner_locked, inner_rim)
     before = figures(points, cells)
-    memory = Memory(before, tuple(options.keep))
+    memory = Memory(before, tuple(options.keep), by_score=options.finish)
     density = _density(mesh, options, frame, points, cells)
     log = Log()
     times = {"prepare": time.perf_counter() - clock}

@@ -1,0 +1,211 @@
+"""Flips in space: energy and cost fall, adjacency stays right, the best ring is found."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import tet_meshes as tm
+
+from odt_plugins.engine import flips3d
+from odt_plugins.engine.complex import make_complex
+from odt_plugins.engine.finishing import flip_pending
+from odt_plugins.engine.tetrahedron import (
+    ANGLE,
+    ENERGY,
+    QUALITY,
+    tet_angle_cost,
+    tet_cosines,
+    tet_energy,
+    tet_quality,
+)
+
+OPEN = np.array([0.0, 1.0, -1.0, 0.0, 1.0, -1.0])
+
+
+def complex_of(points, cells, regions=None):
+    n = len(points)
+    rim = np.zeros(n, dtype=bool)
+    labels = np.zeros(len(cells), dtype=np.int32) if regions is None else regions
+    for facet, owners in tm.facets_of(cells).items():
+        if len(owners) == 1 or labels[owners[0]] != labels[owners[1]]:
+            rim[list(facet)] = True
+    return make_complex(points.copy(), cells, labels, rim.copy(), rim)
+
+
+def assert_sound(mesh, points, volume):
+    cells, _ = mesh.mesh_arrays()
+    volumes = tm.signed_volumes(points, cells)
+    assert (volumes > 0).all()
+    assert volumes.sum() == pytest.approx(volume, rel=1e-12)
+    live = mesh.live()
+    rank = np.full(len(mesh.cells) + 1, -1)
+    rank[live] = np.arange(len(live))
+    assert np.array_equal(rank[mesh.neighbors[live]], tm.brute_neighbors(cells))
+    assert len(np.unique(mesh.free[: mesh.slots[1]])) == mesh.slots[1]
+    assert mesh.slots[0] - mesh.slots[1] == len(live)
+
+
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_row08_energy_falls_at_every_flip_in_space_and_stuck_cells_remain(seed):
+    points, cells = tm.grid(4, seed)
+    mesh = complex_of(points, cells)
+    volume = tm.signed_volumes(points, cells).sum()
+    last = tm.energy(points, cells)
+    boundary = {f for f, owners in tm.facets_of(cells).items() if len(owners) == 1}
+    flips = 0
+    for _ in range(20):
+        mesh.status[:] = 1
+        done = flip_pending(mesh, ENERGY, 1.0, 7, OPEN, 1)
+        now = tm.energy(points, mesh.mesh_arrays()[0])
+        assert now < last or done == 0
+        assert_sound(mesh, points, volume)
+        last = now
+        flips += done
+        if done == 0:
+            break
+    else:
+        pytest.fail("flipping did not end")
+    assert flips > 20
+    after = mesh.mesh_arrays()[0]
+    assert boundary == {f for f, owners in tm.facets_of(after).items() if len(owners) == 1}
+    stuck = sum(
+        not flips3d._outside_sphere(points, *after[a], int(np.setdiff1d(after[b], after[a])[0]))
+        for f, (a, b) in ((f, o) for f, o in tm.facets_of(after).items() if len(o) == 2)
+    )
+    assert 0 <= stuck < 0.05 * len(after)
+
+
+@pytest.mark.parametrize("objective", [QUALITY, ANGLE])
+@pytest.mark.parametrize("power", [1.0, 4.0])
+def test_cost_falls_and_the_mesh_stays_sound(objective, power):
+    points, cells = tm.ball(300, 8)
+    mesh = complex_of(points, cells)
+    volume = tm.signed_volumes(points, cells).sum()
+
+    def cost(c):
+        if objective == QUALITY:
+            return float((tm.quality(points, c) ** -power).sum())
+        sines = np.sin(np.radians(tm.dihedral_angles(points, c)))
+        return float((sines**-power).sum())
+
+    before = cost(cells)
+    mesh.status[:] = 1
+    assert flip_pending(mesh, objective, power, 10, OPEN, 20) > 0
+    after = mesh.mesh_arrays()[0]
+    assert cost(after) < before
+    assert_sound(mesh, points, volume)
+
+
+def test_interfaces_stay():
+    points, cells = tm.grid(4, 9)
+    regions = (points[cells].mean(axis=1)[:, 0] > 2).astype(np.int32)
+    labels = lambda c, r: {  # noqa: E731
+        f for f, o in tm.facets_of(c).items() if len(o) == 2 and r[o[0]] != r[o[1]]
+    }
+    before = labels(cells, regions)
+    mesh = complex_of(points, cells, regions)
+    mesh.status[:] = 1
+    assert flip_pending(mesh, ENERGY, 1.0, 7, OPEN, 20) > 0
+    after, new_regions = mesh.mesh_arrays()
+    assert labels(after, new_regions) == before
+    for label in (0, 1):
+        assert tm.signed_volumes(points, after[new_regions == label]).sum() == pytest.approx(
+            tm.signed_volumes(points, cells[regions == label]).sum(), rel=1e-12
+        )
+
+
+def all_triangulations(polygon):
+    """Every triangulation of a polygon, as lists of index triples."""
+    if len(polygon) < 3:
+        return [[]]
+    first, last = polygon[0], polygon[-1]
+    found = []
+    for m in range(1, len(polygon) - 1):
+        for left in all_triangulations(polygon[: m + 1]):
+            for right in all_triangulations(polygon[m:]):
+                found.append([*left, (first, polygon[m], last), *right])
+    return found
+
+
+@pytest.mark.parametrize("n", [3, 4, 5, 6, 7, 8])
+def test_ring_triangulation_is_the_best_of_all(n):
+    rng = np.random.default_rng(n)
+    angle = 2 * np.pi * (np.arange(n) + 0.3 * rng.random(n)) / n
+    ring = np.column_stack([np.cos(angle), np.sin(angle), 0.2 * rng.normal(size=n)])
+    points = np.vstack([[0, 0, -0.9], [0, 0, 1.1], ring])
+    best = np.empty((10, 10))
+    split = np.empty((10, 10), dtype=np.int32)
+    index = np.arange(2, n + 2, dtype=np.int32)
+    got = flips3d._triangulate_ring(points, 0, 1, index, n, QUALITY, 2.0, best, split)
+
+    def cost(triangles):
+        cells = np.array([c for i, j, k in triangles for c in ((0, i, j, k), (i, j, k, 1))])
+        if (tm.signed_volumes(points, cells) <= 0).any():
+            return np.inf
+        return (tm.quality(points, cells) ** -2.0).sum()
+
+    expected = min(cost(t) for t in all_triangulations(list(range(2, n + 2))))
+    assert got == pytest.approx(expected, rel=1e-9)
+    new = np.empty((20, 4), dtype=np.int32)
+    stack = np.empty((20, 2), dtype=np.int32)
+    count = flips3d._write_ring(0, 1, index, n, split, new, stack)
+    assert count == 2 * (n - 2)
+    assert (tm.quality(points, new[:count]) ** -2.0).sum() == pytest.approx(expected, rel=1e-9)
+
+
+def test_no_cell_beyond_the_bounds_unless_it_replaces_a_worse_one():
+    points, cells = tm.ball(300, 12)
+    q = tm.quality(points, cells)
+    angles = tm.dihedral_angles(points, cells)
+    bounds = np.array([q.min(), np.cos(np.radians(angles.min())), np.cos(np.radians(angles.max())),
+                       q.min(), np.cos(np.radians(angles.min())), np.cos(np.radians(angles.max()))])
+    mesh = complex_of(points, cells)
+    mesh.status[:] = 1
+    flip_pending(mesh, QUALITY, 1.0, 10, bounds, 20)
+    after = mesh.mesh_arrays()[0]
+    assert tm.quality(points, after).min() >= q.min() - 1e-12
+    now = tm.dihedral_angles(points, after)
+    assert now.min() >= angles.min() - 1e-7
+    assert now.max() <= angles.max() + 1e-7
+
+
+def test_a_complex_without_room_grows():
+    points, cells = tm.grid(4, 3)
+    mesh = complex_of(points, cells)
+    m = len(cells)
+    for name in ("cells", "neighbors", "regions", "status", "free"):
+        setattr(mesh, name, getattr(mesh, name)[:m].copy())
+    mesh.status[:] = 1
+    flip_pending(mesh, ANGLE, 2.0, 10, OPEN, 30)
+    assert_sound(mesh, points, tm.signed_volumes(points, cells).sum())
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_scalar_measures_agree_with_numpy(seed):
+    points, cells = tm.ball(40, seed)
+    q = tm.quality(points, cells)
+    angles = tm.dihedral_angles(points, cells)
+    for c, cell in enumerate(cells):
+        assert tet_quality(points, *cell) == pytest.approx(q[c], rel=1e-9)
+        assert tet_quality(points, *cell[[1, 0, 2, 3]]) == pytest.approx(-q[c], rel=1e-9)
+        large, small = tet_cosines(points, *cell)
+        assert large == pytest.approx(np.cos(np.radians(angles[c].min())), abs=1e-9)
+        assert small == pytest.approx(np.cos(np.radians(angles[c].max())), abs=1e-9)
+        sines = np.sin(np.radians(angles[c]))
+        assert tet_angle_cost(points, *cell, 3.0) == pytest.approx((sines**-3.0).sum(), rel=1e-6)
+        assert tet_energy(points, *cell) == pytest.approx(
+            20.0 * tm.energy(points, cell[None]), rel=1e-9
+        )
+        assert tet_energy(points, *cell[[1, 0, 2, 3]]) == np.inf
+
+
+def test_in_sphere_agrees_with_the_circumcenter():
+    rng = np.random.default_rng(21)
+    for _ in range(100):
+        points = rng.normal(size=(5, 3))
+        if np.linalg.det(points[1:4] - points[0]) < 0:
+            points[[0, 1]] = points[[1, 0]]
+        edges = points[1:4] - points[0]
+        center = points[0] + np.linalg.solve(2 * edges, (edges**2).sum(axis=1))
+        outside = np.linalg.norm(points[4] - center) > np.linalg.norm(points[0] - center)
+        assert flips3d._outside_sphere(points, 0, 1, 2, 3, 4) == outside

@@ -1,0 +1,125 @@
+"""Newton and compass smoothing of a star: derivatives, descent, bounds, locked vertices."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import tet_meshes as tm
+
+from odt_plugins.engine.active import spread, vertex_order
+from odt_plugins.engine.compass import compass_search
+from odt_plugins.engine.smooth3d import add_quality_terms, smooth_vertices
+from odt_plugins.engine.star import vertex_stars
+from odt_plugins.engine.tetrahedron import ANGLE, QUALITY
+
+OPEN = np.array([0.0, 1.0, -1.0, 0.0, 1.0, -1.0])
+
+
+def interior(points, cells):
+    mask = np.ones(len(points), dtype=bool)
+    for facet, owners in tm.facets_of(cells).items():
+        if len(owners) == 1:
+            mask[list(facet)] = False
+    return mask
+
+
+@pytest.mark.parametrize("power", [1.0, 3.0])
+@pytest.mark.parametrize("seed", range(5))
+def test_gradient_and_hessian_agree_with_differences(seed, power):
+    rng = np.random.default_rng(seed)
+    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1.0]]) + 0.2 * rng.normal(size=(4, 3))
+    cell = np.array([[0, 1, 2, 3]])
+
+    def f(x):
+        moved = points.copy()
+        moved[0] = x
+        return float(tm.quality(moved, cell)[0] ** -power)
+
+    out = np.zeros(10)
+    assert add_quality_terms(points, 0, 1, 2, 3, power, out)
+    h = 1e-4
+    unit = np.eye(3) * h
+    x = points[0]
+    gradient = [(f(x + e) - f(x - e)) / (2 * h) for e in unit]
+    hessian = [[(f(x + a + b) - f(x + a - b) - f(x - a + b) + f(x - a - b)) / (4 * h * h)
+                for a in unit] for b in unit]
+    assert out[0] == pytest.approx(f(x), rel=1e-10)
+    assert out[1:4] == pytest.approx(gradient, rel=1e-4, abs=1e-4 * np.abs(gradient).max())
+    packed = np.array(hessian)[np.triu_indices(3)]
+    assert out[4:] == pytest.approx(packed, rel=1e-4, abs=1e-4 * np.abs(packed).max())
+
+
+def test_inverted_cells_are_refused():
+    points = np.array([[0, 0, 0], [0, 1, 0], [1, 0, 0], [0, 0, 1.0]])
+    assert not add_quality_terms(points, 0, 1, 2, 3, 1.0, np.zeros(10))
+
+
+@pytest.mark.parametrize("kernel", ["newton", "compass"])
+def test_every_sweep_lowers_the_sum_and_keeps_the_rest(kernel):
+    points, cells = tm.ball(250, 6)
+    stars = vertex_stars(cells, len(points))
+    free = interior(points, cells)
+    order, offsets = vertex_order(cells, stars, free)
+    for a, b in zip(offsets[:-1], offsets[1:], strict=True):
+        group = set(order[a:b].tolist())
+        assert all(len(group & set(cell)) <= 1 for cell in cells.tolist())
+    moved = np.zeros(len(points))
+    now = points.copy()
+    last = float((tm.quality(now, cells) ** -2.0).sum())
+    for _ in range(4):
+        for a, b in zip(offsets[:-1], offsets[1:], strict=True):
+            if kernel == "newton":
+                smooth_vertices(now, cells, stars.indptr, stars.indices, order, a, b, 2.0, OPEN,
+                                moved)
+            else:
+                compass_search(now, cells, stars.indptr, stars.indices, order, a, b, QUALITY, 2.0,
+                               OPEN, moved)
+        cost = float((tm.quality(now, cells) ** -2.0).sum())
+        assert cost < last
+        last = cost
+    assert (tm.signed_volumes(now, cells) > 0).all()
+    assert np.array_equal(now[~free], points[~free])
+    assert tm.quality(now, cells).mean() > tm.quality(points, cells).mean() + 0.05
+
+
+def test_bounds_hold_for_angles_too():
+    points, cells = tm.ball(250, 14)
+    stars = vertex_stars(cells, len(points))
+    order, offsets = vertex_order(cells, stars, interior(points, cells))
+    angles = tm.dihedral_angles(points, cells)
+    bounds = np.array([tm.quality(points, cells).min(), np.cos(np.radians(angles.min())),
+                       np.cos(np.radians(angles.max())), 0.0, 1.0, -1.0])
+    moved = np.zeros(len(points))
+    for _ in range(3):
+        for a, b in zip(offsets[:-1], offsets[1:], strict=True):
+            smooth_vertices(points, cells, stars.indptr, stars.indices, order, a, b, 1.0, bounds,
+                            moved)
+    now = tm.dihedral_angles(points, cells)
+    assert now.min() >= angles.min() - 1e-7
+    assert now.max() <= angles.max() + 1e-7
+
+
+def test_compass_raises_the_smallest_angle():
+    points, cells = tm.ball(250, 15)
+    stars = vertex_stars(cells, len(points))
+    order, offsets = vertex_order(cells, stars, interior(points, cells))
+    moved = np.zeros(len(points))
+    before = np.sin(np.radians(tm.dihedral_angles(points, cells)))
+    for a, b in zip(offsets[:-1], offsets[1:], strict=True):
+        compass_search(points, cells, stars.indptr, stars.indices, order, a, b, ANGLE, 4.0, OPEN,
+                       moved)
+    after = np.sin(np.radians(tm.dihedral_angles(points, cells)))
+    assert (after**-4.0).sum() < (before**-4.0).sum()
+
+
+def test_what_moved_wakes_its_neighbours_only():
+    points, cells = tm.grid(3, 1)
+    stars = vertex_stars(cells, len(points))
+    moved = np.zeros(len(points))
+    moved[21] = 0.5
+    active = np.ones(len(points), dtype=bool)
+    status = np.zeros(len(cells), dtype=np.uint8)
+    assert spread(cells, stars.indptr, stars.indices, moved, 0.1, active, status) == 1
+    around = (cells == 21).any(axis=1)
+    assert np.array_equal(status == 1, around)
+    assert set(np.flatnonzero(active)) == set(cells[around].ravel())

@@ -1,0 +1,116 @@
+"""Tetrahedral start meshes of the tests: random Delaunay balls, grids, labelled and holed ones."""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy.spatial import Delaunay
+
+
+def signed_volumes(points, cells):
+    """Signed volumes by the determinant."""
+    x = points[cells]
+    return np.linalg.det(x[:, 1:] - x[:, :1]) / 6.0
+
+
+def oriented(points, cells):
+    """The same cells, positive, without flat ones, int32."""
+    cells = np.array(cells, dtype=np.int32)
+    volumes = signed_volumes(points, cells)
+    cells[volumes < 0, :2] = cells[volumes < 0, 1::-1]
+    return np.ascontiguousarray(cells[np.abs(volumes) > 1e-6 * np.abs(volumes).mean()])
+
+
+def ball(n, seed):
+    """Delaunay tetrahedra of random points in and on the unit ball."""
+    rng = np.random.default_rng(seed)
+    inside = rng.normal(size=(n, 3))
+    inside *= (rng.random(n) ** (1 / 3) / np.linalg.norm(inside, axis=1))[:, None] * 0.93
+    shell = rng.normal(size=(n // 2, 3))
+    shell /= np.linalg.norm(shell, axis=1)[:, None]
+    points = np.vstack([inside, shell])
+    mesh = Delaunay(points)
+    return points, oriented(points, mesh.simplices)
+
+
+def grid(n, seed, jitter=0.2, hole=False):
+    """Jittered (n + 1)^3 lattice cut into six tetrahedra a cube; a hole in the middle if asked."""
+    rng = np.random.default_rng(seed)
+    axis = np.arange(n + 1)
+    lattice = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    inner = ((lattice > 0) & (lattice < n)).all(axis=1)
+    number = lambda i, j, k: (i * (n + 1) + j) * (n + 1) + k  # noqa: E731
+    cells = []
+    for i in range(n):
+        for j in range(n):
+            for k in range(n):
+                if hole and i == j == k == n // 2:
+                    continue
+                for order in ((0, 1, 2), (0, 2, 1), (1, 0, 2), (1, 2, 0), (2, 0, 1), (2, 1, 0)):
+                    corner = [i, j, k]
+                    path = [number(*corner)]
+                    for step in order:
+                        corner[step] += 1
+                        path.append(number(*corner))
+                    cells.append(path)
+    points = lattice.astype(float)
+    cells = np.array(cells)
+    if hole:
+        low, high = n // 2, n // 2 + 1
+        inner &= ~((lattice >= low) & (lattice <= high)).all(axis=1)
+    points[inner] += jitter * rng.uniform(-1, 1, size=(int(inner.sum()), 3))
+    return points, oriented(points, cells)
+
+
+def facets_of(cells):
+    """Dictionary: sorted facet -> cells that have it."""
+    found: dict[tuple[int, ...], list[int]] = {}
+    for c, cell in enumerate(cells.tolist()):
+        for i in range(4):
+            found.setdefault(tuple(sorted(cell[:i] + cell[i + 1:])), []).append(c)
+    return found
+
+
+def brute_neighbors(cells):
+    """Cell across every facet, -1 outside, by dictionary."""
+    facets = facets_of(cells)
+    result = np.full(cells.shape, -1)
+    for c, cell in enumerate(cells.tolist()):
+        for i in range(4):
+            for other in facets[tuple(sorted(cell[:i] + cell[i + 1:]))]:
+                if other != c:
+                    result[c, i] = other
+    return result
+
+
+def quality(points, cells):
+    """3 r/R from the volume, the face areas and the linear system of the circumcenter."""
+    x = points[cells]
+    volume = signed_volumes(points, cells)
+    area = sum(
+        0.5 * np.linalg.norm(np.cross(x[:, b] - x[:, a], x[:, c] - x[:, a]), axis=1)
+        for a, b, c in ((0, 1, 2), (0, 1, 3), (0, 2, 3), (1, 2, 3))
+    )
+    edges = x[:, 1:] - x[:, :1]
+    center = np.linalg.solve(2.0 * edges, (edges**2).sum(axis=2)[..., None])[..., 0]
+    return 3.0 * (3.0 * volume / area) / np.linalg.norm(center, axis=1)
+
+
+def dihedral_angles(points, cells):
+    """Six dihedral angles in degrees, from the facet normals."""
+    x = points[cells]
+    result = []
+    for a, b, c, d in ((0, 1, 2, 3), (0, 2, 1, 3), (0, 3, 1, 2), (1, 2, 0, 3), (1, 3, 0, 2),
+                       (2, 3, 0, 1)):
+        axis = x[:, b] - x[:, a]
+        first = np.cross(axis, x[:, c] - x[:, a])
+        second = np.cross(axis, x[:, d] - x[:, a])
+        result.append(np.degrees(np.arctan2(
+            np.linalg.norm(np.cross(first, second), axis=1), (first * second).sum(axis=1))))
+    return np.stack(result, axis=1)
+
+
+def energy(points, cells):
+    """ODT energy of Lemma 2.7, uniform density."""
+    x = points[cells]
+    t = sum(((x[:, i] - x[:, j]) ** 2).sum(axis=1) for i in range(4) for j in range(i))
+    return float((signed_volumes(points, cells) * t).sum() / 20.0)
