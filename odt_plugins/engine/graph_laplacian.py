@@ -125,7 +125,10 @@ def solve_direct(matrix: Any, right: FloatArray) -> FloatArray:
 
 
 def solve_amg(
-    matrix: Any, right: FloatArray, tolerance: float = AMG_TOLERANCE
+    matrix: Any,
+    right: FloatArray,
+    tolerance: float = AMG_TOLERANCE,
+    iterations: int = AMG_ITERATIONS,
 ) -> FloatArray:
     """Solve A X = B by conjugate gradients with one classical multigrid hierarchy for all columns.
 
@@ -134,6 +137,7 @@ def solve_amg(
     matrix : (v, v) scipy CSR      symmetric positive definite M-matrix
     right : (v, c) float64
     tolerance : float              relative residual of every column
+    iterations : int               V-cycles for every column, at most
 
     Returns
     -------
@@ -157,12 +161,12 @@ def solve_amg(
     solution = np.empty_like(right)
     for column in range(right.shape[1]):
         b = np.ascontiguousarray(right[:, column])
-        x = hierarchy.solve(b, tol=tolerance, maxiter=AMG_ITERATIONS, accel="cg")
+        x = hierarchy.solve(b, tol=tolerance, maxiter=iterations, accel="cg")
         norm = float(np.linalg.norm(b))
         residual = float(np.linalg.norm(b - matrix @ x))
         if residual > 10.0 * tolerance * norm:
             msg = (
-                f"got a relative residual of {residual / norm:.1e} after {AMG_ITERATIONS} "
+                f"got a relative residual of {residual / norm:.1e} after {iterations} "
                 f"multigrid iterations, expected {tolerance:.1e}, try linear_solver='direct'"
             )
             warnings.warn(msg, NotConvergedWarning, stacklevel=2)

@@ -314,14 +314,15 @@ def jacobi_sweep(
     *,
     method: Center = "odt",
     inverse_volume: bool = False,
-    omega: float = 1.0,
+    omega: float = 0.8,
     boundary_rule: bool = True,
     threads: int = 1,
 ) -> tuple[FloatArray, StepStats]:
     """Move all movable vertices at once, each by what the old positions ask (Section 4.1.2).
 
     Parameters and results as in :func:`gauss_seidel_sweep`. Neighbours that move together may
-    spoil a cell that each alone would not: their steps are then halved.
+    spoil a cell that each alone would not: their steps are then halved. On lattices the full step
+    omega = 1 is the limit of stability, so the default is below it.
     """
     old = np.ascontiguousarray(points, dtype=np.float64)
     target = old.copy()
