@@ -6,6 +6,7 @@ Only matplotlib is needed, and of it only its own rasteriser: no display, no gra
 from __future__ import annotations
 
 from collections.abc import Sequence
+from io import BytesIO
 from os import PathLike, fspath
 from typing import TYPE_CHECKING, Any
 
@@ -94,7 +95,7 @@ def plot_before_after(
     bar.outline.set_visible(False)
     if title:
         figure.suptitle(title, fontsize=16, color=INK, x=0.4825, y=0.985, weight="bold")
-    _save(figure, path, dpi=110)
+    _save(figure, path, dpi=130, colours=256)
 
 
 def _histogram(
@@ -186,9 +187,19 @@ def _figure(size: tuple[float, float]) -> Any:
     return Figure(figsize=size, facecolor="white")
 
 
-def _save(figure: Any, path: str | PathLike[str], dpi: int) -> None:
+def _save(figure: Any, path: str | PathLike[str], dpi: int, colours: int = 0) -> None:
+    """Write a figure; a PNG with few colours is a third of the size."""
     try:
-        figure.savefig(fspath(path), dpi=dpi)
+        if not colours:
+            figure.savefig(fspath(path), dpi=dpi)
+            return
+        from PIL import Image
+
+        buffer = BytesIO()
+        figure.savefig(buffer, dpi=dpi, format="png")
+        picture = Image.open(buffer).convert("RGB")
+        few = picture.quantize(colours, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE)
+        few.save(fspath(path), optimize=True)
     except (OSError, ValueError) as exc:
         msg = f"got {fspath(path)!r} for a figure, it cannot be written: {exc}"
         raise MeshFileError(msg) from exc
