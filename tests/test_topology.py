@@ -1,0 +1,141 @@
+"""Stars, adjacency, boundary, colours: integers against loops."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import reference as ref
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import SEEDS, jittered, lattice, meshes
+
+from odt_plugins.engine.adjacency import cell_neighbors
+from odt_plugins.engine.coloring import vertex_coloring
+from odt_plugins.engine.geometry import boundary_facets, boundary_vertices
+from odt_plugins.engine.star import star_average, star_sum, vertex_neighbors, vertex_stars
+from odt_plugins.engine.topology import make_topology
+from odt_plugins.errors import InvalidMeshError
+
+
+def shuffled(mesh, seed):
+    """The same cells in another order, with their corners and the vertices renamed."""
+    points, cells = mesh
+    rng = np.random.default_rng(seed)
+    names = rng.permutation(len(points)).astype(np.int32)
+    cells = names[cells][rng.permutation(len(cells))]
+    renamed = np.empty_like(points)
+    renamed[names] = points
+    return renamed, np.ascontiguousarray(np.roll(cells, int(rng.integers(3)), axis=1))
+
+
+@given(meshes(), SEEDS)
+def test_stars_and_neighbors_equal_the_loops(mesh, seed):
+    points, cells = shuffled(mesh, seed)
+    stars = vertex_stars(cells, len(points) + 1)
+    rows = vertex_neighbors(cells, stars)
+    for i in range(len(points)):
+        mine = ref.star(cells, i)
+        assert stars.indices[stars.indptr[i] : stars.indptr[i + 1]].tolist() == mine
+        near = rows.indices[rows.indptr[i] : rows.indptr[i + 1]]
+        assert sorted(near) == sorted(set(cells[mine].ravel()) - {i})
+    assert stars.indptr[-1] == stars.indptr[-2] == cells.size
+
+
+@given(meshes(), SEEDS)
+def test_cells_across_facets_equal_the_loop(mesh, seed):
+    _, cells = shuffled(mesh, seed)
+    table = ref.facets(cells)
+    neighbors = cell_neighbors(cells)
+    for c, cell in enumerate(cells):
+        for opposite in range(len(cell)):
+            both = table[frozenset(np.delete(cell, opposite).tolist())]
+            other = [b for b in both if b != c]
+            assert neighbors[c, opposite] == (other[0] if other else -1)
+
+
+def test_three_cells_on_a_facet_are_refused(d):
+    _, cells = lattice(d, 2)
+    doubled = np.concatenate([cells, cells[3:4]])
+    with pytest.raises(InvalidMeshError, match="third cell"):
+        cell_neighbors(doubled)
+    assert cell_neighbors(np.empty((0, d + 1), dtype=np.int32)).shape == (0, d + 1)
+    fan = np.array([[0, 1, k] if d == 2 else [0, 1, 2, k] for k in (5, 6, 7)], dtype=np.int32)
+    with pytest.raises(InvalidMeshError, match="third cell"):
+        cell_neighbors(fan)
+
+
+@given(meshes(), SEEDS)
+def test_boundary_facets_face_outwards(mesh, seed):
+    points, cells = mesh
+    table = ref.facets(cells)
+    single = {facet for facet, both in table.items() if len(both) == 1}
+    facets = boundary_facets(cells)
+    assert {frozenset(f.tolist()) for f in facets} == single
+    assert len(facets) == len(single)
+    for facet in facets[::3]:
+        (c,) = table[frozenset(facet.tolist())]
+        (inside,) = set(cells[c].tolist()) - set(facet.tolist())
+        assert ref.volume(points[[*facet, inside]]) * (-1) ** points.shape[1] > 0.0
+
+
+def test_boundary_volume_by_the_divergence_theorem(d):
+    points, cells = lattice(d, 3)
+    apex = np.full(d, 0.37)
+    pieces = [ref.volume(np.concatenate([[apex], points[f]])) for f in boundary_facets(cells)]
+    assert min(pieces) > 0.0
+    assert sum(pieces) == pytest.approx(1.0, rel=1e-13)
+
+
+@given(meshes(), st.integers(1, 3), SEEDS)
+def test_boundary_and_interface_vertices(mesh, labels, seed):
+    points, cells = mesh
+    regions = np.random.default_rng(seed).integers(0, labels, len(cells)).astype(np.int32)
+    expected = np.zeros(len(points) + 2, dtype=bool)
+    for facet, both in ref.facets(cells).items():
+        if len(both) == 1 or regions[both[0]] != regions[both[1]]:
+            expected[list(facet)] = True
+    assert np.array_equal(boundary_vertices(cells, len(points) + 2, regions), expected)
+    neighbors = cell_neighbors(cells)
+    assert np.array_equal(boundary_vertices(cells, len(points) + 2, regions, neighbors), expected)
+
+
+@given(meshes(), SEEDS)
+def test_no_cell_has_two_vertices_of_one_color(mesh, seed):
+    points, cells = shuffled(mesh, seed)
+    movable = np.random.default_rng(seed).random(len(points)) < 0.7
+    coloring = vertex_coloring(cells, vertex_stars(cells, len(points)), movable)
+    color = np.full(len(points), -1)
+    for c in range(coloring.offsets.size - 1):
+        group = coloring.order[coloring.offsets[c] : coloring.offsets[c + 1]]
+        assert np.all(np.diff(group) > 0)
+        color[group] = c
+    assert np.array_equal(color >= 0, movable)
+    for cell in cells:
+        mine = color[cell][color[cell] >= 0]
+        assert len(set(mine)) == len(mine)
+
+
+def test_topology_leaves_vertices_without_cells_alone(d):
+    points, cells = jittered(d, 3, 1)
+    near = np.append(boundary_vertices(cells, len(points)), False)
+    topology = make_topology(cells, ~near, near)
+    assert not topology.movable[-1]
+    assert topology.movable.sum() == (~near).sum() - 1
+    nothing = make_topology(cells, np.zeros_like(near), near)
+    assert nothing.coloring.order.size == 0
+    assert topology.largest_star == max(len(ref.star(cells, i)) for i in range(len(points)))
+
+
+def test_star_averages_by_hand(d):
+    points, cells = jittered(d, 2, 2)
+    rng = np.random.default_rng(3)
+    values, weights = rng.normal(size=(len(cells), d)), rng.uniform(1, 2, len(cells))
+    average = star_average(values, weights, cells, len(points))
+    sums = star_sum(weights, cells, len(points) + 1)
+    for i in range(len(points)):
+        mine = ref.star(cells, i)
+        assert sums[i] == pytest.approx(weights[mine].sum())
+        assert average[i] == pytest.approx(weights[mine] @ values[mine] / weights[mine].sum())
+    assert sums[-1] == 0.0
+    with pytest.raises(InvalidMeshError, match=rf"index {len(points)} \(2 of them\)"):
+        star_average(values, weights, cells, len(points) + 2)
