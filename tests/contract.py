@@ -1,0 +1,306 @@
+"""What every adapter must keep, for every kind of caller's object, checked by plain slow code."""
+
+from __future__ import annotations
+
+import itertools
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+
+from odt_plugins.engine.driver import Outcome
+
+THIRD = 1.0 / 3.0
+
+
+@dataclass
+class View:
+    """Arrays and data of any object, read by the host's own means."""
+
+    points: np.ndarray
+    cells: np.ndarray
+    point_data: dict[str, np.ndarray]
+    cell_data: dict[str, np.ndarray]
+    field_data: dict[str, np.ndarray]
+
+
+@dataclass
+class Host:
+    make: Callable[[], Any]
+    view: Callable[[Any], View]
+    dim: int
+    region: str | None
+    """Name of the cell array whose interfaces stay."""
+
+
+def volumes(points, cells):
+    """Signed volumes times d!, by numpy's own determinant."""
+    x = np.asarray(points, dtype=np.float64)[np.asarray(cells, dtype=np.int64)]
+    if x.shape[1] == 3 and x.shape[2] == 3:
+        x = x[:, :, :2]
+    return np.linalg.det(x[:, 1:] - x[:, :1])
+
+
+def grid(dim, n, seed=0):
+    """Jittered grid of n^dim cubes in [0, 1]^dim cut up by Kuhn: points, cells, labels.
+
+    The plane x = 1/2 is kept and is the interface of the labels 7 and -2. All cells positive.
+    """
+    axis = np.arange(n + 1)
+    lattice = np.stack(np.meshgrid(*[axis] * dim, indexing="ij"), -1).reshape(-1, dim)
+    index = {tuple(p): i for i, p in enumerate(lattice.tolist())}
+    cells = []
+    for corner in itertools.product(range(n), repeat=dim):
+        for order in itertools.permutations(range(dim)):
+            path = [list(corner)]
+            for direction in order:
+                path.append([c + (i == direction) for i, c in enumerate(path[-1])])
+            cells.append([index[tuple(p)] for p in path])
+    points = lattice / n
+    inner = ((lattice > 0) & (lattice < n)).all(axis=1) & (2 * lattice[:, 0] != n)
+    jitter = np.random.default_rng(seed).uniform(-0.25, 0.25, points.shape) / n
+    points[inner] += jitter[inner]
+    cells = np.array(cells)
+    turned = volumes(points, cells) < 0
+    cells[turned, -2:] = cells[turned, :-3:-1]
+    labels = np.where(points[cells][:, :, 0].mean(axis=1) < 0.5, 7, -2)
+    return points, cells, labels
+
+
+def negative(cells):
+    """The same cells, each turned by exchanging its first two vertices."""
+    return cells[:, [1, 0, *range(2, cells.shape[1])]]
+
+
+def facets(cells, labels):
+    """Vertex sets of boundary and interface facets, by counting."""
+    owners: dict[tuple[int, ...], list[int]] = {}
+    rows = np.asarray(cells, dtype=np.int64).tolist()
+    for label, cell in zip(labels.tolist(), rows, strict=True):
+        for facet in itertools.combinations(sorted(cell), len(cell) - 1):
+            owners.setdefault(facet, []).append(label)
+    return {f for f, have in owners.items() if len(have) == 1 or have[0] != have[-1]}
+
+
+def churn(mesh, options):
+    """Stand-in for the engine: moves vertices, flips facets, turns rows round, shuffles cells.
+
+    Every change is allowed by the rules that the engine has to follow, so that the tests see
+    whether the way in and the way out keep what they must.
+    """
+    d = mesh.dim
+    cells, regions = mesh.cells.tolist(), mesh.regions.tolist()
+    held = mesh.fixed.copy()
+    for facet in facets(mesh.cells, mesh.regions):
+        held[list(facet)] = True
+    held[mesh.cells[mesh.frozen].ravel()] = True
+    points = mesh.points.copy()
+    step = np.random.default_rng(5).uniform(-1.0, 1.0, points.shape)
+    size = (points.max(axis=0) - points.min(axis=0)).max()
+    points[~held] += 1e-3 * size * step[~held]
+
+    frozen = mesh.frozen.tolist()
+    touched: set[int] = set()
+    flips = 0
+    for i, j in itertools.combinations(range(len(mesh.cells)), 2):
+        shared = set(cells[i]) & set(cells[j])
+        if len(shared) != d or {i, j} & touched or regions[i] != regions[j]:
+            continue
+        if frozen[i] or frozen[j] or flips == 6:
+            continue
+        (a,), (b,) = set(cells[i]) - shared, set(cells[j]) - shared
+        new = [[a, b, *pair] for pair in itertools.combinations(sorted(shared), d - 1)]
+        new = [c if volumes(points, [c])[0] > 0 else [*c[:-2], c[-1], c[-2]] for c in new]
+        size_new, size_old = volumes(points, new), volumes(points, [cells[i], cells[j]])
+        if (size_new > 0.05 * size_old.min()).all() and np.isclose(size_new.sum(), size_old.sum()):
+            cells[i], cells[j] = new[0], new[1]
+            cells += new[2:]
+            regions += [regions[i]] * len(new[2:])
+            touched |= {i, j}
+            frozen += [False] * len(new[2:])
+            flips += 1
+    assert flips
+    cells = [c[1:] + c[:1] if d == 2 else [c[1], c[2], c[0], c[3]] for c in cells][::-1]
+    return Outcome(points, np.array(cells, dtype=np.int32),
+                   np.array(regions[::-1], dtype=np.int32), stop_reason="churned")
+
+
+def check(host: Host, before: View, after: View) -> None:
+    """The contract between an input and its output."""
+    assert after.points.dtype == before.points.dtype
+    assert after.cells.dtype == before.cells.dtype
+    assert after.points.shape == before.points.shape
+    sign = np.sign(volumes(before.points, before.cells)[0])
+    assert (np.sign(volumes(after.points, after.cells)) == sign).all()
+
+    old = before.cell_data[host.region] if host.region else np.zeros(len(before.cells), int)
+    new = after.cell_data[host.region] if host.region else np.zeros(len(after.cells), int)
+    stay = facets(before.cells, old)
+    assert facets(after.cells, new) == stay
+    on_them = np.unique([list(f) for f in stay])
+    assert after.points[on_them].tobytes() == before.points[on_them].tobytes()
+    for label in np.unique(old):
+        whole = volumes(before.points, before.cells)[old == label].sum()
+        tolerance = 1e-12 if before.points.dtype.itemsize == 8 else 1e-6
+        assert volumes(after.points, after.cells)[new == label].sum() == pytest.approx(
+            whole, rel=tolerance)
+    assert set(np.unique(new)) == set(np.unique(old))
+
+    for kind in ("point_data", "field_data"):
+        a, b = getattr(before, kind), getattr(after, kind)
+        assert sorted(a) == sorted(b)
+        for name in a:
+            assert np.asarray(b[name]).dtype == np.asarray(a[name]).dtype, name
+            assert np.array_equal(a[name], b[name]), name
+    assert sorted(before.cell_data) == sorted(after.cell_data)
+    source = sources(before, after, old, new)
+    for name, values in before.cell_data.items():
+        assert after.cell_data[name].dtype == values.dtype, name
+        assert np.array_equal(after.cell_data[name], values[source]), name
+    # Cells that are still there keep their rows and their order.
+    rows = {tuple(sorted(c)): i for i, c in enumerate(before.cells.tolist())}
+    kept = [(rows[tuple(sorted(c))], i) for i, c in enumerate(after.cells.tolist())
+            if tuple(sorted(c)) in rows]
+    assert kept == sorted(kept)
+    for i, j in kept:
+        assert np.array_equal(before.cells[i], after.cells[j])
+
+
+def sources(before, after, old, new):
+    """Same vertices, else the nearest barycentre of the same region: all pairs."""
+    rows = {tuple(sorted(c)): i for i, c in enumerate(before.cells.tolist())}
+    x = before.points.astype(np.float64)[before.cells].mean(axis=1)
+    out = []
+    for cell, label in zip(after.cells, new, strict=True):
+        same = rows.get(tuple(sorted(cell.tolist())))
+        y = after.points.astype(np.float64)[cell].mean(axis=0)
+        distance = np.where(old == label, ((x - y) ** 2).sum(axis=1), np.inf)
+        out.append(int(np.argmin(distance)) if same is None else same)
+    return np.array(out)
+
+
+def same_bits(a: Any, b: Any) -> bool:
+    """Compare two views byte for byte."""
+    pairs = [(a.points, b.points), (a.cells, b.cells)]
+    for kind in ("point_data", "cell_data", "field_data"):
+        left, right = getattr(a, kind), getattr(b, kind)
+        if sorted(left) != sorted(right):
+            return False
+        pairs += [(left[name], right[name]) for name in left]
+    return all(np.asarray(p).dtype == np.asarray(q).dtype
+               and np.asarray(p).tobytes() == np.asarray(q).tobytes() for p, q in pairs)
+
+
+def data(points, cells, labels):
+    """Point and cell data whose values have no finite decimal form."""
+    n, m = len(points), len(cells)
+    point = {"temperature": np.arange(n) * THIRD,
+             "velocity": np.arange(3 * n, dtype=np.float32).reshape(n, 3) / 7}
+    cell = {"stress": (np.arange(m) / 7).astype(np.float32),
+            "origin": np.arange(m, dtype=np.int64),
+            "axis": np.arange(3 * m).reshape(m, 3) * THIRD,
+            "marker": labels.astype(np.int32)}
+    return point, cell
+
+
+def _arrays(dim, turn, dtype, index, container, regions, space=False):
+    def make():
+        points, cells, labels = grid(dim, 4)
+        cells = negative(cells) if turn else cells
+        if space:
+            points = np.column_stack([points, np.full(len(points), THIRD)])
+        parts = [points.astype(dtype), cells.astype(index)]
+        if regions:
+            parts.append(labels)
+        return container(parts)
+
+    def view(mesh):
+        cell_data = {"marker": mesh[2]} if len(mesh) == 3 else {}
+        return View(mesh[0], mesh[1], {}, cell_data, {})
+
+    return Host(make, view, dim, "marker" if regions else None)
+
+
+def _copy_data(data):
+    return {name: np.array(data[name]) for name in data.keys()}
+
+
+def _pyvista(dim, kind, dtype):
+    def make():
+        import pyvista
+
+        points, cells, labels = grid(dim, 4)
+        space = np.zeros((len(points), 3), dtype=dtype)
+        space[:, :dim] = points
+        if kind == "grid":
+            mesh = pyvista.UnstructuredGrid({5 if dim == 2 else 10: cells}, space)
+        else:
+            mesh = pyvista.PolyData.from_regular_faces(space, cells)
+        point, cell = data(points, cells, labels)
+        mesh.point_data.update(point)
+        for name, values in cell.items():
+            mesh.cell_data[name] = values
+        mesh.cell_data["inside"] = np.arange(len(cells)) % 3 == 0
+        mesh.cell_data["name"] = np.array([f"c{i}" for i in range(len(cells))])
+        mesh.field_data["recipe"] = np.arange(4) * THIRD
+        mesh.set_active_scalars("stress", preference="cell")
+        mesh.cell_data.active_vectors_name = "axis"
+        mesh.point_data.active_vectors_name = "velocity"
+        return mesh
+
+    def view(mesh):
+        cells = mesh.cells_dict[5 if dim == 2 else 10] if kind == "grid" else mesh.regular_faces
+        return View(np.array(mesh.points), np.array(cells), _copy_data(mesh.point_data),
+                    _copy_data(mesh.cell_data), _copy_data(mesh.field_data))
+
+    return Host(make, view, dim, "marker")
+
+
+def meshio_view(kind):
+    def view(mesh):
+        chosen = [i for i, block in enumerate(mesh.cells) if block.type == kind]
+        cells = np.concatenate([mesh.cells[i].data for i in chosen])
+        cell = {name: np.concatenate([values[i] for i in chosen])
+                for name, values in mesh.cell_data.items()}
+        return View(np.array(mesh.points), cells, _copy_data(mesh.point_data), cell,
+                    _copy_data(mesh.field_data))
+
+    return view
+
+
+def _meshio(dim, blocks=False):
+    kind = "triangle" if dim == 2 else "tetra"
+
+    def make():
+        import meshio
+
+        points, cells, labels = grid(dim, 4)
+        point, cell = data(points, cells, labels)
+        parts = [np.flatnonzero(labels == 7), np.flatnonzero(labels == -2)] if blocks else [
+            np.arange(len(cells))]
+        return meshio.Mesh(
+            points, [(kind, cells[part].astype(np.int32)) for part in parts], point_data=point,
+            cell_data={name: [v[part] for part in parts] for name, v in cell.items()},
+            field_data={"steel": np.array([7, dim])})
+
+    return Host(make, meshio_view(kind), dim, "marker")
+
+
+HOSTS = {
+    "arrays-tet": _arrays(3, False, np.float64, np.int64, tuple, False),
+    "arrays-tet-regions": _arrays(3, False, np.float64, np.uint16, list, True),
+    "arrays-tet-float32": _arrays(3, True, np.float32, np.uint64, list, False),
+    "arrays-tri": _arrays(2, False, np.float64, np.int32, tuple, True),
+    "arrays-tri-space": _arrays(2, True, np.float32, np.int64, tuple, True, space=True),
+    "pytetwild": _arrays(3, True, np.float64, np.int32, tuple, False),
+    "pyvista-tet": _pyvista(3, "grid", np.float64),
+    "pyvista-tet-float32": _pyvista(3, "grid", np.float32),
+    "pyvista-tri": _pyvista(2, "grid", np.float64),
+    "pyvista-polydata": _pyvista(2, "poly", np.float32),
+    "meshio-tet": _meshio(3),
+    "meshio-tet-blocks": _meshio(3, blocks=True),
+    "meshio-tri": _meshio(2),
+    "meshio-tri-blocks": _meshio(2, blocks=True),
+}

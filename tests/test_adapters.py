@@ -1,0 +1,235 @@
+"""One contract for every kind of object, with the engine and with a stand-in that changes much."""
+
+from __future__ import annotations
+
+import itertools
+
+import contract
+import numpy as np
+import pytest
+
+import odt_plugins
+from odt_plugins.carry import cell_source, in_input_order
+from odt_plugins.engine import driver
+from odt_plugins.mesh import simplex_mesh
+
+
+@pytest.fixture(params=["engine", "churn"])
+def _engine(request, monkeypatch):
+    if request.param == "churn":
+        monkeypatch.setattr(driver, "run", contract.churn)
+
+
+@pytest.mark.usefixtures("_engine")
+@pytest.mark.parametrize("name", contract.HOSTS)
+def test_contract(name):
+    host = contract.HOSTS[name]
+    if name.startswith("pyvista"):
+        pytest.importorskip("pyvista")
+    mesh = host.make()
+    before = host.view(mesh)
+    out = odt_plugins.optimize(mesh, keep=())
+    assert type(out) is type(mesh)
+    assert out is not mesh
+    assert contract.same_bits(host.view(mesh), before)
+    assert contract.same_bits(before, host.view(host.make()))
+    contract.check(host, before, host.view(out))
+
+
+@pytest.mark.parametrize("name", contract.HOSTS)
+def test_nothing_may_move_gives_identical_bytes(name, monkeypatch):
+    host = contract.HOSTS[name]
+    mesh = host.make()
+    monkeypatch.setattr(driver, "run", lambda mesh, options: driver.Outcome(
+        mesh.points, mesh.cells[::-1].copy(), mesh.regions[::-1].copy()))
+    out = odt_plugins.optimize(mesh)
+    assert contract.same_bits(host.view(mesh), host.view(out))
+
+
+@pytest.mark.parametrize("name", ["arrays-tet", "arrays-tri-space", "pyvista-tet", "meshio-tri"])
+@pytest.mark.parametrize("indices", [False, True])
+def test_fixed_everything_gives_identical_bytes(name, indices):
+    host = contract.HOSTS[name]
+    mesh = host.make()
+    n = len(host.view(mesh).points)
+    fixed = np.arange(n) if indices else np.ones(n, dtype=bool)
+    out = odt_plugins.optimize(mesh, fixed=fixed, connectivity="none", finish=False)
+    assert contract.same_bits(host.view(mesh), host.view(out))
+
+
+@pytest.mark.usefixtures("_engine")
+@pytest.mark.parametrize("name", ["arrays-tet", "arrays-tri", "meshio-tet-blocks"])
+@pytest.mark.parametrize("indices", [False, True])
+def test_cells_outside_the_selection_come_back_untouched(name, indices):
+    host = contract.HOSTS[name]
+    mesh = host.make()
+    before = host.view(mesh)
+    selected = before.points[before.cells].mean(axis=1)[:, 1] < 0.6
+    assert 0 < selected.sum() < len(selected)
+    selection = np.flatnonzero(selected) if indices else selected
+    after = host.view(odt_plugins.optimize(mesh, selection=selection, keep=()))
+    rows = [tuple(c) for c in before.cells[~selected].tolist()]
+    assert [tuple(c) for c in after.cells.tolist() if tuple(c) in set(rows)] == rows
+    corners = np.unique(before.cells[~selected])
+    assert before.points[corners].tobytes() == after.points[corners].tobytes()
+
+
+def test_active_arrays_and_user_dictionary_of_a_grid_survive(monkeypatch):
+    pyvista = pytest.importorskip("pyvista")
+    monkeypatch.setattr(driver, "run", contract.churn)
+    mesh = contract.HOSTS["pyvista-tet"].make()
+    mesh.user_dict["who"] = "me"
+    out = odt_plugins.optimize(mesh)
+    assert out.n_cells != mesh.n_cells
+    assert out.active_scalars_info.name == "stress"
+    assert out.active_scalars_info.association == pyvista.FieldAssociation.CELL
+    assert out.cell_data.active_vectors_name == "axis"
+    assert out.point_data.active_vectors_name == "velocity"
+    assert dict(out.user_dict) == {"who": "me"}
+
+
+def _mixed_tets():
+    """Tetrahedra, triangles on and inside them, and a pyramid with an apex outside."""
+    points, cells, _ = contract.grid(3, 4)
+    boundary = contract.facets(cells, np.zeros(len(cells), int))
+    inner = sorted(contract.facets(cells, np.arange(len(cells))) - boundary)
+    outside = points[:4] - np.array([0.0, 0.0, 3.0])
+    pyramid = [0, 1, 6, 5, len(points)]
+    return np.vstack([points, outside]), cells, sorted(boundary)[:9], inner[40:44], pyramid
+
+
+def test_mixed_grid_keeps_what_is_not_optimised(monkeypatch):
+    pyvista = pytest.importorskip("pyvista")
+    monkeypatch.setattr(driver, "run", contract.churn)
+    points, cells, outer, inner, pyramid = _mixed_tets()
+    n = len(points)
+    lines, loose = [list(f[:2]) for f in inner], [n - 3, n - 2, n - 1]
+    parts = [*outer, *cells[:100].tolist(), *lines, pyramid, *cells[100:].tolist(), [3], *inner,
+             loose]
+    types = ([5] * 9 + [10] * 100 + [3] * 4 + [14] + [10] * (len(cells) - 100) + [1] + [5] * 4
+             + [5])
+    flat = np.concatenate([[len(p), *p] for p in parts])
+    mesh = pyvista.UnstructuredGrid(flat, np.array(types, dtype=np.uint8), points)
+    mesh.cell_data["origin"] = np.arange(len(parts))
+    out = odt_plugins.optimize(mesh)
+    assert out.n_cells > mesh.n_cells
+    assert (np.diff(out.cell_data["origin"]) >= 0).all()
+    for i, (kind, part) in enumerate(zip(types, parts, strict=True)):
+        if kind != 10:
+            (j,) = np.flatnonzero(out.cell_data["origin"] == i)
+            assert out.celltypes[j] == kind
+            assert out.get_cell(int(j)).point_ids == list(part)
+    new = out.cells_dict[10]
+    faces = {f for c in new.tolist() for f in itertools.combinations(sorted(c), 3)}
+    assert set(inner) | set(outer) <= faces
+    held = np.unique([*pyramid, *np.ravel(inner), *loose])
+    assert out.points[held].tobytes() == mesh.points[held].tobytes()
+    assert (contract.volumes(out.points, new) > 0).all()
+
+
+def test_meshio_sets_tags_and_other_blocks(monkeypatch):
+    import meshio
+
+    monkeypatch.setattr(driver, "run", contract.churn)
+    points, cells, outer, inner, _ = _mixed_tets()
+    half = np.arange(len(cells)) < len(cells) // 2
+    blocks = [
+        meshio.CellBlock("triangle", np.array(outer)),
+        meshio.CellBlock("tetra", cells[half], tags=["soft"]),
+        meshio.CellBlock("vertex", np.array([[3], [4]])),
+        meshio.CellBlock("tetra", cells[~half]),
+        meshio.CellBlock("line", np.array([f[:2] for f in inner])),
+    ]
+    counts = [len(b) for b in blocks]
+    sets = {"some": [np.array([0]), np.arange(0, counts[1], 3, dtype=np.uint32), np.array([1]),
+                     None, np.array([0, 2])],
+            "gmsh:bounding_entities": [np.array([5000]), np.array([9999]), None, None, None]}
+    mesh = meshio.Mesh(points, blocks, point_sets={"top": np.array([1, 2])}, cell_sets=sets,
+                       cell_data={"origin": [np.arange(c) for c in counts]})
+    out = odt_plugins.optimize(mesh)
+    assert [b.type for b in out.cells] == [b.type for b in mesh.cells]
+    assert [b.tags for b in out.cells] == [b.tags for b in mesh.cells]
+    assert sum(len(b) for b in out.cells) > sum(counts)
+    for i in (0, 2, 4):
+        assert np.array_equal(out.cells[i].data, mesh.cells[i].data)
+        assert np.array_equal(out.cell_data["origin"][i], np.arange(counts[i]))
+    assert len(mesh.cells[1]) == counts[1]
+    for i in (1, 3):
+        old = contract.facets(mesh.cells[i].data, np.zeros(counts[i], int))
+        new = contract.facets(out.cells[i].data, np.zeros(len(out.cells[i]), int))
+        assert old == new
+    some = out.cell_sets["some"]
+    assert some[1].dtype == np.uint32
+    assert np.array_equal(some[1], np.flatnonzero(out.cell_data["origin"][1] % 3 == 0))
+    assert some[3] is None
+    assert out.cell_sets["gmsh:bounding_entities"][1].tolist() == [9999]
+    assert out.point_sets["top"].tolist() == [1, 2]
+
+
+@pytest.mark.parametrize("choice", ["name", "array"])
+def test_regions_option_replaces_the_default(choice, monkeypatch):
+    seen = []
+    monkeypatch.setattr(driver, "run", lambda mesh, options: seen.append(mesh) or contract.churn(
+        mesh, options))
+    mesh = contract.HOSTS["meshio-tri"].make()
+    band = (mesh.points[mesh.cells[0].data].mean(axis=1)[:, 1] * 4).astype(np.uint8)
+    mesh.cell_data["band"] = [band]
+    out = odt_plugins.optimize(mesh, regions="band" if choice == "name" else band)
+    assert np.array_equal(seen[0].regions, np.unique(band, return_inverse=True)[1])
+    view = contract.meshio_view("triangle")
+    host = contract.Host(lambda: mesh, view, 2, "band")
+    contract.check(host, view(mesh), view(out))
+
+
+def test_a_density_function_sees_the_caller_coordinates(monkeypatch):
+    seen = []
+
+    def run(mesh, options):
+        seen.append(options.density(mesh.points))
+        return driver.Outcome(mesh.points, mesh.cells, mesh.regions)
+
+    monkeypatch.setattr(driver, "run", run)
+    points, cells, _ = contract.grid(2, 4)
+    turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
+    space = points @ turn[:2] + [5.0, 6.0, 7.0]
+    odt_plugins.optimize((space, cells), density=lambda x: x)
+    assert seen[0] == pytest.approx(space, abs=1e-14)
+
+
+def test_rounding_that_breaks_the_promise_gives_the_input(monkeypatch):
+    def run(mesh, options):
+        """Move a vertex by less than single precision can tell, into a better place."""
+        points = mesh.points.copy()
+        points[4] = [0.0, 1.0 + 1e-9]
+        return driver.Outcome(points, mesh.cells, mesh.regions)
+
+    monkeypatch.setattr(driver, "run", run)
+    points = np.array([[-1, 0], [1, 0], [1, 2], [-1, 2], [0, 1.0 + 3e-7]], dtype=np.float32)
+    cells = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+    _, report = odt_plugins.optimize_with_report((points, cells))
+    assert report.fallback is None
+
+    def worse(mesh, options):
+        moved = mesh.points.copy()
+        moved[4] = [0.0, 1.5]
+        return driver.Outcome(moved + 1e-12 * (moved != mesh.points), mesh.cells, mesh.regions)
+
+    monkeypatch.setattr(driver, "run", worse)
+    out, report = odt_plugins.optimize_with_report((points, cells))
+    assert "rounded" in report.fallback
+    assert out[0].tobytes() == points.tobytes()
+
+
+def test_cell_source_equals_all_pairs():
+    points, cells, labels = contract.grid(3, 4)
+    mesh, _ = simplex_mesh(points, cells, regions=labels)
+    outcome = contract.churn(mesh, None)
+    source = cell_source(mesh.points, mesh.cells, mesh.regions, outcome.points, outcome.cells,
+                         outcome.regions)
+    before = contract.View(mesh.points, mesh.cells, {}, {}, {})
+    after = contract.View(outcome.points, outcome.cells, {}, {}, {})
+    slow = contract.sources(before, after, mesh.regions, outcome.regions)
+    assert np.array_equal(source, slow)
+    _, regions, ordered = in_input_order(mesh, outcome.points, outcome.cells, outcome.regions)
+    assert (np.diff(ordered) >= 0).all()
+    assert np.array_equal(regions, mesh.regions[ordered])
