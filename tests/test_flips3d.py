@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import tet_meshes as tm
 
-from odt_plugins.engine import flips3d
+from odt_plugins.engine import cavity, flips3d
 from odt_plugins.engine.complex import make_complex
 from odt_plugins.engine.finishing import flip_pending
 from odt_plugins.engine.tetrahedron import (
@@ -69,7 +69,7 @@ def test_row08_energy_falls_at_every_flip_in_space_and_stuck_cells_remain(seed):
     after = mesh.mesh_arrays()[0]
     assert boundary == {f for f, owners in tm.facets_of(after).items() if len(owners) == 1}
     stuck = sum(
-        not flips3d._outside_sphere(points, *after[a], int(np.setdiff1d(after[b], after[a])[0]))
+        not flips3d.outside_sphere(points, *after[a], int(np.setdiff1d(after[b], after[a])[0]))
         for f, (a, b) in ((f, o) for f, o in tm.facets_of(after).items() if len(o) == 2)
     )
     assert 0 <= stuck < 0.05 * len(after)
@@ -136,7 +136,7 @@ def test_ring_triangulation_is_the_best_of_all(n):
     best = np.empty((10, 10))
     split = np.empty((10, 10), dtype=np.int32)
     index = np.arange(2, n + 2, dtype=np.int32)
-    got = flips3d._triangulate_ring(points, 0, 1, index, n, QUALITY, 2.0, best, split)
+    got = cavity.triangulate_ring(points, 0, 1, index, n, QUALITY, 2.0, best, split)
 
     def cost(triangles):
         cells = np.array([c for i, j, k in triangles for c in ((0, i, j, k), (i, j, k, 1))])
@@ -148,7 +148,7 @@ def test_ring_triangulation_is_the_best_of_all(n):
     assert got == pytest.approx(expected, rel=1e-9)
     new = np.empty((20, 4), dtype=np.int32)
     stack = np.empty((20, 2), dtype=np.int32)
-    count = flips3d._write_ring(0, 1, index, n, split, new, stack)
+    count = cavity.write_ring(0, 1, index, n, split, new, stack)
     assert count == 2 * (n - 2)
     assert (tm.quality(points, new[:count]) ** -2.0).sum() == pytest.approx(expected, rel=1e-9)
 
@@ -208,4 +208,4 @@ def test_in_sphere_agrees_with_the_circumcenter():
         edges = points[1:4] - points[0]
         center = points[0] + np.linalg.solve(2 * edges, (edges**2).sum(axis=1))
         outside = np.linalg.norm(points[4] - center) > np.linalg.norm(points[0] - center)
-        assert flips3d._outside_sphere(points, 0, 1, 2, 3, 4) == outside
+        assert flips3d.outside_sphere(points, 0, 1, 2, 3, 4) == outside

@@ -14,6 +14,7 @@ from numba import njit
 from odt_plugins.engine import flips3d, smooth3d
 from odt_plugins.engine.active import spread, vertex_order, vertices_of_pending
 from odt_plugins.engine.adjacency import cell_neighbors
+from odt_plugins.engine.cavity import DONE
 from odt_plugins.engine.complex import PENDING, Complex, slot_stars
 from odt_plugins.engine.finish2d import finish2d
 from odt_plugins.engine.phases import Phase
@@ -57,7 +58,7 @@ def flip_pending(
             pending = pending[np.argsort(q, kind="stable")]
         flips = flips3d.flip_pass(
             mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status,
-            pending, mesh.slots, mesh.free, objective, power, ring, bounds, 1.0,
+            pending, mesh.slots, mesh.free, objective, power, ring, bounds,
         )
         total += flips
         if mesh.slots[2]:
@@ -109,7 +110,7 @@ def descend(
     for _ in range(phase.rounds):
         flips += flip_pending(mesh, QUALITY, phase.power, RING, bounds, 4)
         used = int(mesh.slots[0])
-        mesh.status[mesh.status == flips3d.DONE] = 0
+        mesh.status[mesh.status == DONE] = 0
         stars = slot_stars(mesh)
         cells = mesh.cells[:used]
         pushed = 0

@@ -1,9 +1,7 @@
 """Flips of a tetrahedral mesh on incrementally kept adjacency (Section 3.1 in three dimensions).
 
-Edge removal finds the best triangulation of the ring by dynamic programming (Klincsek 1980);
-with rings of 3 and 4 it contains the 3-2 and 4-4 flips.  The 2-3 flip is its inverse on one
-facet.  Each is taken only when the sum of the cell costs strictly falls, so that a sequence of
-flips terminates.
+Edge removal, which contains the 3-2 and 4-4 flips, and the 2-3 flip.  A flip is taken only when
+the sum of the cell costs strictly falls, so that a sequence of flips terminates.
 """
 
 from __future__ import annotations
@@ -11,6 +9,17 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from odt_plugins.engine.cavity import (
+    DONE,
+    PENDING,
+    apex_across,
+    local_edge,
+    make_work,
+    replace_cavity,
+    triangulate_ring,
+    walk_ring,
+    write_ring,
+)
 from odt_plugins.engine.tetrahedron import (
     ENERGY,
     tet_cosines,
@@ -18,112 +27,8 @@ from odt_plugins.engine.tetrahedron import (
     tet_quality,
 )
 
-IDLE, PENDING, DONE = 0, 1, 2
-MAX_RING = 10
-
-
-@njit(nogil=True, cache=True)
-def _edge(e):
-    """Local vertices (i, j, k, l) of edge e = (i, j), an even permutation."""
-    if e == 0:
-        return 0, 1, 2, 3
-    if e == 1:
-        return 0, 2, 3, 1
-    if e == 2:
-        return 0, 3, 1, 2
-    if e == 3:
-        return 1, 2, 0, 3
-    if e == 4:
-        return 1, 3, 2, 0
-    return 2, 3, 0, 1
-
-
-@njit(nogil=True, cache=True)
-def _walk_ring(cells, neighbors, regions, c, e, ring, around):
-    """Collect the ring of edge e of cell c: its ends and length, 0 if the edge must stay."""
-    i, j, k, l = _edge(e)
-    a = cells[c, i]
-    b = cells[c, j]
-    first = cells[c, k]
-    head = cells[c, l]
-    ring[0] = first
-    behind = k
-    n = 0
-    current = c
-    while True:
-        around[n] = current
-        n += 1
-        if head == first:
-            return a, b, n
-        if n == MAX_RING:
-            return a, b, 0
-        ring[n] = head
-        across = neighbors[current, behind]
-        if across < 0 or regions[across] != regions[c]:
-            return a, b, 0
-        pivot = head
-        for m in range(4):
-            v = cells[across, m]
-            if v == pivot:
-                behind = m
-            elif v != a and v != b:
-                head = v
-        current = across
-
-
-@njit(nogil=True, cache=True)
-def _triangulate_ring(points, a, b, ring, n, objective, power, best, split):
-    """Least cost over all triangulations of the ring, by dynamic programming (Klincsek 1980)."""
-    for i in range(n - 1):
-        best[i, i + 1] = 0.0
-    for span in range(2, n):
-        for i in range(n - span):
-            j = i + span
-            best[i, j] = np.inf
-            split[i, j] = -1
-            for k in range(i + 1, j):
-                below = best[i, k] + best[k, j]
-                if below >= best[i, j]:
-                    continue
-                cost = below + tet_cost(points, a, ring[i], ring[k], ring[j], objective, power)
-                if cost >= best[i, j]:
-                    continue
-                cost += tet_cost(points, ring[i], ring[k], ring[j], b, objective, power)
-                if cost < best[i, j]:
-                    best[i, j] = cost
-                    split[i, j] = k
-    return best[0, n - 1]
-
-
-@njit(nogil=True, cache=True)
-def _write_ring(a, b, ring, n, split, new, stack):
-    """Write the cells of the triangulation found by :func:`_triangulate_ring`."""
-    count = 0
-    depth = 1
-    stack[0, 0] = 0
-    stack[0, 1] = n - 1
-    while depth > 0:
-        depth -= 1
-        i = stack[depth, 0]
-        j = stack[depth, 1]
-        if j - i < 2:
-            continue
-        k = split[i, j]
-        new[count, 0] = a
-        new[count, 1] = ring[i]
-        new[count, 2] = ring[k]
-        new[count, 3] = ring[j]
-        new[count + 1, 0] = ring[i]
-        new[count + 1, 1] = ring[k]
-        new[count + 1, 2] = ring[j]
-        new[count + 1, 3] = b
-        count += 2
-        stack[depth, 0] = i
-        stack[depth, 1] = k
-        stack[depth + 1, 0] = k
-        stack[depth + 1, 1] = j
-        depth += 2
-    return count
+REAL = 1.0 - 1e-9
+"""A flip is taken when the cost after it is below this part of the cost before it."""
 
 
 @njit(nogil=True, cache=True)
@@ -194,101 +99,7 @@ def _admissible(points, cells, locked, old, n_old, new, n_new, objective, bounds
 
 
 @njit(nogil=True, cache=True)
-def _sorted3(cells, c, f):
-    """Vertices of the facet opposite local vertex f, ascending."""
-    x = cells[c, (f + 1) & 3]
-    y = cells[c, (f + 2) & 3]
-    z = cells[c, (f + 3) & 3]
-    if x > y:
-        x, y = y, x
-    if y > z:
-        y, z = z, y
-    if x > y:
-        x, y = y, x
-    return x, y, z
-
-
-@njit(nogil=True, cache=True)
-def _replace_cavity(cells, neighbors, regions, status, old, n_old, new, n_new, slots,
-                    free, rim):
-    """Put the new cells in the place of the old ones and mend the adjacency around them.
-
-    ``slots`` = [cells in use, length of the free list, out of room].  False when out of room.
-    """
-    if n_new - n_old > slots[1] + cells.shape[0] - slots[0]:
-        slots[2] = 1
-        return False
-    label = regions[old[0]]
-    n_rim = 0
-    for m in range(n_old):
-        c = old[m]
-        for f in range(4):
-            across = neighbors[c, f]
-            inside = False
-            for m2 in range(n_old):
-                if old[m2] == across:
-                    inside = True
-                    break
-            if inside:
-                continue
-            x, y, z = _sorted3(cells, c, f)
-            rim[n_rim, 0] = x
-            rim[n_rim, 1] = y
-            rim[n_rim, 2] = z
-            rim[n_rim, 3] = across
-            rim[n_rim, 4] = -1
-            if across >= 0:
-                for g in range(4):
-                    if neighbors[across, g] == c:
-                        rim[n_rim, 4] = g
-                        break
-            n_rim += 1
-    for m in range(n_new, n_old):
-        c = old[m]
-        cells[c, 0] = -1
-        status[c] = IDLE
-        free[slots[1]] = c
-        slots[1] += 1
-    for m in range(n_old, n_new):
-        if slots[1] > 0:
-            slots[1] -= 1
-            old[m] = free[slots[1]]
-        else:
-            old[m] = slots[0]
-            slots[0] += 1
-    for m in range(n_new):
-        c = old[m]
-        for i in range(4):
-            cells[c, i] = new[m, i]
-        regions[c] = label
-        status[c] = PENDING
-        for f in range(4):
-            x, y, z = _sorted3(cells, c, f)
-            match = -1
-            for r in range(n_rim):
-                if rim[r, 0] == x and rim[r, 1] == y and rim[r, 2] == z:
-                    match = r
-                    break
-            if match >= 0:
-                across = rim[match, 3]
-                neighbors[c, f] = across
-                if across >= 0:
-                    neighbors[across, rim[match, 4]] = c
-                n_rim -= 1
-                for t in range(5):
-                    rim[match, t] = rim[n_rim, t]
-            else:
-                rim[n_rim, 0] = x
-                rim[n_rim, 1] = y
-                rim[n_rim, 2] = z
-                rim[n_rim, 3] = c
-                rim[n_rim, 4] = f
-                n_rim += 1
-    return True
-
-
-@njit(nogil=True, cache=True)
-def _outside_sphere(points, i, j, k, l, v):
+def outside_sphere(points, i, j, k, l, v):
     """Whether point v is outside the circumsphere of cell (i, j, k, l), or on it to rounding."""
     x = points[v, 0]
     y = points[v, 1]
@@ -325,8 +136,146 @@ def _outside_sphere(points, i, j, k, l, v):
 
 
 @njit(nogil=True, cache=True)
+def _cost(points, cells, c, objective, power):
+    return tet_cost(
+        points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], objective, power
+    )
+
+
+@njit(nogil=True, cache=True)
+def remove_edge(points, cells, neighbors, regions, locked, status, c, e, slots, free,
+                objective, power, max_ring, bounds, forced, work, journal):
+    """Remove edge e of cell c if that lowers the cost, or at any finite cost when forced.
+
+    Returns
+    -------
+    gain : float     cost before minus cost after; 0 when nothing was done
+    n_new : int      new cells, whose slots are in the second work array
+    """
+    ring, around, new, best, split, stack, rim = work
+    a, b, n = walk_ring(cells, neighbors, regions, c, e, ring, around)
+    if n < 3 or n > max_ring:
+        return 0.0, 0
+    before = 0.0
+    for m in range(n):
+        t = around[m]
+        if objective != ENERGY and not forced and status[t] == DONE and t != c:
+            return 0.0, 0
+        before += _cost(points, cells, t, objective, power)
+    after = triangulate_ring(points, a, b, ring, n, objective, power, best, split)
+    if not after < (np.inf if forced else before * REAL):
+        return 0.0, 0
+    n_new = write_ring(a, b, ring, n, split, new, stack)
+    if not forced and not _admissible(
+        points, cells, locked, around, n, new, n_new, objective, bounds
+    ):
+        return 0.0, 0
+    if not replace_cavity(cells, neighbors, regions, status, around, n, new, n_new, slots, free,
+                          rim, journal):
+        return 0.0, 0
+    return before - after, n_new
+
+
+@njit(nogil=True, cache=True)
+def flip_facet(points, cells, neighbors, regions, locked, status, c, f, slots, free,
+               objective, power, bounds, forced, work, journal):
+    """2-3 flip of facet f of cell c; arguments and results as :func:`remove_edge`."""
+    ring, around, new, best, split, stack, rim = work
+    across = neighbors[c, f]
+    if across < 0 or regions[across] != regions[c]:
+        return 0.0, 0
+    if objective != ENERGY and not forced and status[across] == DONE:
+        return 0.0, 0
+    apex = apex_across(cells, neighbors, c, f)
+    if f == 0:
+        i, j, k = 1, 2, 3
+    elif f == 1:
+        i, j, k = 0, 3, 2
+    elif f == 2:
+        i, j, k = 0, 1, 3
+    else:
+        i, j, k = 0, 2, 1
+    base = cells[c, f]
+    u = cells[c, i]
+    v = cells[c, j]
+    w = cells[c, k]
+    before = _cost(points, cells, c, objective, power)
+    before += _cost(points, cells, across, objective, power)
+    limit = np.inf if forced else before * REAL
+    after = tet_cost(points, base, u, v, apex, objective, power)
+    if not after < limit:
+        return 0.0, 0
+    after += tet_cost(points, base, v, w, apex, objective, power)
+    if not after < limit:
+        return 0.0, 0
+    after += tet_cost(points, base, w, u, apex, objective, power)
+    if not after < limit:
+        return 0.0, 0
+    for m in range(3):
+        new[m, 0] = base
+        new[m, 3] = apex
+    new[0, 1] = u
+    new[0, 2] = v
+    new[1, 1] = v
+    new[1, 2] = w
+    new[2, 1] = w
+    new[2, 2] = u
+    around[0] = c
+    around[1] = across
+    if not forced and not _admissible(points, cells, locked, around, 2, new, 3, objective, bounds):
+        return 0.0, 0
+    if not replace_cavity(cells, neighbors, regions, status, around, 2, new, 3, slots, free, rim,
+                          journal):
+        return 0.0, 0
+    return before - after, 3
+
+
+@njit(nogil=True, cache=True)
+def improve_cell(points, cells, neighbors, regions, locked, status, c, slots, free,
+                 objective, power, max_ring, bounds, work, journal):
+    """Take the first flip at cell c that lowers the cost; results as :func:`remove_edge`.
+
+    With the energy only facets that are not locally Delaunay are looked at, and their edges.
+    """
+    facets = 15
+    if objective == ENERGY:
+        facets = 0
+        for f in range(4):
+            across = neighbors[c, f]
+            if across < 0 or regions[across] != regions[c]:
+                continue
+            if not outside_sphere(
+                points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3],
+                apex_across(cells, neighbors, c, f),
+            ):
+                facets |= 1 << f
+        if facets == 0:
+            return 0.0, 0
+    for e in range(6):
+        i, j, k, l = local_edge(e)
+        if facets & ((1 << k) | (1 << l)) == 0:
+            continue
+        gain, n_new = remove_edge(
+            points, cells, neighbors, regions, locked, status, c, e, slots, free, objective,
+            power, max_ring, bounds, False, work, journal,
+        )
+        if n_new > 0:
+            return gain, n_new
+    for f in range(4):
+        if facets & (1 << f) == 0:
+            continue
+        gain, n_new = flip_facet(
+            points, cells, neighbors, regions, locked, status, c, f, slots, free, objective,
+            power, bounds, False, work, journal,
+        )
+        if n_new > 0:
+            return gain, n_new
+    return 0.0, 0
+
+
+@njit(nogil=True, cache=True)
 def flip_pass(points, cells, neighbors, regions, locked, status, order, slots, free,
-              objective, power, max_ring, bounds, threshold):
+              objective, power, max_ring, bounds):
     """Try every edge removal and 2-3 flip at the pending cells, in the given order.
 
     Parameters
@@ -337,143 +286,28 @@ def flip_pass(points, cells, neighbors, regions, locked, status, order, slots, f
     locked : (n,) bool                    vertices that no smoothing can move
     status : (room,) uint8                IDLE, PENDING or DONE; changed in place
     order : (k,) int32                    cells to visit, worst first
-    slots, free                           see ``_replace_cavity``
+    slots, free                           see ``cavity.replace_cavity``
     objective, power                      see ``tetrahedron.tet_cost``
     max_ring : int                        longest ring that edge removal takes
     bounds : (6,) float64                 least q, largest and smallest cosine that may appear;
                                           the same for a cell with locked vertices only
-    threshold : float                     with QUALITY: cells of better quality are passed over
 
     Returns
     -------
     int                                   number of flips taken
     """
-    ring = np.empty(MAX_RING, np.int32)
-    around = np.empty(4 * MAX_RING, np.int32)
-    new = np.empty((2 * MAX_RING, 4), np.int32)
-    best = np.empty((MAX_RING, MAX_RING))
-    split = np.empty((MAX_RING, MAX_RING), np.int32)
-    stack = np.empty((2 * MAX_RING, 2), np.int32)
-    rim = np.empty((16 * MAX_RING, 5), np.int32)
+    work = make_work()
+    journal = np.full((1, 4), -1, np.int64)
     flips = 0
     for o in range(order.shape[0]):
         c = order[o]
         if status[c] != PENDING or cells[c, 0] < 0:
             continue
         status[c] = DONE
-        if objective != ENERGY and (
-            tet_quality(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3]) > threshold
-        ):
-            continue
-        bad_facets = 15
-        if objective == ENERGY:
-            bad_facets = 0
-            for f in range(4):
-                across = neighbors[c, f]
-                if across < 0 or regions[across] != regions[c]:
-                    continue
-                apex = -1
-                for g in range(4):
-                    if neighbors[across, g] == c:
-                        apex = cells[across, g]
-                if not _outside_sphere(
-                    points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], apex
-                ):
-                    bad_facets |= 1 << f
-            if bad_facets == 0:
-                continue
-        flipped = False
-        for e in range(6):
-            i, j, k, l = _edge(e)
-            if bad_facets & ((1 << k) | (1 << l)) == 0:
-                continue
-            a, b, n = _walk_ring(cells, neighbors, regions, c, e, ring, around)
-            if n < 3 or n > max_ring:
-                continue
-            before = 0.0
-            seen = False
-            for m in range(n):
-                t = around[m]
-                if objective != ENERGY and status[t] == DONE and t != c:
-                    seen = True
-                    break
-                before += tet_cost(
-                    points, cells[t, 0], cells[t, 1], cells[t, 2], cells[t, 3], objective, power
-                )
-            if seen:
-                continue
-            after = _triangulate_ring(points, a, b, ring, n, objective, power, best, split)
-            if not after < before * (1.0 - 1e-9):
-                continue
-            n_new = _write_ring(a, b, ring, n, split, new, stack)
-            if not _admissible(
-                points, cells, locked, around, n, new, n_new, objective, bounds
-            ):
-                continue
-            if _replace_cavity(cells, neighbors, regions, status, around, n, new, n_new,
-                               slots, free, rim):
-                flips += 1
-                flipped = True
-                break
-        if flipped:
-            continue
-        for f in range(4):
-            if bad_facets & (1 << f) == 0:
-                continue
-            across = neighbors[c, f]
-            if across < 0 or regions[across] != regions[c]:
-                continue
-            if status[across] == DONE and objective != ENERGY:
-                continue
-            apex = -1
-            for g in range(4):
-                if neighbors[across, g] == c:
-                    apex = cells[across, g]
-            if f == 0:
-                i, j, k = 1, 2, 3
-            elif f == 1:
-                i, j, k = 0, 3, 2
-            elif f == 2:
-                i, j, k = 0, 1, 3
-            else:
-                i, j, k = 0, 2, 1
-            base = cells[c, f]
-            u = cells[c, i]
-            v = cells[c, j]
-            w = cells[c, k]
-            before = tet_cost(
-                points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], objective, power
-            ) + tet_cost(
-                points, cells[across, 0], cells[across, 1], cells[across, 2], cells[across, 3],
-                objective, power,
-            )
-            before *= 1.0 - 1e-9
-            after = tet_cost(points, base, u, v, apex, objective, power)
-            if not after < before:
-                continue
-            after += tet_cost(points, base, v, w, apex, objective, power)
-            if not after < before:
-                continue
-            after += tet_cost(points, base, w, u, apex, objective, power)
-            if not after < before:
-                continue
-            for m in range(3):
-                new[m, 0] = base
-                new[m, 3] = apex
-            new[0, 1] = u
-            new[0, 2] = v
-            new[1, 1] = v
-            new[1, 2] = w
-            new[2, 1] = w
-            new[2, 2] = u
-            around[0] = c
-            around[1] = across
-            if not _admissible(
-                points, cells, locked, around, 2, new, 3, objective, bounds
-            ):
-                continue
-            if _replace_cavity(cells, neighbors, regions, status, around, 2, new, 3,
-                               slots, free, rim):
-                flips += 1
-                break
+        gain, n_new = improve_cell(
+            points, cells, neighbors, regions, locked, status, c, slots, free, objective, power,
+            max_ring, bounds, work, journal,
+        )
+        if n_new > 0:
+            flips += 1
     return flips
