@@ -345,7 +345,8 @@ def _progress(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
     if not _kernels_compiled():
         click.echo("the kernels are compiled once, at the first run (about a minute) ...", err=True)
     bar = Progress(TextColumn("{task.description:<24}"), BarColumn(), TimeElapsedColumn(),
-                   console=Console(stderr=True), transient=True)
+                   console=Console(stderr=True), transient=True,
+                   redirect_stdout=sys.stdout.isatty())
     with bar:
         task = bar.add_task("reading", total=None)
 
