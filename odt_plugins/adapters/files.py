@@ -13,7 +13,7 @@ import numpy as np
 
 from odt_plugins.adapters import meshio_mesh
 from odt_plugins.adapters.host import HostMesh, Result
-from odt_plugins.errors import DataNotKeptWarning, MeshFileError
+from odt_plugins.errors import DataNotKeptWarning, MeshFileError, MissingDependencyError
 
 PREFERRED = {".msh": "gmsh"}
 """Format to take first where several share a suffix."""
@@ -43,7 +43,8 @@ def read_file(path: str | os.PathLike[str]) -> Any:
 
     Raises
     ------
-    MeshFileError    there is no such file, its suffix is unknown, or it cannot be read
+    MeshFileError             there is no such file, its suffix is unknown, or it cannot be read
+    MissingDependencyError    meshio needs another package for this format
     """
     path = Path(path)
     formats = _formats(path)
@@ -86,7 +87,8 @@ def write_file(path: str | os.PathLike[str], mesh: Any) -> None:
 
     Raises
     ------
-    MeshFileError          it cannot be written, or the format does not hold such a mesh
+    MeshFileError             it cannot be written, or the format does not hold such a mesh
+    MissingDependencyError    meshio needs another package for this format
 
     Warns
     -----
@@ -141,13 +143,22 @@ def _read_as(path: Path, formats: list[str]) -> Any:
             continue
         try:
             return reader_map[name](str(path))
+        except ImportError as exc:
+            raise _missing(path, exc) from exc
         # A parser may raise anything at all on a broken file.
         except Exception as exc:
             cause = cause or exc
-    reason = " ".join(str(cause).split()) if cause is not None else ""
-    reason = reason or (type(cause).__name__ if cause is not None else "no reader for it")
-    msg = f"cannot read {path} as {' or '.join(formats)}: {reason[:200]}; expected a complete file"
+    reason = "meshio only writes it" if cause is None else _reason(cause)
+    msg = f"cannot read {path} as {' or '.join(formats)}: {reason}; expected a complete file"
     raise MeshFileError(msg) from cause
+
+
+def _missing(path: Path, exc: ImportError) -> MissingDependencyError:
+    msg = (
+        f"{path.suffix} files need the package {exc.name}, which is not installed; try "
+        f'"pip install {exc.name}" or another format such as .vtu'
+    )
+    return MissingDependencyError(msg)
 
 
 def _write_and_compare(path: Path, mesh: Any) -> list[str]:
@@ -155,25 +166,39 @@ def _write_and_compare(path: Path, mesh: Any) -> list[str]:
     import meshio
 
     name = _formats(path)[0]
-    if name == "gmsh" and "gmsh:dim_tags" not in mesh.point_data:
+    # What meshio writes as Gmsh 4.1 is complete with these three arrays only.
+    tags = {"gmsh:physical", "gmsh:geometrical"} <= set(mesh.cell_data)
+    if name == "gmsh" and not (tags and "gmsh:dim_tags" in mesh.point_data):
         name = "gmsh22"
     try:
         meshio.write(path, mesh.copy(), file_format=name)
+        back = _read_as(path, _formats(path))
+    except MissingDependencyError:
+        raise
+    except ImportError as exc:
+        raise _missing(path, exc) from exc
+    except MeshFileError as exc:
+        reason = f"what meshio writes cannot be read again ({_reason(exc.__cause__)})"
+        raise _not_written(path, name, reason) from exc
     except OSError:
         raise
     # A writer may raise anything at all on a mesh that its format does not hold.
     except Exception as exc:
-        reason = " ".join(str(exc).split()) or type(exc).__name__
-        msg = f"cannot write {path.name} as {name}: {reason[:200]}; try another format such as .vtu"
-        raise MeshFileError(msg) from exc
-    back = _read_as(path, _formats(path))
+        raise _not_written(path, name, _reason(exc)) from exc
     if _sizes(back) != _sizes(mesh) or len(back.points) != len(mesh.points):
-        msg = (
-            f"cannot write {path.name}: the format {name} does not hold {len(mesh.points)} points "
-            f"with cells {_sizes(mesh)}; try another format such as .vtu"
-        )
-        raise MeshFileError(msg)
+        reason = f"it does not hold {len(mesh.points)} points with cells {_sizes(mesh)}"
+        raise _not_written(path, name, reason)
     return _lost(mesh, back)
+
+
+def _not_written(path: Path, name: str, reason: str) -> MeshFileError:
+    msg = f"cannot write {path.name} as {name}: {reason}; try another format such as .vtu"
+    return MeshFileError(msg)
+
+
+def _reason(exc: BaseException | None) -> str:
+    """One line that says what went wrong in a parser or writer."""
+    return " ".join(str(exc).split())[:200] or type(exc).__name__
 
 
 def _sizes(mesh: Any) -> dict[str, int]:

@@ -52,12 +52,15 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
                 f"tetra or triangle, try converting the mesh to linear cells"
             )
             raise UnsupportedMeshError(msg)
-    kind = "tetra" if any(b.type == "tetra" and len(b.data) for b in mesh.cells) else "triangle"
+    found = {block.type for block in mesh.cells if len(block.data)}
+    if not found:
+        msg = f"the mesh has no cells ({len(mesh.points)} vertices); expected tetra or triangle"
+        raise InvalidMeshError(msg)
+    kind = "tetra" if "tetra" in found else "triangle"
+    if kind not in found:
+        msg = f"got a mesh with cells of {', '.join(sorted(found))}; expected tetra or triangle"
+        raise UnsupportedMeshError(msg)
     chosen = [i for i, block in enumerate(mesh.cells) if block.type == kind]
-    if not chosen:
-        found = ", ".join(sorted({block.type for block in mesh.cells})) or "no type at all"
-        msg = f"got a mesh with cells of {found}; expected tetra or triangle cells"
-        raise (UnsupportedMeshError if mesh.cells else InvalidMeshError)(msg)
     size = [len(mesh.cells[i].data) for i in chosen]
     arrays = {name: _joined(name, values, mesh, chosen)
               for name, values in mesh.cell_data.items()}

@@ -1,0 +1,213 @@
+"""Mesh files: every format keeps what the contract asks for, and no half file is ever seen."""
+
+from __future__ import annotations
+
+import shutil
+import sys
+from pathlib import Path
+
+import contract
+import meshio
+import numpy as np
+import pytest
+
+import odt_plugins
+from odt_plugins.adapters import files
+from odt_plugins.engine import driver
+from odt_plugins.errors import (
+    DataNotKeptWarning,
+    InvalidMeshError,
+    MeshFileError,
+    MissingDependencyError,
+)
+
+DATA = Path(__file__).parent / "data"
+
+
+def _mesh(dim, names):
+    """A mesh of two materials with the named integer cell data, and what the formats allow."""
+    points, cells, labels = contract.grid(dim, 4)
+    space = np.zeros((len(points), 3))
+    space[:, :dim] = points
+    cell = {name: [np.where(labels == 7, 1, 2)] for name in names}
+    return meshio.Mesh(space, [("triangle" if dim == 2 else "tetra", cells)], cell_data=cell)
+
+
+def _vtk(dim):
+    mesh = _mesh(dim, ["marker"])
+    point, cell = contract.data(mesh.points, mesh.cells[0].data, mesh.cell_data["marker"][0])
+    mesh.point_data.update(point)
+    mesh.cell_data.update({name: [v] for name, v in cell.items() if name != "marker"})
+    return mesh
+
+
+def _gmsh(dim):
+    mesh = _mesh(dim, ["gmsh:physical", "gmsh:geometrical"])
+    mesh.cell_data["stress"] = [np.arange(len(mesh.cells[0].data)) / 7]
+    mesh.point_data["temperature"] = np.arange(len(mesh.points)) / 7
+    mesh.field_data["steel"] = np.array([1, dim])
+    return mesh
+
+
+FORMATS = {".vtu": (_vtk, "marker"), ".vtk": (_vtk, "marker"),
+           ".msh": (_gmsh, "gmsh:physical"),
+           ".mesh": (lambda dim: _mesh(dim, ["medit:ref"]), "medit:ref")}
+
+
+@pytest.mark.parametrize("churn", [False, True], ids=["engine", "churn"])
+@pytest.mark.parametrize("suffix", FORMATS)
+def test_contract_of_files(suffix, churn, d, tmp_path, monkeypatch):
+    if churn:
+        monkeypatch.setattr(driver, "run", contract.churn)
+    make, region = FORMATS[suffix]
+    source, target = tmp_path / f"in{suffix}", tmp_path / f"out{suffix}"
+    files.write_file(source, make(d))
+    before_files = {p: p.read_bytes() for p in tmp_path.iterdir()}
+    view = contract.meshio_view("triangle" if d == 2 else "tetra")
+    report = odt_plugins.optimize_file(source, target, keep=())
+    after = view(meshio.read(target) if suffix != ".msh" else meshio.gmsh.read(target))
+    before = view(files.read_file(source))
+    contract.check(contract.Host(lambda: None, view, d, region), before, after)
+    assert report.after.n_cells == len(after.cells)
+    assert all(p.read_bytes() == old for p, old in before_files.items())
+    assert not [p for p in tmp_path.iterdir() if p.name.startswith(".")]
+
+
+def test_a_path_gives_a_meshio_mesh_and_leaves_the_file(tmp_path):
+    source = shutil.copy(DATA / "tetwild_bunny.vtu", tmp_path / "mesh.vtu")
+    old = Path(source).read_bytes()
+    for path in (str(source), Path(source)):
+        out = odt_plugins.optimize(path, rounds=1, cycles=1)
+        assert type(out) is meshio.Mesh
+    assert Path(source).read_bytes() == old
+    assert [p.name for p in tmp_path.iterdir()] == ["mesh.vtu"]
+
+
+def test_a_file_may_be_replaced_by_its_result(tmp_path, monkeypatch):
+    monkeypatch.setattr(driver, "run", contract.churn)
+    source = tmp_path / "mesh.vtu"
+    _vtk(2).write(source)
+    old = meshio.read(source)
+    odt_plugins.optimize_file(source, source)
+    assert not np.array_equal(meshio.read(source).points, old.points)
+    assert [p.name for p in tmp_path.iterdir()] == ["mesh.vtu"]
+
+
+@pytest.mark.parametrize("version", ["gmsh", "gmsh22"])
+def test_gmsh_files_of_both_versions_come_back(version, tmp_path):
+    mesh = _gmsh(3)
+    if version == "gmsh":
+        n, m = len(mesh.points), len(mesh.cells[0].data)
+        mesh.point_data["gmsh:dim_tags"] = np.tile(np.array([3, 1], dtype=np.int32), (n, 1))
+        mesh.cell_data["gmsh:geometrical"] = [np.ones(m, dtype=np.int32)]
+        mesh.cell_data["gmsh:physical"] = [np.full(m, 4)]
+    meshio.write(tmp_path / "in.msh", mesh, file_format=version)
+    odt_plugins.optimize_file(tmp_path / "in.msh", tmp_path / "out.msh")
+    head = [(tmp_path / name).read_bytes().split(b"\n")[1].split()[0]
+            for name in ("in.msh", "out.msh")]
+    assert head == [b"4.1" if version == "gmsh" else b"2.2"] * 2
+
+
+@pytest.mark.parametrize("suffix", [".vtu", ".vtk", ".msh", ".mesh"])
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.5, 0.9])
+def test_truncated_files_are_refused(suffix, share, tmp_path):
+    source, target = tmp_path / f"in{suffix}", tmp_path / f"out{suffix}"
+    files.write_file(source, FORMATS[suffix][0](3))
+    whole = source.read_bytes()
+    source.write_bytes(whole[: int(share * len(whole))])
+    names = sorted(p.name for p in tmp_path.iterdir())
+    with pytest.raises((MeshFileError, InvalidMeshError)) as caught:
+        odt_plugins.optimize_file(source, target)
+    assert "\n" not in str(caught.value)
+    assert sorted(p.name for p in tmp_path.iterdir()) == names
+
+
+def test_unreadable_files_are_named(tmp_path, capsys):
+    (tmp_path / "noise.vtu").write_bytes(bytes(range(256)) * 20)
+    (tmp_path / "noise.msh").write_text("hello\n")
+    cases = {"missing.vtu": "is missing", "noise.vtu": "cannot read .*noise.vtu as vtu",
+             "noise.msh": "cannot read .*noise.msh as gmsh or ansys", "mesh": "no suffix of a mesh",
+             "mesh.docx": r"expected one of .*\.vtu"}
+    for name, message in cases.items():
+        with pytest.raises(MeshFileError, match=message) as caught:
+            odt_plugins.optimize(tmp_path / name)
+        assert "\n" not in str(caught.value)
+    (tmp_path / "folder.vtu").mkdir()
+    with pytest.raises(MeshFileError, match="is a directory"):
+        odt_plugins.optimize(tmp_path / "folder.vtu")
+    assert capsys.readouterr().out == ""
+
+
+def test_outputs_that_cannot_be_written_are_named_before_any_work(tmp_path, monkeypatch):
+    monkeypatch.setattr(driver, "run", lambda *_: pytest.fail("the engine ran"))
+    (tmp_path / "file").write_text("")
+    (tmp_path / "folder.vtu").mkdir()
+    monkeypatch.setattr(files.os, "access", lambda path, mode: Path(path).name != "locked")
+    (tmp_path / "locked").mkdir()
+    cases = {"none/out.vtu": "is not a directory", "file/out.vtu": "is not a directory",
+             "folder.vtu": "is a directory", "out.docx": "no suffix", "locked/out.vtu": "writable"}
+    names = sorted(tmp_path.rglob("*"))
+    for name, message in cases.items():
+        with pytest.raises(MeshFileError, match=message):
+            odt_plugins.optimize_file(DATA / "tetwild_bunny.vtu", tmp_path / name)
+    assert sorted(tmp_path.rglob("*")) == names
+
+
+@pytest.mark.parametrize("error", [KeyboardInterrupt, OSError("disk full"), ValueError("what")])
+def test_an_interrupted_write_leaves_the_old_file(error, tmp_path, monkeypatch):
+    target = tmp_path / "out.vtu"
+    target.write_text("old")
+
+    def write(path, mesh, file_format):
+        Path(path).write_text("half")
+        raise error
+
+    monkeypatch.setattr(meshio, "write", write)
+    expected = KeyboardInterrupt if error is KeyboardInterrupt else MeshFileError
+    with pytest.raises(expected):
+        files.write_file(target, _vtk(2))
+    assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("out.vtu", "old")]
+
+
+def test_formats_that_hold_less_say_so(tmp_path):
+    mesh = _vtk(3)
+    mesh.field_data["recipe"] = np.arange(3.0)
+    with pytest.warns(DataNotKeptWarning, match=r"cell data .*'stress', field data 'recipe'; try"):
+        files.write_file(tmp_path / "out.mesh", mesh)
+    assert (tmp_path / "out.mesh").exists()
+    mesh = _mesh(3, [])
+    mesh.points = mesh.points / 3.0
+    for name, message in {"out.stl": r"does not hold 125 points.*\.vtu",
+                          "out.off": r"does not hold 125 points.*\.vtu",
+                          "out.ugrid": r"cannot be read again"}.items():
+        with pytest.raises(MeshFileError, match=message):
+            files.write_file(tmp_path / name, mesh)
+        assert not (tmp_path / name).exists()
+
+
+def test_formats_of_two_files_are_written_whole(tmp_path):
+    mesh = _mesh(3, [])
+    files.write_file(tmp_path / "out.ele", mesh)
+    assert sorted(p.name for p in tmp_path.iterdir()) == ["out.ele", "out.node"]
+    back = files.read_file(tmp_path / "out.node")
+    assert np.array_equal(back.points, mesh.points)
+    assert np.array_equal(back.cells[0].data, mesh.cells[0].data)
+
+
+def test_formats_that_need_another_package_name_it(tmp_path, monkeypatch):
+    monkeypatch.setitem(sys.modules, "h5py", None)
+    with pytest.raises(MissingDependencyError, match=r"\.xdmf files need the package h5py.*pip"):
+        files.write_file(tmp_path / "out.xdmf", _vtk(2))
+    assert not list(tmp_path.iterdir())
+
+
+def test_writing_does_not_change_the_mesh(tmp_path):
+    mesh = _vtk(2)
+    mesh.cell_sets["some"] = [np.arange(3)]
+    mesh.point_sets["top"] = np.arange(2)
+    old = mesh.copy()
+    with pytest.warns(DataNotKeptWarning, match="cell sets 'some'"):
+        files.write_file(tmp_path / "out.vtu", mesh)
+    assert sorted(mesh.cell_sets) == ["some"]
+    assert sorted(mesh.cell_data) == sorted(old.cell_data)
+    assert np.array_equal(mesh.points, old.points)
