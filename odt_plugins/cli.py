@@ -152,9 +152,6 @@ def optimize(
     Files are of any format that meshio knows, by their suffix. The boundary stays as it is and
     no figure named in --keep gets worse.
     """
-    from odt_plugins.adapters import files
-
-    files.check_output(target)
     _check_paths(target, report_file, plot_file)
     options = _resolve_arrays(source, options)
     from odt_plugins.api import optimize_file

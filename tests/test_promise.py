@@ -237,3 +237,13 @@ def test_facet_keys_beyond_64_bits(mesh: SimplexMesh, monkeypatch: pytest.Monkey
     assert sentences(mesh, cells=mesh.cells[rest], regions=mesh.regions[rest]) != []
     flagged = replace(mesh, frozen=np.arange(len(mesh.cells)) % 3 == 0)
     assert sentences(flagged) == []
+
+
+def test_keys_are_equal_for_equal_rows_and_no_others_however_large_the_values() -> None:
+    rng = np.random.default_rng(839)
+    rows = rng.integers(0, 3, (60, 3)) * np.int64(2**40)
+    tables = [list(rows[:20].T), list(rows[20:].T)]
+    keys = np.concatenate(promise._pack(tables, [3 * 2**40] * 3))
+    same = (rows[:, None] == rows[None]).all(axis=2)
+    assert np.array_equal(keys[:, None] == keys[None], same)
+    assert not same.all()
