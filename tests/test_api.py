@@ -1,0 +1,143 @@
+"""The public functions: one set of options, one result whatever the wrapping."""
+
+from __future__ import annotations
+
+import doctest
+import inspect
+from dataclasses import fields
+from pathlib import Path
+
+import contract
+import meshio
+import numpy as np
+import pytest
+
+import odt_plugins
+from odt_plugins import api
+from odt_plugins.engine import driver
+from odt_plugins.errors import InvalidMeshError, InvalidOptionError
+from odt_plugins.options import CHOICES, FIGURES, Options
+
+DATA = Path(__file__).parent / "data"
+
+
+def test_options_are_the_keywords_of_every_public_function():
+    options = {f.name: f.default for f in fields(Options)}
+    assert sorted(api.OptionKeywords.__annotations__) == sorted(options)
+    for function in (odt_plugins.optimize, odt_plugins.optimize_with_report,
+                     odt_plugins.optimize_file):
+        parameters = inspect.signature(function).parameters.values()
+        keywords = {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY}
+        assert keywords == options
+        assert list(keywords) == list(options)
+
+
+def test_every_option_is_documented():
+    for f in fields(Options):
+        assert f"\n    {f.name} " in Options.__doc__, f.name
+
+
+@pytest.mark.parametrize("name", ["method", "solver", "linear_solver", "connectivity", "boundary"])
+def test_every_named_choice_is_accepted(name):
+    for choice in CHOICES[name]:
+        extra = {"solver": "global"} if name == "linear_solver" else {}
+        assert getattr(api.make_options(**{name: choice}, **extra), name) == choice
+
+
+def test_options_cannot_be_made_wrong_by_hand_either():
+    with pytest.raises(InvalidOptionError, match="got rounds=-3"):
+        Options(rounds=-3)
+
+
+def test_the_doctests_hold():
+    for module in (api, odt_plugins):
+        result = doctest.testmod(module)
+        assert result.failed == 0
+    assert doctest.testmod(api).attempted >= 8
+
+
+def test_optimize_and_the_report_give_the_same_mesh():
+    mesh = contract.HOSTS["meshio-tet"].make()
+    view = contract.HOSTS["meshio-tet"].view
+    alone = odt_plugins.optimize(mesh)
+    both, report = odt_plugins.optimize_with_report(mesh)
+    assert contract.same_bits(view(alone), view(both))
+    assert isinstance(report, odt_plugins.Report)
+    assert report.after == odt_plugins.measure(both)
+    assert report.before == odt_plugins.measure(mesh)
+    for name in FIGURES:
+        sign = -1.0 if name == "max_angle" else 1.0
+        assert sign * getattr(report.after, name) >= sign * getattr(report.before, name) - 1e-12
+
+
+def test_the_wrapping_does_not_decide_the_result():
+    pyvista = pytest.importorskip("pyvista")
+    mesh = meshio.read(DATA / "tetwild_bunny.vtu")
+    points, cells = mesh.points, mesh.cells[0].data
+    assert (contract.volumes(points, cells) < 0).all()
+    short = {"rounds": 2, "cycles": 1}
+    a, b = odt_plugins.optimize((points, cells.astype(np.int32)), **short)
+    assert (contract.volumes(a, b) < 0).all()
+    turned = cells[:, [0, 1, 3, 2]]
+    grid = odt_plugins.optimize(pyvista.UnstructuredGrid({10: turned}, points), **short)
+    assert grid.points.tobytes() == a.tobytes()
+    assert np.array_equal(grid.cells_dict[10][:, [0, 1, 3, 2]], b)
+    for other in (mesh, DATA / "tetwild_bunny.vtu"):
+        out = odt_plugins.optimize(other, **short)
+        assert out.points.tobytes() == a.tobytes()
+        assert np.array_equal(out.cells[0].data, b)
+
+
+def test_a_plane_in_space_gives_what_the_plane_gives():
+    points, cells, labels = contract.grid(2, 6)
+    flat, _, _ = odt_plugins.optimize((points, cells, labels))
+    for axis in range(3):
+        space = np.insert(points, axis, -1.0 / 3.0, axis=1)
+        out, _, _ = odt_plugins.optimize((space, cells, labels))
+        assert np.delete(out, axis, axis=1).tobytes() == flat.tobytes()
+        assert (out[:, axis] == -1.0 / 3.0).all()
+    turn = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
+    space = points @ turn[:2]
+    out, out_cells, out_labels = odt_plugins.optimize((space, cells, labels))
+    view = contract.View(space, cells, {}, {"marker": labels}, {})
+    held = np.unique([list(f) for f in contract.facets(cells, labels)])
+    assert out[held].tobytes() == view.points[held].tobytes()
+    assert (out @ turn[2]) == pytest.approx(np.zeros(len(out)), abs=1e-14)
+    back = out @ turn[:2].T
+    assert (contract.volumes(back, out_cells) > 0).all()
+    assert contract.facets(out_cells, out_labels) == contract.facets(cells, labels)
+    assert not np.array_equal(out, space)
+
+
+def test_measure_counts_flat_and_inverted_cells():
+    points = np.array([[0.0, 0], [1, 0], [0, 1], [1, 1], [0.5, 0.0]])
+    summary = odt_plugins.measure((points, np.array([[0, 1, 2], [1, 2, 3], [0, 1, 4], [1, 3, 2]])))
+    assert summary.inverted == 2
+    assert summary.n_cells == 4
+    turned = odt_plugins.measure((points, np.array([[0, 2, 1], [1, 2, 3]])))
+    assert turned.inverted == 0
+    assert turned.volume == pytest.approx(1.0)
+    inradius, circumradius = 1.0 - np.sqrt(0.5), np.sqrt(0.5)
+    assert turned.min_quality == pytest.approx(2.0 * inradius / circumradius, rel=1e-12)
+
+
+def test_measure_refuses_what_is_no_mesh():
+    with pytest.raises(InvalidMeshError, match="no cells"):
+        odt_plugins.measure((np.zeros((3, 2)), np.zeros((0, 3), dtype=int)))
+
+
+def test_progress_and_options_reach_the_engine(monkeypatch):
+    seen = []
+
+    def run(mesh, options):
+        seen.append(options)
+        return driver.Outcome(mesh.points, mesh.cells, mesh.regions)
+
+    def progress(stage, fraction):
+        raise AssertionError
+
+    monkeypatch.setattr(driver, "run", run)
+    points, cells, _ = contract.grid(2, 2)
+    given = {"method": "cpt", "rounds": 3, "threads": 2, "progress": progress, "exponent": 3.0}
+    odt_plugins.optimize((points, cells), **given)
+    assert {name: getattr(seen[0], name) for name in given} == given

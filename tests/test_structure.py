@@ -1,0 +1,175 @@
+"""The rooms of the package: who may import whom, what an import costs, what is public."""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+import odt_plugins
+from odt_plugins import errors
+
+PACKAGE = Path(odt_plugins.__file__).parent
+MODULES = sorted(PACKAGE.rglob("*.py"))
+
+BASE = {"errors", "mesh", "options", "quality", "promise"}
+MAY_IMPORT = {
+    "errors": set(),
+    "mesh": {"errors"},
+    "options": {"errors"},
+    "quality": {"errors"},
+    "planar": {"errors", "mesh"},
+    "carry": {"errors", "mesh"},
+    "promise": {"errors", "mesh", "options", "quality"},
+    "engine": {"engine", *BASE},
+    "adapters": {"adapters", "errors", "mesh"},
+    "binding": BASE,
+    "plotting": {"report", *BASE},
+    "report": {"binding", "plotting", "engine", *BASE},
+    "api": {"adapters", "carry", "engine", "planar", "report", *BASE},
+    "demo": {"adapters", "api", "plotting", "report", *BASE},
+    "cli": {"adapters", "api", "demo", "report", *BASE},
+    "__init__": {"api", "report", *BASE},
+}
+"""Rooms that a room may import: DESIGN section 2."""
+
+TOOLKITS = {
+    "pyvista": {"adapters/pyvista_mesh.py", "plotting.py", "demo.py"},
+    "vtkmodules": {"adapters/pyvista_mesh.py", "plotting.py"},
+    "meshio": {"adapters/meshio_mesh.py", "adapters/files.py", "demo.py"},
+    "matplotlib": {"plotting.py"},
+    "pytetwild": {"demo.py"},
+    "pymeshlab": {"demo.py"},
+    "open3d": set(),
+}
+"""Files that may import a toolkit, inside a function."""
+
+SLOW = ("numba", "scipy", "pyamg", "click", "rich", *TOOLKITS)
+
+
+def room(path: Path) -> str:
+    return path.relative_to(PACKAGE).parts[0].removesuffix(".py")
+
+
+def imports(node: ast.AST) -> list[str]:
+    """Full names that one import statement may load; relative ones are an error elsewhere."""
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    if isinstance(node, ast.ImportFrom) and node.module:
+        return [node.module, *(f"{node.module}.{alias.name}" for alias in node.names)]
+    return []
+
+
+def nodes(path: Path) -> list[ast.AST]:
+    return list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_rooms_import_only_what_the_table_allows(path):
+    allowed = MAY_IMPORT[room(path)] | {room(path)}
+    for node in nodes(path):
+        assert not (isinstance(node, ast.ImportFrom) and node.level), "relative import"
+        for name in imports(node):
+            parts = name.split(".")
+            if parts[0] == "odt_plugins" and len(parts) > 1 and parts[1] in MAY_IMPORT:
+                assert parts[1] in allowed, f"{path.name}:{node.lineno} imports {name}"
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_toolkits_are_imported_in_their_place_and_inside_functions(path):
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    inside = {id(inner) for outer in ast.walk(tree)
+              if isinstance(outer, ast.FunctionDef | ast.AsyncFunctionDef)
+              for inner in ast.walk(outer)}
+    for node in ast.walk(tree):
+        for name in imports(node):
+            toolkit = name.partition(".")[0]
+            if toolkit in TOOLKITS:
+                where = f"{path.name}:{node.lineno} imports {name}"
+                assert path.relative_to(PACKAGE).as_posix() in TOOLKITS[toolkit], where
+                assert id(node) in inside, where
+
+
+def test_the_table_names_the_rooms_that_exist():
+    assert {room(path) for path in MODULES} == set(MAY_IMPORT)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_files_hold_one_idea_and_print_nothing(path):
+    assert path.stat().st_size < 24_000
+    tree = ast.parse(path.read_text(encoding="utf-8"))
+    assert ast.get_docstring(tree)
+    if room(path) != "cli":
+        called = {node.func.id for node in ast.walk(tree)
+                  if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)}
+        assert not called & {"print", "exit", "input"}
+    assert not [n for n in ast.walk(tree) if isinstance(n, ast.Assert)]
+    assert not [n for n in ast.walk(tree) if isinstance(n, ast.ExceptHandler) and n.type is None]
+
+
+def run(code: str) -> str:
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    return done.stdout
+
+
+def test_importing_is_quick_and_loads_no_toolkit():
+    code = f"""
+import sys, time
+start = time.perf_counter()
+import odt_plugins
+took = time.perf_counter() - start
+first = [name for name in {SLOW!r} if name in sys.modules]
+odt_plugins.optimize, odt_plugins.Options, odt_plugins.measure
+second = [name for name in {SLOW!r} if name in sys.modules]
+print(took, first, second)
+"""
+    took, loaded = run(code).split(maxsplit=1)
+    assert loaded.strip() == "[] []"
+    assert float(took) < 1.0
+
+
+def test_arrays_need_no_toolkit():
+    blocked = [name for name in TOOLKITS if name != "meshio"]
+    code = f"""
+import sys
+for name in {blocked!r}:
+    sys.modules[name] = None
+import numpy as np
+import odt_plugins
+points = np.array([[0, 0], [1, 0], [1, 1], [0, 1], [.8, .7]])
+cells = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+out, report = odt_plugins.optimize_with_report((points, cells))
+print(report.after.min_quality > report.before.min_quality)
+print("meshio" in sys.modules)
+"""
+    assert run(code).split() == ["True", "False"]
+
+
+def test_all_public_names_are_there_and_no_others():
+    assert list(odt_plugins.__all__) == sorted(odt_plugins.__all__)
+    for name in odt_plugins.__all__:
+        assert getattr(odt_plugins, name) is not None
+    assert set(odt_plugins.__all__) <= set(dir(odt_plugins))
+    in_errors = {name for name, value in vars(errors).items() if inspect.isclass(value)}
+    assert in_errors <= set(odt_plugins.__all__)
+    with pytest.raises(AttributeError, match="no attribute 'optimise'"):
+        odt_plugins.optimise  # noqa: B018
+    from importlib.metadata import version
+
+    assert odt_plugins.__version__ == version("odt-plugins")
+
+
+@pytest.mark.parametrize("name", [n for n in odt_plugins.__all__ if n != "__version__"])
+def test_public_names_are_documented_and_typed(name):
+    value = getattr(odt_plugins, name)
+    assert inspect.getdoc(value)
+    if inspect.isfunction(value):
+        signature = inspect.signature(value)
+        assert signature.return_annotation is not inspect.Signature.empty
+        for parameter in signature.parameters.values():
+            assert parameter.annotation is not inspect.Parameter.empty
