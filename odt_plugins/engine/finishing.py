@@ -11,7 +11,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numba import njit
 
-from odt_plugins.engine import flips3d, smooth3d
+from odt_plugins.engine import compound, flips3d, smooth3d
 from odt_plugins.engine.active import spread, vertex_order, vertices_of_pending
 from odt_plugins.engine.adjacency import cell_neighbors
 from odt_plugins.engine.cavity import DONE
@@ -127,7 +127,28 @@ def descend(
             pushed = spread(cells, stars.indptr, stars.indices, moved, GAIN, active, mesh.status)
         if pushed == 0 and flips == 0:
             break
+    for _ in range(phase.compound):
+        taken = compound_moves(mesh, phase, bounds)
+        flips += taken
+        if taken == 0:
+            break
     return flips, moves
+
+
+def compound_moves(mesh: Complex, phase: Phase, bounds: FloatArray) -> int:
+    """Try compound moves at the worst share of the cells; returns how many stayed."""
+    q = qualities(mesh)
+    count = int(phase.share * (q < 1.5).sum())
+    worst = np.argpartition(q, count)[: count + 1]
+    order = worst[np.argsort(q[worst], kind="stable")].astype(np.int32)
+    mesh.status[:] = 0
+    taken = compound.compound_pass(
+        mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status, order,
+        mesh.slots, mesh.free, phase.power, RING, bounds,
+    )
+    if mesh.slots[2]:
+        grow(mesh)
+    return int(taken)
 
 
 def finish(

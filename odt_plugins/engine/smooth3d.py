@@ -248,6 +248,59 @@ def star_extremes(points, cells, indices, start, stop):
 
 
 @njit(nogil=True, cache=True)
+def newton_vertex(points, cells, indices, lo, hi, v, power, bounds, out, step):
+    """One guarded Newton step on F_p for vertex v with the star indices[lo:hi], in place.
+
+    ``out`` (10,) and ``step`` (3,) are work arrays; out[0] is the cost of the star before.
+    Returns the cost before minus the cost after, 0 when the vertex stays.
+    """
+    out[:] = 0.0
+    for s in range(lo, hi):
+        i, j, k = _opposite(cells, indices[s], v)
+        if not add_quality_terms(points, v, i, j, k, power, out):
+            return 0.0
+    if not _newton_direction(out, step):
+        return 0.0
+    x = points[v, 0]
+    y = points[v, 1]
+    z = points[v, 2]
+    slope = out[1] * step[0] + out[2] * step[1] + out[3] * step[2]
+    if -slope < 1e-9 * out[0]:
+        return 0.0
+    alpha = 1.0
+    for _ in range(HALVINGS):
+        points[v, 0] = x + alpha * step[0]
+        points[v, 1] = y + alpha * step[1]
+        points[v, 2] = z + alpha * step[2]
+        cost = star_cost(points, cells, indices, lo, hi, power, out[0] + 1e-4 * alpha * slope)
+        if cost < out[0]:
+            worst, large, small = star_extremes(points, cells, indices, lo, hi)
+            if worst >= bounds[0] and large <= bounds[1] and small >= bounds[2]:
+                return out[0] - cost
+            new_x = points[v, 0]
+            new_y = points[v, 1]
+            new_z = points[v, 2]
+            points[v, 0] = x
+            points[v, 1] = y
+            points[v, 2] = z
+            old_worst, old_large, old_small = star_extremes(points, cells, indices, lo, hi)
+            if (
+                worst >= min(bounds[0], old_worst)
+                and large <= max(bounds[1], old_large)
+                and small >= min(bounds[2], old_small)
+            ):
+                points[v, 0] = new_x
+                points[v, 1] = new_y
+                points[v, 2] = new_z
+                return out[0] - cost
+        alpha *= 0.5
+    points[v, 0] = x
+    points[v, 1] = y
+    points[v, 2] = z
+    return 0.0
+
+
+@njit(nogil=True, cache=True)
 def smooth_vertices(points, cells, indptr, indices, order, start, stop, power, bounds, moved):
     """One guarded Newton step on F_p for vertices order[start:stop], in place.
 
@@ -257,7 +310,7 @@ def smooth_vertices(points, cells, indptr, indices, order, start, stop, power, b
     indptr, indices                      stars in CSR form
     order : (k,) int32                   vertices; those of one call share no cell
     power : float                        p
-    bounds : (3,) float64                least q, largest and smallest cosine that may appear
+    bounds : (6,) float64                least q, largest and smallest cosine that may appear
     moved : (n,) float64                 relative decrease of the star's cost is written here
 
     Returns
@@ -269,62 +322,11 @@ def smooth_vertices(points, cells, indptr, indices, order, start, stop, power, b
     count = 0
     for o in range(start, stop):
         v = order[o]
-        lo = indptr[v]
-        hi = indptr[v + 1]
+        gain = newton_vertex(
+            points, cells, indices, indptr[v], indptr[v + 1], v, power, bounds, out, step
+        )
         moved[v] = 0.0
-        if lo == hi:
-            continue
-        out[:] = 0.0
-        valid = True
-        for s in range(lo, hi):
-            i, j, k = _opposite(cells, indices[s], v)
-            if not add_quality_terms(points, v, i, j, k, power, out):
-                valid = False
-                break
-        if not valid or not _newton_direction(out, step):
-            continue
-        x = points[v, 0]
-        y = points[v, 1]
-        z = points[v, 2]
-        slope = out[1] * step[0] + out[2] * step[1] + out[3] * step[2]
-        if -slope < 1e-9 * out[0]:
-            continue
-        alpha = 1.0
-        done = False
-        for _ in range(HALVINGS):
-            points[v, 0] = x + alpha * step[0]
-            points[v, 1] = y + alpha * step[1]
-            points[v, 2] = z + alpha * step[2]
-            cost = star_cost(points, cells, indices, lo, hi, power, out[0] + 1e-4 * alpha * slope)
-            if cost < out[0]:
-                worst, large, small = star_extremes(points, cells, indices, lo, hi)
-                if worst < bounds[0] or large > bounds[1] or small < bounds[2]:
-                    new_x = points[v, 0]
-                    new_y = points[v, 1]
-                    new_z = points[v, 2]
-                    points[v, 0] = x
-                    points[v, 1] = y
-                    points[v, 2] = z
-                    old_worst, old_large, old_small = star_extremes(points, cells, indices, lo, hi)
-                    done = (
-                        worst >= min(bounds[0], old_worst)
-                        and large <= max(bounds[1], old_large)
-                        and small >= min(bounds[2], old_small)
-                    )
-                    if done:
-                        points[v, 0] = new_x
-                        points[v, 1] = new_y
-                        points[v, 2] = new_z
-                else:
-                    done = True
-                if done:
-                    moved[v] = 1.0 - cost / out[0]
-                    break
-            alpha *= 0.5
-        if done:
+        if gain > 0.0:
+            moved[v] = gain / out[0]
             count += 1
-        else:
-            points[v, 0] = x
-            points[v, 1] = y
-            points[v, 2] = z
     return count

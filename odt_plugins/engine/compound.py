@@ -1,0 +1,177 @@
+"""Compound moves for the worst cells: a forced flip, a local descent, and back if it did not pay.
+
+Single flips stop in local minima of F_p.  Here one flip at a bad cell is taken whatever it costs;
+flips and Newton steps then descend around it.  If the sum of all changes is a gain it stays, else
+the journal takes everything back.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numba import njit
+
+from odt_plugins.engine.cavity import DONE, IDLE, PENDING, make_work, take_back
+from odt_plugins.engine.flips3d import flip_facet, improve_cell, remove_edge
+from odt_plugins.engine.smooth3d import newton_vertex
+from odt_plugins.engine.tetrahedron import QUALITY, tet_cosines, tet_quality
+
+MOST_TOUCHED = 192
+MOST_FLIPS = 24
+LARGEST_STAR = 128
+ROUNDS = 2
+GAIN = 1e-3
+"""Least gain, as part of the worst cell's own cost, for which a compound move stays."""
+
+
+@njit(nogil=True, cache=True)
+def gather_star(cells, neighbors, c, v, star):
+    """Cells that contain vertex v, found over facets from cell c; 0 if there are too many."""
+    star[0] = c
+    n = 1
+    done = 0
+    while done < n:
+        t = star[done]
+        done += 1
+        for f in range(4):
+            if cells[t, f] == v:
+                continue
+            across = neighbors[t, f]
+            if across < 0:
+                continue
+            known = False
+            for m in range(n):
+                if star[m] == across:
+                    known = True
+                    break
+            if known:
+                continue
+            if n == star.shape[0]:
+                return 0
+            star[n] = across
+            n += 1
+    return n
+
+
+@njit(nogil=True, cache=True)
+def _push(touched, n, around, n_new):
+    """Add the new cells to the touched ones, each once."""
+    for m in range(n_new):
+        known = False
+        for i in range(n):
+            if touched[i] == around[m]:
+                known = True
+                break
+        if not known and n < touched.shape[0]:
+            touched[n] = around[m]
+            n += 1
+    return n
+
+
+@njit(nogil=True, cache=True)
+def compound_pass(points, cells, neighbors, regions, locked, status, order, slots, free, power,
+                  max_ring, bounds):
+    """Try compound moves at the cells of ``order``; arguments as in ``flips3d.flip_pass``.
+
+    Returns
+    -------
+    int    number of compound moves that stayed
+    """
+    work = make_work()
+    around = work[1]
+    journal = np.zeros((1 << 14, 4), np.int64)
+    touched = np.empty(MOST_TOUCHED, np.int32)
+    star = np.empty(LARGEST_STAR, np.int32)
+    undo = np.empty((8 * MOST_TOUCHED, 3))
+    undo_vertex = np.empty(8 * MOST_TOUCHED, np.int32)
+    out = np.empty(10)
+    step = np.empty(3)
+    taken = 0
+    for o in range(order.shape[0]):
+        c = order[o]
+        if cells[c, 0] < 0:
+            continue
+        q = tet_quality(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
+        large, small = tet_cosines(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
+        least = GAIN * q**-power
+        for op in range(10):
+            journal[0, 0] = 0
+            if op < 6:
+                total, n_new = remove_edge(
+                    points, cells, neighbors, regions, locked, status, c, op, slots, free,
+                    QUALITY, power, max_ring, bounds, True, work, journal,
+                )
+            else:
+                total, n_new = flip_facet(
+                    points, cells, neighbors, regions, locked, status, c, op - 6, slots, free,
+                    QUALITY, power, bounds, True, work, journal,
+                )
+            if n_new == 0:
+                continue
+            n_touched = _push(touched, 0, around, n_new)
+            n_undo = 0
+            flips = 0
+            for _ in range(ROUNDS):
+                m = 0
+                while m < n_touched and flips < MOST_FLIPS:
+                    t = touched[m]
+                    m += 1
+                    if cells[t, 0] < 0 or status[t] != PENDING:
+                        continue
+                    status[t] = DONE
+                    gain, n_new = improve_cell(
+                        points, cells, neighbors, regions, locked, status, t, slots, free,
+                        QUALITY, power, max_ring, bounds, work, journal,
+                    )
+                    if n_new > 0:
+                        total += gain
+                        flips += 1
+                        n_touched = _push(touched, n_touched, around, n_new)
+                        m = 0
+                for m in range(n_touched):
+                    t = touched[m]
+                    if cells[t, 0] < 0:
+                        continue
+                    status[t] = PENDING
+                    for a in range(4):
+                        v = cells[t, a]
+                        if locked[v] or n_undo == undo.shape[0]:
+                            continue
+                        size = gather_star(cells, neighbors, t, v, star)
+                        x = points[v, 0]
+                        y = points[v, 1]
+                        z = points[v, 2]
+                        gain = newton_vertex(
+                            points, cells, star, 0, size, v, power, bounds, out, step
+                        )
+                        if gain > 0.0:
+                            total += gain
+                            undo_vertex[n_undo] = v
+                            undo[n_undo, 0] = x
+                            undo[n_undo, 1] = y
+                            undo[n_undo, 2] = z
+                            n_undo += 1
+            good = total > least
+            for m in range(n_touched):
+                t = touched[m]
+                if cells[t, 0] < 0:
+                    continue
+                status[t] = IDLE
+                if not good:
+                    continue
+                new_q = tet_quality(points, cells[t, 0], cells[t, 1], cells[t, 2], cells[t, 3])
+                hi, lo = tet_cosines(points, cells[t, 0], cells[t, 1], cells[t, 2], cells[t, 3])
+                good = (
+                    new_q >= min(q, bounds[0])
+                    and hi <= max(large, bounds[1])
+                    and lo >= min(small, bounds[2])
+                )
+            if good:
+                taken += 1
+                break
+            for m in range(n_undo - 1, -1, -1):
+                v = undo_vertex[m]
+                points[v, 0] = undo[m, 0]
+                points[v, 1] = undo[m, 1]
+                points[v, 2] = undo[m, 2]
+            take_back(cells, neighbors, status, slots, free, journal)
+    return taken

@@ -1,0 +1,96 @@
+"""Compound moves: what does not pay is taken back to the bit, what stays lowers the sum."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import tet_meshes as tm
+from test_flips3d import OPEN, assert_sound, complex_of
+
+from odt_plugins.engine import compound
+from odt_plugins.engine.cavity import make_work, take_back
+from odt_plugins.engine.finishing import qualities
+from odt_plugins.engine.flips3d import flip_facet, remove_edge
+from odt_plugins.engine.tetrahedron import QUALITY
+
+
+def contents(mesh):
+    live = mesh.live()
+    stack = mesh.free[: mesh.slots[1]]
+    return [a.tobytes() for a in (mesh.points, mesh.cells[live], mesh.neighbors[live], live,
+                                  mesh.regions[live], mesh.slots, stack)]
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_the_journal_takes_every_flip_back(seed):
+    points, cells = tm.ball(200, seed)
+    mesh = complex_of(points, cells)
+    before = contents(mesh)
+    journal = np.zeros((1 << 14, 4), dtype=np.int64)
+    work = make_work()
+    rng = np.random.default_rng(seed)
+    done = 0
+    for c in rng.permutation(len(cells)):
+        if mesh.cells[c, 0] < 0:
+            continue
+        op = int(rng.integers(10))
+        if op < 6:
+            _, n_new = remove_edge(
+                mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status,
+                c, op, mesh.slots, mesh.free, QUALITY, 1.0, 10, OPEN, True, work, journal)
+        else:
+            _, n_new = flip_facet(
+                mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status,
+                c, op - 6, mesh.slots, mesh.free, QUALITY, 1.0, OPEN, True, work, journal)
+        done += n_new > 0
+        if done == 40:
+            break
+    assert done == 40
+    assert contents(mesh) != before
+    assert_sound(mesh, points, tm.signed_volumes(points, cells).sum())
+    take_back(mesh.cells, mesh.neighbors, mesh.status, mesh.slots, mesh.free, journal)
+    assert contents(mesh) == before
+
+
+def run_pass(mesh, power=4.0, bounds=OPEN):
+    order = np.argsort(qualities(mesh), kind="stable")[:60].astype(np.int32)
+    mesh.status[:] = 0
+    return compound.compound_pass(
+        mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status, order,
+        mesh.slots, mesh.free, power, 10, bounds)
+
+
+@pytest.mark.parametrize("seed", [4, 5, 6])
+def test_what_stays_lowers_the_sum_and_locked_vertices_stay(seed):
+    points, cells = tm.ball(300, seed)
+    mesh = complex_of(points, cells)
+    volume = tm.signed_volumes(points, cells).sum()
+    last = float((tm.quality(points, cells) ** -4.0).sum())
+    taken = run_pass(mesh)
+    assert taken > 5
+    after = mesh.mesh_arrays()[0]
+    assert float((tm.quality(mesh.points, after) ** -4.0).sum()) < last
+    assert_sound(mesh, mesh.points, volume)
+    assert np.array_equal(mesh.points[mesh.locked], points[mesh.locked])
+
+
+def test_nothing_that_pays_leaves_the_mesh_as_it_was(monkeypatch):
+    points, cells = tm.ball(200, 9)
+    mesh = complex_of(points, cells)
+    impossible = np.array([2.0, -1.0, 1.0, 2.0, -1.0, 1.0])
+    while run_pass(mesh):
+        pass
+    before = contents(mesh)
+    assert run_pass(mesh, bounds=impossible) == 0
+    assert contents(mesh) == before
+
+
+def test_star_is_gathered_over_facets():
+    points, cells = tm.ball(100, 3)
+    mesh = complex_of(points, cells)
+    star = np.empty(128, dtype=np.int32)
+    for v in range(0, len(points), 7):
+        holders = np.flatnonzero((cells == v).any(axis=1))
+        size = compound.gather_star(mesh.cells, mesh.neighbors, holders[-1], v, star)
+        assert np.array_equal(np.sort(star[:size]), holders)
+    assert compound.gather_star(mesh.cells, mesh.neighbors, holders[0], v, star[:2]) == 0
