@@ -15,12 +15,15 @@ from odt_plugins.errors import InvalidMeshError, InvalidOptionError
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int32]
 BoolArray = NDArray[np.bool_]
+ByteArray = NDArray[np.uint8]
+LongArray = NDArray[np.int64]
 
 FLAT = 1e-14
 """A cell is flat when d! |volume| <= FLAT * (its extent)^d: the rounding error of that volume."""
 
-SPAN_LIMIT = 1e90
-"""Lengths outside [1 / SPAN_LIMIT, SPAN_LIMIT] overflow or vanish in products of three."""
+SPAN_LIMIT = 1e40
+"""Meshes must be between 1 / SPAN_LIMIT and SPAN_LIMIT long: squared volumes neither overflow
+nor vanish then."""
 
 CHUNK = 1 << 16
 
@@ -275,11 +278,9 @@ def _signs(p: FloatArray, t: IntArray) -> NDArray[np.int8]:
             f"{SPAN_LIMIT:.0e}, try scaling it"
         )
         raise InvalidMeshError(msg)
-    # An exact power of two keeps products of lengths away from underflow.
-    scaled = np.ldexp(p, -int(np.frexp(span)[1])) if span else p
     sign = np.zeros(len(t), dtype=np.int8)
     for part in _chunks(len(t)):
-        corner = scaled[t[part]]
+        corner = p[t[part]]
         edge = [corner[:, i] - corner[:, 0] for i in range(1, t.shape[1])]
         extent = (corner.max(axis=1) - corner.min(axis=1)).max(axis=1)
         det = _determinant(edge)

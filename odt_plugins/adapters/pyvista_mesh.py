@@ -204,10 +204,6 @@ def _carry_cell_data(out: Any, source: Any, rows: IndexArray) -> None:
         name = getattr(old, f"active_{role}_name")
         if name is not None:
             setattr(new, f"active_{role}_name", name)
-    info = source.active_scalars_info
-    if info.name is not None and info.name in (*out.point_data.keys(), *new.keys()):
-        side = "cell" if info.association.name == "CELL" else "point"
-        out.set_active_scalars(info.name, preference=side)
 
 
 def _positions(start: IndexArray, size: IndexArray) -> IndexArray:

@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-import numpy as np
 from numba import njit
+
+from odt_plugins.mesh import BoolArray, ByteArray, FloatArray, IntArray, LongArray
 
 
 @njit(nogil=True, cache=True)
-def vertices_of_pending(cells, status, active):
+def vertices_of_pending(cells: IntArray, status: ByteArray, active: BoolArray) -> None:
     """Mark the vertices of all pending cells."""
     for c in range(cells.shape[0]):
         if status[c] == 1 and cells[c, 0] >= 0:
@@ -16,7 +17,10 @@ def vertices_of_pending(cells, status, active):
 
 
 @njit(nogil=True, cache=True)
-def spread(cells, indptr, indices, moved, tolerance, active, status):
+def spread(
+    cells: IntArray, indptr: LongArray, indices: IntArray, moved: FloatArray, tolerance: float,
+    active: BoolArray, status: ByteArray,
+) -> int:
     """Start the next round from the vertices whose move paid off.
 
     Every vertex that shares a cell with a vertex of ``moved > tolerance`` becomes active, all
@@ -35,53 +39,3 @@ def spread(cells, indptr, indices, moved, tolerance, active, status):
                 for a in range(cells.shape[1]):
                     active[cells[c, a]] = True
     return count
-
-
-@njit(nogil=True, cache=True)
-def color_vertices(cells, indptr, indices, wanted, color, mark):
-    """Greedy colouring: wanted vertices that share a cell differ; others get -1.
-
-    ``mark`` is a work array longer than the number of colours ever needed; returns that number.
-    """
-    n = indptr.shape[0] - 1
-    colors = 0
-    for v in range(n):
-        color[v] = -1
-    for v in range(n):
-        if not wanted[v]:
-            continue
-        for s in range(indptr[v], indptr[v + 1]):
-            c = indices[s]
-            for a in range(cells.shape[1]):
-                k = color[cells[c, a]]
-                if k >= 0:
-                    mark[k] = v
-        k = 0
-        while mark[k] == v:
-            k += 1
-        color[v] = k
-        colors = max(colors, k + 1)
-    return colors
-
-
-def vertex_order(cells, stars, wanted):
-    """Wanted vertices, colour after colour, and where each colour starts.
-
-    Parameters
-    ----------
-    cells : (m, d + 1) int32, stars : Stars
-    wanted : (n,) bool
-
-    Returns
-    -------
-    (k,) int32           vertices; those of one colour share no cell
-    (c + 1,) int64       offsets of the colours
-    """
-    n = len(wanted)
-    longest = int(np.diff(stars.indptr).max(initial=0)) * cells.shape[1] + 2
-    color = np.empty(n, dtype=np.int32)
-    mark = np.full(longest, -1, dtype=np.int32)
-    colors = color_vertices(cells, stars.indptr, stars.indices, wanted, color, mark)
-    order = np.argsort(color, kind="stable").astype(np.int32)
-    counts = np.bincount(color + 1, minlength=colors + 1)
-    return order[counts[0] :].copy(), np.concatenate(([0], np.cumsum(counts[1:])))

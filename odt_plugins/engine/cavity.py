@@ -10,14 +10,17 @@ import numpy as np
 from numba import njit
 
 from odt_plugins.engine.tetrahedron import tet_cost
+from odt_plugins.mesh import ByteArray, FloatArray, IntArray, LongArray
 
 IDLE, PENDING, DONE = 0, 1, 2
 MAX_RING = 10
 CELL, NEIGHBOR, STATUS, FREE, SLOT = 0, 1, 2, 3, 4
 
+Work = tuple[IntArray, IntArray, IntArray, FloatArray, IntArray, IntArray, IntArray]
+
 
 @njit(nogil=True, cache=True)
-def make_work():
+def make_work() -> Work:
     """Work arrays for one thread: ring, cells around, new cells, table, splits, stack, rim."""
     return (
         np.empty(MAX_RING, np.int32),
@@ -31,7 +34,7 @@ def make_work():
 
 
 @njit(nogil=True, cache=True)
-def local_edge(e):
+def local_edge(e: int) -> tuple[int, int, int, int]:
     """Local vertices (i, j, k, l) of edge e = (i, j), an even permutation."""
     if e == 0:
         return 0, 1, 2, 3
@@ -47,7 +50,10 @@ def local_edge(e):
 
 
 @njit(nogil=True, cache=True)
-def walk_ring(cells, neighbors, regions, c, e, ring, around):
+def walk_ring(
+    cells: IntArray, neighbors: IntArray, regions: IntArray, c: int, e: int, ring: IntArray,
+    around: IntArray,
+) -> tuple[int, int, int]:
     """Collect the ring of edge e of cell c: its ends and length, 0 if the edge must stay."""
     i, j, k, l = local_edge(e)
     a = cells[c, i]
@@ -80,7 +86,10 @@ def walk_ring(cells, neighbors, regions, c, e, ring, around):
 
 
 @njit(nogil=True, cache=True)
-def triangulate_ring(points, a, b, ring, n, objective, power, best, split):
+def triangulate_ring(
+    points: FloatArray, a: int, b: int, ring: IntArray, n: int, objective: int, power: float,
+    best: FloatArray, split: IntArray,
+) -> float:
     """Least cost over all triangulations of the ring, by dynamic programming (Klincsek 1980)."""
     for i in range(n - 1):
         best[i, i + 1] = 0.0
@@ -104,7 +113,9 @@ def triangulate_ring(points, a, b, ring, n, objective, power, best, split):
 
 
 @njit(nogil=True, cache=True)
-def write_ring(a, b, ring, n, split, new, stack):
+def write_ring(
+    a: int, b: int, ring: IntArray, n: int, split: IntArray, new: IntArray, stack: IntArray,
+) -> int:
     """Write the cells of the triangulation found by :func:`triangulate_ring`."""
     count = 0
     depth = 1
@@ -135,7 +146,7 @@ def write_ring(a, b, ring, n, split, new, stack):
 
 
 @njit(nogil=True, cache=True)
-def _sorted3(cells, c, f):
+def _sorted3(cells: IntArray, c: int, f: int) -> tuple[int, int, int]:
     """Vertices of the facet opposite local vertex f, ascending."""
     x = cells[c, (f + 1) & 3]
     y = cells[c, (f + 2) & 3]
@@ -150,7 +161,7 @@ def _sorted3(cells, c, f):
 
 
 @njit(nogil=True, cache=True)
-def _note(journal, kind, a, b, value):
+def _note(journal: LongArray, kind: int, a: int, b: int, value: int) -> None:
     """Remember an entry before it is overwritten; journal[0, 0] counts, -1 switches off."""
     n = journal[0, 0]
     if n < 0:
@@ -164,7 +175,10 @@ def _note(journal, kind, a, b, value):
 
 
 @njit(nogil=True, cache=True)
-def take_back(cells, neighbors, status, slots, free, journal):
+def take_back(
+    cells: IntArray, neighbors: IntArray, status: ByteArray, slots: LongArray, free: IntArray,
+    journal: LongArray,
+) -> None:
     """Undo all journalled writes, the last one first."""
     for n in range(journal[0, 0], 0, -1):
         kind = journal[n, 0]
@@ -185,7 +199,7 @@ def take_back(cells, neighbors, status, slots, free, journal):
 
 
 @njit(nogil=True, cache=True)
-def apex_across(cells, neighbors, c, f):
+def apex_across(cells: IntArray, neighbors: IntArray, c: int, f: int) -> int:
     """Vertex of the cell across facet f of cell c that is not on the facet."""
     across = neighbors[c, f]
     for g in range(4):
@@ -195,8 +209,11 @@ def apex_across(cells, neighbors, c, f):
 
 
 @njit(nogil=True, cache=True)
-def replace_cavity(cells, neighbors, regions, status, old, n_old, new, n_new, slots,
-                   free, rim, journal):
+def replace_cavity(
+    cells: IntArray, neighbors: IntArray, regions: IntArray, status: ByteArray, old: IntArray,
+    n_old: int, new: IntArray, n_new: int, slots: LongArray, free: IntArray, rim: IntArray,
+    journal: LongArray,
+) -> bool:
     """Put the new cells in the place of the old ones and mend the adjacency around them.
 
     ``slots`` = [cells in use, length of the free list, out of room].  False when there is no room
@@ -271,8 +288,9 @@ def replace_cavity(cells, neighbors, regions, status, old, n_old, new, n_new, sl
                 across = rim[match, 3]
                 neighbors[c, f] = across
                 if across >= 0:
-                    _note(journal, NEIGHBOR, across, rim[match, 4], neighbors[across, rim[match, 4]])
-                    neighbors[across, rim[match, 4]] = c
+                    g = rim[match, 4]
+                    _note(journal, NEIGHBOR, across, g, neighbors[across, g])
+                    neighbors[across, g] = c
                 n_rim -= 1
                 for t in range(5):
                     rim[match, t] = rim[n_rim, t]

@@ -9,12 +9,16 @@ from numba import njit
 
 from odt_plugins.engine.smooth3d import star_extremes
 from odt_plugins.engine.tetrahedron import tet_cost
+from odt_plugins.mesh import FloatArray, IntArray, LongArray
 
 STEPS = 24
 
 
 @njit(nogil=True, cache=True)
-def _cost(points, cells, indices, lo, hi, objective, power, limit):
+def _cost(
+    points: FloatArray, cells: IntArray, indices: IntArray, lo: int, hi: int, objective: int,
+    power: float, limit: float,
+) -> float:
     total = 0.0
     for s in range(lo, hi):
         c = indices[s]
@@ -28,8 +32,9 @@ def _cost(points, cells, indices, lo, hi, objective, power, limit):
 
 @njit(nogil=True, cache=True)
 def compass_search(
-    points, cells, indptr, indices, order, start, stop, objective, power, bounds, moved
-):
+    points: FloatArray, cells: IntArray, indptr: LongArray, indices: IntArray, order: IntArray,
+    start: int, stop: int, objective: int, power: float, bounds: FloatArray, moved: FloatArray,
+) -> int:
     """Move vertices order[start:stop] along the axes while the cost of their star falls.
 
     Parameters as in ``smooth3d.smooth_vertices``, with the objective of ``tet_cost``.  The step

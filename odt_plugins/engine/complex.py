@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.engine.adjacency import cell_neighbors
 from odt_plugins.engine.star import Stars, vertex_stars
-from odt_plugins.mesh import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh import BoolArray, FloatArray, IntArray, LongArray
 
 PENDING = np.uint8(1)
 
@@ -100,7 +100,7 @@ def compacted(mesh: Complex) -> Complex:
 
 
 @njit(nogil=True, cache=True)
-def _count_and_fill_live(cells, indptr, indices):
+def _count_and_fill_live(cells: IntArray, indptr: LongArray, indices: IntArray) -> None:
     m, k = cells.shape
     for c in range(m):
         if cells[c, 0] >= 0:

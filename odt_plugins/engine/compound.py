@@ -14,6 +14,7 @@ from odt_plugins.engine.cavity import DONE, IDLE, PENDING, make_work, take_back
 from odt_plugins.engine.flips3d import flip_facet, improve_cell, remove_edge
 from odt_plugins.engine.smooth3d import newton_vertex
 from odt_plugins.engine.tetrahedron import QUALITY, tet_cosines, tet_quality
+from odt_plugins.mesh import BoolArray, ByteArray, FloatArray, IntArray, LongArray
 
 MOST_TOUCHED = 192
 MOST_FLIPS = 24
@@ -24,7 +25,7 @@ GAIN = 1e-3
 
 
 @njit(nogil=True, cache=True)
-def gather_star(cells, neighbors, c, v, star):
+def gather_star(cells: IntArray, neighbors: IntArray, c: int, v: int, star: IntArray) -> int:
     """Cells that contain vertex v, found over facets from cell c; 0 if there are too many."""
     star[0] = c
     n = 1
@@ -53,7 +54,7 @@ def gather_star(cells, neighbors, c, v, star):
 
 
 @njit(nogil=True, cache=True)
-def _push(touched, n, around, n_new):
+def _push(touched: IntArray, n: int, around: IntArray, n_new: int) -> int:
     """Add the new cells to the touched ones, each once."""
     for m in range(n_new):
         known = False
@@ -68,8 +69,11 @@ def _push(touched, n, around, n_new):
 
 
 @njit(nogil=True, cache=True)
-def compound_pass(points, cells, neighbors, regions, locked, status, order, slots, free, power,
-                  max_ring, bounds):
+def compound_pass(
+    points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
+    locked: BoolArray, status: ByteArray, order: IntArray, slots: LongArray, free: IntArray,
+    power: float, max_ring: int, bounds: FloatArray,
+) -> int:
     """Try compound moves at the cells of ``order``; arguments as in ``flips3d.flip_pass``.
 
     Returns

@@ -6,8 +6,10 @@ import math
 import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
+from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from odt_plugins.engine.complex import Complex, make_complex
 from odt_plugins.engine.density import Density, make_density
@@ -18,7 +20,7 @@ from odt_plugins.engine.order import curve_order
 from odt_plugins.engine.phases import Phase, bulk, tail
 from odt_plugins.engine.smoothing import Log, smooth
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
-from odt_plugins.options import Options
+from odt_plugins.options import Options, Progress
 from odt_plugins.promise import broken_promises
 
 LOCKED_QUALITY = 0.3
@@ -101,13 +103,13 @@ class Frame:
     Attributes
     ----------
     vertices : (k,) int32     caller's index of every inner vertex
-    active : (m1,) intp       caller's index of every inner cell, all but the frozen ones
+    active : (m1,) int64      caller's index of every inner cell, all but the frozen ones
     centre : (d,) float64, scale : float
         inner coordinates are (x - centre) * scale, scale a power of two
     """
 
     vertices: IntArray
-    active: IntArray
+    active: NDArray[np.int64]
     centre: FloatArray
     scale: float
 
@@ -252,10 +254,10 @@ def _cycles(
     for cycle in range(cycles):
         clock = time.perf_counter()
         base = cycle / cycles
-        watch = None if options.finish else lambda state: memory.offer(state, "smoothing")
+        watch = None if options.finish else partial(memory.offer, name="smoothing")
         mesh, reason = smooth(
             mesh, density, options, bounds, log,
-            lambda share, base=base: report("smoothing", base + 0.5 * share / cycles), watch,
+            partial(_report_share, report, base, 0.5 / cycles), watch,
         )
         times["smoothing"] = times.get("smoothing", 0.0) + time.perf_counter() - clock
         if not options.finish:
@@ -302,6 +304,11 @@ def _finishing_alone(
     times["finishing alone"] = time.perf_counter() - clock
 
 
+def _report_share(report: Progress, base: float, width: float, share: float) -> None:
+    """Report a share of stage 1 as a share of the run."""
+    report("smoothing", base + width * share)
+
+
 def _silent(stage: str, share: float) -> None:
     """Report progress to nobody."""
 
@@ -330,5 +337,5 @@ def _best(
     unchanged = _unchanged(mesh, reason)
     return replace(
         unchanged,
-        fallback=f"the input is returned: every other state broke the promise ({'; '.join(broken)})",
+        fallback=f"the input is returned, nothing better kept the promise ({'; '.join(broken)})",
     )

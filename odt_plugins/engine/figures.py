@@ -15,7 +15,7 @@ from odt_plugins.mesh import FloatArray, IntArray
 
 
 @njit(nogil=True, cache=True)
-def _cell_shapes(points, cells, shapes):
+def _cell_shapes(points: FloatArray, cells: IntArray, shapes: FloatArray) -> None:
     """Radius ratio, cosine of the smallest and of the largest (dihedral) angle of every cell."""
     for c in range(cells.shape[0]):
         if cells.shape[1] == 3:

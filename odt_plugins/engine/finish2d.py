@@ -11,8 +11,9 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numba import njit
 
-from odt_plugins.engine.active import spread, vertex_order
+from odt_plugins.engine.active import spread
 from odt_plugins.engine.adjacency import cell_neighbors
+from odt_plugins.engine.coloring import vertex_coloring
 from odt_plugins.engine.flips2d import quality_flips
 from odt_plugins.engine.phases import Phase, bulk, tail
 from odt_plugins.engine.smooth2d import smooth_vertices_2d
@@ -106,7 +107,7 @@ def _sweep(
     bounds: FloatArray, moved: FloatArray, pool: ThreadPoolExecutor | None, threads: int,
 ) -> None:
     """Smooth every wanted vertex once, colour after colour."""
-    order, offsets = vertex_order(cells, stars, wanted)
+    order, offsets = vertex_coloring(cells, stars, wanted)
     moved[:] = 0.0
 
     def work(start: int, stop: int) -> int:

@@ -7,17 +7,20 @@ a large p the worst cells; bounds keep every change within the extremes that the
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 
 import numpy as np
 from numba import njit
 
 from odt_plugins.engine import compound, flips3d, smooth3d
-from odt_plugins.engine.active import spread, vertex_order, vertices_of_pending
+from odt_plugins.engine.active import spread, vertices_of_pending
 from odt_plugins.engine.adjacency import cell_neighbors
 from odt_plugins.engine.cavity import DONE
+from odt_plugins.engine.coloring import vertex_coloring
 from odt_plugins.engine.complex import PENDING, Complex, slot_stars
 from odt_plugins.engine.finish2d import finish2d
 from odt_plugins.engine.phases import Phase
+from odt_plugins.engine.star import Stars
 from odt_plugins.engine.tetrahedron import QUALITY, tet_quality
 from odt_plugins.engine.threads import run_chunks
 from odt_plugins.mesh import FloatArray, IntArray
@@ -27,7 +30,7 @@ RING = 10
 
 
 @njit(nogil=True, cache=True)
-def slot_qualities(points, cells, q):
+def slot_qualities(points: FloatArray, cells: IntArray, q: FloatArray) -> None:
     """Radius ratio of the cell in every slot, 2 in a free slot."""
     for c in range(cells.shape[0]):
         if cells[c, 0] < 0:
@@ -115,15 +118,12 @@ def descend(
         cells = mesh.cells[:used]
         pushed = 0
         for _ in range(phase.sweeps):
-            order, offsets = vertex_order(cells, stars, active & zone)
+            order, offsets = vertex_coloring(cells, stars, active & zone)
             moved[:] = 0.0
-            moves += run_chunks(
-                pool, threads, offsets,
-                lambda lo, hi, order=order: smooth3d.smooth_vertices(
-                    mesh.points, cells, stars.indptr, stars.indices, order, lo, hi,
-                    phase.power, bounds, moved,
-                ),
+            work = partial(
+                _smooth_chunk, mesh.points, cells, stars, order, phase.power, bounds, moved
             )
+            moves += run_chunks(pool, threads, offsets, work)
             pushed = spread(cells, stars.indptr, stars.indices, moved, GAIN, active, mesh.status)
         if pushed == 0 and flips == 0:
             break
@@ -133,6 +133,16 @@ def descend(
         if taken == 0:
             break
     return flips, moves
+
+
+def _smooth_chunk(
+    points: FloatArray, cells: IntArray, stars: Stars, order: IntArray, power: float,
+    bounds: FloatArray, moved: FloatArray, start: int, stop: int,
+) -> int:
+    """Smooth the vertices order[start:stop]; they share no cell."""
+    return int(smooth3d.smooth_vertices(
+        points, cells, stars.indptr, stars.indices, order, start, stop, power, bounds, moved
+    ))
 
 
 def compound_moves(mesh: Complex, phase: Phase, bounds: FloatArray) -> int:

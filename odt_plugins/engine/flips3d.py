@@ -12,6 +12,7 @@ from numba import njit
 from odt_plugins.engine.cavity import (
     DONE,
     PENDING,
+    Work,
     apex_across,
     local_edge,
     make_work,
@@ -26,13 +27,17 @@ from odt_plugins.engine.tetrahedron import (
     tet_cost,
     tet_quality,
 )
+from odt_plugins.mesh import BoolArray, ByteArray, FloatArray, IntArray, LongArray
 
 REAL = 1.0 - 1e-9
 """A flip is taken when the cost after it is below this part of the cost before it."""
 
 
 @njit(nogil=True, cache=True)
-def _admissible(points, cells, locked, old, n_old, new, n_new, objective, bounds):
+def _admissible(
+    points: FloatArray, cells: IntArray, locked: BoolArray, old: IntArray, n_old: int,
+    new: IntArray, n_new: int, objective: int, bounds: FloatArray,
+) -> bool:
     """Whether no new cell is worse than both the bounds and the worst cell it replaces.
 
     A cell with locked vertices only can never be repaired by smoothing: it is held to the worst
@@ -99,7 +104,7 @@ def _admissible(points, cells, locked, old, n_old, new, n_new, objective, bounds
 
 
 @njit(nogil=True, cache=True)
-def outside_sphere(points, i, j, k, l, v):
+def outside_sphere(points: FloatArray, i: int, j: int, k: int, l: int, v: int) -> bool:
     """Whether point v is outside the circumsphere of cell (i, j, k, l), or on it to rounding."""
     x = points[v, 0]
     y = points[v, 1]
@@ -136,15 +141,19 @@ def outside_sphere(points, i, j, k, l, v):
 
 
 @njit(nogil=True, cache=True)
-def _cost(points, cells, c, objective, power):
+def _cost(points: FloatArray, cells: IntArray, c: int, objective: int, power: float) -> float:
     return tet_cost(
         points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], objective, power
     )
 
 
 @njit(nogil=True, cache=True)
-def remove_edge(points, cells, neighbors, regions, locked, status, c, e, slots, free,
-                objective, power, max_ring, bounds, forced, work, journal):
+def remove_edge(
+    points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
+    locked: BoolArray, status: ByteArray, c: int, e: int, slots: LongArray, free: IntArray,
+    objective: int, power: float, max_ring: int, bounds: FloatArray, forced: bool, work: Work,
+    journal: LongArray,
+) -> tuple[float, int]:
     """Remove edge e of cell c if that lowers the cost, or at any finite cost when forced.
 
     Returns
@@ -177,10 +186,14 @@ def remove_edge(points, cells, neighbors, regions, locked, status, c, e, slots, 
 
 
 @njit(nogil=True, cache=True)
-def flip_facet(points, cells, neighbors, regions, locked, status, c, f, slots, free,
-               objective, power, bounds, forced, work, journal):
+def flip_facet(
+    points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
+    locked: BoolArray, status: ByteArray, c: int, f: int, slots: LongArray, free: IntArray,
+    objective: int, power: float, bounds: FloatArray, forced: bool, work: Work,
+    journal: LongArray,
+) -> tuple[float, int]:
     """2-3 flip of facet f of cell c; arguments and results as :func:`remove_edge`."""
-    ring, around, new, best, split, stack, rim = work
+    _, around, new, _, _, _, rim = work
     across = neighbors[c, f]
     if across < 0 or regions[across] != regions[c]:
         return 0.0, 0
@@ -231,8 +244,12 @@ def flip_facet(points, cells, neighbors, regions, locked, status, c, f, slots, f
 
 
 @njit(nogil=True, cache=True)
-def improve_cell(points, cells, neighbors, regions, locked, status, c, slots, free,
-                 objective, power, max_ring, bounds, work, journal):
+def improve_cell(
+    points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
+    locked: BoolArray, status: ByteArray, c: int, slots: LongArray, free: IntArray,
+    objective: int, power: float, max_ring: int, bounds: FloatArray, work: Work,
+    journal: LongArray,
+) -> tuple[float, int]:
     """Take the first flip at cell c that lowers the cost; results as :func:`remove_edge`.
 
     With the energy only facets that are not locally Delaunay are looked at, and their edges.
@@ -252,7 +269,7 @@ def improve_cell(points, cells, neighbors, regions, locked, status, c, slots, fr
         if facets == 0:
             return 0.0, 0
     for e in range(6):
-        i, j, k, l = local_edge(e)
+        _, _, k, l = local_edge(e)
         if facets & ((1 << k) | (1 << l)) == 0:
             continue
         gain, n_new = remove_edge(
@@ -274,8 +291,11 @@ def improve_cell(points, cells, neighbors, regions, locked, status, c, slots, fr
 
 
 @njit(nogil=True, cache=True)
-def flip_pass(points, cells, neighbors, regions, locked, status, order, slots, free,
-              objective, power, max_ring, bounds):
+def flip_pass(
+    points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
+    locked: BoolArray, status: ByteArray, order: IntArray, slots: LongArray, free: IntArray,
+    objective: int, power: float, max_ring: int, bounds: FloatArray,
+) -> int:
     """Try every edge removal and 2-3 flip at the pending cells, in the given order.
 
     Parameters
@@ -304,7 +324,7 @@ def flip_pass(points, cells, neighbors, regions, locked, status, order, slots, f
         if status[c] != PENDING or cells[c, 0] < 0:
             continue
         status[c] = DONE
-        gain, n_new = improve_cell(
+        _, n_new = improve_cell(
             points, cells, neighbors, regions, locked, status, c, slots, free, objective, power,
             max_ring, bounds, work, journal,
         )

@@ -12,12 +12,13 @@ import numpy as np
 from numba import njit
 
 from odt_plugins.engine.tetrahedron import tet_cosines, tet_quality
+from odt_plugins.mesh import FloatArray, IntArray, LongArray
 
 HALVINGS = 7
 
 
 @njit(nogil=True, cache=True)
-def _opposite(cells, c, v):
+def _opposite(cells: IntArray, c: int, v: int) -> tuple[int, int, int]:
     """The other three vertices of cell c, such that (v, i, j, k) is positive."""
     if cells[c, 0] == v:
         return cells[c, 1], cells[c, 2], cells[c, 3]
@@ -29,7 +30,9 @@ def _opposite(cells, c, v):
 
 
 @njit(nogil=True, cache=True)
-def add_quality_terms(points, v, i, j, k, power, out):
+def add_quality_terms(
+    points: FloatArray, v: int, i: int, j: int, k: int, power: float, out: FloatArray,
+) -> bool:
     """Add q^-p, its gradient and its Hessian in x_v to out = [F, g (3), H (xx xy xz yy yz zz)].
 
     False when the cell is not positive.
@@ -187,7 +190,7 @@ def add_quality_terms(points, v, i, j, k, power, out):
 
 
 @njit(nogil=True, cache=True)
-def _newton_direction(out, step):
+def _newton_direction(out: FloatArray, step: FloatArray) -> bool:
     """Solve (H + s I) step = -g with the least shift s of a short ladder that makes it SPD."""
     trace = abs(out[4]) + abs(out[7]) + abs(out[9])
     shift = 0.0
@@ -216,7 +219,10 @@ def _newton_direction(out, step):
 
 
 @njit(nogil=True, cache=True)
-def star_cost(points, cells, indices, start, stop, power, limit):
+def star_cost(
+    points: FloatArray, cells: IntArray, indices: IntArray, start: int, stop: int, power: float,
+    limit: float,
+) -> float:
     """Sum of q^-p over cells indices[start:stop]; infinite above the limit or if inverted."""
     total = 0.0
     for s in range(start, stop):
@@ -231,7 +237,9 @@ def star_cost(points, cells, indices, start, stop, power, limit):
 
 
 @njit(nogil=True, cache=True)
-def star_extremes(points, cells, indices, start, stop):
+def star_extremes(
+    points: FloatArray, cells: IntArray, indices: IntArray, start: int, stop: int,
+) -> tuple[float, float, float]:
     """Worst q, largest and smallest dihedral cosine over cells indices[start:stop]."""
     worst = 1.0
     large = -1.0
@@ -248,7 +256,10 @@ def star_extremes(points, cells, indices, start, stop):
 
 
 @njit(nogil=True, cache=True)
-def newton_vertex(points, cells, indices, lo, hi, v, power, bounds, out, step):
+def newton_vertex(
+    points: FloatArray, cells: IntArray, indices: IntArray, lo: int, hi: int, v: int,
+    power: float, bounds: FloatArray, out: FloatArray, step: FloatArray,
+) -> float:
     """One guarded Newton step on F_p for vertex v with the star indices[lo:hi], in place.
 
     ``out`` (10,) and ``step`` (3,) are work arrays; out[0] is the cost of the star before.
@@ -301,7 +312,10 @@ def newton_vertex(points, cells, indices, lo, hi, v, power, bounds, out, step):
 
 
 @njit(nogil=True, cache=True)
-def smooth_vertices(points, cells, indptr, indices, order, start, stop, power, bounds, moved):
+def smooth_vertices(
+    points: FloatArray, cells: IntArray, indptr: LongArray, indices: IntArray, order: IntArray,
+    start: int, stop: int, power: float, bounds: FloatArray, moved: FloatArray,
+) -> int:
     """One guarded Newton step on F_p for vertices order[start:stop], in place.
 
     Parameters

@@ -73,9 +73,9 @@ def position_step(
     if options.method == "cvt":
         return cvt_step(points, topology, rho)
     if options.solver == "global":
-        method = "cpt" if options.method == "cpt" else "odt"
         return global_step(
-            points, topology, rho, method=method, inverse_volume=inverse_volume,
+            points, topology, rho, method="cpt" if options.method == "cpt" else "odt",
+            inverse_volume=inverse_volume,
             linear_solver=options.linear_solver,
         )
     if options.solver == "richardson":
@@ -119,7 +119,7 @@ def smooth(
     bounds: FloatArray,
     log: Log,
     tick: Callable[[float], None],
-    watch: Callable[[Complex], None] | None = None,
+    watch: Callable[[Complex], object] | None = None,
 ) -> tuple[Complex, str]:
     """Run stage 1 until the energy settles or the rounds are used up.
 

@@ -7,13 +7,15 @@ import math
 import numpy as np
 from numba import njit
 
+from odt_plugins.mesh import FloatArray
+
 ENERGY = 0
 QUALITY = 1
 ANGLE = 2
 
 
 @njit(nogil=True, cache=True, inline="never")
-def tet_quality(points, i, j, k, l):
+def tet_quality(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     """Radius ratio 3 r/R (Section 5) of tetrahedron (i, j, k, l); negative if inverted.
 
     With g_a the inward face normals of length twice the area, V = det/6 and H the Heron form of
@@ -67,7 +69,7 @@ def tet_quality(points, i, j, k, l):
 
 
 @njit(nogil=True, cache=True, inline="never")
-def tet_energy(points, i, j, k, l):
+def tet_energy(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     """20 times the ODT energy (2.2) of tetrahedron (i, j, k, l); infinite if not positive."""
     ax = points[j, 0] - points[i, 0]
     ay = points[j, 1] - points[i, 1]
@@ -92,7 +94,7 @@ def tet_energy(points, i, j, k, l):
 
 
 @njit(nogil=True, cache=True, inline="never")
-def tet_cosines(points, i, j, k, l):
+def tet_cosines(points: FloatArray, i: int, j: int, k: int, l: int) -> tuple[float, float]:
     """Largest and smallest cosine of the six dihedral angles: (of the smallest, of the largest)."""
     ax = points[j, 0] - points[i, 0]
     ay = points[j, 1] - points[i, 1]
@@ -132,7 +134,7 @@ def tet_cosines(points, i, j, k, l):
 
 
 @njit(nogil=True, cache=True, inline="never")
-def tet_angle_cost(points, i, j, k, l, power):
+def tet_angle_cost(points: FloatArray, i: int, j: int, k: int, l: int, power: float) -> float:
     """Sum of sin^-p over the six dihedral angles; infinite if the cell is not positive."""
     ax = points[j, 0] - points[i, 0]
     ay = points[j, 1] - points[i, 1]
@@ -186,7 +188,9 @@ def tet_angle_cost(points, i, j, k, l, power):
 
 
 @njit(nogil=True, cache=True)
-def tet_cost(points, i, j, k, l, objective, power):
+def tet_cost(
+    points: FloatArray, i: int, j: int, k: int, l: int, objective: int, power: float,
+) -> float:
     """Cost of one cell: ODT energy, q^-power or sum of sin^-power; infinite if not positive."""
     if objective == ENERGY:
         return tet_energy(points, i, j, k, l)

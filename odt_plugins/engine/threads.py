@@ -4,6 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+
+from odt_plugins.mesh import LongArray
 
 SMALLEST = 256
 
@@ -11,7 +14,7 @@ SMALLEST = 256
 def run_chunks(
     pool: ThreadPoolExecutor | None,
     threads: int,
-    offsets: list[int],
+    offsets: LongArray,
     work: Callable[[int, int], int],
 ) -> int:
     """Call ``work(start, stop)`` over every colour and add up what it returns.
@@ -20,12 +23,11 @@ def run_chunks(
     ----------
     pool : ThreadPoolExecutor or None    None runs everything here
     threads : int                        chunks a colour is cut into
-    offsets : (c + 1,) int               where each colour starts
+    offsets : (c + 1,) int64             where each colour starts
     work : callable                      releases the GIL; its vertices are independent
     """
     total = 0
-    for lo, hi in zip(offsets[:-1], offsets[1:], strict=True):
-        lo, hi = int(lo), int(hi)
+    for lo, hi in pairwise(offsets.tolist()):
         if pool is None or hi - lo < SMALLEST:
             total += work(lo, hi)
             continue
