@@ -74,15 +74,18 @@ def test_cells_outside_the_selection_come_back_untouched(name, indices):
     assert before.points[corners].tobytes() == after.points[corners].tobytes()
 
 
-def test_active_arrays_and_user_dictionary_of_a_grid_survive(monkeypatch):
+@pytest.mark.parametrize(("side", "name"), [("CELL", "stress"), ("POINT", "temperature")])
+def test_active_arrays_and_user_dictionary_of_a_grid_survive(side, name, monkeypatch):
     pyvista = pytest.importorskip("pyvista")
     monkeypatch.setattr(driver, "run", contract.churn)
     mesh = contract.HOSTS["pyvista-tet"].make()
+    mesh.set_active_scalars(name, preference=side.lower())
     mesh.user_dict["who"] = "me"
     out = odt_plugins.optimize(mesh)
     assert out.n_cells != mesh.n_cells
-    assert out.active_scalars_info.name == "stress"
-    assert out.active_scalars_info.association == pyvista.FieldAssociation.CELL
+    assert out.active_scalars_info.name == name
+    assert out.active_scalars_info.association == pyvista.FieldAssociation[side]
+    assert out.cell_data.active_scalars_name == mesh.cell_data.active_scalars_name
     assert out.cell_data.active_vectors_name == "axis"
     assert out.point_data.active_vectors_name == "velocity"
     assert dict(out.user_dict) == {"who": "me"}
@@ -181,6 +184,21 @@ def test_regions_option_replaces_the_default(choice, monkeypatch):
     contract.check(host, view(mesh), view(out))
 
 
+@pytest.mark.parametrize("regions", [None, "marker", "array"])
+def test_blocks_and_regions_both_have_interfaces(regions, monkeypatch):
+    seen = []
+    monkeypatch.setattr(driver, "run", lambda mesh, options: seen.append(mesh) or driver.Outcome(
+        mesh.points, mesh.cells, mesh.regions))
+    mesh = contract.HOSTS["meshio-tri-blocks"].make()
+    block = np.repeat([0, 1], [len(b) for b in mesh.cells])
+    label = np.arange(len(block)) % 3
+    mesh.cell_data["marker"] = [label[block == 0], label[block == 1]]
+    odt_plugins.optimize(mesh, regions=label[::-1] if regions == "array" else regions)
+    label = label[::-1] if regions == "array" else label
+    truth = np.unique(np.stack([label, block]), axis=1, return_inverse=True)[1].ravel()
+    assert np.array_equal(seen[0].regions, truth)
+
+
 def test_a_density_function_sees_the_caller_coordinates(monkeypatch):
     seen = []
 
@@ -230,6 +248,10 @@ def test_cell_source_equals_all_pairs():
     after = contract.View(outcome.points, outcome.cells, {}, {}, {})
     slow = contract.sources(before, after, mesh.regions, outcome.regions)
     assert np.array_equal(source, slow)
+    labels0, labels1 = (np.random.default_rng(k).integers(0, 4, m).astype(np.int32)
+                        for k, m in enumerate((len(mesh.cells), len(outcome.cells))))
+    source = cell_source(mesh.points, mesh.cells, labels0, outcome.points, outcome.cells, labels1)
+    assert np.array_equal(source, contract.sources(before, after, labels0, labels1))
     _, regions, ordered = in_input_order(mesh, outcome.points, outcome.cells, outcome.regions)
     assert (np.diff(ordered) >= 0).all()
     assert np.array_equal(regions, mesh.regions[ordered])

@@ -150,6 +150,8 @@ def test_outputs_that_cannot_be_written_are_named_before_any_work(tmp_path, monk
     for name, message in cases.items():
         with pytest.raises(MeshFileError, match=message):
             odt_plugins.optimize_file(DATA / "tetwild_bunny.vtu", tmp_path / name)
+        with pytest.raises(MeshFileError, match=message):
+            files.write_file(tmp_path / name, _vtk(2))
     assert sorted(tmp_path.rglob("*")) == names
 
 

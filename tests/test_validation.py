@@ -98,8 +98,8 @@ BAD_ARRAYS = {
                       r"got 1 cell \(first: cell [46]\) with the same vertices.*\(cell 1\)"),
     "three on a facet": (_third, r"1 (edge|face)s belong to more than two cells \(non-manifold\)"),
     "folded": (_folded, r"got 2 cells \(first: cell 0\) overlapping a neighbour"),
-    "too small": (lambda p, t: (p * 1e-120, t), r"the mesh is 1\.0e-120 long"),
-    "too large": (lambda p, t: (p * 1e120, t), r"the mesh is 1\.0e\+120 long"),
+    "too small": (lambda p, t: (p * 1e-60, t), r"the mesh is 1\.0e-60 long"),
+    "too large": (lambda p, t: (p * 1e60, t), r"the mesh is 1\.0e\+60 long"),
 }
 
 
@@ -297,7 +297,7 @@ def test_non_manifold_boundary_edges_and_points_are_allowed():
     assert len(mesh.cells) == 2 * len(cells)
 
 
-@pytest.mark.parametrize("scale", [1e-80, 1e-6, 1.0, 1e80])
+@pytest.mark.parametrize("scale", [1e-35, 1e-6, 1.0, 1e35])
 def test_flatness_is_relative_to_the_cell(scale, d):
     points, cells = MESHES[d]()
     corner = points[cells[0, :d]].mean(axis=0)
@@ -381,13 +381,15 @@ def test_plane_frame_is_an_isometry_that_keeps_orientation(seed):
     rng = np.random.default_rng(seed)
     turn = np.linalg.qr(rng.normal(size=(3, 3)))[0]
     space = 100.0 * points @ turn[:2] + rng.normal(size=3)
-    for rows in (cells, contract.negative(cells)):
+    half = np.arange(len(cells)) % 2 == 0
+    mixed = np.where(half[:, None], cells, contract.negative(cells))
+    for rows, signs in ((cells, 1), (contract.negative(cells), 1), (mixed, 2)):
         frame = plane_frame(space, rows)
         flat = frame.to_plane(space)
         distance = np.linalg.norm(space[:, None] - space, axis=2)
         assert np.linalg.norm(flat[:, None] - flat, axis=2) == pytest.approx(distance, abs=1e-11)
         assert frame.to_space(flat) == pytest.approx(space, abs=1e-11)
-        assert len(np.unique(np.sign(contract.volumes(flat, rows)))) == 1
+        assert len(np.unique(np.sign(contract.volumes(flat, rows)))) == signs
 
 
 def test_plane_tolerance_is_relative_to_the_diagonal():
