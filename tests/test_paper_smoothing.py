@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 import reference as ref
@@ -14,6 +16,7 @@ from strategies import (
     jittered,
     lattice,
     meshes,
+    positive,
     random_delaunay,
     rotation,
 )
@@ -132,6 +135,22 @@ def test_row19_a_star_that_needs_a_shorter_step(d):
     new, stats = gauss_seidel_sweep(points, topology, wild, method="cpt", omega=4.0)
     assert stats.reduced > 0
     assert ref.volumes(new, cells).min() > 0.0
+
+
+@pytest.mark.parametrize(("rest", "alpha"), [(0.1 * THIN, 0.5), (10.0 * THIN, 1.0)])
+def test_row19_no_cell_is_pressed_flat(d, rest, alpha):
+    """A vertex amid +-e_k, sent towards the facet sum x = 1, of which the share rest is left."""
+    facets = np.array(list(product(*[(2 * k, 2 * k + 1) for k in range(d)])))
+    points = np.zeros((2 * d + 1, d))
+    points[0 : 2 * d : 2], points[1 : 2 * d : 2] = np.eye(d), -np.eye(d)
+    points[-1] = -0.1 / d
+    cells = positive(points, np.column_stack([facets, np.full(2**d, 2 * d)]).astype(np.int32))
+    movable = np.arange(2 * d + 1) == 2 * d
+    topology = make_topology(cells, movable, ~movable)
+    omega = 1.0 + 10.0 * (1.0 - rest)
+    new, stats = gauss_seidel_sweep(points, topology, method="laplacian", omega=omega)
+    assert new[-1] == pytest.approx((1.0 - alpha * omega) * points[-1], rel=1e-12)
+    assert stats.reduced == (alpha < 1.0)
 
 
 def test_row19_guarded_move_keeps_every_cell(d):
