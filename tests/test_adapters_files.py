@@ -179,6 +179,8 @@ def test_formats_that_hold_less_say_so(tmp_path):
     assert (tmp_path / "out.mesh").exists()
     mesh = _mesh(3, [])
     mesh.points = mesh.points / 3.0
+    with pytest.warns(DataNotKeptWarning, match="does not keep the last digits of the coord"):
+        files.write_file(tmp_path / "out.bdf", mesh)
     for name, message in {"out.stl": r"does not hold 125 points.*\.vtu",
                           "out.off": r"does not hold 125 points.*\.vtu",
                           "out.ugrid": r"cannot be read again"}.items():

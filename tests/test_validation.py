@@ -392,6 +392,12 @@ def test_plane_frame_is_an_isometry_that_keeps_orientation(seed):
         assert len(np.unique(np.sign(contract.volumes(flat, rows)))) == signs
 
 
+def test_plane_frame_of_triangles_that_cancel():
+    space = np.array([[0.0, 0, 0], [1, 2, 0], [1, 3, 1], [0, 1, 1]])
+    frame = plane_frame(space, np.array([[0, 1, 2], [0, 3, 2]]))
+    assert frame.to_space(frame.to_plane(space)) == pytest.approx(space, abs=1e-14)
+
+
 def test_plane_tolerance_is_relative_to_the_diagonal():
     points, cells, _ = contract.grid(2, 4)
     turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0]
