@@ -43,8 +43,8 @@ TOOLKITS = {
     "meshio": {"adapters/meshio_mesh.py", "adapters/files.py", "demo.py"},
     "matplotlib": {"plotting.py"},
     "pytetwild": {"demo.py"},
-    "pymeshlab": {"demo.py"},
-    "open3d": set(),
+    "pymeshlab": {"adapters/pymeshlab_mesh.py", "demo.py"},
+    "open3d": {"adapters/open3d_mesh.py"},
 }
 """Files that may import a toolkit, inside a function."""
 
