@@ -288,6 +288,62 @@ def _meshio(dim, blocks=False):
     return Host(make, meshio_view(kind), dim, "marker")
 
 
+def _pymeshlab(whole):
+    """A labelled grid with data of every kind, as a Mesh or as the middle one of three meshes."""
+
+    def make():
+        import pymeshlab
+
+        points, cells, labels = grid(2, 4)
+        n, m = len(points), len(cells)
+        space = np.column_stack([points, np.full(n, THIRD)])
+        byte = np.random.default_rng(2).integers(0, 256, (n + m, 4)) / 255.0
+        single = (np.arange(6 * m + 2 * n) / 7).astype(np.float32).astype(float).reshape(-1, 2)
+        mesh = pymeshlab.Mesh(
+            space, cells.astype(np.int32), v_scalar_array=np.arange(n) * THIRD,
+            f_scalar_array=np.arange(m) / 7, v_color_matrix=byte[:n], f_color_matrix=byte[n:],
+            v_tex_coords_matrix=single[3 * m:])
+        mesh.add_vertex_custom_scalar_attribute(np.arange(n) / 11, "temperature")
+        mesh.add_vertex_custom_point_attribute(np.arange(3 * n).reshape(n, 3) / 13, "velocity")
+        mesh.add_face_custom_scalar_attribute(np.arange(m) / 17, "stress")
+        mesh.add_face_custom_point_attribute(np.arange(3 * m).reshape(m, 3) / 19, "axis")
+        mesh.add_face_custom_scalar_attribute(labels.astype(float), "marker")
+        mesh.set_label("plate of steel")
+        if not whole:
+            return mesh
+        meshes = pymeshlab.MeshSet()
+        for other in (pymeshlab.Mesh(points[cells[0]][:, [0, 1, 1]], np.array([[0, 1, 2]])), mesh,
+                      pymeshlab.Mesh(space)):
+            meshes.add_mesh(other, other.label())
+        meshes.set_current_mesh(1)
+        meshes.apply_filter("set_matrix", transformmatrix=np.diag([2.0, 3.0, 4.0, 1.0]),
+                            freeze=False)
+        return meshes
+
+    def view(mesh):
+        field = {}
+        if whole:
+            meshes, mesh = mesh, mesh.current_mesh()
+            field = {"current": np.array(meshes.current_mesh_id()),
+                     "transform": np.array(mesh.transform_matrix())}
+            for i in (0, 2):
+                field[f"points of {i}"] = np.array(meshes.mesh(i).vertex_matrix())
+        point = {"scalar": mesh.vertex_scalar_array(), "colour": mesh.vertex_color_array(),
+                 "selected": mesh.vertex_selection_array(), "uv": mesh.vertex_tex_coord_matrix(),
+                 "temperature": mesh.vertex_custom_scalar_attribute_array("temperature"),
+                 "velocity": mesh.vertex_custom_point_attribute_matrix("velocity")}
+        cell = {"scalar": mesh.face_scalar_array(), "colour": mesh.face_color_array(),
+                "selected": mesh.face_selection_array(),
+                "stress": mesh.face_custom_scalar_attribute_array("stress"),
+                "marker": mesh.face_custom_scalar_attribute_array("marker"),
+                "axis": mesh.face_custom_point_attribute_matrix("axis")}
+        field |= {"label": np.array(mesh.label())}
+        return View(mesh.vertex_matrix(), mesh.face_matrix(), _copy_data(point), _copy_data(cell),
+                    field)
+
+    return Host(make, view, 2, "marker")
+
+
 HOSTS = {
     "arrays-tet": _arrays(3, False, np.float64, np.int64, tuple, False),
     "arrays-tet-regions": _arrays(3, False, np.float64, np.uint16, list, True),
@@ -303,4 +359,6 @@ HOSTS = {
     "meshio-tet-blocks": _meshio(3, blocks=True),
     "meshio-tri": _meshio(2),
     "meshio-tri-blocks": _meshio(2, blocks=True),
+    "pymeshlab-mesh": _pymeshlab(whole=False),
+    "pymeshlab-meshset": _pymeshlab(whole=True),
 }

@@ -2,19 +2,24 @@
 
 from __future__ import annotations
 
-from odt_plugins.adapters import arrays, files, meshio_mesh, pyvista_mesh
+from odt_plugins.adapters import arrays, files, meshio_mesh, pymeshlab_mesh, pyvista_mesh
 from odt_plugins.adapters.host import Adapter
 from odt_plugins.errors import UnsupportedMeshError
 
-ADAPTERS: tuple[Adapter, ...] = (arrays, files, meshio_mesh, pyvista_mesh)
+ADAPTERS: tuple[Adapter, ...] = (
+    arrays,
+    files,
+    meshio_mesh,
+    pyvista_mesh,
+    pymeshlab_mesh,
+)
 
 ACCEPTED = (
     "a (points, cells) tuple of numpy arrays, a pyvista.UnstructuredGrid or PolyData, a "
-    "meshio.Mesh or the path of a mesh file"
+    "meshio.Mesh, a pymeshlab.MeshSet or Mesh or the path of a mesh file"
 )
 
 HINTS = {
-    "pymeshlab": "(mesh.vertex_matrix(), mesh.face_matrix())",
     "open3d": "(numpy.asarray(mesh.vertices), numpy.asarray(mesh.tetras or mesh.triangles))",
     "vtkmodules": "pyvista.wrap(mesh)",
     "trimesh": "(mesh.vertices, mesh.faces) as plain arrays",
