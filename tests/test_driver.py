@@ -12,7 +12,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from odt_plugins.engine import driver
+from odt_plugins.engine.density import cell_density
 from odt_plugins.engine.driver import run
+from odt_plugins.engine.energy import energy
+from odt_plugins.engine.total_energy import total_energy
 from odt_plugins.mesh import SimplexMesh
 from odt_plugins.options import Options
 
@@ -250,6 +253,13 @@ def test_an_optimum_comes_back_unchanged(d):
     outcome = run(single, Options())
     assert outcome.points.tobytes() == single.points.tobytes()
     assert np.array_equal(outcome.cells, single.cells)
+
+
+def test_energy_in_one_pass_equals_the_formula(d):
+    mesh = start(d)
+    rho = 1.0 + mesh.points[:, 0] ** 2
+    expected = energy(mesh.points, mesh.cells, cell_density(mesh.points, mesh.cells, rho))
+    assert total_energy(mesh.points, mesh.cells, rho) == pytest.approx(expected, rel=1e-12)
 
 
 def equilateral_patch(n=6):

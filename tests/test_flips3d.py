@@ -136,7 +136,7 @@ def test_ring_triangulation_is_the_best_of_all(n):
     best = np.empty((10, 10))
     split = np.empty((10, 10), dtype=np.int32)
     index = np.arange(2, n + 2, dtype=np.int32)
-    got = cavity.triangulate_ring(points, 0, 1, index, n, QUALITY, 2.0, best, split)
+    got = cavity.triangulate_ring(points, 0, 1, index, n, QUALITY, 2.0, np.inf, best, split)
 
     def cost(triangles):
         cells = np.array([c for i, j, k in triangles for c in ((0, i, j, k), (i, j, k, 1))])
@@ -146,6 +146,13 @@ def test_ring_triangulation_is_the_best_of_all(n):
 
     expected = min(cost(t) for t in all_triangulations(list(range(2, n + 2))))
     assert got == pytest.approx(expected, rel=1e-9)
+    below = cavity.triangulate_ring(
+        points, 0, 1, index, n, QUALITY, 2.0, expected * 1.001, best, split
+    )
+    assert below == pytest.approx(expected, rel=1e-9)
+    none = cavity.triangulate_ring(points, 0, 1, index, n, QUALITY, 2.0, expected, best, split)
+    assert none == np.inf or none < expected
+    cavity.triangulate_ring(points, 0, 1, index, n, QUALITY, 2.0, expected * 1.001, best, split)
     new = np.empty((20, 4), dtype=np.int32)
     stack = np.empty((20, 2), dtype=np.int32)
     count = cavity.write_ring(0, 1, index, n, split, new, stack)

@@ -20,6 +20,8 @@ MOST_TOUCHED = 192
 MOST_FLIPS = 24
 LARGEST_STAR = 128
 ROUNDS = 2
+DEEP = 2.0
+"""A descent that is still this many times the worst cell's own cost down is given up."""
 GAIN = 1e-3
 """Least gain, as part of the worst cell's own cost, for which a compound move stays."""
 
@@ -87,6 +89,7 @@ def compound_pass(
     star = np.empty(LARGEST_STAR, np.int32)
     undo = np.empty((8 * MOST_TOUCHED, 3))
     undo_vertex = np.empty(8 * MOST_TOUCHED, np.int32)
+    seen = np.empty(MOST_TOUCHED, np.int32)
     out = np.empty(10)
     step = np.empty(3)
     taken = 0
@@ -131,6 +134,9 @@ def compound_pass(
                         flips += 1
                         n_touched = _push(touched, n_touched, around, n_new)
                         m = 0
+                if total < -DEEP * q**-power:
+                    break
+                n_seen = 0
                 for m in range(n_touched):
                     t = touched[m]
                     if cells[t, 0] < 0:
@@ -138,8 +144,17 @@ def compound_pass(
                     status[t] = PENDING
                     for a in range(4):
                         v = cells[t, a]
-                        if locked[v] or n_undo == undo.shape[0]:
+                        if locked[v] or n_undo == undo.shape[0] or n_seen == seen.shape[0]:
                             continue
+                        known = False
+                        for i in range(n_seen):
+                            if seen[i] == v:
+                                known = True
+                                break
+                        if known:
+                            continue
+                        seen[n_seen] = v
+                        n_seen += 1
                         size = gather_star(cells, neighbors, t, v, star)
                         x = points[v, 0]
                         y = points[v, 1]

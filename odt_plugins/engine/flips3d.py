@@ -171,8 +171,11 @@ def remove_edge(
         if objective != ENERGY and not forced and status[t] == DONE and t != c:
             return 0.0, 0
         before += _cost(points, cells, t, objective, power)
-    after = triangulate_ring(points, a, b, ring, n, objective, power, best, split)
-    if not after < (np.inf if forced else before * REAL):
+    limit = np.inf if forced else before * REAL
+    if objective != ENERGY and limit <= 2.0 * (n - 2):
+        return 0.0, 0
+    after = triangulate_ring(points, a, b, ring, n, objective, power, limit, best, split)
+    if not after < limit:
         return 0.0, 0
     n_new = write_ring(a, b, ring, n, split, new, stack)
     if not forced and not _admissible(
@@ -215,6 +218,8 @@ def flip_facet(
     before = _cost(points, cells, c, objective, power)
     before += _cost(points, cells, across, objective, power)
     limit = np.inf if forced else before * REAL
+    if objective != ENERGY and limit <= 3.0:
+        return 0.0, 0
     after = tet_cost(points, base, u, v, apex, objective, power)
     if not after < limit:
         return 0.0, 0

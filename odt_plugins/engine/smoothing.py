@@ -10,8 +10,7 @@ import numpy as np
 from odt_plugins.engine.complex import PENDING, Complex, make_complex
 from odt_plugins.engine.cvt import cvt_step
 from odt_plugins.engine.delaunay import delaunay_exchange
-from odt_plugins.engine.density import Density, cell_density
-from odt_plugins.engine.energy import energy
+from odt_plugins.engine.density import Density
 from odt_plugins.engine.finishing import flip_pending
 from odt_plugins.engine.flips2d import lawson_flips
 from odt_plugins.engine.graph_laplacian import global_step
@@ -20,6 +19,7 @@ from odt_plugins.engine.star import vertex_stars
 from odt_plugins.engine.sweeps import StepStats, gauss_seidel_sweep, jacobi_sweep
 from odt_plugins.engine.tetrahedron import ENERGY
 from odt_plugins.engine.topology import Topology
+from odt_plugins.engine.total_energy import total_energy
 from odt_plugins.mesh import FloatArray
 from odt_plugins.options import Options
 
@@ -162,8 +162,7 @@ def smooth(
         ):
             local_flips(mesh, bounds, log)
         cells, _ = mesh.mesh_arrays()
-        weights = 1.0 if density.inverse_volume else cell_density(mesh.points, cells, rho)
-        current = energy(mesh.points, cells, weights)
+        current = total_energy(mesh.points, cells, rho)
         log.energy.append((options.method, current))
         tick((k + 1) / options.rounds)
         if watch is not None:
