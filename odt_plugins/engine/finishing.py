@@ -25,7 +25,7 @@ from odt_plugins.engine.tetrahedron import QUALITY, tet_quality
 from odt_plugins.engine.threads import run_chunks
 from odt_plugins.mesh import FloatArray, IntArray
 
-GAIN = 1e-3
+GAIN = 3e-3
 RING = 10
 
 

@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
-from odt_plugins.engine.tetrahedron import tet_cosines, tet_quality
+from odt_plugins.engine.tetrahedron import inverse_power, tet_cosines, tet_quality
 from odt_plugins.mesh import FloatArray, IntArray, LongArray
 
 HALVINGS = 7
@@ -149,7 +149,7 @@ def add_quality_terms(
     wc = hh * ic * isum
     w2 = 2.0 * ih
     w4 = 4.0 * ih
-    f = q**-power
+    f = inverse_power(q, power)
     pf = power * f
     pp = power * pf
     out[0] += f
@@ -230,7 +230,7 @@ def star_cost(
         q = tet_quality(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
         if q <= 1e-9:
             return np.inf
-        total += q**-power
+        total += inverse_power(q, power)
         if total >= limit:
             return np.inf
     return total

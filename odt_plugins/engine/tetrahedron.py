@@ -14,6 +14,22 @@ QUALITY = 1
 ANGLE = 2
 
 
+@njit(nogil=True, cache=True)
+def inverse_power(q: float, power: float) -> float:
+    """q^-power, without the general power function for the exponents in use."""
+    if power == 1.0:
+        return 1.0 / q
+    square = 1.0 / (q * q)
+    if power == 2.0:
+        return square
+    if power == 4.0:
+        return square * square
+    if power == 8.0:
+        square *= square
+        return square * square
+    return q**-power
+
+
 @njit(nogil=True, cache=True, inline="never")
 def tet_quality(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     """Radius ratio 3 r/R (Section 5) of tetrahedron (i, j, k, l); negative if inverted.
@@ -199,4 +215,4 @@ def tet_cost(
     q = tet_quality(points, i, j, k, l)
     if q <= 1e-9:
         return np.inf
-    return q**-power
+    return inverse_power(q, power)
