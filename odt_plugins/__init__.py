@@ -35,9 +35,11 @@ if TYPE_CHECKING:
         ODTWarning,
         UnsupportedMeshError,
     )
+    from odt_plugins.hosts import register
     from odt_plugins.options import Options
     from odt_plugins.quality import QualitySummary
     from odt_plugins.report import Report
+    from odt_plugins.script import run_filter_script
 
     __version__: str
 
@@ -59,13 +61,17 @@ __all__ = [
     "optimize",
     "optimize_file",
     "optimize_with_report",
+    "register",
+    "run_filter_script",
 ]
 
 _HOMES = {
     "api": ("measure", "optimize", "optimize_file", "optimize_with_report"),
+    "hosts": ("register",),
     "options": ("Options",),
     "quality": ("QualitySummary",),
     "report": ("Report",),
+    "script": ("run_filter_script",),
 }
 """Module of every public name that is not in `errors`."""
 

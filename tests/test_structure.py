@@ -32,8 +32,10 @@ MAY_IMPORT = {
     "report": {"binding", "plotting", "engine", *BASE},
     "api": {"adapters", "carry", "engine", "planar", "report", *BASE},
     "demo": {"adapters", "api", "plotting", "report", *BASE},
-    "cli": {"adapters", "api", "demo", "report", *BASE},
-    "__init__": {"api", "report", *BASE},
+    "hosts": {"adapters", "api", "report", "script", *BASE},
+    "script": {"adapters", "errors", "hosts"},
+    "cli": {"adapters", "api", "demo", "report", "script", *BASE},
+    "__init__": {"api", "hosts", "report", "script", *BASE},
 }
 """Rooms that a room may import: DESIGN section 2."""
 

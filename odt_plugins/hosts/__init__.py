@@ -1,0 +1,38 @@
+"""What makes odt_plugins look like a part of other toolkits, one file each, on request only."""
+
+from __future__ import annotations
+
+from importlib import import_module
+from importlib.util import find_spec
+
+from odt_plugins.errors import InvalidOptionError, MissingDependencyError
+
+HOSTS = {
+    "pymeshlab": "pymeshlab_filters",
+}
+"""File of this package that extends each toolkit; it has a function `register()`."""
+
+
+def register(name: str) -> None:
+    """Extend a toolkit by the filters and accessors of odt_plugins; a second call does nothing.
+
+    Parameters
+    ----------
+    name : str              "pymeshlab": filters of MeshSet such as `apply_coord_odt_smoothing`,
+                            listed by `pymeshlab.print_filter_list()`
+
+    Raises
+    ------
+    InvalidOptionError      there is nothing for a toolkit of that name
+    MissingDependencyError  the toolkit is not installed
+    """
+    if name not in HOSTS:
+        msg = f"got the toolkit {name!r}; expected one of {sorted(HOSTS)}"
+        raise InvalidOptionError(msg)
+    if find_spec(name) is None:
+        msg = (
+            f"register({name!r}) needs {name}, not installed here; try "
+            f'pip install "odt-plugins[{name}]"'
+        )
+        raise MissingDependencyError(msg)
+    import_module(f"odt_plugins.hosts.{HOSTS[name]}").register()

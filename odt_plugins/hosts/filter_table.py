@@ -1,0 +1,238 @@
+"""The filters for MeshLab as a table: names, parameters, defaults, and how values are checked.
+
+Those that move vertices change the current mesh in place, by way of a mesh that is added for a
+moment: meshes that are added to the set later have higher ids for that.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from numbers import Integral
+from typing import Any, Literal
+
+import numpy as np
+
+from odt_plugins.adapters.host import is_instance
+from odt_plugins.errors import InvalidOptionError
+from odt_plugins.options import DENSITIES
+
+Kind = Literal["int", "bool", "enum", "length"]
+
+RICH = {"int": "RichInt", "bool": "RichBool", "enum": "RichEnum", "length": "RichAbsPerc"}
+"""Type names in the filter scripts of MeshLab."""
+
+
+class ParameterError(InvalidOptionError):
+    """A parameter of a filter has an unknown name or a wrong type."""
+
+
+class ChoiceError(InvalidOptionError):
+    """A parameter with fixed choices has another value."""
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One parameter of a filter.
+
+    Attributes
+    ----------
+    name : str             in Python; in filter scripts `gui`, of which it is the lower case
+    gui : str
+    kind : Kind
+    default : object       of a length: percent of the bounding-box diagonal; None of a bool:
+                           whether faces are selected
+    title, help : str      the texts of MeshLab's dialogs
+    choices : tuple        of an enum
+    """
+
+    gui: str
+    kind: Kind
+    default: Any
+    title: str
+    help: str
+    choices: tuple[str, ...] = ()
+
+    @property
+    def name(self) -> str:
+        """Name in Python."""
+        return self.gui.lower()
+
+    def check(self, value: Any, diagonal: float) -> Any:
+        """Bring a value into plain form; a length becomes a float in the caller's unit."""
+        if self.kind == "enum":
+            if value not in self.choices:
+                listed = " ".join(f"'{choice}';" for choice in self.choices)
+                msg = f"Enum '{value}' not found. Possible values are {listed}"
+                raise ChoiceError(msg)
+            return value
+        if self.kind == "bool":
+            self._expect(isinstance(value, bool | np.bool_), value, "a bool")
+            return bool(value)
+        if self.kind == "int":
+            good = isinstance(value, Integral) and not isinstance(value, bool)
+            good = good and int(value) >= 0
+            self._expect(good, value, "an int of at least 0")
+            return int(value)
+        percent = is_instance(value, "pymeshlab", "PercentageValue")
+        good = percent or is_instance(value, "pymeshlab", "PureValue")
+        kinds = "a pymeshlab.PercentageValue or a pymeshlab.PureValue"
+        self._expect(good, value, kinds)
+        length = float(value.value()) * (diagonal / 100.0 if percent else 1.0)
+        self._expect(0.0 < length < float("inf"), value.value(), "a positive length")
+        return length
+
+    def _expect(self, good: bool, value: Any, expected: str) -> None:
+        if not good:
+            msg = f"Parameter {self.name}: got {value!r}; expected {expected}"
+            raise ParameterError(msg)
+
+    def default_value(self, diagonal: float, selected: bool) -> Any:
+        """Value that is taken when none is given."""
+        if self.kind == "length":
+            return self.default * diagonal / 100.0
+        return selected if self.default is None else self.default
+
+    def from_script(self, entry: Mapping[str, str]) -> Any:
+        """Take the value of a <Param> of a filter script; a length comes as a float.
+
+        Raises
+        ------
+        ParameterError    the text is no value of this kind
+        """
+        text = entry.get("value", "")
+        try:
+            if self.kind == "int":
+                return int(text)
+            if self.kind == "length":
+                return float(text)
+            if self.kind == "bool":
+                return {"true": True, "1": True, "false": False, "0": False}[text.lower()]
+            return self.choices[int(text)] if text.isdigit() else text
+        except (ValueError, KeyError, IndexError):
+            self._expect(False, text, f"a value of type {RICH[self.kind]}")
+
+    def to_script(self, value: Any, diagonal: float) -> dict[str, str]:
+        """Attributes of its <Param> in a filter script, value as :meth:`check` gives it."""
+        entry = {"name": self.gui, "type": RICH[self.kind], "description": self.title,
+                 "tooltip": self.help}
+        if self.kind == "enum":
+            entry |= {f"enum_val{i}": choice for i, choice in enumerate(self.choices)}
+            return entry | {"enum_cardinality": str(len(self.choices)),
+                            "value": str(self.choices.index(value))}
+        if self.kind == "bool":
+            return entry | {"value": str(value).lower()}
+        if self.kind == "length":
+            entry |= {"min": "0", "max": repr(diagonal)}
+        return entry | {"value": repr(value)}
+
+
+@dataclass(frozen=True)
+class Filter:
+    """One filter: its name in Python, its name in MeshLab's menus and scripts, what it does."""
+
+    name: str
+    gui: str
+    help: str
+    parameters: tuple[Parameter, ...]
+
+    def values(self, given: Mapping[str, Any], diagonal: float, selected: bool) -> dict[str, Any]:
+        """All parameters by name: those given, checked, and defaults for the others.
+
+        Raises
+        ------
+        ParameterError, ChoiceError
+        """
+        known = {parameter.name: parameter for parameter in self.parameters}
+        for name in given:
+            if name not in known:
+                msg = (
+                    f"Parameter {name} not found for filter {self.name}. "
+                    f"Its parameters are {', '.join(known) or 'none'}."
+                )
+                raise ParameterError(msg)
+        return {
+            name: parameter.check(given[name], diagonal) if name in given
+            else parameter.default_value(diagonal, selected)
+            for name, parameter in known.items()
+        }
+
+    def doc(self) -> str:
+        """Text of help()."""
+        lines = [self.help, "", "Parameters", "----------"]
+        for p in self.parameters:
+            if p.kind == "length":
+                default: Any = f"PercentageValue({p.default})"
+            else:
+                default = "whether faces are selected" if p.default is None else repr(p.default)
+            choices = f" ({', '.join(map(repr, p.choices))})" if p.choices else ""
+            lines.append(f"{p.name} : {p.kind} = {default}{choices}    {p.help}")
+        return "\n".join(lines)
+
+
+STEPS = Parameter(
+    "stepSmoothNum", "int", 10, "Smoothing steps",
+    "The largest number of smoothing steps; fewer are done when the energy has settled.")
+SELECTED = Parameter(
+    "Selected", "bool", None, "Affect only selection",
+    "Only vertices whose faces are all selected move; without selected faces, selected vertices.")
+BOUNDARY = Parameter(
+    "Boundary", "bool", False, "1D Boundary Smoothing",
+    "Whether vertices of the boundary move along it; otherwise they stay as they are.")
+DENSITY = Parameter(
+    "Density", "enum", "keep", "Density",
+    "Sizes of the result: keep those of the mesh, uniform, or averages weighted alike (4.22).",
+    choices=DENSITIES)
+KEEP = Parameter(
+    "keepQuality", "bool", True, "Keep quality",
+    "No figure (smallest, 1 % and mean radius ratio, extreme angles) may get worse.")
+ITERATIONS = Parameter(
+    "Iterations", "int", 3, "Iterations",
+    "How often smoothing and flips are followed by the repair of the worst elements.")
+
+SMOOTHING = (STEPS, BOUNDARY, DENSITY, KEEP, SELECTED)
+
+_ALL = (
+    Filter(
+        "apply_coord_odt_smoothing", "ODT Smoothing",
+        "Smooth a planar mesh by Optimal Delaunay Triangulation: every vertex moves towards the "
+        "weighted mean of the circumcenters of its faces. Edges are not flipped; the boundary, "
+        "also that of polylines and labelled regions, stays.", SMOOTHING),
+    Filter(
+        "apply_coord_cpt_smoothing", "CPT Smoothing",
+        "Smooth a planar mesh by Centroidal Patch Triangulation: every vertex moves towards the "
+        "weighted mean of the barycenters of its faces. Edges are not flipped.", SMOOTHING),
+    Filter(
+        "apply_coord_odt_global_smoothing", "ODT Global Smoothing",
+        "Smooth a planar mesh by Optimal Delaunay Triangulation, all vertices at once by a linear "
+        "system in every step. Edges are not flipped.", SMOOTHING),
+    Filter(
+        "meshing_odt_optimization", "ODT Optimization",
+        "Improve a planar mesh by Optimal Delaunay Triangulation: moves vertices and flips edges. "
+        "When edges were flipped the current mesh is exchanged: take current_mesh() again.",
+        (STEPS, ITERATIONS, BOUNDARY, DENSITY, KEEP, SELECTED)),
+    Filter(
+        "compute_scalar_by_radius_ratio_per_face", "Per Face Quality by Radius Ratio",
+        "Store in the scalar of every face its radius ratio 2 r/R, 1 for an equilateral triangle "
+        "and 0 for a flat one.", ()),
+    Filter(
+        "generate_odt_tetrahedralization", "ODT Tetrahedralization",
+        "Fill the current mesh with tetrahedra by TetWild, improve them by Optimal Delaunay "
+        "Triangulation, and add their boundary as a new mesh. The tetrahedra are in the result: "
+        "tet_vertex_matrix (n, 3), tet_matrix (m, 4), and boundary_vertex_index, which of their "
+        "vertices the new mesh has.",
+        (
+            Parameter("TargetLen", "length", 5.0, "Target Length",
+                      "Edge length of the tetrahedra."),
+            Parameter("MaxSurfDist", "length", 0.1, "Max. Surface Distance",
+                      "How far the boundary may lie from the surface."),
+            Parameter("stepSmoothNum", "int", 20, STEPS.title, STEPS.help),
+            ITERATIONS, DENSITY, KEEP,
+        )),
+)
+
+FILTERS = {filter.name: filter for filter in _ALL}
+"""All filters by their Python name."""
+
+BY_GUI = {filter.gui: filter for filter in _ALL}
+"""All filters by their name in MeshLab's menus and scripts."""
