@@ -45,6 +45,8 @@ if TYPE_CHECKING:
     from odt_plugins.quality import QualitySummary
     from odt_plugins.report import Report
 
+TURNED = "the input, since cells were turned over on the way out"
+
 MeshT = TypeVar("MeshT")
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
@@ -249,6 +251,7 @@ def _keywords(options: Options) -> OptionKeywords:
 def _run(mesh: Any, options: Options) -> tuple[Any, SimplexMesh, Outcome]:
     """Adapter, engine, adapter: the caller's new mesh, the engine's input and its outcome."""
     from odt_plugins.engine.driver import run
+    from odt_plugins.quality import volumes
 
     work = _prepare(mesh, options)
     outcome = run(work.mesh, _in_frame(options, work.frame))
@@ -256,6 +259,10 @@ def _run(mesh: Any, options: Options) -> tuple[Any, SimplexMesh, Outcome]:
     cells, regions, source = in_input_order(
         work.mesh, outcome.points, outcome.cells, outcome.regions
     )
+    if not (volumes(outcome.points, cells) > 0.0).all():
+        points, outcome = np.array(work.host.points), _input_instead(work, outcome, TURNED)
+        cells, regions = outcome.cells, outcome.regions
+        source = np.arange(len(cells), dtype=np.int32)
     outcome = replace(outcome, cells=cells, regions=regions)
     if work.orientation < 0:
         cells = reverse(cells, np.ones(len(cells), dtype=np.bool_))
@@ -320,12 +327,12 @@ def _placed(
     broken = broken_promises(work.mesh, exact, outcome.cells, outcome.regions, options.keep)
     if not broken:
         return points, replace(outcome, points=exact)
+    return np.array(work.host.points), _input_instead(work, outcome, ROUNDED + broken[0])
+
+
+def _input_instead(work: _Prepared, outcome: Outcome, fallback: str) -> Outcome:
+    """The outcome with the input mesh in the place of one that must not be returned."""
     mesh = work.mesh
-    outcome = replace(
-        outcome,
-        points=mesh.points,
-        cells=mesh.cells,
-        regions=mesh.regions,
-        fallback=ROUNDED + broken[0],
+    return replace(
+        outcome, points=mesh.points, cells=mesh.cells, regions=mesh.regions, fallback=fallback
     )
-    return np.array(work.host.points), outcome

@@ -52,8 +52,9 @@ def in_input_order(
 
     Returns
     -------
-    cells : (m', d + 1) int32       a cell that is still there has its old row, and such cells
-                                    keep their order; new cells stand next to where they come from
+    cells : (m', d + 1) int32       a cell that is still there, the same way round, has its old
+                                    row, and such cells keep their order; new cells stand next to
+                                    where they come from
     regions : (m',) int32           their labels
     source : (m',) int32            :func:`cell_source`, increasing
     """
@@ -62,7 +63,20 @@ def in_input_order(
     cells, source = cells[order], source[order]
     old = before.cells[source]
     same = (np.sort(old, axis=1) == np.sort(cells, axis=1)).all(axis=1)
+    same &= _is_odd(old) == _is_odd(cells)
     return np.where(same[:, None], old, cells), regions[order], source
+
+
+def _is_odd(rows: IntArray) -> NDArray[np.bool_]:
+    """Whether each row is an odd permutation of its sorted self.
+
+    Vertices that moved can bring back an old set of vertices the other way round.
+    """
+    odd = np.zeros(len(rows), dtype=np.bool_)
+    for i in range(rows.shape[1]):
+        for j in range(i):
+            odd ^= rows[:, j] > rows[:, i]
+    return odd
 
 
 def _same_vertices(cells0: IntArray, cells1: IntArray, n: int) -> IntArray:

@@ -11,11 +11,14 @@ import contract
 import meshio
 import numpy as np
 import pytest
+import tet_meshes as tm
 
 import odt_plugins
 from odt_plugins import api
+from odt_plugins.carry import in_input_order
 from odt_plugins.engine import driver
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError
+from odt_plugins.mesh import SimplexMesh
 from odt_plugins.options import CHOICES, FIGURES, Options
 
 DATA = Path(__file__).parent / "data"
@@ -141,3 +144,37 @@ def test_progress_and_options_reach_the_engine(monkeypatch):
     given = {"method": "cpt", "rounds": 3, "threads": 2, "progress": progress, "exponent": 3.0}
     odt_plugins.optimize((points, cells), **given)
     assert {name: getattr(seen[0], name) for name in given} == given
+
+
+@pytest.mark.parametrize("k", [3, 4])
+def test_a_cell_that_comes_back_the_other_way_round_keeps_its_new_row(k):
+    points = np.vstack([np.zeros(k - 1), np.eye(k - 1)])
+    cells = np.arange(k, dtype=np.int32)[None]
+    labels = np.zeros(1, dtype=np.int32)
+    before = SimplexMesh(points, cells, labels, np.zeros(k, dtype=bool))
+    mirrored = points.copy()
+    mirrored[:, 0] *= -1.0
+    turned = cells[:, [1, 0, *range(2, k)]]
+    assert np.array_equal(in_input_order(before, mirrored, turned, labels)[0], turned)
+    rotated = cells[:, [1, 2, 0, *range(3, k)]]
+    assert np.array_equal(in_input_order(before, points, rotated, labels)[0], cells)
+
+
+def test_cells_turned_on_the_way_out_are_never_returned(monkeypatch):
+    points, cells = tm.ball(200, 3)
+
+    def turned(before, points, cells, regions):
+        return cells[:, [1, 0, 2, 3]], regions, np.zeros(len(cells), dtype=np.int32)
+
+    monkeypatch.setattr(api, "in_input_order", turned)
+    (new_points, new_cells), report = odt_plugins.optimize_with_report((points, cells))
+    assert new_points.tobytes() == points.tobytes()
+    assert np.array_equal(new_cells, cells)
+    assert "turned over" in report.fallback
+
+
+@pytest.mark.parametrize("seed", range(6))
+def test_no_cell_of_the_result_is_turned_over(seed):
+    points, cells = tm.ball(400, seed)
+    new_points, new_cells = odt_plugins.optimize((points, cells), cycles=1)
+    assert (tm.signed_volumes(new_points, new_cells) > 0).all()

@@ -1,0 +1,61 @@
+"""Runs ``odt-plugins optimize`` on mesh files and prints one table of figures for all of them.
+
+python examples/figures.py MESH... [-- OPTIONS of odt-plugins optimize]
+"""
+
+from __future__ import annotations
+
+import json
+import sys
+import tempfile
+import time
+from pathlib import Path
+from typing import Any
+
+from odt_plugins.cli import main as command
+
+HEADER = (
+    "| start | | mean q | 1 % | min q | angles | < 10° | < 20° | seconds |\n"
+    "|---|---|---|---|---|---|---|---|---|"
+)
+
+
+def row(name: str, when: str, figures: dict[str, Any], seconds: str) -> str:
+    """One line of the table."""
+    return (
+        f"| {name} | {when} | {figures['mean_quality']:.4f} | {figures['p1_quality']:.3f} | "
+        f"{figures['min_quality']:.3f} | {figures['min_angle']:.1f}..{figures['max_angle']:.1f} | "
+        f"{figures['below_10']} | {figures['below_20']} | {seconds} |"
+    )
+
+
+def measure(path: Path, options: list[str]) -> tuple[dict[str, Any], float]:
+    """Report of one run of the command, and its wall time without Python's start."""
+    with tempfile.TemporaryDirectory() as folder:
+        output = Path(folder) / path.name
+        report = Path(folder) / "report.json"
+        start = time.perf_counter()
+        code = command(["optimize", str(path), str(output), "--report", str(report), "--quiet",
+                        *options])
+        seconds = time.perf_counter() - start
+        if code != 0:
+            sys.exit(code)
+        return json.loads(report.read_text()), seconds
+
+
+def main(arguments: list[str]) -> None:
+    """Measure every mesh, the first one twice so that compilation is not counted."""
+    cut = arguments.index("--") if "--" in arguments else len(arguments)
+    paths, options = [Path(a) for a in arguments[:cut]], arguments[cut + 1 :]
+    if not paths:
+        sys.exit("usage: python examples/figures.py MESH... [-- OPTIONS]")
+    print(HEADER)
+    for path in paths:
+        measure(path, [*options, "--rounds", "1", "--cycles", "1"])
+        report, seconds = measure(path, options)
+        print(row(path.stem, "before", report["before"], ""))
+        print(row(path.stem, "after", report["after"], f"{seconds:.1f}"))
+
+
+if __name__ == "__main__":
+    main(sys.argv[1:])
