@@ -344,6 +344,59 @@ def _pymeshlab(whole):
     return Host(make, view, 2, "marker")
 
 
+def _open3d(kind):
+    """A legacy TriangleMesh or TetraMesh, or a tensor mesh in single precision."""
+    dim = 3 if kind == "tetra" else 2
+
+    def make():
+        import open3d
+
+        points, cells, labels = grid(dim, 4)
+        n, m = len(points), len(cells)
+        space = np.column_stack([points, np.full(n, THIRD)])[:, :3]
+        colours = np.random.default_rng(4).random((n, 3))
+        if kind == "tensor":
+            mesh = open3d.t.geometry.TriangleMesh(space.astype(np.float32), cells)
+            point, cell = data(points, cells, labels)
+            for name, values in {**point, "colors": colours.astype(np.float32)}.items():
+                mesh.vertex[name] = values
+            for name, values in {**cell, "inside": np.arange(m) % 3 == 0}.items():
+                mesh.triangle[name] = values
+            mesh.material.material_name = "defaultLit"
+            mesh.material.set_default_properties()
+            mesh.material.texture_maps["albedo"] = open3d.t.geometry.Image(PICTURE)
+            return mesh
+        corners = open3d.utility.Vector3dVector(space)
+        if dim == 3:
+            mesh = open3d.geometry.TetraMesh(corners, open3d.utility.Vector4iVector(cells))
+        else:
+            mesh = open3d.geometry.TriangleMesh(corners, open3d.utility.Vector3iVector(cells))
+            mesh.triangle_material_ids = open3d.utility.IntVector((labels == 7).astype(np.int32))
+            mesh.textures = [open3d.geometry.Image(PICTURE)]
+        mesh.vertex_colors = open3d.utility.Vector3dVector(colours)
+        return mesh
+
+    def view(mesh):
+        if kind == "tensor":
+            point = {name: np.array(v.numpy()) for name, v in mesh.vertex.items()}
+            cell = {name: np.array(v.numpy()) for name, v in mesh.triangle.items()}
+            picture = mesh.material.texture_maps["albedo"].as_tensor().numpy()
+            field = {"material": np.array(mesh.material.material_name), "texture": picture.copy(),
+                     "device": np.array(str(mesh.device))}
+            return View(point.pop("positions"), cell.pop("indices"), point, cell, field)
+        point = {"colour": np.array(mesh.vertex_colors)}
+        if dim == 3:
+            return View(np.array(mesh.vertices), np.array(mesh.tetras), point, {}, {})
+        cell = {"material": np.array(mesh.triangle_material_ids)}
+        field = {"texture": np.array(mesh.textures[0])}
+        return View(np.array(mesh.vertices), np.array(mesh.triangles), point, cell, field)
+
+    region = {"tetra": None, "triangle": "material", "tensor": "marker"}[kind]
+    return Host(make, view, dim, region)
+
+
+PICTURE = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
+
 HOSTS = {
     "arrays-tet": _arrays(3, False, np.float64, np.int64, tuple, False),
     "arrays-tet-regions": _arrays(3, False, np.float64, np.uint16, list, True),
@@ -361,4 +414,7 @@ HOSTS = {
     "meshio-tri-blocks": _meshio(2, blocks=True),
     "pymeshlab-mesh": _pymeshlab(whole=False),
     "pymeshlab-meshset": _pymeshlab(whole=True),
+    "open3d-triangle": _open3d("triangle"),
+    "open3d-tetra": _open3d("tetra"),
+    "open3d-tensor": _open3d("tensor"),
 }

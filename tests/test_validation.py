@@ -200,7 +200,7 @@ def test_unknown_objects_are_named(mesh):
 @pytest.mark.parametrize("module", ["open3d.pybind.geometry", "vtkmodules", "trimesh"])
 def test_objects_of_other_toolkits_get_a_hint(module):
     mesh = type("Mesh", (), {"__module__": module})()
-    with pytest.raises(UnsupportedMeshError, match=r"try .*(tetras|wrap|faces)"):
+    with pytest.raises(UnsupportedMeshError, match=r"try .*(TetraMesh|wrap|faces)"):
         odt_plugins.optimize(mesh)
 
 

@@ -2,7 +2,14 @@
 
 from __future__ import annotations
 
-from odt_plugins.adapters import arrays, files, meshio_mesh, pymeshlab_mesh, pyvista_mesh
+from odt_plugins.adapters import (
+    arrays,
+    files,
+    meshio_mesh,
+    open3d_mesh,
+    pymeshlab_mesh,
+    pyvista_mesh,
+)
 from odt_plugins.adapters.host import Adapter
 from odt_plugins.errors import UnsupportedMeshError
 
@@ -12,15 +19,17 @@ ADAPTERS: tuple[Adapter, ...] = (
     meshio_mesh,
     pyvista_mesh,
     pymeshlab_mesh,
+    open3d_mesh,
 )
 
 ACCEPTED = (
     "a (points, cells) tuple of numpy arrays, a pyvista.UnstructuredGrid or PolyData, a "
-    "meshio.Mesh, a pymeshlab.MeshSet or Mesh or the path of a mesh file"
+    "meshio.Mesh, a pymeshlab.MeshSet or Mesh, an open3d TriangleMesh (legacy or tensor) or "
+    "TetraMesh, or the path of a mesh file"
 )
 
 HINTS = {
-    "open3d": "(numpy.asarray(mesh.vertices), numpy.asarray(mesh.tetras or mesh.triangles))",
+    "open3d": "open3d.geometry.TetraMesh.create_from_point_cloud(cloud)[0]",
     "vtkmodules": "pyvista.wrap(mesh)",
     "trimesh": "(mesh.vertices, mesh.faces) as plain arrays",
     "builtins": "numpy.asarray on the points and on the cells",

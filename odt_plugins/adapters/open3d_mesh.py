@@ -1,0 +1,234 @@
+"""open3d meshes: legacy TriangleMesh and TetraMesh, tensor t.geometry.TriangleMesh.
+
+Everything survives: class, dtype and device, vertex colours, texture coordinates, materials,
+textures, every attribute of a tensor mesh. Normals and the adjacency list are computed anew if
+they were there and the mesh changed. Faces of different materials or charts of the texture never
+mix. Tensor meshes on another device are optimised on the CPU and copied back, with a warning.
+"""
+
+from __future__ import annotations
+
+import warnings
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance, region_array
+from odt_plugins.adapters.wedges import carried, charts
+from odt_plugins.errors import InvalidMeshError, ODTWarning, UnsupportedMeshError
+
+MATERIALS = {"legacy": "triangle_material_ids", "tensor": "material_ids"}
+"""Names of the material of every triangle."""
+
+
+def matches(mesh: object) -> bool:
+    """Say whether this is a TriangleMesh or a TetraMesh of open3d."""
+    return is_instance(mesh, "open3d", "TriangleMesh") or is_instance(mesh, "open3d", "TetraMesh")
+
+
+def is_tensor(mesh: object) -> bool:
+    """Say whether a mesh belongs to open3d.t.geometry."""
+    return any(".t.geometry" in base.__module__ for base in type(mesh).__mro__)
+
+
+def read(mesh: Any, regions: str | None = None) -> HostMesh:
+    """Take the arrays out of an open3d mesh.
+
+    Parameters
+    ----------
+    mesh : open3d.geometry.TriangleMesh, open3d.geometry.TetraMesh or
+        open3d.t.geometry.TriangleMesh
+    regions : str or None      name of the triangle attribute of region labels; None takes
+                               "marker" or another known name, else the material ids
+
+    Raises
+    ------
+    UnsupportedMeshError       the mesh has no triangles or tetras
+    InvalidMeshError           texture coordinates or material ids of the wrong length
+    InvalidOptionError         there is no attribute of that name
+    """
+    if is_instance(mesh, "open3d", "TetraMesh"):
+        _require(len(mesh.tetras), len(mesh.vertices), "TetraMesh", "tetras")
+        return HostMesh(
+            points=np.array(mesh.vertices),
+            cells=np.array(mesh.tetras),
+            regions=region_array({}, regions),
+            source=mesh,
+        )
+    return _read_tensor(mesh, regions) if is_tensor(mesh) else _read_legacy(mesh, regions)
+
+
+def write(result: Result, host: HostMesh) -> Any:
+    """Copy the caller's mesh and exchange its vertices, its cells and their data."""
+    same = np.array_equal(result.cells, host.cells) and np.array_equal(result.points, host.points)
+    if is_tensor(host.source):
+        return _write_tensor(result, host, same)
+    from open3d.utility import Vector3dVector, Vector4iVector
+
+    out = type(host.source)(host.source)
+    if same:
+        return out
+    out.vertices = Vector3dVector(result.points)
+    if is_instance(out, "open3d", "TetraMesh"):
+        out.tetras = Vector4iVector(result.cells)
+        return out
+    return _write_triangles(out, result, host)
+
+
+def _read_legacy(mesh: Any, regions: str | None) -> HostMesh:
+    n, m = len(mesh.vertices), len(mesh.triangles)
+    _require(m, n, "TriangleMesh", "triangles")
+    cells = np.array(mesh.triangles)
+    uv = _wedges(mesh.triangle_uvs, m, "triangle_uvs") if mesh.has_triangle_uvs() else None
+    arrays = {}
+    if mesh.has_triangle_material_ids():
+        name = MATERIALS["legacy"]
+        arrays[name] = _per_triangle(np.array(mesh.triangle_material_ids), m, name)
+    return _host(mesh, np.array(mesh.vertices), cells, uv, arrays, regions)
+
+
+def _read_tensor(mesh: Any, regions: str | None) -> HostMesh:
+    if "positions" not in mesh.vertex or "indices" not in mesh.triangle:
+        n = len(mesh.vertex["positions"]) if "positions" in mesh.vertex else 0
+        _require(0, n, "t.geometry.TriangleMesh", "triangles")
+    if not mesh.is_cpu:
+        msg = (
+            f"the mesh lies on {mesh.device}; it is copied to the CPU, optimised there and "
+            f"copied back"
+        )
+        warnings.warn(msg, ODTWarning, stacklevel=6)
+    points = np.array(mesh.vertex["positions"].cpu().numpy())
+    cells = np.array(mesh.triangle["indices"].cpu().numpy())
+    m = len(cells)
+    _require(m, len(points), "t.geometry.TriangleMesh", "triangles")
+    arrays = {
+        name: _per_triangle(np.array(values.cpu().numpy()), m, f"triangle.{name}")
+        for name, values in mesh.triangle.items()
+        if name != "indices"
+    }
+    uv = arrays.get("texture_uvs")
+    uv = None if uv is None else _wedges(uv.reshape(-1, 2), m, "triangle.texture_uvs")
+    return _host(mesh, points, cells, uv, arrays, regions)
+
+
+def _host(
+    mesh: Any,
+    points: NDArray[Any],
+    cells: NDArray[Any],
+    uv: NDArray[Any] | None,
+    arrays: dict[str, NDArray[Any]],
+    regions: str | None,
+) -> HostMesh:
+    """Put together what both classes of triangle meshes have."""
+    labels = region_array(arrays, regions)
+    if labels is None:
+        labels = next((arrays[name] for name in MATERIALS.values() if name in arrays), None)
+        labels = None if labels is None else labels.reshape(-1)
+    blocks: NDArray[np.int64] | None = None
+    kept: tuple[KeptCells, ...] = ()
+    if uv is not None and _in_range(cells, len(points)):
+        blocks, seams = charts(uv, cells)
+        kept = (seams,) if len(seams.rows) else ()
+    return HostMesh(points, cells, labels, blocks, kept, source=mesh, layout=uv)
+
+
+def _in_range(cells: NDArray[Any], n: int) -> bool:
+    """Indices that are out of range are named by the checks that every mesh passes."""
+    return bool(cells.min() >= 0 and cells.max() < n)
+
+
+def _write_triangles(out: Any, result: Result, host: HostMesh) -> Any:
+    from open3d.utility import IntVector, Vector2dVector, Vector3dVector, Vector3iVector
+
+    mesh, nowhere = host.source, Vector3dVector()
+    out.triangles = Vector3iVector(result.cells)
+    if host.layout is not None:
+        uv = carried(host.layout, host.cells, result)
+        out.triangle_uvs = Vector2dVector(uv.reshape(-1, 2))
+    if mesh.has_triangle_material_ids():
+        out.triangle_material_ids = IntVector(
+            np.array(mesh.triangle_material_ids)[result.source])
+    out.triangle_normals, out.vertex_normals = nowhere, nowhere
+    if mesh.has_triangle_normals():
+        out.compute_triangle_normals()
+    if mesh.has_vertex_normals():
+        out.compute_vertex_normals()
+    if not mesh.has_triangle_normals():
+        out.triangle_normals = nowhere
+    if mesh.has_adjacency_list():
+        out.compute_adjacency_list()
+    return out
+
+
+def _write_tensor(result: Result, host: HostMesh, same: bool) -> Any:
+    """Fill a clone; open3d's clone() shares no memory but forgets the material."""
+    from open3d.core import Tensor
+
+    mesh = host.source
+    out = mesh.clone()
+    out.material = mesh.material
+    if same:
+        return out
+    for values, arrays in ((out.vertex, {"positions": result.points}),
+                           (out.triangle, _triangle_data(result, host))):
+        for name, array in arrays.items():
+            tensor: Any = Tensor.from_numpy(np.ascontiguousarray(array)).clone()
+            values[name] = tensor if mesh.is_cpu else tensor.to(mesh.device)
+    _renew_normals(out, mesh)
+    return out
+
+
+def _triangle_data(result: Result, host: HostMesh) -> dict[str, NDArray[Any]]:
+    data = {"indices": result.cells}
+    for name, values in host.source.triangle.items():
+        if name == "texture_uvs":
+            data[name] = carried(host.layout, host.cells, result)
+        elif name not in ("indices", "normals"):
+            data[name] = np.array(values.cpu().numpy())[result.source]
+    return data
+
+
+def _renew_normals(out: Any, mesh: Any) -> None:
+    """Compute the normals that were there, in their old dtype.
+
+    open3d warns of missing vertex normals when it computes those of the triangles.
+    """
+    from open3d.utility import VerbosityContextManager, VerbosityLevel
+
+    with_faces, with_vertices = "normals" in mesh.triangle, "normals" in mesh.vertex
+    for values, there in ((out.triangle, with_faces), (out.vertex, with_vertices)):
+        if there:
+            del values["normals"]
+    with VerbosityContextManager(VerbosityLevel.Error):
+        if with_vertices:
+            out.compute_vertex_normals()
+        elif with_faces:
+            out.compute_triangle_normals()
+    if with_vertices:
+        out.vertex["normals"] = out.vertex["normals"].to(mesh.vertex["normals"].dtype)
+    if with_faces:
+        out.triangle["normals"] = out.triangle["normals"].to(mesh.triangle["normals"].dtype)
+    elif "normals" in out.triangle:
+        del out.triangle["normals"]
+
+
+def _require(m: int, n: int, kind: str, what: str) -> None:
+    if not m:
+        msg = f"got a {kind} without {what} ({n} vertices); expected at least one of the {what}"
+        raise UnsupportedMeshError(msg)
+
+
+def _wedges(values: Any, m: int, name: str) -> NDArray[Any]:
+    uv = np.array(values)
+    if len(uv) != 3 * m:
+        msg = f"{name} has {len(uv)} entries for {m} triangles; expected three a triangle"
+        raise InvalidMeshError(msg)
+    return uv.reshape(m, 3, 2)
+
+
+def _per_triangle(values: NDArray[Any], m: int, name: str) -> NDArray[Any]:
+    if len(values) != m:
+        msg = f"{name} has {len(values)} entries for {m} triangles; expected one a triangle"
+        raise InvalidMeshError(msg)
+    return values

@@ -1,0 +1,96 @@
+"""Texture coordinates of wedges, the corners of triangles: which faces share a chart, and carrying.
+
+Faces of different charts never mix, so seams of the texture stay where they are.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.adapters.host import KeptCells, Result
+from odt_plugins.mesh import row_keys
+
+
+def charts(
+    uv: NDArray[np.floating], cells: NDArray[np.integer]
+) -> tuple[NDArray[np.int64], KeptCells]:
+    """Find the charts of a texture.
+
+    Parameters
+    ----------
+    uv : (m, 3, 2)      texture coordinates of the wedges
+    cells : (m, 3)      triangles
+
+    Returns
+    -------
+    chart : (m,) int64  number of the chart of every triangle: triangles are joined over edges at
+                        both ends of which their texture coordinates agree
+    seams : KeptCells   edges within one chart across which they do not
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import connected_components
+
+    m = len(cells)
+    n = int(cells.max()) + 1
+    start = cells[:, [0, 1, 2]].T.ravel()
+    end = cells[:, [1, 2, 0]].T.ravel()
+    face = np.tile(np.arange(m), 3)
+    place = np.stack([uv[:, [0, 1, 2]], uv[:, [1, 2, 0]]], axis=2)
+    place = place.transpose(1, 0, 2, 3).reshape(3 * m, 2, 2)
+    turned = start > end
+    place[turned] = place[turned, ::-1]
+    edge = np.sort(np.stack([start, end], axis=1), axis=1)
+    key = row_keys(edge, n)
+    order = np.argsort(key, kind="stable")
+    twin = np.flatnonzero(key[order][1:] == key[order][:-1])
+    a, b = order[twin], order[twin + 1]
+    same = (place[a] == place[b]).all(axis=(1, 2))
+    ones = np.ones(int(same.sum()), dtype=np.int8)
+    graph = coo_array((ones, (face[a[same]], face[b[same]])), shape=(m, m))
+    chart = connected_components(graph, directed=False)[1].astype(np.int64)
+    inner = ~same & (chart[face[a]] == chart[face[b]])
+    return chart, KeptCells("texture seam", edge[a[inner]])
+
+
+def carried(
+    uv: NDArray[np.floating], cells: NDArray[np.integer], result: Result
+) -> NDArray[np.floating]:
+    """Texture coordinates (m', 3, 2) of the wedges of the new triangles.
+
+    Parameters
+    ----------
+    uv : (m, 3, 2)     of the old wedges
+    cells : (m, 3)     old triangles
+    result : Result    new triangles and the old one from which each takes its data
+
+    Returns
+    -------
+    (m', 3, 2)         a wedge takes the coordinates that its vertex has in the source triangle;
+                       where that does not have the vertex, those of the old wedge of the vertex
+                       that lies nearest to the source triangle in the texture
+    """
+    out = np.zeros((len(result.cells), 3, 2), dtype=uv.dtype)
+    old = cells[result.source]
+    todo = np.ones((len(result.cells), 3), dtype=np.bool_)
+    for i in range(3):
+        for j in range(3):
+            same = old[:, j] == result.cells[:, i]
+            out[same, i] = uv[result.source[same], j]
+            todo[same, i] = False
+    face, corner = np.nonzero(todo)
+    if not len(face):
+        return out
+    vertex = cells.ravel()
+    order = np.argsort(vertex, kind="stable")
+    wanted = result.cells[face, corner]
+    low = np.searchsorted(vertex[order], wanted, side="left")
+    size = np.searchsorted(vertex[order], wanted, side="right") - low
+    row = np.repeat(np.arange(len(face)), size)
+    wedge = order[np.arange(len(row)) - np.repeat(np.cumsum(size) - size, size) + low[row]]
+    flat = uv.reshape(-1, 2)
+    away = ((flat[wedge] - uv[result.source[face[row]]].mean(axis=1)) ** 2).sum(axis=1)
+    best = np.lexsort((wedge, away, row))
+    first = best[np.cumsum(size) - size]
+    out[face, corner] = flat[wedge[first]]
+    return out
