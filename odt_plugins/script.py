@@ -3,17 +3,25 @@
 from __future__ import annotations
 
 import os
+import tempfile
 import time
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
+from odt_plugins.adapters import files
 from odt_plugins.adapters import pymeshlab_mesh as adapter
-from odt_plugins.errors import InvalidMeshError, MeshFileError
+from odt_plugins.errors import InvalidMeshError, MeshFileError, MissingDependencyError
 from odt_plugins.hosts.filter_table import BY_GUI, FILTERS, Filter, ParameterError
 
 HEAD = b"<!DOCTYPE FilterScript>\n"
+
+SURFACES = (".ply", ".obj", ".stl", ".off", ".wrl", ".dae", ".x3d", ".3ds", ".u3d", ".ctm", ".dxf")
+"""Suffixes of the files that MeshLab writes."""
+
+TETRAHEDRA = "generate_odt_tetrahedralization"
 
 
 class Step(NamedTuple):
@@ -51,13 +59,92 @@ def run_filter_script(
     InvalidMeshError              a filter of MeshLab failed; those before it were applied
     pymeshlab.PyMeshLabException  a filter of odt_plugins failed; those before it were applied
     """
-    path = Path(file)
+    return apply_script(meshes, _script_text(Path(file)), str(file), progress=progress)
+
+
+def _script_text(path: Path) -> bytes:
     try:
-        text = path.read_bytes()
+        return path.read_bytes()
     except OSError as exc:
         msg = f"cannot read {path}: {exc.strerror or exc}; expected a filter script (.mlx)"
         raise MeshFileError(msg) from exc
-    return apply_script(meshes, text, str(path), progress=progress)
+
+
+def run_script_on_files(
+    script: Path,
+    source: Path,
+    target: Path,
+    *,
+    progress: Callable[[str], None] | None = None,
+) -> None:
+    """Load a mesh into MeshLab, apply a filter script, and write the current mesh.
+
+    Parameters
+    ----------
+    script : path          .mlx
+    source : path          of a format that MeshLab reads
+    target : path          of a format that MeshLab writes; of a tetrahedral format of meshio
+                           (.vtu, .msh, ...) it gets the tetrahedra of the script's last
+                           "ODT Tetrahedralization"
+    progress : callable    see :func:`run_filter_script`
+
+    Raises
+    ------
+    MissingDependencyError    pymeshlab is not installed
+    MeshFileError             a file cannot be read or written; `target` is then as it was before
+    """
+    if find_spec("pymeshlab") is None:
+        msg = ('a filter script needs pymeshlab, not installed here; try '
+               'pip install "odt-plugins[pymeshlab]"')
+        raise MissingDependencyError(msg)
+    from pymeshlab import MeshSet, PyMeshLabException
+
+    text = _script_text(script)
+    steps = read_script(text, str(script))
+    surface = target.suffix.lower() in SURFACES
+    if not surface and not any(step.own and step.own.name == TETRAHEDRA for step in steps):
+        msg = (
+            f"cannot write {target}: MeshLab has no format {target.suffix!r}; expected one of "
+            f"{' '.join(SURFACES)}, or {TETRAHEDRA} in the script for a file of tetrahedra"
+        )
+        raise MeshFileError(msg)
+    files.check_output(target.with_suffix(".vtu") if surface else target)
+    if not source.is_file():
+        msg = f"cannot read {source}: it is missing; expected a mesh file"
+        raise MeshFileError(msg)
+    meshes = MeshSet()
+    try:
+        with adapter.muted():
+            meshes.load_new_mesh(str(source))
+    except PyMeshLabException as exc:
+        msg = f"cannot read {source}: {' '.join(str(exc).split())}; expected a file of MeshLab's"
+        raise MeshFileError(msg) from exc
+    results = apply_script(meshes, text, str(script), progress=progress)
+    if surface:
+        _save(meshes, target)
+        return
+    import meshio
+
+    tets = next(result for result in reversed(results) if "tet_matrix" in result)
+    cells = meshio.CellBlock("tetra", tets["tet_matrix"])
+    files.write_file(target, meshio.Mesh(tets["tet_vertex_matrix"], [cells]))
+
+
+def _save(meshes: Any, target: Path) -> None:
+    """Write the current mesh beside its place and rename it when it is complete."""
+    from pymeshlab import PyMeshLabException
+
+    try:
+        with tempfile.TemporaryDirectory(
+            prefix=f".{target.stem}-", dir=target.absolute().parent
+        ) as folder:
+            meshes.save_current_mesh(str(Path(folder) / target.name))
+            # A texture or a material file is written beside the mesh, which refers to it.
+            for part in sorted(Path(folder).iterdir(), key=lambda part: part.name == target.name):
+                os.replace(part, target.parent / part.name)
+    except (PyMeshLabException, OSError) as exc:
+        msg = f"cannot write {target}: {' '.join(str(exc).split())}; try another path or format"
+        raise MeshFileError(msg) from exc
 
 
 def apply_script(

@@ -73,6 +73,8 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
     UnsupportedMeshError       the MeshSet is empty, or the mesh has no faces
     InvalidOptionError         there is no attribute of that name
     """
+    from pymeshlab import MeshSet
+
     whole = is_instance(mesh, "pymeshlab", "MeshSet")
     if whole and not mesh.mesh_number():
         msg = "got a MeshSet without meshes; expected a current mesh, try load_new_mesh()"
@@ -84,7 +86,8 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
             f"try generate_surface_reconstruction_ball_pivoting() on a point cloud"
         )
         raise UnsupportedMeshError(msg)
-    copy = private_copy(current)
+    copy = MeshSet()
+    copy.add_mesh(current)
     inner = copy.current_mesh()
     names = custom_attributes(copy)
     labels = region_array(_labels(inner, names), regions)
@@ -149,7 +152,7 @@ def copy_of_set(meshes: Any, current: Any) -> Any:
             out.set_mesh_visibility(next_id, meshes.is_mesh_visible(next_id))
             found += 1
         else:
-            out.add_mesh(Mesh())
+            out.add_mesh(Mesh(np.zeros((1, 3))))
             unused.append(next_id)
         next_id += 1
     for spare in unused:
@@ -176,7 +179,14 @@ def add_copy(meshes: Any, mesh: Any) -> None:
     -----
     DataNotKeptWarning    the mesh has more than one texture
     """
-    meshes.add_mesh(mesh, mesh.label())
+    from pymeshlab import Mesh
+
+    if mesh.vertex_number():
+        meshes.add_mesh(mesh, mesh.label())
+    else:
+        meshes.add_mesh(Mesh(np.zeros((1, 3))))
+        meshes.apply_filter("set_selection_all", allfaces=False, allverts=True)
+        meshes.apply_filter("meshing_remove_selected_vertices")
     meshes.current_mesh().set_label(mesh.label())
     _complete(meshes, mesh)
 
@@ -196,8 +206,10 @@ def _complete(meshes: Any, like: Any) -> None:
     elif textures:
         with tempfile.TemporaryDirectory(prefix="odt-plugins-") as folder:
             ((name, image),) = textures.items()
-            file = Path(folder) / (Path(name).name or "texture.png")
-            image.save(str(file))
+            # Without loss, under its own name: Qt tells the format by the contents.
+            image.save(str(Path(folder) / "image.png"))
+            file = Path(folder) / (Path(name).name or "texture")
+            (Path(folder) / "image.png").rename(file)
             meshes.set_texture_per_mesh(textname=str(file))
 
 
@@ -266,7 +278,7 @@ def exchange(meshes: Any, new: Any) -> None:
     if meshes.mesh_number() == 1 and not rasters(meshes):
         meshes.clear()
         for spare in range(own):
-            meshes.add_mesh(Mesh())
+            meshes.add_mesh(Mesh(np.zeros((1, 3))))
             meshes.set_current_mesh(spare)
             meshes.apply_filter("delete_current_mesh")
         own = -1

@@ -286,7 +286,8 @@ def _effect(
         lines.append(f"Fell back: {report.fallback}")
     found = {"moved_vertices": moved, "min_radius_ratio": b.min_quality,
              "mean_radius_ratio": b.mean_quality, "min_angle": b.min_angle,
-             "max_angle": b.max_angle}
+             "max_angle": b.max_angle, "min_radius_ratio_before": a.min_quality,
+             "mean_radius_ratio_before": a.mean_quality}
     return Effect(found, lines)
 
 

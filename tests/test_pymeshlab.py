@@ -1,0 +1,468 @@
+"""pymeshlab: what survives, named one by one; the selection; the filters' own numbers."""
+
+from __future__ import annotations
+
+import functools
+import gc
+import itertools
+import os
+import subprocess
+import sys
+import tempfile
+
+import contract
+import numpy as np
+import pytest
+
+import odt_plugins
+from odt_plugins.adapters import pymeshlab_mesh as adapter
+from odt_plugins.adapters.host import Result
+from odt_plugins.errors import (
+    DataNotKeptWarning,
+    InvalidOptionError,
+    MissingDependencyError,
+    UnsupportedMeshError,
+)
+
+pymeshlab = pytest.importorskip("pymeshlab")
+odt_plugins.register("pymeshlab")
+
+MOVING = ("apply_coord_odt_smoothing", "apply_coord_cpt_smoothing",
+          "apply_coord_odt_global_smoothing")
+IN_PLACE = (*MOVING, "meshing_odt_optimization", "compute_scalar_by_radius_ratio_per_face")
+THIRD = 1.0 / 3.0
+TEXTURE = os.path.join(pymeshlab.__path__[0], "tests", "sample_meshes", "TextureDouble_A.png")
+
+
+def plate(seed=0):
+    """Jittered plate in the plane z = 1/3 with every kind of data a Mesh holds."""
+    points, faces, labels = contract.grid(2, 6, seed)
+    faces = faces.astype(np.int32)
+    n, m = len(points), len(faces)
+    uv = np.round(points, 6).astype(np.float32).astype(float)
+    byte = np.random.default_rng(2).integers(0, 256, (n + m, 4)) / 255.0
+    mesh = pymeshlab.Mesh(
+        np.column_stack([points, np.full(n, THIRD)]), faces,
+        edge_matrix=np.array([[0, 7], [7, 14]], dtype=np.int32),
+        v_scalar_array=np.arange(n) * THIRD, f_scalar_array=np.arange(m) / 7,
+        v_color_matrix=byte[:n], f_color_matrix=byte[n:], v_tex_coords_matrix=uv[:, ::-1].copy(),
+        w_tex_coords_matrix=uv[faces].reshape(-1, 2))
+    mesh.add_vertex_custom_scalar_attribute(np.arange(n) / 11, "temperature")
+    mesh.add_vertex_custom_point_attribute(np.arange(3 * n).reshape(n, 3) / 13, "velocity")
+    mesh.add_face_custom_scalar_attribute(np.arange(m) / 17, "stress")
+    mesh.add_face_custom_point_attribute(np.arange(3 * m).reshape(m, 3) / 19, "axis")
+    mesh.add_face_custom_scalar_attribute(labels.astype(float), "marker")
+    mesh.set_label("plate of steel")
+    return mesh
+
+
+def plates(**settings):
+    """Three meshes, the middle one a plate: textured, partly selected, transformed, hidden."""
+    meshes = pymeshlab.MeshSet(**settings)
+    corner = pymeshlab.Mesh(np.eye(3), np.array([[0, 1, 2]]))
+    corner.add_vertex_custom_scalar_attribute(np.arange(3.0), "weight")
+    corner.set_label("corner")
+    bare = pymeshlab.Mesh(np.eye(3))
+    bare.set_label("points")
+    meshes.add_mesh(corner, "corner")
+    with_selection = pymeshlab.MeshSet()
+    points = plate().vertex_matrix()
+    with_selection.add_mesh(pymeshlab.Mesh(points, plate().face_matrix()))
+    # Function filters crash once there are custom attributes: select on a bare mesh of the same
+    # faces, and let a PLY file carry the flags over.
+    with_selection.compute_selection_by_condition_per_face(condselect="x0 + x1 + x2 < 1.8")
+    with_selection.compute_selection_by_condition_per_vertex(condselect="y < 0.4")
+    bare_selected = with_selection.current_mesh()
+    meshes.add_mesh(_selected(plate(), bare_selected), "plate of steel")
+    meshes.set_texture_per_mesh(textname=TEXTURE)
+    meshes.set_matrix(transformmatrix=np.diag([2.0, 3.0, 4.0, 1.0]), freeze=False)
+    meshes.set_current_mesh_visibility(False)
+    meshes.add_mesh(bare, "points")
+    meshes.set_current_mesh(1)
+    meshes.clear_filter_script()
+    return meshes
+
+
+def _selected(mesh, like):
+    """The mesh with the selection of another of the same faces, without the package's writer."""
+    faces = mesh.face_matrix()
+    n, m = mesh.vertex_number(), mesh.face_number()
+    head = ["ply", "format ascii 1.0", f"element vertex {n}"]
+    head += [f"property {p}" for p in (
+        "double x", "double y", "double z", "int flags", "uchar red", "uchar green",
+        "uchar blue", "uchar alpha", "double quality", "float texture_u", "float texture_v")]
+    head += [f"element face {m}", "property list uchar int vertex_indices", "property int flags",
+             "property list uchar float texcoord", "property uchar red", "property uchar green",
+             "property uchar blue", "property uchar alpha", "property double quality",
+             f"element edge {mesh.edge_number()}", "property int vertex1", "property int vertex2",
+             "end_header"]
+    colour = np.rint(255 * mesh.vertex_color_matrix()).astype(int)
+    uv, w = mesh.vertex_tex_coord_matrix(), mesh.wedge_tex_coord_matrix().reshape(-1, 6)
+    for i in range(n):
+        head.append(" ".join(map(str, [
+            *mesh.vertex_matrix()[i].tolist(), 32 * int(like.vertex_selection_array()[i]),
+            *colour[i], float(mesh.vertex_scalar_array()[i]), *uv[i].tolist()])))
+    colour = np.rint(255 * mesh.face_color_matrix()).astype(int)
+    for i in range(m):
+        head.append(" ".join(map(str, [
+            3, *faces[i], 32 * int(like.face_selection_array()[i]), 6, *w[i].tolist(), *colour[i],
+            float(mesh.face_scalar_array()[i])])))
+    head += [f"{a} {b}" for a, b in mesh.edge_matrix()]
+    file = f"{tempfile.gettempdir()}/odt-plugins-test-{os.getpid()}.ply"
+    with open(file, "w", encoding="utf-8") as handle:
+        handle.write("\n".join([*head, ""]))
+    loaded = pymeshlab.MeshSet()
+    loaded.load_new_mesh(file)
+    os.remove(file)
+    out = pymeshlab.MeshSet()
+    out.add_mesh(loaded.current_mesh(), mesh.label())
+    kept = out.current_mesh()
+    kept.set_label(mesh.label())
+    kept.add_vertex_custom_scalar_attribute(
+        mesh.vertex_custom_scalar_attribute_array("temperature"), "temperature")
+    kept.add_vertex_custom_point_attribute(
+        mesh.vertex_custom_point_attribute_matrix("velocity"), "velocity")
+    for name in ("stress", "marker"):
+        kept.add_face_custom_scalar_attribute(mesh.face_custom_scalar_attribute_array(name), name)
+    kept.add_face_custom_point_attribute(mesh.face_custom_point_attribute_matrix("axis"), "axis")
+    _selected.alive = out
+    return kept
+
+
+PER_VERTEX = {
+    "vertex colours": lambda m: m.vertex_color_array(),
+    "vertex scalars": lambda m: m.vertex_scalar_array(),
+    "vertex texture coordinates": lambda m: m.vertex_tex_coord_matrix(),
+    "vertex selection": lambda m: m.vertex_selection_array(),
+    "custom scalars per vertex": lambda m: m.vertex_custom_scalar_attribute_array("temperature"),
+    "custom points per vertex": lambda m: m.vertex_custom_point_attribute_matrix("velocity"),
+}
+PER_FACE = {
+    "face colours": lambda m: m.face_color_array(),
+    "face scalars": lambda m: m.face_scalar_array(),
+    "face selection": lambda m: m.face_selection_array(),
+    "custom scalars per face": lambda m: m.face_custom_scalar_attribute_array("stress"),
+    "labels of regions": lambda m: m.face_custom_scalar_attribute_array("marker"),
+    "custom points per face": lambda m: m.face_custom_point_attribute_matrix("axis"),
+}
+PER_MESH = {
+    "label": lambda m: m.label(),
+    "transform matrix": lambda m: m.transform_matrix(),
+    "edges": lambda m: m.edge_matrix(),
+    "texture": lambda m: [(name, image.width()) for name, image in m.textures().items()],
+    "components": lambda m: [getattr(m, name)() for name in sorted(dir(m))
+                             if name.startswith("has_")],
+}
+OF_THE_SET = {
+    "number of meshes": lambda s: s.mesh_number(),
+    "visibility": lambda s: [s.is_mesh_visible(0), s.is_current_mesh_visible(),
+                             s.is_mesh_visible(2)],
+    "id of the first": lambda s: s.mesh(0).label(),
+    "id of the third": lambda s: s.mesh(2).label(),
+    "points of the first": lambda s: s.mesh(0).vertex_matrix(),
+    "data of the first": lambda s: s.mesh(0).vertex_custom_scalar_attribute_array("weight"),
+    "points of the third": lambda s: s.mesh(2).vertex_matrix(),
+}
+
+
+@functools.lru_cache
+def done(name):
+    """The plates before and after one filter; "optimize" is the function, not a filter."""
+    before, after = plates(), plates()
+    if name == "optimize":
+        given = after
+        after = odt_plugins.optimize(given, keep=())
+        assert after is not given
+    else:
+        after.apply_filter(name, **({"keepquality": False, "selected": False}
+                                    if name != IN_PLACE[-1] else {}))
+    return before, after
+
+
+ALL = [*IN_PLACE, "optimize"]
+
+
+@pytest.mark.parametrize("name", [*MOVING, "meshing_odt_optimization", "optimize"])
+def test_something_happens_at_all(name):
+    before, after = (s.current_mesh() for s in done(name))
+    assert (before.vertex_matrix() != after.vertex_matrix()).any()
+    flipped = not np.array_equal(before.face_matrix(), after.face_matrix())
+    assert flipped == (name not in MOVING)
+    old = odt_plugins.measure(before)
+    assert odt_plugins.measure(after).mean_quality > old.mean_quality + 0.01
+
+
+@pytest.mark.parametrize("what", PER_VERTEX)
+@pytest.mark.parametrize("name", ALL)
+def test_data_per_vertex_survive(name, what):
+    before, after = (PER_VERTEX[what](s.current_mesh()) for s in done(name))
+    assert len(np.unique(before, axis=0)) > 1
+    assert np.array_equal(before, after)
+
+
+@pytest.mark.parametrize("what", PER_FACE)
+@pytest.mark.parametrize("name", ALL)
+def test_data_per_face_survive(name, what):
+    before, after = (s.current_mesh() for s in done(name))
+    old, new = PER_FACE[what](before), PER_FACE[what](after)
+    assert len(np.unique(old, axis=0)) > 1
+    if name == IN_PLACE[-1] and what == "face scalars":
+        return
+    views = [contract.View(m.vertex_matrix(), m.face_matrix(), {}, {}, {}) for m in (before, after)]
+    labels = [PER_FACE["labels of regions"](m) for m in (before, after)]
+    assert np.array_equal(new, old[contract.sources(*views, *labels)])
+
+
+@pytest.mark.parametrize("what", PER_MESH)
+@pytest.mark.parametrize("name", ALL)
+def test_data_of_the_mesh_survive(name, what):
+    before, after = (PER_MESH[what](s.current_mesh()) for s in done(name))
+    assert np.array_equal(before, after)
+    assert len(before)
+
+
+@pytest.mark.parametrize("what", OF_THE_SET)
+@pytest.mark.parametrize("name", ALL)
+def test_the_rest_of_the_set_survives(name, what):
+    before, after = (OF_THE_SET[what](s) for s in done(name))
+    assert np.array_equal(before, after)
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_wedges_keep_the_texture_of_their_vertices(name):
+    """The texture is continuous here, so every wedge must have that of its vertex."""
+    before, after = (s.current_mesh() for s in done(name))
+    uv = before.vertex_tex_coord_matrix()[:, ::-1]
+    assert np.array_equal(after.wedge_tex_coord_matrix(), uv[after.face_matrix()].reshape(-1, 2))
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_normals_are_those_of_the_new_mesh(name):
+    """MeshLab weighs normals of vertices by angles and scales those of faces by the transform."""
+    mesh = done(name)[1].current_mesh()
+    points, faces = mesh.vertex_matrix(), mesh.face_matrix()
+    fresh = pymeshlab.MeshSet()
+    fresh.add_mesh(pymeshlab.Mesh(points, faces))
+    assert fresh.current_mesh().face_normal_matrix() == pytest.approx(
+        np.tile([0, 0, 1.0], (72, 1)), abs=1e-12)
+    fresh.set_matrix(transformmatrix=mesh.transform_matrix(), freeze=False)
+    assert np.array_equal(mesh.face_normal_matrix(), fresh.current_mesh().face_normal_matrix())
+    angle = np.zeros(len(points))
+    for face in faces:
+        for i in range(3):
+            a, b = (points[face[(i + k) % 3]] - points[face[i]] for k in (1, 2))
+            angle[face[i]] += np.arccos(a @ b / np.linalg.norm(a) / np.linalg.norm(b))
+    expected = np.column_stack([0 * angle, 0 * angle, angle])
+    assert mesh.vertex_normal_matrix() == pytest.approx(expected, rel=1e-9, abs=1e-12)
+
+
+@pytest.mark.parametrize("name", MOVING)
+def test_moving_filters_leave_the_mesh_object_in_place(name):
+    meshes = plates()
+    mesh, other = meshes.current_mesh(), meshes.mesh(0)
+    meshes.apply_filter(name, keepquality=False, selected=False)
+    assert meshes.current_mesh() is mesh
+    assert meshes.mesh(0) is other
+    assert mesh.id() == 1
+    assert np.array_equal(mesh.vertex_matrix(), done(name)[1].current_mesh().vertex_matrix())
+
+
+def test_a_mesh_that_is_alone_keeps_its_id_when_edges_are_flipped():
+    meshes = pymeshlab.MeshSet()
+    for seed in range(3):
+        meshes.add_mesh(plate(seed))
+    for i in (0, 1):
+        meshes.set_current_mesh(i)
+        meshes.delete_current_mesh()
+    meshes.set_current_mesh(2)
+    assert meshes.meshing_odt_optimization()["new_faces"] > 0
+    assert (meshes.mesh_number(), meshes.current_mesh_id()) == (1, 2)
+    assert meshes.current_mesh().label() == "plate of steel(2)"
+
+
+def test_a_set_with_gaps_is_copied_with_its_ids():
+    meshes = plates()
+    meshes.set_current_mesh(0)
+    meshes.delete_current_mesh()
+    meshes.set_current_mesh(1)
+    meshes.apply_coord_taubin_smoothing(stepsmoothnum=1)
+    out = odt_plugins.optimize(meshes)
+    assert [out.mesh_id_exists(i) for i in range(4)] == [False, True, True, False]
+    assert out.current_mesh_id() == 1
+    assert adapter.saved_script(out) == adapter.saved_script(meshes)
+    assert b'"Taubin Smooth"' in adapter.saved_script(out)
+
+
+def test_result_of_a_mesh_outlives_everything_else():
+    mesh = odt_plugins.optimize(plate())
+    points = np.array(mesh.vertex_matrix())
+    gc.collect()
+    junk = [odt_plugins.optimize(plate(seed)) for seed in range(4)]
+    assert np.array_equal(mesh.vertex_matrix(), points)
+    assert adapter.private_copy(mesh).current_mesh().face_number() == 72
+    assert len(junk) == 4
+
+
+@pytest.mark.parametrize("name", [*MOVING, "meshing_odt_optimization"])
+def test_only_selected_faces_change(name):
+    meshes, given = plates(), plates()
+    before = given.current_mesh()
+    chosen = before.face_selection_array()
+    assert 0 < chosen.sum() < len(chosen)
+    # Some faces are selected, so that is the default, as for MeshLab's own filters.
+    assert meshes.filter_parameter_values(name)["selected"] is True
+    meshes.apply_filter(name, keepquality=False)
+    after = meshes.current_mesh()
+    rest = before.face_matrix()[~chosen]
+    moved = np.flatnonzero((before.vertex_matrix() != after.vertex_matrix()).any(axis=1))
+    assert moved.size
+    assert not np.isin(moved, rest).any()
+    left = {tuple(face) for face in after.face_matrix().tolist()}
+    assert {tuple(face) for face in rest.tolist()} <= left
+
+
+def test_selected_vertices_are_taken_without_selected_faces():
+    meshes = pymeshlab.MeshSet()
+    points, faces, _ = contract.grid(2, 6)
+    meshes.add_mesh(pymeshlab.Mesh(np.column_stack([points, 0 * points[:, 0]]), faces))
+    meshes.compute_selection_by_condition_per_vertex(condselect="y < 0.5")
+    chosen = meshes.current_mesh().vertex_selection_array().copy()
+    meshes.apply_coord_odt_smoothing(selected=True, keepquality=False)
+    moved = (meshes.current_mesh().vertex_matrix()[:, :2] != points).any(axis=1)
+    assert moved.any()
+    assert not (moved & ~chosen).any()
+    meshes.set_selection_none(allfaces=True, allverts=True)
+    assert meshes.apply_coord_odt_smoothing(selected=True)["moved_vertices"] == 0
+
+
+def heron(points, faces):
+    """2 r/R from area and sides: r = A/s, R = abc/(4A)."""
+    out = []
+    for a, b, c in np.asarray(points)[faces]:
+        sides = [np.linalg.norm(b - a), np.linalg.norm(c - b), np.linalg.norm(a - c)]
+        area = 0.5 * np.linalg.norm(np.cross(b - a, c - a))
+        out.append(2 * (area / (sum(sides) / 2)) / (np.prod(sides) / (4 * area)))
+    return np.array(out)
+
+
+@pytest.mark.parametrize("custom", [False, True])
+def test_radius_ratios_in_the_face_scalars(custom):
+    rng = np.random.default_rng(8)
+    points, faces, _ = contract.grid(2, 6)
+    space = np.column_stack([points, rng.uniform(0, 0.1, len(points))])
+    mesh = pymeshlab.Mesh(space, faces, f_color_matrix=np.full((len(faces), 4), 0.2))
+    if custom:
+        mesh.add_vertex_custom_point_attribute(space, "velocity")
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(mesh)
+    result = meshes.compute_scalar_by_radius_ratio_per_face()
+    now = meshes.current_mesh()
+    assert now.face_scalar_array() == pytest.approx(heron(space, faces), rel=1e-12)
+    assert result["min_radius_ratio"] == now.face_scalar_array().min()
+    assert result["mean_radius_ratio"] == pytest.approx(now.face_scalar_array().mean())
+    assert np.array_equal(now.vertex_matrix(), space)
+    assert np.array_equal(now.face_color_array(), mesh.face_color_array())
+
+
+def test_wedges_across_a_seam():
+    """A vertex with two texture coordinates keeps, in every face, one of its own."""
+    rng = np.random.default_rng(4)
+    old = np.array([[0, 1, 2], [0, 2, 3], [4, 1, 0]])
+    uv = rng.random((9, 2))
+    new = Result(np.zeros((5, 3)), np.array([[1, 2, 3], [1, 3, 0], [1, 0, 4]]),
+                 np.array([0, 1, 2]))
+    out = adapter.carried_wedges(uv, old, new).reshape(3, 3, 2)
+    known = {v: [tuple(uv[3 * f + i]) for f, i in zip(*np.nonzero(old == v), strict=True)]
+             for v in range(5)}
+    for f, i in itertools.product(range(3), range(3)):
+        v = new.cells[f, i]
+        assert tuple(out[f, i]) in known[v]
+        in_source = np.flatnonzero(old[new.source[f]] == v)
+        if in_source.size:
+            assert np.array_equal(out[f, i], uv[3 * new.source[f] + in_source[0]])
+    assert np.array_equal(out[2], uv[[7, 8, 6]])
+
+
+def test_what_cannot_survive_is_named():
+    points, faces, _ = contract.grid(2, 6)
+    turn = np.arange(12) * np.pi / 6
+    rim = np.column_stack([3 * np.cos(turn), np.sin(turn), 0 * turn])
+    polygon = pymeshlab.Mesh(rim, [np.arange(12, dtype=np.uint32)])
+    with pytest.warns(DataNotKeptWarning, match="polygons, which are now triangles"):
+        out = odt_plugins.optimize(polygon, keep=())
+    assert (len(polygon.polygonal_face_list()), len(out.polygonal_face_list())) == (1, 10)
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(pymeshlab.Mesh(np.column_stack([points, 0 * points[:, 0]]), faces))
+    meshes.compute_curvature_principal_directions_per_vertex()
+    with pytest.warns(DataNotKeptWarning, match="curvature directions per vertex"):
+        meshes.meshing_odt_optimization()
+
+
+def test_an_optimal_mesh_and_a_single_face_come_back_unchanged():
+    height = 0.75**0.5
+    places = np.array([[np.cos(k * np.pi / 3), np.sin(k * np.pi / 3), 2.0] for k in range(6)])
+    hexagon = np.vstack([places, [0.0, 0.0, 2.0]])
+    faces = np.array([[k, (k + 1) % 6, 6] for k in range(6)])
+    single = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, height, 0]])
+    for points, cells in ((hexagon, faces), (single, np.array([[0, 1, 2]]))):
+        out = odt_plugins.optimize(pymeshlab.Mesh(points, cells))
+        assert out.vertex_matrix().tobytes() == points.tobytes()
+        assert np.array_equal(out.face_matrix(), cells)
+
+
+@pytest.mark.parametrize(("make", "words"), [
+    (lambda: pymeshlab.MeshSet(), r"MeshSet without meshes.*load_new_mesh"),
+    (lambda: pymeshlab.Mesh(np.eye(3)), r"without faces.*generate_surface_reconstruction"),
+    (lambda: pymeshlab.Mesh(np.vstack([np.eye(3), [[0, 0, 0.0]]]),
+                            np.array([[0, 1, 2], [0, 3, 1]])), "curved surface"),
+])
+def test_objects_that_cannot_be_optimised(make, words):
+    with pytest.raises(UnsupportedMeshError, match=words):
+        odt_plugins.optimize(make())
+
+
+def test_regions_by_the_name_of_an_attribute():
+    mesh = plate()
+    mesh.add_face_custom_scalar_attribute(np.arange(72.0), "all")
+    out = odt_plugins.optimize(mesh, regions="all")
+    assert np.array_equal(out.face_matrix(), mesh.face_matrix())
+    with pytest.raises(InvalidOptionError, match=r"'all', 'marker', 'stress'"):
+        odt_plugins.optimize(mesh, regions="rock")
+
+
+def test_register_knows_its_toolkits(monkeypatch):
+    with pytest.raises(InvalidOptionError, match="'blender'; expected one of"):
+        odt_plugins.register("blender")
+    monkeypatch.setattr("odt_plugins.hosts.find_spec", lambda name: None)
+    with pytest.raises(MissingDependencyError, match=r'pip install "odt-plugins\[pymeshlab\]"'):
+        odt_plugins.register("pymeshlab")
+
+
+ORDERS = """
+import importlib, sys
+for name in sys.argv[1].split(","):
+    importlib.import_module(name)
+import numpy as np, open3d, pymeshlab, pyvista
+import odt_plugins
+odt_plugins.register("pymeshlab")
+meshes = pymeshlab.MeshSet()
+meshes.create_grid(numvertx=5, numverty=5)
+meshes.meshing_poly_to_tri()
+meshes.apply_filter("apply_coord_odt_smoothing")
+meshes.apply_coord_taubin_smoothing(stepsmoothnum=1)
+tets = pyvista.ImageData(dimensions=(3, 3, 3)).to_tetrahedra()
+better = odt_plugins.optimize(tets)
+sphere = open3d.geometry.TriangleMesh.create_sphere(resolution=5)
+sphere.compute_vertex_normals()
+print(type(better).__name__, meshes.current_mesh().face_number())
+"""
+
+
+@pytest.mark.parametrize("order", ["pymeshlab,open3d,pyvista", "pyvista,open3d,pymeshlab"])
+def test_toolkits_live_together_in_one_process(order):
+    pytest.importorskip("pyvista")
+    pytest.importorskip("open3d")
+    done = subprocess.run([sys.executable, "-c", ORDERS, order], capture_output=True, text=True,
+                          check=False)
+    assert done.returncode == 0, done.stderr[-800:]
+    assert done.stdout.split()[-2:] == ["UnstructuredGrid", "32"]
