@@ -65,6 +65,7 @@ class OptionKeywords(TypedDict, total=False):
     connectivity: Connectivity
     density: str | ArrayLike | Callable[[FloatArray], ArrayLike]
     exponent: float | None
+    omega: float | None
     rounds: int
     cycles: int
     finish: bool

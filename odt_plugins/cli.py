@@ -1,4 +1,4 @@
-"""The command line ``odt-plugins``: optimize, quality, demo. Only here is anything printed."""
+"""The command line ``odt-plugins``. Only here is anything printed."""
 
 from __future__ import annotations
 
@@ -39,6 +39,7 @@ HELP = {
     "density": "keep, uniform, inverse-volume, or the name of a point or cell array of INPUT "
                "with the values of rho.",
     "exponent": "r in rho = h^-r for the density keep; d + 2 unless given.",
+    "omega": "Relaxation of the local sweeps, between 0 and 2; chosen by method unless given.",
     "rounds": "Most rounds of smoothing and reconnection in one cycle.",
     "cycles": "How often the two stages follow each other.",
     "finish": "Whether bad cells are finished by their quality.",
@@ -87,7 +88,21 @@ def main(argv: Sequence[str] | None = None) -> int:
     return code if isinstance(code, int) else DONE
 
 
-@click.group(context_settings={"help_option_names": ["-h", "--help"]})
+class _Commands(click.Group):
+    """The subcommands; `compare`, which has a room of its own, is loaded when it is asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return sorted([*super().list_commands(ctx), "compare"])
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name == "compare":
+            from odt_plugins.compare.command import compare
+
+            return compare
+        return super().get_command(ctx, cmd_name)
+
+
+@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="odt-plugins")
 def cli() -> None:
     """Optimal Delaunay Triangulation for the tet and triangle meshes you already have."""
@@ -109,7 +124,7 @@ def _option_flags(command: Callable[..., Any]) -> Callable[..., Any]:
             flag = f"{flag}/--no-{field.name.replace('_', '-')}"
         elif hint is int:
             settings["type"] = click.IntRange(min=1 if field.name == "threads" else 0)
-        elif field.name == "exponent":
+        elif field.name in ("exponent", "omega"):
             settings["type"] = float
         elif field.name == "keep":
             settings |= {"default": ",".join(FIGURES), "callback": _figure_names}
@@ -190,6 +205,24 @@ def quality(sources: tuple[Path, ...], as_json: bool) -> int:
     elif found:
         click.echo("\n".join(table_lines(found)))
     return code
+
+
+@cli.command()
+@click.argument("file", metavar="FILE.mlx", type=click.Path(path_type=Path))
+@click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
+@click.argument("target", metavar="OUTPUT", type=click.Path(path_type=Path))
+@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+def script(file: Path, source: Path, target: Path, quiet: bool) -> int:
+    """Apply a MeshLab filter script that may hold filters of odt-plugins.
+
+    INPUT is read and OUTPUT written by MeshLab. When OUTPUT is a file of tetrahedra, such as
+    .vtu or .msh, it gets those of the script's last "ODT Tetrahedralization".
+    """
+    from odt_plugins.script import run_script_on_files
+
+    with _warnings_told():
+        run_script_on_files(file, source, target, progress=None if quiet else click.echo)
+    return DONE
 
 
 @cli.command()

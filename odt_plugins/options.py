@@ -44,6 +44,9 @@ class Options:
     density           "keep" (size field of the input mesh), "uniform", "inverse-volume" (4.22),
                       (m,) per-cell or (n,) per-vertex rho values, a callable rho(points)
     exponent          r in rho = h^-r for "keep"; None means d + 2
+    omega             relaxation of the local sweeps, the first alpha that is tried (4.2.1); None
+                      means 1.95 for odt in space by Gauss-Seidel with finishing (over-relaxation
+                      reaches lower energies), else 1, and 0.8 for jacobi
     rounds            most rounds of stage 1 (smoothing + connectivity) in one cycle
     cycles            how often stage 1 and stage 2 follow each other
     finish            whether stage 2, quality-driven finishing, runs
@@ -63,8 +66,9 @@ class Options:
     connectivity: Connectivity = "auto"
     density: Any = "keep"
     exponent: float | None = None
-    rounds: int = 20
-    cycles: int = 3
+    omega: float | None = None
+    rounds: int = 40
+    cycles: int = 1
     finish: bool = True
     boundary: Boundary = "fixed"
     fixed: Any = None
@@ -89,6 +93,11 @@ class Options:
             _expect(good, "exponent", self.exponent, "a positive number or None")
             good = isinstance(self.density, str) and self.density == "keep"
             _expect(good, "exponent", self.exponent, "None unless density is 'keep'")
+        if self.omega is not None:
+            good = _is_number(self.omega) and 0 < self.omega < 2
+            _expect(good, "omega", self.omega, "a number between 0 and 2, or None")
+            good = self.solver in ("gauss-seidel", "jacobi") and self.method != "cvt"
+            _expect(good, "omega", self.omega, "None unless the solver is a local sweep")
         if self.linear_solver != "auto":
             good = self.solver == "global"
             _expect(good, "linear_solver", self.linear_solver, "'auto' unless solver is 'global'")

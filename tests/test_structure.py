@@ -34,19 +34,21 @@ MAY_IMPORT = {
     "demo": {"adapters", "api", "plotting", "report", *BASE},
     "hosts": {"adapters", "api", "report", "script", *BASE},
     "script": {"adapters", "errors", "hosts"},
-    "cli": {"adapters", "api", "demo", "report", "script", *BASE},
+    "compare": {"adapters", "api", "engine", "planar", "plotting", *BASE},
+    "cli": {"adapters", "api", "compare", "demo", "report", "script", *BASE},
     "__init__": {"api", "hosts", "report", "script", *BASE},
 }
 """Rooms that a room may import: DESIGN section 2."""
 
 TOOLKITS = {
-    "pyvista": {"adapters/pyvista_mesh.py", "plotting.py", "demo.py"},
+    "pyvista": {"adapters/pyvista_mesh.py", "plotting.py", "demo.py", "compare/hull.py"},
     "vtkmodules": {"adapters/pyvista_mesh.py", "plotting.py"},
     "meshio": {"adapters/meshio_mesh.py", "adapters/files.py", "demo.py"},
-    "matplotlib": {"plotting.py"},
-    "pytetwild": {"demo.py"},
-    "pymeshlab": {"adapters/pymeshlab_mesh.py", "demo.py"},
-    "open3d": {"adapters/open3d_mesh.py"},
+    "matplotlib": {"plotting.py", "compare/pictures.py"},
+    "pytetwild": {"demo.py", "compare/baselines/tetwild.py"},
+    "pymeshlab": {"adapters/pymeshlab_mesh.py", "demo.py",
+                  "compare/baselines/meshlab.py"},
+    "open3d": {"adapters/open3d_mesh.py", "compare/baselines/open3d_smooth.py"},
 }
 """Files that may import a toolkit, inside a function."""
 

@@ -5,8 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
-import numpy as np
-
 from odt_plugins.engine.complex import PENDING, Complex, make_complex
 from odt_plugins.engine.cvt import cvt_step
 from odt_plugins.engine.delaunay import delaunay_exchange
@@ -29,8 +27,15 @@ FAR = 0.1
 MODERATE = 20_000
 """Most cells for which "auto" asks scipy in the first round; beyond, local flips are cheaper."""
 
-CONVERGED = 1e-4
-"""A stage ends when a round lowers the energy by less than this part of it."""
+CONVERGED = 3e-4
+PATIENCE = 5
+"""A stage ends when PATIENCE rounds have lowered the least energy by less than CONVERGED of it."""
+
+DAMPED = 0.8
+"""First alpha of Jacobi sweeps, whose limit of stability is 1."""
+
+OVERRELAXED = 1.95
+"""First alpha of ODT sweeps in space when finishing follows: the energy leaves shallow minima."""
 
 RING = 7
 """Longest ring of an edge that is removed for the sake of the energy."""
@@ -85,8 +90,17 @@ def position_step(
     sweep = jacobi_sweep if options.solver == "jacobi" else gauss_seidel_sweep
     return sweep(
         points, topology, rho, method=options.method, inverse_volume=inverse_volume,
-        threads=options.threads,
+        omega=relaxation(options, points.shape[1]), threads=options.threads,
     )
+
+
+def relaxation(options: Options, dim: int) -> float:
+    """First alpha of a local sweep."""
+    if options.omega is not None:
+        return options.omega
+    if options.solver == "jacobi":
+        return DAMPED
+    return OVERRELAXED if dim == 3 and options.method == "odt" and options.finish else 1.0
 
 
 def exchange(mesh: Complex, log: Log) -> Complex:
@@ -138,7 +152,7 @@ def smooth(
     mesh : Complex              the same or, after an exchange, a new one
     reason : str                why it stopped
     """
-    previous = np.inf
+    least: list[float] = []
     reason = f"the {options.rounds} rounds were used up"
     movable = ~mesh.locked
     for k in range(options.rounds):
@@ -167,8 +181,8 @@ def smooth(
         tick((k + 1) / options.rounds)
         if watch is not None:
             watch(mesh)
-        if abs(previous - current) <= CONVERGED * abs(current):
+        least.append(min(current, least[-1]) if least else current)
+        if k >= PATIENCE and least[-1 - PATIENCE] - least[-1] <= CONVERGED * least[-1]:
             reason = f"the energy settled after {k + 1} rounds"
             break
-        previous = current
     return mesh, reason
