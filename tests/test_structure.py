@@ -32,23 +32,24 @@ MAY_IMPORT = {
     "report": {"binding", "plotting", "engine", *BASE},
     "api": {"adapters", "carry", "engine", "planar", "report", *BASE},
     "demo": {"adapters", "api", "plotting", "report", *BASE},
-    "hosts": {"adapters", "api", "report", "script", *BASE},
+    "tetwild": {"api", "errors"},
+    "hosts": {"adapters", "api", "report", "script", "tetwild", *BASE},
     "script": {"adapters", "errors", "hosts"},
     "compare": {"adapters", "api", "engine", "planar", "plotting", *BASE},
     "cli": {"adapters", "api", "compare", "demo", "report", "script", *BASE},
-    "__init__": {"api", "hosts", "report", "script", *BASE},
+    "__init__": {"api", "hosts", "report", "script", "tetwild", *BASE},
 }
 """Rooms that a room may import: DESIGN section 2."""
 
 TOOLKITS = {
-    "pyvista": {"adapters/pyvista_mesh.py", "plotting.py", "demo.py", "compare/hull.py"},
+    "pyvista": {"adapters/pyvista_mesh.py", "hosts/pyvista_accessor.py", "plotting.py", "demo.py", "compare/hull.py"},
     "vtkmodules": {"adapters/pyvista_mesh.py", "plotting.py"},
     "meshio": {"adapters/meshio_mesh.py", "adapters/files.py", "demo.py"},
     "matplotlib": {"plotting.py", "compare/pictures.py"},
     "pytetwild": {"demo.py", "compare/baselines/tetwild.py"},
     "pymeshlab": {"adapters/pymeshlab_mesh.py", "demo.py",
                   "compare/baselines/meshlab.py"},
-    "open3d": {"adapters/open3d_mesh.py", "compare/baselines/open3d_smooth.py"},
+    "open3d": {"adapters/open3d_mesh.py", "hosts/open3d_filters.py", "compare/baselines/open3d_smooth.py"},
 }
 """Files that may import a toolkit, inside a function."""
 

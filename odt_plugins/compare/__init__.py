@@ -1,0 +1,1 @@
+"""Comparison with other tools: the same start, the same surface, one measure for everybody."""

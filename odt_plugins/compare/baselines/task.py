@@ -1,0 +1,45 @@
+"""What a baseline hands to the worker: the call that is timed, and how to read its result."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.mesh import FloatArray, IntArray, reverse
+
+Settings = Mapping[str, Any]
+"""Settings of a contestant, as they stand in its row; plain numbers and strings."""
+
+
+class Task(NamedTuple):
+    """A start mesh in the tool's own form.
+
+    Attributes
+    ----------
+    call : callable       the optimising call alone; its time is what the table shows
+    collect : callable    takes what `call` returned and gives (points, cells)
+    details : callable    takes the same and gives seconds of its parts, by name
+    """
+
+    call: Callable[[], Any]
+    collect: Callable[[Any], tuple[NDArray[Any], NDArray[Any]]]
+    details: Callable[[Any], dict[str, float]] | None = None
+
+
+class NotPossibleError(Exception):
+    """The tool cannot take this start mesh; the message says why."""
+
+
+def flipped(cells: IntArray) -> IntArray:
+    """All cells with the other orientation, for tools that want negative ones."""
+    return reverse(cells, np.ones(len(cells), dtype=np.bool_))
+
+
+def in_space(points: FloatArray) -> FloatArray:
+    """Points (n, 3) of planar points (n, 2), z = 0."""
+    if points.shape[1] == 3:
+        return points
+    return np.column_stack([points, np.zeros(len(points))])

@@ -1,0 +1,162 @@
+"""The subcommand ``odt-plugins compare``: what it takes, what it shows in the terminal."""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import click
+
+from odt_plugins.compare.contestants import OURS, Contestant, choose
+from odt_plugins.compare.machine import describe
+from odt_plugins.compare.output import FILES, best_figures, cells_of, verdict, write_all
+from odt_plugins.compare.rows import MeshResult, compare_on
+from odt_plugins.compare.runner import Limits
+from odt_plugins.compare.start import SEED, read_start
+from odt_plugins.compare.start import suite as suite_meshes
+
+CHOSEN_SUITES = ("standard", "large")
+
+
+@click.command()
+@click.argument("sources", metavar="[MESH]...", nargs=-1, type=click.Path(path_type=Path))
+@click.option("--suite", type=click.Choice(CHOSEN_SUITES),
+              help="Start meshes of the package: modest ones of every kind, or millions of cells.")
+@click.option("--against", metavar="TOOL", multiple=True,
+              help="Compare with this tool only (gmsh, netgen, mmg, cgal, tetwild, laplacian, "
+                   "pymeshlab, open3d, odt-plugins, or the name of a row); may be repeated. "
+                   "Everybody unless given.")
+@click.option("--out", type=click.Path(path_type=Path), default=Path("comparison"),
+              show_default=True, help="Directory for CSV, JSON and the page.")
+@click.option("--repeats", type=click.IntRange(min=1), default=3, show_default=True,
+              help="Runs of every contestant; fewer where one takes long.")
+@click.option("--time-limit", type=click.FloatRange(min=0.0, min_open=True), default=None,
+              metavar="S", help="Seconds after which a contestant is ended.  "
+                                "[default: 60, in suites 25 and 900]")
+@click.option("--threads", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Threads that a contestant may use.")
+@click.option("--poisson/--no-poisson", default=True, show_default=True,
+              help="Solve the Poisson problem on every result.")
+@click.option("--scaling", is_flag=True,
+              help="Measure time and memory over the number of cells instead.")
+@click.option("--largest", type=click.IntRange(min=1000), default=1_000_000, show_default=True,
+              help="Cells of the largest mesh of --scaling.")
+def compare(
+    sources: tuple[Path, ...],
+    suite: str | None,
+    against: tuple[str, ...],
+    out: Path,
+    repeats: int,
+    time_limit: float | None,
+    threads: int,
+    poisson: bool,
+    scaling: bool,
+    largest: int,
+) -> int:
+    """Run every installed tool on the same start MESH and measure all of them alike.
+
+    Each tool runs in a process of its own; one that is not installed, crashes, hangs or breaks the
+    boundary is a row that says so. Nothing is written outside --out and temporary folders.
+    """
+    if scaling:
+        return _run_scaling(out, largest, threads)
+    if not sources and suite is None:
+        msg = "nothing to compare on; give a mesh file, or --suite standard"
+        raise click.UsageError(msg)
+    contestants = choose(against)
+    starts = [read_start(path) for path in sources]
+    starts += suite_meshes(suite) if suite else []
+    usual = {"standard": 25.0, "large": 900.0}.get(suite or "", 60.0)
+    limits = Limits(time_limit or usual, repeats, min(6.0, (time_limit or usual) / 4), threads)
+    results = []
+    for start in starts:
+        view = _Table(start.name)
+        result = compare_on(start, contestants, limits, poisson=poisson, begin=view.begin)
+        view.show(result)
+        results.append(result)
+    write_all(out, results, describe(threads, SEED), command_line(sources, suite, against))
+    click.echo("written: " + ", ".join(str(out / name) for name in FILES))
+    return 0
+
+
+def command_line(sources: Sequence[Path], suite: str | None, against: Sequence[str]) -> str:
+    """Give the command that makes the same tables again."""
+    words = ["odt-plugins", "compare", *map(str, sources)]
+    words += ["--suite", suite] if suite else []
+    for name in against:
+        words += ["--against", name]
+    return shlex.join(words)
+
+
+class _Table:
+    """Shows who is running, and the table of one mesh when it is complete."""
+
+    def __init__(self, start_name: str) -> None:
+        from rich.console import Console
+
+        self.name = start_name
+        self.console = Console()
+        self.progress = Console(stderr=True)
+
+    def begin(self, contestant: Contestant) -> None:
+        """Name the contestant that runs, on a terminal only."""
+        if self.progress.is_terminal:
+            self.progress.print(f"[dim]{self.name}: {contestant.name}[/dim]", highlight=False)
+
+    def show(self, result: MeshResult) -> None:
+        """Print the table of a mesh, and the sentence that says what ours loses."""
+        width = self.console.width if self.console.is_terminal else 150
+        self.console.print(make_table(result), width=max(width, 100), crop=False)
+        click.echo(verdict(result) + "\n")
+
+
+SHOWN = ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle", "below_20",
+         "inverted", "n_points", "n_cells")
+
+
+def make_table(result: MeshResult) -> Any:
+    """Make the rich table of one mesh: figures, ▲ where a row beats our default, best in bold."""
+    from rich.table import Table
+
+    start = cells_of(result.measured)
+    origin = f": {result.start.origin}" if result.start.origin else ""
+    table = Table(
+        title=f"{result.start.name}{origin}, {start['n_points']} vertices, "
+              f"{start['n_cells']} cells",
+        title_justify="left", header_style="bold", show_edge=False, pad_edge=False,
+    )
+    table.add_column("contestant", no_wrap=True)
+    for head in ("seconds", "min q", "1 % q", "mean q", "from", "to", "<20°", "inv.", "vertices",
+                 "cells"):
+        table.add_column(head, justify="right", no_wrap=True)
+    table.add_column("surface" if result.start.kind == "surface" else "boundary")
+    table.add_column("CG", justify="right")
+    table.add_row("start", "", *(start[f] for f in SHOWN), "", start["cg"], style="dim")
+    for row in result.rows:
+        style = "bold" if row.contestant == OURS else ""
+        if row.measured is None or row.timing is None:
+            said = f"{row.status}: {row.message}"
+            table.add_row(row.contestant, *[""] * 10, said, "", style=style)
+            continue
+        cells, best = cells_of(row.measured), best_figures(row, result.rows)
+        better = set(row.better_than_ours)
+        seconds = _marked(f"{row.timing.median:.2f}", "seconds" in better, False)
+        figures = [_marked(cells[f], f in better, f in best) for f in SHOWN]
+        table.add_row(row.contestant, seconds, *figures, cells["boundary"], cells["cg"],
+                      style=style)
+    return table
+
+
+def _marked(text: str, better: bool, best: bool) -> str:
+    text = f"[bold]{text}[/bold]" if best else text
+    return f"[dark_orange3]▲[/dark_orange3]{text}" if better else text
+
+
+def _run_scaling(out: Path, largest: int, threads: int) -> int:
+    from odt_plugins.compare.scaling import FILES, run_scaling
+
+    click.echo(run_scaling(out, largest, threads, say=click.echo))
+    click.echo("written: " + ", ".join(str(out / name) for name in FILES))
+    return 0

@@ -1,0 +1,187 @@
+"""Who takes part: one table of tools, their settings and the extra that brings them."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field
+from importlib.metadata import PackageNotFoundError, version
+from typing import Any
+
+from odt_plugins.compare.start import Kind
+from odt_plugins.errors import InvalidOptionError
+
+OURS = "odt-plugins"
+"""Name of the contestant that the others are held against: every default of ours."""
+
+
+@dataclass(frozen=True)
+class Contestant:
+    """One tool with one choice of settings.
+
+    Attributes
+    ----------
+    name : str                 shown in every table
+    family : str               the tool; ``--against`` takes families and names
+    kinds : tuple of str       kinds of start mesh it is tried on
+    module : str               file in `baselines`
+    settings : dict            for its `prepare`; plain JSON values
+    package : str              distribution whose version is recorded, "" for numpy alone
+    extra : str                extra of odt-plugins that brings the package
+    remark : str               what one must know to read its row
+    """
+
+    name: str
+    family: str
+    kinds: tuple[Kind, ...]
+    module: str
+    settings: dict[str, Any] = field(default_factory=dict)
+    package: str = ""
+    extra: str = "compare"
+    remark: str = ""
+
+    def installed(self) -> str | None:
+        """Version of the package, None when it is not installed."""
+        try:
+            return version(self.package or "numpy")
+        except PackageNotFoundError:
+            return None
+
+
+FLAT: tuple[Kind, ...] = ("planar",)
+SOLID: tuple[Kind, ...] = ("tets",)
+CURVED: tuple[Kind, ...] = ("surface",)
+NO_INSERT = {"optim": True, "nosurf": True, "nofem": True, "noinsert": True}
+INSERT = {"optim": True, "nosurf": True, "nofem": True}
+COMBINATION = [["", 1], ["Netgen", 1], ["Relocate3D", 1]]
+FLIPS = ("meshing_edge_flip_by_planar_optimization", {"planartype": "delaunay", "iterations": 0})
+"""Its `iterations` are passes of smoothing afterwards, which would move the boundary."""
+
+
+def _ours() -> list[Contestant]:
+    """Every default, and each method by itself as in the paper, without finishing."""
+    alone: dict[str, Any] = {"finish": False, "keep": []}
+    methods = {
+        "ODT local": {"method": "odt"}, "CPT local": {"method": "cpt"},
+        "Laplacian": {"method": "laplacian"}, "CVT": {"method": "cvt"},
+        "ODT global": {"method": "odt", "solver": "global"},
+        "CPT global": {"method": "cpt", "solver": "global"},
+    }
+    rows = [Contestant(OURS, "odt-plugins", (*SOLID, *FLAT, *CURVED), "ours", {"options": {}},
+                       "odt-plugins", "", "every default")]
+    rows += [Contestant(f"{OURS}: {name}, no finish", "odt-plugins", (*SOLID, *FLAT), "ours",
+                        {"options": {**options, **alone}}, "odt-plugins", "",
+                        "the paper's method by itself, no figure guarded")
+             for name, options in methods.items()]
+    return rows
+
+
+def _plain() -> list[Contestant]:
+    both = (*SOLID, *FLAT)
+    return [Contestant("Laplacian", "laplacian", both, "averaging",
+                       {"iterations": 10, "smart": False}, "", "", "10 passes in numpy"),
+            Contestant("smart Laplacian", "laplacian", both, "averaging",
+                       {"iterations": 10, "smart": True}, "", "", "10 passes in numpy")]
+
+
+def _gmsh() -> list[Contestant]:
+    def row(name: str, kinds: tuple[Kind, ...], remark: str = "", **settings: Any) -> Contestant:
+        return Contestant(f"Gmsh {name}", "gmsh", kinds, "gmsh_optimize", settings, "gmsh",
+                          remark=remark)
+
+    return [row("default", SOLID, sequence=[["", 1]]),
+            row("Netgen", SOLID, sequence=[["Netgen", 1]]),
+            row("Relocate3D", SOLID, sequence=[["Relocate3D", 5]]),
+            row("combination", SOLID, "default, Netgen, Relocate3D, three times, threshold 0.7",
+                sequence=COMBINATION, threshold=0.7, times=3),
+            row("Relocate2D", FLAT, sequence=[["Relocate2D", 10]]),
+            row("Laplace2D", FLAT, sequence=[["Laplace2D", 10]])]
+
+
+def _volume_tools() -> list[Contestant]:
+    def netgen(steps: str, times: int) -> Contestant:
+        return Contestant(f"Netgen {steps}", "netgen", SOLID, "netgen_optimize",
+                          {"optimize3d": steps, "steps": times}, "netgen-mesher",
+                          remark=f"{times} steps")
+
+    def mmg(name: str, options: dict[str, bool], times: int = 1, remark: str = "") -> Contestant:
+        return Contestant(f"mmg3d {name}", "mmg", SOLID, "mmg_optimize",
+                          {"options": options, "times": times}, "mmgpy", remark=remark)
+
+    def cgal(*steps: str) -> Contestant:
+        return Contestant(f"CGAL {' + '.join(steps)}", "cgal", SOLID, "cgal_optimize",
+                          {"steps": list(steps), "iterations": 40}, "cgal",
+                          remark="Delaunay starts only; moves the surface")
+
+    def tetwild(name: str, energy: float) -> Contestant:
+        return Contestant(name, "tetwild", SOLID, "tetwild", {"stop_energy": energy}, "pytetwild",
+                          remark="meshes the surface anew; does not repeat itself")
+
+    return [netgen("m", 10), netgen("sm", 3), netgen("stm", 10),
+            mmg("no insertion", NO_INSERT), mmg("with insertion", INSERT, remark="adds vertices"),
+            mmg("with insertion, 3 times", INSERT, 3, "adds vertices"),
+            cgal("odt"), cgal("lloyd"), cgal("perturb"), cgal("exude"),
+            cgal("odt", "perturb", "exude"),
+            tetwild("TetWild again", 10.0), tetwild("TetWild again, energy 5", 5.0)]
+
+
+def _surface_tools() -> list[Contestant]:
+    def lab(name: str, kinds: tuple[Kind, ...], *filters: Any, remark: str = "") -> Contestant:
+        return Contestant(f"MeshLab {name}", "pymeshlab", kinds, "meshlab",
+                          {"filters": [list(f) for f in filters]}, "pymeshlab", remark=remark)
+
+    def o3d(name: str, steps: int) -> Contestant:
+        return Contestant(f"open3d {name}", "open3d", CURVED, "open3d_smooth",
+                          {"filter": name, "iterations": steps}, "open3d")
+
+    ten = {"stepsmoothnum": 10, "boundary": False, "cotangentweight": False}
+    laplacian = ("apply_coord_laplacian_smoothing", ten)
+    inner: tuple[Any, ...] = (
+        ("compute_selection_from_mesh_border", {}), ("apply_selection_inverse", {}),
+        ("apply_coord_laplacian_smoothing", {**ten, "selected": True}),
+    )
+    remesh = "meshing_isotropic_explicit_remeshing"
+    same_size: dict[str, Any] = {"iterations": 5, "targetlen": None}
+    fixed_size: dict[str, Any] = {**same_size, "splitflag": False, "collapseflag": False}
+    return [
+        lab("flips", (*FLAT, *CURVED), FLIPS),
+        lab("Laplacian", CURVED, laplacian),
+        lab("Laplacian", FLAT, *inner, remark="10 passes, the boundary not selected"),
+        lab("flips and Laplacian", FLAT, FLIPS, *inner, FLIPS, *inner[2:], FLIPS),
+        lab("Taubin", CURVED, ("apply_coord_taubin_smoothing", {})),
+        lab("HC Laplacian", CURVED, ("apply_coord_hc_laplacian_smoothing", {})),
+        lab("two-step", CURVED, ("apply_coord_two_steps_smoothing", {})),
+        lab("surface-preserving", CURVED,
+            ("apply_coord_laplacian_smoothing_surface_preserving", {"iterations": 10})),
+        lab("isotropic remeshing", CURVED, (remesh, same_size), remark="changes the vertices"),
+        lab("isotropic, no refinement", CURVED, (remesh, fixed_size),
+            remark="flips, smoothing and projection alone"),
+        o3d("simple", 5), o3d("laplacian", 5), o3d("taubin", 5),
+    ]
+
+
+CONTESTANTS = tuple(_ours() + _plain() + _gmsh() + _volume_tools() + _surface_tools())
+
+
+def choose(against: Sequence[str]) -> list[Contestant]:
+    """Pick contestants by name or family; ours are always among them.
+
+    Parameters
+    ----------
+    against : names or families    none means everybody
+
+    Raises
+    ------
+    InvalidOptionError             a name that nobody has
+    """
+    if not against:
+        return list(CONTESTANTS)
+    families = sorted({c.family for c in CONTESTANTS})
+    known = {c.name for c in CONTESTANTS} | set(families)
+    for name in against:
+        if name not in known:
+            msg = f"got {name!r} to compare with; expected one of {', '.join(families)}, or a name"
+            raise InvalidOptionError(msg)
+    whole = OURS in against
+    return [c for c in CONTESTANTS
+            if c.name == OURS or c.name in against
+            or (c.family in against and (c.family != OURS or whole))]

@@ -1,0 +1,121 @@
+"""Boundary of a mesh, and how far it is from the boundary of another one."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.compare.start import StartMesh
+from odt_plugins.errors import MissingDependencyError
+from odt_plugins.mesh import FloatArray
+from odt_plugins.promise import locked_facets
+
+ROUNDING = 1e-12
+"""Distance, as a fraction of the diagonal, up to which a boundary counts as kept to rounding."""
+
+
+class BoundaryChange(NamedTuple):
+    """What became of the boundary; of all triangles, for a surface.
+
+    Attributes
+    ----------
+    verdict : str                       "identical" (the same facets, bit for bit), "same place"
+                                        (other facets, or to rounding) or "moved"
+    outward : float or None             largest distance from the result to the start ...
+    inward : float or None              ... and back, as fractions of the diagonal of the start
+    """
+
+    verdict: str
+    outward: float | None
+    inward: float | None
+
+
+def hull_facets(mesh: StartMesh) -> NDArray[Any]:
+    """Boundary triangles of tetrahedra, boundary edges of triangles, outward."""
+    labels = np.zeros(len(mesh.cells), dtype=np.int32)
+    return locked_facets(mesh.cells, labels, len(mesh.points)).facets
+
+
+def shell(mesh: StartMesh) -> NDArray[Any]:
+    """What must keep its place: the hull, or every triangle of a surface."""
+    return mesh.cells if mesh.kind == "surface" else hull_facets(mesh)
+
+
+def compare_boundaries(before: StartMesh, after: StartMesh) -> BoundaryChange:
+    """Compare boundaries by their coordinates, whatever the numbering.
+
+    Raises
+    ------
+    MissingDependencyError    pyvista is not installed and the boundaries are not identical
+
+    Notes
+    -----
+    The distance is taken from vertices, edge midpoints and barycentres of the one to the facets
+    of the other.
+    """
+    old, new = shell(before), shell(after)
+    a, b = _signature(before.points, old), _signature(after.points, new)
+    if a.shape == b.shape and np.array_equal(a, b):
+        return BoundaryChange("identical", 0.0, 0.0)
+    if not len(new):
+        return BoundaryChange("moved", None, None)
+    used = before.points[np.unique(old)]
+    diagonal = float(np.linalg.norm(used.max(axis=0) - used.min(axis=0)))
+    outward = _reach(after.points, new, before.points, old) / diagonal
+    inward = _reach(before.points, old, after.points, new) / diagonal
+    kept = max(outward, inward) <= ROUNDING
+    return BoundaryChange("same place" if kept else "moved", outward, inward)
+
+
+def _signature(points: FloatArray, facets: NDArray[Any]) -> NDArray[Any]:
+    """Facets as sorted rows of the bits of their sorted corners."""
+    order = np.lexsort(points.T[::-1])
+    rank = np.empty(len(points), dtype=np.int64)
+    rank[order] = np.arange(len(points))
+    corners = np.sort(rank[facets], axis=1)
+    x = np.ascontiguousarray(points[order][corners].reshape(len(facets), -1) + 0.0)
+    bits = x.view(np.int64)
+    return np.asarray(bits[np.lexsort(bits.T)])
+
+
+def _reach(
+    points: FloatArray, facets: NDArray[Any], target: FloatArray, others: NDArray[Any]
+) -> float:
+    """Largest distance of samples of some facets to others."""
+    corner = points[facets]
+    samples = [points[np.unique(facets)], corner.mean(axis=1)]
+    if facets.shape[1] == 3:
+        samples += [0.5 * (corner[:, i] + corner[:, j]) for i, j in ((0, 1), (1, 2), (0, 2))]
+    x = np.concatenate(samples)
+    if facets.shape[1] == 2:
+        return float(_to_segments(x, target[others]).max())
+    return float(_to_triangles(x, target, others).max())
+
+
+def _to_segments(x: FloatArray, segments: FloatArray) -> FloatArray:
+    """Distance of points (n, 2) to the nearest of segments (s, 2, 2)."""
+    a, edge = segments[:, 0], segments[:, 1] - segments[:, 0]
+    length = np.maximum((edge**2).sum(axis=1), np.finfo(float).tiny)
+    out = np.empty(len(x))
+    for start in range(0, len(x), 256):
+        offset = x[start:start + 256, None] - a
+        share = np.clip((offset * edge).sum(axis=2) / length, 0.0, 1.0)
+        away = offset - share[..., None] * edge
+        out[start:start + 256] = np.sqrt((away**2).sum(axis=2).min(axis=1))
+    return out
+
+
+def _to_triangles(x: FloatArray, points: FloatArray, triangles: NDArray[Any]) -> FloatArray:
+    """Distance of points (n, 3) to the nearest triangle, by VTK's cell locator."""
+    try:
+        import pyvista
+    except ImportError as exc:
+        msg = ("measuring how far a surface moved needs pyvista, not installed here; try "
+               'pip install "odt-plugins[compare]"')
+        raise MissingDependencyError(msg) from exc
+    rows = np.column_stack([np.full(len(triangles), 3), triangles])
+    surface: Any = pyvista.PolyData(np.ascontiguousarray(points), rows.ravel())
+    _, nearest = surface.find_closest_cell(x, return_closest_point=True)
+    return np.asarray(np.linalg.norm(x - nearest, axis=1))

@@ -1,0 +1,36 @@
+"""What a comparison was run on: processor, system, versions."""
+
+from __future__ import annotations
+
+import os
+import platform
+import sys
+import time
+from importlib.metadata import PackageNotFoundError, version
+from pathlib import Path
+
+PACKAGES = ("odt-plugins", "numpy", "scipy", "numba", "pyamg", "gmsh", "netgen-mesher", "mmgpy",
+            "cgal", "pytetwild", "pymeshlab", "open3d", "pyvista", "scikit-fem", "matplotlib")
+
+
+def describe(threads: int, seed: int) -> dict[str, str | int]:
+    """Give processor, cores, system, date, threads, seed and versions as plain values."""
+    facts: dict[str, str | int] = {
+        "date": time.strftime("%Y-%m-%d %H:%M:%S %Z"), "processor": _processor(),
+        "cores": os.cpu_count() or 1, "system": platform.platform(),
+        "python": platform.python_version(), "threads": threads, "seed": seed,
+    }
+    for name in PACKAGES:
+        try:
+            facts[name] = version(name)
+        except PackageNotFoundError:
+            facts[name] = "not installed"
+    return facts
+
+
+def _processor() -> str:
+    if sys.platform == "linux":
+        for line in Path("/proc/cpuinfo").read_text(encoding="utf-8").splitlines():
+            if line.startswith("model name"):
+                return line.partition(":")[2].strip()
+    return platform.processor() or platform.machine()

@@ -1,0 +1,272 @@
+"""Rows of the comparison: one contestant on one start mesh, measured by one measure for all."""
+
+from __future__ import annotations
+
+import hashlib
+from collections.abc import Callable, Sequence
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.compare.contestants import OURS, Contestant
+from odt_plugins.compare.hull import BoundaryChange, compare_boundaries
+from odt_plugins.compare.poisson import PoissonFigures, solve_poisson
+from odt_plugins.compare.runner import Limits, Run, run_contestant
+from odt_plugins.compare.start import SEED, StartMesh
+from odt_plugins.errors import InvalidMeshError, MissingDependencyError
+from odt_plugins.mesh import FloatArray, IntArray, reverse
+from odt_plugins.promise import LOWER_IS_BETTER
+from odt_plugins.quality import QualitySummary, cell_figures, summarize
+
+BINS = 50
+"""Bins of the quality histograms, from 0 to 1."""
+
+RIVALRY = ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle", "below_20")
+"""Figures by which a row is held against ours."""
+
+WORST = 60
+"""Cells kept for the pictures."""
+
+MARGIN = 1e-9
+"""Relative difference below which two figures are the same."""
+
+
+@dataclass(frozen=True)
+class Measured:
+    """A mesh as it is measured: the start itself, or what a contestant made of it.
+
+    Attributes
+    ----------
+    summary : QualitySummary          inverted cells are those against the mesh's own orientation
+    histogram : list of int           cells in BINS bins of the radius ratio
+    worst : list of cells             corners (k, d) of the worst cells and their quality
+    boundary : BoundaryChange
+    volume_change : float             relative to the volume of the start; None on a surface
+    poisson : PoissonFigures or None
+    """
+
+    summary: QualitySummary
+    histogram: list[int]
+    worst: list[tuple[list[list[float]], float]]
+    boundary: BoundaryChange
+    volume_change: float | None
+    poisson: PoissonFigures | None
+
+
+@dataclass(frozen=True)
+class Timing:
+    """Seconds of all repeats: median, least, most; memory in bytes."""
+
+    runs: int
+    median: float
+    least: float
+    most: float
+    convert: float
+    imports: float
+    compile: float | None
+    peak: int
+    growth: int
+
+
+@dataclass(frozen=True)
+class Row:
+    """One contestant on one start mesh; every row stays, whatever became of it.
+
+    Attributes
+    ----------
+    mesh, kind, contestant, family, remark : str
+    settings : dict                  of the contestant
+    version : str or None            of its package
+    threads, seed : int
+    status, message : str            of :class:`odt_plugins.compare.runner.Run`
+    measured : Measured or None      of the first repeat
+    spread : float                   largest minus least mean quality over the repeats
+    repeats_itself : bool or None    all repeats gave the same bits
+    timing : Timing or None
+    better_than_ours : tuple         names of the figures in which it beats our default, with
+                                     "seconds" when it is also faster
+    """
+
+    mesh: str
+    kind: str
+    contestant: str
+    family: str
+    remark: str
+    settings: dict[str, Any]
+    version: str | None
+    threads: int
+    seed: int
+    status: str
+    message: str = ""
+    measured: Measured | None = None
+    spread: float = 0.0
+    repeats_itself: bool | None = None
+    timing: Timing | None = None
+    better_than_ours: tuple[str, ...] = ()
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give the row as plain values."""
+        out = asdict(self)
+        if self.measured is not None:
+            out["measured"]["summary"] = self.measured.summary.to_dict()
+            out["measured"]["boundary"] = self.measured.boundary._asdict()
+        return out
+
+
+@dataclass(frozen=True)
+class MeshResult:
+    """One start mesh, its own figures, and the row of everybody.
+
+    `drawn` holds the boundary of the start for the pictures: (points, facets).
+    """
+
+    start: StartMesh
+    measured: Measured
+    rows: list[Row] = field(default_factory=list)
+
+
+def compare_on(
+    start: StartMesh,
+    contestants: Sequence[Contestant],
+    limits: Limits,
+    *,
+    poisson: bool = True,
+    tell: Callable[[Row], None] = lambda row: None,
+    begin: Callable[[Contestant], None] = lambda contestant: None,
+) -> MeshResult:
+    """Run all contestants for this kind of mesh, one after the other, and measure them.
+
+    Parameters
+    ----------
+    start : StartMesh
+    contestants : sequence      those for other kinds of mesh are left out
+    limits : Limits
+    poisson : bool              whether the Poisson problem is solved on every result
+    tell : callable             is given every row as soon as it is measured
+    begin : callable            is given every contestant before it runs
+
+    Returns
+    -------
+    MeshResult
+    """
+    before = measure_mesh(start, start.points, start.cells, poisson=poisson)
+    rows = []
+    for contestant in contestants:
+        if start.kind not in contestant.kinds:
+            continue
+        begin(contestant)
+        run = run_contestant(start, contestant, limits)
+        rows.append(make_row(start, contestant, run, limits, poisson=poisson))
+        tell(rows[-1])
+    return MeshResult(start, before, mark(rows))
+
+
+def make_row(
+    start: StartMesh, contestant: Contestant, run: Run, limits: Limits, *, poisson: bool
+) -> Row:
+    """Measure what a contestant returned."""
+    row = Row(start.name, start.kind, contestant.name, contestant.family, contestant.remark,
+              contestant.settings, contestant.installed() if contestant.package else None,
+              limits.threads, SEED, run.status, run.message)
+    if run.status != "ok":
+        return row
+    try:
+        measured = measure_mesh(start, *run.meshes[0], poisson=poisson)
+    except (InvalidMeshError, MissingDependencyError) as exc:
+        return replace(row, status="failed", message=str(exc))
+    prints = {_fingerprint(*mesh) for mesh in run.meshes}
+    means = [measured.summary.mean_quality]
+    if len(prints) > 1:
+        means += [oriented(start, p, t)[1].mean_quality for p, t in run.meshes[1:]]
+    facts = run.facts
+    seconds = facts["seconds"]
+    timing = Timing(len(seconds), float(np.median(seconds)), min(seconds), max(seconds),
+                    float(np.median(facts["convert"])), facts["import"], facts["compile"],
+                    facts["peak"], facts["peak"] - facts["peak_before"])
+    return replace(row, measured=measured, spread=max(means) - min(means), timing=timing,
+                   repeats_itself=len(prints) == 1 if len(run.meshes) > 1 else None)
+
+
+def measure_mesh(
+    start: StartMesh, points: FloatArray, cells: IntArray, *, poisson: bool
+) -> Measured:
+    """Measure a mesh against the start: quality, boundary, volume, Poisson problem."""
+    mesh, summary, figures = oriented(start, points, cells)
+    order = np.argsort(figures.quality, kind="stable")[:WORST]
+    worst = [(mesh.points[mesh.cells[i]].tolist(), float(figures.quality[i])) for i in order]
+    histogram = np.histogram(np.clip(figures.quality, 0.0, 1.0), BINS, (0.0, 1.0))[0]
+    change = None
+    if start.kind != "surface":
+        volume = float(cell_figures(start.points, start.cells).volume.sum())
+        change = summary.volume / volume - 1.0
+    sound = poisson and summary.inverted == 0
+    return Measured(summary, histogram.tolist(), worst, compare_boundaries(start, mesh), change,
+                    _poisson(mesh, start) if sound else None)
+
+
+def oriented(
+    start: StartMesh, points: NDArray[Any], cells: NDArray[Any]
+) -> tuple[StartMesh, QualitySummary, Any]:
+    """Turn a mesh whose cells are mostly negative: a tool may have its own orientation.
+
+    Returns
+    -------
+    mesh without unused vertices, its summary, its figures per cell
+    """
+    used, inverse = np.unique(cells, return_inverse=True)
+    t = inverse.reshape(cells.shape).astype(np.int32)
+    p = np.ascontiguousarray(points[used])
+    figures = cell_figures(p, t)
+    if 2 * int((figures.volume < 0).sum()) > len(t):
+        t = reverse(t, np.ones(len(t), dtype=np.bool_))
+        figures = cell_figures(p, t)
+    mesh = replace(start, points=p, cells=np.ascontiguousarray(t))
+    return mesh, summarize(p, t, figures), figures
+
+
+def mark(rows: Sequence[Row]) -> list[Row]:
+    """Write into every row in which figures it is better than our default on the same mesh.
+
+    A row with inverted cells beats nobody. If ours has no result, every other that has one is
+    better in everything.
+    """
+    ours = next((row for row in rows if row.contestant == OURS), None)
+    out = []
+    for row in rows:
+        names: tuple[str, ...] = ()
+        sound = row.measured is not None and row.measured.summary.inverted == 0
+        if ours is not None and row is not ours and sound and row.family != ours.family:
+            names = _better(row, ours)
+        out.append(replace(row, better_than_ours=names))
+    return out
+
+
+def _better(row: Row, ours: Row) -> tuple[str, ...]:
+    if row.measured is None or ours.measured is None:
+        return RIVALRY
+    a, b = row.measured.summary, ours.measured.summary
+    names = []
+    for name in RIVALRY:
+        x, y = float(getattr(a, name)), float(getattr(b, name))
+        slack = MARGIN * max(abs(x), abs(y))
+        better = x < y - slack if name in LOWER_IS_BETTER else x > y + slack
+        if better:
+            names.append(name)
+    if row.timing and ours.timing and row.timing.median < ours.timing.median:
+        names.append("seconds")
+    return tuple(names)
+
+
+def _poisson(mesh: StartMesh, start: StartMesh) -> PoissonFigures | None:
+    try:
+        return solve_poisson(mesh, start)
+    except ImportError:
+        return None
+
+
+def _fingerprint(points: NDArray[Any], cells: NDArray[Any]) -> str:
+    digest = hashlib.sha256(np.ascontiguousarray(points).tobytes())
+    digest.update(np.ascontiguousarray(cells).tobytes())
+    return digest.hexdigest()

@@ -1,0 +1,154 @@
+"""Runs contestants one after the other, each in a process of its own with a time limit."""
+
+from __future__ import annotations
+
+import contextlib
+import json
+import os
+import signal
+import subprocess
+import sys
+import tempfile
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+import odt_plugins
+from odt_plugins.compare.contestants import Contestant
+from odt_plugins.compare.start import SEED, StartMesh
+from odt_plugins.compare.worker import RESULT
+from odt_plugins.mesh import FloatArray, IntArray
+
+IMPORTS = {
+    "gmsh_optimize": ["gmsh"], "netgen_optimize": ["netgen.meshing"], "mmg_optimize": ["mmgpy"],
+    "cgal_optimize": ["CGAL.CGAL_Mesh_3"], "tetwild": ["pytetwild"], "meshlab": ["pymeshlab"],
+    "open3d_smooth": ["open3d"], "averaging": ["scipy.sparse"], "ours": ["odt_plugins.api"],
+}
+"""What a baseline imports, so that the time of importing is measured by itself."""
+
+
+@dataclass(frozen=True)
+class Limits:
+    """How long and how often a contestant may run.
+
+    Attributes
+    ----------
+    seconds : float    after which its process is ended
+    repeats : int      runs of the optimising call
+    enough : float     no further repeat once they took so many seconds together
+    threads : int      for tools that can use several
+    """
+
+    seconds: float = 60.0
+    repeats: int = 3
+    enough: float = 6.0
+    threads: int = 1
+
+
+@dataclass(frozen=True)
+class Run:
+    """What came back from a contestant's process.
+
+    Attributes
+    ----------
+    status : str      "ok", "missing" (not installed), "unsupported" (cannot take this start),
+                      "failed" (raised), "crashed", "timeout", "nothing" (no cells)
+    message : str     what to tell about it
+    facts : dict      seconds, convert, import, compile, peak_before, peak of the worker
+    meshes : list of (points, cells), one per finished repeat
+    """
+
+    status: str
+    message: str = ""
+    facts: dict[str, Any] = field(default_factory=dict)
+    meshes: list[tuple[FloatArray, IntArray]] = field(default_factory=list)
+
+
+def run_contestant(start: StartMesh, contestant: Contestant, limits: Limits) -> Run:
+    """Run one contestant on one start mesh in a process and a temporary folder of its own."""
+    if contestant.installed() is None:
+        return Run("missing", f'{contestant.package} is not installed; try '
+                              f'pip install "odt-plugins[{contestant.extra}]"')
+    with tempfile.TemporaryDirectory(prefix="odt-compare-") as name:
+        folder = Path(name)
+        job = {"mesh": start.name, "kind": start.kind, "module": contestant.module,
+               "settings": contestant.settings, "imports": IMPORTS.get(contestant.module, []),
+               "threads": limits.threads, "repeats": limits.repeats, "enough": limits.enough,
+               "seed": SEED}
+        (folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
+        np.savez(folder / "start.npz", points=start.points, cells=start.cells)
+        ending, said = _process(folder, limits)
+        return _read(folder, ending, said, limits)
+
+
+def _process(folder: Path, limits: Limits) -> tuple[int | None, str]:
+    """Run the worker; its exit code (None after the time limit) and the last line it wrote."""
+    environment = dict(os.environ)
+    environment |= dict.fromkeys(
+        ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), str(limits.threads))
+    here = str(Path(odt_plugins.__file__).parents[1])
+    environment["PYTHONPATH"] = os.pathsep.join(
+        p for p in (here, environment.get("PYTHONPATH", "")) if p)
+    log = folder / "log"
+    with log.open("wb") as file:
+        process = subprocess.Popen(
+            [sys.executable, "-m", "odt_plugins.compare.worker", str(folder)],
+            stdout=file, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, cwd=folder,
+            env=environment, start_new_session=True,
+        )
+        try:
+            ending: int | None = process.wait(limits.seconds)
+        except subprocess.TimeoutExpired:
+            ending = None
+        finally:
+            # The worker's whole session, so that no helper of a tool stays behind.
+            with contextlib.suppress(ProcessLookupError, PermissionError):
+                os.killpg(process.pid, signal.SIGKILL)
+            process.wait()
+    lines = log.read_text(encoding="utf-8", errors="replace").split("\n")
+    return ending, next((line.strip() for line in reversed(lines) if line.strip()), "")
+
+
+def _read(folder: Path, ending: int | None, said: str, limits: Limits) -> Run:
+    file = folder / RESULT
+    facts = json.loads(file.read_text(encoding="utf-8")) if file.is_file() else {}
+    status = str(facts.get("status", "crashed"))
+    message = str(facts.get("message", ""))
+    meshes = []
+    for turn in range(len(facts.get("seconds", []))):
+        with np.load(folder / f"mesh-{turn}.npz") as data:
+            meshes.append((data["points"], data["cells"]))
+    if ending is None:
+        status, message = "timeout", f"no answer within {limits.seconds:g} s"
+    elif ending:
+        status = "crashed"
+        message = f"ended by {_signal(ending)}" + (f": {said}" if said else "")
+    if meshes and status in ("timeout", "crashed"):
+        message = f"{message}, after {len(meshes)} complete runs, which are shown"
+        status = "ok"
+    if status == "ok" and any(fault := [_fault(*mesh) for mesh in meshes]):
+        return Run("nothing", next(f for f in fault if f), facts)
+    return Run(status, message, facts, meshes)
+
+
+def _fault(points: NDArray[Any], cells: NDArray[Any]) -> str:
+    """Say what makes arrays no mesh at all."""
+    if not len(cells):
+        return "returned no cells"
+    if cells.min() < 0 or cells.max() >= len(points):
+        return "returned cells with vertices that do not exist"
+    if not np.isfinite(points[cells]).all():
+        return "returned coordinates that are not finite"
+    return ""
+
+
+def _signal(code: int) -> str:
+    if code >= 0:
+        return f"exit code {code}"
+    try:
+        return signal.Signals(-code).name
+    except ValueError:
+        return f"signal {-code}"

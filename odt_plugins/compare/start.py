@@ -1,0 +1,244 @@
+"""Start meshes of a comparison: read from files, stored with the package, or made on the fly."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from importlib.resources import as_file, files
+from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
+from odt_plugins.mesh import FloatArray, IntArray, mesh_arrays, reverse, simplex_mesh
+from odt_plugins.planar import plane_frame
+from odt_plugins.quality import volumes
+
+Kind = Literal["tets", "planar", "surface"]
+
+SEED = 2011
+"""Seed of every mesh made on the fly and of every contestant that takes one."""
+
+STORED = {
+    "bunny": "TetWild's mesh of the Stanford bunny",
+    "bone": "TetWild's mesh of a bone",
+    "cgal-bunny": "CGAL's Delaunay refinement of the bunny, not optimised",
+    "bunny-surface": "surface of the bunny",
+    "bone-surface": "surface of the bone",
+}
+
+
+@dataclass(frozen=True)
+class StartMesh:
+    """The mesh from which every contestant starts.
+
+    Attributes
+    ----------
+    name : str
+    kind : str                     "tets", "planar" or "surface"
+    points : (n, d) float64        every vertex is used; d = 2 when planar
+    cells : (m, k) int32           positive volumes; triangles of a surface as they came
+    origin : str                   where it comes from, for the report
+    """
+
+    name: str
+    kind: Kind
+    points: FloatArray
+    cells: IntArray
+    origin: str = ""
+
+
+def make_start(name: str, points: FloatArray, cells: IntArray, origin: str = "") -> StartMesh:
+    """Make a start mesh of arrays: check, orient and leave out unused vertices.
+
+    Raises
+    ------
+    InvalidMeshError    the mesh is broken
+    """
+    p, t = mesh_arrays(points, cells)
+    kind: Kind = "tets" if t.shape[1] == 4 else "planar"
+    if p.shape[1] == 3 and t.shape[1] == 3:
+        try:
+            p = plane_frame(p, t).to_plane(p)
+        except UnsupportedMeshError:
+            kind = "surface"
+    if kind != "surface":
+        t = simplex_mesh(p, t, orient=True)[0].cells
+        negative = volumes(p, t) < 0
+        t = reverse(t, negative) if negative.any() else t
+    used, inverse = np.unique(t, return_inverse=True)
+    compact = np.ascontiguousarray(inverse.reshape(t.shape), dtype=np.int32)
+    return StartMesh(name, kind, np.ascontiguousarray(p[used]), compact, origin)
+
+
+def read_start(path: Path) -> StartMesh:
+    """Read a start mesh from a file of any format of meshio.
+
+    Raises
+    ------
+    MeshFileError, InvalidMeshError, UnsupportedMeshError
+    """
+    from odt_plugins.adapters import files as mesh_files
+
+    host = mesh_files.read(path)
+    return make_start(path.stem, host.points, host.cells, str(path))
+
+
+def stored(name: str) -> StartMesh:
+    """Read one of the meshes stored with the package, by its name in STORED."""
+    with as_file(files("odt_plugins.compare") / "data" / f"{name}.vtu") as path:
+        return replace(read_start(path), name=name, origin=STORED[name])
+
+
+def suite(name: str) -> list[StartMesh]:
+    """Give the start meshes of a suite.
+
+    Parameters
+    ----------
+    name : str    "standard" (modest meshes of every kind), "large" (up to a million
+                  tetrahedra) or "tiny" (for tests)
+
+    Raises
+    ------
+    InvalidOptionError    no such suite
+    """
+    if name == "standard":
+        return [stored("bunny"), stored("bone"), stored("cgal-bunny"), ball(2000),
+                plate(4000), stored("bunny-surface"), stored("bone-surface")]
+    if name == "large":
+        bunny = stored("bunny")
+        fine = replace(make_start("bunny-fine", *refine(bunny.points, bunny.cells)),
+                       origin="the bunny, every tetrahedron cut into eight")
+        return [fine, ball(165_000), plate(500_000)]
+    if name == "tiny":
+        return [ball(60), plate(60)]
+    msg = f"got suite={name!r}; expected one of 'standard', 'large', 'tiny'"
+    raise InvalidOptionError(msg)
+
+
+def ball(n: int, seed: int = SEED) -> StartMesh:
+    """Random Delaunay mesh of a ball: jittered lattice inside, spiral on the sphere.
+
+    Parameters
+    ----------
+    n : int       about so many vertices
+    seed : int    of the jitter
+    """
+    from scipy.spatial import Delaunay
+
+    rng = np.random.default_rng(seed)
+    h = (4.0 / 3.0 * np.pi / n) ** (1.0 / 3.0)
+    axis = np.arange(-1.0, 1.0 + h, h)
+    lattice = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    lattice = lattice + rng.uniform(-0.45 * h, 0.45 * h, lattice.shape)
+    inside = lattice[(lattice**2).sum(axis=1) < (1.0 - 0.5 * h) ** 2]
+    points = np.concatenate([sphere_points(round(4.0 * np.pi / (0.9 * h * h))), inside])
+    cells = Delaunay(points).simplices
+    return make_start(f"ball-{_short(len(cells))}", points, cells,
+                      f"Delaunay mesh of {len(points)} seeded random points in a ball")
+
+
+def sphere_points(n: int) -> FloatArray:
+    """Spread n points on the unit sphere along a spiral of golden angle, (n, 3)."""
+    i = np.arange(n) + 0.5
+    polar = np.arccos(1.0 - 2.0 * i / n)
+    turn = np.pi * (1.0 + 5.0**0.5) * i
+    return np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)],
+                    axis=1)
+
+
+def plate(n: int, seed: int = SEED) -> StartMesh:
+    """Random Delaunay mesh of a square with a round hole, finer towards the hole.
+
+    Parameters
+    ----------
+    n : int       about so many vertices
+    seed : int
+    """
+    from scipy.spatial import Delaunay
+
+    rng = np.random.default_rng(seed)
+    radius = 0.3
+    # Cells of size c * r, so that the number of vertices is the integral of 1 / (c r)^2.
+    c = np.sqrt(2.0 * np.pi * np.log(1.0 / radius) * 1.2 / n)
+    rings = [radius * (1.0 + c) ** k for k in range(int(np.log(1.42 / radius) / np.log1p(c)) + 1)]
+    around = max(round(2.0 * np.pi / c), 8)
+    cloud = []
+    for k, r in enumerate(rings[1:]):
+        angle = 2.0 * np.pi * (np.arange(around) + 0.5 * (k % 2)) / around
+        angle = angle + rng.uniform(-0.4, 0.4, around) * 2.0 * np.pi / around
+        length = r * (1.0 + c * rng.uniform(-0.4, 0.4, around))
+        cloud.append(np.stack([length * np.cos(angle), length * np.sin(angle)], axis=1))
+    inner = np.concatenate(cloud)
+    distance = np.sqrt((inner**2).sum(axis=1))
+    keep = (np.abs(inner).max(axis=1) < 1.0 - 0.5 * c) & (distance > radius * (1.0 + 0.5 * c))
+    inner = inner[keep]
+    angle = 2.0 * np.pi * np.arange(around) / around
+    hole = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
+    side = np.linspace(-1.0, 1.0, max(round(1.8 / c), 3))[:-1]
+    one = np.ones_like(side)
+    square = np.concatenate([np.stack(s, axis=1) for s in
+                             ((side, -one), (one, side), (-side, one), (-one, -side))])
+    points = np.concatenate([hole, square, inner])
+    cells = Delaunay(points).simplices
+    cells = cells[~(cells < around).all(axis=1)]
+    return make_start(f"plate-{_short(len(cells))}", points, cells,
+                      "graded Delaunay mesh of seeded random points in a square with a hole")
+
+
+def refine(points: FloatArray, cells: NDArray[np.integer]) -> tuple[FloatArray, IntArray]:
+    """Cut every simplex at its edge midpoints: 4 triangles, or 8 tetrahedra.
+
+    Parameters
+    ----------
+    points : (n, d) float64
+    cells : (m, d + 1) int
+
+    Returns
+    -------
+    points, cells         the midpoints follow the old vertices
+
+    Notes
+    -----
+    The octahedron within a tetrahedron is cut along its shortest diagonal; a fixed one makes the
+    shapes worse with every level.
+    """
+    k = cells.shape[1]
+    local = [(i, j) for i in range(k) for j in range(i + 1, k)]
+    pairs = np.sort(np.concatenate([cells[:, list(e)] for e in local]), axis=1)
+    edges, inverse = np.unique(pairs, axis=0, return_inverse=True)
+    middle = inverse.reshape(len(local), len(cells)) + len(points)
+    new_points = np.concatenate([points, points[edges].mean(axis=1)])
+    at = {e: middle[i] for i, e in enumerate(local)}
+    corner = [[cells[:, i], *(at[min(i, j), max(i, j)] for j in range(k) if j != i)]
+              for i in range(k)]
+    children = [np.stack(c, axis=1) for c in corner]
+    if k == 3:
+        children.append(np.stack([at[0, 1], at[0, 2], at[1, 2]], axis=1))
+    else:
+        children += _octahedron(new_points, at)
+    fine = np.concatenate(children).astype(np.int32)
+    negative = volumes(new_points, fine) < 0
+    return new_points, np.ascontiguousarray(reverse(fine, negative))
+
+
+def _octahedron(
+    points: FloatArray, at: dict[tuple[int, int], NDArray[np.integer]]
+) -> list[NDArray[np.integer]]:
+    """Four tetrahedra around the shortest of the three diagonals."""
+    rings = (((0, 1), (2, 3), ((0, 2), (0, 3), (1, 3), (1, 2))),
+             ((0, 2), (1, 3), ((0, 1), (0, 3), (2, 3), (1, 2))),
+             ((0, 3), (1, 2), ((0, 1), (0, 2), (2, 3), (1, 3))))
+    length = np.stack([((points[at[a]] - points[at[b]]) ** 2).sum(axis=1) for a, b, _ in rings])
+    shortest = length.argmin(axis=0)
+    out = []
+    for which, (a, b, ring) in enumerate(rings):
+        rows = shortest == which
+        out += [np.stack([at[a], at[b], at[ring[i]], at[ring[(i + 1) % 4]]], axis=1)[rows]
+                for i in range(4)]
+    return out
+
+
+def _short(m: int) -> str:
+    return f"{m / 1e6:.1f}M" if m >= 1e6 else f"{round(m / 1000)}k" if m >= 1000 else str(m)
