@@ -40,6 +40,7 @@ if TYPE_CHECKING:
     from odt_plugins.quality import QualitySummary
     from odt_plugins.report import Report
     from odt_plugins.script import run_filter_script
+    from odt_plugins.tetwild import tetrahedralize
 
     __version__: str
 
@@ -63,6 +64,7 @@ __all__ = [
     "optimize_with_report",
     "register",
     "run_filter_script",
+    "tetrahedralize",
 ]
 
 _HOMES = {
@@ -72,6 +74,7 @@ _HOMES = {
     "quality": ("QualitySummary",),
     "report": ("Report",),
     "script": ("run_filter_script",),
+    "tetwild": ("tetrahedralize",),
 }
 """Module of every public name that is not in `errors`."""
 

@@ -52,12 +52,13 @@ def test_the_journal_takes_every_flip_back(seed):
     assert contents(mesh) == before
 
 
-def run_pass(mesh, power=4.0, bounds=OPEN):
+def run_pass(mesh, power=4.0, bounds=OPEN, tried=None):
     order = np.argsort(qualities(mesh), kind="stable")[:60].astype(np.int32)
     mesh.status[:] = 0
     return compound.compound_pass(
         mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status, order,
-        mesh.slots, mesh.free, power, 10, bounds)
+        mesh.slots, mesh.free, power, 10, bounds,
+        np.zeros(len(mesh.cells), dtype=bool) if tried is None else tried)
 
 
 @pytest.mark.parametrize("seed", [4, 5, 6])
@@ -96,3 +97,17 @@ def test_star_is_gathered_over_facets():
         size = compound.gather_star(mesh.cells, mesh.neighbors, holders[-1], v, star)
         assert np.array_equal(np.sort(star[:size]), holders)
     assert compound.gather_star(mesh.cells, mesh.neighbors, holders[0], v, star[:2]) == 0
+
+
+def test_cells_that_were_tried_are_passed_over_until_something_changes_near_them():
+    points, cells = tm.ball(300, 4)
+    mesh = complex_of(points, cells)
+    tried = np.zeros(len(mesh.cells), dtype=bool)
+    assert run_pass(mesh, tried=tried) > 0
+    while run_pass(mesh, tried=tried):
+        pass
+    assert tried[mesh.live()].sum() >= 60
+    before = contents(mesh)
+    tried[:] = True
+    assert run_pass(mesh, tried=tried) == 0
+    assert contents(mesh) == before

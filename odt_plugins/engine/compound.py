@@ -74,9 +74,12 @@ def _push(touched: IntArray, n: int, around: IntArray, n_new: int) -> int:
 def compound_pass(
     points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
     locked: BoolArray, status: ByteArray, order: IntArray, slots: LongArray, free: IntArray,
-    power: float, max_ring: int, bounds: FloatArray,
+    power: float, max_ring: int, bounds: FloatArray, tried: BoolArray,
 ) -> int:
     """Try compound moves at the cells of ``order``; arguments as in ``flips3d.flip_pass``.
+
+    A cell that is marked in ``tried`` (room,) is passed over: nothing paid there and nothing
+    near it has changed since.  The marks are kept up to date.
 
     Returns
     -------
@@ -95,8 +98,9 @@ def compound_pass(
     taken = 0
     for o in range(order.shape[0]):
         c = order[o]
-        if cells[c, 0] < 0:
+        if cells[c, 0] < 0 or tried[c]:
             continue
+        tried[c] = True
         q = tet_quality(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
         large, small = tet_cosines(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
         least = GAIN * q**-power
@@ -186,6 +190,14 @@ def compound_pass(
                 )
             if good:
                 taken += 1
+                for m in range(n_touched):
+                    t = touched[m]
+                    tried[t] = False
+                    if cells[t, 0] < 0:
+                        continue
+                    for f in range(4):
+                        if neighbors[t, f] >= 0:
+                            tried[neighbors[t, f]] = False
                 break
             for m in range(n_undo - 1, -1, -1):
                 v = undo_vertex[m]

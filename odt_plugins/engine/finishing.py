@@ -23,7 +23,7 @@ from odt_plugins.engine.phases import Phase
 from odt_plugins.engine.star import Stars
 from odt_plugins.engine.tetrahedron import QUALITY, tet_quality
 from odt_plugins.engine.threads import run_chunks
-from odt_plugins.mesh import FloatArray, IntArray
+from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
 GAIN = 3e-3
 RING = 10
@@ -127,8 +127,10 @@ def descend(
             pushed = spread(cells, stars.indptr, stars.indices, moved, GAIN, active, mesh.status)
         if pushed == 0 and flips == 0:
             break
+    tried = np.zeros(0, dtype=bool)
     for _ in range(phase.compound):
-        taken = compound_moves(mesh, phase, bounds)
+        tried = np.concatenate([tried, np.zeros(len(mesh.cells) - len(tried), dtype=bool)])
+        taken = compound_moves(mesh, phase, bounds, tried)
         flips += taken
         if taken == 0:
             break
@@ -145,7 +147,9 @@ def _smooth_chunk(
     ))
 
 
-def compound_moves(mesh: Complex, phase: Phase, bounds: FloatArray) -> int:
+def compound_moves(
+    mesh: Complex, phase: Phase, bounds: FloatArray, tried: BoolArray
+) -> int:
     """Try compound moves at the worst share of the cells; returns how many stayed."""
     q = qualities(mesh)
     count = int(phase.share * (q < 1.5).sum())
@@ -154,7 +158,7 @@ def compound_moves(mesh: Complex, phase: Phase, bounds: FloatArray) -> int:
     mesh.status[:] = 0
     taken = compound.compound_pass(
         mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status, order,
-        mesh.slots, mesh.free, phase.power, RING, bounds,
+        mesh.slots, mesh.free, phase.power, RING, bounds, tried,
     )
     if mesh.slots[2]:
         grow(mesh)

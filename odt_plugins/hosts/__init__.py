@@ -8,7 +8,9 @@ from importlib.util import find_spec
 from odt_plugins.errors import InvalidOptionError, MissingDependencyError
 
 HOSTS = {
+    "open3d": "open3d_filters",
     "pymeshlab": "pymeshlab_filters",
+    "pyvista": "pyvista_accessor",
 }
 """File of this package that extends each toolkit; it has a function `register()`."""
 
@@ -19,7 +21,9 @@ def register(name: str) -> None:
     Parameters
     ----------
     name : str              "pymeshlab": filters of MeshSet such as `apply_coord_odt_smoothing`,
-                            listed by `pymeshlab.print_filter_list()`
+                            listed by `pymeshlab.print_filter_list()`; "pyvista": accessors
+                            `grid.odt` and `surface.odt`; "open3d": methods of its meshes such as
+                            `filter_smooth_odt`
 
     Raises
     ------
