@@ -7,7 +7,7 @@ moment: meshes that are added to the set later have higher ids for that.
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from numbers import Integral
 from typing import Any, Literal
 
@@ -15,7 +15,7 @@ import numpy as np
 
 from odt_plugins.adapters.host import is_instance
 from odt_plugins.errors import InvalidOptionError
-from odt_plugins.options import DENSITIES
+from odt_plugins.options import DENSITIES, Options
 
 Kind = Literal["int", "bool", "enum", "length"]
 
@@ -186,8 +186,9 @@ DENSITY = Parameter(
 KEEP = Parameter(
     "keepQuality", "bool", True, "Keep quality",
     "No figure (smallest, 1 % and mean radius ratio, extreme angles) may get worse.")
+ROUNDS = replace(STEPS, default=Options.rounds)
 ITERATIONS = Parameter(
-    "Iterations", "int", 3, "Iterations",
+    "Iterations", "int", Options.cycles, "Iterations",
     "How often smoothing and flips are followed by the repair of the worst elements.")
 
 SMOOTHING = (STEPS, BOUNDARY, DENSITY, KEEP, SELECTED)
@@ -210,7 +211,7 @@ _ALL = (
         "meshing_odt_optimization", "ODT Optimization",
         "Improve a planar mesh by Optimal Delaunay Triangulation: moves vertices and flips edges. "
         "When edges were flipped the current mesh is exchanged: take current_mesh() again.",
-        (STEPS, ITERATIONS, BOUNDARY, DENSITY, KEEP, SELECTED)),
+        (ROUNDS, ITERATIONS, BOUNDARY, DENSITY, KEEP, SELECTED)),
     Filter(
         "compute_scalar_by_radius_ratio_per_face", "Per Face Quality by Radius Ratio",
         "Store in the scalar of every face its radius ratio 2 r/R, 1 for an equilateral triangle "
@@ -226,8 +227,7 @@ _ALL = (
                       "Edge length of the tetrahedra."),
             Parameter("MaxSurfDist", "length", 0.1, "Max. Surface Distance",
                       "How far the boundary may lie from the surface."),
-            Parameter("stepSmoothNum", "int", 20, STEPS.title, STEPS.help),
-            ITERATIONS, DENSITY, KEEP,
+            ROUNDS, ITERATIONS, DENSITY, KEEP,
         )),
 )
 
