@@ -44,10 +44,10 @@ MAY_IMPORT = {
 TOOLKITS = {
     "pyvista": {"adapters/pyvista_mesh.py", "hosts/pyvista_accessor.py", "plotting.py", "demo.py", "compare/hull.py"},
     "vtkmodules": {"adapters/pyvista_mesh.py", "plotting.py"},
-    "meshio": {"adapters/meshio_mesh.py", "adapters/files.py", "demo.py"},
+    "meshio": {"adapters/meshio_mesh.py", "adapters/files.py", "demo.py", "script.py"},
     "matplotlib": {"plotting.py", "compare/pictures.py"},
     "pytetwild": {"demo.py", "compare/baselines/tetwild.py"},
-    "pymeshlab": {"adapters/pymeshlab_mesh.py", "demo.py",
+    "pymeshlab": {"adapters/pymeshlab_mesh.py", "hosts/pymeshlab_filters.py", "script.py",
                   "compare/baselines/meshlab.py"},
     "open3d": {"adapters/open3d_mesh.py", "hosts/open3d_filters.py", "compare/baselines/open3d_smooth.py"},
 }
