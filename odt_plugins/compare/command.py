@@ -34,7 +34,7 @@ CHOSEN_SUITES = ("standard", "large")
               help="Runs of every contestant; fewer where one takes long.")
 @click.option("--time-limit", type=click.FloatRange(min=0.0, min_open=True), default=None,
               metavar="S", help="Seconds after which a contestant is ended.  "
-                                "[default: 60, in suites 25 and 900]")
+                                "[default: 60, in suites 15 and 900]")
 @click.option("--threads", type=click.IntRange(min=1), default=1, show_default=True,
               help="Threads that a contestant may use.")
 @click.option("--poisson/--no-poisson", default=True, show_default=True,
@@ -68,8 +68,8 @@ def compare(
     contestants = choose(against)
     starts = [read_start(path) for path in sources]
     starts += suite_meshes(suite) if suite else []
-    usual = {"standard": 25.0, "large": 900.0}.get(suite or "", 60.0)
-    limits = Limits(time_limit or usual, repeats, min(6.0, (time_limit or usual) / 4), threads)
+    usual = {"standard": 15.0, "large": 900.0}.get(suite or "", 60.0)
+    limits = Limits(time_limit or usual, repeats, min(3.0, (time_limit or usual) / 4), threads)
     results = []
     for start in starts:
         view = _Table(start.name)
@@ -98,6 +98,8 @@ class _Table:
 
         self.name = start_name
         self.console = Console()
+        width = self.console.width if self.console.is_terminal else WIDTH
+        self.console = Console(width=max(width, WIDTH))
         self.progress = Console(stderr=True)
 
     def begin(self, contestant: Contestant) -> None:
@@ -107,10 +109,14 @@ class _Table:
 
     def show(self, result: MeshResult) -> None:
         """Print the table of a mesh, and the sentence that says what ours loses."""
-        width = self.console.width if self.console.is_terminal else 150
-        self.console.print(make_table(result), width=max(width, 100), crop=False)
+        self.console.print(make_table(result), crop=False)
+        for message, names in _not_measured(result).items():
+            click.echo(f"{', '.join(names)}: {message}")
         click.echo(verdict(result) + "\n")
 
+
+WIDTH = 140
+"""Columns of a table where the terminal is narrower or the output goes to a file."""
 
 SHOWN = ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle", "below_20",
          "inverted", "n_points", "n_cells")
@@ -137,8 +143,7 @@ def make_table(result: MeshResult) -> Any:
     for row in result.rows:
         style = "bold" if row.contestant == OURS else ""
         if row.measured is None or row.timing is None:
-            said = f"{row.status}: {row.message}"
-            table.add_row(row.contestant, *[""] * 10, said, "", style=style)
+            table.add_row(row.contestant, *[""] * 10, row.status, "", style=style or "dim")
             continue
         cells, best = cells_of(row.measured), best_figures(row, result.rows)
         better = set(row.better_than_ours)
@@ -147,6 +152,15 @@ def make_table(result: MeshResult) -> Any:
         table.add_row(row.contestant, seconds, *figures, cells["boundary"], cells["cg"],
                       style=style)
     return table
+
+
+def _not_measured(result: MeshResult) -> dict[str, list[str]]:
+    """Contestants without a result, by what is to be said about them."""
+    found: dict[str, list[str]] = {}
+    for row in result.rows:
+        if row.measured is None:
+            found.setdefault(f"{row.status}, {row.message}", []).append(row.contestant)
+    return found
 
 
 def _marked(text: str, better: bool, best: bool) -> str:

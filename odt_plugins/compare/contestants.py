@@ -23,7 +23,7 @@ class Contestant:
     name : str                 shown in every table
     family : str               the tool; ``--against`` takes families and names
     kinds : tuple of str       kinds of start mesh it is tried on
-    module : str               file in `baselines`
+    module : str               file in `baselines`, or the full name of a module elsewhere
     settings : dict            for its `prepare`; plain JSON values
     package : str              distribution whose version is recorded, "" for numpy alone
     extra : str                extra of odt-plugins that brings the package

@@ -51,7 +51,9 @@ def _repeat(job: dict[str, Any], folder: Path, result: dict[str, Any]) -> None:
         start = StartMesh(job["mesh"], job["kind"], data["points"], data["cells"])
     settings = {**job["settings"], "threads": job["threads"], "seed": job["seed"]}
     clock = time.perf_counter()
-    baseline = importlib.import_module(f"odt_plugins.compare.baselines.{job['module']}")
+    name = job["module"]
+    place = name if "." in name else f"odt_plugins.compare.baselines.{name}"
+    baseline = importlib.import_module(place)
     for name in job["imports"]:
         importlib.import_module(name)
     result["import"] = time.perf_counter() - clock

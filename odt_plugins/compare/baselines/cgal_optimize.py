@@ -28,6 +28,7 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
     """
     from CGAL import CGAL_Mesh_3 as cgal
 
+    _refuse_other_than_delaunay(start)
     domain, complex_ = _complex(cgal, start)
 
     def call() -> None:
@@ -75,8 +76,7 @@ def _complex(cgal: Any, start: StartMesh) -> tuple[Any, Any]:
         if tuple(sorted(number[_place(cell.vertex(k))] for k in range(4))) in wanted:
             result.add_to_complex(cell, 1)
     if result.number_of_cells() != len(start.cells):
-        msg = (f"CGAL optimises Delaunay complexes only; {len(wanted) - result.number_of_cells()} "
-               f"of {len(wanted)} cells are not Delaunay")
+        msg = "CGAL's Delaunay triangulation of the points lacks some cells of the start"
         raise NotPossibleError(msg)
     make_facet = cgal.Mesh_3_regular_triangulation_3_Facet
     patch = cgal.Mesh_3_Surface_index(0, 1)
@@ -85,6 +85,17 @@ def _complex(cgal: Any, start: StartMesh) -> tuple[Any, Any]:
             if result.is_in_complex(cell) and not result.is_in_complex(cell.neighbor(k)):
                 result.add_to_complex(make_facet(cell, k), patch)
     return domain, result
+
+
+def _refuse_other_than_delaunay(start: StartMesh) -> None:
+    from scipy.spatial import Delaunay
+
+    found = {tuple(row) for row in np.sort(Delaunay(start.points).simplices, axis=1).tolist()}
+    wanted = {tuple(row) for row in np.sort(start.cells, axis=1).tolist()}
+    if not wanted <= found:
+        msg = (f"CGAL optimises Delaunay complexes only; {len(wanted - found)} of {len(wanted)} "
+               f"cells are not Delaunay")
+        raise NotPossibleError(msg)
 
 
 def _place(vertex: Any) -> tuple[float, float, float]:
