@@ -205,7 +205,7 @@ def test_objects_of_other_toolkits_get_a_hint(module):
 
 
 @pytest.mark.parametrize("kind", ["tetra10", "triangle6", "line3", "hexahedron20"])
-def test_quadratic_meshio_cells_are_refused_by_name(kind):
+def test_quadratic_meshio_cells_beside_linear_ones_are_refused_by_name(kind):
     import meshio
 
     nodes = int("".join(filter(str.isdigit, kind)))
@@ -215,11 +215,11 @@ def test_quadratic_meshio_cells_are_refused_by_name(kind):
         odt_plugins.optimize(mesh)
 
 
-def test_quadratic_grid_cells_are_refused_by_name():
+def test_quadratic_grid_cells_beside_linear_ones_are_refused_by_name():
     pyvista = pytest.importorskip("pyvista")
     points = np.random.default_rng(0).random((10, 3))
-    grid = pyvista.UnstructuredGrid({24: np.arange(10)[None]}, points)
-    with pytest.raises(UnsupportedMeshError, match=r"QUADRATIC_TETRA \(first: cell 0\)"):
+    grid = pyvista.UnstructuredGrid({10: np.arange(4)[None], 24: np.arange(10)[None]}, points)
+    with pytest.raises(UnsupportedMeshError, match=r"QUADRATIC_TETRA \(first: cell 1\)"):
         odt_plugins.optimize(grid)
 
 

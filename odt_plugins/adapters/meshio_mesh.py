@@ -1,8 +1,10 @@
 """meshio.Mesh of tetrahedra or planar triangles.
 
 Everything survives: the blocks and their tags, point, cell and field data, point and cell sets.
-Cells of different blocks never mix. Blocks of other linear cells come back as they are;
-quadratic cells and polyhedra are refused by name.
+Cells of different blocks never mix. Blocks of other linear cells come back as they are. Quadratic
+triangles and tetrahedra are optimised by their corners, see
+:mod:`odt_plugins.adapters.quadratic`; other quadratic cells, quadratic beside linear ones, and
+polyhedra are refused by name.
 """
 
 from __future__ import annotations
@@ -13,13 +15,27 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance, region_array
+from odt_plugins.adapters.quadratic import (
+    CORNERS,
+    carried_point_data,
+    check_mid_nodes,
+    renumbered,
+    warn_of_folds,
+    with_mid_nodes,
+)
 from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError
 
-FACES = {"line": 2, "triangle": 3}
+FACES = {"line": 2, "triangle": 3, "line3": 2, "triangle6": 3}
 """Cells that must stay faces of the optimised ones, with their number of vertices."""
 
 LINEAR = ("vertex", "line", "triangle", "quad", "polygon", "tetra", "hexahedron", "wedge",
           "pyramid")
+
+QUADRATIC = ("line3", "triangle6", "tetra10")
+"""Cells that may lie in a mesh of quadratic triangles or tetrahedra, beside the linear ones."""
+
+KINDS = ("tetra", "tetra10", "triangle", "triangle6")
+"""Cells that can be optimised, the first ones before the others."""
 
 NOT_CELL_INDICES = ("gmsh:bounding_entities",)
 """Cell sets that hold something else than indices of cells."""
@@ -45,18 +61,18 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
     InvalidMeshError           cell data whose length is not that of their block
     InvalidOptionError         there is no cell data of that name
     """
+    found = {block.type for block in mesh.cells if len(block.data)}
+    kind = next((kind for kind in KINDS if kind in found), "triangle")
     for block in mesh.cells:
-        if block.type not in LINEAR:
+        if block.type not in (LINEAR if kind in LINEAR else LINEAR + QUADRATIC):
             msg = (
                 f"got {len(block.data)} cells of type {block.type}; expected linear cells such as "
                 f"tetra or triangle, try converting the mesh to linear cells"
             )
             raise UnsupportedMeshError(msg)
-    found = {block.type for block in mesh.cells if len(block.data)}
     if not found:
         msg = f"the mesh has no cells ({len(mesh.points)} vertices); expected tetra or triangle"
         raise InvalidMeshError(msg)
-    kind = "tetra" if "tetra" in found else "triangle"
     if kind not in found:
         msg = f"got a mesh with cells of {', '.join(sorted(found))}; expected tetra or triangle"
         raise UnsupportedMeshError(msg)
@@ -69,9 +85,13 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
         for i, block in enumerate(mesh.cells)
         if i not in chosen and block.type != "vertex" and len(block.data)
     )
+    nodes = np.concatenate([mesh.cells[i].data for i in chosen])
+    if kind in QUADRATIC:
+        check_mid_nodes(nodes, len(mesh.points))
+        nodes = nodes[:, : CORNERS[nodes.shape[1]]]
     return HostMesh(
         points=np.asarray(mesh.points),
-        cells=np.concatenate([mesh.cells[i].data for i in chosen]),
+        cells=nodes,
         regions=region_array(arrays, regions),
         blocks=np.repeat(np.arange(len(chosen)), size) if len(chosen) > 1 else None,
         kept=kept,
@@ -83,6 +103,8 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
 def write(result: Result, host: HostMesh) -> Any:
     """Copy the caller's mesh and exchange its points and the optimised blocks."""
     out = host.source.copy()
+    if any(out.cells[i].type in QUADRATIC for i in host.layout):
+        result = _with_mid_nodes(out, result, host)
     out.points = result.points
     for i, start in host.layout.items():
         block = out.cells[i]
@@ -98,6 +120,23 @@ def write(result: Result, host: HostMesh) -> Any:
     return out
 
 
+def _with_mid_nodes(out: Any, result: Result, host: HostMesh) -> Result:
+    """Give every edge its mid-node; point data, sets and other blocks follow their nodes."""
+    nodes = np.concatenate([out.cells[i].data for i in host.layout])
+    others = [i for i in range(len(out.cells)) if i not in host.layout]
+    kept = [np.asarray(out.cells[i].data).ravel() for i in others]
+    q = with_mid_nodes(result, host.points, nodes,
+                       np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *kept])))
+    warn_of_folds(host.points, nodes, q)
+    for i in others:
+        old = np.asarray(out.cells[i].data)
+        out.cells[i].data = q.number[old].astype(old.dtype)
+    out.point_data = {name: carried_point_data(name, np.asarray(values), q)
+                      for name, values in out.point_data.items()}
+    out.point_sets = renumbered(out.point_sets, q)
+    return Result(q.points, q.cells, result.source)
+
+
 def _joined(name: str, values: list[Any], mesh: Any, chosen: list[int]) -> NDArray[Any]:
     """Cell data of all optimised blocks one after another."""
     for i in chosen:
@@ -111,7 +150,7 @@ def _joined(name: str, values: list[Any], mesh: Any, chosen: list[int]) -> NDArr
 
 
 def _kept(kind: str, data: NDArray[Any]) -> KeptCells:
-    return KeptCells(kind, data if kind in FACES else data.reshape(-1, 1))
+    return KeptCells(kind, data[:, : FACES[kind]] if kind in FACES else data.reshape(-1, 1))
 
 
 def _members(members: NDArray[Any], local: NDArray[np.int32], size: int) -> NDArray[Any]:

@@ -2,7 +2,9 @@
 
 Everything survives: class, dtype of the points, point, cell and field data, active arrays and
 user dictionary. Other linear cells (lines, boundary triangles, quadrilaterals, hexahedra, ...)
-come back as they are; quadratic cells, polyhedra and triangle strips are refused by name.
+come back as they are. Quadratic triangles and tetrahedra are optimised by their corners, see
+:mod:`odt_plugins.adapters.quadratic`; other quadratic cells, quadratic beside linear ones,
+polyhedra and triangle strips are refused by name.
 """
 
 from __future__ import annotations
@@ -13,6 +15,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance, region_array
+from odt_plugins.adapters.quadratic import (
+    CORNERS,
+    Quadratic,
+    carried_point_data,
+    check_mid_nodes,
+    warn_of_folds,
+    with_mid_nodes,
+)
 from odt_plugins.errors import UnsupportedMeshError
 
 IndexArray = NDArray[np.int64]
@@ -39,6 +49,15 @@ LINEAR = {
 }
 """Cell types of VTK, by their number, that may lie in a mesh."""
 
+QUADRATIC = {21: "quadratic line", 22: "quadratic triangle", 24: "quadratic tetrahedron"}
+"""Cell types that may lie in a mesh of quadratic triangles or tetrahedra beside linear ones."""
+
+NODES = {TETRA: 4, 24: 10, TRIANGLE: 3, 22: 6}
+"""Nodes of the cells that can be optimised, the first ones before the others."""
+
+FACES = {21: 2, TRIANGLE: 3, 22: 3}
+"""Corners of the cells that must stay edges or faces of the optimised ones; lines apart."""
+
 
 def matches(mesh: object) -> bool:
     """Say whether this is a pyvista UnstructuredGrid or PolyData."""
@@ -62,44 +81,58 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
     InvalidOptionError         there is no cell array of that name
     """
     grid = is_instance(mesh, "pyvista", "UnstructuredGrid")
-    cells, ids, kept = _read_grid(mesh) if grid else _read_polydata(mesh)
+    nodes, ids, kept = _read_grid(mesh) if grid else _read_polydata(mesh)
+    wide = nodes.shape[1] > 4
+    if wide:
+        check_mid_nodes(nodes, mesh.n_points)
     labels = region_array({name: np.asarray(mesh.cell_data[name])
                            for name in mesh.cell_data.keys()}, regions)
     return HostMesh(
         points=np.asarray(mesh.points),
-        cells=cells,
+        cells=nodes[:, : CORNERS[nodes.shape[1]]] if wide else nodes,
         regions=None if labels is None else labels[ids],
         kept=kept,
         source=mesh,
-        layout=ids,
+        layout=(ids, nodes if wide else None),
     )
 
 
 def write(result: Result, host: HostMesh) -> Any:
     """Copy the caller's object and exchange its points, cells and cell data."""
     out = host.source.copy(deep=True)
-    ids: IndexArray = host.layout
+    ids, nodes = host.layout
     out.cell_data.clear()
-    if is_instance(host.source, "pyvista", "UnstructuredGrid"):
-        rows = _write_grid(out, result, host.source, ids)
-    else:
+    if not is_instance(host.source, "pyvista", "UnstructuredGrid"):
         rows = _write_polydata(out, result, ids)
-    out.points = result.points
+        out.points = result.points
+    elif nodes is None:
+        rows = _write_grid(out, result, host.source, ids)
+        out.points = result.points
+    else:
+        rows = _write_quadratic(out, result, host)
     _carry_cell_data(out, host.source, rows)
     return out
 
 
+def optimised_cells(host: HostMesh) -> IndexArray:
+    """Indices in the caller's object of the cells that are optimised."""
+    ids: IndexArray = host.layout[0]
+    return ids
+
+
 def _read_grid(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]]:
     types = np.asarray(mesh.celltypes)
-    _refuse_unknown(types)
+    there = set(types.tolist())
+    kind = next((k for k in NODES if k in there), TRIANGLE)
+    names = LINEAR if kind in LINEAR else LINEAR | QUADRATIC
+    _refuse_unknown(types, list(names))
     offset, flat = _connectivity(mesh)
-    kind = TETRA if (types == TETRA).any() else TRIANGLE
     ids = np.flatnonzero(types == kind)
     if not ids.size and types.size:
-        found = ", ".join(LINEAR[int(t)] for t in np.unique(types))
+        found = ", ".join(names[int(t)] for t in np.unique(types))
         msg = f"got a grid of {types.size} cells of type {found}; expected tetrahedra or triangles"
         raise UnsupportedMeshError(msg)
-    cells = flat[offset[ids][:, None] + np.arange(4 if kind == TETRA else 3)]
+    cells = flat[offset[ids][:, None] + np.arange(NODES[kind])]
 
     kept = []
     for other in np.unique(types).tolist():
@@ -110,11 +143,11 @@ def _read_grid(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]
         if other in (LINE, POLY_LINE):
             first = _positions(start, size - 1)
             rows = np.stack([flat[first], flat[first + 1]], axis=1)
-        elif other == TRIANGLE:
-            rows = flat[start[:, None] + np.arange(3)]
+        elif other in FACES:
+            rows = flat[start[:, None] + np.arange(FACES[other])]
         else:
             rows = flat[_positions(start, size)][:, None]
-        kept.append(KeptCells(LINEAR[other], rows))
+        kept.append(KeptCells(names[other], rows))
     return cells, ids, tuple(kept)
 
 
@@ -124,8 +157,8 @@ def _connectivity(mesh: Any) -> tuple[IndexArray, IndexArray]:
     return np.asarray(offset), np.asarray(mesh.cell_connectivity)
 
 
-def _refuse_unknown(types: NDArray[Any]) -> None:
-    bad = np.flatnonzero(~np.isin(types, list(LINEAR)))
+def _refuse_unknown(types: NDArray[Any], known: list[int]) -> None:
+    bad = np.flatnonzero(~np.isin(types, known))
     if bad.size:
         from pyvista import CellType
 
@@ -137,10 +170,40 @@ def _refuse_unknown(types: NDArray[Any]) -> None:
         raise UnsupportedMeshError(msg)
 
 
-def _write_grid(out: Any, result: Result, source: Any, ids: IndexArray) -> IndexArray:
-    """Set the cells of a grid, each near the cell it came from; return where their data lie."""
+def _write_quadratic(out: Any, result: Result, host: HostMesh) -> IndexArray:
+    """Set cells, points and point data of a grid whose cells have mid-nodes."""
+    source = host.source
+    ids, nodes = host.layout
+    offset, flat = _connectivity(source)
+    others = np.ones(len(flat), dtype=np.bool_)
+    others[(offset[ids][:, None] + np.arange(nodes.shape[1])).ravel()] = False
+    q = with_mid_nodes(result, host.points, nodes, np.unique(flat[others]))
+    warn_of_folds(host.points, nodes, q)
+    whole = Result(q.points, q.cells, result.source)
+    rows = _write_grid(out, whole, source, ids, q.number)
+    out.point_data.clear()
+    out.points = q.points
+    _carry_point_data(out, source, q)
+    return rows
+
+
+def _carry_point_data(out: Any, source: Any, q: Quadratic) -> None:
+    old, new = source.point_data, out.point_data
+    for name in old.keys():
+        new.set_array(carried_point_data(name, np.asarray(old[name]), q), name)
+    _make_active(new, old)
+
+
+def _write_grid(
+    out: Any, result: Result, source: Any, ids: IndexArray, number: IndexArray | None = None
+) -> IndexArray:
+    """Set the cells of a grid, each near the cell it came from; return where their data lie.
+
+    The other cells take new indices of points, if `number` has them.
+    """
     types = np.asarray(source.celltypes)
     offset, flat = _connectivity(source)
+    flat = flat if number is None else number[flat]
     k = result.cells.shape[1]
     others = np.setdiff1d(np.arange(len(types)), ids)
     rows = np.concatenate([ids[result.source], others])
@@ -200,6 +263,10 @@ def _carry_cell_data(out: Any, source: Any, rows: IndexArray) -> None:
     old, new = source.cell_data, out.cell_data
     for name in old.keys():
         new.set_array(np.asarray(old[name])[rows], name)
+    _make_active(new, old)
+
+
+def _make_active(new: Any, old: Any) -> None:
     for role in ("scalars", "vectors", "normals", "texture_coordinates"):
         name = getattr(old, f"active_{role}_name")
         if name is not None:

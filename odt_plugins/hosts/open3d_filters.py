@@ -1,0 +1,205 @@
+"""Optimal Delaunay Triangulation for open3d, in functions shaped like open3d's own filters.
+
+They take a TriangleMesh (legacy or tensor) or a TetraMesh and return a new mesh of the same class.
+`odt_plugins.register("open3d")` makes them methods of these classes as well.
+"""
+
+from __future__ import annotations
+
+import re
+from typing import Any, TypeVar, Unpack, cast
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.adapters import open3d_mesh
+from odt_plugins.adapters.host import is_instance
+from odt_plugins.api import OptionKeywords
+from odt_plugins.api import optimize as optimize_mesh
+from odt_plugins.errors import InvalidOptionError, ODTError, UnsupportedMeshError
+from odt_plugins.quality import radius_ratio
+
+MeshT = TypeVar("MeshT")
+
+WORDS = (
+    (r"\brounds=", "number_of_iterations="),
+    (r"orient=True", "mesh.orient_triangles()"),
+    (r"removing the cells that overlap", "mesh.remove_non_manifold_edges()"),
+    (r"removing repeated cells", "mesh.remove_duplicated_triangles()"),
+    (r"removing such cells", "mesh.remove_degenerate_triangles()"),
+    (r"\bcell\b", "triangle"),
+    (r"\bcells\b", "triangles"),
+)
+"""What open3d calls the things that error messages speak of."""
+
+TETRA_WORDS = (
+    (r"mesh\.orient_triangles\(\)", "orient=True"),
+    (r"mesh\.remove_non_manifold_edges\(\)", "removing the tetras that overlap"),
+    (r"\btriangle", "tetra"),
+    (r"_triangles\(", "_tetras("),
+)
+"""The same for a TetraMesh, after WORDS."""
+
+
+def filter_smooth_odt(
+    mesh: MeshT,
+    number_of_iterations: int = 1,
+    filter_scope: Any = None,
+    **options: Unpack[OptionKeywords],
+) -> MeshT:
+    """Smooth a mesh by Optimal Delaunay Triangulation; no edge is flipped.
+
+    Every vertex moves to the weighted mean of the circumcenters around it; the boundary stays.
+
+    Parameters
+    ----------
+    mesh : open3d.geometry.TriangleMesh, open3d.geometry.TetraMesh or
+        open3d.t.geometry.TriangleMesh
+    number_of_iterations : int     most rounds of smoothing; fewer when the energy has settled
+    filter_scope : open3d.geometry.FilterScope
+        All (default): vertices move, normals are computed anew; Vertex: normals stay as they are.
+        Colours are never averaged.
+    **options                      of :func:`odt_plugins.optimize`
+
+    Returns
+    -------
+    same class as `mesh`
+
+    Raises
+    ------
+    InvalidOptionError             the scope is Normal or Color, or an option is wrong
+    InvalidMeshError, UnsupportedMeshError
+
+    References
+    ----------
+    L. Chen, M. Holst, CMAME 200 (2011) 967-984, doi:10.1016/j.cma.2010.11.007, (4.13).
+    """
+    return cast("MeshT", _smooth(mesh, number_of_iterations, filter_scope,
+                                 {"method": "odt", **options}))
+
+
+def filter_smooth_cpt(
+    mesh: MeshT,
+    number_of_iterations: int = 1,
+    filter_scope: Any = None,
+    **options: Unpack[OptionKeywords],
+) -> MeshT:
+    """Smooth a mesh by Centroidal Patch Triangulation: as :func:`filter_smooth_odt`, (4.20).
+
+    Every vertex moves to the weighted mean of the barycenters around it.
+    """
+    return cast("MeshT", _smooth(mesh, number_of_iterations, filter_scope,
+                                 {"method": "cpt", **options}))
+
+
+def filter_smooth_odt_global(
+    mesh: MeshT,
+    number_of_iterations: int = 1,
+    filter_scope: Any = None,
+    **options: Unpack[OptionKeywords],
+) -> MeshT:
+    """Smooth a mesh as :func:`filter_smooth_odt` does, all vertices at once, (4.27).
+
+    Every round solves a linear system with the graph Laplacian.
+    """
+    return cast("MeshT", _smooth(mesh, number_of_iterations, filter_scope,
+                                 {"solver": "global", **options}))
+
+
+def optimize_odt(mesh: MeshT, **options: Unpack[OptionKeywords]) -> MeshT:
+    """Improve a mesh by Optimal Delaunay Triangulation: moves vertices and flips edges or faces.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh, TetraMesh or t.geometry.TriangleMesh
+    **options     of :func:`odt_plugins.optimize`
+
+    Returns
+    -------
+    same class as `mesh`
+    """
+    _expect_mesh(mesh)
+    try:
+        return optimize_mesh(mesh, **options)
+    except ODTError as exc:
+        raise _in_words(exc, mesh) from exc
+
+
+def compute_radius_ratios(mesh: Any) -> NDArray[np.float64]:
+    """Radius ratio d r / R (5.1) of every triangle or tetra: 1 when regular, 0 when flat.
+
+    Returns
+    -------
+    (m,) float64
+    """
+    _expect_mesh(mesh)
+    try:
+        host = open3d_mesh.read(mesh)
+    except ODTError as exc:
+        raise _in_words(exc, mesh) from exc
+    return np.abs(radius_ratio(host.points, host.cells))
+
+
+METHODS = (filter_smooth_odt, filter_smooth_cpt, filter_smooth_odt_global, optimize_odt,
+           compute_radius_ratios)
+"""What register() adds to the mesh classes of open3d."""
+
+
+def register() -> None:
+    """Make the functions of this file methods of open3d's mesh classes."""
+    import open3d
+
+    for kind in (open3d.geometry.TriangleMesh, open3d.geometry.TetraMesh,
+                 open3d.t.geometry.TriangleMesh):
+        for function in METHODS:
+            setattr(kind, function.__name__, function)
+
+
+def _smooth(mesh: Any, rounds: int, scope: Any, options: Any) -> Any:
+    _expect_mesh(mesh)
+    name = "All" if scope is None else getattr(scope, "name", str(scope))
+    if name not in ("All", "Vertex"):
+        msg = (
+            f"got filter_scope={scope!r}; expected FilterScope.All or FilterScope.Vertex: normals "
+            f"follow the vertices, and colours stay with them"
+        )
+        raise InvalidOptionError(msg)
+    steps = {"connectivity": "none", "finish": False, "cycles": 1, "rounds": rounds}
+    try:
+        out = optimize_mesh(mesh, **{**steps, **options})
+    except ODTError as exc:
+        raise _in_words(exc, mesh) from exc
+    if name == "Vertex":
+        _restore_normals(out, mesh)
+    return out
+
+
+def _restore_normals(out: Any, mesh: Any) -> None:
+    """Give the normals of another mesh back; vertices and triangles are the same."""
+    if open3d_mesh.is_tensor(mesh):
+        for new, old in ((out.vertex, mesh.vertex), (out.triangle, mesh.triangle)):
+            if "normals" in old:
+                new["normals"] = old["normals"].clone()
+        return
+    out.vertex_normals = mesh.vertex_normals
+    if is_instance(mesh, "open3d", "TriangleMesh"):
+        out.triangle_normals = mesh.triangle_normals
+
+
+def _expect_mesh(mesh: Any) -> None:
+    if not open3d_mesh.matches(mesh):
+        kind = type(mesh)
+        msg = (
+            f"got an object of type {kind.__module__}.{kind.__qualname__}; expected an open3d "
+            f"TriangleMesh or TetraMesh"
+        )
+        raise UnsupportedMeshError(msg)
+
+
+def _in_words(exc: ODTError, mesh: Any) -> ODTError:
+    """Say the same error in open3d's words."""
+    text = str(exc)
+    words = WORDS + (TETRA_WORDS if is_instance(mesh, "open3d", "TetraMesh") else ())
+    for pattern, word in words:
+        text = re.sub(pattern, word, text)
+    return type(exc)(text)

@@ -1,0 +1,222 @@
+"""TetWild followed by Optimal Delaunay Triangulation, in one call shaped like pytetwild's own.
+
+TetWild runs in a process and a directory of its own: it writes `__tracked_surface.stl` into the
+working directory, and it cannot be interrupted. pytetwild is imported in that process only.
+"""
+
+from __future__ import annotations
+
+import inspect
+import pickle
+import subprocess
+import sys
+import tempfile
+from collections.abc import Mapping
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.api import make_options
+from odt_plugins.api import optimize as optimize_mesh
+from odt_plugins.errors import InvalidMeshError, InvalidOptionError, MissingDependencyError
+
+PROGRAM = """
+import pickle
+with open("arguments", "rb") as file:
+    arguments = pickle.load(file)
+try:
+    import pytetwild
+    result = pytetwild.tetrahedralize(**arguments)
+except Exception as exc:
+    try:
+        result = pickle.loads(pickle.dumps(exc))
+    except Exception:
+        result = RuntimeError(f"{type(exc).__name__}: {exc}")
+with open("result", "wb") as file:
+    pickle.dump(result, file)
+"""
+
+INSIDE = -1e-9
+"""Least barycentric coordinate of a point that counts as inside a tetrahedron."""
+
+
+def tetrahedralize(
+    vertices: NDArray[np.floating],
+    faces: NDArray[np.integer],
+    edge_length_fac: float = 0.05,
+    edge_length_abs: float | None = None,
+    optimize: bool = True,
+    simplify: bool = True,
+    epsilon: float = 1e-3,
+    stop_energy: float = 10.0,
+    coarsen: bool = False,
+    num_threads: int = 0,
+    num_opt_iter: int = 80,
+    loglevel: int = 3,
+    quiet: bool = True,
+    vtk_ordering: bool = False,
+    disable_filtering: bool = False,
+    bg_vertices: NDArray[np.float64] | None = None,
+    bg_tets: NDArray[np.int32] | None = None,
+    bg_values: NDArray[np.float64] | None = None,
+    *,
+    odt: Mapping[str, Any] | bool = True,
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Fill a triangle surface with tetrahedra by TetWild and improve them.
+
+    Parameters
+    ----------
+    vertices, faces, ..., bg_values
+        What `pytetwild.tetrahedralize` takes, with its defaults; edge_length_fac and epsilon are
+        relative to the bounding-box diagonal, the other lengths are in the caller's unit.
+    odt : dict or bool
+        Options of :func:`odt_plugins.optimize`; True for its defaults, False for TetWild alone.
+        With a sizing field (bg_vertices, bg_tets, bg_values) its edge length h is the size that
+        the density rho = h^-r keeps, unless a `density` is given here; `exponent` is r, 5 by
+        default. Outside the background mesh h is the ideal edge length, as for TetWild.
+
+    Returns
+    -------
+    points : (n, 3) float64
+    cells : (m, 4) int32         of negative volume, or of positive with vtk_ordering
+
+    Raises
+    ------
+    MissingDependencyError       pytetwild is not installed
+    InvalidMeshError             TetWild found no tetrahedra
+    InvalidOptionError           `odt` holds unknown options or values out of range
+    TypeError, ValueError, ...   what pytetwild raises
+
+    References
+    ----------
+    L. Chen, M. Holst, CMAME 200 (2011) 967-984, doi:10.1016/j.cma.2010.11.007, Theorem 2.8.
+    """
+    given = {name: value for name, value in locals().items() if name != "odt"}
+    options = odt_options(odt)
+    points, cells = run_tetwild(given)
+    if options is None:
+        return points, cells
+    field = (bg_vertices, bg_tets, bg_values)
+    exponent = options.pop("exponent", None) if "density" not in options else None
+    if bg_values is not None and "density" not in options:
+        ideal = edge_length_abs or edge_length_fac * _diagonal(np.asarray(vertices))
+        power = -float(points.shape[1] + 2 if exponent is None else exponent)
+
+        def density(x: NDArray[np.float64]) -> NDArray[np.float64]:
+            rho: NDArray[np.float64] = background_sizes(x, *field, outside=ideal) ** power
+            return rho
+
+        # An array is quicker, but of no use when it could be one of cells as well.
+        options["density"] = density if len(points) == len(cells) else density(points)
+    elif exponent is not None:
+        options["exponent"] = exponent
+    return optimize_mesh((points, cells), **options)
+
+
+def odt_options(odt: Mapping[str, Any] | bool) -> dict[str, Any] | None:
+    """Check the option group `odt`; None when nothing is to be improved.
+
+    Raises
+    ------
+    InvalidOptionError
+    """
+    if isinstance(odt, bool):
+        return {} if odt else None
+    if not isinstance(odt, Mapping):
+        msg = f"got odt={odt!r}; expected a dict of options of odt_plugins.optimize, True or False"
+        raise InvalidOptionError(msg)
+    make_options(**odt)
+    return dict(odt)
+
+
+def run_tetwild(given: Mapping[str, Any]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    """Run pytetwild.tetrahedralize on arguments by name, in a process of its own.
+
+    Arguments that have their default are left out, so that older versions run too.
+
+    Raises
+    ------
+    MissingDependencyError, InvalidMeshError, and what pytetwild raises
+    """
+    if find_spec("pytetwild") is None:
+        msg = ('tetrahedralize needs pytetwild, not installed here; try '
+               'pip install "odt-plugins[pytetwild]"')
+        raise MissingDependencyError(msg)
+    usual = inspect.signature(tetrahedralize).parameters
+    arguments = {name: value for name, value in given.items()
+                 if usual[name].default is inspect.Parameter.empty
+                 or value is not usual[name].default}
+    with tempfile.TemporaryDirectory(prefix="odt-plugins-") as folder:
+        (Path(folder) / "arguments").write_bytes(pickle.dumps(arguments))
+        done = subprocess.run(
+            [sys.executable, "-c", PROGRAM], cwd=folder, check=False, text=True,
+            stdout=subprocess.DEVNULL if given.get("quiet", True) else None,
+            stderr=subprocess.PIPE,
+        )
+        file = Path(folder) / "result"
+        if done.returncode or not file.is_file():
+            last = (done.stderr.strip().splitlines() or [f"it ended with {done.returncode}"])[-1]
+            raise InvalidMeshError(_no_tetrahedra(last))
+        result = pickle.loads(file.read_bytes())
+    if isinstance(result, Exception):
+        raise result
+    points, cells = result
+    if not len(cells):
+        raise InvalidMeshError(_no_tetrahedra("it gave an empty mesh"))
+    return points, cells
+
+
+def background_sizes(
+    points: NDArray[np.float64],
+    bg_vertices: Any,
+    bg_tets: Any,
+    bg_values: Any,
+    *,
+    outside: float,
+) -> NDArray[np.float64]:
+    """Edge length that a sizing field asks for, by linear interpolation on its tetrahedra.
+
+    Parameters
+    ----------
+    points : (k, 3) float64        where it is asked
+    bg_vertices : (n, 3)           background mesh
+    bg_tets : (m, 4) int           its tetrahedra, of either orientation
+    bg_values : (n,)               edge length at its vertices
+    outside : float                edge length where there is no tetrahedron
+
+    Returns
+    -------
+    (k,) float64
+    """
+    from scipy.spatial import cKDTree
+
+    corner = np.asarray(bg_vertices, dtype=np.float64)[np.asarray(bg_tets)]
+    values = np.asarray(bg_values, dtype=np.float64).ravel()[np.asarray(bg_tets)]
+    centre = corner.mean(axis=1)
+    reach = np.sqrt(((corner - centre[:, None]) ** 2).sum(axis=2)).max(axis=1)
+    near = cKDTree(points).query_ball_point(centre, reach * (1.0 + 1e-6), return_sorted=True)
+    tet = np.repeat(np.arange(len(centre)), [len(found) for found in near])
+    point = np.concatenate([np.asarray(found, dtype=np.intp) for found in near])
+    edges = np.swapaxes(corner[:, 1:] - corner[:, :1], 1, 2)
+    whole = np.abs(np.linalg.det(edges)) > 0.0
+    tet, point = tet[whole[tet]], point[whole[tet]]
+    rest = np.linalg.solve(edges[tet], (points[point] - corner[tet, 0])[:, :, None])[:, :, 0]
+    share = np.column_stack([1.0 - rest.sum(axis=1), rest])
+    order = np.lexsort((-share.min(axis=1), point))
+    first = order[np.flatnonzero(np.diff(point[order], prepend=-1))]
+    first = first[share[first].min(axis=1) >= INSIDE]
+    sizes = np.full(len(points), float(outside))
+    sizes[point[first]] = (share[first] * values[tet[first]]).sum(axis=1)
+    return sizes
+
+
+def _diagonal(points: NDArray[Any]) -> float:
+    return float(np.sqrt(((points.max(axis=0) - points.min(axis=0)) ** 2).sum()))
+
+
+def _no_tetrahedra(reason: str) -> str:
+    return (f"TetWild found no tetrahedra inside the surface: {reason}; expected a closed "
+            f"surface, try closing its holes or another edge length")
