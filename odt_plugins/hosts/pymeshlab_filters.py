@@ -18,16 +18,22 @@ from numpy.typing import NDArray
 from odt_plugins.adapters import pymeshlab_mesh as adapter
 from odt_plugins.adapters.host import Result
 from odt_plugins.api import optimize_with_report
-from odt_plugins.errors import InvalidOptionError, ODTError, UnsupportedMeshError
+from odt_plugins.errors import (
+    InvalidMeshError,
+    InvalidOptionError,
+    ODTError,
+    UnsupportedMeshError,
+)
 from odt_plugins.hosts.filter_table import BY_GUI, FILTERS, ChoiceError, Filter, ParameterError
-from odt_plugins.hosts.tetwild import fill
 from odt_plugins.options import CHOICES, FIGURES
+from odt_plugins.tetwild import run_tetwild
 
 if TYPE_CHECKING:
     from odt_plugins.report import Report
 
 WORDS = (
     (r"pytetwild\.tetrahedralize", "generate_odt_tetrahedralization"),
+    (r"closing its holes", "meshing_close_holes()"),
     (r"orient=True", "meshing_re_orient_faces_coherently()"),
     (r"removing the cells that overlap", "meshing_repair_non_manifold_edges()"),
     (r"removing repeated cells", "meshing_remove_duplicate_faces()"),
@@ -181,10 +187,19 @@ def _radius_ratio(meshes: Any, values: Mapping[str, Any]) -> Effect:
 def _tetrahedralize(meshes: Any, values: Mapping[str, Any]) -> Effect:
     surface = meshes.current_mesh()
     diagonal = _diagonal(meshes)
-    tets = fill(
-        np.array(surface.vertex_matrix()), np.array(surface.face_matrix()),
-        values["targetlen"] / diagonal, values["maxsurfdist"] / diagonal,
-    )
+    try:
+        tets = run_tetwild({
+            "vertices": np.array(surface.vertex_matrix()),
+            "faces": np.array(surface.face_matrix()),
+            "edge_length_fac": values["targetlen"] / diagonal,
+            "epsilon": values["maxsurfdist"] / diagonal,
+            "vtk_ordering": True,
+        })
+    except (RuntimeError, ValueError) as exc:
+        if isinstance(exc, ODTError):
+            raise
+        msg = f"TetWild failed: {exc}; expected a closed surface, try meshing_close_holes()"
+        raise InvalidMeshError(msg) from exc
     (points, cells), report = optimize_with_report(
         tets, cycles=values["iterations"], **_options(values))
     used, faces = boundary_surface(cells)
