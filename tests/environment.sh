@@ -19,6 +19,17 @@ system_libraries() {
     return 1
 }
 
+# A browser, for the test that opens the page of `odt-plugins compare`.
+system_browser() {
+    local name
+    for name in chromium chromium-browser google-chrome; do
+        command -v "$name" >/dev/null && return 0
+    done
+    install_packages chromium && return 0
+    say "missing a browser for one test; on Debian, as root: apt-get install -y chromium"
+    [ "${CI:-}" != true ]
+}
+
 # install_packages NAMES: on Debian and its kin, as root; fails otherwise.
 install_packages() {
     [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null || return 1

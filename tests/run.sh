@@ -7,6 +7,7 @@ cd "$(dirname "$0")/.."
 . tests/environment.sh
 
 system_libraries
+system_browser
 use_environment "all,test"
 
 echo "== ruff";   python -m ruff check .

@@ -48,7 +48,7 @@ def _scatter(
     points: Sequence[tuple[int, Row, float, float]], start: float, title: str, width: int,
     height: int,
 ) -> str:
-    left, right, top, bottom = 44, 10, 30, 40
+    left, right, top, bottom = 44, 18, 30, 40
     times = [max(t, 1e-4) for _, _, t, _ in points]
     low_t, high_t = math.floor(math.log10(min(times))), math.ceil(math.log10(max(times)) + 1e-9)
     high_t = max(high_t, low_t + 1)

@@ -11,7 +11,14 @@ import click
 
 from odt_plugins.compare.contestants import OURS, Contestant, choose
 from odt_plugins.compare.machine import describe
-from odt_plugins.compare.output import FILES, best_figures, cells_of, verdict, write_all
+from odt_plugins.compare.output import (
+    FILES,
+    best_figures,
+    cells_of,
+    seconds,
+    verdict,
+    write_all,
+)
 from odt_plugins.compare.rows import MeshResult, compare_on
 from odt_plugins.compare.runner import Limits
 from odt_plugins.compare.start import SEED, read_start
@@ -34,7 +41,7 @@ CHOSEN_SUITES = ("standard", "large")
               help="Runs of every contestant; fewer where one takes long.")
 @click.option("--time-limit", type=click.FloatRange(min=0.0, min_open=True), default=None,
               metavar="S", help="Seconds after which a contestant is ended.  "
-                                "[default: 60, in suites 15 and 900]")
+                                "[default: 60, in suites 25 and 900]")
 @click.option("--threads", type=click.IntRange(min=1), default=1, show_default=True,
               help="Threads that a contestant may use.")
 @click.option("--poisson/--no-poisson", default=True, show_default=True,
@@ -68,7 +75,7 @@ def compare(
     contestants = choose(against)
     starts = [read_start(path) for path in sources]
     starts += suite_meshes(suite) if suite else []
-    usual = {"standard": 15.0, "large": 900.0}.get(suite or "", 60.0)
+    usual = {"standard": 25.0, "large": 900.0}.get(suite or "", 60.0)
     limits = Limits(time_limit or usual, repeats, min(3.0, (time_limit or usual) / 4), threads)
     results = []
     for start in starts:
@@ -147,9 +154,9 @@ def make_table(result: MeshResult) -> Any:
             continue
         cells, best = cells_of(row.measured), best_figures(row, result.rows)
         better = set(row.better_than_ours)
-        seconds = _marked(f"{row.timing.median:.2f}", "seconds" in better, False)
+        took = _marked(seconds(row.timing.median), "seconds" in better, False)
         figures = [_marked(cells[f], f in better, f in best) for f in SHOWN]
-        table.add_row(row.contestant, seconds, *figures, cells["boundary"], cells["cg"],
+        table.add_row(row.contestant, took, *figures, cells["boundary"], cells["cg"],
                       style=style)
     return table
 

@@ -149,14 +149,9 @@ def cells_of(measured: Measured) -> dict[str, str]:
     }
 
 
-def seconds_of(row: Row) -> str:
-    """Median time of a row, with least and most when it was repeated."""
-    t = row.timing
-    if t is None:
-        return ""
-    if t.runs == 1:
-        return f"{t.median:.2f}"
-    return f"{t.median:.2f} ({t.least:.2f}..{t.most:.2f})"
+def seconds(value: float) -> str:
+    """Seconds with two decimals, or with as many as show two digits."""
+    return f"{value:.2f}" if value >= 0.1 else f"{value:.2g}"
 
 
 def _page_row(number: int, row: Row, rows: Sequence[Row]) -> dict[str, Any]:
@@ -168,12 +163,14 @@ def _page_row(number: int, row: Row, rows: Sequence[Row]) -> dict[str, Any]:
         "number": number, "name": row.contestant, "family": row.family,
         "colour": colour(row.family), "status": row.status, "message": row.message,
         "better": set(row.better_than_ours), "best": set(), "version": row.version or "",
-        "notes": "; ".join(n for n in notes if n), "cells": None, "seconds": seconds_of(row),
+        "notes": "; ".join(n for n in notes if n), "cells": None,
         "repeats": row.timing.runs if row.timing else 0,
     }
     if row.timing is not None:
         t = row.timing
-        out |= {"memory": f"{t.peak / 1e6:.0f}", "growth": f"{t.growth / 1e6:.0f}",
+        out |= {"median": seconds(t.median),
+                "spread": "" if t.runs == 1 else f"{seconds(t.least)}..{seconds(t.most)}",
+                "memory": f"{t.peak / 1e6:.0f}", "growth": f"{t.growth / 1e6:.0f}",
                 "convert": f"{t.convert:.2f}", "imports": f"{t.imports:.1f}",
                 "compile": "" if t.compile is None else f"{t.compile:.1f}"}
     if row.measured is not None:

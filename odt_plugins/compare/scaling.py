@@ -162,7 +162,7 @@ def moved_triangle(level: int, seed: int = SEED) -> tuple[FloatArray, FloatArray
     cells: IntArray = np.array(rows, dtype=np.int32)
     inner = [k for k, (i, j) in enumerate(grid) if i and j and i + j < 4]
     moved = points.copy()
-    moved[inner] += np.random.default_rng(seed).uniform(-0.03, 0.03, (len(inner), 2))
+    moved[inner] += np.random.default_rng(seed).uniform(-0.09, 0.09, (len(inner), 2))
     fine = cells
     for _ in range(level):
         moved, fine = refine(moved, cells)

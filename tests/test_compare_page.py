@@ -1,0 +1,167 @@
+"""The pages of the comparison in a real browser: headless Chromium opens what the command wrote."""
+
+from __future__ import annotations
+
+import html
+import json
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from PIL import Image
+
+from odt_plugins.compare.contestants import OURS, choose
+from odt_plugins.compare.machine import describe
+from odt_plugins.compare.output import FILES, write_all
+from odt_plugins.compare.rows import compare_on, mark
+from odt_plugins.compare.runner import Limits
+from odt_plugins.compare.scaling import FILES as SCALING_FILES
+from odt_plugins.compare.scaling import fit, moved_triangle, run_scaling
+from odt_plugins.compare.start import ball, plate, stored
+from odt_plugins.quality import radius_ratio
+
+BROWSER = next((b for b in map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))
+                if b), None)
+
+FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
+         "--disable-background-networking", "--disable-component-update", "--disable-sync",
+         "--hide-scrollbars", "--enable-logging=stderr", "--v=0")
+
+WIDTH, HEIGHT = 1320, 1500
+
+PROBE = """<script>
+addEventListener("load", () => {
+  const box = e => e.getBoundingClientRect();
+  const visible = e => box(e).width > 50 && box(e).height > 50;
+  document.body.dataset.probe = JSON.stringify({
+    wide: document.documentElement.scrollWidth, window: innerWidth,
+    svgs: [...document.querySelectorAll("svg")].map(visible),
+    images: [...document.images].map(i => i.naturalWidth > 100 && visible(i)),
+    cells: [...document.querySelectorAll("td")].length,
+    outside: [...document.querySelectorAll("svg text")].filter(t => {
+      const a = box(t), b = box(t.ownerSVGElement);
+      return a.left < b.left - 2 || a.right > b.right + 2 || a.bottom > b.bottom + 2;
+    }).map(t => t.textContent),
+  });
+});
+</script>"""
+
+
+def browse(page, tmp_path, *flags):
+    """Open a page; what the browser printed and what it told about the console."""
+    if BROWSER is None:
+        pytest.skip("no Chromium here")
+    profile = tmp_path / "profile"
+    done = subprocess.run(
+        [BROWSER, *FLAGS, f"--user-data-dir={profile}", f"--window-size={WIDTH},{HEIGHT}", *flags,
+         page.as_uri()], capture_output=True, text=True, timeout=120, check=True)
+    shutil.rmtree(profile, ignore_errors=True)
+    return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
+
+
+def probe(page, tmp_path):
+    """What the browser made of the page once it was laid out."""
+    copy = tmp_path / "probed.html"
+    copy.write_text(page.read_text(encoding="utf-8") + PROBE, encoding="utf-8")
+    dom, console = browse(copy, tmp_path, "--dump-dom")
+    assert console == []
+    found = re.search(r'data-probe="([^"]*)"', dom)
+    return json.loads(html.unescape(found.group(1)))
+
+
+@pytest.fixture(scope="module")
+def results():
+    limits = Limits(repeats=1)
+    solid = compare_on(ball(60), choose(["Netgen sm", "Laplacian"]), limits)
+    row = replace(solid.rows[-1], contestant="<script>alert(1)</script>", status="crashed",
+                  message="ended by <b>SIGSEGV</b>", measured=None, timing=None)
+    flat = compare_on(plate(60), choose(["Laplacian"]), limits)
+    curved = compare_on(stored("bone-surface"), choose(["MeshLab flips"]), limits)
+    return [replace(solid, rows=mark([*solid.rows, row])), flat, curved]
+
+
+@pytest.fixture(scope="module")
+def page(results, tmp_path_factory):
+    out = tmp_path_factory.mktemp("page")
+    write_all(out, results, describe(1, 0), "odt-plugins compare <test>")
+    return out / FILES[2]
+
+
+def test_page_needs_nothing_but_itself(page):
+    text = page.read_text(encoding="utf-8")
+    links = re.findall(r'(?:src|href)="([^"]*)"', text)
+    assert all(link.startswith(("#", "data:")) for link in links)
+    assert "url(" not in text
+    assert "@import" not in text
+
+
+def test_page_escapes_what_tools_say(page):
+    text = page.read_text(encoding="utf-8")
+    assert "<script>alert" not in text
+    assert "&lt;script&gt;alert" in text
+    assert "<b>SIGSEGV" not in text
+
+
+def test_page_is_laid_out_by_a_browser_without_complaint(page, tmp_path, results):
+    found = probe(page, tmp_path)
+    assert found["wide"] <= found["window"] == WIDTH
+    assert len(found["svgs"]) == 2 * len(results)
+    assert all(found["svgs"])
+    assert found["images"] == [True] * len(results)
+    assert found["outside"] == []
+    assert found["cells"] > 15 * sum(len(r.rows) for r in results)
+
+
+def test_page_is_not_blank_on_the_screen(page, tmp_path):
+    shot = tmp_path / "shot.png"
+    browse(page, tmp_path, f"--screenshot={shot}")
+    picture = np.asarray(Image.open(shot).convert("RGB")).reshape(-1, 3).astype(int)
+    assert len(np.unique(picture, axis=0)) > 500
+    ours = np.array([0x1F, 0x5F, 0xA8])
+    assert (np.abs(picture - ours).max(axis=1) < 25).sum() > 100
+    white = (picture > 240).all(axis=1).mean()
+    assert 0.5 < white < 0.97
+
+
+def test_page_without_a_result_of_ours_says_so(results, tmp_path):
+    solid = results[0]
+    failed = [replace(r, status="failed", message="out of luck", measured=None, timing=None)
+              if r.contestant == OURS else r for r in solid.rows]
+    write_all(tmp_path, [replace(solid, rows=mark(failed))], describe(1, 0), "again")
+    text = (tmp_path / FILES[2]).read_text(encoding="utf-8")
+    assert "odt-plugins has no result here: failed, out of luck" in text
+
+
+def test_scaling_fits_exponents_and_its_page_opens(tmp_path):
+    said = []
+    summary = run_scaling(tmp_path, 1500, 1, said.append, levels=(2, 3))
+    values = json.loads((tmp_path / SCALING_FILES[0]).read_text())
+    assert {"whole call", "smoothing", "finishing"} <= {s["name"] for s in values["stages"]}
+    races = {(r["method"], r["points"]): r for r in values["races"]}
+    local, whole = races["Jacobi", 561], races["global, direct", 561]
+    assert len(whole["gaps"]) < 8
+    assert len(local["gaps"]) > 5 * len(whole["gaps"])
+    amg = races["global, AMG", 561]
+    assert amg["gaps"][-1] == pytest.approx(whole["gaps"][-1], rel=1e-3)
+    assert "global, AMG" in summary
+    found = probe(tmp_path / SCALING_FILES[1], tmp_path)
+    assert all(found["svgs"])
+    assert found["outside"] == []
+
+
+def test_fitted_exponent_is_that_of_a_power_law():
+    stage = fit("x", [(m, 3e-7 * m**1.25) for m in (100, 1000, 20000)])
+    assert stage.exponent == pytest.approx(1.25, abs=1e-12)
+    assert fit("x", [(10, 1.0)]).exponent is None
+
+
+def test_moved_triangle_is_that_of_the_paper():
+    points, regular, cells = moved_triangle(3)
+    assert len(points) == 561
+    assert radius_ratio(regular, cells) == pytest.approx(np.ones(len(cells)))
+    moved = (points != regular).any(axis=1)
+    assert 0 < moved.sum() < len(points)
+    assert 0.8 < radius_ratio(points, cells).min() < 0.97
