@@ -257,14 +257,15 @@ def improve_cell(
 ) -> tuple[float, int]:
     """Take the first flip at cell c that lowers the cost; results as :func:`remove_edge`.
 
-    With the energy only facets that are not locally Delaunay are looked at, and their edges.
+    With the energy only facets that are not locally Delaunay are looked at, and their edges,
+    once: not again from a cell across that was visited and is still the same.
     """
     facets = 15
     if objective == ENERGY:
         facets = 0
         for f in range(4):
             across = neighbors[c, f]
-            if across < 0 or regions[across] != regions[c]:
+            if across < 0 or regions[across] != regions[c] or status[across] == DONE:
                 continue
             if not outside_sphere(
                 points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3],
