@@ -83,19 +83,20 @@ def check_mid_nodes(rows: NDArray[Any], n: int) -> None:
         wrong = np.flatnonzero(twin & (other[order][1:] != other[order][:-1]))
         if wrong.size:
             first = order[wrong[0]]
+            count = len(np.unique(one[order[wrong]]))
             msg = (
-                f"got {wrong.size} {what} (first: node {mid[first]} on the edge "
+                f"got {count} {what} (first: node {mid[first]} on the edge "
                 f"{edge[first].tolist()}); expected one mid-node for every edge, try merging "
                 f"nodes at the same place"
             )
             raise InvalidMeshError(msg)
     is_corner = np.zeros(n, dtype=np.bool_)
     is_corner[rows[:, : CORNERS[rows.shape[1]]]] = True
-    wrong = np.flatnonzero(is_corner[mid])
+    wrong = np.unique(mid[is_corner[mid]])
     if wrong.size:
         msg = (
             f"got {wrong.size} mid-nodes that are corners of other cells (first: node "
-            f"{mid[wrong[0]]}); expected corners and mid-nodes to be different nodes"
+            f"{wrong[0]}); expected corners and mid-nodes to be different nodes"
         )
         raise InvalidMeshError(msg)
 
@@ -107,8 +108,7 @@ def with_mid_nodes(
 
     Parameters
     ----------
-    result : Result          corners after optimisation: points (n, D) in which mid-nodes are still
-                             where they were, cells (m', d + 1)
+    result : Result          corners after optimisation: points (n, D), cells (m', d + 1)
     points : (n, D)          all nodes of the input
     rows : (m, 6 or 10)      nodes of the input cells
     kept : (k,) int          nodes of other cells, which stay even where their edge is gone
@@ -140,7 +140,9 @@ def with_mid_nodes(
 
     total = max(n, n + len(fresh) - len(free))
     out = np.zeros((total, points.shape[1]))
-    out[:n] = result.points
+    out[:n] = points
+    used = np.unique(corner)
+    out[used] = result.points[used]
     ends = wanted[new_first]
     _follow(out, points, result.points, node[stays], ends[stays])
     out[taken] = 0.5 * (out[ends[fresh, 0]] + out[ends[fresh, 1]])
@@ -216,8 +218,7 @@ def carried_point_data(name: str, values: NDArray[Any], q: Quadratic) -> NDArray
     if values.dtype.kind in "fc":
         size = np.abs(values).max() if values.size else 0.0
         off &= np.abs(expected - values[q.gone]) > 8 * np.finfo(values.dtype).eps * size
-    off &= (q.number[q.gone] < 0).reshape(-1, *[1] * (values.ndim - 1))
-    lost = np.flatnonzero(off.reshape(len(off), -1).any(axis=1))
+    lost = np.flatnonzero(off.any(axis=tuple(range(1, off.ndim))) & (q.number[q.gone] < 0))
     if lost.size:
         msg = (
             f"point data {name!r} of {lost.size} mid-nodes (first: node {q.gone[lost[0]]}) are "

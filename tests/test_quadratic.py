@@ -1,0 +1,357 @@
+"""Quadratic cells: the corners are those of the linear mesh, and every edge has one mid-node."""
+
+from __future__ import annotations
+
+import warnings
+
+import contract
+import meshio
+import numpy as np
+import pytest
+from quadratic_meshes import EDGES, edges_of, quadratic_grid
+
+import odt_plugins
+from odt_plugins.adapters import files
+from odt_plugins.adapters.host import Result
+from odt_plugins.adapters.quadratic import (
+    carried_point_data,
+    check_mid_nodes,
+    warn_of_folds,
+    with_mid_nodes,
+)
+from odt_plugins.engine import driver
+from odt_plugins.errors import (
+    DataNotKeptWarning,
+    InvalidMeshError,
+    ODTWarning,
+    UnsupportedMeshError,
+)
+
+VTK = {2: 22, 3: 24}
+MESHIO = {2: "triangle6", 3: "tetra10"}
+
+
+def _pyvista(points, rows, labels, point, dim):
+    import pyvista
+
+    space = np.zeros((len(points), 3))
+    space[:, :dim] = points
+    mesh = pyvista.UnstructuredGrid({VTK[dim]: rows}, space)
+    mesh.point_data.update(point)
+    mesh.cell_data["marker"] = labels
+    mesh.cell_data["origin"] = np.arange(len(rows))
+    return mesh
+
+
+def _meshio(points, rows, labels, point, dim):
+    return meshio.Mesh(points, [(MESHIO[dim], rows)], point_data=point,
+                       cell_data={"marker": [labels], "origin": [np.arange(len(rows))]})
+
+
+def _view(mesh, dim):
+    if isinstance(mesh, meshio.Mesh):
+        return (mesh.points[:, :dim], mesh.cells[0].data, dict(mesh.point_data),
+                {name: values[0] for name, values in mesh.cell_data.items()})
+    return (np.array(mesh.points)[:, :dim], mesh.cells_dict[VTK[dim]],
+            {name: np.array(mesh.point_data[name]) for name in mesh.point_data},
+            {name: np.array(mesh.cell_data[name]) for name in mesh.cell_data})
+
+
+MAKERS = {"pyvista": _pyvista, "meshio": _meshio}
+
+
+@pytest.fixture(params=["engine", "churn"])
+def _engine(request, monkeypatch):
+    if request.param == "churn":
+        monkeypatch.setattr(driver, "run", contract.churn)
+
+
+@pytest.mark.usefixtures("_engine")
+@pytest.mark.parametrize("host", MAKERS)
+def test_mid_nodes_follow_their_edges(host, d):
+    pytest.importorskip(host)
+    points, rows, labels = quadratic_grid(d)
+    linear = points @ np.arange(1.0, d + 1)
+    old_edges = edges_of(rows, d)
+    for (a, b), mid in old_edges.items():
+        linear[mid] = (linear[a] + linear[b]) / 2
+    data = {"linear": linear, "name": np.arange(len(points))}
+    mesh = MAKERS[host](points, rows, labels, data, d)
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        out = odt_plugins.optimize(mesh, keep=())
+    assert type(out) is type(mesh)
+    old = _view(mesh, d)
+    assert np.array_equal(old[0], points)
+    assert np.array_equal(old[1], rows)
+    assert np.array_equal(old[2]["name"], data["name"])
+    new_points, new_rows, point, cell = _view(out, d)
+
+    # Who is who: a node that is still there has its old name.
+    new_edges = edges_of(new_rows, d)
+    corners = np.unique(new_rows[:, : d + 1])
+    was = dict(zip(corners.tolist(), point["name"][corners].tolist(), strict=True))
+    assert sorted(was.values()) == np.unique(rows[:, : d + 1]).tolist()
+    assert len(np.unique(new_rows)) == len(new_points)
+    kept, fresh = 0, 0
+    for (a, b), mid in new_edges.items():
+        x, y = new_points[a], new_points[b]
+        before = tuple(sorted((was[a], was[b])))
+        middle = (x + y) / 2
+        assert point["linear"][mid] == pytest.approx(
+            (point["linear"][a] + point["linear"][b]) / 2, abs=1e-14)
+        if before not in old_edges:
+            fresh += 1
+            assert new_points[mid] == pytest.approx(middle, abs=1e-15)
+            assert point["name"][mid] in before
+            continue
+        kept += 1
+        name = old_edges[before]
+        assert point["name"][mid] == name
+        offset = points[name] - (points[before[0]] + points[before[1]]) / 2
+        assert new_points[mid] - middle == pytest.approx(offset, abs=1e-14)
+        if (x == points[was[a]]).all() and (y == points[was[b]]).all():
+            assert (new_points[mid] == points[name]).all()
+    assert kept > fresh > 0
+    named = [str(w.message) for w in caught if issubclass(w.category, DataNotKeptWarning)]
+    gone = len(old_edges) - kept
+    assert len(named) == (gone > 0)
+    assert all(f"point data 'name' of {gone} mid-nodes" in text for text in named)
+
+    # The corners are what the linear mesh gives.
+    lone, cells, marker = odt_plugins.optimize((points, rows[:, : d + 1], labels), keep=())
+    back = np.vectorize(was.get)(new_rows[:, : d + 1])
+    assert np.array_equal(back, cells)
+    assert np.array_equal(cell["marker"], marker)
+    assert new_points[corners].tobytes() == lone[[was[c] for c in corners.tolist()]].tobytes()
+    there = {tuple(sorted(c)): i for i, c in enumerate(rows[:, : d + 1].tolist())}
+    same = [(i, there[tuple(sorted(c))]) for i, c in enumerate(back.tolist())
+            if tuple(sorted(c)) in there]
+    assert len(same) > 5
+    assert all(cell["origin"][i] == j for i, j in same)
+    now = {name: node for node, name in was.items()}
+    for facet in contract.facets(rows[:, : d + 1], labels):
+        for a in facet:
+            assert new_points[now[a]].tobytes() == points[a].tobytes()
+
+
+@pytest.mark.parametrize("host", MAKERS)
+def test_without_flips_all_indices_stay_and_nothing_is_lost(host, d):
+    pytest.importorskip(host)
+    points, rows, labels = quadratic_grid(d)
+    mesh = MAKERS[host](points, rows, labels, {"name": np.arange(len(points)) / 7}, d)
+    out = odt_plugins.optimize(mesh, connectivity="none", finish=False)
+    new_points, new_rows, point, _ = _view(out, d)
+    assert np.array_equal(new_rows, rows)
+    assert np.array_equal(point["name"], np.arange(len(points)) / 7)
+    assert not np.array_equal(new_points, points)
+
+
+@pytest.mark.parametrize("host", MAKERS)
+def test_a_mesh_that_does_not_change_comes_back_bit_for_bit(host, d):
+    pytest.importorskip(host)
+    points, rows, labels = quadratic_grid(d)
+    mesh = MAKERS[host](points, rows, labels, {"name": np.arange(len(points))}, d)
+    out = odt_plugins.optimize(mesh, fixed=np.arange(len(points)), connectivity="none",
+                               finish=False)
+    for a, b in zip(_view(mesh, d)[:2], _view(out, d)[:2], strict=True):
+        assert a.tobytes() == b.tobytes()
+
+
+def test_corners_keep_their_index_when_they_come_first(monkeypatch, d):
+    monkeypatch.setattr(driver, "run", contract.churn)
+    points, rows, labels = quadratic_grid(d, shuffle=False)
+    out = odt_plugins.optimize(_meshio(points, rows, labels, {}, d))
+    n = int(rows[:, : d + 1].max()) + 1
+    assert out.cells[0].data[:, : d + 1].max() == n - 1
+    lone, _ = odt_plugins.optimize((points, rows[:, : d + 1]), regions=labels)
+    assert out.points[:n].tobytes() == lone[:n].tobytes()
+
+
+def test_more_edges_get_nodes_at_the_end_and_fewer_close_up():
+    """Two tetrahedra on one face become three around an edge, and back."""
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0.3, 0.3, 1], [0.3, 0.3, -1]])
+    two, three = [[0, 1, 2, 3], [0, 2, 1, 4]], [[0, 1, 4, 3], [1, 2, 4, 3], [2, 0, 4, 3]]
+
+    def wide(cells):
+        mid, nodes, rows = {}, list(points), []
+        for cell in cells:
+            row = list(cell)
+            for i, j in EDGES[3]:
+                edge = tuple(sorted((cell[i], cell[j])))
+                if edge not in mid:
+                    mid[edge] = len(nodes)
+                    nodes.append((points[edge[0]] + points[edge[1]]) / 2)
+                row.append(mid[edge])
+            rows.append(row)
+        return np.array(nodes), np.array(rows), mid
+
+    nodes, rows, _ = wide(two)
+    result = Result(nodes, np.array(three), np.array([0, 0, 1], dtype=np.int32))
+    q = with_mid_nodes(result, nodes, rows, np.zeros(0, dtype=int))
+    assert len(q.points) == len(nodes) + 1
+    assert q.points[-1] == pytest.approx([0.3, 0.3, 0.0])
+    assert q.number.tolist() == list(range(len(nodes)))
+    assert q.gone.size == 0
+    assert carried_point_data("x", nodes[:, 2], q)[-1] == 0.0
+
+    nodes, rows, mid = wide(three)
+    result = Result(nodes, np.array(two), np.array([0, 1], dtype=np.int32))
+    lost = mid[3, 4]
+    for kept in ([], [lost]):
+        q = with_mid_nodes(result, nodes, rows, np.array(kept, dtype=int))
+        assert q.gone.tolist() == [lost]
+        assert len(q.points) == len(nodes) - 1 + len(kept)
+        assert (q.number[lost] >= 0) == bool(kept)
+        alive = np.flatnonzero(q.number >= 0)
+        assert q.points[q.number[alive]].tobytes() == nodes[alive].tobytes()
+        assert edges_of(q.cells, 3)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        carried_point_data("kept", np.arange(len(nodes)), q)
+    q = with_mid_nodes(result, nodes, rows, np.zeros(0, dtype=int))
+    with pytest.warns(DataNotKeptWarning, match=rf"'label' of 1 mid-nodes \(first: node {lost}\)"):
+        assert len(carried_point_data("label", np.arange(len(nodes)), q)) == len(nodes) - 1
+
+
+def test_boundary_cells_and_point_sets_beside_them_follow(monkeypatch):
+    monkeypatch.setattr(driver, "run", contract.churn)
+    points, rows, labels = quadratic_grid(3)
+    mid = edges_of(rows, 3)
+    outer = sorted(contract.facets(rows[:, :4], np.zeros(len(rows), int)))[:20]
+    skin = np.array([[*f, *(mid[tuple(sorted((f[i], f[j])))] for i, j in EDGES[2])]
+                     for f in outer])
+    lines = skin[:, [0, 1, 3]]
+    mesh = meshio.Mesh(points, [("triangle6", skin), ("tetra10", rows), ("line3", lines),
+                                ("vertex", skin[:4, 5:])],
+                       cell_data={"gmsh:physical": [np.arange(20), labels, np.arange(20),
+                                                    np.arange(4)]},
+                       point_sets={"skin": np.unique(skin)})
+    out = odt_plugins.optimize(mesh)
+    assert len(out.points) > len(points)
+    assert [b.type for b in out.cells] == [b.type for b in mesh.cells]
+    new = edges_of(out.cells[1].data, 3)
+    for i in (0, 2, 3):
+        a, b = mesh.cells[i].data, out.cells[i].data
+        assert out.points[b].tobytes() == points[a].tobytes()
+        assert np.array_equal(out.cell_data["gmsh:physical"][i], np.arange(len(a)))
+    for row in out.cells[0].data.tolist():
+        assert [new[tuple(sorted((row[i], row[j])))] for i, j in EDGES[2]] == row[3:]
+    assert np.array_equal(np.unique(out.cells[0].data), np.sort(out.point_sets["skin"]))
+
+
+def test_a_point_set_that_loses_nodes_is_named(monkeypatch):
+    monkeypatch.setattr(driver, "run", contract.churn)
+    points, rows, labels = quadratic_grid(2)
+    mesh = _meshio(points, rows, labels, {}, 2)
+    mesh.point_sets["all"] = np.arange(len(points))
+    with pytest.warns(DataNotKeptWarning, match="point set 'all' loses"):
+        out = odt_plugins.optimize(mesh)
+    assert len(out.point_sets["all"]) < len(points)
+
+
+def test_other_cells_of_a_grid_take_the_new_numbers(monkeypatch):
+    pyvista = pytest.importorskip("pyvista")
+    monkeypatch.setattr(driver, "run", contract.churn)
+    points, rows, _ = quadratic_grid(3)
+    mid = edges_of(rows, 3)
+    face = sorted(contract.facets(rows[:, :4], np.zeros(len(rows), int)))[5]
+    skin = [*face, *(mid[tuple(sorted((face[i], face[j])))] for i, j in EDGES[2])]
+    parts = [skin, *rows.tolist(), [skin[0], skin[1], skin[3]], [skin[4]]]
+    types = [22, *[24] * len(rows), 21, 1]
+    flat = np.concatenate([[len(p), *p] for p in parts])
+    mesh = pyvista.UnstructuredGrid(flat, np.array(types, dtype=np.uint8), points)
+    mesh.cell_data["row"] = np.arange(len(parts))
+    mesh.point_data["x"] = points[:, 0]
+    mesh.point_data.active_scalars_name = "x"
+    out = odt_plugins.optimize(mesh)
+    assert out.n_points > mesh.n_points
+    assert out.point_data.active_scalars_name == "x"
+    for i in (0, len(parts) - 2, len(parts) - 1):
+        (j,) = np.flatnonzero(out.cell_data["row"] == i)
+        assert out.celltypes[j] == types[i]
+        assert out.points[out.get_cell(int(j)).point_ids].tobytes() == points[parts[i]].tobytes()
+
+
+@pytest.mark.parametrize("suffix", [".vtu", ".msh"])
+def test_files_of_quadratic_cells(suffix, tmp_path, d):
+    points, rows, labels = quadratic_grid(d)
+    space = np.zeros((len(points), 3))
+    space[:, :d] = points
+    name = "gmsh:physical" if suffix == ".msh" else "marker"
+    cell = {name: [np.where(labels == 7, 1, 2).astype(np.int32)]}
+    if suffix == ".msh":
+        cell["gmsh:geometrical"] = cell[name]
+    files.write_file(tmp_path / f"in{suffix}", meshio.Mesh(space, [(MESHIO[d], rows)],
+                                                          cell_data=cell))
+    report = odt_plugins.optimize_file(tmp_path / f"in{suffix}", tmp_path / f"out{suffix}")
+    out = files.read_file(tmp_path / f"out{suffix}")
+    assert out.cells[0].type == MESHIO[d]
+    edges_of(out.cells[0].data, d)
+    assert report.after.mean_quality > report.before.mean_quality
+    assert odt_plugins.measure(out).mean_quality == pytest.approx(report.after.mean_quality)
+
+
+def _two_nodes_on_one_edge(rows, spare):
+    rows[3, 9] = spare
+
+
+def _one_node_on_two_edges(rows, spare):
+    rows[rows == rows[0, 4]] = rows[0, 5]
+
+
+def _a_corner_as_mid_node(rows, spare):
+    rows[rows == rows[0, 4]] = rows[0, 3]
+
+
+def _an_index_too_large(rows, spare):
+    rows[3, 9] = spare + 1
+
+
+@pytest.mark.parametrize(("spoil", "message"), [
+    (_two_nodes_on_one_edge, r"1 edges with more than one mid-node \(first: node"),
+    (_one_node_on_two_edges, "1 mid-nodes that lie on more than one edge"),
+    (_a_corner_as_mid_node, "1 mid-nodes that are corners of other cells"),
+    (_an_index_too_large, r"out of range \(first: cell 3\); expected 0 to 27"),
+])
+def test_mid_nodes_that_do_not_fit_are_named(spoil, message):
+    points, rows, _ = quadratic_grid(3, n=1)
+    points = np.vstack([points, points[:1]])
+    check_mid_nodes(rows, len(points))
+    spoil(rows, len(points) - 1)
+    with pytest.raises(InvalidMeshError, match=message):
+        odt_plugins.optimize(meshio.Mesh(points, [("tetra10", rows)]))
+
+
+@pytest.mark.parametrize("beside", [False, True])
+def test_other_quadratic_cells_are_refused_by_name(beside):
+    pyvista = pytest.importorskip("pyvista")
+    points, rows, _ = quadratic_grid(3, n=2)
+    parts, types = ([rows[0]], [24]) if beside else ([], [])
+    flat = np.concatenate([[len(p), *p] for p in [*parts, range(20)]])
+    grid = pyvista.UnstructuredGrid(flat, np.array([*types, 25], dtype=np.uint8), points)
+    message = rf"QUADRATIC_HEXAHEDRON \(first: cell {len(parts)}\)"
+    with pytest.raises(UnsupportedMeshError, match=message):
+        odt_plugins.optimize(grid)
+
+
+def test_cells_that_fold_between_their_corners_are_named(d):
+    points, rows, _ = quadratic_grid(d, n=2, shuffle=False)
+    straight = points.copy()
+    for (a, b), mid in edges_of(rows, d).items():
+        straight[mid] = (points[a] + points[b]) / 2
+    same = Result(straight, rows[:, : d + 1], np.arange(len(rows), dtype=np.int32))
+    q = with_mid_nodes(same, straight, rows, np.zeros(0, dtype=int))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warn_of_folds(straight, rows, q)
+    bent = straight.copy()
+    a, b, c = straight[rows[5][:3]]
+    bent[rows[5][d + 1]] = (a + b) / 2 + 0.6 * (c - (a + b) / 2)
+    # At that mid-node the Jacobian is 1 - 2 * 0.6 times the old one.
+    again = with_mid_nodes(same._replace(points=bent), bent, rows, np.zeros(0, dtype=int))
+    with pytest.warns(ODTWarning, match=r"quadratic cells \(first: cell \d+\) have a Jacobian"):
+        warn_of_folds(straight, rows, again)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        warn_of_folds(bent, rows, again)
