@@ -15,6 +15,9 @@ COLOURS = {
 }
 """One colour for every family."""
 
+MOST_DOTS = 40
+"""Points of a line from which on only the line is drawn."""
+
 INK, GREY, GRID = "#22313f", "#7b8794", "#e3e8ed"
 
 
@@ -156,7 +159,6 @@ def power_laws(
         out.append(_line(left, fy(v), width - right, fy(v), GRID))
         out.append(_text(left - 6, fy(v) + 4, f"{v:.3g}", anchor="end", fill=GREY))
     out.append(_text((left + width - right) / 2, height - 8, x_label, anchor="middle", fill=GREY))
-    out.append(_text(left - 50, 18, y_label, fill=GREY, size=10) if not title else "")
     ends: list[tuple[float, str, str]] = []
     for k, (name, x, y) in enumerate(series):
         shown = [(fx(a), fy(b)) for a, b in zip(x, y, strict=True) if b > 0 or not log_y]
@@ -165,7 +167,9 @@ def power_laws(
         stroke = palette[k % len(palette)]
         line = " ".join(f"{a:.1f},{b:.1f}" for a, b in shown)
         out.append(f'<polyline points="{line}" fill="none" stroke="{stroke}" stroke-width="2"/>')
-        out += [f'<circle cx="{a:.1f}" cy="{b:.1f}" r="3" fill="{stroke}"/>' for a, b in shown]
+        if len(shown) < MOST_DOTS:
+            out += [f'<circle cx="{a:.1f}" cy="{b:.1f}" r="3" fill="{stroke}"/>'
+                    for a, b in shown]
         ends.append((shown[-1][1], name, stroke))
     lowest = -math.inf
     for at, name, stroke in sorted(ends):

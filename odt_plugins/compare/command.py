@@ -14,6 +14,7 @@ from odt_plugins.compare.machine import describe
 from odt_plugins.compare.output import (
     FILES,
     best_figures,
+    check_page,
     cells_of,
     seconds,
     verdict,
@@ -67,6 +68,7 @@ def compare(
     Each tool runs in a process of its own; one that is not installed, crashes, hangs or breaks the
     boundary is a row that says so. Nothing is written outside --out and temporary folders.
     """
+    check_page()
     if scaling:
         return _run_scaling(out, largest, threads)
     if not sources and suite is None:
@@ -77,13 +79,13 @@ def compare(
     starts += suite_meshes(suite) if suite else []
     usual = {"standard": 25.0, "large": 900.0}.get(suite or "", 60.0)
     limits = Limits(time_limit or usual, repeats, min(3.0, (time_limit or usual) / 4), threads)
-    results = []
+    results: list[MeshResult] = []
     for start in starts:
         view = _Table(start.name)
         result = compare_on(start, contestants, limits, poisson=poisson, begin=view.begin)
         view.show(result)
         results.append(result)
-    write_all(out, results, describe(threads, SEED), command_line(sources, suite, against))
+        write_all(out, results, describe(threads, SEED), command_line(sources, suite, against))
     click.echo("written: " + ", ".join(str(out / name) for name in FILES))
     return 0
 

@@ -108,9 +108,10 @@ def _volume_tools() -> list[Contestant]:
                           {"options": options, "times": times}, "mmgpy", remark=remark)
 
     def cgal(*steps: str) -> Contestant:
+        first = "; one pass of odt first" if "lloyd" in steps else ""
         return Contestant(f"CGAL {' + '.join(steps)}", "cgal", SOLID, "cgal_optimize",
                           {"steps": list(steps), "iterations": 40}, "cgal",
-                          remark="Delaunay starts only; moves the surface")
+                          remark=f"Delaunay starts only; moves the surface{first}")
 
     def tetwild(name: str, energy: float) -> Contestant:
         return Contestant(name, "tetwild", SOLID, "tetwild", {"stop_energy": energy}, "pytetwild",

@@ -6,6 +6,7 @@ import csv
 import json
 import math
 from collections.abc import Sequence
+from importlib.util import find_spec
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -26,13 +27,26 @@ SHORT = {"min_quality": "least q", "p1_quality": "1 % q", "mean_quality": "mean 
 Facts = dict[str, str | int]
 
 
+def check_page() -> None:
+    """See whether the page can be made, before any work is done.
+
+    Raises
+    ------
+    MissingDependencyError    jinja2 is not installed
+    """
+    if find_spec("jinja2") is None:
+        msg = ("the page of the comparison needs jinja2, not installed here; try "
+               'pip install "odt-plugins[compare]"')
+        raise MissingDependencyError(msg)
+
+
 def write_all(out: Path, results: Sequence[MeshResult], facts: Facts, command: str) -> None:
     """Write all of FILES into the directory `out`, which is made.
 
     Raises
     ------
     MeshFileError             `out` cannot be written to
-    MissingDependencyError    jinja2 is not installed (the other two files are written first)
+    MissingDependencyError    jinja2 is not installed
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
@@ -98,12 +112,9 @@ def fill_template(name: str, **values: Any) -> str:
     ------
     MissingDependencyError    jinja2 is not installed
     """
-    try:
-        from jinja2 import Environment, PackageLoader, StrictUndefined
-    except ImportError as exc:
-        msg = ("the page needs jinja2, not installed here; try "
-               'pip install "odt-plugins[compare]"')
-        raise MissingDependencyError(msg) from exc
+    check_page()
+    from jinja2 import Environment, PackageLoader, StrictUndefined
+
     loader = PackageLoader("odt_plugins.compare")
     environment = Environment(loader=loader, autoescape=True, undefined=StrictUndefined,
                               trim_blocks=True, lstrip_blocks=True)
@@ -132,7 +143,7 @@ def cells_of(measured: Measured) -> dict[str, str]:
     """Figures of a mesh as the words that stand in the tables."""
     s, b, p = measured.summary, measured.boundary, measured.poisson
     boundary = b.verdict
-    if b.verdict != "identical" and b.outward is not None and b.inward is not None:
+    if b.verdict == "moved" and b.outward is not None and b.inward is not None:
         boundary = f"{b.verdict} {b.outward:.0e} / {b.inward:.0e}"
     change = measured.volume_change
     return {

@@ -32,7 +32,7 @@ LIMIT = 3600.0
 ENOUGH = 1e-3
 """Part of the starting gap to the least energy at which a method has arrived."""
 
-PATIENCE, MOST_STEPS = 20.0, 400
+PATIENCE, MOST_STEPS = 20.0, 3000
 """Seconds and steps after which a method that has not arrived is given up."""
 
 Say = Callable[[str], None]
@@ -121,7 +121,7 @@ def measure_stages(sizes: Sequence[int], threads: int, say: Say) -> tuple[list[S
         clock = time.perf_counter()
         start = ball(max(round(size / CELLS_PER_VERTEX), 50))
         m = len(start.cells)
-        found.setdefault("scipy Delaunay and mesh", []).append((m, time.perf_counter() - clock))
+        found.setdefault("the start, by scipy", []).append((m, time.perf_counter() - clock))
         run = run_contestant(start, whole, Limits(LIMIT, 1, LIMIT, threads))
         if run.status != "ok":
             say(f"{m} cells: {run.status}, {run.message}")
@@ -234,9 +234,9 @@ def summary(stages: Sequence[Stage], memory: Stage, races: Sequence[Race]) -> st
 def _page(
     stages: Sequence[Stage], memory: Stage, races: Sequence[Race], facts: dict[str, str | int]
 ) -> str:
-    charts = [power_laws("Time of every stage", [(s.name, s.cells, s.seconds) for s in stages],
+    charts = [power_laws("Seconds of every stage", [(s.name, s.cells, s.seconds) for s in stages],
                          "cells", "seconds"),
-              power_laws("Memory of the process", [("peak", memory.cells, memory.seconds)],
+              power_laws("Memory of the process, MB", [("peak", memory.cells, memory.seconds)],
                          "cells", "MB")]
     smallest = min((r.points for r in races), default=0)
     first = [r for r in races if r.points == smallest]

@@ -38,6 +38,10 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
             elif step == "exude":
                 cgal.exude_mesh_3(complex_, 0, 0)
             else:
+                if step == "lloyd":
+                    # Its moves on the surface read facet centres, which a complex made of stored
+                    # arrays gets from a pass of odt only; without them CGAL crashes.
+                    cgal.odt_optimize_mesh_3(complex_, domain, 0, 1, CONVERGENCE, 0.0)
                 optimise = getattr(cgal, f"{step}_optimize_mesh_3")
                 optimise(complex_, domain, 0, settings["iterations"], CONVERGENCE, FREEZE)
 
