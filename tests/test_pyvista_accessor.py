@@ -1,0 +1,159 @@
+"""The accessor `.odt` of pyvista's meshes."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import contract
+import numpy as np
+import pytest
+
+import odt_plugins
+from odt_plugins import tetwild
+from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
+from odt_plugins.hosts import pyvista_accessor
+
+pyvista = pytest.importorskip("pyvista")
+
+
+@pytest.fixture(autouse=True)
+def _registered():
+    odt_plugins.register("pyvista")
+    odt_plugins.register("pyvista")
+
+
+@pytest.mark.parametrize("name", ["pyvista-tet", "pyvista-tri", "pyvista-polydata"])
+def test_the_accessor_does_what_the_functions_do(name):
+    host = contract.HOSTS[name]
+    mesh = host.make()
+    before = host.view(mesh)
+    out = mesh.odt.optimize(rounds=3, cycles=1)
+    truth, told = odt_plugins.optimize_with_report(mesh, rounds=3, cycles=1)
+    assert type(out) is type(mesh)
+    assert contract.same_bits(host.view(out), host.view(truth))
+    again, report = mesh.odt.optimize_with_report(rounds=3, cycles=1)
+    assert contract.same_bits(host.view(out), host.view(again))
+    assert report.after == told.after
+    assert out.odt.quality() == odt_plugins.measure(out)
+    assert mesh.odt.quality() == report.before
+    assert contract.same_bits(before, host.view(mesh))
+
+
+def test_the_options_are_those_of_optimize():
+    with pytest.raises(InvalidOptionError, match="did you mean 'rounds'"):
+        contract.HOSTS["pyvista-tet"].make().odt.optimize(round=3)
+
+
+def test_cell_quality_is_an_array_on_a_copy():
+    corner = np.array([[0.0, 0, 0], [1, 1, 0], [1, 0, 1], [0, 1, 1], [1, 1, 1]])
+    flat = [2, 0, 1, 4, 0, 2, 1, 3, 4, 1, 2, 3, 4]
+    mesh = pyvista.UnstructuredGrid(flat, np.array([3, 10, 10], dtype=np.uint8), corner)
+    out = mesh.odt.cell_quality()
+    assert mesh.array_names == []
+    values = out.cell_data["odt_radius_ratio"]
+    assert np.isnan(values[0])
+    inradius = (1.0 / 6) * 3 / (3 * 0.5 + np.sqrt(3.0) / 2)
+    assert values[1] == pytest.approx(1.0)
+    assert values[2] == pytest.approx(3 * inradius / np.sqrt(0.75))
+    surface = pyvista.Sphere(theta_resolution=6, phi_resolution=6)
+    values = surface.odt.cell_quality().cell_data["odt_radius_ratio"]
+    assert len(values) == surface.n_cells
+    theirs = surface.cell_quality("radius_ratio").cell_data["radius_ratio"]
+    assert values == pytest.approx(1.0 / theirs, rel=1e-5)
+
+
+def test_surfaces_are_filled_with_tetrahedra(tmp_path, monkeypatch):
+    pytest.importorskip("pytetwild")
+    monkeypatch.chdir(tmp_path)
+    cube = pyvista.Cube()
+    grid = cube.odt.tetrahedralize(edge_length_fac=0.4, epsilon=1e-2)
+    assert type(grid) is pyvista.UnstructuredGrid
+    assert set(grid.celltypes.tolist()) == {10}
+    assert grid.volume == pytest.approx(1.0, rel=0.05)
+    assert (grid.compute_cell_sizes()["Volume"] > 0).all()
+    assert list(tmp_path.iterdir()) == []
+    assert cube.n_cells == 6
+
+
+def test_tetrahedralize_passes_everything_on(monkeypatch):
+    points, cells, _ = contract.grid(3, 4)
+    calls = []
+    monkeypatch.setattr(tetwild, "run_tetwild", lambda given: calls.append(given) or (
+        points, cells.astype(np.int32)))
+    cube = pyvista.Cube()
+    field = pyvista.ImageData(dimensions=(3, 3, 3)).to_tetrahedra()
+    field.point_data["h"] = np.linspace(0.1, 0.2, 27)
+    field.point_data["k"] = np.linspace(0.3, 0.4, 27)
+    field.set_active_scalars("h")
+    for name, scalars in (("h", None), ("k", "k")):
+        cube.odt.tetrahedralize(stop_energy=9.0, sizing_field=field, odt=False,
+                                sizing_field_scalars=scalars)
+        given = calls[-1]
+        assert given["stop_energy"] == 9.0
+        assert given["vtk_ordering"] is True
+        assert np.array_equal(given["bg_values"], field.point_data[name])
+        assert np.array_equal(given["bg_vertices"], field.points)
+        assert np.array_equal(given["bg_tets"], field.cells_dict[10])
+        assert given["faces"].shape == (12, 3)
+    grid = cube.odt.tetrahedralize(odt=False)
+    assert grid.points.tobytes() == points.tobytes()
+    better = cube.odt.tetrahedralize(odt={"rounds": 2})
+    assert better.odt.quality().mean_quality > grid.odt.quality().mean_quality
+    with pytest.raises(InvalidOptionError, match="rounds=-1"):
+        cube.odt.tetrahedralize(odt={"rounds": -1})
+    with pytest.raises(TypeError, match="edge_length"):
+        cube.odt.tetrahedralize(edge_length=3.0)
+
+
+def test_wrong_sizing_fields_are_named():
+    cube = pyvista.Cube()
+    tets = pyvista.ImageData(dimensions=(3, 3, 3)).to_tetrahedra()
+    tets.point_data["h"] = np.ones(27)
+    mixed = pyvista.UnstructuredGrid([4, 0, 1, 2, 3, 2, 0, 1], np.array([10, 3], dtype=np.uint8),
+                                     np.eye(4)[:, :3])
+    for field, message in ((cube, "type PolyData; expected a pyvista.Unstr"), (3, "type int"),
+                           (mixed, "tetrahedra only")):
+        with pytest.raises(UnsupportedMeshError, match=message):
+            cube.odt.tetrahedralize(sizing_field=field)
+    with pytest.raises(UnsupportedMeshError, match=r"array 'size'; expected .* one of \['h'\]"):
+        cube.odt.tetrahedralize(sizing_field=tets, sizing_field_scalars="size")
+    tets.point_data.active_scalars_name = None
+    with pytest.raises(UnsupportedMeshError, match="array None"):
+        cube.odt.tetrahedralize(sizing_field=tets)
+
+
+def test_curved_surfaces_name_the_volume_route():
+    with pytest.raises(UnsupportedMeshError, match="try the volume route"):
+        pyvista.Sphere(theta_resolution=6, phi_resolution=6).odt.optimize()
+
+
+def test_only_surfaces_and_grids_have_the_accessor():
+    assert not hasattr(pyvista.Cube().cast_to_unstructured_grid().odt, "tetrahedralize")
+    assert not hasattr(pyvista.ImageData(), "odt")
+
+
+OLD = """
+import numpy as np, pyvista, odt_plugins
+if hasattr(pyvista, "register_dataset_accessor"):
+    del pyvista.register_dataset_accessor
+assert not hasattr(pyvista.PolyData, "odt")
+odt_plugins.register("pyvista")
+odt_plugins.register("pyvista")
+tets = pyvista.ImageData(dimensions=(3, 3, 3)).to_tetrahedra()
+print(type(tets.odt.optimize()).__name__, hasattr(pyvista.Cube().odt, "tetrahedralize"))
+"""
+
+
+def test_older_versions_of_pyvista_get_a_property():
+    done = subprocess.run([sys.executable, "-W", "error", "-c", OLD], capture_output=True,
+                          text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["UnstructuredGrid", "True"]
+
+
+def test_importing_the_package_registers_nothing():
+    code = "import odt_plugins, pyvista; print(hasattr(pyvista.PolyData, 'odt'))"
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == ["False"]
+    assert pyvista_accessor.NAME == "odt"

@@ -1,0 +1,173 @@
+"""tetrahedralize(): pytetwild's own call with ODT behind it, and sizing fields as densities."""
+
+from __future__ import annotations
+
+import inspect
+from pathlib import Path
+
+import contract
+import meshio
+import numpy as np
+import pytest
+
+import odt_plugins
+from odt_plugins import tetwild
+from odt_plugins.engine import driver
+from odt_plugins.errors import InvalidMeshError, InvalidOptionError, MissingDependencyError
+
+STORED = Path(__file__).parent / "data" / "tetwild_bunny.vtu"
+CUBE = np.array([[x, y, z] for x in (0.0, 1) for y in (0.0, 1) for z in (0.0, 1)])
+QUADS = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+FACES = np.array([t for a, b, c, d in QUADS for t in ((a, b, c), (a, c, d))], dtype=np.int32)
+
+
+@pytest.fixture
+def stored(monkeypatch):
+    """TetWild replaced by a stored mesh, since it gives another one every time."""
+    mesh = meshio.read(STORED)
+    made = (mesh.points, mesh.cells[0].data.astype(np.int32))
+    calls = []
+    monkeypatch.setattr(tetwild, "run_tetwild", lambda given: calls.append(given) or made)
+    return made, calls
+
+
+def background(function, n=5):
+    """Points, tetrahedra and values of a sizing field on a grid around the unit cube."""
+    points, cells, _ = contract.grid(3, n)
+    points = 1.5 * points - 0.25
+    return points, cells.astype(np.int32), function(points)
+
+
+def test_the_signature_is_that_of_pytetwild():
+    pytetwild = pytest.importorskip("pytetwild")
+    theirs = inspect.signature(pytetwild.tetrahedralize).parameters
+    ours = inspect.signature(odt_plugins.tetrahedralize).parameters
+    assert list(ours) == [*theirs, "odt"]
+    assert {n: p.default for n, p in theirs.items()} == {n: ours[n].default for n in theirs}
+
+
+def test_tetwild_and_odt_in_one_call_leave_nothing_behind(tmp_path, monkeypatch):
+    pytest.importorskip("pytetwild")
+    monkeypatch.chdir(tmp_path)
+    old = CUBE.copy()
+    for ordering in (False, True):
+        points, cells = odt_plugins.tetrahedralize(
+            CUBE, FACES, edge_length_fac=0.4, epsilon=1e-2, vtk_ordering=ordering)
+        assert (points.dtype, cells.dtype) == (np.float64, np.int32)
+        size = np.linalg.det(points[cells][:, 1:] - points[cells][:, :1])
+        assert (size > 0).all() if ordering else (size < 0).all()
+        assert np.abs(size).sum() / 6 == pytest.approx(1.0, rel=0.05)
+    assert list(tmp_path.iterdir()) == []
+    assert np.array_equal(CUBE, old)
+
+
+def test_odt_is_what_optimize_does_and_can_be_left_out(stored):
+    (points, cells), calls = stored
+    alone = odt_plugins.tetrahedralize(CUBE, FACES, odt=False)
+    assert alone[0] is points
+    for given, options in ((True, {}), ({}, {}), ({"rounds": 2, "exponent": 3.0},) * 2,
+                           ({"density": "uniform", "cycles": 1},) * 2):
+        out = odt_plugins.tetrahedralize(CUBE, FACES, odt=given)
+        truth = odt_plugins.optimize((points, cells), **options)
+        assert out[0].tobytes() == truth[0].tobytes()
+        assert np.array_equal(out[1], truth[1])
+    assert np.array_equal(calls[0]["faces"], FACES)
+    assert "odt" not in calls[0]
+
+
+def test_options_are_checked_before_tetwild_runs(monkeypatch):
+    monkeypatch.setattr(tetwild, "run_tetwild", lambda given: pytest.fail("TetWild ran"))
+    for odt, message in (({"round": 3}, "did you mean 'rounds'"), ({"rounds": -1}, "rounds=-1"),
+                         ("yes", "got odt='yes'; expected a dict")):
+        with pytest.raises(InvalidOptionError, match=message):
+            odt_plugins.tetrahedralize(CUBE, FACES, odt=odt)
+
+
+def test_what_pytetwild_refuses_comes_through():
+    pytest.importorskip("pytetwild")
+    with pytest.raises(ValueError, match="Edge length factor must be between"):
+        odt_plugins.tetrahedralize(CUBE, FACES, edge_length_fac=7.0)
+    with pytest.raises(TypeError, match="must be a numpy array"):
+        odt_plugins.tetrahedralize(CUBE.tolist(), FACES)
+    with pytest.raises(InvalidMeshError, match="no tetrahedra inside the surface: it gave an empt"):
+        odt_plugins.tetrahedralize(CUBE[:4], FACES[:1])
+
+
+def test_a_process_that_dies_is_one_sentence(monkeypatch):
+    pytest.importorskip("pytetwild")
+    monkeypatch.setattr(tetwild, "PROGRAM", "import os; os.abort()")
+    with pytest.raises(InvalidMeshError, match=r"it ended with -6; expected a closed surface"):
+        odt_plugins.tetrahedralize(CUBE, FACES)
+    monkeypatch.setattr(tetwild, "find_spec", lambda name: None)
+    with pytest.raises(MissingDependencyError, match=r'pip install "odt-plugins\[pytetwild\]"'):
+        odt_plugins.tetrahedralize(CUBE, FACES)
+
+
+def test_only_arguments_that_differ_from_the_defaults_are_passed(monkeypatch):
+    monkeypatch.setattr(tetwild, "PROGRAM", """
+import pickle
+names = sorted(pickle.load(open("arguments", "rb")))
+pickle.dump(ValueError(" ".join(names)), open("result", "wb"))
+""")
+    monkeypatch.setattr(tetwild, "find_spec", lambda name: True)
+    with pytest.raises(ValueError, match=r"^edge_length_fac faces stop_energy vertices$"):
+        odt_plugins.tetrahedralize(CUBE, FACES, edge_length_fac=0.2, stop_energy=9.0, coarsen=False)
+
+
+def test_sizes_are_linear_on_the_background_and_ideal_outside():
+    def linear(x):
+        return 2.0 + x @ [0.5, -0.25, 1.0]
+
+    points, cells, values = background(linear)
+    x = np.random.default_rng(1).uniform(-0.5, 1.5, (500, 3))
+    inside = ((x >= -0.25) & (x <= 1.25)).all(axis=1)
+    assert 50 < inside.sum() < 450
+    for turned in (cells, contract.negative(cells)):
+        sizes = tetwild.background_sizes(x, points, turned, values, outside=7.0)
+        assert sizes[inside] == pytest.approx(linear(x[inside]), rel=1e-12)
+        assert (sizes[~inside] == 7.0).all()
+    at = tetwild.background_sizes(points, points, cells, values, outside=7.0)
+    assert at == pytest.approx(values, rel=1e-12)
+    rough = np.random.default_rng(2).uniform(1.0, 2.0, len(points))
+    middle = points[cells].mean(axis=1)
+    assert tetwild.background_sizes(middle, points, cells, rough, outside=7.0) == pytest.approx(
+        rough[cells].mean(axis=1), rel=1e-12)
+    flat = np.vstack([cells, [[0, 1, 2, 3]]])
+    assert tetwild.background_sizes(points, points, flat, values, outside=7.0) == pytest.approx(at)
+
+
+@pytest.mark.parametrize("exponent", [None, 3.0])
+def test_a_sizing_field_is_the_density(stored, monkeypatch, exponent):
+    (points, _), _ = stored
+    low, high = points.min(axis=0), points.max(axis=0)
+    unit = (points - low) / (high - low).max()
+
+    def size(x):
+        return 0.1 + 0.3 * x[:, 0]
+
+    grid, cells, values = background(size, n=3)
+    field = {"bg_vertices": low + grid * (high - low).max(), "bg_tets": cells, "bg_values": values}
+    seen = []
+    monkeypatch.setattr(driver, "run", lambda mesh, options: seen.append(options) or driver.Outcome(
+        mesh.points, mesh.cells, mesh.regions))
+    group = {} if exponent is None else {"exponent": exponent}
+    odt_plugins.tetrahedralize(CUBE, FACES, odt=group, **field)
+    assert seen[0].density == pytest.approx(size(unit) ** -(exponent or 5.0), rel=1e-9)
+    odt_plugins.tetrahedralize(CUBE, FACES, odt={"density": "uniform"}, **field)
+    assert seen[1].density == "uniform"
+    field["bg_vertices"] = field["bg_vertices"] + 100.0
+    for lengths, ideal in (({}, 0.05 * np.sqrt(3.0)), ({"edge_length_fac": 0.2}, 0.2 * np.sqrt(3)),
+                           ({"edge_length_abs": 0.3}, 0.3)):
+        odt_plugins.tetrahedralize(CUBE, FACES, odt=group, **field, **lengths)
+        assert seen[-1].density == pytest.approx(ideal ** -(exponent or 5.0), rel=1e-12)
+
+
+def test_a_mesh_with_as_many_vertices_as_cells_gets_a_function(monkeypatch):
+    points, cells, _ = contract.grid(3, 1)
+    cells = np.vstack([cells, cells[:2]])
+    monkeypatch.setattr(tetwild, "run_tetwild", lambda given: (points, cells))
+    seen = []
+    monkeypatch.setattr(tetwild, "optimize_mesh", lambda mesh, **options: seen.append(options))
+    grid, tets, values = background(lambda x: 1.0 + x[:, 2])
+    odt_plugins.tetrahedralize(CUBE, FACES, bg_vertices=grid, bg_tets=tets, bg_values=values)
+    assert seen[0]["density"](points) == pytest.approx((1.0 + points[:, 2]) ** -5.0)
