@@ -19,6 +19,7 @@ from odt_plugins.cli import main
 from odt_plugins.compare import contestants as table
 from odt_plugins.compare.contestants import CONTESTANTS, OURS, Contestant, choose
 from odt_plugins.compare.hull import compare_boundaries, hull_facets
+from odt_plugins.compare.markdown import to_markdown
 from odt_plugins.compare.output import FILES, to_csv, to_json, verdict
 from odt_plugins.compare.poisson import conjugate_gradients, solve_poisson
 from odt_plugins.compare.rows import Row, compare_on, mark, measure_mesh
@@ -248,6 +249,15 @@ def test_baselines_are_called_so_that_they_improve_the_mesh(name):
     assert row.timing.peak > 1e7
 
 
+@pytest.mark.parametrize("name", ["CGAL odt", "CGAL lloyd"])
+def test_cgal_moves_the_surface_and_that_is_measured(name):
+    row = compare_on(SMALL["tets"], [contestant(name)], ONCE, poisson=False).rows[0]
+    assert row.status == "ok", row.message
+    assert row.measured.boundary.verdict == "moved"
+    assert 1e-5 < row.measured.boundary.outward < 0.05
+    assert row.measured.summary.mean_quality > 0.75
+
+
 def test_cgal_refuses_a_start_that_is_not_delaunay():
     start = ball(60)
     moved = start.points.copy()
@@ -332,6 +342,21 @@ def test_csv_and_json_hold_every_row(result):
     whole = json.loads(to_json([result], {"cores": 2}, "command"))
     assert len(whole["meshes"][0]["rows"]) == len(result.rows)
     assert whole["meshes"][0]["rows"][0]["timing"]["runs"] >= 1
+
+
+def test_markdown_marks_what_beats_ours_and_tells_what_failed(result):
+    rows = mark([made_up(OURS, OURS, min_quality=0.5),
+                 made_up("rival", "rival", min_quality=0.6, n_points=1000),
+                 replace(made_up("gone", "rival"), measured=None, status="crashed")])
+    timing = result.rows[0].timing
+    rows = [replace(row, timing=timing) for row in rows]
+    text = to_markdown([replace(result, rows=rows)], "the command")
+    lines = {line.split(" | ")[0].strip("| *"): line for line in text.splitlines()}
+    assert "the command" in lines
+    assert "▲0.600 /" in lines["rival"]
+    assert "+884 vertices" in lines["rival"]
+    assert "▲" not in lines[OURS]
+    assert lines["gone"] == "| gone | crashed |"
 
 
 def test_command_writes_into_out_alone(tmp_path, monkeypatch, capsys):

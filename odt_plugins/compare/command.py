@@ -14,8 +14,8 @@ from odt_plugins.compare.machine import describe
 from odt_plugins.compare.output import (
     FILES,
     best_figures,
-    check_page,
     cells_of,
+    check_page,
     seconds,
     verdict,
     write_all,
@@ -37,7 +37,7 @@ CHOSEN_SUITES = ("standard", "large")
                    "pymeshlab, open3d, odt-plugins, or the name of a row); may be repeated. "
                    "Everybody unless given.")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("comparison"),
-              show_default=True, help="Directory for CSV, JSON and the page.")
+              show_default=True, help="Directory for CSV, JSON, Markdown and the page.")
 @click.option("--repeats", type=click.IntRange(min=1), default=3, show_default=True,
               help="Runs of every contestant; fewer where one takes long.")
 @click.option("--time-limit", type=click.FloatRange(min=0.0, min_open=True), default=None,

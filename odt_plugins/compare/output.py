@@ -1,4 +1,4 @@
-"""What a comparison leaves behind: CSV, JSON and one HTML page that needs nothing else."""
+"""What a comparison leaves behind: CSV, JSON, Markdown and one HTML page in a single file."""
 
 from __future__ import annotations
 
@@ -13,11 +13,12 @@ from typing import Any
 
 from odt_plugins.compare.charts import colour, histograms, quality_against_time
 from odt_plugins.compare.contestants import OURS
+from odt_plugins.compare.markdown import to_markdown
 from odt_plugins.compare.pictures import worst_cells
 from odt_plugins.compare.rows import Measured, MeshResult, Row
 from odt_plugins.errors import MeshFileError, MissingDependencyError
 
-FILES = ("comparison.csv", "comparison.json", "comparison.html")
+FILES = ("comparison.csv", "comparison.json", "comparison.html", "comparison.md")
 
 SHORT = {"min_quality": "least q", "p1_quality": "1 % q", "mean_quality": "mean q",
          "min_angle": "least angle", "max_angle": "largest angle", "below_20": "below 20°",
@@ -50,6 +51,7 @@ def write_all(out: Path, results: Sequence[MeshResult], facts: Facts, command: s
     """
     try:
         out.mkdir(parents=True, exist_ok=True)
+        (out / FILES[3]).write_text(to_markdown(results, command), encoding="utf-8")
         (out / FILES[0]).write_text(to_csv(results), encoding="utf-8")
         (out / FILES[1]).write_text(to_json(results, facts, command), encoding="utf-8")
         (out / FILES[2]).write_text(to_page(results, facts, command), encoding="utf-8")
