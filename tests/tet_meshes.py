@@ -95,6 +95,11 @@ def quality(points, cells):
     return 3.0 * (3.0 * volume / area) / np.linalg.norm(center, axis=1)
 
 
+def cost(points, cells, power, shift=0.005):
+    """What the finishing stage sums over all cells."""
+    return ((1.0 + shift) / (quality(points, cells) + shift)) ** power
+
+
 def dihedral_angles(points, cells):
     """Six dihedral angles in degrees, from the facet normals."""
     x = points[cells]

@@ -13,7 +13,7 @@ from numba import njit
 from odt_plugins.engine.cavity import DONE, IDLE, PENDING, make_work, take_back
 from odt_plugins.engine.flips3d import flip_facet, improve_cell, remove_edge
 from odt_plugins.engine.smooth3d import newton_vertex
-from odt_plugins.engine.tetrahedron import QUALITY, tet_cosines, tet_quality
+from odt_plugins.engine.tetrahedron import QUALITY, quality_cost, tet_cosines, tet_quality
 from odt_plugins.mesh import BoolArray, ByteArray, FloatArray, IntArray, LongArray
 
 MOST_TOUCHED = 192
@@ -103,7 +103,7 @@ def compound_pass(
         tried[c] = True
         q = tet_quality(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
         large, small = tet_cosines(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
-        least = GAIN * q**-power
+        least = GAIN * quality_cost(q, power)
         for op in range(10):
             journal[0, 0] = 0
             if op < 6:
@@ -138,7 +138,7 @@ def compound_pass(
                         flips += 1
                         n_touched = _push(touched, n_touched, around, n_new)
                         m = 0
-                if total < -DEEP * q**-power:
+                if total < -DEEP * quality_cost(q, power):
                     break
                 n_seen = 0
                 for m in range(n_touched):

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -50,10 +49,6 @@ class Figures:
         """What the best-state memory ranks by: mean and tail of the quality together."""
         return self.mean_quality + 0.5 * self.p1_quality + 0.25 * self.min_quality
 
-    def keeps(self, before: Figures, keep: tuple[str, ...]) -> bool:
-        """Whether no figure of ``keep`` is worse than before."""
-        return not self.worse_than(before, keep)
-
     def worse_than(self, before: Figures, keep: tuple[str, ...]) -> list[str]:
         """Figures of ``keep`` that are worse than before, beyond rounding."""
         slack = 1e-13
@@ -83,8 +78,3 @@ def figures(points: FloatArray, cells: IntArray) -> Figures:
         float(shapes[:, 1].max()),
         float(shapes[:, 2].min()),
     )
-
-
-def angle_of(cosine: float) -> float:
-    """Angle in degrees of a cosine that may be off by rounding."""
-    return math.degrees(math.acos(min(1.0, max(-1.0, cosine))))

@@ -1,7 +1,8 @@
-"""Stage 2: descent of F_p = sum of q^-p by flips and smoothing, first everywhere, then where bad.
+"""Stage 2: descent of F_p by flips and smoothing, first everywhere, then where cells are bad.
 
-Both moves lower the same sum, so they cannot undo each other's work.  A small p serves the mean,
-a large p the worst cells; bounds keep every change within the extremes that the input had.
+F_p is the sum over all cells of about q^-p, see ``tetrahedron.quality_cost``.  Both moves lower
+the same sum, so they cannot undo each other's work.  A small p serves the mean, a large p the
+worst cells; bounds keep every change within the extremes that the input had.
 """
 
 from __future__ import annotations

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 @dataclass(frozen=True)
 class Phase:
-    """One descent of F_p = sum of q^-p.
+    """One descent of F_p, the sum of all cells' costs.
 
     Attributes
     ----------
@@ -27,7 +27,17 @@ class Phase:
 
 def bulk(dim: int) -> tuple[Phase, ...]:
     """Phases for the mean: every cell, a small p."""
-    return (Phase(2.0, 1.0, 20, 2),) if dim == 2 else (Phase(1.0, 1.0, 6, 3),)
+    return (Phase(2.0, 1.0, 20, 2),) if dim == 2 else (Phase(0.5, 1.0, 6, 3),)
+
+
+def cautious() -> tuple[Phase, ...]:
+    """Phases for a mesh that the others spoil: the mean comes first, then worse and worse cells."""
+    return (
+        Phase(0.25, 1.0, 6, 3),
+        Phase(0.5, 0.3, 2, 3),
+        Phase(1.0, 0.1, 2, 3, 1),
+        Phase(2.0, 0.05, 2, 3, 3),
+    )
 
 
 def tail(dim: int) -> tuple[Phase, ...]:

@@ -1,4 +1,4 @@
-"""Newton smoothing of one vertex at a time for F_p = sum over its star of q^-p, d = 3.
+"""Newton smoothing of one vertex at a time for F_p, the sum of its star's costs, d = 3.
 
 With only one vertex x moving, det is linear in x, the products of opposite edges are quadratic
 and the Hessian of a face area is rank one, so gradient and Hessian of log q are exact and cheap.
@@ -11,7 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
-from odt_plugins.engine.tetrahedron import inverse_power, tet_cosines, tet_quality
+from odt_plugins.engine.tetrahedron import SHIFT, quality_cost, tet_cosines, tet_quality
 from odt_plugins.mesh import FloatArray, IntArray, LongArray
 
 HALVINGS = 7
@@ -33,7 +33,7 @@ def _opposite(cells: IntArray, c: int, v: int) -> tuple[int, int, int]:
 def add_quality_terms(
     points: FloatArray, v: int, i: int, j: int, k: int, power: float, out: FloatArray,
 ) -> bool:
-    """Add q^-p, its gradient and its Hessian in x_v to out = [F, g (3), H (xx xy xz yy yz zz)].
+    """Add the cost of a cell, its gradient and Hessian in x_v to [F, g, H_xx xy xz yy yz zz].
 
     False when the cell is not positive.
     """
@@ -149,9 +149,10 @@ def add_quality_terms(
     wc = hh * ic * isum
     w2 = 2.0 * ih
     w4 = 4.0 * ih
-    f = inverse_power(q, power)
-    pf = power * f
-    pp = power * pf
+    f = quality_cost(q, power)
+    share = q / (q + SHIFT)
+    pf = power * f * share
+    pp = pf * ((power + 1.0) * share - 1.0)
     out[0] += f
     out[1] -= pf * lx
     out[2] -= pf * ly
@@ -223,14 +224,14 @@ def star_cost(
     points: FloatArray, cells: IntArray, indices: IntArray, start: int, stop: int, power: float,
     limit: float,
 ) -> float:
-    """Sum of q^-p over cells indices[start:stop]; infinite above the limit or if inverted."""
+    """Sum of the costs of cells indices[start:stop]; infinite above the limit or if inverted."""
     total = 0.0
     for s in range(start, stop):
         c = indices[s]
         q = tet_quality(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
         if q <= 1e-9:
             return np.inf
-        total += inverse_power(q, power)
+        total += quality_cost(q, power)
         if total >= limit:
             return np.inf
     return total

@@ -11,12 +11,19 @@ from odt_plugins.mesh import FloatArray
 
 ENERGY = 0
 QUALITY = 1
-ANGLE = 2
+
+
+SHIFT = 0.005
+"""Cells much flatter than this are no longer worth their neighbours: the cost levels off there."""
 
 
 @njit(nogil=True, cache=True)
-def inverse_power(q: float, power: float) -> float:
-    """q^-power, without the general power function for the exponents in use."""
+def quality_cost(q: float, power: float) -> float:
+    """Cost ((1 + s)/(q + s))^power of a cell with the radius ratio q, s = SHIFT; 1 for the best.
+
+    The powers in use need no general power function.
+    """
+    q = (q + SHIFT) / (1.0 + SHIFT)
     if power == 1.0:
         return 1.0 / q
     square = 1.0 / (q * q)
@@ -149,70 +156,14 @@ def tet_cosines(points: FloatArray, i: int, j: int, k: int, l: int) -> tuple[flo
     )
 
 
-@njit(nogil=True, cache=True, inline="never")
-def tet_angle_cost(points: FloatArray, i: int, j: int, k: int, l: int, power: float) -> float:
-    """Sum of sin^-p over the six dihedral angles; infinite if the cell is not positive."""
-    ax = points[j, 0] - points[i, 0]
-    ay = points[j, 1] - points[i, 1]
-    az = points[j, 2] - points[i, 2]
-    bx = points[k, 0] - points[i, 0]
-    by = points[k, 1] - points[i, 1]
-    bz = points[k, 2] - points[i, 2]
-    cx = points[l, 0] - points[i, 0]
-    cy = points[l, 1] - points[i, 1]
-    cz = points[l, 2] - points[i, 2]
-    x1 = by * cz - bz * cy
-    y1 = bz * cx - bx * cz
-    z1 = bx * cy - by * cx
-    x2 = cy * az - cz * ay
-    y2 = cz * ax - cx * az
-    z2 = cx * ay - cy * ax
-    x3 = ay * bz - az * by
-    y3 = az * bx - ax * bz
-    z3 = ax * by - ay * bx
-    x0 = x1 + x2 + x3
-    y0 = y1 + y2 + y3
-    z0 = z1 + z2 + z3
-    det = ax * x1 + ay * y1 + az * z1
-    if not det > 0.0:
-        return np.inf
-    # sin of the angle on the edge between two facets = 3 V |edge| / (2 area area'), and with
-    # normals of twice the area: det |edge| / (|n| |n'|)
-    n0 = x0 * x0 + y0 * y0 + z0 * z0
-    n1 = x1 * x1 + y1 * y1 + z1 * z1
-    n2 = x2 * x2 + y2 * y2 + z2 * z2
-    n3 = x3 * x3 + y3 * y3 + z3 * z3
-    ux = cx - bx
-    uy = cy - by
-    uz = cz - bz
-    vx = ax - cx
-    vy = ay - cy
-    vz = az - cz
-    wx = bx - ax
-    wy = by - ay
-    wz = bz - az
-    dd = 1.0 / (det * det)
-    half = 0.5 * power
-    return (
-        (n2 * n3 * dd / (ax * ax + ay * ay + az * az)) ** half
-        + (n3 * n1 * dd / (bx * bx + by * by + bz * bz)) ** half
-        + (n1 * n2 * dd / (cx * cx + cy * cy + cz * cz)) ** half
-        + (n0 * n1 * dd / (ux * ux + uy * uy + uz * uz)) ** half
-        + (n0 * n2 * dd / (vx * vx + vy * vy + vz * vz)) ** half
-        + (n0 * n3 * dd / (wx * wx + wy * wy + wz * wz)) ** half
-    )
-
-
 @njit(nogil=True, cache=True)
 def tet_cost(
     points: FloatArray, i: int, j: int, k: int, l: int, objective: int, power: float,
 ) -> float:
-    """Cost of one cell: ODT energy, q^-power or sum of sin^-power; infinite if not positive."""
+    """Cost of one cell: ODT energy or that of its quality; infinite if not positive."""
     if objective == ENERGY:
         return tet_energy(points, i, j, k, l)
-    if objective == ANGLE:
-        return tet_angle_cost(points, i, j, k, l, power)
     q = tet_quality(points, i, j, k, l)
     if q <= 1e-9:
         return np.inf
-    return inverse_power(q, power)
+    return quality_cost(q, power)
