@@ -224,13 +224,6 @@ def non_delaunay_facets(
     return np.stack([owner[bad], side[bad]], axis=1).astype(np.int32)
 
 
-def is_delaunay(
-    points: FloatArray, cells: IntArray, neighbors: IntArray, *, tolerance: float = 1e-12
-) -> bool:
-    """Whether every interior facet is locally Delaunay; see :func:`non_delaunay_facets`."""
-    return len(non_delaunay_facets(points, cells, neighbors, tolerance=tolerance)) == 0
-
-
 def _measures(points: FloatArray, cells: IndexArray) -> tuple[FloatArray, FloatArray, BoolArray]:
     """Signed volumes, energies (2.2) with the sign of the volume, and which cells are flat."""
     dim = points.shape[1]
