@@ -28,11 +28,29 @@ class View:
 
 @dataclass
 class Host:
-    make: Callable[[], Any]
+    """One kind of caller's object.
+
+    Attributes
+    ----------
+    make      makes one with data of every kind; of given points, cells and labels, or of `grid`
+    view      reads one by the host's own means
+    dim       2 or 3
+    region    name of the cell array whose interfaces stay
+    word      what the host calls its cells
+    """
+
+    make: Callable[..., Any]
     view: Callable[[Any], View]
     dim: int
     region: str | None
-    """Name of the cell array whose interfaces stay."""
+    word: str = "cells"
+
+
+def need(name: str) -> None:
+    """Skip a test where the toolkit of a host is missing."""
+    toolkit = name.partition("-")[0]
+    if toolkit in ("pyvista", "pymeshlab", "open3d"):
+        pytest.importorskip(toolkit)
 
 
 def volumes(points, cells):
@@ -206,8 +224,8 @@ def data(points, cells, labels):
 
 
 def _arrays(dim, turn, dtype, index, container, regions, space=False):
-    def make():
-        points, cells, labels = grid(dim, 4)
+    def make(mesh=None):
+        points, cells, labels = mesh or grid(dim, 4)
         cells = negative(cells) if turn else cells
         if space:
             points = np.column_stack([points, np.full(len(points), THIRD)])
@@ -228,10 +246,10 @@ def _copy_data(data):
 
 
 def _pyvista(dim, kind, dtype):
-    def make():
+    def make(mesh=None):
         import pyvista
 
-        points, cells, labels = grid(dim, 4)
+        points, cells, labels = mesh or grid(dim, 4)
         space = np.zeros((len(points), 3), dtype=dtype)
         space[:, :dim] = points
         if kind == "grid":
@@ -240,6 +258,8 @@ def _pyvista(dim, kind, dtype):
             mesh = pyvista.PolyData.from_regular_faces(space, cells)
         point, cell = data(points, cells, labels)
         mesh.point_data.update(point)
+        if not len(cells):
+            return mesh
         for name, values in cell.items():
             mesh.cell_data[name] = values
         mesh.cell_data["inside"] = np.arange(len(cells)) % 3 == 0
@@ -273,10 +293,10 @@ def meshio_view(kind):
 def _meshio(dim, blocks=False):
     kind = "triangle" if dim == 2 else "tetra"
 
-    def make():
+    def make(mesh=None):
         import meshio
 
-        points, cells, labels = grid(dim, 4)
+        points, cells, labels = mesh or grid(dim, 4)
         point, cell = data(points, cells, labels)
         parts = [np.flatnonzero(labels == 7), np.flatnonzero(labels == -2)] if blocks else [
             np.arange(len(cells))]
@@ -291,10 +311,10 @@ def _meshio(dim, blocks=False):
 def _pymeshlab(whole):
     """A labelled grid with data of every kind, as a Mesh or as the middle one of three meshes."""
 
-    def make():
+    def make(mesh=None):
         import pymeshlab
 
-        points, cells, labels = grid(2, 4)
+        points, cells, labels = mesh or grid(2, 4)
         n, m = len(points), len(cells)
         space = np.column_stack([points, np.full(n, THIRD)])
         byte = np.random.default_rng(2).integers(0, 256, (n + m, 4)) / 255.0
@@ -312,7 +332,7 @@ def _pymeshlab(whole):
         if not whole:
             return mesh
         meshes = pymeshlab.MeshSet()
-        for other in (pymeshlab.Mesh(points[cells[0]][:, [0, 1, 1]], np.array([[0, 1, 2]])), mesh,
+        for other in (pymeshlab.Mesh(space[[0, 1, -1]], np.array([[0, 1, 2]])), mesh,
                       pymeshlab.Mesh(space)):
             meshes.add_mesh(other, other.label())
         meshes.set_current_mesh(1)
@@ -341,17 +361,17 @@ def _pymeshlab(whole):
         return View(mesh.vertex_matrix(), mesh.face_matrix(), _copy_data(point), _copy_data(cell),
                     field)
 
-    return Host(make, view, 2, "marker")
+    return Host(make, view, 2, "marker", "faces")
 
 
 def _open3d(kind):
     """A legacy TriangleMesh or TetraMesh, or a tensor mesh in single precision."""
     dim = 3 if kind == "tetra" else 2
 
-    def make():
+    def make(mesh=None):
         import open3d
 
-        points, cells, labels = grid(dim, 4)
+        points, cells, labels = mesh or grid(dim, 4)
         n, m = len(points), len(cells)
         space = np.column_stack([points, np.full(n, THIRD)])[:, :3]
         colours = np.random.default_rng(4).random((n, 3))
@@ -392,7 +412,7 @@ def _open3d(kind):
         return View(np.array(mesh.vertices), np.array(mesh.triangles), point, cell, field)
 
     region = {"tetra": None, "triangle": "material", "tensor": "marker"}[kind]
-    return Host(make, view, dim, region)
+    return Host(make, view, dim, region, "tetras" if dim == 3 else "triangles")
 
 
 PICTURE = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
