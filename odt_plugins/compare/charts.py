@@ -105,7 +105,7 @@ def histograms(result: MeshResult) -> str:
     out = []
     for k, ((i, row), share) in enumerate(zip(rows, shares, strict=True)):
         x, y = k % across * (width + 8), k // across * (height + 30)
-        body = (_text(0, 14, _clip(f"{i}. {row.contestant}", 33), size=11.5)
+        body = (_text(0, 14, _clip(f"{i}. {row.contestant}", 40), size=10.5)
                 + _steps(before, top, width, height, fill="#c9d1d9")
                 + _steps(share, top, width, height, fill=colour(row.family), opacity=0.75)
                 + _line(0, height + 4, width, height + 4, GREY))

@@ -117,7 +117,7 @@ def _draw_solid(axis: Any, result: MeshResult, worst: Worst) -> Any:
 def _paint(axis: Any, corners: FloatArray, quality: FloatArray) -> Any:
     from matplotlib.collections import PolyCollection
 
-    painted = PolyCollection(list(corners[:, :, :2]), cmap="RdYlBu", edgecolors=INK, linewidths=0.4,
+    painted = PolyCollection(list(corners[:, :, :2]), cmap="RdYlBu", edgecolors=INK, linewidths=0.2,
                              zorder=3)
     painted.set_array(quality)
     painted.set_clim(*SCALE)

@@ -107,9 +107,10 @@ class Row:
     better_than_ours: tuple[str, ...] = ()
 
     def to_dict(self) -> dict[str, Any]:
-        """Give the row as plain values."""
+        """Give the row as plain values, without the cells for the pictures."""
         out = asdict(self)
         if self.measured is not None:
+            del out["measured"]["worst"]
             out["measured"]["summary"] = self.measured.summary.to_dict()
             out["measured"]["boundary"] = self.measured.boundary._asdict()
         return out
