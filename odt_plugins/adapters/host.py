@@ -11,9 +11,10 @@ from numpy.typing import NDArray
 
 from odt_plugins.errors import InvalidOptionError
 
-REGION_ARRAYS = ("marker", "gmsh:physical", "medit:ref")
+REGION_ARRAYS = ("marker", "gmsh:physical", "gmsh:geometrical", "medit:ref", "cell_tags",
+                 "nastran:ref", "netgen:index", "tetgen:ref", "ugrid:ref", "avsucd:material")
 """Integer cell arrays taken as regions by default, in this order: the names that
-pytetwild.tetrahedralize_csg, Gmsh and Medit give to the material of a cell."""
+pytetwild.tetrahedralize_csg and the formats of meshio give to the material of a cell."""
 
 
 class KeptCells(NamedTuple):
@@ -94,7 +95,9 @@ def is_instance(mesh: object, module: str, name: str) -> bool:
 
 
 def region_array(arrays: Mapping[str, NDArray[Any]], name: str | None) -> NDArray[Any] | None:
-    """Choose the cell array of region labels: by name, or the first known one that has integers.
+    """Choose the cell array of region labels: by name, or the first known one of integers.
+
+    Of the known ones those with a single value are passed over: they part nothing.
 
     Raises
     ------
@@ -110,6 +113,8 @@ def region_array(arrays: Mapping[str, NDArray[Any]], name: str | None) -> NDArra
         return arrays[name]
     for known in REGION_ARRAYS:
         values = arrays.get(known)
-        if values is not None and values.ndim == 1 and values.dtype.kind in "iu":
+        if values is None or values.ndim != 1 or values.dtype.kind not in "iu":
+            continue
+        if (values != values[:1]).any():
             return values
     return None

@@ -52,8 +52,9 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
     Parameters
     ----------
     mesh : meshio.Mesh
-    regions : str or None      name of the cell data of region labels; None takes "marker",
-                               "gmsh:physical" or "medit:ref" if it is there
+    regions : str or None      name of the cell data of region labels, or of a cell set; None
+                               takes "marker", "gmsh:physical" or another known name if it is
+                               there, else the cell sets if every cell is in exactly one
 
     Raises
     ------
@@ -80,6 +81,11 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
     size = [len(mesh.cells[i].data) for i in chosen]
     arrays = {name: _joined(name, values, mesh, chosen)
               for name, values in mesh.cell_data.items()}
+    sets = _memberships(mesh, chosen, size)
+    labels = region_array(sets | arrays if regions is not None else arrays, regions)
+    if labels is None and sets:
+        inside = np.stack(list(sets.values()))
+        labels = np.argmax(inside, axis=0) if (inside.sum(axis=0) == 1).all() else None
     kept = tuple(
         _kept(block.type, np.asarray(block.data))
         for i, block in enumerate(mesh.cells)
@@ -92,7 +98,7 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
     return HostMesh(
         points=np.asarray(mesh.points),
         cells=nodes,
-        regions=region_array(arrays, regions),
+        regions=labels,
         blocks=np.repeat(np.arange(len(chosen)), size) if len(chosen) > 1 else None,
         kept=kept,
         source=mesh,
@@ -135,6 +141,22 @@ def _with_mid_nodes(out: Any, result: Result, host: HostMesh) -> Result:
                       for name, values in out.point_data.items()}
     out.point_sets = renumbered(out.point_sets, q)
     return Result(q.points, q.cells, result.source)
+
+
+def _memberships(mesh: Any, chosen: list[int], size: list[int]) -> dict[str, NDArray[np.bool_]]:
+    """Which of the optimised cells are in each cell set that has some of them."""
+    out = {}
+    for name, members in mesh.cell_sets.items():
+        if name in NOT_CELL_INDICES:
+            continue
+        inside = [np.zeros(count, dtype=np.bool_) for count in size]
+        for part, i in zip(inside, chosen, strict=True):
+            if members[i] is not None:
+                part[np.asarray(members[i], dtype=np.int64)] = True
+        whole = np.concatenate(inside)
+        if whole.any():
+            out[name] = whole
+    return out
 
 
 def _joined(name: str, values: list[Any], mesh: Any, chosen: list[int]) -> NDArray[Any]:
