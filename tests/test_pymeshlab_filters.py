@@ -464,7 +464,7 @@ def test_example_pipeline_from_a_scan_to_tetrahedra():
     result = example("meshlab_pipeline").main()
     points, cells = result["tet_vertex_matrix"], result["tet_matrix"]
     assert (contract.volumes(points, cells) > 0).all()
-    assert result["mean_radius_ratio"] > result["mean_radius_ratio_before"] + 0.03
+    assert result["mean_radius_ratio"] > result["mean_radius_ratio_before"] + 0.01
     assert result["mean_radius_ratio"] > 0.77
     # The holes are closed: every edge of the boundary has an even number of faces.
     edges = np.sort(np.array([pair for face in contract.facets(cells, np.zeros(len(cells), int))
