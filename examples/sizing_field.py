@@ -1,0 +1,48 @@
+"""A sizing field for TetWild that ODT keeps: small tetrahedra on one side, large on the other."""
+
+from __future__ import annotations
+
+import numpy as np
+import pyvista
+
+import odt_plugins
+
+SMALL, GROWTH = 0.12, 0.25
+"""Edge length at x = 0, and how much longer edges become on the way to x = 1."""
+
+
+def background() -> pyvista.UnstructuredGrid:
+    """Tetrahedra around the unit cube with an edge length at every vertex."""
+    grid = pyvista.ImageData(dimensions=(4, 4, 4), spacing=(0.4,) * 3, origin=(-0.1,) * 3)
+    tets = grid.to_tetrahedra()
+    tets.point_data["size"] = SMALL + GROWTH * np.clip(tets.points[:, 0], 0, 1)
+    tets.set_active_scalars("size")
+    return tets
+
+
+def deviation(mesh: pyvista.UnstructuredGrid) -> float:
+    """Spread of edge length over wanted edge length, as standard deviation of its logarithm."""
+    cells = mesh.cells_dict[10]
+    edges = cells[:, [0, 1, 0, 2, 0, 3, 1, 2, 1, 3, 2, 3]].reshape(-1, 2)
+    pairs = np.unique(np.sort(edges), axis=0)
+    ends = mesh.points[pairs]
+    length = np.linalg.norm(ends[:, 1] - ends[:, 0], axis=1)
+    wanted = SMALL + GROWTH * np.clip(ends.mean(axis=1)[:, 0], 0, 1)
+    return float(np.log(length / wanted).std())
+
+
+def main() -> dict[str, tuple[float, float]]:
+    """Return mean radius ratio and spread of sizes for TetWild alone and with ODT after it."""
+    odt_plugins.register("pyvista")
+    cube = pyvista.Box((0, 1, 0, 1, 0, 1)).triangulate()
+    field = background()
+    found = {}
+    for name, odt in (("TetWild", False), ("TetWild and ODT", True)):
+        grid = cube.odt.tetrahedralize(sizing_field=field, edge_length_fac=0.15, odt=odt)
+        found[name] = (grid.odt.quality().mean_quality, deviation(grid))
+    return found
+
+
+if __name__ == "__main__":
+    for name, (quality, spread) in main().items():
+        print(f"{name:16} mean radius ratio {quality:.3f}, spread of sizes {spread:.3f}")
