@@ -30,7 +30,8 @@ def colours(path):
             for side in (pixels[:, :half], pixels[:, half:])]
 
 
-def test_a_tetwild_mesh_is_improved():
+def test_a_tetwild_mesh_is_improved(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # pytetwild writes a file there
     for name in ("pytetwild", "pyvista"):
         pytest.importorskip(name)
     report = example("tetwild_postprocess").main()
