@@ -24,7 +24,7 @@ from odt_plugins.options import Options, Progress
 from odt_plugins.promise import broken_promises
 
 LOCKED_QUALITY = 0.3
-LOCKED_ANGLES = (12.0, 160.0)
+LOCKED_ANGLES = (14.0, 157.0)
 """What a cell without a movable vertex must reach when there was none such before (d = 3)."""
 
 

@@ -44,4 +44,4 @@ def tail(dim: int) -> tuple[Phase, ...]:
     """Phases for the worst cells: fewer and fewer of them, a larger and larger p."""
     if dim == 2:
         return (Phase(4.0, 0.05, 10, 2), Phase(8.0, 0.01, 10, 2), Phase(16.0, 0.003, 10, 2))
-    return (Phase(2.0, 0.1, 2, 3), Phase(4.0, 0.02, 2, 3, 3), Phase(8.0, 0.002, 2, 3))
+    return (Phase(2.0, 0.1, 2, 3), Phase(4.0, 0.03, 2, 3, 3), Phase(8.0, 0.002, 2, 3))
