@@ -52,7 +52,7 @@ def _cell(row: Row | None, result: MeshResult) -> str:
     if row.measured is None or row.timing is None:
         return row.status
     seconds = row.timing.median
-    time = f"{seconds:.1f} s" if seconds >= 0.1 else f"{seconds:.2f} s"
+    time = f"{seconds:.1f} s" if seconds >= 0.1 else f"{seconds:.1g} s"
     text = f"{_figures(row.measured.summary, row.better_than_ours)}, {time}"
     return text + "".join(f", {note}" for note in _notes(row, result))
 

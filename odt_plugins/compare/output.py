@@ -144,9 +144,10 @@ def verdict(result: MeshResult) -> str:
 def cells_of(measured: Measured) -> dict[str, str]:
     """Figures of a mesh as the words that stand in the tables."""
     s, b, p = measured.summary, measured.boundary, measured.poisson
-    boundary = b.verdict
+    boundary = farthest = b.verdict
     if b.verdict == "moved" and b.outward is not None and b.inward is not None:
-        boundary = f"{b.verdict} {b.outward:.0e} / {b.inward:.0e}"
+        boundary = f"moved {b.outward:.0e} / {b.inward:.0e}"
+        farthest = f"moved {max(b.outward, b.inward):.0e}"
     change = measured.volume_change
     return {
         "min_quality": f"{s.min_quality:.4f}", "p1_quality": f"{s.p1_quality:.3f}",
@@ -155,6 +156,7 @@ def cells_of(measured: Measured) -> dict[str, str]:
         "below_10": str(s.below_10), "below_20": str(s.below_20),
         "inverted": str(s.inverted), "uniformity": f"{100 * s.uniformity:.1f}",
         "n_points": str(s.n_points), "n_cells": str(s.n_cells), "boundary": boundary,
+        "farthest": farthest,
         "volume": "" if change is None else "0" if abs(change) < 1e-12 else f"{change:+.0e}",
         "condition": f"{p.condition:.3g}" if p else "", "cg": str(p.cg_steps) if p else "",
         "amg": str(p.amg_steps) if p else "", "l2": f"{p.l2_error:.2e}" if p else "",

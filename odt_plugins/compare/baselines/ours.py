@@ -24,7 +24,7 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
         try:
             optimize(mesh, rounds=0, cycles=0)
         except UnsupportedMeshError as exc:
-            raise NotPossibleError(str(exc).split(";")[0]) from exc
+            raise NotPossibleError(str(exc).split(":")[0]) from exc
 
     def call() -> Any:
         return optimize(mesh, **options)
