@@ -220,6 +220,12 @@ def test_files_of_a_tool_stay_out_of_the_working_directory(faulty, tmp_path, mon
     assert os.listdir(here) == []
 
 
+def test_memory_is_that_of_the_contestant_and_not_of_this_process():
+    ballast = np.ones(60_000_000)
+    run = run_contestant(ball(60), contestant("Laplacian"), ONCE)
+    assert run.facts["peak"] < ballast.nbytes
+
+
 def test_a_package_that_is_not_installed_is_a_row_that_names_the_extra(monkeypatch):
     absent = replace(contestant("Gmsh default"), package="no-such-package")
     row = compare_on(ball(60), [absent], ONCE, poisson=False).rows[0]

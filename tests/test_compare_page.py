@@ -41,6 +41,8 @@ addEventListener("load", () => {
     svgs: [...document.querySelectorAll("svg")].map(visible),
     images: [...document.images].map(i => i.naturalWidth > 100 && visible(i)),
     cells: [...document.querySelectorAll("td")].length,
+    cut: [...document.querySelectorAll(".scroll")].filter(e => e.scrollWidth > e.clientWidth + 1)
+      .length,
     outside: [...document.querySelectorAll("svg text")].filter(t => {
       const a = box(t), b = box(t.ownerSVGElement);
       return a.left < b.left - 2 || a.right > b.right + 2 || a.bottom > b.bottom + 2;
@@ -112,6 +114,7 @@ def test_page_is_laid_out_by_a_browser_without_complaint(page, tmp_path, results
     assert all(found["svgs"])
     assert found["images"] == [True] * len(results)
     assert found["outside"] == []
+    assert found["cut"] == 0
     assert found["cells"] > 15 * sum(len(r.rows) for r in results)
 
 
