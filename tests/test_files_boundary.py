@@ -70,13 +70,16 @@ def test_triangles_beside_tetrahedra_stay_in_the_file(suffix, churn, tmp_path, m
         assert np.array_equal(after.field_data[key], value)
 
 
-def test_volumes_of_gmsh_count_where_there_are_no_physical_groups(tmp_path, monkeypatch):
-    monkeypatch.setattr(driver, "run", contract.churn)
+def test_volumes_of_gmsh_count_where_there_are_no_physical_groups(monkeypatch):
+    seen = []
+    monkeypatch.setattr(driver, "run", lambda mesh, options: seen.append(mesh) or contract.churn(
+        mesh, options))
     points, cells, labels, triangles, reference = _parts()
     data = {"gmsh:physical": [np.zeros(len(reference), int), np.zeros(len(cells), int)],
             "gmsh:geometrical": [reference, labels]}
     mesh = meshio.Mesh(points, [("triangle", triangles), ("tetra", cells)], cell_data=data)
     out = odt_plugins.optimize(mesh)
+    assert np.array_equal(seen[0].regions, labels - 1)
     _consistent(out, out.cell_data["gmsh:geometrical"][1], out.cells[1].data)
 
 

@@ -150,6 +150,8 @@ def test_texture_coordinates_follow_and_seams_stay(kind):
         mesh.triangle["texture_uvs"] = uv.astype(np.float32)
     else:
         mesh.triangle_uvs = open3d.utility.Vector2dVector(uv.reshape(-1, 2))
+    blocks = open3d_mesh.read(mesh).blocks
+    assert (len(set(blocks)), len(set(zip(blocks, chart, strict=True)))) == (2, 2)
     out = odt_plugins.optimize(mesh)
     after = view(kind, out)
     if kind == "tensor":

@@ -168,26 +168,53 @@ def test_corners_keep_their_index_when_they_come_first(monkeypatch, d):
     assert out.points[:n].tobytes() == lone[:n].tobytes()
 
 
+FIVE = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0.3, 0.3, 1], [0.3, 0.3, -1]])
+TWO, THREE = [[0, 1, 2, 3], [0, 2, 1, 4]], [[0, 1, 4, 3], [1, 2, 4, 3], [2, 0, 4, 3]]
+
+
+def wide(cells):
+    """Nodes, rows and mid-nodes by edge of a straight quadratic mesh of FIVE."""
+    mid, nodes, rows = {}, list(FIVE), []
+    for cell in cells:
+        row = list(cell)
+        for i, j in EDGES[3]:
+            edge = tuple(sorted((cell[i], cell[j])))
+            if edge not in mid:
+                mid[edge] = len(nodes)
+                nodes.append((FIVE[edge[0]] + FIVE[edge[1]]) / 2)
+            row.append(mid[edge])
+        rows.append(row)
+    return np.array(nodes), np.array(rows), mid
+
+
+@pytest.mark.parametrize("host", MAKERS)
+def test_other_cells_follow_when_the_indices_close_up(host, monkeypatch):
+    pytest.importorskip(host)
+    nodes, rows, mid = wide(THREE)
+    line = [1, 2, mid[1, 2]]
+    assert line[2] > mid[3, 4]
+    monkeypatch.setattr(driver, "run", lambda mesh, options: driver.Outcome(
+        mesh.points, np.array(TWO, dtype=np.int32), np.zeros(2, dtype=np.int32)))
+    if host == "meshio":
+        mesh = meshio.Mesh(nodes, [("tetra10", rows), ("line3", [line])])
+        out = odt_plugins.optimize(mesh)
+        new, beside = out.cells[0].data, out.cells[1].data[0]
+    else:
+        import pyvista
+
+        flat = np.concatenate([[len(p), *p] for p in [line, *rows.tolist()]])
+        types = np.array([21, 24, 24, 24], dtype=np.uint8)
+        out = odt_plugins.optimize(pyvista.UnstructuredGrid(flat, types, nodes))
+        new, beside = out.cells_dict[24], np.array(out.get_cell(0).point_ids)
+    assert len(out.points) == len(nodes) - 1
+    assert np.array_equal(out.points[beside], nodes[line])
+    assert edges_of(new, 3)[1, 2] == beside[2] == line[2] - 1
+
+
 def test_more_edges_get_nodes_at_the_end_and_fewer_close_up():
     """Two tetrahedra on one face become three around an edge, and back."""
-    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0.3, 0.3, 1], [0.3, 0.3, -1]])
-    two, three = [[0, 1, 2, 3], [0, 2, 1, 4]], [[0, 1, 4, 3], [1, 2, 4, 3], [2, 0, 4, 3]]
-
-    def wide(cells):
-        mid, nodes, rows = {}, list(points), []
-        for cell in cells:
-            row = list(cell)
-            for i, j in EDGES[3]:
-                edge = tuple(sorted((cell[i], cell[j])))
-                if edge not in mid:
-                    mid[edge] = len(nodes)
-                    nodes.append((points[edge[0]] + points[edge[1]]) / 2)
-                row.append(mid[edge])
-            rows.append(row)
-        return np.array(nodes), np.array(rows), mid
-
-    nodes, rows, _ = wide(two)
-    result = Result(nodes, np.array(three), np.array([0, 0, 1], dtype=np.int32))
+    nodes, rows, _ = wide(TWO)
+    result = Result(nodes, np.array(THREE), np.array([0, 0, 1], dtype=np.int32))
     q = with_mid_nodes(result, nodes, rows, np.zeros(0, dtype=int))
     assert len(q.points) == len(nodes) + 1
     assert q.points[-1] == pytest.approx([0.3, 0.3, 0.0])
@@ -195,8 +222,8 @@ def test_more_edges_get_nodes_at_the_end_and_fewer_close_up():
     assert q.gone.size == 0
     assert carried_point_data("x", nodes[:, 2], q)[-1] == 0.0
 
-    nodes, rows, mid = wide(three)
-    result = Result(nodes, np.array(two), np.array([0, 1], dtype=np.int32))
+    nodes, rows, mid = wide(THREE)
+    result = Result(nodes, np.array(TWO), np.array([0, 1], dtype=np.int32))
     lost = mid[3, 4]
     for kept in ([], [lost]):
         q = with_mid_nodes(result, nodes, rows, np.array(kept, dtype=int))

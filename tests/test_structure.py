@@ -42,14 +42,16 @@ MAY_IMPORT = {
 """Rooms that a room may import: DESIGN section 2."""
 
 TOOLKITS = {
-    "pyvista": {"adapters/pyvista_mesh.py", "hosts/pyvista_accessor.py", "plotting.py", "demo.py", "compare/hull.py"},
+    "pyvista": {"adapters/pyvista_mesh.py", "hosts/pyvista_accessor.py", "plotting.py", "demo.py",
+                "compare/hull.py"},
     "vtkmodules": {"adapters/pyvista_mesh.py", "plotting.py"},
     "meshio": {"adapters/meshio_mesh.py", "adapters/files.py", "demo.py", "script.py"},
     "matplotlib": {"plotting.py", "compare/pictures.py"},
     "pytetwild": {"demo.py", "compare/baselines/tetwild.py"},
     "pymeshlab": {"adapters/pymeshlab_mesh.py", "hosts/pymeshlab_filters.py", "script.py",
                   "compare/baselines/meshlab.py"},
-    "open3d": {"adapters/open3d_mesh.py", "hosts/open3d_filters.py", "compare/baselines/open3d_smooth.py"},
+    "open3d": {"adapters/open3d_mesh.py", "hosts/open3d_filters.py",
+               "compare/baselines/open3d_smooth.py"},
 }
 """Files that may import a toolkit, inside a function."""
 
