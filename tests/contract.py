@@ -382,8 +382,8 @@ def _open3d(kind):
                 mesh.vertex[name] = values
             for name, values in {**cell, "inside": np.arange(m) % 3 == 0}.items():
                 mesh.triangle[name] = values
-            mesh.material.material_name = "defaultLit"
             mesh.material.set_default_properties()
+            mesh.material.material_name = "defaultLit"
             mesh.material.texture_maps["albedo"] = open3d.t.geometry.Image(PICTURE)
             return mesh
         corners = open3d.utility.Vector3dVector(space)

@@ -453,3 +453,44 @@ def test_registering_makes_them_methods():
                           check=False)
     assert done.returncode == 0, done.stderr
     assert done.stdout.split() == ["True"] * 5
+
+
+def test_the_material_of_the_result_is_its_own():
+    mesh = make("tensor")
+    out = odt_plugins.optimize(mesh)
+    out.material.material_name = "other"
+    out.material.scalar_properties["metallic"] = 0.75
+    assert mesh.material.material_name == "defaultLit"
+    assert mesh.material.scalar_properties["metallic"] == 0.0
+
+
+ALL = """
+import sys
+import numpy as np, odt_plugins
+names = sys.argv[1].split(",")
+for name in names:
+    odt_plugins.register(name)
+import open3d, pymeshlab, pyvista
+points = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0], [.9, .8, 0]])
+cells = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]], dtype=np.int32)
+legacy = open3d.geometry.TriangleMesh(open3d.utility.Vector3dVector(points),
+                                      open3d.utility.Vector3iVector(cells))
+surface = pyvista.PolyData.from_regular_faces(points, cells)
+meshes = pymeshlab.MeshSet()
+meshes.add_mesh(pymeshlab.Mesh(points, cells))
+meshes.meshing_odt_optimization()
+results = [np.asarray(legacy.optimize_odt().vertices), surface.odt.optimize().points,
+           meshes.current_mesh().vertex_matrix()]
+print(all(np.array_equal(results[0], r) for r in results), np.array_equal(results[0], points))
+"""
+
+
+@pytest.mark.parametrize("order", ["pymeshlab,open3d,pyvista", "pyvista,open3d,pymeshlab",
+                                   "open3d,pymeshlab,pyvista"])
+def test_all_toolkits_give_the_same_in_one_process(order):
+    pytest.importorskip("pyvista")
+    pytest.importorskip("pymeshlab")
+    done = subprocess.run([sys.executable, "-c", ALL, order], capture_output=True, text=True,
+                          check=False)
+    assert done.returncode == 0, done.stderr[-800:]
+    assert done.stdout.split()[-2:] == ["True", "False"]
