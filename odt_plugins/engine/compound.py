@@ -22,6 +22,8 @@ LARGEST_STAR = 128
 ROUNDS = 2
 DEEP = 2.0
 """A descent that is still this many times the worst cell's own cost down is given up."""
+HOPELESS = 10.0
+"""A forced flip that costs more than this many times the worst cell's own cost is not tried."""
 GAIN = 1e-3
 """Least gain, as part of the worst cell's own cost, for which a compound move stays."""
 
@@ -117,6 +119,9 @@ def compound_pass(
                     QUALITY, power, bounds, True, work, journal,
                 )
             if n_new == 0:
+                continue
+            if total < -HOPELESS * quality_cost(q, power):
+                take_back(cells, neighbors, status, slots, free, journal)
                 continue
             n_touched = _push(touched, 0, around, n_new)
             n_undo = 0

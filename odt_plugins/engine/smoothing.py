@@ -27,7 +27,7 @@ FAR = 0.1
 MODERATE = 20_000
 """Most cells for which "auto" asks scipy in the first round; beyond, local flips are cheaper."""
 
-CONVERGED = 3e-4
+CONVERGED = 1e-3
 PATIENCE = 5
 """A stage ends when PATIENCE rounds have lowered the least energy by less than CONVERGED of it."""
 

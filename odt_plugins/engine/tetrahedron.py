@@ -24,6 +24,8 @@ def quality_cost(q: float, power: float) -> float:
     The powers in use need no general power function.
     """
     q = (q + SHIFT) / (1.0 + SHIFT)
+    if power == 0.5:
+        return 1.0 / math.sqrt(q)
     if power == 1.0:
         return 1.0 / q
     square = 1.0 / (q * q)
