@@ -2,9 +2,6 @@
 
 from __future__ import annotations
 
-import subprocess
-import sys
-import tempfile
 import time
 from collections.abc import Callable
 from importlib.util import find_spec
@@ -16,6 +13,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.errors import MeshFileError, MissingDependencyError
 from odt_plugins.report import Report
+from odt_plugins.tetwild import tetrahedralize
 
 BUNNY = Path("tests", "sample_meshes", "bunny10k_textured.obj")
 """Place of the bunny inside the pymeshlab package."""
@@ -55,7 +53,8 @@ def run_demo(
     Raises
     ------
     MissingDependencyError   pymeshlab, pytetwild or matplotlib is not installed
-    MeshFileError            `out` cannot be written to, or TetWild gave no mesh
+    MeshFileError            `out` cannot be written to
+    InvalidMeshError         TetWild gave no mesh
     """
     from odt_plugins.adapters import files
     from odt_plugins.api import optimize_file
@@ -74,7 +73,9 @@ def run_demo(
     say(f"Stanford bunny: {len(points)} vertices, {len(faces)} triangles")
     say("TetWild fills it with tetrahedra (half a minute or so) ...")
     start = time.perf_counter()
-    vertices, tets = tetrahedralize(points, faces, edge_length, epsilon)
+    vertices, tets = tetrahedralize(
+        points, faces, edge_length_fac=edge_length, epsilon=epsilon, vtk_ordering=True, odt=False
+    )
     say(f"  {len(vertices)} vertices, {len(tets)} tetrahedra in "
         f"{time.perf_counter() - start:.0f} s")
     import meshio
@@ -119,44 +120,6 @@ def read_obj(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
             corner = [int(word.split("/")[0]) for word in words[:3]]
             faces.append([i - 1 if i > 0 else len(points) + i for i in corner])
     return np.array(points), np.array(faces, dtype=np.int32)
-
-
-def tetrahedralize(
-    points: NDArray[np.float64], faces: NDArray[np.int32], edge_length: float, epsilon: float
-) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Run TetWild in a process and a directory of its own.
-
-    It writes files into its working directory, and its C++ code cannot be interrupted.
-
-    Raises
-    ------
-    MeshFileError    TetWild ended without a mesh
-    """
-    with tempfile.TemporaryDirectory(prefix="odt-plugins-") as folder:
-        np.savez(Path(folder) / "surface.npz", points=points, faces=faces)
-        done = subprocess.run(
-            [sys.executable, "-c", TETWILD, str(edge_length), str(epsilon)],
-            cwd=folder, capture_output=True, text=True, check=False,
-        )
-        result = Path(folder) / "tets.npz"
-        if done.returncode or not result.is_file():
-            last = (done.stderr.strip().splitlines() or [f"it ended with {done.returncode}"])[-1]
-            msg = f"TetWild gave no mesh of the bunny: {last}; try another --edge-length"
-            raise MeshFileError(msg)
-        with np.load(result) as data:
-            return data["points"], data["cells"]
-
-
-TETWILD = """
-import sys
-import numpy as np
-import pytetwild
-surface = np.load("surface.npz")
-points, cells = pytetwild.tetrahedralize(
-    surface["points"], surface["faces"], edge_length_fac=float(sys.argv[1]),
-    epsilon=float(sys.argv[2]), vtk_ordering=True)
-np.savez("tets.npz", points=points, cells=cells)
-"""
 
 
 def _require(*names: str) -> None:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 
 from odt_plugins import cli, demo
-from odt_plugins.errors import MeshFileError, MissingDependencyError
+from odt_plugins.errors import MissingDependencyError
 
 STORED = Path(__file__).parent / "data" / "tetwild_bunny.vtu"
 
@@ -43,25 +43,6 @@ def test_obj_counts_from_one_and_backwards(tmp_path: Path) -> None:
     assert faces.tolist() == [[0, 1, 2], [0, 3, 1]]
 
 
-def test_tetwild_fills_a_cube_and_leaves_nothing_behind(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    pytest.importorskip("pytetwild")
-    monkeypatch.chdir(tmp_path)
-    points, cells = demo.tetrahedralize(CUBE, FACES, 0.4, 1e-2)
-    corner = points[cells]
-    size = np.linalg.det(corner[:, 1:] - corner[:, :1])
-    assert (size > 0).all()
-    assert size.sum() / 6 == pytest.approx(1.0, rel=0.05)
-    assert list(tmp_path.iterdir()) == []
-
-
-def test_tetwild_that_fails_is_one_sentence(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(demo, "TETWILD", "raise RuntimeError('no tets today')")
-    with pytest.raises(MeshFileError, match=r"TetWild gave no mesh of the bunny: .*no tets today"):
-        demo.tetrahedralize(CUBE, FACES, 0.4, 1e-2)
-
-
 def test_a_missing_toolkit_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     monkeypatch.setattr(demo, "find_spec", lambda name: None)
     with pytest.raises(MissingDependencyError, match=r'pymeshlab and pytetwild.*\[all\]'):
@@ -78,7 +59,7 @@ def test_the_demo_writes_what_it_says(
         pytest.importorskip(name)
     stored = meshio.read(STORED)
     made = (stored.points, stored.cells_dict["tetra"].astype(np.int32))
-    monkeypatch.setattr(demo, "tetrahedralize", lambda *_: made)
+    monkeypatch.setattr(demo, "tetrahedralize", lambda *_, **__: made)
     assert cli.main(["demo", "--out", str(tmp_path / "out"), "--threads", "1"]) == 0
     text = capsys.readouterr().out
     assert sorted(p.name for p in (tmp_path / "out").iterdir()) == sorted(demo.FILES)
