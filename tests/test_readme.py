@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import click
 import pytest
 
 from odt_plugins import cli
@@ -41,7 +42,7 @@ def test_a_snippet_runs_as_it_stands(code: str, tmp_path: Path) -> None:
 @pytest.mark.parametrize("line", [c for c in COMMANDS if c.startswith("odt-plugins")])
 def test_a_command_of_the_readme_has_known_flags_and_values(line: str) -> None:
     _, name, *words = shlex.split(line)
-    command = cli.cli.commands[name]
+    command = cli.cli.get_command(click.Context(cli.cli), name)
     command.make_context(name, words)
 
 
