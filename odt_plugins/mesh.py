@@ -71,7 +71,8 @@ def simplex_mesh(
     Parameters
     ----------
     points : (n, d) float32 or float64    d = 2 or 3, any unit
-    cells : (m, d + 1) int                triangles in the plane or tetrahedra in space
+    cells : (m, d + 1) int                triangles in the plane or tetrahedra in space; floats
+                                          that hold integers are taken too
     regions : (m,) int                    labels of any integer type, compacted to 0, 1, ...
                                           in increasing order
     fixed : (n,) bool or (k,) int         vertices that must not move
@@ -271,7 +272,8 @@ def _check_vertices(t: IntArray) -> None:
 
 def _signs(p: FloatArray, t: IntArray) -> NDArray[np.int8]:
     """Sign of every signed volume, (m,) int8; raises when one of them is zero."""
-    span = float((p.max(axis=0) - p.min(axis=0)).max())
+    used = np.unique(t)
+    span = float((p[used].max(axis=0) - p[used].min(axis=0)).max())
     if span != 0.0 and not 1.0 / SPAN_LIMIT < span < SPAN_LIMIT:
         msg = (
             f"the mesh is {span:.1e} long; expected between {1 / SPAN_LIMIT:.0e} and "
@@ -327,10 +329,11 @@ def _check_facets(t: IntArray, n: int) -> None:
     if crowded.size:
         column = int(np.flatnonzero(count[inverse].reshape(key.shape)[crowded[0]] > 2)[0])
         vertices = np.delete(ordered[crowded[0]], column).tolist()
+        n_crowded = int((count > 2).sum())
+        found = f"1 {noun} belongs" if n_crowded == 1 else f"{n_crowded} {noun}s belong"
         msg = (
-            f"{int((count > 2).sum())} {noun}s belong to more than two cells (non-manifold), the "
-            f"first of cell {crowded[0]} with vertices {vertices}; expected at most two, "
-            f"try removing the cells that overlap"
+            f"{found} to more than two cells (non-manifold), the first of cell {crowded[0]} with "
+            f"vertices {vertices}; expected at most two, try removing the cells that overlap"
         )
         raise InvalidMeshError(msg)
     _, inverse, count = np.unique(key * 2 + side, return_inverse=True, return_counts=True)

@@ -202,6 +202,8 @@ def test_bad_values_are_counted_and_named(d, value):
         ([object()], "list"),
         (lambda x: np.ones(3), r"shape \(3,\)"),
         (lambda x: ["a"] * len(x), "list"),
+        (lambda x: np.ones(len(x)) + 1j, "dtype complex128 that is no array of real numbers"),
+        (np.array(["1.0", "2.0"]), "dtype <U3 that is no array of real numbers"),
     ],
 )
 def test_wrong_specifications_are_refused(d, spec, text):

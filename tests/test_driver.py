@@ -253,6 +253,8 @@ def test_an_optimum_comes_back_unchanged(d):
     outcome = run(single, Options())
     assert outcome.points.tobytes() == single.points.tobytes()
     assert np.array_equal(outcome.cells, single.cells)
+    assert outcome.fallback is None
+    assert outcome.stop_reason.startswith("nothing could be improved (")
 
 
 def test_energy_in_one_pass_equals_the_formula(d):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import contract
 import numpy as np
 import pytest
@@ -96,7 +98,7 @@ BAD_ARRAYS = {
     "repeated cell": (lambda p, t: (p, np.vstack([t, np.roll(t[1:2], 1 if t.shape[1] == 3 else 2,
                                                              axis=1)])),
                       r"got 1 cell \(first: cell [46]\) with the same vertices.*\(cell 1\)"),
-    "three on a facet": (_third, r"1 (edge|face)s belong to more than two cells \(non-manifold\)"),
+    "three on a facet": (_third, r"1 (edge|face) belongs to more than two cells \(non-manifold\)"),
     "folded": (_folded, r"got 2 cells \(first: cell 0\) overlapping a neighbour"),
     "too small": (lambda p, t: (p * 1e-60, t), r"the mesh is 1\.0e-60 long"),
     "too large": (lambda p, t: (p * 1e60, t), r"the mesh is 1\.0e\+60 long"),
@@ -281,6 +283,34 @@ def test_unused_vertices_are_kept(d):
     out_points, out_cells = odt_plugins.optimize((far, cells + 1))
     assert out_points[[0, -2, -1]].tobytes() == far[[0, -2, -1]].tobytes()
     assert out_cells.min() == 1
+
+
+@pytest.mark.parametrize("place", [1e250, 1.7e308])
+def test_unused_vertices_may_be_anywhere(place, d):
+    points, cells, _ = contract.grid(d, 3)
+    far = np.vstack([np.full((1, d), -place), points, np.full((1, d), place)])
+    near = odt_plugins.optimize((points, cells))
+    out_points, out_cells = odt_plugins.optimize((far, cells + 1))
+    assert out_points[1:-1].tobytes() == near[0].tobytes()
+    assert np.array_equal(out_cells - 1, near[1])
+    assert out_points[[0, -1]].tobytes() == far[[0, -1]].tobytes()
+    expected = replace(odt_plugins.measure((points, cells)), n_points=len(far))
+    assert odt_plugins.measure((far, cells + 1)) == expected
+
+
+def test_many_crowded_facets_are_counted():
+    points = np.vstack([np.eye(3), np.zeros((1, 3)), 2.0 * np.ones((3, 3)) + np.eye(3)])
+    points[5] *= 1.5
+    cells = np.array([[3, 0, 1, 2], [0, 1, 2, 4], [0, 1, 2, 5], [0, 1, 4, 3], [0, 1, 4, 6]])
+    with pytest.raises(InvalidMeshError, match="2 faces belong to more than two cells"):
+        simplex_mesh(points, cells, orient=True)
+
+
+@pytest.mark.parametrize("density", [np.ones(5) + 1j, np.array(["1.0"] * 5),
+                                     lambda x: np.ones(len(x)) * (1 + 2j)])
+def test_densities_that_are_no_real_numbers_are_refused(density):
+    with pytest.raises(InvalidOptionError, match=r"dtype (complex128|<U3) .* real numbers"):
+        odt_plugins.optimize(square(), density=density)
 
 
 def test_non_manifold_boundary_edges_and_points_are_allowed():

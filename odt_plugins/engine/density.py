@@ -218,14 +218,20 @@ def size_field(points: FloatArray, cells: IntArray, passes: int = SMOOTHING_PASS
 
 
 def _as_floats(values: Any) -> FloatArray:
+    cause: Exception | None = None
+    found = type(values).__name__
     try:
-        return np.array(values, dtype=np.float64)
+        raw = np.asarray(values)
+        if raw.dtype.kind in "biuf":
+            return np.array(raw, dtype=np.float64)
+        found += f" and dtype {raw.dtype}"
     except (TypeError, ValueError) as error:
-        msg = (
-            f"got a density of type {type(values).__name__} that is no array of numbers, expected "
-            f"one of {', '.join(NAMES)}, an array or a function, try density='keep'"
-        )
-        raise InvalidOptionError(msg) from error
+        cause = error
+    msg = (
+        f"got a density of type {found} that is no array of real numbers, expected "
+        f"one of {', '.join(NAMES)}, an array or a function, try density='keep'"
+    )
+    raise InvalidOptionError(msg) from cause
 
 
 def _check_positive(values: FloatArray) -> None:

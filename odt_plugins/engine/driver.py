@@ -7,6 +7,7 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -132,19 +133,17 @@ def make_frame(mesh: SimplexMesh) -> tuple[Frame, IntArray]:
     """
     active = np.flatnonzero(~mesh.frozen)
     cells = mesh.cells[active]
-    used = np.unique(cells)
-    vertices, order = curve_order(mesh.points, cells)
-    in_use = np.zeros(len(mesh.points), dtype=bool)
-    in_use[used] = True
-    vertices = vertices[in_use[vertices]]
-    rank = np.full(len(mesh.points), -1, dtype=np.int32)
-    rank[vertices] = np.arange(len(vertices), dtype=np.int32)
-    low = mesh.points[used].min(axis=0)
-    high = mesh.points[used].max(axis=0)
+    used, inner = np.unique(cells, return_inverse=True)
+    inner = inner.reshape(cells.shape).astype(np.int32)
+    points = mesh.points[used]
+    vertices, order = curve_order(points, inner)
+    rank = np.empty(len(used), dtype=np.int32)
+    rank[vertices] = np.arange(len(used), dtype=np.int32)
+    low, high = points.min(axis=0), points.max(axis=0)
     span = float((high - low).max())
     scale = 2.0 ** -round(math.log2(span)) if span > 0.0 else 1.0
-    frame = Frame(vertices, active[order], 0.5 * (low + high), scale)
-    return frame, np.ascontiguousarray(rank[cells[order]])
+    frame = Frame(used[vertices], active[order], 0.5 * (low + high), scale)
+    return frame, np.ascontiguousarray(rank[inner[order]])
 
 
 def locked_vertices(mesh: SimplexMesh) -> tuple[BoolArray, BoolArray]:
@@ -216,8 +215,8 @@ def _density(
     if callable(spec):
         function = spec
 
-        def inner(inner_points: FloatArray) -> FloatArray:
-            return np.asarray(function(frame.outside(inner_points)), dtype=np.float64)
+        def inner(inner_points: FloatArray) -> Any:
+            return function(frame.outside(inner_points))
 
         spec = inner
     elif not isinstance(spec, str):
@@ -340,6 +339,8 @@ def _best(
                            fallback=fallback)
         log.add("states refused", 1)
         broken = faults
+    if not broken:
+        return _unchanged(mesh, f"nothing could be improved ({reason})")
     unchanged = _unchanged(mesh, reason)
     return replace(
         unchanged,
