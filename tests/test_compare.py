@@ -307,6 +307,7 @@ def test_rows_tell_figures_time_memory_and_repeats(result):
     assert ours.repeats_itself in (True, None)
     assert ours.timing.least <= ours.timing.median <= ours.timing.most
     assert ours.timing.compile is not None
+    assert 0 < ours.timing.cpu < 10
     assert ours.measured.summary.min_quality > result.measured.summary.min_quality
     assert sum(ours.measured.histogram) == ours.measured.summary.n_cells
     assert ours.measured.poisson.cg_steps <= result.measured.poisson.cg_steps

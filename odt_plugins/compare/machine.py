@@ -20,6 +20,8 @@ def describe(threads: int, seed: int) -> dict[str, str | int]:
         "cores": os.cpu_count() or 1, "system": platform.platform(),
         "python": platform.python_version(), "threads": threads, "seed": seed,
     }
+    if hasattr(os, "getloadavg"):
+        facts["load at the end"] = f"{os.getloadavg()[0]:.1f}"
     for name in PACKAGES:
         try:
             facts[name] = version(name)

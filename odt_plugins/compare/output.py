@@ -183,7 +183,7 @@ def _page_row(number: int, row: Row, rows: Sequence[Row]) -> dict[str, Any]:
     }
     if row.timing is not None:
         t = row.timing
-        out |= {"median": seconds(t.median),
+        out |= {"median": seconds(t.median), "cpu": seconds(t.cpu),
                 "spread": "" if t.runs == 1 else f"{seconds(t.least)}..{seconds(t.most)}",
                 "memory": f"{t.peak / 1e6:.0f}", "growth": f"{t.growth / 1e6:.0f}",
                 "convert": f"{t.convert:.2f}", "imports": f"{t.imports:.1f}",
@@ -232,7 +232,8 @@ def _row_columns(row: Row) -> dict[str, Any]:
         out |= _columns(row.measured)
     if t is not None:
         out |= {"seconds": t.median, "seconds_min": t.least, "seconds_max": t.most,
-                "repeats": t.runs, "seconds_convert": t.convert, "seconds_import": t.imports,
+                "repeats": t.runs, "seconds_cpu": t.cpu,
+                "seconds_convert": t.convert, "seconds_import": t.imports,
                 "seconds_compile": t.compile, "peak_bytes": t.peak, "growth_bytes": t.growth,
                 "repeats_itself": row.repeats_itself, "mean_quality_spread": row.spread}
     return out

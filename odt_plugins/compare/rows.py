@@ -57,7 +57,10 @@ class Measured:
 
 @dataclass(frozen=True)
 class Timing:
-    """Seconds of all repeats: median, least, most; memory in bytes."""
+    """Seconds of all repeats: median, least, most; memory in bytes.
+
+    `cpu` is the median of the processor time, which other work on the machine disturbs less.
+    """
 
     runs: int
     median: float
@@ -68,6 +71,7 @@ class Timing:
     compile: float | None
     peak: int
     growth: int
+    cpu: float
 
 
 @dataclass(frozen=True)
@@ -185,7 +189,8 @@ def make_row(
     seconds = facts["seconds"]
     timing = Timing(len(seconds), float(np.median(seconds)), min(seconds), max(seconds),
                     float(np.median(facts["convert"])), facts["import"], facts["compile"],
-                    facts["peak"], facts["peak"] - facts["peak_before"])
+                    facts["peak"], facts["peak"] - facts["peak_before"],
+                    float(np.median(facts["cpu"][:len(seconds)])))
     return replace(row, measured=measured, spread=max(means) - min(means), timing=timing,
                    repeats_itself=len(prints) == 1 if len(run.meshes) > 1 else None)
 

@@ -27,8 +27,8 @@ def run_job(folder: Path) -> None:
     the time limit.
     """
     job = json.loads((folder / "job.json").read_text(encoding="utf-8"))
-    result: dict[str, Any] = {"status": "crashed", "message": "", "seconds": [], "convert": [],
-                              "import": None, "compile": None, "peak_before": None, "peak": None}
+    result: dict[str, Any] = {"status": "crashed", "message": "", "seconds": [], "cpu": [],
+                              "convert": [], "import": None, "compile": None, "peak_before": None, "peak": None}
     try:
         _repeat(job, folder, result)
         result["status"] = "ok"
@@ -68,9 +68,10 @@ def _repeat(job: dict[str, Any], folder: Path, result: dict[str, Any]) -> None:
         task = baseline.prepare(start, settings)
         convert = time.perf_counter() - clock
         result["peak_before"] = result["peak_before"] or peak_memory()
-        clock = time.perf_counter()
+        busy, clock = time.process_time(), time.perf_counter()
         state = task.call()
         seconds = time.perf_counter() - clock
+        result["cpu"].append(time.process_time() - busy)
         result["peak"] = peak_memory()
         clock = time.perf_counter()
         if task.details is not None:
