@@ -28,7 +28,8 @@ def run_job(folder: Path) -> None:
     """
     job = json.loads((folder / "job.json").read_text(encoding="utf-8"))
     result: dict[str, Any] = {"status": "crashed", "message": "", "seconds": [], "cpu": [],
-                              "convert": [], "import": None, "compile": None, "peak_before": None, "peak": None}
+                              "convert": [], "import": None, "compile": None,
+                              "peak_before": None, "peak": None}
     try:
         _repeat(job, folder, result)
         result["status"] = "ok"
