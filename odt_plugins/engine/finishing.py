@@ -112,7 +112,8 @@ def descend(
     moved = np.zeros(len(mesh.points))
     flips = moves = 0
     for _ in range(phase.rounds):
-        flips += flip_pending(mesh, QUALITY, phase.power, RING, bounds, 4)
+        round_flips = flip_pending(mesh, QUALITY, phase.power, RING, bounds, 4)
+        flips += round_flips
         used = int(mesh.slots[0])
         mesh.status[mesh.status == DONE] = 0
         stars = slot_stars(mesh)
@@ -126,7 +127,7 @@ def descend(
             )
             moves += run_chunks(pool, threads, offsets, work)
             pushed = spread(cells, stars.indptr, stars.indices, moved, GAIN, active, mesh.status)
-        if pushed == 0 and flips == 0:
+        if pushed == 0 and round_flips == 0:
             break
     tried = np.zeros(0, dtype=bool)
     for _ in range(phase.compound):
