@@ -39,3 +39,8 @@ class DataNotKeptWarning(ODTWarning):
 
 class NotConvergedWarning(ODTWarning):
     """An iterative solver stopped before it reached its tolerance."""
+
+
+def counted(count: int, noun: str, plural: str | None = None) -> str:
+    """Say how many there are: "1 cell", "2 cells"."""
+    return f"{count} {noun if count == 1 else plural or noun + 's'}"

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from odt_plugins.errors import InvalidMeshError, InvalidOptionError
+from odt_plugins.errors import InvalidMeshError, InvalidOptionError, counted
 
 FloatArray = NDArray[np.float64]
 IntArray = NDArray[np.int32]
@@ -330,10 +330,11 @@ def _check_facets(t: IntArray, n: int) -> None:
         column = int(np.flatnonzero(count[inverse].reshape(key.shape)[crowded[0]] > 2)[0])
         vertices = np.delete(ordered[crowded[0]], column).tolist()
         n_crowded = int((count > 2).sum())
-        found = f"1 {noun} belongs" if n_crowded == 1 else f"{n_crowded} {noun}s belong"
+        verb = "belongs" if n_crowded == 1 else "belong"
         msg = (
-            f"{found} to more than two cells (non-manifold), the first of cell {crowded[0]} with "
-            f"vertices {vertices}; expected at most two, try removing the cells that overlap"
+            f"{counted(n_crowded, noun)} {verb} to more than two cells (non-manifold), the first "
+            f"of cell {crowded[0]} with vertices {vertices}; expected at most two, try removing "
+            f"the cells that overlap"
         )
         raise InvalidMeshError(msg)
     _, inverse, count = np.unique(key * 2 + side, return_inverse=True, return_counts=True)
@@ -393,8 +394,7 @@ def _mask(value: ArrayLike | None, count: int, name: str, what: str) -> BoolArra
 
 def _where(indices: NDArray[np.integer], noun: str) -> str:
     """Say how many there are and which is the first: "3 cells (first: cell 7)"."""
-    first = f"first: {noun} {indices[0]}"
-    return f"{len(indices)} {noun}{'s' if len(indices) != 1 else ''} ({first})"
+    return f"{counted(len(indices), noun)} (first: {noun} {indices[0]})"
 
 
 def _chunks(m: int) -> Iterator[slice]:

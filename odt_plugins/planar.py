@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError
+from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError, counted
 from odt_plugins.mesh import FloatArray
 
 FLATNESS = 1e-6
@@ -88,8 +88,8 @@ def plane_frame(points: FloatArray, cells: NDArray[np.integer]) -> PlaneFrame:
     size = np.sqrt((total * total).sum())
     if size == 0.0:
         msg = (
-            f"got {len(cells)} cells (first: cell 0) with zero area: all triangles are degenerate; "
-            f"expected triangles in a plane, try removing such cells"
+            f"got {counted(len(cells), 'cell')} (first: cell 0) with zero area: all triangles are "
+            f"degenerate; expected triangles in a plane, try removing such cells"
         )
         raise InvalidMeshError(msg)
     normal = total / size
@@ -99,11 +99,11 @@ def plane_frame(points: FloatArray, cells: NDArray[np.integer]) -> PlaneFrame:
     bad = np.flatnonzero(distance > FLATNESS * diagonal)
     if bad.size:
         msg = (
-            f"the triangles form a curved surface: {bad.size} vertices (first: vertex "
-            f"{used[bad[0]]}) lie off their plane by up to {distance.max() / diagonal:.1e} of the "
-            f"bounding-box diagonal (allowed: {FLATNESS:.0e}); curved surfaces are not supported "
-            f"yet, try the volume route: fill the surface with tetrahedra "
-            f"(pytetwild.tetrahedralize) and optimise those"
+            f"the triangles form a curved surface: {counted(bad.size, 'vertex', 'vertices')} off "
+            f"their plane (first: vertex {used[bad[0]]}) by up to "
+            f"{distance.max() / diagonal:.1e} of the bounding-box diagonal (allowed: "
+            f"{FLATNESS:.0e}); curved surfaces are not supported yet, try the volume route: fill "
+            f"the surface with tetrahedra (pytetwild.tetrahedralize) and optimise those"
         )
         raise UnsupportedMeshError(msg)
     origin = origin + _dot(p - origin, normal).mean() * normal

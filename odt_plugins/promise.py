@@ -82,7 +82,7 @@ def broken_promises(
     bad = np.flatnonzero(~(figures.volume > 0))
     if len(bad):
         broken.append(f"cell {bad[0]} has volume {figures.volume[bad[0]]:.3g}, "
-                      f"{len(bad)} cells are not positive")
+                      f"not positive ({len(bad)} in all)")
     old_locked = locked_facets(before.cells, before.regions, len(points))
     broken += _moved(before, points, old_locked)
     broken += _dropped(before, cells)

@@ -152,6 +152,23 @@ def test_active_arrays_and_user_dictionary_of_a_grid_survive(side, name, monkeyp
     assert dict(out.user_dict) == {"who": "me"}
 
 
+@pytest.mark.parametrize("dtype", [np.int32, np.int64])
+def test_connectivity_of_a_grid_keeps_its_dtype(dtype, monkeypatch):
+    pyvista = pytest.importorskip("pyvista")
+    monkeypatch.setattr(driver, "run", contract.churn)
+    points, cells, _ = contract.grid(3, 4)
+    mesh = pyvista.UnstructuredGrid({pyvista.CellType.TETRA: cells}, points)
+    size = np.full(len(cells), 4)
+    offsets = np.concatenate([[0], np.cumsum(size)]).astype(dtype)
+    rows = pyvista.CellArray.from_arrays(offsets, cells.ravel().astype(dtype), deep=True)
+    mesh.SetCells(pyvista.convert_array(mesh.celltypes.copy(), deep=True), rows)
+    if mesh.cell_connectivity.dtype != dtype:
+        pytest.skip("this pyvista does not hold such indices")
+    out = odt_plugins.optimize(mesh)
+    assert out.cell_connectivity.dtype == mesh.cell_connectivity.dtype
+    assert out.GetCells().GetOffsetsArray().GetDataTypeSize() == np.dtype(dtype).itemsize
+
+
 def _mixed_tets():
     """Tetrahedra, triangles on and inside them, and a pyramid with an apex outside."""
     points, cells, _ = contract.grid(3, 4)

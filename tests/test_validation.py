@@ -187,6 +187,9 @@ def test_an_unknown_cell_array_is_answered_with_those_that_are_there():
     mesh = contract.HOSTS["meshio-tet"].make()
     with pytest.raises(InvalidOptionError, match=r"'marker', 'origin', 'stress'"):
         odt_plugins.optimize(mesh, regions="rock")
+    mesh.cell_data.clear()
+    with pytest.raises(InvalidOptionError, match="the mesh has none; expected an array of integer"):
+        odt_plugins.optimize(mesh, regions="rock")
 
 
 class Stranger:
@@ -213,7 +216,7 @@ def test_quadratic_meshio_cells_beside_linear_ones_are_refused_by_name(kind):
     nodes = int("".join(filter(str.isdigit, kind)))
     points = np.random.default_rng(0).random((max(nodes, 4), 3))
     mesh = meshio.Mesh(points, [("tetra", [[0, 1, 2, 3]]), (kind, [list(range(nodes))])])
-    with pytest.raises(UnsupportedMeshError, match=rf"got 1 cells of type {kind}"):
+    with pytest.raises(UnsupportedMeshError, match=rf"got 1 cell of type {kind}"):
         odt_plugins.optimize(mesh)
 
 
@@ -233,11 +236,11 @@ def test_meshes_with_nothing_to_optimise_are_refused_by_name():
     corners = contract.grid(3, 1)[0]
     with pytest.raises(UnsupportedMeshError, match="cells of hexahedron; expected tetra"):
         odt_plugins.optimize(meshio.Mesh(corners, [("hexahedron", box)]))
-    with pytest.raises(UnsupportedMeshError, match="type hexahedron; expected tetrahedra"):
+    with pytest.raises(UnsupportedMeshError, match="1 cell of type hexahedron; expected tetrahe"):
         odt_plugins.optimize(pyvista.UnstructuredGrid({12: box}, corners))
     with pytest.raises(UnsupportedMeshError, match=r"PolyData with other polygons.*triangulate"):
         odt_plugins.optimize(pyvista.Cube())
-    with pytest.raises(UnsupportedMeshError, match="PolyData of 2 vertex and 0 line cells"):
+    with pytest.raises(UnsupportedMeshError, match="PolyData of 2 vertex cells and 0 line cells"):
         odt_plugins.optimize(pyvista.PolyData(np.eye(3)[:2]))
     with pytest.raises(InvalidMeshError, match="no cells"):
         odt_plugins.optimize(pyvista.UnstructuredGrid())
@@ -391,7 +394,7 @@ def test_kept_faces_freeze_one_cell_only_inside(d):
     assert 0 < len(frozen) <= 3
     assert all(any(set(f) <= set(c) for c in frozen) for f in inner)
     assert held.fixed[mesh.cells[held.frozen]].all()
-    with pytest.raises(InvalidMeshError, match=r"got 1 line cells with vertex indices out of"):
+    with pytest.raises(InvalidMeshError, match=r"got 1 line cell with vertex indices out of"):
         protect(mesh, (KeptCells("line", np.array([[0, 1], [2, 5000]])),))
 
 
@@ -439,7 +442,7 @@ def test_plane_tolerance_is_relative_to_the_diagonal():
             if good:
                 plane_frame(space, cells)
             else:
-                with pytest.raises(UnsupportedMeshError, match=r"1 vertices \(first: vertex 12\)"):
+                with pytest.raises(UnsupportedMeshError, match=r"1 vertex off .*vertex 12\)"):
                     plane_frame(space, cells)
 
 

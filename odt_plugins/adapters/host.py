@@ -105,9 +105,10 @@ def region_array(arrays: Mapping[str, NDArray[Any]], name: str | None) -> NDArra
     """
     if name is not None:
         if name not in arrays:
+            known = f"one of {sorted(arrays)} or " if arrays else ""
             msg = (
-                f"regions={name!r} names no cell array; expected one of "
-                f"{sorted(arrays)} or an array of integer labels, one per cell"
+                f"regions={name!r} names no cell array{'' if arrays else ', the mesh has none'}; "
+                f"expected {known}an array of integer labels, one per cell"
             )
             raise InvalidOptionError(msg)
         return arrays[name]

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.host import KeptCells
-from odt_plugins.errors import InvalidMeshError
+from odt_plugins.errors import InvalidMeshError, counted
 from odt_plugins.mesh import BoolArray, SimplexMesh, directed_facets, freeze, row_keys
 
 
@@ -37,8 +37,9 @@ def protect(mesh: SimplexMesh, kept: tuple[KeptCells, ...]) -> SimplexMesh:
         bad = np.flatnonzero(((raw < 0) | (raw >= n)).any(axis=1))
         if bad.size:
             msg = (
-                f"got {bad.size} {kind} cells with vertex indices out of range (vertices "
-                f"{raw[bad[0]].tolist()}); the mesh has {n} vertices, expected 0 to {n - 1}"
+                f"got {counted(bad.size, f'{kind} cell')} with vertex indices out of range "
+                f"(vertices {raw[bad[0]].tolist()}); the mesh has {n} vertices, expected 0 to "
+                f"{n - 1}"
             )
             raise InvalidMeshError(msg)
         rows = np.asarray(raw, dtype=np.int64)

@@ -23,7 +23,7 @@ from odt_plugins.adapters.quadratic import (
     warn_of_folds,
     with_mid_nodes,
 )
-from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError
+from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError, counted
 
 FACES = {"line": 2, "triangle": 3, "line3": 2, "triangle6": 3}
 """Cells that must stay faces of the optimised ones, with their number of vertices."""
@@ -67,8 +67,8 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
     for block in mesh.cells:
         if block.type not in (LINEAR if kind in LINEAR else LINEAR + QUADRATIC):
             msg = (
-                f"got {len(block.data)} cells of type {block.type}; expected linear cells such as "
-                f"tetra or triangle, try converting the mesh to linear cells"
+                f"got {counted(len(block.data), 'cell')} of type {block.type}; expected linear "
+                f"cells such as tetra or triangle, try converting the mesh to linear cells"
             )
             raise UnsupportedMeshError(msg)
     if not found:

@@ -23,7 +23,7 @@ from odt_plugins.adapters.quadratic import (
     warn_of_folds,
     with_mid_nodes,
 )
-from odt_plugins.errors import UnsupportedMeshError
+from odt_plugins.errors import UnsupportedMeshError, counted
 
 IndexArray = NDArray[np.int64]
 
@@ -130,7 +130,8 @@ def _read_grid(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]
     ids = np.flatnonzero(types == kind)
     if not ids.size and types.size:
         found = ", ".join(names[int(t)] for t in np.unique(types))
-        msg = f"got a grid of {types.size} cells of type {found}; expected tetrahedra or triangles"
+        count = counted(types.size, "cell")
+        msg = f"got a grid of {count} of type {found}; expected tetrahedra or triangles"
         raise UnsupportedMeshError(msg)
     cells = flat[offset[ids][:, None] + np.arange(NODES[kind])]
 
@@ -164,8 +165,8 @@ def _refuse_unknown(types: NDArray[Any], known: list[int]) -> None:
 
         name = CellType(int(types[bad[0]])).name
         msg = (
-            f"got {bad.size} cells of type {name} (first: cell {bad[0]}); expected linear "
-            f"tetrahedra or triangles, try grid.linear_copy() or extracting the linear cells"
+            f"got {counted(bad.size, 'cell')} of type {name} (first: cell {bad[0]}); expected "
+            f"linear tetrahedra or triangles, try grid.linear_copy() or extracting the linear cells"
         )
         raise UnsupportedMeshError(msg)
 
@@ -203,6 +204,7 @@ def _write_grid(
     """
     types = np.asarray(source.celltypes)
     offset, flat = _connectivity(source)
+    dtype = flat.dtype
     flat = flat if number is None else number[flat]
     k = result.cells.shape[1]
     others = np.setdiff1d(np.arange(len(types)), ids)
@@ -213,15 +215,16 @@ def _write_grid(
     start = np.concatenate([np.arange(len(result.cells)) * k, result.cells.size + offset[others]])
     size = np.concatenate([np.full(len(result.cells), k), np.diff(offset)[others]])
     rows, start, size = rows[order], start[order], size[order]
-    _set_cells(out, types[rows], size, pool[_positions(start, size)])
+    connectivity = pool[_positions(start, size)].astype(dtype)
+    _set_cells(out, types[rows], size, connectivity)
     return np.asarray(rows)
 
 
 def _set_cells(out: Any, types: NDArray[Any], size: IndexArray, flat: NDArray[Any]) -> None:
     from pyvista import CellArray, convert_array
 
-    offset = np.concatenate([[0], np.cumsum(size)])
-    cells = CellArray.from_arrays(offset, np.asarray(flat, dtype=int), deep=True)
+    offset = np.concatenate([[0], np.cumsum(size)]).astype(flat.dtype)
+    cells = CellArray.from_arrays(offset, flat, deep=True)
     out.SetCells(convert_array(np.ascontiguousarray(types, dtype=np.uint8), deep=True), cells)
 
 
@@ -230,11 +233,13 @@ def _read_polydata(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, 
     faces = np.asarray(mesh.faces)
     triangles = faces.size == 4 * n_faces and bool((faces[::4] == 3).all())
     if mesh.n_strips or not triangles:
-        found = f"{mesh.n_strips} triangle strips" if mesh.n_strips else "other polygons"
+        strips = counted(mesh.n_strips, "triangle strip")
+        found = strips if mesh.n_strips else "other polygons"
         msg = f"got PolyData with {found}; expected triangles only, try mesh.triangulate()"
         raise UnsupportedMeshError(msg)
     if not n_faces and mesh.n_cells:
-        found = f"{mesh.n_verts} vertex and {mesh.n_lines} line cells"
+        vertices, lines = counted(mesh.n_verts, "vertex cell"), counted(mesh.n_lines, "line cell")
+        found = f"{vertices} and {lines}"
         msg = f"got PolyData of {found}; expected triangles"
         raise UnsupportedMeshError(msg)
     ids = np.arange(mesh.n_cells - n_faces, mesh.n_cells)

@@ -133,8 +133,8 @@ def make_frame(mesh: SimplexMesh) -> tuple[Frame, IntArray]:
     """
     active = np.flatnonzero(~mesh.frozen)
     cells = mesh.cells[active]
-    used, inner = np.unique(cells, return_inverse=True)
-    inner = inner.reshape(cells.shape).astype(np.int32)
+    used, number = np.unique(cells, return_inverse=True)
+    inner = np.asarray(number, dtype=np.int32).reshape(cells.shape)
     points = mesh.points[used]
     vertices, order = curve_order(points, inner)
     rank = np.empty(len(used), dtype=np.int32)
