@@ -122,6 +122,82 @@ def test_truncated_files_are_refused(suffix, share, tmp_path):
     assert sorted(p.name for p in tmp_path.iterdir()) == names
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_su2_files_that_hold_less_than_they_declare_are_refused(dim, tmp_path, capfd):
+    points, cells, _ = contract.grid(dim, 2)
+    rim = sorted(contract.facets(cells, np.zeros(len(cells), int)))
+    rows = {
+        f"NDIME= {dim}": [],
+        f"NPOIN= {len(points)}": points.tolist(),
+        f"NELEM= {len(cells)}": [[5 if dim == 2 else 10, *cell] for cell in cells.tolist()],
+        "NMARK= 2": [],
+    }
+    for tag, part in ((1, rim[::2]), (2, rim[1::2])):
+        rows[f"MARKER_TAG= {tag}"] = []
+        rows[f"MARKER_ELEMS= {len(part)}" + tag * " "] = [[3 if dim == 2 else 5, *f] for f in part]
+    lines = [line for head, block in rows.items()
+             for line in (f"{head}\n", *(" ".join(map(str, row)) + "\n" for row in block))]
+    source = tmp_path / "in.su2"
+    source.write_text("".join(lines))
+    assert [len(block.data) for block in files.read_file(source).cells] == [len(cells), len(rim)]
+    refused = 0
+    for end in set(range(3, len(lines))) - {lines.index("NMARK= 2\n")}:
+        source.write_text("".join(lines[:end]))
+        with pytest.raises((MeshFileError, InvalidMeshError)) as caught:
+            odt_plugins.optimize(source, rounds=0, finish=False)
+        refused += " declares " in str(caught.value)
+    assert refused > len(cells)
+    assert "could not parse" not in capfd.readouterr().err
+
+
+def test_files_that_end_too_early_or_have_no_cells_say_so(tmp_path):
+    source = tmp_path / "in.vtu"
+    _vtk(3).write(source)
+    whole = source.read_bytes()
+    source.write_bytes(whole[: len(whole) // 2])
+    with pytest.raises(MeshFileError, match=r"in\.vtu as vtu: it is incomplete or no vtu file"):
+        odt_plugins.optimize(source)
+    text = (
+        '<VTKFile type="UnstructuredGrid" version="0.1" byte_order="LittleEndian">'
+        '<UnstructuredGrid><Piece NumberOfPoints="0" NumberOfCells="0">'
+        "</Piece></UnstructuredGrid></VTKFile>"
+    )
+    source.write_text(text)
+    with pytest.raises(InvalidMeshError, match=r"the mesh has no cells in .*in\.vtu"):
+        odt_plugins.optimize(source)
+    node = tmp_path / "in.inp"
+    node.write_text("*NODE\n1, 0.0, 0.0\n2, 1.0, 0.0\n*ELEMENT, TYPE=CPS3\n1, 1, 2, 3\n")
+    with pytest.raises(MeshFileError, match="it refers to 3, which is not there"):
+        odt_plugins.optimize(node)
+
+
+def test_what_meshio_prints_becomes_one_warning_or_none(tmp_path, capfd):
+    mesh = _mesh(3, ["marker"])
+    with pytest.warns(DataNotKeptWarning) as caught:
+        files.write_file(tmp_path / "out.msh", mesh)
+    said = [str(w.message) for w in caught]
+    assert len(said) == 2
+    assert all(": Appending zeros to replace the missing" in line for line in said)
+    with pytest.raises(MeshFileError, match="does not hold"):
+        files.write_file(tmp_path / "out.stl", mesh)
+    (tmp_path / "in.su2").write_text(
+        "NDIME= 2\nNELEM= 1\n5 0 1 2\nNPOIN= 3\n0 0\n1 0\n0 1\nNMARK= 0\nsomething\n")
+    with pytest.warns(DataNotKeptWarning, match=r"in\.su2: meshio could not parse line something"):
+        files.read_file(tmp_path / "in.su2")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_data_that_come_back_under_another_name_are_not_called_lost(tmp_path):
+    mesh = _mesh(3, ["mat"])
+    mesh.cell_data["other"] = [np.arange(len(mesh.cells[0].data))]
+    message = r"keep cell data 'other', the name of cell data 'mat' \(there 'medit:ref'\); try"
+    with pytest.warns(DataNotKeptWarning, match=message) as caught:
+        files.write_file(tmp_path / "out.mesh", mesh)
+    assert len(caught) == 1
+    back = files.read_file(tmp_path / "out.mesh")
+    assert np.array_equal(back.cell_data["medit:ref"][0], mesh.cell_data["mat"][0])
+
+
 def test_unreadable_files_are_named(tmp_path, capsys):
     (tmp_path / "noise.vtu").write_bytes(bytes(range(256)) * 20)
     (tmp_path / "noise.msh").write_text("hello\n")
@@ -174,7 +250,7 @@ def test_an_interrupted_write_leaves_the_old_file(error, tmp_path, monkeypatch):
 def test_formats_that_hold_less_say_so(tmp_path):
     mesh = _vtk(3)
     mesh.field_data["recipe"] = np.arange(3.0)
-    with pytest.warns(DataNotKeptWarning, match=r"cell data .*'stress', field data 'recipe'; try"):
+    with pytest.warns(DataNotKeptWarning, match=r"cell data .*'stress', field data 'recipe', "):
         files.write_file(tmp_path / "out.mesh", mesh)
     assert (tmp_path / "out.mesh").exists()
     mesh = _mesh(3, [])

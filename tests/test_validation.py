@@ -209,6 +209,18 @@ def test_objects_of_other_toolkits_get_a_hint(module):
         odt_plugins.optimize(mesh)
 
 
+def test_hints_for_other_objects_of_pyvista_lead_to_a_mesh():
+    pyvista = pytest.importorskip("pyvista")
+    image = pyvista.ImageData(dimensions=(3, 3, 3))
+    for mesh in (image, image.cast_to_structured_grid(), pyvista.MultiBlock([image])):
+        with pytest.raises(UnsupportedMeshError, match=r"try mesh\.\S+$") as caught:
+            odt_plugins.optimize(mesh)
+        way = str(caught.value).rpartition("try mesh.")[2]
+        assert way.endswith("().triangulate()")
+        grid = getattr(mesh, way.partition("(")[0])().triangulate()
+        assert odt_plugins.measure(grid).n_cells >= 40
+
+
 @pytest.mark.parametrize("kind", ["tetra10", "triangle6", "line3", "hexahedron20"])
 def test_quadratic_meshio_cells_beside_linear_ones_are_refused_by_name(kind):
     import meshio

@@ -2,18 +2,28 @@
 
 from __future__ import annotations
 
+import io
 import os
+import re
 import shutil
 import tempfile
 import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from odt_plugins.adapters import meshio_mesh
 from odt_plugins.adapters.host import HostMesh, Result
-from odt_plugins.errors import DataNotKeptWarning, MeshFileError, MissingDependencyError
+from odt_plugins.errors import (
+    DataNotKeptWarning,
+    InvalidMeshError,
+    MeshFileError,
+    MissingDependencyError,
+)
 
 PREFERRED = {".msh": "gmsh"}
 """Format to take first where several share a suffix."""
@@ -44,7 +54,19 @@ def read_file(path: str | os.PathLike[str]) -> Any:
     Raises
     ------
     MeshFileError             there is no such file, its suffix is unknown, or it cannot be read
+    InvalidMeshError          a .vtu file without cells
     MissingDependencyError    meshio needs another package for this format
+
+    Warns
+    -----
+    DataNotKeptWarning        what meshio says about a file that it reads
+
+    Notes
+    -----
+    A file that ends too early is refused where that can be seen. Abaqus .inp files do not say
+    how many nodes and elements they have: one cut off after a whole line, or within the last
+    number of an element, is a valid file of fewer elements, unless a node is gone that an
+    element refers to. An .su2 file cut off right before NMARK is one without markers.
     """
     path = Path(path)
     formats = _formats(path)
@@ -52,7 +74,10 @@ def read_file(path: str | os.PathLike[str]) -> Any:
         kind = "a directory" if path.is_dir() else "missing"
         msg = f"cannot read {path}: it is {kind}; expected a mesh file"
         raise MeshFileError(msg)
-    return _read_as(path, formats)
+    mesh, remarks = _read_as(path, formats)
+    for remark in remarks:
+        warnings.warn(f"{path}: {remark}", DataNotKeptWarning, stacklevel=3)
+    return mesh
 
 
 def check_output(path: str | os.PathLike[str]) -> None:
@@ -92,7 +117,8 @@ def write_file(path: str | os.PathLike[str], mesh: Any) -> None:
 
     Warns
     -----
-    DataNotKeptWarning     the format holds the mesh but drops data or rounds coordinates
+    DataNotKeptWarning     the format holds the mesh but drops or renames data or rounds
+                           coordinates; or what meshio says when nothing is lost
     """
     path = Path(path)
     check_output(path)
@@ -102,7 +128,7 @@ def write_file(path: str | os.PathLike[str], mesh: Any) -> None:
         msg = f"cannot write {path}: {exc.strerror or exc}; try another directory"
         raise MeshFileError(msg) from exc
     try:
-        lost = _write_and_compare(beside / path.name, mesh)
+        lost, remarks = _write_and_compare(beside / path.name, mesh)
         # Formats such as xdmf write companions; the file that refers to them comes last.
         for part in sorted(beside.iterdir(), key=lambda part: part.name == path.name):
             os.replace(part, path.parent / part.name)
@@ -116,6 +142,9 @@ def write_file(path: str | os.PathLike[str], mesh: Any) -> None:
     if lost:
         msg = f"{path} does not keep {', '.join(lost)}; try a .vtu file or another format"
         warnings.warn(msg, DataNotKeptWarning, stacklevel=3)
+        return
+    for remark in remarks:
+        warnings.warn(f"{path}: {remark}", DataNotKeptWarning, stacklevel=3)
 
 
 def _formats(path: Path) -> list[str]:
@@ -134,7 +163,19 @@ def _formats(path: Path) -> list[str]:
     raise MeshFileError(msg)
 
 
-def _read_as(path: Path, formats: list[str]) -> Any:
+@contextmanager
+def _remarks() -> Iterator[list[str]]:
+    """Collect what meshio prints, one sentence an entry, filled at the end."""
+    text = io.StringIO()
+    found: list[str] = []
+    with redirect_stdout(text), redirect_stderr(text):
+        yield found
+    parts = re.split(r"^(?:Warning|Error|Info):", text.getvalue(), flags=re.MULTILINE)
+    found += [" ".join(part.split()) for part in parts if part.strip()]
+
+
+def _read_as(path: Path, formats: list[str]) -> tuple[Any, list[str]]:
+    """Read as the first of some formats that goes; also what meshio says about it."""
     from meshio._helpers import reader_map
 
     cause: Exception | None = None
@@ -142,15 +183,56 @@ def _read_as(path: Path, formats: list[str]) -> Any:
         if name not in reader_map:
             continue
         try:
-            return reader_map[name](str(path))
+            with _remarks() as remarks:
+                mesh = reader_map[name](str(path))
+            if name == "su2":
+                _check_su2_counts(path, mesh)
+            return mesh, remarks
         except ImportError as exc:
             raise _missing(path, exc) from exc
         # A parser may raise anything at all on a broken file.
         except Exception as exc:
             cause = cause or exc
+    if "vtu" in formats and _is_vtu_without_cells(path):
+        msg = f"the mesh has no cells in {path}; expected tetra or triangle"
+        raise InvalidMeshError(msg) from cause
+    kinds = " or ".join(formats)
     reason = "meshio only writes it" if cause is None else _reason(cause)
-    msg = f"cannot read {path} as {' or '.join(formats)}: {reason}; expected a complete file"
+    if cause is not None and reason == type(cause).__name__:
+        reason = f"it is incomplete or no {kinds} file"
+    elif isinstance(cause, KeyError):
+        reason = f"it refers to {cause.args[0]}, which is not there"
+    msg = f"cannot read {path} as {kinds}: {reason}; expected a complete file"
     raise MeshFileError(msg) from cause
+
+
+def _check_su2_counts(path: Path, mesh: Any) -> None:
+    """Compare with what an su2 file declares: meshio takes as many lines as there are."""
+    declared = {"NPOIN": 0, "NELEM": 0, "MARKER_ELEMS": 0}
+    markers, expected_markers = 0, None
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+        name, _, value = line.partition("=")
+        name = name.strip()
+        if name in declared:
+            declared[name] += int(value.split()[0])
+        if name == "NMARK":
+            expected_markers = int(value)
+        markers += name == "MARKER_ELEMS"
+    there = {
+        "points": (len(mesh.points), declared["NPOIN"]),
+        "cells": (sum(len(block.data) for block in mesh.cells),
+                  declared["NELEM"] + declared["MARKER_ELEMS"]),
+        "markers": (markers, markers if expected_markers is None else expected_markers),
+    }
+    for what, (found, expected) in there.items():
+        if found != expected:
+            msg = f"it declares {expected} {what} and holds {found}"
+            raise MeshFileError(msg)
+
+
+def _is_vtu_without_cells(path: Path) -> bool:
+    counts = re.findall(rb"""NumberOfCells\s*=\s*["'](\d+)["']""", path.read_bytes())
+    return bool(counts) and not any(int(count) for count in counts)
 
 
 def _missing(path: Path, exc: ImportError) -> MissingDependencyError:
@@ -161,8 +243,8 @@ def _missing(path: Path, exc: ImportError) -> MissingDependencyError:
     return MissingDependencyError(msg)
 
 
-def _write_and_compare(path: Path, mesh: Any) -> list[str]:
-    """Write a file, read it again and name the data that are gone."""
+def _write_and_compare(path: Path, mesh: Any) -> tuple[list[str], list[str]]:
+    """Write a file, read it again and name the data that are gone; also what meshio says."""
     import meshio
 
     name = _formats(path)[0]
@@ -171,8 +253,9 @@ def _write_and_compare(path: Path, mesh: Any) -> list[str]:
     if name == "gmsh" and not (tags and "gmsh:dim_tags" in mesh.point_data):
         name = "gmsh22"
     try:
-        meshio.write(path, mesh.copy(), file_format=name)
-        back = _read_as(path, _formats(path))
+        with _remarks() as remarks:
+            meshio.write(path, mesh.copy(), file_format=name)
+        back, _ = _read_as(path, _formats(path))
     except MissingDependencyError:
         raise
     except ImportError as exc:
@@ -188,7 +271,7 @@ def _write_and_compare(path: Path, mesh: Any) -> list[str]:
     if _sizes(back) != _sizes(mesh) or len(back.points) != len(mesh.points):
         reason = f"it does not hold {len(mesh.points)} points with cells {_sizes(mesh)}"
         raise _not_written(path, name, reason)
-    return _lost(mesh, back)
+    return _lost(mesh, back), remarks
 
 
 def _not_written(path: Path, name: str, reason: str) -> MeshFileError:
@@ -211,12 +294,32 @@ def _sizes(mesh: Any) -> dict[str, int]:
 
 
 def _lost(mesh: Any, back: Any) -> list[str]:
+    """Name the data that did not come back, and those that did under another name."""
     lost = []
+    renamed = []
     d = min(mesh.points.shape[1], back.points.shape[1])
     if not np.array_equal(mesh.points[:, :d], back.points[:, :d]):
         lost.append("the last digits of the coordinates")
     for kind in ("point_data", "cell_data", "field_data", "point_sets", "cell_sets"):
-        gone = sorted(set(getattr(mesh, kind)) - set(getattr(back, kind)))
+        old, new = getattr(mesh, kind), getattr(back, kind)
+        what = kind.replace("_", " ")
+        gone = sorted(set(old) - set(new))
+        if kind in ("point_data", "cell_data"):
+            names = {name: _same_values(old[name], new, set(new) - set(old)) for name in gone}
+            renamed += [f"the name of {what} {name!r} (there {other!r})"
+                        for name, other in names.items() if other]
+            gone = [name for name in gone if not names[name]]
         if gone:
-            lost.append(f"{kind.replace('_', ' ')} {', '.join(map(repr, gone))}")
-    return lost
+            lost.append(f"{what} {', '.join(map(repr, gone))}")
+    return lost + renamed
+
+
+def _same_values(values: Any, data: Any, names: set[str]) -> str | None:
+    """Name under which a point or cell array came back."""
+    flat = _one_array(values)
+    return next((n for n in sorted(names) if np.array_equal(_one_array(data[n]), flat)), None)
+
+
+def _one_array(values: Any) -> NDArray[Any]:
+    """Point data, or the cell data of all blocks one after another."""
+    return np.concatenate(values) if isinstance(values, list) and values else np.asarray(values)

@@ -30,11 +30,13 @@ ACCEPTED = (
 
 HINTS = {
     "open3d": "open3d.geometry.TetraMesh.create_from_point_cloud(cloud)[0]",
+    "pyvista.DataSet": "mesh.cast_to_unstructured_grid().triangulate()",
+    "pyvista.MultiBlock": "mesh.combine().triangulate()",
     "vtkmodules": "pyvista.wrap(mesh)",
     "trimesh": "(mesh.vertices, mesh.faces) as plain arrays",
     "builtins": "numpy.asarray on the points and on the cells",
 }
-"""What to pass instead of an object of a package that has no adapter, by package."""
+"""What to pass instead of an object that has no adapter, by package or package and class."""
 
 
 def find_adapter(mesh: object) -> Adapter:
@@ -48,8 +50,10 @@ def find_adapter(mesh: object) -> Adapter:
         if adapter.matches(mesh):
             return adapter
     kind = type(mesh)
-    hints = (HINTS.get(base.__module__.partition(".")[0]) for base in kind.__mro__)
-    hint = next((hint for hint in hints if hint), HINTS["builtins"])
+    packages = [base.__module__.partition(".")[0] for base in kind.__mro__]
+    keys = [key for package, base in zip(packages, kind.__mro__, strict=True)
+            for key in (f"{package}.{base.__name__}", package)]
+    hint = next((HINTS[key] for key in keys if key in HINTS), HINTS["builtins"])
     name = f"{kind.__module__}.{kind.__qualname__}".removeprefix("builtins.")
     msg = f"got an object of type {name}; expected {ACCEPTED}, try {hint}"
     raise UnsupportedMeshError(msg)
