@@ -133,6 +133,8 @@ def optimize(mesh: Any, **options: Unpack[OptionKeywords]) -> Any:
     InvalidOptionError      an option is unknown or out of range
     MeshFileError           the file cannot be read
 
+    What a callable of the caller's, such as a density, raises comes through as it is.
+
     References
     ----------
     L. Chen, M. Holst, CMAME 200 (2011) 967-984, doi:10.1016/j.cma.2010.11.007.

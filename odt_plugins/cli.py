@@ -42,14 +42,16 @@ HELP = {
     "omega": "Relaxation of the local sweeps, between 0 and 2; chosen by method unless given.",
     "rounds": "Most rounds of smoothing and reconnection in one cycle.",
     "cycles": "How often the two stages follow each other.",
-    "finish": "Whether bad cells are finished by their quality.",
+    "finish": "Whether bad cells are finished by their quality. Without it a TetWild mesh usually "
+              "comes back unchanged, since smoothing alone makes its worst cells worse and --keep "
+              "refuses that; to have the smoothed mesh all the same: --no-finish --keep none.",
     "boundary": "What happens to the boundary: fixed keeps it bit for bit.",
     "fixed": "Vertices that must not move: a file of indices (text or .npy), or the name of a "
              "point array, non-zero where fixed.",
     "selection": "Cells that may change: a file of indices (text or .npy), or the name of a "
                  "cell array, non-zero where selected.",
     "regions": "Name of the cell array of region labels; interfaces between labels stay.",
-    "keep": "Figures that must not get worse, separated by commas, or none.",
+    "keep": "Figures that must not get worse, separated by commas; none to keep no figure.",
     "orient": "Turn cells of mixed orientation instead of refusing them.",
     "threads": "Worker threads; the result does not depend on it.",
 }
@@ -138,6 +140,9 @@ def _figure_names(_ctx: click.Context, _param: click.Parameter, text: str) -> tu
     names = tuple(name.strip() for name in text.split(",") if name.strip())
     if names == ("none",):
         return ()
+    if not names:
+        msg = f"got no name; expected some of {', '.join(FIGURES)}, separated by commas, or none"
+        raise click.BadParameter(msg)
     for name in names:
         if name not in FIGURES:
             msg = f"got {name!r}; expected some of {', '.join(FIGURES)}, separated by commas"
@@ -322,6 +327,9 @@ def _indices(path: Path, option: str) -> Any:
     except (OSError, ValueError, EOFError) as exc:
         msg = f"cannot read indices from {path}: {_one_line(exc)}; expected whole numbers or .npy"
         raise click.BadParameter(msg, param_hint=f"--{option}") from exc
+    if not values.size:
+        msg = f"{path} holds no index; expected at least one, leave out --{option} to give none"
+        raise click.BadParameter(msg, param_hint=f"--{option}")
     return values
 
 
@@ -333,9 +341,9 @@ def _write_beside(path: Path, write: Callable[[Path], Any]) -> None:
             write(Path(folder) / path.name)
             os.replace(Path(folder) / path.name, path)
     except OSError as exc:
-        if isinstance(exc, MeshFileError):
-            raise
-        msg = f"cannot write {path}: {exc.strerror or exc}; try another path"
+        # An error of our own names the file in that directory, its cause says the reason alone.
+        cause = exc.__cause__ if isinstance(exc, MeshFileError) and exc.__cause__ else exc
+        msg = f"cannot write {path}: {getattr(cause, 'strerror', None) or cause}; try another path"
         raise MeshFileError(msg) from exc
 
 

@@ -144,6 +144,31 @@ def test_plot_and_quiet(place: Path, still: list[Options],
     assert sorted(p.name for p in place.iterdir()) == ["in.vtu", "out.vtu", "p.png"]
 
 
+def test_a_figure_that_cannot_be_written_is_named_by_the_callers_path(
+    place: Path, still: list[Options], capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    figure = pytest.importorskip("matplotlib.figure")
+
+    def full(self: Any, path: str, **_: Any) -> None:
+        raise OSError(28, "No space left on device", path)
+
+    monkeypatch.setattr(figure.Figure, "savefig", full)
+    words = ["optimize", "in.vtu", "out.vtu", "--quiet", "--plot", "p.png"]
+    assert cli.main(words) == 1
+    assert capsys.readouterr().err == \
+        "odt-plugins: cannot write p.png: No space left on device; try another path\n"
+
+
+def test_help_says_how_to_get_a_mesh_without_finishing(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert cli.main(["optimize", "--help"]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "usually comes back unchanged" in text
+    assert "--no-finish --keep none" in text
+
+
 def test_a_file_may_be_improved_in_its_place(place: Path, still: list[Options]) -> None:
     assert cli.main(["optimize", "in.vtu", "in.vtu", "--quiet"]) == 0
     assert len(meshio.read("in.vtu").points) == 5
@@ -200,6 +225,7 @@ def broken_files(place: Path) -> None:
     square(point_data={"rho": np.array([1.0, 0, 1, 1, 1])}).write("zero.vtu")
     Path("words.txt").write_text("one two\n")
     Path("far.txt").write_text("77\n")
+    Path("empty.txt").write_text("# none\n")
     Path("broken.npy").write_bytes(b"\x93NUMPY")
 
 
@@ -220,6 +246,9 @@ BAD = [
     ("optimize in.vtu out.vtu --exponent -2", 2, "exponent=-2.0; expected a positive number"),
     ("optimize in.vtu out.vtu --exponent nan", 2, "exponent=nan; expected a positive number"),
     ("optimize in.vtu out.vtu --keep beauty", 2, "got 'beauty'; expected some of min_quality"),
+    ("optimize in.vtu out.vtu --keep=", 2, "got no name; expected some of min_quality"),
+    ("optimize in.vtu out.vtu --fixed empty.txt", 2, "empty.txt holds no index; expected at"),
+    ("optimize in.vtu out.vtu --selection empty.txt", 2, "empty.txt holds no index; expected"),
     ("optimize in.vtu out.vtu --density nosuch", 2, "got 'nosuch'; expected the name of a point"),
     ("optimize in.vtu out.vtu --density flow", 2, r"array 'flow' has shape \(5, 3\)"),
     ("optimize in.vtu out.vtu --fixed nosuch", 2, "or a file of indices, it has rho"),
