@@ -6,8 +6,8 @@
 
 Conventions
 -----------
-- `points` (n, d) float64 or float32, `cells` (m, d + 1) of any integer type, d = 2 or 3;
-  triangles may also have points (n, 3) in one plane.
+- `points` (n, d) float64 or float32, `cells` (m, d + 1) of any integer type or floats that hold
+  integers, d = 2 or 3; triangles may also have points (n, 3) in one plane.
 - The caller's object is never changed. The result is of the same type with the same dtypes,
   orientation and data; cells of negative volume come back negative.
 - Vertices keep their index. Cells may be renumbered; those that are still there keep their row
