@@ -5,12 +5,11 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from odt_plugins.engine.adjacency import cell_neighbors
 from odt_plugins.engine.star import Stars, vertex_stars
-from odt_plugins.mesh import BoolArray, FloatArray, IntArray, LongArray
+from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
 PENDING = np.uint8(1)
 
@@ -99,31 +98,6 @@ def compacted(mesh: Complex) -> Complex:
     return fresh
 
 
-@njit(nogil=True, cache=True)
-def _count_and_fill_live(cells: IntArray, indptr: LongArray, indices: IntArray) -> None:
-    m, k = cells.shape
-    for c in range(m):
-        if cells[c, 0] >= 0:
-            for a in range(k):
-                indptr[cells[c, a] + 1] += 1
-    n = indptr.shape[0] - 1
-    for i in range(n):
-        indptr[i + 1] += indptr[i]
-    for c in range(m):
-        if cells[c, 0] >= 0:
-            for a in range(k):
-                v = cells[c, a]
-                indices[indptr[v]] = c
-                indptr[v] += 1
-    for i in range(n, 0, -1):
-        indptr[i] = indptr[i - 1]
-    indptr[0] = 0
-
-
 def slot_stars(mesh: Complex) -> Stars:
     """List the slots of the cells around every vertex; free slots belong to none."""
-    used = mesh.cells[: mesh.slots[0]]
-    indptr = np.zeros(len(mesh.points) + 1, dtype=np.int64)
-    indices = np.empty(used.size, dtype=np.int32)
-    _count_and_fill_live(used, indptr, indices)
-    return Stars(indptr, indices)
+    return vertex_stars(mesh.cells[: mesh.slots[0]], len(mesh.points))

@@ -31,12 +31,16 @@ class Stars(NamedTuple):
 def _count_and_fill(cells: IntArray, indptr: OffsetArray, indices: IntArray) -> None:
     m, k = cells.shape
     for c in range(m):
+        if cells[c, 0] < 0:
+            continue
         for a in range(k):
             indptr[cells[c, a] + 1] += 1
     n = indptr.shape[0] - 1
     for i in range(n):
         indptr[i + 1] += indptr[i]
     for c in range(m):
+        if cells[c, 0] < 0:
+            continue
         for a in range(k):
             v = cells[c, a]
             indices[indptr[v]] = c
@@ -79,7 +83,8 @@ def vertex_stars(cells: IntArray, n_points: int) -> Stars:
 
     Parameters
     ----------
-    cells : (m, d + 1) int32    vertex indices, each below n_points
+    cells : (m, d + 1) int32    vertex indices, each below n_points; a row that starts with -1 is
+                                a free slot and belongs to no star
     n_points : int              n
 
     Returns
