@@ -312,6 +312,18 @@ def test_literal_method_falls_back_when_it_spoils_the_mesh(d):
     assert_promise(mesh, outcome)
 
 
+@pytest.mark.parametrize("method", ["odt", "cpt", "laplacian"])
+def test_smoothing_alone_moves_what_it_may(d, method):
+    mesh = start(d)
+    options = Options(method=method, finish=False, connectivity="none", rounds=3,
+                      keep=("min_quality", "min_angle", "max_angle"))
+    outcome = run(mesh, options)
+    before, after = measure(mesh.points, mesh.cells), measure(outcome.points, outcome.cells)
+    assert outcome.fallback is None
+    assert (outcome.points != mesh.points).any(axis=1).sum() > 20
+    assert (after[[0, 3, 4]] >= before[[0, 3, 4]] - 1e-7 * np.abs(before[[0, 3, 4]])).all()
+
+
 def test_the_input_is_not_touched(d):
     mesh = start(d)
     copies = mesh.points.copy(), mesh.cells.copy()

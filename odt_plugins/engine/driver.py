@@ -249,13 +249,16 @@ def _cycles(
     report = options.progress if options.progress is not None else _silent
     cycles = options.cycles if options.finish else 1
     reason = "nothing was asked for"
+    limits = bounds.copy()
+    if not options.finish and "p1_quality" in options.keep:
+        limits[0] = memory.before.p1_quality
     best = -np.inf
     for cycle in range(cycles):
         clock = time.perf_counter()
         base = cycle / cycles
         watch = None if options.finish else partial(memory.offer, name="smoothing")
         mesh, reason = smooth(
-            mesh, density, options, bounds, log,
+            mesh, density, options, limits, log,
             partial(_report_share, report, base, 0.5 / cycles), watch,
         )
         times["smoothing"] = times.get("smoothing", 0.0) + time.perf_counter() - clock

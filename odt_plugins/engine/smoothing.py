@@ -5,10 +5,13 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from odt_plugins.engine.complex import PENDING, Complex, make_complex
 from odt_plugins.engine.cvt import cvt_step
 from odt_plugins.engine.delaunay import delaunay_exchange
 from odt_plugins.engine.density import Density
+from odt_plugins.engine.figures import cell_shapes
 from odt_plugins.engine.finishing import flip_pending
 from odt_plugins.engine.flips2d import lawson_flips
 from odt_plugins.engine.graph_laplacian import global_step
@@ -18,7 +21,7 @@ from odt_plugins.engine.sweeps import StepStats, gauss_seidel_sweep, jacobi_swee
 from odt_plugins.engine.tetrahedron import ENERGY
 from odt_plugins.engine.topology import Topology
 from odt_plugins.engine.total_energy import total_energy
-from odt_plugins.mesh import FloatArray
+from odt_plugins.mesh import FloatArray, IntArray
 from odt_plugins.options import Options
 
 FAR = 0.1
@@ -103,6 +106,37 @@ def relaxation(options: Options, dim: int) -> float:
     return OVERRELAXED if dim == 3 and options.method == "odt" and options.finish else 1.0
 
 
+def held_to_bounds(
+    old: FloatArray, new: FloatArray, cells: IntArray, bounds: FloatArray
+) -> FloatArray:
+    """Take back the moves around cells that left the bounds, for steps that no finishing follows.
+
+    Parameters
+    ----------
+    old, new : (n, d) float64     positions before and after a step
+    cells : (m, d + 1) int32
+    bounds : (6,) float64         least q, largest and smallest cosine that may appear where they
+                                  were not passed before
+
+    Returns
+    -------
+    (n, d) float64                ``new`` with some vertices where they were
+    """
+    new = new.copy()
+    before = cell_shapes(old, cells)
+    floor = np.minimum(before[:, 0], bounds[0])
+    ceiling = np.maximum(before[:, 1], bounds[1])
+    depth = np.minimum(before[:, 2], bounds[2])
+    while True:
+        shapes = cell_shapes(new, cells)
+        bad = (shapes[:, 0] < floor) | (shapes[:, 1] > ceiling) | (shapes[:, 2] < depth)
+        back = np.unique(cells[bad])
+        back = back[(new[back] != old[back]).any(axis=1)]
+        if not back.size:
+            return new
+        new[back] = old[back]
+
+
 def exchange(mesh: Complex, log: Log) -> Complex:
     """Replace pieces of the mesh by scipy's Delaunay triangulation (Section 3.2)."""
     cells, regions = mesh.mesh_arrays()
@@ -163,6 +197,8 @@ def smooth(
         points, stats = position_step(
             mesh.points, topology, rho, options, density.inverse_volume
         )
+        if not options.finish:
+            points = held_to_bounds(mesh.points, points, cells, bounds)
         mesh.points[:] = points
         log.add("vertex moves", stats.moved)
         log.add("shortened moves", stats.reduced)
