@@ -23,6 +23,7 @@ from odt_plugins.engine.cavity import (
 )
 from odt_plugins.engine.tetrahedron import (
     ENERGY,
+    opposite_vertices,
     tet_cosines,
     tet_cost,
     tet_quality,
@@ -203,18 +204,8 @@ def flip_facet(
     if objective != ENERGY and not forced and status[across] == DONE:
         return 0.0, 0
     apex = apex_across(cells, neighbors, c, f)
-    if f == 0:
-        i, j, k = 1, 2, 3
-    elif f == 1:
-        i, j, k = 0, 3, 2
-    elif f == 2:
-        i, j, k = 0, 1, 3
-    else:
-        i, j, k = 0, 2, 1
     base = cells[c, f]
-    u = cells[c, i]
-    v = cells[c, j]
-    w = cells[c, k]
+    u, v, w = opposite_vertices(cells, c, base)
     before = _cost(points, cells, c, objective, power)
     before += _cost(points, cells, across, objective, power)
     limit = np.inf if forced else before * REAL

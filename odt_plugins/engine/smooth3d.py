@@ -11,22 +11,16 @@ import math
 import numpy as np
 from numba import njit
 
-from odt_plugins.engine.tetrahedron import SHIFT, quality_cost, tet_cosines, tet_quality
+from odt_plugins.engine.tetrahedron import (
+    SHIFT,
+    opposite_vertices,
+    quality_cost,
+    tet_cosines,
+    tet_quality,
+)
 from odt_plugins.mesh import FloatArray, IntArray, LongArray
 
 HALVINGS = 7
-
-
-@njit(nogil=True, cache=True)
-def _opposite(cells: IntArray, c: int, v: int) -> tuple[int, int, int]:
-    """The other three vertices of cell c, such that (v, i, j, k) is positive."""
-    if cells[c, 0] == v:
-        return cells[c, 1], cells[c, 2], cells[c, 3]
-    if cells[c, 1] == v:
-        return cells[c, 0], cells[c, 3], cells[c, 2]
-    if cells[c, 2] == v:
-        return cells[c, 0], cells[c, 1], cells[c, 3]
-    return cells[c, 0], cells[c, 2], cells[c, 1]
 
 
 @njit(nogil=True, cache=True)
@@ -268,7 +262,7 @@ def newton_vertex(
     """
     out[:] = 0.0
     for s in range(lo, hi):
-        i, j, k = _opposite(cells, indices[s], v)
+        i, j, k = opposite_vertices(cells, indices[s], v)
         if not add_quality_terms(points, v, i, j, k, power, out):
             return 0.0
     if not _newton_direction(out, step):

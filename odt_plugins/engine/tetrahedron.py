@@ -7,7 +7,7 @@ import math
 import numpy as np
 from numba import njit
 
-from odt_plugins.mesh import FloatArray
+from odt_plugins.mesh import FloatArray, IntArray
 
 ENERGY = 0
 QUALITY = 1
@@ -37,6 +37,18 @@ def quality_cost(q: float, power: float) -> float:
         square *= square
         return square * square
     return q**-power
+
+
+@njit(nogil=True, cache=True)
+def opposite_vertices(cells: IntArray, c: int, v: int) -> tuple[int, int, int]:
+    """The other three vertices of cell c, such that (v, i, j, k) is positive."""
+    if cells[c, 0] == v:
+        return cells[c, 1], cells[c, 2], cells[c, 3]
+    if cells[c, 1] == v:
+        return cells[c, 0], cells[c, 3], cells[c, 2]
+    if cells[c, 2] == v:
+        return cells[c, 0], cells[c, 1], cells[c, 3]
+    return cells[c, 0], cells[c, 2], cells[c, 1]
 
 
 @njit(nogil=True, cache=True, inline="never")
