@@ -71,7 +71,7 @@ def run_demo(
 
     points, faces = read_obj(bunny_path())
     say(f"Stanford bunny: {len(points)} vertices, {len(faces)} triangles")
-    say("TetWild fills it with tetrahedra (half a minute or so) ...")
+    say("TetWild fills it with tetrahedra (up to a minute) ...")
     start = time.perf_counter()
     vertices, tets = tetrahedralize(
         points, faces, edge_length_fac=edge_length, epsilon=epsilon, vtk_ordering=True, odt=False
