@@ -165,6 +165,10 @@ def test_files_that_end_too_early_or_have_no_cells_say_so(tmp_path):
     source.write_text(text)
     with pytest.raises(InvalidMeshError, match=r"the mesh has no cells in .*in\.vtu"):
         odt_plugins.optimize(source)
+    legacy = tmp_path / "in.vtk"
+    meshio.write(legacy, meshio.Mesh(np.eye(3), []))
+    with pytest.raises(InvalidMeshError, match=r"the mesh has no cells in .*in\.vtk"):
+        odt_plugins.optimize(legacy)
     node = tmp_path / "in.inp"
     node.write_text("*NODE\n1, 0.0, 0.0\n2, 1.0, 0.0\n*ELEMENT, TYPE=CPS3\n1, 1, 2, 3\n")
     with pytest.raises(MeshFileError, match="it refers to 3, which is not there"):

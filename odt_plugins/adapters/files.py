@@ -193,7 +193,7 @@ def _read_as(path: Path, formats: list[str]) -> tuple[Any, list[str]]:
         # A parser may raise anything at all on a broken file.
         except Exception as exc:
             cause = cause or exc
-    if "vtu" in formats and _is_vtu_without_cells(path):
+    if _declares_no_cells(path, formats):
         msg = f"the mesh has no cells in {path}; expected tetra or triangle"
         raise InvalidMeshError(msg) from cause
     kinds = " or ".join(formats)
@@ -230,8 +230,15 @@ def _check_su2_counts(path: Path, mesh: Any) -> None:
             raise MeshFileError(msg)
 
 
-def _is_vtu_without_cells(path: Path) -> bool:
-    counts = re.findall(rb"""NumberOfCells\s*=\s*["'](\d+)["']""", path.read_bytes())
+def _declares_no_cells(path: Path, formats: list[str]) -> bool:
+    """Whether a VTK file says that it has no cells, on which meshio's readers break."""
+    patterns = {
+        "vtu": rb"""NumberOfCells\s*=\s*["'](\d+)["']""",
+        "vtk": rb"""(?m)^CELLS\s+\d+\s+(\d+)\s*$""",
+    }
+    content = path.read_bytes()
+    known = [patterns[name] for name in formats if name in patterns]
+    counts = [count for pattern in known for count in re.findall(pattern, content)]
     return bool(counts) and not any(int(count) for count in counts)
 
 
