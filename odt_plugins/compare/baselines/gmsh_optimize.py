@@ -31,21 +31,24 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
     dim = 3 if start.kind == "tets" else 2
     _fill(gmsh.model, start, dim)
 
-    def call() -> None:
-        for _ in range(settings.get("times", 1)):
-            for method, passes in settings["sequence"]:
-                old = gmsh.model.mesh.getElementsByType(TETRAHEDRON)[0]
-                gmsh.model.mesh.optimize(method, True, passes)
-                if method == "Netgen":
-                    _drop_old(gmsh.model, old)
+    steps = settings.get("times", 1) * list(settings["sequence"])
+    kind = TETRAHEDRON if dim == 3 else TRIANGLE
 
-    def collect(_: Any) -> tuple[NDArray[Any], NDArray[Any]]:
+    def call() -> NDArray[Any]:
+        replaced = np.empty(0, dtype=np.uint64)
+        for method, passes in steps:
+            if len(replaced):
+                _keep_new(gmsh.model, replaced)
+            old = gmsh.model.mesh.getElementsByType(kind)[0]
+            gmsh.model.mesh.optimize(method, True, passes)
+            replaced = old if method == "Netgen" else old[:0]
+        return replaced
+
+    def collect(replaced: NDArray[Any]) -> tuple[NDArray[Any], NDArray[Any]]:
         tags, flat, _ = gmsh.model.mesh.getNodes()
         place = np.zeros(int(tags.max()) + 1, dtype=np.int64)
         place[tags] = np.arange(len(tags))
-        kind = TETRAHEDRON if dim == 3 else TRIANGLE
-        nodes = gmsh.model.mesh.getElementsByType(kind)[1]
-        cells = place[nodes].reshape(-1, dim + 1)
+        cells = place[_cells(gmsh.model, kind, replaced)]
         gmsh.finalize()
         return flat.reshape(-1, 3)[:, :dim], cells
 
@@ -74,9 +77,22 @@ def _fill(model: Any, start: StartMesh, dim: int) -> None:
         model.mesh.createGeometry()
 
 
-def _drop_old(model: Any, old: NDArray[Any]) -> None:
-    """Remove the cells from before: on a discrete volume Netgen adds its own beside them."""
-    now = model.mesh.getElementsByType(TETRAHEDRON)[0]
-    gone = np.intersect1d(now, old)
-    if 0 < len(gone) < len(now):
-        model.mesh.removeElements(3, 1, gone)
+def _cells(model: Any, kind: int, replaced: NDArray[Any]) -> NDArray[Any]:
+    """Node tags (m, k) of the cells that are not replaced by others beside them.
+
+    On a discrete volume Netgen adds its own cells to the old ones, unless it has nothing to do.
+    """
+    tags, nodes = model.mesh.getElementsByType(kind)
+    new = ~np.isin(tags, replaced)
+    cells: NDArray[Any] = nodes.reshape(len(tags), -1)
+    return cells[new] if new.any() else cells
+
+
+def _keep_new(model: Any, replaced: NDArray[Any]) -> None:
+    """Fill the volume anew with the cells that count; removing the others one by one is slow."""
+    cells = _cells(model, TETRAHEDRON, replaced)
+    tags, flat, _ = model.mesh.getNodes(3, 1)
+    used = np.isin(tags, cells)
+    model.mesh.clear([(3, 1)])
+    model.mesh.addNodes(3, 1, tags[used], flat.reshape(-1, 3)[used].ravel())
+    model.mesh.addElementsByType(1, TETRAHEDRON, [], cells.ravel())
