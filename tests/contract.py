@@ -4,12 +4,16 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
+from pathlib import Path
 from typing import Any
 
+import meshio
 import numpy as np
 import pytest
+import quadratic_meshes
 
+import odt_plugins
 from odt_plugins.engine.driver import Outcome
 
 THIRD = 1.0 / 3.0
@@ -17,13 +21,24 @@ THIRD = 1.0 / 3.0
 
 @dataclass
 class View:
-    """Arrays and data of any object, read by the host's own means."""
+    """Arrays and data of any object, read by the host's own means.
+
+    Attributes
+    ----------
+    points, cells, point_data, cell_data, field_data    of quadratic cells those of the corners
+    normals    by name, of vertices or cells, in whatever number
+    wedges     (m, 3, 2) texture coordinates, which depend on vertex and region alone
+    mid        place of the mid-node of every edge of quadratic cells
+    """
 
     points: np.ndarray
     cells: np.ndarray
     point_data: dict[str, np.ndarray]
     cell_data: dict[str, np.ndarray]
     field_data: dict[str, np.ndarray]
+    normals: dict[str, np.ndarray] = field(default_factory=dict)
+    wedges: np.ndarray | None = None
+    mid: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
 
 
 @dataclass
@@ -37,6 +52,7 @@ class Host:
     dim       2 or 3
     region    name of the cell array whose interfaces stay
     word      what the host calls its cells
+    optimize  what a caller of this host does
     """
 
     make: Callable[..., Any]
@@ -44,6 +60,7 @@ class Host:
     dim: int
     region: str | None
     word: str = "cells"
+    optimize: Callable[..., Any] = odt_plugins.optimize
 
 
 def need(name: str) -> None:
@@ -177,6 +194,9 @@ def check(host: Host, before: View, after: View) -> None:
     for name, values in before.cell_data.items():
         assert after.cell_data[name].dtype == values.dtype, name
         assert np.array_equal(after.cell_data[name], values[source]), name
+    check_wedges(before, after, old, new)
+    check_normals(before, after)
+    check_mid_nodes(before, after)
     # Cells that are still there keep their rows and their order.
     rows = {tuple(sorted(c)): i for i, c in enumerate(before.cells.tolist())}
     kept = [(rows[tuple(sorted(c))], i) for i, c in enumerate(after.cells.tolist())
@@ -184,6 +204,49 @@ def check(host: Host, before: View, after: View) -> None:
     assert kept == sorted(kept)
     for i, j in kept:
         assert np.array_equal(before.cells[i], after.cells[j])
+
+
+def check_wedges(before, after, old, new):
+    """Every vertex has the texture coordinates that it had in that region."""
+    assert (before.wedges is None) == (after.wedges is None)
+    if before.wedges is None:
+        return
+    place = {(label, v): uv for label, cell, wedges in zip(
+        old.tolist(), before.cells.tolist(), before.wedges, strict=True)
+        for v, uv in zip(cell, wedges, strict=True)}
+    expected = [[place[label, v] for v in cell]
+                for label, cell in zip(new.tolist(), after.cells.tolist(), strict=True)]
+    assert after.wedges.dtype == before.wedges.dtype
+    assert np.array_equal(after.wedges, np.array(expected))
+
+
+def check_normals(before, after):
+    """Normals that were there are those of the result, whatever they were before."""
+    assert sorted(before.normals) == sorted(after.normals)
+    for name, values in after.normals.items():
+        x = after.points[after.cells[0]].astype(np.float64)
+        normal = np.cross(x[1] - x[0], x[2] - x[0])
+        count = {len(before.points): len(after.points), len(before.cells): len(after.cells)}
+        assert len(values) == count[len(before.normals[name])], name
+        assert values.dtype == before.normals[name].dtype, name
+        assert values == pytest.approx(np.tile(normal / np.linalg.norm(normal),
+                                               (len(values), 1)), abs=1e-6), name
+
+
+def check_mid_nodes(before, after):
+    """Every edge has a mid-node, as far off its middle as before; on a new edge there."""
+    assert bool(before.mid) == bool(after.mid)
+    if not after.mid:
+        return
+    pairs = {pair for c in after.cells.tolist() for pair in itertools.combinations(sorted(c), 2)}
+    assert set(after.mid) == pairs
+    for edge, place in after.mid.items():
+        new, old = after.points[list(edge)], before.points[list(edge)]
+        off = before.mid[edge] - old.mean(axis=0) if edge in before.mid else 0.0
+        assert place - new.mean(axis=0) == pytest.approx(np.broadcast_to(off, place.shape),
+                                                         abs=1e-14), edge
+        if edge in before.mid and new.tobytes() == old.tobytes():
+            assert place.tobytes() == before.mid[edge].tobytes(), edge
 
 
 def sources(before, after, old, new):
@@ -201,14 +264,20 @@ def sources(before, after, old, new):
 
 def same_bits(a: Any, b: Any) -> bool:
     """Compare two views byte for byte."""
-    pairs = [(a.points, b.points), (a.cells, b.cells)]
-    for kind in ("point_data", "cell_data", "field_data"):
+    pairs = [(a.points, b.points), (a.cells, b.cells), (a.wedges, b.wedges)]
+    for kind in ("point_data", "cell_data", "field_data", "normals", "mid"):
         left, right = getattr(a, kind), getattr(b, kind)
         if sorted(left) != sorted(right):
             return False
         pairs += [(left[name], right[name]) for name in left]
     return all(np.asarray(p).dtype == np.asarray(q).dtype
                and np.asarray(p).tobytes() == np.asarray(q).tobytes() for p, q in pairs)
+
+
+def in_space(points, height=0.0):
+    """Points with three coordinates: those of a plane at a height, or as they are."""
+    rest = np.full((len(points), 3 - points.shape[1]), height)
+    return np.column_stack([points, rest])
 
 
 def data(points, cells, labels):
@@ -228,7 +297,7 @@ def _arrays(dim, turn, dtype, index, container, regions, space=False):
         points, cells, labels = mesh or grid(dim, 4)
         cells = negative(cells) if turn else cells
         if space:
-            points = np.column_stack([points, np.full(len(points), THIRD)])
+            points = in_space(points, THIRD)
         parts = [points.astype(dtype), cells.astype(index)]
         if regions:
             parts.append(labels)
@@ -250,8 +319,7 @@ def _pyvista(dim, kind, dtype):
         import pyvista
 
         points, cells, labels = mesh or grid(dim, 4)
-        space = np.zeros((len(points), 3), dtype=dtype)
-        space[:, :dim] = points
+        space = in_space(points).astype(dtype)
         if kind == "grid":
             mesh = pyvista.UnstructuredGrid({5 if dim == 2 else 10: cells}, space)
         else:
@@ -294,8 +362,6 @@ def _meshio(dim, blocks=False):
     kind = "triangle" if dim == 2 else "tetra"
 
     def make(mesh=None):
-        import meshio
-
         points, cells, labels = mesh or grid(dim, 4)
         point, cell = data(points, cells, labels)
         parts = [np.flatnonzero(labels == 7), np.flatnonzero(labels == -2)] if blocks else [
@@ -308,6 +374,82 @@ def _meshio(dim, blocks=False):
     return Host(make, meshio_view(kind), dim, "marker")
 
 
+def _vtk_file(points, cells, labels):
+    point, cell = data(points, cells, labels)
+    return {"point_data": point, "cell_data": {name: [values] for name, values in cell.items()}}
+
+
+def _gmsh_file(points, cells, labels):
+    labels = np.where(labels == 7, 1, 2)
+    return {"point_data": {"temperature": np.arange(len(points)) / 7},
+            "cell_data": {"gmsh:physical": [labels], "gmsh:geometrical": [labels],
+                          "stress": [np.arange(len(cells)) / 7]},
+            "field_data": {"steel": np.array([1, cells.shape[1] - 1])}}
+
+
+def _medit_file(points, cells, labels):
+    return {"cell_data": {"medit:ref": [np.where(labels == 7, 1, 2)]}}
+
+
+FILES = {".vtu": (_vtk_file, "vtu", "marker"), ".vtk": (_vtk_file, "vtk", "marker"),
+         ".msh": (_gmsh_file, "gmsh22", "gmsh:physical"),
+         ".mesh": (_medit_file, "medit", "medit:ref")}
+"""Data that a format holds, its name in meshio, and the cell data of the regions."""
+
+
+def file_mesh(suffix, dim, mesh=None):
+    """Make a meshio.Mesh of all that a format holds."""
+    points, cells, labels = mesh or grid(dim, 4)
+    if not len(cells):
+        return meshio.Mesh(in_space(points), [])
+    kind = "triangle" if dim == 2 else "tetra"
+    return meshio.Mesh(in_space(points), [(kind, cells)],
+                       **FILES[suffix][0](points, cells, labels))
+
+
+def _file(suffix, dim):
+    """A file in the working directory, and what `optimize_file` makes of it."""
+    _, name, region = FILES[suffix]
+
+    def make(mesh=None):
+        path = Path(f"{len(list(Path().iterdir()))}{suffix}")
+        meshio.write(path, file_mesh(suffix, dim, mesh), file_format=name)
+        return path
+
+    def view(path):
+        mesh = meshio.gmsh.read(path) if suffix == ".msh" else meshio.read(path)
+        return meshio_view("triangle" if dim == 2 else "tetra")(mesh)
+
+    def optimize(path, **options):
+        target = path.with_stem(f"{path.stem}-better")
+        odt_plugins.optimize_file(path, target, **options)
+        return target
+
+    return Host(make, view, dim, region, optimize=optimize)
+
+
+def _quadratic(kind, dim):
+    """A grid of quadratic cells, corners first, with data that are linear on every edge."""
+
+    def make(mesh=None):
+        points, cells, labels = mesh or grid(dim, 4)
+        nodes, rows = quadratic_meshes.widened(points, cells)
+        linear = np.arange(len(points)) * THIRD
+        ends = quadratic_meshes.edges_of(rows, dim)
+        middle = {mid: (linear[a] + linear[b]) / 2 for (a, b), mid in ends.items()}
+        linear = np.append(linear, [middle[i] for i in range(len(points), len(nodes))])
+        return quadratic_meshes.MAKERS[kind](nodes, rows, labels, {"temperature": linear}, dim)
+
+    def view(mesh):
+        nodes, rows, point, cell = quadratic_meshes.view(mesh, dim)
+        n = rows[:, : dim + 1].max() + 1
+        mid = {edge: nodes[i] for edge, i in quadratic_meshes.edges_of(rows, dim).items()}
+        return View(nodes[:n], rows[:, : dim + 1], {k: v[:n] for k, v in point.items()}, cell, {},
+                    mid=mid)
+
+    return Host(make, view, dim, "marker")
+
+
 def _pymeshlab(whole):
     """A labelled grid with data of every kind, as a Mesh or as the middle one of three meshes."""
 
@@ -316,7 +458,7 @@ def _pymeshlab(whole):
 
         points, cells, labels = mesh or grid(2, 4)
         n, m = len(points), len(cells)
-        space = np.column_stack([points, np.full(n, THIRD)])
+        space = in_space(points, THIRD)
         byte = np.random.default_rng(2).integers(0, 256, (n + m, 4)) / 255.0
         single = (np.arange(6 * m + 2 * n) / 7).astype(np.float32).astype(float).reshape(-1, 2)
         mesh = pymeshlab.Mesh(
@@ -364,8 +506,8 @@ def _pymeshlab(whole):
     return Host(make, view, 2, "marker", "faces")
 
 
-def _open3d(kind):
-    """A legacy TriangleMesh or TetraMesh, or a tensor mesh in single precision."""
+def _open3d(kind, real=np.float32, index=np.int64):
+    """A legacy TriangleMesh or TetraMesh, or a tensor mesh of given dtypes; normals are wrong."""
     dim = 3 if kind == "tetra" else 2
 
     def make(mesh=None):
@@ -373,14 +515,19 @@ def _open3d(kind):
 
         points, cells, labels = mesh or grid(dim, 4)
         n, m = len(points), len(cells)
-        space = np.column_stack([points, np.full(n, THIRD)])[:, :3]
-        colours = np.random.default_rng(4).random((n, 3))
+        space = in_space(points, THIRD)
+        random = np.random.default_rng(4)
+        colours, wrong, flat = random.random((n, 3)), random.random((n, 3)), random.random((m, 3))
+        uv = np.round(in_space(points)[cells][:, :, :2] * 64 + labels[:, None, None]) / 64
         if kind == "tensor":
-            mesh = open3d.t.geometry.TriangleMesh(space.astype(np.float32), cells)
+            mesh = open3d.t.geometry.TriangleMesh(space.astype(real), cells.astype(index))
             point, cell = data(points, cells, labels)
-            for name, values in {**point, "colors": colours.astype(np.float32)}.items():
+            point |= {"colors": colours.astype(np.float32), "normals": wrong.astype(real)}
+            cell |= {"inside": np.arange(m) % 3 == 0, "normals": flat.astype(real),
+                     "texture_uvs": uv.astype(np.float32)}
+            for name, values in point.items():
                 mesh.vertex[name] = values
-            for name, values in {**cell, "inside": np.arange(m) % 3 == 0}.items():
+            for name, values in cell.items():
                 mesh.triangle[name] = values
             mesh.material.set_default_properties()
             mesh.material.material_name = "defaultLit"
@@ -393,6 +540,9 @@ def _open3d(kind):
             mesh = open3d.geometry.TriangleMesh(corners, open3d.utility.Vector3iVector(cells))
             mesh.triangle_material_ids = open3d.utility.IntVector((labels == 7).astype(np.int32))
             mesh.textures = [open3d.geometry.Image(PICTURE)]
+            mesh.triangle_uvs = open3d.utility.Vector2dVector(uv.reshape(-1, 2))
+            mesh.vertex_normals = open3d.utility.Vector3dVector(wrong)
+            mesh.triangle_normals = open3d.utility.Vector3dVector(flat)
         mesh.vertex_colors = open3d.utility.Vector3dVector(colours)
         return mesh
 
@@ -403,13 +553,18 @@ def _open3d(kind):
             picture = mesh.material.texture_maps["albedo"].as_tensor().numpy()
             field = {"material": np.array(mesh.material.material_name), "texture": picture.copy(),
                      "device": np.array(str(mesh.device))}
-            return View(point.pop("positions"), cell.pop("indices"), point, cell, field)
+            normals = {"vertex": point.pop("normals"), "triangle": cell.pop("normals")}
+            return View(point.pop("positions"), cell.pop("indices"), point, cell, field, normals,
+                        cell.pop("texture_uvs"))
         point = {"colour": np.array(mesh.vertex_colors)}
         if dim == 3:
             return View(np.array(mesh.vertices), np.array(mesh.tetras), point, {}, {})
         cell = {"material": np.array(mesh.triangle_material_ids)}
         field = {"texture": np.array(mesh.textures[0])}
-        return View(np.array(mesh.vertices), np.array(mesh.triangles), point, cell, field)
+        normals = {"vertex": np.array(mesh.vertex_normals),
+                   "triangle": np.array(mesh.triangle_normals)}
+        return View(np.array(mesh.vertices), np.array(mesh.triangles), point, cell, field, normals,
+                    np.array(mesh.triangle_uvs).reshape(-1, 3, 2))
 
     region = {"tetra": None, "triangle": "material", "tensor": "marker"}[kind]
     return Host(make, view, dim, region, "tetras" if dim == 3 else "triangles")
@@ -437,4 +592,13 @@ HOSTS = {
     "open3d-triangle": _open3d("triangle"),
     "open3d-tetra": _open3d("tetra"),
     "open3d-tensor": _open3d("tensor"),
+    "open3d-tensor-float64-int32": _open3d("tensor", np.float64, np.int32),
+    "pyvista-quadratic-tet": _quadratic("pyvista", 3),
+    "pyvista-quadratic-tri": _quadratic("pyvista", 2),
+    "meshio-quadratic-tet": _quadratic("meshio", 3),
+    "meshio-quadratic-tri": _quadratic("meshio", 2),
+    **{f"file{suffix}-{dim}d": _file(suffix, dim) for suffix in FILES for dim in (2, 3)},
 }
+
+REFUSE_CURVED = [name for name, host in HOSTS.items() if host.dim == 2]
+"""Hosts whose curved surfaces are refused, with the way round by tetrahedra."""

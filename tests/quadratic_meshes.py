@@ -2,23 +2,26 @@
 
 from __future__ import annotations
 
-import contract
+import itertools
+from collections import Counter
+
+import meshio
 import numpy as np
 
 EDGES = {2: [(0, 1), (1, 2), (2, 0)], 3: [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)]}
+VTK = {2: 22, 3: 24}
+MESHIO = {2: "triangle6", 3: "tetra10"}
 
 
-def quadratic_grid(dim, n=4, shuffle=True):
-    """Nodes, cells with mid-nodes (as VTK orders them) and labels; boundary mid-nodes are off.
+def widened(points, cells):
+    """Nodes and cells with mid-nodes after the corners, as VTK orders them.
 
-    With `shuffle` corners and mid-nodes are numbered in any order.
+    The mid-nodes of the boundary lie beside the middle of their edge.
     """
-    points, cells, labels = contract.grid(dim, n)
-    outer = contract.facets(cells, np.zeros(len(cells), int))
-    rim = {(a, b) for f in outer for a in f for b in f if a < b}
-    nodes = list(points)
-    mid = {}
-    rows = []
+    dim = cells.shape[1] - 1
+    owners = Counter(f for c in cells.tolist() for f in itertools.combinations(sorted(c), dim))
+    rim = {(a, b) for f, count in owners.items() if count == 1 for a in f for b in f if a < b}
+    nodes, mid, rows = list(points), {}, []
     for cell in cells.tolist():
         row = list(cell)
         for i, j in EDGES[dim]:
@@ -27,15 +30,10 @@ def quadratic_grid(dim, n=4, shuffle=True):
                 mid[edge] = len(nodes)
                 middle = (points[edge[0]] + points[edge[1]]) / 2
                 off = 0.02 if edge in rim else 0.0
-                nodes.append(middle + off * np.sin(np.arange(1, dim + 1) * (1 + edge[0])))
+                nodes.append(middle + off * np.sin(np.arange(1, len(middle) + 1) * (1 + edge[0])))
             row.append(mid[edge])
         rows.append(row)
-    nodes, rows = np.array(nodes), np.array(rows)
-    if shuffle:
-        place = np.random.default_rng(3).permutation(len(nodes))
-        nodes = nodes[np.argsort(place)]
-        rows = place[rows]
-    return nodes, rows, labels
+    return np.array(nodes), np.array(rows, dtype=int).reshape(-1, dim + 1 + len(EDGES[dim]))
 
 
 def edges_of(rows, dim):
@@ -47,3 +45,35 @@ def edges_of(rows, dim):
             assert found.setdefault(edge, node) == node
     assert len(set(found.values())) == len(found)
     return found
+
+
+def _pyvista(points, rows, labels, point, dim):
+    import pyvista
+
+    space = np.zeros((len(points), 3))
+    space[:, : points.shape[1]] = points
+    mesh = pyvista.UnstructuredGrid({VTK[dim]: rows}, space)
+    mesh.point_data.update(point)
+    if len(rows):
+        mesh.cell_data["marker"] = labels
+        mesh.cell_data["origin"] = np.arange(len(rows))
+    return mesh
+
+
+def _meshio(points, rows, labels, point, dim):
+    return meshio.Mesh(points, [(MESHIO[dim], rows)], point_data=point,
+                       cell_data={"marker": [labels], "origin": [np.arange(len(rows))]})
+
+
+def view(mesh, dim):
+    """Nodes, rows, point and cell data of a mesh of either kind."""
+    if isinstance(mesh, meshio.Mesh):
+        return (mesh.points[:, :dim], mesh.cells[0].data, dict(mesh.point_data),
+                {name: values[0] for name, values in mesh.cell_data.items()})
+    return (np.array(mesh.points)[:, :dim], mesh.cells_dict[VTK[dim]],
+            {name: np.array(mesh.point_data[name]) for name in mesh.point_data},
+            {name: np.array(mesh.cell_data[name]) for name in mesh.cell_data})
+
+
+MAKERS = {"pyvista": _pyvista, "meshio": _meshio}
+"""Each makes a mesh of nodes, rows, labels, point data and the dimension."""

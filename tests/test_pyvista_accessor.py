@@ -123,11 +123,6 @@ def test_wrong_sizing_fields_are_named():
         cube.odt.tetrahedralize(sizing_field=tets)
 
 
-def test_curved_surfaces_name_the_volume_route():
-    with pytest.raises(UnsupportedMeshError, match="try the volume route"):
-        pyvista.Sphere(theta_resolution=6, phi_resolution=6).odt.optimize()
-
-
 def test_only_surfaces_and_grids_have_the_accessor():
     assert not hasattr(pyvista.Cube().cast_to_unstructured_grid().odt, "tetrahedralize")
     assert not hasattr(pyvista.ImageData(), "odt")

@@ -8,7 +8,7 @@ import contract
 import meshio
 import numpy as np
 import pytest
-from quadratic_meshes import EDGES, edges_of, quadratic_grid
+from quadratic_meshes import EDGES, MAKERS, MESHIO, edges_of, view, widened
 
 import odt_plugins
 from odt_plugins.adapters import files
@@ -27,37 +27,19 @@ from odt_plugins.errors import (
     UnsupportedMeshError,
 )
 
-VTK = {2: 22, 3: 24}
-MESHIO = {2: "triangle6", 3: "tetra10"}
 
+def quadratic_grid(dim, n=4, shuffle=True):
+    """Nodes, cells with mid-nodes and labels of a grid; boundary mid-nodes are off.
 
-def _pyvista(points, rows, labels, point, dim):
-    import pyvista
-
-    space = np.zeros((len(points), 3))
-    space[:, :dim] = points
-    mesh = pyvista.UnstructuredGrid({VTK[dim]: rows}, space)
-    mesh.point_data.update(point)
-    mesh.cell_data["marker"] = labels
-    mesh.cell_data["origin"] = np.arange(len(rows))
-    return mesh
-
-
-def _meshio(points, rows, labels, point, dim):
-    return meshio.Mesh(points, [(MESHIO[dim], rows)], point_data=point,
-                       cell_data={"marker": [labels], "origin": [np.arange(len(rows))]})
-
-
-def _view(mesh, dim):
-    if isinstance(mesh, meshio.Mesh):
-        return (mesh.points[:, :dim], mesh.cells[0].data, dict(mesh.point_data),
-                {name: values[0] for name, values in mesh.cell_data.items()})
-    return (np.array(mesh.points)[:, :dim], mesh.cells_dict[VTK[dim]],
-            {name: np.array(mesh.point_data[name]) for name in mesh.point_data},
-            {name: np.array(mesh.cell_data[name]) for name in mesh.cell_data})
-
-
-MAKERS = {"pyvista": _pyvista, "meshio": _meshio}
+    With `shuffle` corners and mid-nodes are numbered in any order.
+    """
+    points, cells, labels = contract.grid(dim, n)
+    nodes, rows = widened(points, cells)
+    if shuffle:
+        place = np.random.default_rng(3).permutation(len(nodes))
+        nodes = nodes[np.argsort(place)]
+        rows = place[rows]
+    return nodes, rows, labels
 
 
 @pytest.fixture(params=["engine", "churn"])
@@ -81,11 +63,11 @@ def test_mid_nodes_follow_their_edges(host, d):
         warnings.simplefilter("always")
         out = odt_plugins.optimize(mesh, keep=())
     assert type(out) is type(mesh)
-    old = _view(mesh, d)
+    old = view(mesh, d)
     assert np.array_equal(old[0], points)
     assert np.array_equal(old[1], rows)
     assert np.array_equal(old[2]["name"], data["name"])
-    new_points, new_rows, point, cell = _view(out, d)
+    new_points, new_rows, point, cell = view(out, d)
 
     # Who is who: a node that is still there has its old name.
     new_edges = edges_of(new_rows, d)
@@ -141,7 +123,7 @@ def test_without_flips_all_indices_stay_and_nothing_is_lost(host, d):
     points, rows, labels = quadratic_grid(d)
     mesh = MAKERS[host](points, rows, labels, {"name": np.arange(len(points)) / 7}, d)
     out = odt_plugins.optimize(mesh, connectivity="none", finish=False)
-    new_points, new_rows, point, _ = _view(out, d)
+    new_points, new_rows, point, _ = view(out, d)
     assert np.array_equal(new_rows, rows)
     assert np.array_equal(point["name"], np.arange(len(points)) / 7)
     assert not np.array_equal(new_points, points)
@@ -154,14 +136,14 @@ def test_a_mesh_that_does_not_change_comes_back_bit_for_bit(host, d):
     mesh = MAKERS[host](points, rows, labels, {"name": np.arange(len(points))}, d)
     out = odt_plugins.optimize(mesh, fixed=np.arange(len(points)), connectivity="none",
                                finish=False)
-    for a, b in zip(_view(mesh, d)[:2], _view(out, d)[:2], strict=True):
+    for a, b in zip(view(mesh, d)[:2], view(out, d)[:2], strict=True):
         assert a.tobytes() == b.tobytes()
 
 
 def test_corners_keep_their_index_when_they_come_first(monkeypatch, d):
     monkeypatch.setattr(driver, "run", contract.churn)
     points, rows, labels = quadratic_grid(d, shuffle=False)
-    out = odt_plugins.optimize(_meshio(points, rows, labels, {}, d))
+    out = odt_plugins.optimize(MAKERS["meshio"](points, rows, labels, {}, d))
     n = int(rows[:, : d + 1].max()) + 1
     assert out.cells[0].data[:, : d + 1].max() == n - 1
     lone, _ = odt_plugins.optimize((points, rows[:, : d + 1]), regions=labels)
@@ -270,7 +252,7 @@ def test_boundary_cells_and_point_sets_beside_them_follow(monkeypatch):
 def test_a_point_set_that_loses_nodes_is_named(monkeypatch):
     monkeypatch.setattr(driver, "run", contract.churn)
     points, rows, labels = quadratic_grid(2)
-    mesh = _meshio(points, rows, labels, {}, 2)
+    mesh = MAKERS["meshio"](points, rows, labels, {}, 2)
     mesh.point_sets["all"] = np.arange(len(points))
     with pytest.warns(DataNotKeptWarning, match="point set 'all' loses"):
         out = odt_plugins.optimize(mesh)

@@ -65,7 +65,8 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
     found = {block.type for block in mesh.cells if len(block.data)}
     kind = next((kind for kind in KINDS if kind in found), "triangle")
     for block in mesh.cells:
-        if block.type not in (LINEAR if kind in LINEAR else LINEAR + QUADRATIC):
+        known = block.type in (LINEAR if kind in LINEAR else LINEAR + QUADRATIC)
+        if len(block.data) and not known:
             msg = (
                 f"got {counted(len(block.data), 'cell')} of type {block.type}; expected linear "
                 f"cells such as tetra or triangle, try converting the mesh to linear cells"
