@@ -102,9 +102,10 @@ def simplex_mesh(
     if orientation == 1 and (sign < 0).any() and not orient:
         n_negative = int((sign < 0).sum())
         odd = np.flatnonzero(sign < 0 if 2 * n_negative <= len(t) else sign > 0)
+        name = "area" if p.shape[1] == 2 else "volume"
         msg = (
             f"got {_where(odd, 'cell')} of {len(t)} turned against the others (negative against "
-            f"positive volume); expected one orientation, try orient=True"
+            f"positive {name}); expected one orientation, try orient=True"
         )
         raise InvalidMeshError(msg)
     t = reverse(t, sign < 0)

@@ -386,44 +386,101 @@ def test_optimize_odt_and_radius_ratios_are_those_of_the_package():
     assert open3d_filters.compute_radius_ratios(equilateral) == pytest.approx([1.0])
 
 
-def test_errors_speak_of_triangles_and_tetras():
-    corner = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [2, 0, 0], [2, 1, 0]])
-    points = open3d.utility.Vector3dVector(corner)
+CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [2, 0, 0], [2, 1, 0],
+                    [0.7, 0.7, 0]])
 
-    def triangles(rows):
-        return open3d.geometry.TriangleMesh(points, open3d.utility.Vector3iVector(rows))
 
-    def tetras(rows):
+def of_rows(kind, rows):
+    """A mesh on CORNERS; a tensor mesh has a triangle attribute."""
+    if kind == "tensor":
+        mesh = open3d.t.geometry.TriangleMesh(CORNERS, np.array(rows))
+        mesh.triangle["lab"] = np.arange(len(rows))
+        return mesh
+    points = open3d.utility.Vector3dVector(CORNERS)
+    if kind == "tetra":
         return open3d.geometry.TetraMesh(points, open3d.utility.Vector4iVector(rows))
+    return open3d.geometry.TriangleMesh(points, open3d.utility.Vector3iVector(rows))
 
-    cases = [
-        (triangles([[0, 1, 2], [0, 1, 4]]),
-         r"1 triangle .*zero area.*mesh\.remove_degenerate_triangles\(\)"),
-        (triangles([[0, 1, 2], [1, 2, 0]]), r"mesh\.remove_duplicated_triangles\(\)"),
-        (triangles([[0, 1, 2], [1, 4, 2], [1, 5, 2]]), r"mesh\.remove_non_manifold_edges\(\)"),
-        (tetras([[0, 1, 2, 3], [0, 1, 4, 2]]), r"1 tetra .*mesh\.remove_degenerate_tetras\(\)"),
-        (tetras([[0, 1, 2, 3], [1, 2, 0, 3]]), r"mesh\.remove_duplicated_tetras\(\)"),
-        (tetras([[0, 1, 2, 3], [1, 2, 3, 4]]), None),
-    ]
-    for mesh, message in cases:
-        if message is None:
-            open3d_filters.optimize_odt(mesh, orient=True)
-            continue
-        for function in (open3d_filters.optimize_odt, open3d_filters.filter_smooth_odt):
-            with pytest.raises(InvalidMeshError, match=message) as caught:
-                function(mesh)
-            assert "cell" not in str(caught.value)
-    turned = triangles([[0, 1, 2], [1, 2, 4]])
-    with pytest.raises(InvalidMeshError, match=r"mesh\.orient_triangles\(\)"):
-        open3d_filters.optimize_odt(turned)
-    with pytest.raises(InvalidMeshError, match="try orient=True"):
-        open3d_filters.optimize_odt(tetras([[0, 1, 2, 3], [1, 2, 4, 3]]))
-    with pytest.raises(InvalidOptionError, match="got number_of_iterations=-1"):
-        open3d_filters.filter_smooth_odt(make("triangle"), -1)
+
+FLAT, TWICE = [[0, 1, 2], [0, 1, 4]], [[0, 1, 2], [1, 4, 4]]
+REPEATED, TURNED = [[0, 1, 2], [1, 2, 0]], [[0, 1, 2], [1, 2, 4]]
+FAN = [[0, 1, 2], [1, 5, 2], [1, 6, 2]]
+FAULTS = [
+    *((kind, FLAT, "1 triangle .*zero area", True) for kind in ("triangle", "tensor")),
+    *((kind, TURNED, "1 triangle .*negative against positive area", True)
+      for kind in ("triangle", "tensor")),
+    *((kind, FAN, "more than two triangles", True) for kind in ("triangle", "tensor")),
+    ("triangle", TWICE, "1 triangle .*used twice", True),
+    ("tensor", TWICE, "1 triangle .*used twice", False),
+    ("triangle", REPEATED, "same vertices as an earlier triangle", True),
+    ("tensor", REPEATED, "same vertices as an earlier triangle", False),
+    ("tetra", [[0, 1, 2, 3], [0, 1, 4, 2]], "1 tetra .*zero volume", False),
+    ("tetra", [[0, 1, 2, 3], [0, 1, 4, 4]], "1 tetra .*used twice", True),
+    ("tetra", [[0, 1, 2, 3], [1, 2, 0, 3]], "same vertices as an earlier tetra", True),
+    ("tetra", [[0, 1, 2, 3], [1, 2, 4, 3]], "1 tetra .*negative against positive volume", True),
+]
+"""Kind and rows of a broken mesh, what is said of it, and whether code is advised."""
+
+
+@pytest.mark.parametrize(("kind", "rows", "message", "code"), FAULTS)
+def test_errors_speak_of_triangles_and_tetras_and_advise_what_helps(kind, rows, message, code):
+    for function in (open3d_filters.optimize_odt, open3d_filters.filter_smooth_odt):
+        mesh = of_rows(kind, rows)
+        with pytest.raises(InvalidMeshError, match=message) as caught:
+            function(mesh)
+        said = str(caught.value)
+        assert "cell" not in said
+        advice = said.partition("try ")[2]
+        assert advice.startswith(("mesh.", "orient=")) == code
+        if not code:
+            assert advice in ("removing such tetras", "removing such triangles",
+                              "removing repeated triangles")
+        elif advice == "orient=True":
+            function(mesh, orient=True)
+        else:
+            names = {"mesh": mesh, "open3d": open3d,
+                     "compute_radius_ratios": open3d_filters.compute_radius_ratios}
+            out = eval(advice, names)
+            function(out if isinstance(out, type(mesh)) else mesh)
+
+
+def test_wrong_arguments_are_named():
+    for name in ("filter_smooth_odt", "filter_smooth_cpt", "filter_smooth_odt_global"):
+        with pytest.raises(InvalidOptionError, match="got number_of_iterations=-1"):
+            getattr(open3d_filters, name)(make("triangle"), -1)
+    with pytest.raises(InvalidOptionError, match="got rounds=-1"):
+        open3d_filters.optimize_odt(make("triangle"), rounds=-1)
     with pytest.raises(UnsupportedMeshError, match="expected an open3d TriangleMesh"):
-        open3d_filters.filter_smooth_odt((corner, np.array([[0, 1, 2]])))
+        open3d_filters.filter_smooth_odt((CORNERS, np.array([[0, 1, 2]])))
     with pytest.raises(UnsupportedMeshError, match="without triangles"):
         open3d_filters.compute_radius_ratios(open3d.geometry.TriangleMesh())
+
+
+@pytest.mark.parametrize(("name", "options", "message"), [
+    ("filter_smooth_odt", {"rounds": 7}, r"got rounds=7, .* to 3; .*number_of_iterations=7"),
+    ("filter_smooth_cpt", {"method": "odt"}, r"got method='odt', .* to 'cpt'; .*optimize_odt\(\)"),
+    ("filter_smooth_odt", {"finish": True}, "got finish=True"),
+    ("filter_smooth_odt", {"connectivity": "flips"}, "got connectivity='flips'"),
+    ("filter_smooth_odt", {"cycles": 2}, "got cycles=2"),
+    ("filter_smooth_odt_global", {"solver": "lbfgs"}, "got solver='lbfgs'"),
+    ("filter_smooth_odt_global", {"method": "cpt"}, "got method='cpt'"),
+])
+def test_options_that_contradict_a_filter_are_refused(name, options, message):
+    function, mesh = getattr(open3d_filters, name), make("triangle")
+    with pytest.raises(InvalidOptionError, match=message):
+        function(mesh, number_of_iterations=3, **options)
+    same = function(mesh, 3, rounds=3, finish=False)
+    assert contract.same_bits(view("triangle", same), view("triangle", function(mesh, 3)))
+
+
+def test_normals_of_tetras_stay():
+    mesh = make("tetra")
+    odd = np.random.default_rng(8).random((125, 3))
+    mesh.vertex_normals = open3d.utility.Vector3dVector(odd)
+    for function in (open3d_filters.optimize_odt, open3d_filters.filter_smooth_odt):
+        out = function(mesh)
+        assert not np.array_equal(out.vertices, mesh.vertices)
+        assert np.asarray(out.vertex_normals).tobytes() == odd.tobytes()
 
 
 REGISTERED = """

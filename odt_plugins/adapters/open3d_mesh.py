@@ -2,7 +2,8 @@
 
 Everything survives: class, dtype and device, vertex colours, texture coordinates, materials,
 textures, every attribute of a tensor mesh. Normals and the adjacency list are computed anew if
-they were there and the mesh changed. Faces of different materials or charts of the texture never
+they were there and the mesh changed; those of a TetraMesh stay, since only on the boundary do they
+mean something. Faces of different materials or charts of the texture never
 mix. Tensor meshes on another device are optimised on the CPU and copied back, with a warning.
 """
 

@@ -21,24 +21,18 @@ from odt_plugins.quality import radius_ratio
 
 MeshT = TypeVar("MeshT")
 
-WORDS = (
-    (r"\brounds=", "number_of_iterations="),
-    (r"orient=True", "mesh.orient_triangles()"),
-    (r"removing the cells that overlap", "mesh.remove_non_manifold_edges()"),
-    (r"removing repeated cells", "mesh.remove_duplicated_triangles()"),
-    (r"removing such cells", "mesh.remove_degenerate_triangles()"),
-    (r"\bcell\b", "triangle"),
-    (r"\bcells\b", "triangles"),
+REMEDIES = (
+    (r"(?<=try )orient=True", ("orient_triangles()",)),
+    (r"(?<=try )removing the cells that overlap", ("remove_non_manifold_edges()",)),
+    (r"(?<=try )removing repeated cells",
+     ("remove_duplicated_triangles()", "remove_duplicated_tetras()")),
+    (r"(?<=different vertices, try )removing such cells",
+     ("remove_degenerate_triangles()", "remove_degenerate_tetras()")),
+    (r"(?<=different from zero, try )removing such cells",
+     ("remove_triangles_by_mask(compute_radius_ratios(mesh) < 1e-12)",
+      "select_faces_by_mask(open3d.core.Tensor(compute_radius_ratios(mesh) > 1e-12))")),
 )
-"""What open3d calls the things that error messages speak of."""
-
-TETRA_WORDS = (
-    (r"mesh\.orient_triangles\(\)", "orient=True"),
-    (r"mesh\.remove_non_manifold_edges\(\)", "removing the tetras that overlap"),
-    (r"\btriangle", "tetra"),
-    (r"_triangles\(", "_tetras("),
-)
-"""The same for a TetraMesh, after WORDS."""
+"""What error messages advise, and the methods of open3d that do it, on one class or another."""
 
 
 def filter_smooth_odt(
@@ -58,8 +52,10 @@ def filter_smooth_odt(
     number_of_iterations : int     most rounds of smoothing; fewer when the energy has settled
     filter_scope : open3d.geometry.FilterScope
         All (default): vertices move, normals are computed anew; Vertex: normals stay as they are.
-        Colours are never averaged.
-    **options                      of :func:`odt_plugins.optimize`
+        Those of a TetraMesh stay either way: only on its boundary, which does not move, do they
+        mean something. Colours are never averaged.
+    **options                      of :func:`odt_plugins.optimize`; without those that make this
+                                   filter what it is: rounds, cycles, connectivity, finish, method
 
     Returns
     -------
@@ -67,7 +63,8 @@ def filter_smooth_odt(
 
     Raises
     ------
-    InvalidOptionError             the scope is Normal or Color, or an option is wrong
+    InvalidOptionError             the scope is Normal or Color, an option is wrong or contradicts
+                                   the filter
     InvalidMeshError, UnsupportedMeshError
 
     References
@@ -75,7 +72,7 @@ def filter_smooth_odt(
     L. Chen, M. Holst, CMAME 200 (2011) 967-984, doi:10.1016/j.cma.2010.11.007, (4.13).
     """
     return cast("MeshT", _smooth(mesh, number_of_iterations, filter_scope,
-                                 {"method": "odt", **options}))
+                                 {"method": "odt"}, options))
 
 
 def filter_smooth_cpt(
@@ -89,7 +86,7 @@ def filter_smooth_cpt(
     Every vertex moves to the weighted mean of the barycenters around it.
     """
     return cast("MeshT", _smooth(mesh, number_of_iterations, filter_scope,
-                                 {"method": "cpt", **options}))
+                                 {"method": "cpt"}, options))
 
 
 def filter_smooth_odt_global(
@@ -103,7 +100,7 @@ def filter_smooth_odt_global(
     Every round solves a linear system with the graph Laplacian.
     """
     return cast("MeshT", _smooth(mesh, number_of_iterations, filter_scope,
-                                 {"solver": "global", **options}))
+                                 {"method": "odt", "solver": "global"}, options))
 
 
 def optimize_odt(mesh: MeshT, **options: Unpack[OptionKeywords]) -> MeshT:
@@ -155,7 +152,7 @@ def register() -> None:
             setattr(kind, function.__name__, function)
 
 
-def _smooth(mesh: Any, rounds: int, scope: Any, options: Any) -> Any:
+def _smooth(mesh: Any, iterations: int, scope: Any, kind: Any, options: Any) -> Any:
     _expect_mesh(mesh)
     name = "All" if scope is None else getattr(scope, "name", str(scope))
     if name not in ("All", "Vertex"):
@@ -164,11 +161,21 @@ def _smooth(mesh: Any, rounds: int, scope: Any, options: Any) -> Any:
             f"follow the vertices, and colours stay with them"
         )
         raise InvalidOptionError(msg)
-    steps = {"connectivity": "none", "finish": False, "cycles": 1, "rounds": rounds}
+    own = {"rounds": iterations, "cycles": 1, "connectivity": "none", "finish": False, **kind}
+    wrong = next((name for name in own if options.get(name, own[name]) != own[name]), None)
+    if wrong is not None:
+        instead = "optimize_odt()" if wrong != "rounds" else (
+            f"number_of_iterations={options[wrong]!r}")
+        msg = (
+            f"got {wrong}={options[wrong]!r}, which this filter sets to {own[wrong]!r}; expected "
+            f"other options only, try {instead}"
+        )
+        raise InvalidOptionError(msg)
     try:
-        out = optimize_mesh(mesh, **{**steps, **options})
+        out = optimize_mesh(mesh, **{**options, **own})
     except ODTError as exc:
-        raise _in_words(exc, mesh) from exc
+        words = str(_in_words(exc, mesh))
+        raise type(exc)(re.sub(r"\brounds=", "number_of_iterations=", words)) from exc
     if name == "Vertex":
         _restore_normals(out, mesh)
     return out
@@ -199,7 +206,9 @@ def _expect_mesh(mesh: Any) -> None:
 def _in_words(exc: ODTError, mesh: Any) -> ODTError:
     """Say the same error in open3d's words."""
     text = str(exc)
-    words = WORDS + (TETRA_WORDS if is_instance(mesh, "open3d", "TetraMesh") else ())
-    for pattern, word in words:
-        text = re.sub(pattern, word, text)
-    return type(exc)(text)
+    for advice, calls in REMEDIES:
+        call = next((call for call in calls if hasattr(mesh, call.partition("(")[0])), None)
+        if call:
+            text = re.sub(advice, f"mesh.{call}", text)
+    noun = "tetra" if is_instance(mesh, "open3d", "TetraMesh") else "triangle"
+    return type(exc)(re.sub(r"\bcell(s?)\b", rf"{noun}\1", text))
