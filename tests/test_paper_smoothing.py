@@ -21,7 +21,7 @@ from strategies import (
     rotation,
 )
 
-from odt_plugins.engine import sweeps
+from odt_plugins.engine import coloring, threads
 from odt_plugins.engine.cvt import cvt_step, dual_cells
 from odt_plugins.engine.density import make_density, size_field
 from odt_plugins.engine.energy import energy
@@ -179,14 +179,15 @@ def test_row19_sweep_turns_and_scales_with_the_mesh(mesh, method, seed):
 
 
 def test_row19_threads_do_not_change_a_bit(d, monkeypatch):
-    monkeypatch.setattr(sweeps, "CHUNK", 5)
+    monkeypatch.setattr(threads, "SMALLEST", 5)
+    monkeypatch.setattr(coloring, "SMALLEST_BITS", 2)
     points, cells = jittered(d, {2: 20, 3: 8}[d], 19)
     topology = topology_of(points, cells)
-    assert np.diff(topology.coloring.offsets).max() > 15
+    assert np.diff(topology.coloring.offsets).max() > 5
     for step in (gauss_seidel_sweep, jacobi_sweep):
         one, stats = step(points, topology)
-        for threads in (2, 3):
-            many, same = step(points, topology, threads=threads)
+        for count in (2, 3):
+            many, same = step(points, topology, threads=count)
             assert np.array_equal(one, many)
             assert same == stats
 

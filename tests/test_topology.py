@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+
 import numpy as np
 import pytest
 import reference as ref
@@ -9,8 +11,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from strategies import SEEDS, jittered, lattice, meshes
 
+from odt_plugins.engine import coloring
 from odt_plugins.engine.adjacency import cell_neighbors
-from odt_plugins.engine.coloring import vertex_coloring
 from odt_plugins.engine.geometry import boundary_facets, boundary_vertices
 from odt_plugins.engine.star import star_average, star_sum, vertex_neighbors, vertex_stars
 from odt_plugins.engine.topology import make_topology
@@ -100,19 +102,26 @@ def test_boundary_and_interface_vertices(mesh, labels, seed):
 
 
 @given(meshes(), SEEDS)
-def test_no_cell_has_two_vertices_of_one_color(mesh, seed):
+def test_no_cell_has_vertices_in_two_blocks_of_one_color(mesh, seed):
     points, cells = shuffled(mesh, seed)
     movable = np.random.default_rng(seed).random(len(points)) < 0.7
-    coloring = vertex_coloring(cells, vertex_stars(cells, len(points)), movable)
-    color = np.full(len(points), -1)
-    for c in range(coloring.offsets.size - 1):
-        group = coloring.order[coloring.offsets[c] : coloring.offsets[c + 1]]
-        assert np.all(np.diff(group) > 0)
-        color[group] = c
+    bits = seed % 4
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(coloring, "SMALLEST_BITS", bits)
+        patch.setattr(coloring, "MOST_BLOCKS", len(points) + 1)
+        found = coloring.vertex_coloring(cells, movable)
+    assert sorted(found.order) == np.flatnonzero(movable).tolist()
+    blocks = [found.order[a:b] for a, b in pairwise(found.blocks)]
+    assert all(len(b) and np.all(np.diff(b) > 0) and b[0] >> bits == b[-1] >> bits for b in blocks)
+    block, color = np.full(len(points), -1), np.full(len(points), -1)
+    for i, mine in enumerate(blocks):
+        block[mine] = i
+    for c, (first, last) in enumerate(pairwise(found.offsets)):
+        color[np.isin(block, np.arange(first, last))] = c
     assert np.array_equal(color >= 0, movable)
     for cell in cells:
-        mine = color[cell][color[cell] >= 0]
-        assert len(set(mine)) == len(mine)
+        mine = cell[movable[cell]]
+        assert len(set(color[mine])) == len(set(block[mine]))
 
 
 def test_topology_leaves_vertices_without_cells_alone(d):

@@ -1,4 +1,9 @@
-"""Colours for Gauss-Seidel: vertices of one colour share no cell, so they can move at once."""
+"""Colours for Gauss-Seidel: blocks of neighbouring vertices that can be swept at the same time.
+
+A block is a run of consecutive vertex numbers, which along a space-filling curve lie together in
+space and in memory.  No cell has vertices in two blocks of one colour; within a block the vertices
+move one after another.  The blocks depend on the mesh alone, not on the number of threads.
+"""
 
 from __future__ import annotations
 
@@ -7,70 +12,89 @@ from typing import NamedTuple
 import numpy as np
 from numba import njit
 
-from odt_plugins.engine.star import OffsetArray, Stars
+from odt_plugins.engine.star import OffsetArray
 from odt_plugins.mesh import BoolArray, IntArray
+
+SMALLEST_BITS = 6
+"""A block has at least 2^SMALLEST_BITS vertex numbers."""
+
+MOST_BLOCKS = 1024
 
 
 class Coloring(NamedTuple):
-    """Vertices in groups: colour c is ``order[offsets[c]:offsets[c + 1]]``, ascending.
+    """Vertices in blocks, blocks in colours.
+
+    Block b is ``order[blocks[b]:blocks[b + 1]]``, ascending; colour c has the blocks
+    ``offsets[c]:offsets[c + 1]``.
 
     Attributes
     ----------
     order : (v,) int32
+    blocks : (number of blocks + 1,) int64
     offsets : (number of colours + 1,) int64
     """
 
     order: IntArray
+    blocks: OffsetArray
     offsets: OffsetArray
 
 
 @njit(nogil=True, cache=True)
-def _greedy(
-    cells: IntArray,
-    indptr: OffsetArray,
-    indices: IntArray,
-    movable: BoolArray,
-    color: IntArray,
-    taken: IntArray,
-) -> None:
-    """Give every movable vertex the lowest colour free among its neighbours; taken[c] = i marks."""
+def _touching(cells: IntArray, movable: BoolArray, bits: int, touch: BoolArray) -> None:
+    """Mark pairs of blocks with movable vertices in one cell."""
     k = cells.shape[1]
-    for i in range(movable.shape[0]):
-        if not movable[i]:
+    for c in range(cells.shape[0]):
+        if cells[c, 0] < 0:
             continue
-        for s in range(indptr[i], indptr[i + 1]):
-            c = indices[s]
-            for a in range(k):
-                other = color[cells[c, a]]
-                if other >= 0:
-                    taken[other] = i
+        for a in range(1, k):
+            v = cells[c, a]
+            for b in range(a):
+                u = cells[c, b]
+                if u >> bits != v >> bits and movable[u] and movable[v]:
+                    touch[u >> bits, v >> bits] = True
+                    touch[v >> bits, u >> bits] = True
+
+
+@njit(nogil=True, cache=True)
+def _greedy(touch: BoolArray, color: IntArray, taken: IntArray) -> None:
+    """Give every block the lowest colour free among its neighbours; taken[c] = b marks."""
+    for b in range(color.shape[0]):
+        for other in range(b):
+            if touch[b, other]:
+                taken[color[other]] = b
         low = 0
-        while taken[low] == i:
+        while taken[low] == b:
             low += 1
-        color[i] = low
+        color[b] = low
 
 
-def vertex_coloring(cells: IntArray, stars: Stars, movable: BoolArray) -> Coloring:
-    """Colour the movable vertices so that no cell holds two of one colour.
+def vertex_coloring(cells: IntArray, movable: BoolArray) -> Coloring:
+    """Put the movable vertices into blocks and colour these.
 
     Parameters
     ----------
-    cells : (m, d + 1) int32
-    stars : Stars              of these cells
+    cells : (m, d + 1) int32   a row that starts with -1 is a free slot
     movable : (n,) bool        vertices to colour; the others do not take part
 
     Returns
     -------
     Coloring                   greedy in order of index: the same for the same mesh
     """
-    n = movable.size
-    if not movable.any():
-        return Coloring(np.empty(0, dtype=np.int32), np.zeros(1, dtype=np.int64))
-    color = np.full(n, -1, dtype=np.int32)
-    most = int(np.diff(stars.indptr).max(initial=0)) * cells.shape[1]
-    taken = np.full(min(most, n) + 1, -1, dtype=np.int32)
-    _greedy(cells, stars.indptr, stars.indices, movable, color, taken)
     vertices = np.flatnonzero(movable)
-    order = vertices[np.argsort(color[vertices], kind="stable")].astype(np.int32)
-    offsets = np.concatenate([[0], np.cumsum(np.bincount(color[vertices]))]).astype(np.int64)
-    return Coloring(order, offsets)
+    bits = SMALLEST_BITS
+    while len(movable) >> bits >= MOST_BLOCKS:
+        bits += 1
+    count = (len(movable) >> bits) + 1
+    touch = np.zeros((count, count), dtype=np.bool_)
+    _touching(cells, movable, bits, touch)
+    color = np.zeros(count, dtype=np.int32)
+    _greedy(touch, color, np.full(count + 1, -1, dtype=np.int32))
+    size = np.bincount(vertices >> bits, minlength=count)
+    used = np.flatnonzero(size)
+    used = used[np.argsort(color[used], kind="stable")]
+    place = np.zeros(count, dtype=np.int64)
+    place[used] = np.arange(len(used))
+    order = vertices[np.argsort(place[vertices >> bits], kind="stable")].astype(np.int32)
+    blocks = np.concatenate([[0], np.cumsum(size[used])]).astype(np.int64)
+    groups = np.unique(color[used], return_counts=True)[1]
+    return Coloring(order, blocks, np.concatenate([[0], np.cumsum(groups)]).astype(np.int64))

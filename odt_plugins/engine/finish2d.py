@@ -106,15 +106,15 @@ def _sweep(
     points: FloatArray, cells: IntArray, stars: Stars, wanted: BoolArray, power: float,
     bounds: FloatArray, moved: FloatArray, pool: ThreadPoolExecutor | None, threads: int,
 ) -> None:
-    """Smooth every wanted vertex once, colour after colour."""
-    order, offsets = vertex_coloring(cells, stars, wanted)
+    """Smooth every wanted vertex once, block after block."""
+    coloring = vertex_coloring(cells, wanted)
     moved[:] = 0.0
 
     def work(start: int, stop: int) -> int:
-        return int(smooth_vertices_2d(points, cells, stars.indptr, stars.indices, order,
-                                      start, stop, power, bounds, moved))
+        return int(smooth_vertices_2d(points, cells, stars.indptr, stars.indices,
+                                      coloring.order, start, stop, power, bounds, moved))
 
-    run_chunks(pool, threads, offsets, work)
+    run_chunks(pool, threads, coloring, work)
 
 
 @njit(nogil=True, cache=True)

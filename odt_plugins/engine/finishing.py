@@ -120,12 +120,13 @@ def descend(
         cells = mesh.cells[:used]
         pushed = 0
         for _ in range(phase.sweeps):
-            order, offsets = vertex_coloring(cells, stars, active & zone)
+            coloring = vertex_coloring(cells, active & zone)
             moved[:] = 0.0
             work = partial(
-                _smooth_chunk, mesh.points, cells, stars, order, phase.power, bounds, moved
+                _smooth_chunk, mesh.points, cells, stars, coloring.order, phase.power, bounds,
+                moved,
             )
-            moves += run_chunks(pool, threads, offsets, work)
+            moves += sum(run_chunks(pool, threads, coloring, work))
             pushed = spread(cells, stars.indptr, stars.indices, moved, GAIN, active, mesh.status)
         if pushed == 0 and round_flips == 0:
             break
@@ -143,7 +144,7 @@ def _smooth_chunk(
     points: FloatArray, cells: IntArray, stars: Stars, order: IntArray, power: float,
     bounds: FloatArray, moved: FloatArray, start: int, stop: int,
 ) -> int:
-    """Smooth the vertices order[start:stop]; they share no cell."""
+    """Smooth the vertices order[start:stop]."""
     return int(smooth3d.smooth_vertices(
         points, cells, stars.indptr, stars.indices, order, start, stop, power, bounds, moved
     ))

@@ -138,7 +138,7 @@ def smooth_vertices_2d(
     points : (n, 2) float64         changed in place
     cells : (m, 3) int32            counterclockwise
     indptr : (n + 1,) int64, indices : int32    stars
-    order : (k,) int32              vertices; those of one call share no triangle
+    order : (k,) int32              vertices, moved one after another
     start, stop : int
     power : float                   p > 0
     bounds : (3,) float64           least radius ratio, largest and smallest cosine of an angle; a

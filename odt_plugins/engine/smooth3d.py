@@ -317,7 +317,7 @@ def smooth_vertices(
     ----------
     points : (n, 3) float64, cells : (m, 4) int32
     indptr, indices                      stars in CSR form
-    order : (k,) int32                   vertices; those of one call share no cell
+    order : (k,) int32                   vertices, moved one after another
     power : float                        p
     bounds : (6,) float64                least q, largest and smallest cosine that may appear
     moved : (n,) float64                 relative decrease of the star's cost is written here

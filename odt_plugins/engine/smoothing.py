@@ -30,7 +30,7 @@ FAR = 0.1
 MODERATE = 20_000
 """Most cells for which "auto" asks scipy in the first round; beyond, local flips are cheaper."""
 
-CONVERGED = 1e-3
+CONVERGED = 7e-4
 PATIENCE = 5
 """A stage ends when PATIENCE rounds have lowered the least energy by less than CONVERGED of it."""
 

@@ -7,14 +7,16 @@ way: the largest step that leaves every cell of the star a sound volume.
 from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
-from typing import Literal, NamedTuple
+from contextlib import nullcontext
+from typing import Any, Literal, NamedTuple
 
 import numpy as np
 from numba import njit
 
+from odt_plugins.engine.coloring import Coloring
 from odt_plugins.engine.geometry import signed_volumes
 from odt_plugins.engine.star import OffsetArray, star_sum
+from odt_plugins.engine.threads import run_chunks
 from odt_plugins.engine.topology import Topology
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
@@ -28,9 +30,6 @@ THIN = 1e-3
 
 ROUNDING = 1e-13
 """Volumes below this part of (longest edge)^d are rounding errors: never accepted."""
-
-CHUNK = 2048
-"""Fewer vertices of one colour than this are not worth a second thread."""
 
 
 class StepStats(NamedTuple):
@@ -58,7 +57,7 @@ def _move_vertices(
     cells: IntArray,
     indptr: OffsetArray,
     indices: IntArray,
-    use_barycenter: BoolArray,
+    barycentric: BoolArray,
     rho: FloatArray,
     equal_weights: bool,
     row_start: OffsetArray,
@@ -68,9 +67,12 @@ def _move_vertices(
     stop: int,
     omega: float,
     largest_star: int,
-    stats: FloatArray,
-) -> None:
+) -> tuple[int, float, int]:
     """Move order[start:stop] from points to out, which may be the same array.
+
+    A cell with a ``barycentric`` vertex is represented by its barycenter.  Returns the vertices
+    moved, the longest relative move and the vertices of reduced alpha.  Indices of arrays are
+    unsigned because signed ones are tested for negative values.
 
     Offsets are taken from x_i. With a = x_1 - x_i, ... the other corners in positive order,
     det = d! |tau| and c - x_i = moment / (2 det): weights |tau| cancel the division, so flat cells
@@ -80,11 +82,11 @@ def _move_vertices(
     factorial = 2.0 if d == 2 else 6.0
     laplacian = row_start.shape[0] > 0
     cell = np.empty((largest_star, 4))
-    moved = 0.0
-    reduced = 0.0
+    moved = 0
+    reduced = 0
     longest = 0.0
     for position in range(start, stop):
-        i = order[position]
+        i = np.uint32(order[position])
         x = points[i, 0]
         y = points[i, 1]
         z = points[i, 2] if d == 3 else 0.0
@@ -95,17 +97,13 @@ def _move_vertices(
         lowest = np.inf
         edge_max = 0.0
         for s in range(count):
-            c = indices[first + s]
-            corner_rho = 0.0
-            for a in range(d + 1):
-                corner_rho += rho[cells[c, a]]
+            c = np.uint32(indices[first + s])
             if d == 2:
-                if cells[c, 0] == i:
-                    j, k = cells[c, 1], cells[c, 2]
-                elif cells[c, 1] == i:
-                    j, k = cells[c, 2], cells[c, 0]
-                else:
-                    j, k = cells[c, 0], cells[c, 1]
+                at = (cells[c, 1] == i) + 2 * (cells[c, 2] == i)
+                j = np.uint32(cells[c, (at + 1) % 3])
+                k = np.uint32(cells[c, (at + 2) % 3])
+                corner_rho = rho[i] + rho[j] + rho[k]
+                central = barycentric[i] or barycentric[j] or barycentric[k]
                 ax, ay = points[j, 0] - x, points[j, 1] - y
                 bx, by = points[k, 0] - x, points[k, 1] - y
                 aa = ax * ax + ay * ay
@@ -113,21 +111,20 @@ def _move_vertices(
                 det = ax * by - ay * bx
                 gx, gy, gz = ay - by, bx - ax, 0.0
                 longer = max(aa, bb)
-                if use_barycenter[c]:
+                if central:
                     ox, oy, oz = (ax + bx) / 3.0, (ay + by) / 3.0, 0.0
                     scale = 1.0 if equal_weights else det * corner_rho
                 else:
                     ox, oy, oz = aa * by - bb * ay, bb * ax - aa * bx, 0.0
                     scale = 0.5 / det if equal_weights else 0.5 * corner_rho
             else:
-                if cells[c, 0] == i:
-                    j, k, n = cells[c, 1], cells[c, 2], cells[c, 3]
-                elif cells[c, 1] == i:
-                    j, k, n = cells[c, 0], cells[c, 3], cells[c, 2]
-                elif cells[c, 2] == i:
-                    j, k, n = cells[c, 0], cells[c, 1], cells[c, 3]
-                else:
-                    j, k, n = cells[c, 0], cells[c, 2], cells[c, 1]
+                at = (cells[c, 1] == i) + 2 * (cells[c, 2] == i) + 3 * (cells[c, 3] == i)
+                odd = at & 1
+                j = np.uint32(cells[c, np.uint32(at + 1) & 3])
+                k = np.uint32(cells[c, np.uint32(at + 2 + odd) & 3])
+                n = np.uint32(cells[c, np.uint32(at + 3 - odd) & 3])
+                corner_rho = rho[i] + rho[j] + rho[k] + rho[n]
+                central = barycentric[i] or barycentric[j] or barycentric[k] or barycentric[n]
                 ax, ay, az = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
                 bx, by, bz = points[k, 0] - x, points[k, 1] - y, points[k, 2] - z
                 ex, ey, ez = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
@@ -140,7 +137,7 @@ def _move_vertices(
                 det = ax * px + ay * py + az * pz
                 gx, gy, gz = -(px + qx + rx), -(py + qy + ry), -(pz + qz + rz)
                 longer = max(aa, bb, ee)
-                if use_barycenter[c]:
+                if central:
                     ox, oy, oz = 0.25 * (ax + bx + ex), 0.25 * (ay + by + ey), 0.25 * (az + bz + ez)
                     scale = 1.0 if equal_weights else det * corner_rho
                 else:
@@ -183,7 +180,7 @@ def _move_vertices(
             if accepted:
                 break
             if halving == 0:
-                reduced += 1.0
+                reduced += 1
             alpha *= 0.5
         if not accepted:
             mx = my = mz = 0.0
@@ -193,12 +190,10 @@ def _move_vertices(
             out[i, 2] = z + mz
         length = mx * mx + my * my + mz * mz
         if length > 0.0:
-            moved += 1.0
+            moved += 1
             power = length if d == 2 else length * np.sqrt(length)
             longest = max(longest, power * factorial * count / total)
-    stats[0] = moved
-    stats[1] = longest ** (1.0 / d)
-    stats[2] = reduced
+    return moved, longest ** (1.0 / d), reduced
 
 
 def _sweep(
@@ -211,57 +206,41 @@ def _sweep(
     omega: float,
     boundary_rule: bool,
     threads: int,
-    groups: OffsetArray,
+    coloring: Coloring,
 ) -> StepStats:
-    """Run the kernel over groups of independent vertices, each group cut into chunks."""
+    """Run the kernel over blocks of vertices."""
     if method == "odt" and boundary_rule:
-        use_barycenter = topology.boundary_cells
+        barycentric = topology.is_boundary
     else:
-        use_barycenter = np.full(len(topology.cells), method != "odt")
-    if rho is None:
-        rho = np.ones(len(points))
+        barycentric = np.full(len(points), method != "odt")
+    rho = np.ones(len(points)) if rho is None else np.ascontiguousarray(rho)
     rows = topology.neighbors if method == "laplacian" else None
     row_start = rows.indptr if rows else np.empty(0, dtype=np.int64)
     row_vertices = rows.indices if rows else np.empty(0, dtype=np.int32)
-    order = topology.coloring.order
 
-    def run(start: int, stop: int) -> FloatArray:
-        stats = np.zeros(3)
-        _move_vertices(
+    def run(start: int, stop: int) -> Any:
+        return _move_vertices(
             points,
             out,
             topology.cells,
             topology.stars.indptr,
             topology.stars.indices,
-            use_barycenter,
-            np.ascontiguousarray(rho),
+            barycentric,
+            rho,
             inverse_volume,
             row_start,
             row_vertices,
-            order,
+            coloring.order,
             start,
             stop,
             float(omega),
             topology.largest_star,
-            stats,
         )
-        return stats
 
-    results = []
-    with ThreadPoolExecutor(max(1, threads)) as pool:
-        for start, stop in pairwise(groups):
-            parts = max(1, min(threads, int(stop - start) // CHUNK))
-            cuts = np.linspace(start, stop, parts + 1).astype(int)
-            pairs = list(pairwise(cuts.tolist()))
-            if parts == 1:
-                results.append(run(*pairs[0]))
-            else:
-                results.extend(pool.map(lambda pair: run(*pair), pairs))
-    if not results:
-        return StepStats(0, 0.0, 0)
-    table = np.array(results)
-    moved, _, reduced = table.sum(axis=0)
-    return StepStats(int(moved), float(table[:, 1].max()), int(reduced))
+    with ThreadPoolExecutor(threads) if threads > 1 else nullcontext() as pool:
+        results = run_chunks(pool, threads, coloring, run)
+    moved, longest, reduced = zip((0, 0.0, 0), *results, strict=True)
+    return StepStats(sum(moved), max(longest), sum(reduced))
 
 
 def gauss_seidel_sweep(
@@ -275,7 +254,7 @@ def gauss_seidel_sweep(
     boundary_rule: bool = True,
     threads: int = 1,
 ) -> tuple[FloatArray, StepStats]:
-    """Move every movable vertex once, colour after colour, to the mean centre of its star.
+    """Move every movable vertex once, block after block, to the mean centre of its star.
 
     Parameters
     ----------
@@ -300,9 +279,9 @@ def gauss_seidel_sweep(
     CMAME 200 (2011) 967-984, Sections 4.1.3 and 4.2, (4.11), (4.13), (4.20)-(4.22).
     """
     new = np.array(points, dtype=np.float64, order="C")
-    groups = topology.coloring.offsets
     stats = _sweep(
-        new, new, topology, rho, method, inverse_volume, omega, boundary_rule, threads, groups
+        new, new, topology, rho, method, inverse_volume, omega, boundary_rule, threads,
+        topology.coloring,
     )
     return new, stats
 
@@ -326,9 +305,10 @@ def jacobi_sweep(
     """
     old = np.ascontiguousarray(points, dtype=np.float64)
     target = old.copy()
-    groups = np.array([0, topology.coloring.order.size], dtype=np.int64)
+    blocks = topology.coloring
     stats = _sweep(
-        old, target, topology, rho, method, inverse_volume, omega, boundary_rule, threads, groups
+        old, target, topology, rho, method, inverse_volume, omega, boundary_rule, threads,
+        blocks._replace(offsets=np.array([0, len(blocks.blocks) - 1], dtype=np.int64)),
     )
     new, reduced = guarded_move(old, topology, target - old)
     return new, move_stats(old, new, topology, stats.reduced + reduced, 1.0)

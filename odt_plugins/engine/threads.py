@@ -5,32 +5,39 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
+from typing import TypeVar
 
-from odt_plugins.mesh import LongArray
+from odt_plugins.engine.coloring import Coloring
+
+T = TypeVar("T")
 
 SMALLEST = 256
+"""Fewer vertices of one colour than this are not worth a second thread."""
 
 
 def run_chunks(
     pool: ThreadPoolExecutor | None,
     threads: int,
-    offsets: LongArray,
-    work: Callable[[int, int], int],
-) -> int:
-    """Call ``work(start, stop)`` over every colour and add up what it returns.
+    coloring: Coloring,
+    work: Callable[[int, int], T],
+) -> list[T]:
+    """Call ``work(start, stop)`` over the vertices of every colour; returns what it returned.
 
     Parameters
     ----------
-    pool : ThreadPoolExecutor or None    None runs everything here
-    threads : int                        chunks a colour is cut into
-    offsets : (c + 1,) int64             where each colour starts
-    work : callable                      releases the GIL; its vertices are independent
+    pool : ThreadPoolExecutor or None    None runs everything here, in one call
+    threads : int                        chunks a colour is cut into, between blocks
+    coloring : Coloring
+    work : callable                      releases the GIL; works on coloring.order[start:stop]
     """
-    total = 0
-    for lo, hi in pairwise(offsets.tolist()):
-        if pool is None or hi - lo < SMALLEST:
-            total += work(lo, hi)
+    blocks = coloring.blocks
+    if pool is None:
+        return [work(0, int(blocks[-1]))]
+    results = []
+    for first, last in pairwise(coloring.offsets.tolist()):
+        if blocks[last] - blocks[first] < SMALLEST:
+            results.append(work(int(blocks[first]), int(blocks[last])))
             continue
-        cuts = [lo + (hi - lo) * t // threads for t in range(threads + 1)]
-        total += sum(pool.map(work, cuts[:-1], cuts[1:]))
-    return total
+        cuts = [int(blocks[first + (last - first) * t // threads]) for t in range(threads + 1)]
+        results += pool.map(work, cuts[:-1], cuts[1:])
+    return results

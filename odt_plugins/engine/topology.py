@@ -38,8 +38,8 @@ class Topology:
 
     @cached_property
     def coloring(self) -> Coloring:
-        """Independent groups of movable vertices."""
-        return vertex_coloring(self.cells, self.stars, self.movable)
+        """Blocks of movable vertices in colours."""
+        return vertex_coloring(self.cells, self.movable)
 
     @cached_property
     def neighbors(self) -> Stars:
