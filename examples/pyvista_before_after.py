@@ -46,7 +46,8 @@ def main(path: Path | None = None) -> tuple[float, float]:
     before = start()
     after = before.odt.optimize(orient=True)
     if path:
-        picture(before, after, path)
+        with pyvista.vtk_verbosity("error"):  # where there is no display, VTK warns of that
+            picture(before, after, path)
     return before.odt.quality().mean_quality, after.odt.quality().mean_quality
 
 

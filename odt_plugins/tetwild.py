@@ -76,7 +76,8 @@ def tetrahedralize(
         Options of :func:`odt_plugins.optimize`; True for its defaults, False for TetWild alone.
         With a sizing field (bg_vertices, bg_tets, bg_values) its edge length h is the size that
         the density rho = h^-r keeps, unless a `density` is given here; `exponent` is r, 5 by
-        default. Outside the background mesh h is the ideal edge length, as for TetWild.
+        default. Outside the background mesh h is the ideal edge length, as for TetWild. TetWild
+        follows a field that asks for larger cells than it starts from only with `coarsen`.
 
     Returns
     -------
@@ -199,7 +200,8 @@ def background_sizes(
     reach = np.sqrt(((corner - centre[:, None]) ** 2).sum(axis=2)).max(axis=1)
     near = cKDTree(points).query_ball_point(centre, reach * (1.0 + 1e-6), return_sorted=True)
     tet = np.repeat(np.arange(len(centre)), [len(found) for found in near])
-    point = np.concatenate([np.asarray(found, dtype=np.intp) for found in near])
+    nowhere = np.zeros(0, dtype=np.intp)
+    point = np.concatenate([nowhere, *(np.asarray(found, dtype=np.intp) for found in near)])
     edges = np.swapaxes(corner[:, 1:] - corner[:, :1], 1, 2)
     whole = np.abs(np.linalg.det(edges)) > 0.0
     tet, point = tet[whole[tet]], point[whole[tet]]

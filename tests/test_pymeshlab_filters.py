@@ -1,12 +1,9 @@
-"""The filters inside pymeshlab: lists, parameters, errors, log, scripts, files, examples."""
+"""The filters inside pymeshlab: lists, parameters, errors, log, scripts, files."""
 
 from __future__ import annotations
 
-import importlib.util
 import inspect
-import itertools
 import re
-from pathlib import Path
 from xml.etree import ElementTree
 
 import contract
@@ -30,7 +27,6 @@ from odt_plugins.hosts.filter_table import FILTERS
 pymeshlab = pytest.importorskip("pymeshlab")
 odt_plugins.register("pymeshlab")
 
-EXAMPLES = Path(__file__).parents[1] / "examples"
 MOVING = [name for name in FILTERS if name.startswith("apply_coord")]
 ENTRY = '<filter name="{}">{}</filter>'
 
@@ -445,28 +441,3 @@ def test_scripts_without_pymeshlab(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("odt_plugins.tetwild.find_spec", lambda name: None)
     with pytest.raises(MissingDependencyError, match=r"odt-plugins\[pytetwild\]"):
         sphere().generate_odt_tetrahedralization()
-
-
-def example(name):
-    spec = importlib.util.spec_from_file_location(name, EXAMPLES / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_example_filter_script():
-    before, after = example("filter_script").main()
-    assert before < 0.8
-    assert after > 0.94
-
-
-def test_example_pipeline_from_a_scan_to_tetrahedra():
-    result = example("meshlab_pipeline").main()
-    points, cells = result["tet_vertex_matrix"], result["tet_matrix"]
-    assert (contract.volumes(points, cells) > 0).all()
-    assert result["mean_radius_ratio"] > result["mean_radius_ratio_before"] + 0.01
-    assert result["mean_radius_ratio"] > 0.77
-    # The holes are closed: every edge of the boundary has an even number of faces.
-    edges = np.sort(np.array([pair for face in contract.facets(cells, np.zeros(len(cells), int))
-                              for pair in itertools.combinations(face, 2)]), axis=1)
-    assert (np.unique(edges, axis=0, return_counts=True)[1] % 2 == 0).all()

@@ -112,8 +112,11 @@ def test_wrong_sizing_fields_are_named():
     tets.point_data["h"] = np.ones(27)
     mixed = pyvista.UnstructuredGrid([4, 0, 1, 2, 3, 2, 0, 1], np.array([10, 3], dtype=np.uint8),
                                      np.eye(4)[:, :3])
-    for field, message in ((cube, "type PolyData; expected a pyvista.Unstr"), (3, "type int"),
-                           (mixed, "tetrahedra only")):
+    grid = pyvista.ImageData(dimensions=(3, 3, 3))
+    for field, message in ((cube, r"PolyData; expected a pyvista\.Unst.*\.delaunay_3d\(\)$"),
+                           (grid, r"ImageData; .* try sizing_field\.to_tetrahedra\(\)$"),
+                           (3, "type int; .* tetrahedra only$"),
+                           (mixed, r"tetrahedra only, try sizing_field\.delaunay_3d\(\)$")):
         with pytest.raises(UnsupportedMeshError, match=message):
             cube.odt.tetrahedralize(sizing_field=field)
     with pytest.raises(UnsupportedMeshError, match=r"array 'size'; expected .* one of \['h'\]"):

@@ -9,6 +9,7 @@ import contract
 import meshio
 import numpy as np
 import pytest
+import tet_meshes
 
 import odt_plugins
 from odt_plugins import tetwild
@@ -132,6 +133,8 @@ def test_sizes_are_linear_on_the_background_and_ideal_outside():
     middle = points[cells].mean(axis=1)
     assert tetwild.background_sizes(middle, points, cells, rough, outside=7.0) == pytest.approx(
         rough[cells].mean(axis=1), rel=1e-12)
+    nothing = tetwild.background_sizes(x, points, cells[:0], values, outside=7.0)
+    assert nothing.tolist() == [7.0] * 500
     flat = np.vstack([cells, [[0, 1, 2, 3]]])
     assert tetwild.background_sizes(points, points, flat, values, outside=7.0) == pytest.approx(at)
 
@@ -160,6 +163,32 @@ def test_a_sizing_field_is_the_density(stored, monkeypatch, exponent):
                            ({"edge_length_abs": 0.3}, 0.3)):
         odt_plugins.tetrahedralize(CUBE, FACES, odt=group, **field, **lengths)
         assert seen[-1].density == pytest.approx(ideal ** -(exponent or 5.0), rel=1e-12)
+
+
+def test_cells_take_the_sizes_that_a_field_asks_for(monkeypatch):
+    """Theorem 2.8: |tau| goes like rho^(-3/5), so the size of a cell goes like h^(r/5).
+
+    Cells of one size in a ball come near that as far as the boundary, which stays, allows.
+    """
+    points, cells = tet_meshes.ball(1200, seed=3)
+    monkeypatch.setattr(tetwild, "run_tetwild", lambda given: (points, cells))
+
+    def size(x):
+        return 1.0 + 0.5 * x[:, 0]
+
+    grid, tets, _ = background(size, n=3)
+    grid = 2.0 * grid - 1.0
+    slope = {}
+    for r in (5.0, 3.0, None):
+        odt = {"density": "uniform"} if r is None else {"exponent": r}
+        p, t = odt_plugins.tetrahedralize(CUBE, FACES, bg_vertices=grid, bg_tets=tets,
+                                          bg_values=size(grid), odt=odt)
+        volume = np.abs(contract.volumes(p, t)) / 6
+        wanted = np.log(size(p[t].mean(axis=1)))
+        slope[r] = np.polyfit(wanted, np.log(volume) / 3, 1)[0]
+    assert 0.65 < slope[5.0] < 1.0
+    assert slope[3.0] == pytest.approx(0.6 * slope[5.0], abs=0.1)
+    assert slope[None] == pytest.approx(0.0, abs=0.05)
 
 
 def test_a_mesh_with_as_many_vertices_as_cells_gets_a_function(monkeypatch):

@@ -116,9 +116,11 @@ def _unpacked(field: Any, scalars: str | None) -> tuple[Any, Any, Any]:
     if not pyvista_mesh.matches(field) or list(getattr(field, "cells_dict", ())) != [
         pyvista_mesh.TETRA
     ]:
+        calls = ("to_tetrahedra()", "delaunay_3d()")
+        call = next((call for call in calls if hasattr(field, call[:-2])), None)
         msg = (
-            f"got a sizing_field of type {type(field).__name__}; expected a "
-            f"pyvista.UnstructuredGrid of tetrahedra only, try to_tetrahedra()"
+            f"got a sizing_field of type {type(field).__name__}; expected a pyvista."
+            f"UnstructuredGrid of tetrahedra only{f', try sizing_field.{call}' if call else ''}"
         )
         raise UnsupportedMeshError(msg)
     name = scalars or field.point_data.active_scalars_name
