@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+from pathlib import Path
 
 import contract
 import numpy as np
@@ -169,6 +170,21 @@ def test_active_arrays_and_user_dictionary_of_a_grid_survive(side, name, monkeyp
     assert out.cell_data.active_vectors_name == "axis"
     assert out.point_data.active_vectors_name == "velocity"
     assert dict(out.user_dict) == {"who": "me"}
+
+
+@pytest.mark.usefixtures("_engine")
+def test_markers_of_a_csg_mesh_and_their_interfaces_survive():
+    """What pytetwild.tetrahedralize_csg made of the union of two boxes and a sphere."""
+    pyvista = pytest.importorskip("pyvista")
+    grid = pyvista.read(Path(__file__).parent / "data" / "tetwild_csg.vtu")
+    host = contract.HOSTS["pyvista-tet"]
+    before = host.view(grid)
+    assert np.unique(before.cell_data["marker"]).tolist() == [1, 2, 3]
+    assert sorted(before.field_data) == ["PointMergeMap"]
+    after = host.view(odt_plugins.optimize(grid, keep=()))
+    contract.check(host, before, after)
+    assert not np.array_equal(before.points, after.points)
+    assert contract.same_bits(host.view(grid), before)
 
 
 @pytest.mark.parametrize("dtype", [np.int32, np.int64])
