@@ -52,6 +52,7 @@ TOOLKITS = {
                   "compare/baselines/meshlab.py"},
     "open3d": {"adapters/open3d_mesh.py", "hosts/open3d_filters.py",
                "compare/baselines/open3d_smooth.py"},
+    "igl": {"engine/surface/reference.py"},
 }
 """Files that may import a toolkit, inside a function."""
 

@@ -1,0 +1,1 @@
+"""ODT on curved triangle meshes: vertices slide on the input surface, within an envelope."""
