@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from numba import njit
-
+from odt_plugins.engine.kernel import kernel
 from odt_plugins.mesh import BoolArray, ByteArray, FloatArray, IntArray, LongArray
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def vertices_of_pending(cells: IntArray, status: ByteArray, active: BoolArray) -> None:
     """Mark the vertices of all pending cells."""
     for c in range(cells.shape[0]):
@@ -16,7 +15,7 @@ def vertices_of_pending(cells: IntArray, status: ByteArray, active: BoolArray) -
                 active[cells[c, a]] = True
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def spread(
     cells: IntArray, indptr: LongArray, indices: IntArray, moved: FloatArray, tolerance: float,
     active: BoolArray, status: ByteArray,

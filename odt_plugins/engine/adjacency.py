@@ -5,14 +5,14 @@ from __future__ import annotations
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.star import OffsetArray, Stars, vertex_stars
 from odt_plugins.errors import InvalidMeshError
 from odt_plugins.mesh import IntArray
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _match_facets(
     cells: IntArray,
     indptr: OffsetArray,

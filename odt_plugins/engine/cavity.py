@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
+from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.tetrahedron import ENERGY, tet_cost
 from odt_plugins.mesh import ByteArray, FloatArray, IntArray, LongArray
 
@@ -33,7 +34,7 @@ def make_work() -> Work:
     )
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def local_edge(e: int) -> tuple[int, int, int, int]:
     """Local vertices (i, j, k, l) of edge e = (i, j), an even permutation."""
     if e == 0:
@@ -49,7 +50,7 @@ def local_edge(e: int) -> tuple[int, int, int, int]:
     return 2, 3, 0, 1
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def walk_ring(
     cells: IntArray, neighbors: IntArray, regions: IntArray, c: int, e: int, ring: IntArray,
     around: IntArray,
@@ -85,7 +86,7 @@ def walk_ring(
         current = across
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def triangulate_ring(
     points: FloatArray, a: int, b: int, ring: IntArray, n: int, objective: int, power: float,
     limit: float, best: FloatArray, split: IntArray,
@@ -118,7 +119,7 @@ def triangulate_ring(
     return best[0, n - 1]
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def write_ring(
     a: int, b: int, ring: IntArray, n: int, split: IntArray, new: IntArray, stack: IntArray,
 ) -> int:
@@ -151,7 +152,7 @@ def write_ring(
     return count
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _sorted3(cells: IntArray, c: int, f: int) -> tuple[int, int, int]:
     """Vertices of the facet opposite local vertex f, ascending."""
     x = cells[c, (f + 1) & 3]
@@ -166,7 +167,7 @@ def _sorted3(cells: IntArray, c: int, f: int) -> tuple[int, int, int]:
     return x, y, z
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _note(journal: LongArray, kind: int, a: int, b: int, value: int) -> None:
     """Remember an entry before it is overwritten; journal[0, 0] counts, -1 switches off."""
     n = journal[0, 0]
@@ -180,7 +181,7 @@ def _note(journal: LongArray, kind: int, a: int, b: int, value: int) -> None:
     journal[n, 3] = value
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def take_back(
     cells: IntArray, neighbors: IntArray, status: ByteArray, slots: LongArray, free: IntArray,
     journal: LongArray,
@@ -204,7 +205,7 @@ def take_back(
     journal[0, 0] = 0
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def apex_across(cells: IntArray, neighbors: IntArray, c: int, f: int) -> int:
     """Vertex of the cell across facet f of cell c that is not on the facet."""
     across = neighbors[c, f]
@@ -214,7 +215,7 @@ def apex_across(cells: IntArray, neighbors: IntArray, c: int, f: int) -> int:
     return -1
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def replace_cavity(
     cells: IntArray, neighbors: IntArray, regions: IntArray, status: ByteArray, old: IntArray,
     n_old: int, new: IntArray, n_new: int, slots: LongArray, free: IntArray, rim: IntArray,

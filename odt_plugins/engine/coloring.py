@@ -10,8 +10,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.star import OffsetArray
 from odt_plugins.mesh import BoolArray, IntArray
 
@@ -39,7 +39,7 @@ class Coloring(NamedTuple):
     offsets: OffsetArray
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _touching(cells: IntArray, movable: BoolArray, bits: int, touch: BoolArray) -> None:
     """Mark pairs of blocks with movable vertices in one cell."""
     k = cells.shape[1]
@@ -55,7 +55,7 @@ def _touching(cells: IntArray, movable: BoolArray, bits: int, touch: BoolArray) 
                     touch[v >> bits, u >> bits] = True
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _greedy(touch: BoolArray, color: IntArray, taken: IntArray) -> None:
     """Give every block the lowest colour free among its neighbours; taken[c] = b marks."""
     for b in range(color.shape[0]):

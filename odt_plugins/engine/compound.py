@@ -12,6 +12,7 @@ from numba import njit
 
 from odt_plugins.engine.cavity import DONE, IDLE, PENDING, make_work, take_back
 from odt_plugins.engine.flips3d import flip_facet, improve_cell, remove_edge
+from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.smooth3d import newton_vertex
 from odt_plugins.engine.tetrahedron import QUALITY, quality_cost, tet_cosines, tet_quality
 from odt_plugins.mesh import BoolArray, ByteArray, FloatArray, IntArray, LongArray
@@ -28,7 +29,7 @@ GAIN = 1e-3
 """Least gain, as part of the worst cell's own cost, for which a compound move stays."""
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def gather_star(cells: IntArray, neighbors: IntArray, c: int, v: int, star: IntArray) -> int:
     """Cells that contain vertex v, found over facets from cell c; 0 if there are too many."""
     star[0] = c
@@ -57,7 +58,7 @@ def gather_star(cells: IntArray, neighbors: IntArray, c: int, v: int, star: IntA
     return n
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _push(touched: IntArray, n: int, around: IntArray, n_new: int) -> int:
     """Add the new cells to the touched ones, each once."""
     for m in range(n_new):

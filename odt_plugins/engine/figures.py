@@ -5,15 +5,15 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.tetrahedron import tet_cosines, tet_quality
 from odt_plugins.engine.triangle import triangle_shape
 from odt_plugins.mesh import FloatArray, IntArray
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _cell_shapes(points: FloatArray, cells: IntArray, shapes: FloatArray) -> None:
     """Radius ratio, cosine of the smallest and of the largest (dihedral) angle of every cell."""
     for c in range(cells.shape[0]):

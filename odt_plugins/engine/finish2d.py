@@ -9,12 +9,12 @@ from __future__ import annotations
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
-from numba import njit
 
 from odt_plugins.engine.active import spread
 from odt_plugins.engine.adjacency import cell_neighbors
 from odt_plugins.engine.coloring import vertex_coloring
 from odt_plugins.engine.flips2d import quality_flips
+from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.phases import Phase, bulk, tail
 from odt_plugins.engine.smooth2d import smooth_vertices_2d
 from odt_plugins.engine.star import Stars, vertex_stars
@@ -117,7 +117,7 @@ def _sweep(
     run_chunks(pool, threads, coloring, work)
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _shapes(points: FloatArray, cells: IntArray, shapes: FloatArray) -> None:
     """Radius ratio (5.1), cosine of the smallest and of the largest angle of every triangle."""
     for t in range(cells.shape[0]):

@@ -11,7 +11,6 @@ from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import numpy as np
-from numba import njit
 
 from odt_plugins.engine import compound, flips3d, smooth3d
 from odt_plugins.engine.active import spread, vertices_of_pending
@@ -20,6 +19,7 @@ from odt_plugins.engine.cavity import DONE
 from odt_plugins.engine.coloring import vertex_coloring
 from odt_plugins.engine.complex import PENDING, Complex, slot_stars
 from odt_plugins.engine.finish2d import finish2d
+from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.phases import Phase
 from odt_plugins.engine.star import Stars
 from odt_plugins.engine.tetrahedron import QUALITY, tet_quality
@@ -30,7 +30,7 @@ GAIN = 3e-3
 RING = 10
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def slot_qualities(points: FloatArray, cells: IntArray, q: FloatArray) -> None:
     """Radius ratio of the cell in every slot, 2 in a free slot."""
     for c in range(cells.shape[0]):

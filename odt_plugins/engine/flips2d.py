@@ -7,8 +7,8 @@ arrays are the only thing to update and a later pass can start from what changed
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
+from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.triangle import triangle_shape
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
@@ -125,7 +125,7 @@ def _run(
                            queue, queued, len(first), power, bounds, repeat, changed))
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _number_edges(neighbors: IntArray, cell_edges: IntArray, edge_cell: IntArray) -> int:
     """Give every edge a number, the same from both sides; return how many there are."""
     count = 0
@@ -143,7 +143,7 @@ def _number_edges(neighbors: IntArray, cell_edges: IntArray, edge_cell: IntArray
     return count
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _flip_edges(
     points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
     active: BoolArray, fixed: BoolArray, cell_edges: IntArray, edge_cell: IntArray,
@@ -205,7 +205,7 @@ def _flip_edges(
     return flips
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _flip(
     cells: IntArray, neighbors: IntArray, cell_edges: IntArray, edge_cell: IntArray,
     t: int, i: int, s: int, j: int,
@@ -260,7 +260,7 @@ def _flip(
                 neighbors[across_ca, k] = s
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _is_wide(points: FloatArray, a: int, b: int, c: int) -> bool:
     """Whether (a, b, c) is counterclockwise and not flat."""
     ux = points[b, 0] - points[a, 0]
@@ -273,7 +273,7 @@ def _is_wide(points: FloatArray, a: int, b: int, c: int) -> bool:
     return bool(ux * vy - uy * vx > FLAT * longest)
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _in_circle(points: FloatArray, a: int, b: int, c: int, d: int) -> bool:
     """Whether d lies in the circumcircle of the counterclockwise (a, b, c), beyond rounding."""
     ax = points[a, 0] - points[d, 0]
@@ -294,7 +294,7 @@ def _in_circle(points: FloatArray, a: int, b: int, c: int, d: int) -> bool:
     return bool(value > IN_CIRCLE * size)
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _guard_agrees(
     points: FloatArray, fixed: BoolArray, a: int, b: int, c: int, d: int, floor: float
 ) -> bool:
@@ -316,7 +316,7 @@ def _guard_agrees(
     return new >= old
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _shapes_improve(
     points: FloatArray, a: int, b: int, c: int, d: int, power: float, bounds: FloatArray
 ) -> bool:

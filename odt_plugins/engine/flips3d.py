@@ -21,6 +21,7 @@ from odt_plugins.engine.cavity import (
     walk_ring,
     write_ring,
 )
+from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.tetrahedron import (
     ENERGY,
     opposite_vertices,
@@ -34,7 +35,7 @@ REAL = 1.0 - 1e-9
 """A flip is taken when the cost after it is below this part of the cost before it."""
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _admissible(
     points: FloatArray, cells: IntArray, locked: BoolArray, old: IntArray, n_old: int,
     new: IntArray, n_new: int, objective: int, bounds: FloatArray,
@@ -104,7 +105,7 @@ def _admissible(
     )
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def outside_sphere(points: FloatArray, i: int, j: int, k: int, l: int, v: int) -> bool:
     """Whether point v is outside the circumsphere of cell (i, j, k, l), or on it to rounding."""
     x = points[v, 0]
@@ -141,14 +142,14 @@ def outside_sphere(points: FloatArray, i: int, j: int, k: int, l: int, v: int) -
     return not inside > 1e-9 * scale * scale * np.sqrt(scale)
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _cost(points: FloatArray, cells: IntArray, c: int, objective: int, power: float) -> float:
     return tet_cost(
         points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], objective, power
     )
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def remove_edge(
     points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
     locked: BoolArray, status: ByteArray, c: int, e: int, slots: LongArray, free: IntArray,
@@ -189,7 +190,7 @@ def remove_edge(
     return before - after, n_new
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def flip_facet(
     points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
     locked: BoolArray, status: ByteArray, c: int, f: int, slots: LongArray, free: IntArray,
@@ -239,7 +240,7 @@ def flip_facet(
     return before - after, 3
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def improve_cell(
     points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
     locked: BoolArray, status: ByteArray, c: int, slots: LongArray, free: IntArray,

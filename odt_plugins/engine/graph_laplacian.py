@@ -10,13 +10,13 @@ from typing import Any, Literal
 
 import numpy as np
 import scipy.sparse as sp
-from numba import njit
 from scipy.sparse.linalg import splu
 
 from odt_plugins.engine.density import cell_density, inverse_volume_density
 from odt_plugins.engine.energy import energy
 from odt_plugins.engine.geometry import barycenters, circumcenters, signed_volumes
 from odt_plugins.engine.gradient import centers_gradient
+from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.star import OffsetArray
 from odt_plugins.engine.sweeps import HALVINGS, StepStats, guarded_move, move_stats
 from odt_plugins.engine.topology import Topology
@@ -35,7 +35,7 @@ AMG_TOLERANCE = 1e-12
 AMG_ITERATIONS = 100
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _fill_rows(
     cells: IntArray,
     star_indptr: OffsetArray,

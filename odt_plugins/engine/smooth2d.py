@@ -12,6 +12,7 @@ import math
 import numpy as np
 from numba import njit
 
+from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.star import OffsetArray
 from odt_plugins.engine.triangle import triangle_shape
 from odt_plugins.mesh import FloatArray, IntArray
@@ -24,7 +25,7 @@ ARMIJO = 1e-4
 """Part of the decrease that the slope predicts which a step must reach."""
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def star_cost_2d(
     points: FloatArray, cells: IntArray, indptr: OffsetArray, indices: IntArray, vertex: int,
     power: float, derivatives: FloatArray,
@@ -104,7 +105,7 @@ def star_cost_2d(
     return total
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _star_shape(
     points: FloatArray, cells: IntArray, indptr: OffsetArray, indices: IntArray, vertex: int,
     power: float,

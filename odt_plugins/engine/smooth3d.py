@@ -11,6 +11,7 @@ import math
 import numpy as np
 from numba import njit
 
+from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.tetrahedron import (
     SHIFT,
     opposite_vertices,
@@ -23,7 +24,7 @@ from odt_plugins.mesh import FloatArray, IntArray, LongArray
 HALVINGS = 7
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def add_quality_terms(
     points: FloatArray, v: int, i: int, j: int, k: int, power: float, out: FloatArray,
 ) -> bool:
@@ -184,7 +185,7 @@ def add_quality_terms(
     return True
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _newton_direction(out: FloatArray, step: FloatArray) -> bool:
     """Solve (H + s I) step = -g with the least shift s of a short ladder that makes it SPD."""
     trace = abs(out[4]) + abs(out[7]) + abs(out[9])
@@ -213,7 +214,7 @@ def _newton_direction(out: FloatArray, step: FloatArray) -> bool:
     return False
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def star_cost(
     points: FloatArray, cells: IntArray, indices: IntArray, start: int, stop: int, power: float,
     limit: float,
@@ -231,7 +232,7 @@ def star_cost(
     return total
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def star_extremes(
     points: FloatArray, cells: IntArray, indices: IntArray, start: int, stop: int,
 ) -> tuple[float, float, float]:
@@ -250,7 +251,7 @@ def star_extremes(
     return worst, large, small
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def newton_vertex(
     points: FloatArray, cells: IntArray, indices: IntArray, lo: int, hi: int, v: int,
     power: float, bounds: FloatArray, out: FloatArray, step: FloatArray,

@@ -5,9 +5,9 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
+from odt_plugins.engine.kernel import kernel
 from odt_plugins.errors import InvalidMeshError
 from odt_plugins.mesh import FloatArray, IntArray
 
@@ -27,7 +27,7 @@ class Stars(NamedTuple):
     indices: IntArray
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _count_and_fill(cells: IntArray, indptr: OffsetArray, indices: IntArray) -> None:
     m, k = cells.shape
     for c in range(m):
@@ -50,7 +50,7 @@ def _count_and_fill(cells: IntArray, indptr: OffsetArray, indices: IntArray) -> 
     indptr[0] = 0
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _neighbor_rows(
     cells: IntArray,
     star_indptr: OffsetArray,

@@ -5,8 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
+from odt_plugins.engine.kernel import kernel
 from odt_plugins.mesh import FloatArray, IntArray
 
 ENERGY = 0
@@ -17,7 +17,7 @@ SHIFT = 0.005
 """Cells much flatter than this are no longer worth their neighbours: the cost levels off there."""
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def quality_cost(q: float, power: float) -> float:
     """Cost ((1 + s)/(q + s))^power of a cell with the radius ratio q, s = SHIFT; 1 for the best.
 
@@ -39,7 +39,7 @@ def quality_cost(q: float, power: float) -> float:
     return q**-power
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def opposite_vertices(cells: IntArray, c: int, v: int) -> tuple[int, int, int]:
     """The other three vertices of cell c, such that (v, i, j, k) is positive."""
     if cells[c, 0] == v:
@@ -51,7 +51,7 @@ def opposite_vertices(cells: IntArray, c: int, v: int) -> tuple[int, int, int]:
     return cells[c, 0], cells[c, 2], cells[c, 1]
 
 
-@njit(nogil=True, cache=True, inline="never")
+@kernel
 def tet_quality(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     """Radius ratio 3 r/R (Section 5) of tetrahedron (i, j, k, l); negative if inverted.
 
@@ -105,7 +105,7 @@ def tet_quality(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     return q if det > 0.0 else -q
 
 
-@njit(nogil=True, cache=True, inline="never")
+@kernel
 def tet_energy(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     """20 times the ODT energy (2.2) of tetrahedron (i, j, k, l); infinite if not positive."""
     ax = points[j, 0] - points[i, 0]
@@ -130,7 +130,7 @@ def tet_energy(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     return det * t / 6.0
 
 
-@njit(nogil=True, cache=True, inline="never")
+@kernel
 def tet_cosines(points: FloatArray, i: int, j: int, k: int, l: int) -> tuple[float, float]:
     """Largest and smallest cosine of the six dihedral angles: (of the smallest, of the largest)."""
     ax = points[j, 0] - points[i, 0]
@@ -170,7 +170,7 @@ def tet_cosines(points: FloatArray, i: int, j: int, k: int, l: int) -> tuple[flo
     )
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def tet_cost(
     points: FloatArray, i: int, j: int, k: int, l: int, objective: int, power: float,
 ) -> float:

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from numba import njit
-
+from odt_plugins.engine.kernel import kernel
 from odt_plugins.mesh import FloatArray, IntArray
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _sum_energy(points: FloatArray, cells: IntArray, rho: FloatArray) -> float:
     m, k = cells.shape
     d = k - 1

@@ -4,12 +4,11 @@ from __future__ import annotations
 
 import math
 
-from numba import njit
-
+from odt_plugins.engine.kernel import kernel
 from odt_plugins.mesh import FloatArray
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def triangle_shape(points: FloatArray, a: int, b: int, c: int) -> tuple[float, float, float]:
     """Radius ratio 2 r / R (5.1), cosine of the smallest and of the largest angle.
 
