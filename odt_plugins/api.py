@@ -243,7 +243,14 @@ def make_options(**options: Any) -> Options:
         hint = f", did you mean {near[0]!r}?" if near else ""
         msg = f"got unknown options {unknown}; expected some of {names}{hint}"
         raise InvalidOptionError(msg)
-    return Options(**options)
+    return Options(**{name: _plain(value) for name, value in options.items()})
+
+
+def _plain(value: Any) -> Any:
+    """A tensor of open3d or another library as an array of numpy, anything else as it is."""
+    if isinstance(value, np.ndarray) or not callable(getattr(value, "numpy", None)):
+        return value
+    return np.array((value.cpu() if hasattr(value, "cpu") else value).numpy())
 
 
 def _keywords(options: Options) -> OptionKeywords:

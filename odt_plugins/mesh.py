@@ -348,10 +348,11 @@ def _check_facets(t: IntArray, n: int) -> None:
 
 
 def compact_labels(regions: ArrayLike | None, m: int) -> IntArray:
-    """Number region labels (m,) of any integer type 0, 1, ... in increasing order."""
+    """Number region labels (m,) or (m, 1) of any integer type 0, 1, ... in increasing order."""
     if regions is None:
         return np.zeros(m, dtype=np.int32)
     raw = np.asarray(regions)
+    raw = raw[:, 0] if raw.shape == (m, 1) else raw
     if raw.shape != (m,):
         msg = f"regions have shape {raw.shape}; expected ({m},), one label per cell"
         raise InvalidOptionError(msg)

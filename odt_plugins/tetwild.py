@@ -22,6 +22,7 @@ from numpy.typing import NDArray
 from odt_plugins.api import make_options
 from odt_plugins.api import optimize as optimize_mesh
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError, MissingDependencyError
+from odt_plugins.mesh import mesh_arrays
 
 PROGRAM = """
 import pickle
@@ -87,7 +88,7 @@ def tetrahedralize(
     Raises
     ------
     MissingDependencyError       pytetwild is not installed
-    InvalidMeshError             TetWild found no tetrahedra
+    InvalidMeshError             the surface is broken, or TetWild found no tetrahedra
     InvalidOptionError           `odt` holds unknown options or values out of range
     TypeError, ValueError, ...   what pytetwild raises
 
@@ -97,6 +98,7 @@ def tetrahedralize(
     """
     given = {name: value for name, value in locals().items() if name != "odt"}
     options = odt_options(odt)
+    _check_surface(vertices, faces)
     points, cells = run_tetwild(given)
     if options is None:
         return points, cells
@@ -131,6 +133,22 @@ def odt_options(odt: Mapping[str, Any] | bool) -> dict[str, Any] | None:
         raise InvalidOptionError(msg)
     make_options(**odt)
     return dict(odt)
+
+
+def _check_surface(vertices: Any, faces: Any) -> None:
+    """Refuse what would end TetWild without a word; what is no array, pytetwild names."""
+    if not isinstance(vertices, np.ndarray) or not isinstance(faces, np.ndarray):
+        return
+    for name, array in (("vertices", vertices), ("faces", faces)):
+        if array.size and array.shape[1:] != (3,):
+            expected = "(n, 3)" if name == "vertices" else "(m, 3)"
+            msg = f"{name} have shape {array.shape}; expected {expected}"
+            raise InvalidMeshError(msg)
+    try:
+        mesh_arrays(vertices.astype(np.float64), faces)
+    except InvalidMeshError as exc:
+        words = str(exc).replace("the mesh", "the surface").replace(" or tetrahedron", "")
+        raise InvalidMeshError(words.replace("cell", "face")) from exc
 
 
 def run_tetwild(given: Mapping[str, Any]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

@@ -297,6 +297,49 @@ def test_regions_option_replaces_the_default(choice, monkeypatch):
     contract.check(host, view(mesh), view(out))
 
 
+def test_cell_sets_may_be_masks_and_wrong_ones_are_named(monkeypatch):
+    monkeypatch.setattr(driver, "run", contract.churn)
+    mesh = contract.HOSTS["meshio-tri"].make()
+    left = mesh.cell_data["marker"][0] == 7
+    mesh.cell_data.clear()
+    mesh.cell_sets = {"left": [left], "right": [np.flatnonzero(~left)]}
+    sizes = [np.abs(contract.volumes(mesh.points, mesh.cells[0].data)[s]).sum()
+             for s in (left, ~left)]
+    out = odt_plugins.optimize(mesh)
+    inside, others = out.cell_sets["left"][0], out.cell_sets["right"][0]
+    assert inside.dtype == bool
+    assert np.array_equal(np.flatnonzero(~inside), others)
+    new = np.abs(contract.volumes(out.points, out.cells[0].data))
+    assert [new[inside].sum(), new[others].sum()] == pytest.approx(sizes)
+    for wrong, message in (([3, 99], r"index 99 \(1 out of range\) in block 0; .* 0 to 31"),
+                           ([-1], "index -1"), (left[:5], r"mask of shape \(5,\) in block 0")):
+        mesh.cell_sets["left"] = [np.array(wrong)]
+        with pytest.raises(odt_plugins.InvalidMeshError, match=rf"cell set 'left' has .*{message}"):
+            odt_plugins.optimize(mesh)
+
+
+def test_a_single_cell_keeps_its_complex_number():
+    pyvista = pytest.importorskip("pyvista")
+    mesh = pyvista.UnstructuredGrid({10: np.array([[0, 1, 2, 3]])}, np.eye(4)[:, :3])
+    mesh.cell_data["impedance"] = np.array([1.0 + 2.0j])
+    assert odt_plugins.optimize(mesh).cell_data["impedance"] == 1.0 + 2.0j
+
+
+def test_what_pyvista_can_make_cells_of_is_said():
+    pyvista = pytest.importorskip("pyvista")
+    hexahedra = pyvista.ImageData(dimensions=(3, 3, 3)).cast_to_unstructured_grid()
+    points = pyvista.PointSet(hexahedra.points)
+    for mesh, call in ((hexahedra, "mesh.triangulate()"), (points, "mesh.delaunay_3d()"),
+                       (pyvista.PolyData(hexahedra.points), "mesh.delaunay_3d()"),
+                       (pyvista.ImageData(dimensions=(3, 3, 3)),
+                        "mesh.cast_to_unstructured_grid().triangulate()"),
+                       (pyvista.MultiBlock([hexahedra]), "mesh.combine().triangulate()")):
+        with pytest.raises(odt_plugins.UnsupportedMeshError) as caught:
+            odt_plugins.optimize(mesh)
+        assert str(caught.value).endswith(call)
+        odt_plugins.optimize(eval(call), orient=True)
+
+
 @pytest.mark.parametrize("regions", [None, "marker", "array"])
 def test_blocks_and_regions_both_have_interfaces(regions, monkeypatch):
     seen = []

@@ -314,8 +314,32 @@ def test_meshes_without_cells_and_data_of_wrong_length_are_named(kind, what):
 
 
 def test_other_geometries_of_open3d_get_a_hint():
-    with pytest.raises(UnsupportedMeshError, match=r"PointCloud; .*create_from_point_cloud"):
-        odt_plugins.optimize(open3d.geometry.PointCloud())
+    legacy = make("triangle")
+    half = open3d.geometry.HalfEdgeTriangleMesh.create_from_triangle_mesh(legacy)
+    for mesh, hint in ((open3d.geometry.PointCloud(), r"PointCloud; .*create_from_point_cloud"),
+                       (open3d.t.geometry.PointCloud(), r"of a legacy cloud$"),
+                       (half, r"geometry\.TriangleMesh\(mesh\.vertices, mesh\.triangles\)$"),
+                       (open3d.geometry.LineSet(), "try a TriangleMesh or TetraMesh made of it$")):
+        with pytest.raises(UnsupportedMeshError, match=hint):
+            odt_plugins.optimize(mesh)
+
+
+def test_options_may_be_tensors_and_labels_a_column():
+    mesh = make("tensor")
+    before = view("tensor", mesh)
+    n = len(before.points)
+    selected = before.points[before.cells].mean(axis=1)[:, 1] < 0.6
+    sizes = 1.0 + before.points[:, 0].astype(float)
+    for name, values in (("selection", selected), ("fixed", np.arange(n) % 3 == 0),
+                         ("density", sizes**-4), ("regions", selected * 1)):
+        out = odt_plugins.optimize(mesh, **{name: open3d.core.Tensor(values)})
+        truth = odt_plugins.optimize(mesh, **{name: values})
+        assert contract.same_bits(view("tensor", out), view("tensor", truth)), name
+        assert not contract.same_bits(view("tensor", out), before), name
+    mesh.triangle["band"] = (selected * 1)[:, None]
+    out = odt_plugins.optimize(mesh, regions="band")
+    truth = odt_plugins.optimize(mesh, regions=selected)
+    assert contract.same_bits(view("tensor", out), view("tensor", truth))
 
 
 @pytest.mark.parametrize("kind", KINDS)

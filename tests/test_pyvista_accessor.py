@@ -11,7 +11,7 @@ import pytest
 
 import odt_plugins
 from odt_plugins import tetwild
-from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
+from odt_plugins.errors import InvalidMeshError, InvalidOptionError, UnsupportedMeshError
 from odt_plugins.hosts import pyvista_accessor
 
 pyvista = pytest.importorskip("pyvista")
@@ -104,6 +104,12 @@ def test_tetrahedralize_passes_everything_on(monkeypatch):
         cube.odt.tetrahedralize(odt={"rounds": -1})
     with pytest.raises(TypeError, match="edge_length"):
         cube.odt.tetrahedralize(edge_length=3.0)
+
+
+def test_surfaces_without_faces_are_named():
+    for surface in (pyvista.PolyData(), pyvista.Line()):
+        with pytest.raises(InvalidMeshError, match="the surface has no faces"):
+            surface.odt.tetrahedralize()
 
 
 def test_wrong_sizing_fields_are_named():

@@ -32,7 +32,7 @@ MAY_IMPORT = {
     "report": {"binding", "plotting", "engine", *BASE},
     "api": {"adapters", "carry", "engine", "planar", "report", *BASE},
     "demo": {"adapters", "api", "plotting", "report", "tetwild", *BASE},
-    "tetwild": {"api", "errors"},
+    "tetwild": {"api", "errors", "mesh"},
     "hosts": {"adapters", "api", "report", "script", "tetwild", *BASE},
     "script": {"adapters", "errors", "hosts"},
     "compare": {"adapters", "api", "engine", "planar", "plotting", *BASE},

@@ -94,6 +94,19 @@ def test_what_pytetwild_refuses_comes_through():
         odt_plugins.tetrahedralize(CUBE[:4], FACES[:1])
 
 
+@pytest.mark.parametrize(("spoil", "message"), [
+    (lambda v, f: (v * np.nan, f), r"8 points \(first: point 0\) with NaN"),
+    (lambda v, f: (v, f + 100), r"12 faces \(first: face 0\) with vertex indices out of range"),
+    (lambda v, f: (v, f[:0]), r"the surface has no faces \(8 vertices\); .* one triangle$"),
+    (lambda v, f: (v[:, :2], f), r"vertices have shape \(8, 2\); expected \(n, 3\)"),
+    (lambda v, f: (v, f.ravel()), r"faces have shape \(36,\); expected \(m, 3\)"),
+])
+def test_surfaces_that_would_end_tetwild_are_refused(spoil, message, monkeypatch):
+    monkeypatch.setattr(tetwild, "run_tetwild", lambda given: pytest.fail("TetWild ran"))
+    with pytest.raises(InvalidMeshError, match=message):
+        odt_plugins.tetrahedralize(*spoil(CUBE, FACES))
+
+
 def test_a_process_that_dies_is_one_sentence(monkeypatch):
     pytest.importorskip("pytetwild")
     monkeypatch.setattr(tetwild, "PROGRAM", "import os; os.abort()")

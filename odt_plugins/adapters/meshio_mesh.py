@@ -59,7 +59,8 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
     Raises
     ------
     UnsupportedMeshError       no tetrahedra and no triangles, or cells that cannot be kept
-    InvalidMeshError           cell data whose length is not that of their block
+    InvalidMeshError           cell data whose length is not that of their block, or a cell set
+                               with an index out of range
     InvalidOptionError         there is no cell data of that name
     """
     found = {block.type for block in mesh.cells if len(block.data)}
@@ -150,10 +151,11 @@ def _memberships(mesh: Any, chosen: list[int], size: list[int]) -> dict[str, NDA
     for name, members in mesh.cell_sets.items():
         if name in NOT_CELL_INDICES:
             continue
-        inside = [np.zeros(count, dtype=np.bool_) for count in size]
-        for part, i in zip(inside, chosen, strict=True):
-            if members[i] is not None:
-                part[np.asarray(members[i], dtype=np.int64)] = True
+        inside = []
+        for i, count in zip(chosen, size, strict=True):
+            here = np.asarray([] if members[i] is None else members[i])
+            _check_members(name, here, i, count)
+            inside.append(_inside(here, count))
         whole = np.concatenate(inside)
         if whole.any():
             out[name] = whole
@@ -177,7 +179,27 @@ def _kept(kind: str, data: NDArray[Any]) -> KeptCells:
 
 
 def _members(members: NDArray[Any], local: NDArray[np.int32], size: int) -> NDArray[Any]:
-    """Cells of a block that come from members of a cell set, in increasing order."""
+    """Cells of a block that come from members of a cell set: a mask, or indices that increase."""
+    inside = _inside(members, size)[local]
+    return inside if members.dtype == np.bool_ else np.flatnonzero(inside).astype(members.dtype)
+
+
+def _inside(members: NDArray[Any], size: int) -> NDArray[np.bool_]:
+    """Mask (size,) of the members of a cell set, given as a mask or as indices."""
     inside = np.zeros(size, dtype=np.bool_)
-    inside[members] = True
-    return np.flatnonzero(inside[local]).astype(members.dtype)
+    inside[members if members.dtype == np.bool_ else members.astype(np.int64)] = True
+    return inside
+
+
+def _check_members(name: str, members: NDArray[Any], i: int, size: int) -> None:
+    if members.dtype == np.bool_ and members.shape == (size,):
+        return
+    bad = members[(members < 0) | (members >= size)]
+    if members.dtype == np.bool_ or bad.size:
+        what = f"a mask of shape {members.shape}" if members.dtype == np.bool_ else (
+            f"index {bad[0]} ({bad.size} out of range)")
+        msg = (
+            f"cell set {name!r} has {what} in block {i}; expected indices from 0 to {size - 1} "
+            f"or a mask of shape ({size},)"
+        )
+        raise InvalidMeshError(msg)

@@ -216,7 +216,7 @@ def _renew_normals(out: Any, mesh: Any) -> None:
 
 def _require(m: int, n: int, kind: str, what: str) -> None:
     if not m:
-        msg = f"got a {kind} without {what} ({n} vertices); expected at least one of the {what}"
+        msg = f"got a {kind} without {what} ({n} vertices); expected at least one"
         raise UnsupportedMeshError(msg)
 
 

@@ -131,7 +131,10 @@ def _read_grid(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]
     if not ids.size and types.size:
         found = ", ".join(names[int(t)] for t in np.unique(types))
         count = counted(types.size, "cell")
-        msg = f"got a grid of {count} of type {found}; expected tetrahedra or triangles"
+        msg = (
+            f"got a grid of {count} of type {found}; expected tetrahedra or triangles, try "
+            f"mesh.triangulate()"
+        )
         raise UnsupportedMeshError(msg)
     cells = flat[offset[ids][:, None] + np.arange(NODES[kind])]
 
@@ -240,7 +243,10 @@ def _read_polydata(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, 
     if not n_faces and mesh.n_cells:
         vertices, lines = counted(mesh.n_verts, "vertex cell"), counted(mesh.n_lines, "line cell")
         found = f"{vertices} and {lines}"
-        msg = f"got PolyData of {found}; expected triangles"
+        msg = (
+            f"got PolyData of {found}; expected triangles, try mesh.delaunay_2d() or "
+            f"mesh.delaunay_3d()"
+        )
         raise UnsupportedMeshError(msg)
     ids = np.arange(mesh.n_cells - n_faces, mesh.n_cells)
     kept = (KeptCells("line", _segments(np.asarray(mesh.lines))),) if mesh.n_lines else ()
@@ -264,10 +270,13 @@ def _write_polydata(out: Any, result: Result, ids: IndexArray) -> IndexArray:
 
 
 def _carry_cell_data(out: Any, source: Any, rows: IndexArray) -> None:
-    """Give every cell the data of the cell it came from, and make the same arrays active."""
+    """Give every cell the data of the cell it came from, and make the same arrays active.
+
+    A single complex number comes from pyvista without its axis.
+    """
     old, new = source.cell_data, out.cell_data
     for name in old.keys():
-        new.set_array(np.asarray(old[name])[rows], name)
+        new.set_array(np.atleast_1d(old[name])[rows], name)
     _make_active(new, old)
 
 

@@ -29,7 +29,11 @@ ACCEPTED = (
 )
 
 HINTS = {
-    "open3d": "open3d.geometry.TetraMesh.create_from_point_cloud(cloud)[0]",
+    "open3d.PointCloud": "open3d.geometry.TetraMesh.create_from_point_cloud(cloud)[0] of a legacy "
+                         "cloud",
+    "open3d.HalfEdgeTriangleMesh": "open3d.geometry.TriangleMesh(mesh.vertices, mesh.triangles)",
+    "open3d": "a TriangleMesh or TetraMesh made of it",
+    "pyvista.PointSet": "mesh.delaunay_3d()",
     "pyvista.DataSet": "mesh.cast_to_unstructured_grid().triangulate()",
     "pyvista.MultiBlock": "mesh.combine().triangulate()",
     "vtkmodules": "pyvista.wrap(mesh)",
