@@ -11,12 +11,11 @@ from odt_plugins.engine.star import OffsetArray, Stars
 from odt_plugins.engine.surface.closest import Ground, closest_on_triangle
 from odt_plugins.engine.surface.overlay import (
     Work,
-    faces_near,
     height_over,
     make_overlay_work,
-    triangle_within,
 )
 from odt_plugins.engine.surface.reference import Reference, make_reference
+from odt_plugins.engine.surface.triangle_within import faces_near, triangle_within
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
 LEAST_PARTS = 100_000
@@ -54,7 +53,8 @@ def _near(
         three[0], three[1], three[2] = feet[i], feet[j], feet[k]
         count = faces_near(points, i, j, k, three, surface, reach, work)
         if indices.shape[0] > 0:
-            indices[total : total + count] = work[0][0, :count]
+            for f in range(count):
+                indices[total + f] = work.faces[f]
         total += count
     indptr[chosen.shape[0]] = total
 
@@ -262,13 +262,15 @@ def _quarters(points: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntA
 
 
 def distances(
-    a: tuple[FloatArray, IntArray], b: tuple[FloatArray, IntArray], tolerance: float
+    a: Reference | tuple[FloatArray, IntArray],
+    b: Reference | tuple[FloatArray, IntArray],
+    tolerance: float,
 ) -> TwoSided:
     """Bound how far two surfaces are apart, both ways.
 
     Parameters
     ----------
-    a, b : ((n, 3) float64, (m, 3) int32)    points and triangles
+    a, b : ((n, 3) float64, (m, 3) int32)    points and triangles; or a Reference, made before
     tolerance : float                        length by which the bounds may differ, above 0; where
                                              the surfaces are so far apart that this would cost
                                              too much, they differ by more, and still hold
@@ -281,7 +283,8 @@ def distances(
     ------
     InvalidMeshError                         a surface without triangles
     """
-    first, second = make_reference(*a), make_reference(*b)
+    first = a if isinstance(a, Reference) else make_reference(*a)
+    second = b if isinstance(b, Reference) else make_reference(*b)
     forward = one_sided(second, first.points, first.triangles, tolerance)
     backward = one_sided(first, second.points, second.triangles, tolerance)
     return TwoSided(forward.upper, forward.lower, backward.upper, backward.lower)
