@@ -4,8 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from numba import njit
-
+from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.star import OffsetArray
 from odt_plugins.mesh import FloatArray, IntArray
 
@@ -42,7 +41,7 @@ class Ground(NamedTuple):
     normals: FloatArray
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def closest_on_triangle(
     px: float, py: float, pz: float, points: FloatArray, a: int, b: int, c: int
 ) -> tuple[float, int, float, float, float]:
@@ -137,7 +136,7 @@ def closest_on_triangle(
     return best, where, ax + x, ay + y, az + z
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def walk(
     px: float, py: float, pz: float, face: int, ground: Ground
 ) -> tuple[float, int, float, float, float]:
@@ -182,7 +181,7 @@ def walk(
     return best, face, x, y, z
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _on(
     ground: Ground, face: int, px: float, py: float, pz: float
 ) -> tuple[float, int, float, float, float]:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.star import OffsetArray, Stars
 from odt_plugins.engine.surface.closest import Ground, closest_on_triangle
 from odt_plugins.engine.surface.overlay import (
@@ -25,12 +25,12 @@ PARTS_A_TRIANGLE = 16
 """Further parts for every triangle."""
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _within(
     points: FloatArray, triangles: IntArray, feet: IntArray, far: FloatArray, surface: Ground,
     envelope: float, work: Work, out: BoolArray,
 ) -> None:
-    three = np.empty(3, np.int32)
+    three = work.feet
     for c in range(triangles.shape[0]):
         i, j, k = triangles[c, 0], triangles[c, 1], triangles[c, 2]
         if not (far[i] <= envelope and far[j] <= envelope and far[k] <= envelope):
@@ -39,13 +39,13 @@ def _within(
         out[c] = triangle_within(points, i, j, k, three, surface, envelope, work)
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _near(
     points: FloatArray, triangles: IntArray, chosen: IntArray, feet: IntArray, surface: Ground,
     reach: float, work: Work, indptr: OffsetArray, indices: IntArray,
 ) -> None:
     """Count the triangles of the surface near some triangles; write them when there is room."""
-    three = np.empty(3, np.int32)
+    three = work.feet
     total = 0
     for r in range(chosen.shape[0]):
         indptr[r] = total
@@ -165,7 +165,7 @@ class TwoSided(NamedTuple):
     backward_lower: float
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _upper(
     points: FloatArray, triangles: IntArray, feet: IntArray, far: FloatArray, surface: Ground,
     shrink: float, work: Work, out: FloatArray,

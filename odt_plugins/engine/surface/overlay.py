@@ -13,8 +13,8 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numba import njit
 
+from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.surface.closest import Ground
 from odt_plugins.mesh import FloatArray, IntArray
 
@@ -38,6 +38,7 @@ class Work(NamedTuple):
     ----------
     queue, parents, slots : (PIECE,) int32    triangles met, from where, their places in ``table``
     table : (4 PIECE,) int32                  those that were met already, -1 elsewhere
+    feet : (3,) int32                         triangles of the surface near three corners
     faces : (PIECE,) int32                    triangles of the surface near a triangle
     parts : (9 DEEP + 12, 3) float64          corners of the parts that are left to look at
     depths : (3 DEEP + 4,) int32              how often each was cut
@@ -47,6 +48,7 @@ class Work(NamedTuple):
     parents: IntArray
     slots: IntArray
     table: IntArray
+    feet: IntArray
     faces: IntArray
     parts: FloatArray
     depths: IntArray
@@ -56,12 +58,12 @@ def make_overlay_work() -> Work:
     """Make the work arrays of one thread."""
     return Work(
         np.empty(PIECE, np.int32), np.empty(PIECE, np.int32), np.empty(PIECE, np.int32),
-        np.full(4 * PIECE, -1, np.int32), np.empty(PIECE, np.int32),
+        np.full(4 * PIECE, -1, np.int32), np.empty(3, np.int32), np.empty(PIECE, np.int32),
         np.empty((9 * DEEP + 12, 3)), np.empty(3 * DEEP + 4, np.int32),
     )
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def enter(face: int, table: IntArray) -> int:
     """Enter a triangle into the table: its place, or -1 when it is there already."""
     mask = table.shape[0] - 1
@@ -74,7 +76,7 @@ def enter(face: int, table: IntArray) -> int:
     return place
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def height_over(
     points: FloatArray, a: int, b: int, c: int, start: int, surface: Ground,
     shrink: float, limit: float, work: Work,

@@ -10,15 +10,15 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
+from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.star import OffsetArray, vertex_stars
 from odt_plugins.engine.surface.closest import Ground
 from odt_plugins.errors import InvalidMeshError
 from odt_plugins.mesh import FloatArray, IntArray
 
 
-@njit(nogil=True, cache=True)
+@kernel
 def _across(
     triangles: IntArray, indptr: OffsetArray, indices: IntArray, neighbors: IntArray
 ) -> None:
