@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import tet_meshes as tm
 
-from odt_plugins.engine import cavity, flips3d
+from odt_plugins.engine import cavity, sphere
 from odt_plugins.engine.complex import make_complex
 from odt_plugins.engine.finishing import flip_pending
 from odt_plugins.engine.tetrahedron import (
@@ -68,7 +68,8 @@ def test_row08_energy_falls_at_every_flip_in_space_and_stuck_cells_remain(seed):
     after = mesh.mesh_arrays()[0]
     assert boundary == {f for f, owners in tm.facets_of(after).items() if len(owners) == 1}
     stuck = sum(
-        not flips3d.outside_sphere(points, *after[a], int(np.setdiff1d(after[b], after[a])[0]))
+        sphere.inside_sphere(points, after[a][0], int(np.setdiff1d(after[b], after[a])[0]),
+                             *sphere.circumsphere(points, *after[a]))
         for f, (a, b) in ((f, o) for f, o in tm.facets_of(after).items() if len(o) == 2)
     )
     assert 0 <= stuck < 0.05 * len(after)
@@ -209,4 +210,33 @@ def test_in_sphere_agrees_with_the_circumcenter():
         edges = points[1:4] - points[0]
         center = points[0] + np.linalg.solve(2 * edges, (edges**2).sum(axis=1))
         outside = np.linalg.norm(points[4] - center) > np.linalg.norm(points[0] - center)
-        assert flips3d.outside_sphere(points, 0, 1, 2, 3, 4) == outside
+        assert sphere.inside_sphere(
+            points, 0, 4, *sphere.circumsphere(points, 0, 1, 2, 3)
+        ) == (not outside)
+
+
+@pytest.mark.parametrize("labels", [1, 2])
+def test_marked_cells_own_the_facets_that_are_not_delaunay(labels):
+    points, cells = tm.grid(4, 17)
+    regions = np.random.default_rng(2).integers(labels, size=len(cells)).astype(np.int32)
+    mesh = complex_of(points, cells, regions)
+    mesh.cells[5, 0] = -1
+    bad = set()
+    for facet, owners in tm.facets_of(cells).items():
+        if len(owners) == 2 and 5 not in owners and regions[owners[0]] == regions[owners[1]]:
+            a, b = sorted(owners)
+            corners = points[cells[a]]
+            edges = corners[1:] - corners[0]
+            center = corners[0] + np.linalg.solve(2 * edges, (edges**2).sum(axis=1))
+            apex = points[next(v for v in cells[b] if v not in facet)]
+            if np.linalg.norm(apex - center) < np.linalg.norm(corners[0] - center) * (1 - 1e-9):
+                bad.add(a)
+    n = len(cells)
+    mesh.neighbors[mesh.neighbors == 5] = -1
+    for cut in (n, n // 3):
+        mesh.status[:] = 0
+        arrays = (points, mesh.cells, mesh.neighbors, mesh.regions, mesh.status)
+        count = sphere.mark_non_delaunay(*arrays, 0, cut)
+        count += sphere.mark_non_delaunay(*arrays, cut, n)
+        assert set(np.flatnonzero(mesh.status).tolist()) == bad
+        assert count == len(bad) > 20

@@ -206,16 +206,6 @@ def take_back(
 
 
 @kernel
-def apex_across(cells: IntArray, neighbors: IntArray, c: int, f: int) -> int:
-    """Vertex of the cell across facet f of cell c that is not on the facet."""
-    across = neighbors[c, f]
-    for g in range(4):
-        if neighbors[across, g] == c:
-            return cells[across, g]
-    return -1
-
-
-@kernel
 def replace_cavity(
     cells: IntArray, neighbors: IntArray, regions: IntArray, status: ByteArray, old: IntArray,
     n_old: int, new: IntArray, n_new: int, slots: LongArray, free: IntArray, rim: IntArray,

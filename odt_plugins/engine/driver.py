@@ -259,7 +259,7 @@ def _cycles(
         watch = None if options.finish else partial(memory.offer, name="smoothing")
         mesh, reason = smooth(
             mesh, density, options, limits, log,
-            partial(_report_share, report, base, 0.5 / cycles), watch,
+            partial(_report_share, report, base, 0.5 / cycles), watch, pool,
         )
         times["smoothing"] = times.get("smoothing", 0.0) + time.perf_counter() - clock
         if not options.finish:

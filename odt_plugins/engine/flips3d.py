@@ -13,7 +13,6 @@ from odt_plugins.engine.cavity import (
     DONE,
     PENDING,
     Work,
-    apex_across,
     local_edge,
     make_work,
     replace_cavity,
@@ -22,6 +21,7 @@ from odt_plugins.engine.cavity import (
     write_ring,
 )
 from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.sphere import apex_across, circumsphere, inside_sphere
 from odt_plugins.engine.tetrahedron import (
     ENERGY,
     opposite_vertices,
@@ -106,43 +106,6 @@ def _admissible(
 
 
 @kernel
-def outside_sphere(points: FloatArray, i: int, j: int, k: int, l: int, v: int) -> bool:
-    """Whether point v is outside the circumsphere of cell (i, j, k, l), or on it to rounding."""
-    x = points[v, 0]
-    y = points[v, 1]
-    z = points[v, 2]
-    ax = points[i, 0] - x
-    ay = points[i, 1] - y
-    az = points[i, 2] - z
-    bx = points[j, 0] - x
-    by = points[j, 1] - y
-    bz = points[j, 2] - z
-    cx = points[k, 0] - x
-    cy = points[k, 1] - y
-    cz = points[k, 2] - z
-    dx = points[l, 0] - x
-    dy = points[l, 1] - y
-    dz = points[l, 2] - z
-    aa = ax * ax + ay * ay + az * az
-    bb = bx * bx + by * by + bz * bz
-    cc = cx * cx + cy * cy + cz * cz
-    dd = dx * dx + dy * dy + dz * dz
-    ab = ax * by - bx * ay
-    bc = bx * cy - cx * by
-    cd = cx * dy - dx * cy
-    da = dx * ay - ax * dy
-    ac = ax * cy - cx * ay
-    bd = bx * dy - dx * by
-    abc = az * bc - bz * ac + cz * ab
-    bcd = bz * cd - cz * bd + dz * bc
-    cda = cz * da + dz * ac + az * cd
-    dab = dz * ab + az * bd + bz * da
-    inside = (cc * dab - dd * abc) + (aa * bcd - bb * cda)
-    scale = max(max(aa, bb), max(cc, dd))
-    return not inside > 1e-9 * scale * scale * np.sqrt(scale)
-
-
-@kernel
 def _cost(points: FloatArray, cells: IntArray, c: int, objective: int, power: float) -> float:
     return tet_cost(
         points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], objective, power
@@ -204,7 +167,7 @@ def flip_facet(
         return 0.0, 0
     if objective != ENERGY and not forced and status[across] == DONE:
         return 0.0, 0
-    apex = apex_across(cells, neighbors, c, f)
+    apex = apex_across(cells, c, f, across)
     base = cells[c, f]
     u, v, w = opposite_vertices(cells, c, base)
     before = _cost(points, cells, c, objective, power)
@@ -255,14 +218,15 @@ def improve_cell(
     facets = 15
     if objective == ENERGY:
         facets = 0
+        det, gx, gy, gz, size = circumsphere(
+            points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3]
+        )
         for f in range(4):
             across = neighbors[c, f]
             if across < 0 or regions[across] != regions[c] or status[across] == DONE:
                 continue
-            if not outside_sphere(
-                points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3],
-                apex_across(cells, neighbors, c, f),
-            ):
+            apex = apex_across(cells, c, f, across)
+            if inside_sphere(points, cells[c, 0], apex, det, gx, gy, gz, size):
                 facets |= 1 << f
         if facets == 0:
             return 0.0, 0

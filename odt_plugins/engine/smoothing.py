@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 
 import numpy as np
 
-from odt_plugins.engine.complex import PENDING, Complex, make_complex
+from odt_plugins.engine.complex import Complex, make_complex
 from odt_plugins.engine.cvt import cvt_step
 from odt_plugins.engine.delaunay import delaunay_exchange
 from odt_plugins.engine.density import Density
@@ -16,9 +18,11 @@ from odt_plugins.engine.finishing import flip_pending
 from odt_plugins.engine.flips2d import lawson_flips
 from odt_plugins.engine.graph_laplacian import global_step
 from odt_plugins.engine.solvers import lbfgs_step, richardson_step
+from odt_plugins.engine.sphere import mark_non_delaunay
 from odt_plugins.engine.star import vertex_stars
 from odt_plugins.engine.sweeps import StepStats, gauss_seidel_sweep, jacobi_sweep
 from odt_plugins.engine.tetrahedron import ENERGY
+from odt_plugins.engine.threads import run_ranges
 from odt_plugins.engine.topology import Topology
 from odt_plugins.engine.total_energy import total_energy
 from odt_plugins.mesh import FloatArray, IntArray
@@ -30,8 +34,8 @@ FAR = 0.1
 MODERATE = 20_000
 """Most cells for which "auto" asks scipy in the first round; beyond, local flips are cheaper."""
 
-CONVERGED = 7e-4
-PATIENCE = 5
+CONVERGED = 1.6e-3
+PATIENCE = 8
 """A stage ends when PATIENCE rounds have lowered the least energy by less than CONVERGED of it."""
 
 DAMPED = 0.8
@@ -148,14 +152,20 @@ def exchange(mesh: Complex, log: Log) -> Complex:
     return make_complex(mesh.points, cells, regions, mesh.locked, mesh.rim)
 
 
-def local_flips(mesh: Complex, bounds: FloatArray, log: Log) -> None:
+def local_flips(
+    mesh: Complex, bounds: FloatArray, log: Log, pool: ThreadPoolExecutor | None, threads: int
+) -> None:
     """Flip towards Delaunay (Section 3.1): Lawson's edges in the plane, energy flips in space."""
     if mesh.dim == 2:
         flips = lawson_flips(
             mesh.points, mesh.cells, mesh.neighbors, mesh.regions, fixed=mesh.locked
         )
     else:
-        mesh.status[:] = PENDING
+        mesh.status[:] = 0
+        work = partial(
+            mark_non_delaunay, mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.status
+        )
+        run_ranges(pool, threads, int(mesh.slots[0]), work)
         flips = flip_pending(mesh, ENERGY, 1.0, RING, bounds, PASSES)
     log.add("energy flips", flips)
 
@@ -168,6 +178,7 @@ def smooth(
     log: Log,
     tick: Callable[[float], None],
     watch: Callable[[Complex], object] | None = None,
+    pool: ThreadPoolExecutor | None = None,
 ) -> tuple[Complex, str]:
     """Run stage 1 until the energy settles or the rounds are used up.
 
@@ -180,6 +191,8 @@ def smooth(
     log : Log
     tick : callable             called with the share of the rounds that is done
     watch : callable, optional  called with the mesh after every round
+    pool : ThreadPoolExecutor, optional
+        of options.threads workers
 
     Returns
     -------
@@ -210,7 +223,7 @@ def smooth(
         if options.connectivity in ("auto", "flips") or (
             options.connectivity == "delaunay" and stats.max_move <= FAR
         ):
-            local_flips(mesh, bounds, log)
+            local_flips(mesh, bounds, log, pool, options.threads)
         cells, _ = mesh.mesh_arrays()
         current = total_energy(mesh.points, cells, rho)
         log.energy.append((options.method, current))

@@ -1,4 +1,4 @@
-"""Colour after colour, each cut into chunks for a pool: the result does not depend on it."""
+"""Work cut into chunks for a pool: the result does not depend on it."""
 
 from __future__ import annotations
 
@@ -41,3 +41,20 @@ def run_chunks(
         cuts = [int(blocks[first + (last - first) * t // threads]) for t in range(threads + 1)]
         results += pool.map(work, cuts[:-1], cuts[1:])
     return results
+
+
+def run_ranges(
+    pool: ThreadPoolExecutor | None, threads: int, size: int, work: Callable[[int, int], T]
+) -> list[T]:
+    """Call ``work(start, stop)`` over parts of range(size); returns what it returned.
+
+    Parameters
+    ----------
+    pool, threads      see :func:`run_chunks`
+    size : int
+    work : callable    releases the GIL; the parts are independent
+    """
+    if pool is None:
+        return [work(0, size)]
+    cuts = [size * t // threads for t in range(threads + 1)]
+    return list(pool.map(work, cuts[:-1], cuts[1:]))
