@@ -9,7 +9,7 @@ from test_flips3d import OPEN, assert_sound, complex_of
 
 from odt_plugins.engine import compound
 from odt_plugins.engine.cavity import make_work, take_back
-from odt_plugins.engine.finishing import qualities
+from odt_plugins.engine.finishing import measures
 from odt_plugins.engine.flips3d import flip_facet, remove_edge
 from odt_plugins.engine.tetrahedron import QUALITY
 
@@ -53,11 +53,11 @@ def test_the_journal_takes_every_flip_back(seed):
 
 
 def run_pass(mesh, power=4.0, bounds=OPEN, tried=None):
-    order = np.argsort(qualities(mesh), kind="stable")[:60].astype(np.int32)
+    order = np.argsort(measures(mesh, QUALITY), kind="stable")[:60].astype(np.int32)
     mesh.status[:] = 0
     return compound.compound_pass(
         mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status, order,
-        mesh.slots, mesh.free, power, 10, bounds,
+        mesh.slots, mesh.free, QUALITY, power, 10, bounds,
         np.zeros(len(mesh.cells), dtype=bool) if tried is None else tried)
 
 

@@ -12,6 +12,7 @@ from odt_plugins.engine.active import spread
 from odt_plugins.engine.coloring import vertex_coloring
 from odt_plugins.engine.smooth3d import add_quality_terms, smooth_vertices
 from odt_plugins.engine.star import vertex_stars
+from odt_plugins.engine.tetrahedron import QUALITY
 
 OPEN = np.array([0.0, 1.0, -1.0, 0.0, 1.0, -1.0])
 
@@ -65,7 +66,8 @@ def test_every_sweep_lowers_the_sum_and_keeps_the_rest():
     last = float(tm.cost(now, cells, 2.0).sum())
     for _ in range(4):
         for a, b in pairwise(blocks.tolist()):
-            smooth_vertices(now, cells, stars.indptr, stars.indices, order, a, b, 2.0, OPEN, moved)
+            smooth_vertices(now, cells, stars.indptr, stars.indices, order, a, b, QUALITY, 2.0,
+                            OPEN, moved)
         cost = float(tm.cost(now, cells, 2.0).sum())
         assert cost < last
         last = cost
@@ -84,8 +86,8 @@ def test_bounds_hold_for_angles_too():
     moved = np.zeros(len(points))
     for _ in range(3):
         for a, b in pairwise(blocks.tolist()):
-            smooth_vertices(points, cells, stars.indptr, stars.indices, order, a, b, 1.0, bounds,
-                            moved)
+            smooth_vertices(points, cells, stars.indptr, stars.indices, order, a, b, QUALITY, 1.0,
+                            bounds, moved)
     now = tm.dihedral_angles(points, cells)
     assert now.min() >= angles.min() - 1e-7
     assert now.max() <= angles.max() + 1e-7

@@ -114,6 +114,23 @@ def dihedral_angles(points, cells):
     return np.stack(result, axis=1)
 
 
+def amips(points, cells):
+    """AMIPS energy tr(J^T J) / det(J)^(2/3), J from the regular tetrahedron with unit edges."""
+    root = np.sqrt(3.0)
+    regular = np.array([[1, 0, 0], [0.5, root / 2, 0], [0.5, root / 6, np.sqrt(2 / 3)]]).T
+    x = points[cells]
+    jacobian = np.swapaxes(x[:, 1:] - x[:, :1], 1, 2) @ np.linalg.inv(regular)
+    return (jacobian**2).sum(axis=(1, 2)) / np.linalg.det(jacobian) ** (2 / 3)
+
+
+def softened_sine(points, cells):
+    """Power mean of the six squared sines, obtuse ones counted less; 1 for the regular cell."""
+    angles = np.radians(dihedral_angles(points, cells))
+    terms = np.sin(angles) ** -8
+    terms = np.where(angles > np.pi / 2, 0.9 + 0.1 * terms, terms)
+    return 1.125 * terms.mean(axis=1) ** -0.25
+
+
 def energy(points, cells):
     """ODT energy of Lemma 2.7, uniform density."""
     x = points[cells]

@@ -14,7 +14,7 @@ from odt_plugins.engine.cavity import DONE, IDLE, PENDING, make_work, take_back
 from odt_plugins.engine.flips3d import flip_facet, improve_cell, remove_edge
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.smooth3d import newton_vertex
-from odt_plugins.engine.tetrahedron import QUALITY, quality_cost, tet_cosines, tet_quality
+from odt_plugins.engine.tetrahedron import quality_cost, tet_cosines, tet_measure, tet_quality
 from odt_plugins.mesh import BoolArray, ByteArray, FloatArray, IntArray, LongArray
 
 MOST_TOUCHED = 192
@@ -77,7 +77,7 @@ def _push(touched: IntArray, n: int, around: IntArray, n_new: int) -> int:
 def compound_pass(
     points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
     locked: BoolArray, status: ByteArray, order: IntArray, slots: LongArray, free: IntArray,
-    power: float, max_ring: int, bounds: FloatArray, tried: BoolArray,
+    objective: int, power: float, max_ring: int, bounds: FloatArray, tried: BoolArray,
 ) -> int:
     """Try compound moves at the cells of ``order``; arguments as in ``flips3d.flip_pass``.
 
@@ -96,7 +96,7 @@ def compound_pass(
     undo = np.empty((8 * MOST_TOUCHED, 3))
     undo_vertex = np.empty(8 * MOST_TOUCHED, np.int32)
     seen = np.empty(MOST_TOUCHED, np.int32)
-    out = np.empty(10)
+    out = np.empty(20)
     step = np.empty(3)
     taken = 0
     for o in range(order.shape[0]):
@@ -106,22 +106,25 @@ def compound_pass(
         tried[c] = True
         q = tet_quality(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
         large, small = tet_cosines(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
-        least = GAIN * quality_cost(q, power)
+        measure = tet_measure(
+            points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], objective
+        )
+        own = quality_cost(measure, power)
         for op in range(10):
             journal[0, 0] = 0
             if op < 6:
                 total, n_new = remove_edge(
                     points, cells, neighbors, regions, locked, status, c, op, slots, free,
-                    QUALITY, power, max_ring, bounds, True, work, journal,
+                    objective, power, max_ring, bounds, True, work, journal,
                 )
             else:
                 total, n_new = flip_facet(
                     points, cells, neighbors, regions, locked, status, c, op - 6, slots, free,
-                    QUALITY, power, bounds, True, work, journal,
+                    objective, power, bounds, True, work, journal,
                 )
             if n_new == 0:
                 continue
-            if total < -HOPELESS * quality_cost(q, power):
+            if total < -HOPELESS * own:
                 take_back(cells, neighbors, status, slots, free, journal)
                 continue
             n_touched = _push(touched, 0, around, n_new)
@@ -137,14 +140,14 @@ def compound_pass(
                     status[t] = DONE
                     gain, n_new = improve_cell(
                         points, cells, neighbors, regions, locked, status, t, slots, free,
-                        QUALITY, power, max_ring, bounds, work, journal,
+                        objective, power, max_ring, bounds, work, journal,
                     )
                     if n_new > 0:
                         total += gain
                         flips += 1
                         n_touched = _push(touched, n_touched, around, n_new)
                         m = 0
-                if total < -DEEP * quality_cost(q, power):
+                if total < -DEEP * own:
                     break
                 n_seen = 0
                 for m in range(n_touched):
@@ -170,7 +173,8 @@ def compound_pass(
                         y = points[v, 1]
                         z = points[v, 2]
                         gain = newton_vertex(
-                            points, cells, star, 0, size, v, power, bounds, out, step
+                            points, cells, star, 0, size, v, objective, power, bounds, out,
+                            step,
                         )
                         if gain > 0.0:
                             total += gain
@@ -179,7 +183,7 @@ def compound_pass(
                             undo[n_undo, 1] = y
                             undo[n_undo, 2] = z
                             n_undo += 1
-            good = total > least
+            good = total > GAIN * own
             for m in range(n_touched):
                 t = touched[m]
                 if cells[t, 0] < 0:

@@ -22,7 +22,7 @@ from odt_plugins.engine.finish2d import finish2d
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.phases import Phase
 from odt_plugins.engine.star import Stars
-from odt_plugins.engine.tetrahedron import QUALITY, tet_quality
+from odt_plugins.engine.tetrahedron import ENERGY, tet_measure
 from odt_plugins.engine.threads import run_chunks
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
@@ -31,20 +31,22 @@ RING = 10
 
 
 @kernel
-def slot_qualities(points: FloatArray, cells: IntArray, q: FloatArray) -> None:
-    """Radius ratio of the cell in every slot, 2 in a free slot."""
+def slot_measures(points: FloatArray, cells: IntArray, objective: int, m: FloatArray) -> None:
+    """Measure of the cell in every slot, 2 in a free slot."""
     for c in range(cells.shape[0]):
         if cells[c, 0] < 0:
-            q[c] = 2.0
+            m[c] = 2.0
         else:
-            q[c] = tet_quality(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
+            m[c] = tet_measure(
+                points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], objective
+            )
 
 
-def qualities(mesh: Complex) -> FloatArray:
-    """Radius ratio (5.1) of the cell in every used slot, 2 in a free slot."""
-    q = np.empty(int(mesh.slots[0]))
-    slot_qualities(mesh.points, mesh.cells[: len(q)], q)
-    return q
+def measures(mesh: Complex, objective: int) -> FloatArray:
+    """Measure of the cell in every used slot, 2 in a free slot; see ``tetrahedron.tet_measure``."""
+    m = np.empty(int(mesh.slots[0]))
+    slot_measures(mesh.points, mesh.cells[: len(m)], objective, m)
+    return m
 
 
 def flip_pending(
@@ -57,8 +59,8 @@ def flip_pending(
         pending = np.flatnonzero(
             (mesh.status[:used] == PENDING) & (mesh.cells[:used, 0] >= 0)
         ).astype(np.int32)
-        if objective == QUALITY:
-            q = qualities(mesh)[pending]
+        if objective != ENERGY:
+            q = measures(mesh, objective)[pending]
             pending = pending[np.argsort(q, kind="stable")]
         flips = flips3d.flip_pass(
             mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status,
@@ -93,7 +95,7 @@ def descend(
     threads: int,
 ) -> tuple[int, int]:
     """Lower F_p by flips and smoothing; returns the numbers of flips and of vertex moves."""
-    q = qualities(mesh)
+    q = measures(mesh, phase.objective)
     used = len(q)
     mesh.status[:] = 0
     if phase.share < 1.0:
@@ -112,7 +114,7 @@ def descend(
     moved = np.zeros(len(mesh.points))
     flips = moves = 0
     for _ in range(phase.rounds):
-        round_flips = flip_pending(mesh, QUALITY, phase.power, RING, bounds, 4)
+        round_flips = flip_pending(mesh, phase.objective, phase.power, RING, bounds, 4)
         flips += round_flips
         used = int(mesh.slots[0])
         mesh.status[mesh.status == DONE] = 0
@@ -123,8 +125,7 @@ def descend(
             coloring = vertex_coloring(cells, active & zone)
             moved[:] = 0.0
             work = partial(
-                _smooth_chunk, mesh.points, cells, stars, coloring.order, phase.power, bounds,
-                moved,
+                _smooth_chunk, mesh.points, cells, stars, coloring.order, phase, bounds, moved
             )
             moves += sum(run_chunks(pool, threads, coloring, work))
             pushed = spread(cells, stars.indptr, stars.indices, moved, GAIN, active, mesh.status)
@@ -141,12 +142,13 @@ def descend(
 
 
 def _smooth_chunk(
-    points: FloatArray, cells: IntArray, stars: Stars, order: IntArray, power: float,
+    points: FloatArray, cells: IntArray, stars: Stars, order: IntArray, phase: Phase,
     bounds: FloatArray, moved: FloatArray, start: int, stop: int,
 ) -> int:
     """Smooth the vertices order[start:stop]."""
     return int(smooth3d.smooth_vertices(
-        points, cells, stars.indptr, stars.indices, order, start, stop, power, bounds, moved
+        points, cells, stars.indptr, stars.indices, order, start, stop, phase.objective,
+        phase.power, bounds, moved,
     ))
 
 
@@ -154,14 +156,14 @@ def compound_moves(
     mesh: Complex, phase: Phase, bounds: FloatArray, tried: BoolArray
 ) -> int:
     """Try compound moves at the worst share of the cells; returns how many stayed."""
-    q = qualities(mesh)
+    q = measures(mesh, phase.objective)
     count = int(phase.share * (q < 1.5).sum())
     worst = np.argpartition(q, count)[: count + 1]
     order = worst[np.argsort(q[worst], kind="stable")].astype(np.int32)
     mesh.status[:] = 0
     taken = compound.compound_pass(
         mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status, order,
-        mesh.slots, mesh.free, phase.power, RING, bounds, tried,
+        mesh.slots, mesh.free, phase.objective, phase.power, RING, bounds, tried,
     )
     if mesh.slots[2]:
         grow(mesh)

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from odt_plugins.engine.tetrahedron import QUALITY
+
 
 @dataclass(frozen=True)
 class Phase:
@@ -16,6 +18,7 @@ class Phase:
     rounds : int     most rounds of flips and smoothing
     sweeps : int     sweeps of smoothing in a round
     compound : int   passes of compound moves over the same share afterwards (d = 3)
+    objective : int  the cell measure in the cost, see ``tetrahedron.tet_cost``
     """
 
     power: float
@@ -23,6 +26,7 @@ class Phase:
     rounds: int
     sweeps: int
     compound: int = 0
+    objective: int = QUALITY
 
 
 def bulk(dim: int) -> tuple[Phase, ...]:

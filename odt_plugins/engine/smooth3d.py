@@ -11,12 +11,18 @@ import math
 import numpy as np
 from numba import njit
 
+from odt_plugins.engine.dihedral import dihedral_terms
 from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.mean_ratio import mean_ratio_terms
+from odt_plugins.engine.packed import add_square
 from odt_plugins.engine.tetrahedron import (
+    MEAN_RATIO,
+    QUALITY,
     SHIFT,
     opposite_vertices,
     quality_cost,
     tet_cosines,
+    tet_cost,
     tet_quality,
 )
 from odt_plugins.mesh import FloatArray, IntArray, LongArray
@@ -186,6 +192,34 @@ def add_quality_terms(
 
 
 @kernel
+def add_cost_terms(
+    points: FloatArray, v: int, i: int, j: int, k: int, objective: int, power: float,
+    out: FloatArray,
+) -> bool:
+    """As :func:`add_quality_terms`, with any measure; out[10:] is for work."""
+    if objective == QUALITY:
+        return add_quality_terms(points, v, i, j, k, power, out)
+    terms = out[10:]
+    if objective == MEAN_RATIO:
+        if not mean_ratio_terms(points, v, i, j, k, terms):
+            return False
+    elif not dihedral_terms(points, v, i, j, k, terms):
+        return False
+    m = terms[0]
+    f = quality_cost(m, power)
+    share = m / (m + SHIFT)
+    pf = power * f * share
+    pp = pf * ((power + 1.0) * share - 1.0)
+    out[0] += f
+    for a in range(1, 4):
+        out[a] -= pf * terms[a]
+    for a in range(4, 10):
+        out[a] -= pf * terms[a]
+    add_square(out, pp, terms[1], terms[2], terms[3])
+    return True
+
+
+@kernel
 def _newton_direction(out: FloatArray, step: FloatArray) -> bool:
     """Solve (H + s I) step = -g with the least shift s of a short ladder that makes it SPD."""
     trace = abs(out[4]) + abs(out[7]) + abs(out[9])
@@ -216,17 +250,16 @@ def _newton_direction(out: FloatArray, step: FloatArray) -> bool:
 
 @kernel
 def star_cost(
-    points: FloatArray, cells: IntArray, indices: IntArray, start: int, stop: int, power: float,
-    limit: float,
+    points: FloatArray, cells: IntArray, indices: IntArray, start: int, stop: int, objective: int,
+    power: float, limit: float,
 ) -> float:
     """Sum of the costs of cells indices[start:stop]; infinite above the limit or if inverted."""
     total = 0.0
     for s in range(start, stop):
         c = indices[s]
-        q = tet_quality(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
-        if q <= 1e-9:
-            return np.inf
-        total += quality_cost(q, power)
+        total += tet_cost(
+            points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], objective, power
+        )
         if total >= limit:
             return np.inf
     return total
@@ -254,17 +287,17 @@ def star_extremes(
 @kernel
 def newton_vertex(
     points: FloatArray, cells: IntArray, indices: IntArray, lo: int, hi: int, v: int,
-    power: float, bounds: FloatArray, out: FloatArray, step: FloatArray,
+    objective: int, power: float, bounds: FloatArray, out: FloatArray, step: FloatArray,
 ) -> float:
     """One guarded Newton step on F_p for vertex v with the star indices[lo:hi], in place.
 
-    ``out`` (10,) and ``step`` (3,) are work arrays; out[0] is the cost of the star before.
+    ``out`` (20,) and ``step`` (3,) are work arrays; out[0] is the cost of the star before.
     Returns the cost before minus the cost after, 0 when the vertex stays.
     """
     out[:] = 0.0
     for s in range(lo, hi):
         i, j, k = opposite_vertices(cells, indices[s], v)
-        if not add_quality_terms(points, v, i, j, k, power, out):
+        if not add_cost_terms(points, v, i, j, k, objective, power, out):
             return 0.0
     if not _newton_direction(out, step):
         return 0.0
@@ -279,7 +312,8 @@ def newton_vertex(
         points[v, 0] = x + alpha * step[0]
         points[v, 1] = y + alpha * step[1]
         points[v, 2] = z + alpha * step[2]
-        cost = star_cost(points, cells, indices, lo, hi, power, out[0] + 1e-4 * alpha * slope)
+        limit = out[0] + 1e-4 * alpha * slope
+        cost = star_cost(points, cells, indices, lo, hi, objective, power, limit)
         if cost < out[0]:
             worst, large, small = star_extremes(points, cells, indices, lo, hi)
             if worst >= bounds[0] and large <= bounds[1] and small >= bounds[2]:
@@ -310,7 +344,7 @@ def newton_vertex(
 @njit(nogil=True, cache=True)
 def smooth_vertices(
     points: FloatArray, cells: IntArray, indptr: LongArray, indices: IntArray, order: IntArray,
-    start: int, stop: int, power: float, bounds: FloatArray, moved: FloatArray,
+    start: int, stop: int, objective: int, power: float, bounds: FloatArray, moved: FloatArray,
 ) -> int:
     """One guarded Newton step on F_p for vertices order[start:stop], in place.
 
@@ -319,7 +353,7 @@ def smooth_vertices(
     points : (n, 3) float64, cells : (m, 4) int32
     indptr, indices                      stars in CSR form
     order : (k,) int32                   vertices, moved one after another
-    power : float                        p
+    objective, power                     see ``tetrahedron.tet_cost``
     bounds : (6,) float64                least q, largest and smallest cosine that may appear
     moved : (n,) float64                 relative decrease of the star's cost is written here
 
@@ -327,13 +361,13 @@ def smooth_vertices(
     -------
     int                                  number of vertices moved
     """
-    out = np.empty(10)
+    out = np.empty(20)
     step = np.empty(3)
     count = 0
     for o in range(start, stop):
         v = order[o]
         gain = newton_vertex(
-            points, cells, indices, indptr[v], indptr[v + 1], v, power, bounds, out, step
+            points, cells, indices, indptr[v], indptr[v + 1], v, objective, power, bounds, out, step
         )
         moved[v] = 0.0
         if gain > 0.0:

@@ -6,12 +6,16 @@ import math
 
 import numpy as np
 
+from odt_plugins.engine.dihedral import six_cosines, tet_dihedral
 from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.mean_ratio import tet_mean_ratio
 from odt_plugins.mesh import FloatArray, IntArray
 
 ENERGY = 0
 QUALITY = 1
-
+MEAN_RATIO = 2
+DIHEDRAL = 3
+"""What a cell costs: the ODT energy, or (1/m)^p with one of the cell measures m."""
 
 SHIFT = 0.005
 """Cells much flatter than this are no longer worth their neighbours: the cost levels off there."""
@@ -19,7 +23,7 @@ SHIFT = 0.005
 
 @kernel
 def quality_cost(q: float, power: float) -> float:
-    """Cost ((1 + s)/(q + s))^power of a cell with the radius ratio q, s = SHIFT; 1 for the best.
+    """Cost ((1 + s)/(q + s))^power of a cell with the measure q, s = SHIFT; 1 for the best.
 
     The powers in use need no general power function.
     """
@@ -133,37 +137,7 @@ def tet_energy(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
 @kernel
 def tet_cosines(points: FloatArray, i: int, j: int, k: int, l: int) -> tuple[float, float]:
     """Largest and smallest cosine of the six dihedral angles: (of the smallest, of the largest)."""
-    ax = points[j, 0] - points[i, 0]
-    ay = points[j, 1] - points[i, 1]
-    az = points[j, 2] - points[i, 2]
-    bx = points[k, 0] - points[i, 0]
-    by = points[k, 1] - points[i, 1]
-    bz = points[k, 2] - points[i, 2]
-    cx = points[l, 0] - points[i, 0]
-    cy = points[l, 1] - points[i, 1]
-    cz = points[l, 2] - points[i, 2]
-    x1 = by * cz - bz * cy
-    y1 = bz * cx - bx * cz
-    z1 = bx * cy - by * cx
-    x2 = cy * az - cz * ay
-    y2 = cz * ax - cx * az
-    z2 = cx * ay - cy * ax
-    x3 = ay * bz - az * by
-    y3 = az * bx - ax * bz
-    z3 = ax * by - ay * bx
-    x0 = -(x1 + x2 + x3)
-    y0 = -(y1 + y2 + y3)
-    z0 = -(z1 + z2 + z3)
-    n0 = 1.0 / math.sqrt(max(x0 * x0 + y0 * y0 + z0 * z0, 1e-300))
-    n1 = 1.0 / math.sqrt(max(x1 * x1 + y1 * y1 + z1 * z1, 1e-300))
-    n2 = 1.0 / math.sqrt(max(x2 * x2 + y2 * y2 + z2 * z2, 1e-300))
-    n3 = 1.0 / math.sqrt(max(x3 * x3 + y3 * y3 + z3 * z3, 1e-300))
-    c01 = -(x0 * x1 + y0 * y1 + z0 * z1) * n0 * n1
-    c02 = -(x0 * x2 + y0 * y2 + z0 * z2) * n0 * n2
-    c03 = -(x0 * x3 + y0 * y3 + z0 * z3) * n0 * n3
-    c12 = -(x1 * x2 + y1 * y2 + z1 * z2) * n1 * n2
-    c13 = -(x1 * x3 + y1 * y3 + z1 * z3) * n1 * n3
-    c23 = -(x2 * x3 + y2 * y3 + z2 * z3) * n2 * n3
+    _, c01, c02, c03, c12, c13, c23 = six_cosines(points, i, j, k, l)
     return (
         max(max(max(c01, c02), max(c03, c12)), max(c13, c23)),
         min(min(min(c01, c02), min(c03, c12)), min(c13, c23)),
@@ -171,13 +145,26 @@ def tet_cosines(points: FloatArray, i: int, j: int, k: int, l: int) -> tuple[flo
 
 
 @kernel
+def tet_measure(points: FloatArray, i: int, j: int, k: int, l: int, objective: int) -> float:
+    """Measure of one cell for an objective that is not the energy; not positive if inverted."""
+    if objective == QUALITY:
+        return tet_quality(points, i, j, k, l)
+    if objective == MEAN_RATIO:
+        return tet_mean_ratio(points, i, j, k, l)
+    return tet_dihedral(points, i, j, k, l)
+
+
+@kernel
 def tet_cost(
     points: FloatArray, i: int, j: int, k: int, l: int, objective: int, power: float,
 ) -> float:
-    """Cost of one cell: ODT energy or that of its quality; infinite if not positive."""
-    if objective == ENERGY:
+    """Cost of one cell: ODT energy or that of its measure; infinite if not positive."""
+    if objective == QUALITY:
+        m = tet_quality(points, i, j, k, l)
+    elif objective == ENERGY:
         return tet_energy(points, i, j, k, l)
-    q = tet_quality(points, i, j, k, l)
-    if q <= 1e-9:
+    else:
+        m = tet_measure(points, i, j, k, l, objective)
+    if m <= 1e-9:
         return np.inf
-    return quality_cost(q, power)
+    return quality_cost(m, power)

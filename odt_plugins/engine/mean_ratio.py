@@ -1,0 +1,90 @@
+"""Mean ratio of a tetrahedron, that is TetWild's AMIPS energy, with its derivatives.
+
+With J the Jacobian of the map from the regular tetrahedron, the AMIPS energy is
+E = tr(J^T J) / det(J)^(2/3) >= 3 (Fu et al. 2015; Hu et al. 2018, TetWild).  tr(J^T J) is half the
+sum t of the squared edges, in units of the regular tetrahedron's edge, and det(J) is
+sqrt(2) det, det six times the volume.  The measure is the cube (3/E)^3 = 432 det^2 / t^3: like the
+radius ratio it falls with the square of the volume, and it needs no root.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.packed import add_identity, add_square
+from odt_plugins.mesh import FloatArray
+
+
+@kernel
+def _det_and_edges(
+    ax: float, ay: float, az: float, bx: float, by: float, bz: float, cx: float, cy: float,
+    cz: float,
+) -> tuple[float, float]:
+    """Six times the volume, and the sum of the six squared edges, from the edges at a vertex."""
+    det = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+    sx = ax + bx + cx
+    sy = ay + by + cy
+    sz = az + bz + cz
+    squares = (
+        ax * ax + ay * ay + az * az + bx * bx + by * by + bz * bz + cx * cx + cy * cy + cz * cz
+    )
+    return det, 4.0 * squares - (sx * sx + sy * sy + sz * sz)
+
+
+@kernel
+def tet_mean_ratio(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
+    """Cube of the mean ratio of tetrahedron (i, j, k, l); -1 if it is not positive."""
+    det, t = _det_and_edges(
+        points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2],
+        points[k, 0] - points[i, 0], points[k, 1] - points[i, 1], points[k, 2] - points[i, 2],
+        points[l, 0] - points[i, 0], points[l, 1] - points[i, 1], points[l, 2] - points[i, 2],
+    )
+    cube = t * t * t
+    if not (det > 0.0 and cube > 0.0):
+        return -1.0
+    return 432.0 * det * det / cube
+
+
+@kernel
+def mean_ratio_terms(
+    points: FloatArray, v: int, i: int, j: int, k: int, out: FloatArray
+) -> bool:
+    """Write m = :func:`tet_mean_ratio` of (v, i, j, k), gradient and Hessian of log m in x_v.
+
+    ``out`` is packed as in ``packed``.  False when the cell is not positive.
+    """
+    ax = points[i, 0] - points[v, 0]
+    ay = points[i, 1] - points[v, 1]
+    az = points[i, 2] - points[v, 2]
+    bx = points[j, 0] - points[v, 0]
+    by = points[j, 1] - points[v, 1]
+    bz = points[j, 2] - points[v, 2]
+    cx = points[k, 0] - points[v, 0]
+    cy = points[k, 1] - points[v, 1]
+    cz = points[k, 2] - points[v, 2]
+    det, t = _det_and_edges(ax, ay, az, bx, by, bz, cx, cy, cz)
+    cube = t * t * t
+    if not (det > 0.0 and cube > 0.0):
+        return False
+    # gradients of log det and log t
+    dx = ((bz - az) * (cy - ay) - (by - ay) * (cz - az)) / det
+    dy = ((bx - ax) * (cz - az) - (bz - az) * (cx - ax)) / det
+    dz = ((by - ay) * (cx - ax) - (bx - ax) * (cy - ay)) / det
+    tx = -2.0 * (ax + bx + cx) / t
+    ty = -2.0 * (ay + by + cy) / t
+    tz = -2.0 * (az + bz + cz) / t
+    out[:] = 0.0
+    out[0] = 432.0 * det * det / cube
+    out[1] = 2.0 * dx - 3.0 * tx
+    out[2] = 2.0 * dy - 3.0 * ty
+    out[3] = 2.0 * dz - 3.0 * tz
+    add_identity(out, -18.0 / t)
+    add_square(out, -2.0, dx, dy, dz)
+    add_square(out, 3.0, tx, ty, tz)
+    return True
+
+
+def amips_energy(mean_ratio: FloatArray) -> FloatArray:
+    """AMIPS energy as TetWild reports it, from :func:`tet_mean_ratio`; 3 for the regular cell."""
+    return np.asarray(3.0 / np.cbrt(mean_ratio))
