@@ -8,7 +8,8 @@ from __future__ import annotations
 import difflib
 import inspect
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import fields, replace
 from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict, TypeVar, Unpack, overload
 
@@ -20,7 +21,7 @@ from odt_plugins.adapters.host import Adapter, HostMesh, Result
 from odt_plugins.adapters.kept import protect
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.carry import in_input_order
-from odt_plugins.errors import InvalidOptionError
+from odt_plugins.errors import InvalidOptionError, ODTError
 from odt_plugins.mesh import (
     FloatArray,
     SimplexMesh,
@@ -222,8 +223,9 @@ def measure(mesh: Any) -> QualitySummary:
     from odt_plugins.quality import summarize, volumes
 
     host = find_adapter(mesh).read(mesh)
-    points, _ = _flat_points(host)
-    p, t = mesh_arrays(points, host.cells)
+    with _words_of(host):
+        points, _ = _flat_points(host)
+        p, t = mesh_arrays(points, host.cells)
     if 2 * int((volumes(p, t) < 0).sum()) > len(t):
         t = reverse(t, np.ones(len(t), dtype=np.bool_))
     return summarize(p, t)
@@ -265,7 +267,8 @@ def _run(mesh: Any, options: Options) -> tuple[Any, SimplexMesh, Outcome]:
     from odt_plugins.quality import volumes
 
     work = _prepare(mesh, options)
-    outcome = run(work.mesh, _in_frame(options, work.frame))
+    with _words_of(work.host):
+        outcome = run(work.mesh, _in_frame(options, work.frame))
     points, outcome = _placed(work, outcome, options)
     cells, regions, source = in_input_order(
         work.mesh, outcome.points, outcome.cells, outcome.regions
@@ -285,20 +288,33 @@ def _prepare(mesh: Any, options: Options) -> _Prepared:
     adapter = find_adapter(mesh)
     named = isinstance(options.regions, str)
     host = adapter.read(mesh, options.regions if named else None)
-    points, frame = _flat_points(host)
-    labels = host.regions if named or options.regions is None else options.regions
-    if host.blocks is not None:
-        labels = compact_labels(labels, len(host.cells)).astype(np.int64)
-        labels = labels * (int(host.blocks.max()) + 1) + host.blocks
-    simplices, orientation = simplex_mesh(
-        points,
-        host.cells,
-        regions=labels,
-        fixed=options.fixed,
-        selection=options.selection,
-        orient=options.orient,
-    )
-    return _Prepared(adapter, host, frame, protect(simplices, host.kept), orientation)
+    with _words_of(host):
+        points, frame = _flat_points(host)
+        labels = host.regions if named or options.regions is None else options.regions
+        if host.blocks is not None:
+            labels = compact_labels(labels, len(host.cells)).astype(np.int64)
+            labels = labels * (int(host.blocks.max()) + 1) + host.blocks
+        simplices, orientation = simplex_mesh(
+            points,
+            host.cells,
+            regions=labels,
+            fixed=options.fixed,
+            selection=options.selection,
+            orient=options.orient,
+        )
+        return _Prepared(adapter, host, frame, protect(simplices, host.kept), orientation)
+
+
+@contextmanager
+def _words_of(host: HostMesh) -> Iterator[None]:
+    """Put the errors of what is done here into the words of the caller's toolkit."""
+    try:
+        yield
+    except ODTError as exc:
+        text = host.words(str(exc))
+        if text == str(exc):
+            raise
+        raise type(exc)(text) from exc
 
 
 def _flat_points(host: HostMesh) -> tuple[FloatArray, PlaneFrame | None]:

@@ -142,6 +142,29 @@ def test_a_mesh_without_cells_is_named_in_words_of_the_host(name):
         odt_plugins.measure(mesh)
 
 
+SPEAK = [name for name in contract.HOSTS if not name.startswith("pymeshlab")]
+"""Hosts whose words all errors are in; the filters of pymeshlab have their own."""
+
+
+@pytest.mark.parametrize("name", SPEAK)
+def test_errors_speak_the_words_of_the_host(name):
+    contract.need(name)
+    host = contract.HOSTS[name]
+    noun = host.word.removesuffix("s")
+    points, cells, labels = contract.grid(host.dim, 2)
+    flat = points.copy()
+    flat[cells[0, -1]] = flat[cells[0, 0]]
+    for run in (host.optimize, odt_plugins.optimize):
+        with pytest.raises(odt_plugins.ODTError, match=rf"\d+ {noun}s? \(first: {noun} 0\)"):
+            run(host.make((flat, cells, labels)))
+    good = host.make((points, cells, labels))
+    with pytest.raises(odt_plugins.ODTError, match=rf"a mask .* as many as {host.word}$"):
+        host.optimize(good, selection=np.ones(3, dtype=bool))
+    if len(points) != len(cells):
+        with pytest.raises(odt_plugins.ODTError, match=rf"and {len(cells)} {host.word}, "):
+            host.optimize(good, density=np.ones(3))
+
+
 @pytest.mark.parametrize("name", contract.REFUSE_CURVED)
 def test_curved_surfaces_name_the_volume_route(name):
     contract.need(name)

@@ -448,7 +448,7 @@ FAULTS = [
 
 @pytest.mark.parametrize(("kind", "rows", "message", "code"), FAULTS)
 def test_errors_speak_of_triangles_and_tetras_and_advise_what_helps(kind, rows, message, code):
-    for function in (open3d_filters.optimize_odt, open3d_filters.filter_smooth_odt):
+    for function in (odt_plugins.optimize, open3d_filters.filter_smooth_odt):
         mesh = of_rows(kind, rows)
         with pytest.raises(InvalidMeshError, match=message) as caught:
             function(mesh)
@@ -462,8 +462,7 @@ def test_errors_speak_of_triangles_and_tetras_and_advise_what_helps(kind, rows, 
         elif advice == "orient=True":
             function(mesh, orient=True)
         else:
-            names = {"mesh": mesh, "open3d": open3d,
-                     "compute_radius_ratios": open3d_filters.compute_radius_ratios}
+            names = {"mesh": mesh, "open3d": open3d, "open3d_filters": open3d_filters}
             out = eval(advice, names)
             function(out if isinstance(out, type(mesh)) else mesh)
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
@@ -44,6 +44,7 @@ class HostMesh:
     kept : tuple of KeptCells         cells that are not optimised
     source : object                   the caller's object, never changed
     layout : object                   what else the writer of this adapter needs
+    words : callable                  puts an error message into the words of this toolkit
     """
 
     points: NDArray[Any]
@@ -53,6 +54,7 @@ class HostMesh:
     kept: tuple[KeptCells, ...] = ()
     source: Any = None
     layout: Any = None
+    words: Callable[[str], str] = str
 
 
 class Result(NamedTuple):

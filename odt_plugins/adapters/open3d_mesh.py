@@ -9,7 +9,9 @@ mix. Tensor meshes on another device are optimised on the CPU and copied back, w
 
 from __future__ import annotations
 
+import re
 import warnings
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -21,6 +23,21 @@ from odt_plugins.errors import InvalidMeshError, ODTWarning, UnsupportedMeshErro
 
 MATERIALS = {"legacy": "triangle_material_ids", "tensor": "material_ids"}
 """Names of the material of every triangle."""
+
+
+REMEDIES = (
+    (r"(?<=try )orient=True", ("orient_triangles()",)),
+    (r"(?<=try )removing the cells that overlap", ("remove_non_manifold_edges()",)),
+    (r"(?<=try )removing repeated cells",
+     ("remove_duplicated_triangles()", "remove_duplicated_tetras()")),
+    (r"(?<=different vertices, try )removing such cells",
+     ("remove_degenerate_triangles()", "remove_degenerate_tetras()")),
+    (r"(?<=different from zero, try )removing such cells",
+     ("remove_triangles_by_mask(open3d_filters.compute_radius_ratios(mesh) < 1e-12)",
+      "select_faces_by_mask("
+      "open3d.core.Tensor(open3d_filters.compute_radius_ratios(mesh) > 1e-12))")),
+)
+"""What error messages advise, and the methods of open3d that do it, on one class or another."""
 
 
 def matches(mesh: object) -> bool:
@@ -56,6 +73,7 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
             cells=np.array(mesh.tetras),
             regions=region_array({}, regions),
             source=mesh,
+            words=partial(in_words, mesh=mesh),
         )
     return _read_tensor(mesh, regions) if is_tensor(mesh) else _read_legacy(mesh, regions)
 
@@ -75,6 +93,16 @@ def write(result: Result, host: HostMesh) -> Any:
         out.tetras = Vector4iVector(result.cells)
         return out
     return _write_triangles(out, result, host)
+
+
+def in_words(text: str, mesh: Any) -> str:
+    """Put an error message into open3d's words, with advice that this mesh can follow."""
+    for advice, calls in REMEDIES:
+        call = next((call for call in calls if hasattr(mesh, call.partition("(")[0])), None)
+        if call:
+            text = re.sub(advice, f"mesh.{call}", text)
+    noun = "tetra" if is_instance(mesh, "open3d", "TetraMesh") else "triangle"
+    return re.sub(r"\bcell(s?)\b", rf"{noun}\1", text)
 
 
 def _read_legacy(mesh: Any, regions: str | None) -> HostMesh:
@@ -131,7 +159,8 @@ def _host(
     if uv is not None and _in_range(cells, len(points)):
         blocks, seams = charts(uv, cells)
         kept = (seams,) if len(seams.rows) else ()
-    return HostMesh(points, cells, labels, blocks, kept, source=mesh, layout=uv)
+    return HostMesh(points, cells, labels, blocks, kept, source=mesh, layout=uv,
+                    words=partial(in_words, mesh=mesh))
 
 
 def _in_range(cells: NDArray[Any], n: int) -> bool:

@@ -21,20 +21,6 @@ from odt_plugins.quality import radius_ratio
 
 MeshT = TypeVar("MeshT")
 
-REMEDIES = (
-    (r"(?<=try )orient=True", ("orient_triangles()",)),
-    (r"(?<=try )removing the cells that overlap", ("remove_non_manifold_edges()",)),
-    (r"(?<=try )removing repeated cells",
-     ("remove_duplicated_triangles()", "remove_duplicated_tetras()")),
-    (r"(?<=different vertices, try )removing such cells",
-     ("remove_degenerate_triangles()", "remove_degenerate_tetras()")),
-    (r"(?<=different from zero, try )removing such cells",
-     ("remove_triangles_by_mask(compute_radius_ratios(mesh) < 1e-12)",
-      "select_faces_by_mask(open3d.core.Tensor(compute_radius_ratios(mesh) > 1e-12))")),
-)
-"""What error messages advise, and the methods of open3d that do it, on one class or another."""
-
-
 def filter_smooth_odt(
     mesh: MeshT,
     number_of_iterations: int = 1,
@@ -116,10 +102,7 @@ def optimize_odt(mesh: MeshT, **options: Unpack[OptionKeywords]) -> MeshT:
     same class as `mesh`
     """
     _expect_mesh(mesh)
-    try:
-        return optimize_mesh(mesh, **options)
-    except ODTError as exc:
-        raise _in_words(exc, mesh) from exc
+    return optimize_mesh(mesh, **options)
 
 
 def compute_radius_ratios(mesh: Any) -> NDArray[np.float64]:
@@ -130,10 +113,7 @@ def compute_radius_ratios(mesh: Any) -> NDArray[np.float64]:
     (m,) float64
     """
     _expect_mesh(mesh)
-    try:
-        host = open3d_mesh.read(mesh)
-    except ODTError as exc:
-        raise _in_words(exc, mesh) from exc
+    host = open3d_mesh.read(mesh)
     return np.abs(radius_ratio(host.points, host.cells))
 
 
@@ -174,8 +154,8 @@ def _smooth(mesh: Any, iterations: int, scope: Any, kind: Any, options: Any) -> 
     try:
         out = optimize_mesh(mesh, **{**options, **own})
     except ODTError as exc:
-        words = str(_in_words(exc, mesh))
-        raise type(exc)(re.sub(r"\brounds=", "number_of_iterations=", words)) from exc
+        words = re.sub(r"\brounds=", "number_of_iterations=", str(exc))
+        raise type(exc)(words) from exc
     if name == "Vertex":
         _restore_normals(out, mesh)
     return out
@@ -201,14 +181,3 @@ def _expect_mesh(mesh: Any) -> None:
             f"TriangleMesh or TetraMesh"
         )
         raise UnsupportedMeshError(msg)
-
-
-def _in_words(exc: ODTError, mesh: Any) -> ODTError:
-    """Say the same error in open3d's words."""
-    text = str(exc)
-    for advice, calls in REMEDIES:
-        call = next((call for call in calls if hasattr(mesh, call.partition("(")[0])), None)
-        if call:
-            text = re.sub(advice, f"mesh.{call}", text)
-    noun = "tetra" if is_instance(mesh, "open3d", "TetraMesh") else "triangle"
-    return type(exc)(re.sub(r"\bcell(s?)\b", rf"{noun}\1", text))
