@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import warnings
 
 import contract
@@ -247,6 +248,37 @@ def test_boundary_cells_and_point_sets_beside_them_follow(monkeypatch):
     for row in out.cells[0].data.tolist():
         assert [new[tuple(sorted((row[i], row[j])))] for i, j in EDGES[2]] == row[3:]
     assert np.array_equal(np.unique(out.cells[0].data), np.sort(out.point_sets["skin"]))
+
+
+def test_new_nodes_of_gmsh_files_lie_in_the_entity_of_their_cells(tmp_path, monkeypatch, d):
+    monkeypatch.setattr(driver, "run", contract.churn)
+    points, rows, labels = quadratic_grid(d)
+    labels = np.where(labels == 7, 1, 2)
+    rim = contract.facets(rows[:, : d + 1], np.zeros(len(rows), int))
+    mid = edges_of(rows, d)
+    tags = np.zeros((len(points), 2), dtype=np.int32)
+    tags[rows] = np.stack([np.full(len(rows), d), labels], axis=1)[:, None]
+    for facet in rim:
+        tags[[*facet, *(mid[e] for e in itertools.combinations(sorted(facet), 2))]] = [d - 1, 5]
+    space = np.zeros((len(points), 3))
+    space[:, :d] = points
+    mesh = meshio.Mesh(space, [(MESHIO[d], rows)], point_data={"gmsh:dim_tags": tags},
+                       cell_data={"gmsh:physical": [labels], "gmsh:geometrical": [labels]})
+    out = odt_plugins.optimize(mesh)
+    new = edges_of(out.cells[0].data, d)
+    was = {p.tobytes(): tag for p, tag in zip(space, tags.tolist(), strict=True)}
+    fresh = 0
+    for row, label in zip(out.cells[0].data, out.cell_data["gmsh:geometrical"][0], strict=True):
+        for i, j in EDGES[d]:
+            node = new[tuple(sorted((row[i], row[j])))]
+            tag = out.point_data["gmsh:dim_tags"][node].tolist()
+            place = out.points[node].tobytes()
+            fresh += place not in was
+            assert tag == was.get(place, [d, label])
+    assert fresh
+    files.write_file(tmp_path / "out.msh", out)
+    back = files.read_file(tmp_path / "out.msh")
+    assert np.array_equal(np.unique(back.points, axis=0), np.unique(out.points, axis=0))
 
 
 def test_a_point_set_that_loses_nodes_is_named(monkeypatch):

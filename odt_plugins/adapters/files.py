@@ -301,11 +301,16 @@ def _sizes(mesh: Any) -> dict[str, int]:
 
 
 def _lost(mesh: Any, back: Any) -> list[str]:
-    """Name the data that did not come back, and those that did under another name."""
+    """Name the data that did not come back, and those that did under another name.
+
+    Formats may put the points in another order: .msh has those of one entity together.
+    """
     lost = []
     renamed = []
     d = min(mesh.points.shape[1], back.points.shape[1])
-    if not np.array_equal(mesh.points[:, :d], back.points[:, :d]):
+    old, new = mesh.points[:, :d], back.points[:, :d]
+    same = np.array_equal(old, new) or np.array_equal(*(np.unique(p, axis=0) for p in (old, new)))
+    if not same:
         lost.append("the last digits of the coordinates")
     for kind in ("point_data", "cell_data", "field_data", "point_sets", "cell_sets"):
         old, new = getattr(mesh, kind), getattr(back, kind)

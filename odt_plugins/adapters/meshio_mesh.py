@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance, region_array
 from odt_plugins.adapters.quadratic import (
     CORNERS,
+    Quadratic,
     carried_point_data,
     check_mid_nodes,
     renumbered,
@@ -36,6 +37,9 @@ QUADRATIC = ("line3", "triangle6", "tetra10")
 
 KINDS = ("tetra", "tetra10", "triangle", "triangle6")
 """Cells that can be optimised, the first ones before the others."""
+
+NODE_ENTITIES, CELL_ENTITIES = "gmsh:dim_tags", "gmsh:geometrical"
+"""Data of Gmsh's files: dimension and tag of the entity of a node, tag of that of a cell."""
 
 NOT_CELL_INDICES = ("gmsh:bounding_entities",)
 """Cell sets that hold something else than indices of cells."""
@@ -139,10 +143,28 @@ def _with_mid_nodes(out: Any, result: Result, host: HostMesh) -> Result:
     for i in others:
         old = np.asarray(out.cells[i].data)
         out.cells[i].data = q.number[old].astype(old.dtype)
-    out.point_data = {name: carried_point_data(name, np.asarray(values), q)
-                      for name, values in out.point_data.items()}
+    entities = out.cell_data.get(CELL_ENTITIES)
+    for name, values in out.point_data.items():
+        if name == NODE_ENTITIES and entities is not None:
+            of_cells = np.concatenate([entities[i] for i in host.layout])[result.source]
+            out.point_data[name] = _node_entities(np.asarray(values), q, of_cells)
+        else:
+            out.point_data[name] = carried_point_data(name, np.asarray(values), q)
     out.point_sets = renumbered(out.point_sets, q)
     return Result(q.points, q.cells, result.source)
+
+
+def _node_entities(
+    values: NDArray[Any], q: Quadratic, of_cells: NDArray[np.integer]
+) -> NDArray[Any]:
+    """Dimension and tag (n', 2) of Gmsh's entity of every node; new ones lie in that of a cell."""
+    out = values[np.maximum(q.origin, 0)]
+    corners = CORNERS[q.cells.shape[1]]
+    mid = q.cells[:, corners:]
+    fresh = q.origin[mid] < 0
+    out[mid[fresh], 0] = corners - 1
+    out[mid[fresh], 1] = np.broadcast_to(of_cells[:, None], mid.shape)[fresh]
+    return out
 
 
 def _memberships(mesh: Any, chosen: list[int], size: list[int]) -> dict[str, NDArray[np.bool_]]:
