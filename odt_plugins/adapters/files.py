@@ -309,8 +309,9 @@ def _lost(mesh: Any, back: Any) -> list[str]:
     renamed = []
     d = min(mesh.points.shape[1], back.points.shape[1])
     old, new = mesh.points[:, :d], back.points[:, :d]
-    same = np.array_equal(old, new) or np.array_equal(*(np.unique(p, axis=0) for p in (old, new)))
-    if not same:
+    if not np.array_equal(old, new) and not np.array_equal(
+        np.unique(old, axis=0), np.unique(new, axis=0)
+    ):
         lost.append("the last digits of the coordinates")
     for kind in ("point_data", "cell_data", "field_data", "point_sets", "cell_sets"):
         old, new = getattr(mesh, kind), getattr(back, kind)
