@@ -90,7 +90,7 @@ class _Prepared(NamedTuple):
     orientation: int
 
 
-def _with_option_signature(function: FunctionT) -> FunctionT:
+def with_option_signature(function: FunctionT) -> FunctionT:
     """Let help() and inspect show every option with its default instead of `**options`."""
     signature = inspect.signature(function)
     own = [p for p in signature.parameters.values() if p.kind is not p.VAR_KEYWORD]
@@ -108,7 +108,7 @@ def _with_option_signature(function: FunctionT) -> FunctionT:
 def optimize(mesh: str | os.PathLike[str], **options: Unpack[OptionKeywords]) -> Any: ...
 @overload
 def optimize(mesh: MeshT, **options: Unpack[OptionKeywords]) -> MeshT: ...
-@_with_option_signature
+@with_option_signature
 def optimize(mesh: Any, **options: Unpack[OptionKeywords]) -> Any:
     """Improve a mesh of tetrahedra or planar triangles by Optimal Delaunay Triangulation.
 
@@ -161,7 +161,7 @@ def optimize_with_report(
 def optimize_with_report(
     mesh: MeshT, **options: Unpack[OptionKeywords]
 ) -> tuple[MeshT, Report]: ...
-@_with_option_signature
+@with_option_signature
 def optimize_with_report(mesh: Any, **options: Unpack[OptionKeywords]) -> tuple[Any, Report]:
     """Improve a mesh as :func:`optimize` does and tell what was done.
 
@@ -177,7 +177,7 @@ def optimize_with_report(mesh: Any, **options: Unpack[OptionKeywords]) -> tuple[
     return result, make_report(before, outcome, chosen)
 
 
-@_with_option_signature
+@with_option_signature
 def optimize_file(
     source: str | os.PathLike[str],
     target: str | os.PathLike[str],

@@ -368,6 +368,8 @@ def test_filter_signatures_are_those_of_open3d():
         parameters = inspect.signature(function).parameters
         assert list(parameters)[:3] == ["mesh", "number_of_iterations", "filter_scope"]
         assert parameters["number_of_iterations"].default == 1
+    assert inspect.signature(open3d_filters.optimize_odt).parameters.keys() == (
+        inspect.signature(odt_plugins.optimize).parameters.keys())
     mesh = make("triangle")
     native = mesh.filter_smooth_simple(number_of_iterations=2,
                                        filter_scope=open3d.geometry.FilterScope.All)

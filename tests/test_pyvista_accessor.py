@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import subprocess
 import sys
 
@@ -41,6 +42,10 @@ def test_the_accessor_does_what_the_functions_do(name):
 
 
 def test_the_options_are_those_of_optimize():
+    grid = contract.HOSTS["pyvista-tet"].make()
+    options = list(inspect.signature(odt_plugins.optimize).parameters)[1:]
+    for function in (grid.odt.optimize, grid.odt.optimize_with_report):
+        assert list(inspect.signature(function).parameters) == options
     with pytest.raises(InvalidOptionError, match="did you mean 'rounds'"):
         contract.HOSTS["pyvista-tet"].make().odt.optimize(round=3)
 

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters import open3d_mesh
 from odt_plugins.adapters.host import is_instance
-from odt_plugins.api import OptionKeywords
+from odt_plugins.api import OptionKeywords, with_option_signature
 from odt_plugins.api import optimize as optimize_mesh
 from odt_plugins.errors import InvalidOptionError, ODTError, UnsupportedMeshError
 from odt_plugins.quality import radius_ratio
@@ -89,6 +89,7 @@ def filter_smooth_odt_global(
                                  {"method": "odt", "solver": "global"}, options))
 
 
+@with_option_signature
 def optimize_odt(mesh: MeshT, **options: Unpack[OptionKeywords]) -> MeshT:
     """Improve a mesh by Optimal Delaunay Triangulation: moves vertices and flips edges or faces.
 
