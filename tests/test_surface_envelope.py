@@ -69,9 +69,9 @@ def test_tree_and_walk_agree_with_the_slow_twin():
     np.testing.assert_allclose(np.linalg.norm(foot - x, axis=1), expected, atol=1e-14)
     for i in range(200):
         start = int(rng.integers(len(cells)))
-        assert np.sqrt(walk(*x[i], start, reference.surface)[0]) >= distance[i] - 1e-14
+        assert np.sqrt(walk(*x[i], start, reference.surface, True)[0]) >= distance[i] - 1e-14
         near = int(np.flatnonzero((cells == cells[face[i], 0]).any(axis=1))[0])
-        square, _, *there = walk(*x[i], near, reference.surface)
+        square, _, *there = walk(*x[i], near, reference.surface, True)
         assert np.sqrt(square) == pytest.approx(distance[i], abs=1e-14)
         np.testing.assert_allclose(there, foot[i], atol=1e-7)
 
