@@ -114,10 +114,10 @@ def simplex_mesh(
         points=p,
         cells=t,
         regions=compact_labels(regions, len(t)),
-        fixed=_mask(fixed, len(p), "fixed", "vertices"),
+        fixed=vertex_mask(fixed, len(p), "fixed", "vertices"),
     )
     if selection is not None:
-        mesh = freeze(mesh, ~_mask(selection, len(t), "selection", "cells"))
+        mesh = freeze(mesh, ~vertex_mask(selection, len(t), "selection", "cells"))
     return mesh, orientation
 
 
@@ -364,7 +364,7 @@ def compact_labels(regions: ArrayLike | None, m: int) -> IntArray:
     return np.unique(raw, return_inverse=True)[1].astype(np.int32)
 
 
-def _mask(value: ArrayLike | None, count: int, name: str, what: str) -> BoolArray:
+def vertex_mask(value: ArrayLike | None, count: int, name: str, what: str) -> BoolArray:
     """Bring a mask or a list of indices into a mask (count,)."""
     mask = np.zeros(count, dtype=np.bool_)
     if value is None:

@@ -16,13 +16,14 @@ from odt_plugins import errors
 PACKAGE = Path(odt_plugins.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
-BASE = {"errors", "mesh", "options", "quality", "promise"}
+BASE = {"errors", "mesh", "options", "quality", "promise", "surface"}
 MAY_IMPORT = {
     "errors": set(),
     "mesh": {"errors"},
     "options": {"errors"},
     "quality": {"errors"},
     "planar": {"errors", "mesh"},
+    "surface": {"errors", "mesh"},
     "carry": {"errors", "mesh"},
     "promise": {"errors", "mesh", "options", "quality"},
     "engine": {"engine", *BASE},

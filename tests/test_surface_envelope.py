@@ -10,7 +10,8 @@ from reference_surface import samples, to_surface, to_triangle
 
 from odt_plugins.engine.surface.closest import closest_on_triangle, walk
 from odt_plugins.engine.surface.envelope import distances, uncovered, within
-from odt_plugins.engine.surface.reference import make_reference
+from odt_plugins.engine.surface.overlay import height_over, make_overlay_work
+from odt_plugins.engine.surface.reference import make_reference, make_surface
 from odt_plugins.errors import InvalidMeshError
 
 
@@ -69,9 +70,9 @@ def test_tree_and_walk_agree_with_the_slow_twin():
     np.testing.assert_allclose(np.linalg.norm(foot - x, axis=1), expected, atol=1e-14)
     for i in range(200):
         start = int(rng.integers(len(cells)))
-        assert np.sqrt(walk(*x[i], start, reference.surface)[0]) >= distance[i] - 1e-14
+        assert np.sqrt(walk(*x[i], start, reference.surface, True)[0]) >= distance[i] - 1e-14
         near = int(np.flatnonzero((cells == cells[face[i], 0]).any(axis=1))[0])
-        square, _, *there = walk(*x[i], near, reference.surface)
+        square, _, *there = walk(*x[i], near, reference.surface, True)
         assert np.sqrt(square) == pytest.approx(distance[i], abs=1e-14)
         np.testing.assert_allclose(there, foot[i], atol=1e-7)
 
@@ -189,3 +190,67 @@ def test_one_triangle_and_none():
     assert [len(part) for part in reference.closest(points[:0])] == [0, 0, 0]
     with pytest.raises(InvalidMeshError, match="without triangles"):
         make_reference(points, cells[:0])
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.lists(st.permutations(range(5)), min_size=1, max_size=8))
+def test_neighbors_are_the_only_ones_and_run_the_other_way(rows):
+    cells = np.array([row[:3] for row in rows], dtype=np.int32)
+    neighbors = make_surface(np.zeros((5, 3)), cells).neighbors
+    for c, triangle in enumerate(cells.tolist()):
+        for i in range(3):
+            j, k = triangle[(i + 1) % 3], triangle[(i + 2) % 3]
+            there = [o for o, other in enumerate(cells.tolist()) if o != c and {j, k} <= set(other)]
+            ways = [cells[o].tolist() for o in there]
+            turned = [w[(w.index(k) + 1) % 3] == j for w in ways]
+            expected = there[0] if len(there) == 1 and turned[0] else -1
+            assert neighbors[c, i] == expected
+
+
+def ring():
+    """A flat square with a square hole in the middle."""
+    points, cells = grid(5)
+    return points, cells[np.abs(points[cells][:, :, :2].mean(axis=1) - 0.5).max(axis=1) > 0.15]
+
+
+def plate(points, cells, thickness):
+    """The closed surface around a flat one, with a thickness."""
+    n = len(points)
+    edges = np.concatenate([cells[:, [i, (i + 1) % 3]] for i in range(3)])
+    inner = set(map(tuple, edges[:, ::-1].tolist()))
+    a, b = np.array([e for e in edges.tolist() if tuple(e) not in inner]).T
+    walls = np.concatenate([np.stack([b, a, a + n], 1), np.stack([b, a + n, b + n], 1)])
+    below = points - np.array([0, 0, thickness])
+    both = np.concatenate([cells, cells[:, ::-1] + n, walls]).astype(np.int32)
+    return np.concatenate([points, below]), both
+
+
+@settings(max_examples=100, deadline=None)
+@given(st.integers(0, 2**32), st.booleans(), st.sampled_from([0.01, 0.03, 0.2]))
+def test_never_within_beyond_a_rim(seed, closed, envelope):
+    rng = np.random.default_rng(seed)
+    reference = make_reference(*(plate(*ring(), 0.01) if closed else ring()))
+    corners = rng.uniform(0.0, 1.0 + 2 * envelope, (60, 3, 3))
+    corners[:, :, 2] = rng.uniform(-0.5, 1.0, (60, 1)) * envelope
+    corners[rng.random((60, 3)) < 0.3, :2] = 1.0
+    points, cells = corners.reshape(-1, 3), np.arange(180, dtype=np.int32).reshape(-1, 3)
+    there = samples(points, cells, 16)
+    far = reference.closest(there.reshape(-1, 3))[0].reshape(60, -1).max(axis=1)
+    sure = within(reference, points, cells, envelope)
+    assert not (sure & (far > envelope * (1 + 1e-12))).any()
+    work = make_overlay_work()
+    feet = reference.closest(corners.mean(axis=1))[1]
+    for t in range(60):
+        for shrink in (0.0, 0.5 * envelope):
+            bound = height_over(
+                points, *cells[t].tolist(), feet[t], reference.surface, shrink, 1.0, work
+            )
+            assert bound >= far[t] - 1e-12
+
+
+def test_closed_plate_is_closed():
+    points, cells = plate(*grid(3), 0.1)
+    surface = make_surface(points, cells)
+    assert (surface.neighbors >= 0).all()
+    a, b, c = (points[cells[:, i]] for i in range(3))
+    assert (np.cross(a, b) * c).sum() / 6 == pytest.approx(0.1)

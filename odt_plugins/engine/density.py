@@ -209,12 +209,19 @@ def size_field(points: FloatArray, cells: IntArray, passes: int = SMOOTHING_PASS
     h = np.ones(n)
     h[used] = size[used] / count[used]
     h[used] /= h[used].mean()
-    log_h = np.log(h)
-    for _ in range(passes):
-        mean = star_sum(log_h[cells].mean(axis=1), cells, n)
-        log_h[used] = mean[used] / count[used]
-    smooth: FloatArray = np.exp(log_h)
+    smooth: FloatArray = np.exp(smooth_over_stars(np.log(h), cells, passes))
     return smooth
+
+
+def smooth_over_stars(values: FloatArray, cells: IntArray, passes: int) -> FloatArray:
+    """Average values at vertices, (n,), over cells and back; those without cells keep theirs."""
+    values = values.copy()
+    count = star_sum(np.ones(len(cells)), cells, len(values))
+    used = count > 0
+    for _ in range(passes):
+        mean = star_sum(values[cells].mean(axis=1), cells, len(values))
+        values[used] = mean[used] / count[used]
+    return values
 
 
 def _as_floats(values: Any) -> FloatArray:

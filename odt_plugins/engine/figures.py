@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.tetrahedron import tet_cosines, tet_quality
-from odt_plugins.engine.triangle import triangle_shape
+from odt_plugins.engine.triangle import triangle_in_space, triangle_shape
 from odt_plugins.mesh import FloatArray, IntArray
 
 
@@ -17,7 +17,10 @@ from odt_plugins.mesh import FloatArray, IntArray
 def _cell_shapes(points: FloatArray, cells: IntArray, shapes: FloatArray) -> None:
     """Radius ratio, cosine of the smallest and of the largest (dihedral) angle of every cell."""
     for c in range(cells.shape[0]):
-        if cells.shape[1] == 3:
+        if cells.shape[1] == 3 and points.shape[1] == 3:
+            i, j, k = cells[c, 0], cells[c, 1], cells[c, 2]
+            q, large, small, _, _, _ = triangle_in_space(points, i, j, k)
+        elif cells.shape[1] == 3:
             q, large, small = triangle_shape(points, cells[c, 0], cells[c, 1], cells[c, 2])
         else:
             q = tet_quality(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])

@@ -187,7 +187,7 @@ def _flip_edges(
             points, fixed, a, b, c, d, bounds[0]
         ):
             continue
-        _flip(cells, neighbors, cell_edges, edge_cell, t, i, s, j)
+        flip(cells, neighbors, cell_edges, edge_cell, t, i, s, j)
         changed[t] = True
         changed[s] = True
         flips += 1
@@ -206,7 +206,7 @@ def _flip_edges(
 
 
 @kernel
-def _flip(
+def flip(
     cells: IntArray, neighbors: IntArray, cell_edges: IntArray, edge_cell: IntArray,
     t: int, i: int, s: int, j: int,
 ) -> None:

@@ -24,7 +24,7 @@ def edge_vectors(points: FloatArray, cells: IntArray) -> FloatArray:
 
 
 def signed_volumes(points: FloatArray, cells: IntArray) -> FloatArray:
-    """Signed volume of every cell.
+    """Signed volume of every cell; the area of triangles in space, which has no sign.
 
     Parameters
     ----------
@@ -36,7 +36,9 @@ def signed_volumes(points: FloatArray, cells: IntArray) -> FloatArray:
     (m,) float64               det(x_1 - x_0, ..., x_d - x_0) / d!  [length unit to the power d]
     """
     e = edge_vectors(points, cells)
-    if e.shape[1] == 2:
+    if e.shape[1:] == (2, 3):
+        det = np.linalg.norm(np.cross(e[:, 0], e[:, 1]), axis=1)
+    elif e.shape[1] == 2:
         det = e[:, 0, 0] * e[:, 1, 1] - e[:, 0, 1] * e[:, 1, 0]
     else:
         det = np.einsum("mi,mi->m", e[:, 0], np.cross(e[:, 1], e[:, 2]))

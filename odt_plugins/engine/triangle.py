@@ -35,3 +35,37 @@ def triangle_shape(points: FloatArray, a: int, b: int, c: int) -> tuple[float, f
     cv = -(wx * ux + wy * uy) / (lw * lu)
     cw = -(ux * vx + uy * vy) / (lu * lv)
     return q, max(cu, cv, cw), min(cu, cv, cw)
+
+
+@kernel
+def offset(points: FloatArray, a: int, b: int) -> tuple[float, float, float]:
+    """Vector from point a to point b in space."""
+    return points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
+
+
+@kernel
+def triangle_in_space(
+    points: FloatArray, a: int, b: int, c: int
+) -> tuple[float, float, float, float, float, float]:
+    """Radius ratio 2 r / R (5.1), cosines of the smallest and largest angle, twice the area vector.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+    a, b, c : int              corners; a flat triangle has q = 0 and cosines 1 and -1
+    """
+    ux, uy, uz = offset(points, b, c)
+    vx, vy, vz = offset(points, c, a)
+    wx, wy, wz = offset(points, a, b)
+    nx, ny, nz = vy * wz - vz * wy, vz * wx - vx * wz, vx * wy - vy * wx
+    lu = math.sqrt(ux * ux + uy * uy + uz * uz)
+    lv = math.sqrt(vx * vx + vy * vy + vz * vz)
+    lw = math.sqrt(wx * wx + wy * wy + wz * wz)
+    if not (lu > 0.0 and lv > 0.0 and lw > 0.0):
+        return 0.0, 1.0, -1.0, nx, ny, nz
+    # 16 A^2 / (perimeter a b c)
+    q = 4.0 * (nx * nx + ny * ny + nz * nz) / ((lu + lv + lw) * lu * lv * lw)
+    cu = -(vx * wx + vy * wy + vz * wz) / (lv * lw)
+    cv = -(wx * ux + wy * uy + wz * uz) / (lw * lu)
+    cw = -(ux * vx + uy * vy + uz * vz) / (lu * lv)
+    return q, max(cu, cv, cw), min(cu, cv, cw), nx, ny, nz

@@ -138,7 +138,7 @@ def closest_on_triangle(
 
 @kernel
 def walk(
-    px: float, py: float, pz: float, face: int, ground: Ground
+    px: float, py: float, pz: float, face: int, ground: Ground, thorough: bool
 ) -> tuple[float, int, float, float, float]:
     """Walk over the ground from one triangle to another as long as the distance falls.
 
@@ -147,14 +147,17 @@ def walk(
     px, py, pz : float     the point
     face : int             triangle to start from
     ground : Ground
+    thorough : bool        look at the whole ring of a triangle before the walk ends there: on the
+                           hollow side several triangles of one fan hold a local minimum
 
     Returns
     -------
     squared distance : float
     face : int             where the walk ended
-    x, y, z : float        the point of that triangle that is closest; no triangle that shares a
-                           corner with it is closer: in general the sheet of the surface that the
-                           start lies on
+    x, y, z : float        the point of that triangle that is closest; no triangle across the edge
+                           or around the corner on which it lies is closer, and if ``thorough``
+                           none that shares a corner with its own: in general the sheet of the
+                           surface that the start lies on
     """
     best, where, x, y, z = _on(ground, face, px, py, pz)
     for _ in range(STEPS):
@@ -165,9 +168,11 @@ def walk(
                 d, w, cx, cy, cz = _on(ground, near, px, py, pz)
                 if d < CLOSER * best:
                     found, best, where, x, y, z = near, d, w, cx, cy, cz
-        if found < 0:
-            # the whole ring: on the hollow side several triangles of one fan hold a local minimum
+        if found < 0 and (thorough or where > 3):
+            at = where - 4
             for i in range(3):
+                if not thorough and i != at:
+                    continue
                 corner = ground.triangles[face, i]
                 for s in range(ground.indptr[corner], ground.indptr[corner + 1]):
                     near = ground.indices[s]

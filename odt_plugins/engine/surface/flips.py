@@ -1,0 +1,246 @@
+"""Edge flips of a surface, in place: to intrinsic Delaunay (Section 3.1), or to a better shape.
+
+One queue of edges drives both, as in the plane; an edge keeps its number when it is flipped.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from odt_plugins.engine.flips2d import GAIN, flip
+from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.surface.closest import Ground
+from odt_plugins.engine.surface.sheet import (
+    SMOOTH,
+    Limits,
+    Sheet,
+    Work,
+    claim,
+    cover,
+    joined,
+    make_work,
+    normal_cosine,
+)
+from odt_plugins.engine.triangle import offset, triangle_in_space
+from odt_plugins.mesh import BoolArray, FloatArray, IntArray
+
+HELD_FLOOR = 0.3
+"""Radius ratio that a new triangle without a free vertex must reach: smoothing cannot help it."""
+
+
+def flip_edges(
+    sheet: Sheet, ground: Ground, limits: Limits, power: float, bounds: FloatArray,
+    seeds: BoolArray, changed: BoolArray,
+) -> int:
+    """Flip edges, in place, as long as it pays.
+
+    Parameters
+    ----------
+    sheet : Sheet, ground : Ground, limits : Limits
+    power : float            0 flips where opposite angles exceed 180 degrees and the ODT energy of
+                             the pair falls; p > 0 where the sum of q^-p falls
+    bounds : (3,) float64    least radius ratio, largest and smallest cosine of an angle; a flip
+                             that passes one of them and is worse there than the pair it replaces
+                             is refused
+    seeds : (m,) bool        the first edges looked at are those of these triangles
+    changed : (m,) bool      set, in place, where a triangle was replaced
+
+    Returns
+    -------
+    int                      number of flips
+    """
+    count = len(sheet.edge_cell)
+    queued = np.zeros(count, dtype=np.bool_)
+    queued[sheet.cell_edges[seeds]] = True
+    queued[sheet.locked] = False
+    first = np.flatnonzero(queued).astype(np.int32)
+    queue = np.zeros(count, dtype=np.int32)
+    queue[: len(first)] = first
+    return int(_work_off(
+        sheet, ground, limits, power, bounds, queue, queued, len(first), make_work(ground), changed
+    ))
+
+
+@kernel
+def _work_off(
+    sheet: Sheet, ground: Ground, limits: Limits, power: float, bounds: FloatArray,
+    queue: IntArray, queued: BoolArray, size: int, work: Work, changed: BoolArray,
+) -> int:
+    """Work off the queue; after a flip the four edges around it are looked at again."""
+    cells, neighbors = sheet.triangles, sheet.neighbors
+    cell_edges, edge_cell = sheet.cell_edges, sheet.edge_cell
+    pair = work.cells
+    capacity = queue.shape[0]
+    head = 0
+    flips = 0
+    while size > 0:
+        e = queue[head]
+        head += 1
+        if head == capacity:
+            head = 0
+        size -= 1
+        queued[e] = False
+        t = edge_cell[e]
+        i = 0
+        while cell_edges[t, i] != e:
+            i += 1
+        s = neighbors[t, i]
+        if s < 0:
+            continue
+        j = 0
+        while cell_edges[s, j] != e:
+            j += 1
+        a, b, c = cells[t, i], cells[t, (i + 1) % 3], cells[t, (i + 2) % 3]
+        d = cells[s, j]
+        if not _pays(sheet, a, b, c, d, power, bounds):
+            continue
+        if not _is_free(sheet, t, a, s, d) or not _keeps_normals(
+            sheet, ground, a, b, c, d, limits.cosine
+        ):
+            continue
+        if not joined(sheet, ground, a, d, limits.distance):
+            continue
+        flip(cells, neighbors, cell_edges, edge_cell, t, i, s, j)
+        pair[0] = t
+        pair[1] = s
+        number = claim(sheet, ground, 2, limits.distance, work)
+        if number < 0:
+            _flip_back(sheet, t, s, e)
+            continue
+        cover(sheet, 2, number, work)
+        changed[t] = True
+        changed[s] = True
+        flips += 1
+        for k in range(6):
+            cell = t if k < 3 else s
+            near = cell_edges[cell, k % 3]
+            if near != e and not queued[near] and not sheet.locked[near]:
+                queued[near] = True
+                tail = head + size
+                if tail >= capacity:
+                    tail -= capacity
+                queue[tail] = near
+                size += 1
+    return flips
+
+
+@kernel
+def _flip_back(sheet: Sheet, t: int, s: int, e: int) -> None:
+    """Undo a flip: flipped again, the edge is as before, and the two triangles change places."""
+    i = 0
+    while sheet.cell_edges[t, i] != e:
+        i += 1
+    j = 0
+    while sheet.cell_edges[s, j] != e:
+        j += 1
+    flip(sheet.triangles, sheet.neighbors, sheet.cell_edges, sheet.edge_cell, t, i, s, j)
+    sheet.first[t], sheet.first[s] = sheet.first[s], sheet.first[t]
+
+
+@kernel
+def _pays(
+    sheet: Sheet, a: int, b: int, c: int, d: int, power: float, bounds: FloatArray
+) -> bool:
+    """Whether (a, b, d) and (a, d, c) are to be preferred to (a, b, c) and (d, c, b)."""
+    p = sheet.points
+    if power == 0.0 and not _wide(p, a, b, c, d):
+        return False
+    q1, large1, small1, x1, y1, z1 = triangle_in_space(p, a, b, c)
+    q2, large2, small2, x2, y2, z2 = triangle_in_space(p, d, c, b)
+    q3, large3, small3, x3, y3, z3 = triangle_in_space(p, a, b, d)
+    q4, large4, small4, x4, y4, z4 = triangle_in_space(p, a, d, c)
+    worst = min(q3, q4)
+    if not worst > 0.0:
+        return False
+    if worst < bounds[0] and worst < min(q1, q2):
+        return False
+    if max(large3, large4) > bounds[1] and max(large3, large4) > max(large1, large2):
+        return False
+    if min(small3, small4) < bounds[2] and min(small3, small4) < min(small1, small2):
+        return False
+    if power > 0.0:
+        if not min(q1, q2) > 0.0:
+            return True
+        return q3**-power + q4**-power < (1.0 - GAIN) * (q1**-power + q2**-power)
+    kind = sheet.kind
+    if kind[a] != SMOOTH and kind[d] != SMOOTH and (kind[b] != SMOOTH or kind[c] != SMOOTH):
+        held = 1.0
+        if kind[b] != SMOOTH:
+            held = min(held, q3)
+        if kind[c] != SMOOTH:
+            held = min(held, q4)
+        if held < HELD_FLOOR and held < min(q1, q2):
+            return False
+    # energy (2.2): area times the sum of squared edges
+    bc, ad = _squared(p, b, c), _squared(p, a, d)
+    before = _norm(x1, y1, z1) * (_squared(p, a, b) + _squared(p, c, a) + bc) + _norm(
+        x2, y2, z2) * (_squared(p, b, d) + _squared(p, d, c) + bc)
+    after = _norm(x3, y3, z3) * (_squared(p, a, b) + _squared(p, b, d) + ad) + _norm(
+        x4, y4, z4) * (_squared(p, d, c) + _squared(p, c, a) + ad)
+    return after < (1.0 - GAIN) * before
+
+
+@kernel
+def _wide(p: FloatArray, a: int, b: int, c: int, d: int) -> bool:
+    """Whether the angles at a and d, opposite to the edge bc, exceed 180 degrees together."""
+    ab, ac, bc = _squared(p, a, b), _squared(p, a, c), _squared(p, b, c)
+    db, dc = _squared(p, d, b), _squared(p, d, c)
+    at_a = (ab + ac - bc) / math.sqrt(ab * ac) if ab > 0.0 and ac > 0.0 else 0.0
+    at_d = (db + dc - bc) / math.sqrt(db * dc) if db > 0.0 and dc > 0.0 else 0.0
+    return at_a + at_d < -GAIN
+
+
+@kernel
+def _squared(p: FloatArray, a: int, b: int) -> float:
+    x, y, z = offset(p, a, b)
+    return x * x + y * y + z * z
+
+
+@kernel
+def _norm(x: float, y: float, z: float) -> float:
+    return math.sqrt(x * x + y * y + z * z)
+
+
+@kernel
+def _is_free(sheet: Sheet, t: int, a: int, s: int, d: int) -> bool:
+    """Whether there is no edge from a to d yet; the triangles around one of them tell."""
+    if not sheet.pinched[a]:
+        return not _meets(sheet, t, a, d)
+    if not sheet.pinched[d]:
+        return not _meets(sheet, s, d, a)
+    return False
+
+
+@kernel
+def _meets(sheet: Sheet, start: int, centre: int, other: int) -> bool:
+    """Whether a triangle of the fan around a vertex holds another vertex."""
+    t, neighbors = sheet.triangles, sheet.neighbors
+    for way in (1, 2):
+        c = start
+        while True:
+            i = 0
+            while t[c, i] != centre:
+                i += 1
+            if t[c, (i + 1) % 3] == other or t[c, (i + 2) % 3] == other:
+                return True
+            c = neighbors[c, (i + way) % 3]
+            if c == start:
+                return False
+            if c < 0:
+                break
+    return False
+
+
+@kernel
+def _keeps_normals(
+    sheet: Sheet, ground: Ground, a: int, b: int, c: int, d: int, cosine: float
+) -> bool:
+    """Whether the new triangles face as the ground does, or no worse than the old ones."""
+    new = min(normal_cosine(sheet, ground, a, b, d), normal_cosine(sheet, ground, a, d, c))
+    if new >= cosine:
+        return True
+    if not new > 0.0:
+        return False
+    return new > min(normal_cosine(sheet, ground, a, b, c), normal_cosine(sheet, ground, d, c, b))

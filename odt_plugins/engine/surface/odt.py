@@ -1,0 +1,118 @@
+"""Vertices of a surface move to the mean centre of their star (Section 4.2), tangentially."""
+
+from __future__ import annotations
+
+import math
+
+from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.star import OffsetArray
+from odt_plugins.engine.surface.closest import Ground
+from odt_plugins.engine.surface.lines import Lines
+from odt_plugins.engine.surface.position import star_normal, try_move
+from odt_plugins.engine.surface.sheet import HELD, Limits, Sheet, Work
+from odt_plugins.mesh import FloatArray, IntArray
+
+ODT, CPT, LAPLACIAN, GIVEN = 0, 1, 2, 3
+"""Where a vertex is to go: mean circumcentre (4.13), mean barycentre (4.20), mean neighbour (4.21),
+or by a given vector."""
+
+SLENDER = 1e-12
+"""A triangle whose squared sine at the vertex is below this has no circumcentre."""
+
+
+@kernel
+def star_centre(
+    sheet: Sheet, indptr: OffsetArray, indices: IntArray, vertex: int, rho: FloatArray,
+    equal_weights: bool, target: int,
+) -> tuple[float, float, float]:
+    """Vector to the weighted mean of the centres of a star (4.13), (4.20) or (4.21)."""
+    p, t = sheet.points, sheet.triangles
+    x, y, z = p[vertex, 0], p[vertex, 1], p[vertex, 2]
+    tx = ty = tz = weight = 0.0
+    for s in range(indptr[vertex], indptr[vertex + 1]):
+        c = indices[s]
+        i = 0
+        while t[c, i] != vertex:
+            i += 1
+        b, d = t[c, (i + 1) % 3], t[c, (i + 2) % 3]
+        ux, uy, uz = p[b, 0] - x, p[b, 1] - y, p[b, 2] - z
+        vx, vy, vz = p[d, 0] - x, p[d, 1] - y, p[d, 2] - z
+        uu = ux * ux + uy * uy + uz * uz
+        vv = vx * vx + vy * vy + vz * vz
+        uv = ux * vx + uy * vy + uz * vz
+        # square of twice the area
+        square = uu * vv - uv * uv
+        if target == LAPLACIAN:
+            share, left, right = 1.0, 0.5, 0.5
+        elif not square > SLENDER * uu * vv:
+            continue
+        else:
+            share = 1.0
+            if not equal_weights:
+                share = math.sqrt(square) * (rho[vertex] + rho[b] + rho[d])
+            left = right = 1.0 / 3.0
+            if target == ODT and sheet.kind[vertex] + sheet.kind[b] + sheet.kind[d] == 0:
+                left = 0.5 * vv * (uu - uv) / square
+                right = 0.5 * uu * (vv - uv) / square
+        weight += share
+        tx += share * (left * ux + right * vx)
+        ty += share * (left * uy + right * vy)
+        tz += share * (left * uz + right * vz)
+    if not weight > 0.0:
+        return 0.0, 0.0, 0.0
+    return tx / weight, ty / weight, tz / weight
+
+
+@kernel
+def move_vertices(
+    sheet: Sheet, ground: Ground, lines: Lines, indptr: OffsetArray, indices: IntArray,
+    order: IntArray, start: int, stop: int, target: int, vectors: FloatArray, rho: FloatArray,
+    equal_weights: bool, omega: float, limits: Limits, bounds: FloatArray, work: Work,
+    moved: FloatArray,
+) -> int:
+    """Move every vertex of order[start:stop] to the mean centre of its star, in place.
+
+    Parameters
+    ----------
+    sheet : Sheet, ground : Ground, lines : Lines
+    indptr, indices           stars of the sheet
+    order : (k,) int32        vertices; those of one call share no triangle
+    start, stop : int
+    target : int              ODT, CPT, LAPLACIAN or GIVEN; triangles with a vertex on a feature
+                              line count by their barycentre (Section 4.2.1)
+    vectors : (n, 3) float64  by which to move, for GIVEN
+    rho : (n,) float64        density at the vertices
+    equal_weights : bool      density (4.22)
+    omega : float             first alpha
+    limits : Limits
+    bounds : (3,) float64     least radius ratio, largest and smallest cosine of an angle; a move
+                              that passes one of them and makes the star worse there is shortened
+    work : Work               of this thread
+    moved : (n,) float64      OUT: length of the move
+
+    Returns
+    -------
+    int                       number of vertices moved
+    """
+    p = sheet.points
+    count = 0
+    for o in range(start, stop):
+        v = order[o]
+        moved[v] = 0.0
+        if sheet.kind[v] == HELD or indptr[v] == indptr[v + 1]:
+            continue
+        if target == GIVEN:
+            dx, dy, dz = vectors[v, 0], vectors[v, 1], vectors[v, 2]
+        else:
+            dx, dy, dz = star_centre(sheet, indptr, indices, v, rho, equal_weights, target)
+        nx, ny, nz = star_normal(sheet, indptr, indices, v)
+        up = dx * nx + dy * ny + dz * nz
+        dx, dy, dz = omega * (dx - up * nx), omega * (dy - up * ny), omega * (dz - up * nz)
+        if not dx * dx + dy * dy + dz * dz > 0.0:
+            continue
+        x, y, z = p[v, 0], p[v, 1], p[v, 2]
+        if try_move(sheet, ground, lines, indptr, indices, v, dx, dy, dz, limits, 0.0, 0.0, 0.0,
+                bounds, work) > 0.0:
+            moved[v] = math.sqrt((p[v, 0] - x) ** 2 + (p[v, 1] - y) ** 2 + (p[v, 2] - z) ** 2)
+            count += 1
+    return count

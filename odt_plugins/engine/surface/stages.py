@@ -1,0 +1,137 @@
+"""The two stages on a surface: ODT sweeps with Delaunay flips, then descent of F_p."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+
+from odt_plugins.engine.active import spread
+from odt_plugins.engine.coloring import vertex_coloring
+from odt_plugins.engine.energy import energy
+from odt_plugins.engine.figures import cell_shapes
+from odt_plugins.engine.finish2d import SETTLED
+from odt_plugins.engine.phases import Phase
+from odt_plugins.engine.star import Stars, vertex_stars
+from odt_plugins.engine.surface.closest import Ground
+from odt_plugins.engine.surface.flips import flip_edges
+from odt_plugins.engine.surface.lines import Lines
+from odt_plugins.engine.surface.newton import smooth_vertices
+from odt_plugins.engine.surface.odt import move_vertices
+from odt_plugins.engine.surface.sheet import HELD, Limits, Sheet, make_work
+from odt_plugins.engine.threads import run_chunks
+from odt_plugins.mesh import BoolArray, FloatArray, IntArray
+
+
+@dataclass(frozen=True)
+class Surface:
+    """A surface on its ground, with all that the stages need to know of it.
+
+    Attributes
+    ----------
+    sheet : Sheet, ground : Ground, lines : Lines, limits : Limits
+    pool : ThreadPoolExecutor or None, threads : int     see :func:`run_chunks`
+    """
+
+    sheet: Sheet
+    ground: Ground
+    lines: Lines
+    limits: Limits
+    pool: ThreadPoolExecutor | None = None
+    threads: int = 1
+
+    @property
+    def points(self) -> FloatArray:
+        """Coordinates (n, 3), as they are now."""
+        return self.sheet.points
+
+    @property
+    def triangles(self) -> IntArray:
+        """Triangles (m, 3), as they are now."""
+        return self.sheet.triangles
+
+    def stars(self) -> Stars:
+        """Triangles around every vertex, as they are now."""
+        return vertex_stars(self.sheet.triangles, len(self.sheet.points))
+
+
+def flip_all(
+    surface: Surface, power: float, bounds: FloatArray, seeds: BoolArray, changed: BoolArray
+) -> int:
+    """Flip from the seeds on; see :func:`flip_edges`."""
+    return flip_edges(
+        surface.sheet, surface.ground, surface.limits, power, bounds, seeds, changed
+    )
+
+
+def sweep(
+    surface: Surface, wanted: BoolArray, moved: FloatArray,
+    work: Callable[[IntArray, int, int], int],
+) -> int:
+    """Visit every wanted vertex that may move once, block after block."""
+    coloring = vertex_coloring(surface.triangles, wanted & (surface.sheet.kind != HELD))
+    moved[:] = 0.0
+    return sum(run_chunks(
+        surface.pool, surface.threads, coloring, partial(work, coloring.order)
+    ))
+
+
+def move_all(
+    surface: Surface, target: int, rho: FloatArray, bounds: FloatArray, *,
+    vectors: FloatArray | None = None, equal_weights: bool = False, omega: float = 1.0,
+) -> tuple[int, FloatArray]:
+    """Move every vertex once; returns how many moved and how far, (n,)."""
+    stars = surface.stars()
+    moved = np.zeros(len(surface.points))
+    given = np.zeros((0, 3)) if vectors is None else vectors
+
+    def work(order: IntArray, start: int, stop: int) -> int:
+        return int(move_vertices(
+            surface.sheet, surface.ground, surface.lines, stars.indptr, stars.indices, order,
+            start, stop, target, given, rho, equal_weights, omega, surface.limits, bounds,
+            make_work(surface.ground, stars), moved,
+        ))
+
+    everything = np.ones(len(surface.points), dtype=np.bool_)
+    return sweep(surface, everything, moved, work), moved
+
+
+def finish_phase(surface: Surface, phase: Phase, bounds: FloatArray) -> tuple[int, int]:
+    """Lower F_p, in place, from the worst triangles on; returns flips and moves."""
+    q = cell_shapes(surface.points, surface.triangles)[:, 0]
+    near = np.zeros(len(surface.points), dtype=np.bool_)
+    near[surface.triangles[q <= np.quantile(q, phase.share)]] = True
+    pending = np.asarray(near[surface.triangles].any(axis=1))
+    wanted = np.zeros(len(surface.points), dtype=np.bool_)
+    wanted[surface.triangles[pending]] = True
+    moved = np.zeros(len(surface.points))
+    flips = total = 0
+    for _ in range(phase.rounds):
+        changed = np.zeros(len(surface.triangles), dtype=np.bool_)
+        flips += flip_all(surface, phase.power, bounds, pending, changed)
+        wanted[surface.triangles[changed]] = True
+        stars = surface.stars()
+        status = np.zeros(len(surface.triangles), dtype=np.uint8)
+
+        def work(order: IntArray, start: int, stop: int, stars: Stars = stars) -> int:
+            return int(smooth_vertices(
+                surface.sheet, surface.ground, surface.lines, stars.indptr, stars.indices, order,
+                start, stop, phase.power, surface.limits, bounds,
+                make_work(surface.ground, stars), moved,
+            ))
+
+        for _ in range(phase.sweeps):
+            total += sweep(surface, wanted, moved, work)
+            spread(surface.triangles, stars.indptr, stars.indices, moved, SETTLED, wanted, status)
+        pending = status == 1
+        if not pending.any():
+            break
+    return flips, total
+
+
+def surface_energy(surface: Surface, rho: FloatArray) -> float:
+    """ODT energy (2.2) of the flat triangles, density at the vertices."""
+    return energy(surface.points, surface.triangles, rho[surface.triangles].mean(axis=1))
