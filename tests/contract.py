@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import weakref
 from collections.abc import Callable
 from dataclasses import dataclass, field
 from pathlib import Path
@@ -461,10 +462,17 @@ def _pymeshlab(whole):
         space = in_space(points, THIRD)
         byte = np.random.default_rng(2).integers(0, 256, (n + m, 4)) / 255.0
         single = (np.arange(6 * m + 2 * n) / 7).astype(np.float32).astype(float).reshape(-1, 2)
-        mesh = pymeshlab.Mesh(
+        uv = np.round(space[cells][:, :, :2] * 64 + labels[:, None, None]) / 64
+        alone = pymeshlab.MeshSet()
+        alone.add_mesh(pymeshlab.Mesh(
             space, cells.astype(np.int32), v_scalar_array=np.arange(n) * THIRD,
             f_scalar_array=np.arange(m) / 7, v_color_matrix=byte[:n], f_color_matrix=byte[n:],
-            v_tex_coords_matrix=single[3 * m:])
+            v_tex_coords_matrix=single[3 * m:], w_tex_coords_matrix=uv.reshape(-1, 2)))
+        if m:
+            alone.compute_selection_by_condition_per_vertex(condselect="y < 0.4")
+            alone.compute_selection_by_condition_per_face(condselect="x0 + x1 + x2 < 1.2")
+        mesh = alone.current_mesh()
+        weakref.finalize(mesh, alone.mesh_number).atexit = False
         mesh.add_vertex_custom_scalar_attribute(np.arange(n) / 11, "temperature")
         mesh.add_vertex_custom_point_attribute(np.arange(3 * n).reshape(n, 3) / 13, "velocity")
         mesh.add_face_custom_scalar_attribute(np.arange(m) / 17, "stress")
@@ -500,8 +508,12 @@ def _pymeshlab(whole):
                 "marker": mesh.face_custom_scalar_attribute_array("marker"),
                 "axis": mesh.face_custom_point_attribute_matrix("axis")}
         field |= {"label": np.array(mesh.label())}
+        # MeshLab weighs the normals of vertices and scales those of faces by the transform.
+        normals = {kind: values / np.linalg.norm(values, axis=1, keepdims=True) for kind, values
+                   in (("vertex", mesh.vertex_normal_matrix()),
+                       ("face", mesh.face_normal_matrix()))}
         return View(mesh.vertex_matrix(), mesh.face_matrix(), _copy_data(point), _copy_data(cell),
-                    field)
+                    field, normals, mesh.wedge_tex_coord_matrix().reshape(-1, 3, 2))
 
     return Host(make, view, 2, "marker", "faces")
 

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import functools
 import gc
-import itertools
 import os
+import re
 import subprocess
 import sys
 import tempfile
+import warnings
 
 import contract
 import numpy as np
@@ -16,11 +17,11 @@ import pytest
 
 import odt_plugins
 from odt_plugins.adapters import pymeshlab_mesh as adapter
-from odt_plugins.adapters.host import Result
 from odt_plugins.errors import (
     DataNotKeptWarning,
     InvalidOptionError,
     MissingDependencyError,
+    ODTWarning,
     UnsupportedMeshError,
 )
 
@@ -267,17 +268,82 @@ def test_moving_filters_leave_the_mesh_object_in_place(name):
     assert np.array_equal(mesh.vertex_matrix(), done(name)[1].current_mesh().vertex_matrix())
 
 
-def test_a_mesh_that_is_alone_keeps_its_id_when_edges_are_flipped():
+@pytest.mark.parametrize("gone", [(), (0,), (1, 3), (0, 1, 3)])
+def test_meshes_keep_their_ids_when_edges_are_flipped(gone):
+    """A mesh of every id has its own label and points; the next one that is added another id."""
     meshes = pymeshlab.MeshSet()
-    for seed in range(3):
+    for seed in range(4):
         meshes.add_mesh(plate(seed))
-    for i in (0, 1):
+        meshes.current_mesh().set_label(f"plate {seed}")
+        meshes.set_current_mesh_visibility(seed != 3)
+    for i in gone:
         meshes.set_current_mesh(i)
         meshes.delete_current_mesh()
     meshes.set_current_mesh(2)
+    left = [i for i in range(4) if i not in gone]
     assert meshes.meshing_odt_optimization()["new_faces"] > 0
-    assert (meshes.mesh_number(), meshes.current_mesh_id()) == (1, 2)
-    assert meshes.current_mesh().label() == "plate of steel(2)"
+    assert meshes.current_mesh_id() == 2
+    assert [i for i in range(9) if meshes.mesh_id_exists(i)] == left
+    for i in left:
+        assert meshes.mesh(i).label() == f"plate {i}"
+        assert meshes.is_mesh_visible(i) == (i != 3)
+        assert np.array_equal(meshes.mesh(i).vertex_matrix(), plate(i).vertex_matrix()) == (i != 2)
+    meshes.add_mesh(plate())
+    assert meshes.current_mesh_id() not in left
+
+
+def test_mesh_objects_of_other_meshes_stay_valid_when_edges_are_flipped():
+    """Then the current mesh has a new id, and a warning tells it."""
+    meshes = plates()
+    first = meshes.mesh(0)
+    with pytest.warns(ODTWarning, match="mesh 1 of the MeshSet was built anew and is now mesh 3"):
+        meshes.meshing_odt_optimization(selected=False)
+    assert meshes.current_mesh_id() == 3
+    assert [meshes.mesh_id_exists(i) for i in range(5)] == [True, False, True, True, False]
+    assert first is meshes.mesh(0)
+    assert first.vertex_matrix() == pytest.approx(np.eye(3))
+    assert not meshes.is_current_mesh_visible()
+
+
+def test_a_mesh_object_that_is_void_is_told():
+    meshes = plates()
+    mesh = meshes.current_mesh()
+    with warnings.catch_warnings(record=True) as heard:
+        warnings.simplefilter("always")
+        meshes.meshing_odt_optimization(selected=False)
+    told = any("take current_mesh() again" in str(w.message) for w in heard)
+    assert told == (mesh is not meshes.current_mesh())
+
+
+def test_coordinates_arrive_bit_for_bit():
+    """Also where the way is long, and the sign of a zero of a vertex that does not move."""
+    rng = np.random.default_rng(5)
+    old, new = rng.normal(size=(2, 40, 3)) * 10.0 ** rng.integers(-14, 14, (2, 40, 3))
+    still = rng.random(old.shape) < 0.4
+    old[rng.random(old.shape) < 0.3] = -0.0
+    old[rng.random(old.shape) < 0.1] = 0.0
+    new[still] = old[still]
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(pymeshlab.Mesh(old, np.array([[0, 1, 2]])))
+    adapter.move_vertices(meshes, new)
+    assert meshes.current_mesh().vertex_matrix().tobytes() == new.tobytes()
+
+
+@pytest.mark.parametrize("name", [*MOVING, "meshing_odt_optimization"])
+def test_filters_give_the_coordinates_of_plain_arrays(name):
+    points, faces, _ = contract.grid(2, 6)
+    space = np.column_stack([1.0 + 1e-3 * points[:, 0], 1e-3 * points[:, 1], -0.0 * points[:, 0]])
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(pymeshlab.Mesh(space, faces))
+    meshes.apply_filter(name)
+    options = {} if name.startswith("meshing") else {
+        "connectivity": "none", "finish": False, "rounds": 10,
+        "method": "cpt" if "cpt" in name else "odt",
+        "solver": "global" if "global" in name else "gauss-seidel"}
+    expected, cells = odt_plugins.optimize((space, faces), **options)
+    assert (expected != space).any()
+    assert meshes.current_mesh().vertex_matrix().tobytes() == expected.tobytes()
+    assert np.array_equal(meshes.current_mesh().face_matrix(), cells)
 
 
 def test_a_set_with_gaps_is_copied_with_its_ids():
@@ -345,42 +411,131 @@ def heron(points, faces):
     return np.array(out)
 
 
-@pytest.mark.parametrize("custom", [False, True])
+@pytest.mark.parametrize("custom", ["nothing", "vertex", "face"])
 def test_radius_ratios_in_the_face_scalars(custom):
+    """And nothing else: not even the colours, which MeshLab's own measure of shape sets."""
     rng = np.random.default_rng(8)
     points, faces, _ = contract.grid(2, 6)
-    space = np.column_stack([points, rng.uniform(0, 0.1, len(points))])
+    space = 1e-60 * np.column_stack([points, rng.uniform(0, 0.1, len(points))])
     mesh = pymeshlab.Mesh(space, faces, f_color_matrix=np.full((len(faces), 4), 0.2))
-    if custom:
-        mesh.add_vertex_custom_point_attribute(space, "velocity")
+    if custom != "nothing":
+        values = space if custom == "vertex" else space[faces].mean(axis=1)
+        getattr(mesh, f"add_{custom}_custom_point_attribute")(values, "velocity")
     meshes = pymeshlab.MeshSet()
-    meshes.add_mesh(mesh)
+    for label in ("one", "two", "three"):
+        meshes.add_mesh(mesh)
+        meshes.current_mesh().set_label(label)
+    meshes.set_current_mesh(1)
     result = meshes.compute_scalar_by_radius_ratio_per_face()
+    assert (meshes.current_mesh_id(), meshes.mesh_number()) == (1, 3)
+    assert [meshes.mesh(i).label() for i in range(3)] == ["one", "two", "three"]
     now = meshes.current_mesh()
-    assert now.face_scalar_array() == pytest.approx(heron(space, faces), rel=1e-12)
+    assert now.face_scalar_array() == pytest.approx(heron(1e60 * space, faces), rel=1e-12)
     assert result["min_radius_ratio"] == now.face_scalar_array().min()
     assert result["mean_radius_ratio"] == pytest.approx(now.face_scalar_array().mean())
     assert np.array_equal(now.vertex_matrix(), space)
+    assert np.array_equal(now.face_matrix(), faces)
     assert np.array_equal(now.face_color_array(), mesh.face_color_array())
+    assert not meshes.mesh(0).has_face_scalar()
+    if custom != "nothing":
+        read = f"{custom}_custom_point_attribute_matrix"
+        assert np.array_equal(getattr(now, read)("velocity"), values)
 
 
-def test_wedges_across_a_seam():
-    """A vertex with two texture coordinates keeps, in every face, one of its own."""
-    rng = np.random.default_rng(4)
-    old = np.array([[0, 1, 2], [0, 2, 3], [4, 1, 0]])
-    uv = rng.random((9, 2))
-    new = Result(np.zeros((5, 3)), np.array([[1, 2, 3], [1, 3, 0], [1, 0, 4]]),
-                 np.array([0, 1, 2]))
-    out = adapter.carried_wedges(uv, old, new).reshape(3, 3, 2)
-    known = {v: [tuple(uv[3 * f + i]) for f, i in zip(*np.nonzero(old == v), strict=True)]
-             for v in range(5)}
-    for f, i in itertools.product(range(3), range(3)):
-        v = new.cells[f, i]
-        assert tuple(out[f, i]) in known[v]
-        in_source = np.flatnonzero(old[new.source[f]] == v)
-        if in_source.size:
-            assert np.array_equal(out[f, i], uv[3 * new.source[f] + in_source[0]])
-    assert np.array_equal(out[2], uv[[7, 8, 6]])
+def two_textures(tmp_path, names=("rock.png", "soil.png")):
+    """Jittered plate whose halves x < 1/2, x > 1/2 have textures of 4 and 5 pixels."""
+    pictures = pymeshlab.MeshSet()
+    pictures.add_mesh(plate())
+    for i, name in enumerate(names):
+        pictures.set_texture_per_mesh(use_dummy_texture=True, dummy_img_size=4 + i)
+        ((_, image),) = pictures.current_mesh().textures().items()
+        image.save(str(tmp_path / name))
+    points, faces, labels = contract.grid(2, 6)
+    lines = ["mtllib two.mtl"]
+    lines += [f"v {x!r} {y!r} 0" for x, y in points.tolist()]
+    lines += [f"vt {x!r} {y!r}" for x, y in points.tolist()]
+    for label, material in ((7, "a"), (-2, "b")):
+        lines.append(f"usemtl {material}")
+        lines += ["f " + " ".join(f"{v + 1}/{v + 1}" for v in f) for f in faces[labels == label]]
+    materials = [f"newmtl {m}\nmap_Kd {name}\n" for m, name in zip("ab", names, strict=True)]
+    (tmp_path / "two.obj").write_text("\n".join(lines), encoding="utf-8")
+    (tmp_path / "two.mtl").write_text("".join(materials), encoding="utf-8")
+    meshes = pymeshlab.MeshSet()
+    meshes.load_new_mesh(str(tmp_path / "two.obj"))
+    return meshes
+
+
+def materials(meshes, tmp_path):
+    """Picture file of every face, from the files that MeshLab writes, by sorted vertices."""
+    meshes.save_current_mesh(str(tmp_path / "out.obj"))
+    text = (tmp_path / "out.obj.mtl").read_text(encoding="utf-8")
+    name = dict(re.findall(r"newmtl (\S+)(?:(?!newmtl)[\s\S])*?map_Kd (\S+)", text))
+    found, now = {}, None
+    for line in (tmp_path / "out.obj").read_text(encoding="utf-8").splitlines():
+        word, *rest = line.split() or [""]
+        if word == "usemtl":
+            now = name[rest[0]]
+        elif word == "f":
+            found[tuple(sorted(int(v.partition("/")[0]) - 1 for v in rest))] = now
+    return found
+
+
+@pytest.mark.parametrize("name", ["apply_coord_odt_smoothing", "meshing_odt_optimization",
+                                  "optimize", "second"])
+def test_faces_keep_their_textures_and_those_never_mix(name, tmp_path):
+    """No warning, neither where only points move; "second" stands beside the current mesh."""
+    meshes = two_textures(tmp_path)
+    rim = contract.facets(meshes.current_mesh().face_matrix(), (np.array(
+        [picture == "rock.png" for picture in materials(meshes, tmp_path).values()])))
+    old = meshes.current_mesh().vertex_matrix().copy()
+    if name == "second":
+        meshes.add_mesh(plate())
+        meshes.set_current_mesh(0)
+    if name in ("optimize", "second"):
+        meshes = odt_plugins.optimize(meshes)
+    else:
+        meshes.apply_filter(name)
+    points, faces = meshes.current_mesh().vertex_matrix(), meshes.current_mesh().face_matrix()
+    assert (points != old).any()
+    pictures = meshes.current_mesh().textures()
+    assert {key: image.width() for key, image in pictures.items()} == {"rock.png": 4, "soil.png": 5}
+    found = materials(meshes, tmp_path)
+    assert set(found) == {tuple(sorted(f)) for f in faces.tolist()}
+    for face, picture in found.items():
+        assert picture == ("rock.png" if points[list(face), 0].mean() < 0.5 else "soil.png")
+    labels = np.array([found[tuple(sorted(f))] == "rock.png" for f in faces.tolist()])
+    assert contract.facets(faces, labels) == rim
+    uv = meshes.current_mesh().wedge_tex_coord_matrix().reshape(-1, 3, 2)
+    assert uv == pytest.approx(old[faces][:, :, :2], abs=1e-6)
+
+
+@pytest.mark.parametrize("flips", [False, True])
+def test_a_texture_without_wedges_survives(flips, tmp_path):
+    """A scan often has texture coordinates per vertex alone."""
+    two_textures(tmp_path)
+    points, faces, _ = contract.grid(2, 6)
+    text = ["ply", "format ascii 1.0", "comment TextureFile soil.png",
+            f"element vertex {len(points)}", *(f"property double {x}" for x in "xyz"),
+            "property float texture_u", "property float texture_v", f"element face {len(faces)}",
+            "property list uchar int vertex_indices", "end_header"]
+    text += [f"{x!r} {y!r} 0 {y} {x}" for x, y in points.tolist()]
+    text += [f"3 {a} {b} {c}" for a, b, c in faces.tolist()]
+    (tmp_path / "scan.ply").write_text("\n".join([*text, ""]), encoding="utf-8")
+    meshes = pymeshlab.MeshSet()
+    meshes.load_new_mesh(str(tmp_path / "scan.ply"))
+    out = odt_plugins.optimize(meshes, connectivity="auto" if flips else "none", finish=flips)
+    old, new = meshes.current_mesh(), out.current_mesh()
+    assert flips != np.array_equal(old.face_matrix(), new.face_matrix())
+    assert not new.has_wedge_tex_coord()
+    assert np.array_equal(new.vertex_tex_coord_matrix(), old.vertex_tex_coord_matrix())
+    assert [(name, i.width()) for name, i in new.textures().items()] == [("soil.png", 5)]
+
+
+def test_textures_whose_names_no_file_holds_are_named(tmp_path):
+    meshes = two_textures(tmp_path, ("felsgestein-grün.png", "soil.png"))
+    with pytest.warns(DataNotKeptWarning, match=r"'felsgestein-grün.png' is 'texture0.png' now"):
+        out = odt_plugins.optimize(meshes)
+    assert sorted(out.current_mesh().textures()) == ["soil.png", "texture0.png"]
 
 
 def test_what_cannot_survive_is_named():

@@ -2,9 +2,19 @@
 
 Everything survives: colours, scalars, texture coordinates per vertex and per wedge, textures,
 custom attributes, selection, edges, label, visibility, transform matrix, the other meshes of the
-set with their ids, and the filter script. Normals are recomputed. When edges were flipped the mesh
-is built anew, since MeshLab cannot set faces: then curvature directions, polygons (faux edges) and
-all textures but the first are lost, with a warning that names them.
+set with their ids, and the filter script. Normals are recomputed. Faces of different textures or
+charts of one never mix.
+
+When edges were flipped the mesh is built anew, since MeshLab cannot set faces: then curvature
+directions and polygons (faux edges) are lost. So they are in copies of a mesh with several
+textures, or with one and no wedges. Warnings name them, and textures whose names no PLY file can
+hold. Copies belong to no file, as far as `save_project()` is concerned.
+
+Custom attributes that came into a MeshSet with `add_mesh()` are unsound in pymeshlab: its function
+filters crash on them or replace their values by others. Copies that are made here are sound.
+
+A vertex that does not move keeps its coordinates bit for bit, the sign of a zero included; in one
+that moves a new -0.0 comes out as 0.0.
 
 A Mesh that comes back belongs to a MeshSet of its own, which lives as long as it does.
 """
@@ -12,6 +22,7 @@ A Mesh that comes back belongs to a MeshSet of its own, which lives as long as i
 from __future__ import annotations
 
 import os
+import re
 import tempfile
 import warnings
 import weakref
@@ -23,8 +34,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters import pymeshlab_ply
 from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance, region_array
-from odt_plugins.errors import DataNotKeptWarning, UnsupportedMeshError
+from odt_plugins.adapters.wedges import charts
+from odt_plugins.errors import DataNotKeptWarning, ODTWarning, UnsupportedMeshError, counted
 
 CUSTOM = {
     "__ca_vs__": "vertex_custom_scalar_attribute_array",
@@ -34,8 +47,19 @@ CUSTOM = {
 }
 """How the PLY exporter marks the names of custom attributes, and how each kind is read."""
 
-SELECTED = 0x20
-"""Bit of a selected vertex or face in the property `flags` of MeshLab's PLY files."""
+BARE = {f"save_{name}": False for name in (
+    "vertex_quality", "vertex_flag", "vertex_color", "vertex_coord", "vertex_normal",
+    "vertex_radius", "face_quality", "face_flag", "face_color", "wedge_color", "wedge_normal")}
+"""Parameters by which MeshLab writes nothing but geometry and wedges into a PLY file."""
+
+PLAIN = re.compile(r"(?!.*\.\.)[\w.-][\w./-]*", re.ASCII)
+"""File names that MeshLab finds when they stand in a PLY file."""
+
+
+class InPlace(NamedTuple):
+    """A MeshSet whose current mesh is to be changed itself instead of being copied."""
+
+    meshes: Any
 
 
 class Attribute(NamedTuple):
@@ -56,6 +80,8 @@ class Attribute(NamedTuple):
 
 def matches(mesh: object) -> bool:
     """Say whether this is a pymeshlab Mesh or MeshSet."""
+    if isinstance(mesh, InPlace):
+        return True
     return is_instance(mesh, "pymeshlab", "Mesh") or is_instance(mesh, "pymeshlab", "MeshSet")
 
 
@@ -64,7 +90,7 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
 
     Parameters
     ----------
-    mesh : pymeshlab.Mesh or pymeshlab.MeshSet
+    mesh : pymeshlab.Mesh, pymeshlab.MeshSet or InPlace
     regions : str or None      name of the custom scalar attribute per face that holds region
                                labels; None takes "marker" or another known name if it is there
 
@@ -73,43 +99,58 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
     UnsupportedMeshError       the MeshSet is empty, or the mesh has no faces
     InvalidOptionError         there is no attribute of that name
     """
-    from pymeshlab import MeshSet
-
-    whole = is_instance(mesh, "pymeshlab", "MeshSet")
-    if whole and not mesh.mesh_number():
+    meshes = mesh.meshes if isinstance(mesh, InPlace) else mesh
+    whole = is_instance(meshes, "pymeshlab", "MeshSet")
+    if whole and not meshes.mesh_number():
         msg = "got a MeshSet without meshes; expected a current mesh, try load_new_mesh()"
         raise UnsupportedMeshError(msg)
-    current = mesh.current_mesh() if whole else mesh
+    current = meshes.current_mesh() if whole else meshes
     if not current.face_number():
+        found = counted(current.vertex_number(), "vertex", "vertices")
         msg = (
-            f"got a mesh without faces ({current.vertex_number()} vertices); expected triangles, "
-            f"try generate_surface_reconstruction_ball_pivoting() on a point cloud"
+            f"got a mesh without faces ({found}); expected triangles, try "
+            f"generate_surface_reconstruction_ball_pivoting() on a point cloud"
         )
         raise UnsupportedMeshError(msg)
-    copy = MeshSet()
-    copy.add_mesh(current)
+    copy = without_pictures(current)
     inner = copy.current_mesh()
-    names = custom_attributes(copy)
-    labels = region_array(_labels(inner, names), regions)
+    cells = np.array(inner.face_matrix())
+    labels = region_array(_labels(inner, custom_attributes(copy)), regions)
     edges = np.array(inner.edge_matrix())
+    kept = [KeptCells("edge", edges)]
+    blocks = None
+    if inner.has_wedge_tex_coord():
+        chart, seams = charts(inner.wedge_tex_coord_matrix().reshape(-1, 3, 2), cells)
+        kept.append(seams)
+        numbers = textures(copy)[1]
+        blocks = chart if numbers is None else chart * (int(numbers.max()) + 2) + numbers + 1
     return HostMesh(
         points=np.array(inner.vertex_matrix()),
-        cells=np.array(inner.face_matrix()),
+        cells=cells,
         regions=labels,
-        kept=(KeptCells("edge", edges),) if len(edges) else (),
+        blocks=blocks,
+        kept=tuple(part for part in kept if len(part.rows)),
         source=mesh,
     )
 
 
 def write(result: Result, host: HostMesh) -> Any:
-    """Copy the caller's object and move the vertices or exchange the faces of the current mesh."""
-    whole = is_instance(host.source, "pymeshlab", "MeshSet")
-    copy = private_copy(host.source.current_mesh() if whole else host.source)
-    if np.array_equal(result.cells, copy.current_mesh().face_matrix()):
+    """Move the vertices or exchange the faces of the current mesh, in a copy unless InPlace."""
+    source = host.source
+    if isinstance(source, InPlace):
+        if np.array_equal(result.cells, host.cells):
+            move_vertices(source.meshes, result.points)
+        else:
+            exchange(source.meshes, rebuilt(source.meshes.current_mesh(), result))
+        return source
+    whole = is_instance(source, "pymeshlab", "MeshSet")
+    mesh = source.current_mesh() if whole else source
+    if np.array_equal(result.cells, host.cells):
+        copy = private_copy(mesh)
         move_vertices(copy, result.points)
     else:
-        copy = rebuilt(copy, result)
-    return copy_of_set(host.source, copy) if whole else standing_alone(copy)
+        copy = rebuilt(mesh, result)
+    return copy_of_set(source, copy) if whole else standing_alone(copy)
 
 
 def standing_alone(owner: Any) -> Any:
@@ -140,9 +181,25 @@ def copy_of_set(meshes: Any, current: Any) -> Any:
     -----
     DataNotKeptWarning    it holds rasters
     """
-    from pymeshlab import Mesh, MeshSet
+    from pymeshlab import MeshSet
 
     out = MeshSet()
+    fill(out, meshes, current)
+    restore_script(out, saved_script(meshes))
+    if rasters(meshes):
+        msg = f"the copy of the MeshSet does not keep its {rasters(meshes)} rasters"
+        warnings.warn(msg, DataNotKeptWarning, stacklevel=2)
+    return out
+
+
+def fill(out: Any, meshes: Any, current: Any) -> None:
+    """Copy the meshes of a set, with their ids and visibility, into an empty one.
+
+    Parameters
+    ----------
+    out : pymeshlab.MeshSet                changed
+    meshes, current : pymeshlab.MeshSet    see :func:`copy_of_set`
+    """
     unused = []
     found = next_id = 0
     while found < meshes.mesh_number():
@@ -152,18 +209,13 @@ def copy_of_set(meshes: Any, current: Any) -> Any:
             out.set_mesh_visibility(next_id, meshes.is_mesh_visible(next_id))
             found += 1
         else:
-            out.add_mesh(Mesh(np.zeros((1, 3))))
+            out.add_mesh(_point())
             unused.append(next_id)
         next_id += 1
     for spare in unused:
         out.set_current_mesh(spare)
         out.delete_current_mesh()
     out.set_current_mesh(meshes.current_mesh_id())
-    restore_script(out, saved_script(meshes))
-    if rasters(meshes):
-        msg = f"the copy of the MeshSet does not keep its {rasters(meshes)} rasters"
-        warnings.warn(msg, DataNotKeptWarning, stacklevel=2)
-    return out
 
 
 def rasters(meshes: Any) -> int:
@@ -172,45 +224,96 @@ def rasters(meshes: Any) -> int:
     return int(count()) if count else 0
 
 
+def _point() -> Any:
+    from pymeshlab import Mesh
+
+    return Mesh(np.zeros((1, 3)))
+
+
+def without_pictures(mesh: Any) -> Any:
+    """Copy a mesh into a new MeshSet with all but transform and pictures of the textures."""
+    from pymeshlab import MeshSet
+
+    out = MeshSet()
+    out.add_mesh(mesh)
+    return out
+
+
 def add_copy(meshes: Any, mesh: Any) -> None:
     """Add a copy of a mesh to a set and make it current, with what `add_mesh` leaves out.
 
+    Custom attributes are left out first, as a copy inside of MeshLab does, and then added.
+
     Warns
     -----
-    DataNotKeptWarning    the mesh has more than one texture
+    DataNotKeptWarning    the mesh has several textures, and data besides that no file holds
     """
-    from pymeshlab import Mesh
-
-    if mesh.vertex_number():
-        meshes.add_mesh(mesh, mesh.label())
-    else:
-        meshes.add_mesh(Mesh(np.zeros((1, 3))))
+    if _needs_file(mesh):
+        faces = np.array(mesh.face_matrix())
+        same = Result(mesh.vertex_matrix(), faces, np.arange(len(faces), dtype=np.int32))
+        _add_from_file(meshes, mesh, same)
+        return
+    if not mesh.vertex_number():
+        meshes.add_mesh(_point())
         meshes.apply_filter("set_selection_all", allfaces=False, allverts=True)
         meshes.apply_filter("meshing_remove_selected_vertices")
-    meshes.current_mesh().set_label(mesh.label())
+        _complete(meshes, mesh)
+        return
+    bare = without_pictures(mesh)
+    attributes = custom_attributes(bare)
+    if attributes:
+        bare.apply_filter("generate_copy_of_current_mesh")
+    meshes.add_mesh(bare.current_mesh(), mesh.label())
     _complete(meshes, mesh)
+    for attribute in attributes:
+        attribute.add(meshes.current_mesh(), attribute.values(mesh))
+
+
+def _needs_file(mesh: Any) -> bool:
+    """Say whether no filter sets the textures of a mesh, as when there are several."""
+    several = mesh.texture_number() > 1 or not mesh.has_wedge_tex_coord()
+    return several and bool(mesh.textures())
 
 
 def _complete(meshes: Any, like: Any) -> None:
-    """Give the current mesh the transform matrix and the texture of another."""
+    """Give the current mesh the label, the transform matrix and the single texture of another."""
+    meshes.current_mesh().set_label(like.label())
     matrix = np.array(like.transform_matrix())
     if not np.array_equal(matrix, np.eye(4)):
         meshes.set_matrix(transformmatrix=matrix, freeze=False)
-    textures = like.textures()
-    if len(textures) > 1:
-        msg = (
-            f"the images of the textures {', '.join(sorted(textures))} are not kept: only one "
-            f"texture of a mesh can be copied; load them again with set_texture_per_mesh()"
-        )
-        warnings.warn(msg, DataNotKeptWarning, stacklevel=2)
-    elif textures:
+    pictures = like.textures()
+    if pictures and not _needs_file(like):
         with tempfile.TemporaryDirectory(prefix="odt-plugins-") as folder:
-            ((name, image),) = textures.items()
-            # Without loss, under its own name: Qt tells the format by the contents.
-            image.save(str(Path(folder) / "image.png"))
+            ((name, image),) = pictures.items()
             file = Path(folder) / (Path(name).name or "texture")
-            (Path(folder) / "image.png").rename(file)
+            _save_picture(image, file)
             meshes.set_texture_per_mesh(textname=str(file))
+
+
+def _save_picture(image: Any, file: Path) -> None:
+    """Write a picture without loss under any name: Qt tells the format by the contents."""
+    file.parent.mkdir(parents=True, exist_ok=True)
+    png = file.with_name("picture.png")
+    image.save(str(png))
+    png.replace(file)
+
+
+def textures(meshes: Any) -> tuple[list[str], NDArray[np.int32] | None]:
+    """Names of the textures of the current mesh if there are several, and that of every face.
+
+    Returns
+    -------
+    names : list of str             empty when there is no choice
+    numbers : (m,) int32 or None    place among them of that of every face; None without choice
+    """
+    mesh = meshes.current_mesh()
+    if mesh.texture_number() < 2 or not mesh.has_wedge_tex_coord():
+        return [], None
+    with tempfile.TemporaryDirectory(prefix="odt-plugins-") as folder:
+        file = Path(folder) / "mesh.ply"
+        meshes.save_current_mesh(str(file), save_textures=False, **BARE)
+        return pymeshlab_ply.texture_numbers(
+            file.read_bytes(), mesh.vertex_number(), mesh.face_number())
 
 
 def custom_attributes(meshes: Any) -> list[Attribute]:
@@ -241,67 +344,102 @@ def _labels(mesh: Any, names: list[Attribute]) -> dict[str, NDArray[Any]]:
 def move_vertices(meshes: Any, points: NDArray[np.float64]) -> None:
     """Set the vertex coordinates of the current mesh, exactly, and nothing else.
 
-    Linear morphing by 100 % towards a mesh of the same size is the only filter of MeshLab that
-    sets coordinates from data; unlike the function filters it copes with custom attributes.
+    Linear morphing x + p (y - x) towards a mesh of the same size is the only filter of MeshLab
+    that sets coordinates from data; unlike the function filters it copes with custom attributes.
+    By way of the origin, with y = -x and then y = 2 x', p = 1/2, nothing is rounded. A -0.0 lives
+    through x + p (y - x) only if p (y - x) underflows to -0.0.
     """
+    old = np.array(meshes.current_mesh().vertex_matrix())
+    if np.array_equal(old, points):
+        return
+    negative = (old == 0.0) & np.signbit(old)
+    stays = negative & (points == 0.0) & np.signbit(points)
+    tiny = -np.nextafter(0.0, 1.0)
+    _halfway(meshes, np.where(negative, tiny, 0.0 - old))
+    _halfway(meshes, np.where(stays, tiny, 2.0 * points))
+    meshes.current_mesh().update_bounding_box()
+
+
+def _halfway(meshes: Any, points: NDArray[np.float64]) -> None:
+    """Move the vertices of the current mesh half of the way to other places."""
     from pymeshlab import Mesh
 
     own = meshes.current_mesh_id()
-    mesh = meshes.current_mesh()
-    meshes.add_mesh(Mesh(points, mesh.face_matrix()), "target", True)
+    meshes.add_mesh(Mesh(points, meshes.current_mesh().face_matrix()), "target", True)
     target = meshes.current_mesh_id()
     meshes.set_current_mesh(own)
     try:
-        meshes.apply_filter("compute_coord_linear_morphing", targetmesh=target, percentmorph=100.0)
+        meshes.apply_filter("compute_coord_linear_morphing", targetmesh=target, percentmorph=50.0)
     finally:
         meshes.set_current_mesh(target)
         meshes.apply_filter("delete_current_mesh")
         meshes.set_current_mesh(own)
-    meshes.current_mesh().update_bounding_box()
 
 
 def exchange(meshes: Any, new: Any) -> None:
-    """Put a mesh in the place of the current one.
+    """Put a mesh in the place of the current one, with its id.
 
-    Its id and its place in the list stay when the set holds only one mesh; otherwise it is added
-    at the end, with a new id. Mesh objects taken before are void, as after delete_current_mesh().
+    MeshLab gives ids only to meshes that are added, so the whole set is emptied and filled again
+    in its order. Where that would do harm, since the set holds rasters, or another of its meshes
+    is still in use as a Mesh object or has several textures, the new mesh is added at the end,
+    with a new id.
 
     Parameters
     ----------
     meshes : pymeshlab.MeshSet    changed
     new : pymeshlab.MeshSet       of one mesh
-    """
-    from pymeshlab import Mesh
 
-    own = meshes.current_mesh_id()
-    visible = meshes.is_current_mesh_visible()
-    if meshes.mesh_number() == 1 and not rasters(meshes):
+    Warns
+    -----
+    ODTWarning                    the mesh has a new id, or a Mesh object taken before is void
+    """
+    own, held = meshes.current_mesh_id(), weakref.ref(meshes.current_mesh())
+    if _may_be_emptied(meshes):
+        copy = copy_of_set(meshes, new)
         meshes.clear()
-        for spare in range(own):
-            meshes.add_mesh(Mesh(np.zeros((1, 3))))
-            meshes.set_current_mesh(spare)
-            meshes.apply_filter("delete_current_mesh")
-        own = -1
-    add_copy(meshes, new.current_mesh())
-    added = meshes.current_mesh_id()
-    meshes.set_current_mesh_visibility(visible)
-    if own >= 0:
+        fill(meshes, copy, copy)
+    else:
+        visible = meshes.is_current_mesh_visible()
+        add_copy(meshes, new.current_mesh())
+        added = meshes.current_mesh_id()
+        meshes.set_current_mesh_visibility(visible)
         meshes.set_current_mesh(own)
         meshes.apply_filter("delete_current_mesh")
         meshes.set_current_mesh(added)
+        msg = (f"mesh {own} of the MeshSet was built anew and is now mesh {added}; ids stay where "
+               f"its other meshes have no second texture and are in no variable, and no rasters")
+        warnings.warn(msg, ODTWarning, stacklevel=2)
+    mesh = held()
+    if mesh is not None and mesh is not meshes.current_mesh():
+        msg = ("the current mesh was built anew; the Mesh object taken from the MeshSet before is "
+               "void, take current_mesh() again")
+        warnings.warn(msg, ODTWarning, stacklevel=2)
 
 
-def rebuilt(meshes: Any, result: Result, scalars: NDArray[np.float64] | None = None) -> Any:
-    """Build the current mesh of a set with new faces: a MeshSet of one mesh.
+def _may_be_emptied(meshes: Any) -> bool:
+    """Say whether the other meshes of a set can be copied without loss and without harm."""
+    if rasters(meshes):
+        return False
+    found = current = 0
+    while found < meshes.mesh_number():
+        if meshes.mesh_id_exists(current):
+            found += 1
+            if current != meshes.current_mesh_id() and (
+                weakref.ref(meshes.mesh(current))() is not None
+                or _needs_file(meshes.mesh(current))
+            ):
+                return False
+        current += 1
+    return True
 
-    A PLY file is the only way into MeshLab that holds a selection; custom attributes are added
-    last, since some filters crash in their presence.
+
+def rebuilt(mesh: Any, result: Result) -> Any:
+    """Build a mesh with new faces: a MeshSet of one mesh.
 
     Parameters
     ----------
-    meshes : pymeshlab.MeshSet    not changed
-    result : Result               new points and faces
-    scalars : (m',) float64       scalars of the new faces instead of the old ones
+    mesh : pymeshlab.Mesh    not changed
+    result : Result          its new points and faces
 
     Warns
     -----
@@ -309,24 +447,46 @@ def rebuilt(meshes: Any, result: Result, scalars: NDArray[np.float64] | None = N
     """
     from pymeshlab import MeshSet
 
-    old = meshes.current_mesh()
-    _warn_of_losses(old)
-    if scalars is None and old.has_face_scalar():
-        scalars = old.face_scalar_array()[result.source]
     out = MeshSet()
+    _add_from_file(out, mesh, result)
+    return out
+
+
+def _add_from_file(meshes: Any, mesh: Any, result: Result) -> None:
+    """Add a mesh with new faces to a set.
+
+    A PLY file is the only way into MeshLab that holds a selection; custom attributes are added
+    last, since some filters crash in their presence.
+    """
+    bare = without_pictures(mesh)
+    names, numbers = textures(bare)
+    attributes = custom_attributes(bare)
+    _warn_of_losses(mesh)
+    pictures = mesh.textures() if _needs_file(mesh) else {}
+    names = (names or list(pictures)) if pictures else []
     with tempfile.TemporaryDirectory(prefix="odt-plugins-") as folder:
-        file = Path(folder) / "mesh.ply"
-        file.write_bytes(_ply(old, result, scalars))
-        out.load_new_mesh(str(file))
-    private = MeshSet()
-    private.add_mesh(out.current_mesh(), old.label())
-    private.current_mesh().set_label(old.label())
-    _complete(private, old)
-    mesh = private.current_mesh()
-    for attribute in custom_attributes(meshes):
-        values = attribute.values(old)
-        attribute.add(mesh, values[result.source] if "face" in attribute.reader else values)
-    return private
+        files = _plain_names(names)
+        for name, file in zip(names, files, strict=True):
+            _save_picture(pictures[name], Path(folder) / file)
+        path = Path(folder) / "mesh.ply"
+        path.write_bytes(pymeshlab_ply.encode(mesh, result, files, numbers))
+        meshes.load_new_mesh(str(path))
+    _complete(meshes, mesh)
+    inner = meshes.current_mesh()
+    for attribute in attributes:
+        values = attribute.values(mesh)
+        attribute.add(inner, values[result.source] if "face" in attribute.reader else values)
+
+
+def _plain_names(names: list[str]) -> list[str]:
+    """Names of textures that a PLY file can hold, with a warning where they are new."""
+    plain = [name if PLAIN.fullmatch(name) else f"texture{i}.png" for i, name in enumerate(names)]
+    if plain != names:
+        new = ", ".join(f"{old!r} is {name!r}" for old, name in zip(names, plain, strict=True)
+                        if old != name)
+        msg = f"MeshLab does not take over the names of all textures: {new} now"
+        warnings.warn(msg, DataNotKeptWarning, stacklevel=2)
+    return plain
 
 
 def _warn_of_losses(mesh: Any) -> None:
@@ -340,95 +500,8 @@ def _warn_of_losses(mesh: Any) -> None:
     if len(mesh.polygonal_face_list()) != mesh.face_number():
         lost.append("the polygons, which are now triangles")
     if lost:
-        msg = f"edges were flipped; MeshLab does not take over {' and '.join(lost)}"
+        msg = f"the mesh was built anew; MeshLab does not take over {' and '.join(lost)}"
         warnings.warn(msg, DataNotKeptWarning, stacklevel=2)
-
-
-def _ply(mesh: Any, result: Result, scalars: NDArray[np.float64] | None) -> bytes:
-    """Binary PLY file of a mesh with new points and faces and the data that MeshLab reads."""
-    n, m, source = len(result.points), len(result.cells), result.source
-    header = ["ply", "format binary_little_endian 1.0"]
-
-    vertex: list[tuple[str, str, Any]] = [
-        (f"double {axis}", "<f8", column)
-        for axis, column in zip("xyz", result.points.T, strict=True)
-    ]
-    vertex.append(("int flags", "<i4", SELECTED * mesh.vertex_selection_array()))
-    if mesh.has_vertex_color():
-        vertex += _colours(mesh.vertex_color_matrix())
-    if mesh.has_vertex_scalar():
-        vertex.append(("double quality", "<f8", mesh.vertex_scalar_array()))
-    if mesh.has_vertex_tex_coord():
-        uv = mesh.vertex_tex_coord_matrix()
-        vertex += [("float texture_u", "<f4", uv[:, 0]), ("float texture_v", "<f4", uv[:, 1])]
-    body = _element(header, "vertex", n, vertex)
-
-    face: list[tuple[str, str, Any]] = [
-        ("", "u1", np.full(m, 3)),
-        ("list uchar int vertex_indices", "(3,)<i4", result.cells),
-        ("int flags", "<i4", SELECTED * mesh.face_selection_array()[source]),
-    ]
-    if mesh.has_wedge_tex_coord():
-        uv = carried_wedges(mesh.wedge_tex_coord_matrix(), mesh.face_matrix(), result)
-        face += [("", "u1", np.full(m, 6)), ("list uchar float texcoord", "(6,)<f4", uv)]
-    if mesh.has_face_color():
-        face += _colours(mesh.face_color_matrix()[source])
-    if scalars is not None:
-        face.append(("double quality", "<f8", scalars))
-    body += _element(header, "face", m, face)
-
-    edges = mesh.edge_matrix()
-    if len(edges):
-        ends = [(f"int vertex{i + 1}", "<i4", edges[:, i]) for i in (0, 1)]
-        body += _element(header, "edge", len(edges), ends)
-    return "\n".join([*header, "end_header", ""]).encode() + body
-
-
-def _element(
-    header: list[str], name: str, count: int, columns: list[tuple[str, str, Any]]
-) -> bytes:
-    """Lay columns side by side in binary rows and name them in the header."""
-    header.append(f"element {name} {count}")
-    header += [f"property {title}" for title, _, _ in columns if title]
-    rows = np.zeros(count, dtype=[(f"f{i}", kind) for i, (_, kind, _) in enumerate(columns)])
-    for i, (_, _, values) in enumerate(columns):
-        rows[f"f{i}"] = values
-    return rows.tobytes()
-
-
-def _colours(rgba: NDArray[np.float64]) -> list[tuple[str, str, Any]]:
-    whole = np.rint(rgba * 255.0)
-    names = ("red", "green", "blue", "alpha")
-    return [(f"uchar {name}", "u1", column) for name, column in zip(names, whole.T, strict=True)]
-
-
-def carried_wedges(
-    uv: NDArray[np.float64], faces: NDArray[np.int32], result: Result
-) -> NDArray[np.float64]:
-    """Texture coordinates of the wedges of the new faces.
-
-    Parameters
-    ----------
-    uv : (3 m, 2)      of the old wedges
-    faces : (m, 3)     old faces
-    result : Result    new faces and the old face each takes its data from
-
-    Returns
-    -------
-    (m', 6)            a wedge takes the coordinates that its vertex has in the old face; in a new
-                       face a vertex that the old face does not have takes those of any of its old
-                       wedges, the one of the lowest face
-    """
-    corner = uv.reshape(-1, 3, 2)
-    first = np.zeros((int(faces.max()) + 1, 2))
-    first[faces.ravel()[::-1]] = uv[::-1]
-    out = first[result.cells]
-    old = faces[result.source]
-    for i in range(3):
-        for j in range(3):
-            same = old[:, j] == result.cells[:, i]
-            out[same, i] = corner[result.source[same], j]
-    return np.asarray(out.reshape(-1, 6))
 
 
 def saved_script(meshes: Any) -> bytes:

@@ -15,7 +15,7 @@ import numpy as np
 
 from odt_plugins.adapters.host import is_instance
 from odt_plugins.errors import InvalidOptionError
-from odt_plugins.options import DENSITIES, Options
+from odt_plugins.options import CHOICES, DENSITIES, Options
 
 Kind = Literal["int", "bool", "enum", "length"]
 
@@ -44,6 +44,7 @@ class Parameter:
                            whether faces are selected
     title, help : str      the texts of MeshLab's dialogs
     choices : tuple        of an enum
+    least : int            smallest value of an int
     """
 
     gui: str
@@ -52,6 +53,7 @@ class Parameter:
     title: str
     help: str
     choices: tuple[str, ...] = ()
+    least: int = 0
 
     @property
     def name(self) -> str:
@@ -61,18 +63,14 @@ class Parameter:
     def check(self, value: Any, diagonal: float) -> Any:
         """Bring a value into plain form; a length becomes a float in the caller's unit."""
         if self.kind == "enum":
-            if value not in self.choices:
-                listed = " ".join(f"'{choice}';" for choice in self.choices)
-                msg = f"Enum '{value}' not found. Possible values are {listed}"
-                raise ChoiceError(msg)
-            return value
+            return self._choice(value)
         if self.kind == "bool":
             self._expect(isinstance(value, bool | np.bool_), value, "a bool")
             return bool(value)
         if self.kind == "int":
             good = isinstance(value, Integral) and not isinstance(value, bool)
-            good = good and int(value) >= 0
-            self._expect(good, value, "an int of at least 0")
+            good = good and int(value) >= self.least
+            self._expect(good, value, f"an int of at least {self.least}")
             return int(value)
         percent = is_instance(value, "pymeshlab", "PercentageValue")
         good = percent or is_instance(value, "pymeshlab", "PureValue")
@@ -81,6 +79,20 @@ class Parameter:
         length = float(value.value()) * (diagonal / 100.0 if percent else 1.0)
         self._expect(0.0 < length < float("inf"), value.value(), "a positive length")
         return length
+
+    def _choice(self, value: Any) -> str:
+        """Take one of the choices by its text or its number, as MeshLab does."""
+        if isinstance(value, Integral) and not isinstance(value, bool):
+            last = len(self.choices) - 1
+            if not 0 <= int(value) <= last:
+                msg = f"Enum {value} not valid. Must be a value between 0 and {last}"
+                raise ChoiceError(msg)
+            return self.choices[int(value)]
+        if not isinstance(value, str) or value not in self.choices:
+            listed = " ".join(f"'{choice}';" for choice in self.choices)
+            msg = f"Enum '{value}' not found. Possible values are {listed}"
+            raise ChoiceError(msg)
+        return value
 
     def _expect(self, good: bool, value: Any, expected: str) -> None:
         if not good:
@@ -151,11 +163,15 @@ class Filter:
                     f"Its parameters are {', '.join(known) or 'none'}."
                 )
                 raise ParameterError(msg)
-        return {
+        found = {
             name: parameter.check(given[name], diagonal) if name in given
             else parameter.default_value(diagonal, selected)
             for name, parameter in known.items()
         }
+        if found.get("boundary") and "slide" not in CHOICES["boundary"]:
+            msg = "Parameter boundary: got True; expected False, a moving boundary is not supported"
+            raise ParameterError(msg)
+        return found
 
     def doc(self) -> str:
         """Text of help()."""
@@ -189,7 +205,7 @@ KEEP = Parameter(
 ROUNDS = replace(STEPS, default=Options.rounds)
 ITERATIONS = Parameter(
     "Iterations", "int", Options.cycles, "Iterations",
-    "How often smoothing and flips are followed by the repair of the worst elements.")
+    "How often smoothing and flips are followed by the repair of the worst elements.", least=1)
 
 SMOOTHING = (STEPS, BOUNDARY, DENSITY, KEEP, SELECTED)
 
@@ -210,12 +226,17 @@ _ALL = (
     Filter(
         "meshing_odt_optimization", "ODT Optimization",
         "Improve a planar mesh by Optimal Delaunay Triangulation: moves vertices and flips edges. "
-        "When edges were flipped the current mesh is exchanged: take current_mesh() again.",
+        "When edges were flipped the mesh is built anew in its place, with its id; Mesh objects of "
+        "it are void then: take current_mesh() again. It gets a new id, and a warning says so, "
+        "while another mesh of the set is in use as a Mesh object, or has several textures or one "
+        "without wedge texture coordinates, or while there are rasters.",
         (ROUNDS, ITERATIONS, BOUNDARY, DENSITY, KEEP, SELECTED)),
     Filter(
         "compute_scalar_by_radius_ratio_per_face", "Per Face Quality by Radius Ratio",
         "Store in the scalar of every face its radius ratio 2 r/R, 1 for an equilateral triangle "
-        "and 0 for a flat one.", ()),
+        "and 0 for a flat one. MeshLab's function filters crash on custom attributes of faces "
+        "unless these were added to a mesh inside of the set: a mesh that has any is first built "
+        "anew in its place, as by meshing_odt_optimization.", ()),
     Filter(
         "generate_odt_tetrahedralization", "ODT Tetrahedralization",
         "Fill the current mesh with tetrahedra by TetWild, improve them by Optimal Delaunay "

@@ -16,16 +16,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters import pymeshlab_mesh as adapter
-from odt_plugins.adapters.host import Result
 from odt_plugins.api import optimize_with_report
 from odt_plugins.errors import (
     InvalidMeshError,
-    InvalidOptionError,
     ODTError,
     UnsupportedMeshError,
 )
 from odt_plugins.hosts.filter_table import BY_GUI, FILTERS, ChoiceError, Filter, ParameterError
-from odt_plugins.options import CHOICES, FIGURES
+from odt_plugins.options import FIGURES
 from odt_plugins.tetwild import run_tetwild
 
 if TYPE_CHECKING:
@@ -40,6 +38,8 @@ WORDS = (
     (r"removing such cells", "meshing_remove_null_faces()"),
     (r"\bcells\b", "faces"),
     (r"\bcell\b", "face"),
+    (r"\bpoints\b", "vertices"),
+    (r"\bpoint\b", "vertex"),
 )
 """What MeshLab calls the things that error messages speak of."""
 
@@ -48,8 +48,8 @@ EDGES = tuple(
 )
 _A, _B, _C = EDGES
 RADIUS_RATIO = (
-    f"({_A})*({_B})*({_C})>0 ? "
-    f"max(0, ({_B}+{_C}-{_A})*({_C}+{_A}-{_B})*({_A}+{_B}-{_C})/(({_A})*({_B})*({_C}))) : 0"
+    f"min(({_A}), ({_B}), ({_C})) > 0 ? "
+    f"max(0, ({_B}+{_C}-{_A})/({_A}) * ({_C}+{_A}-{_B})/({_B}) * ({_A}+{_B}-{_C})/({_C})) : 0"
 )
 """2 r/R (5.1) of a triangle in the language of MeshLab's function filters."""
 
@@ -135,49 +135,39 @@ def _apply(meshes: Any, chosen: Filter, given: Mapping[str, Any]) -> Effect:
 
 
 def _smooth(meshes: Any, values: Mapping[str, Any], method: str, solver: str) -> Effect:
-    mesh = meshes.current_mesh()
-    old = mesh.vertex_matrix()
+    old = np.array(meshes.current_mesh().vertex_matrix())
     options = _options(values) | {"method": method, "solver": solver}
-    new, report = optimize_with_report(
-        mesh, connectivity="none", finish=False, cycles=1, **options,
-        **_scope(mesh, values["selected"]),
+    _, report = optimize_with_report(
+        adapter.InPlace(meshes), connectivity="none", finish=False, cycles=1, **options,
+        **_scope(meshes, values["selected"]),
     )
-    points = new.vertex_matrix()
-    adapter.move_vertices(meshes, points)
-    return _effect(old, points, report, "Smoothed {} vertices")
+    return _effect(old, meshes.current_mesh().vertex_matrix(), report, "Smoothed {} vertices")
 
 
 def _optimize(meshes: Any, values: Mapping[str, Any]) -> Effect:
-    old = meshes.current_mesh()
-    points, faces = np.array(old.vertex_matrix()), np.array(old.face_matrix())
-    new, report = optimize_with_report(
-        adapter.private_copy(old), cycles=values["iterations"], **_options(values),
-        **_scope(old, values["selected"]),
+    old, faces = _arrays(meshes)
+    _, report = optimize_with_report(
+        adapter.InPlace(meshes), cycles=values["iterations"], **_options(values),
+        **_scope(meshes, values["selected"]),
     )
-    after = new.current_mesh()
-    moved = after.vertex_matrix()
-    fresh = _new_rows(faces, after.face_matrix())
-    if np.array_equal(faces, after.face_matrix()):
-        adapter.move_vertices(meshes, moved)
-    else:
-        adapter.exchange(meshes, new)
-    effect = _effect(points, moved, report, "Moved {} vertices")
+    points, new = _arrays(meshes)
+    fresh = _new_rows(faces, new)
+    effect = _effect(old, points, report, "Moved {} vertices")
     effect.values["new_faces"] = fresh
     effect.lines.insert(1, f"Flipped edges, {fresh} faces are new")
     return effect
 
 
-def _radius_ratio(meshes: Any, values: Mapping[str, Any]) -> Effect:
-    """MeshLab's function filter, which crashes when vertices have custom attributes."""
+def _arrays(meshes: Any) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     mesh = meshes.current_mesh()
-    kinds = {attribute.reader.partition("_")[0] for attribute in adapter.custom_attributes(meshes)}
-    if "vertex" in kinds:
-        faces = np.array(mesh.face_matrix())
-        quality = radius_ratios(mesh.vertex_matrix(), faces)
-        same = Result(mesh.vertex_matrix(), faces, np.arange(len(faces), dtype=np.int32))
-        adapter.exchange(meshes, adapter.rebuilt(meshes, same, quality))
-    else:
-        meshes.apply_filter("compute_scalar_by_function_per_face", q=RADIUS_RATIO)
+    return np.array(mesh.vertex_matrix()), np.array(mesh.face_matrix())
+
+
+def _radius_ratio(meshes: Any, values: Mapping[str, Any]) -> Effect:
+    """MeshLab's function filter, which bears no attributes of faces but those of a copy."""
+    if any(attribute.reader.startswith("face") for attribute in adapter.custom_attributes(meshes)):
+        adapter.exchange(meshes, adapter.private_copy(meshes.current_mesh()))
+    meshes.apply_filter("compute_scalar_by_function_per_face", q=RADIUS_RATIO)
     quality = meshes.current_mesh().face_scalar_array()
     found = {"min_radius_ratio": float(quality.min()), "mean_radius_ratio": float(quality.mean())}
     figures = f"min {quality.min():.4f}, mean {quality.mean():.4f}"
@@ -228,21 +218,6 @@ WORK: dict[str, Callable[[Any, Mapping[str, Any]], Effect]] = {
 """What every filter does."""
 
 
-def radius_ratios(
-    points: NDArray[np.float64], faces: NDArray[np.int32]
-) -> NDArray[np.float64]:
-    """Radius ratio 2 r/R (5.1) of triangles in space, (m,), from their edge lengths."""
-    corner = points[faces]
-    a, b, c = (
-        np.sqrt(((corner[:, i] - corner[:, j]) ** 2).sum(axis=1))
-        for i, j in ((0, 1), (1, 2), (2, 0))
-    )
-    whole = a * b * c
-    out = np.zeros(len(faces))
-    np.divide((b + c - a) * (c + a - b) * (a + b - c), whole, out=out, where=whole > 0.0)
-    return np.maximum(out, 0.0)
-
-
 def boundary_surface(
     cells: NDArray[np.int32],
 ) -> tuple[NDArray[np.intp], NDArray[np.int32]]:
@@ -267,17 +242,15 @@ def _options(values: Mapping[str, Any]) -> dict[str, Any]:
     options = {"rounds": values["stepsmoothnum"], "density": values["density"],
                "keep": FIGURES if values["keepquality"] else ()}
     if values.get("boundary"):
-        if "slide" not in CHOICES["boundary"]:
-            msg = "Parameter boundary: got True; expected False, a moving boundary is not supported"
-            raise InvalidOptionError(msg)
         options["boundary"] = "slide"
     return options
 
 
-def _scope(mesh: Any, selected: bool) -> dict[str, Any]:
+def _scope(meshes: Any, selected: bool) -> dict[str, Any]:
     """Restrict to the selected faces or, when there are none, to the selected vertices."""
     if not selected:
         return {}
+    mesh = meshes.current_mesh()
     faces = np.array(mesh.face_selection_array())
     vertices = np.array(mesh.vertex_selection_array())
     if vertices.any() and not faces.any():
@@ -343,7 +316,8 @@ def _in_words(exc: ODTError, name: str) -> Exception:
     if not isinstance(exc, ParameterError | ChoiceError):
         for pattern, word in WORDS:
             text = re.sub(pattern, word, text)
-        text = f"Failed to apply filter: {name}\n{text}"
+        if not text.startswith(name):
+            text = f"Failed to apply filter: {name}\n{text}"
     error: Exception = type(type(exc).__name__, (type(exc), host), {})(text)
     return error
 
