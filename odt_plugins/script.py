@@ -14,12 +14,25 @@ from xml.etree import ElementTree
 from odt_plugins.adapters import files
 from odt_plugins.adapters import pymeshlab_mesh as adapter
 from odt_plugins.errors import InvalidMeshError, MeshFileError, MissingDependencyError
-from odt_plugins.hosts.filter_table import BY_GUI, FILTERS, Filter, ParameterError
+from odt_plugins.hosts.filter_table import (
+    BY_GUI,
+    FILTERS,
+    ChoiceError,
+    Filter,
+    ParameterError,
+)
 
 HEAD = b"<!DOCTYPE FilterScript>\n"
 
 SURFACES = (".ply", ".obj", ".stl", ".off", ".wrl", ".dae", ".x3d", ".3ds", ".u3d", ".ctm", ".dxf")
 """Suffixes of the files that MeshLab writes."""
+
+CREATING = frozenset((
+    "Annulus", "Box/Cube", "Cone", "Dodecahedron", "Dodecahedron (symmetric)", "Fractal Terrain",
+    "Grid Generator", "Icosahedron", "Implicit Surface", "Noisy Isosurface", "Octahedron",
+    "Points on a Sphere", "Sphere", "Sphere Cap", "Tetrahedron", "Torus",
+))
+"""Filters of MeshLab that need no mesh; scripts with others crash it in an empty MeshSet."""
 
 TETRAHEDRA = "generate_odt_tetrahedralization"
 
@@ -55,7 +68,8 @@ def run_filter_script(
     Raises
     ------
     MeshFileError                 the file cannot be read or is no filter script; nothing was done
-    InvalidOptionError            a filter of odt_plugins has no such parameter; nothing was done
+    InvalidOptionError            a filter of odt_plugins has no such parameter or refuses its
+                                  value; nothing was done
     InvalidMeshError              a filter of MeshLab failed; those before it were applied
     pymeshlab.PyMeshLabException  a filter of odt_plugins failed; those before it were applied
     """
@@ -152,21 +166,22 @@ def apply_script(
 ) -> list[dict[str, Any]]:
     """Apply the text of a filter script; see :func:`run_filter_script`."""
     steps = read_script(text, source)
-    given = [_parameters(step) for step in steps]
+    places = [f"filter {i} of {len(steps)} in {source}" for i in range(1, len(steps) + 1)]
+    given = [_parameters(*step) for step in zip(steps, places, strict=True)]
     before = adapter.saved_script(meshes)
     results: list[dict[str, Any]] = []
     try:
-        for number, (step, parameters) in enumerate(zip(steps, given, strict=True), start=1):
+        for step, parameters, place in zip(steps, given, places, strict=True):
             clock = time.perf_counter()
             if step.own is None:
-                _run_native(meshes, step, f"filter {number} of {len(steps)} in {source}")
+                _run_native(meshes, step, place)
                 took = 1000.0 * (time.perf_counter() - clock)
                 results.append({})
                 lines = [f"Applied filter {step.name} in {took:.0f} msec"]
             else:
                 from odt_plugins.hosts.pymeshlab_filters import apply
 
-                effect = apply(meshes, step.own.name, _lengths(step.own, parameters))
+                effect = apply(meshes, step.own.name, parameters)
                 results.append(effect.values)
                 lines = effect.lines
             if progress is not None:
@@ -202,36 +217,51 @@ def read_script(text: bytes, source: str) -> list[Step]:
     return steps
 
 
-def _parameters(step: Step) -> dict[str, Any]:
-    """Values of the parameters of one of our filters, by their Python names."""
+def _parameters(step: Step, place: str) -> dict[str, Any]:
+    """Values of the parameters of one of our filters, by their Python names.
+
+    Raises
+    ------
+    ParameterError    an unknown name, or a value that the filter refuses
+    """
     if step.own is None:
         return {}
     known = {parameter.name: parameter for parameter in step.own.parameters}
     values = {}
-    for entry in step.entry:
-        name = entry.get("name", "").lower()
-        if name not in known:
-            msg = (
-                f"Parameter {name} not found for filter {step.name}. "
-                f"Its parameters are {', '.join(known) or 'none'}."
-            )
-            raise ParameterError(msg)
-        values[name] = known[name].from_script(entry.attrib)
-        if entry.get("type") == "RichPercentage":
-            values[name] = (values[name],)
+    try:
+        for entry in step.entry:
+            name = entry.get("name", "").lower()
+            # An unknown one is refused with the values below.
+            values[name] = known[name].from_script(entry.attrib) if name in known else None
+            if entry.get("type") == "RichPercentage":
+                values[name] = (values[name],)
+        values = _lengths(step.own, values)
+        step.own.values(values, diagonal=1.0, selected=False)
+    except (ParameterError, ChoiceError) as exc:
+        msg = f"{step.name}, {place}: {exc}"
+        raise ParameterError(msg) from exc
     return values
 
 
 def _lengths(chosen: Filter, values: dict[str, Any]) -> dict[str, Any]:
-    """Wrap lengths as pymeshlab does: absolute ones, or percent of the diagonal."""
-    from pymeshlab import PercentageValue, PureValue
+    """Wrap lengths as pymeshlab does: absolute ones, or percent of the diagonal.
+
+    Raises
+    ------
+    ParameterError    a percentage out of range
+    """
+    from pymeshlab import InvalidPercentageException, PercentageValue, PureValue
 
     out = dict(values)
     for parameter in chosen.parameters:
         if parameter.kind == "length" and parameter.name in values:
             value = values[parameter.name]
             percent = isinstance(value, tuple)
-            out[parameter.name] = PercentageValue(value[0]) if percent else PureValue(value)
+            try:
+                out[parameter.name] = PercentageValue(value[0]) if percent else PureValue(value)
+            except InvalidPercentageException as exc:
+                msg = f"Parameter {parameter.name}: {exc}"
+                raise ParameterError(msg) from exc
     return out
 
 
@@ -239,6 +269,10 @@ def _run_native(meshes: Any, step: Step, where: str) -> None:
     """Let MeshLab apply one filter of its own."""
     from pymeshlab import PyMeshLabException
 
+    if not meshes.mesh_number() and step.name not in CREATING:
+        msg = (f"{step.name} requires at least one mesh loaded in the MeshSet ({where}), try "
+               f"load_new_mesh()")
+        raise InvalidMeshError(msg)
     root = ElementTree.Element("FilterScript")
     root.append(step.entry)
     adapter.restore_script(meshes, HEAD + ElementTree.tostring(root))

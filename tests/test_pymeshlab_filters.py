@@ -179,6 +179,8 @@ def test_time_and_effect_appear_in_the_log(capfd):
     ({"stepsmoothnum": -1}, "got -1; expected an int of at least 0"),
     ({"selected": 1}, "Parameter selected: got 1; expected a bool"),
     ({"density": "even"}, "Enum 'even' not found. Possible values are 'keep'; 'uniform';"),
+    ({"density": np.ones(3)}, "Enum '.*' not found"),
+    ({"density": 3}, "Enum 3 not valid. Must be a value between 0 and 2"),
 ])
 def test_wrong_parameters_are_named_in_the_words_of_meshlab(given, words):
     meshes = flat_set()
@@ -195,6 +197,15 @@ def test_wrong_parameters_are_named_in_the_words_of_meshlab(given, words):
         meshes.apply_filter("apply_coord_odt")
     with pytest.raises(pymeshlab.PyMeshLabException, match="Filter does not exist"):
         meshes.filter_parameter_values("apply_coord_odt")
+
+
+def test_choices_have_numbers_as_in_meshlab():
+    meshes = flat_set()
+    for i, choice in enumerate(("keep", "uniform", "inverse-volume")):
+        values = meshes.filter_parameter_values("apply_coord_odt_smoothing", density=np.int64(i))
+        assert values["density"] == choice
+    with pytest.raises(pymeshlab.PyMeshLabException, match="got 0; expected an int of at least 1"):
+        meshes.meshing_odt_optimization(iterations=0)
 
 
 def test_lengths_are_percentages_or_pure_values_as_in_meshlab():
@@ -216,7 +227,7 @@ def test_meshes_that_a_filter_cannot_take_are_named_in_the_words_of_meshlab():
     crossed = pymeshlab.Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]),
                              np.array([[0, 1, 2], [0, 3, 2]]))
     double = pymeshlab.Mesh(np.eye(3), np.array([[0, 1, 2], [0, 1, 2]]))
-    for mesh, words in ((None, "requires at least one mesh"),
+    for mesh, words in ((None, "^[a-z_]+ requires at least one mesh loaded in the MeshSet.$"),
                         (pymeshlab.Mesh(np.eye(3)), "does not have any faces"),
                         (sphere().current_mesh, "curved surface.*generate_odt_tetrahedralization"),
                         (crossed, r"1 face .*meshing_re_orient_faces_coherently"),
@@ -238,14 +249,12 @@ def test_meshes_that_a_filter_cannot_take_are_named_in_the_words_of_meshlab():
 
 
 def test_the_boundary_cannot_move_yet_and_that_is_said():
-    from odt_plugins.options import CHOICES
-
     meshes = flat_set()
-    if "slide" in CHOICES["boundary"]:
-        meshes.apply_coord_odt_smoothing(boundary=True)
-        return
-    with pytest.raises(pymeshlab.PyMeshLabException, match="boundary: got True; expected False"):
-        meshes.apply_coord_odt_smoothing(boundary=True)
+    for call in (meshes.apply_coord_odt_smoothing, meshes.meshing_odt_optimization,
+                 lambda **given: meshes.filter_parameter_values("apply_coord_cpt_smoothing",
+                                                                **given)):
+        with pytest.raises(pymeshlab.PyMeshLabException, match="boundary: got True; expected Fal"):
+            call(boundary=True)
 
 
 @pytest.fixture(scope="module")
@@ -362,6 +371,17 @@ def test_names_and_values_of_scripts(tmp_path):
      InvalidOptionError, "got 'many'; expected a value of type RichInt"),
     ([ENTRY.format("ODT Smoothing", '<Param name="Density" value="9"/>')],
      InvalidOptionError, "got '9'; expected a value of type RichEnum"),
+    ([ENTRY.format("ODT Smoothing", '<Param name="Density" value="even"/>')],
+     InvalidOptionError, "Enum 'even' not found"),
+    ([ENTRY.format("ODT Smoothing", '<Param name="Boundary" value="true"/>')],
+     InvalidOptionError, "^ODT Smoothing, filter 2 of 2 in .*some.mlx: Parameter boundary: got Tr"),
+    ([ENTRY.format("ODT Smoothing", '<Param name="stepSmoothNum" value="-1"/>')],
+     InvalidOptionError, "stepsmoothnum: got -1; expected an int of at least 0"),
+    ([ENTRY.format("ODT Tetrahedralization", '<Param name="TargetLen" value="0"/>')],
+     InvalidOptionError, r"targetlen: got 0\.0; expected a positive length"),
+    ([ENTRY.format("ODT Tetrahedralization",
+                   '<Param name="MaxSurfDist" type="RichPercentage" value="-2"/>')],
+     InvalidOptionError, "maxsurfdist: Invalid percentage -- value must be between 0 and 100"),
 ])
 def test_broken_scripts_change_nothing(tmp_path, entries, error, words):
     meshes = flat_set()
