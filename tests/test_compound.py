@@ -27,7 +27,7 @@ def test_the_journal_takes_every_flip_back(seed):
     mesh = complex_of(points, cells)
     before = contents(mesh)
     journal = np.zeros((1 << 14, 4), dtype=np.int64)
-    work = make_work()
+    work = make_work(np.empty(0))
     rng = np.random.default_rng(seed)
     done = 0
     for c in rng.permutation(len(cells)):
@@ -37,11 +37,11 @@ def test_the_journal_takes_every_flip_back(seed):
         if op < 6:
             _, n_new = remove_edge(
                 mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status,
-                c, op, mesh.slots, mesh.free, QUALITY, 1.0, 10, OPEN, True, work, journal)
+                c, op, mesh.slots, mesh.free, QUALITY, 1.0, 10, OPEN, np.inf, work, journal)
         else:
             _, n_new = flip_facet(
                 mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status,
-                c, op - 6, mesh.slots, mesh.free, QUALITY, 1.0, OPEN, True, work, journal)
+                c, op - 6, mesh.slots, mesh.free, QUALITY, 1.0, OPEN, np.inf, work, journal)
         done += n_new > 0
         if done == 40:
             break

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import tet_meshes as tm
 
-from odt_plugins.engine import cavity, sphere
+from odt_plugins.engine import cavity, flips3d, sphere
 from odt_plugins.engine.complex import make_complex
 from odt_plugins.engine.finishing import flip_pending
 from odt_plugins.engine.tetrahedron import (
@@ -240,3 +240,26 @@ def test_marked_cells_own_the_facets_that_are_not_delaunay(labels):
         count += sphere.mark_non_delaunay(*arrays, cut, n)
         assert set(np.flatnonzero(mesh.status).tolist()) == bad
         assert count == len(bad) > 20
+
+
+@pytest.mark.parametrize("objective", [ENERGY, QUALITY])
+def test_remembered_costs_are_those_of_the_cells(objective):
+    points, cells = tm.grid(5, 12)
+    meshes = [complex_of(points, cells) for _ in range(2)]
+    remembered = np.full(len(meshes[0].cells), cavity.UNKNOWN)
+    for turn in range(3):
+        flips = []
+        for mesh, costs in zip(meshes, (remembered, np.empty(0)), strict=True):
+            order = mesh.live().astype(np.int32)
+            mesh.status[:] = cavity.PENDING
+            flips.append(flips3d.flip_pass(
+                mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status,
+                costs, order, mesh.slots, mesh.free, objective, 1.0, 10, OPEN,
+            ))
+        assert flips[0] == flips[1]
+        assert flips[0] > 0 or turn > 0
+        assert np.array_equal(meshes[0].cells, meshes[1].cells)
+        known = [c for c in meshes[0].live() if remembered[c] != cavity.UNKNOWN]
+        assert len(known) > 20
+        for c in known:
+            assert remembered[c] == tet_cost(points, *meshes[0].cells[c], objective, 1.0)

@@ -16,13 +16,19 @@ from odt_plugins.mesh import ByteArray, FloatArray, IntArray, LongArray
 IDLE, PENDING, DONE = 0, 1, 2
 MAX_RING = 10
 CELL, NEIGHBOR, STATUS, FREE, SLOT = 0, 1, 2, 3, 4
+UNKNOWN = -1.0
+"""Cost of a cell that was not computed yet."""
 
-Work = tuple[IntArray, IntArray, IntArray, FloatArray, IntArray, IntArray, IntArray]
+Work = tuple[IntArray, IntArray, IntArray, FloatArray, IntArray, IntArray, IntArray, FloatArray]
 
 
 @njit(nogil=True, cache=True)
-def make_work() -> Work:
-    """Work arrays for one thread: ring, cells around, new cells, table, splits, stack, rim."""
+def make_work(costs: FloatArray) -> Work:
+    """Work arrays for one thread: ring, cells around, new cells, table, splits, stack, rim, costs.
+
+    ``costs`` (room,) holds what is known of the cells' costs, see :func:`cell_cost`; empty when
+    the cells change in other ways than by flips.
+    """
     return (
         np.empty(MAX_RING, np.int32),
         np.empty(4 * MAX_RING, np.int32),
@@ -31,6 +37,7 @@ def make_work() -> Work:
         np.empty((MAX_RING, MAX_RING), np.int32),
         np.empty((2 * MAX_RING, 2), np.int32),
         np.empty((16 * MAX_RING, 5), np.int32),
+        costs,
     )
 
 
@@ -52,10 +59,14 @@ def local_edge(e: int) -> tuple[int, int, int, int]:
 
 @kernel
 def walk_ring(
-    cells: IntArray, neighbors: IntArray, regions: IntArray, c: int, e: int, ring: IntArray,
-    around: IntArray,
+    cells: IntArray, neighbors: IntArray, regions: IntArray, status: ByteArray, c: int, e: int,
+    longest: int, fresh: bool, ring: IntArray, around: IntArray,
 ) -> tuple[int, int, int]:
-    """Collect the ring of edge e of cell c: its ends and length, 0 if the edge must stay."""
+    """Collect the ring of edge e of cell c: its ends and length, 0 if the edge must stay.
+
+    That is so on a boundary or interface, when the ring is longer than ``longest``, and when it
+    is to be ``fresh`` but a cell around the edge was visited before.
+    """
     i, j, k, l = local_edge(e)
     a = cells[c, i]
     b = cells[c, j]
@@ -70,11 +81,11 @@ def walk_ring(
         n += 1
         if head == first:
             return a, b, n
-        if n == MAX_RING:
+        if n == longest:
             return a, b, 0
         ring[n] = head
         across = neighbors[current, behind]
-        if across < 0 or regions[across] != regions[c]:
+        if across < 0 or regions[across] != regions[c] or (fresh and status[across] == DONE):
             return a, b, 0
         pivot = head
         for m in range(4):
@@ -84,6 +95,22 @@ def walk_ring(
             elif v != a and v != b:
                 head = v
         current = across
+
+
+@kernel
+def cell_cost(
+    points: FloatArray, cells: IntArray, c: int, objective: int, power: float, costs: FloatArray
+) -> float:
+    """Cost of cell c, remembered in ``costs`` until the cell is replaced."""
+    if costs.shape[0] == 0:
+        return tet_cost(
+            points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], objective, power
+        )
+    if costs[c] < 0.0:
+        costs[c] = tet_cost(
+            points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], objective, power
+        )
+    return costs[c]
 
 
 @kernel

@@ -24,7 +24,7 @@ ROUNDS = 2
 DEEP = 2.0
 """A descent that is still this many times the worst cell's own cost down is given up."""
 HOPELESS = 10.0
-"""A forced flip that costs more than this many times the worst cell's own cost is not tried."""
+"""A forced flip may raise the cost by this many times the worst cell's own."""
 GAIN = 1e-3
 """Least gain, as part of the worst cell's own cost, for which a compound move stays."""
 
@@ -88,7 +88,7 @@ def compound_pass(
     -------
     int    number of compound moves that stayed
     """
-    work = make_work()
+    work = make_work(np.empty(0))
     around = work[1]
     journal = np.zeros((1 << 14, 4), np.int64)
     touched = np.empty(MOST_TOUCHED, np.int32)
@@ -115,17 +115,14 @@ def compound_pass(
             if op < 6:
                 total, n_new = remove_edge(
                     points, cells, neighbors, regions, locked, status, c, op, slots, free,
-                    objective, power, max_ring, bounds, True, work, journal,
+                    objective, power, max_ring, bounds, HOPELESS * own, work, journal,
                 )
             else:
                 total, n_new = flip_facet(
                     points, cells, neighbors, regions, locked, status, c, op - 6, slots, free,
-                    objective, power, bounds, True, work, journal,
+                    objective, power, bounds, HOPELESS * own, work, journal,
                 )
             if n_new == 0:
-                continue
-            if total < -HOPELESS * own:
-                take_back(cells, neighbors, status, slots, free, journal)
                 continue
             n_touched = _push(touched, 0, around, n_new)
             n_undo = 0

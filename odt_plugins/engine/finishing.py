@@ -15,7 +15,7 @@ import numpy as np
 from odt_plugins.engine import compound, flips3d, smooth3d
 from odt_plugins.engine.active import spread, vertices_of_pending
 from odt_plugins.engine.adjacency import cell_neighbors
-from odt_plugins.engine.cavity import DONE
+from odt_plugins.engine.cavity import DONE, UNKNOWN
 from odt_plugins.engine.coloring import vertex_coloring
 from odt_plugins.engine.complex import PENDING, Complex, slot_stars
 from odt_plugins.engine.finish2d import finish2d
@@ -28,6 +28,8 @@ from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
 GAIN = 3e-3
 RING = 10
+BLOCK_BITS = 14
+"""The worst cells come first within 2^BLOCK_BITS slots, which lie together in memory."""
 
 
 @kernel
@@ -52,8 +54,9 @@ def measures(mesh: Complex, objective: int) -> FloatArray:
 def flip_pending(
     mesh: Complex, objective: int, power: float, ring: int, bounds: FloatArray, passes: int
 ) -> int:
-    """Flip at the pending cells, worst first, until none is left or the passes are used up."""
+    """Flip at the pending cells until none is left or the passes are used up."""
     total = 0
+    costs = np.full(len(mesh.cells), UNKNOWN)
     for _ in range(passes):
         used = int(mesh.slots[0])
         pending = np.flatnonzero(
@@ -61,14 +64,15 @@ def flip_pending(
         ).astype(np.int32)
         if objective != ENERGY:
             q = measures(mesh, objective)[pending]
-            pending = pending[np.argsort(q, kind="stable")]
+            pending = pending[np.lexsort((q, pending >> BLOCK_BITS))]
         flips = flips3d.flip_pass(
             mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status,
-            pending, mesh.slots, mesh.free, objective, power, ring, bounds,
+            costs, pending, mesh.slots, mesh.free, objective, power, ring, bounds,
         )
         total += flips
         if mesh.slots[2]:
             grow(mesh)
+            costs = np.full(len(mesh.cells), UNKNOWN)
         elif flips == 0:
             break
     return total
@@ -98,6 +102,7 @@ def descend(
     q = measures(mesh, phase.objective)
     used = len(q)
     mesh.status[:] = 0
+    active = np.zeros(len(mesh.points), dtype=bool)
     if phase.share < 1.0:
         live = int((q < 1.5).sum())
         limit = np.partition(q, int(phase.share * live))[int(phase.share * live)]
@@ -106,10 +111,11 @@ def descend(
         touched[mesh.cells[:used][bad].ravel()] = True
         near = touched[mesh.cells[:used]].any(axis=1) & (q < 1.5)
         mesh.status[:used][near] = PENDING
+        vertices_of_pending(mesh.cells[:used], mesh.status, active)
+        mesh.status[:used][~bad] = 0
     else:
         mesh.status[:used][q < 1.5] = PENDING
-    active = np.zeros(len(mesh.points), dtype=bool)
-    vertices_of_pending(mesh.cells[:used], mesh.status, active)
+        active[:] = True
     zone = ~mesh.locked if phase.share == 1.0 else active & ~mesh.locked
     moved = np.zeros(len(mesh.points))
     flips = moves = 0

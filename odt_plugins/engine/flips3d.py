@@ -12,7 +12,9 @@ from numba import njit
 from odt_plugins.engine.cavity import (
     DONE,
     PENDING,
+    UNKNOWN,
     Work,
+    cell_cost,
     local_edge,
     make_work,
     replace_cavity,
@@ -106,50 +108,55 @@ def _admissible(
 
 
 @kernel
-def _cost(points: FloatArray, cells: IntArray, c: int, objective: int, power: float) -> float:
-    return tet_cost(
-        points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], objective, power
-    )
+def _forget(costs: FloatArray, around: IntArray, n: int) -> None:
+    """Forget the costs of the cells that were replaced."""
+    if costs.shape[0] > 0:
+        for m in range(n):
+            costs[around[m]] = UNKNOWN
 
 
 @kernel
 def remove_edge(
     points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
     locked: BoolArray, status: ByteArray, c: int, e: int, slots: LongArray, free: IntArray,
-    objective: int, power: float, max_ring: int, bounds: FloatArray, forced: bool, work: Work,
+    objective: int, power: float, max_ring: int, bounds: FloatArray, allowance: float, work: Work,
     journal: LongArray,
 ) -> tuple[float, int]:
-    """Remove edge e of cell c if that lowers the cost, or at any finite cost when forced.
+    """Remove edge e of cell c if that lowers the cost, or raises it by less than the allowance.
+
+    With an ``allowance`` above 0 no bounds hold the flip back, and cells that were visited before
+    take part in it.
 
     Returns
     -------
     gain : float     cost before minus cost after; 0 when nothing was done
     n_new : int      new cells, whose slots are in the second work array
     """
-    ring, around, new, best, split, stack, rim = work
-    a, b, n = walk_ring(cells, neighbors, regions, c, e, ring, around)
-    if n < 3 or n > max_ring:
+    ring, around, new, best, split, stack, rim, costs = work
+    a, b, n = walk_ring(
+        cells, neighbors, regions, status, c, e, max_ring, objective != ENERGY and allowance == 0.0,
+        ring, around,
+    )
+    if n < 3:
         return 0.0, 0
     before = 0.0
     for m in range(n):
-        t = around[m]
-        if objective != ENERGY and not forced and status[t] == DONE and t != c:
-            return 0.0, 0
-        before += _cost(points, cells, t, objective, power)
-    limit = np.inf if forced else before * REAL
+        before += cell_cost(points, cells, around[m], objective, power, costs)
+    limit = before + allowance if allowance > 0.0 else before * REAL
     if objective != ENERGY and limit <= 2.0 * (n - 2):
         return 0.0, 0
     after = triangulate_ring(points, a, b, ring, n, objective, power, limit, best, split)
     if not after < limit:
         return 0.0, 0
     n_new = write_ring(a, b, ring, n, split, new, stack)
-    if not forced and not _admissible(
+    if allowance == 0.0 and not _admissible(
         points, cells, locked, around, n, new, n_new, objective, bounds
     ):
         return 0.0, 0
     if not replace_cavity(cells, neighbors, regions, status, around, n, new, n_new, slots, free,
                           rim, journal):
         return 0.0, 0
+    _forget(costs, around, n_new)
     return before - after, n_new
 
 
@@ -157,22 +164,22 @@ def remove_edge(
 def flip_facet(
     points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
     locked: BoolArray, status: ByteArray, c: int, f: int, slots: LongArray, free: IntArray,
-    objective: int, power: float, bounds: FloatArray, forced: bool, work: Work,
+    objective: int, power: float, bounds: FloatArray, allowance: float, work: Work,
     journal: LongArray,
 ) -> tuple[float, int]:
     """2-3 flip of facet f of cell c; arguments and results as :func:`remove_edge`."""
-    _, around, new, _, _, _, rim = work
+    _, around, new, _, _, _, rim, costs = work
     across = neighbors[c, f]
     if across < 0 or regions[across] != regions[c]:
         return 0.0, 0
-    if objective != ENERGY and not forced and status[across] == DONE:
+    if objective != ENERGY and allowance == 0.0 and status[across] == DONE:
         return 0.0, 0
     apex = apex_across(cells, c, f, across)
     base = cells[c, f]
     u, v, w = opposite_vertices(cells, c, base)
-    before = _cost(points, cells, c, objective, power)
-    before += _cost(points, cells, across, objective, power)
-    limit = np.inf if forced else before * REAL
+    before = cell_cost(points, cells, c, objective, power, costs)
+    before += cell_cost(points, cells, across, objective, power, costs)
+    limit = before + allowance if allowance > 0.0 else before * REAL
     if objective != ENERGY and limit <= 3.0:
         return 0.0, 0
     after = tet_cost(points, base, u, v, apex, objective, power)
@@ -195,12 +202,16 @@ def flip_facet(
     new[2, 2] = u
     around[0] = c
     around[1] = across
-    if not forced and not _admissible(points, cells, locked, around, 2, new, 3, objective, bounds):
+    n_old, n_new = np.int64(2), np.int64(3)
+    if allowance == 0.0 and not _admissible(
+        points, cells, locked, around, n_old, new, n_new, objective, bounds
+    ):
         return 0.0, 0
-    if not replace_cavity(cells, neighbors, regions, status, around, 2, new, 3, slots, free, rim,
-                          journal):
+    if not replace_cavity(cells, neighbors, regions, status, around, n_old, new, n_new, slots,
+                          free, rim, journal):
         return 0.0, 0
-    return before - after, 3
+    _forget(costs, around, n_new)
+    return before - after, int(n_new)
 
 
 @kernel
@@ -236,7 +247,7 @@ def improve_cell(
             continue
         gain, n_new = remove_edge(
             points, cells, neighbors, regions, locked, status, c, e, slots, free, objective,
-            power, max_ring, bounds, False, work, journal,
+            power, max_ring, bounds, 0.0, work, journal,
         )
         if n_new > 0:
             return gain, n_new
@@ -245,7 +256,7 @@ def improve_cell(
             continue
         gain, n_new = flip_facet(
             points, cells, neighbors, regions, locked, status, c, f, slots, free, objective,
-            power, bounds, False, work, journal,
+            power, bounds, 0.0, work, journal,
         )
         if n_new > 0:
             return gain, n_new
@@ -255,8 +266,8 @@ def improve_cell(
 @njit(nogil=True, cache=True)
 def flip_pass(
     points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
-    locked: BoolArray, status: ByteArray, order: IntArray, slots: LongArray, free: IntArray,
-    objective: int, power: float, max_ring: int, bounds: FloatArray,
+    locked: BoolArray, status: ByteArray, costs: FloatArray, order: IntArray, slots: LongArray,
+    free: IntArray, objective: int, power: float, max_ring: int, bounds: FloatArray,
 ) -> int:
     """Try every edge removal and 2-3 flip at the pending cells, in the given order.
 
@@ -267,6 +278,7 @@ def flip_pass(
     regions : (room,) int32
     locked : (n,) bool                    vertices that no smoothing can move
     status : (room,) uint8                IDLE, PENDING or DONE; changed in place
+    costs : (room,) float64               of the cells, UNKNOWN where not computed; kept up to date
     order : (k,) int32                    cells to visit, worst first
     slots, free                           see ``cavity.replace_cavity``
     objective, power                      see ``tetrahedron.tet_cost``
@@ -278,7 +290,7 @@ def flip_pass(
     -------
     int                                   number of flips taken
     """
-    work = make_work()
+    work = make_work(costs)
     journal = np.full((1, 4), -1, np.int64)
     flips = 0
     for o in range(order.shape[0]):
