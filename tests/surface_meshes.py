@@ -154,6 +154,30 @@ def moebius(k=30):
     return np.concatenate(points), np.array(cells)
 
 
+def sheet(k, height=lambda x, y: 0.0 * x):
+    """Triangles of k x k squares over the unit square, with a height."""
+    x, y = np.meshgrid(np.linspace(0, 1, k + 1), np.linspace(0, 1, k + 1), indexing="ij")
+    points = np.stack([x, y, height(x, y)], axis=-1).reshape(-1, 3)
+    return points, grid(k + 1, k + 1)
+
+
+def ring():
+    """A flat square with a square hole in the middle."""
+    points, cells = sheet(5)
+    return points, cells[np.abs(points[cells][:, :, :2].mean(axis=1) - 0.5).max(axis=1) > 0.15]
+
+
+def plate(points, cells, thickness):
+    """The closed surface around a flat one, with a thickness."""
+    n = len(points)
+    edges = np.concatenate([cells[:, [i, (i + 1) % 3]] for i in range(3)])
+    inner = set(map(tuple, edges[:, ::-1].tolist()))
+    a, b = np.array([e for e in edges.tolist() if tuple(e) not in inner]).T
+    walls = np.concatenate([np.stack([b, a, a + n], 1), np.stack([b, a + n, b + n], 1)])
+    both = np.concatenate([cells, cells[:, ::-1] + n, walls])
+    return np.concatenate([points, points - np.array([0, 0, thickness])]), both
+
+
 def turned(points, seed=2):
     """Points after a random rotation and shift."""
     rng = np.random.default_rng(seed)

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import surface_meshes as sm
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from reference_surface import samples, to_surface, to_triangle
 
 from odt_plugins.engine.surface.closest import closest_on_triangle, walk
 from odt_plugins.engine.surface.envelope import distances, uncovered, within
@@ -14,34 +14,7 @@ from odt_plugins.engine.surface.overlay import height_over, make_overlay_work
 from odt_plugins.engine.surface.reference import make_reference, make_surface
 from odt_plugins.errors import InvalidMeshError
 
-
-def grid(k, height=lambda x, y: 0.0 * x):
-    """Triangles of a k by k grid of squares over the unit square, with a height."""
-    x, y = np.meshgrid(np.linspace(0, 1, k + 1), np.linspace(0, 1, k + 1), indexing="ij")
-    points = np.stack([x, y, height(x, y)], axis=-1).reshape(-1, 3)
-    corner = (np.arange(k)[:, None] * (k + 1) + np.arange(k)).ravel()
-    a, b, c, d = corner, corner + k + 1, corner + k + 2, corner + 1
-    return points, np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)]).astype(np.int32)
-
-
-def sphere(k):
-    """A cube of grids, its points moved to the unit sphere; seams are closed."""
-    flat, cells = grid(k)
-    sides, all_cells = [], []
-    for axis in range(3):
-        for sign in (-1.0, 1.0):
-            q = 2.0 * flat - 1.0
-            q[:, 2] = sign
-            side = np.roll(q, axis, axis=1)
-            sides.append(side)
-            turned = cells if sign > 0 else cells[:, ::-1]
-            all_cells.append(turned + len(flat) * len(all_cells))
-    points, index = np.unique(np.round(np.concatenate(sides), 12), axis=0, return_inverse=True)
-    return (
-        points / np.linalg.norm(points, axis=1)[:, None],
-        index.ravel()[np.concatenate(all_cells)].astype(np.int32),
-    )
-
+ONE = np.array([[0, 1, 2]], dtype=np.int32)
 
 coordinate = st.floats(-1, 1, allow_nan=False, width=32)
 point = st.tuples(coordinate, coordinate, coordinate)
@@ -52,20 +25,20 @@ point = st.tuples(coordinate, coordinate, coordinate)
 def test_closest_point_of_one_triangle(a, b, c, x):
     corners = np.array([a, b, c])
     square, _, *foot = closest_on_triangle(*x, corners, 0, 1, 2)
-    expected = to_triangle(np.array([x]), *corners)[0]
+    expected = sm.distances(np.array([x]), corners, ONE)[0]
     assert np.sqrt(square) == pytest.approx(expected, abs=1e-7)
     assert np.linalg.norm(np.array(foot) - x) == pytest.approx(np.sqrt(square), abs=1e-12)
-    assert to_triangle(np.array([foot]), *corners)[0] < 1e-7
+    assert sm.distances(np.array([foot]), corners, ONE)[0] < 1e-7
 
 
 def test_tree_and_walk_agree_with_the_slow_twin():
-    points, cells = sphere(6)
+    points, cells = sm.sphere(3)
     rng = np.random.default_rng(11)
     x = rng.normal(size=(200, 3))
     x *= rng.uniform(0.8, 1.2, 200)[:, None] / np.linalg.norm(x, axis=1)[:, None]
     reference = make_reference(points, cells)
     distance, face, foot = reference.closest(x)
-    expected = to_surface(x, points, cells)
+    expected = sm.distances(x, points, cells)
     np.testing.assert_allclose(distance, expected, atol=1e-14)
     np.testing.assert_allclose(np.linalg.norm(foot - x, axis=1), expected, atol=1e-14)
     for i in range(200):
@@ -81,29 +54,29 @@ def test_tree_and_walk_agree_with_the_slow_twin():
 @given(st.integers(0, 2**32), st.floats(0.002, 0.2), st.floats(0.0, 0.1))
 def test_never_within_when_a_sample_is_outside(seed, envelope, noise):
     rng = np.random.default_rng(seed)
-    points, cells = grid(4, lambda x, y: 0.1 * np.sin(5 * x + y))
+    points, cells = sm.sheet(4, lambda x, y: 0.1 * np.sin(5 * x + y))
     reference = make_reference(points + noise * rng.normal(size=points.shape), cells)
-    moved, triangles = grid(int(rng.integers(2, 6)), lambda x, y: 0.1 * np.sin(5 * x + y))
+    moved, triangles = sm.sheet(int(rng.integers(2, 6)), lambda x, y: 0.1 * np.sin(5 * x + y))
     moved += 0.3 * envelope * rng.normal(size=moved.shape)
     sure = within(reference, moved, triangles, envelope)
-    there = samples(moved, triangles, 12)
-    far = reference.closest(there.reshape(-1, 3))[0].reshape(len(triangles), -1).max(axis=1)
+    there = sm.samples(moved, triangles, 12)
+    far = reference.closest(there)[0].reshape(len(triangles), -1).max(axis=1)
     assert not (sure & (far > envelope * (1 + 1e-12))).any()
     left = uncovered(reference, moved, triangles, envelope)
     covered = np.ones(len(cells), dtype=bool)
     covered[left.triangles] = False
-    there = samples(reference.points, cells, 12)
+    there = sm.samples(reference.points, cells, 12)
     result = make_reference(moved, triangles)
-    far = result.closest(there.reshape(-1, 3))[0].reshape(len(cells), -1).max(axis=1)
+    far = result.closest(there)[0].reshape(len(cells), -1).max(axis=1)
     assert not (covered & (far > envelope * (1 + 1e-12))).any()
 
 
 def test_most_of_what_is_within_is_known_to_be():
-    points, cells = sphere(12)
-    other, triangles = sphere(11)
+    points, cells = sm.sphere(3, 0.1)
+    other, triangles = sm.sphere(3, 0.1, seed=8)
     reference = make_reference(points, cells)
-    there = samples(other, triangles, 12)
-    far = reference.closest(there.reshape(-1, 3))[0].reshape(len(triangles), -1).max(axis=1)
+    there = sm.samples(other, triangles, 12)
+    far = reference.closest(there)[0].reshape(len(triangles), -1).max(axis=1)
     for envelope in (0.5 * far.max(), 0.8 * far.max(), 1.05 * far.max()):
         sure = within(reference, other, triangles, envelope)
         assert sure.sum() >= 0.9 * (far <= envelope).sum()
@@ -114,14 +87,14 @@ def test_most_of_what_is_within_is_known_to_be():
 @given(st.integers(0, 2**32), st.sampled_from([1e-2, 1e-4]))
 def test_bounds_enclose_the_sampled_distance(seed, tolerance):
     rng = np.random.default_rng(seed)
-    a = grid(5, lambda x, y: 0.1 * np.sin(4 * x * y))
-    b = grid(4, lambda x, y: 0.1 * np.sin(4 * x * y) + 0.05 * rng.normal(size=x.shape))
+    a = sm.sheet(5, lambda x, y: 0.1 * np.sin(4 * x * y))
+    b = sm.sheet(4, lambda x, y: 0.1 * np.sin(4 * x * y) + 0.05 * rng.normal(size=x.shape))
     found = distances(a, b, tolerance)
     for first, second, upper, lower in (
         (a, b, found.forward_upper, found.forward_lower),
         (b, a, found.backward_upper, found.backward_lower),
     ):
-        there = samples(*first, 12).reshape(-1, 3)
+        there = sm.samples(*first, 12)
         far = make_reference(*second).closest(there)[0].max()
         assert far <= upper
         assert lower <= upper <= lower + tolerance
@@ -129,8 +102,8 @@ def test_bounds_enclose_the_sampled_distance(seed, tolerance):
 
 
 def test_distance_of_two_parallel_squares_and_of_a_surface_to_itself():
-    points, cells = grid(3)
-    raised, other = grid(7)
+    points, cells = sm.sheet(3)
+    raised, other = sm.sheet(7)
     raised[:, 2] += 0.25
     found = distances((points, cells), (raised, other), 1e-6)
     np.testing.assert_allclose(found, 0.25, atol=1e-12)
@@ -143,8 +116,8 @@ def test_distance_of_two_parallel_squares_and_of_a_surface_to_itself():
 
 @pytest.mark.parametrize("scale", [1e-6, 1.0, 1e6])
 def test_scale_and_place_do_not_matter(scale):
-    points, cells = sphere(5)
-    other, triangles = sphere(4)
+    points, cells = sm.sphere(2, 0.1)
+    other, triangles = sm.sphere(2, 0.1, seed=8)
     expected = distances((points, cells), (other, triangles), 1e-4)
     shift = 10 * scale * np.array([1.0, -2.0, 3.0])
     found = distances(
@@ -161,11 +134,11 @@ def test_scale_and_place_do_not_matter(scale):
 
 
 def test_flat_triangles_of_the_reference():
-    points, cells = grid(3)
+    points, cells = sm.sheet(3)
     points = np.concatenate([points, points[:1]])
     flat = np.array([[0, 0, 1], [0, 16, 5], [4, 8, 12], [3, 3, 3]], dtype=np.int32)
     reference = make_reference(points, np.concatenate([cells, flat]))
-    other, triangles = grid(5)
+    other, triangles = sm.sheet(5)
     other[:, 2] += 0.01
     assert within(reference, other, triangles, 0.012).all()
     assert not within(reference, other, triangles, 0.0099).any()
@@ -175,7 +148,7 @@ def test_flat_triangles_of_the_reference():
 
 def test_one_triangle_and_none():
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
-    cells = np.array([[0, 1, 2]], dtype=np.int32)
+    cells = ONE
     reference = make_reference(points, cells)
     assert within(reference, points, cells, 0.0).all()
     assert not uncovered(reference, points, cells, 1e-9).triangles.size
@@ -207,35 +180,17 @@ def test_neighbors_are_the_only_ones_and_run_the_other_way(rows):
             assert neighbors[c, i] == expected
 
 
-def ring():
-    """A flat square with a square hole in the middle."""
-    points, cells = grid(5)
-    return points, cells[np.abs(points[cells][:, :, :2].mean(axis=1) - 0.5).max(axis=1) > 0.15]
-
-
-def plate(points, cells, thickness):
-    """The closed surface around a flat one, with a thickness."""
-    n = len(points)
-    edges = np.concatenate([cells[:, [i, (i + 1) % 3]] for i in range(3)])
-    inner = set(map(tuple, edges[:, ::-1].tolist()))
-    a, b = np.array([e for e in edges.tolist() if tuple(e) not in inner]).T
-    walls = np.concatenate([np.stack([b, a, a + n], 1), np.stack([b, a + n, b + n], 1)])
-    below = points - np.array([0, 0, thickness])
-    both = np.concatenate([cells, cells[:, ::-1] + n, walls]).astype(np.int32)
-    return np.concatenate([points, below]), both
-
-
 @settings(max_examples=100, deadline=None)
 @given(st.integers(0, 2**32), st.booleans(), st.sampled_from([0.01, 0.03, 0.2]))
 def test_never_within_beyond_a_rim(seed, closed, envelope):
     rng = np.random.default_rng(seed)
-    reference = make_reference(*(plate(*ring(), 0.01) if closed else ring()))
+    reference = make_reference(*(sm.plate(*sm.ring(), 0.01) if closed else sm.ring()))
     corners = rng.uniform(0.0, 1.0 + 2 * envelope, (60, 3, 3))
     corners[:, :, 2] = rng.uniform(-0.5, 1.0, (60, 1)) * envelope
     corners[rng.random((60, 3)) < 0.3, :2] = 1.0
     points, cells = corners.reshape(-1, 3), np.arange(180, dtype=np.int32).reshape(-1, 3)
-    there = samples(points, cells, 16)
-    far = reference.closest(there.reshape(-1, 3))[0].reshape(60, -1).max(axis=1)
+    there = sm.samples(points, cells, 16)
+    far = reference.closest(there)[0].reshape(60, -1).max(axis=1)
     sure = within(reference, points, cells, envelope)
     assert not (sure & (far > envelope * (1 + 1e-12))).any()
     work = make_overlay_work()
@@ -249,7 +204,7 @@ def test_never_within_beyond_a_rim(seed, closed, envelope):
 
 
 def test_closed_plate_is_closed():
-    points, cells = plate(*grid(3), 0.1)
+    points, cells = sm.plate(*sm.sheet(3), 0.1)
     surface = make_surface(points, cells)
     assert (surface.neighbors >= 0).all()
     a, b, c = (points[cells[:, i]] for i in range(3))

@@ -14,8 +14,8 @@ AVERAGES = 3
 SMOOTHING = 3
 """Passes that average the logarithm of the sizes."""
 
-SHARPEST = 0.5 * np.pi
-"""Bend above which an edge is a fold and not part of a curved surface [radians]."""
+DOUBTFUL = 0.05
+"""Weight of a triangle that touches the rim or a feature against the others."""
 
 FLAT = 0.1
 """Curvature, in units of 1 / diagonal of the bounding box, below which a surface is flat."""
@@ -46,46 +46,46 @@ def vertex_curvature(
 
     Notes
     -----
-    The curvature tensor averaged over a set B is the sum over the edges of beta |e and B| e e^T,
-    divided by the area of B; beta is the signed bend between the triangles of the unit edge e.
-    Here B is one third of the star of a vertex and half its edges, then what the passes make of it.
-    A bend that is noise has its counterpart nearby and drops out. Vertices on the rim or on a
-    feature take the average of their neighbours.
+    The shape operator is the gradient of the normals n_i at the vertices, linear on a triangle:
+    |tau| grad n = sum_i n_i (n x e_i)^T / 2, with n its normal and e_i the edge opposite to corner
+    i. This is bounded whatever the shape of the triangle, and linear in the normals, so that noise
+    averages out. A vertex normal is the sum of the area vectors of its star; on the rim or on a
+    feature, of those of a triangle and its two neighbours at that vertex.
 
     References
     ----------
-    D. Cohen-Steiner, J.-M. Morvan, Restricted Delaunay triangulations and normal cycle, SoCG 2003.
+    S. Rusinkiewicz, Estimating curvatures and their derivatives on triangle meshes, 3DPVT 2004:
+    curvature from differences of vertex normals.
     """
-    n, m = len(points), len(triangles)
-    if not m:
+    n = len(points)
+    if not len(triangles):
         return np.zeros(n)
-    a, b, c = (points[triangles[:, i]] for i in range(3))
-    normals = np.cross(b - a, c - a)
-    area = 0.5 * np.sqrt((normals * normals).sum(axis=1))
-    np.divide(normals, 2.0 * area[:, None], out=normals, where=area[:, None] > 0.0)
-    tensor = np.zeros((n, 6))
+    corners = points[triangles]
+    area_vectors = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    normals = _unit(area_vectors)
+    area = 0.5 * np.sqrt((area_vectors**2).sum(axis=1))
     cut = np.zeros(n, dtype=np.bool_)
     for i in range(3):
-        start, end, across = triangles[:, (i + 1) % 3], triangles[:, (i + 2) % 3], neighbors[:, i]
-        cut[start[across < 0]] = True
-        cut[end[across < 0]] = True
-        once = np.flatnonzero(across > np.arange(m))
-        start, end = start[once], end[once]
-        edge = points[end] - points[start]
-        length = np.sqrt((edge * edge).sum(axis=1))
-        np.divide(edge, length[:, None], out=edge, where=length[:, None] > 0.0)
-        first, second = normals[once], normals[across[once]]
-        bend = np.arctan2(
-            (np.cross(first, second) * edge).sum(axis=1), (first * second).sum(axis=1)
-        )
-        bend[np.abs(bend) > SHARPEST] = 0.0
-        weight = 0.5 * bend * length
+        open_ = triangles[neighbors[:, i] < 0]
+        cut[open_[:, (i + 1) % 3]] = True
+        cut[open_[:, (i + 2) % 3]] = True
+    around = star_sum(area_vectors, triangles, n)
+    tensors = np.zeros((len(triangles), 6))
+    for i in range(3):
+        corner_normals = around[triangles[:, i]]
+        some = cut[triangles[:, i]]
+        corner_normals[some] = area_vectors[some]
+        for side in ((i + 1) % 3, (i + 2) % 3):
+            near = neighbors[some, side]
+            corner_normals[some] += np.where(near[:, None] < 0, 0.0, area_vectors[near])
+        corner_normals = _unit(corner_normals)
+        across = 0.5 * np.cross(normals, corners[:, (i + 2) % 3] - corners[:, (i + 1) % 3])
         for entry, (j, k) in enumerate(ENTRIES):
-            part = weight * edge[:, j] * edge[:, k]
-            tensor[:, entry] += np.bincount(start, part, n) + np.bincount(end, part, n)
-    tensor[cut] = 0.0
-    share = star_sum(area, triangles, n) / 3.0
-    share[cut] = 0.0
+            both = corner_normals[:, j] * across[:, k] + corner_normals[:, k] * across[:, j]
+            tensors[:, entry] += 0.5 * both
+    weight = np.where(cut[triangles].any(axis=1), DOUBTFUL, 1.0)
+    tensor = star_sum(tensors * weight[:, None], triangles, n)
+    share = star_sum(area * weight, triangles, n)
     i, j, k = triangles.T
     for _ in range(passes):
         tensor = star_sum(tensor[i] + tensor[j] + tensor[k], triangles, n)
@@ -94,6 +94,12 @@ def vertex_curvature(
     curvature: FloatArray = np.zeros(n)
     np.divide(np.sqrt(square), share, out=curvature, where=share > 0.0)
     return curvature
+
+
+def _unit(vectors: FloatArray) -> FloatArray:
+    """Vectors of length 1, or 0, (k, 3)."""
+    length = np.sqrt((vectors * vectors).sum(axis=1))[:, None]
+    return np.divide(vectors, length, out=np.zeros_like(vectors), where=length > 0.0)
 
 
 def curvature_density(
