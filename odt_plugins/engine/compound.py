@@ -10,12 +10,16 @@ from __future__ import annotations
 import numpy as np
 from numba import njit
 
-from odt_plugins.engine.cavity import DONE, IDLE, PENDING, make_work, take_back
+from odt_plugins.engine.cavity import DONE, IDLE, PENDING, Work, make_work, take_back
 from odt_plugins.engine.flips3d import flip_facet, improve_cell, remove_edge
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.smooth3d import newton_vertex
 from odt_plugins.engine.tetrahedron import quality_cost, tet_cosines, tet_measure, tet_quality
 from odt_plugins.mesh import BoolArray, ByteArray, FloatArray, IntArray, LongArray
+
+Scratch = tuple[
+    IntArray, IntArray, FloatArray, IntArray, IntArray, FloatArray, FloatArray
+]
 
 MOST_TOUCHED = 192
 MOST_FLIPS = 24
@@ -59,7 +63,7 @@ def gather_star(cells: IntArray, neighbors: IntArray, c: int, v: int, star: IntA
 
 
 @kernel
-def _push(touched: IntArray, n: int, around: IntArray, n_new: int) -> int:
+def push(touched: IntArray, n: int, around: IntArray, n_new: int) -> int:
     """Add the new cells to the touched ones, each once."""
     for m in range(n_new):
         known = False
@@ -71,6 +75,149 @@ def _push(touched: IntArray, n: int, around: IntArray, n_new: int) -> int:
             touched[n] = around[m]
             n += 1
     return n
+
+
+@njit(nogil=True, cache=True)
+def make_scratch() -> Scratch:
+    """Work arrays of a descent for one thread."""
+    return (
+        np.empty(MOST_TOUCHED, np.int32),
+        np.empty(LARGEST_STAR, np.int32),
+        np.empty((8 * MOST_TOUCHED, 3)),
+        np.empty(8 * MOST_TOUCHED, np.int32),
+        np.empty(MOST_TOUCHED, np.int32),
+        np.empty(20),
+        np.empty(3),
+    )
+
+
+@kernel
+def descend_around(
+    points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
+    locked: BoolArray, status: ByteArray, slots: LongArray, free: IntArray, objective: int,
+    power: float, max_ring: int, bounds: FloatArray, n_new: int, total: float, floor: float,
+    work: Work, journal: LongArray, scratch: Scratch,
+) -> tuple[float, int, int]:
+    """Flips and Newton steps around the cells that a forced operation wrote.
+
+    Parameters
+    ----------
+    n_new : int           cells in the second array of ``work``
+    total : float         gain of the forced operation
+    floor : float         the descent is given up when the gain is still below after its flips
+    scratch : Scratch     touched cells, star, positions to go back to and their vertices, ...
+
+    Returns
+    -------
+    total : float         gain of everything together
+    n_touched, n_undo : int
+    """
+    touched, star, undo, undo_vertex, seen, out, step = scratch
+    around = work[1]
+    n_touched = push(touched, 0, around, n_new)
+    n_undo = 0
+    flips = 0
+    for _ in range(ROUNDS):
+        m = 0
+        while m < n_touched and flips < MOST_FLIPS:
+            t = touched[m]
+            m += 1
+            if cells[t, 0] < 0 or status[t] != PENDING:
+                continue
+            status[t] = DONE
+            gain, n_new = improve_cell(
+                points, cells, neighbors, regions, locked, status, t, slots, free,
+                objective, power, max_ring, bounds, work, journal,
+            )
+            if n_new > 0:
+                total += gain
+                flips += 1
+                n_touched = push(touched, n_touched, around, n_new)
+                m = 0
+        if total < floor:
+            break
+        n_seen = 0
+        for m in range(n_touched):
+            t = touched[m]
+            if cells[t, 0] < 0:
+                continue
+            status[t] = PENDING
+            for a in range(4):
+                v = cells[t, a]
+                if locked[v] or n_undo == undo.shape[0] or n_seen == seen.shape[0]:
+                    continue
+                known = False
+                for i in range(n_seen):
+                    if seen[i] == v:
+                        known = True
+                        break
+                if known:
+                    continue
+                seen[n_seen] = v
+                n_seen += 1
+                size = gather_star(cells, neighbors, t, v, star)
+                x = points[v, 0]
+                y = points[v, 1]
+                z = points[v, 2]
+                gain = newton_vertex(
+                    points, cells, star, 0, size, v, objective, power, bounds, out, step
+                )
+                if gain > 0.0:
+                    total += gain
+                    undo_vertex[n_undo] = v
+                    undo[n_undo, 0] = x
+                    undo[n_undo, 1] = y
+                    undo[n_undo, 2] = z
+                    n_undo += 1
+    return total, n_touched, n_undo
+
+
+@kernel
+def within(
+    points: FloatArray, cells: IntArray, touched: IntArray, n_touched: int, q: float,
+    large: float, small: float,
+) -> bool:
+    """Whether no touched cell is worse than q or has a cosine outside [small, large]."""
+    for m in range(n_touched):
+        t = touched[m]
+        if cells[t, 0] < 0:
+            continue
+        if tet_quality(points, cells[t, 0], cells[t, 1], cells[t, 2], cells[t, 3]) < q:
+            return False
+        hi, lo = tet_cosines(points, cells[t, 0], cells[t, 1], cells[t, 2], cells[t, 3])
+        if hi > large or lo < small:
+            return False
+    return True
+
+
+@kernel
+def settle(
+    points: FloatArray, cells: IntArray, neighbors: IntArray, status: ByteArray,
+    slots: LongArray, free: IntArray, good: bool, n_touched: int, n_undo: int,
+    journal: LongArray, scratch: Scratch, tried: BoolArray,
+) -> None:
+    """Keep a descent and mark what it touched for another try, or take all of it back."""
+    touched, _, undo, undo_vertex, _, _, _ = scratch
+    for m in range(n_touched):
+        t = touched[m]
+        if cells[t, 0] >= 0:
+            status[t] = IDLE
+    if good:
+        for m in range(n_touched):
+            t = touched[m]
+            tried[t] = False
+            if cells[t, 0] < 0:
+                continue
+            for f in range(4):
+                if neighbors[t, f] >= 0:
+                    tried[neighbors[t, f]] = False
+        return
+    for m in range(n_undo - 1, -1, -1):
+        v = undo_vertex[m]
+        points[v, 0] = undo[m, 0]
+        points[v, 1] = undo[m, 1]
+        points[v, 2] = undo[m, 2]
+    take_back(cells, neighbors, status, slots, free, journal)
 
 
 @njit(nogil=True, cache=True)
@@ -89,15 +236,8 @@ def compound_pass(
     int    number of compound moves that stayed
     """
     work = make_work(np.empty(0))
-    around = work[1]
     journal = np.zeros((1 << 14, 4), np.int64)
-    touched = np.empty(MOST_TOUCHED, np.int32)
-    star = np.empty(LARGEST_STAR, np.int32)
-    undo = np.empty((8 * MOST_TOUCHED, 3))
-    undo_vertex = np.empty(8 * MOST_TOUCHED, np.int32)
-    seen = np.empty(MOST_TOUCHED, np.int32)
-    out = np.empty(20)
-    step = np.empty(3)
+    scratch = make_scratch()
     taken = 0
     for o in range(order.shape[0]):
         c = order[o]
@@ -124,92 +264,19 @@ def compound_pass(
                 )
             if n_new == 0:
                 continue
-            n_touched = _push(touched, 0, around, n_new)
-            n_undo = 0
-            flips = 0
-            for _ in range(ROUNDS):
-                m = 0
-                while m < n_touched and flips < MOST_FLIPS:
-                    t = touched[m]
-                    m += 1
-                    if cells[t, 0] < 0 or status[t] != PENDING:
-                        continue
-                    status[t] = DONE
-                    gain, n_new = improve_cell(
-                        points, cells, neighbors, regions, locked, status, t, slots, free,
-                        objective, power, max_ring, bounds, work, journal,
-                    )
-                    if n_new > 0:
-                        total += gain
-                        flips += 1
-                        n_touched = _push(touched, n_touched, around, n_new)
-                        m = 0
-                if total < -DEEP * own:
-                    break
-                n_seen = 0
-                for m in range(n_touched):
-                    t = touched[m]
-                    if cells[t, 0] < 0:
-                        continue
-                    status[t] = PENDING
-                    for a in range(4):
-                        v = cells[t, a]
-                        if locked[v] or n_undo == undo.shape[0] or n_seen == seen.shape[0]:
-                            continue
-                        known = False
-                        for i in range(n_seen):
-                            if seen[i] == v:
-                                known = True
-                                break
-                        if known:
-                            continue
-                        seen[n_seen] = v
-                        n_seen += 1
-                        size = gather_star(cells, neighbors, t, v, star)
-                        x = points[v, 0]
-                        y = points[v, 1]
-                        z = points[v, 2]
-                        gain = newton_vertex(
-                            points, cells, star, 0, size, v, objective, power, bounds, out,
-                            step,
-                        )
-                        if gain > 0.0:
-                            total += gain
-                            undo_vertex[n_undo] = v
-                            undo[n_undo, 0] = x
-                            undo[n_undo, 1] = y
-                            undo[n_undo, 2] = z
-                            n_undo += 1
-            good = total > GAIN * own
-            for m in range(n_touched):
-                t = touched[m]
-                if cells[t, 0] < 0:
-                    continue
-                status[t] = IDLE
-                if not good:
-                    continue
-                new_q = tet_quality(points, cells[t, 0], cells[t, 1], cells[t, 2], cells[t, 3])
-                hi, lo = tet_cosines(points, cells[t, 0], cells[t, 1], cells[t, 2], cells[t, 3])
-                good = (
-                    new_q >= min(q, bounds[0])
-                    and hi <= max(large, bounds[1])
-                    and lo >= min(small, bounds[2])
-                )
+            total, n_touched, n_undo = descend_around(
+                points, cells, neighbors, regions, locked, status, slots, free, objective, power,
+                max_ring, bounds, n_new, total, -DEEP * own, work, journal, scratch,
+            )
+            good = total > GAIN * own and within(
+                points, cells, scratch[0], n_touched, min(q, bounds[0]), max(large, bounds[1]),
+                min(small, bounds[2]),
+            )
+            settle(
+                points, cells, neighbors, status, slots, free, good, n_touched, n_undo, journal,
+                scratch, tried,
+            )
             if good:
                 taken += 1
-                for m in range(n_touched):
-                    t = touched[m]
-                    tried[t] = False
-                    if cells[t, 0] < 0:
-                        continue
-                    for f in range(4):
-                        if neighbors[t, f] >= 0:
-                            tried[neighbors[t, f]] = False
                 break
-            for m in range(n_undo - 1, -1, -1):
-                v = undo_vertex[m]
-                points[v, 0] = undo[m, 0]
-                points[v, 1] = undo[m, 1]
-                points[v, 2] = undo[m, 2]
-            take_back(cells, neighbors, status, slots, free, journal)
     return taken
