@@ -265,14 +265,24 @@ def _lengths(chosen: Filter, values: dict[str, Any]) -> dict[str, Any]:
     return out
 
 
+def _is_mesh(meshes: Any, value: str) -> bool:
+    return value.isdecimal() and bool(meshes.mesh_id_exists(int(value)))
+
+
 def _run_native(meshes: Any, step: Step, where: str) -> None:
-    """Let MeshLab apply one filter of its own."""
+    """Let MeshLab apply one filter of its own, unless it would end the process."""
     from pymeshlab import PyMeshLabException
 
     if not meshes.mesh_number() and step.name not in CREATING:
         msg = (f"{step.name} requires at least one mesh loaded in the MeshSet ({where}), try "
                f"load_new_mesh()")
         raise InvalidMeshError(msg)
+    for entry in step.entry:
+        value = entry.get("value", "")
+        if entry.get("type") == "RichMesh" and not _is_mesh(meshes, value):
+            msg = (f"{step.name}, {where}: {entry.get('name')} is {value!r}; expected the id of a "
+                   f"mesh of the MeshSet")
+            raise InvalidMeshError(msg)
     root = ElementTree.Element("FilterScript")
     root.append(step.entry)
     adapter.restore_script(meshes, HEAD + ElementTree.tostring(root))

@@ -305,6 +305,14 @@ def test_mesh_objects_of_other_meshes_stay_valid_when_edges_are_flipped():
     assert not meshes.is_current_mesh_visible()
 
 
+def test_another_mesh_with_several_textures_stays_when_edges_are_flipped(tmp_path):
+    meshes = two_textures(tmp_path)
+    meshes.add_mesh(plate())
+    with pytest.warns(ODTWarning, match="mesh 1 of the MeshSet was built anew and is now mesh 2"):
+        meshes.meshing_odt_optimization()
+    assert sorted(meshes.mesh(0).textures()) == ["rock.png", "soil.png"]
+
+
 def test_a_mesh_object_that_is_void_is_told():
     meshes = plates()
     mesh = meshes.current_mesh()

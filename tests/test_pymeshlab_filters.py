@@ -406,6 +406,31 @@ def test_other_errors_of_scripts_name_the_filter_and_its_place(tmp_path):
     assert b"<filter " not in adapter.saved_script(meshes)
 
 
+def test_scripts_that_would_crash_meshlab_are_refused(tmp_path):
+    empty = pymeshlab.MeshSet()
+    with pytest.raises(InvalidMeshError, match=r"Smooth requires at least one mesh .*1 of 1"):
+        odt_plugins.run_filter_script(empty, script(tmp_path, ENTRY.format("Taubin Smooth", "")))
+    made = [ENTRY.format("Sphere", ""), ENTRY.format("Taubin Smooth", "")]
+    assert len(odt_plugins.run_filter_script(empty, script(tmp_path, *made))) == 2
+    assert empty.mesh_number() == 1
+    for value in ("7", "-1", "", "first"):
+        other = f'<Param name="SampledMesh" type="RichMesh" value="{value}"/>'
+        file = script(tmp_path, ENTRY.format("Hausdorff Distance", other))
+        with pytest.raises(InvalidMeshError, match=f"SampledMesh is '{value}'; expected the id of"):
+            odt_plugins.run_filter_script(flat_set(), file)
+
+
+def test_ids_of_meshes_in_scripts_hold_after_flips(tmp_path):
+    """Both meshes before and after: the distance is measured between those that are named."""
+    pair = "".join(f'<Param name="{name}Mesh" type="RichMesh" value="{i}"/>'
+                   for name, i in (("Sampled", 1), ("Target", 0)))
+    meshes = flat_set()
+    meshes.add_mesh(flat(seed=4), "other")
+    odt_plugins.run_filter_script(meshes, script(
+        tmp_path, ENTRY.format("ODT Optimization", ""), ENTRY.format("Hausdorff Distance", pair)))
+    assert (meshes.mesh_number(), meshes.current_mesh_id()) == (2, 1)
+
+
 def test_script_on_the_command_line(tmp_path, capsys):
     meshes = flat_set()
     meshes.compute_color_random_per_face()

@@ -1,7 +1,7 @@
 """The filters for MeshLab as a table: names, parameters, defaults, and how values are checked.
 
-Those that move vertices change the current mesh in place, by way of a mesh that is added for a
-moment: meshes that are added to the set later have higher ids for that.
+Those that move vertices change the current mesh in place, by way of meshes that are added
+for a moment: those that are added to the set later have higher ids for that.
 """
 
 from __future__ import annotations
@@ -207,6 +207,8 @@ ITERATIONS = Parameter(
     "Iterations", "int", Options.cycles, "Iterations",
     "How often smoothing and flips are followed by the repair of the worst elements.", least=1)
 
+IDS = " Two ids of the MeshSet are used up."
+
 SMOOTHING = (STEPS, BOUNDARY, DENSITY, KEEP, SELECTED)
 
 _ALL = (
@@ -214,15 +216,15 @@ _ALL = (
         "apply_coord_odt_smoothing", "ODT Smoothing",
         "Smooth a planar mesh by Optimal Delaunay Triangulation: every vertex moves towards the "
         "weighted mean of the circumcenters of its faces. Edges are not flipped; the boundary, "
-        "also that of polylines and labelled regions, stays.", SMOOTHING),
+        "also that of polylines and labelled regions, stays." + IDS, SMOOTHING),
     Filter(
         "apply_coord_cpt_smoothing", "CPT Smoothing",
         "Smooth a planar mesh by Centroidal Patch Triangulation: every vertex moves towards the "
-        "weighted mean of the barycenters of its faces. Edges are not flipped.", SMOOTHING),
+        "weighted mean of the barycenters of its faces. Edges are not flipped." + IDS, SMOOTHING),
     Filter(
         "apply_coord_odt_global_smoothing", "ODT Global Smoothing",
         "Smooth a planar mesh by Optimal Delaunay Triangulation, all vertices at once by a linear "
-        "system in every step. Edges are not flipped.", SMOOTHING),
+        "system in every step. Edges are not flipped." + IDS, SMOOTHING),
     Filter(
         "meshing_odt_optimization", "ODT Optimization",
         "Improve a planar mesh by Optimal Delaunay Triangulation: moves vertices and flips edges. "
