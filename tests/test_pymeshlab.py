@@ -514,6 +514,23 @@ def test_faces_keep_their_textures_and_those_never_mix(name, tmp_path):
     assert uv == pytest.approx(old[faces][:, :, :2], abs=1e-6)
 
 
+def test_charts_of_a_texture_never_mix():
+    """The seam is in the texture alone: no label parts the faces."""
+    points, faces, labels = contract.grid(2, 6)
+    uv = np.round(points * 64)[faces] / 64 + (labels == 7)[:, None, None]
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(pymeshlab.Mesh(np.column_stack([points, 0 * points[:, 0]]), faces,
+                                   w_tex_coords_matrix=uv.reshape(-1, 2)))
+    assert meshes.meshing_odt_optimization()["new_faces"] > 0
+    mesh = meshes.current_mesh()
+    got = mesh.wedge_tex_coord_matrix().reshape(-1, 3, 2)
+    shift = mesh.vertex_matrix()[mesh.face_matrix()][:, :, 0].mean(axis=1) < 0.5
+    assert np.array_equal(contract.facets(mesh.face_matrix(), shift),
+                          contract.facets(faces, labels))
+    assert np.array_equal(got, np.round(points * 64)[mesh.face_matrix()] / 64
+                          + shift[:, None, None])
+
+
 @pytest.mark.parametrize("flips", [False, True])
 def test_a_texture_without_wedges_survives(flips, tmp_path):
     """A scan often has texture coordinates per vertex alone."""
