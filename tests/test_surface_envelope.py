@@ -146,6 +146,22 @@ def test_flat_triangles_of_the_reference():
     np.testing.assert_allclose(found, 0.01, atol=1e-6)
 
 
+def test_closest_point_of_three_points_on_a_line():
+    rng = np.random.default_rng(12)
+    for _ in range(100):
+        a, way = rng.random((2, 3))
+        w = np.array([0.0, 1.0, rng.choice([-1.0, 0.0, 0.5, 1.0, 2.0, rng.uniform(-1, 2)])])
+        points = a + rng.permutation([0.0, 1.0, w[2]])[:, None] * way
+        x = a + rng.uniform(-2, 3, (20, 1)) * way + rng.normal(size=(20, 3)) * rng.choice([1e-3, 1])
+        nearest = np.clip((x - a) @ way / (way @ way), w.min(), w.max())
+        expected = np.linalg.norm(x - a - nearest[:, None] * way, axis=1)
+        distance, _, foot = make_reference(points, ONE).closest(x)
+        np.testing.assert_allclose(distance, expected, atol=1e-14)
+        np.testing.assert_allclose(np.linalg.norm(foot - x, axis=1), expected, atol=1e-14)
+        square = [closest_on_triangle(*y, points, 0, 1, 2)[0] for y in x]
+        np.testing.assert_allclose(np.sqrt(square), expected, atol=1e-14)
+
+
 def test_one_triangle_and_none():
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
     cells = ONE

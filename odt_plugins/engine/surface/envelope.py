@@ -18,6 +18,9 @@ from odt_plugins.engine.surface.reference import Reference, make_reference
 from odt_plugins.engine.surface.triangle_within import faces_near, triangle_within
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
+INSET = 0.01
+"""Part of the tolerance by which a triangle is shrunk before the heights under it are looked at."""
+
 LEAST_PARTS = 100_000
 """Parts into which triangles may be cut for one distance, whatever their number."""
 
@@ -101,7 +104,8 @@ class Uncovered(NamedTuple):
 
 
 def uncovered(
-    reference: Reference, points: FloatArray, triangles: IntArray, envelope: float
+    reference: Reference, points: FloatArray, triangles: IntArray, envelope: float,
+    result: Reference | None = None,
 ) -> Uncovered:
     """Find the parts of the reference that the result may have left.
 
@@ -111,13 +115,14 @@ def uncovered(
     points : (n, 3) float64     the result
     triangles : (m, 3) int32
     envelope : float            length, not negative
+    result : Reference          of these points and triangles, when already made
 
     Returns
     -------
     Uncovered                   no triangles when every point of the reference is within
                                 ``envelope`` of the result
     """
-    result = make_reference(points, triangles)
+    result = make_reference(points, triangles) if result is None else result
     distance, feet, _ = result.closest(reference.points)
     work = make_overlay_work()
     sure = np.zeros(len(reference.triangles), dtype=np.bool_)
@@ -227,7 +232,7 @@ def one_sided(
     while len(triangles):
         bound = np.empty(len(triangles))
         _upper(
-            points, triangles, feet, distance, reference.surface, 0.25 * tolerance, work, bound
+            points, triangles, feet, distance, reference.surface, INSET * tolerance, work, bound
         )
         corners = points[triangles]
         center = corners.mean(axis=1)
