@@ -71,6 +71,8 @@ class OptionKeywords(TypedDict, total=False):
     cycles: int
     finish: bool
     boundary: Boundary
+    envelope: float
+    feature_angle: float
     fixed: ArrayLike | None
     selection: ArrayLike | None
     regions: str | ArrayLike | None
@@ -341,7 +343,7 @@ def _placed(
 
     A vertex that did not move keeps the caller's coordinates bit for bit.
     """
-    from odt_plugins.promise import broken_promises
+    from odt_plugins.engine.judge import faults
 
     moved = (outcome.points != work.mesh.points).any(axis=1)
     points = np.array(work.host.points)
@@ -351,9 +353,9 @@ def _placed(
     exact = exact if work.frame is None else work.frame.to_plane(exact)
     if np.array_equal(exact, outcome.points):
         return points, outcome
-    broken = broken_promises(work.mesh, exact, outcome.cells, outcome.regions, options.keep)
+    broken, slid = faults(work.mesh, exact, outcome.cells, outcome.regions, options)
     if not broken:
-        return points, replace(outcome, points=exact)
+        return points, replace(outcome, points=exact, slid=slid)
     return np.array(work.host.points), _input_instead(work, outcome, ROUNDED + broken[0])
 
 
@@ -361,5 +363,6 @@ def _input_instead(work: _Prepared, outcome: Outcome, fallback: str) -> Outcome:
     """The outcome with the input mesh in the place of one that must not be returned."""
     mesh = work.mesh
     return replace(
-        outcome, points=mesh.points, cells=mesh.cells, regions=mesh.regions, fallback=fallback
+        outcome, points=mesh.points, cells=mesh.cells, regions=mesh.regions, fallback=fallback,
+        slid=None,
     )

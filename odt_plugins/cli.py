@@ -45,7 +45,11 @@ HELP = {
     "finish": "Whether bad cells are finished by their quality. Without it a TetWild mesh usually "
               "comes back unchanged, since smoothing alone makes its worst cells worse and --keep "
               "refuses that; to have the smoothed mesh all the same: --no-finish --keep none.",
-    "boundary": "What happens to the boundary: fixed keeps it bit for bit.",
+    "boundary": "What happens to the boundary: fixed keeps it bit for bit, slide lets the surface "
+                "of a mesh of tetrahedra move along itself within the envelope.",
+    "envelope": "How far a surface that moves may be from the input's, both ways, as a part of the "
+                "diagonal of the bounding box.",
+    "feature_angle": "Degrees by which a surface turns at an edge that is kept.",
     "fixed": "Vertices that must not move: a file of indices (text or .npy), or the name of a "
              "point array, non-zero where fixed.",
     "selection": "Cells that may change: a file of indices (text or .npy), or the name of a "

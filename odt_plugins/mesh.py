@@ -39,6 +39,8 @@ class SimplexMesh:
     regions : (m,) int32                     label of every cell; facets between two labels stay
     fixed : (n,) bool                        vertices that must not move (boundary not included)
     frozen : (m,) bool                       cells that must stay as they are; none by default
+    stays : (k, 2) int32                     edges of the boundary that must stay edges
+    lines : (l, 2) int32                     of them, those that count as feature edges
     """
 
     points: FloatArray
@@ -46,6 +48,8 @@ class SimplexMesh:
     regions: IntArray
     fixed: BoolArray
     frozen: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    stays: IntArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int32))
+    lines: IntArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int32))
 
     def __post_init__(self) -> None:
         if self.frozen.size != len(self.cells):

@@ -12,7 +12,7 @@ from odt_plugins.errors import InvalidOptionError
 Method = Literal["odt", "cpt", "laplacian", "cvt"]
 Solver = Literal["gauss-seidel", "jacobi", "richardson", "global", "lbfgs"]
 Connectivity = Literal["auto", "delaunay", "flips", "none"]
-Boundary = Literal["fixed"]
+Boundary = Literal["fixed", "slide"]
 LinearSolver = Literal["auto", "direct", "amg"]
 
 CHOICES: dict[str, tuple[str, ...]] = {
@@ -50,7 +50,11 @@ class Options:
     rounds            most rounds of stage 1 (smoothing + connectivity) in one cycle
     cycles            how often stage 1 and stage 2 follow each other
     finish            whether stage 2, quality-driven finishing, runs
-    boundary          "fixed": bit for bit
+    boundary          "fixed": bit for bit; "slide": the surface of a mesh of tetrahedra moves
+                      along itself within the envelope, features and interfaces stay
+    envelope          how far a surface that moves may be from the input's, both ways, as a part
+                      of the diagonal of the bounding box
+    feature_angle     degrees by which a surface turns at an edge that is kept
     fixed             (n,) bool mask or vertex indices that must not move
     selection         (m,) bool mask or cell indices: only these cells may change
     regions           (m,) integer labels whose interfaces stay, or name of a cell array
@@ -71,6 +75,8 @@ class Options:
     cycles: int = 1
     finish: bool = True
     boundary: Boundary = "fixed"
+    envelope: float = 1e-3
+    feature_angle: float = 40.0
     fixed: Any = None
     selection: Any = None
     regions: Any = None
@@ -101,6 +107,10 @@ class Options:
         if self.linear_solver != "auto":
             good = self.solver == "global"
             _expect(good, "linear_solver", self.linear_solver, "'auto' unless solver is 'global'")
+        good = _is_number(self.envelope) and 0 < self.envelope < 1
+        _expect(good, "envelope", self.envelope, "a part of the diagonal, between 0 and 1")
+        good = _is_number(self.feature_angle) and 0 < self.feature_angle <= 180
+        _expect(good, "feature_angle", self.feature_angle, "degrees above 0, at most 180")
         for name, least in (("rounds", 0), ("cycles", 0), ("threads", 1)):
             value = getattr(self, name)
             good = isinstance(value, Integral) and not isinstance(value, bool)

@@ -61,6 +61,9 @@ class Report:
     binding : tuple of BindingCell          the cells that bind the minimum after, and why
     options : dict                          every option used, plain values
     versions : dict                         of this package, Python and what computes
+    slid : dict or None                     envelope, distances both ways (upper bounds), relative
+                                            change of the volume and vertices moved, when the
+                                            boundary slid
     """
 
     dim: int
@@ -78,6 +81,7 @@ class Report:
     binding: tuple[BindingCell, ...]
     options: Mapping[str, Any]
     versions: Mapping[str, str]
+    slid: Mapping[str, float] | None = None
 
     @property
     def movable_share(self) -> float:
@@ -97,6 +101,10 @@ class Report:
             lines.append(f"time   {parts}")
         if self.counts:
             lines.append("counts " + ", ".join(f"{k} {v}" for k, v in self.counts.items()))
+        if self.slid:
+            text = ("slid   {vertices} vertices; {forward:.3g} and {backward:.3g} from surface to "
+                    "surface, at most {envelope:.3g}; volume {volume:+.3%}")
+            lines.append(text.format(**self.slid))
         if self.stop_reason:
             lines.append(f"ended  {self.stop_reason}")
         if self.fallback:
@@ -152,7 +160,7 @@ def make_report(before: SimplexMesh, outcome: Outcome, options: Options) -> Repo
     new = cell_figures(outcome.points, outcome.cells)
     used = np.zeros(len(before.points), bool)
     used[before.cells] = True
-    movable = used & ~held_vertices(before)
+    movable = used & (~held_vertices(before) | (outcome.points != before.points).any(axis=1))
     return Report(
         dim=before.dim,
         before=summarize(before.points, before.cells, old),
@@ -169,6 +177,7 @@ def make_report(before: SimplexMesh, outcome: Outcome, options: Options) -> Repo
         binding=binding_cells(outcome.points, outcome.cells, outcome.regions, movable, new),
         options=_described(options),
         versions=_versions(),
+        slid=None if outcome.slid is None else outcome.slid._asdict(),
     )
 
 

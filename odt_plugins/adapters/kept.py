@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.host import KeptCells
 from odt_plugins.errors import InvalidMeshError, counted
-from odt_plugins.mesh import BoolArray, SimplexMesh, directed_facets, freeze, row_keys
+from odt_plugins.mesh import BoolArray, IntArray, SimplexMesh, directed_facets, freeze, row_keys
 
 
 def protect(mesh: SimplexMesh, kept: tuple[KeptCells, ...]) -> SimplexMesh:
@@ -24,7 +25,8 @@ def protect(mesh: SimplexMesh, kept: tuple[KeptCells, ...]) -> SimplexMesh:
 
     Returns
     -------
-    SimplexMesh                  the same mesh with more in `fixed` and `frozen`
+    SimplexMesh                  the same mesh with more in `fixed` and `frozen`; edges of lines
+                                 and triangles that stay are in `stays`, lines in `lines` too
 
     Raises
     ------
@@ -33,6 +35,8 @@ def protect(mesh: SimplexMesh, kept: tuple[KeptCells, ...]) -> SimplexMesh:
     n = len(mesh.points)
     frozen = np.zeros(len(mesh.cells), dtype=np.bool_)
     loose: list[NDArray[np.int64]] = [np.zeros(0, dtype=np.int64)]
+    stays = [mesh.stays]
+    lines = [mesh.lines]
     for kind, raw in kept:
         bad = np.flatnonzero(((raw < 0) | (raw >= n)).any(axis=1))
         if bad.size:
@@ -44,9 +48,20 @@ def protect(mesh: SimplexMesh, kept: tuple[KeptCells, ...]) -> SimplexMesh:
             raise InvalidMeshError(msg)
         rows = np.asarray(raw, dtype=np.int64)
         if rows.shape[1] > 1:
-            rows = rows[~_hold(mesh, rows, frozen)]
+            held = _hold(mesh, rows, frozen)
+            stays.append(_edges(rows[held]))
+            if rows.shape[1] == 2:
+                lines.append(_edges(rows[held]))
+            rows = rows[~held]
         loose.append(rows.ravel())
-    return freeze(mesh, frozen, np.concatenate(loose))
+    safe = freeze(mesh, frozen, np.concatenate(loose))
+    return replace(safe, stays=np.concatenate(stays), lines=np.concatenate(lines))
+
+
+def _edges(rows: NDArray[np.int64]) -> IntArray:
+    """Edges (k, 2) of lines and triangles."""
+    pairs = list(combinations(range(rows.shape[1]), 2))
+    return rows[:, pairs].reshape(-1, 2).astype(np.int32)
 
 
 def _hold(mesh: SimplexMesh, rows: NDArray[np.int64], frozen: BoolArray) -> BoolArray:

@@ -319,6 +319,7 @@ def replace_cavity(
                 for t in range(5):
                     rim[match, t] = rim[n_rim, t]
             else:
+                neighbors[c, f] = -1
                 rim[n_rim, 0] = x
                 rim[n_rim, 1] = y
                 rim[n_rim, 2] = z

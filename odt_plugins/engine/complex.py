@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.engine.adjacency import cell_neighbors
+from odt_plugins.engine.skin import Skin
 from odt_plugins.engine.star import Stars, vertex_stars
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
@@ -29,6 +30,7 @@ class Complex:
     status : (room,) uint8            1 where a flip is to be tried
     slots : (3,) int64                slots in use, free slots among them, out of room
     free : (room,) int32              stack of free slots
+    skin : Skin or None               the boundary, when it may slide
     """
 
     points: FloatArray
@@ -40,6 +42,7 @@ class Complex:
     status: NDArray[np.uint8]
     slots: NDArray[np.int64]
     free: IntArray
+    skin: Skin | None = None
 
     @property
     def dim(self) -> int:
@@ -57,7 +60,8 @@ class Complex:
 
 
 def make_complex(
-    points: FloatArray, cells: IntArray, regions: IntArray, locked: BoolArray, rim: BoolArray
+    points: FloatArray, cells: IntArray, regions: IntArray, locked: BoolArray, rim: BoolArray,
+    skin: Skin | None = None,
 ) -> Complex:
     """Build the adjacency of a valid mesh, with room for flips that add cells.
 
@@ -66,6 +70,7 @@ def make_complex(
     points : (n, d) float64          kept by reference
     cells : (m, d + 1) int32, regions : (m,) int32
     locked, rim : (n,) bool
+    skin : Skin, optional            kept by reference
     """
     m = len(cells)
     room = m if cells.shape[1] == 3 else m + m // 8 + 64
@@ -86,6 +91,7 @@ def make_complex(
         np.zeros(room, dtype=np.uint8),
         np.array([m, 0, 0], dtype=np.int64),
         np.empty(room, dtype=np.int32),
+        skin,
     )
 
 
@@ -93,7 +99,7 @@ def compacted(mesh: Complex) -> Complex:
     """Return the same mesh without free slots, with fresh room."""
     cells, regions = mesh.mesh_arrays()
     status = mesh.status[mesh.live()]
-    fresh = make_complex(mesh.points, cells, regions, mesh.locked, mesh.rim)
+    fresh = make_complex(mesh.points, cells, regions, mesh.locked, mesh.rim, mesh.skin)
     fresh.status[: len(cells)] = status
     return fresh
 

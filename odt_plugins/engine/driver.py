@@ -16,13 +16,14 @@ from odt_plugins.engine.complex import Complex, make_complex
 from odt_plugins.engine.density import Density, make_density
 from odt_plugins.engine.figures import Figures, figures
 from odt_plugins.engine.finishing import finish
-from odt_plugins.engine.geometry import boundary_vertices
+from odt_plugins.engine.geometry import boundary_vertices, interface_vertices
+from odt_plugins.engine.judge import Slid, envelope_length, faults, slides
 from odt_plugins.engine.order import curve_order
 from odt_plugins.engine.phases import Phase, bulk, cautious, tail
+from odt_plugins.engine.skin import Skin, make_skin
 from odt_plugins.engine.smoothing import Log, smooth
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
 from odt_plugins.options import Options, Progress
-from odt_plugins.promise import broken_promises
 
 LOCKED_QUALITY = 0.3
 LOCKED_ANGLES = (14.0, 157.0)
@@ -43,6 +44,7 @@ class Outcome:
     stop_reason : str               one sentence
     fallback : str or None          why an earlier state is returned, when it is
     counts : dict name -> int       sweeps, flips, exchanges, refusals
+    slid : Slid or None             how far the boundary moved, when it may slide and did
     """
 
     points: FloatArray
@@ -53,6 +55,7 @@ class Outcome:
     stop_reason: str = ""
     fallback: str | None = None
     counts: dict[str, int] = field(default_factory=dict)
+    slid: Slid | None = None
 
 
 @dataclass(frozen=True)
@@ -178,7 +181,8 @@ def run(mesh: SimplexMesh, options: Options) -> Outcome:
     inner_rim = np.ascontiguousarray(rim[frame.vertices])
     points = frame.inside(mesh.points[frame.vertices])
     regions = np.ascontiguousarray(mesh.regions[frame.active])
-    start = make_complex(points, cells, regions, inner_locked, inner_rim)
+    skin = _skin(mesh, options, frame, points, cells) if slides(mesh, options) else None
+    start = make_complex(points, cells, regions, inner_locked, inner_rim, skin)
     before = figures(points, cells)
     memory = Memory(before, tuple(options.keep), by_score=options.finish)
     density = _density(mesh, options, frame, points, cells)
@@ -200,7 +204,30 @@ def run(mesh: SimplexMesh, options: Options) -> Outcome:
     clock = time.perf_counter()
     outcome = _best(mesh, frame, inner_locked, memory, options, log, reason)
     times["check"] = time.perf_counter() - clock
-    return replace(outcome, times=times, energy=log.energy, counts=log.counts)
+    outcome = replace(outcome, times=times, energy=log.energy, counts=log.counts)
+    if skin is None or outcome.slid is not None:
+        return outcome
+    fixed = run(mesh, replace(options, boundary="fixed"))
+    reasons = [outcome.fallback or outcome.stop_reason, fixed.fallback]
+    return replace(
+        fixed, fallback="the boundary is left as it is; " + "; ".join(r for r in reasons if r)
+    )
+
+
+def _skin(
+    mesh: SimplexMesh, options: Options, frame: Frame, points: FloatArray, cells: IntArray
+) -> Skin:
+    """The boundary as it may slide; interfaces, fixed vertices and frozen cells hold it."""
+    number = np.full(len(mesh.points), -1, dtype=np.int32)
+    number[frame.vertices] = np.arange(len(frame.vertices), dtype=np.int32)
+    held = mesh.fixed | interface_vertices(mesh.cells, len(mesh.points), mesh.regions)
+    held[mesh.cells[mesh.frozen]] = True
+    stays, lines = (number[pairs] for pairs in (mesh.stays, mesh.lines))
+    return make_skin(
+        points, cells, held=held[frame.vertices],
+        envelope=envelope_length(mesh, options) * frame.scale, angle=options.feature_angle,
+        stays=stays[(stays >= 0).all(axis=1)], lines=lines[(lines >= 0).all(axis=1)],
+    )
 
 
 def _unchanged(mesh: SimplexMesh, reason: str) -> Outcome:
@@ -329,19 +356,20 @@ def _best(
     broken: list[str] = [f"{name} would be worse" for name in memory.worse]
     for rank, state in enumerate(memory.states):
         points = mesh.points.copy()
-        free = ~locked
+        start = frame.inside(mesh.points[frame.vertices])
+        free = (state.points != start).any(axis=1) if slides(mesh, options) else ~locked
         points[frame.vertices[free]] = frame.outside(state.points[free])
         cells = np.concatenate([mesh.cells[mesh.frozen], frame.vertices[state.cells]])
         regions = np.concatenate([mesh.regions[mesh.frozen], state.regions])
-        faults = broken_promises(mesh, points, cells, regions, tuple(options.keep))
-        if not faults:
+        broken_now, slid = faults(mesh, points, cells, regions, options)
+        if not broken_now:
             fallback = None
             if rank or state.name == "finishing alone":
                 fallback = f"a later state was given up ({'; '.join(broken)})"
             return Outcome(points, np.ascontiguousarray(cells), regions, stop_reason=reason,
-                           fallback=fallback)
+                           fallback=fallback, slid=slid)
         log.add("states refused", 1)
-        broken = faults
+        broken = broken_now
     if not broken:
         return _unchanged(mesh, f"nothing could be improved ({reason})")
     unchanged = _unchanged(mesh, reason)

@@ -21,6 +21,7 @@ from odt_plugins.engine.complex import PENDING, Complex, slot_stars
 from odt_plugins.engine.finish2d import finish2d
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.phases import Phase
+from odt_plugins.engine.skin import flip_skin, slide
 from odt_plugins.engine.star import Stars
 from odt_plugins.engine.tetrahedron import ENERGY, tet_measure
 from odt_plugins.engine.threads import run_chunks
@@ -118,9 +119,12 @@ def descend(
         active[:] = True
     zone = ~mesh.locked if phase.share == 1.0 else active & ~mesh.locked
     moved = np.zeros(len(mesh.points))
+    if mesh.skin is not None:
+        mesh.skin.allow(phase.share < 1.0)
     flips = moves = 0
     for _ in range(phase.rounds):
-        round_flips = flip_pending(mesh, phase.objective, phase.power, RING, bounds, 4)
+        round_flips = _flip_surface(mesh, phase, bounds)
+        round_flips += flip_pending(mesh, phase.objective, phase.power, RING, bounds, 4)
         flips += round_flips
         used = int(mesh.slots[0])
         mesh.status[mesh.status == DONE] = 0
@@ -134,6 +138,8 @@ def descend(
                 _smooth_chunk, mesh.points, cells, stars, coloring.order, phase, bounds, moved
             )
             moves += sum(run_chunks(pool, threads, coloring, work))
+            if mesh.skin is not None:
+                moves += slide(mesh, mesh.skin, stars, active, phase, bounds, moved)
             pushed = spread(cells, stars.indptr, stars.indices, moved, GAIN, active, mesh.status)
         if pushed == 0 and round_flips == 0:
             break
@@ -145,6 +151,17 @@ def descend(
         if taken == 0:
             break
     return flips, moves
+
+
+def _flip_surface(mesh: Complex, phase: Phase, bounds: FloatArray) -> int:
+    """Flip edges of a surface that slides, around the pending cells."""
+    if mesh.skin is None:
+        return 0
+    near = mesh.status[: int(mesh.slots[0])] == PENDING
+    flips = flip_skin(mesh, mesh.skin, near, phase, bounds)
+    if mesh.slots[2]:
+        grow(mesh)
+    return flips
 
 
 def _smooth_chunk(

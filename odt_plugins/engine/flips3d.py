@@ -38,7 +38,7 @@ REAL = 1.0 - 1e-9
 
 
 @kernel
-def _admissible(
+def admissible(
     points: FloatArray, cells: IntArray, locked: BoolArray, old: IntArray, n_old: int,
     new: IntArray, n_new: int, objective: int, bounds: FloatArray,
 ) -> bool:
@@ -149,7 +149,7 @@ def remove_edge(
     if not after < limit:
         return 0.0, 0
     n_new = write_ring(a, b, ring, n, split, new, stack)
-    if allowance == 0.0 and not _admissible(
+    if allowance == 0.0 and not admissible(
         points, cells, locked, around, n, new, n_new, objective, bounds
     ):
         return 0.0, 0
@@ -203,7 +203,7 @@ def flip_facet(
     around[0] = c
     around[1] = across
     n_old, n_new = np.int64(2), np.int64(3)
-    if allowance == 0.0 and not _admissible(
+    if allowance == 0.0 and not admissible(
         points, cells, locked, around, n_old, new, n_new, objective, bounds
     ):
         return 0.0, 0

@@ -145,6 +145,16 @@ def boundary_facets(cells: IntArray, neighbors: IntArray | None = None) -> IntAr
     return facets
 
 
+def interface_vertices(cells: IntArray, n_points: int, regions: IntArray) -> BoolArray:
+    """Mark the vertices (n,) of facets between two regions (m,)."""
+    neighbors = cell_neighbors(cells)
+    apart = (neighbors >= 0) & (regions[neighbors] != regions[:, None])
+    cell, opposite = np.nonzero(apart)
+    mask = np.zeros(n_points, dtype=np.bool_)
+    mask[cells[cell[:, None], FACETS[cells.shape[1]][opposite]]] = True
+    return mask
+
+
 def boundary_vertices(
     cells: IntArray,
     n_points: int,

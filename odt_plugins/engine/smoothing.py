@@ -149,7 +149,7 @@ def exchange(mesh: Complex, log: Log) -> Complex:
     log.add("regions exchanged", stats.exchanged)
     if not stats.exchanged:
         return mesh
-    return make_complex(mesh.points, cells, regions, mesh.locked, mesh.rim)
+    return make_complex(mesh.points, cells, regions, mesh.locked, mesh.rim, mesh.skin)
 
 
 def local_flips(

@@ -96,7 +96,7 @@ def _work_off(
         d = cells[s, j]
         if not _pays(sheet, a, b, c, d, power, bounds):
             continue
-        if not _is_free(sheet, t, a, s, d) or not _keeps_normals(
+        if not edge_is_free(sheet, t, a, s, d) or not keeps_normals(
             sheet, ground, a, b, c, d, limits.cosine
         ):
             continue
@@ -107,7 +107,7 @@ def _work_off(
         pair[1] = s
         number = claim(sheet, ground, 2, limits.distance, work)
         if number < 0:
-            _flip_back(sheet, t, s, e)
+            flip_back(sheet, t, s, e)
             continue
         cover(sheet, 2, number, work)
         changed[t] = True
@@ -127,7 +127,7 @@ def _work_off(
 
 
 @kernel
-def _flip_back(sheet: Sheet, t: int, s: int, e: int) -> None:
+def flip_back(sheet: Sheet, t: int, s: int, e: int) -> None:
     """Undo a flip: flipped again, the edge is as before, and the two triangles change places."""
     i = 0
     while sheet.cell_edges[t, i] != e:
@@ -204,7 +204,7 @@ def _norm(x: float, y: float, z: float) -> float:
 
 
 @kernel
-def _is_free(sheet: Sheet, t: int, a: int, s: int, d: int) -> bool:
+def edge_is_free(sheet: Sheet, t: int, a: int, s: int, d: int) -> bool:
     """Whether there is no edge from a to d yet; the triangles around one of them tell."""
     if not sheet.pinched[a]:
         return not _meets(sheet, t, a, d)
@@ -234,7 +234,7 @@ def _meets(sheet: Sheet, start: int, centre: int, other: int) -> bool:
 
 
 @kernel
-def _keeps_normals(
+def keeps_normals(
     sheet: Sheet, ground: Ground, a: int, b: int, c: int, d: int, cosine: float
 ) -> bool:
     """Whether the new triangles face as the ground does, or no worse than the old ones."""

@@ -8,6 +8,7 @@ from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.star import OffsetArray
 from odt_plugins.engine.surface.closest import Ground
 from odt_plugins.engine.surface.lines import Lines, line_direction
+from odt_plugins.engine.surface.plane_step import plane_step
 from odt_plugins.engine.surface.position import (
     DECREASE,
     axis_across,
@@ -155,19 +156,7 @@ def smooth_vertices(
             continue
         g1, g2 = derivatives[0], derivatives[1]
         h11, h12, h22 = derivatives[2], derivatives[3], derivatives[4]
-        if on_a_line:
-            g2 = h12 = 0.0
-            h22 = abs(h11)
-        middle = 0.5 * (h11 + h22)
-        radius = math.sqrt(0.25 * (h11 - h22) * (h11 - h22) + h12 * h12)
-        shift = max(0.0, 1e-2 * (abs(middle) + radius) - (middle - radius))
-        h11 += shift
-        h22 += shift
-        determinant = h11 * h22 - h12 * h12
-        if not determinant > 0.0:
-            continue
-        d1 = (h12 * g2 - h22 * g1) / determinant
-        d2 = (h12 * g1 - h11 * g2) / determinant
+        d1, d2 = plane_step(g1, g2, h11, h12, h22, on_a_line)
         slope = g1 * d1 + g2 * d2
         if not -slope > DECREASE * cost:
             continue

@@ -1,0 +1,144 @@
+"""The surface of a tetrahedral mesh that slides: from cells to a sheet, and passes over it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import TYPE_CHECKING
+
+import numpy as np
+
+from odt_plugins.engine.boundary_flips import flip_boundary
+from odt_plugins.engine.geometry import boundary_facets, signed_volumes
+from odt_plugins.engine.slide import slide_vertices
+from odt_plugins.engine.star import Stars, vertex_stars
+from odt_plugins.engine.surface.build import make_ground, make_sheet
+from odt_plugins.engine.surface.closest import Ground
+from odt_plugins.engine.surface.features import find_features
+from odt_plugins.engine.surface.lines import Lines
+from odt_plugins.engine.surface.sheet import HELD, Limits, Sheet, make_work
+from odt_plugins.mesh import BoolArray, FloatArray, IntArray
+from odt_plugins.surface import surface_edges
+
+if TYPE_CHECKING:
+    from odt_plugins.engine.complex import Complex
+    from odt_plugins.engine.phases import Phase
+
+WITHIN = 0.97
+"""Part of the envelope that the guards allow; the rest is for the rounding of the way back."""
+
+VOLUME = 2.9e-3
+"""Largest change of the volume, as a part of it."""
+
+RESERVE = 0.4
+"""Part of that change which descents over the whole mesh leave to those at the worst cells."""
+
+TURN = 30.0
+"""Degrees by which a triangle of the surface may be turned against the input surface."""
+
+
+@dataclass(frozen=True)
+class Skin:
+    """The boundary of a tetrahedral mesh, on its way over the input surface.
+
+    Attributes
+    ----------
+    sheet : Sheet           shares its points with the mesh
+    ground : Ground, lines : Lines, limits : Limits
+    stays : (e,) bool       edges of the sheet that are not flipped
+    volume : (2,) float64   change of the volume so far, the largest change now
+    most : float            the largest change at the end
+    fan : (n,) int32        a triangle of the sheet around every vertex, -1 inside
+    """
+
+    sheet: Sheet
+    ground: Ground
+    lines: Lines
+    limits: Limits
+    stays: BoolArray
+    volume: FloatArray
+    most: float
+    fan: IntArray
+
+    @property
+    def free(self) -> BoolArray:
+        """Vertices (n,) that may slide."""
+        return np.asarray(self.sheet.kind != HELD)
+
+    def allow(self, everything: bool) -> None:
+        """Set the largest change of the volume: all of it, or all but the reserve."""
+        self.volume[1] = self.most if everything else (1.0 - RESERVE) * self.most
+
+
+def make_skin(
+    points: FloatArray, cells: IntArray, *, held: BoolArray, envelope: float, angle: float,
+    stays: IntArray, lines: IntArray,
+) -> Skin:
+    """Lay the boundary of a mesh out for sliding.
+
+    Parameters
+    ----------
+    points : (n, 3) float64     shared with the mesh
+    cells : (m, 4) int32        positive
+    held : (n,) bool            vertices that must not move; no edge between two of them is flipped
+    envelope : float            length
+    angle : float               degrees by which the surface turns at a feature edge
+    stays : (k, 2) int32        edges that must stay edges
+    lines : (l, 2) int32        edges that count as feature edges
+    """
+    n = len(points)
+    triangles = boundary_facets(cells)
+    edges = surface_edges(triangles, n)
+    features = find_features(
+        points, triangles, edges, vertex_stars(triangles, n), angle=angle, fixed=held,
+        marked=lines,
+    )
+    ground = make_ground(points, triangles, edges, vertex_stars(triangles, n), features)
+    sheet = make_sheet(points, triangles, edges, features)._replace(points=points)
+    limit = (WITHIN * envelope) ** 2
+    fan = np.full(n, -1, dtype=np.int32)
+    fan[triangles] = np.arange(len(triangles), dtype=np.int32)[:, None]
+    low, high = edges.vertices.T
+    keys = np.sort(stays, axis=1).astype(np.int64) @ np.array([n, 1])
+    kept = held[low] & held[high] | np.isin(low.astype(np.int64) * n + high, keys)
+    most = VOLUME * float(signed_volumes(points, cells).sum())
+    return Skin(
+        sheet, ground, features.lines, Limits(limit, limit, math.cos(math.radians(TURN))), kept,
+        np.array([0.0, most]), most, fan,
+    )
+
+
+def slide(
+    mesh: Complex, skin: Skin, stars: Stars, active: BoolArray, phase: Phase, bounds: FloatArray,
+    moved: FloatArray,
+) -> int:
+    """Move the active vertices of the surface once; returns how many moved.
+
+    Parameters
+    ----------
+    mesh : Complex, skin : Skin
+    stars : Stars            of the slots
+    active : (n,) bool
+    phase : Phase
+    bounds : (6,) float64
+    moved : (n,) float64     see ``slide.slide_vertices``
+    """
+    order = np.flatnonzero(active & skin.free).astype(np.int32)
+    own = vertex_stars(skin.sheet.triangles, len(mesh.points))
+    return int(slide_vertices(
+        mesh.cells, stars.indptr, stars.indices, order, phase.objective, phase.power, bounds,
+        skin.sheet, skin.ground, skin.lines, own.indptr, own.indices, skin.limits, skin.volume,
+        make_work(skin.ground, own), moved,
+    ))
+
+
+def flip_skin(mesh: Complex, skin: Skin, near: BoolArray, phase: Phase, bounds: FloatArray) -> int:
+    """Flip edges of the surface around the cells ``near`` (used slots,); returns how many."""
+    used = len(near)
+    near = near & (mesh.cells[:used, 0] >= 0) & (mesh.neighbors[:used] < 0).any(axis=1)
+    return int(flip_boundary(
+        mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status,
+        np.flatnonzero(near).astype(np.int32), mesh.slots, mesh.free, phase.objective,
+        phase.power, bounds, skin.sheet, skin.ground, skin.limits, skin.stays, skin.volume,
+        skin.fan, make_work(skin.ground),
+    ))

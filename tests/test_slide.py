@@ -1,0 +1,296 @@
+"""Tetrahedra whose boundary slides along the input surface."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import meshio
+import numpy as np
+import pytest
+from surface_meshes import two_sided
+from tet_meshes import ball, brute_neighbors, dihedral_angles, facets_of, quality, signed_volumes
+
+import odt_plugins
+from odt_plugins.engine.complex import make_complex
+from odt_plugins.engine.finishing import _flip_surface, finish
+from odt_plugins.engine.phases import Phase, bulk, tail
+from odt_plugins.engine.skin import make_skin
+from odt_plugins.errors import InvalidOptionError
+from odt_plugins.mesh import simplex_mesh
+from odt_plugins.promise import broken_promises
+
+DATA = Path(odt_plugins.__file__).parent / "compare" / "data"
+LIMITS = np.array([0.0, 1.0, -1.0, 0.3, 0.97, -0.92])
+NONE = np.zeros((0, 2), dtype=np.int32)
+
+
+def boundary(cells):
+    """Facets of one cell, outward, (b, 3)."""
+    every = np.concatenate([cells[:, f] for f in ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))])
+    _, first, count = np.unique(
+        np.sort(every, axis=1), axis=0, return_index=True, return_counts=True
+    )
+    return every[np.sort(first[count == 1])]
+
+
+def diagonal(points):
+    return float(np.linalg.norm(np.ptp(points, axis=0)))
+
+
+def stored(name):
+    mesh = meshio.read(DATA / name)
+    return mesh.points, mesh.cells_dict["tetra"].astype(np.int32)
+
+
+def skinned(points, cells, envelope=1e-2, held=None, stays=NONE):
+    """A complex whose boundary slides."""
+    mesh, _ = simplex_mesh(points, cells)
+    rim = np.zeros(len(points), dtype=bool)
+    rim[boundary(mesh.cells)] = True
+    held = np.zeros(len(points), dtype=bool) if held is None else held
+    x = mesh.points.copy()
+    skin = make_skin(
+        x, mesh.cells, held=held, envelope=envelope * diagonal(x), angle=40.0, stays=stays,
+        lines=NONE,
+    )
+    return make_complex(x, mesh.cells, mesh.regions, rim | held, rim, skin)
+
+
+def box(k=6, inside=160, seed=4):
+    """A cube: jittered vertices in its faces and inside, exact ones on its edges."""
+    rng = np.random.default_rng(seed)
+    g = np.linspace(0.0, 1.0, k)
+    x = np.stack(np.meshgrid(g, g, g, indexing="ij"), axis=-1).reshape(-1, 3)
+    ends = (x == 0.0) | (x == 1.0)
+    faces = x[ends.sum(axis=1) == 1]
+    faces += np.where((faces == 0.0) | (faces == 1.0), 0.0, rng.uniform(-0.05, 0.05, faces.shape))
+    points = np.concatenate(
+        [x[ends.sum(axis=1) > 1], faces, rng.uniform(0.12, 0.88, (inside, 3))]
+    )
+    from scipy.spatial import Delaunay
+
+    cells = Delaunay(points).simplices.astype(np.int32)
+    volume = signed_volumes(points, cells)
+    cells[volume < 0.0] = cells[volume < 0.0][:, [1, 0, 2, 3]]
+    return points, cells[np.abs(volume) > 1e-12]
+
+
+@pytest.mark.parametrize(
+    ("name", "mean", "one", "least", "below", "angle"),
+    [("bunny.vtu", 0.825, 0.57, 0.20, 35, 11.7), ("cgal-bunny.vtu", 0.832, 0.53, 0.22, 35, 15.0)],
+)
+def test_sliding_reaches_what_a_fixed_boundary_cannot(name, mean, one, least, below, angle):
+    points, cells = stored(name)
+    (x, t), report = odt_plugins.optimize_with_report((points, cells), boundary="slide")
+    q = quality(x, t)
+    small = dihedral_angles(x, t).min(axis=1)
+    assert q.mean() >= mean
+    assert np.quantile(q, 0.01) >= one
+    assert q.min() >= least
+    assert (small < 20.0).sum() <= below
+    assert small.min() >= angle
+    assert (signed_volumes(x, t) > 0.0).all()
+    old, new = signed_volumes(points, cells).sum(), signed_volumes(x, t).sum()
+    assert abs(new / old - 1.0) <= 3e-3
+    assert report.slid["volume"] == pytest.approx(new / old - 1.0, rel=1e-9)
+    assert report.slid["forward"] <= report.slid["envelope"]
+    assert report.slid["envelope"] == pytest.approx(1e-3 * diagonal(points))
+    assert "slid" in str(report)
+
+
+def test_distances_of_the_report_are_those_of_samples():
+    points, cells = ball(400, 3)
+    (x, t), report = odt_plugins.optimize_with_report(
+        (points, cells), boundary="slide", envelope=5e-3
+    )
+    forward, backward = two_sided(points, boundary(cells), x, boundary(t))
+    assert 0.0 < forward <= report.slid["backward"] * (1.0 + 1e-9)
+    assert 0.0 < backward <= report.slid["forward"] * (1.0 + 1e-9)
+    assert max(report.slid["forward"], report.slid["backward"]) <= 5e-3 * diagonal(points)
+
+
+def test_a_cube_keeps_its_faces_edges_and_corners():
+    points, cells = box()
+    x, t = odt_plugins.optimize((points, cells), boundary="slide")
+    assert signed_volumes(x, t).sum() == pytest.approx(1.0, abs=1e-13)
+    moved = (x != points).any(axis=1)
+    flat = (points == 0.0) | (points == 1.0)
+    assert moved[flat.any(axis=1)].sum() > 40
+    assert np.array_equal(x[flat], points[flat])
+    assert not moved[flat.sum(axis=1) == 3].any()
+    on_edges = flat.sum(axis=1) >= 2
+    pairs = {tuple(p) for p in edges_on(boundary(cells), on_edges, flat)}
+    assert pairs
+    assert pairs == {tuple(p) for p in edges_on(boundary(t), on_edges, flat)}
+    assert quality(x, t).mean() > quality(*odt_plugins.optimize((points, cells))).mean()
+
+
+def edges_on(triangles, on_edges, flat):
+    """Edges of triangles that lie on an edge of the cube."""
+    sides = triangles[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)
+    pairs = np.unique(np.sort(sides, axis=1), axis=0)
+    both = (flat[pairs[:, 0]] & flat[pairs[:, 1]]).sum(axis=1) == 2
+    return pairs[on_edges[pairs].all(axis=1) & both].tolist()
+
+
+def test_a_fixed_boundary_is_the_default_and_stays():
+    points, cells = ball(300, 5)
+    x, _ = odt_plugins.optimize((points, cells))
+    rim = np.unique(boundary(cells))
+    assert np.array_equal(x[rim].view(np.int64), points[rim].view(np.int64))
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_sheet_cells_and_adjacency_agree_after_every_pass(seed):
+    points, cells = ball(350, seed)
+    mesh = skinned(points, cells)
+    for phase in (*bulk(3), *tail(3)):
+        finish(mesh, (phase,), LIMITS, None, 1)
+        live = mesh.live()
+        t = mesh.cells[live]
+        assert (signed_volumes(mesh.points, t) > 0.0).all()
+        row = np.full(len(mesh.cells), -1)
+        row[live] = np.arange(len(live))
+        inner = mesh.neighbors[live]
+        assert np.array_equal(np.where(inner >= 0, row[inner], -1), brute_neighbors(t))
+        ours, theirs = (
+            {tuple(np.roll(f, -int(np.argmin(f))).tolist()) for f in triangles}
+            for triangles in (mesh.skin.sheet.triangles, boundary(t))
+        )
+        assert ours == theirs
+        for v in np.unique(mesh.skin.sheet.triangles):
+            assert v in mesh.skin.sheet.triangles[mesh.skin.fan[v]]
+
+
+def test_the_change_of_the_volume_is_counted_and_bounded():
+    points, cells = ball(500, 8)
+    mesh = skinned(points, cells, envelope=0.05)
+    before = signed_volumes(mesh.points, mesh.cells[mesh.live()]).sum()
+    finish(mesh, (*bulk(3), *tail(3)), LIMITS, None, 1)
+    change = signed_volumes(mesh.points, mesh.cells[mesh.live()]).sum() - before
+    assert mesh.skin.volume[0] == pytest.approx(change, abs=1e-12 * before)
+    assert 1e-4 * before < abs(change) <= 2.9e-3 * before
+
+
+def test_flips_of_the_surface_lower_the_cost():
+    points, cells = ball(500, 2)
+    mesh = skinned(points, cells, envelope=0.02)
+
+    def total():
+        return (quality(mesh.points, mesh.cells[mesh.live()]) ** -2.0).sum()
+
+    before = total()
+    mesh.status[: mesh.slots[0]] = 1
+    flips = _flip_surface(mesh, Phase(2.0, 1.0, 1, 1), LIMITS)
+    assert flips > 10
+    assert total() < before
+    assert len(facets_of(mesh.cells[mesh.live()])) > 0
+
+
+def test_edges_that_stay_are_not_flipped_and_held_vertices_not_moved():
+    points, cells = ball(350, 4)
+    rim = boundary(cells)
+    edges = np.unique(np.sort(rim[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1), axis=0)
+    held = np.zeros(len(points), dtype=bool)
+    held[np.unique(rim)[::3]] = True
+    mesh = skinned(points, cells, held=held, stays=edges.astype(np.int32))
+    finish(mesh, (*bulk(3), *tail(3)), LIMITS, None, 1)
+    now = {tuple(sorted(f)) for f in mesh.skin.sheet.triangles.tolist()}
+    assert now == {tuple(sorted(f)) for f in rim.tolist()}
+    assert np.array_equal(mesh.points[held], points[held])
+    assert (mesh.points != points)[np.unique(rim)].any()
+
+
+def test_regions_fixed_vertices_and_frozen_cells_stay():
+    points, cells = ball(600, 6)
+    middle = points[cells].mean(axis=1)
+    regions = (middle[:, 0] > 0.0).astype(int)
+    mesh, _ = simplex_mesh(points, cells, regions=regions)
+    rim = boundary(cells)
+    fixed = np.unique(rim)[::7]
+    selection = middle[:, 2] < 0.5
+    x, t, r = odt_plugins.optimize(
+        (points, cells, regions), boundary="slide", fixed=fixed, selection=selection,
+    )
+    assert np.array_equal(x[fixed], points[fixed])
+    frozen = {tuple(sorted(c)) for c in cells[~selection].tolist()}
+    assert frozen <= {tuple(sorted(c)) for c in t.tolist()}
+    assert np.array_equal(x[cells[~selection]], points[cells[~selection]])
+    assert interface(t, r) == interface(cells, regions)
+    shared = np.unique([v for f in interface(cells, regions) for v in f])
+    assert np.array_equal(x[shared], points[shared])
+    assert (x != points)[np.unique(rim)].any()
+    assert mesh.dim == 3
+
+
+def interface(cells, regions):
+    """Facets between two labels."""
+    sides = {}
+    for c, label in zip(np.sort(cells, axis=1).tolist(), np.asarray(regions).tolist(), strict=True):
+        for i in range(4):
+            sides.setdefault(tuple(c[:i] + c[i + 1 :]), set()).add(label)
+    return {f for f, labels in sides.items() if len(labels) == 2}
+
+
+def test_triangles_and_lines_of_a_file_stay_in_it(tmp_path):
+    points, cells = ball(400, 7)
+    rim = boundary(cells)
+    source = tmp_path / "in.msh"
+    meshio.write_points_cells(
+        source, points, [("tetra", cells), ("triangle", rim)],
+        cell_data={"gmsh:physical": [np.ones(len(cells), int), np.arange(len(rim)) % 3 + 2],
+                   "gmsh:geometrical": [np.ones(len(cells), int), np.ones(len(rim), int)]},
+        file_format="gmsh22", binary=False,
+    )
+    result = odt_plugins.optimize(source, boundary="slide")
+    kept = result.cells_dict["triangle"]
+    assert np.array_equal(kept, rim)
+    assert {tuple(sorted(f)) for f in boundary(result.cells_dict["tetra"]).tolist()} == {
+        tuple(sorted(f)) for f in rim.tolist()
+    }
+    assert (result.points != points)[np.unique(rim)].any()
+
+
+def test_the_judge_sees_what_breaks():
+    points, cells = ball(300, 9)
+    mesh, _ = simplex_mesh(points, cells)
+
+    def judged(x, t, before=mesh):
+        regions = np.zeros(len(t), dtype=np.int32)
+        return " ".join(broken_promises(before, x, t, regions, (), slides=True))
+
+    assert judged(mesh.points, mesh.cells) == ""
+    assert "volume went" in judged(1.01 * mesh.points, mesh.cells)
+    on_rim = np.isin(mesh.cells, np.unique(boundary(mesh.cells)))
+    assert "facets" in judged(mesh.points, mesh.cells[on_rim.sum(axis=1) < 4][1:])
+    held, _ = simplex_mesh(points, cells, fixed=np.unique(boundary(cells)))
+    moved = mesh.points * (1.0 + 1e-6)
+    assert judged(moved, mesh.cells) == ""
+    assert "fixed vertex" in judged(moved, mesh.cells, held)
+
+
+@pytest.mark.parametrize("options", [{"envelope": 0.0}, {"envelope": -1e-3}, {"envelope": "x"},
+                                     {"feature_angle": 0.0}, {"boundary": "free"}])
+def test_wrong_options_are_named(options):
+    points, cells = ball(100, 1)
+    with pytest.raises(InvalidOptionError, match=next(iter(options))):
+        odt_plugins.optimize((points, cells), **options)
+
+
+def test_threads_and_repeats_give_the_same_bits():
+    points, cells = ball(500, 10)
+    one, two = (
+        odt_plugins.optimize((points, cells), boundary="slide", threads=k) for k in (1, 2)
+    )
+    assert np.array_equal(one[0], two[0])
+    assert np.array_equal(one[1], two[1])
+
+
+@pytest.mark.parametrize(("scale", "shift"), [(2.0**-30, 0.0), (2.0**30, 0.0), (1.0, 1024.0)])
+def test_sliding_does_not_see_scale_or_place(scale, shift):
+    points, cells = ball(300, 11)
+    points = np.round(points * 2.0**24) / 2.0**24
+    x, t = odt_plugins.optimize((points, cells), boundary="slide")
+    y, s = odt_plugins.optimize((points * scale + shift, cells), boundary="slide")
+    assert np.array_equal(t, s)
+    assert np.abs((y - shift) / scale - x).max() <= 1e-12
