@@ -130,7 +130,7 @@ def _option_flags(command: Callable[..., Any]) -> Callable[..., Any]:
             flag = f"{flag}/--no-{field.name.replace('_', '-')}"
         elif hint is int:
             settings["type"] = click.IntRange(min=1 if field.name == "threads" else 0)
-        elif field.name in ("exponent", "omega"):
+        elif hint is float or field.name in ("exponent", "omega"):
             settings["type"] = float
         elif field.name == "keep":
             settings |= {"default": ",".join(FIGURES), "callback": _figure_names}

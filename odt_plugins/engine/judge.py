@@ -1,4 +1,4 @@
-"""The promise as the engine and the hosts ask for it, with the envelope of a surface that slides."""
+"""The promise as the engine and hosts ask for it, with the envelope of a surface that slides."""
 
 from __future__ import annotations
 
