@@ -8,6 +8,7 @@ from math import factorial
 import numpy as np
 
 from odt_plugins.engine.adjacency import cell_neighbors
+from odt_plugins.engine.kernel import kernel
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
 FACETS = {
@@ -23,6 +24,27 @@ def edge_vectors(points: FloatArray, cells: IntArray) -> FloatArray:
     return edges
 
 
+@kernel
+def _fill_volumes(points: FloatArray, cells: IntArray, volumes: FloatArray) -> None:
+    m, k = cells.shape
+    for c in range(m):
+        o = cells[c, 0]
+        i = cells[c, 1]
+        j = cells[c, 2]
+        ax, ay = points[i, 0] - points[o, 0], points[i, 1] - points[o, 1]
+        bx, by = points[j, 0] - points[o, 0], points[j, 1] - points[o, 1]
+        if k == 3:
+            volumes[c] = (ax * by - ay * bx) / 2.0
+        else:
+            n = cells[c, 3]
+            az, bz = points[i, 2] - points[o, 2], points[j, 2] - points[o, 2]
+            cx, cy = points[n, 0] - points[o, 0], points[n, 1] - points[o, 1]
+            cz = points[n, 2] - points[o, 2]
+            volumes[c] = (
+                ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+            ) / 6.0
+
+
 def signed_volumes(points: FloatArray, cells: IntArray) -> FloatArray:
     """Signed volume of every cell; the area of triangles in space, which has no sign.
 
@@ -35,14 +57,16 @@ def signed_volumes(points: FloatArray, cells: IntArray) -> FloatArray:
     -------
     (m,) float64               det(x_1 - x_0, ..., x_d - x_0) / d!  [length unit to the power d]
     """
-    e = edge_vectors(points, cells)
-    if e.shape[1:] == (2, 3):
-        det = np.linalg.norm(np.cross(e[:, 0], e[:, 1]), axis=1)
-    elif e.shape[1] == 2:
-        det = e[:, 0, 0] * e[:, 1, 1] - e[:, 0, 1] * e[:, 1, 0]
-    else:
-        det = np.einsum("mi,mi->m", e[:, 0], np.cross(e[:, 1], e[:, 2]))
-    volumes: FloatArray = det / factorial(e.shape[1])
+    if cells.shape[1] == 3 and points.shape[1] == 3:
+        e = edge_vectors(points, cells)
+        areas: FloatArray = 0.5 * np.linalg.norm(np.cross(e[:, 0], e[:, 1]), axis=1)
+        return areas
+    volumes = np.empty(len(cells))
+    _fill_volumes(
+        np.ascontiguousarray(points, dtype=np.float64),
+        np.ascontiguousarray(cells, dtype=np.int32),
+        volumes,
+    )
     return volumes
 
 

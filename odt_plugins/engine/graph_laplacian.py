@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
-import warnings
 from collections.abc import Callable
 from functools import partial
 from typing import Any, Literal
@@ -13,26 +11,26 @@ import scipy.sparse as sp
 from scipy.sparse.linalg import splu
 
 from odt_plugins.engine.density import cell_density, inverse_volume_density
-from odt_plugins.engine.energy import energy
-from odt_plugins.engine.geometry import barycenters, circumcenters, signed_volumes
-from odt_plugins.engine.gradient import centers_gradient
+from odt_plugins.engine.geometry import signed_volumes
 from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.multigrid import solve_amg
 from odt_plugins.engine.star import OffsetArray
+from odt_plugins.engine.step_gradient import step_gradient
 from odt_plugins.engine.sweeps import HALVINGS, StepStats, guarded_move, move_stats
 from odt_plugins.engine.topology import Topology
-from odt_plugins.errors import InvalidOptionError, NotConvergedWarning
+from odt_plugins.engine.total_energy import frozen_energy
+from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
+
+LONGEST = 2.0
+"""Most that alpha is lengthened to where the energy is least along a step."""
 
 LinearSolve = Callable[[Any, FloatArray], FloatArray]
 Objective = Callable[[FloatArray], float]
 
-DIRECT_LIMIT = 10_000
-"""Unknowns up to which "auto" factorises: fill-in grows like n^(4/3) in space."""
-
-AMG_TOLERANCE = 1e-12
-"""Relative residual asked of the multigrid solver."""
-
-AMG_ITERATIONS = 100
+DIRECT_LIMIT = 2000
+"""Unknowns up to which "auto" factorises: fill-in grows like n^(4/3) in space, and from there on
+(from 4000 in the plane) multigrid is faster."""
 
 
 @kernel
@@ -124,56 +122,6 @@ def solve_direct(matrix: Any, right: FloatArray) -> FloatArray:
     return solution
 
 
-def solve_amg(
-    matrix: Any,
-    right: FloatArray,
-    tolerance: float = AMG_TOLERANCE,
-    iterations: int = AMG_ITERATIONS,
-) -> FloatArray:
-    """Solve A X = B by conjugate gradients with one classical multigrid hierarchy for all columns.
-
-    Parameters
-    ----------
-    matrix : (v, v) scipy CSR      symmetric positive definite M-matrix
-    right : (v, c) float64
-    tolerance : float              relative residual of every column
-    iterations : int               V-cycles for every column, at most
-
-    Returns
-    -------
-    (v, c) float64
-
-    Warns
-    -----
-    NotConvergedWarning            a column's residual is above the tolerance at the last iteration
-
-    Notes
-    -----
-    Ruge-Stuben coarsening and symmetric Gauss-Seidel draw no random numbers.
-    """
-    pyamg: Any = importlib.import_module("pyamg")
-
-    smoother = ("gauss_seidel", {"sweep": "symmetric"})
-    matrix = matrix.tocsr()
-    hierarchy = pyamg.ruge_stuben_solver(
-        matrix, presmoother=smoother, postsmoother=smoother, max_coarse=50
-    )
-    solution = np.empty_like(right)
-    for column in range(right.shape[1]):
-        b = np.ascontiguousarray(right[:, column])
-        x = hierarchy.solve(b, tol=tolerance, maxiter=iterations, accel="cg")
-        norm = float(np.linalg.norm(b))
-        residual = float(np.linalg.norm(b - matrix @ x))
-        if residual > 10.0 * tolerance * norm:
-            msg = (
-                f"got a relative residual of {residual / norm:.1e} after {iterations} "
-                f"multigrid iterations, expected {tolerance:.1e}, try linear_solver='direct'"
-            )
-            warnings.warn(msg, NotConvergedWarning, stacklevel=2)
-        solution[:, column] = x
-    return solution
-
-
 def choose_solve(name: Literal["auto", "direct", "amg"], unknowns: int) -> LinearSolve:
     """Return the solver of ``Options.linear_solver`` for a system of this size.
 
@@ -197,28 +145,6 @@ def frozen_density(
     if inverse_volume:
         return inverse_volume_density(points, cells)
     return np.ones(len(cells)) if rho is None else cell_density(points, cells, rho)
-
-
-def step_gradient(
-    points: FloatArray,
-    topology: Topology,
-    rho_tau: FloatArray,
-    method: Literal["odt", "cpt"],
-    boundary_rule: bool,
-) -> FloatArray:
-    """Gradient that drives a step: (4.11) for "odt", (4.19) for "cpt", shape (n, d).
-
-    With the boundary rule of Section 4.2.1 boundary elements use barycenters in "odt" too.
-    """
-    cells = topology.cells
-    if method == "cpt":
-        centers = barycenters(points, cells)
-    else:
-        centers = circumcenters(points, cells)
-        if boundary_rule:
-            near = topology.boundary_cells
-            centers[near] = barycenters(points, cells[near])
-    return centers_gradient(points, cells, centers, rho_tau)
 
 
 def global_direction(
@@ -261,12 +187,34 @@ def global_direction(
     return direction
 
 
+def least_alpha(points: FloatArray, direction: FloatArray, objective: Objective) -> float:
+    """Where the parabola through the energies at alpha = 0, 1/2 and 1 is least.
+
+    Parameters
+    ----------
+    points, direction : (n, d) float64
+    objective : callable      energy of points; (2.2) is a polynomial in alpha, folded cells or not
+
+    Returns
+    -------
+    float                     at most LONGEST; 1 when the energy rises along the direction
+    """
+    start = objective(points)
+    half, full = (objective(points + t * direction) - start for t in (0.5, 1.0))
+    slope, curvature = 4.0 * half - full, 2.0 * full - 4.0 * half
+    if not slope < 0.0:
+        return 1.0
+    return -slope / (2.0 * curvature) if -slope < 2.0 * LONGEST * curvature else LONGEST
+
+
 def line_search(
     points: FloatArray,
     topology: Topology,
     direction: FloatArray,
     objective: Objective | None,
     alpha: float = 1.0,
+    *,
+    least: bool = False,
     halvings: int = HALVINGS,
 ) -> tuple[FloatArray, StepStats]:
     """Try alpha, alpha/2, alpha/4, ...: no cell folds, and the energy falls.
@@ -278,6 +226,8 @@ def line_search(
     direction : (n, d) float64
     objective : callable         energy of points; None asks for the first alpha only
     alpha : float                first step length
+    least : bool                 alpha is about the best for vertices that all may go that far:
+                                 shorter ones are tried only when some may not
     halvings : int               steps tried after the first
 
     Returns
@@ -293,7 +243,7 @@ def line_search(
         value = -np.inf if objective is None else objective(new)
         if value < lowest:
             best, lowest, best_reduced, best_alpha = new, value, reduced, alpha
-            if objective is None:
+            if objective is None or (least and reduced == 0):
                 break
         elif best_alpha > 0.0:
             break
@@ -308,7 +258,7 @@ def global_step(
     *,
     method: Literal["odt", "cpt"] = "odt",
     inverse_volume: bool = False,
-    alpha: float = 1.0,
+    alpha: float | None = None,
     boundary_rule: bool = True,
     linear_solver: Literal["auto", "direct", "amg"] = "auto",
     objective: Objective | None = None,
@@ -322,7 +272,8 @@ def global_step(
     rho : (n,) float64, optional    density at the vertices; its mean over a cell is rho_tau
     method : {"odt", "cpt"}         circumcenters (4.27) or barycenters (4.28)
     inverse_volume : bool           rho_tau = 1/|tau| (4.22), frozen for the step
-    alpha : float                   first step length
+    alpha : float                   first step length; None means where the energy is about least
+                                    along the step, without an energy 1
     boundary_rule : bool            barycenters for cells that touch the boundary (Section 4.2.1)
     linear_solver : {"auto", "direct", "amg"}
     objective : callable            energy that must fall; by default (2.2) with the present rho_tau
@@ -344,5 +295,8 @@ def global_step(
         points, topology, rho_tau, solve, method=method, boundary_rule=boundary_rule
     )
     if objective is None and not inverse_volume:
-        objective = partial(energy, cells=topology.cells, rho=rho_tau)
-    return line_search(points, topology, direction, objective, alpha)
+        objective = partial(frozen_energy, cells=topology.cells, rho_tau=rho_tau)
+    least = alpha is None and objective is not None
+    if alpha is None:
+        alpha = 1.0 if objective is None else least_alpha(points, direction, objective)
+    return line_search(points, topology, direction, objective, alpha, least=least)

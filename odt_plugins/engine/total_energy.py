@@ -7,15 +7,17 @@ from odt_plugins.mesh import FloatArray, IntArray
 
 
 @kernel
-def _sum_energy(points: FloatArray, cells: IntArray, rho: FloatArray) -> float:
+def _sum_energy(points: FloatArray, cells: IntArray, rho: FloatArray, of_cells: bool) -> float:
+    """Sum (2.2) over the cells; rho is that of cells, or of vertices, whose mean is taken."""
     m, k = cells.shape
     d = k - 1
     total = 0.0
     for c in range(m):
         squares = 0.0
-        weight = 0.0
+        weight = k * rho[c] if of_cells else 0.0
         for a in range(k):
-            weight += rho[cells[c, a]]
+            if not of_cells:
+                weight += rho[cells[c, a]]
             for b in range(a):
                 for axis in range(d):
                     squares += (points[cells[c, a], axis] - points[cells[c, b], axis]) ** 2
@@ -51,4 +53,19 @@ def total_energy(points: FloatArray, cells: IntArray, rho: FloatArray) -> float:
     -------
     float                    equal to ``energy(points, cells, cell_density(points, cells, rho))``
     """
-    return float(_sum_energy(points, cells, rho))
+    return float(_sum_energy(points, cells, rho, False))
+
+
+def frozen_energy(points: FloatArray, cells: IntArray, rho_tau: FloatArray) -> float:
+    """ODT energy (2.2) with a density that belongs to the cells.
+
+    Parameters
+    ----------
+    points : (n, d) float64, cells : (m, d + 1) int32
+    rho_tau : (m,) float64   density of every cell
+
+    Returns
+    -------
+    float                    equal to ``energy(points, cells, rho_tau)``
+    """
+    return float(_sum_energy(points, cells, rho_tau, True))
