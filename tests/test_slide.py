@@ -294,3 +294,27 @@ def test_sliding_does_not_see_scale_or_place(scale, shift):
     y, s = odt_plugins.optimize((points * scale + shift, cells), boundary="slide")
     assert np.array_equal(t, s)
     assert np.abs((y - shift) / scale - x).max() <= 1e-12
+
+
+def test_a_planar_mesh_is_refused():
+    points = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.9, 0.8]])
+    cells = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+    with pytest.raises(InvalidOptionError, match="in the plane"):
+        odt_plugins.optimize((points, cells), boundary="slide")
+
+
+def test_mid_nodes_follow_the_edges_of_a_surface_that_slides():
+    points, cells = ball(250, 12)
+    sides = [(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)]
+    pairs = np.sort(np.concatenate([cells[:, s] for s in sides]), axis=1)
+    edges, number = np.unique(pairs, axis=0, return_inverse=True)
+    rows = np.hstack([cells, len(points) + number.reshape(6, -1).T])
+    mesh = meshio.Mesh(
+        np.concatenate([points, points[edges].mean(axis=1)]), [("tetra10", rows)]
+    )
+    result = odt_plugins.optimize(mesh, boundary="slide")
+    x, t = result.points, result.cells_dict["tetra10"]
+    assert (x[: len(points)] != points)[np.unique(boundary(cells))].any()
+    for i, (a, b) in enumerate(sides):
+        middle = 0.5 * (x[t[:, a]] + x[t[:, b]])
+        assert np.abs(x[t[:, 4 + i]] - middle).max() <= 1e-12

@@ -22,6 +22,7 @@ from odt_plugins.engine.order import curve_order
 from odt_plugins.engine.phases import Phase, bulk, cautious, tail
 from odt_plugins.engine.skin import Skin, make_skin
 from odt_plugins.engine.smoothing import Log, smooth
+from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
 from odt_plugins.options import Options, Progress
 
@@ -171,8 +172,18 @@ def run(mesh: SimplexMesh, options: Options) -> Outcome:
     Returns
     -------
     Outcome    a mesh that keeps the promise, at worst the input itself
+
+    Raises
+    ------
+    InvalidOptionError    a boundary in the plane is asked to slide
     """
     clock = time.perf_counter()
+    if options.boundary == "slide" and mesh.dim == 2:
+        msg = (
+            "got boundary='slide' for a mesh in the plane; expected 'fixed': only the surface of a "
+            "mesh of tetrahedra slides"
+        )
+        raise InvalidOptionError(msg)
     locked, rim = locked_vertices(mesh)
     if mesh.frozen.all() or len(mesh.cells) == 0:
         return _unchanged(mesh, "no cell may change")
