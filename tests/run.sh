@@ -12,7 +12,7 @@ use_environment "all,test"
 
 # Cached kernels do not notice that a kernel of another file changed, so every state of the
 # engine has a cache of its own.
-NUMBA_CACHE_DIR="$VIRTUAL_ENV/kernels/$(cat odt_plugins/engine/*.py | cksum | cut -d ' ' -f 1)"
+NUMBA_CACHE_DIR="$VIRTUAL_ENV/kernels/$(cat odt_plugins/engine/{,surface/}*.py | cksum | cut -d ' ' -f 1)"
 export NUMBA_CACHE_DIR
 
 echo "== ruff";   python -m ruff check .

@@ -5,8 +5,8 @@ seconds of processor time, and the largest error relative to the diagonal agains
 the tests: libigl 1.2 and 3e-17; point-cloud-utils 1.2 and 3e-17, but it builds its tree again for
 every call; open3d's scene 0.9 and 3e-8, in float32; pymeshlab 0.9 and 1e-10; VTK's cell locator 3
 to 5 and 2e-17, point by point; CGAL 3.4 and 7e-17, point by point; trimesh 15 and 1e-5.
-libigl has wheels for all platforms from Python 3.8 on, needs numpy and scipy alone, and is under
-MPL 2.0 (its GPL parts are modules of their own, which are not imported). It works on all cores
+libigl has wheels for Python 3.11 and later on Linux, macOS and Windows, needs numpy and scipy, is
+under MPL 2.0 (its GPL parts are modules of their own, not imported here), works on all cores
 (the variable IGL_NUM_THREADS limits them) and keeps the interpreter locked; the result does not
 depend on either.
 """
