@@ -98,7 +98,8 @@ def _nearest(
     by_region0, by_region1 = _groups(regions0), _groups(regions1)
     for label, targets in by_region1.items():
         candidates = by_region0[label]
-        _, hit = cKDTree(centre0[candidates]).query(centre1[targets])
+        tree = cKDTree(centre0[candidates], balanced_tree=False, compact_nodes=False)
+        _, hit = tree.query(centre1[targets])
         source[targets] = candidates[hit]
     return source
 

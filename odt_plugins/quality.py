@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
+from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -327,23 +328,34 @@ class _Geometry:
         self.a, self.b, *rest = [e / self.scale for e in edge]
         self.c = rest[0] if rest else self.a
         with np.errstate(invalid="ignore"):
-            self._measure()
-
-    def _measure(self) -> None:
-        a, b, c = self.a, self.b, self.c
-        if self.k == 4:
-            bc, ca, ab = _cross(b, c), _cross(c, a), _cross(a, b)
-            self.det = _dot(a, bc)
-            self.normals = (_cross(c - a, b - a), bc, ca, ab)
-            self.edges = [_norm(a), _norm(b), _norm(c), _norm(b - a), _norm(c - a), _norm(c - b)]
-            self.numerator = (self.edges[0] ** 2 * bc + self.edges[1] ** 2 * ca
-                              + self.edges[2] ** 2 * ab)
-        else:
-            if len(a) == 3:
-                self.det = _norm(_cross(a, b))
+            self.bc = _cross(self.b, self.c) if rest else self.a
+            if rest:
+                self.det = _dot(self.a, self.bc)
+            elif len(self.a) == 3:
+                self.det = _norm(_cross(self.a, self.b))
             else:
-                self.det = a[0] * b[1] - a[1] * b[0]
-            self.edges = [_norm(a), _norm(b), _norm(b - a)]
+                self.det = self.a[0] * self.b[1] - self.a[1] * self.b[0]
+
+    @cached_property
+    def normals(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+        a, b, c = self.a, self.b, self.c
+        with np.errstate(invalid="ignore"):
+            return _cross(c - a, b - a), self.bc, _cross(c, a), _cross(a, b)
+
+    @cached_property
+    def edges(self) -> list[FloatArray]:
+        a, b, c = self.a, self.b, self.c
+        with np.errstate(invalid="ignore"):
+            if self.k == 3:
+                return [_norm(a), _norm(b), _norm(b - a)]
+            return [_norm(a), _norm(b), _norm(c), _norm(b - a), _norm(c - a), _norm(c - b)]
+
+    @cached_property
+    def numerator(self) -> FloatArray:
+        with np.errstate(invalid="ignore"):
+            _, bc, ca, ab = self.normals
+            e = self.edges
+            return np.asarray(e[0] ** 2 * bc + e[1] ** 2 * ca + e[2] ** 2 * ab)
 
     def volume(self) -> FloatArray:
         unit = 6.0 if self.k == 4 else 2.0

@@ -7,7 +7,7 @@ import pytest
 import tet_meshes as tm
 
 from odt_plugins.engine import cavity, flips3d, sphere
-from odt_plugins.engine.complex import make_complex
+from odt_plugins.engine.complex import make_complex, renumbered
 from odt_plugins.engine.finishing import flip_pending
 from odt_plugins.engine.tetrahedron import (
     ENERGY,
@@ -263,3 +263,19 @@ def test_remembered_costs_are_those_of_the_cells(objective):
         assert len(known) > 20
         for c in known:
             assert remembered[c] == tet_cost(points, *meshes[0].cells[c], objective, 1.0)
+
+
+def test_renumbered_cells_are_the_same_mesh_in_order():
+    points, cells = tm.ball(300, 5)
+    regions = (points[cells].mean(axis=1)[:, 0] > 0).astype(np.int32)
+    mesh = complex_of(points, cells, regions)
+    mesh.status[:] = cavity.PENDING
+    assert flip_pending(mesh, QUALITY, 2.0, 10, OPEN, 20) > 0
+    assert mesh.slots[1] > 0
+    fresh = renumbered(mesh)
+    assert fresh.slots[1] == 0
+    labels = [{tuple(cell): label for cell, label in zip(c.tolist(), r.tolist(), strict=True)}
+              for c, r in (mesh.mesh_arrays(), fresh.mesh_arrays())]
+    assert labels[0] == labels[1]
+    assert np.all(np.diff(fresh.mesh_arrays()[0].min(axis=1)) >= 0)
+    assert_sound(fresh, points, tm.signed_volumes(points, cells).sum())

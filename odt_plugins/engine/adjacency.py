@@ -24,40 +24,41 @@ def _match_facets(
     """Pair facets bucketed by (smallest, middle) vertex; first facet with three cells or -1.
 
     head[v] starts the chain of facets seen with middle vertex v in the current bucket;
-    a facet is numbered cell * (d + 1) + local index of the opposite vertex.
+    a facet is numbered 4 * cell + local index of the opposite vertex.
     """
     k = cells.shape[1]
     n = indptr.shape[0] - 1
     for v in range(n):
         for s in range(indptr[v], indptr[v + 1]):
             c = indices[s]
+            below = 0
+            for a in range(k):
+                below += cells[c, a] < v
+            if below > 1:
+                continue
             for opposite in range(k):
-                low = mid = top = -1
+                if cells[c, opposite] == v or (below == 1 and cells[c, opposite] > v):
+                    continue
+                mid = top = -1
                 for a in range(k):
-                    if a == opposite:
-                        continue
                     u = cells[c, a]
-                    if u < v:
-                        low = -2
-                    elif u == v:
-                        if low != -2:
-                            low = v
-                    elif mid == -1:
+                    if a == opposite or u == v:
+                        continue
+                    if mid == -1:
+                        mid = u
+                    elif u < mid:
+                        top = mid
                         mid = u
                     else:
                         top = u
-                if low != v:
-                    continue
-                if top != -1 and top < mid:
-                    mid, top = top, mid
-                facet = c * k + opposite
+                facet = (c << 2) + opposite
                 other = head[mid]
                 while other != -1:
-                    oc = other // k
+                    oc = other >> 2
                     found = top == -1
                     if not found:
                         for a in range(k):
-                            if a != other - oc * k and cells[oc, a] == top:
+                            if a != other & 3 and cells[oc, a] == top:
                                 found = True
                     if found:
                         break
@@ -66,10 +67,10 @@ def _match_facets(
                     chain[facet] = head[mid]
                     head[mid] = facet
                 else:
-                    oc = other // k
-                    if neighbors[oc, other - oc * k] != -1:
+                    oc = other >> 2
+                    if neighbors[oc, other & 3] != -1:
                         return facet
-                    neighbors[oc, other - oc * k] = c
+                    neighbors[oc, other & 3] = c
                     neighbors[c, opposite] = oc
         for s in range(indptr[v], indptr[v + 1]):
             c = indices[s]
@@ -101,10 +102,10 @@ def cell_neighbors(cells: IntArray, stars: Stars | None = None) -> IntArray:
     if stars is None:
         stars = vertex_stars(cells, int(cells.max()) + 1)
     head = np.full(stars.indptr.size - 1, -1, dtype=np.int64)
-    chain = np.empty(cells.size, dtype=np.int64)
+    chain = np.empty(4 * len(cells), dtype=np.int64)
     bad = _match_facets(cells, stars.indptr, stars.indices, head, chain, neighbors)
     if bad >= 0:
-        cell, opposite = divmod(int(bad), cells.shape[1])
+        cell, opposite = divmod(int(bad), 4)
         facet = np.delete(cells[cell], opposite).tolist()
         msg = (
             f"got a third cell on the facet {facet} at index {cell}, expected at most two cells "

@@ -72,13 +72,21 @@ def make_complex(
     locked, rim : (n,) bool
     skin : Skin, optional            kept by reference
     """
-    m = len(cells)
-    room = m if cells.shape[1] == 3 else m + m // 8 + 64
     stars = vertex_stars(cells, len(points))
-    slots = np.full((room, cells.shape[1]), -1, dtype=np.int32)
+    return _with_room(points, cells, cell_neighbors(cells, stars), regions, locked, rim, skin)
+
+
+def _with_room(
+    points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
+    locked: BoolArray, rim: BoolArray, skin: Skin | None,
+) -> Complex:
+    """Put the arrays of a mesh into slots, an eighth more than there are cells in space."""
+    m, k = cells.shape
+    room = m if k == 3 else m + m // 8 + 64
+    slots = np.full((room, k), -1, dtype=np.int32)
     slots[:m] = cells
-    neighbors = np.full_like(slots, -1)
-    neighbors[:m] = cell_neighbors(cells, stars)
+    across = np.full((room, k), -1, dtype=np.int32)
+    across[:m] = neighbors
     labels = np.zeros(room, dtype=np.int32)
     labels[:m] = regions
     return Complex(
@@ -86,7 +94,7 @@ def make_complex(
         locked,
         rim,
         slots,
-        neighbors,
+        across,
         labels,
         np.zeros(room, dtype=np.uint8),
         np.array([m, 0, 0], dtype=np.int64),
@@ -95,13 +103,19 @@ def make_complex(
     )
 
 
-def compacted(mesh: Complex) -> Complex:
-    """Return the same mesh without free slots, with fresh room."""
-    cells, regions = mesh.mesh_arrays()
-    status = mesh.status[mesh.live()]
-    fresh = make_complex(mesh.points, cells, regions, mesh.locked, mesh.rim, mesh.skin)
-    fresh.status[: len(cells)] = status
-    return fresh
+def renumbered(mesh: Complex) -> Complex:
+    """Return the same mesh without free slots, its cells by their smallest vertex, nothing pending.
+
+    Flips scatter the cells around a vertex over the memory; this brings them together again.
+    """
+    live = mesh.live()
+    order = live[np.argsort(mesh.cells[live].min(axis=1), kind="stable")]
+    rank = np.full(len(mesh.cells) + 1, -1, dtype=np.int32)
+    rank[order] = np.arange(len(order), dtype=np.int32)
+    return _with_room(
+        mesh.points, mesh.cells[order], rank[mesh.neighbors[order]], mesh.regions[order],
+        mesh.locked, mesh.rim, mesh.skin,
+    )
 
 
 def slot_stars(mesh: Complex) -> Stars:

@@ -8,6 +8,7 @@ the input mesh, so smoothing does not wear them out. A constant factor changes n
 from __future__ import annotations
 
 from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -17,6 +18,7 @@ from numba import njit
 from odt_plugins.engine.adjacency import cell_neighbors
 from odt_plugins.engine.geometry import signed_volumes
 from odt_plugins.engine.star import star_sum
+from odt_plugins.engine.threads import run_ranges
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh import FloatArray, IntArray
 
@@ -130,12 +132,13 @@ class Density:
     neighbors: IntArray
     start: IntArray
 
-    def at(self, points: FloatArray) -> FloatArray:
+    def at(self, points: FloatArray, pool: ThreadPoolExecutor | None = None) -> FloatArray:
         """Evaluate rho.
 
         Parameters
         ----------
         points : (k, d) float64    the vertices of the input mesh, moved; further points may follow
+        pool                       see ``threads.run_ranges``
 
         Returns
         -------
@@ -161,16 +164,21 @@ class Density:
         known = min(len(points), self.start.size)
         start[:known] = self.start[:known]
         values = np.empty(len(points))
-        _interpolate(
-            np.ascontiguousarray(points, dtype=np.float64),
-            start,
-            self.points,
-            self.cells,
-            self.neighbors,
-            self.field,
-            WALK_LIMIT,
-            values,
-        )
+        points = np.ascontiguousarray(points, dtype=np.float64)
+
+        def work(first: int, last: int) -> None:
+            _interpolate(
+                points[first:last],
+                start[first:last],
+                self.points,
+                self.cells,
+                self.neighbors,
+                self.field,
+                WALK_LIMIT,
+                values[first:last],
+            )
+
+        run_ranges(pool, len(points), work)
         return values if self.power == 1.0 else values**self.power
 
 

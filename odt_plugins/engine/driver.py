@@ -196,7 +196,7 @@ def run(mesh: SimplexMesh, options: Options) -> Outcome:
     start = make_complex(points, cells, regions, inner_locked, inner_rim, skin)
     before = figures(points, cells)
     memory = Memory(before, tuple(options.keep), by_score=options.finish)
-    density = _density(mesh, options, frame, points, cells)
+    density = _density(mesh, options, frame, start)
     log = Log()
     times = {"prepare": time.perf_counter() - clock}
     bounds = _bounds(before, tuple(options.keep))
@@ -246,9 +246,10 @@ def _unchanged(mesh: SimplexMesh, reason: str) -> Outcome:
 
 
 def _density(
-    mesh: SimplexMesh, options: Options, frame: Frame, points: FloatArray, cells: IntArray
+    mesh: SimplexMesh, options: Options, frame: Frame, start: Complex
 ) -> Density:
     """The density in inner numbering and coordinates."""
+    m = int(start.slots[0])
     spec = options.density
     if callable(spec):
         function = spec
@@ -262,7 +263,9 @@ def _density(
         values = np.asarray(spec, dtype=np.float64)
         per_cell = len(values) == len(mesh.cells) and len(values) != len(mesh.points)
         spec = values[frame.active] if per_cell else values[frame.vertices]
-    return make_density(spec, options.exponent, points.copy(), cells)
+    return make_density(
+        spec, options.exponent, start.points, start.cells[:m], start.neighbors[:m].copy()
+    )
 
 
 def _bounds(before: Figures, keep: tuple[str, ...]) -> FloatArray:

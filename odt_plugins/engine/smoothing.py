@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from odt_plugins.engine.complex import Complex, make_complex
+from odt_plugins.engine.complex import Complex, make_complex, renumbered
 from odt_plugins.engine.cvt import cvt_step
 from odt_plugins.engine.delaunay import delaunay_exchange
 from odt_plugins.engine.density import Density
@@ -19,11 +19,10 @@ from odt_plugins.engine.flips2d import lawson_flips
 from odt_plugins.engine.graph_laplacian import global_step
 from odt_plugins.engine.solvers import lbfgs_step, richardson_step
 from odt_plugins.engine.sphere import mark_non_delaunay
-from odt_plugins.engine.star import vertex_stars
 from odt_plugins.engine.sweeps import StepStats, gauss_seidel_sweep, jacobi_sweep
 from odt_plugins.engine.tetrahedron import ENERGY
 from odt_plugins.engine.threads import run_ranges
-from odt_plugins.engine.topology import Topology
+from odt_plugins.engine.topology import Topology, make_topology
 from odt_plugins.engine.total_energy import total_energy
 from odt_plugins.mesh import FloatArray, IntArray
 from odt_plugins.options import Options
@@ -46,6 +45,9 @@ OVERRELAXED = 1.95
 
 RING = 7
 """Longest ring of an edge that is removed for the sake of the energy."""
+
+SCATTERED = 0.2
+"""The cells are sorted again when there were more flips than this part of their number."""
 
 PASSES = 3
 """Passes of flips in a round; what is left pending waits for the next round."""
@@ -153,8 +155,8 @@ def exchange(mesh: Complex, log: Log) -> Complex:
 
 
 def local_flips(
-    mesh: Complex, bounds: FloatArray, log: Log, pool: ThreadPoolExecutor | None, threads: int
-) -> None:
+    mesh: Complex, bounds: FloatArray, log: Log, pool: ThreadPoolExecutor | None
+) -> int:
     """Flip towards Delaunay (Section 3.1): Lawson's edges in the plane, energy flips in space."""
     if mesh.dim == 2:
         flips = lawson_flips(
@@ -165,9 +167,10 @@ def local_flips(
         work = partial(
             mark_non_delaunay, mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.status
         )
-        run_ranges(pool, threads, int(mesh.slots[0]), work)
+        run_ranges(pool, int(mesh.slots[0]), work)
         flips = flip_pending(mesh, ENERGY, 1.0, RING, bounds, PASSES)
     log.add("energy flips", flips)
+    return flips
 
 
 def smooth(
@@ -202,11 +205,11 @@ def smooth(
     least: list[float] = []
     reason = f"the {options.rounds} rounds were used up"
     movable = ~mesh.locked
+    cells, _ = mesh.mesh_arrays()
+    topology = make_topology(cells, movable, mesh.rim)
+    scattered = 0
     for k in range(options.rounds):
-        cells, _ = mesh.mesh_arrays()
-        stars = vertex_stars(cells, len(mesh.points))
-        topology = Topology(cells, movable, mesh.rim, stars)
-        rho = density.at(mesh.points)
+        rho = density.at(mesh.points, pool)
         points, stats = position_step(
             mesh.points, topology, rho, options, density.inverse_volume
         )
@@ -216,6 +219,8 @@ def smooth(
         log.add("vertex moves", stats.moved)
         log.add("shortened moves", stats.reduced)
         moderate = len(cells) <= MODERATE
+        old = mesh
+        flips = 0
         if options.connectivity == "delaunay" or (
             options.connectivity == "auto" and k == 0 and moderate and stats.max_move > FAR
         ):
@@ -223,9 +228,15 @@ def smooth(
         if options.connectivity in ("auto", "flips") or (
             options.connectivity == "delaunay" and stats.max_move <= FAR
         ):
-            local_flips(mesh, bounds, log, pool, options.threads)
-        cells, _ = mesh.mesh_arrays()
-        current = total_energy(mesh.points, cells, rho)
+            flips = local_flips(mesh, bounds, log, pool)
+        scattered += flips
+        if scattered > SCATTERED * len(cells):
+            mesh = renumbered(mesh)
+            scattered = 0
+        if flips > 0 or mesh is not old:
+            cells, _ = mesh.mesh_arrays()
+            topology = make_topology(cells, movable, mesh.rim)
+        current = total_energy(mesh.points, cells, rho, pool)
         log.energy.append((options.method, current))
         tick((k + 1) / options.rounds)
         if watch is not None:
@@ -234,4 +245,4 @@ def smooth(
         if k >= PATIENCE and least[-1 - PATIENCE] - least[-1] <= CONVERGED * least[-1]:
             reason = f"the energy settled after {k + 1} rounds"
             break
-    return mesh, reason
+    return renumbered(mesh) if scattered else mesh, reason

@@ -15,6 +15,10 @@ SMALLEST = 256
 """Fewer vertices of one colour than this are not worth a second thread."""
 
 
+PART = 1 << 14
+"""Length of a part of a range."""
+
+
 def run_chunks(
     pool: ThreadPoolExecutor | None,
     threads: int,
@@ -44,17 +48,18 @@ def run_chunks(
 
 
 def run_ranges(
-    pool: ThreadPoolExecutor | None, threads: int, size: int, work: Callable[[int, int], T]
+    pool: ThreadPoolExecutor | None, size: int, work: Callable[[int, int], T]
 ) -> list[T]:
     """Call ``work(start, stop)`` over parts of range(size); returns what it returned.
 
+    The parts are the same for any number of threads, so that sums over them are too.
+
     Parameters
     ----------
-    pool, threads      see :func:`run_chunks`
+    pool : ThreadPoolExecutor or None    None runs everything here
     size : int
-    work : callable    releases the GIL; the parts are independent
+    work : callable                      releases the GIL; the parts are independent
     """
-    if pool is None:
-        return [work(0, size)]
-    cuts = [size * t // threads for t in range(threads + 1)]
-    return list(pool.map(work, cuts[:-1], cuts[1:]))
+    starts = range(0, size, PART)
+    stops = [min(start + PART, size) for start in starts]
+    return list(map(work, starts, stops) if pool is None else pool.map(work, starts, stops))

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+
 from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.threads import run_ranges
 from odt_plugins.mesh import FloatArray, IntArray
 
 
@@ -41,19 +44,25 @@ def _sum_energy(points: FloatArray, cells: IntArray, rho: FloatArray, of_cells: 
     return total / ((d + 1) * (d + 2))
 
 
-def total_energy(points: FloatArray, cells: IntArray, rho: FloatArray) -> float:
+def total_energy(
+    points: FloatArray, cells: IntArray, rho: FloatArray, pool: ThreadPoolExecutor | None = None
+) -> float:
     """ODT energy (2.2) with the mean of the vertex densities on every cell.
 
     Parameters
     ----------
     points : (n, d) float64, cells : (m, d + 1) int32
     rho : (n,) float64       density at the vertices
+    pool                     see ``threads.run_ranges``
 
     Returns
     -------
     float                    equal to ``energy(points, cells, cell_density(points, cells, rho))``
     """
-    return float(_sum_energy(points, cells, rho, False))
+    def work(start: int, stop: int) -> float:
+        return float(_sum_energy(points, cells[start:stop], rho, False))
+
+    return sum(run_ranges(pool, len(cells), work))
 
 
 def frozen_energy(points: FloatArray, cells: IntArray, rho_tau: FloatArray) -> float:
