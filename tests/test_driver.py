@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import planar_meshes as pm
@@ -18,6 +19,8 @@ from odt_plugins.engine.energy import energy
 from odt_plugins.engine.total_energy import total_energy
 from odt_plugins.mesh import SimplexMesh
 from odt_plugins.options import Options
+
+DATA = Path(__file__).parent / "data"
 
 
 def mesh_of(points, cells, regions=None, fixed=None, frozen=None):
@@ -304,6 +307,21 @@ def test_a_fault_that_the_kernels_do_not_see_is_caught_by_the_judge(d, monkeypat
     outcome = run(mesh, Options())
     assert outcome.points.tobytes() == mesh.points.tobytes()
     assert "input is returned" in outcome.fallback
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_a_few_cells_beyond_the_extremes_are_repaired(which):
+    """TetWild meshes with a size field whose angles are good: sweeps make some of them smaller."""
+    with np.load(DATA / "graded.npz") as data:
+        points, cells = data[f"points{which}"], data[f"cells{which}"]
+    mesh = mesh_of(points, cells)
+    outcome = run(mesh, Options())
+    assert outcome.fallback is None
+    assert outcome.counts["repairs"] >= 1
+    assert tm.quality(outcome.points, outcome.cells).mean() > 0.85
+    old, new = tm.dihedral_angles(points, cells), tm.dihedral_angles(outcome.points, outcome.cells)
+    assert new.min() >= old.min()
+    assert new.max() <= old.max()
 
 
 def test_literal_method_falls_back_when_it_spoils_the_mesh(d):

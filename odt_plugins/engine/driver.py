@@ -19,7 +19,7 @@ from odt_plugins.engine.finishing import finish
 from odt_plugins.engine.geometry import boundary_vertices, interface_vertices
 from odt_plugins.engine.judge import Slid, envelope_length, faults, slides
 from odt_plugins.engine.order import curve_order
-from odt_plugins.engine.phases import Phase, bulk, cautious, tail
+from odt_plugins.engine.phases import Phase, bulk, cautious, repair, tail
 from odt_plugins.engine.skin import Skin, make_skin
 from odt_plugins.engine.smoothing import Log, smooth
 from odt_plugins.errors import InvalidOptionError
@@ -319,7 +319,12 @@ def _cycles(
     if options.finish:
         clock = time.perf_counter()
         _finish(mesh, tail(mesh.dim), bounds, log, pool, options.threads)
-        memory.offer(mesh, "finished")
+        if not memory.offer(mesh, "finished") and mesh.dim == 3:
+            for phase in repair(memory.worse):
+                log.add("repairs", 1)
+                _finish(mesh, (phase,), bounds, log, pool, options.threads)
+                if memory.offer(mesh, "repaired"):
+                    break
         times["finishing"] = times.get("finishing", 0.0) + time.perf_counter() - clock
     report("finishing", 1.0)
     return reason

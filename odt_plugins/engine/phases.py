@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
-from odt_plugins.engine.tetrahedron import QUALITY
+from odt_plugins.engine.tetrahedron import DIHEDRAL, QUALITY
 
 
 @dataclass(frozen=True)
@@ -32,6 +33,19 @@ class Phase:
 def bulk(dim: int) -> tuple[Phase, ...]:
     """Phases for the mean: every cell, a small p."""
     return (Phase(2.0, 1.0, 20, 2),) if dim == 2 else (Phase(0.5, 1.0, 6, 3),)
+
+
+def repair(worse: Sequence[str]) -> tuple[Phase, ...]:
+    """Phases for a mesh of tetrahedra that is good but for a few cells beyond the input's extremes.
+
+    Parameters
+    ----------
+    worse : names of the figures that got worse
+    """
+    if not worse or not set(worse) <= {"min_quality", "min_angle", "max_angle"}:
+        return ()
+    measure = QUALITY if "min_quality" in worse else DIHEDRAL
+    return tuple(Phase(4.0, share, 3, 3, 3, measure) for share in (0.003, 0.01, 0.03, 0.1))
 
 
 def cautious() -> tuple[Phase, ...]:
