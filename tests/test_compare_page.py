@@ -19,9 +19,8 @@ from odt_plugins.compare.output import FILES, write_all
 from odt_plugins.compare.rows import compare_on, mark
 from odt_plugins.compare.runner import Limits
 from odt_plugins.compare.scaling import FILES as SCALING_FILES
-from odt_plugins.compare.scaling import fit, moved_triangle, run_scaling
+from odt_plugins.compare.scaling import PARTS, run_scaling
 from odt_plugins.compare.start import ball, plate, stored
-from odt_plugins.quality import radius_ratio
 
 BROWSER = next((b for b in map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))
                 if b), None)
@@ -138,33 +137,28 @@ def test_page_without_a_result_of_ours_says_so(results, tmp_path):
     assert "odt-plugins has no result here: failed, out of luck" in text
 
 
-def test_scaling_fits_exponents_and_its_page_opens(tmp_path):
+def test_scaling_report_opens_and_holds_every_part(tmp_path):
     said = []
-    summary = run_scaling(tmp_path, 1500, 1, said.append, levels=(2, 3))
+    summary = run_scaling(tmp_path, 2600, 1, said.append)
     values = json.loads((tmp_path / SCALING_FILES[0]).read_text())
     assert {"whole call", "smoothing", "finishing"} <= {s["name"] for s in values["stages"]}
+    tables = {t["name"]: t for t in values["tables"]}
+    assert len(tables) == len(PARTS)
+    assert all(len(row) == len(t["heads"]) for t in tables.values() for row in t["rows"])
     races = {(r["method"], r["points"]): r for r in values["races"]}
     local, whole = races["Jacobi", 561], races["global, direct", 561]
     assert len(whole["gaps"]) < 8
     assert len(local["gaps"]) > 5 * len(whole["gaps"])
     amg = races["global, AMG", 561]
     assert amg["gaps"][-1] == pytest.approx(whole["gaps"][-1], rel=1e-3)
-    assert "global, AMG" in summary
+    assert all(t["title"] in summary for t in tables.values())
+    assert said
     found = probe(tmp_path / SCALING_FILES[1], tmp_path)
     assert all(found["svgs"])
     assert found["outside"] == []
 
 
-def test_fitted_exponent_is_that_of_a_power_law():
-    stage = fit("x", [(m, 3e-7 * m**1.25) for m in (100, 1000, 20000)])
-    assert stage.exponent == pytest.approx(1.25, abs=1e-12)
-    assert fit("x", [(10, 1.0)]).exponent is None
-
-
-def test_moved_triangle_is_that_of_the_paper():
-    points, regular, cells = moved_triangle(3)
-    assert len(points) == 561
-    assert radius_ratio(regular, cells) == pytest.approx(np.ones(len(cells)))
-    moved = (points != regular).any(axis=1)
-    assert 0 < moved.sum() < len(points)
-    assert 0.8 < radius_ratio(points, cells).min() < 0.97
+def test_scaling_measures_only_the_parts_that_were_asked_for(tmp_path):
+    run_scaling(tmp_path, 1000, 1, lambda _: None, parts=["multigrid"])
+    values = json.loads((tmp_path / SCALING_FILES[0]).read_text())
+    assert [t["name"] for t in values["tables"]] == ["multigrid"]

@@ -26,7 +26,7 @@ from odt_plugins.engine.graph_laplacian import (
     line_search,
     solve_direct,
 )
-from odt_plugins.engine.multigrid import multigrid, solve_amg, solve_columns
+from odt_plugins.engine.multigrid import multigrid, solve_amg, solve_columns, v_cycle
 from odt_plugins.engine.step_gradient import step_gradient
 from odt_plugins.engine.sweeps import jacobi_sweep
 from odt_plugins.engine.topology import make_topology
@@ -189,7 +189,7 @@ def test_row30_multigrid_iterations_do_not_grow(d):
         solution, taken = solve_columns(hierarchy, right, 1e-8, 100)
         residuals = np.linalg.norm(inner @ solution - right, axis=0)
         assert (residuals < 1e-7 * np.linalg.norm(right, axis=0)).all()
-        assert hierarchy.operator_complexity() < 1.5
+        assert hierarchy.complexity < 1.5
         counts.append(int(taken.max()))
     assert max(counts) <= min(counts) + 3
     assert max(counts) <= 18
@@ -198,14 +198,41 @@ def test_row30_multigrid_iterations_do_not_grow(d):
 def test_row30_hierarchy_is_galerkin_and_keeps_constants_inside(d):
     points, cells = lattice(d, {2: 40, 3: 14}[d])
     _, _, inner, _ = matrices(points, cells, np.ones(len(cells)))
-    fine, coarse = multigrid(inner / inner.diagonal().mean()).levels[:2]
-    assert 1 < coarse.A.shape[0] < 0.3 * fine.A.shape[0]
-    assert abs(fine.R - fine.P.T).max() == 0.0
-    assert abs(coarse.A - fine.R @ fine.A @ fine.P).max() < 1e-14
-    sums = fine.P @ np.ones(coarse.A.shape[0])
-    inside = np.abs(fine.A @ np.ones(fine.A.shape[0])) < 1e-12
+    hierarchy = multigrid(inner / inner.diagonal().mean())
+    assert len(hierarchy.levels) == 1
+    fine, prolongation = hierarchy.levels[0][:2]
+    assert 1 < hierarchy.coarsest.shape[0] < 0.3 * fine.shape[0]
+    assert abs(hierarchy.coarsest - prolongation.T @ fine @ prolongation).max() < 1e-14
+    sums = prolongation @ np.ones(prolongation.shape[1])
+    inside = np.abs(fine @ np.ones(fine.shape[0])) < 1e-12
     assert inside.sum() > 0.5 * inside.size
     assert sums[inside] == pytest.approx(np.ones(inside.sum()), abs=1e-12)
+
+
+@pytest.mark.parametrize("columns", [1, 2, 3, 5])
+def test_row30_cycles_are_symmetric_and_every_column_is_its_own(columns):
+    inner, _, hierarchy = random_system(2, 1500, 48)
+    b = np.random.default_rng(49).normal(size=(inner.shape[0], columns))
+    if columns <= 3:
+        cycled = v_cycle(hierarchy, b)
+        products = b.T @ cycled
+        assert products == pytest.approx(products.T, rel=1e-9, abs=1e-9 * np.abs(products).max())
+        assert np.linalg.eigvalsh(0.5 * (products + products.T)).min() > 0.0
+    together, counts = solve_columns(hierarchy, b, 1e-9, 100)
+    for c in range(columns):
+        alone, count = solve_columns(hierarchy, b[:, c : c + 1], 1e-9, 100)
+        assert count[0] == counts[c]
+        assert alone[:, 0].tobytes() == together[:, c].tobytes()
+    assert inner @ together == pytest.approx(b, abs=1e-7)
+
+
+def test_row30_a_column_of_zeros_is_solved_by_zeros():
+    inner, right, hierarchy = random_system(2, 1500, 50)
+    right[:, 1] = 0.0
+    solution, counts = solve_columns(hierarchy, right, 1e-9, 100)
+    assert counts[1] == 0 < counts[0]
+    assert not solution[:, 1].any()
+    assert inner @ solution == pytest.approx(right, abs=1e-8 * np.abs(right).max())
 
 
 def test_row30_hierarchy_draws_no_random_numbers(d):

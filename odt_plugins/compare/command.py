@@ -48,7 +48,12 @@ CHOSEN_SUITES = ("standard", "large")
 @click.option("--poisson/--no-poisson", default=True, show_default=True,
               help="Solve the Poisson problem on every result.")
 @click.option("--scaling", is_flag=True,
-              help="Measure time and memory over the number of cells instead.")
+              help="Measure how time, memory and iterations grow instead.")
+@click.option("--part", "parts", metavar="PART", multiple=True,
+              help="Only this part of --scaling (stages, races, forty-sweeps, multigrid, "
+                   "bandwidth); may be repeated.")
+@click.option("--smallest", type=click.IntRange(min=1000), default=10_000, show_default=True,
+              help="Cells of the smallest mesh of --scaling.")
 @click.option("--largest", type=click.IntRange(min=1000), default=1_000_000, show_default=True,
               help="Cells of the largest mesh of --scaling.")
 def compare(
@@ -61,6 +66,8 @@ def compare(
     threads: int,
     poisson: bool,
     scaling: bool,
+    parts: tuple[str, ...],
+    smallest: int,
     largest: int,
 ) -> int:
     """Run every installed tool on the same start MESH and measure all of them alike.
@@ -70,7 +77,7 @@ def compare(
     """
     check_page()
     if scaling:
-        return _run_scaling(out, largest, threads)
+        return _run_scaling(out, smallest, largest, threads, parts)
     if not sources and suite is None:
         msg = "nothing to compare on; give a mesh file, or --suite standard"
         raise click.UsageError(msg)
@@ -178,9 +185,16 @@ def _marked(text: str, better: bool, best: bool) -> str:
     return f"[dark_orange3]▲[/dark_orange3]{text}" if better else text
 
 
-def _run_scaling(out: Path, largest: int, threads: int) -> int:
-    from odt_plugins.compare.scaling import FILES, run_scaling
+def _run_scaling(
+    out: Path, smallest: int, largest: int, threads: int, parts: tuple[str, ...]
+) -> int:
+    from odt_plugins.compare.scaling import FILES, PARTS, run_scaling
 
-    click.echo(run_scaling(out, largest, threads, say=click.echo))
+    for name in parts:
+        if name not in PARTS:
+            msg = f"got {name!r}; expected one of {', '.join(PARTS)}"
+            raise click.BadParameter(msg, param_hint="'--part'")
+    click.echo(run_scaling(out, largest, threads, say=click.echo, smallest=smallest,
+                           parts=parts or tuple(PARTS)))
     click.echo("written: " + ", ".join(str(out / name) for name in FILES))
     return 0

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from importlib.resources import as_file, files
+from itertools import permutations
 from pathlib import Path
 from typing import Literal
 
@@ -185,6 +186,25 @@ def plate(n: int, seed: int = SEED) -> StartMesh:
     cells = cells[~(cells < around).all(axis=1)]
     return make_start(f"plate-{_short(len(cells))}", points, cells,
                       "graded Delaunay mesh of seeded random points in a square with a hole")
+
+
+def kuhn_lattice(side: int) -> tuple[FloatArray, IntArray]:
+    """Lattice of side^3 unit cubes, each cut into six tetrahedra along its diagonal.
+
+    Returns
+    -------
+    points ((side + 1)^3, 3), cells (6 side^3, 4), positive
+    """
+    axis = np.arange(side + 1)
+    grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
+    stride = np.array([(side + 1) ** 2, side + 1, 1])
+    corner = grid[(grid < side).all(axis=1)] @ stride
+    steps = [np.concatenate([[0], np.cumsum(stride[list(order)])])
+             for order in permutations(range(3))]
+    cells = np.concatenate([corner[:, None] + step for step in steps]).astype(np.int32)
+    points = grid.astype(np.float64)
+    turned: IntArray = reverse(cells, volumes(points, cells) < 0)
+    return points, np.ascontiguousarray(turned)
 
 
 def refine(points: FloatArray, cells: NDArray[np.integer]) -> tuple[FloatArray, IntArray]:

@@ -1,0 +1,90 @@
+"""Multigrid for the global step: iterations and seconds over the number of unknowns."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Sequence
+
+import numpy as np
+
+from odt_plugins.compare.start import SEED, kuhn_lattice
+from odt_plugins.compare.table import Part, Say, Table, Value
+from odt_plugins.mesh import FloatArray, IntArray, reverse
+from odt_plugins.quality import volumes
+
+TIGHT = 1e-8
+"""Relative residual far below that of a step, to show how iterations grow."""
+
+JITTER = 0.1
+"""Most that a coordinate of the lattice is moved by, in spacings."""
+
+HEADS = ("mesh", "unknowns", "entries a row", "levels", "operator complexity",
+         "iterations of a step", f"to {TIGHT:g}", "setup [s]", "solve, all components [s]",
+         "assembly and gradient [s]")
+
+
+def multigrid_part(sizes: Sequence[int], threads: int, say: Say) -> Part:
+    """Solve the system of a global step on random meshes with so many unknowns.
+
+    Parameters
+    ----------
+    sizes : ints      unknowns
+    threads : int     one is used
+    say : callable    is told what is measured
+    """
+    rows = []
+    for name, start in (("Delaunay, plane", random_plane), ("lattice, space", random_lattice)):
+        for size in sizes:
+            rows.append(_row(name, *start(size)))
+            say(f"multigrid, {name}: {rows[-1][1]} unknowns, {rows[-1][5]} iterations, "
+                f"{rows[-1][6]} to {TIGHT:g}")
+    return Part([Table("multigrid", "Multigrid of the global step (4.27)", HEADS, rows)])
+
+
+def random_plane(unknowns: int, seed: int = SEED) -> tuple[FloatArray, IntArray]:
+    """Delaunay mesh of random points in a square; its hull is the boundary."""
+    from scipy.spatial import Delaunay
+
+    points = np.random.default_rng(seed).random((unknowns, 2))
+    cells = Delaunay(points).simplices
+    return points, np.ascontiguousarray(reverse(cells, volumes(points, cells) < 0))
+
+
+def random_lattice(unknowns: int, seed: int = SEED) -> tuple[FloatArray, IntArray]:
+    """Lattice of cubes, each cut into six tetrahedra, with all its vertices moved at random."""
+    side = round(unknowns ** (1 / 3)) + 1
+    points, cells = kuhn_lattice(side)
+    moves = np.random.default_rng(seed).uniform(-JITTER, JITTER, points.shape)
+    return points + moves, cells
+
+
+def _row(name: str, points: FloatArray, cells: IntArray) -> tuple[Value, ...]:
+    from odt_plugins.engine.geometry import boundary_vertices, signed_volumes
+    from odt_plugins.engine.graph_laplacian import graph_laplacian, interior_matrix
+    from odt_plugins.engine.multigrid import ITERATIONS, STEP_TOLERANCE, multigrid, solve_columns
+    from odt_plugins.engine.order import curve_order
+    from odt_plugins.engine.step_gradient import step_gradient
+    from odt_plugins.engine.topology import make_topology
+
+    vertices, order = curve_order(points, cells)
+    rank = np.argsort(vertices).astype(np.int32)
+    points, cells = points[vertices], np.ascontiguousarray(rank[cells[order]])
+    rim = boundary_vertices(cells, len(points))
+    topology = make_topology(cells, ~rim, rim)
+    clock = time.perf_counter()
+    matrix, _ = interior_matrix(
+        graph_laplacian(topology, signed_volumes(points, cells)), topology.movable
+    )
+    right = step_gradient(points, topology, np.ones(len(cells)), "odt", True)[topology.movable]
+    scale = float(matrix.diagonal().mean())
+    matrix, right = matrix / scale, right / scale
+    assembly, clock = time.perf_counter() - clock, time.perf_counter()
+    hierarchy = multigrid(matrix)
+    setup = time.perf_counter() - clock
+    _, tight = solve_columns(hierarchy, right, TIGHT, ITERATIONS)
+    clock = time.perf_counter()
+    _, taken = solve_columns(hierarchy, right, STEP_TOLERANCE, ITERATIONS)
+    solve = time.perf_counter() - clock
+    return (name, matrix.shape[0], matrix.nnz / matrix.shape[0], len(hierarchy.levels) + 1,
+            hierarchy.complexity, int(taken.max()), int(tight.max()),
+            setup, solve, assembly)
