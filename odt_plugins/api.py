@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from odt_plugins.adapters.files import check_output, read_file, write_file
-from odt_plugins.adapters.host import Adapter, HostMesh, Result
-from odt_plugins.adapters.kept import protect
+from odt_plugins.adapters.host import Adapter, Feet, HostMesh, Result
+from odt_plugins.adapters.kept import hold_charts, protect, protect_surface
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.carry import in_input_order
 from odt_plugins.errors import InvalidOptionError, ODTError
@@ -35,12 +35,12 @@ from odt_plugins.options import (
     Connectivity,
     LinearSolver,
     Method,
-    Objective,
     Options,
     Progress,
     Solver,
 )
 from odt_plugins.planar import PlaneFrame, plane_frame
+from odt_plugins.surface import surface_mesh
 
 if TYPE_CHECKING:
     from odt_plugins.engine.driver import Outcome
@@ -71,7 +71,6 @@ class OptionKeywords(TypedDict, total=False):
     rounds: int
     cycles: int
     finish: bool
-    objective: Objective
     boundary: Boundary
     envelope: float
     feature_angle: float
@@ -114,7 +113,7 @@ def optimize(mesh: str | os.PathLike[str], **options: Unpack[OptionKeywords]) ->
 def optimize(mesh: MeshT, **options: Unpack[OptionKeywords]) -> MeshT: ...
 @with_option_signature
 def optimize(mesh: Any, **options: Unpack[OptionKeywords]) -> Any:
-    """Improve a mesh of tetrahedra or planar triangles by Optimal Delaunay Triangulation.
+    """Improve a mesh of tetrahedra or of triangles by Optimal Delaunay Triangulation.
 
     Parameters
     ----------
@@ -267,25 +266,51 @@ def _keywords(options: Options) -> OptionKeywords:
 
 def _run(mesh: Any, options: Options) -> tuple[Any, SimplexMesh, Outcome]:
     """Adapter, engine, adapter: the caller's new mesh, the engine's input and its outcome."""
-    from odt_plugins.engine.driver import run
     from odt_plugins.quality import volumes
 
     work = _prepare(mesh, options)
     with _words_of(work.host):
-        outcome = run(work.mesh, _in_frame(options, work.frame))
+        outcome = _optimized(work.mesh, _in_frame(options, work.frame))
     points, outcome = _placed(work, outcome, options)
     cells, regions, source = in_input_order(
         work.mesh, outcome.points, outcome.cells, outcome.regions
     )
-    if not (volumes(outcome.points, cells) > 0.0).all():
+    if not (work.mesh.is_surface or (volumes(outcome.points, cells) > 0.0).all()):
         points, outcome = np.array(work.host.points), _input_instead(work, outcome, TURNED)
         cells, regions = outcome.cells, outcome.regions
         source = np.arange(len(cells), dtype=np.int32)
     outcome = replace(outcome, cells=cells, regions=regions)
     if work.orientation < 0:
         cells = reverse(cells, np.ones(len(cells), dtype=np.bool_))
-    result = Result(points, cells.astype(work.host.cells.dtype), source)
+    result = Result(
+        points, cells.astype(work.host.cells.dtype), source, work.mesh.is_surface,
+        _feet(work, outcome.points),
+    )
     return work.adapter.write(result, work.host), work.mesh, outcome
+
+
+def _optimized(mesh: SimplexMesh, options: Options) -> Outcome:
+    """Let the engine for this kind of mesh do the work."""
+    if mesh.is_surface:
+        from odt_plugins.engine.surface.driver import run_surface
+
+        return run_surface(mesh, options)
+    from odt_plugins.engine.driver import run
+
+    return run(mesh, options)
+
+
+def _feet(work: _Prepared, points: FloatArray) -> Feet | None:
+    """Where the vertices of a textured surface that moved lie on the input."""
+    if not (work.mesh.is_surface and work.host.textured):
+        return None
+    moved = np.flatnonzero((points != work.mesh.points).any(axis=1))
+    if not moved.size:
+        return None
+    from odt_plugins.engine.surface.judge import feet_on
+
+    cells = work.host.cells.astype(np.int32)
+    return Feet(moved, *feet_on(work.mesh.points, cells, points[moved]))
 
 
 def _prepare(mesh: Any, options: Options) -> _Prepared:
@@ -298,14 +323,18 @@ def _prepare(mesh: Any, options: Options) -> _Prepared:
         if host.blocks is not None:
             labels = compact_labels(labels, len(host.cells)).astype(np.int64)
             labels = labels * (int(host.blocks.max()) + 1) + host.blocks
-        simplices, orientation = simplex_mesh(
-            points,
-            host.cells,
-            regions=labels,
-            fixed=options.fixed,
-            selection=options.selection,
-            orient=options.orient,
-        )
+        given: Any = {
+            "regions": labels,
+            "fixed": options.fixed,
+            "selection": options.selection,
+            "orient": options.orient,
+        }
+        if host.cells.shape[1] == points.shape[1]:
+            surface = protect_surface(surface_mesh(points, host.cells, **given), host.kept)
+            if host.textured:
+                surface = hold_charts(surface, host.blocks)
+            return _Prepared(adapter, host, None, surface, 1)
+        simplices, orientation = simplex_mesh(points, host.cells, **given)
         return _Prepared(adapter, host, frame, protect(simplices, host.kept), orientation)
 
 
@@ -322,12 +351,12 @@ def _words_of(host: HostMesh) -> Iterator[None]:
 
 
 def _flat_points(host: HostMesh) -> tuple[FloatArray, PlaneFrame | None]:
-    """Coordinates as the engine wants them: those of triangles in space lie in their plane."""
+    """Coordinates as the engine wants them: those of triangles in one plane lie in it."""
     points, cells = mesh_arrays(host.points, host.cells)
     if points.shape[1] == cells.shape[1] - 1:
         return points, None
     frame = plane_frame(points, cells)
-    return frame.to_plane(points), frame
+    return (points, None) if frame is None else (frame.to_plane(points), frame)
 
 
 def _in_frame(options: Options, frame: PlaneFrame | None) -> Options:
@@ -345,8 +374,6 @@ def _placed(
 
     A vertex that did not move keeps the caller's coordinates bit for bit.
     """
-    from odt_plugins.engine.judge import faults
-
     moved = (outcome.points != work.mesh.points).any(axis=1)
     points = np.array(work.host.points)
     new = outcome.points[moved]
@@ -355,10 +382,24 @@ def _placed(
     exact = exact if work.frame is None else work.frame.to_plane(exact)
     if np.array_equal(exact, outcome.points):
         return points, outcome
-    broken, slid = faults(work.mesh, exact, outcome.cells, outcome.regions, options)
+    broken, judged = _judged(work.mesh, outcome, exact, options)
     if not broken:
-        return points, replace(outcome, points=exact, slid=slid)
+        return points, judged
     return np.array(work.host.points), _input_instead(work, outcome, ROUNDED + broken[0])
+
+
+def _judged(
+    mesh: SimplexMesh, outcome: Outcome, points: FloatArray, options: Options
+) -> tuple[list[str], Outcome]:
+    """What of the promise an outcome breaks with rounded coordinates, and the outcome with them."""
+    if mesh.is_surface:
+        from odt_plugins.engine.surface.driver import judged
+
+        return judged(mesh, outcome, points, options)
+    from odt_plugins.engine.judge import faults
+
+    broken, slid = faults(mesh, points, outcome.cells, outcome.regions, options)
+    return broken, replace(outcome, points=points, slid=slid)
 
 
 def _input_instead(work: _Prepared, outcome: Outcome, fallback: str) -> Outcome:

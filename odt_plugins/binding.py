@@ -151,8 +151,9 @@ def _reason(
     corner = _sharp_corner(points, cell, facets)
     if corner is not None:
         return corner
+    on_surface = points.shape[1] == k
     if free == 0:
-        return f"all its {k} vertices are fixed"
+        return f"all its {k} vertices are {'held' if on_surface else 'fixed'}"
     if k == 4 and free == 1:
         facet = cell[~movable[cell]]
         limit = best_quality_on(points[facet])
@@ -162,7 +163,7 @@ def _reason(
             what = "boundary triangle" if on_surface else "triangle of fixed vertices"
             return (f"its {what} {_names(facet)} has q {own:.3f} and allows no more than "
                     f"{limit:.3f}")
-    return f"{free} of its {k} vertices may move"
+    return f"{free} of its {k} vertices may move{' within the envelope' if on_surface else ''}"
 
 
 def _sharp_corner(

@@ -36,8 +36,8 @@ HELP = {
     "solver": "How the positions are iterated.",
     "linear_solver": "Solver of the global step.",
     "connectivity": "How cells are reconnected.",
-    "density": "keep, uniform, inverse-volume, or the name of a point or cell array of INPUT "
-               "with the values of rho.",
+    "density": "keep, uniform, inverse-volume, curvature (of a curved surface), or the name of a "
+               "point or cell array of INPUT with the values of rho.",
     "exponent": "r in rho = h^-r for the density keep; d + 2 unless given.",
     "omega": "Relaxation of the local sweeps, between 0 and 2; chosen by method unless given.",
     "rounds": "Most rounds of smoothing and reconnection in one cycle.",
@@ -45,10 +45,9 @@ HELP = {
     "finish": "Whether bad cells are finished by their quality. Without it a TetWild mesh usually "
               "comes back unchanged, since smoothing alone makes its worst cells worse and --keep "
               "refuses that; to have the smoothed mesh all the same: --no-finish --keep none.",
-    "objective": "What finishing improves: radius ratios, the smallest (dihedral) angles, or the "
-                 "energy that TetWild minimises.",
     "boundary": "What happens to the boundary: fixed keeps it bit for bit, slide lets the surface "
-                "of a mesh of tetrahedra move along itself within the envelope.",
+                "of a mesh of tetrahedra move along itself within the envelope. A curved mesh of "
+                "triangles always does; slide lets its rims and feature lines change too.",
     "envelope": "How far a surface that moves may be from the input's, both ways, as a part of the "
                 "diagonal of the bounding box.",
     "feature_angle": "Degrees by which a surface turns at an edge that is kept.",

@@ -30,7 +30,10 @@ CHUNK = 1 << 16
 
 @dataclass(frozen=True)
 class SimplexMesh:
-    """A valid mesh of triangles in the plane or tetrahedra in space.
+    """A valid mesh of triangles in the plane, tetrahedra in space, or triangles in space.
+
+    The last kind, a curved surface, comes from :func:`odt_plugins.surface.surface_mesh`: its areas
+    have no sign and may be zero.
 
     Attributes
     ----------
@@ -40,7 +43,7 @@ class SimplexMesh:
     fixed : (n,) bool                        vertices that must not move (boundary not included)
     frozen : (m,) bool                       cells that must stay as they are; none by default
     stays : (k, 2) int32                     edges of the boundary that must stay edges
-    lines : (l, 2) int32                     of them, those that count as feature edges
+    lines : (l, 2) int32                     edges that count as feature edges
     """
 
     points: FloatArray
@@ -57,8 +60,13 @@ class SimplexMesh:
 
     @property
     def dim(self) -> int:
-        """Dimension d of the space."""
-        return int(self.points.shape[1])
+        """Dimension d of the cells."""
+        return int(self.cells.shape[1]) - 1
+
+    @property
+    def is_surface(self) -> bool:
+        """Whether these are triangles in space."""
+        return bool(self.points.shape[1] > self.dim)
 
 
 def simplex_mesh(

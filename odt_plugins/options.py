@@ -13,7 +13,6 @@ Method = Literal["odt", "cpt", "laplacian", "cvt"]
 Solver = Literal["gauss-seidel", "jacobi", "richardson", "global", "lbfgs"]
 Connectivity = Literal["auto", "delaunay", "flips", "none"]
 Boundary = Literal["fixed", "slide"]
-Objective = Literal["radius_ratio", "min_dihedral", "amips"]
 LinearSolver = Literal["auto", "direct", "amg"]
 
 CHOICES: dict[str, tuple[str, ...]] = {
@@ -21,10 +20,9 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "solver": get_args(Solver),
     "linear_solver": get_args(LinearSolver),
     "connectivity": get_args(Connectivity),
-    "objective": get_args(Objective),
     "boundary": get_args(Boundary),
 }
-DENSITIES = ("keep", "uniform", "inverse-volume")
+DENSITIES = ("keep", "uniform", "inverse-volume", "curvature")
 
 FIGURES = ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle")
 
@@ -44,6 +42,7 @@ class Options:
     connectivity      "delaunay" scipy every round, "flips" only local flips, "auto" scipy
                       first and flips later (Section 3.2), "none"
     density           "keep" (size field of the input mesh), "uniform", "inverse-volume" (4.22),
+                      "curvature" (curved surfaces: fine where they bend),
                       (m,) per-cell or (n,) per-vertex rho values, a callable rho(points)
     exponent          r in rho = h^-r for "keep"; None means d + 2
     omega             relaxation of the local sweeps, the first alpha that is tried (4.2.1); None
@@ -52,10 +51,10 @@ class Options:
     rounds            most rounds of stage 1 (smoothing + connectivity) in one cycle
     cycles            how often stage 1 and stage 2 follow each other
     finish            whether stage 2, quality-driven finishing, runs
-    objective         what finishing improves: "radius_ratio" (5.1), "min_dihedral" the smallest
-                      (dihedral) angles, "amips" the energy that TetWild minimises
     boundary          "fixed": bit for bit; "slide": the surface of a mesh of tetrahedra moves
-                      along itself within the envelope, features and interfaces stay
+                      along itself within the envelope, features and interfaces stay. A curved
+                      mesh of triangles always does; there "fixed" keeps its rims and feature
+                      lines, and "slide" lets them change within half of the envelope
     envelope          how far a surface that moves may be from the input's, both ways, as a part
                       of the diagonal of the bounding box
     feature_angle     degrees by which a surface turns at an edge that is kept
@@ -78,7 +77,6 @@ class Options:
     rounds: int = 40
     cycles: int = 1
     finish: bool = True
-    objective: Objective = "radius_ratio"
     boundary: Boundary = "fixed"
     envelope: float = 1e-3
     feature_angle: float = 40.0
@@ -123,9 +121,6 @@ class Options:
             _expect(good, name, value, f"an integer of at least {least}")
         for name in ("finish", "orient"):
             _expect(isinstance(getattr(self, name), bool), name, getattr(self, name), "a bool")
-        if not self.finish:
-            good = self.objective == "radius_ratio"
-            _expect(good, "objective", self.objective, "'radius_ratio' without finishing")
         good = isinstance(self.keep, tuple | list) and all(k in FIGURES for k in self.keep)
         _expect(good, "keep", self.keep, f"some of {FIGURES}")
         good = self.progress is None or callable(self.progress)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError, counted
+from odt_plugins.errors import InvalidMeshError, counted
 from odt_plugins.mesh import FloatArray
 
 FLATNESS = 1e-6
@@ -46,7 +46,7 @@ class PlaneFrame:
         return np.asarray(self.origin + u * self.axes[0] + v * self.axes[1])
 
 
-def plane_frame(points: FloatArray, cells: NDArray[np.integer]) -> PlaneFrame:
+def plane_frame(points: FloatArray, cells: NDArray[np.integer]) -> PlaneFrame | None:
     """Find the plane of a triangle mesh whose points are given in space.
 
     Parameters
@@ -56,14 +56,14 @@ def plane_frame(points: FloatArray, cells: NDArray[np.integer]) -> PlaneFrame:
 
     Returns
     -------
-    PlaneFrame                 a plane x = c, y = c or z = c gives exactly the other two
+    PlaneFrame or None         a plane x = c, y = c or z = c gives exactly the other two
                                coordinates; any other plane an orthonormal frame in which
-                               the areas of most triangles are positive
+                               the areas of most triangles are positive; None when a used vertex
+                               is further than FLATNESS times the bounding-box diagonal from the
+                               plane: a curved surface
 
     Raises
     ------
-    UnsupportedMeshError       a used vertex is further than FLATNESS times the bounding-box
-                               diagonal from the plane: a curved surface
     InvalidMeshError           all triangles have zero area
 
     Notes
@@ -96,16 +96,8 @@ def plane_frame(points: FloatArray, cells: NDArray[np.integer]) -> PlaneFrame:
     origin = 0.5 * (low + high)
     distance = np.abs(_dot(p - origin, normal) - _dot(p - origin, normal).mean())
     diagonal = float(np.sqrt(((high - low) ** 2).sum()))
-    bad = np.flatnonzero(distance > FLATNESS * diagonal)
-    if bad.size:
-        msg = (
-            f"the triangles form a curved surface: {counted(bad.size, 'vertex', 'vertices')} off "
-            f"their plane (first: vertex {used[bad[0]]}) by up to "
-            f"{distance.max() / diagonal:.1e} of the bounding-box diagonal (allowed: "
-            f"{FLATNESS:.0e}); curved surfaces are not supported yet, try the volume route: fill "
-            f"the surface with tetrahedra (pytetwild.tetrahedralize) and optimise those"
-        )
-        raise UnsupportedMeshError(msg)
+    if (distance > FLATNESS * diagonal).any():
+        return None
     origin = origin + _dot(p - origin, normal).mean() * normal
     if 2 * (side < 0).sum() > len(cells):
         normal = -normal

@@ -32,8 +32,6 @@ ROWS = (
     ("mean_quality", "mean quality", ".4f"),
     ("min_angle", "smallest {angle}", ".2f"),
     ("max_angle", "largest {angle}", ".2f"),
-    ("mean_amips", "mean AMIPS energy", ".4f"),
-    ("max_amips", "max AMIPS energy", ".4f"),
     ("below_5", "cells below 5 deg", "d"),
     ("below_10", "cells below 10 deg", "d"),
     ("below_20", "cells below 20 deg", "d"),
@@ -66,6 +64,12 @@ class Report:
     slid : dict or None                     envelope, distances both ways (upper bounds), relative
                                             change of the volume and vertices moved, when the
                                             boundary slid
+    surface : dict or None                  of a curved surface: "envelope" and "diagonal" as
+                                            lengths, "forward" and "backward", upper bounds of the
+                                            distances of its points from the input and of the
+                                            input's from it, and the numbers of
+                                            "feature_edges", "corners", vertices "on_lines" that
+                                            slide along features, and "held" ones
     """
 
     dim: int
@@ -84,6 +88,7 @@ class Report:
     options: Mapping[str, Any]
     versions: Mapping[str, str]
     slid: Mapping[str, float] | None = None
+    surface: Mapping[str, float] | None = None
 
     @property
     def movable_share(self) -> float:
@@ -95,6 +100,8 @@ class Report:
         lines = [*table_lines({"before": self.before, "after": self.after}), ""]
         lines.append(f"{self.n_movable} of {self.n_used} vertices may move "
                      f"({100 * self.movable_share:.0f} %)")
+        if self.surface:
+            lines += _surface_lines(self.surface)
         if self.energy:
             first, last = self.energy[0][1], self.energy[-1][1]
             lines.append(f"energy {first:.6g} -> {last:.6g}")
@@ -162,7 +169,10 @@ def make_report(before: SimplexMesh, outcome: Outcome, options: Options) -> Repo
     new = cell_figures(outcome.points, outcome.cells)
     used = np.zeros(len(before.points), bool)
     used[before.cells] = True
+    kept = getattr(outcome, "kept", None)
     movable = used & (~held_vertices(before) | (outcome.points != before.points).any(axis=1))
+    if kept is not None:
+        movable = used & ~kept.held
     return Report(
         dim=before.dim,
         before=summarize(before.points, before.cells, old),
@@ -180,7 +190,41 @@ def make_report(before: SimplexMesh, outcome: Outcome, options: Options) -> Repo
         options=_described(options),
         versions=_versions(),
         slid=None if outcome.slid is None else outcome.slid._asdict(),
+        surface=_surface_facts(before, outcome, used),
     )
+
+
+def _surface_facts(
+    before: SimplexMesh, outcome: Any, used: NDArray[np.bool_]
+) -> dict[str, float] | None:
+    """What there is to say of a curved surface, if it is one."""
+    kept = getattr(outcome, "kept", None)
+    if kept is None:
+        return None
+    same = np.array_equal(outcome.points, before.points) and np.array_equal(
+        outcome.cells, before.cells
+    )
+    return {
+        "diagonal": kept.diagonal,
+        "envelope": kept.envelope,
+        "forward": 0.0 if same else outcome.distance.forward,
+        "backward": 0.0 if same else outcome.distance.backward,
+        "feature_edges": len(kept.lines),
+        "corners": kept.corners,
+        "on_lines": kept.on_lines,
+        "held": int((kept.held & used).sum()),
+    }
+
+
+def _surface_lines(facts: Mapping[str, float]) -> list[str]:
+    size = facts["diagonal"]
+    return [
+        f"features {facts['feature_edges']} edges with {facts['corners']} corners; "
+        f"{facts['on_lines']} vertices slide along them, {facts['held']} are held",
+        f"distance {facts['forward']:.4g} to the input, {facts['backward']:.4g} from it, at "
+        f"most {facts['envelope']:.4g} allowed ({facts['forward'] / size:.3g}, "
+        f"{facts['backward'] / size:.3g}, {facts['envelope'] / size:.3g} of the diagonal)",
+    ]
 
 
 def histogram(quality: NDArray[np.float64]) -> tuple[int, ...]:

@@ -113,7 +113,7 @@ def surface_mesh(
             a, b = edges.vertices[turned[0]].tolist()
             msg = (
                 f"got {counted(turned.size, 'edge')} (first: the edge of vertices {a} and {b}) "
-                f"whose two triangles disagree about the outside; expected one orientation, try "
+                f"whose two cells disagree about the outside; expected one orientation, try "
                 f"orient=True"
             )
             raise InvalidMeshError(msg)
@@ -136,8 +136,8 @@ def _check_corners(p: NDArray[np.float64], t: IntArray) -> None:
     bad = np.flatnonzero(same)
     if bad.size:
         msg = (
-            f"got {counted(bad.size, 'triangle')} (first: triangle {bad[0]}) with a vertex used "
-            f"twice; expected 3 different vertices, try removing such triangles"
+            f"got {counted(bad.size, 'cell')} (first: cell {bad[0]}) with a vertex used twice; "
+            f"expected 3 different vertices, try removing such cells"
         )
         raise InvalidMeshError(msg)
     ordered = np.sort(t, axis=1)
@@ -147,9 +147,9 @@ def _check_corners(p: NDArray[np.float64], t: IntArray) -> None:
     again = np.flatnonzero(first[inverse] != np.arange(len(t)))
     if again.size:
         msg = (
-            f"got {counted(again.size, 'triangle')} (first: triangle {again[0]}) with the same "
-            f"vertices as an earlier one (triangle {first[inverse[again[0]]]}); expected each "
-            f"triangle once, try removing repeated triangles"
+            f"got {counted(again.size, 'cell')} (first: cell {again[0]}) with the same vertices as "
+            f"an earlier cell (cell {first[inverse[again[0]]]}); expected each cell once, try "
+            f"removing repeated cells"
         )
         raise InvalidMeshError(msg)
     corner = p[t.ravel()]
@@ -192,9 +192,9 @@ def _to_turn(t: IntArray, edges: Edges) -> BoolArray:
     stuck = np.flatnonzero(piece[:m] == piece[m:])
     if stuck.size:
         msg = (
-            f"got a surface with only one side (non-orientable, like a Moebius strip) around "
-            f"triangle {stuck[0]} ({counted(stuck.size, 'triangle')} of such pieces); expected an "
-            f"orientable surface, try cutting it open"
+            f"got {counted(stuck.size, 'cell')} (first: cell {stuck[0]}) of a surface with only "
+            f"one side, non-orientable like a Moebius strip; expected two sides, try cutting it "
+            f"open"
         )
         raise InvalidMeshError(msg)
     # of the two ways to orient a piece take the one that leaves more triangles as they are

@@ -66,11 +66,12 @@ def _meshio(points, rows, labels, point, dim):
 
 
 def view(mesh, dim):
-    """Nodes, rows, point and cell data of a mesh of either kind."""
+    """Nodes, rows, point and cell data of a mesh of either kind; planar nodes in the plane."""
+    width = 3 if np.any(np.asarray(mesh.points)[:, dim:]) else dim
     if isinstance(mesh, meshio.Mesh):
-        return (mesh.points[:, :dim], mesh.cells[0].data, dict(mesh.point_data),
+        return (mesh.points[:, :width], mesh.cells[0].data, dict(mesh.point_data),
                 {name: values[0] for name, values in mesh.cell_data.items()})
-    return (np.array(mesh.points)[:, :dim], mesh.cells_dict[VTK[dim]],
+    return (np.array(mesh.points)[:, :width], mesh.cells_dict[VTK[dim]],
             {name: np.array(mesh.point_data[name]) for name in mesh.point_data},
             {name: np.array(mesh.cell_data[name]) for name in mesh.cell_data})
 

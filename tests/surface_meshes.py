@@ -190,9 +190,10 @@ def diagonal(points):
 
 
 def samples(points, cells, k=6):
-    """Points of every triangle on a lattice of k steps, corners and edges included."""
+    """Points of every triangle on a lattice of k steps, corners and edges included, each once."""
     w = np.array([(i, j, k - i - j) for i in range(k + 1) for j in range(k + 1 - i)]) / k
-    return np.einsum("wc,mcd->mwd", w, points[cells]).reshape(-1, 3)
+    found = np.einsum("wc,mcd->mwd", w, points[np.sort(cells, axis=1)]).reshape(-1, 3)
+    return np.unique(found, axis=0)
 
 
 def distances(x, points, cells):

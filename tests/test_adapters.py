@@ -165,17 +165,15 @@ def test_errors_speak_the_words_of_the_host(name):
             host.optimize(good, density=np.ones(3))
 
 
-@pytest.mark.parametrize("name", contract.REFUSE_CURVED)
-def test_curved_surfaces_name_the_volume_route(name):
+@pytest.mark.parametrize("name", contract.CURVED)
+def test_curved_surfaces_keep_their_envelope_and_all_data(name):
     contract.need(name)
     host = contract.HOSTS[name]
-    points, cells, labels = contract.grid(2, 4)
-    bowl = np.column_stack([points, (points**2).sum(axis=1)])
-    mesh = host.make((bowl, cells, labels))
-    for run in (host.optimize, odt_plugins.measure):
-        with pytest.raises(odt_plugins.UnsupportedMeshError,
-                           match=r"curved surface.* volume route: .*pytetwild\.tetrahedralize"):
-            run(mesh)
+    mesh = host.make(contract.bowl())
+    before = host.view(mesh)
+    assert odt_plugins.measure(mesh).inverted == 0
+    contract.check_curved(host, before, host.view(host.optimize(mesh, envelope=5e-3)), 5e-3)
+    assert contract.same_bits(before, host.view(mesh))
 
 
 @pytest.mark.parametrize(("side", "name"), [("CELL", "stress"), ("POINT", "temperature")])

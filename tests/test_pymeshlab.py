@@ -590,8 +590,6 @@ def test_an_optimal_mesh_and_a_single_face_come_back_unchanged():
 @pytest.mark.parametrize(("make", "words"), [
     (lambda: pymeshlab.MeshSet(), r"MeshSet without meshes.*load_new_mesh"),
     (lambda: pymeshlab.Mesh(np.eye(3)), r"without faces.*generate_surface_reconstruction"),
-    (lambda: pymeshlab.Mesh(np.vstack([np.eye(3), [[0, 0, 0.0]]]),
-                            np.array([[0, 1, 2], [0, 3, 1]])), "curved surface"),
 ])
 def test_objects_that_cannot_be_optimised(make, words):
     with pytest.raises(UnsupportedMeshError, match=words):

@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 import contract
 import numpy as np
 import pytest
+import surface_meshes
 
 import odt_plugins
 from odt_plugins import cli
@@ -180,7 +181,10 @@ def test_time_and_effect_appear_in_the_log(capfd):
     ({"selected": 1}, "Parameter selected: got 1; expected a bool"),
     ({"density": "even"}, "Enum 'even' not found. Possible values are 'keep'; 'uniform';"),
     ({"density": np.ones(3)}, "Enum '.*' not found"),
-    ({"density": 3}, "Enum 3 not valid. Must be a value between 0 and 2"),
+    ({"density": 4}, "Enum 4 not valid. Must be a value between 0 and 3"),
+    ({"featuredeg": 0}, "featuredeg: got 0; expected a positive number"),
+    ({"envelope": 0.1}, r"envelope: got 0\.1; expected a pymeshlab.PercentageValue"),
+    ({"envelope": pymeshlab.PureValue(0.0)}, "envelope: got 0.0; expected a positive length"),
 ])
 def test_wrong_parameters_are_named_in_the_words_of_meshlab(given, words):
     meshes = flat_set()
@@ -229,7 +233,6 @@ def test_meshes_that_a_filter_cannot_take_are_named_in_the_words_of_meshlab():
     double = pymeshlab.Mesh(np.eye(3), np.array([[0, 1, 2], [0, 1, 2]]))
     for mesh, words in ((None, "^[a-z_]+ requires at least one mesh loaded in the MeshSet.$"),
                         (pymeshlab.Mesh(np.eye(3)), "does not have any faces"),
-                        (sphere().current_mesh, "curved surface.*generate_odt_tetrahedralization"),
                         (crossed, r"1 face .*meshing_re_orient_faces_coherently"),
                         (double, "meshing_remove_duplicate_faces")):
         meshes = pymeshlab.MeshSet()
@@ -248,13 +251,31 @@ def test_meshes_that_a_filter_cannot_take_are_named_in_the_words_of_meshlab():
         pymeshlab.MeshSet().apply_coord_odt_smoothing()
 
 
-def test_the_boundary_cannot_move_yet_and_that_is_said():
+def test_the_boundary_of_a_planar_mesh_cannot_move_and_that_is_said():
     meshes = flat_set()
-    for call in (meshes.apply_coord_odt_smoothing, meshes.meshing_odt_optimization,
-                 lambda **given: meshes.filter_parameter_values("apply_coord_cpt_smoothing",
-                                                                **given)):
-        with pytest.raises(pymeshlab.PyMeshLabException, match="boundary: got True; expected Fal"):
+    for call in (meshes.apply_coord_odt_smoothing, meshes.meshing_odt_optimization):
+        with pytest.raises(pymeshlab.PyMeshLabException, match="boundary='slide' for a mesh in"):
             call(boundary=True)
+
+
+@pytest.mark.parametrize("name", [*MOVING, "meshing_odt_optimization"])
+def test_filters_work_on_curved_surfaces(name):
+    p, t = surface_meshes.torus(40, 16, noise=0.5)
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(pymeshlab.Mesh(p, t), "ring")
+    before = odt_plugins.measure(meshes)
+    meshes.apply_filter(name, envelope=pymeshlab.PercentageValue(0.5))
+    x, c = meshes.current_mesh().vertex_matrix(), meshes.current_mesh().face_matrix()
+    after = odt_plugins.measure(meshes)
+    assert after.mean_quality > before.mean_quality + (0.004 if "global" in name else 0.02)
+    assert max(surface_meshes.two_sided(p, t, x, c, 2)) <= 5e-3 * surface_meshes.diagonal(p)
+    assert (name == "meshing_odt_optimization") != np.array_equal(c, t)
+    # MeshLab computes the normals of the result
+    normal = np.cross(x[c[:, 1]] - x[c[:, 0]], x[c[:, 2]] - x[c[:, 0]])
+    normal /= np.linalg.norm(normal, axis=1)[:, None]
+    found = meshes.current_mesh().face_normal_matrix()
+    found = found / np.linalg.norm(found, axis=1)[:, None]
+    assert (found * normal).sum(axis=1).min() > 0.999
 
 
 @pytest.fixture(scope="module")
@@ -373,8 +394,8 @@ def test_names_and_values_of_scripts(tmp_path):
      InvalidOptionError, "got '9'; expected a value of type RichEnum"),
     ([ENTRY.format("ODT Smoothing", '<Param name="Density" value="even"/>')],
      InvalidOptionError, "Enum 'even' not found"),
-    ([ENTRY.format("ODT Smoothing", '<Param name="Boundary" value="true"/>')],
-     InvalidOptionError, "^ODT Smoothing, filter 2 of 2 in .*some.mlx: Parameter boundary: got Tr"),
+    ([ENTRY.format("ODT Smoothing", '<Param name="FeatureDeg" value="0"/>')],
+     InvalidOptionError, "^ODT Smoothing, filter 2 of 2 in .*some.mlx: Parameter featuredeg: got"),
     ([ENTRY.format("ODT Smoothing", '<Param name="stepSmoothNum" value="-1"/>')],
      InvalidOptionError, "stepsmoothnum: got -1; expected an int of at least 0"),
     ([ENTRY.format("ODT Tetrahedralization", '<Param name="TargetLen" value="0"/>')],

@@ -16,7 +16,8 @@ from odt_plugins import errors
 PACKAGE = Path(odt_plugins.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
-BASE = {"errors", "mesh", "options", "quality", "promise", "surface"}
+BASE = {"errors", "mesh", "options", "quality", "promise", "surface",
+        "surface_promise"}
 MAY_IMPORT = {
     "errors": set(),
     "mesh": {"errors"},
@@ -24,6 +25,7 @@ MAY_IMPORT = {
     "quality": {"errors"},
     "planar": {"errors", "mesh"},
     "surface": {"errors", "mesh"},
+    "surface_promise": {"errors", "mesh", "options", "promise", "quality", "surface"},
     "carry": {"errors", "mesh"},
     "promise": {"errors", "mesh", "options", "quality"},
     "engine": {"engine", *BASE},

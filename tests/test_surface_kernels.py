@@ -15,14 +15,14 @@ from odt_plugins.engine.surface.build import ground_values, make_ground, make_sh
 from odt_plugins.engine.surface.features import find_features
 from odt_plugins.engine.surface.newton import star_cost
 from odt_plugins.engine.surface.odt import CPT, GIVEN, LAPLACIAN, ODT, star_centre
-from odt_plugins.engine.surface.sheet import HELD, Limits
-from odt_plugins.engine.surface.stages import (
+from odt_plugins.engine.surface.passes import (
     Surface,
     finish_phase,
     flip_all,
     move_all,
-    surface_energy,
 )
+from odt_plugins.engine.surface.sheet import HELD, Limits
+from odt_plugins.engine.surface.smoothing import surface_energy
 from odt_plugins.engine.surface.trace import edge_is_near
 from odt_plugins.quality import angles, radius_ratio
 from odt_plugins.surface import surface_edges
@@ -38,7 +38,7 @@ def build(p, t, envelope=1e-2, cosine=0.5, slack=1e-6, **options):
     size = sm.diagonal(p)
     limits = Limits((envelope * size) ** 2, (slack * size) ** 2, cosine)
     return Surface(make_sheet(p, t, edges, found), make_ground(p, t, edges, stars, found),
-                   found.lines, limits, **options)
+                   found.lines, limits, np.zeros(len(t), np.int32), **options)
 
 
 def improve(surface, rounds=4):

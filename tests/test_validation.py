@@ -141,7 +141,7 @@ BAD_OPTIONS = {
     "method type": ({"method": np.arange(3)}, r"got method=.*expected one of"),
     "solver": ({"solver": "sor"}, r"got solver='sor'; expected one of"),
     "connectivity": ({"connectivity": None}, r"got connectivity=None; expected one of"),
-    "boundary": ({"boundary": "free"}, r"expected one of \('fixed',\)"),
+    "boundary": ({"boundary": "free"}, r"expected one of \('fixed', 'slide'\)"),
     "density name": ({"density": "fine"}, r"got density='fine'; expected one of \('keep'"),
     "density zero": ({"density": np.array([1.0, 0, 1, 1, 1, 1, 1, 1])}, r"densit"),
     "density negative": ({"density": np.array([1.0, 1, 1, 1, 1, 1, 1, -1])}, r"densit"),
@@ -260,12 +260,6 @@ def test_meshes_with_nothing_to_optimise_are_refused_by_name():
         odt_plugins.optimize(pyvista.PolyData())
     with pytest.raises(InvalidMeshError, match="no cells"):
         odt_plugins.optimize(meshio.Mesh(corners, []))
-
-
-def test_curved_surfaces_are_refused_with_the_way_round():
-    pyvista = pytest.importorskip("pyvista")
-    with pytest.raises(UnsupportedMeshError, match=r"curved surface.*tetrahedralize"):
-        odt_plugins.optimize(pyvista.Sphere())
 
 
 def test_orient_turns_mixed_cells(d):
@@ -454,8 +448,7 @@ def test_plane_tolerance_is_relative_to_the_diagonal():
             if good:
                 plane_frame(space, cells)
             else:
-                with pytest.raises(UnsupportedMeshError, match=r"1 vertex off .*vertex 12\)"):
-                    plane_frame(space, cells)
+                assert plane_frame(space, cells) is None
 
 
 def test_degenerate_triangles_in_space_are_refused():

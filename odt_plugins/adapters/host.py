@@ -44,6 +44,7 @@ class HostMesh:
     kept : tuple of KeptCells         cells that are not optimised
     source : object                   the caller's object, never changed
     layout : object                   what else the writer of this adapter needs
+    textured : bool                   whether there are texture coordinates of points in space
     words : callable                  puts an error message into the words of this toolkit
     """
 
@@ -54,7 +55,23 @@ class HostMesh:
     kept: tuple[KeptCells, ...] = ()
     source: Any = None
     layout: Any = None
+    textured: bool = False
     words: Callable[[str], str] = str
+
+
+class Feet(NamedTuple):
+    """Where vertices that moved along a surface lie on the caller's triangles.
+
+    Attributes
+    ----------
+    vertex : (k,) int          the vertices, ascending
+    face : (k,) int            input triangle on which each lies
+    weights : (k, 3) float64   barycentric coordinates there, in the order of its corners
+    """
+
+    vertex: NDArray[Any]
+    face: NDArray[Any]
+    weights: NDArray[np.float64]
 
 
 class Result(NamedTuple):
@@ -65,11 +82,16 @@ class Result(NamedTuple):
     points : (n, D)            caller's dtype; vertices keep their index
     cells : (m', k)            caller's dtype and orientation, sorted by `source`
     source : (m',) int32       input cell from which the data of each cell come
+    curved : bool              whether these are triangles of a curved surface: its vertices moved
+                               along it, and its normals are others
+    feet : Feet or None        of the vertices that moved along one with texture coordinates
     """
 
     points: NDArray[Any]
     cells: NDArray[Any]
     source: NDArray[np.int32]
+    curved: bool = False
+    feet: Feet | None = None
 
 
 class Adapter(Protocol):

@@ -38,14 +38,7 @@ def protect(mesh: SimplexMesh, kept: tuple[KeptCells, ...]) -> SimplexMesh:
     stays = [mesh.stays]
     lines = [mesh.lines]
     for kind, raw in kept:
-        bad = np.flatnonzero(((raw < 0) | (raw >= n)).any(axis=1))
-        if bad.size:
-            msg = (
-                f"got {counted(bad.size, f'{kind} cell')} with vertex indices out of range "
-                f"(vertices {raw[bad[0]].tolist()}); the mesh has {n} vertices, expected 0 to "
-                f"{n - 1}"
-            )
-            raise InvalidMeshError(msg)
+        _check_range(kind, raw, n)
         rows = np.asarray(raw, dtype=np.int64)
         if rows.shape[1] > 1:
             held = _hold(mesh, rows, frozen)
@@ -62,6 +55,68 @@ def _edges(rows: NDArray[np.int64]) -> IntArray:
     """Edges (k, 2) of lines and triangles."""
     pairs = list(combinations(range(rows.shape[1]), 2))
     return rows[:, pairs].reshape(-1, 2).astype(np.int32)
+
+
+def protect_surface(mesh: SimplexMesh, kept: tuple[KeptCells, ...]) -> SimplexMesh:
+    """Let the lines beside a curved surface be feature edges, and fix all other kept vertices.
+
+    Parameters
+    ----------
+    mesh : SimplexMesh           triangles in space
+    kept : tuple of KeptCells    a line that is an edge of the surface is kept as such, but its
+                                 vertices may slide along it; of anything else the vertices are
+                                 fixed
+
+    Raises
+    ------
+    InvalidMeshError             a kept cell refers to a vertex that does not exist
+    """
+    n = len(mesh.points)
+    pairs = np.sort(mesh.cells[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+    lines, loose = [mesh.lines], [np.zeros(0, dtype=np.int64)]
+    for kind, raw in kept:
+        _check_range(kind, raw, n)
+        rows = np.asarray(raw, dtype=np.int64)
+        if rows.shape[1] == 2 and len(rows):
+            keys = row_keys(np.concatenate([np.sort(rows, axis=1), pairs]), n)
+            held = np.isin(keys[: len(rows)], keys[len(rows) :])
+            lines.append(rows[held].astype(np.int32))
+            rows = rows[~held]
+        loose.append(rows.ravel())
+    fixed = mesh.fixed.copy()
+    fixed[np.concatenate(loose)] = True
+    return replace(mesh, fixed=fixed, lines=np.concatenate(lines))
+
+
+def hold_charts(mesh: SimplexMesh, charts: NDArray[np.integer] | None) -> SimplexMesh:
+    """Fix the vertices of seams of the texture, which have several texture coordinates.
+
+    Parameters
+    ----------
+    mesh : SimplexMesh       a curved surface; its lines include the seams within a chart
+    charts : (m,) or None    chart of every triangle
+    """
+    fixed = mesh.fixed.copy()
+    fixed[mesh.lines.ravel()] = True
+    if charts is not None:
+        low = np.full(len(mesh.points), np.iinfo(np.int64).max)
+        high = np.full(len(mesh.points), -1)
+        for corner in mesh.cells.T:
+            np.minimum.at(low, corner, charts)
+            np.maximum.at(high, corner, charts)
+        fixed |= low < high
+    return replace(mesh, fixed=fixed)
+
+
+def _check_range(kind: str, raw: NDArray[np.integer], n: int) -> None:
+    bad = np.flatnonzero(((raw < 0) | (raw >= n)).any(axis=1))
+    if bad.size:
+        msg = (
+            f"got {counted(bad.size, f'{kind} cell')} with vertex indices out of range "
+            f"(vertices {raw[bad[0]].tolist()}); the mesh has {n} vertices, expected 0 to "
+            f"{n - 1}"
+        )
+        raise InvalidMeshError(msg)
 
 
 def _hold(mesh: SimplexMesh, rows: NDArray[np.int64], frozen: BoolArray) -> BoolArray:

@@ -160,7 +160,7 @@ def _host(
         blocks, seams = charts(uv, cells)
         kept = (seams,) if len(seams.rows) else ()
     return HostMesh(points, cells, labels, blocks, kept, source=mesh, layout=uv,
-                    words=partial(in_words, mesh=mesh))
+                    textured=uv is not None, words=partial(in_words, mesh=mesh))
 
 
 def _in_range(cells: NDArray[Any], n: int) -> bool:

@@ -131,21 +131,23 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
         blocks=blocks,
         kept=tuple(part for part in kept if len(part.rows)),
         source=mesh,
+        textured=inner.has_wedge_tex_coord() or inner.has_vertex_tex_coord(),
     )
 
 
 def write(result: Result, host: HostMesh) -> Any:
     """Move the vertices or exchange the faces of the current mesh, in a copy unless InPlace."""
     source = host.source
+    moves = result.feet is None and np.array_equal(result.cells, host.cells)
     if isinstance(source, InPlace):
-        if np.array_equal(result.cells, host.cells):
+        if moves:
             move_vertices(source.meshes, result.points)
         else:
             exchange(source.meshes, rebuilt(source.meshes.current_mesh(), result))
         return source
     whole = is_instance(source, "pymeshlab", "MeshSet")
     mesh = source.current_mesh() if whole else source
-    if np.array_equal(result.cells, host.cells):
+    if moves:
         copy = private_copy(mesh)
         move_vertices(copy, result.points)
     else:

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.host import Result
-from odt_plugins.adapters.wedges import carried
+from odt_plugins.adapters.wedges import carried, slid
 
 SELECTED = 0x20
 """Bit of a selected vertex or face in the property `flags` of MeshLab's PLY files."""
@@ -47,7 +47,7 @@ def encode(
     if mesh.has_vertex_scalar():
         vertex.append(("double quality", "<f8", mesh.vertex_scalar_array()))
     if mesh.has_vertex_tex_coord():
-        uv = mesh.vertex_tex_coord_matrix()
+        uv = slid(mesh.vertex_tex_coord_matrix(), mesh.face_matrix(), result.feet)
         vertex += [("float texture_u", "<f4", uv[:, 0]), ("float texture_v", "<f4", uv[:, 1])]
     body = _element(header, "vertex", n, vertex)
 

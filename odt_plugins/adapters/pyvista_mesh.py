@@ -1,10 +1,11 @@
-"""pyvista.UnstructuredGrid of tetrahedra or planar triangles, pyvista.PolyData of planar triangles.
+"""pyvista.UnstructuredGrid of tetrahedra or triangles, pyvista.PolyData of triangles.
 
 Everything survives: class, dtype of the points, point, cell and field data, active arrays and
-user dictionary. Other linear cells (lines, boundary triangles, quadrilaterals, hexahedra, ...)
-come back as they are. Quadratic triangles and tetrahedra are optimised by their corners, see
-:mod:`odt_plugins.adapters.quadratic`; other quadratic cells, quadratic beside linear ones,
-polyhedra and triangle strips are refused by name.
+user dictionary. On a curved surface the active normals are computed anew, and the active texture
+coordinates are interpolated at the new places of the vertices. Other linear cells (lines,
+boundary triangles, quadrilaterals, hexahedra, ...) come back as they are. Quadratic triangles and
+tetrahedra are optimised by their corners, see :mod:`odt_plugins.adapters.quadratic`; other
+quadratic cells, quadratic beside linear ones, polyhedra and triangle strips are refused by name.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance, region_array
+from odt_plugins.adapters.normals import renewed
 from odt_plugins.adapters.quadratic import (
     CORNERS,
     Quadratic,
@@ -23,6 +25,7 @@ from odt_plugins.adapters.quadratic import (
     warn_of_folds,
     with_mid_nodes,
 )
+from odt_plugins.adapters.wedges import slid
 from odt_plugins.errors import UnsupportedMeshError, counted
 
 IndexArray = NDArray[np.int64]
@@ -94,6 +97,7 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
         kept=kept,
         source=mesh,
         layout=(ids, nodes if wide else None),
+        textured=mesh.point_data.active_texture_coordinates_name is not None,
     )
 
 
@@ -111,7 +115,32 @@ def write(result: Result, host: HostMesh) -> Any:
     else:
         rows = _write_quadratic(out, result, host)
     _carry_cell_data(out, host.source, rows)
+    if result.curved and nodes is None:
+        _follow_surface(out, result, host, rows)
     return out
+
+
+def _follow_surface(out: Any, result: Result, host: HostMesh, rows: IndexArray) -> None:
+    """Interpolate the active texture coordinates and compute the active normals anew.
+
+    `rows` tells for every new cell in which row of the caller's cell data it had its data.
+    """
+    name = out.point_data.active_texture_coordinates_name
+    if name is not None:
+        out.point_data[name] = slid(np.asarray(out.point_data[name]), host.cells, result.feet)
+    name = out.point_data.active_normals_name
+    if name is not None:
+        out.point_data[name] = renewed(
+            np.asarray(out.point_data[name]), result.points, result.cells, of_vertices=True
+        )
+    name = out.cell_data.active_normals_name
+    if name is not None:
+        values = np.array(out.cell_data[name])
+        own = np.isin(rows, optimised_cells(host))
+        values[own] = renewed(
+            values[own], result.points, result.cells, of_vertices=False
+        )
+        out.cell_data[name] = values
 
 
 def optimised_cells(host: HostMesh) -> IndexArray:

@@ -8,7 +8,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import KeptCells, Result
+from odt_plugins.adapters.host import Feet, KeptCells, Result
 from odt_plugins.mesh import row_keys
 
 
@@ -68,8 +68,45 @@ def carried(
     -------
     (m', 3, 2)         a wedge takes the coordinates that its vertex has in the source triangle;
                        where that does not have the vertex, those of the old wedge of the vertex
-                       that lies nearest to the source triangle in the texture
+                       that lies nearest to the source triangle in the texture. The wedges of a
+                       vertex that moved along a surface take those of the place where it is now
     """
+    out = _of_sources(uv, cells, result)
+    if result.feet is not None:
+        row = np.full(int(cells.max()) + 1, -1)
+        row[result.feet.vertex] = np.arange(len(result.feet.vertex))
+        place = row[result.cells]
+        out[place >= 0] = _interpolated(uv[result.feet.face], result.feet)[place[place >= 0]]
+    return out
+
+
+def slid(
+    values: NDArray[np.floating], cells: NDArray[np.integer], feet: Feet | None
+) -> NDArray[np.floating]:
+    """Texture coordinates (n, c) of vertices, those that moved along a surface interpolated.
+
+    Parameters
+    ----------
+    values : (n, c)     of the vertices before
+    cells : (m, 3)      triangles before
+    feet : Feet or None
+    """
+    out = np.array(values)
+    if feet is not None:
+        out[feet.vertex] = _interpolated(out[cells[feet.face]], feet)
+    return out
+
+
+def _interpolated(corners: NDArray[np.floating], feet: Feet) -> NDArray[np.floating]:
+    """Values (k, 3, c) at the corners of the triangles of feet, at the feet: (k, c)."""
+    found = (feet.weights[:, :, None] * corners).sum(axis=1)
+    return np.asarray(found.astype(corners.dtype))
+
+
+def _of_sources(
+    uv: NDArray[np.floating], cells: NDArray[np.integer], result: Result
+) -> NDArray[np.floating]:
+    """Texture coordinates that the vertices of every new triangle have in its source."""
     out = np.zeros((len(result.cells), 3, 2), dtype=uv.dtype)
     old = cells[result.source]
     todo = np.ones((len(result.cells), 3), dtype=np.bool_)

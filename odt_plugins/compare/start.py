@@ -11,7 +11,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
+from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh import FloatArray, IntArray, mesh_arrays, reverse, simplex_mesh
 from odt_plugins.planar import plane_frame
 from odt_plugins.quality import volumes
@@ -60,10 +60,11 @@ def make_start(name: str, points: FloatArray, cells: IntArray, origin: str = "")
     p, t = mesh_arrays(points, cells)
     kind: Kind = "tets" if t.shape[1] == 4 else "planar"
     if p.shape[1] == 3 and t.shape[1] == 3:
-        try:
-            p = plane_frame(p, t).to_plane(p)
-        except UnsupportedMeshError:
+        frame = plane_frame(p, t)
+        if frame is None:
             kind = "surface"
+        else:
+            p = frame.to_plane(p)
     if kind != "surface":
         t = simplex_mesh(p, t, orient=True)[0].cells
         negative = volumes(p, t) < 0

@@ -27,6 +27,9 @@ NAMES = ("keep", "uniform", "inverse-volume")
 SMOOTHING_PASSES = 3
 """Averaging passes over log h: noise of single cells is not worth keeping."""
 
+LEAST_SIZE = 1e-6
+"""Sizes below this part of the mean come from flat cells; none is smaller."""
+
 WALK_LIMIT = 500
 """Cells visited for one point before the best one seen is taken."""
 
@@ -216,7 +219,7 @@ def size_field(points: FloatArray, cells: IntArray, passes: int = SMOOTHING_PASS
     size = star_sum(signed_volumes(points, cells) ** (1 / d), cells, n)
     h = np.ones(n)
     h[used] = size[used] / count[used]
-    h[used] /= h[used].mean()
+    h[used] = np.maximum(h[used] / h[used].mean(), LEAST_SIZE)
     smooth: FloatArray = np.exp(smooth_over_stars(np.log(h), cells, passes))
     return smooth
 

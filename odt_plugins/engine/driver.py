@@ -7,24 +7,24 @@ import time
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Any
+from typing import Any, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.engine.complex import Complex, make_complex
 from odt_plugins.engine.density import Density, make_density
-from odt_plugins.engine.figures import Figures, cell_shapes, figures
+from odt_plugins.engine.figures import Figures, figures
 from odt_plugins.engine.finishing import finish
 from odt_plugins.engine.geometry import boundary_vertices, interface_vertices
 from odt_plugins.engine.judge import Slid, envelope_length, faults, slides
 from odt_plugins.engine.order import curve_order
-from odt_plugins.engine.phases import Phase, bulk, cautious, descents, repair, tail
+from odt_plugins.engine.phases import Phase, bulk, cautious, repair, tail
 from odt_plugins.engine.skin import Skin, make_skin
 from odt_plugins.engine.smoothing import Log, smooth
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
-from odt_plugins.options import Objective, Options, Progress
+from odt_plugins.options import Options, Progress
 
 LOCKED_QUALITY = 0.3
 LOCKED_ANGLES = (14.0, 157.0)
@@ -70,6 +70,19 @@ class State:
     name: str
 
 
+class Changing(Protocol):
+    """A mesh while it is being changed."""
+
+    @property
+    def points(self) -> FloatArray:
+        """Coordinates (n, d), as they are now."""
+        ...
+
+    def mesh_arrays(self) -> tuple[IntArray, IntArray]:
+        """Cells and their labels, as they are now; copies."""
+        ...
+
+
 class Memory:
     """Remembers the best state that keeps every named figure, and what the others broke.
 
@@ -77,20 +90,17 @@ class Memory:
     certain number of rounds of a certain method was asked for.
     """
 
-    def __init__(
-        self, before: Figures, keep: tuple[str, ...], objective: Objective, *, by_score: bool
-    ) -> None:
+    def __init__(self, before: Figures, keep: tuple[str, ...], *, by_score: bool) -> None:
         self.before = before
         self.keep = keep
-        self.objective = objective
         self.by_score = by_score
         self.states: list[State] = []
         self.worse: list[str] = []
 
-    def offer(self, mesh: Complex, name: str) -> bool:
+    def offer(self, mesh: Changing, name: str) -> bool:
         """Take the state if it keeps the figures; only the two best are held."""
         cells, regions = mesh.mesh_arrays()
-        now = figures(mesh.points, cells, self.objective)
+        now = figures(mesh.points, cells)
         worse = now.worse_than(self.before, self.keep)
         if worse:
             self.worse = worse
@@ -197,12 +207,16 @@ def run(mesh: SimplexMesh, options: Options) -> Outcome:
     regions = np.ascontiguousarray(mesh.regions[frame.active])
     skin = _skin(mesh, options, frame, points, cells) if slides(mesh, options) else None
     start = make_complex(points, cells, regions, inner_locked, inner_rim, skin)
-    before = figures(points, cells, options.objective)
-    memory = Memory(before, tuple(options.keep), options.objective, by_score=options.finish)
-    density = _density(mesh, options, frame, start)
+    before = figures(points, cells)
+    memory = Memory(before, tuple(options.keep), by_score=options.finish)
+    spec = inner_density(mesh, options, frame)
+    m = int(start.slots[0])
+    density = make_density(
+        spec, options.exponent, start.points, start.cells[:m], start.neighbors[:m].copy()
+    )
     log = Log()
     times = {"prepare": time.perf_counter() - clock}
-    bounds = _bounds(before, tuple(options.keep))
+    bounds = extremes(before, tuple(options.keep))
     pool = ThreadPoolExecutor(options.threads) if options.threads > 1 else None
     try:
         reason = _cycles(start, density, options, bounds, memory, log, times, pool)
@@ -248,11 +262,13 @@ def _unchanged(mesh: SimplexMesh, reason: str) -> Outcome:
     return Outcome(mesh.points.copy(), mesh.cells.copy(), mesh.regions.copy(), stop_reason=reason)
 
 
-def _density(
-    mesh: SimplexMesh, options: Options, frame: Frame, start: Complex
-) -> Density:
-    """The density in inner numbering and coordinates."""
-    m = int(start.slots[0])
+def inner_density(mesh: SimplexMesh, options: Options, frame: Frame) -> Any:
+    """``options.density`` in inner numbering and coordinates.
+
+    Raises
+    ------
+    InvalidOptionError    an array does not fit the mesh, or holds bad values
+    """
     spec = options.density
     if callable(spec):
         function = spec
@@ -260,19 +276,22 @@ def _density(
         def inner(inner_points: FloatArray) -> Any:
             return function(frame.outside(inner_points))
 
-        spec = inner
-    elif not isinstance(spec, str):
-        make_density(spec, options.exponent, mesh.points, mesh.cells)
-        values = np.asarray(spec, dtype=np.float64)
-        per_cell = len(values) == len(mesh.cells) and len(values) != len(mesh.points)
-        spec = values[frame.active] if per_cell else values[frame.vertices]
-    return make_density(
-        spec, options.exponent, start.points, start.cells[:m], start.neighbors[:m].copy()
-    )
+        return inner
+    if isinstance(spec, str):
+        return spec
+    make_density(spec, options.exponent, mesh.points, mesh.cells, mesh.cells)
+    values = np.asarray(spec, dtype=np.float64)
+    per_cell = len(values) == len(mesh.cells) and len(values) != len(mesh.points)
+    return values[frame.active] if per_cell else values[frame.vertices]
 
 
-def _bounds(before: Figures, keep: tuple[str, ...]) -> FloatArray:
-    """Extremes that no new cell may pass: those of the input, where they are to be kept."""
+def extremes(before: Figures, keep: tuple[str, ...]) -> FloatArray:
+    """Extremes that no new cell may pass: those of the input, where they are to be kept.
+
+    Returns
+    -------
+    (6,) float64    least q, largest and smallest cosine; the same for cells of held vertices
+    """
     ceiling = before.cos_min_angle if "min_angle" in keep else 1.0
     floor = before.cos_max_angle if "max_angle" in keep else -1.0
     return np.array([
@@ -285,22 +304,12 @@ def _bounds(before: Figures, keep: tuple[str, ...]) -> FloatArray:
     ])
 
 
-def _held(bounds: FloatArray, mesh: Complex, hold: float | None) -> FloatArray:
-    """Bounds under which no new cell gets a smaller angle than a share of the cells has now."""
-    held = bounds.copy()
-    if hold is not None:
-        cells, _ = mesh.mesh_arrays()
-        cosines = cell_shapes(mesh.points, cells)[:, 1]
-        held[[1, 4]] = np.minimum(held[[1, 4]], np.quantile(cosines, 1.0 - hold))
-    return held
-
-
 def _cycles(
     mesh: Complex, density: Density, options: Options, bounds: FloatArray, memory: Memory,
     log: Log, times: dict[str, float], pool: ThreadPoolExecutor | None,
 ) -> str:
     """Alternate the two stages; returns why stage 1 stopped last."""
-    report = options.progress if options.progress is not None else _silent
+    report = options.progress if options.progress is not None else silent
     cycles = options.cycles if options.finish else 1
     reason = "nothing was asked for"
     limits = bounds.copy()
@@ -313,13 +322,13 @@ def _cycles(
         watch = None if options.finish else partial(memory.offer, name="smoothing")
         mesh, reason = smooth(
             mesh, density, options, limits, log,
-            partial(_report_share, report, base, 0.5 / cycles), watch, pool,
+            partial(report_share, report, base, 0.5 / cycles), watch, pool,
         )
         times["smoothing"] = times.get("smoothing", 0.0) + time.perf_counter() - clock
         if not options.finish:
             continue
         clock = time.perf_counter()
-        _finish(mesh, bulk(mesh.dim, options.objective), bounds, log, pool, options.threads)
+        _finish(mesh, bulk(mesh.dim), bounds, log, pool, options.threads)
         report("finishing", (cycle + 1) / cycles)
         cells, _ = mesh.mesh_arrays()
         mean = figures(mesh.points, cells).mean_quality
@@ -331,18 +340,13 @@ def _cycles(
             break
     if options.finish:
         clock = time.perf_counter()
-        for descent in descents(mesh.dim, options.objective):
-            held = _held(bounds, mesh, descent.hold)
-            _finish(mesh, descent.phases, held, log, pool, options.threads)
-            if not memory.offer(mesh, "finished") and mesh.dim == 3:
-                for phase in repair(memory.worse):
-                    log.add("repairs", 1)
-                    _finish(mesh, (phase,), held, log, pool, options.threads)
-                    if memory.offer(mesh, "repaired"):
-                        break
-        if not memory.states and options.objective != "radius_ratio":
-            _finish(mesh, tail(mesh.dim), bounds, log, pool, options.threads)
-            memory.offer(mesh, "finished")
+        _finish(mesh, tail(mesh.dim), bounds, log, pool, options.threads)
+        if not memory.offer(mesh, "finished") and mesh.dim == 3:
+            for phase in repair(memory.worse):
+                log.add("repairs", 1)
+                _finish(mesh, (phase,), bounds, log, pool, options.threads)
+                if memory.offer(mesh, "repaired"):
+                    break
         times["finishing"] = times.get("finishing", 0.0) + time.perf_counter() - clock
     report("finishing", 1.0)
     return reason
@@ -370,18 +374,18 @@ def _finishing_alone(
     clock = time.perf_counter()
     strict = bounds.copy()
     strict[0] = max(bounds[0], min(LOCKED_QUALITY, 100.0 * memory.before.p1_quality))
-    for phase in cautious(mesh.dim, options.objective):
+    for phase in cautious():
         _finish(mesh, (phase,), strict, log, pool, options.threads)
         memory.offer(mesh, "finishing alone")
     times["finishing alone"] = time.perf_counter() - clock
 
 
-def _report_share(report: Progress, base: float, width: float, share: float) -> None:
+def report_share(report: Progress, base: float, width: float, share: float) -> None:
     """Report a share of stage 1 as a share of the run."""
     report("smoothing", base + width * share)
 
 
-def _silent(stage: str, share: float) -> None:
+def silent(stage: str, share: float) -> None:
     """Report progress to nobody."""
 
 

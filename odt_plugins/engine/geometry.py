@@ -76,7 +76,8 @@ def volume_gradients(points: FloatArray, cells: IntArray) -> FloatArray:
     Returns
     -------
     (m, d + 1, d) float64      nabla_{x_i}|tau|: normal to the facet opposite to x_i, towards x_i,
-                               of length facet measure / d
+                               of length facet measure / d; (m, 3, 3) and in their planes for
+                               triangles in space
 
     References
     ----------
@@ -84,8 +85,14 @@ def volume_gradients(points: FloatArray, cells: IntArray) -> FloatArray:
     """
     e = edge_vectors(points, cells)
     d = e.shape[1]
-    gradients = np.empty((len(cells), d + 1, d))
-    if d == 2:
+    gradients = np.empty((len(cells), d + 1, e.shape[2]))
+    if e.shape[1:] == (2, 3):
+        normal = np.cross(e[:, 0], e[:, 1])
+        length = np.linalg.norm(normal, axis=1)[:, None]
+        np.divide(normal, length, out=normal, where=length > 0.0)
+        gradients[:, 1] = np.cross(e[:, 1], normal)
+        gradients[:, 2] = np.cross(normal, e[:, 0])
+    elif d == 2:
         gradients[:, 1, 0], gradients[:, 1, 1] = e[:, 1, 1], -e[:, 1, 0]
         gradients[:, 2, 0], gradients[:, 2, 1] = -e[:, 0, 1], e[:, 0, 0]
     else:

@@ -8,18 +8,20 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from numbers import Integral
+from math import inf
+from numbers import Integral, Real
 from typing import Any, Literal
 
 import numpy as np
 
 from odt_plugins.adapters.host import is_instance
 from odt_plugins.errors import InvalidOptionError
-from odt_plugins.options import CHOICES, DENSITIES, Options
+from odt_plugins.options import DENSITIES, Options
 
-Kind = Literal["int", "bool", "enum", "length"]
+Kind = Literal["int", "float", "bool", "enum", "length"]
 
-RICH = {"int": "RichInt", "bool": "RichBool", "enum": "RichEnum", "length": "RichAbsPerc"}
+RICH = {"int": "RichInt", "float": "RichFloat", "bool": "RichBool", "enum": "RichEnum",
+        "length": "RichAbsPerc"}
 """Type names in the filter scripts of MeshLab."""
 
 
@@ -72,6 +74,10 @@ class Parameter:
             good = good and int(value) >= self.least
             self._expect(good, value, f"an int of at least {self.least}")
             return int(value)
+        if self.kind == "float":
+            good = isinstance(value, Real) and not isinstance(value, bool)
+            self._expect(good and self.least < float(value) < inf, value, "a positive number")
+            return float(value)
         percent = is_instance(value, "pymeshlab", "PercentageValue")
         good = percent or is_instance(value, "pymeshlab", "PureValue")
         kinds = "a pymeshlab.PercentageValue or a pymeshlab.PureValue"
@@ -116,7 +122,7 @@ class Parameter:
         try:
             if self.kind == "int":
                 return int(text)
-            if self.kind == "length":
+            if self.kind in ("float", "length"):
                 return float(text)
             if self.kind == "bool":
                 return {"true": True, "1": True, "false": False, "0": False}[text.lower()]
@@ -163,15 +169,11 @@ class Filter:
                     f"Its parameters are {', '.join(known) or 'none'}."
                 )
                 raise ParameterError(msg)
-        found = {
+        return {
             name: parameter.check(given[name], diagonal) if name in given
             else parameter.default_value(diagonal, selected)
             for name, parameter in known.items()
         }
-        if found.get("boundary") and "slide" not in CHOICES["boundary"]:
-            msg = "Parameter boundary: got True; expected False, a moving boundary is not supported"
-            raise ParameterError(msg)
-        return found
 
     def doc(self) -> str:
         """Text of help()."""
@@ -194,11 +196,19 @@ SELECTED = Parameter(
     "Only vertices whose faces are all selected move; without selected faces, selected vertices.")
 BOUNDARY = Parameter(
     "Boundary", "bool", False, "1D Boundary Smoothing",
-    "Whether vertices of the boundary move along it; otherwise they stay as they are.")
+    "Whether the rims and feature lines of a curved surface move along themselves; otherwise they "
+    "stay as they are. The boundary of a planar mesh always stays.")
 DENSITY = Parameter(
     "Density", "enum", "keep", "Density",
-    "Sizes of the result: keep those of the mesh, uniform, or averages weighted alike (4.22).",
+    "Sizes of the result: keep those of the mesh, uniform, averages weighted alike (4.22), or fine "
+    "where a curved surface bends.",
     choices=DENSITIES)
+ENVELOPE = Parameter(
+    "Envelope", "length", 100.0 * Options.envelope, "Envelope",
+    "How far a curved surface may get from what it was, and that from it.")
+ANGLE = Parameter(
+    "FeatureDeg", "float", Options.feature_angle, "Crease Angle",
+    "Edges at which a curved surface turns by more degrees than this stay, and so do corners.")
 KEEP = Parameter(
     "keepQuality", "bool", True, "Keep quality",
     "No figure (smallest, 1 % and mean radius ratio, extreme angles) may get worse.")
@@ -209,30 +219,33 @@ ITERATIONS = Parameter(
 
 IDS = " Two ids of the MeshSet are used up."
 
-SMOOTHING = (STEPS, BOUNDARY, DENSITY, KEEP, SELECTED)
+SMOOTHING = (STEPS, BOUNDARY, DENSITY, KEEP, ENVELOPE, ANGLE, SELECTED)
 
 _ALL = (
     Filter(
         "apply_coord_odt_smoothing", "ODT Smoothing",
-        "Smooth a planar mesh by Optimal Delaunay Triangulation: every vertex moves towards the "
-        "weighted mean of the circumcenters of its faces. Edges are not flipped; the boundary, "
-        "also that of polylines and labelled regions, stays." + IDS, SMOOTHING),
+        "Smooth a mesh by Optimal Delaunay Triangulation: every vertex moves towards the weighted "
+        "mean of the circumcenters of its faces, on a curved surface along it. Edges are not "
+        "flipped; the boundary, also that of polylines and labelled regions, stays." + IDS,
+        SMOOTHING),
     Filter(
         "apply_coord_cpt_smoothing", "CPT Smoothing",
-        "Smooth a planar mesh by Centroidal Patch Triangulation: every vertex moves towards the "
-        "weighted mean of the barycenters of its faces. Edges are not flipped." + IDS, SMOOTHING),
+        "Smooth a mesh by Centroidal Patch Triangulation: every vertex moves towards the weighted "
+        "mean of the barycenters of its faces, on a curved surface along it. Edges are not "
+        "flipped." + IDS, SMOOTHING),
     Filter(
         "apply_coord_odt_global_smoothing", "ODT Global Smoothing",
-        "Smooth a planar mesh by Optimal Delaunay Triangulation, all vertices at once by a linear "
-        "system in every step. Edges are not flipped." + IDS, SMOOTHING),
+        "Smooth a mesh by Optimal Delaunay Triangulation, all vertices at once by a linear system "
+        "in every step. Edges are not flipped." + IDS, SMOOTHING),
     Filter(
         "meshing_odt_optimization", "ODT Optimization",
-        "Improve a planar mesh by Optimal Delaunay Triangulation: moves vertices and flips edges. "
+        "Improve a planar or curved mesh by Optimal Delaunay Triangulation: moves vertices and "
+        "flips edges. On a curved surface vertices slide within an envelope of it. "
         "When edges were flipped the mesh is built anew in its place, with its id; Mesh objects of "
         "it are void then: take current_mesh() again. It gets a new id, and a warning says so, "
         "while another mesh of the set is in use as a Mesh object, or has several textures or one "
         "without wedge texture coordinates, or while there are rasters.",
-        (ROUNDS, ITERATIONS, BOUNDARY, DENSITY, KEEP, SELECTED)),
+        (ROUNDS, ITERATIONS, BOUNDARY, DENSITY, KEEP, ENVELOPE, ANGLE, SELECTED)),
     Filter(
         "compute_scalar_by_radius_ratio_per_face", "Per Face Quality by Radius Ratio",
         "Store in the scalar of every face its radius ratio 2 r/R, 1 for an equilateral triangle "

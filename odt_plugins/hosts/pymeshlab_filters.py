@@ -136,7 +136,7 @@ def _apply(meshes: Any, chosen: Filter, given: Mapping[str, Any]) -> Effect:
 
 def _smooth(meshes: Any, values: Mapping[str, Any], method: str, solver: str) -> Effect:
     old = np.array(meshes.current_mesh().vertex_matrix())
-    options = _options(values) | {"method": method, "solver": solver}
+    options = _options(values, _diagonal(meshes)) | {"method": method, "solver": solver}
     _, report = optimize_with_report(
         adapter.InPlace(meshes), connectivity="none", finish=False, cycles=1, **options,
         **_scope(meshes, values["selected"]),
@@ -147,7 +147,8 @@ def _smooth(meshes: Any, values: Mapping[str, Any], method: str, solver: str) ->
 def _optimize(meshes: Any, values: Mapping[str, Any]) -> Effect:
     old, faces = _arrays(meshes)
     _, report = optimize_with_report(
-        adapter.InPlace(meshes), cycles=values["iterations"], **_options(values),
+        adapter.InPlace(meshes), cycles=values["iterations"],
+        **_options(values, _diagonal(meshes)),
         **_scope(meshes, values["selected"]),
     )
     points, new = _arrays(meshes)
@@ -191,7 +192,7 @@ def _tetrahedralize(meshes: Any, values: Mapping[str, Any]) -> Effect:
         msg = f"TetWild failed: {exc}; expected a closed surface, try meshing_close_holes()"
         raise InvalidMeshError(msg) from exc
     (points, cells), report = optimize_with_report(
-        tets, cycles=values["iterations"], **_options(values))
+        tets, cycles=values["iterations"], **_options(values, diagonal))
     used, faces = boundary_surface(cells)
     matrix = np.array(surface.transform_matrix())
     from pymeshlab import Mesh
@@ -237,12 +238,15 @@ def boundary_surface(
     return used.astype(np.intp), faces.reshape(-1, 3).astype(np.int32)
 
 
-def _options(values: Mapping[str, Any]) -> dict[str, Any]:
+def _options(values: Mapping[str, Any], diagonal: float) -> dict[str, Any]:
     """Options of :func:`odt_plugins.optimize` that MeshLab's words stand for."""
     options = {"rounds": values["stepsmoothnum"], "density": values["density"],
                "keep": FIGURES if values["keepquality"] else ()}
     if values.get("boundary"):
         options["boundary"] = "slide"
+    if "envelope" in values:
+        options |= {"envelope": values["envelope"] / diagonal,
+                    "feature_angle": values["featuredeg"]}
     return options
 
 

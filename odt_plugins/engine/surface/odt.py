@@ -116,3 +116,14 @@ def move_vertices(
             moved[v] = math.sqrt((p[v, 0] - x) ** 2 + (p[v, 1] - y) ** 2 + (p[v, 2] - z) ** 2)
             count += 1
     return count
+
+
+@kernel
+def star_centres(
+    sheet: Sheet, indptr: OffsetArray, indices: IntArray, rho: FloatArray, equal_weights: bool,
+    target: int, vectors: FloatArray,
+) -> None:
+    """Vectors (n, 3) to the mean centres of all stars as they are now."""
+    for v in range(len(sheet.points)):
+        x, y, z = star_centre(sheet, indptr, indices, v, rho, equal_weights, target)
+        vectors[v, 0], vectors[v, 1], vectors[v, 2] = x, y, z

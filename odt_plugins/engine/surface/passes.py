@@ -1,4 +1,4 @@
-"""The two stages on a surface: ODT sweeps with Delaunay flips, then descent of F_p."""
+"""Passes over a surface: flips, moves, and the descent of F_p that is stage 2."""
 
 from __future__ import annotations
 
@@ -6,12 +6,13 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
+from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from odt_plugins.engine.active import spread
 from odt_plugins.engine.coloring import vertex_coloring
-from odt_plugins.engine.energy import energy
 from odt_plugins.engine.figures import cell_shapes
 from odt_plugins.engine.finish2d import SETTLED
 from odt_plugins.engine.phases import Phase
@@ -33,6 +34,7 @@ class Surface:
     Attributes
     ----------
     sheet : Sheet, ground : Ground, lines : Lines, limits : Limits
+    regions : (m,) int32                                 labels; no flip crosses their borders
     pool : ThreadPoolExecutor or None, threads : int     see :func:`run_chunks`
     """
 
@@ -40,6 +42,7 @@ class Surface:
     ground: Ground
     lines: Lines
     limits: Limits
+    regions: IntArray
     pool: ThreadPoolExecutor | None = None
     threads: int = 1
 
@@ -52,6 +55,23 @@ class Surface:
     def triangles(self) -> IntArray:
         """Triangles (m, 3), as they are now."""
         return self.sheet.triangles
+
+    def mesh_arrays(self) -> tuple[IntArray, IntArray]:
+        """Triangles and their labels, as they are now; copies."""
+        return self.sheet.triangles.copy(), self.regions.copy()
+
+    def copy(self) -> tuple[NDArray[Any], ...]:
+        """All that a move of vertices changes."""
+        return tuple(a.copy() for a in self._moving())
+
+    def restore(self, copy: tuple[NDArray[Any], ...]) -> None:
+        """Go back to where :meth:`copy` was called; there must have been no flip since."""
+        for now, before in zip(self._moving(), copy, strict=True):
+            now[:] = before
+
+    def _moving(self) -> tuple[NDArray[Any], ...]:
+        sheet = self.sheet
+        return sheet.points, sheet.foot, sheet.first, sheet.following, self.lines.place
 
     def stars(self) -> Stars:
         """Triangles around every vertex, as they are now."""
@@ -130,8 +150,3 @@ def finish_phase(surface: Surface, phase: Phase, bounds: FloatArray) -> tuple[in
         if not pending.any():
             break
     return flips, total
-
-
-def surface_energy(surface: Surface, rho: FloatArray) -> float:
-    """ODT energy (2.2) of the flat triangles, density at the vertices."""
-    return energy(surface.points, surface.triangles, rho[surface.triangles].mean(axis=1))

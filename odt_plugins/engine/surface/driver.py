@@ -1,0 +1,345 @@
+"""The outer loop for curved surfaces: stages, best-state memory, and the promise at the end."""
+
+from __future__ import annotations
+
+import math
+import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from odt_plugins.engine.driver import (
+    Frame,
+    Memory,
+    Outcome,
+    State,
+    extremes,
+    inner_density,
+    make_frame,
+    report_share,
+    silent,
+)
+from odt_plugins.engine.figures import Figures, figures
+from odt_plugins.engine.phases import Phase, bulk, tail
+from odt_plugins.engine.smoothing import Log
+from odt_plugins.engine.star import vertex_stars
+from odt_plugins.engine.surface.build import make_ground, make_sheet
+from odt_plugins.engine.surface.density import SurfaceDensity, surface_density
+from odt_plugins.engine.surface.features import EXACT, Features, find_features
+from odt_plugins.engine.surface.judge import Distance, Kept, faults, outside
+from odt_plugins.engine.surface.passes import Surface, finish_phase
+from odt_plugins.engine.surface.sheet import HELD, LINE, Limits
+from odt_plugins.engine.surface.smoothing import check_method, smooth_surface
+from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
+from odt_plugins.options import Options
+from odt_plugins.surface import Edges, surface_edges
+
+GUARD = 0.975
+"""Part of the envelope that the guards use; the rest is for the bounds of the judge."""
+
+SLIDING = 0.5
+"""Part of the envelope by which feature lines may change when the boundary slides."""
+
+NORMALS = 60.0
+"""Degrees by which the normal of a new triangle may differ from that of the ground under it."""
+
+THIN = 0.02
+"""Radius ratio below which stage 1 makes no triangle worse."""
+
+TAIL = tail(2)[:2]
+"""Phases for the worst triangles; beyond p = 8 the envelope leaves them nothing to gain."""
+
+RINGS = 1
+"""Rings of triangles around a place that left the envelope which the next run leaves alone."""
+
+ATTEMPTS = 3
+"""Runs until the input is returned; each leaves alone what left the envelope in the one before."""
+
+
+@dataclass(frozen=True)
+class SurfaceOutcome(Outcome):
+    """What the engine hands back for a surface.
+
+    Attributes
+    ----------
+    kept : Kept or None             features, envelope and vertices that stay
+    distance : Distance or None     between the surfaces before and after
+    """
+
+    kept: Kept | None = None
+    distance: Distance | None = None
+
+
+@dataclass(frozen=True)
+class Start:
+    """The input of one run in inner numbering and coordinates.
+
+    Attributes
+    ----------
+    frame : Frame
+    points : (k, 3) float64, triangles : (m1, 3) int32, regions : (m1,) int32
+    fixed : (k,) bool           vertices that the caller holds
+    marked : (l, 2) int32       edges that the caller marked as features
+    edges : Edges
+    """
+
+    frame: Frame
+    points: FloatArray
+    triangles: IntArray
+    regions: IntArray
+    fixed: BoolArray
+    marked: IntArray
+    edges: Edges
+
+
+def run_surface(mesh: SimplexMesh, options: Options) -> SurfaceOutcome:
+    """Optimise a curved surface.
+
+    Parameters
+    ----------
+    mesh : SimplexMesh    triangles in space, made by :func:`odt_plugins.surface.surface_mesh`
+    options : Options
+
+    Returns
+    -------
+    SurfaceOutcome        a surface that keeps the promise, at worst the input itself
+
+    Raises
+    ------
+    InvalidOptionError    a method or solver that surfaces do not know, or a bad density
+    """
+    check_method(options)
+    if mesh.frozen.all():
+        return _unchanged(mesh, "no triangle may change")
+    clock = time.perf_counter()
+    start = _start(mesh)
+    log = Log()
+    times: dict[str, float] = {"prepare": time.perf_counter() - clock}
+    alone = np.zeros(len(mesh.points), dtype=np.bool_)
+    broken: list[str] = []
+    for attempt in range(ATTEMPTS):
+        memory, kept, reason = _run(mesh, start, options, alone, log, times)
+        clock = time.perf_counter()
+        outcome, found = _best(mesh, start, kept, memory, options, log)
+        if outcome is None and not memory.states:
+            found = [f"{name} would be worse" for name in memory.worse]
+        times["check"] = times.get("check", 0.0) + time.perf_counter() - clock
+        if outcome is not None:
+            fallback = None if not broken else f"a run was given up ({'; '.join(broken)})"
+            return replace(
+                outcome, times=times, energy=log.energy, counts=log.counts, stop_reason=reason,
+                fallback=outcome.fallback or fallback, kept=kept,
+            )
+        broken = found
+        if not memory.states or attempt == ATTEMPTS - 1:
+            break
+        alone |= _left_alone(mesh, start, kept, memory)
+    unchanged = replace(
+        _unchanged(mesh, reason), times=times, energy=log.energy, counts=log.counts, kept=kept
+    )
+    if not broken:
+        return replace(unchanged, stop_reason=f"nothing could be improved ({reason})")
+    fallback = f"the input is returned, nothing better kept the promise ({'; '.join(broken)})"
+    return replace(unchanged, fallback=fallback)
+
+
+def judged(
+    mesh: SimplexMesh, outcome: Outcome, points: FloatArray, options: Options
+) -> tuple[list[str], Outcome]:
+    """Say what of the promise an outcome breaks with other coordinates, rounded ones; and it."""
+    if not isinstance(outcome, SurfaceOutcome) or outcome.kept is None:
+        return [], outcome
+    broken, distance = faults(
+        mesh, outcome.kept, points, outcome.cells, outcome.regions, options
+    )
+    return broken, replace(outcome, points=points, distance=distance)
+
+
+def _unchanged(mesh: SimplexMesh, reason: str) -> SurfaceOutcome:
+    return SurfaceOutcome(
+        mesh.points.copy(), mesh.cells.copy(), mesh.regions.copy(), stop_reason=reason,
+        distance=Distance(0.0, 0.0),
+    )
+
+
+def _start(mesh: SimplexMesh) -> Start:
+    frame, triangles = make_frame(mesh)
+    number = np.full(len(mesh.points), -1, dtype=np.int32)
+    number[frame.vertices] = np.arange(len(frame.vertices), dtype=np.int32)
+    marked = number[mesh.lines]
+    fixed = mesh.fixed.copy()
+    fixed[mesh.cells[mesh.frozen]] = True
+    return Start(
+        frame,
+        frame.inside(mesh.points[frame.vertices]),
+        triangles,
+        np.ascontiguousarray(mesh.regions[frame.active]),
+        fixed[frame.vertices],
+        marked[(marked >= 0).all(axis=1)],
+        surface_edges(triangles, len(frame.vertices)),
+    )
+
+
+def _run(
+    mesh: SimplexMesh, start: Start, options: Options, alone: BoolArray, log: Log,
+    times: dict[str, float],
+) -> tuple[Memory, Kept, str]:
+    """Both stages from the input on; triangles of vertices ``alone``, (n,) bool, stay."""
+    clock = time.perf_counter()
+    surface, features, kept = _build(mesh, start, options, alone)
+    density = surface_density(
+        inner_density(mesh, options, start.frame), options.exponent, start.points,
+        start.triangles, start.edges, features,
+    )
+    before = figures(start.points, start.triangles)
+    memory = Memory(before, tuple(options.keep), by_score=options.finish)
+    times["prepare"] += time.perf_counter() - clock
+    pool = ThreadPoolExecutor(options.threads) if options.threads > 1 else None
+    surface = replace(surface, pool=pool, threads=options.threads)
+    try:
+        reason = _cycles(surface, density, options, before, memory, log, times)
+        if not memory.states and options.finish:
+            log.add("runs of finishing alone", 1)
+            second, _, _ = _build(mesh, start, options, alone)
+            second = replace(second, pool=pool, threads=options.threads)
+            strict = extremes(before, tuple(options.keep))[:3].copy()
+            for phases in (bulk(2), TAIL):
+                _descend(second, phases, strict, log, times)
+                memory.offer(second, "finishing alone")
+    finally:
+        if pool is not None:
+            pool.shutdown()
+    return memory, kept, reason
+
+
+def _build(
+    mesh: SimplexMesh, start: Start, options: Options, alone: BoolArray
+) -> tuple[Surface, Features, Kept]:
+    """Find the features and lay ground and sheet out."""
+    points, triangles, edges = start.points, start.triangles, start.edges
+    frame = start.frame
+    shut = alone[frame.vertices]
+    stars = vertex_stars(triangles, len(points))
+    slack = SLIDING * options.envelope if options.boundary == "slide" else EXACT
+    features = find_features(
+        points, triangles, edges, stars, angle=options.feature_angle, fixed=start.fixed | shut,
+        regions=start.regions, marked=start.marked, slack=slack,
+    )
+    ground = make_ground(points, triangles, edges, stars, features)
+    sheet = make_sheet(points, triangles, edges, features)
+    sheet.locked[edges.of_cell[shut[triangles].all(axis=1)]] = True
+    used = mesh.points[np.unique(mesh.cells)]
+    diagonal = float(np.linalg.norm(used.max(axis=0) - used.min(axis=0))) * frame.scale
+    limits = Limits(
+        (GUARD * options.envelope * diagonal) ** 2, (slack * diagonal) ** 2,
+        math.cos(math.radians(NORMALS)),
+    )
+    held = np.ones(len(mesh.points), dtype=np.bool_)
+    held[frame.vertices] = features.kind == HELD
+    kept = Kept(
+        diagonal / frame.scale, options.envelope * diagonal / frame.scale,
+        frame.vertices[edges.vertices[features.edges]], held, features.corners,
+        int((features.kind == LINE).sum()),
+    )
+    return Surface(sheet, ground, features.lines, limits, start.regions), features, kept
+
+
+def _cycles(
+    surface: Surface, density: SurfaceDensity, options: Options, before: Figures, memory: Memory,
+    log: Log, times: dict[str, float],
+) -> str:
+    """Alternate the two stages; returns why stage 1 stopped last."""
+    report = options.progress if options.progress is not None else silent
+    strict = extremes(before, tuple(options.keep))[:3].copy()
+    bounds = np.array([THIN, 1.0, -1.0])
+    watch = None
+    if not options.finish:
+        bounds = strict
+        watch = partial(memory.offer, name="smoothing")
+        if "p1_quality" in options.keep:
+            bounds[0] = before.p1_quality
+    cycles = options.cycles if options.finish else 1
+    reason = "nothing was asked for"
+    best = -np.inf
+    for cycle in range(cycles):
+        clock = time.perf_counter()
+        reason = smooth_surface(
+            surface, density, options, bounds, log,
+            partial(report_share, report, cycle / cycles, 0.5 / cycles), watch,
+        )
+        times["smoothing"] = times.get("smoothing", 0.0) + time.perf_counter() - clock
+        if not options.finish:
+            continue
+        _descend(surface, bulk(2), strict, log, times)
+        report("finishing", (cycle + 1) / cycles)
+        mean = figures(surface.points, surface.triangles).mean_quality
+        settled = mean - best < 5e-4
+        best = max(best, mean)
+        if settled:
+            reason = f"the mean quality settled after {cycle + 1} cycles"
+            break
+    if options.finish:
+        memory.offer(surface, "bulk")
+        _descend(surface, TAIL, strict, log, times)
+        memory.offer(surface, "finished")
+    report("finishing", 1.0)
+    return reason
+
+
+def _descend(
+    surface: Surface, phases: tuple[Phase, ...], bounds: FloatArray, log: Log,
+    times: dict[str, float],
+) -> None:
+    """Run phases of stage 2 and count."""
+    clock = time.perf_counter()
+    for phase in phases:
+        flips, moves = finish_phase(surface, phase, bounds)
+        log.add("quality flips", flips)
+        log.add("vertex moves", moves)
+    times["finishing"] = times.get("finishing", 0.0) + time.perf_counter() - clock
+
+
+def _placed(mesh: SimplexMesh, start: Start, state: State) -> tuple[FloatArray, IntArray, IntArray]:
+    """A state in the caller's numbering and coordinates; what did not move keeps its bits."""
+    frame = start.frame
+    points = mesh.points.copy()
+    moved = (state.points != start.points).any(axis=1)
+    points[frame.vertices[moved]] = frame.outside(state.points[moved])
+    cells = np.concatenate([mesh.cells[mesh.frozen], frame.vertices[state.cells]])
+    regions = np.concatenate([mesh.regions[mesh.frozen], state.regions])
+    return points, np.ascontiguousarray(cells), regions
+
+
+def _best(
+    mesh: SimplexMesh, start: Start, kept: Kept, memory: Memory, options: Options, log: Log
+) -> tuple[SurfaceOutcome | None, list[str]]:
+    """The best remembered state that keeps the promise, or what the last one broke."""
+    broken: list[str] = []
+    for rank, state in enumerate(memory.states):
+        points, cells, regions = _placed(mesh, start, state)
+        found, distance = faults(mesh, kept, points, cells, regions, options)
+        if not found:
+            fallback = None
+            if rank or state.name == "finishing alone":
+                worse = broken or [f"{name} would be worse" for name in memory.worse]
+                fallback = f"a later state was given up ({'; '.join(worse)})"
+            outcome = SurfaceOutcome(
+                points, cells, regions, fallback=fallback, kept=kept, distance=distance
+            )
+            return outcome, []
+        log.add("states refused", 1)
+        broken = found
+    return None, broken
+
+
+def _left_alone(mesh: SimplexMesh, start: Start, kept: Kept, memory: Memory) -> BoolArray:
+    """Vertices, (n,) bool, around the places where a state left the envelope."""
+    alone = np.zeros(len(mesh.points), dtype=np.bool_)
+    for state in memory.states:
+        points, cells, _ = _placed(mesh, start, state)
+        alone |= outside(mesh, kept, points, cells)
+    for _ in range(RINGS):
+        alone[mesh.cells[alone[mesh.cells].any(axis=1)]] = True
+    return alone

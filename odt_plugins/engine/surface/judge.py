@@ -1,0 +1,144 @@
+"""The promise for surfaces, as the engine and the hosts ask for it: with the envelope."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from odt_plugins.engine.surface.envelope import distances, uncovered, within
+from odt_plugins.engine.surface.reference import make_reference
+from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
+from odt_plugins.options import Options
+from odt_plugins.surface_promise import broken_surface_promises
+
+TOLERANCE = 0.02
+"""Distances are bounded to this part of the envelope."""
+
+REFINEMENTS = 3
+"""How often the tolerance is made smaller by that factor for surfaces that are that close."""
+
+
+class Kept(NamedTuple):
+    """What of a surface is kept, in the caller's numbering and unit.
+
+    Attributes
+    ----------
+    diagonal : float            of the bounding box of all triangles
+    envelope : float            length
+    lines : (k, 2) int32        feature edges
+    held : (n,) bool            vertices that do not move
+    corners : int               held vertices where features end, branch or bend
+    on_lines : int              vertices that slide along a feature line
+    """
+
+    diagonal: float
+    envelope: float
+    lines: IntArray
+    held: BoolArray
+    corners: int
+    on_lines: int
+
+
+class Distance(NamedTuple):
+    """Certified distances between the surfaces before and after.
+
+    Attributes
+    ----------
+    forward : float                 no point of the new surface is further from the old one
+    backward : float                no point of the old surface is further from the new one
+    """
+
+    forward: float
+    backward: float
+
+
+def faults(
+    mesh: SimplexMesh, kept: Kept, points: FloatArray, cells: IntArray, regions: IntArray,
+    options: Options,
+) -> tuple[list[str], Distance]:
+    """Say what of the promise does not hold for a surface, and how far it is from the input.
+
+    Parameters
+    ----------
+    mesh : SimplexMesh         the input
+    kept : Kept
+    points, cells, regions     the surface to be judged
+    options : Options
+    """
+    broken = broken_surface_promises(
+        mesh, points, cells, regions, tuple(options.keep), lines=kept.lines, held=kept.held
+    )
+    distance = Distance(0.0, 0.0)
+    if not broken:
+        distance = measured(mesh, kept, points, cells)
+        furthest = max(distance)
+        if not furthest <= kept.envelope:
+            broken.append(
+                f"the surface is up to {furthest:.3g} from the input, beyond the envelope of "
+                f"{kept.envelope:.3g}"
+            )
+    return broken, distance
+
+
+def measured(mesh: SimplexMesh, kept: Kept, points: FloatArray, cells: IntArray) -> Distance:
+    """Bound the distances both ways; neither is said to leave the envelope when it does not."""
+    old = make_reference(mesh.points, mesh.cells)
+    new = make_reference(points, cells)
+    tolerance = TOLERANCE * kept.envelope
+    for _ in range(REFINEMENTS):
+        both = distances(new, old, tolerance)
+        if max(both.forward_upper, both.backward_upper) > 2.0 * tolerance:
+            break
+        tolerance *= TOLERANCE
+    forward, backward = both.forward_upper, both.backward_upper
+    if forward > kept.envelope and within(old, points, cells, kept.envelope).all():
+        forward = kept.envelope
+    if backward > kept.envelope and not uncovered(
+        old, points, cells, kept.envelope
+    ).triangles.size:
+        backward = kept.envelope
+    return Distance(forward, backward)
+
+
+def feet_on(
+    points: FloatArray, triangles: IntArray, x: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """Triangle and barycentric coordinates of the places of a surface closest to points x.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, triangles : (m, 3) int32
+    x : (k, 3) float64
+
+    Returns
+    -------
+    face : (k,) int32, weights : (k, 3) float64    not negative, sum 1
+    """
+    _, face, foot = make_reference(points, triangles).closest(x)
+    a, b, c = (points[triangles[face, i]] for i in range(3))
+    u, v, p = b - a, c - a, foot - a
+    uu, uv, vv = (u * u).sum(axis=1), (u * v).sum(axis=1), (v * v).sum(axis=1)
+    up, vp = (u * p).sum(axis=1), (v * p).sum(axis=1)
+    det = uu * vv - uv * uv
+    flat = ~(det > 0.0)
+    det[flat] = 1.0
+    s = np.where(flat, 0.0, np.clip((vv * up - uv * vp) / det, 0.0, 1.0))
+    t = np.where(flat, 0.0, np.clip((uu * vp - uv * up) / det, 0.0, 1.0 - s))
+    return face, np.stack([1.0 - s - t, s, t], axis=1)
+
+
+def outside(
+    mesh: SimplexMesh, kept: Kept, points: FloatArray, cells: IntArray
+) -> BoolArray:
+    """Mark the vertices, (n,), near which a surface may have left the envelope."""
+    old = make_reference(mesh.points, mesh.cells)
+    far = ~within(old, points, cells, kept.envelope)
+    near = uncovered(old, points, cells, kept.envelope)
+    mask = np.zeros(len(points), dtype=np.bool_)
+    mask[cells[far]] = True
+    mask[mesh.cells[near.triangles]] = True
+    if far.any():
+        _, face, _ = old.closest(points[cells[far]].mean(axis=1))
+        mask[mesh.cells[face]] = True
+    return mask
