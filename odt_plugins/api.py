@@ -35,6 +35,7 @@ from odt_plugins.options import (
     Connectivity,
     LinearSolver,
     Method,
+    Objective,
     Options,
     Progress,
     Solver,
@@ -71,6 +72,7 @@ class OptionKeywords(TypedDict, total=False):
     rounds: int
     cycles: int
     finish: bool
+    objective: Objective
     boundary: Boundary
     envelope: float
     feature_angle: float

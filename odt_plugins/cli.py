@@ -45,6 +45,8 @@ HELP = {
     "finish": "Whether bad cells are finished by their quality. Without it a TetWild mesh usually "
               "comes back unchanged, since smoothing alone makes its worst cells worse and --keep "
               "refuses that; to have the smoothed mesh all the same: --no-finish --keep none.",
+    "objective": "What finishing improves: radius ratios, the smallest (dihedral) angles, or the "
+                 "energy that TetWild minimises.",
     "boundary": "What happens to the boundary: fixed keeps it bit for bit, slide lets the surface "
                 "of a mesh of tetrahedra move along itself within the envelope. A curved mesh of "
                 "triangles always does; slide lets its rims and feature lines change too.",

@@ -13,6 +13,7 @@ Method = Literal["odt", "cpt", "laplacian", "cvt"]
 Solver = Literal["gauss-seidel", "jacobi", "richardson", "global", "lbfgs"]
 Connectivity = Literal["auto", "delaunay", "flips", "none"]
 Boundary = Literal["fixed", "slide"]
+Objective = Literal["radius_ratio", "min_dihedral", "amips"]
 LinearSolver = Literal["auto", "direct", "amg"]
 
 CHOICES: dict[str, tuple[str, ...]] = {
@@ -20,6 +21,7 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "solver": get_args(Solver),
     "linear_solver": get_args(LinearSolver),
     "connectivity": get_args(Connectivity),
+    "objective": get_args(Objective),
     "boundary": get_args(Boundary),
 }
 DENSITIES = ("keep", "uniform", "inverse-volume", "curvature")
@@ -51,6 +53,8 @@ class Options:
     rounds            most rounds of stage 1 (smoothing + connectivity) in one cycle
     cycles            how often stage 1 and stage 2 follow each other
     finish            whether stage 2, quality-driven finishing, runs
+    objective         what finishing improves: "radius_ratio" (5.1), "min_dihedral" the smallest
+                      (dihedral) angles, "amips" the energy that TetWild minimises
     boundary          "fixed": bit for bit; "slide": the surface of a mesh of tetrahedra moves
                       along itself within the envelope, features and interfaces stay. A curved
                       mesh of triangles always does; there "fixed" keeps its rims and feature
@@ -77,6 +81,7 @@ class Options:
     rounds: int = 40
     cycles: int = 1
     finish: bool = True
+    objective: Objective = "radius_ratio"
     boundary: Boundary = "fixed"
     envelope: float = 1e-3
     feature_angle: float = 40.0
@@ -121,6 +126,9 @@ class Options:
             _expect(good, name, value, f"an integer of at least {least}")
         for name in ("finish", "orient"):
             _expect(isinstance(getattr(self, name), bool), name, getattr(self, name), "a bool")
+        if not self.finish:
+            good = self.objective == "radius_ratio"
+            _expect(good, "objective", self.objective, "'radius_ratio' without finishing")
         good = isinstance(self.keep, tuple | list) and all(k in FIGURES for k in self.keep)
         _expect(good, "keep", self.keep, f"some of {FIGURES}")
         good = self.progress is None or callable(self.progress)

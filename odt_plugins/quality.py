@@ -29,11 +29,12 @@ ANGLE_LIMITS = (5.0, 10.0, 20.0)
 
 
 class CellFigures(NamedTuple):
-    """What is known of every cell: five arrays of shape (m,)."""
+    """What is known of every cell: six arrays of shape (m,)."""
 
     quality: FloatArray
     min_angle: FloatArray
     max_angle: FloatArray
+    amips: FloatArray
     volume: FloatArray
     circumradius: FloatArray
 
@@ -48,6 +49,7 @@ class QualitySummary:
     n_points, n_cells : int
     min_quality, p1_quality, mean_quality : float   radius ratio (5.1): least, 1 % quantile, mean
     min_angle, max_angle : float                    (dihedral) angles in degrees
+    mean_amips, max_amips : float                   AMIPS energy: mean, greatest
     below_5, below_10, below_20 : int               cells whose smallest angle is below it
     inverted : int                                  cells of zero or negative signed volume
     uniformity : float                              std(R) / mean(R), h constant
@@ -62,6 +64,8 @@ class QualitySummary:
     mean_quality: float
     min_angle: float
     max_angle: float
+    mean_amips: float
+    max_amips: float
     below_5: int
     below_10: int
     below_20: int
@@ -106,6 +110,40 @@ def radius_ratio(points: ArrayLike, cells: ArrayLike) -> FloatArray:
     for part in _chunks(len(t)):
         geometry = _Geometry(p, t[part])
         out[part] = geometry.quality()
+    return out
+
+
+def amips_energy(points: ArrayLike, cells: ArrayLike) -> FloatArray:
+    """AMIPS energy of every simplex, as TetWild reports it; d for the regular one.
+
+    Parameters
+    ----------
+    points : (n, d) float    coordinates, d = 2 or 3, any unit
+    cells : (m, k) int       triangles (k = 3, in the plane or in space) or tetrahedra (k = 4)
+
+    Returns
+    -------
+    (m,) float64             infinite where the signed volume is not positive
+
+    Raises
+    ------
+    InvalidMeshError         shapes or indices that make no simplices
+
+    Notes
+    -----
+    tr(J^T J) / det(J)^(2/d) with J the Jacobian of the map from the regular simplex, d = k - 1.
+    With l the edges, E = sum l^2 / (2 (sqrt(2) 6 V)^(2/3)) for a tetrahedron and
+    E = sum l^2 / (2 sqrt(3) A) for a triangle.
+
+    References
+    ----------
+    Y. Hu, Q. Zhou, X. Gao, A. Jacobson, D. Zorin, D. Panozzo, Tetrahedral meshing in the wild,
+    ACM Trans. Graph. 37 (2018) 60.
+    """
+    p, t = _checked(points, cells)
+    out = np.empty(len(t))
+    for part in _chunks(len(t)):
+        out[part] = _Geometry(p, t[part]).amips()
     return out
 
 
@@ -209,7 +247,7 @@ def uniformity(
 
 
 def cell_figures(points: ArrayLike, cells: ArrayLike) -> CellFigures:
-    """Measure every cell once: :class:`CellFigures` of five (m,) arrays."""
+    """Measure every cell once: :class:`CellFigures` of six (m,) arrays."""
     p, t = _checked(points, cells)
     figures = CellFigures(*(np.empty(len(t)) for _ in CellFigures._fields))
     for part in _chunks(len(t)):
@@ -218,6 +256,7 @@ def cell_figures(points: ArrayLike, cells: ArrayLike) -> CellFigures:
         figures.quality[part] = geometry.quality()
         figures.min_angle[part] = angle.min(axis=0)
         figures.max_angle[part] = angle.max(axis=0)
+        figures.amips[part] = geometry.amips()
         figures.volume[part] = geometry.volume()
         figures.circumradius[part] = geometry.circumradius()
     return figures
@@ -257,6 +296,8 @@ def summarize(
         mean_quality=float(f.quality.mean()),
         min_angle=float(f.min_angle.min()),
         max_angle=float(f.max_angle.max()),
+        mean_amips=float(f.amips.mean()),
+        max_amips=float(f.amips.max()),
         below_5=below[0],
         below_10=below[1],
         below_20=below[2],
@@ -394,6 +435,15 @@ class _Geometry:
         with np.errstate(invalid="ignore"):
             q = np.where(size > 0, (self.k - 1) * inradius / self._radius(), 0.0)
         return np.where(np.isnan(self.det), np.nan, np.sign(self.det) * q)
+
+    def amips(self) -> FloatArray:
+        squares = np.square(self.edges).sum(axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            if self.k == 4:
+                energy = squares / (2.0 * np.cbrt(2.0 * self.det ** 2))
+            else:
+                energy = squares / (np.sqrt(3.0) * self.det)
+        return np.where(np.isnan(self.det), np.nan, np.where(self.det > 0, energy, np.inf))
 
     def angles(self) -> FloatArray:
         sine, a, b = np.abs(self.det), self.a, self.b

@@ -32,6 +32,8 @@ ROWS = (
     ("mean_quality", "mean quality", ".4f"),
     ("min_angle", "smallest {angle}", ".2f"),
     ("max_angle", "largest {angle}", ".2f"),
+    ("mean_amips", "mean AMIPS energy", ".4f"),
+    ("max_amips", "max AMIPS energy", ".4f"),
     ("below_5", "cells below 5 deg", "d"),
     ("below_10", "cells below 10 deg", "d"),
     ("below_20", "cells below 20 deg", "d"),

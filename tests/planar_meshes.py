@@ -17,6 +17,20 @@ def shape(points, cells):
     return q, np.degrees(np.arccos(np.clip(cosines, -1.0, 1.0)))
 
 
+def amips(points, cells):
+    """AMIPS energy tr(J^T J) / det(J), J from the regular triangle with unit edges."""
+    x = points[cells]
+    regular = np.array([[1.0, 0.5], [0.0, np.sqrt(0.75)]])
+    jacobian = np.swapaxes(x[:, 1:] - x[:, :1], 1, 2) @ np.linalg.inv(regular)
+    return (jacobian**2).sum(axis=(1, 2)) / np.linalg.det(jacobian)
+
+
+def softened_sine(points, cells):
+    """Power mean of the three squared sines, 1 for the regular triangle."""
+    sines = np.sin(np.radians(shape(points, cells)[1]))
+    return 4 / 3 * (sines**-8).mean(axis=1) ** -0.25
+
+
 def areas(points, cells):
     """Signed areas."""
     u, v = points[cells[:, 1]] - points[cells[:, 0]], points[cells[:, 2]] - points[cells[:, 0]]

@@ -81,7 +81,8 @@ def test_flags_are_the_fields_of_options_with_their_defaults() -> None:
 def test_choices_are_those_of_options() -> None:
     hints = get_type_hints(Options)
     choices = {name for name, hint in hints.items() if get_origin(hint) is Literal}
-    assert choices == {"method", "solver", "linear_solver", "connectivity", "boundary"}
+    assert choices == {"method", "solver", "linear_solver", "connectivity", "objective",
+                       "boundary"}
     for name in choices:
         assert tuple(flags()[name].type.choices) == get_args(hints[name])
 

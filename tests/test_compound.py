@@ -52,12 +52,12 @@ def test_the_journal_takes_every_flip_back(seed):
     assert contents(mesh) == before
 
 
-def run_pass(mesh, power=4.0, bounds=OPEN, tried=None):
-    order = np.argsort(measures(mesh, QUALITY), kind="stable")[:60].astype(np.int32)
+def run_pass(mesh, power=4.0, bounds=OPEN, tried=None, measure=QUALITY):
+    order = np.argsort(measures(mesh, measure), kind="stable")[:60].astype(np.int32)
     mesh.status[:] = 0
     return compound.compound_pass(
         mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status, order,
-        mesh.slots, mesh.free, QUALITY, power, 10, bounds,
+        mesh.slots, mesh.free, measure, power, 10, bounds,
         np.zeros(len(mesh.cells), dtype=bool) if tried is None else tried)
 
 

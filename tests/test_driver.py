@@ -12,7 +12,7 @@ import tet_meshes as tm
 from hypothesis import given
 from hypothesis import strategies as st
 
-from odt_plugins.engine import driver, threads
+from odt_plugins.engine import driver, order, threads
 from odt_plugins.engine.density import cell_density
 from odt_plugins.engine.driver import run
 from odt_plugins.engine.energy import energy
@@ -206,6 +206,8 @@ def test_everything_frozen_or_fixed_comes_back_byte_identical(d):
 
 def test_same_bits_for_any_number_of_threads(d, monkeypatch):
     monkeypatch.setattr(threads, "SMALLEST", 8)
+    monkeypatch.setattr(threads, "PART", 100)
+    monkeypatch.setattr(order, "LAYERS", 3)
     points, cells = planar(6, 60) if d == 2 else tm.ball(3000, 6)
     mesh = mesh_of(points, cells)
     first = run(mesh, Options(rounds=3, cycles=1))

@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 
-from odt_plugins.engine.mean_ratio import amips_energy
+from odt_plugins.engine.figures import amips_energies
 from odt_plugins.engine.smooth3d import add_cost_terms
 from odt_plugins.engine.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY, tet_cost, tet_measure
 
@@ -63,7 +63,8 @@ def test_right_angled_corner():
     # E = half the sum of squared edges over (sqrt(2) det)^(2/3)
     e = 4.5 / 2 ** (1 / 3)
     assert tet_measure(CORNER, 0, 1, 2, 3, MEAN_RATIO) == pytest.approx((3 / e) ** 3, rel=1e-14)
-    assert amips_energy(np.array([1.0, (3 / e) ** 3])) == pytest.approx([3.0, e], rel=1e-14)
+    both = np.vstack([REGULAR, CORNER]), np.arange(8, dtype=np.int32).reshape(2, 4)
+    assert amips_energies(*both) == pytest.approx([3.0, e], rel=1e-14)
 
 
 @ALL

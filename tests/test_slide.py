@@ -8,13 +8,21 @@ import meshio
 import numpy as np
 import pytest
 from surface_meshes import two_sided
-from tet_meshes import ball, brute_neighbors, dihedral_angles, facets_of, quality, signed_volumes
+from tet_meshes import (
+    ball,
+    brute_neighbors,
+    dihedral_angles,
+    facets_of,
+    oriented,
+    quality,
+    signed_volumes,
+)
 
 import odt_plugins
 from odt_plugins.engine.complex import make_complex
 from odt_plugins.engine.finishing import _flip_surface, finish
 from odt_plugins.engine.phases import Phase, bulk, tail
-from odt_plugins.engine.skin import make_skin
+from odt_plugins.engine.skin import flip_skin, make_skin
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh import simplex_mesh
 from odt_plugins.promise import broken_promises
@@ -185,6 +193,26 @@ def test_flips_of_the_surface_lower_the_cost():
     assert flips > 10
     assert total() < before
     assert len(facets_of(mesh.cells[mesh.live()])) > 0
+
+
+@pytest.mark.parametrize(("label", "flips"), [(1, 1), (2, 0)])
+def test_a_flat_cell_of_the_surface_goes_unless_an_interface_is_behind_it(label, flips):
+    points = np.array(
+        [[1.0, 0.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 1.0, -1e-3], [0.0, -1.0, -1e-3],
+         [0.0, 0.0, -1.0]]
+    )
+    cells = oriented(points, [[0, 1, 2, 3], [0, 2, 3, 4], [1, 3, 2, 4]])
+    mesh, _ = simplex_mesh(points, cells, regions=[1, label, 1])
+    rim = np.ones(len(points), dtype=bool)
+    held = np.array([True, False, True, True, True])
+    stays = np.array([[0, 2], [0, 3], [1, 2], [1, 3]], dtype=np.int32)
+    skin = make_skin(
+        mesh.points, mesh.cells, held=held, envelope=0.01, angle=40.0, stays=stays, lines=NONE
+    )
+    tets = make_complex(mesh.points, mesh.cells, mesh.regions, rim, rim, skin)
+    flat = np.array([True, False, False])
+    assert flip_skin(tets, skin, flat, Phase(2.0, 1.0, 1, 1), LIMITS) == flips
+    assert len(tets.live()) == 3 - flips
 
 
 def test_edges_that_stay_are_not_flipped_and_held_vertices_not_moved():

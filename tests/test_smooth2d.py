@@ -13,6 +13,8 @@ from hypothesis import strategies as st
 from odt_plugins.engine.finish2d import finish2d
 from odt_plugins.engine.smooth2d import smooth_vertices_2d, star_cost_2d
 from odt_plugins.engine.star import vertex_stars
+from odt_plugins.engine.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY
+from odt_plugins.engine.triangle import triangle_measure
 
 FREE = np.array([0.0, 1.0, -1.0])
 
@@ -23,14 +25,15 @@ def airfoil():
     return points, cells, boundary, planar.perturbed(points, cells, boundary)
 
 
-def cost_and_derivatives(points, cells, vertex, power):
+def cost_and_derivatives(points, cells, vertex, power, objective=QUALITY):
     stars = vertex_stars(cells, len(points))
     out = np.empty(5)
-    cost = star_cost_2d(points, cells, stars.indptr, stars.indices, vertex, power, out)
+    cost = star_cost_2d(points, cells, stars.indptr, stars.indices, vertex, objective, power,
+                        out)
     return cost, out[:2].copy(), np.array([[out[2], out[3]], [out[3], out[4]]])
 
 
-def smooth(points, cells, order, power=2.0, bounds=FREE):
+def smooth(points, cells, order, power=2.0, bounds=FREE, objective=QUALITY):
     points = points.copy()
     stars = vertex_stars(cells, len(points))
     moved = np.zeros(len(points))
@@ -38,7 +41,7 @@ def smooth(points, cells, order, power=2.0, bounds=FREE):
     count = 0
     for k in range(len(order)):
         count += smooth_vertices_2d(points, cells, stars.indptr, stars.indices, order, k, k + 1,
-                                    power, bounds, moved)
+                                    objective, power, bounds, moved)
     return points, moved, count
 
 
@@ -50,14 +53,43 @@ def jittered(seed, n=5, holes=frozenset({(2, 2)})):
     return points @ rotation.T, cells, np.flatnonzero(~boundary), boundary
 
 
+MEASURES = {
+    QUALITY: lambda points, cells: planar.shape(points, cells)[0],
+    MEAN_RATIO: lambda points, cells: (2.0 / planar.amips(points, cells)) ** 2,
+    DIHEDRAL: planar.softened_sine,
+}
+EVERY = pytest.mark.parametrize("objective", MEASURES, ids=["radius ratio", "mean ratio", "angle"])
+
+
+@EVERY
+def test_measure_of_a_triangle(objective):
+    regular = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, np.sqrt(0.75)]])
+    assert triangle_measure(regular, 0, 1, 2, objective) == pytest.approx(1.0, abs=1e-14)
+    assert triangle_measure(regular, 1, 0, 2, objective) < 0
+    assert triangle_measure(np.zeros((3, 2)), 0, 1, 2, objective) <= 0
+    right = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
+    closed = {QUALITY: 2 * np.sqrt(2) - 2, MEAN_RATIO: 0.75,
+              DIHEDRAL: 4 / 3 * ((1 + 2 * 2**4) / 3) ** -0.25}
+    assert triangle_measure(right, 0, 1, 2, objective) == pytest.approx(closed[objective])
+    for seed in range(200):
+        rng = np.random.default_rng(seed)
+        points = regular + (0.01 if seed % 2 else 0.25) * rng.normal(size=(3, 2))
+        m = triangle_measure(points, 0, 1, 2, objective)
+        assert m < 1.0
+        assert triangle_measure(points, 1, 2, 0, objective) == pytest.approx(m, rel=1e-12)
+        turned = 7.0 * points @ np.array([[0.6, 0.8], [-0.8, 0.6]]) - 3.0
+        assert triangle_measure(turned, 0, 1, 2, objective) == pytest.approx(m, rel=1e-9)
+
+
+@EVERY
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10**6), power=st.sampled_from([0.5, 1.0, 2.0, 4.0, 8.0]))
-def test_cost_gradient_and_hessian(seed, power):
+def test_cost_gradient_and_hessian(objective, seed, power):
     points, cells, inner, _ = jittered(seed)
     vertex = int(inner[seed % len(inner)])
     star = cells[(cells == vertex).any(axis=1)]
-    cost, gradient, hessian = cost_and_derivatives(points, cells, vertex, power)
-    assert cost == pytest.approx((planar.shape(points, star)[0] ** -power).sum(), rel=1e-9)
+    cost, gradient, hessian = cost_and_derivatives(points, cells, vertex, power, objective)
+    assert cost == pytest.approx((MEASURES[objective](points, star) ** -power).sum(), rel=1e-9)
     step = 1e-5
     numeric, numeric_hessian = np.empty(2), np.empty((2, 2))
     for k in range(2):
@@ -65,7 +97,7 @@ def test_cost_gradient_and_hessian(seed, power):
         for sign in (1.0, -1.0):
             moved = points.copy()
             moved[vertex, k] += sign * step
-            sides.append(cost_and_derivatives(moved, cells, vertex, power))
+            sides.append(cost_and_derivatives(moved, cells, vertex, power, objective))
         numeric[k] = (sides[0][0] - sides[1][0]) / (2 * step)
         numeric_hessian[k] = (sides[0][1] - sides[1][1]) / (2 * step)
     scale = np.abs(hessian).max()
@@ -94,15 +126,16 @@ def test_vertex_of_a_hexagon_goes_to_its_centre(power):
     assert np.linalg.eigvalsh(hessian).min() > 0
 
 
+@EVERY
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10**6), power=st.sampled_from([1.0, 2.0, 8.0]))
-def test_every_move_lowers_the_sum(seed, power):
+def test_every_move_lowers_the_sum(objective, seed, power):
     points, cells, inner, boundary = jittered(seed)
-    total = (planar.shape(points, cells)[0] ** -power).sum()
+    total = (MEASURES[objective](points, cells) ** -power).sum()
     gained = 0
     for vertex in inner:
-        new, moved, count = smooth(points, cells, [vertex], power)
-        after = (planar.shape(new, cells)[0] ** -power).sum()
+        new, moved, count = smooth(points, cells, [vertex], power, objective=objective)
+        after = (MEASURES[objective](new, cells) ** -power).sum()
         assert (planar.areas(new, cells) > 0).all()
         assert (after < total) if count else (after == total)
         assert (moved[vertex] > 0) == (count == 1) == (new[vertex] != points[vertex]).any()
@@ -162,7 +195,8 @@ def test_stuck_vertex_without_cells_and_range():
     stars = vertex_stars(cells, len(points))
     order = inner.astype(np.int32)
     work = points.copy()
-    smooth_vertices_2d(work, cells, stars.indptr, stars.indices, order, 1, 2, 2.0, FREE, moved)
+    smooth_vertices_2d(work, cells, stars.indptr, stars.indices, order, 1, 2, QUALITY, 2.0, FREE,
+                       moved)
     np.testing.assert_array_equal(np.delete(work, order[1], 0), np.delete(points, order[1], 0))
 
 

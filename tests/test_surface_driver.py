@@ -274,6 +274,7 @@ def test_orientation_is_put_right_on_demand_only():
     ({"feature_angle": 0}, "feature_angle=0"),
     ({"solver": "lbfgs"}, r"solver='lbfgs' for a curved surface; expected one of"),
     ({"method": "cvt"}, r"method='cvt' for a curved surface"),
+    ({"objective": "amips"}, r"objective='amips' for a curved surface"),
     ({"density": "curved"}, "density='curved'"),
     ({"density": np.ones(7)}, r"density of shape \(7,\)"),
     ({"density": -1.0 * np.ones(642)}, r"density -1\.0 at index 0"),
@@ -294,7 +295,7 @@ def test_rims_and_lines_slide_on_demand():
     assert np.array_equal(still[rim], p[rim])
     assert (x[rim] != p[rim]).any(axis=1).sum() > 40
     assert np.array_equal(x[rim, 2], p[rim, 2])
-    assert slid.surface["on_lines"] > 100
+    assert slid.surface["on_lines"] > 40
     assert slid.after.mean_quality > fixed.after.mean_quality
 
 

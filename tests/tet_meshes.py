@@ -124,11 +124,9 @@ def amips(points, cells):
 
 
 def softened_sine(points, cells):
-    """Power mean of the six squared sines, obtuse ones counted less; 1 for the regular cell."""
-    angles = np.radians(dihedral_angles(points, cells))
-    terms = np.sin(angles) ** -8
-    terms = np.where(angles > np.pi / 2, 0.9 + 0.1 * terms, terms)
-    return 1.125 * terms.mean(axis=1) ** -0.25
+    """Power mean of the six squared sines, 1 for the regular tetrahedron."""
+    sines = np.sin(np.radians(dihedral_angles(points, cells)))
+    return 9 / 8 * (sines**-8).mean(axis=1) ** -0.25
 
 
 def energy(points, cells):

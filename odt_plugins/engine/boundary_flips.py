@@ -103,6 +103,16 @@ def _signed_volume(p: FloatArray, i: int, j: int, k: int, l: int) -> float:
 
 
 @kernel
+def _ends_a_region(neighbors: IntArray, regions: IntArray, c: int) -> bool:
+    """Whether what is behind cell c belongs to another region: the interface would go with c."""
+    for f in range(4):
+        across = neighbors[c, f]
+        if across >= 0 and regions[across] != regions[c]:
+            return True
+    return False
+
+
+@kernel
 def _remove_cell(
     cells: IntArray, neighbors: IntArray, status: ByteArray, c: int, slots: LongArray,
     free: IntArray,
@@ -233,9 +243,9 @@ def flip_boundary(
                     points, cells, locked, around, n, new, n_new, objective, bounds
                 ):
                     continue
-            if not _flip_sheet(
-                sheet, ground, limits, stays, volume, fan, a, b, room
-            ):
+            elif _ends_a_region(neighbors, regions, c):
+                continue
+            if not _flip_sheet(sheet, ground, limits, stays, volume, fan, a, b, room):
                 continue
             if n > 1:
                 replace_cavity(cells, neighbors, regions, status, around, n, new, n_new, slots,

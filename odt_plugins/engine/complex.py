@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.engine.adjacency import cell_neighbors
+from odt_plugins.engine.order import make_slabs
 from odt_plugins.engine.skin import Skin
 from odt_plugins.engine.star import Stars, vertex_stars
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
@@ -31,6 +32,7 @@ class Complex:
     slots : (3,) int64                slots in use, free slots among them, out of room
     free : (room,) int32              stack of free slots
     skin : Skin or None               the boundary, when it may slide
+    shares : (2, n) uint8 or None     see :meth:`slabs`
     """
 
     points: FloatArray
@@ -43,11 +45,18 @@ class Complex:
     slots: NDArray[np.int64]
     free: IntArray
     skin: Skin | None = None
+    shares: NDArray[np.uint8] | None = None
 
     @property
     def dim(self) -> int:
         """Dimension d of the space."""
         return int(self.points.shape[1])
+
+    def slabs(self) -> NDArray[np.uint8]:
+        """Slabs of the vertices, see ``order.make_slabs``, by where they were at the first call."""
+        if self.shares is None or self.shares.shape[1] != len(self.points):
+            self.shares = make_slabs(self.points)
+        return self.shares
 
     def live(self) -> NDArray[np.intp]:
         """Slots that hold a cell."""
@@ -112,10 +121,12 @@ def renumbered(mesh: Complex) -> Complex:
     order = live[np.argsort(mesh.cells[live].min(axis=1), kind="stable")]
     rank = np.full(len(mesh.cells) + 1, -1, dtype=np.int32)
     rank[order] = np.arange(len(order), dtype=np.int32)
-    return _with_room(
+    fresh = _with_room(
         mesh.points, mesh.cells[order], rank[mesh.neighbors[order]], mesh.regions[order],
         mesh.locked, mesh.rim, mesh.skin,
     )
+    fresh.shares = mesh.shares
+    return fresh
 
 
 def slot_stars(mesh: Complex) -> Stars:

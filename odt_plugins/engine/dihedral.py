@@ -5,8 +5,7 @@ The measure is a power mean of the squared sines of the six dihedral angles thet
     m = (9/8) (1/6 sum_e x_e)^(-1/k),    x_e = sin^(-2k) theta_e,  k = SHARP,
 
 1 for the regular tetrahedron, whose sines are sqrt(8/9), and close to the least squared sine for
-a bad one.  An obtuse angle counts less: its x_e is 1 - w + w sin^(-2k) theta_e, w = OBTUSE, which
-joins smoothly at 90 degrees.
+a bad one.
 
 log sin theta_e = log det + log |e| - log |n_c| - log |n_d| + constant, n_c and n_d the normals of
 the two faces at the edge e, so gradient and Hessian of log m are exact and cheap.
@@ -23,7 +22,6 @@ from odt_plugins.engine.packed import add_identity, add_square
 from odt_plugins.mesh import FloatArray
 
 SHARP = 4.0
-OBTUSE = 0.1
 
 
 @kernel
@@ -73,8 +71,7 @@ def _edge_cost(cosine: float) -> float:
     """Term x_e of an edge."""
     x = 1.0 / max(1.0 - cosine * cosine, 1e-30)
     x *= x
-    x *= x
-    return x if cosine >= 0.0 else 1.0 - OBTUSE + OBTUSE * x
+    return x * x
 
 
 @kernel
@@ -169,26 +166,7 @@ def dihedral_terms(
     ue = _raw_cost(d2, ee, na2, no2)
     uf = _raw_cost(d2, ff, nb2, no2)
     uh = _raw_cost(d2, hh, nc2, no2)
-    total = 0.0
-    if nbx * ncx + nby * ncy + nbz * ncz > 0.0:
-        ua *= OBTUSE
-        total += 1.0 - OBTUSE
-    if ncx * nax + ncy * nay + ncz * naz > 0.0:
-        ub *= OBTUSE
-        total += 1.0 - OBTUSE
-    if nax * nbx + nay * nby + naz * nbz > 0.0:
-        uc *= OBTUSE
-        total += 1.0 - OBTUSE
-    if nax * nox + nay * noy + naz * noz < 0.0:
-        ue *= OBTUSE
-        total += 1.0 - OBTUSE
-    if nbx * nox + nby * noy + nbz * noz < 0.0:
-        uf *= OBTUSE
-        total += 1.0 - OBTUSE
-    if ncx * nox + ncy * noy + ncz * noz < 0.0:
-        uh *= OBTUSE
-        total += 1.0 - OBTUSE
-    total += ua + ub + uc + ue + uf + uh
+    total = ua + ub + uc + ue + uf + uh
     if not total < np.inf:
         return False
     ua /= total
@@ -215,7 +193,7 @@ def dihedral_terms(
     wa = ub + uc + ue
     wb = uc + ua + uf
     wc = ua + ub + uh
-    add_square(out, -2.0 * (ua + ub + uc + ue + uf + uh), dx, dy, dz)
+    add_square(out, -2.0, dx, dy, dz)
     add_square(out, -4.0 * ua / (aa * aa), ax, ay, az)
     add_square(out, -4.0 * ub / (bb * bb), bx, by, bz)
     add_square(out, -4.0 * uc / (cc * cc), cx, cy, cz)

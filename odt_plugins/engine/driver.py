@@ -14,17 +14,17 @@ from numpy.typing import NDArray
 
 from odt_plugins.engine.complex import Complex, make_complex
 from odt_plugins.engine.density import Density, make_density
-from odt_plugins.engine.figures import Figures, figures
+from odt_plugins.engine.figures import Figures, cell_shapes, figures
 from odt_plugins.engine.finishing import finish
 from odt_plugins.engine.geometry import boundary_vertices, interface_vertices
 from odt_plugins.engine.judge import Slid, envelope_length, faults, slides
 from odt_plugins.engine.order import curve_order
-from odt_plugins.engine.phases import Phase, bulk, cautious, repair, tail
+from odt_plugins.engine.phases import Phase, bulk, cautious, descents, repair, tail
 from odt_plugins.engine.skin import Skin, make_skin
 from odt_plugins.engine.smoothing import Log, smooth
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
-from odt_plugins.options import Options, Progress
+from odt_plugins.options import Objective, Options, Progress
 
 LOCKED_QUALITY = 0.3
 LOCKED_ANGLES = (14.0, 157.0)
@@ -90,9 +90,12 @@ class Memory:
     certain number of rounds of a certain method was asked for.
     """
 
-    def __init__(self, before: Figures, keep: tuple[str, ...], *, by_score: bool) -> None:
+    def __init__(
+        self, before: Figures, keep: tuple[str, ...], objective: Objective, *, by_score: bool
+    ) -> None:
         self.before = before
         self.keep = keep
+        self.objective = objective
         self.by_score = by_score
         self.states: list[State] = []
         self.worse: list[str] = []
@@ -100,7 +103,7 @@ class Memory:
     def offer(self, mesh: Changing, name: str) -> bool:
         """Take the state if it keeps the figures; only the two best are held."""
         cells, regions = mesh.mesh_arrays()
-        now = figures(mesh.points, cells)
+        now = figures(mesh.points, cells, self.objective)
         worse = now.worse_than(self.before, self.keep)
         if worse:
             self.worse = worse
@@ -207,8 +210,8 @@ def run(mesh: SimplexMesh, options: Options) -> Outcome:
     regions = np.ascontiguousarray(mesh.regions[frame.active])
     skin = _skin(mesh, options, frame, points, cells) if slides(mesh, options) else None
     start = make_complex(points, cells, regions, inner_locked, inner_rim, skin)
-    before = figures(points, cells)
-    memory = Memory(before, tuple(options.keep), by_score=options.finish)
+    before = figures(points, cells, options.objective)
+    memory = Memory(before, tuple(options.keep), options.objective, by_score=options.finish)
     spec = inner_density(mesh, options, frame)
     m = int(start.slots[0])
     density = make_density(
@@ -304,6 +307,16 @@ def extremes(before: Figures, keep: tuple[str, ...]) -> FloatArray:
     ])
 
 
+def _held(bounds: FloatArray, mesh: Complex, hold: float | None) -> FloatArray:
+    """Bounds under which no new cell gets a smaller angle than a share of the cells has now."""
+    held = bounds.copy()
+    if hold is not None:
+        cells, _ = mesh.mesh_arrays()
+        cosines = cell_shapes(mesh.points, cells)[:, 1]
+        held[[1, 4]] = np.minimum(held[[1, 4]], np.quantile(cosines, 1.0 - hold))
+    return held
+
+
 def _cycles(
     mesh: Complex, density: Density, options: Options, bounds: FloatArray, memory: Memory,
     log: Log, times: dict[str, float], pool: ThreadPoolExecutor | None,
@@ -328,7 +341,7 @@ def _cycles(
         if not options.finish:
             continue
         clock = time.perf_counter()
-        _finish(mesh, bulk(mesh.dim), bounds, log, pool, options.threads)
+        _finish(mesh, bulk(mesh.dim, options.objective), bounds, log, pool, options.threads)
         report("finishing", (cycle + 1) / cycles)
         cells, _ = mesh.mesh_arrays()
         mean = figures(mesh.points, cells).mean_quality
@@ -340,13 +353,18 @@ def _cycles(
             break
     if options.finish:
         clock = time.perf_counter()
-        _finish(mesh, tail(mesh.dim), bounds, log, pool, options.threads)
-        if not memory.offer(mesh, "finished") and mesh.dim == 3:
-            for phase in repair(memory.worse):
-                log.add("repairs", 1)
-                _finish(mesh, (phase,), bounds, log, pool, options.threads)
-                if memory.offer(mesh, "repaired"):
-                    break
+        for descent in descents(mesh.dim, options.objective):
+            held = _held(bounds, mesh, descent.hold)
+            _finish(mesh, descent.phases, held, log, pool, options.threads)
+            if not memory.offer(mesh, "finished") and mesh.dim == 3:
+                for phase in repair(memory.worse):
+                    log.add("repairs", 1)
+                    _finish(mesh, (phase,), held, log, pool, options.threads)
+                    if memory.offer(mesh, "repaired"):
+                        break
+        if not memory.states and options.objective != "radius_ratio":
+            _finish(mesh, tail(mesh.dim), bounds, log, pool, options.threads)
+            memory.offer(mesh, "finished")
         times["finishing"] = times.get("finishing", 0.0) + time.perf_counter() - clock
     report("finishing", 1.0)
     return reason
@@ -374,7 +392,7 @@ def _finishing_alone(
     clock = time.perf_counter()
     strict = bounds.copy()
     strict[0] = max(bounds[0], min(LOCKED_QUALITY, 100.0 * memory.before.p1_quality))
-    for phase in cautious():
+    for phase in cautious(mesh.dim, options.objective):
         _finish(mesh, (phase,), strict, log, pool, options.threads)
         memory.offer(mesh, "finishing alone")
     times["finishing alone"] = time.perf_counter() - clock

@@ -2,15 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.engine.kernel import kernel
-from odt_plugins.engine.tetrahedron import tet_cosines, tet_quality
-from odt_plugins.engine.triangle import triangle_in_space, triangle_shape
+from odt_plugins.engine.mean_ratio import tet_mean_ratio
+from odt_plugins.engine.tetrahedron import MEAN_RATIO, tet_cosines, tet_quality
+from odt_plugins.engine.triangle import triangle_in_space, triangle_measure, triangle_shape
 from odt_plugins.mesh import FloatArray, IntArray
+from odt_plugins.options import Objective
 
 
 @kernel
@@ -39,18 +42,17 @@ def cell_shapes(points: FloatArray, cells: IntArray) -> FloatArray:
 
 @dataclass(frozen=True)
 class Figures:
-    """Minimum, 1 % quantile and mean of q, cosines of the smallest and the largest angle."""
+    """Minimum, 1 % quantile and mean of q, cosines of the smallest and the largest angle.
+
+    ``score`` is what the best-state memory ranks by: mean and tail together of what is improved.
+    """
 
     min_quality: float
     p1_quality: float
     mean_quality: float
     cos_min_angle: float
     cos_max_angle: float
-
-    @property
-    def score(self) -> float:
-        """What the best-state memory ranks by: mean and tail of the quality together."""
-        return self.mean_quality + 0.5 * self.p1_quality + 0.25 * self.min_quality
+    score: float
 
     def worse_than(self, before: Figures, keep: tuple[str, ...]) -> list[str]:
         """Figures of ``keep`` that are worse than before, beyond rounding."""
@@ -65,19 +67,50 @@ class Figures:
         return [name for name in keep if worse.get(name, False)]
 
 
-def figures(points: FloatArray, cells: IntArray) -> Figures:
+def figures(
+    points: FloatArray, cells: IntArray, objective: Objective = "radius_ratio"
+) -> Figures:
     """Compute the named figures of a mesh.
 
     Parameters
     ----------
     points : (n, d) float64, cells : (m, d + 1) int32
+    objective       what the score sums up: radius ratios, smallest angles or AMIPS energies
     """
     shapes = cell_shapes(points, cells)
     q: NDArray[np.float64] = shapes[:, 0]
-    return Figures(
-        float(q.min()),
-        float(np.quantile(q, 0.01)),
-        float(q.mean()),
-        float(shapes[:, 1].max()),
-        float(shapes[:, 2].min()),
-    )
+    least, p1, mean = _spread(q)
+    score = mean + 0.5 * p1 + 0.25 * least
+    if objective == "min_dihedral":
+        regular = math.acos(1.0 / (cells.shape[1] - 1))
+        angles = np.arccos(np.clip(shapes[:, 1], -1.0, 1.0)) / regular
+        smallest, few, average = _spread(angles)
+        score = mean + average + few + 0.5 * smallest
+    elif objective == "amips":
+        greatest, few, average = _spread(-amips_energies(points, cells))
+        score = average + 0.5 * few + 0.25 * greatest
+    return Figures(least, p1, mean, float(shapes[:, 1].max()), float(shapes[:, 2].min()), score)
+
+
+def _spread(values: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Minimum, 1 % quantile and mean."""
+    return float(values.min()), float(np.quantile(values, 0.01)), float(values.mean())
+
+
+@kernel
+def _mean_ratios(points: FloatArray, cells: IntArray, m: FloatArray) -> None:
+    """Measure of every cell that is a power of its mean ratio."""
+    for c in range(cells.shape[0]):
+        if cells.shape[1] == 3:
+            m[c] = triangle_measure(points, cells[c, 0], cells[c, 1], cells[c, 2], MEAN_RATIO)
+        else:
+            m[c] = tet_mean_ratio(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
+
+
+def amips_energies(points: FloatArray, cells: IntArray) -> FloatArray:
+    """AMIPS energy of every cell as TetWild counts it, (m,): d for the regular one."""
+    m = np.empty(len(cells))
+    _mean_ratios(points, cells, m)
+    dim = cells.shape[1] - 1
+    energies: FloatArray = dim * np.maximum(m, 1e-300) ** (-1.0 / dim)
+    return energies

@@ -1,4 +1,4 @@
-"""Planar finishing: descent of F_p = sum of q^-p by edge flips and vertex smoothing.
+"""Planar finishing: descent of F_p = sum of m^-p by edge flips and vertex smoothing.
 
 A small p over the whole mesh serves the mean, a large p near the worst triangles the minimum.
 Flips and moves lower the same sum, so neither undoes the other.
@@ -13,13 +13,14 @@ import numpy as np
 from odt_plugins.engine.active import spread
 from odt_plugins.engine.adjacency import cell_neighbors
 from odt_plugins.engine.coloring import vertex_coloring
+from odt_plugins.engine.figures import cell_shapes
 from odt_plugins.engine.flips2d import quality_flips
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.phases import Phase, bulk, tail
 from odt_plugins.engine.smooth2d import smooth_vertices_2d
 from odt_plugins.engine.star import Stars, vertex_stars
 from odt_plugins.engine.threads import run_chunks
-from odt_plugins.engine.triangle import triangle_shape
+from odt_plugins.engine.triangle import triangle_measure
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
 SETTLED = 1e-3
@@ -62,15 +63,14 @@ def finish2d(
     if len(cells) == 0:
         return points, cells
     neighbors = cell_neighbors(cells)
-    shapes = np.empty((len(cells), 3))
-    _shapes(points, cells, shapes)
     if bounds is None:
+        shapes = cell_shapes(points, cells)
         bounds = np.array([shapes[:, 0].min(), shapes[:, 1].max(), shapes[:, 2].min()])
     for phase in bulk(2) + tail(2) if phases is None else phases:
-        _shapes(points, cells, shapes)
-        limit = np.quantile(shapes[:, 0], phase.share)
+        m = np.empty(len(cells))
+        _measures(points, cells, phase.objective, m)
         near = np.zeros(len(points), dtype=np.bool_)
-        near[cells[shapes[:, 0] <= limit]] = True
+        near[cells[m <= np.quantile(m, phase.share)]] = True
         pending = np.asarray(near[cells].any(axis=1))
         _descend(points, cells, neighbors, regions, movable, movable_cells, bounds, phase,
                  pending, pool, threads)
@@ -89,13 +89,12 @@ def _descend(
     for _ in range(phase.rounds):
         changed = np.zeros(len(cells), dtype=np.bool_)
         quality_flips(points, cells, neighbors, regions, movable_cells, phase.power, bounds,
-                      seeds=pending, changed=changed)
+                      seeds=pending, changed=changed, objective=phase.objective)
         wanted[cells[changed]] = True
         stars = vertex_stars(cells, len(points))
         status = np.zeros(len(cells), dtype=np.uint8)
         for _ in range(phase.sweeps):
-            _sweep(points, cells, stars, wanted & movable, phase.power, bounds, moved, pool,
-                   threads)
+            _sweep(points, cells, stars, wanted & movable, phase, bounds, moved, pool, threads)
             spread(cells, stars.indptr, stars.indices, moved, SETTLED, wanted, status)
         pending = status == 1
         if not pending.any():
@@ -103,7 +102,7 @@ def _descend(
 
 
 def _sweep(
-    points: FloatArray, cells: IntArray, stars: Stars, wanted: BoolArray, power: float,
+    points: FloatArray, cells: IntArray, stars: Stars, wanted: BoolArray, phase: Phase,
     bounds: FloatArray, moved: FloatArray, pool: ThreadPoolExecutor | None, threads: int,
 ) -> None:
     """Smooth every wanted vertex once, block after block."""
@@ -112,16 +111,14 @@ def _sweep(
 
     def work(start: int, stop: int) -> int:
         return int(smooth_vertices_2d(points, cells, stars.indptr, stars.indices,
-                                      coloring.order, start, stop, power, bounds, moved))
+                                      coloring.order, start, stop, phase.objective,
+                                      phase.power, bounds, moved))
 
     run_chunks(pool, threads, coloring, work)
 
 
 @kernel
-def _shapes(points: FloatArray, cells: IntArray, shapes: FloatArray) -> None:
-    """Radius ratio (5.1), cosine of the smallest and of the largest angle of every triangle."""
+def _measures(points: FloatArray, cells: IntArray, objective: int, m: FloatArray) -> None:
+    """Measure of every triangle."""
     for t in range(cells.shape[0]):
-        q, large, small = triangle_shape(points, cells[t, 0], cells[t, 1], cells[t, 2])
-        shapes[t, 0] = q
-        shapes[t, 1] = large
-        shapes[t, 2] = small
+        m[t] = triangle_measure(points, cells[t, 0], cells[t, 1], cells[t, 2], objective)

@@ -22,10 +22,11 @@ from odt_plugins.engine.finish2d import finish2d
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.phases import Phase
 from odt_plugins.engine.skin import flip_skin, slide
+from odt_plugins.engine.slabs import side_by_side
 from odt_plugins.engine.star import Stars
 from odt_plugins.engine.tetrahedron import ENERGY, tet_measure
 from odt_plugins.engine.threads import run_chunks
-from odt_plugins.mesh import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh import BoolArray, FloatArray, IntArray, LongArray
 
 GAIN = 3e-3
 RING = 10
@@ -53,7 +54,8 @@ def measures(mesh: Complex, objective: int) -> FloatArray:
 
 
 def flip_pending(
-    mesh: Complex, objective: int, power: float, ring: int, bounds: FloatArray, passes: int
+    mesh: Complex, objective: int, power: float, ring: int, bounds: FloatArray, passes: int,
+    pool: ThreadPoolExecutor | None = None,
 ) -> int:
     """Flip at the pending cells until none is left or the passes are used up."""
     total = 0
@@ -66,9 +68,8 @@ def flip_pending(
         if objective != ENERGY:
             q = measures(mesh, objective)[pending]
             pending = pending[np.lexsort((q, pending >> BLOCK_BITS))]
-        flips = flips3d.flip_pass(
-            mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status,
-            costs, pending, mesh.slots, mesh.free, objective, power, ring, bounds,
+        flips = side_by_side(
+            mesh, pending, pool, partial(_flip_part, mesh, costs, objective, power, ring, bounds)
         )
         total += flips
         if mesh.slots[2]:
@@ -77,6 +78,17 @@ def flip_pending(
         elif flips == 0:
             break
     return total
+
+
+def _flip_part(
+    mesh: Complex, costs: FloatArray, objective: int, power: float, ring: int, bounds: FloatArray,
+    order: IntArray, cells: IntArray, slots: LongArray, free: IntArray, held: BoolArray,
+) -> int:
+    """Flip at the cells of one slab; ``held`` plays no part, since no vertex moves."""
+    return int(flips3d.flip_pass(
+        mesh.points, cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status, costs, order,
+        slots, free, objective, power, ring, bounds,
+    ))
 
 
 def grow(mesh: Complex) -> None:
@@ -124,7 +136,7 @@ def descend(
     flips = moves = 0
     for _ in range(phase.rounds):
         round_flips = _flip_surface(mesh, phase, bounds)
-        round_flips += flip_pending(mesh, phase.objective, phase.power, RING, bounds, 4)
+        round_flips += flip_pending(mesh, phase.objective, phase.power, RING, bounds, 4, pool)
         flips += round_flips
         used = int(mesh.slots[0])
         mesh.status[mesh.status == DONE] = 0
@@ -146,7 +158,7 @@ def descend(
     tried = np.zeros(0, dtype=bool)
     for _ in range(phase.compound):
         tried = np.concatenate([tried, np.zeros(len(mesh.cells) - len(tried), dtype=bool)])
-        taken = compound_moves(mesh, phase, bounds, tried)
+        taken = compound_moves(mesh, phase, bounds, tried, pool)
         flips += taken
         if taken == 0:
             break
@@ -176,7 +188,8 @@ def _smooth_chunk(
 
 
 def compound_moves(
-    mesh: Complex, phase: Phase, bounds: FloatArray, tried: BoolArray
+    mesh: Complex, phase: Phase, bounds: FloatArray, tried: BoolArray,
+    pool: ThreadPoolExecutor | None,
 ) -> int:
     """Try compound moves at the worst share of the cells; returns how many stayed."""
     q = measures(mesh, phase.objective)
@@ -184,13 +197,21 @@ def compound_moves(
     worst = np.argpartition(q, count)[: count + 1]
     order = worst[np.argsort(q[worst], kind="stable")].astype(np.int32)
     mesh.status[:] = 0
-    taken = compound.compound_pass(
-        mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status, order,
-        mesh.slots, mesh.free, phase.objective, phase.power, RING, bounds, tried,
-    )
+    taken = side_by_side(mesh, order, pool, partial(_compound_part, mesh, phase, bounds, tried))
     if mesh.slots[2]:
         grow(mesh)
-    return int(taken)
+    return taken
+
+
+def _compound_part(
+    mesh: Complex, phase: Phase, bounds: FloatArray, tried: BoolArray, order: IntArray,
+    cells: IntArray, slots: LongArray, free: IntArray, held: BoolArray,
+) -> int:
+    """Try compound moves at the cells of one slab."""
+    return int(compound.compound_pass(
+        mesh.points, cells, mesh.neighbors, mesh.regions, held, mesh.status, order, slots, free,
+        phase.objective, phase.power, RING, bounds, tried,
+    ))
 
 
 def finish(

@@ -9,7 +9,8 @@ from __future__ import annotations
 import numpy as np
 
 from odt_plugins.engine.kernel import kernel
-from odt_plugins.engine.triangle import triangle_shape
+from odt_plugins.engine.tetrahedron import QUALITY
+from odt_plugins.engine.triangle import triangle_measure, triangle_shape
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
 FLAT = 1e-12
@@ -17,7 +18,7 @@ FLAT = 1e-12
 IN_CIRCLE = 1e-12
 """The in-circle determinant counts as positive above this times the sum of its terms."""
 GAIN = 1e-9
-"""Least relative fall of the sum of q^-p for which an edge is flipped."""
+"""Least relative fall of the sum of m^-p for which an edge is flipped."""
 
 
 def lawson_flips(
@@ -60,7 +61,7 @@ def lawson_flips(
     """
     guard = np.zeros(len(points), dtype=np.bool_) if fixed is None else fixed
     changed = np.zeros(len(cells), dtype=np.bool_)
-    return _run(points, cells, neighbors, regions, active, None, guard, 0.0,
+    return _run(points, cells, neighbors, regions, active, None, guard, QUALITY, 0.0,
                 np.array([fixed_floor, 1.0, -1.0]), not one_sweep, changed)
 
 
@@ -75,8 +76,9 @@ def quality_flips(
     *,
     seeds: BoolArray | None = None,
     changed: BoolArray | None = None,
+    objective: int = QUALITY,
 ) -> int:
-    """Flip edges, in place, while the sum of q^-p over the two triangles falls, q of (5.1).
+    """Flip edges, in place, while the sum of m^-p over the two triangles falls.
 
     Parameters
     ----------
@@ -88,6 +90,7 @@ def quality_flips(
                                 replaces is refused; None means no bounds
     seeds : (m,) bool           the first edges looked at are those of these cells; None means all
     changed : (m,) bool         set, in place, where a cell was replaced
+    objective : int             measure m, see ``triangle_measure``; q of (5.1) unless given
 
     Returns
     -------
@@ -98,14 +101,14 @@ def quality_flips(
     if changed is None:
         changed = np.zeros(len(cells), dtype=np.bool_)
     nothing = np.zeros(len(points), dtype=np.bool_)
-    return _run(points, cells, neighbors, regions, movable_cells, seeds, nothing, power,
+    return _run(points, cells, neighbors, regions, movable_cells, seeds, nothing, objective, power,
                 bounds, True, changed)
 
 
 def _run(
     points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
-    active: BoolArray | None, seeds: BoolArray | None, fixed: BoolArray, power: float,
-    bounds: FloatArray, repeat: bool, changed: BoolArray,
+    active: BoolArray | None, seeds: BoolArray | None, fixed: BoolArray,
+    objective: int, power: float, bounds: FloatArray, repeat: bool, changed: BoolArray,
 ) -> int:
     """Number the edges, queue those of the seed cells and flip."""
     if len(cells) == 0:
@@ -122,7 +125,7 @@ def _run(
     first = np.flatnonzero(queued).astype(np.int32)
     queue[: len(first)] = first
     return int(_flip_edges(points, cells, neighbors, regions, active, fixed, cell_edges, edge_cell,
-                           queue, queued, len(first), power, bounds, repeat, changed))
+                           queue, queued, len(first), objective, power, bounds, repeat, changed))
 
 
 @kernel
@@ -147,12 +150,12 @@ def _number_edges(neighbors: IntArray, cell_edges: IntArray, edge_cell: IntArray
 def _flip_edges(
     points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
     active: BoolArray, fixed: BoolArray, cell_edges: IntArray, edge_cell: IntArray,
-    queue: IntArray, queued: BoolArray, size: int, power: float, bounds: FloatArray,
-    repeat: bool, changed: BoolArray,
+    queue: IntArray, queued: BoolArray, size: int, objective: int, power: float,
+    bounds: FloatArray, repeat: bool, changed: BoolArray,
 ) -> int:
     """Work off the queue; after a flip the four edges around it are looked at again.
 
-    power = 0 flips to Delaunay with the guard for fixed vertices, power > 0 for the sum of q^-p.
+    power = 0 flips to Delaunay with the guard for fixed vertices, power > 0 for the sum of m^-p.
     """
     capacity = queue.shape[0]
     head = 0
@@ -181,7 +184,7 @@ def _flip_edges(
         if not (_is_wide(points, a, b, d) and _is_wide(points, a, d, c)):
             continue
         if power > 0.0:
-            if not _shapes_improve(points, a, b, c, d, power, bounds):
+            if not _shapes_improve(points, a, b, c, d, objective, power, bounds):
                 continue
         elif not _in_circle(points, a, b, c, d) or not _guard_agrees(
             points, fixed, a, b, c, d, bounds[0]
@@ -318,9 +321,10 @@ def _guard_agrees(
 
 @kernel
 def _shapes_improve(
-    points: FloatArray, a: int, b: int, c: int, d: int, power: float, bounds: FloatArray
+    points: FloatArray, a: int, b: int, c: int, d: int, objective: int, power: float,
+    bounds: FloatArray,
 ) -> bool:
-    """Whether the flip lowers the sum of q^-p and respects the bounds."""
+    """Whether the flip lowers the sum of m^-p and respects the bounds."""
     q1, large1, small1 = triangle_shape(points, a, b, c)
     q2, large2, small2 = triangle_shape(points, d, c, b)
     q3, large3, small3 = triangle_shape(points, a, b, d)
@@ -338,4 +342,9 @@ def _shapes_improve(
         return False
     if not min(q1, q2) > 0.0:
         return True
+    if objective != QUALITY:
+        q1 = triangle_measure(points, a, b, c, objective)
+        q2 = triangle_measure(points, d, c, b, objective)
+        q3 = triangle_measure(points, a, b, d, objective)
+        q4 = triangle_measure(points, a, d, c, objective)
     return bool(q3**-power + q4**-power < (1.0 - GAIN) * (q1**-power + q2**-power))

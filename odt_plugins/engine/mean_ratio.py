@@ -9,8 +9,6 @@ radius ratio it falls with the square of the volume, and it needs no root.
 
 from __future__ import annotations
 
-import numpy as np
-
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.packed import add_identity, add_square
 from odt_plugins.mesh import FloatArray
@@ -83,8 +81,3 @@ def mean_ratio_terms(
     add_square(out, -2.0, dx, dy, dz)
     add_square(out, 3.0, tx, ty, tz)
     return True
-
-
-def amips_energy(mean_ratio: FloatArray) -> FloatArray:
-    """AMIPS energy as TetWild reports it, from :func:`tet_mean_ratio`; 3 for the regular cell."""
-    return np.asarray(3.0 / np.cbrt(mean_ratio))

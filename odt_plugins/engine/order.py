@@ -1,4 +1,4 @@
-"""Cache-friendly numbering: vertices and cells along a Morton curve."""
+"""Vertices and cells by their place: along a Morton curve for the cache, and in slabs."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ from numpy.typing import NDArray
 from odt_plugins.mesh import FloatArray, IntArray
 
 BITS = 10
+
+LAYERS = 12
+"""Least thickness of a slab, in vertices of a mesh with as many along every axis."""
 
 
 def morton_keys(points: FloatArray) -> NDArray[np.uint64]:
@@ -49,3 +52,24 @@ def curve_order(points: FloatArray, cells: IntArray) -> tuple[IntArray, IntArray
     rank = np.empty(len(points), dtype=np.int32)
     rank[vertices] = np.arange(len(points), dtype=np.int32)
     return vertices, np.argsort(rank[cells].min(axis=1), kind="stable").astype(np.int32)
+
+
+def make_slabs(points: FloatArray) -> NDArray[np.uint8]:
+    """Two numbers for every vertex: its slab among the first ones, and among the second ones.
+
+    Parameters
+    ----------
+    points : (n, d) float64
+
+    Returns
+    -------
+    (2, n) uint8               all 0 when the mesh is too small for slabs
+    """
+    n = len(points)
+    count = min(2 * int(n ** (1.0 / 3.0) / (2 * LAYERS)), 128)
+    if count < 2:
+        return np.zeros((2, n), dtype=np.uint8)
+    axis = int(np.argmax(points.max(axis=0) - points.min(axis=0)))
+    rank = np.empty(n, dtype=np.int64)
+    rank[np.argsort(points[:, axis], kind="stable")] = np.arange(n)
+    return np.stack([rank * count // n, (rank * count + n // 2) // n]).astype(np.uint8)

@@ -5,7 +5,8 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 
-from odt_plugins.engine.tetrahedron import DIHEDRAL, QUALITY
+from odt_plugins.engine.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY
+from odt_plugins.options import Objective
 
 
 @dataclass(frozen=True)
@@ -30,9 +31,46 @@ class Phase:
     objective: int = QUALITY
 
 
-def bulk(dim: int) -> tuple[Phase, ...]:
-    """Phases for the mean: every cell, a small p."""
+@dataclass(frozen=True)
+class Descent:
+    """Phases that lead to a result.
+
+    Attributes
+    ----------
+    phases : tuple of Phase
+    hold : float or None    no new cell may get a smaller angle than this share of the cells has
+                            when the descent starts; None: than the input
+    """
+
+    phases: tuple[Phase, ...]
+    hold: float | None = None
+
+
+MEASURES = {"radius_ratio": QUALITY, "amips": MEAN_RATIO, "min_dihedral": DIHEDRAL}
+
+TAILS = {
+    ("radius_ratio", 2): ((4.0, 0.05, 10, 2, 0), (8.0, 0.01, 10, 2, 0), (16.0, 0.003, 10, 2, 0)),
+    ("radius_ratio", 3): ((2.0, 0.1, 2, 3, 0), (4.0, 0.03, 2, 3, 3), (8.0, 0.002, 2, 3, 0)),
+    ("amips", 2): ((2.0, 0.03, 10, 2, 0), (8.0, 0.003, 10, 2, 0), (16.0, 0.001, 2, 2, 0)),
+    ("amips", 3): ((0.5, 0.1, 2, 3, 3), (2.0, 0.01, 2, 3, 3), (8.0, 0.002, 2, 3, 3)),
+    ("min_dihedral", 2): ((4.0, 0.05, 10, 2, 0), (8.0, 0.003, 10, 2, 0), (16.0, 0.001, 4, 2, 0)),
+    ("min_dihedral", 3): ((1.0, 0.03, 2, 3, 3), (2.0, 0.01, 2, 3, 3), (8.0, 0.002, 2, 3, 3)),
+}
+"""Power, share, rounds, sweeps and compound passes of the phases for the worst cells."""
+
+
+def bulk(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
+    """Phases for the mean: every cell, a small p; with "amips" the sum of the energies."""
+    if objective == "amips":
+        if dim == 2:
+            return (Phase(1 / 2, 1.0, 20, 2, objective=MEAN_RATIO),)
+        return (Phase(1 / 3, 1.0, 6, 3, objective=MEAN_RATIO),)
     return (Phase(2.0, 1.0, 20, 2),) if dim == 2 else (Phase(0.5, 1.0, 6, 3),)
+
+
+def tail(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
+    """Phases for the worst cells: fewer and fewer of them, a larger and larger p."""
+    return tuple(Phase(*row, MEASURES[objective]) for row in TAILS[objective, dim])
 
 
 def repair(worse: Sequence[str]) -> tuple[Phase, ...]:
@@ -48,18 +86,29 @@ def repair(worse: Sequence[str]) -> tuple[Phase, ...]:
     return tuple(Phase(4.0, share, 3, 3, 3, measure) for share in (0.003, 0.01, 0.03, 0.1))
 
 
-def cautious() -> tuple[Phase, ...]:
+def cautious(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
     """Phases for a mesh that the others spoil: the mean comes first, then worse and worse cells."""
-    return (
+    general = (
         Phase(0.25, 1.0, 6, 3),
         Phase(0.5, 0.3, 2, 3),
         Phase(1.0, 0.1, 2, 3, 1),
         Phase(2.0, 0.05, 2, 3, 3),
     )
+    return general if objective == "radius_ratio" else general + tail(dim, objective)
 
 
-def tail(dim: int) -> tuple[Phase, ...]:
-    """Phases for the worst cells: fewer and fewer of them, a larger and larger p."""
+def descents(dim: int, objective: Objective = "radius_ratio") -> tuple[Descent, ...]:
+    """What follows the bulk; the best of the results is taken.
+
+    Angles cost radius ratios: the last descent of "min_dihedral" wins back what it can of them
+    while the worst angles hold.
+    """
+    general = Descent(tail(dim))
+    if objective == "radius_ratio":
+        return (general,)
+    if objective == "amips":
+        return (Descent(tail(dim, objective)),)
+    own = Descent(tail(dim, objective), hold=0.0)
     if dim == 2:
-        return (Phase(4.0, 0.05, 10, 2), Phase(8.0, 0.01, 10, 2), Phase(16.0, 0.003, 10, 2))
-    return (Phase(2.0, 0.1, 2, 3), Phase(4.0, 0.03, 2, 3, 3), Phase(8.0, 0.002, 2, 3))
+        return general, own
+    return general, own, Descent((Phase(2.0, 0.03, 2, 3, 3),), hold=0.01)

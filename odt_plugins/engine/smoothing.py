@@ -168,7 +168,7 @@ def local_flips(
             mark_non_delaunay, mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.status
         )
         run_ranges(pool, int(mesh.slots[0]), work)
-        flips = flip_pending(mesh, ENERGY, 1.0, RING, bounds, PASSES)
+        flips = flip_pending(mesh, ENERGY, 1.0, RING, bounds, PASSES, pool)
     log.add("energy flips", flips)
     return flips
 

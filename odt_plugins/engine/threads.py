@@ -15,7 +15,7 @@ SMALLEST = 256
 """Fewer vertices of one colour than this are not worth a second thread."""
 
 
-PART = 1 << 14
+PART = 1 << 13
 """Length of a part of a range."""
 
 

@@ -1,10 +1,11 @@
-"""Shape of one triangle: radius ratio (5.1) and angles, as compiled scalar code."""
+"""Measures of one triangle, as compiled scalar code; see ``tetrahedron`` for those in space."""
 
 from __future__ import annotations
 
 import math
 
 from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.tetrahedron import MEAN_RATIO, QUALITY
 from odt_plugins.mesh import FloatArray
 
 
@@ -69,3 +70,47 @@ def triangle_in_space(
     cv = -(wx * ux + wy * uy + wz * uz) / (lw * lu)
     cw = -(ux * vx + uy * vy + uz * vz) / (lu * lv)
     return q, max(cu, cv, cw), min(cu, cv, cw), nx, ny, nz
+
+
+@kernel
+def triangle_measure(points: FloatArray, a: int, b: int, c: int, objective: int) -> float:
+    """Measure of one triangle, 1 for the regular one; 0 or negative when not counterclockwise.
+
+    With D twice the area and l the lengths of the edges, the mean ratio is
+    m = (2 sqrt(3) D / sum l^2)^2 = (2/E)^2, E = tr(J^T J) / det(J) the AMIPS energy; the measure
+    of the smallest angle is m = (4/3) (1/3 sum_i sin^-8 theta_i)^(-1/4).
+    """
+    if objective == QUALITY:
+        return triangle_shape(points, a, b, c)[0]
+    ux = points[c, 0] - points[b, 0]
+    uy = points[c, 1] - points[b, 1]
+    vx = points[a, 0] - points[c, 0]
+    vy = points[a, 1] - points[c, 1]
+    wx = points[b, 0] - points[a, 0]
+    wy = points[b, 1] - points[a, 1]
+    uu = ux * ux + uy * uy
+    vv = vx * vx + vy * vy
+    ww = wx * wx + wy * wy
+    double_area = vx * wy - vy * wx
+    d2 = double_area * double_area
+    if not (double_area > 0.0 and d2 > 0.0):
+        return -1.0
+    if objective == MEAN_RATIO:
+        t = uu + vv + ww
+        return 12.0 * d2 / (t * t)
+    total = angle_cost(vv * ww, d2) + angle_cost(ww * uu, d2) + angle_cost(uu * vv, d2)
+    return angle_measure(total)
+
+
+@kernel
+def angle_cost(sides: float, d2: float) -> float:
+    """sin^-8 of the angle between two edges, from their squared lengths' product and D^2."""
+    x = sides / d2
+    x *= x
+    return x * x
+
+
+@kernel
+def angle_measure(total: float) -> float:
+    """Measure of the smallest angle from the sum of the three costs."""
+    return 4.0 / 3.0 / math.sqrt(math.sqrt(total / 3.0))

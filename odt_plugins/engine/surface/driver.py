@@ -194,7 +194,7 @@ def _run(
         start.triangles, start.edges, features,
     )
     before = figures(start.points, start.triangles)
-    memory = Memory(before, tuple(options.keep), by_score=options.finish)
+    memory = Memory(before, tuple(options.keep), options.objective, by_score=options.finish)
     times["prepare"] += time.perf_counter() - clock
     pool = ThreadPoolExecutor(options.threads) if options.threads > 1 else None
     surface = replace(surface, pool=pool, threads=options.threads)

@@ -44,10 +44,11 @@ def check_method(options: Options) -> None:
 
     Raises
     ------
-    InvalidOptionError    method or solver
+    InvalidOptionError    method, solver or objective
     """
     for name, value, known in (("method", options.method, tuple(METHODS)),
-                               ("solver", options.solver, SOLVERS)):
+                               ("solver", options.solver, SOLVERS),
+                               ("objective", options.objective, ("radius_ratio",))):
         if value not in known:
             msg = f"got {name}={value!r} for a curved surface; expected one of {known} there"
             raise InvalidOptionError(msg)
