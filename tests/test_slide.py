@@ -23,6 +23,8 @@ from odt_plugins.engine.complex import make_complex
 from odt_plugins.engine.finishing import _flip_surface, finish
 from odt_plugins.engine.phases import Phase, bulk, tail
 from odt_plugins.engine.skin import flip_skin, make_skin
+from odt_plugins.engine.skin import make_skin
+from odt_plugins.engine.surface.crossings import count_crossings
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh import simplex_mesh
 from odt_plugins.promise import broken_promises
@@ -346,3 +348,70 @@ def test_mid_nodes_follow_the_edges_of_a_surface_that_slides():
     for i, (a, b) in enumerate(sides):
         middle = 0.5 * (x[t[:, a]] + x[t[:, b]])
         assert np.abs(x[t[:, 4 + i]] - middle).max() <= 1e-12
+
+
+def shelled(gap):
+    """Two bodies: a ball, and a shell around it across a narrow gap."""
+    rng = np.random.default_rng(3)
+    directions = rng.normal(size=(180, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    from scipy.spatial import Delaunay
+
+    inner = Delaunay(np.concatenate([directions, [[0.0, 0.0, 0.0]]])).simplices
+    hull = boundary(inner)
+    n = len(directions)
+    points = np.concatenate([directions, [[0.0, 0.0, 0.0]], (1.0 + gap) * directions,
+                             1.4 * directions])
+    a, b = hull + n + 1, hull + 2 * n + 1
+    prisms = np.sort(hull, axis=1)
+    a, b = prisms + n + 1, prisms + 2 * n + 1
+    layers = [np.column_stack([a[:, 0], a[:, 1], a[:, 2], b[:, 2]]),
+              np.column_stack([a[:, 0], a[:, 1], b[:, 1], b[:, 2]]),
+              np.column_stack([a[:, 0], b[:, 0], b[:, 1], b[:, 2]])]
+    cells = np.concatenate([inner, *layers]).astype(np.int32)
+    cells[signed_volumes(points, cells) < 0.0] = cells[signed_volumes(points, cells) < 0.0][
+        :, [1, 0, 2, 3]]
+    return points, cells
+
+
+def test_bodies_close_to_each_other_never_overlap():
+    points, cells = shelled(2e-4)
+    assert count_crossings(points, boundary(cells)) == 0
+    (x, t), report = odt_plugins.optimize_with_report(
+        (points, cells), boundary="slide", envelope=2e-2
+    )
+    assert report.slid is None
+    assert "cuts through itself" in report.fallback
+    assert crossing_pairs(x, boundary(t)) == 0
+    rim = np.unique(boundary(cells))
+    assert np.array_equal(x[rim], points[rim])
+
+
+def crossing_pairs(points, triangles):
+    """Edges through triangles, every pair looked at: the slow twin."""
+    sides = np.concatenate([triangles[:, [0, 1]], triangles[:, [1, 2]], triangles[:, [2, 0]]])
+    count = 0
+    for row in triangles:
+        a, b, c = points[row]
+        apart = ~np.isin(sides, row).any(axis=1)
+        owners = np.tile(np.arange(len(triangles)), 3)
+        apart &= ~np.isin(triangles[owners], row).any(axis=1)
+        u, v = points[sides[apart, 0]], points[sides[apart, 1]]
+        normal = np.cross(b - a, c - a)
+        start, end = (u - a) @ normal, (v - a) @ normal
+        through = start * end < 0.0
+        w = np.divide(start, start - end, out=np.zeros(len(u)), where=through)
+        hit = u + w[:, None] * (v - u)
+        inside = [np.cross(q - p, hit - p) @ normal > 0.0 for p, q in ((a, b), (b, c), (c, a))]
+        count += int((through & inside[0] & inside[1] & inside[2]).sum())
+    return count
+
+
+@pytest.mark.parametrize("seed", [1, 2, 3])
+def test_crossings_are_those_of_the_slow_twin(seed):
+    rng = np.random.default_rng(seed)
+    points = rng.normal(size=(60, 3))
+    triangles = np.array([rng.choice(60, 3, replace=False) for _ in range(50)], dtype=np.int32)
+    found = count_crossings(points, triangles)
+    assert found == crossing_pairs(points, triangles)
+    assert found > 5

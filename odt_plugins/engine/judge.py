@@ -7,6 +7,8 @@ from typing import NamedTuple
 import numpy as np
 
 from odt_plugins.engine.geometry import boundary_facets, signed_volumes
+from odt_plugins.engine.surface.crossings import count_crossings
+from odt_plugins.errors import counted
 from odt_plugins.mesh import FloatArray, IntArray, SimplexMesh
 from odt_plugins.options import Options
 from odt_plugins.promise import broken_promises
@@ -90,4 +92,8 @@ def faults(
             f"the boundary is up to {furthest:.3g} from the input's, beyond the envelope of "
             f"{slid.envelope:.3g}"
         )
+    before, after = boundary_facets(mesh.cells), boundary_facets(cells)
+    crossings = count_crossings(points, after)
+    if crossings and crossings > count_crossings(mesh.points, before):
+        broken.append(f"the boundary cuts through itself at {counted(crossings, 'edge')}")
     return broken, slid
