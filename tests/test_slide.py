@@ -23,7 +23,6 @@ from odt_plugins.engine.complex import make_complex
 from odt_plugins.engine.finishing import _flip_surface, finish
 from odt_plugins.engine.phases import Phase, bulk, tail
 from odt_plugins.engine.skin import flip_skin, make_skin
-from odt_plugins.engine.skin import make_skin
 from odt_plugins.engine.surface.crossings import count_crossings
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh import simplex_mesh
