@@ -30,6 +30,8 @@ from odt_plugins.options import FIGURES, Options
 
 DONE, COULD_NOT, WRONG_USE = 0, 1, 2
 
+COMPILING = "compiling the kernels, once after installation: about half a minute ..."
+
 HELP = {
     "method": "Centre a vertex moves to: circumcenters (odt), barycenters (cpt), neighbours "
               "(laplacian), Lloyd (cvt).",
@@ -384,28 +386,35 @@ def _progress(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
     if quiet or not sys.stderr.isatty():
         yield None
         return
+    from numba.core import event
     from rich.console import Console
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
-    if not _kernels_compiled():
-        click.echo("the kernels are compiled once, at the first run (about a minute) ...", err=True)
     bar = Progress(TextColumn("{task.description:<24}"), BarColumn(), TimeElapsedColumn(),
                    console=Console(stderr=True), transient=True,
                    redirect_stdout=sys.stdout.isatty())
-    with bar:
+
+    class FirstKernel(event.Listener):  # type: ignore[misc]
+        """Tells once that kernels are compiled, which means that none were found in the cache."""
+
+        told = False
+
+        def on_start(self, event: Any) -> None:
+            module = event.data["dispatcher"].py_func.__module__
+            if not self.told and module.startswith("odt_plugins"):
+                self.told = True
+                bar.console.print(COMPILING)
+
+        def on_end(self, event: Any) -> None:
+            """Nothing to tell."""
+
+    with bar, event.install_listener("numba:compile", FirstKernel()):
         task = bar.add_task("reading", total=None)
 
         def progress(stage: str, fraction: float) -> None:
             bar.update(task, description=stage, total=1.0, completed=min(max(fraction, 0.0), 1.0))
 
         yield progress
-
-
-def _kernels_compiled() -> bool:
-    """Say whether numba has left compiled kernels beside the engine or in its own directory."""
-    folder = os.environ.get("NUMBA_CACHE_DIR")
-    place = Path(folder) if folder else Path(__file__).parent / "engine"
-    return next(place.rglob("*.nbi"), None) is not None
 
 
 def _one_line(message: object) -> str:

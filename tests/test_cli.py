@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import meshio
+import numba
 import numpy as np
 import pytest
 
@@ -317,10 +318,33 @@ def test_no_bar_in_a_pipe_and_one_on_a_terminal(
     assert still[-1].progress is None
     assert capsys.readouterr().err == ""
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
-    monkeypatch.setattr(cli, "_kernels_compiled", lambda: False)
     cli.main(["optimize", "in.vtu", "out.vtu"])
     assert callable(still[-1].progress)
-    assert "the kernels are compiled once" in capsys.readouterr().err
+    assert "compiling" not in capsys.readouterr().err
+
+
+def test_a_terminal_is_told_once_that_kernels_are_compiled(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def compile_one(module: str) -> None:
+        def kernel(x: float) -> float:
+            return x
+
+        kernel.__module__ = module
+        numba.njit(kernel)(1.0)
+
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    with cli._progress(quiet=False):
+        compile_one("elsewhere")
+    assert "compiling" not in capsys.readouterr().err
+    with cli._progress(quiet=False):
+        compile_one("odt_plugins.engine.one")
+        compile_one("odt_plugins.engine.two")
+    assert capsys.readouterr().err.count("compiling the kernels, once") == 1
+    with cli._progress(quiet=True):
+        compile_one("odt_plugins.engine.three")
+    compile_one("odt_plugins.engine.four")
+    assert "compiling" not in capsys.readouterr().err
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
