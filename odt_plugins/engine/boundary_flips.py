@@ -8,7 +8,6 @@ With one cell only, that cell is flat against the surface and goes.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from odt_plugins.engine.cavity import (
     IDLE,
@@ -22,7 +21,7 @@ from odt_plugins.engine.cavity import (
 )
 from odt_plugins.engine.flips2d import flip
 from odt_plugins.engine.flips3d import REAL, admissible
-from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.kernel import allocating_kernel, kernel
 from odt_plugins.engine.slide import affordable
 from odt_plugins.engine.surface.closest import Ground
 from odt_plugins.engine.surface.flips import edge_is_free, flip_back, keeps_normals
@@ -176,7 +175,7 @@ def _flip_sheet(
     return True
 
 
-@njit(nogil=True, cache=True)
+@allocating_kernel
 def flip_boundary(
     cells: IntArray, neighbors: IntArray, regions: IntArray, locked: BoolArray,
     status: ByteArray, order: IntArray, slots: LongArray, free: IntArray, objective: int,

@@ -7,9 +7,8 @@ can be journalled, so that a sequence of flips that does not pay is taken back.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.kernel import allocating_kernel, kernel
 from odt_plugins.engine.tetrahedron import ENERGY, tet_cost
 from odt_plugins.mesh import ByteArray, FloatArray, IntArray, LongArray
 
@@ -22,7 +21,7 @@ UNKNOWN = -1.0
 Work = tuple[IntArray, IntArray, IntArray, FloatArray, IntArray, IntArray, IntArray, FloatArray]
 
 
-@njit(nogil=True, cache=True)
+@allocating_kernel
 def make_work(costs: FloatArray) -> Work:
     """Work arrays for one thread: ring, cells around, new cells, table, splits, stack, rim, costs.
 

@@ -8,11 +8,10 @@ the journal takes everything back.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from odt_plugins.engine.cavity import DONE, IDLE, PENDING, Work, make_work, take_back
 from odt_plugins.engine.flips3d import flip_facet, improve_cell, remove_edge
-from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.kernel import allocating_kernel, kernel
 from odt_plugins.engine.smooth3d import newton_vertex
 from odt_plugins.engine.tetrahedron import quality_cost, tet_cosines, tet_measure, tet_quality
 from odt_plugins.mesh import BoolArray, ByteArray, FloatArray, IntArray, LongArray
@@ -77,7 +76,7 @@ def push(touched: IntArray, n: int, around: IntArray, n_new: int) -> int:
     return n
 
 
-@njit(nogil=True, cache=True)
+@allocating_kernel
 def make_scratch() -> Scratch:
     """Work arrays of a descent for one thread."""
     return (
@@ -220,7 +219,7 @@ def settle(
     take_back(cells, neighbors, status, slots, free, journal)
 
 
-@njit(nogil=True, cache=True)
+@allocating_kernel
 def compound_pass(
     points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
     locked: BoolArray, status: ByteArray, order: IntArray, slots: LongArray, free: IntArray,

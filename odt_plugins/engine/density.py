@@ -13,10 +13,10 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
-from numba import njit
 
 from odt_plugins.engine.adjacency import cell_neighbors
 from odt_plugins.engine.geometry import signed_volumes
+from odt_plugins.engine.kernel import allocating_kernel
 from odt_plugins.engine.star import star_sum
 from odt_plugins.engine.threads import run_ranges
 from odt_plugins.errors import InvalidOptionError
@@ -34,7 +34,7 @@ WALK_LIMIT = 500
 """Cells visited for one point before the best one seen is taken."""
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@allocating_kernel
 def _interpolate(
     queries: FloatArray,
     start: IntArray,

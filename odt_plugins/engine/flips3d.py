@@ -7,7 +7,6 @@ the sum of the cell costs strictly falls, so that a sequence of flips terminates
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from odt_plugins.engine.cavity import (
     DONE,
@@ -22,7 +21,7 @@ from odt_plugins.engine.cavity import (
     walk_ring,
     write_ring,
 )
-from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.kernel import allocating_kernel, kernel
 from odt_plugins.engine.sphere import apex_across, circumsphere, inside_sphere
 from odt_plugins.engine.tetrahedron import (
     ENERGY,
@@ -263,7 +262,7 @@ def improve_cell(
     return 0.0, 0
 
 
-@njit(nogil=True, cache=True)
+@allocating_kernel
 def flip_pass(
     points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
     locked: BoolArray, status: ByteArray, costs: FloatArray, order: IntArray, slots: LongArray,

@@ -1,7 +1,8 @@
-"""How the kernels that call each other by the million are compiled."""
+"""How the kernels are compiled."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Any
 
 from numba import njit
@@ -11,5 +12,26 @@ UNCOUNTED: dict[str, Any] = {"_nrt": False} if hasattr(CPUTargetOptions, "_nrt")
 """numba counts the references to every array that a call hands on, by atomic operations that
 take longer than most of our calls.  Code that allocates nothing does not need it."""
 
-kernel = njit(nogil=True, cache=True, error_model="numpy", **UNCOUNTED)
+
+def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Decorator of functions that numba compiles, and keeps where there is a place to write to.
+
+    That is the directory of the package, or else the user's cache directory; without either
+    they are compiled anew in every process.
+    """
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        chosen: dict[str, Any] = {"nogil": True, "error_model": "numpy", **options}
+        try:
+            return njit(cache=True, **chosen)(function)
+        except RuntimeError:
+            return njit(**chosen)(function)
+
+    return decorate
+
+
+kernel = compiled(**UNCOUNTED)
 """Decorator of a scalar kernel that allocates no array; its caller keeps the arrays alive."""
+
+allocating_kernel = compiled()
+"""Decorator of a kernel that makes arrays of its own."""

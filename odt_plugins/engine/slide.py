@@ -7,9 +7,8 @@ surface, and to the volume of the mesh.
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
-from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.kernel import allocating_kernel, kernel
 from odt_plugins.engine.smooth3d import add_cost_terms, star_cost, star_extremes
 from odt_plugins.engine.star import OffsetArray
 from odt_plugins.engine.surface.closest import Ground
@@ -29,7 +28,7 @@ from odt_plugins.engine.tetrahedron import opposite_vertices
 from odt_plugins.mesh import FloatArray, IntArray, LongArray
 
 
-@njit(nogil=True, cache=True)
+@allocating_kernel
 def slide_vertices(
     cells: IntArray, indptr: LongArray, indices: IntArray, order: IntArray, objective: int,
     power: float, bounds: FloatArray, sheet: Sheet, ground: Ground, lines: Lines,

@@ -11,9 +11,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
-from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.kernel import allocating_kernel, kernel
 from odt_plugins.engine.star import OffsetArray
 from odt_plugins.engine.tetrahedron import MEAN_RATIO, QUALITY
 from odt_plugins.engine.triangle import (
@@ -212,7 +211,7 @@ def _star_shape(
     return total, worst, large, small
 
 
-@njit(nogil=True, cache=True)
+@allocating_kernel
 def smooth_vertices_2d(
     points: FloatArray, cells: IntArray, indptr: OffsetArray, indices: IntArray, order: IntArray,
     start: int, stop: int, objective: int, power: float, bounds: FloatArray, moved: FloatArray,

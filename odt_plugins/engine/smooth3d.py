@@ -9,10 +9,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import njit
 
 from odt_plugins.engine.dihedral import dihedral_terms
-from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.kernel import allocating_kernel, kernel
 from odt_plugins.engine.mean_ratio import mean_ratio_terms
 from odt_plugins.engine.packed import add_square
 from odt_plugins.engine.tetrahedron import (
@@ -341,7 +340,7 @@ def newton_vertex(
     return 0.0
 
 
-@njit(nogil=True, cache=True)
+@allocating_kernel
 def smooth_vertices(
     points: FloatArray, cells: IntArray, indptr: LongArray, indices: IntArray, order: IntArray,
     start: int, stop: int, objective: int, power: float, bounds: FloatArray, moved: FloatArray,

@@ -11,10 +11,10 @@ from contextlib import nullcontext
 from typing import Any, Literal, NamedTuple
 
 import numpy as np
-from numba import njit
 
 from odt_plugins.engine.coloring import Coloring
 from odt_plugins.engine.geometry import signed_volumes
+from odt_plugins.engine.kernel import allocating_kernel
 from odt_plugins.engine.star import OffsetArray, star_sum
 from odt_plugins.engine.threads import run_chunks
 from odt_plugins.engine.topology import Topology
@@ -50,7 +50,7 @@ class StepStats(NamedTuple):
     alpha: float = 1.0
 
 
-@njit(nogil=True, cache=True, error_model="numpy")
+@allocating_kernel
 def _move_vertices(
     points: FloatArray,
     out: FloatArray,
