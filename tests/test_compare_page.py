@@ -152,6 +152,9 @@ def test_scaling_report_opens_and_holds_every_part(tmp_path):
     amg = races["global, AMG", 561]
     assert amg["gaps"][-1] == pytest.approx(whole["gaps"][-1], rel=1e-3)
     assert all(t["title"] in summary for t in tables.values())
+    rows = tables["threads"]["rows"]
+    assert [row[-1] for row in rows] == ["the same"]
+    assert all(row[3] == row[1] / row[2] > 0 and row[6] == row[4] / row[5] > 0 for row in rows)
     assert said
     found = probe(tmp_path / SCALING_FILES[1], tmp_path)
     assert all(found["svgs"])

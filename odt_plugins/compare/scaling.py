@@ -15,6 +15,7 @@ from odt_plugins.compare.output import fill_template
 from odt_plugins.compare.stages import stages_part
 from odt_plugins.compare.start import SEED
 from odt_plugins.compare.table import Part, Say, as_text, shown
+from odt_plugins.compare.threads import threads_part
 from odt_plugins.errors import MeshFileError
 
 FILES = ("scaling.json", "scaling.html")
@@ -25,6 +26,7 @@ PARTS: dict[str, Callable[[Sequence[int], int, Say], Part]] = {
     "forty-sweeps": forty_sweeps_part,
     "multigrid": multigrid_part,
     "bandwidth": bandwidth_part,
+    "threads": threads_part,
 }
 """Every part of the report: takes the sizes, the number of threads, and whom to tell."""
 
