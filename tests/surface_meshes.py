@@ -190,10 +190,9 @@ def diagonal(points):
 
 
 def samples(points, cells, k=6):
-    """Points of every triangle on a lattice of k steps, corners and edges included, each once."""
+    """Points of every triangle on a lattice of k steps, corners and edges included."""
     w = np.array([(i, j, k - i - j) for i in range(k + 1) for j in range(k + 1 - i)]) / k
-    found = np.einsum("wc,mcd->mwd", w, points[np.sort(cells, axis=1)]).reshape(-1, 3)
-    return np.unique(found, axis=0)
+    return np.einsum("wc,mcd->mwd", w, points[cells]).reshape(-1, 3)
 
 
 def distances(x, points, cells):
@@ -230,8 +229,8 @@ def distances(x, points, cells):
 
 def two_sided(p0, t0, p1, t1, k=5):
     """Largest distances of lattice points of the second surface from the first, and back."""
-    return (float(distances(samples(p1, t1, k), p0, t0).max()),
-            float(distances(samples(p0, t0, k), p1, t1).max()))
+    first, second = (np.unique(samples(*s, k), axis=0) for s in ((p0, t0), (p1, t1)))
+    return float(distances(second, p0, t0).max()), float(distances(first, p1, t1).max())
 
 
 def edge_set(cells):
