@@ -10,17 +10,27 @@ from odt_plugins.mesh import FloatArray
 
 
 @kernel
+def _edges(
+    points: FloatArray, a: int, b: int, c: int
+) -> tuple[float, float, float, float, float, float]:
+    """Edges bc, ca and ab of a planar triangle."""
+    return (
+        points[c, 0] - points[b, 0],
+        points[c, 1] - points[b, 1],
+        points[a, 0] - points[c, 0],
+        points[a, 1] - points[c, 1],
+        points[b, 0] - points[a, 0],
+        points[b, 1] - points[a, 1],
+    )
+
+
+@kernel
 def triangle_shape(points: FloatArray, a: int, b: int, c: int) -> tuple[float, float, float]:
     """Radius ratio 2 r / R (5.1), cosine of the smallest and of the largest angle.
 
     The radius ratio is 0 or negative when (a, b, c) is not counterclockwise.
     """
-    ux = points[c, 0] - points[b, 0]
-    uy = points[c, 1] - points[b, 1]
-    vx = points[a, 0] - points[c, 0]
-    vy = points[a, 1] - points[c, 1]
-    wx = points[b, 0] - points[a, 0]
-    wy = points[b, 1] - points[a, 1]
+    ux, uy, vx, vy, wx, wy = _edges(points, a, b, c)
     uu = ux * ux + uy * uy
     vv = vx * vx + vy * vy
     ww = wx * wx + wy * wy
@@ -82,12 +92,7 @@ def triangle_measure(points: FloatArray, a: int, b: int, c: int, objective: int)
     """
     if objective == QUALITY:
         return triangle_shape(points, a, b, c)[0]
-    ux = points[c, 0] - points[b, 0]
-    uy = points[c, 1] - points[b, 1]
-    vx = points[a, 0] - points[c, 0]
-    vy = points[a, 1] - points[c, 1]
-    wx = points[b, 0] - points[a, 0]
-    wy = points[b, 1] - points[a, 1]
+    ux, uy, vx, vy, wx, wy = _edges(points, a, b, c)
     uu = ux * ux + uy * uy
     vv = vx * vx + vy * vy
     ww = wx * wx + wy * wy
