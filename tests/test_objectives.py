@@ -27,13 +27,14 @@ from odt_plugins.engine.adjacency import cell_neighbors
 from odt_plugins.engine.coloring import vertex_coloring
 from odt_plugins.engine.driver import run
 from odt_plugins.engine.figures import amips_energies, figures
+from odt_plugins.engine.finish2d import finish2d
 from odt_plugins.engine.finishing import flip_pending
 from odt_plugins.engine.flips2d import quality_flips
 from odt_plugins.engine.phases import MEASURES as CODES
-from odt_plugins.engine.phases import Descent, bulk, descents, tail
+from odt_plugins.engine.phases import Descent, Phase, bulk, descents, tail
 from odt_plugins.engine.smooth3d import smooth_vertices
 from odt_plugins.engine.star import vertex_stars
-from odt_plugins.engine.tetrahedron import DIHEDRAL, MEAN_RATIO
+from odt_plugins.engine.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.options import Options
 from odt_plugins.quality import amips_energy, summarize
@@ -81,15 +82,40 @@ def test_flips_smoothing_and_compound_moves_lower_the_sum(measure):
 
 
 @OTHER
-@pytest.mark.parametrize("seed", range(3))
-def test_planar_flips_lower_the_sum(measure, seed):
-    points, start = grid(seed, flips=60)
-    cells = start.copy()
-    neighbors = cell_neighbors(cells)
-    assert quality_flips(points, cells, neighbors, np.zeros(len(cells), dtype=np.int32),
-                         objective=measure) > 0
-    sums = [(MEASURES[measure](points, c) ** -2.0).sum() for c in (start, cells)]
-    assert sums[1] < sums[0]
+def test_an_edge_is_flipped_when_that_lowers_the_sum(measure):
+    turned = set()
+    for seed in range(100):
+        rng = np.random.default_rng(seed)
+        points = np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]]) + 0.3 * rng.uniform(-1, 1, (4, 2))
+        ways = np.array([[[0, 1, 2], [0, 2, 3]], [[1, 2, 3], [1, 3, 0]]], dtype=np.int32)
+        if min(pm.areas(points, way).min() for way in ways) < 1e-3:
+            continue
+        sums = [(MEASURES[measure](points, way) ** -2.0).sum() for way in ways]
+        cells = ways[0].copy()
+        done = quality_flips(points, cells, cell_neighbors(cells), np.zeros(2, dtype=np.int32),
+                             objective=measure)
+        assert done == (sums[1] < sums[0])
+        turned.add(done)
+    assert turned == {0, 1}
+
+
+@OTHER
+def test_planar_finishing_flips_by_the_measure_of_its_phase(measure):
+    other = 0
+    for seed in range(5):
+        points, start = grid(seed, flips=60)
+        regions = np.zeros(len(start), dtype=np.int32)
+        found = {}
+        for m in (QUALITY, measure):
+            phase = Phase(2.0, 1.0, 1, 1, objective=m)
+            nothing = np.zeros(len(points), dtype=bool)
+            _, found[m] = finish2d(points, start, regions, nothing, bounds=OPEN[:3].copy(),
+                                   phases=(phase,))
+            cells = start.copy()
+            quality_flips(points, cells, cell_neighbors(cells), regions, objective=m)
+            assert np.array_equal(found[m], cells)
+        other += not np.array_equal(found[measure], found[QUALITY])
+    assert other > 0
 
 
 def angles(points, cells):
