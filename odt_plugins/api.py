@@ -17,19 +17,21 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from odt_plugins.adapters.files import check_output, read_file, write_file
-from odt_plugins.adapters.host import Adapter, Feet, HostMesh, Result
+from odt_plugins.adapters.host import Adapter, Feet, HostMesh, NewVertices, Result
 from odt_plugins.adapters.kept import hold_charts, protect, protect_surface
 from odt_plugins.adapters.registry import find_adapter
-from odt_plugins.carry import in_input_order
+from odt_plugins.carry import in_input_order, surrounding_cells
 from odt_plugins.errors import InvalidOptionError, ODTError
 from odt_plugins.mesh import (
     FloatArray,
+    IntArray,
     SimplexMesh,
     compact_labels,
     mesh_arrays,
     reverse,
     simplex_mesh,
 )
+from odt_plugins.numbering import in_old_numbers, new_numbers, old_numbers
 from odt_plugins.options import (
     Boundary,
     Connectivity,
@@ -73,6 +75,7 @@ class OptionKeywords(TypedDict, total=False):
     cycles: int
     finish: bool
     objective: Objective
+    insert: bool
     boundary: Boundary
     envelope: float
     feature_angle: float
@@ -128,7 +131,8 @@ def optimize(mesh: Any, **options: Unpack[OptionKeywords]) -> Any:
     Returns
     -------
     same type as `mesh`
-        A meshio.Mesh for a path. Vertices keep their index; dtype, orientation, point, cell and
+        A meshio.Mesh for a path. Vertices keep their index, with insert=True their order, new
+        ones last and with interpolated data; dtype, orientation, point, cell and
         field data come back. A cell that is still there keeps its data; a new one takes those of
         the input cell of its region with the nearest barycentre.
 
@@ -274,9 +278,7 @@ def _run(mesh: Any, options: Options) -> tuple[Any, SimplexMesh, Outcome]:
     with _words_of(work.host):
         outcome = _optimized(work.mesh, _in_frame(options, work.frame))
     points, outcome = _placed(work, outcome, options)
-    cells, regions, source = in_input_order(
-        work.mesh, outcome.points, outcome.cells, outcome.regions
-    )
+    cells, regions, source = _sorted_cells(work.mesh, outcome)
     if not (work.mesh.is_surface or (volumes(outcome.points, cells) > 0.0).all()):
         points, outcome = np.array(work.host.points), _input_instead(work, outcome, TURNED)
         cells, regions = outcome.cells, outcome.regions
@@ -284,9 +286,12 @@ def _run(mesh: Any, options: Options) -> tuple[Any, SimplexMesh, Outcome]:
     outcome = replace(outcome, cells=cells, regions=regions)
     if work.orientation < 0:
         cells = reverse(cells, np.ones(len(cells), dtype=np.bool_))
+    kind = work.host.cells.dtype
+    if outcome.origin is not None and kind.kind != "f":
+        kind = np.promote_types(kind, np.min_scalar_type(len(points) - 1))
     result = Result(
-        points, cells.astype(work.host.cells.dtype), source, work.mesh.is_surface,
-        _feet(work, outcome.points),
+        points, cells.astype(kind), source, work.mesh.is_surface, _feet(work, outcome.points),
+        _new_vertices(work.mesh, outcome),
     )
     return work.adapter.write(result, work.host), work.mesh, outcome
 
@@ -320,6 +325,8 @@ def _prepare(mesh: Any, options: Options) -> _Prepared:
     named = isinstance(options.regions, str)
     host = adapter.read(mesh, options.regions if named else None)
     with _words_of(host):
+        if options.insert:
+            _expect_linear_tetrahedra(host)
         points, frame = _flat_points(host)
         labels = host.regions if named or options.regions is None else options.regions
         if host.blocks is not None:
@@ -337,7 +344,8 @@ def _prepare(mesh: Any, options: Options) -> _Prepared:
                 surface = hold_charts(surface, host.blocks)
             return _Prepared(adapter, host, None, surface, 1)
         simplices, orientation = simplex_mesh(points, host.cells, **given)
-        return _Prepared(adapter, host, frame, protect(simplices, host.kept), orientation)
+        simplices = protect(simplices, host.kept, host.anchors)
+        return _Prepared(adapter, host, frame, simplices, orientation)
 
 
 @contextmanager
@@ -376,8 +384,9 @@ def _placed(
 
     A vertex that did not move keeps the caller's coordinates bit for bit.
     """
-    moved = (outcome.points != work.mesh.points).any(axis=1)
-    points = np.array(work.host.points)
+    origin = outcome.origin if outcome.origin is not None else np.arange(len(work.mesh.points))
+    moved = (origin < 0) | (outcome.points != work.mesh.points[origin]).any(axis=1)
+    points = np.array(work.host.points)[origin]
     new = outcome.points[moved]
     points[moved] = new if work.frame is None else work.frame.to_space(new)
     exact = np.array(points, dtype=np.float64)
@@ -400,8 +409,42 @@ def _judged(
         return judged(mesh, outcome, points, options)
     from odt_plugins.engine.judge import faults
 
-    broken, slid = faults(mesh, points, outcome.cells, outcome.regions, options)
+    broken, slid = faults(mesh, points, outcome.cells, outcome.regions, options, outcome.origin)
     return broken, replace(outcome, points=points, slid=slid)
+
+
+def _expect_linear_tetrahedra(host: HostMesh) -> None:
+    """Refuse meshes into which no vertices can be inserted."""
+    what = "triangles" if host.cells.shape[1:] == (3,) else "quadratic cells"
+    if host.quadratic or what == "triangles":
+        msg = f"got insert=True for a mesh of {what}; expected one of linear tetrahedra"
+        raise InvalidOptionError(msg)
+
+
+def _sorted_cells(before: SimplexMesh, outcome: Outcome) -> tuple[IntArray, IntArray, IntArray]:
+    """Cells, regions and source of :func:`in_input_order`, whatever vertices came and went."""
+    points, cells, origin = outcome.points, outcome.cells, outcome.origin
+    if origin is None:
+        return in_input_order(before, points, cells, outcome.regions)
+    n = len(before.points)
+    points = in_old_numbers(before.points, points, origin)
+    cells, regions, source = in_input_order(
+        before, points, old_numbers(origin, n)[cells], outcome.regions
+    )
+    return new_numbers(origin, n)[cells], regions, source
+
+
+def _new_vertices(before: SimplexMesh, outcome: Outcome) -> NewVertices | None:
+    """Where the vertices come from, when some were removed or added."""
+    origin = outcome.origin
+    if origin is None:
+        return None
+    corners, weights = surrounding_cells(
+        before.points, before.cells, outcome.points[origin < 0]
+    )
+    n = len(before.points)
+    number = new_numbers(origin, n)[:n].astype(np.int64)
+    return NewVertices(origin, number, corners, weights)
 
 
 def _input_instead(work: _Prepared, outcome: Outcome, fallback: str) -> Outcome:
@@ -409,5 +452,5 @@ def _input_instead(work: _Prepared, outcome: Outcome, fallback: str) -> Outcome:
     mesh = work.mesh
     return replace(
         outcome, points=mesh.points, cells=mesh.cells, regions=mesh.regions, fallback=fallback,
-        slid=None,
+        slid=None, origin=None,
     )

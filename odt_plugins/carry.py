@@ -1,4 +1,4 @@
-"""From which input cell does an output cell take its data?"""
+"""From which input cells do output cells and new vertices take their data?"""
 
 from __future__ import annotations
 
@@ -6,6 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.mesh import FloatArray, IntArray, SimplexMesh, row_keys
+
+NEAR = (16, 256)
+"""How many of the nearest cells a point is looked for in, before all of them."""
+
+CHUNK = 1 << 17
 
 
 def cell_source(
@@ -22,7 +27,8 @@ def cell_source(
     ----------
     points0, cells0, regions0 : (n, d) float64, (m, k) int32, (m,) int32    input mesh
     points1, cells1, regions1 : (n, d) float64, (m', k) int32, (m',) int32  output mesh with
-                                                                            the same vertices
+                                                                            the same vertices,
+                                                                            then perhaps more
 
     Returns
     -------
@@ -31,7 +37,7 @@ def cell_source(
     """
     if np.array_equal(cells0, cells1):
         return np.arange(len(cells0), dtype=np.int32)
-    source = _same_vertices(cells0, cells1, len(points0))
+    source = _same_vertices(cells0, cells1, len(points1))
     new = np.flatnonzero(source < 0)
     if new.size:
         source[new] = _nearest(
@@ -65,6 +71,55 @@ def in_input_order(
     same = (np.sort(old, axis=1) == np.sort(cells, axis=1)).all(axis=1)
     same &= _is_odd(old) == _is_odd(cells)
     return np.where(same[:, None], old, cells), regions[order], source
+
+
+def surrounding_cells(
+    points: FloatArray, cells: IntArray, x: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """Find the cells of a mesh in which some points lie.
+
+    Parameters
+    ----------
+    points, cells : (n, d) float64, (m, d + 1) int32    a mesh, positively oriented
+    x : (k, d) float64                                  points in the mesh, to rounding
+
+    Returns
+    -------
+    corners : (k, d + 1) int32                          vertices of the cell around each point
+    weights : (k, d + 1) float64                        its barycentric coordinates there, not
+                                                        negative, of sum 1
+    """
+    from scipy.spatial import cKDTree
+
+    tree = cKDTree(points[cells].mean(axis=1))
+    corners = np.empty((len(x), cells.shape[1]), dtype=np.int32)
+    weights = np.full(corners.shape, -np.inf)
+    for near in NEAR:
+        left = np.flatnonzero(weights.min(axis=1) < 0.0)
+        for part in np.array_split(left, len(left) * near // CHUNK + 1):
+            _, hit = tree.query(x[part], k=[*range(1, min(near, len(cells)) + 1)])
+            corners[part], weights[part] = _best_cell(points, cells[hit], x[part])
+    for i in np.flatnonzero(weights.min(axis=1) < 0.0):
+        corners[i], weights[i] = _best_cell(points, cells[None], x[i : i + 1])
+    weights = np.maximum(weights, 0.0)
+    return corners, weights / weights.sum(axis=1, keepdims=True)
+
+
+def _best_cell(
+    points: FloatArray, cells: IntArray, x: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """The cell (k, d + 1) out of (k, c, d + 1) that a point is deepest in, and its coordinates."""
+    found = _barycentric(points[cells], x)
+    best = found.min(axis=2).argmax(axis=1)
+    row = np.arange(len(x))
+    return cells[row, best], found[row, best]
+
+
+def _barycentric(corners: FloatArray, x: FloatArray) -> FloatArray:
+    """Barycentric coordinates (k, c, d + 1) of points (k, d) in cells (k, c, d + 1, d) each."""
+    edges = np.swapaxes(corners[:, :, 1:] - corners[:, :, :1], 2, 3)
+    inner = np.linalg.solve(edges, (x[:, None] - corners[:, :, 0])[..., None])[..., 0]
+    return np.concatenate([1.0 - inner.sum(axis=2, keepdims=True), inner], axis=2)
 
 
 def _is_odd(rows: IntArray) -> NDArray[np.bool_]:

@@ -49,6 +49,8 @@ HELP = {
               "refuses that; to have the smoothed mesh all the same: --no-finish --keep none.",
     "objective": "What finishing improves: radius ratios, the smallest (dihedral) angles, or the "
                  "energy that TetWild minimises.",
+    "insert": "Whether finishing of tetrahedra may add and remove vertices inside, at most 10 % "
+              "more than before; new ones come last and their data are interpolated.",
     "boundary": "What happens to the boundary: fixed keeps it bit for bit, slide lets the surface "
                 "of a mesh of tetrahedra move along itself within the envelope. A curved mesh of "
                 "triangles always does; slide lets its rims and feature lines change too.",

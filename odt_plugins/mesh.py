@@ -44,6 +44,8 @@ class SimplexMesh:
     frozen : (m,) bool                       cells that must stay as they are; none by default
     stays : (k, 2) int32                     edges of the boundary that must stay edges
     lines : (l, 2) int32                     edges that count as feature edges
+    anchored : (n,) bool                     vertices that may move but must not be removed, since
+                                             something refers to them; none by default
     """
 
     points: FloatArray
@@ -53,8 +55,11 @@ class SimplexMesh:
     frozen: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     stays: IntArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int32))
     lines: IntArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int32))
+    anchored: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
 
     def __post_init__(self) -> None:
+        if self.anchored.size != len(self.points):
+            object.__setattr__(self, "anchored", np.zeros(len(self.points), dtype=np.bool_))
         if self.frozen.size != len(self.cells):
             object.__setattr__(self, "frozen", np.zeros(len(self.cells), dtype=np.bool_))
 

@@ -55,6 +55,8 @@ class Options:
     finish            whether stage 2, quality-driven finishing, runs
     objective         what finishing improves: "radius_ratio" (5.1), "min_dihedral" the smallest
                       (dihedral) angles, "amips" the energy that TetWild minimises
+    insert            whether finishing of tetrahedra may add and remove vertices inside, where
+                      nothing else helps; at most 10 % more than before
     boundary          "fixed": bit for bit; "slide": the surface of a mesh of tetrahedra moves
                       along itself within the envelope, features and interfaces stay. A curved
                       mesh of triangles always does; there "fixed" keeps its rims and feature
@@ -82,6 +84,7 @@ class Options:
     cycles: int = 1
     finish: bool = True
     objective: Objective = "radius_ratio"
+    insert: bool = False
     boundary: Boundary = "fixed"
     envelope: float = 1e-3
     feature_angle: float = 40.0
@@ -124,11 +127,12 @@ class Options:
             good = isinstance(value, Integral) and not isinstance(value, bool)
             good = good and int(value) >= least
             _expect(good, name, value, f"an integer of at least {least}")
-        for name in ("finish", "orient"):
+        for name in ("finish", "insert", "orient"):
             _expect(isinstance(getattr(self, name), bool), name, getattr(self, name), "a bool")
         if not self.finish:
             good = self.objective == "radius_ratio"
             _expect(good, "objective", self.objective, "'radius_ratio' without finishing")
+        _expect(self.finish or not self.insert, "insert", self.insert, "False without finishing")
         good = isinstance(self.keep, tuple | list) and all(k in FIGURES for k in self.keep)
         _expect(good, "keep", self.keep, f"some of {FIGURES}")
         good = self.progress is None or callable(self.progress)

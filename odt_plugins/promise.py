@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.mesh import SimplexMesh, row_keys
+from odt_plugins.numbering import in_old_numbers, most_vertices, old_numbers, removed_vertices
 from odt_plugins.options import FIGURES
 from odt_plugins.quality import QualitySummary, cell_figures, summarize
 
@@ -59,6 +60,7 @@ def broken_promises(
     before_summary: QualitySummary | None = None,
     *,
     slides: bool = False,
+    origin: NDArray[np.int64] | None = None,
 ) -> list[str]:
     """Say what of the promise does not hold for an optimised mesh.
 
@@ -72,6 +74,8 @@ def broken_promises(
     slides : bool                       whether the boundary may move and be flipped: then its
                                         vertices, topology and labels must be as before, and the
                                         volume nearly; distances are not looked at
+    origin : (n',) int                  where vertices may come and go: the old vertex of every
+                                        new one, increasing, then -1 for those that were added
 
     Returns
     -------
@@ -83,22 +87,28 @@ def broken_promises(
     every place of the old domain is covered exactly once: the mapping degree says so. The
     volume of every region is compared all the same.
     """
-    broken = _malformed(before, points, cells, regions)
+    broken = _malformed(before, points, cells, regions, origin)
     if broken:
         return broken
     figures = cell_figures(points, cells)
+    old_locked = locked_facets(before.cells, before.regions, len(before.points))
+    removed = np.zeros(0, dtype=np.int64)
+    if origin is not None:
+        removed = removed_vertices(origin, len(before.points))
+        points = in_old_numbers(before.points, points, origin)
+        cells = old_numbers(origin, len(before.points))[cells]
+        broken += _came_and_went(before, cells, removed, old_locked)
     bad = np.flatnonzero(~(figures.volume > 0))
     if len(bad):
         broken.append(f"cell {bad[0]} has volume {figures.volume[bad[0]]:.3g}, "
                       f"not positive ({len(bad)} in all)")
-    old_locked = locked_facets(before.cells, before.regions, len(points))
     broken += _moved(before, points, old_locked, slides=slides)
-    broken += _dropped(before, cells)
+    broken += _dropped(before, cells, removed, len(points))
     broken += _torn(old_locked, cells, regions, len(points), slides=slides)
     if slides:
-        broken += _resewn(before, old_locked, cells, regions)
+        broken += _resewn(before, old_locked, cells, regions, len(points))
     broken += _volume_changed(before, points, cells, regions, slides=slides)
-    broken += _thawed(before, cells, regions)
+    broken += _thawed(before, cells, regions, len(points))
     if keep:
         old = before_summary or summarize(before.points, before.cells)
         broken += worse_figures(old, summarize(points, cells, figures), keep)
@@ -159,8 +169,16 @@ def _held(mesh: SimplexMesh, locked: LockedFacets) -> dict[str, NDArray[np.bool_
     return held
 
 
-def _malformed(before: SimplexMesh, points: Any, cells: Any, regions: Any) -> list[str]:
+def _malformed(
+    before: SimplexMesh, points: Any, cells: Any, regions: Any, origin: Any
+) -> list[str]:
     n, d = before.points.shape
+    if origin is not None:
+        kept = origin[origin >= 0]
+        ordered = np.array_equal(origin[: len(kept)], kept) and (np.diff(kept) > 0).all()
+        if origin.shape != points.shape[:1] or not ordered or (kept >= n).any():
+            return [f"the origin of {len(points)} vertices names no vertices in their order"]
+        n = len(origin)
     if points.shape != (n, d):
         return [f"points have shape {points.shape}, they had {(n, d)}"]
     if cells.ndim != 2 or cells.shape[1] != d + 1 or not len(cells):
@@ -183,7 +201,7 @@ def _moved(
     if slides:
         del held["boundary"]
     old, new = (np.ascontiguousarray(p, np.float64).view(np.int64)
-                for p in (before.points, points))
+                for p in (before.points, points[: len(before.points)]))
     differs = (old != new).any(axis=1)
     sentences = []
     for name, mask in held.items():
@@ -193,15 +211,40 @@ def _moved(
     return sentences
 
 
-def _dropped(before: SimplexMesh, cells: NDArray[np.int32]) -> list[str]:
+def _came_and_went(
+    before: SimplexMesh, cells: NDArray[np.int32], removed: NDArray[np.int64],
+    locked: LockedFacets,
+) -> list[str]:
+    """Check that only free vertices were removed, and that not too many were added."""
+    sentences = []
+    for name, mask in [*_held(before, locked).items(), ("anchored", before.anchored)]:
+        bad = removed[mask[removed]]
+        if len(bad):
+            sentences.append(f"{name} vertex {bad[0]} was removed, {len(bad)} in all")
+    was, now = (len(np.unique(t)) for t in (before.cells, cells))
+    if now > most_vertices(was):
+        sentences.append(f"{now} vertices are used, {was} were; expected at most "
+                         f"{most_vertices(was)}")
+    return sentences
+
+
+def _dropped(
+    before: SimplexMesh, cells: NDArray[np.int32], removed: NDArray[np.int64], n_points: int
+) -> list[str]:
     n = len(before.points)
-    was, now = (np.bincount(t.ravel(), minlength=n) > 0 for t in (before.cells, cells))
+    was = np.bincount(before.cells.ravel(), minlength=n) > 0
+    was[removed] = False
+    now = np.bincount(cells.ravel(), minlength=n_points) > 0
+    fresh = n + np.flatnonzero(~now[n:])
+    now = now[:n]
     lost, gained = np.flatnonzero(was & ~now), np.flatnonzero(now & ~was)
     sentences = []
     if len(lost):
         sentences.append(f"vertex {lost[0]} is no longer used, {len(lost)} in all")
     if len(gained):
         sentences.append(f"vertex {gained[0]} was unused and is used, {len(gained)} in all")
+    if len(fresh):
+        sentences.append(f"added vertex {fresh[0]} is not used, {len(fresh)} in all")
     return sentences
 
 
@@ -231,14 +274,13 @@ def _torn(
 
 
 def _resewn(
-    before: SimplexMesh, old: LockedFacets, cells: NDArray[Any], regions: NDArray[Any]
+    before: SimplexMesh, old: LockedFacets, cells: NDArray[Any], regions: NDArray[Any], n: int
 ) -> list[str]:
     """Check that a boundary that slid has the vertices, edges and labels it had, but for flips.
 
     The same vertices, as many facets and edges, and as many facets at every edge that is not of
     two: then the Euler number and every place where the boundary touches itself are the same.
     """
-    n = len(before.points)
     new, _ = _facet_census(cells, regions, n)
     a, b = old.facets[old.boundary], new.facets[new.boundary]
     sentences = []
@@ -322,12 +364,13 @@ def _volume_per_label(
     return volume / (2 if d == 2 else 6), spread
 
 
-def _thawed(before: SimplexMesh, cells: NDArray[Any], regions: NDArray[Any]) -> list[str]:
+def _thawed(
+    before: SimplexMesh, cells: NDArray[Any], regions: NDArray[Any], n: int
+) -> list[str]:
     """Look every frozen cell up, with its label."""
     frozen = before.frozen
     if not frozen.any():
         return []
-    n = len(before.points)
     old = np.sort(before.cells[frozen], axis=1)
     touched = np.zeros(n, bool)
     touched[old] = True

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.binding import BindingCell, binding_cells
 from odt_plugins.mesh import SimplexMesh
+from odt_plugins.numbering import in_old_numbers
 from odt_plugins.options import Options
 from odt_plugins.promise import held_vertices
 from odt_plugins.quality import QualitySummary, cell_figures, summarize
@@ -171,10 +172,20 @@ def make_report(before: SimplexMesh, outcome: Outcome, options: Options) -> Repo
     new = cell_figures(outcome.points, outcome.cells)
     used = np.zeros(len(before.points), bool)
     used[before.cells] = True
+    n = len(before.points)
+    now = outcome.points if outcome.origin is None else in_old_numbers(
+        before.points, outcome.points, outcome.origin)[:n]
     kept = getattr(outcome, "kept", None)
-    movable = used & (~held_vertices(before) | (outcome.points != before.points).any(axis=1))
+    movable = used & (~held_vertices(before) | (now != before.points).any(axis=1))
     if kept is not None:
         movable = used & ~kept.held
+    counts = {k: int(v) for k, v in outcome.counts.items()}
+    movable_after = movable
+    if outcome.origin is not None:
+        added = outcome.origin < 0
+        movable_after = added | movable[outcome.origin]
+        counts["vertices added"] = int(added.sum())
+        counts["vertices removed"] = n + int(added.sum()) - len(added)
     return Report(
         dim=before.dim,
         before=summarize(before.points, before.cells, old),
@@ -185,10 +196,10 @@ def make_report(before: SimplexMesh, outcome: Outcome, options: Options) -> Repo
         times={k: float(v) for k, v in outcome.times.items()},
         stop_reason=outcome.stop_reason,
         fallback=outcome.fallback,
-        counts={k: int(v) for k, v in outcome.counts.items()},
+        counts=counts,
         n_used=int(used.sum()),
         n_movable=int(movable.sum()),
-        binding=binding_cells(outcome.points, outcome.cells, outcome.regions, movable, new),
+        binding=binding_cells(outcome.points, outcome.cells, outcome.regions, movable_after, new),
         options=_described(options),
         versions=_versions(),
         slid=None if outcome.slid is None else outcome.slid._asdict(),

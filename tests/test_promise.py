@@ -247,3 +247,110 @@ def test_keys_are_equal_for_equal_rows_and_no_others_however_large_the_values() 
     same = (rows[:, None] == rows[None]).all(axis=2)
     assert np.array_equal(keys[:, None] == keys[None], same)
     assert not same.all()
+
+
+# Vertices that come and go: the same judge with the origin of every vertex.
+
+
+def with_a_vertex(mesh: SimplexMesh, c: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Put a vertex into the middle of a cell: points, cells, regions."""
+    n = len(mesh.points)
+    new = [np.where(mesh.cells[c] == v, n, mesh.cells[c]) for v in mesh.cells[c]]
+    points = np.vstack([mesh.points, mesh.points[mesh.cells[c]].mean(axis=0)])
+    cells = np.vstack([np.delete(mesh.cells, c, axis=0), new]).astype(np.int32)
+    regions = np.append(np.delete(mesh.regions, c), [mesh.regions[c]] * len(new)).astype(np.int32)
+    return points, cells, regions
+
+
+def judged(mesh: SimplexMesh, points: object, cells: object, regions: object,
+           origin: object) -> list[str]:
+    return broken_promises(mesh, points, cells, regions, (), origin=np.asarray(origin))
+
+
+def test_added_vertices_are_allowed_up_to_a_tenth() -> None:
+    mesh = grid_mesh(3)
+    n = len(mesh.points)
+    now, origin = mesh, list(range(n))
+    for count in range(1, n // 10 + 2):
+        points, cells, regions = with_a_vertex(now, 0)
+        now = replace(now, points=points, cells=cells, regions=regions,
+                      fixed=np.zeros(len(points), bool), anchored=np.zeros(len(points), bool),
+                      frozen=np.zeros(len(cells), bool))
+        origin.append(-1)
+        found = judged(mesh, points, cells, regions, origin)
+        if count <= n // 10:
+            assert found == []
+    assert found == [f"{n + count} vertices are used, {n} were; expected at most {n + n // 10}"]
+    assert said(sentences(mesh, points, cells, regions), "points have shape")
+
+
+def removed_again(mesh: SimplexMesh) -> tuple[SimplexMesh, int]:
+    """A mesh with a vertex, not the last one, in the middle of a cell, and the mesh without it."""
+    points, cells, regions = with_a_vertex(mesh, 5)
+    n = len(points) - 1
+    swap = np.arange(n + 1, dtype=np.int32)
+    swap[[3, n]] = n, 3
+    before, _ = simplex_mesh(points[swap], swap[cells], regions=regions)
+    return before, 3
+
+
+def test_a_free_vertex_may_be_removed_and_no_other() -> None:
+    mesh = grid_mesh(3)
+    before, v = removed_again(mesh)
+    n = len(before.points)
+    origin = np.delete(np.arange(n), v)
+    points = before.points[origin]
+    old = np.where(np.arange(n) == n - 1, v, np.arange(n))
+    number = np.searchsorted(origin, np.where(old == v, n - 1, old))
+    cells = number[mesh.cells].astype(np.int32)
+    assert judged(before, points, cells, mesh.regions, origin) == []
+    for name in ("fixed", "anchored"):
+        marked = np.arange(n) == v
+        assert said(judged(replace(before, **{name: marked}), points, cells, mesh.regions, origin),
+                    f"{name} vertex {v} was removed, 1 in all")
+    frozen = (before.cells == v).any(axis=1)
+    found = judged(replace(before, frozen=frozen), points, cells, mesh.regions, origin)
+    assert said(found, f"frozen vertex {v} was removed")
+    assert said(found, "frozen cell .* is gone, 4 in all")
+    corner = int(before.cells[0][held_vertices(before)[before.cells[0]]][0])
+    wrong = np.delete(np.arange(n), corner)
+    found = judged(before, before.points[wrong], np.minimum(before.cells, n - 2), before.regions,
+                   wrong)
+    assert said(found, rf"(boundary|interface) vertex {corner} was removed")
+
+
+def test_an_unused_vertex_stays_and_an_added_one_is_used() -> None:
+    mesh = grid_mesh(3)
+    n = len(mesh.points)
+    padded, _ = simplex_mesh(np.vstack([mesh.points, [[5.0, 5.0, 5.0]]]), mesh.cells,
+                             regions=mesh.regions)
+    assert said(judged(padded, mesh.points, mesh.cells, mesh.regions, np.arange(n)),
+                f"unused vertex {n} was removed")
+    found = judged(mesh, padded.points, mesh.cells, mesh.regions, np.append(np.arange(n), -1))
+    assert found == [f"added vertex {n} is not used, 1 in all"]
+
+
+def test_held_vertices_are_compared_in_their_old_numbers() -> None:
+    before, v = removed_again(grid_mesh(3))
+    n = len(before.points)
+    origin = np.append(np.delete(np.arange(n), v), -1)
+    points = np.vstack([before.points[origin[:-1]], before.points[v]])
+    number = np.empty(n, dtype=np.int32)
+    number[origin[:-1]] = np.arange(n - 1)
+    number[v] = n - 1
+    cells = number[before.cells]
+    assert judged(before, points, cells, before.regions, origin) == []
+    held = np.flatnonzero(held_vertices(before))
+    points[number[held[-1]], 0] = np.nextafter(points[number[held[-1]], 0], np.inf)
+    assert said(judged(before, points, cells, before.regions, origin),
+                rf"(boundary|interface) vertex {held[-1]} moved, 1 in all")
+
+
+@pytest.mark.parametrize("origin", ["short", "order", "range", "mixed"])
+def test_malformed_origins_are_told(origin: str) -> None:
+    mesh = grid_mesh(3)
+    n = len(mesh.points)
+    wrong = {"short": np.arange(n - 1), "order": np.r_[1, 0, 2:n], "range": np.arange(1, n + 1),
+             "mixed": np.r_[0, -1, 2:n]}[origin]
+    assert judged(mesh, mesh.points, mesh.cells, mesh.regions, wrong) == [
+        f"the origin of {n} vertices names no vertices in their order"]

@@ -16,18 +16,19 @@ from odt_plugins import errors
 PACKAGE = Path(odt_plugins.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
-BASE = {"errors", "mesh", "options", "quality", "promise", "surface",
+BASE = {"errors", "mesh", "numbering", "options", "quality", "promise", "surface",
         "surface_promise"}
 MAY_IMPORT = {
     "errors": set(),
     "mesh": {"errors"},
+    "numbering": {"mesh"},
     "options": {"errors"},
     "quality": {"errors"},
     "planar": {"errors", "mesh"},
     "surface": {"errors", "mesh"},
     "surface_promise": {"errors", "mesh", "options", "promise", "quality", "surface"},
     "carry": {"errors", "mesh"},
-    "promise": {"errors", "mesh", "options", "quality"},
+    "promise": {"errors", "mesh", "numbering", "options", "quality"},
     "engine": {"engine", *BASE},
     "adapters": {"adapters", "errors", "mesh"},
     "binding": BASE,

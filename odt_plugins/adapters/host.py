@@ -46,6 +46,8 @@ class HostMesh:
     layout : object                   what else the writer of this adapter needs
     textured : bool                   whether there are texture coordinates of points in space
     words : callable                  puts an error message into the words of this toolkit
+    anchors : (k,) int or None        vertices that may move but must not be removed
+    quadratic : bool                  whether there are mid-nodes on the edges of the cells
     """
 
     points: NDArray[Any]
@@ -57,6 +59,43 @@ class HostMesh:
     layout: Any = None
     textured: bool = False
     words: Callable[[str], str] = str
+    anchors: NDArray[Any] | None = None
+    quadratic: bool = False
+
+
+class NewVertices(NamedTuple):
+    """Vertices of the result where some were removed and others added.
+
+    Attributes
+    ----------
+    origin : (n',) int64        input vertex of every vertex, -1 for those added, at the end
+    number : (n,) int64         vertex of the result for every input vertex, -1 if it was removed
+    corners : (k, d + 1) int32  input vertices around each vertex that was added
+    weights : (k, d + 1)        with these barycentric coordinates
+    """
+
+    origin: NDArray[np.int64]
+    number: NDArray[np.int64]
+    corners: NDArray[np.int32]
+    weights: NDArray[np.float64]
+
+    def carried(self, values: NDArray[Any]) -> NDArray[Any]:
+        """Point data (n, ...) of the input for the vertices of the result, (n', ...).
+
+        A vertex that is still there keeps its value; for one that was added, floating-point
+        numbers are interpolated linearly, of anything else the value of the nearest corner is
+        taken.
+        """
+        out = values[self.origin]
+        added = self.origin < 0
+        at_corners = values[self.corners]
+        if values.dtype.kind in "fc":
+            wide = at_corners.astype(np.result_type(values, np.float64))
+            out[added] = np.einsum("kc,kc...->k...", self.weights, wide)
+        else:
+            nearest = self.weights.argmax(axis=1)
+            out[added] = at_corners[np.arange(len(nearest)), nearest]
+        return out
 
 
 class Feet(NamedTuple):
@@ -85,6 +124,7 @@ class Result(NamedTuple):
     curved : bool              whether these are triangles of a curved surface: its vertices moved
                                along it, and its normals are others
     feet : Feet or None        of the vertices that moved along one with texture coordinates
+    vertices : NewVertices     when some were removed or added
     """
 
     points: NDArray[Any]
@@ -92,6 +132,7 @@ class Result(NamedTuple):
     source: NDArray[np.int32]
     curved: bool = False
     feet: Feet | None = None
+    vertices: NewVertices | None = None
 
 
 class Adapter(Protocol):

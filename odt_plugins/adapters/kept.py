@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,7 +14,9 @@ from odt_plugins.errors import InvalidMeshError, counted
 from odt_plugins.mesh import BoolArray, IntArray, SimplexMesh, directed_facets, freeze, row_keys
 
 
-def protect(mesh: SimplexMesh, kept: tuple[KeptCells, ...]) -> SimplexMesh:
+def protect(
+    mesh: SimplexMesh, kept: tuple[KeptCells, ...], anchors: NDArray[Any] | None = None
+) -> SimplexMesh:
     """Fix vertices and freeze cells so that the kept cells fit the optimised mesh as before.
 
     Parameters
@@ -22,6 +25,7 @@ def protect(mesh: SimplexMesh, kept: tuple[KeptCells, ...]) -> SimplexMesh:
     kept : tuple of KeptCells    a line or triangle on the boundary or on an interface stays
                                  anyway; for one inside, one cell that holds it is frozen;
                                  of anything else the vertices are fixed
+    anchors : (k,) int           vertices that must not be removed; none out of range counts
 
     Returns
     -------
@@ -47,8 +51,12 @@ def protect(mesh: SimplexMesh, kept: tuple[KeptCells, ...]) -> SimplexMesh:
                 lines.append(_edges(rows[held]))
             rows = rows[~held]
         loose.append(rows.ravel())
+    anchored = np.zeros(n, dtype=np.bool_)
+    if anchors is not None:
+        anchored[anchors[(anchors >= 0) & (anchors < n)]] = True
     safe = freeze(mesh, frozen, np.concatenate(loose))
-    return replace(safe, stays=np.concatenate(stays), lines=np.concatenate(lines))
+    return replace(safe, stays=np.concatenate(stays), lines=np.concatenate(lines),
+                   anchored=anchored)
 
 
 def _edges(rows: NDArray[np.int64]) -> IntArray:

@@ -14,7 +14,14 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance, region_array
+from odt_plugins.adapters.host import (
+    HostMesh,
+    KeptCells,
+    NewVertices,
+    Result,
+    is_instance,
+    region_array,
+)
 from odt_plugins.adapters.quadratic import (
     CORNERS,
     Quadratic,
@@ -109,6 +116,8 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
         kept=kept,
         source=mesh,
         layout=dict(zip(chosen, np.cumsum([0, *size[:-1]]).tolist(), strict=True)),
+        anchors=_anchors(mesh),
+        quadratic=kind in QUADRATIC,
     )
 
 
@@ -117,6 +126,8 @@ def write(result: Result, host: HostMesh) -> Any:
     out = host.source.copy()
     if any(out.cells[i].type in QUADRATIC for i in host.layout):
         result = _with_mid_nodes(out, result, host)
+    elif result.vertices is not None:
+        _renumber(out, result, result.vertices, host)
     out.points = result.points
     for i, start in host.layout.items():
         block = out.cells[i]
@@ -130,6 +141,29 @@ def write(result: Result, host: HostMesh) -> Any:
             if name not in NOT_CELL_INDICES and members[i] is not None:
                 members[i] = _members(np.asarray(members[i]), local, end - start)
     return out
+
+
+def _anchors(mesh: Any) -> NDArray[Any]:
+    """Vertices of vertex cells and of point sets."""
+    named = [np.asarray(members) for members in mesh.point_sets.values()]
+    named += [np.asarray(block.data) for block in mesh.cells if block.type == "vertex"]
+    return np.concatenate([np.zeros(0, dtype=np.int64), *(v.ravel() for v in named)])
+
+
+def _renumber(out: Any, result: Result, vertices: NewVertices, host: HostMesh) -> None:
+    """Let point data, point sets and other blocks follow vertices that came and went."""
+    for i, block in enumerate(out.cells):
+        if i not in host.layout:
+            block.data = vertices.number[block.data].astype(block.data.dtype)
+    entities = out.cell_data.get(CELL_ENTITIES)
+    for name, values in out.point_data.items():
+        out.point_data[name] = vertices.carried(np.asarray(values))
+        if name == NODE_ENTITIES and entities is not None:
+            of_cells = np.concatenate([entities[i] for i in host.layout])[result.source]
+            _set_entities(out.point_data[name], 3, result.cells, vertices.origin < 0, of_cells)
+    for name, members in out.point_sets.items():
+        old = np.asarray(members)
+        out.point_sets[name] = vertices.number[old].astype(old.dtype)
 
 
 def _with_mid_nodes(out: Any, result: Result, host: HostMesh) -> Result:
@@ -159,12 +193,18 @@ def _node_entities(
 ) -> NDArray[Any]:
     """Dimension and tag (n', 2) of Gmsh's entity of every node; new ones lie in that of a cell."""
     out = values[np.maximum(q.origin, 0)]
-    corners = CORNERS[q.cells.shape[1]]
-    mid = q.cells[:, corners:]
-    fresh = q.origin[mid] < 0
-    out[mid[fresh], 0] = corners - 1
-    out[mid[fresh], 1] = np.broadcast_to(of_cells[:, None], mid.shape)[fresh]
+    _set_entities(out, CORNERS[q.cells.shape[1]] - 1, q.cells, q.origin < 0, of_cells)
     return out
+
+
+def _set_entities(
+    entities: NDArray[Any], dim: int, cells: NDArray[Any], fresh: NDArray[np.bool_],
+    of_cells: NDArray[np.integer],
+) -> None:
+    """Write dimension and tag (n, 2) of the entity of a cell around it for every fresh node."""
+    new = fresh[cells]
+    entities[cells[new], 0] = dim
+    entities[cells[new], 1] = np.broadcast_to(of_cells[:, None], cells.shape)[new]
 
 
 def _memberships(mesh: Any, chosen: list[int], size: list[int]) -> dict[str, NDArray[np.bool_]]:

@@ -91,6 +91,12 @@ def write(result: Result, host: HostMesh) -> Any:
     out.vertices = Vector3dVector(result.points)
     if is_instance(out, "open3d", "TetraMesh"):
         out.tetras = Vector4iVector(result.cells)
+        if result.vertices is not None:
+            mesh = host.source
+            for name in ("vertex_normals", "vertex_colors"):
+                values = np.asarray(getattr(mesh, name))
+                if len(values):
+                    setattr(out, name, Vector3dVector(result.vertices.carried(values)))
         return out
     return _write_triangles(out, result, host)
 

@@ -10,6 +10,8 @@ quadratic cells, quadratic beside linear ones, polyhedra and triangle strips are
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -19,7 +21,6 @@ from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance, 
 from odt_plugins.adapters.normals import renewed
 from odt_plugins.adapters.quadratic import (
     CORNERS,
-    Quadratic,
     carried_point_data,
     check_mid_nodes,
     warn_of_folds,
@@ -98,6 +99,8 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
         source=mesh,
         layout=(ids, nodes if wide else None),
         textured=mesh.point_data.active_texture_coordinates_name is not None,
+        anchors=_anchors(mesh) if grid else None,
+        quadratic=wide,
     )
 
 
@@ -110,8 +113,14 @@ def write(result: Result, host: HostMesh) -> Any:
         rows = _write_polydata(out, result, ids)
         out.points = result.points
     elif nodes is None:
-        rows = _write_grid(out, result, host.source, ids)
+        vertices = result.vertices
+        number = None if vertices is None else vertices.number
+        rows = _write_grid(out, result, host.source, ids, number)
+        if vertices is not None:
+            out.point_data.clear()
         out.points = result.points
+        if vertices is not None:
+            _carry_point_data(out, host.source, lambda _, values: vertices.carried(values))
     else:
         rows = _write_quadratic(out, result, host)
     _carry_cell_data(out, host.source, rows)
@@ -147,6 +156,14 @@ def optimised_cells(host: HostMesh) -> IndexArray:
     """Indices in the caller's object of the cells that are optimised."""
     ids: IndexArray = host.layout[0]
     return ids
+
+
+def _anchors(mesh: Any) -> IndexArray:
+    """Vertices of vertex cells."""
+    types = np.asarray(mesh.celltypes)
+    offset, flat = _connectivity(mesh)
+    which = np.flatnonzero(np.isin(types, (VERTEX, POLY_VERTEX)))
+    return flat[_positions(offset[which], np.diff(offset)[which])]
 
 
 def _read_grid(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]]:
@@ -216,14 +233,16 @@ def _write_quadratic(out: Any, result: Result, host: HostMesh) -> IndexArray:
     rows = _write_grid(out, whole, source, ids, q.number)
     out.point_data.clear()
     out.points = q.points
-    _carry_point_data(out, source, q)
+    _carry_point_data(out, source, partial(carried_point_data, q=q))
     return rows
 
 
-def _carry_point_data(out: Any, source: Any, q: Quadratic) -> None:
+def _carry_point_data(
+    out: Any, source: Any, carry: Callable[[str, NDArray[Any]], NDArray[Any]]
+) -> None:
     old, new = source.point_data, out.point_data
     for name in old.keys():
-        new.set_array(carried_point_data(name, np.asarray(old[name]), q), name)
+        new.set_array(carry(name, np.asarray(old[name])), name)
     _make_active(new, old)
 
 

@@ -94,14 +94,14 @@ def make_scratch() -> Scratch:
 def descend_around(
     points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
     locked: BoolArray, status: ByteArray, slots: LongArray, free: IntArray, objective: int,
-    power: float, max_ring: int, bounds: FloatArray, n_new: int, total: float, floor: float,
-    work: Work, journal: LongArray, scratch: Scratch,
+    power: float, max_ring: int, bounds: FloatArray, fresh: IntArray, n_fresh: int, total: float,
+    floor: float, work: Work, journal: LongArray, scratch: Scratch,
 ) -> tuple[float, int, int]:
     """Flips and Newton steps around the cells that a forced operation wrote.
 
     Parameters
     ----------
-    n_new : int           cells in the second array of ``work``
+    fresh, n_fresh        the cells, in the first entries of fresh
     total : float         gain of the forced operation
     floor : float         the descent is given up when the gain is still below after its flips
     scratch : Scratch     touched cells, star, positions to go back to and their vertices, ...
@@ -113,7 +113,7 @@ def descend_around(
     """
     touched, star, undo, undo_vertex, seen, out, step = scratch
     around = work[1]
-    n_touched = push(touched, 0, around, n_new)
+    n_touched = push(touched, 0, fresh, n_fresh)
     n_undo = 0
     flips = 0
     for _ in range(ROUNDS):
@@ -265,7 +265,7 @@ def compound_pass(
                 continue
             total, n_touched, n_undo = descend_around(
                 points, cells, neighbors, regions, locked, status, slots, free, objective, power,
-                max_ring, bounds, n_new, total, -DEEP * own, work, journal, scratch,
+                max_ring, bounds, work[1], n_new, total, -DEEP * own, work, journal, scratch,
             )
             good = total > GAIN * own and within(
                 points, cells, scratch[0], n_touched, min(q, bounds[0]), max(large, bounds[1]),

@@ -20,10 +20,12 @@ from odt_plugins.engine.geometry import boundary_vertices, interface_vertices
 from odt_plugins.engine.judge import Slid, envelope_length, faults, slides
 from odt_plugins.engine.order import curve_order
 from odt_plugins.engine.phases import Phase, bulk, cautious, descents, repair, tail
+from odt_plugins.engine.resampling import resample_in_rounds, with_spare_vertices
 from odt_plugins.engine.skin import Skin, make_skin
 from odt_plugins.engine.smoothing import Log, smooth
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
+from odt_plugins.numbering import new_numbers
 from odt_plugins.options import Objective, Options, Progress
 
 LOCKED_QUALITY = 0.3
@@ -46,6 +48,8 @@ class Outcome:
     fallback : str or None          why an earlier state is returned, when it is
     counts : dict name -> int       sweeps, flips, exchanges, refusals
     slid : Slid or None             how far the boundary moved, when it may slide and did
+    origin : (n',) int64 or None    input vertex of every vertex, -1 for the new ones at the end;
+                                    None when the vertices are those of the input
     """
 
     points: FloatArray
@@ -57,6 +61,7 @@ class Outcome:
     fallback: str | None = None
     counts: dict[str, int] = field(default_factory=dict)
     slid: Slid | None = None
+    origin: NDArray[np.int64] | None = None
 
 
 @dataclass(frozen=True)
@@ -229,6 +234,21 @@ def run(mesh: SimplexMesh, options: Options) -> Outcome:
             )
             log.add("runs of finishing alone", 1)
             _finishing_alone(second, options, bounds, memory, times, pool, log)
+        if options.insert:
+            clock = time.perf_counter()
+            unchanged = frame.inside(mesh.points[frame.vertices])
+            best = (memory.states or [State(unchanged, cells, regions, before, "input")])[0]
+            spare = with_spare_vertices(
+                best.points, best.cells, best.regions, inner_locked, inner_rim,
+                mesh.anchored[frame.vertices],
+            )
+            resample_in_rounds(
+                spare, best.figures, options.objective,
+                limits=partial(extremes, keep=tuple(options.keep)),
+                settle=partial(_finish, log=log, pool=pool, threads=options.threads),
+                offer=partial(memory.offer, name="resampled"), log=log,
+            )
+            times["resampling"] = time.perf_counter() - clock
     finally:
         if pool is not None:
             pool.shutdown()
@@ -415,18 +435,19 @@ def _best(
     broken: list[str] = [f"{name} would be worse" for name in memory.worse]
     for rank, state in enumerate(memory.states):
         points = mesh.points.copy()
+        n = len(locked)
         start = frame.inside(mesh.points[frame.vertices])
-        free = (state.points != start).any(axis=1) if slides(mesh, options) else ~locked
-        points[frame.vertices[free]] = frame.outside(state.points[free])
-        cells = np.concatenate([mesh.cells[mesh.frozen], frame.vertices[state.cells]])
-        regions = np.concatenate([mesh.regions[mesh.frozen], state.regions])
-        broken_now, slid = faults(mesh, points, cells, regions, options)
+        free = (state.points[:n] != start).any(axis=1) if slides(mesh, options) else ~locked
+        points[frame.vertices[free]] = frame.outside(state.points[:n][free])
+        outcome = _in_caller_terms(mesh, frame, points, state)
+        broken_now, slid = faults(
+            mesh, outcome.points, outcome.cells, outcome.regions, options, outcome.origin
+        )
         if not broken_now:
             fallback = None
             if rank or state.name == "finishing alone":
                 fallback = f"a later state was given up ({'; '.join(broken)})"
-            return Outcome(points, np.ascontiguousarray(cells), regions, stop_reason=reason,
-                           fallback=fallback, slid=slid)
+            return replace(outcome, stop_reason=reason, fallback=fallback, slid=slid)
         log.add("states refused", 1)
         broken = broken_now
     if not broken:
@@ -436,3 +457,31 @@ def _best(
         unchanged,
         fallback=f"the input is returned, nothing better kept the promise ({'; '.join(broken)})",
     )
+
+
+def _in_caller_terms(
+    mesh: SimplexMesh, frame: Frame, points: FloatArray, state: State
+) -> Outcome:
+    """A state in the caller's numbering, with the frozen cells; ``points`` are the old vertices.
+
+    Vertices keep their index, or their order when some have gone; new ones stand at the end.
+    """
+    n = len(frame.vertices)
+    regions = np.concatenate([mesh.regions[mesh.frozen], state.regions])
+    used = np.zeros(len(state.points), dtype=bool)
+    used[state.cells] = True
+    new = n + np.flatnonzero(used[n:])
+    if used[:n].all() and not len(new):
+        cells = np.concatenate([mesh.cells[mesh.frozen], frame.vertices[state.cells]])
+        return Outcome(points, np.ascontiguousarray(cells), regions)
+    stays = np.ones(len(points), dtype=bool)
+    stays[frame.vertices[~used[:n]]] = False
+    kept = np.flatnonzero(stays)
+    origin = np.concatenate([kept, np.full(len(new), -1, dtype=np.int64)])
+    outer = new_numbers(origin, len(points))
+    inner = np.full(len(state.points), -1, dtype=np.int32)
+    inner[:n] = outer[frame.vertices]
+    inner[new] = len(kept) + np.arange(len(new))
+    cells = np.concatenate([outer[mesh.cells[mesh.frozen]], inner[state.cells]])
+    points = np.concatenate([points[kept], frame.outside(state.points[new])])
+    return Outcome(points, np.ascontiguousarray(cells), regions, origin=origin)

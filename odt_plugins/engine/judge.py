@@ -9,7 +9,8 @@ import numpy as np
 from odt_plugins.engine.geometry import boundary_facets, signed_volumes
 from odt_plugins.engine.surface.crossings import count_crossings
 from odt_plugins.errors import counted
-from odt_plugins.mesh import FloatArray, IntArray, SimplexMesh
+from odt_plugins.mesh import FloatArray, IntArray, LongArray, SimplexMesh
+from odt_plugins.numbering import in_old_numbers, old_numbers
 from odt_plugins.options import Options
 from odt_plugins.promise import broken_promises
 
@@ -75,16 +76,21 @@ def measure_slide(
 
 
 def faults(
-    mesh: SimplexMesh, points: FloatArray, cells: IntArray, regions: IntArray, options: Options
+    mesh: SimplexMesh, points: FloatArray, cells: IntArray, regions: IntArray, options: Options,
+    origin: LongArray | None = None,
 ) -> tuple[list[str], Slid | None]:
     """Say what of the promise does not hold, and how far the boundary slid if it may.
 
     Parameters as for :func:`odt_plugins.promise.broken_promises`.
     """
     sliding = slides(mesh, options)
-    broken = broken_promises(mesh, points, cells, regions, tuple(options.keep), slides=sliding)
+    broken = broken_promises(mesh, points, cells, regions, tuple(options.keep), slides=sliding,
+                             origin=origin)
     if broken or not sliding:
         return broken, None
+    if origin is not None:
+        cells = old_numbers(origin, len(mesh.points))[cells]
+        points = in_old_numbers(mesh.points, points, origin)
     slid = measure_slide(mesh, points, cells, options)
     furthest = max(slid.forward, slid.backward)
     if not furthest <= slid.envelope:

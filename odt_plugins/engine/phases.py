@@ -112,3 +112,36 @@ def descents(dim: int, objective: Objective = "radius_ratio") -> tuple[Descent, 
     if dim == 2:
         return general, own
     return general, own, Descent((Phase(2.0, 0.03, 2, 3, 3),), hold=0.01)
+
+
+@dataclass(frozen=True)
+class Resampling:
+    """Passes of insertion and removal of vertices, see :mod:`odt_plugins.engine.insertion`.
+
+    Attributes
+    ----------
+    power : float     exponent p of the sum of costs that must fall
+    share : float     part of the cells, worst first, that a pass looks at
+    passes : int
+    objective : int   the cell measure in the cost
+    """
+
+    power: float
+    share: float
+    passes: int
+    objective: int = QUALITY
+
+
+def resampling(objective: Objective = "radius_ratio") -> tuple[Resampling, ...]:
+    """Passes of one round of insertion: for the quality, then for the very smallest angles."""
+    return (
+        Resampling(4.0, 0.02, 2, MEAN_RATIO if objective == "amips" else QUALITY),
+        Resampling(4.0, 0.003 if objective == "min_dihedral" else 0.001, 2, DIHEDRAL),
+    )
+
+
+def after_resampling(objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
+    """Phases around the worst cells after a round of insertion: the mean, then the tail."""
+    general = () if objective == "amips" else tail(3)
+    own = () if objective == "radius_ratio" else tail(3, objective)
+    return (Phase(0.5, 0.05, 3, 3), *general, *own)
