@@ -8,7 +8,6 @@ at a cell is tried and taken back to the bit; the one with the largest gain is d
 from __future__ import annotations
 
 import numpy as np
-from numba import njit
 
 from odt_plugins.engine.cavity import Work, make_work, replace_cavity
 from odt_plugins.engine.compound import (
@@ -21,7 +20,7 @@ from odt_plugins.engine.compound import (
     settle,
     within,
 )
-from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.kernel import allocating_kernel, kernel
 from odt_plugins.engine.smooth3d import newton_vertex
 from odt_plugins.engine.star_cavity import (
     PLACES,
@@ -122,7 +121,7 @@ def surroundings_within(
     return within(points, cells, touched, n_touched, q, large, small)
 
 
-@njit(nogil=True, cache=True)
+@allocating_kernel
 def insertion_pass(
     points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
     locked: BoolArray, status: ByteArray, order: IntArray, slots: LongArray, free: IntArray,
