@@ -350,25 +350,28 @@ def test_a_terminal_is_told_once_that_kernels_are_compiled(
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
 def test_a_stopped_run_leaves_no_file_and_says_so(place: Path, name: str) -> None:
     script = textwrap.dedent("""
-        import pathlib, sys, time
+        import pathlib, signal, sys, time
         from odt_plugins import cli
         from odt_plugins.engine import driver
+        # a job of a shell's background inherits an ignored SIGINT
+        signal.signal(signal.SIGINT, signal.default_int_handler)
         def run(mesh, options):
             pathlib.Path("started").touch()
             time.sleep(60)
         driver.run = run
         sys.exit(cli.main(["optimize", "in.vtu", "out.vtu", "--report", "r.json"]))
     """)
-    job = subprocess.Popen([sys.executable, "-c", script], stderr=subprocess.PIPE, text=True)
-    try:
-        for _ in range(600):
-            if Path("started").exists() or job.poll() is not None:
-                break
-            time.sleep(0.05)
-        job.send_signal(getattr(signal, name))
-        err = job.communicate(timeout=30)[1]
-    finally:
-        job.kill()
+    with subprocess.Popen([sys.executable, "-c", script], stderr=subprocess.PIPE,
+                          text=True) as job:
+        try:
+            for _ in range(600):
+                if Path("started").exists() or job.poll() is not None:
+                    break
+                time.sleep(0.05)
+            job.send_signal(getattr(signal, name))
+            err = job.communicate(timeout=30)[1]
+        finally:
+            job.kill()
     assert job.returncode == 1
     assert err.split("\n")[-2] == \
         "odt-plugins: stopped before the end, no half-written file is left"
