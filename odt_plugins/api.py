@@ -17,9 +17,10 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from odt_plugins.adapters.files import check_output, read_file, write_file
-from odt_plugins.adapters.host import Adapter, Feet, HostMesh, NewVertices, Result
+from odt_plugins.adapters.host import CHARTS, Adapter, Feet, HostMesh, NewVertices, Result
 from odt_plugins.adapters.kept import hold_charts, protect, protect_surface
 from odt_plugins.adapters.registry import find_adapter
+from odt_plugins.adapters.wedges import SEAM
 from odt_plugins.carry import in_input_order, surrounding_cells
 from odt_plugins.errors import InvalidOptionError, ODTError
 from odt_plugins.mesh import (
@@ -290,8 +291,8 @@ def _run(mesh: Any, options: Options) -> tuple[Any, SimplexMesh, Outcome]:
     if outcome.origin is not None and kind.kind != "f":
         kind = np.promote_types(kind, np.min_scalar_type(len(points) - 1))
     result = Result(
-        points, cells.astype(kind), source, work.mesh.is_surface, _feet(work, outcome.points),
-        _new_vertices(work.mesh, outcome),
+        points, cells.astype(kind), source, work.mesh.is_surface,
+        _feet(work, outcome.points, cells), _new_vertices(work.mesh, outcome),
     )
     return work.adapter.write(result, work.host), work.mesh, outcome
 
@@ -307,28 +308,35 @@ def _optimized(mesh: SimplexMesh, options: Options) -> Outcome:
     return run(mesh, options)
 
 
-def _feet(work: _Prepared, points: FloatArray) -> Feet | None:
-    """Where the vertices of a textured surface that moved lie on the input."""
-    if not (work.mesh.is_surface and work.host.textured):
+def _feet(work: _Prepared, points: FloatArray, cells: IntArray) -> Feet | None:
+    """Where a textured surface whose vertices moved lies on the input."""
+    old = work.mesh.points
+    moved = np.flatnonzero((points != old).any(axis=1))
+    if not (work.mesh.is_surface and work.host.textured and moved.size):
         return None
-    moved = np.flatnonzero((points != work.mesh.points).any(axis=1))
-    if not moved.size:
-        return None
-    from odt_plugins.engine.surface.judge import feet_on
+    from odt_plugins.engine.surface.judge import barycentric, feet_on
 
-    cells = work.host.cells.astype(np.int32)
-    return Feet(moved, *feet_on(work.mesh.points, cells, points[moved]))
+    rows = work.host.cells.astype(np.int32)
+    face, weights = feet_on(old, rows, np.concatenate([points[moved], points[cells].mean(axis=1)]))
+    k = len(moved)
+    under = rows[face[k:]]
+    corners = [barycentric(old, under, points[cells[:, i]]) for i in range(3)]
+    return Feet(moved, face[:k], weights[:k], face[k:], np.stack(corners, axis=1))
 
 
 def _prepare(mesh: Any, options: Options) -> _Prepared:
     adapter = find_adapter(mesh)
-    named = isinstance(options.regions, str)
-    host = adapter.read(mesh, options.regions if named else None)
+    name = options.regions if isinstance(options.regions, str) else None
+    host = adapter.read(mesh, None if name == CHARTS else name)
+    charts = name == CHARTS and host.textured
+    host = adapter.read(mesh, name) if name == CHARTS and not charts else host
     with _words_of(host):
         if options.insert:
             _expect_linear_tetrahedra(host)
         points, frame = _flat_points(host)
-        labels = host.regions if named or options.regions is None else options.regions
+        labels = host.regions if name or options.regions is None else options.regions
+        on_surface = host.cells.shape[1] == points.shape[1]
+        host = _without_seams(host) if on_surface and not charts else host
         if host.blocks is not None:
             labels = compact_labels(labels, len(host.cells)).astype(np.int64)
             labels = labels * (int(host.blocks.max()) + 1) + host.blocks
@@ -338,14 +346,22 @@ def _prepare(mesh: Any, options: Options) -> _Prepared:
             "selection": options.selection,
             "orient": options.orient,
         }
-        if host.cells.shape[1] == points.shape[1]:
+        if on_surface:
             surface = protect_surface(surface_mesh(points, host.cells, **given), host.kept)
-            if host.textured:
+            if charts:
                 surface = hold_charts(surface, host.blocks)
             return _Prepared(adapter, host, None, surface, 1)
         simplices, orientation = simplex_mesh(points, host.cells, **given)
         simplices = protect(simplices, host.kept, host.anchors)
         return _Prepared(adapter, host, frame, simplices, orientation)
+
+
+def _without_seams(host: HostMesh) -> HostMesh:
+    """The same with nothing that keeps the seams of a texture."""
+    if not host.textured:
+        return host
+    kept = tuple(part for part in host.kept if part.kind != SEAM)
+    return replace(host, blocks=None, kept=kept)
 
 
 @contextmanager

@@ -66,7 +66,8 @@ class Options:
     feature_angle     degrees by which a surface turns at an edge that is kept
     fixed             (n,) bool mask or vertex indices that must not move
     selection         (m,) bool mask or cell indices: only these cells may change
-    regions           (m,) integer labels whose interfaces stay, or name of a cell array
+    regions           (m,) integer labels whose interfaces stay, or name of a cell array; "charts"
+                      keeps the seams of the texture of a curved surface
     keep              figures that must not get worse (names in FIGURES)
     orient            turn cells of mixed orientation instead of refusing them
     threads           worker threads; the result does not depend on it

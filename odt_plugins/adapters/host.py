@@ -98,19 +98,28 @@ class NewVertices(NamedTuple):
         return out
 
 
+CHARTS = "charts"
+"""What to pass as `regions` to keep the seams of the texture of a curved surface."""
+
+
 class Feet(NamedTuple):
-    """Where vertices that moved along a surface lie on the caller's triangles.
+    """Where a surface whose vertices moved along it lies on the caller's triangles.
 
     Attributes
     ----------
-    vertex : (k,) int          the vertices, ascending
-    face : (k,) int            input triangle on which each lies
-    weights : (k, 3) float64   barycentric coordinates there, in the order of its corners
+    vertex : (k,) int             vertices that moved, ascending
+    face : (k,) int               input triangle on which each lies
+    weights : (k, 3) float64      barycentric coordinates there, in the order of its corners
+    under : (m',) int             input triangle under the barycentre of every new one
+    corners : (m', 3, 3) float64  barycentric coordinates of the corners of the new triangles
+                                  with respect to the one under them, negative outside of it
     """
 
     vertex: NDArray[Any]
     face: NDArray[Any]
     weights: NDArray[np.float64]
+    under: NDArray[Any]
+    corners: NDArray[np.float64]
 
 
 class Result(NamedTuple):

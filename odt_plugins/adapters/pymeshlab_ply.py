@@ -61,7 +61,8 @@ def encode(
         face += [("", "u1", np.full(m, 6)),
                  ("list uchar float texcoord", "(6,)<f4", uv.reshape(-1, 6))]
         if numbers is not None:
-            face.append(("int texnumber", "<i4", numbers[source]))
+            under = source if result.feet is None else result.feet.under
+            face.append(("int texnumber", "<i4", numbers[under]))
     if mesh.has_face_color():
         face += _colours(mesh.face_color_matrix()[source])
     if mesh.has_face_scalar():

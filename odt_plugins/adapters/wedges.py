@@ -1,15 +1,22 @@
 """Texture coordinates of wedges, the corners of triangles: which faces share a chart, and carrying.
 
-Faces of different charts never mix, so seams of the texture stay where they are.
+In the plane faces of different charts never mix, so seams of the texture stay where they are. The
+vertices of a curved surface move across seams, and the coordinates of its wedges are interpolated.
 """
 
 from __future__ import annotations
 
+import warnings
+
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import Feet, KeptCells, Result
+from odt_plugins.adapters.host import CHARTS, Feet, KeptCells, Result
+from odt_plugins.errors import DataNotKeptWarning, counted
 from odt_plugins.mesh import row_keys
+
+SEAM = "texture seam"
+"""Kind of the edges within a chart across which texture coordinates jump."""
 
 
 def charts(
@@ -50,7 +57,7 @@ def charts(
     graph = coo_array((ones, (face[a[same]], face[b[same]])), shape=(m, m))
     chart = connected_components(graph, directed=False)[1].astype(np.int64)
     inner = ~same & (chart[face[a]] == chart[face[b]])
-    return chart, KeptCells("texture seam", edge[a[inner]])
+    return chart, KeptCells(SEAM, edge[a[inner]])
 
 
 def carried(
@@ -68,15 +75,52 @@ def carried(
     -------
     (m', 3, 2)         a wedge takes the coordinates that its vertex has in the source triangle;
                        where that does not have the vertex, those of the old wedge of the vertex
-                       that lies nearest to the source triangle in the texture. The wedges of a
-                       vertex that moved along a surface take those of the place where it is now
+                       that lies nearest to the source triangle in the texture. On a surface
+                       along which vertices moved, see :func:`_on_surface`
     """
-    out = _of_sources(uv, cells, result)
     if result.feet is not None:
-        row = np.full(int(cells.max()) + 1, -1)
-        row[result.feet.vertex] = np.arange(len(result.feet.vertex))
-        place = row[result.cells]
-        out[place >= 0] = _interpolated(uv[result.feet.face], result.feet)[place[place >= 0]]
+        return _on_surface(uv, cells, result.cells, result.feet)
+    return _of_sources(uv, cells, result)
+
+
+def _on_surface(
+    uv: NDArray[np.floating], cells: NDArray[np.integer], new: NDArray[np.integer], feet: Feet
+) -> NDArray[np.floating]:
+    """Texture coordinates (m', 3, 2) of triangles whose vertices moved along a surface.
+
+    A new triangle belongs to the chart under its barycentre. A wedge takes the coordinates that
+    this chart has at the vertex: those of the old wedge where the vertex did not move, else
+    interpolated. Where a triangle lies across a seam, the triangle under it is continued.
+
+    Warns
+    -----
+    DataNotKeptWarning    triangles lie across seams
+    """
+    chart, _ = charts(uv, cells)
+    own = chart[feet.under]
+    count = int(chart.max()) + 1
+    key = cells.ravel().astype(np.int64) * count + np.repeat(chart, 3)
+    order = np.argsort(key, kind="stable")
+    wanted = new.astype(np.int64) * count + own[:, None]
+    at = np.minimum(np.searchsorted(key[order], wanted), len(key) - 1)
+    wedge = order[at]
+    row = np.full(int(cells.max()) + 1, -1)
+    row[feet.vertex] = np.arange(len(feet.vertex))
+    place = row[new]
+
+    out: NDArray[np.floating]
+    out = np.einsum("mcw,mwk->mck", feet.corners, uv[feet.under]).astype(uv.dtype)
+    stays = (place < 0) & (key[wedge] == wanted)
+    out[stays] = uv.reshape(-1, 2)[wedge[stays]]
+    inside = (place >= 0) & (chart[feet.face[place]] == own[:, None])
+    out[inside] = _interpolated(uv[feet.face], feet)[place[inside]]
+    across = int((~(stays | inside)).any(axis=1).sum())
+    if across:
+        msg = (
+            f"{counted(across, 'triangle')} of the result lie across seams of the texture, which "
+            f"is continued there beyond its charts; to keep the seams try regions={CHARTS!r}"
+        )
+        warnings.warn(msg, DataNotKeptWarning, stacklevel=2)
     return out
 
 

@@ -116,16 +116,25 @@ def feet_on(
     face : (k,) int32, weights : (k, 3) float64    not negative, sum 1
     """
     _, face, foot = make_reference(points, triangles).closest(x)
-    a, b, c = (points[triangles[face, i]] for i in range(3))
-    u, v, p = b - a, c - a, foot - a
+    weights = np.maximum(barycentric(points, triangles[face], foot), 0.0)
+    return face, weights / weights.sum(axis=1)[:, None]
+
+
+def barycentric(points: FloatArray, triangles: IntArray, x: FloatArray) -> FloatArray:
+    """Barycentric coordinates (k, 3) of points x (k, 3) put onto the planes of triangles (k, 3).
+
+    Those of a point far outside of a thin triangle are large, and (1, 0, 0) on a flat one.
+    """
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    u, v, p = b - a, c - a, x - a
     uu, uv, vv = (u * u).sum(axis=1), (u * v).sum(axis=1), (v * v).sum(axis=1)
     up, vp = (u * p).sum(axis=1), (v * p).sum(axis=1)
     det = uu * vv - uv * uv
     flat = ~(det > 0.0)
     det[flat] = 1.0
-    s = np.where(flat, 0.0, np.clip((vv * up - uv * vp) / det, 0.0, 1.0))
-    t = np.where(flat, 0.0, np.clip((uu * vp - uv * up) / det, 0.0, 1.0 - s))
-    return face, np.stack([1.0 - s - t, s, t], axis=1)
+    s = np.where(flat, 0.0, (vv * up - uv * vp) / det)
+    t = np.where(flat, 0.0, (uu * vp - uv * up) / det)
+    return np.stack([1.0 - s - t, s, t], axis=1)
 
 
 def outside(

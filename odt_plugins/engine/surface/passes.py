@@ -14,7 +14,6 @@ from numpy.typing import NDArray
 from odt_plugins.engine.active import spread
 from odt_plugins.engine.coloring import vertex_coloring
 from odt_plugins.engine.figures import cell_shapes
-from odt_plugins.engine.finish2d import SETTLED
 from odt_plugins.engine.phases import Phase
 from odt_plugins.engine.star import Stars, vertex_stars
 from odt_plugins.engine.surface.closest import Ground
@@ -25,6 +24,9 @@ from odt_plugins.engine.surface.odt import move_vertices
 from odt_plugins.engine.surface.sheet import HELD, Limits, Sheet, make_work
 from odt_plugins.engine.threads import run_chunks
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
+
+GAIN = 3e-3
+"""A vertex whose star gained less than this part of F_p does not wake its neighbours."""
 
 
 @dataclass(frozen=True)
@@ -145,7 +147,7 @@ def finish_phase(surface: Surface, phase: Phase, bounds: FloatArray) -> tuple[in
 
         for _ in range(phase.sweeps):
             total += sweep(surface, wanted, moved, work)
-            spread(surface.triangles, stars.indptr, stars.indices, moved, SETTLED, wanted, status)
+            spread(surface.triangles, stars.indptr, stars.indices, moved, GAIN, wanted, status)
         pending = status == 1
         if not pending.any():
             break

@@ -32,7 +32,7 @@ from odt_plugins.options import Options
 METHODS = {"odt": ODT, "cpt": CPT, "laplacian": LAPLACIAN}
 SOLVERS = ("gauss-seidel", "jacobi", "global")
 
-SETTLED = 1e-3
+SETTLED = 2e-3
 """A stage ends with a round that lowers the energy by less than this part of it."""
 
 TRIALS = 4

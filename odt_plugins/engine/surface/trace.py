@@ -42,16 +42,18 @@ def edge_is_near(
     limit : float                     squared distance
     """
     if smooth_a:
-        return _trace(ax, ay, az, face_a, bx, by, bz, face_b, smooth_b, ground, limit)
+        return _trace(
+            ax, ay, az, face_a, ax, ay, az, bx, by, bz, face_b, smooth_b, ground, limit
+        )
     if smooth_b:
-        return _trace(bx, by, bz, face_b, ax, ay, az, face_a, False, ground, limit)
+        return _trace(bx, by, bz, face_b, bx, by, bz, ax, ay, az, face_a, False, ground, limit)
     mx, my, mz = 0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz)
     far, face, x, y, z = walk(mx, my, mz, face_a, ground, False)
     if far > limit:
         return False
-    return _trace(x, y, z, face, ax, ay, az, face_a, False, ground, limit) and _trace(
-        x, y, z, face, bx, by, bz, face_b, False, ground, limit
-    )
+    return _trace(
+        x, y, z, face, mx, my, mz, ax, ay, az, face_a, False, ground, limit
+    ) and _trace(x, y, z, face, mx, my, mz, bx, by, bz, face_b, False, ground, limit)
 
 
 @kernel
@@ -70,14 +72,15 @@ def _inward(
 
 @kernel
 def _trace(
-    ax: float, ay: float, az: float, face: int,
+    ax: float, ay: float, az: float, face: int, ox: float, oy: float, oz: float,
     bx: float, by: float, bz: float, last: int, inside: bool,
     ground: Ground, limit: float,
 ) -> bool:
-    """Follow the plane through a, b and the normals from ``face`` to b.
+    """Follow the plane through a, b and the normals from ``face``, which holds a, to b.
 
-    ``inside`` says that b lies within triangle ``last``; otherwise it lies on a feature line, and
-    any triangle that holds it will do.
+    What is crossed must be close to the segment from o, of which a is the foot, to b. ``inside``
+    says that b lies within triangle ``last``; otherwise it lies on a feature line, and any
+    triangle that holds it will do.
     """
     p = ground.points
     t = ground.triangles
@@ -89,7 +92,8 @@ def _trace(
         ny += ground.normals[last, 1]
         nz += ground.normals[last, 2]
     dx, dy, dz = bx - ax, by - ay, bz - az
-    length = dx * dx + dy * dy + dz * dz
+    ux, uy, uz = bx - ox, by - oy, bz - oz
+    length = ux * ux + uy * uy + uz * uz
     # normal of the plane
     mx, my, mz = ny * dz - nz * dy, nz * dx - nx * dz, nx * dy - ny * dx
     entry = -1
@@ -128,8 +132,12 @@ def _trace(
                 qx, qy, qz = x, y, z
         if exit_edge < 0:
             return False
-        w = min(max(furthest / length, 0.0), 1.0)
-        ex, ey, ez = qx - ax - w * dx, qy - ay - w * dy, qz - az - w * dz
+        qx -= ox
+        qy -= oy
+        qz -= oz
+        w = (qx * ux + qy * uy + qz * uz) / length if length > 0.0 else 0.0
+        w = min(max(w, 0.0), 1.0)
+        ex, ey, ez = qx - w * ux, qy - w * uy, qz - w * uz
         if ex * ex + ey * ey + ez * ez > limit:
             return False
         near = ground.neighbors[face, exit_edge]
