@@ -269,6 +269,17 @@ def test_an_edge_over_a_sphere_is_as_far_as_its_sagitta():
             assert edge_is_near(*p[0], foot[0], True, *p[b], foot[b], True, ground, limit) is near
 
 
+def test_an_edge_between_two_lines_is_held_against_what_it_crosses():
+    # the two triangles of a roof over the edge from one eave to the other
+    for ridge in (0.0, 0.5):
+        p = np.array([[-1.0, 0, 0], [ridge, -1, 0.1], [ridge, 1, 0.1], [1, 0, 0]])
+        surface = build(p, np.array([[0, 1, 2], [3, 2, 1]]), 10.0)
+        foot = surface.sheet.foot
+        for factor, near in ((0.98, False), (1.02, True)):
+            assert edge_is_near(*p[0], foot[0], False, *p[3], foot[3], False, surface.ground,
+                                (factor * 0.1) ** 2) is near
+
+
 def test_given_vectors_are_followed_as_far_as_the_guards_allow():
     p, t = sm.sphere(3)
     surface = build(p, t, 2e-2)

@@ -179,3 +179,25 @@ def test_feet_are_where_points_of_a_surface_lie():
     assert (weights[:, :, None] * p[t[face]]).sum(axis=1) == pytest.approx(x, abs=1e-12)
     assert weights.min() >= 0
     assert weights.sum(axis=1) == pytest.approx(1)
+
+
+def test_a_surface_that_cuts_through_itself_is_broken():
+    # two parallel sheets, one of which is pushed through the other
+    p, t = sm.bowl(12)
+    p[:, 2] *= 0.01
+    above = p + np.array([0.03, 0.05, 0.02])
+    q, u = np.concatenate([p, above]), np.concatenate([t, t + len(p)])
+    mesh = surface_mesh(q, u)
+    kept = Kept(3.0, 0.05, np.zeros((0, 2), int), np.zeros(len(q), bool), 0, 0)
+    pushed = q.copy()
+    pushed[5 * 12 + 5, 2] += 0.04
+    broken, _ = faults(mesh, kept, pushed, mesh.cells, mesh.regions, Options(keep=()))
+    assert any("cut through the surface" in s for s in broken)
+    near = outside(mesh, kept, pushed, mesh.cells)
+    assert near[5 * 12 + 5]
+    assert near.sum() < 40
+    # where it did so before, that is no fault
+    cut = surface_mesh(pushed, u)
+    again = pushed.copy()
+    again[5 * 12 + 5, 2] += 0.001
+    assert faults(cut, kept, again, cut.cells, cut.regions, Options(keep=()))[0] == []

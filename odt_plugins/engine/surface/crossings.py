@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from odt_plugins.engine.kernel import kernel
-from odt_plugins.mesh import FloatArray, IntArray
+from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
 
 def count_crossings(points: FloatArray, triangles: IntArray) -> int:
@@ -24,23 +24,41 @@ def count_crossings(points: FloatArray, triangles: IntArray) -> int:
     -----
     Sweep and prune along the longest axis of the bounding box: about m^1.5 comparisons of boxes.
     """
+    return _crossings(points, triangles, np.zeros(len(triangles), dtype=np.bool_))
+
+
+def crossing_triangles(points: FloatArray, triangles: IntArray) -> BoolArray:
+    """Mark the triangles, (m,), that cross others or are crossed; as in :func:`count_crossings`."""
+    hit = np.zeros(len(triangles), dtype=np.bool_)
+    _crossings(points, triangles, hit)
+    return hit
+
+
+def _crossings(points: FloatArray, triangles: IntArray, hit: BoolArray) -> int:
     if not len(triangles):
         return 0
     corners = points[triangles]
     low, high = corners.min(axis=1), corners.max(axis=1)
     axis = int(np.argmax(high.max(axis=0) - low.min(axis=0)))
     order = np.argsort(low[:, axis], kind="stable")
-    return int(_sweep(
+    sorted_hit = np.zeros(len(triangles), dtype=np.bool_)
+    count = int(_sweep(
         points, np.ascontiguousarray(triangles[order]), np.ascontiguousarray(low[order]),
-        np.ascontiguousarray(high[order]), axis,
+        np.ascontiguousarray(high[order]), axis, sorted_hit,
     ))
+    hit[order] = sorted_hit
+    return count
 
 
 @kernel
 def _sweep(
-    points: FloatArray, triangles: IntArray, low: FloatArray, high: FloatArray, axis: int
+    points: FloatArray, triangles: IntArray, low: FloatArray, high: FloatArray, axis: int,
+    hit: BoolArray,
 ) -> int:
-    """Compare every triangle with those that begin before it ends; sorted by ``low``."""
+    """Compare every triangle with those that begin before it ends; sorted by ``low``.
+
+    Marks in ``hit`` the triangles of every crossing.
+    """
     m = len(triangles)
     other, third = (axis + 1) % 3, (axis + 2) % 3
     count = 0
@@ -56,11 +74,14 @@ def _sweep(
                 or _meet(triangles, i, j)
             ):
                 continue
+            before = count
             for e in range(3):
                 if _crosses(points, triangles, i, e, j):
                     count += 1
                 if _crosses(points, triangles, j, e, i):
                     count += 1
+            if count > before:
+                hit[i] = hit[j] = True
     return count
 
 

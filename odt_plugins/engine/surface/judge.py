@@ -6,8 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from odt_plugins.engine.surface.crossings import crossing_triangles
 from odt_plugins.engine.surface.envelope import distances, uncovered, within
 from odt_plugins.engine.surface.reference import make_reference
+from odt_plugins.errors import counted
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
 from odt_plugins.options import Options
 from odt_plugins.surface_promise import broken_surface_promises
@@ -78,7 +80,25 @@ def faults(
                 f"the surface is up to {furthest:.3g} from the input, beyond the envelope of "
                 f"{kept.envelope:.3g}"
             )
+        cut = int(_newly_cut(mesh, points, cells).sum())
+        if cut:
+            broken.append(f"{counted(cut, 'triangle')} cut through the surface where none did")
     return broken, distance
+
+
+def _newly_cut(mesh: SimplexMesh, points: FloatArray, cells: IntArray) -> BoolArray:
+    """Mark the triangles, (m,), that cross others, away from where the input crosses itself."""
+    cut = crossing_triangles(points, cells)
+    if not cut.any():
+        return cut
+    before = crossing_triangles(mesh.points, mesh.cells)
+    if before.any():
+        near = np.zeros(len(points), dtype=np.bool_)
+        near[mesh.cells[before]] = True
+        centers = points[cells[cut]].mean(axis=1)
+        _, face, _ = make_reference(mesh.points, mesh.cells).closest(centers)
+        cut[cut] = ~near[mesh.cells[face]].any(axis=1)
+    return cut
 
 
 def measured(mesh: SimplexMesh, kept: Kept, points: FloatArray, cells: IntArray) -> Distance:
@@ -140,13 +160,14 @@ def barycentric(points: FloatArray, triangles: IntArray, x: FloatArray) -> Float
 def outside(
     mesh: SimplexMesh, kept: Kept, points: FloatArray, cells: IntArray
 ) -> BoolArray:
-    """Mark the vertices, (n,), near which a surface may have left the envelope."""
+    """Mark the vertices, (n,), near which a surface may have left the envelope or cut itself."""
     old = make_reference(mesh.points, mesh.cells)
     far = ~within(old, points, cells, kept.envelope)
     near = uncovered(old, points, cells, kept.envelope)
     mask = np.zeros(len(points), dtype=np.bool_)
     mask[cells[far]] = True
     mask[mesh.cells[near.triangles]] = True
+    mask[cells[_newly_cut(mesh, points, cells)]] = True
     if far.any():
         _, face, _ = old.closest(points[cells[far]].mean(axis=1))
         mask[mesh.cells[face]] = True
