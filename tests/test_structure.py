@@ -39,8 +39,9 @@ MAY_IMPORT = {
     "tetwild": {"api", "errors", "mesh"},
     "hosts": {"adapters", "api", "report", "script", "tetwild", *BASE},
     "script": {"adapters", "errors", "hosts"},
-    "compare": {"adapters", "api", "engine", "planar", "plotting", *BASE},
-    "cli": {"adapters", "api", "compare", "demo", "report", "script", *BASE},
+    "generate": {"adapters", "api", "engine", "planar", "tetwild", *BASE},
+    "compare": {"adapters", "api", "engine", "generate", "planar", "plotting", *BASE},
+    "cli": {"adapters", "api", "compare", "demo", "generate", "report", "script", *BASE},
     "__init__": {"api", "hosts", "report", "script", "tetwild", *BASE},
 }
 """Rooms that a room may import: DESIGN section 2."""
