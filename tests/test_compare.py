@@ -10,6 +10,7 @@ import subprocess
 import sys
 import time
 from dataclasses import replace
+from unittest.mock import MagicMock
 
 import numpy as np
 import pytest
@@ -17,6 +18,7 @@ from scipy.sparse import diags
 
 from odt_plugins.cli import main
 from odt_plugins.compare import contestants as table
+from odt_plugins.compare.baselines import netgen_optimize
 from odt_plugins.compare.contestants import CONTESTANTS, OURS, Contestant, choose
 from odt_plugins.compare.hull import compare_boundaries, hull_facets
 from odt_plugins.compare.markdown import to_markdown
@@ -281,6 +283,18 @@ def test_ours_on_a_curved_surface_is_a_row(tmp_path):
     assert ours.measured is None or ours.status == "ok"
     assert peer.measured.boundary.verdict == "moved"
     assert 0 < peer.measured.boundary.outward < 0.05
+
+
+@pytest.mark.parametrize("threads", [1, 2])
+def test_netgen_gets_as_many_threads_as_the_others(
+    monkeypatch: pytest.MonkeyPatch, threads: int,
+) -> None:
+    meshing = MagicMock()
+    monkeypatch.setitem(sys.modules, "netgen", MagicMock())
+    monkeypatch.setitem(sys.modules, "netgen.meshing", meshing)
+    netgen_optimize.prepare(ball(60), {"optimize3d": "stm", "steps": 10, "threads": threads})
+    given = meshing.MeshingParameters.call_args.kwargs
+    assert (given["nthreads"], given["parallel_meshing"]) == (threads, threads > 1)
 
 
 def test_choice_by_family_and_by_name():

@@ -15,7 +15,7 @@ from odt_plugins.compare.start import StartMesh
 def prepare(start: StartMesh, settings: Settings) -> Task:
     """Give the start to Netgen, which wants negative tetrahedra.
 
-    Settings: `optimize3d`, the string of steps (m move, s swap, t split and swap); `steps`.
+    Settings: `optimize3d`, the string of steps (m move, s swap, t split and swap); `steps`; threads.
     """
     from netgen.meshing import FaceDescriptor, Mesh, MeshingParameters
 
@@ -25,8 +25,10 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
     facets = np.ascontiguousarray(hull_facets(start), dtype=np.int32)
     mesh.AddElements(dim=2, index=1, data=facets, base=0)
     mesh.AddElements(dim=3, index=1, data=np.ascontiguousarray(flipped(start.cells)), base=0)
+    threads = settings["threads"]
     parameters = MeshingParameters(
-        optimize3d=settings["optimize3d"], optsteps3d=settings["steps"]
+        optimize3d=settings["optimize3d"], optsteps3d=settings["steps"],
+        parallel_meshing=threads > 1, nthreads=threads,
     )
 
     def call() -> None:
