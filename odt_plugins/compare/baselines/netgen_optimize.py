@@ -15,7 +15,8 @@ from odt_plugins.compare.start import StartMesh
 def prepare(start: StartMesh, settings: Settings) -> Task:
     """Give the start to Netgen, which wants negative tetrahedra.
 
-    Settings: `optimize3d`, the string of steps (m move, s swap, t split and swap); `steps`; threads.
+    Settings: `optimize3d`, the string of steps (m move, s swap, t split and swap);
+    `steps`; `threads`.
     """
     from netgen.meshing import FaceDescriptor, Mesh, MeshingParameters
 
