@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -19,7 +20,7 @@ from numpy.typing import NDArray
 import odt_plugins
 from odt_plugins.compare.contestants import Contestant
 from odt_plugins.compare.start import SEED, StartMesh
-from odt_plugins.compare.worker import RESULT
+from odt_plugins.compare.worker import READY, RESULT
 from odt_plugins.mesh import FloatArray, IntArray
 
 IMPORTS = {
@@ -29,6 +30,12 @@ IMPORTS = {
 }
 """What a baseline imports, so that the time of importing is measured by itself."""
 
+PREPARING = 300.0
+"""Seconds for importing a tool and compiling kernels."""
+
+POLL = 0.05
+"""Seconds between two looks at a worker that gets ready."""
+
 
 @dataclass(frozen=True)
 class Limits:
@@ -36,7 +43,8 @@ class Limits:
 
     Attributes
     ----------
-    seconds : float    after which its process is ended
+    seconds : float    after which its process is ended, counted from when its tool is
+                       imported and its kernels are compiled
     repeats : int      runs of the optimising call
     enough : float     no further repeat once they took so many seconds together
     threads : int      for tools that can use several
@@ -100,9 +108,7 @@ def _process(folder: Path, limits: Limits) -> tuple[int | None, str]:
             env=environment, start_new_session=True,
         )
         try:
-            ending: int | None = process.wait(limits.seconds)
-        except subprocess.TimeoutExpired:
-            ending = None
+            ending = _wait(process, folder / READY, limits.seconds)
         finally:
             # The worker's whole session, so that no helper of a tool stays behind.
             with contextlib.suppress(ProcessLookupError, PermissionError):
@@ -110,6 +116,20 @@ def _process(folder: Path, limits: Limits) -> tuple[int | None, str]:
             process.wait()
     lines = log.read_text(encoding="utf-8", errors="replace").split("\n")
     return ending, next((line.strip() for line in reversed(lines) if line.strip()), "")
+
+
+def _wait(process: subprocess.Popen[bytes], ready: Path, seconds: float) -> int | None:
+    """Exit code, or None when it did not end in so many seconds after it was ready."""
+    ends = time.monotonic() + PREPARING
+    counts = False
+    while True:
+        try:
+            return process.wait(min(POLL, max(ends - time.monotonic(), 0.0)))
+        except subprocess.TimeoutExpired:
+            if time.monotonic() >= ends:
+                return None
+        if not counts and ready.exists():
+            counts, ends = True, time.monotonic() + seconds
 
 
 def _read(folder: Path, ending: int | None, said: str, limits: Limits) -> Run:

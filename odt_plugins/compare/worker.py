@@ -19,6 +19,9 @@ import numpy as np
 
 RESULT = "result.json"
 
+READY = "ready"
+"""File that a worker leaves when the time limit begins to count."""
+
 
 def run_job(folder: Path) -> None:
     """Run the job of a folder and leave its result there, also when the contestant fails.
@@ -63,6 +66,7 @@ def _repeat(job: dict[str, Any], folder: Path, result: dict[str, Any]) -> None:
         clock = time.perf_counter()
         warm_up(start, settings)
         result["compile"] = time.perf_counter() - clock
+    (folder / READY).touch()
     began = time.perf_counter()
     for turn in range(job["repeats"]):
         clock = time.perf_counter()
