@@ -35,6 +35,7 @@ if TYPE_CHECKING:
         ODTWarning,
         UnsupportedMeshError,
     )
+    from odt_plugins.generate import uniform_refine
     from odt_plugins.hosts import register
     from odt_plugins.options import Options
     from odt_plugins.quality import QualitySummary
@@ -65,10 +66,12 @@ __all__ = [
     "register",
     "run_filter_script",
     "tetrahedralize",
+    "uniform_refine",
 ]
 
 _HOMES = {
     "api": ("measure", "optimize", "optimize_file", "optimize_with_report"),
+    "generate": ("uniform_refine",),
     "hosts": ("register",),
     "options": ("Options",),
     "quality": ("QualitySummary",),

@@ -42,7 +42,7 @@ MAY_IMPORT = {
     "generate": {"adapters", "api", "engine", "planar", "tetwild", *BASE},
     "compare": {"adapters", "api", "engine", "generate", "planar", "plotting", *BASE},
     "cli": {"adapters", "api", "compare", "demo", "generate", "report", "script", *BASE},
-    "__init__": {"api", "hosts", "report", "script", "tetwild", *BASE},
+    "__init__": {"api", "generate", "hosts", "report", "script", "tetwild", *BASE},
 }
 """Rooms that a room may import: DESIGN section 2."""
 

@@ -134,6 +134,8 @@ class Result(NamedTuple):
                                along it, and its normals are others
     feet : Feet or None        of the vertices that moved along one with texture coordinates
     vertices : NewVertices     when some were removed or added
+    split : callable or None   when the mesh was refined: the parts (c q, r) of other cells (q, r),
+                               r = 1, 2 or 3 vertices, those of row i from c i on
     """
 
     points: NDArray[Any]
@@ -142,6 +144,7 @@ class Result(NamedTuple):
     curved: bool = False
     feet: Feet | None = None
     vertices: NewVertices | None = None
+    split: Callable[[NDArray[Any]], NDArray[np.int64]] | None = None
 
 
 class Adapter(Protocol):

@@ -129,17 +129,15 @@ def write(result: Result, host: HostMesh) -> Any:
     elif result.vertices is not None:
         _renumber(out, result, result.vertices, host)
     out.points = result.points
+    if result.split is not None:
+        _refine_others(out, result, host)
     for i, start in host.layout.items():
         block = out.cells[i]
         end = start + len(block.data)
         here = np.flatnonzero((result.source >= start) & (result.source < end))
         local = result.source[here] - start
         block.data = result.cells[here].astype(block.data.dtype)
-        for values in out.cell_data.values():
-            values[i] = np.asarray(values[i])[local]
-        for name, members in out.cell_sets.items():
-            if name not in NOT_CELL_INDICES and members[i] is not None:
-                members[i] = _members(np.asarray(members[i]), local, end - start)
+        _take(out, i, local, end - start)
     return out
 
 
@@ -148,6 +146,36 @@ def _anchors(mesh: Any) -> NDArray[Any]:
     named = [np.asarray(members) for members in mesh.point_sets.values()]
     named += [np.asarray(block.data) for block in mesh.cells if block.type == "vertex"]
     return np.concatenate([np.zeros(0, dtype=np.int64), *(v.ravel() for v in named)])
+
+
+def _refine_others(out: Any, result: Result, host: HostMesh) -> None:
+    """Cut the blocks beside the refined cells too, with their data and sets.
+
+    A mid-point is in a point set when both ends of its edge are.
+    """
+    for i, block in enumerate(out.cells):
+        if i in host.layout or result.split is None or not len(block.data):
+            continue
+        size = len(block.data)
+        block.data = result.split(np.asarray(block.data)).astype(block.data.dtype)
+        local = np.repeat(np.arange(size), len(block.data) // size)
+        _take(out, i, local, size)
+    if result.vertices is None:
+        return
+    for name, members in out.point_sets.items():
+        old = np.asarray(members)
+        inside = _inside(old, len(host.points))
+        added = len(host.points) + np.flatnonzero(inside[result.vertices.corners].all(axis=1))
+        out.point_sets[name] = np.concatenate([old, added.astype(old.dtype)])
+
+
+def _take(out: Any, i: int, local: NDArray[Any], size: int) -> None:
+    """Give the cells of a block the data and sets of its cells ``local``."""
+    for values in out.cell_data.values():
+        values[i] = np.asarray(values[i])[local]
+    for name, members in out.cell_sets.items():
+        if name not in NOT_CELL_INDICES and members[i] is not None:
+            members[i] = _members(np.asarray(members[i]), local, size)
 
 
 def _renumber(out: Any, result: Result, vertices: NewVertices, host: HostMesh) -> None:

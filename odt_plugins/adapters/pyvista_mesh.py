@@ -59,6 +59,9 @@ QUADRATIC = {21: "quadratic line", 22: "quadratic triangle", 24: "quadratic tetr
 NODES = {TETRA: 4, 24: 10, TRIANGLE: 3, 22: 6}
 """Nodes of the cells that can be optimised, the first ones before the others."""
 
+REFINED = {VERTEX: 1, LINE: 2, TRIANGLE: 3}
+"""Vertices of the cells that can be refined beside others."""
+
 FACES = {21: 2, TRIANGLE: 3, 22: 3}
 """Corners of the cells that must stay edges or faces of the optimised ones; lines apart."""
 
@@ -115,7 +118,10 @@ def write(result: Result, host: HostMesh) -> Any:
     elif nodes is None:
         vertices = result.vertices
         number = None if vertices is None else vertices.number
-        rows = _write_grid(out, result, host.source, ids, number)
+        if result.split is not None:
+            rows = _write_refined(out, result, host.source, ids)
+        else:
+            rows = _write_grid(out, result, host.source, ids, number)
         if vertices is not None:
             out.point_data.clear()
         out.points = result.points
@@ -269,6 +275,33 @@ def _write_grid(
     connectivity = pool[_positions(start, size)].astype(dtype)
     _set_cells(out, types[rows], size, connectivity)
     return np.asarray(rows)
+
+
+def _write_refined(out: Any, result: Result, source: Any, ids: IndexArray) -> IndexArray:
+    """Set the cells of a refined grid, parts in the place of the whole; as :func:`_write_grid`."""
+    types = np.asarray(source.celltypes)
+    offset, flat = _connectivity(source)
+    parts = [(int(types[ids[0]]), result.cells, ids[result.source])]
+    for kind in np.setdiff1d(types, types[ids]).tolist():
+        which = np.flatnonzero(types == kind)
+        if kind not in REFINED:
+            msg = (
+                f"got {counted(len(which), LINEAR[kind])} (first: cell {which[0]}) beside the "
+                f"refined cells; expected only vertices, lines and triangles"
+            )
+            raise UnsupportedMeshError(msg)
+        nodes = flat[offset[which][:, None] + np.arange(REFINED[kind])]
+        split = result.split(nodes) if result.split is not None else nodes
+        parts.append((kind, split, np.repeat(which, len(split) // len(which))))
+    rows = np.concatenate([origin for _, _, origin in parts])
+    size = np.concatenate([np.full(len(cells), cells.shape[1]) for _, cells, _ in parts])
+    kinds = np.concatenate([np.full(len(cells), kind) for kind, cells, _ in parts])
+    pool = np.concatenate([cells.ravel() for _, cells, _ in parts])
+    start = np.cumsum(size) - size
+    order = np.argsort(rows, kind="stable")
+    connectivity = pool[_positions(start[order], size[order])].astype(flat.dtype)
+    _set_cells(out, kinds[order], size[order], connectivity)
+    return np.asarray(rows[order])
 
 
 def _set_cells(out: Any, types: NDArray[Any], size: IndexArray, flat: NDArray[Any]) -> None:

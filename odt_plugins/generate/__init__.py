@@ -21,6 +21,7 @@ from odt_plugins.generate.distance import (
 )
 from odt_plugins.generate.refine2d import refine_triangles
 from odt_plugins.generate.sizes import hgraded, hmin, huniform
+from odt_plugins.generate.uniform import uniform_refine
 
 __all__ = [
     "dblock",
@@ -39,4 +40,5 @@ __all__ = [
     "protate",
     "pshift",
     "refine_triangles",
+    "uniform_refine",
 ]
