@@ -310,9 +310,11 @@ def _optimized(mesh: SimplexMesh, options: Options) -> Outcome:
 
 def _feet(work: _Prepared, points: FloatArray, cells: IntArray) -> Feet | None:
     """Where a textured surface whose vertices moved lies on the input."""
+    if not (work.mesh.is_surface and work.host.textured):
+        return None
     old = work.mesh.points
     moved = np.flatnonzero((points != old).any(axis=1))
-    if not (work.mesh.is_surface and work.host.textured and moved.size):
+    if not moved.size:
         return None
     from odt_plugins.engine.surface.judge import barycentric, feet_on
 
