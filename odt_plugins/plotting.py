@@ -62,11 +62,11 @@ def plot_before_after(
     title: str = "",
     up: int = 2,
 ) -> None:
-    """Draw a tetrahedral mesh before and after, cut open and coloured by radius ratio.
+    """Draw a mesh before and after, coloured by radius ratio; a tetrahedral one is cut open.
 
     Parameters
     ----------
-    before, after : (points, cells)      (n, 3) and (m, 4); one colour scale for both
+    before, after : (points, cells)      (n, 3) and (m, 4) or (m, 3); one colour scale for both
     report : Report                      of the run, for the histograms beneath
     path : str or path-like              .png
     title : str                          over the picture
@@ -85,13 +85,14 @@ def plot_before_after(
                ("after", after, report.histogram_after, report.after, BLUE))
     for column, (name, mesh, counts, summary, colour) in enumerate(columns):
         picture = figure.add_subplot(grid[0, column])
-        painted = _cut_open(picture, *mesh, up=up)
+        painted = _paint(picture, *mesh, up=up)
         picture.set_title(name, fontsize=14, color=INK)
         _histogram(figure.add_subplot(grid[1, column]), counts, summary, "", colour, top)
         if column:
             figure.axes[-1].set(ylabel="", yticklabels=[])
     bar = figure.colorbar(painted, cax=figure.add_axes((0.925, 0.40, 0.014, 0.42)), extend="min")
-    bar.set_label("radius ratio 3 r / R", color=INK, fontsize=11)
+    label = f"radius ratio {before[1].shape[1] - 1} r / R"
+    bar.set_label(label, color=INK, fontsize=11)
     bar.outline.set_visible(False)
     if title:
         figure.suptitle(title, fontsize=16, color=INK, x=0.4825, y=0.985, weight="bold")
@@ -131,30 +132,26 @@ def _plain_frame(axes: Any, title: str) -> None:
         axes.set_title(title, fontsize=13, color=INK)
 
 
-def _cut_open(axes: Any, points: NDArray[np.float64], cells: NDArray[Any], *, up: int) -> Any:
-    """Paint the far half of a mesh, whole cells only, from the back to the front."""
+def _paint(axes: Any, points: NDArray[np.float64], cells: NDArray[Any], *, up: int) -> Any:
+    """Paint a surface, or the far half of a tetrahedral mesh, from the back to the front."""
     from matplotlib.collections import PolyCollection
 
     view = _view(up)
     x = (points - (points.min(axis=0) + points.max(axis=0)) / 2) @ view.T
-    centre = x[cells].mean(axis=1)
-    behind = cells[centre[:, 2] < 0.0]
-    quality = np.abs(radius_ratio(points, cells[centre[:, 2] < 0.0]))
-    shell = locked_facets(behind, np.zeros(len(behind), np.int32), len(points))
-    corners = x[shell.facets]
+    facets, quality = cells, radius_ratio(points, cells)
+    if cells.shape[1] == 4:
+        facets, quality = _cut_open(x, cells)
+    corners = x[facets]
     normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
-    turned = np.sign(np.einsum("fd,fd->f", normal,
-                               corners.mean(axis=1) - x[behind[shell.cells]].mean(axis=1)))
-    normal *= turned[:, None]
-    seen = np.flatnonzero(normal[:, 2] > 0)
-    order = seen[np.argsort(corners[seen].mean(axis=1)[:, 2], kind="stable")]
+    length = np.linalg.norm(normal, axis=1, keepdims=True)
+    normal *= np.where(normal[:, 2:] < 0.0, -1.0, 1.0) / np.where(length > 0.0, length, 1.0)
+    order = np.argsort(corners.mean(axis=1)[:, 2], kind="stable")
     light = np.array([-0.35, 0.5, 0.8]) / np.linalg.norm([-0.35, 0.5, 0.8])
     shade = 0.76 + 0.24 * np.clip(normal[order] @ light, 0, 1)
     painted = PolyCollection(corners[order][:, :, :2], linewidths=0.25, rasterized=True,
                              cmap="RdYlBu")
     painted.set_clim(*SCALE)
-    colour: Any = painted.to_rgba(quality[shell.cells[order]])
+    colour: Any = painted.to_rgba(quality[order])
     colour[:, :3] *= shade[:, None]
     painted.set_facecolor(colour)
     edges: Any = np.column_stack([0.45 * colour[:, :3], np.ones(len(colour))])
@@ -164,6 +161,22 @@ def _cut_open(axes: Any, points: NDArray[np.float64], cells: NDArray[Any], *, up
     axes.set(xlim=(low[0], high[0]), ylim=(low[1], high[1]), aspect="equal")
     axes.set_axis_off()
     return painted
+
+
+def _cut_open(
+    x: NDArray[np.float64], cells: NDArray[Any]
+) -> tuple[NDArray[Any], NDArray[np.float64]]:
+    """Facets of the far half, whole cells only, that face the eye; and the radius ratios."""
+    behind = cells[x[cells].mean(axis=1)[:, 2] < 0.0]
+    quality = np.abs(radius_ratio(x, behind))
+    shell = locked_facets(behind, np.zeros(len(behind), np.int32), len(x))
+    corners = x[shell.facets]
+    normal = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    outward = np.einsum(
+        "fd,fd->f", normal, corners.mean(axis=1) - x[behind[shell.cells]].mean(axis=1)
+    )
+    seen = np.sign(outward) * normal[:, 2] > 0
+    return shell.facets[seen], quality[shell.cells[seen]]
 
 
 def _view(up: int) -> NDArray[np.float64]:

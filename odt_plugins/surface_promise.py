@@ -174,9 +174,10 @@ def _components(rows: NDArray[Any], columns: NDArray[Any], size: int) -> NDArray
 
     ones = np.ones(len(rows), dtype=np.int8)
     graph = coo_array((ones, (rows, columns)), shape=(size, size)).tocsr()
-    label = connected_components(graph, directed=False)[1]
-    _, first, inverse = np.unique(label, return_index=True, return_inverse=True)
-    return np.asarray(first[inverse], dtype=np.int32)
+    count, label = connected_components(graph, directed=False)
+    first = np.empty(count, dtype=np.int32)
+    first[label[::-1]] = np.arange(size - 1, -1, -1, dtype=np.int32)
+    return first[label]
 
 
 def _pieces(edges: Edges, n: int) -> NDArray[np.int32]:
@@ -186,7 +187,7 @@ def _pieces(edges: Edges, n: int) -> NDArray[np.int32]:
 
 def _fans(cells: NDArray[Any], edges: Edges, n: int) -> NDArray[np.int64]:
     """Into how many fans the triangles around every vertex fall, (n,)."""
-    cell, corner = np.nonzero(edges.neighbors >= 0)
+    cell, corner = np.nonzero(edges.neighbors > np.arange(len(cells))[:, None])
     other = edges.neighbors[cell, corner]
     rows, columns = [], []
     for step in (1, 2):
@@ -195,7 +196,7 @@ def _fans(cells: NDArray[Any], edges: Edges, n: int) -> NDArray[np.int64]:
         rows.append(3 * cell + at)
         columns.append(3 * other + np.argmax(cells[other] == vertex[:, None], axis=1))
     label = _components(np.concatenate(rows), np.concatenate(columns), cells.size)
-    first = np.unique(label)
+    first = label == np.arange(len(label))
     return np.bincount(cells.ravel()[first], minlength=n)
 
 

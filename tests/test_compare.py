@@ -287,7 +287,10 @@ def test_ours_on_a_curved_surface_is_a_row(tmp_path):
     surface = stored("bone-surface")
     ours, peer = compare_on(surface, choose(["open3d taubin"]), ONCE).rows[:2]
     assert ours.contestant == OURS
-    assert ours.measured is None or ours.status == "ok"
+    assert ours.status == "ok"
+    assert ours.measured.boundary.verdict == "moved"
+    assert 0 < max(ours.measured.boundary[1:]) <= 1e-3
+    assert ours.measured.summary.mean_quality > 0.98
     assert peer.measured.boundary.verdict == "moved"
     assert 0 < peer.measured.boundary.outward < 0.05
 

@@ -11,8 +11,8 @@ import tet_meshes as tm
 from odt_plugins.compare.bandwidth import sweep_bytes, triad_bandwidth
 from odt_plugins.compare.local_global import forty_sweeps_part, moved_rhombohedron, moved_triangle
 from odt_plugins.compare.multigrid import multigrid_part
-from odt_plugins.compare.stages import fit
-from odt_plugins.compare.start import kuhn_lattice
+from odt_plugins.compare.stages import fit, surface_part
+from odt_plugins.compare.start import kuhn_lattice, pebble
 from odt_plugins.compare.table import Table, as_text, shown
 from odt_plugins.engine.gradient import gradient
 from odt_plugins.engine.topology import make_topology
@@ -27,6 +27,20 @@ def test_fitted_exponent_is_that_of_a_power_law():
     stage = fit("x", [(m, 3e-7 * m**1.25) for m in (100, 1000, 20000)])
     assert stage.exponent == pytest.approx(1.25, abs=1e-12)
     assert fit("x", [(10, 1.0)]).exponent is None
+
+
+def test_the_stages_of_curved_surfaces_are_measured():
+    start = pebble(300)
+    assert len(start.cells) == 596
+    assert start.kind == "surface"
+    part = surface_part([500], 1, silent)
+    table = part.tables[0]
+    assert table.heads == ("stage", "exponent", "500 triangles")
+    seconds = {row[0]: row[2] for row in table.rows}
+    assert {"whole call [s]", "smoothing [s]", "finishing [s]", "check [s]"} <= set(seconds)
+    assert min(seconds.values()) > 0
+    assert seconds["memory [MB]"] > 50
+    assert len(part.charts) == 2
 
 
 def test_moved_triangle_is_that_of_the_paper():

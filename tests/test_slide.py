@@ -23,7 +23,7 @@ from odt_plugins.engine.complex import make_complex
 from odt_plugins.engine.finishing import _flip_surface, finish
 from odt_plugins.engine.phases import Phase, bulk, tail
 from odt_plugins.engine.skin import flip_skin, make_skin
-from odt_plugins.engine.surface.crossings import count_crossings
+from odt_plugins.engine.surface.crossings import count_crossings, crossing_triangles
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh import simplex_mesh
 from odt_plugins.promise import broken_promises
@@ -414,3 +414,18 @@ def test_crossings_are_those_of_the_slow_twin(seed):
     found = count_crossings(points, triangles)
     assert found == crossing_pairs(points, triangles)
     assert found > 5
+
+
+def test_crossings_in_many_strips_are_those_of_the_slow_twin():
+    # mostly small triangles in a flat slab, and a few that reach through many strips
+    rng = np.random.default_rng(8)
+    size = np.where(np.arange(500) % 25 == 0, 1.0, 0.15)
+    corners = rng.uniform(0.0, [3.0, 2.0, 0.5], (500, 1, 3)) + (
+        size[:, None, None] * rng.normal(size=(500, 3, 3)))
+    points, triangles = corners.reshape(-1, 3), np.arange(1500, dtype=np.int32).reshape(-1, 3)
+    found = count_crossings(points, triangles)
+    assert found == crossing_pairs(points, triangles)
+    assert found > 500
+    hit = crossing_triangles(points, triangles)
+    alone = [count_crossings(points, np.delete(triangles, i, axis=0)) == found for i in range(40)]
+    assert np.array_equal(hit[:40], ~np.array(alone))

@@ -96,7 +96,8 @@ def _process(folder: Path, limits: Limits) -> tuple[int | None, str]:
     """Run the worker; its exit code (None after the time limit) and the last line it wrote."""
     environment = dict(os.environ)
     environment |= dict.fromkeys(
-        ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), str(limits.threads))
+        ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "IGL_NUM_THREADS"),
+        str(limits.threads))
     here = str(Path(odt_plugins.__file__).parents[1])
     environment["PYTHONPATH"] = os.pathsep.join(
         p for p in (here, environment.get("PYTHONPATH", "")) if p)

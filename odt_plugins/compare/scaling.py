@@ -12,7 +12,7 @@ from odt_plugins.compare.local_global import forty_sweeps_part, races_part
 from odt_plugins.compare.machine import describe
 from odt_plugins.compare.multigrid import multigrid_part
 from odt_plugins.compare.output import fill_template
-from odt_plugins.compare.stages import stages_part
+from odt_plugins.compare.stages import stages_part, surface_part
 from odt_plugins.compare.start import SEED
 from odt_plugins.compare.table import Part, Say, as_text, shown
 from odt_plugins.compare.threads import threads_part
@@ -22,6 +22,7 @@ FILES = ("scaling.json", "scaling.html")
 
 PARTS: dict[str, Callable[[Sequence[int], int, Say], Part]] = {
     "stages": stages_part,
+    "surface": surface_part,
     "races": races_part,
     "forty-sweeps": forty_sweeps_part,
     "multigrid": multigrid_part,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 
 import numpy as np
@@ -11,7 +11,7 @@ import numpy as np
 from odt_plugins.compare.charts import power_laws
 from odt_plugins.compare.contestants import Contestant
 from odt_plugins.compare.runner import Limits, run_contestant
-from odt_plugins.compare.start import ball
+from odt_plugins.compare.start import StartMesh, ball, pebble
 from odt_plugins.compare.table import Part, Say, Table, Value
 
 CELLS_PER_VERTEX = 6.2
@@ -32,39 +32,65 @@ class Stage:
 
 
 def stages_part(sizes: Sequence[int], threads: int, say: Say) -> Part:
-    """Measure the stages and put them into tables and charts."""
-    stages, memory = measure_stages(sizes, threads, say)
+    """Measure the stages on random balls of tetrahedra, and put them into tables and charts."""
+    def make(size: int) -> StartMesh:
+        return ball(max(round(size / CELLS_PER_VERTEX), 50))
+
+    return _part("stages", "Stages", "cells", measure_stages(sizes, threads, say, make))
+
+
+def surface_part(sizes: Sequence[int], threads: int, say: Say) -> Part:
+    """The same for curved surfaces of triangles."""
+    def make(size: int) -> StartMesh:
+        return pebble(max(size // 2 + 2, 50))
+
+    return _part("surface", "Stages on a curved surface", "triangles",
+                 measure_stages(sizes, threads, say, make))
+
+
+def _part(key: str, title: str, unit: str, measured: tuple[list[Stage], Stage]) -> Part:
+    stages, memory = measured
     sizes = sorted({m for s in stages for m in s.cells})
     rows: list[tuple[Value, ...]] = []
     for s in [*stages, memory]:
         at = dict(zip(s.cells, s.seconds, strict=True))
         exponent = "" if s.exponent is None else f"{s.exponent:.2f}"
-        unit = "[MB]" if s is memory else "[s]"
-        rows.append((f"{s.name} {unit}", exponent, *(at.get(m, "") for m in sizes)))
-    heads = ("stage", "exponent", *(f"{m} cells" for m in sizes))
-    charts = [power_laws("Seconds of every stage", [(s.name, s.cells, s.seconds) for s in stages],
-                         "cells", "seconds"),
-              power_laws("Memory of the process, MB", [("peak", memory.cells, memory.seconds)],
-                         "cells", "MB")]
-    return Part([Table("stages", "Stages", heads, rows)], charts,
-                {"stages": [asdict(s) for s in stages], "memory": asdict(memory)})
+        form = "[MB]" if s is memory else "[s]"
+        rows.append((f"{s.name} {form}", exponent, *(at.get(m, "") for m in sizes)))
+    heads = ("stage", "exponent", *(f"{m} {unit}" for m in sizes))
+    charts = [power_laws(f"{title}: seconds", [(s.name, s.cells, s.seconds) for s in stages],
+                         unit, "seconds"),
+              power_laws(f"{title}: memory of the process, MB",
+                         [("peak", memory.cells, memory.seconds)], unit, "MB")]
+    values = {"stages": [asdict(s) for s in stages], "memory": asdict(memory)}
+    return Part([Table(key, title, heads, rows)], charts,
+                values if key == "stages" else {key: values})
 
 
-def measure_stages(sizes: Sequence[int], threads: int, say: Say) -> tuple[list[Stage], Stage]:
-    """Optimise random balls of growing size, each in a process of its own.
+def measure_stages(
+    sizes: Sequence[int], threads: int, say: Say, make: Callable[[int], StartMesh]
+) -> tuple[list[Stage], Stage]:
+    """Optimise meshes of growing size, each in a process of its own.
+
+    Parameters
+    ----------
+    sizes : ints
+    threads : int
+    say : callable             is told what is measured
+    make : callable            gives a mesh of about so many cells
 
     Returns
     -------
-    stages : list of Stage     every stage of the engine, the whole call, and scipy's Delaunay
+    stages : list of Stage     every stage of the engine, the whole call, and making the start
     memory : Stage             its `seconds` are megabytes of the process at its peak
     """
     found: dict[str, list[tuple[int, float]]] = {}
     memory = []
-    whole = Contestant("stages", "odt-plugins", ("tets",), "stages", {"options": {}},
+    whole = Contestant("stages", "odt-plugins", ("tets", "surface"), "stages", {"options": {}},
                        "odt-plugins")
     for size in sizes:
         clock = time.perf_counter()
-        start = ball(max(round(size / CELLS_PER_VERTEX), 50))
+        start = make(size)
         m = len(start.cells)
         found.setdefault("the start, by scipy", []).append((m, time.perf_counter() - clock))
         run = run_contestant(start, whole, Limits(LIMIT, 1, LIMIT, threads))
@@ -72,6 +98,7 @@ def measure_stages(sizes: Sequence[int], threads: int, say: Say) -> tuple[list[S
             say(f"{m} cells: {run.status}, {run.message}")
             continue
         found.setdefault("whole call", []).append((m, run.facts["seconds"][0]))
+        found.setdefault("whole call, processor time", []).append((m, run.facts["cpu"][0]))
         for name, seconds in run.facts["details"].items():
             found.setdefault(name, []).append((m, seconds))
         memory.append((m, run.facts["peak"] / 1e6))

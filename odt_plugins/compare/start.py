@@ -141,6 +141,26 @@ def ball(n: int, seed: int = SEED) -> StartMesh:
                       f"Delaunay mesh of {len(points)} seeded random points in a ball")
 
 
+def pebble(n: int, seed: int = SEED) -> StartMesh:
+    """Delaunay mesh of random points on a sphere, pressed into a smooth shape with hollows.
+
+    Parameters
+    ----------
+    n : int       vertices
+    seed : int
+    """
+    from scipy.spatial import ConvexHull
+
+    x = np.random.default_rng(seed).standard_normal((n, 3))
+    x /= np.linalg.norm(x, axis=1)[:, None]
+    cells = ConvexHull(x).simplices
+    a, b, c = (x[cells[:, i]] for i in range(3))
+    inward = (np.cross(b - a, c - a) * (a + b + c)).sum(axis=1) < 0
+    wave = 0.15 * np.sin(3.0 * x[:, 0] + 1.0) * np.cos(4.0 * x[:, 1]) + 0.1 * np.sin(5.0 * x[:, 2])
+    return make_start(f"pebble-{_short(len(cells))}", x * (1.0 + wave)[:, None],
+                      reverse(cells, inward), f"{n} seeded random points on a smooth surface")
+
+
 def sphere_points(n: int) -> FloatArray:
     """Spread n points on the unit sphere along a spiral of golden angle, (n, 3)."""
     i = np.arange(n) + 0.5

@@ -5,7 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.star import OffsetArray
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
+
+STRIP = 4
+"""Triangles of mean size across a strip, about."""
 
 
 def count_crossings(points: FloatArray, triangles: IntArray) -> int:
@@ -22,7 +26,7 @@ def count_crossings(points: FloatArray, triangles: IntArray) -> int:
 
     Notes
     -----
-    Sweep and prune along the longest axis of the bounding box: about m^1.5 comparisons of boxes.
+    Sweep and prune along the longest axis of the bounding box, in strips across it.
     """
     return _crossings(points, triangles, np.zeros(len(triangles), dtype=np.bool_))
 
@@ -35,53 +39,67 @@ def crossing_triangles(points: FloatArray, triangles: IntArray) -> BoolArray:
 
 
 def _crossings(points: FloatArray, triangles: IntArray, hit: BoolArray) -> int:
-    if not len(triangles):
+    m = len(triangles)
+    if not m:
         return 0
-    corners = points[triangles]
-    low, high = corners.min(axis=1), corners.max(axis=1)
-    axis = int(np.argmax(high.max(axis=0) - low.min(axis=0)))
-    order = np.argsort(low[:, axis], kind="stable")
-    sorted_hit = np.zeros(len(triangles), dtype=np.bool_)
-    count = int(_sweep(
-        points, np.ascontiguousarray(triangles[order]), np.ascontiguousarray(low[order]),
-        np.ascontiguousarray(high[order]), axis, sorted_hit,
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    span = high.max(axis=0) - low.min(axis=0)
+    axes = np.argsort(-span, kind="stable")
+    along, across = int(axes[0]), int(axes[1])
+    # strips with about as many triangles each
+    count = max(int(np.sqrt(m)) // STRIP, 1)
+    borders = np.sort(low[:, across])[np.arange(1, count) * m // count]
+    first = np.searchsorted(borders, low[:, across], side="right").astype(np.int32)
+    last = np.searchsorted(borders, high[:, across], side="right").astype(np.int32)
+    times = last - first + 1
+    member = np.repeat(np.arange(m, dtype=np.int32), times)
+    strip = np.arange(len(member)) - np.repeat(np.cumsum(times) - times, times) + first[member]
+    order = np.argsort(low[member, along], kind="stable")
+    order = order[np.argsort(strip[order], kind="stable")]
+    begin = np.searchsorted(strip[order], np.arange(count + 1))
+    return int(_sweep(
+        points, triangles, low, high, along, member[order], begin, first, hit,
     ))
-    hit[order] = sorted_hit
-    return count
 
 
 @kernel
 def _sweep(
     points: FloatArray, triangles: IntArray, low: FloatArray, high: FloatArray, axis: int,
-    hit: BoolArray,
+    member: IntArray, begin: OffsetArray, first: IntArray, hit: BoolArray,
 ) -> int:
-    """Compare every triangle with those that begin before it ends; sorted by ``low``.
+    """Compare every triangle of a strip with those that begin before it ends.
 
-    Marks in ``hit`` the triangles of every crossing.
+    ``member[begin[s]:begin[s + 1]]`` are the triangles of strip s, sorted by ``low``; a pair
+    counts in the ``first`` strip that both lie in. Marks in ``hit`` the triangles of every
+    crossing.
     """
-    m = len(triangles)
     other, third = (axis + 1) % 3, (axis + 2) % 3
     count = 0
-    for i in range(m):
-        for j in range(i + 1, m):
-            if low[j, axis] > high[i, axis]:
-                break
-            if (
-                low[j, other] > high[i, other]
-                or low[i, other] > high[j, other]
-                or low[j, third] > high[i, third]
-                or low[i, third] > high[j, third]
-                or _meet(triangles, i, j)
-            ):
-                continue
-            before = count
-            for e in range(3):
-                if _crosses(points, triangles, i, e, j):
-                    count += 1
-                if _crosses(points, triangles, j, e, i):
-                    count += 1
-            if count > before:
-                hit[i] = hit[j] = True
+    for s in range(len(begin) - 1):
+        for k in range(begin[s], begin[s + 1]):
+            i = member[k]
+            for l in range(k + 1, begin[s + 1]):
+                j = member[l]
+                if low[j, axis] > high[i, axis]:
+                    break
+                if (
+                    low[j, other] > high[i, other]
+                    or low[i, other] > high[j, other]
+                    or low[j, third] > high[i, third]
+                    or low[i, third] > high[j, third]
+                    or max(first[i], first[j]) != s
+                    or _meet(triangles, i, j)
+                ):
+                    continue
+                before = count
+                for e in range(3):
+                    if _crosses(points, triangles, i, e, j):
+                        count += 1
+                    if _crosses(points, triangles, j, e, i):
+                        count += 1
+                if count > before:
+                    hit[i] = hit[j] = True
     return count
 
 

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from odt_plugins.engine.order import morton_keys
 from odt_plugins.engine.surface.crossings import crossing_triangles
 from odt_plugins.engine.surface.envelope import distances, uncovered, within
 from odt_plugins.engine.surface.reference import make_reference
@@ -103,8 +104,15 @@ def _newly_cut(mesh: SimplexMesh, points: FloatArray, cells: IntArray) -> BoolAr
 
 def measured(mesh: SimplexMesh, kept: Kept, points: FloatArray, cells: IntArray) -> Distance:
     """Bound the distances both ways; neither is said to leave the envelope when it does not."""
-    old = make_reference(mesh.points, mesh.cells)
-    new = make_reference(points, cells)
+    # neighbours in space next to each other in memory: several times as fast on large surfaces
+    used = np.unique(mesh.cells)
+    rank = np.empty(len(mesh.points), dtype=np.int32)
+    order = used[np.argsort(morton_keys(mesh.points[used]), kind="stable")]
+    rank[order] = np.arange(len(order), dtype=np.int32)
+    old, new = (
+        make_reference(x[order], t[np.argsort(t.min(axis=1), kind="stable")])
+        for x, t in ((mesh.points, rank[mesh.cells]), (points, rank[cells]))
+    )
     tolerance = TOLERANCE * kept.envelope
     for _ in range(REFINEMENTS):
         both = distances(new, old, tolerance)
@@ -112,10 +120,12 @@ def measured(mesh: SimplexMesh, kept: Kept, points: FloatArray, cells: IntArray)
             break
         tolerance *= TOLERANCE
     forward, backward = both.forward_upper, both.backward_upper
-    if forward > kept.envelope and within(old, points, cells, kept.envelope).all():
+    if forward > kept.envelope and within(
+        old, new.points, new.triangles, kept.envelope
+    ).all():
         forward = kept.envelope
     if backward > kept.envelope and not uncovered(
-        old, points, cells, kept.envelope
+        old, new.points, new.triangles, kept.envelope, new
     ).triangles.size:
         backward = kept.envelope
     return Distance(forward, backward)
