@@ -11,6 +11,7 @@ from pathlib import Path
 import contract
 import numpy as np
 import pytest
+import surface_meshes as sm
 
 EXAMPLES = Path(__file__).parents[1] / "examples"
 
@@ -57,6 +58,27 @@ def test_open3d_tetrahedra_are_improved_and_drawn(here):
     before, after = example("open3d_pipeline").main(here / "ball.png")
     assert before < 0.55
     assert after > 0.78
+    assert min(colours(here / "ball.png")) > 50
+
+
+def test_surfaces_are_measured_and_drawn(here, tmp_path_factory, capsys, monkeypatch):
+    for name in ("pymeshlab", "pyvista", "matplotlib"):
+        pytest.importorskip(name)
+    points, cells = sm.sphere(3, 0.2)
+    # the first vertex a second time, as in files with seams
+    cells[0][cells[0] == 0] = len(points)
+    points = [*points, points[0]]
+    path = tmp_path_factory.mktemp("obj") / "ball.obj"
+    path.write_text("".join(f"v {x} {y} {z}\n" for x, y, z in np.array(points).tolist())
+                    + "".join(f"f {a} {b} {c}\n" for a, b, c in (cells + 1).tolist()))
+    surfaces = example("surfaces")
+    monkeypatch.setattr(surfaces, "PEERS", ())
+    surfaces.main([str(path), "--envelope", "4e-3", "--picture", str(here / "ball.png")])
+    rows = [[w.strip() for w in line.split("|")] for line in capsys.readouterr().out.splitlines()]
+    before, after = rows[2:]
+    assert before[3] == after[3] == "642"
+    assert float(after[4]) > float(before[4]) + 0.05
+    assert 0 < max(float(after[8]), float(after[9])) <= 4.0
     assert min(colours(here / "ball.png")) > 50
 
 
