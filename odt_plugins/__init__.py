@@ -24,6 +24,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from odt_plugins.api import measure, optimize, optimize_file, optimize_with_report
+    from odt_plugins.distributed.optimize import (
+        optimize_partitioned,
+        optimize_partitioned_with_report,
+    )
     from odt_plugins.errors import (
         DataNotKeptWarning,
         InvalidMeshError,
@@ -34,6 +38,7 @@ if TYPE_CHECKING:
         ODTError,
         ODTWarning,
         UnsupportedMeshError,
+        WorkerError,
     )
     from odt_plugins.generate import uniform_refine
     from odt_plugins.hosts import register
@@ -58,10 +63,13 @@ __all__ = [
     "QualitySummary",
     "Report",
     "UnsupportedMeshError",
+    "WorkerError",
     "__version__",
     "measure",
     "optimize",
     "optimize_file",
+    "optimize_partitioned",
+    "optimize_partitioned_with_report",
     "optimize_with_report",
     "register",
     "run_filter_script",
@@ -72,6 +80,7 @@ __all__ = [
 _HOMES = {
     "api": ("measure", "optimize", "optimize_file", "optimize_with_report"),
     "generate": ("uniform_refine",),
+    "distributed.optimize": ("optimize_partitioned", "optimize_partitioned_with_report"),
     "hosts": ("register",),
     "options": ("Options",),
     "quality": ("QualitySummary",),

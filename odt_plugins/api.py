@@ -160,7 +160,7 @@ def optimize(mesh: Any, **options: Unpack[OptionKeywords]) -> Any:
     >>> bool((better_points[:4] == points[:4]).all())
     True
     """
-    return _run(mesh, make_options(**options))[0]
+    return run_engine(mesh, make_options(**options))[0]
 
 
 @overload
@@ -183,7 +183,7 @@ def optimize_with_report(mesh: Any, **options: Unpack[OptionKeywords]) -> tuple[
     from odt_plugins.report import make_report
 
     chosen = make_options(**options)
-    result, before, outcome = _run(mesh, chosen)
+    result, before, outcome = run_engine(mesh, chosen)
     return result, make_report(before, outcome, chosen)
 
 
@@ -271,13 +271,26 @@ def _keywords(options: Options) -> OptionKeywords:
     return keywords
 
 
-def _run(mesh: Any, options: Options) -> tuple[Any, SimplexMesh, Outcome]:
-    """Adapter, engine, adapter: the caller's new mesh, the engine's input and its outcome."""
+def run_engine(
+    mesh: Any,
+    options: Options,
+    engine: Callable[[SimplexMesh, Options], Outcome] | None = None,
+) -> tuple[Any, SimplexMesh, Outcome]:
+    """Adapter, engine, adapter: the caller's new mesh, the engine's input and its outcome.
+
+    Parameters
+    ----------
+    mesh : object        what :func:`optimize` takes
+    options : Options
+    engine : callable    takes the place of the engine for this kind of mesh
+    """
     from odt_plugins.quality import volumes
+
+    engine = engine or _optimized
 
     work = _prepare(mesh, options)
     with _words_of(work.host):
-        outcome = _optimized(work.mesh, _in_frame(options, work.frame))
+        outcome = engine(work.mesh, _in_frame(options, work.frame))
     points, outcome = _placed(work, outcome, options)
     cells, regions, source = _sorted_cells(work.mesh, outcome)
     if not (work.mesh.is_surface or (volumes(outcome.points, cells) > 0.0).all()):

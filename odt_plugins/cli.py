@@ -161,6 +161,17 @@ def _figure_names(_ctx: click.Context, _param: click.Parameter, text: str) -> tu
     return names
 
 
+def _cluster_flags(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command the flags that say where the work is done."""
+    command = click.option(
+        "--workers", type=click.IntRange(min=0), default=0, show_default=True,
+        help="Start a Dask cluster of so many processes on this machine.",
+    )(command)
+    return click.option("--scheduler", default=None, metavar="ADDRESS",
+                        help="Work on the Dask cluster of the scheduler at this address, such as "
+                             "tcp://host:8786.")(command)
+
+
 @cli.command()
 @click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
 @click.argument("target", metavar="OUTPUT", type=click.Path(path_type=Path))
@@ -169,12 +180,22 @@ def _figure_names(_ctx: click.Context, _param: click.Parameter, text: str) -> tu
               help="Write the report there as JSON.")
 @click.option("--plot", "plot_file", type=click.Path(path_type=Path), metavar="FILE.png",
               help="Draw histograms before and after there (.png, .pdf, .svg).")
+@click.option("--blocks", type=click.IntRange(min=1), default=None,
+              help="Optimise the mesh in so many blocks, one after the other unless there are "
+                   "workers.")
+@click.option("--block-rounds", type=click.IntRange(min=1), default=3, show_default=True,
+              help="Most rounds of --blocks, cut elsewhere in each.")
+@_cluster_flags
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 def optimize(
     source: Path,
     target: Path,
     report_file: Path | None,
     plot_file: Path | None,
+    blocks: int | None,
+    block_rounds: int,
+    scheduler: str | None,
+    workers: int,
     quiet: bool,
     **options: Any,
 ) -> int:
@@ -185,10 +206,20 @@ def optimize(
     """
     _check_paths(target, report_file, plot_file)
     options = _resolve_arrays(source, options)
+    if blocks is None and (scheduler or workers):
+        msg = "--scheduler and --workers need --blocks, the number of blocks to cut the mesh into"
+        raise click.UsageError(msg)
     from odt_plugins.api import optimize_file
 
-    with _warnings_told(), _progress(quiet) as progress:
-        report = optimize_file(source, target, **options, progress=progress)
+    with _warnings_told(), _cluster(scheduler, workers) as client, _progress(quiet) as progress:
+        options["progress"] = progress
+        if blocks is None:
+            report = optimize_file(source, target, **options)
+        else:
+            from odt_plugins.distributed.optimize import optimize_file_partitioned
+
+            report = optimize_file_partitioned(source, target, blocks, block_rounds,
+                                               client=client, odt=options)
     if not quiet:
         click.echo(str(report))
     if report_file:
@@ -380,6 +411,19 @@ def _warnings_told() -> Iterator[None]:
     for warning in caught:
         if issubclass(warning.category, ODTWarning):
             click.echo(f"odt-plugins: warning: {_one_line(warning.message)}", err=True)
+
+
+@contextmanager
+def _cluster(scheduler: str | None, workers: int) -> Iterator[Any]:
+    """Connect to Dask when asked to, and tell where its dashboard is; None otherwise."""
+    if scheduler is None and not workers:
+        yield None
+        return
+    from odt_plugins.distributed.cluster import connected
+
+    with connected(scheduler, workers) as client:
+        click.echo(f"Dask dashboard: {client.dashboard_link}", err=True)
+        yield client
 
 
 @contextmanager

@@ -29,6 +29,10 @@ class MeshFileError(ODTError, OSError):
     """A file could not be read or written."""
 
 
+class WorkerError(ODTError, RuntimeError):
+    """A cluster cannot be reached, or its workers were lost while they worked."""
+
+
 class ODTWarning(UserWarning):
     """Root of every warning issued by odt_plugins."""
 

@@ -41,8 +41,10 @@ MAY_IMPORT = {
     "script": {"adapters", "errors", "hosts"},
     "generate": {"adapters", "api", "engine", "planar", "tetwild", *BASE},
     "compare": {"adapters", "api", "engine", "generate", "planar", "plotting", *BASE},
-    "cli": {"adapters", "api", "compare", "demo", "generate", "report", "script", *BASE},
-    "__init__": {"api", "generate", "hosts", "report", "script", "tetwild", *BASE},
+    "distributed": {"adapters", "api", "compare", "engine", "report", "tetwild", *BASE},
+    "cli": {"adapters", "api", "compare", "demo", "distributed", "generate", "report", "script",
+            *BASE},
+    "__init__": {"api", "distributed", "generate", "hosts", "report", "script", "tetwild", *BASE},
 }
 """Rooms that a room may import: DESIGN section 2."""
 
@@ -57,11 +59,13 @@ TOOLKITS = {
                   "compare/baselines/meshlab.py"},
     "open3d": {"adapters/open3d_mesh.py", "hosts/open3d_filters.py",
                "compare/baselines/open3d_smooth.py"},
+    "dask": {"distributed/cluster.py"},
+    "distributed": {"distributed/cluster.py"},
     "igl": {"engine/surface/reference.py"},
 }
 """Files that may import a toolkit, inside a function."""
 
-SLOW = ("numba", "scipy", "pyamg", "click", "rich", *TOOLKITS)
+SLOW = ("numba", "scipy", "pyamg", "click", "rich", "dask", "distributed", *TOOLKITS)
 
 
 def room(path: Path) -> str:

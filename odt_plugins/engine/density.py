@@ -113,6 +113,20 @@ def _interpolate(
 
 
 @dataclass(frozen=True)
+class NodalDensity:
+    """A density rho = values^power whose values, not powers, are interpolated between vertices.
+
+    Attributes
+    ----------
+    values : (n,) float64        positive, one per vertex of the input mesh
+    power : float
+    """
+
+    values: FloatArray
+    power: float
+
+
+@dataclass(frozen=True)
 class Density:
     """A density that can be asked anywhere; made by :func:`make_density`.
 
@@ -275,7 +289,7 @@ def make_density(
     ----------
     spec : str, array or callable
         "keep" sizes of the input mesh; "uniform"; "inverse-volume" (4.22); (n,) rho at vertices;
-        (m,) rho of cells; rho(points) -> (k,)
+        (m,) rho of cells; rho(points) -> (k,); a :class:`NodalDensity`
     exponent : float or None                    r in rho = h^-r of "keep", None for d + 2
     points : (n, d) float64                     input mesh
     cells : (m, d + 1) int32                    input mesh, positive
@@ -314,6 +328,8 @@ def make_density(
         if keep:
             field = size_field(points, cells)
             power = -float(d + 2 if exponent is None else exponent)
+    elif isinstance(spec, NodalDensity):
+        field, power = spec.values, spec.power
     elif callable(spec):
         function = spec
     else:

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.engine.complex import Complex, make_complex
-from odt_plugins.engine.density import Density, make_density
+from odt_plugins.engine.density import Density, NodalDensity, make_density
 from odt_plugins.engine.figures import Figures, cell_shapes, figures
 from odt_plugins.engine.finishing import finish
 from odt_plugins.engine.geometry import boundary_vertices, interface_vertices
@@ -302,6 +302,8 @@ def inner_density(mesh: SimplexMesh, options: Options, frame: Frame) -> Any:
         return inner
     if isinstance(spec, str):
         return spec
+    if isinstance(spec, NodalDensity):
+        return replace(spec, values=spec.values[frame.vertices])
     make_density(spec, options.exponent, mesh.points, mesh.cells, mesh.cells)
     values = np.asarray(spec, dtype=np.float64)
     per_cell = len(values) == len(mesh.cells) and len(values) != len(mesh.points)

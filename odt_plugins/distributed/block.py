@@ -1,0 +1,117 @@
+"""One block of a mesh: cut out with its rim fixed, optimised by the engine, handed back."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.distributed.versions import expect_versions
+from odt_plugins.engine.density import NodalDensity, make_density
+from odt_plugins.engine.driver import run
+from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
+from odt_plugins.options import Options
+
+
+@dataclass(frozen=True)
+class Block:
+    """What a worker needs to know of one block.
+
+    Attributes
+    ----------
+    mesh : SimplexMesh           in a numbering of its own; vertices of the rim are fixed
+    density : (n,) or None       values of a :class:`NodalDensity` at its vertices
+    options : Options            those of the whole run; their density counts when there are no
+                                 values, and their arrays over vertices or cells are not in use
+    power : float                of those values
+    versions : dict              of the packages that compute, as they are where the block was cut
+    """
+
+    mesh: SimplexMesh
+    density: FloatArray | None
+    options: Options
+    power: float
+    versions: dict[str, str]
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of its arrays."""
+        arrays = (self.mesh.points, self.mesh.cells, self.mesh.regions, self.mesh.fixed)
+        return sum(a.nbytes for a in arrays) + (0 if self.density is None else self.density.nbytes)
+
+
+@dataclass(frozen=True)
+class Improved:
+    """What a worker hands back: the same vertices, moved, and other cells.
+
+    Attributes
+    ----------
+    points : (n, d) float64
+    cells : (m', d + 1) int32    in the numbering of the block
+    regions : (m',) int32
+    density : (n,) or None       values at the moved vertices
+    counts : dict                what the engine counted
+    fallback : str or None       why the engine went back to an earlier state
+    """
+
+    points: FloatArray
+    cells: IntArray
+    regions: IntArray
+    density: FloatArray | None
+    counts: dict[str, int]
+    fallback: str | None
+
+    @property
+    def nbytes(self) -> int:
+        """Bytes of its arrays."""
+        arrays = (self.points, self.cells, self.regions)
+        return sum(a.nbytes for a in arrays) + (0 if self.density is None else self.density.nbytes)
+
+
+def cut_out(
+    mesh: SimplexMesh, members: NDArray[Any], rim: BoolArray
+) -> tuple[SimplexMesh, NDArray[Any]]:
+    """Take some cells of a mesh as a mesh of its own.
+
+    Parameters
+    ----------
+    mesh : SimplexMesh
+    members : (k,) int          cells, increasing
+    rim : (n,) bool             vertices that belong to other cells as well
+
+    Returns
+    -------
+    SimplexMesh, and its vertices (v,) int in the numbering of the whole
+    """
+    cells = mesh.cells[members]
+    vertices, number = np.unique(cells, return_inverse=True)
+    block = SimplexMesh(
+        points=np.ascontiguousarray(mesh.points[vertices]),
+        cells=np.ascontiguousarray(number.reshape(cells.shape), dtype=np.int32),
+        regions=np.ascontiguousarray(mesh.regions[members]),
+        fixed=mesh.fixed[vertices] | rim[vertices],
+    )
+    return block, vertices
+
+
+def improve(block: Block) -> Improved:
+    """Optimise a block: a pure function, to be run anywhere.
+
+    Raises
+    ------
+    InvalidOptionError      the packages here are not those of the process that cut the block
+    """
+    expect_versions(block.versions)
+    mesh, options = block.mesh, block.options
+    if block.density is not None:
+        options = replace(options, density=NodalDensity(block.density, block.power), exponent=None)
+    outcome = run(mesh, options)
+    density = block.density
+    if density is not None:
+        field = make_density(NodalDensity(density, 1.0), None, mesh.points, mesh.cells)
+        moved = (outcome.points != mesh.points).any(axis=1)
+        density = np.where(moved, field.at(outcome.points), density)
+    return Improved(outcome.points, outcome.cells, outcome.regions, density, outcome.counts,
+                    outcome.fallback)

@@ -1,0 +1,142 @@
+"""Dask clusters: connecting, checking the workers, and giving them work.
+
+Scheduling, transport, and what happens when a worker is lost are Dask's own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from importlib.metadata import version
+from importlib.util import find_spec
+from typing import Any
+
+from odt_plugins.distributed.local import Apply
+from odt_plugins.distributed.versions import PACKAGES, expect_versions, versions_here
+from odt_plugins.errors import MissingDependencyError, WorkerError
+
+PATIENCE = 30.0
+"""Seconds to wait for a scheduler, and for its first worker."""
+
+
+def expect_dask() -> None:
+    """Refuse at once when Dask is not there.
+
+    Raises
+    ------
+    MissingDependencyError
+    """
+    if find_spec("distributed") is None:
+        msg = ('a cluster needs dask and distributed, not installed here; try '
+               'pip install "odt-plugins[dask]"')
+        raise MissingDependencyError(msg)
+
+
+@contextmanager
+def connected(scheduler: str | None = None, workers: int = 0) -> Iterator[Any]:
+    """Connect to a scheduler, or start a cluster of processes on this machine.
+
+    Parameters
+    ----------
+    scheduler : str or None    address, such as tcp://host:8786
+    workers : int              without an address: processes to start; 0 gives no client
+
+    Yields
+    ------
+    distributed.Client or None
+
+    Raises
+    ------
+    WorkerError                nobody answers at that address
+    """
+    if scheduler is None and not workers:
+        yield None
+        return
+    expect_dask()
+    from distributed import Client, LocalCluster
+
+    if scheduler is None:
+        with (
+            LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=":0") as own,
+            Client(own) as client,
+        ):
+            yield client
+        return
+    try:
+        client = Client(scheduler, timeout=PATIENCE)
+    except (OSError, TimeoutError, ValueError) as exc:
+        msg = (f"no scheduler answers at {scheduler} ({exc}); expected the address that "
+               "`dask scheduler` prints, such as tcp://host:8786")
+        raise WorkerError(msg) from exc
+    with client:
+        yield client
+
+
+def check_workers(client: Any) -> None:
+    """Compare the packages of all workers with those of this process, before any work.
+
+    Raises
+    ------
+    WorkerError           there is no worker
+    InvalidOptionError    one has other packages
+    """
+    try:
+        client.wait_for_workers(1, timeout=PATIENCE)
+    except TimeoutError as exc:
+        msg = (f"the scheduler {client.scheduler.address} has no worker after {PATIENCE:.0f} s; "
+               "try starting one with `dask worker`")
+        raise WorkerError(msg) from exc
+    wanted = versions_here()
+    found: dict[str, dict[str, str]] = {}
+    for name in PACKAGES:
+        # A function of the standard library: workers without this package can tell so.
+        for worker, value in client.run(version, name, on_error="return").items():
+            found.setdefault(worker, {})[name] = (
+                value if isinstance(value, str) else "not installed"
+            )
+    for worker in sorted(found):
+        expect_versions(wanted, found[worker], f"the worker {worker}")
+
+
+def on_cluster(client: Any) -> Apply:
+    """Give what applies a function to items on the workers, after :func:`check_workers`.
+
+    Raises
+    ------
+    InvalidOptionError, WorkerError
+    """
+    expect_dask()
+    check_workers(client)
+
+    def apply(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
+        futures = submit(client, function, items)
+        try:
+            while futures:
+                yield _result(futures.pop(0))
+        finally:
+            for future in futures:
+                future.cancel()
+
+    return apply
+
+
+def submit(client: Any, function: Callable[[Any], Any], items: Iterable[Any]) -> list[Any]:
+    """Give the work for every item to the cluster: one future each.
+
+    The items travel with the tasks, so that Dask can repeat one on another worker.
+    """
+    import dask
+
+    with dask.config.set({"distributed.admin.large-graph-warning-threshold": "1 TB"}):
+        return [client.submit(function, item, pure=False) for item in items]
+
+
+def _result(future: Any) -> Any:
+    from distributed import CancelledError, KilledWorker
+
+    try:
+        return future.result()
+    except (KilledWorker, CancelledError, OSError) as exc:
+        msg = (f"the cluster lost the work ({type(exc).__name__}: {exc}); try more memory for its "
+               "workers, or more blocks")
+        raise WorkerError(msg) from exc

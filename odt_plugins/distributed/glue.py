@@ -1,0 +1,141 @@
+"""One round of blocks: cut, have them optimised, put the results in the place of what was cut."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.distributed.block import Block, Improved, cut_out, improve
+from odt_plugins.distributed.partition import (
+    RINGS,
+    around,
+    bricks,
+    clusters,
+    groups,
+    shared_vertices,
+)
+from odt_plugins.distributed.versions import versions_here
+from odt_plugins.errors import InvalidMeshError
+from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
+from odt_plugins.options import Options
+
+Map = Callable[[Callable[[Block], Improved], Iterable[Block]], Iterator[Improved]]
+"""Applies a pure function to blocks anywhere and gives the results in the order of the blocks."""
+
+
+@dataclass(frozen=True)
+class Whole:
+    """The whole mesh between two rounds.
+
+    Attributes
+    ----------
+    mesh : SimplexMesh
+    density : (n,) or None      values of the density at the vertices, carried with them
+    waiting : (n,) bool         vertices that have not been inside a block in any round yet
+    """
+
+    mesh: SimplexMesh
+    density: FloatArray | None
+    waiting: BoolArray
+
+
+class Traffic(NamedTuple):
+    """What a round did: its blocks, their cells, bytes sent and received, engine counts."""
+
+    blocks: int
+    cells: int
+    sent: int
+    received: int
+    counts: dict[str, int]
+    fallbacks: list[str]
+
+
+def labels(whole: Whole, count: int, index: int, rounds: int) -> IntArray:
+    """Block of every cell in one round, -1 for cells that rest.
+
+    The first round takes all cells that may change, in bricks. Every later one takes the cells
+    around the vertices that have been on rims only, in bricks of the same size; the last one
+    leaves whole clusters of them together, so that none is cut again.
+    """
+    mesh = whole.mesh
+    label = np.full(len(mesh.cells), -1, dtype=np.int32)
+    active = np.flatnonzero(~mesh.frozen)
+    zone = active
+    if index:
+        zone = active[around(whole.waiting, mesh.cells[active], RINGS)]
+    if not len(zone):
+        return label
+    parts = max(1, -(-len(zone) * count // max(len(active), 1)))
+    cells = mesh.cells[zone]
+    if index and (index == rounds - 1 or parts == 1):
+        label[zone] = clusters(cells, parts)
+    else:
+        label[zone] = bricks(mesh.points, cells, min(parts, len(zone)), index / rounds)
+    return label
+
+
+def one_round(
+    whole: Whole, label: IntArray, options: Options, power: float, apply: Map
+) -> tuple[Whole, Traffic]:
+    """Cut along the labels, improve every block, glue.
+
+    Raises
+    ------
+    InvalidMeshError      a result does not fit the block that was cut
+    """
+    mesh = whole.mesh
+    active = ~mesh.frozen
+    rim = shared_vertices(mesh.cells[active], label[active], len(mesh.points))
+    held = shared_vertices(mesh.cells, label, len(mesh.points))
+    members = groups(label)
+    versions = versions_here()
+    sent: list[int] = []
+    vertices_of: list[NDArray[np.intp]] = []
+
+    def cut() -> Iterator[Block]:
+        for cells in members:
+            block, vertices = cut_out(mesh, cells, held)
+            density = None if whole.density is None else whole.density[vertices]
+            vertices_of.append(vertices)
+            work = Block(block, density, options, power, versions)
+            sent.append(work.nbytes)
+            yield work
+
+    points = mesh.points.copy()
+    density = None if whole.density is None else whole.density.copy()
+    rest = label < 0
+    new_cells, new_regions = [mesh.cells[rest]], [mesh.regions[rest]]
+    received, counts, fallbacks = 0, dict[str, int](), list[str]()
+    for k, result in enumerate(apply(improve, cut())):
+        vertices = vertices_of[k]
+        _expect_fit(result, mesh.points[vertices], held[vertices], k)
+        points[vertices] = result.points
+        if density is not None and result.density is not None:
+            density[vertices] = result.density
+        new_cells.append(vertices[result.cells].astype(np.int32))
+        new_regions.append(result.regions)
+        received += result.nbytes
+        for name, value in result.counts.items():
+            counts[name] = counts.get(name, 0) + value
+        fallbacks += [result.fallback] if result.fallback else []
+    frozen = np.zeros(sum(map(len, new_cells)), dtype=np.bool_)
+    frozen[: int(rest.sum())] = mesh.frozen[rest]
+    glued = replace(mesh, points=points, cells=np.concatenate(new_cells),
+                    regions=np.concatenate(new_regions), frozen=frozen)
+    traffic = Traffic(len(members), int((~rest).sum()), sum(sent), received, counts, fallbacks)
+    return Whole(glued, density, whole.waiting & rim), traffic
+
+
+def _expect_fit(result: Improved, before: FloatArray, held: BoolArray, index: int) -> None:
+    """Refuse a result of other vertices, or with a rim that moved."""
+    n = len(before)
+    good = result.points.shape == before.shape and len(result.cells) == len(result.regions)
+    good = good and 0 <= result.cells.min() and result.cells.max() < n
+    if not good or not np.array_equal(result.points[held], before[held]):
+        msg = (f"the result of block {index} does not fit the mesh it was cut from; expected "
+               f"{n} vertices with an unchanged rim, try the run again")
+        raise InvalidMeshError(msg)

@@ -1,0 +1,286 @@
+"""One huge mesh in blocks: cut, optimise the blocks apart, glue, cut elsewhere."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Mapping
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from odt_plugins.adapters.files import check_output, read_file, write_file
+from odt_plugins.api import make_options, run_engine
+from odt_plugins.distributed.glue import Map, Traffic, Whole, labels, one_round
+from odt_plugins.distributed.local import executor
+from odt_plugins.engine.density import make_density
+from odt_plugins.engine.driver import Outcome, run
+from odt_plugins.engine.judge import faults
+from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
+from odt_plugins.mesh import SimplexMesh
+from odt_plugins.options import Options
+
+if TYPE_CHECKING:
+    from odt_plugins.report import Report
+
+LEAST_CELLS = 5000
+"""Meshes are cut into no smaller blocks: most of such a block lies beside its rim."""
+
+EXTREMES = ("min_quality", "min_angle", "max_angle")
+"""Figures of one part that say something of the whole: kept by every block in later rounds."""
+
+
+def optimize_partitioned(
+    mesh: Any,
+    blocks: int,
+    rounds: int = 3,
+    *,
+    client: Any = None,
+    workers: int = 0,
+    odt: Mapping[str, Any] | None = None,
+) -> Any:
+    """Improve a mesh block by block, in this process or on a Dask cluster.
+
+    The first round optimises the whole mesh in blocks whose rims are fixed; each later one, what
+    lies around those vertices that have been on rims only. The result is about as good as that of
+    :func:`odt_plugins.optimize`, and the same bits for any number of workers and any order in which
+    they finish.
+
+    Parameters
+    ----------
+    mesh : object
+        What :func:`odt_plugins.optimize` takes: tetrahedra, or triangles in a plane.
+    blocks : int
+        Blocks of about equal size in the first round; fewer when they had less than 5000 cells.
+    rounds : int
+        Most rounds. In the last one nothing is cut again, so that from two on every cell has been
+        inside a block in some round.
+    client : distributed.Client, optional
+        Blocks go to the workers of this cluster; Dask gives those of a lost worker to another.
+    workers : int
+        Processes of this machine, without a server; 0 works in this process. Scripts that give
+        more must be importable (``if __name__ == "__main__":``).
+    odt : dict, optional
+        Options of :func:`odt_plugins.optimize`.
+
+    Returns
+    -------
+    same type as `mesh`
+
+    Raises
+    ------
+    InvalidOptionError      an option is out of range, does not go with blocks, or a worker has
+                            other packages than this process
+    UnsupportedMeshError    the mesh is a curved surface
+    WorkerError             workers were lost again and again
+    and what :func:`odt_plugins.optimize` raises
+    """
+    return optimize_partitioned_with_report(
+        mesh, blocks, rounds, client=client, workers=workers, odt=odt
+    )[0]
+
+
+def optimize_partitioned_with_report(
+    mesh: Any,
+    blocks: int,
+    rounds: int = 3,
+    *,
+    client: Any = None,
+    workers: int = 0,
+    odt: Mapping[str, Any] | None = None,
+) -> tuple[Any, Report]:
+    """Improve a mesh as :func:`optimize_partitioned` does and tell what was done.
+
+    Returns
+    -------
+    mesh : same type as the input
+    report : Report     its times are those of the rounds, its counts name bytes sent and received
+    """
+    from odt_plugins.report import make_report
+
+    options = make_options(**(odt or {}))
+    _check(blocks, rounds, workers, options, several=client is not None or workers > 0)
+
+    def engine(simplices: SimplexMesh, chosen: Options) -> Outcome:
+        if simplices.is_surface:
+            msg = (
+                "got a curved surface; expected tetrahedra, or triangles in a plane, for blocks; "
+                "try optimize"
+            )
+            raise UnsupportedMeshError(msg)
+        with executor(client, workers) as apply:
+            return run_blocks(simplices, chosen, blocks, rounds, apply)
+
+    result, before, outcome = run_engine(mesh, options, engine)
+    return result, make_report(before, outcome, options)
+
+
+def optimize_file_partitioned(
+    source: str | os.PathLike[str],
+    target: str | os.PathLike[str],
+    blocks: int,
+    rounds: int = 3,
+    *,
+    client: Any = None,
+    odt: Mapping[str, Any] | None = None,
+) -> Report:
+    """Improve the mesh of one file in blocks and write it to another, or to the same.
+
+    As :func:`odt_plugins.optimize_file`: `target` is complete, or as it was before.
+    """
+    check_output(target)
+    mesh, report = optimize_partitioned_with_report(
+        read_file(source), blocks, rounds, client=client, odt=odt
+    )
+    write_file(target, mesh)
+    return report
+
+
+def run_blocks(
+    mesh: SimplexMesh, options: Options, blocks: int, rounds: int, apply: Map
+) -> Outcome:
+    """Optimise a valid mesh in blocks.
+
+    Parameters
+    ----------
+    mesh : SimplexMesh
+    options : Options
+    blocks, rounds : int     see :func:`optimize_partitioned`
+    apply : callable         applies a function to blocks, results in their order
+
+    Returns
+    -------
+    Outcome                  of the last round after which the whole mesh keeps the promise
+    """
+    active = np.flatnonzero(~mesh.frozen)
+    count = min(blocks, len(active) // LEAST_CELLS)
+    if count < 2:
+        return run(mesh, options)
+    clock = time.perf_counter()
+    whole, plain, power = _start(mesh, options)
+    times = {"prepare": time.perf_counter() - clock}
+    states, counts, fallbacks = [whole], {"blocks": 0}, list[str]()
+    report = options.progress or _silent
+    for index in range(rounds):
+        clock = time.perf_counter()
+        label = labels(whole, count, index, rounds)
+        if label.max() < 0:
+            break
+        name = f"round {index + 1}"
+        chosen = plain if index == 0 else _later(plain)
+        told = _told(apply, report, name, int(label.max()) + 1)
+        whole, traffic = one_round(whole, label, chosen, power, told)
+        states.append(whole)
+        _count(counts, traffic)
+        fallbacks += [f"{name}: {reason}" for reason in traffic.fallbacks]
+        times[name] = time.perf_counter() - clock
+    clock = time.perf_counter()
+    outcome = _judged(mesh, states, options, fallbacks)
+    times["check"] = time.perf_counter() - clock
+    return replace(outcome, times=times, counts=counts)
+
+
+def _start(mesh: SimplexMesh, options: Options) -> tuple[Whole, Options, float]:
+    """The mesh before the first round, the options of a block, and the power of the density.
+
+    A density over vertices or cells becomes a field that is carried with the vertices.
+    """
+    active = np.flatnonzero(~mesh.frozen)
+    spec, power, field = options.density, 1.0, None
+    named = isinstance(spec, str)
+    if spec == "keep" if named else not callable(spec):
+        if not named:
+            make_density(spec, None, mesh.points, mesh.cells, mesh.cells)
+            values = np.asarray(spec, dtype=np.float64)
+            spec = values[active] if len(values) != len(mesh.points) else values
+        density = make_density(spec, options.exponent, mesh.points, mesh.cells[active])
+        field, power, spec = density.field, density.power, "uniform"
+    plain = replace(options, density=spec, exponent=None, progress=None, fixed=None,
+                    selection=None, regions=None, orient=False)
+    waiting = np.zeros(len(mesh.points), dtype=np.bool_)
+    waiting[mesh.cells[active]] = True
+    return Whole(mesh, field, waiting), plain, power
+
+
+def _later(options: Options) -> Options:
+    """Options of later rounds: their blocks are near the optimum and hold a part of the bad cells.
+
+    Means and quantiles of such a part say nothing; the whole is judged by them at the end.
+    """
+    keep = tuple(name for name in options.keep if name in EXTREMES)
+    connectivity = "flips" if options.connectivity == "auto" else options.connectivity
+    return replace(options, keep=keep, connectivity=connectivity)
+
+
+def _judged(
+    mesh: SimplexMesh, states: list[Whole], options: Options, fallbacks: list[str]
+) -> Outcome:
+    """The last state that keeps the promise, at worst the input."""
+    broken: list[str] = []
+    reason = f"{len(states) - 1} rounds of blocks"
+    while len(states) > 1:
+        last = states.pop().mesh
+        now, _ = faults(mesh, last.points, last.cells, last.regions, options)
+        if not now:
+            if broken:
+                fallbacks = [f"a later round was given up ({'; '.join(broken)})", *fallbacks]
+            fallback = "; ".join(fallbacks[:3]) or None
+            return Outcome(last.points, last.cells, last.regions, stop_reason=reason,
+                           fallback=fallback)
+        broken = now
+    return Outcome(
+        mesh.points.copy(), mesh.cells.copy(), mesh.regions.copy(), stop_reason=reason,
+        fallback=f"the input is returned, nothing better kept the promise ({'; '.join(broken)})",
+    )
+
+
+def _told(
+    apply: Map, report: Callable[[str, float], None], name: str, blocks: int
+) -> Map:
+    """Report every block that is glued."""
+
+    def told(function: Any, items: Any) -> Any:
+        for done, result in enumerate(apply(function, items), 1):
+            yield result
+            report(name, done / blocks)
+
+    return told
+
+
+def _count(counts: dict[str, int], traffic: Traffic) -> None:
+    counts["blocks"] += traffic.blocks
+    for name, value in (("bytes sent", traffic.sent), ("bytes received", traffic.received),
+                        ("cells in blocks", traffic.cells), *traffic.counts.items()):
+        counts[name] = counts.get(name, 0) + value
+
+
+def _check(blocks: int, rounds: int, workers: int, options: Options, *, several: bool) -> None:
+    given = (("blocks", blocks, 1), ("rounds", rounds, 1), ("workers", workers, 0))
+    for name, value, least in given:
+        if not isinstance(value, int) or isinstance(value, bool) or value < least:
+            msg = f"got {name}={value!r}; expected an integer of at least {least}"
+            raise InvalidOptionError(msg)
+    if options.boundary == "slide" or options.insert:
+        name = "insert=True" if options.insert else "boundary='slide'"
+        msg = (f"got {name} with blocks; expected a boundary and vertices that stay, "
+               "try optimize without blocks")
+        raise InvalidOptionError(msg)
+    if several and callable(options.density):
+        _expect_picklable(options.density)
+
+
+def _expect_picklable(function: Any) -> None:
+    """See whether other processes can get a function by its name."""
+    import pickle
+
+    try:
+        pickle.dumps(function)
+    except (pickle.PicklingError, AttributeError, TypeError) as exc:
+        msg = (f"got a density function that other processes cannot import ({exc}); expected one "
+               "of a module, try an array with a value for every vertex")
+        raise InvalidOptionError(msg) from exc
+
+
+def _silent(stage: str, share: float) -> None:
+    """Report progress to nobody."""

@@ -1,0 +1,98 @@
+"""Which block a cell belongs to: bricks of equal numbers of cells, cut elsewhere in every round."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.mesh import BoolArray, FloatArray, IntArray
+
+RINGS = 3
+"""Cells within so many rings of a vertex that was held in every round yet are improved again."""
+
+
+def bricks(points: FloatArray, cells: IntArray, count: int, shift: float = 0.0) -> IntArray:
+    """Cut cells into bricks of equal numbers, across the longest sides of the mesh.
+
+    Parameters
+    ----------
+    points : (n, d) float64
+    cells : (m, d + 1) int32
+    count : int                 of bricks, at most m
+    shift : float               by what part of a brick every cut is moved; what is cut off at
+                                one end joins the brick at the other
+
+    Returns
+    -------
+    (m,) int32                  brick of every cell, 0 to count - 1
+    """
+    centres = points[cells[:, 0]].copy()
+    for corner in cells.T[1:]:
+        centres += points[corner]
+    label = np.zeros(len(cells), dtype=np.int32)
+    pending = [(np.arange(len(cells)), 0, count)]
+    while pending:
+        members, first, parts = pending.pop()
+        if parts == 1:
+            label[members] = first
+            continue
+        at = centres[members]
+        axis = int(np.argmax(at.max(axis=0) - at.min(axis=0)))
+        order = np.argsort(at[:, axis], kind="stable")
+        low = parts // 2
+        size = len(members) * low // parts
+        start = int(0.5 * shift * size)
+        inside = np.zeros(len(members), dtype=np.bool_)
+        inside[order[start : start + size]] = True
+        pending.append((members[inside], first, low))
+        pending.append((members[~inside], first + low, parts - low))
+    return label
+
+
+def clusters(cells: IntArray, count: int) -> IntArray:
+    """Put whole connected components of cells into at most ``count`` groups of like size.
+
+    Returns
+    -------
+    (m,) int32                  group of every cell; cells with a common vertex are together
+    """
+    from scipy.sparse import coo_matrix
+    from scipy.sparse.csgraph import connected_components
+
+    used, local = np.unique(cells, return_inverse=True)
+    local = local.reshape(cells.shape)
+    rows, columns = np.repeat(local[:, 0], cells.shape[1] - 1), local[:, 1:].ravel()
+    graph = coo_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), (len(used),) * 2)
+    _, component = connected_components(graph, directed=False)
+    of_cell = component[local[:, 0]]
+    before = np.cumsum(np.bincount(of_cell)) - 1
+    return np.asarray(before * count // len(cells), dtype=np.int32)[of_cell]
+
+
+def shared_vertices(cells: IntArray, label: IntArray, n: int) -> BoolArray:
+    """Say which of n vertices belong to cells of several labels; negative labels count too."""
+    low = np.full(n, np.iinfo(np.int32).max, dtype=np.int32)
+    high = np.full(n, np.iinfo(np.int32).min, dtype=np.int32)
+    for corner in cells.T:
+        np.minimum.at(low, corner, label)
+        np.maximum.at(high, corner, label)
+    return np.asarray(low < high)
+
+
+def around(vertices: BoolArray, cells: IntArray, rings: int) -> BoolArray:
+    """Say which cells lie within so many rings of some vertices, (m,) bool."""
+    marked = vertices.copy()
+    near: BoolArray = np.zeros(len(cells), dtype=np.bool_)
+    for _ in range(rings):
+        near = np.asarray(marked[cells].any(axis=1), dtype=np.bool_)
+        marked[cells[near]] = True
+    return near
+
+
+def groups(label: IntArray) -> list[NDArray[np.intp]]:
+    """Cells of every label from 0 on, increasing; negative labels and empty ones are left out."""
+    order = np.argsort(label, kind="stable")
+    ordered = label[order]
+    starts = np.flatnonzero(np.diff(ordered, prepend=-1))
+    parts = np.split(order, starts)[1:]
+    return [part for part in parts if label[part[0]] >= 0]

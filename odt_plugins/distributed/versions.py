@@ -1,0 +1,49 @@
+"""The packages that decide the bits of a result: they must be the same everywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from importlib.metadata import PackageNotFoundError, version
+
+from odt_plugins.errors import InvalidOptionError
+
+PACKAGES = ("odt-plugins", "numpy", "scipy", "numba", "pyamg")
+
+
+def installed_version(name: str) -> str:
+    """Version of a package as installed here, or "not installed"."""
+    try:
+        return version(name)
+    except PackageNotFoundError:
+        return "not installed"
+
+
+def versions_here() -> dict[str, str]:
+    """Version of every package of PACKAGES in this process."""
+    return {name: installed_version(name) for name in PACKAGES}
+
+
+def expect_versions(
+    wanted: Mapping[str, str], found: Mapping[str, str] | None = None, where: str = "this worker"
+) -> None:
+    """Refuse to work with other packages than those of the process that gave the work.
+
+    Parameters
+    ----------
+    wanted : dict           versions there
+    found : dict or None    versions here, by :func:`versions_here` unless given
+    where : str             for the message
+
+    Raises
+    ------
+    InvalidOptionError
+    """
+    here = versions_here() if found is None else found
+    other = [name for name in wanted if here.get(name) != wanted[name]]
+    if other:
+        name = other[0]
+        msg = (
+            f"{where} has {name} {here.get(name, 'not installed')} ({len(other)} packages differ); "
+            f"expected {wanted[name]} as in this process, try installing the same there"
+        )
+        raise InvalidOptionError(msg)

@@ -1,0 +1,271 @@
+"""One mesh in blocks: every cell is inside one in some round, the whole keeps the promise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from typing import Any
+
+import meshio
+import numpy as np
+import pytest
+import tet_meshes
+
+import odt_plugins
+from odt_plugins.compare.start import ball, plate, stored
+from odt_plugins.distributed import optimize as blocks_module
+from odt_plugins.distributed.block import Block, Improved, improve
+from odt_plugins.distributed.glue import Whole, labels, one_round
+from odt_plugins.distributed.optimize import run_blocks
+from odt_plugins.distributed.partition import bricks, clusters, groups, shared_vertices
+from odt_plugins.errors import InvalidMeshError, InvalidOptionError, UnsupportedMeshError
+from odt_plugins.mesh import SimplexMesh, simplex_mesh
+from odt_plugins.options import Options
+from odt_plugins.promise import broken_promises
+
+
+@pytest.fixture
+def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let small meshes be cut."""
+    monkeypatch.setattr(blocks_module, "LEAST_CELLS", 300)
+
+
+def mesh_of(n: int, **given: Any) -> SimplexMesh:
+    start = ball(n)
+    return simplex_mesh(start.points, start.cells, **given)[0]
+
+
+def figures(points: Any, cells: Any) -> dict[str, float]:
+    q = tet_meshes.quality(points, cells)
+    return {"mean": q.mean(), "p1": np.quantile(q, 0.01), "min": q.min()}
+
+
+def unchanged(block: Block) -> Improved:
+    mesh = block.mesh
+    return Improved(mesh.points, mesh.cells, mesh.regions, block.density, {}, None)
+
+
+@pytest.mark.parametrize(("count", "shift"), [(1, 0.0), (2, 0.3), (3, 0.0), (7, 0.6), (16, 0.9)])
+def test_bricks_hold_equal_numbers_of_cells(count, shift):
+    mesh = mesh_of(200)
+    label = bricks(mesh.points, mesh.cells, count, shift)
+    sizes = np.bincount(label, minlength=count)
+    assert len(sizes) == count
+    assert sizes.max() - sizes.min() <= np.ceil(np.log2(count + 1))
+
+
+def test_bricks_are_cut_elsewhere_when_shifted_and_do_not_depend_on_the_order_of_the_cells():
+    mesh = mesh_of(4000)
+    first, second = (bricks(mesh.points, mesh.cells, 2, shift) for shift in (0.0, 0.5))
+    n = len(mesh.points)
+    cut = [shared_vertices(mesh.cells, label, n) for label in (first, second)]
+    assert (cut[0] & cut[1]).sum() < 0.05 * cut[0].sum()
+    order = np.random.default_rng(3).permutation(len(mesh.cells))
+    assert (bricks(mesh.points, mesh.cells[order], 5, 0.4)
+            == bricks(mesh.points, mesh.cells, 5, 0.4)[order]).mean() > 0.999
+
+
+def test_shared_vertices_are_those_of_cells_of_several_labels():
+    mesh = mesh_of(100)
+    label = bricks(mesh.points, mesh.cells, 3) - 1
+    held = shared_vertices(mesh.cells, label, len(mesh.points))
+    for v in range(len(mesh.points)):
+        assert held[v] == (len({*label[(mesh.cells == v).any(axis=1)].tolist()}) > 1)
+
+
+def test_clusters_are_whole_components():
+    cells = np.array([[0, 1, 2, 3], [3, 4, 5, 6], [10, 11, 12, 13], [20, 21, 22, 23]])
+    label = clusters(cells, 2)
+    assert label[0] == label[1]
+    assert set(label.tolist()) == {0, 1}
+    assert [g.tolist() for g in groups(np.array([2, -1, 0, 2]))] == [[2], [0, 3]]
+
+
+@pytest.mark.parametrize(("count", "rounds"), [(2, 2), (5, 2), (8, 3), (20, 3), (20, 4)])
+def test_every_vertex_is_inside_a_block_in_some_round(count, rounds):
+    mesh = mesh_of(900)
+    n = len(mesh.points)
+    inside = np.zeros(n, dtype=bool)
+    whole = Whole(mesh, None, np.ones(n, dtype=bool))
+    for index in range(rounds):
+        label = labels(whole, count, index, rounds)
+        # Slow twin: all cells around the vertex are in one block.
+        stars = [label[np.flatnonzero((whole.mesh.cells == v).any(axis=1))]
+                 for v in np.flatnonzero(~inside)]
+        inside[~inside] = [s.min() >= 0 and s.min() == s.max() for s in stars]
+        whole, traffic = one_round(whole, label, Options(), 1.0, lambda _, b: map(unchanged, b))
+        assert (whole.waiting == ~inside).all()
+        assert traffic.cells == (label >= 0).sum()
+    assert inside.all()
+
+
+def test_gluing_what_was_cut_gives_the_mesh_back():
+    mesh = mesh_of(500, regions=np.arange(len(ball(500).cells)) % 3)
+    whole = Whole(mesh, np.arange(len(mesh.points), dtype=float), np.ones(len(mesh.points), bool))
+    label = bricks(mesh.points, mesh.cells, 4)
+    label[::7] = -1
+    glued, _ = one_round(whole, label, Options(), 1.0, lambda _, b: map(unchanged, b))
+    assert np.array_equal(glued.mesh.points, mesh.points)
+    assert np.array_equal(glued.density, whole.density)
+    rows = [sorted(zip(m.cells.tolist(), m.regions.tolist(), strict=True))
+            for m in (mesh, glued.mesh)]
+    assert rows[0] == rows[1]
+
+
+def moved_rim(result: Improved) -> Improved:
+    return replace(result, points=result.points + 1e-3)
+
+
+def other_vertices(result: Improved) -> Improved:
+    return replace(result, points=result.points[1:])
+
+
+def foreign_cells(result: Improved) -> Improved:
+    return replace(result, cells=result.cells + len(result.points))
+
+
+@pytest.mark.parametrize("spoil", [moved_rim, other_vertices, foreign_cells])
+def test_a_result_that_does_not_fit_its_block_is_refused(spoil):
+    mesh = mesh_of(200)
+    whole = Whole(mesh, None, np.ones(len(mesh.points), dtype=bool))
+    label = bricks(mesh.points, mesh.cells, 2)
+    with pytest.raises(InvalidMeshError, match="block 0 does not fit"):
+        one_round(whole, label, Options(), 1.0, lambda _, b: map(lambda x: spoil(unchanged(x)), b))
+
+
+@pytest.mark.parametrize("name", ["bunny", "ball"])
+def test_blocks_are_about_as_good_as_one_piece(name):
+    start = ball(5000) if name == "ball" else stored(name)
+    one, blocks = (
+        figures(*result) for result in (
+            odt_plugins.optimize((start.points, start.cells)),
+            odt_plugins.optimize_partitioned((start.points, start.cells), 4),
+        )
+    )
+    assert abs(one["mean"] - blocks["mean"]) <= 0.003
+    assert abs(one["p1"] - blocks["p1"]) <= 0.01
+
+
+def backwards(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
+    """Finish the last block first."""
+    work = list(items)
+    done = [function(item) for item in reversed(work)]
+    return reversed(done)
+
+
+def test_the_whole_keeps_the_promise_in_any_order_of_completion(small_blocks):
+    start = ball(900)
+    rng = np.random.default_rng(5)
+    m = len(start.cells)
+    x = start.points[start.cells].mean(axis=1)
+    selection = np.linalg.norm(x - [0.5, 0.0, 0.0], axis=1) > 0.25
+    fixed = rng.random(len(start.points)) < 0.05
+    mesh = simplex_mesh(start.points, start.cells, regions=(x[:, 0] > 0.0).astype(int),
+                        fixed=fixed, selection=selection)[0]
+    assert 0 < selection.sum() < m
+    options = Options()
+    outcome = run_blocks(mesh, options, 5, 3, map)
+    assert not broken_promises(mesh, outcome.points, outcome.cells, outcome.regions)
+    assert outcome.counts["blocks"] > 5
+    assert (outcome.points != start.points).any(axis=1).sum() > 0.2 * len(start.points)
+    other = run_blocks(mesh, options, 5, 3, backwards)
+    for a, b in zip((outcome.points, outcome.cells, outcome.regions),
+                    (other.points, other.cells, other.regions), strict=True):
+        assert np.array_equal(a, b)
+
+
+def test_a_round_that_breaks_the_promise_of_the_whole_is_given_up(small_blocks):
+    mesh = mesh_of(900)
+    calls = [0]
+
+    def spoiled(function: Any, items: Iterable[Block]) -> Iterator[Improved]:
+        calls[0] += 1
+        for block in items:
+            result = function(block)
+            if calls[0] == 3:
+                free = ~block.mesh.fixed
+                centre = result.points.mean(axis=0)
+                points = result.points.copy()
+                points[free] = centre
+                result = replace(result, points=points)
+            yield result
+
+    outcome = run_blocks(mesh, Options(), 5, 3, spoiled)
+    assert "a later round was given up" in outcome.fallback
+    assert not broken_promises(mesh, outcome.points, outcome.cells, outcome.regions)
+    two = run_blocks(mesh, Options(), 5, 3, lambda f, b: map(f if calls.append(1) or
+                     len(calls) < 4 else unchanged, b))
+    assert np.array_equal(outcome.points, two.points)
+
+
+def test_data_of_the_caller_come_through(small_blocks):
+    start = ball(700)
+    m = len(start.cells)
+    part = (start.points[start.cells].mean(axis=1)[:, 2] > 0.0).astype(np.int32)
+    mesh = meshio.Mesh(start.points.astype(np.float32), [("tetra", start.cells)],
+                       point_data={"id": np.arange(len(start.points))},
+                       cell_data={"marker": [part], "x": [np.arange(m, dtype=float)]})
+    seen: list[tuple[str, float]] = []
+    result, report = odt_plugins.optimize_partitioned_with_report(
+        mesh, 3, odt={"progress": lambda stage, share: seen.append((stage, share))}
+    )
+    assert type(result) is meshio.Mesh
+    assert result.points.dtype == np.float32
+    assert np.array_equal(result.point_data["id"], np.arange(len(start.points)))
+    volume = [np.bincount(k.cell_data["marker"][0], tet_meshes.signed_volumes(
+        k.points.astype(float), k.cells[0].data)) for k in (mesh, result)]
+    assert volume[1] == pytest.approx(volume[0], rel=1e-5)
+    assert report.after.mean_quality > report.before.mean_quality + 0.1
+    assert {name for name, _ in seen} == {"round 1", "round 2", "round 3"}
+    assert report.counts["bytes sent"] > 24 * m
+
+
+@pytest.mark.parametrize("density", ["keep", "uniform", "vertices", "cells", "function"])
+def test_densities_come_through(small_blocks, density):
+    start = ball(500)
+    given: Any = {"vertices": 1.0 + start.points[:, 0] ** 2,
+                  "cells": 1.0 + np.arange(len(start.cells)) / len(start.cells),
+                  "function": lambda x: 1.0 + x[:, 1] ** 2}.get(density, density)
+    selection = np.arange(len(start.cells) - 50)
+    before = figures(start.points, start.cells)
+    result = odt_plugins.optimize_partitioned(
+        (start.points, start.cells), 3, odt={"density": given, "selection": selection}
+    )
+    assert figures(*result)["mean"] > before["mean"] + 0.1
+
+
+def test_a_density_is_carried_with_the_vertices():
+    start = ball(500)
+    mesh = simplex_mesh(start.points, start.cells)[0]
+    linear = 2.0 + mesh.points @ [0.3, -0.2, 0.5]
+    block = Block(mesh, linear, Options(), -5.0, {})
+    result = improve(block)
+    assert (result.points != mesh.points).any()
+    assert np.allclose(result.density, 2.0 + result.points @ [0.3, -0.2, 0.5], rtol=1e-12)
+
+
+def test_planar_meshes_and_small_ones_work_too(small_blocks):
+    start = plate(2000)
+    before, after = (odt_plugins.measure(m) for m in (
+        (start.points, start.cells),
+        odt_plugins.optimize_partitioned((start.points, start.cells), 3),
+    ))
+    assert after.mean_quality > before.mean_quality + 0.02
+    tiny = ball(60)
+    a = odt_plugins.optimize_partitioned((tiny.points, tiny.cells), 4)
+    b = odt_plugins.optimize((tiny.points, tiny.cells))
+    assert all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
+
+
+def test_what_does_not_go_with_blocks_is_refused():
+    start = ball(60)
+    mesh = (start.points, start.cells)
+    for wrong in ({"blocks": 0}, {"blocks": 2.0}, {"blocks": 2, "rounds": 0},
+                  {"blocks": 2, "workers": -1}, {"blocks": 2, "odt": {"insert": True}},
+                  {"blocks": 2, "odt": {"boundary": "slide"}}, {"blocks": 2, "odt": {"rings": 1}},
+                  {"blocks": 2, "workers": 2, "odt": {"density": lambda x: x[:, 0]}}):
+        with pytest.raises(InvalidOptionError, match="expected"):
+            odt_plugins.optimize_partitioned(mesh, **wrong)
+    surface = stored("bunny-surface")
+    with pytest.raises(UnsupportedMeshError, match="curved surface"):
+        odt_plugins.optimize_partitioned((surface.points, surface.cells), 2)
