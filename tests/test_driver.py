@@ -82,7 +82,8 @@ def assert_promise(mesh, outcome, keep=True):
         )
     if keep:
         before, after = measure(mesh.points, mesh.cells), measure(outcome.points, outcome.cells)
-        assert (after >= before - 1e-7 * np.abs(before)).all(), (before, after)
+        rounding = np.array([2e-15, 2e-15, 2e-15, 2e-13, 2e-13])
+        assert (after >= before - 1e-7 * np.abs(before) - rounding).all(), (before, after)
 
 
 def start(d, seed=5):

@@ -16,12 +16,12 @@ from test_driver import assert_promise, mesh_of
 from test_flips2d import grid
 from test_flips3d import OPEN, assert_sound, complex_of
 from test_measures import TWINS
-from test_robustness import CLOUDS, delaunay
 from test_smooth2d import MEASURES
 from test_smooth3d import interior
 
 import odt_plugins
 from odt_plugins import cli
+from odt_plugins.compare.hard import CLOUDS, delaunay
 from odt_plugins.engine import driver
 from odt_plugins.engine.adjacency import cell_neighbors
 from odt_plugins.engine.coloring import vertex_coloring
@@ -160,9 +160,9 @@ def test_each_objective_is_better_in_its_own_figure(source, below):
 
 
 @pytest.mark.parametrize("objective", OTHERS)
-@pytest.mark.parametrize("name", ["clustered", "needles", "shell", "lattice"])
+@pytest.mark.parametrize("name", ["clusters", "needles", "shells", "almost a lattice"])
 def test_the_promise_stands_on_hard_clouds(d, objective, name):
-    points, cells = delaunay(CLOUDS[name](np.random.default_rng(1), d))
+    points, cells = delaunay(CLOUDS[name](np.random.default_rng(1), d, 350))
     mesh = mesh_of(points, cells)
     assert_promise(mesh, run(mesh, Options(objective=objective)))
 

@@ -2,74 +2,74 @@
 
 from __future__ import annotations
 
+import json
+from pathlib import Path
+
+import meshio
 import numpy as np
-import planar_meshes as pm
 import pytest
 import tet_meshes as tm
-from scipy.spatial import Delaunay
+from click.testing import CliRunner
+from hypothesis import given
+from hypothesis import strategies as st
+from strategies import SEEDS
 from test_driver import assert_promise, measure, mesh_of, volumes
 
+from odt_plugins.cli import cli
+from odt_plugins.compare import robustness
+from odt_plugins.compare.hard import CLOUDS, delaunay, hard_meshes
 from odt_plugins.engine.driver import run
+from odt_plugins.errors import MeshFileError
+from odt_plugins.mesh import simplex_mesh
 from odt_plugins.options import Options
 
+DATA = Path(__file__).parent / "data"
 
-def delaunay(points):
-    """Delaunay cells of points, positive, flat ones left out."""
-    cells = Delaunay(points).simplices
-    return points, (pm if points.shape[1] == 2 else tm).oriented(points, cells)
+HARD = {mesh.name: mesh for mesh in hard_meshes(200)}
 
-
-def clustered(rng, dim):
-    centers = rng.random((6, dim))
-    return np.vstack([c + 10.0 ** rng.uniform(-4, -1) * rng.normal(size=(60, dim))
-                      for c in centers])
+HOPELESS = {"very thin plate, space"}
+"""Delaunay mesh of random points in a plate far thinner than its cells are wide."""
 
 
-def flattened(rng, dim, factor):
-    points = rng.random((400, dim))
-    points[:, -1] *= factor
-    return points
+@pytest.mark.parametrize("name", HARD)
+def test_hard_meshes(name):
+    hard = HARD[name]
+    mesh = mesh_of(hard.points, hard.cells, hard.regions)
+    outcome = run(mesh, Options())
+    assert_promise(mesh, outcome)
+    before, after = measure(mesh.points, mesh.cells), measure(outcome.points, outcome.cells)
+    assert after[2] > before[2] or name in HOPELESS
 
 
-def needles(rng, dim):
-    points = rng.random((300, dim))
-    points[:, 0] *= 50.0
-    return points
+def tetwild(name):
+    stored = meshio.read(DATA / f"{name}.vtu")
+    cells = stored.cells_dict["tetra"]
+    return simplex_mesh(np.array(stored.points, dtype=float), cells, orient=True)[0]
 
 
-def graded(rng, dim):
-    return rng.random((400, dim)) ** 3
+TETWILD = ["bone05", "tetwild_bunny", "tetwild_csg", "tetwild_cube", "tetwild_airplane"]
 
 
-def lattice(rng, dim):
-    axes = [np.arange(6.0)] * dim
-    points = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, dim)
-    return points + 1e-3 * rng.uniform(-1, 1, points.shape)
+@pytest.mark.parametrize("name", TETWILD)
+def test_meshes_of_tetwild(name):
+    mesh = tetwild(name)
+    outcome = run(mesh, Options())
+    assert_promise(mesh, outcome)
+    before, after = measure(mesh.points, mesh.cells), measure(outcome.points, outcome.cells)
+    assert after[2] > before[2] + 0.02
 
 
-def sphere_shell(rng, dim):
-    points = rng.normal(size=(300, dim))
-    points /= np.linalg.norm(points, axis=1)[:, None]
-    return np.vstack([points, 0.5 * points[:100]])
-
-
-CLOUDS = {
-    "clustered": clustered,
-    "thin plate": lambda rng, dim: flattened(rng, dim, 0.02),
-    "very thin plate": lambda rng, dim: flattened(rng, dim, 1e-4),
-    "needles": needles,
-    "graded": graded,
-    "lattice": lattice,
-    "shell": sphere_shell,
-}
-
-
-@pytest.mark.parametrize("name", CLOUDS)
-@pytest.mark.parametrize("seed", [1, 2])
-def test_delaunay_of_hard_clouds(d, name, seed):
-    points, cells = delaunay(CLOUDS[name](np.random.default_rng(seed), d))
-    mesh = mesh_of(points, cells)
-    assert_promise(mesh, run(mesh, Options()))
+def test_a_very_thin_plate_gains_where_its_quantile_may_fall():
+    plate = HARD["very thin plate, space"]
+    mesh = mesh_of(plate.points, plate.cells)
+    kept, free = (run(mesh, Options(keep=keep)) for keep in
+                  (Options().keep, ("min_quality", "mean_quality", "min_angle", "max_angle")))
+    assert kept.cells.tobytes() == mesh.cells.tobytes()
+    assert "p1_quality" in kept.fallback
+    assert_promise(mesh, free, keep=False)
+    before, after = measure(mesh.points, mesh.cells), measure(free.points, free.cells)
+    assert after[2] > 1.5 * before[2]
+    assert after[0] >= before[0] - 2e-15
 
 
 def pressed(points, cells, rng, angle):
@@ -131,9 +131,35 @@ def test_two_parts_that_touch_in_a_vertex_or_an_edge():
     assert measure(outcome.points, outcome.cells)[2] > measure(points, cells)[2]
 
 
+@given(st.sampled_from(sorted(CLOUDS)), st.sampled_from([2, 3]), SEEDS,
+       st.sampled_from([1e-9, 1.0, 1e9]), st.sampled_from([0.0, 1e3]),
+       st.lists(st.floats(-2.0, 2.0), min_size=3, max_size=3))
+def test_the_promise_holds_for_any_cloud(name, d, seed, scale, shift, stretch):
+    rng = np.random.default_rng(seed)
+    cloud = CLOUDS[name](rng, d, 60) * 10.0 ** np.array(stretch[:d])
+    points, cells = delaunay((cloud + shift) * scale)
+    mesh = mesh_of(points, cells, rng.integers(0, 2, len(cells)).astype(np.int32)
+                   if seed % 4 == 0 else None)
+    assert_promise(mesh, run(mesh, Options()))
+
+
+@pytest.mark.parametrize(("scale", "shift"), [(1e-9, 0.0), (1e9, 0.0), (1.0, 1e6)])
+@pytest.mark.parametrize("name", ["bone05", "tetwild_csg", "tetwild_airplane"])
+def test_result_does_not_depend_on_unit_and_place(name, scale, shift):
+    mesh = tetwild(name)
+    points = (mesh.points - mesh.points.min(axis=0) + shift) - shift
+    here = run(mesh_of(points, mesh.cells), Options())
+    there = run(mesh_of(points * scale + shift, mesh.cells), Options())
+    assert_promise(mesh_of(points * scale + shift, mesh.cells), there)
+    assert there.cells.tobytes() == here.cells.tobytes()
+    span = np.ptp(points)
+    error = np.abs((there.points - shift) / scale - here.points).max() / span
+    assert error < (1e-9 if shift else 1e-12)
+
+
 @pytest.mark.parametrize("scale", [1e-9, 1e9])
 @pytest.mark.parametrize("shift", [0.0, 1e6])
-def test_result_does_not_depend_on_unit_and_place(d, scale, shift):
+def test_stage_one_does_not_depend_on_unit_and_place(d, scale, shift):
     points, cells = delaunay(np.random.default_rng(3).random((200, d)))
     points = points.astype(np.float32).astype(float)
     here = run(mesh_of(points, cells), Options(rounds=3, finish=False))
@@ -145,3 +171,50 @@ def test_result_does_not_depend_on_unit_and_place(d, scale, shift):
     assert (volumes(there.points, there.cells) > 0).all()
     assert there.cells.tobytes() == here.cells.tobytes()
     assert there.points / scale - shift == pytest.approx(here.points, abs=1e-6 if shift else 1e-9)
+
+
+def test_the_command_tells_of_every_mesh_whether_the_promise_holds(tmp_path, monkeypatch):
+    optimize = robustness.optimize_with_report
+
+    def careless(mesh, **options):
+        (points, cells, regions), report = optimize(mesh, **options)
+        if len(points) == 8384:
+            points[cells[0, 0]] += 1.0
+        return (points, cells, regions), report
+
+    monkeypatch.setattr(robustness, "optimize_with_report", careless)
+    said = []
+    table = robustness.run_hard(tmp_path, 1, said.append, size=40).splitlines()
+    rows = json.loads((tmp_path / robustness.FILE).read_text())["meshes"]
+    assert [row["name"] for row in rows] == said
+    assert len(rows) == len(HARD) + 3
+    assert [row["name"] for row in rows if row["broken"]] == ["bunny"]
+    lines = {row["name"]: next(line for line in table if line.startswith(row["name"]))
+             for row in rows}
+    assert "moved" in lines["bunny"]
+    assert all("kept" in line for name, line in lines.items() if name != "bunny")
+    assert f"promise kept on {len(rows) - 1} of {len(rows)}" in table[-1]
+    for row in rows[:3]:
+        assert row["after"]["mean_quality"] > row["before"]["mean_quality"]
+        assert not row["unchanged"]
+
+
+def test_the_command_runs_on_meshes_of_its_own(monkeypatch, tmp_path):
+    asked = []
+    monkeypatch.setattr(robustness, "run_hard",
+                        lambda out, threads, say: asked.append((out, threads)) or "table")
+    runner = CliRunner()
+    done = runner.invoke(cli, ["compare", "--suite", "hard", "--out", str(tmp_path)])
+    assert done.exit_code == 0, done.output
+    assert "table" in done.output
+    assert asked == [(tmp_path, 1)]
+    refused = runner.invoke(cli, ["compare", "--suite", "hard", "--against", "gmsh"])
+    assert refused.exit_code != 0
+    assert "give no MESH and no --against" in refused.output
+
+
+def test_the_command_says_where_it_cannot_write(tmp_path, monkeypatch):
+    monkeypatch.setattr(robustness, "_meshes", lambda size: iter(()))
+    (tmp_path / "file").write_text("")
+    with pytest.raises(MeshFileError, match="cannot write into"):
+        robustness.run_hard(tmp_path / "file", 1, print)

@@ -25,13 +25,14 @@ from odt_plugins.compare.runner import Limits
 from odt_plugins.compare.start import SEED, read_start
 from odt_plugins.compare.start import suite as suite_meshes
 
-CHOSEN_SUITES = ("standard", "large")
+CHOSEN_SUITES = ("standard", "large", "hard")
 
 
 @click.command()
 @click.argument("sources", metavar="[MESH]...", nargs=-1, type=click.Path(path_type=Path))
 @click.option("--suite", type=click.Choice(CHOSEN_SUITES),
-              help="Start meshes of the package: modest ones of every kind, or millions of cells.")
+              help="Start meshes of the package: modest ones of every kind, millions of cells, or "
+                   "hard ones, on which odt-plugins alone is run and its promise checked.")
 @click.option("--against", metavar="TOOL", multiple=True,
               help="Compare with this tool only (gmsh, netgen, mmg, cgal, tetwild, laplacian, "
                    "pymeshlab, open3d, odt-plugins, or the name of a row); may be repeated. "
@@ -78,6 +79,8 @@ def compare(
     check_page()
     if scaling:
         return _run_scaling(out, smallest, largest, threads, parts)
+    if suite == "hard":
+        return _run_hard(out, threads, alone=not (sources or against))
     if not sources and suite is None:
         msg = "nothing to compare on; give a mesh file, or --suite standard"
         raise click.UsageError(msg)
@@ -197,4 +200,15 @@ def _run_scaling(
     click.echo(run_scaling(out, largest, threads, say=click.echo, smallest=smallest,
                            parts=parts or tuple(PARTS)))
     click.echo("written: " + ", ".join(str(out / name) for name in FILES))
+    return 0
+
+
+def _run_hard(out: Path, threads: int, *, alone: bool) -> int:
+    from odt_plugins.compare.robustness import FILE, run_hard
+
+    if not alone:
+        msg = "--suite hard runs odt-plugins on its own meshes; give no MESH and no --against"
+        raise click.UsageError(msg)
+    click.echo(run_hard(out, threads, say=lambda name: click.echo(name, err=True)))
+    click.echo(f"written: {out / FILE}")
     return 0

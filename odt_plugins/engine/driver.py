@@ -19,7 +19,7 @@ from odt_plugins.engine.finishing import finish
 from odt_plugins.engine.geometry import boundary_vertices, interface_vertices
 from odt_plugins.engine.judge import Slid, envelope_length, faults, slides
 from odt_plugins.engine.order import curve_order
-from odt_plugins.engine.phases import Phase, bulk, cautious, descents, repair, tail
+from odt_plugins.engine.phases import WORST, Phase, bulk, cautious, descents, repair, tail
 from odt_plugins.engine.resampling import resample_in_rounds, with_spare_vertices
 from odt_plugins.engine.skin import Skin, make_skin
 from odt_plugins.engine.smoothing import Log, smooth
@@ -253,7 +253,7 @@ def run(mesh: SimplexMesh, options: Options) -> Outcome:
         if pool is not None:
             pool.shutdown()
     clock = time.perf_counter()
-    outcome = _best(mesh, frame, inner_locked, memory, options, log, reason)
+    outcome = _best(mesh, frame, memory, options, log, reason)
     times["check"] = time.perf_counter() - clock
     outcome = replace(outcome, times=times, energy=log.energy, counts=log.counts)
     if skin is None or outcome.slid is not None:
@@ -409,13 +409,18 @@ def _finishing_alone(
     """Improve the input by stage 2 alone, which never leaves the extremes of the input.
 
     New cells are also held to a multiple of the 1 % quantile, or that figure of a mesh full of
-    flat cells falls as soon as the number of cells does.
+    flat cells falls as soon as the number of cells does. Where it falls all the same, the worst
+    cells are taken first and the mean is regained.
     """
     clock = time.perf_counter()
     strict = bounds.copy()
     strict[0] = max(bounds[0], min(LOCKED_QUALITY, 100.0 * memory.before.p1_quality))
-    for phase in cautious(mesh.dim, options.objective):
+    schedule = cautious(mesh.dim, options.objective)
+    for phase in (schedule[0], *schedule):
         _finish(mesh, (phase,), strict, log, pool, options.threads)
+        if memory.offer(mesh, "finishing alone") or "mean_quality" in memory.worse:
+            continue
+        _finish(mesh, (WORST,), strict, log, pool, options.threads)
         memory.offer(mesh, "finishing alone")
     times["finishing alone"] = time.perf_counter() - clock
 
@@ -430,17 +435,16 @@ def silent(stage: str, share: float) -> None:
 
 
 def _best(
-    mesh: SimplexMesh, frame: Frame, locked: BoolArray, memory: Memory, options: Options,
-    log: Log, reason: str,
+    mesh: SimplexMesh, frame: Frame, memory: Memory, options: Options, log: Log, reason: str
 ) -> Outcome:
     """The best remembered state that keeps the promise, at worst the input."""
     broken: list[str] = [f"{name} would be worse" for name in memory.worse]
     for rank, state in enumerate(memory.states):
         points = mesh.points.copy()
-        n = len(locked)
         start = frame.inside(mesh.points[frame.vertices])
-        free = (state.points[:n] != start).any(axis=1) if slides(mesh, options) else ~locked
-        points[frame.vertices[free]] = frame.outside(state.points[:n][free])
+        n = len(start)
+        moved = (state.points[:n] != start).any(axis=1)
+        points[frame.vertices[moved]] = frame.outside(state.points[:n][moved])
         outcome = _in_caller_terms(mesh, frame, points, state)
         broken_now, slid = faults(
             mesh, outcome.points, outcome.cells, outcome.regions, options, outcome.origin

@@ -97,6 +97,9 @@ def cautious(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ..
     return general if objective == "radius_ratio" else general + tail(dim, objective)
 
 
+WORST = Phase(4.0, 0.015, 2, 3, 3)
+"""For a mesh with a better mean but a worse tail: about the cells that make the 1 % quantile."""
+
 def descents(dim: int, objective: Objective = "radius_ratio") -> tuple[Descent, ...]:
     """What follows the bulk; the best of the results is taken.
 
