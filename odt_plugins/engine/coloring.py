@@ -46,6 +46,12 @@ def _touching(cells: IntArray, movable: BoolArray, bits: int, touch: BoolArray) 
     for c in range(cells.shape[0]):
         if cells[c, 0] < 0:
             continue
+        lowest = highest = cells[c, 0] >> bits
+        for a in range(1, k):
+            lowest = min(lowest, cells[c, a] >> bits)
+            highest = max(highest, cells[c, a] >> bits)
+        if lowest == highest:
+            continue
         for a in range(1, k):
             v = cells[c, a]
             for b in range(a):

@@ -28,6 +28,8 @@ DEEP = 2.0
 """A descent that is still this many times the worst cell's own cost down is given up."""
 HOPELESS = 10.0
 """A forced flip may raise the cost by this many times the worst cell's own."""
+SAME = 1e-9
+"""A descent is given up, too, when its flips won back all but this part of what was lost."""
 GAIN = 1e-3
 """Least gain, as part of the worst cell's own cost, for which a compound move stays."""
 
@@ -103,7 +105,8 @@ def descend_around(
     ----------
     fresh, n_fresh        the cells, in the first entries of fresh
     total : float         gain of the forced operation
-    floor : float         the descent is given up when the gain is still below after its flips
+    floor : float         the descent is given up when the gain is still below after its flips,
+                          or when these led back to where it was before the forced operation
     scratch : Scratch     touched cells, star, positions to go back to and their vertices, ...
 
     Returns
@@ -114,6 +117,7 @@ def descend_around(
     touched, star, undo, undo_vertex, seen, out, step = scratch
     around = work[1]
     n_touched = push(touched, 0, fresh, n_fresh)
+    forced = total
     n_undo = 0
     flips = 0
     for _ in range(ROUNDS):
@@ -133,7 +137,7 @@ def descend_around(
                 flips += 1
                 n_touched = push(touched, n_touched, around, n_new)
                 m = 0
-        if total < floor:
+        if total < floor or abs(total) < SAME * abs(forced):
             break
         n_seen = 0
         for m in range(n_touched):

@@ -17,7 +17,7 @@ from odt_plugins.engine.complex import Complex
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.mesh import BoolArray, ByteArray, IntArray, LongArray
 
-WORTH = 0.02
+WORTH = 0.08
 """Work at fewer cells than this part of all is done in one go."""
 
 LEFT, GONE = 254, 255
