@@ -290,8 +290,9 @@ def _check_vertices(t: IntArray) -> None:
 
 def _signs(p: FloatArray, t: IntArray) -> NDArray[np.int8]:
     """Sign of every signed volume, (m,) int8; raises when one of them is zero."""
-    used = np.unique(t)
-    span = float((p[used].max(axis=0) - p[used].min(axis=0)).max())
+    used = np.zeros(len(p), dtype=np.bool_)
+    used[t.ravel()] = True
+    span = float(np.ptp(p[used], axis=0).max())
     if span != 0.0 and not 1.0 / SPAN_LIMIT < span < SPAN_LIMIT:
         msg = (
             f"the mesh is {span:.1e} long; expected between {1 / SPAN_LIMIT:.0e} and "

@@ -33,13 +33,16 @@ def slow_size_field(points, cells, passes):
     return np.exp(log_h)
 
 
+def barycentric(corners, x):
+    inner = np.linalg.solve((corners[1:] - corners[0]).T, x - corners[0])
+    return np.concatenate([[1 - inner.sum()], inner])
+
+
 def slow_value(field, points, cells, x):
     """P1 interpolation by trying every cell."""
     best, value = -np.inf, None
     for cell in cells:
-        corners = points[cell]
-        inner = np.linalg.solve((corners[1:] - corners[0]).T, x - corners[0])
-        shares = np.concatenate([[1 - inner.sum()], inner])
+        shares = barycentric(points[cell], x)
         if shares.min() > best:
             best, value = shares.min(), shares @ field[cell]
     assert best > -1e-9
@@ -169,6 +172,12 @@ def test_asking_changes_nothing_and_travels(d):
     density.at(points)
     assert np.array_equal(density.at(moved), first)
     assert np.array_equal(pickle.loads(pickle.dumps(density)).at(moved), first)
+    walk = density.walk_start(len(points))
+    assert np.array_equal(density.at(moved, None, walk), first)
+    assert density.at(moved, None, walk) == pytest.approx(first, rel=1e-12)
+    for c, x in zip(walk, moved, strict=True):
+        assert barycentric(points[cells[c]], x).min() > -1e-9
+    assert np.array_equal(density.at(moved), first)
     points *= 0.0
     assert np.array_equal(density.at(moved), first)
 

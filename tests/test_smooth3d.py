@@ -10,7 +10,12 @@ import tet_meshes as tm
 
 from odt_plugins.engine.active import spread
 from odt_plugins.engine.coloring import vertex_coloring
-from odt_plugins.engine.smooth3d import add_quality_terms, smooth_vertices
+from odt_plugins.engine.smooth3d import (
+    add_quality_terms,
+    smooth_vertices,
+    star_state,
+    sure_quality,
+)
 from odt_plugins.engine.star import vertex_stars
 from odt_plugins.engine.tetrahedron import QUALITY
 
@@ -91,6 +96,51 @@ def test_bounds_hold_for_angles_too():
     now = tm.dihedral_angles(points, cells)
     assert now.min() >= angles.min() - 1e-7
     assert now.max() <= angles.max() + 1e-7
+
+
+def loose_tets(count, seed):
+    """Tetrahedra that share nothing, from nearly regular ones to needles and slivers."""
+    rng = np.random.default_rng(seed)
+    flat = 10.0 ** rng.uniform(-2.0, 0.0, size=(count, 1, 3))
+    points = (rng.normal(size=(count, 4, 3)) * flat).reshape(-1, 3)
+    return points, tm.oriented(points, np.arange(4 * count, dtype=np.int32).reshape(-1, 4))
+
+
+def test_no_cell_is_sure_to_keep_bounds_that_it_breaks():
+    points, cells = loose_tets(20000, 3)
+    quality, angles = tm.quality(points, cells), tm.dihedral_angles(points, cells)
+    low, high = np.cos(np.radians(angles.min(axis=1))), np.cos(np.radians(angles.max(axis=1)))
+    for a, b, q in zip(low, high, quality, strict=True):
+        assert sure_quality(np.array([0.0, a, -1.0])) >= q
+        assert sure_quality(np.array([0.0, 1.0, b])) >= q
+
+
+def test_bounds_on_one_side_of_a_right_angle_leave_no_cell_sure():
+    assert sure_quality(np.array([0.0, -0.1, -0.9, 0.0, 1.0, -1.0])) > 1.0
+    assert sure_quality(np.array([0.0, 0.9, 0.1, 0.0, 1.0, -1.0])) > 1.0
+    assert sure_quality(OPEN) < 1e-5
+
+
+def test_the_state_of_a_star_is_the_sum_and_the_extremes():
+    points, cells = loose_tets(300, 8)
+    cells = cells[tm.quality(points, cells) > 1e-3]
+    star = np.arange(len(cells), dtype=np.int32)[::2]
+    quality, angles = tm.quality(points, cells)[star], tm.dihedral_angles(points, cells)[star]
+    costs = tm.cost(points, cells, 2.0)[star]
+    for sure in (2.0, 0.3):
+        asked = angles[quality < sure]
+        found = star_state(points, cells, star, 0, len(star), QUALITY, 2.0, np.inf, sure)
+        expected = (costs.sum(), quality.min(), np.cos(np.radians(asked.min())),
+                    np.cos(np.radians(asked.max())))
+        assert found == pytest.approx(expected, rel=1e-9)
+
+    def total(limit):
+        return star_state(points, cells, star, 0, len(star), QUALITY, 2.0, limit, 2.0)[0]
+
+    assert total(1.01 * costs.sum()) < np.inf
+    assert total(0.99 * costs.sum()) == np.inf
+    cells[star[3]] = cells[star[3]][[1, 0, 2, 3]]
+    assert total(np.inf) == np.inf
 
 
 def test_what_moved_wakes_its_neighbours_only():

@@ -14,6 +14,7 @@ from strategies import SEEDS, jittered, lattice, meshes
 from odt_plugins.engine import coloring
 from odt_plugins.engine.adjacency import cell_neighbors
 from odt_plugins.engine.geometry import boundary_facets, boundary_vertices
+from odt_plugins.engine.order import by_lowest_vertex, curve_order
 from odt_plugins.engine.star import star_average, star_sum, vertex_neighbors, vertex_stars
 from odt_plugins.engine.topology import make_topology
 from odt_plugins.errors import InvalidMeshError
@@ -28,6 +29,14 @@ def shuffled(mesh, seed):
     renamed = np.empty_like(points)
     renamed[names] = points
     return renamed, np.ascontiguousarray(np.roll(cells, int(rng.integers(3)), axis=1))
+
+
+def with_gaps(cells, seed):
+    """The cells with free slots among them, which keep old numbers behind their -1."""
+    places = np.random.default_rng(seed).integers(0, len(cells) + 1, 5)
+    free = np.full((5, cells.shape[1]), 1, dtype=np.int32)
+    free[:, 0] = -1
+    return np.insert(cells, places, free, axis=0)
 
 
 @given(meshes(), SEEDS)
@@ -110,6 +119,12 @@ def test_no_cell_has_vertices_in_two_blocks_of_one_color(mesh, seed):
         patch.setattr(coloring, "SMALLEST_BITS", bits)
         patch.setattr(coloring, "MOST_BLOCKS", len(points) + 1)
         found = coloring.vertex_coloring(cells, movable)
+        touch = coloring.touching_blocks(with_gaps(cells, seed), movable)
+        again = coloring.vertex_coloring(cells, movable, touch)
+    assert all(np.array_equal(a, b) for a, b in zip(found, again, strict=True))
+    pairs = {(a >> bits, b >> bits) for cell in cells for a in cell for b in cell
+             if movable[a] and movable[b] and a >> bits != b >> bits}
+    assert {(a, b) for a, b in np.argwhere(touch).tolist() if a != b} == pairs
     assert sorted(found.order) == np.flatnonzero(movable).tolist()
     blocks = [found.order[a:b] for a, b in pairwise(found.blocks)]
     assert all(len(b) and np.all(np.diff(b) > 0) and b[0] >> bits == b[-1] >> bits for b in blocks)
@@ -122,6 +137,19 @@ def test_no_cell_has_vertices_in_two_blocks_of_one_color(mesh, seed):
     for cell in cells:
         mine = cell[movable[cell]]
         assert len(set(color[mine])) == len(set(block[mine]))
+
+
+@given(meshes(), SEEDS)
+def test_cells_are_sorted_by_their_lowest_vertex(mesh, seed):
+    points, cells = shuffled(mesh, seed)
+    slots = with_gaps(cells, seed)
+    live = np.flatnonzero(slots[:, 0] >= 0)
+    expected = live[np.argsort(slots[live].min(axis=1), kind="stable")]
+    assert np.array_equal(by_lowest_vertex(slots, len(points)), expected)
+    vertices, order = curve_order(points, cells)
+    place = np.argsort(vertices)
+    assert sorted(order) == list(range(len(cells)))
+    assert np.all(np.diff(place[cells[order]].min(axis=1)) >= 0)
 
 
 def test_topology_leaves_vertices_without_cells_alone(d):

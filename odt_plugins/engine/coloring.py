@@ -41,7 +41,6 @@ class Coloring(NamedTuple):
 
 @kernel
 def _touching(cells: IntArray, movable: BoolArray, bits: int, touch: BoolArray) -> None:
-    """Mark pairs of blocks with movable vertices in one cell."""
     k = cells.shape[1]
     for c in range(cells.shape[0]):
         if cells[c, 0] < 0:
@@ -56,7 +55,7 @@ def _touching(cells: IntArray, movable: BoolArray, bits: int, touch: BoolArray) 
             v = cells[c, a]
             for b in range(a):
                 u = cells[c, b]
-                if u >> bits != v >> bits and movable[u] and movable[v]:
+                if movable[u] and movable[v]:
                     touch[u >> bits, v >> bits] = True
                     touch[v >> bits, u >> bits] = True
 
@@ -74,25 +73,51 @@ def _greedy(touch: BoolArray, color: IntArray, taken: IntArray) -> None:
         color[b] = low
 
 
-def vertex_coloring(cells: IntArray, movable: BoolArray) -> Coloring:
+def _block_bits(n: int) -> int:
+    bits = SMALLEST_BITS
+    while n >> bits >= MOST_BLOCKS:
+        bits += 1
+    return bits
+
+
+def touching_blocks(cells: IntArray, movable: BoolArray) -> BoolArray:
+    """Find out which blocks have movable vertices in one cell.
+
+    Parameters
+    ----------
+    cells : (m, d + 1) int32    a row that starts with -1 is a free slot
+    movable : (n,) bool
+
+    Returns
+    -------
+    (blocks, blocks) bool       symmetric; the diagonal means nothing
+    """
+    bits = _block_bits(len(movable))
+    count = (len(movable) >> bits) + 1
+    touch = np.zeros((count, count), dtype=np.bool_)
+    _touching(cells, movable, bits, touch)
+    return touch
+
+
+def vertex_coloring(
+    cells: IntArray, movable: BoolArray, touch: BoolArray | None = None
+) -> Coloring:
     """Put the movable vertices into blocks and colour these.
 
     Parameters
     ----------
-    cells : (m, d + 1) int32   a row that starts with -1 is a free slot
-    movable : (n,) bool        vertices to colour; the others do not take part
+    cells : (m, d + 1) int32     a row that starts with -1 is a free slot
+    movable : (n,) bool          vertices to colour; the others do not take part
+    touch : array, optional      from :func:`touching_blocks` of these or more vertices
 
     Returns
     -------
-    Coloring                   greedy in order of index: the same for the same mesh
+    Coloring                     greedy in order of index: the same for the same mesh
     """
+    if touch is None:
+        touch = touching_blocks(cells, movable)
     vertices = np.flatnonzero(movable)
-    bits = SMALLEST_BITS
-    while len(movable) >> bits >= MOST_BLOCKS:
-        bits += 1
-    count = (len(movable) >> bits) + 1
-    touch = np.zeros((count, count), dtype=np.bool_)
-    _touching(cells, movable, bits, touch)
+    bits, count = _block_bits(len(movable)), len(touch)
     color = np.zeros(count, dtype=np.int32)
     _greedy(touch, color, np.full(count + 1, -1, dtype=np.int32))
     size = np.bincount(vertices >> bits, minlength=count)

@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.engine.adjacency import cell_neighbors
-from odt_plugins.engine.order import make_slabs
+from odt_plugins.engine.order import by_lowest_vertex, make_slabs
 from odt_plugins.engine.skin import Skin
 from odt_plugins.engine.star import Stars, vertex_stars
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
@@ -117,8 +117,7 @@ def renumbered(mesh: Complex) -> Complex:
 
     Flips scatter the cells around a vertex over the memory; this brings them together again.
     """
-    live = mesh.live()
-    order = live[np.argsort(mesh.cells[live].min(axis=1), kind="stable")]
+    order = by_lowest_vertex(mesh.cells[: mesh.slots[0]], len(mesh.points))
     rank = np.full(len(mesh.cells) + 1, -1, dtype=np.int32)
     rank[order] = np.arange(len(order), dtype=np.int32)
     fresh = _with_room(

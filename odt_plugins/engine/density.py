@@ -47,6 +47,8 @@ def _interpolate(
 ) -> None:
     """P1 interpolation by walking from start[q] over the facet with the lowest coordinate.
 
+    The cell where the walk ends is left in start[q].
+
     Outside the mesh the coordinates of the best cell are clamped to it.
     """
     d = points.shape[1]
@@ -110,6 +112,7 @@ def _interpolate(
             total += share
             result += share * values[cells[best_cell, a]]
         out[q] = result / total
+        start[q] = best_cell
 
 
 @dataclass(frozen=True)
@@ -149,13 +152,28 @@ class Density:
     neighbors: IntArray
     start: IntArray
 
-    def at(self, points: FloatArray, pool: ThreadPoolExecutor | None = None) -> FloatArray:
+    def walk_start(self, count: int) -> IntArray:
+        """Cells of the input mesh from which to look for ``count`` points, (count,) int32."""
+        walk = np.zeros(count, dtype=np.int32)
+        known = min(count, self.start.size)
+        walk[:known] = self.start[:known]
+        return walk
+
+    def at(
+        self,
+        points: FloatArray,
+        pool: ThreadPoolExecutor | None = None,
+        walk: IntArray | None = None,
+    ) -> FloatArray:
         """Evaluate rho.
 
         Parameters
         ----------
         points : (k, d) float64    the vertices of the input mesh, moved; further points may follow
         pool                       see ``threads.run_ranges``
+        walk : (k,) int32, optional
+            from :meth:`walk_start` or the last call, for points that moved little since; the
+            cells where they are now are written to it
 
         Returns
         -------
@@ -177,9 +195,7 @@ class Density:
             return values
         if not self.field.size:
             return np.ones(len(points))
-        start = np.zeros(len(points), dtype=np.int32)
-        known = min(len(points), self.start.size)
-        start[:known] = self.start[:known]
+        start = self.walk_start(len(points)) if walk is None else walk
         values = np.empty(len(points))
         points = np.ascontiguousarray(points, dtype=np.float64)
 

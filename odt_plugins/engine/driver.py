@@ -158,8 +158,10 @@ def make_frame(mesh: SimplexMesh) -> tuple[Frame, IntArray]:
     """
     active = np.flatnonzero(~mesh.frozen)
     cells = mesh.cells[active]
-    used, number = np.unique(cells, return_inverse=True)
-    inner = np.asarray(number, dtype=np.int32).reshape(cells.shape)
+    mask = np.zeros(len(mesh.points), dtype=np.bool_)
+    mask[cells.ravel()] = True
+    used = np.flatnonzero(mask).astype(np.int32)
+    inner = (np.cumsum(mask, dtype=np.int32) - 1)[cells]
     points = mesh.points[used]
     vertices, order = curve_order(points, inner)
     rank = np.empty(len(used), dtype=np.int32)

@@ -16,7 +16,7 @@ from odt_plugins.engine import compound, flips3d, smooth3d
 from odt_plugins.engine.active import spread, vertices_of_pending
 from odt_plugins.engine.adjacency import cell_neighbors
 from odt_plugins.engine.cavity import DONE, UNKNOWN
-from odt_plugins.engine.coloring import vertex_coloring
+from odt_plugins.engine.coloring import touching_blocks, vertex_coloring
 from odt_plugins.engine.complex import PENDING, Complex, slot_stars
 from odt_plugins.engine.finish2d import finish2d
 from odt_plugins.engine.kernel import kernel
@@ -62,9 +62,8 @@ def flip_pending(
     costs = np.full(len(mesh.cells), UNKNOWN)
     for _ in range(passes):
         used = int(mesh.slots[0])
-        pending = np.flatnonzero(
-            (mesh.status[:used] == PENDING) & (mesh.cells[:used, 0] >= 0)
-        ).astype(np.int32)
+        pending = np.flatnonzero(mesh.status[:used] == PENDING).astype(np.int32)
+        pending = pending[mesh.cells[pending, 0] >= 0]
         if objective != ENERGY:
             q = measures(mesh, objective)[pending]
             pending = pending[np.lexsort((q, pending >> BLOCK_BITS))]
@@ -142,9 +141,10 @@ def descend(
         mesh.status[mesh.status == DONE] = 0
         stars = slot_stars(mesh)
         cells = mesh.cells[:used]
+        touch = touching_blocks(cells, zone)
         pushed = 0
         for _ in range(phase.sweeps):
-            coloring = vertex_coloring(cells, active & zone)
+            coloring = vertex_coloring(cells, active & zone, touch)
             moved[:] = 0.0
             work = partial(
                 _smooth_chunk, mesh.points, cells, stars, coloring.order, phase, bounds, moved

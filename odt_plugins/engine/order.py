@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.mesh import FloatArray, IntArray
+from odt_plugins.engine.kernel import kernel
+from odt_plugins.mesh import FloatArray, IntArray, LongArray
 
 BITS = 10
 
@@ -36,6 +37,40 @@ def morton_keys(points: FloatArray) -> NDArray[np.uint64]:
     return keys
 
 
+@kernel
+def _sort_by_lowest(cells: IntArray, start: LongArray, order: IntArray) -> None:
+    """Counting sort; start (n + 1,) holds zeros, free slots are left out."""
+    m, k = cells.shape
+    for turn in range(2):
+        for c in range(m):
+            if cells[c, 0] < 0:
+                continue
+            low = cells[c, 0]
+            for a in range(1, k):
+                low = min(low, cells[c, a])
+            if turn == 0:
+                start[low + 1] += 1
+            else:
+                order[start[low]] = c
+                start[low] += 1
+        if turn == 0:
+            for v in range(start.shape[0] - 1):
+                start[v + 1] += start[v]
+
+
+def by_lowest_vertex(cells: IntArray, n: int) -> IntArray:
+    """Order of the cells by their smallest vertex, (m',) int32.
+
+    Parameters
+    ----------
+    cells : (m, d + 1) int32    a row that starts with -1 is a free slot and is left out
+    n : int                     number of vertices
+    """
+    order = np.empty(int(np.count_nonzero(cells[:, 0] >= 0)), dtype=np.int32)
+    _sort_by_lowest(cells, np.zeros(n + 1, dtype=np.int64), order)
+    return order
+
+
 def curve_order(points: FloatArray, cells: IntArray) -> tuple[IntArray, IntArray]:
     """Orders that put neighbours in space next to each other in memory.
 
@@ -51,7 +86,7 @@ def curve_order(points: FloatArray, cells: IntArray) -> tuple[IntArray, IntArray
     vertices = np.argsort(morton_keys(points), kind="stable").astype(np.int32)
     rank = np.empty(len(points), dtype=np.int32)
     rank[vertices] = np.arange(len(points), dtype=np.int32)
-    return vertices, np.argsort(rank[cells].min(axis=1), kind="stable").astype(np.int32)
+    return vertices, by_lowest_vertex(rank[cells], len(points))
 
 
 def make_slabs(points: FloatArray) -> NDArray[np.uint8]:

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from odt_plugins.engine.kernel import allocating_kernel, kernel
-from odt_plugins.engine.smooth3d import add_cost_terms, star_cost, star_extremes
+from odt_plugins.engine.smooth3d import add_cost_terms, star_state
 from odt_plugins.engine.star import OffsetArray
 from odt_plugins.engine.surface.closest import Ground
 from odt_plugins.engine.surface.lines import Lines, line_direction
@@ -159,7 +159,9 @@ def _try_slide(
     x, y, z, foot = points[v, 0], points[v, 1], points[v, 2], sheet.foot[v]
     slot = lines.slot[v]
     place = lines.place[slot] if slot >= 0 else 0.0
-    worst, large, small = star_extremes(points, cells, indices, lo, hi)
+    _, worst, large, small = star_state(
+        points, cells, indices, lo, hi, objective, power, np.inf, 2.0
+    )
     least = min(bounds[0], worst)
     most = max(bounds[1], large)
     fewest = min(bounds[2], small)
@@ -172,11 +174,12 @@ def _try_slide(
         )
         there = swept = 0.0
         if good:
-            there = star_cost(points, cells, indices, lo, hi, objective, power, cost)
+            there, worst, large, small = star_state(
+                points, cells, indices, lo, hi, objective, power, cost, 2.0
+            )
             good = there < (1.0 - DECREASE) * cost and there <= cost + ARMIJO * alpha * slope
         if good:
             swept = swept_volume(sheet, sheet_indptr, sheet_indices, v, x, y, z)
-            worst, large, small = star_extremes(points, cells, indices, lo, hi)
             good = (
                 affordable(volume, swept)
                 and worst >= least

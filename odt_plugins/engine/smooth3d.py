@@ -28,6 +28,9 @@ from odt_plugins.mesh import FloatArray, IntArray, LongArray
 
 HALVINGS = 7
 
+ROUNDING = 1e-12
+"""By so much is 1 - cos^2 of an angle uncertain at most."""
+
 
 @kernel
 def add_quality_terms(
@@ -248,39 +251,56 @@ def _newton_direction(out: FloatArray, step: FloatArray) -> bool:
 
 
 @kernel
-def star_cost(
+def star_state(
     points: FloatArray, cells: IntArray, indices: IntArray, start: int, stop: int, objective: int,
-    power: float, limit: float,
-) -> float:
-    """Sum of the costs of cells indices[start:stop]; infinite above the limit or if inverted."""
+    power: float, limit: float, sure: float,
+) -> tuple[float, float, float, float]:
+    """Cost and extremes of the cells indices[start:stop].
+
+    Parameters
+    ----------
+    limit : float    a sum of costs above it is given up
+    sure : float     the angles of cells from this radius ratio on are not asked for
+
+    Returns
+    -------
+    cost : float                   sum of the costs; infinite above the limit or if inverted
+    worst, large, small : float    least radius ratio, largest and smallest dihedral cosine
+    """
     total = 0.0
-    for s in range(start, stop):
-        c = indices[s]
-        total += tet_cost(
-            points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], objective, power
-        )
-        if total >= limit:
-            return np.inf
-    return total
-
-
-@kernel
-def star_extremes(
-    points: FloatArray, cells: IntArray, indices: IntArray, start: int, stop: int,
-) -> tuple[float, float, float]:
-    """Worst q, largest and smallest dihedral cosine over cells indices[start:stop]."""
     worst = 1.0
     large = -1.0
     small = 1.0
     for s in range(start, stop):
         c = indices[s]
-        worst = min(
-            worst, tet_quality(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
-        )
-        hi, lo = tet_cosines(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
-        large = max(large, hi)
-        small = min(small, lo)
-    return worst, large, small
+        i, j, k, l = cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3]
+        q = tet_quality(points, i, j, k, l)
+        if q <= 1e-9:
+            return np.inf, worst, large, small
+        if objective == QUALITY:
+            total += quality_cost(q, power)
+        else:
+            total += tet_cost(points, i, j, k, l, objective, power)
+        if total >= limit:
+            return np.inf, worst, large, small
+        worst = min(worst, q)
+        if q < sure:
+            hi, lo = tet_cosines(points, i, j, k, l)
+            large = max(large, hi)
+            small = min(small, lo)
+    return total, worst, large, small
+
+
+@kernel
+def sure_quality(bounds: FloatArray) -> float:
+    """Radius ratio from which on no dihedral angle passes the bounds; above 1 if none is sure.
+
+    The sine of a dihedral angle is at least q/3 = r/R.  With A <= A' the faces at its edge e and S
+    the sum of all faces, sin = 3 V e / (2 A A'), 3 V = r S, S >= 2 A' since no face is larger than
+    the other three together, and A <= e R since no height in a circle is longer than 2 R.
+    """
+    cosine = max(min(bounds[1], -bounds[2]), 0.0)
+    return 3.0 * math.sqrt(max(1.0 - cosine * cosine, 0.0) + ROUNDING)
 
 
 @kernel
@@ -306,15 +326,17 @@ def newton_vertex(
     slope = out[1] * step[0] + out[2] * step[1] + out[3] * step[2]
     if -slope < 1e-9 * out[0]:
         return 0.0
+    sure = sure_quality(bounds)
     alpha = 1.0
     for _ in range(HALVINGS):
         points[v, 0] = x + alpha * step[0]
         points[v, 1] = y + alpha * step[1]
         points[v, 2] = z + alpha * step[2]
         limit = out[0] + 1e-4 * alpha * slope
-        cost = star_cost(points, cells, indices, lo, hi, objective, power, limit)
+        cost, worst, large, small = star_state(
+            points, cells, indices, lo, hi, objective, power, limit, sure
+        )
         if cost < out[0]:
-            worst, large, small = star_extremes(points, cells, indices, lo, hi)
             if worst >= bounds[0] and large <= bounds[1] and small >= bounds[2]:
                 return out[0] - cost
             new_x = points[v, 0]
@@ -323,7 +345,9 @@ def newton_vertex(
             points[v, 0] = x
             points[v, 1] = y
             points[v, 2] = z
-            old_worst, old_large, old_small = star_extremes(points, cells, indices, lo, hi)
+            _, old_worst, old_large, old_small = star_state(
+                points, cells, indices, lo, hi, objective, power, np.inf, sure
+            )
             if (
                 worst >= min(bounds[0], old_worst)
                 and large <= max(bounds[1], old_large)

@@ -208,8 +208,9 @@ def smooth(
     cells, _ = mesh.mesh_arrays()
     topology = make_topology(cells, movable, mesh.rim)
     scattered = 0
+    walk = density.walk_start(len(mesh.points))
     for k in range(options.rounds):
-        rho = density.at(mesh.points, pool)
+        rho = density.at(mesh.points, pool, walk)
         points, stats = position_step(
             mesh.points, topology, rho, options, density.inverse_volume
         )
