@@ -85,7 +85,7 @@ def plot_before_after(
                ("after", after, report.histogram_after, report.after, BLUE))
     for column, (name, mesh, counts, summary, colour) in enumerate(columns):
         picture = figure.add_subplot(grid[0, column])
-        painted = _paint(picture, *mesh, up=up)
+        painted = paint_mesh(picture, *mesh, up=up)
         picture.set_title(name, fontsize=14, color=INK)
         _histogram(figure.add_subplot(grid[1, column]), counts, summary, "", colour, top)
         if column:
@@ -132,8 +132,22 @@ def _plain_frame(axes: Any, title: str) -> None:
         axes.set_title(title, fontsize=13, color=INK)
 
 
-def _paint(axes: Any, points: NDArray[np.float64], cells: NDArray[Any], *, up: int) -> Any:
-    """Paint a surface, or the far half of a tetrahedral mesh, from the back to the front."""
+def paint_mesh(
+    axes: Any, points: NDArray[np.float64], cells: NDArray[Any], *, up: int = 2
+) -> Any:
+    """Paint a surface, or the far half of a tetrahedral mesh, from the back to the front.
+
+    Parameters
+    ----------
+    axes : matplotlib axes
+    points : (n, 3) float64
+    cells : (m, 3) or (m, 4) int
+    up : int                  axis that points upwards, 1 (y) or 2 (z)
+
+    Returns
+    -------
+    PolyCollection            its colours are the radius ratios, see SCALE
+    """
     from matplotlib.collections import PolyCollection
 
     view = _view(up)
