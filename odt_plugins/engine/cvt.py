@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from itertools import permutations
+from itertools import combinations, permutations
 
 import numpy as np
 
@@ -23,6 +23,15 @@ def _facet_circumcenters(points: FloatArray, corners: IntArray) -> FloatArray:
     offset = numerator / (2.0 * (normal**2).sum(axis=1)[:, None])
     centers: FloatArray = points[corners[:, 0]] + offset
     return centers
+
+
+def _determinants(rows: FloatArray) -> FloatArray:
+    """Determinants of (m, d, d) matrices."""
+    a, b = rows[:, 0], rows[:, 1]
+    if rows.shape[1] == 2:
+        return a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]
+    values: FloatArray = np.einsum("mi,mi->m", np.cross(a, b), rows[:, 2])
+    return values
 
 
 def dual_cells(
@@ -53,16 +62,19 @@ def dual_cells(
     mass = np.zeros(n)
     offset = np.zeros((n, d))
     center = circumcenters(points, cells)
+    facets = combinations(range(4), 3) if d == 3 else ()
+    facet_center = {f: _facet_circumcenters(points, cells[:, f]) for f in facets}
     for order in permutations(range(d + 1)):
         sign = np.linalg.det(np.eye(d + 1)[list(order)])
         corners = cells[:, list(order)]
         x = points[corners[:, 0]]
         chain = [0.5 * (points[corners[:, 1]] - x)]
         if d == 3:
-            chain.append(_facet_circumcenters(points, corners[:, :3]) - x)
+            a, b, c = sorted(order[:3])
+            chain.append(facet_center[a, b, c] - x)
         chain.append(center - x)
         steps = np.stack(chain, axis=1)
-        part = sign * rho_tau * np.linalg.det(steps) / (2.0 if d == 2 else 6.0)
+        part = sign * rho_tau * _determinants(steps) / (2.0 if d == 2 else 6.0)
         mass += np.bincount(corners[:, 0], part, minlength=n)
         moment = part[:, None] * steps.sum(axis=1) / (d + 1)
         for axis in range(d):
