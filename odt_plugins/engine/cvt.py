@@ -90,7 +90,7 @@ def cvt_step(
     inverse_volume: bool = False,
     omega: float = 1.0,
 ) -> tuple[FloatArray, StepStats]:
-    """Move every movable vertex to the centroid of its dual cell, all at once.
+    """Move every movable vertex to the centroid of its dual cell, all at once (Remark 4.8).
 
     Parameters
     ----------

@@ -110,7 +110,7 @@ def delaunay_exchange(
 
     References
     ----------
-    L. Chen, M. Holst, CMAME 200 (2011) 967-984, Sections 3.2 and 2, Theorem 2.3, Lemma 2.7.
+    L. Chen, M. Holst, CMAME 200 (2011) 967-984, Section 3.2, Theorem 2.3, Lemma 2.7.
     """
     dim = points.shape[1]
     used = np.unique(cells)
@@ -193,7 +193,7 @@ def delaunay_exchange(
 def non_delaunay_facets(
     points: FloatArray, cells: IntArray, neighbors: IntArray, *, tolerance: float = 1e-12
 ) -> IntArray:
-    """List the interior facets that are not locally Delaunay (Section 3.1).
+    """List the interior facets that are not locally Delaunay (Definition 2.1, Section 3.1).
 
     Parameters
     ----------

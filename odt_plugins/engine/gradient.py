@@ -166,6 +166,8 @@ def approximate_gradient(
     Notes
     -----
     2/(d + 1) sum_tau (x_i - b_tau) rho_tau |tau|: the change of the other patches is left out.
+    One-point quadrature of (4.17), Lemma 4.6, exact for rho constant on cells; 0 at every inner
+    vertex of a centroidal patch triangulation, Definition 4.7.
     """
     return centers_gradient(points, cells, barycenters(points, cells), rho)
 

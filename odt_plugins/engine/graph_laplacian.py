@@ -105,7 +105,11 @@ def graph_laplacian(topology: Topology, weights: FloatArray) -> Any:
 
 
 def interior_matrix(matrix: Any, movable: BoolArray) -> tuple[Any, Any]:
-    """Split A_bar: A among the movable vertices p, A_pb from them to the fixed ones b."""
+    """Split A_bar into A among the movable vertices p and A_pb from them to the fixed ones b.
+
+    d/(d + 1) (A p + A_pb b) is the gradient by barycenters (4.29), and A p = -A_pb b the diffusion
+    equation (4.30) that :func:`global_step` with method "cpt" iterates.
+    """
     rows = matrix[np.flatnonzero(movable)]
     return rows[:, np.flatnonzero(movable)], rows[:, np.flatnonzero(~movable)]
 
@@ -156,7 +160,7 @@ def global_direction(
     method: Literal["odt", "cpt"] = "odt",
     boundary_rule: bool = True,
 ) -> FloatArray:
-    """Full step -A^-1 grad E of (4.27), or -A^-1 grad~ E~ of (4.28).
+    """Full step -A^-1 grad E of (1.3) and (4.27), or -A^-1 grad~ E~ of (4.28).
 
     Parameters
     ----------
@@ -173,7 +177,8 @@ def global_direction(
 
     Notes
     -----
-    Section 5.2 prints p = p + alpha A^-1 grad E; the sign is minus, as in (4.27).
+    Section 5.2 prints p = p + alpha A^-1 grad E; the sign is minus, as in (4.27). With
+    barycenters alpha times this step is the damped fixed point iteration (4.31).
     """
     direction = np.zeros_like(points)
     movable = topology.movable

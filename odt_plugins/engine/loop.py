@@ -53,7 +53,7 @@ def iterate(
 
     References
     ----------
-    CMAME 200 (2011) 967-984, Sections 5, 5.2 and 5.4.
+    CMAME 200 (2011) 967-984, Section 5, Section 5.2, Section 5.4.
     """
     points = np.array(points, dtype=np.float64, order="C")
     cells = np.array(cells, dtype=np.int32, order="C")

@@ -306,6 +306,10 @@ def solve_amg(
     Warns
     -----
     NotConvergedWarning            a column's residual is above the tolerance at the last iteration
+
+    References
+    ----------
+    CMAME 200 (2011) 967-984, Section 4.3: A is an M-matrix, so algebraic multigrid solves it.
     """
     matrix = matrix.tocsr()
     solution, _ = solve_columns(multigrid(matrix), right, tolerance, iterations)

@@ -75,7 +75,7 @@ def position_step(
     points: FloatArray, topology: Topology, rho: FloatArray | None, options: Options,
     inverse_volume: bool,
 ) -> tuple[FloatArray, StepStats]:
-    """Move all vertices once by the chosen method and solver (Sections 4.1 to 4.3).
+    """Move all vertices once by the chosen method and solver, (4.1) of Section 4.1.
 
     Parameters
     ----------

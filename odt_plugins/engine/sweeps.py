@@ -276,7 +276,8 @@ def gauss_seidel_sweep(
 
     References
     ----------
-    CMAME 200 (2011) 967-984, Sections 4.1.3 and 4.2, (4.11), (4.13), (4.20)-(4.22).
+    CMAME 200 (2011) 967-984, Section 4.1.3, (4.12), (4.13), Section 4.2.1, (4.20), (4.21), (4.22).
+    (4.18) is (4.20) with alpha = 1 and the integrals by one point.
     """
     new = np.array(points, dtype=np.float64, order="C")
     stats = _sweep(
