@@ -15,8 +15,8 @@ from typing import Any
 from odt_plugins.cli import main as command
 
 HEADER = (
-    "| start | | mean q | 1 % | min q | angles | < 10° | < 20° | AMIPS | seconds |\n"
-    "|---|---|---|---|---|---|---|---|---|---|"
+    "| start | | mean q | 1 % | min q | angles | < 10° | < 20° | AMIPS | vertices | seconds |\n"
+    "|---|---|---|---|---|---|---|---|---|---|---|"
 )
 
 
@@ -26,7 +26,8 @@ def row(name: str, when: str, figures: dict[str, Any], seconds: str) -> str:
         f"| {name} | {when} | {figures['mean_quality']:.4f} | {figures['p1_quality']:.3f} | "
         f"{figures['min_quality']:.3f} | {figures['min_angle']:.1f}..{figures['max_angle']:.1f} | "
         f"{figures['below_10']} | {figures['below_20']} | "
-        f"{figures['mean_amips']:.3f}, {figures['max_amips']:.2f} | {seconds} |"
+        f"{figures['mean_amips']:.3f}, {figures['max_amips']:.2f} | "
+        f"{figures['n_points']} | {seconds} |"
     )
 
 

@@ -382,6 +382,41 @@ def test_other_meshes_are_refused_before_any_work(name, monkeypatch, tmp_path):
         host.optimize(host.make(), insert=True)
 
 
+def test_progress_goes_on_to_one():
+    seen = []
+    run(mesh_of(*start()), Options(insert=True, progress=lambda *pair: seen.append(pair)))
+    shares = [share for _, share in seen]
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
+    stages = [stage for stage, _ in seen]
+    assert stages.index("finishing") < stages.index("inserting")
+
+
+@pytest.mark.parametrize("objective", ["min_dihedral", "amips"])
+def test_every_objective_gains(objective):
+    points, cells = tetrahedra(DATA / "bone05.vtu")
+    plain, inserted = (odt_plugins.optimize_with_report(
+        (points, cells), insert=insert, objective=objective)[1].after for insert in (False, True))
+    assert inserted.below_20 <= plain.below_20
+    assert inserted.mean_quality > plain.mean_quality + 0.01
+    assert inserted.mean_amips < plain.mean_amips - 0.1
+    if objective == "min_dihedral":
+        assert inserted.min_angle > plain.min_angle + 2.0
+
+
+def test_a_surface_that_slides_is_left_where_it_slid():
+    points, cells = tetrahedra(DATA / "bone05.vtu")
+    (p, _), report = odt_plugins.optimize_with_report(
+        (points, cells), insert=True, boundary="slide")
+    slid, plain = odt_plugins.optimize_with_report((points, cells), boundary="slide")
+    assert report.slid == pytest.approx(plain.slid, rel=1e-9)
+    assert report.slid["vertices"] > 50
+    assert len(p) != len(points)
+    assert report.after.mean_quality > plain.after.mean_quality + 0.01
+    surface = {tuple(slid[0][v]) for f in facet_set(slid[1], np.zeros(len(slid[1]))) for v in f[0]}
+    assert surface <= set(map(tuple, p.tolist()))
+
+
 def test_insertion_needs_finishing():
     with pytest.raises(InvalidOptionError, match="got insert=True; expected False without"):
         Options(insert=True, finish=False)

@@ -32,6 +32,9 @@ LOCKED_QUALITY = 0.3
 LOCKED_ANGLES = (14.0, 157.0)
 """What a cell without a movable vertex must reach when there was none such before (d = 3)."""
 
+BEFORE_INSERTION = 0.3
+"""Part of a run with insertion that is over when insertion begins, as progress tells it."""
+
 
 @dataclass(frozen=True)
 class Outcome:
@@ -229,7 +232,8 @@ def run(mesh: SimplexMesh, options: Options) -> Outcome:
     bounds = extremes(before, tuple(options.keep))
     pool = ThreadPoolExecutor(options.threads) if options.threads > 1 else None
     try:
-        reason = _cycles(start, density, options, bounds, memory, log, times, pool)
+        first = _begun(options) if options.insert else options
+        reason = _cycles(start, density, first, bounds, memory, log, times, pool)
         if not memory.states and options.finish:
             second = make_complex(
                 frame.inside(mesh.points[frame.vertices]), cells, regions, inner_locked, inner_rim
@@ -248,7 +252,8 @@ def run(mesh: SimplexMesh, options: Options) -> Outcome:
                 spare, best.figures, options.objective,
                 limits=partial(extremes, keep=tuple(options.keep)),
                 settle=partial(_finish, log=log, pool=pool, threads=options.threads),
-                offer=partial(memory.offer, name="resampled"), log=log,
+                offer=partial(memory.offer, name="resampled"),
+                report=partial(_report_rest, options.progress or silent), log=log,
             )
             times["resampling"] = time.perf_counter() - clock
     finally:
@@ -430,6 +435,17 @@ def _finishing_alone(
 def report_share(report: Progress, base: float, width: float, share: float) -> None:
     """Report a share of stage 1 as a share of the run."""
     report("smoothing", base + width * share)
+
+
+def _begun(options: Options) -> Options:
+    """The same options, with a progress that ends where insertion begins."""
+    report = options.progress or silent
+    return replace(options, progress=lambda stage, share: report(stage, BEFORE_INSERTION * share))
+
+
+def _report_rest(report: Progress, share: float) -> None:
+    """Report a share of insertion as a share of the run."""
+    report("inserting", BEFORE_INSERTION + (1.0 - BEFORE_INSERTION) * share)
 
 
 def silent(stage: str, share: float) -> None:

@@ -56,7 +56,7 @@ def measure_slide(
     Parameters
     ----------
     mesh : SimplexMesh                          the input
-    points : (n, 3) float64, cells : (m, 4)     the result
+    points : (n', 3) float64, cells : (m, 4)    the result, vertices of the input first
     options : Options
     """
     from odt_plugins.engine.surface.envelope import distances
@@ -65,7 +65,7 @@ def measure_slide(
     old, new = boundary_facets(mesh.cells), boundary_facets(cells)
     both = distances((points, new), (mesh.points, old), TOLERANCE * length)
     was = float(signed_volumes(mesh.points, mesh.cells).sum())
-    moved = (points != mesh.points).any(axis=1)
+    moved = (points[: len(mesh.points)] != mesh.points).any(axis=1)
     return Slid(
         length,
         both.forward_upper,

@@ -111,7 +111,7 @@ def resample_in_rounds(
     mesh: SpareComplex, before: Figures, objective: Objective, *,
     limits: Callable[[Figures], FloatArray],
     settle: Callable[[Complex, tuple[Phase, ...], FloatArray], None],
-    offer: Callable[[Complex], Any], log: Log,
+    offer: Callable[[Complex], Any], report: Callable[[float], None], log: Log,
 ) -> None:
     """Add and remove vertices, in rounds with finishing at the end of each.
 
@@ -126,11 +126,13 @@ def resample_in_rounds(
     limits : callable           bounds that keep the extremes of some figures
     settle : callable           runs phases of finishing within bounds
     offer : callable            is shown the mesh after every round that stayed
+    report : callable           is told the share that is done
     log : Log
     """
     noise = NOISE + NOISY_CELLS / len(mesh.live())
     scale = 1.0
-    for _ in range(ROUNDS):
+    for done in range(ROUNDS):
+        report(done / ROUNDS)
         changed = deepcopy(mesh)
         taken = sum(
             resample(changed, step, scale, limits(before)) for step in resampling(objective)
@@ -145,6 +147,7 @@ def resample_in_rounds(
         mesh = changed
         log.add("vertex operations", taken)
         offer(mesh)
+    report(1.0)
 
 
 def _figures(mesh: Complex, objective: Objective) -> Figures:
