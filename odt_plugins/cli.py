@@ -26,7 +26,7 @@ from odt_plugins.errors import (
     ODTError,
     ODTWarning,
 )
-from odt_plugins.options import FIGURES, Options
+from odt_plugins.options import DENSITIES, FIGURES, Options
 
 DONE, COULD_NOT, WRONG_USE = 0, 1, 2
 
@@ -321,7 +321,7 @@ def _resolve_arrays(source: Path, options: dict[str, Any]) -> dict[str, Any]:
 
     options = dict(options)
     host = None
-    if options["density"] not in ("keep", "uniform", "inverse-volume"):
+    if options["density"] not in DENSITIES:
         host = files.read(source)
         options["density"] = _file_array(host, options["density"], "density", "point", "cell")
     for name, place in (("fixed", "point"), ("selection", "cell")):

@@ -221,7 +221,8 @@ def _folded(
 ) -> list[str]:
     """Count flat triangles, and edges at which the surface folds back; both only get fewer."""
     (flat, folds), (flat_now, folds_now) = (
-        _bad_places(*args) for args in ((old_points, old_cells, old), (points, cells, new))
+        tuple(int(mask.sum()) for mask in bad_places(*args))
+        for args in ((old_points, old_cells, old), (points, cells, new))
     )
     sentences = []
     if flat_now > flat:
@@ -231,15 +232,19 @@ def _folded(
     return sentences
 
 
-def _bad_places(points: Any, cells: Any, edges: Edges) -> tuple[int, int]:
+def bad_places(
+    points: NDArray[np.float64], cells: NDArray[np.int32], edges: Edges
+) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
+    """Mark flat triangles (m,), and edges (e,) at which a surface turns by more than FOLD."""
     a, b, c = (points[cells[:, i]] for i in range(3))
     normal = np.cross(b - a, c - a)
     length = np.sqrt((normal * normal).sum(axis=1))
     unit = np.divide(normal, length[:, None], out=np.zeros_like(normal), where=length[:, None] > 0)
     limit = np.cos(np.radians(FOLD))
-    folds = 0
+    folds = np.zeros(len(edges.degree), dtype=np.bool_)
     for i in range(3):
         near = edges.neighbors[:, i]
         once = np.flatnonzero(near > np.arange(len(cells)))
-        folds += int(((unit[once] * unit[near[once]]).sum(axis=1) < limit).sum())
-    return int((~(length > 0)).sum()), folds
+        sharp = (unit[once] * unit[near[once]]).sum(axis=1) < limit
+        folds[edges.of_cell[once[sharp], i]] = True
+    return ~(length > 0), folds

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from contextlib import nullcontext
 from pathlib import Path
 
@@ -10,6 +11,7 @@ import pytest
 import surface_meshes as sm
 
 import odt_plugins
+from odt_plugins import cli
 from odt_plugins.errors import DataNotKeptWarning, InvalidOptionError
 from odt_plugins.quality import radius_ratio
 
@@ -133,6 +135,29 @@ def test_the_accessor_of_pyvista_takes_curved_surfaces():
     assert odt_plugins.measure(out).mean_quality > odt_plugins.measure(surface).mean_quality + 0.05
     assert max(sm.two_sided(p, t, np.asarray(out.points), out.regular_faces, 2)) <= (
         5e-3 * sm.diagonal(p))
+
+
+@pytest.mark.filterwarnings("ignore:overflow encountered in scalar multiply")
+@pytest.mark.parametrize("suffix", [".ply", ".stl", ".obj", ".vtu"])
+def test_the_command_takes_files_of_curved_surfaces(suffix, tmp_path):
+    meshio = pytest.importorskip("meshio")
+    p, t = sm.torus(40, 16, noise=0.5)
+    source, target, report = (tmp_path / name for name in
+                              (f"in{suffix}", f"out{suffix}", "report.json"))
+    meshio.write(source, meshio.Mesh(p, [("triangle", t.astype(np.int32))]))
+    flags = ["--density", "curvature", "--envelope", "5e-3", "--feature-angle", "60",
+             "--report", str(report)]
+    assert cli.main(["optimize", str(source), str(target), *flags]) == 0
+    old, new = meshio.read(source), meshio.read(target)
+    before, after = (radius_ratio(m.points, m.cells_dict["triangle"]) for m in (old, new))
+    assert after.mean() > before.mean() + 0.05
+    away = sm.two_sided(old.points, old.cells_dict["triangle"], new.points,
+                        new.cells_dict["triangle"], 2)
+    assert max(away) <= 5e-3 * sm.diagonal(p) * (1 + 1e-5)
+    told = json.loads(report.read_text())["surface"]
+    assert away[0] <= told["forward"] * (1 + 1e-5)
+    assert away[1] <= told["backward"] * (1 + 1e-5)
+    assert told["envelope"] == pytest.approx(5e-3 * sm.diagonal(p), rel=1e-5)
 
 
 @pytest.mark.parametrize("kind", ["legacy", "tensor"])

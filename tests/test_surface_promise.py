@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 import surface_meshes as sm
 
+from odt_plugins.engine.surface.crossings import crossing_triangles
 from odt_plugins.engine.surface.judge import Kept, faults, feet_on, outside
 from odt_plugins.options import Options
 from odt_plugins.surface import surface_mesh
@@ -201,3 +202,37 @@ def test_a_surface_that_cuts_through_itself_is_broken():
     again = pushed.copy()
     again[5 * 12 + 5, 2] += 0.001
     assert faults(cut, kept, again, cut.cells, cut.regions, Options(keep=()))[0] == []
+
+
+def test_new_folds_and_flat_triangles_are_found_where_they_are():
+    p, t = sm.bowl(12)
+    mesh = surface_mesh(p, t)
+    kept = Kept(3.0, 3.0, np.zeros((0, 2), int), np.zeros(len(p), bool), 0, 0)
+    assert not outside(mesh, kept, p, mesh.cells).any()
+    folded = p.copy()
+    folded[5 * 12 + 5] = p[3 * 12 + 3] + np.array([0, 0, 0.2])
+    near = outside(mesh, kept, folded, mesh.cells)
+    assert near[5 * 12 + 5]
+    assert near.sum() < 30
+    flat = p.copy()
+    flat[5 * 12 + 5] = flat[5 * 12 + 6]
+    assert outside(mesh, kept, flat, mesh.cells)[[5 * 12 + 5, 5 * 12 + 6]].all()
+    # what the input folds stays as it was
+    old = surface_mesh(folded, t)
+    assert not outside(old, kept, folded, old.cells).any()
+
+
+def test_crossings_within_rounding_are_none():
+    # every triangle around a pole has a copy of the pole of its own, within rounding
+    angle = 2 * np.pi * np.arange(12) / 12
+    ring = np.stack([np.cos(angle), np.sin(angle), np.full(12, 0.3)], axis=1)
+    rng = np.random.default_rng(4)
+    poles = 1e-15 * rng.standard_normal((12, 3)) + [0, 0, 1]
+    i = np.arange(12)
+    t = np.concatenate([np.stack([i, (i + 1) % 12, 12 + i], axis=1),
+                        np.stack([(i + 1) % 12, 12 + (i + 1) % 12, 12 + i], axis=1)])
+    points, cells = np.concatenate([ring, poles]), t.astype(np.int32)
+    assert not crossing_triangles(points, cells).any()
+    poles[0, 2] += 0.1
+    poles[0, :2] -= 0.2 * ring[0, :2]
+    assert crossing_triangles(np.concatenate([ring, poles]), cells).any()

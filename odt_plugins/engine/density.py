@@ -335,6 +335,12 @@ def make_density(
     power = 1.0
     field = np.empty(0)
     if isinstance(spec, str):
+        if spec == "curvature":
+            msg = (
+                f"got density 'curvature' for a mesh that is no curved surface, expected one of "
+                f"{', '.join(NAMES)}, an array or a function, try density='keep'"
+            )
+            raise InvalidOptionError(msg)
         if spec not in NAMES:
             msg = (
                 f"got density {spec!r}, expected one of {', '.join(NAMES)}, an array or a "

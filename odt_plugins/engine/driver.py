@@ -92,7 +92,7 @@ class Changing(Protocol):
 
 
 class Memory:
-    """Remembers the best state that keeps every named figure, and what the others broke.
+    """Remembers the best state that keeps every named figure, and the last that did not.
 
     After finishing the best is the one of highest score; without it, the latest, since then a
     certain number of rounds of a certain method was asked for.
@@ -107,6 +107,7 @@ class Memory:
         self.by_score = by_score
         self.states: list[State] = []
         self.worse: list[str] = []
+        self.refused: State | None = None
 
     def offer(self, mesh: Changing, name: str) -> bool:
         """Take the state if it keeps the figures; only the two best are held."""
@@ -115,6 +116,7 @@ class Memory:
         worse = now.worse_than(self.before, self.keep)
         if worse:
             self.worse = worse
+            self.refused = State(mesh.points.copy(), cells, regions, now, name)
             return False
         if self.by_score and not now.score > self.before.score:
             return False

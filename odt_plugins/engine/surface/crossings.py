@@ -2,11 +2,16 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.star import OffsetArray
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
+
+ROUNDING = 1e-12
+"""Volume below which four vertices lie in a plane, as a part of the cube of the longest edge."""
 
 STRIP = 4
 """Triangles of mean size across a strip, about."""
@@ -22,7 +27,8 @@ def count_crossings(points: FloatArray, triangles: IntArray) -> int:
 
     Returns
     -------
-    int                         an edge of two triangles counts twice; touching does not count
+    int                         an edge of two triangles counts twice; touching does not count, nor
+                                does what is within rounding
 
     Notes
     -----
@@ -126,12 +132,24 @@ def _side(p: FloatArray, i: int, j: int, k: int, l: int) -> float:
 
 @kernel
 def _crosses(p: FloatArray, triangles: IntArray, i: int, e: int, j: int) -> bool:
-    """Whether edge e of triangle i goes through the inside of triangle j."""
+    """Whether edge e of triangle i goes through the inside of triangle j, by more than rounding."""
     u, v = triangles[i, e], triangles[i, (e + 1) % 3]
     a, b, c = triangles[j, 0], triangles[j, 1], triangles[j, 2]
-    if _side(p, a, b, c, u) * _side(p, a, b, c, v) >= 0.0:
+    above, below = _side(p, a, b, c, u), _side(p, a, b, c, v)
+    if above * below >= 0.0:
         return False
     first, second, third = _side(p, u, v, a, b), _side(p, u, v, b, c), _side(p, u, v, c, a)
-    return (first > 0.0 and second > 0.0 and third > 0.0) or (
-        first < 0.0 and second < 0.0 and third < 0.0
-    )
+    if not (
+        (first > 0.0 and second > 0.0 and third > 0.0)
+        or (first < 0.0 and second < 0.0 and third < 0.0)
+    ):
+        return False
+    least = min(abs(above), abs(below), abs(first), abs(second), abs(third))
+    length = max(_squared(p, u, v), _squared(p, a, b), _squared(p, b, c), _squared(p, c, a))
+    return least > ROUNDING * length * math.sqrt(length)
+
+
+@kernel
+def _squared(p: FloatArray, i: int, j: int) -> float:
+    """Squared distance of two vertices."""
+    return (p[i, 0] - p[j, 0]) ** 2 + (p[i, 1] - p[j, 1]) ** 2 + (p[i, 2] - p[j, 2]) ** 2

@@ -6,6 +6,7 @@ import numpy as np
 
 from odt_plugins.engine.density import smooth_over_stars
 from odt_plugins.engine.star import star_sum
+from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh import FloatArray, IntArray
 
 AVERAGES = 3
@@ -117,6 +118,10 @@ def curvature_density(
     -------
     (n,) float64                rho = h^-4, the sizes h with mean 1
 
+    Raises
+    ------
+    InvalidOptionError          a ratio below 1, or none
+
     Notes
     -----
     A chord of length h lies kappa h^2 / 8 below an arc of curvature kappa. The same depth
@@ -129,6 +134,9 @@ def curvature_density(
     ----------
     CMAME 200 (2011) 967-984, Theorem 2.8.
     """
+    if not 1.0 <= ratio < np.inf:
+        msg = f"got ratio={ratio!r} of the largest size over the smallest; expected 1 or more"
+        raise InvalidOptionError(msg)
     n = len(points)
     if not len(triangles):
         return np.ones(n)

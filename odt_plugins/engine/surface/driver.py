@@ -21,7 +21,7 @@ from odt_plugins.engine.driver import (
     report_share,
     silent,
 )
-from odt_plugins.engine.figures import Figures, figures
+from odt_plugins.engine.figures import Figures, cell_shapes, figures
 from odt_plugins.engine.phases import Phase, bulk, tail
 from odt_plugins.engine.smoothing import Log
 from odt_plugins.engine.star import vertex_stars
@@ -51,11 +51,12 @@ THIN = 0.02
 TAIL = tail(2)[:2]
 """Phases for the worst triangles; beyond p = 8 the envelope leaves them nothing to gain."""
 
-RINGS = 1
-"""Rings of triangles around a place that left the envelope which the next run leaves alone."""
+ATTEMPTS = 4
+"""Runs until the input is returned; each leaves alone what broke the promise in those before, with
+one more ring of triangles around it every time."""
 
-ATTEMPTS = 3
-"""Runs until the input is returned; each leaves alone what left the envelope in the one before."""
+SPOILED = 0.3
+"""Part of the vertices that may be left alone because of triangles beyond the input's extremes."""
 
 
 @dataclass(frozen=True)
@@ -121,6 +122,13 @@ def run_surface(mesh: SimplexMesh, options: Options) -> SurfaceOutcome:
     broken: list[str] = []
     for attempt in range(ATTEMPTS):
         memory, kept, reason = _run(mesh, start, options, alone, log, times)
+        if not memory.states and options.finish:
+            spoiled = _spoiled(mesh, start, memory)
+            if attempt < ATTEMPTS - 1 and 0 < spoiled.sum() <= SPOILED * len(start.points):
+                broken = [f"{name} would be worse" for name in memory.worse]
+                alone |= spoiled
+                continue
+            _finishing_alone(mesh, start, options, alone, memory, log, times)
         clock = time.perf_counter()
         outcome, found = _best(mesh, start, kept, memory, options, log)
         if outcome is None and not memory.states:
@@ -135,7 +143,7 @@ def run_surface(mesh: SimplexMesh, options: Options) -> SurfaceOutcome:
         broken = found
         if not memory.states or attempt == ATTEMPTS - 1:
             break
-        alone |= _left_alone(mesh, start, kept, memory)
+        alone |= _left_alone(mesh, start, kept, memory, attempt + 1)
     unchanged = replace(
         _unchanged(mesh, reason), times=times, energy=log.energy, counts=log.counts, kept=kept
     )
@@ -200,18 +208,23 @@ def _run(
     surface = replace(surface, pool=pool, threads=options.threads)
     try:
         reason = _cycles(surface, density, options, before, memory, log, times)
-        if not memory.states and options.finish:
-            log.add("runs of finishing alone", 1)
-            second, _, _ = _build(mesh, start, options, alone)
-            second = replace(second, pool=pool, threads=options.threads)
-            strict = extremes(before, tuple(options.keep))[:3].copy()
-            for phases in (bulk(2), TAIL):
-                _descend(second, phases, strict, log, times)
-                memory.offer(second, "finishing alone")
     finally:
         if pool is not None:
             pool.shutdown()
     return memory, kept, reason
+
+
+def _finishing_alone(
+    mesh: SimplexMesh, start: Start, options: Options, alone: BoolArray, memory: Memory, log: Log,
+    times: dict[str, float],
+) -> None:
+    """Improve the input by stage 2 alone, which never leaves the extremes of the input."""
+    log.add("runs of finishing alone", 1)
+    surface, _, _ = _build(mesh, start, options, alone)
+    strict = extremes(memory.before, tuple(options.keep))[:3].copy()
+    for phases in (bulk(2), TAIL):
+        _descend(surface, phases, strict, log, times)
+        memory.offer(surface, "finishing alone")
 
 
 def _build(
@@ -334,12 +347,31 @@ def _best(
     return None, broken
 
 
-def _left_alone(mesh: SimplexMesh, start: Start, kept: Kept, memory: Memory) -> BoolArray:
-    """Vertices, (n,) bool, around the places where a state left the envelope."""
+def _left_alone(
+    mesh: SimplexMesh, start: Start, kept: Kept, memory: Memory, rings: int
+) -> BoolArray:
+    """Vertices, (n,) bool, around the places where a state broke the promise."""
     alone = np.zeros(len(mesh.points), dtype=np.bool_)
     for state in memory.states:
         points, cells, _ = _placed(mesh, start, state)
         alone |= outside(mesh, kept, points, cells)
-    for _ in range(RINGS):
-        alone[mesh.cells[alone[mesh.cells].any(axis=1)]] = True
-    return alone
+    return _with_rings(mesh, alone, rings)
+
+
+def _spoiled(mesh: SimplexMesh, start: Start, memory: Memory) -> BoolArray:
+    """Vertices, (n,) bool, around the triangles of a refused state beyond the input's extremes."""
+    spoiled = np.zeros(len(mesh.points), dtype=np.bool_)
+    state = memory.refused
+    if state is not None:
+        least, largest, smallest = extremes(memory.before, memory.keep)[:3]
+        q, large, small = cell_shapes(state.points, state.cells).T
+        bad = (q < least) | (large > largest) | (small < smallest)
+        spoiled[start.frame.vertices[state.cells[bad]]] = True
+    return _with_rings(mesh, spoiled, 1)
+
+
+def _with_rings(mesh: SimplexMesh, vertices: BoolArray, rings: int) -> BoolArray:
+    """The same vertices, (n,) bool, with rings of triangles of the input around them."""
+    for _ in range(rings):
+        vertices[mesh.cells[vertices[mesh.cells].any(axis=1)]] = True
+    return vertices

@@ -11,9 +11,10 @@ from odt_plugins.engine.surface.crossings import crossing_triangles
 from odt_plugins.engine.surface.envelope import distances, uncovered, within
 from odt_plugins.engine.surface.reference import make_reference
 from odt_plugins.errors import counted
-from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
+from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh, row_keys
 from odt_plugins.options import Options
-from odt_plugins.surface_promise import broken_surface_promises
+from odt_plugins.surface import surface_edges
+from odt_plugins.surface_promise import bad_places, broken_surface_promises
 
 TOLERANCE = 0.02
 """Distances are bounded to this part of the envelope."""
@@ -102,6 +103,20 @@ def _newly_cut(mesh: SimplexMesh, points: FloatArray, cells: IntArray) -> BoolAr
     return cut
 
 
+def _newly_folded(mesh: SimplexMesh, points: FloatArray, cells: IntArray) -> BoolArray:
+    """Mark the vertices, (n,), of new flat triangles and beside new edges that fold back."""
+    n = len(points)
+    mask = np.zeros(n, dtype=np.bool_)
+    old, new = surface_edges(mesh.cells, n), surface_edges(cells, n)
+    flat, folds = bad_places(points, cells, new)
+    _, folded = bad_places(mesh.points, mesh.cells, old)
+    keys = [row_keys(e.vertices[f], n) for e, f in ((old, folded), (new, folds))]
+    fresh = np.zeros(len(folds), dtype=np.bool_)
+    fresh[np.flatnonzero(folds)[~np.isin(keys[1], keys[0])]] = True
+    mask[cells[flat | fresh[new.of_cell].any(axis=1)]] = True
+    return mask
+
+
 def measured(mesh: SimplexMesh, kept: Kept, points: FloatArray, cells: IntArray) -> Distance:
     """Bound the distances both ways; neither is said to leave the envelope when it does not."""
     # neighbours in space next to each other in memory: several times as fast on large surfaces
@@ -170,7 +185,11 @@ def barycentric(points: FloatArray, triangles: IntArray, x: FloatArray) -> Float
 def outside(
     mesh: SimplexMesh, kept: Kept, points: FloatArray, cells: IntArray
 ) -> BoolArray:
-    """Mark the vertices, (n,), near which a surface may have left the envelope or cut itself."""
+    """Mark the vertices, (n,), near which a surface may break the promise.
+
+    They are those around what may have left the envelope, cuts through the surface, folds back or
+    has no area, where the input does not.
+    """
     old = make_reference(mesh.points, mesh.cells)
     far = ~within(old, points, cells, kept.envelope)
     near = uncovered(old, points, cells, kept.envelope)
@@ -178,6 +197,7 @@ def outside(
     mask[cells[far]] = True
     mask[mesh.cells[near.triangles]] = True
     mask[cells[_newly_cut(mesh, points, cells)]] = True
+    mask |= _newly_folded(mesh, points, cells)
     if far.any():
         _, face, _ = old.closest(points[cells[far]].mean(axis=1))
         mask[mesh.cells[face]] = True
