@@ -230,6 +230,53 @@ def optimize(
 
 
 @cli.command()
+@click.argument("sources", metavar="INPUT...", nargs=-1, required=True)
+@click.option("--out", type=click.Path(path_type=Path), required=True,
+              help="Folder for the results and the summary.")
+@click.option("--tetrahedralize", is_flag=True, help="Let TetWild fill the surfaces first.")
+@click.option("--edge-length", type=click.FloatRange(min=0.0, max=1.0, min_open=True),
+              default=0.05, show_default=True, help="For TetWild, relative to the diagonal.")
+@click.option("--suffix", default=None, metavar=".vtu", help="Format of the results.  [default: "
+              "that of the input, .vtu with --tetrahedralize]")
+@click.option("--timeout", type=click.FloatRange(min=0.0, min_open=True), default=None,
+              metavar="S", help="Seconds after which an input is given up.")
+@click.option("--memory-limit", type=click.FloatRange(min=0.0, min_open=True), default=None,
+              metavar="GB", help="Memory that the process of an input may take.")
+@click.option("--resume", is_flag=True,
+              help="Leave results that are there, of the same input, options and versions.")
+@_cluster_flags
+@_option_flags
+@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+def batch(
+    sources: tuple[str, ...], out: Path, suffix: str | None, memory_limit: float | None,
+    scheduler: str | None, workers: int, quiet: bool, tetrahedralize: bool, edge_length: float,
+    timeout: float | None, resume: bool, **options: Any,
+) -> int:
+    """Improve many mesh files, each in a process of its own.
+
+    INPUT are files or quoted patterns such as 'models/**/*.stl'. An input that crashes, takes too
+    long or is no mesh is a row in the summary that --out gets beside the results.
+    """
+    from odt_plugins.distributed import batch as batches
+    from odt_plugins.distributed import summary
+
+    summary.check_summary()
+    jobs = batches.make_jobs(
+        batches.find_inputs(sources), out, options, suffix=suffix, tetrahedralize=tetrahedralize,
+        edge_length=edge_length, timeout=timeout, resume=resume,
+        memory_limit=None if memory_limit is None else round(memory_limit * 1e9),
+    )
+    with _cluster(scheduler, workers) as client, _progress(quiet) as progress:
+        rows = batches.run_batch(jobs, client=client, progress=progress)
+    words = summary.command_line(click.get_current_context())
+    summary.write_summary(out, rows, words, options["threads"])
+    if not quiet:
+        click.echo(f"{summary.counts(rows)}\nwritten: "
+                   + ", ".join(str(out / name) for name in summary.FILES))
+    return DONE if all(row["status"] == "ok" for row in rows) else COULD_NOT
+
+
+@cli.command()
 @click.argument("sources", metavar="INPUT...", nargs=-1, required=True,
                 type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")

@@ -202,6 +202,7 @@ def test_a_killed_client_leaves_nothing_and_the_next_run_is_whole(client, tmp_pa
     assert started
     first.kill()
     first.wait()
+    first.stderr.close()
     assert os.listdir(tmp_path) == ["in.vtu"]
     wait_until(lambda: not any(alive(pid) for pid in started), 60.0)
     second = run_cli(tmp_path, *words, "--scheduler", client.scheduler.address)

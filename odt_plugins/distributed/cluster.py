@@ -140,3 +140,26 @@ def _result(future: Any) -> Any:
         msg = (f"the cluster lost the work ({type(exc).__name__}: {exc}); try more memory for its "
                "workers, or more blocks")
         raise WorkerError(msg) from exc
+
+
+def as_they_finish(
+    client: Any, function: Callable[[Any], Any], items: Iterable[Any]
+) -> Iterator[tuple[int, Any]]:
+    """Apply a function to items on the workers.
+
+    Yields
+    ------
+    index, result    in the order in which they finish; an exception in the place of a result
+    """
+    from distributed import as_completed
+
+    futures = submit(client, function, items)
+    place = {future.key: index for index, future in enumerate(futures)}
+    try:
+        for future in as_completed(futures):
+            error = future.exception()
+            yield place[future.key], future.result() if error is None else error
+    finally:
+        for future in futures:
+            if not future.done():
+                future.cancel()

@@ -1,0 +1,116 @@
+"""The process of one input of a batch: ``python -m odt_plugins.distributed.job``.
+
+It reads its job as JSON from standard input and leaves the result and its row in the work folder;
+whoever started it moves them to their places.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import sys
+import threading
+import time
+import warnings
+from pathlib import Path
+from typing import Any
+
+from odt_plugins.errors import InvalidMeshError, ODTError
+
+ROW = "row.json"
+
+
+def main() -> None:
+    """Do the job and write its row; a failure that Python can catch is a row as well."""
+    job = json.load(sys.stdin)
+    threading.Thread(target=_end_with, args=(job["parent"],), daemon=True).start()
+    _limit_memory(job["memory_limit"])
+    row: dict[str, Any] = {"status": "failed", "message": ""}
+    clock = time.perf_counter()
+    try:
+        with warnings.catch_warnings(record=True) as caught:
+            warnings.simplefilter("always")
+            row |= work(job)
+        row |= {"status": "ok", "message": "; ".join(str(w.message) for w in caught)}
+    # A toolkit may raise anything at all on a broken input.
+    except Exception as exc:
+        row["message"] = f"{'' if isinstance(exc, ODTError) else type(exc).__name__ + ': '}{exc}"
+        if _short_of_memory(exc):
+            row |= {"status": "memory", "message": _too_little(job["memory_limit"])}
+    row["message"] = " ".join(row["message"].split())
+    row["seconds"] = time.perf_counter() - clock
+    (Path(job["folder"]) / ROW).write_text(json.dumps(row), encoding="utf-8")
+
+
+def work(job: dict[str, Any]) -> dict[str, Any]:
+    """Read, fill with tetrahedra when asked to, improve, write into the work folder.
+
+    Returns
+    -------
+    dict    sizes and figures before and after, and why an earlier state was returned
+    """
+    from odt_plugins.adapters.files import read_file, write_file
+    from odt_plugins.api import optimize_with_report
+
+    source, target = Path(job["source"]), Path(job["folder"]) / job["name"]
+    if job["tetrahedralize"]:
+        result, report = optimize_with_report(_tetrahedra(source, job), **job["options"])
+        result = _as_file(*result)
+    else:
+        result, report = optimize_with_report(read_file(source), **job["options"])
+    write_file(target, result)
+    row: dict[str, Any] = {"fallback": report.fallback}
+    for when, summary in (("before", report.before), ("after", report.after)):
+        row |= {f"{when}_{name}": value for name, value in summary.to_dict().items()}
+    return row
+
+
+def _tetrahedra(source: Path, job: dict[str, Any]) -> Any:
+    """What TetWild makes of a surface."""
+    from odt_plugins.adapters import files
+    from odt_plugins.tetwild import tetrahedralize
+
+    host = files.read(source)
+    if host.cells.shape[1] != 3:
+        msg = f"{source.name} holds tetrahedra; expected a surface of triangles to be filled"
+        raise InvalidMeshError(msg)
+    return tetrahedralize(host.points, host.cells, edge_length_fac=job["edge_length"],
+                          num_threads=job["options"]["threads"], vtk_ordering=True, odt=False)
+
+
+def _as_file(points: Any, cells: Any) -> Any:
+    from meshio import Mesh
+
+    return Mesh(points, [("tetra", cells)])
+
+
+def _limit_memory(limit: int | None) -> None:
+    """Let the system refuse this process more private memory than that."""
+    if limit is None:
+        return
+    import resource
+
+    resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+
+
+def _end_with(parent: int) -> None:
+    """End this process and what it started once the one that started it is gone."""
+    while os.getppid() == parent:
+        time.sleep(0.2)
+    os.killpg(0, signal.SIGKILL)
+
+
+def _short_of_memory(exc: BaseException | None) -> bool:
+    """Whether an exception comes from one that tells of too little memory."""
+    while exc is not None and not isinstance(exc, MemoryError):
+        exc = exc.__cause__ or exc.__context__
+    return exc is not None
+
+
+def _too_little(limit: int | None) -> str:
+    return "not enough memory" if limit is None else f"more than {limit / 1e9:g} GB needed"
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,319 @@
+"""Batches: poisoned, crashing, endless and greedy inputs among good ones, stopped and resumed."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+import pytest
+import tet_meshes
+
+from odt_plugins import cli
+from odt_plugins.compare.start import ball
+from odt_plugins.distributed import batch
+from odt_plugins.distributed.batch import HIDDEN, Job, find_inputs, job_key, make_jobs, run_batch
+from odt_plugins.errors import InvalidOptionError, MeshFileError
+
+pytestmark = [
+    pytest.mark.timeout(120),
+    pytest.mark.skipif(sys.platform != "linux", reason="processes, signals and limits of POSIX"),
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),
+    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
+]
+pytest.importorskip("pyarrow")
+pytest.importorskip("jinja2")
+
+READERS = """
+import ctypes, time
+import meshio
+
+def crash(path):
+    ctypes.string_at(0)
+
+def wait(path):
+    time.sleep(float(open(path).read()))
+    return meshio.read(path.replace(".slow", ".vtu"))
+
+def devour(path):
+    return bytearray(1 << 33)
+
+for suffix, reader in ((".crash", crash), (".slow", wait), (".fat", devour)):
+    meshio.register_format(suffix[1:], [suffix], reader, {})
+"""
+"""Formats whose readers do what toolkits do on a bad day, in the process of an input."""
+
+
+@pytest.fixture(autouse=True)
+def readers(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path_factory.mktemp("readers")
+    (folder / "sitecustomize.py").write_text(READERS)
+    path = os.pathsep.join([str(folder), str(Path(__file__).parents[1]),
+                            os.environ.get("PYTHONPATH", "")])
+    monkeypatch.setenv("PYTHONPATH", path)
+
+
+def write_ball(path: Path, n: int) -> Path:
+    start = ball(n)
+    meshio.Mesh(start.points, [("tetra", start.cells)]).write(path)
+    return path
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working directory with a folder of models."""
+    (tmp_path / "models" / "inner").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def files(folder: Path) -> list[str]:
+    """Everything below a folder but for what a batch keeps for itself."""
+    return sorted(str(p.relative_to(folder)) for p in folder.rglob("*")
+                  if p.is_file() and HIDDEN not in p.parts)
+
+
+def wait_until(condition: Callable[[], Any], seconds: float = 60.0) -> None:
+    end = time.monotonic() + seconds
+    while not condition():
+        assert time.monotonic() < end, "it did not happen"
+        time.sleep(0.02)
+
+
+def alive(pid: int) -> bool:
+    try:
+        stat = Path(f"/proc/{pid}/stat").read_text()
+    except OSError:
+        return False
+    return stat.rpartition(")")[2].split()[0] != "Z"
+
+
+def children(pid: int) -> list[int]:
+    found = subprocess.run(["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True,
+                           text=True, check=False).stdout.split()
+    return [int(p) for p in found] + [g for p in found for g in children(int(p))]
+
+
+def test_whatever_an_input_does_is_a_row(place, capsys):
+    import pyarrow.parquet as pq
+
+    models = place / "models"
+    write_ball(models / "good.vtu", 150)
+    write_ball(models / "inner" / "good.msh", 200)
+    (models / "poisoned.vtu").write_text("<VTKFile>nonsense")
+    meshio.Mesh(np.zeros((4, 3)), [("tetra", [[0, 1, 2, 3]])]).write(models / "flat.vtu")
+    (models / "bad.crash").write_text("")
+    (models / "greedy.fat").write_text("")
+    words = ["batch", "models/**/*.*", "--out", "out", "--suffix", ".vtu",
+             "--memory-limit", "3", "--keep", "min_quality,mean_quality"]
+    assert cli.main(words) == 1
+    said = capsys.readouterr()
+    assert said.out.startswith("2 ok, 1 crashed, 2 failed, 1 memory\n")
+    with open("out/summary.csv", newline="") as file:
+        rows = {Path(row["source"]).name: row for row in csv.DictReader(file)}
+    assert {name: row["status"] for name, row in rows.items()} == {
+        "good.vtu": "ok", "good.msh": "ok", "poisoned.vtu": "failed", "flat.vtu": "failed",
+        "bad.crash": "crashed", "greedy.fat": "memory"}
+    assert "SIGSEGV" in rows["bad.crash"]["message"]
+    assert "zero volume" in rows["flat.vtu"]["message"]
+    assert "expected a complete file" in rows["poisoned.vtu"]["message"]
+    assert rows["greedy.fat"]["message"] == "more than 3 GB needed"
+    assert files(place / "out") == ["good.vtu", "inner/good.vtu", "summary.csv", "summary.html",
+                                    "summary.parquet"]
+    for name in ("good.vtu", "inner/good.vtu"):
+        mesh = meshio.read(place / "out" / name)
+        after = tet_meshes.quality(mesh.points, mesh.cells[0].data)
+        row = rows["good.msh" if "inner" in name else name]
+        assert after.mean() == pytest.approx(float(row["after_mean_quality"]), abs=1e-9)
+        assert after.mean() > float(row["before_mean_quality"]) + 0.1
+    table = pq.read_table("out/summary.parquet")
+    assert table["status"].to_pylist() == [
+        rows[Path(source).name]["status"] for source in table["source"].to_pylist()]
+    assert table["after_mean_quality"].null_count == 4
+    page = (place / "out" / "summary.html").read_text(encoding="utf-8")
+    assert page.index("bad.crash") < page.index("good.vtu")
+    assert "2 ok, 1 crashed" in page
+    command = "--suffix .vtu --memory-limit 3.0 --keep min_quality,mean_quality</code>"
+    assert "odt-plugins batch" in page
+    assert command in page
+    assert not (place / "out" / HIDDEN / "work").exists()
+
+
+def test_an_input_without_end_is_given_up(place):
+    (place / "models" / "endless.slow").write_text("1000")
+    clock = time.monotonic()
+    (row,) = run_batch(make_jobs(["models/endless.slow"], place / "out", {}, suffix=".vtu",
+                                 timeout=2.0))
+    assert 2.0 <= time.monotonic() - clock < 60.0
+    assert (row["status"], row["message"]) == ("timeout", "no result within 2 s")
+    assert files(place / "out") == []
+
+
+def copied(job: Job, folder: Path) -> dict[str, Any]:
+    """A process that does nothing but copy."""
+    shutil.copyfile(job.source, folder / Path(job.name).name)
+    return {"status": "ok", "seconds": 0.0}
+
+
+def test_what_is_done_is_left_as_long_as_input_options_and_result_are_the_same(
+    place, monkeypatch
+):
+    monkeypatch.setattr(batch, "_process", copied)
+    a, b = (write_ball(place / "models" / f"{n}.vtu", n) for n in (100, 120))
+    settings: dict[str, Any] = {"resume": True}
+
+    def run(**options: Any) -> list[bool]:
+        jobs = make_jobs([str(a), str(b)], place / "out", {"finish": False, **options}, **settings)
+        rows = run_batch(jobs)
+        assert [row["status"] for row in rows] == ["ok", "ok"]
+        return [row["resumed"] for row in rows]
+
+    assert run() == [False, False]
+    assert run() == [True, True]
+    write_ball(a, 110)
+    assert run() == [False, True]
+    (place / "out" / "120.vtu").unlink()
+    assert run(threads=2) == [True, False]
+    assert run(rounds=3) == [False, False]
+    settings["resume"] = False
+    assert run(rounds=3) == [False, False]
+
+
+def test_keys_name_what_decides_the_result(place):
+    path = str(write_ball(place / "models" / "a.vtu", 100))
+    jobs = [Job(path, "o", "a.vtu", {}), Job(path, "o", "a.vtu", {"method": "cpt"}),
+            Job(path, "o", "a.msh", {}), Job(path, "o", "a.vtu", {}, tetrahedralize=True),
+            Job(path, "o", "a.vtu", {}, edge_length=0.1)]
+    assert len({job_key(job) for job in jobs}) == len(jobs)
+    assert job_key(jobs[0]) == job_key(Job(path, "p", "a.vtu", {}, timeout=1.0, resume=True))
+
+
+def test_results_never_share_a_place(place):
+    for name in ("a.vtu", "a.msh", "inner/a.vtu"):
+        write_ball(place / "models" / name, 60)
+    paths = find_inputs(["models/a.*", "models/inner/a.vtu"])
+    names = [job.name for job in make_jobs(paths, place, {}, suffix=".vtk")]
+    assert sorted(names) == ["a-vtu.vtk", "a.vtk", "inner/a.vtk"]
+    with pytest.raises(InvalidOptionError, match="names no file"):
+        find_inputs(["models/*.xyz"])
+    with pytest.raises(InvalidOptionError, match="did you mean 'method'"):
+        make_jobs(paths, place, {"methot": "odt"})
+    with pytest.raises(InvalidOptionError, match="plain value"):
+        make_jobs(paths, place, {"fixed": np.zeros(3, dtype=int)})
+    with pytest.raises(MeshFileError, match="no suffix of a mesh file"):
+        make_jobs(paths, place, {}, suffix=".xyzzy")
+
+
+def test_a_folder_that_cannot_be_written_is_told_before_any_work(place, capsys):
+    write_ball(place / "models" / "a.vtu", 60)
+    (place / "out").write_text("a file")
+    assert cli.main(["batch", "models/a.vtu", "--out", "out"]) == 1
+    assert "cannot write into" in capsys.readouterr().err
+    assert (place / "out").read_text() == "a file"
+
+
+def test_a_full_disk_is_a_row_and_leaves_nothing_half_written(place):
+    import resource
+
+    write_ball(place / "models" / "large.vtu", 1500)
+    write_ball(place / "models" / "small.vtu", 60)
+    done = subprocess.run(
+        [sys.executable, "-m", "odt_plugins.cli", "batch", "models/*.vtu", "--out", "out"],
+        capture_output=True, text=True, check=False, timeout=100,
+        preexec_fn=lambda: (resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000)),
+                            signal.signal(signal.SIGXFSZ, signal.SIG_IGN)),
+    )
+    assert done.returncode == 1, done.stderr
+    assert done.stdout.startswith("1 ok, 1 failed")
+    with open("out/summary.csv", newline="") as file:
+        large = next(csv.DictReader(file))
+    assert "cannot write" in large["message"]
+    assert "large" in large["source"]
+    assert files(place / "out") == ["small.vtu", *(f"summary.{s}" for s in
+                                                   ("csv", "html", "parquet"))]
+
+
+def test_surfaces_go_through_tetwild_when_asked(place):
+    pytest.importorskip("pytetwild")
+    points = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
+    faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+             [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
+    meshio.Mesh(points, [("triangle", faces)]).write(place / "models" / "cube.stl")
+    jobs = make_jobs(["models/cube.stl"], place / "out", {}, tetrahedralize=True, edge_length=0.3)
+    (row,) = run_batch(jobs)
+    assert row["status"] == "ok", row["message"]
+    mesh = meshio.read(place / "out" / "cube.vtu")
+    assert tet_meshes.signed_volumes(mesh.points, mesh.cells[0].data).sum() == pytest.approx(
+        1.0, abs=0.02)
+
+
+def rows_of(folder: Path) -> list[str]:
+    return sorted(p.name for p in (folder / HIDDEN / "rows").rglob("*.json"))
+
+
+def test_a_killed_batch_goes_on_where_it_stopped(place):
+    pytest.importorskip("distributed")
+    for n in (60, 70, 80):
+        write_ball(place / "models" / f"{n}.vtu", n)
+    write_ball(place / "models" / "90.vtu", 90)
+    (place / "models" / "90.slow").write_text("1000")
+    words = [sys.executable, "-m", "odt_plugins.cli", "batch", "models/6*.vtu", "models/7*.vtu",
+             "models/90.slow", "--out", "out", "--suffix", ".vtu", "--workers", "2"]
+    first = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
+    assert first.stderr is not None
+    assert "dashboard" in first.stderr.readline()
+    wait_until(lambda: len(rows_of(place / "out")) == 2)
+    started = children(first.pid)
+    first.kill()
+    first.wait()
+    first.stderr.close()
+    wait_until(lambda: not any(alive(pid) for pid in started))
+    assert files(place / "out") == ["60.vtu", "70.vtu"]
+    times = [os.stat(f"out/{n}.vtu").st_mtime_ns for n in (60, 70)]
+    (place / "models" / "90.slow").write_text("0")
+    done = subprocess.run([*words[:-2], "--resume"], capture_output=True, text=True, check=False,
+                          timeout=100)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("3 ok (2 of them before)")
+    assert [os.stat(f"out/{n}.vtu").st_mtime_ns for n in (60, 70)] == times
+    assert len(meshio.read("out/90.vtu").points) == len(meshio.read("models/90.vtu").points)
+
+
+def test_what_a_killed_worker_was_doing_is_done_by_another(place):
+    distributed = pytest.importorskip("distributed")
+    for n in (60, 70, 80):
+        write_ball(place / "models" / f"{n}.vtu", n)
+        (place / "models" / f"{n}.slow").write_text("2")
+    jobs = make_jobs(find_inputs(["models/*.slow"]), place / "out", {}, suffix=".vtu")
+    rows: list[Any] = []
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as own,
+        distributed.Client(own) as client,
+    ):
+        pids = client.run(os.getpid)
+        thread = threading.Thread(target=lambda: rows.extend(run_batch(jobs, client=client)))
+        thread.start()
+        work = place / "out" / HIDDEN / "work"
+        wait_until(lambda: work.is_dir() and len(list(work.iterdir())) == 2)
+        victim = min(pids.values())
+        inner = children(victim)
+        assert inner
+        os.kill(victim, signal.SIGKILL)
+        wait_until(lambda: not any(alive(pid) for pid in inner))
+        thread.join(90)
+    assert [row["status"] for row in rows] == ["ok"] * 3
+    assert files(place / "out") == ["60.vtu", "70.vtu", "80.vtu"]
+    for name in rows_of(place / "out"):
+        row = json.loads((place / "out" / HIDDEN / "rows" / name).read_text())
+        assert row["status"] == "ok"
