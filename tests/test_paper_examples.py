@@ -101,3 +101,11 @@ def test_fig11_bunny(script, tmp_path):
     assert result["odt_plugins.optimize"][0] > result["ODT"][0] + 0.03
     assert result["odt_plugins.optimize"][1] == 0
     drawn(tmp_path, "fig11.png")
+
+
+def test_section43_two_grids(script, tmp_path):
+    fine, few, both = script("two_grid").main(tmp_path, levels=2).values()
+    assert both[0] < fine[0] < few[0]
+    assert both[1] < 0.25 * fine[1]
+    assert both[2].mean > fine[2].mean
+    drawn(tmp_path, "two_grid.png")
