@@ -1,4 +1,4 @@
-"""Mesh generation: distance functions, size functions and uniform refinement.
+"""Mesh generation: distance functions, size functions, odtmesh2d and uniform refinement.
 
 References
 ----------
@@ -19,16 +19,22 @@ from odt_plugins.generate.distance import (
     protate,
     pshift,
 )
+from odt_plugins.generate.odtmesh import odtmesh2d
 from odt_plugins.generate.refine2d import refine_triangles
+from odt_plugins.generate.samples import SAMPLES, Sample
 from odt_plugins.generate.sizes import hgraded, hmin, huniform
+from odt_plugins.generate.truss import distmesh2d
 from odt_plugins.generate.uniform import uniform_refine
 
 __all__ = [
+    "SAMPLES",
+    "Sample",
     "dblock",
     "dblock0",
     "dcircle",
     "ddiff",
     "dintersect",
+    "distmesh2d",
     "dpoly",
     "drectangle",
     "drectangle0",
@@ -37,6 +43,7 @@ __all__ = [
     "hgraded",
     "hmin",
     "huniform",
+    "odtmesh2d",
     "protate",
     "pshift",
     "refine_triangles",
