@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from itertools import pairwise
+from itertools import combinations, pairwise
 
 import numpy as np
 import pytest
 import surface_meshes as sm
+from scipy.spatial import cKDTree
 
 import odt_plugins
 from odt_plugins.engine.surface import driver
@@ -385,3 +386,46 @@ def test_a_run_is_a_pure_function():
     assert np.array_equal(first.points, second.points)
     assert np.array_equal(first.cells, second.cells)
     assert np.array_equal(mesh.points, p)
+
+
+def is_drawn(points, edges, a, b):
+    """Whether the segment ab is a path of edges of a mesh."""
+    along = (points - a) @ (b - a) / ((b - a) @ (b - a))
+    off = np.linalg.norm(points - a - along[:, None] * (b - a), axis=1)
+    on = np.flatnonzero((off < 1e-12) & (along > -1e-12) & (along < 1 + 1e-12))
+    place = np.round(along[on], 9)
+    steps = {frozenset((u, v)) for u, v in pairwise(np.unique(place).tolist())}
+    at = dict(zip(on.tolist(), place.tolist(), strict=True))
+    drawn = {frozenset((at[i], at[j])) for i, j in edges if i in at and j in at}
+    return {place.min(), place.max()} == {0.0, 1.0} and steps <= drawn
+
+
+def test_a_block_with_a_hole_keeps_its_edges_corners_faces_and_genus():
+    pymeshlab = pytest.importorskip("pymeshlab")
+    meshes = pymeshlab.MeshSet()
+    zero = pymeshlab.PureValue(0)
+    meshes.create_cube(size=2.0)
+    meshes.meshing_surface_subdivision_midpoint(iterations=3, threshold=zero)
+    meshes.create_cone(r0=0.5, r1=0.5, h=4, subdiv=24)
+    meshes.generate_boolean_difference(first_mesh=0, second_mesh=1)
+    meshes.meshing_surface_subdivision_midpoint(iterations=1, threshold=zero)
+    p, t = meshes.current_mesh().vertex_matrix(), meshes.current_mesh().face_matrix()
+    assert sm.topology(t)[0] == 0
+    x, c, report = improved((p, t), envelope=5e-3)
+    assert report.after.mean_quality > report.before.mean_quality + 0.1
+    flat = np.abs(np.abs(p) - 1.0) < 1e-12
+    # corners of the block, and of the two circles; of several at the same place one stays
+    stays = (flat.sum(axis=1) == 3) | ((flat.sum(axis=1) == 1) & (
+        np.abs(np.hypot(p[:, 0], p[:, 2]) - 0.5) < 1e-9) & flat[:, 1])
+    assert (flat.sum(axis=1) == 3).sum() == 8
+    assert stays.sum() >= 8 + 2 * 24
+    assert cKDTree(x).query(p[stays])[0].max() < 1e-15
+    assert np.abs(x[flat] - p[flat]).max() < 1e-12
+    corners = np.array([[i, j, k] for i in (-1.0, 1) for j in (-1.0, 1) for k in (-1.0, 1)])
+    block = [(a, b) for a, b in combinations(corners, 2) if (a != b).sum() == 1]
+    turn = 2 * np.pi * np.arange(25) / 24
+    circles = [np.stack([0.5 * np.cos(turn), np.full(25, y), 0.5 * np.sin(turn)], axis=1)
+               for y in (-1.0, 1.0)]
+    edges = sm.edge_set(c)
+    assert all(is_drawn(x, edges, a, b) for a, b in block)
+    assert all(is_drawn(x, edges, a, b) for circle in circles for a, b in pairwise(circle))

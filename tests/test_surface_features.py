@@ -187,3 +187,21 @@ def test_options_must_fit():
         surface_mesh(p, t, fixed=[99])
     mesh = surface_mesh(p, t, selection=[0, 1])
     assert mesh.frozen.sum() == len(t) - 2
+
+
+def test_a_bend_whose_vertex_is_there_several_times_is_held():
+    # a folded strip whose crease turns by 15 degrees at three vertices at the same place
+    turn = np.radians(15.0)
+    x = np.array([[0.0, 0], [1, 0], [2, 0], [2 + 1e-9, 0], [2 + 2e-9, 0],
+                  [2 + np.cos(turn), np.sin(turn)], [2 + 2 * np.cos(turn), 2 * np.sin(turn)]])
+    k = len(x)
+    crease = np.column_stack([x, np.zeros(k)])
+    points = np.concatenate([crease, crease + np.array([0, 1, 0]), crease + np.array([0, 0, 1])])
+    i = np.arange(k - 1)
+    cells = np.concatenate([
+        np.stack([i, i + 1, k + i], axis=1), np.stack([i + 1, k + i + 1, k + i], axis=1),
+        np.stack([i + 1, i, 2 * k + i], axis=1),
+        np.stack([2 * k + i + 1, i + 1, 2 * k + i], axis=1),
+    ])
+    found, _ = features(points, cells)
+    assert found.kind[:k].tolist() == [HELD, LINE, HELD, HELD, HELD, LINE, HELD]

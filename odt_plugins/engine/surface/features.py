@@ -347,11 +347,24 @@ def _mark_pinched(
 
 
 def _hold_bent(points: FloatArray, chains: _Chains, kind: ByteArray, slack: float) -> None:
-    """Hold, in place, the line vertices that are further from their neighbours' chord."""
-    nodes = chains.nodes
+    """Hold, in place, the line vertices that are further from their neighbours' chord.
+
+    Neighbours at the same place, to the slack, are passed over.
+    """
+    nodes, offsets = chains.nodes, chains.offsets
     middle = np.arange(1, len(nodes) - 1)
     middle = middle[kind[nodes[middle]] == LINE]
-    a, v, b = points[nodes[middle - 1]], points[nodes[middle]], points[nodes[middle + 1]]
+    chain = np.searchsorted(offsets, middle, side="right")
+    v = points[nodes[middle]]
+    before, after = middle - 1, middle + 1
+    for near, step, last in ((before, -1, offsets[chain - 1]), (after, 1, offsets[chain] - 1)):
+        again = np.arange(len(middle))
+        while again.size:
+            away = points[nodes[near[again]]] - v[again]
+            same = (away * away).sum(axis=1) <= slack * slack
+            again = again[same & (near[again] != last[again])]
+            near[again] += step
+    a, b = points[nodes[before]], points[nodes[after]]
     u = b - a
     length = (u * u).sum(axis=1)
     w = np.divide(((v - a) * u).sum(axis=1), length, out=np.zeros(len(u)), where=length > 0.0)
