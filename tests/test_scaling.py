@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 import tet_meshes as tm
 
+from odt_plugins.compare import blocks
 from odt_plugins.compare.bandwidth import sweep_bytes, triad_bandwidth
 from odt_plugins.compare.local_global import forty_sweeps_part, moved_rhombohedron, moved_triangle
 from odt_plugins.compare.multigrid import multigrid_part
@@ -27,6 +28,17 @@ def test_fitted_exponent_is_that_of_a_power_law():
     stage = fit("x", [(m, 3e-7 * m**1.25) for m in (100, 1000, 20000)])
     assert stage.exponent == pytest.approx(1.25, abs=1e-12)
     assert fit("x", [(10, 1.0)]).exponent is None
+
+
+def test_one_piece_and_blocks_are_measured(monkeypatch):
+    monkeypatch.setattr(blocks, "WAYS", (blocks.WAYS[0], blocks.WAYS[2]))
+    table, traffic = blocks.blocks_part([11_000], 1, silent).tables
+    assert [row[1] for row in table.rows] == ["one piece", "4 blocks, 1 worker"]
+    assert [row[-1] for row in table.rows] == ["", "the same"]
+    assert all(row[3] > 0 for row in table.rows)
+    assert table.rows[1][6] > 50
+    assert traffic.rows[0][2:4] == (2, table.rows[0][0])
+    assert min(min(row[4:]) for row in traffic.rows) > 0
 
 
 def test_the_stages_of_curved_surfaces_are_measured():

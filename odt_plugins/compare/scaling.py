@@ -8,6 +8,7 @@ from dataclasses import asdict
 from pathlib import Path
 
 from odt_plugins.compare.bandwidth import bandwidth_part
+from odt_plugins.compare.blocks import blocks_part
 from odt_plugins.compare.local_global import forty_sweeps_part, races_part
 from odt_plugins.compare.machine import describe
 from odt_plugins.compare.multigrid import multigrid_part
@@ -28,6 +29,7 @@ PARTS: dict[str, Callable[[Sequence[int], int, Say], Part]] = {
     "multigrid": multigrid_part,
     "bandwidth": bandwidth_part,
     "threads": threads_part,
+    "blocks": blocks_part,
 }
 """Every part of the report: takes the sizes, the number of threads, and whom to tell."""
 

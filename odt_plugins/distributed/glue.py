@@ -16,7 +16,8 @@ from odt_plugins.distributed.partition import (
     bricks,
     clusters,
     groups,
-    shared_vertices,
+    grown,
+    seams,
 )
 from odt_plugins.distributed.versions import versions_here
 from odt_plugins.errors import InvalidMeshError
@@ -36,11 +37,14 @@ class Whole:
     mesh : SimplexMesh
     density : (n,) or None      values of the density at the vertices, carried with them
     waiting : (n,) bool         vertices that have not been inside a block in any round yet
+    patch : (n,) int32          equal for those of them between the same two blocks of the last
+                                round, -1 for all others
     """
 
     mesh: SimplexMesh
     density: FloatArray | None
     waiting: BoolArray
+    patch: IntArray
 
 
 class Traffic(NamedTuple):
@@ -58,23 +62,23 @@ def labels(whole: Whole, count: int, index: int, rounds: int) -> IntArray:
     """Block of every cell in one round, -1 for cells that rest.
 
     The first round takes all cells that may change, in bricks. Every later one takes the cells
-    around the vertices that have been on rims only, in bricks of the same size; the last one
-    leaves whole clusters of them together, so that none is cut again.
+    around the vertices that have been on rims only: a block from what lies around each patch of
+    the seam between two former blocks, and in the last round, so that nothing is cut again, whole
+    clusters around what is left.
     """
     mesh = whole.mesh
     label = np.full(len(mesh.cells), -1, dtype=np.int32)
     active = np.flatnonzero(~mesh.frozen)
-    zone = active
-    if index:
-        zone = active[around(whole.waiting, mesh.cells[active], RINGS)]
-    if not len(zone):
-        return label
-    parts = max(1, -(-len(zone) * count // max(len(active), 1)))
-    cells = mesh.cells[zone]
-    if index and (index == rounds - 1 or parts == 1):
-        label[zone] = clusters(cells, parts)
+    cells = mesh.cells[active]
+    if index == 0:
+        label[active] = bricks(mesh.points, cells, min(count, len(active)))
+    elif index < rounds - 1:
+        label[active] = grown(whole.patch, cells, RINGS)
     else:
-        label[zone] = bricks(mesh.points, cells, min(parts, len(zone)), index / rounds)
+        zone = active[around(whole.waiting, cells, RINGS)]
+        if len(zone):
+            parts = -(-len(zone) * count // len(active))
+            label[zone] = clusters(mesh.cells[zone], parts)
     return label
 
 
@@ -89,8 +93,8 @@ def one_round(
     """
     mesh = whole.mesh
     active = ~mesh.frozen
-    rim = shared_vertices(mesh.cells[active], label[active], len(mesh.points))
-    held = shared_vertices(mesh.cells, label, len(mesh.points))
+    rim, patch = seams(mesh.cells[active], label[active], len(mesh.points))
+    held, _ = seams(mesh.cells, label, len(mesh.points))
     members = groups(label)
     versions = versions_here()
     sent: list[int] = []
@@ -127,7 +131,8 @@ def one_round(
     glued = replace(mesh, points=points, cells=np.concatenate(new_cells),
                     regions=np.concatenate(new_regions), frozen=frozen)
     traffic = Traffic(len(members), int((~rest).sum()), sum(sent), received, counts, fallbacks)
-    return Whole(glued, density, whole.waiting & rim), traffic
+    waiting = whole.waiting & rim
+    return Whole(glued, density, waiting, np.where(waiting, patch, np.int32(-1))), traffic
 
 
 def _expect_fit(result: Improved, before: FloatArray, held: BoolArray, index: int) -> None:

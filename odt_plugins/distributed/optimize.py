@@ -95,7 +95,7 @@ def optimize_partitioned_with_report(
     Returns
     -------
     mesh : same type as the input
-    report : Report     its times are those of the rounds, its counts name bytes sent and received
+    report : Report     its times and counts are those of the rounds, bytes sent and received
     """
     from odt_plugins.report import make_report
 
@@ -160,19 +160,19 @@ def run_blocks(
     clock = time.perf_counter()
     whole, plain, power = _start(mesh, options)
     times = {"prepare": time.perf_counter() - clock}
-    states, counts, fallbacks = [whole], {"blocks": 0}, list[str]()
+    states, counts, fallbacks = [whole], dict[str, int](), list[str]()
     report = options.progress or _silent
     for index in range(rounds):
         clock = time.perf_counter()
         label = labels(whole, count, index, rounds)
         if label.max() < 0:
-            break
+            continue
         name = f"round {index + 1}"
         chosen = plain if index == 0 else _later(plain)
         told = _told(apply, report, name, int(label.max()) + 1)
         whole, traffic = one_round(whole, label, chosen, power, told)
         states.append(whole)
-        _count(counts, traffic)
+        _count(counts, name, traffic)
         fallbacks += [f"{name}: {reason}" for reason in traffic.fallbacks]
         times[name] = time.perf_counter() - clock
     clock = time.perf_counter()
@@ -200,7 +200,8 @@ def _start(mesh: SimplexMesh, options: Options) -> tuple[Whole, Options, float]:
                     selection=None, regions=None, orient=False)
     waiting = np.zeros(len(mesh.points), dtype=np.bool_)
     waiting[mesh.cells[active]] = True
-    return Whole(mesh, field, waiting), plain, power
+    patch = np.full(len(mesh.points), -1, dtype=np.int32)
+    return Whole(mesh, field, waiting, patch), plain, power
 
 
 def _later(options: Options) -> Options:
@@ -248,11 +249,11 @@ def _told(
     return told
 
 
-def _count(counts: dict[str, int], traffic: Traffic) -> None:
-    counts["blocks"] += traffic.blocks
-    for name, value in (("bytes sent", traffic.sent), ("bytes received", traffic.received),
-                        ("cells in blocks", traffic.cells), *traffic.counts.items()):
-        counts[name] = counts.get(name, 0) + value
+def _count(counts: dict[str, int], name: str, traffic: Traffic) -> None:
+    counts |= {f"{name} blocks": traffic.blocks, f"{name} cells": traffic.cells,
+               f"{name} bytes sent": traffic.sent, f"{name} bytes received": traffic.received}
+    for what, value in traffic.counts.items():
+        counts[what] = counts.get(what, 0) + value
 
 
 def _check(blocks: int, rounds: int, workers: int, options: Options, *, several: bool) -> None:

@@ -1,4 +1,4 @@
-"""Which block a cell belongs to: bricks of equal numbers of cells, cut elsewhere in every round."""
+"""Which block a cell belongs to: bricks first, then what lies around the cuts between them."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ RINGS = 3
 """Cells within so many rings of a vertex that was held in every round yet are improved again."""
 
 
-def bricks(points: FloatArray, cells: IntArray, count: int, shift: float = 0.0) -> IntArray:
+def bricks(points: FloatArray, cells: IntArray, count: int) -> IntArray:
     """Cut cells into bricks of equal numbers, across the longest sides of the mesh.
 
     Parameters
@@ -19,8 +19,6 @@ def bricks(points: FloatArray, cells: IntArray, count: int, shift: float = 0.0) 
     points : (n, d) float64
     cells : (m, d + 1) int32
     count : int                 of bricks, at most m
-    shift : float               by what part of a brick every cut is moved; what is cut off at
-                                one end joins the brick at the other
 
     Returns
     -------
@@ -40,10 +38,8 @@ def bricks(points: FloatArray, cells: IntArray, count: int, shift: float = 0.0) 
         axis = int(np.argmax(at.max(axis=0) - at.min(axis=0)))
         order = np.argsort(at[:, axis], kind="stable")
         low = parts // 2
-        size = len(members) * low // parts
-        start = int(0.5 * shift * size)
         inside = np.zeros(len(members), dtype=np.bool_)
-        inside[order[start : start + size]] = True
+        inside[order[: len(members) * low // parts]] = True
         pending.append((members[inside], first, low))
         pending.append((members[~inside], first + low, parts - low))
     return label
@@ -69,14 +65,54 @@ def clusters(cells: IntArray, count: int) -> IntArray:
     return np.asarray(before * count // len(cells), dtype=np.int32)[of_cell]
 
 
-def shared_vertices(cells: IntArray, label: IntArray, n: int) -> BoolArray:
-    """Say which of n vertices belong to cells of several labels; negative labels count too."""
+def seams(cells: IntArray, label: IntArray, n: int) -> tuple[BoolArray, IntArray]:
+    """Find where labels meet; negative ones count too.
+
+    Parameters
+    ----------
+    cells : (m, d + 1) int32
+    label : (m,) int32
+    n : int                     number of vertices
+
+    Returns
+    -------
+    shared : (n,) bool          vertices of cells of several labels
+    patch : (n,) int32          equal for those between the same two labels; -1 for all others, and
+                                where three or more meet
+    """
     low = np.full(n, np.iinfo(np.int32).max, dtype=np.int32)
     high = np.full(n, np.iinfo(np.int32).min, dtype=np.int32)
     for corner in cells.T:
         np.minimum.at(low, corner, label)
         np.maximum.at(high, corner, label)
-    return np.asarray(low < high)
+    shared = low < high
+    several = np.zeros(n, dtype=np.bool_)
+    for corner in cells.T:
+        several[corner[(label != low[corner]) & (label != high[corner])]] = True
+    patch = np.full(n, -1, dtype=np.int32)
+    pairs = np.flatnonzero(shared & ~several)
+    keys = low[pairs].astype(np.int64) << 32 | (high[pairs].astype(np.int64) + 1)
+    patch[pairs] = np.unique(keys, return_inverse=True)[1]
+    return np.asarray(shared), patch
+
+
+def grown(patch: IntArray, cells: IntArray, rings: int) -> IntArray:
+    """Grow labels of vertices (n,) into the cells around them; the lower one where several meet.
+
+    Returns
+    -------
+    (m,) int32                  -1 for cells further away than so many rings
+    """
+    far = np.int32(np.iinfo(np.int32).max)
+    at = np.where(patch < 0, far, patch)
+    label = np.full(len(cells), far, dtype=np.int32)
+    for _ in range(rings):
+        label = np.where(label == far, at[cells].min(axis=1), label)
+        reached = at.copy()
+        for corner in cells.T:
+            np.minimum.at(reached, corner, label)
+        at = np.where(at == far, reached, at)
+    return np.where(label == far, np.int32(-1), label)
 
 
 def around(vertices: BoolArray, cells: IntArray, rings: int) -> BoolArray:
