@@ -6,13 +6,10 @@ import json
 import os
 import signal
 import sys
-import tempfile
 import threading
-import warnings
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
@@ -21,16 +18,18 @@ import numpy as np
 
 from odt_plugins.errors import (
     InvalidOptionError,
-    MeshFileError,
-    MissingDependencyError,
     ODTError,
-    ODTWarning,
 )
 from odt_plugins.options import DENSITIES, FIGURES, Options
+from odt_plugins.terminal import (
+    check_paths,
+    one_line,
+    progress_bar,
+    warnings_told,
+    write_beside,
+)
 
 DONE, COULD_NOT, WRONG_USE = 0, 1, 2
-
-COMPILING = "compiling the kernels, once after installation: about half a minute ..."
 
 HELP = {
     "method": "Centre a vertex moves to: circumcenters (odt), barycenters (cpt), neighbours "
@@ -67,8 +66,6 @@ HELP = {
     "threads": "Worker threads; the result does not depend on it.",
 }
 
-PLOT_SUFFIXES = (".png", ".pdf", ".svg")
-
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code: 0 done, 1 could not, 2 wrong use.
@@ -102,16 +99,20 @@ def main(argv: Sequence[str] | None = None) -> int:
 
 
 class _Commands(click.Group):
-    """The subcommands; `compare`, which has a room of its own, is loaded when it is asked for."""
+    """The subcommands; those with a room of their own are loaded when they are asked for."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return sorted([*super().list_commands(ctx), "compare"])
+        return sorted([*super().list_commands(ctx), "compare", "mesh"])
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name == "compare":
             from odt_plugins.compare.command import compare
 
             return compare
+        if cmd_name == "mesh":
+            from odt_plugins.generate.command import mesh
+
+            return mesh
         return super().get_command(ctx, cmd_name)
 
 
@@ -204,14 +205,14 @@ def optimize(
     Files are of any format that meshio knows, by their suffix. The boundary stays as it is and
     no figure named in --keep gets worse.
     """
-    _check_paths(target, report_file, plot_file)
+    check_paths(target, report_file, plot_file)
     options = _resolve_arrays(source, options)
     if blocks is None and (scheduler or workers):
         msg = "--scheduler and --workers need --blocks, the number of blocks to cut the mesh into"
         raise click.UsageError(msg)
     from odt_plugins.api import optimize_file
 
-    with _warnings_told(), _cluster(scheduler, workers) as client, _progress(quiet) as progress:
+    with warnings_told(), _cluster(scheduler, workers) as client, progress_bar(quiet) as progress:
         options["progress"] = progress
         if blocks is None:
             report = optimize_file(source, target, **options)
@@ -223,9 +224,9 @@ def optimize(
     if not quiet:
         click.echo(str(report))
     if report_file:
-        _write_beside(report_file, lambda path: path.write_text(report.to_json() + "\n"))
+        write_beside(report_file, lambda path: path.write_text(report.to_json() + "\n"))
     if plot_file:
-        _write_beside(plot_file, report.plot)
+        write_beside(plot_file, report.plot)
     return DONE
 
 
@@ -266,7 +267,7 @@ def batch(
         edge_length=edge_length, timeout=timeout, resume=resume,
         memory_limit=None if memory_limit is None else round(memory_limit * 1e9),
     )
-    with _cluster(scheduler, workers) as client, _progress(quiet) as progress:
+    with _cluster(scheduler, workers) as client, progress_bar(quiet) as progress:
         rows = batches.run_batch(jobs, client=client, progress=progress)
     words = summary.command_line(click.get_current_context())
     summary.write_summary(out, rows, words, options["threads"])
@@ -289,7 +290,7 @@ def quality(sources: tuple[Path, ...], as_json: bool) -> int:
     found = {}
     for source in sources:
         try:
-            with _warnings_told():
+            with warnings_told():
                 found[str(source)] = measure(source)
         except ODTError as exc:
             code = _fail(exc, COULD_NOT)
@@ -314,7 +315,7 @@ def script(file: Path, source: Path, target: Path, quiet: bool) -> int:
     """
     from odt_plugins.script import run_script_on_files
 
-    with _warnings_told():
+    with warnings_told():
         run_script_on_files(file, source, target, progress=None if quiet else click.echo)
     return DONE
 
@@ -330,36 +331,12 @@ def demo(out: Path, edge_length: float | None, threads: int) -> int:
     """Improve a TetWild mesh of the Stanford bunny and draw it before and after."""
     from odt_plugins.demo import EDGE_LENGTH, FILES, run_demo
 
-    with _warnings_told(), _progress(quiet=False) as progress:
+    with warnings_told(), progress_bar(quiet=False) as progress:
         report = run_demo(out, edge_length=edge_length or EDGE_LENGTH, say=click.echo,
                           threads=threads, progress=progress)
     click.echo(f"\n{report}\n")
     click.echo("written: " + ", ".join(str(out / name) for name in FILES))
     return DONE
-
-
-def _check_paths(target: Path, report_file: Path | None, plot_file: Path | None) -> None:
-    """Refuse a report or a figure that cannot be written, before any work is done."""
-    given = [p for p in (target, report_file, plot_file) if p is not None]
-    if len({p.absolute() for p in given}) < len(given):
-        msg = "OUTPUT, --report and --plot name the same file; expected different ones"
-        raise click.UsageError(msg)
-    if plot_file is not None:
-        if plot_file.suffix.lower() not in PLOT_SUFFIXES:
-            msg = f"got {plot_file.name!r}; expected a file ending in {', '.join(PLOT_SUFFIXES)}"
-            raise click.BadParameter(msg, param_hint="--plot")
-        if find_spec("matplotlib") is None:
-            msg = ("--plot needs matplotlib, not installed here; try "
-                   'pip install "odt-plugins[plot]"')
-            raise MissingDependencyError(msg)
-    for path in (report_file, plot_file):
-        if path is None:
-            continue
-        folder = path.absolute().parent
-        if path.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
-            what = "it is a directory" if path.is_dir() else f"{folder} is no writable directory"
-            msg = f"cannot write {path}: {what}; try another path"
-            raise MeshFileError(msg)
 
 
 def _resolve_arrays(source: Path, options: dict[str, Any]) -> dict[str, Any]:
@@ -414,26 +391,12 @@ def _indices(path: Path, option: str) -> Any:
                      for line in path.read_text(encoding="utf-8").splitlines()]
             values = np.array([int(w) for line in words for w in line], dtype=np.int64)
     except (OSError, ValueError, EOFError) as exc:
-        msg = f"cannot read indices from {path}: {_one_line(exc)}; expected whole numbers or .npy"
+        msg = f"cannot read indices from {path}: {one_line(exc)}; expected whole numbers or .npy"
         raise click.BadParameter(msg, param_hint=f"--{option}") from exc
     if not values.size:
         msg = f"{path} holds no index; expected at least one, leave out --{option} to give none"
         raise click.BadParameter(msg, param_hint=f"--{option}")
     return values
-
-
-def _write_beside(path: Path, write: Callable[[Path], Any]) -> None:
-    """Write a file in a directory beside its place and rename it when it is complete."""
-    try:
-        with tempfile.TemporaryDirectory(prefix=f".{path.stem}-",
-                                         dir=path.absolute().parent) as folder:
-            write(Path(folder) / path.name)
-            os.replace(Path(folder) / path.name, path)
-    except OSError as exc:
-        # An error of our own names the file in that directory, its cause says the reason alone.
-        cause = exc.__cause__ if isinstance(exc, MeshFileError) and exc.__cause__ else exc
-        msg = f"cannot write {path}: {getattr(cause, 'strerror', None) or cause}; try another path"
-        raise MeshFileError(msg) from exc
 
 
 @contextmanager
@@ -450,17 +413,6 @@ def _stoppable() -> Iterator[None]:
 
 
 @contextmanager
-def _warnings_told() -> Iterator[None]:
-    """Show the package's own warnings as one line each on stderr."""
-    with warnings.catch_warnings(record=True) as caught:
-        warnings.simplefilter("always", ODTWarning)
-        yield
-    for warning in caught:
-        if issubclass(warning.category, ODTWarning):
-            click.echo(f"odt-plugins: warning: {_one_line(warning.message)}", err=True)
-
-
-@contextmanager
 def _cluster(scheduler: str | None, workers: int) -> Iterator[Any]:
     """Connect to Dask when asked to, and tell where its dashboard is; None otherwise."""
     if scheduler is None and not workers:
@@ -473,49 +425,8 @@ def _cluster(scheduler: str | None, workers: int) -> Iterator[Any]:
         yield client
 
 
-@contextmanager
-def _progress(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
-    """Show a bar on stderr when that is a terminal; nothing in a pipe."""
-    if quiet or not sys.stderr.isatty():
-        yield None
-        return
-    from numba.core import event
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    bar = Progress(TextColumn("{task.description:<24}"), BarColumn(), TimeElapsedColumn(),
-                   console=Console(stderr=True), transient=True,
-                   redirect_stdout=sys.stdout.isatty())
-
-    class FirstKernel(event.Listener):  # type: ignore[misc]
-        """Tells once that kernels are compiled, which means that none were found in the cache."""
-
-        told = False
-
-        def on_start(self, event: Any) -> None:
-            module = event.data["dispatcher"].py_func.__module__
-            if not self.told and module.startswith("odt_plugins"):
-                self.told = True
-                bar.console.print(COMPILING)
-
-        def on_end(self, event: Any) -> None:
-            """Nothing to tell."""
-
-    with bar, event.install_listener("numba:compile", FirstKernel()):
-        task = bar.add_task("reading", total=None)
-
-        def progress(stage: str, fraction: float) -> None:
-            bar.update(task, description=stage, total=1.0, completed=min(max(fraction, 0.0), 1.0))
-
-        yield progress
-
-
-def _one_line(message: object) -> str:
-    return " ".join(str(message).split())
-
-
 def _fail(message: object, code: int) -> int:
-    click.echo(f"odt-plugins: {_one_line(message)}", err=True)
+    click.echo(f"odt-plugins: {one_line(message)}", err=True)
     return code
 
 

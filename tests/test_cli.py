@@ -19,7 +19,7 @@ import numba
 import numpy as np
 import pytest
 
-from odt_plugins import cli
+from odt_plugins import cli, terminal
 from odt_plugins.engine import driver
 from odt_plugins.options import FIGURES, Options
 
@@ -335,14 +335,14 @@ def test_a_terminal_is_told_once_that_kernels_are_compiled(
         numba.njit(kernel)(1.0)
 
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
-    with cli._progress(quiet=False):
+    with terminal.progress_bar(quiet=False):
         compile_one("elsewhere")
     assert "compiling" not in capsys.readouterr().err
-    with cli._progress(quiet=False):
+    with terminal.progress_bar(quiet=False):
         compile_one("odt_plugins.engine.one")
         compile_one("odt_plugins.engine.two")
     assert capsys.readouterr().err.count("compiling the kernels, once") == 1
-    with cli._progress(quiet=True):
+    with terminal.progress_bar(quiet=True):
         compile_one("odt_plugins.engine.three")
     compile_one("odt_plugins.engine.four")
     assert "compiling" not in capsys.readouterr().err
@@ -352,7 +352,7 @@ def test_a_terminal_is_told_once_that_kernels_are_compiled(
 def test_a_stopped_run_leaves_no_file_and_says_so(place: Path, name: str) -> None:
     script = textwrap.dedent("""
         import pathlib, signal, sys, time
-        from odt_plugins import cli
+        from odt_plugins import cli, terminal
         from odt_plugins.engine import driver
         # a job of a shell's background inherits an ignored SIGINT
         signal.signal(signal.SIGINT, signal.default_int_handler)

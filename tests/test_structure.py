@@ -39,11 +39,13 @@ MAY_IMPORT = {
     "tetwild": {"api", "errors", "mesh"},
     "hosts": {"adapters", "api", "report", "script", "tetwild", *BASE},
     "script": {"adapters", "errors", "hosts"},
-    "generate": {"adapters", "api", "engine", "planar", "tetwild", *BASE},
+    "terminal": {"errors"},
+    "generate": {"adapters", "api", "engine", "planar", "report", "terminal",
+                 "tetwild", *BASE},
     "compare": {"adapters", "api", "engine", "generate", "planar", "plotting", *BASE},
     "distributed": {"adapters", "api", "compare", "engine", "report", "tetwild", *BASE},
     "cli": {"adapters", "api", "compare", "demo", "distributed", "generate", "report", "script",
-            *BASE},
+            "terminal", *BASE},
     "__init__": {"api", "distributed", "generate", "hosts", "report", "script", "tetwild", *BASE},
 }
 """Rooms that a room may import: DESIGN section 2."""

@@ -163,6 +163,23 @@ def _formats(path: Path) -> list[str]:
     raise MeshFileError(msg)
 
 
+def write_arrays(path: str | os.PathLike[str], points: NDArray[Any], cells: NDArray[Any]) -> None:
+    """Write triangles or tetrahedra given as arrays; points in the plane get a third coordinate 0.
+
+    Parameters
+    ----------
+    path : path                       as for :func:`write_file`, which says what may be raised
+    points : (n, 2) or (n, 3) float
+    cells : (m, 3) or (m, 4) int
+    """
+    import meshio
+
+    space = np.zeros((len(points), 3))
+    space[:, : points.shape[1]] = points
+    kind = "triangle" if cells.shape[1] == 3 else "tetra"
+    write_file(path, meshio.Mesh(space, [(kind, cells)]))
+
+
 @contextmanager
 def _remarks() -> Iterator[list[str]]:
     """Collect what meshio prints, one sentence an entry, filled at the end."""

@@ -1,0 +1,77 @@
+"""The subcommand ``odt-plugins mesh``."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from odt_plugins.errors import InvalidOptionError
+from odt_plugins.terminal import check_paths, progress_bar, warnings_told, write_beside
+
+
+@click.command()
+@click.argument("what", metavar="DOMAIN")
+@click.argument("target", metavar="OUTPUT", type=click.Path(path_type=Path))
+@click.option("--size", type=float, default=None, metavar="H0",
+              help="Edge length where the mesh is finest.  [default: the domain's own]")
+@click.option("--levels", type=click.IntRange(min=0), default=None,
+              help="How often a coarse mesh is refined.  [default: chosen by the size]")
+@click.option("--seed", type=click.IntRange(min=0), default=2011, show_default=True,
+              help="Seed of the points that are left out where edges may be longer.")
+@click.option("--most-points", type=click.IntRange(min=3), default=10_000_000, show_default=True,
+              help="Refuse sizes that would give more vertices.")
+@click.option("--report", "report_file", type=click.Path(path_type=Path), metavar="FILE.json",
+              help="Write the figures of the mesh there as JSON.")
+@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+def mesh(
+    what: str,
+    target: Path,
+    size: float | None,
+    levels: int | None,
+    seed: int,
+    most_points: int,
+    report_file: Path | None,
+    quiet: bool,
+) -> int:
+    """Make a mesh of triangles of DOMAIN and write it to OUTPUT.
+
+    DOMAIN is one of the paper's, circle, ring, square, graded-square, crescent and pie, or a
+    Python file that defines fd(p), the signed distance of points (n, 2), and optionally the sizes
+    fh(p), bbox, pfix and h0, all as for distmesh. The file is run. OUTPUT is of any format that
+    meshio knows, by its suffix.
+    """
+    from odt_plugins.adapters.files import check_output, write_arrays
+    from odt_plugins.generate.odtmesh import odtmesh2d
+    from odt_plugins.generate.samples import SAMPLES
+    from odt_plugins.generate.userfile import read_domain
+    from odt_plugins.quality import summarize, uniformity
+    from odt_plugins.report import table_lines
+
+    check_paths(target, report_file, None)
+    check_output(target)
+    if what in SAMPLES:
+        sample, known = SAMPLES[what], True
+    elif what.endswith(".py"):
+        sample, known = read_domain(Path(what))
+    else:
+        msg = f"got DOMAIN {what!r}; expected one of {', '.join(SAMPLES)}, or a Python file (.py)"
+        raise InvalidOptionError(msg)
+    if size is None and not known:
+        msg = f"{what} does not say h0; expected --size, the edge length where the mesh is finest"
+        raise click.UsageError(msg)
+    with warnings_told(), progress_bar(quiet) as progress:
+        points, cells = odtmesh2d(
+            sample.fd, sample.fh, sample.h0 if size is None else size, sample.bbox, sample.pfix,
+            level=levels, seed=seed, most_points=most_points, progress=progress,
+        )
+        write_arrays(target, points, cells)
+    summary = replace(summarize(points, cells), uniformity=uniformity(points, cells, sample.fh))
+    if not quiet:
+        click.echo("\n".join(table_lines({sample.title: summary})))
+    if report_file:
+        values = {"domain": sample.title, **summary.to_dict()}
+        write_beside(report_file, lambda path: path.write_text(json.dumps(values, indent=2) + "\n"))
+    return 0

@@ -1,0 +1,112 @@
+"""What the commands share in the terminal: a bar, warnings in one line, files that appear whole."""
+
+from __future__ import annotations
+
+import os
+import sys
+import tempfile
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import click
+
+from odt_plugins.errors import MeshFileError, MissingDependencyError, ODTWarning
+
+COMPILING = "compiling the kernels, once after installation: about half a minute ..."
+
+PLOT_SUFFIXES = (".png", ".pdf", ".svg")
+
+
+def check_paths(target: Path, report_file: Path | None, plot_file: Path | None) -> None:
+    """Refuse a report or a figure that cannot be written, before any work is done."""
+    given = [p for p in (target, report_file, plot_file) if p is not None]
+    if len({p.absolute() for p in given}) < len(given):
+        msg = "OUTPUT, --report and --plot name the same file; expected different ones"
+        raise click.UsageError(msg)
+    if plot_file is not None:
+        if plot_file.suffix.lower() not in PLOT_SUFFIXES:
+            msg = f"got {plot_file.name!r}; expected a file ending in {', '.join(PLOT_SUFFIXES)}"
+            raise click.BadParameter(msg, param_hint="--plot")
+        if find_spec("matplotlib") is None:
+            msg = ("--plot needs matplotlib, not installed here; try "
+                   'pip install "odt-plugins[plot]"')
+            raise MissingDependencyError(msg)
+    for path in (report_file, plot_file):
+        if path is None:
+            continue
+        folder = path.absolute().parent
+        if path.is_dir() or not folder.is_dir() or not os.access(folder, os.W_OK | os.X_OK):
+            what = "it is a directory" if path.is_dir() else f"{folder} is no writable directory"
+            msg = f"cannot write {path}: {what}; try another path"
+            raise MeshFileError(msg)
+
+
+def write_beside(path: Path, write: Callable[[Path], Any]) -> None:
+    """Write a file in a directory beside its place and rename it when it is complete."""
+    try:
+        with tempfile.TemporaryDirectory(prefix=f".{path.stem}-",
+                                         dir=path.absolute().parent) as folder:
+            write(Path(folder) / path.name)
+            os.replace(Path(folder) / path.name, path)
+    except OSError as exc:
+        # An error of our own names the file in that directory, its cause says the reason alone.
+        cause = exc.__cause__ if isinstance(exc, MeshFileError) and exc.__cause__ else exc
+        msg = f"cannot write {path}: {getattr(cause, 'strerror', None) or cause}; try another path"
+        raise MeshFileError(msg) from exc
+
+
+@contextmanager
+def warnings_told() -> Iterator[None]:
+    """Show the package's own warnings as one line each on stderr."""
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always", ODTWarning)
+        yield
+    for warning in caught:
+        if issubclass(warning.category, ODTWarning):
+            click.echo(f"odt-plugins: warning: {one_line(warning.message)}", err=True)
+
+
+@contextmanager
+def progress_bar(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
+    """Show a bar on stderr when that is a terminal; nothing in a pipe."""
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from numba.core import event
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
+
+    bar = Progress(TextColumn("{task.description:<24}"), BarColumn(), TimeElapsedColumn(),
+                   console=Console(stderr=True), transient=True,
+                   redirect_stdout=sys.stdout.isatty())
+
+    class FirstKernel(event.Listener):  # type: ignore[misc]
+        """Tells once that kernels are compiled, which means that none were found in the cache."""
+
+        told = False
+
+        def on_start(self, event: Any) -> None:
+            module = event.data["dispatcher"].py_func.__module__
+            if not self.told and module.startswith("odt_plugins"):
+                self.told = True
+                bar.console.print(COMPILING)
+
+        def on_end(self, event: Any) -> None:
+            """Nothing to tell."""
+
+    with bar, event.install_listener("numba:compile", FirstKernel()):
+        task = bar.add_task("reading", total=None)
+
+        def progress(stage: str, fraction: float) -> None:
+            bar.update(task, description=stage, total=1.0, completed=min(max(fraction, 0.0), 1.0))
+
+        yield progress
+
+
+def one_line(message: object) -> str:
+    """Put a message on one line."""
+    return " ".join(str(message).split())
