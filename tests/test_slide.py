@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 
 import meshio
@@ -19,13 +20,16 @@ from tet_meshes import (
 )
 
 import odt_plugins
+from odt_plugins.engine import driver
 from odt_plugins.engine.complex import make_complex
+from odt_plugins.engine.figures import figures
 from odt_plugins.engine.finishing import _flip_surface, finish
 from odt_plugins.engine.phases import Phase, bulk, tail
 from odt_plugins.engine.skin import flip_skin, make_skin
 from odt_plugins.engine.surface.crossings import count_crossings, crossing_triangles
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh import simplex_mesh
+from odt_plugins.options import Options
 from odt_plugins.promise import broken_promises
 
 DATA = Path(odt_plugins.__file__).parent / "compare" / "data"
@@ -373,7 +377,8 @@ def shelled(gap):
     return points, cells
 
 
-def test_bodies_close_to_each_other_never_overlap():
+def test_bodies_close_to_each_other_never_overlap(monkeypatch):
+    monkeypatch.setattr(driver, "RETREATS", 0)
     points, cells = shelled(2e-4)
     assert count_crossings(points, boundary(cells)) == 0
     (x, t), report = odt_plugins.optimize_with_report(
@@ -384,6 +389,69 @@ def test_bodies_close_to_each_other_never_overlap():
     assert crossing_pairs(x, boundary(t)) == 0
     rim = np.unique(boundary(cells))
     assert np.array_equal(x[rim], points[rim])
+
+
+def test_a_surface_is_left_alone_only_where_it_would_cut_through_itself():
+    points, cells = shelled(0.1)
+    ball = np.arange(len(points)) < 181
+    points[ball, 0] += 0.09
+    rim = np.unique(boundary(cells))
+    assert count_crossings(points, boundary(cells)) == 0
+    (x, t), report = odt_plugins.optimize_with_report(
+        (points, cells), boundary="slide", envelope=1e-2
+    )
+    assert crossing_pairs(x, boundary(t)) == 0
+    alone = report.counts["surface vertices left alone"]
+    moved = (x[rim] != points[rim]).any(axis=1)
+    assert 0 < alone <= (~moved).sum()
+    assert report.slid["vertices"] == moved.sum() > 400
+    assert max(report.slid["forward"], report.slid["backward"]) <= report.slid["envelope"]
+
+
+def test_a_surface_is_left_alone_where_cells_would_pass_the_extremes(monkeypatch):
+    mesh = simplex_mesh(*ball(500, 5), orient=True)[0]
+    rim = np.unique(boundary(mesh.cells))
+    once = driver._run
+    free, nowhere = once(mesh, Options(boundary="slide"))
+    assert len(nowhere) == 0
+    alone = rim[(free.points[rim] != mesh.points[rim]).any(axis=1)][:5]
+
+    def spoiled_at_first(start, options):
+        if start is mesh:
+            return replace(free, slid=None), alone
+        return once(start, options)
+
+    monkeypatch.setattr(driver, "_run", spoiled_at_first)
+    outcome = driver.run(mesh, Options(boundary="slide"))
+    assert outcome.counts["surface vertices left alone"] == 5
+    assert outcome.slid.vertices > 20
+    assert outcome.points[alone].tobytes() == mesh.points[alone].tobytes()
+    assert broken_promises(mesh, outcome.points, outcome.cells, outcome.regions, slides=True) == []
+
+
+def test_a_refused_state_tells_the_cells_beyond_the_extremes():
+    mesh = simplex_mesh(*ball(300, 2), orient=True)[0]
+    keep = Options().keep
+    before = replace(figures(mesh.points, mesh.cells), mean_quality=0.0, p1_quality=0.0)
+    rim = np.unique(boundary(mesh.cells))
+    state = make_complex(mesh.points, mesh.cells, mesh.regions, np.isin(
+        np.arange(len(mesh.points)), rim), np.isin(np.arange(len(mesh.points)), rim))
+    stored_cells = state.mesh_arrays()[0]
+    q, angles = (f(mesh.points, stored_cells) for f in (quality, dihedral_angles))
+    for change, bad in (
+        ({"min_quality": np.sort(q)[3] + 1e-9}, np.argsort(q)[:4]),
+        ({"cos_min_angle": np.cos(np.radians(np.sort(angles.min(axis=1))[2] + 1e-6))},
+         np.argsort(angles.min(axis=1))[:3]),
+        ({"cos_max_angle": np.cos(np.radians(np.sort(angles.max(axis=1))[-2] - 1e-6))},
+         np.argsort(angles.max(axis=1))[-2:]),
+    ):
+        memory = driver.Memory(replace(before, **change), keep, "radius_ratio", by_score=True)
+        assert not memory.offer(state, "x")
+        assert np.array_equal(memory.spoiled(), np.unique(stored_cells[bad]))
+    memory = driver.Memory(replace(before, min_quality=1.0, mean_quality=1.0), keep,
+                           "radius_ratio", by_score=True)
+    assert not memory.offer(state, "x")
+    assert not len(memory.spoiled())
 
 
 def crossing_pairs(points, triangles):

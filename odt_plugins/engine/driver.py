@@ -17,7 +17,7 @@ from odt_plugins.engine.density import Density, NodalDensity, make_density
 from odt_plugins.engine.figures import Figures, cell_shapes, figures
 from odt_plugins.engine.finishing import finish
 from odt_plugins.engine.geometry import boundary_vertices, interface_vertices
-from odt_plugins.engine.judge import Slid, envelope_length, faults, slides
+from odt_plugins.engine.judge import Slid, cut_vertices, envelope_length, faults, slides
 from odt_plugins.engine.order import curve_order
 from odt_plugins.engine.phases import WORST, Phase, bulk, cautious, descents, repair, tail
 from odt_plugins.engine.resampling import resample_in_rounds, with_spare_vertices
@@ -27,6 +27,11 @@ from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
 from odt_plugins.numbering import new_numbers
 from odt_plugins.options import Objective, Options, Progress
+
+INPUT = "the input is returned, "
+
+RETREATS = 4
+"""How often a surface slides again, with those vertices left alone at which it was spoiled."""
 
 LOCKED_QUALITY = 0.3
 LOCKED_ANGLES = (14.0, 157.0)
@@ -126,6 +131,17 @@ class Memory:
         del self.states[2:]
         return True
 
+    def spoiled(self) -> IntArray:
+        """Vertices of the cells that pass an extreme of the input in the last refused state.
+
+        None where the mean or the 1 % quantile is worse too.
+        """
+        nowhere = np.zeros(0, dtype=np.int32)
+        if self.refused is None or {"p1_quality", "mean_quality"} & set(self.worse):
+            return nowhere
+        shapes = cell_shapes(self.refused.points, self.refused.cells)
+        return np.unique(self.refused.cells[self.before.passed_by(shapes, self.keep)])
+
 
 @dataclass(frozen=True)
 class Frame:
@@ -205,16 +221,40 @@ def run(mesh: SimplexMesh, options: Options) -> Outcome:
     ------
     InvalidOptionError    a boundary in the plane is asked to slide
     """
-    clock = time.perf_counter()
     if options.boundary == "slide" and mesh.dim == 2:
         msg = (
             "got boundary='slide' for a mesh in the plane; expected 'fixed': only the surface of a "
             "mesh of tetrahedra slides"
         )
         raise InvalidOptionError(msg)
+    outcome, spoiled = _run(mesh, options)
+    if not slides(mesh, options):
+        return outcome
+    fixed = mesh.fixed.copy()
+    for _ in range(RETREATS):
+        if outcome.slid is not None or fixed[spoiled].all():
+            break
+        fixed[spoiled] = True
+        outcome, spoiled = _run(replace(mesh, fixed=fixed), options)
+    if outcome.slid is not None:
+        left_alone = int((fixed & ~mesh.fixed).sum())
+        more = {"surface vertices left alone": left_alone} if left_alone else {}
+        return replace(outcome, counts=outcome.counts | more)
+    still, _ = _run(mesh, replace(options, boundary="fixed"))
+    why = (outcome.fallback or outcome.stop_reason).removeprefix(INPUT)
+    reasons = [why, still.fallback]
+    return replace(
+        still, fallback="the boundary is left as it is; " + "; ".join(r for r in reasons if r)
+    )
+
+
+def _run(mesh: SimplexMesh, options: Options) -> tuple[Outcome, IntArray]:
+    """One run of all stages; also the surface vertices at which a surface that slid is spoiled."""
+    clock = time.perf_counter()
+    nowhere = np.zeros(0, dtype=np.int32)
     locked, rim = locked_vertices(mesh)
     if mesh.frozen.all() or len(mesh.cells) == 0:
-        return _unchanged(mesh, "no cell may change")
+        return _unchanged(mesh, "no cell may change"), nowhere
     frame, cells = make_frame(mesh)
     inner_locked = np.ascontiguousarray(locked[frame.vertices])
     inner_rim = np.ascontiguousarray(rim[frame.vertices])
@@ -236,13 +276,13 @@ def run(mesh: SimplexMesh, options: Options) -> Outcome:
     try:
         first = _begun(options) if options.insert else options
         reason = _cycles(start, density, first, bounds, memory, log, times, pool)
-        if not memory.states and options.finish:
-            second = make_complex(
-                frame.inside(mesh.points[frame.vertices]), cells, regions, inner_locked, inner_rim
-            )
+        if not memory.states and options.finish and not (skin and memory.spoiled().size):
+            again = frame.inside(mesh.points[frame.vertices])
+            skin = _skin(mesh, options, frame, again, cells) if skin else None
+            second = make_complex(again, cells, regions, inner_locked, inner_rim, skin)
             log.add("runs of finishing alone", 1)
             _finishing_alone(second, options, bounds, memory, times, pool, log)
-        if options.insert:
+        if options.insert and (memory.states or skin is None):
             clock = time.perf_counter()
             unchanged = frame.inside(mesh.points[frame.vertices])
             best = (memory.states or [State(unchanged, cells, regions, before, "input")])[0]
@@ -266,12 +306,13 @@ def run(mesh: SimplexMesh, options: Options) -> Outcome:
     times["check"] = time.perf_counter() - clock
     outcome = replace(outcome, times=times, energy=log.energy, counts=log.counts)
     if skin is None or outcome.slid is not None:
-        return outcome
-    fixed = run(mesh, replace(options, boundary="fixed"))
-    reasons = [outcome.fallback or outcome.stop_reason, fixed.fallback]
-    return replace(
-        fixed, fallback="the boundary is left as it is; " + "; ".join(r for r in reasons if r)
-    )
+        return outcome, nowhere
+    spoiled = memory.spoiled()
+    if memory.states:
+        unchanged = frame.inside(mesh.points[frame.vertices])
+        spoiled = cut_vertices(unchanged, cells, memory.states[0].points, memory.states[0].cells)
+    spoiled = spoiled[spoiled < len(inner_rim)]
+    return outcome, frame.vertices[spoiled[inner_rim[spoiled]]]
 
 
 def _skin(
@@ -481,7 +522,7 @@ def _best(
     unchanged = _unchanged(mesh, reason)
     return replace(
         unchanged,
-        fallback=f"the input is returned, nothing better kept the promise ({'; '.join(broken)})",
+        fallback=f"{INPUT}nothing better kept the promise ({'; '.join(broken)})",
     )
 
 

@@ -12,7 +12,7 @@ from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.mean_ratio import tet_mean_ratio
 from odt_plugins.engine.tetrahedron import MEAN_RATIO, tet_cosines, tet_quality
 from odt_plugins.engine.triangle import triangle_in_space, triangle_measure, triangle_shape
-from odt_plugins.mesh import FloatArray, IntArray
+from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 from odt_plugins.options import Objective
 
 
@@ -65,6 +65,17 @@ class Figures:
             "max_angle": self.cos_max_angle < before.cos_max_angle - slack,
         }
         return [name for name in keep if worse.get(name, False)]
+
+    def passed_by(self, shapes: FloatArray, keep: tuple[str, ...]) -> BoolArray:
+        """Which cells, (m,), pass an extreme of ``keep``; ``shapes`` as of :func:`cell_shapes`."""
+        passed: BoolArray = np.zeros(len(shapes), dtype=np.bool_)
+        if "min_quality" in keep:
+            passed |= shapes[:, 0] < self.min_quality
+        if "min_angle" in keep:
+            passed |= shapes[:, 1] > self.cos_min_angle
+        if "max_angle" in keep:
+            passed |= shapes[:, 2] < self.cos_max_angle
+        return passed
 
 
 def figures(

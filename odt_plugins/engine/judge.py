@@ -7,7 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from odt_plugins.engine.geometry import boundary_facets, signed_volumes
-from odt_plugins.engine.surface.crossings import count_crossings
+from odt_plugins.engine.surface.crossings import count_crossings, crossing_triangles
 from odt_plugins.errors import counted
 from odt_plugins.mesh import FloatArray, IntArray, LongArray, SimplexMesh
 from odt_plugins.numbering import in_old_numbers, old_numbers
@@ -103,3 +103,12 @@ def faults(
     if crossings and crossings > count_crossings(mesh.points, before):
         broken.append(f"the boundary cuts through itself at {counted(crossings, 'edge')}")
     return broken, slid
+
+
+def cut_vertices(
+    before: FloatArray, cells_before: IntArray, points: FloatArray, cells: IntArray
+) -> IntArray:
+    """List the vertices of boundary triangles that cross others now, and did not before."""
+    old, new = boundary_facets(cells_before), boundary_facets(cells)
+    cut = np.unique(new[crossing_triangles(points, new)])
+    return np.setdiff1d(cut, old[crossing_triangles(before, old)]).astype(np.int32)
