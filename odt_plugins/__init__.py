@@ -40,7 +40,7 @@ if TYPE_CHECKING:
         UnsupportedMeshError,
         WorkerError,
     )
-    from odt_plugins.generate import uniform_refine
+    from odt_plugins.generate import refine_and_optimize, uniform_refine
     from odt_plugins.hosts import register
     from odt_plugins.options import Options
     from odt_plugins.quality import QualitySummary
@@ -71,6 +71,7 @@ __all__ = [
     "optimize_partitioned",
     "optimize_partitioned_with_report",
     "optimize_with_report",
+    "refine_and_optimize",
     "register",
     "run_filter_script",
     "tetrahedralize",
@@ -79,8 +80,8 @@ __all__ = [
 
 _HOMES = {
     "api": ("measure", "optimize", "optimize_file", "optimize_with_report"),
-    "generate": ("uniform_refine",),
     "distributed.optimize": ("optimize_partitioned", "optimize_partitioned_with_report"),
+    "generate": ("refine_and_optimize", "uniform_refine"),
     "hosts": ("register",),
     "options": ("Options",),
     "quality": ("QualitySummary",),

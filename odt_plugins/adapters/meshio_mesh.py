@@ -293,3 +293,10 @@ def _check_members(name: str, members: NDArray[Any], i: int, size: int) -> None:
             f"or a mask of shape ({size},)"
         )
         raise InvalidMeshError(msg)
+
+
+def tetrahedra(points: NDArray[np.float64], cells: NDArray[np.int32]) -> Any:
+    """Make a meshio.Mesh of tetrahedra."""
+    from meshio import Mesh
+
+    return Mesh(points, [("tetra", cells)])

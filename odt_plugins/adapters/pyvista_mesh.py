@@ -373,3 +373,10 @@ def _positions(start: IndexArray, size: IndexArray) -> IndexArray:
     ends = np.cumsum(size)
     total = int(ends[-1]) if len(ends) else 0
     return np.asarray(np.arange(total) + np.repeat(start - (ends - size), size))
+
+
+def tetrahedra(points: NDArray[np.float64], cells: NDArray[np.int32]) -> Any:
+    """Make a pyvista.UnstructuredGrid of tetrahedra."""
+    from pyvista import UnstructuredGrid
+
+    return UnstructuredGrid({TETRA: cells}, points)

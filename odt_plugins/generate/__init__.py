@@ -19,6 +19,7 @@ from odt_plugins.generate.distance import (
     protate,
     pshift,
 )
+from odt_plugins.generate.levels import LevelsReport, refine_and_optimize
 from odt_plugins.generate.odtmesh import odtmesh2d
 from odt_plugins.generate.refine2d import refine_triangles
 from odt_plugins.generate.samples import SAMPLES, Sample
@@ -28,6 +29,7 @@ from odt_plugins.generate.uniform import uniform_refine
 
 __all__ = [
     "SAMPLES",
+    "LevelsReport",
     "Sample",
     "dblock",
     "dblock0",
@@ -46,6 +48,7 @@ __all__ = [
     "odtmesh2d",
     "protate",
     "pshift",
+    "refine_and_optimize",
     "refine_triangles",
     "uniform_refine",
 ]
