@@ -104,8 +104,12 @@ def test_fig11_bunny(script, tmp_path):
 
 
 def test_section43_two_grids(script, tmp_path):
-    fine, few, both = script("two_grid").main(tmp_path, levels=2).values()
-    assert both[0] < fine[0] < few[0]
-    assert both[1] < 0.25 * fine[1]
-    assert both[2].mean > fine[2].mean
+    result = script("two_grid").main(tmp_path, levels=2, space_levels=1)
+    for fine, both in result.values():
+        assert both[1] < 0.25 * fine[1]
+        assert both[2].mean > fine[2].mean
+        assert both[2].uniformity < fine[2].uniformity
+        assert both[0] < 1.02 * fine[0]
+    fine, both = result["channel"]
+    assert both[0] < fine[0]
     drawn(tmp_path, "two_grid.png")

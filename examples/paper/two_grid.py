@@ -1,7 +1,9 @@
 """Section 4.3, its end: solve on a coarse mesh, refine, take a few steps on the fine one.
 
-The start is the disturbed channel of Fig 4. Either it is refined as it is and the fine mesh is
-solved, or it is solved first and then refined. Steps are global, each followed by a pass of flips.
+The starts are the disturbed channel of Fig 4 and the ball of Fig 10. Either one is refined as it is
+and the fine mesh is solved, or it is solved first and then refined. Steps are global; in the plane
+a pass of flips follows each, in space Delaunay on the coarse mesh only, which on the fine one would
+make slivers.
 
 python examples/paper/two_grid.py [FOLDER]
 """
@@ -12,60 +14,69 @@ import time
 
 import numpy as np
 from fig04_05_channel import disturbed
+from fig10_ball import truss_ball
 from paper_common import figures, picture, run, save, show
 
 from odt_plugins.engine.energy import energy
 from odt_plugins.engine.graph_laplacian import global_step
-from odt_plugins.engine.loop import flip_once, iterate
-from odt_plugins.generate import refine_triangles
+from odt_plugins.engine.loop import delaunay_cells, flip_once, iterate
+from odt_plugins.generate.refine3d import red_refinement
 
 COARSE_STEPS, FEW, FINE_STEPS = 15, 3, 20
 
 
 def refined(points, cells, levels):
-    """The mesh with every triangle cut into 4^levels."""
+    """The mesh with every cell cut into 2^d so often."""
     for _ in range(levels):
-        points, cells, _ = refine_triangles(points, cells)
+        fine = red_refinement(points, cells)
+        points, cells = fine.points, fine.cells
     return points, cells
 
 
-def solve(points, cells, steps):
+def solve(points, cells, reconnect, steps):
     """The last mesh, and of every step the processor seconds so far and the energy."""
     clock, curve = time.process_time(), []
-    for mesh in iterate(points, cells, global_step, flip_once, steps):
+    for mesh in iterate(points, cells, global_step, reconnect, steps):
         curve.append((time.process_time() - clock, energy(*mesh)))
     return mesh, np.array(curve)
 
 
-def main(folder=None, levels=3):
-    """Compare the energies, the cost and the quality of both ways."""
-    start = disturbed()
-    solve(*start, 1)
-    solve(*refined(*start, 2), 1)
-    fine, fine_curve = solve(*refined(*start, levels), FINE_STEPS)
-    coarse, coarse_curve = solve(*start, COARSE_STEPS)
-    both, both_curve = solve(*refined(*coarse, levels), FEW)
+def compare(title, start, on_coarse, on_fine, levels, axes):
+    """Go both ways, print and draw their energies, cost and quality."""
+    solve(*start, on_coarse, 1)
+    fine, fine_curve = solve(*refined(*start, levels), on_fine, FINE_STEPS)
+    coarse, coarse_curve = solve(*start, on_coarse, COARSE_STEPS)
+    both, both_curve = solve(*refined(*coarse, levels), on_fine, FEW)
     both_curve[:, 0] += coarse_curve[-1, 0]
-    share = 4.0**-levels
+    share = len(start[1]) / len(fine[1])
     rows = {
-        f"fine mesh, {FINE_STEPS} steps": (fine_curve[-1], figures(*fine), float(FINE_STEPS)),
-        f"fine mesh, {FEW} steps": (fine_curve[FEW], None, float(FEW)),
+        f"fine mesh, {FINE_STEPS} steps": (fine_curve[-1], float(FINE_STEPS), figures(*fine)),
         f"two grids, {COARSE_STEPS} coarse + {FEW} fine steps": (
-            both_curve[-1], figures(*both), FEW + share * COARSE_STEPS),
+            both_curve[-1], FEW + share * COARSE_STEPS, figures(*both)),
     }
-    show(f"Section 4.3, ours ({len(start[0])} and {len(fine[0])} vertices)",
-         ("", "work in fine steps", "processor [s]", "energy", "mean q", "min q"),
-         [[name, work, *map(float, end), *(("", "") if q is None else (q.mean, q.least))]
-          for name, (end, q, work) in rows.items()])
-    image = picture((5.5, 3.8))
-    axes = image.subplots()
+    show(f"Section 4.3, {title}: {len(start[0])} and {len(fine[0])} vertices",
+         ("", "work in fine steps", "processor [s]", "energy", "min q", "mean q",
+          "uniformity [%]"),
+         [[name, work, *map(float, end), *q] for name, (end, work, q) in rows.items()])
     least = min(fine_curve[-1, 1], both_curve[-1, 1])
     axes.plot(fine_curve[1:, 0], fine_curve[1:, 1] / least, "o-", markersize=3, label="fine mesh")
     axes.plot(both_curve[:, 0], both_curve[:, 1] / least, "s-", markersize=3, label="two grids")
-    axes.set(xlabel="processor seconds", ylabel="energy over the least found", xlim=(0, None))
+    axes.set(xlabel="processor seconds", ylabel="energy over the least found", xlim=(0, None),
+             title=title)
     axes.legend(frameon=False)
+    return [(float(end[1]), work, q) for end, work, q in rows.values()]
+
+
+def main(folder=None, levels=3, space_levels=2):
+    """Compare both ways in the plane and in space."""
+    image = picture((9.0, 3.8))
+    plane, space = image.subplots(1, 2)
+    result = {
+        "channel": compare("channel", disturbed(), flip_once, flip_once, levels, plane),
+        "ball": compare("ball", truss_ball(), delaunay_cells, None, space_levels, space),
+    }
     save(image, folder, "two_grid.png")
-    return {name: (float(end[1]), work, q) for name, (end, q, work) in rows.items()}
+    return result
 
 
 if __name__ == "__main__":
