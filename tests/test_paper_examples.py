@@ -113,3 +113,24 @@ def test_section43_two_grids(script, tmp_path):
     fine, both = result["channel"]
     assert both[0] < fine[0]
     drawn(tmp_path, "two_grid.png")
+
+
+def test_fig9_table1_and_step_tables(script, tmp_path, capsys):
+    """One seed of two domains; the medians of all six are those of test_generate_mesh."""
+    module = script("fig09_table1")
+    table, steps = module.main(tmp_path, names=("ring", "crescent"), seeds=(0,))
+    for name, (literal, ours) in table.items():
+        least, mean, uniformity = module.SAMPLES[name].paper
+        assert ours.least >= least
+        assert ours.mean >= mean - 0.005
+        assert ours.uniformity <= 100 * uniformity
+        assert literal.least == pytest.approx(least, abs=0.06)
+        assert literal.mean == pytest.approx(mean, abs=0.01)
+        assert literal.uniformity < 100 * uniformity + 1.5
+    got, paper = steps["crescent"], np.array(module.PAPER_STEPS["crescent"])
+    assert np.abs(got - paper)[:, 1].max() < 0.015
+    assert np.abs(got - paper)[3:, 0].max() < 0.1
+    assert (got - paper)[:, 2].max() < 1.5
+    assert got[3, 0] > got[2, 0]
+    assert "4. odtmeshoptimization  0.73 | 0." in capsys.readouterr().out
+    drawn(tmp_path, "fig09.png")
