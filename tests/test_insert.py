@@ -14,11 +14,12 @@ import tet_meshes as tm
 from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
-from test_driver import facet_set, measure, mesh_of
+from test_driver import assert_promise, facet_set, measure, mesh_of
 
 import odt_plugins
 from odt_plugins.carry import surrounding_cells
 from odt_plugins.cli import cli
+from odt_plugins.compare.hard import hard_meshes
 from odt_plugins.engine import driver, resampling
 from odt_plugins.engine.driver import Outcome, run
 from odt_plugins.errors import InvalidOptionError
@@ -402,6 +403,63 @@ def test_every_objective_gains(objective):
     assert inserted.mean_amips < plain.mean_amips - 0.1
     if objective == "min_dihedral":
         assert inserted.min_angle > plain.min_angle + 2.0
+
+
+SOLID = {mesh.name: mesh for mesh in hard_meshes(150, (3,))}
+
+
+@pytest.mark.parametrize("name", SOLID)
+def test_hard_meshes(name):
+    hard = SOLID[name]
+    mesh = mesh_of(hard.points, hard.cells, hard.regions)
+    outcome = run(mesh, Options(insert=True))
+    if outcome.origin is None:
+        assert_promise(mesh, outcome)
+    else:
+        assert_inserted(mesh, outcome)
+
+
+@pytest.mark.parametrize("name", ["graded", "dense spot", "helix", "shells", "ring", "layers",
+                                  "sheared", "regions, slabs"])
+def test_hard_meshes_whose_surface_slides(name):
+    hard = SOLID[f"{name}, space"]
+    mesh = mesh_of(hard.points, hard.cells, hard.regions)
+    n = len(mesh.points)
+    outcome = run(mesh, Options(insert=True, boundary="slide", envelope=5e-3))
+    points, cells = outcome.points, outcome.cells
+    assert (tm.signed_volumes(points, cells) > 0).all()
+    before, after = measure(mesh.points, mesh.cells), measure(points, cells)
+    assert (after >= before - 1e-7 * np.abs(before) - 2e-13).all(), (before, after)
+    origin = np.arange(n) if outcome.origin is None else outcome.origin
+    old, new = ({f for f, _ in facet_set(c, 0 * c[:, 0])} for c in (mesh.cells, cells))
+    surface = [np.unique(np.array(sorted(f))) for f in (old, new)]
+    assert np.array_equal(surface[0], origin[surface[1]])
+    assert len(old) == len(new)
+    volume = tm.signed_volumes(mesh.points, mesh.cells).sum()
+    assert tm.signed_volumes(points, cells).sum() == pytest.approx(volume, rel=3e-3)
+    length = 5e-3 * np.linalg.norm(np.ptp(mesh.points, axis=0))
+    sides = [(mesh.points, np.array(sorted(old))), (points, np.array(sorted(new)))]
+    for (x, f), (y, g) in (sides, sides[::-1]):
+        assert furthest(x[f].mean(axis=1), y, g) <= length * (1 + 1e-9)
+
+
+def furthest(x, points, triangles):
+    """Largest distance of x (k, 3) from triangles, by brute force over their planes and edges."""
+    a, b, c = (points[triangles[:, i]][None] for i in range(3))
+    p = x[:, None]
+    best = np.full((len(x), len(triangles)), np.inf)
+    for u, v in ((a, b), (b, c), (c, a)):
+        along = np.clip(((p - u) * (v - u)).sum(-1) / ((v - u) ** 2).sum(-1), 0.0, 1.0)
+        best = np.minimum(best, np.linalg.norm(u + along[..., None] * (v - u) - p, axis=-1))
+    normal = np.cross(b - a, c - a)
+    area = (normal**2).sum(-1)
+    height = ((p - a) * normal).sum(-1) / np.where(area > 0.0, area, 1.0)
+    foot = p - height[..., None] * normal
+    inside = np.logical_and.reduce(
+        [(np.cross(v - u, foot - u) * normal).sum(-1) > 0.0 for u, v in ((a, b), (b, c), (c, a))]
+    )
+    plane = np.where(inside, np.abs(height) * np.sqrt(area), np.inf)
+    return np.minimum(best, plane).min(axis=1).max()
 
 
 def test_a_surface_that_slides_is_left_where_it_slid():
