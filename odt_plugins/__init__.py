@@ -28,6 +28,7 @@ if TYPE_CHECKING:
         optimize_partitioned,
         optimize_partitioned_with_report,
     )
+    from odt_plugins.distributed.pieces import optimize_pieces
     from odt_plugins.errors import (
         DataNotKeptWarning,
         InvalidMeshError,
@@ -70,6 +71,7 @@ __all__ = [
     "optimize_file",
     "optimize_partitioned",
     "optimize_partitioned_with_report",
+    "optimize_pieces",
     "optimize_with_report",
     "refine_and_optimize",
     "register",
@@ -81,6 +83,7 @@ __all__ = [
 _HOMES = {
     "api": ("measure", "optimize", "optimize_file", "optimize_with_report"),
     "distributed.optimize": ("optimize_partitioned", "optimize_partitioned_with_report"),
+    "distributed.pieces": ("optimize_pieces",),
     "generate": ("refine_and_optimize", "uniform_refine"),
     "hosts": ("register",),
     "options": ("Options",),

@@ -203,18 +203,28 @@ def optimize(
     """Improve the mesh INPUT and write it to OUTPUT with all its data.
 
     Files are of any format that meshio knows, by their suffix. The boundary stays as it is and
-    no figure named in --keep gets worse.
+    no figure named in --keep gets worse. With an OUTPUT ending in .pvtu, INPUT is another such file
+    or a directory of .vtu files, and only one of the pieces is in memory at a time.
     """
     check_paths(target, report_file, plot_file)
     options = _resolve_arrays(source, options)
-    if blocks is None and (scheduler or workers):
+    pieces = target.suffix == ".pvtu"
+    if blocks is None and (scheduler or workers) and not pieces:
         msg = "--scheduler and --workers need --blocks, the number of blocks to cut the mesh into"
+        raise click.UsageError(msg)
+    if pieces and (report_file or plot_file):
+        msg = "--report and --plot are for meshes of one file each, OUTPUT names pieces"
         raise click.UsageError(msg)
     from odt_plugins.api import optimize_file
 
     with warnings_told(), _cluster(scheduler, workers) as client, progress_bar(quiet) as progress:
         options["progress"] = progress
-        if blocks is None:
+        report: Any
+        if pieces:
+            from odt_plugins.distributed.pieces import optimize_pieces
+
+            report = optimize_pieces(source, target, block_rounds, client=client, odt=options)
+        elif blocks is None:
             report = optimize_file(source, target, **options)
         else:
             from odt_plugins.distributed.optimize import optimize_file_partitioned

@@ -55,6 +55,7 @@ TOOLKITS = {
                 "compare/hull.py"},
     "vtkmodules": {"adapters/pyvista_mesh.py", "plotting.py"},
     "meshio": {"adapters/meshio_mesh.py", "adapters/files.py", "demo.py", "distributed/job.py",
+               "distributed/store.py",
                "script.py"},
     "matplotlib": {"plotting.py", "compare/pictures.py"},
     "pytetwild": {"compare/baselines/tetwild.py"},

@@ -100,7 +100,7 @@ def optimize_partitioned_with_report(
     from odt_plugins.report import make_report
 
     options = make_options(**(odt or {}))
-    _check(blocks, rounds, workers, options, several=client is not None or workers > 0)
+    check(blocks, rounds, workers, options, several=client is not None or workers > 0)
 
     def engine(simplices: SimplexMesh, chosen: Options) -> Outcome:
         if simplices.is_surface:
@@ -168,7 +168,7 @@ def run_blocks(
         if label.max() < 0:
             continue
         name = f"round {index + 1}"
-        chosen = plain if index == 0 else _later(plain)
+        chosen = plain if index == 0 else later(plain)
         told = _told(apply, report, name, int(label.max()) + 1)
         whole, traffic = one_round(whole, label, chosen, power, told)
         states.append(whole)
@@ -204,7 +204,7 @@ def _start(mesh: SimplexMesh, options: Options) -> tuple[Whole, Options, float]:
     return Whole(mesh, field, waiting, patch), plain, power
 
 
-def _later(options: Options) -> Options:
+def later(options: Options) -> Options:
     """Options of later rounds: their blocks are near the optimum and hold a part of the bad cells.
 
     Means and quantiles of such a part say nothing; the whole is judged by them at the end.
@@ -256,7 +256,13 @@ def _count(counts: dict[str, int], name: str, traffic: Traffic) -> None:
         counts[what] = counts.get(what, 0) + value
 
 
-def _check(blocks: int, rounds: int, workers: int, options: Options, *, several: bool) -> None:
+def check(blocks: int, rounds: int, workers: int, options: Options, *, several: bool) -> None:
+    """Refuse values out of range, and options that do not go with blocks.
+
+    Raises
+    ------
+    InvalidOptionError
+    """
     given = (("blocks", blocks, 1), ("rounds", rounds, 1), ("workers", workers, 0))
     for name, value, least in given:
         if not isinstance(value, int) or isinstance(value, bool) or value < least:

@@ -1,0 +1,210 @@
+"""Pieces of a mesh on disk: partitioned VTK at both ends, and arrays between."""
+
+from __future__ import annotations
+
+import os
+import xml.etree.ElementTree as ElementTree
+from dataclasses import dataclass, field, fields
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.adapters import files
+from odt_plugins.adapters.host import REGION_ARRAYS
+from odt_plugins.errors import MeshFileError, UnsupportedMeshError
+from odt_plugins.mesh import BoolArray, FloatArray, IntArray, reverse, simplex_mesh
+
+IDS = "GlobalPointIds"
+"""Point array of the result: vertices of several pieces with the same number are one."""
+
+
+@dataclass(frozen=True)
+class Piece:
+    """Some cells of a mesh, with the vertices they use.
+
+    Attributes
+    ----------
+    points : (n, 3) float64
+    cells : (m, 4) int32         positive, in the numbering of the piece
+    regions : (m,) int64         labels as they came
+    ids : (n,) int64             number of every vertex in the whole mesh
+    sizes : (n,) float64         cell size h of the input, carried with the vertices
+    whole : (n,) bool            whether all cells around a vertex, of those of the piece that it
+                                 was split from, are here
+    data : dict                  point arrays of the input
+    """
+
+    points: FloatArray
+    cells: IntArray
+    regions: NDArray[np.int64]
+    ids: NDArray[np.int64]
+    sizes: FloatArray
+    whole: BoolArray
+    data: dict[str, NDArray[Any]] = field(default_factory=dict)
+
+    def part(self, members: NDArray[Any], whole: BoolArray | None = None) -> Piece:
+        """Take some of the cells, with the vertices they use."""
+        used, number = np.unique(self.cells[members], return_inverse=True)
+        cells = np.ascontiguousarray(number.reshape(-1, self.cells.shape[1]), dtype=np.int32)
+        whole = self.whole if whole is None else whole
+        return Piece(self.points[used], cells, self.regions[members], self.ids[used],
+                     self.sizes[used], whole[used],
+                     {name: values[used] for name, values in self.data.items()})
+
+
+def save(path: str, piece: Piece) -> None:
+    """Write a piece beside its place and rename it."""
+    arrays = {f.name: getattr(piece, f.name) for f in fields(piece) if f.name != "data"}
+    arrays |= {f"data {name}": values for name, values in piece.data.items()}
+    beside = f"{path}.part"
+    with open(beside, "wb") as file:
+        np.savez(file, **arrays)
+    os.replace(beside, path)
+
+
+def load(path: str) -> Piece:
+    """Read what :func:`save` wrote."""
+    with np.load(path, allow_pickle=False) as stored:
+        arrays = {name: stored[name] for name in stored.files}
+    data = {name.removeprefix("data "): arrays.pop(name) for name in list(arrays)
+            if name.startswith("data ")}
+    return Piece(**arrays, data=data)
+
+
+def join(pieces: list[Piece]) -> tuple[Piece, NDArray[np.int64]]:
+    """Join pieces along their common vertices.
+
+    Returns
+    -------
+    Piece
+    count : (n,) int64     in how many of the pieces all cells around a vertex are here
+    """
+    ids, first, number = np.unique(np.concatenate([p.ids for p in pieces]), return_index=True,
+                                   return_inverse=True)
+    starts = np.cumsum([0, *(len(p.ids) for p in pieces)])
+    cells = [number[p.cells.astype(np.int64) + start]
+             for p, start in zip(pieces, starts[:-1], strict=True)]
+
+    def rows(name: str) -> NDArray[Any]:
+        return np.asarray(np.concatenate([getattr(p, name) for p in pieces])[first])
+
+    whole = np.concatenate([p.whole for p in pieces])
+    count = np.bincount(number, weights=whole, minlength=len(ids)).astype(np.int64)
+    data = {name: np.concatenate([p.data[name] for p in pieces])[first] for name in pieces[0].data}
+    return Piece(np.ascontiguousarray(rows("points")),
+                 np.concatenate(cells).astype(np.int32),
+                 np.concatenate([p.regions for p in pieces]), ids, rows("sizes"),
+                 np.ones(len(ids), dtype=np.bool_), data), count
+
+
+def piece_files(source: str | os.PathLike[str]) -> list[str]:
+    """List the files of the pieces of a .pvtu file, or of a directory of .vtu files.
+
+    Raises
+    ------
+    MeshFileError          there are none, or some are missing or have ghost cells
+    """
+    path = Path(source)
+    if path.is_dir():
+        found = sorted(str(p) for p in path.glob("*.vtu"))
+    else:
+        try:
+            root = ElementTree.parse(path).getroot()
+        except (OSError, ElementTree.ParseError) as exc:
+            msg = f"cannot read {path}: {exc}; expected a .pvtu file or a directory of .vtu files"
+            raise MeshFileError(msg) from exc
+        grid = root.find("PUnstructuredGrid")
+        if grid is not None and grid.get("GhostLevel", "0") != "0":
+            msg = f"{path} has ghost cells; expected every cell in one piece only"
+            raise MeshFileError(msg)
+        found = [str(path.parent / piece.get("Source", "")) for piece in root.iter("Piece")]
+    missing = [name for name in found if not os.path.isfile(name)]
+    if missing or not found:
+        what = f"{missing[0]} is missing" if missing else "it names no pieces"
+        msg = f"cannot read {path}: {what}; expected a .pvtu file or a directory of .vtu files"
+        raise MeshFileError(msg)
+    return found
+
+
+def read_piece(path: str, regions: str | None) -> tuple[Piece, int, str | None, list[str]]:
+    """Read a piece; its numbers and sizes are not known yet.
+
+    Parameters
+    ----------
+    path : str
+    regions : str or None      cell array of labels; a known one of integers unless given
+
+    Returns
+    -------
+    piece : Piece
+    orientation : int          -1 when its cells came with negative volume
+    regions : str or None      name of the cell array of labels
+    lost : list of str         names of all others, which do not come through
+
+    Raises
+    ------
+    MeshFileError, InvalidMeshError, UnsupportedMeshError
+    """
+    arrays = files.read_file(path).cell_data
+    if regions is None:
+        # A piece may lie in one region: an array of one value parts nothing here, but elsewhere.
+        regions = next((name for name in REGION_ARRAYS if name in arrays
+                        and all(block.dtype.kind in "iu" for block in arrays[name])), None)
+    host = files.read(path, regions)
+    if host.cells.shape[1:] != (4,) or host.quadratic or host.kept:
+        msg = f"{path} holds other cells than linear tetrahedra; expected these alone in pieces"
+        raise UnsupportedMeshError(msg)
+    labels = np.zeros(len(host.cells), np.int64) if host.regions is None else host.regions
+    mesh, orientation = simplex_mesh(host.points, host.cells)
+    n = len(mesh.points)
+    data = {name: np.asarray(values) for name, values in host.source.point_data.items()
+            if name != IDS}
+    piece = Piece(mesh.points, mesh.cells, np.asarray(labels, dtype=np.int64),
+                  np.arange(n, dtype=np.int64), np.ones(n), np.ones(n, dtype=np.bool_), data)
+    return piece, orientation, regions, sorted(set(arrays) - {regions})
+
+
+def write_piece(path: Path, piece: Piece, regions: str, orientation: int) -> None:
+    """Write a piece as .vtu, with its numbers, its point arrays and its regions."""
+    from meshio import Mesh
+
+    turned = np.full(len(piece.cells), orientation < 0)
+    mesh = Mesh(piece.points, [("tetra", reverse(piece.cells, turned))],
+                point_data={**piece.data, IDS: piece.ids}, cell_data={regions: [piece.regions]})
+    files.write_file(path, mesh)
+
+
+def write_index(path: Path, names: list[str], example: Piece, regions: str) -> None:
+    """Write the .pvtu file that names the pieces; it comes last.
+
+    Raises
+    ------
+    MeshFileError
+    """
+    root = ElementTree.Element("VTKFile", type="PUnstructuredGrid", version="1.0",
+                               byte_order="LittleEndian")
+    grid = ElementTree.SubElement(root, "PUnstructuredGrid", GhostLevel="0")
+    _declare(grid, "PPointData", {**example.data, IDS: example.ids})
+    _declare(grid, "PCellData", {regions: example.regions})
+    _declare(grid, "PPoints", {"Points": example.points})
+    for name in names:
+        ElementTree.SubElement(grid, "Piece", Source=name)
+    beside = path.with_name(f".{path.name}.part")
+    try:
+        ElementTree.ElementTree(root).write(beside, xml_declaration=True)
+        os.replace(beside, path)
+    except OSError as exc:
+        msg = f"cannot write {path}: {exc.strerror or exc}; try another path"
+        raise MeshFileError(msg) from exc
+
+
+def _declare(grid: Any, tag: str, arrays: dict[str, NDArray[Any]]) -> None:
+    element = ElementTree.SubElement(grid, tag)
+    for name, values in arrays.items():
+        kind = values.dtype
+        word = {"f": "Float", "i": "Int", "u": "UInt"}[kind.kind] + str(8 * kind.itemsize)
+        width = values.shape[1] if values.ndim > 1 else 1
+        ElementTree.SubElement(element, "PDataArray", type=word, Name=name,
+                               NumberOfComponents=str(width))
