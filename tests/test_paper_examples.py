@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import importlib
+import subprocess
 import sys
 from pathlib import Path
 
@@ -31,6 +32,14 @@ def drawn(folder, *names):
         assert pixels.min() < 0.4, name
         assert pixels.std() > 0.02, name
     assert {p.name for p in folder.iterdir()} == set(names)
+
+
+def test_a_script_is_run_with_the_folder_of_its_pictures(tmp_path):
+    done = subprocess.run([sys.executable, str(FOLDER / "fig03_boundary.py"), "pictures"],
+                          cwd=tmp_path, capture_output=True, text=True, check=False)
+    assert done.returncode == 0, done.stderr
+    assert "barycenters at the boundary         away | 0.4" in done.stdout
+    assert [p.name for p in tmp_path.rglob("*")] == ["pictures", "fig03.png"]
 
 
 def test_fig3_a_vertex_stays_off_the_boundary(script, tmp_path):

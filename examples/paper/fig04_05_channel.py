@@ -105,6 +105,8 @@ def main(folder=None, seeds=range(5)):
          [beside(name, PAPER[name], result[name]) for name in PAPER])
     show("Fig 5, ours: energy above that of ODT after ten steps", ("step", *map(str, range(11))),
          [[name, *map(float, values)] for name, values in gaps[0].items()])
+    above = [k for k in range(11) if gaps[0]["ODT"][k] > gaps[0]["CPT"][k]]
+    print("ODT is below CPT after every step" + (f" but {above}" if above else ""))
     return result, gaps
 
 

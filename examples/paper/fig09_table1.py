@@ -118,7 +118,10 @@ def main(folder=None, names=tuple(SAMPLES), seeds=SEEDS):
              [beside(*row) for row in zip(STEPS, PAPER_STEPS[name], steps[name].tolist(),
                                           strict=True)])
     image = picture((11.0, 7.5))
-    for axes, name, (s, mesh) in zip(np.ravel(image.subplots(2, 3)), names, drawn, strict=False):
+    panels = np.ravel(image.subplots(2, 3))
+    for axes in panels[len(names):]:
+        axes.set_axis_off()
+    for axes, name, (s, mesh) in zip(panels, names, drawn, strict=False):
         draw_mesh(axes, *mesh, f"({letters[name]}) {s.title}, {len(mesh[0])} vertices")
     save(image, folder, "fig09.png")
     return table, steps
