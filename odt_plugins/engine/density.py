@@ -319,6 +319,10 @@ def make_density(
     ------
     InvalidOptionError    unknown name, wrong length, values that are not finite and positive, an
                           exponent without "keep"
+
+    References
+    ----------
+    CMAME 200 (2011) 967-984, Section 5.3: rho = 1/h^r with r = 2 or 3; d + 2 is from Theorem 2.8.
     """
     n, m, d = len(points), len(cells), cells.shape[1] - 1
     keep = isinstance(spec, str) and spec == "keep"
