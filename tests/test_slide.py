@@ -117,8 +117,8 @@ def test_distances_of_the_report_are_those_of_samples():
         (points, cells), boundary="slide", envelope=5e-3
     )
     forward, backward = two_sided(points, boundary(cells), x, boundary(t))
-    assert 0.0 < forward <= report.slid["backward"] * (1.0 + 1e-9)
-    assert 0.0 < backward <= report.slid["forward"] * (1.0 + 1e-9)
+    assert 0.0 < forward <= report.slid["forward"] * (1.0 + 1e-9)
+    assert 0.0 < backward <= report.slid["backward"] * (1.0 + 1e-9)
     assert max(report.slid["forward"], report.slid["backward"]) <= 5e-3 * diagonal(points)
 
 
@@ -181,8 +181,41 @@ def test_the_change_of_the_volume_is_counted_and_bounded():
     before = signed_volumes(mesh.points, mesh.cells[mesh.live()]).sum()
     finish(mesh, (*bulk(3), *tail(3)), LIMITS, None, 1)
     change = signed_volumes(mesh.points, mesh.cells[mesh.live()]).sum() - before
-    assert mesh.skin.volume[0] == pytest.approx(change, abs=1e-12 * before)
+    assert mesh.skin.volume[0, 0] == pytest.approx(change, abs=1e-12 * before)
     assert 1e-4 * before < abs(change) <= 2.9e-3 * before
+
+
+@pytest.mark.parametrize(("n", "seed"), [(500, 2), (500, 8), (900, 5)])
+def test_a_larger_envelope_is_no_worse(n, seed):
+    # the budget of the volume, which binds on these, is shared by all vertices
+    found = []
+    for envelope in (3e-4, 1e-3, 2e-2):
+        x, t = odt_plugins.optimize(ball(n, seed), boundary="slide", envelope=envelope)
+        q = quality(x, t)
+        found.append((q.mean(), np.quantile(q, 0.01)))
+    means, ones = zip(*found, strict=True)
+    assert means[1] > means[0] + 0.005
+    assert means[2] > means[1] - 0.002
+    assert ones[2] > ones[1] - 0.02
+    assert ones[1] > ones[0]
+
+
+def test_every_vertex_has_its_budget_of_the_volume():
+    points, cells = ball(300, 8)
+    mesh = skinned(points, cells, envelope=0.05)
+    budgets = mesh.skin.volume[1:, 1]
+    rim = np.unique(boundary(cells))
+    # a convex surface: no change cancels another
+    assert budgets.sum() == pytest.approx(1.2)
+    area = np.zeros(len(points))
+    for row in boundary(cells).tolist():
+        a, b, c = mesh.points[row]
+        area[row] += np.linalg.norm(np.cross(b - a, c - a))
+    assert budgets[rim] == pytest.approx(1.2 * area[rim] / area.sum())
+    finish(mesh, (*bulk(3), *tail(3)), LIMITS, None, 1)
+    spent = np.abs(mesh.skin.volume[1:, 0])
+    assert (spent <= budgets * mesh.skin.most * (1 + 1e-12)).all()
+    assert (spent > 0.5 * budgets * mesh.skin.most).sum() > 20
 
 
 def test_flips_of_the_surface_lower_the_cost():

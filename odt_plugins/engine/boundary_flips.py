@@ -22,7 +22,7 @@ from odt_plugins.engine.cavity import (
 from odt_plugins.engine.flips2d import flip
 from odt_plugins.engine.flips3d import REAL, admissible
 from odt_plugins.engine.kernel import allocating_kernel, kernel
-from odt_plugins.engine.slide import affordable
+from odt_plugins.engine.slide import affordable, spend
 from odt_plugins.engine.surface.closest import Ground
 from odt_plugins.engine.surface.flips import edge_is_free, flip_back, keeps_normals
 from odt_plugins.engine.surface.sheet import Limits, Sheet, Work, claim, cover, joined
@@ -131,6 +131,18 @@ def _remove_cell(
 
 
 @kernel
+def _all_afford(volume: FloatArray, change: float, a: int, b: int, x: int, y: int) -> bool:
+    """Whether the mesh may change its volume so, and each of four vertices a quarter of that."""
+    after = abs(volume[0, 0] + change)
+    if after > volume[0, 1] and after > abs(volume[0, 0]):
+        return False
+    for v in (a, b, x, y):
+        if not affordable(volume, 0.25 * change, v):
+            return False
+    return True
+
+
+@kernel
 def _flip_sheet(
     sheet: Sheet, ground: Ground, limits: Limits, stays: BoolArray, volume: FloatArray,
     fan: IntArray, a: int, b: int, room: Work,
@@ -151,7 +163,7 @@ def _flip_sheet(
         sheet.points, x, sheet.triangles[t, (f + 1) % 3], sheet.triangles[t, (f + 2) % 3], y
     )
     if (
-        not affordable(volume, change)
+        not _all_afford(volume, change, a, b, x, y)
         or not edge_is_free(sheet, t, x, s, y)
         or not keeps_normals(
             sheet, ground, x, sheet.triangles[t, (f + 1) % 3], sheet.triangles[t, (f + 2) % 3], y,
@@ -168,7 +180,8 @@ def _flip_sheet(
         flip_back(sheet, t, s, edge)
         return False
     cover(sheet, 2, number, room)
-    volume[0] += change
+    for v in (a, b, x, y):
+        spend(volume, 0.25 * change, v)
     for m in range(3):
         fan[sheet.triangles[t, m]] = t
         fan[sheet.triangles[s, m]] = s
@@ -192,7 +205,7 @@ def flip_boundary(
     sheet : Sheet                the boundary; its points are those of the tetrahedra
     ground : Ground, limits : Limits
     stays : (e,) bool            edges of the sheet that must stay edges
-    volume : (2,) float64        see ``slide.affordable``
+    volume : (n + 1, 2) float64  see ``slide.affordable``
     fan : (n,) int32             a triangle of the sheet around every vertex, kept up to date
     room : Work                  room for a pair of triangles
 

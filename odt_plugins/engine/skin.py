@@ -11,12 +11,12 @@ import numpy as np
 from odt_plugins.engine.boundary_flips import flip_boundary
 from odt_plugins.engine.geometry import boundary_facets, signed_volumes
 from odt_plugins.engine.slide import slide_vertices
-from odt_plugins.engine.star import Stars, vertex_stars
+from odt_plugins.engine.star import Stars, star_sum, vertex_stars
 from odt_plugins.engine.surface.build import make_ground, make_sheet
 from odt_plugins.engine.surface.closest import Ground
 from odt_plugins.engine.surface.features import find_features
 from odt_plugins.engine.surface.lines import Lines
-from odt_plugins.engine.surface.sheet import HELD, Limits, Sheet, make_work
+from odt_plugins.engine.surface.sheet import HELD, SMOOTH, Limits, Sheet, make_work
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 from odt_plugins.surface import surface_edges
 
@@ -33,6 +33,12 @@ VOLUME = 2.9e-3
 RESERVE = 0.4
 """Part of that change which descents over the whole mesh leave to those at the worst cells."""
 
+CANCEL = 4.0
+"""Largest multiple of its budget that the mesh gives to its vertices where changes cancel."""
+
+UNUSED = 1.2
+"""A further factor, since not every vertex uses up what it has."""
+
 TURN = 30.0
 """Degrees by which a triangle of the surface may be turned against the input surface."""
 
@@ -46,7 +52,7 @@ class Skin:
     sheet : Sheet           shares its points with the mesh
     ground : Ground, lines : Lines, limits : Limits
     stays : (e,) bool       edges of the sheet that are not flipped
-    volume : (2,) float64   change of the volume so far, the largest change now
+    volume : (n + 1, 2)     budgets of the change of the volume, see ``slide.affordable``
     most : float            the largest change at the end
     fan : (n,) int32        a triangle of the sheet around every vertex, -1 inside
     """
@@ -67,7 +73,7 @@ class Skin:
 
     def allow(self, everything: bool) -> None:
         """Set the largest change of the volume: all of it, or all but the reserve."""
-        self.volume[1] = self.most if everything else (1.0 - RESERVE) * self.most
+        self.volume[0, 1] = self.most if everything else (1.0 - RESERVE) * self.most
 
 
 def make_skin(
@@ -104,8 +110,33 @@ def make_skin(
     most = VOLUME * float(signed_volumes(points, cells).sum())
     return Skin(
         sheet, ground, features.lines, Limits(limit, limit, math.cos(math.radians(TURN))), kept,
-        np.array([0.0, most]), most, fan,
+        _budgets(points, triangles, features.kind == SMOOTH, most), most, fan,
     )
+
+
+def _budgets(
+    points: FloatArray, triangles: IntArray, smooth: BoolArray, most: float
+) -> FloatArray:
+    """Budgets of the change of the volume; the vertices' own are as the areas of their stars.
+
+    On a surface with bumps and hollows the changes cancel in part, and the vertices may have more
+    together than the mesh: as much more as the volume between the smooth stars and the means of
+    their rings is, in sum of absolute values, against the sum itself.
+    """
+    n = len(points)
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    area = np.cross(b - a, c - a)
+    share = star_sum(np.sqrt((area * area).sum(axis=1)), triangles, n)
+    count = np.maximum(np.bincount(triangles.ravel(), minlength=n), 1)[:, None]
+    # every vertex of the ring lies on two triangles
+    ring = 0.5 * (star_sum(a + b + c, triangles, n) / count - points)
+    bump = ((points - ring) * star_sum(area, triangles, n)).sum(axis=1)[smooth]
+    whole, net = float(np.abs(bump).sum()), abs(float(bump.sum()))
+    volume = np.zeros((n + 1, 2))
+    volume[0, 1] = most
+    more = min(whole / net, CANCEL) if net > 0.0 else CANCEL
+    volume[1:, 1] = UNUSED * more * share / share.sum()
+    return volume
 
 
 def slide(

@@ -47,7 +47,7 @@ def slide_vertices(
     sheet : Sheet                      the boundary; its points are those of the tetrahedra
     ground : Ground, lines : Lines, limits : Limits
     sheet_indptr, sheet_indices        stars of the sheet
-    volume : (2,) float64              see :func:`affordable`
+    volume : (n + 1, 2) float64        see :func:`affordable`
     work : Work                        room for the stars of the sheet
     moved : (n,) float64               OUT: relative decrease of the star's cost
 
@@ -116,13 +116,24 @@ def _form(
 
 
 @kernel
-def affordable(volume: FloatArray, change: float) -> bool:
-    """Whether the volume may change: within its budget, or if a part of the debt is paid back.
+def affordable(volume: FloatArray, change: float, v: int) -> bool:
+    """Whether vertex v may change the volume: within all budgets, or if debts are paid back.
 
-    ``volume`` = [change so far, largest change].
+    ``volume`` (n + 1, 2): [change so far, largest change] of the mesh, then for every vertex
+    [change so far, part of the largest change that is its own].
     """
-    after = abs(volume[0] + change)
-    return after <= volume[1] or after <= abs(volume[0])
+    after = abs(volume[0, 0] + change)
+    if after > volume[0, 1] and after > abs(volume[0, 0]):
+        return False
+    after = abs(volume[v + 1, 0] + change)
+    return after <= volume[v + 1, 1] * volume[0, 1] or after <= abs(volume[v + 1, 0])
+
+
+@kernel
+def spend(volume: FloatArray, change: float, v: int) -> None:
+    """Write down that vertex v changed the volume."""
+    volume[0, 0] += change
+    volume[v + 1, 0] += change
 
 
 @kernel
@@ -181,7 +192,7 @@ def _try_slide(
         if good:
             swept = swept_volume(sheet, sheet_indptr, sheet_indices, v, x, y, z)
             good = (
-                affordable(volume, swept)
+                affordable(volume, swept, v)
                 and worst >= least
                 and large <= most
                 and small >= fewest
@@ -193,7 +204,7 @@ def _try_slide(
             )
             if number >= 0:
                 cover(sheet, sheet_indptr[v + 1] - sheet_indptr[v], number, work)
-                volume[0] += swept
+                spend(volume, swept, v)
                 return cost - there
         if slot >= 0:
             lines.place[slot] = place
