@@ -21,7 +21,7 @@ from odt_plugins.engine.driver import (
     report_share,
     silent,
 )
-from odt_plugins.engine.figures import Figures, cell_shapes, figures
+from odt_plugins.engine.figures import Figures, figures
 from odt_plugins.engine.phases import Phase, bulk, tail
 from odt_plugins.engine.smoothing import Log
 from odt_plugins.engine.star import vertex_stars
@@ -123,7 +123,9 @@ def run_surface(mesh: SimplexMesh, options: Options) -> SurfaceOutcome:
     for attempt in range(ATTEMPTS):
         memory, kept, reason = _run(mesh, start, options, alone, log, times)
         if not memory.states and options.finish:
-            spoiled = _spoiled(mesh, start, memory)
+            spoiled = np.zeros(len(mesh.points), dtype=np.bool_)
+            spoiled[start.frame.vertices[memory.spoiled()]] = True
+            spoiled = _with_rings(mesh, spoiled, 1)
             if attempt < ATTEMPTS - 1 and 0 < spoiled.sum() <= SPOILED * len(start.points):
                 broken = [f"{name} would be worse" for name in memory.worse]
                 alone |= spoiled
@@ -356,18 +358,6 @@ def _left_alone(
         points, cells, _ = _placed(mesh, start, state)
         alone |= outside(mesh, kept, points, cells)
     return _with_rings(mesh, alone, rings)
-
-
-def _spoiled(mesh: SimplexMesh, start: Start, memory: Memory) -> BoolArray:
-    """Vertices, (n,) bool, around the triangles of a refused state beyond the input's extremes."""
-    spoiled = np.zeros(len(mesh.points), dtype=np.bool_)
-    state = memory.refused
-    if state is not None:
-        least, largest, smallest = extremes(memory.before, memory.keep)[:3]
-        q, large, small = cell_shapes(state.points, state.cells).T
-        bad = (q < least) | (large > largest) | (small < smallest)
-        spoiled[start.frame.vertices[state.cells[bad]]] = True
-    return _with_rings(mesh, spoiled, 1)
 
 
 def _with_rings(mesh: SimplexMesh, vertices: BoolArray, rings: int) -> BoolArray:
