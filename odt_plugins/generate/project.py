@@ -40,9 +40,6 @@ multiple of its distance from the surface, beyond the envelope."""
 THERE = 1e-6
 """Part of the envelope below which a vertex is on the surface and stays where it is."""
 
-MARGIN = 0.98
-"""Part of the envelope that is used, the rest is for rounding."""
-
 
 @dataclass(frozen=True)
 class Target:
@@ -153,7 +150,7 @@ def project(
     there = ((goal - points[free]) ** 2).sum(axis=1) <= (THERE * envelope) ** 2
     goal[there] = points[free[there]]
     moved = partial(_moved, cells=cells, facets=facets, free=free, target=target,
-                    length=MARGIN * envelope, dtype=dtype)
+                    length=envelope, dtype=dtype)
     for _ in range(PASSES):
         points = moved(points, goal=goal)
     short = int((goal != points[free]).any(axis=1).sum())
