@@ -458,6 +458,7 @@ def test_a_surface_is_left_alone_where_cells_would_pass_the_extremes(monkeypatch
     outcome = driver.run(mesh, Options(boundary="slide"))
     assert outcome.counts["surface vertices left alone"] == 5
     assert outcome.slid.vertices > 20
+    assert outcome.times["smoothing"] > free.times["smoothing"]
     assert outcome.points[alone].tobytes() == mesh.points[alone].tobytes()
     assert broken_promises(mesh, outcome.points, outcome.cells, outcome.regions, slides=True) == []
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -231,20 +232,23 @@ def run(mesh: SimplexMesh, options: Options) -> Outcome:
     if not slides(mesh, options):
         return outcome
     fixed = mesh.fixed.copy()
+    times = Counter(outcome.times)
     for _ in range(RETREATS):
         if outcome.slid is not None or fixed[spoiled].all():
             break
         fixed[spoiled] = True
         outcome, spoiled = _run(replace(mesh, fixed=fixed), options)
+        times.update(outcome.times)
     if outcome.slid is not None:
         left_alone = int((fixed & ~mesh.fixed).sum())
         more = {"surface vertices left alone": left_alone} if left_alone else {}
-        return replace(outcome, counts=outcome.counts | more)
+        return replace(outcome, counts=outcome.counts | more, times=dict(times))
     still, _ = _run(mesh, replace(options, boundary="fixed"))
+    times.update(still.times)
     why = (outcome.fallback or outcome.stop_reason).removeprefix(INPUT)
-    reasons = [why, still.fallback]
+    reasons = "; ".join(reason for reason in (why, still.fallback) if reason)
     return replace(
-        still, fallback="the boundary is left as it is; " + "; ".join(r for r in reasons if r)
+        still, fallback=f"the boundary is left as it is; {reasons}", times=dict(times)
     )
 
 
