@@ -9,7 +9,7 @@ import pytest
 import surface_meshes as sm
 
 from odt_plugins.engine.star import vertex_stars
-from odt_plugins.engine.surface.features import find_features
+from odt_plugins.engine.surface.features import find_features, sharp_edges
 from odt_plugins.engine.surface.sheet import HELD, LINE, SMOOTH
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError
 from odt_plugins.surface import surface_edges, surface_mesh
@@ -107,6 +107,22 @@ def test_a_long_crease_that_ends_within_is_kept_and_a_short_one_is_not():
         _, edges = features(p, sm.grid(21, 21))
         middle = {e for e in edges if all(p[v, 1] == 10 for v in e)}
         assert bool(middle) == kept
+
+
+def test_a_crease_with_loose_ends_counts_from_five_edges_on():
+    i, j = (x.ravel().astype(float) for x in np.meshgrid(range(21), range(21), indexing="ij"))
+    t = sm.grid(21, 21).astype(np.int32)
+    seen = set()
+    for steps in range(2, 9):
+        # a low fold along y = 10 that is sharp for some steps
+        slope = np.where((i >= 5) & (i <= 5 + steps), 0.38, 0.1)
+        p = np.stack([i, j, slope * np.minimum(np.abs(j - 10), 1)], axis=1)
+        sharp = int(sharp_edges(p, t, surface_edges(t, len(p)), 40.0).sum())
+        _, edges = features(p, t)
+        found = [e for e in edges if all(p[v, 1] == 10 for v in e)]
+        assert len(found) == (sharp if sharp >= 5 else 0)
+        seen.add(sharp)
+    assert {4, 5} <= seen
 
 
 def test_labels_marks_and_fixed_vertices():

@@ -22,7 +22,7 @@ from odt_plugins.engine.surface.sheet import HELD, LINE, SMOOTH
 from odt_plugins.mesh import BoolArray, ByteArray, FloatArray, IntArray, LongArray
 from odt_plugins.surface import Edges
 
-TRIM = 8
+TRIM = 5
 """A chain of sharp edges with a loose end is kept from this number of edges on."""
 
 FLAT_QUALITY = 0.1
