@@ -126,3 +126,21 @@ def test_a_scan_becomes_tetrahedra_inside_pymeshlab():
     edges = np.sort(np.array([pair for face in contract.facets(cells, np.zeros(len(cells), int))
                               for pair in itertools.combinations(face, 2)]), axis=1)
     assert (np.unique(edges, axis=0, return_counts=True)[1] % 2 == 0).all()
+
+
+def test_a_coarse_mesh_becomes_a_fine_one(here, tmp_path_factory):
+    for name in ("pymeshlab", "pytetwild", "pyvista"):
+        pytest.importorskip(name)
+    import meshio
+    import surface_meshes
+
+    points, faces = surface_meshes.sphere(2)
+    surface = tmp_path_factory.mktemp("surface") / "open.vtu"
+    meshio.write(surface, meshio.Mesh(points, [("triangle", faces[1:])]))
+    report, tetwild, together = example("refine_bunny").main(
+        here / "levels.png", surface=surface, levels=1, envelope=1e-2, edge_length=0.25)
+    assert report.within
+    assert report.after.n_cells > 7 * report.levels[0].quality.n_cells
+    assert report.after.mean_quality > 0.8
+    assert together < tetwild
+    assert min(colours(here / "levels.png")) > 20

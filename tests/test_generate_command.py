@@ -8,6 +8,7 @@ import meshio
 import numpy as np
 import planar_meshes as planar
 import pytest
+import surface_meshes
 
 from odt_plugins import cli
 from odt_plugins.adapters import files
@@ -47,6 +48,32 @@ def test_a_python_file_gives_fd_fh_bbox_and_pfix(place, capsys):
     points = files.read_file("out.msh").points
     assert points[0].tolist() == [3, 0, 0]
     assert np.hypot(points[:, 0] - 3, points[:, 1]).max() == pytest.approx(1, abs=1e-9)
+
+
+def test_a_surface_becomes_tetrahedra(place, capsys):
+    pytest.importorskip("pytetwild")
+    points, faces = surface_meshes.sphere(2)
+    meshio.write("ball.stl", meshio.Mesh(points, [("triangle", faces)]), binary=True)
+    meshio.write("open.vtu", meshio.Mesh(points, [("triangle", faces[1:])]))
+    capsys.readouterr()
+    assert cli.main(["mesh", "ball.stl", "out.vtu", "--edge-length", "0.3", "--envelope", "0.02",
+                     "--levels", "1", "--report", "out.json"]) == 0
+    out = meshio.read("out.vtu")
+    x = out.points[out.cells_dict["tetra"]]
+    assert np.linalg.det(x[:, 1:] - x[:, :1]).sum() / 6 == pytest.approx(4.0, rel=0.03)
+    values = json.loads((place / "out.json").read_text())
+    assert values["levels"][1]["quality"]["n_cells"] == len(x)
+    assert values["envelope"] == pytest.approx(0.02 * 12**0.5, rel=0.01)
+    assert "TetWild" in capsys.readouterr().out
+    for words, told in (
+        (["open.vtu", "no.vtu"], "not closed: 3 edges"),
+        (["ball.stl", "no.vtu", "--size", "0.1"], "expected --edge-length and --levels"),
+        (["disk.py", "no.vtu", "--envelope", "0.1", "--size", "0.1"], "expected --size"),
+        (["ball.stl", "no.vtu", "--levels", "0"], "got levels=0"),
+    ):
+        assert cli.main(["mesh", *words]) in (1, 2)
+        assert told in capsys.readouterr().err
+        assert not (place / "no.vtu").exists()
 
 
 def test_levels_and_seed_reach_the_generator(place):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import click
 
@@ -23,6 +24,13 @@ from odt_plugins.terminal import check_paths, progress_bar, warnings_told, write
               help="Seed of the points that are left out where edges may be longer.")
 @click.option("--most-points", type=click.IntRange(min=3), default=10_000_000, show_default=True,
               help="Refuse sizes that would give more vertices.")
+@click.option("--edge-length", type=float, default=None, metavar="PART",
+              help="Of TetWild's coarse mesh, as a part of the diagonal.  [default: 0.1]")
+@click.option("--envelope", type=float, default=None, metavar="PART",
+              help="How far the boundary may be from the surface, as a part of the diagonal.  "
+              "[default: 0.001]")
+@click.option("--threads", type=click.IntRange(min=1), default=1, show_default=True,
+              help="Worker threads for tetrahedra; the result does not depend on it.")
 @click.option("--report", "report_file", type=click.Path(path_type=Path), metavar="FILE.json",
               help="Write the figures of the mesh there as JSON.")
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
@@ -33,15 +41,22 @@ def mesh(
     levels: int | None,
     seed: int,
     most_points: int,
+    edge_length: float | None,
+    envelope: float | None,
+    threads: int,
     report_file: Path | None,
     quiet: bool,
 ) -> int:
-    """Make a mesh of triangles of DOMAIN and write it to OUTPUT.
+    """Make a mesh of triangles of DOMAIN, or of tetrahedra, and write it to OUTPUT.
 
     DOMAIN is one of the paper's, circle, ring, square, graded-square, crescent and pie, or a
     Python file that defines fd(p), the signed distance of points (n, 2), and optionally the sizes
     fh(p), bbox, pfix and h0, all as for distmesh. The file is run. OUTPUT is of any format that
     meshio knows, by its suffix.
+
+    DOMAIN may also be the file of a closed surface of triangles, or of coarse tetrahedra. A surface
+    is meshed coarsely by TetWild; then all is refined --levels times (1), moved to the surface and
+    optimised.
     """
     from odt_plugins.adapters.files import check_output, write_arrays
     from odt_plugins.generate.odtmesh import odtmesh2d
@@ -56,9 +71,22 @@ def mesh(
         sample, known = SAMPLES[what], True
     elif what.endswith(".py"):
         sample, known = read_domain(Path(what))
+    elif Path(what).is_file():
+        if size is not None:
+            msg = "got --size for a mesh of tetrahedra; expected --edge-length and --levels"
+            raise click.UsageError(msg)
+        _refine(what, target, 1 if levels is None else levels, edge_length, envelope, threads,
+                report_file, quiet)
+        return 0
     else:
-        msg = f"got DOMAIN {what!r}; expected one of {', '.join(SAMPLES)}, or a Python file (.py)"
+        msg = (
+            f"got DOMAIN {what!r}; expected one of {', '.join(SAMPLES)}, a Python file (.py), or "
+            f"the file of a surface or of tetrahedra"
+        )
         raise InvalidOptionError(msg)
+    if edge_length is not None or envelope is not None:
+        msg = "got --edge-length or --envelope for a mesh of triangles; expected --size"
+        raise click.UsageError(msg)
     if size is None and not known:
         msg = f"{what} does not say h0; expected --size, the edge length where the mesh is finest"
         raise click.UsageError(msg)
@@ -75,3 +103,23 @@ def mesh(
         values = {"domain": sample.title, **summary.to_dict()}
         write_beside(report_file, lambda path: path.write_text(json.dumps(values, indent=2) + "\n"))
     return 0
+
+
+def _refine(
+    what: str, target: Path, levels: int, edge_length: float | None, envelope: float | None,
+    threads: int, report_file: Path | None, quiet: bool,
+) -> None:
+    """Make tetrahedra of a surface, or more of coarse ones."""
+    from odt_plugins.adapters.files import write_file
+    from odt_plugins.generate.levels import refine_and_optimize
+
+    options: Any = {"edge_length": edge_length, "envelope": envelope}
+    options = {name: value for name, value in options.items() if value is not None}
+    with warnings_told(), progress_bar(quiet) as progress:
+        out, report = refine_and_optimize(
+            what, levels, threads=threads, progress=progress, **options)
+        write_file(target, out)
+    if not quiet:
+        click.echo(str(report))
+    if report_file:
+        write_beside(report_file, lambda path: path.write_text(report.to_json() + "\n"))
