@@ -430,9 +430,13 @@ def test_a_surface_is_left_alone_only_where_it_would_cut_through_itself():
     points[ball, 0] += 0.0985
     rim = np.unique(boundary(cells))
     assert count_crossings(points, boundary(cells)) == 0
+    shares = []
     (x, t), report = odt_plugins.optimize_with_report(
-        (points, cells), boundary="slide", envelope=1e-2
+        (points, cells), boundary="slide", envelope=1e-2,
+        progress=lambda stage, share: shares.append(share),
     )
+    assert shares == sorted(shares)
+    assert shares[-1] == 1.0
     assert crossing_pairs(x, boundary(t)) == 0
     alone = report.counts["surface vertices left alone"]
     moved = (x[rim] != points[rim]).any(axis=1)

@@ -378,6 +378,17 @@ def test_progress_is_told():
     assert {stage for stage, _ in told} == {"smoothing", "finishing"}
 
 
+def test_progress_never_goes_back_when_a_run_is_repeated():
+    told = []
+    _, report = odt_plugins.optimize_with_report(
+        sm.sphere(3, 0.4), progress=lambda *a: told.append(a))
+    assert "a run was given up" in report.fallback
+    shares = [share for _, share in told]
+    assert shares == sorted(shares)
+    assert shares[0] < 0.1
+    assert shares[-1] == 1.0
+
+
 def test_a_run_is_a_pure_function():
     p, t = sm.sphere(3, 0.2)
     mesh = surface_mesh(p, t)

@@ -34,6 +34,9 @@ INPUT = "the input is returned, "
 RETREATS = 4
 """How often a surface slides again, with those vertices left alone at which it was spoiled."""
 
+FIRST = 0.8
+"""Part of the progress that is left over which a run has when others may follow."""
+
 LOCKED_QUALITY = 0.3
 LOCKED_ANGLES = (14.0, 157.0)
 """What a cell without a movable vertex must reach when there was none such before (d = 3)."""
@@ -228,22 +231,29 @@ def run(mesh: SimplexMesh, options: Options) -> Outcome:
             "mesh of tetrahedra slides"
         )
         raise InvalidOptionError(msg)
-    outcome, spoiled = _run(mesh, options)
     if not slides(mesh, options):
-        return outcome
+        return _run(mesh, options)[0]
+    outcome = _run_sliding(mesh, options)
+    (options.progress or silent)("finishing", 1.0)
+    return outcome
+
+
+def _run_sliding(mesh: SimplexMesh, options: Options) -> Outcome:
+    """Runs from the input on until a surface that slid keeps the promise, at last without."""
+    outcome, spoiled = _run(mesh, in_turn(options, 0))
     fixed = mesh.fixed.copy()
     times = Counter(outcome.times)
-    for _ in range(RETREATS):
+    for turn in range(RETREATS):
         if outcome.slid is not None or fixed[spoiled].all():
             break
         fixed[spoiled] = True
-        outcome, spoiled = _run(replace(mesh, fixed=fixed), options)
+        outcome, spoiled = _run(replace(mesh, fixed=fixed), in_turn(options, turn + 1))
         times.update(outcome.times)
     if outcome.slid is not None:
         left_alone = int((fixed & ~mesh.fixed).sum())
         more = {"surface vertices left alone": left_alone} if left_alone else {}
         return replace(outcome, counts=outcome.counts | more, times=dict(times))
-    still, _ = _run(mesh, replace(options, boundary="fixed"))
+    still, _ = _run(mesh, replace(in_turn(options, RETREATS + 1), boundary="fixed"))
     times.update(still.times)
     why = (outcome.fallback or outcome.stop_reason).removeprefix(INPUT)
     reasons = "; ".join(reason for reason in (why, still.fallback) if reason)
@@ -493,6 +503,16 @@ def _begun(options: Options) -> Options:
 def _report_rest(report: Progress, share: float) -> None:
     """Report a share of insertion as a share of the run."""
     report("inserting", BEFORE_INSERTION + (1.0 - BEFORE_INSERTION) * share)
+
+
+def in_turn(options: Options, turn: int) -> Options:
+    """The same options, with a progress that grows from run to run: each has most of the rest."""
+    report = options.progress
+    if report is None:
+        return options
+    rest = (1.0 - FIRST) ** turn
+    return replace(options, progress=lambda stage, share: report(
+        stage, 1.0 - rest + FIRST * rest * share))
 
 
 def silent(stage: str, share: float) -> None:

@@ -16,6 +16,7 @@ from odt_plugins.engine.driver import (
     Outcome,
     State,
     extremes,
+    in_turn,
     inner_density,
     make_frame,
     report_share,
@@ -121,7 +122,9 @@ def run_surface(mesh: SimplexMesh, options: Options) -> SurfaceOutcome:
     alone = np.zeros(len(mesh.points), dtype=np.bool_)
     broken: list[str] = []
     for attempt in range(ATTEMPTS):
-        memory, kept, reason = _run(mesh, start, options, alone, log, times)
+        memory, kept, reason = _run(
+            mesh, start, in_turn(options, attempt), alone, log, times
+        )
         if not memory.states and options.finish:
             spoiled = np.zeros(len(mesh.points), dtype=np.bool_)
             spoiled[start.frame.vertices[memory.spoiled()]] = True
@@ -137,6 +140,7 @@ def run_surface(mesh: SimplexMesh, options: Options) -> SurfaceOutcome:
             found = [f"{name} would be worse" for name in memory.worse]
         times["check"] = times.get("check", 0.0) + time.perf_counter() - clock
         if outcome is not None:
+            (options.progress or silent)("finishing", 1.0)
             fallback = None if not broken else f"a run was given up ({'; '.join(broken)})"
             return replace(
                 outcome, times=times, energy=log.energy, counts=log.counts, stop_reason=reason,
@@ -146,6 +150,7 @@ def run_surface(mesh: SimplexMesh, options: Options) -> SurfaceOutcome:
         if not memory.states or attempt == ATTEMPTS - 1:
             break
         alone |= _left_alone(mesh, start, kept, memory, attempt + 1)
+    (options.progress or silent)("finishing", 1.0)
     unchanged = replace(
         _unchanged(mesh, reason), times=times, energy=log.energy, counts=log.counts, kept=kept
     )
