@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -28,7 +29,7 @@ from odt_plugins.engine.coloring import vertex_coloring
 from odt_plugins.engine.driver import run
 from odt_plugins.engine.figures import amips_energies, figures
 from odt_plugins.engine.finish2d import finish2d
-from odt_plugins.engine.finishing import flip_pending
+from odt_plugins.engine.finishing import finish, flip_pending, guarded, held_angles
 from odt_plugins.engine.flips2d import quality_flips
 from odt_plugins.engine.phases import MEASURES as CODES
 from odt_plugins.engine.phases import Descent, Phase, bulk, descents, tail
@@ -208,17 +209,47 @@ def test_held_bounds_are_the_angles_reached():
     points, cells = tm.ball(300, 8)
     mesh = complex_of(points, cells)
     bounds = np.array([0.0, 1.0, -1.0, 0.3, np.cos(np.radians(5.0)), -0.9])
-    assert driver._held(bounds, mesh, None).tobytes() == bounds.tobytes()
     reached = tm.dihedral_angles(points, cells).min(axis=1)
     for hold in (0.0, 0.1):
-        held = driver._held(bounds, mesh, hold)
+        held = held_angles(mesh, bounds, hold)
         assert np.degrees(np.arccos(held[1])) == pytest.approx(np.quantile(reached, hold), rel=1e-3)
         assert held[4] == min(bounds[4], held[1])
         assert held[[0, 2, 3, 5]].tobytes() == bounds[[0, 2, 3, 5]].tobytes()
 
 
+def test_guarded_phases_keep_the_other_measure():
+    points, cells = tm.ball(300, 8)
+    bounds = np.array([0.01, 1.0, -1.0, 0.3, np.cos(np.radians(5.0)), -0.9])
+    phase = Phase(4.0, 0.1, 2, 3, 3)
+    mesh = complex_of(points, cells)
+    assert guarded(mesh, phase, bounds) is bounds
+    same = held_angles(mesh, bounds, 0.2)
+    assert guarded(mesh, replace(phase, guard=0.2), bounds).tobytes() == same.tobytes()
+    angles = replace(phase, objective=DIHEDRAL, guard=0.2)
+    held = guarded(mesh, angles, bounds)
+    before = tm.quality(points, cells)
+    assert held[0] == pytest.approx(np.quantile(before, 0.2), rel=1e-9)
+    assert held[1:].tobytes() == bounds[1:].tobytes()
+    assert guarded(mesh, angles, np.full(6, 0.99))[0] == 0.99
+    below = []
+    for guard in (0.2, None):
+        mesh = complex_of(points.copy(), cells)
+        finish(mesh, (replace(angles, guard=guard),), bounds, None, 1)
+        now = tm.quality(mesh.points, mesh.mesh_arrays()[0])
+        smallest = tm.dihedral_angles(mesh.points, mesh.mesh_arrays()[0]).min()
+        assert smallest > tm.dihedral_angles(points, cells).min()
+        below.append((now < held[0] - 1e-12).sum())
+    assert below[0] < 0.2 * len(cells)
+    assert below[0] < below[1]
+
+
 def test_schedules(d):
-    assert descents(d) == (Descent(tail(d)),)
+    (default,) = descents(d)
+    general = [phase for phase in default.phases if phase.objective == QUALITY]
+    assert tuple(replace(phase, guard=None) for phase in general) == tail(d)
+    angles = [phase for phase in default.phases if phase.objective != QUALITY]
+    assert [phase.objective for phase in angles] == [DIHEDRAL] * (d - 2)
+    assert all((phase.guard == 0.0) == (d == 3) for phase in general[1:])
     assert descents(d, "min_dihedral")[0] == Descent(tail(d))
     for objective in CODES:
         measures = {p.objective for step in descents(d, objective) for p in step.phases}

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from odt_plugins.engine.complex import Complex, make_complex
 from odt_plugins.engine.density import Density, NodalDensity, make_density
 from odt_plugins.engine.figures import Figures, cell_shapes, figures
-from odt_plugins.engine.finishing import finish
+from odt_plugins.engine.finishing import finish, held_angles
 from odt_plugins.engine.geometry import boundary_vertices, interface_vertices
 from odt_plugins.engine.judge import Slid, cut_vertices, envelope_length, faults, slides
 from odt_plugins.engine.order import curve_order
@@ -393,16 +393,6 @@ def extremes(before: Figures, keep: tuple[str, ...]) -> FloatArray:
     ])
 
 
-def _held(bounds: FloatArray, mesh: Complex, hold: float | None) -> FloatArray:
-    """Bounds under which no new cell gets a smaller angle than a share of the cells has now."""
-    held = bounds.copy()
-    if hold is not None:
-        cells, _ = mesh.mesh_arrays()
-        cosines = cell_shapes(mesh.points, cells)[:, 1]
-        held[[1, 4]] = np.minimum(held[[1, 4]], np.quantile(cosines, 1.0 - hold))
-    return held
-
-
 def _cycles(
     mesh: Complex, density: Density, options: Options, bounds: FloatArray, memory: Memory,
     log: Log, times: dict[str, float], pool: ThreadPoolExecutor | None,
@@ -440,7 +430,7 @@ def _cycles(
     if options.finish:
         clock = time.perf_counter()
         for descent in descents(mesh.dim, options.objective):
-            held = _held(bounds, mesh, descent.hold)
+            held = bounds if descent.hold is None else held_angles(mesh, bounds, descent.hold)
             _finish(mesh, descent.phases, held, log, pool, options.threads)
             if not memory.offer(mesh, "finished") and mesh.dim == 3:
                 for phase in repair(memory.worse):

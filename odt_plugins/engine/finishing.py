@@ -18,13 +18,14 @@ from odt_plugins.engine.adjacency import cell_neighbors
 from odt_plugins.engine.cavity import DONE, UNKNOWN
 from odt_plugins.engine.coloring import touching_blocks, vertex_coloring
 from odt_plugins.engine.complex import PENDING, Complex, slot_stars
+from odt_plugins.engine.figures import cell_shapes
 from odt_plugins.engine.finish2d import finish2d
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.phases import Phase
 from odt_plugins.engine.skin import flip_skin, slide
 from odt_plugins.engine.slabs import side_by_side
 from odt_plugins.engine.star import Stars
-from odt_plugins.engine.tetrahedron import ENERGY, tet_measure
+from odt_plugins.engine.tetrahedron import DIHEDRAL, ENERGY, QUALITY, tet_measure
 from odt_plugins.engine.threads import run_chunks
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray, LongArray
 
@@ -51,6 +52,27 @@ def measures(mesh: Complex, objective: int) -> FloatArray:
     m = np.empty(int(mesh.slots[0]))
     slot_measures(mesh.points, mesh.cells[: len(m)], objective, m)
     return m
+
+
+def held_angles(mesh: Complex, bounds: FloatArray, share: float) -> FloatArray:
+    """Bounds under which no new cell gets a smaller angle than a share of the cells has now."""
+    cells, _ = mesh.mesh_arrays()
+    held = bounds.copy()
+    reached = np.quantile(cell_shapes(mesh.points, cells)[:, 1], 1.0 - share)
+    held[[1, 4]] = np.minimum(held[[1, 4]], reached)
+    return held
+
+
+def guarded(mesh: Complex, phase: Phase, bounds: FloatArray) -> FloatArray:
+    """Bounds for a phase, see :class:`Phase`."""
+    if phase.guard is None:
+        return bounds
+    if phase.objective != DIHEDRAL:
+        return held_angles(mesh, bounds, phase.guard)
+    q = measures(mesh, QUALITY)
+    held = bounds.copy()
+    held[0] = max(held[0], np.quantile(q[q < 1.5], phase.guard))
+    return held
 
 
 def flip_pending(
@@ -111,6 +133,7 @@ def descend(
     threads: int,
 ) -> tuple[int, int]:
     """Lower F_p by flips and smoothing; returns the numbers of flips and of vertex moves."""
+    bounds = guarded(mesh, phase, bounds)
     q = measures(mesh, phase.objective)
     used = len(q)
     mesh.status[:] = 0

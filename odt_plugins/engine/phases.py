@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from odt_plugins.engine.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY
 from odt_plugins.options import Objective
@@ -21,6 +21,9 @@ class Phase:
     sweeps : int     sweeps of smoothing in a round
     compound : int   passes of compound moves over the same share afterwards (d = 3)
     objective : int  the cell measure in the cost, see ``tetrahedron.tet_cost``
+    guard : float or None
+        no new cell gets a worse radius ratio, if the measure is that of angles, else a smaller
+        angle than this share of the cells has when the phase starts; None: than the input (d = 3)
     """
 
     power: float
@@ -29,6 +32,7 @@ class Phase:
     sweeps: int
     compound: int = 0
     objective: int = QUALITY
+    guard: float | None = None
 
 
 @dataclass(frozen=True)
@@ -58,6 +62,9 @@ TAILS = {
 }
 """Power, share, rounds, sweeps and compound passes of the phases for the worst cells."""
 
+ANGLES = Phase(4.0, 0.001, 2, 3, 3, DIHEDRAL, guard=0.01)
+"""For the very smallest and largest angles, which radius ratios alone do not mind enough."""
+
 
 def bulk(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
     """Phases for the mean: every cell, a small p; with "amips" the sum of the energies."""
@@ -71,6 +78,14 @@ def bulk(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
 def tail(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
     """Phases for the worst cells: fewer and fewer of them, a larger and larger p."""
     return tuple(Phase(*row, MEASURES[objective]) for row in TAILS[objective, dim])
+
+
+def with_angles(phases: tuple[Phase, ...]) -> tuple[Phase, ...]:
+    """Put :data:`ANGLES` after the first of the phases for radius ratios in space.
+
+    Those after it hold the angles that were reached, and win back what they cost.
+    """
+    return phases[0], ANGLES, *(replace(phase, guard=0.0) for phase in phases[1:])
 
 
 def repair(worse: Sequence[str]) -> tuple[Phase, ...]:
@@ -100,18 +115,18 @@ def cautious(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ..
 WORST = Phase(4.0, 0.015, 2, 3, 3)
 """For a mesh with a better mean but a worse tail: about the cells that make the 1 % quantile."""
 
+
 def descents(dim: int, objective: Objective = "radius_ratio") -> tuple[Descent, ...]:
     """What follows the bulk; the best of the results is taken.
 
     Angles cost radius ratios: the last descent of "min_dihedral" wins back what it can of them
     while the worst angles hold.
     """
-    general = Descent(tail(dim))
     if objective == "radius_ratio":
-        return (general,)
+        return (Descent(tail(dim) if dim == 2 else with_angles(tail(dim))),)
     if objective == "amips":
         return (Descent(tail(dim, objective)),)
-    own = Descent(tail(dim, objective), hold=0.0)
+    general, own = Descent(tail(dim)), Descent(tail(dim, objective), hold=0.0)
     if dim == 2:
         return general, own
     return general, own, Descent((Phase(2.0, 0.03, 2, 3, 3),), hold=0.01)
