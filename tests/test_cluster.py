@@ -81,6 +81,21 @@ def test_processes_and_a_cluster_give_the_bits_of_one_process(client, expected):
     assert_same(odt_plugins.optimize_partitioned(MESH, BLOCKS, client=client), expected)
 
 
+def test_pieces_on_a_cluster_give_the_bits_of_one_process(client, tmp_path):
+    for k, name in enumerate(("left", "right")):
+        cells = START.cells[(START.points[START.cells].mean(axis=1)[:, 0] > 0.0) == k]
+        used, number = np.unique(cells, return_inverse=True)
+        mesh = meshio.Mesh(START.points[used], [("tetra", number.reshape(-1, 4))])
+        (tmp_path / "in").mkdir(exist_ok=True)
+        mesh.write(tmp_path / "in" / f"{name}.vtu")
+    odt_plugins.optimize_pieces(tmp_path / "in", tmp_path / "here.pvtu")
+    odt_plugins.optimize_pieces(tmp_path / "in", tmp_path / "there.pvtu", client=client)
+    for k in range(3):
+        a, b = (meshio.read(tmp_path / name / f"{name}-{k}.vtu") for name in ("here", "there"))
+        assert np.array_equal(a.points, b.points)
+        assert np.array_equal(a.cells[0].data, b.cells[0].data)
+
+
 def test_a_worker_killed_in_the_middle_of_a_block_is_made_up_for(client, expected):
     result: list[Any] = []
     thread = threading.Thread(target=lambda: result.append(

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import importlib.util
 import itertools
+import shutil
 import subprocess
 import sys
 from pathlib import Path
 
 import contract
+import meshio
 import numpy as np
 import pytest
 import surface_meshes as sm
@@ -144,3 +146,13 @@ def test_a_coarse_mesh_becomes_a_fine_one(here, tmp_path_factory):
     assert report.after.mean_quality > 0.8
     assert together < tetwild
     assert min(colours(here / "levels.png")) > 20
+
+
+def test_batch_models(here):
+    pytest.importorskip("pymeshlab")
+    models = here / "models"
+    count = example("batch_models").make_models(models, samples=["bone.ply"], lengths=[3.0, 5.0])
+    assert count == 4
+    sizes = [len(meshio.read(models / f"bone-{n}.stl").cells[0].data) for n in (30, 50)]
+    assert 2.0 < sizes[0] / sizes[1] < 3.5
+    shutil.rmtree(models)

@@ -16,7 +16,7 @@ import warnings
 from pathlib import Path
 from typing import Any
 
-from odt_plugins.errors import InvalidMeshError, ODTError
+from odt_plugins.errors import InvalidMeshError, ODTError, ODTWarning
 
 ROW = "row.json"
 
@@ -32,7 +32,8 @@ def main() -> None:
         with warnings.catch_warnings(record=True) as caught:
             warnings.simplefilter("always")
             row |= work(job)
-        row |= {"status": "ok", "message": "; ".join(str(w.message) for w in caught)}
+        row |= {"status": "ok", "message": "; ".join(
+            str(w.message) for w in caught if issubclass(w.category, ODTWarning))}
     # A toolkit may raise anything at all on a broken input.
     except Exception as exc:
         row["message"] = f"{'' if isinstance(exc, ODTError) else type(exc).__name__ + ': '}{exc}"
