@@ -17,7 +17,7 @@ from strategies import SEEDS
 
 import odt_plugins
 from odt_plugins.engine.geometry import boundary_facets
-from odt_plugins.errors import InvalidMeshError, InvalidOptionError
+from odt_plugins.errors import InvalidMeshError, InvalidOptionError, ODTWarning
 from odt_plugins.generate import levels, project, refine3d
 
 DOUBLE = np.dtype(np.float64)
@@ -189,6 +189,7 @@ def test_a_peak_of_the_surface_gets_a_vertex():
     assert (volumes(sharp, cells) > 0).all()
 
 
+@pytest.mark.filterwarnings("ignore:the boundary is up to")
 def test_fixed_vertices_and_frozen_cells_stay():
     points, cells = coarse_ball()
     sphere = surface_meshes.sphere(3)
@@ -214,6 +215,7 @@ def test_a_region_keeps_its_interface():
         assert volumes(new, parts)[labels == label].sum() == pytest.approx(4.0, rel=1e-12)
 
 
+@pytest.mark.filterwarnings("ignore:the boundary is up to")
 def test_single_precision_and_negative_cells_come_back_so():
     points, cells = coarse_ball()
     given_ = points.astype(np.float32), cells[:, [1, 0, 2, 3]].astype(np.int64)
@@ -222,6 +224,7 @@ def test_single_precision_and_negative_cells_come_back_so():
     assert (volumes(new, parts) < 0).all()
 
 
+@pytest.mark.filterwarnings("ignore:the boundary is up to")
 def test_the_same_input_gives_the_same_bits_with_any_threads():
     mesh = coarse_ball()
     sphere = surface_meshes.sphere(3)
@@ -238,6 +241,7 @@ def meshed(monkeypatch):
     return calls
 
 
+@pytest.mark.filterwarnings("ignore:the boundary is up to")
 def test_surfaces_of_every_kind_are_meshed_coarsely_first(meshed, tmp_path):
     points, faces = surface_meshes.sphere(3)
     soup = meshio.Mesh(points[faces].reshape(-1, 3),
@@ -258,6 +262,14 @@ def test_surfaces_of_every_kind_are_meshed_coarsely_first(meshed, tmp_path):
     assert all(len(call["vertices"]) == len(points) for call in meshed)
     assert shares[: len(shares) // 4] == sorted(shares[: len(shares) // 4])
     assert max(shares) == 1.0
+
+
+def test_a_boundary_out_of_the_envelope_is_told():
+    with pytest.warns(ODTWarning, match=r"up to 0\.\d+ from the surface .* try one more level"):
+        _, report = odt_plugins.refine_and_optimize(
+            coarse_ball(), 1, surface=surface_meshes.sphere(3), envelope=1e-4)
+    assert not report.within
+    assert "not within the envelope" in str(report)
 
 
 def test_what_has_no_meaning_is_refused_with_one_sentence(meshed, monkeypatch):

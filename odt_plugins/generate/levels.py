@@ -9,6 +9,7 @@ from __future__ import annotations
 import json
 import os
 import time
+import warnings
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
 from numbers import Integral, Real
@@ -28,7 +29,7 @@ from odt_plugins.api import (
 )
 from odt_plugins.engine.geometry import boundary_facets, interface_vertices
 from odt_plugins.engine.surface.envelope import distances
-from odt_plugins.errors import InvalidMeshError, InvalidOptionError
+from odt_plugins.errors import InvalidMeshError, InvalidOptionError, ODTWarning
 from odt_plugins.generate.project import Target, make_target, project
 from odt_plugins.generate.refine3d import check_size, numbered_edges
 from odt_plugins.generate.uniform import read_linear, uniform_refine
@@ -216,6 +217,10 @@ def refine_and_optimize(
     UnsupportedMeshError    the object is nothing that can be refined
     MissingDependencyError  a surface, and pytetwild is not installed
 
+    Warns
+    -----
+    ODTWarning              the result is not certainly within the envelope; the report says how far
+
     Notes
     -----
     Every cell is positive at every step. A vertex whose way to the surface would tangle or spoil a
@@ -276,10 +281,18 @@ def refine_and_optimize(
     clock = time.perf_counter()
     both, volume = _measured(host, start.target, envelope)
     checking, _ = _lap(clock)
-    return current, LevelsReport(
+    told = LevelsReport(
         tuple(done), envelope, both[0], both[1], volume, abs(start.target.volume), start.seconds,
         checking,
     )
+    if not told.within:
+        msg = (
+            f"the boundary is up to {told.forward:.3g} from the surface and that up to "
+            f"{told.backward:.3g} from it; expected at most {envelope:.3g}, try one more level, a "
+            f"smaller edge_length or a finer coarse mesh"
+        )
+        warnings.warn(msg, ODTWarning, stacklevel=2)
+    return current, told
 
 
 def _check(levels: Any, edge_length: Any, options: Mapping[str, Any]) -> None:
