@@ -21,28 +21,29 @@ from odt_plugins.engine.geometry import boundary_vertices, interface_vertices
 from odt_plugins.engine.judge import Slid, cut_vertices, envelope_length, faults, slides
 from odt_plugins.engine.order import curve_order
 from odt_plugins.engine.phases import WORST, Phase, bulk, cautious, descents, repair, tail
+from odt_plugins.engine.progress import (
+    in_turn,
+    report_insertion,
+    report_share,
+    silent,
+    until_insertion,
+)
 from odt_plugins.engine.resampling import resample_in_rounds, with_spare_vertices
 from odt_plugins.engine.skin import Skin, make_skin
 from odt_plugins.engine.smoothing import Log, smooth
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
 from odt_plugins.numbering import new_numbers
-from odt_plugins.options import Objective, Options, Progress
+from odt_plugins.options import Objective, Options
 
 INPUT = "the input is returned, "
 
 RETREATS = 4
 """How often a surface slides again, with those vertices left alone at which it was spoiled."""
 
-FIRST = 0.8
-"""Part of the progress that is left over which a run has when others may follow."""
-
 LOCKED_QUALITY = 0.3
 LOCKED_ANGLES = (14.0, 157.0)
 """What a cell without a movable vertex must reach when there was none such before (d = 3)."""
-
-BEFORE_INSERTION = 0.3
-"""Part of a run with insertion that is over when insertion begins, as progress tells it."""
 
 
 @dataclass(frozen=True)
@@ -288,7 +289,7 @@ def _run(mesh: SimplexMesh, options: Options) -> tuple[Outcome, IntArray]:
     bounds = extremes(before, tuple(options.keep))
     pool = ThreadPoolExecutor(options.threads) if options.threads > 1 else None
     try:
-        first = _begun(options) if options.insert else options
+        first = until_insertion(options) if options.insert else options
         reason = _cycles(start, density, first, bounds, memory, log, times, pool)
         if not memory.states and options.finish and not (skin and memory.spoiled().size):
             again = frame.inside(mesh.points[frame.vertices])
@@ -309,7 +310,7 @@ def _run(mesh: SimplexMesh, options: Options) -> tuple[Outcome, IntArray]:
                 limits=partial(extremes, keep=tuple(options.keep)),
                 settle=partial(_finish, log=log, pool=pool, threads=options.threads),
                 offer=partial(memory.offer, name="resampled"),
-                report=partial(_report_rest, options.progress or silent), log=log,
+                report=partial(report_insertion, options.progress or silent), log=log,
             )
             times["resampling"] = time.perf_counter() - clock
     finally:
@@ -477,36 +478,6 @@ def _finishing_alone(
         _finish(mesh, (WORST,), strict, log, pool, options.threads)
         memory.offer(mesh, "finishing alone")
     times["finishing alone"] = time.perf_counter() - clock
-
-
-def report_share(report: Progress, base: float, width: float, share: float) -> None:
-    """Report a share of stage 1 as a share of the run."""
-    report("smoothing", base + width * share)
-
-
-def _begun(options: Options) -> Options:
-    """The same options, with a progress that ends where insertion begins."""
-    report = options.progress or silent
-    return replace(options, progress=lambda stage, share: report(stage, BEFORE_INSERTION * share))
-
-
-def _report_rest(report: Progress, share: float) -> None:
-    """Report a share of insertion as a share of the run."""
-    report("inserting", BEFORE_INSERTION + (1.0 - BEFORE_INSERTION) * share)
-
-
-def in_turn(options: Options, turn: int) -> Options:
-    """The same options, with a progress that grows from run to run: each has most of the rest."""
-    report = options.progress
-    if report is None:
-        return options
-    rest = (1.0 - FIRST) ** turn
-    return replace(options, progress=lambda stage, share: report(
-        stage, 1.0 - rest + FIRST * rest * share))
-
-
-def silent(stage: str, share: float) -> None:
-    """Report progress to nobody."""
 
 
 def _best(

@@ -16,14 +16,12 @@ from odt_plugins.engine.driver import (
     Outcome,
     State,
     extremes,
-    in_turn,
     inner_density,
     make_frame,
-    report_share,
-    silent,
 )
 from odt_plugins.engine.figures import Figures, figures
 from odt_plugins.engine.phases import Phase, bulk, tail
+from odt_plugins.engine.progress import in_turn, report_share, silent
 from odt_plugins.engine.smoothing import Log
 from odt_plugins.engine.star import vertex_stars
 from odt_plugins.engine.surface.build import make_ground, make_sheet
