@@ -156,3 +156,11 @@ def test_batch_models(here):
     sizes = [len(meshio.read(models / f"bone-{n}.stl").cells[0].data) for n in (30, 50)]
     assert 2.0 < sizes[0] / sizes[1] < 3.5
     shutil.rmtree(models)
+
+
+def test_meshes_are_generated_and_drawn(here):
+    pytest.importorskip("matplotlib")
+    found = example("generate_mesh").main(here / "generated.png")
+    assert min(figures.min_quality for figures in found.values()) > 0.6
+    assert min(figures.mean_quality for figures in found.values()) > 0.95
+    assert min(colours(here / "generated.png")) > 50

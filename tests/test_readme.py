@@ -25,12 +25,12 @@ SNIPPETS = blocks("python")
 COMMANDS = [line for block in blocks("sh") for line in block.splitlines()]
 
 
-def test_the_readme_has_its_three_snippets_and_its_commands() -> None:
-    assert len(SNIPPETS) == 3
+def test_the_readme_has_its_four_snippets_and_its_commands() -> None:
+    assert len(SNIPPETS) == 4
     assert COMMANDS[:2] == ["bash examples/demo.sh", "bash tests/run.sh"]
 
 
-@pytest.mark.parametrize("code", SNIPPETS, ids=["arrays", "pytetwild", "pyvista"])
+@pytest.mark.parametrize("code", SNIPPETS, ids=["arrays", "pytetwild", "pyvista", "generate"])
 def test_a_snippet_runs_as_it_stands(code: str, tmp_path: Path) -> None:
     for name in re.findall(r"^import (\w+)", code, flags=re.MULTILINE):
         pytest.importorskip(name)

@@ -10,6 +10,7 @@ import tet_meshes as tm
 
 from odt_plugins.compare import blocks
 from odt_plugins.compare.bandwidth import sweep_bytes, triad_bandwidth
+from odt_plugins.compare.generation import generation_part
 from odt_plugins.compare.local_global import forty_sweeps_part, moved_rhombohedron, moved_triangle
 from odt_plugins.compare.multigrid import multigrid_part
 from odt_plugins.compare.stages import fit, surface_part
@@ -136,3 +137,12 @@ def test_tables_are_aligned():
                               "longer  12345  1234", "note"]
     assert [shown(v) for v in ("x", 7, 0.12345, 99.96, 123.4)] == [
         "x", "7", "0.123", "100", "123"]
+
+
+def test_generators_are_measured_on_the_circle():
+    table = generation_part([1200, 2400], 1, silent).tables[0]
+    assert [row[0] for row in table.rows] == ["odtmesh2d"] * 2 + ["distmesh, 100 steps"] * 2
+    assert table.rows[1][1] == pytest.approx(2400, rel=0.1)
+    assert min(row[2] for row in table.rows) > 0
+    assert table.rows[0][4] > 0.7
+    assert len(table.notes) == 2

@@ -221,7 +221,10 @@ def _build(
     relax(mesh, domain, GLOBAL_STEPS, globally=True)
     see("optimization", mesh.points, mesh.cells)
     tell("clean-up", 0.9)
+    before = len(mesh.points)
     _clean(mesh, False)
+    if len(mesh.points) < before:
+        relax(mesh, domain, ROUNDS)
     repair(mesh, domain)
     see("clean-up", mesh.points, mesh.cells)
     tell("clean-up", 1.0)

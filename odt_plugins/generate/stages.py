@@ -293,12 +293,14 @@ def finish(mesh: Mesh, phases: tuple[Phase, ...], near: BoolArray | None = None)
 def repair(mesh: Mesh, domain: Domain) -> None:
     """Improve the triangles below BAD in place; other vertices stay, and so even sizes do."""
     power, rounds, sweeps = REPAIR
-    for _ in range(REPEATS):
+    for rings in range(REPEATS):
         bad = radius_ratio(mesh.points, mesh.cells) < BAD
         if not bad.any():
             break
         near = np.zeros(len(mesh.points), dtype=np.bool_)
         near[mesh.cells[bad]] = True
+        for _ in range(rings):
+            near[mesh.cells[near[mesh.cells].any(axis=1)]] = True
         finish(mesh, (Phase(power, float(bad.mean()), rounds, sweeps),), near)
         slide_worst(mesh, domain)
 
