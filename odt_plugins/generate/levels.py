@@ -251,6 +251,7 @@ def refine_and_optimize(
     if chosen.selection is not None:
         frozen = ~vertex_mask(chosen.selection, m, "selection", "cells")
     done: list[Level] = []
+    reached = [0.0]
     for level in range(levels + 1):
         clock = time.perf_counter()
         refining = projecting = 0.0
@@ -264,7 +265,7 @@ def refine_and_optimize(
             projecting, clock = _lap(clock)
         given = plain | {"fixed": fixed, "boundary": "fixed" if level else slides}
         if chosen.progress is not None:
-            given["progress"] = _share(chosen.progress, level, levels)
+            given["progress"] = _share(chosen.progress, level, levels, reached)
         runs = SLIDES if slides == "slide" and not level and chosen.finish else ({},)
         for run in runs:
             if run:
@@ -433,13 +434,17 @@ def _measured(
     return (both.forward_upper, both.backward_upper), float(np.abs(volume).sum())
 
 
-def _share(progress: Any, level: int, levels: int) -> Any:
-    """Progress of one level as a part of all: the last takes most of the time."""
+def _share(progress: Any, level: int, levels: int, reached: list[float]) -> Any:
+    """Progress of one level as a part of all: the last takes most of the time.
+
+    Several runs of one level, each from 0 to 1, do not lead back behind what was ``reached``.
+    """
     weights = np.cumsum([0.0, *(8.0**k for k in range(levels + 1))])
     low, high = weights[level] / weights[-1], weights[level + 1] / weights[-1]
 
     def tell(stage: str, share: float) -> None:
-        progress(f"level {level}: {stage}", low + (high - low) * share)
+        reached[0] = max(reached[0], float(low + (high - low) * share))
+        progress(f"level {level}: {stage}", reached[0])
 
     return tell
 
