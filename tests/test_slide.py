@@ -233,6 +233,44 @@ def test_flips_of_the_surface_lower_the_cost():
     assert len(facets_of(mesh.cells[mesh.live()])) > 0
 
 
+def flipped(prepare=lambda mesh: None, bounds=LIMITS):
+    """A ball whose surface was flipped once, and how often."""
+    mesh = skinned(*ball(500, 2), envelope=0.02)
+    prepare(mesh)
+    mesh.status[: mesh.slots[0]] = 1
+    return mesh, _flip_surface(mesh, Phase(2.0, 1.0, 1, 1), bounds)
+
+
+def test_flips_of_the_surface_leave_interfaces():
+    def halves(mesh):
+        mesh.regions[: mesh.slots[0]] = mesh.points[mesh.cells[: mesh.slots[0]], 0].sum(axis=1) > 0
+
+    def interface(mesh):
+        live = mesh.live()
+        owners = facets_of(mesh.cells[live])
+        return {f for f, o in owners.items() if len({int(mesh.regions[live][c]) for c in o}) == 2}
+
+    start = skinned(*ball(500, 2), envelope=0.02)
+    halves(start)
+    mesh, flips = flipped(halves)
+    assert flips > 10
+    assert interface(mesh) == interface(start)
+
+
+def test_locked_edges_of_the_surface_are_not_flipped():
+    def lock(mesh):
+        mesh.skin.sheet.locked[:] = True
+
+    assert flipped()[1] > 10
+    assert flipped(lock)[1] == 0
+
+
+def test_flips_of_the_surface_respect_the_extremes():
+    # no new cell may be worse than the worst that it replaces, in any figure
+    strict = np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
+    assert 0 < flipped(bounds=strict)[1] < flipped()[1]
+
+
 @pytest.mark.parametrize(("label", "flips"), [(1, 1), (2, 0)])
 def test_a_flat_cell_of_the_surface_goes_unless_an_interface_is_behind_it(label, flips):
     points = np.array(
