@@ -11,7 +11,6 @@ import subprocess
 import sys
 import threading
 import time
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ import meshio
 import numpy as np
 import pytest
 import tet_meshes
+from processes import alive, children, wait_until
 
 from odt_plugins import cli
 from odt_plugins.compare.start import ball
@@ -82,27 +82,6 @@ def files(folder: Path) -> list[str]:
     """Everything below a folder but for what a batch keeps for itself."""
     return sorted(str(p.relative_to(folder)) for p in folder.rglob("*")
                   if p.is_file() and HIDDEN not in p.parts)
-
-
-def wait_until(condition: Callable[[], Any], seconds: float = 60.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.02)
-
-
-def alive(pid: int) -> bool:
-    try:
-        stat = Path(f"/proc/{pid}/stat").read_text()
-    except OSError:
-        return False
-    return stat.rpartition(")")[2].split()[0] != "Z"
-
-
-def children(pid: int) -> list[int]:
-    found = subprocess.run(["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True,
-                           text=True, check=False).stdout.split()
-    return [int(p) for p in found] + [g for p in found for g in children(int(p))]
 
 
 def test_whatever_an_input_does_is_a_row(place, capsys):
@@ -298,7 +277,7 @@ def test_what_a_killed_worker_was_doing_is_done_by_another(place):
     jobs = make_jobs(find_inputs(["models/*.slow"]), place / "out", {}, suffix=".vtu")
     rows: list[Any] = []
     with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as own,
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as own,
         distributed.Client(own) as client,
     ):
         pids = client.run(os.getpid)

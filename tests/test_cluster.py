@@ -7,14 +7,14 @@ import signal
 import subprocess
 import sys
 import threading
-import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import meshio
 import numpy as np
 import pytest
+from processes import alive, children, wait_until
 
 import odt_plugins
 from odt_plugins import cli
@@ -47,7 +47,7 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 def client() -> Iterator[Any]:
     """Two worker processes with their nannies."""
     with (
-        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=None) as own,
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as own,
         distributed.Client(own) as client,
     ):
         yield client
@@ -66,13 +66,6 @@ def expected() -> tuple[Any, Any]:
 
 def assert_same(a: Any, b: Any) -> None:
     assert all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
-
-
-def wait_until(condition: Callable[[], Any], seconds: float = 60.0) -> None:
-    end = time.monotonic() + seconds
-    while not condition():
-        assert time.monotonic() < end, "it did not happen"
-        time.sleep(0.02)
 
 
 def test_processes_and_a_cluster_give_the_bits_of_one_process(client, expected):
@@ -189,20 +182,6 @@ def run_cli(folder: Path, *words: str, **settings: Any) -> subprocess.Popen[str]
     return subprocess.Popen([sys.executable, "-m", "odt_plugins.cli", *words], cwd=folder,
                             stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True,
                             **settings)
-
-
-def children(pid: int) -> list[int]:
-    found = subprocess.run(["ps", "-o", "pid=", "--ppid", str(pid)], capture_output=True,
-                           text=True, check=False).stdout.split()
-    return [int(p) for p in found] + [g for p in found for g in children(int(p))]
-
-
-def alive(pid: int) -> bool:
-    status = Path(f"/proc/{pid}/stat")
-    try:
-        return status.read_text().rpartition(")")[2].split()[0] != "Z"
-    except OSError:
-        return False
 
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks at /proc")
