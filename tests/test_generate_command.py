@@ -112,3 +112,10 @@ def test_mistakes_are_told_in_one_line_and_write_nothing(place, capsys, name):
     assert sentence in told.err
     assert told.err.count("\n") == 1
     assert not list(place.glob("o.*"))
+
+
+@pytest.mark.parametrize("option", ["--size", "--seed", "--most-points"])
+def test_what_is_for_the_plane_is_refused_for_surfaces(place, capsys, option):
+    (place / "s.stl").write_text("solid\nendsolid\n")
+    assert cli.main(["mesh", "s.stl", "o.vtu", option, "5"]) == 2
+    assert "for a mesh of tetrahedra; expected" in capsys.readouterr().err

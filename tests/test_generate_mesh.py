@@ -26,6 +26,7 @@ from odt_plugins.generate import (
 )
 from odt_plugins.generate.cleanup import clean_up
 from odt_plugins.generate.domain import make_domain
+from odt_plugins.generate.stages import Mesh, TooCoarseError, refine
 
 SQUARE = [[-1, -1], [1, 1]]
 
@@ -202,6 +203,19 @@ def test_points_are_projected_to_the_boundary():
     x = np.random.default_rng(3).uniform(-0.9, 0.9, (50, 2))
     x = x[np.linalg.norm(x, axis=1) > 0.3]
     assert np.allclose(np.linalg.norm(domain.project(x), axis=1), 1, atol=1e-10)
+
+
+def test_refinement_puts_new_boundary_vertices_on_the_boundary():
+    turn = np.arange(12) * math.pi / 6
+    points = np.concatenate([[[0, 0]], np.column_stack([np.cos(turn), np.sin(turn)])])
+    cells = np.array([(0, 1 + k, 1 + (k + 1) % 12) for k in range(12)], dtype=np.int32)
+    mesh = refine(Mesh(points, cells, 1), make_domain(disk, huniform, SQUARE))
+    assert np.array_equal(mesh.points[0], [0, 0])
+    check_mesh(mesh.points, mesh.cells, disk, holes=0)
+    hexagon = np.concatenate([[0], 1 + np.arange(0, 12, 4)])
+    triangle = np.array([(0, 1, 2), (0, 2, 3), (0, 3, 1)], dtype=np.int32)
+    with pytest.raises(TooCoarseError, match="far from the boundary"):
+        refine(Mesh(0.2 * points[hexagon], triangle, 0), make_domain(disk, huniform, SQUARE))
 
 
 def test_clean_up_takes_out_vertices_of_few_triangles():

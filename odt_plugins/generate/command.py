@@ -12,6 +12,8 @@ import click
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.terminal import check_paths, progress_bar, warnings_told, write_beside
 
+SEED, MOST_POINTS = 2011, 10_000_000
+
 
 @click.command()
 @click.argument("what", metavar="DOMAIN")
@@ -20,10 +22,11 @@ from odt_plugins.terminal import check_paths, progress_bar, warnings_told, write
               help="Edge length where the mesh is finest.  [default: the domain's own]")
 @click.option("--levels", type=click.IntRange(min=0), default=None,
               help="How often a coarse mesh is refined.  [default: chosen by the size]")
-@click.option("--seed", type=click.IntRange(min=0), default=2011, show_default=True,
-              help="Seed of the points that are left out where edges may be longer.")
-@click.option("--most-points", type=click.IntRange(min=3), default=10_000_000, show_default=True,
-              help="Refuse sizes that would give more vertices.")
+@click.option("--seed", type=click.IntRange(min=0), default=None,
+              help="Seed of the points that are left out where edges may be longer.  "
+              f"[default: {SEED}]")
+@click.option("--most-points", type=click.IntRange(min=3), default=None,
+              help=f"Refuse sizes that would give more vertices.  [default: {MOST_POINTS}]")
 @click.option("--edge-length", type=float, default=None, metavar="PART",
               help="Of TetWild's coarse mesh, as a part of the diagonal.  [default: 0.1]")
 @click.option("--envelope", type=float, default=None, metavar="PART",
@@ -39,8 +42,8 @@ def mesh(
     target: Path,
     size: float | None,
     levels: int | None,
-    seed: int,
-    most_points: int,
+    seed: int | None,
+    most_points: int | None,
     edge_length: float | None,
     envelope: float | None,
     threads: int,
@@ -72,8 +75,9 @@ def mesh(
     elif what.endswith(".py"):
         sample, known = read_domain(Path(what))
     elif Path(what).is_file():
-        if size is not None:
-            msg = "got --size for a mesh of tetrahedra; expected --edge-length and --levels"
+        if any(given is not None for given in (size, seed, most_points)):
+            msg = ("got --size, --seed or --most-points for a mesh of tetrahedra; expected "
+                   "--edge-length and --levels")
             raise click.UsageError(msg)
         _refine(what, target, 1 if levels is None else levels, edge_length, envelope, threads,
                 report_file, quiet)
@@ -93,7 +97,8 @@ def mesh(
     with warnings_told(), progress_bar(quiet) as progress:
         points, cells = odtmesh2d(
             sample.fd, sample.fh, sample.h0 if size is None else size, sample.bbox, sample.pfix,
-            level=levels, seed=seed, most_points=most_points, progress=progress,
+            level=levels, seed=SEED if seed is None else seed,
+            most_points=MOST_POINTS if most_points is None else most_points, progress=progress,
         )
         write_arrays(target, points, cells)
     summary = replace(summarize(points, cells), uniformity=uniformity(points, cells, sample.fh))
