@@ -124,7 +124,7 @@ def test_whatever_an_input_does_is_a_row(place, capsys):
     assert page.index("bad.crash") < page.index("good.vtu")
     assert "2 ok, 1 crashed" in page
     command = "--suffix .vtu --memory-limit 3.0 --keep min_quality,mean_quality</code>"
-    assert "odt-plugins batch" in page
+    assert "<code>odt-plugins batch" in page
     assert command in page
     assert not (place / "out" / HIDDEN / "work").exists()
 

@@ -69,7 +69,7 @@ def write_summary(out: Path, rows: Sequence[dict[str, Any]], command: str, threa
 
 def command_line(context: Any) -> str:
     """Give the command of a click context again, with the flags that were given."""
-    words = [context.command_path]
+    words = context.command_path.split()
     for parameter in context.command.params:
         value = context.params[parameter.name]
         if parameter.param_type_name == "argument":
