@@ -205,7 +205,7 @@ def forty_sweeps_part(sizes: Sequence[int], threads: int, say: Say) -> Part:
     heads = ("mesh", "vertices", f"gap after {SWEEPS} sweeps", "[s]", "global steps", "gap", "[s]",
              "time over time")
     return Part([Table(
-        "forty_sweeps", f"Global steps to the energy of {SWEEPS} Gauss-Seidel sweeps (alpha = 1)",
+        "forty-sweeps", f"Global steps to the energy of {SWEEPS} Gauss-Seidel sweeps (alpha = 1)",
         heads, rows, ["gap: energy above that of the regular mesh, over that of the start"])])
 
 
