@@ -68,6 +68,13 @@ def _ours() -> list[Contestant]:
     }
     rows = [Contestant(OURS, "odt-plugins", (*SOLID, *FLAT, *CURVED), "ours", {"options": {}},
                        "odt-plugins", "", "every default")]
+    freer: dict[str, dict[str, Any]] = {
+        "insertion": {"insert": True}, "sliding": {"boundary": "slide"},
+        "sliding, insertion": {"boundary": "slide", "insert": True},
+    }
+    rows += [Contestant(f"{OURS}: {name}", "odt-plugins", SOLID, "ours", {"options": options},
+                        "odt-plugins", "", "as its name says, all else by default")
+             for name, options in freer.items()]
     rows += [Contestant(f"{OURS}: {name}, no finish", "odt-plugins", (*SOLID, *FLAT), "ours",
                         {"options": {**options, **alone}}, "odt-plugins", "",
                         "the paper's method by itself, no figure guarded")
