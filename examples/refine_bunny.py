@@ -64,7 +64,8 @@ def main(
     points, faces = closed(surface)
     start = time.perf_counter()
     coarse = odt_plugins.tetrahedralize(
-        points, faces, edge_length_fac=edge_length, epsilon=envelope, odt=False, vtk_ordering=True)
+        points, faces, edge_length_fac=edge_length, epsilon=0.75 * envelope, odt=False,
+        vtk_ordering=True)
     tetwild = time.perf_counter() - start
     fine, report = odt_plugins.refine_and_optimize(
         coarse, levels, surface=(points, faces), envelope=envelope, threads=os.cpu_count() or 1)

@@ -54,6 +54,9 @@ SLIDES: tuple[dict[str, Any], ...] = (
 """Runs on the coarse mesh whose boundary slides, with parts of the envelope: what is sharp there
 stays so at every level. Fine boundaries move to the surface again."""
 
+TETWILD_PART = 0.75
+"""Part of the envelope for TetWild, which holds its surface near yours but not yours near its."""
+
 TOLERANCE = 0.02
 """Distances are bounded to this part of the envelope."""
 
@@ -353,7 +356,7 @@ def _start(
     clock = time.perf_counter()
     coarse = run_tetwild({
         "vertices": points, "faces": faces, "edge_length_fac": edge_length,
-        "epsilon": options.envelope, "vtk_ordering": True,
+        "epsilon": TETWILD_PART * options.envelope, "vtk_ordering": True,
     })
     seconds, _ = _lap(clock)
     p, t = np.asarray(coarse[0], dtype=np.float64), np.asarray(coarse[1], dtype=np.int32)
