@@ -146,7 +146,7 @@ def _read(folder: Path, ending: int | None, said: str, limits: Limits) -> Run:
         status, message = "timeout", f"no answer within {limits.seconds:g} s"
     elif ending:
         status = "crashed"
-        message = f"ended by {_signal(ending)}" + (f": {said}" if said else "")
+        message = f"ended by {exit_name(ending)}" + (f": {said}" if said else "")
     if meshes and status in ("timeout", "crashed"):
         message = f"{message}, after {len(meshes)} complete runs, which are shown"
         status = "ok"
@@ -166,7 +166,8 @@ def _fault(points: NDArray[Any], cells: NDArray[Any]) -> str:
     return ""
 
 
-def _signal(code: int) -> str:
+def exit_name(code: int) -> str:
+    """Say how a process ended: by an exit code, or by the name of a signal."""
     if code >= 0:
         return f"exit code {code}"
     try:

@@ -19,6 +19,7 @@ from typing import Any
 
 from odt_plugins.adapters.files import check_output
 from odt_plugins.api import make_options
+from odt_plugins.compare.runner import exit_name
 from odt_plugins.distributed.job import ROW
 from odt_plugins.distributed.versions import versions_here
 from odt_plugins.errors import InvalidOptionError, MeshFileError
@@ -260,14 +261,5 @@ def _process(job: Job, folder: Path) -> Row:
         row: Row = json.loads((folder / ROW).read_text(encoding="utf-8"))
         return row
     lines = [line.strip() for line in said.splitlines() if line.strip()]
-    message = f"ended by {_ending(process.returncode)}: {lines[-1] if lines else 'no word'}"
+    message = f"ended by {exit_name(process.returncode)}: {lines[-1] if lines else 'no word'}"
     return {"status": "crashed", "message": message}
-
-
-def _ending(code: int) -> str:
-    if code >= 0:
-        return f"exit code {code}"
-    try:
-        return signal.Signals(-code).name
-    except ValueError:
-        return f"signal {-code}"
