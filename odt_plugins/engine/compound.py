@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from odt_plugins.engine.cavity import DONE, IDLE, PENDING, Work, make_work, take_back
+from odt_plugins.engine.cavity import DONE, IDLE, PENDING, Work, is_in, make_work, take_back
 from odt_plugins.engine.flips3d import flip_facet, improve_cell, remove_edge
 from odt_plugins.engine.kernel import allocating_kernel, kernel
 from odt_plugins.engine.smooth3d import newton_vertex
@@ -49,12 +49,7 @@ def gather_star(cells: IntArray, neighbors: IntArray, c: int, v: int, star: IntA
             across = neighbors[t, f]
             if across < 0:
                 continue
-            known = False
-            for m in range(n):
-                if star[m] == across:
-                    known = True
-                    break
-            if known:
+            if is_in(across, star, n):
                 continue
             if n == star.shape[0]:
                 return 0
@@ -67,12 +62,7 @@ def gather_star(cells: IntArray, neighbors: IntArray, c: int, v: int, star: IntA
 def push(touched: IntArray, n: int, around: IntArray, n_new: int) -> int:
     """Add the new cells to the touched ones, each once."""
     for m in range(n_new):
-        known = False
-        for i in range(n):
-            if touched[i] == around[m]:
-                known = True
-                break
-        if not known and n < touched.shape[0]:
+        if n < touched.shape[0] and not is_in(around[m], touched, n):
             touched[n] = around[m]
             n += 1
     return n
@@ -149,12 +139,7 @@ def descend_around(
                 v = cells[t, a]
                 if locked[v] or n_undo == undo.shape[0] or n_seen == seen.shape[0]:
                     continue
-                known = False
-                for i in range(n_seen):
-                    if seen[i] == v:
-                        known = True
-                        break
-                if known:
+                if is_in(v, seen, n_seen):
                     continue
                 seen[n_seen] = v
                 n_seen += 1

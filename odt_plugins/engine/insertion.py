@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from odt_plugins.engine.cavity import Work, make_work, replace_cavity
+from odt_plugins.engine.cavity import Work, is_in, make_work, replace_cavity
 from odt_plugins.engine.compound import (
     GAIN,
     LARGEST_STAR,
@@ -106,12 +106,7 @@ def surroundings_within(
             continue
         for a in range(4):
             v = cells[t, a]
-            known = locked[v] or n_seen == seen.shape[0]
-            for i in range(n_seen):
-                if seen[i] == v:
-                    known = True
-                    break
-            if known:
+            if locked[v] or n_seen == seen.shape[0] or is_in(v, seen, n_seen):
                 continue
             seen[n_seen] = v
             n_seen += 1

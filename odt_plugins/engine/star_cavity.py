@@ -10,7 +10,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from odt_plugins.engine.cavity import walk_ring
+from odt_plugins.engine.cavity import is_in, walk_ring
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.tetrahedron import tet_cost
 from odt_plugins.mesh import ByteArray, FloatArray, IntArray
@@ -18,14 +18,6 @@ from odt_plugins.mesh import ByteArray, FloatArray, IntArray
 LARGEST_CAVITY = 32
 PLACES = 11
 """Where a vertex may come into a cell: on its 6 edges, on its 4 facets, in its middle."""
-
-
-@kernel
-def _is_in(c: int, cavity: IntArray, n: int) -> bool:
-    for m in range(n):
-        if cavity[m] == c:
-            return True
-    return False
 
 
 @kernel
@@ -116,13 +108,13 @@ def grow_cavity(
         for m in range(n):
             for f in range(4):
                 t = neighbors[cavity[m], f]
-                if t < 0 or regions[t] != label or _is_in(t, cavity, n):
+                if t < 0 or regions[t] != label or is_in(t, cavity, n):
                     continue
                 shared = 0
                 gain = _old_cost(points, cells, t, objective, power)
                 for g in range(4):
                     across = neighbors[t, g]
-                    if across < 0 or not _is_in(across, cavity, n):
+                    if across < 0 or not is_in(across, cavity, n):
                         gain -= _cone_cost(points, cells, t, g, p, objective, power)
                         continue
                     shared += 1
@@ -158,7 +150,7 @@ def join_facets(
         gain += _old_cost(points, cells, c, objective, power)
         for f in range(4):
             across = neighbors[c, f]
-            if across >= 0 and _is_in(across, cavity, n):
+            if across >= 0 and is_in(across, cavity, n):
                 continue
             gain -= _cone_cost(points, cells, c, f, p, objective, power)
             for i in range(4):
