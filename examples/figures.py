@@ -37,8 +37,8 @@ def measure(path: Path, options: list[str]) -> tuple[dict[str, Any], float]:
         output = Path(folder) / path.name
         report = Path(folder) / "report.json"
         start = time.perf_counter()
-        code = command(["optimize", str(path), str(output), "--report", str(report), "--quiet",
-                        *options])
+        code = command(["optimize", str(path), str(output), *options, "--report", str(report),
+                        "--quiet"])
         seconds = time.perf_counter() - start
         if code != 0:
             sys.exit(code)
@@ -49,8 +49,10 @@ def main(arguments: list[str]) -> None:
     """Measure every mesh, the first one twice so that compilation is not counted."""
     cut = arguments.index("--") if "--" in arguments else len(arguments)
     paths, options = [Path(a) for a in arguments[:cut]], arguments[cut + 1 :]
-    if not paths:
-        sys.exit("usage: python examples/figures.py MESH... [-- OPTIONS]")
+    if {"-h", "--help"} & set(options):
+        sys.exit(command(["optimize", "--help"]))
+    if not paths or {"-h", "--help"} & set(arguments):
+        sys.exit("usage: python examples/figures.py MESH... [-- OPTIONS of odt-plugins optimize]")
     print(HEADER)
     for path in paths:
         measure(path, [*options, "--rounds", "1", "--cycles", "1"])

@@ -158,6 +158,28 @@ def test_batch_models(here):
     shutil.rmtree(models)
 
 
+@pytest.mark.parametrize("arguments", [["--", "--help"], ["mesh.vtu", "--", "-h"]])
+def test_figures_show_the_help_of_the_command(capsys, arguments):
+    with pytest.raises(SystemExit, match="0"):
+        example("figures").main(arguments)
+    assert capsys.readouterr().out.startswith("Usage: odt-plugins optimize")
+
+
+def test_figures_need_a_mesh():
+    for arguments in ([], ["--help"], ["--", "--cycles", "2"]):
+        with pytest.raises(SystemExit, match=r"usage: python examples/figures.py MESH"):
+            example("figures").main(arguments)
+
+
+def test_figures_of_a_mesh_are_a_table(capsys, tmp_path_factory):
+    own = tmp_path_factory.mktemp("own") / "report.json"
+    example("figures").main([str(EXAMPLES / "meshes" / "airfoil.vtu"), "--", "--cycles", "0",
+                             "--report", str(own)])
+    rows = [[w.strip() for w in line.split("|")] for line in capsys.readouterr().out.splitlines()]
+    assert rows[2][1:4] == ["airfoil", "before", "0.8941"]
+    assert rows[3][1:3] == ["airfoil", "after"]
+
+
 def test_meshes_are_generated_and_drawn(here):
     pytest.importorskip("matplotlib")
     found = example("generate_mesh").main(here / "generated.png")

@@ -119,3 +119,12 @@ def test_what_is_for_the_plane_is_refused_for_surfaces(place, capsys, option):
     (place / "s.stl").write_text("solid\nendsolid\n")
     assert cli.main(["mesh", "s.stl", "o.vtu", option, "5"]) == 2
     assert "for a mesh of tetrahedra; expected" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("option", ["--edge-length", "--envelope", "--threads"])
+def test_what_is_for_tetrahedra_is_refused_for_domains(place, capsys, option):
+    assert cli.main(["mesh", "circle", "o.vtu", "--size", "0.3", option, "2"]) == 2
+    told = capsys.readouterr().err
+    assert option in told
+    assert "for a mesh of triangles; expected --size" in told
+    assert not list(place.glob("o.*"))

@@ -32,8 +32,8 @@ SEED, MOST_POINTS = 2011, 10_000_000
 @click.option("--envelope", type=float, default=None, metavar="PART",
               help="How far the boundary may be from the surface, as a part of the diagonal.  "
               "[default: 0.001]")
-@click.option("--threads", type=click.IntRange(min=1), default=1, show_default=True,
-              help="Worker threads for tetrahedra; the result does not depend on it.")
+@click.option("--threads", type=click.IntRange(min=1), default=None,
+              help="Worker threads for tetrahedra; the result does not depend on it.  [default: 1]")
 @click.option("--report", "report_file", type=click.Path(path_type=Path), metavar="FILE.json",
               help="Write the figures of the mesh there as JSON.")
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
@@ -46,7 +46,7 @@ def mesh(
     most_points: int | None,
     edge_length: float | None,
     envelope: float | None,
-    threads: int,
+    threads: int | None,
     report_file: Path | None,
     quiet: bool,
 ) -> int:
@@ -79,8 +79,8 @@ def mesh(
             msg = ("got --size, --seed or --most-points for a mesh of tetrahedra; expected "
                    "--edge-length and --levels")
             raise click.UsageError(msg)
-        _refine(what, target, 1 if levels is None else levels, edge_length, envelope, threads,
-                report_file, quiet)
+        _refine(what, target, 1 if levels is None else levels, edge_length, envelope,
+                1 if threads is None else threads, report_file, quiet)
         return 0
     else:
         msg = (
@@ -88,8 +88,9 @@ def mesh(
             f"the file of a surface or of tetrahedra"
         )
         raise InvalidOptionError(msg)
-    if edge_length is not None or envelope is not None:
-        msg = "got --edge-length or --envelope for a mesh of triangles; expected --size"
+    if any(given is not None for given in (edge_length, envelope, threads)):
+        msg = ("got --edge-length, --envelope or --threads for a mesh of triangles; expected "
+               "--size")
         raise click.UsageError(msg)
     if size is None and not known:
         msg = f"{what} does not say h0; expected --size, the edge length where the mesh is finest"
