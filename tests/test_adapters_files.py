@@ -166,6 +166,17 @@ def test_what_meshio_prints_becomes_one_warning_or_none(tmp_path, capfd):
     assert capfd.readouterr() == ("", "")
 
 
+def test_ascii_stl_and_flat_triangles_pass_where_warnings_are_errors(tmp_path):
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [2, 0, 0], [0, 1, 1], [2, 2, 0]])
+    cells = np.array([[0, 1, 2], [0, 2, 3], [1, 4, 2]])
+    path = tmp_path / "mesh.stl"
+    with np.errstate(all="raise"):
+        files.write_arrays(path, points, cells)
+        mesh = files.read_file(path)
+    assert path.read_bytes().startswith(b"solid")
+    assert np.array_equal(mesh.points[mesh.cells[0].data], points[cells])
+
+
 def test_data_that_come_back_under_another_name_are_not_called_lost(tmp_path):
     mesh = _mesh(3, ["mat"])
     mesh.cell_data["other"] = [np.arange(len(mesh.cells[0].data))]

@@ -182,10 +182,14 @@ def write_arrays(path: str | os.PathLike[str], points: NDArray[Any], cells: NDAr
 
 @contextmanager
 def _remarks() -> Iterator[list[str]]:
-    """Collect what meshio prints, one sentence an entry, filled at the end."""
+    """Collect what meshio prints, one sentence an entry, filled at the end.
+
+    Its arithmetic is silent: it takes the size of an ASCII STL for a number that overflows, and
+    the normal of a flat triangle for one that can be normed.
+    """
     text = io.StringIO()
     found: list[str] = []
-    with redirect_stdout(text), redirect_stderr(text):
+    with redirect_stdout(text), redirect_stderr(text), np.errstate(all="ignore"):
         yield found
     parts = re.split(r"^(?:Warning|Error|Info):", text.getvalue(), flags=re.MULTILINE)
     found += [" ".join(part.split()) for part in parts if part.strip()]
