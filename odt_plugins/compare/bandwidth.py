@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from odt_plugins.compare.multigrid import random_lattice
+from odt_plugins.compare.numbered import along_curve, inside_free
 from odt_plugins.compare.table import Part, Say, Table, Value
 from odt_plugins.mesh import FloatArray
 
@@ -90,17 +91,11 @@ def bandwidth_part(sizes: Sequence[int], threads: int, say: Say) -> Part:
 
 
 def _row(tets: int, speed: float) -> tuple[Value, ...]:
-    from odt_plugins.engine.geometry import boundary_vertices
-    from odt_plugins.engine.order import curve_order
     from odt_plugins.engine.sweeps import gauss_seidel_sweep
-    from odt_plugins.engine.topology import make_topology
 
     points, cells = random_lattice(max(tets // 6, 27))
-    vertices, order = curve_order(points, cells)
-    rank = np.argsort(vertices).astype(np.int32)
-    points, cells = points[vertices], np.ascontiguousarray(rank[cells[order]])
-    rim = boundary_vertices(cells, len(points))
-    topology = make_topology(cells, ~rim, rim)
+    vertices, cells = along_curve(points, cells)
+    points, topology = points[vertices], inside_free(cells, len(vertices))
     least, touched = sweep_bytes(topology)
     visits = int(np.diff(topology.stars.indptr)[topology.movable].sum())
     gauss_seidel_sweep(points, topology)

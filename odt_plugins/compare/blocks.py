@@ -9,8 +9,8 @@ import numpy as np
 
 from odt_plugins.compare.contestants import Contestant
 from odt_plugins.compare.runner import Limits, run_contestant
-from odt_plugins.compare.stages import CELLS_PER_VERTEX, LIMIT
-from odt_plugins.compare.start import StartMesh, ball
+from odt_plugins.compare.stages import LIMIT
+from odt_plugins.compare.start import StartMesh, ball_of
 from odt_plugins.compare.table import Part, Say, Table, Value
 from odt_plugins.quality import summarize
 
@@ -39,7 +39,7 @@ def blocks_part(sizes: Sequence[int], threads: int, say: Say) -> Part:
     rows: list[tuple[Value, ...]] = []
     moved: list[tuple[Value, ...]] = []
     for size in sizes:
-        start = ball(max(round(size / CELLS_PER_VERTEX), 50))
+        start = ball_of(size)
         one = expected = None
         for name, blocks, workers in WAYS:
             mesh, facts = _run(start, blocks, workers, threads, say)

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from odt_plugins.compare.charts import power_laws
+from odt_plugins.compare.numbered import along_curve, inside_free
 from odt_plugins.compare.start import SEED, kuhn_lattice, refine
 from odt_plugins.compare.table import Part, Say, Table, Value
 from odt_plugins.mesh import FloatArray, IntArray, reverse
@@ -168,7 +169,7 @@ def _race(name: str, step: Callable[[FloatArray, Any], FloatArray], mesh: Mesh) 
     from odt_plugins.engine.energy import energy
 
     x, regular, cells = mesh
-    topology = _topology(cells, len(x))
+    topology = inside_free(cells, len(x))
     least = energy(regular, cells)
     step(x, topology)
     gaps = [energy(x, cells) - least]
@@ -211,14 +212,11 @@ def forty_sweeps_part(sizes: Sequence[int], threads: int, say: Say) -> Part:
 
 def _against_sweeps(mesh: Mesh) -> tuple[Value, ...]:
     from odt_plugins.engine.energy import energy
-    from odt_plugins.engine.order import curve_order
 
     points, regular, cells = mesh
-    vertices, order = curve_order(points, cells)
-    rank = np.argsort(vertices).astype(np.int32)
+    vertices, cells = along_curve(points, cells)
     points, regular = points[vertices], regular[vertices]
-    cells = np.ascontiguousarray(rank[cells[order]])
-    topology = _topology(cells, len(points))
+    topology = inside_free(cells, len(points))
     least = energy(regular, cells)
     whole = energy(points, cells) - least
     table = dict(methods())
@@ -242,12 +240,3 @@ def _against_sweeps(mesh: Mesh) -> tuple[Value, ...]:
     reached, taken = run("global, AMG", steps)
     name = "triangle" if points.shape[1] == 2 else "rhombohedron"
     return (name, len(points), goal, seconds, steps, reached, taken, taken / seconds)
-
-
-def _topology(cells: IntArray, n_points: int) -> Any:
-    """Connectivity with everything that the methods look up in it."""
-    from odt_plugins.engine.geometry import boundary_vertices
-    from odt_plugins.engine.topology import make_topology
-
-    rim = boundary_vertices(cells, n_points)
-    return make_topology(cells, ~rim, rim)

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
+from odt_plugins.compare.numbered import along_curve, inside_free
 from odt_plugins.compare.start import SEED, kuhn_lattice
 from odt_plugins.compare.table import Part, Say, Table, Value
 from odt_plugins.mesh import FloatArray, IntArray, reverse
@@ -59,18 +60,13 @@ def random_lattice(unknowns: int, seed: int = SEED) -> tuple[FloatArray, IntArra
 
 
 def _row(name: str, points: FloatArray, cells: IntArray) -> tuple[Value, ...]:
-    from odt_plugins.engine.geometry import boundary_vertices, signed_volumes
+    from odt_plugins.engine.geometry import signed_volumes
     from odt_plugins.engine.graph_laplacian import graph_laplacian, interior_matrix
     from odt_plugins.engine.multigrid import ITERATIONS, STEP_TOLERANCE, multigrid, solve_columns
-    from odt_plugins.engine.order import curve_order
     from odt_plugins.engine.step_gradient import step_gradient
-    from odt_plugins.engine.topology import make_topology
 
-    vertices, order = curve_order(points, cells)
-    rank = np.argsort(vertices).astype(np.int32)
-    points, cells = points[vertices], np.ascontiguousarray(rank[cells[order]])
-    rim = boundary_vertices(cells, len(points))
-    topology = make_topology(cells, ~rim, rim)
+    vertices, cells = along_curve(points, cells)
+    points, topology = points[vertices], inside_free(cells, len(vertices))
     clock = time.perf_counter()
     matrix, _ = interior_matrix(
         graph_laplacian(topology, signed_volumes(points, cells)), topology.movable

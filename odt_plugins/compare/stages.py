@@ -11,11 +11,8 @@ import numpy as np
 from odt_plugins.compare.charts import power_laws
 from odt_plugins.compare.contestants import Contestant
 from odt_plugins.compare.runner import Limits, run_contestant
-from odt_plugins.compare.start import StartMesh, ball, pebble
+from odt_plugins.compare.start import StartMesh, ball_of, pebble_of
 from odt_plugins.compare.table import Part, Say, Table, Value
-
-CELLS_PER_VERTEX = 6.2
-"""Of a Delaunay mesh of random points in a ball, boundary included; to ask for so many cells."""
 
 LIMIT = 3600.0
 """Seconds for one run."""
@@ -33,19 +30,13 @@ class Stage:
 
 def stages_part(sizes: Sequence[int], threads: int, say: Say) -> Part:
     """Measure the stages on random balls of tetrahedra, and put them into tables and charts."""
-    def make(size: int) -> StartMesh:
-        return ball(max(round(size / CELLS_PER_VERTEX), 50))
-
-    return _part("stages", "Stages", "cells", measure_stages(sizes, threads, say, make))
+    return _part("stages", "Stages", "cells", measure_stages(sizes, threads, say, ball_of))
 
 
 def surface_part(sizes: Sequence[int], threads: int, say: Say) -> Part:
     """The same for curved surfaces of triangles."""
-    def make(size: int) -> StartMesh:
-        return pebble(max(size // 2 + 2, 50))
-
     return _part("surface", "Stages on a curved surface", "triangles",
-                 measure_stages(sizes, threads, say, make))
+                 measure_stages(sizes, threads, say, pebble_of))
 
 
 def _part(key: str, title: str, unit: str, measured: tuple[list[Stage], Stage]) -> Part:

@@ -21,6 +21,9 @@ Kind = Literal["tets", "planar", "surface"]
 SEED = 2011
 """Seed of every mesh made on the fly and of every contestant that takes one."""
 
+CELLS_PER_VERTEX = 6.2
+"""Of a Delaunay mesh of random points in a ball, boundary included."""
+
 STORED = {
     "bunny": "TetWild's mesh of the Stanford bunny",
     "bone": "TetWild's mesh of a bone",
@@ -141,6 +144,11 @@ def ball(n: int, seed: int = SEED) -> StartMesh:
                       f"Delaunay mesh of {len(points)} seeded random points in a ball")
 
 
+def ball_of(cells: int) -> StartMesh:
+    """Give a :func:`ball` of about so many tetrahedra."""
+    return ball(max(round(cells / CELLS_PER_VERTEX), 50))
+
+
 def pebble(n: int, seed: int = SEED) -> StartMesh:
     """Delaunay mesh of random points on a sphere, pressed into a smooth shape with hollows.
 
@@ -159,6 +167,11 @@ def pebble(n: int, seed: int = SEED) -> StartMesh:
     wave = 0.15 * np.sin(3.0 * x[:, 0] + 1.0) * np.cos(4.0 * x[:, 1]) + 0.1 * np.sin(5.0 * x[:, 2])
     return make_start(f"pebble-{_short(len(cells))}", x * (1.0 + wave)[:, None],
                       reverse(cells, inward), f"{n} seeded random points on a smooth surface")
+
+
+def pebble_of(cells: int) -> StartMesh:
+    """Give a :func:`pebble` of about so many triangles: twice its vertices less four (Euler)."""
+    return pebble(max(cells // 2 + 2, 50))
 
 
 def sphere_points(n: int) -> FloatArray:

@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from odt_plugins.compare.stages import CELLS_PER_VERTEX
-from odt_plugins.compare.start import StartMesh, ball
+from odt_plugins.compare.numbered import along_curve, inside_free
+from odt_plugins.compare.start import StartMesh, ball_of
 from odt_plugins.compare.table import Part, Say, Table, Value
 
 SWEEPS, RUNS = 15, 3
@@ -28,7 +28,7 @@ def threads_part(sizes: Sequence[int], threads: int, say: Say) -> Part:
     count = max(threads, 2)
     rows: list[tuple[Value, ...]] = []
     for size in sizes:
-        start = ball(max(round(size / CELLS_PER_VERTEX), 50))
+        start = ball_of(size)
         rows.append(_row(start, count))
         say(f"{rows[-1][0]} tets, {count} threads: sweeps {rows[-1][3]:.2f} times as fast, "
             f"the whole run {rows[-1][6]:.2f} times, the bits are {rows[-1][7]}")
@@ -50,16 +50,10 @@ def _row(start: StartMesh, count: int) -> tuple[Value, ...]:
 
 def _sweep_of(start: StartMesh) -> Callable[[int], Any]:
     """A Gauss-Seidel sweep from the start, on the numbering that the engine uses."""
-    from odt_plugins.engine.geometry import boundary_vertices
-    from odt_plugins.engine.order import curve_order
     from odt_plugins.engine.sweeps import gauss_seidel_sweep
-    from odt_plugins.engine.topology import make_topology
 
-    vertices, order = curve_order(start.points, start.cells)
-    rank = np.argsort(vertices).astype(np.int32)
-    points, cells = start.points[vertices], np.ascontiguousarray(rank[start.cells[order]])
-    rim = boundary_vertices(cells, len(points))
-    topology = make_topology(cells, ~rim, rim)
+    vertices, cells = along_curve(start.points, start.cells)
+    points, topology = start.points[vertices], inside_free(cells, len(vertices))
     return lambda threads: gauss_seidel_sweep(points, topology, threads=threads)[:1]
 
 
