@@ -98,7 +98,9 @@ def test_the_command_takes_pieces(tmp_path, capsys, monkeypatch):
     assert cli.main(["optimize", "in.pvtu", "out.pvtu", "--plot", "x.png"]) == 2
     assert "one file each" in capsys.readouterr().err
     assert cli.main(["optimize", "in.pvtu", "out.pvtu", "--finish"]) == 0
-    assert "3 pieces" in capsys.readouterr().out
+    said = capsys.readouterr()
+    assert "3 pieces" in said.out
+    assert said.err == ""
     points, cells, _, _ = glued(tmp_path / "out.pvtu", len(start.points))
     assert tet_meshes.quality(points, cells).mean() > 0.85
 
@@ -118,6 +120,30 @@ def test_a_directory_and_a_second_run_onto_the_same_place(tmp_path):
         bits.append((points, cells))
     assert all(np.array_equal(x, y) for other in bits[1:]
                for x, y in zip(bits[0], other, strict=True))
+
+
+def test_progress_is_told_for_every_piece_of_every_stage(tmp_path, monkeypatch, capsys):
+    start = ball(300)
+    write_pieces(tmp_path / "in", start.points, start.cells,
+                 bricks(start.points, start.cells, 4))
+    seen: list[tuple[str, float]] = []
+    told = optimize_pieces(tmp_path / "in.pvtu", tmp_path / "out.pvtu",
+                           odt={"progress": lambda stage, share: seen.append((stage, share))})
+    stages = list(dict.fromkeys(stage for stage, _ in seen))
+    assert stages == ["reading", "round 1", "round 2: cutting", "round 2", "round 3: cutting",
+                      "round 3", "writing"]
+    shares = {stage: [share for s, share in seen if s == stage] for stage in stages}
+    assert all(found[0] == 0.0 and found[-1] == 1.0 for found in shares.values())
+    assert all(sorted(found) == found for found in shares.values())
+    assert shares["reading"] == shares["round 1"] == [0.0, 0.25, 0.5, 0.75, 1.0]
+    assert len(shares["writing"]) == told.pieces + 1
+    assert [stage for stage, _ in seen] == sorted((stage for stage, _ in seen), key=stages.index)
+
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["optimize", "in.pvtu", "bar.pvtu"]) == 0
+    assert "writing" in capsys.readouterr().err
 
 
 LIMITED = """

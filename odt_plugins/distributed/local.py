@@ -45,3 +45,22 @@ def executor(client: Any = None, workers: int = 0) -> Iterator[Apply]:
             pool.shutdown(cancel_futures=True)
     else:
         yield map
+
+
+def told(
+    apply: Apply, report: Callable[[str, float], None] | None, stage: str, count: int
+) -> Apply:
+    """Give `apply` again, telling `report` the stage and the share of `count` items that is done.
+
+    An item is done when its result has been used, for the next one is then asked for.
+    """
+    if report is None:
+        return apply
+
+    def telling(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
+        report(stage, 0.0)
+        for done, result in enumerate(apply(function, items), 1):
+            yield result
+            report(stage, done / count)
+
+    return telling

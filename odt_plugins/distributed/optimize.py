@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any
 
@@ -13,7 +13,7 @@ import numpy as np
 from odt_plugins.adapters.files import check_output, read_file, write_file
 from odt_plugins.api import make_options, run_engine
 from odt_plugins.distributed.glue import Map, Traffic, Whole, labels, one_round
-from odt_plugins.distributed.local import executor
+from odt_plugins.distributed.local import executor, told
 from odt_plugins.engine.density import make_density
 from odt_plugins.engine.driver import Outcome, run
 from odt_plugins.engine.judge import faults
@@ -161,7 +161,6 @@ def run_blocks(
     whole, plain, power = _start(mesh, options)
     times = {"prepare": time.perf_counter() - clock}
     states, counts, fallbacks = [whole], dict[str, int](), list[str]()
-    report = options.progress or _silent
     for index in range(rounds):
         clock = time.perf_counter()
         label = labels(whole, count, index, rounds)
@@ -169,8 +168,8 @@ def run_blocks(
             continue
         name = f"round {index + 1}"
         chosen = plain if index == 0 else later(plain)
-        told = _told(apply, report, name, int(label.max()) + 1)
-        whole, traffic = one_round(whole, label, chosen, power, told)
+        blockwise = told(apply, options.progress, name, int(label.max()) + 1)
+        whole, traffic = one_round(whole, label, chosen, power, blockwise)
         states.append(whole)
         _count(counts, name, traffic)
         fallbacks += [f"{name}: {reason}" for reason in traffic.fallbacks]
@@ -236,19 +235,6 @@ def _judged(
     )
 
 
-def _told(
-    apply: Map, report: Callable[[str, float], None], name: str, blocks: int
-) -> Map:
-    """Report every block that is glued."""
-
-    def told(function: Any, items: Any) -> Any:
-        for done, result in enumerate(apply(function, items), 1):
-            yield result
-            report(name, done / blocks)
-
-    return told
-
-
 def _count(counts: dict[str, int], name: str, traffic: Traffic) -> None:
     counts |= {f"{name} blocks": traffic.blocks, f"{name} cells": traffic.cells,
                f"{name} bytes sent": traffic.sent, f"{name} bytes received": traffic.received}
@@ -287,7 +273,3 @@ def _expect_picklable(function: Any) -> None:
         msg = (f"got a density function that other processes cannot import ({exc}); expected one "
                "of a module, try an array with a value for every vertex")
         raise InvalidOptionError(msg) from exc
-
-
-def _silent(stage: str, share: float) -> None:
-    """Report progress to nobody."""

@@ -6,7 +6,7 @@ import os
 import shutil
 import tempfile
 import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
@@ -16,7 +16,7 @@ import numpy as np
 
 from odt_plugins.api import make_options
 from odt_plugins.distributed.figures import Figures, total, worse
-from odt_plugins.distributed.local import Apply, executor
+from odt_plugins.distributed.local import Apply, executor, told
 from odt_plugins.distributed.optimize import check, later
 from odt_plugins.distributed.piecework import (
     Done,
@@ -95,7 +95,8 @@ def optimize_pieces(
         As there; workers of a cluster see the files under the same paths.
     odt : dict, optional
         Options of :func:`odt_plugins.optimize` that every piece can tell: no arrays, and of the
-        densities "keep" and "uniform".
+        densities "keep" and "uniform". Its `progress` is told the stage ("reading", "round 1",
+        "round 2: cutting", "round 2", ..., "writing") and the share of the pieces that is done.
 
     Returns
     -------
@@ -112,7 +113,7 @@ def optimize_pieces(
     """
     options = make_options(**(odt or {}))
     check(1, rounds, workers, options, several=False)
-    options = _for_pieces(options)
+    _check_for_pieces(options)
     sources, index = piece_files(source), Path(target).absolute()
     if index.suffix != ".pvtu":
         msg = f"cannot write {target}: expected a file ending in .pvtu"
@@ -132,7 +133,7 @@ def optimize_pieces(
             shutil.rmtree(folder, ignore_errors=True)
 
 
-def _for_pieces(options: Options) -> Options:
+def _check_for_pieces(options: Options) -> None:
     for name in ("fixed", "selection"):
         if getattr(options, name) is not None:
             msg = f"got {name} for a mesh in pieces; expected options that every piece can tell"
@@ -143,15 +144,19 @@ def _for_pieces(options: Options) -> Options:
     if not isinstance(options.density, str) or options.density not in ("keep", "uniform"):
         msg = "got a density that no piece can tell; expected 'keep' or 'uniform'"
         raise InvalidOptionError(msg)
-    return replace(options, progress=None)
 
 
 def _run(
     sources: Sequence[str], index: Path, folder: Path, rounds: int, options: Options, apply: Apply
 ) -> PiecesReport:
     named = options.regions if isinstance(options.regions, str) else None
-    options = replace(options, regions=None)
-    taken: list[Taken] = list(apply(partial(take_in, regions=named), [
+    report, options = options.progress, replace(options, regions=None, progress=None)
+
+    def stage(name: str, count: int) -> Apply:
+        return told(apply, report, name, count)
+
+    read = stage("reading", len(sources))
+    taken: list[Taken] = list(read(partial(take_in, regions=named), [
         (path, str(folder / f"0-{k}.npz")) for k, path in enumerate(sources)]))
     names = {part.regions for part in taken}
     if len(names) > 1:
@@ -160,7 +165,8 @@ def _run(
     name = names.pop() or REGIONS
     _tell_lost(taken)
     numbers, waiting = _number(taken)
-    done: list[Done] = list(apply(partial(first_round, options=options), [
+    improve = stage("round 1", len(taken))
+    done: list[Done] = list(improve(partial(first_round, options=options), [
         (part.path, str(folder / f"1-{k}.npz"), number)
         for k, (part, number) in enumerate(zip(taken, numbers, strict=True))]))
     before = total([part.figures for part in taken])
@@ -168,7 +174,7 @@ def _run(
     states = [[part.path for part in taken], [part.path for part in done]]
     after = [before, total([part.figures for part in done])]
     for turn in range(2, rounds + 1):
-        done, waiting = _later_round(done, waiting, folder / str(turn), later(options), apply,
+        done, waiting = _later_round(done, waiting, folder / str(turn), later(options), stage,
                                      last=turn == rounds)
         states.append([part.path for part in done])
         after.append(total([part.figures for part in done]))
@@ -178,7 +184,7 @@ def _run(
         states.pop()
         after.pop()
     _publish(states[-1], index, folder, partial(
-        publish, regions=name, orientation=taken[0].orientation), apply)
+        publish, regions=name, orientation=taken[0].orientation), stage("writing", len(states[-1])))
     fallback = f"a later round was given up ({'; '.join(broken)})" if broken else None
     return PiecesReport(before, after[-1], len(states[-1]), interface, fallback)
 
@@ -212,7 +218,8 @@ def _number(taken: Sequence[Taken]) -> tuple[list[Numbers], Ids]:
 
 
 def _later_round(
-    done: Sequence[Done], waiting: Ids, place: Path, options: Options, apply: Apply, *, last: bool
+    done: Sequence[Done], waiting: Ids, place: Path, options: Options,
+    stage: Callable[[str, int], Apply], *, last: bool,
 ) -> tuple[list[Done], Ids]:
     """Cut off what lies around the vertices that wait, and improve it as pieces of its own.
 
@@ -228,19 +235,20 @@ def _later_round(
             cutting.append((part.path, f"{place}-{k}", part.rim, chosen[mine], label[mine]))
         else:
             kept.append(part)
-    cuts = list(apply(split, cutting))
+    name = f"round {place.name}"
+    cuts = list(stage(f"{name}: cutting", len(cutting))(split, cutting))
     parts: dict[int, list[str]] = {}
     near: dict[int, list[Ids]] = {}
     for item, cut in zip(cutting, cuts, strict=True):
         kept += [cut.rest] if cut.rest is not None else []
-        for name, path in cut.parts:
-            parts.setdefault(name, []).append(path)
-            near.setdefault(name, []).append(item[2])
+        for seam, path in cut.parts:
+            parts.setdefault(seam, []).append(path)
+            near.setdefault(seam, []).append(item[2])
     jobs = []
-    for name in sorted(parts):
-        rows = np.searchsorted(shared, np.unique(np.concatenate(near[name])))
-        jobs.append((parts[name], f"{place}-seam-{name}.npz", shared[rows], count[rows], chosen))
-    merged: list[Done] = list(apply(partial(merge, options=options), jobs))
+    for seam in sorted(parts):
+        rows = np.searchsorted(shared, np.unique(np.concatenate(near[seam])))
+        jobs.append((parts[seam], f"{place}-seam-{seam}.npz", shared[rows], count[rows], chosen))
+    merged: list[Done] = list(stage(name, len(jobs))(partial(merge, options=options), jobs))
     freed = [part.freed for part in merged]
     return [*kept, *merged], np.setdiff1d(waiting, np.concatenate([waiting[:0], *freed]))
 
