@@ -20,8 +20,10 @@ from tet_meshes import (
 )
 
 import odt_plugins
+from odt_plugins.compare.hard import hard_meshes
 from odt_plugins.engine import driver
 from odt_plugins.engine.complex import make_complex
+from odt_plugins.engine.driver import run
 from odt_plugins.engine.figures import figures
 from odt_plugins.engine.finishing import _flip_surface, finish
 from odt_plugins.engine.phases import Phase, bulk, tail
@@ -492,17 +494,57 @@ def test_a_surface_is_left_alone_where_cells_would_pass_the_extremes(monkeypatch
     alone = rim[(free.points[rim] != mesh.points[rim]).any(axis=1)][:5]
 
     def spoiled_at_first(start, options):
-        if start is mesh:
+        if start is mesh and options.boundary == "slide":
             return replace(free, slid=None), alone
         return once(start, options)
 
     monkeypatch.setattr(driver, "_run", spoiled_at_first)
-    outcome = driver.run(mesh, Options(boundary="slide"))
+    outcome = run(mesh, Options(boundary="slide"))
     assert outcome.counts["surface vertices left alone"] == 5
     assert outcome.slid.vertices > 20
     assert outcome.times["smoothing"] > free.times["smoothing"]
     assert outcome.points[alone].tobytes() == mesh.points[alone].tobytes()
     assert broken_promises(mesh, outcome.points, outcome.cells, outcome.regions, slides=True) == []
+
+
+@pytest.mark.parametrize(("poor", "few"), [(driver.POOR, 0), (0.0, driver.FEW)])
+def test_a_surface_that_may_slide_is_no_worse_than_a_fixed_one(monkeypatch, poor, few):
+    monkeypatch.setattr(driver, "POOR", poor)
+    monkeypatch.setattr(driver, "FEW", few)
+    left = {}
+    for hard in hard_meshes(100):
+        if hard.points.shape[1] == 2:
+            continue
+        mesh = simplex_mesh(hard.points, hard.cells, regions=hard.regions, orient=True)[0]
+        slid, fixed = (run(mesh, Options(boundary=name)) for name in ("slide", "fixed"))
+        least, one, mean = spread(slid) - spread(fixed)
+        assert mean + 0.5 * one + 0.25 * least >= -1e-12, hard.name
+        if slid.slid is None:
+            left[hard.name] = slid.fallback
+            assert slid.points.tobytes() == fixed.points.tobytes()
+    assert sum("a surface that slid gave less" in why for why in left.values()) > 1
+
+
+def spread(outcome):
+    """Least, 1 % and mean radius ratio."""
+    q = quality(outcome.points, outcome.cells)
+    return np.array([q.min(), np.quantile(q, 0.01), q.mean()])
+
+
+def test_a_surface_that_slides_is_alone_where_cells_are_many_and_good(monkeypatch):
+    asked = []
+    once = driver._run
+
+    def counted(start, options):
+        asked.append(options.boundary)
+        return once(start, options)
+
+    monkeypatch.setattr(driver, "_run", counted)
+    monkeypatch.setattr(driver, "FEW", 0)
+    mesh = simplex_mesh(*ball(500, 5), orient=True)[0]
+    assert run(mesh, Options(boundary="slide")).slid is not None
+    assert run(mesh, Options(boundary="slide", finish=False, keep=())).slid is not None
+    assert asked == ["slide", "slide"]
 
 
 def test_a_refused_state_tells_the_cells_beyond_the_extremes():

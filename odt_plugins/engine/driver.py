@@ -41,6 +41,11 @@ INPUT = "the input is returned, "
 RETREATS = 4
 """How often a surface slides again, with those vertices left alone at which it was spoiled."""
 
+POOR, FEW = 0.15, 3000
+"""1 % quantile of q, and number of cells, below which a fixed boundary is tried besides."""
+
+ALONE = "finishing alone"
+
 LOCKED_QUALITY = 0.3
 LOCKED_ANGLES = (14.0, 157.0)
 """What a cell without a movable vertex must reach when there was none such before (d = 3)."""
@@ -240,7 +245,11 @@ def run(mesh: SimplexMesh, options: Options) -> Outcome:
 
 
 def _run_sliding(mesh: SimplexMesh, options: Options) -> Outcome:
-    """Runs from the input on until a surface that slid keeps the promise, at last without."""
+    """Runs from the input on until a surface that slid keeps the promise, at last without.
+
+    Where stage 1 failed, where flat cells are left and where it costs little, the boundary is
+    fixed in another run, and the better of the two is handed back.
+    """
     outcome, spoiled = _run(mesh, in_turn(options, 0))
     fixed = mesh.fixed.copy()
     times = Counter(outcome.times)
@@ -253,14 +262,32 @@ def _run_sliding(mesh: SimplexMesh, options: Options) -> Outcome:
     if outcome.slid is not None:
         left_alone = int((fixed & ~mesh.fixed).sum())
         more = {"surface vertices left alone": left_alone} if left_alone else {}
-        return replace(outcome, counts=outcome.counts | more, times=dict(times))
+        outcome = replace(outcome, counts=outcome.counts | more, times=dict(times))
+        if not _may_be_beaten(outcome, options):
+            return outcome
     still, _ = _run(mesh, replace(in_turn(options, RETREATS + 1), boundary="fixed"))
     times.update(still.times)
     why = (outcome.fallback or outcome.stop_reason).removeprefix(INPUT)
+    if outcome.slid is not None:
+        if not _score(still, options) > _score(outcome, options):
+            return replace(outcome, times=dict(times))
+        why = "a surface that slid gave less"
     reasons = "; ".join(reason for reason in (why, still.fallback) if reason)
     return replace(
         still, fallback=f"the boundary is left as it is; {reasons}", times=dict(times)
     )
+
+
+def _may_be_beaten(outcome: Outcome, options: Options) -> bool:
+    """Whether a fixed boundary is worth a run of its own beside a surface that slid."""
+    if not options.finish:
+        return False
+    few, alone = len(outcome.cells) < FEW, f"runs of {ALONE}" in outcome.counts
+    return few or alone or figures(outcome.points, outcome.cells).p1_quality < POOR
+
+
+def _score(outcome: Outcome, options: Options) -> float:
+    return figures(outcome.points, outcome.cells, options.objective).score
 
 
 def _run(mesh: SimplexMesh, options: Options) -> tuple[Outcome, IntArray]:
@@ -295,7 +322,7 @@ def _run(mesh: SimplexMesh, options: Options) -> tuple[Outcome, IntArray]:
             again = frame.inside(mesh.points[frame.vertices])
             skin = _skin(mesh, options, frame, again, cells) if skin else None
             second = make_complex(again, cells, regions, inner_locked, inner_rim, skin)
-            log.add("runs of finishing alone", 1)
+            log.add(f"runs of {ALONE}", 1)
             _finishing_alone(second, options, bounds, memory, times, pool, log)
         if options.insert and (memory.states or skin is None):
             clock = time.perf_counter()
@@ -473,11 +500,11 @@ def _finishing_alone(
     schedule = cautious(mesh.dim, options.objective)
     for phase in (schedule[0], *schedule):
         _finish(mesh, (phase,), strict, log, pool, options.threads)
-        if memory.offer(mesh, "finishing alone") or "mean_quality" in memory.worse:
+        if memory.offer(mesh, ALONE) or "mean_quality" in memory.worse:
             continue
         _finish(mesh, (WORST,), strict, log, pool, options.threads)
-        memory.offer(mesh, "finishing alone")
-    times["finishing alone"] = time.perf_counter() - clock
+        memory.offer(mesh, ALONE)
+    times[ALONE] = time.perf_counter() - clock
 
 
 def _best(
@@ -497,7 +524,7 @@ def _best(
         )
         if not broken_now:
             fallback = None
-            if rank or state.name == "finishing alone":
+            if rank or state.name == ALONE:
                 fallback = f"a later state was given up ({'; '.join(broken)})"
             return replace(outcome, stop_reason=reason, fallback=fallback, slid=slid)
         log.add("states refused", 1)
