@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 
 import numpy as np
@@ -50,6 +51,21 @@ def test_stars_and_neighbors_equal_the_loops(mesh, seed):
         near = rows.indices[rows.indptr[i] : rows.indptr[i + 1]]
         assert sorted(near) == sorted(set(cells[mine].ravel()) - {i})
     assert stars.indptr[-1] == stars.indptr[-2] == cells.size
+
+
+@given(meshes(), SEEDS)
+def test_stars_do_not_depend_on_the_threads_and_leave_free_slots_out(mesh, seed):
+    points, cells = shuffled(mesh, seed)
+    cells = cells.copy()
+    cells[np.random.default_rng(seed).random(len(cells)) < 0.2, 0] = -1
+    with ThreadPoolExecutor(2) as pool:
+        shared = vertex_stars(cells, len(points), pool)
+    alone = vertex_stars(cells, len(points))
+    live = np.flatnonzero(cells[:, 0] >= 0)
+    expected = [c for i in range(len(points)) for c in live if i in cells[c]]
+    assert shared.indptr.tolist() == alone.indptr.tolist()
+    for stars in (shared, alone):
+        assert stars.indices[: stars.indptr[-1]].tolist() == expected
 
 
 @given(meshes(), SEEDS)

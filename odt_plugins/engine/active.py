@@ -16,6 +16,18 @@ def vertices_of_pending(cells: IntArray, status: ByteArray, active: BoolArray) -
 
 
 @kernel
+def around_vertices(cells: IntArray, touched: BoolArray, status: ByteArray) -> None:
+    """Make the cells pending that have a touched vertex."""
+    for c in range(cells.shape[0]):
+        if cells[c, 0] < 0:
+            continue
+        for a in range(cells.shape[1]):
+            if touched[cells[c, a]]:
+                status[c] = 1
+                break
+
+
+@kernel
 def spread(
     cells: IntArray, indptr: LongArray, indices: IntArray, moved: FloatArray, tolerance: float,
     active: BoolArray, status: ByteArray,

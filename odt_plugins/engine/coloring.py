@@ -7,12 +7,15 @@ move one after another.  The blocks depend on the mesh alone, not on the number 
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
 
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.star import OffsetArray
+from odt_plugins.engine.threads import run_ranges
 from odt_plugins.mesh import BoolArray, IntArray
 
 SMALLEST_BITS = 6
@@ -40,9 +43,11 @@ class Coloring(NamedTuple):
 
 
 @kernel
-def _touching(cells: IntArray, movable: BoolArray, bits: int, touch: BoolArray) -> None:
+def _touching(
+    cells: IntArray, movable: BoolArray, bits: int, touch: BoolArray, start: int, stop: int
+) -> None:
     k = cells.shape[1]
-    for c in range(cells.shape[0]):
+    for c in range(start, stop):
         if cells[c, 0] < 0:
             continue
         lowest = highest = cells[c, 0] >> bits
@@ -80,13 +85,16 @@ def _block_bits(n: int) -> int:
     return bits
 
 
-def touching_blocks(cells: IntArray, movable: BoolArray) -> BoolArray:
+def touching_blocks(
+    cells: IntArray, movable: BoolArray, pool: ThreadPoolExecutor | None = None
+) -> BoolArray:
     """Find out which blocks have movable vertices in one cell.
 
     Parameters
     ----------
     cells : (m, d + 1) int32    a row that starts with -1 is a free slot
     movable : (n,) bool
+    pool                        see ``threads.run_ranges``
 
     Returns
     -------
@@ -95,7 +103,7 @@ def touching_blocks(cells: IntArray, movable: BoolArray) -> BoolArray:
     bits = _block_bits(len(movable))
     count = (len(movable) >> bits) + 1
     touch = np.zeros((count, count), dtype=np.bool_)
-    _touching(cells, movable, bits, touch)
+    run_ranges(pool, len(cells), partial(_touching, cells, movable, bits, touch))
     return touch
 
 

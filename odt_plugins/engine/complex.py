@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 
 import numpy as np
@@ -65,7 +66,7 @@ class Complex:
     def mesh_arrays(self) -> tuple[IntArray, IntArray]:
         """Cells and regions without the free slots."""
         live = self.live()
-        return np.ascontiguousarray(self.cells[live]), self.regions[live].copy()
+        return np.take(self.cells, live, axis=0), self.regions[live]
 
 
 def make_complex(
@@ -121,13 +122,14 @@ def renumbered(mesh: Complex) -> Complex:
     rank = np.full(len(mesh.cells) + 1, -1, dtype=np.int32)
     rank[order] = np.arange(len(order), dtype=np.int32)
     fresh = _with_room(
-        mesh.points, mesh.cells[order], rank[mesh.neighbors[order]], mesh.regions[order],
+        mesh.points, np.take(mesh.cells, order, axis=0),
+        rank[np.take(mesh.neighbors, order, axis=0)], mesh.regions[order],
         mesh.locked, mesh.rim, mesh.skin,
     )
     fresh.shares = mesh.shares
     return fresh
 
 
-def slot_stars(mesh: Complex) -> Stars:
+def slot_stars(mesh: Complex, pool: ThreadPoolExecutor | None = None) -> Stars:
     """List the slots of the cells around every vertex; free slots belong to none."""
-    return vertex_stars(mesh.cells[: mesh.slots[0]], len(mesh.points))
+    return vertex_stars(mesh.cells[: mesh.slots[0]], len(mesh.points), pool)

@@ -13,7 +13,7 @@ from functools import partial
 import numpy as np
 
 from odt_plugins.engine import compound, flips3d, smooth3d
-from odt_plugins.engine.active import spread, vertices_of_pending
+from odt_plugins.engine.active import around_vertices, spread, vertices_of_pending
 from odt_plugins.engine.adjacency import cell_neighbors
 from odt_plugins.engine.cavity import DONE, UNKNOWN
 from odt_plugins.engine.coloring import touching_blocks, vertex_coloring
@@ -26,31 +26,55 @@ from odt_plugins.engine.skin import flip_skin, slide
 from odt_plugins.engine.slabs import side_by_side
 from odt_plugins.engine.star import Stars
 from odt_plugins.engine.tetrahedron import DIHEDRAL, ENERGY, QUALITY, tet_measure
-from odt_plugins.engine.threads import run_chunks
+from odt_plugins.engine.threads import run_chunks, run_ranges
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray, LongArray
 
 GAIN = 3e-3
 RING = 10
+WORTH_COMPOUND = 0.01
+"""Part of the cells from which on compound moves, slower than flips, are made in slabs."""
+
 BLOCK_BITS = 14
 """The worst cells come first within 2^BLOCK_BITS slots, which lie together in memory."""
 
 
 @kernel
-def slot_measures(points: FloatArray, cells: IntArray, objective: int, m: FloatArray) -> None:
-    """Measure of the cell in every slot, 2 in a free slot."""
-    for c in range(cells.shape[0]):
+def _slot_measures(
+    points: FloatArray, cells: IntArray, slots: IntArray, objective: int, m: FloatArray,
+    start: int, stop: int,
+) -> None:
+    """Write the measures of the cells in slots[start:stop], 2 for a free slot."""
+    for s in range(start, stop):
+        c = slots[s]
         if cells[c, 0] < 0:
-            m[c] = 2.0
+            m[s] = 2.0
         else:
-            m[c] = tet_measure(
+            m[s] = tet_measure(
                 points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], objective
             )
 
 
-def measures(mesh: Complex, objective: int) -> FloatArray:
-    """Measure of the cell in every used slot, 2 in a free slot; see ``tetrahedron.tet_measure``."""
-    m = np.empty(int(mesh.slots[0]))
-    slot_measures(mesh.points, mesh.cells[: len(m)], objective, m)
+def measures(
+    mesh: Complex, objective: int, pool: ThreadPoolExecutor | None = None,
+    slots: IntArray | None = None,
+) -> FloatArray:
+    """Measures of cells, see ``tetrahedron.tet_measure``, 2 for a free slot.
+
+    Parameters
+    ----------
+    mesh : Complex
+    objective : int
+    pool                            see ``threads.run_ranges``
+    slots : (k,) int32, optional    all that are in use when left out
+
+    Returns
+    -------
+    (k,) float64
+    """
+    if slots is None:
+        slots = np.arange(mesh.slots[0], dtype=np.int32)
+    m = np.empty(len(slots))
+    run_ranges(pool, len(m), partial(_slot_measures, mesh.points, mesh.cells, slots, objective, m))
     return m
 
 
@@ -63,13 +87,15 @@ def held_angles(mesh: Complex, bounds: FloatArray, share: float) -> FloatArray:
     return held
 
 
-def guarded(mesh: Complex, phase: Phase, bounds: FloatArray) -> FloatArray:
+def guarded(
+    mesh: Complex, phase: Phase, bounds: FloatArray, pool: ThreadPoolExecutor | None = None
+) -> FloatArray:
     """Bounds for a phase, see :class:`Phase`."""
     if phase.guard is None:
         return bounds
     if phase.objective != DIHEDRAL:
         return held_angles(mesh, bounds, phase.guard)
-    q = measures(mesh, QUALITY)
+    q = measures(mesh, QUALITY, pool)
     held = bounds.copy()
     held[0] = max(held[0], np.quantile(q[q < 1.5], phase.guard))
     return held
@@ -87,7 +113,7 @@ def flip_pending(
         pending = np.flatnonzero(mesh.status[:used] == PENDING).astype(np.int32)
         pending = pending[mesh.cells[pending, 0] >= 0]
         if objective != ENERGY:
-            q = measures(mesh, objective)[pending]
+            q = measures(mesh, objective, pool, pending)
             pending = pending[np.lexsort((q, pending >> BLOCK_BITS))]
         flips = side_by_side(
             mesh, pending, pool, partial(_flip_part, mesh, costs, objective, power, ring, bounds)
@@ -133,8 +159,8 @@ def descend(
     threads: int,
 ) -> tuple[int, int]:
     """Lower F_p by flips and smoothing; returns the numbers of flips and of vertex moves."""
-    bounds = guarded(mesh, phase, bounds)
-    q = measures(mesh, phase.objective)
+    bounds = guarded(mesh, phase, bounds, pool)
+    q = measures(mesh, phase.objective, pool)
     used = len(q)
     mesh.status[:] = 0
     active = np.zeros(len(mesh.points), dtype=bool)
@@ -144,8 +170,7 @@ def descend(
         bad = q < limit
         touched = np.zeros(len(mesh.points), dtype=bool)
         touched[mesh.cells[:used][bad].ravel()] = True
-        near = touched[mesh.cells[:used]].any(axis=1) & (q < 1.5)
-        mesh.status[:used][near] = PENDING
+        around_vertices(mesh.cells[:used], touched, mesh.status)
         vertices_of_pending(mesh.cells[:used], mesh.status, active)
         mesh.status[:used][~bad] = 0
     else:
@@ -162,9 +187,9 @@ def descend(
         flips += round_flips
         used = int(mesh.slots[0])
         mesh.status[mesh.status == DONE] = 0
-        stars = slot_stars(mesh)
+        stars = slot_stars(mesh, pool)
         cells = mesh.cells[:used]
-        touch = touching_blocks(cells, zone)
+        touch = touching_blocks(cells, zone, pool)
         pushed = 0
         for _ in range(phase.sweeps):
             coloring = vertex_coloring(cells, active & zone, touch)
@@ -215,12 +240,13 @@ def compound_moves(
     pool: ThreadPoolExecutor | None,
 ) -> int:
     """Try compound moves at the worst share of the cells; returns how many stayed."""
-    q = measures(mesh, phase.objective)
+    q = measures(mesh, phase.objective, pool)
     count = int(phase.share * (q < 1.5).sum())
     worst = np.argpartition(q, count)[: count + 1]
     order = worst[np.argsort(q[worst], kind="stable")].astype(np.int32)
     mesh.status[:] = 0
-    taken = side_by_side(mesh, order, pool, partial(_compound_part, mesh, phase, bounds, tried))
+    work = partial(_compound_part, mesh, phase, bounds, tried)
+    taken = side_by_side(mesh, order, pool, work, WORTH_COMPOUND)
     if mesh.slots[2]:
         grow(mesh)
     return taken

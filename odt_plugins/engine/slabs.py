@@ -18,7 +18,7 @@ from odt_plugins.engine.kernel import kernel
 from odt_plugins.mesh import BoolArray, ByteArray, IntArray, LongArray
 
 WORTH = 0.08
-"""Work at fewer cells than this part of all is done in one go."""
+"""Flips at fewer cells than this part of all are done in one go."""
 
 LEFT, GONE = 254, 255
 
@@ -103,7 +103,8 @@ def _sort_out(
 
 
 def side_by_side(
-    mesh: Complex, order: IntArray, pool: ThreadPoolExecutor | None, work: Work
+    mesh: Complex, order: IntArray, pool: ThreadPoolExecutor | None, work: Work,
+    worth: float = WORTH,
 ) -> int:
     """Work at cells, in slabs where there are many, and add up what the work returns.
 
@@ -114,9 +115,10 @@ def side_by_side(
     pool : ThreadPoolExecutor or None
         None runs the slabs one after another; the result is the same
     work : callable         see ``Work``
+    worth : float           part of all cells that is worth cutting the mesh into slabs
     """
     total = 0
-    if len(order) > WORTH * (mesh.slots[0] - mesh.slots[1]):
+    if len(order) > worth * (mesh.slots[0] - mesh.slots[1]):
         for slab in mesh.slabs():
             if slab.any():
                 done, order = _in_slabs(mesh, order, slab, pool, work)

@@ -206,7 +206,7 @@ def smooth(
     reason = f"the {options.rounds} rounds were used up"
     movable = ~mesh.locked
     cells, _ = mesh.mesh_arrays()
-    topology = make_topology(cells, movable, mesh.rim)
+    topology = make_topology(cells, movable, mesh.rim, pool=pool)
     scattered = 0
     walk = density.walk_start(len(mesh.points))
     for k in range(options.rounds):
@@ -236,7 +236,7 @@ def smooth(
             scattered = 0
         if flips > 0 or mesh is not old:
             cells, _ = mesh.mesh_arrays()
-            topology = make_topology(cells, movable, mesh.rim)
+            topology = make_topology(cells, movable, mesh.rim, pool=pool)
         current = total_energy(mesh.points, cells, rho, pool)
         log.energy.append((options.method, current))
         tick((k + 1) / options.rounds)

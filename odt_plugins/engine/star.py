@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from typing import NamedTuple
 
 import numpy as np
@@ -9,9 +11,12 @@ from numpy.typing import NDArray
 
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.errors import InvalidMeshError
-from odt_plugins.mesh import FloatArray, IntArray
+from odt_plugins.mesh import FloatArray, IntArray, LongArray
 
 OffsetArray = NDArray[np.int64]
+
+PARTS = 4
+"""Parts of the cells that threads share when they sort the cells by vertices."""
 
 
 class Stars(NamedTuple):
@@ -28,26 +33,38 @@ class Stars(NamedTuple):
 
 
 @kernel
-def _count_and_fill(cells: IntArray, indptr: OffsetArray, indices: IntArray) -> None:
-    m, k = cells.shape
-    for c in range(m):
+def _count(cells: IntArray, start: int, stop: int, count: LongArray) -> None:
+    """Add to every vertex's count the cells start to stop that it is in."""
+    for c in range(start, stop):
         if cells[c, 0] < 0:
             continue
-        for a in range(k):
-            indptr[cells[c, a] + 1] += 1
-    n = indptr.shape[0] - 1
-    for i in range(n):
-        indptr[i + 1] += indptr[i]
-    for c in range(m):
+        for a in range(cells.shape[1]):
+            count[cells[c, a]] += 1
+
+
+@kernel
+def _places(count: LongArray, indptr: OffsetArray) -> None:
+    """Turn counts by part and vertex into the place of the first such entry, and fill indptr."""
+    total = 0
+    for v in range(count.shape[1]):
+        indptr[v] = total
+        for part in range(count.shape[0]):
+            entries = count[part, v]
+            count[part, v] = total
+            total += entries
+    indptr[count.shape[1]] = total
+
+
+@kernel
+def _fill(cells: IntArray, start: int, stop: int, place: LongArray, indices: IntArray) -> None:
+    """Write the cells start to stop to the places of their vertices."""
+    for c in range(start, stop):
         if cells[c, 0] < 0:
             continue
-        for a in range(k):
+        for a in range(cells.shape[1]):
             v = cells[c, a]
-            indices[indptr[v]] = c
-            indptr[v] += 1
-    for i in range(n, 0, -1):
-        indptr[i] = indptr[i - 1]
-    indptr[0] = 0
+            indices[place[v]] = c
+            place[v] += 1
 
 
 @kernel
@@ -78,7 +95,9 @@ def _neighbor_rows(
     indptr[n] = total
 
 
-def vertex_stars(cells: IntArray, n_points: int) -> Stars:
+def vertex_stars(
+    cells: IntArray, n_points: int, pool: ThreadPoolExecutor | None = None
+) -> Stars:
     """List the cells around every vertex.
 
     Parameters
@@ -86,14 +105,23 @@ def vertex_stars(cells: IntArray, n_points: int) -> Stars:
     cells : (m, d + 1) int32    vertex indices, each below n_points; a row that starts with -1 is
                                 a free slot and belongs to no star
     n_points : int              n
+    pool : ThreadPoolExecutor, optional
+        shares the work; the result does not depend on it
 
     Returns
     -------
     Stars                       compressed rows, cells of a row in ascending order
     """
-    indptr = np.zeros(n_points + 1, dtype=np.int64)
+    cells = np.ascontiguousarray(cells, dtype=np.int32)
+    indptr = np.empty(n_points + 1, dtype=np.int64)
     indices = np.empty(cells.size, dtype=np.int32)
-    _count_and_fill(np.ascontiguousarray(cells, dtype=np.int32), indptr, indices)
+    parts = 1 if pool is None else PARTS
+    place = np.zeros((parts, n_points), dtype=np.int64)
+    cuts = [len(cells) * part // parts for part in range(parts + 1)]
+    run = map if pool is None else pool.map
+    list(run(partial(_count, cells), cuts[:-1], cuts[1:], place))
+    _places(place, indptr)
+    list(run(lambda *part: _fill(cells, *part, indices), cuts[:-1], cuts[1:], place))
     return Stars(indptr, indices)
 
 

@@ -5,9 +5,10 @@ from __future__ import annotations
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
-from typing import TypeVar
+from typing import TYPE_CHECKING, TypeVar
 
-from odt_plugins.engine.coloring import Coloring
+if TYPE_CHECKING:
+    from odt_plugins.engine.coloring import Coloring
 
 T = TypeVar("T")
 
@@ -15,7 +16,7 @@ SMALLEST = 256
 """Fewer vertices of one colour than this are not worth a second thread."""
 
 
-PART = 1 << 13
+PART = 1 << 15
 """Length of a part of a range."""
 
 

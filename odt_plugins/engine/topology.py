@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
 
-from odt_plugins.engine.coloring import Coloring, vertex_coloring
+from odt_plugins.engine.coloring import Coloring, touching_blocks, vertex_coloring
 from odt_plugins.engine.star import Stars, vertex_neighbors, vertex_stars
 from odt_plugins.mesh import BoolArray, IntArray
 
@@ -23,12 +24,15 @@ class Topology:
     is_boundary : (n,) bool       vertices on the boundary or an interface: their cells are the
                                   boundary elements of Section 4.2.1
     stars : Stars                 cells around every vertex
+    pool : ThreadPoolExecutor or None
+        shares the work of what is made later
     """
 
     cells: IntArray
     movable: BoolArray
     is_boundary: BoolArray
     stars: Stars
+    pool: ThreadPoolExecutor | None = None
 
     @cached_property
     def boundary_cells(self) -> BoolArray:
@@ -39,7 +43,8 @@ class Topology:
     @cached_property
     def coloring(self) -> Coloring:
         """Blocks of movable vertices in colours."""
-        return vertex_coloring(self.cells, self.movable)
+        touch = touching_blocks(self.cells, self.movable, self.pool)
+        return vertex_coloring(self.cells, self.movable, touch)
 
     @cached_property
     def neighbors(self) -> Stars:
@@ -53,11 +58,12 @@ class Topology:
 
 
 def make_topology(
-    cells: IntArray, movable: BoolArray, is_boundary: BoolArray, stars: Stars | None = None
+    cells: IntArray, movable: BoolArray, is_boundary: BoolArray, stars: Stars | None = None,
+    pool: ThreadPoolExecutor | None = None,
 ) -> Topology:
     """Build a :class:`Topology`; vertices of no cell are taken out of ``movable``."""
     cells = np.ascontiguousarray(cells, dtype=np.int32)
     if stars is None:
-        stars = vertex_stars(cells, movable.size)
+        stars = vertex_stars(cells, movable.size, pool)
     movable = np.ascontiguousarray(movable & (np.diff(stars.indptr) > 0))
-    return Topology(cells, movable, np.ascontiguousarray(is_boundary), stars)
+    return Topology(cells, movable, np.ascontiguousarray(is_boundary), stars, pool)
