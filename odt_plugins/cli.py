@@ -7,6 +7,7 @@ import os
 import signal
 import sys
 import threading
+import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import fields
@@ -254,14 +255,16 @@ def optimize(
 @click.option("--memory-limit", type=click.FloatRange(min=0.0, min_open=True), default=None,
               metavar="GB", help="Memory that the process of an input may take.")
 @click.option("--resume", is_flag=True,
-              help="Leave results that are there, of the same input, options and versions.")
+              help="Leave results that are there, of the same input, options and versions, and "
+                   "failures that had the same limits as well.")
+@click.option("--retry", is_flag=True, help="With --resume: try again what failed.")
 @_cluster_flags
 @_option_flags
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 def batch(
     sources: tuple[str, ...], out: Path, suffix: str | None, memory_limit: float | None,
     scheduler: str | None, workers: int, quiet: bool, tetrahedralize: bool, edge_length: float,
-    timeout: float | None, resume: bool, **options: Any,
+    timeout: float | None, resume: bool, retry: bool, **options: Any,
 ) -> int:
     """Improve many mesh files, each in a process of its own.
 
@@ -271,18 +274,29 @@ def batch(
     from odt_plugins.distributed import batch as batches
     from odt_plugins.distributed import summary
 
+    if retry and not resume:
+        msg = "--retry goes with --resume; without it all inputs are worked on"
+        raise click.UsageError(msg)
     summary.check_summary()
     jobs = batches.make_jobs(
-        batches.find_inputs(sources), out, options, suffix=suffix, tetrahedralize=tetrahedralize,
-        edge_length=edge_length, timeout=timeout, resume=resume,
+        batches.find_inputs(sources, out), out, options, suffix=suffix,
+        tetrahedralize=tetrahedralize, edge_length=edge_length, timeout=timeout, resume=resume,
+        retry=retry,
         memory_limit=None if memory_limit is None else round(memory_limit * 1e9),
     )
     with _cluster(scheduler, workers) as client, progress_bar(quiet) as progress:
+        clock = time.perf_counter()
         rows = batches.run_batch(jobs, client=client, progress=progress)
+        seconds = time.perf_counter() - clock
     words = summary.command_line(click.get_current_context())
-    summary.write_summary(out, rows, words, options["threads"])
+    summary.write_summary(out, rows, words, options["threads"], seconds)
     if not quiet:
-        click.echo(f"{summary.counts(rows)}\nwritten: "
+        click.echo(summary.counts(rows))
+        if any(row["resumed"] and row["status"] != "ok" for row in rows):
+            click.echo("what failed before was left as it is; --resume --retry tries it again")
+        for name, value in summary.totals(rows, seconds):
+            click.echo(f"  {name:<26}{value}")
+        click.echo("written: "
                    + ", ".join(str(out / name) for name in summary.FILES))
     return DONE if all(row["status"] == "ok" for row in rows) else COULD_NOT
 

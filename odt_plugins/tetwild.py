@@ -151,6 +151,19 @@ def _check_surface(vertices: Any, faces: Any) -> None:
         raise InvalidMeshError(words.replace("cell", "face")) from exc
 
 
+def expect_pytetwild() -> None:
+    """Refuse at once when pytetwild is not there.
+
+    Raises
+    ------
+    MissingDependencyError
+    """
+    if find_spec("pytetwild") is None:
+        msg = ('tetrahedralize needs pytetwild, not installed here; try '
+               'pip install "odt-plugins[pytetwild]"')
+        raise MissingDependencyError(msg)
+
+
 def run_tetwild(given: Mapping[str, Any]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Run pytetwild.tetrahedralize on arguments by name, in a process of its own.
 
@@ -160,10 +173,7 @@ def run_tetwild(given: Mapping[str, Any]) -> tuple[NDArray[np.float64], NDArray[
     ------
     MissingDependencyError, InvalidMeshError, and what pytetwild raises
     """
-    if find_spec("pytetwild") is None:
-        msg = ('tetrahedralize needs pytetwild, not installed here; try '
-               'pip install "odt-plugins[pytetwild]"')
-        raise MissingDependencyError(msg)
+    expect_pytetwild()
     usual = inspect.signature(tetrahedralize).parameters
     arguments = {name: value for name, value in given.items()
                  if usual[name].default is inspect.Parameter.empty

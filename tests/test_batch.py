@@ -21,10 +21,12 @@ import tet_meshes
 from processes import alive, children, wait_until
 
 from odt_plugins import cli
+from odt_plugins.adapters.files import read_file
 from odt_plugins.compare.start import ball
 from odt_plugins.distributed import batch
 from odt_plugins.distributed.batch import HIDDEN, Job, find_inputs, job_key, make_jobs, run_batch
-from odt_plugins.errors import InvalidOptionError, MeshFileError
+from odt_plugins.distributed.job import COMPILING, RESULT, outside
+from odt_plugins.errors import InvalidOptionError, MeshFileError, MissingDependencyError
 
 pytestmark = [
     pytest.mark.timeout(120),
@@ -36,10 +38,11 @@ pytest.importorskip("pyarrow")
 pytest.importorskip("jinja2")
 
 READERS = """
-import ctypes, time
+import ctypes, tempfile, time
 import meshio
 
 def crash(path):
+    tempfile.mkstemp()
     ctypes.string_at(0)
 
 def wait(path):
@@ -84,7 +87,7 @@ def files(folder: Path) -> list[str]:
                   if p.is_file() and HIDDEN not in p.parts)
 
 
-def test_whatever_an_input_does_is_a_row(place, capsys):
+def test_whatever_an_input_does_is_a_row(place, capsys, monkeypatch):
     import pyarrow.parquet as pq
 
     models = place / "models"
@@ -94,6 +97,8 @@ def test_whatever_an_input_does_is_a_row(place, capsys):
     meshio.Mesh(np.zeros((4, 3)), [("tetra", [[0, 1, 2, 3]])]).write(models / "flat.vtu")
     (models / "bad.crash").write_text("")
     (models / "greedy.fat").write_text("")
+    (place / "temporary").mkdir()
+    monkeypatch.setenv("TMPDIR", str(place / "temporary"))
     words = ["batch", "models/**/*.*", "--out", "out", "--suffix", ".vtu",
              "--memory-limit", "3", "--keep", "min_quality,mean_quality"]
     assert cli.main(words) == 1
@@ -127,6 +132,23 @@ def test_whatever_an_input_does_is_a_row(place, capsys):
     assert "<code>odt-plugins batch" in page
     assert command in page
     assert not (place / "out" / HIDDEN / "work").exists()
+    assert not list((place / "temporary").iterdir())
+    assert {row["optimize_seconds"] == "" for row in rows.values() if row["status"] == "ok"} == {
+        False}
+    for name, value in (("mean q", "mean_quality"), ("min q", "min_quality")):
+        means = [np.mean([float(rows[row][f"{when}_{value}"]) for row in ("good.vtu", "good.msh")])
+                 for when in ("before", "after")]
+        line = f"mean of {name}"
+        assert f"  {line:<26}{means[0]:.3f} to {means[1]:.3f}\n" in said.out
+        assert f"<dt>{line}</dt><dd>{means[0]:.3f} to {means[1]:.3f}</dd>" in page
+    assert cli.main([*words, "--resume"]) == 1
+    said = capsys.readouterr()
+    assert said.out.startswith("2 ok (2 of them before), 1 crashed (1 of them before), "
+                               "2 failed (2 of them before), 1 memory (1 of them before)\n")
+    assert "--resume --retry tries it again" in said.out
+    assert "inputs a minute" not in said.out
+    assert cli.main([*words, "--retry"]) == 2
+    assert "--retry goes with --resume" in capsys.readouterr().err
 
 
 def test_an_input_without_end_is_given_up(place):
@@ -139,9 +161,49 @@ def test_an_input_without_end_is_given_up(place):
     assert files(place / "out") == []
 
 
+COMPILES = """
+import sys, time
+from pathlib import Path
+from numba.core import event
+from odt_plugins.distributed.job import COMPILING, Compiling
+
+with event.install_listener("numba:compile", Compiling(Path(sys.argv[1]) / COMPILING)):
+    for seconds in (0.0, 1.0):
+        with event.trigger_event("numba:compile"), event.trigger_event("numba:compile"):
+            time.sleep(seconds)
+"""
+
+
+def test_compiling_kernels_does_not_count_for_the_time_limit(place, monkeypatch):
+    subprocess.run([sys.executable, "-c", COMPILES, str(place)], check=True)
+    lines = (place / COMPILING).read_text().split()
+    assert len(lines) == 4
+    assert 1.0 <= batch.compiling(place) < 2.0
+    (place / COMPILING).write_text(f"{time.monotonic() - 5.0}\n")
+    assert 5.0 <= batch.compiling(place) < 10.0
+    (place / COMPILING).write_text(f"{time.monotonic() - 1e6}\n")
+    assert batch.compiling(place) == batch.PREPARING
+
+    def run(timeout: float) -> str:
+        with subprocess.Popen(
+            [sys.executable, "-c", "import sys, time; time.sleep(1); sys.stderr.write(input())"],
+            text=True, stdin=subprocess.PIPE, stderr=subprocess.PIPE,
+        ) as process:
+            try:
+                return batch._ended(process, "the job", time.monotonic(), timeout, place)
+            finally:
+                process.kill()
+
+    (place / COMPILING).write_text("0.0\n60.0\n")
+    assert run(0.1) == "the job"
+    (place / COMPILING).write_text("0.0\n0.2\n")
+    with pytest.raises(subprocess.TimeoutExpired):
+        run(0.1)
+
+
 def copied(job: Job, folder: Path) -> dict[str, Any]:
     """A process that does nothing but copy."""
-    shutil.copyfile(job.source, folder / Path(job.name).name)
+    shutil.copyfile(job.source, folder / RESULT / Path(job.name).name)
     return {"status": "ok", "seconds": 0.0}
 
 
@@ -169,6 +231,61 @@ def test_what_is_done_is_left_as_long_as_input_options_and_result_are_the_same(
     assert run(rounds=3) == [False, False]
 
 
+def test_failures_are_left_until_something_changes_or_they_are_to_be_tried_again(
+    place, monkeypatch
+):
+    ends: dict[str, Any] = {}
+    monkeypatch.setattr(batch, "_process", lambda job, folder: ends.copy())
+    path = str(write_ball(place / "models" / "a.vtu", 60))
+
+    def resumed(retry: bool = False, options: Any = None, **limits: Any) -> bool:
+        (row,) = run_batch(make_jobs([path], place / "out", options or {}, resume=True,
+                                     retry=retry, **limits))
+        assert row["status"] == ends["status"]
+        return bool(row["resumed"])
+
+    for status in ("failed", "crashed", "timeout", "memory"):
+        ends.update(status=status, message=f"it {status}")
+        assert not resumed(retry=True)
+        assert resumed()
+        assert not resumed(timeout=5.0)
+        assert resumed(timeout=5.0)
+        assert not resumed(timeout=5.0, memory_limit=10**9)
+        assert not resumed(options={"rounds": 1})
+        assert not resumed(retry=True)
+    write_ball(Path(path), 70)
+    assert not resumed()
+    assert resumed()
+    ends["outside"] = True
+    assert not resumed(retry=True)
+    assert not resumed()
+    assert not rows_of(place / "out")
+
+
+def test_a_result_of_before_is_told_beside_a_failure(place, monkeypatch):
+    jobs = make_jobs([str(write_ball(place / "models" / "a.vtu", 60))], place / "out", {})
+    monkeypatch.setattr(batch, "_process", copied)
+    run_batch(jobs)
+    monkeypatch.setattr(batch, "_process", lambda job, folder: {"status": "failed",
+                                                                "message": "no"})
+    (row,) = run_batch(jobs)
+    assert row["message"] == "no; a.vtu is there from an earlier run"
+    assert files(place / "out") == ["a.vtu"]
+
+
+def test_what_the_system_refused_is_no_fault_of_the_input(place):
+    full = MeshFileError("cannot write it")
+    full.__cause__ = OSError(28, "No space left on device")
+    assert outside(full)
+    assert outside(MissingDependencyError("needs h5py"))
+    (place / "models" / "broken.vtu").write_text("<VTKFile>nonsense")
+    for function, given in ((read_file, "models/broken.vtu"), (read_file, "models/a.xyzzy"),
+                            (np.linalg.inv, np.zeros((2, 2)))):
+        with pytest.raises((MeshFileError, np.linalg.LinAlgError)) as caught:
+            function(given)
+        assert not outside(caught.value)
+
+
 def test_keys_name_what_decides_the_result(place):
     path = str(write_ball(place / "models" / "a.vtu", 100))
     jobs = [Job(path, "o", "a.vtu", {}), Job(path, "o", "a.vtu", {"method": "cpt"}),
@@ -184,6 +301,14 @@ def test_results_never_share_a_place(place):
     paths = find_inputs(["models/a.*", "models/inner/a.vtu"])
     names = [job.name for job in make_jobs(paths, place, {}, suffix=".vtk")]
     assert sorted(names) == ["a-vtu.vtk", "a.vtk", "inner/a.vtk"]
+    write_ball(place / "models" / "a-vtu.msh", 60)
+    paths = find_inputs(["models/a*", "models/inner/*"])
+    assert len({job.name for job in make_jobs(paths, place, {}, suffix=".vtk")}) == len(paths) == 4
+    with pytest.raises(InvalidOptionError, match=r"a\.vtu would take the place of an input"):
+        make_jobs(["models/a.vtu"], place / "models", {})
+    assert make_jobs(["models/a.vtu"], place / "models", {}, suffix=".vtk")
+    with pytest.raises(InvalidOptionError, match=r"the folder 'models'; .* try 'models/\*\.vtu'"):
+        find_inputs(["models"])
     with pytest.raises(InvalidOptionError, match="names no file"):
         find_inputs(["models/*.xyz"])
     with pytest.raises(InvalidOptionError, match="did you mean 'method'"):
@@ -221,6 +346,7 @@ def test_a_full_disk_is_a_row_and_leaves_nothing_half_written(place):
     assert "large" in large["source"]
     assert files(place / "out") == ["small.vtu", *(f"summary.{s}" for s in
                                                    ("csv", "html", "parquet"))]
+    assert rows_of(place / "out") == ["small.vtu.json"]
 
 
 def test_surfaces_go_through_tetwild_when_asked(place):
@@ -232,6 +358,7 @@ def test_surfaces_go_through_tetwild_when_asked(place):
     jobs = make_jobs(["models/cube.stl"], place / "out", {}, tetrahedralize=True, edge_length=0.3)
     (row,) = run_batch(jobs)
     assert row["status"] == "ok", row["message"]
+    assert 0.0 < row["tetwild_seconds"] < row["seconds"] - row["optimize_seconds"] + 1e-3
     mesh = meshio.read(place / "out" / "cube.vtu")
     assert tet_meshes.signed_volumes(mesh.points, mesh.cells[0].data).sum() == pytest.approx(
         1.0, abs=0.02)
@@ -296,3 +423,38 @@ def test_what_a_killed_worker_was_doing_is_done_by_another(place):
     for name in rows_of(place / "out"):
         row = json.loads((place / "out" / HIDDEN / "rows" / name).read_text())
         assert row["status"] == "ok"
+
+
+def test_patterns_leave_out_folders_and_results(place, monkeypatch):
+    monkeypatch.setattr(batch, "_process", copied)
+    write_ball(place / "models" / "a.vtu", 60)
+    (place / "models" / "out.vtu").mkdir()
+    out = place / "models" / "out"
+    run_batch(make_jobs(find_inputs(["models/**/*.vtu"], out), out, {}))
+    assert files(out) == ["a.vtu"]
+    write_ball(out / "b.vtu", 60)
+    assert find_inputs(["models/**/*.vtu"], out) == ["models/a.vtu", "models/out/b.vtu"]
+    assert find_inputs(["models/out/a.vtu"], out) == ["models/out/a.vtu"]
+    assert len(find_inputs(["models/**/*.vtu"])) == 3
+
+
+def test_tetwild_that_is_not_there_is_told_before_any_work(place, monkeypatch, capsys):
+    monkeypatch.setattr("odt_plugins.tetwild.find_spec", lambda name: None)
+    write_ball(place / "models" / "a.stl", 60)
+    words = ["batch", "models/a.stl", "--out", "out", "--tetrahedralize"]
+    assert cli.main(words) == 1
+    assert 'pip install "odt-plugins[pytetwild]"' in capsys.readouterr().err
+    assert not (place / "out").exists()
+
+
+def test_surfaces_that_cannot_be_filled_are_rows(place):
+    pytest.importorskip("pytetwild")
+    write_ball(place / "models" / "tets.vtu", 60)
+    sheet = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
+    meshio.Mesh(sheet, [("triangle", [[0, 1, 2], [0, 2, 3]])]).write(place / "models" / "open.stl")
+    jobs = make_jobs(find_inputs(["models/*.*"]), place / "out", {}, tetrahedralize=True)
+    messages = {Path(row["source"]).name: row["message"] for row in run_batch(jobs)}
+    assert messages["tets.vtu"] == (
+        "tets.vtu holds tetrahedra; expected a surface of triangles to be filled")
+    assert "TetWild found no tetrahedra inside the surface" in messages["open.stl"]
+    assert files(place / "out") == []

@@ -11,6 +11,7 @@ import signal
 import subprocess
 import sys
 import tempfile
+import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass
 from glob import glob
@@ -19,13 +20,17 @@ from typing import Any
 
 from odt_plugins.adapters.files import check_output
 from odt_plugins.api import make_options
-from odt_plugins.compare.runner import exit_name
-from odt_plugins.distributed.job import ROW
-from odt_plugins.distributed.versions import versions_here
+from odt_plugins.compare.runner import PREPARING, exit_name
+from odt_plugins.distributed.job import COMPILING, RESULT, ROW
+from odt_plugins.distributed.versions import installed_version, versions_here
 from odt_plugins.errors import InvalidOptionError, MeshFileError
+from odt_plugins.tetwild import expect_pytetwild
 
 HIDDEN = ".batch"
 """Folder within the output: rows of what is done, and work folders while it is being done."""
+
+FROM_OUTSIDE = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
+"""Signals that come from the user or from a system short of memory, not from the input."""
 
 Row = dict[str, Any]
 
@@ -42,9 +47,12 @@ class Job:
     options : dict               of :func:`odt_plugins.optimize`, plain values
     tetrahedralize : bool        whether TetWild fills the surface first
     edge_length : float          for TetWild, relative to the diagonal
-    timeout : float or None      seconds after which it is ended
+    timeout : float or None      seconds after which it is ended, not counting those in which the
+                                 kernels were compiled
     memory_limit : int or None   bytes that its process may take
-    resume : bool                whether what is done already is left as it is
+    resume : bool                whether what is done already is left as it is, failures of the
+                                 same time and memory limit as well
+    retry : bool                 whether failures are tried again all the same
     """
 
     source: str
@@ -56,23 +64,40 @@ class Job:
     timeout: float | None = None
     memory_limit: int | None = None
     resume: bool = False
+    retry: bool = False
 
 
-def find_inputs(patterns: Sequence[str]) -> list[str]:
+def find_inputs(patterns: Sequence[str], out: Path | None = None) -> list[str]:
     """List the files that paths and patterns such as models/**/*.stl name.
+
+    Parameters
+    ----------
+    patterns : list of str
+    out : path, optional     patterns leave out what an earlier batch wrote into this folder
 
     Raises
     ------
-    InvalidOptionError       one names no file
+    InvalidOptionError       one names no file, or a folder
     """
     found: list[str] = []
     for pattern in patterns:
-        paths = [pattern] if os.path.exists(pattern) else sorted(glob(pattern, recursive=True))
+        if os.path.isdir(pattern):
+            msg = (f"got the folder {pattern!r}; expected files or a pattern, try "
+                   f"{os.path.join(pattern, '*.vtu')!r}")
+            raise InvalidOptionError(msg)
+        paths = [pattern] if os.path.exists(pattern) else [
+            path for path in sorted(glob(pattern, recursive=True))
+            if os.path.isfile(path) and not (out and _is_result(path, out))]
         if not paths:
             msg = f"got {pattern!r}, which names no file; expected a path or a pattern"
             raise InvalidOptionError(msg)
         found += paths
     return found
+
+
+def _is_result(path: str, out: Path) -> bool:
+    name = os.path.relpath(path, out)
+    return not name.startswith(os.pardir) and _row_file(out, name).is_file()
 
 
 def make_jobs(
@@ -92,7 +117,8 @@ def make_jobs(
 
     Raises
     ------
-    InvalidOptionError           an option is wrong, or holds an array, which fits one mesh only
+    InvalidOptionError           an option is wrong, or holds an array, which fits one mesh only;
+                                 or a result would take the place of an input
     MeshFileError                the suffix is none of a mesh file
     """
     make_options(**options)
@@ -104,12 +130,17 @@ def make_jobs(
     top = os.path.commonpath([os.path.dirname(path) for path in paths])
     jobs: list[Job] = []
     taken: set[str] = set()
+    inputs = {os.path.realpath(path) for path in paths}
     for path in paths:
         inner = Path(os.path.relpath(path, top))
         ending = suffix or (".vtu" if settings.get("tetrahedralize") else inner.suffix)
         name = inner.with_suffix(ending)
-        if str(name) in taken:
-            name = inner.with_name(inner.name.replace(".", "-") + ending)
+        while str(name) in taken:
+            name = inner = inner.with_name(inner.name.replace(".", "-") + ending)
+        if os.path.realpath(out / name) in inputs:
+            msg = (f"got {out} for the results, where {name} would take the place of an input; "
+                   "expected another folder")
+            raise InvalidOptionError(msg)
         taken.add(str(name))
         jobs.append(Job(path, os.path.abspath(out), str(name), dict(options), **settings))
     if suffix:
@@ -142,9 +173,13 @@ def run_batch(
     ------
     MeshFileError              the output folder cannot be made
     InvalidOptionError         a worker has other packages than this process
+    MissingDependencyError     pytetwild is needed on this machine and not installed
     """
     if not jobs:
         return []
+    here = client is None or client.cluster is not None
+    if here and any(job.tetrahedralize for job in jobs):
+        expect_pytetwild()
     hidden = Path(jobs[0].out) / HIDDEN
     try:
         shutil.rmtree(hidden / "work", ignore_errors=True)
@@ -155,6 +190,8 @@ def run_batch(
         msg = f"cannot write into {jobs[0].out}: {exc.strerror or exc}; try another folder"
         raise MeshFileError(msg) from exc
     rows: list[Row] = [{} for _ in jobs]
+    if progress is not None:
+        progress(f"0 of {len(jobs)}", 0.0)
     try:
         for done, (index, row) in enumerate(_as_they_finish(jobs, client), 1):
             if isinstance(row, BaseException):
@@ -180,41 +217,60 @@ def run_job(job: Job) -> Row:
     """Run one job in a process of its own; whatever happens is told in its row.
 
     The result and then its row are renamed to their places when they are complete, so that a row
-    tells of a result that is there.
+    tells of a result that is there. The row of a failure is kept as well, unless its cause is
+    outside of the input: a full disk, a missing package, a signal from elsewhere.
     """
     try:
         key = job_key(job)
     except OSError as exc:
         message = f"cannot read {job.source}: {exc.strerror or exc}"
         return _row(job, {"status": "failed", "message": message})
-    place = Path(job.out) / HIDDEN / "rows" / f"{job.name}.json"
-    target = Path(job.out) / job.name
-    if job.resume:
-        with contextlib.suppress(OSError, ValueError):
-            old: Row = json.loads(place.read_text(encoding="utf-8"))
-            if old["key"] == key and target.is_file():
-                return old | {"resumed": True}
-    folder = ""
+    place, target = _row_file(Path(job.out), job.name), Path(job.out) / job.name
+    if job.resume and (old := _recorded(job, key)):
+        return old | {"resumed": True}
+    folder = None
     try:
-        folder = tempfile.mkdtemp(dir=Path(job.out) / HIDDEN / "work")
-        row = _row(job, {"key": key} | _process(job, Path(folder)))
+        folder = Path(tempfile.mkdtemp(dir=Path(job.out) / HIDDEN / "work"))
+        (folder / RESULT).mkdir()
+        facts = _process(job, folder)
+        outside = facts.pop("outside", False)
+        row = _row(job, {"key": key, "limits": [job.timeout, job.memory_limit]} | facts)
+        if row["status"] != "ok" and target.exists():
+            row["message"] += f"; {job.name} is there from an earlier run"
+        (folder / ROW).write_text(json.dumps(row), encoding="utf-8")
+        place.parent.mkdir(parents=True, exist_ok=True)
+        place.unlink(missing_ok=True)
         if row["status"] == "ok":
-            place.parent.mkdir(parents=True, exist_ok=True)
             target.parent.mkdir(parents=True, exist_ok=True)
-            (Path(folder) / ROW).write_text(json.dumps(row), encoding="utf-8")
-            place.unlink(missing_ok=True)
             # Formats such as xdmf write companions; the file that refers to them comes last.
-            for part in sorted(Path(folder).iterdir(), key=lambda p: p.name == target.name):
-                if part.name != ROW:
-                    os.replace(part, target.parent / part.name)
-            os.replace(Path(folder) / ROW, place)
+            for part in sorted((folder / RESULT).iterdir(), key=lambda p: p.name == target.name):
+                os.replace(part, target.parent / part.name)
+        if not outside:
+            os.replace(folder / ROW, place)
     except OSError as exc:
         message = f"cannot write {target}: {exc.strerror or exc}"
         return _row(job, {"status": "failed", "message": message})
     finally:
-        if folder:
+        if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)
     return row
+
+
+def _row_file(out: Path, name: str) -> Path:
+    return out / HIDDEN / "rows" / f"{name}.json"
+
+
+def _recorded(job: Job, key: str) -> Row | None:
+    """The row of an earlier run, when nothing would be otherwise now."""
+    with contextlib.suppress(OSError, ValueError):
+        old: Row = json.loads(_row_file(Path(job.out), job.name).read_text(encoding="utf-8"))
+        if old["status"] == "ok":
+            same = (Path(job.out) / job.name).is_file()
+        else:
+            same = not job.retry and old["limits"] == [job.timeout, job.memory_limit]
+        if same and old["key"] == key:
+            return old
+    return None
 
 
 def job_key(job: Job) -> str:
@@ -224,7 +280,10 @@ def job_key(job: Job) -> str:
         while chunk := file.read(1 << 20):
             digest.update(chunk)
     options = {name: value for name, value in job.options.items() if name != "threads"}
-    rest = [options, job.name, job.tetrahedralize, job.edge_length, versions_here()]
+    versions = versions_here()
+    if job.tetrahedralize:
+        versions["pytetwild"] = installed_version("pytetwild")
+    rest = [options, job.name, job.tetrahedralize, job.edge_length, versions]
     digest.update(json.dumps(rest, sort_keys=True).encode())
     return digest.hexdigest()
 
@@ -238,21 +297,25 @@ def _row(job: Job, facts: Row) -> Row:
 def _process(job: Job, folder: Path) -> Row:
     """Run the process of a job to its end, or end it with everything it started."""
     threads = str(job.options.get("threads", 1))
+    (folder / "temporary").mkdir()
     environment = dict(os.environ) | dict.fromkeys(
         ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), threads)
+    # What a process that is ended leaves there goes with its folder.
+    environment |= dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder / "temporary"))
     task = asdict(job) | {"folder": str(folder), "name": Path(job.name).name,
                           "parent": os.getpid()}
     task["options"] = {"threads": 1} | job.options
+    clock = time.monotonic()
     process = subprocess.Popen(
         [sys.executable, "-m", "odt_plugins.distributed.job"], text=True, env=environment,
         stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
         start_new_session=True,
     )
     try:
-        _, said = process.communicate(json.dumps(task), timeout=job.timeout)
+        said = _ended(process, json.dumps(task), clock, job.timeout, folder)
     except subprocess.TimeoutExpired:
         return {"status": "timeout", "message": f"no result within {job.timeout:g} s",
-                "seconds": job.timeout}
+                "seconds": time.monotonic() - clock}
     finally:
         with contextlib.suppress(ProcessLookupError, PermissionError):
             os.killpg(process.pid, signal.SIGKILL)
@@ -262,4 +325,37 @@ def _process(job: Job, folder: Path) -> Row:
         return row
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     message = f"ended by {exit_name(process.returncode)}: {lines[-1] if lines else 'no word'}"
-    return {"status": "crashed", "message": message}
+    return {"status": "crashed", "message": message, "seconds": time.monotonic() - clock,
+            "outside": -process.returncode in FROM_OUTSIDE}
+
+
+def _ended(
+    process: subprocess.Popen[str], task: str, clock: float, timeout: float | None, folder: Path
+) -> str:
+    """Wait for the end of a process and give what it said on stderr.
+
+    Raises
+    ------
+    subprocess.TimeoutExpired    it took longer, not counting what it spent on compiling kernels
+    """
+    given: str | None = task
+    while True:
+        left = None
+        if timeout is not None:
+            left = max(0.0, clock + timeout + compiling(folder) - time.monotonic())
+        try:
+            return process.communicate(given, timeout=left)[1]
+        except subprocess.TimeoutExpired:
+            given = None
+            if clock + (timeout or 0.0) + compiling(folder) <= time.monotonic():
+                raise
+
+
+def compiling(folder: Path) -> float:
+    """Seconds in which the process of a folder has compiled kernels so far, at most PREPARING."""
+    times: list[float] = []
+    with contextlib.suppress(OSError, ValueError):
+        times = [float(line) for line in (folder / COMPILING).read_text().split()]
+    if len(times) % 2:
+        times.append(time.monotonic())
+    return min(PREPARING, sum(times[1::2]) - sum(times[::2]))

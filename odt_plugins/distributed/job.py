@@ -13,12 +13,17 @@ import sys
 import threading
 import time
 import warnings
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from numba.core import event
+
 from odt_plugins.errors import InvalidMeshError, ODTError, ODTWarning
 
-ROW = "row.json"
+ROW, RESULT, COMPILING = "row.json", "result", "compiling"
+"""What lies in the work folder: the row, the folder of the result, and when kernels were compiled:
+times of a monotonic clock at which that began and ended, by turns."""
 
 
 def main() -> None:
@@ -29,7 +34,10 @@ def main() -> None:
     row: dict[str, Any] = {"status": "failed", "message": ""}
     clock = time.perf_counter()
     try:
-        with warnings.catch_warnings(record=True) as caught:
+        with (
+            event.install_listener("numba:compile", Compiling(Path(job["folder"]) / COMPILING)),
+            warnings.catch_warnings(record=True) as caught,
+        ):
             warnings.simplefilter("always")
             row |= work(job)
         row |= {"status": "ok", "message": "; ".join(
@@ -37,11 +45,35 @@ def main() -> None:
     # A toolkit may raise anything at all on a broken input.
     except Exception as exc:
         row["message"] = f"{'' if isinstance(exc, ODTError) else type(exc).__name__ + ': '}{exc}"
-        if _short_of_memory(exc):
+        row["outside"] = outside(exc)
+        if any(isinstance(cause, MemoryError) for cause in _causes(exc)):
             row |= {"status": "memory", "message": _too_little(job["memory_limit"])}
     row["message"] = " ".join(row["message"].split())
     row["seconds"] = time.perf_counter() - clock
     (Path(job["folder"]) / ROW).write_text(json.dumps(row), encoding="utf-8")
+
+
+class Compiling(event.Listener):  # type: ignore[misc]
+    """Notes the times at which kernels begin and end to be compiled."""
+
+    def __init__(self, file: Path) -> None:
+        self.file, self.depth = file, 0
+
+    def on_start(self, event: Any) -> None:
+        """One kernel may need others compiled within."""
+        self.depth += 1
+        if self.depth == 1:
+            self._note()
+
+    def on_end(self, event: Any) -> None:
+        """The outermost one ends it."""
+        self.depth -= 1
+        if self.depth == 0:
+            self._note()
+
+    def _note(self) -> None:
+        with self.file.open("a") as file:
+            file.write(f"{time.monotonic()}\n")
 
 
 def work(job: dict[str, Any]) -> dict[str, Any]:
@@ -49,19 +81,23 @@ def work(job: dict[str, Any]) -> dict[str, Any]:
 
     Returns
     -------
-    dict    sizes and figures before and after, and why an earlier state was returned
+    dict    seconds, sizes and figures before and after, and why an earlier state was returned
     """
     from odt_plugins.adapters.files import read_file, write_file
     from odt_plugins.api import optimize_with_report
 
-    source, target = Path(job["source"]), Path(job["folder"]) / job["name"]
+    source, target = Path(job["source"]), Path(job["folder"]) / RESULT / job["name"]
+    row: dict[str, Any] = {}
+    clock = time.perf_counter()
     if job["tetrahedralize"]:
-        result, report = optimize_with_report(_tetrahedra(source, job), **job["options"])
-        result = _as_file(*result)
+        mesh = _tetrahedra(source, job)
+        row["tetwild_seconds"] = time.perf_counter() - clock
     else:
-        result, report = optimize_with_report(read_file(source), **job["options"])
-    write_file(target, result)
-    row: dict[str, Any] = {"fallback": report.fallback}
+        mesh = read_file(source)
+    clock = time.perf_counter()
+    result, report = optimize_with_report(mesh, **job["options"])
+    row |= {"optimize_seconds": time.perf_counter() - clock, "fallback": report.fallback}
+    write_file(target, _as_file(*result) if job["tetrahedralize"] else result)
     for when, summary in (("before", report.before), ("after", report.after)):
         row |= {f"{when}_{name}": value for name, value in summary.to_dict().items()}
     return row
@@ -102,11 +138,18 @@ def _end_with(parent: int) -> None:
     os.killpg(0, signal.SIGKILL)
 
 
-def _short_of_memory(exc: BaseException | None) -> bool:
-    """Whether an exception comes from one that tells of too little memory."""
-    while exc is not None and not isinstance(exc, MemoryError):
+def outside(exc: BaseException) -> bool:
+    """Whether a failure comes from the system or a missing package, not from the input."""
+    # Errors of the system have a number, those of a parser have none.
+    return any(isinstance(cause, ImportError) or getattr(cause, "errno", None) is not None
+               for cause in _causes(exc))
+
+
+def _causes(exc: BaseException | None) -> Iterator[BaseException]:
+    """An exception and those that it comes from."""
+    while exc is not None:
+        yield exc
         exc = exc.__cause__ or exc.__context__
-    return exc is not None
 
 
 def _too_little(limit: int | None) -> str:

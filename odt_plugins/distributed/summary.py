@@ -19,7 +19,8 @@ from odt_plugins.quality import QualitySummary
 
 FILES = ("summary.csv", "summary.parquet", "summary.html")
 
-FIRST = ("source", "result", "status", "message", "seconds", "resumed", "fallback", "key")
+FIRST = ("source", "result", "status", "message", "seconds", "tetwild_seconds",
+         "optimize_seconds", "resumed", "fallback", "key")
 
 FIGURES = tuple(QualitySummary.__dataclass_fields__)
 
@@ -45,8 +46,18 @@ def check_summary() -> None:
         raise MissingDependencyError(msg)
 
 
-def write_summary(out: Path, rows: Sequence[dict[str, Any]], command: str, threads: int) -> None:
+def write_summary(
+    out: Path, rows: Sequence[dict[str, Any]], command: str, threads: int, seconds: float
+) -> None:
     """Write FILES beside their places in `out` and rename them.
+
+    Parameters
+    ----------
+    out : path
+    rows : list of dict       of :func:`odt_plugins.distributed.batch.run_batch`
+    command : str             for the page
+    threads : int             of every input, for the page
+    seconds : float           that all of it took
 
     Raises
     ------
@@ -59,7 +70,8 @@ def write_summary(out: Path, rows: Sequence[dict[str, Any]], command: str, threa
             folder = Path(name)
             (folder / FILES[0]).write_text(to_csv(rows), encoding="utf-8")
             _write_parquet(folder / FILES[1], rows)
-            (folder / FILES[2]).write_text(to_page(rows, command, threads), encoding="utf-8")
+            page = to_page(rows, command, threads, seconds)
+            (folder / FILES[2]).write_text(page, encoding="utf-8")
             for file in FILES:
                 os.replace(folder / file, out / file)
     except OSError as exc:
@@ -105,7 +117,9 @@ def _write_parquet(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     pq.write_table(pa.Table.from_pylist(plain, schema=schema), path)
 
 
-def to_page(rows: Sequence[dict[str, Any]], command: str, threads: int) -> str:
+def to_page(
+    rows: Sequence[dict[str, Any]], command: str, threads: int, seconds: float
+) -> str:
     """The page, what failed first.
 
     Raises
@@ -115,25 +129,53 @@ def to_page(rows: Sequence[dict[str, Any]], command: str, threads: int) -> str:
     facts = describe(threads, 0)
     del facts["seed"]
     lines = [{"source": Path(row["source"]).name, "path": row["source"], "status": row["status"],
-              "message": row["message"], "seconds": _shown(row["seconds"], ".2f"),
+              "message": row["message"],
+              "times": [_shown(row.get(name), ".2f") for name in
+                        ("seconds", "tetwild_seconds", "optimize_seconds")],
               "cells": [(_shown(row.get(f"before_{name}"), form),
                          _shown(row.get(f"after_{name}"), form)) for name, _, form in SHOWN]}
              for row in sorted(rows, key=lambda row: row["status"] == "ok")]
     return fill_template("batch.html", facts=facts, rows=lines, command=command,
-                         heads=[head for _, head, _ in SHOWN], counts=counts(rows))
+                         heads=[head for _, head, _ in SHOWN], counts=counts(rows),
+                         totals=totals(rows, seconds))
 
 
 def counts(rows: Sequence[dict[str, Any]]) -> str:
     """Say how many inputs ended how: "38 ok (12 of them before), 1 crashed, 1 failed"."""
-    by_status: dict[str, int] = {}
+    found: dict[str, list[bool]] = {}
     for row in rows:
-        by_status[row["status"]] = by_status.get(row["status"], 0) + 1
-    resumed = sum(bool(row.get("resumed")) for row in rows)
-    names = sorted(by_status, key=lambda name: (name != "ok", name))
-    words = [f"{by_status[name]} {name}" for name in names]
-    if resumed:
-        words[0] += f" ({resumed} of them before)"
-    return ", ".join(words)
+        found.setdefault(row["status"], []).append(bool(row.get("resumed")))
+    return ", ".join(
+        f"{len(found[name])} {name}" + (f" ({sum(found[name])} of them before)"
+                                        if any(found[name]) else "")
+        for name in sorted(found, key=lambda name: (name != "ok", name)))
+
+
+def totals(rows: Sequence[dict[str, Any]], seconds: float) -> list[tuple[str, str]]:
+    """Name and value of the figures of a batch as a whole.
+
+    Parameters
+    ----------
+    rows : list of dict
+    seconds : float      that it took; what was done before does not count in it
+    """
+    fresh = [row for row in rows if not row.get("resumed")]
+    found = []
+    if fresh:
+        rate = 60.0 * len(fresh) / seconds
+        found = [("inputs a minute", f"{rate:.1f} ({len(fresh)} in {seconds:.0f} s)")]
+        for name, words in (("seconds", "seconds of all together"),
+                            ("tetwild_seconds", "of these in TetWild"),
+                            ("optimize_seconds", "of these optimising")):
+            values = [row[name] for row in fresh if row.get(name) is not None]
+            found += [(words, f"{sum(values):.1f}")] if values else []
+    good = [row for row in rows if row["status"] == "ok"]
+    for name, head, form in SHOWN[1:6] if good else ():
+        before, after = (sum(row[f"{when}_{name}"] for row in good) / len(good)
+                         for when in ("before", "after"))
+        words = {"from": "smallest angle", "to": "largest angle"}.get(head, head)
+        found.append((f"mean of {words}", f"{before:{form}} to {after:{form}}"))
+    return found
 
 
 def _shown(value: Any, form: str) -> str:
