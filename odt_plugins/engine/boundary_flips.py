@@ -19,6 +19,7 @@ from odt_plugins.engine.cavity import (
     triangulate_ring,
     write_ring,
 )
+from odt_plugins.engine.corner import corner_edges, six_volumes
 from odt_plugins.engine.flips2d import flip
 from odt_plugins.engine.flips3d import REAL, admissible
 from odt_plugins.engine.kernel import allocating_kernel, kernel
@@ -93,12 +94,7 @@ def sheet_triangle(sheet: Sheet, start: int, a: int, b: int) -> tuple[int, int]:
 @kernel
 def _signed_volume(p: FloatArray, i: int, j: int, k: int, l: int) -> float:
     """Volume of the tetrahedron (i, j, k, l)."""
-    ax, ay, az = p[j, 0] - p[i, 0], p[j, 1] - p[i, 1], p[j, 2] - p[i, 2]
-    bx, by, bz = p[k, 0] - p[i, 0], p[k, 1] - p[i, 1], p[k, 2] - p[i, 2]
-    cx, cy, cz = p[l, 0] - p[i, 0], p[l, 1] - p[i, 1], p[l, 2] - p[i, 2]
-    return (
-        ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-    ) / 6.0
+    return six_volumes(*corner_edges(p, i, j, k, l)) / 6.0
 
 
 @kernel

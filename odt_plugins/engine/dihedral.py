@@ -17,6 +17,7 @@ import math
 
 import numpy as np
 
+from odt_plugins.engine.corner import corner_edges, corner_normals
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.packed import add_identity, add_square
 from odt_plugins.mesh import FloatArray
@@ -32,24 +33,10 @@ def six_cosines(
 
     Of the pairs ab = 01, 02, 03, 12, 13, 23 of (i, j, k, l); the two faces meet at the other edge.
     """
-    ax = points[j, 0] - points[i, 0]
-    ay = points[j, 1] - points[i, 1]
-    az = points[j, 2] - points[i, 2]
-    bx = points[k, 0] - points[i, 0]
-    by = points[k, 1] - points[i, 1]
-    bz = points[k, 2] - points[i, 2]
-    cx = points[l, 0] - points[i, 0]
-    cy = points[l, 1] - points[i, 1]
-    cz = points[l, 2] - points[i, 2]
-    x1 = by * cz - bz * cy
-    y1 = bz * cx - bx * cz
-    z1 = bx * cy - by * cx
-    x2 = cy * az - cz * ay
-    y2 = cz * ax - cx * az
-    z2 = cx * ay - cy * ax
-    x3 = ay * bz - az * by
-    y3 = az * bx - ax * bz
-    z3 = ax * by - ay * bx
+    ax, ay, az, bx, by, bz, cx, cy, cz = corner_edges(points, i, j, k, l)
+    x1, y1, z1, x2, y2, z2, x3, y3, z3 = corner_normals(
+        ax, ay, az, bx, by, bz, cx, cy, cz
+    )
     x0 = -(x1 + x2 + x3)
     y0 = -(y1 + y2 + y3)
     z0 = -(z1 + z2 + z3)
@@ -116,24 +103,10 @@ def dihedral_terms(
 
     ``out`` is packed as in ``packed``.  False when the cell is not positive.
     """
-    ax = points[i, 0] - points[v, 0]
-    ay = points[i, 1] - points[v, 1]
-    az = points[i, 2] - points[v, 2]
-    bx = points[j, 0] - points[v, 0]
-    by = points[j, 1] - points[v, 1]
-    bz = points[j, 2] - points[v, 2]
-    cx = points[k, 0] - points[v, 0]
-    cy = points[k, 1] - points[v, 1]
-    cz = points[k, 2] - points[v, 2]
-    nax = by * cz - bz * cy
-    nay = bz * cx - bx * cz
-    naz = bx * cy - by * cx
-    nbx = cy * az - cz * ay
-    nby = cz * ax - cx * az
-    nbz = cx * ay - cy * ax
-    ncx = ay * bz - az * by
-    ncy = az * bx - ax * bz
-    ncz = ax * by - ay * bx
+    ax, ay, az, bx, by, bz, cx, cy, cz = corner_edges(points, v, i, j, k)
+    nax, nay, naz, nbx, nby, nbz, ncx, ncy, ncz = corner_normals(
+        ax, ay, az, bx, by, bz, cx, cy, cz
+    )
     det = ax * nax + ay * nay + az * naz
     if not det > 0.0:
         return False

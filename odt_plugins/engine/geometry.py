@@ -8,6 +8,7 @@ from math import factorial
 import numpy as np
 
 from odt_plugins.engine.adjacency import cell_neighbors
+from odt_plugins.engine.corner import corner_edges, six_volumes
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
@@ -31,18 +32,12 @@ def _fill_volumes(points: FloatArray, cells: IntArray, volumes: FloatArray) -> N
         o = cells[c, 0]
         i = cells[c, 1]
         j = cells[c, 2]
-        ax, ay = points[i, 0] - points[o, 0], points[i, 1] - points[o, 1]
-        bx, by = points[j, 0] - points[o, 0], points[j, 1] - points[o, 1]
         if k == 3:
+            ax, ay = points[i, 0] - points[o, 0], points[i, 1] - points[o, 1]
+            bx, by = points[j, 0] - points[o, 0], points[j, 1] - points[o, 1]
             volumes[c] = (ax * by - ay * bx) / 2.0
         else:
-            n = cells[c, 3]
-            az, bz = points[i, 2] - points[o, 2], points[j, 2] - points[o, 2]
-            cx, cy = points[n, 0] - points[o, 0], points[n, 1] - points[o, 1]
-            cz = points[n, 2] - points[o, 2]
-            volumes[c] = (
-                ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-            ) / 6.0
+            volumes[c] = six_volumes(*corner_edges(points, o, i, j, cells[c, 3])) / 6.0
 
 
 def signed_volumes(points: FloatArray, cells: IntArray) -> FloatArray:

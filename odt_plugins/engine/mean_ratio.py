@@ -9,6 +9,7 @@ radius ratio it falls with the square of the volume, and it needs no root.
 
 from __future__ import annotations
 
+from odt_plugins.engine.corner import corner_edges, six_volumes
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.packed import add_identity, add_square
 from odt_plugins.mesh import FloatArray
@@ -20,7 +21,7 @@ def _det_and_edges(
     cz: float,
 ) -> tuple[float, float]:
     """Six times the volume, and the sum of the six squared edges, from the edges at a vertex."""
-    det = ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+    det = six_volumes(ax, ay, az, bx, by, bz, cx, cy, cz)
     sx = ax + bx + cx
     sy = ay + by + cy
     sz = az + bz + cz
@@ -33,11 +34,8 @@ def _det_and_edges(
 @kernel
 def tet_mean_ratio(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     """Cube of the mean ratio of tetrahedron (i, j, k, l); -1 if it is not positive."""
-    det, t = _det_and_edges(
-        points[j, 0] - points[i, 0], points[j, 1] - points[i, 1], points[j, 2] - points[i, 2],
-        points[k, 0] - points[i, 0], points[k, 1] - points[i, 1], points[k, 2] - points[i, 2],
-        points[l, 0] - points[i, 0], points[l, 1] - points[i, 1], points[l, 2] - points[i, 2],
-    )
+    ax, ay, az, bx, by, bz, cx, cy, cz = corner_edges(points, i, j, k, l)
+    det, t = _det_and_edges(ax, ay, az, bx, by, bz, cx, cy, cz)
     cube = t * t * t
     if not (det > 0.0 and cube > 0.0):
         return -1.0
@@ -52,15 +50,7 @@ def mean_ratio_terms(
 
     ``out`` is packed as in ``packed``.  False when the cell is not positive.
     """
-    ax = points[i, 0] - points[v, 0]
-    ay = points[i, 1] - points[v, 1]
-    az = points[i, 2] - points[v, 2]
-    bx = points[j, 0] - points[v, 0]
-    by = points[j, 1] - points[v, 1]
-    bz = points[j, 2] - points[v, 2]
-    cx = points[k, 0] - points[v, 0]
-    cy = points[k, 1] - points[v, 1]
-    cz = points[k, 2] - points[v, 2]
+    ax, ay, az, bx, by, bz, cx, cy, cz = corner_edges(points, v, i, j, k)
     det, t = _det_and_edges(ax, ay, az, bx, by, bz, cx, cy, cz)
     cube = t * t * t
     if not (det > 0.0 and cube > 0.0):

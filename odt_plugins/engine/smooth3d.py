@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from odt_plugins.engine.corner import corner_edges, corner_normals
 from odt_plugins.engine.dihedral import dihedral_terms
 from odt_plugins.engine.kernel import allocating_kernel, kernel
 from odt_plugins.engine.mean_ratio import mean_ratio_terms
@@ -40,27 +41,10 @@ def add_quality_terms(
 
     False when the cell is not positive.
     """
-    x = points[v, 0]
-    y = points[v, 1]
-    z = points[v, 2]
-    ax = points[i, 0] - x
-    ay = points[i, 1] - y
-    az = points[i, 2] - z
-    bx = points[j, 0] - x
-    by = points[j, 1] - y
-    bz = points[j, 2] - z
-    cx = points[k, 0] - x
-    cy = points[k, 1] - y
-    cz = points[k, 2] - z
-    nax = by * cz - bz * cy
-    nay = bz * cx - bx * cz
-    naz = bx * cy - by * cx
-    nbx = cy * az - cz * ay
-    nby = cz * ax - cx * az
-    nbz = cx * ay - cy * ax
-    ncx = ay * bz - az * by
-    ncy = az * bx - ax * bz
-    ncz = ax * by - ay * bx
+    ax, ay, az, bx, by, bz, cx, cy, cz = corner_edges(points, v, i, j, k)
+    nax, nay, naz, nbx, nby, nbz, ncx, ncy, ncz = corner_normals(
+        ax, ay, az, bx, by, bz, cx, cy, cz
+    )
     nox = nax + nbx + ncx
     noy = nay + nby + ncy
     noz = naz + nbz + ncz

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from odt_plugins.engine.cavity import PENDING
+from odt_plugins.engine.corner import corner_edges, corner_normals
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.mesh import ByteArray, FloatArray, IntArray
 
@@ -24,27 +25,16 @@ def circumsphere(
     gx, gy, gz : float     2 det (centre - x_i)
     size : float           longest squared edge at x_i
     """
-    x = points[i, 0]
-    y = points[i, 1]
-    z = points[i, 2]
-    ax = points[j, 0] - x
-    ay = points[j, 1] - y
-    az = points[j, 2] - z
-    bx = points[k, 0] - x
-    by = points[k, 1] - y
-    bz = points[k, 2] - z
-    cx = points[l, 0] - x
-    cy = points[l, 1] - y
-    cz = points[l, 2] - z
+    ax, ay, az, bx, by, bz, cx, cy, cz = corner_edges(points, i, j, k, l)
     aa = ax * ax + ay * ay + az * az
     bb = bx * bx + by * by + bz * bz
     cc = cx * cx + cy * cy + cz * cz
-    px = by * cz - bz * cy
-    py = bz * cx - bx * cz
-    pz = bx * cy - by * cx
-    gx = aa * px + bb * (cy * az - cz * ay) + cc * (ay * bz - az * by)
-    gy = aa * py + bb * (cz * ax - cx * az) + cc * (az * bx - ax * bz)
-    gz = aa * pz + bb * (cx * ay - cy * ax) + cc * (ax * by - ay * bx)
+    px, py, pz, qx, qy, qz, rx, ry, rz = corner_normals(
+        ax, ay, az, bx, by, bz, cx, cy, cz
+    )
+    gx = aa * px + bb * qx + cc * rx
+    gy = aa * py + bb * qy + cc * ry
+    gz = aa * pz + bb * qz + cc * rz
     return ax * px + ay * py + az * pz, gx, gy, gz, max(max(aa, bb), cc)
 
 

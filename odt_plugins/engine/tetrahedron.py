@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from odt_plugins.engine.corner import corner_edges, corner_normals, six_volumes
 from odt_plugins.engine.dihedral import six_cosines, tet_dihedral
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.mean_ratio import tet_mean_ratio
@@ -62,24 +63,10 @@ def tet_quality(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     With g_a the inward face normals of length twice the area, V = det/6 and H the Heron form of
     the products of opposite edges, 24 V R = sqrt(H), so 3 r/R = 12 det^2 / (sum |g_a| sqrt(H)).
     """
-    ax = points[j, 0] - points[i, 0]
-    ay = points[j, 1] - points[i, 1]
-    az = points[j, 2] - points[i, 2]
-    bx = points[k, 0] - points[i, 0]
-    by = points[k, 1] - points[i, 1]
-    bz = points[k, 2] - points[i, 2]
-    cx = points[l, 0] - points[i, 0]
-    cy = points[l, 1] - points[i, 1]
-    cz = points[l, 2] - points[i, 2]
-    g1x = by * cz - bz * cy
-    g1y = bz * cx - bx * cz
-    g1z = bx * cy - by * cx
-    g2x = cy * az - cz * ay
-    g2y = cz * ax - cx * az
-    g2z = cx * ay - cy * ax
-    g3x = ay * bz - az * by
-    g3y = az * bx - ax * bz
-    g3z = ax * by - ay * bx
+    ax, ay, az, bx, by, bz, cx, cy, cz = corner_edges(points, i, j, k, l)
+    g1x, g1y, g1z, g2x, g2y, g2z, g3x, g3y, g3z = corner_normals(
+        ax, ay, az, bx, by, bz, cx, cy, cz
+    )
     det = ax * g1x + ay * g1y + az * g1z
     g0x = g1x + g2x + g3x
     g0y = g1y + g2y + g3y
@@ -112,18 +99,8 @@ def tet_quality(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
 @kernel
 def tet_energy(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     """20 times the ODT energy (2.2) of tetrahedron (i, j, k, l); infinite if not positive."""
-    ax = points[j, 0] - points[i, 0]
-    ay = points[j, 1] - points[i, 1]
-    az = points[j, 2] - points[i, 2]
-    bx = points[k, 0] - points[i, 0]
-    by = points[k, 1] - points[i, 1]
-    bz = points[k, 2] - points[i, 2]
-    cx = points[l, 0] - points[i, 0]
-    cy = points[l, 1] - points[i, 1]
-    cz = points[l, 2] - points[i, 2]
-    det = (
-        ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-    )
+    ax, ay, az, bx, by, bz, cx, cy, cz = corner_edges(points, i, j, k, l)
+    det = six_volumes(ax, ay, az, bx, by, bz, cx, cy, cz)
     aa = ax * ax + ay * ay + az * az
     bb = bx * bx + by * by + bz * bz
     cc = cx * cx + cy * cy + cz * cz

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 
+from odt_plugins.engine.corner import corner_edges, six_volumes
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.threads import run_ranges
 from odt_plugins.mesh import FloatArray, IntArray
@@ -24,22 +25,13 @@ def _sum_energy(points: FloatArray, cells: IntArray, rho: FloatArray, of_cells: 
             for b in range(a):
                 for axis in range(d):
                     squares += (points[cells[c, a], axis] - points[cells[c, b], axis]) ** 2
-        o = cells[c, 0]
-        ax = points[cells[c, 1], 0] - points[o, 0]
-        ay = points[cells[c, 1], 1] - points[o, 1]
-        bx = points[cells[c, 2], 0] - points[o, 0]
-        by = points[cells[c, 2], 1] - points[o, 1]
+        o, i, j = cells[c, 0], cells[c, 1], cells[c, 2]
         if d == 2:
+            ax, ay = points[i, 0] - points[o, 0], points[i, 1] - points[o, 1]
+            bx, by = points[j, 0] - points[o, 0], points[j, 1] - points[o, 1]
             volume = 0.5 * (ax * by - ay * bx)
         else:
-            az = points[cells[c, 1], 2] - points[o, 2]
-            bz = points[cells[c, 2], 2] - points[o, 2]
-            cx = points[cells[c, 3], 0] - points[o, 0]
-            cy = points[cells[c, 3], 1] - points[o, 1]
-            cz = points[cells[c, 3], 2] - points[o, 2]
-            volume = (
-                ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-            ) / 6.0
+            volume = six_volumes(*corner_edges(points, o, i, j, cells[c, 3])) / 6.0
         total += volume * squares * weight / k
     return total / ((d + 1) * (d + 2))
 

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from odt_plugins.engine.corner import corner_edges, six_volumes
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.star import OffsetArray
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
@@ -122,12 +123,7 @@ def _meet(triangles: IntArray, i: int, j: int) -> bool:
 @kernel
 def _side(p: FloatArray, i: int, j: int, k: int, l: int) -> float:
     """Six times the signed volume of (i, j, k, l)."""
-    ax, ay, az = p[i, 0] - p[l, 0], p[i, 1] - p[l, 1], p[i, 2] - p[l, 2]
-    bx, by, bz = p[j, 0] - p[l, 0], p[j, 1] - p[l, 1], p[j, 2] - p[l, 2]
-    cx, cy, cz = p[k, 0] - p[l, 0], p[k, 1] - p[l, 1], p[k, 2] - p[l, 2]
-    return -(
-        ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-    )
+    return -six_volumes(*corner_edges(p, l, i, j, k))
 
 
 @kernel
