@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from odt_plugins.chunks import chunks
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError, counted
 
 FloatArray = NDArray[np.float64]
@@ -25,7 +26,21 @@ SPAN_LIMIT = 1e40
 """Meshes must be between 1 / SPAN_LIMIT and SPAN_LIMIT long: squared volumes neither overflow
 nor vanish then."""
 
-CHUNK = 1 << 16
+WORDS = 1 << 64
+"""Number of different keys that 64 bits can hold."""
+
+
+class UnevenFacets(NamedTuple):
+    """Facets that do not have just one cell on each side, by their vertices in increasing order.
+
+    Attributes
+    ----------
+    open : (r, d) int64       no cell on the other side, or crowded; of a valid mesh, its boundary
+    crowded : (s, d) int64    a second, third, ... cell on one side; of a valid mesh, none
+    """
+
+    open: LongArray
+    crowded: LongArray
 
 
 @dataclass(frozen=True)
@@ -72,6 +87,11 @@ class SimplexMesh:
     def is_surface(self) -> bool:
         """Whether these are triangles in space."""
         return bool(self.points.shape[1] > self.dim)
+
+    @cached_property
+    def uneven(self) -> UnevenFacets:
+        """Facets that do not have just one cell on each side."""
+        return uneven_facets(self.cells, len(self.points))
 
 
 def simplex_mesh(
@@ -125,14 +145,14 @@ def simplex_mesh(
             f"positive {name}); expected one orientation, try orient=True"
         )
         raise InvalidMeshError(msg)
-    t = reverse(t, sign < 0)
-    _check_facets(t, len(p))
     mesh = SimplexMesh(
         points=p,
-        cells=t,
+        cells=reverse(t, sign < 0),
         regions=compact_labels(regions, len(t)),
         fixed=vertex_mask(fixed, len(p), "fixed", "vertices"),
     )
+    if len(mesh.uneven.crowded):
+        _refuse_overlaps(mesh.cells, len(p))
     if selection is not None:
         mesh = freeze(mesh, ~vertex_mask(selection, len(t), "selection", "cells"))
     return mesh, orientation
@@ -215,6 +235,56 @@ def directed_facets(cells: IntArray, n: int) -> tuple[NDArray[np.int64], NDArray
     return key, parity[:, None] ^ (np.arange(k) & 1)
 
 
+def uneven_facets(cells: NDArray[np.integer], n: int) -> UnevenFacets:
+    """Find the facets that do not have just one cell on each side.
+
+    Parameters
+    ----------
+    cells : (m, d + 1) int    in [0, n)
+    n : int
+
+    Notes
+    -----
+    The side on which a cell lies is the parity of its vertices, see :func:`directed_facets`. A
+    facet is one number of 64 bits, its vertices and then its side, so that sorting brings both
+    sides together; in several goes, by the smallest vertex, where those bits do not suffice.
+    """
+    m, k = cells.shape
+    columns = list(np.ascontiguousarray(cells.T, dtype=np.uint64))
+    odd = np.zeros(m, dtype=np.bool_)
+    for i, j in combinations(range(k), 2):
+        low, high = np.minimum(columns[i], columns[j]), np.maximum(columns[i], columns[j])
+        odd ^= low != columns[i]
+        columns[i], columns[j] = low, high
+    step = max(1, min(n, WORDS // (2 * max(n, 1) ** (k - 2))))
+    single, double = [], []
+    for first in range(0, n, step):
+        keys = []
+        for i in range(k):
+            lowest, *others = columns[:i] + columns[i + 1 :]
+            here = slice(None) if step == n else (lowest >= first) & (lowest < first + step)
+            key = lowest[here] - np.uint64(first)
+            for column in others:
+                key = key * np.uint64(n) + column[here]
+            keys.append(2 * key + (odd[here] ^ (i % 2 == 1)))
+        key = np.sort(np.concatenate(keys))
+        paired = np.zeros(len(key) + 1, dtype=np.bool_)
+        paired[1:-1] = key[:-1] ^ np.uint64(1) == key[1:]
+        single.append(_vertices(key[~(paired[1:] | paired[:-1])], first, n, k - 1))
+        double.append(_vertices(key[1:][key[1:] == key[:-1]], first, n, k - 1))
+    return UnevenFacets(np.concatenate(single), np.concatenate(double))
+
+
+def _vertices(key: NDArray[np.uint64], first: int, n: int, d: int) -> LongArray:
+    """The vertices (r, d) of facets by their keys in :func:`uneven_facets`."""
+    rest = key >> np.uint64(1)
+    out = np.empty((len(key), d), dtype=np.int64)
+    for column in range(d - 1, 0, -1):
+        rest, out[:, column] = np.divmod(rest, np.uint64(n))
+    out[:, 0] = rest + np.uint64(first)
+    return out
+
+
 def _points(points: ArrayLike) -> FloatArray:
     raw = np.asarray(points)
     if raw.dtype.kind != "f" or raw.dtype.itemsize not in (4, 8):
@@ -229,8 +299,9 @@ def _points(points: ArrayLike) -> FloatArray:
     if len(raw) >= 1 << 31:
         msg = f"the mesh has {len(raw)} vertices; expected fewer than 2^31, try cutting it up"
         raise InvalidMeshError(msg)
-    bad = np.flatnonzero(~np.isfinite(raw).all(axis=1))
-    if bad.size:
+    finite = np.isfinite(raw)
+    if not finite.all():
+        bad = np.flatnonzero(~finite.all(axis=1))
         msg = (
             f"got {_where(bad, 'point')} with NaN or infinite coordinates; expected finite "
             f"numbers, try removing or repairing those vertices"
@@ -263,9 +334,9 @@ def _cells(cells: ArrayLike, shape: tuple[int, ...]) -> IntArray:
     elif raw.dtype.kind not in "iu":
         msg = f"cells have dtype {raw.dtype}; expected an integer type, try cells.astype('int32')"
         raise InvalidMeshError(msg)
-    outside = (raw < 0) | (raw >= n)
-    bad = np.flatnonzero(outside.any(axis=1))
-    if bad.size:
+    if raw.min() < 0 or raw.max() >= n:
+        outside = (raw < 0) | (raw >= n)
+        bad = np.flatnonzero(outside.any(axis=1))
         vertex = int(raw[bad[0]][outside[bad[0]]][0])
         msg = (
             f"got {_where(bad, 'cell')} with vertex indices out of range (vertex {vertex}); "
@@ -300,11 +371,11 @@ def _signs(p: FloatArray, t: IntArray) -> NDArray[np.int8]:
         )
         raise InvalidMeshError(msg)
     sign = np.zeros(len(t), dtype=np.int8)
-    for part in _chunks(len(t)):
-        corner = p[t[part]]
-        edge = [corner[:, i] - corner[:, 0] for i in range(1, t.shape[1])]
-        extent = (corner.max(axis=1) - corner.min(axis=1)).max(axis=1)
-        det = _determinant(edge)
+    axes = np.ascontiguousarray(p.T)
+    for part in chunks(len(t)):
+        corner = axes.take(t[part].T, axis=1)
+        extent = (corner.max(axis=1) - corner.min(axis=1)).max(axis=0)
+        det = _determinant((corner[:, 1:] - corner[:, :1]).swapaxes(0, 1))
         sign[part] = np.sign(det) * (np.abs(det) > FLAT * extent ** p.shape[1])
     bad = np.flatnonzero(sign == 0)
     if bad.size:
@@ -317,22 +388,19 @@ def _signs(p: FloatArray, t: IntArray) -> NDArray[np.int8]:
     return sign
 
 
-def _determinant(edge: list[FloatArray]) -> FloatArray:
+def _determinant(edge: FloatArray) -> FloatArray:
     if len(edge) == 2:
-        (a, b), (c, d) = edge[0].T, edge[1].T
+        (a, b), (c, d) = edge
         return np.asarray(a * d - b * c)
-    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = (e.T for e in edge)
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = edge
     return np.asarray(
         ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
     )
 
 
-def _check_facets(t: IntArray, n: int) -> None:
-    """Refuse two cells on the same side of a facet; three on one facet always hold such a pair."""
+def _refuse_overlaps(t: IntArray, n: int) -> None:
+    """Say where two cells are on the same side of a facet; three on one always hold such a pair."""
     key, side = directed_facets(t, n)
-    directed = np.sort((key * 2 + side).ravel())
-    if not (directed[1:] == directed[:-1]).any():
-        return
     ordered = np.sort(t, axis=1)
     _, first, inverse = np.unique(row_keys(ordered, n), return_index=True, return_inverse=True)
     repeated = np.flatnonzero(first[inverse] != np.arange(len(t)))
@@ -415,8 +483,3 @@ def vertex_mask(value: ArrayLike | None, count: int, name: str, what: str) -> Bo
 def _where(indices: NDArray[np.integer], noun: str) -> str:
     """Say how many there are and which is the first: "3 cells (first: cell 7)"."""
     return f"{counted(len(indices), noun)} (first: {noun} {indices[0]})"
-
-
-def _chunks(m: int) -> Iterator[slice]:
-    for start in range(0, m, CHUNK):
-        yield slice(start, start + CHUNK)

@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.mesh import SimplexMesh, row_keys
+from odt_plugins.chunks import chunks, spread
+from odt_plugins.mesh import WORDS, SimplexMesh, UnevenFacets, row_keys, uneven_facets
 from odt_plugins.numbering import in_old_numbers, most_vertices, old_numbers, removed_vertices
 from odt_plugins.options import FIGURES
 from odt_plugins.quality import QualitySummary, cell_figures, summarize
@@ -25,9 +26,6 @@ LOWER_IS_BETTER = frozenset({"max_angle", "mean_amips", "max_amips", "below_5", 
 
 VOLUME = 3e-3
 """Largest relative change of the volume when the boundary slides."""
-
-WORDS = 1 << 64
-"""Number of different keys that 64 bits can hold."""
 
 LOCAL_FACETS = {3: ((1, 2), (2, 0), (0, 1)),
                 4: ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))}
@@ -61,6 +59,7 @@ def broken_promises(
     *,
     slides: bool = False,
     origin: NDArray[np.int64] | None = None,
+    threads: int = 1,
 ) -> list[str]:
     """Say what of the promise does not hold for an optimised mesh.
 
@@ -76,6 +75,7 @@ def broken_promises(
                                         volume nearly; distances are not looked at
     origin : (n',) int                  where vertices may come and go: the old vertex of every
                                         new one, increasing, then -1 for those that were added
+    threads : int                       how many share the work
 
     Returns
     -------
@@ -90,27 +90,32 @@ def broken_promises(
     broken = _malformed(before, points, cells, regions, origin)
     if broken:
         return broken
-    figures = cell_figures(points, cells)
-    old_locked = locked_facets(before.cells, before.regions, len(before.points))
+    figures = cell_figures(points, cells, threads)
+    locked = _locked_before(before)
+    held = _held(before, locked)
     removed = np.zeros(0, dtype=np.int64)
     if origin is not None:
         removed = removed_vertices(origin, len(before.points))
         points = in_old_numbers(before.points, points, origin)
         cells = old_numbers(origin, len(before.points))[cells]
-        broken += _came_and_went(before, cells, removed, old_locked)
+        broken += _came_and_went(before, cells, removed, held)
+    now_locked, overlaps = _facet_census(cells, regions, len(points))
     bad = np.flatnonzero(~(figures.volume > 0))
     if len(bad):
         broken.append(f"cell {bad[0]} has volume {figures.volume[bad[0]]:.3g}, "
                       f"not positive ({len(bad)} in all)")
-    broken += _moved(before, points, old_locked, slides=slides)
+    broken += _moved(before, points, held, slides=slides)
     broken += _dropped(before, cells, removed, len(points))
-    broken += _torn(old_locked, cells, regions, len(points), slides=slides)
+    broken += _overlapping(overlaps)
+    broken += _torn(locked, now_locked, slides=slides)
     if slides:
-        broken += _resewn(before, old_locked, cells, regions, len(points))
-    broken += _volume_changed(before, points, cells, regions, slides=slides)
+        broken += _resewn(locked, now_locked, held, len(points))
+    broken += _volume_changed(before, points, cells, regions, slides=slides, threads=threads)
     broken += _thawed(before, cells, regions, len(points))
     if keep:
-        old = before_summary or summarize(before.points, before.cells)
+        old = before_summary or summarize(
+            before.points, before.cells, cell_figures(before.points, before.cells, threads)
+        )
         broken += worse_figures(old, summarize(points, cells, figures), keep)
     return broken
 
@@ -147,14 +152,17 @@ def locked_facets(
     -------
     LockedFacets             a facet between two labels appears twice, once from each side
     """
-    locked, _ = _facet_census(cells, regions, n_points)
-    return locked
+    return _facet_census(cells, regions, n_points)[0]
 
 
 def held_vertices(mesh: SimplexMesh) -> NDArray[np.bool_]:
     """Say which vertices must stay bit for bit: (n,) bool, unused vertices included."""
-    locked = locked_facets(mesh.cells, mesh.regions, len(mesh.points))
-    return np.asarray(np.logical_or.reduce(list(_held(mesh, locked).values())))
+    return np.asarray(np.logical_or.reduce(list(_held(mesh, _locked_before(mesh)).values())))
+
+
+def _locked_before(mesh: SimplexMesh) -> LockedFacets:
+    """Locked facets of a valid mesh, whose uneven facets are known."""
+    return _facet_census(mesh.cells, mesh.regions, len(mesh.points), mesh.uneven)[0]
 
 
 def _held(mesh: SimplexMesh, locked: LockedFacets) -> dict[str, NDArray[np.bool_]]:
@@ -194,30 +202,28 @@ def _malformed(
 
 
 def _moved(
-    before: SimplexMesh, points: NDArray[np.float64], locked: LockedFacets, *, slides: bool
+    before: SimplexMesh, points: NDArray[np.float64], held: dict[str, NDArray[np.bool_]],
+    *, slides: bool,
 ) -> list[str]:
     """Compare the coordinates of all vertices that are held, bit for bit."""
-    held = _held(before, locked)
-    if slides:
-        del held["boundary"]
     old, new = (np.ascontiguousarray(p, np.float64).view(np.int64)
                 for p in (before.points, points[: len(before.points)]))
     differs = (old != new).any(axis=1)
     sentences = []
     for name, mask in held.items():
         bad = np.flatnonzero(mask & differs)
-        if len(bad):
+        if len(bad) and not (slides and name == "boundary"):
             sentences.append(f"{name} vertex {bad[0]} moved, {len(bad)} in all")
     return sentences
 
 
 def _came_and_went(
     before: SimplexMesh, cells: NDArray[np.int32], removed: NDArray[np.int64],
-    locked: LockedFacets,
+    held: dict[str, NDArray[np.bool_]],
 ) -> list[str]:
     """Check that only free vertices were removed, and that not too many were added."""
     sentences = []
-    for name, mask in [*_held(before, locked).items(), ("anchored", before.anchored)]:
+    for name, mask in [*held.items(), ("anchored", before.anchored)]:
         bad = removed[mask[removed]]
         if len(bad):
             sentences.append(f"{name} vertex {bad[0]} was removed, {len(bad)} in all")
@@ -248,15 +254,17 @@ def _dropped(
     return sentences
 
 
-def _torn(
-    old: LockedFacets, cells: NDArray[Any], regions: NDArray[Any], n: int, *, slides: bool
-) -> list[str]:
-    """Check conformity, and boundary and interface facets with their labels."""
-    new, overlaps = _facet_census(cells, regions, n)
+def _overlapping(facets: NDArray[Any]) -> list[str]:
+    """Tell of the facets that two cells claim from the same side."""
+    if not len(facets):
+        return []
+    first = tuple(int(v) for v in facets[0])
+    return [f"facet {first} has two cells on one side, {len(facets)} such facets"]
+
+
+def _torn(old: LockedFacets, new: LockedFacets, *, slides: bool) -> list[str]:
+    """Check boundary and interface facets with their labels."""
     sentences = []
-    if len(overlaps):
-        first = tuple(int(v) for v in overlaps[0])
-        sentences.append(f"facet {first} has two cells on one side, {len(overlaps)} such facets")
     for name, side in (("boundary", True), ("interface", False)):
         if side and slides:
             continue
@@ -274,20 +282,19 @@ def _torn(
 
 
 def _resewn(
-    before: SimplexMesh, old: LockedFacets, cells: NDArray[Any], regions: NDArray[Any], n: int
+    old: LockedFacets, new: LockedFacets, held: dict[str, NDArray[np.bool_]], n: int
 ) -> list[str]:
     """Check that a boundary that slid has the vertices, edges and labels it had, but for flips.
 
     The same vertices, as many facets and edges, and as many facets at every edge that is not of
     two: then the Euler number and every place where the boundary touches itself are the same.
     """
-    new, _ = _facet_census(cells, regions, n)
     a, b = old.facets[old.boundary], new.facets[new.boundary]
     sentences = []
     if not np.array_equal(np.unique(a), np.unique(b)):
         lost = np.setxor1d(a, b)
         sentences.append(f"vertex {lost[0]} left or joined the boundary, {len(lost)} in all")
-    labels = np.union1d(before.regions, regions)
+    labels = np.union1d(old.labels, new.labels)
     was, now = (
         np.bincount(np.searchsorted(labels, f.labels[f.boundary]), minlength=len(labels))
         for f in (old, new)
@@ -300,10 +307,8 @@ def _resewn(
     if len(old_edges) != len(new_edges) or not np.array_equal(old_odd, new_odd):
         sentences.append(f"the boundary has {len(new_edges)} edges, {len(new_odd)} of them not of "
                          f"two facets; it had {len(old_edges)}, {len(old_odd)}")
-    held = np.logical_or.reduce(
-        [mask for name, mask in _held(before, old).items() if name != "boundary"]
-    )
-    whole = held[a].all(axis=1)
+    stays = np.logical_or.reduce([mask for name, mask in held.items() if name != "boundary"])
+    whole = stays[a].all(axis=1)
     keys = row_keys(np.sort(np.concatenate([a[whole], b]), axis=1), n)
     gone = ~np.isin(keys[: whole.sum()], keys[whole.sum() :])
     if gone.any():
@@ -319,35 +324,36 @@ def _edge_census(facets: NDArray[Any], n: int) -> tuple[NDArray[Any], NDArray[An
 
 
 def _volume_changed(
-    before: SimplexMesh, points: Any, cells: Any, regions: Any, *, slides: bool
+    before: SimplexMesh, points: Any, cells: Any, regions: Any, *, slides: bool, threads: int
 ) -> list[str]:
     """Compare the volume of every region within the rounding of its own sum.
 
     When the boundary slides, the volume of all of them within VOLUME of it.
     """
     labels = np.union1d(before.regions, regions)
-    old, spread = _volume_per_label(before.points, before.cells, before.regions, labels)
-    new, other = _volume_per_label(points, cells, regions, labels)
+    old, size = _volume_per_label(before.points, before.cells, before.regions, labels, threads)
+    new, other = _volume_per_label(points, cells, regions, labels, threads)
     if slides:
         a, b = old.sum(), new.sum()
         if abs(b - a) <= VOLUME * a:
             return []
         return [f"the volume went from {a:.6g} to {b:.6g}"]
-    bad = np.flatnonzero(~(np.abs(new - old) <= 1e-13 * (spread + other)))
+    bad = np.flatnonzero(~(np.abs(new - old) <= 1e-13 * (size + other)))
     return [f"the volume of region {labels[i]} went from {old[i]:.15g} to {new[i]:.15g}"
             for i in bad]
 
 
 def _volume_per_label(
-    points: Any, cells: Any, regions: Any, labels: Any
+    points: Any, cells: Any, regions: Any, labels: Any, threads: int
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Volume of each label, and the sum of products of edge lengths that bounds its rounding."""
     d = points.shape[1]
     det, size = np.empty(len(cells)), np.empty(len(cells))
-    for start in range(0, len(cells), 1 << 15):
-        part = slice(start, start + (1 << 15))
-        x0 = points[cells[part, 0]].T
-        edges = [points[cells[part, i]].T - x0 for i in range(1, d + 1)]
+    axes = np.ascontiguousarray(points.T)
+
+    def measure(part: slice) -> None:
+        corner = axes.take(cells[part].T, axis=1)
+        edges = (corner[:, 1:] - corner[:, :1]).swapaxes(0, 1)
         if d == 2:
             (ax, ay), (bx, by) = edges
             det[part] = ax * by - ay * bx
@@ -355,13 +361,14 @@ def _volume_per_label(
             (ax, ay, az), (bx, by, bz), (cx, cy, cz) = edges
             det[part] = (ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz)
                          + az * (bx * cy - by * cx))
-        size[part] = np.prod([np.abs(e).max(axis=0) for e in edges], axis=0)
+        size[part] = np.prod(np.abs(edges).max(axis=1), axis=0)
+
+    spread(measure, chunks(len(cells)), threads)
     order = np.argsort(regions, kind="stable")
     ends = np.searchsorted(regions[order], labels, side="right")
     groups = np.split(order, ends)[:-1]
-    volume = np.array([det[g].sum() for g in groups])
-    spread = np.array([size[g].sum() for g in groups])
-    return volume / (2 if d == 2 else 6), spread
+    volume, rounding = (np.array([x[g].sum() for g in groups]) for x in (det, size))
+    return volume / (2 if d == 2 else 6), rounding
 
 
 def _thawed(
@@ -388,40 +395,51 @@ def _thawed(
 
 
 def _facet_census(
-    cells: NDArray[Any], regions: NDArray[Any], n_points: int
+    cells: NDArray[Any], regions: NDArray[Any], n_points: int, uneven: UnevenFacets | None = None
 ) -> tuple[LockedFacets, NDArray[Any]]:
     """Locked facets, and the facets that two cells claim from the same side (overlaps).
 
-    The key of a facet is its sorted vertices and, as last bit, the parity of the sorting, so
-    that one sort brings both sides of every facet together.
+    All of them have their vertices among those of the ``uneven`` facets and of the cells of
+    several labels; only facets of such vertices are looked at. The key of a facet is its sorted
+    vertices and, as last bit, the parity of the sorting, so that one sort brings both sides of
+    every facet together.
     """
-    m, k = cells.shape
-    key = np.concatenate(_facet_keys(cells, n_points))
-    order = np.argsort(key)
-    ordered = key[order]
-    side = ordered >> np.uint64(1)
+    k = cells.shape[1]
+    near = _between_labels(cells, regions, n_points)
+    for facets in uneven or uneven_facets(cells, n_points):
+        near[facets] = True
+    touched = np.flatnonzero(sum(near[corner].view(np.int8) for corner in cells.T) >= k - 1)
+    table = cells[touched[:, None, None], np.array(LOCAL_FACETS[k])]
+    cell, local = np.nonzero(near[table].all(axis=2))
+    facets, cell = table[cell, local], touched[cell]
+    (key,) = _pack([_with_parity(list(facets.T))], [n_points] * (k - 1) + [2])
+    order = np.argsort(key, kind="stable")
+    facets, cell, key = facets[order], cell[order], key[order]
+    side = key >> np.uint64(1)
     first = np.flatnonzero(side[1:] == side[:-1])
-    twice = first[ordered[first] == ordered[first + 1]]
-    label = regions[order % m]
-    inside = np.zeros(len(order), bool)
-    inside[first] = inside[first + 1] = True
+    twice = first[key[first] == key[first + 1]]
+    label = regions[cell]
+    alone = np.ones(len(key), bool)
+    alone[first] = alone[first + 1] = False
+    locked = alone.copy()
     split = first[label[first] != label[first + 1]]
-    locked = ~inside
     locked[split] = locked[split + 1] = True
-    at = np.flatnonzero(locked)
-    index = order[at]
-
-    def facets(i: NDArray[Any]) -> NDArray[Any]:
-        local = np.array(LOCAL_FACETS[k])[i // m]
-        return np.asarray(cells[(i % m)[:, None], local])
-
-    return LockedFacets(facets(index), label[at], index % m, ~inside[at]), facets(order[twice])
+    return LockedFacets(facets[locked], label[locked], cell[locked], alone[locked]), facets[twice]
 
 
-def _facet_keys(cells: NDArray[Any], n: int) -> list[NDArray[np.uint64]]:
-    """Give the key of every facet: one array per local facet, opposite vertex 0 first."""
-    tables = [_with_parity([cells[:, i] for i in local]) for local in LOCAL_FACETS[cells.shape[1]]]
-    return _pack(tables, [n] * (cells.shape[1] - 1) + [2])
+def _between_labels(
+    cells: NDArray[Any], regions: NDArray[Any], n_points: int
+) -> NDArray[np.bool_]:
+    """Mark the vertices (n,) of cells of different labels."""
+    mixed = np.zeros(n_points, bool)
+    if (regions == regions[:1]).all():
+        return mixed
+    one = np.zeros(n_points, regions.dtype)
+    for corner in cells.T:
+        one[corner] = regions
+    for corner in cells.T:
+        mixed[corner[one[corner] != regions]] = True
+    return mixed
 
 
 def _with_parity(facet: list[NDArray[Any]]) -> list[NDArray[Any]]:

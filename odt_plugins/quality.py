@@ -15,12 +15,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from odt_plugins.chunks import chunks, spread
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError
 
 FloatArray = NDArray[np.float64]
-
-CHUNK = 1 << 15
-"""Cells measured at a time: work arrays stay in cache and far below 100 MB."""
 
 EDGES = {3: ((0, 1), (0, 2), (1, 2)), 4: ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))}
 """Local edges of a triangle and of a tetrahedron, in the order of the six dihedral angles."""
@@ -107,8 +105,7 @@ def radius_ratio(points: ArrayLike, cells: ArrayLike) -> FloatArray:
     """
     p, t = _checked(points, cells)
     out = np.empty(len(t))
-    for part in _chunks(len(t)):
-        geometry = _Geometry(p, t[part])
+    for part, geometry in _geometries(p, t):
         out[part] = geometry.quality()
     return out
 
@@ -142,8 +139,8 @@ def amips_energy(points: ArrayLike, cells: ArrayLike) -> FloatArray:
     """
     p, t = _checked(points, cells)
     out = np.empty(len(t))
-    for part in _chunks(len(t)):
-        out[part] = _Geometry(p, t[part]).amips()
+    for part, geometry in _geometries(p, t):
+        out[part] = geometry.amips()
     return out
 
 
@@ -171,8 +168,8 @@ def angles(points: ArrayLike, cells: ArrayLike) -> FloatArray:
     """
     p, t = _checked(points, cells)
     out = np.empty((len(t), 3 if t.shape[1] == 3 else 6))
-    for part in _chunks(len(t)):
-        out[part] = _Geometry(p, t[part]).angles().T
+    for part, geometry in _geometries(p, t):
+        out[part] = geometry.angles().T
     return out
 
 
@@ -180,8 +177,8 @@ def volumes(points: ArrayLike, cells: ArrayLike) -> FloatArray:
     """Signed volume (area in 2-D) of every cell, (m,) float64, in the caller's unit."""
     p, t = _checked(points, cells)
     out = np.empty(len(t))
-    for part in _chunks(len(t)):
-        out[part] = _Geometry(p, t[part]).volume()
+    for part, geometry in _geometries(p, t):
+        out[part] = geometry.volume()
     return out
 
 
@@ -218,8 +215,7 @@ def uniformity(
     p, t = _checked(points, cells)
     radius = np.empty(len(t))
     centre = np.empty((len(t), p.shape[1])) if callable(h) else None
-    for part in _chunks(len(t)):
-        geometry = _Geometry(p, t[part])
+    for part, geometry in _geometries(p, t):
         radius[part] = geometry.circumradius()
         if centre is not None:
             centre[part] = geometry.circumcenter()
@@ -246,12 +242,21 @@ def uniformity(
     return _variation(radius / size)
 
 
-def cell_figures(points: ArrayLike, cells: ArrayLike) -> CellFigures:
-    """Measure every cell once: :class:`CellFigures` of six (m,) arrays."""
+def cell_figures(points: ArrayLike, cells: ArrayLike, threads: int = 1) -> CellFigures:
+    """Measure every cell once: :class:`CellFigures` of six (m,) arrays, for any number of threads.
+
+    Parameters
+    ----------
+    points : (n, d) float
+    cells : (m, d + 1) int
+    threads : int              how many share the work
+    """
     p, t = _checked(points, cells)
     figures = CellFigures(*(np.empty(len(t)) for _ in CellFigures._fields))
-    for part in _chunks(len(t)):
-        geometry = _Geometry(p, t[part])
+    axes = np.ascontiguousarray(p.T)
+
+    def measure(part: slice) -> None:
+        geometry = _Geometry(axes, t[part])
         angle = geometry.angles()
         figures.quality[part] = geometry.quality()
         figures.min_angle[part] = angle.min(axis=0)
@@ -259,6 +264,8 @@ def cell_figures(points: ArrayLike, cells: ArrayLike) -> CellFigures:
         figures.amips[part] = geometry.amips()
         figures.volume[part] = geometry.volume()
         figures.circumradius[part] = geometry.circumradius()
+
+    spread(measure, chunks(len(t)), threads)
     return figures
 
 
@@ -316,8 +323,10 @@ def _variation(x: FloatArray) -> float:
     return float(np.std(x, ddof=1) / np.mean(x))
 
 
-def _chunks(m: int) -> Iterator[slice]:
-    return (slice(i, min(i + CHUNK, m)) for i in range(0, m, CHUNK))
+def _geometries(points: FloatArray, cells: NDArray[Any]) -> Iterator[tuple[slice, _Geometry]]:
+    """A mesh in chunks, each with where its cells stand."""
+    axes = np.ascontiguousarray(points.T)
+    return ((part, _Geometry(axes, cells[part])) for part in chunks(len(cells)))
 
 
 def _checked(points: ArrayLike, cells: ArrayLike) -> tuple[FloatArray, NDArray[Any]]:
@@ -341,7 +350,10 @@ def _checked(points: ArrayLike, cells: ArrayLike) -> tuple[FloatArray, NDArray[A
 
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.asarray(np.einsum("dm,dm->m", a, b))
+    total = a[0] * b[0]
+    for x, y in zip(a[1:], b[1:], strict=True):
+        total += x * y
+    return np.asarray(total)
 
 
 def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
@@ -357,16 +369,18 @@ def _norm(a: FloatArray) -> FloatArray:
 class _Geometry:
     """One chunk of simplices, every cell scaled by its longest coordinate difference.
 
-    The scale keeps sixth powers of lengths away from overflow and underflow.
+    The scale keeps sixth powers of lengths away from overflow and underflow. Coordinates come as
+    (d, n): numpy is several times as fast along long rows as along short ones.
     """
 
-    def __init__(self, points: FloatArray, cells: NDArray[Any]) -> None:
+    def __init__(self, axes: FloatArray, cells: NDArray[Any]) -> None:
         self.k = cells.shape[1]
-        self.x0 = points[cells[:, 0]].T
-        edge = [points[cells[:, i]].T - self.x0 for i in range(1, self.k)]
-        scale = np.max([np.abs(e).max(axis=0) for e in edge], axis=0)
+        corner = axes.take(cells.T, axis=1)
+        self.x0 = corner[:, 0]
+        edge = corner[:, 1:] - corner[:, :1]
+        scale = np.abs(edge).max(axis=(0, 1))
         self.scale = np.where(scale > 0, scale, 1.0)
-        self.a, self.b, *rest = [e / self.scale for e in edge]
+        self.a, self.b, *rest = (edge / self.scale).swapaxes(0, 1)
         self.c = rest[0] if rest else self.a
         with np.errstate(invalid="ignore"):
             self.bc = _cross(self.b, self.c) if rest else self.a
@@ -403,9 +417,10 @@ class _Geometry:
         return np.asarray(self.det / unit * self.scale ** (self.k - 1))
 
     def circumradius(self) -> FloatArray:
-        return np.asarray(self._radius() * self.scale)
+        return np.asarray(self.radius * self.scale)
 
-    def _radius(self) -> FloatArray:
+    @cached_property
+    def radius(self) -> FloatArray:
         """R of the scaled cell; never below half the longest edge, infinite when flat."""
         size = np.abs(self.det)
         top = _norm(self.numerator) if self.k == 4 else np.prod(self.edges, axis=0)
@@ -433,7 +448,7 @@ class _Geometry:
             perimeter = sum(self.edges)
             inradius = np.divide(size, perimeter, out=np.zeros_like(size), where=perimeter > 0)
         with np.errstate(invalid="ignore"):
-            q = np.where(size > 0, (self.k - 1) * inradius / self._radius(), 0.0)
+            q = np.where(size > 0, (self.k - 1) * inradius / self.radius, 0.0)
         return np.where(np.isnan(self.det), np.nan, np.sign(self.det) * q)
 
     def amips(self) -> FloatArray:

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
+from odt_plugins import mesh as mesh_module
 from odt_plugins import promise
-from odt_plugins.mesh import SimplexMesh, simplex_mesh
+from odt_plugins.mesh import SimplexMesh, simplex_mesh, uneven_facets
 from odt_plugins.promise import broken_promises, held_vertices, locked_facets
 from odt_plugins.quality import summarize
 
@@ -80,6 +81,41 @@ def test_held_vertices_by_a_slow_twin(mesh: SimplexMesh) -> None:
     held = {v for facet, labels in owners.items()
             if len(labels) == 1 or labels[0] != labels[1] for v in facet}
     assert set(np.flatnonzero(held_vertices(mesh))) == held
+
+
+@pytest.mark.parametrize("words", [1 << 64, 1000, 200])
+@pytest.mark.parametrize("d", [2, 3])
+def test_the_census_of_any_heap_of_cells_by_a_slow_twin(
+    d: int, words: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(promise, "WORDS", words)
+    monkeypatch.setattr(mesh_module, "WORDS", words)
+    rng = np.random.default_rng(827)
+    for m in (1, 5, 12, 30):
+        cells = np.argsort(rng.random((m, 8)), axis=1)[:, : d + 1].astype(np.int32)
+        regions = rng.integers(0, 1 + m % 3, m).astype(np.int32)
+        sides: dict[tuple[int, ...], list[tuple[bool, int]]] = {}
+        for cell, label in zip(cells.tolist(), regions.tolist(), strict=True):
+            for local in promise.LOCAL_FACETS[d + 1]:
+                facet = [cell[i] for i in local]
+                odd = sum(a > b for i, b in enumerate(facet) for a in facet[:i]) % 2 == 1
+                sides.setdefault(tuple(sorted(facet)), []).append((odd, label))
+        uneven = uneven_facets(cells, 8)
+        found = {name: sorted(map(tuple, rows.tolist()))
+                 for name, rows in uneven._asdict().items()}
+        crowded = sorted(f for f, s in sides.items()
+                         for side in (True, False) for _ in [x for x, _ in s if x == side][1:])
+        assert set(found["open"]) - set(crowded) == {f for f, s in sides.items() if len(s) == 1}
+        assert found["crowded"] == crowded
+        locked, overlaps = promise._facet_census(cells, regions, 8)
+        assert sorted(tuple(sorted(f)) for f in overlaps.tolist()) == crowded
+        rows = [(tuple(sorted(f)), bool(b))
+                for f, b in zip(locked.facets.tolist(), locked.boundary, strict=True)
+                if len(sides[tuple(sorted(f))]) <= 2]
+        assert sorted(rows) == sorted(
+            (f, len(s) == 1) for f, s in sides.items()
+            if len(s) == 1 or (len(s) == 2 and s[0][1] != s[1][1]) for _ in s)
+        assert np.array_equal(locked.labels, regions[locked.cells])
 
 
 def test_locked_facets_look_outward(mesh: SimplexMesh) -> None:
@@ -232,6 +268,7 @@ def test_the_slack_is_rounding_and_no_more() -> None:
 
 def test_facet_keys_beyond_64_bits(mesh: SimplexMesh, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(promise, "WORDS", 1000)
+    monkeypatch.setattr(mesh_module, "WORDS", 1000)
     assert sentences(mesh) == []
     rest = np.arange(len(mesh.cells)) != 7
     assert sentences(mesh, cells=mesh.cells[rest], regions=mesh.regions[rest]) != []

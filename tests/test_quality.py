@@ -9,6 +9,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from odt_plugins import chunks
 from odt_plugins import quality as q
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError
 
@@ -203,9 +204,10 @@ def test_summary_counts_and_takes_quantiles(d: int) -> None:
 def test_chunks_do_not_show(monkeypatch: pytest.MonkeyPatch) -> None:
     points, cells = random_simplices(3, 100, 797)
     whole = q.cell_figures(points, cells)
-    monkeypatch.setattr(q, "CHUNK", 7)
-    for a, b in zip(whole, q.cell_figures(points, cells), strict=True):
-        assert np.array_equal(a, b)
+    monkeypatch.setattr(chunks, "CHUNK", 7)
+    for threads in (1, 3):
+        for a, b in zip(whole, q.cell_figures(points, cells, threads), strict=True):
+            assert np.array_equal(a, b)
 
 
 def test_a_flat_cell_has_figures_and_plain_numbers() -> None:

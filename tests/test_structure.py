@@ -16,19 +16,20 @@ from odt_plugins import errors
 PACKAGE = Path(odt_plugins.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
-BASE = {"errors", "mesh", "numbering", "options", "quality", "promise", "surface",
+BASE = {"chunks", "errors", "mesh", "numbering", "options", "quality", "promise", "surface",
         "surface_promise"}
 MAY_IMPORT = {
+    "chunks": set(),
     "errors": set(),
-    "mesh": {"errors"},
+    "mesh": {"chunks", "errors"},
     "numbering": {"mesh"},
     "options": {"errors"},
-    "quality": {"errors"},
+    "quality": {"chunks", "errors"},
     "planar": {"errors", "mesh"},
     "surface": {"errors", "mesh"},
     "surface_promise": {"errors", "mesh", "options", "promise", "quality", "surface"},
     "carry": {"errors", "mesh"},
-    "promise": {"errors", "mesh", "numbering", "options", "quality"},
+    "promise": {"chunks", "errors", "mesh", "numbering", "options", "quality"},
     "engine": {"engine", *BASE},
     "adapters": {"adapters", "errors", "mesh"},
     "binding": BASE,

@@ -85,7 +85,7 @@ def faults(
     """
     sliding = slides(mesh, options)
     broken = broken_promises(mesh, points, cells, regions, tuple(options.keep), slides=sliding,
-                             origin=origin)
+                             origin=origin, threads=options.threads)
     if broken or not sliding:
         return broken, None
     if origin is not None:
