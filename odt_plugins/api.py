@@ -292,7 +292,7 @@ def run_engine(
     with _words_of(work.host):
         outcome = engine(work.mesh, _in_frame(options, work.frame))
     points, outcome = _placed(work, outcome, options)
-    cells, regions, source = _sorted_cells(work.mesh, outcome)
+    cells, regions, source = _sorted_cells(work.mesh, outcome, options.threads)
     if not (work.mesh.is_surface or (volumes(outcome.points, cells) > 0.0).all()):
         points, outcome = np.array(work.host.points), _input_instead(work, outcome, TURNED)
         cells, regions = outcome.cells, outcome.regions
@@ -452,15 +452,17 @@ def _expect_linear_tetrahedra(host: HostMesh) -> None:
         raise InvalidOptionError(msg)
 
 
-def _sorted_cells(before: SimplexMesh, outcome: Outcome) -> tuple[IntArray, IntArray, IntArray]:
+def _sorted_cells(
+    before: SimplexMesh, outcome: Outcome, threads: int
+) -> tuple[IntArray, IntArray, IntArray]:
     """Cells, regions and source of :func:`in_input_order`, whatever vertices came and went."""
     points, cells, origin = outcome.points, outcome.cells, outcome.origin
     if origin is None:
-        return in_input_order(before, points, cells, outcome.regions)
+        return in_input_order(before, points, cells, outcome.regions, threads)
     n = len(before.points)
     points = in_old_numbers(before.points, points, origin)
     cells, regions, source = in_input_order(
-        before, points, old_numbers(origin, n)[cells], outcome.regions
+        before, points, old_numbers(origin, n)[cells], outcome.regions, threads
     )
     return new_numbers(origin, n)[cells], regions, source
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.mesh import FloatArray, IntArray, SimplexMesh, row_keys
+from odt_plugins.mesh import FloatArray, IntArray, SimplexMesh, sorted_columns
 
 NEAR = (16, 256)
 """How many of the nearest cells a point is looked for in, before all of them."""
@@ -20,6 +20,7 @@ def cell_source(
     points1: FloatArray,
     cells1: IntArray,
     regions1: IntArray,
+    threads: int = 1,
 ) -> IntArray:
     """Input cell whose data every output cell takes.
 
@@ -29,6 +30,7 @@ def cell_source(
     points1, cells1, regions1 : (n, d) float64, (m', k) int32, (m',) int32  output mesh with
                                                                             the same vertices,
                                                                             then perhaps more
+    threads : int                                                           how many share the work
 
     Returns
     -------
@@ -37,17 +39,20 @@ def cell_source(
     """
     if np.array_equal(cells0, cells1):
         return np.arange(len(cells0), dtype=np.int32)
-    source = _same_vertices(cells0, cells1, len(points1))
+    from odt_plugins.engine.order import same_vertices
+
+    source = same_vertices(cells0, cells1, len(points1))
     new = np.flatnonzero(source < 0)
     if new.size:
         source[new] = _nearest(
-            points0[cells0].mean(axis=1), regions0, points1[cells1[new]].mean(axis=1), regions1[new]
+            _barycentres(points0, cells0), regions0,
+            _barycentres(points1, cells1[new]), regions1[new], threads,
         )
     return source
 
 
 def in_input_order(
-    before: SimplexMesh, points: FloatArray, cells: IntArray, regions: IntArray
+    before: SimplexMesh, points: FloatArray, cells: IntArray, regions: IntArray, threads: int = 1
 ) -> tuple[IntArray, IntArray, IntArray]:
     """Sort output cells by the input cell they come from.
 
@@ -55,6 +60,7 @@ def in_input_order(
     ----------
     before : SimplexMesh            the input
     points, cells, regions          the output, positively oriented
+    threads : int                   how many share the work
 
     Returns
     -------
@@ -64,12 +70,14 @@ def in_input_order(
     regions : (m',) int32           their labels
     source : (m',) int32            :func:`cell_source`, increasing
     """
-    source = cell_source(before.points, before.cells, before.regions, points, cells, regions)
+    source = cell_source(
+        before.points, before.cells, before.regions, points, cells, regions, threads
+    )
     order = np.argsort(source, kind="stable")
     cells, source = cells[order], source[order]
     old = before.cells[source]
-    same = (np.sort(old, axis=1) == np.sort(cells, axis=1)).all(axis=1)
-    same &= _is_odd(old) == _is_odd(cells)
+    (was, odd0), (now, odd1) = sorted_columns(old), sorted_columns(cells)
+    same = np.logical_and.reduce([odd0 == odd1, *map(np.equal, was, now)])
     return np.where(same[:, None], old, cells), regions[order], source
 
 
@@ -91,7 +99,7 @@ def surrounding_cells(
     """
     from scipy.spatial import cKDTree
 
-    tree = cKDTree(points[cells].mean(axis=1))
+    tree = cKDTree(_barycentres(points, cells))
     corners = np.empty((len(x), cells.shape[1]), dtype=np.int32)
     weights = np.full(corners.shape, -np.inf)
     for near in NEAR:
@@ -122,30 +130,16 @@ def _barycentric(corners: FloatArray, x: FloatArray) -> FloatArray:
     return np.concatenate([1.0 - inner.sum(axis=2, keepdims=True), inner], axis=2)
 
 
-def _is_odd(rows: IntArray) -> NDArray[np.bool_]:
-    """Whether each row is an odd permutation of its sorted self.
-
-    Vertices that moved can bring back an old set of vertices the other way round.
-    """
-    odd = np.zeros(len(rows), dtype=np.bool_)
-    for i in range(rows.shape[1]):
-        for j in range(i):
-            odd ^= rows[:, j] > rows[:, i]
-    return odd
-
-
-def _same_vertices(cells0: IntArray, cells1: IntArray, n: int) -> IntArray:
-    """Input cell with the same vertices as each output cell, or -1."""
-    m = len(cells0)
-    keys = row_keys(np.sort(np.concatenate([cells0, cells1]), axis=1), n)
-    order = np.argsort(keys[:m], kind="stable")
-    place = np.searchsorted(keys[:m], keys[m:], sorter=order)
-    found = order[np.minimum(place, m - 1)]
-    return np.where(keys[:m][found] == keys[m:], found, -1).astype(np.int32)
+def _barycentres(points: FloatArray, cells: IntArray) -> FloatArray:
+    centres: FloatArray = points[cells[:, 0]]
+    for corner in cells.T[1:]:
+        centres += points[corner]
+    centres /= cells.shape[1]
+    return centres
 
 
 def _nearest(
-    centre0: FloatArray, regions0: IntArray, centre1: FloatArray, regions1: IntArray
+    centre0: FloatArray, regions0: IntArray, centre1: FloatArray, regions1: IntArray, threads: int
 ) -> IntArray:
     from scipy.spatial import cKDTree
 
@@ -154,7 +148,7 @@ def _nearest(
     for label, targets in by_region1.items():
         candidates = by_region0[label]
         tree = cKDTree(centre0[candidates], balanced_tree=False, compact_nodes=False)
-        _, hit = tree.query(centre1[targets])
+        _, hit = tree.query(centre1[targets], workers=threads)
         source[targets] = candidates[hit]
     return source
 

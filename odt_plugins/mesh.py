@@ -189,6 +189,20 @@ def reverse(cells: NDArray[Any], which: BoolArray) -> NDArray[Any]:
     return out
 
 
+def sorted_columns(rows: NDArray[Any]) -> tuple[list[NDArray[Any]], BoolArray]:
+    """Columns of rows (m, k) that are sorted one by one, and which took an odd permutation.
+
+    Vertices in an odd permutation are a cell or a facet the other way round.
+    """
+    columns = list(rows.T.copy())
+    odd = np.zeros(len(rows), dtype=np.bool_)
+    for i, j in combinations(range(len(columns)), 2):
+        low, high = np.minimum(columns[i], columns[j]), np.maximum(columns[i], columns[j])
+        odd ^= low != columns[i]
+        columns[i], columns[j] = low, high
+    return columns, odd
+
+
 def row_keys(rows: NDArray[np.integer], n: int) -> NDArray[np.int64]:
     """Give one number for every row of indices below n: equal numbers are equal rows.
 
@@ -226,13 +240,10 @@ def directed_facets(cells: IntArray, n: int) -> tuple[NDArray[np.int64], NDArray
     permutation of parity s the induced orientation of that facet is (-1)^(s + i).
     """
     m, k = cells.shape
-    parity = np.zeros(m, dtype=np.int64)
-    for i, j in combinations(range(k), 2):
-        parity ^= cells[:, i] > cells[:, j]
-    ordered = np.sort(cells, axis=1)
-    facets = np.concatenate([np.delete(ordered, i, axis=1) for i in range(k)])
-    key = row_keys(facets, n).reshape(k, m).T
-    return key, parity[:, None] ^ (np.arange(k) & 1)
+    columns, odd = sorted_columns(cells)
+    facets = [np.stack(columns[:i] + columns[i + 1 :], axis=1) for i in range(k)]
+    key = row_keys(np.concatenate(facets), n).reshape(k, m).T
+    return key, odd[:, None] ^ (np.arange(k) & 1)
 
 
 def uneven_facets(cells: NDArray[np.integer], n: int) -> UnevenFacets:
@@ -249,13 +260,9 @@ def uneven_facets(cells: NDArray[np.integer], n: int) -> UnevenFacets:
     facet is one number of 64 bits, its vertices and then its side, so that sorting brings both
     sides together; in several goes, by the smallest vertex, where those bits do not suffice.
     """
-    m, k = cells.shape
-    columns = list(np.ascontiguousarray(cells.T, dtype=np.uint64))
-    odd = np.zeros(m, dtype=np.bool_)
-    for i, j in combinations(range(k), 2):
-        low, high = np.minimum(columns[i], columns[j]), np.maximum(columns[i], columns[j])
-        odd ^= low != columns[i]
-        columns[i], columns[j] = low, high
+    k = cells.shape[1]
+    ordered, odd = sorted_columns(cells)
+    columns = [column.astype(np.uint64) for column in ordered]
     step = max(1, min(n, WORDS // (2 * max(n, 1) ** (k - 2))))
     single, double = [], []
     for first in range(0, n, step):

@@ -163,7 +163,7 @@ def test_a_cell_that_comes_back_the_other_way_round_keeps_its_new_row(k):
 def test_cells_turned_on_the_way_out_are_never_returned(monkeypatch):
     points, cells = tm.ball(200, 3)
 
-    def turned(before, points, cells, regions):
+    def turned(before, points, cells, regions, threads):
         return cells[:, [1, 0, 2, 3]], regions, np.zeros(len(cells), dtype=np.int32)
 
     monkeypatch.setattr(api, "in_input_order", turned)

@@ -28,7 +28,7 @@ MAY_IMPORT = {
     "planar": {"errors", "mesh"},
     "surface": {"errors", "mesh"},
     "surface_promise": {"errors", "mesh", "options", "promise", "quality", "surface"},
-    "carry": {"errors", "mesh"},
+    "carry": {"engine", "errors", "mesh"},
     "promise": {"chunks", "errors", "mesh", "numbering", "options", "quality"},
     "engine": {"engine", *BASE},
     "adapters": {"adapters", "errors", "mesh"},

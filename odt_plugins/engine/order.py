@@ -71,6 +71,45 @@ def by_lowest_vertex(cells: IntArray, n: int) -> IntArray:
     return order
 
 
+@kernel
+def _match_rows(
+    old: IntArray, new: IntArray, order: IntArray, ends: LongArray, source: IntArray
+) -> None:
+    """Old row of the same vertices as each new one; order[ends[v - 1]:ends[v]] start at v."""
+    k = old.shape[1]
+    for c in range(new.shape[0]):
+        low = new[c, 0]
+        for a in range(1, k):
+            low = min(low, new[c, a])
+        for s in range(ends[low - 1] if low > 0 else 0, ends[low]):
+            common = 0
+            for a in range(k):
+                for b in range(k):
+                    common += old[order[s], a] == new[c, b]
+            if common == k:
+                source[c] = order[s]
+                break
+
+
+def same_vertices(old: IntArray, new: IntArray, n: int) -> IntArray:
+    """Find the cells that are still there.
+
+    Parameters
+    ----------
+    old, new : (m, d + 1), (m', d + 1) int32    cells, each of different vertices
+    n : int                                     number of vertices
+
+    Returns
+    -------
+    (m',) int32    the first old cell with the same vertices as each new one, or -1
+    """
+    order, ends = np.empty(len(old), dtype=np.int32), np.zeros(n + 1, dtype=np.int64)
+    _sort_by_lowest(old, ends, order)
+    source = np.full(len(new), -1, dtype=np.int32)
+    _match_rows(old, new, order, ends, source)
+    return source
+
+
 def curve_order(points: FloatArray, cells: IntArray) -> tuple[IntArray, IntArray]:
     """Orders that put neighbours in space next to each other in memory.
 
