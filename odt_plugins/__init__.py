@@ -1,4 +1,4 @@
-"""Optimal Delaunay Triangulation for the tetrahedral and planar triangle meshes you already have.
+"""Optimal Delaunay Triangulation for the tetrahedral and triangle meshes you already have.
 
 >>> import odt_plugins
 >>> better = odt_plugins.optimize(mesh)                        # doctest: +SKIP
@@ -7,12 +7,15 @@
 Conventions
 -----------
 - `points` (n, d) float64 or float32, `cells` (m, d + 1) of any integer type or floats that hold
-  integers, d = 2 or 3; triangles may also have points (n, 3) in one plane.
+  integers, d = 2 or 3; triangles may also have points (n, 3), in one plane or on a curved surface.
 - The caller's object is never changed. The result is of the same type with the same dtypes,
   orientation and data; cells of negative volume come back negative.
 - Vertices keep their index. Cells may be renumbered; those that are still there keep their row
   and their order.
-- Boundary vertices and facets stay bit for bit, and so do interfaces between region labels.
+- Boundary vertices and facets stay bit for bit, and so do interfaces between region labels. A
+  curved surface stays within `envelope` of the input's instead, and so does the boundary of
+  tetrahedra with `boundary="slide"`.
+- No figure in `keep` gets worse: by default least, 1 % and mean quality and both extreme angles.
 - Lengths are in the caller's unit; tolerances are relative to the mesh.
 - The same input and options give the same bits, with any number of threads.
 """
@@ -109,4 +112,4 @@ def __getattr__(name: str) -> Any:
 
 
 def __dir__() -> list[str]:
-    return sorted([*globals(), *__all__])
+    return sorted({*__all__, *(name for name in globals() if name.startswith("__"))})

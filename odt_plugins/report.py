@@ -46,6 +46,10 @@ ROWS = (
 """Rows of every table: name in QualitySummary, heading, format."""
 
 
+LARGE = 1e5
+"""Figures from here on, as energies of nearly flat cells, are written with an exponent."""
+
+
 @dataclass(frozen=True)
 class Report:
     """What one run did to a mesh.
@@ -97,6 +101,12 @@ class Report:
     def movable_share(self) -> float:
         """Share of the vertices in use that may move, from 0 to 1."""
         return self.n_movable / self.n_used if self.n_used else 0.0
+
+    def __repr__(self) -> str:
+        """One line, for lists and notebooks; ``print`` gives the page."""
+        old, new = self.before, self.after
+        return (f"<Report: mean quality {old.mean_quality:.4f} -> {new.mean_quality:.4f}, least "
+                f"{old.min_quality:.4f} -> {new.min_quality:.4f}; print it for the rest>")
 
     def __str__(self) -> str:
         """Text of a page: the table of figures, then how it went."""
@@ -249,13 +259,17 @@ def histogram(quality: NDArray[np.float64]) -> tuple[int, ...]:
 def table_lines(columns: Mapping[str, QualitySummary]) -> list[str]:
     """Set summaries side by side as aligned text, one row per figure."""
     angle = "dihedral" if all(s.dim == 3 for s in columns.values()) else "angle"
-    width = max(10, *(len(name) + 2 for name in columns))
-    lines = [" " * 20 + "".join(f"{name:>{width}}" for name in columns)]
+    rows = [("", list(columns))]
     for name, heading, form in ROWS:
         values = (getattr(summary, name) for summary in columns.values())
-        cells = "".join(f"{format(value, form):>{width}}" for value in values)
-        lines.append(f"{heading.format(angle=angle):<20}{cells}")
-    return lines
+        rows.append((heading.format(angle=angle), [_figure(value, form) for value in values]))
+    width = max(10, *(len(cell) + 2 for _, cells in rows for cell in cells))
+    return [f"{head:<20}{''.join(f'{cell:>{width}}' for cell in cells)}" for head, cells in rows]
+
+
+def _figure(value: float, form: str) -> str:
+    """Give a figure as text; without decimals where they say nothing."""
+    return f"{value:.3g}" if form != "d" and LARGE <= abs(value) < np.inf else format(value, form)
 
 
 def _described(options: Options) -> dict[str, Any]:

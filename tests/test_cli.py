@@ -236,6 +236,26 @@ def contents(place: Path) -> dict[str, bytes]:
     return {p.name: p.read_bytes() if p.is_file() else b"" for p in place.iterdir()}
 
 
+@pytest.mark.parametrize(("text", "words"), [
+    ("got 1 cell turned; try orient=True", "got 1 cell turned; try --orient"),
+    ("got insert=False, finish=True", "got --no-insert, --finish"),
+    ("got feature_angle=200.0; expected less", "got --feature-angle 200.0; expected less"),
+    ("got boundary='slide' in the plane", "got --boundary slide in the plane"),
+    ("no flag: axis=True, points.fixed=3, rho = h^-r",) * 2,
+])
+def test_errors_name_options_by_their_flags(text: str, words: str) -> None:
+    assert cli.in_flags(text) == words
+
+
+def test_every_command_says_what_it_is_for_in_one_whole_line(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert cli.main(["--help"]) == 0
+    lines = capsys.readouterr().out.split("Commands:")[1].splitlines()
+    assert len([line for line in lines if line.strip()]) == 7
+    assert all(line.endswith(".") and "..." not in line for line in lines if line.strip())
+
+
 BAD = [
     # (words after odt-plugins, exit code, what the sentence says)
     ("frobnicate", 2, "No such command 'frobnicate'"),
@@ -246,8 +266,8 @@ BAD = [
     ("optimize in.vtu out.vtu --rounds many", 2, "'many' is not a valid integer"),
     ("optimize in.vtu out.vtu --rounds -1", 2, "-1 is not in the range x>=0"),
     ("optimize in.vtu out.vtu --threads 0", 2, "0 is not in the range x>=1"),
-    ("optimize in.vtu out.vtu --exponent -2", 2, "exponent=-2.0; expected a positive number"),
-    ("optimize in.vtu out.vtu --exponent nan", 2, "exponent=nan; expected a positive number"),
+    ("optimize in.vtu out.vtu --exponent -2", 2, "got --exponent -2.0; expected a pos"),
+    ("optimize in.vtu out.vtu --exponent nan", 2, "got --exponent nan; expected a posi"),
     ("optimize in.vtu out.vtu --keep beauty", 2, "got 'beauty'; expected some of min_quality"),
     ("optimize in.vtu out.vtu --keep=", 2, "got no name; expected some of min_quality"),
     ("optimize in.vtu out.vtu --fixed empty.txt", 2, "empty.txt holds no index; expected at"),
@@ -259,7 +279,7 @@ BAD = [
     ("optimize in.vtu out.vtu --fixed broken.npy", 2, "cannot read indices from broken.npy"),
     ("optimize in.vtu out.vtu --fixed far.txt", 2, "77"),
     ("optimize in.vtu out.vtu --selection far.txt", 2, "77"),
-    ("optimize in.vtu out.vtu --regions nosuch", 2, "regions='nosuch' names no cell array"),
+    ("optimize in.vtu out.vtu --regions nosuch", 2, "--regions nosuch names no cell array"),
     ("optimize in.vtu out.vtu --plot p.bmp", 2, "expected a file ending in .png"),
     ("optimize in.vtu out.vtu --report out.vtu", 2, "name the same file"),
     ("optimize zero.vtu out.vtu --density rho", 2, "density"),
@@ -272,7 +292,7 @@ BAD = [
     ("optimize folder.vtu out.vtu", 1, "cannot read folder.vtu"),
     ("optimize cut.vtu out.vtu", 1, "cannot read cut.vtu"),
     ("optimize text.vtu out.vtu", 1, "cannot read text.vtu"),
-    ("optimize mixed.vtu out.vtu", 1, "try orient=True"),
+    ("optimize mixed.vtu out.vtu", 1, "try --orient$"),
     ("optimize twice.vtu out.vtu", 1, "cell 4"),
     ("optimize double.vtu out.vtu", 1, "cell"),
     ("optimize nan.vtu out.vtu", 1, "NaN"),

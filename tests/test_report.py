@@ -51,6 +51,25 @@ def test_the_text_holds_both_columns_and_the_story(report: Report) -> None:
     assert max(map(len, text.splitlines())) < 120
 
 
+def test_columns_stay_apart_and_narrow_when_figures_are_huge(report: Report) -> None:
+    flat = replace(report.before, mean_amips=1939365536099.3213, max_amips=np.inf, uniformity=-3e7)
+    lines = table_lines({"before": flat, "after": flat})
+    assert all(len(line) == 40 for line in lines)
+    found = {line[:20].strip(): line[20:].split() for line in lines[1:]}
+    assert all(len(cells) == 2 and cells[0] == cells[1] for cells in found.values())
+    assert found["mean AMIPS energy"][0] == "1.94e+12"
+    assert found["max AMIPS energy"][0] == "inf"
+    assert found["uniformity"][0] == "-3e+07"
+    many = table_lines({"a.vtu": replace(flat, n_cells=12345678901)})
+    assert len(many[-1]) == len(many[0]) == 33
+
+
+def test_a_report_in_a_list_is_one_line(report: Report) -> None:
+    assert "\n" not in repr(report)
+    assert len(repr(report)) < 120
+    assert f"{report.after.min_quality:.4f}" in repr(report)
+
+
 def test_a_fallback_is_said() -> None:
     mesh = fan()
     text = str(make_report(mesh, outcome(mesh, fallback="the input: a cell inverted"), Options()))

@@ -177,6 +177,7 @@ def test_all_public_names_are_there_and_no_others():
     for name in odt_plugins.__all__:
         assert getattr(odt_plugins, name) is not None
     assert set(odt_plugins.__all__) <= set(dir(odt_plugins))
+    assert {n for n in dir(odt_plugins) if n[:2] != "__"} <= set(odt_plugins.__all__)
     in_errors = {name for name, value in vars(errors).items() if inspect.isclass(value)}
     assert in_errors <= set(odt_plugins.__all__)
     with pytest.raises(AttributeError, match="no attribute 'optimise'"):

@@ -28,7 +28,7 @@ from odt_plugins.compare.start import suite as suite_meshes
 CHOSEN_SUITES = ("standard", "large", "hard")
 
 
-@click.command()
+@click.command(short_help="Measure other tools on the same meshes.")
 @click.argument("sources", metavar="[MESH]...", nargs=-1, type=click.Path(path_type=Path))
 @click.option("--suite", type=click.Choice(CHOSEN_SUITES),
               help="Start meshes of the package: modest ones of every kind, millions of cells, or "

@@ -15,7 +15,7 @@ from odt_plugins.terminal import check_paths, progress_bar, warnings_told, write
 SEED, MOST_POINTS = 2011, 10_000_000
 
 
-@click.command()
+@click.command(short_help="Make a mesh of a domain or a closed surface.")
 @click.argument("what", metavar="DOMAIN")
 @click.argument("target", metavar="OUTPUT", type=click.Path(path_type=Path))
 @click.option("--size", type=float, default=None, metavar="H0",
