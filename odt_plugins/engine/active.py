@@ -16,6 +16,17 @@ def vertices_of_pending(cells: IntArray, status: ByteArray, active: BoolArray) -
 
 
 @kernel
+def pending_slots(cells: IntArray, status: ByteArray, found: IntArray) -> int:
+    """Write the pending slots among the first ``len(found)`` ones; returns their number."""
+    count = 0
+    for c in range(found.shape[0]):
+        if status[c] == 1 and cells[c, 0] >= 0:
+            found[count] = c
+            count += 1
+    return count
+
+
+@kernel
 def around_vertices(cells: IntArray, touched: BoolArray, status: ByteArray) -> None:
     """Make the cells pending that have a touched vertex."""
     for c in range(cells.shape[0]):

@@ -15,8 +15,8 @@ from odt_plugins.mesh import ByteArray, FloatArray, IntArray, LongArray
 IDLE, PENDING, DONE = 0, 1, 2
 MAX_RING = 10
 CELL, NEIGHBOR, STATUS, FREE, SLOT = 0, 1, 2, 3, 4
-UNKNOWN = -1.0
-"""Cost of a cell that was not computed yet."""
+UNKNOWN = 0.0
+"""Cost of a cell that was not computed yet; arrays of zeros take no memory until they are used."""
 
 Work = tuple[IntArray, IntArray, IntArray, FloatArray, IntArray, IntArray, IntArray, FloatArray]
 
@@ -114,7 +114,7 @@ def cell_cost(
         return tet_cost(
             points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], objective, power
         )
-    if costs[c] < 0.0:
+    if costs[c] == UNKNOWN:
         costs[c] = tet_cost(
             points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], objective, power
         )

@@ -13,9 +13,9 @@ from functools import partial
 import numpy as np
 
 from odt_plugins.engine import compound, flips3d, smooth3d
-from odt_plugins.engine.active import around_vertices, spread, vertices_of_pending
+from odt_plugins.engine.active import around_vertices, pending_slots, spread, vertices_of_pending
 from odt_plugins.engine.adjacency import cell_neighbors
-from odt_plugins.engine.cavity import DONE, UNKNOWN
+from odt_plugins.engine.cavity import DONE
 from odt_plugins.engine.coloring import touching_blocks, vertex_coloring
 from odt_plugins.engine.complex import PENDING, Complex, slot_stars
 from odt_plugins.engine.figures import cell_shapes
@@ -107,11 +107,10 @@ def flip_pending(
 ) -> int:
     """Flip at the pending cells until none is left or the passes are used up."""
     total = 0
-    costs = np.full(len(mesh.cells), UNKNOWN)
+    costs = np.zeros(len(mesh.cells))
     for _ in range(passes):
-        used = int(mesh.slots[0])
-        pending = np.flatnonzero(mesh.status[:used] == PENDING).astype(np.int32)
-        pending = pending[mesh.cells[pending, 0] >= 0]
+        found = np.empty(int(mesh.slots[0]), dtype=np.int32)
+        pending = found[: pending_slots(mesh.cells, mesh.status, found)]
         if objective != ENERGY:
             q = measures(mesh, objective, pool, pending)
             pending = pending[np.lexsort((q, pending >> BLOCK_BITS))]
@@ -121,7 +120,7 @@ def flip_pending(
         total += flips
         if mesh.slots[2]:
             grow(mesh)
-            costs = np.full(len(mesh.cells), UNKNOWN)
+            costs = np.zeros(len(mesh.cells))
         elif flips == 0:
             break
     return total
