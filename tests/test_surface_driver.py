@@ -54,6 +54,35 @@ def test_surfaces_get_better_within_their_envelope(name):
     assert report.fallback is None
 
 
+def saddle(n, height):
+    """A lattice of right triangles, bent."""
+    g = np.linspace(0, 1, n)
+    x, y = (a.ravel() for a in np.meshgrid(g, g))
+    a = (np.arange(n - 1) + n * np.arange(n - 1)[:, None]).ravel()
+    cells = np.concatenate([np.stack([a, a + 1, a + n + 1], 1), np.stack([a, a + n + 1, a + n], 1)])
+    return np.stack([x, y, height * (x * x - y * y)], axis=1), cells.astype(np.int32)
+
+
+def test_triangles_that_are_all_alike_gain_within_their_extremes():
+    p, t = saddle(16, 0.3)
+    x, c, report = improved((p, t))
+    assert radius_ratio(p, t).mean() < 0.87
+    assert radius_ratio(x, c).mean() > 0.91
+    assert report.counts["repairs"] >= 1
+    assert report.fallback is None
+
+
+def test_where_extremes_bind_the_report_tells_what_that_costs():
+    p, t = sm.cube(6, 0.0)
+    x, _, report = improved((p, t))
+    assert np.array_equal(x, p)
+    assert "nothing better kept the promise (min_quality would be worse" in report.fallback
+    assert "worse) at a mean quality of 0.9" in str(report)
+    x, c, report = improved((p, t), keep=("mean_quality",))
+    assert radius_ratio(x, c).mean() > 0.92
+    assert report.fallback is None
+
+
 def test_a_sphere_stays_round():
     p, t = sm.sphere(4, 0.2)
     x, _, _ = improved((p, t))

@@ -28,6 +28,7 @@ from odt_plugins.engine.progress import (
     silent,
     until_insertion,
 )
+from odt_plugins.engine.repair2d import within_bounds
 from odt_plugins.engine.resampling import resample_in_rounds, with_spare_vertices
 from odt_plugins.engine.skin import Skin, make_skin
 from odt_plugins.engine.smoothing import Log, smooth
@@ -45,6 +46,9 @@ POOR, FEW = 0.15, 3000
 """1 % quantile of q, and number of cells, below which a fixed boundary is tried besides."""
 
 ALONE = "finishing alone"
+
+NOTABLE = 5e-3
+"""Mean quality that was given up and is worth a word."""
 
 LOCKED_QUALITY = 0.3
 LOCKED_ANGLES = (14.0, 157.0)
@@ -123,6 +127,7 @@ class Memory:
         self.states: list[State] = []
         self.worse: list[str] = []
         self.refused: State | None = None
+        self.missed = before.mean_quality
 
     def offer(self, mesh: Changing, name: str) -> bool:
         """Take the state if it keeps the figures; only the two best are held."""
@@ -132,6 +137,7 @@ class Memory:
         if worse:
             self.worse = worse
             self.refused = State(mesh.points.copy(), cells, regions, now, name)
+            self.missed = max(self.missed, now.mean_quality)
             return False
         if self.by_score and not now.score > self.before.score:
             return False
@@ -140,6 +146,13 @@ class Memory:
             self.states.sort(key=lambda state: -state.figures.score)
         del self.states[2:]
         return True
+
+    def price(self) -> str:
+        """End of a sentence: the mean quality that was given up to keep the figures, if any."""
+        best = self.states[0].figures if self.states else self.before
+        if not self.worse or self.missed < best.mean_quality + NOTABLE:
+            return ""
+        return f" at a mean quality of {self.missed:.3f}"
 
     def spoiled(self) -> IntArray:
         """Vertices of the cells that pass an extreme of the input in the last refused state.
@@ -469,6 +482,13 @@ def _cycles(
         if not memory.states and options.objective != "radius_ratio":
             _finish(mesh, tail(mesh.dim), bounds, log, pool, options.threads)
             memory.offer(mesh, "finished")
+        if not memory.states and mesh.dim == 2:
+            log.add("repairs", 1)
+            if within_bounds(mesh.points, mesh.cells, mesh.neighbors, mesh.regions, ~mesh.locked,
+                             bounds[:3]):
+                memory.offer(mesh, "repaired")
+                _finish(mesh, bulk(2), bounds, log, pool, options.threads)
+                memory.offer(mesh, "finished")
         times["finishing"] = times.get("finishing", 0.0) + time.perf_counter() - clock
     report("finishing", 1.0)
     return reason
@@ -525,7 +545,7 @@ def _best(
         if not broken_now:
             fallback = None
             if rank or state.name == ALONE:
-                fallback = f"a later state was given up ({'; '.join(broken)})"
+                fallback = f"a later state was given up ({'; '.join(broken)}){memory.price()}"
             return replace(outcome, stop_reason=reason, fallback=fallback, slid=slid)
         log.add("states refused", 1)
         broken = broken_now
@@ -534,7 +554,7 @@ def _best(
     unchanged = _unchanged(mesh, reason)
     return replace(
         unchanged,
-        fallback=f"{INPUT}nothing better kept the promise ({'; '.join(broken)})",
+        fallback=f"{INPUT}nothing better kept the promise ({'; '.join(broken)}){memory.price()}",
     )
 
 

@@ -115,17 +115,22 @@ def _run(
         return 0
     if active is None:
         active = np.ones(len(cells), dtype=np.bool_)
-    cell_edges = np.empty(cells.shape, dtype=np.int32)
-    edge_cell = np.empty(cells.size, dtype=np.int32)
-    count = _number_edges(neighbors, cell_edges, edge_cell)
-    edge_cell = edge_cell[:count]
-    queued = np.zeros(count, dtype=np.bool_)
+    cell_edges, edge_cell = number_edges(neighbors)
+    queued = np.zeros(len(edge_cell), dtype=np.bool_)
     queued[cell_edges if seeds is None else cell_edges[seeds]] = True
-    queue = np.zeros(count, dtype=np.int32)
+    queue = np.zeros(len(edge_cell), dtype=np.int32)
     first = np.flatnonzero(queued).astype(np.int32)
     queue[: len(first)] = first
     return int(_flip_edges(points, cells, neighbors, regions, active, fixed, cell_edges, edge_cell,
                            queue, queued, len(first), objective, power, bounds, repeat, changed))
+
+
+def number_edges(neighbors: IntArray) -> tuple[IntArray, IntArray]:
+    """Number of the edge opposite each vertex of every cell, (m, 3), and a cell of each, (e,)."""
+    cell_edges = np.empty(neighbors.shape, dtype=np.int32)
+    edge_cell = np.empty(neighbors.size, dtype=np.int32)
+    count = _number_edges(neighbors, cell_edges, edge_cell)
+    return cell_edges, edge_cell[:count]
 
 
 @kernel

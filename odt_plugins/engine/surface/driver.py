@@ -50,6 +50,9 @@ THIN = 0.02
 TAIL = tail(2)[:2]
 """Phases for the worst triangles; beyond p = 8 the envelope leaves them nothing to gain."""
 
+REPAIR = (Phase(16.0, 0.3, 20, 3), Phase(32.0, 0.3, 20, 3), Phase(64.0, 0.3, 20, 3))
+"""Phases for a surface that is good but for a few triangles beyond the input's extremes."""
+
 ATTEMPTS = 4
 """Runs until the input is returned; each leaves alone what broke the promise in those before, with
 one more ring of triangles around it every time."""
@@ -154,7 +157,10 @@ def run_surface(mesh: SimplexMesh, options: Options) -> SurfaceOutcome:
     )
     if not broken:
         return replace(unchanged, stop_reason=f"nothing could be improved ({reason})")
-    fallback = f"the input is returned, nothing better kept the promise ({'; '.join(broken)})"
+    fallback = (
+        f"the input is returned, nothing better kept the promise ({'; '.join(broken)})"
+        f"{memory.price()}"
+    )
     return replace(unchanged, fallback=fallback)
 
 
@@ -302,8 +308,23 @@ def _cycles(
         memory.offer(surface, "bulk")
         _descend(surface, TAIL, strict, log, times)
         memory.offer(surface, "finished")
+        if not memory.states and "mean_quality" not in memory.worse:
+            _repair(surface, strict, memory, log, times)
     report("finishing", 1.0)
     return reason
+
+
+def _repair(
+    surface: Surface, bounds: FloatArray, memory: Memory, log: Log, times: dict[str, float]
+) -> None:
+    """Bring the triangles beyond the bounds back; what is refused all the same is forgotten."""
+    worse, refused = memory.worse, memory.refused
+    for phase in REPAIR:
+        log.add("repairs", 1)
+        _descend(surface, (phase,), bounds, log, times)
+        if memory.offer(surface, "repaired"):
+            return
+    memory.worse, memory.refused = worse, refused
 
 
 def _descend(
@@ -342,7 +363,7 @@ def _best(
             fallback = None
             if rank or state.name == "finishing alone":
                 worse = broken or [f"{name} would be worse" for name in memory.worse]
-                fallback = f"a later state was given up ({'; '.join(worse)})"
+                fallback = f"a later state was given up ({'; '.join(worse)}){memory.price()}"
             outcome = SurfaceOutcome(
                 points, cells, regions, fallback=fallback, kept=kept, distance=distance
             )
