@@ -12,14 +12,13 @@ import numpy as np
 
 from odt_plugins.engine.driver import (
     Frame,
-    Memory,
     Outcome,
-    State,
     extremes,
     inner_density,
     make_frame,
 )
 from odt_plugins.engine.figures import Figures, figures
+from odt_plugins.engine.memory import Memory, State
 from odt_plugins.engine.phases import Phase, bulk, tail
 from odt_plugins.engine.progress import in_turn, report_share, silent
 from odt_plugins.engine.smoothing import Log
