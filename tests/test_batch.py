@@ -131,7 +131,7 @@ def test_whatever_an_input_does_is_a_row(place, capsys, monkeypatch):
     command = "--suffix .vtu --memory-limit 3.0 --keep min_quality,mean_quality</code>"
     assert "<code>odt-plugins batch" in page
     assert command in page
-    assert not (place / "out" / HIDDEN / "work").exists()
+    assert [p.name for p in (place / "out" / HIDDEN).iterdir()] == ["rows"]
     assert not list((place / "temporary").iterdir())
     assert {row["optimize_seconds"] == "" for row in rows.values() if row["status"] == "ok"} == {
         False}
@@ -396,6 +396,60 @@ def test_a_killed_batch_goes_on_where_it_stopped(place):
     assert len(meshio.read("out/90.vtu").points) == len(meshio.read("models/90.vtu").points)
 
 
+def test_ctrl_c_ends_a_batch_with_one_line(place):
+    pytest.importorskip("distributed")
+    write_ball(place / "models" / "60.vtu", 60)
+    (place / "models" / "90.slow").write_text("1000")
+    words = [sys.executable, "-m", "odt_plugins.cli", "batch", "models/60.vtu", "models/90.slow",
+             "--out", "out", "--suffix", ".vtu", "--workers", "2"]
+    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True,
+                          start_new_session=True) as process:
+        wait_until(lambda: rows_of(place / "out"))
+        started = children(process.pid)
+        # A terminal sends it to all processes of the group.
+        os.killpg(process.pid, signal.SIGINT)
+        said = process.communicate(timeout=60)[1]
+    assert process.returncode == 1
+    assert "dashboard" in said.splitlines()[0]
+    assert said.split("\n", 1)[1].strip() == (
+        "odt-plugins: stopped before the end, no half-written file is left")
+    wait_until(lambda: not any(alive(pid) for pid in started))
+    assert files(place / "out") == ["60.vtu"]
+    assert [p.name for p in (place / "out" / HIDDEN).iterdir()] == ["rows"]
+
+
+def test_a_run_that_was_killed_is_cleared_away_and_one_that_works_is_not(place):
+    hidden = place / "out" / HIDDEN
+    hidden.mkdir(parents=True)
+    with subprocess.Popen([sys.executable, "-c", ""]) as gone:
+        gone.wait()
+    mine = batch._work_folder(hidden)
+    dead = hidden / mine.name.replace(f"-{os.getpid()}-", f"-{gone.pid}-")
+    (dead / "inner").mkdir(parents=True)
+    other = hidden / "work-elsewhere-1-x"
+    other.mkdir()
+    (hidden / f"{batch.GONE}work").mkdir()
+    again = batch._work_folder(hidden)
+    assert sorted(hidden.iterdir()) == sorted([mine, again, other])
+
+
+def test_a_process_ends_when_its_work_folder_is_gone(place):
+    (place / "models" / "a.slow").write_text("1000")
+    work = place / "work"
+    (work / RESULT).mkdir(parents=True)
+    task = {"source": str(place / "models" / "a.slow"), "folder": str(work), "name": "a.vtu",
+            "options": {}, "memory_limit": None, "tetrahedralize": False, "parent": os.getpid()}
+    with subprocess.Popen([sys.executable, "-m", "odt_plugins.distributed.job"], text=True,
+                          stdin=subprocess.PIPE, start_new_session=True) as process:
+        assert process.stdin is not None
+        process.stdin.write(json.dumps(task))
+        process.stdin.close()
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(2)
+        batch._clear(work)
+        assert process.wait(30) == -signal.SIGKILL
+
+
 def test_what_a_killed_worker_was_doing_is_done_by_another(place):
     distributed = pytest.importorskip("distributed")
     for n in (60, 70, 80):
@@ -410,8 +464,8 @@ def test_what_a_killed_worker_was_doing_is_done_by_another(place):
         pids = client.run(os.getpid)
         thread = threading.Thread(target=lambda: rows.extend(run_batch(jobs, client=client)))
         thread.start()
-        work = place / "out" / HIDDEN / "work"
-        wait_until(lambda: work.is_dir() and len(list(work.iterdir())) == 2)
+        work = place / "out" / HIDDEN
+        wait_until(lambda: len(list(work.glob("work-*/*"))) == 2)
         victim = min(pids.values())
         inner = children(victim)
         assert inner

@@ -158,6 +158,19 @@ def test_batch_models(here):
     shutil.rmtree(models)
 
 
+def test_batch_models_for_tetwild(here):
+    pytest.importorskip("pymeshlab")
+    models = here / "solids"
+    made = example("batch_models")
+    assert len(made.SOLIDS) * len(made.COARSE) == 40
+    assert made.make_models(models, samples=["bone.ply"], lengths=[6.0], solid=True) == 3
+    assert 200 < len(meshio.read(models / "bone-60.stl").cells[0].data) < 600
+    sheet = meshio.read(models / "poisoned.stl")
+    assert np.ptp(sheet.points, axis=0).min() == 0.0
+    assert len(sheet.cells[0].data) == 128
+    shutil.rmtree(models)
+
+
 @pytest.mark.parametrize("arguments", [["--", "--help"], ["mesh.vtu", "--", "-h"]])
 def test_figures_show_the_help_of_the_command(capsys, arguments):
     with pytest.raises(SystemExit, match="0"):

@@ -8,12 +8,13 @@ import json
 import os
 import shutil
 import signal
+import socket
 import subprocess
 import sys
 import tempfile
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from glob import glob
 from pathlib import Path
 from typing import Any
@@ -27,10 +28,13 @@ from odt_plugins.errors import InvalidOptionError, MeshFileError
 from odt_plugins.tetwild import expect_pytetwild
 
 HIDDEN = ".batch"
-"""Folder within the output: rows of what is done, and work folders while it is being done."""
+"""Folder within the output: rows of what is done, and a work folder for every run."""
 
 FROM_OUTSIDE = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 """Signals that come from the user or from a system short of memory, not from the input."""
+
+GONE = "gone-"
+"""Begin of the names of work folders that are being removed."""
 
 Row = dict[str, Any]
 
@@ -53,6 +57,7 @@ class Job:
     resume : bool                whether what is done already is left as it is, failures of the
                                  same time and memory limit as well
     retry : bool                 whether failures are tried again all the same
+    work : str                   absolute path of the work folder of its run
     """
 
     source: str
@@ -65,6 +70,7 @@ class Job:
     memory_limit: int | None = None
     resume: bool = False
     retry: bool = False
+    work: str = ""
 
 
 def find_inputs(patterns: Sequence[str], out: Path | None = None) -> list[str]:
@@ -182,13 +188,14 @@ def run_batch(
         expect_pytetwild()
     hidden = Path(jobs[0].out) / HIDDEN
     try:
-        shutil.rmtree(hidden / "work", ignore_errors=True)
-        (hidden / "work").mkdir(parents=True)
-        with tempfile.TemporaryFile(dir=hidden):
+        hidden.mkdir(parents=True, exist_ok=True)
+        work = _work_folder(hidden)
+        with tempfile.TemporaryFile(dir=work):
             pass
     except OSError as exc:
         msg = f"cannot write into {jobs[0].out}: {exc.strerror or exc}; try another folder"
         raise MeshFileError(msg) from exc
+    jobs = [replace(job, work=str(work)) for job in jobs]
     rows: list[Row] = [{} for _ in jobs]
     if progress is not None:
         progress(f"0 of {len(jobs)}", 0.0)
@@ -200,8 +207,31 @@ def run_batch(
             if progress is not None:
                 progress(f"{done} of {len(jobs)}", done / len(jobs))
     finally:
-        shutil.rmtree(hidden / "work", ignore_errors=True)
+        _clear(work)
     return rows
+
+
+def _work_folder(hidden: Path) -> Path:
+    """Make the work folder of this run, and clear away those of runs that were killed here."""
+    for old in hidden.glob(f"{GONE}*"):
+        shutil.rmtree(old, ignore_errors=True)
+    start = f"work-{socket.gethostname()}-"
+    for old in hidden.glob(f"{start}*"):
+        try:
+            os.kill(int(old.name.removeprefix(start).partition("-")[0]), 0)
+        except ProcessLookupError:
+            _clear(old)
+        except (ValueError, OSError):
+            pass
+    return Path(tempfile.mkdtemp(prefix=f"{start}{os.getpid()}-", dir=hidden))
+
+
+def _clear(work: Path) -> None:
+    """Remove a work folder at one stroke; processes that still work in it then end themselves."""
+    gone = work.with_name(GONE + work.name)
+    with contextlib.suppress(OSError):
+        os.replace(work, gone)
+    shutil.rmtree(gone, ignore_errors=True)
 
 
 def _as_they_finish(jobs: Sequence[Job], client: Any) -> Iterator[tuple[int, Any]]:
@@ -230,7 +260,7 @@ def run_job(job: Job) -> Row:
         return old | {"resumed": True}
     folder = None
     try:
-        folder = Path(tempfile.mkdtemp(dir=Path(job.out) / HIDDEN / "work"))
+        folder = Path(tempfile.mkdtemp(dir=job.work))
         (folder / RESULT).mkdir()
         facts = _process(job, folder)
         outside = facts.pop("outside", False)

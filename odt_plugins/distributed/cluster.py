@@ -5,6 +5,9 @@ Scheduling, transport, and what happens when a worker is lost are Dask's own.
 
 from __future__ import annotations
 
+import logging
+import signal
+import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
@@ -56,10 +59,10 @@ def connected(scheduler: str | None = None, workers: int = 0) -> Iterator[Any]:
     from distributed import Client, LocalCluster
 
     if scheduler is None:
-        with (
-            LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=":0") as own,
-            Client(own) as client,
-        ):
+        with _without_interrupts():
+            own = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=":0",
+                               silence_logs=logging.CRITICAL)
+        with own, Client(own) as client:
             yield client
         return
     try:
@@ -70,6 +73,22 @@ def connected(scheduler: str | None = None, workers: int = 0) -> Iterator[Any]:
         raise WorkerError(msg) from exc
     with client:
         yield client
+
+
+@contextmanager
+def _without_interrupts() -> Iterator[None]:
+    """Let processes start that Ctrl-C does not reach: it is for this one, which ends them.
+
+    They would each answer with a traceback.
+    """
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    old = signal.signal(signal.SIGINT, signal.SIG_IGN)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, old)
 
 
 def check_workers(client: Any) -> None:

@@ -29,7 +29,7 @@ times of a monotonic clock at which that began and ended, by turns."""
 def main() -> None:
     """Do the job and write its row; a failure that Python can catch is a row as well."""
     job = json.load(sys.stdin)
-    threading.Thread(target=_end_with, args=(job["parent"],), daemon=True).start()
+    threading.Thread(target=_end_with, args=(job["parent"], job["folder"]), daemon=True).start()
     _limit_memory(job["memory_limit"])
     row: dict[str, Any] = {"status": "failed", "message": ""}
     clock = time.perf_counter()
@@ -131,9 +131,9 @@ def _limit_memory(limit: int | None) -> None:
     resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
 
 
-def _end_with(parent: int) -> None:
-    """End this process and what it started once the one that started it is gone."""
-    while os.getppid() == parent:
+def _end_with(parent: int, folder: str) -> None:
+    """End this process and what it started once its parent is gone, or its work folder."""
+    while os.getppid() == parent and os.path.isdir(folder):
         time.sleep(0.2)
     os.killpg(0, signal.SIGKILL)
 
