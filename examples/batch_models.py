@@ -7,7 +7,7 @@ makes surfaces that are optimised as such; coarser ones that TetWild fills in se
 it cannot fill:
 
 python examples/batch_models.py solids --tetrahedralize
-odt-plugins batch 'solids/*' --out filled --tetrahedralize --edge-length 0.1 --workers 2 --timeout 60
+odt-plugins batch 'solids/*' --out tets --tetrahedralize --edge-length 0.1 --workers 2 --timeout 60
 """
 
 import sys
