@@ -12,7 +12,8 @@ from typing import Any, NamedTuple
 from xml.etree import ElementTree
 
 from odt_plugins.adapters import files
-from odt_plugins.adapters import pymeshlab_mesh as adapter
+from odt_plugins.adapters.pymeshlab_copy import muted
+from odt_plugins.adapters.pymeshlab_set import restore_script, saved_script
 from odt_plugins.errors import InvalidMeshError, MeshFileError, MissingDependencyError
 from odt_plugins.hosts.filter_table import (
     BY_GUI,
@@ -128,7 +129,7 @@ def run_script_on_files(
         raise MeshFileError(msg)
     meshes = MeshSet()
     try:
-        with adapter.muted():
+        with muted():
             meshes.load_new_mesh(str(source))
     except PyMeshLabException as exc:
         msg = f"cannot read {source}: {' '.join(str(exc).split())}; expected a file of MeshLab's"
@@ -168,7 +169,7 @@ def apply_script(
     steps = read_script(text, source)
     places = [f"filter {i} of {len(steps)} in {source}" for i in range(1, len(steps) + 1)]
     given = [_parameters(*step) for step in zip(steps, places, strict=True)]
-    before = adapter.saved_script(meshes)
+    before = saved_script(meshes)
     results: list[dict[str, Any]] = []
     try:
         for step, parameters, place in zip(steps, given, places, strict=True):
@@ -188,7 +189,7 @@ def apply_script(
                 for line in lines:
                     progress(line)
     finally:
-        adapter.restore_script(meshes, before)
+        restore_script(meshes, before)
     return results
 
 
@@ -285,7 +286,7 @@ def _run_native(meshes: Any, step: Step, where: str) -> None:
             raise InvalidMeshError(msg)
     root = ElementTree.Element("FilterScript")
     root.append(step.entry)
-    adapter.restore_script(meshes, HEAD + ElementTree.tostring(root))
+    restore_script(meshes, HEAD + ElementTree.tostring(root))
     try:
         meshes.apply_filter_script()
     except PyMeshLabException as exc:

@@ -16,7 +16,9 @@ import numpy as np
 import pytest
 
 import odt_plugins
-from odt_plugins.adapters import pymeshlab_mesh as adapter
+from odt_plugins.adapters.pymeshlab_copy import private_copy
+from odt_plugins.adapters.pymeshlab_mesh import move_vertices
+from odt_plugins.adapters.pymeshlab_set import saved_script
 from odt_plugins.errors import (
     DataNotKeptWarning,
     InvalidOptionError,
@@ -333,7 +335,7 @@ def test_coordinates_arrive_bit_for_bit():
     new[still] = old[still]
     meshes = pymeshlab.MeshSet()
     meshes.add_mesh(pymeshlab.Mesh(old, np.array([[0, 1, 2]])))
-    adapter.move_vertices(meshes, new)
+    move_vertices(meshes, new)
     assert meshes.current_mesh().vertex_matrix().tobytes() == new.tobytes()
 
 
@@ -363,8 +365,8 @@ def test_a_set_with_gaps_is_copied_with_its_ids():
     out = odt_plugins.optimize(meshes)
     assert [out.mesh_id_exists(i) for i in range(4)] == [False, True, True, False]
     assert out.current_mesh_id() == 1
-    assert adapter.saved_script(out) == adapter.saved_script(meshes)
-    assert b'"Taubin Smooth"' in adapter.saved_script(out)
+    assert saved_script(out) == saved_script(meshes)
+    assert b'"Taubin Smooth"' in saved_script(out)
 
 
 def test_result_of_a_mesh_outlives_everything_else():
@@ -373,7 +375,7 @@ def test_result_of_a_mesh_outlives_everything_else():
     gc.collect()
     junk = [odt_plugins.optimize(plate(seed)) for seed in range(4)]
     assert np.array_equal(mesh.vertex_matrix(), points)
-    assert adapter.private_copy(mesh).current_mesh().face_number() == 72
+    assert private_copy(mesh).current_mesh().face_number() == 72
     assert len(junk) == 4
 
 

@@ -13,7 +13,7 @@ import surface_meshes
 
 import odt_plugins
 from odt_plugins import cli
-from odt_plugins.adapters import pymeshlab_mesh as adapter
+from odt_plugins.adapters.pymeshlab_set import saved_script
 from odt_plugins.errors import (
     InvalidMeshError,
     InvalidOptionError,
@@ -22,7 +22,7 @@ from odt_plugins.errors import (
     ODTError,
     UnsupportedMeshError,
 )
-from odt_plugins.hosts import pymeshlab_filters
+from odt_plugins.hosts import pymeshlab_work
 from odt_plugins.hosts.filter_table import FILTERS
 
 pymeshlab = pytest.importorskip("pymeshlab")
@@ -240,13 +240,13 @@ def test_meshes_that_a_filter_cannot_take_are_named_in_the_words_of_meshlab():
             meshes = sphere()
         elif mesh is not None:
             meshes.add_mesh(mesh)
-        script = adapter.saved_script(meshes)
+        script = saved_script(meshes)
         for name in (*MOVING, "meshing_odt_optimization"):
             with pytest.raises(pymeshlab.PyMeshLabException, match=words) as caught:
                 meshes.apply_filter(name)
             assert isinstance(caught.value, ODTError)
             assert name in str(caught.value)
-        assert adapter.saved_script(meshes) == script
+        assert saved_script(meshes) == script
     with pytest.raises(UnsupportedMeshError):
         pymeshlab.MeshSet().apply_coord_odt_smoothing()
 
@@ -340,11 +340,11 @@ def test_the_filter_script_of_a_set_holds_our_filters_and_runs_them(tmp_path):
     again, loaded = flat_set(), flat_set()
     assert len(odt_plugins.run_filter_script(again, file)) == 4
     assert same(again, meshes)
-    assert b"<filter " not in adapter.saved_script(again)
+    assert b"<filter " not in saved_script(again)
     loaded.load_filter_script(str(file))
     loaded.apply_filter_script()
     assert same(loaded, meshes)
-    assert adapter.saved_script(loaded).count(b"<filter ") == 4
+    assert saved_script(loaded).count(b"<filter ") == 4
     loaded.clear_filter_script()
     native = script(tmp_path, ENTRY.format("Taubin Smooth", ""))
     loaded.load_filter_script(str(native))
@@ -360,7 +360,7 @@ def test_names_and_values_of_scripts(tmp_path):
 
     def work(meshes, values):
         seen.append(values)
-        return pymeshlab_filters.Effect({"n": len(seen)}, [])
+        return pymeshlab_work.Effect({"n": len(seen)}, [])
 
     entries = [
         ENTRY.format("ODT Tetrahedralization", length.format("RichAbsPerc", "0.25")),
@@ -373,7 +373,7 @@ def test_names_and_values_of_scripts(tmp_path):
                      '<Param name="density" type="RichString" value="inverse-volume"/>'),
     ]
     with pytest.MonkeyPatch.context() as patch:
-        patch.setitem(pymeshlab_filters.WORK, "generate_odt_tetrahedralization", work)
+        patch.setitem(pymeshlab_work.WORK, "generate_odt_tetrahedralization", work)
         results = odt_plugins.run_filter_script(flat_set(), script(tmp_path, *entries))
     assert [r["n"] for r in results] == [1, 2, 3, 4]
     assert [v["targetlen"] for v in seen[:2]] == pytest.approx([0.25, 0.25 * 2**0.5])
@@ -424,7 +424,7 @@ def test_other_errors_of_scripts_name_the_filter_and_its_place(tmp_path):
     with pytest.raises(InvalidMeshError, match="'Sharpen & Shine', filter 2 of 2 in"):
         odt_plugins.run_filter_script(meshes, script(tmp_path, *entries))
     assert not same(meshes, flat_set())
-    assert b"<filter " not in adapter.saved_script(meshes)
+    assert b"<filter " not in saved_script(meshes)
 
 
 def test_scripts_that_would_crash_meshlab_are_refused(tmp_path):

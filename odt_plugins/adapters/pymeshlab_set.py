@@ -1,0 +1,144 @@
+"""A pymeshlab.MeshSet as a whole: copied, emptied and filled again, and its filter script."""
+
+from __future__ import annotations
+
+import tempfile
+import warnings
+import weakref
+from pathlib import Path
+from typing import Any
+
+from odt_plugins.adapters.pymeshlab_copy import add_copy, muted, needs_file, one_point
+from odt_plugins.errors import DataNotKeptWarning, ODTWarning
+
+
+def copy_of_set(meshes: Any, current: Any) -> Any:
+    """Copy a MeshSet: its meshes with their ids, visibility, filter script.
+
+    Parameters
+    ----------
+    meshes : pymeshlab.MeshSet     not changed
+    current : pymeshlab.MeshSet    its mesh takes the place of the current mesh
+
+    Warns
+    -----
+    DataNotKeptWarning    it holds rasters
+    """
+    from pymeshlab import MeshSet
+
+    out = MeshSet()
+    fill(out, meshes, current)
+    restore_script(out, saved_script(meshes))
+    if rasters(meshes):
+        msg = f"the copy of the MeshSet does not keep its {rasters(meshes)} rasters"
+        warnings.warn(msg, DataNotKeptWarning, stacklevel=2)
+    return out
+
+
+def fill(out: Any, meshes: Any, current: Any) -> None:
+    """Copy the meshes of a set, with their ids and visibility, into an empty one.
+
+    Parameters
+    ----------
+    out : pymeshlab.MeshSet                changed
+    meshes, current : pymeshlab.MeshSet    see :func:`copy_of_set`
+    """
+    unused = []
+    found = next_id = 0
+    while found < meshes.mesh_number():
+        if meshes.mesh_id_exists(next_id):
+            own = next_id == meshes.current_mesh_id()
+            add_copy(out, current.current_mesh() if own else meshes.mesh(next_id))
+            out.set_mesh_visibility(next_id, meshes.is_mesh_visible(next_id))
+            found += 1
+        else:
+            out.add_mesh(one_point())
+            unused.append(next_id)
+        next_id += 1
+    for spare in unused:
+        out.set_current_mesh(spare)
+        out.delete_current_mesh()
+    out.set_current_mesh(meshes.current_mesh_id())
+
+
+def rasters(meshes: Any) -> int:
+    """Number of rasters of a MeshSet; newer releases of pymeshlab have none."""
+    count = getattr(meshes, "raster_number", None)
+    return int(count()) if count else 0
+
+
+def exchange(meshes: Any, new: Any) -> None:
+    """Put a mesh in the place of the current one, with its id.
+
+    MeshLab gives ids only to meshes that are added, so the whole set is emptied and filled again
+    in its order. Where that would do harm, since the set holds rasters, or another of its meshes
+    is still in use as a Mesh object or has several textures, the new mesh is added at the end,
+    with a new id.
+
+    Parameters
+    ----------
+    meshes : pymeshlab.MeshSet    changed
+    new : pymeshlab.MeshSet       of one mesh
+
+    Warns
+    -----
+    ODTWarning                    the mesh has a new id, or a Mesh object taken before is void
+    """
+    own, held = meshes.current_mesh_id(), weakref.ref(meshes.current_mesh())
+    if _may_be_emptied(meshes):
+        copy = copy_of_set(meshes, new)
+        meshes.clear()
+        fill(meshes, copy, copy)
+    else:
+        visible = meshes.is_current_mesh_visible()
+        add_copy(meshes, new.current_mesh())
+        added = meshes.current_mesh_id()
+        meshes.set_current_mesh_visibility(visible)
+        meshes.set_current_mesh(own)
+        meshes.apply_filter("delete_current_mesh")
+        meshes.set_current_mesh(added)
+        msg = (f"mesh {own} of the MeshSet was built anew and is now mesh {added}; ids stay where "
+               f"its other meshes have no second texture and are in no variable, and no rasters")
+        warnings.warn(msg, ODTWarning, stacklevel=2)
+    mesh = held()
+    if mesh is not None and mesh is not meshes.current_mesh():
+        msg = ("the current mesh was built anew; the Mesh object taken from the MeshSet before is "
+               "void, take current_mesh() again")
+        warnings.warn(msg, ODTWarning, stacklevel=2)
+
+
+def _may_be_emptied(meshes: Any) -> bool:
+    """Say whether the other meshes of a set can be copied without loss and without harm."""
+    if rasters(meshes):
+        return False
+    found = current = 0
+    while found < meshes.mesh_number():
+        if meshes.mesh_id_exists(current):
+            found += 1
+            if current != meshes.current_mesh_id() and (
+                weakref.ref(meshes.mesh(current))() is not None
+                or needs_file(meshes.mesh(current))
+            ):
+                return False
+        current += 1
+    return True
+
+
+def saved_script(meshes: Any) -> bytes:
+    """Filter script of a set, as a file."""
+    with tempfile.TemporaryDirectory(prefix="odt-plugins-") as folder:
+        file = Path(folder) / "script.mlx"
+        meshes.save_filter_script(str(file))
+        return file.read_bytes()
+
+
+def restore_script(meshes: Any, script: bytes) -> None:
+    """Make a file the filter script of a set."""
+    meshes.clear_filter_script()
+    if b"<filter" not in script and b"<xmlfilter" not in script:
+        return
+    with tempfile.TemporaryDirectory(prefix="odt-plugins-") as folder:
+        file = Path(folder) / "script.mlx"
+        file.write_bytes(script)
+        with muted():
+            meshes.load_filter_script(str(file))

@@ -1,0 +1,198 @@
+"""What the filters of odt_plugins inside pymeshlab do to a MeshSet."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.adapters.pymeshlab_copy import custom_attributes, private_copy
+from odt_plugins.adapters.pymeshlab_mesh import InPlace
+from odt_plugins.adapters.pymeshlab_set import exchange
+from odt_plugins.api import optimize_with_report
+from odt_plugins.errors import InvalidMeshError, ODTError
+from odt_plugins.options import FIGURES
+from odt_plugins.tetwild import run_tetwild
+
+if TYPE_CHECKING:
+    from odt_plugins.report import Report
+
+EDGES = tuple(
+    f"sqrt((x{i}-x{j})^2+(y{i}-y{j})^2+(z{i}-z{j})^2)" for i, j in ((0, 1), (1, 2), (2, 0))
+)
+_A, _B, _C = EDGES
+RADIUS_RATIO = (
+    f"min(({_A}), ({_B}), ({_C})) > 0 ? "
+    f"max(0, ({_B}+{_C}-{_A})/({_A}) * ({_C}+{_A}-{_B})/({_B}) * ({_A}+{_B}-{_C})/({_C})) : 0"
+)
+"""2 r/R (5.1) of a triangle in the language of MeshLab's function filters."""
+
+
+class Effect(NamedTuple):
+    """What a filter did: the values it returns, and its lines in the log."""
+
+    values: dict[str, Any]
+    lines: list[str]
+
+
+def _smooth(meshes: Any, values: Mapping[str, Any], method: str, solver: str) -> Effect:
+    old = np.array(meshes.current_mesh().vertex_matrix())
+    options = _options(values, diagonal(meshes)) | {"method": method, "solver": solver}
+    _, report = optimize_with_report(
+        InPlace(meshes), connectivity="none", finish=False, cycles=1, **options,
+        **_scope(meshes, values["selected"]),
+    )
+    return _effect(old, meshes.current_mesh().vertex_matrix(), report, "Smoothed {} vertices")
+
+
+def _optimize(meshes: Any, values: Mapping[str, Any]) -> Effect:
+    old, faces = _arrays(meshes)
+    _, report = optimize_with_report(
+        InPlace(meshes), cycles=values["iterations"],
+        **_options(values, diagonal(meshes)),
+        **_scope(meshes, values["selected"]),
+    )
+    points, new = _arrays(meshes)
+    fresh = _new_rows(faces, new)
+    effect = _effect(old, points, report, "Moved {} vertices")
+    effect.values["new_faces"] = fresh
+    effect.lines.insert(1, f"Flipped edges, {fresh} faces are new")
+    return effect
+
+
+def _arrays(meshes: Any) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+    mesh = meshes.current_mesh()
+    return np.array(mesh.vertex_matrix()), np.array(mesh.face_matrix())
+
+
+def _radius_ratio(meshes: Any, values: Mapping[str, Any]) -> Effect:
+    """MeshLab's function filter, which bears no attributes of faces but those of a copy."""
+    if any(attribute.reader.startswith("face") for attribute in custom_attributes(meshes)):
+        exchange(meshes, private_copy(meshes.current_mesh()))
+    meshes.apply_filter("compute_scalar_by_function_per_face", q=RADIUS_RATIO)
+    quality = meshes.current_mesh().face_scalar_array()
+    found = {"min_radius_ratio": float(quality.min()), "mean_radius_ratio": float(quality.mean())}
+    figures = f"min {quality.min():.4f}, mean {quality.mean():.4f}"
+    return Effect(found, [f"Radius ratio of {len(quality)} faces: {figures}"])
+
+
+def _tetrahedralize(meshes: Any, values: Mapping[str, Any]) -> Effect:
+    surface = meshes.current_mesh()
+    length = diagonal(meshes)
+    try:
+        tets = run_tetwild({
+            "vertices": np.array(surface.vertex_matrix()),
+            "faces": np.array(surface.face_matrix()),
+            "edge_length_fac": values["targetlen"] / length,
+            "epsilon": values["maxsurfdist"] / length,
+            "vtk_ordering": True,
+        })
+    except (RuntimeError, ValueError) as exc:
+        if isinstance(exc, ODTError):
+            raise
+        msg = f"TetWild failed: {exc}; expected a closed surface, try meshing_close_holes()"
+        raise InvalidMeshError(msg) from exc
+    (points, cells), report = optimize_with_report(
+        tets, cycles=values["iterations"], **_options(values, length))
+    used, faces = boundary_surface(cells)
+    matrix = np.array(surface.transform_matrix())
+    from pymeshlab import Mesh
+
+    meshes.add_mesh(Mesh(points[used], faces), f"{surface.label()} tetrahedralization", True)
+    if not np.array_equal(matrix, np.eye(4)):
+        meshes.apply_filter("set_matrix", transformmatrix=matrix, freeze=False)
+    effect = _effect(tets[0], points, report, "Moved {} vertices of the tetrahedra")
+    effect.values.update(
+        tet_vertex_matrix=points, tet_matrix=cells, boundary_vertex_index=used)
+    effect.lines.insert(0, f"{len(points)} vertices, {len(cells)} tetrahedra, "
+                           f"{len(faces)} boundary faces")
+    return effect
+
+
+def boundary_surface(
+    cells: NDArray[np.int32],
+) -> tuple[NDArray[np.intp], NDArray[np.int32]]:
+    """Boundary of positively oriented tetrahedra, seen from outside.
+
+    Returns
+    -------
+    used : (k,) int        vertices on the boundary, increasing
+    faces : (f, 3) int32   triangles of positions in `used`, normals outwards
+    """
+    sides = np.concatenate([cells[:, [1, 2, 3]], cells[:, [0, 3, 2]], cells[:, [0, 1, 3]],
+                            cells[:, [0, 2, 1]]])
+    _, first, count = np.unique(
+        np.sort(sides, axis=1), axis=0, return_index=True, return_counts=True)
+    outer = sides[np.sort(first[count == 1])]
+    used, faces = np.unique(outer, return_inverse=True)
+    return used.astype(np.intp), faces.reshape(-1, 3).astype(np.int32)
+
+
+def _options(values: Mapping[str, Any], length: float) -> dict[str, Any]:
+    """Options of :func:`odt_plugins.optimize` that MeshLab's words stand for; length: diagonal."""
+    options = {"rounds": values["stepsmoothnum"], "density": values["density"],
+               "keep": FIGURES if values["keepquality"] else ()}
+    if values.get("boundary"):
+        options["boundary"] = "slide"
+    if "envelope" in values:
+        options |= {"envelope": values["envelope"] / length,
+                    "feature_angle": values["featuredeg"]}
+    return options
+
+
+def _scope(meshes: Any, selected: bool) -> dict[str, Any]:
+    """Restrict to the selected faces or, when there are none, to the selected vertices."""
+    if not selected:
+        return {}
+    mesh = meshes.current_mesh()
+    faces = np.array(mesh.face_selection_array())
+    vertices = np.array(mesh.vertex_selection_array())
+    if vertices.any() and not faces.any():
+        return {"fixed": ~vertices}
+    return {"selection": faces}
+
+
+def _effect(
+    old: NDArray[np.float64], new: NDArray[np.float64], report: Report, title: str
+) -> Effect:
+    """Figures of a run, for the result and for the log."""
+    moved = int((old != new).any(axis=1).sum())
+    a, b = report.before, report.after
+    lines = [
+        title.format(moved),
+        f"Radius ratio min {a.min_quality:.4f} -> {b.min_quality:.4f}, "
+        f"mean {a.mean_quality:.4f} -> {b.mean_quality:.4f}",
+        f"Angles {a.min_angle:.2f} .. {a.max_angle:.2f} -> {b.min_angle:.2f} .. {b.max_angle:.2f}",
+    ]
+    if report.fallback:
+        lines.append(f"Fell back: {report.fallback}")
+    found = {"moved_vertices": moved, "min_radius_ratio": b.min_quality,
+             "mean_radius_ratio": b.mean_quality, "min_angle": b.min_angle,
+             "max_angle": b.max_angle, "min_radius_ratio_before": a.min_quality,
+             "mean_radius_ratio_before": a.mean_quality}
+    return Effect(found, lines)
+
+
+def _new_rows(old: NDArray[np.int32], new: NDArray[np.int32]) -> int:
+    """Count the faces of `new` whose vertices no face of `old` has."""
+    both = np.concatenate([np.unique(np.sort(old, axis=1), axis=0), np.sort(new, axis=1)])
+    return int(len(np.unique(both, axis=0)) - len(np.unique(np.sort(old, axis=1), axis=0)))
+
+
+def diagonal(meshes: Any) -> float:
+    """Length of the diagonal of the current mesh's bounding box."""
+    points = meshes.current_mesh().vertex_matrix()
+    return float(np.sqrt(((points.max(axis=0) - points.min(axis=0)) ** 2).sum()))
+
+
+WORK: dict[str, Callable[[Any, Mapping[str, Any]], Effect]] = {
+    "apply_coord_odt_smoothing": lambda m, v: _smooth(m, v, "odt", "gauss-seidel"),
+    "apply_coord_cpt_smoothing": lambda m, v: _smooth(m, v, "cpt", "gauss-seidel"),
+    "apply_coord_odt_global_smoothing": lambda m, v: _smooth(m, v, "odt", "global"),
+    "meshing_odt_optimization": _optimize,
+    "compute_scalar_by_radius_ratio_per_face": _radius_ratio,
+    "generate_odt_tetrahedralization": _tetrahedralize,
+}
+"""What every filter does."""
