@@ -18,7 +18,7 @@ from strategies import SEEDS
 import odt_plugins
 from odt_plugins.engine.geometry import boundary_facets
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError, ODTWarning
-from odt_plugins.generate import levels, project, refine3d
+from odt_plugins.generate import coarse, project, refine3d
 
 DOUBLE = np.dtype(np.float64)
 
@@ -237,7 +237,7 @@ def test_the_same_input_gives_the_same_bits_with_any_threads():
 def meshed(monkeypatch):
     """TetWild replaced by a coarse ball."""
     calls = []
-    monkeypatch.setattr(levels, "run_tetwild", lambda given: calls.append(given) or coarse_ball())
+    monkeypatch.setattr(coarse, "run_tetwild", lambda given: calls.append(given) or coarse_ball())
     return calls
 
 

@@ -19,7 +19,8 @@ from odt_plugins.generate.distance import (
     protate,
     pshift,
 )
-from odt_plugins.generate.levels import LevelsReport, refine_and_optimize
+from odt_plugins.generate.levels import refine_and_optimize
+from odt_plugins.generate.levels_report import LevelsReport
 from odt_plugins.generate.odtmesh import odtmesh2d
 from odt_plugins.generate.refine2d import refine_triangles
 from odt_plugins.generate.samples import SAMPLES, Sample

@@ -6,20 +6,15 @@ few dozen microseconds. So TetWild makes a coarse mesh only.
 
 from __future__ import annotations
 
-import json
-import os
 import time
 import warnings
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
 from numbers import Integral, Real
-from typing import Any, NamedTuple, Unpack
+from typing import Any, Unpack
 
 import numpy as np
 
-from odt_plugins.adapters import meshio_mesh, pyvista_mesh
-from odt_plugins.adapters.files import read_file
-from odt_plugins.adapters.host import HostMesh, Result, is_instance
+from odt_plugins.adapters.host import HostMesh, Result
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.api import (
     OptionKeywords,
@@ -29,23 +24,20 @@ from odt_plugins.api import (
 )
 from odt_plugins.engine.geometry import boundary_facets, interface_vertices
 from odt_plugins.engine.surface.envelope import distances
-from odt_plugins.errors import InvalidMeshError, InvalidOptionError, ODTWarning
-from odt_plugins.generate.project import Target, make_target, project
+from odt_plugins.errors import InvalidOptionError, ODTWarning
+from odt_plugins.generate.coarse import coarse_mesh
+from odt_plugins.generate.levels_report import Level, LevelsReport
+from odt_plugins.generate.project import Target, project
 from odt_plugins.generate.refine3d import check_size, numbered_edges
-from odt_plugins.generate.uniform import read_linear, uniform_refine
+from odt_plugins.generate.uniform import uniform_refine
 from odt_plugins.mesh import (
     BoolArray,
-    FloatArray,
-    IntArray,
     compact_labels,
     mesh_arrays,
     row_keys,
-    simplex_mesh,
     vertex_mask,
 )
-from odt_plugins.options import Options
-from odt_plugins.quality import QualitySummary, volumes
-from odt_plugins.tetwild import run_tetwild
+from odt_plugins.quality import volumes
 
 SLIDES: tuple[dict[str, Any], ...] = (
     {"envelope": 0.25, "objective": "radius_ratio"},
@@ -54,122 +46,12 @@ SLIDES: tuple[dict[str, Any], ...] = (
 """Runs on the coarse mesh whose boundary slides, with parts of the envelope: what is sharp there
 stays so at every level. Fine boundaries move to the surface again."""
 
-TETWILD_PART = 0.75
-"""Part of the envelope for TetWild, which holds its surface near yours but not yours near its."""
-
 TOLERANCE = 0.02
 """Distances are bounded to this part of the envelope."""
 
 CARRIED = ("selection", "fixed", "regions", "insert", "boundary", "progress", "envelope",
            "feature_angle")
 """Options that are not the same at every level."""
-
-
-@dataclass(frozen=True)
-class Level:
-    """What was done at one level.
-
-    Attributes
-    ----------
-    level : int                       0 is the coarse mesh
-    quality : QualitySummary          at the end of the level
-    asked, short : int                boundary vertices that were to move to the surface, and those
-                                      that had to stop before it
-    refining, projecting, optimising : float    wall seconds
-    fallback : str or None            why optimisation gave an earlier state back
-    """
-
-    level: int
-    quality: QualitySummary
-    asked: int
-    short: int
-    refining: float
-    projecting: float
-    optimising: float
-    fallback: str | None
-
-
-@dataclass(frozen=True)
-class LevelsReport:
-    """What :func:`refine_and_optimize` did.
-
-    Attributes
-    ----------
-    levels : tuple of Level
-    envelope : float                  length that was asked for
-    forward, backward : float         upper bounds of the distances from the boundary of the mesh to
-                                      the surface, and from the surface to it
-    volume, surface_volume : float    of the mesh, and inside the surface
-    meshing, checking : float         wall seconds of TetWild, and of measuring the distances
-    """
-
-    levels: tuple[Level, ...]
-    envelope: float
-    forward: float
-    backward: float
-    volume: float
-    surface_volume: float
-    meshing: float
-    checking: float
-
-    @property
-    def after(self) -> QualitySummary:
-        """Figures of the result."""
-        return self.levels[-1].quality
-
-    @property
-    def within(self) -> bool:
-        """Whether both distances are certainly within the envelope."""
-        return max(self.forward, self.backward) <= self.envelope
-
-    @property
-    def seconds(self) -> float:
-        """Wall time of everything."""
-        return self.meshing + self.checking + sum(
-            level.refining + level.projecting + level.optimising for level in self.levels)
-
-    def __str__(self) -> str:
-        """Text of a few lines: a table of levels, then surface, volume and time."""
-        lines = [f"{'level':>5}{'cells':>10}{'mean q':>9}{'1 %':>8}{'min q':>8}{'dihedral':>16}"
-                 f"{'seconds':>9}"]
-        for at in self.levels:
-            q = at.quality
-            seconds = at.refining + at.projecting + at.optimising
-            angles = f"{q.min_angle:.1f}..{q.max_angle:.1f}"
-            lines.append(f"{at.level:>5}{q.n_cells:>10}{q.mean_quality:>9.4f}"
-                         f"{q.p1_quality:>8.3f}{q.min_quality:>8.3f}{angles:>16}{seconds:>9.1f}")
-            if at.fallback:
-                lines.append(f"      {at.fallback}")
-        last = self.levels[-1]
-        lines += [
-            f"surface  {self.forward:.3g} to it, {self.backward:.3g} from it, "
-            f"{'within' if self.within else 'not within'} the envelope of {self.envelope:.3g}; "
-            f"{last.short} of {last.asked} vertices stopped before it",
-            f"volume   {self.volume:.6g}, inside the surface {self.surface_volume:.6g}",
-            f"time     {self.seconds:.1f} s, of them TetWild {self.meshing:.1f} s; "
-            f"{1e6 * self.seconds / last.quality.n_cells:.0f} us a cell",
-        ]
-        return "\n".join(lines)
-
-    def to_dict(self) -> dict[str, Any]:
-        """Give everything as plain values that JSON knows."""
-        data = asdict(self)
-        for level, at in zip(data["levels"], self.levels, strict=True):
-            level["quality"] = at.quality.to_dict()
-        return data | {"within": self.within, "seconds": self.seconds}
-
-    def to_json(self) -> str:
-        """Give :meth:`to_dict` as JSON text."""
-        return json.dumps(self.to_dict(), indent=2, allow_nan=False)
-
-
-class _Start(NamedTuple):
-    """The coarse mesh, the surface it stands for, and the seconds TetWild took."""
-
-    mesh: Any
-    target: Target
-    seconds: float
-    meshed: bool
 
 
 @with_option_signature
@@ -237,7 +119,7 @@ def refine_and_optimize(
     chosen = make_options(**options)
     _check(levels, edge_length, options)
     named = chosen.regions
-    start = _start(mesh, surface, edge_length, chosen)
+    start = coarse_mesh(mesh, surface, edge_length, chosen)
     slides = options.get("boundary", "slide" if start.meshed or surface is not None else "fixed")
     low, high = (f(start.target.reference.points[start.target.reference.triangles], axis=(0, 1))
                  for f in (np.min, np.max))
@@ -326,60 +208,6 @@ def _check(levels: Any, edge_length: Any, options: Mapping[str, Any]) -> None:
             f"cells are others at every level"
         )
         raise InvalidOptionError(msg)
-
-
-def _start(
-    mesh: Any, surface: Any, edge_length: float, options: Options
-) -> _Start:
-    """Read a coarse mesh, or make one of a surface."""
-    if isinstance(mesh, str | os.PathLike):
-        mesh = read_file(mesh)
-    angle = options.feature_angle
-    host = find_adapter(mesh).read(mesh)
-    points, cells = mesh_arrays(host.points, host.cells)
-    if cells.shape[1] == 4:
-        read_linear(mesh)
-        simplex, _ = simplex_mesh(points, cells, orient=options.orient)
-        if surface is None:
-            target = make_target(simplex.points, boundary_facets(simplex.cells), angle)
-        else:
-            target = make_target(*_surface(surface), angle)
-        return _Start(mesh, target, 0.0, False)
-    given = {"surface": surface, "fixed": options.fixed, "selection": options.selection,
-             "regions": options.regions}
-    name = next((name for name, value in given.items() if value is not None), None)
-    if name is not None:
-        msg = f"got {name} for a mesh of triangles; expected it for tetrahedra only"
-        raise InvalidOptionError(msg)
-    points, faces = _surface(mesh)
-    target = make_target(points, faces, angle)
-    clock = time.perf_counter()
-    coarse = run_tetwild({
-        "vertices": points, "faces": faces, "edge_length_fac": edge_length,
-        "epsilon": TETWILD_PART * options.envelope, "vtk_ordering": True,
-    })
-    seconds, _ = _lap(clock)
-    p, t = np.asarray(coarse[0], dtype=np.float64), np.asarray(coarse[1], dtype=np.int32)
-    if is_instance(mesh, "pyvista", "DataSet") or is_instance(mesh, "pyvista", "PolyData"):
-        return _Start(pyvista_mesh.tetrahedra(p, t), target, seconds, True)
-    if is_instance(mesh, "meshio", "Mesh"):
-        return _Start(meshio_mesh.tetrahedra(p, t), target, seconds, True)
-    return _Start((p, t), target, seconds, True)
-
-
-def _surface(mesh: Any) -> tuple[FloatArray, IntArray]:
-    """Points and triangles of a surface in space, points at the same place merged."""
-    host = find_adapter(mesh).read(mesh)
-    points, cells = mesh_arrays(host.points, host.cells)
-    if cells.shape[1] != 3 or points.shape[1] != 3:
-        what = "tetrahedra" if cells.shape[1] == 4 else "triangles in the plane"
-        msg = f"got {what} as a surface; expected triangles in space, try the boundary"
-        raise InvalidMeshError(msg)
-    used, number = np.unique(cells, return_inverse=True)
-    places, merged = np.unique(points[used], axis=0, return_inverse=True)
-    faces = merged.ravel()[number.reshape(cells.shape)].astype(np.int32)
-    flat = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
-    return places, np.ascontiguousarray(faces[~flat])
 
 
 def _carried(

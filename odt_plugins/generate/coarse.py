@@ -1,0 +1,101 @@
+"""The coarse mesh of tetrahedra that refinement starts from: the caller's, or one of TetWild's."""
+
+from __future__ import annotations
+
+import os
+import time
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from odt_plugins.adapters import meshio_mesh, pyvista_mesh
+from odt_plugins.adapters.files import read_file
+from odt_plugins.adapters.host import is_instance
+from odt_plugins.adapters.registry import find_adapter
+from odt_plugins.engine.geometry import boundary_facets
+from odt_plugins.errors import InvalidMeshError, InvalidOptionError
+from odt_plugins.generate.project import Target, make_target
+from odt_plugins.generate.uniform import read_linear
+from odt_plugins.mesh import FloatArray, IntArray, mesh_arrays, simplex_mesh
+from odt_plugins.options import Options
+from odt_plugins.tetwild import run_tetwild
+
+TETWILD_PART = 0.75
+"""Part of the envelope for TetWild, which holds its surface near yours but not yours near its."""
+
+
+class Coarse(NamedTuple):
+    """A coarse mesh of tetrahedra and the surface it stands for.
+
+    Attributes
+    ----------
+    mesh : Any            in the caller's type
+    target : Target       the surface
+    seconds : float       wall time of TetWild
+    meshed : bool         whether TetWild made it
+    """
+
+    mesh: Any
+    target: Target
+    seconds: float
+    meshed: bool
+
+
+def coarse_mesh(mesh: Any, surface: Any, edge_length: float, options: Options) -> Coarse:
+    """Read a coarse mesh, or make one of a surface; parameters as of `refine_and_optimize`.
+
+    Raises
+    ------
+    InvalidMeshError        the mesh is broken, or the surface is none or not closed
+    InvalidOptionError      options for tetrahedra with a mesh of triangles
+    UnsupportedMeshError    the object is nothing that can be refined
+    MissingDependencyError  a surface, and pytetwild is not installed
+    """
+    if isinstance(mesh, str | os.PathLike):
+        mesh = read_file(mesh)
+    angle = options.feature_angle
+    host = find_adapter(mesh).read(mesh)
+    points, cells = mesh_arrays(host.points, host.cells)
+    if cells.shape[1] == 4:
+        read_linear(mesh)
+        simplex, _ = simplex_mesh(points, cells, orient=options.orient)
+        if surface is None:
+            target = make_target(simplex.points, boundary_facets(simplex.cells), angle)
+        else:
+            target = make_target(*_surface(surface), angle)
+        return Coarse(mesh, target, 0.0, False)
+    given = {"surface": surface, "fixed": options.fixed, "selection": options.selection,
+             "regions": options.regions}
+    name = next((name for name, value in given.items() if value is not None), None)
+    if name is not None:
+        msg = f"got {name} for a mesh of triangles; expected it for tetrahedra only"
+        raise InvalidOptionError(msg)
+    points, faces = _surface(mesh)
+    target = make_target(points, faces, angle)
+    clock = time.perf_counter()
+    made = run_tetwild({
+        "vertices": points, "faces": faces, "edge_length_fac": edge_length,
+        "epsilon": TETWILD_PART * options.envelope, "vtk_ordering": True,
+    })
+    seconds = time.perf_counter() - clock
+    p, t = np.asarray(made[0], dtype=np.float64), np.asarray(made[1], dtype=np.int32)
+    if is_instance(mesh, "pyvista", "DataSet") or is_instance(mesh, "pyvista", "PolyData"):
+        return Coarse(pyvista_mesh.tetrahedra(p, t), target, seconds, True)
+    if is_instance(mesh, "meshio", "Mesh"):
+        return Coarse(meshio_mesh.tetrahedra(p, t), target, seconds, True)
+    return Coarse((p, t), target, seconds, True)
+
+
+def _surface(mesh: Any) -> tuple[FloatArray, IntArray]:
+    """Points and triangles of a surface in space, points at the same place merged."""
+    host = find_adapter(mesh).read(mesh)
+    points, cells = mesh_arrays(host.points, host.cells)
+    if cells.shape[1] != 3 or points.shape[1] != 3:
+        what = "tetrahedra" if cells.shape[1] == 4 else "triangles in the plane"
+        msg = f"got {what} as a surface; expected triangles in space, try the boundary"
+        raise InvalidMeshError(msg)
+    used, number = np.unique(cells, return_inverse=True)
+    places, merged = np.unique(points[used], axis=0, return_inverse=True)
+    faces = merged.ravel()[number.reshape(cells.shape)].astype(np.int32)
+    flat = (faces == np.roll(faces, 1, axis=1)).any(axis=1)
+    return places, np.ascontiguousarray(faces[~flat])
