@@ -23,6 +23,7 @@ from odt_plugins.engine.corner import corner_edges, six_volumes
 from odt_plugins.engine.flips2d import flip
 from odt_plugins.engine.flips3d import REAL, admissible
 from odt_plugins.engine.kernel import allocating_kernel, kernel
+from odt_plugins.engine.lookup import place_in
 from odt_plugins.engine.slide import affordable, spend
 from odt_plugins.engine.surface.closest import Ground
 from odt_plugins.engine.surface.flips import edge_is_free, flip_back, keeps_normals
@@ -52,10 +53,7 @@ def walk_open_ring(
         if n == MAX_RING:
             return 0
         ring[n] = head
-        f = 0
-        while cells[current, f] != behind:
-            f += 1
-        across = neighbors[current, f]
+        across = neighbors[current, place_in(cells, current, behind)]
         if across < 0:
             return n
         if regions[across] != regions[c]:
@@ -80,9 +78,7 @@ def sheet_triangle(sheet: Sheet, start: int, a: int, b: int) -> tuple[int, int]:
     for way in (1, 2):
         c = start
         while c >= 0:
-            i = 0
-            while t[c, i] != a:
-                i += 1
+            i = place_in(t, c, a)
             if t[c, (i + 1) % 3] == b:
                 return c, (i + 2) % 3
             c = neighbors[c, (i + way) % 3]
@@ -151,9 +147,7 @@ def _flip_sheet(
     s = sheet.neighbors[t, f]
     if s < 0 or sheet.locked[edge] or stays[edge]:
         return False
-    g = 0
-    while sheet.cell_edges[s, g] != edge:
-        g += 1
+    g = place_in(sheet.cell_edges, s, edge)
     x, y = sheet.triangles[t, f], sheet.triangles[s, g]
     change = _signed_volume(
         sheet.points, x, sheet.triangles[t, (f + 1) % 3], sheet.triangles[t, (f + 2) % 3], y

@@ -21,15 +21,6 @@ UNKNOWN = 0.0
 Work = tuple[IntArray, IntArray, IntArray, FloatArray, IntArray, IntArray, IntArray, FloatArray]
 
 
-@kernel
-def is_in(value: int, values: IntArray, n: int) -> bool:
-    """Whether the value is one of the first n."""
-    for m in range(n):
-        if values[m] == value:
-            return True
-    return False
-
-
 @allocating_kernel
 def make_work(costs: FloatArray) -> Work:
     """Work arrays for one thread: ring, cells around, new cells, table, splits, stack, rim, costs.

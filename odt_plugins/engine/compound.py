@@ -9,9 +9,11 @@ from __future__ import annotations
 
 import numpy as np
 
-from odt_plugins.engine.cavity import DONE, IDLE, PENDING, Work, is_in, make_work, take_back
+from odt_plugins.engine.bounds import relaxed
+from odt_plugins.engine.cavity import DONE, IDLE, PENDING, Work, make_work, take_back
 from odt_plugins.engine.flips3d import flip_facet, improve_cell, remove_edge
 from odt_plugins.engine.kernel import allocating_kernel, kernel
+from odt_plugins.engine.lookup import is_in
 from odt_plugins.engine.smooth3d import newton_vertex
 from odt_plugins.engine.tetrahedron import quality_cost, tet_cosines, tet_measure, tet_quality
 from odt_plugins.mesh import BoolArray, ByteArray, FloatArray, IntArray, LongArray
@@ -234,10 +236,10 @@ def compound_pass(
         tried[c] = True
         q = tet_quality(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
         large, small = tet_cosines(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
-        measure = tet_measure(
+        least, most, fewest = relaxed(bounds, q, large, small)
+        own = quality_cost(tet_measure(
             points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], objective
-        )
-        own = quality_cost(measure, power)
+        ), power)
         for op in range(10):
             journal[0, 0] = 0
             if op < 6:
@@ -257,8 +259,7 @@ def compound_pass(
                 max_ring, bounds, work[1], n_new, total, -DEEP * own, work, journal, scratch,
             )
             good = total > GAIN * own and within(
-                points, cells, scratch[0], n_touched, min(q, bounds[0]), max(large, bounds[1]),
-                min(small, bounds[2]),
+                points, cells, scratch[0], n_touched, least, most, fewest
             )
             settle(
                 points, cells, neighbors, status, slots, free, good, n_touched, n_undo, journal,

@@ -8,7 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from odt_plugins.engine.bounds import relaxed
 from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.lookup import place_in
 from odt_plugins.engine.tetrahedron import QUALITY
 from odt_plugins.engine.triangle import triangle_measure, triangle_shape
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
@@ -162,26 +164,19 @@ def _flip_edges(
 
     power = 0 flips to Delaunay with the guard for fixed vertices, power > 0 for the sum of m^-p.
     """
-    capacity = queue.shape[0]
     head = 0
     flips = 0
     while size > 0:
         e = queue[head]
-        head += 1
-        if head == capacity:
-            head = 0
+        head = (head + 1) % len(queue)
         size -= 1
         queued[e] = False
         t = edge_cell[e]
-        i = 0
-        while cell_edges[t, i] != e:
-            i += 1
+        i = place_in(cell_edges, t, e)
         s = neighbors[t, i]
         if s < 0 or regions[s] != regions[t] or not (active[t] and active[s]):
             continue
-        j = 0
-        while cell_edges[s, j] != e:
-            j += 1
+        j = place_in(cell_edges, s, e)
         a = cells[t, i]
         b = cells[t, (i + 1) % 3]
         c = cells[t, (i + 2) % 3]
@@ -200,17 +195,33 @@ def _flip_edges(
         changed[s] = True
         flips += 1
         if repeat:
-            for k in range(6):
-                cell = t if k < 3 else s
-                near = cell_edges[cell, k % 3]
-                if near != e and not queued[near]:
-                    queued[near] = True
-                    tail = head + size
-                    if tail >= capacity:
-                        tail -= capacity
-                    queue[tail] = near
-                    size += 1
+            size = queue_around(cell_edges, t, s, queue, queued, head, size)
     return flips
+
+
+@kernel
+def queue_around(
+    cell_edges: IntArray, t: int, s: int, queue: IntArray, queued: BoolArray, head: int, size: int
+) -> int:
+    """Queue the four edges around the one that was just flipped between triangles t and s.
+
+    Parameters
+    ----------
+    queue : (e,) int32     ring of edges; from ``head`` on, ``size`` of them wait
+    queued : (e,) bool     edges that wait, or never shall; kept up to date
+
+    Returns
+    -------
+    int                    how many wait then
+    """
+    for cell in (t, s):
+        for k in range(3):
+            near = cell_edges[cell, k]
+            if near != cell_edges[t, 1] and not queued[near]:
+                queued[near] = True
+                queue[(head + size) % len(queue)] = near
+                size += 1
+    return size
 
 
 @kernel
@@ -334,16 +345,13 @@ def _shapes_improve(
     q2, large2, small2 = triangle_shape(points, d, c, b)
     q3, large3, small3 = triangle_shape(points, a, b, d)
     q4, large4, small4 = triangle_shape(points, a, d, c)
-    if not min(q3, q4) > 0.0:
-        return False
     worst = min(q3, q4)
-    large = max(large3, large4)
-    small = min(small3, small4)
-    if worst < bounds[0] and worst < min(q1, q2):
+    if not worst > 0.0:
         return False
-    if large > bounds[1] and large > max(large1, large2):
-        return False
-    if small < bounds[2] and small < min(small1, small2):
+    least, most, fewest = relaxed(
+        bounds, min(q1, q2), max(large1, large2), min(small1, small2)
+    )
+    if worst < least or max(large3, large4) > most or min(small3, small4) < fewest:
         return False
     if not min(q1, q2) > 0.0:
         return True

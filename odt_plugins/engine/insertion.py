@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from odt_plugins.engine.cavity import Work, is_in, make_work, replace_cavity
+from odt_plugins.engine.bounds import relaxed
+from odt_plugins.engine.cavity import Work, make_work, replace_cavity
 from odt_plugins.engine.compound import (
     GAIN,
     LARGEST_STAR,
@@ -21,6 +22,7 @@ from odt_plugins.engine.compound import (
     within,
 )
 from odt_plugins.engine.kernel import allocating_kernel, kernel
+from odt_plugins.engine.lookup import is_in
 from odt_plugins.engine.smooth3d import newton_vertex
 from odt_plugins.engine.star_cavity import (
     PLACES,
@@ -152,6 +154,7 @@ def insertion_pass(
         tried[c] = True
         q = tet_quality(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
         large, small = tet_cosines(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
+        least, most, fewest = relaxed(bounds, q, large, small)
         own = quality_cost(tet_measure(
             points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], objective
         ), power)
@@ -188,8 +191,7 @@ def insertion_pass(
                     scratch,
                 )
                 good = total > GAIN * own and (last or total > best) and surroundings_within(
-                    points, cells, neighbors, locked, n_touched, min(q, bounds[0]),
-                    max(large, bounds[1]), min(small, bounds[2]), scratch,
+                    points, cells, neighbors, locked, n_touched, least, most, fewest, scratch
                 )
                 final = good and last
                 settle(

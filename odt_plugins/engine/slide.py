@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from odt_plugins.engine.bounds import relaxed
 from odt_plugins.engine.kernel import allocating_kernel, kernel
 from odt_plugins.engine.smooth3d import add_cost_terms, star_state
 from odt_plugins.engine.star import OffsetArray
@@ -25,6 +26,7 @@ from odt_plugins.engine.surface.position import (
 )
 from odt_plugins.engine.surface.sheet import HELD, LINE, Limits, Sheet, Work, cover, star_fits
 from odt_plugins.engine.tetrahedron import opposite_vertices
+from odt_plugins.engine.triangle import opposite_edge
 from odt_plugins.mesh import FloatArray, IntArray, LongArray
 
 
@@ -146,10 +148,7 @@ def swept_volume(
     total = 0.0
     for s in range(indptr[v], indptr[v + 1]):
         c = indices[s]
-        i = 0
-        while t[c, i] != v:
-            i += 1
-        b, d = t[c, (i + 1) % 3], t[c, (i + 2) % 3]
+        b, d = opposite_edge(t, c, v)
         ux, uy, uz = p[b, 0] - x, p[b, 1] - y, p[b, 2] - z
         wx, wy, wz = p[d, 0] - x, p[d, 1] - y, p[d, 2] - z
         total += (
@@ -173,9 +172,7 @@ def _try_slide(
     _, worst, large, small = star_state(
         points, cells, indices, lo, hi, objective, power, np.inf, 2.0
     )
-    least = min(bounds[0], worst)
-    most = max(bounds[1], large)
-    fewest = min(bounds[2], small)
+    least, most, fewest = relaxed(bounds, worst, large, small)
     floor = 2.0
     alpha = 1.0
     for _ in range(HALVINGS + 1):

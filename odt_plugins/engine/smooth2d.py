@@ -12,12 +12,14 @@ import math
 
 import numpy as np
 
+from odt_plugins.engine.bounds import relaxed
 from odt_plugins.engine.kernel import allocating_kernel, kernel
 from odt_plugins.engine.star import OffsetArray
 from odt_plugins.engine.tetrahedron import MEAN_RATIO, QUALITY
 from odt_plugins.engine.triangle import (
     angle_cost,
     angle_measure,
+    opposite_edge,
     triangle_measure,
     triangle_shape,
 )
@@ -121,11 +123,7 @@ def star_cost_2d(
     y = points[vertex, 1]
     for s in range(indptr[vertex], indptr[vertex + 1]):
         t = indices[s]
-        i = 0
-        while cells[t, i] != vertex:
-            i += 1
-        b = cells[t, (i + 1) % 3]
-        c = cells[t, (i + 2) % 3]
+        b, c = opposite_edge(cells, t, vertex)
         ux = x - points[b, 0]
         uy = y - points[b, 1]
         vx = x - points[c, 0]
@@ -271,9 +269,7 @@ def smooth_vertices_2d(
         _, worst, large, small = _star_shape(
             points, cells, indptr, indices, v, objective, power
         )
-        least = min(bounds[0], worst)
-        most = max(bounds[1], large)
-        fewest = min(bounds[2], small)
+        least, most, fewest = relaxed(bounds, worst, large, small)
         x = points[v, 0]
         y = points[v, 1]
         alpha = 1.0

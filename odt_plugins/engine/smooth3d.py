@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from odt_plugins.engine.bounds import relaxed
 from odt_plugins.engine.corner import corner_edges, corner_normals
 from odt_plugins.engine.dihedral import dihedral_terms
 from odt_plugins.engine.kernel import allocating_kernel, kernel
@@ -332,11 +333,8 @@ def newton_vertex(
             _, old_worst, old_large, old_small = star_state(
                 points, cells, indices, lo, hi, objective, power, np.inf, sure
             )
-            if (
-                worst >= min(bounds[0], old_worst)
-                and large <= max(bounds[1], old_large)
-                and small >= min(bounds[2], old_small)
-            ):
+            least, most, fewest = relaxed(bounds, old_worst, old_large, old_small)
+            if worst >= least and large <= most and small >= fewest:
                 points[v, 0] = new_x
                 points[v, 1] = new_y
                 points[v, 2] = new_z

@@ -10,8 +10,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from odt_plugins.engine.cavity import is_in, walk_ring
+from odt_plugins.engine.cavity import walk_ring
 from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.lookup import is_in
 from odt_plugins.engine.tetrahedron import tet_cost
 from odt_plugins.mesh import ByteArray, FloatArray, IntArray
 

@@ -5,8 +5,9 @@ from __future__ import annotations
 import math
 
 from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.lookup import place_in
 from odt_plugins.engine.tetrahedron import MEAN_RATIO, QUALITY
-from odt_plugins.mesh import FloatArray
+from odt_plugins.mesh import FloatArray, IntArray
 
 
 @kernel
@@ -22,6 +23,13 @@ def _edges(
         points[b, 0] - points[a, 0],
         points[b, 1] - points[a, 1],
     )
+
+
+@kernel
+def opposite_edge(triangles: IntArray, t: int, v: int) -> tuple[int, int]:
+    """The other two vertices of triangle t, such that (v, b, c) turns as the triangle does."""
+    i = place_in(triangles, t, v)
+    return triangles[t, (i + 1) % 3], triangles[t, (i + 2) % 3]
 
 
 @kernel

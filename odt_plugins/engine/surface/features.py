@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.lookup import place_in
 from odt_plugins.engine.star import Stars
 from odt_plugins.engine.surface.lines import Lines
 from odt_plugins.engine.surface.sheet import HELD, LINE, SMOOTH
@@ -333,10 +334,7 @@ def _mark_pinched(
         for way in (1, 2):
             c = start
             while not whole:
-                i = 0
-                while triangles[c, i] != v:
-                    i += 1
-                c = neighbors[c, (i + way) % 3]
+                c = neighbors[c, (place_in(triangles, c, v) + way) % 3]
                 if c < 0:
                     break
                 if c == start:

@@ -9,8 +9,10 @@ import math
 
 import numpy as np
 
-from odt_plugins.engine.flips2d import GAIN, flip
+from odt_plugins.engine.bounds import relaxed
+from odt_plugins.engine.flips2d import GAIN, flip, queue_around
 from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.lookup import place_in
 from odt_plugins.engine.surface.closest import Ground
 from odt_plugins.engine.surface.sheet import (
     SMOOTH,
@@ -58,6 +60,7 @@ def flip_edges(
     first = np.flatnonzero(queued).astype(np.int32)
     queue = np.zeros(count, dtype=np.int32)
     queue[: len(first)] = first
+    queued |= sheet.locked
     return int(_work_off(
         sheet, ground, limits, power, bounds, queue, queued, len(first), make_work(ground), changed
     ))
@@ -72,26 +75,19 @@ def _work_off(
     cells, neighbors = sheet.triangles, sheet.neighbors
     cell_edges, edge_cell = sheet.cell_edges, sheet.edge_cell
     pair = work.cells
-    capacity = queue.shape[0]
     head = 0
     flips = 0
     while size > 0:
         e = queue[head]
-        head += 1
-        if head == capacity:
-            head = 0
+        head = (head + 1) % len(queue)
         size -= 1
         queued[e] = False
         t = edge_cell[e]
-        i = 0
-        while cell_edges[t, i] != e:
-            i += 1
+        i = place_in(cell_edges, t, e)
         s = neighbors[t, i]
         if s < 0:
             continue
-        j = 0
-        while cell_edges[s, j] != e:
-            j += 1
+        j = place_in(cell_edges, s, e)
         a, b, c = cells[t, i], cells[t, (i + 1) % 3], cells[t, (i + 2) % 3]
         d = cells[s, j]
         if not _pays(sheet, a, b, c, d, power, bounds):
@@ -113,28 +109,14 @@ def _work_off(
         changed[t] = True
         changed[s] = True
         flips += 1
-        for k in range(6):
-            cell = t if k < 3 else s
-            near = cell_edges[cell, k % 3]
-            if near != e and not queued[near] and not sheet.locked[near]:
-                queued[near] = True
-                tail = head + size
-                if tail >= capacity:
-                    tail -= capacity
-                queue[tail] = near
-                size += 1
+        size = queue_around(cell_edges, t, s, queue, queued, head, size)
     return flips
 
 
 @kernel
 def flip_back(sheet: Sheet, t: int, s: int, e: int) -> None:
     """Undo a flip: flipped again, the edge is as before, and the two triangles change places."""
-    i = 0
-    while sheet.cell_edges[t, i] != e:
-        i += 1
-    j = 0
-    while sheet.cell_edges[s, j] != e:
-        j += 1
+    i, j = place_in(sheet.cell_edges, t, e), place_in(sheet.cell_edges, s, e)
     flip(sheet.triangles, sheet.neighbors, sheet.cell_edges, sheet.edge_cell, t, i, s, j)
     sheet.first[t], sheet.first[s] = sheet.first[s], sheet.first[t]
 
@@ -154,11 +136,10 @@ def _pays(
     worst = min(q3, q4)
     if not worst > 0.0:
         return False
-    if worst < bounds[0] and worst < min(q1, q2):
-        return False
-    if max(large3, large4) > bounds[1] and max(large3, large4) > max(large1, large2):
-        return False
-    if min(small3, small4) < bounds[2] and min(small3, small4) < min(small1, small2):
+    least, most, fewest = relaxed(
+        bounds, min(q1, q2), max(large1, large2), min(small1, small2)
+    )
+    if worst < least or max(large3, large4) > most or min(small3, small4) < fewest:
         return False
     if power > 0.0:
         if not min(q1, q2) > 0.0:
@@ -220,9 +201,7 @@ def _meets(sheet: Sheet, start: int, centre: int, other: int) -> bool:
     for way in (1, 2):
         c = start
         while True:
-            i = 0
-            while t[c, i] != centre:
-                i += 1
+            i = place_in(t, c, centre)
             if t[c, (i + 1) % 3] == other or t[c, (i + 2) % 3] == other:
                 return True
             c = neighbors[c, (i + way) % 3]

@@ -17,6 +17,7 @@ from odt_plugins.engine.surface.position import (
     try_move,
 )
 from odt_plugins.engine.surface.sheet import HELD, LINE, Limits, Sheet, Work
+from odt_plugins.engine.triangle import opposite_edge
 from odt_plugins.mesh import FloatArray, IntArray
 
 
@@ -50,10 +51,7 @@ def star_cost(
     total = 0.0
     for s in range(indptr[vertex], indptr[vertex + 1]):
         t = indices[s]
-        i = 0
-        while triangles[t, i] != vertex:
-            i += 1
-        b, c = triangles[t, (i + 1) % 3], triangles[t, (i + 2) % 3]
+        b, c = opposite_edge(triangles, t, vertex)
         uu = vv = ww = uw = 0.0
         u1 = u2 = v1 = v2 = w1 = w2 = 0.0
         for k in range(3):

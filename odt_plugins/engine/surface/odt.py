@@ -10,6 +10,7 @@ from odt_plugins.engine.surface.closest import Ground
 from odt_plugins.engine.surface.lines import Lines
 from odt_plugins.engine.surface.position import star_normal, try_move
 from odt_plugins.engine.surface.sheet import HELD, Limits, Sheet, Work
+from odt_plugins.engine.triangle import opposite_edge
 from odt_plugins.mesh import FloatArray, IntArray
 
 ODT, CPT, LAPLACIAN, GIVEN = 0, 1, 2, 3
@@ -31,10 +32,7 @@ def star_centre(
     tx = ty = tz = weight = 0.0
     for s in range(indptr[vertex], indptr[vertex + 1]):
         c = indices[s]
-        i = 0
-        while t[c, i] != vertex:
-            i += 1
-        b, d = t[c, (i + 1) % 3], t[c, (i + 2) % 3]
+        b, d = opposite_edge(t, c, vertex)
         ux, uy, uz = p[b, 0] - x, p[b, 1] - y, p[b, 2] - z
         vx, vy, vz = p[d, 0] - x, p[d, 1] - y, p[d, 2] - z
         uu = ux * ux + uy * uy + uz * uz

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from odt_plugins.engine.bounds import relaxed
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.star import OffsetArray
 from odt_plugins.engine.surface.closest import Ground, walk
@@ -143,9 +144,7 @@ def try_move(
         ex, ey, ez = line_direction(lines, p, slot)
         length = dx * ex + dy * ey + dz * ez
     _, worst, large, small = star_shape(sheet, indptr, indices, vertex, 1.0)
-    least = min(bounds[0], worst)
-    most = max(bounds[1], large)
-    fewest = min(bounds[2], small)
+    least, most, fewest = relaxed(bounds, worst, large, small)
     floor = 2.0
     alpha = 1.0
     for _ in range(HALVINGS + 1):

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.lookup import place_in
 from odt_plugins.engine.star import OffsetArray, Stars
 from odt_plugins.engine.surface.closest import Ground, closest_on_triangle, walk
 from odt_plugins.engine.surface.trace import edge_is_near
@@ -206,9 +207,7 @@ def star_fits(
             return -1
     for s in range(count):
         c = cells[s]
-        i = 0
-        while t[c, i] != vertex:
-            i += 1
+        i = place_in(t, c, vertex)
         # every edge of the vertex that has two triangles leaves one of them behind its corner
         if sheet.locked[sheet.cell_edges[c, (i + 2) % 3]]:
             continue
