@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.distributed.partition import RINGS, around
 from odt_plugins.distributed.versions import expect_versions
 from odt_plugins.engine.density import NodalDensity, make_density
 from odt_plugins.engine.driver import run
@@ -26,19 +27,24 @@ class Block:
     options : Options            those of the whole run; their density counts when there are no
                                  values, and their arrays over vertices or cells are not in use
     power : float                of those values
+    waiting : (n,) bool          vertices of the rim that wait for a later round
     versions : dict              of the packages that compute, as they are where the block was cut
+    judged : bool                whether the block is held to the promise by itself
     """
 
     mesh: SimplexMesh
     density: FloatArray | None
     options: Options
     power: float
+    waiting: BoolArray
     versions: dict[str, str]
+    judged: bool = True
 
     @property
     def nbytes(self) -> int:
         """Bytes of its arrays."""
-        arrays = (self.mesh.points, self.mesh.cells, self.mesh.regions, self.mesh.fixed)
+        arrays = (self.mesh.points, self.mesh.cells, self.mesh.regions, self.mesh.fixed,
+                  self.waiting)
         return sum(a.nbytes for a in arrays) + (0 if self.density is None else self.density.nbytes)
 
 
@@ -51,7 +57,7 @@ class Improved:
     points : (n, d) float64
     cells : (m', d + 1) int32    in the numbering of the block
     regions : (m',) int32
-    density : (n,) or None       values at the moved vertices
+    density : (n,) or None       values at the vertices, see :func:`carried`
     counts : dict                what the engine counted
     fallback : str or None       why the engine went back to an earlier state
     """
@@ -107,11 +113,37 @@ def improve(block: Block) -> Improved:
     mesh, options = block.mesh, block.options
     if block.density is not None:
         options = replace(options, density=NodalDensity(block.density, block.power), exponent=None)
-    outcome = run(mesh, options)
+    outcome = run(mesh, options, cut=block.waiting, judged=block.judged)
     density = block.density
     if density is not None:
-        field = make_density(NodalDensity(density, 1.0), None, mesh.points, mesh.cells)
-        moved = (outcome.points != mesh.points).any(axis=1)
-        density = np.where(moved, field.at(outcome.points), density)
+        density = carried(density, mesh, outcome.points, outcome.cells)
     return Improved(outcome.points, outcome.cells, outcome.regions, density, outcome.counts,
                     outcome.fallback)
+
+
+def carried(
+    density: FloatArray, mesh: SimplexMesh, points: FloatArray, cells: IntArray
+) -> FloatArray:
+    """Values of a density at vertices that moved, where a later round may ask for them.
+
+    Parameters
+    ----------
+    density : (n,) float64
+    mesh : SimplexMesh              on which it is given
+    points, cells                   the same mesh, improved
+
+    Returns
+    -------
+    (n,) float64                    as before for vertices that rest, or that are more than
+                                    RINGS from all fixed ones
+    """
+    near = np.zeros(len(points), dtype=np.bool_)
+    near[cells[around(mesh.fixed, cells, RINGS)]] = True
+    moved = near & (points != mesh.points).any(axis=1)
+    if not moved.any():
+        return density
+    zone, vertices = cut_out(mesh, np.flatnonzero(around(moved, mesh.cells, RINGS)), moved)
+    field = make_density(NodalDensity(density[vertices], 1.0), None, zone.points, zone.cells)
+    values = density.copy()
+    values[vertices] = np.where(moved[vertices], field.at(points[vertices]), density[vertices])
+    return values

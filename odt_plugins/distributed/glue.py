@@ -83,9 +83,10 @@ def labels(whole: Whole, count: int, index: int, rounds: int) -> IntArray:
 
 
 def one_round(
-    whole: Whole, label: IntArray, options: Options, power: float, apply: Map
+    whole: Whole, label: IntArray, options: Options, power: float, apply: Map, *,
+    judged: bool = False,
 ) -> tuple[Whole, Traffic]:
-    """Cut along the labels, improve every block, glue.
+    """Cut along the labels, improve every block, glue; ``judged`` as of :class:`Block`.
 
     Raises
     ------
@@ -96,6 +97,7 @@ def one_round(
     rim, patch = seams(mesh.cells[active], label[active], len(mesh.points))
     held, _ = seams(mesh.cells, label, len(mesh.points))
     members = groups(label)
+    waiting = whole.waiting & rim
     versions = versions_here()
     sent: list[int] = []
     vertices_of: list[NDArray[np.intp]] = []
@@ -105,7 +107,7 @@ def one_round(
             block, vertices = cut_out(mesh, cells, held)
             density = None if whole.density is None else whole.density[vertices]
             vertices_of.append(vertices)
-            work = Block(block, density, options, power, versions)
+            work = Block(block, density, options, power, waiting[vertices], versions, judged)
             sent.append(work.nbytes)
             yield work
 
@@ -131,7 +133,6 @@ def one_round(
     glued = replace(mesh, points=points, cells=np.concatenate(new_cells),
                     regions=np.concatenate(new_regions), frozen=frozen)
     traffic = Traffic(len(members), int((~rest).sum()), sum(sent), received, counts, fallbacks)
-    waiting = whole.waiting & rim
     return Whole(glued, density, waiting, np.where(waiting, patch, np.int32(-1))), traffic
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import os
 import time
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -18,7 +18,7 @@ from odt_plugins.engine.density import make_density
 from odt_plugins.engine.driver import Outcome, run
 from odt_plugins.engine.judge import faults
 from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
-from odt_plugins.mesh import SimplexMesh
+from odt_plugins.mesh import IntArray, SimplexMesh
 from odt_plugins.options import Options
 
 if TYPE_CHECKING:
@@ -158,26 +158,48 @@ def run_blocks(
     if count < 2:
         return run(mesh, options)
     clock = time.perf_counter()
-    whole, plain, power = _start(mesh, options)
+    start, plain, power = _start(mesh, options)
     times = {"prepare": time.perf_counter() - clock}
-    states, counts, fallbacks = [whole], dict[str, int](), list[str]()
-    for index in range(rounds):
+    for judged in (False, True):
+        done = _Done([start])
+        for index in range(rounds):
+            label = labels(done.states[-1], count, index, rounds)
+            if label.max() < 0:
+                continue
+            name = f"round {index + 1}"
+            blockwise = told(apply, options.progress, name, int(label.max()) + 1)
+            chosen = plain if index == 0 else later(plain)
+            done.add(name, label, chosen, power, blockwise, judged=judged)
         clock = time.perf_counter()
-        label = labels(whole, count, index, rounds)
-        if label.max() < 0:
-            continue
-        name = f"round {index + 1}"
-        chosen = plain if index == 0 else later(plain)
-        blockwise = told(apply, options.progress, name, int(label.max()) + 1)
-        whole, traffic = one_round(whole, label, chosen, power, blockwise)
-        states.append(whole)
-        _count(counts, name, traffic)
-        fallbacks += [f"{name}: {reason}" for reason in traffic.fallbacks]
-        times[name] = time.perf_counter() - clock
-    clock = time.perf_counter()
-    outcome = _judged(mesh, states, options, fallbacks)
-    times["check"] = time.perf_counter() - clock
-    return replace(outcome, times=times, counts=counts)
+        outcome, damaged = _judged(mesh, done, options)
+        done.times["check"] = time.perf_counter() - clock
+        if not damaged:
+            break
+    return replace(outcome, times=times | done.times, counts=done.counts)
+
+
+@dataclass
+class _Done:
+    """The whole before the first round and after every one, and what the rounds did."""
+
+    states: list[Whole]
+    times: dict[str, float] = field(default_factory=dict)
+    counts: dict[str, int] = field(default_factory=dict)
+    fallbacks: list[str] = field(default_factory=list)
+
+    def add(
+        self, name: str, label: IntArray, options: Options, power: float, apply: Map, *,
+        judged: bool,
+    ) -> None:
+        """Do one round."""
+        clock = time.perf_counter()
+        whole, traffic = one_round(
+            self.states[-1], label, options, power, apply, judged=judged
+        )
+        self.states.append(whole)
+        _count(self.counts, name, traffic)
+        self.fallbacks += [f"{name}: {reason}" for reason in traffic.fallbacks]
+        self.times[name] = time.perf_counter() - clock
 
 
 def _start(mesh: SimplexMesh, options: Options) -> tuple[Whole, Options, float]:
@@ -186,21 +208,23 @@ def _start(mesh: SimplexMesh, options: Options) -> tuple[Whole, Options, float]:
     A density over vertices or cells becomes a field that is carried with the vertices.
     """
     active = np.flatnonzero(~mesh.frozen)
-    spec, power, field = options.density, 1.0, None
+    spec, power, values = options.density, 1.0, None
+    unused = mesh.cells[:0]
     named = isinstance(spec, str)
     if spec == "keep" if named else not callable(spec):
         if not named:
-            make_density(spec, None, mesh.points, mesh.cells, mesh.cells)
-            values = np.asarray(spec, dtype=np.float64)
-            spec = values[active] if len(values) != len(mesh.points) else values
-        density = make_density(spec, options.exponent, mesh.points, mesh.cells[active])
-        field, power, spec = density.field, density.power, "uniform"
+            make_density(spec, None, mesh.points, mesh.cells, unused)
+            spec = np.asarray(spec, dtype=np.float64)
+            spec = spec[active] if len(spec) != len(mesh.points) else spec
+        cells = mesh.cells[active]
+        density = make_density(spec, options.exponent, mesh.points, cells, unused)
+        values, power, spec = density.field, density.power, "uniform"
     plain = replace(options, density=spec, exponent=None, progress=None, fixed=None,
                     selection=None, regions=None, orient=False)
     waiting = np.zeros(len(mesh.points), dtype=np.bool_)
     waiting[mesh.cells[active]] = True
     patch = np.full(len(mesh.points), -1, dtype=np.int32)
-    return Whole(mesh, field, waiting, patch), plain, power
+    return Whole(mesh, values, waiting, patch), plain, power
 
 
 def later(options: Options) -> Options:
@@ -213,26 +237,29 @@ def later(options: Options) -> Options:
     return replace(options, keep=keep, connectivity=connectivity)
 
 
-def _judged(
-    mesh: SimplexMesh, states: list[Whole], options: Options, fallbacks: list[str]
-) -> Outcome:
-    """The last state that keeps the promise, at worst the input."""
+def _judged(mesh: SimplexMesh, done: _Done, options: Options) -> tuple[Outcome, bool]:
+    """The last state that keeps the promise, at worst the input.
+
+    Also whether a later one is no sound mesh, so that a block must have been spoiled.
+    """
     broken: list[str] = []
-    reason = f"{len(states) - 1} rounds of blocks"
-    while len(states) > 1:
-        last = states.pop().mesh
+    damaged = False
+    reason = f"{len(done.states) - 1} rounds of blocks"
+    while len(done.states) > 1:
+        last = done.states.pop().mesh
         now, _ = faults(mesh, last.points, last.cells, last.regions, options)
         if not now:
-            if broken:
-                fallbacks = [f"a later round was given up ({'; '.join(broken)})", *fallbacks]
-            fallback = "; ".join(fallbacks[:3]) or None
+            given_up = [f"a later round was given up ({'; '.join(broken)})"] if broken else []
+            fallback = "; ".join((given_up + done.fallbacks)[:3]) or None
             return Outcome(last.points, last.cells, last.regions, stop_reason=reason,
-                           fallback=fallback)
+                           fallback=fallback), damaged
+        sound = replace(options, keep=())
+        damaged = damaged or bool(faults(mesh, last.points, last.cells, last.regions, sound)[0])
         broken = now
     return Outcome(
         mesh.points.copy(), mesh.cells.copy(), mesh.regions.copy(), stop_reason=reason,
         fallback=f"the input is returned, nothing better kept the promise ({'; '.join(broken)})",
-    )
+    ), damaged
 
 
 def _count(counts: dict[str, int], name: str, traffic: Traffic) -> None:

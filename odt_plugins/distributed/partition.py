@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
-RINGS = 3
+RINGS = 2
 """Cells within so many rings of a vertex that was held in every round yet are improved again."""
 
 

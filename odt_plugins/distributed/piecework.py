@@ -114,7 +114,7 @@ def first_round(item: tuple[str, str, Numbers], options: Options) -> Done:
     held[number.rim] = True
     piece = Piece(piece.points, piece.cells, piece.regions, ids, sizes / number.scale, piece.whole,
                   piece.data)
-    return _improved(piece, held, options, path, ids[:0])
+    return _improved(piece, held, options, path, ids[:0], held)
 
 
 def split(item: tuple[str, str, Ids, Ids, Ids]) -> Cut:
@@ -166,7 +166,8 @@ def merge(item: tuple[list[str], str, Ids, Ids, Ids], options: Options) -> Done:
     place = np.minimum(np.searchsorted(shared, piece.ids), len(shared) - 1)
     known = shared[place] == piece.ids
     all_of[known] = pieces[place[known]]
-    return _improved(piece, count < all_of, options, path, waiting)
+    held = count < all_of
+    return _improved(piece, held, options, path, waiting, held & np.isin(piece.ids, waiting))
 
 
 def publish(item: tuple[str, Path], regions: str, orientation: int) -> Piece:
@@ -178,13 +179,13 @@ def publish(item: tuple[str, Path], regions: str, orientation: int) -> Piece:
 
 
 def _improved(
-    piece: Piece, held: BoolArray, options: Options, path: str, waiting: Ids
+    piece: Piece, held: BoolArray, options: Options, path: str, waiting: Ids, later: BoolArray
 ) -> Done:
     labels, regions = np.unique(piece.regions), compact_labels(piece.regions, len(piece.cells))
     mesh = SimplexMesh(piece.points, piece.cells, regions, held)
     power = -float(mesh.dim + 2 if options.exponent is None else options.exponent)
     sizes = piece.sizes if options.density == "keep" else None
-    result = improve(Block(mesh, sizes, options, power, versions_here()))
+    result = improve(Block(mesh, sizes, options, power, later, versions_here()))
     save(path, Piece(result.points, result.cells, labels[result.regions], piece.ids,
                      piece.sizes if result.density is None else result.density,
                      np.ones(len(piece.ids), dtype=np.bool_), piece.data))

@@ -21,6 +21,7 @@ from odt_plugins.engine.geometry import boundary_vertices, interface_vertices
 from odt_plugins.engine.judge import Slid, cut_vertices, envelope_length, faults, slides
 from odt_plugins.engine.memory import Memory, State
 from odt_plugins.engine.order import curve_order
+from odt_plugins.engine.part import away_from, joined
 from odt_plugins.engine.phases import WORST, Phase, bulk, cautious, descents, repair, tail
 from odt_plugins.engine.progress import (
     in_turn,
@@ -146,13 +147,19 @@ def locked_vertices(mesh: SimplexMesh) -> tuple[BoolArray, BoolArray]:
     return locked, rim
 
 
-def run(mesh: SimplexMesh, options: Options) -> Outcome:
+def run(
+    mesh: SimplexMesh, options: Options, *, cut: BoolArray | None = None, judged: bool = True
+) -> Outcome:
     """Optimise a valid mesh.
 
     Parameters
     ----------
     mesh : SimplexMesh
     options : Options
+    cut : (n,) bool, optional    vertices at which a mesh whose boundary does not slide was cut from
+                                 a larger one: the worst cells are looked for away from them, since
+                                 what lies around them waits for another run
+    judged : bool                False leaves the promise to the judge of the larger mesh
 
     Returns
     -------
@@ -169,7 +176,7 @@ def run(mesh: SimplexMesh, options: Options) -> Outcome:
         )
         raise InvalidOptionError(msg)
     if not slides(mesh, options):
-        return _run(mesh, options)[0]
+        return _run(mesh, options, cut, judged=judged)[0]
     outcome = _run_sliding(mesh, options)
     (options.progress or silent)("finishing", 1.0)
     return outcome
@@ -221,7 +228,9 @@ def _score(outcome: Outcome, options: Options) -> float:
     return figures(outcome.points, outcome.cells, options.objective).score
 
 
-def _run(mesh: SimplexMesh, options: Options) -> tuple[Outcome, IntArray]:
+def _run(
+    mesh: SimplexMesh, options: Options, cut: BoolArray | None = None, *, judged: bool = True
+) -> tuple[Outcome, IntArray]:
     """One run of all stages; also the surface vertices at which a surface that slid is spoiled."""
     clock = time.perf_counter()
     nowhere = np.zeros(0, dtype=np.int32)
@@ -248,7 +257,8 @@ def _run(mesh: SimplexMesh, options: Options) -> tuple[Outcome, IntArray]:
     pool = ThreadPoolExecutor(options.threads) if options.threads > 1 else None
     try:
         first = until_insertion(options) if options.insert else options
-        reason = _cycles(start, density, first, bounds, memory, log, times, pool)
+        near = None if cut is None or not cut.any() else cut[frame.vertices]
+        reason = _cycles(start, density, first, bounds, memory, log, times, pool, near)
         if not memory.states and options.finish and not (skin and memory.spoiled().size):
             again = frame.inside(mesh.points[frame.vertices])
             skin = _skin(mesh, options, frame, again, cells) if skin else None
@@ -275,7 +285,7 @@ def _run(mesh: SimplexMesh, options: Options) -> tuple[Outcome, IntArray]:
         if pool is not None:
             pool.shutdown()
     clock = time.perf_counter()
-    outcome = _best(mesh, frame, memory, options, log, reason)
+    outcome = _best(mesh, frame, memory, options, log, reason, judged=judged)
     times["check"] = time.perf_counter() - clock
     outcome = replace(outcome, times=times, energy=log.energy, counts=log.counts)
     if skin is None or outcome.slid is not None:
@@ -354,7 +364,7 @@ def extremes(before: Figures, keep: tuple[str, ...]) -> FloatArray:
 
 def _cycles(
     mesh: Complex, density: Density, options: Options, bounds: FloatArray, memory: Memory,
-    log: Log, times: dict[str, float], pool: ThreadPoolExecutor | None,
+    log: Log, times: dict[str, float], pool: ThreadPoolExecutor | None, near: BoolArray | None,
 ) -> str:
     """Alternate the two stages; returns why stage 1 stopped last."""
     report = options.progress if options.progress is not None else silent
@@ -388,15 +398,19 @@ def _cycles(
             break
     if options.finish:
         clock = time.perf_counter()
+        part = None if near is None else away_from(mesh, near)
         for descent in descents(mesh.dim, options.objective):
-            held = bounds if descent.hold is None else held_angles(mesh, bounds, descent.hold)
-            _finish(mesh, descent.phases, held, log, pool, options.threads)
-            if not memory.offer(mesh, "finished") and mesh.dim == 3:
-                for phase in repair(memory.worse):
-                    log.add("repairs", 1)
-                    _finish(mesh, (phase,), held, log, pool, options.threads)
-                    if memory.offer(mesh, "repaired"):
-                        break
+            inside = mesh if part is None else part.inside
+            held = bounds if descent.hold is None else held_angles(inside, bounds, descent.hold)
+            _finish(inside, descent.phases, held, log, pool, options.threads)
+            if memory.offer(part or mesh, "finished"):
+                continue
+            mesh, part = mesh if part is None else joined(part, mesh.locked), None
+            for phase in repair(memory.worse) if mesh.dim == 3 else ():
+                log.add("repairs", 1)
+                _finish(mesh, (phase,), held, log, pool, options.threads)
+                if memory.offer(mesh, "repaired"):
+                    break
         if not memory.states and options.objective != "radius_ratio":
             _finish(mesh, tail(mesh.dim), bounds, log, pool, options.threads)
             memory.offer(mesh, "finished")
@@ -446,7 +460,8 @@ def _finishing_alone(
 
 
 def _best(
-    mesh: SimplexMesh, frame: Frame, memory: Memory, options: Options, log: Log, reason: str
+    mesh: SimplexMesh, frame: Frame, memory: Memory, options: Options, log: Log, reason: str,
+    *, judged: bool,
 ) -> Outcome:
     """The best remembered state that keeps the promise, at worst the input."""
     broken: list[str] = [f"{name} would be worse" for name in memory.worse]
@@ -459,7 +474,7 @@ def _best(
         outcome = _in_caller_terms(mesh, frame, points, state)
         broken_now, slid = faults(
             mesh, outcome.points, outcome.cells, outcome.regions, options, outcome.origin
-        )
+        ) if judged else ([], None)
         if not broken_now:
             fallback = None
             if rank or state.name == ALONE:
