@@ -9,7 +9,8 @@ from typing import TypeVar
 T = TypeVar("T")
 R = TypeVar("R")
 
-CHUNK = 1 << 15
+CHUNK = 1 << 14
+"""Items of a chunk: its work arrays stay in cache."""
 
 
 def chunks(m: int) -> Iterator[slice]:

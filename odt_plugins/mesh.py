@@ -3,14 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from odt_plugins.chunks import chunks
+from odt_plugins.chunks import chunks, spread
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError, counted
 
 FloatArray = NDArray[np.float64]
@@ -246,40 +246,50 @@ def directed_facets(cells: IntArray, n: int) -> tuple[NDArray[np.int64], NDArray
     return key, odd[:, None] ^ (np.arange(k) & 1)
 
 
-def uneven_facets(cells: NDArray[np.integer], n: int) -> UnevenFacets:
+def uneven_facets(cells: NDArray[np.integer], n: int, threads: int = 1) -> UnevenFacets:
     """Find the facets that do not have just one cell on each side.
 
     Parameters
     ----------
     cells : (m, d + 1) int    in [0, n)
     n : int
+    threads : int             how many share the work
 
     Notes
     -----
-    The side on which a cell lies is the parity of its vertices, see :func:`directed_facets`. A
-    facet is one number of 64 bits, its vertices and then its side, so that sorting brings both
-    sides together; in several goes, by the smallest vertex, where those bits do not suffice.
+    A facet is one number of 64 bits, its vertices and then its side, see :func:`directed_facets`,
+    so that sorting brings both sides together; in several goes, by the smallest vertex, where
+    those bits do not suffice.
     """
-    k = cells.shape[1]
-    ordered, odd = sorted_columns(cells)
-    columns = [column.astype(np.uint64) for column in ordered]
-    step = max(1, min(n, WORDS // (2 * max(n, 1) ** (k - 2))))
+    d = cells.shape[1] - 1
+    step = max(1, min(n, WORDS // (2 * max(n, 1) ** (d - 1))))
     single, double = [], []
     for first in range(0, n, step):
-        keys = []
-        for i in range(k):
-            lowest, *others = columns[:i] + columns[i + 1 :]
-            here = slice(None) if step == n else (lowest >= first) & (lowest < first + step)
-            key = lowest[here] - np.uint64(first)
-            for column in others:
-                key = key * np.uint64(n) + column[here]
-            keys.append(2 * key + (odd[here] ^ (i % 2 == 1)))
-        key = np.sort(np.concatenate(keys))
+        keys = partial(_facet_keys, cells, n, first, step)
+        key = np.concatenate(spread(keys, chunks(len(cells)), threads))
+        key.sort()
         paired = np.zeros(len(key) + 1, dtype=np.bool_)
         paired[1:-1] = key[:-1] ^ np.uint64(1) == key[1:]
-        single.append(_vertices(key[~(paired[1:] | paired[:-1])], first, n, k - 1))
-        double.append(_vertices(key[1:][key[1:] == key[:-1]], first, n, k - 1))
+        single.append(_vertices(key[~(paired[1:] | paired[:-1])], first, n, d))
+        double.append(_vertices(key[1:][key[1:] == key[:-1]], first, n, d))
     return UnevenFacets(np.concatenate(single), np.concatenate(double))
+
+
+def _facet_keys(
+    cells: NDArray[np.integer], n: int, first: int, step: int, part: slice
+) -> NDArray[np.uint64]:
+    """Numbers of the facets of some cells whose smallest vertex is from ``first`` on."""
+    ordered, odd = sorted_columns(cells[part])
+    columns = [column.astype(np.uint64) for column in ordered]
+    keys = []
+    for i in range(len(columns)):
+        lowest, *others = columns[:i] + columns[i + 1 :]
+        here = slice(None) if step == n else (lowest >= first) & (lowest < first + step)
+        key = lowest[here] - np.uint64(first)
+        for column in others:
+            key = key * np.uint64(n) + column[here]
+        keys.append(2 * key + (odd[here] ^ (i % 2 == 1)))
+    return np.concatenate(keys)
 
 
 def _vertices(key: NDArray[np.uint64], first: int, n: int, d: int) -> LongArray:

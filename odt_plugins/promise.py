@@ -99,13 +99,15 @@ def broken_promises(
         points = in_old_numbers(before.points, points, origin)
         cells = old_numbers(origin, len(before.points))[cells]
         broken += _came_and_went(before, cells, removed, held)
-    now_locked, overlaps = _facet_census(cells, regions, len(points))
+    now_locked, overlaps = _facet_census(
+        cells, regions, len(points), uneven_facets(cells, len(points), threads)
+    )
     bad = np.flatnonzero(~(figures.volume > 0))
     if len(bad):
         broken.append(f"cell {bad[0]} has volume {figures.volume[bad[0]]:.3g}, "
                       f"not positive ({len(bad)} in all)")
     broken += _moved(before, points, held, slides=slides)
-    broken += _dropped(before, cells, removed, len(points))
+    broken += _dropped(held["unused"], cells, removed, len(points))
     broken += _overlapping(overlaps)
     broken += _torn(locked, now_locked, slides=slides)
     if slides:
@@ -152,7 +154,7 @@ def locked_facets(
     -------
     LockedFacets             a facet between two labels appears twice, once from each side
     """
-    return _facet_census(cells, regions, n_points)[0]
+    return _facet_census(cells, regions, n_points, uneven_facets(cells, n_points))[0]
 
 
 def held_vertices(mesh: SimplexMesh) -> NDArray[np.bool_]:
@@ -235,12 +237,13 @@ def _came_and_went(
 
 
 def _dropped(
-    before: SimplexMesh, cells: NDArray[np.int32], removed: NDArray[np.int64], n_points: int
+    unused: NDArray[np.bool_], cells: NDArray[np.int32], removed: NDArray[np.int64], n_points: int
 ) -> list[str]:
-    n = len(before.points)
-    was = np.bincount(before.cells.ravel(), minlength=n) > 0
+    n = len(unused)
+    was = ~unused
     was[removed] = False
-    now = np.bincount(cells.ravel(), minlength=n_points) > 0
+    now = np.zeros(n_points, bool)
+    now[cells] = True
     fresh = n + np.flatnonzero(~now[n:])
     now = now[:n]
     lost, gained = np.flatnonzero(was & ~now), np.flatnonzero(now & ~was)
@@ -395,7 +398,7 @@ def _thawed(
 
 
 def _facet_census(
-    cells: NDArray[Any], regions: NDArray[Any], n_points: int, uneven: UnevenFacets | None = None
+    cells: NDArray[Any], regions: NDArray[Any], n_points: int, uneven: UnevenFacets
 ) -> tuple[LockedFacets, NDArray[Any]]:
     """Locked facets, and the facets that two cells claim from the same side (overlaps).
 
@@ -406,7 +409,7 @@ def _facet_census(
     """
     k = cells.shape[1]
     near = _between_labels(cells, regions, n_points)
-    for facets in uneven or uneven_facets(cells, n_points):
+    for facets in uneven:
         near[facets] = True
     touched = np.flatnonzero(sum(near[corner].view(np.int8) for corner in cells.T) >= k - 1)
     table = cells[touched[:, None, None], np.array(LOCAL_FACETS[k])]

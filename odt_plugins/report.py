@@ -178,8 +178,8 @@ def make_report(before: SimplexMesh, outcome: Outcome, options: Options) -> Repo
     -------
     Report
     """
-    old = cell_figures(before.points, before.cells)
-    new = cell_figures(outcome.points, outcome.cells)
+    old = cell_figures(before.points, before.cells, options.threads)
+    new = cell_figures(outcome.points, outcome.cells, options.threads)
     used = np.zeros(len(before.points), bool)
     used[before.cells] = True
     n = len(before.points)

@@ -16,6 +16,7 @@ from odt_plugins.engine import driver, order, threads
 from odt_plugins.engine.density import cell_density
 from odt_plugins.engine.driver import run
 from odt_plugins.engine.energy import energy
+from odt_plugins.engine.frame import Frame
 from odt_plugins.engine.total_energy import total_energy
 from odt_plugins.mesh import SimplexMesh
 from odt_plugins.options import Options
@@ -299,14 +300,14 @@ def test_a_state_that_breaks_the_promise_is_never_returned(d, monkeypatch):
 
 def test_a_fault_that_the_kernels_do_not_see_is_caught_by_the_judge(d, monkeypatch):
     mesh = start(d)
-    real = driver.Frame.outside
+    real = Frame.outside
 
     def shaken(self, points):
         moved = real(self, points)
         moved[len(moved) // 2] += 10.0 * np.ptp(mesh.points)
         return moved
 
-    monkeypatch.setattr(driver.Frame, "outside", shaken)
+    monkeypatch.setattr(Frame, "outside", shaken)
     outcome = run(mesh, Options())
     assert outcome.points.tobytes() == mesh.points.tobytes()
     assert "input is returned" in outcome.fallback

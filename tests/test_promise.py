@@ -100,14 +100,14 @@ def test_the_census_of_any_heap_of_cells_by_a_slow_twin(
                 facet = [cell[i] for i in local]
                 odd = sum(a > b for i, b in enumerate(facet) for a in facet[:i]) % 2 == 1
                 sides.setdefault(tuple(sorted(facet)), []).append((odd, label))
-        uneven = uneven_facets(cells, 8)
+        uneven = uneven_facets(cells, 8, threads=1 + m % 2)
         found = {name: sorted(map(tuple, rows.tolist()))
                  for name, rows in uneven._asdict().items()}
         crowded = sorted(f for f, s in sides.items()
                          for side in (True, False) for _ in [x for x, _ in s if x == side][1:])
         assert set(found["open"]) - set(crowded) == {f for f, s in sides.items() if len(s) == 1}
         assert found["crowded"] == crowded
-        locked, overlaps = promise._facet_census(cells, regions, 8)
+        locked, overlaps = promise._facet_census(cells, regions, 8, uneven)
         assert sorted(tuple(sorted(f)) for f in overlaps.tolist()) == crowded
         rows = [(tuple(sorted(f)), bool(b))
                 for f, b in zip(locked.facets.tolist(), locked.boundary, strict=True)

@@ -73,6 +73,8 @@ def test_cells_across_facets_equal_the_loop(mesh, seed):
     _, cells = shuffled(mesh, seed)
     table = ref.facets(cells)
     neighbors = cell_neighbors(cells)
+    with ThreadPoolExecutor(2) as pool:
+        assert np.array_equal(neighbors, cell_neighbors(cells, pool=pool))
     for c, cell in enumerate(cells):
         for opposite in range(len(cell)):
             both = table[frozenset(np.delete(cell, opposite).tolist())]

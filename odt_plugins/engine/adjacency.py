@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
 
 from odt_plugins.engine.kernel import kernel
-from odt_plugins.engine.star import OffsetArray, Stars, vertex_stars
+from odt_plugins.engine.star import PARTS, OffsetArray, Stars, vertex_stars
 from odt_plugins.errors import InvalidMeshError
 from odt_plugins.mesh import IntArray
 
@@ -20,15 +21,18 @@ def _match_facets(
     head: OffsetArray,
     chain: OffsetArray,
     neighbors: IntArray,
+    first: int,
+    last: int,
 ) -> Any:
     """Pair facets bucketed by (smallest, middle) vertex; first facet with three cells or -1.
+
+    Only those with a smallest vertex from first to last; others can be paired at the same time.
 
     head[v] starts the chain of facets seen with middle vertex v in the current bucket;
     a facet is numbered 4 * cell + local index of the opposite vertex.
     """
     k = cells.shape[1]
-    n = indptr.shape[0] - 1
-    for v in range(n):
+    for v in range(first, last):
         for s in range(indptr[v], indptr[v + 1]):
             c = indices[s]
             below = 0
@@ -79,13 +83,17 @@ def _match_facets(
     return -1
 
 
-def cell_neighbors(cells: IntArray, stars: Stars | None = None) -> IntArray:
+def cell_neighbors(
+    cells: IntArray, stars: Stars | None = None, pool: ThreadPoolExecutor | None = None
+) -> IntArray:
     """Find the cell across every facet.
 
     Parameters
     ----------
     cells : (m, d + 1) int32
     stars : Stars, optional      of these cells, when already known
+    pool : ThreadPoolExecutor, optional
+        shares the work; the result does not depend on it
 
     Returns
     -------
@@ -100,12 +108,21 @@ def cell_neighbors(cells: IntArray, stars: Stars | None = None) -> IntArray:
     if cells.size == 0:
         return neighbors
     if stars is None:
-        stars = vertex_stars(cells, int(cells.max()) + 1)
-    head = np.full(stars.indptr.size - 1, -1, dtype=np.int64)
+        stars = vertex_stars(cells, int(cells.max()) + 1, pool)
+    n = stars.indptr.size - 1
     chain = np.empty(4 * len(cells), dtype=np.int64)
-    bad = _match_facets(cells, stars.indptr, stars.indices, head, chain, neighbors)
-    if bad >= 0:
-        cell, opposite = divmod(int(bad), 4)
+
+    def match(first: int, last: int) -> int:
+        head = np.full(n, -1, dtype=np.int64)
+        return int(_match_facets(cells, *stars, head, chain, neighbors, first, last))
+
+    parts = 1 if pool is None else PARTS
+    cuts = [n * part // parts for part in range(parts + 1)]
+    run = map if pool is None else pool.map
+    for bad in run(match, cuts[:-1], cuts[1:]):
+        if bad < 0:
+            continue
+        cell, opposite = divmod(bad, 4)
         facet = np.delete(cells[cell], opposite).tolist()
         msg = (
             f"got a third cell on the facet {facet} at index {cell}, expected at most two cells "

@@ -71,7 +71,7 @@ class Complex:
 
 def make_complex(
     points: FloatArray, cells: IntArray, regions: IntArray, locked: BoolArray, rim: BoolArray,
-    skin: Skin | None = None,
+    skin: Skin | None = None, neighbors: IntArray | None = None,
 ) -> Complex:
     """Build the adjacency of a valid mesh, with room for flips that add cells.
 
@@ -81,9 +81,11 @@ def make_complex(
     cells : (m, d + 1) int32, regions : (m,) int32
     locked, rim : (n,) bool
     skin : Skin, optional            kept by reference
+    neighbors : (m, d + 1) int32, optional    of the cells, when already known
     """
-    stars = vertex_stars(cells, len(points))
-    return _with_room(points, cells, cell_neighbors(cells, stars), regions, locked, rim, skin)
+    if neighbors is None:
+        neighbors = cell_neighbors(cells, vertex_stars(cells, len(points)))
+    return _with_room(points, cells, neighbors, regions, locked, rim, skin)
 
 
 def _with_room(

@@ -217,8 +217,16 @@ class Density:
 
 def cell_density(points: FloatArray, cells: IntArray, rho: FloatArray) -> FloatArray:
     """Mean of the vertex densities of every cell, rho_tau, shape (m,): exact for linear rho."""
-    values: FloatArray = rho[cells].mean(axis=1)
-    return values
+    return corner_mean(rho, cells)
+
+
+def corner_mean(values: FloatArray, cells: IntArray) -> FloatArray:
+    """Mean of values (n,) at the vertices of every cell, shape (m,)."""
+    mean: FloatArray = values[cells[:, 0]]
+    for corner in cells.T[1:]:
+        mean += values[corner]
+    mean /= cells.shape[1]
+    return mean
 
 
 def inverse_volume_density(points: FloatArray, cells: IntArray) -> FloatArray:
@@ -260,7 +268,7 @@ def smooth_over_stars(values: FloatArray, cells: IntArray, passes: int) -> Float
     count = star_sum(np.ones(len(cells)), cells, len(values))
     used = count > 0
     for _ in range(passes):
-        mean = star_sum(values[cells].mean(axis=1), cells, len(values))
+        mean = star_sum(corner_mean(values, cells), cells, len(values))
         values[used] = mean[used] / count[used]
     return values
 

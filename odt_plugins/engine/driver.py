@@ -13,14 +13,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.engine.adjacency import cell_neighbors
 from odt_plugins.engine.complex import Complex, make_complex
 from odt_plugins.engine.density import Density, NodalDensity, make_density
 from odt_plugins.engine.figures import Figures, figures
 from odt_plugins.engine.finishing import finish, held_angles
+from odt_plugins.engine.frame import Frame, make_frame
 from odt_plugins.engine.geometry import boundary_vertices, interface_vertices
 from odt_plugins.engine.judge import Slid, cut_vertices, envelope_length, faults, slides
 from odt_plugins.engine.memory import Memory, State
-from odt_plugins.engine.order import curve_order
 from odt_plugins.engine.part import away_from, joined
 from odt_plugins.engine.phases import WORST, Phase, bulk, cautious, descents, repair, tail
 from odt_plugins.engine.progress import (
@@ -34,6 +35,7 @@ from odt_plugins.engine.repair2d import within_bounds
 from odt_plugins.engine.resampling import resample_in_rounds, with_spare_vertices
 from odt_plugins.engine.skin import Skin, make_skin
 from odt_plugins.engine.smoothing import Log, smooth
+from odt_plugins.engine.threads import thread_pool
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
 from odt_plugins.numbering import new_numbers
@@ -85,63 +87,12 @@ class Outcome:
     origin: NDArray[np.int64] | None = None
 
 
-@dataclass(frozen=True)
-class Frame:
-    """Numbering and unit inside the engine, and the way back.
-
-    Attributes
-    ----------
-    vertices : (k,) int32     caller's index of every inner vertex
-    active : (m1,) int64      caller's index of every inner cell, all but the frozen ones
-    centre : (d,) float64, scale : float
-        inner coordinates are (x - centre) * scale, scale a power of two
-    """
-
-    vertices: IntArray
-    active: NDArray[np.int64]
-    centre: FloatArray
-    scale: float
-
-    def inside(self, points: FloatArray) -> FloatArray:
-        """Inner coordinates of the caller's points."""
-        return np.ascontiguousarray((points - self.centre) * self.scale)
-
-    def outside(self, points: FloatArray) -> FloatArray:
-        """Caller's coordinates of inner points."""
-        moved: FloatArray = points / self.scale + self.centre
-        return moved
-
-
-def make_frame(mesh: SimplexMesh) -> tuple[Frame, IntArray]:
-    """Leave out frozen cells and unused vertices, number along a curve, scale to unit size.
-
-    Returns
-    -------
-    Frame, and the inner cells (m1, d + 1) int32
-    """
-    active = np.flatnonzero(~mesh.frozen)
-    cells = mesh.cells[active]
-    mask = np.zeros(len(mesh.points), dtype=np.bool_)
-    mask[cells.ravel()] = True
-    used = np.flatnonzero(mask).astype(np.int32)
-    inner = (np.cumsum(mask, dtype=np.int32) - 1)[cells]
-    points = mesh.points[used]
-    vertices, order = curve_order(points, inner)
-    rank = np.empty(len(used), dtype=np.int32)
-    rank[vertices] = np.arange(len(used), dtype=np.int32)
-    low, high = points.min(axis=0), points.max(axis=0)
-    span = float((high - low).max())
-    scale = 2.0 ** -round(math.log2(span)) if span > 0.0 else 1.0
-    frame = Frame(used[vertices], active[order], 0.5 * (low + high), scale)
-    return frame, np.ascontiguousarray(rank[inner[order]])
-
-
-def locked_vertices(mesh: SimplexMesh) -> tuple[BoolArray, BoolArray]:
+def locked_vertices(mesh: SimplexMesh, neighbors: IntArray) -> tuple[BoolArray, BoolArray]:
     """Vertices that may not move, and those on the boundary or on an interface, (n,) each.
 
     A vertex of a frozen cell may not move either.
     """
-    rim = boundary_vertices(mesh.cells, len(mesh.points), mesh.regions)
+    rim = boundary_vertices(mesh.cells, len(mesh.points), mesh.regions, neighbors)
     locked = rim | mesh.fixed
     locked[mesh.cells[mesh.frozen]] = True
     return locked, rim
@@ -232,9 +183,18 @@ def _run(
     mesh: SimplexMesh, options: Options, cut: BoolArray | None = None, *, judged: bool = True
 ) -> tuple[Outcome, IntArray]:
     """One run of all stages; also the surface vertices at which a surface that slid is spoiled."""
+    with thread_pool(options.threads) as pool:
+        return _run_in(pool, mesh, options, cut, judged=judged)
+
+
+def _run_in(
+    pool: ThreadPoolExecutor | None, mesh: SimplexMesh, options: Options, cut: BoolArray | None,
+    *, judged: bool,
+) -> tuple[Outcome, IntArray]:
     clock = time.perf_counter()
     nowhere = np.zeros(0, dtype=np.int32)
-    locked, rim = locked_vertices(mesh)
+    neighbors = cell_neighbors(mesh.cells, pool=pool)
+    locked, rim = locked_vertices(mesh, neighbors)
     if mesh.frozen.all() or len(mesh.cells) == 0:
         return _unchanged(mesh, "no cell may change"), nowhere
     frame, cells = make_frame(mesh)
@@ -243,7 +203,10 @@ def _run(
     points = frame.inside(mesh.points[frame.vertices])
     regions = np.ascontiguousarray(mesh.regions[frame.active])
     skin = _skin(mesh, options, frame, points, cells) if slides(mesh, options) else None
-    start = make_complex(points, cells, regions, inner_locked, inner_rim, skin)
+    start = make_complex(
+        points, cells, regions, inner_locked, inner_rim, skin, frame.inner_neighbors(neighbors)
+    )
+    del neighbors
     before = figures(points, cells, options.objective)
     memory = Memory(before, tuple(options.keep), options.objective, by_score=options.finish)
     spec = inner_density(mesh, options, frame)
@@ -254,36 +217,31 @@ def _run(
     log = Log()
     times = {"prepare": time.perf_counter() - clock}
     bounds = extremes(before, tuple(options.keep))
-    pool = ThreadPoolExecutor(options.threads) if options.threads > 1 else None
-    try:
-        first = until_insertion(options) if options.insert else options
-        near = None if cut is None or not cut.any() else cut[frame.vertices]
-        reason = _cycles(start, density, first, bounds, memory, log, times, pool, near)
-        if not memory.states and options.finish and not (skin and memory.spoiled().size):
-            again = frame.inside(mesh.points[frame.vertices])
-            skin = _skin(mesh, options, frame, again, cells) if skin else None
-            second = make_complex(again, cells, regions, inner_locked, inner_rim, skin)
-            log.add(f"runs of {ALONE}", 1)
-            _finishing_alone(second, options, bounds, memory, times, pool, log)
-        if options.insert and (memory.states or skin is None):
-            clock = time.perf_counter()
-            unchanged = frame.inside(mesh.points[frame.vertices])
-            best = (memory.states or [State(unchanged, cells, regions, before, "input")])[0]
-            spare = with_spare_vertices(
-                best.points, best.cells, best.regions, inner_locked, inner_rim,
-                mesh.anchored[frame.vertices],
-            )
-            resample_in_rounds(
-                spare, best.figures, options.objective,
-                limits=partial(extremes, keep=tuple(options.keep)),
-                settle=partial(_finish, log=log, pool=pool, threads=options.threads),
-                offer=partial(memory.offer, name="resampled"),
-                report=partial(report_insertion, options.progress or silent), log=log,
-            )
-            times["resampling"] = time.perf_counter() - clock
-    finally:
-        if pool is not None:
-            pool.shutdown()
+    first = until_insertion(options) if options.insert else options
+    near = None if cut is None or not cut.any() else cut[frame.vertices]
+    reason = _cycles(start, density, first, bounds, memory, log, times, pool, near)
+    if not memory.states and options.finish and not (skin and memory.spoiled().size):
+        again = frame.inside(mesh.points[frame.vertices])
+        skin = _skin(mesh, options, frame, again, cells) if skin else None
+        second = make_complex(again, cells, regions, inner_locked, inner_rim, skin)
+        log.add(f"runs of {ALONE}", 1)
+        _finishing_alone(second, options, bounds, memory, times, pool, log)
+    if options.insert and (memory.states or skin is None):
+        clock = time.perf_counter()
+        unchanged = frame.inside(mesh.points[frame.vertices])
+        best = (memory.states or [State(unchanged, cells, regions, before, "input")])[0]
+        spare = with_spare_vertices(
+            best.points, best.cells, best.regions, inner_locked, inner_rim,
+            mesh.anchored[frame.vertices],
+        )
+        resample_in_rounds(
+            spare, best.figures, options.objective,
+            limits=partial(extremes, keep=tuple(options.keep)),
+            settle=partial(_finish, log=log, pool=pool, threads=options.threads),
+            offer=partial(memory.offer, name="resampled"),
+            report=partial(report_insertion, options.progress or silent), log=log,
+        )
+        times["resampling"] = time.perf_counter() - clock
     clock = time.perf_counter()
     outcome = _best(mesh, frame, memory, options, log, reason, judged=judged)
     times["check"] = time.perf_counter() - clock

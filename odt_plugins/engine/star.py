@@ -68,6 +68,14 @@ def _fill(cells: IntArray, start: int, stop: int, place: LongArray, indices: Int
 
 
 @kernel
+def _add_to_corners(values: FloatArray, cells: IntArray, sums: FloatArray) -> None:
+    for c in range(cells.shape[0]):
+        for a in range(cells.shape[1]):
+            for j in range(values.shape[1]):
+                sums[cells[c, a], j] += values[c, j]
+
+
+@kernel
 def _neighbor_rows(
     cells: IntArray,
     star_indptr: OffsetArray,
@@ -156,12 +164,10 @@ def star_sum(values: FloatArray, cells: IntArray, n_points: int) -> FloatArray:
     -------
     (n,) or (n, c) float64             0 where a point belongs to no cell
     """
-    corners = cells.ravel()
-    k = cells.shape[1]
-    columns = values.reshape(len(cells), -1)
-    sums = np.empty((n_points, columns.shape[1]))
-    for c in range(columns.shape[1]):
-        sums[:, c] = np.bincount(corners, np.repeat(columns[:, c], k), minlength=n_points)
+    cells = np.ascontiguousarray(cells, dtype=np.int32)
+    columns = np.ascontiguousarray(values.reshape(len(cells), -1), dtype=np.float64)
+    sums = np.zeros((n_points, columns.shape[1]))
+    _add_to_corners(columns, cells, sums)
     return sums.reshape((n_points, *values.shape[1:]))
 
 

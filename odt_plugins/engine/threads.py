@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import AbstractContextManager, nullcontext
 from itertools import pairwise
 from typing import TYPE_CHECKING, TypeVar
 
@@ -18,6 +19,11 @@ SMALLEST = 256
 
 PART = 1 << 15
 """Length of a part of a range."""
+
+
+def thread_pool(threads: int) -> AbstractContextManager[ThreadPoolExecutor | None]:
+    """A pool of so many threads, None for one, which does everything by itself."""
+    return ThreadPoolExecutor(threads) if threads > 1 else nullcontext()
 
 
 def run_chunks(

@@ -4,20 +4,14 @@ from __future__ import annotations
 
 import math
 import time
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
-from odt_plugins.engine.driver import (
-    Frame,
-    Outcome,
-    extremes,
-    inner_density,
-    make_frame,
-)
+from odt_plugins.engine.driver import Outcome, extremes, inner_density
 from odt_plugins.engine.figures import Figures, figures
+from odt_plugins.engine.frame import Frame, make_frame
 from odt_plugins.engine.memory import Memory, State
 from odt_plugins.engine.phases import Phase, bulk, tail
 from odt_plugins.engine.progress import in_turn, report_share, silent
@@ -30,6 +24,7 @@ from odt_plugins.engine.surface.judge import Distance, Kept, faults, outside
 from odt_plugins.engine.surface.passes import Surface, finish_phase
 from odt_plugins.engine.surface.sheet import HELD, LINE, Limits
 from odt_plugins.engine.surface.smoothing import check_method, smooth_surface
+from odt_plugins.engine.threads import thread_pool
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
 from odt_plugins.options import Options
 from odt_plugins.surface import Edges, surface_edges
@@ -214,13 +209,9 @@ def _run(
     before = figures(start.points, start.triangles)
     memory = Memory(before, tuple(options.keep), options.objective, by_score=options.finish)
     times["prepare"] += time.perf_counter() - clock
-    pool = ThreadPoolExecutor(options.threads) if options.threads > 1 else None
-    surface = replace(surface, pool=pool, threads=options.threads)
-    try:
+    with thread_pool(options.threads) as pool:
+        surface = replace(surface, pool=pool, threads=options.threads)
         reason = _cycles(surface, density, options, before, memory, log, times)
-    finally:
-        if pool is not None:
-            pool.shutdown()
     return memory, kept, reason
 
 
