@@ -12,26 +12,33 @@ from odt_plugins.mesh import FloatArray, IntArray
 
 @kernel
 def _sum_energy(points: FloatArray, cells: IntArray, rho: FloatArray, of_cells: bool) -> float:
-    """Sum (2.2) over the cells; rho is that of cells, or of vertices, whose mean is taken."""
+    """Sum (2.2) over the cells; rho is that of cells, or of vertices, whose mean is taken.
+
+    The squares of all edges sum up to (d + 1) sum |e|^2 - |sum e|^2 over the edges e at a corner.
+    """
     m, k = cells.shape
     d = k - 1
     total = 0.0
     for c in range(m):
-        squares = 0.0
         weight = k * rho[c] if of_cells else 0.0
-        for a in range(k):
-            if not of_cells:
+        if not of_cells:
+            for a in range(k):
                 weight += rho[cells[c, a]]
-            for b in range(a):
-                for axis in range(d):
-                    squares += (points[cells[c, a], axis] - points[cells[c, b], axis]) ** 2
         o, i, j = cells[c, 0], cells[c, 1], cells[c, 2]
         if d == 2:
             ax, ay = points[i, 0] - points[o, 0], points[i, 1] - points[o, 1]
             bx, by = points[j, 0] - points[o, 0], points[j, 1] - points[o, 1]
             volume = 0.5 * (ax * by - ay * bx)
+            squares = 3.0 * (ax * ax + ay * ay + bx * bx + by * by)
+            squares -= (ax + bx) ** 2 + (ay + by) ** 2
         else:
-            volume = six_volumes(*corner_edges(points, o, i, j, cells[c, 3])) / 6.0
+            ax, ay, az, bx, by, bz, ex, ey, ez = corner_edges(points, o, i, j, cells[c, 3])
+            volume = six_volumes(ax, ay, az, bx, by, bz, ex, ey, ez) / 6.0
+            squares = 4.0 * (
+                ax * ax + ay * ay + az * az + bx * bx + by * by + bz * bz
+                + ex * ex + ey * ey + ez * ez
+            )
+            squares -= (ax + bx + ex) ** 2 + (ay + by + ey) ** 2 + (az + bz + ez) ** 2
         total += volume * squares * weight / k
     return total / ((d + 1) * (d + 2))
 
