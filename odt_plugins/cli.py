@@ -57,7 +57,8 @@ HELP = {
                 "triangles always does; slide lets its rims and feature lines change too.",
     "envelope": "How far a surface that moves may be from the input's, both ways, as a part of the "
                 "diagonal of the bounding box.",
-    "feature_angle": "Degrees by which a surface turns at an edge that is kept.",
+    "feature_angle": "Degrees by which a surface turns at an edge that is kept. Chains of fewer "
+                     "than five such edges with a loose end count as noise.",
     "fixed": "Vertices that must not move: a file of indices (text or .npy), or the name of a "
              "point array, non-zero where fixed.",
     "selection": "Cells that may change: a file of indices (text or .npy), or the name of a "

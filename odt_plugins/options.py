@@ -63,7 +63,8 @@ class Options:
                       lines, and "slide" lets them change within half of the envelope
     envelope          how far a surface that moves may be from the input's, both ways, as a part
                       of the diagonal of the bounding box
-    feature_angle     degrees by which a surface turns at an edge that is kept
+    feature_angle     degrees by which a surface turns at an edge that is kept; chains of fewer
+                      than five such edges with a loose end count as noise and are not
     fixed             (n,) bool mask or vertex indices that must not move
     selection         (m,) bool mask or cell indices: only these cells may change
     regions           (m,) integer labels whose interfaces stay, or name of a cell array; "charts"

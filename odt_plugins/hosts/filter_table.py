@@ -208,7 +208,8 @@ ENVELOPE = Parameter(
     "How far a curved surface may get from what it was, and that from it.")
 ANGLE = Parameter(
     "FeatureDeg", "float", Options.feature_angle, "Crease Angle",
-    "Edges at which a curved surface turns by more degrees than this stay, and so do corners.")
+    "Edges at which a curved surface turns by more degrees than this stay, and so do corners. "
+    "Chains of fewer than five such edges with a loose end count as noise.")
 KEEP = Parameter(
     "keepQuality", "bool", True, "Keep quality",
     "No figure (smallest, 1 % and mean radius ratio, extreme angles) may get worse.")
