@@ -4,6 +4,14 @@ Every message says what was found, where (first offending index, how many), what
 expected and what to try.
 """
 
+from __future__ import annotations
+
+from contextlib import contextmanager
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from collections.abc import Iterator
+
 
 class ODTError(Exception):
     """Root of every error raised on purpose by odt_plugins."""
@@ -48,3 +56,20 @@ class NotConvergedWarning(ODTWarning):
 def counted(count: int, noun: str, plural: str | None = None) -> str:
     """Say how many there are: "1 cell", "2 cells"."""
     return f"{count} {noun if count == 1 else plural or noun + 's'}"
+
+
+@contextmanager
+def writing(what: object, instead: str) -> Iterator[None]:
+    """Say what could not be written, why, and what to try instead.
+
+    Raises
+    ------
+    MeshFileError    the system refused; an error that is one already passes as it is
+    """
+    try:
+        yield
+    except MeshFileError:
+        raise
+    except OSError as exc:
+        msg = f"cannot write {what}: {exc.strerror or exc}; try {instead}"
+        raise MeshFileError(msg) from exc

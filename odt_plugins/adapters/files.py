@@ -23,6 +23,7 @@ from odt_plugins.errors import (
     InvalidMeshError,
     MeshFileError,
     MissingDependencyError,
+    writing,
 )
 
 PREFERRED = {".msh": "gmsh"}
@@ -122,21 +123,14 @@ def write_file(path: str | os.PathLike[str], mesh: Any) -> None:
     """
     path = Path(path)
     check_output(path)
-    try:
+    with writing(path, "another directory"):
         beside = Path(tempfile.mkdtemp(prefix=f".{path.stem}-", dir=path.parent))
-    except OSError as exc:
-        msg = f"cannot write {path}: {exc.strerror or exc}; try another directory"
-        raise MeshFileError(msg) from exc
     try:
-        lost, remarks = _write_and_compare(beside / path.name, mesh)
-        # Formats such as xdmf write companions; the file that refers to them comes last.
-        for part in sorted(beside.iterdir(), key=lambda part: part.name == path.name):
-            os.replace(part, path.parent / part.name)
-    except OSError as exc:
-        if isinstance(exc, MeshFileError):
-            raise
-        msg = f"cannot write {path}: {exc.strerror or exc}; try another path"
-        raise MeshFileError(msg) from exc
+        with writing(path, "another path"):
+            lost, remarks = _write_and_compare(beside / path.name, mesh)
+            # Formats such as xdmf write companions; the file that refers to them comes last.
+            for part in sorted(beside.iterdir(), key=lambda part: part.name == path.name):
+                os.replace(part, path.parent / part.name)
     finally:
         shutil.rmtree(beside, ignore_errors=True)
     if lost:

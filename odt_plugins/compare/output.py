@@ -16,7 +16,7 @@ from odt_plugins.compare.contestants import OURS
 from odt_plugins.compare.markdown import to_markdown
 from odt_plugins.compare.pictures import worst_cells
 from odt_plugins.compare.rows import Measured, MeshResult, Row
-from odt_plugins.errors import MeshFileError, MissingDependencyError
+from odt_plugins.errors import MissingDependencyError, writing
 
 FILES = ("comparison.csv", "comparison.json", "comparison.html", "comparison.md")
 
@@ -49,17 +49,12 @@ def write_all(out: Path, results: Sequence[MeshResult], facts: Facts, command: s
     MeshFileError             `out` cannot be written to
     MissingDependencyError    jinja2 is not installed
     """
-    try:
+    with writing(f"into {out}", "another --out"):
         out.mkdir(parents=True, exist_ok=True)
         (out / FILES[3]).write_text(to_markdown(results, command), encoding="utf-8")
         (out / FILES[0]).write_text(to_csv(results), encoding="utf-8")
         (out / FILES[1]).write_text(to_json(results, facts, command), encoding="utf-8")
         (out / FILES[2]).write_text(to_page(results, facts, command), encoding="utf-8")
-    except OSError as exc:
-        if isinstance(exc, MeshFileError):
-            raise
-        msg = f"cannot write into {out}: {exc.strerror or exc}; try another --out"
-        raise MeshFileError(msg) from exc
 
 
 def to_json(results: Sequence[MeshResult], facts: Facts, command: str) -> str:

@@ -15,7 +15,7 @@ from odt_plugins.compare.hard import HardMesh, hard_meshes
 from odt_plugins.compare.machine import describe
 from odt_plugins.compare.start import SEED, stored
 from odt_plugins.compare.table import Say, Table, as_text, shown
-from odt_plugins.errors import MeshFileError
+from odt_plugins.errors import writing
 from odt_plugins.mesh import simplex_mesh
 from odt_plugins.promise import broken_promises
 from odt_plugins.quality import summarize
@@ -56,12 +56,9 @@ def run_hard(out: Path, threads: int, say: Say, size: int = SIZE) -> str:
         [f"promise kept on {kept} of {len(rows)}, better mean on {better}"],
     )
     values = {"machine": describe(threads, SEED), "meshes": rows}
-    try:
+    with writing(f"into {out}", "another --out"):
         out.mkdir(parents=True, exist_ok=True)
         (out / FILE).write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
-    except OSError as exc:
-        msg = f"cannot write into {out}: {exc.strerror or exc}; try another --out"
-        raise MeshFileError(msg) from exc
     return "\n".join(as_text(table))
 
 

@@ -18,7 +18,7 @@ from odt_plugins.compare.stages import stages_part, surface_part
 from odt_plugins.compare.start import SEED
 from odt_plugins.compare.table import Part, Say, as_text, shown
 from odt_plugins.compare.threads import threads_part
-from odt_plugins.errors import MeshFileError
+from odt_plugins.errors import writing
 
 FILES = ("scaling.json", "scaling.html")
 
@@ -70,13 +70,8 @@ def run_scaling(
         values |= part.values
     page = fill_template("scaling.html", facts=facts, tables=tables, shown=shown,
                          charts=[chart for part in done.values() for chart in part.charts])
-    try:
+    with writing(f"into {out}", "another --out"):
         out.mkdir(parents=True, exist_ok=True)
         (out / FILES[0]).write_text(json.dumps(values, indent=1) + "\n", encoding="utf-8")
         (out / FILES[1]).write_text(page, encoding="utf-8")
-    except OSError as exc:
-        if isinstance(exc, MeshFileError):
-            raise
-        msg = f"cannot write into {out}: {exc.strerror or exc}; try another --out"
-        raise MeshFileError(msg) from exc
     return "\n".join(line for table in tables for line in as_text(table))

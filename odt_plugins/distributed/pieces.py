@@ -30,7 +30,7 @@ from odt_plugins.distributed.piecework import (
     take_in,
 )
 from odt_plugins.distributed.store import piece_files, write_index
-from odt_plugins.errors import DataNotKeptWarning, InvalidOptionError, MeshFileError
+from odt_plugins.errors import DataNotKeptWarning, InvalidOptionError, MeshFileError, writing
 from odt_plugins.mesh import IntArray
 from odt_plugins.options import Options
 
@@ -120,14 +120,10 @@ def optimize_pieces(
         raise MeshFileError(msg)
     folder = None
     try:
-        folder = Path(tempfile.mkdtemp(prefix=f".{index.stem}-", dir=index.parent))
-        with executor(client, workers) as apply:
-            return _run(sources, index, folder, rounds, options, apply)
-    except OSError as exc:
-        if isinstance(exc, MeshFileError):
-            raise
-        msg = f"cannot write {target}: {exc.strerror or exc}; try another directory"
-        raise MeshFileError(msg) from exc
+        with writing(target, "another directory"):
+            folder = Path(tempfile.mkdtemp(prefix=f".{index.stem}-", dir=index.parent))
+            with executor(client, workers) as apply:
+                return _run(sources, index, folder, rounds, options, apply)
     finally:
         if folder is not None:
             shutil.rmtree(folder, ignore_errors=True)

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters import files
 from odt_plugins.adapters.host import REGION_ARRAYS
-from odt_plugins.errors import MeshFileError, UnsupportedMeshError
+from odt_plugins.errors import MeshFileError, UnsupportedMeshError, writing
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray, reverse, simplex_mesh
 
 IDS = "GlobalPointIds"
@@ -192,12 +192,9 @@ def write_index(path: Path, names: list[str], example: Piece, regions: str) -> N
     for name in names:
         ElementTree.SubElement(grid, "Piece", Source=name)
     beside = path.with_name(f".{path.name}.part")
-    try:
+    with writing(path, "another path"):
         ElementTree.ElementTree(root).write(beside, xml_declaration=True)
         os.replace(beside, path)
-    except OSError as exc:
-        msg = f"cannot write {path}: {exc.strerror or exc}; try another path"
-        raise MeshFileError(msg) from exc
 
 
 def _declare(grid: Any, tag: str, arrays: dict[str, NDArray[Any]]) -> None:

@@ -14,7 +14,7 @@ from typing import Any
 
 from odt_plugins.compare.machine import describe
 from odt_plugins.compare.output import fill_template
-from odt_plugins.errors import MeshFileError, MissingDependencyError
+from odt_plugins.errors import MissingDependencyError, writing
 from odt_plugins.quality import QualitySummary
 
 FILES = ("summary.csv", "summary.parquet", "summary.html")
@@ -65,18 +65,17 @@ def write_summary(
     MissingDependencyError    pyarrow or jinja2 is not installed
     """
     check_summary()
-    try:
-        with tempfile.TemporaryDirectory(prefix=".summary-", dir=out) as name:
-            folder = Path(name)
-            (folder / FILES[0]).write_text(to_csv(rows), encoding="utf-8")
-            _write_parquet(folder / FILES[1], rows)
-            page = to_page(rows, command, threads, seconds)
-            (folder / FILES[2]).write_text(page, encoding="utf-8")
-            for file in FILES:
-                os.replace(folder / file, out / file)
-    except OSError as exc:
-        msg = f"cannot write the summary into {out}: {exc.strerror or exc}; try another folder"
-        raise MeshFileError(msg) from exc
+    with (
+        writing(f"the summary into {out}", "another folder"),
+        tempfile.TemporaryDirectory(prefix=".summary-", dir=out) as name,
+    ):
+        folder = Path(name)
+        (folder / FILES[0]).write_text(to_csv(rows), encoding="utf-8")
+        _write_parquet(folder / FILES[1], rows)
+        page = to_page(rows, command, threads, seconds)
+        (folder / FILES[2]).write_text(page, encoding="utf-8")
+        for file in FILES:
+            os.replace(folder / file, out / file)
 
 
 def command_line(context: Any) -> str:
