@@ -186,17 +186,7 @@ def check(host: Host, before: View, after: View) -> None:
             whole, rel=tolerance)
     assert set(np.unique(new)) == set(np.unique(old))
 
-    for kind in ("point_data", "field_data"):
-        a, b = getattr(before, kind), getattr(after, kind)
-        assert sorted(a) == sorted(b)
-        for name in a:
-            assert np.asarray(b[name]).dtype == np.asarray(a[name]).dtype, name
-            assert np.array_equal(a[name], b[name]), name
-    assert sorted(before.cell_data) == sorted(after.cell_data)
-    source = sources(before, after, old, new)
-    for name, values in before.cell_data.items():
-        assert after.cell_data[name].dtype == values.dtype, name
-        assert np.array_equal(after.cell_data[name], values[source]), name
+    check_data(before, after, old, new)
     check_wedges(before, after, old, new)
     check_normals(before, after)
     check_mid_nodes(before, after)
@@ -207,6 +197,22 @@ def check(host: Host, before: View, after: View) -> None:
     assert kept == sorted(kept)
     for i, j in kept:
         assert np.array_equal(before.cells[i], after.cells[j])
+
+
+def check_data(before, after, old, new, interpolated=()):
+    """Point and field data are the same, cell data those of the sources; all of the same dtype."""
+    for kind in ("point_data", "field_data"):
+        a, b = getattr(before, kind), getattr(after, kind)
+        assert sorted(a) == sorted(b)
+        for name in a:
+            assert np.asarray(b[name]).dtype == np.asarray(a[name]).dtype, name
+            if name not in interpolated:
+                assert np.array_equal(a[name], b[name]), name
+    assert sorted(before.cell_data) == sorted(after.cell_data)
+    source = sources(before, after, old, new)
+    for name, values in before.cell_data.items():
+        assert after.cell_data[name].dtype == values.dtype, name
+        assert np.array_equal(after.cell_data[name], values[source]), name
 
 
 def check_wedges(before, after, old, new):
@@ -453,6 +459,17 @@ def _quadratic(kind, dim):
     return Host(make, view, dim, "marker")
 
 
+def add_pymeshlab_attributes(mesh, labels):
+    """Custom attributes of every kind, the labels among them as "marker", and a name."""
+    n, m = mesh.vertex_number(), mesh.face_number()
+    mesh.add_vertex_custom_scalar_attribute(np.arange(n) / 11, "temperature")
+    mesh.add_vertex_custom_point_attribute(np.arange(3 * n).reshape(n, 3) / 13, "velocity")
+    mesh.add_face_custom_scalar_attribute(np.arange(m) / 17, "stress")
+    mesh.add_face_custom_point_attribute(np.arange(3 * m).reshape(m, 3) / 19, "axis")
+    mesh.add_face_custom_scalar_attribute(labels.astype(float), "marker")
+    mesh.set_label("plate of steel")
+
+
 def _pymeshlab(whole):
     """A labelled grid with data of every kind, as a Mesh or as the middle one of three meshes."""
 
@@ -475,12 +492,7 @@ def _pymeshlab(whole):
             alone.compute_selection_by_condition_per_face(condselect="x0 + x1 + x2 < 1.2")
         mesh = alone.current_mesh()
         weakref.finalize(mesh, alone.mesh_number).atexit = False
-        mesh.add_vertex_custom_scalar_attribute(np.arange(n) / 11, "temperature")
-        mesh.add_vertex_custom_point_attribute(np.arange(3 * n).reshape(n, 3) / 13, "velocity")
-        mesh.add_face_custom_scalar_attribute(np.arange(m) / 17, "stress")
-        mesh.add_face_custom_point_attribute(np.arange(3 * m).reshape(m, 3) / 19, "axis")
-        mesh.add_face_custom_scalar_attribute(labels.astype(float), "marker")
-        mesh.set_label("plate of steel")
+        add_pymeshlab_attributes(mesh, labels)
         if not whole:
             return mesh
         meshes = pymeshlab.MeshSet()
@@ -640,18 +652,7 @@ def check_curved(host: Host, before: View, after: View, envelope: float) -> None
     limit = envelope * surface_meshes.diagonal(p)
     assert max(surface_meshes.two_sided(p, before.cells, q, after.cells, 3)) <= limit
     assert radius_ratio(q, after.cells).mean() > radius_ratio(p, before.cells).mean()
-    for kind in ("point_data", "field_data"):
-        a, b = getattr(before, kind), getattr(after, kind)
-        assert sorted(a) == sorted(b)
-        for name in a:
-            assert np.asarray(b[name]).dtype == np.asarray(a[name]).dtype, name
-            if name != "uv":
-                assert np.array_equal(a[name], b[name]), name
-    assert sorted(before.cell_data) == sorted(after.cell_data)
-    source = sources(before, after, old, new)
-    for name, values in before.cell_data.items():
-        assert after.cell_data[name].dtype == values.dtype, name
-        assert np.array_equal(after.cell_data[name], values[source]), name
+    check_data(before, after, old, new, interpolated=("uv",))
     assert (before.wedges is None) == (after.wedges is None)
     check_curved_normals(before, after)
 

@@ -50,12 +50,7 @@ def plate(seed=0):
         v_scalar_array=np.arange(n) * THIRD, f_scalar_array=np.arange(m) / 7,
         v_color_matrix=byte[:n], f_color_matrix=byte[n:], v_tex_coords_matrix=uv[:, ::-1].copy(),
         w_tex_coords_matrix=uv[faces].reshape(-1, 2))
-    mesh.add_vertex_custom_scalar_attribute(np.arange(n) / 11, "temperature")
-    mesh.add_vertex_custom_point_attribute(np.arange(3 * n).reshape(n, 3) / 13, "velocity")
-    mesh.add_face_custom_scalar_attribute(np.arange(m) / 17, "stress")
-    mesh.add_face_custom_point_attribute(np.arange(3 * m).reshape(m, 3) / 19, "axis")
-    mesh.add_face_custom_scalar_attribute(labels.astype(float), "marker")
-    mesh.set_label("plate of steel")
+    contract.add_pymeshlab_attributes(mesh, labels)
     return mesh
 
 

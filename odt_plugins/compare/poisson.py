@@ -16,6 +16,7 @@ TOLERANCE = 1e-8
 """Relative residual at which CG stops."""
 
 MOST_STEPS = 5000
+"""Of CG; a mesh that needs more has no condition worth a figure."""
 
 Operator = Callable[[FloatArray], FloatArray]
 

@@ -13,8 +13,11 @@ from odt_plugins.engine.tetrahedron import ENERGY, tet_cost
 from odt_plugins.mesh import ByteArray, FloatArray, IntArray, LongArray
 
 IDLE, PENDING, DONE = 0, 1, 2
+"""Status of a cell: nothing to do, to be visited, visited in this pass."""
 MAX_RING = 10
+"""Most vertices around an edge that is removed; the table of a ring grows with their square."""
 CELL, NEIGHBOR, STATUS, FREE, SLOT = 0, 1, 2, 3, 4
+"""What an entry of a journal says was overwritten."""
 UNKNOWN = 0.0
 """Cost of a cell that was not computed yet; arrays of zeros take no memory until they are used."""
 

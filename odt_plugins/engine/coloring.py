@@ -22,6 +22,7 @@ SMALLEST_BITS = 6
 """A block has at least 2^SMALLEST_BITS vertex numbers."""
 
 MOST_BLOCKS = 1024
+"""Larger meshes have larger blocks, since which of them touch is a table of all pairs."""
 
 
 class Coloring(NamedTuple):

@@ -22,10 +22,10 @@ Scratch = tuple[
     IntArray, IntArray, FloatArray, IntArray, IntArray, FloatArray, FloatArray
 ]
 
-MOST_TOUCHED = 192
-MOST_FLIPS = 24
+MOST_TOUCHED, MOST_FLIPS, ROUNDS = 192, 24, 2
+"""Of one descent: cells that it may touch, flips, and rounds of flips and Newton steps."""
 LARGEST_STAR = 128
-ROUNDS = 2
+"""Cells around a vertex; one with more is left alone."""
 DEEP = 2.0
 """A descent that is still this many times the worst cell's own cost down is given up."""
 HOPELESS = 10.0
@@ -181,6 +181,25 @@ def within(
 
 
 @kernel
+def stakes(
+    points: FloatArray, cells: IntArray, c: int, objective: int, power: float, bounds: FloatArray
+) -> tuple[float, float, float, float]:
+    """Cost of cell c, with which a gain is compared, and what all cells near it must keep then.
+
+    Returns
+    -------
+    own : float                       cost by the measure of the objective
+    least, most, fewest : float       see ``bounds.relaxed``
+    """
+    i, j, k, l = cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3]
+    q = tet_quality(points, i, j, k, l)
+    large, small = tet_cosines(points, i, j, k, l)
+    least, most, fewest = relaxed(bounds, q, large, small)
+    own = quality_cost(tet_measure(points, i, j, k, l, objective), power)
+    return own, least, most, fewest
+
+
+@kernel
 def settle(
     points: FloatArray, cells: IntArray, neighbors: IntArray, status: ByteArray,
     slots: LongArray, free: IntArray, good: bool, n_touched: int, n_undo: int,
@@ -234,12 +253,7 @@ def compound_pass(
         if cells[c, 0] < 0 or tried[c]:
             continue
         tried[c] = True
-        q = tet_quality(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
-        large, small = tet_cosines(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
-        least, most, fewest = relaxed(bounds, q, large, small)
-        own = quality_cost(tet_measure(
-            points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], objective
-        ), power)
+        own, least, most, fewest = stakes(points, cells, c, objective, power, bounds)
         for op in range(10):
             journal[0, 0] = 0
             if op < 6:

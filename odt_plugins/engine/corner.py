@@ -38,6 +38,15 @@ def corner_normals(
 
 
 @kernel
+def opposite_edges(
+    ax: float, ay: float, az: float, bx: float, by: float, bz: float, cx: float, cy: float,
+    cz: float,
+) -> tuple[float, float, float, float, float, float, float, float, float]:
+    """Edges b - c, c - a and a - b of the face opposite to the corner; each opposite to a, b, c."""
+    return bx - cx, by - cy, bz - cz, cx - ax, cy - ay, cz - az, ax - bx, ay - by, az - bz
+
+
+@kernel
 def six_volumes(
     ax: float, ay: float, az: float, bx: float, by: float, bz: float, cx: float, cy: float,
     cz: float,

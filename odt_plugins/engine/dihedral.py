@@ -17,12 +17,13 @@ import math
 
 import numpy as np
 
-from odt_plugins.engine.corner import corner_edges, corner_normals
+from odt_plugins.engine.corner import corner_edges, corner_normals, opposite_edges
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.packed import add_identity, add_square
 from odt_plugins.mesh import FloatArray
 
 SHARP = 4.0
+"""k: the larger, the more the smallest angle counts alone."""
 
 
 @kernel
@@ -118,15 +119,7 @@ def dihedral_terms(
     nb2 = nbx * nbx + nby * nby + nbz * nbz
     nc2 = ncx * ncx + ncy * ncy + ncz * ncz
     no2 = nox * nox + noy * noy + noz * noz
-    ex = bx - cx
-    ey = by - cy
-    ez = bz - cz
-    fx = cx - ax
-    fy = cy - ay
-    fz = cz - az
-    hx = ax - bx
-    hy = ay - by
-    hz = az - bz
+    ex, ey, ez, fx, fy, fz, hx, hy, hz = opposite_edges(ax, ay, az, bx, by, bz, cx, cy, cz)
     aa = ax * ax + ay * ay + az * az
     bb = bx * bx + by * by + bz * bz
     cc = cx * cx + cy * cy + cz * cz

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from odt_plugins.engine.bounds import relaxed
 from odt_plugins.engine.cavity import Work, make_work, replace_cavity
 from odt_plugins.engine.compound import (
     GAIN,
@@ -19,6 +18,7 @@ from odt_plugins.engine.compound import (
     gather_star,
     make_scratch,
     settle,
+    stakes,
     within,
 )
 from odt_plugins.engine.kernel import allocating_kernel, kernel
@@ -31,10 +31,10 @@ from odt_plugins.engine.star_cavity import (
     join_facets,
     seed_cavity,
 )
-from odt_plugins.engine.tetrahedron import quality_cost, tet_cosines, tet_measure, tet_quality
 from odt_plugins.mesh import BoolArray, ByteArray, FloatArray, IntArray, LongArray
 
 GROWTHS = 3
+"""How often a cavity grows and the new vertex is moved within it."""
 DEEP = 4.0
 HOPELESS = 100.0
 """As in ``compound``; a vertex has further to go than a flip."""
@@ -152,12 +152,7 @@ def insertion_pass(
         if cells[c, 0] < 0 or tried[c]:
             continue
         tried[c] = True
-        q = tet_quality(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
-        large, small = tet_cosines(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
-        least, most, fewest = relaxed(bounds, q, large, small)
-        own = quality_cost(tet_measure(
-            points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], objective
-        ), power)
+        own, least, most, fewest = stakes(points, cells, c, objective, power, bounds)
         best = 0.0
         chosen = -1
         for trial in range(operations + 1):

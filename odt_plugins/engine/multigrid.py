@@ -25,6 +25,7 @@ STEP_TOLERANCE = 1e-2
 about five of the error; with residuals of 1e-2 and 1e-12 the energies agree to three digits."""
 
 ITERATIONS = 100
+"""Most of CG for one solution; a handful are enough for a step."""
 
 STRENGTH = 0.04
 """a_ij counts as a connection when |a_ij| is above this part of sqrt(a_ii a_jj). A row has 7

@@ -1,4 +1,4 @@
-"""The Newton step in a tangent plane."""
+"""The Newton step of a vertex in the plane, or in a tangent plane."""
 
 from __future__ import annotations
 

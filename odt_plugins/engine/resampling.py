@@ -23,7 +23,9 @@ from odt_plugins.numbering import most_vertices
 from odt_plugins.options import Objective
 
 ROUNDS = 3
+"""Rounds of insertion, each followed by finishing."""
 LESS = 0.1
+"""After a round that was taken back the next ones take this part of its cells."""
 
 NOISE = 1e-3
 NOISY_CELLS = 5

@@ -10,11 +10,11 @@ import numpy as np
 
 from odt_plugins.engine.bounds import relaxed
 from odt_plugins.engine.kernel import allocating_kernel, kernel
+from odt_plugins.engine.plane_step import plane_step
 from odt_plugins.engine.smooth3d import add_cost_terms, star_state
 from odt_plugins.engine.star import OffsetArray
 from odt_plugins.engine.surface.closest import Ground
 from odt_plugins.engine.surface.lines import Lines, line_direction
-from odt_plugins.engine.surface.plane_step import plane_step
 from odt_plugins.engine.surface.position import (
     ARMIJO,
     DECREASE,

@@ -14,6 +14,7 @@ import numpy as np
 
 from odt_plugins.engine.bounds import relaxed
 from odt_plugins.engine.kernel import allocating_kernel, kernel
+from odt_plugins.engine.plane_step import plane_step
 from odt_plugins.engine.star import OffsetArray
 from odt_plugins.engine.tetrahedron import MEAN_RATIO, QUALITY
 from odt_plugins.engine.triangle import (
@@ -248,21 +249,8 @@ def smooth_vertices_2d(
         cost = star_cost_2d(points, cells, indptr, indices, v, objective, power, derivatives)
         if not cost < np.inf:
             continue
-        gx = derivatives[0]
-        gy = derivatives[1]
-        hxx = derivatives[2]
-        hxy = derivatives[3]
-        hyy = derivatives[4]
-        middle = 0.5 * (hxx + hyy)
-        radius = math.sqrt(0.25 * (hxx - hyy) * (hxx - hyy) + hxy * hxy)
-        shift = max(0.0, 1e-2 * (abs(middle) + radius) - (middle - radius))
-        hxx += shift
-        hyy += shift
-        determinant = hxx * hyy - hxy * hxy
-        if not determinant > 0.0:
-            continue
-        dx = (hxy * gy - hyy * gx) / determinant
-        dy = (hxy * gx - hxx * gy) / determinant
+        gx, gy = derivatives[0], derivatives[1]
+        dx, dy = plane_step(gx, gy, derivatives[2], derivatives[3], derivatives[4], False)
         slope = gx * dx + gy * dy
         if not -slope > DECREASE * cost:
             continue

@@ -11,7 +11,7 @@ import math
 import numpy as np
 
 from odt_plugins.engine.bounds import relaxed
-from odt_plugins.engine.corner import corner_edges, corner_normals
+from odt_plugins.engine.corner import corner_edges, corner_normals, opposite_edges
 from odt_plugins.engine.dihedral import dihedral_terms
 from odt_plugins.engine.kernel import allocating_kernel, kernel
 from odt_plugins.engine.mean_ratio import mean_ratio_terms
@@ -29,6 +29,7 @@ from odt_plugins.engine.tetrahedron import (
 from odt_plugins.mesh import FloatArray, IntArray, LongArray
 
 HALVINGS = 7
+"""Step lengths alpha = 1, 1/2, 1/4, ... tried for one vertex."""
 
 ROUNDING = 1e-12
 """By so much is 1 - cos^2 of an angle uncertain at most."""
@@ -57,16 +58,7 @@ def add_quality_terms(
     nc = math.sqrt(ncx * ncx + ncy * ncy + ncz * ncz)
     no = math.sqrt(nox * nox + noy * noy + noz * noz)
     s = na + nb + nc + no
-    # edges of the fixed facet
-    ex = bx - cx
-    ey = by - cy
-    ez = bz - cz
-    fx = cx - ax
-    fy = cy - ay
-    fz = cz - az
-    hx = ax - bx
-    hy = ay - by
-    hz = az - bz
+    ex, ey, ez, fx, fy, fz, hx, hy, hz = opposite_edges(ax, ay, az, bx, by, bz, cx, cy, cz)
     ee = ex * ex + ey * ey + ez * ez
     ff = fx * fx + fy * fy + fz * fz
     hh = hx * hx + hy * hy + hz * hz

@@ -12,11 +12,12 @@ import numpy as np
 
 from odt_plugins.engine.cavity import walk_ring
 from odt_plugins.engine.kernel import kernel
-from odt_plugins.engine.lookup import is_in
+from odt_plugins.engine.lookup import is_in, place_in
 from odt_plugins.engine.tetrahedron import tet_cost
 from odt_plugins.mesh import ByteArray, FloatArray, IntArray
 
 LARGEST_CAVITY = 32
+"""Cells at which a cavity stops growing."""
 PLACES = 11
 """Where a vertex may come into a cell: on its 6 edges, on its 4 facets, in its middle."""
 
@@ -38,6 +39,14 @@ def _cone_cost(
     k = p if f == 2 else cells[c, 2]
     l = p if f == 3 else cells[c, 3]
     return tet_cost(points, i, j, k, l, objective, power)
+
+
+@kernel
+def _write_cone(cells: IntArray, c: int, f: int, p: int, out: IntArray) -> None:
+    """Write cell c with vertex p in the place of its local vertex f."""
+    for i in range(4):
+        out[i] = cells[c, i]
+    out[f] = p
 
 
 @kernel
@@ -154,9 +163,7 @@ def join_facets(
             if across >= 0 and is_in(across, cavity, n):
                 continue
             gain -= _cone_cost(points, cells, c, f, p, objective, power)
-            for i in range(4):
-                new[n_new, i] = cells[c, i]
-            new[n_new, f] = p
+            _write_cone(cells, c, f, p, new[n_new])
             n_new += 1
     return gain, n_new
 
@@ -181,19 +188,11 @@ def collapse_edge(
     for m in range(n):
         c = star[m]
         gain += _old_cost(points, cells, c, objective, power)
-        local = -1
-        vanishes = False
-        for i in range(4):
-            if cells[c, i] == v:
-                local = i
-            elif cells[c, i] == w:
-                vanishes = True
-        if vanishes:
+        if is_in(w, cells[c], 4):
             continue
+        local = place_in(cells, c, v)
         gain -= _cone_cost(points, cells, c, local, w, objective, power)
-        for i in range(4):
-            new[n_new, i] = cells[c, i]
-        new[n_new, local] = w
+        _write_cone(cells, c, local, w, new[n_new])
         n_new += 1
     return gain, n_new
 

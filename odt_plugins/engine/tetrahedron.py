@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from odt_plugins.engine.corner import corner_edges, corner_normals, six_volumes
+from odt_plugins.engine.corner import corner_edges, corner_normals, opposite_edges, six_volumes
 from odt_plugins.engine.dihedral import six_cosines, tet_dihedral
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.mean_ratio import tet_mean_ratio
@@ -77,15 +77,7 @@ def tet_quality(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
         + math.sqrt(g2x * g2x + g2y * g2y + g2z * g2z)
         + math.sqrt(g3x * g3x + g3y * g3y + g3z * g3z)
     )
-    ux = cx - bx
-    uy = cy - by
-    uz = cz - bz
-    vx = ax - cx
-    vy = ay - cy
-    vz = az - cz
-    wx = bx - ax
-    wy = by - ay
-    wz = bz - az
+    ux, uy, uz, vx, vy, vz, wx, wy, wz = opposite_edges(ax, ay, az, bx, by, bz, cx, cy, cz)
     p1 = math.sqrt((ax * ax + ay * ay + az * az) * (ux * ux + uy * uy + uz * uz))
     p2 = math.sqrt((bx * bx + by * by + bz * bz) * (vx * vx + vy * vy + vz * vz))
     p3 = math.sqrt((cx * cx + cy * cy + cz * cz) * (wx * wx + wy * wy + wz * wz))

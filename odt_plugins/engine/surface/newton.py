@@ -5,10 +5,10 @@ from __future__ import annotations
 import math
 
 from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.plane_step import plane_step
 from odt_plugins.engine.star import OffsetArray
 from odt_plugins.engine.surface.closest import Ground
 from odt_plugins.engine.surface.lines import Lines, line_direction
-from odt_plugins.engine.surface.plane_step import plane_step
 from odt_plugins.engine.surface.position import (
     DECREASE,
     axis_across,

@@ -77,6 +77,71 @@ def enter(face: int, table: IntArray) -> int:
 
 
 @kernel
+def _seen(p: FloatArray, i: int, frame: tuple[float, ...]) -> tuple[float, float, float]:
+    """Coordinates of point i in a frame: its origin, and three orthonormal axes."""
+    x, y, z = p[i, 0] - frame[0], p[i, 1] - frame[1], p[i, 2] - frame[2]
+    return (
+        x * frame[3] + y * frame[4] + z * frame[5],
+        x * frame[6] + y * frame[7] + z * frame[8],
+        x * frame[9] + y * frame[10] + z * frame[11],
+    )
+
+
+@kernel
+def _triangle_under(
+    surface: Ground, start: int, frame: tuple[float, ...], u: float, v: float
+) -> int:
+    """Walk from a triangle of the surface to one that is seen at (u, v); -1 when it is far."""
+    p, t = surface.points, surface.triangles
+    face = start
+    for _ in range(SEARCH):
+        iu, iv, _ = _seen(p, t[face, 0], frame)
+        ju, jv, _ = _seen(p, t[face, 1], frame)
+        ku, kv, _ = _seen(p, t[face, 2], frame)
+        iu, iv, ju, jv, ku, kv = iu - u, iv - v, ju - u, jv - v, ku - u, kv - v
+        wi, wj, wk = ju * kv - jv * ku, ku * iv - kv * iu, iu * jv - iv * ju
+        if wi + wj + wk < 0.0:
+            wi, wj, wk = -wi, -wj, -wk
+        if wi >= 0.0 and wj >= 0.0 and wk >= 0.0:
+            return face
+        low = min(wi, wj, wk)
+        out = 0 if wi == low else (1 if wj == low else 2)
+        face = surface.neighbors[face, out]
+        if face < 0:
+            break
+    return -1
+
+
+@kernel
+def _part_inside(
+    pu: float, pv: float, qu: float, qv: float, corners: tuple[float, ...], slack: float
+) -> tuple[float, float]:
+    """Part of the edge pq within a triangle (a_u, a_v, b_u, b_v, c_u, c_v) of the plane.
+
+    Returns
+    -------
+    low, top : float    between 0 at p and 1 at q; low > top when no part is
+    """
+    au, av, bu, bv, cu, cv = corners
+    low, top = 0.0, 1.0
+    for rim in range(3):
+        ou, ov, du, dv = au, av, bu - au, bv - av
+        if rim == 1:
+            ou, ov, du, dv = bu, bv, cu - bu, cv - bv
+        elif rim == 2:
+            ou, ov, du, dv = cu, cv, au - cu, av - cv
+        first = du * (pv - ov) - dv * (pu - ou) + slack
+        last = du * (qv - ov) - dv * (qu - ou) + slack
+        if first < 0.0 and last < 0.0:
+            return 2.0, 1.0
+        if first < 0.0:
+            low = max(low, first / (first - last))
+        elif last < 0.0:
+            top = min(top, first / (first - last))
+    return low, top
+
+
+@kernel
 def height_over(
     points: FloatArray, a: int, b: int, c: int, start: int, surface: Ground,
     shrink: float, limit: float, work: Work,
@@ -135,28 +200,9 @@ def height_over(
     # an inner point that lies on no edge by symmetry
     su = 0.3716 * au + 0.3301 * bu + 0.2983 * cu
     sv = 0.3716 * av + 0.3301 * bv + 0.2983 * cv
-    face = start
-    found = False
-    for _ in range(SEARCH):
-        i, j, k = t[face, 0], t[face, 1], t[face, 2]
-        x, y, z = p[i, 0] - gx, p[i, 1] - gy, p[i, 2] - gz
-        iu, iv = x * ex + y * ey + z * ez - su, x * fx + y * fy + z * fz - sv
-        x, y, z = p[j, 0] - gx, p[j, 1] - gy, p[j, 2] - gz
-        ju, jv = x * ex + y * ey + z * ez - su, x * fx + y * fy + z * fz - sv
-        x, y, z = p[k, 0] - gx, p[k, 1] - gy, p[k, 2] - gz
-        ku, kv = x * ex + y * ey + z * ez - su, x * fx + y * fy + z * fz - sv
-        wi, wj, wk = ju * kv - jv * ku, ku * iv - kv * iu, iu * jv - iv * ju
-        if wi + wj + wk < 0.0:
-            wi, wj, wk = -wi, -wj, -wk
-        if wi >= 0.0 and wj >= 0.0 and wk >= 0.0:
-            found = True
-            break
-        low = min(wi, wj, wk)
-        out = 0 if wi == low else (1 if wj == low else 2)
-        face = neighbors[face, out]
-        if face < 0:
-            break
-    if not found:
+    frame = (gx, gy, gz, ex, ey, ez, fx, fy, fz, nx, ny, nz)
+    face = _triangle_under(surface, start, frame, su, sv)
+    if face < 0:
         return math.inf
     queue[0] = face
     parents[0] = -1
@@ -171,15 +217,9 @@ def height_over(
         parent = parents[head]
         head += 1
         i, j, k = t[face, 0], t[face, 1], t[face, 2]
-        x, y, z = p[i, 0] - gx, p[i, 1] - gy, p[i, 2] - gz
-        iu, iv = x * ex + y * ey + z * ez, x * fx + y * fy + z * fz
-        ih = x * nx + y * ny + z * nz
-        x, y, z = p[j, 0] - gx, p[j, 1] - gy, p[j, 2] - gz
-        ju, jv = x * ex + y * ey + z * ez, x * fx + y * fy + z * fz
-        jh = x * nx + y * ny + z * nz
-        x, y, z = p[k, 0] - gx, p[k, 1] - gy, p[k, 2] - gz
-        ku, kv = x * ex + y * ey + z * ez, x * fx + y * fy + z * fz
-        kh = x * nx + y * ny + z * nz
+        iu, iv, ih = _seen(p, i, frame)
+        ju, jv, jh = _seen(p, j, frame)
+        ku, kv, kh = _seen(p, k, frame)
         reach = max(reach, abs(iu), abs(iv), abs(ju), abs(jv), abs(ku), abs(kv))
         slack = ROUNDING * reach * reach
         for corner in range(4):
@@ -217,22 +257,7 @@ def height_over(
                 pu, pv, ph, qu, qv, qh = ku, kv, kh, iu, iv, ih
             elif side == 2:
                 pu, pv, ph, qu, qv, qh = iu, iv, ih, ju, jv, jh
-            low, top = 0.0, 1.0
-            for rim in range(3):
-                ou, ov, du, dv = au, av, bu - au, bv - av
-                if rim == 1:
-                    ou, ov, du, dv = bu, bv, cu - bu, cv - bv
-                elif rim == 2:
-                    ou, ov, du, dv = cu, cv, au - cu, av - cv
-                first = du * (pv - ov) - dv * (pu - ou) + slack
-                last = du * (qv - ov) - dv * (qu - ou) + slack
-                if first < 0.0 and last < 0.0:
-                    low = 2.0
-                    break
-                if first < 0.0:
-                    low = max(low, first / (first - last))
-                elif last < 0.0:
-                    top = min(top, first / (first - last))
+            low, top = _part_inside(pu, pv, qu, qv, (au, av, bu, bv, cu, cv), slack)
             if low > top:
                 continue
             highest = max(highest, abs(ph + low * (qh - ph)), abs(ph + top * (qh - ph)))
