@@ -22,10 +22,11 @@ from processes import alive, children, wait_until
 
 from odt_plugins import cli
 from odt_plugins.adapters.files import read_file
+from odt_plugins.compare.runner import PREPARING
 from odt_plugins.compare.start import ball
 from odt_plugins.distributed import batch
 from odt_plugins.distributed.batch import HIDDEN, Job, find_inputs, job_key, make_jobs, run_batch
-from odt_plugins.distributed.job import COMPILING, RESULT, outside
+from odt_plugins.distributed.job import COMPILING, RESULT, compiling, outside
 from odt_plugins.errors import InvalidOptionError, MeshFileError, MissingDependencyError
 
 pytestmark = [
@@ -38,7 +39,7 @@ pytest.importorskip("pyarrow")
 pytest.importorskip("jinja2")
 
 READERS = """
-import ctypes, tempfile, time
+import ctypes, os, tempfile, time
 import meshio
 
 def crash(path):
@@ -52,7 +53,15 @@ def wait(path):
 def devour(path):
     return bytearray(1 << 33)
 
-for suffix, reader in ((".crash", crash), (".slow", wait), (".fat", devour)):
+def throw(path):
+    raise RuntimeError("pthread_create: Resource temporarily unavailable")
+
+def abort(path):
+    os.write(2, b"terminate called after throwing 'std::bad_alloc'\\n  what(): std::bad_alloc\\n")
+    os.abort()
+
+for suffix, reader in ((".throw", throw), (".abort", abort),
+                       (".crash", crash), (".slow", wait), (".fat", devour)):
     meshio.register_format(suffix[1:], [suffix], reader, {})
 """
 """Formats whose readers do what toolkits do on a bad day, in the process of an input."""
@@ -151,6 +160,18 @@ def test_whatever_an_input_does_is_a_row(place, capsys, monkeypatch):
     assert "--retry goes with --resume" in capsys.readouterr().err
 
 
+@pytest.mark.parametrize("suffix", ["throw", "abort"])
+def test_memory_that_a_limit_refuses_a_library_is_told_as_such(place, suffix):
+    (place / "models" / f"a.{suffix}").write_text("")
+    ends = []
+    for limit in (None, 3 * 10**9):
+        (row,) = run_batch(make_jobs([f"models/a.{suffix}"], place / "out", {}, suffix=".vtu",
+                                     memory_limit=limit))
+        ends.append((row["status"], row["message"]))
+    assert ends[0][0] == ("failed" if suffix == "throw" else "crashed")
+    assert ends[1] == ("memory", "more than 3 GB needed")
+
+
 def test_an_input_without_end_is_given_up(place):
     (place / "models" / "endless.slow").write_text("1000")
     clock = time.monotonic()
@@ -178,11 +199,11 @@ def test_compiling_kernels_does_not_count_for_the_time_limit(place, monkeypatch)
     subprocess.run([sys.executable, "-c", COMPILES, str(place)], check=True)
     lines = (place / COMPILING).read_text().split()
     assert len(lines) == 4
-    assert 1.0 <= batch.compiling(place) < 2.0
+    assert 1.0 <= compiling(place) < 2.0
     (place / COMPILING).write_text(f"{time.monotonic() - 5.0}\n")
-    assert 5.0 <= batch.compiling(place) < 10.0
+    assert 5.0 <= compiling(place) < 10.0
     (place / COMPILING).write_text(f"{time.monotonic() - 1e6}\n")
-    assert batch.compiling(place) == batch.PREPARING
+    assert compiling(place) == PREPARING
 
     def run(timeout: float) -> str:
         with subprocess.Popen(

@@ -21,8 +21,8 @@ from typing import Any
 
 from odt_plugins.adapters.files import check_output
 from odt_plugins.api import make_options
-from odt_plugins.compare.runner import PREPARING, exit_name
-from odt_plugins.distributed.job import COMPILING, RESULT, ROW
+from odt_plugins.compare.runner import exit_name
+from odt_plugins.distributed.job import RESULT, ROW, beyond_limit, compiling, too_little
 from odt_plugins.distributed.versions import installed_version, versions_here
 from odt_plugins.errors import InvalidOptionError, MeshFileError
 from odt_plugins.tetwild import expect_pytetwild
@@ -351,12 +351,15 @@ def _process(job: Job, folder: Path) -> Row:
             os.killpg(process.pid, signal.SIGKILL)
         process.wait()
     with contextlib.suppress(OSError, ValueError):
-        row: Row = json.loads((folder / ROW).read_text(encoding="utf-8"))
-        return row
+        written: Row = json.loads((folder / ROW).read_text(encoding="utf-8"))
+        return written
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     message = f"ended by {exit_name(process.returncode)}: {lines[-1] if lines else 'no word'}"
-    return {"status": "crashed", "message": message, "seconds": time.monotonic() - clock,
-            "outside": -process.returncode in FROM_OUTSIDE}
+    row: Row = {"status": "crashed", "message": message, "seconds": time.monotonic() - clock,
+           "outside": -process.returncode in FROM_OUTSIDE}
+    if beyond_limit(said, job.memory_limit):
+        row |= {"status": "memory", "message": too_little(job.memory_limit)}
+    return row
 
 
 def _ended(
@@ -379,13 +382,3 @@ def _ended(
             given = None
             if clock + (timeout or 0.0) + compiling(folder) <= time.monotonic():
                 raise
-
-
-def compiling(folder: Path) -> float:
-    """Seconds in which the process of a folder has compiled kernels so far, at most PREPARING."""
-    times: list[float] = []
-    with contextlib.suppress(OSError, ValueError):
-        times = [float(line) for line in (folder / COMPILING).read_text().split()]
-    if len(times) % 2:
-        times.append(time.monotonic())
-    return min(PREPARING, sum(times[1::2]) - sum(times[::2]))

@@ -6,6 +6,7 @@ whoever started it moves them to their places.
 
 from __future__ import annotations
 
+import contextlib
 import json
 import os
 import signal
@@ -19,11 +20,15 @@ from typing import Any
 
 from numba.core import event
 
+from odt_plugins.compare.runner import PREPARING
 from odt_plugins.errors import InvalidMeshError, ODTError, ODTWarning
 
 ROW, RESULT, COMPILING = "row.json", "result", "compiling"
 """What lies in the work folder: the row, the folder of the result, and when kernels were compiled:
 times of a monotonic clock at which that began and ended, by turns."""
+
+REFUSED = ("bad_alloc", "Cannot allocate memory", "Resource temporarily unavailable")
+"""What libraries say of memory that the system refuses them, for the stack of a thread as well."""
 
 
 def main() -> None:
@@ -46,8 +51,9 @@ def main() -> None:
     except Exception as exc:
         row["message"] = f"{'' if isinstance(exc, ODTError) else type(exc).__name__ + ': '}{exc}"
         row["outside"] = outside(exc)
-        if any(isinstance(cause, MemoryError) for cause in _causes(exc)):
-            row |= {"status": "memory", "message": _too_little(job["memory_limit"])}
+        if (any(isinstance(cause, MemoryError) for cause in _causes(exc))
+                or beyond_limit(row["message"], job["memory_limit"])):
+            row |= {"status": "memory", "message": too_little(job["memory_limit"])}
     row["message"] = " ".join(row["message"].split())
     row["seconds"] = time.perf_counter() - clock
     (Path(job["folder"]) / ROW).write_text(json.dumps(row), encoding="utf-8")
@@ -76,6 +82,16 @@ class Compiling(event.Listener):  # type: ignore[misc]
             file.write(f"{time.monotonic()}\n")
 
 
+def compiling(folder: Path) -> float:
+    """Seconds in which the process of a work folder has compiled kernels, at most PREPARING."""
+    times: list[float] = []
+    with contextlib.suppress(OSError, ValueError):
+        times = [float(line) for line in (folder / COMPILING).read_text().split()]
+    if len(times) % 2:
+        times.append(time.monotonic())
+    return min(PREPARING, sum(times[1::2]) - sum(times[::2]))
+
+
 def work(job: dict[str, Any]) -> dict[str, Any]:
     """Read, fill with tetrahedra when asked to, improve, write into the work folder.
 
@@ -96,7 +112,9 @@ def work(job: dict[str, Any]) -> dict[str, Any]:
         mesh = read_file(source)
     clock = time.perf_counter()
     result, report = optimize_with_report(mesh, **job["options"])
-    row |= {"optimize_seconds": time.perf_counter() - clock, "fallback": report.fallback}
+    compiled = compiling(Path(job["folder"]))
+    row |= {"compile_seconds": compiled, "fallback": report.fallback,
+            "optimize_seconds": time.perf_counter() - clock - compiled}
     write_file(target, _as_file(*result) if job["tetrahedralize"] else result)
     for when, summary in (("before", report.before), ("after", report.after)):
         row |= {f"{when}_{name}": value for name, value in summary.to_dict().items()}
@@ -152,7 +170,13 @@ def _causes(exc: BaseException | None) -> Iterator[BaseException]:
         exc = exc.__cause__ or exc.__context__
 
 
-def _too_little(limit: int | None) -> str:
+def beyond_limit(message: str, limit: int | None) -> bool:
+    """Whether a message tells of memory that a limit refused."""
+    return limit is not None and any(words in message for words in REFUSED)
+
+
+def too_little(limit: int | None) -> str:
+    """What the row of an input says that needs more memory."""
     return "not enough memory" if limit is None else f"more than {limit / 1e9:g} GB needed"
 
 

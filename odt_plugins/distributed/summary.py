@@ -20,7 +20,7 @@ from odt_plugins.quality import QualitySummary
 FILES = ("summary.csv", "summary.parquet", "summary.html")
 
 FIRST = ("source", "result", "status", "message", "seconds", "tetwild_seconds",
-         "optimize_seconds", "resumed", "fallback", "key")
+         "optimize_seconds", "compile_seconds", "resumed", "fallback", "key")
 
 FIGURES = tuple(QualitySummary.__dataclass_fields__)
 
@@ -165,9 +165,10 @@ def totals(rows: Sequence[dict[str, Any]], seconds: float) -> list[tuple[str, st
         found = [("inputs a minute", f"{rate:.1f} ({len(fresh)} in {seconds:.0f} s)")]
         for name, words in (("seconds", "seconds of all together"),
                             ("tetwild_seconds", "of these in TetWild"),
-                            ("optimize_seconds", "of these optimising")):
-            values = [row[name] for row in fresh if row.get(name) is not None]
-            found += [(words, f"{sum(values):.1f}")] if values else []
+                            ("optimize_seconds", "of these optimising"),
+                            ("compile_seconds", "of these compiling kernels")):
+            value = sum(row.get(name) or 0.0 for row in fresh)
+            found += [(words, f"{value:.1f}")] if value else []
     good = [row for row in rows if row["status"] == "ok"]
     for name, head, form in SHOWN[1:6] if good else ():
         before, after = (sum(row[f"{when}_{name}"] for row in good) / len(good)
