@@ -35,7 +35,7 @@ class UnevenFacets(NamedTuple):
 
     Attributes
     ----------
-    open : (r, d) int64       no cell on the other side, or crowded; of a valid mesh, its boundary
+    open : (r, d) int64       no cell on one side, or crowded; of a valid mesh, its boundary
     crowded : (s, d) int64    a second, third, ... cell on one side; of a valid mesh, none
     """
 

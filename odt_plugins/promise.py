@@ -402,15 +402,14 @@ def _facet_census(
 ) -> tuple[LockedFacets, NDArray[Any]]:
     """Locked facets, and the facets that two cells claim from the same side (overlaps).
 
-    All of them have their vertices among those of the ``uneven`` facets and of the cells of
-    several labels; only facets of such vertices are looked at. The key of a facet is its sorted
+    All of them have their vertices among those of ``uneven.open`` and of cells of different
+    labels; only facets of such vertices are looked at. The key of a facet is its sorted
     vertices and, as last bit, the parity of the sorting, so that one sort brings both sides of
     every facet together.
     """
     k = cells.shape[1]
     near = _between_labels(cells, regions, n_points)
-    for facets in uneven:
-        near[facets] = True
+    near[uneven.open] = True
     touched = np.flatnonzero(sum(near[corner].view(np.int8) for corner in cells.T) >= k - 1)
     table = cells[touched[:, None, None], np.array(LOCAL_FACETS[k])]
     cell, local = np.nonzero(near[table].all(axis=2))
