@@ -21,6 +21,8 @@ from odt_plugins.compare.runner import Limits
 from odt_plugins.compare.scaling import FILES as SCALING_FILES
 from odt_plugins.compare.scaling import PARTS, run_scaling
 from odt_plugins.compare.start import ball, plate, stored
+from odt_plugins.distributed.summary import to_page
+from odt_plugins.quality import summarize
 
 BROWSER = next((b for b in map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))
                 if b), None)
@@ -165,3 +167,29 @@ def test_scaling_measures_only_the_parts_that_were_asked_for(tmp_path):
     run_scaling(tmp_path, 1000, 1, lambda _: None, parts=["multigrid"])
     values = json.loads((tmp_path / SCALING_FILES[0]).read_text())
     assert [t["name"] for t in values["tables"]] == ["multigrid"]
+
+
+def test_the_page_of_a_batch_shows_every_input_what_failed_first(tmp_path):
+    start = ball(100)
+    figures = summarize(start.points, start.cells).to_dict() | {"n_cells": 1234567}
+    good = {"status": "ok", "message": "", "seconds": 1234.5, "tetwild_seconds": 1000.25,
+            "optimize_seconds": 100.25, "compile_seconds": 0.0, "resumed": False}
+    good |= {f"{when}_{name}": value for when in ("before", "after")
+             for name, value in figures.items()}
+    rows = [{"source": f"/models/model-number-{k}.stl", **good} for k in range(40)]
+    rows[3] = rows[3] | {"message": "a warning"}
+    rows.insert(7, {"source": "/models/<b>bad</b>.stl", "status": "timeout", "resumed": False,
+                    "message": "no <i>result</i> within 60 s " * 5, "seconds": 60.0})
+    page = tmp_path / "page.html"
+    page.write_text(to_page(rows, "odt-plugins batch '<x>'", 1, 2460.0), encoding="utf-8")
+    text = page.read_text(encoding="utf-8")
+    assert "<b>bad" not in text
+    assert "<i>result" not in text
+    assert text.index("&lt;b&gt;bad") < text.index("model-number-0")
+    assert "<dd>1.0 (41 in 2460 s)</dd>" in text
+    assert "<dd>40010.0</dd>" in text
+    assert "compiling" not in text
+    found = probe(page, tmp_path)
+    assert found["wide"] <= found["window"] == WIDTH
+    assert found["cut"] == 0
+    assert found["cells"] == 40 * (5 + 2 * 7) + 2 + 6
