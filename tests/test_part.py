@@ -8,7 +8,7 @@ import tet_meshes
 from odt_plugins.compare.start import ball
 from odt_plugins.engine.complex import make_complex
 from odt_plugins.engine.driver import run
-from odt_plugins.engine.part import away_from, joined
+from odt_plugins.engine.part import around, away_from, joined
 from odt_plugins.mesh import simplex_mesh
 from odt_plugins.options import Options
 from odt_plugins.promise import broken_promises
@@ -33,9 +33,14 @@ def test_a_part_has_the_cells_without_some_vertices_and_locks_those_of_the_other
     beside = np.isin(np.arange(n), start.cells[~away])
     assert np.array_equal(part.inside.locked, locked | beside)
     assert rows(*part.mesh_arrays()) == rows(start.cells, regions)
-    again = joined(part, locked)
+    again = joined(part)
     assert rows(*again.mesh_arrays()) == rows(start.cells, regions)
     assert np.array_equal(again.locked, locked)
+    near = np.isin(start.cells, start.cells[~away]).any(axis=1)
+    edge = around(part, some)
+    assert rows(*edge.inside.mesh_arrays()) == rows(start.cells[near], regions[near])
+    assert np.array_equal(edge.locked, locked)
+    assert rows(*edge.mesh_arrays()) == rows(start.cells, regions)
     assert away_from(whole, np.ones(n, dtype=bool)) is None
 
 

@@ -17,7 +17,8 @@ from odt_plugins.distributed import optimize as blocks_module
 from odt_plugins.distributed.block import Block, Improved, improve
 from odt_plugins.distributed.glue import Whole, labels, one_round
 from odt_plugins.distributed.optimize import run_blocks
-from odt_plugins.distributed.partition import RINGS, around, bricks, clusters, groups, grown, seams
+from odt_plugins.distributed.partition import RINGS, bricks, clusters, groups, grown, seams
+from odt_plugins.engine.part import rings
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError, UnsupportedMeshError
 from odt_plugins.mesh import SimplexMesh, simplex_mesh
 from odt_plugins.options import Options
@@ -84,10 +85,10 @@ def test_labels_grow_ring_by_ring():
     mesh = mesh_of(300)
     patch = np.full(len(mesh.points), -1, dtype=np.int32)
     patch[[7, 90]] = [4, 2]
-    for rings in (1, 2, 3):
-        label = grown(patch, mesh.cells, rings)
+    for count in (1, 2, 3):
+        label = grown(patch, mesh.cells, count)
         reached = {4: {7}, 2: {90}}
-        for _ in range(rings):
+        for _ in range(count):
             near = {k: np.isin(mesh.cells, list(v)).any(axis=1) for k, v in reached.items()}
             reached = {k: set(mesh.cells[near[k]].ravel().tolist()) for k in reached}
         assert np.array_equal(label >= 0, near[2] | near[4])
@@ -273,7 +274,7 @@ def test_a_density_is_carried_with_the_vertices():
     block = Block(replace(mesh, fixed=rim), linear, Options(), -5.0, rim, {})
     result = improve(block)
     near = np.zeros(len(rim), dtype=bool)
-    near[result.cells[around(rim, result.cells, RINGS)]] = True
+    near[result.cells[rings(rim, result.cells, RINGS)]] = True
     moved = (result.points != mesh.points).any(axis=1)
     assert (near & moved).sum() > 20
     right = 2.0 + result.points @ [0.3, -0.2, 0.5]

@@ -84,7 +84,8 @@ def test_pieces_are_about_as_good_as_one_piece_and_fit_together(tmp_path):
     assert abs(a.mean() - b.mean()) <= 0.003
     assert abs(np.quantile(a, 0.01) - np.quantile(b, 0.01)) <= 0.01
     assert report.after.mean_quality == pytest.approx(b.mean(), abs=1e-12)
-    assert report.after.p1_quality == pytest.approx(np.quantile(b, 0.01), abs=1e-3)
+    p1 = np.quantile(b, 0.01, method="inverted_cdf")
+    assert p1 - 2.5e-4 < report.after.p1_quality <= p1
     assert report.interface < 0.3 * n
     assert "mean_quality" in str(report)
     assert sorted(os.listdir(tmp_path)) == ["in", "in.pvtu", "out", "out.pvtu"]

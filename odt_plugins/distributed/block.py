@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.distributed.partition import RINGS, around
+from odt_plugins.distributed.partition import RINGS
 from odt_plugins.distributed.versions import expect_versions
 from odt_plugins.engine.density import NodalDensity, make_density
 from odt_plugins.engine.driver import run
+from odt_plugins.engine.part import rings
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
 from odt_plugins.options import Options
 
@@ -138,11 +139,11 @@ def carried(
                                     RINGS from all fixed ones
     """
     near = np.zeros(len(points), dtype=np.bool_)
-    near[cells[around(mesh.fixed, cells, RINGS)]] = True
+    near[cells[rings(mesh.fixed, cells, RINGS)]] = True
     moved = near & (points != mesh.points).any(axis=1)
     if not moved.any():
         return density
-    zone, vertices = cut_out(mesh, np.flatnonzero(around(moved, mesh.cells, RINGS)), moved)
+    zone, vertices = cut_out(mesh, np.flatnonzero(rings(moved, mesh.cells, RINGS)), moved)
     field = make_density(NodalDensity(density[vertices], 1.0), None, zone.points, zone.cells)
     values = density.copy()
     values[vertices] = np.where(moved[vertices], field.at(points[vertices]), density[vertices])

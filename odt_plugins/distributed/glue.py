@@ -12,7 +12,6 @@ from numpy.typing import NDArray
 from odt_plugins.distributed.block import Block, Improved, cut_out, improve
 from odt_plugins.distributed.partition import (
     RINGS,
-    around,
     bricks,
     clusters,
     groups,
@@ -20,6 +19,7 @@ from odt_plugins.distributed.partition import (
     seams,
 )
 from odt_plugins.distributed.versions import versions_here
+from odt_plugins.engine.part import rings
 from odt_plugins.errors import InvalidMeshError
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
 from odt_plugins.options import Options
@@ -75,7 +75,7 @@ def labels(whole: Whole, count: int, index: int, rounds: int) -> IntArray:
     elif index < rounds - 1:
         label[active] = grown(whole.patch, cells, RINGS)
     else:
-        zone = active[around(whole.waiting, cells, RINGS)]
+        zone = active[rings(whole.waiting, cells, RINGS)]
         if len(zone):
             parts = -(-len(zone) * count // len(active))
             label[zone] = clusters(mesh.cells[zone], parts)
@@ -93,9 +93,7 @@ def one_round(
     InvalidMeshError      a result does not fit the block that was cut
     """
     mesh = whole.mesh
-    active = ~mesh.frozen
-    rim, patch = seams(mesh.cells[active], label[active], len(mesh.points))
-    held, _ = seams(mesh.cells, label, len(mesh.points))
+    rim, patch, held = _rims(mesh, label)
     members = groups(label)
     waiting = whole.waiting & rim
     versions = versions_here()
@@ -122,7 +120,7 @@ def one_round(
         points[vertices] = result.points
         if density is not None and result.density is not None:
             density[vertices] = result.density
-        new_cells.append(vertices[result.cells].astype(np.int32))
+        new_cells.append(vertices[result.cells].astype(np.int32, copy=False))
         new_regions.append(result.regions)
         received += result.nbytes
         for name, value in result.counts.items():
@@ -134,6 +132,20 @@ def one_round(
                     regions=np.concatenate(new_regions), frozen=frozen)
     traffic = Traffic(len(members), int((~rest).sum()), sum(sent), received, counts, fallbacks)
     return Whole(glued, density, waiting, np.where(waiting, patch, np.int32(-1))), traffic
+
+
+def _rims(mesh: SimplexMesh, label: IntArray) -> tuple[BoolArray, IntArray, BoolArray]:
+    """The :func:`seams` between cells that may change, and vertices of cells of several labels."""
+    n = len(mesh.points)
+    touched = np.zeros(n, dtype=np.bool_)
+    touched[mesh.cells[label >= 0]] = True
+    near = np.flatnonzero(touched[mesh.cells].any(axis=1))
+    cells, label, frozen = mesh.cells[near], label[near], mesh.frozen[near]
+    held, patch = seams(cells, label, n)
+    if not frozen.any():
+        return held, patch, held
+    rim, patch = seams(cells[~frozen], label[~frozen], n)
+    return rim, patch, held
 
 
 def _expect_fit(result: Improved, before: FloatArray, held: BoolArray, index: int) -> None:

@@ -27,6 +27,9 @@ if TYPE_CHECKING:
 LEAST_CELLS = 5000
 """Meshes are cut into no smaller blocks: most of such a block lies beside its rim."""
 
+LATER_ROUNDS = 12
+"""Most rounds of stage 1 in later rounds of blocks: only what was held is far from its optimum."""
+
 EXTREMES = ("min_quality", "min_angle", "max_angle")
 """Figures of one part that say something of the whole: kept by every block in later rounds."""
 
@@ -234,7 +237,8 @@ def later(options: Options) -> Options:
     """
     keep = tuple(name for name in options.keep if name in EXTREMES)
     connectivity = "flips" if options.connectivity == "auto" else options.connectivity
-    return replace(options, keep=keep, connectivity=connectivity)
+    rounds = min(options.rounds, LATER_ROUNDS) if options.finish else options.rounds
+    return replace(options, keep=keep, connectivity=connectivity, rounds=rounds)
 
 
 def _judged(mesh: SimplexMesh, done: _Done, options: Options) -> tuple[Outcome, bool]:

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
-RINGS = 2
+RINGS = 3
 """Cells within so many rings of a vertex that was held in every round yet are improved again."""
 
 
@@ -113,16 +113,6 @@ def grown(patch: IntArray, cells: IntArray, rings: int) -> IntArray:
             np.minimum.at(reached, corner, label)
         at = np.where(at == far, reached, at)
     return np.where(label == far, np.int32(-1), label)
-
-
-def around(vertices: BoolArray, cells: IntArray, rings: int) -> BoolArray:
-    """Say which cells lie within so many rings of some vertices, (m,) bool."""
-    marked = vertices.copy()
-    near: BoolArray = np.zeros(len(cells), dtype=np.bool_)
-    for _ in range(rings):
-        near = np.asarray(marked[cells].any(axis=1), dtype=np.bool_)
-        marked[cells[near]] = True
-    return near
 
 
 def groups(label: IntArray) -> list[NDArray[np.intp]]:

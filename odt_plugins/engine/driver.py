@@ -22,7 +22,7 @@ from odt_plugins.engine.frame import Frame, make_frame
 from odt_plugins.engine.geometry import boundary_vertices, interface_vertices
 from odt_plugins.engine.judge import Slid, cut_vertices, envelope_length, faults, slides
 from odt_plugins.engine.memory import Memory, State
-from odt_plugins.engine.part import away_from, joined
+from odt_plugins.engine.part import Part, around, away_from, inside, joined
 from odt_plugins.engine.phases import WORST, Phase, bulk, cautious, descents, repair, tail
 from odt_plugins.engine.progress import (
     in_turn,
@@ -356,19 +356,22 @@ def _cycles(
             break
     if options.finish:
         clock = time.perf_counter()
-        part = None if near is None else away_from(mesh, near)
+        state: Complex | Part = mesh
         for descent in descents(mesh.dim, options.objective):
-            inside = mesh if part is None else part.inside
-            held = bounds if descent.hold is None else held_angles(inside, bounds, descent.hold)
-            _finish(inside, descent.phases, held, log, pool, options.threads)
-            if memory.offer(part or mesh, "finished"):
+            if near is not None:
+                state = away_from(state, near) or joined(state)
+            work = inside(state)
+            held = bounds if descent.hold is None else held_angles(work, bounds, descent.hold)
+            _finish(work, descent.phases, held, log, pool, options.threads)
+            if memory.offer(state, "finished") or mesh.dim == 2:
                 continue
-            mesh, part = mesh if part is None else joined(part, mesh.locked), None
-            for phase in repair(memory.worse) if mesh.dim == 3 else ():
-                log.add("repairs", 1)
-                _finish(mesh, (phase,), held, log, pool, options.threads)
-                if memory.offer(mesh, "repaired"):
-                    break
+            edge = None if near is None else around(state, near)
+            if edge is not None and _repair(edge, held, options, memory, log, pool):
+                state = edge
+            else:
+                state = joined(edge or state)
+                _repair(state, held, options, memory, log, pool)
+        mesh = mesh if memory.states else joined(state)
         if not memory.states and options.objective != "radius_ratio":
             _finish(mesh, tail(mesh.dim), bounds, log, pool, options.threads)
             memory.offer(mesh, "finished")
@@ -392,6 +395,19 @@ def _finish(
     flips, moves = finish(mesh, phases, bounds, pool, threads)
     log.add("quality flips", flips)
     log.add("vertex moves", moves)
+
+
+def _repair(
+    mesh: Complex | Part, bounds: FloatArray, options: Options, memory: Memory, log: Log,
+    pool: ThreadPoolExecutor | None,
+) -> bool:
+    """Bring the few cells of a good mesh that pass an extreme of the input back; says whether."""
+    for phase in repair(memory.worse):
+        log.add("repairs", 1)
+        _finish(inside(mesh), (phase,), bounds, log, pool, options.threads)
+        if memory.offer(mesh, "repaired"):
+            return True
+    return False
 
 
 def _finishing_alone(

@@ -1,4 +1,4 @@
-"""A part of a mesh that is worked on alone: the cells away from some vertices."""
+"""A part of a mesh that is worked on alone: the cells away from some vertices, or around them."""
 
 from __future__ import annotations
 
@@ -8,6 +8,9 @@ import numpy as np
 
 from odt_plugins.engine.complex import Complex, make_complex
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
+
+RINGS = 2
+"""Cells within so many rings of some vertices are around them."""
 
 
 @dataclass(frozen=True)
@@ -19,11 +22,13 @@ class Part:
     inside : Complex              vertices of cells that rest are locked
     cells : (k, d + 1) int32      that rest
     regions : (k,) int32
+    locked : (n,) bool            vertices that are locked in the whole mesh
     """
 
     inside: Complex
     cells: IntArray
     regions: IntArray
+    locked: BoolArray
 
     @property
     def points(self) -> FloatArray:
@@ -36,24 +41,53 @@ class Part:
         return np.concatenate([self.cells, cells]), np.concatenate([self.regions, regions])
 
 
-def away_from(mesh: Complex, vertices: BoolArray) -> Part | None:
+def inside(mesh: Complex | Part) -> Complex:
+    """What is worked on."""
+    return mesh.inside if isinstance(mesh, Part) else mesh
+
+
+def away_from(mesh: Complex | Part, vertices: BoolArray) -> Part | None:
     """Take the cells of a mesh without a sliding boundary that have none of some vertices, if any.
 
     Parameters
     ----------
-    mesh : Complex            its points are shared, all else is copied
+    mesh : Complex or Part    its points are shared, all else is copied
     vertices : (n,) bool
     """
     cells, regions = mesh.mesh_arrays()
-    rest = vertices[cells].any(axis=1)
-    if rest.all():
+    return _part(mesh, cells, regions, ~rings(vertices, cells, 1))
+
+
+def around(mesh: Complex | Part, vertices: BoolArray) -> Part | None:
+    """Take the cells within RINGS rings of some vertices, if any, as :func:`away_from` does."""
+    cells, regions = mesh.mesh_arrays()
+    return _part(mesh, cells, regions, rings(vertices, cells, RINGS))
+
+
+def rings(vertices: BoolArray, cells: IntArray, count: int) -> BoolArray:
+    """Say which cells lie within so many rings of some vertices, (m,) bool."""
+    marked = vertices.copy()
+    near: BoolArray = np.zeros(len(cells), dtype=np.bool_)
+    for turn in range(count):
+        near = np.asarray(marked[cells].any(axis=1), dtype=np.bool_)
+        if turn < count - 1:
+            marked[cells[near]] = True
+    return near
+
+
+def joined(mesh: Complex | Part) -> Complex:
+    """Put the parts together again."""
+    if not isinstance(mesh, Part):
+        return mesh
+    return make_complex(mesh.points, *mesh.mesh_arrays(), mesh.locked, mesh.inside.rim)
+
+
+def _part(
+    mesh: Complex | Part, cells: IntArray, regions: IntArray, chosen: BoolArray
+) -> Part | None:
+    if not chosen.any():
         return None
     locked = mesh.locked.copy()
-    locked[cells[rest]] = True
-    inside = make_complex(mesh.points, cells[~rest], regions[~rest], locked, mesh.rim)
-    return Part(inside, cells[rest], regions[rest])
-
-
-def joined(part: Part, locked: BoolArray) -> Complex:
-    """Put the parts together again, with these vertices (n,) bool locked."""
-    return make_complex(part.points, *part.mesh_arrays(), locked, part.inside.rim)
+    locked[cells[~chosen]] = True
+    some = make_complex(mesh.points, cells[chosen], regions[chosen], locked, inside(mesh).rim)
+    return Part(some, cells[~chosen], regions[~chosen], mesh.locked)
