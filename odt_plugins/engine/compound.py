@@ -112,6 +112,8 @@ def descend_around(
     forced = total
     n_undo = 0
     flips = 0
+    # numba would compile newton_vertex once more for a literal
+    first = np.int64(0)
     for _ in range(ROUNDS):
         m = 0
         while m < n_touched and flips < MOST_FLIPS:
@@ -150,7 +152,7 @@ def descend_around(
                 y = points[v, 1]
                 z = points[v, 2]
                 gain = newton_vertex(
-                    points, cells, star, 0, size, v, objective, power, bounds, out, step
+                    points, cells, star, first, size, v, objective, power, bounds, out, step
                 )
                 if gain > 0.0:
                     total += gain
