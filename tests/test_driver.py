@@ -11,6 +11,7 @@ import pytest
 import tet_meshes as tm
 from hypothesis import given
 from hypothesis import strategies as st
+from scipy.spatial import Delaunay
 
 from odt_plugins.engine import driver, order, threads
 from odt_plugins.engine.density import cell_density
@@ -375,3 +376,42 @@ def test_promise_on_random_meshes(dim, seed, squeeze, labels):
     if not (volumes(points, cells) > 0).all():
         return
     assert_promise(mesh, run(mesh, Options(rounds=6, cycles=2)))
+
+
+def score(points, cells):
+    least, few, mean = measure(points, cells)[:3]
+    return mean + 0.5 * few + 0.25 * least
+
+
+def held_ball():
+    """No vertex moves, all that is left are flips."""
+    points, cells = tm.ball(500, 3)
+    return mesh_of(points, cells, fixed=np.ones(len(points), dtype=bool))
+
+
+def ragged_ball():
+    """Cells at the surface that nothing can improve are many."""
+    points = np.random.default_rng(7).random((400, 3))
+    return mesh_of(points, tm.oriented(points, Delaunay(points).simplices))
+
+
+@pytest.mark.parametrize("make", [held_ball, ragged_ball])
+def test_finishing_alone_is_tried_too_where_it_may_do_better(make, monkeypatch):
+    mesh = make()
+    result = run(mesh, Options())
+    assert result.counts["runs of finishing alone"] == 1
+    monkeypatch.setattr(driver, "STILL", 0.0)
+    monkeypatch.setattr(driver, "POOR", 0.0)
+    plain = run(mesh, Options())
+    assert plain.fallback is None
+    assert "runs of finishing alone" not in plain.counts
+    assert score(result.points, result.cells) > score(plain.points, plain.cells) + 0.002
+    assert result.fallback is None
+    assert result.stop_reason.endswith("finishing without smoothing before it gave more")
+
+
+def test_finishing_alone_is_not_tried_where_sizes_or_nothing_poor_ask_for_it():
+    for mesh, options in (
+        (ragged_ball(), Options(density="uniform")), (mesh_of(*tm.ball(800, 3)), Options()),
+    ):
+        assert "runs of finishing alone" not in run(mesh, options).counts

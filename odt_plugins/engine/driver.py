@@ -49,7 +49,11 @@ RETREATS = 4
 POOR, FEW = 0.15, 3000
 """1 % quantile of q, and number of cells, below which a fixed boundary is tried besides."""
 
+STILL = 0.02
+"""Share of the vertices that may move below which stage 1 has little to do."""
+
 ALONE = "finishing alone"
+BESIDES = "finishing alone, besides"
 
 LOCKED_QUALITY = 0.3
 LOCKED_ANGLES = (14.0, 157.0)
@@ -220,12 +224,15 @@ def _run_in(
     first = until_insertion(options) if options.insert else options
     near = None if cut is None or not cut.any() else cut[frame.vertices]
     reason = _cycles(start, density, first, bounds, memory, log, times, pool, near)
-    if not memory.states and options.finish and not (skin and memory.spoiled().size):
+    refused = not memory.states and not (skin and memory.spoiled().size)
+    besides = skin is None and _may_finish_alone(memory, inner_locked, options)
+    if options.finish and (refused or besides):
         again = frame.inside(mesh.points[frame.vertices])
         skin = _skin(mesh, options, frame, again, cells) if skin else None
         second = make_complex(again, cells, regions, inner_locked, inner_rim, skin)
         log.add(f"runs of {ALONE}", 1)
-        _finishing_alone(second, options, bounds, memory, times, pool, log)
+        name = ALONE if refused else BESIDES
+        _finishing_alone(second, options, bounds, memory, name, times, pool, log)
     if options.insert and (memory.states or skin is None):
         clock = time.perf_counter()
         unchanged = frame.inside(mesh.points[frame.vertices])
@@ -410,8 +417,18 @@ def _repair(
     return False
 
 
+def _may_finish_alone(memory: Memory, locked: BoolArray, options: Options) -> bool:
+    """Whether stage 2 alone may do better than what was reached: where few vertices move, or cells
+    that nothing can improve make the 1 % quantile, and their neighbours pay for them.
+    """
+    sizes_are_kept = isinstance(options.density, str) and options.density == "keep"
+    if not (memory.states and sizes_are_kept):
+        return False
+    return memory.states[0].figures.p1_quality < POOR or (~locked).mean() < STILL
+
+
 def _finishing_alone(
-    mesh: Complex, options: Options, bounds: FloatArray, memory: Memory,
+    mesh: Complex, options: Options, bounds: FloatArray, memory: Memory, name: str,
     times: dict[str, float], pool: ThreadPoolExecutor | None, log: Log,
 ) -> None:
     """Improve the input by stage 2 alone, which never leaves the extremes of the input.
@@ -426,10 +443,10 @@ def _finishing_alone(
     schedule = cautious(mesh.dim, options.objective)
     for phase in (schedule[0], *schedule):
         _finish(mesh, (phase,), strict, log, pool, options.threads)
-        if memory.offer(mesh, ALONE) or "mean_quality" in memory.worse:
+        if memory.offer(mesh, name) or "mean_quality" in memory.worse:
             continue
         _finish(mesh, (WORST,), strict, log, pool, options.threads)
-        memory.offer(mesh, ALONE)
+        memory.offer(mesh, name)
     times[ALONE] = time.perf_counter() - clock
 
 
@@ -451,6 +468,8 @@ def _best(
         ) if judged else ([], None)
         if not broken_now:
             fallback = None
+            if state.name == BESIDES:
+                reason += "; finishing without smoothing before it gave more"
             if rank or state.name == ALONE:
                 fallback = f"a later state was given up ({'; '.join(broken)}){memory.price()}"
             return replace(outcome, stop_reason=reason, fallback=fallback, slid=slid)
