@@ -91,6 +91,8 @@ def with_angles(phases: tuple[Phase, ...]) -> tuple[Phase, ...]:
 def repair(worse: Sequence[str]) -> tuple[Phase, ...]:
     """Phases for a mesh of tetrahedra that is good but for a few cells beyond the input's extremes.
 
+    The first touches hardly more than those: the others cost the 1 % quantile.
+
     Parameters
     ----------
     worse : names of the figures that got worse
@@ -98,7 +100,8 @@ def repair(worse: Sequence[str]) -> tuple[Phase, ...]:
     if not worse or not set(worse) <= {"min_quality", "min_angle", "max_angle"}:
         return ()
     measure = QUALITY if "min_quality" in worse else DIHEDRAL
-    return tuple(Phase(4.0, share, 3, 3, 3, measure) for share in (0.003, 0.01, 0.03, 0.1))
+    gentle = Phase(4.0, 0.0003, 1, 3, 0, measure)
+    return gentle, *(Phase(4.0, share, 3, 3, 3, measure) for share in (0.003, 0.01, 0.03, 0.1))
 
 
 def cautious(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
