@@ -62,7 +62,7 @@ TAILS = {
 }
 """Power, share, rounds, sweeps and compound passes of the phases for the worst cells."""
 
-ANGLES = Phase(4.0, 0.001, 2, 3, 3, DIHEDRAL, guard=0.01)
+ANGLES = Phase(2.0, 0.01, 2, 3, 3, DIHEDRAL, guard=0.01)
 """For the very smallest and largest angles, which radius ratios alone do not mind enough."""
 
 
