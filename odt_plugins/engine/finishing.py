@@ -78,6 +78,12 @@ def measures(
     return m
 
 
+def worst_count(q: FloatArray, phase: Phase) -> int:
+    """How many cells a phase starts from; ``q`` as of :func:`measures`."""
+    most = int(phase.share * (q < 1.5).sum())
+    return min(most, max(most // 10, int((q < phase.enough).sum())))
+
+
 def held_angles(mesh: Complex, bounds: FloatArray, share: float) -> FloatArray:
     """Bounds under which no new cell gets a smaller angle than a share of the cells has now."""
     cells, _ = mesh.mesh_arrays()
@@ -164,9 +170,8 @@ def descend(
     mesh.status[:] = 0
     active = np.zeros(len(mesh.points), dtype=bool)
     if phase.share < 1.0:
-        live = int((q < 1.5).sum())
-        limit = np.partition(q, int(phase.share * live))[int(phase.share * live)]
-        bad = q < limit
+        count = worst_count(q, phase)
+        bad = q < np.partition(q, count)[count]
         touched = np.zeros(len(mesh.points), dtype=bool)
         touched[mesh.cells[:used][bad].ravel()] = True
         around_vertices(mesh.cells[:used], touched, mesh.status)
@@ -240,7 +245,7 @@ def compound_moves(
 ) -> int:
     """Try compound moves at the worst share of the cells; returns how many stayed."""
     q = measures(mesh, phase.objective, pool)
-    count = int(phase.share * (q < 1.5).sum())
+    count = worst_count(q, phase)
     worst = np.argpartition(q, count)[: count + 1]
     order = worst[np.argsort(q[worst], kind="stable")].astype(np.int32)
     mesh.status[:] = 0

@@ -24,6 +24,8 @@ class Phase:
     guard : float or None
         no new cell gets a worse radius ratio, if the measure is that of angles, else a smaller
         angle than this share of the cells has when the phase starts; None: than the input (d = 3)
+    enough : float
+        of the cells whose measure reaches this only a tenth of the share is worked on (d = 3)
     """
 
     power: float
@@ -33,6 +35,7 @@ class Phase:
     compound: int = 0
     objective: int = QUALITY
     guard: float | None = None
+    enough: float = 1.0
 
 
 @dataclass(frozen=True)
@@ -62,8 +65,9 @@ TAILS = {
 }
 """Power, share, rounds, sweeps and compound passes of the phases for the worst cells."""
 
-ANGLES = Phase(2.0, 0.01, 2, 3, 3, DIHEDRAL, guard=0.01)
-"""For the very smallest and largest angles, which radius ratios alone do not mind enough."""
+ANGLES = Phase(2.0, 0.01, 2, 3, 3, DIHEDRAL, guard=0.01, enough=0.33)
+"""For the smallest and largest angles, which radius ratios alone do not mind enough: those below
+about 25 degrees, or above 150."""
 
 
 def bulk(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
