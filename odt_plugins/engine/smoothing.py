@@ -33,7 +33,7 @@ FAR = 0.1
 MODERATE = 20_000
 """Most cells for which "auto" asks scipy in the first round; beyond, local flips are cheaper."""
 
-CONVERGED = 2.4e-3
+CONVERGED = 1.6e-3
 PATIENCE = 8
 """A stage ends when PATIENCE rounds have lowered the least energy by less than CONVERGED of it."""
 
