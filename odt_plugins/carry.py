@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.mesh import FloatArray, IntArray, SimplexMesh, sorted_columns
+from odt_plugins.mesh import FloatArray, IntArray, SimplexMesh, corner_mean, sorted_columns
 
 NEAR = (16, 256)
 """How many of the nearest cells a point is looked for in, before all of them."""
@@ -45,8 +45,8 @@ def cell_source(
     new = np.flatnonzero(source < 0)
     if new.size:
         source[new] = _nearest(
-            _barycentres(points0, cells0), regions0,
-            _barycentres(points1, cells1[new]), regions1[new], threads,
+            corner_mean(points0, cells0), regions0,
+            corner_mean(points1, cells1[new]), regions1[new], threads,
         )
     return source
 
@@ -99,7 +99,7 @@ def surrounding_cells(
     """
     from scipy.spatial import cKDTree
 
-    tree = cKDTree(_barycentres(points, cells))
+    tree = cKDTree(corner_mean(points, cells))
     corners = np.empty((len(x), cells.shape[1]), dtype=np.int32)
     weights = np.full(corners.shape, -np.inf)
     for near in NEAR:
@@ -128,14 +128,6 @@ def _barycentric(corners: FloatArray, x: FloatArray) -> FloatArray:
     edges = np.swapaxes(corners[:, :, 1:] - corners[:, :, :1], 2, 3)
     inner = np.linalg.solve(edges, (x[:, None] - corners[:, :, 0])[..., None])[..., 0]
     return np.concatenate([1.0 - inner.sum(axis=2, keepdims=True), inner], axis=2)
-
-
-def _barycentres(points: FloatArray, cells: IntArray) -> FloatArray:
-    centres: FloatArray = points[cells[:, 0]]
-    for corner in cells.T[1:]:
-        centres += points[corner]
-    centres /= cells.shape[1]
-    return centres
 
 
 def _nearest(

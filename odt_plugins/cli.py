@@ -7,7 +7,6 @@ import os
 import re
 import signal
 import sys
-import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
@@ -25,6 +24,7 @@ from odt_plugins.errors import (
 from odt_plugins.options import DENSITIES, FIGURES, Options
 from odt_plugins.terminal import (
     check_paths,
+    handling,
     one_line,
     progress_bar,
     warnings_told,
@@ -77,7 +77,7 @@ def main(argv: Sequence[str] | None = None) -> int:
     ----------
     argv : sequence of str    the words after the program's name; those of the process if None
     """
-    with _stoppable():
+    with handling(signal.SIGTERM, signal.default_int_handler):
         try:
             code = cli.main(args=None if argv is None else list(argv), prog_name="odt-plugins",
                             standalone_mode=False)
@@ -428,19 +428,6 @@ def _indices(path: Path, option: str) -> Any:
         msg = f"{path} holds no index; expected at least one, leave out --{option} to give none"
         raise click.BadParameter(msg, param_hint=f"--{option}")
     return values
-
-
-@contextmanager
-def _stoppable() -> Iterator[None]:
-    """Treat SIGTERM as Ctrl-C, so that open files are cleaned up."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    old = signal.signal(signal.SIGTERM, signal.default_int_handler)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGTERM, old)
 
 
 @contextmanager

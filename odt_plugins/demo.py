@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.errors import MeshFileError, MissingDependencyError
+from odt_plugins.errors import MeshFileError, MissingDependencyError, require
 from odt_plugins.report import Report
 from odt_plugins.tetwild import tetrahedralize
 
@@ -60,7 +60,7 @@ def run_demo(
     from odt_plugins.api import optimize_file
     from odt_plugins.plotting import plot_before_after
 
-    _require("pymeshlab", "pytetwild", "matplotlib", "meshio")
+    require("the demo", "all", "pymeshlab", "pytetwild", "matplotlib", "meshio")
     try:
         out.mkdir(parents=True, exist_ok=True)
     except OSError as exc:
@@ -120,11 +120,3 @@ def read_obj(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
             corner = [int(word.split("/")[0]) for word in words[:3]]
             faces.append([i - 1 if i > 0 else len(points) + i for i in corner])
     return np.array(points), np.array(faces, dtype=np.int32)
-
-
-def _require(*names: str) -> None:
-    missing = [name for name in names if find_spec(name) is None]
-    if missing:
-        msg = (f"the demo needs {' and '.join(missing)}, not installed here; try "
-               'pip install "odt-plugins[all]"')
-        raise MissingDependencyError(msg)

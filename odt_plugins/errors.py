@@ -7,6 +7,7 @@ expected and what to try.
 from __future__ import annotations
 
 from contextlib import contextmanager
+from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -56,6 +57,26 @@ class NotConvergedWarning(ODTWarning):
 def counted(count: int, noun: str, plural: str | None = None) -> str:
     """Say how many there are: "1 cell", "2 cells"."""
     return f"{count} {noun if count == 1 else plural or noun + 's'}"
+
+
+def require(what: str, extra: str, *packages: str) -> None:
+    """Refuse at once when packages are not there that something needs.
+
+    Parameters
+    ----------
+    what : str        that needs them, the start of the sentence
+    extra : str       of odt-plugins that brings them
+    *packages : str   names to import
+
+    Raises
+    ------
+    MissingDependencyError
+    """
+    missing = [name for name in packages if find_spec(name) is None]
+    if missing:
+        msg = (f"{what} needs {' and '.join(missing)}, not installed here; try "
+               f'pip install "odt-plugins[{extra}]"')
+        raise MissingDependencyError(msg)
 
 
 @contextmanager

@@ -189,6 +189,15 @@ def reverse(cells: NDArray[Any], which: BoolArray) -> NDArray[Any]:
     return out
 
 
+def corner_mean(values: FloatArray, cells: IntArray) -> FloatArray:
+    """Mean of values (n,) or (n, c) at the vertices of every cell, shape (m,) or (m, c)."""
+    mean: FloatArray = values[cells[:, 0]]
+    for corner in cells.T[1:]:
+        mean += values[corner]
+    mean /= cells.shape[1]
+    return mean
+
+
 def sorted_columns(rows: NDArray[Any]) -> tuple[list[NDArray[Any]], BoolArray]:
     """Columns of rows (m, k) that are sorted one by one, and which took an odd permutation.
 

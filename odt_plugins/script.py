@@ -6,7 +6,6 @@ import os
 import tempfile
 import time
 from collections.abc import Callable
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 from xml.etree import ElementTree
@@ -14,7 +13,7 @@ from xml.etree import ElementTree
 from odt_plugins.adapters import files
 from odt_plugins.adapters.pymeshlab_copy import muted
 from odt_plugins.adapters.pymeshlab_set import restore_script, saved_script
-from odt_plugins.errors import InvalidMeshError, MeshFileError, MissingDependencyError
+from odt_plugins.errors import InvalidMeshError, MeshFileError, require
 from odt_plugins.hosts.filter_table import (
     BY_GUI,
     FILTERS,
@@ -108,10 +107,7 @@ def run_script_on_files(
     MissingDependencyError    pymeshlab is not installed
     MeshFileError             a file cannot be read or written; `target` is then as it was before
     """
-    if find_spec("pymeshlab") is None:
-        msg = ('a filter script needs pymeshlab, not installed here; try '
-               'pip install "odt-plugins[pymeshlab]"')
-        raise MissingDependencyError(msg)
+    require("a filter script", "pymeshlab", "pymeshlab")
     from pymeshlab import MeshSet, PyMeshLabException
 
     text = _script_text(script)

@@ -1,24 +1,41 @@
-"""What the commands share in the terminal: a bar, warnings in one line, files that appear whole."""
+"""What the commands share in the terminal: bar, signals, warnings in one line, whole files."""
 
 from __future__ import annotations
 
 import os
+import signal
 import sys
 import tempfile
+import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from importlib.util import find_spec
 from pathlib import Path
+from types import FrameType
 from typing import Any
 
 import click
 
-from odt_plugins.errors import MeshFileError, MissingDependencyError, ODTWarning
+from odt_plugins.errors import MeshFileError, ODTWarning, require
 
 COMPILING = "compiling the kernels, once after installation: about half a minute ..."
 
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
+
+
+@contextmanager
+def handling(
+    number: signal.Signals, handler: Callable[[int, FrameType | None], Any] | signal.Handlers
+) -> Iterator[None]:
+    """Answer a signal so; where that is not possible, outside the main thread, as before."""
+    if threading.current_thread() is not threading.main_thread():
+        yield
+        return
+    old = signal.signal(number, handler)
+    try:
+        yield
+    finally:
+        signal.signal(number, old)
 
 
 def check_paths(target: Path, report_file: Path | None, plot_file: Path | None) -> None:
@@ -31,10 +48,7 @@ def check_paths(target: Path, report_file: Path | None, plot_file: Path | None) 
         if plot_file.suffix.lower() not in PLOT_SUFFIXES:
             msg = f"got {plot_file.name!r}; expected a file ending in {', '.join(PLOT_SUFFIXES)}"
             raise click.BadParameter(msg, param_hint="--plot")
-        if find_spec("matplotlib") is None:
-            msg = ("--plot needs matplotlib, not installed here; try "
-                   'pip install "odt-plugins[plot]"')
-            raise MissingDependencyError(msg)
+        require("--plot", "plot", "matplotlib")
     for path in (report_file, plot_file):
         if path is None:
             continue

@@ -12,7 +12,6 @@ import subprocess
 import sys
 import tempfile
 from collections.abc import Mapping
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -21,7 +20,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.api import make_options
 from odt_plugins.api import optimize as optimize_mesh
-from odt_plugins.errors import InvalidMeshError, InvalidOptionError, MissingDependencyError
+from odt_plugins.errors import InvalidMeshError, InvalidOptionError, require
 from odt_plugins.mesh import mesh_arrays
 
 PROGRAM = """
@@ -158,10 +157,7 @@ def expect_pytetwild() -> None:
     ------
     MissingDependencyError
     """
-    if find_spec("pytetwild") is None:
-        msg = ('tetrahedralize needs pytetwild, not installed here; try '
-               'pip install "odt-plugins[pytetwild]"')
-        raise MissingDependencyError(msg)
+    require("tetrahedralize", "pytetwild", "pytetwild")
 
 
 def run_tetwild(given: Mapping[str, Any]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:

@@ -514,7 +514,7 @@ def test_patterns_leave_out_folders_and_results(place, monkeypatch):
 
 
 def test_tetwild_that_is_not_there_is_told_before_any_work(place, monkeypatch, capsys):
-    monkeypatch.setattr("odt_plugins.tetwild.find_spec", lambda name: None)
+    monkeypatch.setattr("odt_plugins.errors.find_spec", lambda name: name != "pytetwild" or None)
     write_ball(place / "models" / "a.stl", 60)
     words = ["batch", "models/a.stl", "--out", "out", "--tetrahedralize"]
     assert cli.main(words) == 1

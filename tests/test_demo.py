@@ -44,7 +44,8 @@ def test_obj_counts_from_one_and_backwards(tmp_path: Path) -> None:
 
 
 def test_a_missing_toolkit_is_named(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
-    monkeypatch.setattr(demo, "find_spec", lambda name: None)
+    for place in ("odt_plugins.errors", "odt_plugins.demo"):
+        monkeypatch.setattr(f"{place}.find_spec", lambda name: None)
     with pytest.raises(MissingDependencyError, match=r'pymeshlab and pytetwild.*\[all\]'):
         demo.run_demo(tmp_path / "out")
     with pytest.raises(MissingDependencyError, match="did not find it"):

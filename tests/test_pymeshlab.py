@@ -605,7 +605,7 @@ def test_regions_by_the_name_of_an_attribute():
 def test_register_knows_its_toolkits(monkeypatch):
     with pytest.raises(InvalidOptionError, match="'blender'; expected one of"):
         odt_plugins.register("blender")
-    monkeypatch.setattr("odt_plugins.hosts.find_spec", lambda name: None)
+    monkeypatch.setattr("odt_plugins.errors.find_spec", lambda name: None)
     with pytest.raises(MissingDependencyError, match=r'pip install "odt-plugins\[pymeshlab\]"'):
         odt_plugins.register("pymeshlab")
 

@@ -501,9 +501,9 @@ def test_files_that_cannot_be_read_or_written(tmp_path, capsys, source, target, 
 
 
 def test_scripts_without_pymeshlab(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr("odt_plugins.script.find_spec", lambda name: None)
+    monkeypatch.setattr("odt_plugins.errors.find_spec", lambda name: None)
     assert cli.main(["script", "a.mlx", "b.ply", "c.ply"]) == 1
     assert 'pip install "odt-plugins[pymeshlab]"' in capsys.readouterr().err
-    monkeypatch.setattr("odt_plugins.tetwild.find_spec", lambda name: None)
+    monkeypatch.setattr("odt_plugins.errors.find_spec", lambda name: None)
     with pytest.raises(MissingDependencyError, match=r"odt-plugins\[pytetwild\]"):
         sphere().generate_odt_tetrahedralization()

@@ -112,7 +112,7 @@ def test_a_process_that_dies_is_one_sentence(monkeypatch):
     monkeypatch.setattr(tetwild, "PROGRAM", "import os; os.abort()")
     with pytest.raises(InvalidMeshError, match=r"it ended with -6; expected a closed surface"):
         odt_plugins.tetrahedralize(CUBE, FACES)
-    monkeypatch.setattr(tetwild, "find_spec", lambda name: None)
+    monkeypatch.setattr("odt_plugins.errors.find_spec", lambda name: None)
     with pytest.raises(MissingDependencyError, match=r'pip install "odt-plugins\[pytetwild\]"'):
         odt_plugins.tetrahedralize(CUBE, FACES)
 
@@ -123,7 +123,7 @@ import pickle
 names = sorted(pickle.load(open("arguments", "rb")))
 pickle.dump(ValueError(" ".join(names)), open("result", "wb"))
 """)
-    monkeypatch.setattr(tetwild, "find_spec", lambda name: True)
+    monkeypatch.setattr("odt_plugins.errors.find_spec", lambda name: True)
     with pytest.raises(ValueError, match=r"^edge_length_fac faces stop_energy vertices$"):
         odt_plugins.tetrahedralize(CUBE, FACES, edge_length_fac=0.2, stop_energy=9.0, coarsen=False)
 

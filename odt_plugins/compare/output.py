@@ -6,7 +6,6 @@ import csv
 import json
 import math
 from collections.abc import Sequence
-from importlib.util import find_spec
 from io import StringIO
 from pathlib import Path
 from typing import Any
@@ -16,7 +15,7 @@ from odt_plugins.compare.contestants import OURS
 from odt_plugins.compare.markdown import to_markdown
 from odt_plugins.compare.pictures import worst_cells
 from odt_plugins.compare.rows import Measured, MeshResult, Row
-from odt_plugins.errors import MissingDependencyError, writing
+from odt_plugins.errors import require, writing
 
 FILES = ("comparison.csv", "comparison.json", "comparison.html", "comparison.md")
 
@@ -35,10 +34,7 @@ def check_page() -> None:
     ------
     MissingDependencyError    jinja2 is not installed
     """
-    if find_spec("jinja2") is None:
-        msg = ("the page of the comparison needs jinja2, not installed here; try "
-               'pip install "odt-plugins[compare]"')
-        raise MissingDependencyError(msg)
+    require("the page of the comparison", "compare", "jinja2")
 
 
 def write_all(out: Path, results: Sequence[MeshResult], facts: Facts, command: str) -> None:

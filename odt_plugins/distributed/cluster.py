@@ -7,32 +7,18 @@ from __future__ import annotations
 
 import logging
 import signal
-import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
-from importlib.util import find_spec
 from typing import Any
 
 from odt_plugins.distributed.local import Apply
 from odt_plugins.distributed.versions import PACKAGES, expect_versions, versions_here
-from odt_plugins.errors import MissingDependencyError, WorkerError
+from odt_plugins.errors import WorkerError, require
+from odt_plugins.terminal import handling
 
 PATIENCE = 30.0
 """Seconds to wait for a scheduler, and for its first worker."""
-
-
-def expect_dask() -> None:
-    """Refuse at once when Dask is not there.
-
-    Raises
-    ------
-    MissingDependencyError
-    """
-    if find_spec("distributed") is None:
-        msg = ('a cluster needs dask and distributed, not installed here; try '
-               'pip install "odt-plugins[dask]"')
-        raise MissingDependencyError(msg)
 
 
 @contextmanager
@@ -55,11 +41,12 @@ def connected(scheduler: str | None = None, workers: int = 0) -> Iterator[Any]:
     if scheduler is None and not workers:
         yield None
         return
-    expect_dask()
+    require("a cluster", "dask", "dask", "distributed")
     from distributed import Client, LocalCluster
 
     if scheduler is None:
-        with _without_interrupts():
+        # on Ctrl-C workers would each print a traceback; this process ends them
+        with handling(signal.SIGINT, signal.SIG_IGN):
             own = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=":0",
                                silence_logs=logging.CRITICAL)
         with own, Client(own) as client:
@@ -73,22 +60,6 @@ def connected(scheduler: str | None = None, workers: int = 0) -> Iterator[Any]:
         raise WorkerError(msg) from exc
     with client:
         yield client
-
-
-@contextmanager
-def _without_interrupts() -> Iterator[None]:
-    """Let processes start that Ctrl-C does not reach: it is for this one, which ends them.
-
-    They would each answer with a traceback.
-    """
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    old = signal.signal(signal.SIGINT, signal.SIG_IGN)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, old)
 
 
 def check_workers(client: Any) -> None:
@@ -124,7 +95,7 @@ def on_cluster(client: Any) -> Apply:
     ------
     InvalidOptionError, WorkerError
     """
-    expect_dask()
+    require("a cluster", "dask", "dask", "distributed")
     check_workers(client)
 
     def apply(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:

@@ -7,14 +7,13 @@ import os
 import shlex
 import tempfile
 from collections.abc import Sequence
-from importlib.util import find_spec
 from io import StringIO
 from pathlib import Path
 from typing import Any
 
 from odt_plugins.compare.machine import describe
 from odt_plugins.compare.output import fill_template
-from odt_plugins.errors import MissingDependencyError, writing
+from odt_plugins.errors import require, writing
 from odt_plugins.quality import QualitySummary
 
 FILES = ("summary.csv", "summary.parquet", "summary.html")
@@ -39,11 +38,7 @@ def check_summary() -> None:
     ------
     MissingDependencyError    pyarrow or jinja2 is not installed
     """
-    missing = [name for name in ("pyarrow", "jinja2") if find_spec(name) is None]
-    if missing:
-        msg = (f"the summary of a batch needs {missing[0]}, not installed here; try "
-               'pip install "odt-plugins[dask]"')
-        raise MissingDependencyError(msg)
+    require("the summary of a batch", "dask", "pyarrow", "jinja2")
 
 
 def write_summary(

@@ -20,7 +20,7 @@ from odt_plugins.engine.kernel import allocating_kernel
 from odt_plugins.engine.star import star_sum
 from odt_plugins.engine.threads import run_ranges
 from odt_plugins.errors import InvalidOptionError
-from odt_plugins.mesh import FloatArray, IntArray
+from odt_plugins.mesh import FloatArray, IntArray, corner_mean
 
 NAMES = ("keep", "uniform", "inverse-volume")
 
@@ -218,15 +218,6 @@ class Density:
 def cell_density(points: FloatArray, cells: IntArray, rho: FloatArray) -> FloatArray:
     """Mean of the vertex densities of every cell, rho_tau, shape (m,): exact for linear rho."""
     return corner_mean(rho, cells)
-
-
-def corner_mean(values: FloatArray, cells: IntArray) -> FloatArray:
-    """Mean of values (n,) at the vertices of every cell, shape (m,)."""
-    mean: FloatArray = values[cells[:, 0]]
-    for corner in cells.T[1:]:
-        mean += values[corner]
-    mean /= cells.shape[1]
-    return mean
 
 
 def inverse_volume_density(points: FloatArray, cells: IntArray) -> FloatArray:

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 from importlib import import_module
-from importlib.util import find_spec
 
-from odt_plugins.errors import InvalidOptionError, MissingDependencyError
+from odt_plugins.errors import InvalidOptionError, require
 
 HOSTS = {
     "open3d": "open3d_filters",
@@ -33,10 +32,5 @@ def register(name: str) -> None:
     if name not in HOSTS:
         msg = f"got the toolkit {name!r}; expected one of {sorted(HOSTS)}"
         raise InvalidOptionError(msg)
-    if find_spec(name) is None:
-        msg = (
-            f"register({name!r}) needs {name}, not installed here; try "
-            f'pip install "odt-plugins[{name}]"'
-        )
-        raise MissingDependencyError(msg)
+    require(f"register({name!r})", name, name)
     import_module(f"odt_plugins.hosts.{HOSTS[name]}").register()
