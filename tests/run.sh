@@ -10,11 +10,6 @@ system_libraries
 system_browser
 use_environment "all,test"
 
-# Cached kernels do not notice that a kernel of another file changed, so every state of the
-# engine has a cache of its own.
-NUMBA_CACHE_DIR="$VIRTUAL_ENV/kernels/$(cat odt_plugins/engine/{,surface/}*.py | cksum | cut -d ' ' -f 1)"
-export NUMBA_CACHE_DIR
-
 echo "== ruff";   python -m ruff check .
 echo "== mypy";   python -m mypy
 echo "== pytest"

@@ -3,10 +3,16 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any
 
 from numba import njit
 from numba.core.cpu import CPUTargetOptions
+
+from odt_plugins.engine.kernel_cache import keep_by, source_stamp
+
+STAMP = source_stamp(Path(__file__).parent)
+"""Tells states of the engine apart in the cache of its kernels."""
 
 UNCOUNTED: dict[str, Any] = {"_nrt": False} if hasattr(CPUTargetOptions, "_nrt") else {}
 """numba counts the references to every array that a call hands on, by atomic operations that
@@ -23,9 +29,11 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     def decorate(function: Callable[..., Any]) -> Any:
         chosen: dict[str, Any] = {"nogil": True, "error_model": "numpy", **options}
         try:
-            return njit(cache=True, **chosen)(function)
+            dispatcher = njit(cache=True, **chosen)(function)
         except RuntimeError:
             return njit(**chosen)(function)
+        keep_by(STAMP, dispatcher)
+        return dispatcher
 
     return decorate
 

@@ -1,0 +1,41 @@
+"""Machine code on disk that goes with the source of all kernels.
+
+numba keeps a kernel for as long as the file stays as it is in which that kernel stands. The kernels
+of other files that it calls are part of its machine code, though: where one of those changes, as
+in a working copy that is updated in place, the old code would go on being used.
+"""
+
+from __future__ import annotations
+
+import contextlib
+import hashlib
+from pathlib import Path
+from typing import Any
+
+
+def source_stamp(folder: Path) -> str:
+    """Short hash of the files in a folder, and below, in which kernels stand."""
+    digest = hashlib.sha256()
+    for path in sorted(folder.rglob("*.py")):
+        # An editor may leave links that lead nowhere.
+        with contextlib.suppress(OSError):
+            text = path.read_bytes()
+            if b"kernel" in text:
+                digest.update(hashlib.sha256(text).digest())
+    return digest.hexdigest()[:12]
+
+
+def keep_by(stamp: str, dispatcher: Any) -> None:
+    """Keep a cached kernel under a name of its own for every stamp.
+
+    Processes with other sources then never read or write the same file. A numba that caches in
+    a way unknown here goes on as it does.
+    """
+    with contextlib.suppress(ImportError, AttributeError, TypeError):
+        from numba.core.caching import IndexDataCacheFile
+
+        kept, locator = dispatcher._cache._impl, dispatcher._cache._impl.locator
+        dispatcher._cache._cache_file = IndexDataCacheFile(  # type: ignore[no-untyped-call]
+            cache_path=locator.get_cache_path(), filename_base=f"{kept.filename_base}.{stamp}",
+            source_stamp=locator.get_source_stamp(),
+        )
