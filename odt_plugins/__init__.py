@@ -33,6 +33,7 @@ if TYPE_CHECKING:
     )
     from odt_plugins.distributed.pieces import optimize_pieces
     from odt_plugins.errors import (
+        CrashError,
         DataNotKeptWarning,
         InvalidMeshError,
         InvalidOptionError,
@@ -55,6 +56,7 @@ if TYPE_CHECKING:
     __version__: str
 
 __all__ = [
+    "CrashError",
     "DataNotKeptWarning",
     "InvalidMeshError",
     "InvalidOptionError",

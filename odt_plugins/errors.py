@@ -6,6 +6,7 @@ expected and what to try.
 
 from __future__ import annotations
 
+import signal
 from contextlib import contextmanager
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
@@ -20,6 +21,17 @@ class ODTError(Exception):
 
 class InvalidMeshError(ODTError, ValueError):
     """The mesh itself is broken: shapes, indices, coordinates, orientation, topology."""
+
+
+class CrashError(InvalidMeshError):
+    """A process that worked on the mesh ended without a result.
+
+    Attributes
+    ----------
+    code : int    its exit code; that of a signal is negative
+    """
+
+    code = 0
 
 
 class UnsupportedMeshError(ODTError, TypeError):
@@ -57,6 +69,16 @@ class NotConvergedWarning(ODTWarning):
 def counted(count: int, noun: str, plural: str | None = None) -> str:
     """Say how many there are: "1 cell", "2 cells"."""
     return f"{count} {noun if count == 1 else plural or noun + 's'}"
+
+
+def exit_name(code: int) -> str:
+    """Say how a process ended: by an exit code, or by the name of a signal."""
+    if code >= 0:
+        return f"exit code {code}"
+    try:
+        return signal.Signals(-code).name
+    except ValueError:
+        return f"signal {-code}"
 
 
 def require(what: str, extra: str, *packages: str) -> None:

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.api import make_options
 from odt_plugins.api import optimize as optimize_mesh
-from odt_plugins.errors import InvalidMeshError, InvalidOptionError, require
+from odt_plugins.errors import CrashError, InvalidMeshError, InvalidOptionError, exit_name, require
 from odt_plugins.mesh import mesh_arrays
 
 PROGRAM = """
@@ -88,6 +88,7 @@ def tetrahedralize(
     ------
     MissingDependencyError       pytetwild is not installed
     InvalidMeshError             the surface is broken, or TetWild found no tetrahedra
+    CrashError                   the same, since the process of TetWild crashed
     InvalidOptionError           `odt` holds unknown options or values out of range
     TypeError, ValueError, ...   what pytetwild raises
 
@@ -167,7 +168,7 @@ def run_tetwild(given: Mapping[str, Any]) -> tuple[NDArray[np.float64], NDArray[
 
     Raises
     ------
-    MissingDependencyError, InvalidMeshError, and what pytetwild raises
+    MissingDependencyError, InvalidMeshError, CrashError, and what pytetwild raises
     """
     expect_pytetwild()
     usual = inspect.signature(tetrahedralize).parameters
@@ -183,8 +184,11 @@ def run_tetwild(given: Mapping[str, Any]) -> tuple[NDArray[np.float64], NDArray[
         )
         file = Path(folder) / "result"
         if done.returncode or not file.is_file():
-            last = (done.stderr.strip().splitlines() or [f"it ended with {done.returncode}"])[-1]
-            raise InvalidMeshError(_no_tetrahedra(last))
+            said = done.stderr.strip().splitlines()
+            error = CrashError(_no_tetrahedra(f"it was ended by {exit_name(done.returncode)}"
+                                              + (f" ({said[-1]})" if said else "")))
+            error.code = done.returncode
+            raise error
         result = pickle.loads(file.read_bytes())
     if isinstance(result, Exception):
         raise result

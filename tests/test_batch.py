@@ -533,3 +533,20 @@ def test_surfaces_that_cannot_be_filled_are_rows(place):
         "tets.vtu holds tetrahedra; expected a surface of triangles to be filled")
     assert "TetWild found no tetrahedra inside the surface" in messages["open.stl"]
     assert files(place / "out") == []
+
+
+@pytest.mark.parametrize(("name", "again"), [("SIGSEGV", False), ("SIGKILL", True)])
+def test_a_tetwild_that_crashes_is_a_crash(place, monkeypatch, name, again):
+    folder = place / "toolkits"
+    folder.mkdir()
+    (folder / "pytetwild.py").write_text(
+        f"import os, signal\ndef tetrahedralize(**_): os.kill(os.getpid(), signal.{name})\n")
+    monkeypatch.syspath_prepend(folder)
+    monkeypatch.setenv("PYTHONPATH", str(folder) + os.pathsep + os.environ["PYTHONPATH"])
+    path = str(place / "models" / "a.stl")
+    meshio.Mesh(np.eye(3), [("triangle", [[0, 1, 2]])]).write(path)
+    (row,) = run_batch(make_jobs([path], place / "out", {}, tetrahedralize=True))
+    assert row["status"] == "crashed"
+    assert f"it was ended by {name}; expected a closed surface" in row["message"]
+    # What the user or a system short of memory ended is tried again.
+    assert rows_of(place / "out") == ([] if again else ["a.vtu.json"])

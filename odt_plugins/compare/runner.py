@@ -21,6 +21,7 @@ import odt_plugins
 from odt_plugins.compare.contestants import Contestant
 from odt_plugins.compare.start import SEED, StartMesh
 from odt_plugins.compare.worker import READY, RESULT
+from odt_plugins.errors import exit_name
 from odt_plugins.mesh import FloatArray, IntArray
 
 IMPORTS = {
@@ -164,13 +165,3 @@ def _fault(points: NDArray[Any], cells: NDArray[Any]) -> str:
     if not np.isfinite(points[cells]).all():
         return "returned coordinates that are not finite"
     return ""
-
-
-def exit_name(code: int) -> str:
-    """Say how a process ended: by an exit code, or by the name of a signal."""
-    if code >= 0:
-        return f"exit code {code}"
-    try:
-        return signal.Signals(-code).name
-    except ValueError:
-        return f"signal {-code}"

@@ -21,17 +21,20 @@ from typing import Any
 
 from odt_plugins.adapters.files import check_output
 from odt_plugins.api import make_options
-from odt_plugins.compare.runner import exit_name
-from odt_plugins.distributed.job import RESULT, ROW, beyond_limit, compiling, too_little
+from odt_plugins.distributed.job import (
+    FROM_OUTSIDE,
+    RESULT,
+    ROW,
+    beyond_limit,
+    compiling,
+    too_little,
+)
 from odt_plugins.distributed.versions import installed_version, versions_here
-from odt_plugins.errors import InvalidOptionError, MeshFileError
+from odt_plugins.errors import InvalidOptionError, MeshFileError, exit_name
 from odt_plugins.tetwild import expect_pytetwild
 
 HIDDEN = ".batch"
 """Folder within the output: rows of what is done, and a work folder for every run."""
-
-FROM_OUTSIDE = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
-"""Signals that come from the user or from a system short of memory, not from the input."""
 
 GONE = "gone-"
 """Begin of the names of work folders that are being removed."""

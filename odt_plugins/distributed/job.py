@@ -21,11 +21,14 @@ from typing import Any
 from numba.core import event
 
 from odt_plugins.compare.runner import PREPARING
-from odt_plugins.errors import InvalidMeshError, ODTError, ODTWarning
+from odt_plugins.errors import CrashError, InvalidMeshError, ODTError, ODTWarning
 
 ROW, RESULT, COMPILING = "row.json", "result", "compiling"
 """What lies in the work folder: the row, the folder of the result, and when kernels were compiled:
 times of a monotonic clock at which that began and ended, by turns."""
+
+FROM_OUTSIDE = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
+"""Signals that come from the user or from a system short of memory, not from the input."""
 
 REFUSED = ("bad_alloc", "Cannot allocate memory", "Resource temporarily unavailable")
 """What libraries say of memory that the system refuses them, for the stack of a thread as well."""
@@ -51,6 +54,8 @@ def main() -> None:
     except Exception as exc:
         row["message"] = f"{'' if isinstance(exc, ODTError) else type(exc).__name__ + ': '}{exc}"
         row["outside"] = outside(exc)
+        if isinstance(exc, CrashError):
+            row["status"] = "crashed"
         if (any(isinstance(cause, MemoryError) for cause in _causes(exc))
                 or beyond_limit(row["message"], job["memory_limit"])):
             row |= {"status": "memory", "message": too_little(job["memory_limit"])}
@@ -160,6 +165,7 @@ def outside(exc: BaseException) -> bool:
     """Whether a failure comes from the system or a missing package, not from the input."""
     # Errors of the system have a number, those of a parser have none.
     return any(isinstance(cause, ImportError) or getattr(cause, "errno", None) is not None
+               or (isinstance(cause, CrashError) and -cause.code in FROM_OUTSIDE)
                for cause in _causes(exc))
 
 
