@@ -293,10 +293,14 @@ def batch(
     )
     with _cluster(scheduler, workers) as client, progress_bar(quiet) as progress:
         clock = time.perf_counter()
-        rows = batches.run_batch(jobs, client=client, progress=progress)
+        stopped = None
+        try:
+            rows = batches.run_batch(jobs, client=client, progress=progress)
+        except batches.Stopped as exc:
+            rows, stopped = exc.rows, exc
         seconds = time.perf_counter() - clock
-    words = summary.command_line(click.get_current_context())
-    summary.write_summary(out, rows, words, options["threads"], seconds)
+        words = summary.command_line(click.get_current_context())
+        summary.write_summary(out, rows, words, options["threads"], seconds)
     if not quiet:
         click.echo(summary.counts(rows))
         if any(row["resumed"] and row["status"] != "ok" for row in rows):
@@ -305,6 +309,8 @@ def batch(
             click.echo(f"  {name:<26}{value}")
         click.echo("written: "
                    + ", ".join(str(out / name) for name in summary.FILES))
+    if stopped:
+        raise stopped
     return DONE if all(row["status"] == "ok" for row in rows) else COULD_NOT
 
 

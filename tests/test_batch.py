@@ -28,6 +28,7 @@ from odt_plugins.distributed import batch
 from odt_plugins.distributed.batch import HIDDEN, Job, find_inputs, job_key, make_jobs, run_batch
 from odt_plugins.distributed.job import COMPILING, RESULT, compiling, outside
 from odt_plugins.errors import InvalidOptionError, MeshFileError, MissingDependencyError
+from odt_plugins.quality import QualitySummary
 
 pytestmark = [
     pytest.mark.timeout(120),
@@ -220,6 +221,10 @@ def test_compiling_kernels_does_not_count_for_the_time_limit(place, monkeypatch)
     (place / COMPILING).write_text("0.0\n0.2\n")
     with pytest.raises(subprocess.TimeoutExpired):
         run(0.1)
+
+
+FIGURES = {f"{when}_{name}": 1 for when in ("before", "after")
+           for name in QualitySummary.__dataclass_fields__}
 
 
 def copied(job: Job, folder: Path) -> dict[str, Any]:
@@ -417,26 +422,70 @@ def test_a_killed_batch_goes_on_where_it_stopped(place):
     assert len(meshio.read("out/90.vtu").points) == len(meshio.read("models/90.vtu").points)
 
 
-def test_ctrl_c_ends_a_batch_with_one_line(place):
-    pytest.importorskip("distributed")
+@pytest.mark.parametrize(("name", "flags"), [("SIGINT", ["--workers", "2"]), ("SIGTERM", [])])
+def test_a_stopped_batch_ends_with_one_line_and_the_summary_of_what_was_done(place, name, flags):
+    if flags:
+        pytest.importorskip("distributed")
     write_ball(place / "models" / "60.vtu", 60)
     (place / "models" / "90.slow").write_text("1000")
     words = [sys.executable, "-m", "odt_plugins.cli", "batch", "models/60.vtu", "models/90.slow",
-             "--out", "out", "--suffix", ".vtu", "--workers", "2"]
+             "--out", "out", "--suffix", ".vtu", *flags]
     with subprocess.Popen(words, stderr=subprocess.PIPE, text=True,
                           start_new_session=True) as process:
         wait_until(lambda: rows_of(place / "out"))
         started = children(process.pid)
-        # A terminal sends it to all processes of the group.
-        os.killpg(process.pid, signal.SIGINT)
+        if name == "SIGINT":
+            # A terminal sends it to all processes of the group.
+            os.killpg(process.pid, signal.SIGINT)
+        else:
+            process.terminate()
         said = process.communicate(timeout=60)[1]
     assert process.returncode == 1
-    assert "dashboard" in said.splitlines()[0]
-    assert said.split("\n", 1)[1].strip() == (
-        "odt-plugins: stopped before the end, no half-written file is left")
+    lines = said.split("\n", 1) if flags else ["Dask dashboard", said]
+    assert "dashboard" in lines[0]
+    assert lines[1].strip() == "odt-plugins: stopped before the end, no half-written file is left"
     wait_until(lambda: not any(alive(pid) for pid in started))
-    assert files(place / "out") == ["60.vtu"]
+    summary = [f"summary.{suffix}" for suffix in ("csv", "html", "parquet")]
+    assert files(place / "out") == ["60.vtu", *summary]
     assert [p.name for p in (place / "out" / HIDDEN).iterdir()] == ["rows"]
+    assert table(place / "out") == {"60.vtu": "ok", "90.slow": "stopped"}
+
+
+def table(out: Path) -> dict[str, str]:
+    """Status of every input."""
+    with open(out / "summary.csv", newline="") as file:
+        return {Path(row["source"]).name: row["status"] for row in csv.DictReader(file)}
+
+
+def test_the_summary_of_a_stopped_batch_is_completed_by_going_on(place, monkeypatch, capsys):
+    names = [f"{n}.vtu" for n in (60, 70, 80)]
+    for name in names:
+        write_ball(place / "models" / name, int(name[:2]))
+    stop_at: list[str] = []
+
+    def process(job: Job, folder: Path) -> dict[str, Any]:
+        if job.name in stop_at:
+            raise KeyboardInterrupt
+        return copied(job, folder) | FIGURES
+
+    monkeypatch.setattr(batch, "_process", process)
+    words = ["batch", "models/*.vtu", "--out", "out", "--resume"]
+
+    def run(*stops: str) -> tuple[int, list[str]]:
+        stop_at[:] = stops
+        return cli.main(words), list(table(place / "out").values())
+
+    assert run("70.vtu") == (1, ["ok", "stopped", "stopped"])
+    said = capsys.readouterr()
+    assert said.out.startswith("1 ok, 2 stopped\n")
+    assert "(1 in " in said.out
+    assert said.err.strip() == "odt-plugins: stopped before the end, no half-written file is left"
+    assert "1 ok, 2 stopped" in (place / "out" / "summary.html").read_text(encoding="utf-8")
+    assert run() == (0, ["ok", "ok", "ok"])
+    # What is done already keeps its row, also where a batch is stopped before it comes to it.
+    write_ball(place / "models" / "60.vtu", 65)
+    assert run("60.vtu") == (1, ["stopped", "ok", "ok"])
+    assert capsys.readouterr().out.startswith("3 ok (1 of them before)\n")
 
 
 def test_a_run_that_was_killed_is_cleared_away_and_one_that_works_is_not(place):

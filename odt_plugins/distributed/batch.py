@@ -42,6 +42,14 @@ GONE = "gone-"
 Row = dict[str, Any]
 
 
+class Stopped(KeyboardInterrupt):
+    """A batch was stopped; ``rows`` tells of all its inputs, those that were not done as well."""
+
+    def __init__(self, rows: list[Row]) -> None:
+        super().__init__()
+        self.rows = rows
+
+
 @dataclass(frozen=True)
 class Job:
     """One input of a batch.
@@ -175,14 +183,15 @@ def run_batch(
     Returns
     -------
     list of dict               one row for every job, in their order: source, result, status
-                               ("ok", "failed", "crashed", "timeout", "memory", "lost"), message,
-                               seconds, figures before and after
+                               ("ok", "failed", "crashed", "timeout", "memory", "lost",
+                               "stopped"), message, seconds, figures before and after
 
     Raises
     ------
     MeshFileError              the output folder cannot be made
     InvalidOptionError         a worker has other packages than this process
     MissingDependencyError     pytetwild is needed on this machine and not installed
+    Stopped                    from a KeyboardInterrupt, with the rows of what was finished
     """
     if not jobs:
         return []
@@ -200,6 +209,7 @@ def run_batch(
         raise MeshFileError(msg) from exc
     jobs = [replace(job, work=str(work)) for job in jobs]
     rows: list[Row] = [{} for _ in jobs]
+    stop = None
     if progress is not None:
         progress(f"0 of {len(jobs)}", 0.0)
     try:
@@ -209,9 +219,22 @@ def run_batch(
             rows[index] = row
             if progress is not None:
                 progress(f"{done} of {len(jobs)}", done / len(jobs))
+    except KeyboardInterrupt as exc:
+        stop = exc
     finally:
         _clear(work)
+    if stop is not None:
+        told = [row or _not_done(job) for job, row in zip(jobs, rows, strict=True)]
+        raise Stopped(told) from stop
     return rows
+
+
+def _not_done(job: Job) -> Row:
+    """The row of an input that a batch did not come to: one that is there where it still holds."""
+    with contextlib.suppress(OSError):
+        if old := _recorded(job, job_key(job)):
+            return old | {"resumed": True}
+    return _row(job, {"status": "stopped", "message": "the batch was stopped before its end"})
 
 
 def _work_folder(hidden: Path) -> Path:

@@ -153,7 +153,7 @@ def totals(rows: Sequence[dict[str, Any]], seconds: float) -> list[tuple[str, st
     rows : list of dict
     seconds : float      that it took; what was done before does not count in it
     """
-    fresh = [row for row in rows if not row.get("resumed")]
+    fresh = [row for row in rows if not row.get("resumed") and row["status"] != "stopped"]
     found = []
     if fresh:
         rate = 60.0 * len(fresh) / seconds
