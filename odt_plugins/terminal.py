@@ -86,7 +86,12 @@ def warnings_told() -> Iterator[None]:
 
 @contextmanager
 def progress_bar(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
-    """Show a bar on stderr when that is a terminal; nothing in a pipe."""
+    """Show a bar on stderr when that is a terminal; nothing in a pipe.
+
+    Yields
+    ------
+    what is told a stage and its share, or COMPILING, which is said once above the bar; None
+    """
     if quiet or not sys.stderr.isatty():
         yield None
         return
@@ -98,26 +103,27 @@ def progress_bar(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
                    console=Console(stderr=True), transient=True,
                    redirect_stdout=sys.stdout.isatty())
 
-    class FirstKernel(event.Listener):  # type: ignore[misc]
-        """Tells once that kernels are compiled, which means that none were found in the cache."""
+    said = threading.Event()
 
-        told = False
+    def progress(stage: str, fraction: float) -> None:
+        if stage != COMPILING:
+            bar.update(task, description=stage, total=1.0, completed=min(max(fraction, 0.0), 1.0))
+        elif not said.is_set():
+            said.set()
+            bar.console.print(COMPILING)
+
+    class FirstKernel(event.Listener):  # type: ignore[misc]
+        """Tells that kernels are compiled, which means that none were found in the cache."""
 
         def on_start(self, event: Any) -> None:
-            module = event.data["dispatcher"].py_func.__module__
-            if not self.told and module.startswith("odt_plugins"):
-                self.told = True
-                bar.console.print(COMPILING)
+            if event.data["dispatcher"].py_func.__module__.startswith("odt_plugins"):
+                progress(COMPILING, 0.0)
 
         def on_end(self, event: Any) -> None:
             """Nothing to tell."""
 
     with bar, event.install_listener("numba:compile", FirstKernel()):
         task = bar.add_task("reading", total=None)
-
-        def progress(stage: str, fraction: float) -> None:
-            bar.update(task, description=stage, total=1.0, completed=min(max(fraction, 0.0), 1.0))
-
         yield progress
 
 

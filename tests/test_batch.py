@@ -29,6 +29,7 @@ from odt_plugins.distributed.batch import HIDDEN, Job, find_inputs, job_key, mak
 from odt_plugins.distributed.job import COMPILING, RESULT, compiling, outside
 from odt_plugins.errors import InvalidOptionError, MeshFileError, MissingDependencyError
 from odt_plugins.quality import QualitySummary
+from odt_plugins.terminal import COMPILING as SAID
 
 pytestmark = [
     pytest.mark.timeout(120),
@@ -221,6 +222,24 @@ def test_compiling_kernels_does_not_count_for_the_time_limit(place, monkeypatch)
     (place / COMPILING).write_text("0.0\n0.2\n")
     with pytest.raises(subprocess.TimeoutExpired):
         run(0.1)
+
+
+def test_a_bar_is_told_once_that_kernels_are_compiled(place, monkeypatch):
+    told: list[str] = []
+    paths = [str(write_ball(place / "models" / f"{n}.vtu", n)) for n in (60, 70)]
+
+    def process(job: Job, folder: Path) -> dict[str, Any]:
+        (folder / COMPILING).write_text("1.0\n")
+        wait_until(lambda: SAID in told)
+        return copied(job, folder)
+
+    monkeypatch.setattr(batch, "_process", process)
+    run_batch(make_jobs(paths, place / "out", {}), progress=lambda stage, share: told.append(stage))
+    assert told == ["0 of 2", SAID, "1 of 2", "2 of 2"]
+    told.clear()
+    monkeypatch.setattr(batch, "_process", copied)
+    run_batch(make_jobs(paths, place / "out", {}), progress=lambda stage, share: told.append(stage))
+    assert told == ["0 of 2", "1 of 2", "2 of 2"]
 
 
 FIGURES = {f"{when}_{name}": 1 for when in ("before", "after")

@@ -366,6 +366,11 @@ def test_a_terminal_is_told_once_that_kernels_are_compiled(
         compile_one("odt_plugins.engine.three")
     compile_one("odt_plugins.engine.four")
     assert "compiling" not in capsys.readouterr().err
+    with terminal.progress_bar(quiet=False) as progress:
+        assert progress is not None
+        progress(terminal.COMPILING, 0.0)
+        progress(terminal.COMPILING, 0.0)
+    assert capsys.readouterr().err.count("compiling the kernels, once") == 1
 
 
 @pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])

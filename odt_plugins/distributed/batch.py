@@ -12,6 +12,7 @@ import socket
 import subprocess
 import sys
 import tempfile
+import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, replace
@@ -25,12 +26,15 @@ from odt_plugins.distributed.job import (
     FROM_OUTSIDE,
     RESULT,
     ROW,
+    any_compiles,
     beyond_limit,
     compiling,
     too_little,
 )
 from odt_plugins.distributed.versions import installed_version, versions_here
+from odt_plugins.engine.progress import silent
 from odt_plugins.errors import InvalidOptionError, MeshFileError, exit_name
+from odt_plugins.terminal import COMPILING
 from odt_plugins.tetwild import expect_pytetwild
 
 HIDDEN = ".batch"
@@ -38,6 +42,9 @@ HIDDEN = ".batch"
 
 GONE = "gone-"
 """Begin of the names of work folders that are being removed."""
+
+WATCHED = 0.5
+"""Seconds between two looks at whether kernels are compiled."""
 
 Row = dict[str, Any]
 
@@ -178,7 +185,8 @@ def run_batch(
     jobs : list of Job         see :func:`make_jobs`
     client : distributed.Client, optional
                                its workers see the same files under the same paths
-    progress : callable        is told "3 of 40" and the share
+    progress : callable        is told "3 of 40" and the share; and once, from another thread, that
+                               kernels are compiled
 
     Returns
     -------
@@ -210,15 +218,15 @@ def run_batch(
     jobs = [replace(job, work=str(work)) for job in jobs]
     rows: list[Row] = [{} for _ in jobs]
     stop = None
-    if progress is not None:
-        progress(f"0 of {len(jobs)}", 0.0)
+    tell = progress or silent
+    tell(f"0 of {len(jobs)}", 0.0)
     try:
-        for done, (index, row) in enumerate(_as_they_finish(jobs, client), 1):
-            if isinstance(row, BaseException):
-                row = _row(jobs[index], {"status": "lost", "message": str(row)})
-            rows[index] = row
-            if progress is not None:
-                progress(f"{done} of {len(jobs)}", done / len(jobs))
+        with _compiling_told(work, tell):
+            for done, (index, row) in enumerate(_as_they_finish(jobs, client), 1):
+                if isinstance(row, BaseException):
+                    row = _row(jobs[index], {"status": "lost", "message": str(row)})
+                rows[index] = row
+                tell(f"{done} of {len(jobs)}", done / len(jobs))
     except KeyboardInterrupt as exc:
         stop = exc
     finally:
@@ -227,6 +235,26 @@ def run_batch(
         told = [row or _not_done(job) for job, row in zip(jobs, rows, strict=True)]
         raise Stopped(told) from stop
     return rows
+
+
+@contextlib.contextmanager
+def _compiling_told(work: Path, tell: Callable[[str, float], None]) -> Iterator[None]:
+    """Tell once that kernels are compiled, when a process does that."""
+    over = threading.Event()
+
+    def watch() -> None:
+        while not over.wait(WATCHED):
+            if any_compiles(work):
+                tell(COMPILING, 0.0)
+                return
+
+    thread = threading.Thread(target=watch, daemon=True)
+    thread.start()
+    try:
+        yield
+    finally:
+        over.set()
+        thread.join()
 
 
 def _not_done(job: Job) -> Row:

@@ -97,6 +97,11 @@ def compiling(folder: Path) -> float:
     return min(PREPARING, sum(times[1::2]) - sum(times[::2]))
 
 
+def any_compiles(work: Path) -> bool:
+    """Whether a process of a work folder of a run compiles kernels, or has."""
+    return any(work.glob(f"*/{COMPILING}"))
+
+
 def work(job: dict[str, Any]) -> dict[str, Any]:
     """Read, fill with tetrahedra when asked to, improve, write into the work folder.
 

@@ -161,7 +161,7 @@ def totals(rows: Sequence[dict[str, Any]], seconds: float) -> list[tuple[str, st
         for name, words in (("seconds", "seconds of all together"),
                             ("tetwild_seconds", "of these in TetWild"),
                             ("optimize_seconds", "of these optimising"),
-                            ("compile_seconds", "of these compiling kernels")):
+                            ("compile_seconds", "of these compiling")):
             value = sum(row.get(name) or 0.0 for row in fresh)
             found += [(words, f"{value:.1f}")] if value else []
     good = [row for row in rows if row["status"] == "ok"]
