@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from odt_plugins.components import components
 from odt_plugins.errors import InvalidMeshError, counted
 from odt_plugins.mesh import (
     SPAN_LIMIT,
@@ -175,9 +176,6 @@ def _to_turn(t: IntArray, edges: Edges) -> BoolArray:
     ------
     InvalidMeshError    there is no such choice
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     m = len(t)
     cell, corner = np.nonzero(edges.neighbors >= 0)
     other = edges.neighbors[cell, corner]
@@ -187,8 +185,7 @@ def _to_turn(t: IntArray, edges: Edges) -> BoolArray:
     turned = same_way.astype(np.int64)
     rows = np.concatenate([cell, cell + m])
     columns = np.concatenate([other + turned * m, other + (1 - turned) * m])
-    graph = coo_array((np.ones(len(rows), dtype=np.int8), (rows, columns)), shape=(2 * m, 2 * m))
-    piece = connected_components(graph, directed=False)[1]
+    piece = components(rows, columns, 2 * m)
     stuck = np.flatnonzero(piece[:m] == piece[m:])
     if stuck.size:
         msg = (

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.components import components
 from odt_plugins.mesh import SimplexMesh, row_keys
 from odt_plugins.options import FIGURES
 from odt_plugins.promise import worse_figures
@@ -167,22 +168,17 @@ def _resewn(
     return sentences
 
 
-def _components(rows: NDArray[Any], columns: NDArray[Any], size: int) -> NDArray[np.int32]:
+def _first_members(rows: NDArray[Any], columns: NDArray[Any], size: int) -> NDArray[np.int32]:
     """Connected components, numbered by their first member."""
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
-    ones = np.ones(len(rows), dtype=np.int8)
-    graph = coo_array((ones, (rows, columns)), shape=(size, size)).tocsr()
-    count, label = connected_components(graph, directed=False)
-    first = np.empty(count, dtype=np.int32)
+    label = components(rows, columns, size)
+    first = np.empty(int(label.max(initial=-1)) + 1, dtype=np.int32)
     first[label[::-1]] = np.arange(size - 1, -1, -1, dtype=np.int32)
     return first[label]
 
 
 def _pieces(edges: Edges, n: int) -> NDArray[np.int32]:
     """First vertex of the connected piece of every vertex, (n,)."""
-    return _components(edges.vertices[:, 0], edges.vertices[:, 1], n)
+    return _first_members(edges.vertices[:, 0], edges.vertices[:, 1], n)
 
 
 def _fans(cells: NDArray[Any], edges: Edges, n: int) -> NDArray[np.int64]:
@@ -195,7 +191,7 @@ def _fans(cells: NDArray[Any], edges: Edges, n: int) -> NDArray[np.int64]:
         vertex = cells[cell, at]
         rows.append(3 * cell + at)
         columns.append(3 * other + np.argmax(cells[other] == vertex[:, None], axis=1))
-    label = _components(np.concatenate(rows), np.concatenate(columns), cells.size)
+    label = _first_members(np.concatenate(rows), np.concatenate(columns), cells.size)
     first = label == np.arange(len(label))
     return np.bincount(cells.ravel()[first], minlength=n)
 

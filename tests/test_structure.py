@@ -16,22 +16,23 @@ from odt_plugins import errors
 PACKAGE = Path(odt_plugins.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
-BASE = {"chunks", "errors", "mesh", "numbering", "options", "quality", "promise", "surface",
-        "surface_promise"}
+BASE = {"chunks", "components", "errors", "mesh", "numbering", "options", "quality", "promise",
+        "surface", "surface_promise"}
 MAY_IMPORT = {
     "chunks": set(),
+    "components": set(),
     "errors": set(),
     "mesh": {"chunks", "errors"},
     "numbering": {"mesh"},
     "options": {"errors"},
     "quality": {"chunks", "errors"},
     "planar": {"errors", "mesh"},
-    "surface": {"errors", "mesh"},
-    "surface_promise": {"errors", "mesh", "options", "promise", "quality", "surface"},
+    "surface": {"components", "errors", "mesh"},
+    "surface_promise": {"components", "errors", "mesh", "options", "promise", "quality", "surface"},
     "carry": {"engine", "errors", "mesh"},
     "promise": {"chunks", "errors", "mesh", "numbering", "options", "quality"},
     "engine": {"engine", *BASE},
-    "adapters": {"adapters", "errors", "mesh"},
+    "adapters": {"adapters", "components", "errors", "mesh"},
     "binding": BASE,
     "plotting": {"report", *BASE},
     "report": {"binding", "plotting", "engine", *BASE},

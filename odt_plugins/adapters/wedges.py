@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.host import CHARTS, Feet, KeptCells, Result
+from odt_plugins.components import components
 from odt_plugins.errors import DataNotKeptWarning, counted
 from odt_plugins.mesh import row_keys
 
@@ -35,9 +36,6 @@ def charts(
                         both ends of which their texture coordinates agree
     seams : KeptCells   edges within one chart across which they do not
     """
-    from scipy.sparse import coo_array
-    from scipy.sparse.csgraph import connected_components
-
     m = len(cells)
     n = int(cells.max()) + 1
     start = cells[:, [0, 1, 2]].T.ravel()
@@ -53,9 +51,7 @@ def charts(
     twin = np.flatnonzero(key[order][1:] == key[order][:-1])
     a, b = order[twin], order[twin + 1]
     same = (place[a] == place[b]).all(axis=(1, 2))
-    ones = np.ones(int(same.sum()), dtype=np.int8)
-    graph = coo_array((ones, (face[a[same]], face[b[same]])), shape=(m, m))
-    chart = connected_components(graph, directed=False)[1].astype(np.int64)
+    chart = components(face[a[same]], face[b[same]], m).astype(np.int64)
     inner = ~same & (chart[face[a]] == chart[face[b]])
     return chart, KeptCells(SEAM, edge[a[inner]])
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.components import components
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
 RINGS = 3
@@ -52,15 +53,10 @@ def clusters(cells: IntArray, count: int) -> IntArray:
     -------
     (m,) int32                  group of every cell; cells with a common vertex are together
     """
-    from scipy.sparse import coo_matrix
-    from scipy.sparse.csgraph import connected_components
-
     used, local = np.unique(cells, return_inverse=True)
     local = local.reshape(cells.shape)
     rows, columns = np.repeat(local[:, 0], cells.shape[1] - 1), local[:, 1:].ravel()
-    graph = coo_matrix((np.ones(len(rows), dtype=np.int8), (rows, columns)), (len(used),) * 2)
-    _, component = connected_components(graph, directed=False)
-    of_cell = component[local[:, 0]]
+    of_cell = components(rows, columns, len(used))[local[:, 0]]
     before = np.cumsum(np.bincount(of_cell)) - 1
     return np.asarray(before * count // len(cells), dtype=np.int32)[of_cell]
 

@@ -13,10 +13,8 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
-from scipy.spatial import Delaunay, QhullError
 
+from odt_plugins.components import components
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
 IndexArray = NDArray[np.int64]
@@ -112,6 +110,8 @@ def delaunay_exchange(
     ----------
     L. Chen, M. Holst, CMAME 200 (2011) 967-984, Section 3.2, Theorem 2.3, Lemma 2.7.
     """
+    from scipy.spatial import Delaunay, QhullError
+
     dim = points.shape[1]
     used = np.unique(cells)
     to_used = np.full(len(points), -1, dtype=np.int64)
@@ -304,8 +304,10 @@ def _matching_pieces(
     new_at[ids[len(old_facets):], new_side] = np.arange(len(new_facets)) // width
     has_old, has_new = old_at >= 0, new_at >= 0
     shared = has_old.any(axis=1) & has_new.any(axis=1)
-    old_piece = _components(old_at[has_old.all(axis=1) & ~shared], len(old))
-    new_piece = _components(new_at[has_new.all(axis=1) & ~shared], len(new))
+    old_links = old_at[has_old.all(axis=1) & ~shared]
+    new_links = new_at[has_new.all(axis=1) & ~shared]
+    old_piece = components(old_links[:, 0], old_links[:, 1], len(old)).astype(np.int64)
+    new_piece = components(new_links[:, 0], new_links[:, 1], len(new)).astype(np.int64)
     n_old, n_new = int(old_piece.max()) + 1, int(new_piece.max()) + 1
 
     # open: a facet of one cell that the other mesh lacks, or a side that only one mesh fills
@@ -327,13 +329,6 @@ def _matching_pieces(
     closed = partner >= 0
     partner[closed] = np.where(new_open[partner[closed]], -1, partner[closed])
     return old_piece, new_piece, partner
-
-
-def _components(links: IndexArray, n: int) -> IndexArray:
-    """Connected components of n cells linked in pairs."""
-    graph = coo_array((np.ones(len(links), dtype=np.int8), (links[:, 0], links[:, 1])),
-                      shape=(n, n))
-    return connected_components(graph, directed=False)[1].astype(np.int64)
 
 
 def _rows(

@@ -7,8 +7,6 @@ from functools import partial
 from typing import Any, Literal
 
 import numpy as np
-import scipy.sparse as sp
-from scipy.sparse.linalg import splu
 
 from odt_plugins.engine.density import cell_density, inverse_volume_density
 from odt_plugins.engine.geometry import signed_volumes
@@ -88,6 +86,8 @@ def graph_laplacian(topology: Topology, weights: FloatArray) -> Any:
     ----------
     CMAME 200 (2011) 967-984, (4.24)-(4.26).
     """
+    from scipy.sparse import csr_matrix
+
     n = topology.movable.size
     size = n + topology.neighbors.indices.size
     indptr = np.zeros(n + 1, dtype=np.int32)
@@ -99,7 +99,7 @@ def graph_laplacian(topology: Topology, weights: FloatArray) -> Any:
     _fill_rows(
         topology.cells, stars.indptr, stars.indices, weights, slot, indptr, indices, data
     )
-    matrix = sp.csr_matrix((data, indices, indptr), shape=(n, n))
+    matrix = csr_matrix((data, indices, indptr), shape=(n, n))
     matrix.sort_indices()
     return matrix
 
@@ -116,6 +116,8 @@ def interior_matrix(matrix: Any, movable: BoolArray) -> tuple[Any, Any]:
 
 def solve_direct(matrix: Any, right: FloatArray) -> FloatArray:
     """Solve A X = B with a sparse factorisation used for all columns of B, shape (v, c)."""
+    from scipy.sparse.linalg import splu
+
     factors = splu(
         matrix.tocsc(),
         permc_spec="MMD_AT_PLUS_A",

@@ -14,7 +14,6 @@ from collections.abc import Callable
 from typing import Any, NamedTuple
 
 import numpy as np
-from scipy.sparse.linalg import splu
 
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.errors import NotConvergedWarning
@@ -155,6 +154,8 @@ def multigrid(matrix: Any) -> Hierarchy:
     ----------
     P. Vanek, J. Mandel, M. Brezina, Computing 56 (1996) 179-196: smoothed aggregation.
     """
+    from scipy.sparse.linalg import splu
+
     aggregate: Any = importlib.import_module("pyamg.aggregation.aggregate")
     strength: Any = importlib.import_module("pyamg.strength")
 

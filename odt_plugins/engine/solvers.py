@@ -6,7 +6,6 @@ from functools import partial
 from typing import Any
 
 import numpy as np
-from scipy.optimize import minimize
 
 from odt_plugins.engine.energy import energy
 from odt_plugins.engine.geometry import signed_volumes
@@ -119,6 +118,8 @@ def lbfgs_step(
         else:
             folded.append(vector.copy())
             raise _Folded
+
+    from scipy.optimize import minimize
 
     options: Any = {"maxiter": iterations, "maxfun": 5 * iterations, "ftol": 0.0, "gtol": 1e-12}
     run: Any = minimize

@@ -6,9 +6,8 @@ from collections.abc import Callable
 from functools import partial
 
 import numpy as np
-from scipy.sparse import coo_array
-from scipy.sparse.csgraph import connected_components
 
+from odt_plugins.components import components
 from odt_plugins.engine.energy import energy
 from odt_plugins.engine.geometry import barycenters, circumcenters, signed_volumes
 from odt_plugins.engine.gradient import centers_gradient
@@ -166,8 +165,7 @@ def _pins(triangles: IntArray, movable: BoolArray) -> IntArray:
     """First vertex of every connected piece without a vertex that is held."""
     n = len(movable)
     start, end = triangles.ravel(), triangles[:, [1, 2, 0]].ravel()
-    graph = coo_array((np.ones(len(start), dtype=np.int8), (start, end)), shape=(n, n))
-    piece = connected_components(graph, directed=False)[1]
+    piece = components(start, end, n)
     loose = np.ones(int(piece.max()) + 1, dtype=np.bool_)
     loose[piece[~movable]] = False
     first = np.unique(piece, return_index=True)[1]
