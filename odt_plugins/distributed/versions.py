@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from functools import cache
 from importlib.metadata import PackageNotFoundError, version
 
 from odt_plugins.errors import InvalidOptionError
@@ -10,8 +11,9 @@ from odt_plugins.errors import InvalidOptionError
 PACKAGES = ("odt-plugins", "numpy", "scipy", "numba", "pyamg")
 
 
+@cache
 def installed_version(name: str) -> str:
-    """Version of a package as installed here, or "not installed"."""
+    """Version of a package as this process first found it, or "not installed"."""
     try:
         return version(name)
     except PackageNotFoundError:
