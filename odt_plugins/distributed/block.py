@@ -93,10 +93,14 @@ def cut_out(
     SimplexMesh, and its vertices (v,) int in the numbering of the whole
     """
     cells = mesh.cells[members]
-    vertices, number = np.unique(cells, return_inverse=True)
+    inside = np.zeros(len(mesh.points), dtype=np.bool_)
+    inside[cells] = True
+    vertices = np.flatnonzero(inside)
+    number = np.empty(len(inside), dtype=np.int32)
+    number[vertices] = np.arange(len(vertices), dtype=np.int32)
     block = SimplexMesh(
         points=np.ascontiguousarray(mesh.points[vertices]),
-        cells=np.ascontiguousarray(number.reshape(cells.shape), dtype=np.int32),
+        cells=number[cells],
         regions=np.ascontiguousarray(mesh.regions[members]),
         fixed=mesh.fixed[vertices] | rim[vertices],
     )

@@ -139,7 +139,7 @@ def _rims(mesh: SimplexMesh, label: IntArray) -> tuple[BoolArray, IntArray, Bool
     n = len(mesh.points)
     touched = np.zeros(n, dtype=np.bool_)
     touched[mesh.cells[label >= 0]] = True
-    near = np.flatnonzero(touched[mesh.cells].any(axis=1))
+    near = np.flatnonzero(rings(touched, mesh.cells, 1))
     cells, label, frozen = mesh.cells[near], label[near], mesh.frozen[near]
     held, patch = seams(cells, label, n)
     if not frozen.any():

@@ -37,13 +37,20 @@ def bricks(points: FloatArray, cells: IntArray, count: int) -> IntArray:
             continue
         at = centres[members]
         axis = int(np.argmax(at.max(axis=0) - at.min(axis=0)))
-        order = np.argsort(at[:, axis], kind="stable")
         low = parts // 2
-        inside = np.zeros(len(members), dtype=np.bool_)
-        inside[order[: len(members) * low // parts]] = True
+        inside = _lowest(at[:, axis], len(members) * low // parts)
         pending.append((members[inside], first, low))
         pending.append((members[~inside], first + low, parts - low))
     return label
+
+
+def _lowest(values: FloatArray, count: int) -> BoolArray:
+    """Say which are the lowest ``count``, fewer than all; of equal ones the first."""
+    limit = np.partition(values, count)[count]
+    inside: BoolArray = values < limit
+    equal = np.flatnonzero(values == limit)
+    inside[equal[: count - int(inside.sum())]] = True
+    return inside
 
 
 def clusters(cells: IntArray, count: int) -> IntArray:

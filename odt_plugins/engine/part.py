@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from odt_plugins.engine.complex import Complex, make_complex
+from odt_plugins.engine.kernel import kernel
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
 RINGS = 2
@@ -69,10 +70,20 @@ def rings(vertices: BoolArray, cells: IntArray, count: int) -> BoolArray:
     marked = vertices.copy()
     near: BoolArray = np.zeros(len(cells), dtype=np.bool_)
     for turn in range(count):
-        near = np.asarray(marked[cells].any(axis=1), dtype=np.bool_)
+        _mark_cells(marked, cells, near)
         if turn < count - 1:
             marked[cells[near]] = True
     return near
+
+
+@kernel
+def _mark_cells(marked: BoolArray, cells: IntArray, near: BoolArray) -> None:
+    """Cells with a marked vertex."""
+    for c in range(cells.shape[0]):
+        found = False
+        for a in range(cells.shape[1]):
+            found |= marked[cells[c, a]]
+        near[c] = found
 
 
 def joined(mesh: Complex | Part) -> Complex:
