@@ -219,7 +219,7 @@ def test_vertex_that_qhull_hides_keeps_its_cells(dim, monkeypatch):
             rest = np.delete(np.arange(len(x)), lost)
             return SimpleNamespace(simplices=rest[Delaunay(x[rest]).simplices])
 
-        monkeypatch.setattr(delaunay, "Delaunay", hiding)
+        monkeypatch.setattr("scipy.spatial.Delaunay", hiding)
         new, labels, stats = delaunay_exchange(points, cells, regions)
         check_kept(points, cells, regions, new, labels)
         hidden += stats.hidden_vertex
@@ -274,7 +274,7 @@ def test_qhull_failure_leaves_the_mesh(monkeypatch, error):
     def fail(*_):
         raise error
 
-    monkeypatch.setattr(delaunay, "Delaunay", fail)
+    monkeypatch.setattr("scipy.spatial.Delaunay", fail)
     points, cells = holed_mesh(2, 1)
     regions = regions_of(points, cells, "two")
     new, labels, stats = delaunay_exchange(points, cells, regions)

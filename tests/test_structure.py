@@ -158,6 +158,15 @@ print(took, first, second)
     assert float(took) < 1.0
 
 
+def test_workers_load_scipy_only_when_they_need_it():
+    code = """
+import sys
+import odt_plugins.distributed.block
+print("numba" in sys.modules, "scipy" in sys.modules)
+"""
+    assert run(code).split() == ["True", "False"]
+
+
 def test_arrays_need_no_toolkit():
     blocked = [name for name in TOOLKITS if name != "meshio"]
     code = f"""
