@@ -27,6 +27,7 @@ from odt_plugins.compare.start import ball
 from odt_plugins.distributed import batch
 from odt_plugins.distributed.batch import HIDDEN, Job, find_inputs, job_key, make_jobs, run_batch
 from odt_plugins.distributed.job import COMPILING, RESULT, compiling, outside
+from odt_plugins.distributed.scratch import GONE, clear, make_scratch
 from odt_plugins.errors import InvalidOptionError, MeshFileError, MissingDependencyError
 from odt_plugins.quality import QualitySummary
 from odt_plugins.terminal import COMPILING as SAID
@@ -512,13 +513,13 @@ def test_a_run_that_was_killed_is_cleared_away_and_one_that_works_is_not(place):
     hidden.mkdir(parents=True)
     with subprocess.Popen([sys.executable, "-c", ""]) as gone:
         gone.wait()
-    mine = batch._work_folder(hidden)
+    mine = make_scratch(hidden, "work")
     dead = hidden / mine.name.replace(f"-{os.getpid()}-", f"-{gone.pid}-")
     (dead / "inner").mkdir(parents=True)
     other = hidden / "work-elsewhere-1-x"
     other.mkdir()
-    (hidden / f"{batch.GONE}work").mkdir()
-    again = batch._work_folder(hidden)
+    (hidden / f"work-elsewhere-2-x{GONE}").mkdir()
+    again = make_scratch(hidden, "work")
     assert sorted(hidden.iterdir()) == sorted([mine, again, other])
 
 
@@ -535,7 +536,7 @@ def test_a_process_ends_when_its_work_folder_is_gone(place):
         process.stdin.close()
         with pytest.raises(subprocess.TimeoutExpired):
             process.wait(2)
-        batch._clear(work)
+        clear(work)
         assert process.wait(30) == -signal.SIGKILL
 
 

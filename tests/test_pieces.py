@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import errno
 import os
 import resource
+import socket
 import subprocess
 import sys
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -18,11 +21,14 @@ import tet_meshes
 import odt_plugins
 from odt_plugins import cli
 from odt_plugins.compare.start import ball
+from odt_plugins.distributed import pieces, placing
 from odt_plugins.distributed.figures import figures_of, total, worse
 from odt_plugins.distributed.partition import bricks
 from odt_plugins.distributed.pieces import optimize_pieces
+from odt_plugins.distributed.store import Piece, join
 from odt_plugins.errors import (
     DataNotKeptWarning,
+    InvalidMeshError,
     InvalidOptionError,
     MeshFileError,
     UnsupportedMeshError,
@@ -31,7 +37,9 @@ from odt_plugins.mesh import simplex_mesh
 from odt_plugins.promise import broken_promises
 
 
-def write_pieces(folder: Path, points: Any, cells: Any, label: Any, **data: Any) -> Path:
+def write_pieces(
+    folder: Path, points: Any, cells: Any, label: Any, ids: Any = None, **data: Any
+) -> Path:
     """Write the cells of every label as a file, and the .pvtu file that names them."""
     folder.mkdir()
     names = []
@@ -40,13 +48,14 @@ def write_pieces(folder: Path, points: Any, cells: Any, label: Any, **data: Any)
         used, number = np.unique(cells[members], return_inverse=True)
         names.append(f"piece-{k}.vtu")
         meshio.Mesh(points[used], [("tetra", number.reshape(-1, 4))],
-                    point_data={"was": used},
+                    point_data={"was": used} | (
+                        {} if ids is None else {"GlobalPointIds": ids[used]}),
                     cell_data={name: [values[members]] for name, values in data.items()},
                     ).write(folder / names[-1])
-    pieces = "".join(f'<Piece Source="{folder.name}/{name}"/>' for name in names)
+    named = "".join(f'<Piece Source="{folder.name}/{name}"/>' for name in names)
     index = folder.with_suffix(".pvtu")
     index.write_text('<VTKFile type="PUnstructuredGrid"><PUnstructuredGrid GhostLevel="0">'
-                     f"{pieces}</PUnstructuredGrid></VTKFile>")
+                     f"{named}</PUnstructuredGrid></VTKFile>")
     return index
 
 
@@ -176,7 +185,8 @@ def test_a_process_with_too_little_memory_for_the_whole_is_enough_for_the_pieces
 
     whole = run("whole.vtu", "out.vtu")
     assert whole.returncode != 0
-    assert any(word in whole.stderr for word in ("MemoryError", "allocate", "bad_alloc"))
+    assert any(word in whole.stderr for word in ("MemoryError", "allocate", "bad_alloc",
+                                                  "out of memory"))
     pieces = run("in.pvtu", "out.pvtu")
     assert pieces.returncode == 0, pieces.stderr
     points, cells, _, _ = glued(tmp_path / "out.pvtu", len(start.points))
@@ -218,14 +228,210 @@ def test_what_does_not_go_with_pieces_is_refused(tmp_path):
     (tmp_path / "in" / "piece-1.vtu").unlink()
     with pytest.raises(MeshFileError, match=r"piece-1\.vtu is missing"):
         optimize_pieces(index, tmp_path / "out.pvtu")
-    index.write_text(index.read_text().replace('GhostLevel="0"', 'GhostLevel="1"'))
-    with pytest.raises(MeshFileError, match="ghost cells"):
-        optimize_pieces(index, tmp_path / "out.pvtu")
     meshio.Mesh(start.points, [("triangle", start.cells[:, :3])]).write(
         tmp_path / "in" / "piece-0.vtu")
     with pytest.raises(UnsupportedMeshError, match="linear tetrahedra"):
         optimize_pieces(tmp_path / "in", tmp_path / "out.pvtu")
     assert sorted(os.listdir(tmp_path)) == ["in", "in.pvtu"]
+
+
+def test_folders_of_others_stay_and_those_of_killed_runs_go(tmp_path):
+    start = ball(150)
+    label = bricks(start.points, start.cells, 2)
+    write_pieces(tmp_path / "out", start.points, start.cells, label)
+    (tmp_path / "out" / "notes.txt").write_text("mine")
+    (tmp_path / "out-2").mkdir()
+    with subprocess.Popen([sys.executable, "-c", ""]) as gone:
+        gone.wait()
+    (tmp_path / f".out-{socket.gethostname()}-{gone.pid}-x").mkdir()
+    (tmp_path / ".out-elsewhere-1-x").mkdir()
+    before = {path: path.read_bytes() for path in (tmp_path / "out").iterdir()}
+    for name in ("out-3", "out-4", "out-3"):
+        optimize_pieces(tmp_path / "out", tmp_path / "out.pvtu")
+        glued(tmp_path / "out.pvtu", len(start.points))
+        assert sorted(os.listdir(tmp_path)) == [".out-elsewhere-1-x", "out", "out-2", name,
+                                                "out.pvtu"]
+    assert {path: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
+    optimize_pieces(tmp_path / "out.pvtu", tmp_path / "out.pvtu")
+    assert os.path.isdir(tmp_path / "out-4")
+    assert not os.path.isdir(tmp_path / "out-3")
+
+
+def test_an_index_that_cannot_be_written_leaves_the_old_result(tmp_path, monkeypatch):
+    start = ball(100)
+    index = write_pieces(tmp_path / "in", start.points, start.cells,
+                         bricks(start.points, start.cells, 2))
+    optimize_pieces(index, tmp_path / "out.pvtu")
+    old = sorted(tmp_path.rglob("*"))
+
+    def refuse(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(placing, "write_index", refuse)
+    with pytest.raises(MeshFileError, match="No space left"):
+        optimize_pieces(index, tmp_path / "out.pvtu")
+    assert sorted(tmp_path.rglob("*")) == old
+    glued(tmp_path / "out.pvtu", len(start.points))
+
+
+def test_numbers_that_come_with_the_pieces_tell_which_vertices_are_one(tmp_path):
+    start = ball(900)
+    x = start.points[start.cells].mean(axis=1)
+    ids = 7 * np.random.default_rng(1).permutation(2 * len(start.points))
+    left = start.cells[x[:, 0] < 0.0]
+    # two bodies that touch: every vertex of one is another vertex than those of the other
+    points = np.vstack([start.points, start.points])
+    cells = np.vstack([left + len(start.points), start.cells[x[:, 0] >= 0.0]])
+    label = (points[cells].mean(axis=1)[:, 1] > 0.0).astype(int)
+    used, number = np.unique(cells, return_inverse=True)
+    points, cells, ids = points[used], number.reshape(-1, 4), ids[used]
+    write_pieces(tmp_path / "in", points, cells, label)
+    with pytest.raises(InvalidMeshError, match=r"where one of them has several.*GlobalPointIds"):
+        optimize_pieces(tmp_path / "in", tmp_path / "out.pvtu")
+    write_pieces(tmp_path / "told", points, cells, label, ids)
+    report = optimize_pieces(tmp_path / "told", tmp_path / "out.pvtu")
+    after, result, _, found = glued(tmp_path / "out.pvtu", len(points))
+    mesh = simplex_mesh(points, cells)[0]
+    assert not broken_promises(mesh, after, result.astype(np.int32),
+                               np.zeros(len(result), np.int32))
+    assert np.array_equal(found, ids)
+    assert report.after.mean_quality > report.before.mean_quality + 0.1
+    shared = np.intersect1d(*(cells[label == k] for k in (0, 1)))
+    assert report.interface == len(shared)
+    assert (after[shared] != points[shared]).any()
+
+
+@pytest.mark.parametrize(("spoil", "match"), [
+    (lambda ids, shared: np.where(ids == shared[0], shared[1], ids), "for several vertices each"),
+    (lambda ids, shared: np.where(ids == shared[0], shared[1],
+                                  np.where(ids == shared[1], shared[0], ids)),
+     "in GlobalPointIds at several places"),
+])
+def test_numbers_that_cannot_be_are_refused(tmp_path, spoil, match):
+    start = ball(150)
+    label = bricks(start.points, start.cells, 2)
+    index = write_pieces(tmp_path / "in", start.points, start.cells, label,
+                         np.arange(len(start.points)))
+    path = tmp_path / "in" / "piece-1.vtu"
+    mesh = meshio.read(path)
+    shared = np.intersect1d(*(start.cells[label == k] for k in (0, 1)))
+    mesh.point_data["GlobalPointIds"] = spoil(mesh.point_data["GlobalPointIds"], shared)
+    mesh.write(path)
+    with pytest.raises(InvalidMeshError, match=match):
+        optimize_pieces(index, tmp_path / "out.pvtu")
+    assert sorted(os.listdir(tmp_path)) == ["in", "in.pvtu"]
+
+
+def test_vertices_of_one_number_at_several_places_are_never_joined():
+    start = ball(60)
+    n = len(start.points)
+    piece = Piece(start.points, start.cells, np.zeros(len(start.cells), np.int64), np.arange(n),
+                  np.ones(n), np.ones(n, bool))
+    assert len(join([piece, piece])[0].points) == n
+    with pytest.raises(InvalidMeshError, match="at several places, as number 3"):
+        join([piece, replace(piece, points=piece.points + 1e-9 * (np.arange(n) == 3)[:, None])])
+
+
+def with_ghosts(folder: Path, start: Any, label: Any, marker: Any) -> None:
+    """Write pieces that each hold the cells around their vertices as well."""
+    folder.mkdir()
+    for k in np.unique(label):
+        own = label == k
+        members = np.flatnonzero(np.isin(start.cells, start.cells[own]).any(axis=1))
+        used, number = np.unique(start.cells[members], return_inverse=True)
+        ghosts = np.where(own[members], 0, 1).astype(np.uint8)
+        meshio.Mesh(start.points[used], [("tetra", number.reshape(-1, 4))],
+                    point_data={"was": used, "vtkGhostType": np.zeros(len(used), np.uint8)},
+                    cell_data={"vtkGhostType": [ghosts], "marker": [marker[members]]},
+                    ).write(folder / f"piece-{k}.vtu")
+
+
+def test_ghost_cells_and_empty_pieces_are_left_out(tmp_path, recwarn):
+    start = ball(600)
+    marker = (start.points[start.cells].mean(axis=1)[:, 0] > 0.1).astype(np.int64)
+    label = bricks(start.points, start.cells, 3)
+    write_pieces(tmp_path / "plain", start.points, start.cells, label, marker=marker)
+    with_ghosts(tmp_path / "ghosts", start, label, marker)
+    (tmp_path / "ghosts" / "piece-00.vtu").write_text(
+        '<VTKFile type="UnstructuredGrid"><UnstructuredGrid><Piece NumberOfPoints="0" '
+        'NumberOfCells="0"></Piece></UnstructuredGrid></VTKFile>')
+    results = []
+    for name in ("plain", "ghosts"):
+        optimize_pieces(tmp_path / name, tmp_path / "out.pvtu")
+        results.append(glued(tmp_path / "out.pvtu", len(start.points)))
+        mesh = meshio.read(next((tmp_path / "out").glob("*.vtu")) if name == "plain" else
+                           next((tmp_path / "out-2").glob("*.vtu")))
+        assert set(mesh.point_data) == {"was", "GlobalPointIds"}
+    assert all(np.array_equal(a, b) for a, b in zip(*results, strict=True))
+    assert not recwarn
+    index = (tmp_path / "ghosts.pvtu")
+    index.write_text((tmp_path / "plain.pvtu").read_text().replace('Level="0"', 'Level="1"')
+                     .replace("plain/", "ghosts/"))
+    optimize_pieces(index, tmp_path / "out.pvtu")
+    assert np.array_equal(glued(tmp_path / "out.pvtu", len(start.points))[0], results[0][0])
+    index.write_text(index.read_text().replace("ghosts/", "plain/"))
+    with pytest.raises(InvalidMeshError, match="the cell array vtkGhostType"):
+        optimize_pieces(index, tmp_path / "out.pvtu")
+
+
+def test_pieces_that_overlap_and_pieces_without_cells_are_refused(tmp_path):
+    start = ball(150)
+    label = bricks(start.points, start.cells, 2)
+    write_pieces(tmp_path / "in", start.points, start.cells, label)
+    one = meshio.read(tmp_path / "in" / "piece-1.vtu")
+    both = np.flatnonzero((label == 1) | (np.arange(len(label)) < 40))
+    used, number = np.unique(start.cells[both], return_inverse=True)
+    meshio.Mesh(start.points[used], [("tetra", number.reshape(-1, 4))],
+                point_data={"was": used}).write(tmp_path / "in" / "piece-1.vtu")
+    assert len(one.cells[0]) < len(both)
+    with pytest.raises(InvalidMeshError, match="pieces overlap at"):
+        optimize_pieces(tmp_path / "in", tmp_path / "out.pvtu")
+    for k in (0, 1):
+        (tmp_path / "in" / f"piece-{k}.vtu").write_text(
+            '<VTKFile type="UnstructuredGrid"><UnstructuredGrid><Piece NumberOfPoints="0" '
+            'NumberOfCells="0"></Piece></UnstructuredGrid></VTKFile>')
+    with pytest.raises(InvalidMeshError, match="the pieces have no cells"):
+        optimize_pieces(tmp_path / "in", tmp_path / "out.pvtu")
+    assert sorted(os.listdir(tmp_path)) == ["in", "in.pvtu"]
+
+
+def test_point_arrays_that_some_pieces_lack_are_named(tmp_path):
+    start = ball(150)
+    index = write_pieces(tmp_path / "in", start.points, start.cells,
+                         bricks(start.points, start.cells, 2))
+    mesh = meshio.read(tmp_path / "in" / "piece-0.vtu")
+    mesh.point_data["extra"] = np.zeros((len(mesh.points), 3))
+    mesh.write(tmp_path / "in" / "piece-0.vtu")
+    with pytest.warns(DataNotKeptWarning, match="not have alike do not come through: extra"):
+        optimize_pieces(index, tmp_path / "out.pvtu")
+    glued(tmp_path / "out.pvtu", len(start.points))
+
+
+def test_cells_of_mixed_orientation_are_turned_when_asked(tmp_path):
+    start = ball(150)
+    cells = start.cells.copy()
+    cells[::5] = cells[::5, [1, 0, 2, 3]]
+    index = write_pieces(tmp_path / "in", start.points, cells,
+                         bricks(start.points, start.cells, 2))
+    with pytest.raises(InvalidMeshError, match="orient=True"):
+        optimize_pieces(index, tmp_path / "out.pvtu")
+    optimize_pieces(index, tmp_path / "out.pvtu", odt={"orient": True})
+    points, result, _, _ = glued(tmp_path / "out.pvtu", len(start.points))
+    assert tet_meshes.signed_volumes(points, result).min() > 0.0
+
+
+def test_an_input_that_nothing_betters_comes_back_with_its_vertices_numbered(
+    tmp_path, monkeypatch
+):
+    start = ball(200)
+    index = write_pieces(tmp_path / "in", start.points, start.cells,
+                         bricks(start.points, start.cells, 2))
+    monkeypatch.setattr(pieces, "worse", lambda *_: ["too bad"])
+    report = optimize_pieces(index, tmp_path / "out.pvtu")
+    assert report.fallback == "a later round was given up (too bad)"
+    points, cells, _, _ = glued(tmp_path / "out.pvtu", len(start.points))
+    assert np.array_equal(points, start.points)
+    assert sorted(map(tuple, np.sort(cells))) == sorted(map(tuple, np.sort(start.cells)))
 
 
 @pytest.mark.skipif(sys.platform == "win32", reason="limits of POSIX")

@@ -8,7 +8,6 @@ import json
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import tempfile
@@ -31,6 +30,7 @@ from odt_plugins.distributed.job import (
     compiling,
     too_little,
 )
+from odt_plugins.distributed.scratch import clear, make_scratch
 from odt_plugins.distributed.versions import installed_version, versions_here
 from odt_plugins.engine.progress import silent
 from odt_plugins.errors import InvalidOptionError, MeshFileError, exit_name
@@ -39,9 +39,6 @@ from odt_plugins.tetwild import expect_pytetwild
 
 HIDDEN = ".batch"
 """Folder within the output: rows of what is done, and a work folder for every run."""
-
-GONE = "gone-"
-"""Begin of the names of work folders that are being removed."""
 
 WATCHED = 0.5
 """Seconds between two looks at whether kernels are compiled."""
@@ -209,7 +206,7 @@ def run_batch(
     hidden = Path(jobs[0].out) / HIDDEN
     try:
         hidden.mkdir(parents=True, exist_ok=True)
-        work = _work_folder(hidden)
+        work = make_scratch(hidden, "work")
         with tempfile.TemporaryFile(dir=work):
             pass
     except OSError as exc:
@@ -230,7 +227,7 @@ def run_batch(
     except KeyboardInterrupt as exc:
         stop = exc
     finally:
-        _clear(work)
+        clear(work)
     if stop is not None:
         told = [row or _not_done(job) for job, row in zip(jobs, rows, strict=True)]
         raise Stopped(told) from stop
@@ -263,29 +260,6 @@ def _not_done(job: Job) -> Row:
         if old := _recorded(job, job_key(job)):
             return old | {"resumed": True}
     return _row(job, {"status": "stopped", "message": "the batch was stopped before its end"})
-
-
-def _work_folder(hidden: Path) -> Path:
-    """Make the work folder of this run, and clear away those of runs that were killed here."""
-    for old in hidden.glob(f"{GONE}*"):
-        shutil.rmtree(old, ignore_errors=True)
-    start = f"work-{socket.gethostname()}-"
-    for old in hidden.glob(f"{start}*"):
-        try:
-            os.kill(int(old.name.removeprefix(start).partition("-")[0]), 0)
-        except ProcessLookupError:
-            _clear(old)
-        except (ValueError, OSError):
-            pass
-    return Path(tempfile.mkdtemp(prefix=f"{start}{os.getpid()}-", dir=hidden))
-
-
-def _clear(work: Path) -> None:
-    """Remove a work folder at one stroke; processes that still work in it then end themselves."""
-    gone = work.with_name(GONE + work.name)
-    with contextlib.suppress(OSError):
-        os.replace(work, gone)
-    shutil.rmtree(gone, ignore_errors=True)
 
 
 def _as_they_finish(jobs: Sequence[Job], client: Any) -> Iterator[tuple[int, Any]]:

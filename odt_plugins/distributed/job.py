@@ -30,7 +30,8 @@ times of a monotonic clock at which that began and ended, by turns."""
 FROM_OUTSIDE = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 """Signals that come from the user or from a system short of memory, not from the input."""
 
-REFUSED = ("bad_alloc", "Cannot allocate memory", "Resource temporarily unavailable")
+REFUSED = ("bad_alloc", "Cannot allocate memory", "Resource temporarily unavailable",
+           "out of memory")
 """What libraries say of memory that the system refuses them, for the stack of a thread as well."""
 
 

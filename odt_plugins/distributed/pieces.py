@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import os
-import shutil
-import tempfile
 import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
@@ -29,9 +27,18 @@ from odt_plugins.distributed.piecework import (
     split,
     take_in,
 )
-from odt_plugins.distributed.store import piece_files, write_index
-from odt_plugins.errors import DataNotKeptWarning, InvalidOptionError, MeshFileError, writing
-from odt_plugins.mesh import IntArray
+from odt_plugins.distributed.placing import piece_name, place_pieces
+from odt_plugins.distributed.scratch import clear, make_scratch
+from odt_plugins.distributed.store import GHOSTS, IDS, piece_files
+from odt_plugins.errors import (
+    DataNotKeptWarning,
+    InvalidMeshError,
+    InvalidOptionError,
+    MeshFileError,
+    counted,
+    writing,
+)
+from odt_plugins.mesh import FloatArray, IntArray
 from odt_plugins.options import Options
 
 REGIONS = "marker"
@@ -78,14 +85,16 @@ def optimize_pieces(
     """Improve a mesh of tetrahedra whose pieces are files, without ever holding it as a whole.
 
     A process holds one piece at a time, or what lies around the seams of some. Pieces have those
-    vertices in common whose coordinates are the same bits.
+    vertices in common that have the same number in the point array GlobalPointIds, or when not all
+    come with it, whose coordinates are the same bits.
 
     Parameters
     ----------
     source : path
-        A .pvtu file without ghost cells, or a directory of .vtu files.
+        A .pvtu file, or a directory of .vtu files. Cells that the array vtkGhostType gives to
+        another piece are left out, and so are empty pieces.
     target : path
-        A .pvtu file; its pieces go into a directory of its name beside it. What lies around the
+        A .pvtu file; its pieces go into a new directory of its name beside it. What lies around the
         interfaces of the input comes as pieces of its own. Vertices of several pieces have the
         same number in the point array GlobalPointIds; coordinates are float64.
     rounds : int
@@ -114,19 +123,22 @@ def optimize_pieces(
     options = make_options(**(odt or {}))
     check(1, rounds, workers, options, several=False)
     _check_for_pieces(options)
-    sources, index = piece_files(source), Path(target).absolute()
+    (sources, ghosts), index = piece_files(source), Path(target).absolute()
+    if index.is_dir():
+        msg = f"cannot write {target}: it is a directory; expected a path for a file"
+        raise MeshFileError(msg)
     if index.suffix != ".pvtu":
         msg = f"cannot write {target}: expected a file ending in .pvtu"
         raise MeshFileError(msg)
     folder = None
     try:
         with writing(target, "another directory"):
-            folder = Path(tempfile.mkdtemp(prefix=f".{index.stem}-", dir=index.parent))
+            folder = make_scratch(index.parent, f".{index.stem}")
             with executor(client, workers) as apply:
-                return _run(sources, index, folder, rounds, options, apply)
+                return _run(sources, index, folder, rounds, options, apply, ghosts=ghosts)
     finally:
         if folder is not None:
-            shutil.rmtree(folder, ignore_errors=True)
+            clear(folder)
 
 
 def _check_for_pieces(options: Options) -> None:
@@ -143,7 +155,8 @@ def _check_for_pieces(options: Options) -> None:
 
 
 def _run(
-    sources: Sequence[str], index: Path, folder: Path, rounds: int, options: Options, apply: Apply
+    sources: Sequence[str], index: Path, folder: Path, rounds: int, options: Options,
+    apply: Apply, *, ghosts: bool,
 ) -> PiecesReport:
     named = options.regions if isinstance(options.regions, str) else None
     report, options = options.progress, replace(options, regions=None, progress=None)
@@ -152,15 +165,16 @@ def _run(
         return told(apply, report, name, count)
 
     read = stage("reading", len(sources))
-    taken: list[Taken] = list(read(partial(take_in, regions=named), [
-        (path, str(folder / f"0-{k}.npz")) for k, path in enumerate(sources)]))
+    found = read(partial(take_in, regions=named, orient=options.orient), [
+        (path, str(folder / f"0-{k}.npz")) for k, path in enumerate(sources)])
+    taken: list[Taken] = [part for part in found if part is not None]
+    _check_taken(taken, ghosts=ghosts)
     names = {part.regions for part in taken}
     if len(names) > 1:
         msg = f"got pieces with labels in different cell arrays ({names}); expected one name in all"
         raise InvalidOptionError(msg)
     name = names.pop() or REGIONS
-    _tell_lost(taken)
-    numbers, waiting = _number(taken)
+    numbers, waiting = _number(taken, _data_of_all(taken))
     improve = stage("round 1", len(taken))
     done: list[Done] = list(improve(partial(first_round, options=options), [
         (part.path, str(folder / f"1-{k}.npz"), number)
@@ -179,38 +193,86 @@ def _run(
         broken = now
         states.pop()
         after.pop()
-    _publish(states[-1], index, folder, partial(
+    given = numbers if len(states) == 1 else [None] * len(states[-1])
+    _publish(list(zip(states[-1], given, strict=True)), index, folder, partial(
         publish, regions=name, orientation=taken[0].orientation), stage("writing", len(states[-1])))
     fallback = f"a later round was given up ({'; '.join(broken)})" if broken else None
     return PiecesReport(before, after[-1], len(states[-1]), interface, fallback)
 
 
-def _tell_lost(taken: Sequence[Taken]) -> None:
+def _check_taken(taken: Sequence[Taken], *, ghosts: bool) -> None:
+    if not taken:
+        msg = "the pieces have no cells; expected tetrahedra"
+        raise InvalidMeshError(msg)
+    if ghosts and not all(part.ghosts for part in taken):
+        msg = (f"got pieces with ghost cells; expected the cell array {GHOSTS} that tells which "
+               "they are, or every cell in one piece only")
+        raise InvalidMeshError(msg)
+
+
+def _data_of_all(taken: Sequence[Taken]) -> tuple[str, ...]:
+    """Names of the point arrays that all pieces have alike; warns of everything else."""
     lost = sorted({name for part in taken for name in part.lost})
     if lost:
         msg = f"of cell arrays only regions come through pieces, not {', '.join(lost)}"
         warnings.warn(msg, DataNotKeptWarning, stacklevel=4)
+    alike = [name for name, kind in taken[0].data.items()
+             if all(part.data.get(name) == kind for part in taken)]
+    other = sorted({name for part in taken for name in part.data} - set(alike))
+    if other:
+        msg = f"point arrays that pieces do not have alike do not come through: {', '.join(other)}"
+        warnings.warn(msg, DataNotKeptWarning, stacklevel=4)
+    return tuple(alike)
 
 
-def _number(taken: Sequence[Taken]) -> tuple[list[Numbers], Ids]:
-    """Find vertices of several pieces by their coordinates; numbers for all, and their ids."""
+def _number(taken: Sequence[Taken], data: tuple[str, ...]) -> tuple[list[Numbers], Ids]:
+    """Find vertices of several pieces; numbers for all, and those of the vertices found.
+
+    Raises
+    ------
+    InvalidMeshError      numbers that came with the pieces, or coordinates, do not tell
+    """
     points = np.ascontiguousarray(np.concatenate([part.points for part in taken]) + 0.0)
-    first = np.cumsum([0, *(part.vertices for part in taken)])
-    ids = np.concatenate([part.rim + start for part, start in zip(taken, first[:-1], strict=True)])
-    _, one, inverse, count = np.unique(
-        points.view("V24").ravel(), return_index=True, return_inverse=True, return_counts=True)
+    lengths = [len(part.rim) for part in taken]
+    piece = np.repeat(np.arange(len(taken)), lengths)
+    first = np.cumsum([0, *(part.vertices for part in taken)])[:-1]
+    given = [part.ids for part in taken if part.ids is not None]
+    came = len(given) == len(taken)
+    ids = np.concatenate(given if came else [
+        part.rim + start for part, start in zip(taken, first, strict=True)])
+    _, one, inverse = np.unique(ids if came else points.view("V24").ravel(),
+                                return_index=True, return_inverse=True)
     inverse = inverse.ravel()
-    sizes = np.exp(np.bincount(inverse, np.log(np.concatenate([p.sizes for p in taken]))) / count)
+    if came:
+        _expect_one_place(ids, points, points[one[inverse]])
+    members = np.bincount(inverse)
+    pieces = np.bincount(np.unique(inverse * len(taken) + piece) // len(taken))
+    unclear = np.flatnonzero((pieces > 1) & (members > pieces))
+    if len(unclear):
+        msg = (f"pieces meet at {counted(len(unclear), 'place')} where one of them has several "
+               f"vertices, as at {points[one[unclear[0]]].tolist()}; expected the point array "
+               f"{IDS} to tell which of them are one")
+        raise InvalidMeshError(msg)
+    shared = (pieces > 1)[inverse]
+    logarithms = np.log(np.concatenate([part.sizes for part in taken]))
+    sizes = np.exp(np.bincount(inverse, logarithms) / members)
     scale = float(np.mean([part.mean for part in taken]))
+    ends = np.cumsum(lengths)
     numbers = []
-    start = 0
-    for part, offset in zip(taken, first[:-1], strict=True):
-        here = inverse[start : start + len(part.rim)]
-        start += len(part.rim)
-        shared = count[here] > 1
-        numbers.append(Numbers(int(offset), part.rim[shared], ids[one[here[shared]]],
-                               sizes[here[shared]], scale))
-    return numbers, np.unique(ids[one[count > 1]])
+    for k, part in enumerate(taken):
+        place = slice(ends[k] - lengths[k], ends[k])
+        here = inverse[place][shared[place]]
+        numbers.append(Numbers(None if came else int(first[k]), part.rim[shared[place]],
+                               ids[one[here]], sizes[here], scale, data))
+    return numbers, np.unique(ids[one[pieces > 1]])
+
+
+def _expect_one_place(ids: Ids, points: FloatArray, first: FloatArray) -> None:
+    split = np.unique(ids[(points != first).any(axis=1)])
+    if len(split):
+        msg = (f"{counted(len(split), 'number')} in {IDS} at several places, as {split[0]}; "
+               "expected the same coordinates in all pieces, try without that array")
+        raise InvalidMeshError(msg)
 
 
 def _later_round(
@@ -264,19 +326,14 @@ def _seams(rims: Sequence[Ids]) -> tuple[Ids, Ids, IntArray]:
     return ids, count, patch
 
 
-def _publish(paths: Sequence[str], index: Path, folder: Path, write: Any, apply: Apply) -> None:
+def _publish(
+    items: Sequence[tuple[str, Numbers | None]], index: Path, folder: Path, write: Any,
+    apply: Apply,
+) -> None:
     """Write the pieces of the result, move them to their place, then write what names them."""
     fresh = folder / "pieces"
     fresh.mkdir()
-    names = [f"{index.stem}-{k}.vtu" for k in range(len(paths))]
-    examples = list(apply(write, [(path, fresh / name)
-                                  for path, name in zip(paths, names, strict=True)]))
-    places = [index.with_name(f"{index.stem}{tail}") for tail in ("", "-new")]
-    place, other = places if not places[0].exists() else places[::-1]
-    if place.exists():
-        shutil.rmtree(place)
-    os.replace(fresh, place)
-    write_index(index, [f"{place.name}/{name}" for name in names], examples[0],
-                write.keywords["regions"])
-    if other.is_dir():
-        shutil.rmtree(other)
+    files = [fresh / piece_name(index, k) for k in range(len(items))]
+    examples = list(apply(write, [(path, file, number)
+                                  for (path, number), file in zip(items, files, strict=True)]))
+    place_pieces(index, files, examples[0], write.keywords["regions"])

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
 
@@ -11,11 +12,21 @@ from numpy.typing import NDArray
 from odt_plugins.distributed.block import Block, improve
 from odt_plugins.distributed.figures import Figures, figures_of
 from odt_plugins.distributed.partition import RINGS, grown, seams
-from odt_plugins.distributed.store import Piece, join, load, read_piece, save, write_piece
+from odt_plugins.distributed.store import (
+    GHOSTS,
+    IDS,
+    Piece,
+    join,
+    load,
+    read_piece,
+    save,
+    write_piece,
+)
 from odt_plugins.distributed.versions import versions_here
 from odt_plugins.engine.density import size_field
 from odt_plugins.engine.geometry import boundary_vertices, signed_volumes
 from odt_plugins.engine.star import star_sum
+from odt_plugins.errors import InvalidMeshError, counted
 from odt_plugins.mesh import BoolArray, FloatArray, SimplexMesh, compact_labels
 from odt_plugins.options import Options
 
@@ -31,34 +42,51 @@ class Taken(NamedTuple):
     figures : Figures
     vertices : int
     rim : (k,) int           vertices on the boundary of the piece, in its numbering
+    ids : (k,) int or None   their numbers in the whole mesh, when the piece came with some
     points : (k, 3)          where they are
     sizes : (k,) float64     the size field there
     mean : float             mean of that field
     orientation : int        -1 when all cells came with negative volume
     regions : str or None    name of the cell array of labels
     lost : list of str       names of the other cell arrays
+    data : dict              what a value of every point array is: its shape and type
+    ghosts : bool            whether it told which of its cells belong to others
     """
 
     path: str
     figures: Figures
     vertices: int
     rim: NDArray[np.intp]
+    ids: Ids | None
     points: FloatArray
     sizes: FloatArray
     mean: float
     orientation: int
     regions: str | None
     lost: list[str]
+    data: dict[str, tuple[tuple[int, ...], str]]
+    ghosts: bool
 
 
 class Numbers(NamedTuple):
-    """What a piece is told: the first of its numbers, and those of its vertices in other pieces."""
+    """What a piece is told of the whole.
 
-    first: int
+    Attributes
+    ----------
+    first : int or None      its first number; None when it came with numbers
+    rim : (k,) int           its vertices in other pieces, in its numbering
+    ids : (k,) int           their numbers
+    sizes : (k,) float64     the size field there
+    scale : float            mean of that field over all pieces
+    data : tuple of str      names of the point arrays that all pieces have
+    """
+
+    first: int | None
     rim: NDArray[np.intp]
     ids: Ids
     sizes: FloatArray
     scale: float
+    data: tuple[str, ...]
 
 
 class Done(NamedTuple):
@@ -85,36 +113,61 @@ class Cut(NamedTuple):
     parts: list[tuple[int, str]]
 
 
-def take_in(item: tuple[str, str], regions: str | None) -> Taken:
-    """Read a piece of the input, measure it and keep it as arrays."""
+def take_in(item: tuple[str, str], regions: str | None, *, orient: bool) -> Taken | None:
+    """Read a piece of the input, measure it and keep it as arrays; None when it is empty.
+
+    Raises
+    ------
+    InvalidMeshError         two of its vertices have the same number
+    """
     source, path = item
-    piece, orientation, name, lost = read_piece(source, regions)
+    found = read_piece(source, regions, orient=orient)
+    if found is None:
+        return None
+    piece = found.piece
     n = len(piece.points)
     count = star_sum(np.ones(len(piece.cells)), piece.cells, n)
+    _expect_numbered_once(piece.ids[count > 0], source)
     mean = star_sum(signed_volumes(piece.points, piece.cells) ** (1 / 3), piece.cells, n)
     scale = float((mean[count > 0] / count[count > 0]).mean())
     sizes = scale * size_field(piece.points, piece.cells)
     rim = np.flatnonzero(boundary_vertices(piece.cells, n))
-    save(path, Piece(piece.points, piece.cells, piece.regions, piece.ids, sizes, piece.whole,
-                     piece.data))
-    return Taken(path, figures_of(piece.points, piece.cells), n, rim, piece.points[rim],
-                 sizes[rim], scale, orientation, name, lost)
+    save(path, replace(piece, sizes=sizes))
+    return Taken(path, figures_of(piece.points, piece.cells), n, rim,
+                 piece.ids[rim] if found.numbered else None, piece.points[rim], sizes[rim], scale,
+                 found.orientation, found.regions, found.lost,
+                 {name: (values.shape[1:], values.dtype.str)
+                  for name, values in piece.data.items()}, found.ghosts)
+
+
+def _expect_numbered_once(ids: Ids, source: str) -> None:
+    values, count = np.unique(ids, return_counts=True)
+    twice = values[count > 1]
+    if len(twice):
+        msg = (f"{source} has {counted(len(twice), 'number')} for several vertices each in {IDS}, "
+               f"as {twice[0]}; expected one vertex for each, try without that array")
+        raise InvalidMeshError(msg)
+
+
+def numbered(source: str, number: Numbers) -> Piece:
+    """Load a piece of the input as a part of the whole."""
+    piece = load(source)
+    ids = piece.ids if number.first is None else (
+        number.first + np.arange(len(piece.points), dtype=np.int64))
+    ids[number.rim] = number.ids
+    sizes = piece.sizes
+    sizes[number.rim] = number.sizes
+    return replace(piece, ids=ids, sizes=sizes / number.scale,
+                   data={name: piece.data[name] for name in number.data})
 
 
 def first_round(item: tuple[str, str, Numbers], options: Options) -> Done:
     """Number the vertices of a piece and improve what lies within it."""
     source, path, number = item
-    piece = load(source)
-    n = len(piece.points)
-    ids = number.first + np.arange(n, dtype=np.int64)
-    ids[number.rim] = number.ids
-    sizes = piece.sizes.copy()
-    sizes[number.rim] = number.sizes
-    held = np.zeros(n, dtype=np.bool_)
+    piece = numbered(source, number)
+    held = np.zeros(len(piece.points), dtype=np.bool_)
     held[number.rim] = True
-    piece = Piece(piece.points, piece.cells, piece.regions, ids, sizes / number.scale, piece.whole,
-                  piece.data)
-    return _improved(piece, held, options, path, ids[:0], held)
+    return _improved(piece, held, options, path, piece.ids[:0], held)
 
 
 def split(item: tuple[str, str, Ids, Ids, Ids]) -> Cut:
@@ -170,10 +223,13 @@ def merge(item: tuple[list[str], str, Ids, Ids, Ids], options: Options) -> Done:
     return _improved(piece, held, options, path, waiting, held & np.isin(piece.ids, waiting))
 
 
-def publish(item: tuple[str, Path], regions: str, orientation: int) -> Piece:
-    """Write a piece of the result; gives back one without cells and vertices."""
-    source, path = item
-    piece = load(source)
+def publish(item: tuple[str, Path, Numbers | None], regions: str, orientation: int) -> Piece:
+    """Write a piece of the result, one of the input with its numbers.
+
+    Gives back one without cells and vertices.
+    """
+    source, path, number = item
+    piece = load(source) if number is None else numbered(source, number)
     write_piece(path, piece, regions, orientation)
     return piece.part(np.zeros(0, dtype=np.intp))
 
@@ -183,6 +239,10 @@ def _improved(
 ) -> Done:
     labels, regions = np.unique(piece.regions), compact_labels(piece.regions, len(piece.cells))
     mesh = SimplexMesh(piece.points, piece.cells, regions, held)
+    if len(mesh.uneven.crowded):
+        msg = (f"pieces overlap at {counted(len(mesh.uneven.crowded), 'facet')}; expected every "
+               f"cell in one piece only, or the cell array {GHOSTS}")
+        raise InvalidMeshError(msg)
     power = -float(mesh.dim + 2 if options.exponent is None else options.exponent)
     sizes = piece.sizes if options.density == "keep" else None
     result = improve(Block(mesh, sizes, options, power, later, versions_here()))

@@ -6,18 +6,27 @@ import os
 import xml.etree.ElementTree as ElementTree
 from dataclasses import dataclass, field, fields
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters import files
+from odt_plugins.adapters import files, meshio_mesh
 from odt_plugins.adapters.host import REGION_ARRAYS
-from odt_plugins.errors import MeshFileError, UnsupportedMeshError, writing
+from odt_plugins.errors import (
+    InvalidMeshError,
+    MeshFileError,
+    UnsupportedMeshError,
+    counted,
+    writing,
+)
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray, reverse, simplex_mesh
 
 IDS = "GlobalPointIds"
-"""Point array of the result: vertices of several pieces with the same number are one."""
+"""Point array: vertices of several pieces with the same number are one."""
+
+GHOSTS, DUPLICATE = "vtkGhostType", 1
+"""Cell array of VTK, and the bit in it of cells that belong to another piece."""
 
 
 @dataclass(frozen=True)
@@ -80,6 +89,10 @@ def join(pieces: list[Piece]) -> tuple[Piece, NDArray[np.int64]]:
     -------
     Piece
     count : (n,) int64     in how many of the pieces all cells around a vertex are here
+
+    Raises
+    ------
+    InvalidMeshError       vertices of the same number are not at one place
     """
     ids, first, number = np.unique(np.concatenate([p.ids for p in pieces]), return_index=True,
                                    return_inverse=True)
@@ -90,80 +103,124 @@ def join(pieces: list[Piece]) -> tuple[Piece, NDArray[np.int64]]:
     def rows(name: str) -> NDArray[Any]:
         return np.asarray(np.concatenate([getattr(p, name) for p in pieces])[first])
 
+    points = rows("points")
+    split = np.unique(number[(points[number] != np.concatenate([p.points for p in pieces])).any(1)])
+    if len(split):
+        msg = (f"{counted(len(split), 'vertex is', 'vertices are')} at several places, as number "
+               f"{ids[split[0]]}; expected {IDS} to name every vertex once, try without them")
+        raise InvalidMeshError(msg)
     whole = np.concatenate([p.whole for p in pieces])
     count = np.bincount(number, weights=whole, minlength=len(ids)).astype(np.int64)
     data = {name: np.concatenate([p.data[name] for p in pieces])[first] for name in pieces[0].data}
-    return Piece(np.ascontiguousarray(rows("points")),
+    return Piece(np.ascontiguousarray(points),
                  np.concatenate(cells).astype(np.int32),
                  np.concatenate([p.regions for p in pieces]), ids, rows("sizes"),
                  np.ones(len(ids), dtype=np.bool_), data), count
 
 
-def piece_files(source: str | os.PathLike[str]) -> list[str]:
+def piece_files(source: str | os.PathLike[str]) -> tuple[list[str], bool]:
     """List the files of the pieces of a .pvtu file, or of a directory of .vtu files.
+
+    Returns
+    -------
+    paths : list of str
+    ghosts : bool          whether the pieces have cells of others as well
 
     Raises
     ------
-    MeshFileError          there are none, or some are missing or have ghost cells
+    MeshFileError          there are none, or some are missing
     """
     path = Path(source)
+    ghosts = False
     if path.is_dir():
         found = sorted(str(p) for p in path.glob("*.vtu"))
     else:
         try:
-            root = ElementTree.parse(path).getroot()
+            grid = ElementTree.parse(path).getroot().find("PUnstructuredGrid")
         except (OSError, ElementTree.ParseError) as exc:
             msg = f"cannot read {path}: {exc}; expected a .pvtu file or a directory of .vtu files"
             raise MeshFileError(msg) from exc
-        grid = root.find("PUnstructuredGrid")
-        if grid is not None and grid.get("GhostLevel", "0") != "0":
-            msg = f"{path} has ghost cells; expected every cell in one piece only"
-            raise MeshFileError(msg)
-        found = [str(path.parent / piece.get("Source", "")) for piece in root.iter("Piece")]
+        ghosts = grid is not None and grid.get("GhostLevel", "0") != "0"
+        pieces = [] if grid is None else grid.findall("Piece")
+        found = [str(path.parent / piece.get("Source", "")) for piece in pieces]
     missing = [name for name in found if not os.path.isfile(name)]
     if missing or not found:
         what = f"{missing[0]} is missing" if missing else "it names no pieces"
         msg = f"cannot read {path}: {what}; expected a .pvtu file or a directory of .vtu files"
         raise MeshFileError(msg)
-    return found
+    return found, ghosts
 
 
-def read_piece(path: str, regions: str | None) -> tuple[Piece, int, str | None, list[str]]:
-    """Read a piece; its numbers and sizes are not known yet.
+class Found(NamedTuple):
+    """A piece as it was read: its sizes are not known yet, its numbers only when it came with some.
+
+    Attributes
+    ----------
+    piece : Piece
+    numbered : bool            whether it came with numbers
+    ghosts : bool              whether it told which cells belong to others; they are left out
+    orientation : int          -1 when its cells came with negative volume
+    regions : str or None      name of the cell array of labels
+    lost : list of str         names of all others, which do not come through
+    """
+
+    piece: Piece
+    numbered: bool
+    ghosts: bool
+    orientation: int
+    regions: str | None
+    lost: list[str]
+
+
+def read_piece(path: str, regions: str | None, *, orient: bool = False) -> Found | None:
+    """Read a piece.
 
     Parameters
     ----------
     path : str
     regions : str or None      cell array of labels; a known one of integers unless given
+    orient : bool              turn cells of mixed orientation
 
     Returns
     -------
-    piece : Piece
-    orientation : int          -1 when its cells came with negative volume
-    regions : str or None      name of the cell array of labels
-    lost : list of str         names of all others, which do not come through
+    Found, or None for a piece without cells of its own
 
     Raises
     ------
     MeshFileError, InvalidMeshError, UnsupportedMeshError
     """
-    arrays = files.read_file(path).cell_data
+    try:
+        source = files.read_file(path)
+    except InvalidMeshError:
+        return None
+    if not any(len(block.data) for block in source.cells):
+        return None
+    arrays = source.cell_data
     if regions is None:
         # A piece may lie in one region: an array of one value parts nothing here, but elsewhere.
         regions = next((name for name in REGION_ARRAYS if name in arrays
                         and all(block.dtype.kind in "iu" for block in arrays[name])), None)
-    host = files.read(path, regions)
+    host = meshio_mesh.read(source, regions)
     if host.cells.shape[1:] != (4,) or host.quadratic or host.kept:
         msg = f"{path} holds other cells than linear tetrahedra; expected these alone in pieces"
         raise UnsupportedMeshError(msg)
     labels = np.zeros(len(host.cells), np.int64) if host.regions is None else host.regions
-    mesh, orientation = simplex_mesh(host.points, host.cells)
+    mesh, orientation = simplex_mesh(host.points, host.cells, orient=orient)
     n = len(mesh.points)
-    data = {name: np.asarray(values) for name, values in host.source.point_data.items()
-            if name != IDS}
+    ids = np.asarray(source.point_data.get(IDS, 0.0))
+    numbered = ids.shape == (n,) and ids.dtype.kind in "iu"
+    data = {name: np.asarray(values) for name, values in source.point_data.items()
+            if name not in (IDS, GHOSTS)}
     piece = Piece(mesh.points, mesh.cells, np.asarray(labels, dtype=np.int64),
-                  np.arange(n, dtype=np.int64), np.ones(n), np.ones(n, dtype=np.bool_), data)
-    return piece, orientation, regions, sorted(set(arrays) - {regions})
+                  ids.astype(np.int64) if numbered else np.arange(n, dtype=np.int64),
+                  np.ones(n), np.ones(n, dtype=np.bool_), data)
+    if GHOSTS in arrays:
+        types = np.concatenate([np.asarray(arrays[GHOSTS][block]) for block in host.layout])
+        piece = piece.part(np.flatnonzero(types.astype(np.int64) & DUPLICATE == 0))
+    if not len(piece.cells):
+        return None
+    return Found(piece, numbered, GHOSTS in arrays, orientation, regions,
+                 sorted(set(arrays) - {regions, GHOSTS}))
 
 
 def write_piece(path: Path, piece: Piece, regions: str, orientation: int) -> None:
