@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.promise import locked_facets
+from odt_plugins.locked_facets import locked_facets
 from odt_plugins.quality import EDGES, CellFigures, angles, radius_ratio
 
 N_WORST = 10

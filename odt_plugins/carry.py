@@ -5,7 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.mesh import FloatArray, IntArray, SimplexMesh, corner_mean, sorted_columns
+from odt_plugins.facets import sorted_columns
+from odt_plugins.mesh import FloatArray, IntArray, SimplexMesh, corner_mean
 
 NEAR = (16, 256)
 """How many of the nearest cells a point is looked for in, before all of them."""

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.errors import MeshFileError, MissingDependencyError
-from odt_plugins.promise import locked_facets
+from odt_plugins.locked_facets import locked_facets
 from odt_plugins.quality import QualitySummary, radius_ratio
 
 if TYPE_CHECKING:

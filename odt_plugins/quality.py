@@ -9,12 +9,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields
-from functools import cached_property
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from odt_plugins.cell_geometry import CellGeometry
 from odt_plugins.chunks import chunks, spread
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError
 
@@ -256,7 +256,7 @@ def cell_figures(points: ArrayLike, cells: ArrayLike, threads: int = 1) -> CellF
     axes = np.ascontiguousarray(p.T)
 
     def measure(part: slice) -> None:
-        geometry = _Geometry(axes, t[part])
+        geometry = CellGeometry(axes, t[part])
         angle = geometry.angles()
         figures.quality[part] = geometry.quality()
         figures.min_angle[part] = angle.min(axis=0)
@@ -323,10 +323,10 @@ def _variation(x: FloatArray) -> float:
     return float(np.std(x, ddof=1) / np.mean(x))
 
 
-def _geometries(points: FloatArray, cells: NDArray[Any]) -> Iterator[tuple[slice, _Geometry]]:
+def _geometries(points: FloatArray, cells: NDArray[Any]) -> Iterator[tuple[slice, CellGeometry]]:
     """A mesh in chunks, each with where its cells stand."""
     axes = np.ascontiguousarray(points.T)
-    return ((part, _Geometry(axes, cells[part])) for part in chunks(len(cells)))
+    return ((part, CellGeometry(axes, cells[part])) for part in chunks(len(cells)))
 
 
 def _checked(points: ArrayLike, cells: ArrayLike) -> tuple[FloatArray, NDArray[Any]]:
@@ -347,125 +347,3 @@ def _checked(points: ArrayLike, cells: ArrayLike) -> tuple[FloatArray, NDArray[A
                f"expected indices from 0 to {len(p) - 1}")
         raise InvalidMeshError(msg)
     return p, t
-
-
-def _dot(a: FloatArray, b: FloatArray) -> FloatArray:
-    total = a[0] * b[0]
-    for x, y in zip(a[1:], b[1:], strict=True):
-        total += x * y
-    return np.asarray(total)
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    return np.stack([a[1] * b[2] - a[2] * b[1],
-                     a[2] * b[0] - a[0] * b[2],
-                     a[0] * b[1] - a[1] * b[0]])
-
-
-def _norm(a: FloatArray) -> FloatArray:
-    return np.asarray(np.sqrt(_dot(a, a)))
-
-
-class _Geometry:
-    """One chunk of simplices, every cell scaled by its longest coordinate difference.
-
-    The scale keeps sixth powers of lengths away from overflow and underflow. Coordinates come as
-    (d, n): numpy is several times as fast along long rows as along short ones.
-    """
-
-    def __init__(self, axes: FloatArray, cells: NDArray[Any]) -> None:
-        self.k = cells.shape[1]
-        corner = axes.take(cells.T, axis=1)
-        self.x0 = corner[:, 0]
-        edge = corner[:, 1:] - corner[:, :1]
-        scale = np.abs(edge).max(axis=(0, 1))
-        self.scale = np.where(scale > 0, scale, 1.0)
-        self.a, self.b, *rest = (edge / self.scale).swapaxes(0, 1)
-        self.c = rest[0] if rest else self.a
-        with np.errstate(invalid="ignore"):
-            self.bc = _cross(self.b, self.c) if rest else self.a
-            if rest:
-                self.det = _dot(self.a, self.bc)
-            elif len(self.a) == 3:
-                self.det = _norm(_cross(self.a, self.b))
-            else:
-                self.det = self.a[0] * self.b[1] - self.a[1] * self.b[0]
-
-    @cached_property
-    def normals(self) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-        a, b, c = self.a, self.b, self.c
-        with np.errstate(invalid="ignore"):
-            return _cross(c - a, b - a), self.bc, _cross(c, a), _cross(a, b)
-
-    @cached_property
-    def edges(self) -> list[FloatArray]:
-        a, b, c = self.a, self.b, self.c
-        with np.errstate(invalid="ignore"):
-            if self.k == 3:
-                return [_norm(a), _norm(b), _norm(b - a)]
-            return [_norm(a), _norm(b), _norm(c), _norm(b - a), _norm(c - a), _norm(c - b)]
-
-    @cached_property
-    def numerator(self) -> FloatArray:
-        with np.errstate(invalid="ignore"):
-            _, bc, ca, ab = self.normals
-            e = self.edges
-            return np.asarray(e[0] ** 2 * bc + e[1] ** 2 * ca + e[2] ** 2 * ab)
-
-    def volume(self) -> FloatArray:
-        unit = 6.0 if self.k == 4 else 2.0
-        return np.asarray(self.det / unit * self.scale ** (self.k - 1))
-
-    def circumradius(self) -> FloatArray:
-        return np.asarray(self.radius * self.scale)
-
-    @cached_property
-    def radius(self) -> FloatArray:
-        """R of the scaled cell; never below half the longest edge, infinite when flat."""
-        size = np.abs(self.det)
-        top = _norm(self.numerator) if self.k == 4 else np.prod(self.edges, axis=0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            radius = np.where(size > 0, top / (2 * size), np.inf)
-        return np.asarray(np.maximum(radius, np.max(self.edges, axis=0) / 2))
-
-    def circumcenter(self) -> FloatArray:
-        with np.errstate(divide="ignore", invalid="ignore"):
-            if self.k == 4:
-                offset = self.numerator / (2 * self.det)
-            else:
-                a2, b2 = _dot(self.a, self.a), _dot(self.b, self.b)
-                ab = _dot(self.a, self.b)
-                w = 2 * self.det ** 2
-                offset = (b2 * (a2 - ab) / w) * self.a + (a2 * (b2 - ab) / w) * self.b
-        return np.asarray((self.x0 + offset * self.scale).T)
-
-    def quality(self) -> FloatArray:
-        size = np.abs(self.det)
-        if self.k == 4:
-            surface = sum(_norm(n) for n in self.normals)
-            inradius = np.divide(size, surface, out=np.zeros_like(size), where=surface > 0)
-        else:
-            perimeter = sum(self.edges)
-            inradius = np.divide(size, perimeter, out=np.zeros_like(size), where=perimeter > 0)
-        with np.errstate(invalid="ignore"):
-            q = np.where(size > 0, (self.k - 1) * inradius / self.radius, 0.0)
-        return np.where(np.isnan(self.det), np.nan, np.sign(self.det) * q)
-
-    def amips(self) -> FloatArray:
-        squares = np.square(self.edges).sum(axis=0)
-        with np.errstate(divide="ignore", invalid="ignore"):
-            if self.k == 4:
-                energy = squares / (2.0 * np.cbrt(2.0 * self.det ** 2))
-            else:
-                energy = squares / (np.sqrt(3.0) * self.det)
-        return np.where(np.isnan(self.det), np.nan, np.where(self.det > 0, energy, np.inf))
-
-    def angles(self) -> FloatArray:
-        sine, a, b = np.abs(self.det), self.a, self.b
-        if self.k == 3:
-            cosine = [_dot(a, b), -_dot(a, b - a), _dot(b, b - a)]
-            return np.degrees([np.arctan2(sine, x) for x in cosine])
-        n = self.normals
-        opposite = ((2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1))
-        return np.degrees([np.arctan2(length * sine, -_dot(n[i], n[j]))
-                           for length, (i, j) in zip(self.edges, opposite, strict=True)])

@@ -10,6 +10,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from odt_plugins.components import components
 from odt_plugins.errors import InvalidMeshError, counted
+from odt_plugins.facets import row_keys
 from odt_plugins.mesh import (
     SPAN_LIMIT,
     BoolArray,
@@ -19,7 +20,6 @@ from odt_plugins.mesh import (
     freeze,
     mesh_arrays,
     reverse,
-    row_keys,
     vertex_mask,
 )
 

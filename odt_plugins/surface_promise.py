@@ -12,7 +12,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.components import components
-from odt_plugins.mesh import SimplexMesh, row_keys
+from odt_plugins.facets import row_keys
+from odt_plugins.mesh import SimplexMesh
 from odt_plugins.options import FIGURES
 from odt_plugins.promise import worse_figures
 from odt_plugins.quality import QualitySummary, summarize

@@ -9,10 +9,13 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
-from odt_plugins import mesh as mesh_module
+from odt_plugins import facets as facets_module
+from odt_plugins import locked_facets as locked_facets_module
 from odt_plugins import promise
-from odt_plugins.mesh import SimplexMesh, simplex_mesh, uneven_facets
-from odt_plugins.promise import broken_promises, held_vertices, locked_facets
+from odt_plugins.facets import uneven_facets
+from odt_plugins.locked_facets import LOCAL_FACETS, facet_census, locked_facets, pack
+from odt_plugins.mesh import SimplexMesh, simplex_mesh
+from odt_plugins.promise import broken_promises, held_vertices
 from odt_plugins.quality import summarize
 
 
@@ -88,15 +91,15 @@ def test_held_vertices_by_a_slow_twin(mesh: SimplexMesh) -> None:
 def test_the_census_of_any_heap_of_cells_by_a_slow_twin(
     d: int, words: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(promise, "WORDS", words)
-    monkeypatch.setattr(mesh_module, "WORDS", words)
+    monkeypatch.setattr(locked_facets_module, "WORDS", words)
+    monkeypatch.setattr(facets_module, "WORDS", words)
     rng = np.random.default_rng(827)
     for m in (1, 5, 12, 30):
         cells = np.argsort(rng.random((m, 8)), axis=1)[:, : d + 1].astype(np.int32)
         regions = rng.integers(0, 1 + m % 3, m).astype(np.int32)
         sides: dict[tuple[int, ...], list[tuple[bool, int]]] = {}
         for cell, label in zip(cells.tolist(), regions.tolist(), strict=True):
-            for local in promise.LOCAL_FACETS[d + 1]:
+            for local in LOCAL_FACETS[d + 1]:
                 facet = [cell[i] for i in local]
                 odd = sum(a > b for i, b in enumerate(facet) for a in facet[:i]) % 2 == 1
                 sides.setdefault(tuple(sorted(facet)), []).append((odd, label))
@@ -107,7 +110,7 @@ def test_the_census_of_any_heap_of_cells_by_a_slow_twin(
                          for side in (True, False) for _ in [x for x, _ in s if x == side][1:])
         assert set(found["open"]) - set(crowded) == {f for f, s in sides.items() if len(s) == 1}
         assert found["crowded"] == crowded
-        locked, overlaps = promise._facet_census(cells, regions, 8, uneven)
+        locked, overlaps = facet_census(cells, regions, 8, uneven)
         assert sorted(tuple(sorted(f)) for f in overlaps.tolist()) == crowded
         rows = [(tuple(sorted(f)), bool(b))
                 for f, b in zip(locked.facets.tolist(), locked.boundary, strict=True)
@@ -267,8 +270,8 @@ def test_the_slack_is_rounding_and_no_more() -> None:
 
 
 def test_facet_keys_beyond_64_bits(mesh: SimplexMesh, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(promise, "WORDS", 1000)
-    monkeypatch.setattr(mesh_module, "WORDS", 1000)
+    monkeypatch.setattr(locked_facets_module, "WORDS", 1000)
+    monkeypatch.setattr(facets_module, "WORDS", 1000)
     assert sentences(mesh) == []
     rest = np.arange(len(mesh.cells)) != 7
     assert sentences(mesh, cells=mesh.cells[rest], regions=mesh.regions[rest]) != []
@@ -280,7 +283,7 @@ def test_keys_are_equal_for_equal_rows_and_no_others_however_large_the_values() 
     rng = np.random.default_rng(839)
     rows = rng.integers(0, 3, (60, 3)) * np.int64(2**40)
     tables = [list(rows[:20].T), list(rows[20:].T)]
-    keys = np.concatenate(promise._pack(tables, [3 * 2**40] * 3))
+    keys = np.concatenate(pack(tables, [3 * 2**40] * 3))
     same = (rows[:, None] == rows[None]).all(axis=2)
     assert np.array_equal(keys[:, None] == keys[None], same)
     assert not same.all()

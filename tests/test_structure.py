@@ -16,23 +16,28 @@ from odt_plugins import errors
 PACKAGE = Path(odt_plugins.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
-BASE = {"chunks", "components", "errors", "mesh", "numbering", "options", "quality", "promise",
-        "surface", "surface_promise"}
+BASE = {"chunks", "components", "errors", "facets", "locked_facets", "mesh", "numbering", "options",
+        "quality", "promise", "surface", "surface_promise"}
 MAY_IMPORT = {
     "chunks": set(),
     "components": set(),
     "errors": set(),
-    "mesh": {"chunks", "errors"},
+    "facets": {"chunks"},
+    "mesh": {"chunks", "errors", "facets"},
     "numbering": {"mesh"},
     "options": {"errors"},
-    "quality": {"chunks", "errors"},
+    "locked_facets": {"facets"},
+    "cell_geometry": set(),
+    "quality": {"cell_geometry", "chunks", "errors"},
     "planar": {"errors", "mesh"},
-    "surface": {"components", "errors", "mesh"},
-    "surface_promise": {"components", "errors", "mesh", "options", "promise", "quality", "surface"},
-    "carry": {"engine", "errors", "mesh"},
-    "promise": {"chunks", "errors", "mesh", "numbering", "options", "quality"},
+    "surface": {"components", "errors", "facets", "mesh"},
+    "surface_promise": {"components", "errors", "facets", "mesh", "options", "promise", "quality",
+                        "surface"},
+    "carry": {"engine", "errors", "facets", "mesh"},
+    "promise": {"chunks", "errors", "facets", "locked_facets", "mesh", "numbering", "options",
+                "quality"},
     "engine": {"engine", *BASE},
-    "adapters": {"adapters", "components", "errors", "mesh"},
+    "adapters": {"adapters", "components", "errors", "facets", "mesh"},
     "binding": BASE,
     "plotting": {"report", *BASE},
     "report": {"binding", "plotting", "engine", *BASE},

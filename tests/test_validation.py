@@ -12,7 +12,8 @@ import odt_plugins
 from odt_plugins.adapters.host import KeptCells
 from odt_plugins.adapters.kept import protect
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError, UnsupportedMeshError
-from odt_plugins.mesh import directed_facets, row_keys, simplex_mesh
+from odt_plugins.facets import directed_facets, row_keys
+from odt_plugins.mesh import simplex_mesh
 from odt_plugins.planar import FLATNESS, plane_frame
 
 

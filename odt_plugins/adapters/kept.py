@@ -11,7 +11,8 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.host import KeptCells
 from odt_plugins.errors import InvalidMeshError, counted
-from odt_plugins.mesh import BoolArray, IntArray, SimplexMesh, directed_facets, freeze, row_keys
+from odt_plugins.facets import directed_facets, row_keys
+from odt_plugins.mesh import BoolArray, IntArray, SimplexMesh, freeze
 
 
 def protect(

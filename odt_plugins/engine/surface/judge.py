@@ -11,7 +11,8 @@ from odt_plugins.engine.surface.crossings import crossing_triangles
 from odt_plugins.engine.surface.envelope import distances, uncovered, within
 from odt_plugins.engine.surface.reference import make_reference
 from odt_plugins.errors import counted
-from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh, row_keys
+from odt_plugins.facets import row_keys
+from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
 from odt_plugins.options import Options
 from odt_plugins.surface import surface_edges
 from odt_plugins.surface_promise import bad_places, broken_surface_promises
