@@ -122,8 +122,7 @@ def test_a_directory_and_a_second_run_onto_the_same_place(tmp_path):
                  size=np.ones(len(turned)))
     bits = []
     for _ in range(3):
-        with pytest.warns(DataNotKeptWarning, match="not size"):
-            optimize_pieces(tmp_path / "in", tmp_path / "out.pvtu", odt={"density": "uniform"})
+        optimize_pieces(tmp_path / "in", tmp_path / "out.pvtu", odt={"density": "uniform"})
         points, cells, _, _ = glued(tmp_path / "out.pvtu", len(start.points))
         assert tet_meshes.signed_volumes(points, cells).max() < 0
         assert len(os.listdir(tmp_path)) == 4
@@ -395,16 +394,47 @@ def test_pieces_that_overlap_and_pieces_without_cells_are_refused(tmp_path):
     assert sorted(os.listdir(tmp_path)) == ["in", "in.pvtu"]
 
 
-def test_point_arrays_that_some_pieces_lack_are_named(tmp_path):
+def test_arrays_that_some_pieces_lack_are_named(tmp_path):
     start = ball(150)
     index = write_pieces(tmp_path / "in", start.points, start.cells,
                          bricks(start.points, start.cells, 2))
     mesh = meshio.read(tmp_path / "in" / "piece-0.vtu")
     mesh.point_data["extra"] = np.zeros((len(mesh.points), 3))
+    mesh.cell_data["layer"] = [np.zeros(len(mesh.cells[0].data))]
     mesh.write(tmp_path / "in" / "piece-0.vtu")
-    with pytest.warns(DataNotKeptWarning, match="not have alike do not come through: extra"):
+    with pytest.warns(DataNotKeptWarning, match="alike do not come through: extra, layer"):
         optimize_pieces(index, tmp_path / "out.pvtu")
     glued(tmp_path / "out.pvtu", len(start.points))
+
+
+def test_cell_arrays_come_through_as_they_do_in_one_piece(tmp_path, recwarn):
+    start = ball(1500)
+    centres = start.points[start.cells].mean(axis=1)
+    marker = (centres[:, 0] > 0.1).astype(np.int64)
+    index = write_pieces(tmp_path / "in", start.points, start.cells,
+                         bricks(start.points, start.cells, 3), marker=marker,
+                         row=np.arange(len(start.cells)), place=centres.astype(np.float32))
+    optimize_pieces(index, tmp_path / "out.pvtu")
+    assert not recwarn.list
+    old = {tuple(sorted(cell)): row for row, cell in enumerate(start.cells.tolist())}
+    found = kept = 0
+    size = np.ptp(start.points[start.cells], axis=1).max()
+    for piece in ElementTree.parse(tmp_path / "out.pvtu").getroot().iter("Piece"):
+        mesh = meshio.read(tmp_path / piece.get("Source"))
+        row, place = mesh.cell_data["row"][0], mesh.cell_data["place"][0]
+        assert row.dtype == np.int64
+        assert np.array_equal(place, centres.astype(np.float32)[row])
+        assert np.array_equal(marker[row], mesh.cell_data["marker"][0])
+        corners = mesh.points[mesh.cells[0].data]
+        assert np.abs(corners.mean(axis=1) - centres[row]).max() < 2.0 * size
+        for cell, source in zip(mesh.point_data["was"][mesh.cells[0].data].tolist(), row.tolist(),
+                                strict=True):
+            same = old.get(tuple(sorted(cell)))
+            found += same is not None
+            kept += same == source
+    assert kept > 0.9 * found > 0
+    declared = ElementTree.parse(tmp_path / "out.pvtu").getroot().find(".//PCellData")
+    assert sorted(array.get("Name") for array in declared) == ["marker", "place", "row"]
 
 
 def test_cells_of_mixed_orientation_are_turned_when_asked(tmp_path):

@@ -29,7 +29,7 @@ from odt_plugins.distributed.piecework import (
 )
 from odt_plugins.distributed.placing import piece_name, place_pieces
 from odt_plugins.distributed.scratch import clear, make_scratch
-from odt_plugins.distributed.store import GHOSTS, IDS, piece_files
+from odt_plugins.distributed.store import GHOSTS, IDS, TABLES, piece_files
 from odt_plugins.errors import (
     DataNotKeptWarning,
     InvalidMeshError,
@@ -118,7 +118,7 @@ def optimize_pieces(
 
     Warns
     -----
-    DataNotKeptWarning        cell arrays beside the regions do not come through
+    DataNotKeptWarning        arrays that the pieces do not have alike do not come through
     """
     options = make_options(**(odt or {}))
     check(1, rounds, workers, options, several=False)
@@ -210,22 +210,25 @@ def _check_taken(taken: Sequence[Taken], *, ghosts: bool) -> None:
         raise InvalidMeshError(msg)
 
 
-def _data_of_all(taken: Sequence[Taken]) -> tuple[str, ...]:
-    """Names of the point arrays that all pieces have alike; warns of everything else."""
-    lost = sorted({name for part in taken for name in part.lost})
-    if lost:
-        msg = f"of cell arrays only regions come through pieces, not {', '.join(lost)}"
-        warnings.warn(msg, DataNotKeptWarning, stacklevel=4)
-    alike = [name for name, kind in taken[0].data.items()
-             if all(part.data.get(name) == kind for part in taken)]
-    other = sorted({name for part in taken for name in part.data} - set(alike))
+def _data_of_all(taken: Sequence[Taken]) -> dict[str, tuple[str, ...]]:
+    """Names of the arrays that all pieces have alike, in each of TABLES; warns of all others."""
+    alike: dict[str, tuple[str, ...]] = {}
+    other: set[str] = set()
+    for table in TABLES:
+        kinds = [part.kinds[table] for part in taken]
+        alike[table] = tuple(name for name, kind in kinds[0].items()
+                             if all(found.get(name) == kind for found in kinds))
+        other |= {name for found in kinds for name in found} - set(alike[table])
     if other:
-        msg = f"point arrays that pieces do not have alike do not come through: {', '.join(other)}"
+        names = ", ".join(sorted(other))
+        msg = f"arrays that pieces do not have alike do not come through: {names}"
         warnings.warn(msg, DataNotKeptWarning, stacklevel=4)
-    return tuple(alike)
+    return alike
 
 
-def _number(taken: Sequence[Taken], data: tuple[str, ...]) -> tuple[list[Numbers], Ids]:
+def _number(
+    taken: Sequence[Taken], kept: dict[str, tuple[str, ...]]
+) -> tuple[list[Numbers], Ids]:
     """Find vertices of several pieces; numbers for all, and those of the vertices found.
 
     Raises
@@ -263,7 +266,7 @@ def _number(taken: Sequence[Taken], data: tuple[str, ...]) -> tuple[list[Numbers
         place = slice(ends[k] - lengths[k], ends[k])
         here = inverse[place][shared[place]]
         numbers.append(Numbers(None if came else int(first[k]), part.rim[shared[place]],
-                               ids[one[here]], sizes[here], scale, data))
+                               ids[one[here]], sizes[here], scale, kept))
     return numbers, np.unique(ids[one[pieces > 1]])
 
 

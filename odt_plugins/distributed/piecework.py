@@ -9,12 +9,14 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.carry import cell_source
 from odt_plugins.distributed.block import Block, improve
 from odt_plugins.distributed.figures import Figures, figures_of
 from odt_plugins.distributed.partition import RINGS, grown, seams
 from odt_plugins.distributed.store import (
     GHOSTS,
     IDS,
+    TABLES,
     Piece,
     join,
     load,
@@ -48,8 +50,7 @@ class Taken(NamedTuple):
     mean : float             mean of that field
     orientation : int        -1 when all cells came with negative volume
     regions : str or None    name of the cell array of labels
-    lost : list of str       names of the other cell arrays
-    data : dict              what a value of every point array is: its shape and type
+    kinds : dict             what a value of every array is, its shape and type, in each of TABLES
     ghosts : bool            whether it told which of its cells belong to others
     """
 
@@ -63,8 +64,7 @@ class Taken(NamedTuple):
     mean: float
     orientation: int
     regions: str | None
-    lost: list[str]
-    data: dict[str, tuple[tuple[int, ...], str]]
+    kinds: dict[str, dict[str, tuple[tuple[int, ...], str]]]
     ghosts: bool
 
 
@@ -78,7 +78,7 @@ class Numbers(NamedTuple):
     ids : (k,) int           their numbers
     sizes : (k,) float64     the size field there
     scale : float            mean of that field over all pieces
-    data : tuple of str      names of the point arrays that all pieces have
+    kept : dict              names of the arrays that all pieces have, in each of TABLES
     """
 
     first: int | None
@@ -86,7 +86,7 @@ class Numbers(NamedTuple):
     ids: Ids
     sizes: FloatArray
     scale: float
-    data: tuple[str, ...]
+    kept: dict[str, tuple[str, ...]]
 
 
 class Done(NamedTuple):
@@ -135,9 +135,10 @@ def take_in(item: tuple[str, str], regions: str | None, *, orient: bool) -> Take
     save(path, replace(piece, sizes=sizes))
     return Taken(path, figures_of(piece.points, piece.cells), n, rim,
                  piece.ids[rim] if found.numbered else None, piece.points[rim], sizes[rim], scale,
-                 found.orientation, found.regions, found.lost,
-                 {name: (values.shape[1:], values.dtype.str)
-                  for name, values in piece.data.items()}, found.ghosts)
+                 found.orientation, found.regions,
+                 {table: {name: (values.shape[1:], values.dtype.str)
+                          for name, values in getattr(piece, table).items()} for table in TABLES},
+                 found.ghosts)
 
 
 def _expect_numbered_once(ids: Ids, source: str) -> None:
@@ -157,8 +158,9 @@ def numbered(source: str, number: Numbers) -> Piece:
     ids[number.rim] = number.ids
     sizes = piece.sizes
     sizes[number.rim] = number.sizes
-    return replace(piece, ids=ids, sizes=sizes / number.scale,
-                   data={name: piece.data[name] for name in number.data})
+    data, cell_data = ({name: getattr(piece, table)[name] for name in number.kept[table]}
+                       for table in TABLES)
+    return replace(piece, ids=ids, sizes=sizes / number.scale, data=data, cell_data=cell_data)
 
 
 def first_round(item: tuple[str, str, Numbers], options: Options) -> Done:
@@ -246,8 +248,13 @@ def _improved(
     power = -float(mesh.dim + 2 if options.exponent is None else options.exponent)
     sizes = piece.sizes if options.density == "keep" else None
     result = improve(Block(mesh, sizes, options, power, later, versions_here()))
+    cell_data = piece.cell_data
+    if cell_data:
+        source = cell_source(mesh.points, mesh.cells, regions, result.points, result.cells,
+                             result.regions, options.threads)
+        cell_data = {name: values[source] for name, values in cell_data.items()}
     save(path, Piece(result.points, result.cells, labels[result.regions], piece.ids,
                      piece.sizes if result.density is None else result.density,
-                     np.ones(len(piece.ids), dtype=np.bool_), piece.data))
+                     np.ones(len(piece.ids), dtype=np.bool_), piece.data, cell_data))
     return Done(path, figures_of(result.points, result.cells), piece.ids[held],
                 np.intersect1d(piece.ids[~held], waiting))

@@ -43,6 +43,7 @@ class Piece:
     whole : (n,) bool            whether all cells around a vertex, of those of the piece that it
                                  was split from, are here
     data : dict                  point arrays of the input
+    cell_data : dict             cell arrays of the input, without the labels
     """
 
     points: FloatArray
@@ -52,6 +53,7 @@ class Piece:
     sizes: FloatArray
     whole: BoolArray
     data: dict[str, NDArray[Any]] = field(default_factory=dict)
+    cell_data: dict[str, NDArray[Any]] = field(default_factory=dict)
 
     def part(self, members: NDArray[Any], whole: BoolArray | None = None) -> Piece:
         """Take some of the cells, with the vertices they use."""
@@ -60,13 +62,19 @@ class Piece:
         whole = self.whole if whole is None else whole
         return Piece(self.points[used], cells, self.regions[members], self.ids[used],
                      self.sizes[used], whole[used],
-                     {name: values[used] for name, values in self.data.items()})
+                     {name: values[used] for name, values in self.data.items()},
+                     {name: values[members] for name, values in self.cell_data.items()})
+
+
+TABLES = ("data", "cell_data")
+"""Fields of a piece that hold arrays by their names."""
 
 
 def save(path: str, piece: Piece) -> None:
     """Write a piece beside its place and rename it."""
-    arrays = {f.name: getattr(piece, f.name) for f in fields(piece) if f.name != "data"}
-    arrays |= {f"data {name}": values for name, values in piece.data.items()}
+    arrays = {f.name: getattr(piece, f.name) for f in fields(piece) if f.name not in TABLES}
+    for table in TABLES:
+        arrays |= {f"{table} {name}": values for name, values in getattr(piece, table).items()}
     beside = f"{path}.part"
     with open(beside, "wb") as file:
         np.savez(file, **arrays)
@@ -77,9 +85,9 @@ def load(path: str) -> Piece:
     """Read what :func:`save` wrote."""
     with np.load(path, allow_pickle=False) as stored:
         arrays = {name: stored[name] for name in stored.files}
-    data = {name.removeprefix("data "): arrays.pop(name) for name in list(arrays)
-            if name.startswith("data ")}
-    return Piece(**arrays, data=data)
+    data, cell_data = ({name.removeprefix(f"{table} "): arrays.pop(name) for name in list(arrays)
+                        if name.startswith(f"{table} ")} for table in TABLES)
+    return Piece(**arrays, data=data, cell_data=cell_data)
 
 
 def join(pieces: list[Piece]) -> tuple[Piece, NDArray[np.int64]]:
@@ -112,10 +120,12 @@ def join(pieces: list[Piece]) -> tuple[Piece, NDArray[np.int64]]:
     whole = np.concatenate([p.whole for p in pieces])
     count = np.bincount(number, weights=whole, minlength=len(ids)).astype(np.int64)
     data = {name: np.concatenate([p.data[name] for p in pieces])[first] for name in pieces[0].data}
+    cell_data = {name: np.concatenate([p.cell_data[name] for p in pieces])
+                 for name in pieces[0].cell_data}
     return Piece(np.ascontiguousarray(points),
                  np.concatenate(cells).astype(np.int32),
                  np.concatenate([p.regions for p in pieces]), ids, rows("sizes"),
-                 np.ones(len(ids), dtype=np.bool_), data), count
+                 np.ones(len(ids), dtype=np.bool_), data, cell_data), count
 
 
 def piece_files(source: str | os.PathLike[str]) -> tuple[list[str], bool]:
@@ -161,7 +171,6 @@ class Found(NamedTuple):
     ghosts : bool              whether it told which cells belong to others; they are left out
     orientation : int          -1 when its cells came with negative volume
     regions : str or None      name of the cell array of labels
-    lost : list of str         names of all others, which do not come through
     """
 
     piece: Piece
@@ -169,7 +178,6 @@ class Found(NamedTuple):
     ghosts: bool
     orientation: int
     regions: str | None
-    lost: list[str]
 
 
 def read_piece(path: str, regions: str | None, *, orient: bool = False) -> Found | None:
@@ -211,25 +219,27 @@ def read_piece(path: str, regions: str | None, *, orient: bool = False) -> Found
     numbered = ids.shape == (n,) and ids.dtype.kind in "iu"
     data = {name: np.asarray(values) for name, values in source.point_data.items()
             if name not in (IDS, GHOSTS)}
+    cell_data = {name: np.concatenate([np.asarray(values[block]) for block in host.layout])
+                 for name, values in arrays.items() if name != regions}
+    ghosts = cell_data.pop(GHOSTS, None)
     piece = Piece(mesh.points, mesh.cells, np.asarray(labels, dtype=np.int64),
                   ids.astype(np.int64) if numbered else np.arange(n, dtype=np.int64),
-                  np.ones(n), np.ones(n, dtype=np.bool_), data)
-    if GHOSTS in arrays:
-        types = np.concatenate([np.asarray(arrays[GHOSTS][block]) for block in host.layout])
-        piece = piece.part(np.flatnonzero(types.astype(np.int64) & DUPLICATE == 0))
+                  np.ones(n), np.ones(n, dtype=np.bool_), data, cell_data)
+    if ghosts is not None:
+        piece = piece.part(np.flatnonzero(ghosts.astype(np.int64) & DUPLICATE == 0))
     if not len(piece.cells):
         return None
-    return Found(piece, numbered, GHOSTS in arrays, orientation, regions,
-                 sorted(set(arrays) - {regions, GHOSTS}))
+    return Found(piece, numbered, ghosts is not None, orientation, regions)
 
 
 def write_piece(path: Path, piece: Piece, regions: str, orientation: int) -> None:
-    """Write a piece as .vtu, with its numbers, its point arrays and its regions."""
+    """Write a piece as .vtu, with its numbers, its arrays and its regions."""
     from meshio import Mesh
 
     turned = np.full(len(piece.cells), orientation < 0)
     mesh = Mesh(piece.points, [("tetra", reverse(piece.cells, turned))],
-                point_data={**piece.data, IDS: piece.ids}, cell_data={regions: [piece.regions]})
+                point_data={**piece.data, IDS: piece.ids},
+                cell_data={name: [values] for name, values in _cell_arrays(piece, regions).items()})
     files.write_file(path, mesh)
 
 
@@ -244,7 +254,7 @@ def write_index(path: Path, names: list[str], example: Piece, regions: str) -> N
                                byte_order="LittleEndian")
     grid = ElementTree.SubElement(root, "PUnstructuredGrid", GhostLevel="0")
     _declare(grid, "PPointData", {**example.data, IDS: example.ids})
-    _declare(grid, "PCellData", {regions: example.regions})
+    _declare(grid, "PCellData", _cell_arrays(example, regions))
     _declare(grid, "PPoints", {"Points": example.points})
     for name in names:
         ElementTree.SubElement(grid, "Piece", Source=name)
@@ -252,6 +262,11 @@ def write_index(path: Path, names: list[str], example: Piece, regions: str) -> N
     with writing(path, "another path"):
         ElementTree.ElementTree(root).write(beside, xml_declaration=True)
         os.replace(beside, path)
+
+
+def _cell_arrays(piece: Piece, regions: str) -> dict[str, NDArray[Any]]:
+    """All of them; labels that were made here, of one value, give way to one of the same name."""
+    return {regions: piece.regions, **piece.cell_data}
 
 
 def _declare(grid: Any, tag: str, arrays: dict[str, NDArray[Any]]) -> None:
