@@ -122,8 +122,8 @@ def test_bytes_of_a_sweep_are_counted():
     topology = make_topology(cells, movable, ~movable)
     visits = sum(int(v in cell) for v in (0, 13) for cell in cells.tolist())
     least, touched = sweep_bytes(topology)
-    assert least == 27 * (24 + 8 + 1) + 48 * 16 + 28 * 8 + 48 * 4 * 4 + 2 * (24 + 4)
-    assert touched == visits * (4 + 16 + 3 * 33) + 2 * (33 + 24 + 16 + 4)
+    assert least == 27 * 32 + 48 * 16 + 28 * 8 + 48 * 4 * 4 + 2 * (24 + 4)
+    assert touched == visits * (4 + 16 + 3 * 32) + 2 * (32 + 24 + 16 + 4)
 
 
 def test_triad_is_a_plausible_speed():

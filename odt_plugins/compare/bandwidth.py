@@ -24,6 +24,9 @@ OPERATIONS = 96
 squared lengths (15), three cross products (27), determinant (5), its gradient (6), moment (15),
 density (4), sums (9), the test of the new volume (6)."""
 
+NODE, MOVE = 32, 24
+"""Bytes of a vertex that a sweep reads and writes: three coordinates and a density, and without."""
+
 
 def sweep_bytes(topology: Any) -> tuple[int, int]:
     """Bytes of a sweep over the movable vertices.
@@ -39,14 +42,12 @@ def sweep_bytes(topology: Any) -> tuple[int, int]:
     """
     cells, stars = topology.cells, topology.stars
     n, k = topology.movable.size, cells.shape[1]
-    d = k - 1
     moving = int(topology.movable.sum())
     visits = int(np.diff(stars.indptr)[topology.movable].sum())
-    vertex = 8 * d + 8 + 1
-    least = (8 * d * (n + moving) + 8 * n + n + cells.nbytes + stars.indptr.nbytes
+    least = (NODE * n + MOVE * moving + cells.nbytes + stars.indptr.nbytes
              + stars.indices.nbytes + topology.coloring.order.nbytes)
-    touched = visits * (stars.indices.itemsize + cells.itemsize * k + vertex * d)
-    touched += moving * (vertex + 8 * d + 2 * stars.indptr.itemsize + 4)
+    touched = visits * (stars.indices.itemsize + cells.itemsize * k + NODE * (k - 1))
+    touched += moving * (NODE + MOVE + 2 * stars.indptr.itemsize + 4)
     return int(least), int(touched)
 
 

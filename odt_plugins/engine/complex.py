@@ -59,6 +59,10 @@ class Complex:
             self.shares = make_slabs(self.points)
         return self.shares
 
+    def count(self) -> int:
+        """Number of cells."""
+        return int(self.slots[0] - self.slots[1])
+
     def live(self) -> NDArray[np.intp]:
         """Slots that hold a cell."""
         return np.flatnonzero(self.cells[: self.slots[0], 0] >= 0)

@@ -41,17 +41,17 @@ def _interpolate(
     points: FloatArray,
     cells: IntArray,
     neighbors: IntArray,
-    values: FloatArray,
     limit: int,
     out: FloatArray,
 ) -> None:
     """P1 interpolation by walking from start[q] over the facet with the lowest coordinate.
 
-    The cell where the walk ends is left in start[q].
+    The values stand behind the coordinates in points (n, d + 1).  The cell where the walk ends is
+    left in start[q].
 
     Outside the mesh the coordinates of the best cell are clamped to it.
     """
-    d = points.shape[1]
+    d = queries.shape[1]
     now = np.empty(4)
     best = np.empty(4)
     for q in range(queries.shape[0]):
@@ -110,7 +110,7 @@ def _interpolate(
         for a in range(d + 1):
             share = max(best[a], 0.0)
             total += share
-            result += share * values[cells[best_cell, a]]
+            result += share * points[cells[best_cell, a], d]
         out[q] = result / total
         start[q] = best_cell
 
@@ -138,19 +138,24 @@ class Density:
     inverse_volume : bool        every cell counts the same, rho_tau = 1/|tau| (4.22)
     function : callable or None  rho(points) of the user
     power : float                rho = field^power
-    field : (n,) float64         values at the vertices of the input mesh; empty for rho = 1
-    points, cells, neighbors     the input mesh, where the field lives
+    nodes : (n, d + 1) float64   vertices of the input mesh and the field there, in one row that
+                                 lies in one line of the cache; empty for rho = 1
+    cells, neighbors             the input mesh, where the field lives
     start : (n,) int32           a cell of the input mesh at every vertex
     """
 
     inverse_volume: bool
     function: Callable[[FloatArray], Any] | None
     power: float
-    field: FloatArray
-    points: FloatArray
+    nodes: FloatArray
     cells: IntArray
     neighbors: IntArray
     start: IntArray
+
+    @property
+    def field(self) -> FloatArray:
+        """Values at the vertices of the input mesh, (n,); empty for rho = 1."""
+        return self.nodes[:, -1]
 
     def walk_start(self, count: int) -> IntArray:
         """Cells of the input mesh from which to look for ``count`` points, (count,) int32."""
@@ -193,7 +198,7 @@ class Density:
                 raise InvalidOptionError(msg)
             _check_positive(values)
             return values
-        if not self.field.size:
+        if not self.nodes.size:
             return np.ones(len(points))
         start = self.walk_start(len(points)) if walk is None else walk
         values = np.empty(len(points))
@@ -203,10 +208,9 @@ class Density:
             _interpolate(
                 points[first:last],
                 start[first:last],
-                self.points,
+                self.nodes,
                 self.cells,
                 self.neighbors,
-                self.field,
                 WALK_LIMIT,
                 values[first:last],
             )
@@ -361,15 +365,15 @@ def make_density(
         field = _vertex_field(_as_floats(spec), points, cells)
     start = np.zeros(n, dtype=np.int32)
     if field.size:
-        points = np.array(points, dtype=np.float64, order="C")
+        nodes = np.column_stack([points, field])
         cells = np.array(cells, dtype=np.int32, order="C")
         neighbors = cell_neighbors(cells) if neighbors is None else neighbors
         start[cells] = np.arange(m, dtype=np.int32)[:, None]
     else:
-        points, cells = np.empty((0, d)), np.empty((0, d + 1), dtype=np.int32)
+        nodes, cells = np.empty((0, d + 1)), np.empty((0, d + 1), dtype=np.int32)
         neighbors = cells
     inverse = isinstance(spec, str) and spec == "inverse-volume"
-    return Density(inverse, function, power, field, points, cells, neighbors, start)
+    return Density(inverse, function, power, nodes, cells, neighbors, start)
 
 
 def _vertex_field(values: FloatArray, points: FloatArray, cells: IntArray) -> FloatArray:

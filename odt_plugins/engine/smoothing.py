@@ -173,6 +173,12 @@ def local_flips(
     return flips
 
 
+def _cells(mesh: Complex, options: Options) -> IntArray:
+    """Cells of a mesh; sweeps over stars take its slots as they are, free ones among them."""
+    sweeps = options.solver == "gauss-seidel" and options.method != "cvt" and options.finish
+    return mesh.cells[: mesh.slots[0]] if sweeps else mesh.mesh_arrays()[0]
+
+
 def smooth(
     mesh: Complex,
     density: Density,
@@ -205,7 +211,7 @@ def smooth(
     least: list[float] = []
     reason = f"the {options.rounds} rounds were used up"
     movable = ~mesh.locked
-    cells, _ = mesh.mesh_arrays()
+    cells = _cells(mesh, options)
     topology = make_topology(cells, movable, mesh.rim, pool=pool)
     scattered = 0
     walk = density.walk_start(len(mesh.points))
@@ -219,7 +225,8 @@ def smooth(
         mesh.points[:] = points
         log.add("vertex moves", stats.moved)
         log.add("shortened moves", stats.reduced)
-        moderate = len(cells) <= MODERATE
+        count = mesh.count()
+        moderate = count <= MODERATE
         old = mesh
         flips = 0
         if options.connectivity == "delaunay" or (
@@ -231,11 +238,11 @@ def smooth(
         ):
             flips = local_flips(mesh, bounds, log, pool)
         scattered += flips
-        if scattered > SCATTERED * len(cells):
+        if scattered > SCATTERED * count:
             mesh = renumbered(mesh)
             scattered = 0
         if flips > 0 or mesh is not old:
-            cells, _ = mesh.mesh_arrays()
+            cells = _cells(mesh, options)
             topology = make_topology(cells, movable, mesh.rim, pool=pool)
         current = total_energy(mesh.points, cells, rho, pool)
         log.energy.append((options.method, current))

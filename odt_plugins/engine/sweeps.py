@@ -14,11 +14,11 @@ import numpy as np
 
 from odt_plugins.engine.coloring import Coloring
 from odt_plugins.engine.geometry import signed_volumes
-from odt_plugins.engine.kernel import allocating_kernel
+from odt_plugins.engine.kernel import allocating_kernel, kernel
 from odt_plugins.engine.star import OffsetArray, star_sum
 from odt_plugins.engine.threads import run_chunks
 from odt_plugins.engine.topology import Topology
-from odt_plugins.mesh import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh import FloatArray, IntArray
 
 Center = Literal["odt", "cpt", "laplacian"]
 
@@ -50,15 +50,97 @@ class StepStats(NamedTuple):
     alpha: float = 1.0
 
 
+CHUNK = 64
+"""Cells of a star that are worked on at a time: their numbers lie in rows of this length."""
+
+AX, AY, AZ, BX, BY, BZ, EX, EY, EZ, RHO, DET, GX, GY, GZ, OX, OY, OZ, LONG = (
+    CHUNK * row for row in range(18)
+)
+"""Where the rows begin: corners a, b, e of the cells and density; det, its gradient, moment and
+squared longest edge."""
+
+
+@kernel
+def _plane_chunk(
+    nodes: FloatArray, cells: IntArray, indices: IntArray, first: int, count: int, i: int,
+    rows: FloatArray,
+) -> None:
+    """Fill the rows for triangles indices[first:first + count] around vertex i."""
+    x, y = nodes[i, 0], nodes[i, 1]
+    for s in range(count):
+        c = np.uint32(indices[first + s])
+        at = (cells[c, 1] == i) + 2 * (cells[c, 2] == i)
+        j = np.uint32(cells[c, (at + 1) % 3])
+        k = np.uint32(cells[c, (at + 2) % 3])
+        ax, ay = nodes[j, 0] - x, nodes[j, 1] - y
+        bx, by = nodes[k, 0] - x, nodes[k, 1] - y
+        aa = ax * ax + ay * ay
+        bb = bx * bx + by * by
+        rho = abs(nodes[i, 3]) + abs(nodes[j, 3]) + abs(nodes[k, 3])
+        rows[DET + s] = ax * by - ay * bx
+        rows[GX + s], rows[GY + s], rows[GZ + s] = ay - by, bx - ax, 0.0
+        rows[LONG + s] = max(aa, bb)
+        if min(nodes[i, 3], nodes[j, 3], nodes[k, 3]) < 0.0:
+            rows[RHO + s] = -rho
+            rows[OX + s], rows[OY + s] = (ax + bx) / 3.0, (ay + by) / 3.0
+        else:
+            rows[RHO + s] = rho
+            rows[OX + s], rows[OY + s] = aa * by - bb * ay, bb * ax - aa * bx
+        rows[OZ + s] = 0.0
+
+
+@kernel
+def _space_chunk(
+    nodes: FloatArray, cells: IntArray, indices: IntArray, first: int, count: int, i: int,
+    rows: FloatArray,
+) -> None:
+    """Fill the rows for tetrahedra indices[first:first + count] around vertex i.
+
+    The second loop does without indirect addresses, so the compiler takes several cells at once.
+    """
+    x, y, z, own = nodes[i, 0], nodes[i, 1], nodes[i, 2], nodes[i, 3]
+    for s in range(count):
+        u = np.uint32(s)
+        c = np.uint32(indices[first + s])
+        at = (cells[c, 1] == i) + 2 * (cells[c, 2] == i) + 3 * (cells[c, 3] == i)
+        odd = at & 1
+        j = np.uint32(cells[c, np.uint32(at + 1) & 3])
+        k = np.uint32(cells[c, np.uint32(at + 2 + odd) & 3])
+        n = np.uint32(cells[c, np.uint32(at + 3 - odd) & 3])
+        rows[AX + u], rows[AY + u], rows[AZ + u] = nodes[j, 0], nodes[j, 1], nodes[j, 2]
+        rows[BX + u], rows[BY + u], rows[BZ + u] = nodes[k, 0], nodes[k, 1], nodes[k, 2]
+        rows[EX + u], rows[EY + u], rows[EZ + u] = nodes[n, 0], nodes[n, 1], nodes[n, 2]
+        rho = abs(own) + abs(nodes[j, 3]) + abs(nodes[k, 3]) + abs(nodes[n, 3])
+        central = min(min(own, nodes[j, 3]), min(nodes[k, 3], nodes[n, 3])) < 0.0
+        rows[RHO + u] = -rho if central else rho
+    for s in range(count):
+        u = np.uint32(s)
+        ax, ay, az = rows[AX + u] - x, rows[AY + u] - y, rows[AZ + u] - z
+        bx, by, bz = rows[BX + u] - x, rows[BY + u] - y, rows[BZ + u] - z
+        ex, ey, ez = rows[EX + u] - x, rows[EY + u] - y, rows[EZ + u] - z
+        aa = ax * ax + ay * ay + az * az
+        bb = bx * bx + by * by + bz * bz
+        ee = ex * ex + ey * ey + ez * ez
+        px, py, pz = by * ez - bz * ey, bz * ex - bx * ez, bx * ey - by * ex
+        qx, qy, qz = ey * az - ez * ay, ez * ax - ex * az, ex * ay - ey * ax
+        rx, ry, rz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        rows[DET + u] = ax * px + ay * py + az * pz
+        rows[GX + u], rows[GY + u] = -(px + qx + rx), -(py + qy + ry)
+        rows[GZ + u] = -(pz + qz + rz)
+        rows[LONG + u] = max(aa, bb, ee)
+        central = rows[RHO + u] < 0.0
+        rows[OX + u] = 0.25 * (ax + bx + ex) if central else aa * px + bb * qx + ee * rx
+        rows[OY + u] = 0.25 * (ay + by + ey) if central else aa * py + bb * qy + ee * ry
+        rows[OZ + u] = 0.25 * (az + bz + ez) if central else aa * pz + bb * qz + ee * rz
+
+
 @allocating_kernel
 def _move_vertices(
-    points: FloatArray,
+    nodes: FloatArray,
     out: FloatArray,
     cells: IntArray,
     indptr: OffsetArray,
     indices: IntArray,
-    barycentric: BoolArray,
-    rho: FloatArray,
     equal_weights: bool,
     row_start: OffsetArray,
     row_vertices: IntArray,
@@ -68,100 +150,66 @@ def _move_vertices(
     omega: float,
     largest_star: int,
 ) -> tuple[int, float, int]:
-    """Move order[start:stop] from points to out, which may be the same array.
+    """Move order[start:stop] from nodes to out, which may be the same array.
 
-    A cell with a ``barycentric`` vertex is represented by its barycenter.  Returns the vertices
-    moved, the longest relative move and the vertices of reduced alpha.  Indices of arrays are
-    unsigned because signed ones are tested for negative values.
+    A row of ``nodes`` (n, 4) holds a vertex and its density, negative where a cell with that
+    vertex is represented by its barycenter.  Returns the vertices moved, the longest relative move
+    and the vertices of reduced alpha.  Indices of arrays are unsigned because signed ones are
+    tested for negative values.
 
     Offsets are taken from x_i. With a = x_1 - x_i, ... the other corners in positive order,
     det = d! |tau| and c - x_i = moment / (2 det): weights |tau| cancel the division, so flat cells
     do no harm. det is linear in x_i, so one gradient a cell decides every alpha.
     """
-    d = points.shape[1]
+    d = cells.shape[1] - 1
     factorial = 2.0 if d == 2 else 6.0
     laplacian = row_start.shape[0] > 0
-    cell = np.empty((largest_star, 4))
+    rows = np.empty(18 * CHUNK)
+    cell = np.empty((4, largest_star))
     moved = 0
     reduced = 0
     longest = 0.0
     for position in range(start, stop):
         i = np.uint32(order[position])
-        x = points[i, 0]
-        y = points[i, 1]
-        z = points[i, 2] if d == 3 else 0.0
+        x, y, z = nodes[i, 0], nodes[i, 1], nodes[i, 2]
         first = indptr[i]
         count = indptr[i + 1] - first
         tx = ty = tz = weight = 0.0
         total = 0.0
         lowest = np.inf
         edge_max = 0.0
-        for s in range(count):
-            c = np.uint32(indices[first + s])
+        for done in range(0, count, CHUNK):
+            length = min(count - done, CHUNK)
             if d == 2:
-                at = (cells[c, 1] == i) + 2 * (cells[c, 2] == i)
-                j = np.uint32(cells[c, (at + 1) % 3])
-                k = np.uint32(cells[c, (at + 2) % 3])
-                corner_rho = rho[i] + rho[j] + rho[k]
-                central = barycentric[i] or barycentric[j] or barycentric[k]
-                ax, ay = points[j, 0] - x, points[j, 1] - y
-                bx, by = points[k, 0] - x, points[k, 1] - y
-                aa = ax * ax + ay * ay
-                bb = bx * bx + by * by
-                det = ax * by - ay * bx
-                gx, gy, gz = ay - by, bx - ax, 0.0
-                longer = max(aa, bb)
-                if central:
-                    ox, oy, oz = (ax + bx) / 3.0, (ay + by) / 3.0, 0.0
-                    scale = 1.0 if equal_weights else det * corner_rho
-                else:
-                    ox, oy, oz = aa * by - bb * ay, bb * ax - aa * bx, 0.0
-                    scale = 0.5 / det if equal_weights else 0.5 * corner_rho
+                _plane_chunk(nodes, cells, indices, first + done, length, i, rows)
             else:
-                at = (cells[c, 1] == i) + 2 * (cells[c, 2] == i) + 3 * (cells[c, 3] == i)
-                odd = at & 1
-                j = np.uint32(cells[c, np.uint32(at + 1) & 3])
-                k = np.uint32(cells[c, np.uint32(at + 2 + odd) & 3])
-                n = np.uint32(cells[c, np.uint32(at + 3 - odd) & 3])
-                corner_rho = rho[i] + rho[j] + rho[k] + rho[n]
-                central = barycentric[i] or barycentric[j] or barycentric[k] or barycentric[n]
-                ax, ay, az = points[j, 0] - x, points[j, 1] - y, points[j, 2] - z
-                bx, by, bz = points[k, 0] - x, points[k, 1] - y, points[k, 2] - z
-                ex, ey, ez = points[n, 0] - x, points[n, 1] - y, points[n, 2] - z
-                aa = ax * ax + ay * ay + az * az
-                bb = bx * bx + by * by + bz * bz
-                ee = ex * ex + ey * ey + ez * ez
-                px, py, pz = by * ez - bz * ey, bz * ex - bx * ez, bx * ey - by * ex
-                qx, qy, qz = ey * az - ez * ay, ez * ax - ex * az, ex * ay - ey * ax
-                rx, ry, rz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-                det = ax * px + ay * py + az * pz
-                gx, gy, gz = -(px + qx + rx), -(py + qy + ry), -(pz + qz + rz)
-                longer = max(aa, bb, ee)
-                if central:
-                    ox, oy, oz = 0.25 * (ax + bx + ex), 0.25 * (ay + by + ey), 0.25 * (az + bz + ez)
-                    scale = 1.0 if equal_weights else det * corner_rho
+                _space_chunk(nodes, cells, indices, first + done, length, i, rows)
+            for s in range(length):
+                u = np.uint32(s)
+                det, rho = rows[DET + u], rows[RHO + u]
+                share = 1.0 if equal_weights else det * abs(rho)
+                if rho < 0.0:
+                    scale = share
                 else:
-                    ox = aa * px + bb * qx + ee * rx
-                    oy = aa * py + bb * qy + ee * ry
-                    oz = aa * pz + bb * qz + ee * rz
-                    scale = 0.5 / det if equal_weights else 0.5 * corner_rho
-            tx += scale * ox
-            ty += scale * oy
-            tz += scale * oz
-            weight += 1.0 if equal_weights else det * corner_rho
-            cell[s, 0], cell[s, 1], cell[s, 2], cell[s, 3] = det, gx, gy, gz
-            total += det
-            lowest = min(lowest, det)
-            edge_max = max(edge_max, longer)
+                    scale = 0.5 / det if equal_weights else 0.5 * rho
+                tx += scale * rows[OX + u]
+                ty += scale * rows[OY + u]
+                tz += scale * rows[OZ + u]
+                weight += share
+                total += det
+                lowest = min(lowest, det)
+                edge_max = max(edge_max, rows[LONG + u])
+                at = np.uint32(done + s)
+                cell[0, at], cell[1, at] = det, rows[GX + u]
+                cell[2, at], cell[3, at] = rows[GY + u], rows[GZ + u]
         if laplacian:
             tx = ty = tz = 0.0
             weight = float(row_start[i + 1] - row_start[i])
             for s in range(row_start[i], row_start[i + 1]):
                 j = row_vertices[s]
-                tx += points[j, 0] - x
-                ty += points[j, 1] - y
-                if d == 3:
-                    tz += points[j, 2] - z
+                tx += nodes[j, 0] - x
+                ty += nodes[j, 1] - y
+                tz += nodes[j, 2] - z
         noise = ROUNDING * edge_max * (np.sqrt(edge_max) if d == 3 else 1.0)
         floor = max(min(lowest, THIN * total / count), noise)
         alpha = omega / weight
@@ -171,12 +219,12 @@ def _move_vertices(
             mx = (x + alpha * tx) - x
             my = (y + alpha * ty) - y
             mz = (z + alpha * tz) - z
-            accepted = True
+            thin = 0
             for s in range(count):
-                new = cell[s, 0] + (cell[s, 1] * mx + cell[s, 2] * my + cell[s, 3] * mz)
-                if not new >= floor:
-                    accepted = False
-                    break
+                u = np.uint32(s)
+                volume = cell[0, u] + (cell[1, u] * mx + cell[2, u] * my + cell[3, u] * mz)
+                thin += 0 if volume >= floor else 1
+            accepted = thin == 0
             if accepted:
                 break
             if halving == 0:
@@ -184,21 +232,17 @@ def _move_vertices(
             alpha *= 0.5
         if not accepted:
             mx = my = mz = 0.0
-        out[i, 0] = x + mx
-        out[i, 1] = y + my
-        if d == 3:
-            out[i, 2] = z + mz
-        length = mx * mx + my * my + mz * mz
-        if length > 0.0:
+        out[i, 0], out[i, 1], out[i, 2] = x + mx, y + my, z + mz
+        square = mx * mx + my * my + mz * mz
+        if square > 0.0:
             moved += 1
-            power = length if d == 2 else length * np.sqrt(length)
+            power = square if d == 2 else square * np.sqrt(square)
             longest = max(longest, power * factorial * count / total)
     return moved, longest ** (1.0 / d), reduced
 
 
 def _sweep(
     points: FloatArray,
-    out: FloatArray,
     topology: Topology,
     rho: FloatArray | None,
     method: Center,
@@ -207,26 +251,28 @@ def _sweep(
     boundary_rule: bool,
     threads: int,
     coloring: Coloring,
-) -> StepStats:
-    """Run the kernel over blocks of vertices."""
-    if method == "odt" and boundary_rule:
-        barycentric = topology.is_boundary
-    else:
-        barycentric = np.full(len(points), method != "odt")
-    rho = np.ones(len(points)) if rho is None else np.ascontiguousarray(rho)
+    *,
+    in_place: bool,
+) -> tuple[FloatArray, StepStats]:
+    """Run the kernel over blocks of vertices; ``in_place`` lets them see each other's moves."""
+    d = points.shape[1]
+    nodes = np.zeros((len(points), 4))
+    nodes[:, :d] = points
+    nodes[:, 3] = 1.0 if rho is None else rho
+    barycentric = topology.is_boundary if method == "odt" and boundary_rule else method != "odt"
+    np.negative(nodes[:, 3], out=nodes[:, 3], where=barycentric)
+    out = nodes if in_place else nodes.copy()
     rows = topology.neighbors if method == "laplacian" else None
     row_start = rows.indptr if rows else np.empty(0, dtype=np.int64)
     row_vertices = rows.indices if rows else np.empty(0, dtype=np.int32)
 
     def run(start: int, stop: int) -> Any:
         return _move_vertices(
-            points,
+            nodes,
             out,
             topology.cells,
             topology.stars.indptr,
             topology.stars.indices,
-            barycentric,
-            rho,
             inverse_volume,
             row_start,
             row_vertices,
@@ -240,7 +286,8 @@ def _sweep(
     with ThreadPoolExecutor(threads) if threads > 1 else nullcontext() as pool:
         results = run_chunks(pool, threads, coloring, run)
     moved, longest, reduced = zip((0, 0.0, 0), *results, strict=True)
-    return StepStats(sum(moved), max(longest), sum(reduced))
+    new = np.ascontiguousarray(out[:, :d])
+    return new, StepStats(sum(moved), max(longest), sum(reduced))
 
 
 def gauss_seidel_sweep(
@@ -279,12 +326,10 @@ def gauss_seidel_sweep(
     CMAME 200 (2011) 967-984, Section 4.1.3, (4.12), (4.13), Section 4.2.1, (4.20), (4.21), (4.22).
     (4.18) is (4.20) with alpha = 1 and the integrals by one point.
     """
-    new = np.array(points, dtype=np.float64, order="C")
-    stats = _sweep(
-        new, new, topology, rho, method, inverse_volume, omega, boundary_rule, threads,
-        topology.coloring,
+    return _sweep(
+        points, topology, rho, method, inverse_volume, omega, boundary_rule, threads,
+        topology.coloring, in_place=True,
     )
-    return new, stats
 
 
 def jacobi_sweep(
@@ -305,11 +350,11 @@ def jacobi_sweep(
     omega = 1 is the limit of stability, so the default is below it.
     """
     old = np.ascontiguousarray(points, dtype=np.float64)
-    target = old.copy()
     blocks = topology.coloring
-    stats = _sweep(
-        old, target, topology, rho, method, inverse_volume, omega, boundary_rule, threads,
+    target, stats = _sweep(
+        old, topology, rho, method, inverse_volume, omega, boundary_rule, threads,
         blocks._replace(offsets=np.array([0, len(blocks.blocks) - 1], dtype=np.int64)),
+        in_place=False,
     )
     new, reduced = guarded_move(old, topology, target - old)
     return new, move_stats(old, new, topology, stats.reduced + reduced, 1.0)

@@ -20,6 +20,8 @@ def _sum_energy(points: FloatArray, cells: IntArray, rho: FloatArray, of_cells: 
     d = k - 1
     total = 0.0
     for c in range(m):
+        if cells[c, 0] < 0:
+            continue
         weight = k * rho[c] if of_cells else 0.0
         if not of_cells:
             for a in range(k):
@@ -50,8 +52,9 @@ def total_energy(
 
     Parameters
     ----------
-    points : (n, d) float64, cells : (m, d + 1) int32
-    rho : (n,) float64       density at the vertices
+    points : (n, d) float64
+    cells : (m, d + 1) int32    a row that starts with -1 is a free slot and is left out
+    rho : (n,) float64          density at the vertices
     pool                     see ``threads.run_ranges``
 
     Returns
