@@ -14,7 +14,8 @@ import numba
 import numpy as np
 
 import odt_plugins
-from odt_plugins.engine import kernel, kernel_cache
+from odt_plugins.engine import cavity, kernel, kernel_cache
+from odt_plugins.engine.sphere import apex_across
 from odt_plugins.engine.tetrahedron import tet_quality
 
 ENGINE = Path(odt_plugins.__file__).parent / "engine"
@@ -150,3 +151,19 @@ def test_an_editor_may_leave_a_link_that_leads_nowhere(tmp_path):
     stamp = kernel_cache.source_stamp(tmp_path)
     (tmp_path / ".#a.py").symlink_to("someone@here.17")
     assert kernel_cache.source_stamp(tmp_path) == stamp
+
+
+def test_what_a_flip_calls_is_compiled_for_one_type():
+    """For every type of an argument, and every literal, numba compiles a kernel anew."""
+    n = 8
+    cells = np.zeros((n, 4), np.int32)
+    cells[0] = 0, 1, 2, 3
+    # Not from the cache, where the kernels that it calls would not be asked for.
+    numba.njit(cavity.replace_cavity.py_func)(
+        cells, np.full((n, 4), -1, np.int32), np.zeros(n, np.int32), np.zeros(n, np.uint8),
+        np.zeros(4, np.int32), 1, cells[:1].copy(), 1, np.array([1, 0, 0]), np.zeros(n, np.int32),
+        np.zeros((32, 5), np.int32), np.zeros((100, 4), np.int64),
+    )
+    assert len(cavity._note.signatures) == len(cavity._sorted3.signatures) == 1
+    assert apex_across(cells, 0, 0, 0) == 0
+    assert apex_across.nopython_signatures[0].return_type == numba.int32

@@ -16,7 +16,7 @@ IDLE, PENDING, DONE = 0, 1, 2
 """Status of a cell: nothing to do, to be visited, visited in this pass."""
 MAX_RING = 10
 """Most vertices around an edge that is removed; the table of a ring grows with their square."""
-CELL, NEIGHBOR, STATUS, FREE, SLOT = 0, 1, 2, 3, 4
+CELL, NEIGHBOR, STATUS, FREE, SLOT = np.arange(5, dtype=np.int64)
 """What an entry of a journal says was overwritten."""
 UNKNOWN = 0.0
 """Cost of a cell that was not computed yet; arrays of zeros take no memory until they are used."""
@@ -198,7 +198,10 @@ def _sorted3(cells: IntArray, c: int, f: int) -> tuple[int, int, int]:
 
 @kernel
 def _note(journal: LongArray, kind: int, a: int, b: int, value: int) -> None:
-    """Remember an entry before it is overwritten; journal[0, 0] counts, -1 switches off."""
+    """Remember an entry before it is overwritten; journal[0, 0] counts, -1 switches off.
+
+    All numbers are to be int64: for any other type, and for a literal, it would be compiled anew.
+    """
     n = journal[0, 0]
     if n < 0:
         return
@@ -250,13 +253,14 @@ def replace_cavity(
         return False
     if journal[0, 0] >= 0 and journal[0, 0] + 20 * (n_old + n_new) + 2 >= journal.shape[0]:
         return False
+    first = np.int64(0)
     if journal[0, 0] >= 0:
-        _note(journal, SLOT, 0, 0, slots[0])
-        _note(journal, SLOT, 1, 0, slots[1])
+        _note(journal, SLOT, first, first, slots[0])
+        _note(journal, SLOT, first + 1, first, slots[1])
     label = regions[old[0]]
     n_rim = 0
     for m in range(n_old):
-        c = old[m]
+        c = np.int64(old[m])
         for f in range(4):
             across = neighbors[c, f]
             inside = False
@@ -279,10 +283,10 @@ def replace_cavity(
                         break
             n_rim += 1
     for m in range(n_new, n_old):
-        c = old[m]
-        _note(journal, CELL, c, 0, cells[c, 0])
-        _note(journal, STATUS, c, 0, status[c])
-        _note(journal, FREE, slots[1], 0, free[slots[1]])
+        c = np.int64(old[m])
+        _note(journal, CELL, c, first, np.int64(cells[c, 0]))
+        _note(journal, STATUS, c, first, np.int64(status[c]))
+        _note(journal, FREE, slots[1], first, np.int64(free[slots[1]]))
         cells[c, 0] = -1
         status[c] = IDLE
         free[slots[1]] = c
@@ -295,11 +299,11 @@ def replace_cavity(
             old[m] = slots[0]
             slots[0] += 1
     for m in range(n_new):
-        c = old[m]
-        _note(journal, STATUS, c, 0, status[c])
+        c = np.int64(old[m])
+        _note(journal, STATUS, c, first, np.int64(status[c]))
         for i in range(4):
-            _note(journal, CELL, c, i, cells[c, i])
-            _note(journal, NEIGHBOR, c, i, neighbors[c, i])
+            _note(journal, CELL, c, i, np.int64(cells[c, i]))
+            _note(journal, NEIGHBOR, c, i, np.int64(neighbors[c, i]))
             cells[c, i] = new[m, i]
         regions[c] = label
         status[c] = PENDING
@@ -311,12 +315,12 @@ def replace_cavity(
                     match = r
                     break
             if match >= 0:
-                across = rim[match, 3]
-                neighbors[c, f] = across
-                if across >= 0:
-                    g = rim[match, 4]
-                    _note(journal, NEIGHBOR, across, g, neighbors[across, g])
-                    neighbors[across, g] = c
+                beyond = np.int64(rim[match, 3])
+                neighbors[c, f] = beyond
+                if beyond >= 0:
+                    local = np.int64(rim[match, 4])
+                    _note(journal, NEIGHBOR, beyond, local, np.int64(neighbors[beyond, local]))
+                    neighbors[beyond, local] = c
                 n_rim -= 1
                 for t in range(5):
                     rim[match, t] = rim[n_rim, t]

@@ -108,12 +108,12 @@ def descend_around(
     """
     touched, star, undo, undo_vertex, seen, out, step = scratch
     around = work[1]
-    n_touched = push(touched, 0, fresh, n_fresh)
+    # numba would compile push and newton_vertex once more for a literal
+    first = np.int64(0)
+    n_touched = push(touched, first, fresh, n_fresh)
     forced = total
     n_undo = 0
     flips = 0
-    # numba would compile newton_vertex once more for a literal
-    first = np.int64(0)
     for _ in range(ROUNDS):
         m = 0
         while m < n_touched and flips < MOST_FLIPS:

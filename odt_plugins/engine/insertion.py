@@ -61,6 +61,8 @@ def propose_vertex(
     n_new = 0
     if n_old == 0:
         return total, n_old, n_new
+    # numba would compile newton_vertex once more for a literal
+    start = np.int64(0)
     for _ in range(GROWTHS):
         n_old = grow_cavity(
             points, cells, neighbors, regions, p, cavity, n_old, objective, power
@@ -69,7 +71,7 @@ def propose_vertex(
             points, cells, neighbors, p, cavity, n_old, objective, power, new
         )
         gain = newton_vertex(
-            points, new, rows, 0, n_new, p, objective, power, bounds, scratch[5], scratch[6]
+            points, new, rows, start, n_new, p, objective, power, bounds, scratch[5], scratch[6]
         )
         if gain == 0.0:
             break
@@ -163,14 +165,14 @@ def insertion_pass(
                 continue
             journal[0, 0] = 0
             if inserts:
-                v = first[0]
+                v = np.int32(first[0])
                 locked[v] = False
                 total, n_old, n_new = propose_vertex(
                     points, cells, neighbors, regions, status, c, op, v, objective, power,
                     max_ring, bounds, work, scratch, cavity, new, rows,
                 )
             else:
-                v = np.int64(cells[c, op - PLACES])
+                v = cells[c, op - PLACES]
                 total, n_old, n_new = propose_removal(
                     points, cells, neighbors, locked, stays, c, v, objective, power, scratch,
                     cavity, new,

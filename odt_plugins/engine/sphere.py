@@ -58,12 +58,12 @@ def inside_sphere(
 
 
 @kernel
-def apex_across(cells: IntArray, c: int, f: int, across: int) -> int:
+def apex_across(cells: IntArray, c: int, f: int, across: int) -> np.int32:
     """Vertex of the cell across facet f of cell c that is not on the facet.
 
     All others of the two cells' vertices but cells[c, f] are there twice, so they cancel.
     """
-    return (
+    return np.int32(
         cells[c, 0] ^ cells[c, 1] ^ cells[c, 2] ^ cells[c, 3] ^ cells[c, f]
         ^ cells[across, 0] ^ cells[across, 1] ^ cells[across, 2] ^ cells[across, 3]
     )

@@ -204,7 +204,7 @@ def best_collapse(
 ) -> tuple[float, int]:
     """:func:`collapse_edge` for the neighbour of v that costs least; no cell when all fold."""
     best = -np.inf
-    into = -1
+    into = np.int32(-1)
     for m in range(n):
         for i in range(4):
             w = cells[star[m], i]
