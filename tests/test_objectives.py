@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from copy import deepcopy
 from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
@@ -32,7 +33,7 @@ from odt_plugins.engine.finish2d import finish2d
 from odt_plugins.engine.finishing import finish, flip_pending, guarded, held_angles
 from odt_plugins.engine.flips2d import quality_flips
 from odt_plugins.engine.phases import MEASURES as CODES
-from odt_plugins.engine.phases import Descent, Phase, bulk, descents, tail
+from odt_plugins.engine.phases import SMALL_ANGLE, Descent, Phase, bulk, descents, polish, tail
 from odt_plugins.engine.smooth3d import smooth_vertices
 from odt_plugins.engine.star import vertex_stars
 from odt_plugins.engine.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY
@@ -197,6 +198,10 @@ def test_figures_rank_by_the_objective(d):
     shares = {}
     q = pm.shape(points, cells)[0] if d == 2 else tm.quality(points, cells)
     shares["radius_ratio"] = q.mean() + 0.5 * np.quantile(q, 0.01) + 0.25 * q.min()
+    if d == 3:
+        small = (angles(points, cells) < 20.0).mean()
+        assert small > 0.0
+        shares["radius_ratio"] -= 3.0 * min(small, 0.02)
     e = energies(points, cells)
     shares["amips"] = -e.mean() - 0.5 * np.quantile(e, 0.99) - 0.25 * e.max()
     t = np.radians(angles(points, cells)) / np.arccos(1 / d)
@@ -222,9 +227,10 @@ def test_guarded_phases_keep_the_other_measure():
     bounds = np.array([0.01, 1.0, -1.0, 0.3, np.cos(np.radians(5.0)), -0.9])
     phase = Phase(4.0, 0.1, 2, 3, 3)
     mesh = complex_of(points, cells)
-    assert guarded(mesh, phase, bounds) is bounds
-    same = held_angles(mesh, bounds, 0.2)
-    assert guarded(mesh, replace(phase, guard=0.2), bounds).tobytes() == same.tobytes()
+    assert guarded(mesh, phase, bounds).tobytes() == bounds.tobytes()
+    least = guarded(mesh, replace(phase, least=20.0), bounds)
+    assert least[[1, 4]] == pytest.approx(np.cos(np.radians(20.0)), rel=1e-12)
+    assert least[[0, 2, 3, 5]].tobytes() == bounds[[0, 2, 3, 5]].tobytes()
     angles = replace(phase, objective=DIHEDRAL, guard=0.2)
     held = guarded(mesh, angles, bounds)
     before = tm.quality(points, cells)
@@ -243,13 +249,59 @@ def test_guarded_phases_keep_the_other_measure():
     assert below[0] < below[1]
 
 
+def test_a_phase_makes_no_new_angle_below_its_least():
+    bounds = np.array([0.01, 1.0, -1.0, 0.3, np.cos(np.radians(5.0)), -0.9])
+    start = complex_of(*tm.ball(300, 8))
+    finish(start, (Phase(2.0, 0.5, 2, 3, 3, DIHEDRAL),), bounds, None, 1)
+    below = []
+    for phases in ((), (Phase(0.5, 1.0, 2, 3, least=25.0),), (Phase(0.5, 1.0, 2, 3),)):
+        mesh = deepcopy(start)
+        finish(mesh, phases, bounds, None, 1)
+        smallest = tm.dihedral_angles(mesh.points, mesh.mesh_arrays()[0]).min(axis=1)
+        below.append((smallest < 25.0).sum())
+    assert below[1] <= below[0] < below[2]
+
+
+def test_polishing_leaves_fewer_small_angles_and_keeps_the_least_quality():
+    points, cells = tm.ball(300, 8)
+    bounds = np.array([0.0, 1.0, -1.0, 0.0, 1.0, -1.0])
+    mesh = complex_of(points.copy(), cells)
+    small = (tm.dihedral_angles(points, cells).min(axis=1) < SMALL_ANGLE).mean()
+    left, least = [small], [tm.quality(points, cells).min()]
+    assert small > 0.01
+    for phases in polish(small):
+        finish(mesh, phases, bounds, None, 1)
+        now = mesh.mesh_arrays()[0]
+        left.append((tm.dihedral_angles(mesh.points, now).min(axis=1) < SMALL_ANGLE).mean())
+        least.append(tm.quality(mesh.points, now).min())
+    assert all(later <= sooner for sooner, later in pairwise(left))
+    assert all(later >= sooner for sooner, later in pairwise(least))
+    assert left[-1] < 0.5 * small
+
+
+def test_small_angles_are_polished_and_the_better_state_stays(monkeypatch):
+    points, cells = tm.ball(300, 8)
+    mesh = mesh_of(points, cells)
+    polished = run(mesh, Options())
+    monkeypatch.setattr(driver, "polish", lambda share: ())
+    plain = run(mesh, Options())
+    few, many = (
+        (tm.dihedral_angles(r.points, r.cells).min(axis=1) < SMALL_ANGLE).sum()
+        for r in (polished, plain)
+    )
+    assert few < many
+    assert figures(polished.points, polished.cells).score > (
+        figures(plain.points, plain.cells).score
+    )
+
+
 def test_schedules(d):
     (default,) = descents(d)
     general = [phase for phase in default.phases if phase.objective == QUALITY]
-    assert tuple(replace(phase, guard=None) for phase in general) == tail(d)
+    assert tuple(replace(phase, least=None) for phase in general) == tail(d)
     angles = [phase for phase in default.phases if phase.objective != QUALITY]
     assert [phase.objective for phase in angles] == [DIHEDRAL] * (d - 2)
-    assert all((phase.guard == 0.0) == (d == 3) for phase in general[1:])
+    assert all((phase.least == SMALL_ANGLE) == (d == 3) for phase in general[1:])
     assert descents(d, "min_dihedral")[0] == Descent(tail(d))
     for objective in CODES:
         measures = {p.objective for step in descents(d, objective) for p in step.phases}

@@ -522,7 +522,7 @@ def test_a_surface_that_may_slide_is_no_worse_than_a_fixed_one(monkeypatch, poor
         if slid.slid is None:
             left[hard.name] = slid.fallback
             assert slid.points.tobytes() == fixed.points.tobytes()
-    assert sum("a surface that slid gave less" in why for why in left.values()) > 1
+    assert any("a surface that slid gave less" in why for why in left.values())
 
 
 def spread(outcome):

@@ -10,10 +10,17 @@ from numpy.typing import NDArray
 
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.mean_ratio import tet_mean_ratio
+from odt_plugins.engine.phases import SMALL_ANGLE
 from odt_plugins.engine.tetrahedron import MEAN_RATIO, tet_cosines, tet_quality
 from odt_plugins.engine.triangle import triangle_in_space, triangle_measure, triangle_shape
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 from odt_plugins.options import Objective
+
+COS_SMALL = math.cos(math.radians(SMALL_ANGLE))
+PRICE = 3.0
+"""Of a tetrahedron with a small angle in the score: what three regular ones add to it."""
+MANY = 0.02
+"""Share of small angles beyond which the score no longer counts them."""
 
 
 @kernel
@@ -44,7 +51,8 @@ def cell_shapes(points: FloatArray, cells: IntArray) -> FloatArray:
 class Figures:
     """Minimum, 1 % quantile and mean of q, cosines of the smallest and the largest angle.
 
-    ``score`` is what the best-state memory ranks by: mean and tail together of what is improved.
+    ``small_angles`` is the share of the tetrahedra with an angle below SMALL_ANGLE.  ``score`` is
+    what the best-state memory ranks by: mean and tail together of what is improved.
     """
 
     min_quality: float
@@ -52,6 +60,7 @@ class Figures:
     mean_quality: float
     cos_min_angle: float
     cos_max_angle: float
+    small_angles: float
     score: float
 
     def worse_than(self, before: Figures, keep: tuple[str, ...]) -> list[str]:
@@ -91,7 +100,8 @@ def figures(
     shapes = cell_shapes(points, cells)
     q: NDArray[np.float64] = shapes[:, 0]
     least, p1, mean = _spread(q)
-    score = mean + 0.5 * p1 + 0.25 * least
+    small = float((shapes[:, 1] > COS_SMALL).mean()) if cells.shape[1] == 4 else 0.0
+    score = mean + 0.5 * p1 + 0.25 * least - PRICE * min(small, MANY)
     if objective == "min_dihedral":
         regular = math.acos(1.0 / (cells.shape[1] - 1))
         angles = np.arccos(np.clip(shapes[:, 1], -1.0, 1.0)) / regular
@@ -100,7 +110,8 @@ def figures(
     elif objective == "amips":
         greatest, few, average = _spread(-amips_energies(points, cells))
         score = average + 0.5 * few + 0.25 * greatest
-    return Figures(least, p1, mean, float(shapes[:, 1].max()), float(shapes[:, 2].min()), score)
+    return Figures(least, p1, mean, float(shapes[:, 1].max()), float(shapes[:, 2].min()), small,
+                   score)
 
 
 def _spread(values: NDArray[np.float64]) -> tuple[float, float, float]:

@@ -7,6 +7,7 @@ worst cells; bounds keep every change within the extremes that the input had.
 
 from __future__ import annotations
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
@@ -25,7 +26,7 @@ from odt_plugins.engine.phases import Phase
 from odt_plugins.engine.skin import flip_skin, slide
 from odt_plugins.engine.slabs import side_by_side
 from odt_plugins.engine.star import Stars
-from odt_plugins.engine.tetrahedron import DIHEDRAL, ENERGY, QUALITY, tet_measure
+from odt_plugins.engine.tetrahedron import ENERGY, QUALITY, tet_measure
 from odt_plugins.engine.threads import run_chunks, run_ranges
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray, LongArray
 
@@ -80,7 +81,7 @@ def measures(
 
 def worst_count(q: FloatArray, phase: Phase) -> int:
     """How many cells a phase starts from; ``q`` as of :func:`measures`."""
-    most = int(phase.share * (q < 1.5).sum())
+    most = int(phase.share * (q < 1.5).sum() + 1e-6)
     return min(most, max(most // 10, int((q < phase.enough).sum())))
 
 
@@ -97,13 +98,12 @@ def guarded(
     mesh: Complex, phase: Phase, bounds: FloatArray, pool: ThreadPoolExecutor | None = None
 ) -> FloatArray:
     """Bounds for a phase, see :class:`Phase`."""
-    if phase.guard is None:
-        return bounds
-    if phase.objective != DIHEDRAL:
-        return held_angles(mesh, bounds, phase.guard)
-    q = measures(mesh, QUALITY, pool)
     held = bounds.copy()
-    held[0] = max(held[0], np.quantile(q[q < 1.5], phase.guard))
+    if phase.least is not None:
+        held[[1, 4]] = np.minimum(held[[1, 4]], math.cos(math.radians(phase.least)))
+    if phase.guard is not None:
+        q = measures(mesh, QUALITY, pool)
+        held[0] = max(held[0], np.quantile(q[q < 1.5], phase.guard))
     return held
 
 

@@ -22,8 +22,11 @@ class Phase:
     compound : int   passes of compound moves over the same share afterwards (d = 3)
     objective : int  the cell measure in the cost, see ``tetrahedron.tet_cost``
     guard : float or None
-        no new cell gets a worse radius ratio, if the measure is that of angles, else a smaller
-        angle than this share of the cells has when the phase starts; None: than the input (d = 3)
+        no new cell gets a worse radius ratio than this share of the cells has when the phase
+        starts; None: than the input (d = 3)
+    least : float or None
+        no new cell gets a smaller angle, in degrees, unless one that it replaces has such an
+        angle; None: than the input (d = 3)
     enough : float
         of the cells whose measure reaches this only a tenth of the share is worked on (d = 3)
     """
@@ -35,6 +38,7 @@ class Phase:
     compound: int = 0
     objective: int = QUALITY
     guard: float | None = None
+    least: float | None = None
     enough: float = 1.0
 
 
@@ -69,6 +73,9 @@ ANGLES = Phase(2.0, 0.01, 2, 3, 3, DIHEDRAL, guard=0.01, enough=0.33)
 """For the smallest and largest angles, which radius ratios alone do not mind enough: those below
 about 25 degrees, or above 150."""
 
+SMALL_ANGLE = 20.0
+"""Dihedral angle in degrees below which a cell is looked after on its own."""
+
 
 def bulk(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
     """Phases for the mean: every cell, a small p; with "amips" the sum of the energies."""
@@ -87,9 +94,24 @@ def tail(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
 def with_angles(phases: tuple[Phase, ...]) -> tuple[Phase, ...]:
     """Put :data:`ANGLES` after the first of the phases for radius ratios in space.
 
-    Those after it hold the angles that were reached, and win back what they cost.
+    Those after it make no new small angle, and win back what the angles cost.
     """
-    return phases[0], ANGLES, *(replace(phase, guard=0.0) for phase in phases[1:])
+    return phases[0], ANGLES, *(replace(phase, least=SMALL_ANGLE) for phase in phases[1:])
+
+
+def polish(share: float) -> tuple[tuple[Phase, ...], ...]:
+    """Phases for small angles alone, and to win back around them what they cost: gently, then not.
+
+    Parameters
+    ----------
+    share : part of the cells with an angle below SMALL_ANGLE
+    """
+    worst = min(share, 0.02)
+    after = Phase(4.0, 2.0 * min(8.0 * share, 0.02), 2, 3, 3, guard=0.0, least=SMALL_ANGLE)
+    return (
+        (Phase(2.0, worst, 2, 3, 3, DIHEDRAL, guard=1e-3), after),
+        (Phase(4.0, worst, 2, 3, 3, DIHEDRAL, guard=0.0), after),
+    )
 
 
 def repair(worse: Sequence[str]) -> tuple[Phase, ...]:
