@@ -45,25 +45,17 @@ class Coloring(NamedTuple):
 
 @kernel
 def _touching(
-    cells: IntArray, movable: BoolArray, bits: int, touch: BoolArray, start: int, stop: int
+    cells: IntArray, block: IntArray, touch: BoolArray, start: int, stop: int
 ) -> None:
-    k = cells.shape[1]
+    """Mark the pairs of blocks in the cells start to stop, the larger number first."""
     for c in range(start, stop):
         if cells[c, 0] < 0:
             continue
-        lowest = highest = cells[c, 0] >> bits
-        for a in range(1, k):
-            lowest = min(lowest, cells[c, a] >> bits)
-            highest = max(highest, cells[c, a] >> bits)
-        if lowest == highest:
-            continue
-        for a in range(1, k):
-            v = cells[c, a]
+        for a in range(1, cells.shape[1]):
+            u = block[np.uint32(cells[c, a])]
             for b in range(a):
-                u = cells[c, b]
-                if movable[u] and movable[v]:
-                    touch[u >> bits, v >> bits] = True
-                    touch[v >> bits, u >> bits] = True
+                w = block[np.uint32(cells[c, b])]
+                touch[np.uint32(max(u, w)), np.uint32(min(u, w))] = True
 
 
 @kernel
@@ -99,12 +91,15 @@ def touching_blocks(
 
     Returns
     -------
-    (blocks, blocks) bool       symmetric; the diagonal means nothing
+    (blocks + 1, blocks + 1) bool
+        [a, b] for a > b; the rest means nothing, nor does the last row, of the vertices that stay
     """
     bits = _block_bits(len(movable))
     count = (len(movable) >> bits) + 1
-    touch = np.zeros((count, count), dtype=np.bool_)
-    run_ranges(pool, len(cells), partial(_touching, cells, movable, bits, touch))
+    block = np.arange(len(movable), dtype=np.int32) >> bits
+    block[~movable] = count
+    touch = np.zeros((count + 1, count + 1), dtype=np.bool_)
+    run_ranges(pool, len(cells), partial(_touching, cells, block, touch))
     return touch
 
 
@@ -126,7 +121,7 @@ def vertex_coloring(
     if touch is None:
         touch = touching_blocks(cells, movable)
     vertices = np.flatnonzero(movable)
-    bits, count = _block_bits(len(movable)), len(touch)
+    bits, count = _block_bits(len(movable)), len(touch) - 1
     color = np.zeros(count, dtype=np.int32)
     _greedy(touch, color, np.full(count + 1, -1, dtype=np.int32))
     size = np.bincount(vertices >> bits, minlength=count)
