@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 from pathlib import Path
 
+import meshio
 import numpy as np
 import planar_meshes as pm
 import pytest
@@ -411,6 +412,21 @@ def test_finishing_alone_is_tried_too_where_it_may_do_better(make, monkeypatch):
     assert score(result.points, result.cells) > score(plain.points, plain.cells) + 0.002
     assert result.fallback is None
     assert result.stop_reason.endswith("finishing without smoothing before it gave more")
+
+
+def test_a_density_that_no_state_could_follow_is_told():
+    """All cells at one corner is more than this mesh can do: what tries it is worse than before."""
+    stored = meshio.read(DATA / "tetwild_cube.vtu")
+    mesh = mesh_of(stored.points, tm.oriented(stored.points, stored.cells[0].data))
+    corner = stored.points.min(axis=0)
+
+    def steep(x):
+        return np.exp(-40.0 * np.linalg.norm(x - corner, axis=1) / np.ptp(stored.points)) + 1e-9
+
+    told = run(mesh, Options(density=steep))
+    assert measure(told.points, told.cells)[2] > measure(mesh.points, mesh.cells)[2] + 0.02
+    assert told.stop_reason.endswith("kept the promise, the sizes are those of the input")
+    assert "sizes are" not in run(mesh, Options(density="uniform")).stop_reason
 
 
 def test_finishing_alone_is_not_tried_where_sizes_or_nothing_poor_ask_for_it():

@@ -54,6 +54,7 @@ STILL = 0.02
 
 ALONE = "finishing alone"
 BESIDES = "finishing alone, besides"
+NO_DENSITY = "nothing that follows the density kept the promise, the sizes are those of the input"
 
 LOCKED_QUALITY = 0.3
 LOCKED_ANGLES = (14.0, 157.0)
@@ -233,6 +234,8 @@ def _run_in(
         log.add(f"runs of {ALONE}", 1)
         name = ALONE if refused else BESIDES
         _finishing_alone(second, options, bounds, memory, name, times, pool, log)
+        if refused and not _keeps_sizes(options):
+            reason += f"; {NO_DENSITY}"
     if options.insert and (memory.states or skin is None):
         clock = time.perf_counter()
         unchanged = frame.inside(mesh.points[frame.vertices])
@@ -436,10 +439,13 @@ def _may_finish_alone(memory: Memory, locked: BoolArray, options: Options) -> bo
     """Whether stage 2 alone may do better than what was reached: where few vertices move, or cells
     that nothing can improve make the 1 % quantile, and their neighbours pay for them.
     """
-    sizes_are_kept = isinstance(options.density, str) and options.density == "keep"
-    if not (memory.states and sizes_are_kept):
+    if not (memory.states and _keeps_sizes(options)):
         return False
     return memory.states[0].figures.p1_quality < POOR or (~locked).mean() < STILL
+
+
+def _keeps_sizes(options: Options) -> bool:
+    return isinstance(options.density, str) and options.density == "keep"
 
 
 def _finishing_alone(
