@@ -15,6 +15,7 @@ from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
 from test_driver import assert_promise, facet_set, measure, mesh_of
+from test_flips3d import complex_of
 
 import odt_plugins
 from odt_plugins.carry import surrounding_cells
@@ -22,6 +23,8 @@ from odt_plugins.cli import cli
 from odt_plugins.compare.hard import hard_meshes
 from odt_plugins.engine import driver, resampling
 from odt_plugins.engine.driver import Outcome, run
+from odt_plugins.engine.figures import figures
+from odt_plugins.engine.smoothing import Log
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh import simplex_mesh
 from odt_plugins.options import Options
@@ -148,6 +151,26 @@ def test_a_round_that_costs_too_much_is_taken_back(monkeypatch):
     assert outcome.counts["resamplings taken back"] == resampling.ROUNDS
     assert outcome.points.tobytes() == plain.points.tobytes()
     assert outcome.cells.tobytes() == plain.cells.tobytes()
+
+
+@pytest.mark.parametrize(("change", "stays"), [
+    ({"p1_quality": -0.1, "score": 0.1}, True),
+    ({"p1_quality": -0.1, "score": -0.1}, False),
+    ({"mean_quality": -0.1, "score": 0.1}, False),
+    ({"score": -0.1}, True),
+])
+def test_a_round_may_cost_the_quantile_for_a_gain_in_the_score(change, stays, monkeypatch):
+    mesh = complex_of(*start())
+    before = figures(mesh.points, mesh.mesh_arrays()[0])
+    now = replace(before, **{name: getattr(before, name) + by for name, by in change.items()})
+    monkeypatch.setattr(resampling, "resample", lambda *_: 1)
+    monkeypatch.setattr(resampling, "_figures", lambda *_: now)
+    kept = []
+    resampling.resample_in_rounds(
+        mesh, before, "radius_ratio", limits=lambda _: None, settle=lambda *_: None,
+        offer=kept.append, report=lambda _: None, log=Log(),
+    )
+    assert len(kept) == (resampling.ROUNDS if stays else 0)
 
 
 def test_insertion_goes_on_from_the_input_when_nothing_else_helps(monkeypatch):

@@ -117,8 +117,9 @@ def resample_in_rounds(
 ) -> None:
     """Add and remove vertices, in rounds with finishing at the end of each.
 
-    Nothing may pass the extremes ``before``.  A round that costs more than noise of their mean or
-    1 % quantile is taken back, and the next one looks at fewer cells.
+    Nothing may pass the extremes ``before``.  A round that costs more than noise of their mean, or
+    of their 1 % quantile for no gain in the score, is taken back, and the next one looks at fewer
+    cells.
 
     Parameters
     ----------
@@ -141,8 +142,11 @@ def resample_in_rounds(
         )
         settle(changed, after_resampling(objective), limits(_figures(changed, objective)))
         now = _figures(changed, objective)
-        fall = max(before.mean_quality - now.mean_quality, before.p1_quality - now.p1_quality)
-        if (fall > noise if objective == "radius_ratio" else now.score < before.score):
+        gains = now.score >= before.score
+        if objective == "radius_ratio":
+            gains |= before.p1_quality - now.p1_quality <= noise
+            gains &= before.mean_quality - now.mean_quality <= noise
+        if not gains:
             log.add("resamplings taken back", 1)
             scale *= LESS
             continue
