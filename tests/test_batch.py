@@ -523,6 +523,20 @@ def test_a_run_that_was_killed_is_cleared_away_and_one_that_works_is_not(place):
     assert sorted(hidden.iterdir()) == sorted([mine, again, other])
 
 
+def test_a_worker_with_other_packages_is_refused_before_it_does_a_job(place, monkeypatch):
+    write_ball(place / "models" / "60.vtu", 60)
+    jobs = make_jobs(find_inputs(["models/60.vtu"]), place / "out", {})
+    wanted = batch.versions_here() | {"numba": "0.1"}
+    monkeypatch.setattr(batch, "versions_here", lambda: wanted)
+    with pytest.raises(InvalidOptionError, match=r"has numba .*expected 0\.1 as in"):
+        run_batch(jobs)
+    refused = InvalidOptionError("the worker on x has numba 1")
+    monkeypatch.setattr(batch, "_as_they_finish", lambda *_: iter([(0, refused)]))
+    with pytest.raises(InvalidOptionError, match="the worker on x"):
+        run_batch(jobs)
+    assert not list((place / "out").glob("*.vtu"))
+
+
 def test_a_process_ends_when_its_work_folder_is_gone(place):
     (place / "models" / "a.slow").write_text("1000")
     work = place / "work"

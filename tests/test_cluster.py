@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import signal
 import subprocess
@@ -134,7 +135,7 @@ def test_a_worker_with_another_version_is_refused_before_any_work(client, tmp_pa
 
 def test_versions_are_compared_where_a_block_is_worked_on():
     expect_versions(versions_here())
-    with pytest.raises(InvalidOptionError, match=r"this worker has numpy .*expected 0\.1"):
+    with pytest.raises(InvalidOptionError, match=r"worker on .* has numpy .*expected 0\.1"):
         expect_versions({"numpy": "0.1"})
     with pytest.raises(InvalidOptionError, match="the worker x has numba not installed"):
         expect_versions({"numba": "1"}, {"numpy": "1"}, "the worker x")
@@ -163,6 +164,56 @@ def test_work_that_kills_every_worker_ends_the_run_with_a_sentence(client):
             list(apply(explode, [1]))
     client.run_on_scheduler(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", 3))
     client.wait_for_workers(2, timeout=60)
+
+
+def test_workers_that_are_paused_for_good_end_the_run_with_a_sentence(monkeypatch):
+    import dask
+
+    monkeypatch.setattr(cluster_module, "PATIENCE", 1.0)
+    with (
+        dask.config.set({"distributed.worker.memory.pause": 1e-3}),
+        distributed.LocalCluster(n_workers=1, processes=False, memory_limit="4GB",
+                                 dashboard_address=None) as own,
+        distributed.Client(own) as client,
+    ):
+        # a worker looks at its memory from time to time
+        wait_until(lambda: cluster_module._all_paused(client))
+        client.wait_for_workers = lambda *_, **__: None
+        with pytest.raises(WorkerError, match="all workers of the cluster are paused"):
+            list(cluster_module.on_cluster(client)(explode, [1]))
+
+
+def test_a_scheduler_that_is_killed_ends_the_run_with_a_sentence(tmp_path):
+    meshio.Mesh(START.points, [("tetra", START.cells)]).write(tmp_path / "in.vtu")
+    file = tmp_path / "scheduler.json"
+    options = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": tmp_path}
+    scheduler = subprocess.Popen(
+        [sys.executable, "-m", "distributed.cli.dask_scheduler", "--scheduler-file", str(file),
+         "--host", "127.0.0.1", "--port", "0", "--no-dashboard"], **options)
+    worker = None
+    try:
+        wait_until(lambda: file.exists() and file.read_text().endswith("}"))
+        worker = subprocess.Popen(
+            [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", str(file),
+             "--nthreads", "1", "--no-dashboard", "--no-nanny"], **options)
+        address = json.loads(file.read_text())["address"]
+        run = run_cli(tmp_path, "optimize", "in.vtu", "out.vtu", "--blocks", "2",
+                      "--scheduler", address)
+        with distributed.Client(address) as client:
+            wait_until(lambda: any(client.processing().values()))
+            scheduler.kill()
+        _, said = run.communicate(timeout=60)
+    finally:
+        for process in (scheduler, worker):
+            if process is not None:
+                process.kill()
+                process.wait()
+    assert run.returncode == 1
+    lines = said.strip().splitlines()
+    assert lines[0].startswith("Dask dashboard")
+    assert lines[1:] == [f"odt-plugins: the connection to the scheduler {address} was lost; "
+                         "expected it to be there until the end, try the run again"]
+    assert not (tmp_path / "out.vtu").exists()
 
 
 def test_nobody_at_the_address_is_one_sentence(monkeypatch, tmp_path, capsys):

@@ -14,7 +14,7 @@ import tempfile
 import threading
 import time
 from collections.abc import Callable, Iterator, Mapping, Sequence
-from dataclasses import asdict, dataclass, replace
+from dataclasses import asdict, dataclass, field, replace
 from glob import glob
 from pathlib import Path
 from typing import Any
@@ -31,7 +31,7 @@ from odt_plugins.distributed.job import (
     too_little,
 )
 from odt_plugins.distributed.scratch import clear, make_scratch
-from odt_plugins.distributed.versions import installed_version, versions_here
+from odt_plugins.distributed.versions import expect_versions, installed_version, versions_here
 from odt_plugins.engine.progress import silent
 from odt_plugins.errors import InvalidOptionError, MeshFileError, exit_name
 from odt_plugins.terminal import COMPILING
@@ -73,6 +73,7 @@ class Job:
                                  same time and memory limit as well
     retry : bool                 whether failures are tried again all the same
     work : str                   absolute path of the work folder of its run
+    versions : dict              of the packages that compute, as they are where the run began
     """
 
     source: str
@@ -86,6 +87,7 @@ class Job:
     resume: bool = False
     retry: bool = False
     work: str = ""
+    versions: dict[str, str] = field(default_factory=dict)
 
 
 def find_inputs(patterns: Sequence[str], out: Path | None = None) -> list[str]:
@@ -212,7 +214,8 @@ def run_batch(
     except OSError as exc:
         msg = f"cannot write into {jobs[0].out}: {exc.strerror or exc}; try another folder"
         raise MeshFileError(msg) from exc
-    jobs = [replace(job, work=str(work)) for job in jobs]
+    versions = versions_here()
+    jobs = [replace(job, work=str(work), versions=versions) for job in jobs]
     rows: list[Row] = [{} for _ in jobs]
     stop = None
     tell = progress or silent
@@ -220,6 +223,8 @@ def run_batch(
     try:
         with _compiling_told(work, tell):
             for done, (index, row) in enumerate(_as_they_finish(jobs, client), 1):
+                if isinstance(row, InvalidOptionError):
+                    raise row
                 if isinstance(row, BaseException):
                     row = _row(jobs[index], {"status": "lost", "message": str(row)})
                 rows[index] = row
@@ -277,7 +282,12 @@ def run_job(job: Job) -> Row:
     The result and then its row are renamed to their places when they are complete, so that a row
     tells of a result that is there. The row of a failure is kept as well, unless its cause is
     outside of the input: a full disk, a missing package, a signal from elsewhere.
+
+    Raises
+    ------
+    InvalidOptionError    the packages here are not those of the process that began the run
     """
+    expect_versions(job.versions)
     try:
         key = job_key(job)
     except OSError as exc:

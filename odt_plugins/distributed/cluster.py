@@ -58,8 +58,20 @@ def connected(scheduler: str | None = None, workers: int = 0) -> Iterator[Any]:
         msg = (f"no scheduler answers at {scheduler} ({exc}); expected the address that "
                "`dask scheduler` prints, such as tcp://host:8786")
         raise WorkerError(msg) from exc
-    with client:
+    with _quiet(), client:
         yield client
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Keep what Dask says of a lost scheduler off the terminal: a sentence tells it."""
+    logger = logging.getLogger("distributed.client")
+    level = logger.level
+    logger.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        logger.setLevel(level)
 
 
 def check_workers(client: Any) -> None:
@@ -102,7 +114,7 @@ def on_cluster(client: Any) -> Apply:
         futures = submit(client, function, items)
         try:
             while futures:
-                yield _result(futures.pop(0))
+                yield _result(client, futures.pop(0))
         finally:
             for future in futures:
                 future.cancel()
@@ -121,15 +133,40 @@ def submit(client: Any, function: Callable[[Any], Any], items: Iterable[Any]) ->
         return [client.submit(function, item, pure=False) for item in items]
 
 
-def _result(future: Any) -> Any:
-    from distributed import CancelledError, KilledWorker
+def _result(client: Any, future: Any) -> Any:
+    """Wait for the result of a future, for as long as some worker may work on it."""
+    from distributed import CancelledError, KilledWorker, TimeoutError
 
-    try:
-        return future.result()
-    except (KilledWorker, CancelledError, OSError) as exc:
-        msg = (f"the cluster lost the work ({type(exc).__name__}: {exc}); try more memory for its "
-               "workers, or more blocks")
-        raise WorkerError(msg) from exc
+    paused = False
+    while True:
+        try:
+            return future.result(timeout=PATIENCE)
+        except TimeoutError:
+            if future.done():
+                raise
+            was, paused = paused, _all_paused(client)
+            if was and paused:
+                msg = ("all workers of the cluster are paused, more of their memory is in use than "
+                       "Dask allows; try more memory for them, or more blocks")
+                raise WorkerError(msg) from None
+        except (KilledWorker, CancelledError, OSError) as exc:
+            raise WorkerError(_lost(client, exc)) from exc
+
+
+def _all_paused(client: Any) -> bool:
+    """Whether no worker does anything, for want of memory."""
+    workers = client.scheduler_info(n_workers=-1)["workers"].values()
+    paused = bool(workers) and all(worker["status"] == "paused" for worker in workers)
+    return paused and not any(client.call_stack().values())
+
+
+def _lost(client: Any, exc: BaseException) -> str:
+    """Say why there is no result of a future."""
+    if client.status != "running":
+        return (f"the connection to the scheduler {client.scheduler.address} was lost; expected it "
+                "to be there until the end, try the run again")
+    return (f"the cluster lost the work ({type(exc).__name__}: {exc}); try more memory for its "
+            "workers, or more blocks")
 
 
 def as_they_finish(

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import os
+import socket
 from collections.abc import Mapping
 from functools import cache
 from importlib.metadata import PackageNotFoundError, version
@@ -26,7 +28,7 @@ def versions_here() -> dict[str, str]:
 
 
 def expect_versions(
-    wanted: Mapping[str, str], found: Mapping[str, str] | None = None, where: str = "this worker"
+    wanted: Mapping[str, str], found: Mapping[str, str] | None = None, where: str | None = None
 ) -> None:
     """Refuse to work with other packages than those of the process that gave the work.
 
@@ -34,7 +36,7 @@ def expect_versions(
     ----------
     wanted : dict           versions there
     found : dict or None    versions here, by :func:`versions_here` unless given
-    where : str             for the message
+    where : str or None     for the message; this process on this machine unless given
 
     Raises
     ------
@@ -44,6 +46,7 @@ def expect_versions(
     other = [name for name in wanted if here.get(name) != wanted[name]]
     if other:
         name = other[0]
+        where = where or f"the worker on {socket.gethostname()} (process {os.getpid()})"
         msg = (
             f"{where} has {name} {here.get(name, 'not installed')} ({len(other)} packages differ); "
             f"expected {wanted[name]} as in this process, try installing the same there"
