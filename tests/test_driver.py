@@ -434,3 +434,41 @@ def test_finishing_alone_is_not_tried_where_sizes_or_nothing_poor_ask_for_it():
         (ragged_ball(), Options(density="uniform")), (mesh_of(*tm.ball(800, 3)), Options()),
     ):
         assert "runs of finishing alone" not in run(mesh, options).counts
+
+
+def test_bounds_of_a_larger_mesh_take_the_place_of_those_of_its_part():
+    points, cells = tm.ball(300, 4)
+    mesh = mesh_of(points, cells)
+    own = driver.figures(mesh.points, mesh.cells)
+    better = replace(own, min_quality=0.2, cos_min_angle=np.cos(np.radians(12.0)),
+                     cos_max_angle=np.cos(np.radians(160.0)))
+    refused = run(mesh, Options(rounds=1, finish=False), whole=better)
+    assert refused.fallback
+    assert np.array_equal(refused.points, mesh.points)
+    worse = replace(own, min_quality=0.0, cos_min_angle=1.0, cos_max_angle=-1.0)
+    taken = run(mesh, Options(rounds=8, finish=False), whole=worse, judged=False)
+    assert taken.fallback is None
+    assert tm.quality(taken.points, taken.cells).mean() > own.mean_quality + 0.1
+
+
+def test_cells_that_another_run_looks_after_may_pass_the_extremes_but_not_others():
+    points, cells = tm.ball(60, 4)
+    mesh = mesh_of(points, cells)
+    worst = int(np.argmin(tm.quality(points, cells)))
+    others = driver.figures(points, np.delete(cells, worst, axis=0))
+    whole = driver.figures(points, cells)
+    bound = replace(others, p1_quality=0.0, mean_quality=0.0, score=-1.0)
+    keep = ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle")
+    assert whole.worse_than(bound, keep)
+
+    class Still:
+        points = mesh.points
+
+        def mesh_arrays(self):
+            return mesh.cells, mesh.regions
+
+    at = np.zeros(len(points), dtype=bool)
+    for aside, taken in ((None, False), (~at, False), (at | np.isin(
+            np.arange(len(points)), cells[worst]), True)):
+        memory = driver.Memory(bound, keep, "radius_ratio", by_score=True, aside=aside)
+        assert memory.offer(Still(), "x") == taken

@@ -221,13 +221,48 @@ def test_a_round_that_breaks_the_promise_of_the_whole_is_done_again_or_given_up(
     assert judged == [False] * 3 + [True] * 3
     assert not broken_promises(mesh, outcome.points, outcome.cells, outcome.regions)
     calls: list[int] = []
+
+    def alone(block: Block) -> Improved:
+        return improve(replace(block, judged=True, whole=None))
+
     expected = run_blocks(mesh, Options(), 5, 3, lambda f, b: map(
-        f if calls.append(1) or not always or len(calls) < 3 else unchanged, b))
+        alone if calls.append(1) or not always else f if len(calls) < 3 else unchanged, b))
     assert np.array_equal(outcome.points, expected.points)
     if always:
         assert "a later round was given up" in outcome.fallback
     else:
         assert outcome.fallback == expected.fallback
+
+
+def test_blocks_are_held_to_the_worst_cells_of_the_whole_then_to_their_own(
+    small_blocks, monkeypatch
+):
+    mesh = mesh_of(900)
+    seen: list[Any] = []
+    real = blocks_module.faults
+
+    def sees(function: Any, items: Iterable[Block]) -> Iterator[Improved]:
+        for block in items:
+            seen.append((block.judged, block.whole))
+            yield function(block)
+
+    def spoiled(*given: Any) -> Any:
+        return real(*given) if seen[-1][0] else (["min_angle would be worse"], None)
+
+    monkeypatch.setattr(blocks_module, "faults", spoiled)
+    outcome = run_blocks(mesh, Options(), 5, 3, sees)
+    first, second = ([whole for judged, whole in seen if judged is k] for k in (False, True))
+    q = tet_meshes.quality(mesh.points, mesh.cells)
+    angles = np.radians(tet_meshes.dihedral_angles(mesh.points, mesh.cells))
+    assert all(whole.min_quality == pytest.approx(q.min()) for whole in first)
+    assert all(whole.cos_min_angle == pytest.approx(np.cos(angles.min())) for whole in first)
+    assert all(whole.cos_max_angle == pytest.approx(np.cos(angles.max())) for whole in first)
+    assert first
+    assert second == [None] * len(second)
+    assert second
+    assert outcome.fallback is None or "given up" not in outcome.fallback
+    assert not broken_promises(mesh, outcome.points, outcome.cells, outcome.regions)
+    assert (outcome.points != mesh.points).any()
 
 
 def test_data_of_the_caller_come_through(small_blocks):

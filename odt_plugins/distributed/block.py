@@ -12,6 +12,7 @@ from odt_plugins.distributed.partition import RINGS
 from odt_plugins.distributed.versions import expect_versions
 from odt_plugins.engine.density import NodalDensity, make_density
 from odt_plugins.engine.driver import run
+from odt_plugins.engine.figures import Figures
 from odt_plugins.engine.part import rings
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
 from odt_plugins.options import Options
@@ -31,6 +32,8 @@ class Block:
     waiting : (n,) bool          vertices of the rim that wait for a later round
     versions : dict              of the packages that compute, as they are where the block was cut
     judged : bool                whether the block is held to the promise by itself
+    whole : Figures or None      those of the whole mesh, when its worst cell and its extreme angles
+                                 are the bounds
     """
 
     mesh: SimplexMesh
@@ -40,6 +43,7 @@ class Block:
     waiting: BoolArray
     versions: dict[str, str]
     judged: bool = True
+    whole: Figures | None = None
 
     @property
     def nbytes(self) -> int:
@@ -118,7 +122,7 @@ def improve(block: Block) -> Improved:
     mesh, options = block.mesh, block.options
     if block.density is not None:
         options = replace(options, density=NodalDensity(block.density, block.power), exponent=None)
-    outcome = run(mesh, options, cut=block.waiting, judged=block.judged)
+    outcome = run(mesh, options, cut=block.waiting, judged=block.judged, whole=block.whole)
     density = block.density
     if density is not None:
         density = carried(density, mesh, outcome.points, outcome.cells)

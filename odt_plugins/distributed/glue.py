@@ -19,6 +19,7 @@ from odt_plugins.distributed.partition import (
     seams,
 )
 from odt_plugins.distributed.versions import versions_here
+from odt_plugins.engine.figures import Figures
 from odt_plugins.engine.part import rings
 from odt_plugins.errors import InvalidMeshError
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
@@ -84,9 +85,10 @@ def labels(whole: Whole, count: int, index: int, rounds: int) -> IntArray:
 
 def one_round(
     whole: Whole, label: IntArray, options: Options, power: float, apply: Map, *,
-    judged: bool = False,
+    judged: bool = False, figures: Figures | None = None,
 ) -> tuple[Whole, Traffic]:
-    """Cut along the labels, improve every block, glue; ``judged`` as of :class:`Block`.
+    """Cut along the labels, improve every block, glue; ``judged`` as of :class:`Block`, and
+    ``figures`` as its ``whole``.
 
     Raises
     ------
@@ -105,7 +107,8 @@ def one_round(
             block, vertices = cut_out(mesh, cells, held)
             density = None if whole.density is None else whole.density[vertices]
             vertices_of.append(vertices)
-            work = Block(block, density, options, power, waiting[vertices], versions, judged)
+            work = Block(block, density, options, power, waiting[vertices], versions, judged,
+                         figures)
             sent.append(work.nbytes)
             yield work
 

@@ -16,6 +16,8 @@ from odt_plugins.distributed.glue import Map, Traffic, Whole, labels, one_round
 from odt_plugins.distributed.local import executor, told
 from odt_plugins.engine.density import make_density
 from odt_plugins.engine.driver import Outcome, run
+from odt_plugins.engine.figures import Figures
+from odt_plugins.engine.figures import figures as figures_of
 from odt_plugins.engine.judge import faults
 from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
 from odt_plugins.mesh import IntArray, SimplexMesh
@@ -155,6 +157,12 @@ def run_blocks(
     Returns
     -------
     Outcome                  of the last round after which the whole mesh keeps the promise
+
+    Notes
+    -----
+    Blocks are held to the worst cell and the extreme angles of the whole first; what passes them at
+    the cuts a later round mends. Where a round breaks the promise of the whole, all are done again
+    with blocks that each keep it by themselves.
     """
     active = np.flatnonzero(~mesh.frozen)
     count = min(blocks, len(active) // LEAST_CELLS)
@@ -163,6 +171,8 @@ def run_blocks(
     clock = time.perf_counter()
     start, plain, power = _start(mesh, options)
     times = {"prepare": time.perf_counter() - clock}
+    figures = figures_of(mesh.points, mesh.cells[active])
+    found: list[tuple[int, Outcome]] = []
     for judged in (False, True):
         done = _Done([start])
         for index in range(rounds):
@@ -172,13 +182,14 @@ def run_blocks(
             name = f"round {index + 1}"
             blockwise = told(apply, options.progress, name, int(label.max()) + 1)
             chosen = plain if index == 0 else later(plain)
-            done.add(name, label, chosen, power, blockwise, judged=judged)
+            done.add(name, label, chosen, power, blockwise, None if judged else figures)
         clock = time.perf_counter()
-        outcome, damaged = _judged(mesh, done, options)
+        outcome, kept = _judged(mesh, done, options)
         done.times["check"] = time.perf_counter() - clock
-        if not damaged:
+        found.append((kept, replace(outcome, times=times | done.times, counts=done.counts)))
+        if kept == len(done.states) - 1:
             break
-    return replace(outcome, times=times | done.times, counts=done.counts)
+    return max(found, key=lambda pair: pair[0])[1]
 
 
 @dataclass
@@ -191,13 +202,14 @@ class _Done:
     fallbacks: list[str] = field(default_factory=list)
 
     def add(
-        self, name: str, label: IntArray, options: Options, power: float, apply: Map, *,
-        judged: bool,
+        self, name: str, label: IntArray, options: Options, power: float, apply: Map,
+        figures: Figures | None,
     ) -> None:
-        """Do one round."""
+        """Do one round, its blocks within those figures of the whole, or judged on their own."""
         clock = time.perf_counter()
         whole, traffic = one_round(
-            self.states[-1], label, options, power, apply, judged=judged
+            self.states[-1], label, options, power, apply, judged=figures is None,
+            figures=figures,
         )
         self.states.append(whole)
         _count(self.counts, name, traffic)
@@ -241,29 +253,23 @@ def later(options: Options) -> Options:
     return replace(options, keep=keep, connectivity=connectivity, rounds=rounds)
 
 
-def _judged(mesh: SimplexMesh, done: _Done, options: Options) -> tuple[Outcome, bool]:
-    """The last state that keeps the promise, at worst the input.
-
-    Also whether a later one is no sound mesh, so that a block must have been spoiled.
-    """
+def _judged(mesh: SimplexMesh, done: _Done, options: Options) -> tuple[Outcome, int]:
+    """The last state that keeps the promise, at worst the input, and after how many rounds."""
     broken: list[str] = []
-    damaged = False
     reason = f"{len(done.states) - 1} rounds of blocks"
-    while len(done.states) > 1:
-        last = done.states.pop().mesh
+    for kept in range(len(done.states) - 1, 0, -1):
+        last = done.states[kept].mesh
         now, _ = faults(mesh, last.points, last.cells, last.regions, options)
         if not now:
             given_up = [f"a later round was given up ({'; '.join(broken)})"] if broken else []
             fallback = "; ".join((given_up + done.fallbacks)[:3]) or None
             return Outcome(last.points, last.cells, last.regions, stop_reason=reason,
-                           fallback=fallback), damaged
-        sound = replace(options, keep=())
-        damaged = damaged or bool(faults(mesh, last.points, last.cells, last.regions, sound)[0])
+                           fallback=fallback), kept
         broken = now
     return Outcome(
         mesh.points.copy(), mesh.cells.copy(), mesh.regions.copy(), stop_reason=reason,
         fallback=f"the input is returned, nothing better kept the promise ({'; '.join(broken)})",
-    ), damaged
+    ), 0
 
 
 def _count(counts: dict[str, int], name: str, traffic: Traffic) -> None:

@@ -104,7 +104,8 @@ def locked_vertices(mesh: SimplexMesh, neighbors: IntArray) -> tuple[BoolArray, 
 
 
 def run(
-    mesh: SimplexMesh, options: Options, *, cut: BoolArray | None = None, judged: bool = True
+    mesh: SimplexMesh, options: Options, *, cut: BoolArray | None = None, judged: bool = True,
+    whole: Figures | None = None,
 ) -> Outcome:
     """Optimise a valid mesh.
 
@@ -116,6 +117,7 @@ def run(
                                  a larger one: the worst cells are looked for away from them, since
                                  what lies around them waits for another run
     judged : bool                False leaves the promise to the judge of the larger mesh
+    whole : Figures, optional    of the larger mesh: its extremes are those that no cell may pass
 
     Returns
     -------
@@ -132,7 +134,7 @@ def run(
         )
         raise InvalidOptionError(msg)
     if not slides(mesh, options):
-        return _run(mesh, options, cut, judged=judged)[0]
+        return _run(mesh, options, cut, judged=judged, whole=whole)[0]
     outcome = _run_sliding(mesh, options)
     (options.progress or silent)("finishing", 1.0)
     return outcome
@@ -185,16 +187,17 @@ def _score(outcome: Outcome, options: Options) -> float:
 
 
 def _run(
-    mesh: SimplexMesh, options: Options, cut: BoolArray | None = None, *, judged: bool = True
+    mesh: SimplexMesh, options: Options, cut: BoolArray | None = None, *, judged: bool = True,
+    whole: Figures | None = None,
 ) -> tuple[Outcome, IntArray]:
     """One run of all stages; also the surface vertices at which a surface that slid is spoiled."""
     with thread_pool(options.threads) as pool:
-        return _run_in(pool, mesh, options, cut, judged=judged)
+        return _run_in(pool, mesh, options, cut, judged=judged, whole=whole)
 
 
 def _run_in(
     pool: ThreadPoolExecutor | None, mesh: SimplexMesh, options: Options, cut: BoolArray | None,
-    *, judged: bool,
+    *, judged: bool, whole: Figures | None,
 ) -> tuple[Outcome, IntArray]:
     clock = time.perf_counter()
     nowhere = np.zeros(0, dtype=np.int32)
@@ -213,7 +216,10 @@ def _run_in(
     )
     del neighbors
     before = figures(points, cells, options.objective)
-    memory = Memory(before, tuple(options.keep), options.objective, by_score=options.finish)
+    before = before if whole is None else before.with_extremes_of(whole)
+    near = None if cut is None or not cut.any() else cut[frame.vertices]
+    memory = Memory(before, tuple(options.keep), options.objective, by_score=options.finish,
+                    aside=None if whole is None else near)
     spec = inner_density(mesh, options, frame)
     m = int(start.slots[0])
     density = make_density(
@@ -223,7 +229,6 @@ def _run_in(
     times = {"prepare": time.perf_counter() - clock}
     bounds = extremes(before, tuple(options.keep))
     first = until_insertion(options) if options.insert else options
-    near = None if cut is None or not cut.any() else cut[frame.vertices]
     reason = _cycles(start, density, first, bounds, memory, log, times, pool, near)
     refused = not memory.states and not (skin and memory.spoiled().size)
     besides = skin is None and _may_finish_alone(memory, inner_locked, options)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -62,6 +62,11 @@ class Figures:
     cos_max_angle: float
     small_angles: float
     score: float
+
+    def with_extremes_of(self, other: Figures) -> Figures:
+        """The same mean and quantile, with the worst cell and the extreme angles of another."""
+        return replace(self, min_quality=other.min_quality, cos_min_angle=other.cos_min_angle,
+                       cos_max_angle=other.cos_max_angle)
 
     def worse_than(self, before: Figures, keep: tuple[str, ...]) -> list[str]:
         """Figures of ``keep`` that are worse than before, beyond rounding."""

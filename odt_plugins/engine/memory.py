@@ -8,7 +8,7 @@ from typing import Protocol
 import numpy as np
 
 from odt_plugins.engine.figures import Figures, cell_shapes, figures
-from odt_plugins.mesh import FloatArray, IntArray
+from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 from odt_plugins.options import Objective
 
 NOTABLE = 5e-3
@@ -42,17 +42,21 @@ class Changing(Protocol):
 class Memory:
     """Remembers the best state that keeps every named figure, and the last that did not.
 
+    Cells at the vertices ``aside`` may pass the extremes: another run will look after them.
+
     After finishing the best is the one of highest score; without it, the latest, since then a
     certain number of rounds of a certain method was asked for.
     """
 
     def __init__(
-        self, before: Figures, keep: tuple[str, ...], objective: Objective, *, by_score: bool
+        self, before: Figures, keep: tuple[str, ...], objective: Objective, *, by_score: bool,
+        aside: BoolArray | None = None,
     ) -> None:
         self.before = before
         self.keep = keep
         self.objective = objective
         self.by_score = by_score
+        self.aside = aside
         self.states: list[State] = []
         self.worse: list[str] = []
         self.refused: State | None = None
@@ -62,7 +66,7 @@ class Memory:
         """Take the state if it keeps the figures; only the two best are held."""
         cells, regions = mesh.mesh_arrays()
         now = figures(mesh.points, cells, self.objective)
-        worse = now.worse_than(self.before, self.keep)
+        worse = self._but_aside(now, mesh.points, cells).worse_than(self.before, self.keep)
         if worse:
             self.worse = worse
             self.refused = State(mesh.points.copy(), cells, regions, now, name)
@@ -75,6 +79,15 @@ class Memory:
             self.states.sort(key=lambda state: -state.figures.score)
         del self.states[2:]
         return True
+
+    def _but_aside(self, now: Figures, points: FloatArray, cells: IntArray) -> Figures:
+        """The figures of a mesh with the extremes of the cells that count."""
+        if self.aside is None:
+            return now
+        inner = cells[~self.aside[cells].any(axis=1)]
+        if not len(inner):
+            return now
+        return now.with_extremes_of(figures(points, inner, self.objective))
 
     def price(self) -> str:
         """End of a sentence: the mean quality that was given up to keep the figures, if any."""
