@@ -22,7 +22,7 @@ from odt_plugins.engine.complex import PENDING, Complex, slot_stars
 from odt_plugins.engine.figures import cell_shapes
 from odt_plugins.engine.finish2d import finish2d
 from odt_plugins.engine.kernel import kernel
-from odt_plugins.engine.phases import Phase
+from odt_plugins.engine.phases import MOST, Phase
 from odt_plugins.engine.skin import flip_skin, slide
 from odt_plugins.engine.slabs import side_by_side
 from odt_plugins.engine.star import Stars
@@ -100,7 +100,12 @@ def guarded(
     """Bounds for a phase, see :class:`Phase`."""
     held = bounds.copy()
     if phase.least is not None:
-        held[[1, 4]] = np.minimum(held[[1, 4]], math.cos(math.radians(phase.least)))
+        cells, _ = mesh.mesh_arrays()
+        cosines = cell_shapes(mesh.points, cells)[:, 1]
+        least = math.cos(math.radians(phase.least))
+        reached = cosines.max()
+        few = (cosines > least).mean() <= MOST
+        held[[1, 4]] = np.minimum(held[[1, 4]], min(least, reached) if few else reached)
     if phase.guard is not None:
         q = measures(mesh, QUALITY, pool)
         held[0] = max(held[0], np.quantile(q[q < 1.5], phase.guard))

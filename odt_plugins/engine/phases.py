@@ -26,7 +26,8 @@ class Phase:
         starts; None: than the input (d = 3)
     least : float or None
         no new cell gets a smaller angle, in degrees, unless one that it replaces has such an
-        angle; None: than the input (d = 3)
+        angle, or more than the share MOST of the cells has; nor a smaller angle than all cells
+        have when the phase starts; None: than the input (d = 3)
     enough : float
         of the cells whose measure reaches this only a tenth of the share is worked on (d = 3)
     """
@@ -76,6 +77,9 @@ about 25 degrees, or above 150."""
 SMALL_ANGLE = 20.0
 """Dihedral angle in degrees below which a cell is looked after on its own."""
 
+MOST = 0.1
+"""Share of small angles up to which that is done: where there are more they are not what counts."""
+
 
 def bulk(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
     """Phases for the mean: every cell, a small p; with "amips" the sum of the energies."""
@@ -106,6 +110,8 @@ def polish(share: float) -> tuple[tuple[Phase, ...], ...]:
     ----------
     share : part of the cells with an angle below SMALL_ANGLE
     """
+    if share > MOST:
+        return ()
     worst = min(share, 0.02)
     after = Phase(4.0, 2.0 * min(8.0 * share, 0.02), 2, 3, 3, guard=0.0, least=SMALL_ANGLE)
     return (
