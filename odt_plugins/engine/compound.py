@@ -30,6 +30,10 @@ DEEP = 2.0
 """A descent that is still this many times the worst cell's own cost down is given up."""
 HOPELESS = 10.0
 """A forced flip may raise the cost by this many times the worst cell's own."""
+ROUNDED = 1e-14
+"""A cell may come back with its vertices in another order: rounding must not decide whether it is
+as it was."""
+
 SAME = 1e-9
 """A descent is given up, too, when its flips won back all but this part of what was lost."""
 GAIN = 1e-3
@@ -196,7 +200,9 @@ def stakes(
     i, j, k, l = cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3]
     q = tet_quality(points, i, j, k, l)
     large, small = tet_cosines(points, i, j, k, l)
-    least, most, fewest = relaxed(bounds, q, large, small)
+    least, most, fewest = relaxed(
+        bounds, q - ROUNDED * abs(q), large + ROUNDED, small - ROUNDED
+    )
     own = quality_cost(tet_measure(points, i, j, k, l, objective), power)
     return own, least, most, fewest
 

@@ -23,7 +23,8 @@ from odt_plugins.engine.geometry import boundary_vertices, interface_vertices
 from odt_plugins.engine.judge import Slid, cut_vertices, envelope_length, faults, slides
 from odt_plugins.engine.memory import Memory, State
 from odt_plugins.engine.part import Part, around, away_from, inside, joined
-from odt_plugins.engine.phases import WORST, Phase, bulk, cautious, descents, polish, repair, tail
+from odt_plugins.engine.phases import WORST, Phase, bulk, cautious, descents, repair, tail
+from odt_plugins.engine.polishing import polish_small_angles
 from odt_plugins.engine.progress import (
     in_turn,
     report_insertion,
@@ -386,7 +387,9 @@ def _cycles(
             else:
                 state = joined(edge or state)
                 _repair(state, held, options, memory, log, pool)
-        _polish(state, bounds, options, memory, "finished", log, pool)
+        if mesh.dim == 3 and options.objective == "radius_ratio":
+            settle = partial(_finish, log=log, pool=pool, threads=options.threads)
+            polish_small_angles(state, bounds, memory, "finished", settle, pool)
         mesh = mesh if memory.states else joined(state)
         if not memory.states and options.objective != "radius_ratio":
             _finish(mesh, tail(mesh.dim), bounds, log, pool, options.threads)
@@ -411,20 +414,6 @@ def _finish(
     flips, moves = finish(mesh, phases, bounds, pool, threads)
     log.add("quality flips", flips)
     log.add("vertex moves", moves)
-
-
-def _polish(
-    mesh: Complex | Part, bounds: FloatArray, options: Options, memory: Memory, name: str, log: Log,
-    pool: ThreadPoolExecutor | None,
-) -> None:
-    """Look after the small angles alone that the best state of a mesh of tetrahedra has left."""
-    work = inside(mesh)
-    if not memory.states or work.dim == 2 or options.objective != "radius_ratio":
-        return
-    for phases in polish(memory.states[0].figures.small_angles):
-        if memory.states[0].figures.small_angles > 0.0:
-            _finish(work, phases, bounds, log, pool, options.threads)
-            memory.offer(mesh, name)
 
 
 def _repair(
@@ -473,7 +462,9 @@ def _finishing_alone(
             continue
         _finish(mesh, (WORST,), strict, log, pool, options.threads)
         memory.offer(mesh, name)
-    _polish(mesh, bounds, options, memory, name, log, pool)
+    if mesh.dim == 3 and options.objective == "radius_ratio":
+        settle = partial(_finish, log=log, pool=pool, threads=options.threads)
+        polish_small_angles(mesh, bounds, memory, name, settle, pool)
     times[ALONE] = time.perf_counter() - clock
 
 

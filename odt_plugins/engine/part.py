@@ -11,7 +11,7 @@ from odt_plugins.engine.kernel import kernel
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
 RINGS = 2
-"""Cells within so many rings of some vertices are around them."""
+"""Cells within so many rings of some vertices are around them, unless said otherwise."""
 
 
 @dataclass(frozen=True)
@@ -59,10 +59,10 @@ def away_from(mesh: Complex | Part, vertices: BoolArray) -> Part | None:
     return _part(mesh, cells, regions, ~rings(vertices, cells, 1))
 
 
-def around(mesh: Complex | Part, vertices: BoolArray) -> Part | None:
-    """Take the cells within RINGS rings of some vertices, if any, as :func:`away_from` does."""
+def around(mesh: Complex | Part, vertices: BoolArray, count: int = RINGS) -> Part | None:
+    """Take the cells within some rings of some vertices, if any, as :func:`away_from` does."""
     cells, regions = mesh.mesh_arrays()
-    return _part(mesh, cells, regions, rings(vertices, cells, RINGS))
+    return _part(mesh, cells, regions, rings(vertices, cells, count))
 
 
 def rings(vertices: BoolArray, cells: IntArray, count: int) -> BoolArray:

@@ -1,0 +1,62 @@
+"""The last stage of finishing: the few small dihedral angles that are left, and those alone."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+
+import numpy as np
+
+from odt_plugins.engine.complex import Complex
+from odt_plugins.engine.figures import COS_SMALL, cell_shapes
+from odt_plugins.engine.finishing import guarded
+from odt_plugins.engine.memory import Memory
+from odt_plugins.engine.part import Part, around, inside
+from odt_plugins.engine.phases import Phase, polish
+from odt_plugins.mesh import FloatArray
+
+POLISHED = 4
+"""Rings of cells around small angles that are changed for their sake."""
+
+Settle = Callable[[Complex, tuple[Phase, ...], FloatArray], None]
+"""Runs phases of the finishing stage on a complex within bounds."""
+
+
+def polish_small_angles(
+    mesh: Complex | Part, bounds: FloatArray, memory: Memory, name: str, settle: Settle,
+    pool: ThreadPoolExecutor | None,
+) -> None:
+    """Look after the small angles alone that the best state of a mesh of tetrahedra has left.
+
+    Only what lies around them is touched, within the bounds of the whole mesh; states that are
+    better go to the memory, and ``mesh`` is of no further use.
+
+    Parameters
+    ----------
+    mesh : Complex or Part     as it was offered last
+    bounds : (6,) float64      see ``flips3d.flip_pass``
+    memory : Memory
+    name : str                 of the new states
+    settle : callable
+    pool                       see ``threads.run_ranges``
+    """
+    if not memory.states:
+        return
+    work = inside(mesh)
+    passes = polish(memory.states[0].figures.small_angles)
+    held = {phase: guarded(work, phase, bounds, pool) for phases in passes for phase in phases}
+    part: Complex | Part = mesh
+    if work.skin is None and passes:
+        cells, _ = work.mesh_arrays()
+        near = np.zeros(len(mesh.points), dtype=np.bool_)
+        near[cells[cell_shapes(mesh.points, cells)[:, 1] > COS_SMALL]] = True
+        part = around(mesh, near, POLISHED) or mesh
+    more = work.count() / inside(part).count()
+    for phases in passes:
+        if memory.states[0].figures.small_angles == 0.0:
+            break
+        for phase in phases:
+            local = replace(phase, share=min(1.0, more * phase.share), guard=None, least=None)
+            settle(inside(part), (local,), held[phase])
+        memory.offer(part, name)
