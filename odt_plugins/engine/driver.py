@@ -389,7 +389,7 @@ def _cycles(
                 _repair(state, held, options, memory, log, pool)
         if mesh.dim == 3 and options.objective == "radius_ratio":
             settle = partial(_finish, log=log, pool=pool, threads=options.threads)
-            polish_small_angles(state, bounds, memory, "finished", settle, pool)
+            polish_small_angles(state, bounds, memory, "finished", settle, pool, near)
         mesh = mesh if memory.states else joined(state)
         if not memory.states and options.objective != "radius_ratio":
             _finish(mesh, tail(mesh.dim), bounds, log, pool, options.threads)

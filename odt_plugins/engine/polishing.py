@@ -14,7 +14,7 @@ from odt_plugins.engine.finishing import guarded
 from odt_plugins.engine.memory import Memory
 from odt_plugins.engine.part import Part, around, inside
 from odt_plugins.engine.phases import Phase, polish
-from odt_plugins.mesh import FloatArray
+from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
 POLISHED = 4
 """Rings of cells around small angles that are changed for their sake."""
@@ -25,9 +25,9 @@ Settle = Callable[[Complex, tuple[Phase, ...], FloatArray], None]
 
 def polish_small_angles(
     mesh: Complex | Part, bounds: FloatArray, memory: Memory, name: str, settle: Settle,
-    pool: ThreadPoolExecutor | None,
+    pool: ThreadPoolExecutor | None, cut: BoolArray | None = None,
 ) -> None:
-    """Look after the small angles alone that the best state of a mesh of tetrahedra has left.
+    """Look after the small angles alone that a mesh of tetrahedra has left.
 
     Only what lies around them is touched, within the bounds of the whole mesh; states that are
     better go to the memory, and ``mesh`` is of no further use.
@@ -40,23 +40,31 @@ def polish_small_angles(
     name : str                 of the new states
     settle : callable
     pool                       see ``threads.run_ranges``
+    cut : (n,) bool, optional  vertices whose cells wait for another run
     """
-    if not memory.states:
-        return
     work = inside(mesh)
-    passes = polish(memory.states[0].figures.small_angles)
+    small = _small(work, cut)
+    passes = polish(len(small) / max(work.count(), 1))
+    if not (memory.states and len(small) and passes):
+        return
     held = {phase: guarded(work, phase, bounds, pool) for phases in passes for phase in phases}
     part: Complex | Part = mesh
-    if work.skin is None and passes:
-        cells, _ = work.mesh_arrays()
+    if work.skin is None:
         near = np.zeros(len(mesh.points), dtype=np.bool_)
-        near[cells[cell_shapes(mesh.points, cells)[:, 1] > COS_SMALL]] = True
+        near[small] = True
         part = around(mesh, near, POLISHED) or mesh
     more = work.count() / inside(part).count()
     for phases in passes:
-        if memory.states[0].figures.small_angles == 0.0:
+        if not len(_small(inside(part), cut)):
             break
         for phase in phases:
             local = replace(phase, share=min(1.0, more * phase.share), guard=None, least=None)
             settle(inside(part), (local,), held[phase])
         memory.offer(part, name)
+
+
+def _small(mesh: Complex, cut: BoolArray | None) -> IntArray:
+    """Cells (k, 4) with a small angle, but those at the cut."""
+    cells, _ = mesh.mesh_arrays()
+    small = cells[cell_shapes(mesh.points, cells)[:, 1] > COS_SMALL]
+    return small if cut is None else small[~cut[small].any(axis=1)]
