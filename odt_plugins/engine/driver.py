@@ -387,9 +387,8 @@ def _cycles(
             else:
                 state = joined(edge or state)
                 _repair(state, held, options, memory, log, pool)
-        if mesh.dim == 3 and options.objective == "radius_ratio":
-            settle = partial(_finish, log=log, pool=pool, threads=options.threads)
-            polish_small_angles(state, bounds, memory, "finished", settle, pool, near)
+        settle = partial(_finish, log=log, pool=pool, threads=options.threads)
+        polish_small_angles(state, bounds, memory, "finished", settle, pool, near)
         mesh = mesh if memory.states else joined(state)
         if not memory.states and options.objective != "radius_ratio":
             _finish(mesh, tail(mesh.dim), bounds, log, pool, options.threads)
@@ -462,9 +461,8 @@ def _finishing_alone(
             continue
         _finish(mesh, (WORST,), strict, log, pool, options.threads)
         memory.offer(mesh, name)
-    if mesh.dim == 3 and options.objective == "radius_ratio":
-        settle = partial(_finish, log=log, pool=pool, threads=options.threads)
-        polish_small_angles(mesh, bounds, memory, name, settle, pool)
+    settle = partial(_finish, log=log, pool=pool, threads=options.threads)
+    polish_small_angles(mesh, bounds, memory, name, settle, pool)
     times[ALONE] = time.perf_counter() - clock
 
 

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.mean_ratio import tet_mean_ratio
-from odt_plugins.engine.phases import SMALL_ANGLE
+from odt_plugins.engine.phases import MANY, SMALL_ANGLE
 from odt_plugins.engine.tetrahedron import MEAN_RATIO, tet_cosines, tet_quality
 from odt_plugins.engine.triangle import triangle_in_space, triangle_measure, triangle_shape
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
@@ -19,8 +19,6 @@ from odt_plugins.options import Objective
 COS_SMALL = math.cos(math.radians(SMALL_ANGLE))
 PRICE = 3.0
 """Of a tetrahedron with a small angle in the score: what three regular ones add to it."""
-MANY = 0.02
-"""Share of small angles beyond which the score no longer counts them."""
 
 
 @kernel
@@ -67,6 +65,12 @@ class Figures:
         """The same mean and quantile, with the worst cell and the extreme angles of another."""
         return replace(self, min_quality=other.min_quality, cos_min_angle=other.cos_min_angle,
                        cos_max_angle=other.cos_max_angle)
+
+    def with_extremes(self, shapes: FloatArray) -> Figures:
+        """The same mean and quantile, with the extremes of some :func:`cell_shapes`."""
+        return replace(self, min_quality=float(shapes[:, 0].min()),
+                       cos_min_angle=float(shapes[:, 1].max()),
+                       cos_max_angle=float(shapes[:, 2].min()))
 
     def worse_than(self, before: Figures, keep: tuple[str, ...]) -> list[str]:
         """Figures of ``keep`` that are worse than before, beyond rounding."""

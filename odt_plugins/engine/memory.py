@@ -87,7 +87,7 @@ class Memory:
         inner = cells[~self.aside[cells].any(axis=1)]
         if not len(inner):
             return now
-        return now.with_extremes_of(figures(points, inner, self.objective))
+        return now.with_extremes(cell_shapes(points, inner))
 
     def price(self) -> str:
         """End of a sentence: the mean quality that was given up to keep the figures, if any."""

@@ -77,6 +77,9 @@ about 25 degrees, or above 150."""
 SMALL_ANGLE = 20.0
 """Dihedral angle in degrees below which a cell is looked after on its own."""
 
+MANY = 0.02
+"""Share of small angles beyond which the score counts no more of them, nor a phase starts from."""
+
 MOST = 0.1
 """Share of small angles up to which that is done: where there are more they are not what counts."""
 
@@ -110,10 +113,10 @@ def polish(share: float) -> tuple[tuple[Phase, ...], ...]:
     ----------
     share : part of the cells with an angle below SMALL_ANGLE
     """
-    if share > MOST:
+    if not 0.0 < share <= MOST:
         return ()
-    worst = min(share, 0.02)
-    after = Phase(4.0, 2.0 * min(8.0 * share, 0.02), 2, 3, 3, guard=0.0, least=SMALL_ANGLE)
+    worst = min(share, MANY)
+    after = Phase(4.0, 2.0 * min(8.0 * share, MANY), 2, 3, 3, guard=0.0, least=SMALL_ANGLE)
     return (
         (Phase(2.0, worst, 2, 3, 3, DIHEDRAL, guard=1e-3), after),
         (Phase(4.0, worst, 2, 3, 3, DIHEDRAL, guard=0.0), after),

@@ -27,7 +27,7 @@ def polish_small_angles(
     mesh: Complex | Part, bounds: FloatArray, memory: Memory, name: str, settle: Settle,
     pool: ThreadPoolExecutor | None, cut: BoolArray | None = None,
 ) -> None:
-    """Look after the small angles alone that a mesh of tetrahedra has left.
+    """Look after the small angles alone that a mesh has left, of tetrahedra and for radius ratios.
 
     Only what lies around them is touched, within the bounds of the whole mesh; states that are
     better go to the memory, and ``mesh`` is of no further use.
@@ -43,9 +43,11 @@ def polish_small_angles(
     cut : (n,) bool, optional  vertices whose cells wait for another run
     """
     work = inside(mesh)
+    if not memory.states or work.dim == 2 or memory.objective != "radius_ratio":
+        return
     small = _small(work, cut)
     passes = polish(len(small) / max(work.count(), 1))
-    if not (memory.states and len(small) and passes):
+    if not passes:
         return
     held = {phase: guarded(work, phase, bounds, pool) for phases in passes for phase in phases}
     part: Complex | Part = mesh
