@@ -156,17 +156,47 @@ def test_a_result_that_does_not_fit_its_block_is_refused(spoil):
         one_round(whole, label, Options(), 1.0, lambda _, b: map(lambda x: spoil(unchanged(x)), b))
 
 
-@pytest.mark.parametrize("name", ["bunny", "ball"])
-def test_blocks_are_about_as_good_as_one_piece(name):
-    start = ball(5000) if name == "ball" else stored(name)
+def renumbered(points: Any, cells: Any, seed: int) -> tuple[Any, Any]:
+    """The same mesh, its vertices and cells in random order."""
+    rng = np.random.default_rng(seed)
+    order = rng.permutation(len(points))
+    number = np.empty(len(points), dtype=np.int32)
+    number[order] = np.arange(len(points))
+    return points[order], number[cells][rng.permutation(len(cells))]
+
+
+@pytest.mark.parametrize(("name", "seed"), [
+    ("bunny", None), ("cgal-bunny", None), ("cgal-bunny", 1), ("ball", None), ("ball", 1),
+])
+def test_blocks_are_about_as_good_as_one_piece(name, seed):
+    start = ball(7000) if name == "ball" else stored(name)
+    mesh = start.points, start.cells
+    mesh = mesh if seed is None else renumbered(*mesh, seed)
     one, blocks = (
         figures(*result) for result in (
-            odt_plugins.optimize((start.points, start.cells)),
-            odt_plugins.optimize_partitioned((start.points, start.cells), 4),
+            odt_plugins.optimize(mesh), odt_plugins.optimize_partitioned(mesh, 4),
         )
     )
     assert abs(one["mean"] - blocks["mean"]) <= 0.003
     assert abs(one["p1"] - blocks["p1"]) <= 0.01
+
+
+def test_blocks_choose_their_flips_as_the_whole_would(small_blocks, monkeypatch):
+    mesh = mesh_of(900)
+    seen: list[str] = []
+
+    def sees(function: Any, items: Iterable[Block]) -> Iterator[Improved]:
+        for block in items:
+            seen.append(block.options.connectivity)
+            yield unchanged(block)
+
+    run_blocks(mesh, Options(), 4, 1, sees)
+    assert seen[:4] == ["auto"] * 4
+    seen.clear()
+    monkeypatch.setattr(blocks_module, "MODERATE", len(mesh.cells) - 1)
+    run_blocks(mesh, Options(), 4, 1, sees)
+    run_blocks(mesh, Options(connectivity="delaunay"), 4, 1, sees)
+    assert seen == ["flips"] * 4 + ["delaunay"] * 4
 
 
 def backwards(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:

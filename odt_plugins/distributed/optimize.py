@@ -19,6 +19,7 @@ from odt_plugins.engine.driver import Outcome, run
 from odt_plugins.engine.figures import Figures
 from odt_plugins.engine.figures import figures as figures_of
 from odt_plugins.engine.judge import faults
+from odt_plugins.engine.smoothing import MODERATE
 from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
 from odt_plugins.mesh import IntArray, SimplexMesh
 from odt_plugins.options import Options
@@ -181,7 +182,7 @@ def run_blocks(
                 continue
             name = f"round {index + 1}"
             blockwise = told(apply, options.progress, name, int(label.max()) + 1)
-            chosen = plain if index == 0 else later(plain)
+            chosen = earlier(plain, len(active)) if index == 0 else later(plain)
             done.add(name, label, chosen, power, blockwise, None if judged else figures)
         clock = time.perf_counter()
         outcome, kept = _judged(mesh, done, options)
@@ -240,6 +241,12 @@ def _start(mesh: SimplexMesh, options: Options) -> tuple[Whole, Options, float]:
     waiting[mesh.cells[active]] = True
     patch = np.full(len(mesh.points), -1, dtype=np.int32)
     return Whole(mesh, values, waiting, patch), plain, power
+
+
+def earlier(options: Options, cells: int) -> Options:
+    """Options of the first round: its blocks choose as the whole, of so many cells, would."""
+    few = cells <= MODERATE or options.connectivity != "auto"
+    return options if few else replace(options, connectivity="flips")
 
 
 def later(options: Options) -> Options:

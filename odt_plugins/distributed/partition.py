@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from odt_plugins.components import components
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
-RINGS = 3
+RINGS = 4
 """Cells within so many rings of a vertex that was held in every round yet are improved again."""
 
 

@@ -15,7 +15,7 @@ import numpy as np
 from odt_plugins.api import make_options
 from odt_plugins.distributed.figures import Figures, total, worse
 from odt_plugins.distributed.local import Apply, executor, told
-from odt_plugins.distributed.optimize import check, later
+from odt_plugins.distributed.optimize import check, earlier, later
 from odt_plugins.distributed.piecework import (
     Done,
     Ids,
@@ -175,11 +175,12 @@ def _run(
         raise InvalidOptionError(msg)
     name = names.pop() or REGIONS
     numbers, waiting = _number(taken, _data_of_all(taken))
+    before = total([part.figures for part in taken])
     improve = stage("round 1", len(taken))
-    done: list[Done] = list(improve(partial(first_round, options=options), [
+    first = partial(first_round, options=earlier(options, before.cells))
+    done: list[Done] = list(improve(first, [
         (part.path, str(folder / f"1-{k}.npz"), number)
         for k, (part, number) in enumerate(zip(taken, numbers, strict=True))]))
-    before = total([part.figures for part in taken])
     interface = len(waiting)
     states = [[part.path for part in taken], [part.path for part in done]]
     after = [before, total([part.figures for part in done])]
