@@ -18,6 +18,7 @@ from odt_plugins.distributed.block import Block, Improved, improve
 from odt_plugins.distributed.glue import Whole, labels, one_round
 from odt_plugins.distributed.optimize import run_blocks
 from odt_plugins.distributed.partition import RINGS, bricks, clusters, groups, grown, seams
+from odt_plugins.distributed.versions import versions_here
 from odt_plugins.engine.part import rings
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError, UnsupportedMeshError
 from odt_plugins.mesh import SimplexMesh, simplex_mesh
@@ -345,6 +346,17 @@ def test_a_density_is_carried_with_the_vertices():
     right = 2.0 + result.points @ [0.3, -0.2, 0.5]
     assert np.allclose(result.density[near], right[near], rtol=1e-12)
     assert np.array_equal(result.density[~moved], linear[~moved])
+
+
+@pytest.mark.parametrize("density", ["keep", "uniform"])
+def test_finishing_is_tried_alone_where_sizes_are_kept_and_little_may_move(density):
+    start = ball(500)
+    mesh = simplex_mesh(start.points, start.cells)[0]
+    fixed = np.arange(len(mesh.points)) > 2
+    values = np.ones(len(mesh.points))
+    block = Block(replace(mesh, fixed=fixed), values, Options(density=density), -5.0, fixed,
+                  versions_here())
+    assert ("runs of finishing alone" in improve(block).counts) == (density == "keep")
 
 
 def test_planar_meshes_and_small_ones_work_too(small_blocks):

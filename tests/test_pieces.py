@@ -102,7 +102,7 @@ def test_pieces_are_about_as_good_as_one_piece_and_fit_together(tmp_path):
 
 def test_the_command_takes_pieces(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    start = ball(300)
+    start = ball(1500)
     write_pieces(tmp_path / "in", start.points, start.cells,
                  bricks(start.points, start.cells, 2))
     assert cli.main(["optimize", "in.pvtu", "out.pvtu", "--plot", "x.png"]) == 2

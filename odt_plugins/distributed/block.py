@@ -27,7 +27,8 @@ class Block:
     mesh : SimplexMesh           in a numbering of its own; vertices of the rim are fixed
     density : (n,) or None       values of a :class:`NodalDensity` at its vertices
     options : Options            those of the whole run; their density counts when there are no
-                                 values, and their arrays over vertices or cells are not in use
+                                 values, else it says whether those are the sizes of the input;
+                                 their arrays over vertices or cells are not in use
     power : float                of those values
     waiting : (n,) bool          vertices of the rim that wait for a later round
     versions : dict              of the packages that compute, as they are where the block was cut
@@ -121,12 +122,13 @@ def improve(block: Block) -> Improved:
     expect_versions(block.versions)
     mesh, options = block.mesh, block.options
     if block.density is not None:
-        options = replace(options, density=NodalDensity(block.density, block.power), exponent=None)
+        density = NodalDensity(block.density, block.power, keeps=options.density == "keep")
+        options = replace(options, density=density, exponent=None)
     outcome = run(mesh, options, cut=block.waiting, judged=block.judged, whole=block.whole)
-    density = block.density
-    if density is not None:
-        density = carried(density, mesh, outcome.points, outcome.cells)
-    return Improved(outcome.points, outcome.cells, outcome.regions, density, outcome.counts,
+    values = block.density
+    if values is not None:
+        values = carried(values, mesh, outcome.points, outcome.cells)
+    return Improved(outcome.points, outcome.cells, outcome.regions, values, outcome.counts,
                     outcome.fallback)
 
 

@@ -30,9 +30,6 @@ if TYPE_CHECKING:
 LEAST_CELLS = 5000
 """Meshes are cut into no smaller blocks: most of such a block lies beside its rim."""
 
-LATER_ROUNDS = 12
-"""Most rounds of stage 1 in later rounds of blocks: only what was held is far from its optimum."""
-
 EXTREMES = ("min_quality", "min_angle", "max_angle")
 """Figures of one part that say something of the whole: kept by every block in later rounds."""
 
@@ -234,7 +231,8 @@ def _start(mesh: SimplexMesh, options: Options) -> tuple[Whole, Options, float]:
             spec = spec[active] if len(spec) != len(mesh.points) else spec
         cells = mesh.cells[active]
         density = make_density(spec, options.exponent, mesh.points, cells, unused)
-        values, power, spec = density.field, density.power, "uniform"
+        values, power = density.field, density.power
+        spec = "keep" if named else "uniform"
     plain = replace(options, density=spec, exponent=None, progress=None, fixed=None,
                     selection=None, regions=None, orient=False)
     waiting = np.zeros(len(mesh.points), dtype=np.bool_)
@@ -256,8 +254,7 @@ def later(options: Options) -> Options:
     """
     keep = tuple(name for name in options.keep if name in EXTREMES)
     connectivity = "flips" if options.connectivity == "auto" else options.connectivity
-    rounds = min(options.rounds, LATER_ROUNDS) if options.finish else options.rounds
-    return replace(options, keep=keep, connectivity=connectivity, rounds=rounds)
+    return replace(options, keep=keep, connectivity=connectivity)
 
 
 def _judged(mesh: SimplexMesh, done: _Done, options: Options) -> tuple[Outcome, int]:

@@ -123,10 +123,12 @@ class NodalDensity:
     ----------
     values : (n,) float64        positive, one per vertex of the input mesh
     power : float
+    keeps : bool                 whether they are the sizes of the input mesh
     """
 
     values: FloatArray
     power: float
+    keeps: bool = False
 
 
 @dataclass(frozen=True)

@@ -438,7 +438,10 @@ def _may_finish_alone(memory: Memory, locked: BoolArray, options: Options) -> bo
 
 
 def _keeps_sizes(options: Options) -> bool:
-    return isinstance(options.density, str) and options.density == "keep"
+    spec = options.density
+    if isinstance(spec, NodalDensity):
+        return spec.keeps
+    return isinstance(spec, str) and spec == "keep"
 
 
 def _finishing_alone(
@@ -487,7 +490,8 @@ def _best(
             if state.name == BESIDES:
                 reason += "; finishing without smoothing before it gave more"
             if rank or state.name == ALONE:
-                fallback = f"a later state was given up ({'; '.join(broken)}){memory.price()}"
+                why = "; ".join(broken) or "no better than the input"
+                fallback = f"a later state was given up ({why}){memory.price()}"
             return replace(outcome, stop_reason=reason, fallback=fallback, slid=slid)
         log.add("states refused", 1)
         broken = broken_now
