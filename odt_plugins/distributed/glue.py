@@ -11,11 +11,11 @@ from numpy.typing import NDArray
 
 from odt_plugins.distributed.block import Block, Improved, cut_out, improve
 from odt_plugins.distributed.partition import (
-    RINGS,
     bricks,
     clusters,
     groups,
     grown,
+    rings_again,
     seams,
 )
 from odt_plugins.distributed.versions import versions_here
@@ -71,12 +71,13 @@ def labels(whole: Whole, count: int, index: int, rounds: int) -> IntArray:
     label = np.full(len(mesh.cells), -1, dtype=np.int32)
     active = np.flatnonzero(~mesh.frozen)
     cells = mesh.cells[active]
+    near = rings_again(len(active), count)
     if index == 0:
         label[active] = bricks(mesh.points, cells, min(count, len(active)))
     elif index < rounds - 1:
-        label[active] = grown(whole.patch, cells, RINGS)
+        label[active] = grown(whole.patch, cells, near)
     else:
-        zone = active[rings(whole.waiting, cells, RINGS)]
+        zone = active[rings(whole.waiting, cells, near)]
         if len(zone):
             parts = -(-len(zone) * count // len(active))
             label[zone] = clusters(mesh.cells[zone], parts)

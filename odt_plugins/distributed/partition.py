@@ -11,6 +11,14 @@ from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 RINGS = 4
 """Cells within so many rings of a vertex that was held in every round yet are improved again."""
 
+LARGE = 50_000
+"""Cells of a block from which on one ring fewer will do: few of its cells are near its rim."""
+
+
+def rings_again(cells: int, blocks: int) -> int:
+    """Rings to be improved again of a mesh of so many cells in so many blocks."""
+    return RINGS - 1 if cells >= LARGE * blocks else RINGS
+
 
 def bricks(points: FloatArray, cells: IntArray, count: int) -> IntArray:
     """Cut cells into bricks of equal numbers, across the longest sides of the mesh.

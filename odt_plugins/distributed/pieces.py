@@ -16,7 +16,9 @@ from odt_plugins.api import make_options
 from odt_plugins.distributed.figures import Figures, total, worse
 from odt_plugins.distributed.local import Apply, executor, told
 from odt_plugins.distributed.optimize import check, earlier, later
+from odt_plugins.distributed.partition import rings_again
 from odt_plugins.distributed.piecework import (
+    Cut,
     Done,
     Ids,
     Numbers,
@@ -184,8 +186,9 @@ def _run(
     interface = len(waiting)
     states = [[part.path for part in taken], [part.path for part in done]]
     after = [before, total([part.figures for part in done])]
+    cut = partial(split, rings=rings_again(before.cells, len(taken)))
     for turn in range(2, rounds + 1):
-        done, waiting = _later_round(done, waiting, folder / str(turn), later(options), stage,
+        done, waiting = _later_round(done, waiting, folder / str(turn), later(options), stage, cut,
                                      last=turn == rounds)
         states.append([part.path for part in done])
         after.append(total([part.figures for part in done]))
@@ -281,7 +284,7 @@ def _expect_one_place(ids: Ids, points: FloatArray, first: FloatArray) -> None:
 
 def _later_round(
     done: Sequence[Done], waiting: Ids, place: Path, options: Options,
-    stage: Callable[[str, int], Apply], *, last: bool,
+    stage: Callable[[str, int], Apply], cut: Callable[[Any], Cut], *, last: bool,
 ) -> tuple[list[Done], Ids]:
     """Cut off what lies around the vertices that wait, and improve it as pieces of its own.
 
@@ -298,12 +301,12 @@ def _later_round(
         else:
             kept.append(part)
     name = f"round {place.name}"
-    cuts = list(stage(f"{name}: cutting", len(cutting))(split, cutting))
+    cuts: list[Cut] = list(stage(f"{name}: cutting", len(cutting))(cut, cutting))
     parts: dict[int, list[str]] = {}
     near: dict[int, list[Ids]] = {}
-    for item, cut in zip(cutting, cuts, strict=True):
-        kept += [cut.rest] if cut.rest is not None else []
-        for seam, path in cut.parts:
+    for item, found in zip(cutting, cuts, strict=True):
+        kept += [found.rest] if found.rest is not None else []
+        for seam, path in found.parts:
             parts.setdefault(seam, []).append(path)
             near.setdefault(seam, []).append(item[2])
     jobs = []
