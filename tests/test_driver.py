@@ -14,7 +14,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
-from odt_plugins.engine import driver, order, threads
+from odt_plugins.engine import cycles, driver, order, threads
 from odt_plugins.engine.density import cell_density
 from odt_plugins.engine.driver import run
 from odt_plugins.engine.energy import energy
@@ -292,7 +292,7 @@ def test_a_state_that_breaks_the_promise_is_never_returned(d, monkeypatch):
         complex_.points[free] = complex_.points[free].mean(axis=0)
         return 0, 0
 
-    monkeypatch.setattr(driver, "finish", wreck)
+    monkeypatch.setattr(cycles, "finish", wreck)
     outcome = run(mesh, Options())
     assert outcome.points.tobytes() == mesh.points.tobytes()
     assert np.array_equal(outcome.cells, mesh.cells)

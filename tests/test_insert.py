@@ -174,8 +174,8 @@ def test_a_round_may_cost_the_quantile_for_a_gain_in_the_score(change, stays, mo
 
 
 def test_insertion_goes_on_from_the_input_when_nothing_else_helps(monkeypatch):
-    monkeypatch.setattr(driver, "_cycles", lambda *_: "left out")
-    monkeypatch.setattr(driver, "_finishing_alone", lambda *_: None)
+    monkeypatch.setattr(driver, "run_cycles", lambda *_: "left out")
+    monkeypatch.setattr(driver, "finish_alone", lambda *_: None)
     mesh = mesh_of(*start())
     outcome = run(mesh, Options(insert=True))
     assert outcome.origin is not None

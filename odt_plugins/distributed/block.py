@@ -8,12 +8,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.distributed.partition import RINGS
 from odt_plugins.distributed.versions import expect_versions
-from odt_plugins.engine.density import NodalDensity, make_density
+from odt_plugins.engine.density import NodalDensity
 from odt_plugins.engine.driver import run
 from odt_plugins.engine.figures import Figures
-from odt_plugins.engine.part import rings
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
 from odt_plugins.options import Options
 
@@ -63,7 +61,7 @@ class Improved:
     points : (n, d) float64
     cells : (m', d + 1) int32    in the numbering of the block
     regions : (m',) int32
-    density : (n,) or None       values at the vertices, see :func:`carried`
+    density : (n,) or None       values at the vertices, where these are now
     counts : dict                what the engine counted
     fallback : str or None       why the engine went back to an earlier state
     """
@@ -125,36 +123,6 @@ def improve(block: Block) -> Improved:
         density = NodalDensity(block.density, block.power, keeps=options.density == "keep")
         options = replace(options, density=density, exponent=None)
     outcome = run(mesh, options, cut=block.waiting, judged=block.judged, whole=block.whole)
-    values = block.density
-    if values is not None:
-        values = carried(values, mesh, outcome.points, outcome.cells)
-    return Improved(outcome.points, outcome.cells, outcome.regions, values, outcome.counts,
+    return Improved(outcome.points, outcome.cells, outcome.regions,
+                    block.density if outcome.sizes is None else outcome.sizes, outcome.counts,
                     outcome.fallback)
-
-
-def carried(
-    density: FloatArray, mesh: SimplexMesh, points: FloatArray, cells: IntArray
-) -> FloatArray:
-    """Values of a density at vertices that moved, where a later round may ask for them.
-
-    Parameters
-    ----------
-    density : (n,) float64
-    mesh : SimplexMesh              on which it is given
-    points, cells                   the same mesh, improved
-
-    Returns
-    -------
-    (n,) float64                    as before for vertices that rest, or that are more than
-                                    RINGS from all fixed ones
-    """
-    near = np.zeros(len(points), dtype=np.bool_)
-    near[cells[rings(mesh.fixed, cells, RINGS)]] = True
-    moved = near & (points != mesh.points).any(axis=1)
-    if not moved.any():
-        return density
-    zone, vertices = cut_out(mesh, np.flatnonzero(rings(moved, mesh.cells, RINGS)), moved)
-    field = make_density(NodalDensity(density[vertices], 1.0), None, zone.points, zone.cells)
-    values = density.copy()
-    values[vertices] = np.where(moved[vertices], field.at(points[vertices]), density[vertices])
-    return values

@@ -79,9 +79,7 @@ def optimize_partitioned(
     WorkerError             workers were lost again and again
     and what :func:`odt_plugins.optimize` raises
     """
-    return optimize_partitioned_with_report(
-        mesh, blocks, rounds, client=client, workers=workers, odt=odt
-    )[0]
+    return _partitioned(mesh, blocks, rounds, client, workers, make_options(**(odt or {})))[0]
 
 
 def optimize_partitioned_with_report(
@@ -103,6 +101,14 @@ def optimize_partitioned_with_report(
     from odt_plugins.report import make_report
 
     options = make_options(**(odt or {}))
+    result, before, outcome = _partitioned(mesh, blocks, rounds, client, workers, options)
+    return result, make_report(before, outcome, options)
+
+
+def _partitioned(
+    mesh: Any, blocks: int, rounds: int, client: Any, workers: int, options: Options
+) -> tuple[Any, SimplexMesh, Outcome]:
+    """The result, the mesh that the engine was given, and what it handed back."""
     check(blocks, rounds, workers, options, several=client is not None or workers > 0)
 
     def engine(simplices: SimplexMesh, chosen: Options) -> Outcome:
@@ -115,8 +121,7 @@ def optimize_partitioned_with_report(
         with executor(client, workers) as apply:
             return run_blocks(simplices, chosen, blocks, rounds, apply)
 
-    result, before, outcome = run_engine(mesh, options, engine)
-    return result, make_report(before, outcome, options)
+    return run_engine(mesh, options, engine)
 
 
 def optimize_file_partitioned(

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from collections import Counter
 from concurrent.futures import ThreadPoolExecutor
@@ -14,28 +13,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.engine.adjacency import cell_neighbors
-from odt_plugins.engine.complex import Complex, make_complex
+from odt_plugins.engine.complex import make_complex
+from odt_plugins.engine.cycles import extremes, finish_alone, run_cycles, settle
 from odt_plugins.engine.density import Density, NodalDensity, make_density
 from odt_plugins.engine.figures import Figures, figures
-from odt_plugins.engine.finishing import finish, held_angles
 from odt_plugins.engine.frame import Frame, make_frame
 from odt_plugins.engine.geometry import boundary_vertices, interface_vertices
 from odt_plugins.engine.judge import Slid, cut_vertices, envelope_length, faults, slides
 from odt_plugins.engine.memory import Memory, State
-from odt_plugins.engine.part import Part, around, away_from, inside, joined
-from odt_plugins.engine.phases import WORST, Phase, bulk, cautious, descents, repair, tail
-from odt_plugins.engine.polishing import polish_small_angles
-from odt_plugins.engine.progress import (
-    in_turn,
-    report_insertion,
-    report_share,
-    silent,
-    until_insertion,
-)
-from odt_plugins.engine.repair2d import within_bounds
+from odt_plugins.engine.progress import in_turn, report_insertion, silent, until_insertion
 from odt_plugins.engine.resampling import resample_in_rounds, with_spare_vertices
 from odt_plugins.engine.skin import Skin, make_skin
-from odt_plugins.engine.smoothing import Log, smooth
+from odt_plugins.engine.smoothing import Log
 from odt_plugins.engine.threads import thread_pool
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
@@ -57,10 +46,6 @@ ALONE = "finishing alone"
 BESIDES = "finishing alone, besides"
 NO_DENSITY = "nothing that follows the density kept the promise, the sizes are those of the input"
 
-LOCKED_QUALITY = 0.3
-LOCKED_ANGLES = (14.0, 157.0)
-"""What a cell without a movable vertex must reach when there was none such before (d = 3)."""
-
 
 @dataclass(frozen=True)
 class Outcome:
@@ -77,6 +62,7 @@ class Outcome:
     fallback : str or None          why an earlier state is returned, when it is
     counts : dict name -> int       sweeps, flips, exchanges, refusals
     slid : Slid or None             how far the boundary moved, when it may slide and did
+    sizes : (n,) float64 or None    values of a :class:`NodalDensity` where the vertices are now
     origin : (n',) int64 or None    input vertex of every vertex, -1 for the new ones at the end;
                                     None when the vertices are those of the input
     """
@@ -90,6 +76,7 @@ class Outcome:
     fallback: str | None = None
     counts: dict[str, int] = field(default_factory=dict)
     slid: Slid | None = None
+    sizes: FloatArray | None = None
     origin: NDArray[np.int64] | None = None
 
 
@@ -230,7 +217,7 @@ def _run_in(
     times = {"prepare": time.perf_counter() - clock}
     bounds = extremes(before, tuple(options.keep))
     first = until_insertion(options) if options.insert else options
-    reason = _cycles(start, density, first, bounds, memory, log, times, pool, near)
+    reason = run_cycles(start, density, first, bounds, memory, log, times, pool, near)
     refused = not memory.states and not (skin and memory.spoiled().size)
     besides = skin is None and _may_finish_alone(memory, inner_locked, options)
     if options.finish and (refused or besides):
@@ -239,7 +226,9 @@ def _run_in(
         second = make_complex(again, cells, regions, inner_locked, inner_rim, skin)
         log.add(f"runs of {ALONE}", 1)
         name = ALONE if refused else BESIDES
-        _finishing_alone(second, options, bounds, memory, name, times, pool, log)
+        clock = time.perf_counter()
+        finish_alone(second, options, bounds, memory, name, log, pool)
+        times[ALONE] = time.perf_counter() - clock
         if refused and not _keeps_sizes(options):
             reason += f"; {NO_DENSITY}"
     if options.insert and (memory.states or skin is None):
@@ -253,7 +242,7 @@ def _run_in(
         resample_in_rounds(
             spare, best.figures, options.objective,
             limits=partial(extremes, keep=tuple(options.keep)),
-            settle=partial(_finish, log=log, pool=pool, threads=options.threads),
+            settle=partial(settle, log=log, pool=pool, threads=options.threads),
             offer=partial(memory.offer, name="resampled"),
             report=partial(report_insertion, options.progress or silent), log=log,
         )
@@ -261,7 +250,8 @@ def _run_in(
     clock = time.perf_counter()
     outcome = _best(mesh, frame, memory, options, log, reason, judged=judged)
     times["check"] = time.perf_counter() - clock
-    outcome = replace(outcome, times=times, energy=log.energy, counts=log.counts)
+    sizes = _sizes(mesh, options, frame, density, outcome, pool)
+    outcome = replace(outcome, times=times, energy=log.energy, counts=log.counts, sizes=sizes)
     if skin is None or outcome.slid is not None:
         return outcome, nowhere
     spoiled = memory.spoiled()
@@ -286,6 +276,21 @@ def _skin(
         envelope=envelope_length(mesh, options) * frame.scale, angle=options.feature_angle,
         stays=stays[(stays >= 0).all(axis=1)], lines=lines[(lines >= 0).all(axis=1)],
     )
+
+
+def _sizes(
+    mesh: SimplexMesh, options: Options, frame: Frame, density: Density, outcome: Outcome,
+    pool: ThreadPoolExecutor | None,
+) -> FloatArray | None:
+    """The values of a density that came with the vertices, None without or with new vertices."""
+    if not isinstance(options.density, NodalDensity) or outcome.origin is not None:
+        return None
+    values = options.density.values.copy()
+    now = outcome.points[frame.vertices]
+    moved = (now != mesh.points[frame.vertices]).any(axis=1)
+    found = replace(density, power=1.0).at(frame.inside(now), pool)
+    values[frame.vertices[moved]] = found[moved]
+    return values
 
 
 def _unchanged(mesh: SimplexMesh, reason: str) -> Outcome:
@@ -317,117 +322,6 @@ def inner_density(mesh: SimplexMesh, options: Options, frame: Frame) -> Any:
     return values[frame.active] if per_cell else values[frame.vertices]
 
 
-def extremes(before: Figures, keep: tuple[str, ...]) -> FloatArray:
-    """Extremes that no new cell may pass: those of the input, where they are to be kept.
-
-    Returns
-    -------
-    (6,) float64    least q, largest and smallest cosine; the same for cells of held vertices
-    """
-    ceiling = before.cos_min_angle if "min_angle" in keep else 1.0
-    floor = before.cos_max_angle if "max_angle" in keep else -1.0
-    return np.array([
-        before.min_quality if "min_quality" in keep else 0.0,
-        ceiling,
-        floor,
-        LOCKED_QUALITY,
-        min(ceiling, math.cos(math.radians(LOCKED_ANGLES[0]))),
-        max(floor, math.cos(math.radians(LOCKED_ANGLES[1]))),
-    ])
-
-
-def _cycles(
-    mesh: Complex, density: Density, options: Options, bounds: FloatArray, memory: Memory,
-    log: Log, times: dict[str, float], pool: ThreadPoolExecutor | None, near: BoolArray | None,
-) -> str:
-    """Alternate the two stages; returns why stage 1 stopped last."""
-    report = options.progress if options.progress is not None else silent
-    cycles = options.cycles if options.finish else 1
-    reason = "nothing was asked for"
-    limits = bounds.copy()
-    if not options.finish and "p1_quality" in options.keep:
-        limits[0] = memory.before.p1_quality
-    best = -np.inf
-    for cycle in range(cycles):
-        clock = time.perf_counter()
-        base = cycle / cycles
-        watch = None if options.finish else partial(memory.offer, name="smoothing")
-        mesh, reason = smooth(
-            mesh, density, options, limits, log,
-            partial(report_share, report, base, 0.5 / cycles), watch, pool,
-        )
-        times["smoothing"] = times.get("smoothing", 0.0) + time.perf_counter() - clock
-        if not options.finish:
-            continue
-        clock = time.perf_counter()
-        _finish(mesh, bulk(mesh.dim, options.objective), bounds, log, pool, options.threads)
-        report("finishing", (cycle + 1) / cycles)
-        cells, _ = mesh.mesh_arrays()
-        mean = figures(mesh.points, cells).mean_quality
-        times["finishing"] = times.get("finishing", 0.0) + time.perf_counter() - clock
-        settled = mean - best < 5e-4
-        best = max(best, mean)
-        if settled:
-            reason = f"the mean quality settled after {cycle + 1} cycles"
-            break
-    if options.finish:
-        clock = time.perf_counter()
-        state: Complex | Part = mesh
-        for descent in descents(mesh.dim, options.objective):
-            if near is not None:
-                state = away_from(state, near) or joined(state)
-            work = inside(state)
-            held = bounds if descent.hold is None else held_angles(work, bounds, descent.hold)
-            _finish(work, descent.phases, held, log, pool, options.threads)
-            if memory.offer(state, "finished") or mesh.dim == 2:
-                continue
-            edge = None if near is None else around(state, near)
-            if edge is not None and _repair(edge, held, options, memory, log, pool):
-                state = edge
-            else:
-                state = joined(edge or state)
-                _repair(state, held, options, memory, log, pool)
-        settle = partial(_finish, log=log, pool=pool, threads=options.threads)
-        polish_small_angles(state, bounds, memory, "finished", settle, pool, near)
-        mesh = mesh if memory.states else joined(state)
-        if not memory.states and options.objective != "radius_ratio":
-            _finish(mesh, tail(mesh.dim), bounds, log, pool, options.threads)
-            memory.offer(mesh, "finished")
-        if not memory.states and mesh.dim == 2:
-            log.add("repairs", 1)
-            if within_bounds(mesh.points, mesh.cells, mesh.neighbors, mesh.regions, ~mesh.locked,
-                             bounds[:3]):
-                memory.offer(mesh, "repaired")
-                _finish(mesh, bulk(2), bounds, log, pool, options.threads)
-                memory.offer(mesh, "finished")
-        times["finishing"] = times.get("finishing", 0.0) + time.perf_counter() - clock
-    report("finishing", 1.0)
-    return reason
-
-
-def _finish(
-    mesh: Complex, phases: tuple[Phase, ...], bounds: FloatArray, log: Log,
-    pool: ThreadPoolExecutor | None, threads: int,
-) -> None:
-    """Run phases of stage 2 and count."""
-    flips, moves = finish(mesh, phases, bounds, pool, threads)
-    log.add("quality flips", flips)
-    log.add("vertex moves", moves)
-
-
-def _repair(
-    mesh: Complex | Part, bounds: FloatArray, options: Options, memory: Memory, log: Log,
-    pool: ThreadPoolExecutor | None,
-) -> bool:
-    """Bring the few cells of a good mesh that pass an extreme of the input back; says whether."""
-    for phase in repair(memory.worse):
-        log.add("repairs", 1)
-        _finish(inside(mesh), (phase,), bounds, log, pool, options.threads)
-        if memory.offer(mesh, "repaired"):
-            return True
-    return False
-
-
 def _may_finish_alone(memory: Memory, locked: BoolArray, options: Options) -> bool:
     """Whether stage 2 alone may do better than what was reached: where few vertices move, or cells
     that nothing can improve make the 1 % quantile, and their neighbours pay for them.
@@ -442,31 +336,6 @@ def _keeps_sizes(options: Options) -> bool:
     if isinstance(spec, NodalDensity):
         return spec.keeps
     return isinstance(spec, str) and spec == "keep"
-
-
-def _finishing_alone(
-    mesh: Complex, options: Options, bounds: FloatArray, memory: Memory, name: str,
-    times: dict[str, float], pool: ThreadPoolExecutor | None, log: Log,
-) -> None:
-    """Improve the input by stage 2 alone, which never leaves the extremes of the input.
-
-    New cells are also held to a multiple of the 1 % quantile, or that figure of a mesh full of
-    flat cells falls as soon as the number of cells does. Where it falls all the same, the worst
-    cells are taken first and the mean is regained.
-    """
-    clock = time.perf_counter()
-    strict = bounds.copy()
-    strict[0] = max(bounds[0], min(LOCKED_QUALITY, 100.0 * memory.before.p1_quality))
-    schedule = cautious(mesh.dim, options.objective)
-    for phase in (schedule[0], *schedule):
-        _finish(mesh, (phase,), strict, log, pool, options.threads)
-        if memory.offer(mesh, name) or "mean_quality" in memory.worse:
-            continue
-        _finish(mesh, (WORST,), strict, log, pool, options.threads)
-        memory.offer(mesh, name)
-    settle = partial(_finish, log=log, pool=pool, threads=options.threads)
-    polish_small_angles(mesh, bounds, memory, name, settle, pool)
-    times[ALONE] = time.perf_counter() - clock
 
 
 def _best(

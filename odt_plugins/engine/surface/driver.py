@@ -9,7 +9,8 @@ from functools import partial
 
 import numpy as np
 
-from odt_plugins.engine.driver import Outcome, extremes, inner_density
+from odt_plugins.engine.cycles import extremes
+from odt_plugins.engine.driver import Outcome, inner_density
 from odt_plugins.engine.figures import Figures, figures
 from odt_plugins.engine.frame import Frame, make_frame
 from odt_plugins.engine.memory import Memory, State
