@@ -284,6 +284,12 @@ def equilateral_patch(n=6):
     return points, np.array(cells)
 
 
+def test_a_run_that_gains_nothing_says_so_when_finishing_alone_gains(monkeypatch):
+    monkeypatch.setattr(driver, "run_cycles", lambda *_: "left out")
+    outcome = run(start(3), Options())
+    assert outcome.fallback == "a later state was given up (no better than the input)"
+
+
 def test_a_state_that_breaks_the_promise_is_never_returned(d, monkeypatch):
     mesh = start(d)
 

@@ -14,6 +14,7 @@ import tet_meshes
 import odt_plugins
 from odt_plugins.compare.start import ball, plate, stored
 from odt_plugins.distributed import optimize as blocks_module
+from odt_plugins.distributed import partition
 from odt_plugins.distributed.block import Block, Improved, improve
 from odt_plugins.distributed.glue import Whole, labels, one_round
 from odt_plugins.distributed.optimize import run_blocks
@@ -134,6 +135,21 @@ def test_gluing_what_was_cut_gives_the_mesh_back():
     rows = [sorted(zip(m.cells.tolist(), m.regions.tolist(), strict=True))
             for m in (mesh, glued.mesh)]
     assert rows[0] == rows[1]
+
+
+@pytest.mark.parametrize(("large", "count"), [(10, RINGS - 1), (10**6, RINGS)])
+def test_a_ring_fewer_is_improved_again_in_large_blocks(monkeypatch, large, count):
+    monkeypatch.setattr(partition, "LARGE", large)
+    mesh = mesh_of(2000)
+    waiting = np.zeros(len(mesh.points), dtype=bool)
+    waiting[:2] = True
+    label = labels(replace(whole_of(mesh), waiting=waiting), 2, 1, 2)
+    reached = waiting.copy()
+    for _ in range(count):
+        near = reached[mesh.cells].any(axis=1)
+        reached[mesh.cells[near]] = True
+    assert np.array_equal(label >= 0, near)
+    assert not near.all()
 
 
 def moved_rim(result: Improved) -> Improved:

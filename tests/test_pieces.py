@@ -21,6 +21,7 @@ import tet_meshes
 import odt_plugins
 from odt_plugins import cli
 from odt_plugins.compare.start import ball
+from odt_plugins.distributed import optimize as blocks_module
 from odt_plugins.distributed import pieces, placing
 from odt_plugins.distributed.figures import figures_of, total, worse
 from odt_plugins.distributed.partition import bricks
@@ -34,6 +35,7 @@ from odt_plugins.errors import (
     UnsupportedMeshError,
 )
 from odt_plugins.mesh import simplex_mesh
+from odt_plugins.options import Options
 from odt_plugins.promise import broken_promises
 
 
@@ -113,6 +115,24 @@ def test_the_command_takes_pieces(tmp_path, capsys, monkeypatch):
     assert said.err == ""
     points, cells, _, _ = glued(tmp_path / "out.pvtu", len(start.points))
     assert tet_meshes.quality(points, cells).mean() > 0.85
+
+
+def test_pieces_choose_their_flips_as_the_whole_would(tmp_path, monkeypatch):
+    start = ball(300)
+    index = write_pieces(tmp_path / "in", start.points, start.cells,
+                         bricks(start.points, start.cells, 2))
+    seen: list[str] = []
+    first_round = pieces.first_round
+
+    def sees(item: Any, options: Options) -> Any:
+        seen.append(options.connectivity)
+        return first_round(item, options)
+
+    monkeypatch.setattr(pieces, "first_round", sees)
+    for moderate in (len(start.cells), len(start.cells) - 1):
+        monkeypatch.setattr(blocks_module, "MODERATE", moderate)
+        optimize_pieces(index, tmp_path / "out.pvtu")
+    assert seen == ["auto", "auto", "flips", "flips"]
 
 
 def test_a_directory_and_a_second_run_onto_the_same_place(tmp_path):
