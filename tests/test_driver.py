@@ -15,7 +15,7 @@ from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 
 from odt_plugins.engine import cycles, driver, order, threads
-from odt_plugins.engine.density import cell_density
+from odt_plugins.engine.density import NodalDensity, cell_density
 from odt_plugins.engine.driver import run
 from odt_plugins.engine.energy import energy
 from odt_plugins.engine.frame import Frame
@@ -282,6 +282,21 @@ def equilateral_patch(n=6):
             a = j * n + i
             cells += [(a, a + 1, a + n), (a + 1, a + n + 1, a + n)]
     return points, np.array(cells)
+
+
+def test_sizes_come_back_for_the_places_where_the_vertices_are_now(d):
+    mesh = start(d)
+    points = 1000.0 + 37.0 * np.concatenate([mesh.points[:1], mesh.points])
+    frozen = np.arange(len(mesh.cells)) % 50 == 0
+    mesh = replace(mesh, points=points, cells=mesh.cells + np.int32(1), frozen=frozen,
+                   fixed=np.concatenate([[False], mesh.fixed]))
+    values = points @ np.arange(1.0, d + 1.0)
+    outcome = run(mesh, Options(density=NodalDensity(values, -1.0)))
+    moved = (outcome.points != points).any(axis=1)
+    assert moved.sum() > 3
+    assert np.allclose(outcome.sizes, outcome.points @ np.arange(1.0, d + 1.0), rtol=1e-13)
+    assert np.array_equal(outcome.sizes[~moved], values[~moved])
+    assert run(mesh, Options()).sizes is None
 
 
 def test_a_run_that_gains_nothing_says_so_when_finishing_alone_gains(monkeypatch):

@@ -20,7 +20,6 @@ from odt_plugins.distributed.glue import Whole, labels, one_round
 from odt_plugins.distributed.optimize import run_blocks
 from odt_plugins.distributed.partition import RINGS, bricks, clusters, groups, grown, seams
 from odt_plugins.distributed.versions import versions_here
-from odt_plugins.engine.part import rings
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError, UnsupportedMeshError
 from odt_plugins.mesh import SimplexMesh, simplex_mesh
 from odt_plugins.options import Options
@@ -137,13 +136,15 @@ def test_gluing_what_was_cut_gives_the_mesh_back():
     assert rows[0] == rows[1]
 
 
+@pytest.mark.parametrize("rounds", [2, 3])
 @pytest.mark.parametrize(("large", "count"), [(10, RINGS - 1), (10**6, RINGS)])
-def test_a_ring_fewer_is_improved_again_in_large_blocks(monkeypatch, large, count):
+def test_a_ring_fewer_is_improved_again_in_large_blocks(monkeypatch, large, count, rounds):
     monkeypatch.setattr(partition, "LARGE", large)
     mesh = mesh_of(2000)
     waiting = np.zeros(len(mesh.points), dtype=bool)
     waiting[:2] = True
-    label = labels(replace(whole_of(mesh), waiting=waiting), 2, 1, 2)
+    whole = replace(whole_of(mesh), waiting=waiting, patch=np.where(waiting, 0, -1))
+    label = labels(whole, 2, 1, rounds)
     reached = waiting.copy()
     for _ in range(count):
         near = reached[mesh.cells].any(axis=1)
@@ -355,12 +356,10 @@ def test_a_density_is_carried_with_the_vertices():
     rim = mesh.points[:, 0] > 0.6
     block = Block(replace(mesh, fixed=rim), linear, Options(), -5.0, rim, {})
     result = improve(block)
-    near = np.zeros(len(rim), dtype=bool)
-    near[result.cells[rings(rim, result.cells, RINGS)]] = True
     moved = (result.points != mesh.points).any(axis=1)
-    assert (near & moved).sum() > 20
+    assert moved.sum() > 100
     right = 2.0 + result.points @ [0.3, -0.2, 0.5]
-    assert np.allclose(result.density[near], right[near], rtol=1e-12)
+    assert np.allclose(result.density, right, rtol=1e-12)
     assert np.array_equal(result.density[~moved], linear[~moved])
 
 

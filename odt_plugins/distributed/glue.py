@@ -71,13 +71,13 @@ def labels(whole: Whole, count: int, index: int, rounds: int) -> IntArray:
     label = np.full(len(mesh.cells), -1, dtype=np.int32)
     active = np.flatnonzero(~mesh.frozen)
     cells = mesh.cells[active]
-    near = rings_again(len(active), count)
+    again = rings_again(len(active), count)
     if index == 0:
         label[active] = bricks(mesh.points, cells, min(count, len(active)))
     elif index < rounds - 1:
-        label[active] = grown(whole.patch, cells, near)
+        label[active] = grown(whole.patch, cells, again)
     else:
-        zone = active[rings(whole.waiting, cells, near)]
+        zone = active[rings(whole.waiting, cells, again)]
         if len(zone):
             parts = -(-len(zone) * count // len(active))
             label[zone] = clusters(mesh.cells[zone], parts)

@@ -184,7 +184,7 @@ def run_blocks(
                 continue
             name = f"round {index + 1}"
             blockwise = told(apply, options.progress, name, int(label.max()) + 1)
-            chosen = earlier(plain, len(active)) if index == 0 else later(plain)
+            chosen = first(plain, len(active)) if index == 0 else later(plain)
             done.add(name, label, chosen, power, blockwise, None if judged else figures)
         clock = time.perf_counter()
         outcome, kept = _judged(mesh, done, options)
@@ -246,10 +246,11 @@ def _start(mesh: SimplexMesh, options: Options) -> tuple[Whole, Options, float]:
     return Whole(mesh, values, waiting, patch), plain, power
 
 
-def earlier(options: Options, cells: int) -> Options:
+def first(options: Options, cells: int) -> Options:
     """Options of the first round: its blocks choose as the whole, of so many cells, would."""
-    few = cells <= MODERATE or options.connectivity != "auto"
-    return options if few else replace(options, connectivity="flips")
+    if options.connectivity != "auto" or cells <= MODERATE:
+        return options
+    return replace(options, connectivity="flips")
 
 
 def later(options: Options) -> Options:

@@ -15,7 +15,7 @@ import numpy as np
 from odt_plugins.api import make_options
 from odt_plugins.distributed.figures import Figures, total, worse
 from odt_plugins.distributed.local import Apply, executor, told
-from odt_plugins.distributed.optimize import check, earlier, later
+from odt_plugins.distributed.optimize import check, first, later
 from odt_plugins.distributed.partition import rings_again
 from odt_plugins.distributed.piecework import (
     Cut,
@@ -179,8 +179,8 @@ def _run(
     numbers, waiting = _number(taken, _data_of_all(taken))
     before = total([part.figures for part in taken])
     improve = stage("round 1", len(taken))
-    first = partial(first_round, options=earlier(options, before.cells))
-    done: list[Done] = list(improve(first, [
+    work = partial(first_round, options=first(options, before.cells))
+    done: list[Done] = list(improve(work, [
         (part.path, str(folder / f"1-{k}.npz"), number)
         for k, (part, number) in enumerate(zip(taken, numbers, strict=True))]))
     interface = len(waiting)

@@ -160,5 +160,3 @@ def _repair(
         if memory.offer(mesh, "repaired"):
             return True
     return False
-
-

@@ -1,4 +1,4 @@
-"""The outer loop: stage 1 and stage 2 in cycles, best-state memory, and the promise at the end."""
+"""A run from mesh to mesh: cycles, or finishing alone; insertion; the promise at the end."""
 
 from __future__ import annotations
 
@@ -62,7 +62,8 @@ class Outcome:
     fallback : str or None          why an earlier state is returned, when it is
     counts : dict name -> int       sweeps, flips, exchanges, refusals
     slid : Slid or None             how far the boundary moved, when it may slide and did
-    sizes : (n,) float64 or None    values of a :class:`NodalDensity` where the vertices are now
+    sizes : (n,) float64 or None    values of a :class:`NodalDensity` where the vertices are now,
+                                    None without one, or with new vertices
     origin : (n',) int64 or None    input vertex of every vertex, -1 for the new ones at the end;
                                     None when the vertices are those of the input
     """
@@ -249,8 +250,8 @@ def _run_in(
         times["resampling"] = time.perf_counter() - clock
     clock = time.perf_counter()
     outcome = _best(mesh, frame, memory, options, log, reason, judged=judged)
-    times["check"] = time.perf_counter() - clock
     sizes = _sizes(mesh, options, frame, density, outcome, pool)
+    times["check"] = time.perf_counter() - clock
     outcome = replace(outcome, times=times, energy=log.energy, counts=log.counts, sizes=sizes)
     if skin is None or outcome.slid is not None:
         return outcome, nowhere
@@ -288,8 +289,9 @@ def _sizes(
     values = options.density.values.copy()
     now = outcome.points[frame.vertices]
     moved = (now != mesh.points[frame.vertices]).any(axis=1)
-    found = replace(density, power=1.0).at(frame.inside(now), pool)
-    values[frame.vertices[moved]] = found[moved]
+    walk = density.walk_start(len(now))[moved]
+    found = replace(density, power=1.0).at(frame.inside(now[moved]), pool, walk)
+    values[frame.vertices[moved]] = found
     return values
 
 
