@@ -467,7 +467,7 @@ def test_bounds_of_a_larger_mesh_take_the_place_of_those_of_its_part():
     assert refused.fallback
     assert np.array_equal(refused.points, mesh.points)
     worse = replace(own, min_quality=0.0, cos_min_angle=1.0, cos_max_angle=-1.0)
-    taken = run(mesh, Options(rounds=8, finish=False), whole=worse, judged=False)
+    taken = run(mesh, Options(rounds=8, finish=False), whole=worse)
     assert taken.fallback is None
     assert tm.quality(taken.points, taken.cells).mean() > own.mean_quality + 0.1
 

@@ -30,9 +30,8 @@ class Block:
     power : float                of those values
     waiting : (n,) bool          vertices of the rim that wait for a later round
     versions : dict              of the packages that compute, as they are where the block was cut
-    judged : bool                whether the block is held to the promise by itself
     whole : Figures or None      those of the whole mesh, when its worst cell and its extreme angles
-                                 are the bounds
+                                 are the bounds; None holds the block to the promise by itself
     """
 
     mesh: SimplexMesh
@@ -41,7 +40,6 @@ class Block:
     power: float
     waiting: BoolArray
     versions: dict[str, str]
-    judged: bool = True
     whole: Figures | None = None
 
     @property
@@ -122,7 +120,7 @@ def improve(block: Block) -> Improved:
     if block.density is not None:
         density = NodalDensity(block.density, block.power, keeps=options.density == "keep")
         options = replace(options, density=density, exponent=None)
-    outcome = run(mesh, options, cut=block.waiting, judged=block.judged, whole=block.whole)
+    outcome = run(mesh, options, cut=block.waiting, whole=block.whole)
     return Improved(outcome.points, outcome.cells, outcome.regions,
                     block.density if outcome.sizes is None else outcome.sizes, outcome.counts,
                     outcome.fallback)

@@ -85,11 +85,10 @@ def labels(whole: Whole, count: int, index: int, rounds: int) -> IntArray:
 
 
 def one_round(
-    whole: Whole, label: IntArray, options: Options, power: float, apply: Map, *,
-    judged: bool = False, figures: Figures | None = None,
+    whole: Whole, label: IntArray, options: Options, power: float, apply: Map,
+    figures: Figures | None = None,
 ) -> tuple[Whole, Traffic]:
-    """Cut along the labels, improve every block, glue; ``judged`` as of :class:`Block`, and
-    ``figures`` as its ``whole``.
+    """Cut along the labels, improve every block, glue; ``figures`` as ``whole`` of :class:`Block`.
 
     Raises
     ------
@@ -108,8 +107,7 @@ def one_round(
             block, vertices = cut_out(mesh, cells, held)
             density = None if whole.density is None else whole.density[vertices]
             vertices_of.append(vertices)
-            work = Block(block, density, options, power, waiting[vertices], versions, judged,
-                         figures)
+            work = Block(block, density, options, power, waiting[vertices], versions, figures)
             sent.append(work.nbytes)
             yield work
 

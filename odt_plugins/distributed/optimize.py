@@ -210,10 +210,7 @@ class _Done:
     ) -> None:
         """Do one round, its blocks within those figures of the whole, or judged on their own."""
         clock = time.perf_counter()
-        whole, traffic = one_round(
-            self.states[-1], label, options, power, apply, judged=figures is None,
-            figures=figures,
-        )
+        whole, traffic = one_round(self.states[-1], label, options, power, apply, figures)
         self.states.append(whole)
         _count(self.counts, name, traffic)
         self.fallbacks += [f"{name}: {reason}" for reason in traffic.fallbacks]

@@ -93,7 +93,7 @@ def locked_vertices(mesh: SimplexMesh, neighbors: IntArray) -> tuple[BoolArray, 
 
 
 def run(
-    mesh: SimplexMesh, options: Options, *, cut: BoolArray | None = None, judged: bool = True,
+    mesh: SimplexMesh, options: Options, *, cut: BoolArray | None = None,
     whole: Figures | None = None,
 ) -> Outcome:
     """Optimise a valid mesh.
@@ -105,8 +105,8 @@ def run(
     cut : (n,) bool, optional    vertices at which a mesh whose boundary does not slide was cut from
                                  a larger one: the worst cells are looked for away from them, since
                                  what lies around them waits for another run
-    judged : bool                False leaves the promise to the judge of the larger mesh
-    whole : Figures, optional    of the larger mesh: its extremes are those that no cell may pass
+    whole : Figures, optional    of the larger mesh: its extremes are those that no cell may pass,
+                                 and the promise is left to its judge
 
     Returns
     -------
@@ -123,7 +123,7 @@ def run(
         )
         raise InvalidOptionError(msg)
     if not slides(mesh, options):
-        return _run(mesh, options, cut, judged=judged, whole=whole)[0]
+        return _run(mesh, options, cut, whole)[0]
     outcome = _run_sliding(mesh, options)
     (options.progress or silent)("finishing", 1.0)
     return outcome
@@ -176,17 +176,17 @@ def _score(outcome: Outcome, options: Options) -> float:
 
 
 def _run(
-    mesh: SimplexMesh, options: Options, cut: BoolArray | None = None, *, judged: bool = True,
+    mesh: SimplexMesh, options: Options, cut: BoolArray | None = None,
     whole: Figures | None = None,
 ) -> tuple[Outcome, IntArray]:
     """One run of all stages; also the surface vertices at which a surface that slid is spoiled."""
     with thread_pool(options.threads) as pool:
-        return _run_in(pool, mesh, options, cut, judged=judged, whole=whole)
+        return _run_in(pool, mesh, options, cut, whole)
 
 
 def _run_in(
     pool: ThreadPoolExecutor | None, mesh: SimplexMesh, options: Options, cut: BoolArray | None,
-    *, judged: bool, whole: Figures | None,
+    whole: Figures | None,
 ) -> tuple[Outcome, IntArray]:
     clock = time.perf_counter()
     nowhere = np.zeros(0, dtype=np.int32)
@@ -249,7 +249,7 @@ def _run_in(
         )
         times["resampling"] = time.perf_counter() - clock
     clock = time.perf_counter()
-    outcome = _best(mesh, frame, memory, options, log, reason, judged=judged)
+    outcome = _best(mesh, frame, memory, options, log, reason, judged=whole is None)
     sizes = _sizes(mesh, options, frame, density, outcome, pool)
     times["check"] = time.perf_counter() - clock
     outcome = replace(outcome, times=times, energy=log.energy, counts=log.counts, sizes=sizes)
