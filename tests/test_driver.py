@@ -284,6 +284,14 @@ def equilateral_patch(n=6):
     return points, np.array(cells)
 
 
+def test_cycles_go_on_while_the_mean_gains():
+    assert cycles.settled([0.8]) == ""
+    assert cycles.settled([0.8, 0.8006]) == ""
+    assert "after 2 cycles" in cycles.settled([0.8, 0.8004])
+    assert "after 3 cycles" in cycles.settled([0.8, 0.81, 0.8104])
+    assert cycles.settled([0.8, 0.79, 0.8006]) == ""
+
+
 def test_sizes_come_back_for_the_places_where_the_vertices_are_now(d):
     mesh = start(d)
     points = 1000.0 + 37.0 * np.concatenate([mesh.points[:1], mesh.points])

@@ -96,6 +96,16 @@ def stored(name: str) -> StartMesh:
         return replace(read_start(path), name=name, origin=STORED[name])
 
 
+def reordered(start: StartMesh, seed: int) -> StartMesh:
+    """The same mesh, its vertices and cells in random order."""
+    rng = np.random.default_rng(seed)
+    order = rng.permutation(len(start.points))
+    number = np.empty(len(order), dtype=np.int32)
+    number[order] = np.arange(len(order))
+    cells = number[start.cells][rng.permutation(len(start.cells))]
+    return replace(start, points=start.points[order], cells=cells)
+
+
 def suite(name: str) -> list[StartMesh]:
     """Give the start meshes of a suite.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
@@ -22,6 +23,9 @@ from odt_plugins.engine.repair2d import within_bounds
 from odt_plugins.engine.smoothing import Log, smooth
 from odt_plugins.mesh import BoolArray, FloatArray
 from odt_plugins.options import Options
+
+WORTH = 5e-4
+"""Gain of the mean quality for which a cycle is worth its time."""
 
 LOCKED_QUALITY = 0.3
 LOCKED_ANGLES = (14.0, 157.0)
@@ -47,6 +51,14 @@ def extremes(before: Figures, keep: tuple[str, ...]) -> FloatArray:
     ])
 
 
+def settled(means: Sequence[float]) -> str:
+    """Why no cycle follows those that ended with these mean qualities; empty when one may."""
+    *before, now = means
+    if not before or now - max(before) >= WORTH:
+        return ""
+    return f"the mean quality settled after {len(means)} cycles"
+
+
 def run_cycles(
     mesh: Complex, density: Density, options: Options, bounds: FloatArray, memory: Memory,
     log: Log, times: dict[str, float], pool: ThreadPoolExecutor | None, near: BoolArray | None,
@@ -58,7 +70,7 @@ def run_cycles(
     limits = bounds.copy()
     if not options.finish and "p1_quality" in options.keep:
         limits[0] = memory.before.p1_quality
-    best = -np.inf
+    means: list[float] = []
     for cycle in range(cycles):
         clock = time.perf_counter()
         base = cycle / cycles
@@ -74,12 +86,10 @@ def run_cycles(
         settle(mesh, bulk(mesh.dim, options.objective), bounds, log, pool, options.threads)
         report("finishing", (cycle + 1) / cycles)
         cells, _ = mesh.mesh_arrays()
-        mean = figures(mesh.points, cells).mean_quality
+        means.append(figures(mesh.points, cells).mean_quality)
         times["finishing"] = times.get("finishing", 0.0) + time.perf_counter() - clock
-        settled = mean - best < 5e-4
-        best = max(best, mean)
-        if settled:
-            reason = f"the mean quality settled after {cycle + 1} cycles"
+        if end := settled(means):
+            reason = end
             break
     if options.finish:
         clock = time.perf_counter()

@@ -9,7 +9,7 @@ from functools import partial
 
 import numpy as np
 
-from odt_plugins.engine.cycles import extremes
+from odt_plugins.engine.cycles import extremes, settled
 from odt_plugins.engine.driver import Outcome, inner_density
 from odt_plugins.engine.figures import Figures, figures
 from odt_plugins.engine.frame import Frame, make_frame
@@ -277,7 +277,7 @@ def _cycles(
             bounds[0] = before.p1_quality
     cycles = options.cycles if options.finish else 1
     reason = "nothing was asked for"
-    best = -np.inf
+    means: list[float] = []
     for cycle in range(cycles):
         clock = time.perf_counter()
         reason = smooth_surface(
@@ -289,11 +289,9 @@ def _cycles(
             continue
         _descend(surface, bulk(2), strict, log, times)
         report("finishing", (cycle + 1) / cycles)
-        mean = figures(surface.points, surface.triangles).mean_quality
-        settled = mean - best < 5e-4
-        best = max(best, mean)
-        if settled:
-            reason = f"the mean quality settled after {cycle + 1} cycles"
+        means.append(figures(surface.points, surface.triangles).mean_quality)
+        if end := settled(means):
+            reason = end
             break
     if options.finish:
         memory.offer(surface, "bulk")
