@@ -9,8 +9,8 @@ from test_flips3d import OPEN, assert_sound, complex_of
 
 from odt_plugins.engine import compound
 from odt_plugins.engine.cavity import make_work, take_back
-from odt_plugins.engine.finishing import measures
 from odt_plugins.engine.flips3d import flip_facet, remove_edge
+from odt_plugins.engine.passes import measures
 from odt_plugins.engine.tetrahedron import QUALITY
 
 

@@ -8,7 +8,7 @@ import tet_meshes as tm
 
 from odt_plugins.engine import cavity, flips3d, sphere
 from odt_plugins.engine.complex import make_complex, renumbered
-from odt_plugins.engine.finishing import flip_pending
+from odt_plugins.engine.passes import flip_pending
 from odt_plugins.engine.tetrahedron import (
     ENERGY,
     QUALITY,

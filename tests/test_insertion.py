@@ -11,7 +11,7 @@ from test_flips3d import OPEN, assert_sound, complex_of
 from odt_plugins.engine import insertion, star_cavity
 from odt_plugins.engine.cavity import make_work, replace_cavity
 from odt_plugins.engine.compound import descend_around, make_scratch, settle
-from odt_plugins.engine.finishing import measures
+from odt_plugins.engine.passes import measures
 from odt_plugins.engine.phases import Resampling
 from odt_plugins.engine.resampling import resample, with_spare_vertices
 from odt_plugins.engine.tetrahedron import DIHEDRAL, QUALITY

@@ -28,12 +28,13 @@ from odt_plugins.engine import driver, polishing
 from odt_plugins.engine.adjacency import cell_neighbors
 from odt_plugins.engine.coloring import vertex_coloring
 from odt_plugins.engine.driver import run
-from odt_plugins.engine.figures import amips_energies, figures
+from odt_plugins.engine.figures import SMALL_ANGLE, amips_energies, figures
 from odt_plugins.engine.finish2d import finish2d
-from odt_plugins.engine.finishing import finish, flip_pending, guarded, held_angles
+from odt_plugins.engine.finishing import finish, guarded, held_angles
 from odt_plugins.engine.flips2d import quality_flips
+from odt_plugins.engine.passes import flip_pending
 from odt_plugins.engine.phases import MEASURES as CODES
-from odt_plugins.engine.phases import SMALL_ANGLE, Descent, Phase, bulk, descents, polish, tail
+from odt_plugins.engine.phases import Descent, Phase, bulk, descents, polish, tail
 from odt_plugins.engine.smooth3d import smooth_vertices
 from odt_plugins.engine.star import vertex_stars
 from odt_plugins.engine.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY

@@ -10,8 +10,9 @@ import tet_meshes as tm
 from test_flips3d import OPEN, assert_sound, complex_of
 
 from odt_plugins.engine import order, slabs
-from odt_plugins.engine.cavity import PENDING
-from odt_plugins.engine.finishing import compound_moves, flip_pending
+from odt_plugins.engine.complex import PENDING
+from odt_plugins.engine.finishing import compound_moves
+from odt_plugins.engine.passes import flip_pending
 from odt_plugins.engine.phases import Phase
 from odt_plugins.engine.tetrahedron import ENERGY, QUALITY
 

@@ -10,15 +10,14 @@ from __future__ import annotations
 import numpy as np
 
 from odt_plugins.engine.cavity import (
-    IDLE,
     MAX_RING,
-    PENDING,
     local_edge,
     make_work,
     replace_cavity,
     triangulate_ring,
     write_ring,
 )
+from odt_plugins.engine.complex import IDLE, PENDING
 from odt_plugins.engine.corner import corner_edges, six_volumes
 from odt_plugins.engine.flips2d import flip
 from odt_plugins.engine.flips3d import REAL, admissible
@@ -26,7 +25,7 @@ from odt_plugins.engine.kernel import allocating_kernel, kernel
 from odt_plugins.engine.lookup import place_in
 from odt_plugins.engine.slide import affordable, spend
 from odt_plugins.engine.surface.closest import Ground
-from odt_plugins.engine.surface.flips import edge_is_free, flip_back, keeps_normals
+from odt_plugins.engine.surface.pair import edge_is_free, flip_back, keeps_normals
 from odt_plugins.engine.surface.sheet import Limits, Sheet, Work, claim, cover, joined
 from odt_plugins.engine.tetrahedron import tet_cost
 from odt_plugins.mesh import BoolArray, ByteArray, FloatArray, IntArray, LongArray

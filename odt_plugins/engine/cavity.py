@@ -8,12 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from odt_plugins.engine.complex import DONE, IDLE, PENDING
 from odt_plugins.engine.kernel import allocating_kernel, kernel
 from odt_plugins.engine.tetrahedron import ENERGY, tet_cost
 from odt_plugins.mesh import ByteArray, FloatArray, IntArray, LongArray
 
-IDLE, PENDING, DONE = 0, 1, 2
-"""Status of a cell: nothing to do, to be visited, visited in this pass."""
 MAX_RING = 10
 """Most vertices around an edge that is removed; the table of a ring grows with their square."""
 CELL, NEIGHBOR, STATUS, FREE, SLOT = np.arange(5, dtype=np.int64)

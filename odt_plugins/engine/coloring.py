@@ -7,9 +7,11 @@ move one after another.  The blocks depend on the mesh alone, not on the number 
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
-from typing import NamedTuple
+from itertools import pairwise
+from typing import NamedTuple, TypeVar
 
 import numpy as np
 
@@ -23,6 +25,11 @@ SMALLEST_BITS = 6
 
 MOST_BLOCKS = 1024
 """Larger meshes have larger blocks, since which of them touch is a table of all pairs."""
+
+SMALLEST = 256
+"""Fewer vertices of one colour than this are not worth a second thread."""
+
+T = TypeVar("T")
 
 
 class Coloring(NamedTuple):
@@ -133,3 +140,31 @@ def vertex_coloring(
     blocks = np.concatenate([[0], np.cumsum(size[used])]).astype(np.int64)
     groups = np.unique(color[used], return_counts=True)[1]
     return Coloring(order, blocks, np.concatenate([[0], np.cumsum(groups)]).astype(np.int64))
+
+
+def run_chunks(
+    pool: ThreadPoolExecutor | None,
+    threads: int,
+    coloring: Coloring,
+    work: Callable[[int, int], T],
+) -> list[T]:
+    """Call ``work(start, stop)`` over the vertices of every colour; returns what it returned.
+
+    Parameters
+    ----------
+    pool : ThreadPoolExecutor or None    None runs everything here, in one call
+    threads : int                        chunks a colour is cut into, between blocks
+    coloring : Coloring
+    work : callable                      releases the GIL; works on coloring.order[start:stop]
+    """
+    blocks = coloring.blocks
+    if pool is None:
+        return [work(0, int(blocks[-1]))]
+    results = []
+    for first, last in pairwise(coloring.offsets.tolist()):
+        if blocks[last] - blocks[first] < SMALLEST:
+            results.append(work(int(blocks[first]), int(blocks[last])))
+            continue
+        cuts = [int(blocks[first + (last - first) * t // threads]) for t in range(threads + 1)]
+        results += pool.map(work, cuts[:-1], cuts[1:])
+    return results

@@ -4,17 +4,18 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.engine.adjacency import cell_neighbors
 from odt_plugins.engine.order import by_lowest_vertex, make_slabs
-from odt_plugins.engine.skin import Skin
 from odt_plugins.engine.star import Stars, vertex_stars
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
-PENDING = np.uint8(1)
+IDLE, PENDING, DONE = 0, 1, 2
+"""Status of a cell: nothing to do, to be visited, visited in this pass."""
 
 
 @dataclass
@@ -45,7 +46,7 @@ class Complex:
     status: NDArray[np.uint8]
     slots: NDArray[np.int64]
     free: IntArray
-    skin: Skin | None = None
+    skin: Any = None
     shares: NDArray[np.uint8] | None = None
 
     @property
@@ -75,7 +76,7 @@ class Complex:
 
 def make_complex(
     points: FloatArray, cells: IntArray, regions: IntArray, locked: BoolArray, rim: BoolArray,
-    skin: Skin | None = None, neighbors: IntArray | None = None,
+    skin: Any = None, neighbors: IntArray | None = None,
 ) -> Complex:
     """Build the adjacency of a valid mesh, with room for flips that add cells.
 
@@ -94,7 +95,7 @@ def make_complex(
 
 def _with_room(
     points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
-    locked: BoolArray, rim: BoolArray, skin: Skin | None,
+    locked: BoolArray, rim: BoolArray, skin: Any,
 ) -> Complex:
     """Put the arrays of a mesh into slots, an eighth more than there are cells in space."""
     m, k = cells.shape

@@ -10,7 +10,8 @@ from __future__ import annotations
 import numpy as np
 
 from odt_plugins.engine.bounds import relaxed
-from odt_plugins.engine.cavity import DONE, IDLE, PENDING, Work, make_work, take_back
+from odt_plugins.engine.cavity import Work, make_work, take_back
+from odt_plugins.engine.complex import DONE, IDLE, PENDING
 from odt_plugins.engine.flips3d import flip_facet, improve_cell, remove_edge
 from odt_plugins.engine.kernel import allocating_kernel, kernel
 from odt_plugins.engine.lookup import is_in

@@ -10,11 +10,16 @@ from numpy.typing import NDArray
 
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.mean_ratio import tet_mean_ratio
-from odt_plugins.engine.phases import MANY, SMALL_ANGLE
 from odt_plugins.engine.tetrahedron import MEAN_RATIO, tet_cosines, tet_quality
 from odt_plugins.engine.triangle import triangle_in_space, triangle_measure, triangle_shape
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 from odt_plugins.options import Objective
+
+SMALL_ANGLE = 20.0
+"""Dihedral angle in degrees below which a cell is looked after on its own."""
+
+MANY = 0.02
+"""Share of small angles beyond which the score counts no more of them, nor a phase starts from."""
 
 COS_SMALL = math.cos(math.radians(SMALL_ANGLE))
 PRICE = 3.0

@@ -12,14 +12,13 @@ import numpy as np
 
 from odt_plugins.engine.active import spread
 from odt_plugins.engine.adjacency import cell_neighbors
-from odt_plugins.engine.coloring import vertex_coloring
+from odt_plugins.engine.coloring import run_chunks, vertex_coloring
 from odt_plugins.engine.figures import cell_shapes
 from odt_plugins.engine.flips2d import quality_flips
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.engine.phases import Phase, bulk, tail
 from odt_plugins.engine.smooth2d import smooth_vertices_2d
 from odt_plugins.engine.star import Stars, vertex_stars
-from odt_plugins.engine.threads import run_chunks
 from odt_plugins.engine.triangle import triangle_measure
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 

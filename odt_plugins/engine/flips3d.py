@@ -9,8 +9,6 @@ from __future__ import annotations
 import numpy as np
 
 from odt_plugins.engine.cavity import (
-    DONE,
-    PENDING,
     UNKNOWN,
     Work,
     cell_cost,
@@ -21,6 +19,7 @@ from odt_plugins.engine.cavity import (
     walk_ring,
     write_ring,
 )
+from odt_plugins.engine.complex import DONE, PENDING
 from odt_plugins.engine.kernel import allocating_kernel, kernel
 from odt_plugins.engine.sphere import apex_across, circumsphere, inside_sphere
 from odt_plugins.engine.tetrahedron import (

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
+from odt_plugins.engine.figures import MANY, SMALL_ANGLE
 from odt_plugins.engine.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY
 from odt_plugins.options import Objective
 
@@ -73,12 +74,6 @@ TAILS = {
 ANGLES = Phase(2.0, 0.01, 2, 3, 3, DIHEDRAL, guard=0.01, enough=0.33)
 """For the smallest and largest angles, which radius ratios alone do not mind enough: those below
 about 25 degrees, or above 150."""
-
-SMALL_ANGLE = 20.0
-"""Dihedral angle in degrees below which a cell is looked after on its own."""
-
-MANY = 0.02
-"""Share of small angles beyond which the score counts no more of them, nor a phase starts from."""
 
 MOST = 0.1
 """Share of small angles up to which that is done: where there are more they are not what counts."""

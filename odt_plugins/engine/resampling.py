@@ -15,7 +15,8 @@ import numpy as np
 from odt_plugins.engine import insertion
 from odt_plugins.engine.complex import Complex, make_complex
 from odt_plugins.engine.figures import Figures, figures
-from odt_plugins.engine.finishing import RING, grow, measures
+from odt_plugins.engine.finishing import RING
+from odt_plugins.engine.passes import grow, measures
 from odt_plugins.engine.phases import Phase, Resampling, after_resampling, resampling
 from odt_plugins.engine.smoothing import Log
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray, LongArray

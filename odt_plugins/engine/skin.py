@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import TYPE_CHECKING
 
 import numpy as np
 
 from odt_plugins.engine.boundary_flips import flip_boundary
+from odt_plugins.engine.complex import Complex
 from odt_plugins.engine.geometry import boundary_facets, signed_volumes
 from odt_plugins.engine.slide import slide_vertices
 from odt_plugins.engine.star import Stars, star_sum, vertex_stars
@@ -19,10 +19,6 @@ from odt_plugins.engine.surface.lines import Lines
 from odt_plugins.engine.surface.sheet import HELD, SMOOTH, Limits, Sheet, make_work
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 from odt_plugins.surface import surface_edges
-
-if TYPE_CHECKING:
-    from odt_plugins.engine.complex import Complex
-    from odt_plugins.engine.phases import Phase
 
 WITHIN = 0.97
 """Part of the envelope that the guards allow; the rest is for the rounding of the way back."""
@@ -140,8 +136,8 @@ def _budgets(
 
 
 def slide(
-    mesh: Complex, skin: Skin, stars: Stars, active: BoolArray, phase: Phase, bounds: FloatArray,
-    moved: FloatArray,
+    mesh: Complex, skin: Skin, stars: Stars, active: BoolArray, objective: int, power: float,
+    bounds: FloatArray, moved: FloatArray,
 ) -> int:
     """Move the active vertices of the surface once; returns how many moved.
 
@@ -150,26 +146,28 @@ def slide(
     mesh : Complex, skin : Skin
     stars : Stars            of the slots
     active : (n,) bool
-    phase : Phase
+    objective : int, power : float    of the costs, see ``tetrahedron.tet_cost``
     bounds : (6,) float64
     moved : (n,) float64     see ``slide.slide_vertices``
     """
     order = np.flatnonzero(active & skin.free).astype(np.int32)
     own = vertex_stars(skin.sheet.triangles, len(mesh.points))
     return int(slide_vertices(
-        mesh.cells, stars.indptr, stars.indices, order, phase.objective, phase.power, bounds,
+        mesh.cells, stars.indptr, stars.indices, order, objective, power, bounds,
         skin.sheet, skin.ground, skin.lines, own.indptr, own.indices, skin.limits, skin.volume,
         make_work(skin.ground, own), moved,
     ))
 
 
-def flip_skin(mesh: Complex, skin: Skin, near: BoolArray, phase: Phase, bounds: FloatArray) -> int:
+def flip_skin(
+    mesh: Complex, skin: Skin, near: BoolArray, objective: int, power: float, bounds: FloatArray
+) -> int:
     """Flip edges of the surface around the cells ``near`` (used slots,); returns how many."""
     used = len(near)
     near = near & (mesh.cells[:used, 0] >= 0) & (mesh.neighbors[:used] < 0).any(axis=1)
     return int(flip_boundary(
         mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status,
-        np.flatnonzero(near).astype(np.int32), mesh.slots, mesh.free, phase.objective,
-        phase.power, bounds, skin.sheet, skin.ground, skin.limits, skin.stays, skin.volume,
+        np.flatnonzero(near).astype(np.int32), mesh.slots, mesh.free, objective,
+        power, bounds, skin.sheet, skin.ground, skin.limits, skin.stays, skin.volume,
         skin.fan, make_work(skin.ground),
     ))

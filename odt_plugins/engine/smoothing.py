@@ -14,9 +14,9 @@ from odt_plugins.engine.cvt import cvt_step
 from odt_plugins.engine.delaunay import delaunay_exchange
 from odt_plugins.engine.density import Density
 from odt_plugins.engine.figures import cell_shapes
-from odt_plugins.engine.finishing import flip_pending
 from odt_plugins.engine.flips2d import lawson_flips
 from odt_plugins.engine.graph_laplacian import global_step
+from odt_plugins.engine.passes import flip_pending
 from odt_plugins.engine.solvers import lbfgs_step, richardson_step
 from odt_plugins.engine.sphere import mark_non_delaunay
 from odt_plugins.engine.sweeps import StepStats, gauss_seidel_sweep, jacobi_sweep

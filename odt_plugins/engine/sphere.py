@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from odt_plugins.engine.cavity import PENDING
+from odt_plugins.engine.complex import PENDING
 from odt_plugins.engine.corner import corner_edges, corner_normals
 from odt_plugins.engine.kernel import kernel
 from odt_plugins.mesh import ByteArray, FloatArray, IntArray

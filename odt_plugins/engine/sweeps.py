@@ -12,11 +12,10 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
-from odt_plugins.engine.coloring import Coloring
+from odt_plugins.engine.coloring import Coloring, run_chunks
 from odt_plugins.engine.geometry import signed_volumes
 from odt_plugins.engine.kernel import allocating_kernel, kernel
 from odt_plugins.engine.star import OffsetArray, star_sum
-from odt_plugins.engine.threads import run_chunks
 from odt_plugins.engine.topology import Topology
 from odt_plugins.mesh import FloatArray, IntArray
 

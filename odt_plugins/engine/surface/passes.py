@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.engine.active import spread
-from odt_plugins.engine.coloring import vertex_coloring
+from odt_plugins.engine.coloring import run_chunks, vertex_coloring
 from odt_plugins.engine.figures import cell_shapes
 from odt_plugins.engine.phases import Phase
 from odt_plugins.engine.star import Stars, vertex_stars
@@ -22,7 +22,6 @@ from odt_plugins.engine.surface.lines import Lines
 from odt_plugins.engine.surface.newton import smooth_vertices
 from odt_plugins.engine.surface.odt import move_vertices
 from odt_plugins.engine.surface.sheet import HELD, Limits, Sheet, make_work
-from odt_plugins.engine.threads import run_chunks
 from odt_plugins.mesh import BoolArray, FloatArray, IntArray
 
 GAIN = 3e-3
