@@ -10,9 +10,11 @@ from hypothesis import strategies as st
 from scipy.spatial import Delaunay
 from strategies import SCALES, SEEDS, jittered, lattice, meshes, positive, random_delaunay, rotation
 
-from odt_plugins.engine.energy import (
-    cell_energies,
-    energy,
+from odt_plugins.engine.energy import cell_energies, energy
+from odt_plugins.engine.geometry import boundary_vertices, signed_volumes
+from odt_plugins.engine.sweeps import gauss_seidel_sweep
+from odt_plugins.engine.topology import make_topology
+from odt_plugins.paper.energy import (
     energy_by_patches,
     energy_by_stars,
     energy_constant,
@@ -21,10 +23,7 @@ from odt_plugins.engine.energy import (
     hat_weighted_volumes,
     lower_bounds,
 )
-from odt_plugins.engine.geometry import boundary_vertices, signed_volumes
-from odt_plugins.engine.gradient import approximate_gradient
-from odt_plugins.engine.sweeps import gauss_seidel_sweep
-from odt_plugins.engine.topology import make_topology
+from odt_plugins.paper.gradient import approximate_gradient
 
 
 def right_simplex(d):

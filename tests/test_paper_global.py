@@ -14,7 +14,7 @@ from strategies import SEEDS, jittered, lattice, meshes, positive, random_delaun
 
 from odt_plugins.engine.energy import energy
 from odt_plugins.engine.geometry import boundary_vertices, signed_volumes
-from odt_plugins.engine.gradient import approximate_gradient, gradient, hessian_diagonal
+from odt_plugins.engine.gradient import gradient, hessian_diagonal
 from odt_plugins.engine.graph_laplacian import (
     LONGEST,
     choose_solve,
@@ -32,6 +32,7 @@ from odt_plugins.engine.sweeps import jacobi_sweep
 from odt_plugins.engine.topology import make_topology
 from odt_plugins.engine.total_energy import frozen_energy
 from odt_plugins.errors import InvalidOptionError, NotConvergedWarning
+from odt_plugins.paper.gradient import approximate_gradient
 
 
 def topology_of(points, cells):

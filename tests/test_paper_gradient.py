@@ -8,7 +8,7 @@ import reference as ref
 from hypothesis import given
 from strategies import SCALES, SEEDS, jittered, meshes, random_delaunay, rotation, simplices
 
-from odt_plugins.engine.energy import energy, hat_weighted_volumes
+from odt_plugins.engine.energy import energy
 from odt_plugins.engine.geometry import (
     boundary_vertices,
     circumcenters,
@@ -16,17 +16,16 @@ from odt_plugins.engine.geometry import (
     signed_volumes,
     volume_gradients,
 )
-from odt_plugins.engine.gradient import (
-    energy_gradient,
-    gradient,
+from odt_plugins.engine.gradient import energy_gradient, gradient, hessian_diagonal
+from odt_plugins.engine.sweeps import gauss_seidel_sweep
+from odt_plugins.engine.topology import make_topology
+from odt_plugins.paper.energy import hat_weighted_volumes
+from odt_plugins.paper.gradient import (
     gradient_by_edges,
     gradient_by_norms,
     gradient_p1,
-    hessian_diagonal,
     optimality_residual,
 )
-from odt_plugins.engine.sweeps import gauss_seidel_sweep
-from odt_plugins.engine.topology import make_topology
 
 
 def interior(points, cells):
