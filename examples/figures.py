@@ -12,7 +12,7 @@ import time
 from pathlib import Path
 from typing import Any
 
-from odt_plugins.cli import main as command
+from odt_plugins.cli.main import main as command
 
 HEADER = (
     "| start | | mean q | 1 % | min q | angles | < 10° | < 20° | AMIPS | vertices | seconds |\n"

@@ -5,15 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 import odt_plugins
-from odt_plugins.generate import (
-    SAMPLES,
-    dcircle,
-    ddiff,
-    drectangle0,
-    dunion,
-    hgraded,
-    odtmesh2d,
-)
+from odt_plugins.generate import SAMPLES, dcircle, ddiff, drectangle0, dunion, hgraded, odtmesh2d
 
 CORNERS = [[0, 0], [3, 0], [3, 1], [0, 1]]
 HOLES = [(0.5, 0.5, 0.3), (1.35, 0.35, 0.15), (1.75, 0.7, 0.08), (2.5, 0.5, 0.25)]

@@ -13,7 +13,7 @@ import open3d as o3d
 
 import odt_plugins
 from odt_plugins.hosts.open3d_filters import compute_radius_ratios, optimize_odt
-from odt_plugins.plotting import plot_before_after
+from odt_plugins.report.plotting import plot_before_after
 
 
 def ball(n: int = 1500) -> o3d.geometry.PointCloud:

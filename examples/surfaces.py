@@ -17,12 +17,12 @@ from typing import Any
 import numpy as np
 
 import odt_plugins
+from odt_plugins.cli.demo import bunny_path, read_obj
 from odt_plugins.compare.contestants import OURS, Contestant, choose
 from odt_plugins.compare.rows import Measured, compare_on
 from odt_plugins.compare.runner import Limits
 from odt_plugins.compare.start import StartMesh, make_start
-from odt_plugins.demo import bunny_path, read_obj
-from odt_plugins.plotting import plot_before_after
+from odt_plugins.report.plotting import plot_before_after
 
 PEERS = ("MeshLab isotropic, no refinement", "MeshLab isotropic remeshing", "MeshLab Taubin")
 SAMPLES = ("bunny10k_textured.obj", "cow.obj")

@@ -47,10 +47,10 @@ if TYPE_CHECKING:
     )
     from odt_plugins.generate import refine_and_optimize, uniform_refine
     from odt_plugins.hosts import register
+    from odt_plugins.hosts.script import run_filter_script
     from odt_plugins.options import Options
     from odt_plugins.quality import QualitySummary
-    from odt_plugins.report import Report
-    from odt_plugins.script import run_filter_script
+    from odt_plugins.report.report import Report
     from odt_plugins.tetwild import tetrahedralize
 
     __version__: str

@@ -23,16 +23,11 @@ from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.adapters.wedges import SEAM
 from odt_plugins.carry import in_input_order, surrounding_cells
 from odt_plugins.errors import InvalidOptionError, ODTError
-from odt_plugins.mesh import (
-    FloatArray,
-    IntArray,
-    SimplexMesh,
-    compact_labels,
-    mesh_arrays,
-    reverse,
-    simplex_mesh,
-)
-from odt_plugins.numbering import in_old_numbers, new_numbers, old_numbers
+from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.numbering import in_old_numbers, new_numbers, old_numbers
+from odt_plugins.mesh.plane import PlaneFrame, plane_frame
+from odt_plugins.mesh.simplex import SimplexMesh, compact_labels, mesh_arrays, reverse, simplex_mesh
+from odt_plugins.mesh.surface import surface_mesh
 from odt_plugins.options import (
     Boundary,
     Connectivity,
@@ -43,13 +38,11 @@ from odt_plugins.options import (
     Progress,
     Solver,
 )
-from odt_plugins.planar import PlaneFrame, plane_frame
-from odt_plugins.surface import surface_mesh
 
 if TYPE_CHECKING:
-    from odt_plugins.engine.driver import Outcome
+    from odt_plugins.engine.run.driver import Outcome
     from odt_plugins.quality import QualitySummary
-    from odt_plugins.report import Report
+    from odt_plugins.report.report import Report
 
 TURNED = "the input, since cells were turned over on the way out"
 
@@ -180,7 +173,7 @@ def optimize_with_report(mesh: Any, **options: Unpack[OptionKeywords]) -> tuple[
     mesh : same type as the input
     report : Report     figures before and after, energy, times, why it stopped, what binds
     """
-    from odt_plugins.report import make_report
+    from odt_plugins.report.report import make_report
 
     chosen = make_options(**options)
     result, before, outcome = run_engine(mesh, chosen)
@@ -316,7 +309,7 @@ def _optimized(mesh: SimplexMesh, options: Options) -> Outcome:
         from odt_plugins.engine.surface.driver import run_surface
 
         return run_surface(mesh, options)
-    from odt_plugins.engine.driver import run
+    from odt_plugins.engine.run.driver import run
 
     return run(mesh, options)
 
@@ -438,7 +431,7 @@ def _judged(
         from odt_plugins.engine.surface.driver import judged
 
         return judged(mesh, outcome, points, options)
-    from odt_plugins.engine.judge import faults
+    from odt_plugins.engine.run.judge import faults
 
     broken, slid = faults(mesh, points, outcome.cells, outcome.regions, options, outcome.origin)
     return broken, replace(outcome, points=points, slid=slid)

@@ -5,8 +5,9 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.facets import sorted_columns
-from odt_plugins.mesh import FloatArray, IntArray, SimplexMesh, corner_mean
+from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.facets import sorted_columns
+from odt_plugins.mesh.simplex import SimplexMesh, corner_mean
 
 NEAR = (16, 256)
 """How many of the nearest cells a point is looked for in, before all of them."""
@@ -40,7 +41,7 @@ def cell_source(
     """
     if np.array_equal(cells0, cells1):
         return np.arange(len(cells0), dtype=np.int32)
-    from odt_plugins.engine.order import same_vertices
+    from odt_plugins.engine.topology.order import same_vertices
 
     source = same_vertices(cells0, cells1, len(points1))
     new = np.flatnonzero(source < 0)

@@ -14,9 +14,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from odt_plugins.cell_geometry import CellGeometry
-from odt_plugins.chunks import chunks, spread
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError
+from odt_plugins.mesh.cell_geometry import CellGeometry
+from odt_plugins.mesh.chunks import chunks, spread
 
 FloatArray = NDArray[np.float64]
 

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 from odt_plugins.api import make_options
 from odt_plugins.api import optimize as optimize_mesh
 from odt_plugins.errors import CrashError, InvalidMeshError, InvalidOptionError, exit_name, require
-from odt_plugins.mesh import mesh_arrays
+from odt_plugins.mesh.simplex import mesh_arrays
 
 PROGRAM = """
 import pickle

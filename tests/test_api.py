@@ -16,9 +16,9 @@ import tet_meshes as tm
 import odt_plugins
 from odt_plugins import api
 from odt_plugins.carry import in_input_order
-from odt_plugins.engine import driver
+from odt_plugins.engine.run import driver
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError
-from odt_plugins.mesh import SimplexMesh
+from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import CHOICES, FIGURES, Options
 
 DATA = Path(__file__).parent / "data"

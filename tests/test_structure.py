@@ -74,7 +74,7 @@ TOOLKITS = {
                "compare/baselines/open3d_smooth.py"},
     "dask": {"distributed/cluster.py"},
     "distributed": {"distributed/cluster.py"},
-    "igl": {"engine/surface/reference.py"},
+    "igl": {"engine/ground/reference.py"},
 }
 """Files that may import a toolkit, inside a function."""
 

@@ -13,7 +13,7 @@ import tet_meshes
 
 import odt_plugins
 from odt_plugins import tetwild
-from odt_plugins.engine import driver
+from odt_plugins.engine.run import driver
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError, MissingDependencyError
 
 STORED = Path(__file__).parent / "data" / "tetwild_bunny.vtu"

@@ -12,9 +12,9 @@ from __future__ import annotations
 import numpy as np
 from paper_common import beside, draw_mesh, figures, picture, run, save, show
 
-from odt_plugins.engine.geometry import barycenters, circumcenters
-from odt_plugins.engine.sweeps import gauss_seidel_sweep
-from odt_plugins.engine.topology import make_topology
+from odt_plugins.engine.cells.geometry import barycenters, circumcenters
+from odt_plugins.engine.odt.sweeps import gauss_seidel_sweep
+from odt_plugins.engine.topology.stencil import make_topology
 
 HEIGHT = 0.12
 """Distance from the center of the unit circle to the boundary edge."""

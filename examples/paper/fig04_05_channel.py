@@ -23,8 +23,8 @@ from paper_common import (
 )
 from scipy.spatial import Delaunay, cKDTree
 
-from odt_plugins.engine.energy import energy
-from odt_plugins.engine.loop import delaunay_cells
+from odt_plugins.engine.odt.energy import energy
+from odt_plugins.paper.loop import delaunay_cells
 from odt_plugins.quality import radius_ratio, volumes
 
 LENGTH, HEIGHT, WAVE, WAVES = 62.0, 11.0, 1.2, 4

@@ -9,7 +9,7 @@ import numpy as np
 from paper_common import beside, draw_mesh, histogram, local_steps, picture, read, run, save, show
 
 from odt_plugins import optimize_with_report
-from odt_plugins.engine.density import size_field
+from odt_plugins.engine.odt.density import size_field
 from odt_plugins.quality import radius_ratio
 
 PAPER = {"original": (0.25, 0.90, "", ""), "ODT, 3 steps": (0.57, 0.95, "kept", "none"),

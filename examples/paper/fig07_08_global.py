@@ -13,10 +13,10 @@ from paper_common import beside, curves, draw_mesh, figures, picture, run, save,
 
 from odt_plugins.compare.local_global import moved_triangle
 from odt_plugins.compare.start import SEED
-from odt_plugins.engine.energy import energy
-from odt_plugins.engine.graph_laplacian import global_step
-from odt_plugins.engine.loop import delaunay_cells, iterate
-from odt_plugins.engine.sweeps import gauss_seidel_sweep, jacobi_sweep
+from odt_plugins.engine.odt.energy import energy
+from odt_plugins.engine.odt.global_step import global_step
+from odt_plugins.engine.odt.sweeps import gauss_seidel_sweep, jacobi_sweep
+from odt_plugins.paper.loop import delaunay_cells, iterate
 from odt_plugins.quality import radius_ratio
 
 LOCAL, GLOBAL = 42, 4

@@ -12,13 +12,13 @@ import math
 import numpy as np
 from paper_common import Figures, beside, draw_mesh, figures, picture, run, save, show
 
-from odt_plugins.engine.geometry import boundary_vertices
-from odt_plugins.engine.graph_laplacian import global_step
-from odt_plugins.engine.loop import iterate
+from odt_plugins.engine.cells.geometry import boundary_vertices
+from odt_plugins.engine.odt.global_step import global_step
 from odt_plugins.generate import SAMPLES, odtmesh2d, refine_triangles
 from odt_plugins.generate.cleanup import clean_up
 from odt_plugins.generate.domain import make_domain
 from odt_plugins.generate.truss import initial_points, lattice, triangulate, truss_smoothing
+from odt_plugins.paper.loop import iterate
 
 TRUSS_STEPS, FINE_TRUSS_STEPS, GLOBAL_STEPS, ALPHA, EXPONENT = 100, 20, 3, 0.85, 3.0
 """What the tables are made with; the text says 80 and 10 steps of distmesh."""

@@ -12,10 +12,10 @@ import numpy as np
 from paper_common import beside, default, figures, histogram, picture, run, save, show
 from scipy.spatial import Delaunay
 
-from odt_plugins.engine.loop import delaunay_cells, iterate
-from odt_plugins.engine.sweeps import gauss_seidel_sweep
-from odt_plugins.plotting import paint_mesh
+from odt_plugins.engine.odt.sweeps import gauss_seidel_sweep
+from odt_plugins.paper.loop import delaunay_cells, iterate
 from odt_plugins.quality import radius_ratio, volumes
+from odt_plugins.report.plotting import paint_mesh
 
 H0, TRUSS_STEPS, STEPS, EVERY = 0.2, 50, 40, 2
 PAPER = {"(a) original": (0.74, "some"), "(c) ODT, 40 steps": ("", ""),

@@ -15,13 +15,13 @@ import numpy as np
 from paper_common import curves, figures, histogram, picture, run, save, show
 
 import odt_plugins
-from odt_plugins.engine.cvt import cvt_step
-from odt_plugins.engine.density import make_density
-from odt_plugins.engine.geometry import circumcenters
-from odt_plugins.engine.loop import delaunay_cells, iterate
-from odt_plugins.engine.sweeps import gauss_seidel_sweep
-from odt_plugins.plotting import paint_mesh
+from odt_plugins.engine.cells.geometry import circumcenters
+from odt_plugins.engine.odt.cvt import cvt_step
+from odt_plugins.engine.odt.density import make_density
+from odt_plugins.engine.odt.sweeps import gauss_seidel_sweep
+from odt_plugins.paper.loop import delaunay_cells, iterate
 from odt_plugins.quality import angles, radius_ratio, volumes
+from odt_plugins.report.plotting import paint_mesh
 
 STEPS = 10
 SLIVER = 10.0

@@ -12,8 +12,8 @@ import numpy as np
 from matplotlib.figure import Figure
 
 from odt_plugins import optimize
-from odt_plugins.engine.loop import flip_once, iterate
-from odt_plugins.engine.sweeps import gauss_seidel_sweep
+from odt_plugins.engine.odt.sweeps import gauss_seidel_sweep
+from odt_plugins.paper.loop import flip_once, iterate
 from odt_plugins.quality import radius_ratio, uniformity
 
 MESHES = Path(__file__).parents[1] / "meshes"

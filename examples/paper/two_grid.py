@@ -17,10 +17,10 @@ from fig04_05_channel import disturbed
 from fig10_ball import truss_ball
 from paper_common import figures, picture, run, save, show
 
-from odt_plugins.engine.energy import energy
-from odt_plugins.engine.graph_laplacian import global_step
-from odt_plugins.engine.loop import delaunay_cells, flip_once, iterate
+from odt_plugins.engine.odt.energy import energy
+from odt_plugins.engine.odt.global_step import global_step
 from odt_plugins.generate.refine3d import red_refinement
+from odt_plugins.paper.loop import delaunay_cells, flip_once, iterate
 
 COARSE_STEPS, FEW, FINE_STEPS = 15, 3, 20
 

@@ -11,8 +11,9 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.host import KeptCells
 from odt_plugins.errors import InvalidMeshError, counted
-from odt_plugins.facets import directed_facets, row_keys
-from odt_plugins.mesh import BoolArray, IntArray, SimplexMesh, freeze
+from odt_plugins.mesh.arrays import BoolArray, IntArray
+from odt_plugins.mesh.facets import directed_facets, row_keys
+from odt_plugins.mesh.simplex import SimplexMesh, freeze
 
 
 def protect(

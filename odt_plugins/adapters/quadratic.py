@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.host import Result
 from odt_plugins.errors import DataNotKeptWarning, InvalidMeshError, ODTWarning
-from odt_plugins.facets import row_keys
+from odt_plugins.mesh.facets import row_keys
 
 EDGES = {
     6: np.array([[0, 1], [1, 2], [2, 0]]),

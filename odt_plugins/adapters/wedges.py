@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.host import CHARTS, Feet, KeptCells, Result
-from odt_plugins.components import components
 from odt_plugins.errors import DataNotKeptWarning, counted
-from odt_plugins.facets import row_keys
+from odt_plugins.mesh.components import components
+from odt_plugins.mesh.facets import row_keys
 
 SEAM = "texture seam"
 """Kind of the edges within a chart across which texture coordinates jump."""

@@ -11,7 +11,7 @@ import numpy as np
 from odt_plugins.compare.multigrid import random_lattice
 from odt_plugins.compare.numbered import along_curve, inside_free
 from odt_plugins.compare.table import Part, Say, Table, Value
-from odt_plugins.mesh import FloatArray
+from odt_plugins.mesh.arrays import FloatArray
 
 REPEATS = 7
 """Runs of which the quickest counts."""
@@ -53,7 +53,7 @@ def sweep_bytes(topology: Any) -> tuple[int, int]:
 
 def triad_bandwidth(size: int = TRIAD) -> float:
     """Bytes a second of a = b + s c on one thread; three arrays are counted."""
-    from odt_plugins.engine.kernel import kernel
+    from odt_plugins.engine.compiled.kernel import kernel
 
     @kernel
     def triad(a: FloatArray, b: FloatArray, c: FloatArray, s: float) -> None:
@@ -92,7 +92,7 @@ def bandwidth_part(sizes: Sequence[int], threads: int, say: Say) -> Part:
 
 
 def _row(tets: int, speed: float) -> tuple[Value, ...]:
-    from odt_plugins.engine.sweeps import gauss_seidel_sweep
+    from odt_plugins.engine.odt.sweeps import gauss_seidel_sweep
 
     points, cells = random_lattice(max(tets // 6, 27))
     vertices, cells = along_curve(points, cells)

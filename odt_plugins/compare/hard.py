@@ -9,7 +9,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.compare.start import SEED, kuhn_lattice
-from odt_plugins.mesh import FloatArray, IntArray, reverse
+from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.simplex import reverse
 from odt_plugins.quality import volumes
 
 FLAT = 1e-9

@@ -9,8 +9,8 @@ from numpy.typing import NDArray
 
 from odt_plugins.compare.start import StartMesh
 from odt_plugins.errors import MissingDependencyError
-from odt_plugins.locked_facets import locked_facets
-from odt_plugins.mesh import FloatArray
+from odt_plugins.mesh.arrays import FloatArray
+from odt_plugins.promise.locked_facets import locked_facets
 
 ROUNDING = 1e-12
 """Distance, as a fraction of the diagonal, up to which a boundary counts as kept to rounding."""

@@ -15,7 +15,8 @@ from odt_plugins.compare.charts import power_laws
 from odt_plugins.compare.numbered import along_curve, inside_free
 from odt_plugins.compare.start import SEED, kuhn_lattice, refine
 from odt_plugins.compare.table import Part, Say, Table, Value
-from odt_plugins.mesh import FloatArray, IntArray, reverse
+from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.simplex import reverse
 from odt_plugins.quality import radius_ratio, volumes
 
 ENOUGH = 1e-3
@@ -114,8 +115,8 @@ def _moved(
 
 def methods() -> list[tuple[str, Callable[[FloatArray, Any], FloatArray]]]:
     """Local and global methods, each as points, topology -> points."""
-    from odt_plugins.engine.graph_laplacian import global_step
-    from odt_plugins.engine.sweeps import gauss_seidel_sweep, jacobi_sweep
+    from odt_plugins.engine.odt.global_step import global_step
+    from odt_plugins.engine.odt.sweeps import gauss_seidel_sweep, jacobi_sweep
 
     return [
         ("Jacobi", lambda x, top: jacobi_sweep(x, top, omega=0.8)[0]),
@@ -166,7 +167,7 @@ def run_races(level: int, say: Say) -> list[Race]:
 
 
 def _race(name: str, step: Callable[[FloatArray, Any], FloatArray], mesh: Mesh) -> Race:
-    from odt_plugins.engine.energy import energy
+    from odt_plugins.engine.odt.energy import energy
 
     x, regular, cells = mesh
     topology = inside_free(cells, len(x))
@@ -211,7 +212,7 @@ def forty_sweeps_part(sizes: Sequence[int], threads: int, say: Say) -> Part:
 
 
 def _against_sweeps(mesh: Mesh) -> tuple[Value, ...]:
-    from odt_plugins.engine.energy import energy
+    from odt_plugins.engine.odt.energy import energy
 
     points, regular, cells = mesh
     vertices, cells = along_curve(points, cells)

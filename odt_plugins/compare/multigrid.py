@@ -10,7 +10,8 @@ import numpy as np
 from odt_plugins.compare.numbered import along_curve, inside_free
 from odt_plugins.compare.start import SEED, kuhn_lattice
 from odt_plugins.compare.table import Part, Say, Table, Value
-from odt_plugins.mesh import FloatArray, IntArray, reverse
+from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.simplex import reverse
 from odt_plugins.quality import volumes
 
 TIGHT = 1e-8
@@ -60,10 +61,15 @@ def random_lattice(unknowns: int, seed: int = SEED) -> tuple[FloatArray, IntArra
 
 
 def _row(name: str, points: FloatArray, cells: IntArray) -> tuple[Value, ...]:
-    from odt_plugins.engine.geometry import signed_volumes
-    from odt_plugins.engine.graph_laplacian import graph_laplacian, interior_matrix
-    from odt_plugins.engine.multigrid import ITERATIONS, STEP_TOLERANCE, multigrid, solve_columns
-    from odt_plugins.engine.step_gradient import step_gradient
+    from odt_plugins.engine.cells.geometry import signed_volumes
+    from odt_plugins.engine.odt.global_step import graph_laplacian, interior_matrix
+    from odt_plugins.engine.odt.multigrid import (
+        ITERATIONS,
+        STEP_TOLERANCE,
+        multigrid,
+        solve_columns,
+    )
+    from odt_plugins.engine.odt.step_gradient import step_gradient
 
     vertices, cells = along_curve(points, cells)
     points, topology = points[vertices], inside_free(cells, len(vertices))

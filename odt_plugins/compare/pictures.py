@@ -14,8 +14,8 @@ from odt_plugins.compare.contestants import OURS
 from odt_plugins.compare.hull import shell
 from odt_plugins.compare.rows import MeshResult, Row
 from odt_plugins.errors import MissingDependencyError
-from odt_plugins.mesh import FloatArray
-from odt_plugins.plotting import BLUE, GREY, INK
+from odt_plugins.mesh.arrays import FloatArray
+from odt_plugins.report.plotting import BLUE, GREY, INK
 
 SCALE = (0.0, 0.6)
 """Radius ratios at the ends of the colours."""

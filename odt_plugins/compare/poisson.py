@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from odt_plugins.compare.start import StartMesh
-from odt_plugins.mesh import FloatArray
+from odt_plugins.mesh.arrays import FloatArray
 
 TOLERANCE = 1e-8
 """Relative residual at which CG stops."""

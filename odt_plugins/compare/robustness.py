@@ -16,8 +16,8 @@ from odt_plugins.compare.machine import describe
 from odt_plugins.compare.start import SEED, stored
 from odt_plugins.compare.table import Say, Table, as_text, shown
 from odt_plugins.errors import writing
-from odt_plugins.mesh import simplex_mesh
-from odt_plugins.promise import broken_promises
+from odt_plugins.mesh.simplex import simplex_mesh
+from odt_plugins.promise.volume import broken_promises
 from odt_plugins.quality import summarize
 
 FILE = "hard.json"

@@ -16,8 +16,9 @@ from odt_plugins.compare.poisson import PoissonFigures, solve_poisson
 from odt_plugins.compare.runner import Limits, Run, run_contestant
 from odt_plugins.compare.start import SEED, StartMesh
 from odt_plugins.errors import InvalidMeshError, MissingDependencyError
-from odt_plugins.mesh import FloatArray, IntArray, reverse
-from odt_plugins.promise import LOWER_IS_BETTER
+from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.simplex import reverse
+from odt_plugins.promise.volume import LOWER_IS_BETTER
 from odt_plugins.quality import QualitySummary, cell_figures, summarize
 
 BINS = 50

@@ -22,7 +22,7 @@ from odt_plugins.compare.contestants import Contestant
 from odt_plugins.compare.start import SEED, StartMesh
 from odt_plugins.compare.worker import READY, RESULT
 from odt_plugins.errors import exit_name
-from odt_plugins.mesh import FloatArray, IntArray
+from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 IMPORTS = {
     "gmsh_optimize": ["gmsh"], "netgen_optimize": ["netgen.meshing"], "mmg_optimize": ["mmgpy"],

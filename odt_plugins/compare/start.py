@@ -12,8 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.errors import InvalidOptionError
-from odt_plugins.mesh import FloatArray, IntArray, mesh_arrays, reverse, simplex_mesh
-from odt_plugins.planar import plane_frame
+from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.plane import plane_frame
+from odt_plugins.mesh.simplex import mesh_arrays, reverse, simplex_mesh
 from odt_plugins.quality import volumes
 
 Kind = Literal["tets", "planar", "surface"]

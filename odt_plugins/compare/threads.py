@@ -50,7 +50,7 @@ def _row(start: StartMesh, count: int) -> tuple[Value, ...]:
 
 def _sweep_of(start: StartMesh) -> Callable[[int], Any]:
     """A Gauss-Seidel sweep from the start, on the numbering that the engine uses."""
-    from odt_plugins.engine.sweeps import gauss_seidel_sweep
+    from odt_plugins.engine.odt.sweeps import gauss_seidel_sweep
 
     vertices, cells = along_curve(start.points, start.cells)
     points, topology = start.points[vertices], inside_free(cells, len(vertices))

@@ -9,10 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.distributed.versions import expect_versions
-from odt_plugins.engine.density import NodalDensity
-from odt_plugins.engine.driver import run
-from odt_plugins.engine.figures import Figures
-from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
+from odt_plugins.engine.odt.density import NodalDensity
+from odt_plugins.engine.record.figures import Figures
+from odt_plugins.engine.run.driver import run
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
 
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.mesh import FloatArray, IntArray
+from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.quality import cell_figures
 
 BINS = 1 << 12

@@ -10,19 +10,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.distributed.block import Block, Improved, cut_out, improve
-from odt_plugins.distributed.partition import (
-    bricks,
-    clusters,
-    groups,
-    grown,
-    rings_again,
-    seams,
-)
+from odt_plugins.distributed.partition import bricks, clusters, groups, grown, rings_again, seams
 from odt_plugins.distributed.versions import versions_here
-from odt_plugins.engine.figures import Figures
-from odt_plugins.engine.part import rings
+from odt_plugins.engine.record.figures import Figures
+from odt_plugins.engine.topology.part import rings
 from odt_plugins.errors import InvalidMeshError
-from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
 
 Map = Callable[[Callable[[Block], Improved], Iterable[Block]], Iterator[Improved]]

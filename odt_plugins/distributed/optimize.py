@@ -14,18 +14,19 @@ from odt_plugins.adapters.files import check_output, read_file, write_file
 from odt_plugins.api import make_options, run_engine
 from odt_plugins.distributed.glue import Map, Traffic, Whole, labels, one_round
 from odt_plugins.distributed.local import executor, told
-from odt_plugins.engine.density import make_density
-from odt_plugins.engine.driver import Outcome, run
-from odt_plugins.engine.figures import Figures
-from odt_plugins.engine.figures import figures as figures_of
-from odt_plugins.engine.judge import faults
-from odt_plugins.engine.smoothing import MODERATE
+from odt_plugins.engine.odt.density import make_density
+from odt_plugins.engine.odt.rounds import MODERATE
+from odt_plugins.engine.record.figures import Figures
+from odt_plugins.engine.record.figures import figures as figures_of
+from odt_plugins.engine.run.driver import Outcome, run
+from odt_plugins.engine.run.judge import faults
 from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
-from odt_plugins.mesh import IntArray, SimplexMesh
+from odt_plugins.mesh.arrays import IntArray
+from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
 
 if TYPE_CHECKING:
-    from odt_plugins.report import Report
+    from odt_plugins.report.report import Report
 
 LEAST_CELLS = 5000
 """Meshes are cut into no smaller blocks: most of such a block lies beside its rim."""
@@ -98,7 +99,7 @@ def optimize_partitioned_with_report(
     mesh : same type as the input
     report : Report     its times and counts are those of the rounds, bytes sent and received
     """
-    from odt_plugins.report import make_report
+    from odt_plugins.report.report import make_report
 
     options = make_options(**(odt or {}))
     result, before, outcome = _partitioned(mesh, blocks, rounds, client, workers, options)

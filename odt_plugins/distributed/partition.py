@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.components import components
-from odt_plugins.mesh import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.components import components
 
 RINGS = 4
 """Cells within so many rings of a vertex that was held in every round yet are improved again."""

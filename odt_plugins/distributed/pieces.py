@@ -40,7 +40,7 @@ from odt_plugins.errors import (
     counted,
     writing,
 )
-from odt_plugins.mesh import FloatArray, IntArray
+from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.options import Options
 
 REGIONS = "marker"

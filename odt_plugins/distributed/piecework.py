@@ -25,11 +25,12 @@ from odt_plugins.distributed.store import (
     write_piece,
 )
 from odt_plugins.distributed.versions import versions_here
-from odt_plugins.engine.density import size_field
-from odt_plugins.engine.geometry import boundary_vertices, signed_volumes
-from odt_plugins.engine.star import star_sum
+from odt_plugins.engine.cells.geometry import boundary_vertices, signed_volumes
+from odt_plugins.engine.odt.density import size_field
+from odt_plugins.engine.topology.star import star_sum
 from odt_plugins.errors import InvalidMeshError, counted
-from odt_plugins.mesh import BoolArray, FloatArray, SimplexMesh, compact_labels
+from odt_plugins.mesh.arrays import BoolArray, FloatArray
+from odt_plugins.mesh.simplex import SimplexMesh, compact_labels
 from odt_plugins.options import Options
 
 Ids = NDArray[np.int64]

@@ -20,7 +20,8 @@ from odt_plugins.errors import (
     counted,
     writing,
 )
-from odt_plugins.mesh import BoolArray, FloatArray, IntArray, reverse, simplex_mesh
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.simplex import reverse, simplex_mesh
 
 IDS = "GlobalPointIds"
 """Point array: vertices of several pieces with the same number are one."""

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from odt_plugins.engine.geometry import boundary_vertices, signed_volumes
-from odt_plugins.engine.star import vertex_stars
-from odt_plugins.mesh import BoolArray, FloatArray, IntArray
+from odt_plugins.engine.cells.geometry import boundary_vertices, signed_volumes
+from odt_plugins.engine.topology.star import vertex_stars
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.quality import radius_ratio
 
 GOOD = 0.65

@@ -12,11 +12,12 @@ from odt_plugins.adapters import meshio_mesh, pyvista_mesh
 from odt_plugins.adapters.files import read_file
 from odt_plugins.adapters.host import is_instance
 from odt_plugins.adapters.registry import find_adapter
-from odt_plugins.engine.geometry import boundary_facets
+from odt_plugins.engine.cells.geometry import boundary_facets
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError
 from odt_plugins.generate.project import Target, make_target
 from odt_plugins.generate.uniform import read_linear
-from odt_plugins.mesh import FloatArray, IntArray, mesh_arrays, simplex_mesh
+from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.simplex import mesh_arrays, simplex_mesh
 from odt_plugins.options import Options
 from odt_plugins.tetwild import run_tetwild
 

@@ -19,7 +19,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from odt_plugins.errors import InvalidOptionError
-from odt_plugins.mesh import FloatArray
+from odt_plugins.mesh.arrays import FloatArray
 
 Distance = Callable[[FloatArray], ArrayLike]
 """d(p) of points (n, d), shape (n,)."""

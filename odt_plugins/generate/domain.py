@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from odt_plugins.errors import InvalidOptionError, counted
 from odt_plugins.generate.distance import Distance
 from odt_plugins.generate.sizes import Size
-from odt_plugins.mesh import FloatArray
+from odt_plugins.mesh.arrays import FloatArray
 
 STEPS = 12
 """Newton steps of a projection; an exact distance needs two."""

@@ -22,16 +22,17 @@ from odt_plugins.api import (
     optimize_with_report,
     with_option_signature,
 )
-from odt_plugins.engine.geometry import boundary_facets, interface_vertices
-from odt_plugins.engine.surface.envelope import distances
+from odt_plugins.engine.cells.geometry import boundary_facets, interface_vertices
+from odt_plugins.engine.ground.envelope import distances
 from odt_plugins.errors import InvalidOptionError, ODTWarning
-from odt_plugins.facets import row_keys
 from odt_plugins.generate.coarse import coarse_mesh
 from odt_plugins.generate.levels_report import Level, LevelsReport
 from odt_plugins.generate.project import Target, project
 from odt_plugins.generate.refine3d import check_size, numbered_edges
 from odt_plugins.generate.uniform import uniform_refine
-from odt_plugins.mesh import BoolArray, compact_labels, mesh_arrays, vertex_mask
+from odt_plugins.mesh.arrays import BoolArray
+from odt_plugins.mesh.facets import row_keys
+from odt_plugins.mesh.simplex import compact_labels, mesh_arrays, vertex_mask
 from odt_plugins.quality import volumes
 
 SLIDES: tuple[dict[str, Any], ...] = (

@@ -9,7 +9,7 @@ from numbers import Integral, Real
 import numpy as np
 from numpy.typing import ArrayLike
 
-from odt_plugins.engine.phases import bulk
+from odt_plugins.engine.finish.phases import bulk
 from odt_plugins.errors import InvalidOptionError, counted
 from odt_plugins.generate.cleanup import clean_up
 from odt_plugins.generate.distance import Distance
@@ -29,7 +29,7 @@ from odt_plugins.generate.stages import (
     settle,
 )
 from odt_plugins.generate.truss import initial_points, lattice, truss_smoothing
-from odt_plugins.mesh import FloatArray, IntArray
+from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.options import Progress
 
 SEED = 2011

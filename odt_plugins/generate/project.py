@@ -9,15 +9,15 @@ from typing import NamedTuple
 
 import numpy as np
 
-from odt_plugins.engine.figures import cell_shapes
-from odt_plugins.engine.geometry import boundary_facets, signed_volumes
-from odt_plugins.engine.star import vertex_stars
-from odt_plugins.engine.surface.envelope import within
-from odt_plugins.engine.surface.features import find_features
-from odt_plugins.engine.surface.reference import Reference, make_reference
+from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
+from odt_plugins.engine.ground.envelope import within
+from odt_plugins.engine.ground.features import find_features
+from odt_plugins.engine.ground.reference import Reference, make_reference
+from odt_plugins.engine.record.figures import cell_shapes
+from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.errors import InvalidMeshError, counted
-from odt_plugins.mesh import BoolArray, FloatArray, IntArray
-from odt_plugins.surface import surface_edges
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.surface import surface_edges
 
 BARE = 0.8
 """Part of the envelope beyond which a vertex of the surface that is far from the mesh gets one."""

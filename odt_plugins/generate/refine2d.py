@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from odt_plugins.engine.adjacency import cell_neighbors
-from odt_plugins.engine.kernel import kernel
-from odt_plugins.mesh import FloatArray, IntArray
+from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.topology.adjacency import cell_neighbors
+from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 
 @kernel

@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.errors import InvalidMeshError, counted
-from odt_plugins.mesh import FloatArray, IntArray, LongArray
+from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 from odt_plugins.quality import radius_ratio
 
 EDGES = {

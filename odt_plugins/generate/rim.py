@@ -6,9 +6,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from odt_plugins.engine.geometry import boundary_facets, signed_volumes
+from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
 from odt_plugins.generate.domain import Domain
-from odt_plugins.mesh import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 
 HALVINGS = 6
 """A move of the boundary that folds a triangle is halved so often before it is given up."""

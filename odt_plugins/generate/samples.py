@@ -16,7 +16,7 @@ from odt_plugins.generate.distance import (
     pshift,
 )
 from odt_plugins.generate.sizes import Size, huniform
-from odt_plugins.mesh import FloatArray
+from odt_plugins.mesh.arrays import FloatArray
 
 
 @dataclass(frozen=True)

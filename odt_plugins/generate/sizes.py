@@ -12,7 +12,7 @@ from numpy.typing import ArrayLike
 
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.generate.distance import Distance
-from odt_plugins.mesh import FloatArray
+from odt_plugins.mesh.arrays import FloatArray
 
 Size = Callable[[FloatArray], ArrayLike]
 """h(p) > 0 of points (n, d), shape (n,)."""

@@ -9,22 +9,22 @@ from functools import partial
 import numpy as np
 from scipy.spatial import Delaunay, QhullError
 
-from odt_plugins.engine.adjacency import cell_neighbors
-from odt_plugins.engine.finish2d import finish2d
-from odt_plugins.engine.flips2d import lawson_flips
-from odt_plugins.engine.geometry import boundary_vertices, signed_volumes
-from odt_plugins.engine.graph_laplacian import global_step
-from odt_plugins.engine.order import curve_order
-from odt_plugins.engine.phases import Phase
-from odt_plugins.engine.star import vertex_stars
-from odt_plugins.engine.sweeps import gauss_seidel_sweep
-from odt_plugins.engine.topology import make_topology
-from odt_plugins.engine.total_energy import total_energy
+from odt_plugins.engine.cells.geometry import boundary_vertices, signed_volumes
+from odt_plugins.engine.finish.phases import Phase
+from odt_plugins.engine.finish.plane import finish2d
+from odt_plugins.engine.moves.flips2d import lawson_flips
+from odt_plugins.engine.odt.global_step import global_step
+from odt_plugins.engine.odt.sweeps import gauss_seidel_sweep
+from odt_plugins.engine.odt.total_energy import total_energy
+from odt_plugins.engine.topology.adjacency import cell_neighbors
+from odt_plugins.engine.topology.order import curve_order
+from odt_plugins.engine.topology.star import vertex_stars
+from odt_plugins.engine.topology.stencil import make_topology
 from odt_plugins.generate.domain import Domain
 from odt_plugins.generate.refine2d import refine_triangles
 from odt_plugins.generate.rim import Rim, make_rim, move_rim, respaced, spaced
 from odt_plugins.generate.truss import edges_of, triangulate
-from odt_plugins.mesh import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.quality import radius_ratio
 
 EXPONENT = 3.0

@@ -18,7 +18,7 @@ from odt_plugins.errors import InvalidOptionError
 from odt_plugins.generate.distance import Distance
 from odt_plugins.generate.domain import Domain, fixed_points, make_domain
 from odt_plugins.generate.sizes import Size
-from odt_plugins.mesh import FloatArray, IntArray
+from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 PRESSURE = 1.2
 """Bars want to be this much longer than their share of the sizes, which keeps them pushing."""

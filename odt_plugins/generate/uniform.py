@@ -12,8 +12,8 @@ from odt_plugins.adapters.host import Adapter, HostMesh, NewVertices, Result, is
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.errors import UnsupportedMeshError
 from odt_plugins.generate.refine3d import check_size, red_refinement, refined_rows
-from odt_plugins.mesh import mesh_arrays, simplex_mesh
-from odt_plugins.surface import surface_mesh
+from odt_plugins.mesh.simplex import mesh_arrays, simplex_mesh
+from odt_plugins.mesh.surface import surface_mesh
 
 MeshT = TypeVar("MeshT")
 

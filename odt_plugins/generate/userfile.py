@@ -12,7 +12,7 @@ import numpy as np
 from odt_plugins.errors import InvalidOptionError, MeshFileError, ODTError
 from odt_plugins.generate.samples import Sample
 from odt_plugins.generate.sizes import huniform
-from odt_plugins.mesh import FloatArray
+from odt_plugins.mesh.arrays import FloatArray
 
 UNIT_BOX = ((-1.0, -1.0), (1.0, 1.0))
 """Bounding box of a file that names none."""

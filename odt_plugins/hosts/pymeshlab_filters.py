@@ -220,7 +220,7 @@ def _filter_parameter_values(native: Any, self: Any, name: str, **kwargs: Any) -
 
 
 def _apply_filter_script(native: Any, self: Any) -> None:
-    from odt_plugins.script import apply_script
+    from odt_plugins.hosts.script import apply_script
 
     script = saved_script(self)
     names = [entry.get("name") for entry in ElementTree.fromstring(script)]

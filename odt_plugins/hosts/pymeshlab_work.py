@@ -17,7 +17,7 @@ from odt_plugins.options import FIGURES
 from odt_plugins.tetwild import run_tetwild
 
 if TYPE_CHECKING:
-    from odt_plugins.report import Report
+    from odt_plugins.report.report import Report
 
 EDGES = tuple(
     f"sqrt((x{i}-x{j})^2+(y{i}-y{j})^2+(z{i}-z{j})^2)" for i, j in ((0, 1), (1, 2), (2, 0))

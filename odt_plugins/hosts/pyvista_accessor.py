@@ -21,7 +21,7 @@ from odt_plugins.tetwild import tetrahedralize
 if TYPE_CHECKING:
     from collections.abc import Mapping
 
-    from odt_plugins.report import Report
+    from odt_plugins.report.report import Report
 
 NAME = "odt"
 

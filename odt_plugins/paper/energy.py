@@ -1,6 +1,6 @@
 """Forms of the ODT energy that the paper proves equal, and its lower bounds.
 
-Densities as in :mod:`odt_plugins.engine.energy`; the functions ending in ``_p1`` take one value a
+Densities as in :mod:`odt_plugins.engine.odt.energy`; the functions ending in ``_p1`` take one value a
 vertex, (n,), and integrate the piecewise linear density exactly.
 """
 
@@ -11,10 +11,10 @@ from math import factorial, sqrt
 
 import numpy as np
 
-from odt_plugins.engine.energy import CellDensity
-from odt_plugins.engine.geometry import signed_volumes
-from odt_plugins.engine.star import star_sum
-from odt_plugins.mesh import FloatArray, IntArray
+from odt_plugins.engine.cells.geometry import signed_volumes
+from odt_plugins.engine.odt.energy import CellDensity
+from odt_plugins.engine.topology.star import star_sum
+from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 
 def _squared_norm_integrals(points: FloatArray, cells: IntArray) -> FloatArray:

@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import numpy as np
 
-from odt_plugins.engine.energy import CellDensity
-from odt_plugins.engine.geometry import (
+from odt_plugins.engine.cells.geometry import (
     barycenters,
     circumcenters,
     signed_volumes,
     volume_gradients,
 )
-from odt_plugins.engine.gradient import centers_gradient, corner_sums
-from odt_plugins.engine.star import star_average, star_sum
-from odt_plugins.mesh import BoolArray, FloatArray, IntArray
+from odt_plugins.engine.odt.energy import CellDensity
+from odt_plugins.engine.odt.gradient import centers_gradient, corner_sums
+from odt_plugins.engine.topology.star import star_average, star_sum
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.paper.energy import hat_weighted_volumes
 
 

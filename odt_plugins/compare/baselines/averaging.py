@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from odt_plugins.compare.baselines.task import Settings, Task
 from odt_plugins.compare.hull import hull_facets
 from odt_plugins.compare.start import StartMesh
-from odt_plugins.mesh import FloatArray
+from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.quality import EDGES, radius_ratio
 
 

@@ -8,7 +8,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.mesh import FloatArray, IntArray, reverse
+from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.simplex import reverse
 
 Settings = Mapping[str, Any]
 """Settings of a contestant, as they stand in its row; plain numbers and strings."""

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 
-from odt_plugins.engine.density import smooth_over_stars
-from odt_plugins.engine.star import star_sum
+from odt_plugins.engine.odt.density import smooth_over_stars
+from odt_plugins.engine.topology.star import star_sum
 from odt_plugins.errors import InvalidOptionError
-from odt_plugins.mesh import FloatArray, IntArray
+from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 AVERAGES = 3
 """Passes that average the curvature tensors, vertices to triangles and back."""

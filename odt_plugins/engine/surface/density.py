@@ -7,14 +7,14 @@ from typing import Any
 
 import numpy as np
 
-from odt_plugins.engine.density import Density, make_density
-from odt_plugins.engine.surface.build import ground_values
-from odt_plugins.engine.surface.closest import Ground
+from odt_plugins.engine.ground.build import ground_values
+from odt_plugins.engine.ground.closest import Ground
+from odt_plugins.engine.ground.features import Features
+from odt_plugins.engine.ground.sheet import Sheet
+from odt_plugins.engine.odt.density import Density, make_density
 from odt_plugins.engine.surface.curvature import curvature_density
-from odt_plugins.engine.surface.features import Features
-from odt_plugins.engine.surface.sheet import Sheet
-from odt_plugins.mesh import FloatArray, IntArray
-from odt_plugins.surface import Edges
+from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.surface import Edges
 
 
 @dataclass(frozen=True)
@@ -52,14 +52,14 @@ def surface_density(
 
     Parameters
     ----------
-    spec : str, array or callable    as for :func:`odt_plugins.engine.density.make_density`, or
+    spec : str, array or callable    as for :func:`odt_plugins.engine.odt.density.make_density`, or
                                      "curvature": fine where the surface is curved
     exponent : float or None         r in rho = h^-r of "keep"
     points : (n, 3) float64, triangles : (m, 3) int32, edges : Edges, features : Features
 
     Raises
     ------
-    InvalidOptionError               see :func:`odt_plugins.engine.density.make_density`
+    InvalidOptionError               see :func:`odt_plugins.engine.odt.density.make_density`
     """
     if isinstance(spec, str) and spec == "curvature":
         apart = features.edges[edges.of_cell]

@@ -9,26 +9,27 @@ from functools import partial
 
 import numpy as np
 
-from odt_plugins.engine.cycles import extremes, settled
-from odt_plugins.engine.driver import Outcome, inner_density
-from odt_plugins.engine.figures import Figures, figures
-from odt_plugins.engine.frame import Frame, make_frame
-from odt_plugins.engine.memory import Memory, State
-from odt_plugins.engine.phases import Phase, bulk, tail
-from odt_plugins.engine.progress import in_turn, report_share, silent
-from odt_plugins.engine.smoothing import Log
-from odt_plugins.engine.star import vertex_stars
-from odt_plugins.engine.surface.build import make_ground, make_sheet
+from odt_plugins.engine.compiled.threads import thread_pool
+from odt_plugins.engine.finish.phases import Phase, bulk, tail
+from odt_plugins.engine.ground.build import make_ground, make_sheet
+from odt_plugins.engine.ground.features import EXACT, Features, find_features
+from odt_plugins.engine.ground.sheet import HELD, LINE, Limits
+from odt_plugins.engine.odt.rounds import Log
+from odt_plugins.engine.record.figures import Figures, figures
+from odt_plugins.engine.record.memory import Memory, State
+from odt_plugins.engine.record.progress import in_turn, report_share, silent
+from odt_plugins.engine.run.cycles import extremes, settled
+from odt_plugins.engine.run.driver import Outcome, inner_density
 from odt_plugins.engine.surface.density import SurfaceDensity, surface_density
-from odt_plugins.engine.surface.features import EXACT, Features, find_features
 from odt_plugins.engine.surface.judge import Distance, Kept, faults, outside
 from odt_plugins.engine.surface.passes import Surface, finish_phase
-from odt_plugins.engine.surface.sheet import HELD, LINE, Limits
-from odt_plugins.engine.surface.smoothing import check_method, smooth_surface
-from odt_plugins.engine.threads import thread_pool
-from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
+from odt_plugins.engine.surface.rounds import check_method, smooth_surface
+from odt_plugins.engine.topology.frame import Frame, make_frame
+from odt_plugins.engine.topology.star import vertex_stars
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.mesh.surface import Edges, surface_edges
 from odt_plugins.options import Options
-from odt_plugins.surface import Edges, surface_edges
 
 GUARD = 0.975
 """Part of the envelope that the guards use; the rest is for the bounds of the judge."""
@@ -97,7 +98,7 @@ def run_surface(mesh: SimplexMesh, options: Options) -> SurfaceOutcome:
 
     Parameters
     ----------
-    mesh : SimplexMesh    triangles in space, made by :func:`odt_plugins.surface.surface_mesh`
+    mesh : SimplexMesh    triangles in space, made by :func:`odt_plugins.mesh.surface.surface_mesh`
     options : Options
 
     Returns

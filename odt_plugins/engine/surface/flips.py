@@ -9,13 +9,12 @@ import math
 
 import numpy as np
 
-from odt_plugins.engine.bounds import relaxed
-from odt_plugins.engine.flips2d import GAIN, flip, queue_around
-from odt_plugins.engine.kernel import kernel
-from odt_plugins.engine.lookup import place_in
-from odt_plugins.engine.surface.closest import Ground
-from odt_plugins.engine.surface.pair import edge_is_free, flip_back, keeps_normals
-from odt_plugins.engine.surface.sheet import (
+from odt_plugins.engine.cells.bounds import relaxed
+from odt_plugins.engine.cells.triangle import offset, triangle_in_space
+from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.ground.closest import Ground
+from odt_plugins.engine.ground.pair import edge_is_free, flip_back, keeps_normals
+from odt_plugins.engine.ground.sheet import (
     SMOOTH,
     Limits,
     Sheet,
@@ -25,8 +24,9 @@ from odt_plugins.engine.surface.sheet import (
     joined,
     make_work,
 )
-from odt_plugins.engine.triangle import offset, triangle_in_space
-from odt_plugins.mesh import BoolArray, FloatArray, IntArray
+from odt_plugins.engine.moves.flips2d import GAIN, flip, queue_around
+from odt_plugins.engine.topology.lookup import place_in
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 
 HELD_FLOOR = 0.3
 """Radius ratio that a new triangle without a free vertex must reach: smoothing cannot help it."""

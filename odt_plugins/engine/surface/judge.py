@@ -6,16 +6,17 @@ from typing import NamedTuple
 
 import numpy as np
 
-from odt_plugins.engine.order import morton_keys
-from odt_plugins.engine.surface.crossings import crossing_triangles
-from odt_plugins.engine.surface.envelope import distances, uncovered, within
-from odt_plugins.engine.surface.reference import make_reference
+from odt_plugins.engine.ground.crossings import crossing_triangles
+from odt_plugins.engine.ground.envelope import distances, uncovered, within
+from odt_plugins.engine.ground.reference import make_reference
+from odt_plugins.engine.topology.order import morton_keys
 from odt_plugins.errors import counted
-from odt_plugins.facets import row_keys
-from odt_plugins.mesh import BoolArray, FloatArray, IntArray, SimplexMesh
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.facets import row_keys
+from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.mesh.surface import surface_edges
 from odt_plugins.options import Options
-from odt_plugins.surface import surface_edges
-from odt_plugins.surface_promise import bad_places, broken_surface_promises
+from odt_plugins.promise.surface import bad_places, broken_surface_promises
 
 TOLERANCE = 0.02
 """Distances are bounded to this part of the envelope."""

@@ -4,21 +4,21 @@ from __future__ import annotations
 
 import math
 
-from odt_plugins.engine.kernel import kernel
-from odt_plugins.engine.plane_step import plane_step
-from odt_plugins.engine.star import OffsetArray
-from odt_plugins.engine.surface.closest import Ground
-from odt_plugins.engine.surface.lines import Lines, line_direction
-from odt_plugins.engine.surface.position import (
+from odt_plugins.engine.cells.triangle import opposite_edge
+from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.ground.closest import Ground
+from odt_plugins.engine.ground.lines import Lines, line_direction
+from odt_plugins.engine.ground.position import (
     DECREASE,
     axis_across,
     star_normal,
     star_shape,
     try_move,
 )
-from odt_plugins.engine.surface.sheet import HELD, LINE, Limits, Sheet, Work
-from odt_plugins.engine.triangle import opposite_edge
-from odt_plugins.mesh import FloatArray, IntArray
+from odt_plugins.engine.ground.sheet import HELD, LINE, Limits, Sheet, Work
+from odt_plugins.engine.moves.plane_step import plane_step
+from odt_plugins.engine.topology.star import OffsetArray
+from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 
 @kernel

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import math
 
-from odt_plugins.engine.kernel import kernel
-from odt_plugins.engine.star import OffsetArray
-from odt_plugins.engine.surface.closest import Ground
-from odt_plugins.engine.surface.lines import Lines
-from odt_plugins.engine.surface.position import star_normal, try_move
-from odt_plugins.engine.surface.sheet import HELD, Limits, Sheet, Work
-from odt_plugins.engine.triangle import opposite_edge
-from odt_plugins.mesh import FloatArray, IntArray
+from odt_plugins.engine.cells.triangle import opposite_edge
+from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.ground.closest import Ground
+from odt_plugins.engine.ground.lines import Lines
+from odt_plugins.engine.ground.position import star_normal, try_move
+from odt_plugins.engine.ground.sheet import HELD, Limits, Sheet, Work
+from odt_plugins.engine.topology.star import OffsetArray
+from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 ODT, CPT, LAPLACIAN, GIVEN = 0, 1, 2, 3
 """Where a vertex is to go: mean circumcentre (4.13), mean barycentre (4.20), mean neighbour (4.21),

@@ -11,18 +11,18 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.engine.active import spread
-from odt_plugins.engine.coloring import run_chunks, vertex_coloring
-from odt_plugins.engine.figures import cell_shapes
-from odt_plugins.engine.phases import Phase
-from odt_plugins.engine.star import Stars, vertex_stars
-from odt_plugins.engine.surface.closest import Ground
+from odt_plugins.engine.finish.phases import Phase
+from odt_plugins.engine.ground.closest import Ground
+from odt_plugins.engine.ground.lines import Lines
+from odt_plugins.engine.ground.sheet import HELD, Limits, Sheet, make_work
+from odt_plugins.engine.moves.active import spread
+from odt_plugins.engine.record.figures import cell_shapes
 from odt_plugins.engine.surface.flips import flip_edges
-from odt_plugins.engine.surface.lines import Lines
 from odt_plugins.engine.surface.newton import smooth_vertices
 from odt_plugins.engine.surface.odt import move_vertices
-from odt_plugins.engine.surface.sheet import HELD, Limits, Sheet, make_work
-from odt_plugins.mesh import BoolArray, FloatArray, IntArray
+from odt_plugins.engine.topology.coloring import run_chunks, vertex_coloring
+from odt_plugins.engine.topology.star import Stars, vertex_stars
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 
 GAIN = 3e-3
 """A vertex whose star gained less than this part of F_p does not wake its neighbours."""

@@ -1,0 +1,1 @@
+"""The command line ``odt-plugins``. Only here is anything printed."""

@@ -1,0 +1,465 @@
+"""The command line ``odt-plugins``. Only here is anything printed."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import sys
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+import click
+import numpy as np
+
+from odt_plugins.cli.terminal import (
+    check_paths,
+    handling,
+    one_line,
+    progress_bar,
+    warnings_told,
+    write_beside,
+)
+from odt_plugins.errors import InvalidOptionError, ODTError
+from odt_plugins.options import DENSITIES, FIGURES, Options
+
+DONE, COULD_NOT, WRONG_USE = 0, 1, 2
+
+HELP = {
+    "method": "Centre a vertex moves to: circumcenters (odt), barycenters (cpt), neighbours "
+              "(laplacian), Lloyd (cvt).",
+    "solver": "How the positions are iterated.",
+    "linear_solver": "Solver of the global step.",
+    "connectivity": "How cells are reconnected.",
+    "density": "keep, uniform, inverse-volume, curvature (of a curved surface), or the name of a "
+               "point or cell array of INPUT with the values of rho.",
+    "exponent": "r in rho = h^-r for the density keep; d + 2 unless given.",
+    "omega": "Relaxation of the local sweeps, between 0 and 2; chosen by method unless given.",
+    "rounds": "Most rounds of smoothing and reconnection in one cycle.",
+    "cycles": "How often the two stages follow each other.",
+    "finish": "Whether bad cells are finished by their quality. Without it a TetWild mesh usually "
+              "comes back unchanged, since smoothing alone makes its worst cells worse and --keep "
+              "refuses that; to have the smoothed mesh all the same: --no-finish --keep none.",
+    "objective": "What finishing improves: radius ratios, the smallest (dihedral) angles, or the "
+                 "energy that TetWild minimises.",
+    "insert": "Whether finishing of tetrahedra may add and remove vertices inside, at most 10 % "
+              "more than before; new ones come last and their data are interpolated.",
+    "boundary": "What happens to the boundary: fixed keeps it bit for bit, slide lets the surface "
+                "of a mesh of tetrahedra move along itself within the envelope. A curved mesh of "
+                "triangles always does; slide lets its rims and feature lines change too.",
+    "envelope": "How far a surface that moves may be from the input's, both ways, as a part of the "
+                "diagonal of the bounding box.",
+    "feature_angle": "Degrees by which a surface turns at an edge that is kept. Chains of fewer "
+                     "than five such edges with a loose end count as noise.",
+    "fixed": "Vertices that must not move: a file of indices (text or .npy), or the name of a "
+             "point array, non-zero where fixed.",
+    "selection": "Cells that may change: a file of indices (text or .npy), or the name of a "
+                 "cell array, non-zero where selected.",
+    "regions": "Name of the cell array of region labels; interfaces between labels stay.",
+    "keep": "Figures that must not get worse, separated by commas; none to keep no figure.",
+    "orient": "Turn cells of mixed orientation instead of refusing them.",
+    "threads": "Worker threads; the result does not depend on it.",
+}
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run the command line and return its exit code: 0 done, 1 could not, 2 wrong use.
+
+    Parameters
+    ----------
+    argv : sequence of str    the words after the program's name; those of the process if None
+    """
+    with handling(signal.SIGTERM, signal.default_int_handler):
+        try:
+            code = cli.main(args=None if argv is None else list(argv), prog_name="odt-plugins",
+                            standalone_mode=False)
+        except click.exceptions.NoArgsIsHelpError as exc:
+            click.echo(exc.format_message(), err=True)
+            return WRONG_USE
+        except click.UsageError as exc:
+            where = exc.ctx.command_path if exc.ctx else "odt-plugins"
+            return _fail(f"{exc.format_message().rstrip('.')} (see {where} --help)", WRONG_USE)
+        except InvalidOptionError as exc:
+            return _fail(exc, WRONG_USE)
+        except ODTError as exc:
+            return _fail(exc, COULD_NOT)
+        except (click.Abort, KeyboardInterrupt):
+            return _fail("stopped before the end, no half-written file is left", COULD_NOT)
+        except BrokenPipeError:
+            os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+            return COULD_NOT
+        except MemoryError:
+            return _fail("not enough memory for a mesh of this size", COULD_NOT)
+    return code if isinstance(code, int) else DONE
+
+
+class _Commands(click.Group):
+    """The subcommands; those with a room of their own are loaded when they are asked for."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        return sorted([*super().list_commands(ctx), "compare", "mesh"])
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name == "compare":
+            from odt_plugins.cli.compare import compare
+
+            return compare
+        if cmd_name == "mesh":
+            from odt_plugins.cli.generate import mesh
+
+            return mesh
+        return super().get_command(ctx, cmd_name)
+
+
+@click.group(cls=_Commands, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="odt-plugins")
+def cli() -> None:
+    """Improve the tet and triangle meshes you already have by Optimal Delaunay Triangulation.
+
+    The boundary stays, cells stay valid, and no quality figure that you name gets worse.
+
+    Start with: odt-plugins optimize in.vtu out.vtu
+    """
+
+
+def _option_flags(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command one flag for every field of Options; names and defaults are read there."""
+    hints = get_type_hints(Options)
+    for field in reversed(fields(Options)):
+        if field.name == "progress":
+            continue
+        flag = "--" + field.name.replace("_", "-")
+        settings: dict[str, Any] = {"default": field.default, "help": HELP[field.name],
+                                    "show_default": field.default is not None}
+        hint = hints[field.name]
+        if get_origin(hint) is Literal:
+            settings["type"] = click.Choice(get_args(hint))
+        elif hint is bool:
+            flag = f"{flag}/--no-{field.name.replace('_', '-')}"
+        elif hint is int:
+            settings["type"] = click.IntRange(min=1 if field.name == "threads" else 0)
+        elif hint is float or field.name in ("exponent", "omega"):
+            settings["type"] = float
+        elif field.name == "keep":
+            settings |= {"default": ",".join(FIGURES), "callback": _figure_names}
+        else:
+            settings["type"] = str
+        command = click.option(flag, field.name, **settings)(command)
+    return command
+
+
+def _figure_names(_ctx: click.Context, _param: click.Parameter, text: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    if names == ("none",):
+        return ()
+    if not names:
+        msg = f"got no name; expected some of {', '.join(FIGURES)}, separated by commas, or none"
+        raise click.BadParameter(msg)
+    for name in names:
+        if name not in FIGURES:
+            msg = f"got {name!r}; expected some of {', '.join(FIGURES)}, separated by commas"
+            raise click.BadParameter(msg)
+    return names
+
+
+def _cluster_flags(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command the flags that say where the work is done."""
+    command = click.option(
+        "--workers", type=click.IntRange(min=0), default=0, show_default=True,
+        help="Start a Dask cluster of so many processes on this machine.",
+    )(command)
+    return click.option("--scheduler", default=None, metavar="ADDRESS",
+                        help="Work on the Dask cluster of the scheduler at this address, such as "
+                             "tcp://host:8786.")(command)
+
+
+@cli.command(short_help="Improve a mesh file and write it with all its data.")
+@click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
+@click.argument("target", metavar="OUTPUT", type=click.Path(path_type=Path))
+@_option_flags
+@click.option("--report", "report_file", type=click.Path(path_type=Path), metavar="FILE.json",
+              help="Write the report there as JSON.")
+@click.option("--plot", "plot_file", type=click.Path(path_type=Path), metavar="FILE.png",
+              help="Draw histograms before and after there (.png, .pdf, .svg).")
+@click.option("--blocks", type=click.IntRange(min=1), default=None,
+              help="Optimise the mesh in so many blocks, one after the other unless there are "
+                   "workers.")
+@click.option("--block-rounds", type=click.IntRange(min=1), default=3, show_default=True,
+              help="Most rounds of --blocks, cut elsewhere in each.")
+@_cluster_flags
+@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+def optimize(
+    source: Path,
+    target: Path,
+    report_file: Path | None,
+    plot_file: Path | None,
+    blocks: int | None,
+    block_rounds: int,
+    scheduler: str | None,
+    workers: int,
+    quiet: bool,
+    **options: Any,
+) -> int:
+    """Improve the mesh INPUT and write it to OUTPUT with all its data.
+
+    Files are of any format that meshio knows, by their suffix. The boundary stays as it is and
+    no figure named in --keep gets worse. With an OUTPUT ending in .pvtu, INPUT is another such file
+    or a directory of .vtu files, and only one of the pieces is in memory at a time.
+    """
+    check_paths(target, report_file, plot_file)
+    options = _resolve_arrays(source, options)
+    pieces = target.suffix == ".pvtu"
+    if blocks is None and (scheduler or workers) and not pieces:
+        msg = "--scheduler and --workers need --blocks, the number of blocks to cut the mesh into"
+        raise click.UsageError(msg)
+    if pieces and (report_file or plot_file):
+        msg = "--report and --plot are for meshes of one file each, OUTPUT names pieces"
+        raise click.UsageError(msg)
+    from odt_plugins.api import optimize_file
+
+    with warnings_told(), _cluster(scheduler, workers) as client, progress_bar(quiet) as progress:
+        options["progress"] = progress
+        report: Any
+        if pieces:
+            from odt_plugins.distributed.pieces import optimize_pieces
+
+            report = optimize_pieces(source, target, block_rounds, client=client, odt=options)
+        elif blocks is None:
+            report = optimize_file(source, target, **options)
+        else:
+            from odt_plugins.distributed.optimize import optimize_file_partitioned
+
+            report = optimize_file_partitioned(source, target, blocks, block_rounds,
+                                               client=client, odt=options)
+    if not quiet:
+        click.echo(str(report))
+    if report_file:
+        write_beside(report_file, lambda path: path.write_text(report.to_json() + "\n"))
+    if plot_file:
+        write_beside(plot_file, report.plot)
+    return DONE
+
+
+@cli.command(short_help="Improve many mesh files.")
+@click.argument("sources", metavar="INPUT...", nargs=-1, required=True)
+@click.option("--out", type=click.Path(path_type=Path), required=True,
+              help="Folder for the results and the summary.")
+@click.option("--tetrahedralize", is_flag=True, help="Let TetWild fill the surfaces first.")
+@click.option("--edge-length", type=click.FloatRange(min=0.0, max=1.0, min_open=True),
+              default=0.05, show_default=True, help="For TetWild, relative to the diagonal.")
+@click.option("--suffix", default=None, metavar=".vtu", help="Format of the results.  [default: "
+              "that of the input, .vtu with --tetrahedralize]")
+@click.option("--timeout", type=click.FloatRange(min=0.0, min_open=True), default=None,
+              metavar="S", help="Seconds after which an input is given up.")
+@click.option("--memory-limit", type=click.FloatRange(min=0.0, min_open=True), default=None,
+              metavar="GB", help="Memory that the process of an input may take.")
+@click.option("--resume", is_flag=True,
+              help="Leave results that are there, of the same input, options and versions, and "
+                   "failures that had the same limits as well.")
+@click.option("--retry", is_flag=True, help="With --resume: try again what failed.")
+@_cluster_flags
+@_option_flags
+@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+def batch(
+    sources: tuple[str, ...], out: Path, suffix: str | None, memory_limit: float | None,
+    scheduler: str | None, workers: int, quiet: bool, tetrahedralize: bool, edge_length: float,
+    timeout: float | None, resume: bool, retry: bool, **options: Any,
+) -> int:
+    """Improve many mesh files, each in a process of its own.
+
+    INPUT are files or quoted patterns such as 'models/**/*.stl'. An input that crashes, takes too
+    long or is no mesh is a row in the summary that --out gets beside the results.
+    """
+    from odt_plugins.distributed import batch as batches
+    from odt_plugins.distributed import summary
+
+    if retry and not resume:
+        msg = "--retry goes with --resume; without it all inputs are worked on"
+        raise click.UsageError(msg)
+    summary.check_summary()
+    jobs = batches.make_jobs(
+        batches.find_inputs(sources, out), out, options, suffix=suffix,
+        tetrahedralize=tetrahedralize, edge_length=edge_length, timeout=timeout, resume=resume,
+        retry=retry,
+        memory_limit=None if memory_limit is None else round(memory_limit * 1e9),
+    )
+    with _cluster(scheduler, workers) as client, progress_bar(quiet) as progress:
+        clock = time.perf_counter()
+        stopped = None
+        try:
+            rows = batches.run_batch(jobs, client=client, progress=progress)
+        except batches.Stopped as exc:
+            rows, stopped = exc.rows, exc
+        seconds = time.perf_counter() - clock
+        words = summary.command_line(click.get_current_context())
+        summary.write_summary(out, rows, words, options["threads"], seconds)
+    if not quiet:
+        click.echo(summary.counts(rows))
+        if any(row["resumed"] and row["status"] != "ok" for row in rows):
+            click.echo("what failed before was left as it is; --resume --retry tries it again")
+        for name, value in summary.totals(rows, seconds):
+            click.echo(f"  {name:<26}{value}")
+        click.echo("written: "
+                   + ", ".join(str(out / name) for name in summary.FILES))
+    if stopped:
+        raise stopped
+    return DONE if all(row["status"] == "ok" for row in rows) else COULD_NOT
+
+
+@cli.command()
+@click.argument("sources", metavar="INPUT...", nargs=-1, required=True,
+                type=click.Path(path_type=Path))
+@click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
+def quality(sources: tuple[Path, ...], as_json: bool) -> int:
+    """Print the quality figures of mesh files."""
+    from odt_plugins.api import measure
+    from odt_plugins.report.report import table_lines
+
+    code = DONE
+    found = {}
+    for source in sources:
+        try:
+            with warnings_told():
+                found[str(source)] = measure(source)
+        except ODTError as exc:
+            code = _fail(exc, COULD_NOT)
+    if as_json:
+        rows = [{"file": name, **summary.to_dict()} for name, summary in found.items()]
+        click.echo(json.dumps(rows, indent=2, allow_nan=False))
+    elif found:
+        click.echo("\n".join(table_lines(found)))
+    return code
+
+
+@cli.command(short_help="Apply a MeshLab script that may hold our filters.")
+@click.argument("file", metavar="FILE.mlx", type=click.Path(path_type=Path))
+@click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
+@click.argument("target", metavar="OUTPUT", type=click.Path(path_type=Path))
+@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+def script(file: Path, source: Path, target: Path, quiet: bool) -> int:
+    """Apply a MeshLab filter script that may hold filters of odt-plugins.
+
+    INPUT is read and OUTPUT written by MeshLab. When OUTPUT is a file of tetrahedra, such as
+    .vtu or .msh, it gets those of the script's last "ODT Tetrahedralization".
+    """
+    from odt_plugins.hosts.script import run_script_on_files
+
+    with warnings_told():
+        run_script_on_files(file, source, target, progress=None if quiet else click.echo)
+    return DONE
+
+
+@cli.command(short_help="Improve and draw a TetWild mesh of the bunny.")
+@click.option("--out", type=click.Path(path_type=Path), default=Path("demo-output"),
+              show_default=True, help="Directory for the demo's files.")
+@click.option("--edge-length", type=click.FloatRange(min=0.0, max=1.0, min_open=True),
+              default=None, help="For TetWild, relative to the diagonal of the bunny.")
+@click.option("--threads", type=click.IntRange(min=1), default=os.cpu_count() or 1,
+              show_default="all processors", help=HELP["threads"])
+def demo(out: Path, edge_length: float | None, threads: int) -> int:
+    """Improve a TetWild mesh of the Stanford bunny and draw it before and after."""
+    from odt_plugins.cli.demo import EDGE_LENGTH, FILES, run_demo
+
+    with warnings_told(), progress_bar(quiet=False) as progress:
+        report = run_demo(out, edge_length=edge_length or EDGE_LENGTH, say=click.echo,
+                          threads=threads, progress=progress)
+    click.echo(f"\n{report}\n")
+    click.echo("written: " + ", ".join(str(out / name) for name in FILES))
+    return DONE
+
+
+def _resolve_arrays(source: Path, options: dict[str, Any]) -> dict[str, Any]:
+    """Replace names of arrays and of index files by their values."""
+    from odt_plugins.adapters import files
+
+    options = dict(options)
+    host = None
+    if options["density"] not in DENSITIES:
+        host = files.read(source)
+        options["density"] = _file_array(host, options["density"], "density", "point", "cell")
+    for name, place in (("fixed", "point"), ("selection", "cell")):
+        given = options[name]
+        if given is None:
+            continue
+        if Path(given).is_file():
+            options[name] = _indices(Path(given), name)
+        else:
+            host = host or files.read(source)
+            options[name] = _file_array(host, given, name, place) != 0
+    return options
+
+
+def _file_array(host: Any, name: str, option: str, *places: str) -> Any:
+    """Take a point array (n,) or a cell array (m,) of a mesh file by its name."""
+    mesh, known = host.source, []
+    for place in places:
+        data = mesh.point_data if place == "point" else mesh.cell_data
+        known += [f"{key} ({place})" for key in data]
+        if name not in data:
+            continue
+        values = data[name] if place == "point" else np.concatenate(
+            [np.asarray(data[name][block]) for block in host.layout])
+        if np.ndim(values) != 1:
+            msg = f"array {name!r} has shape {np.shape(values)}; expected one value for each"
+            raise click.BadParameter(msg, param_hint=f"--{option}")
+        return np.asarray(values)
+    what = " or ".join(places)
+    file = "" if option == "density" else " or a file of indices"
+    msg = (f"got {name!r}; expected the name of a {what} array of INPUT{file}, it has "
+           f"{', '.join(known) or 'none'}")
+    raise click.BadParameter(msg, param_hint=f"--{option}")
+
+
+def _indices(path: Path, option: str) -> Any:
+    """Read indices from a .npy file or from text, one or more on a line, # for remarks."""
+    try:
+        if path.suffix == ".npy":
+            values = np.load(path, allow_pickle=False)
+        else:
+            words = [line.partition("#")[0].split()
+                     for line in path.read_text(encoding="utf-8").splitlines()]
+            values = np.array([int(w) for line in words for w in line], dtype=np.int64)
+    except (OSError, ValueError, EOFError) as exc:
+        msg = f"cannot read indices from {path}: {one_line(exc)}; expected whole numbers or .npy"
+        raise click.BadParameter(msg, param_hint=f"--{option}") from exc
+    if not values.size:
+        msg = f"{path} holds no index; expected at least one, leave out --{option} to give none"
+        raise click.BadParameter(msg, param_hint=f"--{option}")
+    return values
+
+
+@contextmanager
+def _cluster(scheduler: str | None, workers: int) -> Iterator[Any]:
+    """Connect to Dask when asked to, and tell where its dashboard is; None otherwise."""
+    if scheduler is None and not workers:
+        yield None
+        return
+    from odt_plugins.distributed.cluster import connected
+
+    with connected(scheduler, workers) as client:
+        click.echo(f"Dask dashboard: {client.dashboard_link}", err=True)
+        yield client
+
+
+def _fail(message: object, code: int) -> int:
+    click.echo(f"odt-plugins: {one_line(in_flags(str(message)))}", err=True)
+    return code
+
+
+def in_flags(text: str) -> str:
+    """Name options by their flags: "try --orient" for "try orient=True"."""
+    def flag(found: re.Match[str]) -> str:
+        name, value = found[1].replace("_", "-"), found[2].strip("'")
+        return {"True": f"--{name}", "False": f"--no-{name}"}.get(value, f"--{name} {value}")
+
+    names = "|".join(f.name for f in fields(Options))
+    return re.sub(rf"(?<![\w.-])({names})=('[^']*'|[-+.\w]+)", flag, text)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

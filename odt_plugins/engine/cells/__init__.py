@@ -1,0 +1,1 @@
+"""One simplex: its measures, their derivatives, and arrays of them."""

@@ -1,0 +1,98 @@
+"""Circumspheres of tetrahedra: which facets are not locally Delaunay (Section 3.1)."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from odt_plugins.engine.cells.corner import corner_edges, corner_normals
+from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.topology.complex import PENDING
+from odt_plugins.mesh.arrays import ByteArray, FloatArray, IntArray
+
+ROUNDING = 1e-9
+"""A point is on the sphere when the test is below this part of (longest edge)^5."""
+
+
+@kernel
+def circumsphere(
+    points: FloatArray, i: int, j: int, k: int, l: int
+) -> tuple[float, float, float, float, float]:
+    """Sphere of tetrahedron (i, j, k, l), as :func:`inside_sphere` wants it.
+
+    Returns
+    -------
+    det : float            six times the volume
+    gx, gy, gz : float     2 det (centre - x_i)
+    size : float           longest squared edge at x_i
+    """
+    ax, ay, az, bx, by, bz, cx, cy, cz = corner_edges(points, i, j, k, l)
+    aa = ax * ax + ay * ay + az * az
+    bb = bx * bx + by * by + bz * bz
+    cc = cx * cx + cy * cy + cz * cz
+    px, py, pz, qx, qy, qz, rx, ry, rz = corner_normals(
+        ax, ay, az, bx, by, bz, cx, cy, cz
+    )
+    gx = aa * px + bb * qx + cc * rx
+    gy = aa * py + bb * qy + cc * ry
+    gz = aa * pz + bb * qz + cc * rz
+    return ax * px + ay * py + az * pz, gx, gy, gz, max(max(aa, bb), cc)
+
+
+@kernel
+def inside_sphere(
+    points: FloatArray, i: int, v: int, det: float, gx: float, gy: float, gz: float, size: float
+) -> bool:
+    """Whether point v is inside the sphere from :func:`circumsphere`, by more than rounding.
+
+    With y = x_v - x_i that is |y|^2 < 2 y . (centre - x_i).
+    """
+    x = points[v, 0] - points[i, 0]
+    y = points[v, 1] - points[i, 1]
+    z = points[v, 2] - points[i, 2]
+    square = x * x + y * y + z * z
+    test = det * square - (gx * x + gy * y + gz * z)
+    if not test < 0.0:
+        return False
+    size = max(size, square)
+    return test < -ROUNDING * size * size * np.sqrt(size)
+
+
+@kernel
+def apex_across(cells: IntArray, c: int, f: int, across: int) -> np.int32:
+    """Vertex of the cell across facet f of cell c that is not on the facet.
+
+    All others of the two cells' vertices but cells[c, f] are there twice, so they cancel.
+    """
+    return np.int32(
+        cells[c, 0] ^ cells[c, 1] ^ cells[c, 2] ^ cells[c, 3] ^ cells[c, f]
+        ^ cells[across, 0] ^ cells[across, 1] ^ cells[across, 2] ^ cells[across, 3]
+    )
+
+
+@kernel
+def mark_non_delaunay(
+    points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
+    status: ByteArray, start: int, stop: int,
+) -> int:
+    """Make the cells of slots start to stop pending that have a facet that is not Delaunay.
+
+    Of the two cells at a facet the one in the lower slot is taken.  Returns their number.
+    """
+    count = 0
+    for c in range(start, stop):
+        i = np.uint32(cells[c, 0])
+        if cells[c, 0] < 0:
+            continue
+        det, gx, gy, gz, size = circumsphere(
+            points, i, np.uint32(cells[c, 1]), np.uint32(cells[c, 2]), np.uint32(cells[c, 3])
+        )
+        for f in range(4):
+            across = neighbors[c, f]
+            if across <= c or regions[across] != regions[c]:
+                continue
+            v = np.uint32(apex_across(cells, c, f, np.uint32(across)))
+            if inside_sphere(points, i, v, det, gx, gy, gz, size):
+                status[c] = PENDING
+                count += 1
+                break
+    return count

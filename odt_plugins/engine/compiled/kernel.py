@@ -1,0 +1,45 @@
+"""How the kernels are compiled."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from numba import njit
+from numba.core.cpu import CPUTargetOptions
+
+from odt_plugins.engine.compiled.cache import keep_by, source_stamp
+
+STAMP = source_stamp(Path(__file__).parents[1])
+"""Tells states of the engine apart in the cache of its kernels."""
+
+UNCOUNTED: dict[str, Any] = {"_nrt": False} if hasattr(CPUTargetOptions, "_nrt") else {}
+"""numba counts the references to every array that a call hands on, by atomic operations that
+take longer than most of our calls.  Code that allocates nothing does not need it."""
+
+
+def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
+    """Decorator of functions that numba compiles, and keeps where there is a place to write to.
+
+    That is the directory of the package, or else the user's cache directory; without either
+    they are compiled anew in every process.
+    """
+
+    def decorate(function: Callable[..., Any]) -> Any:
+        chosen: dict[str, Any] = {"nogil": True, "error_model": "numpy", **options}
+        try:
+            dispatcher = njit(cache=True, **chosen)(function)
+        except RuntimeError:
+            return njit(**chosen)(function)
+        keep_by(STAMP, dispatcher)
+        return dispatcher
+
+    return decorate
+
+
+kernel = compiled(**UNCOUNTED)
+"""Decorator of a scalar kernel that allocates no array; its caller keeps the arrays alive."""
+
+allocating_kernel = compiled()
+"""Decorator of a kernel that makes arrays of its own."""

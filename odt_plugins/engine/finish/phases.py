@@ -1,0 +1,198 @@
+"""The schedule of the finishing stage."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY
+from odt_plugins.engine.record.figures import MANY, SMALL_ANGLE
+from odt_plugins.options import Objective
+
+
+@dataclass(frozen=True)
+class Phase:
+    """One descent of F_p, the sum of all cells' costs.
+
+    Attributes
+    ----------
+    power : float    exponent p
+    share : float    part of the cells, worst first, that it starts from
+    rounds : int     most rounds of flips and smoothing
+    sweeps : int     sweeps of smoothing in a round
+    compound : int   passes of compound moves over the same share afterwards (d = 3)
+    objective : int  the cell measure in the cost, see ``tetrahedron.tet_cost``
+    guard : float or None
+        no new cell gets a worse radius ratio than this share of the cells has when the phase
+        starts; None: than the input (d = 3)
+    least : float or None
+        no new cell gets a smaller angle, in degrees, unless one that it replaces has such an
+        angle, or more than the share MOST of the cells has; nor a smaller angle than all cells
+        have when the phase starts; None: than the input (d = 3)
+    enough : float
+        of the cells whose measure reaches this only a tenth of the share is worked on (d = 3)
+    """
+
+    power: float
+    share: float
+    rounds: int
+    sweeps: int
+    compound: int = 0
+    objective: int = QUALITY
+    guard: float | None = None
+    least: float | None = None
+    enough: float = 1.0
+
+
+@dataclass(frozen=True)
+class Descent:
+    """Phases that lead to a result.
+
+    Attributes
+    ----------
+    phases : tuple of Phase
+    hold : float or None    no new cell may get a smaller angle than this share of the cells has
+                            when the descent starts; None: than the input
+    """
+
+    phases: tuple[Phase, ...]
+    hold: float | None = None
+
+
+MEASURES = {"radius_ratio": QUALITY, "amips": MEAN_RATIO, "min_dihedral": DIHEDRAL}
+
+TAILS = {
+    ("radius_ratio", 2): ((4.0, 0.05, 10, 2, 0), (8.0, 0.01, 10, 2, 0), (16.0, 0.003, 10, 2, 0)),
+    ("radius_ratio", 3): ((2.0, 0.1, 2, 3, 0), (4.0, 0.03, 2, 3, 3), (8.0, 0.002, 2, 3, 0)),
+    ("amips", 2): ((2.0, 0.03, 10, 2, 0), (8.0, 0.003, 10, 2, 0), (16.0, 0.001, 2, 2, 0)),
+    ("amips", 3): ((0.5, 0.1, 2, 3, 3), (2.0, 0.01, 2, 3, 3), (8.0, 0.002, 2, 3, 3)),
+    ("min_dihedral", 2): ((4.0, 0.05, 10, 2, 0), (8.0, 0.003, 10, 2, 0), (16.0, 0.001, 4, 2, 0)),
+    ("min_dihedral", 3): ((1.0, 0.03, 2, 3, 3), (2.0, 0.01, 2, 3, 3), (8.0, 0.002, 2, 3, 3)),
+}
+"""Power, share, rounds, sweeps and compound passes of the phases for the worst cells."""
+
+ANGLES = Phase(2.0, 0.01, 2, 3, 3, DIHEDRAL, guard=0.01, enough=0.33)
+"""For the smallest and largest angles, which radius ratios alone do not mind enough: those below
+about 25 degrees, or above 150."""
+
+MOST = 0.1
+"""Share of small angles up to which that is done: where there are more they are not what counts."""
+
+
+def bulk(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
+    """Phases for the mean: every cell, a small p; with "amips" the sum of the energies."""
+    if objective == "amips":
+        if dim == 2:
+            return (Phase(1 / 2, 1.0, 20, 2, objective=MEAN_RATIO),)
+        return (Phase(1 / 3, 1.0, 6, 3, objective=MEAN_RATIO),)
+    return (Phase(2.0, 1.0, 20, 2),) if dim == 2 else (Phase(0.5, 1.0, 6, 3),)
+
+
+def tail(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
+    """Phases for the worst cells: fewer and fewer of them, a larger and larger p."""
+    return tuple(Phase(*row, MEASURES[objective]) for row in TAILS[objective, dim])
+
+
+def with_angles(phases: tuple[Phase, ...]) -> tuple[Phase, ...]:
+    """Put :data:`ANGLES` after the first of the phases for radius ratios in space.
+
+    Those after it make no new small angle, and win back what the angles cost.
+    """
+    return phases[0], ANGLES, *(replace(phase, least=SMALL_ANGLE) for phase in phases[1:])
+
+
+def polish(share: float) -> tuple[tuple[Phase, ...], ...]:
+    """Phases for small angles alone, and to win back around them what they cost: gently, then not.
+
+    Parameters
+    ----------
+    share : part of the cells with an angle below SMALL_ANGLE
+    """
+    if not 0.0 < share <= MOST:
+        return ()
+    worst = min(share, MANY)
+    after = Phase(4.0, 2.0 * min(8.0 * share, MANY), 2, 3, 3, guard=0.0, least=SMALL_ANGLE)
+    return (
+        (Phase(2.0, worst, 2, 3, 3, DIHEDRAL, guard=1e-3), after),
+        (Phase(4.0, worst, 2, 3, 3, DIHEDRAL, guard=0.0), after),
+    )
+
+
+def repair(worse: Sequence[str]) -> tuple[Phase, ...]:
+    """Phases for a mesh of tetrahedra that is good but for a few cells beyond the input's extremes.
+
+    The first touches hardly more than those: the others cost the 1 % quantile.
+
+    Parameters
+    ----------
+    worse : names of the figures that got worse
+    """
+    if not worse or not set(worse) <= {"min_quality", "min_angle", "max_angle"}:
+        return ()
+    measure = QUALITY if "min_quality" in worse else DIHEDRAL
+    gentle = Phase(4.0, 0.0003, 1, 3, 0, measure)
+    return gentle, *(Phase(4.0, share, 3, 3, 3, measure) for share in (0.003, 0.01, 0.03, 0.1))
+
+
+def cautious(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
+    """Phases for a mesh that the others spoil: the mean comes first, then worse and worse cells."""
+    general = (
+        Phase(0.25, 1.0, 6, 3),
+        Phase(0.5, 0.3, 2, 3),
+        Phase(1.0, 0.1, 2, 3, 1),
+        Phase(2.0, 0.05, 2, 3, 3),
+    )
+    return general if objective == "radius_ratio" else general + tail(dim, objective)
+
+
+WORST = Phase(4.0, 0.015, 2, 3, 3)
+"""For a mesh with a better mean but a worse tail: about the cells that make the 1 % quantile."""
+
+
+def descents(dim: int, objective: Objective = "radius_ratio") -> tuple[Descent, ...]:
+    """What follows the bulk; the best of the results is taken.
+
+    Angles cost radius ratios: the last descent of "min_dihedral" wins back what it can of them
+    while the worst angles hold.
+    """
+    if objective == "radius_ratio":
+        return (Descent(tail(dim) if dim == 2 else with_angles(tail(dim))),)
+    if objective == "amips":
+        return (Descent(tail(dim, objective)),)
+    general, own = Descent(tail(dim)), Descent(tail(dim, objective), hold=0.0)
+    if dim == 2:
+        return general, own
+    return general, own, Descent((Phase(2.0, 0.03, 2, 3, 3),), hold=0.01)
+
+
+@dataclass(frozen=True)
+class Resampling:
+    """Passes of insertion and removal of vertices, see :mod:`odt_plugins.engine.moves.insertion`.
+
+    Attributes
+    ----------
+    power : float     exponent p of the sum of costs that must fall
+    share : float     part of the cells, worst first, that a pass looks at
+    passes : int
+    objective : int   the cell measure in the cost
+    """
+
+    power: float
+    share: float
+    passes: int
+    objective: int = QUALITY
+
+
+def resampling(objective: Objective = "radius_ratio") -> tuple[Resampling, ...]:
+    """Passes of one round of insertion: for the quality, then for the very smallest angles."""
+    return (
+        Resampling(4.0, 0.02, 2, MEAN_RATIO if objective == "amips" else QUALITY),
+        Resampling(4.0, 0.003 if objective == "min_dihedral" else 0.001, 2, DIHEDRAL),
+    )
+
+
+def after_resampling(objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
+    """Phases around the worst cells after a round of insertion: the mean, then the tail."""
+    general = () if objective == "amips" else tail(3)
+    own = () if objective == "radius_ratio" else tail(3, objective)
+    return (Phase(0.5, 0.05, 3, 3), *general, *own)

@@ -1,0 +1,170 @@
+"""Planar repair: the few triangles that passed the extremes of the input go back within them.
+
+Every triangle pays the sum of the squares of what it lacks to the bounds and a margin; vertices
+near those beyond the bounds go where their stars pay less, by a search along compass directions,
+since what is paid has kinks.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from odt_plugins.engine.cells.triangle import triangle_shape
+from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.moves.flips2d import GAIN, flip, number_edges
+from odt_plugins.engine.topology.star import OffsetArray, vertex_stars
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+
+MARGINS = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
+"""Wanted beyond the bounds: a sum of squares comes close to what it is to reach only."""
+
+RINGS, ROUNDS, SWEEPS = 2, 6, 10
+"""Rings of triangles around those beyond the bounds that give way; how often they are found anew;
+visits of every vertex in between."""
+
+FIRST, TRIALS = 0.1, 60
+"""First step, as a part of the longest edge of a star, and trials, at a half where none gains."""
+
+COMPASS = ((1.0, 0.0), (0.7, 0.7), (0.0, 1.0), (-0.7, 0.7),
+           (-1.0, 0.0), (-0.7, -0.7), (0.0, -1.0), (0.7, -0.7))
+
+
+def within_bounds(
+    points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
+    movable: BoolArray, bounds: FloatArray,
+) -> bool:
+    """Move vertices and flip edges, in place, until no triangle is beyond the bounds.
+
+    Parameters
+    ----------
+    points : (n, 2) float64
+    cells : (m, 3) int32        counterclockwise
+    neighbors : (m, 3) int32    cell across the edge opposite each vertex, -1 at the boundary
+    regions : (m,) int32        no edge between two of them is flipped
+    movable : (n,) bool         vertices that may move
+    bounds : (3,) float64       least radius ratio, largest and smallest cosine of an angle
+
+    Returns
+    -------
+    bool                        whether that was reached
+    """
+    lacking = np.empty(len(cells))
+    edges = number_edges(neighbors)
+    for margin in MARGINS:
+        for _ in range(ROUNDS):
+            _lacks(points, cells, bounds, lacking)
+            if not lacking.any():
+                return True
+            _flips(points, cells, neighbors, regions, *edges, bounds)
+            stars = vertex_stars(cells, len(points))
+            _lacks(points, cells, bounds, lacking)
+            near = np.zeros(len(points), dtype=np.bool_)
+            near[cells[lacking > 0.0]] = True
+            for _ in range(RINGS):
+                near[cells[near[cells].any(axis=1)]] = True
+            order = np.flatnonzero(near & movable).astype(np.int32)
+            for _ in range(SWEEPS):
+                _search(points, cells, stars.indptr, stars.indices, order, bounds, margin)
+        _lacks(points, cells, bounds, lacking)
+        if lacking.max() > margin * margin:
+            break
+    return not lacking.any()
+
+
+@kernel
+def _lack(
+    points: FloatArray, a: int, b: int, c: int, bounds: FloatArray, margin: float
+) -> float:
+    """What a triangle pays."""
+    q, large, small = triangle_shape(points, a, b, c)
+    if not q > 0.0:
+        return math.inf
+    x = max(0.0, bounds[0] + margin - q)
+    y = max(0.0, large + margin - bounds[1])
+    z = max(0.0, bounds[2] + margin - small)
+    return x * x + y * y + z * z
+
+
+@kernel
+def _lacks(points: FloatArray, cells: IntArray, bounds: FloatArray, lacking: FloatArray) -> None:
+    """What every triangle pays without a margin, which may be rounded."""
+    for t in range(cells.shape[0]):
+        pays = _lack(points, cells[t, 0], cells[t, 1], cells[t, 2], bounds, 0.0)
+        lacking[t] = 0.0 if pays < 1e-26 else pays
+
+
+@kernel
+def _flips(
+    points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
+    cell_edges: IntArray, edge_cell: IntArray, bounds: FloatArray,
+) -> None:
+    """Flip the edges of every triangle beyond the bounds, once, where the two pay less then."""
+    for t in range(cells.shape[0]):
+        for i in range(3):
+            s = neighbors[t, i]
+            a, b, c = cells[t, i], cells[t, (i + 1) % 3], cells[t, (i + 2) % 3]
+            here = _lack(points, a, b, c, bounds, 0.0)
+            if s < 0 or regions[s] != regions[t] or here == 0.0:
+                continue
+            j = 0
+            while cell_edges[s, j] != cell_edges[t, i]:
+                j += 1
+            d = cells[s, j]
+            old = here + _lack(points, d, c, b, bounds, 0.0)
+            new = _lack(points, a, b, d, bounds, 0.0) + _lack(points, a, d, c, bounds, 0.0)
+            if new < (1.0 - GAIN) * old:
+                flip(cells, neighbors, cell_edges, edge_cell, t, i, s, j)
+                break
+
+
+@kernel
+def _star_lack(
+    points: FloatArray, cells: IntArray, indptr: OffsetArray, indices: IntArray, vertex: int,
+    bounds: FloatArray, margin: float,
+) -> float:
+    """What the star of a vertex pays."""
+    total = 0.0
+    for s in range(indptr[vertex], indptr[vertex + 1]):
+        t = indices[s]
+        total += _lack(points, cells[t, 0], cells[t, 1], cells[t, 2], bounds, margin)
+    return total
+
+
+@kernel
+def _search(
+    points: FloatArray, cells: IntArray, indptr: OffsetArray, indices: IntArray, order: IntArray,
+    bounds: FloatArray, margin: float,
+) -> None:
+    """Let every vertex of ``order`` look for a place where its star pays less, in place."""
+    for o in range(order.shape[0]):
+        v = order[o]
+        now = _star_lack(points, cells, indptr, indices, v, bounds, margin)
+        if now == 0.0:
+            continue
+        x, y = points[v, 0], points[v, 1]
+        longest = 0.0
+        for s in range(indptr[v], indptr[v + 1]):
+            for k in range(3):
+                w = cells[indices[s], k]
+                longest = max(longest, math.hypot(points[w, 0] - x, points[w, 1] - y))
+        step = min(FIRST, 100.0 * margin) * longest
+        least = 1e-6 * margin * longest
+        for _ in range(TRIALS):
+            if step < least:
+                break
+            best, to_x, to_y = now, x, y
+            for k in range(len(COMPASS)):
+                points[v, 0] = x + step * COMPASS[k][0]
+                points[v, 1] = y + step * COMPASS[k][1]
+                there = _star_lack(points, cells, indptr, indices, v, bounds, margin)
+                if there < best:
+                    best, to_x, to_y = there, points[v, 0], points[v, 1]
+            if best == now:
+                step *= 0.5
+            now, x, y = best, to_x, to_y
+            points[v, 0] = x
+            points[v, 1] = y
+            if now == 0.0:
+                break

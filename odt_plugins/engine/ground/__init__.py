@@ -1,0 +1,1 @@
+"""The input surface under a surface that moves, and the guards of every move."""

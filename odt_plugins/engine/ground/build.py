@@ -1,0 +1,115 @@
+"""From arrays to the ground and the sheet on it."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.ground.closest import Ground
+from odt_plugins.engine.ground.features import Features
+from odt_plugins.engine.ground.sheet import Sheet
+from odt_plugins.engine.topology.star import Stars
+from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.surface import Edges
+
+
+def make_ground(
+    points: FloatArray, triangles: IntArray, edges: Edges, stars: Stars, features: Features
+) -> Ground:
+    """Lay the input surface out for the kernels.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, triangles : (m, 3) int32
+    edges : Edges, stars : Stars     of these triangles
+    features : Features              normals are not averaged across feature edges
+    """
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    area = np.cross(b - a, c - a)
+    normals = area.copy()
+    for i in range(3):
+        near = edges.neighbors[:, i]
+        alike = (near >= 0) & ~features.edges[edges.of_cell[:, i]]
+        normals[alike] += area[near[alike]]
+    length = np.sqrt((normals * normals).sum(axis=1))
+    np.divide(normals, length[:, None], out=normals, where=length[:, None] > 0.0)
+    return Ground(
+        points.copy(), triangles.copy(), edges.neighbors, stars.indptr, stars.indices, normals
+    )
+
+
+def make_sheet(
+    points: FloatArray, triangles: IntArray, edges: Edges, features: Features
+) -> Sheet:
+    """Lay the surface out that is to be changed: at first the same as its ground.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, triangles : (m, 3) int32, edges : Edges
+    features : Features    their edges are locked
+    """
+    n, m = len(points), len(triangles)
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    size = (np.cross(b - a, c - a) ** 2).sum(axis=1)
+    foot = np.full(n, -1, dtype=np.int32)
+    _largest_of_star(triangles, size, foot)
+    first = np.full(m, -1, dtype=np.int32)
+    following = np.full(n, -1, dtype=np.int32)
+    _cover_first(foot, first, following)
+    locked = features.edges | (edges.degree != 2)
+    edge_cell = np.zeros(len(edges.degree), dtype=np.int32)
+    edge_cell[edges.of_cell] = np.arange(m, dtype=np.int32)[:, None]
+    return Sheet(
+        points.copy(), triangles.copy(), edges.neighbors.copy(), edges.of_cell.copy(), edge_cell,
+        locked, features.kind, features.pinched, foot, first, following,
+    )
+
+
+@kernel
+def _largest_of_star(triangles: IntArray, size: FloatArray, foot: IntArray) -> None:
+    """Give every vertex the largest triangle of its star."""
+    for t in range(triangles.shape[0]):
+        for i in range(3):
+            v = triangles[t, i]
+            if foot[v] < 0 or size[t] > size[foot[v]]:
+                foot[v] = t
+
+
+@kernel
+def _cover_first(foot: IntArray, first: IntArray, following: IntArray) -> None:
+    """Let every vertex of the ground be covered by a triangle that holds it."""
+    for v in range(foot.shape[0] - 1, -1, -1):
+        t = foot[v]
+        if t >= 0:
+            following[v] = first[t]
+            first[t] = v
+
+
+@kernel
+def ground_values(
+    ground: Ground, values: FloatArray, points: FloatArray, foot: IntArray, out: FloatArray
+) -> None:
+    """Interpolate values at the vertices of the ground linearly at the feet of points."""
+    g, t = ground.points, ground.triangles
+    for v in range(points.shape[0]):
+        f = foot[v]
+        if f < 0:
+            continue
+        a, b, c = t[f, 0], t[f, 1], t[f, 2]
+        uu = uv = vv = up = vp = 0.0
+        for k in range(3):
+            u = g[b, k] - g[a, k]
+            w = g[c, k] - g[a, k]
+            p = points[v, k] - g[a, k]
+            uu += u * u
+            uv += u * w
+            vv += w * w
+            up += u * p
+            vp += w * p
+        det = uu * vv - uv * uv
+        if det > 0.0:
+            s = min(max((vv * up - uv * vp) / det, 0.0), 1.0)
+            r = min(max((uu * vp - uv * up) / det, 0.0), 1.0 - s)
+            out[v] = (1.0 - s - r) * values[a] + s * values[b] + r * values[c]
+        else:
+            out[v] = (values[a] + values[b] + values[c]) / 3.0

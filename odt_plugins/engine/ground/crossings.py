@@ -1,0 +1,151 @@
+"""Where a triangulated surface cuts through itself."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from odt_plugins.engine.cells.corner import corner_edges, six_volumes
+from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.topology.star import OffsetArray
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+
+ROUNDING = 1e-12
+"""Volume below which four vertices lie in a plane, as a part of the cube of the longest edge."""
+
+STRIP = 4
+"""Triangles of mean size across a strip, about."""
+
+
+def count_crossings(points: FloatArray, triangles: IntArray) -> int:
+    """Count the pairs of an edge and a triangle that cross each other.
+
+    Parameters
+    ----------
+    points : (n, 3) float64
+    triangles : (m, 3) int32    two that share a vertex are not compared
+
+    Returns
+    -------
+    int                         an edge of two triangles counts twice; touching does not count, nor
+                                does what is within rounding
+
+    Notes
+    -----
+    Sweep and prune along the longest axis of the bounding box, in strips across it.
+    """
+    return _crossings(points, triangles, np.zeros(len(triangles), dtype=np.bool_))
+
+
+def crossing_triangles(points: FloatArray, triangles: IntArray) -> BoolArray:
+    """Mark the triangles, (m,), that cross others or are crossed; as in :func:`count_crossings`."""
+    hit = np.zeros(len(triangles), dtype=np.bool_)
+    _crossings(points, triangles, hit)
+    return hit
+
+
+def _crossings(points: FloatArray, triangles: IntArray, hit: BoolArray) -> int:
+    m = len(triangles)
+    if not m:
+        return 0
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    span = high.max(axis=0) - low.min(axis=0)
+    axes = np.argsort(-span, kind="stable")
+    along, across = int(axes[0]), int(axes[1])
+    # strips with about as many triangles each
+    count = max(int(np.sqrt(m)) // STRIP, 1)
+    borders = np.sort(low[:, across])[np.arange(1, count) * m // count]
+    first = np.searchsorted(borders, low[:, across], side="right").astype(np.int32)
+    last = np.searchsorted(borders, high[:, across], side="right").astype(np.int32)
+    times = last - first + 1
+    member = np.repeat(np.arange(m, dtype=np.int32), times)
+    strip = np.arange(len(member)) - np.repeat(np.cumsum(times) - times, times) + first[member]
+    order = np.argsort(low[member, along], kind="stable")
+    order = order[np.argsort(strip[order], kind="stable")]
+    begin = np.searchsorted(strip[order], np.arange(count + 1))
+    return int(_sweep(
+        points, triangles, low, high, along, member[order], begin, first, hit,
+    ))
+
+
+@kernel
+def _sweep(
+    points: FloatArray, triangles: IntArray, low: FloatArray, high: FloatArray, axis: int,
+    member: IntArray, begin: OffsetArray, first: IntArray, hit: BoolArray,
+) -> int:
+    """Compare every triangle of a strip with those that begin before it ends.
+
+    ``member[begin[s]:begin[s + 1]]`` are the triangles of strip s, sorted by ``low``; a pair
+    counts in the ``first`` strip that both lie in. Marks in ``hit`` the triangles of every
+    crossing.
+    """
+    other, third = (axis + 1) % 3, (axis + 2) % 3
+    count = 0
+    for s in range(len(begin) - 1):
+        for k in range(begin[s], begin[s + 1]):
+            i = member[k]
+            for l in range(k + 1, begin[s + 1]):
+                j = member[l]
+                if low[j, axis] > high[i, axis]:
+                    break
+                if (
+                    low[j, other] > high[i, other]
+                    or low[i, other] > high[j, other]
+                    or low[j, third] > high[i, third]
+                    or low[i, third] > high[j, third]
+                    or max(first[i], first[j]) != s
+                    or _meet(triangles, i, j)
+                ):
+                    continue
+                before = count
+                for e in range(3):
+                    if _crosses(points, triangles, i, e, j):
+                        count += 1
+                    if _crosses(points, triangles, j, e, i):
+                        count += 1
+                if count > before:
+                    hit[i] = hit[j] = True
+    return count
+
+
+@kernel
+def _meet(triangles: IntArray, i: int, j: int) -> bool:
+    """Whether two triangles share a vertex."""
+    for a in range(3):
+        for b in range(3):
+            if triangles[i, a] == triangles[j, b]:
+                return True
+    return False
+
+
+@kernel
+def _side(p: FloatArray, i: int, j: int, k: int, l: int) -> float:
+    """Six times the signed volume of (i, j, k, l)."""
+    return -six_volumes(*corner_edges(p, l, i, j, k))
+
+
+@kernel
+def _crosses(p: FloatArray, triangles: IntArray, i: int, e: int, j: int) -> bool:
+    """Whether edge e of triangle i goes through the inside of triangle j, by more than rounding."""
+    u, v = triangles[i, e], triangles[i, (e + 1) % 3]
+    a, b, c = triangles[j, 0], triangles[j, 1], triangles[j, 2]
+    above, below = _side(p, a, b, c, u), _side(p, a, b, c, v)
+    if above * below >= 0.0:
+        return False
+    first, second, third = _side(p, u, v, a, b), _side(p, u, v, b, c), _side(p, u, v, c, a)
+    if not (
+        (first > 0.0 and second > 0.0 and third > 0.0)
+        or (first < 0.0 and second < 0.0 and third < 0.0)
+    ):
+        return False
+    least = min(abs(above), abs(below), abs(first), abs(second), abs(third))
+    length = max(_squared(p, u, v), _squared(p, a, b), _squared(p, b, c), _squared(p, c, a))
+    return least > ROUNDING * length * math.sqrt(length)
+
+
+@kernel
+def _squared(p: FloatArray, i: int, j: int) -> float:
+    """Squared distance of two vertices."""
+    return (p[i, 0] - p[j, 0]) ** 2 + (p[i, 1] - p[j, 1]) ** 2 + (p[i, 2] - p[j, 2]) ** 2

@@ -1,0 +1,1 @@
+"""What changes a mesh in place: flips, Newton steps, compound moves, insertion."""

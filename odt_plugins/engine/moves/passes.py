@@ -1,0 +1,109 @@
+"""Passes over the cells of a complex: their measures, and flips where they are pending."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+
+import numpy as np
+
+from odt_plugins.engine.cells.tetrahedron import ENERGY, tet_measure
+from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.compiled.threads import run_ranges
+from odt_plugins.engine.moves import flips3d
+from odt_plugins.engine.moves.active import pending_slots
+from odt_plugins.engine.topology.complex import Complex
+from odt_plugins.engine.topology.slabs import side_by_side
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
+
+BLOCK_BITS = 14
+"""The worst cells come first within 2^BLOCK_BITS slots, which lie together in memory."""
+
+
+@kernel
+def _slot_measures(
+    points: FloatArray, cells: IntArray, slots: IntArray, objective: int, m: FloatArray,
+    start: int, stop: int,
+) -> None:
+    """Write the measures of the cells in slots[start:stop], 2 for a free slot."""
+    for s in range(start, stop):
+        c = slots[s]
+        if cells[c, 0] < 0:
+            m[s] = 2.0
+        else:
+            m[s] = tet_measure(
+                points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], objective
+            )
+
+
+def measures(
+    mesh: Complex, objective: int, pool: ThreadPoolExecutor | None = None,
+    slots: IntArray | None = None,
+) -> FloatArray:
+    """Measures of cells, see ``tetrahedron.tet_measure``, 2 for a free slot.
+
+    Parameters
+    ----------
+    mesh : Complex
+    objective : int
+    pool                            see ``threads.run_ranges``
+    slots : (k,) int32, optional    all that are in use when left out
+
+    Returns
+    -------
+    (k,) float64
+    """
+    if slots is None:
+        slots = np.arange(mesh.slots[0], dtype=np.int32)
+    m = np.empty(len(slots))
+    run_ranges(pool, len(m), partial(_slot_measures, mesh.points, mesh.cells, slots, objective, m))
+    return m
+
+
+def flip_pending(
+    mesh: Complex, objective: int, power: float, ring: int, bounds: FloatArray, passes: int,
+    pool: ThreadPoolExecutor | None = None,
+) -> int:
+    """Flip at the pending cells until none is left or the passes are used up."""
+    total = 0
+    costs = np.zeros(len(mesh.cells))
+    for _ in range(passes):
+        found = np.empty(int(mesh.slots[0]), dtype=np.int32)
+        pending = found[: pending_slots(mesh.cells, mesh.status, found)]
+        if objective != ENERGY:
+            q = measures(mesh, objective, pool, pending)
+            pending = pending[np.lexsort((q, pending >> BLOCK_BITS))]
+        flips = side_by_side(
+            mesh, pending, pool, partial(_flip_part, mesh, costs, objective, power, ring, bounds)
+        )
+        total += flips
+        if mesh.slots[2]:
+            grow(mesh)
+            costs = np.zeros(len(mesh.cells))
+        elif flips == 0:
+            break
+    return total
+
+
+def _flip_part(
+    mesh: Complex, costs: FloatArray, objective: int, power: float, ring: int, bounds: FloatArray,
+    order: IntArray, cells: IntArray, slots: LongArray, free: IntArray, held: BoolArray,
+) -> int:
+    """Flip at the cells of one slab; ``held`` plays no part, since no vertex moves."""
+    return int(flips3d.flip_pass(
+        mesh.points, cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status, costs, order,
+        slots, free, objective, power, ring, bounds,
+    ))
+
+
+def grow(mesh: Complex) -> None:
+    """Give a complex that ran out of room a quarter more."""
+    extra = len(mesh.cells) // 4 + 64
+    mesh.cells = np.concatenate([mesh.cells, np.full((extra, mesh.dim + 1), -1, dtype=np.int32)])
+    mesh.neighbors = np.concatenate(
+        [mesh.neighbors, np.full((extra, mesh.dim + 1), -1, dtype=np.int32)]
+    )
+    mesh.regions = np.concatenate([mesh.regions, np.zeros(extra, dtype=np.int32)])
+    mesh.status = np.concatenate([mesh.status, np.zeros(extra, dtype=np.uint8)])
+    mesh.free = np.concatenate([mesh.free, np.empty(extra, dtype=np.int32)])
+    mesh.slots[2] = 0

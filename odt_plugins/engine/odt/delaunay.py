@@ -1,0 +1,365 @@
+"""Delaunay connectivity through Qhull (Section 3.2) without losing the domain.
+
+Qhull triangulates the convex hull of the vertices and knows neither the boundary of the mesh
+nor its regions.  The facets that the current mesh and the Delaunay mesh share cut space into
+pieces; a piece of one and a piece of the other with the same directed facets around them fill
+the same space, so each such pair can be exchanged on its own.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.components import components
+
+IndexArray = NDArray[np.int64]
+
+FLAT = 1e-11
+"""A cell is flat when its volume is below this times the d-th power of its longest edge."""
+VOLUME_TOLERANCE = 1e-9
+"""Two pieces fill the same space when their volumes agree to this relative difference."""
+ENERGY_TOLERANCE = 1e-12
+"""Relative fall below which an energy counts as unchanged: ties of cospherical vertices."""
+
+
+@dataclass(frozen=True)
+class ExchangeStats:
+    """What one call of :func:`delaunay_exchange` found and did.
+
+    Attributes
+    ----------
+    pieces : int            pieces of the current mesh
+    unchanged : int         pieces that are one cell of both meshes
+    exchanged : int         pieces that were exchanged
+    missing_facet : int     left alone: a boundary facet is no Delaunay facet, or no counterpart
+    several_regions : int   left alone: more than one region label inside
+    inactive : int          left alone: a cell that the caller excluded
+    hidden_vertex : int     left alone: the Delaunay piece does not use every vertex
+    flat : int              left alone: a Delaunay cell is flat
+    volume : int            left alone: the two volumes differ
+    energy : int            left alone: the energy does not fall
+    guard : int             left alone: a cell of fixed vertices would be too bad
+    largest_left : int      number of cells of the largest piece left alone
+    energy_before : float   ODT energy, uniform density, of the mesh before [length^(d+2)]
+    energy_after : float    the same of the mesh handed back
+    failure : str           Qhull's complaint when it gave no triangulation, else empty
+    """
+
+    pieces: int = 0
+    unchanged: int = 0
+    exchanged: int = 0
+    missing_facet: int = 0
+    several_regions: int = 0
+    inactive: int = 0
+    hidden_vertex: int = 0
+    flat: int = 0
+    volume: int = 0
+    energy: int = 0
+    guard: int = 0
+    largest_left: int = 0
+    energy_before: float = 0.0
+    energy_after: float = 0.0
+    failure: str = ""
+
+
+def delaunay_exchange(
+    points: FloatArray,
+    cells: IntArray,
+    regions: IntArray,
+    fixed: BoolArray | None = None,
+    *,
+    active: BoolArray | None = None,
+    fixed_floor: float = 0.3,
+) -> tuple[IntArray, IntArray, ExchangeStats]:
+    """Exchange every piece of a mesh that the Delaunay triangulation of its vertices improves.
+
+    A piece is exchanged when its counterpart is found, has one region label, uses the same
+    vertices, has no flat cell and the same volume, and when the ODT energy strictly falls; by
+    Remark 2.4 the uniform density decides for every density.  Every boundary and interface
+    facet and every vertex in use stay.  When Qhull fails the mesh is returned as it is.
+
+    Parameters
+    ----------
+    points : (n, d) float64      coordinates, d = 2 or 3
+    cells : (m, d + 1) int32     vertex indices, signed volumes positive
+    regions : (m,) int32         region labels
+    fixed : (n,) bool            vertices that never move; None switches the guard off
+    active : (m,) bool           cells that may be exchanged; None means all
+    fixed_floor : float          least radius ratio of a cell of fixed vertices where there was
+                                 none before
+
+    Returns
+    -------
+    cells : (m', d + 1) int32    kept cells in their order, then the new ones
+    regions : (m',) int32
+    stats : ExchangeStats
+
+    Notes
+    -----
+    The guard: smoothing can never repair a cell whose vertices are all fixed.  The worst such
+    cell of the new piece must be at least as good as the worst such cell of the old piece; where
+    the old piece has none, at least as good as its worst cell and as ``fixed_floor``, because a
+    bad cell with a free vertex is temporary and the new one is not.
+
+    References
+    ----------
+    L. Chen, M. Holst, CMAME 200 (2011) 967-984, Section 3.2, Theorem 2.3, Lemma 2.7.
+    """
+    from scipy.spatial import Delaunay, QhullError
+
+    dim = points.shape[1]
+    used = np.unique(cells)
+    to_used = np.full(len(points), -1, dtype=np.int64)
+    to_used[used] = np.arange(len(used))
+    low, high = points[used].min(axis=0), points[used].max(axis=0)
+    scale = float((high - low).max())
+    local = (points[used] - 0.5 * (low + high)) / scale
+    old = to_used[cells]
+    old_volume, old_energy, _ = _measures(local, old)
+    unit = scale ** (dim + 2)
+    before = float(old_energy.sum()) * unit
+    try:
+        new = Delaunay(local).simplices.astype(np.int64)
+    except (QhullError, ValueError) as error:
+        failure = (str(error).strip().splitlines() or [type(error).__name__])[0]
+        stats = ExchangeStats(failure=failure, energy_before=before, energy_after=before)
+        return cells.copy(), regions.copy(), stats
+    new_volume, new_energy, new_flat = _measures(local, new)
+    turned = new_volume < 0.0
+    new[turned, :2] = new[turned, 1::-1]
+    new_volume, new_energy = np.abs(new_volume), np.abs(new_energy)
+
+    old_piece, new_piece, partner = _matching_pieces(old, new, len(used))
+    n_old, n_new = len(partner), int(new_piece.max()) + 1
+    old_count = np.bincount(old_piece, minlength=n_old)
+    new_count = np.bincount(new_piece, minlength=n_new)
+    matched = partner >= 0
+    same = matched & (old_count == 1) & (new_count[partner] == 1)
+    refused: dict[str, Any] = {}
+    open_ = ~same
+
+    def refuse(name: str, bad: BoolArray) -> None:
+        refused[name] = int((open_ & bad).sum())
+        open_[bad] = False
+
+    def per_old(values: FloatArray | BoolArray) -> FloatArray:
+        return np.bincount(old_piece, values.astype(np.float64), n_old).astype(np.float64)
+
+    def per_new(values: FloatArray | BoolArray) -> FloatArray:
+        return np.bincount(new_piece, values.astype(np.float64), n_new).astype(np.float64)[partner]
+
+    refuse("missing_facet", ~matched)
+    label = np.empty(n_old, dtype=np.int32)
+    label[old_piece] = regions
+    refuse("several_regions", per_old(regions != label[old_piece]) > 0)
+    if active is not None:
+        refuse("inactive", per_old(~active) > 0)
+    refuse("flat", per_new(new_flat) > 0)
+
+    owner = np.full(n_new, -1, dtype=np.int64)
+    owner[partner[open_]] = np.flatnonzero(open_)
+    from_cells, from_piece = _rows(old, old_piece, open_)
+    to_cells, to_piece = _rows(new, owner[new_piece], open_)
+    refuse("hidden_vertex", _vertices_differ(from_cells, from_piece, to_cells, to_piece,
+                                             len(used), n_old))
+    volume = per_old(old_volume)
+    refuse("volume", np.abs(per_new(new_volume) - volume) > VOLUME_TOLERANCE * volume)
+    energy, energy_there = per_old(old_energy), per_new(new_energy)
+    refuse("energy", energy_there >= (1.0 - ENERGY_TOLERANCE) * energy)
+    if fixed is not None:
+        is_fixed = fixed[used]
+        worst, worst_fixed = _worst(local, from_cells, from_piece, is_fixed, n_old)
+        _, worst_fixed_there = _worst(local, to_cells, to_piece, is_fixed, n_old)
+        needed = np.where(np.isfinite(worst_fixed), worst_fixed, np.maximum(worst, fixed_floor))
+        refuse("guard", worst_fixed_there < needed)
+
+    take = open_[to_piece]
+    keep = ~open_[old_piece]
+    left = ~(open_ | same)
+    result = np.concatenate([cells[keep], used[to_cells[take]].astype(np.int32)])
+    labels = np.concatenate([regions[keep], label[to_piece[take]]])
+    stats = ExchangeStats(
+        pieces=n_old, unchanged=int(same.sum()), exchanged=int(open_.sum()),
+        largest_left=int(old_count[left].max(initial=0)), energy_before=before,
+        energy_after=before - float((energy - energy_there)[open_].sum()) * unit, **refused)
+    return result, labels, stats
+
+
+def non_delaunay_facets(
+    points: FloatArray, cells: IntArray, neighbors: IntArray, *, tolerance: float = 1e-12
+) -> IntArray:
+    """List the interior facets that are not locally Delaunay (Definition 2.1, Section 3.1).
+
+    Parameters
+    ----------
+    points : (n, d) float64         coordinates, d = 2 or 3
+    cells : (m, d + 1) int32        signed volumes positive
+    neighbors : (m, d + 1) int32    cell across the facet opposite each vertex, -1 at the boundary
+    tolerance : float               relative to the size of the lifted determinant
+
+    Returns
+    -------
+    (k, 2) int32                    cell and local index of the opposite vertex, one row a facet
+
+    Notes
+    -----
+    With the far vertex x of the neighbour as origin, det(x_i - x, |x_i - x|^2) is, up to sign,
+    proportional to the volume between the two liftings of the pair to the paraboloid.
+    """
+    dim = points.shape[1]
+    owner, side = np.nonzero(neighbors > np.arange(len(cells))[:, None])
+    other = neighbors[owner, side]
+    back = np.argmax(neighbors[other] == owner[:, None], axis=1)
+    origin = points[cells[other, back]]
+    edges = points[cells[owner]] - origin[:, None, :]
+    lifted = np.concatenate([edges, (edges**2).sum(axis=2, keepdims=True)], axis=2)
+    size = np.prod(np.linalg.norm(edges, axis=2), axis=1) * np.sqrt(lifted[:, :, dim].max(axis=1))
+    inside = np.linalg.det(lifted) * (1 if dim == 2 else -1)
+    bad = inside > tolerance * size
+    return np.stack([owner[bad], side[bad]], axis=1).astype(np.int32)
+
+
+def _measures(points: FloatArray, cells: IndexArray) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """Signed volumes, energies (2.2) with the sign of the volume, and which cells are flat."""
+    dim = points.shape[1]
+    corners = points[cells]
+    edges = corners[:, 1:] - corners[:, :1]
+    if dim == 2:
+        determinant = edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]
+        volume = determinant / 2.0
+    else:
+        volume = np.einsum("ij,ij->i", edges[:, 0], np.cross(edges[:, 1], edges[:, 2])) / 6.0
+    total = np.zeros(len(cells))
+    longest = np.zeros(len(cells))
+    for i in range(dim):
+        for j in range(i + 1, dim + 1):
+            squared = ((corners[:, i] - corners[:, j]) ** 2).sum(axis=1)
+            total += squared
+            np.maximum(longest, squared, out=longest)
+    energy = volume * total / ((dim + 1) * (dim + 2))
+    return volume, energy, np.abs(volume) <= FLAT * longest ** (dim / 2)
+
+
+def _radius_ratio(points: FloatArray, cells: IndexArray) -> FloatArray:
+    """Radius ratio d r / R (5.1) of cells of positive volume."""
+    dim = points.shape[1]
+    x = points[cells]
+    volume, _, _ = _measures(points, cells)
+    length = [[np.linalg.norm(x[:, i] - x[:, j], axis=1) for j in range(dim + 1)]
+              for i in range(dim + 1)]
+    if dim == 2:
+        a, b, c = length[1][2], length[0][2], length[0][1]
+        ratio: FloatArray = 16.0 * volume**2 / ((a + b + c) * a * b * c)
+        return ratio
+    surface = np.zeros(len(cells))
+    for i, j, k in ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)):
+        surface += np.linalg.norm(np.cross(x[:, j] - x[:, i], x[:, k] - x[:, i]), axis=1) / 2.0
+    p, q, r = (length[0][i] * length[j][k] for i, j, k in ((1, 2, 3), (2, 1, 3), (3, 1, 2)))
+    root = np.sqrt(np.maximum((p + q + r) * (p + q - r) * (p - q + r) * (q + r - p), 0.0))
+    # r = 3V/S and R = sqrt(...)/(24V); a root that rounds to zero belongs to a flat cell
+    ratio = np.divide(216.0 * volume**2, surface * root, out=np.zeros_like(root), where=root > 0.0)
+    return ratio
+
+
+def _directed_facets(cells: IndexArray) -> tuple[IndexArray, IndexArray]:
+    """Sorted vertices of every facet, cell by cell, and the side, 0 or 1, it is seen from."""
+    width = cells.shape[1]
+    facets = np.stack([np.delete(cells, i, axis=1) for i in range(width)], axis=1)
+    side = np.broadcast_to(np.arange(width) % 2, facets.shape[:2]).copy()
+    for i in range(width - 1):
+        for j in range(i + 1, width - 1):
+            side ^= facets[:, :, i] > facets[:, :, j]
+    return np.sort(facets, axis=2).reshape(-1, width - 1), side.ravel()
+
+
+def _facet_ids(facets: IndexArray, n: int) -> tuple[IndexArray, int]:
+    """Number equal rows equally, 0, 1, ...; keys are folded before they leave 63 bits."""
+    key, bound = facets[:, 0].copy(), n
+    for column in range(1, facets.shape[1]):
+        if bound * n >= 2**63:
+            values, key = np.unique(key, return_inverse=True)
+            bound = len(values)
+        key = key * n + facets[:, column]
+        bound *= n
+    values, ids = np.unique(key, return_inverse=True)
+    return ids.ravel(), len(values)
+
+
+def _matching_pieces(
+    old: IndexArray, new: IndexArray, n: int
+) -> tuple[IndexArray, IndexArray, IndexArray]:
+    """Piece of every old cell, of every new cell, and the new piece of every old one or -1."""
+    width = old.shape[1]
+    old_facets, old_side = _directed_facets(old)
+    new_facets, new_side = _directed_facets(new)
+    ids, count = _facet_ids(np.concatenate([old_facets, new_facets]), n)
+    old_at = np.full((count, 2), -1, dtype=np.int64)
+    new_at = np.full((count, 2), -1, dtype=np.int64)
+    old_at[ids[: len(old_facets)], old_side] = np.arange(len(old_facets)) // width
+    new_at[ids[len(old_facets):], new_side] = np.arange(len(new_facets)) // width
+    has_old, has_new = old_at >= 0, new_at >= 0
+    shared = has_old.any(axis=1) & has_new.any(axis=1)
+    old_links = old_at[has_old.all(axis=1) & ~shared]
+    new_links = new_at[has_new.all(axis=1) & ~shared]
+    old_piece = components(old_links[:, 0], old_links[:, 1], len(old)).astype(np.int64)
+    new_piece = components(new_links[:, 0], new_links[:, 1], len(new)).astype(np.int64)
+    n_old, n_new = int(old_piece.max()) + 1, int(new_piece.max()) + 1
+
+    # open: a facet of one cell that the other mesh lacks, or a side that only one mesh fills
+    lone_old = has_old & ~has_new & np.asarray(shared | ~has_old.all(axis=1))[:, None]
+    lone_new = has_new & ~has_old & np.asarray(shared | ~has_new.all(axis=1))[:, None]
+    old_open = np.zeros(n_old, dtype=np.bool_)
+    new_open = np.zeros(n_new, dtype=np.bool_)
+    old_open[old_piece[old_at[lone_old]]] = True
+    new_open[new_piece[new_at[lone_new]]] = True
+    both = has_old & has_new
+    here, there = old_piece[old_at[both]], new_piece[new_at[both]]
+    partner = np.full(n_old, -1, dtype=np.int64)
+    backward = np.full(n_new, -1, dtype=np.int64)
+    partner[here] = there
+    backward[there] = here
+    old_open[here[partner[here] != there]] = True
+    new_open[there[backward[there] != here]] = True
+    partner[old_open | (partner < 0)] = -1
+    closed = partner >= 0
+    partner[closed] = np.where(new_open[partner[closed]], -1, partner[closed])
+    return old_piece, new_piece, partner
+
+
+def _rows(
+    cells: IndexArray, piece: IndexArray, wanted: BoolArray
+) -> tuple[IndexArray, IndexArray]:
+    """Cells whose piece is wanted (a piece of -1 is not), with their piece."""
+    rows = (piece >= 0) & wanted[piece]
+    return cells[rows], piece[rows]
+
+
+def _vertices_differ(
+    here: IndexArray, here_piece: IndexArray, there: IndexArray, there_piece: IndexArray,
+    n: int, n_pieces: int,
+) -> BoolArray:
+    """Pieces whose two sets of cells do not use the same vertices."""
+    ours = np.unique(here_piece[:, None] * n + here)
+    theirs = np.unique(there_piece[:, None] * n + there)
+    odd = np.setxor1d(ours, theirs, assume_unique=True) // n
+    differ = np.zeros(n_pieces, dtype=np.bool_)
+    differ[odd] = True
+    return differ
+
+
+def _worst(
+    points: FloatArray, cells: IndexArray, piece: IndexArray, fixed: BoolArray, n_pieces: int
+) -> tuple[FloatArray, FloatArray]:
+    """Worst radius ratio in every piece: of all cells, and of cells whose vertices are fixed."""
+    quality = _radius_ratio(points, cells)
+    worst = np.full(n_pieces, np.inf)
+    worst_fixed = np.full(n_pieces, np.inf)
+    np.minimum.at(worst, piece, quality)
+    stuck = fixed[cells].all(axis=1)
+    np.minimum.at(worst_fixed, piece[stuck], quality[stuck])
+    return worst, worst_fixed

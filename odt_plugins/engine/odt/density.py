@@ -1,0 +1,402 @@
+"""Densities rho: how small cells should be where (Section 2 after Theorem 2.8, Section 4.2).
+
+A size field h means rho = h^-r. Theorem 2.8 equidistributes |tau| rho^(d/(d + 2)), so r = d + 2
+gives cells of size h. Densities are evaluated at the vertices, where they are now, from data on
+the input mesh, so smoothing does not wear them out. A constant factor changes nothing.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from odt_plugins.engine.cells.geometry import signed_volumes
+from odt_plugins.engine.compiled.kernel import allocating_kernel
+from odt_plugins.engine.compiled.threads import run_ranges
+from odt_plugins.engine.topology.adjacency import cell_neighbors
+from odt_plugins.engine.topology.star import star_sum
+from odt_plugins.errors import InvalidOptionError
+from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.simplex import corner_mean
+
+NAMES = ("keep", "uniform", "inverse-volume")
+
+SMOOTHING_PASSES = 3
+"""Averaging passes over log h: noise of single cells is not worth keeping."""
+
+LEAST_SIZE = 1e-6
+"""Sizes below this part of the mean come from flat cells; none is smaller."""
+
+WALK_LIMIT = 500
+"""Cells visited for one point before the best one seen is taken."""
+
+
+@allocating_kernel
+def _interpolate(
+    queries: FloatArray,
+    start: IntArray,
+    points: FloatArray,
+    cells: IntArray,
+    neighbors: IntArray,
+    limit: int,
+    out: FloatArray,
+) -> None:
+    """P1 interpolation by walking from start[q] over the facet with the lowest coordinate.
+
+    The values stand behind the coordinates in points (n, d + 1).  The cell where the walk ends is
+    left in start[q].
+
+    Outside the mesh the coordinates of the best cell are clamped to it.
+    """
+    d = queries.shape[1]
+    now = np.empty(4)
+    best = np.empty(4)
+    for q in range(queries.shape[0]):
+        c = start[q]
+        before = -1
+        best_low = -np.inf
+        best_cell = c
+        for _ in range(limit):
+            o = cells[c, 0]
+            x, y = queries[q, 0] - points[o, 0], queries[q, 1] - points[o, 1]
+            ax, ay = points[cells[c, 1], 0] - points[o, 0], points[cells[c, 1], 1] - points[o, 1]
+            bx, by = points[cells[c, 2], 0] - points[o, 0], points[cells[c, 2], 1] - points[o, 1]
+            if d == 2:
+                det = ax * by - ay * bx
+                now[1] = (x * by - y * bx) / det
+                now[2] = (ax * y - ay * x) / det
+                now[3] = 0.0
+            else:
+                e = cells[c, 3]
+                z = queries[q, 2] - points[o, 2]
+                az = points[cells[c, 1], 2] - points[o, 2]
+                bz = points[cells[c, 2], 2] - points[o, 2]
+                ex, ey = points[e, 0] - points[o, 0], points[e, 1] - points[o, 1]
+                ez = points[e, 2] - points[o, 2]
+                px, py, pz = by * ez - bz * ey, bz * ex - bx * ez, bx * ey - by * ex
+                det = ax * px + ay * py + az * pz
+                now[1] = (x * px + y * py + z * pz) / det
+                px, py, pz = ey * az - ez * ay, ez * ax - ex * az, ex * ay - ey * ax
+                now[2] = (x * px + y * py + z * pz) / det
+                px, py, pz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+                now[3] = (x * px + y * py + z * pz) / det
+            now[0] = 1.0 - now[1] - now[2] - now[3]
+            low = now[0]
+            for a in range(1, d + 1):
+                low = min(low, now[a])
+            if low > best_low:
+                best_low = low
+                best_cell = c
+                for a in range(4):
+                    best[a] = now[a]
+            if low >= 0.0:
+                break
+            next_cell = -1
+            lowest = 0.0
+            for a in range(d + 1):
+                across = neighbors[c, a]
+                if now[a] < lowest and across != -1 and across != before:
+                    lowest = now[a]
+                    next_cell = across
+            if next_cell == -1:
+                break
+            before = c
+            c = next_cell
+        total = 0.0
+        result = 0.0
+        for a in range(d + 1):
+            share = max(best[a], 0.0)
+            total += share
+            result += share * points[cells[best_cell, a], d]
+        out[q] = result / total
+        start[q] = best_cell
+
+
+@dataclass(frozen=True)
+class NodalDensity:
+    """A density rho = values^power whose values, not powers, are interpolated between vertices.
+
+    Attributes
+    ----------
+    values : (n,) float64        positive, one per vertex of the input mesh
+    power : float
+    keeps : bool                 whether they are the sizes of the input mesh
+    """
+
+    values: FloatArray
+    power: float
+    keeps: bool = False
+
+
+@dataclass(frozen=True)
+class Density:
+    """A density that can be asked anywhere; made by :func:`make_density`.
+
+    Attributes
+    ----------
+    inverse_volume : bool        every cell counts the same, rho_tau = 1/|tau| (4.22)
+    function : callable or None  rho(points) of the user
+    power : float                rho = field^power
+    nodes : (n, d + 1) float64   vertices of the input mesh and the field there, in one row that
+                                 lies in one line of the cache; empty for rho = 1
+    cells, neighbors             the input mesh, where the field lives
+    start : (n,) int32           a cell of the input mesh at every vertex
+    """
+
+    inverse_volume: bool
+    function: Callable[[FloatArray], Any] | None
+    power: float
+    nodes: FloatArray
+    cells: IntArray
+    neighbors: IntArray
+    start: IntArray
+
+    @property
+    def field(self) -> FloatArray:
+        """Values at the vertices of the input mesh, (n,); empty for rho = 1."""
+        return self.nodes[:, -1]
+
+    def walk_start(self, count: int) -> IntArray:
+        """Cells of the input mesh from which to look for ``count`` points, (count,) int32."""
+        walk = np.zeros(count, dtype=np.int32)
+        known = min(count, self.start.size)
+        walk[:known] = self.start[:known]
+        return walk
+
+    def at(
+        self,
+        points: FloatArray,
+        pool: ThreadPoolExecutor | None = None,
+        walk: IntArray | None = None,
+    ) -> FloatArray:
+        """Evaluate rho.
+
+        Parameters
+        ----------
+        points : (k, d) float64    the vertices of the input mesh, moved; further points may follow
+        pool                       see ``threads.run_ranges``
+        walk : (k,) int32, optional
+            from :meth:`walk_start` or the last call, for points that moved little since; the
+            cells where they are now are written to it
+
+        Returns
+        -------
+        (k,) float64               rho > 0; 1 everywhere for "uniform" and "inverse-volume"
+
+        Raises
+        ------
+        InvalidOptionError         the user's function gives a wrong length or a bad value
+        """
+        if self.function is not None:
+            values = _as_floats(self.function(points.copy()))
+            if values.shape != (len(points),):
+                msg = (
+                    f"got shape {values.shape} from the density function for {len(points)} "
+                    f"points, expected ({len(points)},), try one rho a point"
+                )
+                raise InvalidOptionError(msg)
+            _check_positive(values)
+            return values
+        if not self.nodes.size:
+            return np.ones(len(points))
+        start = self.walk_start(len(points)) if walk is None else walk
+        values = np.empty(len(points))
+        points = np.ascontiguousarray(points, dtype=np.float64)
+
+        def work(first: int, last: int) -> None:
+            _interpolate(
+                points[first:last],
+                start[first:last],
+                self.nodes,
+                self.cells,
+                self.neighbors,
+                WALK_LIMIT,
+                values[first:last],
+            )
+
+        run_ranges(pool, len(points), work)
+        return values if self.power == 1.0 else values**self.power
+
+
+def cell_density(points: FloatArray, cells: IntArray, rho: FloatArray) -> FloatArray:
+    """Mean of the vertex densities of every cell, rho_tau, shape (m,): exact for linear rho."""
+    return corner_mean(rho, cells)
+
+
+def inverse_volume_density(points: FloatArray, cells: IntArray) -> FloatArray:
+    """rho_tau = 1/|tau| of (4.22) up to a factor: mean volume over volume, shape (m,)."""
+    volumes = signed_volumes(points, cells)
+    values: FloatArray = volumes.mean() / volumes
+    return values
+
+
+def size_field(points: FloatArray, cells: IntArray, passes: int = SMOOTHING_PASSES) -> FloatArray:
+    """Cell size h of a mesh at its vertices, smoothed, mean 1.
+
+    Parameters
+    ----------
+    points : (n, d) float64
+    cells : (m, d + 1) int32    positive
+    passes : int                averaging passes over log h, vertices to cells and back
+
+    Returns
+    -------
+    (n,) float64                mean of |tau|^(1/d) over the star, relative to its mean over the
+                                mesh; 1 at vertices without cells
+    """
+    d = cells.shape[1] - 1
+    n = len(points)
+    count = star_sum(np.ones(len(cells)), cells, n)
+    used = count > 0
+    size = star_sum(signed_volumes(points, cells) ** (1 / d), cells, n)
+    h = np.ones(n)
+    h[used] = size[used] / count[used]
+    h[used] = np.maximum(h[used] / h[used].mean(), LEAST_SIZE)
+    smooth: FloatArray = np.exp(smooth_over_stars(np.log(h), cells, passes))
+    return smooth
+
+
+def smooth_over_stars(values: FloatArray, cells: IntArray, passes: int) -> FloatArray:
+    """Average values at vertices, (n,), over cells and back; those without cells keep theirs."""
+    values = values.copy()
+    count = star_sum(np.ones(len(cells)), cells, len(values))
+    used = count > 0
+    for _ in range(passes):
+        mean = star_sum(corner_mean(values, cells), cells, len(values))
+        values[used] = mean[used] / count[used]
+    return values
+
+
+def _as_floats(values: Any) -> FloatArray:
+    cause: Exception | None = None
+    found = type(values).__name__
+    try:
+        raw = np.asarray(values)
+        if raw.dtype.kind in "biuf":
+            return np.array(raw, dtype=np.float64)
+        found += f" and dtype {raw.dtype}"
+    except (TypeError, ValueError) as error:
+        cause = error
+    msg = (
+        f"got a density of type {found} that is no array of real numbers, expected "
+        f"one of {', '.join(NAMES)}, an array or a function, try density='keep'"
+    )
+    raise InvalidOptionError(msg) from cause
+
+
+def _check_positive(values: FloatArray) -> None:
+    bad = np.flatnonzero(~(np.isfinite(values) & (values > 0.0)))
+    if bad.size:
+        msg = (
+            f"got density {values[bad[0]]} at index {bad[0]} ({bad.size} of them), expected "
+            "finite values above 0, try rho = h^-r of a positive size h"
+        )
+        raise InvalidOptionError(msg)
+
+
+def make_density(
+    spec: Any,
+    exponent: float | None,
+    points: FloatArray,
+    cells: IntArray,
+    neighbors: IntArray | None = None,
+) -> Density:
+    """Turn ``Options.density`` into a :class:`Density` on the input mesh.
+
+    Parameters
+    ----------
+    spec : str, array or callable
+        "keep" sizes of the input mesh; "uniform"; "inverse-volume" (4.22); (n,) rho at vertices;
+        (m,) rho of cells; rho(points) -> (k,); a :class:`NodalDensity`
+    exponent : float or None                    r in rho = h^-r of "keep", None for d + 2
+    points : (n, d) float64                     input mesh
+    cells : (m, d + 1) int32                    input mesh, positive
+    neighbors : (m, d + 1) int32, optional      from :func:`cell_neighbors`, when already known
+
+    Returns
+    -------
+    Density
+
+    Raises
+    ------
+    InvalidOptionError    unknown name, wrong length, values that are not finite and positive, an
+                          exponent without "keep"
+
+    References
+    ----------
+    CMAME 200 (2011) 967-984, Section 5.3: rho = 1/h^r with r = 2 or 3; d + 2 is from Theorem 2.8.
+    """
+    n, m, d = len(points), len(cells), cells.shape[1] - 1
+    keep = isinstance(spec, str) and spec == "keep"
+    if exponent is not None and not keep:
+        msg = (
+            f"got exponent {exponent!r} with a density other than 'keep', expected None, try "
+            "raising your own sizes to the power -r"
+        )
+        raise InvalidOptionError(msg)
+    if exponent is not None and not np.isfinite(exponent):
+        msg = f"got exponent {exponent!r}, expected a finite number, try {d + 2}"
+        raise InvalidOptionError(msg)
+    function: Callable[[FloatArray], Any] | None = None
+    power = 1.0
+    field = np.empty(0)
+    if isinstance(spec, str):
+        if spec == "curvature":
+            msg = (
+                f"got density 'curvature' for a mesh that is no curved surface, expected one of "
+                f"{', '.join(NAMES)}, an array or a function, try density='keep'"
+            )
+            raise InvalidOptionError(msg)
+        if spec not in NAMES:
+            msg = (
+                f"got density {spec!r}, expected one of {', '.join(NAMES)}, an array or a "
+                "function, try density='keep'"
+            )
+            raise InvalidOptionError(msg)
+        if keep:
+            field = size_field(points, cells)
+            power = -float(d + 2 if exponent is None else exponent)
+    elif isinstance(spec, NodalDensity):
+        field, power = spec.values, spec.power
+    elif callable(spec):
+        function = spec
+    else:
+        field = _vertex_field(_as_floats(spec), points, cells)
+    start = np.zeros(n, dtype=np.int32)
+    if field.size:
+        nodes = np.column_stack([points, field])
+        cells = np.array(cells, dtype=np.int32, order="C")
+        neighbors = cell_neighbors(cells) if neighbors is None else neighbors
+        start[cells] = np.arange(m, dtype=np.int32)[:, None]
+    else:
+        nodes, cells = np.empty((0, d + 1)), np.empty((0, d + 1), dtype=np.int32)
+        neighbors = cells
+    inverse = isinstance(spec, str) and spec == "inverse-volume"
+    return Density(inverse, function, power, nodes, cells, neighbors, start)
+
+
+def _vertex_field(values: FloatArray, points: FloatArray, cells: IntArray) -> FloatArray:
+    """Array of the user as (n,) values of mean 1; cell values averaged to vertices by volume."""
+    n, m = len(points), len(cells)
+    if values.shape not in ((n,), (m,)) or (n == m and values.ndim == 1):
+        found = f"got a density of shape {values.shape} on {n} vertices and {m} cells"
+        if n == m and values.shape == (n,):
+            msg = f"{found}, expected no doubt which of both is meant, try a function rho(points)"
+        else:
+            msg = f"{found}, expected ({n},) or ({m},), try one rho a vertex or one a cell"
+        raise InvalidOptionError(msg)
+    _check_positive(values)
+    values = values / values.max()
+    if values.shape == (m,):
+        volumes = signed_volumes(points, cells)
+        total = star_sum(volumes, cells, n)
+        used = total > 0
+        nodal = np.full(n, values.mean())
+        nodal[used] = star_sum(values * volumes, cells, n)[used] / total[used]
+        values = nodal
+    scaled: FloatArray = values / values.mean()
+    return scaled

@@ -1,0 +1,256 @@
+"""Stage 1: rounds of a position step and of connectivity, both lowering the ODT energy."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass, field
+from functools import partial
+
+import numpy as np
+
+from odt_plugins.engine.cells.sphere import mark_non_delaunay
+from odt_plugins.engine.cells.tetrahedron import ENERGY
+from odt_plugins.engine.compiled.threads import run_ranges
+from odt_plugins.engine.moves.flips2d import lawson_flips
+from odt_plugins.engine.moves.passes import flip_pending
+from odt_plugins.engine.odt.cvt import cvt_step
+from odt_plugins.engine.odt.delaunay import delaunay_exchange
+from odt_plugins.engine.odt.density import Density
+from odt_plugins.engine.odt.descent import lbfgs_step, richardson_step
+from odt_plugins.engine.odt.global_step import global_step
+from odt_plugins.engine.odt.sweeps import StepStats, gauss_seidel_sweep, jacobi_sweep
+from odt_plugins.engine.odt.total_energy import total_energy
+from odt_plugins.engine.record.figures import cell_shapes
+from odt_plugins.engine.topology.complex import Complex, make_complex, renumbered
+from odt_plugins.engine.topology.stencil import Topology, make_topology
+from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.options import Options
+
+FAR = 0.1
+"""Longest move, in edge lengths, above which "delaunay" asks scipy (Section 3.2, row 10)."""
+
+MODERATE = 20_000
+"""Most cells for which "auto" asks scipy in the first round; beyond, local flips are cheaper."""
+
+CONVERGED = 1.6e-3
+PATIENCE = 8
+"""A stage ends when PATIENCE rounds have lowered the least energy by less than CONVERGED of it."""
+
+DAMPED = 0.8
+"""First alpha of Jacobi sweeps, whose limit of stability is 1."""
+
+OVERRELAXED = 1.95
+"""First alpha of ODT sweeps in space when finishing follows: the energy leaves shallow minima."""
+
+RING = 7
+"""Longest ring of an edge that is removed for the sake of the energy."""
+
+SCATTERED = 0.2
+"""The cells are sorted again when there were more flips than this part of their number."""
+
+PASSES = 3
+"""Passes of flips in a round; what is left pending waits for the next round."""
+
+
+@dataclass
+class Log:
+    """What the stages count and record.
+
+    Attributes
+    ----------
+    energy : list of (stage, E)
+    counts : dict name -> int
+    """
+
+    energy: list[tuple[str, float]] = field(default_factory=list)
+    counts: dict[str, int] = field(default_factory=dict)
+
+    def add(self, name: str, amount: int) -> None:
+        """Add to a count."""
+        self.counts[name] = self.counts.get(name, 0) + int(amount)
+
+
+def position_step(
+    points: FloatArray, topology: Topology, rho: FloatArray | None, options: Options,
+    inverse_volume: bool,
+) -> tuple[FloatArray, StepStats]:
+    """Move all vertices once by the chosen method and solver, (4.1) of Section 4.1.
+
+    Parameters
+    ----------
+    points : (n, d) float64, topology : Topology
+    rho : (n,) float64 or None     density at the vertices
+    options : Options              method, solver, linear_solver, threads
+    inverse_volume : bool          density (4.22)
+    """
+    if options.method == "cvt":
+        return cvt_step(points, topology, rho)
+    if options.solver == "global":
+        return global_step(
+            points, topology, rho, method="cpt" if options.method == "cpt" else "odt",
+            inverse_volume=inverse_volume,
+            linear_solver=options.linear_solver,
+        )
+    if options.solver == "richardson":
+        return richardson_step(points, topology, rho, inverse_volume=inverse_volume)
+    if options.solver == "lbfgs":
+        return lbfgs_step(points, topology, rho, inverse_volume=inverse_volume)
+    sweep = jacobi_sweep if options.solver == "jacobi" else gauss_seidel_sweep
+    return sweep(
+        points, topology, rho, method=options.method, inverse_volume=inverse_volume,
+        omega=relaxation(options, points.shape[1]), threads=options.threads,
+    )
+
+
+def relaxation(options: Options, dim: int) -> float:
+    """First alpha of a local sweep."""
+    if options.omega is not None:
+        return options.omega
+    if options.solver == "jacobi":
+        return DAMPED
+    return OVERRELAXED if dim == 3 and options.method == "odt" and options.finish else 1.0
+
+
+def held_to_bounds(
+    old: FloatArray, new: FloatArray, cells: IntArray, bounds: FloatArray
+) -> FloatArray:
+    """Take back the moves around cells that left the bounds, for steps that no finishing follows.
+
+    Parameters
+    ----------
+    old, new : (n, d) float64     positions before and after a step
+    cells : (m, d + 1) int32
+    bounds : (6,) float64         least q, largest and smallest cosine that may appear where they
+                                  were not passed before
+
+    Returns
+    -------
+    (n, d) float64                ``new`` with some vertices where they were
+    """
+    new = new.copy()
+    before = cell_shapes(old, cells)
+    floor = np.minimum(before[:, 0], bounds[0])
+    ceiling = np.maximum(before[:, 1], bounds[1])
+    depth = np.minimum(before[:, 2], bounds[2])
+    while True:
+        shapes = cell_shapes(new, cells)
+        bad = (shapes[:, 0] < floor) | (shapes[:, 1] > ceiling) | (shapes[:, 2] < depth)
+        back = np.unique(cells[bad])
+        back = back[(new[back] != old[back]).any(axis=1)]
+        if not back.size:
+            return new
+        new[back] = old[back]
+
+
+def exchange(mesh: Complex, log: Log) -> Complex:
+    """Replace pieces of the mesh by scipy's Delaunay triangulation (Section 3.2)."""
+    cells, regions = mesh.mesh_arrays()
+    cells, regions, stats = delaunay_exchange(mesh.points, cells, regions, mesh.locked)
+    log.add("delaunay calls", 1)
+    log.add("regions exchanged", stats.exchanged)
+    if not stats.exchanged:
+        return mesh
+    return make_complex(mesh.points, cells, regions, mesh.locked, mesh.rim, mesh.skin)
+
+
+def local_flips(
+    mesh: Complex, bounds: FloatArray, log: Log, pool: ThreadPoolExecutor | None
+) -> int:
+    """Flip towards Delaunay (Section 3.1): Lawson's edges in the plane, energy flips in space."""
+    if mesh.dim == 2:
+        flips = lawson_flips(
+            mesh.points, mesh.cells, mesh.neighbors, mesh.regions, fixed=mesh.locked
+        )
+    else:
+        mesh.status[:] = 0
+        work = partial(
+            mark_non_delaunay, mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.status
+        )
+        run_ranges(pool, int(mesh.slots[0]), work)
+        flips = flip_pending(mesh, ENERGY, 1.0, RING, bounds, PASSES, pool)
+    log.add("energy flips", flips)
+    return flips
+
+
+def _cells(mesh: Complex, options: Options) -> IntArray:
+    """Cells of a mesh; sweeps over stars take its slots as they are, free ones among them."""
+    sweeps = options.solver == "gauss-seidel" and options.method != "cvt" and options.finish
+    return mesh.cells[: mesh.slots[0]] if sweeps else mesh.mesh_arrays()[0]
+
+
+def smooth(
+    mesh: Complex,
+    density: Density,
+    options: Options,
+    bounds: FloatArray,
+    log: Log,
+    tick: Callable[[float], None],
+    watch: Callable[[Complex], object] | None = None,
+    pool: ThreadPoolExecutor | None = None,
+) -> tuple[Complex, str]:
+    """Run stage 1 until the energy settles or the rounds are used up.
+
+    Parameters
+    ----------
+    mesh : Complex              its points are changed
+    density : Density
+    options : Options
+    bounds : (6,) float64       see ``flips3d.flip_pass``
+    log : Log
+    tick : callable             called with the share of the rounds that is done
+    watch : callable, optional  called with the mesh after every round
+    pool : ThreadPoolExecutor, optional
+        of options.threads workers
+
+    Returns
+    -------
+    mesh : Complex              the same or, after an exchange, a new one
+    reason : str                why it stopped
+    """
+    least: list[float] = []
+    reason = f"the {options.rounds} rounds were used up"
+    movable = ~mesh.locked
+    cells = _cells(mesh, options)
+    topology = make_topology(cells, movable, mesh.rim, pool=pool)
+    scattered = 0
+    walk = density.walk_start(len(mesh.points))
+    for k in range(options.rounds):
+        rho = density.at(mesh.points, pool, walk)
+        points, stats = position_step(
+            mesh.points, topology, rho, options, density.inverse_volume
+        )
+        if not options.finish:
+            points = held_to_bounds(mesh.points, points, cells, bounds)
+        mesh.points[:] = points
+        log.add("vertex moves", stats.moved)
+        log.add("shortened moves", stats.reduced)
+        count = mesh.count()
+        moderate = count <= MODERATE
+        old = mesh
+        flips = 0
+        if options.connectivity == "delaunay" or (
+            options.connectivity == "auto" and k == 0 and moderate and stats.max_move > FAR
+        ):
+            mesh = exchange(mesh, log)
+        if options.connectivity in ("auto", "flips") or (
+            options.connectivity == "delaunay" and stats.max_move <= FAR
+        ):
+            flips = local_flips(mesh, bounds, log, pool)
+        scattered += flips
+        if scattered > SCATTERED * count:
+            mesh = renumbered(mesh)
+            scattered = 0
+        if flips > 0 or mesh is not old:
+            cells = _cells(mesh, options)
+            topology = make_topology(cells, movable, mesh.rim, pool=pool)
+        current = total_energy(mesh.points, cells, rho, pool)
+        log.energy.append((options.method, current))
+        tick((k + 1) / options.rounds)
+        if watch is not None:
+            watch(mesh)
+        least.append(min(current, least[-1]) if least else current)
+        if k >= PATIENCE and least[-1 - PATIENCE] - least[-1] <= CONVERGED * least[-1]:
+            reason = f"the energy settled after {k + 1} rounds"
+            break
+    return renumbered(mesh) if scattered else mesh, reason

@@ -1,0 +1,419 @@
+"""Local mesh smoothing, Section 4.2: one vertex at a time (Gauss-Seidel) or all at once (Jacobi).
+
+A vertex moves to the weighted mean of the centres of its star, by alpha = 1, 1/2, 1/4, ... of the
+way: the largest step that leaves every cell of the star a sound volume.
+"""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import nullcontext
+from typing import Any, Literal, NamedTuple
+
+import numpy as np
+
+from odt_plugins.engine.cells.geometry import signed_volumes
+from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
+from odt_plugins.engine.topology.coloring import Coloring, run_chunks
+from odt_plugins.engine.topology.star import OffsetArray, star_sum
+from odt_plugins.engine.topology.stencil import Topology
+from odt_plugins.mesh.arrays import FloatArray, IntArray
+
+Center = Literal["odt", "cpt", "laplacian"]
+
+HALVINGS = 8
+"""alpha is not tried below 2^-HALVINGS; the vertex then stays (Section 4.2.1)."""
+
+THIN = 1e-3
+"""No move may leave a cell below this part of the star's mean volume, unless one was already."""
+
+ROUNDING = 1e-13
+"""Volumes below this part of (longest edge)^d are rounding errors: never accepted."""
+
+
+class StepStats(NamedTuple):
+    """What a position step did.
+
+    Attributes
+    ----------
+    moved : int         vertices that changed place
+    max_move : float    longest move relative to the cells of the vertex's star: their mean volume
+                        to the power 1/d
+    reduced : int       vertices whose alpha is below 1, those that stayed for it included
+    alpha : float       step length of the whole step; 1 for sweeps, 0 when nothing was accepted
+    """
+
+    moved: int
+    max_move: float
+    reduced: int
+    alpha: float = 1.0
+
+
+CHUNK = 64
+"""Cells of a star that are worked on at a time: their numbers lie in rows of this length."""
+
+AX, AY, AZ, BX, BY, BZ, EX, EY, EZ, RHO, DET, GX, GY, GZ, OX, OY, OZ, LONG = (
+    CHUNK * row for row in range(18)
+)
+"""Where the rows begin: corners a, b, e of the cells and density; det, its gradient, moment and
+squared longest edge."""
+
+
+@kernel
+def _plane_chunk(
+    nodes: FloatArray, cells: IntArray, indices: IntArray, first: int, count: int, i: int,
+    rows: FloatArray,
+) -> None:
+    """Fill the rows for triangles indices[first:first + count] around vertex i."""
+    x, y = nodes[i, 0], nodes[i, 1]
+    for s in range(count):
+        c = np.uint32(indices[first + s])
+        at = (cells[c, 1] == i) + 2 * (cells[c, 2] == i)
+        j = np.uint32(cells[c, (at + 1) % 3])
+        k = np.uint32(cells[c, (at + 2) % 3])
+        ax, ay = nodes[j, 0] - x, nodes[j, 1] - y
+        bx, by = nodes[k, 0] - x, nodes[k, 1] - y
+        aa = ax * ax + ay * ay
+        bb = bx * bx + by * by
+        rho = abs(nodes[i, 3]) + abs(nodes[j, 3]) + abs(nodes[k, 3])
+        rows[DET + s] = ax * by - ay * bx
+        rows[GX + s], rows[GY + s], rows[GZ + s] = ay - by, bx - ax, 0.0
+        rows[LONG + s] = max(aa, bb)
+        if min(nodes[i, 3], nodes[j, 3], nodes[k, 3]) < 0.0:
+            rows[RHO + s] = -rho
+            rows[OX + s], rows[OY + s] = (ax + bx) / 3.0, (ay + by) / 3.0
+        else:
+            rows[RHO + s] = rho
+            rows[OX + s], rows[OY + s] = aa * by - bb * ay, bb * ax - aa * bx
+        rows[OZ + s] = 0.0
+
+
+@kernel
+def _space_chunk(
+    nodes: FloatArray, cells: IntArray, indices: IntArray, first: int, count: int, i: int,
+    rows: FloatArray,
+) -> None:
+    """Fill the rows for tetrahedra indices[first:first + count] around vertex i.
+
+    The second loop does without indirect addresses, so the compiler takes several cells at once.
+    """
+    x, y, z, own = nodes[i, 0], nodes[i, 1], nodes[i, 2], nodes[i, 3]
+    for s in range(count):
+        u = np.uint32(s)
+        c = np.uint32(indices[first + s])
+        at = (cells[c, 1] == i) + 2 * (cells[c, 2] == i) + 3 * (cells[c, 3] == i)
+        odd = at & 1
+        j = np.uint32(cells[c, np.uint32(at + 1) & 3])
+        k = np.uint32(cells[c, np.uint32(at + 2 + odd) & 3])
+        n = np.uint32(cells[c, np.uint32(at + 3 - odd) & 3])
+        rows[AX + u], rows[AY + u], rows[AZ + u] = nodes[j, 0], nodes[j, 1], nodes[j, 2]
+        rows[BX + u], rows[BY + u], rows[BZ + u] = nodes[k, 0], nodes[k, 1], nodes[k, 2]
+        rows[EX + u], rows[EY + u], rows[EZ + u] = nodes[n, 0], nodes[n, 1], nodes[n, 2]
+        rho = abs(own) + abs(nodes[j, 3]) + abs(nodes[k, 3]) + abs(nodes[n, 3])
+        central = min(min(own, nodes[j, 3]), min(nodes[k, 3], nodes[n, 3])) < 0.0
+        rows[RHO + u] = -rho if central else rho
+    for s in range(count):
+        u = np.uint32(s)
+        ax, ay, az = rows[AX + u] - x, rows[AY + u] - y, rows[AZ + u] - z
+        bx, by, bz = rows[BX + u] - x, rows[BY + u] - y, rows[BZ + u] - z
+        ex, ey, ez = rows[EX + u] - x, rows[EY + u] - y, rows[EZ + u] - z
+        aa = ax * ax + ay * ay + az * az
+        bb = bx * bx + by * by + bz * bz
+        ee = ex * ex + ey * ey + ez * ez
+        px, py, pz = by * ez - bz * ey, bz * ex - bx * ez, bx * ey - by * ex
+        qx, qy, qz = ey * az - ez * ay, ez * ax - ex * az, ex * ay - ey * ax
+        rx, ry, rz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+        rows[DET + u] = ax * px + ay * py + az * pz
+        rows[GX + u], rows[GY + u] = -(px + qx + rx), -(py + qy + ry)
+        rows[GZ + u] = -(pz + qz + rz)
+        rows[LONG + u] = max(aa, bb, ee)
+        central = rows[RHO + u] < 0.0
+        rows[OX + u] = 0.25 * (ax + bx + ex) if central else aa * px + bb * qx + ee * rx
+        rows[OY + u] = 0.25 * (ay + by + ey) if central else aa * py + bb * qy + ee * ry
+        rows[OZ + u] = 0.25 * (az + bz + ez) if central else aa * pz + bb * qz + ee * rz
+
+
+@allocating_kernel
+def _move_vertices(
+    nodes: FloatArray,
+    out: FloatArray,
+    cells: IntArray,
+    indptr: OffsetArray,
+    indices: IntArray,
+    equal_weights: bool,
+    row_start: OffsetArray,
+    row_vertices: IntArray,
+    order: IntArray,
+    start: int,
+    stop: int,
+    omega: float,
+    largest_star: int,
+) -> tuple[int, float, int]:
+    """Move order[start:stop] from nodes to out, which may be the same array.
+
+    A row of ``nodes`` (n, 4) holds a vertex and its density, negative where a cell with that
+    vertex is represented by its barycenter.  Returns the vertices moved, the longest relative move
+    and the vertices of reduced alpha.  Indices of arrays are unsigned because signed ones are
+    tested for negative values.
+
+    Offsets are taken from x_i. With a = x_1 - x_i, ... the other corners in positive order,
+    det = d! |tau| and c - x_i = moment / (2 det): weights |tau| cancel the division, so flat cells
+    do no harm. det is linear in x_i, so one gradient a cell decides every alpha.
+    """
+    d = cells.shape[1] - 1
+    factorial = 2.0 if d == 2 else 6.0
+    laplacian = row_start.shape[0] > 0
+    rows = np.empty(18 * CHUNK)
+    cell = np.empty((4, largest_star))
+    moved = 0
+    reduced = 0
+    longest = 0.0
+    for position in range(start, stop):
+        i = np.uint32(order[position])
+        x, y, z = nodes[i, 0], nodes[i, 1], nodes[i, 2]
+        first = indptr[i]
+        count = indptr[i + 1] - first
+        tx = ty = tz = weight = 0.0
+        total = 0.0
+        lowest = np.inf
+        edge_max = 0.0
+        for done in range(0, count, CHUNK):
+            length = min(count - done, CHUNK)
+            if d == 2:
+                _plane_chunk(nodes, cells, indices, first + done, length, i, rows)
+            else:
+                _space_chunk(nodes, cells, indices, first + done, length, i, rows)
+            for s in range(length):
+                u = np.uint32(s)
+                det, rho = rows[DET + u], rows[RHO + u]
+                share = 1.0 if equal_weights else det * abs(rho)
+                if rho < 0.0:
+                    scale = share
+                else:
+                    scale = 0.5 / det if equal_weights else 0.5 * rho
+                tx += scale * rows[OX + u]
+                ty += scale * rows[OY + u]
+                tz += scale * rows[OZ + u]
+                weight += share
+                total += det
+                lowest = min(lowest, det)
+                edge_max = max(edge_max, rows[LONG + u])
+                at = np.uint32(done + s)
+                cell[0, at], cell[1, at] = det, rows[GX + u]
+                cell[2, at], cell[3, at] = rows[GY + u], rows[GZ + u]
+        if laplacian:
+            tx = ty = tz = 0.0
+            weight = float(row_start[i + 1] - row_start[i])
+            for s in range(row_start[i], row_start[i + 1]):
+                j = row_vertices[s]
+                tx += nodes[j, 0] - x
+                ty += nodes[j, 1] - y
+                tz += nodes[j, 2] - z
+        noise = ROUNDING * edge_max * (np.sqrt(edge_max) if d == 3 else 1.0)
+        floor = max(min(lowest, THIN * total / count), noise)
+        alpha = omega / weight
+        accepted = False
+        mx = my = mz = 0.0
+        for halving in range(HALVINGS + 1):
+            mx = (x + alpha * tx) - x
+            my = (y + alpha * ty) - y
+            mz = (z + alpha * tz) - z
+            thin = 0
+            for s in range(count):
+                u = np.uint32(s)
+                volume = cell[0, u] + (cell[1, u] * mx + cell[2, u] * my + cell[3, u] * mz)
+                thin += 0 if volume >= floor else 1
+            accepted = thin == 0
+            if accepted:
+                break
+            if halving == 0:
+                reduced += 1
+            alpha *= 0.5
+        if not accepted:
+            mx = my = mz = 0.0
+        out[i, 0], out[i, 1], out[i, 2] = x + mx, y + my, z + mz
+        square = mx * mx + my * my + mz * mz
+        if square > 0.0:
+            moved += 1
+            power = square if d == 2 else square * np.sqrt(square)
+            longest = max(longest, power * factorial * count / total)
+    return moved, longest ** (1.0 / d), reduced
+
+
+def _sweep(
+    points: FloatArray,
+    topology: Topology,
+    rho: FloatArray | None,
+    method: Center,
+    inverse_volume: bool,
+    omega: float,
+    boundary_rule: bool,
+    threads: int,
+    coloring: Coloring,
+    *,
+    in_place: bool,
+) -> tuple[FloatArray, StepStats]:
+    """Run the kernel over blocks of vertices; ``in_place`` lets them see each other's moves."""
+    d = points.shape[1]
+    nodes = np.zeros((len(points), 4))
+    nodes[:, :d] = points
+    nodes[:, 3] = 1.0 if rho is None else rho
+    barycentric = topology.is_boundary if method == "odt" and boundary_rule else method != "odt"
+    np.negative(nodes[:, 3], out=nodes[:, 3], where=barycentric)
+    out = nodes if in_place else nodes.copy()
+    rows = topology.neighbors if method == "laplacian" else None
+    row_start = rows.indptr if rows else np.empty(0, dtype=np.int64)
+    row_vertices = rows.indices if rows else np.empty(0, dtype=np.int32)
+
+    def run(start: int, stop: int) -> Any:
+        return _move_vertices(
+            nodes,
+            out,
+            topology.cells,
+            topology.stars.indptr,
+            topology.stars.indices,
+            inverse_volume,
+            row_start,
+            row_vertices,
+            coloring.order,
+            start,
+            stop,
+            float(omega),
+            topology.largest_star,
+        )
+
+    with ThreadPoolExecutor(threads) if threads > 1 else nullcontext() as pool:
+        results = run_chunks(pool, threads, coloring, run)
+    moved, longest, reduced = zip((0, 0.0, 0), *results, strict=True)
+    new = np.ascontiguousarray(out[:, :d])
+    return new, StepStats(sum(moved), max(longest), sum(reduced))
+
+
+def gauss_seidel_sweep(
+    points: FloatArray,
+    topology: Topology,
+    rho: FloatArray | None = None,
+    *,
+    method: Center = "odt",
+    inverse_volume: bool = False,
+    omega: float = 1.0,
+    boundary_rule: bool = True,
+    threads: int = 1,
+) -> tuple[FloatArray, StepStats]:
+    """Move every movable vertex once, block after block, to the mean centre of its star.
+
+    Parameters
+    ----------
+    points : (n, d) float64         not changed
+    topology : Topology             cells of positive volume, movable vertices, boundary
+    rho : (n,) float64, optional    density at the vertices; its mean over a cell is rho_tau
+    method : {"odt", "cpt", "laplacian"}
+                                    circumcenters (4.13), barycenters (4.20), neighbours (4.21)
+    inverse_volume : bool           every cell counts the same, rho_tau = 1/|tau| (4.22); like rho
+                                    it means nothing to "laplacian"
+    omega : float                   relaxation, the first alpha
+    boundary_rule : bool            barycenters for cells that touch the boundary (Section 4.2.1)
+    threads : int                   worker threads; the result does not depend on it, bit for bit
+
+    Returns
+    -------
+    points : (n, d) float64         every cell has a positive volume
+    stats : StepStats
+
+    References
+    ----------
+    CMAME 200 (2011) 967-984, Section 4.1.3, (4.12), (4.13), Section 4.2.1, (4.20), (4.21), (4.22).
+    (4.18) is (4.20) with alpha = 1 and the integrals by one point.
+    """
+    return _sweep(
+        points, topology, rho, method, inverse_volume, omega, boundary_rule, threads,
+        topology.coloring, in_place=True,
+    )
+
+
+def jacobi_sweep(
+    points: FloatArray,
+    topology: Topology,
+    rho: FloatArray | None = None,
+    *,
+    method: Center = "odt",
+    inverse_volume: bool = False,
+    omega: float = 0.8,
+    boundary_rule: bool = True,
+    threads: int = 1,
+) -> tuple[FloatArray, StepStats]:
+    """Move all movable vertices at once, each by what the old positions ask (Section 4.1.2).
+
+    Parameters and results as in :func:`gauss_seidel_sweep`. Neighbours that move together may
+    spoil a cell that each alone would not: their steps are then halved. On lattices the full step
+    omega = 1 is the limit of stability, so the default is below it.
+    """
+    old = np.ascontiguousarray(points, dtype=np.float64)
+    blocks = topology.coloring
+    target, stats = _sweep(
+        old, topology, rho, method, inverse_volume, omega, boundary_rule, threads,
+        blocks._replace(offsets=np.array([0, len(blocks.blocks) - 1], dtype=np.int64)),
+        in_place=False,
+    )
+    new, reduced = guarded_move(old, topology, target - old)
+    return new, move_stats(old, new, topology, stats.reduced + reduced, 1.0)
+
+
+def guarded_move(
+    points: FloatArray, topology: Topology, displacement: FloatArray
+) -> tuple[FloatArray, int]:
+    """Move all vertices together, halving the steps around cells that would fold.
+
+    Parameters
+    ----------
+    points : (n, d) float64          cells of positive volume
+    topology : Topology
+    displacement : (n, d) float64    wanted moves; vertices that may not move are left alone
+
+    Returns
+    -------
+    points : (n, d) float64          no cell gets below THIN of the mean volume around it
+    reduced : int                    vertices whose step was shortened or dropped
+    """
+    cells = topology.cells
+    old = signed_volumes(points, cells)
+    floor = np.minimum(old, THIN * _mean_star_volumes(points, topology)[cells].mean(axis=1))
+    share = topology.movable.astype(np.float64)
+    moved = np.where(topology.movable[:, None], displacement, 0.0)
+    unchecked = np.arange(len(cells))
+    new = points + moved
+    cut = np.zeros(len(points), dtype=np.bool_)
+    lowest = 0.5**HALVINGS
+    while unchecked.size:
+        volumes = signed_volumes(new, cells[unchecked])
+        bad = unchecked[~(volumes >= floor[unchecked])]
+        hit = np.unique(cells[bad])
+        hit = hit[share[hit] > 0.0]
+        if not hit.size:
+            break
+        cut[hit] = True
+        share[hit] = np.where(share[hit] > lowest, 0.5 * share[hit], 0.0)
+        new[hit] = points[hit] + share[hit, None] * moved[hit]
+        changed = np.zeros(len(points), dtype=np.bool_)
+        changed[hit] = True
+        unchecked = np.flatnonzero(changed[cells].any(axis=1))
+    return new, int(cut.sum())
+
+
+def _mean_star_volumes(points: FloatArray, topology: Topology) -> FloatArray:
+    volumes = signed_volumes(points, topology.cells)
+    count = np.maximum(np.diff(topology.stars.indptr), 1)
+    means: FloatArray = star_sum(volumes, topology.cells, len(points)) / count
+    return means
+
+
+def move_stats(
+    points: FloatArray, new: FloatArray, topology: Topology, reduced: int, alpha: float
+) -> StepStats:
+    """Describe a step of all vertices from points to new; alpha is 0 if none moved."""
+    moved = np.flatnonzero(np.any(new != points, axis=1))
+    if not moved.size:
+        return StepStats(0, 0.0, reduced, 0.0)
+    size = _mean_star_volumes(points, topology)[moved] ** (1 / points.shape[1])
+    longest = float((np.linalg.norm(new[moved] - points[moved], axis=1) / size).max())
+    return StepStats(int(moved.size), longest, reduced, alpha)

@@ -1,0 +1,152 @@
+"""The named figures of a mesh from the engine's own kernels, to compare states quickly."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.engine.cells.mean_ratio import tet_mean_ratio
+from odt_plugins.engine.cells.tetrahedron import MEAN_RATIO, tet_cosines, tet_quality
+from odt_plugins.engine.cells.triangle import triangle_in_space, triangle_measure, triangle_shape
+from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.options import Objective
+
+SMALL_ANGLE = 20.0
+"""Dihedral angle in degrees below which a cell is looked after on its own."""
+
+MANY = 0.02
+"""Share of small angles beyond which the score counts no more of them, nor a phase starts from."""
+
+COS_SMALL = math.cos(math.radians(SMALL_ANGLE))
+PRICE = 3.0
+"""Of a tetrahedron with a small angle in the score: what three regular ones add to it."""
+
+
+@kernel
+def _cell_shapes(points: FloatArray, cells: IntArray, shapes: FloatArray) -> None:
+    """Radius ratio, cosine of the smallest and of the largest (dihedral) angle of every cell."""
+    for c in range(cells.shape[0]):
+        if cells.shape[1] == 3 and points.shape[1] == 3:
+            i, j, k = cells[c, 0], cells[c, 1], cells[c, 2]
+            q, large, small, _, _, _ = triangle_in_space(points, i, j, k)
+        elif cells.shape[1] == 3:
+            q, large, small = triangle_shape(points, cells[c, 0], cells[c, 1], cells[c, 2])
+        else:
+            q = tet_quality(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
+            large, small = tet_cosines(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
+        shapes[c, 0] = q
+        shapes[c, 1] = large
+        shapes[c, 2] = small
+
+
+def cell_shapes(points: FloatArray, cells: IntArray) -> FloatArray:
+    """Radius ratio (5.1), cosine of the smallest and of the largest angle, (m, 3)."""
+    shapes = np.empty((len(cells), 3))
+    _cell_shapes(points, cells, shapes)
+    return shapes
+
+
+@dataclass(frozen=True)
+class Figures:
+    """Minimum, 1 % quantile and mean of q, cosines of the smallest and the largest angle.
+
+    ``small_angles`` is the share of the tetrahedra with an angle below SMALL_ANGLE.  ``score`` is
+    what the best-state memory ranks by: mean and tail together of what is improved.
+    """
+
+    min_quality: float
+    p1_quality: float
+    mean_quality: float
+    cos_min_angle: float
+    cos_max_angle: float
+    small_angles: float
+    score: float
+
+    def with_extremes_of(self, other: Figures) -> Figures:
+        """The same mean and quantile, with the worst cell and the extreme angles of another."""
+        return replace(self, min_quality=other.min_quality, cos_min_angle=other.cos_min_angle,
+                       cos_max_angle=other.cos_max_angle)
+
+    def with_extremes(self, shapes: FloatArray) -> Figures:
+        """The same mean and quantile, with the extremes of some :func:`cell_shapes`."""
+        return replace(self, min_quality=float(shapes[:, 0].min()),
+                       cos_min_angle=float(shapes[:, 1].max()),
+                       cos_max_angle=float(shapes[:, 2].min()))
+
+    def worse_than(self, before: Figures, keep: tuple[str, ...]) -> list[str]:
+        """Figures of ``keep`` that are worse than before, beyond rounding."""
+        slack = 1e-13
+        worse = {
+            "min_quality": self.min_quality < before.min_quality - slack,
+            "p1_quality": self.p1_quality < before.p1_quality - slack,
+            "mean_quality": self.mean_quality < before.mean_quality - slack,
+            "min_angle": self.cos_min_angle > before.cos_min_angle + slack,
+            "max_angle": self.cos_max_angle < before.cos_max_angle - slack,
+        }
+        return [name for name in keep if worse.get(name, False)]
+
+    def passed_by(self, shapes: FloatArray, keep: tuple[str, ...]) -> BoolArray:
+        """Which cells, (m,), pass an extreme of ``keep``; ``shapes`` as of :func:`cell_shapes`."""
+        passed: BoolArray = np.zeros(len(shapes), dtype=np.bool_)
+        if "min_quality" in keep:
+            passed |= shapes[:, 0] < self.min_quality
+        if "min_angle" in keep:
+            passed |= shapes[:, 1] > self.cos_min_angle
+        if "max_angle" in keep:
+            passed |= shapes[:, 2] < self.cos_max_angle
+        return passed
+
+
+def figures(
+    points: FloatArray, cells: IntArray, objective: Objective = "radius_ratio"
+) -> Figures:
+    """Compute the named figures of a mesh.
+
+    Parameters
+    ----------
+    points : (n, d) float64, cells : (m, d + 1) int32
+    objective       what the score sums up: radius ratios, smallest angles or AMIPS energies
+    """
+    shapes = cell_shapes(points, cells)
+    q: NDArray[np.float64] = shapes[:, 0]
+    least, p1, mean = _spread(q)
+    small = float((shapes[:, 1] > COS_SMALL).mean()) if cells.shape[1] == 4 else 0.0
+    score = mean + 0.5 * p1 + 0.25 * least - PRICE * min(small, MANY)
+    if objective == "min_dihedral":
+        regular = math.acos(1.0 / (cells.shape[1] - 1))
+        angles = np.arccos(np.clip(shapes[:, 1], -1.0, 1.0)) / regular
+        smallest, few, average = _spread(angles)
+        score = mean + average + few + 0.5 * smallest
+    elif objective == "amips":
+        greatest, few, average = _spread(-amips_energies(points, cells))
+        score = average + 0.5 * few + 0.25 * greatest
+    return Figures(least, p1, mean, float(shapes[:, 1].max()), float(shapes[:, 2].min()), small,
+                   score)
+
+
+def _spread(values: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Minimum, 1 % quantile and mean."""
+    return float(values.min()), float(np.quantile(values, 0.01)), float(values.mean())
+
+
+@kernel
+def _mean_ratios(points: FloatArray, cells: IntArray, m: FloatArray) -> None:
+    """Measure of every cell that is a power of its mean ratio."""
+    for c in range(cells.shape[0]):
+        if cells.shape[1] == 3:
+            m[c] = triangle_measure(points, cells[c, 0], cells[c, 1], cells[c, 2], MEAN_RATIO)
+        else:
+            m[c] = tet_mean_ratio(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
+
+
+def amips_energies(points: FloatArray, cells: IntArray) -> FloatArray:
+    """AMIPS energy of every cell as TetWild counts it, (m,): d for the regular one."""
+    m = np.empty(len(cells))
+    _mean_ratios(points, cells, m)
+    dim = cells.shape[1] - 1
+    energies: FloatArray = dim * np.maximum(m, 1e-300) ** (-1.0 / dim)
+    return energies

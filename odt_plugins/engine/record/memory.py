@@ -1,0 +1,108 @@
+"""What a run remembers: its best states that keep the promised figures, and what it gave up."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+
+from odt_plugins.engine.record.figures import Figures, cell_shapes, figures
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.options import Objective
+
+NOTABLE = 5e-3
+"""Mean quality that was given up and is worth a word."""
+
+
+@dataclass(frozen=True)
+class State:
+    """A mesh worth returning, with its figures."""
+
+    points: FloatArray
+    cells: IntArray
+    regions: IntArray
+    figures: Figures
+    name: str
+
+
+class Changing(Protocol):
+    """A mesh while it is being changed."""
+
+    @property
+    def points(self) -> FloatArray:
+        """Coordinates (n, d), as they are now."""
+        ...
+
+    def mesh_arrays(self) -> tuple[IntArray, IntArray]:
+        """Cells and their labels, as they are now; copies."""
+        ...
+
+
+class Memory:
+    """Remembers the best state that keeps every named figure, and the last that did not.
+
+    Cells at the vertices ``aside`` may pass the extremes: another run will look after them.
+
+    After finishing the best is the one of highest score; without it, the latest, since then a
+    certain number of rounds of a certain method was asked for.
+    """
+
+    def __init__(
+        self, before: Figures, keep: tuple[str, ...], objective: Objective, *, by_score: bool,
+        aside: BoolArray | None = None,
+    ) -> None:
+        self.before = before
+        self.keep = keep
+        self.objective = objective
+        self.by_score = by_score
+        self.aside = aside
+        self.states: list[State] = []
+        self.worse: list[str] = []
+        self.refused: State | None = None
+        self.missed = before.mean_quality
+
+    def offer(self, mesh: Changing, name: str) -> bool:
+        """Take the state if it keeps the figures; only the two best are held."""
+        cells, regions = mesh.mesh_arrays()
+        now = figures(mesh.points, cells, self.objective)
+        worse = self._but_aside(now, mesh.points, cells).worse_than(self.before, self.keep)
+        if worse:
+            self.worse = worse
+            self.refused = State(mesh.points.copy(), cells, regions, now, name)
+            self.missed = max(self.missed, now.mean_quality)
+            return False
+        if self.by_score and not now.score > self.before.score:
+            return False
+        self.states.insert(0, State(mesh.points.copy(), cells, regions, now, name))
+        if self.by_score:
+            self.states.sort(key=lambda state: -state.figures.score)
+        del self.states[2:]
+        return True
+
+    def _but_aside(self, now: Figures, points: FloatArray, cells: IntArray) -> Figures:
+        """The figures of a mesh with the extremes of the cells that count."""
+        if self.aside is None:
+            return now
+        inner = cells[~self.aside[cells].any(axis=1)]
+        if not len(inner):
+            return now
+        return now.with_extremes(cell_shapes(points, inner))
+
+    def price(self) -> str:
+        """End of a sentence: the mean quality that was given up to keep the figures, if any."""
+        best = self.states[0].figures if self.states else self.before
+        if not self.worse or self.missed < best.mean_quality + NOTABLE:
+            return ""
+        return f" at a mean quality of {self.missed:.3f}"
+
+    def spoiled(self) -> IntArray:
+        """Vertices of the cells that pass an extreme of the input in the last refused state.
+
+        None where the mean or the 1 % quantile is worse too.
+        """
+        nowhere = np.zeros(0, dtype=np.int32)
+        if self.refused is None or {"p1_quality", "mean_quality"} & set(self.worse):
+            return nowhere
+        shapes = cell_shapes(self.refused.points, self.refused.cells)
+        return np.unique(self.refused.cells[self.before.passed_by(shapes, self.keep)])

@@ -1,0 +1,1 @@
+"""The boundary of a tetrahedral mesh on its way along the input surface."""

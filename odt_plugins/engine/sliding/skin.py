@@ -1,0 +1,173 @@
+"""The surface of a tetrahedral mesh that slides: from cells to a sheet, and passes over it."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+
+from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
+from odt_plugins.engine.ground.build import make_ground, make_sheet
+from odt_plugins.engine.ground.closest import Ground
+from odt_plugins.engine.ground.features import find_features
+from odt_plugins.engine.ground.lines import Lines
+from odt_plugins.engine.ground.sheet import HELD, SMOOTH, Limits, Sheet, make_work
+from odt_plugins.engine.sliding.flips import flip_boundary
+from odt_plugins.engine.sliding.newton import slide_vertices
+from odt_plugins.engine.topology.complex import Complex
+from odt_plugins.engine.topology.star import Stars, star_sum, vertex_stars
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.surface import surface_edges
+
+WITHIN = 0.97
+"""Part of the envelope that the guards allow; the rest is for the rounding of the way back."""
+
+VOLUME = 2.9e-3
+"""Largest change of the volume, as a part of it."""
+
+RESERVE = 0.4
+"""Part of that change which descents over the whole mesh leave to those at the worst cells."""
+
+CANCEL = 4.0
+"""Largest multiple of its budget that the mesh gives to its vertices where changes cancel."""
+
+UNUSED = 1.2
+"""A further factor, since not every vertex uses up what it has."""
+
+TURN = 30.0
+"""Degrees by which a triangle of the surface may be turned against the input surface."""
+
+
+@dataclass(frozen=True)
+class Skin:
+    """The boundary of a tetrahedral mesh, on its way over the input surface.
+
+    Attributes
+    ----------
+    sheet : Sheet           shares its points with the mesh
+    ground : Ground, lines : Lines, limits : Limits
+    stays : (e,) bool       edges of the sheet that are not flipped
+    volume : (n + 1, 2)     budgets of the change of the volume, see ``slide.affordable``
+    most : float            the largest change at the end
+    fan : (n,) int32        a triangle of the sheet around every vertex, -1 inside
+    """
+
+    sheet: Sheet
+    ground: Ground
+    lines: Lines
+    limits: Limits
+    stays: BoolArray
+    volume: FloatArray
+    most: float
+    fan: IntArray
+
+    @property
+    def free(self) -> BoolArray:
+        """Vertices (n,) that may slide."""
+        return np.asarray(self.sheet.kind != HELD)
+
+    def allow(self, everything: bool) -> None:
+        """Set the largest change of the volume: all of it, or all but the reserve."""
+        self.volume[0, 1] = self.most if everything else (1.0 - RESERVE) * self.most
+
+
+def make_skin(
+    points: FloatArray, cells: IntArray, *, held: BoolArray, envelope: float, angle: float,
+    stays: IntArray, lines: IntArray,
+) -> Skin:
+    """Lay the boundary of a mesh out for sliding.
+
+    Parameters
+    ----------
+    points : (n, 3) float64     shared with the mesh
+    cells : (m, 4) int32        positive
+    held : (n,) bool            vertices that must not move; no edge between two of them is flipped
+    envelope : float            length
+    angle : float               degrees by which the surface turns at a feature edge
+    stays : (k, 2) int32        edges that must stay edges
+    lines : (l, 2) int32        edges that count as feature edges
+    """
+    n = len(points)
+    triangles = boundary_facets(cells)
+    edges = surface_edges(triangles, n)
+    features = find_features(
+        points, triangles, edges, vertex_stars(triangles, n), angle=angle, fixed=held,
+        marked=lines,
+    )
+    ground = make_ground(points, triangles, edges, vertex_stars(triangles, n), features)
+    sheet = make_sheet(points, triangles, edges, features)._replace(points=points)
+    limit = (WITHIN * envelope) ** 2
+    fan = np.full(n, -1, dtype=np.int32)
+    fan[triangles] = np.arange(len(triangles), dtype=np.int32)[:, None]
+    low, high = edges.vertices.T
+    keys = np.sort(stays, axis=1).astype(np.int64) @ np.array([n, 1])
+    kept = held[low] & held[high] | np.isin(low.astype(np.int64) * n + high, keys)
+    most = VOLUME * float(signed_volumes(points, cells).sum())
+    return Skin(
+        sheet, ground, features.lines, Limits(limit, limit, math.cos(math.radians(TURN))), kept,
+        _budgets(points, triangles, features.kind == SMOOTH, most), most, fan,
+    )
+
+
+def _budgets(
+    points: FloatArray, triangles: IntArray, smooth: BoolArray, most: float
+) -> FloatArray:
+    """Budgets of the change of the volume; the vertices' own are as the areas of their stars.
+
+    On a surface with bumps and hollows the changes cancel in part, and the vertices may have more
+    together than the mesh: as much more as the volume between the smooth stars and the means of
+    their rings is, in sum of absolute values, against the sum itself.
+    """
+    n = len(points)
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    area = np.cross(b - a, c - a)
+    share = star_sum(np.sqrt((area * area).sum(axis=1)), triangles, n)
+    count = np.maximum(np.bincount(triangles.ravel(), minlength=n), 1)[:, None]
+    # every vertex of the ring lies on two triangles
+    ring = 0.5 * (star_sum(a + b + c, triangles, n) / count - points)
+    bump = ((points - ring) * star_sum(area, triangles, n)).sum(axis=1)[smooth]
+    whole, net = float(np.abs(bump).sum()), abs(float(bump.sum()))
+    volume = np.zeros((n + 1, 2))
+    volume[0, 1] = most
+    more = min(whole / net, CANCEL) if net > 0.0 else CANCEL
+    volume[1:, 1] = UNUSED * more * share / share.sum()
+    return volume
+
+
+def slide(
+    mesh: Complex, skin: Skin, stars: Stars, active: BoolArray, objective: int, power: float,
+    bounds: FloatArray, moved: FloatArray,
+) -> int:
+    """Move the active vertices of the surface once; returns how many moved.
+
+    Parameters
+    ----------
+    mesh : Complex, skin : Skin
+    stars : Stars            of the slots
+    active : (n,) bool
+    objective : int, power : float    of the costs, see ``tetrahedron.tet_cost``
+    bounds : (6,) float64
+    moved : (n,) float64     see ``slide.slide_vertices``
+    """
+    order = np.flatnonzero(active & skin.free).astype(np.int32)
+    own = vertex_stars(skin.sheet.triangles, len(mesh.points))
+    return int(slide_vertices(
+        mesh.cells, stars.indptr, stars.indices, order, objective, power, bounds,
+        skin.sheet, skin.ground, skin.lines, own.indptr, own.indices, skin.limits, skin.volume,
+        make_work(skin.ground, own), moved,
+    ))
+
+
+def flip_skin(
+    mesh: Complex, skin: Skin, near: BoolArray, objective: int, power: float, bounds: FloatArray
+) -> int:
+    """Flip edges of the surface around the cells ``near`` (used slots,); returns how many."""
+    used = len(near)
+    near = near & (mesh.cells[:used, 0] >= 0) & (mesh.neighbors[:used] < 0).any(axis=1)
+    return int(flip_boundary(
+        mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status,
+        np.flatnonzero(near).astype(np.int32), mesh.slots, mesh.free, objective,
+        power, bounds, skin.sheet, skin.ground, skin.limits, skin.stays, skin.volume,
+        skin.fan, make_work(skin.ground),
+    ))

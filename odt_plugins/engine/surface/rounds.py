@@ -1,0 +1,197 @@
+"""Stage 1 on a surface: rounds of a position step and of intrinsic Delaunay flips."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import partial
+
+import numpy as np
+
+from odt_plugins.engine.cells.geometry import barycenters, circumcenters, signed_volumes
+from odt_plugins.engine.ground.sheet import HELD, SMOOTH
+from odt_plugins.engine.odt.energy import energy
+from odt_plugins.engine.odt.global_step import (
+    choose_solve,
+    frozen_density,
+    graph_laplacian,
+    interior_matrix,
+)
+from odt_plugins.engine.odt.gradient import centers_gradient
+from odt_plugins.engine.odt.rounds import DAMPED, Log
+from odt_plugins.engine.surface.density import SurfaceDensity
+from odt_plugins.engine.surface.odt import CPT, GIVEN, LAPLACIAN, ODT, star_centres
+from odt_plugins.engine.surface.passes import Surface, flip_all, move_all
+from odt_plugins.engine.topology.star import star_sum
+from odt_plugins.engine.topology.stencil import make_topology
+from odt_plugins.errors import InvalidOptionError
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.components import components
+from odt_plugins.options import Options
+
+METHODS = {"odt": ODT, "cpt": CPT, "laplacian": LAPLACIAN}
+SOLVERS = ("gauss-seidel", "jacobi", "global")
+
+SETTLED = 2e-3
+"""A stage ends with a round that lowers the energy by less than this part of it."""
+
+TRIALS = 4
+"""Step lengths alpha = 1, 1/2, 1/4, ... of a global step."""
+
+
+def check_method(options: Options) -> None:
+    """Refuse what there is in the plane and in space only.
+
+    Raises
+    ------
+    InvalidOptionError    method, solver or objective
+    """
+    for name, value, known in (("method", options.method, tuple(METHODS)),
+                               ("solver", options.solver, SOLVERS),
+                               ("objective", options.objective, ("radius_ratio",))):
+        if value not in known:
+            msg = f"got {name}={value!r} for a curved surface; expected one of {known} there"
+            raise InvalidOptionError(msg)
+
+
+def smooth_surface(
+    surface: Surface,
+    density: SurfaceDensity,
+    options: Options,
+    bounds: FloatArray,
+    log: Log,
+    tick: Callable[[float], None],
+    watch: Callable[[Surface], object] | None = None,
+) -> str:
+    """Run stage 1, in place, until the energy settles or the rounds are used up.
+
+    Parameters
+    ----------
+    surface : Surface
+    density : SurfaceDensity
+    options : Options
+    bounds : (3,) float64       see :func:`odt_plugins.engine.surface.odt.move_vertices`
+    log : Log
+    tick : callable             called with the share of the rounds that is done
+    watch : callable, optional  called with the surface after every round
+
+    Returns
+    -------
+    str                         why it stopped
+    """
+    _flip(surface, options, bounds, log)
+    last = np.inf
+    for k in range(options.rounds):
+        rho = density.at(surface.sheet, surface.ground)
+        step(surface, rho, options, bounds, log, equal_weights=density.equal_weights)
+        _flip(surface, options, bounds, log)
+        now = surface_energy(surface, rho)
+        log.energy.append((options.method, now))
+        tick((k + 1) / options.rounds)
+        if watch is not None:
+            watch(surface)
+        if last - now <= SETTLED * now:
+            return f"the energy settled after {k + 1} rounds"
+        last = now
+    return f"the {options.rounds} rounds were used up"
+
+
+def step(
+    surface: Surface, rho: FloatArray, options: Options, bounds: FloatArray, log: Log, *,
+    equal_weights: bool,
+) -> None:
+    """Move all vertices once, in place, by the chosen method and solver (Sections 4.1 to 4.3)."""
+    move = partial(move_all, surface, rho=rho, bounds=bounds)
+    if options.solver == "global":
+        moved = _global_step(surface, rho, options, bounds, equal_weights=equal_weights)
+    elif options.solver == "jacobi":
+        stars = surface.stars()
+        vectors = np.zeros_like(surface.points)
+        star_centres(surface.sheet, stars.indptr, stars.indices, rho, equal_weights,
+                     METHODS[options.method], vectors)
+        omega = DAMPED if options.omega is None else options.omega
+        moved, _ = move(GIVEN, vectors=vectors, omega=omega)
+    else:
+        omega = 1.0 if options.omega is None else options.omega
+        moved, _ = move(METHODS[options.method], equal_weights=equal_weights, omega=omega)
+    log.add("vertex moves", moved)
+
+
+def _global_step(
+    surface: Surface, rho: FloatArray, options: Options, bounds: FloatArray, *,
+    equal_weights: bool,
+) -> int:
+    """One step of (4.27) or (4.28) in the tangent planes, shortened until the energy falls."""
+    points, triangles = surface.points, surface.triangles
+    rho_tau = frozen_density(points, triangles, rho, equal_weights)
+    direction = _global_direction(surface, rho_tau, options)
+    before = energy(points, triangles, rho_tau)
+    start = surface.copy()
+    for trial in range(TRIALS):
+        moved, _ = move_all(surface, GIVEN, rho, bounds, vectors=direction, omega=0.5**trial)
+        if equal_weights or energy(points, triangles, rho_tau) < before:
+            return moved
+        surface.restore(start)
+    return 0
+
+
+def _global_direction(
+    surface: Surface, rho_tau: FloatArray, options: Options
+) -> FloatArray:
+    """Full step -A^-1 grad E of (4.27), or that of (4.28), the gradient in the tangent planes.
+
+    A piece of the surface on which nothing is held has one vertex pinned: A is singular there.
+    """
+    points, triangles, kind = surface.points, surface.triangles, surface.sheet.kind
+    movable = kind != HELD
+    movable[_pins(triangles, movable)] = False
+    topology = make_topology(triangles, movable, kind != SMOOTH, surface.stars())
+    centers = barycenters(points, triangles)
+    if options.method != "cpt":
+        inner = ~topology.boundary_cells
+        centers[inner] = circumcenters(points, triangles[inner])
+    slope = _tangential(centers_gradient(points, triangles, centers, rho_tau), points, triangles)
+    direction = np.zeros_like(points)
+    if not movable.any():
+        return direction
+    weights = rho_tau * signed_volumes(points, triangles)
+    matrix, _ = interior_matrix(graph_laplacian(topology, weights), movable)
+    scale = float(matrix.diagonal().mean())
+    solve = choose_solve(options.linear_solver, int(movable.sum()))
+    direction[movable] = -solve(matrix / scale, slope[movable] / scale)
+    return direction
+
+
+def _pins(triangles: IntArray, movable: BoolArray) -> IntArray:
+    """First vertex of every connected piece without a vertex that is held."""
+    n = len(movable)
+    start, end = triangles.ravel(), triangles[:, [1, 2, 0]].ravel()
+    piece = components(start, end, n)
+    loose = np.ones(int(piece.max()) + 1, dtype=np.bool_)
+    loose[piece[~movable]] = False
+    first = np.unique(piece, return_index=True)[1]
+    return np.asarray(first[loose], dtype=np.int32)
+
+
+def _tangential(vectors: FloatArray, points: FloatArray, triangles: IntArray) -> FloatArray:
+    """Vectors (n, 3) without their part along the normals of the vertices."""
+    a, b, c = (points[triangles[:, i]] for i in range(3))
+    normal = star_sum(np.cross(b - a, c - a), triangles, len(points))
+    square = (normal * normal).sum(axis=1)
+    up = np.divide((vectors * normal).sum(axis=1), square, out=np.zeros(len(points)),
+                   where=square > 0.0)
+    tangential: FloatArray = vectors - up[:, None] * normal
+    return tangential
+
+
+def _flip(surface: Surface, options: Options, bounds: FloatArray, log: Log) -> None:
+    """Flip to intrinsic Delaunay unless the connectivity is to stay."""
+    if options.connectivity == "none":
+        return
+    m = len(surface.triangles)
+    everything, changed = np.ones(m, dtype=np.bool_), np.zeros(m, dtype=np.bool_)
+    log.add("energy flips", flip_all(surface, 0.0, bounds, everything, changed))
+
+
+def surface_energy(surface: Surface, rho: FloatArray) -> float:
+    """ODT energy (2.2) of the flat triangles, density at the vertices."""
+    return energy(surface.points, surface.triangles, rho[surface.triangles].mean(axis=1))

@@ -1,0 +1,170 @@
+"""Colours for Gauss-Seidel: blocks of neighbouring vertices that can be swept at the same time.
+
+A block is a run of consecutive vertex numbers, which along a space-filling curve lie together in
+space and in memory.  No cell has vertices in two blocks of one colour; within a block the vertices
+move one after another.  The blocks depend on the mesh alone, not on the number of threads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from functools import partial
+from itertools import pairwise
+from typing import NamedTuple, TypeVar
+
+import numpy as np
+
+from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.compiled.threads import run_ranges
+from odt_plugins.engine.topology.star import OffsetArray
+from odt_plugins.mesh.arrays import BoolArray, IntArray
+
+SMALLEST_BITS = 6
+"""A block has at least 2^SMALLEST_BITS vertex numbers."""
+
+MOST_BLOCKS = 1024
+"""Larger meshes have larger blocks, since which of them touch is a table of all pairs."""
+
+SMALLEST = 256
+"""Fewer vertices of one colour than this are not worth a second thread."""
+
+T = TypeVar("T")
+
+
+class Coloring(NamedTuple):
+    """Vertices in blocks, blocks in colours.
+
+    Block b is ``order[blocks[b]:blocks[b + 1]]``, ascending; colour c has the blocks
+    ``offsets[c]:offsets[c + 1]``.
+
+    Attributes
+    ----------
+    order : (v,) int32
+    blocks : (number of blocks + 1,) int64
+    offsets : (number of colours + 1,) int64
+    """
+
+    order: IntArray
+    blocks: OffsetArray
+    offsets: OffsetArray
+
+
+@kernel
+def _touching(
+    cells: IntArray, block: IntArray, touch: BoolArray, start: int, stop: int
+) -> None:
+    """Mark the pairs of blocks in the cells start to stop, the larger number first."""
+    for c in range(start, stop):
+        if cells[c, 0] < 0:
+            continue
+        for a in range(1, cells.shape[1]):
+            u = block[np.uint32(cells[c, a])]
+            for b in range(a):
+                w = block[np.uint32(cells[c, b])]
+                touch[np.uint32(max(u, w)), np.uint32(min(u, w))] = True
+
+
+@kernel
+def _greedy(touch: BoolArray, color: IntArray, taken: IntArray) -> None:
+    """Give every block the lowest colour free among its neighbours; taken[c] = b marks."""
+    for b in range(color.shape[0]):
+        for other in range(b):
+            if touch[b, other]:
+                taken[color[other]] = b
+        low = 0
+        while taken[low] == b:
+            low += 1
+        color[b] = low
+
+
+def _block_bits(n: int) -> int:
+    bits = SMALLEST_BITS
+    while n >> bits >= MOST_BLOCKS:
+        bits += 1
+    return bits
+
+
+def touching_blocks(
+    cells: IntArray, movable: BoolArray, pool: ThreadPoolExecutor | None = None
+) -> BoolArray:
+    """Find out which blocks have movable vertices in one cell.
+
+    Parameters
+    ----------
+    cells : (m, d + 1) int32    a row that starts with -1 is a free slot
+    movable : (n,) bool
+    pool                        see ``threads.run_ranges``
+
+    Returns
+    -------
+    (blocks + 1, blocks + 1) bool
+        [a, b] for a > b; the rest means nothing, nor does the last row, of the vertices that stay
+    """
+    bits = _block_bits(len(movable))
+    count = (len(movable) >> bits) + 1
+    block = np.arange(len(movable), dtype=np.int32) >> bits
+    block[~movable] = count
+    touch = np.zeros((count + 1, count + 1), dtype=np.bool_)
+    run_ranges(pool, len(cells), partial(_touching, cells, block, touch))
+    return touch
+
+
+def vertex_coloring(
+    cells: IntArray, movable: BoolArray, touch: BoolArray | None = None
+) -> Coloring:
+    """Put the movable vertices into blocks and colour these.
+
+    Parameters
+    ----------
+    cells : (m, d + 1) int32     a row that starts with -1 is a free slot
+    movable : (n,) bool          vertices to colour; the others do not take part
+    touch : array, optional      from :func:`touching_blocks` of these or more vertices
+
+    Returns
+    -------
+    Coloring                     greedy in order of index: the same for the same mesh
+    """
+    if touch is None:
+        touch = touching_blocks(cells, movable)
+    vertices = np.flatnonzero(movable)
+    bits, count = _block_bits(len(movable)), len(touch) - 1
+    color = np.zeros(count, dtype=np.int32)
+    _greedy(touch, color, np.full(count + 1, -1, dtype=np.int32))
+    size = np.bincount(vertices >> bits, minlength=count)
+    used = np.flatnonzero(size)
+    used = used[np.argsort(color[used], kind="stable")]
+    place = np.zeros(count, dtype=np.int64)
+    place[used] = np.arange(len(used))
+    order = vertices[np.argsort(place[vertices >> bits], kind="stable")].astype(np.int32)
+    blocks = np.concatenate([[0], np.cumsum(size[used])]).astype(np.int64)
+    groups = np.unique(color[used], return_counts=True)[1]
+    return Coloring(order, blocks, np.concatenate([[0], np.cumsum(groups)]).astype(np.int64))
+
+
+def run_chunks(
+    pool: ThreadPoolExecutor | None,
+    threads: int,
+    coloring: Coloring,
+    work: Callable[[int, int], T],
+) -> list[T]:
+    """Call ``work(start, stop)`` over the vertices of every colour; returns what it returned.
+
+    Parameters
+    ----------
+    pool : ThreadPoolExecutor or None    None runs everything here, in one call
+    threads : int                        chunks a colour is cut into, between blocks
+    coloring : Coloring
+    work : callable                      releases the GIL; works on coloring.order[start:stop]
+    """
+    blocks = coloring.blocks
+    if pool is None:
+        return [work(0, int(blocks[-1]))]
+    results = []
+    for first, last in pairwise(coloring.offsets.tolist()):
+        if blocks[last] - blocks[first] < SMALLEST:
+            results.append(work(int(blocks[first]), int(blocks[last])))
+            continue
+        cuts = [int(blocks[first + (last - first) * t // threads]) for t in range(threads + 1)]
+        results += pool.map(work, cuts[:-1], cuts[1:])
+    return results

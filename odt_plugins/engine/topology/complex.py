@@ -1,0 +1,142 @@
+"""The mesh while it is being changed: connectivity with adjacency kept up to date by the flips."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.engine.topology.adjacency import cell_neighbors
+from odt_plugins.engine.topology.order import by_lowest_vertex, make_slabs
+from odt_plugins.engine.topology.star import Stars, vertex_stars
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+
+IDLE, PENDING, DONE = 0, 1, 2
+"""Status of a cell: nothing to do, to be visited, visited in this pass."""
+
+
+@dataclass
+class Complex:
+    """Cells with adjacency, in slots of which some may be free.
+
+    Attributes
+    ----------
+    points : (n, d) float64           moved in place by the kernels
+    locked : (n,) bool                vertices that may not move
+    rim : (n,) bool                   vertices on the boundary or an interface
+    cells : (room, d + 1) int32       -1 in column 0 of a free slot
+    neighbors : (room, d + 1) int32   cell opposite to local vertex i, -1 outside
+    regions : (room,) int32
+    status : (room,) uint8            1 where a flip is to be tried
+    slots : (3,) int64                slots in use, free slots among them, out of room
+    free : (room,) int32              stack of free slots
+    skin : Skin or None               the boundary, when it may slide
+    shares : (2, n) uint8 or None     see :meth:`slabs`
+    """
+
+    points: FloatArray
+    locked: BoolArray
+    rim: BoolArray
+    cells: IntArray
+    neighbors: IntArray
+    regions: IntArray
+    status: NDArray[np.uint8]
+    slots: NDArray[np.int64]
+    free: IntArray
+    skin: Any = None
+    shares: NDArray[np.uint8] | None = None
+
+    @property
+    def dim(self) -> int:
+        """Dimension d of the space."""
+        return int(self.points.shape[1])
+
+    def slabs(self) -> NDArray[np.uint8]:
+        """Slabs of the vertices, see ``order.make_slabs``, by where they were at the first call."""
+        if self.shares is None or self.shares.shape[1] != len(self.points):
+            self.shares = make_slabs(self.points)
+        return self.shares
+
+    def count(self) -> int:
+        """Number of cells."""
+        return int(self.slots[0] - self.slots[1])
+
+    def live(self) -> NDArray[np.intp]:
+        """Slots that hold a cell."""
+        return np.flatnonzero(self.cells[: self.slots[0], 0] >= 0)
+
+    def mesh_arrays(self) -> tuple[IntArray, IntArray]:
+        """Cells and regions without the free slots."""
+        live = self.live()
+        return np.take(self.cells, live, axis=0), self.regions[live]
+
+
+def make_complex(
+    points: FloatArray, cells: IntArray, regions: IntArray, locked: BoolArray, rim: BoolArray,
+    skin: Any = None, neighbors: IntArray | None = None,
+) -> Complex:
+    """Build the adjacency of a valid mesh, with room for flips that add cells.
+
+    Parameters
+    ----------
+    points : (n, d) float64          kept by reference
+    cells : (m, d + 1) int32, regions : (m,) int32
+    locked, rim : (n,) bool
+    skin : Skin, optional            kept by reference
+    neighbors : (m, d + 1) int32, optional    of the cells, when already known
+    """
+    if neighbors is None:
+        neighbors = cell_neighbors(cells, vertex_stars(cells, len(points)))
+    return _with_room(points, cells, neighbors, regions, locked, rim, skin)
+
+
+def _with_room(
+    points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
+    locked: BoolArray, rim: BoolArray, skin: Any,
+) -> Complex:
+    """Put the arrays of a mesh into slots, an eighth more than there are cells in space."""
+    m, k = cells.shape
+    room = m if k == 3 else m + m // 8 + 64
+    slots = np.full((room, k), -1, dtype=np.int32)
+    slots[:m] = cells
+    across = np.full((room, k), -1, dtype=np.int32)
+    across[:m] = neighbors
+    labels = np.zeros(room, dtype=np.int32)
+    labels[:m] = regions
+    return Complex(
+        points,
+        locked,
+        rim,
+        slots,
+        across,
+        labels,
+        np.zeros(room, dtype=np.uint8),
+        np.array([m, 0, 0], dtype=np.int64),
+        np.empty(room, dtype=np.int32),
+        skin,
+    )
+
+
+def renumbered(mesh: Complex) -> Complex:
+    """Return the same mesh without free slots, its cells by their smallest vertex, nothing pending.
+
+    Flips scatter the cells around a vertex over the memory; this brings them together again.
+    """
+    order = by_lowest_vertex(mesh.cells[: mesh.slots[0]], len(mesh.points))
+    rank = np.full(len(mesh.cells) + 1, -1, dtype=np.int32)
+    rank[order] = np.arange(len(order), dtype=np.int32)
+    fresh = _with_room(
+        mesh.points, np.take(mesh.cells, order, axis=0),
+        rank[np.take(mesh.neighbors, order, axis=0)], mesh.regions[order],
+        mesh.locked, mesh.rim, mesh.skin,
+    )
+    fresh.shares = mesh.shares
+    return fresh
+
+
+def slot_stars(mesh: Complex, pool: ThreadPoolExecutor | None = None) -> Stars:
+    """List the slots of the cells around every vertex; free slots belong to none."""
+    return vertex_stars(mesh.cells[: mesh.slots[0]], len(mesh.points), pool)

@@ -1,0 +1,184 @@
+"""Slabs of a tetrahedral mesh in which flips run side by side.
+
+The cells are shared out among slabs across the longest axis, and the adjacency is cut at the
+facets between two slabs, as if they were boundary facets.  Nothing that one slab changes is then
+read or written in another.  Cells at a cut wait for a second set of slabs, whose cuts lie in the
+middle of the first ones.  The slabs depend on the mesh alone, not on the number of threads.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+
+from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.topology.complex import Complex
+from odt_plugins.mesh.arrays import BoolArray, ByteArray, IntArray, LongArray
+
+WORTH = 0.08
+"""Flips at fewer cells than this part of all are done in one go."""
+
+LEFT, GONE = 254, 255
+
+Work = Callable[[IntArray, IntArray, LongArray, IntArray, BoolArray], int]
+"""Called with the cells to visit, the cells array as far as the slab may use it, its slots and
+free list as in ``Complex``, and the vertices that may not be moved."""
+
+
+@kernel
+def _slab_of_cell(cells: IntArray, c: int, slab: ByteArray) -> int:
+    return min(
+        min(slab[cells[c, 0]], slab[cells[c, 1]]), min(slab[cells[c, 2]], slab[cells[c, 3]])
+    )
+
+
+@kernel
+def cut_walls(cells: IntArray, neighbors: IntArray, slab: ByteArray, held: BoolArray) -> int:
+    """Cut the adjacency between slabs; a cell belongs to the least slab of its vertices.
+
+    The k-th such facet gets -2 - k in the place of the cell across, on both sides, and its
+    vertices are marked in ``held``.  Returns the number of facets.
+    """
+    count = 0
+    for c in range(cells.shape[0]):
+        if cells[c, 0] < 0:
+            continue
+        mine = slab[cells[c, 0]]
+        if (
+            slab[cells[c, 1]] == mine and slab[cells[c, 2]] == mine and slab[cells[c, 3]] == mine
+        ):
+            continue
+        mine = _slab_of_cell(cells, c, slab)
+        for f in range(4):
+            across = neighbors[c, f]
+            if across < 0 or _slab_of_cell(cells, across, slab) <= mine:
+                continue
+            for g in range(4):
+                if neighbors[across, g] == c:
+                    neighbors[across, g] = -2 - count
+                    break
+            neighbors[c, f] = -2 - count
+            count += 1
+            for i in range(4):
+                if i != f:
+                    held[cells[c, i]] = True
+    return count
+
+
+@kernel
+def heal_walls(cells: IntArray, neighbors: IntArray, ends: LongArray) -> None:
+    """Join again what :func:`cut_walls` cut; ``ends`` (number of facets,) is filled with -1."""
+    for c in range(cells.shape[0]):
+        if cells[c, 0] < 0:
+            continue
+        for f in range(4):
+            wall = -2 - neighbors[c, f]
+            if wall < 0:
+                continue
+            if ends[wall] < 0:
+                ends[wall] = 4 * c + f
+            else:
+                across = ends[wall] >> 2
+                neighbors[c, f] = across
+                neighbors[across, ends[wall] & 3] = c
+
+
+@kernel
+def _sort_out(
+    cells: IntArray, order: IntArray, slab: ByteArray, held: BoolArray, home: ByteArray
+) -> None:
+    """Write the slab of every cell of ``order``, LEFT at a cut, GONE for a free slot."""
+    for o in range(order.shape[0]):
+        c = order[o]
+        if cells[c, 0] < 0:
+            home[o] = GONE
+        elif (
+            held[cells[c, 0]] or held[cells[c, 1]] or held[cells[c, 2]] or held[cells[c, 3]]
+        ):
+            home[o] = LEFT
+        else:
+            home[o] = _slab_of_cell(cells, c, slab)
+
+
+def side_by_side(
+    mesh: Complex, order: IntArray, pool: ThreadPoolExecutor | None, work: Work,
+    worth: float = WORTH,
+) -> int:
+    """Work at cells, in slabs where there are many, and add up what the work returns.
+
+    Parameters
+    ----------
+    mesh : Complex
+    order : (k,) int32      cells to visit, in this order within a slab
+    pool : ThreadPoolExecutor or None
+        None runs the slabs one after another; the result is the same
+    work : callable         see ``Work``
+    worth : float           part of all cells that is worth cutting the mesh into slabs
+    """
+    total = 0
+    if len(order) > worth * (mesh.slots[0] - mesh.slots[1]):
+        for slab in mesh.slabs():
+            if slab.any():
+                done, order = _in_slabs(mesh, order, slab, pool, work)
+                total += done
+    if len(order):
+        total += work(order, mesh.cells, mesh.slots, mesh.free, mesh.locked)
+    return total
+
+
+def _in_slabs(
+    mesh: Complex, order: IntArray, slab: ByteArray, pool: ThreadPoolExecutor | None, work: Work
+) -> tuple[int, IntArray]:
+    """Work at the cells away from the cuts; returns what it gave, and the cells that are left."""
+    used = int(mesh.slots[0])
+    held = np.zeros(len(mesh.points), dtype=np.bool_)
+    walls = cut_walls(mesh.cells[:used], mesh.neighbors, slab, held)
+    home = np.empty(len(order), dtype=np.uint8)
+    _sort_out(mesh.cells, order, slab, held, home)
+    parts = [order[home == k] for k in range(int(slab.max()) + 1)]
+    ends, slots, free = _share_room(mesh, len(parts))
+    locked = mesh.locked | held
+
+    def run(k: int) -> int:
+        return work(parts[k], mesh.cells[: ends[k]], slots[k], free[k], locked)
+
+    results = (map if pool is None else pool.map)(run, range(len(parts)))
+    total = sum(results)
+    _collect_room(mesh, ends, slots, free)
+    used = int(mesh.slots[0])
+    heal_walls(mesh.cells[:used], mesh.neighbors, np.full(walls, -1, dtype=np.int64))
+    return total, order[home == LEFT]
+
+
+def _share_room(
+    mesh: Complex, count: int
+) -> tuple[list[int], list[LongArray], list[IntArray]]:
+    """Share the unused and the free slots out: end of the unused, slots and free list of each."""
+    used, n_free = int(mesh.slots[0]), int(mesh.slots[1])
+    room = len(mesh.cells) - used
+    ends, slots, free = [], [], []
+    for k in range(count):
+        mine = mesh.free[n_free * k // count : n_free * (k + 1) // count]
+        stack = np.empty(len(mine) + used, dtype=np.int32)
+        stack[: len(mine)] = mine
+        ends.append(used + room * (k + 1) // count)
+        slots.append(np.array([used + room * k // count, len(mine), 0], dtype=np.int64))
+        free.append(stack)
+    return ends, slots, free
+
+
+def _collect_room(
+    mesh: Complex, ends: list[int], slots: list[LongArray], free: list[IntArray]
+) -> None:
+    """Put the free lists together again; unused slots below the last used one are free too."""
+    used = int(mesh.slots[0])
+    starts = [used, *ends[:-1]]
+    last = max([used, *(int(s[0]) for s, start in zip(slots, starts, strict=True) if s[0] > start)])
+    stacks = [stack[: s[1]] for stack, s in zip(free, slots, strict=True)]
+    stacks += [np.arange(s[0], min(end, last), dtype=np.int32)
+               for s, end in zip(slots, ends, strict=True)]
+    found = np.concatenate(stacks)
+    mesh.free[: len(found)] = found
+    mesh.slots[:] = [last, len(found), max(int(s[2]) for s in slots)]

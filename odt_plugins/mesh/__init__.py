@@ -1,0 +1,1 @@
+"""Meshes of simplices: the one type that the engine knows, surfaces, facets, numbers."""

@@ -1,0 +1,143 @@
+"""Facets of cells: one number for each, and those that do not have one cell on each side."""
+
+from __future__ import annotations
+
+from functools import partial
+from itertools import combinations
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.mesh.chunks import chunks, spread
+
+WORDS = 1 << 64
+"""Number of different keys that 64 bits can hold."""
+
+
+class UnevenFacets(NamedTuple):
+    """Facets that do not have just one cell on each side, by their vertices in increasing order.
+
+    Attributes
+    ----------
+    open : (r, d) int64       no cell on one side, or crowded; of a valid mesh, its boundary
+    crowded : (s, d) int64    a second, third, ... cell on one side; of a valid mesh, none
+    """
+
+    open: NDArray[np.int64]
+    crowded: NDArray[np.int64]
+
+
+def sorted_columns(rows: NDArray[Any]) -> tuple[list[NDArray[Any]], NDArray[np.bool_]]:
+    """Columns of rows (m, k) that are sorted one by one, and which took an odd permutation.
+
+    Vertices in an odd permutation are a cell or a facet the other way round.
+    """
+    columns = list(rows.T.copy())
+    odd = np.zeros(len(rows), dtype=np.bool_)
+    for i, j in combinations(range(len(columns)), 2):
+        low, high = np.minimum(columns[i], columns[j]), np.maximum(columns[i], columns[j])
+        odd ^= low != columns[i]
+        columns[i], columns[j] = low, high
+    return columns, odd
+
+
+def row_keys(rows: NDArray[np.integer], n: int) -> NDArray[np.int64]:
+    """Give one number for every row of indices below n: equal numbers are equal rows.
+
+    Parameters
+    ----------
+    rows : (m, k) int    indices in [0, n)
+    n : int
+
+    Returns
+    -------
+    (m,) int64           in [0, 2^62); comparable within one call only
+    """
+    key = rows[:, 0].astype(np.int64)
+    span = max(n, 1)
+    for column in rows.T[1:]:
+        if span > (1 << 62) // max(n, 1):
+            distinct, key = np.unique(key, return_inverse=True)
+            span = len(distinct)
+        key = key * n + column
+        span *= n
+    return key
+
+
+def directed_facets(
+    cells: NDArray[np.int32], n: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Key and side of every facet of positively oriented cells.
+
+    Returns
+    -------
+    key : (m, d + 1) int64     equal for facets of the same vertices
+    side : (m, d + 1) int64    0 or 1: on which side of the facet its cell lies
+
+    Notes
+    -----
+    Column i leaves out the i-th smallest vertex of the cell. With the vertices sorted by a
+    permutation of parity s the induced orientation of that facet is (-1)^(s + i).
+    """
+    m, k = cells.shape
+    columns, odd = sorted_columns(cells)
+    facets = [np.stack(columns[:i] + columns[i + 1 :], axis=1) for i in range(k)]
+    key = row_keys(np.concatenate(facets), n).reshape(k, m).T
+    return key, odd[:, None] ^ (np.arange(k) & 1)
+
+
+def uneven_facets(cells: NDArray[np.integer], n: int, threads: int = 1) -> UnevenFacets:
+    """Find the facets that do not have just one cell on each side.
+
+    Parameters
+    ----------
+    cells : (m, d + 1) int    in [0, n)
+    n : int
+    threads : int             how many share the work
+
+    Notes
+    -----
+    A facet is one number of 64 bits, its vertices and then its side, see :func:`directed_facets`,
+    so that sorting brings both sides together; in several goes, by the smallest vertex, where
+    those bits do not suffice.
+    """
+    d = cells.shape[1] - 1
+    step = max(1, min(n, WORDS // (2 * max(n, 1) ** (d - 1))))
+    single, double = [], []
+    for first in range(0, n, step):
+        keys = partial(_facet_keys, cells, n, first, step)
+        key = np.concatenate(spread(keys, chunks(len(cells)), threads))
+        key.sort()
+        paired = np.zeros(len(key) + 1, dtype=np.bool_)
+        paired[1:-1] = key[:-1] ^ np.uint64(1) == key[1:]
+        single.append(_vertices(key[~(paired[1:] | paired[:-1])], first, n, d))
+        double.append(_vertices(key[1:][key[1:] == key[:-1]], first, n, d))
+    return UnevenFacets(np.concatenate(single), np.concatenate(double))
+
+
+def _facet_keys(
+    cells: NDArray[np.integer], n: int, first: int, step: int, part: slice
+) -> NDArray[np.uint64]:
+    """Numbers of the facets of some cells whose smallest vertex is from ``first`` on."""
+    ordered, odd = sorted_columns(cells[part])
+    columns = [column.astype(np.uint64) for column in ordered]
+    keys = []
+    for i in range(len(columns)):
+        lowest, *others = columns[:i] + columns[i + 1 :]
+        here = slice(None) if step == n else (lowest >= first) & (lowest < first + step)
+        key = lowest[here] - np.uint64(first)
+        for column in others:
+            key = key * np.uint64(n) + column[here]
+        keys.append(2 * key + (odd[here] ^ (i % 2 == 1)))
+    return np.concatenate(keys)
+
+
+def _vertices(key: NDArray[np.uint64], first: int, n: int, d: int) -> NDArray[np.int64]:
+    """The vertices (r, d) of facets by their keys in :func:`uneven_facets`."""
+    rest = key >> np.uint64(1)
+    out = np.empty((len(key), d), dtype=np.int64)
+    for column in range(d - 1, 0, -1):
+        rest, out[:, column] = np.divmod(rest, np.uint64(n))
+    out[:, 0] = rest + np.uint64(first)
+    return out

@@ -1,0 +1,45 @@
+"""Numbers of vertices when some were removed and others added.
+
+``origin`` (n',) holds the old vertex of every vertex, increasing, and then -1 for the new ones.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
+
+
+def most_vertices(n: int) -> int:
+    """Give the number of vertices that a mesh of n vertices may have after insertion."""
+    return n + n // 10
+
+
+def removed_vertices(origin: LongArray, n: int) -> LongArray:
+    """List the old vertices below n that are not in ``origin``."""
+    there = np.zeros(n, dtype=np.bool_)
+    there[origin[origin >= 0]] = True
+    return np.flatnonzero(~there)
+
+
+def old_numbers(origin: LongArray, n: int) -> IntArray:
+    """Number of every vertex among the n old ones, removed ones included, and then the new ones."""
+    number = origin.astype(np.int32)
+    added = origin < 0
+    number[added] = n + np.arange(int(added.sum()), dtype=np.int32)
+    return number
+
+
+def new_numbers(origin: LongArray, n: int) -> IntArray:
+    """Give the inverse of :func:`old_numbers`; -1 for a removed vertex."""
+    number = np.full(n + int((origin < 0).sum()), -1, dtype=np.int32)
+    number[old_numbers(origin, n)] = np.arange(len(origin), dtype=np.int32)
+    return number
+
+
+def in_old_numbers(old_points: FloatArray, points: FloatArray, origin: LongArray) -> FloatArray:
+    """Points in the order of :func:`old_numbers`; a removed vertex is where it was."""
+    n = len(old_points)
+    together = np.concatenate([old_points, points[origin < 0]])
+    together[old_numbers(origin, n)] = points
+    return together

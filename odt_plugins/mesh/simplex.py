@@ -1,0 +1,377 @@
+"""The one mesh type that the engine knows, and the checks a mesh passes on its way in."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from odt_plugins.errors import InvalidMeshError, InvalidOptionError, counted
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.chunks import chunks
+from odt_plugins.mesh.facets import UnevenFacets, directed_facets, row_keys, uneven_facets
+
+FLAT = 1e-14
+"""A cell is flat when d! |volume| <= FLAT * (its extent)^d: the rounding error of that volume."""
+
+SPAN_LIMIT = 1e40
+"""Meshes must be between 1 / SPAN_LIMIT and SPAN_LIMIT long: squared volumes neither overflow
+nor vanish then."""
+
+@dataclass(frozen=True)
+class SimplexMesh:
+    """A valid mesh of triangles in the plane, tetrahedra in space, or triangles in space.
+
+    The last kind, a curved surface, comes from :func:`odt_plugins.mesh.surface.surface_mesh`: its areas
+    have no sign and may be zero.
+
+    Attributes
+    ----------
+    points : (n, d) float64, C-contiguous    coordinates in the caller's unit, d = 2 or 3
+    cells : (m, d + 1) int32, C-contiguous   vertex indices, signed volume positive
+    regions : (m,) int32                     label of every cell; facets between two labels stay
+    fixed : (n,) bool                        vertices that must not move (boundary not included)
+    frozen : (m,) bool                       cells that must stay as they are; none by default
+    stays : (k, 2) int32                     edges of the boundary that must stay edges
+    lines : (l, 2) int32                     edges that count as feature edges
+    anchored : (n,) bool                     vertices that may move but must not be removed, since
+                                             something refers to them; none by default
+    """
+
+    points: FloatArray
+    cells: IntArray
+    regions: IntArray
+    fixed: BoolArray
+    frozen: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    stays: IntArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int32))
+    lines: IntArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int32))
+    anchored: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+
+    def __post_init__(self) -> None:
+        if self.anchored.size != len(self.points):
+            object.__setattr__(self, "anchored", np.zeros(len(self.points), dtype=np.bool_))
+        if self.frozen.size != len(self.cells):
+            object.__setattr__(self, "frozen", np.zeros(len(self.cells), dtype=np.bool_))
+
+    @property
+    def dim(self) -> int:
+        """Dimension d of the cells."""
+        return int(self.cells.shape[1]) - 1
+
+    @property
+    def is_surface(self) -> bool:
+        """Whether these are triangles in space."""
+        return bool(self.points.shape[1] > self.dim)
+
+    @cached_property
+    def uneven(self) -> UnevenFacets:
+        """Facets that do not have just one cell on each side."""
+        return uneven_facets(self.cells, len(self.points))
+
+
+def simplex_mesh(
+    points: ArrayLike,
+    cells: ArrayLike,
+    *,
+    regions: ArrayLike | None = None,
+    fixed: ArrayLike | None = None,
+    selection: ArrayLike | None = None,
+    orient: bool = False,
+) -> tuple[SimplexMesh, int]:
+    """Check a mesh and bring it into the form the engine works on; the input is not changed.
+
+    Parameters
+    ----------
+    points : (n, d) float32 or float64    d = 2 or 3, any unit
+    cells : (m, d + 1) int                triangles in the plane or tetrahedra in space; floats
+                                          that hold integers are taken too
+    regions : (m,) int                    labels of any integer type, compacted to 0, 1, ...
+                                          in increasing order
+    fixed : (n,) bool or (k,) int         vertices that must not move
+    selection : (m,) bool or (k,) int     only these cells may change; the others are frozen
+    orient : bool                         turn the cells of a mesh of mixed orientation
+
+    Returns
+    -------
+    mesh : SimplexMesh                    every signed volume positive
+    orientation : int                     -1 when every cell came with negative volume, else 1
+
+    Raises
+    ------
+    InvalidMeshError                      wrong shapes, types, indices, coordinates; flat, mixed,
+                                          repeated or overlapping cells; more than two cells
+                                          on a facet. Unused vertices are allowed and so are
+                                          boundary edges shared by several boundary facets
+    InvalidOptionError                    `regions`, `fixed` or `selection` does not fit the mesh
+    """
+    p, t = mesh_arrays(points, cells)
+    if t.shape[1] != p.shape[1] + 1:
+        msg = f"got triangles with points of dimension {p.shape[1]}; expected points (n, 2)"
+        raise InvalidMeshError(msg)
+    _check_vertices(t)
+    sign = _signs(p, t)
+    orientation = -1 if (sign < 0).all() else 1
+    if orientation == 1 and (sign < 0).any() and not orient:
+        n_negative = int((sign < 0).sum())
+        odd = np.flatnonzero(sign < 0 if 2 * n_negative <= len(t) else sign > 0)
+        name = "area" if p.shape[1] == 2 else "volume"
+        msg = (
+            f"got {_where(odd, 'cell')} of {len(t)} turned against the others (negative against "
+            f"positive {name}); expected one orientation, try orient=True"
+        )
+        raise InvalidMeshError(msg)
+    mesh = SimplexMesh(
+        points=p,
+        cells=reverse(t, sign < 0),
+        regions=compact_labels(regions, len(t)),
+        fixed=vertex_mask(fixed, len(p), "fixed", "vertices"),
+    )
+    if len(mesh.uneven.crowded):
+        _refuse_overlaps(mesh.cells, len(p))
+    if selection is not None:
+        mesh = freeze(mesh, ~vertex_mask(selection, len(t), "selection", "cells"))
+    return mesh, orientation
+
+
+def mesh_arrays(points: ArrayLike, cells: ArrayLike) -> tuple[FloatArray, IntArray]:
+    """Check shapes, types, coordinates and indices alone; new float64 and int32 arrays.
+
+    Triangles may have points in space here.
+
+    Raises
+    ------
+    InvalidMeshError    the arrays are no mesh, whatever the shape of its cells
+    """
+    p = _points(points)
+    return p, _cells(cells, p.shape)
+
+
+def freeze(
+    mesh: SimplexMesh, frozen: BoolArray, vertices: NDArray[np.integer] | None = None
+) -> SimplexMesh:
+    """Add cells (m,) bool that must stay, with their vertices, and more vertices (k,) to fix."""
+    fixed = mesh.fixed.copy()
+    fixed[mesh.cells[frozen].ravel()] = True
+    if vertices is not None:
+        fixed[vertices] = True
+    return replace(mesh, fixed=fixed, frozen=mesh.frozen | frozen)
+
+
+def reverse(cells: NDArray[Any], which: BoolArray) -> NDArray[Any]:
+    """Turn the orientation of some cells: a copy with their last two vertices exchanged."""
+    out = cells.copy()
+    out[which, -2], out[which, -1] = cells[which, -1], cells[which, -2]
+    return out
+
+
+def corner_mean(values: FloatArray, cells: IntArray) -> FloatArray:
+    """Mean of values (n,) or (n, c) at the vertices of every cell, shape (m,) or (m, c)."""
+    mean: FloatArray = values[cells[:, 0]]
+    for corner in cells.T[1:]:
+        mean += values[corner]
+    mean /= cells.shape[1]
+    return mean
+
+
+def _points(points: ArrayLike) -> FloatArray:
+    raw = np.asarray(points)
+    if raw.dtype.kind != "f" or raw.dtype.itemsize not in (4, 8):
+        msg = (
+            f"points have dtype {raw.dtype}; expected float64 or float32, "
+            f"try numpy.asarray(points, dtype=float)"
+        )
+        raise InvalidMeshError(msg)
+    if raw.ndim != 2 or raw.shape[1] not in (2, 3):
+        msg = f"points have shape {raw.shape}; expected (n, 2) or (n, 3), one row per vertex"
+        raise InvalidMeshError(msg)
+    if len(raw) >= 1 << 31:
+        msg = f"the mesh has {len(raw)} vertices; expected fewer than 2^31, try cutting it up"
+        raise InvalidMeshError(msg)
+    finite = np.isfinite(raw)
+    if not finite.all():
+        bad = np.flatnonzero(~finite.all(axis=1))
+        msg = (
+            f"got {_where(bad, 'point')} with NaN or infinite coordinates; expected finite "
+            f"numbers, try removing or repairing those vertices"
+        )
+        raise InvalidMeshError(msg)
+    return np.array(raw, dtype=np.float64, order="C")
+
+
+def _cells(cells: ArrayLike, shape: tuple[int, ...]) -> IntArray:
+    n, d = shape
+    raw = np.asarray(cells)
+    if raw.size == 0:
+        msg = f"the mesh has no cells ({n} vertices); expected at least one triangle or tetrahedron"
+        raise InvalidMeshError(msg)
+    if raw.ndim != 2 or not 3 <= raw.shape[1] <= d + 1:
+        tetrahedra = " or (m, 4) for tetrahedra" if d == 3 else ""
+        msg = (
+            f"cells have shape {raw.shape} for points of dimension {d}; expected (m, 3) for "
+            f"triangles{tetrahedra}, one row of vertex indices per cell"
+        )
+        raise InvalidMeshError(msg)
+    if raw.dtype.kind == "f":
+        bad = np.flatnonzero((raw != np.floor(raw)).any(axis=1) | ~np.isfinite(raw).all(axis=1))
+        if bad.size:
+            msg = (
+                f"got {_where(bad, 'cell')} with vertex indices that are not integers (dtype "
+                f"{raw.dtype}); expected an integer type"
+            )
+            raise InvalidMeshError(msg)
+    elif raw.dtype.kind not in "iu":
+        msg = f"cells have dtype {raw.dtype}; expected an integer type, try cells.astype('int32')"
+        raise InvalidMeshError(msg)
+    if raw.min() < 0 or raw.max() >= n:
+        outside = (raw < 0) | (raw >= n)
+        bad = np.flatnonzero(outside.any(axis=1))
+        vertex = int(raw[bad[0]][outside[bad[0]]][0])
+        msg = (
+            f"got {_where(bad, 'cell')} with vertex indices out of range (vertex {vertex}); "
+            f"expected 0 to {n - 1} for {n} vertices, counted from zero"
+        )
+        raise InvalidMeshError(msg)
+    return np.array(raw, dtype=np.int32, order="C")
+
+
+def _check_vertices(t: IntArray) -> None:
+    same = np.zeros(len(t), dtype=np.bool_)
+    for i, j in combinations(range(t.shape[1]), 2):
+        same |= t[:, i] == t[:, j]
+    bad = np.flatnonzero(same)
+    if bad.size:
+        msg = (
+            f"got {_where(bad, 'cell')} with a vertex used twice; expected {t.shape[1]} different "
+            f"vertices, try removing such cells"
+        )
+        raise InvalidMeshError(msg)
+
+
+def _signs(p: FloatArray, t: IntArray) -> NDArray[np.int8]:
+    """Sign of every signed volume, (m,) int8; raises when one of them is zero."""
+    used = np.zeros(len(p), dtype=np.bool_)
+    used[t.ravel()] = True
+    span = float(np.ptp(p[used], axis=0).max())
+    if span != 0.0 and not 1.0 / SPAN_LIMIT < span < SPAN_LIMIT:
+        msg = (
+            f"the mesh is {span:.1e} long; expected between {1 / SPAN_LIMIT:.0e} and "
+            f"{SPAN_LIMIT:.0e}, try scaling it"
+        )
+        raise InvalidMeshError(msg)
+    sign = np.zeros(len(t), dtype=np.int8)
+    axes = np.ascontiguousarray(p.T)
+    for part in chunks(len(t)):
+        corner = axes.take(t[part].T, axis=1)
+        extent = (corner.max(axis=1) - corner.min(axis=1)).max(axis=0)
+        det = _determinant((corner[:, 1:] - corner[:, :1]).swapaxes(0, 1))
+        sign[part] = np.sign(det) * (np.abs(det) > FLAT * extent ** p.shape[1])
+    bad = np.flatnonzero(sign == 0)
+    if bad.size:
+        name = "area" if p.shape[1] == 2 else "volume"
+        msg = (
+            f"got {_where(bad, 'cell')} of {len(t)} with zero {name} relative to their size; "
+            f"expected every {name} different from zero, try removing such cells"
+        )
+        raise InvalidMeshError(msg)
+    return sign
+
+
+def _determinant(edge: FloatArray) -> FloatArray:
+    if len(edge) == 2:
+        (a, b), (c, d) = edge
+        return np.asarray(a * d - b * c)
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = edge
+    return np.asarray(
+        ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+    )
+
+
+def _refuse_overlaps(t: IntArray, n: int) -> None:
+    """Say where two cells are on the same side of a facet; three on one always hold such a pair."""
+    key, side = directed_facets(t, n)
+    ordered = np.sort(t, axis=1)
+    _, first, inverse = np.unique(row_keys(ordered, n), return_index=True, return_inverse=True)
+    repeated = np.flatnonzero(first[inverse] != np.arange(len(t)))
+    if repeated.size:
+        msg = (
+            f"got {_where(repeated, 'cell')} with the same vertices as an earlier cell (cell "
+            f"{first[inverse[repeated[0]]]}); expected each cell once, try removing repeated cells"
+        )
+        raise InvalidMeshError(msg)
+    noun = "edge" if t.shape[1] == 3 else "face"
+    _, inverse, count = np.unique(key, return_inverse=True, return_counts=True)
+    crowded = np.flatnonzero((count[inverse] > 2).reshape(key.shape).any(axis=1))
+    if crowded.size:
+        column = int(np.flatnonzero(count[inverse].reshape(key.shape)[crowded[0]] > 2)[0])
+        vertices = np.delete(ordered[crowded[0]], column).tolist()
+        n_crowded = int((count > 2).sum())
+        verb = "belongs" if n_crowded == 1 else "belong"
+        msg = (
+            f"{counted(n_crowded, noun)} {verb} to more than two cells (non-manifold), the first "
+            f"of cell {crowded[0]} with vertices {vertices}; expected at most two, try removing "
+            f"the cells that overlap"
+        )
+        raise InvalidMeshError(msg)
+    _, inverse, count = np.unique(key * 2 + side, return_inverse=True, return_counts=True)
+    bad = np.flatnonzero((count[inverse] > 1).reshape(key.shape).any(axis=1))
+    msg = (
+        f"got {_where(bad, 'cell')} overlapping a neighbour: both lie on the same side of a common "
+        f"{noun}; expected one on each side, try removing or untangling those cells"
+    )
+    raise InvalidMeshError(msg)
+
+
+def compact_labels(regions: ArrayLike | None, m: int) -> IntArray:
+    """Number region labels (m,) or (m, 1) of any integer type 0, 1, ... in increasing order."""
+    if regions is None:
+        return np.zeros(m, dtype=np.int32)
+    raw = np.asarray(regions)
+    raw = raw[:, 0] if raw.shape == (m, 1) else raw
+    if raw.shape != (m,):
+        msg = f"regions have shape {raw.shape}; expected ({m},), one label per cell"
+        raise InvalidOptionError(msg)
+    if raw.dtype.kind not in "iub" and not (
+        raw.dtype.kind == "f" and np.isfinite(raw).all() and (raw == np.floor(raw)).all()
+    ):
+        msg = f"regions have dtype {raw.dtype}; expected integer labels, try regions.astype(int)"
+        raise InvalidOptionError(msg)
+    return np.unique(raw, return_inverse=True)[1].astype(np.int32)
+
+
+def vertex_mask(value: ArrayLike | None, count: int, name: str, what: str) -> BoolArray:
+    """Bring a mask or a list of indices into a mask (count,)."""
+    mask = np.zeros(count, dtype=np.bool_)
+    if value is None:
+        return mask
+    raw = np.asarray(value)
+    if raw.dtype.kind == "b":
+        if raw.shape != (count,):
+            msg = f"{name} is a mask of shape {raw.shape}; expected ({count},), as many as {what}"
+            raise InvalidOptionError(msg)
+        return raw.copy()
+    if raw.size == 0:
+        return mask
+    if raw.ndim != 1 or raw.dtype.kind not in "iu":
+        msg = (
+            f"{name} has dtype {raw.dtype} and shape {raw.shape}; expected a boolean mask of the "
+            f"{what} ({count},) or a list of their indices"
+        )
+        raise InvalidOptionError(msg)
+    bad = np.flatnonzero((raw < 0) | (raw >= count))
+    if bad.size:
+        msg = (
+            f"{name}[{bad[0]}] is {raw[bad[0]]} ({bad.size} out of range); expected indices of "
+            f"{what} from 0 to {count - 1}"
+        )
+        raise InvalidOptionError(msg)
+    mask[raw] = True
+    return mask
+
+
+def _where(indices: NDArray[np.integer], noun: str) -> str:
+    """Say how many there are and which is the first: "3 cells (first: cell 7)"."""
+    return f"{counted(len(indices), noun)} (first: {noun} {indices[0]})"

@@ -1,0 +1,199 @@
+"""Triangles in space: the edges of a surface, and the checks it passes on its way in."""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from odt_plugins.errors import InvalidMeshError, counted
+from odt_plugins.mesh.arrays import BoolArray, IntArray
+from odt_plugins.mesh.components import components
+from odt_plugins.mesh.facets import row_keys
+from odt_plugins.mesh.simplex import (
+    SPAN_LIMIT,
+    SimplexMesh,
+    compact_labels,
+    freeze,
+    mesh_arrays,
+    reverse,
+    vertex_mask,
+)
+
+
+class Edges(NamedTuple):
+    """The edges of triangles, each once.
+
+    Attributes
+    ----------
+    vertices : (e, 2) int32     smaller index first, in lexical order
+    degree : (e,) int32         triangles that hold it
+    of_cell : (m, 3) int32      number of the edge opposite to each corner
+    forward : (m, 3) bool       whether the triangle runs through it from the smaller index
+    neighbors : (m, 3) int32    triangle across, -1 unless exactly two triangles hold the edge
+    """
+
+    vertices: IntArray
+    degree: IntArray
+    of_cell: IntArray
+    forward: BoolArray
+    neighbors: IntArray
+
+
+def surface_edges(triangles: IntArray, n: int) -> Edges:
+    """List the edges of a surface with ``n`` vertices, manifold or not."""
+    m = len(triangles)
+    start, end = triangles[:, [1, 2, 0]], triangles[:, [2, 0, 1]]
+    forward = start < end
+    low, high = np.where(forward, start, end).ravel(), np.where(forward, end, start).ravel()
+    key = low.astype(np.int64) * n + high
+    order = np.argsort(key, kind="stable")
+    ordered = key[order]
+    fresh = np.ones(3 * m, dtype=np.bool_)
+    fresh[1:] = ordered[1:] != ordered[:-1]
+    number = np.empty(3 * m, dtype=np.int32)
+    number[order] = np.cumsum(fresh, dtype=np.int32) - 1
+    first = np.flatnonzero(fresh)
+    count = np.diff(np.append(first, 3 * m)).astype(np.int32)
+    neighbors = np.full(3 * m, -1, dtype=np.int32)
+    two = first[count == 2]
+    a, b = order[two], order[two + 1]
+    neighbors[a], neighbors[b] = b // 3, a // 3
+    head = order[first]
+    return Edges(
+        np.stack([low[head], high[head]], axis=1),
+        count,
+        number.reshape(m, 3),
+        forward,
+        neighbors.reshape(m, 3),
+    )
+
+
+def surface_mesh(
+    points: ArrayLike,
+    cells: ArrayLike,
+    *,
+    regions: ArrayLike | None = None,
+    fixed: ArrayLike | None = None,
+    selection: ArrayLike | None = None,
+    orient: bool = False,
+) -> SimplexMesh:
+    """Check a curved surface and bring it into the form the engine works on.
+
+    Parameters
+    ----------
+    points : (n, 3) float32 or float64
+    cells : (m, 3) int
+    regions, fixed, selection              as for :func:`odt_plugins.mesh.simplex.simplex_mesh`
+    orient : bool                          turn triangles so that neighbours agree
+
+    Returns
+    -------
+    SimplexMesh                            triangles that run through every edge of two triangles
+                                           once each way. Flat triangles, rims, edges of more than
+                                           two triangles, vertices where several fans of triangles
+                                           meet, and vertices of no triangle are allowed
+
+    Raises
+    ------
+    InvalidMeshError                       wrong shapes, types, indices, coordinates; repeated
+                                           triangles; neighbours that disagree about the outside;
+                                           with ``orient`` a surface that has only one side
+    InvalidOptionError                     `regions`, `fixed` or `selection` does not fit the mesh
+    """
+    p, t = mesh_arrays(points, cells)
+    n = len(p)
+    _check_corners(p, t)
+    edges = surface_edges(t, n)
+    turned = _disagreeing(edges)
+    if turned.size:
+        if not orient:
+            a, b = edges.vertices[turned[0]].tolist()
+            msg = (
+                f"got {counted(turned.size, 'edge')} (first: the edge of vertices {a} and {b}) "
+                f"whose two cells disagree about the outside; expected one orientation, try "
+                f"orient=True"
+            )
+            raise InvalidMeshError(msg)
+        t = reverse(t, _to_turn(t, edges))
+    mesh = SimplexMesh(
+        points=p,
+        cells=t,
+        regions=compact_labels(regions, len(t)),
+        fixed=vertex_mask(fixed, n, "fixed", "vertices"),
+    )
+    if selection is not None:
+        mesh = freeze(mesh, ~vertex_mask(selection, len(t), "selection", "cells"))
+    return mesh
+
+
+def _check_corners(p: NDArray[np.float64], t: IntArray) -> None:
+    same = np.zeros(len(t), dtype=np.bool_)
+    for i, j in combinations(range(3), 2):
+        same |= t[:, i] == t[:, j]
+    bad = np.flatnonzero(same)
+    if bad.size:
+        msg = (
+            f"got {counted(bad.size, 'cell')} (first: cell {bad[0]}) with a vertex used twice; "
+            f"expected 3 different vertices, try removing such cells"
+        )
+        raise InvalidMeshError(msg)
+    ordered = np.sort(t, axis=1)
+    _, first, inverse = np.unique(
+        row_keys(ordered, len(p)), return_index=True, return_inverse=True
+    )
+    again = np.flatnonzero(first[inverse] != np.arange(len(t)))
+    if again.size:
+        msg = (
+            f"got {counted(again.size, 'cell')} (first: cell {again[0]}) with the same vertices as "
+            f"an earlier cell (cell {first[inverse[again[0]]]}); expected each cell once, try "
+            f"removing repeated cells"
+        )
+        raise InvalidMeshError(msg)
+    corner = p[t.ravel()]
+    span = float((corner.max(axis=0) - corner.min(axis=0)).max())
+    if not 1.0 / SPAN_LIMIT < span < SPAN_LIMIT:
+        msg = (
+            f"the surface is {span:.1e} long; expected between {1 / SPAN_LIMIT:.0e} and "
+            f"{SPAN_LIMIT:.0e}, try scaling it"
+        )
+        raise InvalidMeshError(msg)
+
+
+def _disagreeing(edges: Edges) -> NDArray[np.intp]:
+    """Edges of two triangles that run through them the same way."""
+    ways = np.bincount(edges.of_cell.ravel(), edges.forward.ravel(), minlength=len(edges.degree))
+    return np.flatnonzero((edges.degree == 2) & (ways != 1))
+
+
+def _to_turn(t: IntArray, edges: Edges) -> BoolArray:
+    """Triangles to turn so that neighbours agree: the smaller part of every connected piece.
+
+    Raises
+    ------
+    InvalidMeshError    there is no such choice
+    """
+    m = len(t)
+    cell, corner = np.nonzero(edges.neighbors >= 0)
+    other = edges.neighbors[cell, corner]
+    across = edges.of_cell[other] == edges.of_cell[cell, corner][:, None]
+    same_way = edges.forward[cell, corner] == edges.forward[other][across]
+    # every triangle twice, as it is and turned; neighbours that agree are joined like with like
+    turned = same_way.astype(np.int64)
+    rows = np.concatenate([cell, cell + m])
+    columns = np.concatenate([other + turned * m, other + (1 - turned) * m])
+    piece = components(rows, columns, 2 * m)
+    stuck = np.flatnonzero(piece[:m] == piece[m:])
+    if stuck.size:
+        msg = (
+            f"got {counted(stuck.size, 'cell')} (first: cell {stuck[0]}) of a surface with only "
+            f"one side, non-orientable like a Moebius strip; expected two sides, try cutting it "
+            f"open"
+        )
+        raise InvalidMeshError(msg)
+    # of the two ways to orient a piece take the one that leaves more triangles as they are
+    kept = np.bincount(piece[:m], minlength=int(piece.max()) + 1)
+    as_is, flipped = kept[piece[:m]], kept[piece[m:]]
+    return np.asarray((as_is < flipped) | ((as_is == flipped) & (piece[:m] > piece[m:])))

@@ -1,0 +1,1 @@
+"""What every output must keep, checked in numpy alone."""

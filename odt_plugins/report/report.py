@@ -1,0 +1,310 @@
+"""The report of one run: before and after, how it went, and what binds the minimum."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import platform
+from collections.abc import Mapping
+from dataclasses import dataclass
+from importlib.metadata import PackageNotFoundError, version
+from os import PathLike
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.mesh.numbering import in_old_numbers
+from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.options import Options
+from odt_plugins.promise.volume import held_vertices
+from odt_plugins.quality import QualitySummary, cell_figures, summarize
+from odt_plugins.report.binding import BindingCell, binding_cells
+
+if TYPE_CHECKING:
+    from odt_plugins.engine.run.driver import Outcome
+
+BINS = np.linspace(0.0, 1.0, 51)
+"""Bins of the quality histograms, 0:0.02:1 as in Figs 6 and 10 of the paper."""
+
+ROWS = (
+    ("min_quality", "min quality", ".4f"),
+    ("p1_quality", "1 % quality", ".4f"),
+    ("mean_quality", "mean quality", ".4f"),
+    ("min_angle", "smallest {angle}", ".2f"),
+    ("max_angle", "largest {angle}", ".2f"),
+    ("mean_amips", "mean AMIPS energy", ".4f"),
+    ("max_amips", "max AMIPS energy", ".4f"),
+    ("below_5", "cells below 5 deg", "d"),
+    ("below_10", "cells below 10 deg", "d"),
+    ("below_20", "cells below 20 deg", "d"),
+    ("inverted", "cells not positive", "d"),
+    ("uniformity", "uniformity", ".4f"),
+    ("n_points", "vertices", "d"),
+    ("n_cells", "cells", "d"),
+)
+"""Rows of every table: name in QualitySummary, heading, format."""
+
+
+LARGE = 1e5
+"""Figures from here on, as energies of nearly flat cells, are written with an exponent."""
+
+
+@dataclass(frozen=True)
+class Report:
+    """What one run did to a mesh.
+
+    Attributes
+    ----------
+    dim : int                               dimension d
+    before, after : QualitySummary          figures of the input and of the result
+    histogram_before, histogram_after       counts of the radius ratio in 50 bins 0:0.02:1
+    energy : tuple of (stage, E)            ODT energy after every round
+    times : dict stage -> seconds           wall time
+    stop_reason : str                       why the run ended, one sentence
+    fallback : str or None                  why an earlier state is returned, when it is
+    counts : dict name -> int               sweeps, flips, exchanges, refusals
+    n_used, n_movable : int                 vertices in use, and those of them that may move
+    binding : tuple of BindingCell          the cells that bind the minimum after, and why
+    options : dict                          every option used, plain values
+    versions : dict                         of this package, Python and what computes
+    slid : dict or None                     envelope, distances both ways (upper bounds), relative
+                                            change of the volume and vertices moved, when the
+                                            boundary slid
+    surface : dict or None                  of a curved surface: "envelope" and "diagonal" as
+                                            lengths, "forward" and "backward", upper bounds of the
+                                            distances of its points from the input and of the
+                                            input's from it, and the numbers of
+                                            "feature_edges", "corners", vertices "on_lines" that
+                                            slide along features, and "held" ones
+    """
+
+    dim: int
+    before: QualitySummary
+    after: QualitySummary
+    histogram_before: tuple[int, ...]
+    histogram_after: tuple[int, ...]
+    energy: tuple[tuple[str, float], ...]
+    times: Mapping[str, float]
+    stop_reason: str
+    fallback: str | None
+    counts: Mapping[str, int]
+    n_used: int
+    n_movable: int
+    binding: tuple[BindingCell, ...]
+    options: Mapping[str, Any]
+    versions: Mapping[str, str]
+    slid: Mapping[str, float] | None = None
+    surface: Mapping[str, float] | None = None
+
+    @property
+    def movable_share(self) -> float:
+        """Share of the vertices in use that may move, from 0 to 1."""
+        return self.n_movable / self.n_used if self.n_used else 0.0
+
+    def __repr__(self) -> str:
+        """One line, for lists and notebooks; ``print`` gives the page."""
+        old, new = self.before, self.after
+        return (f"<Report: mean quality {old.mean_quality:.4f} -> {new.mean_quality:.4f}, least "
+                f"{old.min_quality:.4f} -> {new.min_quality:.4f}; print it for the rest>")
+
+    def __str__(self) -> str:
+        """Text of a page: the table of figures, then how it went."""
+        lines = [*table_lines({"before": self.before, "after": self.after}), ""]
+        lines.append(f"{self.n_movable} of {self.n_used} vertices may move "
+                     f"({100 * self.movable_share:.0f} %)")
+        if self.surface:
+            lines += _surface_lines(self.surface)
+        if self.energy:
+            first, last = self.energy[0][1], self.energy[-1][1]
+            lines.append(f"energy {first:.6g} -> {last:.6g}")
+        if self.times:
+            parts = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in self.times.items())
+            lines.append(f"time   {parts}")
+        if self.counts:
+            lines.append("counts " + ", ".join(f"{k} {v}" for k, v in self.counts.items()))
+        if self.slid:
+            text = ("slid   {vertices} vertices; {forward:.3g} and {backward:.3g} from surface to "
+                    "surface, at most {envelope:.3g}; volume {volume:+.3%}")
+            lines.append(text.format(**self.slid))
+        if self.stop_reason:
+            lines.append(f"ended  {self.stop_reason}")
+        if self.fallback:
+            lines.append(f"fell back: {self.fallback}")
+        if self.binding:
+            lines += ["", "what binds the minimum:"]
+            lines += [f"  {cell}" for cell in self.binding[:5]]
+        return "\n".join(lines)
+
+    def to_dict(self) -> dict[str, Any]:
+        """Give everything as plain values that JSON knows; what is not finite becomes None."""
+        data: dict[str, Any] = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        data |= {"before": self.before.to_dict(), "after": self.after.to_dict(),
+                 "binding": [dataclasses.asdict(cell) for cell in self.binding],
+                 "movable_share": self.movable_share}
+        return {name: _plain(value) for name, value in data.items()}
+
+    def to_json(self) -> str:
+        """Give :meth:`to_dict` as JSON text, strictly: without NaN or Infinity."""
+        return json.dumps(self.to_dict(), indent=2, allow_nan=False)
+
+    def plot(self, path: str | PathLike[str]) -> None:
+        """Write a figure: histograms before and after (cf. Figs 6 and 10) and the energy.
+
+        Parameters
+        ----------
+        path : str or path-like       .png, .pdf or .svg
+
+        Raises
+        ------
+        MissingDependencyError        matplotlib is not installed
+        MeshFileError                 the figure cannot be written there
+        """
+        from odt_plugins.report.plotting import plot_report
+
+        plot_report(self, path)
+
+
+def make_report(before: SimplexMesh, outcome: Outcome, options: Options) -> Report:
+    """Measure a run from outside.
+
+    Parameters
+    ----------
+    before : SimplexMesh    what the engine was given
+    outcome : Outcome       what it handed back
+    options : Options       what it was asked for
+
+    Returns
+    -------
+    Report
+    """
+    old = cell_figures(before.points, before.cells, options.threads)
+    new = cell_figures(outcome.points, outcome.cells, options.threads)
+    used = np.zeros(len(before.points), bool)
+    used[before.cells] = True
+    n = len(before.points)
+    now = outcome.points if outcome.origin is None else in_old_numbers(
+        before.points, outcome.points, outcome.origin)[:n]
+    kept = getattr(outcome, "kept", None)
+    movable = used & (~held_vertices(before) | (now != before.points).any(axis=1))
+    if kept is not None:
+        movable = used & ~kept.held
+    counts = {k: int(v) for k, v in outcome.counts.items()}
+    movable_after = movable
+    if outcome.origin is not None:
+        added = outcome.origin < 0
+        movable_after = added | movable[outcome.origin]
+        counts["vertices added"] = int(added.sum())
+        counts["vertices removed"] = n + int(added.sum()) - len(added)
+    return Report(
+        dim=before.dim,
+        before=summarize(before.points, before.cells, old),
+        after=summarize(outcome.points, outcome.cells, new),
+        histogram_before=histogram(old.quality),
+        histogram_after=histogram(new.quality),
+        energy=tuple((str(stage), float(e)) for stage, e in outcome.energy),
+        times={k: float(v) for k, v in outcome.times.items()},
+        stop_reason=outcome.stop_reason,
+        fallback=outcome.fallback,
+        counts=counts,
+        n_used=int(used.sum()),
+        n_movable=int(movable.sum()),
+        binding=binding_cells(outcome.points, outcome.cells, outcome.regions, movable_after, new),
+        options=_described(options),
+        versions=_versions(),
+        slid=None if outcome.slid is None else outcome.slid._asdict(),
+        surface=_surface_facts(before, outcome, used),
+    )
+
+
+def _surface_facts(
+    before: SimplexMesh, outcome: Any, used: NDArray[np.bool_]
+) -> dict[str, float] | None:
+    """What there is to say of a curved surface, if it is one."""
+    kept = getattr(outcome, "kept", None)
+    if kept is None:
+        return None
+    same = np.array_equal(outcome.points, before.points) and np.array_equal(
+        outcome.cells, before.cells
+    )
+    return {
+        "diagonal": kept.diagonal,
+        "envelope": kept.envelope,
+        "forward": 0.0 if same else outcome.distance.forward,
+        "backward": 0.0 if same else outcome.distance.backward,
+        "feature_edges": len(kept.lines),
+        "corners": kept.corners,
+        "on_lines": kept.on_lines,
+        "held": int((kept.held & used).sum()),
+    }
+
+
+def _surface_lines(facts: Mapping[str, float]) -> list[str]:
+    size = facts["diagonal"]
+    return [
+        f"features {facts['feature_edges']} edges with {facts['corners']} corners; "
+        f"{facts['on_lines']} vertices slide along them, {facts['held']} are held",
+        f"distance {facts['forward']:.4g} to the input, {facts['backward']:.4g} from it, at "
+        f"most {facts['envelope']:.4g} allowed ({facts['forward'] / size:.3g}, "
+        f"{facts['backward'] / size:.3g}, {facts['envelope'] / size:.3g} of the diagonal)",
+    ]
+
+
+def histogram(quality: NDArray[np.float64]) -> tuple[int, ...]:
+    """Count radius ratios in the 50 bins 0:0.02:1; negative ones fall into the first."""
+    counts = np.histogram(np.clip(quality, 0.0, 1.0), bins=BINS)[0]
+    return tuple(int(c) for c in counts)
+
+
+def table_lines(columns: Mapping[str, QualitySummary]) -> list[str]:
+    """Set summaries side by side as aligned text, one row per figure."""
+    angle = "dihedral" if all(s.dim == 3 for s in columns.values()) else "angle"
+    rows = [("", list(columns))]
+    for name, heading, form in ROWS:
+        values = (getattr(summary, name) for summary in columns.values())
+        rows.append((heading.format(angle=angle), [_figure(value, form) for value in values]))
+    width = max(10, *(len(cell) + 2 for _, cells in rows for cell in cells))
+    return [f"{head:<20}{''.join(f'{cell:>{width}}' for cell in cells)}" for head, cells in rows]
+
+
+def _figure(value: float, form: str) -> str:
+    """Give a figure as text; without decimals where they say nothing."""
+    return f"{value:.3g}" if form != "d" and LARGE <= abs(value) < np.inf else format(value, form)
+
+
+def _described(options: Options) -> dict[str, Any]:
+    """Give every option as a plain value; arrays and callables by what they are."""
+    values = {f.name: getattr(options, f.name) for f in dataclasses.fields(options)}
+    del values["progress"]
+    return {name: _describe(value) for name, value in values.items()}
+
+
+def _describe(value: Any) -> Any:
+    if value is None or isinstance(value, (str, bool, int, float)):
+        return value
+    if callable(value):
+        return f"function {getattr(value, '__name__', type(value).__name__)}"
+    if isinstance(value, tuple) and all(isinstance(v, str) for v in value):
+        return list(value)
+    array = np.asarray(value)
+    return f"{array.dtype} array of shape {array.shape}"
+
+
+def _plain(value: Any) -> Any:
+    if isinstance(value, Mapping):
+        return {str(k): _plain(v) for k, v in value.items()}
+    if isinstance(value, (list, tuple)):
+        return [_plain(v) for v in value]
+    if isinstance(value, float) and not np.isfinite(value):
+        return None
+    return value
+
+
+def _versions() -> dict[str, str]:
+    found = {"python": platform.python_version()}
+    for name in ("odt-plugins", "numpy", "scipy", "numba", "pyamg"):
+        try:
+            found[name] = version(name)
+        except PackageNotFoundError:
+            found[name] = "not installed"
+    return found

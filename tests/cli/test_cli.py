@@ -1,0 +1,426 @@
+"""The command line: flags are those of Options, errors are one sentence, nothing half-written."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import signal
+import subprocess
+import sys
+import textwrap
+import time
+from dataclasses import fields
+from pathlib import Path
+from typing import Any, Literal, get_args, get_origin, get_type_hints
+
+import meshio
+import numba
+import numpy as np
+import pytest
+
+from odt_plugins.cli import main as cli
+from odt_plugins.cli import terminal
+from odt_plugins.engine.run import driver
+from odt_plugins.options import FIGURES, Options
+
+SQUARE = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1], [0.7, 0.8]])
+FAN = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+
+
+def square(**changes: Any) -> meshio.Mesh:
+    points = np.column_stack([SQUARE, np.zeros(5)])
+    data: dict[str, Any] = {
+        "point_data": {"rho": np.linspace(1.0, 2.0, 5), "held": np.array([0, 0, 0, 0, 1]),
+                       "flow": np.ones((5, 3))},
+        "cell_data": {"size": [np.array([1.0, 2.0, 3.0, 4.0])], "pick": [np.array([1, 1, 0, 0])],
+                      "part": [np.array([3, 3, 3, 3])]},
+    }
+    return meshio.Mesh(points, [("triangle", FAN)], **(data | changes))
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working directory with a square of four triangles in it."""
+    square().write(tmp_path / "in.vtu")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.fixture
+def still(monkeypatch: pytest.MonkeyPatch) -> list[Options]:
+    """An engine that moves nothing and notes what it was asked for."""
+    asked: list[Options] = []
+
+    def run(mesh: Any, options: Options) -> driver.Outcome:
+        asked.append(options)
+        if options.progress:
+            options.progress("smoothing", 0.5)
+        return driver.Outcome(mesh.points.copy(), mesh.cells.copy(), mesh.regions.copy())
+
+    monkeypatch.setattr(driver, "run", run)
+    return asked
+
+
+def flags() -> dict[str, Any]:
+    return {p.name: p for p in cli.optimize.params}
+
+
+def test_flags_are_the_fields_of_options_with_their_defaults() -> None:
+    found = flags()
+    named = {f.name for f in fields(Options)} - {"progress"}
+    own = {"source", "target", "report_file", "plot_file", "quiet", "blocks", "block_rounds",
+           "scheduler", "workers"}
+    assert set(found) == named | own
+    for field in fields(Options):
+        if field.name == "progress":
+            continue
+        flag = found[field.name]
+        assert flag.opts == ["--" + field.name.replace("_", "-")]
+        assert flag.default == (",".join(FIGURES) if field.name == "keep" else field.default)
+        assert flag.help
+
+
+def test_choices_are_those_of_options() -> None:
+    hints = get_type_hints(Options)
+    choices = {name for name, hint in hints.items() if get_origin(hint) is Literal}
+    assert choices == {"method", "solver", "linear_solver", "connectivity", "objective",
+                       "boundary"}
+    for name in choices:
+        assert tuple(flags()[name].type.choices) == get_args(hints[name])
+
+
+def test_no_flag_given_means_the_defaults_of_options(place: Path, still: list[Options]) -> None:
+    assert cli.main(["optimize", "in.vtu", "out.vtu"]) == 0
+    assert [Options(**{**vars(o), "progress": None}) for o in still] == [Options()]
+
+
+def test_every_flag_reaches_the_engine(place: Path, still: list[Options]) -> None:
+    words = ("--method cpt --solver global --linear-solver direct --connectivity flips "
+             "--density keep --exponent 3.5 --rounds 7 --cycles 2 --no-finish --boundary fixed "
+             "--regions part --keep min_quality,max_angle --orient --threads 2")
+    assert cli.main(["optimize", "in.vtu", "out.vtu", *words.split()]) == 0
+    asked = still[0]
+    assert asked == Options(
+        method="cpt", solver="global", linear_solver="direct", connectivity="flips",
+        exponent=3.5, rounds=7, cycles=2, finish=False, regions="part",
+        keep=("min_quality", "max_angle"), orient=True, threads=2)
+    assert cli.main(["optimize", "in.vtu", "out.vtu", "--keep", "none"]) == 0
+    assert still[1].keep == ()
+
+
+def test_names_of_arrays_and_files_of_indices(place: Path, still: list[Options]) -> None:
+    Path("two.txt").write_text("4  # the inner vertex\n\n0\n")
+    np.save("cells.npy", np.array([0, 3]))
+    runs = (("--density", "rho"), ("--density", "size"), ("--fixed", "held"),
+            ("--fixed", "two.txt"), ("--selection", "pick"), ("--selection", "cells.npy"))
+    for words in runs:
+        assert cli.main(["optimize", "in.vtu", "out.vtu", *words]) == 0, words
+    values = [o.density for o in still[:2]] + [o.fixed for o in still[2:4]] + \
+        [o.selection for o in still[4:]]
+    expected = [np.linspace(1, 2, 5), [1, 2, 3, 4], [False] * 4 + [True], [4, 0],
+                [True, True, False, False], [0, 3]]
+    for value, right in zip(values, expected, strict=True):
+        assert np.array_equal(value, right)
+
+
+def test_optimize_improves_a_file_keeps_its_data_and_reports(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    code = cli.main(["optimize", "in.vtu", "out.vtu", "--report", "r.json"])
+    out, err = capsys.readouterr()
+    assert (code, err) == (0, "")
+    before, after = meshio.read("in.vtu"), meshio.read("out.vtu")
+    assert np.array_equal(after.points[:4], before.points[:4])
+    assert set(after.point_data) == set(before.point_data)
+    assert set(after.cell_data) == set(before.cell_data)
+    report = json.loads(Path("r.json").read_text())
+    assert report["after"]["min_quality"] > report["before"]["min_quality"] + 0.1
+    assert f"{report['after']['min_quality']:.4f}" in out
+
+
+def test_plot_and_quiet(place: Path, still: list[Options],
+                        capsys: pytest.CaptureFixture[str]) -> None:
+    pytest.importorskip("matplotlib")
+    assert cli.main(["optimize", "in.vtu", "out.vtu", "--plot", "p.png", "--quiet"]) == 0
+    assert capsys.readouterr() == ("", "")
+    assert Path("p.png").read_bytes().startswith(b"\x89PNG")
+    assert sorted(p.name for p in place.iterdir()) == ["in.vtu", "out.vtu", "p.png"]
+
+
+def test_a_figure_that_cannot_be_written_is_named_by_the_callers_path(
+    place: Path, still: list[Options], capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    figure = pytest.importorskip("matplotlib.figure")
+
+    def full(self: Any, path: str, **_: Any) -> None:
+        raise OSError(28, "No space left on device", path)
+
+    monkeypatch.setattr(figure.Figure, "savefig", full)
+    words = ["optimize", "in.vtu", "out.vtu", "--quiet", "--plot", "p.png"]
+    assert cli.main(words) == 1
+    assert capsys.readouterr().err == \
+        "odt-plugins: cannot write p.png: No space left on device; try another path\n"
+
+
+def test_help_says_how_to_get_a_mesh_without_finishing(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert cli.main(["optimize", "--help"]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert "usually comes back unchanged" in text
+    assert "--no-finish --keep none" in text
+
+
+def test_a_file_may_be_improved_in_its_place(place: Path, still: list[Options]) -> None:
+    assert cli.main(["optimize", "in.vtu", "in.vtu", "--quiet"]) == 0
+    assert len(meshio.read("in.vtu").points) == 5
+
+
+def test_what_a_format_drops_is_told_in_one_line(
+    place: Path, still: list[Options], capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["optimize", "in.vtu", "out.off"]) == 0
+    (line,) = capsys.readouterr().err.splitlines()
+    assert line.startswith("odt-plugins: warning: out.off does not keep")
+
+
+def test_quality_prints_a_column_for_every_file(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    meshio.Mesh(
+        np.eye(4, 3, k=-1), [("tetra", np.array([[0, 2, 1, 3]]))]).write("tet.vtu")
+    assert cli.main(["quality", "in.vtu", "tet.vtu"]) == 0
+    head = capsys.readouterr().out.splitlines()[0]
+    assert head.split() == ["in.vtu", "tet.vtu"]
+    assert cli.main(["quality", "in.vtu", "tet.vtu", "--json"]) == 0
+    flat, solid = json.loads(capsys.readouterr().out)
+    assert (flat["dim"], flat["n_cells"], flat["volume"]) == (2, 4, pytest.approx(1.0))
+    assert (solid["dim"], solid["inverted"]) == (3, 0)
+    assert solid["min_quality"] == pytest.approx(3 / (3 + 3**0.5) / (3**0.5 / 2))
+
+
+def test_quality_goes_on_after_a_file_that_it_cannot_read(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    assert cli.main(["quality", "none.vtu", "in.vtu"]) == 1
+    out, err = capsys.readouterr()
+    assert "in.vtu" in out
+    assert err.startswith("odt-plugins: cannot read none.vtu")
+
+
+def broken_files(place: Path) -> None:
+    """Files that every kind of bad input is read from."""
+    whole = Path("in.vtu").read_bytes()
+    Path("cut.vtu").write_bytes(whole[: len(whole) // 2])
+    Path("text.vtu").write_text("no mesh at all\n")
+    Path("folder.vtu").mkdir()
+    flipped = FAN.copy()
+    flipped[2] = flipped[2][::-1]
+    inner = np.column_stack([SQUARE, np.zeros(5)])
+    meshio.Mesh(inner, [("triangle", flipped)]).write("mixed.vtu")
+    meshio.Mesh(inner, [("triangle", np.vstack([FAN, [[0, 1, 1]]]))]).write("twice.vtu")
+    meshio.Mesh(inner, [("triangle", np.vstack([FAN, FAN[:1]]))]).write("double.vtu")
+    nan = inner.copy()
+    nan[1, 0] = np.nan
+    meshio.Mesh(nan, [("triangle", FAN)]).write("nan.vtu")
+    meshio.Mesh(inner, [("quad", np.array([[0, 1, 2, 3]]))]).write("quad.vtu")
+    square(point_data={"rho": np.array([1.0, 0, 1, 1, 1])}).write("zero.vtu")
+    Path("words.txt").write_text("one two\n")
+    Path("far.txt").write_text("77\n")
+    Path("empty.txt").write_text("# none\n")
+    Path("broken.npy").write_bytes(b"\x93NUMPY")
+
+
+def contents(place: Path) -> dict[str, bytes]:
+    return {p.name: p.read_bytes() if p.is_file() else b"" for p in place.iterdir()}
+
+
+@pytest.mark.parametrize(("text", "words"), [
+    ("got 1 cell turned; try orient=True", "got 1 cell turned; try --orient"),
+    ("got insert=False, finish=True", "got --no-insert, --finish"),
+    ("got feature_angle=200.0; expected less", "got --feature-angle 200.0; expected less"),
+    ("got boundary='slide' in the plane", "got --boundary slide in the plane"),
+    ("no flag: axis=True, points.fixed=3, rho = h^-r",) * 2,
+])
+def test_errors_name_options_by_their_flags(text: str, words: str) -> None:
+    assert cli.in_flags(text) == words
+
+
+def test_every_command_says_what_it_is_for_in_one_whole_line(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert cli.main(["--help"]) == 0
+    lines = capsys.readouterr().out.split("Commands:")[1].splitlines()
+    assert len([line for line in lines if line.strip()]) == 7
+    assert all(line.endswith(".") and "..." not in line for line in lines if line.strip())
+
+
+BAD = [
+    # (words after odt-plugins, exit code, what the sentence says)
+    ("frobnicate", 2, "No such command 'frobnicate'"),
+    ("optimize", 2, "Missing argument 'INPUT'"),
+    ("optimize in.vtu", 2, "Missing argument 'OUTPUT'"),
+    ("optimize in.vtu out.vtu --frob", 2, "No such option"),
+    ("optimize in.vtu out.vtu --method best", 2, "'best' is not one of 'odt', 'cpt'"),
+    ("optimize in.vtu out.vtu --rounds many", 2, "'many' is not a valid integer"),
+    ("optimize in.vtu out.vtu --rounds -1", 2, "-1 is not in the range x>=0"),
+    ("optimize in.vtu out.vtu --threads 0", 2, "0 is not in the range x>=1"),
+    ("optimize in.vtu out.vtu --exponent -2", 2, "got --exponent -2.0; expected a pos"),
+    ("optimize in.vtu out.vtu --exponent nan", 2, "got --exponent nan; expected a posi"),
+    ("optimize in.vtu out.vtu --keep beauty", 2, "got 'beauty'; expected some of min_quality"),
+    ("optimize in.vtu out.vtu --keep=", 2, "got no name; expected some of min_quality"),
+    ("optimize in.vtu out.vtu --fixed empty.txt", 2, "empty.txt holds no index; expected at"),
+    ("optimize in.vtu out.vtu --selection empty.txt", 2, "empty.txt holds no index; expected"),
+    ("optimize in.vtu out.vtu --density nosuch", 2, "got 'nosuch'; expected the name of a point"),
+    ("optimize in.vtu out.vtu --density flow", 2, r"array 'flow' has shape \(5, 3\)"),
+    ("optimize in.vtu out.vtu --fixed nosuch", 2, "or a file of indices, it has rho"),
+    ("optimize in.vtu out.vtu --fixed words.txt", 2, "cannot read indices from words.txt"),
+    ("optimize in.vtu out.vtu --fixed broken.npy", 2, "cannot read indices from broken.npy"),
+    ("optimize in.vtu out.vtu --fixed far.txt", 2, "77"),
+    ("optimize in.vtu out.vtu --selection far.txt", 2, "77"),
+    ("optimize in.vtu out.vtu --regions nosuch", 2, "--regions nosuch names no cell array"),
+    ("optimize in.vtu out.vtu --plot p.bmp", 2, "expected a file ending in .png"),
+    ("optimize in.vtu out.vtu --report out.vtu", 2, "name the same file"),
+    ("optimize zero.vtu out.vtu --density rho", 2, "density"),
+    ("optimize in.vtu out.nosuch", 1, "out.nosuch has no suffix of a mesh file"),
+    ("optimize in.vtu no/out.vtu", 1, "cannot write no/out.vtu"),
+    ("optimize in.vtu folder.vtu", 1, "is a directory"),
+    ("optimize in.vtu out.vtu --report no/r.json", 1, "cannot write no/r.json"),
+    ("optimize in.vtu out.vtu --plot no/p.png", 1, "cannot write no/p.png"),
+    ("optimize none.vtu out.vtu", 1, "cannot read none.vtu"),
+    ("optimize folder.vtu out.vtu", 1, "cannot read folder.vtu"),
+    ("optimize cut.vtu out.vtu", 1, "cannot read cut.vtu"),
+    ("optimize text.vtu out.vtu", 1, "cannot read text.vtu"),
+    ("optimize mixed.vtu out.vtu", 1, "try --orient$"),
+    ("optimize twice.vtu out.vtu", 1, "cell 4"),
+    ("optimize double.vtu out.vtu", 1, "cell"),
+    ("optimize nan.vtu out.vtu", 1, "NaN"),
+    ("optimize quad.vtu out.vtu", 1, "expected tetra or triangle"),
+    ("quality", 2, "Missing argument 'INPUT...'"),
+    ("quality text.vtu", 1, "cannot read text.vtu"),
+    ("quality quad.vtu", 1, "expected tetra or triangle"),
+    ("demo --edge-length 0", 2, "0.0 is not in the range"),
+    ("demo --out in.vtu", 1, "in.vtu"),
+]
+
+
+@pytest.mark.parametrize(("words", "code", "says"), BAD, ids=[b[0] for b in BAD])
+def test_an_error_is_one_clear_sentence_and_nothing_is_written(
+    place: Path, capsys: pytest.CaptureFixture[str], words: str, code: int, says: str
+) -> None:
+    broken_files(place)
+    there = contents(place)
+    assert cli.main(words.split()) == code
+    out, err = capsys.readouterr()
+    assert out == ""
+    (line,) = err.splitlines()
+    assert line.startswith("odt-plugins: ")
+    assert len(line) < 500
+    assert "Traceback" not in line
+    assert re.search(says, line), line
+    assert contents(place) == there
+
+
+def test_without_a_command_the_help_is_shown_as_wrong_use(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    assert cli.main([]) == 2
+    assert "Usage: odt-plugins" in capsys.readouterr().err
+    assert cli.main(["--help"]) == 0
+    assert "optimize" in capsys.readouterr().out
+
+
+def test_no_bar_in_a_pipe_and_one_on_a_terminal(
+    place: Path, still: list[Options], capsys: pytest.CaptureFixture[str],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    cli.main(["optimize", "in.vtu", "out.vtu"])
+    assert still[-1].progress is None
+    assert capsys.readouterr().err == ""
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    cli.main(["optimize", "in.vtu", "out.vtu"])
+    assert callable(still[-1].progress)
+    assert "compiling" not in capsys.readouterr().err
+
+
+def test_a_terminal_is_told_once_that_kernels_are_compiled(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    def compile_one(module: str) -> None:
+        def kernel(x: float) -> float:
+            return x
+
+        kernel.__module__ = module
+        numba.njit(kernel)(1.0)
+
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    with terminal.progress_bar(quiet=False):
+        compile_one("elsewhere")
+    assert "compiling" not in capsys.readouterr().err
+    with terminal.progress_bar(quiet=False):
+        compile_one("odt_plugins.engine.one")
+        compile_one("odt_plugins.engine.two")
+    assert capsys.readouterr().err.count("compiling the kernels, once") == 1
+    with terminal.progress_bar(quiet=True):
+        compile_one("odt_plugins.engine.three")
+    compile_one("odt_plugins.engine.four")
+    assert "compiling" not in capsys.readouterr().err
+    with terminal.progress_bar(quiet=False) as progress:
+        assert progress is not None
+        progress(terminal.COMPILING, 0.0)
+        progress(terminal.COMPILING, 0.0)
+    assert capsys.readouterr().err.count("compiling the kernels, once") == 1
+
+
+@pytest.mark.parametrize("name", ["SIGINT", "SIGTERM"])
+def test_a_stopped_run_leaves_no_file_and_says_so(place: Path, name: str) -> None:
+    script = textwrap.dedent("""
+        import pathlib, signal, sys, time
+        from odt_plugins import cli, terminal
+        from odt_plugins.engine import driver
+        # a job of a shell's background inherits an ignored SIGINT
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        def run(mesh, options):
+            pathlib.Path("started").touch()
+            time.sleep(60)
+        driver.run = run
+        sys.exit(cli.main(["optimize", "in.vtu", "out.vtu", "--report", "r.json"]))
+    """)
+    with subprocess.Popen([sys.executable, "-c", script], stderr=subprocess.PIPE,
+                          text=True) as job:
+        try:
+            for _ in range(600):
+                if Path("started").exists() or job.poll() is not None:
+                    break
+                time.sleep(0.05)
+            job.send_signal(getattr(signal, name))
+            err = job.communicate(timeout=30)[1]
+        finally:
+            job.kill()
+    assert job.returncode == 1
+    assert err.split("\n")[-2] == \
+        "odt-plugins: stopped before the end, no half-written file is left"
+    assert "Traceback" not in err
+    assert sorted(p.name for p in place.iterdir()) == ["in.vtu", "started"]
+
+
+def test_a_reader_that_closes_the_pipe_gets_no_traceback(place: Path) -> None:
+    read, write = os.pipe()
+    os.close(read)
+    done = subprocess.run([sys.executable, "-m", "odt_plugins.cli", "quality", "in.vtu"],
+                          stdout=write, stderr=subprocess.PIPE, text=True, check=False)
+    os.close(write)
+    assert done.returncode == 1
+    assert "Traceback" not in done.stderr
+
+
+def test_help_is_quick_and_loads_neither_engine_nor_toolkits() -> None:
+    script = ("import sys; from odt_plugins import cli; code = cli.main(['optimize', '--help']);"
+              "heavy = {'numba', 'scipy', 'meshio', 'pyvista', 'matplotlib'} & set(sys.modules);"
+              "sys.exit(f'{code} {heavy}' if code or heavy else 0)")
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True,
+                          check=False)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert "--linear-solver" in done.stdout

@@ -1,0 +1,635 @@
+"""Batches: poisoned, crashing, endless and greedy inputs among good ones, stopped and resumed."""
+
+from __future__ import annotations
+
+import csv
+import json
+import os
+import shutil
+import signal
+import subprocess
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+import pytest
+import tet_meshes
+from processes import alive, children, wait_until
+
+from odt_plugins.adapters.files import read_file
+from odt_plugins.cli import main as cli
+from odt_plugins.cli.terminal import COMPILING as SAID
+from odt_plugins.compare.runner import PREPARING
+from odt_plugins.compare.start import ball
+from odt_plugins.distributed import batch
+from odt_plugins.distributed.batch import HIDDEN, Job, find_inputs, job_key, make_jobs, run_batch
+from odt_plugins.distributed.job import COMPILING, RESULT, compiling, outside
+from odt_plugins.distributed.scratch import GONE, clear, make_scratch
+from odt_plugins.errors import InvalidOptionError, MeshFileError, MissingDependencyError
+from odt_plugins.quality import QualitySummary
+
+pytestmark = [
+    pytest.mark.timeout(120),
+    pytest.mark.skipif(sys.platform != "linux", reason="processes, signals and limits of POSIX"),
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),
+    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
+]
+pytest.importorskip("pyarrow")
+pytest.importorskip("jinja2")
+
+READERS = """
+import ctypes, os, tempfile, time
+import meshio
+
+def crash(path):
+    tempfile.mkstemp()
+    ctypes.string_at(0)
+
+def wait(path):
+    time.sleep(float(open(path).read()))
+    return meshio.read(path.replace(".slow", ".vtu"))
+
+def devour(path):
+    return bytearray(1 << 33)
+
+def throw(path):
+    raise RuntimeError("pthread_create: Resource temporarily unavailable")
+
+def abort(path):
+    os.write(2, b"terminate called after throwing 'std::bad_alloc'\\n  what(): std::bad_alloc\\n")
+    os.abort()
+
+for suffix, reader in ((".throw", throw), (".abort", abort),
+                       (".crash", crash), (".slow", wait), (".fat", devour)):
+    meshio.register_format(suffix[1:], [suffix], reader, {})
+"""
+"""Formats whose readers do what toolkits do on a bad day, in the process of an input."""
+
+
+@pytest.fixture(autouse=True)
+def readers(tmp_path_factory: pytest.TempPathFactory, monkeypatch: pytest.MonkeyPatch) -> None:
+    folder = tmp_path_factory.mktemp("readers")
+    (folder / "sitecustomize.py").write_text(READERS)
+    path = os.pathsep.join([str(folder), str(Path(__file__).parents[2]),
+                            os.environ.get("PYTHONPATH", "")])
+    monkeypatch.setenv("PYTHONPATH", path)
+
+
+def write_ball(path: Path, n: int) -> Path:
+    start = ball(n)
+    meshio.Mesh(start.points, [("tetra", start.cells)]).write(path)
+    return path
+
+
+@pytest.fixture
+def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A working directory with a folder of models."""
+    (tmp_path / "models" / "inner").mkdir(parents=True)
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+def files(folder: Path) -> list[str]:
+    """Everything below a folder but for what a batch keeps for itself."""
+    return sorted(str(p.relative_to(folder)) for p in folder.rglob("*")
+                  if p.is_file() and HIDDEN not in p.parts)
+
+
+def test_whatever_an_input_does_is_a_row(place, capsys, monkeypatch):
+    import pyarrow.parquet as pq
+
+    models = place / "models"
+    write_ball(models / "good.vtu", 150)
+    write_ball(models / "inner" / "good.msh", 200)
+    (models / "poisoned.vtu").write_text("<VTKFile>nonsense")
+    meshio.Mesh(np.zeros((4, 3)), [("tetra", [[0, 1, 2, 3]])]).write(models / "flat.vtu")
+    (models / "bad.crash").write_text("")
+    (models / "greedy.fat").write_text("")
+    (place / "temporary").mkdir()
+    monkeypatch.setenv("TMPDIR", str(place / "temporary"))
+    words = ["batch", "models/**/*.*", "--out", "out", "--suffix", ".vtu",
+             "--memory-limit", "3", "--keep", "min_quality,mean_quality"]
+    assert cli.main(words) == 1
+    said = capsys.readouterr()
+    assert said.out.startswith("2 ok, 1 crashed, 2 failed, 1 memory\n")
+    with open("out/summary.csv", newline="") as file:
+        rows = {Path(row["source"]).name: row for row in csv.DictReader(file)}
+    assert {name: row["status"] for name, row in rows.items()} == {
+        "good.vtu": "ok", "good.msh": "ok", "poisoned.vtu": "failed", "flat.vtu": "failed",
+        "bad.crash": "crashed", "greedy.fat": "memory"}
+    assert "SIGSEGV" in rows["bad.crash"]["message"]
+    assert "zero volume" in rows["flat.vtu"]["message"]
+    assert "expected a complete file" in rows["poisoned.vtu"]["message"]
+    assert rows["greedy.fat"]["message"] == "more than 3 GB needed"
+    assert files(place / "out") == ["good.vtu", "inner/good.vtu", "summary.csv", "summary.html",
+                                    "summary.parquet"]
+    for name in ("good.vtu", "inner/good.vtu"):
+        mesh = meshio.read(place / "out" / name)
+        after = tet_meshes.quality(mesh.points, mesh.cells[0].data)
+        row = rows["good.msh" if "inner" in name else name]
+        assert after.mean() == pytest.approx(float(row["after_mean_quality"]), abs=1e-9)
+        assert after.mean() > float(row["before_mean_quality"]) + 0.1
+    table = pq.read_table("out/summary.parquet")
+    assert table["status"].to_pylist() == [
+        rows[Path(source).name]["status"] for source in table["source"].to_pylist()]
+    assert table["after_mean_quality"].null_count == 4
+    page = (place / "out" / "summary.html").read_text(encoding="utf-8")
+    assert page.index("bad.crash") < page.index("good.vtu")
+    assert "2 ok, 1 crashed" in page
+    command = "--suffix .vtu --memory-limit 3.0 --keep min_quality,mean_quality</code>"
+    assert "<code>odt-plugins batch" in page
+    assert command in page
+    assert [p.name for p in (place / "out" / HIDDEN).iterdir()] == ["rows"]
+    assert not list((place / "temporary").iterdir())
+    assert {row["optimize_seconds"] == "" for row in rows.values() if row["status"] == "ok"} == {
+        False}
+    for name, value in (("mean q", "mean_quality"), ("min q", "min_quality")):
+        means = [np.mean([float(rows[row][f"{when}_{value}"]) for row in ("good.vtu", "good.msh")])
+                 for when in ("before", "after")]
+        line = f"mean of {name}"
+        assert f"  {line:<26}{means[0]:.3f} to {means[1]:.3f}\n" in said.out
+        assert f"<dt>{line}</dt><dd>{means[0]:.3f} to {means[1]:.3f}</dd>" in page
+    assert cli.main([*words, "--resume"]) == 1
+    said = capsys.readouterr()
+    assert said.out.startswith("2 ok (2 of them before), 1 crashed (1 of them before), "
+                               "2 failed (2 of them before), 1 memory (1 of them before)\n")
+    assert "--resume --retry tries it again" in said.out
+    assert "inputs a minute" not in said.out
+    assert cli.main([*words, "--retry"]) == 2
+    assert "--retry goes with --resume" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("suffix", ["throw", "abort"])
+def test_memory_that_a_limit_refuses_a_library_is_told_as_such(place, suffix):
+    (place / "models" / f"a.{suffix}").write_text("")
+    ends = []
+    for limit in (None, 3 * 10**9):
+        (row,) = run_batch(make_jobs([f"models/a.{suffix}"], place / "out", {}, suffix=".vtu",
+                                     memory_limit=limit))
+        ends.append((row["status"], row["message"]))
+    assert ends[0][0] == ("failed" if suffix == "throw" else "crashed")
+    assert ends[1] == ("memory", "more than 3 GB needed")
+
+
+def test_an_input_without_end_is_given_up(place):
+    (place / "models" / "endless.slow").write_text("1000")
+    clock = time.monotonic()
+    (row,) = run_batch(make_jobs(["models/endless.slow"], place / "out", {}, suffix=".vtu",
+                                 timeout=2.0))
+    assert 2.0 <= time.monotonic() - clock < 60.0
+    assert (row["status"], row["message"]) == ("timeout", "no result within 2 s")
+    assert files(place / "out") == []
+
+
+COMPILES = """
+import sys, time
+from pathlib import Path
+from numba.core import event
+from odt_plugins.distributed.job import COMPILING, Compiling
+
+with event.install_listener("numba:compile", Compiling(Path(sys.argv[1]) / COMPILING)):
+    for seconds in (0.0, 1.0):
+        with event.trigger_event("numba:compile"), event.trigger_event("numba:compile"):
+            time.sleep(seconds)
+"""
+
+
+def test_compiling_kernels_does_not_count_for_the_time_limit(place, monkeypatch):
+    subprocess.run([sys.executable, "-c", COMPILES, str(place)], check=True)
+    lines = (place / COMPILING).read_text().split()
+    assert len(lines) == 4
+    assert 1.0 <= compiling(place) < 2.0
+    (place / COMPILING).write_text(f"{time.monotonic() - 5.0}\n")
+    assert 5.0 <= compiling(place) < 10.0
+    (place / COMPILING).write_text(f"{time.monotonic() - 1e6}\n")
+    assert compiling(place) == PREPARING
+
+    def run(timeout: float) -> str:
+        with subprocess.Popen(
+            [sys.executable, "-c", "import sys, time; time.sleep(1); sys.stderr.write(input())"],
+            text=True, stdin=subprocess.PIPE, stderr=subprocess.PIPE,
+        ) as process:
+            try:
+                return batch._ended(process, "the job", time.monotonic(), timeout, place)
+            finally:
+                process.kill()
+
+    (place / COMPILING).write_text("0.0\n60.0\n")
+    assert run(0.1) == "the job"
+    (place / COMPILING).write_text("0.0\n0.2\n")
+    with pytest.raises(subprocess.TimeoutExpired):
+        run(0.1)
+
+
+def test_a_bar_is_told_once_that_kernels_are_compiled(place, monkeypatch):
+    told: list[str] = []
+    paths = [str(write_ball(place / "models" / f"{n}.vtu", n)) for n in (60, 70)]
+
+    def process(job: Job, folder: Path) -> dict[str, Any]:
+        (folder / COMPILING).write_text("1.0\n")
+        wait_until(lambda: SAID in told)
+        return copied(job, folder)
+
+    monkeypatch.setattr(batch, "_process", process)
+    run_batch(make_jobs(paths, place / "out", {}), progress=lambda stage, share: told.append(stage))
+    assert told == ["0 of 2", SAID, "1 of 2", "2 of 2"]
+    told.clear()
+    monkeypatch.setattr(batch, "_process", copied)
+    run_batch(make_jobs(paths, place / "out", {}), progress=lambda stage, share: told.append(stage))
+    assert told == ["0 of 2", "1 of 2", "2 of 2"]
+
+
+FIGURES = {f"{when}_{name}": 1 for when in ("before", "after")
+           for name in QualitySummary.__dataclass_fields__}
+
+
+def copied(job: Job, folder: Path) -> dict[str, Any]:
+    """A process that does nothing but copy."""
+    shutil.copyfile(job.source, folder / RESULT / Path(job.name).name)
+    return {"status": "ok", "seconds": 0.0}
+
+
+def test_what_is_done_is_left_as_long_as_input_options_and_result_are_the_same(
+    place, monkeypatch
+):
+    monkeypatch.setattr(batch, "_process", copied)
+    a, b = (write_ball(place / "models" / f"{n}.vtu", n) for n in (100, 120))
+    settings: dict[str, Any] = {"resume": True}
+
+    def run(**options: Any) -> list[bool]:
+        jobs = make_jobs([str(a), str(b)], place / "out", {"finish": False, **options}, **settings)
+        rows = run_batch(jobs)
+        assert [row["status"] for row in rows] == ["ok", "ok"]
+        return [row["resumed"] for row in rows]
+
+    assert run() == [False, False]
+    assert run() == [True, True]
+    write_ball(a, 110)
+    assert run() == [False, True]
+    (place / "out" / "120.vtu").unlink()
+    assert run(threads=2) == [True, False]
+    assert run(rounds=3) == [False, False]
+    settings["resume"] = False
+    assert run(rounds=3) == [False, False]
+
+
+def test_failures_are_left_until_something_changes_or_they_are_to_be_tried_again(
+    place, monkeypatch
+):
+    ends: dict[str, Any] = {}
+    monkeypatch.setattr(batch, "_process", lambda job, folder: ends.copy())
+    path = str(write_ball(place / "models" / "a.vtu", 60))
+
+    def resumed(retry: bool = False, options: Any = None, **limits: Any) -> bool:
+        (row,) = run_batch(make_jobs([path], place / "out", options or {}, resume=True,
+                                     retry=retry, **limits))
+        assert row["status"] == ends["status"]
+        return bool(row["resumed"])
+
+    for status in ("failed", "crashed", "timeout", "memory"):
+        ends.update(status=status, message=f"it {status}")
+        assert not resumed(retry=True)
+        assert resumed()
+        assert not resumed(timeout=5.0)
+        assert resumed(timeout=5.0)
+        assert not resumed(timeout=5.0, memory_limit=10**9)
+        assert not resumed(options={"rounds": 1})
+        assert not resumed(retry=True)
+    write_ball(Path(path), 70)
+    assert not resumed()
+    assert resumed()
+    ends["outside"] = True
+    assert not resumed(retry=True)
+    assert not resumed()
+    assert not rows_of(place / "out")
+
+
+def test_a_result_of_before_is_told_beside_a_failure(place, monkeypatch):
+    jobs = make_jobs([str(write_ball(place / "models" / "a.vtu", 60))], place / "out", {})
+    monkeypatch.setattr(batch, "_process", copied)
+    run_batch(jobs)
+    monkeypatch.setattr(batch, "_process", lambda job, folder: {"status": "failed",
+                                                                "message": "no"})
+    (row,) = run_batch(jobs)
+    assert row["message"] == "no; a.vtu is there from an earlier run"
+    assert files(place / "out") == ["a.vtu"]
+
+
+def test_what_the_system_refused_is_no_fault_of_the_input(place):
+    full = MeshFileError("cannot write it")
+    full.__cause__ = OSError(28, "No space left on device")
+    assert outside(full)
+    assert outside(MissingDependencyError("needs h5py"))
+    (place / "models" / "broken.vtu").write_text("<VTKFile>nonsense")
+    for function, given in ((read_file, "models/broken.vtu"), (read_file, "models/a.xyzzy"),
+                            (np.linalg.inv, np.zeros((2, 2)))):
+        with pytest.raises((MeshFileError, np.linalg.LinAlgError)) as caught:
+            function(given)
+        assert not outside(caught.value)
+
+
+def test_keys_name_what_decides_the_result(place):
+    path = str(write_ball(place / "models" / "a.vtu", 100))
+    jobs = [Job(path, "o", "a.vtu", {}), Job(path, "o", "a.vtu", {"method": "cpt"}),
+            Job(path, "o", "a.msh", {}), Job(path, "o", "a.vtu", {}, tetrahedralize=True),
+            Job(path, "o", "a.vtu", {}, edge_length=0.1)]
+    assert len({job_key(job) for job in jobs}) == len(jobs)
+    assert job_key(jobs[0]) == job_key(Job(path, "p", "a.vtu", {}, timeout=1.0, resume=True))
+
+
+def test_results_never_share_a_place(place):
+    for name in ("a.vtu", "a.msh", "inner/a.vtu"):
+        write_ball(place / "models" / name, 60)
+    paths = find_inputs(["models/a.*", "models/inner/a.vtu"])
+    names = [job.name for job in make_jobs(paths, place, {}, suffix=".vtk")]
+    assert sorted(names) == ["a-vtu.vtk", "a.vtk", "inner/a.vtk"]
+    write_ball(place / "models" / "a-vtu.msh", 60)
+    paths = find_inputs(["models/a*", "models/inner/*"])
+    assert len({job.name for job in make_jobs(paths, place, {}, suffix=".vtk")}) == len(paths) == 4
+    with pytest.raises(InvalidOptionError, match=r"a\.vtu would take the place of an input"):
+        make_jobs(["models/a.vtu"], place / "models", {})
+    assert make_jobs(["models/a.vtu"], place / "models", {}, suffix=".vtk")
+    with pytest.raises(InvalidOptionError, match=r"the folder 'models'; .* try 'models/\*\.vtu'"):
+        find_inputs(["models"])
+    with pytest.raises(InvalidOptionError, match="names no file"):
+        find_inputs(["models/*.xyz"])
+    with pytest.raises(InvalidOptionError, match="did you mean 'method'"):
+        make_jobs(paths, place, {"methot": "odt"})
+    with pytest.raises(InvalidOptionError, match="plain value"):
+        make_jobs(paths, place, {"fixed": np.zeros(3, dtype=int)})
+    with pytest.raises(MeshFileError, match="no suffix of a mesh file"):
+        make_jobs(paths, place, {}, suffix=".xyzzy")
+
+
+def test_a_folder_that_cannot_be_written_is_told_before_any_work(place, capsys):
+    write_ball(place / "models" / "a.vtu", 60)
+    (place / "out").write_text("a file")
+    assert cli.main(["batch", "models/a.vtu", "--out", "out"]) == 1
+    assert "cannot write into" in capsys.readouterr().err
+    assert (place / "out").read_text() == "a file"
+
+
+def test_a_full_disk_is_a_row_and_leaves_nothing_half_written(place):
+    import resource
+
+    write_ball(place / "models" / "large.vtu", 1500)
+    write_ball(place / "models" / "small.vtu", 60)
+    done = subprocess.run(
+        [sys.executable, "-m", "odt_plugins.cli", "batch", "models/*.vtu", "--out", "out"],
+        capture_output=True, text=True, check=False, timeout=100,
+        preexec_fn=lambda: (resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000)),
+                            signal.signal(signal.SIGXFSZ, signal.SIG_IGN)),
+    )
+    assert done.returncode == 1, done.stderr
+    assert done.stdout.startswith("1 ok, 1 failed")
+    with open("out/summary.csv", newline="") as file:
+        large = next(csv.DictReader(file))
+    assert "cannot write" in large["message"]
+    assert "large" in large["source"]
+    assert files(place / "out") == ["small.vtu", *(f"summary.{s}" for s in
+                                                   ("csv", "html", "parquet"))]
+    assert rows_of(place / "out") == ["small.vtu.json"]
+
+
+def test_surfaces_go_through_tetwild_when_asked(place):
+    pytest.importorskip("pytetwild")
+    points = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
+    faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
+             [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
+    meshio.Mesh(points, [("triangle", faces)]).write(place / "models" / "cube.stl")
+    jobs = make_jobs(["models/cube.stl"], place / "out", {}, tetrahedralize=True, edge_length=0.3)
+    (row,) = run_batch(jobs)
+    assert row["status"] == "ok", row["message"]
+    assert 0.0 < row["tetwild_seconds"] < row["seconds"] - row["optimize_seconds"] + 1e-3
+    mesh = meshio.read(place / "out" / "cube.vtu")
+    assert tet_meshes.signed_volumes(mesh.points, mesh.cells[0].data).sum() == pytest.approx(
+        1.0, abs=0.02)
+
+
+def rows_of(folder: Path) -> list[str]:
+    return sorted(p.name for p in (folder / HIDDEN / "rows").rglob("*.json"))
+
+
+def test_a_killed_batch_goes_on_where_it_stopped(place):
+    pytest.importorskip("distributed")
+    for n in (60, 70, 80):
+        write_ball(place / "models" / f"{n}.vtu", n)
+    write_ball(place / "models" / "90.vtu", 90)
+    (place / "models" / "90.slow").write_text("1000")
+    words = [sys.executable, "-m", "odt_plugins.cli", "batch", "models/6*.vtu", "models/7*.vtu",
+             "models/90.slow", "--out", "out", "--suffix", ".vtu", "--workers", "2"]
+    first = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
+    assert first.stderr is not None
+    assert "dashboard" in first.stderr.readline()
+    wait_until(lambda: len(rows_of(place / "out")) == 2)
+    started = children(first.pid)
+    first.kill()
+    first.wait()
+    first.stderr.close()
+    wait_until(lambda: not any(alive(pid) for pid in started))
+    assert files(place / "out") == ["60.vtu", "70.vtu"]
+    times = [os.stat(f"out/{n}.vtu").st_mtime_ns for n in (60, 70)]
+    (place / "models" / "90.slow").write_text("0")
+    done = subprocess.run([*words[:-2], "--resume"], capture_output=True, text=True, check=False,
+                          timeout=100)
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.startswith("3 ok (2 of them before)")
+    assert [os.stat(f"out/{n}.vtu").st_mtime_ns for n in (60, 70)] == times
+    assert len(meshio.read("out/90.vtu").points) == len(meshio.read("models/90.vtu").points)
+
+
+@pytest.mark.parametrize(("name", "flags"), [("SIGINT", ["--workers", "2"]), ("SIGTERM", [])])
+def test_a_stopped_batch_ends_with_one_line_and_the_summary_of_what_was_done(place, name, flags):
+    if flags:
+        pytest.importorskip("distributed")
+    write_ball(place / "models" / "60.vtu", 60)
+    (place / "models" / "90.slow").write_text("1000")
+    words = [sys.executable, "-m", "odt_plugins.cli", "batch", "models/60.vtu", "models/90.slow",
+             "--out", "out", "--suffix", ".vtu", *flags]
+    with subprocess.Popen(words, stderr=subprocess.PIPE, text=True,
+                          start_new_session=True) as process:
+        wait_until(lambda: rows_of(place / "out"))
+        started = children(process.pid)
+        if name == "SIGINT":
+            # A terminal sends it to all processes of the group.
+            os.killpg(process.pid, signal.SIGINT)
+        else:
+            process.terminate()
+        said = process.communicate(timeout=60)[1]
+    assert process.returncode == 1
+    lines = said.split("\n", 1) if flags else ["Dask dashboard", said]
+    assert "dashboard" in lines[0]
+    assert lines[1].strip() == "odt-plugins: stopped before the end, no half-written file is left"
+    wait_until(lambda: not any(alive(pid) for pid in started))
+    summary = [f"summary.{suffix}" for suffix in ("csv", "html", "parquet")]
+    assert files(place / "out") == ["60.vtu", *summary]
+    assert [p.name for p in (place / "out" / HIDDEN).iterdir()] == ["rows"]
+    assert table(place / "out") == {"60.vtu": "ok", "90.slow": "stopped"}
+
+
+def table(out: Path) -> dict[str, str]:
+    """Status of every input."""
+    with open(out / "summary.csv", newline="") as file:
+        return {Path(row["source"]).name: row["status"] for row in csv.DictReader(file)}
+
+
+def test_the_summary_of_a_stopped_batch_is_completed_by_going_on(place, monkeypatch, capsys):
+    names = [f"{n}.vtu" for n in (60, 70, 80)]
+    for name in names:
+        write_ball(place / "models" / name, int(name[:2]))
+    stop_at: list[str] = []
+
+    def process(job: Job, folder: Path) -> dict[str, Any]:
+        if job.name in stop_at:
+            raise KeyboardInterrupt
+        return copied(job, folder) | FIGURES
+
+    monkeypatch.setattr(batch, "_process", process)
+    words = ["batch", "models/*.vtu", "--out", "out", "--resume"]
+
+    def run(*stops: str) -> tuple[int, list[str]]:
+        stop_at[:] = stops
+        return cli.main(words), list(table(place / "out").values())
+
+    assert run("70.vtu") == (1, ["ok", "stopped", "stopped"])
+    said = capsys.readouterr()
+    assert said.out.startswith("1 ok, 2 stopped\n")
+    assert "(1 in " in said.out
+    assert said.err.strip() == "odt-plugins: stopped before the end, no half-written file is left"
+    assert "1 ok, 2 stopped" in (place / "out" / "summary.html").read_text(encoding="utf-8")
+    assert run() == (0, ["ok", "ok", "ok"])
+    # What is done already keeps its row, also where a batch is stopped before it comes to it.
+    write_ball(place / "models" / "60.vtu", 65)
+    assert run("60.vtu") == (1, ["stopped", "ok", "ok"])
+    assert capsys.readouterr().out.startswith("3 ok (1 of them before)\n")
+
+
+def test_a_run_that_was_killed_is_cleared_away_and_one_that_works_is_not(place):
+    hidden = place / "out" / HIDDEN
+    hidden.mkdir(parents=True)
+    with subprocess.Popen([sys.executable, "-c", ""]) as gone:
+        gone.wait()
+    mine = make_scratch(hidden, "work")
+    dead = hidden / mine.name.replace(f"-{os.getpid()}-", f"-{gone.pid}-")
+    (dead / "inner").mkdir(parents=True)
+    other = hidden / "work-elsewhere-1-x"
+    other.mkdir()
+    (hidden / f"work-elsewhere-2-x{GONE}").mkdir()
+    again = make_scratch(hidden, "work")
+    assert sorted(hidden.iterdir()) == sorted([mine, again, other])
+
+
+def test_a_worker_with_other_packages_is_refused_before_it_does_a_job(place, monkeypatch):
+    write_ball(place / "models" / "60.vtu", 60)
+    jobs = make_jobs(find_inputs(["models/60.vtu"]), place / "out", {})
+    wanted = batch.versions_here() | {"numba": "0.1"}
+    monkeypatch.setattr(batch, "versions_here", lambda: wanted)
+    with pytest.raises(InvalidOptionError, match=r"has numba .*expected 0\.1 as in"):
+        run_batch(jobs)
+    refused = InvalidOptionError("the worker on x has numba 1")
+    monkeypatch.setattr(batch, "_as_they_finish", lambda *_: iter([(0, refused)]))
+    with pytest.raises(InvalidOptionError, match="the worker on x"):
+        run_batch(jobs)
+    assert not list((place / "out").glob("*.vtu"))
+
+
+def test_a_process_ends_when_its_work_folder_is_gone(place):
+    (place / "models" / "a.slow").write_text("1000")
+    work = place / "work"
+    (work / RESULT).mkdir(parents=True)
+    task = {"source": str(place / "models" / "a.slow"), "folder": str(work), "name": "a.vtu",
+            "options": {}, "memory_limit": None, "tetrahedralize": False, "parent": os.getpid()}
+    with subprocess.Popen([sys.executable, "-m", "odt_plugins.distributed.job"], text=True,
+                          stdin=subprocess.PIPE, start_new_session=True) as process:
+        assert process.stdin is not None
+        process.stdin.write(json.dumps(task))
+        process.stdin.close()
+        with pytest.raises(subprocess.TimeoutExpired):
+            process.wait(2)
+        clear(work)
+        assert process.wait(30) == -signal.SIGKILL
+
+
+def test_what_a_killed_worker_was_doing_is_done_by_another(place):
+    distributed = pytest.importorskip("distributed")
+    for n in (60, 70, 80):
+        write_ball(place / "models" / f"{n}.vtu", n)
+        (place / "models" / f"{n}.slow").write_text("2")
+    jobs = make_jobs(find_inputs(["models/*.slow"]), place / "out", {}, suffix=".vtu")
+    rows: list[Any] = []
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as own,
+        distributed.Client(own) as client,
+    ):
+        pids = client.run(os.getpid)
+        thread = threading.Thread(target=lambda: rows.extend(run_batch(jobs, client=client)))
+        thread.start()
+        work = place / "out" / HIDDEN
+        wait_until(lambda: len(list(work.glob("work-*/*"))) == 2)
+        victim = min(pids.values())
+        inner = children(victim)
+        assert inner
+        os.kill(victim, signal.SIGKILL)
+        wait_until(lambda: not any(alive(pid) for pid in inner))
+        thread.join(90)
+    assert [row["status"] for row in rows] == ["ok"] * 3
+    assert files(place / "out") == ["60.vtu", "70.vtu", "80.vtu"]
+    for name in rows_of(place / "out"):
+        row = json.loads((place / "out" / HIDDEN / "rows" / name).read_text())
+        assert row["status"] == "ok"
+
+
+def test_patterns_leave_out_folders_and_results(place, monkeypatch):
+    monkeypatch.setattr(batch, "_process", copied)
+    write_ball(place / "models" / "a.vtu", 60)
+    (place / "models" / "out.vtu").mkdir()
+    out = place / "models" / "out"
+    run_batch(make_jobs(find_inputs(["models/**/*.vtu"], out), out, {}))
+    assert files(out) == ["a.vtu"]
+    write_ball(out / "b.vtu", 60)
+    assert find_inputs(["models/**/*.vtu"], out) == ["models/a.vtu", "models/out/b.vtu"]
+    assert find_inputs(["models/out/a.vtu"], out) == ["models/out/a.vtu"]
+    assert len(find_inputs(["models/**/*.vtu"])) == 3
+
+
+def test_tetwild_that_is_not_there_is_told_before_any_work(place, monkeypatch, capsys):
+    monkeypatch.setattr("odt_plugins.errors.find_spec", lambda name: name != "pytetwild" or None)
+    write_ball(place / "models" / "a.stl", 60)
+    words = ["batch", "models/a.stl", "--out", "out", "--tetrahedralize"]
+    assert cli.main(words) == 1
+    assert 'pip install "odt-plugins[pytetwild]"' in capsys.readouterr().err
+    assert not (place / "out").exists()
+
+
+def test_surfaces_that_cannot_be_filled_are_rows(place):
+    pytest.importorskip("pytetwild")
+    write_ball(place / "models" / "tets.vtu", 60)
+    sheet = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], dtype=float)
+    meshio.Mesh(sheet, [("triangle", [[0, 1, 2], [0, 2, 3]])]).write(place / "models" / "open.stl")
+    jobs = make_jobs(find_inputs(["models/*.*"]), place / "out", {}, tetrahedralize=True)
+    messages = {Path(row["source"]).name: row["message"] for row in run_batch(jobs)}
+    assert messages["tets.vtu"] == (
+        "tets.vtu holds tetrahedra; expected a surface of triangles to be filled")
+    assert "TetWild found no tetrahedra inside the surface" in messages["open.stl"]
+    assert files(place / "out") == []
+
+
+@pytest.mark.parametrize(("name", "again"), [("SIGSEGV", False), ("SIGKILL", True)])
+def test_a_tetwild_that_crashes_is_a_crash(place, monkeypatch, name, again):
+    folder = place / "toolkits"
+    folder.mkdir()
+    (folder / "pytetwild.py").write_text(
+        f"import os, signal\ndef tetrahedralize(**_): os.kill(os.getpid(), signal.{name})\n")
+    monkeypatch.syspath_prepend(folder)
+    monkeypatch.setenv("PYTHONPATH", str(folder) + os.pathsep + os.environ["PYTHONPATH"])
+    path = str(place / "models" / "a.stl")
+    meshio.Mesh(np.eye(3), [("triangle", [[0, 1, 2]])]).write(path)
+    (row,) = run_batch(make_jobs([path], place / "out", {}, tetrahedralize=True))
+    assert row["status"] == "crashed"
+    assert f"it was ended by {name}; expected a closed surface" in row["message"]
+    # What the user or a system short of memory ended is tried again.
+    assert rows_of(place / "out") == ([] if again else ["a.vtu.json"])

@@ -1,0 +1,275 @@
+"""Blocks on a real Dask cluster: worker processes on loopback that are killed, missing or wrong."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import sys
+import threading
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+import pytest
+from processes import alive, children, wait_until
+
+import odt_plugins
+from odt_plugins.cli import main as cli
+from odt_plugins.compare.start import ball
+from odt_plugins.distributed import cluster as cluster_module
+from odt_plugins.distributed import optimize as blocks_module
+from odt_plugins.distributed.versions import expect_versions, versions_here
+from odt_plugins.errors import InvalidOptionError, WorkerError
+
+distributed = pytest.importorskip("distributed")
+
+pytestmark = [
+    pytest.mark.timeout(120),
+    # Dask ends its processes and sockets behind the back of the collector.
+    pytest.mark.filterwarnings("ignore::ResourceWarning"),
+    pytest.mark.filterwarnings("ignore::pytest.PytestUnraisableExceptionWarning"),
+]
+
+START = ball(2500)
+MESH = (START.points, START.cells)
+BLOCKS = 3
+
+
+@pytest.fixture(autouse=True)
+def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(blocks_module, "LEAST_CELLS", 1000)
+
+
+@pytest.fixture(scope="module")
+def client() -> Iterator[Any]:
+    """Two worker processes with their nannies."""
+    with (
+        distributed.LocalCluster(n_workers=2, threads_per_worker=1, dashboard_address=":0") as own,
+        distributed.Client(own) as client,
+    ):
+        yield client
+
+
+@pytest.fixture(scope="module")
+def expected() -> tuple[Any, Any]:
+    """The result in this process."""
+    least, blocks_module.LEAST_CELLS = blocks_module.LEAST_CELLS, 1000
+    try:
+        result: tuple[Any, Any] = odt_plugins.optimize_partitioned(MESH, BLOCKS)
+    finally:
+        blocks_module.LEAST_CELLS = least
+    return result
+
+
+def assert_same(a: Any, b: Any) -> None:
+    assert all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
+
+
+def test_processes_and_a_cluster_give_the_bits_of_one_process(client, expected):
+    assert not np.array_equal(expected[0], START.points)
+    assert_same(odt_plugins.optimize_partitioned(MESH, BLOCKS, workers=2), expected)
+    assert_same(odt_plugins.optimize_partitioned(MESH, BLOCKS, client=client), expected)
+
+
+def test_pieces_on_a_cluster_give_the_bits_of_one_process(client, tmp_path):
+    for k, name in enumerate(("left", "right")):
+        cells = START.cells[(START.points[START.cells].mean(axis=1)[:, 0] > 0.0) == k]
+        used, number = np.unique(cells, return_inverse=True)
+        mesh = meshio.Mesh(START.points[used], [("tetra", number.reshape(-1, 4))])
+        (tmp_path / "in").mkdir(exist_ok=True)
+        mesh.write(tmp_path / "in" / f"{name}.vtu")
+    odt_plugins.optimize_pieces(tmp_path / "in", tmp_path / "here.pvtu")
+    odt_plugins.optimize_pieces(tmp_path / "in", tmp_path / "there.pvtu", client=client)
+    for k in range(3):
+        a, b = (meshio.read(tmp_path / name / f"{name}-{k}.vtu") for name in ("here", "there"))
+        assert np.array_equal(a.points, b.points)
+        assert np.array_equal(a.cells[0].data, b.cells[0].data)
+
+
+def test_a_worker_killed_in_the_middle_of_a_block_is_made_up_for(client, expected):
+    result: list[Any] = []
+    thread = threading.Thread(target=lambda: result.append(
+        odt_plugins.optimize_partitioned(MESH, BLOCKS, client=client)))
+    pids = client.run(os.getpid)
+    thread.start()
+    busy: list[str] = []
+
+    def started() -> bool:
+        busy[:] = [w for w, tasks in client.processing().items() if tasks]
+        return bool(busy)
+
+    wait_until(started)
+    os.kill(pids[busy[0]], signal.SIGKILL)
+    thread.join(90)
+    assert result, "the run did not end"
+    assert_same(result[0], expected)
+    client.wait_for_workers(2, timeout=60)
+    assert set(client.run(os.getpid).values()) != set(pids.values())
+
+
+def test_a_worker_with_another_version_is_refused_before_any_work(client, tmp_path):
+    metadata = tmp_path / "odt_plugins-9.9.dist-info"
+    metadata.mkdir()
+    (metadata / "METADATA").write_text("Metadata-Version: 2.1\nName: odt-plugins\nVersion: 9.9\n")
+    path = os.pathsep.join([str(tmp_path), os.environ.get("PYTHONPATH", "")])
+    worker = subprocess.Popen(
+        [sys.executable, "-m", "distributed.cli.dask_worker", client.scheduler.address,
+         "--nthreads", "1", "--no-dashboard", "--no-nanny", "--name", "other"],
+        env={**os.environ, "PYTHONPATH": path}, cwd=tmp_path,
+        stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL,
+    )
+    try:
+        wait_until(lambda: len(client.scheduler_info(n_workers=-1)["workers"]) == 3)
+        with pytest.raises(InvalidOptionError, match=r"worker tcp://.* has odt-plugins 9\.9"):
+            odt_plugins.optimize_partitioned(MESH, BLOCKS, client=client)
+        assert not any(client.processing().values())
+    finally:
+        worker.terminate()
+        worker.wait(30)
+    wait_until(lambda: len(client.scheduler_info(n_workers=-1)["workers"]) == 2)
+
+
+def test_versions_are_compared_where_a_block_is_worked_on():
+    expect_versions(versions_here())
+    with pytest.raises(InvalidOptionError, match=r"worker on .* has numpy .*expected 0\.1"):
+        expect_versions({"numpy": "0.1"})
+    with pytest.raises(InvalidOptionError, match="the worker x has numba not installed"):
+        expect_versions({"numba": "1"}, {"numpy": "1"}, "the worker x")
+
+
+def explode(block: Any) -> Any:
+    os.kill(os.getpid(), signal.SIGKILL)
+
+
+def test_lost_processes_end_the_run_with_a_sentence(monkeypatch):
+    from odt_plugins.distributed.local import executor
+
+    with pytest.raises(WorkerError, match="worker process ended before its work did"), \
+            executor(workers=1) as apply:
+        list(apply(explode, [1, 2]))
+
+
+def test_work_that_kills_every_worker_ends_the_run_with_a_sentence(client):
+    import dask
+
+    apply = cluster_module.on_cluster(client)
+    with dask.config.set({"distributed.scheduler.allowed-failures": 0}):
+        client.run_on_scheduler(lambda dask_scheduler: setattr(
+            dask_scheduler, "allowed_failures", 0))
+        with pytest.raises(WorkerError, match="the cluster lost the work"):
+            list(apply(explode, [1]))
+    client.run_on_scheduler(lambda dask_scheduler: setattr(dask_scheduler, "allowed_failures", 3))
+    client.wait_for_workers(2, timeout=60)
+
+
+def test_workers_that_are_paused_for_good_end_the_run_with_a_sentence(monkeypatch):
+    import dask
+
+    monkeypatch.setattr(cluster_module, "PATIENCE", 1.0)
+    with (
+        dask.config.set({"distributed.worker.memory.pause": 1e-3}),
+        distributed.LocalCluster(n_workers=1, processes=False, memory_limit="4GB",
+                                 dashboard_address=None) as own,
+        distributed.Client(own) as client,
+    ):
+        # a worker looks at its memory from time to time
+        wait_until(lambda: cluster_module._all_paused(client))
+        client.wait_for_workers = lambda *_, **__: None
+        with pytest.raises(WorkerError, match="all workers of the cluster are paused"):
+            list(cluster_module.on_cluster(client)(explode, [1]))
+
+
+def test_a_scheduler_that_is_killed_ends_the_run_with_a_sentence(tmp_path):
+    meshio.Mesh(START.points, [("tetra", START.cells)]).write(tmp_path / "in.vtu")
+    file = tmp_path / "scheduler.json"
+    options = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": tmp_path}
+    scheduler = subprocess.Popen(
+        [sys.executable, "-m", "distributed.cli.dask_scheduler", "--scheduler-file", str(file),
+         "--host", "127.0.0.1", "--port", "0", "--no-dashboard"], **options)
+    worker = None
+    try:
+        wait_until(lambda: file.exists() and file.read_text().endswith("}"))
+        worker = subprocess.Popen(
+            [sys.executable, "-m", "distributed.cli.dask_worker", "--scheduler-file", str(file),
+             "--nthreads", "1", "--no-dashboard", "--no-nanny"], **options)
+        address = json.loads(file.read_text())["address"]
+        run = run_cli(tmp_path, "optimize", "in.vtu", "out.vtu", "--blocks", "2",
+                      "--scheduler", address)
+        with distributed.Client(address) as client:
+            wait_until(lambda: any(client.processing().values()))
+            scheduler.kill()
+        _, said = run.communicate(timeout=60)
+    finally:
+        for process in (scheduler, worker):
+            if process is not None:
+                process.kill()
+                process.wait()
+    assert run.returncode == 1
+    lines = said.strip().splitlines()
+    assert lines[0].startswith("Dask dashboard")
+    assert lines[1:] == [f"odt-plugins: the connection to the scheduler {address} was lost; "
+                         "expected it to be there until the end, try the run again"]
+    assert not (tmp_path / "out.vtu").exists()
+
+
+def test_nobody_at_the_address_is_one_sentence(monkeypatch, tmp_path, capsys):
+    monkeypatch.setattr(cluster_module, "PATIENCE", 1.0)
+    meshio.Mesh(START.points, [("tetra", START.cells)]).write(tmp_path / "in.vtu")
+    paths = [str(tmp_path / "in.vtu"), str(tmp_path / "out.vtu")]
+    assert cli.main(["optimize", *paths, "--scheduler", "tcp://127.0.0.1:1"]) == 2
+    assert "need --blocks" in capsys.readouterr().err
+    assert cli.main(["optimize", *paths, "--blocks", "2", "--scheduler", "tcp://127.0.0.1:1"]) == 1
+    said = capsys.readouterr().err.strip()
+    assert said.startswith("odt-plugins: no scheduler answers at tcp://127.0.0.1:1")
+    assert "\n" not in said
+    assert not (tmp_path / "out.vtu").exists()
+
+
+def run_cli(folder: Path, *words: str, **settings: Any) -> subprocess.Popen[str]:
+    return subprocess.Popen([sys.executable, "-m", "odt_plugins.cli", *words], cwd=folder,
+                            stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True,
+                            **settings)
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks at /proc")
+def test_a_killed_client_leaves_nothing_and_the_next_run_is_whole(client, tmp_path, expected):
+    mesh = ball(4000)
+    meshio.Mesh(mesh.points, [("tetra", mesh.cells)]).write(tmp_path / "in.vtu")
+    words = ["optimize", "in.vtu", "out.vtu", "--blocks", "4", "--quiet"]
+    first = run_cli(tmp_path, *words, "--workers", "1")
+    assert first.stderr is not None
+    assert "dashboard" in first.stderr.readline()
+    started = children(first.pid)
+    assert started
+    first.kill()
+    first.wait()
+    first.stderr.close()
+    assert os.listdir(tmp_path) == ["in.vtu"]
+    wait_until(lambda: not any(alive(pid) for pid in started), 60.0)
+    second = run_cli(tmp_path, *words, "--scheduler", client.scheduler.address)
+    _, said = second.communicate(timeout=90)
+    assert second.returncode == 0, said
+    out = meshio.read(tmp_path / "out.vtu")
+    whole = odt_plugins.optimize_partitioned((mesh.points, mesh.cells), 4)
+    assert np.array_equal(out.points, whole[0])
+    assert sorted(os.listdir(tmp_path)) == ["in.vtu", "out.vtu"]
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of POSIX")
+def test_a_full_disk_leaves_the_old_file(tmp_path):
+    import resource
+
+    meshio.Mesh(*((START.points, [("tetra", START.cells)]))).write(tmp_path / "in.vtu")
+    (tmp_path / "out.vtu").write_text("old")
+    run = run_cli(tmp_path, "optimize", "in.vtu", "out.vtu", "--blocks", "2", "--quiet",
+                  preexec_fn=lambda: (resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000)),
+                                      signal.signal(signal.SIGXFSZ, signal.SIG_IGN)))
+    _, said = run.communicate(timeout=90)
+    assert run.returncode == 1
+    assert "cannot write out.vtu" in said
+    assert (tmp_path / "out.vtu").read_text() == "old"
+    assert sorted(os.listdir(tmp_path)) == ["in.vtu", "out.vtu"]

@@ -1,0 +1,394 @@
+"""One mesh in blocks: every cell is inside one in some round, the whole keeps the promise."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
+from itertools import takewhile
+from typing import Any
+
+import meshio
+import numpy as np
+import pytest
+import tet_meshes
+
+import odt_plugins
+from odt_plugins.compare.start import ball, plate, reordered, stored
+from odt_plugins.distributed import optimize as blocks_module
+from odt_plugins.distributed import partition
+from odt_plugins.distributed.block import Block, Improved, improve
+from odt_plugins.distributed.glue import Whole, labels, one_round
+from odt_plugins.distributed.optimize import run_blocks
+from odt_plugins.distributed.partition import RINGS, bricks, clusters, groups, grown, seams
+from odt_plugins.distributed.versions import versions_here
+from odt_plugins.errors import InvalidMeshError, InvalidOptionError, UnsupportedMeshError
+from odt_plugins.mesh.simplex import SimplexMesh, simplex_mesh
+from odt_plugins.options import Options
+from odt_plugins.promise.volume import broken_promises
+
+
+@pytest.fixture
+def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Let small meshes be cut."""
+    monkeypatch.setattr(blocks_module, "LEAST_CELLS", 300)
+
+
+def mesh_of(n: int, **given: Any) -> SimplexMesh:
+    start = ball(n)
+    return simplex_mesh(start.points, start.cells, **given)[0]
+
+
+def whole_of(mesh: SimplexMesh) -> Whole:
+    n = len(mesh.points)
+    return Whole(mesh, None, np.ones(n, dtype=bool), np.full(n, -1, dtype=np.int32))
+
+
+def figures(points: Any, cells: Any) -> dict[str, float]:
+    q = tet_meshes.quality(points, cells)
+    return {"mean": q.mean(), "p1": np.quantile(q, 0.01), "min": q.min()}
+
+
+def unchanged(block: Block) -> Improved:
+    mesh = block.mesh
+    return Improved(mesh.points, mesh.cells, mesh.regions, block.density, {}, None)
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 7, 16])
+def test_bricks_hold_equal_numbers_of_cells(count):
+    mesh = mesh_of(200)
+    label = bricks(mesh.points, mesh.cells, count)
+    sizes = np.bincount(label, minlength=count)
+    assert len(sizes) == count
+    assert sizes.max() - sizes.min() <= np.ceil(np.log2(count + 1))
+
+
+def test_bricks_do_not_depend_on_the_order_of_the_cells():
+    mesh = mesh_of(800)
+    order = np.random.default_rng(3).permutation(len(mesh.cells))
+    assert np.array_equal(bricks(mesh.points, mesh.cells[order], 5),
+                          bricks(mesh.points, mesh.cells, 5)[order])
+
+
+def test_seams_are_where_labels_meet_and_patches_where_two_do():
+    mesh = mesh_of(100)
+    label = bricks(mesh.points, mesh.cells, 4) - 1
+    shared, patch = seams(mesh.cells, label, len(mesh.points))
+    pairs: dict[int, set[int]] = {}
+    for v in range(len(mesh.points)):
+        around = {*label[(mesh.cells == v).any(axis=1)].tolist()}
+        assert shared[v] == (len(around) > 1)
+        assert (patch[v] >= 0) == (len(around) == 2)
+        if patch[v] >= 0:
+            assert pairs.setdefault(patch[v], around) == around
+    assert len(pairs) == len({frozenset(pair) for pair in pairs.values()}) > 2
+
+
+def test_labels_grow_ring_by_ring():
+    mesh = mesh_of(300)
+    patch = np.full(len(mesh.points), -1, dtype=np.int32)
+    patch[[7, 90]] = [4, 2]
+    for count in (1, 2, 3):
+        label = grown(patch, mesh.cells, count)
+        reached = {4: {7}, 2: {90}}
+        for _ in range(count):
+            near = {k: np.isin(mesh.cells, list(v)).any(axis=1) for k, v in reached.items()}
+            reached = {k: set(mesh.cells[near[k]].ravel().tolist()) for k in reached}
+        assert np.array_equal(label >= 0, near[2] | near[4])
+        assert (label[near[2] & ~near[4]] == 2).all()
+        assert (label[near[4] & ~near[2]] == 4).all()
+
+
+def test_clusters_are_whole_components():
+    cells = np.array([[0, 1, 2, 3], [3, 4, 5, 6], [10, 11, 12, 13], [20, 21, 22, 23]])
+    label = clusters(cells, 2)
+    assert label[0] == label[1]
+    assert set(label.tolist()) == {0, 1}
+    assert [g.tolist() for g in groups(np.array([2, -1, 0, 2]))] == [[2], [0, 3]]
+
+
+@pytest.mark.parametrize(("count", "rounds"), [(2, 2), (5, 2), (8, 3), (20, 3), (20, 4)])
+def test_every_vertex_is_inside_a_block_in_some_round(count, rounds):
+    mesh = mesh_of(900)
+    n = len(mesh.points)
+    inside = np.zeros(n, dtype=bool)
+    whole = whole_of(mesh)
+    for index in range(rounds):
+        label = labels(whole, count, index, rounds)
+        # Slow twin: all cells around the vertex are in one block.
+        stars = [label[np.flatnonzero((whole.mesh.cells == v).any(axis=1))]
+                 for v in np.flatnonzero(~inside)]
+        inside[~inside] = [s.min() >= 0 and s.min() == s.max() for s in stars]
+        whole, traffic = one_round(whole, label, Options(), 1.0, lambda _, b: map(unchanged, b))
+        assert (whole.waiting == ~inside).all()
+        assert traffic.cells == (label >= 0).sum()
+    assert inside.all()
+
+
+def test_gluing_what_was_cut_gives_the_mesh_back():
+    mesh = mesh_of(500, regions=np.arange(len(ball(500).cells)) % 3)
+    whole = replace(whole_of(mesh), density=np.arange(len(mesh.points), dtype=float))
+    label = bricks(mesh.points, mesh.cells, 4)
+    label[::7] = -1
+    glued, _ = one_round(whole, label, Options(), 1.0, lambda _, b: map(unchanged, b))
+    assert np.array_equal(glued.mesh.points, mesh.points)
+    assert np.array_equal(glued.density, whole.density)
+    rows = [sorted(zip(m.cells.tolist(), m.regions.tolist(), strict=True))
+            for m in (mesh, glued.mesh)]
+    assert rows[0] == rows[1]
+
+
+@pytest.mark.parametrize("rounds", [2, 3])
+@pytest.mark.parametrize(("large", "count"), [(10, RINGS - 1), (10**6, RINGS)])
+def test_a_ring_fewer_is_improved_again_in_large_blocks(monkeypatch, large, count, rounds):
+    monkeypatch.setattr(partition, "LARGE", large)
+    mesh = mesh_of(2000)
+    waiting = np.zeros(len(mesh.points), dtype=bool)
+    waiting[:2] = True
+    whole = replace(whole_of(mesh), waiting=waiting, patch=np.where(waiting, 0, -1))
+    label = labels(whole, 2, 1, rounds)
+    reached = waiting.copy()
+    for _ in range(count):
+        near = reached[mesh.cells].any(axis=1)
+        reached[mesh.cells[near]] = True
+    assert np.array_equal(label >= 0, near)
+    assert not near.all()
+
+
+def moved_rim(result: Improved) -> Improved:
+    return replace(result, points=result.points + 1e-3)
+
+
+def other_vertices(result: Improved) -> Improved:
+    return replace(result, points=result.points[1:])
+
+
+def foreign_cells(result: Improved) -> Improved:
+    return replace(result, cells=result.cells + len(result.points))
+
+
+@pytest.mark.parametrize("spoil", [moved_rim, other_vertices, foreign_cells])
+def test_a_result_that_does_not_fit_its_block_is_refused(spoil):
+    mesh = mesh_of(200)
+    whole = whole_of(mesh)
+    label = bricks(mesh.points, mesh.cells, 2)
+    with pytest.raises(InvalidMeshError, match="block 0 does not fit"):
+        one_round(whole, label, Options(), 1.0, lambda _, b: map(lambda x: spoil(unchanged(x)), b))
+
+
+@pytest.mark.parametrize(("name", "seed"), [
+    ("bunny", None), ("cgal-bunny", None), ("cgal-bunny", 1), ("ball", None), ("ball", 1),
+])
+def test_blocks_are_about_as_good_as_one_piece(name, seed):
+    start = ball(7000) if name == "ball" else stored(name)
+    start = start if seed is None else reordered(start, seed)
+    mesh = start.points, start.cells
+    one, blocks = (
+        figures(*result) for result in (
+            odt_plugins.optimize(mesh), odt_plugins.optimize_partitioned(mesh, 4),
+        )
+    )
+    assert abs(one["mean"] - blocks["mean"]) <= 0.003
+    assert abs(one["p1"] - blocks["p1"]) <= 0.01
+
+
+def test_blocks_choose_their_flips_as_the_whole_would(small_blocks, monkeypatch):
+    mesh = mesh_of(900)
+    seen: list[str] = []
+
+    def sees(function: Any, items: Iterable[Block]) -> Iterator[Improved]:
+        for block in items:
+            seen.append(block.options.connectivity)
+            yield unchanged(block)
+
+    run_blocks(mesh, Options(), 4, 1, sees)
+    assert seen[:4] == ["auto"] * 4
+    seen.clear()
+    monkeypatch.setattr(blocks_module, "MODERATE", len(mesh.cells) - 1)
+    run_blocks(mesh, Options(), 4, 1, sees)
+    run_blocks(mesh, Options(connectivity="delaunay"), 4, 1, sees)
+    assert seen == ["flips"] * 4 + ["delaunay"] * 4
+
+
+def backwards(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
+    """Finish the last block first."""
+    work = list(items)
+    done = [function(item) for item in reversed(work)]
+    return reversed(done)
+
+
+def test_the_whole_keeps_the_promise_in_any_order_of_completion(small_blocks):
+    start = ball(900)
+    rng = np.random.default_rng(5)
+    m = len(start.cells)
+    x = start.points[start.cells].mean(axis=1)
+    selection = np.linalg.norm(x - [0.5, 0.0, 0.0], axis=1) > 0.25
+    fixed = rng.random(len(start.points)) < 0.05
+    mesh = simplex_mesh(start.points, start.cells, regions=(x[:, 0] > 0.0).astype(int),
+                        fixed=fixed, selection=selection)[0]
+    assert 0 < selection.sum() < m
+    options = Options()
+    outcome = run_blocks(mesh, options, 5, 3, map)
+    assert not broken_promises(mesh, outcome.points, outcome.cells, outcome.regions)
+    assert outcome.counts["round 1 blocks"] == 5
+    assert (outcome.points != start.points).any(axis=1).sum() > 0.2 * len(start.points)
+    other = run_blocks(mesh, options, 5, 3, backwards)
+    for a, b in zip((outcome.points, outcome.cells, outcome.regions),
+                    (other.points, other.cells, other.regions), strict=True):
+        assert np.array_equal(a, b)
+
+
+@pytest.mark.parametrize("always", [True, False])
+def test_a_round_that_breaks_the_promise_of_the_whole_is_done_again_or_given_up(
+    small_blocks, always
+):
+    mesh = mesh_of(900)
+    judged: list[bool] = []
+
+    def spoiled(function: Any, items: Iterable[Block]) -> Iterator[Improved]:
+        judged.append(False)
+        for block in items:
+            judged[-1] = block.whole is None
+            result = function(block)
+            if len(judged) % 3 == 0 and (always or block.whole is not None):
+                free = ~block.mesh.fixed
+                centre = result.points.mean(axis=0)
+                points = result.points.copy()
+                points[free] = centre
+                result = replace(result, points=points)
+            yield result
+
+    outcome = run_blocks(mesh, Options(), 5, 3, spoiled)
+    assert judged == [False] * 3 + [True] * 3
+    assert not broken_promises(mesh, outcome.points, outcome.cells, outcome.regions)
+    calls: list[int] = []
+
+    def alone(block: Block) -> Improved:
+        return improve(replace(block, whole=None))
+
+    expected = run_blocks(mesh, Options(), 5, 3, lambda f, b: map(
+        alone if calls.append(1) or not always else f if len(calls) < 3 else unchanged, b))
+    assert np.array_equal(outcome.points, expected.points)
+    if always:
+        assert "a later round was given up" in outcome.fallback
+    else:
+        assert outcome.fallback == expected.fallback
+
+
+def test_blocks_are_held_to_the_worst_cells_of_the_whole_then_to_their_own(
+    small_blocks, monkeypatch
+):
+    mesh = mesh_of(900)
+    seen: list[Any] = []
+    real = blocks_module.faults
+
+    def sees(function: Any, items: Iterable[Block]) -> Iterator[Improved]:
+        for block in items:
+            seen.append(block.whole)
+            yield function(block)
+
+    def spoiled(*given: Any) -> Any:
+        return real(*given) if seen[-1] is None else (["min_angle would be worse"], None)
+
+    monkeypatch.setattr(blocks_module, "faults", spoiled)
+    outcome = run_blocks(mesh, Options(), 5, 3, sees)
+    first = list(takewhile(lambda whole: whole is not None, seen))
+    second = seen[len(first):]
+    q = tet_meshes.quality(mesh.points, mesh.cells)
+    angles = np.radians(tet_meshes.dihedral_angles(mesh.points, mesh.cells))
+    assert all(whole.min_quality == pytest.approx(q.min()) for whole in first)
+    assert all(whole.cos_min_angle == pytest.approx(np.cos(angles.min())) for whole in first)
+    assert all(whole.cos_max_angle == pytest.approx(np.cos(angles.max())) for whole in first)
+    assert first
+    assert second == [None] * len(second)
+    assert second
+    assert outcome.fallback is None or "given up" not in outcome.fallback
+    assert not broken_promises(mesh, outcome.points, outcome.cells, outcome.regions)
+    assert (outcome.points != mesh.points).any()
+
+
+def test_data_of_the_caller_come_through(small_blocks):
+    start = ball(700)
+    m = len(start.cells)
+    part = (start.points[start.cells].mean(axis=1)[:, 2] > 0.0).astype(np.int32)
+    mesh = meshio.Mesh(start.points.astype(np.float32), [("tetra", start.cells)],
+                       point_data={"id": np.arange(len(start.points))},
+                       cell_data={"marker": [part], "x": [np.arange(m, dtype=float)]})
+    seen: list[tuple[str, float]] = []
+    result, report = odt_plugins.optimize_partitioned_with_report(
+        mesh, 3, odt={"progress": lambda stage, share: seen.append((stage, share))}
+    )
+    assert type(result) is meshio.Mesh
+    assert result.points.dtype == np.float32
+    assert np.array_equal(result.point_data["id"], np.arange(len(start.points)))
+    volume = [np.bincount(k.cell_data["marker"][0], tet_meshes.signed_volumes(
+        k.points.astype(float), k.cells[0].data)) for k in (mesh, result)]
+    assert volume[1] == pytest.approx(volume[0], rel=1e-5)
+    assert report.after.mean_quality > report.before.mean_quality + 0.1
+    assert {name for name, _ in seen} == {"round 1", "round 2", "round 3"}
+    assert report.counts["round 1 bytes sent"] > 16 * m
+
+
+@pytest.mark.parametrize("density", ["keep", "uniform", "vertices", "cells", "function"])
+def test_densities_come_through(small_blocks, density):
+    start = ball(500)
+    given: Any = {"vertices": 1.0 + start.points[:, 0] ** 2,
+                  "cells": 1.0 + np.arange(len(start.cells)) / len(start.cells),
+                  "function": lambda x: 1.0 + x[:, 1] ** 2}.get(density, density)
+    selection = np.arange(len(start.cells) - 50)
+    before = figures(start.points, start.cells)
+    result = odt_plugins.optimize_partitioned(
+        (start.points, start.cells), 3, odt={"density": given, "selection": selection}
+    )
+    assert figures(*result)["mean"] > before["mean"] + 0.1
+
+
+def test_a_density_is_carried_with_the_vertices():
+    start = ball(500)
+    mesh = simplex_mesh(start.points, start.cells)[0]
+    linear = 2.0 + mesh.points @ [0.3, -0.2, 0.5]
+    rim = mesh.points[:, 0] > 0.6
+    block = Block(replace(mesh, fixed=rim), linear, Options(), -5.0, rim, {})
+    result = improve(block)
+    moved = (result.points != mesh.points).any(axis=1)
+    assert moved.sum() > 100
+    right = 2.0 + result.points @ [0.3, -0.2, 0.5]
+    assert np.allclose(result.density, right, rtol=1e-12)
+    assert np.array_equal(result.density[~moved], linear[~moved])
+
+
+@pytest.mark.parametrize("density", ["keep", "uniform"])
+def test_finishing_is_tried_alone_where_sizes_are_kept_and_little_may_move(density):
+    start = ball(500)
+    mesh = simplex_mesh(start.points, start.cells)[0]
+    fixed = np.arange(len(mesh.points)) > 2
+    values = np.ones(len(mesh.points))
+    block = Block(replace(mesh, fixed=fixed), values, Options(density=density), -5.0, fixed,
+                  versions_here())
+    assert ("runs of finishing alone" in improve(block).counts) == (density == "keep")
+
+
+def test_planar_meshes_and_small_ones_work_too(small_blocks):
+    start = plate(2000)
+    before, after = (odt_plugins.measure(m) for m in (
+        (start.points, start.cells),
+        odt_plugins.optimize_partitioned((start.points, start.cells), 3),
+    ))
+    assert after.mean_quality > before.mean_quality + 0.02
+    tiny = ball(60)
+    a = odt_plugins.optimize_partitioned((tiny.points, tiny.cells), 4)
+    b = odt_plugins.optimize((tiny.points, tiny.cells))
+    assert all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
+
+
+def test_what_does_not_go_with_blocks_is_refused():
+    start = ball(60)
+    mesh = (start.points, start.cells)
+    for wrong in ({"blocks": 0}, {"blocks": 2.0}, {"blocks": 2, "rounds": 0},
+                  {"blocks": 2, "workers": -1}, {"blocks": 2, "odt": {"insert": True}},
+                  {"blocks": 2, "odt": {"boundary": "slide"}}, {"blocks": 2, "odt": {"rings": 1}},
+                  {"blocks": 2, "workers": 2, "odt": {"density": lambda x: x[:, 0]}}):
+        with pytest.raises(InvalidOptionError, match="expected"):
+            odt_plugins.optimize_partitioned(mesh, **wrong)
+    surface = stored("bunny-surface")
+    with pytest.raises(UnsupportedMeshError, match="curved surface"):
+        odt_plugins.optimize_partitioned((surface.points, surface.cells), 2)

@@ -1,0 +1,510 @@
+"""Meshes in pieces on disk: as good as in blocks, glued without a gap, in less memory."""
+
+from __future__ import annotations
+
+import errno
+import os
+import resource
+import socket
+import subprocess
+import sys
+import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import meshio
+import numpy as np
+import pytest
+import tet_meshes
+
+import odt_plugins
+from odt_plugins.cli import main as cli
+from odt_plugins.compare.start import ball
+from odt_plugins.distributed import optimize as blocks_module
+from odt_plugins.distributed import partition, pieces, placing
+from odt_plugins.distributed.figures import figures_of, total, worse
+from odt_plugins.distributed.partition import RINGS, bricks
+from odt_plugins.distributed.pieces import optimize_pieces
+from odt_plugins.distributed.store import Piece, join
+from odt_plugins.errors import (
+    DataNotKeptWarning,
+    InvalidMeshError,
+    InvalidOptionError,
+    MeshFileError,
+    UnsupportedMeshError,
+)
+from odt_plugins.mesh.simplex import simplex_mesh
+from odt_plugins.options import Options
+from odt_plugins.promise.volume import broken_promises
+
+
+def write_pieces(
+    folder: Path, points: Any, cells: Any, label: Any, ids: Any = None, **data: Any
+) -> Path:
+    """Write the cells of every label as a file, and the .pvtu file that names them."""
+    folder.mkdir()
+    names = []
+    for k in np.unique(label):
+        members = np.flatnonzero(label == k)
+        used, number = np.unique(cells[members], return_inverse=True)
+        names.append(f"piece-{k}.vtu")
+        meshio.Mesh(points[used], [("tetra", number.reshape(-1, 4))],
+                    point_data={"was": used} | (
+                        {} if ids is None else {"GlobalPointIds": ids[used]}),
+                    cell_data={name: [values[members]] for name, values in data.items()},
+                    ).write(folder / names[-1])
+    named = "".join(f'<Piece Source="{folder.name}/{name}"/>' for name in names)
+    index = folder.with_suffix(".pvtu")
+    index.write_text('<VTKFile type="PUnstructuredGrid"><PUnstructuredGrid GhostLevel="0">'
+                     f"{named}</PUnstructuredGrid></VTKFile>")
+    return index
+
+
+def glued(index: Path, n: int) -> tuple[Any, Any, Any, Any]:
+    """The whole mesh again, by the point array that names the vertices of the input."""
+    points = np.full((n, 3), np.nan)
+    cells, regions, ids = [], [], np.full(n, -1)
+    for piece in ElementTree.parse(index).getroot().iter("Piece"):
+        mesh = meshio.read(index.parent / piece.get("Source"))
+        was = mesh.point_data["was"]
+        known = ~np.isnan(points[was, 0])
+        assert np.array_equal(points[was[known]], mesh.points[known])
+        assert np.array_equal(ids[was[known]], mesh.point_data["GlobalPointIds"][known])
+        points[was], ids[was] = mesh.points, mesh.point_data["GlobalPointIds"]
+        cells.append(was[mesh.cells[0].data])
+        regions.append(mesh.cell_data["marker"][0])
+    assert len(np.unique(ids)) == n
+    return points, np.concatenate(cells), np.concatenate(regions), ids
+
+
+def test_pieces_are_about_as_good_as_one_piece_and_fit_together(tmp_path):
+    start = ball(5000)
+    marker = (start.points[start.cells].mean(axis=1)[:, 0] > 0.1).astype(np.int64) + 3
+    index = write_pieces(tmp_path / "in", start.points, start.cells,
+                         bricks(start.points, start.cells, 4), marker=marker)
+    report = optimize_pieces(index, tmp_path / "out.pvtu")
+    assert report.fallback is None
+    n = len(start.points)
+    points, cells, regions, _ = glued(tmp_path / "out.pvtu", n)
+    mesh = simplex_mesh(start.points, start.cells, regions=marker)[0]
+    assert not broken_promises(mesh, points, cells.astype(np.int32),
+                               (regions - 3).astype(np.int32))
+    one = odt_plugins.optimize((start.points, start.cells, marker))
+    a, b = (tet_meshes.quality(*m[:2]) for m in (one, (points, cells)))
+    assert abs(a.mean() - b.mean()) <= 0.003
+    assert abs(np.quantile(a, 0.01) - np.quantile(b, 0.01)) <= 0.01
+    assert report.after.mean_quality == pytest.approx(b.mean(), abs=1e-12)
+    p1 = np.quantile(b, 0.01, method="inverted_cdf")
+    assert p1 - 2.5e-4 < report.after.p1_quality <= p1
+    assert report.interface < 0.3 * n
+    assert "mean_quality" in str(report)
+    assert sorted(os.listdir(tmp_path)) == ["in", "in.pvtu", "out", "out.pvtu"]
+
+
+def test_the_command_takes_pieces(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    start = ball(1500)
+    write_pieces(tmp_path / "in", start.points, start.cells,
+                 bricks(start.points, start.cells, 2))
+    assert cli.main(["optimize", "in.pvtu", "out.pvtu", "--plot", "x.png"]) == 2
+    assert "one file each" in capsys.readouterr().err
+    assert cli.main(["optimize", "in.pvtu", "out.pvtu", "--finish"]) == 0
+    said = capsys.readouterr()
+    assert "3 pieces" in said.out
+    assert said.err == ""
+    points, cells, _, _ = glued(tmp_path / "out.pvtu", len(start.points))
+    assert tet_meshes.quality(points, cells).mean() > 0.85
+
+
+def test_pieces_choose_flips_and_rings_as_the_whole_would(tmp_path, monkeypatch):
+    start = ball(300)
+    index = write_pieces(tmp_path / "in", start.points, start.cells,
+                         bricks(start.points, start.cells, 2))
+    flips: list[str] = []
+    again: list[int] = []
+    first_round, split = pieces.first_round, pieces.split
+
+    def sees_options(item: Any, options: Options) -> Any:
+        flips.append(options.connectivity)
+        return first_round(item, options)
+
+    def sees_rings(item: Any, rings: int) -> Any:
+        again.append(rings)
+        return split(item, rings)
+
+    monkeypatch.setattr(pieces, "first_round", sees_options)
+    monkeypatch.setattr(pieces, "split", sees_rings)
+    m = len(start.cells)
+    for moderate, large in ((m, m // 2 + 1), (m - 1, m // 2)):
+        monkeypatch.setattr(blocks_module, "MODERATE", moderate)
+        monkeypatch.setattr(partition, "LARGE", large)
+        optimize_pieces(index, tmp_path / "out.pvtu", rounds=2)
+    assert flips == ["auto", "auto", "flips", "flips"]
+    assert again == [RINGS, RINGS, RINGS - 1, RINGS - 1]
+
+
+def test_a_directory_and_a_second_run_onto_the_same_place(tmp_path):
+    start = ball(600)
+    turned = start.cells[:, [0, 1, 3, 2]]
+    write_pieces(tmp_path / "in", start.points, turned, bricks(start.points, turned, 3),
+                 size=np.ones(len(turned)))
+    bits = []
+    for _ in range(3):
+        optimize_pieces(tmp_path / "in", tmp_path / "out.pvtu", odt={"density": "uniform"})
+        points, cells, _, _ = glued(tmp_path / "out.pvtu", len(start.points))
+        assert tet_meshes.signed_volumes(points, cells).max() < 0
+        assert len(os.listdir(tmp_path)) == 4
+        bits.append((points, cells))
+    assert all(np.array_equal(x, y) for other in bits[1:]
+               for x, y in zip(bits[0], other, strict=True))
+
+
+def test_progress_is_told_for_every_piece_of_every_stage(tmp_path, monkeypatch, capsys):
+    start = ball(300)
+    write_pieces(tmp_path / "in", start.points, start.cells,
+                 bricks(start.points, start.cells, 4))
+    seen: list[tuple[str, float]] = []
+    told = optimize_pieces(tmp_path / "in.pvtu", tmp_path / "out.pvtu",
+                           odt={"progress": lambda stage, share: seen.append((stage, share))})
+    stages = list(dict.fromkeys(stage for stage, _ in seen))
+    assert stages == ["reading", "round 1", "round 2: cutting", "round 2", "round 3: cutting",
+                      "round 3", "writing"]
+    shares = {stage: [share for s, share in seen if s == stage] for stage in stages}
+    assert all(found[0] == 0.0 and found[-1] == 1.0 for found in shares.values())
+    assert all(sorted(found) == found for found in shares.values())
+    assert shares["reading"] == shares["round 1"] == [0.0, 0.25, 0.5, 0.75, 1.0]
+    assert len(shares["writing"]) == told.pieces + 1
+    assert [stage for stage, _ in seen] == sorted((stage for stage, _ in seen), key=stages.index)
+
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    monkeypatch.setenv("TERM", "xterm")
+    monkeypatch.chdir(tmp_path)
+    assert cli.main(["optimize", "in.pvtu", "bar.pvtu"]) == 0
+    assert "writing" in capsys.readouterr().err
+
+
+LIMITED = """
+import resource, sys
+used = next(int(line.split()[1]) for line in open("/proc/self/status") if "VmData" in line)
+from odt_plugins.api import optimize_file
+from odt_plugins.compare.start import ball
+from odt_plugins.distributed.pieces import optimize_pieces
+from odt_plugins import optimize
+small = ball(60)
+optimize((small.points, small.cells))
+used = next(int(line.split()[1]) for line in open("/proc/self/status") if "VmData" in line)
+limit = used * 1024 + int(sys.argv[1])
+resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
+(optimize_file if sys.argv[2].endswith(".vtu") else optimize_pieces)(*sys.argv[2:])
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="a limit that Linux knows")
+def test_a_process_with_too_little_memory_for_the_whole_is_enough_for_the_pieces(tmp_path):
+    start = ball(20_000)
+    meshio.Mesh(start.points, [("tetra", start.cells)]).write(tmp_path / "whole.vtu")
+    write_pieces(tmp_path / "in", start.points, start.cells,
+                 bricks(start.points, start.cells, 8))
+
+    def run(*words: str) -> subprocess.CompletedProcess[str]:
+        return subprocess.run([sys.executable, "-c", LIMITED, str(40_000_000), *words],
+                              cwd=tmp_path, capture_output=True, text=True, check=False)
+
+    whole = run("whole.vtu", "out.vtu")
+    assert whole.returncode != 0
+    assert any(word in whole.stderr for word in ("MemoryError", "allocate", "bad_alloc",
+                                                  "out of memory"))
+    pieces = run("in.pvtu", "out.pvtu")
+    assert pieces.returncode == 0, pieces.stderr
+    points, cells, _, _ = glued(tmp_path / "out.pvtu", len(start.points))
+    q = tet_meshes.quality(points, cells)
+    assert q.mean() > 0.9
+    assert q.min() > 0.3
+
+
+def test_figures_of_the_whole_are_those_of_its_parts():
+    start = ball(400)
+    whole = figures_of(start.points, start.cells)
+    parts = [figures_of(start.points, start.cells[k::3]) for k in range(3)]
+    again = total(parts)
+    q = tet_meshes.quality(start.points, start.cells)
+    assert again.mean_quality == pytest.approx(q.mean(), abs=1e-14)
+    assert again.min_quality == whole.min_quality
+    assert again.p1_quality == pytest.approx(np.sort(q)[int(np.ceil(0.01 * len(q))) - 1],
+                                             abs=3e-4)
+    keep = ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle")
+    assert worse(whole, again, keep) == []
+    for name in ("quality", "min_quality", "min_angle", "volume"):
+        spoiled = whole._replace(**{name: 0.9 * getattr(whole, name)})
+        assert len(worse(whole, spoiled, keep)) == 1
+    assert worse(whole, whole._replace(max_angle=whole.max_angle + 1e-6), keep)
+
+
+def test_what_does_not_go_with_pieces_is_refused(tmp_path):
+    start = ball(100)
+    index = write_pieces(tmp_path / "in", start.points, start.cells,
+                         bricks(start.points, start.cells, 2))
+    for odt in ({"fixed": [1]}, {"regions": np.zeros(3, int)}, {"density": "inverse-volume"},
+                {"density": np.ones(3)}, {"insert": True}):
+        with pytest.raises(InvalidOptionError, match="expected"):
+            optimize_pieces(index, tmp_path / "out.pvtu", odt=odt)
+    with pytest.raises(MeshFileError, match=r"ending in \.pvtu"):
+        optimize_pieces(index, tmp_path / "out.vtu")
+    with pytest.raises(MeshFileError, match="try another directory"):
+        optimize_pieces(index, tmp_path / "nowhere" / "out.pvtu")
+    (tmp_path / "in" / "piece-1.vtu").unlink()
+    with pytest.raises(MeshFileError, match=r"piece-1\.vtu is missing"):
+        optimize_pieces(index, tmp_path / "out.pvtu")
+    meshio.Mesh(start.points, [("triangle", start.cells[:, :3])]).write(
+        tmp_path / "in" / "piece-0.vtu")
+    with pytest.raises(UnsupportedMeshError, match="linear tetrahedra"):
+        optimize_pieces(tmp_path / "in", tmp_path / "out.pvtu")
+    assert sorted(os.listdir(tmp_path)) == ["in", "in.pvtu"]
+
+
+def test_folders_of_others_stay_and_those_of_killed_runs_go(tmp_path):
+    start = ball(150)
+    label = bricks(start.points, start.cells, 2)
+    write_pieces(tmp_path / "out", start.points, start.cells, label)
+    (tmp_path / "out" / "notes.txt").write_text("mine")
+    (tmp_path / "out-2").mkdir()
+    with subprocess.Popen([sys.executable, "-c", ""]) as gone:
+        gone.wait()
+    (tmp_path / f".out-{socket.gethostname()}-{gone.pid}-x").mkdir()
+    (tmp_path / ".out-elsewhere-1-x").mkdir()
+    before = {path: path.read_bytes() for path in (tmp_path / "out").iterdir()}
+    for name in ("out-3", "out-4", "out-3"):
+        optimize_pieces(tmp_path / "out", tmp_path / "out.pvtu")
+        glued(tmp_path / "out.pvtu", len(start.points))
+        assert sorted(os.listdir(tmp_path)) == [".out-elsewhere-1-x", "out", "out-2", name,
+                                                "out.pvtu"]
+    assert {path: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
+    optimize_pieces(tmp_path / "out.pvtu", tmp_path / "out.pvtu")
+    assert os.path.isdir(tmp_path / "out-4")
+    assert not os.path.isdir(tmp_path / "out-3")
+
+
+def test_an_index_that_cannot_be_written_leaves_the_old_result(tmp_path, monkeypatch):
+    start = ball(100)
+    index = write_pieces(tmp_path / "in", start.points, start.cells,
+                         bricks(start.points, start.cells, 2))
+    optimize_pieces(index, tmp_path / "out.pvtu")
+    old = sorted(tmp_path.rglob("*"))
+
+    def refuse(*_: Any) -> None:
+        raise OSError(errno.ENOSPC, "No space left on device")
+
+    monkeypatch.setattr(placing, "write_index", refuse)
+    with pytest.raises(MeshFileError, match="No space left"):
+        optimize_pieces(index, tmp_path / "out.pvtu")
+    assert sorted(tmp_path.rglob("*")) == old
+    glued(tmp_path / "out.pvtu", len(start.points))
+
+
+def test_numbers_that_come_with_the_pieces_tell_which_vertices_are_one(tmp_path):
+    start = ball(900)
+    x = start.points[start.cells].mean(axis=1)
+    ids = 7 * np.random.default_rng(1).permutation(2 * len(start.points))
+    left = start.cells[x[:, 0] < 0.0]
+    # two bodies that touch: every vertex of one is another vertex than those of the other
+    points = np.vstack([start.points, start.points])
+    cells = np.vstack([left + len(start.points), start.cells[x[:, 0] >= 0.0]])
+    label = (points[cells].mean(axis=1)[:, 1] > 0.0).astype(int)
+    used, number = np.unique(cells, return_inverse=True)
+    points, cells, ids = points[used], number.reshape(-1, 4), ids[used]
+    write_pieces(tmp_path / "in", points, cells, label)
+    with pytest.raises(InvalidMeshError, match=r"where one of them has several.*GlobalPointIds"):
+        optimize_pieces(tmp_path / "in", tmp_path / "out.pvtu")
+    write_pieces(tmp_path / "told", points, cells, label, ids)
+    report = optimize_pieces(tmp_path / "told", tmp_path / "out.pvtu")
+    after, result, _, found = glued(tmp_path / "out.pvtu", len(points))
+    mesh = simplex_mesh(points, cells)[0]
+    assert not broken_promises(mesh, after, result.astype(np.int32),
+                               np.zeros(len(result), np.int32))
+    assert np.array_equal(found, ids)
+    assert report.after.mean_quality > report.before.mean_quality + 0.1
+    shared = np.intersect1d(*(cells[label == k] for k in (0, 1)))
+    assert report.interface == len(shared)
+    assert (after[shared] != points[shared]).any()
+
+
+@pytest.mark.parametrize(("spoil", "match"), [
+    (lambda ids, shared: np.where(ids == shared[0], shared[1], ids), "for several vertices each"),
+    (lambda ids, shared: np.where(ids == shared[0], shared[1],
+                                  np.where(ids == shared[1], shared[0], ids)),
+     "in GlobalPointIds at several places"),
+])
+def test_numbers_that_cannot_be_are_refused(tmp_path, spoil, match):
+    start = ball(150)
+    label = bricks(start.points, start.cells, 2)
+    index = write_pieces(tmp_path / "in", start.points, start.cells, label,
+                         np.arange(len(start.points)))
+    path = tmp_path / "in" / "piece-1.vtu"
+    mesh = meshio.read(path)
+    shared = np.intersect1d(*(start.cells[label == k] for k in (0, 1)))
+    mesh.point_data["GlobalPointIds"] = spoil(mesh.point_data["GlobalPointIds"], shared)
+    mesh.write(path)
+    with pytest.raises(InvalidMeshError, match=match):
+        optimize_pieces(index, tmp_path / "out.pvtu")
+    assert sorted(os.listdir(tmp_path)) == ["in", "in.pvtu"]
+
+
+def test_vertices_of_one_number_at_several_places_are_never_joined():
+    start = ball(60)
+    n = len(start.points)
+    piece = Piece(start.points, start.cells, np.zeros(len(start.cells), np.int64), np.arange(n),
+                  np.ones(n), np.ones(n, bool))
+    assert len(join([piece, piece])[0].points) == n
+    with pytest.raises(InvalidMeshError, match="at several places, as number 3"):
+        join([piece, replace(piece, points=piece.points + 1e-9 * (np.arange(n) == 3)[:, None])])
+
+
+def with_ghosts(folder: Path, start: Any, label: Any, marker: Any) -> None:
+    """Write pieces that each hold the cells around their vertices as well."""
+    folder.mkdir()
+    for k in np.unique(label):
+        own = label == k
+        members = np.flatnonzero(np.isin(start.cells, start.cells[own]).any(axis=1))
+        used, number = np.unique(start.cells[members], return_inverse=True)
+        ghosts = np.where(own[members], 0, 1).astype(np.uint8)
+        meshio.Mesh(start.points[used], [("tetra", number.reshape(-1, 4))],
+                    point_data={"was": used, "vtkGhostType": np.zeros(len(used), np.uint8)},
+                    cell_data={"vtkGhostType": [ghosts], "marker": [marker[members]]},
+                    ).write(folder / f"piece-{k}.vtu")
+
+
+def test_ghost_cells_and_empty_pieces_are_left_out(tmp_path, recwarn):
+    start = ball(600)
+    marker = (start.points[start.cells].mean(axis=1)[:, 0] > 0.1).astype(np.int64)
+    label = bricks(start.points, start.cells, 3)
+    write_pieces(tmp_path / "plain", start.points, start.cells, label, marker=marker)
+    with_ghosts(tmp_path / "ghosts", start, label, marker)
+    (tmp_path / "ghosts" / "piece-00.vtu").write_text(
+        '<VTKFile type="UnstructuredGrid"><UnstructuredGrid><Piece NumberOfPoints="0" '
+        'NumberOfCells="0"></Piece></UnstructuredGrid></VTKFile>')
+    results = []
+    for name in ("plain", "ghosts"):
+        optimize_pieces(tmp_path / name, tmp_path / "out.pvtu")
+        results.append(glued(tmp_path / "out.pvtu", len(start.points)))
+        mesh = meshio.read(next((tmp_path / "out").glob("*.vtu")) if name == "plain" else
+                           next((tmp_path / "out-2").glob("*.vtu")))
+        assert set(mesh.point_data) == {"was", "GlobalPointIds"}
+    assert all(np.array_equal(a, b) for a, b in zip(*results, strict=True))
+    assert not recwarn
+    index = (tmp_path / "ghosts.pvtu")
+    index.write_text((tmp_path / "plain.pvtu").read_text().replace('Level="0"', 'Level="1"')
+                     .replace("plain/", "ghosts/"))
+    optimize_pieces(index, tmp_path / "out.pvtu")
+    assert np.array_equal(glued(tmp_path / "out.pvtu", len(start.points))[0], results[0][0])
+    index.write_text(index.read_text().replace("ghosts/", "plain/"))
+    with pytest.raises(InvalidMeshError, match="the cell array vtkGhostType"):
+        optimize_pieces(index, tmp_path / "out.pvtu")
+
+
+def test_pieces_that_overlap_and_pieces_without_cells_are_refused(tmp_path):
+    start = ball(150)
+    label = bricks(start.points, start.cells, 2)
+    write_pieces(tmp_path / "in", start.points, start.cells, label)
+    one = meshio.read(tmp_path / "in" / "piece-1.vtu")
+    both = np.flatnonzero((label == 1) | (np.arange(len(label)) < 40))
+    used, number = np.unique(start.cells[both], return_inverse=True)
+    meshio.Mesh(start.points[used], [("tetra", number.reshape(-1, 4))],
+                point_data={"was": used}).write(tmp_path / "in" / "piece-1.vtu")
+    assert len(one.cells[0]) < len(both)
+    with pytest.raises(InvalidMeshError, match="pieces overlap at"):
+        optimize_pieces(tmp_path / "in", tmp_path / "out.pvtu")
+    for k in (0, 1):
+        (tmp_path / "in" / f"piece-{k}.vtu").write_text(
+            '<VTKFile type="UnstructuredGrid"><UnstructuredGrid><Piece NumberOfPoints="0" '
+            'NumberOfCells="0"></Piece></UnstructuredGrid></VTKFile>')
+    with pytest.raises(InvalidMeshError, match="the pieces have no cells"):
+        optimize_pieces(tmp_path / "in", tmp_path / "out.pvtu")
+    assert sorted(os.listdir(tmp_path)) == ["in", "in.pvtu"]
+
+
+def test_arrays_that_some_pieces_lack_are_named(tmp_path):
+    start = ball(150)
+    index = write_pieces(tmp_path / "in", start.points, start.cells,
+                         bricks(start.points, start.cells, 2))
+    mesh = meshio.read(tmp_path / "in" / "piece-0.vtu")
+    mesh.point_data["extra"] = np.zeros((len(mesh.points), 3))
+    mesh.cell_data["layer"] = [np.zeros(len(mesh.cells[0].data))]
+    mesh.write(tmp_path / "in" / "piece-0.vtu")
+    with pytest.warns(DataNotKeptWarning, match="alike do not come through: extra, layer"):
+        optimize_pieces(index, tmp_path / "out.pvtu")
+    glued(tmp_path / "out.pvtu", len(start.points))
+
+
+def test_cell_arrays_come_through_as_they_do_in_one_piece(tmp_path, recwarn):
+    start = ball(1500)
+    centres = start.points[start.cells].mean(axis=1)
+    marker = (centres[:, 0] > 0.1).astype(np.int64)
+    index = write_pieces(tmp_path / "in", start.points, start.cells,
+                         bricks(start.points, start.cells, 3), marker=marker,
+                         row=np.arange(len(start.cells)), place=centres.astype(np.float32))
+    optimize_pieces(index, tmp_path / "out.pvtu")
+    assert not recwarn.list
+    old = {tuple(sorted(cell)): row for row, cell in enumerate(start.cells.tolist())}
+    found = kept = 0
+    size = np.ptp(start.points[start.cells], axis=1).max()
+    for piece in ElementTree.parse(tmp_path / "out.pvtu").getroot().iter("Piece"):
+        mesh = meshio.read(tmp_path / piece.get("Source"))
+        row, place = mesh.cell_data["row"][0], mesh.cell_data["place"][0]
+        assert row.dtype == np.int64
+        assert np.array_equal(place, centres.astype(np.float32)[row])
+        assert np.array_equal(marker[row], mesh.cell_data["marker"][0])
+        corners = mesh.points[mesh.cells[0].data]
+        assert np.abs(corners.mean(axis=1) - centres[row]).max() < 2.0 * size
+        for cell, source in zip(mesh.point_data["was"][mesh.cells[0].data].tolist(), row.tolist(),
+                                strict=True):
+            same = old.get(tuple(sorted(cell)))
+            found += same is not None
+            kept += same == source
+    assert kept > 0.9 * found > 0
+    declared = ElementTree.parse(tmp_path / "out.pvtu").getroot().find(".//PCellData")
+    assert sorted(array.get("Name") for array in declared) == ["marker", "place", "row"]
+
+
+def test_cells_of_mixed_orientation_are_turned_when_asked(tmp_path):
+    start = ball(150)
+    cells = start.cells.copy()
+    cells[::5] = cells[::5, [1, 0, 2, 3]]
+    index = write_pieces(tmp_path / "in", start.points, cells,
+                         bricks(start.points, start.cells, 2))
+    with pytest.raises(InvalidMeshError, match="orient=True"):
+        optimize_pieces(index, tmp_path / "out.pvtu")
+    optimize_pieces(index, tmp_path / "out.pvtu", odt={"orient": True})
+    points, result, _, _ = glued(tmp_path / "out.pvtu", len(start.points))
+    assert tet_meshes.signed_volumes(points, result).min() > 0.0
+
+
+def test_an_input_that_nothing_betters_comes_back_with_its_vertices_numbered(
+    tmp_path, monkeypatch
+):
+    start = ball(200)
+    index = write_pieces(tmp_path / "in", start.points, start.cells,
+                         bricks(start.points, start.cells, 2))
+    monkeypatch.setattr(pieces, "worse", lambda *_: ["too bad"])
+    report = optimize_pieces(index, tmp_path / "out.pvtu")
+    assert report.fallback == "a later round was given up (too bad)"
+    points, cells, _, _ = glued(tmp_path / "out.pvtu", len(start.points))
+    assert np.array_equal(points, start.points)
+    assert sorted(map(tuple, np.sort(cells))) == sorted(map(tuple, np.sort(start.cells)))
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="limits of POSIX")
+def test_a_full_disk_leaves_the_old_result(tmp_path):
+    start = ball(1500)
+    index = write_pieces(tmp_path / "in", start.points, start.cells,
+                         bricks(start.points, start.cells, 2))
+    (tmp_path / "out.pvtu").write_text("old")
+    code = ("import sys; from odt_plugins.distributed.pieces import optimize_pieces; "
+            "optimize_pieces(*sys.argv[1:])")
+    done = subprocess.run(
+        [sys.executable, "-c", code, str(index), str(tmp_path / "out.pvtu")],
+        capture_output=True, text=True, check=False,
+        preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000)))
+    assert "MeshFileError: cannot write" in done.stderr
+    assert (tmp_path / "out.pvtu").read_text() == "old"
+    assert sorted(os.listdir(tmp_path)) == ["in", "in.pvtu", "out.pvtu"]

@@ -1,0 +1,126 @@
+"""Cell measures of the objectives: closed forms, invariances, derivatives."""
+
+from __future__ import annotations
+
+from itertools import permutations
+
+import numpy as np
+import pytest
+import tet_meshes as tm
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.spatial.transform import Rotation
+
+from odt_plugins.engine.cells.tetrahedron import (
+    DIHEDRAL,
+    MEAN_RATIO,
+    QUALITY,
+    tet_cost,
+    tet_measure,
+)
+from odt_plugins.engine.moves.newton3d import add_cost_terms
+from odt_plugins.engine.record.figures import amips_energies
+
+REGULAR = np.array([[1, -1, -1], [1, 1, 1], [-1, 1, -1], [-1, -1, 1.0]])
+CORNER = np.vstack([np.zeros(3), np.eye(3)])
+EVEN = [p for p in permutations(range(4)) if np.linalg.det(np.eye(4)[list(p)]) > 0]
+
+TWINS = {
+    QUALITY: tm.quality,
+    MEAN_RATIO: lambda points, cells: (3.0 / tm.amips(points, cells)) ** 3,
+    DIHEDRAL: tm.softened_sine,
+}
+ALL = pytest.mark.parametrize("objective", TWINS, ids=["radius ratio", "mean ratio", "dihedral"])
+
+
+def positive(seed, spread=0.4):
+    """A tetrahedron of positive volume, not flat."""
+    rng = np.random.default_rng(seed)
+    while True:
+        points = REGULAR + spread * rng.normal(size=(4, 3))
+        if np.linalg.det(points[1:] - points[0]) > 1.0:
+            return points
+
+
+@ALL
+def test_regular_cell_is_one_and_no_cell_is_more(objective):
+    assert tet_measure(REGULAR, 0, 1, 2, 3, objective) == pytest.approx(1.0, abs=1e-14)
+    for seed in range(300):
+        points = positive(seed, spread=0.02 if seed % 2 else 1.0)
+        assert tet_measure(points, 0, 1, 2, 3, objective) < 1.0
+
+
+@ALL
+def test_cells_that_are_not_positive_are_told(objective):
+    assert tet_measure(REGULAR, 1, 0, 2, 3, objective) < 0
+    flat = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.0]])
+    assert tet_measure(flat, 0, 1, 2, 3, objective) <= 0
+    assert tet_measure(np.zeros((4, 3)), 0, 1, 2, 3, objective) <= 0
+    assert tet_cost(REGULAR, 1, 0, 2, 3, objective, 2.0) == np.inf
+    for points, order in ((REGULAR, (1, 0, 2, 3)), (flat, (0, 1, 2, 3)),
+                          (np.zeros((4, 3)), (0, 1, 2, 3))):
+        assert not add_cost_terms(points, *order, objective, 2.0, np.zeros(20))
+
+
+def test_right_angled_corner():
+    # dihedral angles: three of 90 degrees, three with the tangent sqrt(2)
+    m = 1.125 * ((3 + 3 * 1.5**4) / 6) ** -0.25
+    assert tet_measure(CORNER, 0, 1, 2, 3, DIHEDRAL) == pytest.approx(m, rel=1e-14)
+    # E = half the sum of squared edges over (sqrt(2) det)^(2/3)
+    e = 4.5 / 2 ** (1 / 3)
+    assert tet_measure(CORNER, 0, 1, 2, 3, MEAN_RATIO) == pytest.approx((3 / e) ** 3, rel=1e-14)
+    both = np.vstack([REGULAR, CORNER]), np.arange(8, dtype=np.int32).reshape(2, 4)
+    assert amips_energies(*both) == pytest.approx([3.0, e], rel=1e-14)
+
+
+@ALL
+@settings(max_examples=50, deadline=None)
+@given(seed=st.integers(0, 10**6), scale=st.floats(1e-3, 1e3))
+def test_measure_agrees_with_its_twin_and_is_invariant(objective, seed, scale):
+    points = positive(seed)
+    m = tet_measure(points, 0, 1, 2, 3, objective)
+    assert m == pytest.approx(TWINS[objective](points, np.arange(4)[None])[0], rel=1e-9)
+    for order in EVEN:
+        assert tet_measure(points, *order, objective) == pytest.approx(m, rel=1e-10)
+    turn = Rotation.random(random_state=seed).as_matrix()
+    moved = scale * (points @ turn.T + [1.0, -2.0, 3.0])
+    assert tet_measure(moved, 0, 1, 2, 3, objective) == pytest.approx(m, rel=1e-9)
+
+
+@ALL
+@pytest.mark.parametrize("power", [1 / 3, 2.0, 8.0])
+@pytest.mark.parametrize("seed", range(6))
+def test_gradient_and_hessian_of_the_cost_agree_with_differences(objective, power, seed):
+    points = positive(seed)
+    cell = np.arange(4)[None]
+
+    def f(x):
+        m = TWINS[objective](np.vstack([x, points[1:]]), cell)[0]
+        return (1.005 / (m + 0.005)) ** power
+
+    out = np.zeros(20)
+    assert add_cost_terms(points, 0, 1, 2, 3, objective, power, out)
+    x = points[0]
+    h = 2e-4
+    unit = np.eye(3) * h
+    gradient = [(f(x + e) - f(x - e)) / (2 * h) for e in unit]
+    hessian = [[(f(x + a + b) - f(x + a - b) - f(x - a + b) + f(x - a - b)) / (4 * h * h)
+                for a in unit] for b in unit]
+    assert out[0] == pytest.approx(f(x), rel=1e-10)
+    assert out[1:4] == pytest.approx(gradient, abs=1e-5 * np.abs(gradient).max())
+    packed = np.array(hessian)[np.triu_indices(3)]
+    assert out[4:10] == pytest.approx(packed, abs=1e-4 * np.abs(packed).max())
+
+
+@ALL
+def test_costs_of_a_star_add_up(objective):
+    points, other = positive(1), positive(2)
+    other[0] = points[0]
+    both = np.vstack([points, other[1:]])
+    sums = np.zeros(20)
+    for i, j, k in ((1, 2, 3), (4, 5, 6)):
+        assert add_cost_terms(both, 0, i, j, k, objective, 2.0, sums)
+    alone = np.zeros((2, 20))
+    assert add_cost_terms(points, 0, 1, 2, 3, objective, 2.0, alone[0])
+    assert add_cost_terms(other, 0, 1, 2, 3, objective, 2.0, alone[1])
+    assert sums[:10] == pytest.approx(alone.sum(axis=0)[:10], rel=1e-12)

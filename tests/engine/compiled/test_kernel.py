@@ -1,0 +1,171 @@
+"""Kernels: compiled the same way everywhere, also where nothing can be cached."""
+
+from __future__ import annotations
+
+import ast
+import os
+import re
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numba
+import numpy as np
+
+import odt_plugins
+from odt_plugins.engine.cells.sphere import apex_across
+from odt_plugins.engine.cells.tetrahedron import tet_quality
+from odt_plugins.engine.compiled import cache as kernel_cache
+from odt_plugins.engine.compiled import kernel
+from odt_plugins.engine.moves import cavity
+
+ENGINE = Path(odt_plugins.__file__).parent / "engine"
+
+
+def test_all_kernels_go_through_one_decorator():
+    for path in ENGINE.rglob("*.py"):
+        text = path.read_text(encoding="utf-8")
+        assert path.name == "kernel.py" or not re.search(r"\bn?jit\b", text), path
+
+
+def test_kernels_are_cached_and_divide_as_numpy_does():
+    @kernel.kernel
+    def inverse(x: float) -> float:
+        return 1.0 / x
+
+    assert inverse(0.0) == np.inf
+    assert tet_quality._cache is not None
+    assert tet_quality.targetoptions["nogil"]
+
+
+def test_without_a_place_for_the_cache_kernels_are_compiled_all_the_same(monkeypatch):
+    asked = []
+
+    def njit(**options):
+        asked.append(options)
+        if options.get("cache"):
+            msg = "cannot cache function: no locator available"
+            raise RuntimeError(msg)
+        return numba.njit(**options)
+
+    monkeypatch.setattr(kernel, "njit", njit)
+
+    @kernel.compiled()
+    def twice(x: float) -> float:
+        return 2.0 * x
+
+    assert twice(4.0) == 8.0
+    assert [bool(options.get("cache")) for options in asked] == [True, False]
+
+
+def test_a_process_that_may_write_nowhere_can_use_the_engine(tmp_path):
+    code = """
+import numba.core.caching as caching
+caching._CacheLocator.ensure_cache_path = lambda self: (_ for _ in ()).throw(OSError())
+from odt_plugins.engine.order import morton_keys
+from odt_plugins.engine.star import vertex_stars
+import numpy as np
+print(vertex_stars(np.array([[0, 1, 2]], dtype=np.int32), 3).indptr.tolist())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False)
+    assert done.stdout.split() == ["[0,", "1,", "2,", "3]"], done.stderr
+
+
+INNER = """
+from odt_plugins.engine.kernel import kernel
+STEP = {step}
+@kernel
+def inner(x: float) -> float:
+    return x + STEP
+"""
+OUTER = """
+from odt_plugins.engine.inner import inner
+from odt_plugins.engine.kernel import kernel
+@kernel
+def outer(x: float) -> float:
+    return 2.0 * inner(x)
+"""
+CALL = """
+from odt_plugins.engine.outer import outer
+print(outer(1.0), sum(outer.stats.cache_hits.values()))
+"""
+
+
+def test_a_change_in_a_kernel_that_another_file_calls_is_seen(tmp_path):
+    engine = tmp_path / "odt_plugins" / "engine"
+    engine.mkdir(parents=True)
+    for name in ("kernel.py", "kernel_cache.py"):
+        shutil.copy(ENGINE / name, engine)
+    (engine / "outer.py").write_text(OUTER, encoding="utf-8")
+    env = {key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"}
+
+    def call(*, at_once: int = 1) -> set[str]:
+        running = [subprocess.Popen([sys.executable, "-c", CALL], stdout=subprocess.PIPE, text=True,
+                                    cwd=tmp_path, env=env | {"PYTHONPATH": str(tmp_path)})
+                   for _ in range(at_once)]
+        return {process.communicate()[0].strip() for process in running}
+
+    def write(step: float) -> None:
+        (engine / "inner.py").write_text(INNER.format(step=step), encoding="utf-8")
+
+    write(1.0)
+    assert call() == {"4.0 0"}
+    write(2.5)
+    assert {line.split()[0] for line in call(at_once=2)} == {"7.0"}
+    (engine / "driver.py").write_text("SHARE = 0.5", encoding="utf-8")
+    write(1.0)
+    assert call() == {"4.0 1"}
+
+
+def test_what_a_kernel_uses_stands_in_files_with_kernels():
+    """A number that a kernel takes from another file is part of its machine code as well."""
+    trees = {f"odt_plugins.engine.{'.'.join(path.relative_to(ENGINE).with_suffix('').parts)}":
+             ast.parse(path.read_text(encoding="utf-8")) for path in ENGINE.rglob("*.py")}
+    kernels = {
+        name: [node for node in tree.body if isinstance(node, ast.FunctionDef)
+               and {getattr(d, "id", "") for d in node.decorator_list}
+               & {"kernel", "allocating_kernel"}] for name, tree in trees.items()}
+    assert sum(map(len, kernels.values())) > 100
+    for name, found in kernels.items():
+        source = {alias.asname or alias.name: node.module for node in trees[name].body
+                  if isinstance(node, ast.ImportFrom) for alias in node.names}
+        used = {node.id for function in found for statement in function.body
+                for node in ast.walk(statement) if isinstance(node, ast.Name)}
+        for word in used & set(source):
+            module = source[word]
+            assert not module.startswith("odt_plugins") or kernels.get(module), (name, word)
+
+
+def test_an_unknown_numba_caches_as_it_does(monkeypatch):
+    dispatcher = numba.njit(tet_quality.py_func, cache=True)
+    file = dispatcher._cache._cache_file
+    monkeypatch.setattr("numba.core.caching.IndexDataCacheFile", lambda path: None)
+    kernel_cache.keep_by("0", dispatcher)
+    monkeypatch.delattr("numba.core.caching.IndexDataCacheFile")
+    kernel_cache.keep_by("0", dispatcher)
+    assert dispatcher._cache._cache_file is file
+    kernel_cache.keep_by("0", object())
+
+
+def test_an_editor_may_leave_a_link_that_leads_nowhere(tmp_path):
+    (tmp_path / "a.py").write_text("kernel", encoding="utf-8")
+    stamp = kernel_cache.source_stamp(tmp_path)
+    (tmp_path / ".#a.py").symlink_to("someone@here.17")
+    assert kernel_cache.source_stamp(tmp_path) == stamp
+
+
+def test_what_a_flip_calls_is_compiled_for_one_type():
+    """For every type of an argument, and every literal, numba compiles a kernel anew."""
+    n = 8
+    cells = np.zeros((n, 4), np.int32)
+    cells[0] = 0, 1, 2, 3
+    # Not from the cache, where the kernels that it calls would not be asked for.
+    numba.njit(cavity.replace_cavity.py_func)(
+        cells, np.full((n, 4), -1, np.int32), np.zeros(n, np.int32), np.zeros(n, np.uint8),
+        np.zeros(4, np.int32), 1, cells[:1].copy(), 1, np.array([1, 0, 0]), np.zeros(n, np.int32),
+        np.zeros((32, 5), np.int32), np.zeros((100, 4), np.int64),
+    )
+    assert len(cavity._note.signatures) == len(cavity._sorted3.signatures) == 1
+    assert apex_across(cells, 0, 0, 0) == 0
+    assert apex_across.nopython_signatures[0].return_type == numba.int32

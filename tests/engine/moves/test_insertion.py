@@ -1,0 +1,251 @@
+"""Insertion and removal of vertices: cavities, the way back, what stays, and the budget."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import tet_meshes as tm
+from test_compound import contents
+from test_flips3d import OPEN, assert_sound, complex_of
+
+from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, QUALITY
+from odt_plugins.engine.finish.phases import Resampling
+from odt_plugins.engine.finish.resampling import resample, with_spare_vertices
+from odt_plugins.engine.moves import insertion, star_cavity
+from odt_plugins.engine.moves.cavity import make_work, replace_cavity
+from odt_plugins.engine.moves.compound import descend_around, make_scratch, settle
+from odt_plugins.engine.moves.passes import measures
+
+POWER = 4.0
+
+
+def spare_complex(points, cells, regions=None, stays=None):
+    mesh = complex_of(points, cells, regions)
+    n = len(points)
+    stays = np.zeros(n, dtype=bool) if stays is None else stays
+    labels = mesh.mesh_arrays()[1]
+    return with_spare_vertices(points.copy(), cells, labels, mesh.locked, mesh.rim, stays)
+
+
+class Operation:
+    """The steps of one operation at a cell, as the pass takes them."""
+
+    def __init__(self, mesh):
+        self.mesh = mesh
+        self.work = make_work(np.empty(0))
+        self.scratch = make_scratch()
+        self.journal = np.zeros((1 << 15, 4), dtype=np.int64)
+        self.cavity = np.empty(256, dtype=np.int32)
+        self.new = np.empty((256, 4), dtype=np.int32)
+        self.rim = np.empty((1024, 5), dtype=np.int32)
+        self.rows = np.arange(256, dtype=np.int32)
+
+    def propose(self, c, op):
+        m = self.mesh
+        if op < star_cavity.PLACES:
+            m.locked[m.first[0]] = False
+            return insertion.propose_vertex(
+                m.points, m.cells, m.neighbors, m.regions, m.status, c, op, int(m.first[0]),
+                QUALITY, POWER, 10, OPEN, self.work, self.scratch, self.cavity, self.new,
+                self.rows)
+        v = int(m.cells[c, op - star_cavity.PLACES])
+        return insertion.propose_removal(
+            m.points, m.cells, m.neighbors, m.locked, m.stays, c, v, QUALITY, POWER,
+            self.scratch, self.cavity, self.new)
+
+    def put(self, n_old, n_new):
+        m = self.mesh
+        self.journal[0, 0] = 0
+        return replace_cavity(m.cells, m.neighbors, m.regions, m.status, self.cavity, n_old,
+                              self.new, n_new, m.slots, m.free, self.rim, self.journal)
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_cells_of_a_proposal_fill_the_cavity_and_the_gain_is_the_fall_of_the_sum(seed):
+    points, cells = tm.ball(200, seed)
+    mesh = spare_complex(points, cells)
+    step = Operation(mesh)
+    count = {"vertex": 0, "removal": 0}
+    for c in range(0, len(cells), 7):
+        for op in range(star_cavity.PLACES + 4):
+            gain, n_old, n_new = step.propose(c, op)
+            if not gain > -np.inf:
+                continue
+            old, new = mesh.cells[step.cavity[:n_old]], step.new[:n_new]
+            assert len(np.unique(step.cavity[:n_old])) == n_old
+            assert (tm.signed_volumes(mesh.points, new) > 0).all()
+            assert tm.signed_volumes(mesh.points, new).sum() == pytest.approx(
+                tm.signed_volumes(mesh.points, old).sum(), rel=1e-12)
+            assert gain == pytest.approx(tm.cost(mesh.points, old, POWER).sum()
+                                         - tm.cost(mesh.points, new, POWER).sum(), rel=1e-9)
+            lost = set(old.ravel().tolist()) - set(new.ravel().tolist())
+            if op < star_cavity.PLACES:
+                assert not lost
+                assert (new == mesh.first[0]).any(axis=1).all()
+                count["vertex"] += 1
+            else:
+                assert lost == {int(cells[c, op - star_cavity.PLACES])}
+                assert not mesh.locked[list(lost)].any()
+                count["removal"] += 1
+    assert count["vertex"] > 100
+    assert count["removal"] > 50
+
+
+def test_growth_stops_where_no_cell_lowers_the_sum():
+    points, cells = tm.ball(200, 3)
+    mesh = spare_complex(points, cells)
+    step = Operation(mesh)
+    grown = 0
+    p = int(mesh.first[0])
+
+    def cone_sum(cavity):
+        inside = set(cavity)
+        rows = []
+        for c in cavity:
+            for f in range(4):
+                if int(mesh.neighbors[c, f]) not in inside:
+                    rows.append(mesh.cells[c].copy())
+                    rows[-1][f] = p
+        rows = np.array(rows)
+        if (tm.signed_volumes(mesh.points, rows) <= 0).any():
+            return np.inf
+        return tm.cost(mesh.points, rows, POWER).sum()
+
+    for c in range(0, len(cells), 11):
+        ring, around = step.work[0], step.work[1]
+        n = star_cavity.seed_cavity(
+            mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.status, c, 10, p, 10,
+            ring, around, step.cavity)
+        n_old = star_cavity.grow_cavity(
+            mesh.points, mesh.cells, mesh.neighbors, mesh.regions, p, step.cavity, n, QUALITY,
+            POWER)
+        cavity = step.cavity[:n_old].tolist()
+        grown += n_old > n
+        total = cone_sum(cavity) - tm.cost(mesh.points, mesh.cells[cavity], POWER).sum()
+        across = {int(t) for t in mesh.neighbors[cavity].ravel()} - set(cavity) - {-1}
+        for t in across:
+            if sum(int(u) in cavity for u in mesh.neighbors[t]) < 3:
+                bigger = [*cavity, t]
+                after = cone_sum(bigger) - tm.cost(mesh.points, mesh.cells[bigger], POWER).sum()
+                assert after >= total - 1e-9 * abs(total)
+    assert grown > 10
+
+
+@pytest.mark.parametrize("seed", [1, 2])
+def test_what_does_not_stay_leaves_every_bit_as_it_was(seed):
+    points, cells = tm.ball(150, seed)
+    mesh = spare_complex(points, cells)
+    step = Operation(mesh)
+    rng = np.random.default_rng(seed)
+    before = contents(mesh)
+    status = mesh.status.copy()
+    tried = np.zeros(len(mesh.cells), dtype=bool)
+    ops = moved = 0
+    for c in rng.permutation(len(cells))[:40]:
+        for op in range(star_cavity.PLACES + 4):
+            here = mesh.points.copy()
+            gain, n_old, n_new = step.propose(c, op)
+            if not gain > -np.inf or not step.put(n_old, n_new):
+                continue
+            assert contents(mesh) != before
+            _, n_touched, n_undo = descend_around(
+                mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status,
+                mesh.slots, mesh.free, QUALITY, POWER, 10, OPEN, step.cavity, n_new, gain,
+                -np.inf, step.work, step.journal, step.scratch)
+            assert_sound(mesh, mesh.points, tm.signed_volumes(points, cells).sum())
+            moved += n_undo > 0
+            ops += 1
+            settle(mesh.points, mesh.cells, mesh.neighbors, mesh.status, mesh.slots, mesh.free,
+                   False, n_touched, n_undo, step.journal, step.scratch, tried)
+            mesh.locked[mesh.first[0]] = True
+            mesh.points[mesh.first[0]] = here[mesh.first[0]]
+            assert contents(mesh) == before
+            assert np.array_equal(mesh.status, status)
+    assert ops > 300
+    assert moved > 300
+
+
+def cost_sum(mesh):
+    return tm.cost(mesh.points, mesh.mesh_arrays()[0], POWER).sum()
+
+
+@pytest.mark.parametrize("seed", [4, 5])
+def test_what_stays_lowers_the_sum_within_the_bounds(seed):
+    points, cells = tm.ball(300, seed)
+    mesh = spare_complex(points, cells)
+    volume = tm.signed_volumes(points, cells).sum()
+    locked = mesh.locked.copy()
+    last = cost_sum(mesh)
+    q = tm.quality(points, cells)
+    angle = np.cos(np.radians(tm.dihedral_angles(points, cells)))
+    bounds = np.array([q.min(), angle.max(), angle.min(), 0.0, 1.0, -1.0])
+    taken = resample(mesh, Resampling(POWER, 0.05, 2), 1.0, bounds)
+    assert taken > 20
+    after = mesh.mesh_arrays()[0]
+    assert cost_sum(mesh) < last
+    assert_sound(mesh, mesh.points, volume)
+    assert np.array_equal(mesh.points[: len(points)][locked[: len(points)]],
+                          points[locked[: len(points)]])
+    n = len(points)
+    used = np.zeros(len(mesh.points), dtype=bool)
+    used[after] = True
+    assert used[:n][locked[:n]].all()
+    assert used[n:].sum() > 0
+    assert (~used[:n]).sum() > 0
+    assert mesh.first[0] == n + np.flatnonzero(used[n:]).max() + 1
+    assert mesh.locked[~used].all()
+    assert not mesh.locked[n:][used[n:]].any()
+    assert tm.quality(mesh.points, after).min() >= q.min() - 1e-12
+    after_angle = np.cos(np.radians(tm.dihedral_angles(mesh.points, after)))
+    assert after_angle.max() <= angle.max() + 1e-12
+    assert after_angle.min() >= angle.min() - 1e-12
+
+
+def test_the_smallest_angle_as_measure():
+    points, cells = tm.ball(300, 6)
+    mesh = spare_complex(points, cells)
+    before = np.sort(measures(mesh, DIHEDRAL))[:10]
+    assert resample(mesh, Resampling(POWER, 0.05, 2, DIHEDRAL), 1.0, OPEN) > 10
+    after = np.sort(measures(mesh, DIHEDRAL))[:10]
+    assert (after > before).all()
+
+
+def test_interfaces_stay():
+    points, cells = tm.grid(4, 9)
+    regions = (points[cells].mean(axis=1)[:, 0] > 2).astype(np.int32)
+    mesh = spare_complex(points, cells, regions)
+    assert resample(mesh, Resampling(POWER, 0.2, 2), 1.0, OPEN) > 5
+    after, labels = mesh.mesh_arrays()
+    face = {f for f, o in tm.facets_of(after).items()
+            if len(o) == 2 and labels[o[0]] != labels[o[1]]}
+    assert face == {f for f, o in tm.facets_of(cells).items()
+                    if len(o) == 2 and regions[o[0]] != regions[o[1]]}
+    for label in (0, 1):
+        assert tm.signed_volumes(mesh.points, after[labels == label]).sum() == pytest.approx(
+            tm.signed_volumes(points, cells[regions == label]).sum(), rel=1e-12)
+
+
+def test_no_more_vertices_than_there_is_room_for():
+    points, cells = tm.ball(100, 7)
+    mesh = spare_complex(points, cells)
+    assert len(mesh.points) == len(points) + len(points) // 10
+    for _ in range(6):
+        resample(mesh, Resampling(8.0, 0.3, 2), 1.0, OPEN)
+    assert mesh.first[0] == len(mesh.points)
+    assert_sound(mesh, mesh.points, tm.signed_volumes(points, cells).sum())
+
+
+def test_anchored_vertices_stay():
+    points, cells = tm.ball(300, 4)
+    free = spare_complex(points, cells)
+    step = Resampling(POWER, 0.05, 2)
+    resample(free, step, 1.0, OPEN)
+    used = np.zeros(len(free.points), dtype=bool)
+    used[free.mesh_arrays()[0]] = True
+    gone = np.flatnonzero(~used[: len(points)])
+    assert len(gone) > 3
+    stays = np.zeros(len(points), dtype=bool)
+    stays[gone] = True
+    held = spare_complex(points, cells, stays=stays)
+    resample(held, step, 1.0, OPEN)
+    assert np.isin(gone, held.mesh_arrays()[0]).all()

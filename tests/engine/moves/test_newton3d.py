@@ -1,0 +1,156 @@
+"""Newton smoothing of a star: derivatives, descent, bounds, locked vertices."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import tet_meshes as tm
+
+from odt_plugins.engine.cells.tetrahedron import QUALITY
+from odt_plugins.engine.moves.active import spread
+from odt_plugins.engine.moves.newton3d import (
+    add_quality_terms,
+    smooth_vertices,
+    star_state,
+    sure_quality,
+)
+from odt_plugins.engine.topology.coloring import vertex_coloring
+from odt_plugins.engine.topology.star import vertex_stars
+
+OPEN = np.array([0.0, 1.0, -1.0, 0.0, 1.0, -1.0])
+
+
+def interior(points, cells):
+    mask = np.ones(len(points), dtype=bool)
+    for facet, owners in tm.facets_of(cells).items():
+        if len(owners) == 1:
+            mask[list(facet)] = False
+    return mask
+
+
+@pytest.mark.parametrize("power", [1.0, 3.0])
+@pytest.mark.parametrize("seed", range(5))
+def test_gradient_and_hessian_agree_with_differences(seed, power):
+    rng = np.random.default_rng(seed)
+    points = np.vstack([np.zeros(3), np.eye(3)]) + 0.2 * rng.normal(size=(4, 3))
+    cell = np.array([[0, 1, 2, 3]])
+
+    def f(x):
+        moved = points.copy()
+        moved[0] = x
+        return float(tm.cost(moved, cell, power)[0])
+
+    out = np.zeros(10)
+    assert add_quality_terms(points, 0, 1, 2, 3, power, out)
+    h = 1e-4
+    unit = np.eye(3) * h
+    x = points[0]
+    gradient = [(f(x + e) - f(x - e)) / (2 * h) for e in unit]
+    hessian = [[(f(x + a + b) - f(x + a - b) - f(x - a + b) + f(x - a - b)) / (4 * h * h)
+                for a in unit] for b in unit]
+    assert out[0] == pytest.approx(f(x), rel=1e-10)
+    assert out[1:4] == pytest.approx(gradient, rel=1e-4, abs=1e-4 * np.abs(gradient).max())
+    packed = np.array(hessian)[np.triu_indices(3)]
+    assert out[4:] == pytest.approx(packed, rel=1e-4, abs=1e-4 * np.abs(packed).max())
+
+
+def test_inverted_cells_are_refused():
+    points = np.array([[0, 0, 0], [0, 1, 0], [1, 0, 0], [0, 0, 1.0]])
+    assert not add_quality_terms(points, 0, 1, 2, 3, 1.0, np.zeros(10))
+
+
+def test_every_sweep_lowers_the_sum_and_keeps_the_rest():
+    points, cells = tm.ball(250, 6)
+    stars = vertex_stars(cells, len(points))
+    free = interior(points, cells)
+    order, blocks, _ = vertex_coloring(cells, free)
+    moved = np.zeros(len(points))
+    now = points.copy()
+    last = float(tm.cost(now, cells, 2.0).sum())
+    for _ in range(4):
+        for a, b in pairwise(blocks.tolist()):
+            smooth_vertices(now, cells, stars.indptr, stars.indices, order, a, b, QUALITY, 2.0,
+                            OPEN, moved)
+        cost = float(tm.cost(now, cells, 2.0).sum())
+        assert cost < last
+        last = cost
+    assert (tm.signed_volumes(now, cells) > 0).all()
+    assert np.array_equal(now[~free], points[~free])
+    assert tm.quality(now, cells).mean() > tm.quality(points, cells).mean() + 0.05
+
+
+def test_bounds_hold_for_angles_too():
+    points, cells = tm.ball(250, 14)
+    stars = vertex_stars(cells, len(points))
+    order, blocks, _ = vertex_coloring(cells, interior(points, cells))
+    angles = tm.dihedral_angles(points, cells)
+    bounds = np.array([tm.quality(points, cells).min(), np.cos(np.radians(angles.min())),
+                       np.cos(np.radians(angles.max())), 0.0, 1.0, -1.0])
+    moved = np.zeros(len(points))
+    for _ in range(3):
+        for a, b in pairwise(blocks.tolist()):
+            smooth_vertices(points, cells, stars.indptr, stars.indices, order, a, b, QUALITY, 1.0,
+                            bounds, moved)
+    now = tm.dihedral_angles(points, cells)
+    assert now.min() >= angles.min() - 1e-7
+    assert now.max() <= angles.max() + 1e-7
+
+
+def loose_tets(count, seed):
+    """Tetrahedra that share nothing, from nearly regular ones to needles and slivers."""
+    rng = np.random.default_rng(seed)
+    flat = 10.0 ** rng.uniform(-2.0, 0.0, size=(count, 1, 3))
+    points = (rng.normal(size=(count, 4, 3)) * flat).reshape(-1, 3)
+    return points, tm.oriented(points, np.arange(4 * count, dtype=np.int32).reshape(-1, 4))
+
+
+def test_no_cell_is_sure_to_keep_bounds_that_it_breaks():
+    points, cells = loose_tets(20000, 3)
+    quality, angles = tm.quality(points, cells), tm.dihedral_angles(points, cells)
+    low, high = np.cos(np.radians(angles.min(axis=1))), np.cos(np.radians(angles.max(axis=1)))
+    for a, b, q in zip(low, high, quality, strict=True):
+        assert sure_quality(np.array([0.0, a, -1.0])) >= q
+        assert sure_quality(np.array([0.0, 1.0, b])) >= q
+
+
+def test_bounds_on_one_side_of_a_right_angle_leave_no_cell_sure():
+    assert sure_quality(np.array([0.0, -0.1, -0.9, 0.0, 1.0, -1.0])) > 1.0
+    assert sure_quality(np.array([0.0, 0.9, 0.1, 0.0, 1.0, -1.0])) > 1.0
+    assert sure_quality(OPEN) < 1e-5
+
+
+def test_the_state_of_a_star_is_the_sum_and_the_extremes():
+    points, cells = loose_tets(300, 8)
+    cells = cells[tm.quality(points, cells) > 1e-3]
+    star = np.arange(len(cells), dtype=np.int32)[::2]
+    quality, angles = tm.quality(points, cells)[star], tm.dihedral_angles(points, cells)[star]
+    costs = tm.cost(points, cells, 2.0)[star]
+    for sure in (2.0, 0.3):
+        asked = angles[quality < sure]
+        found = star_state(points, cells, star, 0, len(star), QUALITY, 2.0, np.inf, sure)
+        expected = (costs.sum(), quality.min(), np.cos(np.radians(asked.min())),
+                    np.cos(np.radians(asked.max())))
+        assert found == pytest.approx(expected, rel=1e-9)
+
+    def total(limit):
+        return star_state(points, cells, star, 0, len(star), QUALITY, 2.0, limit, 2.0)[0]
+
+    assert total(1.01 * costs.sum()) < np.inf
+    assert total(0.99 * costs.sum()) == np.inf
+    cells[star[3]] = cells[star[3]][[1, 0, 2, 3]]
+    assert total(np.inf) == np.inf
+
+
+def test_what_moved_wakes_its_neighbours_only():
+    points, cells = tm.grid(3, 1)
+    stars = vertex_stars(cells, len(points))
+    moved = np.zeros(len(points))
+    moved[21] = 0.5
+    active = np.ones(len(points), dtype=bool)
+    status = np.zeros(len(cells), dtype=np.uint8)
+    assert spread(cells, stars.indptr, stars.indices, moved, 0.1, active, status) == 1
+    around = (cells == 21).any(axis=1)
+    assert np.array_equal(status == 1, around)
+    assert set(np.flatnonzero(active)) == set(cells[around].ravel())

@@ -1,0 +1,307 @@
+"""Moves, flips and guards of curved surfaces, against slow code and closed forms."""
+
+from __future__ import annotations
+
+from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import surface_meshes as sm
+
+from odt_plugins.engine.finish.phases import Phase
+from odt_plugins.engine.ground.build import ground_values, make_ground, make_sheet
+from odt_plugins.engine.ground.features import find_features
+from odt_plugins.engine.ground.sheet import HELD, Limits
+from odt_plugins.engine.ground.trace import edge_is_near
+from odt_plugins.engine.surface.newton import star_cost
+from odt_plugins.engine.surface.odt import CPT, GIVEN, LAPLACIAN, ODT, star_centre
+from odt_plugins.engine.surface.passes import Surface, finish_phase, flip_all, move_all
+from odt_plugins.engine.surface.rounds import surface_energy
+from odt_plugins.engine.topology.star import vertex_stars
+from odt_plugins.mesh.surface import surface_edges
+from odt_plugins.quality import angles, radius_ratio
+
+LOOSE = np.array([0.0, 1.0, -1.0])
+
+
+def build(p, t, envelope=1e-2, cosine=0.5, slack=1e-6, **options):
+    t = np.ascontiguousarray(t, dtype=np.int32)
+    edges, stars = surface_edges(t, len(p)), vertex_stars(t, len(p))
+    found = find_features(p, t, edges, stars, angle=40.0, fixed=np.zeros(len(p), bool),
+                          slack=slack)
+    size = sm.diagonal(p)
+    limits = Limits((envelope * size) ** 2, (slack * size) ** 2, cosine)
+    return Surface(make_sheet(p, t, edges, found), make_ground(p, t, edges, stars, found),
+                   found.lines, limits, np.zeros(len(t), np.int32), **options)
+
+
+def improve(surface, rounds=4):
+    """Both stages, in short."""
+    m = len(surface.triangles)
+    rho = np.ones(len(surface.points))
+    for _ in range(rounds):
+        flip_all(surface, 0.0, LOOSE, np.ones(m, bool), np.zeros(m, bool))
+        move_all(surface, ODT, rho, LOOSE)
+    finish_phase(surface, Phase(2.0, 1.0, 4, 2), LOOSE)
+    finish_phase(surface, Phase(8.0, 0.1, 4, 2), LOOSE)
+
+
+MESHES = {
+    "sphere": lambda: sm.sphere(3, 0.15),
+    "torus": lambda: sm.torus(noise=0.7),
+    "bowl": lambda: sm.bowl(noise=0.8),
+    "cube": lambda: sm.cube(7, 0.8),
+    "cylinder": lambda: sm.cylinder(noise=0.7),
+}
+
+
+@pytest.mark.parametrize("name", MESHES)
+@pytest.mark.parametrize("envelope", [2e-3, 1e-2])
+def test_the_surface_stays_in_its_envelope_and_keeps_its_topology(name, envelope):
+    p, t = MESHES[name]()
+    p = sm.turned(p)
+    surface = build(p, t, envelope)
+    improve(surface)
+    assert max(sm.two_sided(p, t, surface.points, surface.triangles)) <= (
+        envelope * sm.diagonal(p) * (1 + 1e-9))
+    assert sm.topology(surface.triangles) == sm.topology(t)
+    before, after = radius_ratio(p, t), radius_ratio(surface.points, surface.triangles)
+    assert after.mean() > before.mean() + 0.01
+    held = surface.sheet.kind == HELD
+    assert np.array_equal(surface.points[held], p[held])
+    assert np.array_equal(surface.ground.points, p)
+
+
+@pytest.mark.parametrize("name", MESHES)
+def test_neighbours_numbers_and_lists_stay_sound(name):
+    p, t = MESHES[name]()
+    surface = build(p, t)
+    improve(surface)
+    sheet = surface.sheet
+    edges = surface_edges(sheet.triangles, len(p))
+    assert np.array_equal(edges.neighbors, sheet.neighbors)
+    assert (edges.degree[edges.of_cell] != 2).tolist() == (
+        (sheet.neighbors < 0).tolist())
+    for e in range(len(sheet.edge_cell)):
+        assert e in sheet.cell_edges[sheet.edge_cell[e]]
+    ways = np.bincount(edges.of_cell.ravel(), edges.forward.ravel())
+    assert (ways[edges.degree == 2] == 1).all()
+    covered = []
+    for c in range(len(t)):
+        v = sheet.first[c]
+        while v >= 0:
+            covered.append(v)
+            v = sheet.following[v]
+    assert sorted(covered) == list(range(len(p)))
+    feet = surface.ground.triangles[sheet.foot]
+    off = [sm.distances(x[None], p, f[None])[0]
+           for x, f in zip(surface.points, feet, strict=True)]
+    assert max(off) < 1e-12
+
+
+def test_sharp_edges_of_a_cube_stay_while_their_vertices_slide():
+    p, t = sm.cube(8, 0.9)
+    p = sm.turned(p)
+    surface = build(p, t)
+    improve(surface)
+    assert max(sm.two_sided(p, t, surface.points, surface.triangles, 3)) < 1e-12
+    moved = (surface.points != p).any(axis=1)
+    assert moved[surface.lines.slot >= 0].all()
+    assert sm.edge_set(surface.triangles).keys() >= {
+        tuple(sorted((int(a), int(b)))) for a, b in pairwise(surface.lines.nodes)
+        if surface.lines.slot[a] >= 0 or surface.lines.slot[b] >= 0}
+
+
+def test_lines_slide_within_their_slack():
+    p, t = sm.cylinder(40, 10, 4, noise=0.7)
+    rim = np.unique([v for v in range(len(p)) if abs(np.hypot(*p[v, :2]) - 1) < 1e-12
+                     and p[v, 2] in (0.0, 2.0)])
+    turn = np.arctan2(p[rim, 1], p[rim, 0])
+    shift = turn + 0.3 * 2 * np.pi / 40 * np.sin(3 * turn)
+    p[rim, 0], p[rim, 1] = np.cos(shift), np.sin(shift)
+    surface = build(p, t, 5e-3, slack=5e-3)
+    improve(surface)
+    moved = np.linalg.norm(surface.points - p, axis=1)
+    assert (moved[rim] > 1e-3).sum() > 40
+    line = 5e-3 * sm.diagonal(p)
+    for height in (0.0, 2.0):
+        ring = rim[p[rim, 2] == height]
+        ring = ring[np.argsort(np.arctan2(p[ring, 1], p[ring, 0]))]
+        closed = np.stack([ring, np.roll(ring, -1), ring], axis=1)
+        old, new = sm.samples(p, closed), sm.samples(surface.points, closed)
+        assert sm.distances(new, p, closed).max() < line * (1 + 1e-9)
+        assert sm.distances(old, surface.points, closed).max() < line * (1 + 1e-9)
+    assert np.allclose(surface.points[rim, 2], p[rim, 2], atol=1e-12)
+
+
+def test_normals_stay_within_the_stated_angle():
+    p, t = sm.torus()
+    surface = build(p, t, 0.2, cosine=np.cos(np.radians(20.0)))
+    shake = 0.3 * np.random.default_rng(14).standard_normal((3, *p.shape))
+    for vectors in shake:
+        move_all(surface, GIVEN, np.ones(len(p)), LOOSE, vectors=vectors)
+    x, c = surface.points, surface.triangles
+    centre = x[c].mean(axis=1)
+    flat = centre * [1, 1, 0]
+    exact = centre - flat / np.linalg.norm(flat, axis=1)[:, None]
+    exact /= np.linalg.norm(exact, axis=1)[:, None]
+    normal = np.cross(x[c[:, 1]] - x[c[:, 0]], x[c[:, 2]] - x[c[:, 0]])
+    cosine = (normal * exact).sum(axis=1) / np.linalg.norm(normal, axis=1)
+    # one step around the torus turns its normal by 22.5 degrees
+    assert np.degrees(np.arccos(cosine.min())) < 20 + 22.5
+    assert np.linalg.norm(x - p, axis=1).mean() > 0.02
+
+
+def test_flat_surfaces_become_delaunay():
+    p, t = sm.bowl(12, noise=0.9)
+    p[:, 2] = 0.0
+    p = sm.turned(p)
+    surface = build(p, t)
+    m = len(t)
+    energy = surface_energy(surface, np.ones(len(p)))
+    assert flip_all(surface, 0.0, LOOSE, np.ones(m, bool), np.zeros(m, bool)) > 10
+    assert surface_energy(surface, np.ones(len(p))) < energy
+    angle = angles(p, surface.triangles)
+    for c in range(m):
+        for i in range(3):
+            near = surface.sheet.neighbors[c, i]
+            if near >= 0:
+                j = surface.sheet.neighbors[near].tolist().index(c)
+                assert angle[c, i] + angle[near, j] < 180 + 1e-6
+
+
+def test_no_flip_makes_an_edge_twice():
+    # an octahedron: every flip would join two vertices that are joined already, or leave it
+    p = np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 0.3], [0, 0, -0.3]])
+    t = np.array([[0, 2, 4], [2, 1, 4], [1, 3, 4], [3, 0, 4],
+                  [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]])
+    surface = build(p, t, 10.0, cosine=-2.0)
+    surface.sheet.locked[:] = False
+    for power in (0.0, 1.0, 4.0):
+        flip_all(surface, power, LOOSE, np.ones(8, bool), np.zeros(8, bool))
+        assert set(sm.edge_set(surface.triangles).values()) == {2}
+        assert len(sm.edge_set(surface.triangles)) == 12
+
+
+@pytest.mark.parametrize("power", [0.5, 2.0, 8.0])
+def test_derivatives_of_the_cost_are_those_of_finite_differences(power):
+    p, t = sm.torus(noise=0.6)
+    t = t.astype(np.int32)
+    stars = vertex_stars(t, len(p))
+    rng = np.random.default_rng(4)
+    for v in (0, 77, 301):
+        e, _ = np.linalg.qr(rng.standard_normal((3, 2)))
+        e = np.ascontiguousarray(e.T)
+        out = np.empty(5)
+
+        def cost(a, b, v=v, e=e):
+            q = p.copy()
+            q[v] += a * e[0] + b * e[1]
+            star = t[stars.indices[stars.indptr[v] : stars.indptr[v + 1]]]
+            return (radius_ratio(q, star) ** -power).sum()
+
+        value = star_cost(p, t, stars.indptr, stars.indices, v, power, e, out)
+        assert value == pytest.approx(cost(0, 0), rel=1e-12)
+        h = 3e-5
+        first = [(cost(h, 0) - cost(-h, 0)) / 2 / h, (cost(0, h) - cost(0, -h)) / 2 / h]
+        second = [
+            (cost(h, 0) - 2 * value + cost(-h, 0)) / h**2,
+            (cost(h, h) - cost(h, -h) - cost(-h, h) + cost(-h, -h)) / 4 / h**2,
+            (cost(0, h) - 2 * value + cost(0, -h)) / h**2,
+        ]
+        size = max(np.abs(second))
+        assert out[:2] == pytest.approx(first, rel=1e-4, abs=1e-4 * max(np.abs(first)))
+        assert out[2:] == pytest.approx(second, rel=1e-3, abs=1e-3 * size)
+
+
+def centres(p, star):
+    """Circumcentres by the two bisector planes and the plane of each triangle."""
+    found = []
+    for a, b, c in p[star]:
+        normal = np.cross(b - a, c - a)
+        matrix = np.array([b - a, c - a, normal])
+        right = [(b - a) @ (a + b) / 2, (c - a) @ (a + c) / 2, normal @ a]
+        found.append(np.linalg.solve(matrix, right))
+    return np.array(found)
+
+
+@pytest.mark.parametrize(("target", "weights"), [
+    (ODT, "rho"), (CPT, "rho"), (ODT, "equal"), (CPT, "equal"), (LAPLACIAN, "equal")])
+def test_the_mean_centre_of_a_star(target, weights):
+    p, t = sm.torus(noise=0.6)
+    surface = build(p, t)
+    stars = surface.stars()
+    rho = np.random.default_rng(6).uniform(0.5, 2.0, len(p))
+    for v in (3, 250):
+        star = t[stars.indices[stars.indptr[v] : stars.indptr[v + 1]]]
+        area = np.linalg.norm(np.cross(p[star[:, 1]] - p[star[:, 0]],
+                                       p[star[:, 2]] - p[star[:, 0]]), axis=1)
+        w = area * rho[star].mean(axis=1) if weights == "rho" else np.ones(len(star))
+        if target == LAPLACIAN:
+            ring = np.setdiff1d(star, [v])
+            expected = p[ring].mean(axis=0)
+        else:
+            c = centres(p, star) if target == ODT else p[star].mean(axis=1)
+            expected = (w[:, None] * c).sum(axis=0) / w.sum()
+        found = star_centre(surface.sheet, stars.indptr, stars.indices, v, rho,
+                            weights == "equal", target)
+        assert p[v] + found == pytest.approx(expected, abs=1e-10)
+
+
+def test_an_edge_over_a_sphere_is_as_far_as_its_sagitta():
+    p, t = sm.sphere(5)
+    surface = build(p, t)
+    ground = surface.ground
+    foot = surface.sheet.foot
+    for b in (40, 200, 1234):
+        half = np.linalg.norm(p[b] - p[0]) / 2
+        if half > 0.5:
+            continue
+        sagitta = 1 - np.sqrt(1 - half**2)
+        for factor, near in ((0.9, False), (1.1, True)):
+            limit = (factor * sagitta + 1e-3 * (factor - 1)) ** 2
+            assert edge_is_near(*p[0], foot[0], True, *p[b], foot[b], True, ground, limit) is near
+
+
+def test_an_edge_between_two_lines_is_held_against_what_it_crosses():
+    # the two triangles of a roof over the edge from one eave to the other
+    for ridge in (0.0, 0.5):
+        p = np.array([[-1.0, 0, 0], [ridge, -1, 0.1], [ridge, 1, 0.1], [1, 0, 0]])
+        surface = build(p, np.array([[0, 1, 2], [3, 2, 1]]), 10.0)
+        foot = surface.sheet.foot
+        for factor, near in ((0.98, False), (1.02, True)):
+            assert edge_is_near(*p[0], foot[0], False, *p[3], foot[3], False, surface.ground,
+                                (factor * 0.1) ** 2) is near
+
+
+def test_given_vectors_are_followed_as_far_as_the_guards_allow():
+    p, t = sm.sphere(3)
+    surface = build(p, t, 2e-2)
+    axis = np.array([0.0, 0.0, 1.0])
+    vectors = 0.02 * np.cross(axis, p)
+    move_all(surface, GIVEN, np.ones(len(p)), LOOSE, vectors=vectors)
+    turned = np.linalg.norm(surface.points - p - vectors, axis=1)
+    assert np.median(turned) < 2e-3
+    assert np.abs(np.linalg.norm(surface.points, axis=1) - 1).max() < 1e-2
+
+
+def test_values_are_interpolated_linearly_at_the_feet():
+    p, t = sm.torus(noise=0.4)
+    surface = build(p, t, 1e-2)
+    improve(surface, 2)
+    values = p @ [1.0, -2.0, 0.5] + 3
+    out = np.zeros(len(p))
+    ground_values(surface.ground, values, surface.points, surface.sheet.foot, out)
+    assert out == pytest.approx(surface.points @ [1.0, -2.0, 0.5] + 3, abs=1e-9)
+
+
+def test_threads_do_not_change_a_bit():
+    p, t = sm.torus(80, 40, noise=0.7)
+    alone = build(p, t, 2e-3)
+    improve(alone, 2)
+    with ThreadPoolExecutor(3) as pool:
+        many = build(p, t, 2e-3, pool=pool, threads=3)
+        improve(many, 2)
+    assert np.array_equal(alone.points, many.points)
+    assert np.array_equal(alone.triangles, many.triangles)
