@@ -93,8 +93,8 @@ _HOMES = {
     "hosts": ("register",),
     "options": ("Options",),
     "quality": ("QualitySummary",),
-    "report": ("Report",),
-    "script": ("run_filter_script",),
+    "report.report": ("Report",),
+    "hosts.script": ("run_filter_script",),
     "tetwild": ("tetrahedralize",),
 }
 """Module of every public name that is not in `errors`."""

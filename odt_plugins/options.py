@@ -30,6 +30,9 @@ FIGURES = ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle"
 
 Progress = Callable[[str, float], None]
 
+COMPILING = "compiling the kernels, once after installation: about half a minute ..."
+"""Stage of which a progress callback is told while kernels are compiled."""
+
 
 @dataclass(frozen=True)
 class Options:

@@ -6,6 +6,7 @@ import ast
 import inspect
 import subprocess
 import sys
+from graphlib import TopologicalSorter
 from pathlib import Path
 
 import pytest
@@ -16,60 +17,48 @@ from odt_plugins import errors
 PACKAGE = Path(odt_plugins.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
-BASE = {"chunks", "components", "errors", "facets", "locked_facets", "mesh", "numbering", "options",
-        "quality", "promise", "surface", "surface_promise"}
+BASE = {"errors", "mesh", "options", "promise", "quality"}
 MAY_IMPORT = {
-    "chunks": set(),
-    "components": set(),
     "errors": set(),
-    "facets": {"chunks"},
-    "mesh": {"chunks", "errors", "facets"},
-    "numbering": {"mesh"},
+    "signals": set(),
     "options": {"errors"},
-    "locked_facets": {"facets"},
-    "cell_geometry": set(),
-    "quality": {"cell_geometry", "chunks", "errors"},
-    "planar": {"errors", "mesh"},
-    "surface": {"components", "errors", "facets", "mesh"},
-    "surface_promise": {"components", "errors", "facets", "mesh", "options", "promise", "quality",
-                        "surface"},
-    "carry": {"engine", "errors", "facets", "mesh"},
-    "promise": {"chunks", "errors", "facets", "locked_facets", "mesh", "numbering", "options",
-                "quality"},
-    "engine": {"engine", *BASE},
-    "adapters": {"adapters", "components", "errors", "facets", "mesh"},
-    "binding": BASE,
-    "plotting": {"report", *BASE},
-    "report": {"binding", "plotting", "engine", *BASE},
-    "api": {"adapters", "carry", "engine", "planar", "report", *BASE},
-    "demo": {"adapters", "api", "plotting", "report", "tetwild", *BASE},
+    "mesh": {"errors"},
+    "quality": {"errors", "mesh"},
+    "promise": {"errors", "mesh", "options", "quality"},
+    "engine": BASE,
+    "paper": {"engine", "mesh"},
+    "adapters": {"errors", "mesh"},
+    "carry": {"engine", "errors", "mesh"},
+    "report": {"engine", *BASE},
+    "api": {"adapters", "carry", "engine", "report", *BASE},
     "tetwild": {"api", "errors", "mesh"},
-    "hosts": {"adapters", "api", "report", "script", "tetwild", *BASE},
-    "script": {"adapters", "errors", "hosts"},
-    "terminal": {"errors"},
-    "generate": {"adapters", "api", "engine", "planar", "report", "terminal",
-                 "tetwild", *BASE},
-    "compare": {"adapters", "api", "engine", "generate", "planar", "plotting", *BASE},
-    "distributed": {"adapters", "api", "carry", "compare", "engine", "report", "terminal",
+    "hosts": {"adapters", "api", "report", "tetwild", *BASE},
+    "generate": {"adapters", "api", "engine", "report", "tetwild", *BASE},
+    "compare": {"adapters", "api", "engine", "generate", "report", *BASE},
+    "distributed": {"adapters", "api", "carry", "compare", "engine", "report", "signals",
                     "tetwild", *BASE},
-    "cli": {"adapters", "api", "compare", "demo", "distributed", "generate", "report", "script",
-            "terminal", *BASE},
-    "__init__": {"api", "distributed", "generate", "hosts", "report", "script", "tetwild", *BASE},
+    "cli": {"adapters", "api", "compare", "distributed", "generate", "hosts", "report", "signals",
+            "tetwild", *BASE},
+    "__init__": {"api", "distributed", "generate", "hosts", "report", "tetwild", *BASE},
 }
-"""Rooms that a room may import: DESIGN section 2."""
+"""Rooms that a room may import."""
+
+ENGINE = ("compiled", "topology", "cells", "record", "moves", "ground", "odt", "sliding", "finish",
+          "run", "surface")
+"""Rooms of the engine; each imports only itself and those before it."""
 
 TOOLKITS = {
-    "pyvista": {"adapters/pyvista_mesh.py", "hosts/pyvista_accessor.py", "plotting.py", "demo.py",
-                "compare/hull.py"},
-    "vtkmodules": {"adapters/pyvista_mesh.py", "plotting.py"},
-    "meshio": {"adapters/meshio_mesh.py", "adapters/files.py", "demo.py", "distributed/job.py",
-               "distributed/store.py",
-               "script.py"},
-    "matplotlib": {"plotting.py", "compare/pictures.py"},
+    "pyvista": {"adapters/pyvista_mesh.py", "hosts/pyvista_accessor.py", "report/plotting.py",
+                "cli/demo.py", "compare/hull.py"},
+    "vtkmodules": {"adapters/pyvista_mesh.py", "report/plotting.py"},
+    "meshio": {"adapters/meshio_mesh.py", "adapters/files.py", "cli/demo.py", "distributed/job.py",
+               "distributed/store.py", "hosts/script.py"},
+    "matplotlib": {"report/plotting.py", "compare/pictures.py"},
     "pytetwild": {"compare/baselines/tetwild.py"},
     "pymeshlab": {"adapters/pymeshlab_copy.py", "adapters/pymeshlab_mesh.py",
-                  "adapters/pymeshlab_set.py", "hosts/pymeshlab_filters.py",
-                  "hosts/pymeshlab_work.py", "script.py", "compare/baselines/meshlab.py"},
+                  "adapters/pymeshlab_set.py", "hosts/pymeshlab_apply.py",
+                  "hosts/pymeshlab_filters.py", "hosts/pymeshlab_work.py", "hosts/script.py",
+                  "compare/baselines/meshlab.py"},
     "open3d": {"adapters/open3d_mesh.py", "hosts/open3d_filters.py",
                "compare/baselines/open3d_smooth.py"},
     "dask": {"distributed/cluster.py"},
@@ -79,6 +68,9 @@ TOOLKITS = {
 """Files that may import a toolkit, inside a function."""
 
 SLOW = ("numba", "scipy", "pyamg", "click", "rich", "dask", "distributed", *TOOLKITS)
+
+
+NAMES = {".".join(path.relative_to(PACKAGE).with_suffix("").parts): path for path in MODULES}
 
 
 def room(path: Path) -> str:
@@ -124,8 +116,27 @@ def test_toolkits_are_imported_in_their_place_and_inside_functions(path):
                 assert id(node) in inside, where
 
 
-def test_the_table_names_the_rooms_that_exist():
+def test_the_tables_name_the_rooms_that_exist():
     assert {room(path) for path in MODULES} == set(MAY_IMPORT)
+    inside = {path.parent.name for path in MODULES if room(path) == "engine"} - {"engine"}
+    assert inside == set(ENGINE)
+
+
+@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_no_import_of_the_engine_runs_upward(path):
+    parts = path.relative_to(PACKAGE).parts
+    if parts[0] != "engine" or len(parts) < 3:
+        return
+    for node in nodes(path):
+        for name in imports(node):
+            if name.startswith("odt_plugins.engine."):
+                assert ENGINE.index(name.split(".")[2]) <= ENGINE.index(parts[1]), name
+
+
+def test_no_imports_run_in_a_circle():
+    graph = {name: {other.removeprefix("odt_plugins.") for node in nodes(path)
+                    for other in imports(node)} & set(NAMES) for name, path in NAMES.items()}
+    TopologicalSorter(graph).prepare()
 
 
 @pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))

@@ -19,7 +19,6 @@ import numpy as np
 
 from odt_plugins.cli.terminal import (
     check_paths,
-    handling,
     one_line,
     progress_bar,
     warnings_told,
@@ -27,6 +26,7 @@ from odt_plugins.cli.terminal import (
 )
 from odt_plugins.errors import InvalidOptionError, ODTError
 from odt_plugins.options import DENSITIES, FIGURES, Options
+from odt_plugins.signals import handling
 
 DONE, COULD_NOT, WRONG_USE = 0, 1, 2
 
@@ -459,7 +459,3 @@ def in_flags(text: str) -> str:
 
     names = "|".join(f.name for f in fields(Options))
     return re.sub(rf"(?<![\w.-])({names})=('[^']*'|[-+.\w]+)", flag, text)
-
-
-if __name__ == "__main__":
-    sys.exit(main())

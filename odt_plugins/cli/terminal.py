@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import os
-import signal
 import sys
 import tempfile
 import threading
@@ -11,31 +10,14 @@ import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from types import FrameType
 from typing import Any
 
 import click
 
 from odt_plugins.errors import MeshFileError, ODTWarning, require
-
-COMPILING = "compiling the kernels, once after installation: about half a minute ..."
+from odt_plugins.options import COMPILING
 
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
-
-
-@contextmanager
-def handling(
-    number: signal.Signals, handler: Callable[[int, FrameType | None], Any] | signal.Handlers
-) -> Iterator[None]:
-    """Answer a signal so; where that is not possible, outside the main thread, as before."""
-    if threading.current_thread() is not threading.main_thread():
-        yield
-        return
-    old = signal.signal(number, handler)
-    try:
-        yield
-    finally:
-        signal.signal(number, old)
 
 
 def check_paths(target: Path, report_file: Path | None, plot_file: Path | None) -> None:

@@ -12,10 +12,10 @@ from contextlib import contextmanager
 from importlib.metadata import version
 from typing import Any
 
-from odt_plugins.cli.terminal import handling
-from odt_plugins.distributed.local import Apply
+from odt_plugins.distributed.apply import Apply
 from odt_plugins.distributed.versions import PACKAGES, expect_versions, versions_here
 from odt_plugins.errors import WorkerError, require
+from odt_plugins.signals import handling
 
 PATIENCE = 30.0
 """Seconds to wait for a scheduler, and for its first worker."""

@@ -3,16 +3,14 @@
 from __future__ import annotations
 
 import multiprocessing
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
 from typing import Any
 
+from odt_plugins.distributed.apply import Apply
 from odt_plugins.errors import WorkerError
-
-Apply = Callable[[Callable[[Any], Any], Iterable[Any]], Iterator[Any]]
-"""Applies a function to items and gives the results in the order of the items."""
 
 
 @contextmanager
@@ -45,22 +43,3 @@ def executor(client: Any = None, workers: int = 0) -> Iterator[Apply]:
             pool.shutdown(cancel_futures=True)
     else:
         yield map
-
-
-def told(
-    apply: Apply, report: Callable[[str, float], None] | None, stage: str, count: int
-) -> Apply:
-    """Give `apply` again, telling `report` the stage and the share of `count` items that is done.
-
-    An item is done when its result has been used, for the next one is then asked for.
-    """
-    if report is None:
-        return apply
-
-    def telling(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[Any]:
-        report(stage, 0.0)
-        for done, result in enumerate(apply(function, items), 1):
-            yield result
-            report(stage, done / count)
-
-    return telling

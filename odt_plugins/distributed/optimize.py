@@ -12,8 +12,9 @@ import numpy as np
 
 from odt_plugins.adapters.files import check_output, read_file, write_file
 from odt_plugins.api import make_options, run_engine
+from odt_plugins.distributed.apply import told
 from odt_plugins.distributed.glue import Map, Traffic, Whole, labels, one_round
-from odt_plugins.distributed.local import executor, told
+from odt_plugins.distributed.local import executor
 from odt_plugins.engine.odt.density import make_density
 from odt_plugins.engine.odt.rounds import MODERATE
 from odt_plugins.engine.record.figures import Figures

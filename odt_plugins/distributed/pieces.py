@@ -13,8 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from odt_plugins.api import make_options
+from odt_plugins.distributed.apply import Apply, told
 from odt_plugins.distributed.figures import Figures, total, worse
-from odt_plugins.distributed.local import Apply, executor, told
+from odt_plugins.distributed.local import executor
 from odt_plugins.distributed.optimize import check, first, later
 from odt_plugins.distributed.partition import rings_again
 from odt_plugins.distributed.piecework import (

@@ -15,6 +15,7 @@ from odt_plugins.adapters.pymeshlab_copy import muted
 from odt_plugins.adapters.pymeshlab_set import restore_script, saved_script
 from odt_plugins.errors import InvalidMeshError, MeshFileError, require
 from odt_plugins.hosts.filter_table import BY_GUI, FILTERS, ChoiceError, Filter, ParameterError
+from odt_plugins.hosts.pymeshlab_apply import apply
 
 HEAD = b"<!DOCTYPE FilterScript>\n"
 
@@ -170,8 +171,6 @@ def apply_script(
                 results.append({})
                 lines = [f"Applied filter {step.name} in {took:.0f} msec"]
             else:
-                from odt_plugins.hosts.pymeshlab_filters import apply
-
                 effect = apply(meshes, step.own.name, parameters)
                 results.append(effect.values)
                 lines = effect.lines

@@ -26,8 +26,8 @@ nor vanish then."""
 class SimplexMesh:
     """A valid mesh of triangles in the plane, tetrahedra in space, or triangles in space.
 
-    The last kind, a curved surface, comes from :func:`odt_plugins.mesh.surface.surface_mesh`: its areas
-    have no sign and may be zero.
+    The last kind, a curved surface, comes from :func:`odt_plugins.mesh.surface.surface_mesh`:
+    its areas have no sign and may be zero.
 
     Attributes
     ----------

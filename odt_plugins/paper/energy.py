@@ -1,7 +1,7 @@
 """Forms of the ODT energy that the paper proves equal, and its lower bounds.
 
-Densities as in :mod:`odt_plugins.engine.odt.energy`; the functions ending in ``_p1`` take one value a
-vertex, (n,), and integrate the piecewise linear density exactly.
+Densities as in :mod:`odt_plugins.engine.odt.energy`; the functions ending in ``_p1`` take one value
+a vertex, (n,), and integrate the piecewise linear density exactly.
 """
 
 from __future__ import annotations

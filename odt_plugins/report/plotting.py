@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from io import BytesIO
 from os import PathLike, fspath
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,9 +16,6 @@ from numpy.typing import NDArray
 from odt_plugins.errors import MeshFileError, MissingDependencyError
 from odt_plugins.promise.locked_facets import locked_facets
 from odt_plugins.quality import QualitySummary, radius_ratio
-
-if TYPE_CHECKING:
-    from odt_plugins.report.report import Report
 
 INK = "#22313f"
 GREY = "#9aa5b1"
@@ -28,7 +25,7 @@ SCALE = (0.3, 1.0)
 """Radius ratios at the ends of the colour scale; worse cells have the colour of the lower end."""
 
 
-def plot_report(report: Report, path: str | PathLike[str]) -> None:
+def plot_report(report: Any, path: str | PathLike[str]) -> None:
     """Draw the histograms before and after (cf. Figs 6 and 10 of the paper) and the energy.
 
     Parameters
@@ -56,7 +53,7 @@ def plot_report(report: Report, path: str | PathLike[str]) -> None:
 def plot_before_after(
     before: tuple[NDArray[np.float64], NDArray[Any]],
     after: tuple[NDArray[np.float64], NDArray[Any]],
-    report: Report,
+    report: Any,
     path: str | PathLike[str],
     *,
     title: str = "",

@@ -22,7 +22,6 @@ from processes import alive, children, wait_until
 
 from odt_plugins.adapters.files import read_file
 from odt_plugins.cli import main as cli
-from odt_plugins.cli.terminal import COMPILING as SAID
 from odt_plugins.compare.runner import PREPARING
 from odt_plugins.compare.start import ball
 from odt_plugins.distributed import batch
@@ -30,6 +29,7 @@ from odt_plugins.distributed.batch import HIDDEN, Job, find_inputs, job_key, mak
 from odt_plugins.distributed.job import COMPILING, RESULT, compiling, outside
 from odt_plugins.distributed.scratch import GONE, clear, make_scratch
 from odt_plugins.errors import InvalidOptionError, MeshFileError, MissingDependencyError
+from odt_plugins.options import COMPILING as SAID
 from odt_plugins.quality import QualitySummary
 
 pytestmark = [

@@ -6,7 +6,7 @@ import numpy as np
 
 from odt_plugins.engine.cells.corner import corner_edges, corner_normals
 from odt_plugins.engine.compiled.kernel import kernel
-from odt_plugins.engine.topology.complex import PENDING
+from odt_plugins.engine.topology.active import PENDING
 from odt_plugins.mesh.arrays import ByteArray, FloatArray, IntArray
 
 ROUNDING = 1e-9

@@ -13,10 +13,10 @@ import numpy as np
 from odt_plugins.engine.cells.triangle import triangle_measure
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.finish.phases import Phase, bulk, tail
-from odt_plugins.engine.moves.active import spread
 from odt_plugins.engine.moves.flips2d import quality_flips
 from odt_plugins.engine.moves.newton2d import smooth_vertices_2d
 from odt_plugins.engine.record.figures import cell_shapes
+from odt_plugins.engine.topology.active import spread
 from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.coloring import run_chunks, vertex_coloring
 from odt_plugins.engine.topology.star import Stars, vertex_stars

@@ -18,13 +18,19 @@ from odt_plugins.engine.finish.phases import MOST, Phase
 from odt_plugins.engine.finish.plane import finish2d
 from odt_plugins.engine.moves import compound
 from odt_plugins.engine.moves import newton3d as smooth3d
-from odt_plugins.engine.moves.active import around_vertices, spread, vertices_of_pending
 from odt_plugins.engine.moves.passes import flip_pending, grow, measures
 from odt_plugins.engine.record.figures import cell_shapes
 from odt_plugins.engine.sliding.skin import flip_skin, slide
+from odt_plugins.engine.topology.active import (
+    DONE,
+    PENDING,
+    around_vertices,
+    spread,
+    vertices_of_pending,
+)
 from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.coloring import run_chunks, touching_blocks, vertex_coloring
-from odt_plugins.engine.topology.complex import DONE, PENDING, Complex, slot_stars
+from odt_plugins.engine.topology.complex import Complex, slot_stars
 from odt_plugins.engine.topology.slabs import side_by_side
 from odt_plugins.engine.topology.star import Stars
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray

@@ -10,7 +10,7 @@ import numpy as np
 
 from odt_plugins.engine.cells.tetrahedron import ENERGY, tet_cost
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
-from odt_plugins.engine.topology.complex import DONE, IDLE, PENDING
+from odt_plugins.engine.topology.active import DONE, IDLE, PENDING
 from odt_plugins.mesh.arrays import ByteArray, FloatArray, IntArray, LongArray
 
 MAX_RING = 10

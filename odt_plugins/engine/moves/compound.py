@@ -15,7 +15,7 @@ from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.moves.cavity import Work, make_work, take_back
 from odt_plugins.engine.moves.flips3d import flip_facet, improve_cell, remove_edge
 from odt_plugins.engine.moves.newton3d import newton_vertex
-from odt_plugins.engine.topology.complex import DONE, IDLE, PENDING
+from odt_plugins.engine.topology.active import DONE, IDLE, PENDING
 from odt_plugins.engine.topology.lookup import is_in
 from odt_plugins.mesh.arrays import BoolArray, ByteArray, FloatArray, IntArray, LongArray
 

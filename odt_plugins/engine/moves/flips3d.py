@@ -28,7 +28,7 @@ from odt_plugins.engine.moves.cavity import (
     walk_ring,
     write_ring,
 )
-from odt_plugins.engine.topology.complex import DONE, PENDING
+from odt_plugins.engine.topology.active import DONE, PENDING
 from odt_plugins.mesh.arrays import BoolArray, ByteArray, FloatArray, IntArray, LongArray
 
 REAL = 1.0 - 1e-9

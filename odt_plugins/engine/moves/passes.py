@@ -11,7 +11,7 @@ from odt_plugins.engine.cells.tetrahedron import ENERGY, tet_measure
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import run_ranges
 from odt_plugins.engine.moves import flips3d
-from odt_plugins.engine.moves.active import pending_slots
+from odt_plugins.engine.topology.active import pending_slots
 from odt_plugins.engine.topology.complex import Complex
 from odt_plugins.engine.topology.slabs import side_by_side
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray

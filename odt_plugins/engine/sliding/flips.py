@@ -26,7 +26,7 @@ from odt_plugins.engine.moves.cavity import (
 from odt_plugins.engine.moves.flips2d import flip
 from odt_plugins.engine.moves.flips3d import REAL, admissible
 from odt_plugins.engine.sliding.newton import affordable, spend
-from odt_plugins.engine.topology.complex import IDLE, PENDING
+from odt_plugins.engine.topology.active import IDLE, PENDING
 from odt_plugins.engine.topology.lookup import place_in
 from odt_plugins.mesh.arrays import BoolArray, ByteArray, FloatArray, IntArray, LongArray
 

@@ -15,11 +15,11 @@ from odt_plugins.engine.finish.phases import Phase
 from odt_plugins.engine.ground.closest import Ground
 from odt_plugins.engine.ground.lines import Lines
 from odt_plugins.engine.ground.sheet import HELD, Limits, Sheet, make_work
-from odt_plugins.engine.moves.active import spread
 from odt_plugins.engine.record.figures import cell_shapes
 from odt_plugins.engine.surface.flips import flip_edges
 from odt_plugins.engine.surface.newton import smooth_vertices
 from odt_plugins.engine.surface.odt import move_vertices
+from odt_plugins.engine.topology.active import spread
 from odt_plugins.engine.topology.coloring import run_chunks, vertex_coloring
 from odt_plugins.engine.topology.star import Stars, vertex_stars
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray

@@ -14,9 +14,6 @@ from odt_plugins.engine.topology.order import by_lowest_vertex, make_slabs
 from odt_plugins.engine.topology.star import Stars, vertex_stars
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 
-IDLE, PENDING, DONE = 0, 1, 2
-"""Status of a cell: nothing to do, to be visited, visited in this pass."""
-
 
 @dataclass
 class Complex:

@@ -63,8 +63,8 @@ def test_a_process_that_may_write_nowhere_can_use_the_engine(tmp_path):
     code = """
 import numba.core.caching as caching
 caching._CacheLocator.ensure_cache_path = lambda self: (_ for _ in ()).throw(OSError())
-from odt_plugins.engine.order import morton_keys
-from odt_plugins.engine.star import vertex_stars
+from odt_plugins.engine.topology.order import morton_keys
+from odt_plugins.engine.topology.star import vertex_stars
 import numpy as np
 print(vertex_stars(np.array([[0, 1, 2]], dtype=np.int32), 3).indptr.tolist())
 """
@@ -73,7 +73,7 @@ print(vertex_stars(np.array([[0, 1, 2]], dtype=np.int32), 3).indptr.tolist())
 
 
 INNER = """
-from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.compiled.kernel import kernel
 STEP = {step}
 @kernel
 def inner(x: float) -> float:
@@ -81,7 +81,7 @@ def inner(x: float) -> float:
 """
 OUTER = """
 from odt_plugins.engine.inner import inner
-from odt_plugins.engine.kernel import kernel
+from odt_plugins.engine.compiled.kernel import kernel
 @kernel
 def outer(x: float) -> float:
     return 2.0 * inner(x)
@@ -94,9 +94,8 @@ print(outer(1.0), sum(outer.stats.cache_hits.values()))
 
 def test_a_change_in_a_kernel_that_another_file_calls_is_seen(tmp_path):
     engine = tmp_path / "odt_plugins" / "engine"
-    engine.mkdir(parents=True)
-    for name in ("kernel.py", "kernel_cache.py"):
-        shutil.copy(ENGINE / name, engine)
+    shutil.copytree(ENGINE / "compiled", engine / "compiled",
+                    ignore=lambda folder, names: set(names) - {"kernel.py", "cache.py"})
     (engine / "outer.py").write_text(OUTER, encoding="utf-8")
     env = {key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"}
 

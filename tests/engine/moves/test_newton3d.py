@@ -9,13 +9,13 @@ import pytest
 import tet_meshes as tm
 
 from odt_plugins.engine.cells.tetrahedron import QUALITY
-from odt_plugins.engine.moves.active import spread
 from odt_plugins.engine.moves.newton3d import (
     add_quality_terms,
     smooth_vertices,
     star_state,
     sure_quality,
 )
+from odt_plugins.engine.topology.active import spread
 from odt_plugins.engine.topology.coloring import vertex_coloring
 from odt_plugins.engine.topology.star import vertex_stars
 

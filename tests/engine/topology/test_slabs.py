@@ -14,7 +14,7 @@ from odt_plugins.engine.finish.phases import Phase
 from odt_plugins.engine.finish.volume import compound_moves
 from odt_plugins.engine.moves.passes import flip_pending
 from odt_plugins.engine.topology import order, slabs
-from odt_plugins.engine.topology.complex import PENDING
+from odt_plugins.engine.topology.active import PENDING
 
 
 class Backwards:

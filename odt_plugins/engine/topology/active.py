@@ -5,12 +5,15 @@ from __future__ import annotations
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.mesh.arrays import BoolArray, ByteArray, FloatArray, IntArray, LongArray
 
+IDLE, PENDING, DONE = 0, 1, 2
+"""Status of a cell: nothing to do, to be visited, visited in this pass."""
+
 
 @kernel
 def vertices_of_pending(cells: IntArray, status: ByteArray, active: BoolArray) -> None:
     """Mark the vertices of all pending cells."""
     for c in range(cells.shape[0]):
-        if status[c] == 1 and cells[c, 0] >= 0:
+        if status[c] == PENDING and cells[c, 0] >= 0:
             for a in range(cells.shape[1]):
                 active[cells[c, a]] = True
 
@@ -20,7 +23,7 @@ def pending_slots(cells: IntArray, status: ByteArray, found: IntArray) -> int:
     """Write the pending slots among the first ``len(found)`` ones; returns their number."""
     count = 0
     for c in range(found.shape[0]):
-        if status[c] == 1 and cells[c, 0] >= 0:
+        if status[c] == PENDING and cells[c, 0] >= 0:
             found[count] = c
             count += 1
     return count
@@ -34,7 +37,7 @@ def around_vertices(cells: IntArray, touched: BoolArray, status: ByteArray) -> N
             continue
         for a in range(cells.shape[1]):
             if touched[cells[c, a]]:
-                status[c] = 1
+                status[c] = PENDING
                 break
 
 
@@ -57,7 +60,7 @@ def spread(
             count += 1
             for s in range(indptr[v], indptr[v + 1]):
                 c = indices[s]
-                status[c] = 1
+                status[c] = PENDING
                 for a in range(cells.shape[1]):
                     active[cells[c, a]] = True
     return count
