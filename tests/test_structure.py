@@ -70,6 +70,7 @@ TOOLKITS = {
 SLOW = ("numba", "scipy", "pyamg", "click", "rich", "dask", "distributed", *TOOLKITS)
 
 
+TESTS = Path(__file__).parent
 NAMES = {".".join(path.relative_to(PACKAGE).with_suffix("").parts): path for path in MODULES}
 
 
@@ -150,6 +151,12 @@ def test_files_hold_one_idea_and_print_nothing(path):
         assert not called & {"print", "exit", "input"}
     assert not [n for n in ast.walk(tree) if isinstance(n, ast.Assert)]
     assert not [n for n in ast.walk(tree) if isinstance(n, ast.ExceptHandler) and n.type is None]
+
+
+def test_no_test_imports_from_a_test():
+    for path in TESTS.rglob("*.py"):
+        for node in nodes(path):
+            assert not [name for name in imports(node) if name.startswith("test_")], path
 
 
 def run(code: str) -> str:

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import numpy as np
+import reference_flips as ref
 from scipy.spatial import Delaunay, cKDTree
+
+from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY
 
 
 def shape(points, cells):
@@ -189,3 +192,19 @@ def jittered_grid(nx, ny, rng, amount=0.24, holes=()):
     jitter = rng.uniform(-amount, amount, points.shape)
     points = points + jitter * ~boundary[:, None]
     return points, cells, boundary
+
+
+HOLES = {(2, 2), (2, 3), (5, 5), (6, 0)}
+
+
+def grid(seed, n=7, holes=HOLES, flips=0):
+    rng = np.random.default_rng(seed)
+    points, cells, _ = jittered_grid(n, n, rng, 0.24, holes)
+    return points, ref.random_flips(points, cells, rng, flips)
+
+
+MEASURES = {
+    QUALITY: lambda points, cells: shape(points, cells)[0],
+    MEAN_RATIO: lambda points, cells: (2.0 / amips(points, cells)) ** 2,
+    DIHEDRAL: softened_sine,
+}

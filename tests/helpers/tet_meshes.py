@@ -5,6 +5,12 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import Delaunay
 
+from odt_plugins.engine.cells.tetrahedron import (
+    DIHEDRAL,
+    MEAN_RATIO,
+    QUALITY,
+)
+
 
 def signed_volumes(points, cells):
     """Signed volumes by the determinant."""
@@ -134,3 +140,18 @@ def energy(points, cells):
     x = points[cells]
     t = sum(((x[:, i] - x[:, j]) ** 2).sum(axis=1) for i in range(4) for j in range(i))
     return float((signed_volumes(points, cells) * t).sum() / 20.0)
+
+
+TWINS = {
+    QUALITY: quality,
+    MEAN_RATIO: lambda points, cells: (3.0 / amips(points, cells)) ** 3,
+    DIHEDRAL: softened_sine,
+}
+
+
+def interior(points, cells):
+    mask = np.ones(len(points), dtype=bool)
+    for facet, owners in facets_of(cells).items():
+        if len(owners) == 1:
+            mask[list(facet)] = False
+    return mask

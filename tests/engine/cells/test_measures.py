@@ -6,15 +6,14 @@ from itertools import permutations
 
 import numpy as np
 import pytest
-import tet_meshes as tm
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
+from tet_meshes import TWINS
 
 from odt_plugins.engine.cells.tetrahedron import (
     DIHEDRAL,
     MEAN_RATIO,
-    QUALITY,
     tet_cost,
     tet_measure,
 )
@@ -25,11 +24,6 @@ REGULAR = np.array([[1, -1, -1], [1, 1, 1], [-1, 1, -1], [-1, -1, 1.0]])
 CORNER = np.vstack([np.zeros(3), np.eye(3)])
 EVEN = [p for p in permutations(range(4)) if np.linalg.det(np.eye(4)[list(p)]) > 0]
 
-TWINS = {
-    QUALITY: tm.quality,
-    MEAN_RATIO: lambda points, cells: (3.0 / tm.amips(points, cells)) ** 3,
-    DIHEDRAL: tm.softened_sine,
-}
 ALL = pytest.mark.parametrize("objective", TWINS, ids=["radius ratio", "mean ratio", "dihedral"])
 
 

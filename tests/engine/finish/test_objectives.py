@@ -13,13 +13,10 @@ import numpy as np
 import planar_meshes as pm
 import pytest
 import tet_meshes as tm
-from test_compound import contents, run_pass
-from test_driver import assert_promise, mesh_of
-from test_flips2d import grid
-from test_flips3d import OPEN, assert_sound, complex_of
-from test_measures import TWINS
-from test_smooth2d import MEASURES
-from test_smooth3d import interior
+from complexes import OPEN, assert_sound, complex_of, contents, run_pass
+from planar_meshes import MEASURES, grid
+from promises import assert_promise, mesh_of
+from tet_meshes import TWINS, interior
 
 import odt_plugins
 from odt_plugins.cli import main as cli

@@ -7,7 +7,7 @@ import re
 import numpy as np
 import planar_meshes as pm
 import pytest
-from test_driver import assert_promise, mesh_of, planar
+from promises import assert_promise, mesh_of, planar
 
 from odt_plugins.engine.finish.repair2d import within_bounds
 from odt_plugins.engine.run.driver import run

@@ -5,20 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import tet_meshes as tm
-from test_flips3d import OPEN, assert_sound, complex_of
+from complexes import OPEN, assert_sound, complex_of, contents, run_pass
 
 from odt_plugins.engine.cells.tetrahedron import QUALITY
 from odt_plugins.engine.moves import compound
 from odt_plugins.engine.moves.cavity import make_work, take_back
 from odt_plugins.engine.moves.flips3d import flip_facet, remove_edge
-from odt_plugins.engine.moves.passes import measures
-
-
-def contents(mesh):
-    live = mesh.live()
-    stack = mesh.free[: mesh.slots[1]]
-    return [a.tobytes() for a in (mesh.points, mesh.cells[live], mesh.neighbors[live], live,
-                                  mesh.regions[live], mesh.slots, stack)]
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -50,15 +42,6 @@ def test_the_journal_takes_every_flip_back(seed):
     assert_sound(mesh, points, tm.signed_volumes(points, cells).sum())
     take_back(mesh.cells, mesh.neighbors, mesh.status, mesh.slots, mesh.free, journal)
     assert contents(mesh) == before
-
-
-def run_pass(mesh, power=4.0, bounds=OPEN, tried=None, measure=QUALITY):
-    order = np.argsort(measures(mesh, measure), kind="stable")[:60].astype(np.int32)
-    mesh.status[:] = 0
-    return compound.compound_pass(
-        mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status, order,
-        mesh.slots, mesh.free, measure, power, 10, bounds,
-        np.zeros(len(mesh.cells), dtype=bool) if tried is None else tried)
 
 
 @pytest.mark.parametrize("seed", [4, 5, 6])

@@ -8,20 +8,12 @@ import pytest
 import reference_flips as ref
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from planar_meshes import grid
 from scipy.spatial import Delaunay
 
 from odt_plugins.engine.moves.flips2d import lawson_flips, quality_flips
 
 SEEDS = st.integers(0, 10**6)
-HOLES = {(2, 2), (2, 3), (5, 5), (6, 0)}
-
-
-def grid(seed, n=7, holes=HOLES, flips=0):
-    rng = np.random.default_rng(seed)
-    points, cells, _ = planar.jittered_grid(n, n, rng, 0.24, holes)
-    return points, ref.random_flips(points, cells, rng, flips)
-
-
 def two_regions(points, cells):
     return (points[cells].mean(axis=1)[:, 0] > 3.5).astype(np.int32)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import tet_meshes as tm
+from complexes import OPEN, assert_sound, complex_of
 
 from odt_plugins.engine.cells import sphere
 from odt_plugins.engine.cells.tetrahedron import (
@@ -17,32 +18,7 @@ from odt_plugins.engine.cells.tetrahedron import (
 )
 from odt_plugins.engine.moves import cavity, flips3d
 from odt_plugins.engine.moves.passes import flip_pending
-from odt_plugins.engine.topology.complex import make_complex, renumbered
-
-OPEN = np.array([0.0, 1.0, -1.0, 0.0, 1.0, -1.0])
-
-
-def complex_of(points, cells, regions=None):
-    n = len(points)
-    rim = np.zeros(n, dtype=bool)
-    labels = np.zeros(len(cells), dtype=np.int32) if regions is None else regions
-    for facet, owners in tm.facets_of(cells).items():
-        if len(owners) == 1 or labels[owners[0]] != labels[owners[1]]:
-            rim[list(facet)] = True
-    return make_complex(points.copy(), cells, labels, rim.copy(), rim)
-
-
-def assert_sound(mesh, points, volume):
-    cells, _ = mesh.mesh_arrays()
-    volumes = tm.signed_volumes(points, cells)
-    assert (volumes > 0).all()
-    assert volumes.sum() == pytest.approx(volume, rel=1e-12)
-    live = mesh.live()
-    rank = np.full(len(mesh.cells) + 1, -1)
-    rank[live] = np.arange(len(live))
-    assert np.array_equal(rank[mesh.neighbors[live]], tm.brute_neighbors(cells))
-    assert len(np.unique(mesh.free[: mesh.slots[1]])) == mesh.slots[1]
-    assert mesh.slots[0] - mesh.slots[1] == len(live)
+from odt_plugins.engine.topology.complex import renumbered
 
 
 @pytest.mark.parametrize("seed", [3, 4, 5])

@@ -5,8 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import tet_meshes as tm
-from test_compound import contents
-from test_flips3d import OPEN, assert_sound, complex_of
+from complexes import OPEN, assert_sound, complex_of, contents
 
 from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, QUALITY
 from odt_plugins.engine.finish.phases import Resampling

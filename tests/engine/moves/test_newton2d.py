@@ -9,6 +9,7 @@ import planar_meshes as planar
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from planar_meshes import MEASURES
 
 from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY
 from odt_plugins.engine.cells.triangle import triangle_measure
@@ -53,11 +54,6 @@ def jittered(seed, n=5, holes=frozenset({(2, 2)})):
     return points @ rotation.T, cells, np.flatnonzero(~boundary), boundary
 
 
-MEASURES = {
-    QUALITY: lambda points, cells: planar.shape(points, cells)[0],
-    MEAN_RATIO: lambda points, cells: (2.0 / planar.amips(points, cells)) ** 2,
-    DIHEDRAL: planar.softened_sine,
-}
 EVERY = pytest.mark.parametrize("objective", MEASURES, ids=["radius ratio", "mean ratio", "angle"])
 
 

@@ -7,6 +7,7 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import tet_meshes as tm
+from tet_meshes import interior
 
 from odt_plugins.engine.cells.tetrahedron import QUALITY
 from odt_plugins.engine.moves.newton3d import (
@@ -20,14 +21,6 @@ from odt_plugins.engine.topology.coloring import vertex_coloring
 from odt_plugins.engine.topology.star import vertex_stars
 
 OPEN = np.array([0.0, 1.0, -1.0, 0.0, 1.0, -1.0])
-
-
-def interior(points, cells):
-    mask = np.ones(len(points), dtype=bool)
-    for facet, owners in tm.facets_of(cells).items():
-        if len(owners) == 1:
-            mask[list(facet)] = False
-    return mask
 
 
 @pytest.mark.parametrize("power", [1.0, 3.0])

@@ -12,10 +12,10 @@ import numpy as np
 import pytest
 import tet_meshes as tm
 from click.testing import CliRunner
+from complexes import complex_of
 from hypothesis import given
 from hypothesis import strategies as st
-from test_driver import assert_promise, facet_set, measure, mesh_of
-from test_flips3d import complex_of
+from promises import assert_promise, facet_set, measure, mesh_of
 
 import odt_plugins
 from odt_plugins.carry import surrounding_cells

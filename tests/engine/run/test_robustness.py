@@ -12,8 +12,8 @@ import tet_meshes as tm
 from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
+from promises import assert_promise, measure, mesh_of, volumes
 from strategies import SEEDS
-from test_driver import assert_promise, measure, mesh_of, volumes
 
 from odt_plugins.cli.main import cli
 from odt_plugins.compare import robustness

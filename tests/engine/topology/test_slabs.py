@@ -7,7 +7,7 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import tet_meshes as tm
-from test_flips3d import OPEN, assert_sound, complex_of
+from complexes import OPEN, assert_sound, complex_of
 
 from odt_plugins.engine.cells.tetrahedron import ENERGY, QUALITY
 from odt_plugins.engine.finish.phases import Phase
