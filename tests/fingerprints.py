@@ -26,7 +26,6 @@ from functools import cache, partial
 from pathlib import Path
 
 import numpy as np
-import surface_meshes
 
 import odt_plugins
 from odt_plugins.compare.hard import hard_meshes
@@ -52,6 +51,7 @@ Run = Callable[[], tuple[Arrays, Arrays]]
 """Gives the arrays of the start mesh and those of the result."""
 
 HERE = Path(__file__).parent
+sys.path.append(str(HERE / "helpers"))
 HARD = 1000
 """Vertices of every hard mesh, about."""
 
@@ -135,6 +135,8 @@ def made(maker: Callable[[int], StartMesh], n: int) -> Arrays:
 
 def shape(name: str) -> Arrays:
     """A curved surface with features, a rim, or both."""
+    import surface_meshes
+
     points, cells = {
         "cylinder": lambda: surface_meshes.cylinder(noise=0.25),
         "cube": lambda: surface_meshes.cube(noise=0.25),
@@ -175,7 +177,7 @@ def in_blocks(start: Callable[[], Arrays], blocks: int) -> tuple[Arrays, Arrays]
 
 
 def in_pieces() -> tuple[Arrays, Arrays]:
-    from test_pieces import glued, write_pieces
+    from pieces import glued, write_pieces
 
     from odt_plugins.distributed.partition import bricks
     from odt_plugins.distributed.pieces import optimize_pieces

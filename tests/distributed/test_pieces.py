@@ -17,6 +17,7 @@ import meshio
 import numpy as np
 import pytest
 import tet_meshes
+from pieces import glued, write_pieces
 
 import odt_plugins
 from odt_plugins.cli import main as cli
@@ -37,45 +38,6 @@ from odt_plugins.errors import (
 from odt_plugins.mesh.simplex import simplex_mesh
 from odt_plugins.options import Options
 from odt_plugins.promise.volume import broken_promises
-
-
-def write_pieces(
-    folder: Path, points: Any, cells: Any, label: Any, ids: Any = None, **data: Any
-) -> Path:
-    """Write the cells of every label as a file, and the .pvtu file that names them."""
-    folder.mkdir()
-    names = []
-    for k in np.unique(label):
-        members = np.flatnonzero(label == k)
-        used, number = np.unique(cells[members], return_inverse=True)
-        names.append(f"piece-{k}.vtu")
-        meshio.Mesh(points[used], [("tetra", number.reshape(-1, 4))],
-                    point_data={"was": used} | (
-                        {} if ids is None else {"GlobalPointIds": ids[used]}),
-                    cell_data={name: [values[members]] for name, values in data.items()},
-                    ).write(folder / names[-1])
-    named = "".join(f'<Piece Source="{folder.name}/{name}"/>' for name in names)
-    index = folder.with_suffix(".pvtu")
-    index.write_text('<VTKFile type="PUnstructuredGrid"><PUnstructuredGrid GhostLevel="0">'
-                     f"{named}</PUnstructuredGrid></VTKFile>")
-    return index
-
-
-def glued(index: Path, n: int) -> tuple[Any, Any, Any, Any]:
-    """The whole mesh again, by the point array that names the vertices of the input."""
-    points = np.full((n, 3), np.nan)
-    cells, regions, ids = [], [], np.full(n, -1)
-    for piece in ElementTree.parse(index).getroot().iter("Piece"):
-        mesh = meshio.read(index.parent / piece.get("Source"))
-        was = mesh.point_data["was"]
-        known = ~np.isnan(points[was, 0])
-        assert np.array_equal(points[was[known]], mesh.points[known])
-        assert np.array_equal(ids[was[known]], mesh.point_data["GlobalPointIds"][known])
-        points[was], ids[was] = mesh.points, mesh.point_data["GlobalPointIds"]
-        cells.append(was[mesh.cells[0].data])
-        regions.append(mesh.cell_data["marker"][0])
-    assert len(np.unique(ids)) == n
-    return points, np.concatenate(cells), np.concatenate(regions), ids
 
 
 def test_pieces_are_about_as_good_as_one_piece_and_fit_together(tmp_path):
