@@ -53,7 +53,7 @@ TOOLKITS = {
     "vtkmodules": {"adapters/pyvista_mesh.py", "report/plotting.py"},
     "meshio": {"adapters/meshio_mesh.py", "adapters/files.py", "cli/demo.py", "distributed/job.py",
                "distributed/store.py", "hosts/script.py"},
-    "matplotlib": {"report/plotting.py", "compare/pictures.py"},
+    "matplotlib": {"report/plotting.py", "compare/charts.py", "compare/pictures.py"},
     "pytetwild": {"compare/baselines/tetwild.py"},
     "pymeshlab": {"adapters/pymeshlab_copy.py", "adapters/pymeshlab_mesh.py",
                   "adapters/pymeshlab_set.py", "hosts/pymeshlab_apply.py",
