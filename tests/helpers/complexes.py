@@ -6,14 +6,27 @@ import numpy as np
 import pytest
 import tet_meshes as tm
 
-from odt_plugins.engine.cells.tetrahedron import (
-    QUALITY,
-)
+from odt_plugins.engine.cells.extremes import Bounds, Extremes
+from odt_plugins.engine.cells.tetrahedron import QUALITY, Cost
 from odt_plugins.engine.moves import compound
 from odt_plugins.engine.moves.passes import measures
 from odt_plugins.engine.topology.complex import make_complex
+from odt_plugins.engine.topology.tets import FREE
 
-OPEN = np.array([0.0, 1.0, -1.0, 0.0, 1.0, -1.0])
+FREELY = Extremes(0.0, 1.0, -1.0)
+OPEN = Bounds(FREELY, FREELY)
+
+
+def extremes_of(points, cells):
+    """Extremes of cells, by the twins."""
+    angles = tm.dihedral_angles(points, cells)
+    return Extremes(float(tm.quality(points, cells).min()),
+                    float(np.cos(np.radians(angles.min()))),
+                    float(np.cos(np.radians(angles.max()))))
+
+
+def free_slots(mesh):
+    return mesh.free[: mesh.slots[FREE]]
 
 
 def complex_of(points, cells, regions=None):
@@ -35,21 +48,19 @@ def assert_sound(mesh, points, volume):
     rank = np.full(len(mesh.cells) + 1, -1)
     rank[live] = np.arange(len(live))
     assert np.array_equal(rank[mesh.neighbors[live]], tm.brute_neighbors(cells))
-    assert len(np.unique(mesh.free[: mesh.slots[1]])) == mesh.slots[1]
-    assert mesh.slots[0] - mesh.slots[1] == len(live)
+    assert len(np.unique(free_slots(mesh))) == len(free_slots(mesh))
+    assert mesh.count() == len(live)
 
 
 def contents(mesh):
     live = mesh.live()
-    stack = mesh.free[: mesh.slots[1]]
     return [a.tobytes() for a in (mesh.points, mesh.cells[live], mesh.neighbors[live], live,
-                                  mesh.regions[live], mesh.slots, stack)]
+                                  mesh.regions[live], mesh.slots, free_slots(mesh))]
 
 
 def run_pass(mesh, power=4.0, bounds=OPEN, tried=None, measure=QUALITY):
     order = np.argsort(measures(mesh, measure), kind="stable")[:60].astype(np.int32)
     mesh.status[:] = 0
     return compound.compound_pass(
-        mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status, order,
-        mesh.slots, mesh.free, measure, power, 10, bounds,
+        mesh.tets, order, Cost(measure, power), 10, bounds,
         np.zeros(len(mesh.cells), dtype=bool) if tried is None else tried)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -13,6 +14,7 @@ from odt_plugins.engine.cells.corner import (
     six_volumes,
 )
 from odt_plugins.engine.cells.dihedral import six_cosines, tet_dihedral
+from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.mean_ratio import tet_mean_ratio
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -22,6 +24,20 @@ QUALITY = 1
 MEAN_RATIO = 2
 DIHEDRAL = 3
 """What a cell costs: the ODT energy, or (1/m)^p with one of the cell measures m."""
+
+
+class Cost(NamedTuple):
+    """What a cell costs.
+
+    Attributes
+    ----------
+    objective : int    ENERGY, or the measure m in the cost
+    power : float      exponent p of that cost; without meaning for the energy
+    """
+
+    objective: int
+    power: float
+
 
 SHIFT = 0.005
 """Cells much flatter than this are no longer worth their neighbours: the cost levels off there."""
@@ -129,16 +145,28 @@ def tet_measure(points: FloatArray, i: int, j: int, k: int, l: int, objective: i
 
 
 @kernel
-def tet_cost(
-    points: FloatArray, i: int, j: int, k: int, l: int, objective: int, power: float,
-) -> float:
-    """Cost of one cell: ODT energy or that of its measure; infinite if not positive."""
-    if objective == QUALITY:
+def tet_cost(points: FloatArray, i: int, j: int, k: int, l: int, cost: Cost) -> float:
+    """Cost of tetrahedron (i, j, k, l): ODT energy or that of its measure; infinite if inverted."""
+    if cost.objective == QUALITY:
         m = tet_quality(points, i, j, k, l)
-    elif objective == ENERGY:
+    elif cost.objective == ENERGY:
         return tet_energy(points, i, j, k, l)
     else:
-        m = tet_measure(points, i, j, k, l, objective)
+        m = tet_measure(points, i, j, k, l, cost.objective)
     if m <= 1e-9:
         return np.inf
-    return quality_cost(m, power)
+    return quality_cost(m, cost.power)
+
+
+@kernel
+def cell_cost(points: FloatArray, cells: IntArray, c: int, cost: Cost) -> float:
+    """:func:`tet_cost` of cell c."""
+    return tet_cost(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], cost)
+
+
+@kernel
+def cell_extremes(points: FloatArray, cells: IntArray, c: int) -> Extremes:
+    """Radius ratio of cell c, largest and smallest cosine of its dihedral angles."""
+    i, j, k, l = cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3]
+    large, small = tet_cosines(points, i, j, k, l)
+    return Extremes(tet_quality(points, i, j, k, l), large, small)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY
+from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY, Cost
 from odt_plugins.engine.record.figures import MANY, SMALL_ANGLE
 from odt_plugins.options import Objective
 
@@ -42,6 +42,11 @@ class Phase:
     guard: float | None = None
     least: float | None = None
     enough: float = 1.0
+
+    @property
+    def cost(self) -> Cost:
+        """Cost of a cell."""
+        return Cost(self.objective, self.power)
 
 
 @dataclass(frozen=True)
@@ -181,6 +186,11 @@ class Resampling:
     share: float
     passes: int
     objective: int = QUALITY
+
+    @property
+    def cost(self) -> Cost:
+        """Cost of a cell."""
+        return Cost(self.objective, self.power)
 
 
 def resampling(objective: Objective = "radius_ratio") -> tuple[Resampling, ...]:

@@ -8,23 +8,24 @@ from dataclasses import replace
 
 import numpy as np
 
+from odt_plugins.engine.cells.extremes import Bounds
 from odt_plugins.engine.finish.phases import Phase, polish
 from odt_plugins.engine.finish.volume import guarded
 from odt_plugins.engine.record.figures import COS_SMALL, cell_shapes
 from odt_plugins.engine.record.memory import Memory
 from odt_plugins.engine.topology.complex import Complex
 from odt_plugins.engine.topology.part import Part, around, inside
-from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.arrays import BoolArray, IntArray
 
 POLISHED = 4
 """Rings of cells around small angles that are changed for their sake."""
 
-Settle = Callable[[Complex, tuple[Phase, ...], FloatArray], None]
+Settle = Callable[[Complex, tuple[Phase, ...], Bounds], None]
 """Runs phases of the finishing stage on a complex within bounds."""
 
 
 def polish_small_angles(
-    mesh: Complex | Part, bounds: FloatArray, memory: Memory, name: str, settle: Settle,
+    mesh: Complex | Part, bounds: Bounds, memory: Memory, name: str, settle: Settle,
     pool: ThreadPoolExecutor | None, cut: BoolArray | None = None,
 ) -> None:
     """Look after the small angles alone that a mesh has left, of tetrahedra and for radius ratios.
@@ -35,7 +36,7 @@ def polish_small_angles(
     Parameters
     ----------
     mesh : Complex or Part     as it was offered last
-    bounds : (6,) float64      see ``flips3d.flip_pass``
+    bounds : Bounds
     memory : Memory
     name : str                 of the new states
     settle : callable

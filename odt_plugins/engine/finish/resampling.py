@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from odt_plugins.engine.cells.extremes import Bounds
 from odt_plugins.engine.finish.phases import Phase, Resampling, after_resampling, resampling
 from odt_plugins.engine.finish.volume import RING
 from odt_plugins.engine.moves import insertion
@@ -76,7 +77,7 @@ def with_spare_vertices(
 
 
 def resample(
-    mesh: SpareComplex, step: Resampling, scale: float, bounds: FloatArray
+    mesh: SpareComplex, step: Resampling, scale: float, bounds: Bounds
 ) -> int:
     """Insert and remove vertices at the worst cells.
 
@@ -85,7 +86,7 @@ def resample(
     mesh : SpareComplex        changed in place
     step : Resampling
     scale : float              of the step's share
-    bounds : (6,) float64      see ``flips3d.flip_pass``
+    bounds : Bounds
 
     Returns
     -------
@@ -101,19 +102,17 @@ def resample(
         order = np.argsort(q, kind="stable")[:count].astype(np.int32)
         mesh.status[:] = 0
         taken += int(insertion.insertion_pass(
-            mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status,
-            order, mesh.slots, mesh.free, mesh.first, mesh.stays, step.objective, step.power,
-            RING, bounds, tried,
+            mesh.tets, mesh.first, mesh.stays, order, step.cost, RING, bounds, tried
         ))
-        if mesh.slots[2]:
+        if mesh.full:
             grow(mesh)
     return taken
 
 
 def resample_in_rounds(
     mesh: SpareComplex, before: Figures, objective: Objective, *,
-    limits: Callable[[Figures], FloatArray],
-    settle: Callable[[Complex, tuple[Phase, ...], FloatArray], None],
+    limits: Callable[[Figures], Bounds],
+    settle: Callable[[Complex, tuple[Phase, ...], Bounds], None],
     offer: Callable[[Complex], Any], report: Callable[[float], None], log: Log,
 ) -> None:
     """Add and remove vertices, in rounds with finishing at the end of each.

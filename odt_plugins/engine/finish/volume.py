@@ -13,7 +13,8 @@ from functools import partial
 
 import numpy as np
 
-from odt_plugins.engine.cells.tetrahedron import QUALITY
+from odt_plugins.engine.cells.extremes import Bounds, Extremes
+from odt_plugins.engine.cells.tetrahedron import QUALITY, Cost
 from odt_plugins.engine.finish.phases import MOST, Phase
 from odt_plugins.engine.finish.plane import finish2d
 from odt_plugins.engine.moves import compound
@@ -33,7 +34,8 @@ from odt_plugins.engine.topology.coloring import run_chunks, touching_blocks, ve
 from odt_plugins.engine.topology.complex import Complex, slot_stars
 from odt_plugins.engine.topology.slabs import side_by_side
 from odt_plugins.engine.topology.star import Stars
-from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
+from odt_plugins.engine.topology.tets import Tets
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 
 GAIN = 3e-3
 RING = 10
@@ -48,37 +50,34 @@ def worst_count(q: FloatArray, phase: Phase) -> int:
     return min(most, max(most // 10, int((q < phase.enough).sum())))
 
 
-def held_angles(mesh: Complex, bounds: FloatArray, share: float) -> FloatArray:
+def held_angles(mesh: Complex, bounds: Bounds, share: float) -> Bounds:
     """Bounds under which no new cell gets a smaller angle than a share of the cells has now."""
     cells, _ = mesh.mesh_arrays()
-    held = bounds.copy()
-    reached = np.quantile(cell_shapes(mesh.points, cells)[:, 1], 1.0 - share)
-    held[[1, 4]] = np.minimum(held[[1, 4]], reached)
-    return held
+    return bounds.with_large(np.quantile(cell_shapes(mesh.points, cells)[:, 1], 1.0 - share))
 
 
 def guarded(
-    mesh: Complex, phase: Phase, bounds: FloatArray, pool: ThreadPoolExecutor | None = None
-) -> FloatArray:
+    mesh: Complex, phase: Phase, bounds: Bounds, pool: ThreadPoolExecutor | None = None
+) -> Bounds:
     """Bounds for a phase, see :class:`Phase`."""
-    held = bounds.copy()
     if phase.least is not None:
         cells, _ = mesh.mesh_arrays()
         cosines = cell_shapes(mesh.points, cells)[:, 1]
         least = math.cos(math.radians(phase.least))
         reached = cosines.max()
         few = (cosines > least).mean() <= MOST
-        held[[1, 4]] = np.minimum(held[[1, 4]], min(least, reached) if few else reached)
+        bounds = bounds.with_large(min(least, reached) if few else reached)
     if phase.guard is not None:
         q = measures(mesh, QUALITY, pool)
-        held[0] = max(held[0], np.quantile(q[q < 1.5], phase.guard))
-    return held
+        reached = np.quantile(q[q < 1.5], phase.guard)
+        bounds = bounds.with_quality(max(bounds.cells.quality, reached))
+    return bounds
 
 
 def descend(
     mesh: Complex,
     phase: Phase,
-    bounds: FloatArray,
+    bounds: Bounds,
     pool: ThreadPoolExecutor | None,
     threads: int,
 ) -> tuple[int, int]:
@@ -106,25 +105,22 @@ def descend(
     flips = moves = 0
     for _ in range(phase.rounds):
         round_flips = _flip_surface(mesh, phase, bounds)
-        round_flips += flip_pending(mesh, phase.objective, phase.power, RING, bounds, 4, pool)
+        round_flips += flip_pending(mesh, phase.cost, RING, bounds, 4, pool)
         flips += round_flips
-        used = int(mesh.slots[0])
         mesh.status[mesh.status == DONE] = 0
         stars = slot_stars(mesh, pool)
-        cells = mesh.cells[:used]
+        cells = mesh.cells[: mesh.used]
         touch = touching_blocks(cells, zone, pool)
         pushed = 0
         for _ in range(phase.sweeps):
             coloring = vertex_coloring(cells, active & zone, touch)
             moved[:] = 0.0
             work = partial(
-                _smooth_chunk, mesh.points, cells, stars, coloring.order, phase, bounds, moved
+                _smooth_chunk, mesh, stars, coloring.order, phase.cost, bounds.cells, moved
             )
             moves += sum(run_chunks(pool, threads, coloring, work))
             if mesh.skin is not None:
-                moves += slide(
-                    mesh, mesh.skin, stars, active, phase.objective, phase.power, bounds, moved
-                )
+                moves += slide(mesh, mesh.skin, stars, active, phase.cost, bounds.cells, moved)
             pushed = spread(cells, stars.indptr, stars.indices, moved, GAIN, active, mesh.status)
         if pushed == 0 and round_flips == 0:
             break
@@ -138,31 +134,29 @@ def descend(
     return flips, moves
 
 
-def _flip_surface(mesh: Complex, phase: Phase, bounds: FloatArray) -> int:
+def _flip_surface(mesh: Complex, phase: Phase, bounds: Bounds) -> int:
     """Flip edges of a surface that slides, around the pending cells."""
     if mesh.skin is None:
         return 0
-    near = mesh.status[: int(mesh.slots[0])] == PENDING
-    flips = flip_skin(mesh, mesh.skin, near, phase.objective, phase.power, bounds)
-    if mesh.slots[2]:
+    near = mesh.status[: mesh.used] == PENDING
+    flips = flip_skin(mesh, mesh.skin, near, phase.cost, bounds)
+    if mesh.full:
         grow(mesh)
     return flips
 
 
 def _smooth_chunk(
-    points: FloatArray, cells: IntArray, stars: Stars, order: IntArray, phase: Phase,
-    bounds: FloatArray, moved: FloatArray, start: int, stop: int,
+    mesh: Complex, stars: Stars, order: IntArray, cost: Cost, limit: Extremes, moved: FloatArray,
+    start: int, stop: int,
 ) -> int:
     """Smooth the vertices order[start:stop]."""
     return int(smooth3d.smooth_vertices(
-        points, cells, stars.indptr, stars.indices, order, start, stop, phase.objective,
-        phase.power, bounds, moved,
+        mesh.points, mesh.cells, stars, order, start, stop, cost, limit, moved
     ))
 
 
 def compound_moves(
-    mesh: Complex, phase: Phase, bounds: FloatArray, tried: BoolArray,
-    pool: ThreadPoolExecutor | None,
+    mesh: Complex, phase: Phase, bounds: Bounds, tried: BoolArray, pool: ThreadPoolExecutor | None
 ) -> int:
     """Try compound moves at the worst share of the cells; returns how many stayed."""
     q = measures(mesh, phase.objective, pool)
@@ -170,28 +164,24 @@ def compound_moves(
     worst = np.argpartition(q, count)[: count + 1]
     order = worst[np.argsort(q[worst], kind="stable")].astype(np.int32)
     mesh.status[:] = 0
-    work = partial(_compound_part, mesh, phase, bounds, tried)
+    work = partial(_compound_part, phase, bounds, tried)
     taken = side_by_side(mesh, order, pool, work, WORTH_COMPOUND)
-    if mesh.slots[2]:
+    if mesh.full:
         grow(mesh)
     return taken
 
 
 def _compound_part(
-    mesh: Complex, phase: Phase, bounds: FloatArray, tried: BoolArray, order: IntArray,
-    cells: IntArray, slots: LongArray, free: IntArray, held: BoolArray,
+    phase: Phase, bounds: Bounds, tried: BoolArray, order: IntArray, tets: Tets
 ) -> int:
     """Try compound moves at the cells of one slab."""
-    return int(compound.compound_pass(
-        mesh.points, cells, mesh.neighbors, mesh.regions, held, mesh.status, order, slots, free,
-        phase.objective, phase.power, RING, bounds, tried,
-    ))
+    return int(compound.compound_pass(tets, order, phase.cost, RING, bounds, tried))
 
 
 def finish(
     mesh: Complex,
     phases: tuple[Phase, ...],
-    bounds: FloatArray,
+    bounds: Bounds,
     pool: ThreadPoolExecutor | None,
     threads: int,
 ) -> tuple[int, int]:
@@ -201,7 +191,7 @@ def finish(
     ----------
     mesh : Complex
     phases : tuple of Phase
-    bounds : (6,) float64      see ``flips3d.flip_pass``; the plane uses the first three
+    bounds : Bounds            the plane uses those of all cells
     pool, threads              see ``run_chunks``; the result does not depend on them
 
     Returns
@@ -210,7 +200,7 @@ def finish(
     """
     if mesh.dim == 2:
         points, cells = finish2d(
-            mesh.points, mesh.cells, mesh.regions, ~mesh.locked, bounds=bounds[:3].copy(),
+            mesh.points, mesh.cells, mesh.regions, ~mesh.locked, bounds=np.array(bounds.cells),
             phases=phases, pool=pool, threads=threads,
         )
         mesh.points[:] = points

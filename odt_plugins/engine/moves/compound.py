@@ -7,21 +7,20 @@ the journal takes everything back.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from odt_plugins.engine.cells.bounds import relaxed
-from odt_plugins.engine.cells.tetrahedron import quality_cost, tet_cosines, tet_measure, tet_quality
+from odt_plugins.engine.cells.extremes import Bounds, Extremes, keeps, worse
+from odt_plugins.engine.cells.tetrahedron import Cost, cell_extremes, quality_cost, tet_measure
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
-from odt_plugins.engine.moves.cavity import Work, make_work, take_back
+from odt_plugins.engine.moves.cavity import Journal, Ring, make_journal, make_ring, take_back
 from odt_plugins.engine.moves.flips3d import flip_facet, improve_cell, remove_edge
-from odt_plugins.engine.moves.newton3d import newton_vertex
+from odt_plugins.engine.moves.newton3d import Derivatives, make_derivatives, newton_vertex
 from odt_plugins.engine.topology.active import DONE, IDLE, PENDING
 from odt_plugins.engine.topology.lookup import is_in
-from odt_plugins.mesh.arrays import BoolArray, ByteArray, FloatArray, IntArray, LongArray
-
-Scratch = tuple[
-    IntArray, IntArray, FloatArray, IntArray, IntArray, FloatArray, FloatArray
-]
+from odt_plugins.engine.topology.tets import Tets
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 
 MOST_TOUCHED, MOST_FLIPS, ROUNDS = 192, 24, 2
 """Of one descent: cells that it may touch, flips, and rounds of flips and Newton steps."""
@@ -39,6 +38,30 @@ SAME = 1e-9
 """A descent is given up, too, when its flips won back all but this part of what was lost."""
 GAIN = 1e-3
 """Least gain, as part of the worst cell's own cost, for which a compound move stays."""
+
+
+class Scratch(NamedTuple):
+    """Room in which one thread descends and goes back; made by :func:`make_scratch`.
+
+    Attributes
+    ----------
+    ring : Ring, journal : Journal, derivatives : Derivatives
+    touched : (MOST_TOUCHED,) int32     cells that a descent wrote or may write
+    star : (LARGEST_STAR,) int32        cells around a vertex
+    seen : (MOST_TOUCHED,) int32        vertices that were visited in a round
+    moved : (8 MOST_TOUCHED,) int32     vertices, in the order of their moves
+    origin : (8 MOST_TOUCHED, 3) float64
+        where they were before
+    """
+
+    ring: Ring
+    journal: Journal
+    derivatives: Derivatives
+    touched: IntArray
+    star: IntArray
+    seen: IntArray
+    moved: IntArray
+    origin: FloatArray
 
 
 @kernel
@@ -76,25 +99,24 @@ def push(touched: IntArray, n: int, around: IntArray, n_new: int) -> int:
 
 
 @allocating_kernel
-def make_scratch() -> Scratch:
-    """Work arrays of a descent for one thread."""
-    return (
+def make_scratch(entries: int) -> Scratch:
+    """Room for one thread, with so many entries of the journal."""
+    return Scratch(
+        make_ring(np.empty(0), np.bool_(False)),
+        make_journal(np.bool_(True), entries),
+        make_derivatives(),
         np.empty(MOST_TOUCHED, np.int32),
         np.empty(LARGEST_STAR, np.int32),
-        np.empty((8 * MOST_TOUCHED, 3)),
-        np.empty(8 * MOST_TOUCHED, np.int32),
         np.empty(MOST_TOUCHED, np.int32),
-        np.empty(20),
-        np.empty(3),
+        np.empty(8 * MOST_TOUCHED, np.int32),
+        np.empty((8 * MOST_TOUCHED, 3)),
     )
 
 
 @kernel
 def descend_around(
-    points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
-    locked: BoolArray, status: ByteArray, slots: LongArray, free: IntArray, objective: int,
-    power: float, max_ring: int, bounds: FloatArray, fresh: IntArray, n_fresh: int, total: float,
-    floor: float, work: Work, journal: LongArray, scratch: Scratch,
+    tets: Tets, cost: Cost, max_ring: int, bounds: Bounds, fresh: IntArray, n_fresh: int,
+    total: float, least: float, scratch: Scratch,
 ) -> tuple[float, int, int]:
     """Flips and Newton steps around the cells that a forced operation wrote.
 
@@ -102,22 +124,23 @@ def descend_around(
     ----------
     fresh, n_fresh        the cells, in the first entries of fresh
     total : float         gain of the forced operation
-    floor : float         the descent is given up when the gain is still below after its flips,
+    least : float         the descent is given up when the gain is still below after its flips,
                           or when these led back to where it was before the forced operation
-    scratch : Scratch     touched cells, star, positions to go back to and their vertices, ...
+    scratch : Scratch     OUT: touched cells, vertices that moved, and what takes all of it back
 
     Returns
     -------
     total : float         gain of everything together
-    n_touched, n_undo : int
+    n_touched, n_moved : int
     """
-    touched, star, undo, undo_vertex, seen, out, step = scratch
-    around = work[1]
+    points, cells, status = tets.points, tets.cells, tets.status
+    touched, star, seen = scratch.touched, scratch.star, scratch.seen
+    moved, origin = scratch.moved, scratch.origin
     # numba would compile push and newton_vertex once more for a literal
     first = np.int64(0)
     n_touched = push(touched, first, fresh, n_fresh)
     forced = total
-    n_undo = 0
+    n_moved = 0
     flips = 0
     for _ in range(ROUNDS):
         m = 0
@@ -128,15 +151,14 @@ def descend_around(
                 continue
             status[t] = DONE
             gain, n_new = improve_cell(
-                points, cells, neighbors, regions, locked, status, t, slots, free,
-                objective, power, max_ring, bounds, work, journal,
+                tets, t, cost, max_ring, bounds, scratch.ring, scratch.journal
             )
             if n_new > 0:
                 total += gain
                 flips += 1
-                n_touched = push(touched, n_touched, around, n_new)
+                n_touched = push(touched, n_touched, scratch.ring.cells, n_new)
                 m = 0
-        if total < floor or abs(total) < SAME * abs(forced):
+        if total < least or abs(total) < SAME * abs(forced):
             break
         n_seen = 0
         for m in range(n_touched):
@@ -146,80 +168,70 @@ def descend_around(
             status[t] = PENDING
             for a in range(4):
                 v = cells[t, a]
-                if locked[v] or n_undo == undo.shape[0] or n_seen == seen.shape[0]:
+                if tets.locked[v] or n_moved == moved.shape[0] or n_seen == seen.shape[0]:
                     continue
                 if is_in(v, seen, n_seen):
                     continue
                 seen[n_seen] = v
                 n_seen += 1
-                size = gather_star(cells, neighbors, t, v, star)
+                size = gather_star(cells, tets.neighbors, t, v, star)
                 x = points[v, 0]
                 y = points[v, 1]
                 z = points[v, 2]
                 gain = newton_vertex(
-                    points, cells, star, first, size, v, objective, power, bounds, out, step
+                    points, cells, star, first, size, v, cost, bounds.cells, scratch.derivatives
                 )
                 if gain > 0.0:
                     total += gain
-                    undo_vertex[n_undo] = v
-                    undo[n_undo, 0] = x
-                    undo[n_undo, 1] = y
-                    undo[n_undo, 2] = z
-                    n_undo += 1
-    return total, n_touched, n_undo
+                    moved[n_moved] = v
+                    origin[n_moved, 0] = x
+                    origin[n_moved, 1] = y
+                    origin[n_moved, 2] = z
+                    n_moved += 1
+    return total, n_touched, n_moved
 
 
 @kernel
-def within(
-    points: FloatArray, cells: IntArray, touched: IntArray, n_touched: int, q: float,
-    large: float, small: float,
-) -> bool:
-    """Whether no touched cell is worse than q or has a cosine outside [small, large]."""
+def within(tets: Tets, touched: IntArray, n_touched: int, limit: Extremes) -> bool:
+    """Whether no touched cell passes the limit."""
     for m in range(n_touched):
         t = touched[m]
-        if cells[t, 0] < 0:
-            continue
-        if tet_quality(points, cells[t, 0], cells[t, 1], cells[t, 2], cells[t, 3]) < q:
-            return False
-        hi, lo = tet_cosines(points, cells[t, 0], cells[t, 1], cells[t, 2], cells[t, 3])
-        if hi > large or lo < small:
+        if tets.cells[t, 0] >= 0 and not keeps(cell_extremes(tets.points, tets.cells, t), limit):
             return False
     return True
 
 
 @kernel
-def stakes(
-    points: FloatArray, cells: IntArray, c: int, objective: int, power: float, bounds: FloatArray
-) -> tuple[float, float, float, float]:
+def stakes(tets: Tets, c: int, cost: Cost, bounds: Bounds) -> tuple[float, Extremes]:
     """Cost of cell c, with which a gain is compared, and what all cells near it must keep then.
 
     Returns
     -------
-    own : float                       cost by the measure of the objective
-    least, most, fewest : float       see ``bounds.relaxed``
+    own : float          cost by the measure of the objective
+    limit : Extremes     the bounds, or the extremes of the cell where it passes them
     """
-    i, j, k, l = cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3]
-    q = tet_quality(points, i, j, k, l)
-    large, small = tet_cosines(points, i, j, k, l)
-    least, most, fewest = relaxed(
-        bounds, q - ROUNDED * abs(q), large + ROUNDED, small - ROUNDED
+    points, cells = tets.points, tets.cells
+    q, large, small = cell_extremes(points, cells, c)
+    limit = worse(
+        bounds.cells, Extremes(q - ROUNDED * abs(q), large + ROUNDED, small - ROUNDED)
     )
-    own = quality_cost(tet_measure(points, i, j, k, l, objective), power)
-    return own, least, most, fewest
+    m = tet_measure(
+        points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], cost.objective
+    )
+    return quality_cost(m, cost.power), limit
 
 
 @kernel
 def settle(
-    points: FloatArray, cells: IntArray, neighbors: IntArray, status: ByteArray,
-    slots: LongArray, free: IntArray, good: bool, n_touched: int, n_undo: int,
-    journal: LongArray, scratch: Scratch, tried: BoolArray,
+    tets: Tets, good: bool, n_touched: int, n_moved: int, scratch: Scratch, tried: BoolArray
 ) -> None:
     """Keep a descent and mark what it touched for another try, or take all of it back."""
-    touched, _, undo, undo_vertex, _, _, _ = scratch
+    cells, neighbors, points = tets.cells, tets.neighbors, tets.points
+    touched, moved, origin = scratch.touched, scratch.moved, scratch.origin
     for m in range(n_touched):
         t = touched[m]
         if cells[t, 0] >= 0:
-            status[t] = IDLE
+            tets.status[t] = IDLE
     if good:
         for m in range(n_touched):
             t = touched[m]
@@ -230,19 +242,17 @@ def settle(
                 if neighbors[t, f] >= 0:
                     tried[neighbors[t, f]] = False
         return
-    for m in range(n_undo - 1, -1, -1):
-        v = undo_vertex[m]
-        points[v, 0] = undo[m, 0]
-        points[v, 1] = undo[m, 1]
-        points[v, 2] = undo[m, 2]
-    take_back(cells, neighbors, status, slots, free, journal)
+    for m in range(n_moved - 1, -1, -1):
+        v = moved[m]
+        points[v, 0] = origin[m, 0]
+        points[v, 1] = origin[m, 1]
+        points[v, 2] = origin[m, 2]
+    take_back(tets, scratch.journal)
 
 
 @allocating_kernel
 def compound_pass(
-    points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
-    locked: BoolArray, status: ByteArray, order: IntArray, slots: LongArray, free: IntArray,
-    objective: int, power: float, max_ring: int, bounds: FloatArray, tried: BoolArray,
+    tets: Tets, order: IntArray, cost: Cost, max_ring: int, bounds: Bounds, tried: BoolArray
 ) -> int:
     """Try compound moves at the cells of ``order``; arguments as in ``flips3d.flip_pass``.
 
@@ -253,41 +263,32 @@ def compound_pass(
     -------
     int    number of compound moves that stayed
     """
-    work = make_work(np.empty(0))
-    journal = np.zeros((1 << 14, 4), np.int64)
-    scratch = make_scratch()
+    scratch = make_scratch(np.int64(1 << 14))
+    ring, journal = scratch.ring, scratch.journal
     taken = 0
     for o in range(order.shape[0]):
         c = order[o]
-        if cells[c, 0] < 0 or tried[c]:
+        if tets.cells[c, 0] < 0 or tried[c]:
             continue
         tried[c] = True
-        own, least, most, fewest = stakes(points, cells, c, objective, power, bounds)
+        own, limit = stakes(tets, c, cost, bounds)
         for op in range(10):
-            journal[0, 0] = 0
+            journal.length[0] = 0
             if op < 6:
                 total, n_new = remove_edge(
-                    points, cells, neighbors, regions, locked, status, c, op, slots, free,
-                    objective, power, max_ring, bounds, HOPELESS * own, work, journal,
+                    tets, c, op, cost, max_ring, bounds, HOPELESS * own, ring, journal
                 )
             else:
                 total, n_new = flip_facet(
-                    points, cells, neighbors, regions, locked, status, c, op - 6, slots, free,
-                    objective, power, bounds, HOPELESS * own, work, journal,
+                    tets, c, op - 6, cost, bounds, HOPELESS * own, ring, journal
                 )
             if n_new == 0:
                 continue
-            total, n_touched, n_undo = descend_around(
-                points, cells, neighbors, regions, locked, status, slots, free, objective, power,
-                max_ring, bounds, work[1], n_new, total, -DEEP * own, work, journal, scratch,
+            total, n_touched, n_moved = descend_around(
+                tets, cost, max_ring, bounds, ring.cells, n_new, total, -DEEP * own, scratch
             )
-            good = total > GAIN * own and within(
-                points, cells, scratch[0], n_touched, least, most, fewest
-            )
-            settle(
-                points, cells, neighbors, status, slots, free, good, n_touched, n_undo, journal,
-                scratch, tried,
-            )
+            good = total > GAIN * own and within(tets, scratch.touched, n_touched, limit)
+            settle(tets, good, n_touched, n_moved, scratch, tried)
             if good:
                 taken += 1
                 break

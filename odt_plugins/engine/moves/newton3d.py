@@ -7,32 +7,56 @@ and the Hessian of a face area is rank one, so gradient and Hessian of log q are
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
-from odt_plugins.engine.cells.bounds import relaxed
 from odt_plugins.engine.cells.corner import corner_edges, corner_normals, opposite_edges
 from odt_plugins.engine.cells.dihedral import dihedral_terms
+from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
 from odt_plugins.engine.cells.mean_ratio import mean_ratio_terms
 from odt_plugins.engine.cells.packed import add_square
 from odt_plugins.engine.cells.tetrahedron import (
     MEAN_RATIO,
     QUALITY,
     SHIFT,
+    Cost,
+    cell_cost,
     opposite_vertices,
     quality_cost,
     tet_cosines,
-    tet_cost,
     tet_quality,
 )
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
-from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
+from odt_plugins.engine.topology.star import Stars
+from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 HALVINGS = 7
 """Step lengths alpha = 1, 1/2, 1/4, ... tried for one vertex."""
 
 ROUNDING = 1e-12
 """By so much is 1 - cos^2 of an angle uncertain at most."""
+
+
+class Derivatives(NamedTuple):
+    """Room for one Newton step; made by :func:`make_derivatives`.
+
+    Attributes
+    ----------
+    star : (10,) float64    sum over the cells of a star, packed as in ``packed``
+    cell : (10,) float64    measure of one of them, packed in the same way
+    step : (3,) float64     where the vertex goes
+    """
+
+    star: FloatArray
+    cell: FloatArray
+    step: FloatArray
+
+
+@allocating_kernel
+def make_derivatives() -> Derivatives:
+    """Room for one thread."""
+    return Derivatives(np.empty(10), np.empty(10), np.empty(3))
 
 
 @kernel
@@ -172,23 +196,22 @@ def add_quality_terms(
 
 @kernel
 def add_cost_terms(
-    points: FloatArray, v: int, i: int, j: int, k: int, objective: int, power: float,
-    out: FloatArray,
+    points: FloatArray, v: int, i: int, j: int, k: int, cost: Cost, room: Derivatives
 ) -> bool:
-    """As :func:`add_quality_terms`, with any measure; out[10:] is for work."""
-    if objective == QUALITY:
-        return add_quality_terms(points, v, i, j, k, power, out)
-    terms = out[10:]
-    if objective == MEAN_RATIO:
+    """As :func:`add_quality_terms` to ``room.star``, with any measure."""
+    out, terms = room.star, room.cell
+    if cost.objective == QUALITY:
+        return add_quality_terms(points, v, i, j, k, cost.power, out)
+    if cost.objective == MEAN_RATIO:
         if not mean_ratio_terms(points, v, i, j, k, terms):
             return False
     elif not dihedral_terms(points, v, i, j, k, terms):
         return False
     m = terms[0]
-    f = quality_cost(m, power)
+    f = quality_cost(m, cost.power)
     share = m / (m + SHIFT)
-    pf = power * f * share
-    pp = pf * ((power + 1.0) * share - 1.0)
+    pf = cost.power * f * share
+    pp = pf * ((cost.power + 1.0) * share - 1.0)
     out[0] += f
     for a in range(1, 4):
         out[a] -= pf * terms[a]
@@ -229,9 +252,9 @@ def _newton_direction(out: FloatArray, step: FloatArray) -> bool:
 
 @kernel
 def star_state(
-    points: FloatArray, cells: IntArray, indices: IntArray, start: int, stop: int, objective: int,
-    power: float, limit: float, sure: float,
-) -> tuple[float, float, float, float]:
+    points: FloatArray, cells: IntArray, indices: IntArray, start: int, stop: int, cost: Cost,
+    limit: float, sure: float,
+) -> tuple[float, Extremes]:
     """Cost and extremes of the cells indices[start:stop].
 
     Parameters
@@ -241,59 +264,57 @@ def star_state(
 
     Returns
     -------
-    cost : float                   sum of the costs; infinite above the limit or if inverted
-    worst, large, small : float    least radius ratio, largest and smallest dihedral cosine
+    total : float          sum of the costs; infinite above the limit or if inverted
+    extremes : Extremes
     """
     total = 0.0
-    worst = 1.0
-    large = -1.0
-    small = 1.0
+    found = Extremes(1.0, -1.0, 1.0)
     for s in range(start, stop):
         c = indices[s]
         i, j, k, l = cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3]
         q = tet_quality(points, i, j, k, l)
         if q <= 1e-9:
-            return np.inf, worst, large, small
-        if objective == QUALITY:
-            total += quality_cost(q, power)
+            return np.inf, found
+        if cost.objective == QUALITY:
+            total += quality_cost(q, cost.power)
         else:
-            total += tet_cost(points, i, j, k, l, objective, power)
+            total += cell_cost(points, cells, c, cost)
         if total >= limit:
-            return np.inf, worst, large, small
-        worst = min(worst, q)
+            return np.inf, found
+        large, small = -1.0, 1.0
         if q < sure:
-            hi, lo = tet_cosines(points, i, j, k, l)
-            large = max(large, hi)
-            small = min(small, lo)
-    return total, worst, large, small
+            large, small = tet_cosines(points, i, j, k, l)
+        found = worse(found, Extremes(q, large, small))
+    return total, found
 
 
 @kernel
-def sure_quality(bounds: FloatArray) -> float:
-    """Radius ratio from which on no dihedral angle passes the bounds; above 1 if none is sure.
+def sure_quality(limit: Extremes) -> float:
+    """Radius ratio from which on no dihedral angle passes the limit; above 1 if none is sure.
 
     The sine of a dihedral angle is at least q/3 = r/R.  With A <= A' the faces at its edge e and S
     the sum of all faces, sin = 3 V e / (2 A A'), 3 V = r S, S >= 2 A' since no face is larger than
     the other three together, and A <= e R since no height in a circle is longer than 2 R.
     """
-    cosine = max(min(bounds[1], -bounds[2]), 0.0)
+    cosine = max(min(limit.large, -limit.small), 0.0)
     return 3.0 * math.sqrt(max(1.0 - cosine * cosine, 0.0) + ROUNDING)
 
 
 @kernel
 def newton_vertex(
-    points: FloatArray, cells: IntArray, indices: IntArray, lo: int, hi: int, v: int,
-    objective: int, power: float, bounds: FloatArray, out: FloatArray, step: FloatArray,
+    points: FloatArray, cells: IntArray, indices: IntArray, start: int, stop: int, v: int,
+    cost: Cost, limit: Extremes, room: Derivatives,
 ) -> float:
-    """One guarded Newton step on F_p for vertex v with the star indices[lo:hi], in place.
+    """One guarded Newton step on F_p for vertex v with the star indices[start:stop], in place.
 
-    ``out`` (20,) and ``step`` (3,) are work arrays; out[0] is the cost of the star before.
-    Returns the cost before minus the cost after, 0 when the vertex stays.
+    Returns the cost before minus the cost after, 0 when the vertex stays; room.star[0] is the cost
+    before.
     """
+    out, step = room.star, room.step
     out[:] = 0.0
-    for s in range(lo, hi):
+    for s in range(start, stop):
         i, j, k = opposite_vertices(cells, indices[s], v)
-        if not add_cost_terms(points, v, i, j, k, objective, power, out):
+        if not add_cost_terms(points, v, i, j, k, cost, room):
             return 0.0
     if not _newton_direction(out, step):
         return 0.0
@@ -303,34 +324,29 @@ def newton_vertex(
     slope = out[1] * step[0] + out[2] * step[1] + out[3] * step[2]
     if -slope < 1e-9 * out[0]:
         return 0.0
-    sure = sure_quality(bounds)
+    sure = sure_quality(limit)
     alpha = 1.0
     for _ in range(HALVINGS):
         points[v, 0] = x + alpha * step[0]
         points[v, 1] = y + alpha * step[1]
         points[v, 2] = z + alpha * step[2]
-        limit = out[0] + 1e-4 * alpha * slope
-        cost, worst, large, small = star_state(
-            points, cells, indices, lo, hi, objective, power, limit, sure
-        )
-        if cost < out[0]:
-            if worst >= bounds[0] and large <= bounds[1] and small >= bounds[2]:
-                return out[0] - cost
+        most = out[0] + 1e-4 * alpha * slope
+        after, there = star_state(points, cells, indices, start, stop, cost, most, sure)
+        if after < out[0]:
+            if keeps(there, limit):
+                return out[0] - after
             new_x = points[v, 0]
             new_y = points[v, 1]
             new_z = points[v, 2]
             points[v, 0] = x
             points[v, 1] = y
             points[v, 2] = z
-            _, old_worst, old_large, old_small = star_state(
-                points, cells, indices, lo, hi, objective, power, np.inf, sure
-            )
-            least, most, fewest = relaxed(bounds, old_worst, old_large, old_small)
-            if worst >= least and large <= most and small >= fewest:
+            _, here = star_state(points, cells, indices, start, stop, cost, np.inf, sure)
+            if keeps(there, worse(limit, here)):
                 points[v, 0] = new_x
                 points[v, 1] = new_y
                 points[v, 2] = new_z
-                return out[0] - cost
+                return out[0] - after
         alpha *= 0.5
     points[v, 0] = x
     points[v, 1] = y
@@ -340,34 +356,34 @@ def newton_vertex(
 
 @allocating_kernel
 def smooth_vertices(
-    points: FloatArray, cells: IntArray, indptr: LongArray, indices: IntArray, order: IntArray,
-    start: int, stop: int, objective: int, power: float, bounds: FloatArray, moved: FloatArray,
+    points: FloatArray, cells: IntArray, stars: Stars, order: IntArray, start: int, stop: int,
+    cost: Cost, limit: Extremes, moved: FloatArray,
 ) -> int:
     """One guarded Newton step on F_p for vertices order[start:stop], in place.
 
     Parameters
     ----------
     points : (n, 3) float64, cells : (m, 4) int32
-    indptr, indices                      stars in CSR form
+    stars : Stars                        of the cells
     order : (k,) int32                   vertices, moved one after another
-    objective, power                     see ``tetrahedron.tet_cost``
-    bounds : (6,) float64                least q, largest and smallest cosine that may appear
+    cost : Cost
+    limit : Extremes                     that no star may pass unless it does already
     moved : (n,) float64                 relative decrease of the star's cost is written here
 
     Returns
     -------
     int                                  number of vertices moved
     """
-    out = np.empty(20)
-    step = np.empty(3)
+    room = make_derivatives()
+    indptr, indices = stars
     count = 0
     for o in range(start, stop):
         v = order[o]
         gain = newton_vertex(
-            points, cells, indices, indptr[v], indptr[v + 1], v, objective, power, bounds, out, step
+            points, cells, indices, indptr[v], indptr[v + 1], v, cost, limit, room
         )
         moved[v] = 0.0
         if gain > 0.0:
-            moved[v] = gain / out[0]
+            moved[v] = gain / room.star[0]
             count += 1
     return count

@@ -7,14 +7,16 @@ from functools import partial
 
 import numpy as np
 
-from odt_plugins.engine.cells.tetrahedron import ENERGY, tet_measure
+from odt_plugins.engine.cells.extremes import Bounds
+from odt_plugins.engine.cells.tetrahedron import ENERGY, Cost, tet_measure
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import run_ranges
 from odt_plugins.engine.moves import flips3d
 from odt_plugins.engine.topology.active import pending_slots
 from odt_plugins.engine.topology.complex import Complex
 from odt_plugins.engine.topology.slabs import side_by_side
-from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
+from odt_plugins.engine.topology.tets import FULL, Tets
+from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 BLOCK_BITS = 14
 """The worst cells come first within 2^BLOCK_BITS slots, which lie together in memory."""
@@ -54,30 +56,30 @@ def measures(
     (k,) float64
     """
     if slots is None:
-        slots = np.arange(mesh.slots[0], dtype=np.int32)
+        slots = np.arange(mesh.used, dtype=np.int32)
     m = np.empty(len(slots))
     run_ranges(pool, len(m), partial(_slot_measures, mesh.points, mesh.cells, slots, objective, m))
     return m
 
 
 def flip_pending(
-    mesh: Complex, objective: int, power: float, ring: int, bounds: FloatArray, passes: int,
+    mesh: Complex, cost: Cost, max_ring: int, bounds: Bounds, passes: int,
     pool: ThreadPoolExecutor | None = None,
 ) -> int:
     """Flip at the pending cells until none is left or the passes are used up."""
     total = 0
     costs = np.zeros(len(mesh.cells))
     for _ in range(passes):
-        found = np.empty(int(mesh.slots[0]), dtype=np.int32)
+        found = np.empty(mesh.used, dtype=np.int32)
         pending = found[: pending_slots(mesh.cells, mesh.status, found)]
-        if objective != ENERGY:
-            q = measures(mesh, objective, pool, pending)
+        if cost.objective != ENERGY:
+            q = measures(mesh, cost.objective, pool, pending)
             pending = pending[np.lexsort((q, pending >> BLOCK_BITS))]
         flips = side_by_side(
-            mesh, pending, pool, partial(_flip_part, mesh, costs, objective, power, ring, bounds)
+            mesh, pending, pool, partial(_flip_part, mesh, cost, max_ring, bounds, costs)
         )
         total += flips
-        if mesh.slots[2]:
+        if mesh.full:
             grow(mesh)
             costs = np.zeros(len(mesh.cells))
         elif flips == 0:
@@ -86,14 +88,12 @@ def flip_pending(
 
 
 def _flip_part(
-    mesh: Complex, costs: FloatArray, objective: int, power: float, ring: int, bounds: FloatArray,
-    order: IntArray, cells: IntArray, slots: LongArray, free: IntArray, held: BoolArray,
+    mesh: Complex, cost: Cost, max_ring: int, bounds: Bounds, costs: FloatArray, order: IntArray,
+    tets: Tets,
 ) -> int:
-    """Flip at the cells of one slab; ``held`` plays no part, since no vertex moves."""
-    return int(flips3d.flip_pass(
-        mesh.points, cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status, costs, order,
-        slots, free, objective, power, ring, bounds,
-    ))
+    """Flip at the cells of one slab; no vertex moves, so those at its cuts need not be locked."""
+    own = tets._replace(locked=mesh.locked)
+    return int(flips3d.flip_pass(own, order, cost, max_ring, bounds, costs, True))
 
 
 def grow(mesh: Complex) -> None:
@@ -106,4 +106,4 @@ def grow(mesh: Complex) -> None:
     mesh.regions = np.concatenate([mesh.regions, np.zeros(extra, dtype=np.int32)])
     mesh.status = np.concatenate([mesh.status, np.zeros(extra, dtype=np.uint8)])
     mesh.free = np.concatenate([mesh.free, np.empty(extra, dtype=np.int32)])
-    mesh.slots[2] = 0
+    mesh.slots[FULL] = 0

@@ -10,11 +10,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from odt_plugins.engine.cells.tetrahedron import tet_cost
+from odt_plugins.engine.cells.tetrahedron import Cost, cell_cost, tet_cost
 from odt_plugins.engine.compiled.kernel import kernel
-from odt_plugins.engine.moves.cavity import walk_ring
+from odt_plugins.engine.moves.cavity import Ring, walk_ring
 from odt_plugins.engine.topology.lookup import is_in, place_in
-from odt_plugins.mesh.arrays import ByteArray, FloatArray, IntArray
+from odt_plugins.engine.topology.tets import Tets
+from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 LARGEST_CAVITY = 32
 """Cells at which a cavity stops growing."""
@@ -23,22 +24,15 @@ PLACES = 11
 
 
 @kernel
-def _old_cost(points: FloatArray, cells: IntArray, c: int, objective: int, power: float) -> float:
-    return tet_cost(
-        points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], objective, power
-    )
-
-
-@kernel
 def _cone_cost(
-    points: FloatArray, cells: IntArray, c: int, f: int, p: int, objective: int, power: float,
+    points: FloatArray, cells: IntArray, c: int, f: int, p: int, cost: Cost
 ) -> float:
     """Cost of cell c with vertex p in the place of its local vertex f."""
     i = p if f == 0 else cells[c, 0]
     j = p if f == 1 else cells[c, 1]
     k = p if f == 2 else cells[c, 2]
     l = p if f == 3 else cells[c, 3]
-    return tet_cost(points, i, j, k, l, objective, power)
+    return tet_cost(points, i, j, k, l, cost)
 
 
 @kernel
@@ -51,16 +45,14 @@ def _write_cone(cells: IntArray, c: int, f: int, p: int, out: IntArray) -> None:
 
 @kernel
 def seed_cavity(
-    points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
-    status: ByteArray, c: int, place: int, p: int, max_ring: int, ring: IntArray,
-    around: IntArray, cavity: IntArray,
+    tets: Tets, c: int, place: int, p: int, max_ring: int, ring: Ring, cavity: IntArray
 ) -> int:
     """Put vertex p in the middle of an edge, of a facet or of cell c; the cells that contain it.
 
     Parameters
     ----------
     place : int                below PLACES: edge, facet or cell
-    ring, around               see ``cavity.walk_ring``
+    ring : Ring                room for the cells around an edge
     cavity : (k,) int32        the cells are written here
 
     Returns
@@ -68,14 +60,13 @@ def seed_cavity(
     int                        number of cells; 0 on a boundary, on an interface or when the ring
                                of the edge is longer than ``max_ring``
     """
+    points, cells, regions = tets.points, tets.cells, tets.regions
     if place < 6:
-        a, b, n = walk_ring(
-            cells, neighbors, regions, status, c, place, max_ring, False, ring, around
-        )
+        a, b, n = walk_ring(tets, c, place, max_ring, np.bool_(False), ring)
         if n < 3:
             return 0
         for m in range(n):
-            cavity[m] = around[m]
+            cavity[m] = ring.cells[m]
         for x in range(3):
             points[p, x] = 0.5 * (points[a, x] + points[b, x])
         return n
@@ -83,7 +74,7 @@ def seed_cavity(
     cavity[0] = c
     n = 1
     if left_out < 4:
-        across = neighbors[c, left_out]
+        across = tets.neighbors[c, left_out]
         if across < 0 or regions[across] != regions[c]:
             return 0
         cavity[1] = across
@@ -99,10 +90,7 @@ def seed_cavity(
 
 
 @kernel
-def grow_cavity(
-    points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray, p: int,
-    cavity: IntArray, n: int, objective: int, power: float,
-) -> int:
+def grow_cavity(tets: Tets, p: int, cavity: IntArray, n: int, cost: Cost) -> int:
     """Take in the cell across a facet that lowers the sum of the costs most, while there is one.
 
     A cell with three facets on the cavity stays outside: a vertex would be lost with it.
@@ -111,6 +99,7 @@ def grow_cavity(
     -------
     int    number of cells in the cavity, at most LARGEST_CAVITY
     """
+    points, cells, neighbors, regions = tets.points, tets.cells, tets.neighbors, tets.regions
     label = regions[cavity[0]]
     while n < LARGEST_CAVITY:
         best = 0.0
@@ -121,16 +110,16 @@ def grow_cavity(
                 if t < 0 or regions[t] != label or is_in(t, cavity, n):
                     continue
                 shared = 0
-                gain = _old_cost(points, cells, t, objective, power)
+                gain = cell_cost(points, cells, t, cost)
                 for g in range(4):
                     across = neighbors[t, g]
                     if across < 0 or not is_in(across, cavity, n):
-                        gain -= _cone_cost(points, cells, t, g, p, objective, power)
+                        gain -= _cone_cost(points, cells, t, g, p, cost)
                         continue
                     shared += 1
                     for h in range(4):
                         if neighbors[across, h] == t:
-                            gain += _cone_cost(points, cells, across, h, p, objective, power)
+                            gain += _cone_cost(points, cells, across, h, p, cost)
                 if shared < 3 and gain > best and gain < np.inf:
                     best = gain
                     chosen = t
@@ -143,8 +132,7 @@ def grow_cavity(
 
 @kernel
 def join_facets(
-    points: FloatArray, cells: IntArray, neighbors: IntArray, p: int, cavity: IntArray, n: int,
-    objective: int, power: float, new: IntArray,
+    tets: Tets, p: int, cavity: IntArray, n: int, cost: Cost, new: IntArray
 ) -> tuple[float, int]:
     """Write the cells that join the facets of a cavity to vertex p inside it.
 
@@ -153,16 +141,17 @@ def join_facets(
     gain : float     cost before minus cost after, -inf when a facet does not face p
     n_new : int      number of cells in ``new``
     """
+    points, cells, neighbors = tets.points, tets.cells, tets.neighbors
     gain = 0.0
     n_new = 0
     for m in range(n):
         c = cavity[m]
-        gain += _old_cost(points, cells, c, objective, power)
+        gain += cell_cost(points, cells, c, cost)
         for f in range(4):
             across = neighbors[c, f]
             if across >= 0 and is_in(across, cavity, n):
                 continue
-            gain -= _cone_cost(points, cells, c, f, p, objective, power)
+            gain -= _cone_cost(points, cells, c, f, p, cost)
             _write_cone(cells, c, f, p, new[n_new])
             n_new += 1
     return gain, n_new
@@ -170,8 +159,7 @@ def join_facets(
 
 @kernel
 def collapse_edge(
-    points: FloatArray, cells: IntArray, v: int, w: int, star: IntArray, n: int, objective: int,
-    power: float, new: IntArray,
+    tets: Tets, v: int, w: int, star: IntArray, n: int, cost: Cost, new: IntArray
 ) -> tuple[float, int]:
     """Write the cells that are left when vertex v is moved into its neighbour w.
 
@@ -183,15 +171,16 @@ def collapse_edge(
     -------
     gain, n_new      as :func:`join_facets`
     """
+    points, cells = tets.points, tets.cells
     gain = 0.0
     n_new = 0
     for m in range(n):
         c = star[m]
-        gain += _old_cost(points, cells, c, objective, power)
+        gain += cell_cost(points, cells, c, cost)
         if is_in(w, cells[c], 4):
             continue
         local = place_in(cells, c, v)
-        gain -= _cone_cost(points, cells, c, local, w, objective, power)
+        gain -= _cone_cost(points, cells, c, local, w, cost)
         _write_cone(cells, c, local, w, new[n_new])
         n_new += 1
     return gain, n_new
@@ -199,21 +188,20 @@ def collapse_edge(
 
 @kernel
 def best_collapse(
-    points: FloatArray, cells: IntArray, v: int, star: IntArray, n: int, objective: int,
-    power: float, new: IntArray,
+    tets: Tets, v: int, star: IntArray, n: int, cost: Cost, new: IntArray
 ) -> tuple[float, int]:
     """:func:`collapse_edge` for the neighbour of v that costs least; no cell when all fold."""
     best = -np.inf
     into = np.int32(-1)
     for m in range(n):
         for i in range(4):
-            w = cells[star[m], i]
+            w = tets.cells[star[m], i]
             if w == v or w == into:
                 continue
-            gain, _ = collapse_edge(points, cells, v, w, star, n, objective, power, new)
+            gain, _ = collapse_edge(tets, v, w, star, n, cost, new)
             if gain > best:
                 best = gain
                 into = w
     if into < 0:
         return -np.inf, 0
-    return collapse_edge(points, cells, v, into, star, n, objective, power, new)
+    return collapse_edge(tets, v, into, star, n, cost, new)

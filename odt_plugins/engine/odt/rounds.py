@@ -9,8 +9,9 @@ from functools import partial
 
 import numpy as np
 
+from odt_plugins.engine.cells.extremes import Bounds
 from odt_plugins.engine.cells.sphere import mark_non_delaunay
-from odt_plugins.engine.cells.tetrahedron import ENERGY
+from odt_plugins.engine.cells.tetrahedron import ENERGY, Cost
 from odt_plugins.engine.compiled.threads import run_ranges
 from odt_plugins.engine.moves.flips2d import lawson_flips
 from odt_plugins.engine.moves.passes import flip_pending
@@ -113,7 +114,7 @@ def relaxation(options: Options, dim: int) -> float:
 
 
 def held_to_bounds(
-    old: FloatArray, new: FloatArray, cells: IntArray, bounds: FloatArray
+    old: FloatArray, new: FloatArray, cells: IntArray, bounds: Bounds
 ) -> FloatArray:
     """Take back the moves around cells that left the bounds, for steps that no finishing follows.
 
@@ -121,8 +122,7 @@ def held_to_bounds(
     ----------
     old, new : (n, d) float64     positions before and after a step
     cells : (m, d + 1) int32
-    bounds : (6,) float64         least q, largest and smallest cosine that may appear where they
-                                  were not passed before
+    bounds : Bounds               those of all cells count
 
     Returns
     -------
@@ -130,12 +130,13 @@ def held_to_bounds(
     """
     new = new.copy()
     before = cell_shapes(old, cells)
-    floor = np.minimum(before[:, 0], bounds[0])
-    ceiling = np.maximum(before[:, 1], bounds[1])
-    depth = np.minimum(before[:, 2], bounds[2])
+    limit = bounds.cells
+    quality = np.minimum(before[:, 0], limit.quality)
+    large = np.maximum(before[:, 1], limit.large)
+    small = np.minimum(before[:, 2], limit.small)
     while True:
         shapes = cell_shapes(new, cells)
-        bad = (shapes[:, 0] < floor) | (shapes[:, 1] > ceiling) | (shapes[:, 2] < depth)
+        bad = (shapes[:, 0] < quality) | (shapes[:, 1] > large) | (shapes[:, 2] < small)
         back = np.unique(cells[bad])
         back = back[(new[back] != old[back]).any(axis=1)]
         if not back.size:
@@ -155,7 +156,7 @@ def exchange(mesh: Complex, log: Log) -> Complex:
 
 
 def local_flips(
-    mesh: Complex, bounds: FloatArray, log: Log, pool: ThreadPoolExecutor | None
+    mesh: Complex, bounds: Bounds, log: Log, pool: ThreadPoolExecutor | None
 ) -> int:
     """Flip towards Delaunay (Section 3.1): Lawson's edges in the plane, energy flips in space."""
     if mesh.dim == 2:
@@ -167,8 +168,8 @@ def local_flips(
         work = partial(
             mark_non_delaunay, mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.status
         )
-        run_ranges(pool, int(mesh.slots[0]), work)
-        flips = flip_pending(mesh, ENERGY, 1.0, RING, bounds, PASSES, pool)
+        run_ranges(pool, mesh.used, work)
+        flips = flip_pending(mesh, Cost(ENERGY, 1.0), RING, bounds, PASSES, pool)
     log.add("energy flips", flips)
     return flips
 
@@ -176,14 +177,14 @@ def local_flips(
 def _cells(mesh: Complex, options: Options) -> IntArray:
     """Cells of a mesh; sweeps over stars take its slots as they are, free ones among them."""
     sweeps = options.solver == "gauss-seidel" and options.method != "cvt" and options.finish
-    return mesh.cells[: mesh.slots[0]] if sweeps else mesh.mesh_arrays()[0]
+    return mesh.cells[: mesh.used] if sweeps else mesh.mesh_arrays()[0]
 
 
 def smooth(
     mesh: Complex,
     density: Density,
     options: Options,
-    bounds: FloatArray,
+    bounds: Bounds,
     log: Log,
     tick: Callable[[float], None],
     watch: Callable[[Complex], object] | None = None,
@@ -196,7 +197,7 @@ def smooth(
     mesh : Complex              its points are changed
     density : Density
     options : Options
-    bounds : (6,) float64       see ``flips3d.flip_pass``
+    bounds : Bounds
     log : Log
     tick : callable             called with the share of the rounds that is done
     watch : callable, optional  called with the mesh after every round

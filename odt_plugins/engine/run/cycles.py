@@ -10,6 +10,7 @@ from functools import partial
 
 import numpy as np
 
+from odt_plugins.engine.cells.extremes import Bounds, Extremes
 from odt_plugins.engine.finish.phases import WORST, Phase, bulk, cautious, descents, repair, tail
 from odt_plugins.engine.finish.polishing import polish_small_angles
 from odt_plugins.engine.finish.repair2d import within_bounds
@@ -21,7 +22,7 @@ from odt_plugins.engine.record.memory import Memory
 from odt_plugins.engine.record.progress import report_share, silent
 from odt_plugins.engine.topology.complex import Complex
 from odt_plugins.engine.topology.part import Part, around, away_from, inside, joined
-from odt_plugins.mesh.arrays import BoolArray, FloatArray
+from odt_plugins.mesh.arrays import BoolArray
 from odt_plugins.options import Options
 
 WORTH = 5e-4
@@ -32,23 +33,14 @@ LOCKED_ANGLES = (14.0, 157.0)
 """What a cell without a movable vertex must reach when there was none such before (d = 3)."""
 
 
-def extremes(before: Figures, keep: tuple[str, ...]) -> FloatArray:
-    """Extremes that no new cell may pass: those of the input, where they are to be kept.
-
-    Returns
-    -------
-    (6,) float64    least q, largest and smallest cosine; the same for cells of held vertices
-    """
-    ceiling = before.cos_min_angle if "min_angle" in keep else 1.0
-    floor = before.cos_max_angle if "max_angle" in keep else -1.0
-    return np.array([
-        before.min_quality if "min_quality" in keep else 0.0,
-        ceiling,
-        floor,
-        LOCKED_QUALITY,
-        min(ceiling, math.cos(math.radians(LOCKED_ANGLES[0]))),
-        max(floor, math.cos(math.radians(LOCKED_ANGLES[1]))),
-    ])
+def extremes(before: Figures, keep: tuple[str, ...]) -> Bounds:
+    """Extremes that no new cell may pass: those of the input, where they are to be kept."""
+    quality = float(before.min_quality) if "min_quality" in keep else 0.0
+    large = float(before.cos_min_angle) if "min_angle" in keep else 1.0
+    small = float(before.cos_max_angle) if "max_angle" in keep else -1.0
+    low, high = (math.cos(math.radians(angle)) for angle in LOCKED_ANGLES)
+    locked = Extremes(LOCKED_QUALITY, min(large, low), max(small, high))
+    return Bounds(Extremes(quality, large, small), locked)
 
 
 def settled(means: Sequence[float]) -> str:
@@ -60,16 +52,16 @@ def settled(means: Sequence[float]) -> str:
 
 
 def run_cycles(
-    mesh: Complex, density: Density, options: Options, bounds: FloatArray, memory: Memory,
+    mesh: Complex, density: Density, options: Options, bounds: Bounds, memory: Memory,
     log: Log, times: dict[str, float], pool: ThreadPoolExecutor | None, near: BoolArray | None,
 ) -> str:
     """Alternate the two stages; returns why stage 1 stopped last."""
     report = options.progress if options.progress is not None else silent
     cycles = options.cycles if options.finish else 1
     reason = "nothing was asked for"
-    limits = bounds.copy()
+    limits = bounds
     if not options.finish and "p1_quality" in options.keep:
-        limits[0] = memory.before.p1_quality
+        limits = bounds.with_quality(memory.before.p1_quality)
     means: list[float] = []
     for cycle in range(cycles):
         clock = time.perf_counter()
@@ -117,7 +109,7 @@ def run_cycles(
         if not memory.states and mesh.dim == 2:
             log.add("repairs", 1)
             if within_bounds(mesh.points, mesh.cells, mesh.neighbors, mesh.regions, ~mesh.locked,
-                             bounds[:3]):
+                             np.array(bounds.cells)):
                 memory.offer(mesh, "repaired")
                 settle(mesh, bulk(2), bounds, log, pool, options.threads)
                 memory.offer(mesh, "finished")
@@ -127,7 +119,7 @@ def run_cycles(
 
 
 def finish_alone(
-    mesh: Complex, options: Options, bounds: FloatArray, memory: Memory, name: str, log: Log,
+    mesh: Complex, options: Options, bounds: Bounds, memory: Memory, name: str, log: Log,
     pool: ThreadPoolExecutor | None,
 ) -> None:
     """Improve the input by stage 2 alone, which never leaves the extremes of the input.
@@ -136,8 +128,8 @@ def finish_alone(
     flat cells falls as soon as the number of cells does. Where it falls all the same, the worst
     cells are taken first and the mean is regained.
     """
-    strict = bounds.copy()
-    strict[0] = max(bounds[0], min(LOCKED_QUALITY, 100.0 * memory.before.p1_quality))
+    enough = min(LOCKED_QUALITY, 100.0 * memory.before.p1_quality)
+    strict = bounds.with_quality(max(bounds.cells.quality, enough))
     schedule = cautious(mesh.dim, options.objective)
     for phase in (schedule[0], *schedule):
         settle(mesh, (phase,), strict, log, pool, options.threads)
@@ -150,7 +142,7 @@ def finish_alone(
 
 
 def settle(
-    mesh: Complex, phases: tuple[Phase, ...], bounds: FloatArray, log: Log,
+    mesh: Complex, phases: tuple[Phase, ...], bounds: Bounds, log: Log,
     pool: ThreadPoolExecutor | None, threads: int,
 ) -> None:
     """Run phases of stage 2 and count."""
@@ -160,7 +152,7 @@ def settle(
 
 
 def _repair(
-    mesh: Complex | Part, bounds: FloatArray, options: Options, memory: Memory, log: Log,
+    mesh: Complex | Part, bounds: Bounds, options: Options, memory: Memory, log: Log,
     pool: ThreadPoolExecutor | None,
 ) -> bool:
     """Bring the few cells of a good mesh that pass an extreme of the input back; says whether."""

@@ -22,7 +22,8 @@ from odt_plugins.engine.record.memory import Memory, State
 from odt_plugins.engine.record.progress import in_turn, report_insertion, silent, until_insertion
 from odt_plugins.engine.run.cycles import extremes, finish_alone, run_cycles, settle
 from odt_plugins.engine.run.judge import Slid, cut_vertices, envelope_length, faults, slides
-from odt_plugins.engine.sliding.skin import Skin, make_skin
+from odt_plugins.engine.sliding.boundary import Skin
+from odt_plugins.engine.sliding.skin import make_skin
 from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.complex import make_complex
 from odt_plugins.engine.topology.frame import Frame, make_frame
@@ -211,7 +212,7 @@ def _run_in(
     memory = Memory(before, tuple(options.keep), options.objective, by_score=options.finish,
                     aside=None if whole is None else near)
     spec = inner_density(mesh, options, frame)
-    m = int(start.slots[0])
+    m = start.used
     density = make_density(
         spec, options.exponent, start.points, start.cells[:m], start.neighbors[:m].copy()
     )

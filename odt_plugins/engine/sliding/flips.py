@@ -10,31 +10,33 @@ from __future__ import annotations
 import numpy as np
 
 from odt_plugins.engine.cells.corner import corner_edges, six_volumes
-from odt_plugins.engine.cells.tetrahedron import tet_cost
+from odt_plugins.engine.cells.extremes import Bounds
+from odt_plugins.engine.cells.tetrahedron import Cost, cell_cost
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
-from odt_plugins.engine.ground.closest import Ground
 from odt_plugins.engine.ground.pair import edge_is_free, flip_back, keeps_normals
-from odt_plugins.engine.ground.sheet import Limits, Sheet, Work, claim, cover, joined
+from odt_plugins.engine.ground.sheet import Sheet, Work, claim, cover, joined
 from odt_plugins.engine.moves.cavity import (
     MAX_RING,
+    Ring,
     local_edge,
-    make_work,
+    make_journal,
+    make_ring,
     replace_cavity,
     triangulate_ring,
     write_ring,
 )
 from odt_plugins.engine.moves.flips2d import flip
 from odt_plugins.engine.moves.flips3d import REAL, admissible
-from odt_plugins.engine.sliding.newton import affordable, spend
+from odt_plugins.engine.sliding.boundary import Skin, affordable, spend
 from odt_plugins.engine.topology.active import IDLE, PENDING
 from odt_plugins.engine.topology.lookup import place_in
-from odt_plugins.mesh.arrays import BoolArray, ByteArray, FloatArray, IntArray, LongArray
+from odt_plugins.engine.topology.tets import Tets, give_slot, has_room
+from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 
 @kernel
 def walk_open_ring(
-    cells: IntArray, neighbors: IntArray, regions: IntArray, c: int, a: int, b: int, first: int,
-    head: int, ring: IntArray, around: IntArray,
+    tets: Tets, c: int, a: int, b: int, first: int, head: int, ring: Ring
 ) -> int:
     """Collect the cells from c = (a, b, first, head), whose facet (a, b, first) is outside.
 
@@ -42,16 +44,17 @@ def walk_open_ring(
     -------
     int      cells around the edge, one less than vertices of the ring; 0 when the edge must stay
     """
-    ring[0] = first
+    cells, neighbors, regions = tets.cells, tets.neighbors, tets.regions
+    ring.vertices[0] = first
     behind = first
     current = c
     n = 0
     while True:
-        around[n] = current
+        ring.cells[n] = current
         n += 1
         if n == MAX_RING:
             return 0
-        ring[n] = head
+        ring.vertices[n] = head
         across = neighbors[current, place_in(cells, current, behind)]
         if across < 0:
             return n
@@ -93,8 +96,9 @@ def _signed_volume(p: FloatArray, i: int, j: int, k: int, l: int) -> float:
 
 
 @kernel
-def _ends_a_region(neighbors: IntArray, regions: IntArray, c: int) -> bool:
+def _ends_a_region(tets: Tets, c: int) -> bool:
     """Whether what is behind cell c belongs to another region: the interface would go with c."""
+    neighbors, regions = tets.neighbors, tets.regions
     for f in range(4):
         across = neighbors[c, f]
         if across >= 0 and regions[across] != regions[c]:
@@ -103,11 +107,9 @@ def _ends_a_region(neighbors: IntArray, regions: IntArray, c: int) -> bool:
 
 
 @kernel
-def _remove_cell(
-    cells: IntArray, neighbors: IntArray, status: ByteArray, c: int, slots: LongArray,
-    free: IntArray,
-) -> None:
+def _remove_cell(tets: Tets, c: int) -> None:
     """Take a cell out of the mesh; what was behind it is outside now."""
+    neighbors, status = tets.neighbors, tets.status
     for f in range(4):
         across = neighbors[c, f]
         if across >= 0:
@@ -115,10 +117,8 @@ def _remove_cell(
             for g in range(4):
                 if neighbors[across, g] == c:
                     neighbors[across, g] = -1
-    cells[c, 0] = -1
     status[c] = IDLE
-    free[slots[1]] = c
-    slots[1] += 1
+    give_slot(tets, np.int64(c))
 
 
 @kernel
@@ -134,17 +134,16 @@ def _all_afford(volume: FloatArray, change: float, a: int, b: int, x: int, y: in
 
 
 @kernel
-def _flip_sheet(
-    sheet: Sheet, ground: Ground, limits: Limits, stays: BoolArray, volume: FloatArray,
-    fan: IntArray, a: int, b: int, room: Work,
-) -> bool:
+def _flip_sheet(skin: Skin, a: int, b: int, room: Work) -> bool:
     """Flip the edge ab of the sheet if every guard agrees."""
+    sheet, ground, limits = skin.sheet, skin.ground, skin.limits
+    volume, fan = skin.volume, skin.fan
     t, f = sheet_triangle(sheet, fan[a], a, b)
     if t < 0:
         return False
     edge = sheet.cell_edges[t, f]
     s = sheet.neighbors[t, f]
-    if s < 0 or sheet.locked[edge] or stays[edge]:
+    if s < 0 or sheet.locked[edge] or skin.stays[edge]:
         return False
     g = place_in(sheet.cell_edges, s, edge)
     x, y = sheet.triangles[t, f], sheet.triangles[s, g]
@@ -179,32 +178,26 @@ def _flip_sheet(
 
 @allocating_kernel
 def flip_boundary(
-    cells: IntArray, neighbors: IntArray, regions: IntArray, locked: BoolArray,
-    status: ByteArray, order: IntArray, slots: LongArray, free: IntArray, objective: int,
-    power: float, bounds: FloatArray, sheet: Sheet, ground: Ground, limits: Limits,
-    stays: BoolArray, volume: FloatArray, fan: IntArray, room: Work,
+    tets: Tets, order: IntArray, cost: Cost, bounds: Bounds, skin: Skin, room: Work
 ) -> int:
     """Flip the edges of the surface around which the sum of the cell costs falls, in place.
 
     Parameters
     ----------
-    cells, neighbors, regions, locked, status, slots, free      as in ``flips3d.flip_pass``
+    tets : Tets                  changed in place
     order : (k,) int32           cells whose edges are looked at
-    objective, power, bounds     as there
-    sheet : Sheet                the boundary; its points are those of the tetrahedra
-    ground : Ground, limits : Limits
-    stays : (e,) bool            edges of the sheet that must stay edges
-    volume : (n + 1, 2) float64  see ``slide.affordable``
-    fan : (n,) int32             a triangle of the sheet around every vertex, kept up to date
+    cost : Cost, bounds : Bounds
+    skin : Skin                  the boundary; its points are those of the tetrahedra
     room : Work                  room for a pair of triangles
 
     Returns
     -------
     int                          number of flips
     """
-    points = sheet.points
-    ring, around, new, best, split, stack, rim, _ = make_work(np.empty(0))
-    journal = np.full((1, 4), -1, np.int64)
+    points, cells, neighbors = tets.points, tets.cells, tets.neighbors
+    pinched = skin.sheet.pinched
+    ring = make_ring(np.empty(0), np.bool_(False))
+    journal = make_journal(np.bool_(False), np.int64(0))
     flips = 0
     for o in range(order.shape[0]):
         c = order[o]
@@ -218,40 +211,32 @@ def flip_boundary(
                 a, b, first, head = cells[c, j], cells[c, i], cells[c, l], cells[c, k]
             else:
                 continue
-            if sheet.pinched[a]:
+            if pinched[a]:
                 continue
-            n = walk_open_ring(cells, neighbors, regions, c, a, b, first, head, ring, around)
+            n = walk_open_ring(tets, c, a, b, first, head, ring)
             if n == 0:
                 continue
             n_new = 0
             if n > 1:
                 before = 0.0
                 for m in range(n):
-                    t = around[m]
-                    before += tet_cost(points, cells[t, 0], cells[t, 1], cells[t, 2],
-                                       cells[t, 3], objective, power)
+                    before += cell_cost(points, cells, ring.cells[m], cost)
                 limit = before * REAL
-                after = triangulate_ring(
-                    points, a, b, ring, n + 1, objective, power, limit, best, split
-                )
+                after = triangulate_ring(points, a, b, n + 1, cost, limit, ring)
                 if not after < limit:
                     continue
-                n_new = write_ring(a, b, ring, n + 1, split, new, stack)
-                if n_new - n > slots[1] + cells.shape[0] - slots[0]:
-                    slots[2] = 1
+                n_new = write_ring(a, b, n + 1, ring)
+                if not has_room(tets, n_new - n):
                     continue
-                if not admissible(
-                    points, cells, locked, around, n, new, n_new, objective, bounds
-                ):
+                if not admissible(tets, ring.cells, n, ring.new, n_new, cost.objective, bounds):
                     continue
-            elif _ends_a_region(neighbors, regions, c):
+            elif _ends_a_region(tets, c):
                 continue
-            if not _flip_sheet(sheet, ground, limits, stays, volume, fan, a, b, room):
+            if not _flip_sheet(skin, a, b, room):
                 continue
             if n > 1:
-                replace_cavity(cells, neighbors, regions, status, around, n, new, n_new, slots,
-                               free, rim, journal)
+                replace_cavity(tets, ring.cells, n, ring.new, n_new, ring.border, journal)
             else:
-                _remove_cell(cells, neighbors, status, c, slots, free)
+                _remove_cell(tets, c)
             flips += 1
     return flips

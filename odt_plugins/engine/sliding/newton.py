@@ -6,14 +6,15 @@ surface, and to the volume of the mesh.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 
-from odt_plugins.engine.cells.bounds import relaxed
-from odt_plugins.engine.cells.tetrahedron import opposite_vertices
+from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
+from odt_plugins.engine.cells.tetrahedron import Cost, opposite_vertices
 from odt_plugins.engine.cells.triangle import opposite_edge
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
-from odt_plugins.engine.ground.closest import Ground
-from odt_plugins.engine.ground.lines import Lines, line_direction
+from odt_plugins.engine.ground.lines import line_direction
 from odt_plugins.engine.ground.position import (
     ARMIJO,
     DECREASE,
@@ -23,54 +24,73 @@ from odt_plugins.engine.ground.position import (
     put_vertex,
     star_normal,
 )
-from odt_plugins.engine.ground.sheet import HELD, LINE, Limits, Sheet, Work, cover, star_fits
-from odt_plugins.engine.moves.newton3d import add_cost_terms, star_state
+from odt_plugins.engine.ground.sheet import HELD, LINE, Sheet, Work, cover, star_fits
+from odt_plugins.engine.moves.newton3d import add_cost_terms, make_derivatives, star_state
 from odt_plugins.engine.moves.plane_step import plane_step
-from odt_plugins.engine.topology.star import OffsetArray
-from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
+from odt_plugins.engine.sliding.boundary import Skin, affordable, spend
+from odt_plugins.engine.topology.star import Stars
+from odt_plugins.mesh.arrays import FloatArray, IntArray
+
+
+class Step(NamedTuple):
+    """Where a vertex is to go.
+
+    Attributes
+    ----------
+    x, y, z : float     in space
+    along : float       along the feature line of a vertex that is on one
+    before : float      cost of the star before
+    slope : float       derivative of the cost along the step
+    """
+
+    x: float
+    y: float
+    z: float
+    along: float
+    before: float
+    slope: float
 
 
 @allocating_kernel
 def slide_vertices(
-    cells: IntArray, indptr: LongArray, indices: IntArray, order: IntArray, objective: int,
-    power: float, bounds: FloatArray, sheet: Sheet, ground: Ground, lines: Lines,
-    sheet_indptr: OffsetArray, sheet_indices: IntArray, limits: Limits, volume: FloatArray,
-    work: Work, moved: FloatArray,
+    cells: IntArray, stars: Stars, order: IntArray, cost: Cost, limit: Extremes, skin: Skin,
+    own: Stars, work: Work, moved: FloatArray,
 ) -> int:
     """One guarded Newton step on F_p for every surface vertex of ``order``, in place.
 
     Parameters
     ----------
     cells : (m, 4) int32
-    indptr, indices                    stars of the tetrahedra in CSR form
-    order : (k,) int32                 vertices of the sheet, visited one after the other
-    objective, power                   see ``tetrahedron.tet_cost``
-    bounds : (6,) float64              least q, largest and smallest cosine that may appear
-    sheet : Sheet                      the boundary; its points are those of the tetrahedra
-    ground : Ground, lines : Lines, limits : Limits
-    sheet_indptr, sheet_indices        stars of the sheet
-    volume : (n + 1, 2) float64        see :func:`affordable`
-    work : Work                        room for the stars of the sheet
-    moved : (n,) float64               OUT: relative decrease of the star's cost
+    stars : Stars             of the tetrahedra
+    order : (k,) int32        vertices of the sheet, visited one after the other
+    cost : Cost
+    limit : Extremes          that no star may pass unless it does already
+    skin : Skin               the boundary; its points are those of the tetrahedra
+    own : Stars               of the triangles of the sheet
+    work : Work               room for those
+    moved : (n,) float64      OUT: relative decrease of the star's cost
 
     Returns
     -------
-    int                                number of vertices moved
+    int                       number of vertices moved
     """
+    sheet, lines = skin.sheet, skin.lines
     points = sheet.points
-    out = np.empty(20)
+    indptr, indices = stars
+    sheet_indptr, sheet_indices = own
+    room = make_derivatives()
+    out = room.star
     count = 0
     for o in range(len(order)):
         v = order[o]
         moved[v] = 0.0
         if sheet.kind[v] == HELD or sheet_indptr[v] == sheet_indptr[v + 1]:
             continue
-        lo, hi = indptr[v], indptr[v + 1]
-        out[:10] = 0.0
+        out[:] = 0.0
         positive = True
-        for s in range(lo, hi):
+        for s in range(indptr[v], indptr[v + 1]):
             i, j, k = opposite_vertices(cells, indices[s], v)
-            if not add_cost_terms(points, v, i, j, k, objective, power, out):
+            if not add_cost_terms(points, v, i, j, k, cost, room):
                 positive = False
                 break
         if not positive:
@@ -91,16 +111,15 @@ def slide_vertices(
         h22 = _form(out, bx, by, bz, bx, by, bz)
         d1, d2 = plane_step(g1, g2, h11, h12, h22, on_a_line)
         slope = g1 * d1 + g2 * d2
-        cost = out[0]
-        if not -slope > DECREASE * cost:
+        before = out[0]
+        if not -slope > DECREASE * before:
             continue
-        gain = _try_slide(
-            cells, indices, lo, hi, v, d1 * ax + d2 * bx, d1 * ay + d2 * by, d1 * az + d2 * bz,
-            d1, objective, power, bounds, cost, slope, sheet, ground, lines, sheet_indptr,
-            sheet_indices, limits, volume, work,
+        step = Step(
+            d1 * ax + d2 * bx, d1 * ay + d2 * by, d1 * az + d2 * bz, d1, before, slope
         )
+        gain = _try_slide(cells, stars, v, step, cost, limit, skin, own, work)
         if gain > 0.0:
-            moved[v] = gain / cost
+            moved[v] = gain / before
             count += 1
     return count
 
@@ -118,33 +137,11 @@ def _form(
 
 
 @kernel
-def affordable(volume: FloatArray, change: float, v: int) -> bool:
-    """Whether vertex v may change the volume: within all budgets, or if debts are paid back.
-
-    ``volume`` (n + 1, 2): [change so far, largest change] of the mesh, then for every vertex
-    [change so far, part of the largest change that is its own].
-    """
-    after = abs(volume[0, 0] + change)
-    if after > volume[0, 1] and after > abs(volume[0, 0]):
-        return False
-    after = abs(volume[v + 1, 0] + change)
-    return after <= volume[v + 1, 1] * volume[0, 1] or after <= abs(volume[v + 1, 0])
-
-
-@kernel
-def spend(volume: FloatArray, change: float, v: int) -> None:
-    """Write down that vertex v changed the volume."""
-    volume[0, 0] += change
-    volume[v + 1, 0] += change
-
-
-@kernel
-def swept_volume(
-    sheet: Sheet, indptr: OffsetArray, indices: IntArray, v: int, x: float, y: float, z: float,
-) -> float:
+def swept_volume(sheet: Sheet, own: Stars, v: int, x: float, y: float, z: float) -> float:
     """Volume that the star of v swept outwards when v moved from (x, y, z) to where it is."""
     p, t = sheet.points, sheet.triangles
     dx, dy, dz = p[v, 0] - x, p[v, 1] - y, p[v, 2] - z
+    indptr, indices = own
     total = 0.0
     for s in range(indptr[v], indptr[v + 1]):
         c = indices[s]
@@ -159,41 +156,39 @@ def swept_volume(
 
 @kernel
 def _try_slide(
-    cells: IntArray, indices: IntArray, lo: int, hi: int, v: int, dx: float, dy: float, dz: float,
-    along: float, objective: int, power: float, bounds: FloatArray, cost: float, slope: float,
-    sheet: Sheet, ground: Ground, lines: Lines, sheet_indptr: OffsetArray,
-    sheet_indices: IntArray, limits: Limits, volume: FloatArray, work: Work,
+    cells: IntArray, stars: Stars, v: int, step: Step, cost: Cost, limit: Extremes, skin: Skin,
+    own: Stars, work: Work,
 ) -> float:
-    """Move v by alpha d, alpha = 1, 1/2, ..., until every guard agrees; returns the decrease."""
-    points = sheet.points
+    """Move v by alpha step, alpha = 1, 1/2, ..., until every guard agrees; returns the decrease."""
+    sheet, ground, lines, limits = skin.sheet, skin.ground, skin.lines, skin.limits
+    points, before = sheet.points, step.before
+    sheet_indptr, sheet_indices = own
+    start, stop = stars.indptr[v], stars.indptr[v + 1]
     x, y, z, foot = points[v, 0], points[v, 1], points[v, 2], sheet.foot[v]
     slot = lines.slot[v]
     place = lines.place[slot] if slot >= 0 else 0.0
-    _, worst, large, small = star_state(
-        points, cells, indices, lo, hi, objective, power, np.inf, 2.0
-    )
-    least, most, fewest = relaxed(bounds, worst, large, small)
+    _, here = star_state(points, cells, stars.indices, start, stop, cost, np.inf, 2.0)
+    limit = worse(limit, here)
     floor = 2.0
     alpha = 1.0
     for _ in range(HALVINGS + 1):
         good = put_vertex(
-            sheet, ground, lines, v, x + alpha * dx, y + alpha * dy, z + alpha * dz,
-            alpha * along, limits.line,
+            sheet, ground, lines, v, x + alpha * step.x, y + alpha * step.y, z + alpha * step.z,
+            alpha * step.along, limits.line,
         )
-        there = swept = 0.0
+        after = swept = 0.0
         if good:
-            there, worst, large, small = star_state(
-                points, cells, indices, lo, hi, objective, power, cost, 2.0
+            after, there = star_state(
+                points, cells, stars.indices, start, stop, cost, before, 2.0
             )
-            good = there < (1.0 - DECREASE) * cost and there <= cost + ARMIJO * alpha * slope
-        if good:
-            swept = swept_volume(sheet, sheet_indptr, sheet_indices, v, x, y, z)
             good = (
-                affordable(volume, swept, v)
-                and worst >= least
-                and large <= most
-                and small >= fewest
+                after < (1.0 - DECREASE) * before
+                and after <= before + ARMIJO * alpha * step.slope
+                and keeps(there, limit)
             )
+        if good:
+            swept = swept_volume(sheet, own, v, x, y, z)
+            good = affordable(skin.volume, swept, v)
         if good:
             number = star_fits(
                 sheet, ground, sheet_indptr, sheet_indices, v, limits,
@@ -201,8 +196,8 @@ def _try_slide(
             )
             if number >= 0:
                 cover(sheet, sheet_indptr[v + 1] - sheet_indptr[v], number, work)
-                spend(volume, swept, v)
-                return cost - there
+                spend(skin.volume, swept, v)
+                return before - after
         if slot >= 0:
             lines.place[slot] = place
         sheet.foot[v] = foot

@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
+from odt_plugins.engine.cells.extremes import Bounds, Extremes
 from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
+from odt_plugins.engine.cells.tetrahedron import Cost
 from odt_plugins.engine.ground.build import make_ground, make_sheet
-from odt_plugins.engine.ground.closest import Ground
 from odt_plugins.engine.ground.features import find_features
-from odt_plugins.engine.ground.lines import Lines
-from odt_plugins.engine.ground.sheet import HELD, SMOOTH, Limits, Sheet, make_work
+from odt_plugins.engine.ground.sheet import SMOOTH, Limits, make_work
+from odt_plugins.engine.sliding.boundary import Skin
 from odt_plugins.engine.sliding.flips import flip_boundary
 from odt_plugins.engine.sliding.newton import slide_vertices
 from odt_plugins.engine.topology.complex import Complex
@@ -26,9 +26,6 @@ WITHIN = 0.97
 VOLUME = 2.9e-3
 """Largest change of the volume, as a part of it."""
 
-RESERVE = 0.4
-"""Part of that change which descents over the whole mesh leave to those at the worst cells."""
-
 CANCEL = 4.0
 """Largest multiple of its budget that the mesh gives to its vertices where changes cancel."""
 
@@ -37,39 +34,6 @@ UNUSED = 1.2
 
 TURN = 30.0
 """Degrees by which a triangle of the surface may be turned against the input surface."""
-
-
-@dataclass(frozen=True)
-class Skin:
-    """The boundary of a tetrahedral mesh, on its way over the input surface.
-
-    Attributes
-    ----------
-    sheet : Sheet           shares its points with the mesh
-    ground : Ground, lines : Lines, limits : Limits
-    stays : (e,) bool       edges of the sheet that are not flipped
-    volume : (n + 1, 2)     budgets of the change of the volume, see ``slide.affordable``
-    most : float            the largest change at the end
-    fan : (n,) int32        a triangle of the sheet around every vertex, -1 inside
-    """
-
-    sheet: Sheet
-    ground: Ground
-    lines: Lines
-    limits: Limits
-    stays: BoolArray
-    volume: FloatArray
-    most: float
-    fan: IntArray
-
-    @property
-    def free(self) -> BoolArray:
-        """Vertices (n,) that may slide."""
-        return np.asarray(self.sheet.kind != HELD)
-
-    def allow(self, everything: bool) -> None:
-        """Set the largest change of the volume: all of it, or all but the reserve."""
-        self.volume[0, 1] = self.most if everything else (1.0 - RESERVE) * self.most
 
 
 def make_skin(
@@ -136,8 +100,8 @@ def _budgets(
 
 
 def slide(
-    mesh: Complex, skin: Skin, stars: Stars, active: BoolArray, objective: int, power: float,
-    bounds: FloatArray, moved: FloatArray,
+    mesh: Complex, skin: Skin, stars: Stars, active: BoolArray, cost: Cost, limit: Extremes,
+    moved: FloatArray,
 ) -> int:
     """Move the active vertices of the surface once; returns how many moved.
 
@@ -146,28 +110,18 @@ def slide(
     mesh : Complex, skin : Skin
     stars : Stars            of the slots
     active : (n,) bool
-    objective : int, power : float    of the costs, see ``tetrahedron.tet_cost``
-    bounds : (6,) float64
-    moved : (n,) float64     see ``slide.slide_vertices``
+    cost : Cost, limit : Extremes
+    moved : (n,) float64     see ``newton.slide_vertices``
     """
     order = np.flatnonzero(active & skin.free).astype(np.int32)
     own = vertex_stars(skin.sheet.triangles, len(mesh.points))
-    return int(slide_vertices(
-        mesh.cells, stars.indptr, stars.indices, order, objective, power, bounds,
-        skin.sheet, skin.ground, skin.lines, own.indptr, own.indices, skin.limits, skin.volume,
-        make_work(skin.ground, own), moved,
-    ))
+    work = make_work(skin.ground, own)
+    return int(slide_vertices(mesh.cells, stars, order, cost, limit, skin, own, work, moved))
 
 
-def flip_skin(
-    mesh: Complex, skin: Skin, near: BoolArray, objective: int, power: float, bounds: FloatArray
-) -> int:
+def flip_skin(mesh: Complex, skin: Skin, near: BoolArray, cost: Cost, bounds: Bounds) -> int:
     """Flip edges of the surface around the cells ``near`` (used slots,); returns how many."""
     used = len(near)
     near = near & (mesh.cells[:used, 0] >= 0) & (mesh.neighbors[:used] < 0).any(axis=1)
-    return int(flip_boundary(
-        mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status,
-        np.flatnonzero(near).astype(np.int32), mesh.slots, mesh.free, objective,
-        power, bounds, skin.sheet, skin.ground, skin.limits, skin.stays, skin.volume,
-        skin.fan, make_work(skin.ground),
-    ))
+    order = np.flatnonzero(near).astype(np.int32)
+    return int(flip_boundary(mesh.tets, order, cost, bounds, skin, make_work(skin.ground)))

@@ -224,7 +224,7 @@ def _finishing_alone(
     """Improve the input by stage 2 alone, which never leaves the extremes of the input."""
     log.add("runs of finishing alone", 1)
     surface, _, _ = _build(mesh, start, options, alone)
-    strict = extremes(memory.before, tuple(options.keep))[:3].copy()
+    strict = np.array(extremes(memory.before, tuple(options.keep)).cells)
     for phases in (bulk(2), TAIL):
         _descend(surface, phases, strict, log, times)
         memory.offer(surface, "finishing alone")
@@ -268,7 +268,7 @@ def _cycles(
 ) -> str:
     """Alternate the two stages; returns why stage 1 stopped last."""
     report = options.progress if options.progress is not None else silent
-    strict = extremes(before, tuple(options.keep))[:3].copy()
+    strict = np.array(extremes(before, tuple(options.keep)).cells)
     bounds = np.array([THIN, 1.0, -1.0])
     watch = None
     if not options.finish:

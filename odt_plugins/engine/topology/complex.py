@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.order import by_lowest_vertex, make_slabs
 from odt_plugins.engine.topology.star import Stars, vertex_stars
+from odt_plugins.engine.topology.tets import FREE, FULL, USED, Tets
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 
 
@@ -28,7 +29,7 @@ class Complex:
     neighbors : (room, d + 1) int32   cell opposite to local vertex i, -1 outside
     regions : (room,) int32
     status : (room,) uint8            1 where a flip is to be tried
-    slots : (3,) int64                slots in use, free slots among them, out of room
+    slots : (3,) int64                see ``tets.USED``, ``tets.FREE`` and ``tets.FULL``
     free : (room,) int32              stack of free slots
     skin : Skin or None               the boundary, when it may slide
     shares : (2, n) uint8 or None     see :meth:`slabs`
@@ -57,13 +58,29 @@ class Complex:
             self.shares = make_slabs(self.points)
         return self.shares
 
+    @property
+    def tets(self) -> Tets:
+        """The arrays as kernels take them (d = 3)."""
+        return Tets(self.points, self.cells, self.neighbors, self.regions, self.locked,
+                    self.status, self.slots, self.free)
+
+    @property
+    def used(self) -> int:
+        """Number of slots in use, free ones among them."""
+        return int(self.slots[USED])
+
+    @property
+    def full(self) -> bool:
+        """Whether a kernel found no room."""
+        return bool(self.slots[FULL])
+
     def count(self) -> int:
         """Number of cells."""
-        return int(self.slots[0] - self.slots[1])
+        return self.used - int(self.slots[FREE])
 
     def live(self) -> NDArray[np.intp]:
         """Slots that hold a cell."""
-        return np.flatnonzero(self.cells[: self.slots[0], 0] >= 0)
+        return np.flatnonzero(self.cells[: self.used, 0] >= 0)
 
     def mesh_arrays(self) -> tuple[IntArray, IntArray]:
         """Cells and regions without the free slots."""
@@ -122,7 +139,7 @@ def renumbered(mesh: Complex) -> Complex:
 
     Flips scatter the cells around a vertex over the memory; this brings them together again.
     """
-    order = by_lowest_vertex(mesh.cells[: mesh.slots[0]], len(mesh.points))
+    order = by_lowest_vertex(mesh.cells[: mesh.used], len(mesh.points))
     rank = np.full(len(mesh.cells) + 1, -1, dtype=np.int32)
     rank[order] = np.arange(len(order), dtype=np.int32)
     fresh = _with_room(
@@ -136,4 +153,4 @@ def renumbered(mesh: Complex) -> Complex:
 
 def slot_stars(mesh: Complex, pool: ThreadPoolExecutor | None = None) -> Stars:
     """List the slots of the cells around every vertex; free slots belong to none."""
-    return vertex_stars(mesh.cells[: mesh.slots[0]], len(mesh.points), pool)
+    return vertex_stars(mesh.cells[: mesh.used], len(mesh.points), pool)

@@ -15,6 +15,7 @@ import numpy as np
 
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.topology.complex import Complex
+from odt_plugins.engine.topology.tets import FREE, FULL, USED, Tets
 from odt_plugins.mesh.arrays import BoolArray, ByteArray, IntArray, LongArray
 
 WORTH = 0.08
@@ -22,9 +23,9 @@ WORTH = 0.08
 
 LEFT, GONE = 254, 255
 
-Work = Callable[[IntArray, IntArray, LongArray, IntArray, BoolArray], int]
-"""Called with the cells to visit, the cells array as far as the slab may use it, its slots and
-free list as in ``Complex``, and the vertices that may not be moved."""
+Work = Callable[[IntArray, Tets], int]
+"""Called with the cells to visit and what may be used of the mesh: cells as far as the slab goes,
+slots and free list of its own, and the vertices at the cuts locked."""
 
 
 @kernel
@@ -35,11 +36,11 @@ def _slab_of_cell(cells: IntArray, c: int, slab: ByteArray) -> int:
 
 
 @kernel
-def cut_walls(cells: IntArray, neighbors: IntArray, slab: ByteArray, held: BoolArray) -> int:
+def cut_walls(cells: IntArray, neighbors: IntArray, slab: ByteArray, cut: BoolArray) -> int:
     """Cut the adjacency between slabs; a cell belongs to the least slab of its vertices.
 
     The k-th such facet gets -2 - k in the place of the cell across, on both sides, and its
-    vertices are marked in ``held``.  Returns the number of facets.
+    vertices are marked in ``cut``.  Returns the number of facets.
     """
     count = 0
     for c in range(cells.shape[0]):
@@ -63,7 +64,7 @@ def cut_walls(cells: IntArray, neighbors: IntArray, slab: ByteArray, held: BoolA
             count += 1
             for i in range(4):
                 if i != f:
-                    held[cells[c, i]] = True
+                    cut[cells[c, i]] = True
     return count
 
 
@@ -87,7 +88,7 @@ def heal_walls(cells: IntArray, neighbors: IntArray, ends: LongArray) -> None:
 
 @kernel
 def _sort_out(
-    cells: IntArray, order: IntArray, slab: ByteArray, held: BoolArray, home: ByteArray
+    cells: IntArray, order: IntArray, slab: ByteArray, cut: BoolArray, home: ByteArray
 ) -> None:
     """Write the slab of every cell of ``order``, LEFT at a cut, GONE for a free slot."""
     for o in range(order.shape[0]):
@@ -95,7 +96,7 @@ def _sort_out(
         if cells[c, 0] < 0:
             home[o] = GONE
         elif (
-            held[cells[c, 0]] or held[cells[c, 1]] or held[cells[c, 2]] or held[cells[c, 3]]
+            cut[cells[c, 0]] or cut[cells[c, 1]] or cut[cells[c, 2]] or cut[cells[c, 3]]
         ):
             home[o] = LEFT
         else:
@@ -118,13 +119,13 @@ def side_by_side(
     worth : float           part of all cells that is worth cutting the mesh into slabs
     """
     total = 0
-    if len(order) > worth * (mesh.slots[0] - mesh.slots[1]):
+    if len(order) > worth * mesh.count():
         for slab in mesh.slabs():
             if slab.any():
                 done, order = _in_slabs(mesh, order, slab, pool, work)
                 total += done
     if len(order):
-        total += work(order, mesh.cells, mesh.slots, mesh.free, mesh.locked)
+        total += work(order, mesh.tets)
     return total
 
 
@@ -132,22 +133,23 @@ def _in_slabs(
     mesh: Complex, order: IntArray, slab: ByteArray, pool: ThreadPoolExecutor | None, work: Work
 ) -> tuple[int, IntArray]:
     """Work at the cells away from the cuts; returns what it gave, and the cells that are left."""
-    used = int(mesh.slots[0])
-    held = np.zeros(len(mesh.points), dtype=np.bool_)
-    walls = cut_walls(mesh.cells[:used], mesh.neighbors, slab, held)
+    used = mesh.used
+    cut = np.zeros(len(mesh.points), dtype=np.bool_)
+    walls = cut_walls(mesh.cells[:used], mesh.neighbors, slab, cut)
     home = np.empty(len(order), dtype=np.uint8)
-    _sort_out(mesh.cells, order, slab, held, home)
+    _sort_out(mesh.cells, order, slab, cut, home)
     parts = [order[home == k] for k in range(int(slab.max()) + 1)]
     ends, slots, free = _share_room(mesh, len(parts))
-    locked = mesh.locked | held
+    whole = mesh.tets._replace(locked=mesh.locked | cut)
 
     def run(k: int) -> int:
-        return work(parts[k], mesh.cells[: ends[k]], slots[k], free[k], locked)
+        own = whole._replace(cells=mesh.cells[: ends[k]], slots=slots[k], free=free[k])
+        return work(parts[k], own)
 
     results = (map if pool is None else pool.map)(run, range(len(parts)))
     total = sum(results)
     _collect_room(mesh, ends, slots, free)
-    used = int(mesh.slots[0])
+    used = mesh.used
     heal_walls(mesh.cells[:used], mesh.neighbors, np.full(walls, -1, dtype=np.int64))
     return total, order[home == LEFT]
 
@@ -156,7 +158,7 @@ def _share_room(
     mesh: Complex, count: int
 ) -> tuple[list[int], list[LongArray], list[IntArray]]:
     """Share the unused and the free slots out: end of the unused, slots and free list of each."""
-    used, n_free = int(mesh.slots[0]), int(mesh.slots[1])
+    used, n_free = mesh.used, int(mesh.slots[FREE])
     room = len(mesh.cells) - used
     ends, slots, free = [], [], []
     for k in range(count):
@@ -164,7 +166,9 @@ def _share_room(
         stack = np.empty(len(mine) + used, dtype=np.int32)
         stack[: len(mine)] = mine
         ends.append(used + room * (k + 1) // count)
-        slots.append(np.array([used + room * k // count, len(mine), 0], dtype=np.int64))
+        own = np.zeros(3, dtype=np.int64)
+        own[[USED, FREE]] = used + room * k // count, len(mine)
+        slots.append(own)
         free.append(stack)
     return ends, slots, free
 
@@ -173,12 +177,13 @@ def _collect_room(
     mesh: Complex, ends: list[int], slots: list[LongArray], free: list[IntArray]
 ) -> None:
     """Put the free lists together again; unused slots below the last used one are free too."""
-    used = int(mesh.slots[0])
+    used = mesh.used
     starts = [used, *ends[:-1]]
-    last = max([used, *(int(s[0]) for s, start in zip(slots, starts, strict=True) if s[0] > start)])
-    stacks = [stack[: s[1]] for stack, s in zip(free, slots, strict=True)]
-    stacks += [np.arange(s[0], min(end, last), dtype=np.int32)
-               for s, end in zip(slots, ends, strict=True)]
+    tops = [int(s[USED]) for s in slots]
+    last = max([used, *(top for top, start in zip(tops, starts, strict=True) if top > start)])
+    stacks = [stack[: s[FREE]] for stack, s in zip(free, slots, strict=True)]
+    stacks += [np.arange(top, min(end, last), dtype=np.int32)
+               for top, end in zip(tops, ends, strict=True)]
     found = np.concatenate(stacks)
     mesh.free[: len(found)] = found
-    mesh.slots[:] = [last, len(found), max(int(s[2]) for s in slots)]
+    mesh.slots[[USED, FREE, FULL]] = last, len(found), max(int(s[FULL]) for s in slots)

@@ -13,7 +13,7 @@ import numpy as np
 import planar_meshes as pm
 import pytest
 import tet_meshes as tm
-from complexes import OPEN, assert_sound, complex_of, contents, run_pass
+from complexes import FREELY, OPEN, assert_sound, complex_of, contents, run_pass
 from planar_meshes import MEASURES, grid
 from promises import assert_promise, mesh_of
 from tet_meshes import TWINS, interior
@@ -21,7 +21,8 @@ from tet_meshes import TWINS, interior
 import odt_plugins
 from odt_plugins.cli import main as cli
 from odt_plugins.compare.hard import CLOUDS, delaunay
-from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY
+from odt_plugins.engine.cells.extremes import Bounds, Extremes
+from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY, Cost
 from odt_plugins.engine.finish import polishing
 from odt_plugins.engine.finish.phases import MEASURES as CODES
 from odt_plugins.engine.finish.phases import Descent, Phase, bulk, descents, polish, tail
@@ -58,7 +59,7 @@ def test_flips_smoothing_and_compound_moves_lower_the_sum(measure):
     volume = tm.signed_volumes(points, cells).sum()
     last = total(points, cells, measure, 2.0)
     mesh.status[:] = 1
-    assert flip_pending(mesh, measure, 2.0, 10, OPEN, 20) > 0
+    assert flip_pending(mesh, Cost(measure, 2.0), 10, OPEN, 20) > 0
     now = total(points, mesh.mesh_arrays()[0], measure, 2.0)
     assert now < last
     last = now
@@ -69,8 +70,8 @@ def test_flips_smoothing_and_compound_moves_lower_the_sum(measure):
     moved = np.zeros(len(points))
     for _ in range(3):
         for a, b in pairwise(coloring.blocks.tolist()):
-            smooth_vertices(mesh.points, cells, stars.indptr, stars.indices, coloring.order, a, b,
-                            measure, 2.0, OPEN, moved)
+            smooth_vertices(mesh.points, cells, stars, coloring.order, a, b, Cost(measure, 2.0),
+                            FREELY, moved)
         now = total(mesh.points, cells, measure, 2.0)
         assert now < last
         last = now
@@ -110,7 +111,7 @@ def test_planar_finishing_flips_by_the_measure_of_its_phase(measure):
         for m in (QUALITY, measure):
             phase = Phase(2.0, 1.0, 1, 1, objective=m)
             nothing = np.zeros(len(points), dtype=bool)
-            _, found[m] = finish2d(points, start, regions, nothing, bounds=OPEN[:3].copy(),
+            _, found[m] = finish2d(points, start, regions, nothing, bounds=np.array(FREELY),
                                    phases=(phase,))
             cells = start.copy()
             quality_flips(points, cells, cell_neighbors(cells), regions, objective=m)
@@ -209,38 +210,44 @@ def test_figures_rank_by_the_objective(d):
         assert figures(points, cells, objective).score == pytest.approx(score, rel=1e-6)
 
 
+def same_but_large(bounds, others):
+    return all(mine._replace(large=0.0) == other._replace(large=0.0)
+               for mine, other in zip(bounds, others, strict=True))
+
+
 def test_held_bounds_are_the_angles_reached():
     points, cells = tm.ball(300, 8)
     mesh = complex_of(points, cells)
-    bounds = np.array([0.0, 1.0, -1.0, 0.3, np.cos(np.radians(5.0)), -0.9])
+    bounds = Bounds(FREELY, Extremes(0.3, np.cos(np.radians(5.0)), -0.9))
     reached = tm.dihedral_angles(points, cells).min(axis=1)
     for hold in (0.0, 0.1):
         held = held_angles(mesh, bounds, hold)
-        assert np.degrees(np.arccos(held[1])) == pytest.approx(np.quantile(reached, hold), rel=1e-3)
-        assert held[4] == min(bounds[4], held[1])
-        assert held[[0, 2, 3, 5]].tobytes() == bounds[[0, 2, 3, 5]].tobytes()
+        angle = np.degrees(np.arccos(held.cells.large))
+        assert angle == pytest.approx(np.quantile(reached, hold), rel=1e-3)
+        assert held.locked.large == min(bounds.locked.large, held.cells.large)
+        assert same_but_large(held, bounds)
 
 
 def test_guarded_phases_keep_the_other_measure():
     points, cells = tm.ball(300, 8)
-    bounds = np.array([0.01, 1.0, -1.0, 0.3, np.cos(np.radians(5.0)), -0.9])
+    bounds = Bounds(Extremes(0.01, 1.0, -1.0), Extremes(0.3, np.cos(np.radians(5.0)), -0.9))
     phase = Phase(4.0, 0.1, 2, 3, 3)
     mesh = complex_of(points, cells)
-    assert guarded(mesh, phase, bounds).tobytes() == bounds.tobytes()
+    assert guarded(mesh, phase, bounds) == bounds
     smallest = tm.dihedral_angles(points, cells).min(axis=1)
     few = np.quantile(smallest, 0.09)
     for least, expected in ((few, few), (0.5 * smallest.min(), smallest.min()),
                             (np.quantile(smallest, 0.11), smallest.min())):
         held = guarded(mesh, replace(phase, least=least), bounds)
-        assert held[1] == pytest.approx(np.cos(np.radians(expected)), rel=1e-9)
-        assert held[4] == min(bounds[4], held[1])
-        assert held[[0, 2, 3, 5]].tobytes() == bounds[[0, 2, 3, 5]].tobytes()
+        assert held.cells.large == pytest.approx(np.cos(np.radians(expected)), rel=1e-9)
+        assert held.locked.large == min(bounds.locked.large, held.cells.large)
+        assert same_but_large(held, bounds)
     angles = replace(phase, objective=DIHEDRAL, guard=0.2)
     held = guarded(mesh, angles, bounds)
     before = tm.quality(points, cells)
-    assert held[0] == pytest.approx(np.quantile(before, 0.2), rel=1e-9)
-    assert held[1:].tobytes() == bounds[1:].tobytes()
-    assert guarded(mesh, angles, np.full(6, 0.99))[0] == 0.99
+    assert held.cells.quality == pytest.approx(np.quantile(before, 0.2), rel=1e-9)
+    assert held.with_quality(0.01) == bounds
+    assert guarded(mesh, angles, bounds.with_quality(0.99)) == bounds.with_quality(0.99)
     below = []
     for guard in (0.2, None):
         mesh = complex_of(points.copy(), cells)
@@ -248,13 +255,13 @@ def test_guarded_phases_keep_the_other_measure():
         now = tm.quality(mesh.points, mesh.mesh_arrays()[0])
         smallest = tm.dihedral_angles(mesh.points, mesh.mesh_arrays()[0]).min()
         assert smallest > tm.dihedral_angles(points, cells).min()
-        below.append((now < held[0] - 1e-12).sum())
+        below.append((now < held.cells.quality - 1e-12).sum())
     assert below[0] < 0.2 * len(cells)
     assert below[0] < below[1]
 
 
 def test_a_phase_makes_no_new_angle_below_its_least():
-    bounds = np.array([0.01, 1.0, -1.0, 0.3, np.cos(np.radians(5.0)), -0.9])
+    bounds = Bounds(Extremes(0.01, 1.0, -1.0), Extremes(0.3, np.cos(np.radians(5.0)), -0.9))
     start = complex_of(*tm.ball(300, 8))
     finish(start, (Phase(2.0, 0.5, 2, 3, 3, DIHEDRAL),), bounds, None, 1)
     below = []
@@ -268,7 +275,7 @@ def test_a_phase_makes_no_new_angle_below_its_least():
 
 def test_polishing_leaves_fewer_small_angles_and_keeps_the_least_quality():
     points, cells = tm.ball(300, 8)
-    bounds = np.array([0.0, 1.0, -1.0, 0.0, 1.0, -1.0])
+    bounds = OPEN
     mesh = complex_of(points, cells)
     assert polish((tm.dihedral_angles(points, cells).min(axis=1) < SMALL_ANGLE).mean()) == ()
     finish(mesh, (Phase(2.0, 0.1, 2, 3, 0),), bounds, None, 1)
@@ -276,7 +283,7 @@ def test_polishing_leaves_fewer_small_angles_and_keeps_the_least_quality():
     small = (tm.dihedral_angles(mesh.points, cells).min(axis=1) < SMALL_ANGLE).mean()
     left, least = [small], [tm.quality(mesh.points, cells).min()]
     assert 0.01 < small < 0.1
-    bounds[3] = least[0]
+    bounds = Bounds(FREELY, FREELY._replace(quality=least[0]))
     for phases in polish(small):
         finish(mesh, phases, bounds, None, 1)
         now = mesh.mesh_arrays()[0]

@@ -7,9 +7,9 @@ import pytest
 import tet_meshes as tm
 from complexes import OPEN, assert_sound, complex_of, contents, run_pass
 
-from odt_plugins.engine.cells.tetrahedron import QUALITY
+from odt_plugins.engine.cells.tetrahedron import QUALITY, Cost
 from odt_plugins.engine.moves import compound
-from odt_plugins.engine.moves.cavity import make_work, take_back
+from odt_plugins.engine.moves.cavity import make_journal, make_ring, take_back
 from odt_plugins.engine.moves.flips3d import flip_facet, remove_edge
 
 
@@ -18,8 +18,9 @@ def test_the_journal_takes_every_flip_back(seed):
     points, cells = tm.ball(200, seed)
     mesh = complex_of(points, cells)
     before = contents(mesh)
-    journal = np.zeros((1 << 14, 4), dtype=np.int64)
-    work = make_work(np.empty(0))
+    journal = make_journal(True, 1 << 14)
+    ring = make_ring(np.empty(0), False)
+    cost = Cost(QUALITY, 1.0)
     rng = np.random.default_rng(seed)
     done = 0
     for c in rng.permutation(len(cells)):
@@ -27,20 +28,16 @@ def test_the_journal_takes_every_flip_back(seed):
             continue
         op = int(rng.integers(10))
         if op < 6:
-            _, n_new = remove_edge(
-                mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status,
-                c, op, mesh.slots, mesh.free, QUALITY, 1.0, 10, OPEN, np.inf, work, journal)
+            _, n_new = remove_edge(mesh.tets, c, op, cost, 10, OPEN, np.inf, ring, journal)
         else:
-            _, n_new = flip_facet(
-                mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status,
-                c, op - 6, mesh.slots, mesh.free, QUALITY, 1.0, OPEN, np.inf, work, journal)
+            _, n_new = flip_facet(mesh.tets, c, op - 6, cost, OPEN, np.inf, ring, journal)
         done += n_new > 0
         if done == 40:
             break
     assert done == 40
     assert contents(mesh) != before
     assert_sound(mesh, points, tm.signed_volumes(points, cells).sum())
-    take_back(mesh.cells, mesh.neighbors, mesh.status, mesh.slots, mesh.free, journal)
+    take_back(mesh.tets, journal)
     assert contents(mesh) == before
 
 

@@ -5,12 +5,14 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import tet_meshes as tm
-from complexes import OPEN, assert_sound, complex_of
+from complexes import OPEN, assert_sound, complex_of, extremes_of, free_slots
 
 from odt_plugins.engine.cells import sphere
+from odt_plugins.engine.cells.extremes import Bounds
 from odt_plugins.engine.cells.tetrahedron import (
     ENERGY,
     QUALITY,
+    Cost,
     tet_cosines,
     tet_cost,
     tet_energy,
@@ -18,6 +20,7 @@ from odt_plugins.engine.cells.tetrahedron import (
 )
 from odt_plugins.engine.moves import cavity, flips3d
 from odt_plugins.engine.moves.passes import flip_pending
+from odt_plugins.engine.topology.active import PENDING
 from odt_plugins.engine.topology.complex import renumbered
 
 
@@ -31,7 +34,7 @@ def test_row08_energy_falls_at_every_flip_in_space_and_stuck_cells_remain(seed):
     flips = 0
     for _ in range(20):
         mesh.status[:] = 1
-        done = flip_pending(mesh, ENERGY, 1.0, 7, OPEN, 1)
+        done = flip_pending(mesh, Cost(ENERGY, 1.0), 7, OPEN, 1)
         now = tm.energy(points, mesh.mesh_arrays()[0])
         assert now < last or done == 0
         assert_sound(mesh, points, volume)
@@ -60,7 +63,7 @@ def test_cost_falls_and_the_mesh_stays_sound(power):
 
     before = tm.cost(points, cells, power).sum()
     mesh.status[:] = 1
-    assert flip_pending(mesh, QUALITY, power, 10, OPEN, 20) > 0
+    assert flip_pending(mesh, Cost(QUALITY, power), 10, OPEN, 20) > 0
     after = mesh.mesh_arrays()[0]
     assert tm.cost(points, after, power).sum() < before
     assert_sound(mesh, points, volume)
@@ -75,7 +78,7 @@ def test_interfaces_stay():
     before = labels(cells, regions)
     mesh = complex_of(points, cells, regions)
     mesh.status[:] = 1
-    assert flip_pending(mesh, ENERGY, 1.0, 7, OPEN, 20) > 0
+    assert flip_pending(mesh, Cost(ENERGY, 1.0), 7, OPEN, 20) > 0
     after, new_regions = mesh.mesh_arrays()
     assert labels(after, new_regions) == before
     for label in (0, 1):
@@ -103,10 +106,11 @@ def test_ring_triangulation_is_the_best_of_all(n):
     angle = 2 * np.pi * (np.arange(n) + 0.3 * rng.random(n)) / n
     ring = np.column_stack([np.cos(angle), np.sin(angle), 0.2 * rng.normal(size=n)])
     points = np.vstack([[0, 0, -0.9], [0, 0, 1.1], ring])
-    best = np.empty((10, 10))
-    split = np.empty((10, 10), dtype=np.int32)
-    index = np.arange(2, n + 2, dtype=np.int32)
-    got = cavity.triangulate_ring(points, 0, 1, index, n, QUALITY, 2.0, np.inf, best, split)
+    room = cavity.make_ring(np.empty(0), False)
+    room.vertices[:n] = np.arange(2, n + 2)
+
+    def least_below(limit):
+        return cavity.triangulate_ring(points, 0, 1, n, Cost(QUALITY, 2.0), limit, room)
 
     def cost(triangles):
         cells = np.array([c for i, j, k in triangles for c in ((0, i, j, k), (i, j, k, 1))])
@@ -115,30 +119,23 @@ def test_ring_triangulation_is_the_best_of_all(n):
         return tm.cost(points, cells, 2.0).sum()
 
     expected = min(cost(t) for t in all_triangulations(list(range(2, n + 2))))
-    assert got == pytest.approx(expected, rel=1e-9)
-    below = cavity.triangulate_ring(
-        points, 0, 1, index, n, QUALITY, 2.0, expected * 1.001, best, split
-    )
-    assert below == pytest.approx(expected, rel=1e-9)
-    none = cavity.triangulate_ring(points, 0, 1, index, n, QUALITY, 2.0, expected, best, split)
+    assert least_below(np.inf) == pytest.approx(expected, rel=1e-9)
+    none = least_below(expected)
     assert none == np.inf or none < expected
-    cavity.triangulate_ring(points, 0, 1, index, n, QUALITY, 2.0, expected * 1.001, best, split)
-    new = np.empty((20, 4), dtype=np.int32)
-    stack = np.empty((20, 2), dtype=np.int32)
-    count = cavity.write_ring(0, 1, index, n, split, new, stack)
+    assert least_below(expected * 1.001) == pytest.approx(expected, rel=1e-9)
+    count = cavity.write_ring(0, 1, n, room)
     assert count == 2 * (n - 2)
-    assert tm.cost(points, new[:count], 2.0).sum() == pytest.approx(expected, rel=1e-9)
+    assert tm.cost(points, room.new[:count], 2.0).sum() == pytest.approx(expected, rel=1e-9)
 
 
 def test_no_cell_beyond_the_bounds_unless_it_replaces_a_worse_one():
     points, cells = tm.ball(300, 12)
-    q = tm.quality(points, cells)
-    angles = tm.dihedral_angles(points, cells)
-    bounds = np.array([q.min(), np.cos(np.radians(angles.min())), np.cos(np.radians(angles.max())),
-                       q.min(), np.cos(np.radians(angles.min())), np.cos(np.radians(angles.max()))])
+    q, angles = tm.quality(points, cells), tm.dihedral_angles(points, cells)
+    before = extremes_of(points, cells)
+    bounds = Bounds(before, before)
     mesh = complex_of(points, cells)
     mesh.status[:] = 1
-    flip_pending(mesh, QUALITY, 1.0, 10, bounds, 20)
+    flip_pending(mesh, Cost(QUALITY, 1.0), 10, bounds, 20)
     after = mesh.mesh_arrays()[0]
     assert tm.quality(points, after).min() >= q.min() - 1e-12
     now = tm.dihedral_angles(points, after)
@@ -153,7 +150,7 @@ def test_a_complex_without_room_grows():
     for name in ("cells", "neighbors", "regions", "status", "free"):
         setattr(mesh, name, getattr(mesh, name)[:m].copy())
     mesh.status[:] = 1
-    flip_pending(mesh, ENERGY, 2.0, 10, OPEN, 30)
+    flip_pending(mesh, Cost(ENERGY, 2.0), 10, OPEN, 30)
     assert_sound(mesh, points, tm.signed_volumes(points, cells).sum())
 
 
@@ -169,7 +166,7 @@ def test_scalar_measures_agree_with_numpy(seed):
         assert large == pytest.approx(np.cos(np.radians(angles[c].min())), abs=1e-9)
         assert small == pytest.approx(np.cos(np.radians(angles[c].max())), abs=1e-9)
         for power in (0.5, 1.0, 2.0, 3.0, 4.0, 8.0):
-            assert tet_cost(points, *cell, QUALITY, power) == pytest.approx(
+            assert tet_cost(points, *cell, Cost(QUALITY, power)) == pytest.approx(
                 tm.cost(points, cell[None], power)[0], rel=1e-9
             )
         assert tet_energy(points, *cell) == pytest.approx(
@@ -224,33 +221,33 @@ def test_remembered_costs_are_those_of_the_cells(objective):
     points, cells = tm.grid(5, 12)
     meshes = [complex_of(points, cells) for _ in range(2)]
     remembered = np.full(len(meshes[0].cells), cavity.UNKNOWN)
+    cost = Cost(objective, 1.0)
     for turn in range(3):
         flips = []
         for mesh, costs in zip(meshes, (remembered, np.empty(0)), strict=True):
             order = mesh.live().astype(np.int32)
-            mesh.status[:] = cavity.PENDING
-            flips.append(flips3d.flip_pass(
-                mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status,
-                costs, order, mesh.slots, mesh.free, objective, 1.0, 10, OPEN,
-            ))
+            mesh.status[:] = PENDING
+            flips.append(
+                flips3d.flip_pass(mesh.tets, order, cost, 10, OPEN, costs, len(costs) > 0)
+            )
         assert flips[0] == flips[1]
         assert flips[0] > 0 or turn > 0
         assert np.array_equal(meshes[0].cells, meshes[1].cells)
         known = [c for c in meshes[0].live() if remembered[c] != cavity.UNKNOWN]
         assert len(known) > 20
         for c in known:
-            assert remembered[c] == tet_cost(points, *meshes[0].cells[c], objective, 1.0)
+            assert remembered[c] == tet_cost(points, *meshes[0].cells[c], cost)
 
 
 def test_renumbered_cells_are_the_same_mesh_in_order():
     points, cells = tm.ball(300, 5)
     regions = (points[cells].mean(axis=1)[:, 0] > 0).astype(np.int32)
     mesh = complex_of(points, cells, regions)
-    mesh.status[:] = cavity.PENDING
-    assert flip_pending(mesh, QUALITY, 2.0, 10, OPEN, 20) > 0
-    assert mesh.slots[1] > 0
+    mesh.status[:] = PENDING
+    assert flip_pending(mesh, Cost(QUALITY, 2.0), 10, OPEN, 20) > 0
+    assert len(free_slots(mesh)) > 0
     fresh = renumbered(mesh)
-    assert fresh.slots[1] == 0
+    assert len(free_slots(fresh)) == 0
     labels = [{tuple(cell): label for cell, label in zip(c.tolist(), r.tolist(), strict=True)}
               for c, r in (mesh.mesh_arrays(), fresh.mesh_arrays())]
     assert labels[0] == labels[1]

@@ -5,17 +5,19 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import tet_meshes as tm
-from complexes import OPEN, assert_sound, complex_of, contents
+from complexes import FREELY, OPEN, assert_sound, complex_of, contents, extremes_of
 
-from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, QUALITY
+from odt_plugins.engine.cells.extremes import Bounds
+from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, QUALITY, Cost
 from odt_plugins.engine.finish.phases import Resampling
 from odt_plugins.engine.finish.resampling import resample, with_spare_vertices
 from odt_plugins.engine.moves import insertion, star_cavity
-from odt_plugins.engine.moves.cavity import make_work, replace_cavity
+from odt_plugins.engine.moves.cavity import replace_cavity
 from odt_plugins.engine.moves.compound import descend_around, make_scratch, settle
 from odt_plugins.engine.moves.passes import measures
 
 POWER = 4.0
+COST = Cost(QUALITY, POWER)
 
 
 def spare_complex(points, cells, regions=None, stays=None):
@@ -31,32 +33,24 @@ class Operation:
 
     def __init__(self, mesh):
         self.mesh = mesh
-        self.work = make_work(np.empty(0))
-        self.scratch = make_scratch()
-        self.journal = np.zeros((1 << 15, 4), dtype=np.int64)
-        self.cavity = np.empty(256, dtype=np.int32)
-        self.new = np.empty((256, 4), dtype=np.int32)
-        self.rim = np.empty((1024, 5), dtype=np.int32)
-        self.rows = np.arange(256, dtype=np.int32)
+        self.scratch = make_scratch(1 << 15)
+        self.proposal = insertion.make_proposal()
+        self.cavity, self.new = self.proposal.cavity, self.proposal.new
 
     def propose(self, c, op):
         m = self.mesh
         if op < star_cavity.PLACES:
             m.locked[m.first[0]] = False
             return insertion.propose_vertex(
-                m.points, m.cells, m.neighbors, m.regions, m.status, c, op, int(m.first[0]),
-                QUALITY, POWER, 10, OPEN, self.work, self.scratch, self.cavity, self.new,
-                self.rows)
+                m.tets, c, op, int(m.first[0]), COST, 10, OPEN, self.scratch, self.proposal)
         v = int(m.cells[c, op - star_cavity.PLACES])
         return insertion.propose_removal(
-            m.points, m.cells, m.neighbors, m.locked, m.stays, c, v, QUALITY, POWER,
-            self.scratch, self.cavity, self.new)
+            m.tets, m.stays, c, v, COST, self.scratch, self.proposal)
 
     def put(self, n_old, n_new):
-        m = self.mesh
-        self.journal[0, 0] = 0
-        return replace_cavity(m.cells, m.neighbors, m.regions, m.status, self.cavity, n_old,
-                              self.new, n_new, m.slots, m.free, self.rim, self.journal)
+        self.scratch.journal.length[0] = 0
+        return replace_cavity(self.mesh.tets, self.cavity, n_old, self.new, n_new,
+                              self.proposal.border, self.scratch.journal)
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -111,13 +105,8 @@ def test_growth_stops_where_no_cell_lowers_the_sum():
         return tm.cost(mesh.points, rows, POWER).sum()
 
     for c in range(0, len(cells), 11):
-        ring, around = step.work[0], step.work[1]
-        n = star_cavity.seed_cavity(
-            mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.status, c, 10, p, 10,
-            ring, around, step.cavity)
-        n_old = star_cavity.grow_cavity(
-            mesh.points, mesh.cells, mesh.neighbors, mesh.regions, p, step.cavity, n, QUALITY,
-            POWER)
+        n = star_cavity.seed_cavity(mesh.tets, c, 10, p, 10, step.scratch.ring, step.cavity)
+        n_old = star_cavity.grow_cavity(mesh.tets, p, step.cavity, n, COST)
         cavity = step.cavity[:n_old].tolist()
         grown += n_old > n
         total = cone_sum(cavity) - tm.cost(mesh.points, mesh.cells[cavity], POWER).sum()
@@ -147,15 +136,12 @@ def test_what_does_not_stay_leaves_every_bit_as_it_was(seed):
             if not gain > -np.inf or not step.put(n_old, n_new):
                 continue
             assert contents(mesh) != before
-            _, n_touched, n_undo = descend_around(
-                mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.locked, mesh.status,
-                mesh.slots, mesh.free, QUALITY, POWER, 10, OPEN, step.cavity, n_new, gain,
-                -np.inf, step.work, step.journal, step.scratch)
+            _, n_touched, n_moved = descend_around(
+                mesh.tets, COST, 10, OPEN, step.cavity, n_new, gain, -np.inf, step.scratch)
             assert_sound(mesh, mesh.points, tm.signed_volumes(points, cells).sum())
-            moved += n_undo > 0
+            moved += n_moved > 0
             ops += 1
-            settle(mesh.points, mesh.cells, mesh.neighbors, mesh.status, mesh.slots, mesh.free,
-                   False, n_touched, n_undo, step.journal, step.scratch, tried)
+            settle(mesh.tets, False, n_touched, n_moved, step.scratch, tried)
             mesh.locked[mesh.first[0]] = True
             mesh.points[mesh.first[0]] = here[mesh.first[0]]
             assert contents(mesh) == before
@@ -175,10 +161,8 @@ def test_what_stays_lowers_the_sum_within_the_bounds(seed):
     volume = tm.signed_volumes(points, cells).sum()
     locked = mesh.locked.copy()
     last = cost_sum(mesh)
-    q = tm.quality(points, cells)
-    angle = np.cos(np.radians(tm.dihedral_angles(points, cells)))
-    bounds = np.array([q.min(), angle.max(), angle.min(), 0.0, 1.0, -1.0])
-    taken = resample(mesh, Resampling(POWER, 0.05, 2), 1.0, bounds)
+    before = extremes_of(points, cells)
+    taken = resample(mesh, Resampling(POWER, 0.05, 2), 1.0, Bounds(before, FREELY))
     assert taken > 20
     after = mesh.mesh_arrays()[0]
     assert cost_sum(mesh) < last
@@ -194,10 +178,10 @@ def test_what_stays_lowers_the_sum_within_the_bounds(seed):
     assert mesh.first[0] == n + np.flatnonzero(used[n:]).max() + 1
     assert mesh.locked[~used].all()
     assert not mesh.locked[n:][used[n:]].any()
-    assert tm.quality(mesh.points, after).min() >= q.min() - 1e-12
-    after_angle = np.cos(np.radians(tm.dihedral_angles(mesh.points, after)))
-    assert after_angle.max() <= angle.max() + 1e-12
-    assert after_angle.min() >= angle.min() - 1e-12
+    now = extremes_of(mesh.points, after)
+    assert now.quality >= before.quality - 1e-12
+    assert now.large <= before.large + 1e-12
+    assert now.small >= before.small - 1e-12
 
 
 def test_the_smallest_angle_as_measure():

@@ -7,9 +7,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import tet_meshes as tm
+from complexes import FREELY, extremes_of
 from tet_meshes import interior
 
-from odt_plugins.engine.cells.tetrahedron import QUALITY
+from odt_plugins.engine.cells.extremes import Extremes
+from odt_plugins.engine.cells.tetrahedron import QUALITY, Cost
 from odt_plugins.engine.moves.newton3d import (
     add_quality_terms,
     smooth_vertices,
@@ -19,8 +21,6 @@ from odt_plugins.engine.moves.newton3d import (
 from odt_plugins.engine.topology.active import spread
 from odt_plugins.engine.topology.coloring import vertex_coloring
 from odt_plugins.engine.topology.star import vertex_stars
-
-OPEN = np.array([0.0, 1.0, -1.0, 0.0, 1.0, -1.0])
 
 
 @pytest.mark.parametrize("power", [1.0, 3.0])
@@ -64,8 +64,7 @@ def test_every_sweep_lowers_the_sum_and_keeps_the_rest():
     last = float(tm.cost(now, cells, 2.0).sum())
     for _ in range(4):
         for a, b in pairwise(blocks.tolist()):
-            smooth_vertices(now, cells, stars.indptr, stars.indices, order, a, b, QUALITY, 2.0,
-                            OPEN, moved)
+            smooth_vertices(now, cells, stars, order, a, b, Cost(QUALITY, 2.0), FREELY, moved)
         cost = float(tm.cost(now, cells, 2.0).sum())
         assert cost < last
         last = cost
@@ -79,13 +78,11 @@ def test_bounds_hold_for_angles_too():
     stars = vertex_stars(cells, len(points))
     order, blocks, _ = vertex_coloring(cells, interior(points, cells))
     angles = tm.dihedral_angles(points, cells)
-    bounds = np.array([tm.quality(points, cells).min(), np.cos(np.radians(angles.min())),
-                       np.cos(np.radians(angles.max())), 0.0, 1.0, -1.0])
+    limit = extremes_of(points, cells)
     moved = np.zeros(len(points))
     for _ in range(3):
         for a, b in pairwise(blocks.tolist()):
-            smooth_vertices(points, cells, stars.indptr, stars.indices, order, a, b, QUALITY, 1.0,
-                            bounds, moved)
+            smooth_vertices(points, cells, stars, order, a, b, Cost(QUALITY, 1.0), limit, moved)
     now = tm.dihedral_angles(points, cells)
     assert now.min() >= angles.min() - 1e-7
     assert now.max() <= angles.max() + 1e-7
@@ -104,14 +101,14 @@ def test_no_cell_is_sure_to_keep_bounds_that_it_breaks():
     quality, angles = tm.quality(points, cells), tm.dihedral_angles(points, cells)
     low, high = np.cos(np.radians(angles.min(axis=1))), np.cos(np.radians(angles.max(axis=1)))
     for a, b, q in zip(low, high, quality, strict=True):
-        assert sure_quality(np.array([0.0, a, -1.0])) >= q
-        assert sure_quality(np.array([0.0, 1.0, b])) >= q
+        assert sure_quality(Extremes(0.0, float(a), -1.0)) >= q
+        assert sure_quality(Extremes(0.0, 1.0, float(b))) >= q
 
 
 def test_bounds_on_one_side_of_a_right_angle_leave_no_cell_sure():
-    assert sure_quality(np.array([0.0, -0.1, -0.9, 0.0, 1.0, -1.0])) > 1.0
-    assert sure_quality(np.array([0.0, 0.9, 0.1, 0.0, 1.0, -1.0])) > 1.0
-    assert sure_quality(OPEN) < 1e-5
+    assert sure_quality(Extremes(0.0, -0.1, -0.9)) > 1.0
+    assert sure_quality(Extremes(0.0, 0.9, 0.1)) > 1.0
+    assert sure_quality(FREELY) < 1e-5
 
 
 def test_the_state_of_a_star_is_the_sum_and_the_extremes():
@@ -119,16 +116,17 @@ def test_the_state_of_a_star_is_the_sum_and_the_extremes():
     cells = cells[tm.quality(points, cells) > 1e-3]
     star = np.arange(len(cells), dtype=np.int32)[::2]
     quality, angles = tm.quality(points, cells)[star], tm.dihedral_angles(points, cells)[star]
-    costs = tm.cost(points, cells, 2.0)[star]
+    costs, cost = tm.cost(points, cells, 2.0)[star], Cost(QUALITY, 2.0)
     for sure in (2.0, 0.3):
         asked = angles[quality < sure]
-        found = star_state(points, cells, star, 0, len(star), QUALITY, 2.0, np.inf, sure)
-        expected = (costs.sum(), quality.min(), np.cos(np.radians(asked.min())),
+        total, found = star_state(points, cells, star, 0, len(star), cost, np.inf, sure)
+        assert total == pytest.approx(costs.sum(), rel=1e-9)
+        expected = (quality.min(), np.cos(np.radians(asked.min())),
                     np.cos(np.radians(asked.max())))
-        assert found == pytest.approx(expected, rel=1e-9)
+        assert tuple(found) == pytest.approx(expected, rel=1e-9)
 
     def total(limit):
-        return star_state(points, cells, star, 0, len(star), QUALITY, 2.0, limit, 2.0)[0]
+        return star_state(points, cells, star, 0, len(star), cost, limit, 2.0)[0]
 
     assert total(1.01 * costs.sum()) < np.inf
     assert total(0.99 * costs.sum()) == np.inf

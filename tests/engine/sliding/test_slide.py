@@ -21,6 +21,8 @@ from tet_meshes import (
 
 import odt_plugins
 from odt_plugins.compare.hard import hard_meshes
+from odt_plugins.engine.cells.extremes import Bounds, Extremes
+from odt_plugins.engine.cells.tetrahedron import QUALITY, Cost
 from odt_plugins.engine.finish.phases import Phase, bulk, tail
 from odt_plugins.engine.finish.volume import _flip_surface, finish
 from odt_plugins.engine.ground.crossings import count_crossings, crossing_triangles
@@ -35,7 +37,7 @@ from odt_plugins.options import Options
 from odt_plugins.promise.volume import broken_promises
 
 DATA = Path(odt_plugins.__file__).parent / "compare" / "data"
-LIMITS = np.array([0.0, 1.0, -1.0, 0.3, 0.97, -0.92])
+LIMITS = Bounds(Extremes(0.0, 1.0, -1.0), Extremes(0.3, 0.97, -0.92))
 NONE = np.zeros((0, 2), dtype=np.int32)
 
 
@@ -228,7 +230,7 @@ def test_flips_of_the_surface_lower_the_cost():
         return (quality(mesh.points, mesh.cells[mesh.live()]) ** -2.0).sum()
 
     before = total()
-    mesh.status[: mesh.slots[0]] = 1
+    mesh.status[: mesh.used] = 1
     flips = _flip_surface(mesh, Phase(2.0, 1.0, 1, 1), LIMITS)
     assert flips > 10
     assert total() < before
@@ -239,13 +241,13 @@ def flipped(prepare=lambda mesh: None, bounds=LIMITS):
     """A ball whose surface was flipped once, and how often."""
     mesh = skinned(*ball(500, 2), envelope=0.02)
     prepare(mesh)
-    mesh.status[: mesh.slots[0]] = 1
+    mesh.status[: mesh.used] = 1
     return mesh, _flip_surface(mesh, Phase(2.0, 1.0, 1, 1), bounds)
 
 
 def test_flips_of_the_surface_leave_interfaces():
     def halves(mesh):
-        mesh.regions[: mesh.slots[0]] = mesh.points[mesh.cells[: mesh.slots[0]], 0].sum(axis=1) > 0
+        mesh.regions[: mesh.used] = mesh.points[mesh.cells[: mesh.used], 0].sum(axis=1) > 0
 
     def interface(mesh):
         live = mesh.live()
@@ -269,7 +271,7 @@ def test_locked_edges_of_the_surface_are_not_flipped():
 
 def test_flips_of_the_surface_respect_the_extremes():
     # no new cell may be worse than the worst that it replaces, in any figure
-    strict = np.array([1.0, -1.0, 1.0, 1.0, -1.0, 1.0])
+    strict = Bounds(Extremes(1.0, -1.0, 1.0), Extremes(1.0, -1.0, 1.0))
     assert 0 < flipped(bounds=strict)[1] < flipped()[1]
 
 
@@ -289,7 +291,7 @@ def test_a_flat_cell_of_the_surface_goes_unless_an_interface_is_behind_it(label,
     )
     tets = make_complex(mesh.points, mesh.cells, mesh.regions, rim, rim, skin)
     flat = np.array([True, False, False])
-    assert flip_skin(tets, skin, flat, Phase(2.0, 1.0, 1, 1), LIMITS) == flips
+    assert flip_skin(tets, skin, flat, Cost(QUALITY, 2.0), LIMITS) == flips
     assert len(tets.live()) == 3 - flips
 
 

@@ -7,14 +7,15 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 import pytest
 import tet_meshes as tm
-from complexes import OPEN, assert_sound, complex_of
+from complexes import OPEN, assert_sound, complex_of, free_slots
 
-from odt_plugins.engine.cells.tetrahedron import ENERGY, QUALITY
+from odt_plugins.engine.cells.tetrahedron import ENERGY, QUALITY, Cost
 from odt_plugins.engine.finish.phases import Phase
 from odt_plugins.engine.finish.volume import compound_moves
 from odt_plugins.engine.moves.passes import flip_pending
 from odt_plugins.engine.topology import order, slabs
 from odt_plugins.engine.topology.active import PENDING
+from odt_plugins.engine.topology.tets import USED
 
 
 class Backwards:
@@ -40,8 +41,8 @@ def start(regions=1):
 
 
 def contents(mesh):
-    used = int(mesh.slots[0])
-    return [mesh.slots.tolist(), mesh.free[: mesh.slots[1]].tolist(), mesh.points.tobytes(),
+    used = mesh.used
+    return [mesh.slots.tolist(), free_slots(mesh).tolist(), mesh.points.tobytes(),
             mesh.cells[:used].tolist(), mesh.neighbors[:used].tolist()]
 
 
@@ -63,13 +64,13 @@ def test_walls_are_the_facets_between_slabs_and_heal():
     slab = rng.integers(3, size=len(mesh.points)).astype(np.uint8)
     cells = mesh.mesh_arrays()[0]
     before = mesh.neighbors.copy()
-    held = np.zeros(len(mesh.points), dtype=bool)
-    walls = slabs.cut_walls(mesh.cells, mesh.neighbors, slab, held)
+    cut = np.zeros(len(mesh.points), dtype=bool)
+    walls = slabs.cut_walls(mesh.cells, mesh.neighbors, slab, cut)
     home = slab[cells].min(axis=1)
     expected = [facet for facet, owners in tm.facets_of(cells).items()
                 if len(owners) == 2 and home[owners[0]] != home[owners[1]]]
     assert walls == len(expected) > 100
-    assert set(np.flatnonzero(held)) == {v for f in expected for v in f}
+    assert set(np.flatnonzero(cut)) == {v for f in expected for v in f}
     codes, count = np.unique(mesh.neighbors[mesh.neighbors < -1], return_counts=True)
     assert codes.tolist() == list(range(-1 - walls, -1))
     assert np.all(count == 2)
@@ -83,10 +84,10 @@ def test_every_cell_is_visited_once_and_in_order():
     visits = np.random.default_rng(1).permutation(len(mesh.live()) + 1).astype(np.int32)
     seen = []
 
-    def work(part, cells, slots, free, held):
+    def work(part, tets):
         rank = np.argsort(visits)[part]
         assert np.all(np.diff(rank) > 0)
-        assert slots[0] <= len(cells) <= len(mesh.cells)
+        assert tets.slots[USED] <= len(tets.cells) <= len(mesh.cells)
         seen.append(part.tolist())
         return len(part)
 
@@ -97,7 +98,7 @@ def test_every_cell_is_visited_once_and_in_order():
 
 def flips(mesh, objective, pool):
     mesh.status[:] = PENDING
-    return flip_pending(mesh, objective, 2.0, 10, OPEN, 20, pool)
+    return flip_pending(mesh, Cost(objective, 2.0), 10, OPEN, 20, pool)
 
 
 def compound(mesh, objective, pool):
@@ -142,7 +143,7 @@ def test_slabs_reach_about_what_the_whole_mesh_reaches(objective, monkeypatch):
 
 def test_slabs_that_run_out_of_room_lose_nothing():
     mesh = start()
-    room = int(mesh.slots[0]) + 3
+    room = mesh.used + 3
     mesh.cells, mesh.neighbors = mesh.cells[:room].copy(), mesh.neighbors[:room].copy()
     mesh.regions, mesh.status = mesh.regions[:room].copy(), mesh.status[:room].copy()
     volume = tm.signed_volumes(mesh.points, mesh.mesh_arrays()[0]).sum()

@@ -1,0 +1,63 @@
+"""Extremes of the shapes of tetrahedra; a change passes them only where it makes nothing worse."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+from odt_plugins.engine.compiled.kernel import kernel
+
+
+class Extremes(NamedTuple):
+    """Extremes that some cells have, or that no new cell may pass.
+
+    Attributes
+    ----------
+    quality : float    least radius ratio
+    large : float      largest cosine of an angle, that of the smallest angle
+    small : float      smallest cosine of an angle, that of the largest angle
+    """
+
+    quality: float
+    large: float
+    small: float
+
+
+class Bounds(NamedTuple):
+    """What no new cell may pass, unless a cell that it replaces does.
+
+    Attributes
+    ----------
+    cells : Extremes     of all cells
+    locked : Extremes    of cells with locked vertices only, which no smoothing can repair
+    """
+
+    cells: Extremes
+    locked: Extremes
+
+    def with_quality(self, least: float) -> Bounds:
+        """The same with another least radius ratio of all cells."""
+        return self._replace(cells=self.cells._replace(quality=float(least)))
+
+    def with_large(self, cosine: float) -> Bounds:
+        """The same, but no cosine of any cell may be larger than this one."""
+        return Bounds(*(own._replace(large=min(own.large, float(cosine))) for own in self))
+
+
+@kernel
+def worse(first: Extremes, second: Extremes) -> Extremes:
+    """Extremes of two sets of cells together."""
+    return Extremes(
+        min(first.quality, second.quality),
+        max(first.large, second.large),
+        min(first.small, second.small),
+    )
+
+
+@kernel
+def keeps(found: Extremes, limit: Extremes) -> bool:
+    """Whether no extreme passes its limit."""
+    return (
+        found.quality >= limit.quality
+        and found.large <= limit.large
+        and found.small >= limit.small
+    )

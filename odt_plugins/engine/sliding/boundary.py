@@ -1,0 +1,68 @@
+"""The boundary of a tetrahedral mesh that slides, as it travels through the kernels."""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+
+from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.ground.closest import Ground
+from odt_plugins.engine.ground.lines import Lines
+from odt_plugins.engine.ground.sheet import HELD, Limits, Sheet
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+
+RESERVE = 0.4
+"""Part of the change of the volume which descents over the whole mesh leave to those at the worst
+cells."""
+
+
+class Skin(NamedTuple):
+    """The boundary of a tetrahedral mesh, on its way over the input surface.
+
+    Attributes
+    ----------
+    sheet : Sheet           shares its points with the mesh
+    ground : Ground, lines : Lines, limits : Limits
+    stays : (e,) bool       edges of the sheet that are not flipped
+    volume : (n + 1, 2) float64
+        [change of the volume so far, largest change] of the mesh, then for every vertex
+        [change so far, part of the largest change that is its own]
+    most : float            the largest change at the end
+    fan : (n,) int32        a triangle of the sheet around every vertex, -1 inside; kept up to date
+    """
+
+    sheet: Sheet
+    ground: Ground
+    lines: Lines
+    limits: Limits
+    stays: BoolArray
+    volume: FloatArray
+    most: float
+    fan: IntArray
+
+    @property
+    def free(self) -> BoolArray:
+        """Vertices (n,) that may slide."""
+        return np.asarray(self.sheet.kind != HELD)
+
+    def allow(self, everything: bool) -> None:
+        """Set the largest change of the volume: all of it, or all but the reserve."""
+        self.volume[0, 1] = self.most if everything else (1.0 - RESERVE) * self.most
+
+
+@kernel
+def affordable(volume: FloatArray, change: float, v: int) -> bool:
+    """Whether vertex v may change the volume: within all budgets, or if debts are paid back."""
+    after = abs(volume[0, 0] + change)
+    if after > volume[0, 1] and after > abs(volume[0, 0]):
+        return False
+    after = abs(volume[v + 1, 0] + change)
+    return after <= volume[v + 1, 1] * volume[0, 1] or after <= abs(volume[v + 1, 0])
+
+
+@kernel
+def spend(volume: FloatArray, change: float, v: int) -> None:
+    """Write down that vertex v changed the volume."""
+    volume[0, 0] += change
+    volume[v + 1, 0] += change
