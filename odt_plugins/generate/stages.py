@@ -285,8 +285,10 @@ def finish(mesh: Mesh, phases: tuple[Phase, ...], near: BoolArray | None = None)
     if near is not None:
         free &= near
         touched = np.asarray(near[mesh.cells].any(axis=1))
-    mesh.points, mesh.cells = finish2d(
-        mesh.points, mesh.cells, regions, free, movable_cells=touched, phases=phases
+    mesh.points, mesh.cells = mesh.points.copy(), mesh.cells.copy()
+    finish2d(
+        mesh.points, mesh.cells, cell_neighbors(mesh.cells), regions, free,
+        movable_cells=touched, phases=phases,
     )
 
 

@@ -17,7 +17,6 @@ from odt_plugins.engine.moves.flips2d import quality_flips
 from odt_plugins.engine.moves.newton2d import smooth_vertices_2d
 from odt_plugins.engine.record.figures import cell_shapes
 from odt_plugins.engine.topology.active import spread
-from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.coloring import run_chunks, vertex_coloring
 from odt_plugins.engine.topology.star import Stars, vertex_stars
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
@@ -29,6 +28,7 @@ SETTLED = 1e-3
 def finish2d(
     points: FloatArray,
     cells: IntArray,
+    neighbors: IntArray,
     regions: IntArray,
     movable: BoolArray,
     *,
@@ -37,13 +37,14 @@ def finish2d(
     phases: tuple[Phase, ...] | None = None,
     pool: ThreadPoolExecutor | None = None,
     threads: int = 1,
-) -> tuple[FloatArray, IntArray]:
-    """Improve the shape of a planar mesh; no vertex is added or removed, no boundary changed.
+) -> tuple[int, int]:
+    """Improve the shape of a planar mesh in place; its boundary and its vertices all stay.
 
     Parameters
     ----------
-    points : (n, 2) float64
-    cells : (m, 3) int32          counterclockwise
+    points : (n, 2) float64       changed
+    cells : (m, 3) int32          counterclockwise; changed
+    neighbors : (m, 3) int32      cells across the edges, -1 at the boundary; changed
     regions : (m,) int32          region labels; row t of the result has the label of row t
     movable : (n,) bool           vertices that may move; none on the boundary or an interface
     movable_cells : (m,) bool     an edge is flipped only between two such cells; None means all
@@ -54,57 +55,59 @@ def finish2d(
 
     Returns
     -------
-    points : (n, 2) float64       other vertices bit-identical
-    cells : (m, 3) int32
+    flips, moves : int            edges that were flipped, moves of vertices
     """
-    points = points.copy()
-    cells = cells.copy()
     if len(cells) == 0:
-        return points, cells
-    neighbors = cell_neighbors(cells)
+        return 0, 0
     if bounds is None:
         shapes = cell_shapes(points, cells)
         bounds = np.array([shapes[:, 0].min(), shapes[:, 1].max(), shapes[:, 2].min()])
+    flips = moves = 0
     for phase in bulk(2) + tail(2) if phases is None else phases:
         m = np.empty(len(cells))
         _measures(points, cells, phase.objective, m)
         near = np.zeros(len(points), dtype=np.bool_)
         near[cells[m <= np.quantile(m, phase.share)]] = True
         pending = np.asarray(near[cells].any(axis=1))
-        _descend(points, cells, neighbors, regions, movable, movable_cells, bounds, phase,
-                 pending, pool, threads)
-    return points, cells
+        more_flips, more_moves = _descend(points, cells, neighbors, regions, movable,
+                                          movable_cells, bounds, phase, pending, pool, threads)
+        flips += more_flips
+        moves += more_moves
+    return flips, moves
 
 
 def _descend(
     points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
     movable: BoolArray, movable_cells: BoolArray | None, bounds: FloatArray, phase: Phase,
     pending: BoolArray, pool: ThreadPoolExecutor | None, threads: int,
-) -> None:
-    """Flip and smooth, in place, from the pending cells on, until nothing gains."""
+) -> tuple[int, int]:
+    """Flip and smooth, in place, from the pending cells on, until nothing gains; counts both."""
+    flips = moves = 0
     wanted = np.zeros(len(points), dtype=np.bool_)
     wanted[cells[pending]] = True
     moved = np.zeros(len(points))
     for _ in range(phase.rounds):
         changed = np.zeros(len(cells), dtype=np.bool_)
-        quality_flips(points, cells, neighbors, regions, movable_cells, phase.power, bounds,
-                      seeds=pending, changed=changed, objective=phase.objective)
+        flips += quality_flips(points, cells, neighbors, regions, movable_cells, phase.power,
+                               bounds, seeds=pending, changed=changed, objective=phase.objective)
         wanted[cells[changed]] = True
         stars = vertex_stars(cells, len(points))
         status = np.zeros(len(cells), dtype=np.uint8)
         for _ in range(phase.sweeps):
-            _sweep(points, cells, stars, wanted & movable, phase, bounds, moved, pool, threads)
+            moves += _sweep(points, cells, stars, wanted & movable, phase, bounds, moved, pool,
+                            threads)
             spread(cells, stars.indptr, stars.indices, moved, SETTLED, wanted, status)
         pending = status == 1
         if not pending.any():
             break
+    return flips, moves
 
 
 def _sweep(
     points: FloatArray, cells: IntArray, stars: Stars, wanted: BoolArray, phase: Phase,
     bounds: FloatArray, moved: FloatArray, pool: ThreadPoolExecutor | None, threads: int,
-) -> None:
-    """Smooth every wanted vertex once, block after block."""
+) -> int:
+    """Smooth every wanted vertex once, block after block; returns how many moved."""
     coloring = vertex_coloring(cells, wanted)
     moved[:] = 0.0
 
@@ -113,7 +116,7 @@ def _sweep(
                                       coloring.order, start, stop, phase.objective,
                                       phase.power, bounds, moved))
 
-    run_chunks(pool, threads, coloring, work)
+    return sum(run_chunks(pool, threads, coloring, work))
 
 
 @kernel

@@ -29,7 +29,6 @@ from odt_plugins.engine.topology.active import (
     spread,
     vertices_of_pending,
 )
-from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.coloring import run_chunks, touching_blocks, vertex_coloring
 from odt_plugins.engine.topology.complex import Complex, slot_stars
 from odt_plugins.engine.topology.slabs import side_by_side
@@ -199,14 +198,10 @@ def finish(
     flips, moves : int
     """
     if mesh.dim == 2:
-        points, cells = finish2d(
-            mesh.points, mesh.cells, mesh.regions, ~mesh.locked, bounds=np.array(bounds.cells),
-            phases=phases, pool=pool, threads=threads,
+        return finish2d(
+            mesh.points, mesh.cells, mesh.neighbors, mesh.regions, ~mesh.locked,
+            bounds=np.array(bounds.cells), phases=phases, pool=pool, threads=threads,
         )
-        mesh.points[:] = points
-        mesh.cells[:] = cells
-        mesh.neighbors[:] = cell_neighbors(cells)
-        return 0, 0
     flips = moves = 0
     for phase in phases:
         more_flips, more_moves = descend(mesh, phase, bounds, pool, threads)

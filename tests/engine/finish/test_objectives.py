@@ -111,10 +111,12 @@ def test_planar_finishing_flips_by_the_measure_of_its_phase(measure):
         for m in (QUALITY, measure):
             phase = Phase(2.0, 1.0, 1, 1, objective=m)
             nothing = np.zeros(len(points), dtype=bool)
-            _, found[m] = finish2d(points, start, regions, nothing, bounds=np.array(FREELY),
-                                   phases=(phase,))
+            found[m] = start.copy()
+            counts = finish2d(points, found[m], cell_neighbors(start), regions, nothing,
+                              bounds=np.array(FREELY), phases=(phase,))
             cells = start.copy()
-            quality_flips(points, cells, cell_neighbors(cells), regions, objective=m)
+            flips = quality_flips(points, cells, cell_neighbors(cells), regions, objective=m)
+            assert counts == (flips, 0)
             assert np.array_equal(found[m], cells)
         other += not np.array_equal(found[measure], found[QUALITY])
     assert other > 0

@@ -439,3 +439,11 @@ def test_cells_that_another_run_looks_after_may_pass_the_extremes_but_not_others
             np.arange(len(points)), cells[worst]), True)):
         memory = driver.Memory(bound, keep, "radius_ratio", by_score=True, aside=aside)
         assert memory.offer(Still(), "x") == taken
+
+
+def test_finishing_counts_its_flips_and_moves(d):
+    mesh = start(d)
+    counts = run(mesh, Options(rounds=0, cycles=1)).counts
+    assert counts["quality flips"] > 0
+    assert counts["vertex moves"] > 0
+    assert "energy flips" not in counts
