@@ -24,6 +24,14 @@ CHOICES: dict[str, tuple[str, ...]] = {
     "objective": get_args(Objective),
     "boundary": get_args(Boundary),
 }
+SOLVERS: dict[str, tuple[str, ...]] = {
+    "odt": ("gauss-seidel", "jacobi", "richardson", "global", "lbfgs"),
+    "cpt": ("gauss-seidel", "jacobi", "global"),
+    "laplacian": ("gauss-seidel", "jacobi"),
+    "cvt": ("gauss-seidel",),
+}
+"""Solvers of every method. Lloyd's iteration has one form, which is chosen by the default."""
+
 DENSITIES = ("keep", "uniform", "inverse-volume", "curvature")
 
 FIGURES = ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle")
@@ -42,11 +50,14 @@ class Options:
     ----------
     method            which centre a vertex moves to: "odt" circumcenters (4.13), "cpt"
                       barycenters (4.20), "laplacian" neighbours (4.21), "cvt" Lloyd
-    solver            how the positions are iterated (Section 4.1, 4.3; "lbfgs" through scipy)
+    solver            how the positions are iterated (Section 4.1, 4.3; "lbfgs" through scipy);
+                      "cpt" has the local sweeps and "global" (4.28), "laplacian" the sweeps only,
+                      and "cvt" Lloyd's iteration only, under the default
     linear_solver     of the global step: "direct", "amg", or "auto" by size
     connectivity      "delaunay" scipy every round, "flips" only local flips, "auto" scipy
                       first and flips later (Section 3.2), "none"
-    density           "keep" (size field of the input mesh), "uniform", "inverse-volume" (4.22),
+    density           "keep" (size field of the input mesh), "uniform", "inverse-volume" (4.22; not
+                      for "laplacian", which weighs no cells),
                       "curvature" (curved surfaces: fine where they bend),
                       (m,) per-cell or (n,) per-vertex rho values, a callable rho(points)
     exponent          r in rho = h^-r for "keep"; None means d + 2
@@ -54,7 +65,7 @@ class Options:
                       means 1.95 for odt in space by Gauss-Seidel with finishing (over-relaxation
                       reaches lower energies), else 1, and 0.8 for jacobi
     rounds            most rounds of stage 1 (smoothing + connectivity) in one cycle
-    cycles            how often stage 1 and stage 2 follow each other
+    cycles            how often stage 1 and stage 2 follow each other; 1 without finishing
     finish            whether stage 2, quality-driven finishing, runs
     objective         what finishing improves: "radius_ratio" (5.1), "min_dihedral" the smallest
                       (dihedral) angles, "amips" the energy that TetWild minimises
@@ -107,9 +118,19 @@ class Options:
             value = getattr(self, name)
             good = isinstance(value, str) and value in choices
             _expect(good, name, value, f"one of {choices}")
+        known = SOLVERS[self.method]
+        if self.solver not in known:
+            msg = (
+                f"got method={self.method!r}, solver={self.solver!r}; expected one of {known} as "
+                f"the solver of this method, try solver={known[0]!r} or method='odt'"
+            )
+            raise InvalidOptionError(msg)
         if isinstance(self.density, str):
             what = f"one of {DENSITIES}, an array or a callable"
             _expect(self.density in DENSITIES, "density", self.density, what)
+            good = self.density != "inverse-volume" or self.method != "laplacian"
+            what = "'uniform' for the method 'laplacian', which weighs no cells"
+            _expect(good, "density", self.density, what)
         if self.exponent is not None:
             good = _is_number(self.exponent) and 0 < self.exponent < float("inf")
             _expect(good, "exponent", self.exponent, "a positive number or None")
@@ -137,6 +158,7 @@ class Options:
         if not self.finish:
             good = self.objective == "radius_ratio"
             _expect(good, "objective", self.objective, "'radius_ratio' without finishing")
+            _expect(self.cycles == 1, "cycles", self.cycles, "1 without finishing")
         _expect(self.finish or not self.insert, "insert", self.insert, "False without finishing")
         good = isinstance(self.keep, tuple | list) and all(k in FIGURES for k in self.keep)
         _expect(good, "keep", self.keep, f"some of {FIGURES}")

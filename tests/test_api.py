@@ -16,10 +16,12 @@ import tet_meshes as tm
 import odt_plugins
 from odt_plugins import api
 from odt_plugins.carry import in_input_order
+from odt_plugins.engine.odt import rounds
 from odt_plugins.engine.run import driver
+from odt_plugins.engine.surface import rounds as surface_rounds
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError
 from odt_plugins.mesh.simplex import SimplexMesh
-from odt_plugins.options import CHOICES, FIGURES, Options
+from odt_plugins.options import CHOICES, FIGURES, SOLVERS, Options
 
 DATA = Path(__file__).parent / "data"
 
@@ -45,6 +47,34 @@ def test_every_named_choice_is_accepted(name):
     for choice in CHOICES[name]:
         extra = {"solver": "global"} if name == "linear_solver" else {}
         assert getattr(api.make_options(**{name: choice}, **extra), name) == choice
+
+
+PAIRS = [(method, solver) for method in CHOICES["method"] for solver in CHOICES["solver"]]
+
+
+def test_every_pair_of_method_and_solver_that_there_is_has_its_step():
+    made = {(method, solver) for method, solvers in SOLVERS.items() for solver in solvers}
+    assert made == set(rounds.STEPS)
+    assert set(surface_rounds.STEPS) < made
+    for method, solver in PAIRS:
+        if (method, solver) in made:
+            assert Options(method=method, solver=solver).solver == solver
+            continue
+        message = (f"got method='{method}', solver='{solver}'; expected one of .* as the solver of "
+                   "this method, try solver='gauss-seidel'")
+        with pytest.raises(InvalidOptionError, match=message):
+            Options(method=method, solver=solver)
+
+
+@pytest.mark.parametrize(("options", "message"), [
+    ({"cycles": 2, "finish": False}, "got cycles=2; expected 1 without finishing"),
+    ({"cycles": 0, "finish": False}, "got cycles=0; expected 1 without finishing"),
+    ({"method": "laplacian", "density": "inverse-volume"},
+     "got density='inverse-volume'; expected 'uniform' for the method 'laplacian'"),
+])
+def test_options_without_effect_are_refused(options, message):
+    with pytest.raises(InvalidOptionError, match=message):
+        Options(**options)
 
 
 def test_options_cannot_be_made_wrong_by_hand_either():

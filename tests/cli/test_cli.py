@@ -97,13 +97,13 @@ def test_no_flag_given_means_the_defaults_of_options(place: Path, still: list[Op
 
 def test_every_flag_reaches_the_engine(place: Path, still: list[Options]) -> None:
     words = ("--method cpt --solver global --linear-solver direct --connectivity flips "
-             "--density keep --exponent 3.5 --rounds 7 --cycles 2 --no-finish --boundary fixed "
+             "--density keep --exponent 3.5 --rounds 7 --no-finish --boundary fixed "
              "--regions part --keep min_quality,max_angle --orient --threads 2")
     assert cli.main(["optimize", "in.vtu", "out.vtu", *words.split()]) == 0
     asked = still[0]
     assert asked == Options(
         method="cpt", solver="global", linear_solver="direct", connectivity="flips",
-        exponent=3.5, rounds=7, cycles=2, finish=False, regions="part",
+        exponent=3.5, rounds=7, finish=False, regions="part",
         keep=("min_quality", "max_angle"), orient=True, threads=2)
     assert cli.main(["optimize", "in.vtu", "out.vtu", "--keep", "none"]) == 0
     assert still[1].keep == ()

@@ -72,6 +72,66 @@ class Log:
         self.counts[name] = self.counts.get(name, 0) + int(amount)
 
 
+def relaxation(options: Options, dim: int) -> float:
+    """First alpha of a local sweep."""
+    if options.omega is not None:
+        return options.omega
+    if options.solver == "jacobi":
+        return DAMPED
+    return OVERRELAXED if dim == 3 and options.method == "odt" and options.finish else 1.0
+
+
+Step = Callable[
+    [FloatArray, Topology, FloatArray | None, Options, bool], tuple[FloatArray, StepStats]
+]
+
+
+def _local(
+    sweep: Callable[..., tuple[FloatArray, StepStats]], points: FloatArray, topology: Topology,
+    rho: FloatArray | None, options: Options, inverse_volume: bool,
+) -> tuple[FloatArray, StepStats]:
+    """A sweep over the vertices, each to the centre of its star: (4.13), (4.20), (4.21)."""
+    return sweep(
+        points, topology, rho, method=options.method, inverse_volume=inverse_volume,
+        omega=relaxation(options, points.shape[1]), threads=options.threads,
+    )
+
+
+def _global(
+    points: FloatArray, topology: Topology, rho: FloatArray | None, options: Options,
+    inverse_volume: bool,
+) -> tuple[FloatArray, StepStats]:
+    """All vertices by one linear system: (4.27) of ODT, (4.28) of CPT."""
+    return global_step(
+        points, topology, rho, method="cpt" if options.method == "cpt" else "odt",
+        inverse_volume=inverse_volume, linear_solver=options.linear_solver,
+    )
+
+
+def _plain(
+    step: Callable[..., tuple[FloatArray, StepStats]], points: FloatArray, topology: Topology,
+    rho: FloatArray | None, _options: Options, inverse_volume: bool,
+) -> tuple[FloatArray, StepStats]:
+    """A step that takes no option but the density."""
+    return step(points, topology, rho, inverse_volume=inverse_volume)
+
+
+STEPS: dict[tuple[str, str], Step] = {
+    ("odt", "gauss-seidel"): partial(_local, gauss_seidel_sweep),
+    ("odt", "jacobi"): partial(_local, jacobi_sweep),
+    ("odt", "richardson"): partial(_plain, richardson_step),
+    ("odt", "global"): _global,
+    ("odt", "lbfgs"): partial(_plain, lbfgs_step),
+    ("cpt", "gauss-seidel"): partial(_local, gauss_seidel_sweep),
+    ("cpt", "jacobi"): partial(_local, jacobi_sweep),
+    ("cpt", "global"): _global,
+    ("laplacian", "gauss-seidel"): partial(_local, gauss_seidel_sweep),
+    ("laplacian", "jacobi"): partial(_local, jacobi_sweep),
+    ("cvt", "gauss-seidel"): partial(_plain, cvt_step),
+}
+"""The position step of every method and solver: those of ``odt_plugins.options.SOLVERS``."""
+
+
 def position_step(
     points: FloatArray, topology: Topology, rho: FloatArray | None, options: Options,
     inverse_volume: bool,
@@ -85,32 +145,7 @@ def position_step(
     options : Options              method, solver, linear_solver, threads
     inverse_volume : bool          density (4.22)
     """
-    if options.method == "cvt":
-        return cvt_step(points, topology, rho)
-    if options.solver == "global":
-        return global_step(
-            points, topology, rho, method="cpt" if options.method == "cpt" else "odt",
-            inverse_volume=inverse_volume,
-            linear_solver=options.linear_solver,
-        )
-    if options.solver == "richardson":
-        return richardson_step(points, topology, rho, inverse_volume=inverse_volume)
-    if options.solver == "lbfgs":
-        return lbfgs_step(points, topology, rho, inverse_volume=inverse_volume)
-    sweep = jacobi_sweep if options.solver == "jacobi" else gauss_seidel_sweep
-    return sweep(
-        points, topology, rho, method=options.method, inverse_volume=inverse_volume,
-        omega=relaxation(options, points.shape[1]), threads=options.threads,
-    )
-
-
-def relaxation(options: Options, dim: int) -> float:
-    """First alpha of a local sweep."""
-    if options.omega is not None:
-        return options.omega
-    if options.solver == "jacobi":
-        return DAMPED
-    return OVERRELAXED if dim == 3 and options.method == "odt" and options.finish else 1.0
+    return STEPS[options.method, options.solver](points, topology, rho, options, inverse_volume)
 
 
 def held_to_bounds(

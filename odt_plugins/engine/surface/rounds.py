@@ -28,11 +28,11 @@ from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.components import components
 from odt_plugins.options import Options
 
-METHODS = {"odt": ODT, "cpt": CPT, "laplacian": LAPLACIAN}
-SOLVERS = ("gauss-seidel", "jacobi", "global")
-
 SETTLED = 2e-3
 """A stage ends with a round that lowers the energy by less than this part of it."""
+
+CONNECTIVITY = ("auto", "flips", "none")
+"""How a surface is reconnected; scipy triangulates the plane and space only."""
 
 TRIALS = 4
 """Step lengths alpha = 1, 1/2, 1/4, ... of a global step."""
@@ -43,10 +43,13 @@ def check_method(options: Options) -> None:
 
     Raises
     ------
-    InvalidOptionError    method, solver or objective
+    InvalidOptionError    method, solver, connectivity or objective
     """
-    for name, value, known in (("method", options.method, tuple(METHODS)),
-                               ("solver", options.solver, SOLVERS),
+    methods = tuple(dict.fromkeys(method for method, _ in STEPS))
+    solvers = tuple(solver for method, solver in STEPS if method == options.method)
+    for name, value, known in (("method", options.method, methods),
+                               ("solver", options.solver, solvers),
+                               ("connectivity", options.connectivity, CONNECTIVITY),
                                ("objective", options.objective, ("radius_ratio",))):
         if value not in known:
             msg = f"got {name}={value!r} for a curved surface; expected one of {known} there"
@@ -100,30 +103,39 @@ def step(
     equal_weights: bool,
 ) -> None:
     """Move all vertices once, in place, by the chosen method and solver (Sections 4.1 to 4.3)."""
-    move = partial(move_all, surface, rho=rho, bounds=bounds)
-    if options.solver == "global":
-        moved = _global_step(surface, rho, options, bounds, equal_weights=equal_weights)
-    elif options.solver == "jacobi":
-        stars = surface.stars()
-        vectors = np.zeros_like(surface.points)
-        star_centres(surface.sheet, stars.indptr, stars.indices, rho, equal_weights,
-                     METHODS[options.method], vectors)
-        omega = DAMPED if options.omega is None else options.omega
-        moved, _ = move(GIVEN, vectors=vectors, omega=omega)
-    else:
-        omega = 1.0 if options.omega is None else options.omega
-        moved, _ = move(METHODS[options.method], equal_weights=equal_weights, omega=omega)
+    moved = STEPS[options.method, options.solver](surface, rho, options, bounds, equal_weights)
     log.add("vertex moves", moved)
 
 
-def _global_step(
-    surface: Surface, rho: FloatArray, options: Options, bounds: FloatArray, *,
+def _sweep(
+    centre: int, surface: Surface, rho: FloatArray, options: Options, bounds: FloatArray,
+    equal_weights: bool,
+) -> int:
+    """Move the vertices one after another to the centres of their stars."""
+    omega = 1.0 if options.omega is None else options.omega
+    return move_all(surface, centre, rho, bounds, equal_weights=equal_weights, omega=omega)[0]
+
+
+def _jacobi(
+    centre: int, surface: Surface, rho: FloatArray, options: Options, bounds: FloatArray,
+    equal_weights: bool,
+) -> int:
+    """Move all vertices towards the centres that their stars have before any of them moves."""
+    stars = surface.stars()
+    vectors = np.zeros_like(surface.points)
+    star_centres(surface.sheet, stars.indptr, stars.indices, rho, equal_weights, centre, vectors)
+    omega = DAMPED if options.omega is None else options.omega
+    return move_all(surface, GIVEN, rho, bounds, vectors=vectors, omega=omega)[0]
+
+
+def _global(
+    barycentric: bool, surface: Surface, rho: FloatArray, options: Options, bounds: FloatArray,
     equal_weights: bool,
 ) -> int:
     """One step of (4.27) or (4.28) in the tangent planes, shortened until the energy falls."""
     points, triangles = surface.points, surface.triangles
     rho_tau = frozen_density(points, triangles, rho, equal_weights)
-    direction = _global_direction(surface, rho_tau, options)
+    direction = _direction(surface, rho_tau, options, barycentric=barycentric)
     before = energy(points, triangles, rho_tau)
     start = surface.copy()
     for trial in range(TRIALS):
@@ -134,8 +146,21 @@ def _global_step(
     return 0
 
 
-def _global_direction(
-    surface: Surface, rho_tau: FloatArray, options: Options
+STEPS: dict[tuple[str, str], Callable[..., int]] = {
+    ("odt", "gauss-seidel"): partial(_sweep, ODT),
+    ("odt", "jacobi"): partial(_jacobi, ODT),
+    ("odt", "global"): partial(_global, False),
+    ("cpt", "gauss-seidel"): partial(_sweep, CPT),
+    ("cpt", "jacobi"): partial(_jacobi, CPT),
+    ("cpt", "global"): partial(_global, True),
+    ("laplacian", "gauss-seidel"): partial(_sweep, LAPLACIAN),
+    ("laplacian", "jacobi"): partial(_jacobi, LAPLACIAN),
+}
+"""The step of every method and solver that surfaces have; it returns how many vertices moved."""
+
+
+def _direction(
+    surface: Surface, rho_tau: FloatArray, options: Options, *, barycentric: bool
 ) -> FloatArray:
     """Full step -A^-1 grad E of (4.27), or that of (4.28), the gradient in the tangent planes.
 
@@ -146,7 +171,7 @@ def _global_direction(
     movable[_pins(triangles, movable)] = False
     topology = make_topology(triangles, movable, kind != SMOOTH, surface.stars())
     centers = barycenters(points, triangles)
-    if options.method != "cpt":
+    if not barycentric:
         inner = ~topology.boundary_cells
         centers[inner] = circumcenters(points, triangles[inner])
     slope = _tangential(centers_gradient(points, triangles, centers, rho_tau), points, triangles)

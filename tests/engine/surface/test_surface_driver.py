@@ -304,6 +304,7 @@ def test_orientation_is_put_right_on_demand_only():
     ({"feature_angle": 0}, "feature_angle=0"),
     ({"solver": "lbfgs"}, r"solver='lbfgs' for a curved surface; expected one of"),
     ({"method": "cvt"}, r"method='cvt' for a curved surface"),
+    ({"connectivity": "delaunay"}, r"connectivity='delaunay' for a curved surface"),
     ({"objective": "amips"}, r"objective='amips' for a curved surface"),
     ({"density": "curved"}, "density='curved'"),
     ({"density": np.ones(7)}, r"density of shape \(7,\)"),
