@@ -5,16 +5,14 @@ This is the only place where adapters and engine meet.
 
 from __future__ import annotations
 
-import difflib
-import inspect
 import os
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import fields, replace
-from typing import TYPE_CHECKING, Any, NamedTuple, TypedDict, TypeVar, Unpack, overload
+from typing import TYPE_CHECKING, Any, NamedTuple, TypeVar, Unpack, overload
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import NDArray
 
 from odt_plugins.adapters.files import check_output, read_file, write_file
 from odt_plugins.adapters.host import CHARTS, Adapter, Feet, HostMesh, NewVertices, Result
@@ -28,16 +26,7 @@ from odt_plugins.mesh.numbering import in_old_numbers, new_numbers, old_numbers
 from odt_plugins.mesh.plane import PlaneFrame, plane_frame
 from odt_plugins.mesh.simplex import SimplexMesh, compact_labels, mesh_arrays, reverse, simplex_mesh
 from odt_plugins.mesh.surface import surface_mesh
-from odt_plugins.options import (
-    Boundary,
-    Connectivity,
-    LinearSolver,
-    Method,
-    Objective,
-    Options,
-    Progress,
-    Solver,
-)
+from odt_plugins.options import OptionKeywords, Options, make_options, with_option_signature
 
 if TYPE_CHECKING:
     from odt_plugins.engine.run.driver import Outcome
@@ -47,39 +36,11 @@ if TYPE_CHECKING:
 TURNED = "the input, since cells were turned over on the way out"
 
 MeshT = TypeVar("MeshT")
-FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
 ROUNDED = (
     "the input, since the optimised coordinates broke the promise once rounded to the caller's "
     "type: "
 )
-
-
-class OptionKeywords(TypedDict, total=False):
-    """Keyword arguments of :func:`optimize`: the fields of :class:`odt_plugins.Options`."""
-
-    method: Method
-    solver: Solver
-    linear_solver: LinearSolver
-    connectivity: Connectivity
-    density: str | ArrayLike | Callable[[FloatArray], ArrayLike]
-    exponent: float | None
-    omega: float | None
-    rounds: int
-    cycles: int
-    finish: bool
-    objective: Objective
-    insert: bool
-    boundary: Boundary
-    envelope: float
-    feature_angle: float
-    fixed: ArrayLike | None
-    selection: ArrayLike | None
-    regions: str | ArrayLike | None
-    keep: tuple[str, ...]
-    orient: bool
-    threads: int
-    progress: Progress | None
 
 
 class _Prepared(NamedTuple):
@@ -92,25 +53,11 @@ class _Prepared(NamedTuple):
     orientation: int
 
 
-def with_option_signature(function: FunctionT) -> FunctionT:
-    """Let help() and inspect show every option with its default instead of `**options`."""
-    signature = inspect.signature(function)
-    own = [p for p in signature.parameters.values() if p.kind is not p.VAR_KEYWORD]
-    keywords = [
-        inspect.Parameter(
-            f.name, inspect.Parameter.KEYWORD_ONLY, default=f.default, annotation=f.type
-        )
-        for f in fields(Options)
-    ]
-    function.__signature__ = signature.replace(parameters=[*own, *keywords])  # type: ignore[attr-defined]
-    return function
-
-
 @overload
 def optimize(mesh: str | os.PathLike[str], **options: Unpack[OptionKeywords]) -> Any: ...
 @overload
 def optimize(mesh: MeshT, **options: Unpack[OptionKeywords]) -> MeshT: ...
-@with_option_signature
+@with_option_signature()
 def optimize(mesh: Any, **options: Unpack[OptionKeywords]) -> Any:
     """Improve a mesh of tetrahedra or of triangles by Optimal Delaunay Triangulation.
 
@@ -164,7 +111,7 @@ def optimize_with_report(
 def optimize_with_report(
     mesh: MeshT, **options: Unpack[OptionKeywords]
 ) -> tuple[MeshT, Report]: ...
-@with_option_signature
+@with_option_signature()
 def optimize_with_report(mesh: Any, **options: Unpack[OptionKeywords]) -> tuple[Any, Report]:
     """Improve a mesh as :func:`optimize` does and tell what was done.
 
@@ -180,7 +127,7 @@ def optimize_with_report(mesh: Any, **options: Unpack[OptionKeywords]) -> tuple[
     return result, make_report(before, outcome, chosen)
 
 
-@with_option_signature
+@with_option_signature()
 def optimize_file(
     source: str | os.PathLike[str],
     target: str | os.PathLike[str],
@@ -232,30 +179,6 @@ def measure(mesh: Any) -> QualitySummary:
     if 2 * int((volumes(p, t) < 0).sum()) > len(t):
         t = reverse(t, np.ones(len(t), dtype=np.bool_))
     return summarize(p, t)
-
-
-def make_options(**options: Any) -> Options:
-    """Make :class:`Options` of keyword arguments.
-
-    Raises
-    ------
-    InvalidOptionError    an unknown name, or a value out of range; both say what is expected
-    """
-    names = [f.name for f in fields(Options)]
-    unknown = [name for name in options if name not in names]
-    if unknown:
-        near = difflib.get_close_matches(unknown[0], names, n=1)
-        hint = f", did you mean {near[0]!r}?" if near else ""
-        msg = f"got unknown options {unknown}; expected some of {names}{hint}"
-        raise InvalidOptionError(msg)
-    return Options(**{name: _plain(value) for name, value in options.items()})
-
-
-def _plain(value: Any) -> Any:
-    """A tensor of open3d or another library as an array of numpy, anything else as it is."""
-    if isinstance(value, np.ndarray) or not callable(getattr(value, "numpy", None)):
-        return value
-    return np.array((value.cpu() if hasattr(value, "cpu") else value).numpy())
 
 
 def _keywords(options: Options) -> OptionKeywords:

@@ -1,11 +1,17 @@
-"""Every option of :func:`odt_plugins.optimize`, with its default: one list for API and CLI."""
+"""Every option of :func:`odt_plugins.optimize`: the list of which API, hosts and CLI are made."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+import difflib
+import inspect
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, fields
 from numbers import Integral, Real
-from typing import Any, Literal, get_args
+from textwrap import wrap
+from typing import Any, Literal, TypedDict, TypeVar, get_args
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from odt_plugins.errors import InvalidOptionError
 
@@ -16,14 +22,8 @@ Boundary = Literal["fixed", "slide"]
 Objective = Literal["radius_ratio", "min_dihedral", "amips"]
 LinearSolver = Literal["auto", "direct", "amg"]
 
-CHOICES: dict[str, tuple[str, ...]] = {
-    "method": get_args(Method),
-    "solver": get_args(Solver),
-    "linear_solver": get_args(LinearSolver),
-    "connectivity": get_args(Connectivity),
-    "objective": get_args(Objective),
-    "boundary": get_args(Boundary),
-}
+FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
+
 SOLVERS: dict[str, tuple[str, ...]] = {
     "odt": ("gauss-seidel", "jacobi", "richardson", "global", "lbfgs"),
     "cpt": ("gauss-seidel", "jacobi", "global"),
@@ -42,82 +42,127 @@ COMPILING = "compiling the kernels, once after installation: about half a minute
 """Stage of which a progress callback is told while kernels are compiled."""
 
 
+def _told(
+    text: str, *, python: str = "", flag: str | None = "", choices: tuple[str, ...] = (),
+    least: int = 0,
+) -> dict[str, Any]:
+    """What is told of an option, as metadata of its field.
+
+    Parameters
+    ----------
+    text : str               what the option means, in every host; under the key "help"
+    python : str             what Python users are told besides
+    flag : str, optional     what users of the command line are told besides; None: there is no flag
+    choices : tuple of str   all values there are, of a word
+    least : int              smallest value of an integer
+    """
+    return {"help": text, "python": python, "flag": flag, "choices": choices, "least": least}
+
+
 @dataclass(frozen=True)
 class Options:
-    """Options of one run; the names are those of the keyword arguments and CLI flags.
+    """Options of one run."""
 
-    Attributes
-    ----------
-    method            which centre a vertex moves to: "odt" circumcenters (4.13), "cpt"
-                      barycenters (4.20), "laplacian" neighbours (4.21), "cvt" Lloyd
-    solver            how the positions are iterated (Section 4.1, 4.3; "lbfgs" through scipy);
-                      "cpt" has the local sweeps and "global" (4.28), "laplacian" the sweeps only,
-                      and "cvt" Lloyd's iteration only, under the default
-    linear_solver     of the global step: "direct", "amg", or "auto" by size
-    connectivity      "delaunay" scipy every round, "flips" only local flips, "auto" scipy
-                      first and flips later (Section 3.2), "none"
-    density           "keep" (size field of the input mesh), "uniform", "inverse-volume" (4.22; not
-                      for "laplacian", which weighs no cells),
-                      "curvature" (curved surfaces: fine where they bend),
-                      (m,) per-cell or (n,) per-vertex rho values, a callable rho(points)
-    exponent          r in rho = h^-r for "keep"; None means d + 2
-    omega             relaxation of the local sweeps, the first alpha that is tried (4.2.1); None
-                      means 1.95 for odt in space by Gauss-Seidel with finishing (over-relaxation
-                      reaches lower energies), else 1, and 0.8 for jacobi
-    rounds            most rounds of stage 1 (smoothing + connectivity) in one cycle
-    cycles            how often stage 1 and stage 2 follow each other; 1 without finishing
-    finish            whether stage 2, quality-driven finishing, runs
-    objective         what finishing improves: "radius_ratio" (5.1), "min_dihedral" the smallest
-                      (dihedral) angles, "amips" the energy that TetWild minimises
-    insert            whether finishing of tetrahedra may add and remove vertices inside, where
-                      nothing else helps; at most 10 % more than before
-    boundary          "fixed": bit for bit; "slide": the surface of a mesh of tetrahedra moves
-                      along itself within the envelope, features and interfaces stay. A curved
-                      mesh of triangles always does; there "fixed" keeps its rims and feature
-                      lines, and "slide" lets them change within half of the envelope
-    envelope          how far a surface that moves may be from the input's, both ways, as a part
-                      of the diagonal of the bounding box
-    feature_angle     degrees by which a surface turns at an edge that is kept; chains of fewer
-                      than five such edges with a loose end count as noise and are not
-    fixed             (n,) bool mask or vertex indices that must not move
-    selection         (m,) bool mask or cell indices: only these cells may change
-    regions           (m,) integer labels whose interfaces stay, or name of a cell array; "charts"
-                      keeps the seams of the texture of a curved surface
-    keep              figures that must not get worse (names in FIGURES)
-    orient            turn cells of mixed orientation instead of refusing them
-    threads           worker threads; the result does not depend on it
-    progress          callback progress(stage, fraction)
-    """
-
-    method: Method = "odt"
-    solver: Solver = "gauss-seidel"
-    linear_solver: LinearSolver = "auto"
-    connectivity: Connectivity = "auto"
-    density: Any = "keep"
-    exponent: float | None = None
-    omega: float | None = None
-    rounds: int = 40
-    cycles: int = 1
-    finish: bool = True
-    objective: Objective = "radius_ratio"
-    insert: bool = False
-    boundary: Boundary = "fixed"
-    envelope: float = 1e-3
-    feature_angle: float = 40.0
-    fixed: Any = None
-    selection: Any = None
-    regions: Any = None
-    keep: tuple[str, ...] = FIGURES
-    orient: bool = False
-    threads: int = 1
-    progress: Progress | None = None
+    method: Method = field(default="odt", metadata=_told(
+        "Centre that a vertex moves to: circumcenters (odt), barycenters (cpt), neighbours "
+        "(laplacian), centroids of Voronoi cells (cvt).",
+        python="Formulas (4.13), (4.20), (4.21) and Remark 4.8.",
+        choices=get_args(Method)))
+    solver: Solver = field(default="gauss-seidel", metadata=_told(
+        "How the positions are iterated. All solvers go with odt; gauss-seidel, jacobi and global "
+        "with cpt; gauss-seidel and jacobi with laplacian; cvt has Lloyd's iteration only, under "
+        "the default.",
+        python="Sections 4.1 and 4.3, formulas (4.27) and (4.28); lbfgs runs through scipy.",
+        choices=get_args(Solver)))
+    linear_solver: LinearSolver = field(default="auto", metadata=_told(
+        "Solver of the global step; auto chooses by size.", choices=get_args(LinearSolver)))
+    connectivity: Connectivity = field(default="auto", metadata=_told(
+        "How cells are reconnected in stage 1: by scipy every round (delaunay), by local flips "
+        "(flips), by scipy first and flips later (auto), or not (none).",
+        python="Sections 3.1 and 3.2.",
+        choices=get_args(Connectivity)))
+    density: Any = field(default="keep", metadata=_told(
+        "Sizes of the result: those of the input (keep), all alike (uniform), averages that weigh "
+        "all cells alike (inverse-volume, not for laplacian), fine where a curved surface bends "
+        "(curvature).",
+        python="Or values of rho: (m,) for the cells, (n,) for the vertices, or a callable "
+        "rho(points). inverse-volume is (4.22).",
+        flag="Or the name of a point or cell array of INPUT with the values of rho."))
+    exponent: float | None = field(default=None, metadata=_told(
+        "r in rho = h^-r for the density keep; d + 2 unless given."))
+    omega: float | None = field(default=None, metadata=_told(
+        "Relaxation of the local sweeps, between 0 and 2; unless given 1.95 for odt in space by "
+        "gauss-seidel with finishing, which reaches lower energies, 0.8 for jacobi, else 1.",
+        python="The first alpha that is tried (4.2.1)."))
+    rounds: int = field(default=40, metadata=_told(
+        "Most rounds of smoothing and reconnection in one cycle."))
+    cycles: int = field(default=1, metadata=_told(
+        "How often the two stages follow each other; 1 without finishing."))
+    finish: bool = field(default=True, metadata=_told(
+        "Whether bad cells are finished by their quality, stage 2.",
+        flag="Without it a TetWild mesh usually comes back unchanged, since smoothing alone makes "
+        "its worst cells worse and --keep refuses that; to have the smoothed mesh all the "
+        "same: --no-finish --keep none."))
+    objective: Objective = field(default="radius_ratio", metadata=_told(
+        "What finishing improves: radius ratios, the smallest (dihedral) angles, or the energy "
+        "that TetWild minimises (amips).",
+        python="radius_ratio is (5.1).",
+        choices=get_args(Objective)))
+    insert: bool = field(default=False, metadata=_told(
+        "Whether finishing of tetrahedra may add and remove vertices inside where nothing else "
+        "helps, at most 10 % more than before; new ones come last and their data are "
+        "interpolated."))
+    boundary: Boundary = field(default="fixed", metadata=_told(
+        "What happens to the boundary: fixed keeps it bit for bit, slide lets the surface of a "
+        "mesh of tetrahedra move along itself within the envelope; features and interfaces stay. "
+        "A curved mesh of triangles always does; there fixed keeps its rims and feature lines, "
+        "and slide lets them change within half of the envelope.",
+        choices=get_args(Boundary)))
+    envelope: float = field(default=1e-3, metadata=_told(
+        "How far a surface that moves may be from the input's, both ways, as a part of the "
+        "diagonal of the bounding box."))
+    feature_angle: float = field(default=40.0, metadata=_told(
+        "Degrees by which a surface turns at an edge that is kept. Chains of fewer than five such "
+        "edges with a loose end count as noise."))
+    fixed: Any = field(default=None, metadata=_told(
+        "Vertices that must not move.",
+        python="(n,) bool mask or vertex indices.",
+        flag="A file of indices (text or .npy), or the name of a point array, non-zero where "
+        "fixed."))
+    selection: Any = field(default=None, metadata=_told(
+        "Cells that may change; all others stay.",
+        python="(m,) bool mask or cell indices.",
+        flag="A file of indices (text or .npy), or the name of a cell array, non-zero where "
+        "selected."))
+    regions: Any = field(default=None, metadata=_told(
+        "Labels of the cells; interfaces between labels stay.",
+        python="(m,) integers, or the name of a cell array; charts keeps the seams of the texture "
+        "of a curved surface.",
+        flag="Name of a cell array; charts keeps the seams of the texture of a curved surface."))
+    keep: tuple[str, ...] = field(default=FIGURES, metadata=_told(
+        "Figures that must not get worse.",
+        flag="Separated by commas; none to keep no figure."))
+    orient: bool = field(default=False, metadata=_told(
+        "Whether cells of mixed orientation are turned instead of refused."))
+    threads: int = field(default=1, metadata=_told(
+        "Worker threads; the result does not depend on it.", least=1))
+    progress: Progress | None = field(default=None, metadata=_told(
+        "Callback progress(stage, fraction).", flag=None))
 
     def __post_init__(self) -> None:
         """Refuse values outside their range, and options that would have no effect."""
-        for name, choices in CHOICES.items():
-            value = getattr(self, name)
-            good = isinstance(value, str) and value in choices
-            _expect(good, name, value, f"one of {choices}")
+        for name, about in OPTIONS.items():
+            value, choices, least = (getattr(self, name), about.metadata["choices"],
+                                     about.metadata["least"])
+            if choices:
+                good = isinstance(value, str) and value in choices
+                _expect(good, name, value, f"one of {choices}")
+            if isinstance(about.default, bool):
+                _expect(isinstance(value, bool), name, value, "a bool")
+            elif isinstance(about.default, int):
+                good = isinstance(value, Integral) and not isinstance(value, bool)
+                good = good and int(value) >= least
+                _expect(good, name, value, f"an integer of at least {least}")
         known = SOLVERS[self.method]
         if self.solver not in known:
             msg = (
@@ -148,13 +193,6 @@ class Options:
         _expect(good, "envelope", self.envelope, "a part of the diagonal, between 0 and 1")
         good = _is_number(self.feature_angle) and 0 < self.feature_angle <= 180
         _expect(good, "feature_angle", self.feature_angle, "degrees above 0, at most 180")
-        for name, least in (("rounds", 0), ("cycles", 0), ("threads", 1)):
-            value = getattr(self, name)
-            good = isinstance(value, Integral) and not isinstance(value, bool)
-            good = good and int(value) >= least
-            _expect(good, name, value, f"an integer of at least {least}")
-        for name in ("finish", "insert", "orient"):
-            _expect(isinstance(getattr(self, name), bool), name, getattr(self, name), "a bool")
         if not self.finish:
             good = self.objective == "radius_ratio"
             _expect(good, "objective", self.objective, "'radius_ratio' without finishing")
@@ -174,3 +212,111 @@ def _expect(good: bool, name: str, value: object, expected: str) -> None:
     if not good:
         msg = f"got {name}={value!r}; expected {expected}"
         raise InvalidOptionError(msg)
+
+
+OPTIONS = {about.name: about for about in fields(Options)}
+"""Every field of :class:`Options` by its name, with its metadata, see :func:`_told`."""
+
+
+def _documentation() -> str:
+    """Docstring of :class:`Options`: meaning, type and default of every field."""
+    lines = [
+        "Options of one run; the names are those of the keyword arguments and of the flags.",
+        "",
+        "    Numbers of formulas and sections are those of L. Chen, M. Holst, CMAME 200 (2011)",
+        "    967-984, doi:10.1016/j.cma.2010.11.007.",
+        "",
+        "    Attributes",
+        "    ----------",
+    ]
+    for name, about in OPTIONS.items():
+        choices = about.metadata["choices"]
+        kind = "{" + ", ".join(map(repr, choices)) + "}" if choices else about.type
+        lines.append(f"    {name} : {kind}, default {about.default!r}")
+        lines += wrap(meaning(name), 92, initial_indent=8 * " ", subsequent_indent=8 * " ")
+    return "\n".join([*lines, "    "])
+
+
+def meaning(name: str) -> str:
+    """What an option means, as Python users are told."""
+    about = OPTIONS[name].metadata
+    return f"{about['help']} {about['python']}".strip()
+
+
+Options.__doc__ = _documentation()
+
+
+class OptionKeywords(TypedDict, total=False):
+    """Keyword arguments of :func:`odt_plugins.optimize`: the fields of :class:`Options`.
+
+    A type checker cannot derive these from :class:`Options`; a test holds both equal.
+    """
+
+    method: Method
+    solver: Solver
+    linear_solver: LinearSolver
+    connectivity: Connectivity
+    density: str | ArrayLike | Callable[[NDArray[np.float64]], ArrayLike]
+    exponent: float | None
+    omega: float | None
+    rounds: int
+    cycles: int
+    finish: bool
+    objective: Objective
+    insert: bool
+    boundary: Boundary
+    envelope: float
+    feature_angle: float
+    fixed: ArrayLike | None
+    selection: ArrayLike | None
+    regions: str | ArrayLike | None
+    keep: tuple[str, ...]
+    orient: bool
+    threads: int
+    progress: Progress | None
+
+
+def with_option_signature(*without: str) -> Callable[[FunctionT], FunctionT]:
+    """Let help() and inspect show every option but some instead of `**options`."""
+
+    def decorate(function: FunctionT) -> FunctionT:
+        signature = inspect.signature(function)
+        own = [p for p in signature.parameters.values() if p.kind is not p.VAR_KEYWORD]
+        keywords = [
+            inspect.Parameter(
+                name, inspect.Parameter.KEYWORD_ONLY, default=about.default, annotation=about.type
+            )
+            for name, about in OPTIONS.items() if name not in without
+        ]
+        function.__signature__ = signature.replace(parameters=[*own, *keywords])  # type: ignore[attr-defined]
+        return function
+
+    return decorate
+
+
+def make_options(odt: Mapping[str, Any] | None = None, /, **options: Any) -> Options:
+    """Make :class:`Options` of keyword arguments, and of those in a dict.
+
+    Raises
+    ------
+    InvalidOptionError    a name that is unknown or given twice, or a value out of range
+    """
+    twice = sorted(set(odt or ()) & set(options))
+    if twice:
+        msg = f"got {twice} as keywords and in odt={{...}}; expected each option once"
+        raise InvalidOptionError(msg)
+    given = {**(odt or {}), **options}
+    unknown = [name for name in given if name not in OPTIONS]
+    if unknown:
+        near = difflib.get_close_matches(unknown[0], OPTIONS, n=1)
+        hint = f", did you mean {near[0]!r}?" if near else ""
+        msg = f"got unknown options {unknown}; expected some of {list(OPTIONS)}{hint}"
+        raise InvalidOptionError(msg)
+    return Options(**{name: _plain(value) for name, value in given.items()})
+
+
+def _plain(value: Any) -> Any:
+    """A tensor of open3d or another library as an array of numpy, anything else as it is."""
+    if isinstance(value, np.ndarray) or not callable(getattr(value, "numpy", None)):
+        return value
+    return np.array((value.cpu() if hasattr(value, "cpu") else value).numpy())

@@ -18,10 +18,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.api import make_options
 from odt_plugins.api import optimize as optimize_mesh
 from odt_plugins.errors import CrashError, InvalidMeshError, InvalidOptionError, exit_name, require
 from odt_plugins.mesh.simplex import mesh_arrays
+from odt_plugins.options import make_options
 
 PROGRAM = """
 import pickle

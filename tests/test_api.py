@@ -5,11 +5,14 @@ from __future__ import annotations
 import doctest
 import inspect
 from dataclasses import fields
+from itertools import product
 from pathlib import Path
+from typing import Any, get_args, get_type_hints
 
 import contract
 import meshio
 import numpy as np
+import option_table
 import pytest
 import tet_meshes as tm
 
@@ -20,15 +23,25 @@ from odt_plugins.engine.odt import rounds
 from odt_plugins.engine.run import driver
 from odt_plugins.engine.surface import rounds as surface_rounds
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError
+from odt_plugins.hosts import filter_table, open3d_filters, pyvista_accessor
 from odt_plugins.mesh.simplex import SimplexMesh
-from odt_plugins.options import CHOICES, FIGURES, SOLVERS, Options
+from odt_plugins.options import (
+    DENSITIES,
+    FIGURES,
+    OPTIONS,
+    SOLVERS,
+    Method,
+    OptionKeywords,
+    Options,
+    Solver,
+    make_options,
+)
 
 DATA = Path(__file__).parent / "data"
 
 
 def test_options_are_the_keywords_of_every_public_function():
     options = {f.name: f.default for f in fields(Options)}
-    assert sorted(api.OptionKeywords.__annotations__) == sorted(options)
     for function in (odt_plugins.optimize, odt_plugins.optimize_with_report,
                      odt_plugins.optimize_file):
         parameters = inspect.signature(function).parameters.values()
@@ -37,19 +50,60 @@ def test_options_are_the_keywords_of_every_public_function():
         assert list(keywords) == list(options)
 
 
+def test_the_types_of_keywords_are_those_of_options():
+    keywords, of_options = get_type_hints(OptionKeywords), get_type_hints(Options)
+    assert list(keywords) == list(of_options) == list(OPTIONS)
+    for name, kind in keywords.items():
+        assert of_options[name] in (kind, Any), name
+
+
+def test_hosts_show_the_keywords_that_they_take():
+    named = set(OPTIONS)
+    for function, without in (
+        (open3d_filters.optimize_odt, set()),
+        (open3d_filters.filter_smooth_cpt,
+         {"rounds", "method", "cycles", "connectivity", "finish", "objective", "insert"}),
+        (pyvista_accessor.OdtAccessor.optimize, set()),
+        (odt_plugins.refine_and_optimize, set()),
+    ):
+        parameters = inspect.signature(function).parameters
+        assert set(parameters) & named == named - without, function
+        assert "options" not in parameters
+
+
+def test_the_parameters_for_meshlab_are_those_of_options():
+    table = filter_table
+    for parameter, name in ((table.ROUNDS, "rounds"), (table.ITERATIONS, "cycles"),
+                            (table.DENSITY, "density"), (table.ANGLE, "feature_angle")):
+        assert parameter.default == OPTIONS[name].default
+    assert table.ENVELOPE.default == pytest.approx(100.0 * Options.envelope)
+    assert table.DENSITY.choices == DENSITIES
+    assert table.DENSITY.help == OPTIONS["density"].metadata["help"]
+
+
 def test_every_option_is_documented():
-    for f in fields(Options):
-        assert f"\n    {f.name} " in Options.__doc__, f.name
+    text = " ".join(Options.__doc__.split())
+    for name, about in OPTIONS.items():
+        assert f"{name} : " in text
+        assert about.metadata["help"].endswith(".")
+        for part in ("help", "python"):
+            assert about.metadata[part] in text, name
+
+
+def test_the_table_of_options_on_the_page_is_that_of_the_package():
+    page = option_table.PAGE.read_text(encoding="utf-8")
+    assert option_table.on_page(page) == option_table.table(), (
+        "run python tests/helpers/option_table.py")
 
 
 @pytest.mark.parametrize("name", ["method", "solver", "linear_solver", "connectivity", "boundary"])
 def test_every_named_choice_is_accepted(name):
-    for choice in CHOICES[name]:
+    for choice in OPTIONS[name].metadata["choices"]:
         extra = {"solver": "global"} if name == "linear_solver" else {}
-        assert getattr(api.make_options(**{name: choice}, **extra), name) == choice
+        assert getattr(make_options(**{name: choice}, **extra), name) == choice
 
 
-PAIRS = [(method, solver) for method in CHOICES["method"] for solver in CHOICES["solver"]]
+PAIRS = list(product(get_args(Method), get_args(Solver)))
 
 
 def test_every_pair_of_method_and_solver_that_there_is_has_its_step():

@@ -31,7 +31,7 @@ MAY_IMPORT = {
     "carry": {"engine", "errors", "mesh"},
     "report": {"engine", *BASE},
     "api": {"adapters", "carry", "engine", "report", *BASE},
-    "tetwild": {"api", "errors", "mesh"},
+    "tetwild": {"api", "errors", "mesh", "options"},
     "hosts": {"adapters", "api", "report", "tetwild", *BASE},
     "generate": {"adapters", "api", "engine", "report", "tetwild", *BASE},
     "compare": {"adapters", "api", "engine", "generate", "report", *BASE},

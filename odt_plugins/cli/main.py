@@ -10,9 +10,8 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import fields
 from pathlib import Path
-from typing import Any, Literal, get_args, get_origin, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 import click
 import numpy as np
@@ -25,46 +24,10 @@ from odt_plugins.cli.terminal import (
     write_beside,
 )
 from odt_plugins.errors import InvalidOptionError, ODTError
-from odt_plugins.options import DENSITIES, FIGURES, Options
+from odt_plugins.options import DENSITIES, FIGURES, OPTIONS, Options
 from odt_plugins.signals import handling
 
 DONE, COULD_NOT, WRONG_USE = 0, 1, 2
-
-HELP = {
-    "method": "Centre a vertex moves to: circumcenters (odt), barycenters (cpt), neighbours "
-              "(laplacian), Lloyd (cvt).",
-    "solver": "How the positions are iterated.",
-    "linear_solver": "Solver of the global step.",
-    "connectivity": "How cells are reconnected.",
-    "density": "keep, uniform, inverse-volume, curvature (of a curved surface), or the name of a "
-               "point or cell array of INPUT with the values of rho.",
-    "exponent": "r in rho = h^-r for the density keep; d + 2 unless given.",
-    "omega": "Relaxation of the local sweeps, between 0 and 2; chosen by method unless given.",
-    "rounds": "Most rounds of smoothing and reconnection in one cycle.",
-    "cycles": "How often the two stages follow each other.",
-    "finish": "Whether bad cells are finished by their quality. Without it a TetWild mesh usually "
-              "comes back unchanged, since smoothing alone makes its worst cells worse and --keep "
-              "refuses that; to have the smoothed mesh all the same: --no-finish --keep none.",
-    "objective": "What finishing improves: radius ratios, the smallest (dihedral) angles, or the "
-                 "energy that TetWild minimises.",
-    "insert": "Whether finishing of tetrahedra may add and remove vertices inside, at most 10 % "
-              "more than before; new ones come last and their data are interpolated.",
-    "boundary": "What happens to the boundary: fixed keeps it bit for bit, slide lets the surface "
-                "of a mesh of tetrahedra move along itself within the envelope. A curved mesh of "
-                "triangles always does; slide lets its rims and feature lines change too.",
-    "envelope": "How far a surface that moves may be from the input's, both ways, as a part of the "
-                "diagonal of the bounding box.",
-    "feature_angle": "Degrees by which a surface turns at an edge that is kept. Chains of fewer "
-                     "than five such edges with a loose end count as noise.",
-    "fixed": "Vertices that must not move: a file of indices (text or .npy), or the name of a "
-             "point array, non-zero where fixed.",
-    "selection": "Cells that may change: a file of indices (text or .npy), or the name of a "
-                 "cell array, non-zero where selected.",
-    "regions": "Name of the cell array of region labels; interfaces between labels stay.",
-    "keep": "Figures that must not get worse, separated by commas; none to keep no figure.",
-    "orient": "Turn cells of mixed orientation instead of refusing them.",
-    "threads": "Worker threads; the result does not depend on it.",
-}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -128,28 +91,28 @@ def cli() -> None:
 
 
 def _option_flags(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Give a command one flag for every field of Options; names and defaults are read there."""
+    """Give a command one flag for every option that has one; all that is said is read there."""
     hints = get_type_hints(Options)
-    for field in reversed(fields(Options)):
-        if field.name == "progress":
+    for name, about in reversed(OPTIONS.items()):
+        told, default = about.metadata, about.default
+        if told["flag"] is None:
             continue
-        flag = "--" + field.name.replace("_", "-")
-        settings: dict[str, Any] = {"default": field.default, "help": HELP[field.name],
-                                    "show_default": field.default is not None}
-        hint = hints[field.name]
-        if get_origin(hint) is Literal:
-            settings["type"] = click.Choice(get_args(hint))
-        elif hint is bool:
-            flag = f"{flag}/--no-{field.name.replace('_', '-')}"
-        elif hint is int:
-            settings["type"] = click.IntRange(min=1 if field.name == "threads" else 0)
-        elif hint is float or field.name in ("exponent", "omega"):
+        flag = "--" + name.replace("_", "-")
+        settings: dict[str, Any] = {"default": default, "show_default": default is not None,
+                                    "help": f"{told['help']} {told['flag']}".strip()}
+        if told["choices"]:
+            settings["type"] = click.Choice(told["choices"])
+        elif isinstance(default, bool):
+            flag = f"{flag}/--no-{name.replace('_', '-')}"
+        elif isinstance(default, int):
+            settings["type"] = click.IntRange(min=told["least"])
+        elif float in (hints[name], *get_args(hints[name])):
             settings["type"] = float
-        elif field.name == "keep":
+        elif name == "keep":
             settings |= {"default": ",".join(FIGURES), "callback": _figure_names}
         else:
             settings["type"] = str
-        command = click.option(flag, field.name, **settings)(command)
+        command = click.option(flag, name, **settings)(command)
     return command
 
 
@@ -360,7 +323,7 @@ def script(file: Path, source: Path, target: Path, quiet: bool) -> int:
 @click.option("--edge-length", type=click.FloatRange(min=0.0, max=1.0, min_open=True),
               default=None, help="For TetWild, relative to the diagonal of the bunny.")
 @click.option("--threads", type=click.IntRange(min=1), default=os.cpu_count() or 1,
-              show_default="all processors", help=HELP["threads"])
+              show_default="all processors", help=OPTIONS["threads"].metadata["help"])
 def demo(out: Path, edge_length: float | None, threads: int) -> int:
     """Improve a TetWild mesh of the Stanford bunny and draw it before and after."""
     from odt_plugins.cli.demo import EDGE_LENGTH, FILES, run_demo
@@ -457,5 +420,5 @@ def in_flags(text: str) -> str:
         name, value = found[1].replace("_", "-"), found[2].strip("'")
         return {"True": f"--{name}", "False": f"--no-{name}"}.get(value, f"--{name} {value}")
 
-    names = "|".join(f.name for f in fields(Options))
+    names = "|".join(OPTIONS)
     return re.sub(rf"(?<![\w.-])({names})=('[^']*'|[-+.\w]+)", flag, text)

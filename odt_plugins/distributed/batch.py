@@ -20,7 +20,6 @@ from pathlib import Path
 from typing import Any
 
 from odt_plugins.adapters.files import check_output
-from odt_plugins.api import make_options
 from odt_plugins.distributed.job import (
     FROM_OUTSIDE,
     RESULT,
@@ -34,7 +33,7 @@ from odt_plugins.distributed.scratch import clear, make_scratch
 from odt_plugins.distributed.versions import expect_versions, installed_version, versions_here
 from odt_plugins.engine.record.progress import silent
 from odt_plugins.errors import InvalidOptionError, MeshFileError, exit_name
-from odt_plugins.options import COMPILING
+from odt_plugins.options import COMPILING, make_options
 from odt_plugins.tetwild import expect_pytetwild
 
 HIDDEN = ".batch"

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from odt_plugins.adapters.files import check_output, read_file, write_file
-from odt_plugins.api import make_options, run_engine
+from odt_plugins.api import run_engine
 from odt_plugins.distributed.apply import told
 from odt_plugins.distributed.glue import Map, Traffic, Whole, labels, one_round
 from odt_plugins.distributed.local import executor
@@ -24,7 +24,7 @@ from odt_plugins.engine.run.judge import faults
 from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
 from odt_plugins.mesh.arrays import IntArray
 from odt_plugins.mesh.simplex import SimplexMesh
-from odt_plugins.options import Options
+from odt_plugins.options import Options, make_options
 
 if TYPE_CHECKING:
     from odt_plugins.report.report import Report

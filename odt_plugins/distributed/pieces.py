@@ -12,7 +12,6 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from odt_plugins.api import make_options
 from odt_plugins.distributed.apply import Apply, told
 from odt_plugins.distributed.figures import Figures, total, worse
 from odt_plugins.distributed.local import executor
@@ -42,7 +41,7 @@ from odt_plugins.errors import (
     writing,
 )
 from odt_plugins.mesh.arrays import FloatArray, IntArray
-from odt_plugins.options import Options
+from odt_plugins.options import Options, make_options
 
 REGIONS = "marker"
 """Name of the cell array of labels in the result when none was given."""

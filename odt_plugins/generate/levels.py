@@ -16,12 +16,7 @@ import numpy as np
 
 from odt_plugins.adapters.host import HostMesh, Result
 from odt_plugins.adapters.registry import find_adapter
-from odt_plugins.api import (
-    OptionKeywords,
-    make_options,
-    optimize_with_report,
-    with_option_signature,
-)
+from odt_plugins.api import optimize_with_report
 from odt_plugins.engine.cells.geometry import boundary_facets, interface_vertices
 from odt_plugins.engine.ground.envelope import distances
 from odt_plugins.errors import InvalidOptionError, ODTWarning
@@ -33,6 +28,7 @@ from odt_plugins.generate.uniform import uniform_refine
 from odt_plugins.mesh.arrays import BoolArray
 from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.simplex import compact_labels, mesh_arrays, vertex_mask
+from odt_plugins.options import OptionKeywords, make_options, with_option_signature
 from odt_plugins.quality import volumes
 
 SLIDES: tuple[dict[str, Any], ...] = (
@@ -50,7 +46,7 @@ CARRIED = ("selection", "fixed", "regions", "insert", "boundary", "progress", "e
 """Options that are not the same at every level."""
 
 
-@with_option_signature
+@with_option_signature()
 def refine_and_optimize(
     mesh: Any,
     levels: int = 1,

@@ -16,7 +16,7 @@ import numpy as np
 
 from odt_plugins.adapters.host import is_instance
 from odt_plugins.errors import InvalidOptionError
-from odt_plugins.options import DENSITIES, Options
+from odt_plugins.options import DENSITIES, OPTIONS, Options
 
 Kind = Literal["int", "float", "bool", "enum", "length"]
 
@@ -188,35 +188,46 @@ class Filter:
         return "\n".join(lines)
 
 
-STEPS = Parameter(
-    "stepSmoothNum", "int", 10, "Smoothing steps",
-    "The largest number of smoothing steps; fewer are done when the energy has settled.")
-SELECTED = Parameter(
-    "Selected", "bool", None, "Affect only selection",
+def _of_option(
+    option: str, gui: str, kind: Kind, title: str, text: str = "", **more: Any
+) -> Parameter:
+    """The parameter that stands for an option: its default, limit and help unless MeshLab differs.
+
+    Parameters
+    ----------
+    option : str        of :func:`odt_plugins.optimize`
+    gui, kind, title    see :class:`Parameter`
+    text : str          what MeshLab's users are told instead
+    **more              further fields of :class:`Parameter`
+    """
+    about = OPTIONS[option]
+    common = {"default": about.default, "least": about.metadata["least"]}
+    return Parameter(gui, kind, title=title, help=text or about.metadata["help"],
+                     **{**common, **more})
+
+
+STEPS = _of_option(
+    "rounds", "stepSmoothNum", "int", "Smoothing steps",
+    "The largest number of smoothing steps; fewer are done when the energy has settled.",
+    default=10)
+SELECTED = _of_option(
+    "selection", "Selected", "bool", "Affect only selection",
     "Only vertices whose faces are all selected move; without selected faces, selected vertices.")
-BOUNDARY = Parameter(
-    "Boundary", "bool", False, "1D Boundary Smoothing",
+BOUNDARY = _of_option(
+    "boundary", "Boundary", "bool", "1D Boundary Smoothing",
     "Whether the rims and feature lines of a curved surface move along themselves; otherwise they "
-    "stay as they are. The boundary of a planar mesh always stays.")
-DENSITY = Parameter(
-    "Density", "enum", "keep", "Density",
-    "Sizes of the result: keep those of the mesh, uniform, averages weighted alike (4.22), or fine "
-    "where a curved surface bends.",
-    choices=DENSITIES)
-ENVELOPE = Parameter(
-    "Envelope", "length", 100.0 * Options.envelope, "Envelope",
-    "How far a curved surface may get from what it was, and that from it.")
-ANGLE = Parameter(
-    "FeatureDeg", "float", Options.feature_angle, "Crease Angle",
-    "Edges at which a curved surface turns by more degrees than this stay, and so do corners. "
-    "Chains of fewer than five such edges with a loose end count as noise.")
-KEEP = Parameter(
-    "keepQuality", "bool", True, "Keep quality",
-    "No figure (smallest, 1 % and mean radius ratio, extreme angles) may get worse.")
+    "stay as they are. The boundary of a planar mesh always stays.", default=False)
+DENSITY = _of_option("density", "Density", "enum", "Density", choices=DENSITIES)
+ENVELOPE = _of_option(
+    "envelope", "Envelope", "length", "Envelope",
+    "How far a curved surface may get from what it was, and that from it.",
+    default=100.0 * Options.envelope)
+ANGLE = _of_option("feature_angle", "FeatureDeg", "float", "Crease Angle")
+KEEP = _of_option(
+    "keep", "keepQuality", "bool", "Keep quality",
+    "No figure (smallest, 1 % and mean radius ratio, extreme angles) may get worse.", default=True)
 ROUNDS = replace(STEPS, default=Options.rounds)
-ITERATIONS = Parameter(
-    "Iterations", "int", Options.cycles, "Iterations",
-    "How often smoothing and flips are followed by the repair of the worst elements.", least=1)
+ITERATIONS = _of_option("cycles", "Iterations", "int", "Iterations", least=1)
 
 IDS = " Two ids of the MeshSet are used up."
 

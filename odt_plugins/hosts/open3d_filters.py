@@ -14,13 +14,21 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters import open3d_mesh
 from odt_plugins.adapters.host import is_instance
-from odt_plugins.api import OptionKeywords, with_option_signature
 from odt_plugins.api import optimize as optimize_mesh
 from odt_plugins.errors import InvalidOptionError, ODTError, UnsupportedMeshError
+from odt_plugins.options import OptionKeywords, with_option_signature
 from odt_plugins.quality import radius_ratio
 
 MeshT = TypeVar("MeshT")
 
+SMOOTHING = {"cycles": 1, "connectivity": "none", "finish": False}
+"""Options that make smoothing of the optimisation."""
+
+OWN = ("rounds", "method", *SMOOTHING)
+"""Options that the smoothing filters set; `rounds` is their number_of_iterations."""
+
+
+@with_option_signature(*OWN, "objective", "insert")
 def filter_smooth_odt(
     mesh: MeshT,
     number_of_iterations: int = 1,
@@ -61,6 +69,7 @@ def filter_smooth_odt(
                                  {"method": "odt"}, options))
 
 
+@with_option_signature(*OWN, "objective", "insert")
 def filter_smooth_cpt(
     mesh: MeshT,
     number_of_iterations: int = 1,
@@ -75,6 +84,7 @@ def filter_smooth_cpt(
                                  {"method": "cpt"}, options))
 
 
+@with_option_signature(*OWN, "objective", "insert", "solver", "omega")
 def filter_smooth_odt_global(
     mesh: MeshT,
     number_of_iterations: int = 1,
@@ -89,7 +99,7 @@ def filter_smooth_odt_global(
                                  {"method": "odt", "solver": "global"}, options))
 
 
-@with_option_signature
+@with_option_signature()
 def optimize_odt(mesh: MeshT, **options: Unpack[OptionKeywords]) -> MeshT:
     """Improve a mesh by Optimal Delaunay Triangulation: moves vertices and flips edges or faces.
 
@@ -142,7 +152,7 @@ def _smooth(mesh: Any, iterations: int, scope: Any, kind: Any, options: Any) -> 
             f"follow the vertices, and colours stay with them"
         )
         raise InvalidOptionError(msg)
-    own = {"rounds": iterations, "cycles": 1, "connectivity": "none", "finish": False, **kind}
+    own = {"rounds": iterations, **SMOOTHING, **kind}
     wrong = next((name for name in own if options.get(name, own[name]) != own[name]), None)
     if wrong is not None:
         instead = "optimize_odt()" if wrong != "rounds" else (

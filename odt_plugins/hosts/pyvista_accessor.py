@@ -7,14 +7,9 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 
 from odt_plugins.adapters import pyvista_mesh
-from odt_plugins.api import (
-    OptionKeywords,
-    measure,
-    optimize,
-    optimize_with_report,
-    with_option_signature,
-)
+from odt_plugins.api import measure, optimize, optimize_with_report
 from odt_plugins.errors import UnsupportedMeshError
+from odt_plugins.options import OptionKeywords, with_option_signature
 from odt_plugins.quality import QualitySummary, radius_ratio
 from odt_plugins.tetwild import tetrahedralize
 
@@ -35,7 +30,7 @@ class OdtAccessor:
     def __init__(self, mesh: Any) -> None:
         self._mesh = mesh
 
-    @with_option_signature
+    @with_option_signature()
     def optimize(self, **options: Unpack[OptionKeywords]) -> Any:
         """Improve the tetrahedra or planar triangles of the mesh.
 
@@ -49,7 +44,7 @@ class OdtAccessor:
         """
         return optimize(self._mesh, **options)
 
-    @with_option_signature
+    @with_option_signature()
     def optimize_with_report(self, **options: Unpack[OptionKeywords]) -> tuple[Any, Report]:
         """Improve the mesh as :meth:`optimize` does and tell what was done."""
         return optimize_with_report(self._mesh, **options)

@@ -22,7 +22,7 @@ import pytest
 from odt_plugins.cli import main as cli
 from odt_plugins.cli import terminal
 from odt_plugins.engine.run import driver
-from odt_plugins.options import FIGURES, Options
+from odt_plugins.options import FIGURES, OPTIONS, Options
 
 SQUARE = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1], [0.7, 0.8]])
 FAN = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
@@ -88,6 +88,16 @@ def test_choices_are_those_of_options() -> None:
                        "boundary"}
     for name in choices:
         assert tuple(flags()[name].type.choices) == get_args(hints[name])
+    assert choices == {name for name, about in OPTIONS.items() if about.metadata["choices"]}
+
+
+def test_flags_say_what_the_options_mean(capsys: pytest.CaptureFixture[str]) -> None:
+    assert cli.main(["optimize", "--help"]) == 0
+    text = "".join(capsys.readouterr().out.split())
+    for about in OPTIONS.values():
+        flag = about.metadata["flag"]
+        said = "".join(f"{about.metadata['help']} {flag or ''}".split())
+        assert (said in text) == (flag is not None) == (about.name != "progress"), about.name
 
 
 def test_no_flag_given_means_the_defaults_of_options(place: Path, still: list[Options]) -> None:
