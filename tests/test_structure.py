@@ -223,6 +223,17 @@ def test_all_public_names_are_there_and_no_others():
     assert odt_plugins.__version__ == version("odt-plugins")
 
 
+def test_type_checkers_see_the_public_names_and_their_homes():
+    """What `import a as a` names under TYPE_CHECKING is what is public, from the same module."""
+    tree = ast.parse((PACKAGE / "__init__.py").read_text(encoding="utf-8"))
+    seen = {alias.asname: node.module.removeprefix("odt_plugins.")
+            for block in tree.body if isinstance(block, ast.If)
+            for node in block.body if isinstance(node, ast.ImportFrom)
+            for alias in node.names if alias.name == alias.asname}
+    assert seen == odt_plugins._HOMES
+    assert odt_plugins.__all__ == sorted([*seen, "__version__"])
+
+
 @pytest.mark.parametrize("name", [n for n in odt_plugins.__all__ if n != "__version__"])
 def test_public_names_are_documented_and_typed(name):
     value = getattr(odt_plugins, name)
