@@ -277,11 +277,12 @@ class OptionKeywords(TypedDict, total=False):
 
 
 def with_option_signature(*without: str) -> Callable[[FunctionT], FunctionT]:
-    """Let help() and inspect show every option but some instead of `**options`."""
+    """Let help() and inspect show every option instead of `**options`, without some names."""
 
     def decorate(function: FunctionT) -> FunctionT:
         signature = inspect.signature(function)
-        own = [p for p in signature.parameters.values() if p.kind is not p.VAR_KEYWORD]
+        own = [p for p in signature.parameters.values()
+               if p.kind is not p.VAR_KEYWORD and p.name not in without]
         keywords = [
             inspect.Parameter(
                 name, inspect.Parameter.KEYWORD_ONLY, default=about.default, annotation=about.type

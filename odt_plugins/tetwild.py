@@ -6,6 +6,7 @@ working directory, and it cannot be interrupted. pytetwild is imported in that p
 
 from __future__ import annotations
 
+import difflib
 import inspect
 import pickle
 import subprocess
@@ -13,7 +14,7 @@ import sys
 import tempfile
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any
+from typing import Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,7 +22,7 @@ from numpy.typing import NDArray
 from odt_plugins.api import optimize as optimize_mesh
 from odt_plugins.errors import CrashError, InvalidMeshError, InvalidOptionError, exit_name, require
 from odt_plugins.mesh.simplex import mesh_arrays
-from odt_plugins.options import make_options
+from odt_plugins.options import OPTIONS, OptionKeywords, make_options, with_option_signature
 
 PROGRAM = """
 import pickle
@@ -43,6 +44,7 @@ INSIDE = -1e-9
 """Least barycentric coordinate of a point that counts as inside a tetrahedron."""
 
 
+@with_option_signature()
 def tetrahedralize(
     vertices: NDArray[np.floating],
     faces: NDArray[np.integer],
@@ -64,6 +66,7 @@ def tetrahedralize(
     bg_values: NDArray[np.float64] | None = None,
     *,
     odt: Mapping[str, Any] | bool = True,
+    **options: Unpack[OptionKeywords],
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Fill a triangle surface with tetrahedra by TetWild and improve them.
 
@@ -72,12 +75,15 @@ def tetrahedralize(
     vertices, faces, ..., bg_values
         What `pytetwild.tetrahedralize` takes, with its defaults; edge_length_fac and epsilon are
         relative to the bounding-box diagonal, the other lengths are in the caller's unit.
-    odt : dict or bool
-        Options of :func:`odt_plugins.optimize`; True for its defaults, False for TetWild alone.
-        With a sizing field (bg_vertices, bg_tets, bg_values) its edge length h is the size that
-        the density rho = h^-r keeps, unless a `density` is given here; `exponent` is r, 5 by
-        default. Outside the background mesh h is the ideal edge length, as for TetWild. TetWild
-        follows a field that asks for larger cells than it starts from only with `coarsen`.
+    odt : bool or dict
+        False for TetWild alone; a dict of options, should one of pytetwild's keywords ever have
+        the name of an option.
+    **options
+        The fields of :class:`odt_plugins.Options`. With a sizing field (bg_vertices, bg_tets,
+        bg_values) its edge length h is the size that the density rho = h^-r keeps, unless a
+        `density` is given; `exponent` is r, 5 by default. Outside the background mesh h is the
+        ideal edge length, as for TetWild. TetWild follows a field that asks for larger cells than
+        it starts from only with `coarsen`.
 
     Returns
     -------
@@ -89,22 +95,23 @@ def tetrahedralize(
     MissingDependencyError       pytetwild is not installed
     InvalidMeshError             the surface is broken, or TetWild found no tetrahedra
     CrashError                   the same, since the process of TetWild crashed
-    InvalidOptionError           `odt` holds unknown options or values out of range
+    InvalidOptionError           an option is unknown or out of range, or TetWild is to run alone
     TypeError, ValueError, ...   what pytetwild raises
 
     References
     ----------
     L. Chen, M. Holst, CMAME 200 (2011) 967-984, doi:10.1016/j.cma.2010.11.007, Theorem 2.8.
     """
-    given = {name: value for name, value in locals().items() if name != "odt"}
-    options = odt_options(odt)
+    given = {name: value for name, value in locals().items() if name not in ("odt", "options")}
+    _expect_known(options, given)
+    chosen = odt_options(odt, **options)
     _check_surface(vertices, faces)
     points, cells = run_tetwild(given)
-    if options is None:
+    if chosen is None:
         return points, cells
     field = (bg_vertices, bg_tets, bg_values)
-    exponent = options.pop("exponent", None) if "density" not in options else None
-    if bg_values is not None and "density" not in options:
+    exponent = chosen.pop("exponent", None) if "density" not in chosen else None
+    if bg_values is not None and "density" not in chosen:
         ideal = edge_length_abs or edge_length_fac * _diagonal(np.asarray(vertices))
         power = -float(points.shape[1] + 2 if exponent is None else exponent)
 
@@ -113,26 +120,42 @@ def tetrahedralize(
             return rho
 
         # An array is quicker, but of no use when it could be one of cells as well.
-        options["density"] = density if len(points) == len(cells) else density(points)
+        chosen["density"] = density if len(points) == len(cells) else density(points)
     elif exponent is not None:
-        options["exponent"] = exponent
-    return optimize_mesh((points, cells), **options)
+        chosen["exponent"] = exponent
+    return optimize_mesh((points, cells), **chosen)
 
 
-def odt_options(odt: Mapping[str, Any] | bool) -> dict[str, Any] | None:
-    """Check the option group `odt`; None when nothing is to be improved.
+def _expect_known(options: Mapping[str, Any], own: Mapping[str, Any]) -> None:
+    """Refuse keywords that are neither options nor pytetwild's own."""
+    unknown = [name for name in options if name not in OPTIONS]
+    if unknown:
+        near = difflib.get_close_matches(unknown[0], [*OPTIONS, *own], n=1)
+        hint = f", did you mean {near[0]!r}?" if near else ""
+        msg = (f"got unknown keywords {unknown}; expected those of pytetwild.tetrahedralize, or "
+               f"options of odt_plugins.optimize{hint}")
+        raise InvalidOptionError(msg)
+
+
+def odt_options(odt: Mapping[str, Any] | bool, **options: Any) -> dict[str, Any] | None:
+    """Check the options given as keywords and in `odt`; None when nothing is to be improved.
 
     Raises
     ------
     InvalidOptionError
     """
-    if isinstance(odt, bool):
-        return {} if odt else None
-    if not isinstance(odt, Mapping):
+    if not isinstance(odt, bool | Mapping):
         msg = f"got odt={odt!r}; expected a dict of options of odt_plugins.optimize, True or False"
         raise InvalidOptionError(msg)
-    make_options(**odt)
-    return dict(odt)
+    if odt is False:
+        if options:
+            msg = (f"got odt=False, TetWild alone, and options {list(options)}; expected either, "
+                   "leave out odt=False")
+            raise InvalidOptionError(msg)
+        return None
+    group = odt if isinstance(odt, Mapping) else {}
+    make_options(group, **options)
+    return {**group, **options}
 
 
 def _check_surface(vertices: Any, faces: Any) -> None:

@@ -65,10 +65,15 @@ def test_hosts_show_the_keywords_that_they_take():
          {"rounds", "method", "cycles", "connectivity", "finish", "objective", "insert"}),
         (pyvista_accessor.OdtAccessor.optimize, set()),
         (odt_plugins.refine_and_optimize, set()),
+        (odt_plugins.optimize_partitioned, set()),
+        (odt_plugins.optimize_partitioned_with_report, set()),
+        (odt_plugins.optimize_pieces, set()),
+        (odt_plugins.tetrahedralize, set()),
     ):
         parameters = inspect.signature(function).parameters
         assert set(parameters) & named == named - without, function
         assert "options" not in parameters
+        assert ("odt" in parameters) == (function is odt_plugins.tetrahedralize)
 
 
 def test_the_parameters_for_meshlab_are_those_of_options():

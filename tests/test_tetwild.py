@@ -66,22 +66,27 @@ def test_odt_is_what_optimize_does_and_can_be_left_out(stored):
     (points, cells), calls = stored
     alone = odt_plugins.tetrahedralize(CUBE, FACES, odt=False)
     assert alone[0] is points
-    for given, options in ((True, {}), ({}, {}), ({"rounds": 2, "exponent": 3.0},) * 2,
-                           ({"density": "uniform", "cycles": 1},) * 2):
-        out = odt_plugins.tetrahedralize(CUBE, FACES, odt=given)
+    first, second = {"rounds": 2, "exponent": 3.0}, {"density": "uniform", "cycles": 1}
+    for given, options in (({}, {}), ({"odt": {}}, {}), (first, first), ({"odt": first}, first),
+                           ({"odt": {"density": "uniform"}, "cycles": 1}, second)):
+        out = odt_plugins.tetrahedralize(CUBE, FACES, **given)
         truth = odt_plugins.optimize((points, cells), **options)
         assert out[0].tobytes() == truth[0].tobytes()
         assert np.array_equal(out[1], truth[1])
     assert np.array_equal(calls[0]["faces"], FACES)
-    assert "odt" not in calls[0]
+    assert not {"odt", "options", "rounds"} & set().union(*calls)
 
 
 def test_options_are_checked_before_tetwild_runs(monkeypatch):
     monkeypatch.setattr(tetwild, "run_tetwild", lambda given: pytest.fail("TetWild ran"))
-    for odt, message in (({"round": 3}, "did you mean 'rounds'"), ({"rounds": -1}, "rounds=-1"),
-                         ("yes", "got odt='yes'; expected a dict")):
+    for given, message in (
+        ({"odt": {"round": 3}}, "did you mean 'rounds'"), ({"rounds": -1}, "rounds=-1"),
+        ({"round": 3}, "did you mean 'rounds'"), ({"odt": "yes"}, "got odt='yes'; expected a dict"),
+        ({"odt": False, "rounds": 3}, r"TetWild alone, and options \['rounds'\]"),
+        ({"odt": {"rounds": 2}, "rounds": 3}, r"\['rounds'\] as keywords and in odt="),
+    ):
         with pytest.raises(InvalidOptionError, match=message):
-            odt_plugins.tetrahedralize(CUBE, FACES, odt=odt)
+            odt_plugins.tetrahedralize(CUBE, FACES, **given)
 
 
 def test_what_pytetwild_refuses_comes_through():
@@ -167,14 +172,14 @@ def test_a_sizing_field_is_the_density(stored, monkeypatch, exponent):
     monkeypatch.setattr(driver, "run", lambda mesh, options: seen.append(options) or driver.Outcome(
         mesh.points, mesh.cells, mesh.regions))
     group = {} if exponent is None else {"exponent": exponent}
-    odt_plugins.tetrahedralize(CUBE, FACES, odt=group, **field)
+    odt_plugins.tetrahedralize(CUBE, FACES, **group, **field)
     assert seen[0].density == pytest.approx(size(unit) ** -(exponent or 5.0), rel=1e-9)
-    odt_plugins.tetrahedralize(CUBE, FACES, odt={"density": "uniform"}, **field)
+    odt_plugins.tetrahedralize(CUBE, FACES, density="uniform", **field)
     assert seen[1].density == "uniform"
     field["bg_vertices"] = field["bg_vertices"] + 100.0
     for lengths, ideal in (({}, 0.05 * np.sqrt(3.0)), ({"edge_length_fac": 0.2}, 0.2 * np.sqrt(3)),
                            ({"edge_length_abs": 0.3}, 0.3)):
-        odt_plugins.tetrahedralize(CUBE, FACES, odt=group, **field, **lengths)
+        odt_plugins.tetrahedralize(CUBE, FACES, **group, **field, **lengths)
         assert seen[-1].density == pytest.approx(ideal ** -(exponent or 5.0), rel=1e-12)
 
 

@@ -191,14 +191,14 @@ def optimize(
         if pieces:
             from odt_plugins.distributed.pieces import optimize_pieces
 
-            report = optimize_pieces(source, target, block_rounds, client=client, odt=options)
+            report = optimize_pieces(source, target, block_rounds, client=client, **options)
         elif blocks is None:
             report = optimize_file(source, target, **options)
         else:
             from odt_plugins.distributed.optimize import optimize_file_partitioned
 
             report = optimize_file_partitioned(source, target, blocks, block_rounds,
-                                               client=client, odt=options)
+                                               client=client, **options)
     if not quiet:
         click.echo(str(report))
     if report_file:

@@ -6,7 +6,7 @@ import os
 import time
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 
@@ -24,7 +24,7 @@ from odt_plugins.engine.run.judge import faults
 from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
 from odt_plugins.mesh.arrays import IntArray
 from odt_plugins.mesh.simplex import SimplexMesh
-from odt_plugins.options import Options, make_options
+from odt_plugins.options import OptionKeywords, Options, make_options, with_option_signature
 
 if TYPE_CHECKING:
     from odt_plugins.report.report import Report
@@ -36,14 +36,16 @@ EXTREMES = ("min_quality", "min_angle", "max_angle")
 """Figures of one part that say something of the whole: kept by every block in later rounds."""
 
 
+@with_option_signature("odt")
 def optimize_partitioned(
     mesh: Any,
     blocks: int,
-    rounds: int = 3,
+    block_rounds: int = 3,
     *,
     client: Any = None,
     workers: int = 0,
     odt: Mapping[str, Any] | None = None,
+    **options: Unpack[OptionKeywords],
 ) -> Any:
     """Improve a mesh block by block, in this process or on a Dask cluster.
 
@@ -58,16 +60,16 @@ def optimize_partitioned(
         What :func:`odt_plugins.optimize` takes: tetrahedra, or triangles in a plane.
     blocks : int
         Blocks of about equal size in the first round; fewer when they had less than 5000 cells.
-    rounds : int
-        Most rounds. In the last one nothing is cut again, so that from two on every cell has been
-        inside a block in some round.
+    block_rounds : int
+        Most rounds of blocks. In the last one nothing is cut again, so that from two on every cell
+        has been inside a block in some round.
     client : distributed.Client, optional
         Blocks go to the workers of this cluster; Dask gives those of a lost worker to another.
     workers : int
         Processes of this machine, without a server; 0 works in this process. Scripts that give
         more must be importable (``if __name__ == "__main__":``).
-    odt : dict, optional
-        Options of :func:`odt_plugins.optimize`.
+    **options
+        The fields of :class:`odt_plugins.Options`.
 
     Returns
     -------
@@ -81,17 +83,20 @@ def optimize_partitioned(
     WorkerError             workers were lost again and again
     and what :func:`odt_plugins.optimize` raises
     """
-    return _partitioned(mesh, blocks, rounds, client, workers, make_options(**(odt or {})))[0]
+    chosen = make_options(odt, **options)
+    return _partitioned(mesh, blocks, block_rounds, client, workers, chosen)[0]
 
 
+@with_option_signature("odt")
 def optimize_partitioned_with_report(
     mesh: Any,
     blocks: int,
-    rounds: int = 3,
+    block_rounds: int = 3,
     *,
     client: Any = None,
     workers: int = 0,
     odt: Mapping[str, Any] | None = None,
+    **options: Unpack[OptionKeywords],
 ) -> tuple[Any, Report]:
     """Improve a mesh as :func:`optimize_partitioned` does and tell what was done.
 
@@ -102,9 +107,9 @@ def optimize_partitioned_with_report(
     """
     from odt_plugins.report.report import make_report
 
-    options = make_options(**(odt or {}))
-    result, before, outcome = _partitioned(mesh, blocks, rounds, client, workers, options)
-    return result, make_report(before, outcome, options)
+    chosen = make_options(odt, **options)
+    result, before, outcome = _partitioned(mesh, blocks, block_rounds, client, workers, chosen)
+    return result, make_report(before, outcome, chosen)
 
 
 def _partitioned(
@@ -126,14 +131,16 @@ def _partitioned(
     return run_engine(mesh, options, engine)
 
 
+@with_option_signature("odt")
 def optimize_file_partitioned(
     source: str | os.PathLike[str],
     target: str | os.PathLike[str],
     blocks: int,
-    rounds: int = 3,
+    block_rounds: int = 3,
     *,
     client: Any = None,
     odt: Mapping[str, Any] | None = None,
+    **options: Unpack[OptionKeywords],
 ) -> Report:
     """Improve the mesh of one file in blocks and write it to another, or to the same.
 
@@ -141,7 +148,7 @@ def optimize_file_partitioned(
     """
     check_output(target)
     mesh, report = optimize_partitioned_with_report(
-        read_file(source), blocks, rounds, client=client, odt=odt
+        read_file(source), blocks, block_rounds, client=client, odt=odt, **options
     )
     write_file(target, mesh)
     return report
@@ -156,7 +163,7 @@ def run_blocks(
     ----------
     mesh : SimplexMesh
     options : Options
-    blocks, rounds : int     see :func:`optimize_partitioned`
+    blocks, rounds : int     as `blocks` and `block_rounds` of :func:`optimize_partitioned`
     apply : callable         applies a function to blocks, results in their order
 
     Returns
@@ -295,7 +302,7 @@ def check(blocks: int, rounds: int, workers: int, options: Options, *, several: 
     ------
     InvalidOptionError
     """
-    given = (("blocks", blocks, 1), ("rounds", rounds, 1), ("workers", workers, 0))
+    given = (("blocks", blocks, 1), ("block_rounds", rounds, 1), ("workers", workers, 0))
     for name, value, least in given:
         if not isinstance(value, int) or isinstance(value, bool) or value < least:
             msg = f"got {name}={value!r}; expected an integer of at least {least}"

@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
@@ -41,7 +41,7 @@ from odt_plugins.errors import (
     writing,
 )
 from odt_plugins.mesh.arrays import FloatArray, IntArray
-from odt_plugins.options import Options, make_options
+from odt_plugins.options import OptionKeywords, Options, make_options, with_option_signature
 
 REGIONS = "marker"
 """Name of the cell array of labels in the result when none was given."""
@@ -75,14 +75,16 @@ class PiecesReport(NamedTuple):
         return "\n".join(lines + ([f"fell back: {self.fallback}"] if self.fallback else []))
 
 
+@with_option_signature("odt")
 def optimize_pieces(
     source: str | os.PathLike[str],
     target: str | os.PathLike[str],
-    rounds: int = 3,
+    block_rounds: int = 3,
     *,
     client: Any = None,
     workers: int = 0,
     odt: Mapping[str, Any] | None = None,
+    **options: Unpack[OptionKeywords],
 ) -> PiecesReport:
     """Improve a mesh of tetrahedra whose pieces are files, without ever holding it as a whole.
 
@@ -99,13 +101,13 @@ def optimize_pieces(
         A .pvtu file; its pieces go into a new directory of its name beside it. What lies around the
         interfaces of the input comes as pieces of its own. Vertices of several pieces have the
         same number in the point array GlobalPointIds; coordinates are float64.
-    rounds : int
+    block_rounds : int
         See :func:`odt_plugins.optimize_partitioned`; in the last one a single process holds what
         lies around the curves where three pieces meet.
     client, workers
         As there; workers of a cluster see the files under the same paths.
-    odt : dict, optional
-        Options of :func:`odt_plugins.optimize` that every piece can tell: no arrays, and of the
+    **options
+        The fields of :class:`odt_plugins.Options` that every piece can tell: no arrays, and of the
         densities "keep" and "uniform". Its `progress` is told the stage ("reading", "round 1",
         "round 2: cutting", "round 2", ..., "writing") and the share of the pieces that is done.
 
@@ -122,9 +124,9 @@ def optimize_pieces(
     -----
     DataNotKeptWarning        arrays that the pieces do not have alike do not come through
     """
-    options = make_options(**(odt or {}))
-    check(1, rounds, workers, options, several=False)
-    _check_for_pieces(options)
+    chosen = make_options(odt, **options)
+    check(1, block_rounds, workers, chosen, several=False)
+    _check_for_pieces(chosen)
     (sources, ghosts), index = piece_files(source), Path(target).absolute()
     if index.is_dir():
         msg = f"cannot write {target}: it is a directory; expected a path for a file"
@@ -137,7 +139,7 @@ def optimize_pieces(
         with writing(target, "another directory"):
             folder = make_scratch(index.parent, f".{index.stem}")
             with executor(client, workers) as apply:
-                return _run(sources, index, folder, rounds, options, apply, ghosts=ghosts)
+                return _run(sources, index, folder, block_rounds, chosen, apply, ghosts=ghosts)
     finally:
         if folder is not None:
             clear(folder)

@@ -86,9 +86,11 @@ class OdtSurfaceAccessor(OdtAccessor):
         sizing_field : pyvista.UnstructuredGrid      tetrahedra with target edge lengths, which
                                                      are kept as the density of ODT too
         sizing_field_scalars : str                   name of their point array; the active one
-        odt : dict or bool                           options of :func:`odt_plugins.optimize`
+        odt : bool or dict                           of :func:`odt_plugins.tetrahedralize`: False
+                                                     for TetWild alone
         **keywords                                   of `pytetwild.tetrahedralize`:
-                                                     edge_length_fac, epsilon, ...
+                                                     edge_length_fac, epsilon, ..., and options of
+                                                     :func:`odt_plugins.optimize`
 
         Returns
         -------

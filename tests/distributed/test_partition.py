@@ -315,7 +315,7 @@ def test_data_of_the_caller_come_through(small_blocks):
                        cell_data={"marker": [part], "x": [np.arange(m, dtype=float)]})
     seen: list[tuple[str, float]] = []
     result, report = odt_plugins.optimize_partitioned_with_report(
-        mesh, 3, odt={"progress": lambda stage, share: seen.append((stage, share))}
+        mesh, 3, progress=lambda stage, share: seen.append((stage, share))
     )
     assert type(result) is meshio.Mesh
     assert result.points.dtype == np.float32
@@ -337,7 +337,7 @@ def test_densities_come_through(small_blocks, density):
     selection = np.arange(len(start.cells) - 50)
     before = figures(start.points, start.cells)
     result = odt_plugins.optimize_partitioned(
-        (start.points, start.cells), 3, odt={"density": given, "selection": selection}
+        (start.points, start.cells), 3, density=given, selection=selection
     )
     assert figures(*result)["mean"] > before["mean"] + 0.1
 
@@ -383,10 +383,11 @@ def test_planar_meshes_and_small_ones_work_too(small_blocks):
 def test_what_does_not_go_with_blocks_is_refused():
     start = ball(60)
     mesh = (start.points, start.cells)
-    for wrong in ({"blocks": 0}, {"blocks": 2.0}, {"blocks": 2, "rounds": 0},
-                  {"blocks": 2, "workers": -1}, {"blocks": 2, "odt": {"insert": True}},
-                  {"blocks": 2, "odt": {"boundary": "slide"}}, {"blocks": 2, "odt": {"rings": 1}},
-                  {"blocks": 2, "workers": 2, "odt": {"density": lambda x: x[:, 0]}}):
+    for wrong in ({"blocks": 0}, {"blocks": 2.0}, {"blocks": 2, "block_rounds": 0},
+                  {"blocks": 2, "workers": -1}, {"blocks": 2, "insert": True},
+                  {"blocks": 2, "boundary": "slide"}, {"blocks": 2, "odt": {"rings": 1}},
+                  {"blocks": 2, "rings": 1}, {"blocks": 2, "rounds": 1, "odt": {"rounds": 1}},
+                  {"blocks": 2, "workers": 2, "density": lambda x: x[:, 0]}):
         with pytest.raises(InvalidOptionError, match="expected"):
             odt_plugins.optimize_partitioned(mesh, **wrong)
     surface = stored("bunny-surface")

@@ -101,7 +101,7 @@ def test_pieces_choose_flips_and_rings_as_the_whole_would(tmp_path, monkeypatch)
     for moderate, large in ((m, m // 2 + 1), (m - 1, m // 2)):
         monkeypatch.setattr(blocks_module, "MODERATE", moderate)
         monkeypatch.setattr(partition, "LARGE", large)
-        optimize_pieces(index, tmp_path / "out.pvtu", rounds=2)
+        optimize_pieces(index, tmp_path / "out.pvtu", block_rounds=2)
     assert flips == ["auto", "auto", "flips", "flips"]
     assert again == [RINGS, RINGS, RINGS - 1, RINGS - 1]
 
@@ -113,7 +113,7 @@ def test_a_directory_and_a_second_run_onto_the_same_place(tmp_path):
                  size=np.ones(len(turned)))
     bits = []
     for _ in range(3):
-        optimize_pieces(tmp_path / "in", tmp_path / "out.pvtu", odt={"density": "uniform"})
+        optimize_pieces(tmp_path / "in", tmp_path / "out.pvtu", density="uniform")
         points, cells, _, _ = glued(tmp_path / "out.pvtu", len(start.points))
         assert tet_meshes.signed_volumes(points, cells).max() < 0
         assert len(os.listdir(tmp_path)) == 4
@@ -128,7 +128,7 @@ def test_progress_is_told_for_every_piece_of_every_stage(tmp_path, monkeypatch, 
                  bricks(start.points, start.cells, 4))
     seen: list[tuple[str, float]] = []
     told = optimize_pieces(tmp_path / "in.pvtu", tmp_path / "out.pvtu",
-                           odt={"progress": lambda stage, share: seen.append((stage, share))})
+                           progress=lambda stage, share: seen.append((stage, share)))
     stages = list(dict.fromkeys(stage for stage, _ in seen))
     assert stages == ["reading", "round 1", "round 2: cutting", "round 2", "round 3: cutting",
                       "round 3", "writing"]
@@ -207,10 +207,10 @@ def test_what_does_not_go_with_pieces_is_refused(tmp_path):
     start = ball(100)
     index = write_pieces(tmp_path / "in", start.points, start.cells,
                          bricks(start.points, start.cells, 2))
-    for odt in ({"fixed": [1]}, {"regions": np.zeros(3, int)}, {"density": "inverse-volume"},
+    for options in ({"fixed": [1]}, {"regions": np.zeros(3, int)}, {"density": "inverse-volume"},
                 {"density": np.ones(3)}, {"insert": True}):
         with pytest.raises(InvalidOptionError, match="expected"):
-            optimize_pieces(index, tmp_path / "out.pvtu", odt=odt)
+            optimize_pieces(index, tmp_path / "out.pvtu", **options)
     with pytest.raises(MeshFileError, match=r"ending in \.pvtu"):
         optimize_pieces(index, tmp_path / "out.vtu")
     with pytest.raises(MeshFileError, match="try another directory"):
@@ -436,7 +436,7 @@ def test_cells_of_mixed_orientation_are_turned_when_asked(tmp_path):
                          bricks(start.points, start.cells, 2))
     with pytest.raises(InvalidMeshError, match="orient=True"):
         optimize_pieces(index, tmp_path / "out.pvtu")
-    optimize_pieces(index, tmp_path / "out.pvtu", odt={"orient": True})
+    optimize_pieces(index, tmp_path / "out.pvtu", orient=True)
     points, result, _, _ = glued(tmp_path / "out.pvtu", len(start.points))
     assert tet_meshes.signed_volumes(points, result).min() > 0.0
 

@@ -103,11 +103,11 @@ def test_tetrahedralize_passes_everything_on(monkeypatch):
         assert given["faces"].shape == (12, 3)
     grid = cube.odt.tetrahedralize(odt=False)
     assert grid.points.tobytes() == points.tobytes()
-    better = cube.odt.tetrahedralize(odt={"rounds": 2})
+    better = cube.odt.tetrahedralize(rounds=2, stop_energy=9.0)
     assert better.odt.quality().mean_quality > grid.odt.quality().mean_quality
     with pytest.raises(InvalidOptionError, match="rounds=-1"):
-        cube.odt.tetrahedralize(odt={"rounds": -1})
-    with pytest.raises(TypeError, match="edge_length"):
+        cube.odt.tetrahedralize(rounds=-1)
+    with pytest.raises(InvalidOptionError, match="mean 'edge_length_"):
         cube.odt.tetrahedralize(edge_length=3.0)
 
 

@@ -25,7 +25,7 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
         clock, busy = time.perf_counter(), time.process_time()
         if blocks:
             result, report = optimize_partitioned_with_report(
-                mesh, blocks, workers=settings["workers"], odt=threads
+                mesh, blocks, workers=settings["workers"], **threads
             )
         else:
             result, report = optimize_with_report(mesh, **threads)
