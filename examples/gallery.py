@@ -17,6 +17,7 @@ import numpy as np
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from PIL import Image
+from scipy.spatial import ConvexHull
 
 import odt_plugins
 from odt_plugins.adapters.files import read_file
@@ -53,7 +54,7 @@ def caption(mesh: Arrays) -> str:
             f"angles {q.min_angle:.0f}..{q.max_angle:.0f}")
 
 
-def side_by_side(meshes: dict[str, Arrays], path: Path, up: int = 2) -> None:
+def side_by_side(meshes: dict[str, Arrays], path: Path, up: int = 1) -> None:
     """Draw meshes in space beside each other, coloured by radius ratio, tetrahedra cut open."""
     figure = Figure(figsize=(4.2 * len(meshes), 4.6))
     panels = figure.subplots(1, len(meshes))
@@ -68,7 +69,7 @@ def side_by_side(meshes: dict[str, Arrays], path: Path, up: int = 2) -> None:
 
 def slide(path: Path) -> None:
     """A boundary that stays, and one that slides."""
-    before = arrays("bone")
+    before = arrays("cgal-bunny")
     side_by_side({
         "before": before,
         'boundary="fixed"': odt_plugins.optimize(before),
@@ -78,19 +79,31 @@ def slide(path: Path) -> None:
 
 def insert(path: Path) -> None:
     """Vertices added and removed where nothing else helps."""
-    before = arrays("bone")
+    before = arrays("cgal-bunny")
     plain, more = odt_plugins.optimize(before), odt_plugins.optimize(before, insert=True)
     side_by_side({f"{title}, {len(mesh[0])} vertices": mesh for title, mesh in
                   (("before", before), ("insert=False", plain), ("insert=True", more))}, path)
 
 
+def rounded_box(n: int = 1500) -> Arrays:
+    """Random points on the surface x^6 + y^6 + z^6 = 1, joined by their convex hull."""
+    points = np.random.default_rng(4).normal(size=(n, 3))
+    points /= (points**6).sum(axis=1, keepdims=True) ** (1 / 6)
+    hull = ConvexHull(points)
+    cells = hull.simplices
+    a, b, c = points[cells].transpose(1, 0, 2)
+    inward = np.einsum("ij,ij->i", np.cross(b - a, c - a), hull.equations[:, :3]) < 0
+    cells[inward] = cells[inward][:, ::-1]
+    return points, cells
+
+
 def curvature(path: Path) -> None:
     """A surface with the sizes of the input, and one that is fine where it bends."""
-    before = arrays("bone-surface")
+    before = rounded_box()
     side_by_side({
         "before": before,
-        'density="keep"': odt_plugins.optimize(before),
-        'density="curvature"': odt_plugins.optimize(before, density="curvature", envelope=3e-3),
+        **{f'density="{name}"': odt_plugins.optimize(before, density=name, envelope=5e-3)
+           for name in ("uniform", "curvature")},
     }, path)
 
 
@@ -127,7 +140,7 @@ def objectives(path: Path) -> None:
     panels = figure.subplots(1, len(meshes), sharey=True)
     figure.subplots_adjust(left=0.06, right=0.99, bottom=0.16, top=0.84, wspace=0.06)
     for axes, (title, mesh) in zip(panels, meshes.items(), strict=True):
-        axes.hist(angles(*mesh).ravel(), bins=np.arange(0, 181, 5), color="#2f6fb0")
+        axes.hist(angles(*mesh).ravel(), bins=np.arange(0, 181, 5), color="#2f6fb0", log=True)
         axes.set_title(f"{title}\n{caption(mesh)}", fontsize=9)
         axes.set(xlabel="dihedral angle", xticks=range(0, 181, 45))
     panels[0].set_ylabel("angles")
