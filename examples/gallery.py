@@ -8,6 +8,8 @@ Names are those of PICTURES; without one all are drawn. All start meshes come wi
 from __future__ import annotations
 
 import argparse
+import csv
+import tempfile
 from collections.abc import Callable, Sequence
 from io import BytesIO
 from pathlib import Path
@@ -21,6 +23,11 @@ from scipy.spatial import ConvexHull
 
 import odt_plugins
 from odt_plugins.adapters.files import read_file
+from odt_plugins.cli.demo import read_obj
+from odt_plugins.cli.main import main as command
+from odt_plugins.compare.contestants import choose
+from odt_plugins.compare.rows import compare_on
+from odt_plugins.compare.runner import Limits
 from odt_plugins.compare.start import stored
 from odt_plugins.distributed.partition import bricks
 from odt_plugins.quality import angles, radius_ratio
@@ -56,14 +63,42 @@ def caption(mesh: Arrays) -> str:
 
 def side_by_side(meshes: dict[str, Arrays], path: Path, up: int = 1) -> None:
     """Draw meshes in space beside each other, coloured by radius ratio, tetrahedra cut open."""
-    figure = Figure(figsize=(4.2 * len(meshes), 4.6))
-    panels = figure.subplots(1, len(meshes))
-    figure.subplots_adjust(left=0.01, right=0.92, bottom=0.02, top=0.84, wspace=0.03)
+    figure, panels = row_of(len(meshes))
     for axes, (title, mesh) in zip(panels, meshes.items(), strict=True):
         painted = paint_mesh(axes, *mesh, up=up)
         axes.set_title(f"{title}\n{caption(mesh)}", fontsize=10)
-    figure.colorbar(painted, cax=figure.add_axes((0.94, 0.1, 0.012, 0.7)), extend="min",
-                    label="radius ratio q")
+    with_scale(figure, painted, path)
+
+
+def in_the_plane(meshes: dict[str, Arrays], path: Path) -> None:
+    """Draw planar meshes beside each other, coloured by radius ratio."""
+    figure, panels = row_of(len(meshes))
+    for axes, (title, (p, t)) in zip(panels, meshes.items(), strict=True):
+        drawn = PolyCollection(p[t][:, :, :2], array=radius_ratio(p, t), cmap="RdYlBu",
+                               edgecolors="#26323a", linewidths=0.3)
+        drawn.set_clim(*SCALE)
+        axes.add_collection(drawn)
+        axes.set(aspect="equal", xlim=np.array([p[:, 0].min(), p[:, 0].max()]),
+                 ylim=np.array([p[:, 1].min(), p[:, 1].max()]))
+        axes.set_title(f"{title}\n{caption((p, t))}", fontsize=10)
+        axes.set_axis_off()
+    with_scale(figure, drawn, path)
+
+
+def row_of(count: int) -> tuple[Any, Any]:
+    """Return a figure with so many panels beside each other, and room for a scale."""
+    width = 4.2 * count + 0.9
+    figure = Figure(figsize=(width, 4.6))
+    panels = figure.subplots(1, count)
+    figure.subplots_adjust(left=0.01, right=1 - 1.0 / width, bottom=0.02, top=0.86, wspace=0.03)
+    return figure, panels
+
+
+def with_scale(figure: Any, painted: Any, path: Path) -> None:
+    """Add the scale of the radius ratios and save."""
+    width = figure.get_size_inches()[0]
+    place = (1 - 0.85 / width, 0.1, 0.15 / width, 0.7)
+    figure.colorbar(painted, cax=figure.add_axes(place), extend="min", label="radius ratio q")
     write(figure, path)
 
 
@@ -86,9 +121,9 @@ def insert(path: Path) -> None:
 
 
 def rounded_box(n: int = 1500) -> Arrays:
-    """Random points on the surface x^6 + y^6 + z^6 = 1, joined by their convex hull."""
+    """Random points on the surface x^8 + y^8 + z^8 = 1, joined by their convex hull."""
     points = np.random.default_rng(4).normal(size=(n, 3))
-    points /= (points**6).sum(axis=1, keepdims=True) ** (1 / 6)
+    points /= (points**8).sum(axis=1, keepdims=True) ** (1 / 8)
     hull = ConvexHull(points)
     cells = hull.simplices
     a, b, c = points[cells].transpose(1, 0, 2)
@@ -110,24 +145,8 @@ def curvature(path: Path) -> None:
 def plane(path: Path) -> None:
     """A graded planar mesh whose vertices were moved at random, around the airfoil."""
     before = read_file(AIRFOIL)
-    points, cells = before.points[:, :2], before.cells_dict["triangle"]
-    meshes = {"before": (points, cells), "after": odt_plugins.optimize((points, cells))}
-    figure = Figure(figsize=(11, 4.2))
-    panels = figure.subplots(1, 2)
-    figure.subplots_adjust(left=0.01, right=0.91, bottom=0.02, top=0.86, wspace=0.03)
-    low, high = points.min(axis=0), points.max(axis=0)
-    for axes, (title, (p, t)) in zip(panels, meshes.items(), strict=True):
-        quality = radius_ratio(p, t)
-        drawn = PolyCollection(p[t], array=quality, cmap="RdYlBu", edgecolors="#26323a",
-                               linewidths=0.3)
-        drawn.set_clim(*SCALE)
-        axes.add_collection(drawn)
-        axes.set(aspect="equal", xlim=(low[0], high[0]), ylim=(low[1], high[1]))
-        axes.set_title(f"{title}\n{caption((p, t))}", fontsize=10)
-        axes.set_axis_off()
-    figure.colorbar(drawn, cax=figure.add_axes((0.93, 0.1, 0.012, 0.7)), extend="min",
-                    label="radius ratio q")
-    write(figure, path)
+    mesh = before.points[:, :2], before.cells_dict["triangle"]
+    in_the_plane({"before": mesh, "after": odt_plugins.optimize(mesh)}, path)
 
 
 def objectives(path: Path) -> None:
@@ -164,9 +183,92 @@ def blocks(path: Path) -> None:
     }, path)
 
 
+def script(path: Path) -> None:
+    """A plate before and after the filter script of examples/filter_script.py."""
+    import filter_script
+    import pymeshlab
+
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(filter_script.plate(), "plate")
+    found = {}
+    for title in ("the plate", "after examples/filter_script.mlx"):
+        now = meshes.current_mesh()
+        found[title] = (now.vertex_matrix().copy(), now.face_matrix().astype(np.int64))
+        if len(found) == 1:
+            odt_plugins.run_filter_script(meshes, AIRFOIL.parents[1] / "filter_script.mlx")
+    in_the_plane(found, path)
+
+
+def scan(path: Path) -> None:
+    """A scan, and the tetrahedra that examples/meshlab_pipeline.py makes of it."""
+    import meshlab_pipeline
+
+    result = meshlab_pipeline.main()
+    side_by_side({"the scan": read_obj(meshlab_pipeline.SCAN),
+                  "holes closed, decimated, filled": (result["tet_vertex_matrix"],
+                                                      result["tet_matrix"])}, path)
+
+
+def sizes(path: Path) -> None:
+    """The cube of examples/sizing_field.py: small tetrahedra on one side, large on the other."""
+    import sizing_field
+
+    side_by_side({name: (np.asarray(grid.points, dtype=float), grid.cells_dict[10])
+                  for name, grid in sizing_field.meshes().items()}, path)
+
+
+def others(path: Path) -> None:
+    """Least, 1 % and mean radius ratio of the bone by tool."""
+    tools = choose(("laplacian", "gmsh", "netgen", "mmg"))
+    result = compare_on(stored("bone"), tools, Limits(20.0, 1), poisson=False)
+    found = {"start": result.measured.summary}
+    found |= {row.contestant: row.measured.summary for row in result.rows
+              if row.measured is not None and not row.contestant.startswith("odt-plugins:")}
+    figure = Figure(figsize=(9, 4.2), layout="constrained")
+    axes = figure.subplots()
+    for field, colour, label in (("min_quality", "#c0392b", "least"),
+                                 ("p1_quality", "#9aa5b1", "1 %"),
+                                 ("mean_quality", "#2f6fb0", "mean")):
+        axes.plot([getattr(q, field) for q in found.values()], range(len(found)), "o",
+                  color=colour, label=label)
+    axes.set(yticks=range(len(found)), yticklabels=list(found), xlim=(0, 0.9),
+             xlabel="radius ratio q of the cells of the bone")
+    axes.invert_yaxis()
+    axes.grid(axis="x", alpha=0.3)
+    axes.legend(ncols=3, fontsize=9, loc="lower center", bbox_to_anchor=(0.5, 1.0))
+    write(figure, path)
+
+
+def many(path: Path) -> None:
+    """The mean quality of many models before and after, from the summary of a batch."""
+    import batch_models
+
+    with tempfile.TemporaryDirectory() as name:
+        models = Path(name) / "models"
+        batch_models.make_models(models, lengths=(1.4, 2.3, 3.5))
+        command(["batch", str(models / "*"), "--out", f"{name}/results", "--timeout", "60",
+                 "--quiet"])
+        with (Path(name) / "results" / "summary.csv").open(encoding="utf-8") as file:
+            rows = list(csv.DictReader(file))
+    good = [row for row in rows if row["status"] == "ok"]
+    figure = Figure(figsize=(9, 3.4), layout="constrained")
+    axes = figure.subplots()
+    for k, row in enumerate(good):
+        before, after = float(row["before_mean_quality"]), float(row["after_mean_quality"])
+        axes.plot([before, after], [k, k], color="#9aa5b1", zorder=1)
+        axes.scatter([before, after], [k, k], c=["#9aa5b1", "#2f6fb0"], zorder=2)
+    axes.set(yticks=range(len(good)), yticklabels=[Path(row["source"]).name for row in good],
+             xlabel="mean radius ratio q before (grey) and after (blue)",
+             title=", ".join(f"{row['status']}: {Path(row['input']).name}" for row in rows
+                             if row["status"] != "ok"))
+    axes.tick_params(labelsize=8)
+    write(figure, path)
+
+
 PICTURES: dict[str, Callable[[Path], None]] = {
     "slide": slide, "insert": insert, "curvature": curvature, "plane": plane,
-    "objectives": objectives, "blocks": blocks,
+    "objectives": objectives, "blocks": blocks, "script": script, "scan": scan, "sizes": sizes,
+    "others": others, "many": many,
 }
 
 

@@ -1,6 +1,12 @@
-"""Meshes made from distance functions: a plate with holes, and two domains of the paper."""
+"""Meshes made from distance functions: a plate with holes, and two domains of the paper.
+
+python examples/generate_mesh.py [PICTURE.png]
+"""
 
 from __future__ import annotations
+
+import sys
+from io import BytesIO
 
 import numpy as np
 
@@ -37,6 +43,7 @@ def draw(meshes: dict[str, tuple[np.ndarray, np.ndarray]], path: str) -> None:
     """Draw meshes side by side, coloured by the radius ratio of their triangles."""
     from matplotlib.collections import PolyCollection
     from matplotlib.figure import Figure
+    from PIL import Image
 
     from odt_plugins.quality import radius_ratio
 
@@ -53,10 +60,13 @@ def draw(meshes: dict[str, tuple[np.ndarray, np.ndarray]], path: str) -> None:
         axes.autoscale_view()
         axes.set_axis_off()
     figure.colorbar(drawn, cax=figure.add_axes((0.92, 0.08, 0.012, 0.8)), label="radius ratio")
-    figure.savefig(path, dpi=120)
+    buffer = BytesIO()
+    figure.savefig(buffer, dpi=120, format="png")
+    few = Image.open(buffer).convert("RGB").quantize(64, dither=Image.Dither.NONE)
+    few.save(path, optimize=True)
 
 
 if __name__ == "__main__":
-    for name, figures in main("generated.png").items():
+    for name, figures in main(sys.argv[1] if len(sys.argv) > 1 else "generated.png").items():
         print(f"{name:10} {figures.n_points} vertices, radius ratio from {figures.min_quality:.3f},"
               f" mean {figures.mean_quality:.4f}")

@@ -10,6 +10,7 @@ from pathlib import Path
 
 import numpy as np
 import pyvista
+from PIL import Image
 
 import odt_plugins
 
@@ -36,7 +37,8 @@ def picture(before: pyvista.UnstructuredGrid, after: pyvista.UnstructuredGrid, p
                          scalar_bar_args={"title": "radius ratio\n", "n_labels": 3})
         plotter.add_text(title)
         plotter.view_xz()
-    plotter.screenshot(str(path))
+    image = Image.fromarray(plotter.screenshot(return_img=True)).convert("RGB")
+    image.quantize(128, Image.Quantize.MAXCOVERAGE).save(path, optimize=True)
     plotter.close()
 
 

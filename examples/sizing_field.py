@@ -34,17 +34,20 @@ def deviation(mesh: pyvista.UnstructuredGrid) -> float:
     return float(np.log(length / wanted).std())
 
 
-def main() -> dict[str, tuple[float, float]]:
-    """Return mean radius ratio and spread of sizes for TetWild alone and with ODT after it."""
+def meshes() -> dict[str, pyvista.UnstructuredGrid]:
+    """Return the cube filled by TetWild alone, and with ODT after it."""
     odt_plugins.register("pyvista")
     cube = pyvista.Box((0, 1, 0, 1, 0, 1)).triangulate()
     field = background()
-    found = {}
-    for name, odt in (("TetWild", False), ("TetWild and ODT", True)):
-        grid = cube.odt.tetrahedralize(sizing_field=field, edge_length_fac=0.15, coarsen=True,
-                                       odt=odt)
-        found[name] = (grid.odt.quality().mean_quality, deviation(grid))
-    return found
+    return {name: cube.odt.tetrahedralize(sizing_field=field, edge_length_fac=0.15, coarsen=True,
+                                          odt=odt)
+            for name, odt in (("TetWild", False), ("TetWild and ODT", True))}
+
+
+def main() -> dict[str, tuple[float, float]]:
+    """Return mean radius ratio and spread of sizes for TetWild alone and with ODT after it."""
+    return {name: (grid.odt.quality().mean_quality, deviation(grid))
+            for name, grid in meshes().items()}
 
 
 if __name__ == "__main__":

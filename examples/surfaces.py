@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from PIL import Image
 
 import odt_plugins
 from odt_plugins.cli.demo import bunny_path, read_obj
@@ -64,6 +65,9 @@ def picture(start: StartMesh, envelope: float, path: Path) -> None:
     after, report = odt_plugins.optimize_with_report(before, envelope=envelope)
     plot_before_after(before, after, report, path, title=f"{start.name}, envelope {envelope:g}",
                       up=1)
+    with Image.open(path) as drawn:
+        few = drawn.convert("RGB").quantize(48, Image.Quantize.MAXCOVERAGE)
+    few.save(path, optimize=True)
 
 
 def main(arguments: list[str]) -> None:

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable, Sequence
+from io import BytesIO
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import meshio
 import numpy as np
 from matplotlib.figure import Figure
+from PIL import Image
 
 from odt_plugins import optimize
 from odt_plugins.engine.odt.sweeps import gauss_seidel_sweep
@@ -18,6 +20,7 @@ from odt_plugins.quality import radius_ratio, uniformity
 
 MESHES = Path(__file__).parents[1] / "meshes"
 LINE, FACE, BAR = "#22313f", "#eaf1f8", "#2f6fb0"
+COLOURS = 64
 
 
 class Figures(NamedTuple):
@@ -116,10 +119,13 @@ def picture(size: tuple[float, float]) -> Figure:
 
 
 def save(figure: Figure, folder: str | Path | None, name: str) -> None:
-    """Write a picture; without a folder nothing is written."""
+    """Write a picture of few colours; without a folder nothing is written."""
     if folder is not None:
         Path(folder).mkdir(parents=True, exist_ok=True)
-        figure.savefig(Path(folder) / name, dpi=160)
+        buffer = BytesIO()
+        figure.savefig(buffer, dpi=110, format="png")
+        few = Image.open(buffer).convert("RGB").quantize(COLOURS, dither=Image.Dither.NONE)
+        few.save(Path(folder) / name, optimize=True)
 
 
 def run(main: Callable[[str | None], Any]) -> None:

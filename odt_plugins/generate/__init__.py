@@ -1,8 +1,20 @@
 """Mesh generation: distance functions, size functions, odtmesh2d and uniform refinement.
 
+- `odtmesh2d` meshes {fd < 0} with edge lengths in proportion to fh (Section 5.3): a truss catches
+  the domain (`truss_smoothing`, `settle`), `refine_triangles` halves the edges, `relax` runs ODT
+  with rho = h^-3 on every level, `clean_up` and `repair` end it. `distmesh2d` is the truss alone.
+- Distance functions: `dcircle`, `drectangle`, `dpoly`, ..., joined by `dunion`, `ddiff` and
+  `dintersect`; sizes: `huniform`, `hgraded`, `hmin`. `SAMPLES` are the six domains of Table 1.
+- `refine_and_optimize` makes large meshes of tetrahedra from coarse ones: `red_refinement` cuts
+  every tetrahedron into eight, around the diagonal that is best (`best_diagonals`), `project`
+  moves the boundary to the surface, and the engine follows.
+- `uniform_refine` is the refinement alone, on any mesh that the adapters read.
+
 References
 ----------
 L. Chen, M. Holst, CMAME 200 (2011) 967-984, doi:10.1016/j.cma.2010.11.007, Section 5.3.
+P.-O. Persson, G. Strang, A simple mesh generator in MATLAB, SIAM Review 46 (2004) 329-345.
+J. Bey, Tetrahedral grid refinement, Computing 55 (1995) 355-378.
 """
 
 from odt_plugins.generate.distance import (

@@ -1,4 +1,16 @@
-"""What makes odt_plugins look like a part of other toolkits, one file each, on request only."""
+"""What makes odt_plugins look like a part of other toolkits, one file each, on request only.
+
+`register` extends one toolkit and does nothing at a second call:
+
+- "pymeshlab" (`hosts.pymeshlab_filters`): the filters of `FILTERS` become methods of MeshSet,
+  names for ``apply_filter``, and steps of filter scripts; `run_filter` applies one,
+  `run_filter_script` a script that mixes them with MeshLab's own;
+- "pyvista" (`hosts.pyvista_accessor`): `OdtAccessor` and `OdtSurfaceAccessor` as ``mesh.odt``;
+- "open3d" (`hosts.open3d_filters`): functions shaped like open3d's filters, such as
+  `filter_smooth_odt` and `optimize_odt`, become methods of its meshes.
+
+Source: names, parameters and log lines follow the filters of each toolkit.
+"""
 
 from __future__ import annotations
 

@@ -1,1 +1,17 @@
-"""Meshes of simplices: the one type that the engine knows, surfaces, facets, numbers."""
+"""Meshes of simplices: the one type that the engine knows, surfaces, facets, numbers.
+
+`simplex_mesh` checks arrays of points and cells and makes a `SimplexMesh`: finite coordinates,
+indices in range, positive volumes, every facet with one or two cells, one on each side
+(`uneven_facets`). `surface_mesh` does the same for triangles in space, `surface_edges` lists
+their edges, and `plane_frame` finds the plane of triangles that lie in one. `freeze` adds cells
+that must stay, `vertex_mask` reads masks and lists of indices, `compact_labels` numbers region
+labels. Where vertices were added and removed, `old_numbers` and `new_numbers` go from one
+numbering to the other. `CellGeometry` holds edges, normals and determinants in numpy, for the
+figures that leave the package.
+
+Source: d-simplices in R^d as in Section 2 of Chen and Holst.
+
+References
+----------
+L. Chen, M. Holst, CMAME 200 (2011) 967-984, doi:10.1016/j.cma.2010.11.007, Section 2.
+"""

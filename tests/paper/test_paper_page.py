@@ -1,4 +1,4 @@
-"""The page "From the paper to the code": every name exists, and its docstring has the numbers."""
+"""The table from the paper to the code: every name exists, and its docstring has the numbers."""
 
 from __future__ import annotations
 
@@ -10,11 +10,19 @@ from pathlib import Path
 import pytest
 
 TOP = Path(__file__).parents[2]
-TEXT = (TOP / "README.md").read_text(encoding="utf-8")
-PAGE = TEXT.split("## From the paper to the code\n")[1].split("\n## ")[0]
-ROWS = [re.findall(r"[^|]+", line) for line in PAGE.splitlines() if line.startswith("| ")]
-CODE = [row for row in ROWS if len(row) == 3 and "`" in row[2]]
-SCRIPTS = [row for row in ROWS if len(row) == 2 and "`" in row[0]]
+
+
+def table(path, heading=""):
+    """Rows of the tables of a page, or of the section of a page below a heading."""
+    text = (TOP / path).read_text(encoding="utf-8")
+    if heading:
+        text = text.split(f"## {heading}\n")[1].split("\n## ")[0]
+    return [re.findall(r"[^|]+", line) for line in text.splitlines() if line.startswith("| ")]
+
+
+CODE = [row for row in table("odt_plugins/engine/README.md", "From the paper to the code")
+        if len(row) == 3 and "`" in row[2]]
+SCRIPTS = [row for row in table("examples/paper/README.md") if len(row) == 2 and "`" in row[0]]
 
 
 def found(name):

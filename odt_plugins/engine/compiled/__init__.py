@@ -1,1 +1,11 @@
-"""How kernels are compiled, kept on disk and spread over threads."""
+"""How kernels are compiled, kept on disk and spread over threads.
+
+A kernel is a function of scalars and arrays that numba compiles (`compiled`): it holds no lock of
+Python, allocates nothing in inner loops, and its result does not depend on the number of threads.
+numba keeps machine code beside the source; `keep_by` gives it a name with the hash of the sources
+of all kernels (`source_stamp`), so that no kernel runs with the code of an older one that it
+calls. `thread_pool` and `run_ranges` give parts of a range to threads, cut alike for any number
+of them.
+
+Source: numba, https://numba.readthedocs.io.
+"""

@@ -1,1 +1,25 @@
-"""What changes a mesh in place: flips, Newton steps, compound moves, insertion."""
+"""What changes a mesh in place: flips, Newton steps, compound moves, insertion.
+
+All moves lower the same sum over the cells, F_p = sum ((1 + s) / (m + s))^p of a measure m, so no
+move undoes another one. A move is taken only if every new cell stays within the extremes of the
+run.
+
+- Flips: `remove_edge` fills the ring around an edge anew, best by dynamic programming
+  (`triangulate_ring`, after Klincsek); `flip_facet` is the 2-3 flip; `flip_pass` tries them at
+  all cells that wait. In the plane `lawson_flips` goes to Delaunay and `quality_flips` lowers
+  F_p.
+- Newton steps: x -= (H + s I)^-1 g for one vertex, halved until F_p falls: `newton_vertex` and
+  `smooth_vertices` in space, `star_cost_2d` and `smooth_vertices_2d` in the plane, `plane_step`.
+- Compound moves: a flip that costs something, a descent around it, and all taken back if it did
+  not pay: `compound_pass`, `descend_around`.
+- Insertion and removal of vertices: `propose_vertex` grows a star-shaped cavity (`grow_cavity`),
+  `propose_removal` collapses the best edge (`best_collapse`), `insertion_pass` keeps what pays.
+
+References
+----------
+L. Chen, M. Holst, CMAME 200 (2011) 967-984, doi:10.1016/j.cma.2010.11.007, Section 3.1, for
+flips.
+G. T. Klincsek, Minimal triangulations of polygonal domains, Ann. Discrete Math. 9 (1980) 121-123.
+B. M. Klingner, J. R. Shewchuk, Aggressive tetrahedral mesh improvement, Proc. 16th International
+Meshing Roundtable (2007) 3-23, for compound moves and insertion.
+"""
