@@ -44,8 +44,9 @@ WORTH_COMPOUND = 0.01
 
 
 def worst_count(q: FloatArray, phase: Phase) -> int:
-    """How many cells a phase starts from; ``q`` as of :func:`measures`."""
-    most = int(phase.share * (q < 1.5).sum() + 1e-6)
+    """How many cells a phase starts from, besides the best of all; ``q`` as of :func:`measures`."""
+    cells = int((q < 1.5).sum())
+    most = min(int(phase.share * cells + 1e-6), cells - 1)
     return min(most, max(most // 10, int((q < phase.enough).sum())))
 
 

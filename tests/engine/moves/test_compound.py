@@ -6,11 +6,20 @@ import numpy as np
 import pytest
 import tet_meshes as tm
 from complexes import OPEN, assert_sound, complex_of, contents, run_pass
+from hypothesis import given
+from hypothesis import strategies as st
+from promises import assert_promise, mesh_of
+from strategies import SEEDS
 
 from odt_plugins.engine.cells.tetrahedron import QUALITY, Cost
+from odt_plugins.engine.finish.phases import Phase
+from odt_plugins.engine.finish.volume import finish
 from odt_plugins.engine.moves import compound
 from odt_plugins.engine.moves.cavity import make_journal, make_ring, take_back
 from odt_plugins.engine.moves.flips3d import flip_facet, remove_edge
+from odt_plugins.engine.run.driver import run
+from odt_plugins.engine.topology.tets import FREE
+from odt_plugins.options import Options
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -91,3 +100,30 @@ def test_cells_that_were_tried_are_passed_over_until_something_changes_near_them
     tried[:] = True
     assert run_pass(mesh, tried=tried) == 0
     assert contents(mesh) == before
+
+
+@pytest.mark.parametrize("share", [0.5, np.nextafter(1.0, 0.0), 1.0])
+def test_a_phase_may_start_from_all_cells_of_a_mesh_without_free_slots(share):
+    points = np.array([[0, 0, 0], [1, 0, 0], [0.5, 1, 0], [0.5, 0.35, 0.05]])
+    for cells in ([[0, 1, 2, 3]], tm.grid(1, 0)[1]):
+        corners = points if len(cells) == 1 else tm.grid(1, 0)[0]
+        mesh = complex_of(corners, np.array(cells, dtype=np.int32))
+        assert mesh.slots[FREE] == 0
+        finish(mesh, (Phase(2.0, share, 1, 1, 1),), OPEN, None, 1)
+        assert_sound(mesh, mesh.points, tm.signed_volumes(corners, np.array(cells)).sum())
+
+
+@given(SEEDS, st.integers(1, 4), st.integers(0, 60))
+def test_small_components_beside_a_mesh_keep_the_promise(seed, loose, n):
+    rng = np.random.default_rng(seed)
+    parts = [tm.ball(n, seed)] if n >= 4 else []
+    for k in range(loose):
+        corners = rng.normal(size=(4, 3)) * [1.0, 1.0, 10.0 ** -rng.uniform(0, 2)]
+        shift = np.array([4.0 * (k + 1), 0.0, 0.0])
+        parts.append((corners + shift, np.arange(4)[None]))
+    offsets = np.cumsum([0, *(len(points) for points, _ in parts)])
+    points = np.concatenate([points for points, _ in parts])
+    cells = tm.oriented(points, np.concatenate(
+        [cells + start for (_, cells), start in zip(parts, offsets[:-1], strict=True)]))
+    mesh = mesh_of(points, cells)
+    assert_promise(mesh, run(mesh, Options()))
