@@ -63,7 +63,7 @@ TOOLKITS = {
                "compare/baselines/open3d_smooth.py"},
     "dask": {"distributed/cluster.py"},
     "distributed": {"distributed/cluster.py"},
-    "igl": {"engine/ground/reference.py"},
+    "igl": {"engine/ground/reference.py", "engine/odt/cholesky.py"},
 }
 """Files that may import a toolkit, inside a function."""
 
