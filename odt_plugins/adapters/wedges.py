@@ -166,7 +166,8 @@ def _of_sources(
     row = np.repeat(np.arange(len(face)), size)
     wedge = order[np.arange(len(row)) - np.repeat(np.cumsum(size) - size, size) + low[row]]
     flat = uv.reshape(-1, 2)
-    away = ((flat[wedge] - uv[result.source[face[row]]].mean(axis=1)) ** 2).sum(axis=1)
+    middle = uv[result.source[face[row]]].mean(axis=1, dtype=np.float64)
+    away = ((flat[wedge] - middle) ** 2).sum(axis=1)
     best = np.lexsort((wedge, away, row))
     first = best[np.cumsum(size) - size]
     out[face, corner] = flat[wedge[first]]

@@ -162,3 +162,86 @@ def unsplit_energy(points, cells):
         edges = sum(((points[i] - points[j]) ** 2).sum() for i, j in combinations(cell, 2))
         total += volume(points[cell]) * edges / ((d + 1) * (d + 2))
     return total
+
+
+def determinants(points, cells):
+    """Signed volumes times d! in extended precision."""
+    x = np.asarray(points)[cells].astype(np.longdouble)
+    e = x[:, 1:] - x[:, :1]
+    if e.shape[1] == 2:
+        return e[:, 0, 0] * e[:, 1, 1] - e[:, 0, 1] * e[:, 1, 0]
+    return (e[:, 0] * np.cross(e[:, 1], e[:, 2])).sum(axis=1)
+
+
+def exact_signs(points, cells):
+    """Signs of the volumes; in rational numbers where extended precision does not tell."""
+    x = np.asarray(points)[cells].astype(np.longdouble)
+    extent = np.ptp(x, axis=1).max(axis=1)
+    det = determinants(points, cells)
+    signs = np.sign(det).astype(int)
+    d = cells.shape[1] - 1
+    for i in np.flatnonzero(~(np.abs(det) > 100 * np.finfo(np.longdouble).eps * extent**d)):
+        row = [[Fraction(float(v)) for v in p] for p in np.asarray(points)[cells[i]]]
+        exact = _det([[a - b for a, b in zip(p, row[0], strict=True)] for p in row[1:]])
+        signs[i] = (exact > 0) - (exact < 0)
+    return signs
+
+
+def areas(points, cells, kind=np.longdouble):
+    """Twice the areas of triangles in space."""
+    x = np.asarray(points)[cells].astype(kind)
+    normal = np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])
+    size = np.abs(normal).max(axis=1)
+    unit = np.where(size > 0, size, 1)
+    return size * np.sqrt(((normal / unit[:, None]) ** 2).sum(axis=1))
+
+
+def _length(x):
+    return np.sqrt((x**2).sum(axis=-1))
+
+
+def cell_figures(points, cells, kind=np.longdouble):
+    """Radius ratio, least and largest (dihedral) angle in degrees of every cell, without sign.
+
+    d r / R with r = d V / S; R from the product of the sides of a triangle, or the length of
+    |a|^2 b x c + |b|^2 c x a + |c|^2 a x b = 12 V R. Angles from a sine and a cosine.
+    """
+    x = np.asarray(points)[cells].astype(kind)
+    e = x - x[:, :1]
+    unit = np.abs(e).max(axis=(1, 2))
+    x = e / np.where(unit > 0, unit, 1)[:, None, None]
+    if cells.shape[1] == 3:
+        if x.shape[2] == 2:
+            x = np.concatenate([x, np.zeros((len(x), 3, 1), kind)], axis=2)
+        sides = [x[:, (i + 2) % 3] - x[:, (i + 1) % 3] for i in range(3)]
+        area = _length(np.cross(sides[0], sides[1]))
+        a, b, c = map(_length, sides)
+        top, bottom = 4 * area**2, (a + b + c) * a * b * c
+        q = np.divide(top, bottom, out=np.zeros_like(top), where=bottom > 0)
+        angle = [np.arctan2(area, -(sides[(i + 1) % 3] * sides[(i + 2) % 3]).sum(axis=1))
+                 for i in range(3)]
+    else:
+        a, b, c = (x[:, i] for i in (1, 2, 3))
+        volume = np.abs((a * np.cross(b, c)).sum(axis=1))
+        center = _length((a**2).sum(axis=1)[:, None] * np.cross(b, c)
+                         + (b**2).sum(axis=1)[:, None] * np.cross(c, a)
+                         + (c**2).sum(axis=1)[:, None] * np.cross(a, b))
+        face = [np.cross(x[:, j] - x[:, i], x[:, k] - x[:, i])
+                for i, j, k in ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))]
+        surface = sum(_length(n) for n in face)
+        top, bottom = 6 * volume**2, surface * center
+        q = np.divide(top, bottom, out=np.zeros_like(top), where=bottom > 0)
+        angle = []
+        for i, j in combinations(range(4), 2):
+            k, m = (v for v in range(4) if v not in (i, j))
+            edge = _length(x[:, m] - x[:, k])
+            angle.append(np.arctan2(volume * edge, -(face[i] * face[j]).sum(axis=1)))
+    angle = np.degrees(np.array(angle))
+    return q, angle.min(axis=0), angle.max(axis=0)
+
+
+def figures(points, cells, kind=np.longdouble):
+    """The figures that an option can keep."""
+    q, least, largest = cell_figures(points, np.asarray(cells).astype(np.int64), kind)
+    return {"min_quality": q.min(), "p1_quality": np.quantile(q, 0.01), "mean_quality": q.mean(),
+            "min_angle": least.min(), "max_angle": largest.max()}

@@ -221,7 +221,8 @@ def distances(x, points, cells):
         w = np.clip(((p - u) * e).sum(axis=1) / np.where(ee > 0, ee, 1.0), 0.0, 1.0)
         best = np.minimum(best, np.linalg.norm(p - (u + w[:, None] * e), axis=1))
         inside &= (np.cross(e, p - u) * normal).sum(axis=1) >= 0
-    best = np.where(inside, height, best)
+    # The normal of a triangle that is all but flat may be anything.
+    best = np.where(inside, np.minimum(height, best), best)
     out = np.full(len(x), np.inf)
     np.minimum.at(out, row, best)
     return out

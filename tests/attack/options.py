@@ -1,0 +1,125 @@
+"""Random options, drawn from the package's own list."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import fields
+from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from odt_plugins.errors import InvalidOptionError
+from odt_plugins.options import DENSITIES, FIGURES, Options
+
+if TYPE_CHECKING:
+    from attack.meshes import RandomMesh
+
+Rng = np.random.Generator
+
+GIVEN = 0.25
+"""Probability that an option is given."""
+
+OFTEN = {"orient": 0.6}
+"""The same of some: a mesh that needs no turning is not changed by it."""
+
+
+def random_options(
+    rng: Rng, mesh: RandomMesh, labels: np.ndarray | None = None
+) -> dict[str, Any]:
+    """Options for a mesh that go together, and now and then some that do not.
+
+    Parameters
+    ----------
+    rng : Generator
+    mesh : RandomMesh
+    labels : (m,) int    to be given as regions, if any
+    """
+    while True:
+        found = {}
+        for name, hint in get_type_hints(Options).items():
+            if rng.random() < OFTEN.get(name, GIVEN) or (name == "regions" and labels is not None):
+                found[name] = random_value(name, hint, rng, mesh, labels)
+        try:
+            Options(**found)
+        except InvalidOptionError:
+            if rng.random() < 0.97:
+                continue
+        return found
+
+
+def random_value(
+    name: str, hint: Any, rng: Rng, mesh: RandomMesh, labels: np.ndarray | None = None
+) -> Any:
+    """One value of an option: by its name where that says more than its type.
+
+    Raises
+    ------
+    TypeError    a new option whose type says nothing
+    """
+    if name in BY_NAME:
+        return BY_NAME[name](rng, mesh, labels)
+    if get_origin(hint) is Literal:
+        return str(rng.choice(get_args(hint)))
+    if hint is bool:
+        return bool(rng.random() < 0.5)
+    if hint is int:
+        return int(rng.integers(0, 4))
+    msg = f"nothing is known of the option {name}; give it a line in BY_NAME"
+    raise TypeError(msg)
+
+
+def _density(rng: Rng, mesh: RandomMesh, _labels: Any) -> Any:
+    chance = rng.random()
+    if chance < 0.6:
+        return str(rng.choice(DENSITIES))
+    if chance < 0.75:
+        origin, size = mesh.points[0], float(np.ptp(mesh.points)) or 1.0
+        d = len(origin)
+        return lambda x: 1.0 + (((x[:, :d] - origin) / size) ** 2).sum(axis=1)
+    count = rng.choice([len(mesh.points), len(mesh.cells)])
+    values = 10.0 ** rng.uniform(-3, 3, count)
+    if chance > 0.97 and count:
+        values[rng.integers(count)] = rng.choice([0.0, -1.0, np.nan, np.inf])
+    return values
+
+
+def _some_of(count: int, rng: Rng) -> Any:
+    """A mask, or indices as an array or a list."""
+    mask = rng.random(count) < rng.choice([0.05, 0.5, 0.9, 1.0])
+    chance = rng.random()
+    if chance < 0.5:
+        return mask
+    return np.flatnonzero(mask) if chance < 0.8 else np.flatnonzero(mask).tolist()
+
+
+def _regions(_rng: Rng, _mesh: RandomMesh, labels: Any) -> Any:
+    return labels
+
+
+def _keep(rng: Rng, _mesh: RandomMesh, _labels: Any) -> tuple[str, ...]:
+    return tuple(name for name in FIGURES if rng.random() < 0.5)
+
+
+BY_NAME: dict[str, Callable[[Rng, Any, Any], Any]] = {
+    "density": _density,
+    "exponent": lambda rng, *_: float(10.0 ** rng.uniform(-2, 1)),
+    "orient": lambda rng, *_: bool(rng.random() < 0.9),
+    "omega": lambda rng, *_: float(rng.uniform(0.05, 1.98)),
+    "rounds": lambda rng, *_: int(rng.choice([0, 1, 5, 100])),
+    "envelope": lambda rng, *_: float(10.0 ** rng.uniform(-8, -0.1)),
+    "feature_angle": lambda rng, *_: float(rng.uniform(1.0, 180.0)),
+    "fixed": lambda rng, mesh, _: _some_of(len(mesh.points), rng),
+    "selection": lambda rng, mesh, _: _some_of(len(mesh.cells), rng),
+    "regions": _regions,
+    "keep": _keep,
+    "threads": lambda rng, *_: int(rng.integers(1, 4)),
+    "progress": lambda *_: lambda _stage, _fraction: None,
+}
+
+
+def all_known() -> list[str]:
+    """Names of the options that a random value cannot be drawn for; none."""
+    hints = get_type_hints(Options)
+    return [f.name for f in fields(Options)
+            if f.name not in BY_NAME and get_origin(hints[f.name]) is not Literal
+            and hints[f.name] not in (bool, int)]
