@@ -196,19 +196,20 @@ def test_charts_are_parted_by_seams_and_a_cut_within_a_chart_is_named():
     assert [part.kind for part in kept] == ["texture seam"]
 
 
-def test_a_new_wedge_takes_the_nearest_of_the_old_ones():
+@pytest.mark.parametrize("unit", [1.0, 2.0**100])
+def test_a_new_wedge_takes_the_nearest_of_the_old_ones(unit):
     """Vertex 3 has wedges at two places of the texture; each new triangle takes that nearby."""
     cells = np.array([[0, 1, 2], [1, 3, 2], [4, 3, 5]])
     uv = np.array([[[0, 0], [1, 0], [0, 1]], [[1, 0], [1, 1], [0, 1]],
-                   [[8, 8], [9, 9], [8, 9]]], dtype=np.float32)
+                   [[8, 8], [9, 9], [8, 9]]], dtype=np.float32) * np.float32(unit)
     for source, place in ((0, [1, 1]), (2, [9, 9])):
         corner = [0, 1, 3] if source == 0 else [4, 0, 3]
         out = carried(uv, cells, Result(np.zeros((6, 3)), np.array([corner]),
                                         np.array([source], dtype=np.int32)))
-        assert out[0, 2].tolist() == place
+        assert (out[0, 2] / unit).tolist() == place
     out = carried(uv, cells, Result(np.zeros((6, 3)), np.array([[0, 1, 3]]),
                                     np.array([2], dtype=np.int32)))
-    assert out[0].tolist() == [[0, 0], [1, 0], [9, 9]]
+    assert (out[0] / unit).tolist() == [[0, 0], [1, 0], [9, 9]]
 
 
 class FakeMap(dict):
