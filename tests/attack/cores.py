@@ -17,8 +17,9 @@ from llvmlite import binding
 
 import odt_plugins
 from attack.judge import Broken, Mesh, broken
-from attack.meshes import curved, random_mesh
+from attack.meshes import curved
 from attack.options import random_options
+from attack.shapes import random_mesh
 from odt_plugins.options import Options
 
 SECONDS = 900.0

@@ -12,7 +12,7 @@ from odt_plugins.errors import InvalidOptionError
 from odt_plugins.options import DENSITIES, FIGURES, Options
 
 if TYPE_CHECKING:
-    from attack.meshes import RandomMesh
+    from attack.shapes import RandomMesh
 
 Rng = np.random.Generator
 

@@ -24,9 +24,6 @@ import numpy as np
 
 from odt_plugins.errors import ODTError, ODTWarning, exit_name
 
-KINDS = ("meshes", "files", "signals", "disks", "cores")
-"""Modules of this folder with a function ``attack(rng, folder)`` and its time limit ``SECONDS``."""
-
 OK, REFUSED, FAILED = "ok", "refused", "FAILED"
 
 MEMORY = 8 << 30
@@ -44,9 +41,9 @@ class Verdict(NamedTuple):
     details: str = ""
 
 
-def judge(kind: str, seed: int) -> Verdict:
+def judge(module: str, seed: int) -> Verdict:
     """Do one case here; its files are in a folder of its own that is removed."""
-    attack = importlib.import_module(f"attack.{kind}").attack
+    attack = importlib.import_module(module).attack
     printed, left = io.StringIO(), []
     home, hook = Path.cwd(), sys.unraisablehook
     folder = Path(tempfile.mkdtemp(prefix="odt-attack-"))
@@ -88,7 +85,7 @@ def _place(exc: BaseException) -> str:
     return f"{Path(ours[-1].filename).name}:{ours[-1].lineno}"
 
 
-def serve(kind: str, pipe: Connection, log: str, seconds: float) -> None:
+def serve(module: str, pipe: Connection, log: str, seconds: float) -> None:
     """Answer seeds with verdicts; a case that takes too long ends the process."""
     from numba.core import event
 
@@ -111,22 +108,22 @@ def serve(kind: str, pipe: Connection, log: str, seconds: float) -> None:
         def on_end(self, event: Any) -> None:
             faulthandler.dump_traceback_later(seconds, exit=True, file=2)
 
-    importlib.import_module(f"attack.{kind}")
+    importlib.import_module(module)
     with event.install_listener("numba:compile", Compiling()), contextlib.suppress(EOFError):
         while True:
             seed = pipe.recv()
             os.ftruncate(2, 0)
             faulthandler.dump_traceback_later(seconds, exit=True, file=2)
-            verdict = judge(kind, seed)
+            verdict = judge(module, seed)
             faulthandler.cancel_dump_traceback_later()
             pipe.send(verdict)
 
 
 @dataclass
 class Worker:
-    """The process of one kind of attack; started when it is needed and anew after its end."""
+    """The process of a module of attacks; started when it is needed and anew after its end."""
 
-    kind: str
+    module: str
     seconds: float
     process: Any = None
     pipe: Any = None
@@ -162,7 +159,7 @@ class Worker:
         spawn = multiprocessing.get_context("spawn")
         self.pipe, theirs = spawn.Pipe()
         self.process = spawn.Process(target=serve, daemon=False,
-                                     args=(self.kind, theirs, self.log, self.seconds))
+                                     args=(self.module, theirs, self.log, self.seconds))
         self.process.start()
         theirs.close()
 

@@ -1,0 +1,104 @@
+"""The objects that callers bring: arrays of many types, and those of the toolkits."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any, NamedTuple
+
+import contract
+import numpy as np
+
+from attack.judge import Mesh
+from attack.shapes import RandomMesh
+
+Rng = np.random.Generator
+
+
+class Caller(NamedTuple):
+    """An object, and how it is read.
+
+    Attributes
+    ----------
+    mesh : object              what is optimised
+    view : callable            reads it or the result by its own means, a Mesh
+    labels : (m,) or None      to be given as the option `regions`
+    data_faults : callable     (before, after, names of data that may change): what was not kept
+    """
+
+    mesh: Any
+    view: Callable[[Any], Mesh]
+    labels: np.ndarray | None
+    data_faults: Callable[[Any, Any, tuple[str, ...]], list[str]]
+
+
+def random_caller(mesh: RandomMesh, rng: Rng) -> Caller:
+    """A mesh as an object of a toolkit with data of every kind, or as arrays of any type."""
+    labels = mesh.labels
+    d = mesh.cells.shape[1] - 1
+    names = contract.CURVED if mesh.points.shape[1] > d else contract.HOSTS
+    hosts = [name for name in names
+             if contract.HOSTS[name].dim == d and not name.startswith("file")]
+    sound = mesh.cells.size and 0 <= mesh.cells.min() <= mesh.cells.max() < len(mesh.points)
+    if sound and rng.random() < 0.25 and (labels is None or len(labels) == len(mesh.cells)):
+        return _of_toolkit(str(rng.choice(hosts)), mesh)
+    kinds = [np.float32] * 8 + [np.float64, np.float16, np.longdouble, np.int64, ">f8"]
+    points = mesh.points
+    if rng.random() < 0.3:
+        kind = np.dtype(kinds[rng.integers(len(kinds))])
+        if kind.kind == "i":
+            points = np.round(np.clip(points / max(np.ptp(points), 1e-300) * 1000, -1e9, 1e9))
+        with np.errstate(all="ignore"):
+            points = points.astype(kind)
+    if rng.random() < 0.1:
+        points = np.asfortranarray(points)
+    index = [np.int32, np.uint16, np.uint64, np.float64, ">i4", np.int8]
+    cells = mesh.cells
+    if rng.random() < 0.3:
+        with np.errstate(all="ignore"):
+            cells = cells.astype(index[rng.integers(len(index))])
+    container = tuple if rng.random() < 0.7 else list
+    parts = [points, cells]
+    apart = labels
+    if labels is not None and rng.random() < 0.5:
+        parts.append(labels.astype(rng.choice(["i4", "i8", "i2", "f8"])))
+        apart = None
+
+    def view(found: Any) -> Mesh:
+        return Mesh(np.asarray(found[0]), np.asarray(found[1]),
+                    np.asarray(found[2]) if len(found) == 3 else apart if found is caller else None)
+
+    def faults(old: Any, new: Any, _interpolated: tuple[str, ...]) -> list[str]:
+        same = type(old) is type(new) and len(old) == len(new)
+        same = same and old[0].dtype == new[0].dtype and old[1].dtype.kind == new[1].dtype.kind
+        return [] if same else ["another type came back"]
+
+    caller = container(parts)
+    return Caller(caller, view, apart, faults)
+
+
+def _of_toolkit(name: str, mesh: RandomMesh) -> Caller:
+    """An object of a toolkit with data of every kind, as the tests of the adapters make them."""
+    host = contract.HOSTS[name]
+    labels = np.zeros(len(mesh.cells), dtype=int) if mesh.labels is None else mesh.labels
+
+    def view(found: Any) -> Mesh:
+        # The normals of flat cells, which some views make unit vectors of.
+        with np.errstate(all="ignore"):
+            seen = host.view(found)
+        return Mesh(seen.points, seen.cells, seen.cell_data[host.region] if host.region else None)
+
+    def faults(old: Any, new: Any, interpolated: tuple[str, ...]) -> list[str]:
+        with np.errstate(all="ignore"):
+            a, b = host.view(old), host.view(new)
+        found = []
+        for kind in ("point_data", "cell_data", "field_data"):
+            x, y = getattr(a, kind), getattr(b, kind)
+            if sorted(x) != sorted(y) or any(x[k].dtype != y[k].dtype for k in x):
+                found.append(f"{kind} {sorted(x)} came back as {sorted(y)}")
+            if kind == "point_data" and len(a.points) == len(b.points) and not found:
+                found += [f"point data {k} changed" for k in x
+                           if k not in interpolated and not np.array_equal(x[k], y[k])]
+        return found
+
+    with np.errstate(all="ignore"):
+        return Caller(host.make((mesh.points, mesh.cells, labels)), view, None, faults)
