@@ -17,7 +17,7 @@ from attack.judge import Broken
 from odt_plugins.adapters.files import read_file
 from odt_plugins.errors import ODTError
 
-SECONDS = 30.0
+SECONDS = 20.0
 """No case may take longer."""
 
 Rng = np.random.Generator

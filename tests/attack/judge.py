@@ -100,12 +100,12 @@ def _malformed(before: Mesh, after: Mesh, options: Options) -> list[str]:
         return [f"{len(np.unique(after.cells))} vertices are in use, {was} were"]
     if after.cells.ndim != 2 or after.cells.shape[1] != before.cells.shape[1] or not m:
         return [f"cells have shape {after.cells.shape}, they had {before.cells.shape}"]
+    if after.cells.min() < 0 or after.cells.max() >= n:
+        return [f"cells name vertices up to {after.cells.max()}, there are {n}"]
     if not np.isfinite(after.points[np.unique(after.cells)]).all():
         return ["a vertex is not finite"]
     if after.labels is not None and len(after.labels) != m:
         return [f"there are {len(after.labels)} labels for {m} cells"]
-    if after.cells.min() < 0 or after.cells.max() >= n:
-        return [f"cells name vertices up to {after.cells.max()}, there are {n}"]
     return []
 
 
