@@ -24,7 +24,7 @@ Rng = np.random.Generator
 CHILD = """
 import resource, sys
 from pathlib import Path
-from odt_plugins.cli import main
+from odt_plugins.cli.main import main
 source, whole, target, share = sys.argv[1:]
 if main(["optimize", "--quiet", source, whole]) != 0:
     sys.exit(100)

@@ -1,6 +1,6 @@
 """The promise, judged by slow code that shares nothing with the package.
 
-Signs of volumes are exact, figures are those of ``tests/reference.py`` in extended precision.
+Signs of volumes are exact, figures are those of the slow twins (``reference``) in long doubles.
 """
 
 from __future__ import annotations

@@ -13,8 +13,8 @@ from attack.callers import random_caller
 from attack.judge import Broken, Mesh, broken
 from attack.options import random_options
 from attack.shapes import random_mesh
+from odt_plugins.mesh.plane import plane_frame
 from odt_plugins.options import Options
-from odt_plugins.planar import plane_frame
 
 SECONDS = 60.0
 """No case may take longer."""
