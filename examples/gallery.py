@@ -246,8 +246,8 @@ def many(path: Path) -> None:
     with tempfile.TemporaryDirectory() as name:
         models = Path(name) / "models"
         batch_models.make_models(models, lengths=(1.4, 2.3, 3.5))
-        command(["batch", str(models / "*"), "--out", f"{name}/results", "--timeout", "60",
-                 "--quiet"])
+        command(["batch", str(models / "*.stl"), str(models / "*.ply"), "--out",
+                 f"{name}/results", "--timeout", "60", "--quiet"])
         with (Path(name) / "results" / "summary.csv").open(encoding="utf-8") as file:
             rows = list(csv.DictReader(file))
     good = [row for row in rows if row["status"] == "ok"]
@@ -259,7 +259,7 @@ def many(path: Path) -> None:
         axes.scatter([before, after], [k, k], c=["#9aa5b1", "#2f6fb0"], zorder=2)
     axes.set(yticks=range(len(good)), yticklabels=[Path(row["source"]).name for row in good],
              xlabel="mean radius ratio q before (grey) and after (blue)",
-             title=", ".join(f"{row['status']}: {Path(row['input']).name}" for row in rows
+             title=", ".join(f"{row['status']}: {Path(row['source']).name}" for row in rows
                              if row["status"] != "ok"))
     axes.tick_params(labelsize=8)
     write(figure, path)

@@ -66,8 +66,10 @@ def picture(start: StartMesh, envelope: float, path: Path) -> None:
     plot_before_after(before, after, report, path, title=f"{start.name}, envelope {envelope:g}",
                       up=1)
     with Image.open(path) as drawn:
-        few = drawn.convert("RGB").quantize(48, Image.Quantize.MAXCOVERAGE)
-    few.save(path, optimize=True)
+        size = tuple(4 * side // 5 for side in drawn.size)
+        small = drawn.convert("RGB").resize(size, Image.Resampling.LANCZOS)
+    small.quantize(128, Image.Quantize.MAXCOVERAGE, dither=Image.Dither.NONE).save(
+        path, optimize=True)
 
 
 def main(arguments: list[str]) -> None:

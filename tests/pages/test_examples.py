@@ -211,3 +211,11 @@ def test_meshes_are_generated_and_drawn(here):
     assert min(figures.min_quality for figures in found.values()) > 0.6
     assert min(figures.mean_quality for figures in found.values()) > 0.95
     assert min(colours(here / "generated.png")) > 50
+
+
+def test_the_gallery_is_drawn(here, capsys):
+    pytest.importorskip("matplotlib")
+    example("gallery").main(["plane", "--folder", str(here)])
+    assert capsys.readouterr().out.strip() == str(here / "plane.png")
+    assert min(colours(here / "plane.png")) > 50
+    assert (here / "plane.png").stat().st_size < 210_000

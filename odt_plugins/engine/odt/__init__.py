@@ -2,7 +2,7 @@
 
 The energy of a mesh is the interpolation error of u = |x|^2, E = int |u_I - u| rho (1.1), which
 is 1/((d + 1)(d + 2)) sum over cells tau of rho_tau |tau| times the sum of the squared edges of
-tau (2.2). `smooth` alternates two steps, and both lower E:
+tau (2.2). `smooth` alternates two steps towards lower E:
 
 - connectivity (Section 3): `exchange` puts pieces of scipy's Delaunay triangulation in
   (`delaunay_exchange`), `local_flips` flips facets that are not locally Delaunay
