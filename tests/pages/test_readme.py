@@ -4,11 +4,10 @@ A page has fenced blocks of these kinds, by their info string:
 
 - ``python``: run as it stands, in an empty directory;
 - ``sh``: every ``odt-plugins`` command is run, the commands of a page one after the other in one
-  directory that holds `in.vtu`, `vertices.txt` and `models/`;
+  directory that holds `in.vtu`, `vertices.txt` and `models/`; of ``bash`` commands the script is
+  checked, others are not allowed;
 - ``sh long``: every command is parsed by the real command line or by the parser of the script;
 - ``bibtex``.
-
-Commands that begin with ``bash`` or ``pip`` are only checked, in either kind.
 """
 
 from __future__ import annotations
@@ -85,6 +84,15 @@ def test_the_first_page_is_short_and_begins_with_the_two_commands() -> None:
 def test_every_block_is_of_a_known_kind(page: str) -> None:
     assert {info for info, _ in FENCE.findall(PAGES[page])} <= set(KINDS)
     assert PAGES[page].count("\n```") % 2 == 0
+    for line in commands(PAGES[page], "sh"):
+        program, script, *_ = shlex.split(line)
+        assert program == "odt-plugins" or (program == "bash" and (TOP / script).is_file()), line
+
+
+@pytest.mark.parametrize("page", PAGES)
+def test_numbers_in_brackets_say_of_which_paper_they_are(page: str) -> None:
+    if re.search(r"\(\d\.\d+\)|Section \d|Theorem \d|Lemma \d", PAGES[page]):
+        assert "Chen" in PAGES[page]
 
 
 @pytest.mark.parametrize("code", SNIPPETS)
@@ -125,6 +133,10 @@ def test_a_long_command_is_parsed(
         parsed(line)
         return
     assert program == "python"
+    if script == "-m":
+        assert words[0] == "pytest"
+        assert all((TOP / word).exists() for word in words[1:] if word.startswith("tests"))
+        return
     path = TOP / script
     text = path.read_text(encoding="utf-8")
     if path.name == "figures.py":
@@ -211,7 +223,9 @@ def test_the_recipes_name_functions_that_exist() -> None:
 
 def test_the_extras_named_exist() -> None:
     project = (TOP / "pyproject.toml").read_text(encoding="utf-8")
-    assert "[project.urls]" not in project
+    version = re.search(r'^version = "(.+)"', project, flags=re.MULTILINE)
+    assert version
+    assert f"version = {{{version[1]}}}" in FIRST
     named = {name for text in PAGES.values()
              for extras in re.findall(r'pip install "?(?:\.|odt-plugins)\[([\w,]+)\]', text)
              for name in extras.split(",")}
