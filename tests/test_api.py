@@ -5,7 +5,7 @@ from __future__ import annotations
 import doctest
 import inspect
 from dataclasses import fields
-from itertools import product
+from itertools import pairwise, product
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
@@ -14,16 +14,19 @@ import meshio
 import numpy as np
 import option_table
 import pytest
+import surface_meshes as sm
 import tet_meshes as tm
 
 import odt_plugins
-from odt_plugins import api
+from odt_plugins import api, roundtrip
 from odt_plugins.carry import in_input_order
 from odt_plugins.engine.odt import rounds
 from odt_plugins.engine.run import driver
+from odt_plugins.engine.surface import driver as surface_driver
 from odt_plugins.engine.surface import rounds as surface_rounds
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError
 from odt_plugins.hosts import filter_table, open3d_filters, pyvista_accessor
+from odt_plugins.mesh.plane import plane_frame
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import (
     DENSITIES,
@@ -221,7 +224,7 @@ def test_measure_refuses_what_is_no_mesh():
 def test_progress_and_options_reach_the_engine(monkeypatch):
     seen = []
 
-    def run(mesh, options):
+    def run(mesh, options, leaving):
         seen.append(options)
         return driver.Outcome(mesh.points, mesh.cells, mesh.regions)
 
@@ -253,13 +256,57 @@ def test_cells_turned_on_the_way_out_are_never_returned(monkeypatch):
     points, cells = tm.ball(200, 3)
 
     def turned(before, points, cells, regions, threads):
-        return cells[:, [1, 0, 2, 3]], regions, np.zeros(len(cells), dtype=np.int32)
+        turn = [0, 1, 2, 3] if np.array_equal(points, before.points) else [1, 0, 2, 3]
+        return cells[:, turn], regions, np.arange(len(cells), dtype=np.int32)
 
-    monkeypatch.setattr(api, "in_input_order", turned)
+    monkeypatch.setattr(roundtrip, "in_input_order", turned)
     (new_points, new_cells), report = odt_plugins.optimize_with_report((points, cells))
     assert new_points.tobytes() == points.tobytes()
     assert np.array_equal(new_cells, cells)
-    assert "turned over" in report.fallback
+    assert "not positive" in report.fallback
+
+
+def judged_and_left(monkeypatch, place, mesh, **options):
+    """The meshes that the engine judged, the last of them its result, and what the caller got."""
+    judged = []
+    real = place.faults
+
+    def sees(before, *given):
+        judged.append(next((points, cells) for points, cells in pairwise(given)
+                           if isinstance(points, np.ndarray)))
+        return real(before, *given)
+
+    monkeypatch.setattr(place, "faults", sees)
+    out = odt_plugins.optimize(mesh, **options)
+    return judged, out
+
+
+@pytest.mark.parametrize("shape", ["space", "plane", "tilted plane", "surface"])
+@pytest.mark.parametrize("kind", [np.float32, np.float64])
+def test_the_engine_judges_exactly_what_leaves(shape, kind, monkeypatch):
+    place, turn = driver, None
+    if shape == "space":
+        points, cells = tm.ball(150, 2)
+    elif shape == "surface":
+        place = surface_driver
+        points, cells = sm.sphere(2)
+        points = points + 0.02 * np.random.default_rng(0).normal(size=points.shape)
+    else:
+        points, cells, _ = contract.grid(2, 6)
+        if shape == "tilted plane":
+            turn = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
+            points = points @ turn[:2]
+    points = points.astype(kind)
+    judged, (new, new_cells) = judged_and_left(monkeypatch, place, (points, cells))
+    assert len(judged) == 1
+    assert new.dtype == kind
+    assert (new != points).any()
+    read = new.astype(np.float64)
+    if turn is not None:
+        frame = plane_frame(points.astype(np.float64), cells)
+        read = frame.to_plane(read)
+    assert judged[0][0].tobytes() == read.tobytes()
+    assert np.array_equal(judged[0][1], new_cells)
 
 
 @pytest.mark.parametrize("seed", range(6))

@@ -169,8 +169,8 @@ def test_a_sizing_field_is_the_density(stored, monkeypatch, exponent):
     grid, cells, values = background(size, n=3)
     field = {"bg_vertices": low + grid * (high - low).max(), "bg_tets": cells, "bg_values": values}
     seen = []
-    monkeypatch.setattr(driver, "run", lambda mesh, options: seen.append(options) or driver.Outcome(
-        mesh.points, mesh.cells, mesh.regions))
+    monkeypatch.setattr(driver, "run", lambda mesh, options, _: (
+        seen.append(options) or driver.Outcome(mesh.points, mesh.cells, mesh.regions)))
     group = {} if exponent is None else {"exponent": exponent}
     odt_plugins.tetrahedralize(CUBE, FACES, **group, **field)
     assert seen[0].density == pytest.approx(size(unit) ** -(exponent or 5.0), rel=1e-9)

@@ -11,7 +11,6 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 
 from odt_plugins.adapters.files import check_output, read_file, write_file
-from odt_plugins.api import run_engine
 from odt_plugins.distributed.apply import told
 from odt_plugins.distributed.glue import Map, Traffic, Whole, labels, one_round
 from odt_plugins.distributed.local import executor
@@ -19,12 +18,13 @@ from odt_plugins.engine.odt.density import make_density
 from odt_plugins.engine.odt.rounds import MODERATE
 from odt_plugins.engine.record.figures import Figures
 from odt_plugins.engine.record.figures import figures as figures_of
-from odt_plugins.engine.run.driver import Outcome, run
+from odt_plugins.engine.run.driver import Leaving, Outcome, as_it_is, run
 from odt_plugins.engine.run.judge import faults
 from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
 from odt_plugins.mesh.arrays import IntArray
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import OptionKeywords, Options, make_options, with_option_signature
+from odt_plugins.roundtrip import run_engine
 
 if TYPE_CHECKING:
     from odt_plugins.report.report import Report
@@ -118,7 +118,7 @@ def _partitioned(
     """The result, the mesh that the engine was given, and what it handed back."""
     check(blocks, rounds, workers, options, several=client is not None or workers > 0)
 
-    def engine(simplices: SimplexMesh, chosen: Options) -> Outcome:
+    def engine(simplices: SimplexMesh, chosen: Options, leaving: Leaving) -> Outcome:
         if simplices.is_surface:
             msg = (
                 "got a curved surface; expected tetrahedra, or triangles in a plane, for blocks; "
@@ -126,7 +126,7 @@ def _partitioned(
             )
             raise UnsupportedMeshError(msg)
         with executor(client, workers) as apply:
-            return run_blocks(simplices, chosen, blocks, rounds, apply)
+            return run_blocks(simplices, chosen, blocks, rounds, apply, leaving)
 
     return run_engine(mesh, options, engine)
 
@@ -155,7 +155,8 @@ def optimize_file_partitioned(
 
 
 def run_blocks(
-    mesh: SimplexMesh, options: Options, blocks: int, rounds: int, apply: Map
+    mesh: SimplexMesh, options: Options, blocks: int, rounds: int, apply: Map,
+    leaving: Leaving = as_it_is,
 ) -> Outcome:
     """Optimise a valid mesh in blocks.
 
@@ -165,6 +166,7 @@ def run_blocks(
     options : Options
     blocks, rounds : int     as `blocks` and `block_rounds` of :func:`optimize_partitioned`
     apply : callable         applies a function to blocks, results in their order
+    leaving : callable       applied to the mesh after a round before it is judged
 
     Returns
     -------
@@ -179,7 +181,7 @@ def run_blocks(
     active = np.flatnonzero(~mesh.frozen)
     count = min(blocks, len(active) // LEAST_CELLS)
     if count < 2:
-        return run(mesh, options)
+        return run(mesh, options, leaving)
     clock = time.perf_counter()
     start, plain, power = _start(mesh, options)
     times = {"prepare": time.perf_counter() - clock}
@@ -196,7 +198,7 @@ def run_blocks(
             chosen = first(plain, len(active)) if index == 0 else later(plain)
             done.add(name, label, chosen, power, blockwise, None if judged else figures)
         clock = time.perf_counter()
-        outcome, kept = _judged(mesh, done, options)
+        outcome, kept = _judged(mesh, done, options, leaving)
         done.times["check"] = time.perf_counter() - clock
         found.append((kept, replace(outcome, times=times | done.times, counts=done.counts)))
         if kept == len(done.states) - 1:
@@ -269,18 +271,20 @@ def later(options: Options) -> Options:
     return replace(options, keep=keep, connectivity=connectivity)
 
 
-def _judged(mesh: SimplexMesh, done: _Done, options: Options) -> tuple[Outcome, int]:
-    """The last state that keeps the promise, at worst the input, and after how many rounds."""
+def _judged(
+    mesh: SimplexMesh, done: _Done, options: Options, leaving: Leaving
+) -> tuple[Outcome, int]:
+    """The last state that keeps the promise as it leaves, or the input, and after which round."""
     broken: list[str] = []
     reason = f"{len(done.states) - 1} rounds of blocks"
     for kept in range(len(done.states) - 1, 0, -1):
         last = done.states[kept].mesh
-        now, _ = faults(mesh, last.points, last.cells, last.regions, options)
+        outcome = leaving(Outcome(last.points, last.cells, last.regions, stop_reason=reason))
+        now, _ = faults(mesh, outcome.points, outcome.cells, outcome.regions, options)
         if not now:
             given_up = [f"a later round was given up ({'; '.join(broken)})"] if broken else []
             fallback = "; ".join((given_up + done.fallbacks)[:3]) or None
-            return Outcome(last.points, last.cells, last.regions, stop_reason=reason,
-                           fallback=fallback), kept
+            return replace(outcome, fallback=fallback), kept
         broken = now
     return Outcome(
         mesh.points.copy(), mesh.cells.copy(), mesh.regions.copy(), stop_reason=reason,

@@ -72,7 +72,7 @@ def test_triangles_beside_tetrahedra_stay_in_the_file(suffix, churn, tmp_path, m
 
 def test_volumes_of_gmsh_count_where_there_are_no_physical_groups(monkeypatch):
     seen = []
-    monkeypatch.setattr(driver, "run", lambda mesh, options: seen.append(mesh) or contract.churn(
+    monkeypatch.setattr(driver, "run", lambda mesh, options, _: seen.append(mesh) or contract.churn(
         mesh, options))
     points, cells, labels, triangles, reference = _parts()
     data = {"gmsh:physical": [np.zeros(len(reference), int), np.zeros(len(cells), int)],
@@ -106,7 +106,7 @@ def test_subregions_of_abaqus_files_keep_their_interface(tmp_path, monkeypatch):
 @pytest.mark.parametrize("regions", ["part", "marker", None])
 def test_a_cell_set_can_be_named_as_the_region(regions, monkeypatch):
     seen = []
-    monkeypatch.setattr(driver, "run", lambda mesh, options: seen.append(mesh) or driver.Outcome(
+    monkeypatch.setattr(driver, "run", lambda mesh, options, _: seen.append(mesh) or driver.Outcome(
         mesh.points, mesh.cells, mesh.regions))
     points, cells, _, _, _ = _parts()
     third = np.arange(len(cells)) % 3

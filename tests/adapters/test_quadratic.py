@@ -176,7 +176,7 @@ def test_other_cells_follow_when_the_indices_close_up(host, monkeypatch):
     nodes, rows, mid = wide(THREE)
     line = [1, 2, mid[1, 2]]
     assert line[2] > mid[3, 4]
-    monkeypatch.setattr(driver, "run", lambda mesh, options: driver.Outcome(
+    monkeypatch.setattr(driver, "run", lambda mesh, options, _: driver.Outcome(
         mesh.points, np.array(TWO, dtype=np.int32), np.zeros(2, dtype=np.int32)))
     if host == "meshio":
         mesh = meshio.Mesh(nodes, [("tetra10", rows), ("line3", [line])])

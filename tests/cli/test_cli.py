@@ -52,7 +52,7 @@ def still(monkeypatch: pytest.MonkeyPatch) -> list[Options]:
     """An engine that moves nothing and notes what it was asked for."""
     asked: list[Options] = []
 
-    def run(mesh: Any, options: Options) -> driver.Outcome:
+    def run(mesh: Any, options: Options, leaving: Any) -> driver.Outcome:
         asked.append(options)
         if options.progress:
             options.progress("smoothing", 0.5)
@@ -388,11 +388,11 @@ def test_a_terminal_is_told_once_that_kernels_are_compiled(
 def test_a_stopped_run_leaves_no_file_and_says_so(place: Path, name: str) -> None:
     script = textwrap.dedent("""
         import pathlib, signal, sys, time
-        from odt_plugins import cli, terminal
-        from odt_plugins.engine import driver
+        from odt_plugins.cli import main as cli
+        from odt_plugins.engine.run import driver
         # a job of a shell's background inherits an ignored SIGINT
         signal.signal(signal.SIGINT, signal.default_int_handler)
-        def run(mesh, options):
+        def run(mesh, options, leaving):
             pathlib.Path("started").touch()
             time.sleep(60)
         driver.run = run
@@ -427,7 +427,8 @@ def test_a_reader_that_closes_the_pipe_gets_no_traceback(place: Path) -> None:
 
 
 def test_help_is_quick_and_loads_neither_engine_nor_toolkits() -> None:
-    script = ("import sys; from odt_plugins import cli; code = cli.main(['optimize', '--help']);"
+    script = ("import sys; from odt_plugins.cli.main import main;"
+              "code = main(['optimize', '--help']);"
               "heavy = {'numba', 'scipy', 'meshio', 'pyvista', 'matplotlib'} & set(sys.modules);"
               "sys.exit(f'{code} {heavy}' if code or heavy else 0)")
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True,

@@ -122,7 +122,7 @@ def facets(cells, labels):
     return {f for f, have in owners.items() if len(have) == 1 or have[0] != have[-1]}
 
 
-def churn(mesh, options):
+def churn(mesh, options, leaving=None):
     """Stand-in for the engine: moves vertices, flips facets, turns rows round, shuffles cells.
 
     Every change is allowed by the rules that the engine has to follow, so that the tests see

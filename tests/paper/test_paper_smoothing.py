@@ -22,7 +22,6 @@ from strategies import (
 )
 
 from odt_plugins.engine.cells.geometry import boundary_vertices
-from odt_plugins.engine.compiled import threads
 from odt_plugins.engine.odt.cvt import cvt_step, dual_cells
 from odt_plugins.engine.odt.density import make_density, size_field
 from odt_plugins.engine.odt.descent import lbfgs_step, richardson_step
@@ -180,7 +179,7 @@ def test_row19_sweep_turns_and_scales_with_the_mesh(mesh, method, seed):
 
 
 def test_row19_threads_do_not_change_a_bit(d, monkeypatch):
-    monkeypatch.setattr(threads, "SMALLEST", 5)
+    monkeypatch.setattr(coloring, "SMALLEST", 5)
     monkeypatch.setattr(coloring, "SMALLEST_BITS", 2)
     points, cells = jittered(d, {2: 20, 3: 8}[d], 19)
     topology = topology_of(points, cells)

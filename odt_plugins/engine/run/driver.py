@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field, replace
 from functools import partial
@@ -68,6 +69,8 @@ class Outcome:
                                     None without one, or with new vertices
     origin : (n',) int64 or None    input vertex of every vertex, -1 for the new ones at the end;
                                     None when the vertices are those of the input
+    written : (n', D) or None       points in the caller's type and space, as they leave
+    source : (m',) int32 or None    input cell of which every cell takes the data, as it leaves
     """
 
     points: FloatArray
@@ -81,6 +84,18 @@ class Outcome:
     slid: Slid | None = None
     sizes: FloatArray | None = None
     origin: NDArray[np.int64] | None = None
+    written: NDArray[Any] | None = None
+    source: IntArray | None = None
+
+
+Leaving = Callable[[Outcome], Outcome]
+"""What a mesh goes through before the caller has it: its points are rounded to the caller's type,
+its cells sorted. The points of the new outcome are those that the caller will read."""
+
+
+def as_it_is(outcome: Outcome) -> Outcome:
+    """Let a mesh leave as the engine has it."""
+    return outcome
 
 
 def locked_vertices(mesh: SimplexMesh, neighbors: IntArray) -> tuple[BoolArray, BoolArray]:
@@ -95,8 +110,8 @@ def locked_vertices(mesh: SimplexMesh, neighbors: IntArray) -> tuple[BoolArray, 
 
 
 def run(
-    mesh: SimplexMesh, options: Options, *, cut: BoolArray | None = None,
-    whole: Figures | None = None,
+    mesh: SimplexMesh, options: Options, leaving: Leaving = as_it_is, *,
+    cut: BoolArray | None = None, whole: Figures | None = None,
 ) -> Outcome:
     """Optimise a valid mesh.
 
@@ -104,6 +119,7 @@ def run(
     ----------
     mesh : SimplexMesh
     options : Options
+    leaving : callable           applied to every state before it is judged
     cut : (n,) bool, optional    vertices at which a mesh whose boundary does not slide was cut from
                                  a larger one: the worst cells are looked for away from them, since
                                  what lies around them waits for another run
@@ -112,7 +128,7 @@ def run(
 
     Returns
     -------
-    Outcome    a mesh that keeps the promise, at worst the input itself
+    Outcome    a mesh that keeps the promise as it leaves, at worst the input itself
 
     Raises
     ------
@@ -125,26 +141,28 @@ def run(
         )
         raise InvalidOptionError(msg)
     if not slides(mesh, options):
-        return _run(mesh, options, cut, whole)[0]
-    outcome = _run_sliding(mesh, options)
+        return _run(mesh, options, leaving, cut, whole)[0]
+    outcome = _run_sliding(mesh, options, leaving)
     (options.progress or silent)("finishing", 1.0)
     return outcome
 
 
-def _run_sliding(mesh: SimplexMesh, options: Options) -> Outcome:
+def _run_sliding(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
     """Runs from the input on until a surface that slid keeps the promise, at last without.
 
     Where stage 1 failed, where flat cells are left and where it costs little, the boundary is
     fixed in another run, and the better of the two is handed back.
     """
-    outcome, spoiled = _run(mesh, in_turn(options, 0))
+    outcome, spoiled = _run(mesh, in_turn(options, 0), leaving)
     fixed = mesh.fixed.copy()
     times = Counter(outcome.times)
     for turn in range(RETREATS):
         if outcome.slid is not None or fixed[spoiled].all():
             break
         fixed[spoiled] = True
-        outcome, spoiled = _run(replace(mesh, fixed=fixed), in_turn(options, turn + 1))
+        outcome, spoiled = _run(
+            replace(mesh, fixed=fixed), in_turn(options, turn + 1), leaving
+        )
         times.update(outcome.times)
     if outcome.slid is not None:
         left_alone = int((fixed & ~mesh.fixed).sum())
@@ -152,7 +170,7 @@ def _run_sliding(mesh: SimplexMesh, options: Options) -> Outcome:
         outcome = replace(outcome, counts=outcome.counts | more, times=dict(times))
         if not _may_be_beaten(outcome, options):
             return outcome
-    still, _ = _run(mesh, replace(in_turn(options, RETREATS + 1), boundary="fixed"))
+    still, _ = _run(mesh, replace(in_turn(options, RETREATS + 1), boundary="fixed"), leaving)
     times.update(still.times)
     why = (outcome.fallback or outcome.stop_reason).removeprefix(INPUT)
     if outcome.slid is not None:
@@ -178,17 +196,17 @@ def _score(outcome: Outcome, options: Options) -> float:
 
 
 def _run(
-    mesh: SimplexMesh, options: Options, cut: BoolArray | None = None,
+    mesh: SimplexMesh, options: Options, leaving: Leaving, cut: BoolArray | None = None,
     whole: Figures | None = None,
 ) -> tuple[Outcome, IntArray]:
     """One run of all stages; also the surface vertices at which a surface that slid is spoiled."""
     with thread_pool(options.threads) as pool:
-        return _run_in(pool, mesh, options, cut, whole)
+        return _run_in(pool, mesh, options, leaving, cut, whole)
 
 
 def _run_in(
-    pool: ThreadPoolExecutor | None, mesh: SimplexMesh, options: Options, cut: BoolArray | None,
-    whole: Figures | None,
+    pool: ThreadPoolExecutor | None, mesh: SimplexMesh, options: Options, leaving: Leaving,
+    cut: BoolArray | None, whole: Figures | None,
 ) -> tuple[Outcome, IntArray]:
     clock = time.perf_counter()
     nowhere = np.zeros(0, dtype=np.int32)
@@ -199,7 +217,8 @@ def _run_in(
     frame, cells = make_frame(mesh)
     inner_locked = np.ascontiguousarray(locked[frame.vertices])
     inner_rim = np.ascontiguousarray(rim[frame.vertices])
-    points = frame.inside(mesh.points[frame.vertices])
+    input_points = frame.inside(mesh.points[frame.vertices])
+    points = input_points.copy()
     regions = np.ascontiguousarray(mesh.regions[frame.active])
     skin = _skin(mesh, options, frame, points, cells) if slides(mesh, options) else None
     start = make_complex(
@@ -224,7 +243,7 @@ def _run_in(
     refused = not memory.states and not (skin and memory.spoiled().size)
     besides = skin is None and _may_finish_alone(memory, inner_locked, options)
     if options.finish and (refused or besides):
-        again = frame.inside(mesh.points[frame.vertices])
+        again = input_points.copy()
         skin = _skin(mesh, options, frame, again, cells) if skin else None
         second = make_complex(again, cells, regions, inner_locked, inner_rim, skin)
         log.add(f"runs of {ALONE}", 1)
@@ -236,8 +255,7 @@ def _run_in(
             reason += f"; {NO_DENSITY}"
     if options.insert and (memory.states or skin is None):
         clock = time.perf_counter()
-        unchanged = frame.inside(mesh.points[frame.vertices])
-        best = (memory.states or [State(unchanged, cells, regions, before, "input")])[0]
+        best = (memory.states or [State(input_points, cells, regions, before, "input")])[0]
         spare = with_spare_vertices(
             best.points, best.cells, best.regions, inner_locked, inner_rim,
             mesh.anchored[frame.vertices],
@@ -251,7 +269,10 @@ def _run_in(
         )
         times["resampling"] = time.perf_counter() - clock
     clock = time.perf_counter()
-    outcome = _best(mesh, frame, memory, options, log, reason, judged=whole is None)
+    outcome = _best(
+        mesh, frame, input_points, memory, options, log, reason,
+        leaving if whole is None else None,
+    )
     sizes = _sizes(mesh, options, frame, density, outcome, pool)
     times["check"] = time.perf_counter() - clock
     outcome = replace(outcome, times=times, energy=log.energy, counts=log.counts, sizes=sizes)
@@ -259,8 +280,8 @@ def _run_in(
         return outcome, nowhere
     spoiled = memory.spoiled()
     if memory.states:
-        unchanged = frame.inside(mesh.points[frame.vertices])
-        spoiled = cut_vertices(unchanged, cells, memory.states[0].points, memory.states[0].cells)
+        best = memory.states[0]
+        spoiled = cut_vertices(input_points, cells, best.points, best.cells)
     spoiled = spoiled[spoiled < len(inner_rim)]
     return outcome, frame.vertices[spoiled[inner_rim[spoiled]]]
 
@@ -343,21 +364,27 @@ def _keeps_sizes(options: Options) -> bool:
 
 
 def _best(
-    mesh: SimplexMesh, frame: Frame, memory: Memory, options: Options, log: Log, reason: str,
-    *, judged: bool,
+    mesh: SimplexMesh, frame: Frame, start: FloatArray, memory: Memory, options: Options, log: Log,
+    reason: str, leaving: Leaving | None,
 ) -> Outcome:
-    """The best remembered state that keeps the promise, at worst the input."""
+    """The best remembered state that keeps the promise as it leaves, at worst the input.
+
+    Without ``leaving`` no state is judged.
+    """
     broken: list[str] = [f"{name} would be worse" for name in memory.worse]
     for rank, state in enumerate(memory.states):
         points = mesh.points.copy()
-        start = frame.inside(mesh.points[frame.vertices])
         n = len(start)
         moved = (state.points[:n] != start).any(axis=1)
         points[frame.vertices[moved]] = frame.outside(state.points[:n][moved])
         outcome = _in_caller_terms(mesh, frame, points, state)
-        broken_now, slid = faults(
-            mesh, outcome.points, outcome.cells, outcome.regions, options, outcome.origin
-        ) if judged else ([], None)
+        broken_now: list[str] = []
+        slid = None
+        if leaving is not None:
+            outcome = leaving(outcome)
+            broken_now, slid = faults(
+                mesh, outcome.points, outcome.cells, outcome.regions, options, outcome.origin
+            )
         if not broken_now:
             fallback = None
             if state.name == BESIDES:

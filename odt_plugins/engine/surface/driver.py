@@ -19,7 +19,7 @@ from odt_plugins.engine.record.figures import Figures, figures
 from odt_plugins.engine.record.memory import Memory, State
 from odt_plugins.engine.record.progress import in_turn, report_share, silent
 from odt_plugins.engine.run.cycles import extremes, settled
-from odt_plugins.engine.run.driver import Outcome, inner_density
+from odt_plugins.engine.run.driver import Leaving, Outcome, as_it_is, inner_density
 from odt_plugins.engine.surface.density import SurfaceDensity, surface_density
 from odt_plugins.engine.surface.judge import Distance, Kept, faults, outside
 from odt_plugins.engine.surface.passes import Surface, finish_phase
@@ -93,17 +93,20 @@ class Start:
     edges: Edges
 
 
-def run_surface(mesh: SimplexMesh, options: Options) -> SurfaceOutcome:
+def run_surface(
+    mesh: SimplexMesh, options: Options, leaving: Leaving = as_it_is
+) -> SurfaceOutcome:
     """Optimise a curved surface.
 
     Parameters
     ----------
     mesh : SimplexMesh    triangles in space, made by :func:`odt_plugins.mesh.surface.surface_mesh`
     options : Options
+    leaving : callable    applied to every state before it is judged
 
     Returns
     -------
-    SurfaceOutcome        a surface that keeps the promise, at worst the input itself
+    SurfaceOutcome        a surface that keeps the promise as it leaves, at worst the input itself
 
     Raises
     ------
@@ -132,7 +135,7 @@ def run_surface(mesh: SimplexMesh, options: Options) -> SurfaceOutcome:
                 continue
             _finishing_alone(mesh, start, options, alone, memory, log, times)
         clock = time.perf_counter()
-        outcome, found = _best(mesh, start, kept, memory, options, log)
+        outcome, found = _best(mesh, start, kept, memory, options, log, leaving)
         if outcome is None and not memory.states:
             found = [f"{name} would be worse" for name in memory.worse]
         times["check"] = times.get("check", 0.0) + time.perf_counter() - clock
@@ -146,7 +149,7 @@ def run_surface(mesh: SimplexMesh, options: Options) -> SurfaceOutcome:
         broken = found
         if not memory.states or attempt == ATTEMPTS - 1:
             break
-        alone |= _left_alone(mesh, start, kept, memory, attempt + 1)
+        alone |= _left_alone(mesh, start, kept, memory, leaving, attempt + 1)
     (options.progress or silent)("finishing", 1.0)
     unchanged = replace(
         _unchanged(mesh, reason), times=times, energy=log.energy, counts=log.counts, kept=kept
@@ -158,18 +161,6 @@ def run_surface(mesh: SimplexMesh, options: Options) -> SurfaceOutcome:
         f"{memory.price()}"
     )
     return replace(unchanged, fallback=fallback)
-
-
-def judged(
-    mesh: SimplexMesh, outcome: Outcome, points: FloatArray, options: Options
-) -> tuple[list[str], Outcome]:
-    """Say what of the promise an outcome breaks with other coordinates, rounded ones; and it."""
-    if not isinstance(outcome, SurfaceOutcome) or outcome.kept is None:
-        return [], outcome
-    broken, distance = faults(
-        mesh, outcome.kept, points, outcome.cells, outcome.regions, options
-    )
-    return broken, replace(outcome, points=points, distance=distance)
 
 
 def _unchanged(mesh: SimplexMesh, reason: str) -> SurfaceOutcome:
@@ -330,47 +321,50 @@ def _descend(
     times["finishing"] = times.get("finishing", 0.0) + time.perf_counter() - clock
 
 
-def _placed(mesh: SimplexMesh, start: Start, state: State) -> tuple[FloatArray, IntArray, IntArray]:
-    """A state in the caller's numbering and coordinates; what did not move keeps its bits."""
+def _placed(mesh: SimplexMesh, start: Start, state: State, leaving: Leaving) -> Outcome:
+    """A state in the caller's numbering as it leaves; what did not move keeps its bits."""
     frame = start.frame
     points = mesh.points.copy()
     moved = (state.points != start.points).any(axis=1)
     points[frame.vertices[moved]] = frame.outside(state.points[moved])
     cells = np.concatenate([mesh.cells[mesh.frozen], frame.vertices[state.cells]])
     regions = np.concatenate([mesh.regions[mesh.frozen], state.regions])
-    return points, np.ascontiguousarray(cells), regions
+    return leaving(Outcome(points, np.ascontiguousarray(cells), regions))
 
 
 def _best(
-    mesh: SimplexMesh, start: Start, kept: Kept, memory: Memory, options: Options, log: Log
+    mesh: SimplexMesh, start: Start, kept: Kept, memory: Memory, options: Options, log: Log,
+    leaving: Leaving,
 ) -> tuple[SurfaceOutcome | None, list[str]]:
     """The best remembered state that keeps the promise, or what the last one broke."""
     broken: list[str] = []
     for rank, state in enumerate(memory.states):
-        points, cells, regions = _placed(mesh, start, state)
-        found, distance = faults(mesh, kept, points, cells, regions, options)
+        placed = _placed(mesh, start, state, leaving)
+        found, distance = faults(
+            mesh, kept, placed.points, placed.cells, placed.regions, options
+        )
         if not found:
             fallback = None
             if rank or state.name == "finishing alone":
                 worse = broken or [f"{name} would be worse" for name in memory.worse]
                 fallback = f"a later state was given up ({'; '.join(worse)}){memory.price()}"
-            outcome = SurfaceOutcome(
-                points, cells, regions, fallback=fallback, kept=kept, distance=distance
-            )
-            return outcome, []
+            return SurfaceOutcome(
+                placed.points, placed.cells, placed.regions, fallback=fallback,
+                written=placed.written, source=placed.source, kept=kept, distance=distance,
+            ), []
         log.add("states refused", 1)
         broken = found
     return None, broken
 
 
 def _left_alone(
-    mesh: SimplexMesh, start: Start, kept: Kept, memory: Memory, rings: int
+    mesh: SimplexMesh, start: Start, kept: Kept, memory: Memory, leaving: Leaving, rings: int
 ) -> BoolArray:
     """Vertices, (n,) bool, around the places where a state broke the promise."""
     alone = np.zeros(len(mesh.points), dtype=np.bool_)
     for state in memory.states:
-        points, cells, _ = _placed(mesh, start, state)
-        alone |= outside(mesh, kept, points, cells)
+        placed = _placed(mesh, start, state, leaving)
+        alone |= outside(mesh, kept, placed.points, placed.cells)
     return _with_rings(mesh, alone, rings)
 
 

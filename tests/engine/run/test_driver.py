@@ -20,7 +20,7 @@ from odt_plugins.engine.odt.energy import energy
 from odt_plugins.engine.odt.total_energy import total_energy
 from odt_plugins.engine.run import cycles, driver
 from odt_plugins.engine.run.driver import run
-from odt_plugins.engine.topology import order
+from odt_plugins.engine.topology import coloring, order
 from odt_plugins.engine.topology.frame import Frame
 from odt_plugins.options import Options
 
@@ -147,7 +147,7 @@ def test_everything_frozen_or_fixed_comes_back_byte_identical(d):
 
 
 def test_same_bits_for_any_number_of_threads(d, monkeypatch):
-    monkeypatch.setattr(threads, "SMALLEST", 8)
+    monkeypatch.setattr(coloring, "SMALLEST", 8)
     monkeypatch.setattr(threads, "PART", 100)
     monkeypatch.setattr(order, "LAYERS", 3)
     points, cells = planar(6, 60) if d == 2 else tm.ball(3000, 6)
@@ -447,3 +447,40 @@ def test_finishing_counts_its_flips_and_moves(d):
     assert counts["quality flips"] > 0
     assert counts["vertex moves"] > 0
     assert "energy flips" not in counts
+
+
+SMOOTHING = Options(finish=False, rounds=4, keep=())
+"""A run that remembers two states."""
+
+
+def leaving_spoilt(times, seen):
+    """On its way out a mesh loses a vertex to infinity, as often as that."""
+
+    def leave(outcome):
+        seen.append(outcome)
+        if len(seen) > times:
+            return outcome
+        points = outcome.points.copy()
+        points[outcome.cells[0, 0]] = np.inf
+        return replace(outcome, points=points)
+
+    return leave
+
+
+def test_the_next_best_state_is_taken_where_the_best_does_not_leave_well(d):
+    mesh, seen = start(d), []
+    plain = run(mesh, SMOOTHING)
+    outcome = run(mesh, SMOOTHING, leaving_spoilt(1, seen))
+    assert seen[0].points.tobytes() == plain.points.tobytes()
+    assert outcome.points.tobytes() == seen[1].points.tobytes() != mesh.points.tobytes()
+    assert outcome.fallback.startswith("a later state was given up")
+    assert outcome.counts["states refused"] == 1
+    assert_promise(mesh, outcome, keep=False)
+
+
+def test_the_input_is_returned_where_no_state_leaves_well(d):
+    mesh, seen = start(d), []
+    outcome = run(mesh, SMOOTHING, leaving_spoilt(9, seen))
+    assert len(seen) == 2
+    assert outcome.points.tobytes() == mesh.points.tobytes()
+    assert outcome.fallback.startswith("the input is returned")

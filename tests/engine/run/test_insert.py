@@ -188,7 +188,7 @@ def test_insertion_goes_on_from_the_input_when_nothing_else_helps(monkeypatch):
 # Data and hosts.
 
 
-def resampled(mesh, options):
+def resampled(mesh, options, leaving=None):
     """Stand-in for the engine: removes a vertex, splits three cells, shuffles the cells."""
     del options
     n = len(mesh.points)
