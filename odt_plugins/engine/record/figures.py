@@ -25,6 +25,9 @@ COS_SMALL = math.cos(math.radians(SMALL_ANGLE))
 PRICE = 3.0
 """Of a tetrahedron with a small angle in the score: what three regular ones add to it."""
 
+ROUNDING = 1e-13
+"""Figures and scores that differ by no more are equal."""
+
 
 @kernel
 def _cell_shapes(points: FloatArray, cells: IntArray, shapes: FloatArray) -> None:
@@ -79,13 +82,12 @@ class Figures:
 
     def worse_than(self, before: Figures, keep: tuple[str, ...]) -> list[str]:
         """Figures of ``keep`` that are worse than before, beyond rounding."""
-        slack = 1e-13
         worse = {
-            "min_quality": self.min_quality < before.min_quality - slack,
-            "p1_quality": self.p1_quality < before.p1_quality - slack,
-            "mean_quality": self.mean_quality < before.mean_quality - slack,
-            "min_angle": self.cos_min_angle > before.cos_min_angle + slack,
-            "max_angle": self.cos_max_angle < before.cos_max_angle - slack,
+            "min_quality": self.min_quality < before.min_quality - ROUNDING,
+            "p1_quality": self.p1_quality < before.p1_quality - ROUNDING,
+            "mean_quality": self.mean_quality < before.mean_quality - ROUNDING,
+            "min_angle": self.cos_min_angle > before.cos_min_angle + ROUNDING,
+            "max_angle": self.cos_max_angle < before.cos_max_angle - ROUNDING,
         }
         return [name for name in keep if worse.get(name, False)]
 

@@ -7,7 +7,7 @@ from typing import Protocol
 
 import numpy as np
 
-from odt_plugins.engine.record.figures import Figures, cell_shapes, figures
+from odt_plugins.engine.record.figures import ROUNDING, Figures, cell_shapes, figures
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.options import Objective
 
@@ -72,7 +72,7 @@ class Memory:
             self.refused = State(mesh.points.copy(), cells, regions, now, name)
             self.missed = max(self.missed, now.mean_quality)
             return False
-        if self.by_score and not now.score > self.before.score:
+        if self.by_score and not now.score > self.before.score + ROUNDING:
             return False
         self.states.insert(0, State(mesh.points.copy(), cells, regions, now, name))
         if self.by_score:

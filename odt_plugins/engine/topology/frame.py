@@ -22,7 +22,8 @@ class Frame:
     vertices : (k,) int32     caller's index of every inner vertex
     active : (m1,) int64      caller's index of every inner cell, all but the frozen ones
     centre : (d,) float64, scale : float
-        inner coordinates are (x - centre) * scale, scale a power of two
+        inner coordinates are (x - centre) * scale, with nothing rounded: scale is a power of two,
+        and along an axis where a difference from the middle would be rounded the centre is 0
     """
 
     vertices: IntArray
@@ -53,6 +54,10 @@ def make_frame(mesh: SimplexMesh) -> tuple[Frame, IntArray]:
     Returns
     -------
     Frame, and the inner cells (m1, d + 1) int32
+
+    Notes
+    -----
+    Nothing is rounded, so that cells of any size have the volumes that they have outside.
     """
     active = np.flatnonzero(~mesh.frozen)
     cells = mesh.cells[active]
@@ -64,8 +69,26 @@ def make_frame(mesh: SimplexMesh) -> tuple[Frame, IntArray]:
     vertices, order = curve_order(points, inner)
     rank = np.empty(len(used), dtype=np.int32)
     rank[vertices] = np.arange(len(used), dtype=np.int32)
-    low, high = points.min(axis=0), points.max(axis=0)
-    span = float((high - low).max())
-    scale = 2.0 ** -round(math.log2(span)) if span > 0.0 else 1.0
-    frame = Frame(used[vertices], active[order], 0.5 * (low + high), scale)
+    span = float(np.ptp(points, axis=0).max())
+    centre = np.array([_exact_centre(x) for x in points.T])
+    frame = Frame(used[vertices], active[order], centre, 0.5 ** math.frexp(span)[1])
     return frame, rank[np.take(inner, order, axis=0)]
+
+
+def _exact_centre(x: FloatArray) -> float:
+    """The middle of some numbers, or 0 where a difference from the middle would be rounded.
+
+    Notes
+    -----
+    Numbers far from 0, with x / 2 <= c <= 2 x, have exact differences from c.
+
+    References
+    ----------
+    P. H. Sterbenz, Floating-Point Computation, Prentice-Hall (1974), Section 4.3.
+    D. E. Knuth, The Art of Computer Programming 2, Section 4.2.2, Theorem B: the error of a sum.
+    """
+    middle = 0.5 * (float(x.min()) + float(x.max()))
+    moved = x - middle
+    back = moved - x
+    error = (x - (moved - back)) - (middle + back)
+    return 0.0 if error.any() else middle
