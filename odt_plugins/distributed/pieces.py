@@ -179,31 +179,37 @@ def _run(
         raise InvalidOptionError(msg)
     name = names.pop() or REGIONS
     numbers, waiting = _number(taken, _data_of_all(taken))
-    before = total([part.figures for part in taken])
+    states = [_state(taken)]
+    before = total(states[0])
     improve = stage("round 1", len(taken))
     work = partial(first_round, options=first(options, before.cells))
     done: list[Done] = list(improve(work, [
         (part.path, str(folder / f"1-{k}.npz"), number)
         for k, (part, number) in enumerate(zip(taken, numbers, strict=True))]))
     interface = len(waiting)
-    states = [[part.path for part in taken], [part.path for part in done]]
-    after = [before, total([part.figures for part in done])]
+    states.append(_state(done))
     cut = partial(split, rings=rings_again(before.cells, len(taken)))
     for turn in range(2, rounds + 1):
         done, waiting = _later_round(done, waiting, folder / str(turn), later(options), stage, cut,
                                      last=turn == rounds)
-        states.append([part.path for part in done])
-        after.append(total([part.figures for part in done]))
+        states.append(_state(done))
     broken: list[str] = []
-    while len(states) > 1 and (now := worse(before, after[-1], options.keep)):
+    after = total(states[-1])
+    while len(states) > 1 and (now := worse(before, after, options.keep)):
         broken = now
         states.pop()
-        after.pop()
-    given = numbers if len(states) == 1 else [None] * len(states[-1])
-    _publish(list(zip(states[-1], given, strict=True)), index, folder, partial(
-        publish, regions=name, orientation=taken[0].orientation), stage("writing", len(states[-1])))
+        after = total(states[-1])
+    paths = [path for path, _ in states[-1]]
+    given = numbers if len(states) == 1 else [None] * len(paths)
+    _publish(list(zip(paths, given, strict=True)), index, folder, partial(
+        publish, regions=name, orientation=taken[0].orientation), stage("writing", len(paths)))
     fallback = f"a later round was given up ({'; '.join(broken)})" if broken else None
-    return PiecesReport(before, after[-1], len(states[-1]), interface, fallback)
+    return PiecesReport(before, after, len(paths), interface, fallback)
+
+
+def _state(parts: Sequence[Taken | Done]) -> list[tuple[str, Figures]]:
+    """Where the pieces are kept after a round, and their figures."""
+    return [(part.path, part.figures) for part in parts]
 
 
 def _check_taken(taken: Sequence[Taken], *, ghosts: bool) -> None:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.carry import cell_source
 from odt_plugins.distributed.block import Block, improve
-from odt_plugins.distributed.figures import Figures, figures_of
+from odt_plugins.distributed.figures import Figures, measure_part
 from odt_plugins.distributed.partition import grown, seams
 from odt_plugins.distributed.store import (
     GHOSTS,
@@ -134,7 +134,7 @@ def take_in(item: tuple[str, str], regions: str | None, *, orient: bool) -> Take
     sizes = scale * size_field(piece.points, piece.cells)
     rim = np.flatnonzero(boundary_vertices(piece.cells, n))
     save(path, replace(piece, sizes=sizes))
-    return Taken(path, figures_of(piece.points, piece.cells), n, rim,
+    return Taken(path, measure_part(piece.points, piece.cells, path), n, rim,
                  piece.ids[rim] if found.numbered else None, piece.points[rim], sizes[rim], scale,
                  found.orientation, found.regions,
                  {table: {name: (values.shape[1:], values.dtype.str)
@@ -204,7 +204,7 @@ def split(item: tuple[str, str, Ids, Ids, Ids], rings: int) -> Cut:
     left = piece.part(rest)
     save(f"{path}.npz", left)
     outer = np.union1d(piece.ids[shared], rim)
-    return Cut(Done(f"{path}.npz", figures_of(left.points, left.cells),
+    return Cut(Done(f"{path}.npz", measure_part(left.points, left.cells, f"{path}.npz"),
                     np.intersect1d(left.ids, outer), rim[:0]), parts)
 
 
@@ -258,5 +258,5 @@ def _improved(
     save(path, Piece(result.points, result.cells, labels[result.regions], piece.ids,
                      piece.sizes if result.density is None else result.density,
                      np.ones(len(piece.ids), dtype=np.bool_), piece.data, cell_data))
-    return Done(path, figures_of(result.points, result.cells), piece.ids[held],
+    return Done(path, measure_part(result.points, result.cells, path), piece.ids[held],
                 np.intersect1d(piece.ids[~held], waiting))

@@ -8,6 +8,7 @@ import resource
 import socket
 import subprocess
 import sys
+import tempfile
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from pathlib import Path
@@ -17,6 +18,8 @@ import meshio
 import numpy as np
 import pytest
 import tet_meshes
+from hypothesis import given
+from hypothesis import strategies as st
 from pieces import glued, write_pieces
 
 import odt_plugins
@@ -24,7 +27,7 @@ from odt_plugins.cli import main as cli
 from odt_plugins.compare.start import ball
 from odt_plugins.distributed import optimize as blocks_module
 from odt_plugins.distributed import partition, pieces, placing
-from odt_plugins.distributed.figures import figures_of, total, worse
+from odt_plugins.distributed.figures import measure_part, quantile, total, worse
 from odt_plugins.distributed.partition import RINGS, bricks
 from odt_plugins.distributed.pieces import optimize_pieces
 from odt_plugins.distributed.store import Piece, join
@@ -57,8 +60,9 @@ def test_pieces_are_about_as_good_as_one_piece_and_fit_together(tmp_path):
     assert abs(a.mean() - b.mean()) <= 0.003
     assert abs(np.quantile(a, 0.01) - np.quantile(b, 0.01)) <= 0.01
     assert report.after.mean_quality == pytest.approx(b.mean(), abs=1e-12)
-    p1 = np.quantile(b, 0.01, method="inverted_cdf")
-    assert p1 - 2.5e-4 < report.after.p1_quality <= p1
+    for figures, q in ((report.before, tet_meshes.quality(start.points, start.cells)),
+                       (report.after, b)):
+        assert figures.p1_quality == pytest.approx(np.quantile(q, 0.01), abs=1e-13)
     assert report.interface < 0.3 * n
     assert "mean_quality" in str(report)
     assert sorted(os.listdir(tmp_path)) == ["in", "in.pvtu", "out", "out.pvtu"]
@@ -185,22 +189,64 @@ def test_a_process_with_too_little_memory_for_the_whole_is_enough_for_the_pieces
     assert q.min() > 0.3
 
 
-def test_figures_of_the_whole_are_those_of_its_parts():
+KEEP = ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle")
+
+
+def in_parts(folder: Path, points: Any, cells: Any, count: int) -> Any:
+    """Figures of a mesh whose every so-many-th cell is in the same part."""
+    return total([(str(folder / f"{k}.npz"),
+                   measure_part(points, cells[k::count], str(folder / f"{k}.npz")))
+                  for k in range(count)])
+
+
+def test_figures_of_the_whole_are_those_of_its_parts(tmp_path):
     start = ball(400)
-    whole = figures_of(start.points, start.cells)
-    parts = [figures_of(start.points, start.cells[k::3]) for k in range(3)]
-    again = total(parts)
+    whole = in_parts(tmp_path, start.points, start.cells, 1)
+    again = in_parts(tmp_path, start.points, start.cells, 3)
     q = tet_meshes.quality(start.points, start.cells)
     assert again.mean_quality == pytest.approx(q.mean(), abs=1e-14)
     assert again.min_quality == whole.min_quality
-    assert again.p1_quality == pytest.approx(np.sort(q)[int(np.ceil(0.01 * len(q))) - 1],
-                                             abs=3e-4)
-    keep = ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle")
-    assert worse(whole, again, keep) == []
-    for name in ("quality", "min_quality", "min_angle", "volume"):
+    assert again.p1_quality == whole.p1_quality == pytest.approx(np.quantile(q, 0.01), abs=1e-13)
+    assert worse(whole, again, KEEP) == []
+    for name in ("quality", "min_quality", "p1_quality", "min_angle", "volume"):
         spoiled = whole._replace(**{name: 0.9 * getattr(whole, name)})
-        assert len(worse(whole, spoiled, keep)) == 1
-    assert worse(whole, whole._replace(max_angle=whole.max_angle + 1e-6), keep)
+        assert len(worse(whole, spoiled, KEEP)) == 1
+    assert worse(whole, whole._replace(max_angle=whole.max_angle + 1e-6), KEEP)
+
+
+def test_no_loss_of_the_quantile_is_too_small_to_be_seen(tmp_path):
+    start = ball(400)
+    before = in_parts(tmp_path, start.points, start.cells, 3)
+    q = tet_meshes.quality(start.points, start.cells)
+    apart = start.points[start.cells[np.argsort(q)]].reshape(-1, 3)
+    cells = np.arange(len(apart)).reshape(-1, 4)
+    rank = int(0.01 * (len(cells) - 1))
+    for loss in (1e-4, 1e-6, 1e-9):
+        # the two cells that decide become flatter
+        points = apart.copy()
+        for c in (rank, rank + 1):
+            x = points[cells[c]]
+            n = np.cross(x[1] - x[0], x[2] - x[0])
+            n /= np.linalg.norm(n)
+            points[cells[c, 3]] -= loss * ((x[3] - x[0]) @ n) * n
+        now = in_parts(tmp_path, points, cells, 3)._replace(volume=before.volume)
+        p1 = np.quantile(tet_meshes.quality(points, cells), 0.01)
+        assert 0 < before.p1_quality - p1 < 3 * loss
+        assert now.p1_quality == pytest.approx(p1, abs=1e-13)
+        found = worse(before, now, ("p1_quality",))
+        assert found == [f"p1_quality went from {before.p1_quality:.6g} to {p1:.6g}"]
+
+
+@given(st.lists(st.lists(st.sampled_from([0.0, 5e-324, 0.25, np.nextafter(0.25, 1), 1.0]) |
+                         st.floats(0, 1), min_size=1, max_size=9), min_size=1, max_size=5),
+       st.sampled_from([0.0, 0.01, 0.3, 0.5, 1.0]))
+def test_the_quantile_of_values_in_files_is_that_of_numpy(lists, share):
+    with tempfile.TemporaryDirectory() as folder:
+        names = [f"{folder}/{k}.npy" for k in range(len(lists))]
+        for name, values in zip(names, lists, strict=True):
+            np.save(name, np.sort(values))
+        every = np.concatenate(lists)
+        assert quantile(names, len(every), share) == np.quantile(every, share)
 
 
 def test_what_does_not_go_with_pieces_is_refused(tmp_path):
