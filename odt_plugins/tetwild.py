@@ -116,7 +116,8 @@ def tetrahedralize(
         power = -float(points.shape[1] + 2 if exponent is None else exponent)
 
         def density(x: NDArray[np.float64]) -> NDArray[np.float64]:
-            rho: NDArray[np.float64] = background_sizes(x, *field, outside=ideal) ** power
+            size = background_sizes(x, *field, outside=ideal) / ideal
+            rho: NDArray[np.float64] = size**power
             return rho
 
         # An array is quicker, but of no use when it could be one of cells as well.

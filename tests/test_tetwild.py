@@ -173,14 +173,19 @@ def test_a_sizing_field_is_the_density(stored, monkeypatch, exponent):
         seen.append(options) or driver.Outcome(mesh.points, mesh.cells, mesh.regions)))
     group = {} if exponent is None else {"exponent": exponent}
     odt_plugins.tetrahedralize(CUBE, FACES, **group, **field)
-    assert seen[0].density == pytest.approx(size(unit) ** -(exponent or 5.0), rel=1e-9)
+    power, ideal = -(exponent or 5.0), 0.05 * np.sqrt(3.0)
+    assert seen[0].density == pytest.approx((size(unit) / ideal) ** power, rel=1e-9)
     odt_plugins.tetrahedralize(CUBE, FACES, density="uniform", **field)
     assert seen[1].density == "uniform"
-    field["bg_vertices"] = field["bg_vertices"] + 100.0
+    shift = np.array([0.76, 0.0, 0.0])
+    field["bg_vertices"] = field["bg_vertices"] + shift * (high - low).max()
+    within = unit[:, 0] > 0.51
+    assert 0 < within.sum() < len(within)
     for lengths, ideal in (({}, 0.05 * np.sqrt(3.0)), ({"edge_length_fac": 0.2}, 0.2 * np.sqrt(3)),
                            ({"edge_length_abs": 0.3}, 0.3)):
         odt_plugins.tetrahedralize(CUBE, FACES, **group, **field, **lengths)
-        assert seen[-1].density == pytest.approx(ideal ** -(exponent or 5.0), rel=1e-12)
+        rho = (size(unit - shift) / ideal) ** power
+        assert seen[-1].density == pytest.approx(np.where(within, rho, 1.0), rel=1e-9)
 
 
 def test_cells_take_the_sizes_that_a_field_asks_for(monkeypatch):
@@ -217,4 +222,9 @@ def test_a_mesh_with_as_many_vertices_as_cells_gets_a_function(monkeypatch):
     monkeypatch.setattr(tetwild, "optimize_mesh", lambda mesh, **options: seen.append(options))
     grid, tets, values = background(lambda x: 1.0 + x[:, 2])
     odt_plugins.tetrahedralize(CUBE, FACES, bg_vertices=grid, bg_tets=tets, bg_values=values)
-    assert seen[0]["density"](points) == pytest.approx((1.0 + points[:, 2]) ** -5.0)
+    ideal = 0.05 * np.sqrt(3.0)
+    assert seen[0]["density"](points) == pytest.approx(((1.0 + points[:, 2]) / ideal) ** -5.0)
+    odt_plugins.tetrahedralize(CUBE, FACES, bg_vertices=grid, bg_tets=tets,
+                               bg_values=1e-30 * values, edge_length_abs=1e-30,
+                               odt={"exponent": 40.0})
+    assert seen[1]["density"](points) == pytest.approx((1.0 + points[:, 2]) ** -40.0)

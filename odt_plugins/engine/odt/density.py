@@ -7,6 +7,7 @@ the input mesh, so smoothing does not wear them out. A constant factor changes n
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
@@ -30,6 +31,9 @@ SMOOTHING_PASSES = 3
 
 LEAST_SIZE = 1e-6
 """Sizes below this part of the mean come from flat cells; none is smaller."""
+
+RANGE = 1e100
+"""Densities are kept within 1 / RANGE and RANGE: products with them neither overflow nor vanish."""
 
 WALK_LIMIT = 500
 """Cells visited for one point before the best one seen is taken."""
@@ -140,6 +144,7 @@ class Density:
     ----------
     inverse_volume : bool        every cell counts the same, rho_tau = 1/|tau| (4.22)
     function : callable or None  rho(points) of the user
+    unit : int                   2^unit is about its largest value on the input mesh
     power : float                rho = field^power
     nodes : (n, d + 1) float64   vertices of the input mesh and the field there, in one row that
                                  lies in one line of the cache; empty for rho = 1
@@ -149,6 +154,7 @@ class Density:
 
     inverse_volume: bool
     function: Callable[[FloatArray], Any] | None
+    unit: int
     power: float
     nodes: FloatArray
     cells: IntArray
@@ -173,7 +179,7 @@ class Density:
         pool: ThreadPoolExecutor | None = None,
         walk: IntArray | None = None,
     ) -> FloatArray:
-        """Evaluate rho.
+        """Evaluate rho, up to a constant factor.
 
         Parameters
         ----------
@@ -192,15 +198,7 @@ class Density:
         InvalidOptionError         the user's function gives a wrong length or a bad value
         """
         if self.function is not None:
-            values = _as_floats(self.function(points.copy()))
-            if values.shape != (len(points),):
-                msg = (
-                    f"got shape {values.shape} from the density function for {len(points)} "
-                    f"points, expected ({len(points)},), try one rho a point"
-                )
-                raise InvalidOptionError(msg)
-            _check_positive(values)
-            return values
+            return bounded_power(np.ldexp(_asked(self.function, points), -self.unit), 1.0)
         if not self.nodes.size:
             return np.ones(len(points))
         start = self.walk_start(len(points)) if walk is None else walk
@@ -219,7 +217,27 @@ class Density:
             )
 
         run_ranges(pool, len(points), work)
-        return values if self.power == 1.0 else values**self.power
+        return bounded_power(values, self.power)
+
+
+def _asked(function: Callable[[FloatArray], Any], points: FloatArray) -> FloatArray:
+    """What a function of the user says, (k,), finite and positive."""
+    values = _as_floats(function(points.copy()))
+    if values.shape != (len(points),):
+        msg = (
+            f"got shape {values.shape} from the density function for {len(points)} points, "
+            f"expected ({len(points)},), try one rho a point"
+        )
+        raise InvalidOptionError(msg)
+    _check_positive(values)
+    return values
+
+
+def bounded_power(values: FloatArray, power: float) -> FloatArray:
+    """values^power for values about 1, kept within 1 / RANGE and RANGE."""
+    bound = RANGE ** (1.0 / max(1.0, abs(power)))
+    kept: FloatArray = np.clip(values, 1.0 / bound, bound)
+    return kept if power == 1.0 else kept**power
 
 
 def cell_density(points: FloatArray, cells: IntArray, rho: FloatArray) -> FloatArray:
@@ -342,6 +360,7 @@ def make_density(
         msg = f"got exponent {exponent!r}, expected a finite number, try {d + 2}"
         raise InvalidOptionError(msg)
     function: Callable[[FloatArray], Any] | None = None
+    unit = 0
     power = 1.0
     field = np.empty(0)
     if isinstance(spec, str):
@@ -364,6 +383,7 @@ def make_density(
         field, power = spec.values, spec.power
     elif callable(spec):
         function = spec
+        unit = math.frexp(float(_asked(function, points).max()))[1]
     else:
         field = _vertex_field(_as_floats(spec), points, cells)
     start = np.zeros(n, dtype=np.int32)
@@ -376,7 +396,7 @@ def make_density(
         nodes, cells = np.empty((0, d + 1)), np.empty((0, d + 1), dtype=np.int32)
         neighbors = cells
     inverse = isinstance(spec, str) and spec == "inverse-volume"
-    return Density(inverse, function, power, nodes, cells, neighbors, start)
+    return Density(inverse, function, unit, power, nodes, cells, neighbors, start)
 
 
 def _vertex_field(values: FloatArray, points: FloatArray, cells: IntArray) -> FloatArray:
@@ -390,7 +410,7 @@ def _vertex_field(values: FloatArray, points: FloatArray, cells: IntArray) -> Fl
             msg = f"{found}, expected ({n},) or ({m},), try one rho a vertex or one a cell"
         raise InvalidOptionError(msg)
     _check_positive(values)
-    values = values / values.max()
+    values = np.maximum(values / values.max(), 1.0 / RANGE)
     if values.shape == (m,):
         volumes = signed_volumes(points, cells)
         total = star_sum(volumes, cells, n)

@@ -11,7 +11,7 @@ from odt_plugins.engine.ground.build import ground_values
 from odt_plugins.engine.ground.closest import Ground
 from odt_plugins.engine.ground.features import Features
 from odt_plugins.engine.ground.sheet import Sheet
-from odt_plugins.engine.odt.density import Density, make_density
+from odt_plugins.engine.odt.density import Density, bounded_power, make_density
 from odt_plugins.engine.surface.curvature import curvature_density
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.surface import Edges
@@ -69,4 +69,4 @@ def surface_density(
     plain = make_density(spec, exponent, points, triangles, edges.neighbors)
     if not plain.field.size:
         return SurfaceDensity(None, plain)
-    return SurfaceDensity(plain.field**plain.power, plain)
+    return SurfaceDensity(bounded_power(plain.field, plain.power), plain)

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from strategies import SCALES, SEEDS, jittered, lattice, meshes, random_delaunay
 
 from odt_plugins.engine.odt.density import (
+    RANGE,
     cell_density,
     inverse_volume_density,
     make_density,
@@ -122,7 +123,9 @@ def test_cell_values_go_to_vertices_by_volume(d):
 def test_functions_are_asked_at_the_present_points(d):
     points, cells = lattice(d, 3)
     density = make_density(lambda x: 1.0 + x[:, 0] ** 2, None, points, cells)
-    assert np.array_equal(density.at(points + 1.0), 1.0 + (points[:, 0] + 1.0) ** 2)
+    found = density.at(points + 1.0) / density.at(points)[0]
+    expected = (1.0 + (points[:, 0] + 1.0) ** 2) / (1.0 + points[0, 0] ** 2)
+    assert found == pytest.approx(expected, rel=1e-15)
 
 
 def test_functions_cannot_change_the_mesh(d):
@@ -135,6 +138,46 @@ def test_functions_cannot_change_the_mesh(d):
     before = points.copy()
     make_density(greedy, None, points, cells).at(points)
     assert np.array_equal(points, before)
+
+
+@pytest.mark.parametrize("exponent", [0.01, 1, 5, 60, 300, 1e6, 1e300])
+def test_large_exponents_on_stretched_meshes_overflow_nothing(d, exponent):
+    points, cells = lattice(d, 6)
+    for stretch in (1.0, 1e6, 1e-6):
+        graded = 10.0 ** (8.0 * (points - 1.0))
+        graded[:, 0] *= stretch
+        size = size_field(graded, cells)
+        rho = make_density("keep", exponent, graded, cells).at(graded)
+        assert np.isfinite(rho).all()
+        assert rho.min() >= 0.99 / RANGE
+        assert rho.max() <= 1.01 * RANGE
+        plain = np.abs(np.log(size)) * exponent < 200
+        assert np.log(rho[plain]) == pytest.approx(-exponent * np.log(size[plain]), rel=1e-6)
+        assert (rho[size < size.mean()].min() >= rho[size >= size.mean()].max() * (1 - 1e-9))
+
+
+@pytest.mark.parametrize("factor", [1e-300, 1e-150, 3.0, 1e150, 1e300])
+def test_a_constant_factor_changes_nothing(d, factor):
+    points, cells = jittered(d, 3, 13)
+    rho = np.random.default_rng(14).uniform(1, 9, len(points))
+    for spec in (lambda x, unit: unit * (1.0 + x[:, 0] ** 2), lambda x, unit: unit * rho):
+        plain, other = (make_density(lambda x, unit=unit: spec(x, unit), None, points, cells)  # noqa: B023
+                        .at(points) for unit in (1.0, factor))
+        assert other / other[0] == pytest.approx(plain / plain[0], rel=1e-12)
+        assert 1e-3 < other.mean() < 1e3
+    plain, other = (make_density(unit * rho, None, points, cells).at(points)
+                    for unit in (1.0, factor))
+    assert other == pytest.approx(plain, rel=1e-12)
+
+
+def test_densities_that_differ_by_more_than_numbers_can_stay_positive(d):
+    points, cells = jittered(d, 3, 15)
+    for size in (len(points), len(cells)):
+        rho = 10.0 ** np.linspace(-300, 300, size)
+        for spec in (rho, lambda x: 10.0 ** np.linspace(300, -300, len(x))):
+            found = make_density(spec, None, points, cells).at(points)
+            assert np.isfinite(found).all()
+            assert found.min() >= 0.99 / RANGE
 
 
 def test_uniform_and_inverse_volume(d):
@@ -195,7 +238,10 @@ def test_bad_values_are_counted_and_named(d, value):
         spec = bad(np.ones(size), [4, 6], value)
         with pytest.raises(InvalidOptionError, match=r"at index 4 \(2 of them\)"):
             make_density(spec, None, points, cells)
-    density = make_density(lambda x: bad(np.ones(len(x)), [4, 6], value), None, points, cells)
+    with pytest.raises(InvalidOptionError, match=r"at index 4 \(2 of them\)"):
+        make_density(lambda x: bad(np.ones(len(x)), [4, 6], value), None, points, cells)
+    density = make_density(lambda x: bad(np.ones(len(x)), [4, 6], value if x.any() else 1.0), None,
+                           0.0 * points, cells)
     with pytest.raises(InvalidOptionError, match=r"at index 4 \(2 of them\)"):
         density.at(points)
 
