@@ -303,7 +303,7 @@ def summarize(
         mean_quality=float(f.quality.mean()),
         min_angle=float(f.min_angle.min()),
         max_angle=float(f.max_angle.max()),
-        mean_amips=float(f.amips.mean()),
+        mean_amips=_mean_energy(f.amips),
         max_amips=float(f.amips.max()),
         below_5=below[0],
         below_10=below[1],
@@ -314,13 +314,20 @@ def summarize(
     )
 
 
+def _mean_energy(x: FloatArray) -> float:
+    """Mean of values from 1 to infinity, of which two may be too large to be added."""
+    with np.errstate(over="ignore"):
+        return float(x.mean())
+
+
 def _variation(x: FloatArray) -> float:
     """Coefficient of variation with N - 1; infinite when a value is."""
     if not np.isfinite(x).all():
         return float("inf")
     if len(x) < 2:
         return 0.0
-    return float(np.std(x, ddof=1) / np.mean(x))
+    part = x / np.max(x)
+    return float(np.std(part, ddof=1) / np.mean(part))
 
 
 def _geometries(points: FloatArray, cells: NDArray[Any]) -> Iterator[tuple[slice, CellGeometry]]:

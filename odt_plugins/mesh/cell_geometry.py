@@ -67,20 +67,21 @@ class CellGeometry:
 
     def circumradius(self) -> FloatArray:
         """R in the unit of the caller."""
-        return np.asarray(self.radius * self.scale)
+        with np.errstate(over="ignore"):
+            return np.asarray(self.radius * self.scale)
 
     @cached_property
     def radius(self) -> FloatArray:
-        """R of the scaled cell; never below half the longest edge, infinite when flat."""
+        """R of the scaled cell; never below half the longest edge, infinite when (nearly) flat."""
         size = np.abs(self.det)
         top = _norm(self.numerator) if self.k == 4 else np.prod(self.edges, axis=0)
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             radius = np.where(size > 0, top / (2 * size), np.inf)
         return np.asarray(np.maximum(radius, np.max(self.edges, axis=0) / 2))
 
     def circumcenter(self) -> FloatArray:
         """Circumcenters (m, d) in the unit of the caller."""
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             if self.k == 4:
                 offset = self.numerator / (2 * self.det)
             else:
@@ -106,7 +107,7 @@ class CellGeometry:
     def amips(self) -> FloatArray:
         """AMIPS energy, 1 for a regular cell, infinite for one without positive volume."""
         squares = np.square(self.edges).sum(axis=0)
-        with np.errstate(divide="ignore", invalid="ignore"):
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             if self.k == 4:
                 energy = squares / (2.0 * np.cbrt(2.0 * self.det ** 2))
             else:

@@ -19,8 +19,8 @@ FLAT = 1e-14
 """A cell is flat when d! |volume| <= FLAT * (its extent)^d: the rounding error of that volume."""
 
 SPAN_LIMIT = 1e40
-"""Meshes must be between 1 / SPAN_LIMIT and SPAN_LIMIT long: squared volumes neither overflow
-nor vanish then."""
+"""Meshes must be between 1 / SPAN_LIMIT and SPAN_LIMIT long, and no cell smaller than the largest
+by more: squared volumes neither overflow nor vanish then."""
 
 FAR = 1e70
 """Largest coordinate: the square of an area does not overflow."""
@@ -144,14 +144,16 @@ def simplex_mesh(
 def mesh_arrays(points: ArrayLike, cells: ArrayLike) -> tuple[FloatArray, IntArray]:
     """Check shapes, types, coordinates and indices alone; new float64 and int32 arrays.
 
-    Triangles may have points in space here.
+    Triangles may have points in space here, and all used vertices may lie at one place.
 
     Raises
     ------
     InvalidMeshError    the arrays are no mesh, whatever the shape of its cells
     """
     p = _points(points)
-    return p, _cells(cells, p.shape)
+    t = _cells(cells, p.shape)
+    _check_span(p, t)
+    return p, t
 
 
 def freeze(
@@ -263,24 +265,36 @@ def _check_vertices(t: IntArray) -> None:
         raise InvalidMeshError(msg)
 
 
-def _signs(p: FloatArray, t: IntArray) -> NDArray[np.int8]:
-    """Sign of every signed volume, (m,) int8; raises when one of them is zero."""
+def _check_span(p: FloatArray, t: IntArray) -> None:
     used = np.zeros(len(p), dtype=np.bool_)
     used[t.ravel()] = True
-    span = float(np.ptp(p[used], axis=0).max())
-    if span != 0.0 and not 1.0 / SPAN_LIMIT < span < SPAN_LIMIT:
+    half = 0.5 * p[used]  # the difference of two finite numbers may be none
+    span = float(np.ptp(half, axis=0).max())
+    if span != 0.0 and not 0.5 / SPAN_LIMIT < span < 0.5 * SPAN_LIMIT:
         msg = (
-            f"the mesh is {span:.1e} long; expected between {1 / SPAN_LIMIT:.0e} and "
+            f"the mesh is {2.0 * span:.1e} long; expected between {1 / SPAN_LIMIT:.0e} and "
             f"{SPAN_LIMIT:.0e}, try scaling it"
         )
         raise InvalidMeshError(msg)
+
+
+def _signs(p: FloatArray, t: IntArray) -> NDArray[np.int8]:
+    """Sign of every signed volume, (m,) int8; raises when one of them is zero."""
     sign = np.zeros(len(t), dtype=np.int8)
+    size = np.empty(len(t))
     axes = np.ascontiguousarray(p.T)
     for part in chunks(len(t)):
         corner = axes.take(t[part].T, axis=1)
-        extent = (corner.max(axis=1) - corner.min(axis=1)).max(axis=0)
+        size[part] = (corner.max(axis=1) - corner.min(axis=1)).max(axis=0)
         det = _determinant((corner[:, 1:] - corner[:, :1]).swapaxes(0, 1))
-        sign[part] = np.sign(det) * (np.abs(det) > FLAT * extent ** p.shape[1])
+        sign[part] = np.sign(det) * (np.abs(det) > FLAT * size[part] ** p.shape[1])
+    small = np.flatnonzero((size > 0.0) & (size < size.max() / SPAN_LIMIT))
+    if small.size:
+        msg = (
+            f"got {_where(small, 'cell')} of {len(t)} smaller than {1 / SPAN_LIMIT:.0e} of the "
+            f"largest; expected sizes closer together, try removing such cells"
+        )
+        raise InvalidMeshError(msg)
     bad = np.flatnonzero(sign == 0)
     if bad.size:
         name = "area" if p.shape[1] == 2 else "volume"

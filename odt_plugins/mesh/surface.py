@@ -13,7 +13,6 @@ from odt_plugins.mesh.arrays import BoolArray, IntArray
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.simplex import (
-    SPAN_LIMIT,
     SimplexMesh,
     compact_labels,
     freeze,
@@ -152,12 +151,10 @@ def _check_corners(p: NDArray[np.float64], t: IntArray) -> None:
             f"removing repeated cells"
         )
         raise InvalidMeshError(msg)
-    corner = p[t.ravel()]
-    span = float((corner.max(axis=0) - corner.min(axis=0)).max())
-    if not 1.0 / SPAN_LIMIT < span < SPAN_LIMIT:
+    if (p[t] == p[t[0, 0]]).all():
         msg = (
-            f"the surface is {span:.1e} long; expected between {1 / SPAN_LIMIT:.0e} and "
-            f"{SPAN_LIMIT:.0e}, try scaling it"
+            f"got {counted(len(t), 'cell')} (first: cell 0) with all vertices at one place; "
+            f"expected a surface"
         )
         raise InvalidMeshError(msg)
 

@@ -175,7 +175,7 @@ def test_unused_vertices_do_no_harm():
 @pytest.mark.parametrize(("change", "message"), [
     (lambda p, t: (p, np.concatenate([t, t[4:5, [0, 2, 1]]])), r"cell 80.*\(cell 4\)"),
     (lambda p, t: (p, np.concatenate([t, [[3, 3, 5]]])), "vertex used twice"),
-    (lambda p, t: (p * 1e80, t), "surface is 2.0e.80 long"),
+    (lambda p, t: (p * 1e80, t), "mesh is 2.0e.80 long"),
     (lambda p, t: (p, np.concatenate([t[:5, [0, 2, 1]], t[5:]])), "disagree about the outside"),
     (lambda p, t: sm.moebius(), "disagree about the outside"),
 ])
