@@ -6,6 +6,7 @@ import contextlib
 import multiprocessing
 import os
 import platform
+import tempfile
 from functools import cache
 from multiprocessing.connection import Connection
 from pathlib import Path
@@ -112,6 +113,8 @@ def _process(setting: tuple[tuple[str, str], ...]) -> Connection:
 
 
 def _serve(pipe: Connection) -> None:
+    # The folder of the first case goes.
+    os.chdir(tempfile.gettempdir())
     with contextlib.suppress(EOFError):
         while True:
             points, cells, options = pipe.recv()

@@ -61,9 +61,10 @@ def attack(rng: Rng, folder: Path) -> None:
     seconds = time.monotonic() - clock
     faults = [f"{fault}, {number.name} after {moment:.2f} s, it took {seconds:.1f} s"
               for fault in left_behind(out, target, process.returncode, errors)
-              # Before it has begun, the interpreter answers.
-              if not (fault.startswith("a traceback") and "frozen importlib" in errors)
-              and not fault == f"it ended with {-number}"]
+              # Before the command has begun and after its end, the interpreter answers.
+              if not (fault.startswith("a traceback") and "odt_plugins/cli.py" not in errors)
+              # CPython forgets that an interrupt was caught when it came within an exec of text.
+              and fault not in (f"it ended with {-number}", f"it ended with {-signal.SIGINT}")]
     if faults:
         raise Broken(faults)
 
@@ -104,7 +105,7 @@ def left_behind(out: Path, target: Path, code: int, errors: str) -> list[str]:
     """
     faults = []
     if "Traceback" in errors:
-        faults.append(f"a traceback: {errors.splitlines()[-1]}")
+        faults.append(f"a traceback: {' '.join(errors.split())[-300:]}")
     elif code == 1 and len(errors.strip().splitlines()) != 1 and "warning" not in errors:
         faults.append(f"it said {errors!r}")
     if code not in (0, 1):
