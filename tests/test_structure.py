@@ -68,6 +68,23 @@ TOOLKITS = {
 }
 """Files that may import a toolkit, inside a function."""
 
+MOST_PARAMETERS = {"kernel": 10, "function": 8}
+"""Parameters that a kernel and any other function of the engine may take."""
+
+MORE_PARAMETERS = {
+    "finish/plane.py": {"finish2d", "_descend", "_sweep"},
+    "ground/features.py": {"find_features"},
+    "ground/position.py": {"try_move"},
+    "ground/trace.py": {"edge_is_near", "_trace"},
+    "moves/flips2d.py": {"quality_flips", "_run", "_flip_edges"},
+    "moves/newton2d.py": {"smooth_vertices_2d"},
+    "odt/global_step.py": {"global_step"},
+    "odt/sweeps.py": {"_move_vertices", "_sweep"},
+    "surface/newton.py": {"smooth_vertices"},
+    "surface/odt.py": {"move_vertices"},
+}
+"""Functions of the engine that still take more; one that no longer does leaves this list."""
+
 SLOW = ("numba", "scipy", "pyamg", "click", "rich", "dask", "distributed", *TOOLKITS)
 
 
@@ -152,6 +169,28 @@ def test_files_hold_one_idea_and_print_nothing(path):
         assert not called & {"print", "exit", "input"}
     assert not [n for n in ast.walk(tree) if isinstance(n, ast.Assert)]
     assert not [n for n in ast.walk(tree) if isinstance(n, ast.ExceptHandler) and n.type is None]
+
+
+def long_lists(path: Path) -> set[str]:
+    """Functions with too many parameters whose first line does not say why they have so many."""
+    found = set()
+    for node in nodes(path):
+        if not isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            continue
+        given = node.args
+        count = len([*given.posonlyargs, *given.args, *given.kwonlyargs,
+                     *filter(None, (given.vararg, given.kwarg))])
+        kernel = any("kernel" in ast.unparse(decorator) for decorator in node.decorator_list)
+        why = "parameters" in (ast.get_docstring(node) or "").partition("\n")[0]
+        if count > MOST_PARAMETERS["kernel" if kernel else "function"] and not why:
+            found.add(node.name)
+    return found
+
+
+def test_no_function_of_the_engine_takes_a_long_list_of_parameters():
+    found = {path.relative_to(PACKAGE / "engine").as_posix(): long_lists(path)
+             for path in MODULES if room(path) == "engine"}
+    assert {name: functions for name, functions in found.items() if functions} == MORE_PARAMETERS
 
 
 def test_no_test_imports_from_a_test():

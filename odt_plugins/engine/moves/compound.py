@@ -68,7 +68,7 @@ class Scratch(NamedTuple):
 def gather_star(cells: IntArray, neighbors: IntArray, c: int, v: int, star: IntArray) -> int:
     """Cells that contain vertex v, found over facets from cell c; 0 if there are too many."""
     star[0] = c
-    n = 1
+    n = np.int64(1)
     done = 0
     while done < n:
         t = star[done]
@@ -85,7 +85,7 @@ def gather_star(cells: IntArray, neighbors: IntArray, c: int, v: int, star: IntA
                 return 0
             star[n] = across
             n += 1
-    return n
+    return int(n)
 
 
 @kernel
@@ -160,7 +160,7 @@ def descend_around(
                 m = 0
         if total < least or abs(total) < SAME * abs(forced):
             break
-        n_seen = 0
+        n_seen = np.int64(0)
         for m in range(n_touched):
             t = touched[m]
             if cells[t, 0] < 0:

@@ -58,7 +58,8 @@ def admissible(
         is_locked = all_locked(tets, new[m, 0], new[m, 1], new[m, 2], new[m, 3])
         if objective == ENERGY and not is_locked:
             continue
-        own = cell_extremes(points, new, m)
+        # as the numbers of cells are: for another type it would be compiled once more
+        own = cell_extremes(points, new, np.int32(m))
         if is_locked:
             locked = worse(locked, own)
         else:

@@ -127,7 +127,7 @@ def surroundings_within(tets: Tets, n_touched: int, limit: Extremes, scratch: Sc
     """:func:`compound.within` for all cells around the vertices of touched cells that can move."""
     cells = tets.cells
     touched, star, seen = scratch.touched, scratch.star, scratch.seen
-    n_seen = 0
+    n_seen = np.int64(0)
     for m in range(n_touched):
         t = touched[m]
         if cells[t, 0] < 0:

@@ -177,7 +177,7 @@ def collapse_edge(
     for m in range(n):
         c = star[m]
         gain += cell_cost(points, cells, c, cost)
-        if is_in(w, cells[c], 4):
+        if is_in(w, cells[c], np.int64(4)):
             continue
         local = place_in(cells, c, v)
         gain -= _cone_cost(points, cells, c, local, w, cost)

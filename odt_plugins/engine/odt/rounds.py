@@ -62,14 +62,20 @@ class Log:
     ----------
     energy : list of (stage, E)
     counts : dict name -> int
+    times : dict stage -> seconds
     """
 
     energy: list[tuple[str, float]] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
+    times: dict[str, float] = field(default_factory=dict)
 
     def add(self, name: str, amount: int) -> None:
         """Add to a count."""
         self.counts[name] = self.counts.get(name, 0) + int(amount)
+
+    def add_time(self, stage: str, seconds: float) -> None:
+        """Add to the time of a stage."""
+        self.times[stage] = self.times.get(stage, 0.0) + seconds
 
 
 def relaxation(options: Options, dim: int) -> float:

@@ -53,7 +53,7 @@ def settled(means: Sequence[float]) -> str:
 
 def run_cycles(
     mesh: Complex, density: Density, options: Options, bounds: Bounds, memory: Memory,
-    log: Log, times: dict[str, float], pool: ThreadPoolExecutor | None, near: BoolArray | None,
+    log: Log, pool: ThreadPoolExecutor | None, near: BoolArray | None,
 ) -> str:
     """Alternate the two stages; returns why stage 1 stopped last."""
     report = options.progress if options.progress is not None else silent
@@ -71,7 +71,7 @@ def run_cycles(
             mesh, density, options, limits, log,
             partial(report_share, report, base, 0.5 / cycles), watch, pool,
         )
-        times["smoothing"] = times.get("smoothing", 0.0) + time.perf_counter() - clock
+        log.add_time("smoothing", time.perf_counter() - clock)
         if not options.finish:
             continue
         clock = time.perf_counter()
@@ -79,7 +79,7 @@ def run_cycles(
         report("finishing", (cycle + 1) / cycles)
         cells, _ = mesh.mesh_arrays()
         means.append(figures(mesh.points, cells).mean_quality)
-        times["finishing"] = times.get("finishing", 0.0) + time.perf_counter() - clock
+        log.add_time("finishing", time.perf_counter() - clock)
         if end := settled(means):
             reason = end
             break
@@ -113,7 +113,7 @@ def run_cycles(
                 memory.offer(mesh, "repaired")
                 settle(mesh, bulk(2), bounds, log, pool, options.threads)
                 memory.offer(mesh, "finished")
-        times["finishing"] = times.get("finishing", 0.0) + time.perf_counter() - clock
+        log.add_time("finishing", time.perf_counter() - clock)
     report("finishing", 1.0)
     return reason
 

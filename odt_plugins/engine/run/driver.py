@@ -235,11 +235,10 @@ def _run_in(
     density = make_density(
         spec, options.exponent, start.points, start.cells[:m], start.neighbors[:m].copy()
     )
-    log = Log()
-    times = {"prepare": time.perf_counter() - clock}
+    log = Log(times={"prepare": time.perf_counter() - clock})
     bounds = extremes(before, tuple(options.keep))
     first = until_insertion(options) if options.insert else options
-    reason = run_cycles(start, density, first, bounds, memory, log, times, pool, near)
+    reason = run_cycles(start, density, first, bounds, memory, log, pool, near)
     refused = not memory.states and not (skin and memory.spoiled().size)
     besides = skin is None and _may_finish_alone(memory, inner_locked, options)
     if options.finish and (refused or besides):
@@ -250,7 +249,7 @@ def _run_in(
         name = ALONE if refused else BESIDES
         clock = time.perf_counter()
         finish_alone(second, options, bounds, memory, name, log, pool)
-        times[ALONE] = time.perf_counter() - clock
+        log.times[ALONE] = time.perf_counter() - clock
         if refused and not _keeps_sizes(options):
             reason += f"; {NO_DENSITY}"
     if options.insert and (memory.states or skin is None):
@@ -267,15 +266,17 @@ def _run_in(
             offer=partial(memory.offer, name="resampled"),
             report=partial(report_insertion, options.progress or silent), log=log,
         )
-        times["resampling"] = time.perf_counter() - clock
+        log.times["resampling"] = time.perf_counter() - clock
     clock = time.perf_counter()
     outcome = _best(
         mesh, frame, input_points, memory, options, log, reason,
         leaving if whole is None else None,
     )
     sizes = _sizes(mesh, options, frame, density, outcome, pool)
-    times["check"] = time.perf_counter() - clock
-    outcome = replace(outcome, times=times, energy=log.energy, counts=log.counts, sizes=sizes)
+    log.times["check"] = time.perf_counter() - clock
+    outcome = replace(
+        outcome, times=log.times, energy=log.energy, counts=log.counts, sizes=sizes
+    )
     if skin is None or outcome.slid is not None:
         return outcome, nowhere
     spoiled = memory.spoiled()

@@ -163,11 +163,13 @@ def _flip_sheet(skin: Skin, a: int, b: int, room: Work) -> bool:
     flip(sheet.triangles, sheet.neighbors, sheet.cell_edges, sheet.edge_cell, t, f, s, g)
     room.cells[0] = t
     room.cells[1] = s
-    number = claim(sheet, ground, 2, limits.distance, room)
+    # numba would compile claim and cover once more for a literal
+    pair = np.int64(2)
+    number = claim(sheet, ground, pair, limits.distance, room)
     if number < 0:
         flip_back(sheet, t, s, edge)
         return False
-    cover(sheet, 2, number, room)
+    cover(sheet, pair, number, room)
     for v in (a, b, x, y):
         spend(volume, 0.25 * change, v)
     for m in range(3):

@@ -8,7 +8,7 @@ from odt_plugins.mesh.arrays import IntArray
 
 @kernel
 def is_in(value: int, values: IntArray, n: int) -> bool:
-    """Whether the value is one of the first n."""
+    """Whether the value is one of the first n; a literal n would have it compiled once more."""
     for m in range(n):
         if values[m] == value:
             return True
