@@ -34,6 +34,17 @@ class CrashError(InvalidMeshError):
     code = 0
 
 
+class EndlessWalkError(InvalidMeshError):
+    """The triangles around a vertex lead on from one to the next and never back, nor to a rim.
+
+    Attributes
+    ----------
+    vertex : int
+    """
+
+    vertex = -1
+
+
 class UnsupportedMeshError(ODTError, TypeError):
     """The object or its cell types are nothing odt_plugins can optimise."""
 
@@ -69,6 +80,16 @@ class NotConvergedWarning(ODTWarning):
 def counted(count: int, noun: str, plural: str | None = None) -> str:
     """Say how many there are: "1 cell", "2 cells"."""
     return f"{count} {noun if count == 1 else plural or noun + 's'}"
+
+
+def endless_walk(vertex: int) -> EndlessWalkError:
+    """Make the error of a walk around a vertex that did not end."""
+    error = EndlessWalkError(
+        f"got triangles around vertex {vertex} that lead on without an end, expected fans of "
+        f"triangles that agree about the outside, try removing those that overlap there"
+    )
+    error.vertex = vertex
+    return error
 
 
 def exit_name(code: int) -> str:

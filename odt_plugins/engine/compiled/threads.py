@@ -1,8 +1,8 @@
-"""Work cut into chunks for a pool: the result does not depend on it."""
+"""Work cut into chunks for a pool, and into pieces for signals: the result depends on neither."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from typing import TypeVar
@@ -11,6 +11,19 @@ T = TypeVar("T")
 
 PART = 1 << 15
 """Length of a part of a range."""
+
+PIECE = 1 << 12
+"""Most vertices, cells or edges that one call of a kernel visits: Python handles a signal, such as
+Ctrl-C, only between two calls."""
+
+COSTLY = 1 << 8
+"""The same where one of them may take a millisecond."""
+
+
+def pieces(start: int, stop: int, *, costly: bool = False) -> Iterator[tuple[int, int]]:
+    """Cut range(start, stop) into pieces of at most PIECE, or COSTLY, in order."""
+    most = COSTLY if costly else PIECE
+    return ((first, min(first + most, stop)) for first in range(start, stop, most))
 
 
 def thread_pool(threads: int) -> AbstractContextManager[ThreadPoolExecutor | None]:

@@ -12,6 +12,7 @@ import numpy as np
 
 from odt_plugins.engine.cells.triangle import triangle_measure
 from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.finish.phases import Phase, bulk, tail
 from odt_plugins.engine.moves.flips2d import quality_flips
 from odt_plugins.engine.moves.newton2d import smooth_vertices_2d
@@ -65,7 +66,8 @@ def finish2d(
     flips = moves = 0
     for phase in bulk(2) + tail(2) if phases is None else phases:
         m = np.empty(len(cells))
-        _measures(points, cells, phase.objective, m)
+        for first, last in pieces(0, len(cells)):
+            _measures(points, cells[first:last], phase.objective, m[first:last])
         near = np.zeros(len(points), dtype=np.bool_)
         near[cells[m <= np.quantile(m, phase.share)]] = True
         pending = np.asarray(near[cells].any(axis=1))

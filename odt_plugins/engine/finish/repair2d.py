@@ -13,7 +13,9 @@ import numpy as np
 
 from odt_plugins.engine.cells.triangle import triangle_shape
 from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.moves.flips2d import GAIN, flip, number_edges
+from odt_plugins.engine.topology.lookup import place_in
 from odt_plugins.engine.topology.star import OffsetArray, vertex_stars
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 
@@ -50,24 +52,25 @@ def within_bounds(
     -------
     bool                        whether that was reached
     """
-    lacking = np.empty(len(cells))
     edges = number_edges(neighbors)
     for margin in MARGINS:
         for _ in range(ROUNDS):
-            _lacks(points, cells, bounds, lacking)
+            lacking = _lacking(points, cells, bounds)
             if not lacking.any():
                 return True
-            _flips(points, cells, neighbors, regions, *edges, bounds)
+            for first, last in pieces(0, len(cells)):
+                _flips(points, cells, neighbors, regions, *edges, bounds, first, last)
             stars = vertex_stars(cells, len(points))
-            _lacks(points, cells, bounds, lacking)
+            lacking = _lacking(points, cells, bounds)
             near = np.zeros(len(points), dtype=np.bool_)
             near[cells[lacking > 0.0]] = True
             for _ in range(RINGS):
                 near[cells[near[cells].any(axis=1)]] = True
             order = np.flatnonzero(near & movable).astype(np.int32)
             for _ in range(SWEEPS):
-                _search(points, cells, stars.indptr, stars.indices, order, bounds, margin)
-        _lacks(points, cells, bounds, lacking)
+                for first, last in pieces(0, len(order), costly=True):
+                    _search(points, cells, *stars, order[first:last], bounds, margin)
+        lacking = _lacking(points, cells, bounds)
         if lacking.max() > margin * margin:
             break
     return not lacking.any()
@@ -87,6 +90,14 @@ def _lack(
     return x * x + y * y + z * z
 
 
+def _lacking(points: FloatArray, cells: IntArray, bounds: FloatArray) -> FloatArray:
+    """What every triangle pays without a margin, (m,)."""
+    lacking = np.empty(len(cells))
+    for first, last in pieces(0, len(cells)):
+        _lacks(points, cells[first:last], bounds, lacking[first:last])
+    return lacking
+
+
 @kernel
 def _lacks(points: FloatArray, cells: IntArray, bounds: FloatArray, lacking: FloatArray) -> None:
     """What every triangle pays without a margin, which may be rounded."""
@@ -98,19 +109,17 @@ def _lacks(points: FloatArray, cells: IntArray, bounds: FloatArray, lacking: Flo
 @kernel
 def _flips(
     points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
-    cell_edges: IntArray, edge_cell: IntArray, bounds: FloatArray,
+    cell_edges: IntArray, edge_cell: IntArray, bounds: FloatArray, start: int, stop: int,
 ) -> None:
-    """Flip the edges of every triangle beyond the bounds, once, where the two pay less then."""
-    for t in range(cells.shape[0]):
+    """Flip the edges of triangles beyond the bounds, once, where the two pay less then."""
+    for t in range(start, stop):
         for i in range(3):
             s = neighbors[t, i]
             a, b, c = cells[t, i], cells[t, (i + 1) % 3], cells[t, (i + 2) % 3]
             here = _lack(points, a, b, c, bounds, 0.0)
             if s < 0 or regions[s] != regions[t] or here == 0.0:
                 continue
-            j = 0
-            while cell_edges[s, j] != cell_edges[t, i]:
-                j += 1
+            j = place_in(cell_edges, s, cell_edges[t, i])
             d = cells[s, j]
             old = here + _lack(points, d, c, b, bounds, 0.0)
             new = _lack(points, a, b, d, bounds, 0.0) + _lack(points, a, d, c, bounds, 0.0)

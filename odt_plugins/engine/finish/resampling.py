@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from odt_plugins.engine.cells.extremes import Bounds
+from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.finish.phases import Phase, Resampling, after_resampling, resampling
 from odt_plugins.engine.finish.volume import RING
 from odt_plugins.engine.moves import insertion
@@ -101,9 +102,11 @@ def resample(
         q[tried[: len(q)]] = 3.0
         order = np.argsort(q, kind="stable")[:count].astype(np.int32)
         mesh.status[:] = 0
-        taken += int(insertion.insertion_pass(
-            mesh.tets, mesh.first, mesh.stays, order, step.cost, RING, bounds, tried
-        ))
+        for first, last in pieces(0, len(order), costly=True):
+            taken += int(insertion.insertion_pass(
+                mesh.tets, mesh.first, mesh.stays, order[first:last], step.cost, RING, bounds,
+                tried,
+            ))
         if mesh.full:
             grow(mesh)
     return taken

@@ -165,7 +165,7 @@ def compound_moves(
     order = worst[np.argsort(q[worst], kind="stable")].astype(np.int32)
     mesh.status[:] = 0
     work = partial(_compound_part, phase, bounds, tried)
-    taken = side_by_side(mesh, order, pool, work, WORTH_COMPOUND)
+    taken = side_by_side(mesh, order, pool, work, WORTH_COMPOUND, costly=True)
     if mesh.full:
         grow(mesh)
     return taken

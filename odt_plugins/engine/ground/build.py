@@ -62,6 +62,7 @@ def make_sheet(
     return Sheet(
         points.copy(), triangles.copy(), edges.neighbors.copy(), edges.of_cell.copy(), edge_cell,
         locked, features.kind, features.pinched, foot, first, following,
+        np.full(1, -1, dtype=np.int32),
     )
 
 

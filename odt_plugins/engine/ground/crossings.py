@@ -8,7 +8,7 @@ import numpy as np
 
 from odt_plugins.engine.cells.corner import corner_edges, six_volumes
 from odt_plugins.engine.compiled.kernel import kernel
-from odt_plugins.engine.topology.star import OffsetArray
+from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 
 ROUNDING = 1e-12
@@ -65,48 +65,50 @@ def _crossings(points: FloatArray, triangles: IntArray, hit: BoolArray) -> int:
     order = np.argsort(low[member, along], kind="stable")
     order = order[np.argsort(strip[order], kind="stable")]
     begin = np.searchsorted(strip[order], np.arange(count + 1))
-    return int(_sweep(
-        points, triangles, low, high, along, member[order], begin, first, hit,
-    ))
+    member = member[order]
+    return sum(
+        int(_sweep(points, triangles, low, high, along, member, start, stop, end, s, first, hit))
+        for s, end in enumerate(begin[1:].tolist())
+        for start, stop in pieces(int(begin[s]), end, costly=True)
+    )
 
 
 @kernel
 def _sweep(
     points: FloatArray, triangles: IntArray, low: FloatArray, high: FloatArray, axis: int,
-    member: IntArray, begin: OffsetArray, first: IntArray, hit: BoolArray,
+    member: IntArray, start: int, stop: int, end: int, strip: int, first: IntArray, hit: BoolArray,
 ) -> int:
-    """Compare every triangle of a strip with those that begin before it ends.
+    """Compare triangles of a strip with those behind them that begin before they end.
 
-    ``member[begin[s]:begin[s + 1]]`` are the triangles of strip s, sorted by ``low``; a pair
-    counts in the ``first`` strip that both lie in. Marks in ``hit`` the triangles of every
+    ``member[start:stop]`` are compared with those behind them up to ``end``, sorted by ``low``; a
+    pair counts in the ``first`` strip that both lie in. Marks in ``hit`` the triangles of every
     crossing.
     """
     other, third = (axis + 1) % 3, (axis + 2) % 3
     count = 0
-    for s in range(len(begin) - 1):
-        for k in range(begin[s], begin[s + 1]):
-            i = member[k]
-            for l in range(k + 1, begin[s + 1]):
-                j = member[l]
-                if low[j, axis] > high[i, axis]:
-                    break
-                if (
-                    low[j, other] > high[i, other]
-                    or low[i, other] > high[j, other]
-                    or low[j, third] > high[i, third]
-                    or low[i, third] > high[j, third]
-                    or max(first[i], first[j]) != s
-                    or _meet(triangles, i, j)
-                ):
-                    continue
-                before = count
-                for e in range(3):
-                    if _crosses(points, triangles, i, e, j):
-                        count += 1
-                    if _crosses(points, triangles, j, e, i):
-                        count += 1
-                if count > before:
-                    hit[i] = hit[j] = True
+    for k in range(start, stop):
+        i = member[k]
+        for l in range(k + 1, end):
+            j = member[l]
+            if low[j, axis] > high[i, axis]:
+                break
+            if (
+                low[j, other] > high[i, other]
+                or low[i, other] > high[j, other]
+                or low[j, third] > high[i, third]
+                or low[i, third] > high[j, third]
+                or max(first[i], first[j]) != strip
+                or _meet(triangles, i, j)
+            ):
+                continue
+            before = count
+            for e in range(3):
+                if _crosses(points, triangles, i, e, j):
+                    count += 1
+                if _crosses(points, triangles, j, e, i):
+                    count += 1
+            if count > before:
+                hit[i] = hit[j] = True
     return count
 
 

@@ -7,6 +7,7 @@ from typing import NamedTuple
 import numpy as np
 
 from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.ground.closest import Ground, closest_on_triangle
 from odt_plugins.engine.ground.overlay import Work, height_over, make_overlay_work
 from odt_plugins.engine.ground.reference import Reference, make_reference
@@ -41,21 +42,18 @@ def _within(
 @kernel
 def _near(
     points: FloatArray, triangles: IntArray, chosen: IntArray, feet: IntArray, surface: Ground,
-    reach: float, work: Work, indptr: OffsetArray, indices: IntArray,
+    reach: float, work: Work, start: int, stop: int, indptr: OffsetArray, indices: IntArray,
 ) -> None:
-    """Count the triangles of the surface near some triangles; write them when there is room."""
+    """Count the triangles of the surface near chosen[start:stop]; write them when there is room."""
     three = work.feet
-    total = 0
-    for r in range(chosen.shape[0]):
-        indptr[r] = total
+    for r in range(start, stop):
         i, j, k = triangles[chosen[r], 0], triangles[chosen[r], 1], triangles[chosen[r], 2]
         three[0], three[1], three[2] = feet[i], feet[j], feet[k]
         count = faces_near(points, i, j, k, three, surface, reach, work)
         if indices.shape[0] > 0:
             for f in range(count):
-                indices[total + f] = work.faces[f]
-        total += count
-    indptr[chosen.shape[0]] = total
+                indices[indptr[r] + f] = work.faces[f]
+        indptr[r + 1] = indptr[r] + count
 
 
 def within(
@@ -78,10 +76,12 @@ def within(
     triangles = np.ascontiguousarray(triangles, dtype=np.int32)
     out = np.zeros(len(triangles), dtype=np.bool_)
     distance, face, _ = reference.closest(points)
-    _within(
-        points, triangles, face, distance, reference.surface, float(envelope),
-        make_overlay_work(), out,
-    )
+    work = make_overlay_work()
+    for first, last in pieces(0, len(triangles), costly=True):
+        _within(
+            points, triangles[first:last], face, distance, reference.surface, float(envelope),
+            work, out[first:last],
+        )
     return out
 
 
@@ -122,18 +122,20 @@ def uncovered(
     distance, feet, _ = result.closest(reference.points)
     work = make_overlay_work()
     sure = np.zeros(len(reference.triangles), dtype=np.bool_)
-    _within(
-        reference.points, reference.triangles, feet, distance, result.surface, float(envelope),
-        work, sure,
-    )
+    for first, last in pieces(0, len(sure), costly=True):
+        _within(
+            reference.points, reference.triangles[first:last], feet, distance, result.surface,
+            float(envelope), work, sure[first:last],
+        )
     chosen = np.flatnonzero(~sure).astype(np.int32)
     indptr = np.zeros(len(chosen) + 1, dtype=np.int64)
     indices = np.empty(0, dtype=np.int32)
     for _ in range(2):
-        _near(
-            reference.points, reference.triangles, chosen, feet, result.surface, float(envelope),
-            work, indptr, indices,
-        )
+        for first, last in pieces(0, len(chosen), costly=True):
+            _near(
+                reference.points, reference.triangles, chosen, feet, result.surface,
+                float(envelope), work, first, last, indptr, indices,
+            )
         indices = np.empty(int(indptr[-1]), dtype=np.int32) if not indices.size else indices
     return Uncovered(chosen, Stars(indptr, indices))
 
@@ -227,9 +229,11 @@ def one_sided(
     budget = LEAST_PARTS + PARTS_A_TRIANGLE * len(triangles)
     while len(triangles):
         bound = np.empty(len(triangles))
-        _upper(
-            points, triangles, feet, distance, reference.surface, INSET * tolerance, work, bound
-        )
+        for first, last in pieces(0, len(triangles), costly=True):
+            _upper(
+                points, triangles[first:last], feet, distance, reference.surface,
+                INSET * tolerance, work, bound[first:last],
+            )
         corners = points[triangles]
         center = corners.mean(axis=1)
         radius = np.sqrt(((corners - center[:, None]) ** 2).sum(axis=2).max(axis=1))

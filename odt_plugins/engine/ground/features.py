@@ -20,6 +20,7 @@ from odt_plugins.engine.ground.lines import Lines
 from odt_plugins.engine.ground.sheet import HELD, LINE, SMOOTH
 from odt_plugins.engine.topology.lookup import place_in
 from odt_plugins.engine.topology.star import Stars
+from odt_plugins.errors import endless_walk
 from odt_plugins.mesh.arrays import BoolArray, ByteArray, FloatArray, IntArray, LongArray
 from odt_plugins.mesh.surface import Edges
 
@@ -31,6 +32,9 @@ FLAT_QUALITY = 0.1
 
 SHORT = 0.2
 """The shortest edge of a flat triangle counts when it is longer than this part of the longest."""
+
+LARGEST_FAN = 1 << 10
+"""A vertex of more triangles stays: the guards compare all that it covers with all of them."""
 
 EXACT = 1e-6
 """A line vertex may slide where the line is straight, up to this part of the diagonal."""
@@ -95,6 +99,7 @@ def find_features(
     Features
     """
     n = len(points)
+    fixed = fixed | (np.diff(stars.indptr) > LARGEST_FAN)
     kept = edges.degree != 2
     if regions is not None:
         kept |= _label_borders(edges, regions)
@@ -272,17 +277,19 @@ def _trace_chains(
                 nodes[size] = v
                 size += 1
                 step = s
-                while True:
+                for _ in range(len(used)):
                     used[edge[step]] = True
                     w = other[step]
                     nodes[size] = w
                     size += 1
                     if ends[w] or w == v:
                         break
-                    step = indptr[w]
-                    while step < indptr[w + 1] and used[edge[step]]:
-                        step += 1
-                    if step == indptr[w + 1]:
+                    step = -1
+                    for other_step in range(indptr[w], indptr[w + 1]):
+                        if not used[edge[other_step]]:
+                            step = other_step
+                            break
+                    if step < 0:
                         break
                 count += 1
                 offsets[count] = size
@@ -312,9 +319,16 @@ def _loose_edges(
 
 
 def pinched_vertices(triangles: IntArray, edges: Edges, stars: Stars, n: int) -> BoolArray:
-    """Vertices around which the triangles form more than one fan, (n,) bool."""
+    """Vertices around which the triangles form more than one fan, (n,) bool.
+
+    Raises
+    ------
+    EndlessWalkError    neighbours disagree about the outside
+    """
     pinched = np.zeros(n, dtype=np.bool_)
-    _mark_pinched(triangles, edges.neighbors, stars.indptr, stars.indices, pinched)
+    lost = int(_mark_pinched(triangles, edges.neighbors, stars.indptr, stars.indices, pinched))
+    if lost >= 0:
+        raise endless_walk(lost)
     return pinched
 
 
@@ -322,26 +336,32 @@ def pinched_vertices(triangles: IntArray, edges: Edges, stars: Stars, n: int) ->
 def _mark_pinched(
     triangles: IntArray, neighbors: IntArray, indptr: LongArray, indices: IntArray,
     pinched: BoolArray,
-) -> None:
-    """Count how many triangles of a star one turn around the vertex reaches."""
+) -> int:
+    """Count how many triangles of a star one turn around the vertex reaches.
+
+    Returns
+    -------
+    int      first vertex around which a turn visits more triangles than there are, or -1
+    """
     for v in range(len(pinched)):
         count = indptr[v + 1] - indptr[v]
         if count == 0:
             continue
         start = indices[indptr[v]]
         reached = 1
-        whole = False
         for way in (1, 2):
             c = start
-            while not whole:
+            for _ in range(count):
                 c = neighbors[c, (place_in(triangles, c, v) + way) % 3]
-                if c < 0:
+                if c < 0 or c == start:
                     break
-                if c == start:
-                    whole = True
-                else:
-                    reached += 1
+                reached += 1
+            if c >= 0:
+                break
+        if reached > count:
+            return v
         pinched[v] = reached < count
+    return -1
 
 
 def _hold_bent(points: FloatArray, chains: _Chains, kind: ByteArray, slack: float) -> None:

@@ -39,10 +39,14 @@ def on_line(
 ) -> tuple[float, float, float, int]:
     """Point of a chain at an arc length between those of its neighbours, and a triangle there."""
     k = slot
-    while lines.arc[k] > place:
-        k -= 1
-    while lines.arc[k + 1] < place:
-        k += 1
+    for before in range(slot, -1, -1):
+        k = before
+        if not lines.arc[k] > place:
+            break
+    for after in range(k, len(lines.arc) - 1):
+        k = after
+        if not lines.arc[k + 1] < place:
+            break
     a, b = lines.nodes[k], lines.nodes[k + 1]
     span = lines.arc[k + 1] - lines.arc[k]
     w = min(max((place - lines.arc[k]) / span, 0.0), 1.0) if span > 0.0 else 0.0
@@ -68,15 +72,18 @@ def line_is_near(
         if not low < high:
             return False
         a, b = lines.nodes[k], lines.nodes[k + 1]
-        j = k
-        while lines.arc[j] > low:
-            j -= 1
-        while lines.arc[j] <= low:
-            j += 1
-        while lines.arc[j] < high:
+        start = k
+        for before in range(k, -1, -1):
+            start = before
+            if lines.arc[start] <= low:
+                break
+        for j in range(start, len(lines.arc)):
+            if lines.arc[j] <= low:
+                continue
+            if lines.arc[j] >= high:
+                break
             if _distance(points, a, b, ground_points, lines.nodes[j]) > limit:
                 return False
-            j += 1
     return True
 
 

@@ -68,12 +68,14 @@ def enter(face: int, table: IntArray) -> int:
     """Enter a triangle into the table: its place, or -1 when it is there already."""
     mask = table.shape[0] - 1
     place = ((face * 40503) ^ (face >> 7)) & mask
-    while table[place] >= 0:
+    for _ in range(table.shape[0]):
+        if table[place] < 0:
+            table[place] = face
+            return place
         if table[place] == face:
             return -1
         place = (place + 1) & mask
-    table[place] = face
-    return place
+    return -1
 
 
 @kernel
@@ -208,14 +210,14 @@ def height_over(
     parents[0] = -1
     slots[0] = enter(face, table)
     count = 1
-    head = 0
     sheets = 0
     highest = 0.0
     corners = 0
-    while head < count:
+    for head in range(PIECE):
+        if head == count:
+            break
         face = queue[head]
         parent = parents[head]
-        head += 1
         i, j, k = t[face, 0], t[face, 1], t[face, 2]
         iu, iv, ih = _seen(p, i, frame)
         ju, jv, jh = _seen(p, j, frame)

@@ -33,7 +33,7 @@ def _meets(sheet: Sheet, start: int, centre: int, other: int) -> bool:
     t, neighbors = sheet.triangles, sheet.neighbors
     for way in (1, 2):
         c = start
-        while True:
+        for _ in range(len(t)):
             i = place_in(t, c, centre)
             if t[c, (i + 1) % 3] == other or t[c, (i + 2) % 3] == other:
                 return True
@@ -42,6 +42,9 @@ def _meets(sheet: Sheet, start: int, centre: int, other: int) -> bool:
                 return False
             if c < 0:
                 break
+        if c >= 0:
+            sheet.lost[0] = centre
+            return True
     return False
 
 

@@ -19,6 +19,7 @@ from typing import Any
 import numpy as np
 
 from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.ground.closest import Ground
 from odt_plugins.engine.topology.star import OffsetArray, vertex_stars
 from odt_plugins.errors import InvalidMeshError
@@ -31,13 +32,15 @@ the closest point of an edge, but not that of three points on a line."""
 
 @kernel
 def _across(
-    triangles: IntArray, indptr: OffsetArray, indices: IntArray, neighbors: IntArray
+    triangles: IntArray, indptr: OffsetArray, indices: IntArray, start: int, stop: int,
+    neighbors: IntArray,
 ) -> None:
-    for c in range(triangles.shape[0]):
+    for c in range(start, stop):
         for i in range(3):
             j, k = triangles[c, (i + 1) % 3], triangles[c, (i + 2) % 3]
             found = -1
-            for s in range(indptr[j], indptr[j + 1]):
+            end = k if indptr[k + 1] - indptr[k] < indptr[j + 1] - indptr[j] else j
+            for s in range(indptr[end], indptr[end + 1]):
                 near = indices[s]
                 if near == c:
                     continue
@@ -68,7 +71,8 @@ def make_surface(points: FloatArray, triangles: IntArray) -> Ground:
     triangles = np.array(triangles, dtype=np.int32, order="C")
     stars = vertex_stars(triangles, len(points))
     neighbors = np.full(triangles.shape, -1, dtype=np.int32)
-    _across(triangles, stars.indptr, stars.indices, neighbors)
+    for first, last in pieces(0, len(triangles)):
+        _across(triangles, stars.indptr, stars.indices, first, last, neighbors)
     a, b, c = (points[triangles[:, i]] for i in range(3))
     normals = np.cross(b - a, c - a)
     length = np.sqrt((normals * normals).sum(axis=1))

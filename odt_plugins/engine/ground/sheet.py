@@ -12,7 +12,8 @@ from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import Ground, closest_on_triangle, walk
 from odt_plugins.engine.ground.trace import edge_is_near
 from odt_plugins.engine.topology.lookup import place_in
-from odt_plugins.engine.topology.star import OffsetArray, Stars
+from odt_plugins.engine.topology.star import OffsetArray
+from odt_plugins.errors import endless_walk
 from odt_plugins.mesh.arrays import BoolArray, ByteArray, FloatArray, IntArray
 
 SMOOTH, LINE, HELD = 0, 1, 2
@@ -36,6 +37,7 @@ class Sheet(NamedTuple):
     foot : (n,) int32               triangle of the ground on which a vertex lies
     first : (m,) int32              first vertex of the ground that a triangle covers, or -1
     following : (n,) int32          next vertex of the ground covered by the same triangle, or -1
+    lost : (1,) int32               a vertex at which a walk did not end, -1 as long as all do
     """
 
     points: FloatArray
@@ -49,6 +51,12 @@ class Sheet(NamedTuple):
     foot: IntArray
     first: IntArray
     following: IntArray
+    lost: IntArray
+
+    def check(self) -> None:
+        """Raise EndlessWalkError if a walk did not end."""
+        if self.lost[0] >= 0:
+            raise endless_walk(int(self.lost[0]))
 
 
 class Work(NamedTuple):
@@ -68,11 +76,10 @@ class Work(NamedTuple):
     derivatives: FloatArray
 
 
-def make_work(ground: Ground, stars: Stars | None = None) -> Work:
+def make_work(ground: Ground, largest: int = 2) -> Work:
     """Give room for the largest star, or for the pair of triangles at an edge."""
-    most = 2 if stars is None else int(np.diff(stars.indptr).max(initial=0))
     return Work(
-        np.empty(most, dtype=np.int32), np.empty((len(ground.points), 2), dtype=np.int32),
+        np.empty(largest, dtype=np.int32), np.empty((len(ground.points), 2), dtype=np.int32),
         np.empty((2, 3)), np.empty(5),
     )
 
@@ -146,7 +153,9 @@ def claim(
     number = 0
     for i in range(count):
         v = sheet.first[cells[i]]
-        while v >= 0:
+        for _ in range(number, len(pool)):
+            if v < 0:
+                break
             best = limit
             found = -1
             for j in range(count):
@@ -163,6 +172,9 @@ def claim(
             pool[number, 1] = found
             number += 1
             v = sheet.following[v]
+        if v >= 0:
+            sheet.lost[0] = v
+            return -1
     return number
 
 

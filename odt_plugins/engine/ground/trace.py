@@ -13,6 +13,7 @@ import math
 
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import Ground, closest_on_triangle, walk
+from odt_plugins.engine.topology.lookup import place_in
 
 CROSSINGS = 128
 """Most edges of the ground that one edge may cross."""
@@ -143,10 +144,7 @@ def _trace(
         near = ground.neighbors[face, exit_edge]
         if near < 0:
             return False
-        j = t[face, (exit_edge + 1) % 3]
-        entry = 0
-        while t[near, (entry + 2) % 3] != j:
-            entry += 1
+        entry = (place_in(t, near, t[face, (exit_edge + 1) % 3]) + 1) % 3
         face = near
         s0, s1, s2 = _sides(ground, face, ax, ay, az, mx, my, mz)
     return False

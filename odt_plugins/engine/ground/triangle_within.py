@@ -60,10 +60,10 @@ def faces_near(
             queue[count] = feet[f]
             slots[count] = place
             count += 1
-    head = 0
-    while head < count and count < PIECE:
+    for head in range(PIECE):
+        if head == count or count == PIECE:
+            break
         face = queue[head]
-        head += 1
         for corner in range(3):
             v = t[face, corner]
             for s in range(indptr[v], indptr[v + 1]):

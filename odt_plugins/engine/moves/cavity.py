@@ -125,15 +125,13 @@ def walk_ring(
     head = cells[c, l]
     vertices[0] = first
     behind = k
-    n = 0
     current = c
-    while True:
-        around[n] = current
-        n += 1
+    for n in range(1, longest + 1):
+        around[n - 1] = current
         if head == first:
             return a, b, n
         if n == longest:
-            return a, b, 0
+            break
         vertices[n] = head
         across = neighbors[current, behind]
         if across < 0 or regions[across] != regions[c]:
@@ -148,6 +146,7 @@ def walk_ring(
             elif v != a and v != b:
                 head = v
         current = across
+    return a, b, 0
 
 
 @kernel
@@ -211,7 +210,8 @@ def write_ring(a: int, b: int, n: int, ring: Ring) -> int:
     depth = 1
     stack[0, 0] = 0
     stack[0, 1] = n - 1
-    while depth > 0:
+    # its n - 2 triangles, and the n - 1 edges of the ring between the ends
+    for _ in range(2 * n - 3):
         depth -= 1
         i = stack[depth, 0]
         j = stack[depth, 1]

@@ -69,10 +69,10 @@ def gather_star(cells: IntArray, neighbors: IntArray, c: int, v: int, star: IntA
     """Cells that contain vertex v, found over facets from cell c; 0 if there are too many."""
     star[0] = c
     n = np.int64(1)
-    done = 0
-    while done < n:
+    for done in range(star.shape[0]):
+        if done == n:
+            break
         t = star[done]
-        done += 1
         for f in range(4):
             if cells[t, f] == v:
                 continue
@@ -144,7 +144,9 @@ def descend_around(
     flips = 0
     for _ in range(ROUNDS):
         m = 0
-        while m < n_touched and flips < MOST_FLIPS:
+        for _ in range((MOST_FLIPS + 1) * MOST_TOUCHED):
+            if m == n_touched or flips == MOST_FLIPS:
+                break
             t = touched[m]
             m += 1
             if cells[t, 0] < 0 or status[t] != PENDING:

@@ -6,14 +6,17 @@ arrays are the only thing to update and a later pass can start from what changed
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
 import numpy as np
 
 from odt_plugins.engine.cells.bounds import relaxed
 from odt_plugins.engine.cells.tetrahedron import QUALITY
 from odt_plugins.engine.cells.triangle import triangle_measure, triangle_shape
 from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.compiled.threads import PIECE
 from odt_plugins.engine.topology.lookup import place_in
-from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
 
 FLAT = 1e-12
 """A triangle is flat when twice its area is below this times its longest squared edge."""
@@ -21,6 +24,9 @@ IN_CIRCLE = 1e-12
 """The in-circle determinant counts as positive above this times the sum of its terms."""
 GAIN = 1e-9
 """Least relative fall of the sum of m^-p for which an edge is flipped."""
+FLIPS = 100
+"""Most flips an edge, on average, before a queue is left as it is: exact sums fall with every flip,
+rounded ones of flat triangles may go round in a circle."""
 
 
 def lawson_flips(
@@ -123,8 +129,31 @@ def _run(
     queue = np.zeros(len(edge_cell), dtype=np.int32)
     first = np.flatnonzero(queued).astype(np.int32)
     queue[: len(first)] = first
-    return int(_flip_edges(points, cells, neighbors, regions, active, fixed, cell_edges, edge_cell,
-                           queue, queued, len(first), objective, power, bounds, repeat, changed))
+    return work_off(len(first), len(queue), lambda waiting: _flip_edges(
+        points, cells, neighbors, regions, active, fixed, cell_edges, edge_cell, queue, queued,
+        waiting, PIECE, objective, power, bounds, repeat, changed,
+    ))
+
+
+def work_off(count: int, edges: int, flip_some: Callable[[LongArray], int]) -> int:
+    """Flip until no edge waits, or FLIPS an edge were made.
+
+    Parameters
+    ----------
+    count : int              edges that wait at first, from the start of the queue on
+    edges : int              length of the queue, a ring
+    flip_some : callable     visits some of them, and keeps ``waiting`` (2,) up to date: the place
+                             of the first edge that waits, and how many do; returns its flips
+
+    Returns
+    -------
+    int                      number of flips
+    """
+    waiting = np.array([0, count], dtype=np.int64)
+    flips = 0
+    while waiting[1] > 0 and flips < FLIPS * edges:
+        flips += int(flip_some(waiting))
+    return flips
 
 
 def number_edges(neighbors: IntArray) -> tuple[IntArray, IntArray]:
@@ -157,16 +186,17 @@ def _number_edges(neighbors: IntArray, cell_edges: IntArray, edge_cell: IntArray
 def _flip_edges(
     points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
     active: BoolArray, fixed: BoolArray, cell_edges: IntArray, edge_cell: IntArray,
-    queue: IntArray, queued: BoolArray, size: int, objective: int, power: float,
-    bounds: FloatArray, repeat: bool, changed: BoolArray,
+    queue: IntArray, queued: BoolArray, waiting: LongArray, most: int, objective: int,
+    power: float, bounds: FloatArray, repeat: bool, changed: BoolArray,
 ) -> int:
-    """Work off the queue; after a flip the four edges around it are looked at again.
+    """Visit at most ``most`` edges; after a flip the four edges around it are looked at again.
 
     power = 0 flips to Delaunay with the guard for fixed vertices, power > 0 for the sum of m^-p.
+    ``waiting`` as in :func:`work_off`.
     """
-    head = 0
+    head, size = waiting[0], waiting[1]
     flips = 0
-    while size > 0:
+    for _ in range(min(size, most)):
         e = queue[head]
         head = (head + 1) % len(queue)
         size -= 1
@@ -196,6 +226,7 @@ def _flip_edges(
         flips += 1
         if repeat:
             size = queue_around(cell_edges, t, s, queue, queued, head, size)
+    waiting[0], waiting[1] = head, size
     return flips
 
 

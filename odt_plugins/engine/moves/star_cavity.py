@@ -101,7 +101,7 @@ def grow_cavity(tets: Tets, p: int, cavity: IntArray, n: int, cost: Cost) -> int
     """
     points, cells, neighbors, regions = tets.points, tets.cells, tets.neighbors, tets.regions
     label = regions[cavity[0]]
-    while n < LARGEST_CAVITY:
+    for _ in range(n, LARGEST_CAVITY):
         best = 0.0
         chosen = -1
         for m in range(n):

@@ -12,6 +12,7 @@ from odt_plugins.engine.cells.mean_ratio import tet_mean_ratio
 from odt_plugins.engine.cells.tetrahedron import MEAN_RATIO, tet_cosines, tet_quality
 from odt_plugins.engine.cells.triangle import triangle_in_space, triangle_measure, triangle_shape
 from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.options import Objective
 
@@ -49,7 +50,8 @@ def _cell_shapes(points: FloatArray, cells: IntArray, shapes: FloatArray) -> Non
 def cell_shapes(points: FloatArray, cells: IntArray) -> FloatArray:
     """Radius ratio (5.1), cosine of the smallest and of the largest angle, (m, 3)."""
     shapes = np.empty((len(cells), 3))
-    _cell_shapes(points, cells, shapes)
+    for first, last in pieces(0, len(cells)):
+        _cell_shapes(points, cells[first:last], shapes[first:last])
     return shapes
 
 
@@ -148,7 +150,8 @@ def _mean_ratios(points: FloatArray, cells: IntArray, m: FloatArray) -> None:
 def amips_energies(points: FloatArray, cells: IntArray) -> FloatArray:
     """AMIPS energy of every cell as TetWild counts it, (m,): d for the regular one."""
     m = np.empty(len(cells))
-    _mean_ratios(points, cells, m)
+    for first, last in pieces(0, len(cells)):
+        _mean_ratios(points, cells[first:last], m[first:last])
     dim = cells.shape[1] - 1
     energies: FloatArray = dim * np.maximum(m, 1e-300) ** (-1.0 / dim)
     return energies

@@ -27,7 +27,7 @@ from odt_plugins.engine.sliding.boundary import Skin
 from odt_plugins.engine.sliding.skin import make_skin
 from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.complex import make_complex
-from odt_plugins.engine.topology.frame import Frame, make_frame
+from odt_plugins.engine.topology.frame import Frame, callers_vertices, make_frame
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.numbering import new_numbers
@@ -200,7 +200,7 @@ def _run(
     whole: Figures | None = None,
 ) -> tuple[Outcome, IntArray]:
     """One run of all stages; also the surface vertices at which a surface that slid is spoiled."""
-    with thread_pool(options.threads) as pool:
+    with thread_pool(options.threads) as pool, callers_vertices(mesh):
         return _run_in(pool, mesh, options, leaving, cut, whole)
 
 

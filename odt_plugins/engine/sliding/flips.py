@@ -48,12 +48,8 @@ def walk_open_ring(
     ring.vertices[0] = first
     behind = first
     current = c
-    n = 0
-    while True:
-        ring.cells[n] = current
-        n += 1
-        if n == MAX_RING:
-            return 0
+    for n in range(1, MAX_RING):
+        ring.cells[n - 1] = current
         ring.vertices[n] = head
         across = neighbors[current, place_in(cells, current, behind)]
         if across < 0:
@@ -66,6 +62,7 @@ def walk_open_ring(
             if v != a and v != b and v != behind:
                 head = v
         current = across
+    return 0
 
 
 @kernel
@@ -79,13 +76,17 @@ def sheet_triangle(sheet: Sheet, start: int, a: int, b: int) -> tuple[int, int]:
     t, neighbors = sheet.triangles, sheet.neighbors
     for way in (1, 2):
         c = start
-        while c >= 0:
+        for _ in range(len(t)):
             i = place_in(t, c, a)
             if t[c, (i + 1) % 3] == b:
                 return c, (i + 2) % 3
             c = neighbors[c, (i + way) % 3]
             if c == start:
+                return -1, -1
+            if c < 0:
                 break
+        if c >= 0:
+            sheet.lost[0] = a
     return -1, -1
 
 

@@ -9,6 +9,7 @@ import numpy as np
 from odt_plugins.engine.cells.extremes import Bounds, Extremes
 from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
 from odt_plugins.engine.cells.tetrahedron import Cost
+from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.ground.build import make_ground, make_sheet
 from odt_plugins.engine.ground.features import find_features
 from odt_plugins.engine.ground.sheet import SMOOTH, Limits, make_work
@@ -115,8 +116,15 @@ def slide(
     """
     order = np.flatnonzero(active & skin.free).astype(np.int32)
     own = vertex_stars(skin.sheet.triangles, len(mesh.points))
-    work = make_work(skin.ground, own)
-    return int(slide_vertices(mesh.cells, stars, order, cost, limit, skin, own, work, moved))
+    work = make_work(skin.ground, own.largest())
+    moves = sum(
+        int(slide_vertices(
+            mesh.cells, stars, order[first:last], cost, limit, skin, own, work, moved
+        ))
+        for first, last in pieces(0, len(order))
+    )
+    skin.sheet.check()
+    return moves
 
 
 def flip_skin(mesh: Complex, skin: Skin, near: BoolArray, cost: Cost, bounds: Bounds) -> int:
@@ -124,4 +132,10 @@ def flip_skin(mesh: Complex, skin: Skin, near: BoolArray, cost: Cost, bounds: Bo
     used = len(near)
     near = near & (mesh.cells[:used, 0] >= 0) & (mesh.neighbors[:used] < 0).any(axis=1)
     order = np.flatnonzero(near).astype(np.int32)
-    return int(flip_boundary(mesh.tets, order, cost, bounds, skin, make_work(skin.ground)))
+    work = make_work(skin.ground)
+    flips = sum(
+        int(flip_boundary(mesh.tets, order[first:last], cost, bounds, skin, work))
+        for first, last in pieces(0, len(order))
+    )
+    skin.sheet.check()
+    return flips

@@ -24,7 +24,7 @@ from odt_plugins.engine.surface.density import SurfaceDensity, surface_density
 from odt_plugins.engine.surface.judge import Distance, Kept, faults, outside
 from odt_plugins.engine.surface.passes import Surface, finish_phase
 from odt_plugins.engine.surface.rounds import check_method, smooth_surface
-from odt_plugins.engine.topology.frame import Frame, make_frame
+from odt_plugins.engine.topology.frame import Frame, callers_vertices, make_frame
 from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.simplex import SimplexMesh
@@ -115,6 +115,14 @@ def run_surface(
     check_method(options)
     if mesh.frozen.all():
         return _unchanged(mesh, "no triangle may change")
+    with callers_vertices(mesh):
+        return _run_until_kept(mesh, options, leaving)
+
+
+def _run_until_kept(
+    mesh: SimplexMesh, options: Options, leaving: Leaving
+) -> SurfaceOutcome:
+    """Runs from the input on until one keeps the promise, at last the input itself."""
     clock = time.perf_counter()
     start = _start(mesh)
     log = Log()
@@ -184,8 +192,20 @@ def _start(mesh: SimplexMesh) -> Start:
         np.ascontiguousarray(mesh.regions[frame.active]),
         fixed[frame.vertices],
         marked[(marked >= 0).all(axis=1)],
-        surface_edges(triangles, len(frame.vertices)),
+        _inner_edges(mesh, frame, triangles),
     )
+
+
+def _inner_edges(mesh: SimplexMesh, frame: Frame, triangles: IntArray) -> Edges:
+    """The edges of the triangles that may change; frozen ones count where three or more meet."""
+    edges = surface_edges(triangles, len(frame.vertices))
+    if mesh.frozen.any():
+        whole = surface_edges(mesh.cells, len(mesh.points))
+        degree = whole.degree[whole.of_cell[frame.active]]
+        crowded = degree > 2
+        edges.degree[edges.of_cell[crowded]] = degree[crowded]
+        edges.neighbors[crowded] = -1
+    return edges
 
 
 def _run(

@@ -12,6 +12,7 @@ import numpy as np
 from odt_plugins.engine.cells.bounds import relaxed
 from odt_plugins.engine.cells.triangle import offset, triangle_in_space
 from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.compiled.threads import PIECE
 from odt_plugins.engine.ground.closest import Ground
 from odt_plugins.engine.ground.pair import edge_is_free, flip_back, keeps_normals
 from odt_plugins.engine.ground.sheet import (
@@ -24,9 +25,9 @@ from odt_plugins.engine.ground.sheet import (
     joined,
     make_work,
 )
-from odt_plugins.engine.moves.flips2d import GAIN, flip, queue_around
+from odt_plugins.engine.moves.flips2d import GAIN, flip, queue_around, work_off
 from odt_plugins.engine.topology.lookup import place_in
-from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
 
 HELD_FLOOR = 0.3
 """Radius ratio that a new triangle without a free vertex must reach: smoothing cannot help it."""
@@ -61,23 +62,27 @@ def flip_edges(
     queue = np.zeros(count, dtype=np.int32)
     queue[: len(first)] = first
     queued |= sheet.locked
-    return int(_work_off(
-        sheet, ground, limits, power, bounds, queue, queued, len(first), make_work(ground), changed
+    work = make_work(ground)
+    flips = work_off(len(first), count, lambda waiting: _flip_some(
+        sheet, ground, limits, power, bounds, queue, queued, waiting, PIECE, work, changed
     ))
+    sheet.check()
+    return flips
 
 
 @kernel
-def _work_off(
+def _flip_some(
     sheet: Sheet, ground: Ground, limits: Limits, power: float, bounds: FloatArray,
-    queue: IntArray, queued: BoolArray, size: int, work: Work, changed: BoolArray,
+    queue: IntArray, queued: BoolArray, waiting: LongArray, most: int, work: Work,
+    changed: BoolArray,
 ) -> int:
-    """Work off the queue; after a flip the four edges around it are looked at again."""
+    """Visit at most ``most`` edges; after a flip the four edges around it are looked at again."""
     cells, neighbors = sheet.triangles, sheet.neighbors
     cell_edges, edge_cell = sheet.cell_edges, sheet.edge_cell
     pair = work.cells
-    head = 0
+    head, size = waiting[0], waiting[1]
     flips = 0
-    while size > 0:
+    for _ in range(min(size, most)):
         e = queue[head]
         head = (head + 1) % len(queue)
         size -= 1
@@ -110,6 +115,7 @@ def _work_off(
         changed[s] = True
         flips += 1
         size = queue_around(cell_edges, t, s, queue, queued, head, size)
+    waiting[0], waiting[1] = head, size
     return flips
 
 

@@ -95,9 +95,11 @@ def sweep(
     """Visit every wanted vertex that may move once, block after block."""
     coloring = vertex_coloring(surface.triangles, wanted & (surface.sheet.kind != HELD))
     moved[:] = 0.0
-    return sum(run_chunks(
+    moves = sum(run_chunks(
         surface.pool, surface.threads, coloring, partial(work, coloring.order)
     ))
+    surface.sheet.check()
+    return moves
 
 
 def move_all(
@@ -106,6 +108,7 @@ def move_all(
 ) -> tuple[int, FloatArray]:
     """Move every vertex once; returns how many moved and how far, (n,)."""
     stars = surface.stars()
+    largest = stars.largest()
     moved = np.zeros(len(surface.points))
     given = np.zeros((0, 3)) if vectors is None else vectors
 
@@ -113,7 +116,7 @@ def move_all(
         return int(move_vertices(
             surface.sheet, surface.ground, surface.lines, stars.indptr, stars.indices, order,
             start, stop, target, given, rho, equal_weights, omega, surface.limits, bounds,
-            make_work(surface.ground, stars), moved,
+            make_work(surface.ground, largest), moved,
         ))
 
     everything = np.ones(len(surface.points), dtype=np.bool_)
@@ -137,11 +140,14 @@ def finish_phase(surface: Surface, phase: Phase, bounds: FloatArray) -> tuple[in
         stars = surface.stars()
         status = np.zeros(len(surface.triangles), dtype=np.uint8)
 
-        def work(order: IntArray, start: int, stop: int, stars: Stars = stars) -> int:
+        def work(
+            order: IntArray, start: int, stop: int, stars: Stars = stars,
+            largest: int = stars.largest(),
+        ) -> int:
             return int(smooth_vertices(
                 surface.sheet, surface.ground, surface.lines, stars.indptr, stars.indices, order,
                 start, stop, phase.power, surface.limits, bounds,
-                make_work(surface.ground, stars), moved,
+                make_work(surface.ground, largest), moved,
             ))
 
         for _ in range(phase.sweeps):

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.topology.star import PARTS, OffsetArray, Stars, vertex_stars
 from odt_plugins.errors import InvalidMeshError
 from odt_plugins.mesh.arrays import IntArray
@@ -20,19 +21,23 @@ def _match_facets(
     indices: IntArray,
     head: OffsetArray,
     chain: OffsetArray,
+    used: OffsetArray,
     neighbors: IntArray,
     first: int,
     last: int,
 ) -> Any:
-    """Pair facets bucketed by (smallest, middle) vertex; first facet with three cells or -1.
+    """Pair facets of the same smallest vertex; first facet with three cells or -1.
 
     Only those with a smallest vertex from first to last; others can be paired at the same time.
 
-    head[v] starts the chain of facets seen with middle vertex v in the current bucket;
-    a facet is numbered 4 * cell + local index of the opposite vertex.
+    head[i] starts the chain of facets seen around the current vertex whose other vertices add up
+    to i, modulo its length; ``used`` lists these i. A facet is numbered 4 * cell + local index of
+    the opposite vertex.
     """
+    n = head.shape[0]
     k = cells.shape[1]
     for v in range(first, last):
+        count = 0
         for s in range(indptr[v], indptr[v + 1]):
             c = indices[s]
             below = 0
@@ -56,30 +61,34 @@ def _match_facets(
                     else:
                         top = u
                 facet = (c << 2) + opposite
-                other = head[mid]
-                while other != -1:
+                place = mid + top
+                if place >= n:
+                    place -= n
+                other = head[place]
+                for _ in range(count):
+                    if other == -1:
+                        break
                     oc = other >> 2
-                    found = top == -1
-                    if not found:
-                        for a in range(k):
-                            if a != other & 3 and cells[oc, a] == top:
-                                found = True
-                    if found:
+                    shared = 0
+                    for a in range(k):
+                        u = cells[oc, a]
+                        shared += a != other & 3 and (u == mid or u == top)
+                    if shared == k - 2:
                         break
                     other = chain[other]
                 if other == -1:
-                    chain[facet] = head[mid]
-                    head[mid] = facet
+                    chain[facet] = head[place]
+                    head[place] = facet
+                    used[count] = place
+                    count += 1
                 else:
                     oc = other >> 2
                     if neighbors[oc, other & 3] != -1:
                         return facet
                     neighbors[oc, other & 3] = c
                     neighbors[c, opposite] = oc
-        for s in range(indptr[v], indptr[v + 1]):
-            c = indices[s]
-            for a in range(k):
-                head[cells[c, a]] = -1
+        for i in range(count):
+            head[used[i]] = -1
     return -1
 
 
@@ -111,10 +120,16 @@ def cell_neighbors(
         stars = vertex_stars(cells, int(cells.max()) + 1, pool)
     n = stars.indptr.size - 1
     chain = np.empty(4 * len(cells), dtype=np.int64)
+    largest = stars.largest()
 
     def match(first: int, last: int) -> int:
         head = np.full(n, -1, dtype=np.int64)
-        return int(_match_facets(cells, *stars, head, chain, neighbors, first, last))
+        used = np.empty(cells.shape[1] * largest, dtype=np.int64)
+        for start, stop in pieces(first, last):
+            bad = int(_match_facets(cells, *stars, head, chain, used, neighbors, start, stop))
+            if bad >= 0:
+                return bad
+        return -1
 
     parts = 1 if pool is None else PARTS
     cuts = [n * part // parts for part in range(parts + 1)]

@@ -16,7 +16,7 @@ from typing import NamedTuple, TypeVar
 import numpy as np
 
 from odt_plugins.engine.compiled.kernel import kernel
-from odt_plugins.engine.compiled.threads import run_ranges
+from odt_plugins.engine.compiled.threads import PIECE, pieces, run_ranges
 from odt_plugins.engine.topology.star import OffsetArray
 from odt_plugins.mesh.arrays import BoolArray, IntArray
 
@@ -72,10 +72,10 @@ def _greedy(touch: BoolArray, color: IntArray, taken: IntArray) -> None:
         for other in range(b):
             if touch[b, other]:
                 taken[color[other]] = b
-        low = 0
-        while taken[low] == b:
-            low += 1
-        color[b] = low
+        for low in range(b + 1):
+            if taken[low] != b:
+                color[b] = low
+                break
 
 
 def _block_bits(n: int) -> int:
@@ -152,19 +152,21 @@ def run_chunks(
 
     Parameters
     ----------
-    pool : ThreadPoolExecutor or None    None runs everything here, in one call
-    threads : int                        chunks a colour is cut into, between blocks
+    pool : ThreadPoolExecutor or None    None runs everything here, in pieces
+    threads : int                        least number of chunks a colour is cut into, between blocks
     coloring : Coloring
     work : callable                      releases the GIL; works on coloring.order[start:stop]
     """
     blocks = coloring.blocks
     if pool is None:
-        return [work(0, int(blocks[-1]))]
+        return [work(first, last) for first, last in pieces(0, int(blocks[-1]))]
     results = []
     for first, last in pairwise(coloring.offsets.tolist()):
-        if blocks[last] - blocks[first] < SMALLEST:
+        size = int(blocks[last] - blocks[first])
+        if size < SMALLEST:
             results.append(work(int(blocks[first]), int(blocks[last])))
             continue
-        cuts = [int(blocks[first + (last - first) * t // threads]) for t in range(threads + 1)]
+        count = max(threads, -(-size // PIECE))
+        cuts = [int(blocks[first + (last - first) * t // count]) for t in range(count + 1)]
         results += pool.map(work, cuts[:-1], cuts[1:])
     return results

@@ -3,14 +3,26 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.engine.topology.order import curve_order
+from odt_plugins.errors import EndlessWalkError, endless_walk
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import SimplexMesh
+
+
+@contextmanager
+def callers_vertices(mesh: SimplexMesh) -> Iterator[None]:
+    """Name the vertex of an error as the caller does, where vertices are numbered by a Frame."""
+    try:
+        yield
+    except EndlessWalkError as exc:
+        raise endless_walk(int(make_frame(mesh)[0].vertices[exc.vertex])) from exc
 
 
 @dataclass(frozen=True)

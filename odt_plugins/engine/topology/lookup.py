@@ -18,7 +18,8 @@ def is_in(value: int, values: IntArray, n: int) -> bool:
 @kernel
 def place_in(rows: IntArray, row: int, value: int) -> int:
     """Place of a value in a row that holds it, such as the local number of a cell's vertex."""
-    place = 0
-    while rows[row, place] != value:
-        place += 1
-    return place
+    last = rows.shape[1] - 1
+    for place in range(last):
+        if rows[row, place] == value:
+            return place
+    return last

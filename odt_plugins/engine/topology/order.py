@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 
 BITS = 10
@@ -72,16 +73,41 @@ def by_lowest_vertex(cells: IntArray, n: int) -> IntArray:
 
 
 @kernel
-def _match_rows(
-    old: IntArray, new: IntArray, order: IntArray, ends: LongArray, source: IntArray
+def _rarest(cells: IntArray, c: int, count: LongArray) -> int:
+    """Vertex of a cell that the fewest cells have, of several the lowest."""
+    rare = cells[c, 0]
+    for a in range(1, cells.shape[1]):
+        v = cells[c, a]
+        if count[v] < count[rare] or (count[v] == count[rare] and v < rare):
+            rare = v
+    return rare
+
+
+@kernel
+def _sort_by_rarest(
+    cells: IntArray, count: LongArray, start: LongArray, order: IntArray
 ) -> None:
-    """Old row of the same vertices as each new one; order[ends[v - 1]:ends[v]] start at v."""
+    """Counting sort by the rarest vertex; those of v come to order[start[v - 1]:start[v]]."""
+    for c in range(cells.shape[0]):
+        start[_rarest(cells, c, count) + 1] += 1
+    for v in range(start.shape[0] - 1):
+        start[v + 1] += start[v]
+    for c in range(cells.shape[0]):
+        v = _rarest(cells, c, count)
+        order[start[v]] = c
+        start[v] += 1
+
+
+@kernel
+def _match_rows(
+    old: IntArray, new: IntArray, count: LongArray, order: IntArray, ends: LongArray,
+    source: IntArray,
+) -> None:
+    """Old row of the same vertices as each new one; they are sorted by their rarest vertex."""
     k = old.shape[1]
     for c in range(new.shape[0]):
-        low = new[c, 0]
-        for a in range(1, k):
-            low = min(low, new[c, a])
-        for s in range(ends[low - 1] if low > 0 else 0, ends[low]):
+        v = _rarest(new, c, count)
+        for s in range(ends[v - 1] if v > 0 else 0, ends[v]):
             common = 0
             for a in range(k):
                 for b in range(k):
@@ -104,9 +130,11 @@ def same_vertices(old: IntArray, new: IntArray, n: int) -> IntArray:
     (m',) int32    the first old cell with the same vertices as each new one, or -1
     """
     order, ends = np.empty(len(old), dtype=np.int32), np.zeros(n + 1, dtype=np.int64)
-    _sort_by_lowest(old, ends, order)
+    count = np.bincount(old.ravel(), minlength=n)
+    _sort_by_rarest(old, count, ends, order)
     source = np.full(len(new), -1, dtype=np.int32)
-    _match_rows(old, new, order, ends, source)
+    for first, last in pieces(0, len(new)):
+        _match_rows(old, new[first:last], count, order, ends, source[first:last])
     return source
 
 

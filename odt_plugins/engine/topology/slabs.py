@@ -10,10 +10,12 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from threading import Event
 
 import numpy as np
 
 from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.topology.complex import Complex
 from odt_plugins.engine.topology.tets import FREE, FULL, USED, Tets
 from odt_plugins.mesh.arrays import BoolArray, ByteArray, IntArray, LongArray
@@ -105,7 +107,7 @@ def _sort_out(
 
 def side_by_side(
     mesh: Complex, order: IntArray, pool: ThreadPoolExecutor | None, work: Work,
-    worth: float = WORTH,
+    worth: float = WORTH, costly: bool = False,
 ) -> int:
     """Work at cells, in slabs where there are many, and add up what the work returns.
 
@@ -117,20 +119,23 @@ def side_by_side(
         None runs the slabs one after another; the result is the same
     work : callable         see ``Work``
     worth : float           part of all cells that is worth cutting the mesh into slabs
+    costly : bool           see ``threads.pieces``
     """
     total = 0
     if len(order) > worth * mesh.count():
         for slab in mesh.slabs():
             if slab.any():
-                done, order = _in_slabs(mesh, order, slab, pool, work)
+                done, order = _in_slabs(mesh, order, slab, pool, work, costly)
                 total += done
-    if len(order):
-        total += work(order, mesh.tets)
-    return total
+    return total + sum(
+        work(order[first:last], mesh.tets)
+        for first, last in pieces(0, len(order), costly=costly)
+    )
 
 
 def _in_slabs(
-    mesh: Complex, order: IntArray, slab: ByteArray, pool: ThreadPoolExecutor | None, work: Work
+    mesh: Complex, order: IntArray, slab: ByteArray, pool: ThreadPoolExecutor | None, work: Work,
+    costly: bool,
 ) -> tuple[int, IntArray]:
     """Work at the cells away from the cuts; returns what it gave, and the cells that are left."""
     used = mesh.used
@@ -141,13 +146,22 @@ def _in_slabs(
     parts = [order[home == k] for k in range(int(slab.max()) + 1)]
     ends, slots, free = _share_room(mesh, len(parts))
     whole = mesh.tets._replace(locked=mesh.locked | cut)
+    given_up = Event()
 
     def run(k: int) -> int:
         own = whole._replace(cells=mesh.cells[: ends[k]], slots=slots[k], free=free[k])
-        return work(parts[k], own)
+        total = 0
+        for first, last in pieces(0, len(parts[k]), costly=costly):
+            if given_up.is_set():
+                break
+            total += work(parts[k][first:last], own)
+        return total
 
-    results = (map if pool is None else pool.map)(run, range(len(parts)))
-    total = sum(results)
+    try:
+        total = sum((map if pool is None else pool.map)(run, range(len(parts))))
+    except BaseException:
+        given_up.set()
+        raise
     _collect_room(mesh, ends, slots, free)
     used = mesh.used
     heal_walls(mesh.cells[:used], mesh.neighbors, np.full(walls, -1, dtype=np.int64))

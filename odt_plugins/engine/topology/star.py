@@ -31,6 +31,10 @@ class Stars(NamedTuple):
     indptr: OffsetArray
     indices: IntArray
 
+    def largest(self) -> int:
+        """Most cells around a vertex."""
+        return int(np.diff(self.indptr).max(initial=0))
+
 
 @kernel
 def _count(cells: IntArray, start: int, stop: int, count: LongArray) -> None:

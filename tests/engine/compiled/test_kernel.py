@@ -19,6 +19,7 @@ from odt_plugins.engine.cells.tetrahedron import tet_quality
 from odt_plugins.engine.compiled import cache as kernel_cache
 from odt_plugins.engine.compiled import kernel
 from odt_plugins.engine.moves import cavity
+from odt_plugins.engine.topology.lookup import place_in
 
 ENGINE = Path(odt_plugins.__file__).parent / "engine"
 
@@ -27,6 +28,28 @@ def test_all_kernels_go_through_one_decorator():
     for path in ENGINE.rglob("*.py"):
         text = path.read_text(encoding="utf-8")
         assert path.name == "kernel.py" or not re.search(r"\bn?jit\b", text), path
+
+
+def test_every_loop_of_a_kernel_has_a_bound_before_it_begins():
+    loops = 0
+    for path in ENGINE.rglob("*.py"):
+        for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+            if not isinstance(node, ast.FunctionDef):
+                continue
+            if not any("kernel" in ast.unparse(mark) for mark in node.decorator_list):
+                continue
+            inner = list(ast.walk(node))
+            loops += sum(isinstance(part, ast.For) for part in inner)
+            endless = [part.lineno for part in inner if isinstance(part, ast.While)]
+            assert not endless, (path.name, node.name, endless)
+    assert loops > 200
+
+
+def test_a_place_is_looked_for_in_its_own_row_only():
+    rows = np.arange(12, dtype=np.int32).reshape(4, 3)
+    assert [place_in(rows, 1, value) for value in (3, 4, 5)] == [0, 1, 2]
+    for value in (2, 6, 11, -1):
+        assert 0 <= place_in(rows, 1, value) < 3
 
 
 def test_kernels_are_cached_and_divide_as_numpy_does():

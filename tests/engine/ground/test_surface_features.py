@@ -8,10 +8,15 @@ import numpy as np
 import pytest
 import surface_meshes as sm
 
-from odt_plugins.engine.ground.features import find_features, sharp_edges
+from odt_plugins.engine.ground.features import (
+    LARGEST_FAN,
+    find_features,
+    pinched_vertices,
+    sharp_edges,
+)
 from odt_plugins.engine.ground.sheet import HELD, LINE, SMOOTH
 from odt_plugins.engine.topology.star import vertex_stars
-from odt_plugins.errors import InvalidMeshError, InvalidOptionError
+from odt_plugins.errors import EndlessWalkError, InvalidMeshError, InvalidOptionError
 from odt_plugins.mesh.surface import surface_edges, surface_mesh
 
 
@@ -163,6 +168,24 @@ def test_vertices_where_two_fans_meet_are_held():
     found, _ = features(q, np.concatenate([t, other]))
     assert found.pinched.nonzero()[0].tolist() == [0]
     assert found.kind[0] == HELD
+
+
+def test_triangles_that_lead_on_without_an_end_are_named():
+    # the last two run through the edge of vertices 0 and 1 the same way
+    t = np.array([[0, 2, 5], [0, 1, 2], [0, 1, 3]], dtype=np.int32)
+    with pytest.raises(EndlessWalkError, match="triangles around vertex 0 that lead on") as caught:
+        pinched_vertices(t, surface_edges(t, 6), vertex_stars(t, 6), 6)
+    assert caught.value.vertex == 0
+
+
+@pytest.mark.parametrize(("around", "kind"), [(LARGEST_FAN, SMOOTH), (LARGEST_FAN + 1, HELD)])
+def test_a_vertex_of_very_many_triangles_stays(around, kind):
+    angle = np.arange(around) * 2 * np.pi / around
+    ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    i, j = np.arange(around), np.roll(np.arange(around), -1)
+    found, _ = features(np.concatenate([ring, [[0.0, 0.1, 0.2]]]),
+                        np.stack([i, j, np.full(around, around)], axis=1))
+    assert found.kind[around] == kind
 
 
 def test_unused_vertices_do_no_harm():

@@ -7,12 +7,15 @@ from itertools import combinations, pairwise
 import numpy as np
 import pytest
 import surface_meshes as sm
+from hypothesis import given
+from hypothesis import strategies as st
 from scipy.spatial import cKDTree
+from strategies import SEEDS
 
 import odt_plugins
 from odt_plugins.engine.surface import driver
-from odt_plugins.errors import InvalidMeshError, InvalidOptionError
-from odt_plugins.mesh.surface import surface_mesh
+from odt_plugins.errors import EndlessWalkError, InvalidMeshError, InvalidOptionError
+from odt_plugins.mesh.surface import surface_edges, surface_mesh
 from odt_plugins.quality import angles, radius_ratio, summarize
 
 MESHES = {
@@ -267,6 +270,60 @@ def test_sheets_that_meet_stay_joined():
     degree = sm.edge_set(c)
     assert sum(d == 3 for d in degree.values()) == 5
     assert report.after.mean_quality > report.before.mean_quality
+
+
+def pages(count, seed, k=5, width=3):
+    """Strips of triangles that meet in a line, each oriented either way."""
+    rng = np.random.default_rng(seed)
+    points = [np.stack([0 * np.arange(k), 0 * np.arange(k), np.arange(k)], axis=1)]
+    cells = []
+    for page in range(count):
+        angle = 2 * np.pi * (page + 0.2 * rng.uniform()) / count
+        out = np.arange(1, width + 1)[:, None] + rng.uniform(-0.2, 0.2, (width, k))
+        up = np.arange(k) + rng.uniform(-0.2, 0.2, (width, k))
+        new = np.stack([np.cos(angle) * out, np.sin(angle) * out, up], axis=2)
+        number = sum(map(len, points)) + np.arange(width * k).reshape(width, k)
+        number = np.concatenate([np.arange(k)[None], number])
+        a, b, c, d = (x.ravel() for x in (number[:-1, :-1], number[:-1, 1:], number[1:, :-1],
+                                          number[1:, 1:]))
+        strip = np.concatenate([np.stack([a, b, c], axis=1), np.stack([b, d, c], axis=1)])
+        cells.append(strip[:, :: rng.choice([1, -1])])
+        points.append(new.reshape(-1, 3))
+    return np.concatenate(points).astype(float), np.concatenate(cells)
+
+
+@given(SEEDS, st.integers(3, 5), st.booleans())
+def test_a_selection_may_leave_any_of_the_triangles_that_meet_in_an_edge(seed, count, whole):
+    p, t = pages(count, seed)
+    rng = np.random.default_rng(seed)
+    page = np.arange(len(t)) * count // len(t)
+    chosen = rng.permutation(count)[page] < 2 if whole else rng.random(len(t)) < 0.7
+    x, c, report = improved((p, t), selection=chosen)
+    assert sm.edge_set(c)[0, 1] == count
+    assert {tuple(r) for r in t[~chosen].tolist()} <= {tuple(r) for r in c.tolist()}
+    assert np.array_equal(x[t[~chosen]], p[t[~chosen]])
+    if whole:
+        assert report.after.mean_quality > report.before.mean_quality
+        assert report.fallback is None
+
+
+def test_two_triangles_of_three_that_run_the_same_way_through_an_edge():
+    points = np.array([[0, 0, 0], [0, 0, 1], [1, 0, 0.5], [-0.5, 0.9, 0.5], [-0.5, -0.9, 0.5],
+                       [0.6, 0.5, -0.8]])
+    cells = np.array([[0, 2, 5], [0, 1, 2], [0, 1, 3], [1, 0, 4]])
+    x, c, _ = improved((points, cells), selection=np.array([0, 1, 2]))
+    assert np.array_equal(x, points)
+    assert np.array_equal(c, cells)
+
+
+def test_a_walk_that_does_not_end_names_the_callers_vertex(monkeypatch):
+    points = np.array([[9, 9, 9], [0, 0, 0], [0, 0, 1], [1, 0, 0.5], [-0.5, 0.9, 0.5],
+                       [-0.5, -0.9, 0.5], [0.6, 0.5, -0.8]])
+    cells = np.array([[0, 2, 5], [0, 1, 2], [0, 1, 3], [1, 0, 4]]) + 1
+    monkeypatch.setattr(driver, "_inner_edges", lambda mesh, frame, triangles: surface_edges(
+        triangles, len(frame.vertices)))
+    with pytest.raises(EndlessWalkError, match="around vertex 1 "):
+        odt_plugins.optimize((points, cells), selection=np.array([0, 1, 2]))
 
 
 def test_fans_that_meet_in_a_vertex_stay_joined():

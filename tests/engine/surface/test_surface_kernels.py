@@ -12,13 +12,16 @@ import surface_meshes as sm
 from odt_plugins.engine.finish.phases import Phase
 from odt_plugins.engine.ground.build import ground_values, make_ground, make_sheet
 from odt_plugins.engine.ground.features import find_features
-from odt_plugins.engine.ground.sheet import HELD, Limits
+from odt_plugins.engine.ground.pair import edge_is_free
+from odt_plugins.engine.ground.sheet import HELD, Limits, claim, make_work
 from odt_plugins.engine.ground.trace import edge_is_near
+from odt_plugins.engine.sliding.flips import sheet_triangle
 from odt_plugins.engine.surface.newton import star_cost
 from odt_plugins.engine.surface.odt import CPT, GIVEN, LAPLACIAN, ODT, star_centre
 from odt_plugins.engine.surface.passes import Surface, finish_phase, flip_all, move_all
 from odt_plugins.engine.surface.rounds import surface_energy
 from odt_plugins.engine.topology.star import vertex_stars
+from odt_plugins.errors import EndlessWalkError
 from odt_plugins.mesh.surface import surface_edges
 from odt_plugins.quality import angles, radius_ratio
 
@@ -182,6 +185,52 @@ def test_no_flip_makes_an_edge_twice():
         flip_all(surface, power, LOOSE, np.ones(8, bool), np.zeros(8, bool))
         assert set(sm.edge_set(surface.triangles).values()) == {2}
         assert len(sm.edge_set(surface.triangles)) == 12
+
+
+def wheel(around=12):
+    """A pyramid, its apex vertex 0 and the first corner of every triangle."""
+    angle = np.arange(around) * 2 * np.pi / around
+    rim = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
+    i = np.arange(around)
+    return (np.concatenate([[[0.0, 0.0, 0.3]], rim]),
+            np.stack([0 * i, 1 + i, 1 + (i + 1) % around], axis=1))
+
+
+@pytest.mark.parametrize("walk", [
+    lambda sheet: edge_is_free(sheet, 0, 0, 0, 99),
+    lambda sheet: sheet_triangle(sheet, 0, 0, 99)[0] >= 0,
+])
+def test_a_walk_that_never_comes_back_to_where_it_began_ends_and_is_named(walk):
+    surface = build(*wheel())
+    walk(surface.sheet)
+    surface.sheet.check()
+    following = surface.sheet.neighbors[:, 1]
+    following[following[following[0]]] = following[0]
+    assert not walk(surface.sheet)
+    with pytest.raises(EndlessWalkError, match="vertex 0 "):
+        surface.sheet.check()
+
+
+def test_a_list_of_covered_vertices_that_bites_its_tail_ends_and_is_named():
+    surface = build(*wheel())
+    work = make_work(surface.ground)
+    work.cells[0] = 4
+    assert claim(surface.sheet, surface.ground, 1, 1.0, work) >= 1
+    v = surface.sheet.first[4]
+    surface.sheet.following[v] = v
+    assert claim(surface.sheet, surface.ground, 1, 1.0, work) == -1
+    with pytest.raises(EndlessWalkError, match=f"vertex {v} "):
+        surface.sheet.check()
+
+
+def test_a_walk_that_did_not_end_ends_the_pass():
+    surface = build(*wheel())
+    surface.sheet.lost[0] = 5
+    m = len(surface.triangles)
+    with pytest.raises(EndlessWalkError):
+        flip_all(surface, 1.0, LOOSE, np.ones(m, bool), np.zeros(m, bool))
+    with pytest.raises(EndlessWalkError):
+        move_all(surface, ODT, np.ones(len(surface.points)), LOOSE)
 
 
 @pytest.mark.parametrize("power", [0.5, 2.0, 8.0])

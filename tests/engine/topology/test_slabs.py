@@ -96,6 +96,25 @@ def test_every_cell_is_visited_once_and_in_order():
     assert len(seen) >= 4
 
 
+def test_slabs_that_run_when_one_is_interrupted_stop_at_their_next_piece():
+    mesh = start()
+    tasks = []
+
+    class Interrupted:
+        def map(self, work, *arguments):
+            tasks.extend((work, *task) for task in zip(*arguments, strict=True))
+            raise KeyboardInterrupt
+
+    seen = []
+    visits = mesh.live().astype(np.int32)
+    with pytest.raises(KeyboardInterrupt):
+        slabs.side_by_side(mesh, visits, Interrupted(), lambda part, *_: seen.append(part) or 0)
+    assert len(tasks) > 1
+    for work, k in tasks:
+        assert work(k) == 0
+    assert not seen
+
+
 def flips(mesh, objective, pool):
     mesh.status[:] = PENDING
     return flip_pending(mesh, Cost(objective, 2.0), 10, OPEN, 20, pool)

@@ -1,0 +1,137 @@
+"""Ctrl-C: Python handles it between two calls of kernels, so no call does much at a time."""
+
+from __future__ import annotations
+
+import inspect
+import signal
+import subprocess
+import sys
+import textwrap
+from pathlib import Path
+
+import meshio
+import numpy as np
+import planar_meshes as pm
+import pytest
+import surface_meshes as sm
+import tet_meshes as tm
+from numba.core.registry import CPUDispatcher
+from processes import wait_until
+
+import odt_plugins
+from odt_plugins.engine.moves import flips2d
+from odt_plugins.engine.compiled import threads
+from odt_plugins.engine.topology.coloring import Coloring
+from odt_plugins.engine.surface import flips as surface_flips
+
+PIECE, COSTLY = 40, 7
+
+COMMON = {"figures._cell_shapes": "cells", "order._match_rows": "new"}
+VOLUME = COMMON | {
+    "adjacency._match_facets": ("first", "last"),
+    "sweeps._move_vertices": ("start", "stop"), "flips3d.flip_pass": "order",
+    "smooth3d.smooth_vertices": ("start", "stop"), "compound.compound_pass": "order",
+}
+SURFACE = COMMON | {
+    "surface.odt.move_vertices": ("start", "stop"), "surface.flips._flip_some": "most",
+    "surface.newton.smooth_vertices": ("start", "stop"), "surface.crossings._sweep":
+    ("start", "stop"), "surface.envelope._upper": "triangles", "surface.reference._across":
+    ("start", "stop"),
+}
+SHORT = ("compound_pass", "insertion_pass", "_upper", "surface.crossings._sweep")
+
+
+def planar():
+    points, cells = pm.jittered_grid(24, 24, np.random.default_rng(3))[:2]
+    return points, pm.oriented(points, cells)
+
+
+RUNS = {
+    "volume": (lambda: tm.ball(150, 3), {}, VOLUME),
+    "threads": (lambda: tm.ball(150, 3), {"threads": 2}, VOLUME),
+    "slide": (lambda: tm.ball(150, 3), {"boundary": "slide", "envelope": 0.02}, VOLUME | {
+        "slide.slide_vertices": "order", "boundary_flips.flip_boundary": "order",
+        "surface.envelope._upper": "triangles"}),
+    "insert": (lambda: tm.ball(150, 3), {"insert": True}, VOLUME | {
+        "insertion.insertion_pass": "order"}),
+    "plane": (planar, {}, COMMON | {
+        "adjacency._match_facets": ("first", "last"),
+        "sweeps._move_vertices": ("start", "stop"), "flips2d._flip_edges": "most",
+        "smooth2d.smooth_vertices_2d": ("start", "stop"), "finish2d._measures": "cells"}),
+    "surface": (lambda: sm.torus(40, 20, noise=0.7), {}, SURFACE),
+}
+
+
+@pytest.mark.parametrize("run", RUNS)
+def test_calls_of_kernels_are_short_and_their_length_changes_no_bit(run, monkeypatch):
+    make, options, kernels = RUNS[run]
+    mesh = make()
+    whole = odt_plugins.optimize(mesh, **options)
+    for module in (threads, flips2d, surface_flips):
+        monkeypatch.setattr(module, "PIECE", PIECE)
+    monkeypatch.setattr(threads, "COSTLY", COSTLY)
+    longest = dict.fromkeys(kernels, 0)
+    original = CPUDispatcher.__call__
+
+    def call(kernel, *arguments):
+        function = kernel.py_func
+        name = f"{function.__module__}.{function.__name__}".partition("engine.")[2]
+        if name in kernels:
+            given = inspect.signature(function).bind(*arguments).arguments
+            which = kernels[name]
+            if isinstance(which, tuple):
+                length = given[which[1]] - given[which[0]]
+            else:
+                length = given[which] if which == "most" else len(given[which])
+            longest[name] = max(longest[name], length)
+        return original(kernel, *arguments)
+
+    monkeypatch.setattr(CPUDispatcher, "__call__", call, raising=False)
+    pieces = odt_plugins.optimize(mesh, **options)
+    assert [a.tobytes() for a in pieces] == [a.tobytes() for a in whole]
+    for name, length in longest.items():
+        # a block of a colour is not cut for threads; it has 64 vertices here
+        most = COSTLY if name.endswith(SHORT) else 64 if "threads" in options else PIECE
+        assert 0 < length <= most, name
+
+
+@pytest.mark.parametrize("workers", [None, 3])
+def test_the_vertices_of_every_colour_come_in_short_chunks_and_in_order(workers, monkeypatch):
+    monkeypatch.setattr(threads, "PIECE", 1000)
+    blocks = np.arange(0, 40_001, 100)
+    coloring = Coloring(np.arange(40_000, dtype=np.int32), blocks, np.array([0, 3, 100, 400]))
+    with threads.thread_pool(workers or 1) as pool:
+        chunks = threads.run_chunks(pool, workers or 1, coloring, lambda *chunk: chunk)
+    starts, stops = np.array([(a, b) for a, b in chunks if a < b]).T
+    assert starts[0] == 0
+    assert stops[-1] == 40_000
+    assert np.array_equal(starts[1:], stops[:-1])
+    assert (stops - starts).max() <= 1000
+    assert pool is None or {0, 300, 10_000} <= set(starts.tolist())
+
+
+@pytest.mark.parametrize("workers", [1, 2])
+def test_ctrl_c_in_the_middle_of_a_run_ends_it_and_leaves_no_file(tmp_path, workers):
+    points, cells = tm.ball(6000, 5)
+    meshio.write_points_cells(tmp_path / "in.vtu", points, [("tetra", cells)])
+    script = textwrap.dedent(f"""
+        import pathlib, signal
+        import odt_plugins
+        # a job of a shell's background inherits an ignored SIGINT
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+        def progress(stage, share):
+            pathlib.Path("started").touch()
+        odt_plugins.optimize_file("in.vtu", "out.vtu", threads={workers}, progress=progress)
+        pathlib.Path("ended").touch()
+    """)
+    with subprocess.Popen([sys.executable, "-c", script], cwd=tmp_path, stderr=subprocess.PIPE,
+                          text=True) as job:
+        try:
+            wait_until(lambda: (tmp_path / "started").exists() or job.poll() is not None, 300.0)
+            job.send_signal(signal.SIGINT)
+            error = job.communicate(timeout=60)[1]
+        finally:
+            job.kill()
+    assert job.returncode == -signal.SIGINT
+    assert error.splitlines()[-1] == "KeyboardInterrupt"
+    assert sorted(p.name for p in Path(tmp_path).iterdir()) == ["in.vtu", "started"]
