@@ -15,6 +15,7 @@ import odt_plugins
 from odt_plugins import tetwild
 from odt_plugins.engine.run import driver
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError, MissingDependencyError
+from odt_plugins.options import OPTIONS
 
 STORED = Path(__file__).parent / "data" / "tetwild_bunny.vtu"
 CUBE = np.array([[x, y, z] for x in (0.0, 1) for y in (0.0, 1) for z in (0.0, 1)])
@@ -43,7 +44,7 @@ def test_the_signature_is_that_of_pytetwild():
     pytetwild = pytest.importorskip("pytetwild")
     theirs = inspect.signature(pytetwild.tetrahedralize).parameters
     ours = inspect.signature(odt_plugins.tetrahedralize).parameters
-    assert list(ours) == [*theirs, "odt"]
+    assert list(ours) == [*theirs, "odt", *OPTIONS]
     assert {n: p.default for n, p in theirs.items()} == {n: ours[n].default for n in theirs}
 
 

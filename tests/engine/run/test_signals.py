@@ -19,10 +19,10 @@ from numba.core.registry import CPUDispatcher
 from processes import wait_until
 
 import odt_plugins
-from odt_plugins.engine.moves import flips2d
 from odt_plugins.engine.compiled import threads
-from odt_plugins.engine.topology.coloring import Coloring
+from odt_plugins.engine.moves import flips2d
 from odt_plugins.engine.surface import flips as surface_flips
+from odt_plugins.engine.topology.coloring import Coloring
 
 PIECE, COSTLY = 40, 7
 

@@ -491,14 +491,14 @@ def test_a_surface_is_left_alone_where_cells_would_pass_the_extremes(monkeypatch
     mesh = simplex_mesh(*ball(500, 5), orient=True)[0]
     rim = np.unique(boundary(mesh.cells))
     once = driver._run
-    free, nowhere = once(mesh, Options(boundary="slide"))
+    free, nowhere = once(mesh, Options(boundary="slide"), driver.as_it_is)
     assert len(nowhere) == 0
     alone = rim[(free.points[rim] != mesh.points[rim]).any(axis=1)][:5]
 
-    def spoiled_at_first(start, options):
+    def spoiled_at_first(start, options, leaving):
         if start is mesh and options.boundary == "slide":
             return replace(free, slid=None), alone
-        return once(start, options)
+        return once(start, options, leaving)
 
     monkeypatch.setattr(driver, "_run", spoiled_at_first)
     outcome = run(mesh, Options(boundary="slide"))
@@ -537,9 +537,9 @@ def test_a_surface_that_slides_is_alone_where_cells_are_many_and_good(monkeypatc
     asked = []
     once = driver._run
 
-    def counted(start, options):
+    def counted(start, options, leaving):
         asked.append(options.boundary)
-        return once(start, options)
+        return once(start, options, leaving)
 
     monkeypatch.setattr(driver, "_run", counted)
     monkeypatch.setattr(driver, "FEW", 0)
