@@ -22,23 +22,24 @@ import odt_plugins
 from odt_plugins.engine.compiled import threads
 from odt_plugins.engine.moves import flips2d
 from odt_plugins.engine.surface import flips as surface_flips
-from odt_plugins.engine.topology.coloring import Coloring
+from odt_plugins.engine.topology import coloring
+from odt_plugins.engine.topology.coloring import Coloring, run_chunks
 
 PIECE, COSTLY = 40, 7
 
-COMMON = {"figures._cell_shapes": "cells", "order._match_rows": "new"}
+COMMON = {"record.figures._cell_shapes": "cells", "topology.order._match_rows": "new"}
 VOLUME = COMMON | {
-    "adjacency._match_facets": ("first", "last"),
-    "sweeps._move_vertices": ("start", "stop"), "flips3d.flip_pass": "order",
-    "smooth3d.smooth_vertices": ("start", "stop"), "compound.compound_pass": "order",
+    "topology.adjacency._match_facets": ("first", "last"),
+    "odt.sweeps._move_vertices": ("start", "stop"), "moves.flips3d.flip_pass": "order",
+    "moves.newton3d.smooth_vertices": ("start", "stop"), "moves.compound.compound_pass": "order",
 }
 SURFACE = COMMON | {
     "surface.odt.move_vertices": ("start", "stop"), "surface.flips._flip_some": "most",
-    "surface.newton.smooth_vertices": ("start", "stop"), "surface.crossings._sweep":
-    ("start", "stop"), "surface.envelope._upper": "triangles", "surface.reference._across":
+    "surface.newton.smooth_vertices": ("start", "stop"), "ground.crossings._sweep":
+    ("start", "stop"), "ground.envelope._upper": "triangles", "ground.reference._across":
     ("start", "stop"),
 }
-SHORT = ("compound_pass", "insertion_pass", "_upper", "surface.crossings._sweep")
+SHORT = ("compound_pass", "insertion_pass", "_upper", "ground.crossings._sweep")
 
 
 def planar():
@@ -50,14 +51,14 @@ RUNS = {
     "volume": (lambda: tm.ball(150, 3), {}, VOLUME),
     "threads": (lambda: tm.ball(150, 3), {"threads": 2}, VOLUME),
     "slide": (lambda: tm.ball(150, 3), {"boundary": "slide", "envelope": 0.02}, VOLUME | {
-        "slide.slide_vertices": "order", "boundary_flips.flip_boundary": "order",
-        "surface.envelope._upper": "triangles"}),
+        "sliding.newton.slide_vertices": "order", "sliding.flips.flip_boundary": "order",
+        "ground.envelope._upper": "triangles"}),
     "insert": (lambda: tm.ball(150, 3), {"insert": True}, VOLUME | {
-        "insertion.insertion_pass": "order"}),
+        "moves.insertion.insertion_pass": "order"}),
     "plane": (planar, {}, COMMON | {
-        "adjacency._match_facets": ("first", "last"),
-        "sweeps._move_vertices": ("start", "stop"), "flips2d._flip_edges": "most",
-        "smooth2d.smooth_vertices_2d": ("start", "stop"), "finish2d._measures": "cells"}),
+        "topology.adjacency._match_facets": ("first", "last"),
+        "odt.sweeps._move_vertices": ("start", "stop"), "moves.flips2d._flip_edges": "most",
+        "moves.newton2d.smooth_vertices_2d": ("start", "stop"), "finish.plane._measures": "cells"}),
     "surface": (lambda: sm.torus(40, 20, noise=0.7), {}, SURFACE),
 }
 
@@ -67,7 +68,7 @@ def test_calls_of_kernels_are_short_and_their_length_changes_no_bit(run, monkeyp
     make, options, kernels = RUNS[run]
     mesh = make()
     whole = odt_plugins.optimize(mesh, **options)
-    for module in (threads, flips2d, surface_flips):
+    for module in (threads, coloring, flips2d, surface_flips):
         monkeypatch.setattr(module, "PIECE", PIECE)
     monkeypatch.setattr(threads, "COSTLY", COSTLY)
     longest = dict.fromkeys(kernels, 0)
@@ -97,11 +98,12 @@ def test_calls_of_kernels_are_short_and_their_length_changes_no_bit(run, monkeyp
 
 @pytest.mark.parametrize("workers", [None, 3])
 def test_the_vertices_of_every_colour_come_in_short_chunks_and_in_order(workers, monkeypatch):
-    monkeypatch.setattr(threads, "PIECE", 1000)
+    for module in (threads, coloring):
+        monkeypatch.setattr(module, "PIECE", 1000)
     blocks = np.arange(0, 40_001, 100)
-    coloring = Coloring(np.arange(40_000, dtype=np.int32), blocks, np.array([0, 3, 100, 400]))
+    colors = Coloring(np.arange(40_000, dtype=np.int32), blocks, np.array([0, 3, 100, 400]))
     with threads.thread_pool(workers or 1) as pool:
-        chunks = threads.run_chunks(pool, workers or 1, coloring, lambda *chunk: chunk)
+        chunks = run_chunks(pool, workers or 1, colors, lambda *chunk: chunk)
     starts, stops = np.array([(a, b) for a, b in chunks if a < b]).T
     assert starts[0] == 0
     assert stops[-1] == 40_000
