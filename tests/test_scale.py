@@ -118,11 +118,15 @@ def test_units_at_the_limits_are_as_good_as_any(kind, size):
     assert scaled.uniformity == pytest.approx(plain.uniformity, rel=0.2)
 
 
-def test_vertices_of_no_cell_may_be_anywhere(d):
-    points, cells = jittered(d, 3, 8)
-    far = np.concatenate([points, np.full((1, d), 1.7e308), np.full((1, d), -1.7e308)])
-    plain = odt_plugins.optimize((points, cells))
-    result = odt_plugins.optimize((far, cells))
+@pytest.mark.parametrize("boundary", ["fixed", "slide"])
+@pytest.mark.parametrize("kind", list(KINDS))
+def test_vertices_of_no_cell_may_be_anywhere(kind, boundary):
+    points, cells = KINDS[kind](8)
+    boundary = "fixed" if kind == "plane" else boundary
+    one = np.full((1, points.shape[1]), 1.7e308)
+    far = np.concatenate([points, one, -one])
+    plain = odt_plugins.optimize((points, cells), boundary=boundary)
+    result = odt_plugins.optimize((far, cells), boundary=boundary)
     assert np.array_equal(result[0][:-2], plain[0])
     assert np.array_equal(result[1], plain[1])
     assert np.array_equal(result[0][-2:], far[-2:])

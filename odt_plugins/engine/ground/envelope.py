@@ -219,10 +219,9 @@ def one_sided(
     """
     points = np.ascontiguousarray(points, dtype=np.float64)
     triangles = np.ascontiguousarray(triangles, dtype=np.int32)
-    used = np.zeros(len(points), dtype=np.bool_)
-    used[triangles] = True
-    distance, feet, _ = reference.closest(points)
-    distance[~used] = 0.0
+    used = np.unique(triangles)
+    distance, feet = np.zeros(len(points)), np.zeros(len(points), dtype=np.int32)
+    distance[used], feet[used], _ = reference.closest(points[used])
     lower = float(distance.max(initial=0.0))
     upper = 0.0
     work = make_overlay_work()
