@@ -47,8 +47,7 @@ def measure_part(points: FloatArray, cells: IntArray, path: str) -> Figures:
     """Measure a part, and keep its radius ratios beside ``path``, where it is kept."""
     f = cell_figures(points, cells)
     beside = f"{path}.ratios.part"
-    with open(beside, "wb") as file:
-        np.save(file, np.sort(f.quality))
+    np.sort(f.quality).tofile(beside)
     os.replace(beside, _ratios(path))
     return Figures(len(cells), float(f.quality.sum()), float(f.volume.sum()),
                    float(f.quality.min()), float(np.quantile(f.quality, 0.01)),
@@ -102,7 +101,7 @@ def _counts(files: Sequence[str], pivots: LongArray) -> LongArray:
     """How many values of all files are at most as large as each of the pivots, given as bits."""
     counts = np.zeros(len(pivots), dtype=np.int64)
     for path in files:
-        values = np.load(path, mmap_mode="r")
+        values = np.memmap(path, np.float64, "r")
         counts += np.searchsorted(values, pivots.view(np.float64), side="right")
     return counts
 
