@@ -2,22 +2,19 @@
 
 from __future__ import annotations
 
-import io
 import os
-import re
 import shutil
 import tempfile
 import warnings
-from collections.abc import Iterator
-from contextlib import contextmanager, redirect_stderr, redirect_stdout
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters import meshio_mesh
+from odt_plugins.adapters import meshio_mesh, reading
 from odt_plugins.adapters.host import HostMesh, Result
+from odt_plugins.adapters.stated import declares_no_cells
 from odt_plugins.errors import (
     DataNotKeptWarning,
     InvalidMeshError,
@@ -54,13 +51,15 @@ def read_file(path: str | os.PathLike[str]) -> Any:
 
     Raises
     ------
-    MeshFileError             there is no such file, its suffix is unknown, or it cannot be read
+    MeshFileError             there is no such file, its suffix is unknown, or it cannot be read:
+                              it is broken, states more than it has bytes for, or takes longer
+                              than 20 s and a second for every 50 kB
     InvalidMeshError          a .vtu file without cells
     MissingDependencyError    meshio needs another package for this format
 
     Warns
     -----
-    DataNotKeptWarning        what meshio says about a file that it reads
+    DataNotKeptWarning        what meshio and NumPy say about a file that is read
 
     Notes
     -----
@@ -174,21 +173,6 @@ def write_arrays(path: str | os.PathLike[str], points: NDArray[Any], cells: NDAr
     write_file(path, meshio.Mesh(space, [(kind, cells)]))
 
 
-@contextmanager
-def _remarks() -> Iterator[list[str]]:
-    """Collect what meshio prints, one sentence an entry, filled at the end.
-
-    Its arithmetic is silent: it takes the size of an ASCII STL for a number that overflows, and
-    the normal of a flat triangle for one that can be normed.
-    """
-    text = io.StringIO()
-    found: list[str] = []
-    with redirect_stdout(text), redirect_stderr(text), np.errstate(all="ignore"):
-        yield found
-    parts = re.split(r"^(?:Warning|Error|Info):", text.getvalue(), flags=re.MULTILINE)
-    found += [" ".join(part.split()) for part in parts if part.strip()]
-
-
 def _read_as(path: Path, formats: list[str]) -> tuple[Any, list[str]]:
     """Read as the first of some formats that goes; also what meshio says about it."""
     from meshio._helpers import reader_map
@@ -198,63 +182,28 @@ def _read_as(path: Path, formats: list[str]) -> tuple[Any, list[str]]:
         if name not in reader_map:
             continue
         try:
-            with _remarks() as remarks:
-                mesh = reader_map[name](str(path))
-            if name == "su2":
-                _check_su2_counts(path, mesh)
-            return mesh, remarks
+            return reading.read(path, name)
         except ImportError as exc:
             raise _missing(path, exc) from exc
+        except TimeoutError as exc:
+            cause = exc
+            break
         # A parser may raise anything at all on a broken file.
         except Exception as exc:
             cause = cause or exc
-    if _declares_no_cells(path, formats):
+    if declares_no_cells(path, formats):
         msg = f"the mesh has no cells in {path}; expected tetra or triangle"
         raise InvalidMeshError(msg) from cause
     kinds = " or ".join(formats)
     reason = "meshio only writes it" if cause is None else _reason(cause)
     if cause is not None and reason == type(cause).__name__:
         reason = f"it is incomplete or no {kinds} file"
+        if isinstance(cause, MemoryError):
+            reason = "it needs more memory than there is"
     elif isinstance(cause, KeyError):
         reason = f"it refers to {cause.args[0]}, which is not there"
     msg = f"cannot read {path} as {kinds}: {reason}; expected a complete file"
     raise MeshFileError(msg) from cause
-
-
-def _check_su2_counts(path: Path, mesh: Any) -> None:
-    """Compare with what an su2 file declares: meshio takes as many lines as there are."""
-    declared = {"NPOIN": 0, "NELEM": 0, "MARKER_ELEMS": 0}
-    markers, expected_markers = 0, None
-    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
-        name, _, value = line.partition("=")
-        name = name.strip()
-        if name in declared:
-            declared[name] += int(value.split()[0])
-        if name == "NMARK":
-            expected_markers = int(value)
-        markers += name == "MARKER_ELEMS"
-    there = {
-        "points": (len(mesh.points), declared["NPOIN"]),
-        "cells": (sum(len(block.data) for block in mesh.cells),
-                  declared["NELEM"] + declared["MARKER_ELEMS"]),
-        "markers": (markers, markers if expected_markers is None else expected_markers),
-    }
-    for what, (found, expected) in there.items():
-        if found != expected:
-            msg = f"it declares {expected} {what} and holds {found}"
-            raise MeshFileError(msg)
-
-
-def _declares_no_cells(path: Path, formats: list[str]) -> bool:
-    """Whether a VTK file says that it has no cells, on which meshio's readers break."""
-    patterns = {
-        "vtu": rb"""NumberOfCells\s*=\s*["'](\d+)["']""",
-        "vtk": rb"""(?m)^CELLS\s+\d+\s+(\d+)\s*$""",
-    }
-    content = path.read_bytes()
-    known = [patterns[name] for name in formats if name in patterns]
-    counts = [count for pattern in known for count in re.findall(pattern, content)]
-    return bool(counts) and not any(int(count) for count in counts)
 
 
 def _missing(path: Path, exc: ImportError) -> MissingDependencyError:
@@ -275,7 +224,8 @@ def _write_and_compare(path: Path, mesh: Any) -> tuple[list[str], list[str]]:
     if name == "gmsh" and not (tags and "gmsh:dim_tags" in mesh.point_data):
         name = "gmsh22"
     try:
-        with _remarks() as remarks:
+        # Flat triangles of STL files have no normals.
+        with reading.remarks() as said, np.errstate(all="ignore"):
             meshio.write(path, mesh.copy(), file_format=name)
         back, _ = _read_as(path, _formats(path))
     except MissingDependencyError:
@@ -293,7 +243,7 @@ def _write_and_compare(path: Path, mesh: Any) -> tuple[list[str], list[str]]:
     if _sizes(back) != _sizes(mesh) or len(back.points) != len(mesh.points):
         reason = f"it does not hold {len(mesh.points)} points with cells {_sizes(mesh)}"
         raise _not_written(path, name, reason)
-    return _lost(mesh, back), remarks
+    return _lost(mesh, back), said
 
 
 def _not_written(path: Path, name: str, reason: str) -> MeshFileError:

@@ -1,0 +1,191 @@
+"""Readers of meshio, run so that each of them comes to an end whatever the file holds."""
+
+from __future__ import annotations
+
+import ctypes
+import io
+import re
+import threading
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, redirect_stderr, redirect_stdout
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from odt_plugins.adapters.stated import expect_counts, expect_held
+from odt_plugins.errors import MeshFileError
+
+LEAST = 20.0
+"""Seconds that the reading of any file may take."""
+
+RATE = 50_000
+"""Bytes for which it may take a second more. The slowest reader of meshio, that of PERMAS files,
+takes 2.7 MB in a second, and 1.4 MB of a packed Netgen file."""
+
+READ_ON = {"ansys": "rb", "mdpa": "rb", "nastran": "r", "off": "r", "ply": "rb", "tecplot": "r"}
+"""Formats whose readers go on at the end of the file, and the mode in which they open it."""
+
+PATIENCE = 1000
+"""How often a reader may come to the end of a file."""
+
+NUMBER = r"[+-]?(?:\d++\.?+\d*+|\.\d++)(?:[eE][+-]?\d++)?+"
+POINT = rf"{NUMBER}(?:\s++{NUMBER}){{2,3}}+"
+TRIANGLE = rf"\(\s*+\(\s*+{POINT}(?:\s*+,\s*+{POINT}){{3}}+\s*+\)\s*+\)"
+TIN = rf"\s*+TIN\s*+\((?:\s*+{TRIANGLE}\s*+,?+)*+\s*+\)"
+"""Triangles in well-known text, without any second way to match what matched once."""
+
+ALONE = threading.Lock()
+"""Held while the streams and the warnings of the process are caught: they are there once."""
+
+
+class Ending(io.FileIO):
+    """A file that breaks a reader off which comes to its end again and again."""
+
+    def __init__(self, path: Path) -> None:
+        super().__init__(path)
+        self.met = 0
+
+    def readinto(self, buffer: Any, /) -> int:
+        """Read as any file does.
+
+        Raises
+        ------
+        EOFError    the end was met too often
+        """
+        count = super().readinto(buffer) or 0
+        self.met += not count
+        if self.met > PATIENCE:
+            msg = "it ends too early"
+            raise EOFError(msg)
+        return count
+
+
+def read(path: Path, name: str) -> tuple[Any, list[str]]:
+    """Read a file by one reader of meshio.
+
+    Parameters
+    ----------
+    path : path
+    name : str    of the format in meshio
+
+    Returns
+    -------
+    mesh : meshio.Mesh
+    remarks : list of str    what meshio and NumPy say about it, one sentence an entry
+
+    Raises
+    ------
+    TimeoutError    it took longer than a file of this size may
+    Exception       anything at all, on a file that is broken
+    """
+    from meshio._helpers import reader_map
+
+    size = expect_counts(path, name)
+    seconds = LEAST + size / RATE
+    with remarks() as said:
+        mesh = within(seconds, size, lambda: _read(reader_map[name], path, name))
+    expect_held(path, name, mesh)
+    return mesh, said
+
+
+def _read(reader: Callable[[Any], Any], path: Path, name: str) -> Any:
+    # A number that is none would become an index. The first bytes of an STL file of text, taken
+    # for a number of triangles, overflow.
+    with (
+        np.errstate(all="raise", under="ignore", over="ignore" if name == "stl" else "raise"),
+        _opened(path, name) as source,
+    ):
+        return reader(source)
+
+
+@contextmanager
+def _opened(path: Path, name: str) -> Iterator[Any]:
+    """What a reader is given: the path, or a file that ends."""
+    if name == "wkt":
+        yield io.StringIO(_without_exponents(path.read_text()))
+    elif name in READ_ON:
+        with io.BufferedReader(Ending(path)) as file:
+            yield file if READ_ON[name] == "rb" else io.TextIOWrapper(file)
+    else:
+        yield str(path)
+
+
+def _without_exponents(text: str) -> str:
+    """Well-known text that meshio reads: its patterns know no exponents, and do not end otherwise.
+
+    Raises
+    ------
+    MeshFileError    it is not one of triangles, or has a number beyond all floats
+    """
+    whole = re.match(TIN, text)
+    if whole is None:
+        msg = "it is not TIN (...) of closed triangles with three coordinates"
+        raise MeshFileError(msg)
+    return re.sub(r"[^\s(),]+[eE][^\s(),]+", _positional, whole[0])
+
+
+def _positional(found: re.Match[str]) -> str:
+    number = float(found[0])
+    if not np.isfinite(number):
+        msg = f"it has the coordinate {found[0]}"
+        raise MeshFileError(msg)
+    return np.format_float_positional(number, trim="-")
+
+
+def within(seconds: float, size: int, work: Callable[[], Any]) -> Any:
+    """Do work in a thread that is broken off after some time, and give what it returns.
+
+    Raises
+    ------
+    TimeoutError    it was not done
+    Exception       what the work raises
+    """
+    done: list[Any] = []
+    failed: list[BaseException] = []
+
+    def run() -> None:
+        try:
+            done.append(work())
+        except BaseException as exc:
+            failed.append(exc)
+
+    thread = threading.Thread(target=run, daemon=True)
+    thread.start()
+    try:
+        thread.join(seconds)
+    finally:
+        if thread.is_alive():
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(
+                ctypes.c_ulong(thread.ident or 0), ctypes.py_object(SystemExit))
+    if failed:
+        raise failed.pop()
+    if not done:
+        msg = f"it takes longer than {seconds:.3g} s, the limit for {size} bytes"
+        raise TimeoutError(msg)
+    return done[0]
+
+
+@contextmanager
+def remarks() -> Iterator[list[str]]:
+    """Collect what meshio prints and NumPy warns of, one sentence an entry, filled at the end."""
+    text = io.StringIO()
+    found: list[str] = []
+    with (
+        ALONE, redirect_stdout(text), redirect_stderr(text),
+        warnings.catch_warnings(record=True) as caught,
+    ):
+        warnings.simplefilter("ignore")
+        warnings.simplefilter("always", UserWarning)
+        # Where that is no error yet, arrays are shorter than what the file states.
+        warnings.filterwarnings("error", "string or file could not be read to its end")
+        yield found
+    found += sentences(text.getvalue())
+    found += dict.fromkeys(re.split(r"\.\s", str(w.message))[0] for w in caught)
+
+
+def sentences(text: str) -> list[str]:
+    """Take what meshio prints apart."""
+    parts = re.split(r"^(?:Warning|Error|Info):", text, flags=re.MULTILINE)
+    return [" ".join(part.split()) for part in parts if part.strip()]

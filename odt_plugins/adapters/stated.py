@@ -1,0 +1,137 @@
+"""What mesh files say of themselves: the files that they refer to, and how much they hold."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+from odt_plugins.errors import MeshFileError
+
+COMMENTS = rb"(?:\s*#[^\n]*\n)*\s*"
+
+COUNTS = {
+    "ansys": rb"\((?:20|30)?1[0-3]\s*\(\s*[\da-fA-F]+\s+[\da-fA-F]+\s+([\da-fA-F]+)",
+    "avsucd": rb"\A" + COMMENTS + rb"(\d+)\s+(\d+)",
+    "dolfin-xml": rb"<(?:vertices|cells)\s+size\s*=\s*[\"'](\d+)",
+    "gmsh": rb"\$(?:Nodes|Elements)\s+(\d+)(?:[ \t]+(\d+)(?:[ \t]+\d+)*)?[ \t]*\r?\n",
+    "medit": rb"\n[ \t]*[A-Z][A-Za-z]+\s+(\d+)",
+    "netgen": rb"\n[ \t]*[a-z][a-z_0-9]+\s+(\d+)",
+    "off": rb"\AOFF[^\n]*\n" + COMMENTS + rb"(\d+)\s+(\d+)",
+    "ply": rb"\nelement\s+\w+\s+(\d+)",
+    "su2": rb"\n[ \t]*(?:NPOIN|NELEM|MARKER_ELEMS)\s*=\s*(\d+)",
+    "tetgen": rb"\A" + COMMENTS + rb"(\d+)",
+    "ugrid": rb"\A\s*(\d+)" + 6 * rb"\s+(\d+)",
+    "vtk": rb"\n(?:POINTS|CELLS|CELL_TYPES|POINT_DATA|CELL_DATA)\s+(\d+)",
+}
+"""Where a format states how many items follow, or the last index. Tecplot files state it too, but
+their reader goes line by line and allocates nothing beforehand."""
+
+REFERENCES = {"abaqus": rb"(?i)\*INCLUDE[^\n=]*=\s*([^\s,]+)", "xdmf": rb">\s*([^<>:\s]+):/"}
+"""Where a format names another file that belongs to it."""
+
+
+def expect_counts(path: Path, name: str) -> int:
+    """Hold what a file states against its size, before anything is allocated for it.
+
+    Every item takes at least a byte, in each of the formats whose counts are known.
+
+    Parameters
+    ----------
+    path : path
+    name : str     of its format in meshio
+
+    Returns
+    -------
+    int            bytes of the file and of those that belong to it
+
+    Raises
+    ------
+    MeshFileError  it states more items than it has bytes, or TetGen's files state none
+    """
+    total = 0
+    for part in _parts(path, name):
+        size = part.stat().st_size
+        total += size
+        # Counts within a packed file say nothing about the size that it is packed to.
+        if name not in COUNTS or part.suffix == ".gz":
+            continue
+        found = None
+        for found in re.finditer(COUNTS[name], part.read_bytes()):
+            base = 16 if name == "ansys" else 10
+            if any(int(count, base) > size for count in found.groups() if count):
+                said = " ".join(found[0].decode("ascii", "replace").split())
+                msg = f"{part.name} says {said[-60:]!r} and has {size} bytes"
+                raise MeshFileError(msg)
+        if found is None and name == "tetgen":
+            msg = f"{part.name} does not say how much it holds"
+            raise MeshFileError(msg)
+    return total
+
+
+def _parts(path: Path, name: str) -> list[Path]:
+    """The file, and those that belong to it as far as they are there."""
+    if name == "tetgen":
+        return [part for part in (path.with_suffix(".node"), path.with_suffix(".ele"))
+                if part.is_file()]
+    parts = [path]
+    if name in REFERENCES:
+        for part in parts:
+            for other in re.findall(REFERENCES[name], part.read_bytes()):
+                named = part.parent / other.decode("utf-8", "replace")
+                if named not in parts and named.is_file():
+                    parts.append(named)
+    return parts
+
+
+def expect_held(path: Path, name: str, mesh: Any) -> None:
+    """Compare a mesh with what its file states, where meshio takes as much as there is.
+
+    Raises
+    ------
+    MeshFileError    it holds other numbers of points, cells or markers
+    """
+    held = {"points": len(mesh.points), "cells": sum(len(block.data) for block in mesh.cells)}
+    stated = {}
+    if name == "ply":
+        head = path.read_bytes().partition(b"end_header")[0]
+        counts = dict(re.findall(rb"\nelement\s+(\w+)\s+(\d+)", head))
+        stated = {"points": int(counts.get(b"vertex", 0)), "cells": int(counts.get(b"face", 0))}
+    if name == "su2":
+        stated, held["markers"] = _stated_su2(path)
+    for what, expected in stated.items():
+        if held[what] != expected:
+            msg = f"it declares {expected} {what} and holds {held[what]}"
+            raise MeshFileError(msg)
+
+
+def _stated_su2(path: Path) -> tuple[dict[str, int], int]:
+    """Numbers that an su2 file states, and how many markers it has."""
+    declared = {"NPOIN": 0, "NELEM": 0, "MARKER_ELEMS": 0}
+    markers, expected_markers = 0, None
+    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
+        name, _, value = line.partition("=")
+        name = name.strip()
+        if name in declared:
+            declared[name] += int(value.split()[0])
+        if name == "NMARK":
+            expected_markers = int(value)
+        markers += name == "MARKER_ELEMS"
+    return {
+        "points": declared["NPOIN"],
+        "cells": declared["NELEM"] + declared["MARKER_ELEMS"],
+        "markers": markers if expected_markers is None else expected_markers,
+    }, markers
+
+
+def declares_no_cells(path: Path, formats: Sequence[str]) -> bool:
+    """Whether a VTK file says that it has no cells, on which meshio's readers break."""
+    patterns = {
+        "vtu": rb"""NumberOfCells\s*=\s*["'](\d+)["']""",
+        "vtk": rb"""(?m)^CELLS\s+\d+\s+(\d+)\s*$""",
+    }
+    known = [patterns[name] for name in formats if name in patterns]
+    content = path.read_bytes() if known else b""
+    counts = [count for pattern in known for count in re.findall(pattern, content)]
+    return bool(counts) and not any(int(count) for count in counts)
