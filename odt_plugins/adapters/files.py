@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import re
 import shutil
 import tempfile
 import warnings
@@ -12,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters import meshio_mesh, reading
+from odt_plugins.adapters import apart, meshio_mesh, reading
 from odt_plugins.adapters.host import HostMesh, Result
 from odt_plugins.adapters.stated import declares_no_cells
 from odt_plugins.errors import (
@@ -25,6 +26,9 @@ from odt_plugins.errors import (
 
 PREFERRED = {".msh": "gmsh"}
 """Format to take first where several share a suffix."""
+
+PROBE = 1 << 16
+"""Bytes added to a file that was not written, to see whether the system lets it grow."""
 
 
 def matches(mesh: object) -> bool:
@@ -224,9 +228,12 @@ def _write_and_compare(path: Path, mesh: Any) -> tuple[list[str], list[str]]:
     if name == "gmsh" and not (tags and "gmsh:dim_tags" in mesh.point_data):
         name = "gmsh22"
     try:
-        # Flat triangles of STL files have no normals.
-        with reading.remarks() as said, np.errstate(all="ignore"):
-            meshio.write(path, mesh.copy(), file_format=name)
+        if name in apart.FORMATS:
+            said = apart.write(path, mesh, name)
+        else:
+            # Flat triangles of STL files have no normals.
+            with reading.remarks() as said, np.errstate(all="ignore"):
+                meshio.write(path, mesh.copy(), file_format=name)
         back, _ = _read_as(path, _formats(path))
     except MissingDependencyError:
         raise
@@ -235,15 +242,32 @@ def _write_and_compare(path: Path, mesh: Any) -> tuple[list[str], list[str]]:
     except MeshFileError as exc:
         reason = f"what meshio writes cannot be read again ({_reason(exc.__cause__)})"
         raise _not_written(path, name, reason) from exc
-    except OSError:
-        raise
     # A writer may raise anything at all on a mesh that its format does not hold.
     except Exception as exc:
+        refused = _refused(exc, path)
+        if refused is not None:
+            raise refused from exc
+        if isinstance(exc, OSError):
+            raise
         raise _not_written(path, name, _reason(exc)) from exc
     if _sizes(back) != _sizes(mesh) or len(back.points) != len(mesh.points):
         reason = f"it does not hold {len(mesh.points)} points with cells {_sizes(mesh)}"
         raise _not_written(path, name, reason)
     return _lost(mesh, back), said
+
+
+def _refused(exc: Exception, path: Path) -> OSError | None:
+    """What the system said: HDF5 tells it amid addresses, NumPy and netCDF do not at all."""
+    told = re.search(r"errno = (\d+)", str(exc))
+    number = getattr(exc, "errno", None) or (told and int(told[1]))
+    if number:
+        return OSError(number, os.strerror(number))
+    try:
+        with path.open("ab") as file:
+            file.write(bytes(PROBE))
+    except OSError as system:
+        return system
+    return None
 
 
 def _not_written(path: Path, name: str, reason: str) -> MeshFileError:

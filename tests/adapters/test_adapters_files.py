@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import shutil
+import subprocess
 import sys
 from pathlib import Path
 
@@ -12,7 +14,7 @@ import numpy as np
 import pytest
 
 import odt_plugins
-from odt_plugins.adapters import files
+from odt_plugins.adapters import apart, files
 from odt_plugins.engine.run import driver
 from odt_plugins.errors import (
     DataNotKeptWarning,
@@ -235,6 +237,60 @@ def test_an_interrupted_write_leaves_the_old_file(error, tmp_path, monkeypatch):
     with pytest.raises(expected):
         files.write_file(target, contract.file_mesh(".vtu", 2))
     assert [(p.name, p.read_text()) for p in tmp_path.iterdir()] == [("out.vtu", "old")]
+
+
+FULL = """
+import os, resource, sys, warnings
+import meshio, numpy as np
+import contract
+from odt_plugins.adapters import files
+from odt_plugins.errors import MeshFileError
+warnings.simplefilter("ignore")
+points, cells, _ = contract.grid(3, 9)
+mesh = meshio.Mesh(points, [("tetra", cells)])
+name = "out" + sys.argv[1]
+for limit in (2_000, 20_000):
+    resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
+    try:
+        files.write_file(name, mesh)
+    except MeshFileError as exc:
+        print(exc)
+resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
+print(sorted(os.listdir()), open(name).read())
+files.write_file(name, mesh)
+print(len(files.read_file(name).points))
+"""
+
+
+@pytest.mark.parametrize("suffix", [".xdmf", ".med", ".h5m", ".cgns", ".hmf", ".e", ".msh"])
+def test_a_full_disk_leaves_the_old_file_and_no_open_handle(suffix, tmp_path):
+    (tmp_path / f"out{suffix}").write_text("old")
+    paths = os.pathsep.join([str(Path(__file__).parent), *sys.path])
+    done = subprocess.run(
+        [sys.executable, "-c", FULL, suffix], cwd=tmp_path, capture_output=True, text=True,
+        check=False, timeout=200, env=dict(os.environ) | {"PYTHONPATH": paths})
+    assert (done.returncode, done.stderr) == (0, "")
+    said = f"cannot write out{suffix}: File too large; try another path"
+    assert done.stdout.splitlines() == [said, said, f"['out{suffix}'] old", "1000"]
+
+
+def test_a_writer_that_dies_is_an_error(tmp_path, monkeypatch):
+    monkeypatch.setattr(apart, "PROGRAM", "import os; os.kill(os.getpid(), 9)")
+    with pytest.raises(MeshFileError, match=r"the process that wrote it was ended by SIGKILL"):
+        files.write_file(tmp_path / "out.med", contract.file_mesh(".vtu", 3))
+    assert not list(tmp_path.iterdir())
+
+
+@pytest.mark.parametrize("suffix", [".xdmf", ".med", ".e"])
+def test_what_is_said_in_another_process_is_told(suffix, tmp_path, capfd):
+    mesh = _mesh(3, ["marker"])
+    mesh.cells[0].type = "tetra_of_mine"
+    with pytest.raises(MeshFileError, match="tetra_of_mine"):
+        files.write_file(tmp_path / f"out{suffix}", mesh)
+    with pytest.warns(DataNotKeptWarning, match=r"out\.hmf: Experimental file format"):
+        files.write_file(tmp_path / "out.hmf", _mesh(3, ["marker"]))
+    assert [p.name for p in tmp_path.iterdir()] == ["out.hmf"]
+    assert capfd.readouterr() == ("", "")
 
 
 def test_formats_that_hold_less_say_so(tmp_path):
