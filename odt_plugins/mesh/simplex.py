@@ -22,10 +22,6 @@ SPAN_LIMIT = 1e40
 """Meshes must be between 1 / SPAN_LIMIT and SPAN_LIMIT long, and no cell smaller than the largest
 by more: squared volumes neither overflow nor vanish then."""
 
-FAR = 1e70
-"""Largest coordinate: the square of an area does not overflow."""
-
-
 @dataclass(frozen=True)
 class SimplexMesh:
     """A valid mesh of triangles in the plane, tetrahedra in space, or triangles in space.
@@ -205,15 +201,7 @@ def _points(points: ArrayLike) -> FloatArray:
             f"numbers, try removing or repairing those vertices"
         )
         raise InvalidMeshError(msg)
-    p = np.array(raw, dtype=np.float64, order="C")
-    if max(p.max(initial=0.0), -p.min(initial=0.0)) > FAR:
-        bad = np.flatnonzero((np.abs(p) > FAR).any(axis=1))
-        msg = (
-            f"got {_where(bad, 'point')} with coordinates beyond {FAR:.0e}; expected smaller "
-            f"numbers, try scaling the mesh or removing those vertices"
-        )
-        raise InvalidMeshError(msg)
-    return p
+    return np.array(raw, dtype=np.float64, order="C")
 
 
 def _cells(cells: ArrayLike, shape: tuple[int, ...]) -> IntArray:

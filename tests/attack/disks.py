@@ -63,9 +63,12 @@ def attack(rng: Rng, folder: Path) -> None:
     if rng.random() < 0.5:
         target.write_bytes(OLD)
     share = rng.choice([0.0, rng.uniform(0, 1), rng.uniform(0.9, 1.0), 1.5])
-    done = subprocess.run(
-        [sys.executable, "-c", CHILD, source, whole / target.name, target, str(share)],
-        capture_output=True, text=True, check=False)
+    words = [sys.executable, "-c", CHILD, source, whole / target.name, target, str(share)]
+    try:
+        done = subprocess.run(words, capture_output=True, text=True, check=False,
+                              timeout=0.8 * SECONDS)
+    except subprocess.TimeoutExpired:
+        raise Broken([f"no end (.{name}, {share:.3f} of its size)"]) from None
     if done.returncode == 100:
         raise ODTError(done.stderr)
     errors = "\n".join(line for line in done.stderr.splitlines() if "warning:" not in line)

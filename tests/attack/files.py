@@ -16,7 +16,7 @@ from attack.damage import FORMATS, TRIANGLES, damaged, written
 from attack.judge import Broken
 from odt_plugins.errors import ODTError
 
-SECONDS = 20.0
+SECONDS = 60.0
 """No case may take longer."""
 
 Rng = np.random.Generator

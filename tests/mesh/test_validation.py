@@ -87,8 +87,6 @@ BAD_ARRAYS = {
     "nothing at all": (lambda p, t: (p[:0], t[:0]), r"no cells \(0 vertices\)"),
     "nan": (_set("points", [2, 3], np.nan), r"got 2 points \(first: point 2\) with NaN or inf"),
     "infinity": (_set("points", (3, 1), np.inf), r"got 1 point \(first: point 3\)"),
-    "far": (_set("points", (3, 1), -1e300),
-            r"got 1 point \(first: point 3\) with .* beyond 1e\+70"),
     "index too large": (_set("cells", (1, 2), 900), r"first: cell 1\).*vertex 900\); expected"),
     "negative index": (_set("cells", (2, 0), -1), r"got 1 cell \(first: cell 2\).*vertex -1\)"),
     "vertex twice": (lambda p, t: (p, np.vstack([t, t[0, [0, 0, *range(1, t.shape[1] - 1)]]])),
@@ -117,14 +115,6 @@ def test_bad_mesh_is_refused_in_one_sentence(case, d):
         odt_plugins.optimize((points, cells))
     assert "\n" not in str(caught.value)
     assert (points.tobytes(), cells.tobytes()) == before
-
-
-def test_triangles_in_space_whose_squares_overflow_are_refused():
-    points = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.1]]) * 1e200
-    cells = np.array([[0, 1, 2], [1, 3, 2]])
-    for work in (odt_plugins.optimize, odt_plugins.measure):
-        with pytest.raises(InvalidMeshError, match=r"got 3 points .* beyond 1e\+70"):
-            work((points, cells))
 
 
 @pytest.mark.parametrize("case", ["nan", "index too large", "no cells", "mixed"])

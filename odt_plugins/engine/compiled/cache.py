@@ -26,16 +26,23 @@ def source_stamp(folder: Path) -> str:
 
 
 def keep_by(stamp: str, dispatcher: Any) -> None:
-    """Keep a cached kernel under a name of its own for every stamp.
+    """Keep a cached kernel under a name of its own for every stamp, as long as there is room.
 
-    Processes with other sources then never read or write the same file. A numba that caches in
-    a way unknown here goes on as it does.
+    Processes with other sources then never read or write the same file. On a full disk a kernel
+    is compiled in every process. A numba that caches in a way unknown here goes on as it does.
     """
     with contextlib.suppress(ImportError, AttributeError, TypeError):
         from numba.core.caching import IndexDataCacheFile
 
-        kept, locator = dispatcher._cache._impl, dispatcher._cache._impl.locator
-        dispatcher._cache._cache_file = IndexDataCacheFile(  # type: ignore[no-untyped-call]
+        cache = dispatcher._cache
+        kept, locator, save = cache._impl, cache._impl.locator, cache.save_overload
+
+        def save_where_there_is_room(signature: Any, data: Any) -> None:
+            with contextlib.suppress(OSError):
+                save(signature, data)
+
+        cache._cache_file = IndexDataCacheFile(  # type: ignore[no-untyped-call]
             cache_path=locator.get_cache_path(), filename_base=f"{kept.filename_base}.{stamp}",
             source_stamp=locator.get_source_stamp(),
         )
+        cache.save_overload = save_where_there_is_room

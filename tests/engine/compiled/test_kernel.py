@@ -95,6 +95,20 @@ print(vertex_stars(np.array([[0, 1, 2]], dtype=np.int32), 3).indptr.tolist())
     assert done.stdout.split() == ["[0,", "1,", "2,", "3]"], done.stderr
 
 
+def test_a_full_disk_keeps_no_kernel_and_stops_none(tmp_path):
+    code = """
+import resource
+from odt_plugins.engine.star import vertex_stars
+resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
+import numpy as np
+print(vertex_stars(np.array([[0, 1, 2]], dtype=np.int32), 3).indptr.tolist())
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False,
+                          env=dict(os.environ) | {"NUMBA_CACHE_DIR": str(tmp_path)})
+    assert done.stdout.split() == ["[0,", "1,", "2,", "3]"], done.stderr
+    assert not [path for path in tmp_path.rglob("*") if path.is_file()]
+
+
 INNER = """
 from odt_plugins.engine.compiled.kernel import kernel
 STEP = {step}
