@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.facets import sorted_columns
-from odt_plugins.mesh.simplex import SimplexMesh, corner_mean
+from odt_plugins.mesh.simplex import SimplexMesh, barycentric, corner_mean
 
 NEAR = (16, 256)
 """How many of the nearest cells a point is looked for in, before all of them."""
@@ -119,17 +119,10 @@ def _best_cell(
     points: FloatArray, cells: IntArray, x: FloatArray
 ) -> tuple[IntArray, FloatArray]:
     """The cell (k, d + 1) out of (k, c, d + 1) that a point is deepest in, and its coordinates."""
-    found = _barycentric(points[cells], x)
+    found = barycentric(points[cells], x[:, None])
     best = found.min(axis=2).argmax(axis=1)
     row = np.arange(len(x))
     return cells[row, best], found[row, best]
-
-
-def _barycentric(corners: FloatArray, x: FloatArray) -> FloatArray:
-    """Barycentric coordinates (k, c, d + 1) of points (k, d) in cells (k, c, d + 1, d) each."""
-    edges = np.swapaxes(corners[:, :, 1:] - corners[:, :, :1], 2, 3)
-    inner = np.linalg.solve(edges, (x[:, None] - corners[:, :, 0])[..., None])[..., 0]
-    return np.concatenate([1.0 - inner.sum(axis=2, keepdims=True), inner], axis=2)
 
 
 def _nearest(

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.api import optimize as optimize_mesh
 from odt_plugins.errors import CrashError, InvalidMeshError, InvalidOptionError, exit_name, require
-from odt_plugins.mesh.simplex import mesh_arrays
+from odt_plugins.mesh.simplex import barycentric, mesh_arrays
 from odt_plugins.options import OPTIONS, OptionKeywords, make_options, with_option_signature
 
 PROGRAM = """
@@ -254,11 +254,7 @@ def background_sizes(
     tet = np.repeat(np.arange(len(centre)), [len(found) for found in near])
     nowhere = np.zeros(0, dtype=np.intp)
     point = np.concatenate([nowhere, *(np.asarray(found, dtype=np.intp) for found in near)])
-    edges = np.swapaxes(corner[:, 1:] - corner[:, :1], 1, 2)
-    whole = np.abs(np.linalg.det(edges)) > 0.0
-    tet, point = tet[whole[tet]], point[whole[tet]]
-    rest = np.linalg.solve(edges[tet], (points[point] - corner[tet, 0])[:, :, None])[:, :, 0]
-    share = np.column_stack([1.0 - rest.sum(axis=1), rest])
+    share = barycentric(corner[tet], points[point])
     order = np.lexsort((-share.min(axis=1), point))
     first = order[np.flatnonzero(np.diff(point[order], prepend=-1))]
     first = first[share[first].min(axis=1) >= INSIDE]

@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from odt_plugins.adapters.host import Result
 from odt_plugins.errors import DataNotKeptWarning, InvalidMeshError, ODTWarning
 from odt_plugins.mesh.facets import row_keys
+from odt_plugins.mesh.simplex import determinant
 
 EDGES = {
     6: np.array([[0, 1], [1, 2], [2, 0]]),
@@ -258,7 +259,7 @@ def _folded(points: NDArray[Any], rows: NDArray[Any]) -> NDArray[np.bool_]:
     x = np.asarray(points, dtype=np.float64)[rows]
     jacobian = np.einsum("qkd,mkx->mqdx", gradient, x)
     if jacobian.shape[2] == jacobian.shape[3]:
-        det = np.linalg.det(jacobian)
+        det = determinant(np.moveaxis(jacobian, (2, 3), (0, 1)))
     else:
         normal = np.cross(jacobian[:, :, 0], jacobian[:, :, 1])
         det = (normal * normal.sum(axis=1, keepdims=True)).sum(axis=2)

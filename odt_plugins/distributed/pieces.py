@@ -32,6 +32,7 @@ from odt_plugins.distributed.piecework import (
 from odt_plugins.distributed.placing import piece_name, place_pieces
 from odt_plugins.distributed.scratch import clear, make_scratch
 from odt_plugins.distributed.store import GHOSTS, IDS, TABLES, piece_files
+from odt_plugins.engine.cells.elementary import exp, log
 from odt_plugins.errors import (
     DataNotKeptWarning,
     InvalidMeshError,
@@ -269,8 +270,8 @@ def _number(
                f"{IDS} to tell which of them are one")
         raise InvalidMeshError(msg)
     shared = (pieces > 1)[inverse]
-    logarithms = np.log(np.concatenate([part.sizes for part in taken]))
-    sizes = np.exp(np.bincount(inverse, logarithms) / members)
+    logarithms = log(np.concatenate([part.sizes for part in taken]))
+    sizes = exp(np.bincount(inverse, logarithms) / members)
     scale = float(np.mean([part.mean for part in taken]))
     ends = np.cumsum(lengths)
     numbers = []

@@ -25,6 +25,7 @@ from odt_plugins.distributed.store import (
     write_piece,
 )
 from odt_plugins.distributed.versions import versions_here
+from odt_plugins.engine.cells.elementary import power
 from odt_plugins.engine.cells.geometry import boundary_vertices, signed_volumes
 from odt_plugins.engine.odt.density import size_field
 from odt_plugins.engine.topology.star import star_sum
@@ -129,7 +130,7 @@ def take_in(item: tuple[str, str], regions: str | None, *, orient: bool) -> Take
     n = len(piece.points)
     count = star_sum(np.ones(len(piece.cells)), piece.cells, n)
     _expect_numbered_once(piece.ids[count > 0], source)
-    mean = star_sum(signed_volumes(piece.points, piece.cells) ** (1 / 3), piece.cells, n)
+    mean = star_sum(power(signed_volumes(piece.points, piece.cells), 1 / 3), piece.cells, n)
     scale = float((mean[count > 0] / count[count > 0]).mean())
     sizes = scale * size_field(piece.points, piece.cells)
     rim = np.flatnonzero(boundary_vertices(piece.cells, n))

@@ -12,6 +12,7 @@ doi:10.1137/S0036144503429121.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from functools import reduce
 
@@ -126,8 +127,9 @@ def ddiff(d1: ArrayLike, *distances: ArrayLike) -> FloatArray:
 
 def protate(p: ArrayLike, phi: float) -> FloatArray:
     """Points (n, 2) turned about the origin by -phi radians: a shape of them is turned by phi."""
-    c, s = np.cos(phi), np.sin(phi)
-    return _points(p, 2) @ np.array([[c, -s], [s, c]])
+    c, s = math.cos(phi), math.sin(phi)
+    x, y = _points(p, 2).T
+    return np.stack([c * x + s * y, c * y - s * x], axis=1)
 
 
 def pshift(p: ArrayLike, x0: float, y0: float, z0: float | None = None) -> FloatArray:

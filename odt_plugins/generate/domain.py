@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -42,7 +43,7 @@ class Domain:
     @property
     def diagonal(self) -> float:
         """Length of the diagonal of the bounding box."""
-        return float(np.linalg.norm(self.high - self.low))
+        return math.dist(self.low, self.high)
 
     def distance(self, points: FloatArray) -> FloatArray:
         """Values fd(points), (n,).

@@ -27,7 +27,7 @@ from odt_plugins.generate.refine3d import check_size, numbered_edges
 from odt_plugins.generate.uniform import uniform_refine
 from odt_plugins.mesh.arrays import BoolArray
 from odt_plugins.mesh.facets import row_keys
-from odt_plugins.mesh.simplex import compact_labels, mesh_arrays, vertex_mask
+from odt_plugins.mesh.simplex import compact_labels, diagonal, mesh_arrays, vertex_mask
 from odt_plugins.options import OptionKeywords, make_options, with_option_signature
 from odt_plugins.quality import volumes
 
@@ -113,9 +113,8 @@ def refine_and_optimize(
     named = chosen.regions
     start = coarse_mesh(mesh, surface, edge_length, chosen)
     slides = options.get("boundary", "slide" if start.meshed or surface is not None else "fixed")
-    low, high = (f(start.target.reference.points[start.target.reference.triangles], axis=(0, 1))
-                 for f in (np.min, np.max))
-    envelope = chosen.envelope * float(np.linalg.norm(high - low))
+    reference = start.target.reference
+    envelope = chosen.envelope * diagonal(reference.points[np.unique(reference.triangles)])
     plain: Any = {name: value for name, value in options.items() if name not in CARRIED}
     plain |= {"envelope": chosen.envelope, "feature_angle": chosen.feature_angle, "regions": named}
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -91,8 +92,8 @@ def _near_the_features(p: FloatArray) -> FloatArray:
 
 _NOTCH = (np.sqrt(119.0) - 9.0) / 20.0
 _PIE = ((0.9 + _NOTCH, _NOTCH), (0.9 + _NOTCH, -_NOTCH),
-        (float(np.cos(np.pi / 12)), float(np.sin(np.pi / 12))),
-        (float(np.cos(np.pi / 12)), -float(np.sin(np.pi / 12))), (0.0, 0.0), (0.9, 0.0))
+        (math.cos(math.pi / 12), math.sin(math.pi / 12)),
+        (math.cos(math.pi / 12), -math.sin(math.pi / 12)), (0.0, 0.0), (0.9, 0.0))
 
 SAMPLES = {
     "circle": Sample("unit circle", _circle, huniform, 0.05, SQUARE, (), (0.74, 0.99, 0.029)),

@@ -9,6 +9,7 @@ from functools import partial
 import numpy as np
 from scipy.spatial import Delaunay, QhullError
 
+from odt_plugins.engine.cells.elementary import power
 from odt_plugins.engine.cells.geometry import boundary_vertices, signed_volumes
 from odt_plugins.engine.finish.phases import Phase
 from odt_plugins.engine.finish.plane import finish2d
@@ -211,7 +212,7 @@ def _check_middles(
 
 def density(points: FloatArray, domain: Domain, mean: float) -> FloatArray:
     """Density h^-r at points, (n,), with the sizes relative to their mean."""
-    return (domain.size(points) / mean) ** -EXPONENT
+    return power(domain.size(points) / mean, -EXPONENT)
 
 
 def relax(mesh: Mesh, domain: Domain, rounds: int, *, globally: bool = False) -> None:
@@ -238,7 +239,7 @@ def relax(mesh: Mesh, domain: Domain, rounds: int, *, globally: bool = False) ->
         topology = make_topology(mesh.cells, ~outer & ~mesh.held(), outer)
         size = domain.size(mesh.points)
         mean = float(size.mean())
-        rho = (size / mean) ** -EXPONENT
+        rho = power(size / mean, -EXPONENT)
         if globally:
             mesh.points, _ = global_step(
                 mesh.points, topology, rho, objective=partial(_energy, mesh.cells, domain, mean)

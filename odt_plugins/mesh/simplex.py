@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
@@ -179,6 +181,45 @@ def corner_mean(values: FloatArray, cells: IntArray) -> FloatArray:
     return mean
 
 
+def determinant(rows: FloatArray | Sequence[FloatArray]) -> FloatArray:
+    """Determinants of matrices 2 x 2 or 3 x 3, row by row: (d, d, ...) gives (...)."""
+    if len(rows) == 2:
+        (a, b), (c, d) = rows
+        return np.asarray(a * d - b * c)
+    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = rows
+    return np.asarray(
+        ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
+    )
+
+
+def barycentric(corners: FloatArray, x: FloatArray) -> FloatArray:
+    """Barycentric coordinates of points in simplices, by Cramer's rule.
+
+    Parameters
+    ----------
+    corners : (..., d + 1, d) float64
+    x : (..., d) float64
+
+    Returns
+    -------
+    (..., d + 1) float64       -inf in cells of volume 0
+    """
+    edges = np.moveaxis(corners[..., 1:, :] - corners[..., :1, :], (-2, -1), (0, 1))
+    offset = np.moveaxis(x - corners[..., 0, :], -1, 0)
+    volume = determinant(edges)
+    with np.errstate(divide="ignore", invalid="ignore"):
+        inner = np.stack([determinant([*edges[:i], offset, *edges[i + 1:]]) / volume
+                          for i in range(len(edges))], axis=-1)
+    found = np.concatenate([1.0 - inner.sum(axis=-1, keepdims=True), inner], axis=-1)
+    found[volume == 0.0] = -np.inf
+    return found
+
+
+def diagonal(points: FloatArray) -> float:
+    """Length of the diagonal of the bounding box of points (n, d)."""
+    return math.dist(points.min(axis=0), points.max(axis=0))
+
+
 def _points(points: ArrayLike) -> FloatArray:
     raw = np.asarray(points)
     if raw.dtype.kind != "f" or raw.dtype.itemsize not in (4, 8):
@@ -274,8 +315,10 @@ def _signs(p: FloatArray, t: IntArray) -> NDArray[np.int8]:
     for part in chunks(len(t)):
         corner = axes.take(t[part].T, axis=1)
         size[part] = (corner.max(axis=1) - corner.min(axis=1)).max(axis=0)
-        det = _determinant((corner[:, 1:] - corner[:, :1]).swapaxes(0, 1))
-        sign[part] = np.sign(det) * (np.abs(det) > FLAT * size[part] ** p.shape[1])
+        det = determinant((corner[:, 1:] - corner[:, :1]).swapaxes(0, 1))
+        sign[part] = np.sign(det) * (
+            np.abs(det) > FLAT * math.prod([size[part]] * p.shape[1])
+        )
     small = np.flatnonzero((size > 0.0) & (size < size.max() / SPAN_LIMIT))
     if small.size:
         msg = (
@@ -292,16 +335,6 @@ def _signs(p: FloatArray, t: IntArray) -> NDArray[np.int8]:
         )
         raise InvalidMeshError(msg)
     return sign
-
-
-def _determinant(edge: FloatArray) -> FloatArray:
-    if len(edge) == 2:
-        (a, b), (c, d) = edge
-        return np.asarray(a * d - b * c)
-    (ax, ay, az), (bx, by, bz), (cx, cy, cz) = edge
-    return np.asarray(
-        ax * (by * cz - bz * cy) + ay * (bz * cx - bx * cz) + az * (bx * cy - by * cx)
-    )
 
 
 def _refuse_overlaps(t: IntArray, n: int) -> None:

@@ -123,7 +123,8 @@ def energy_tilde_p1(points: FloatArray, cells: IntArray, vertex_rho: FloatArray)
     total = 0.0
     for i in range(d + 1):
         y = x - x[:, i : i + 1]
-        total += float(np.einsum("m,mai,mbi,mab->", volumes, y, y, weight, optimize=True))
+        products = (y[:, :, None] * y[:, None]).sum(axis=3)
+        total += float((volumes * (products * weight).sum(axis=(1, 2))).sum())
     return float(total * factorial(d) / factorial(d + 3) / (d + 3))
 
 

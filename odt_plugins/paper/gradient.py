@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from odt_plugins.engine.cells.elementary import power
 from odt_plugins.engine.cells.geometry import (
     barycenters,
     circumcenters,
@@ -119,7 +120,7 @@ def optimality_residual(
     centers = circumcenters(points, cells[touched])
     target = star_average(centers, weights, local_cells, len(used))
     size = star_average(
-        volumes[touched, None] ** (1 / d), np.ones(len(weights)), local_cells, len(used)
+        power(volumes[touched, None], 1 / d), np.ones(len(weights)), local_cells, len(used)
     )
     distance = np.linalg.norm(target - points[used], axis=1) / size[:, 0]
     return float(distance[movable[used]].max(initial=0.0))

@@ -5,6 +5,7 @@ Like :mod:`odt_plugins.promise.volume` this file shares no kernel with the optim
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from typing import Any
 
@@ -237,7 +238,7 @@ def bad_places(
     normal = np.cross(b - a, c - a)
     length = np.sqrt((normal * normal).sum(axis=1))
     unit = np.divide(normal, length[:, None], out=np.zeros_like(normal), where=length[:, None] > 0)
-    limit = np.cos(np.radians(FOLD))
+    limit = math.cos(math.radians(FOLD))
     folds = np.zeros(len(edges.degree), dtype=np.bool_)
     for i in range(3):
         near = edges.neighbors[:, i]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -111,17 +112,17 @@ def best_quality_on(triangle: NDArray[np.float64]) -> float:
     x = triangle - triangle.mean(axis=0)
     size = float(np.abs(x).max()) or 1.0
     normal = np.cross(x[1] - x[0], x[2] - x[0])
-    length = float(np.linalg.norm(normal))
+    length = math.hypot(*normal)
     if length <= 1e-14 * size**2:
         return 0.0
-    u = (x[1] - x[0]) / np.linalg.norm(x[1] - x[0])
+    u = (x[1] - x[0]) / math.dist(x[0], x[1])
     frame = np.stack([u, np.cross(normal / length, u), normal / length])
     steps = np.stack(np.meshgrid(*[np.linspace(-1, 1, 9)] * 3), axis=-1).reshape(-1, 3)
     best, apex, reach = 0.0, frame[2] * size, 2.0 * size
     corners = np.arange(3)
     tets = np.column_stack([np.tile(corners, (len(steps), 1)), np.arange(3, 3 + len(steps))])
     for _ in range(14):
-        trial = apex + reach * steps @ frame
+        trial = apex + reach * (steps[:, :, None] * frame).sum(axis=1)
         q = np.abs(radius_ratio(np.concatenate([x, trial]), tets))
         if q.max() > best:
             best, apex = float(q.max()), trial[int(q.argmax())]

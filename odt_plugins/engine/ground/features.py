@@ -9,6 +9,7 @@ noise; so are the edges of a flat triangle whose neighbours agree with each othe
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -22,6 +23,7 @@ from odt_plugins.engine.topology.lookup import place_in
 from odt_plugins.engine.topology.star import Stars
 from odt_plugins.errors import endless_walk
 from odt_plugins.mesh.arrays import BoolArray, ByteArray, FloatArray, IntArray, LongArray
+from odt_plugins.mesh.simplex import diagonal
 from odt_plugins.mesh.surface import Edges
 
 TRIM = 5
@@ -126,8 +128,7 @@ def find_features(
     kind[chains.nodes[chains.offsets[:-1]]] = HELD
     kind[np.diff(stars.indptr) == 0] = HELD
     corners = int((kind[on_line] == HELD).sum())
-    low, high = points.min(axis=0), points.max(axis=0)
-    _hold_bent(points, chains, kind, slack * float(np.linalg.norm(high - low)))
+    _hold_bent(points, chains, kind, slack * diagonal(points))
     lines = _lines(points, chains, edges, triangles, kind)
     return Features(feature, kind, pinched, lines, corners)
 
@@ -138,7 +139,7 @@ def sharp_edges(
     """Edges of two triangles at which the surface turns by more than ``angle`` degrees, (e,)."""
     area, quality, lengths = _areas(points, triangles)
     normal = _unit(area)
-    least = np.cos(np.radians(angle))
+    least = math.cos(math.radians(angle))
     turns = _cosines(normal, edges) < least
     mean = area.copy()
     for i in range(3):
@@ -191,7 +192,7 @@ def _hidden(
     The normal of a triangle that is nearly a line says little: its neighbours tell whether there
     is a crease.
     """
-    least = np.cos(np.radians(angle))
+    least = math.cos(math.radians(angle))
     near = edges.neighbors[flat]
     counts = (lengths[flat] > SHORT * lengths[flat].max(axis=1)[:, None]) & (near >= 0)
     counts &= quality[near] >= FLAT_QUALITY
@@ -239,7 +240,7 @@ def _bends(points: FloatArray, pairs: IntArray, inner: BoolArray, angle: float) 
     u = points[other[first]] - points[vertex[first]]
     v = points[other[second]] - points[vertex[second]]
     size = np.sqrt((u * u).sum(axis=1) * (v * v).sum(axis=1))
-    turned = -(u * v).sum(axis=1) < np.cos(np.radians(angle)) * size
+    turned = -(u * v).sum(axis=1) < math.cos(math.radians(angle)) * size
     bends[vertex[first[turned | (size == 0.0)]]] = True
     return bends
 

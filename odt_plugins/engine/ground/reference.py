@@ -13,6 +13,7 @@ depend on either.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Any
 
@@ -165,6 +166,6 @@ def make_reference(points: FloatArray, triangles: IntArray) -> Reference:
     tree = AABB()
     tree.init(local, faces)
     return Reference(
-        surface.points, surface.triangles, surface.normals, float(np.linalg.norm(high - low)),
+        surface.points, surface.triangles, surface.normals, math.dist(low, high),
         surface, tree, origin, local, faces,
     )

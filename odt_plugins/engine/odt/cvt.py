@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import combinations, permutations
 
 import numpy as np
@@ -65,7 +66,7 @@ def dual_cells(
     facets = combinations(range(4), 3) if d == 3 else ()
     facet_center = {f: _facet_circumcenters(points, cells[:, f]) for f in facets}
     for order in permutations(range(d + 1)):
-        sign = np.linalg.det(np.eye(d + 1)[list(order)])
+        sign = math.prod(np.sign(b - a) for a, b in combinations(order, 2))
         corners = cells[:, list(order)]
         x = points[corners[:, 0]]
         chain = [0.5 * (points[corners[:, 1]] - x)]

@@ -14,8 +14,10 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.engine.cells.elementary import power
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.components import components
+from odt_plugins.mesh.simplex import determinant
 
 IndexArray = NDArray[np.int64]
 
@@ -209,7 +211,8 @@ def non_delaunay_facets(
     Notes
     -----
     With the far vertex x of the neighbour as origin, det(x_i - x, |x_i - x|^2) is, up to sign,
-    proportional to the volume between the two liftings of the pair to the paraboloid.
+    proportional to the volume between the two liftings of the pair to the paraboloid. It is
+    expanded along the last column.
     """
     dim = points.shape[1]
     owner, side = np.nonzero(neighbors > np.arange(len(cells))[:, None])
@@ -217,9 +220,12 @@ def non_delaunay_facets(
     back = np.argmax(neighbors[other] == owner[:, None], axis=1)
     origin = points[cells[other, back]]
     edges = points[cells[owner]] - origin[:, None, :]
-    lifted = np.concatenate([edges, (edges**2).sum(axis=2, keepdims=True)], axis=2)
-    size = np.prod(np.linalg.norm(edges, axis=2), axis=1) * np.sqrt(lifted[:, :, dim].max(axis=1))
-    inside = np.linalg.det(lifted) * (1 if dim == 2 else -1)
+    height = (edges**2).sum(axis=2)
+    size = np.sqrt(np.prod(height, axis=1) * height.max(axis=1))
+    rows = edges.transpose(1, 2, 0)
+    inside = np.zeros(len(owner))
+    for i in range(dim + 1):
+        inside += (-1) ** i * height[:, i] * determinant(np.delete(rows, i, axis=0))
     bad = inside > tolerance * size
     return np.stack([owner[bad], side[bad]], axis=1).astype(np.int32)
 
@@ -229,11 +235,7 @@ def _measures(points: FloatArray, cells: IndexArray) -> tuple[FloatArray, FloatA
     dim = points.shape[1]
     corners = points[cells]
     edges = corners[:, 1:] - corners[:, :1]
-    if dim == 2:
-        determinant = edges[:, 0, 0] * edges[:, 1, 1] - edges[:, 0, 1] * edges[:, 1, 0]
-        volume = determinant / 2.0
-    else:
-        volume = np.einsum("ij,ij->i", edges[:, 0], np.cross(edges[:, 1], edges[:, 2])) / 6.0
+    volume = determinant(edges.transpose(1, 2, 0)) / (2.0 if dim == 2 else 6.0)
     total = np.zeros(len(cells))
     longest = np.zeros(len(cells))
     for i in range(dim):
@@ -242,7 +244,7 @@ def _measures(points: FloatArray, cells: IndexArray) -> tuple[FloatArray, FloatA
             total += squared
             np.maximum(longest, squared, out=longest)
     energy = volume * total / ((dim + 1) * (dim + 2))
-    return volume, energy, np.abs(volume) <= FLAT * longest ** (dim / 2)
+    return volume, energy, np.abs(volume) <= FLAT * power(longest, dim / 2)
 
 
 def _radius_ratio(points: FloatArray, cells: IndexArray) -> FloatArray:

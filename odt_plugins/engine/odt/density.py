@@ -15,6 +15,7 @@ from typing import Any
 
 import numpy as np
 
+from odt_plugins.engine.cells.elementary import exp, log, power
 from odt_plugins.engine.cells.geometry import signed_volumes
 from odt_plugins.engine.compiled.kernel import allocating_kernel
 from odt_plugins.engine.compiled.threads import run_ranges
@@ -233,11 +234,11 @@ def _asked(function: Callable[[FloatArray], Any], points: FloatArray) -> FloatAr
     return values
 
 
-def bounded_power(values: FloatArray, power: float) -> FloatArray:
-    """values^power for values about 1, kept within 1 / RANGE and RANGE."""
-    bound = RANGE ** (1.0 / max(1.0, abs(power)))
+def bounded_power(values: FloatArray, exponent: float) -> FloatArray:
+    """values^exponent for values about 1, kept within 1 / RANGE and RANGE."""
+    bound = RANGE ** (1.0 / max(1.0, abs(exponent)))
     kept: FloatArray = np.clip(values, 1.0 / bound, bound)
-    return kept if power == 1.0 else kept**power
+    return kept if exponent == 1.0 else power(kept, exponent)
 
 
 def cell_density(points: FloatArray, cells: IntArray, rho: FloatArray) -> FloatArray:
@@ -270,12 +271,11 @@ def size_field(points: FloatArray, cells: IntArray, passes: int = SMOOTHING_PASS
     n = len(points)
     count = star_sum(np.ones(len(cells)), cells, n)
     used = count > 0
-    size = star_sum(signed_volumes(points, cells) ** (1 / d), cells, n)
+    size = star_sum(power(signed_volumes(points, cells), 1 / d), cells, n)
     h = np.ones(n)
     h[used] = size[used] / count[used]
     h[used] = np.maximum(h[used] / h[used].mean(), LEAST_SIZE)
-    smooth: FloatArray = np.exp(smooth_over_stars(np.log(h), cells, passes))
-    return smooth
+    return exp(smooth_over_stars(log(h), cells, passes))
 
 
 def smooth_over_stars(values: FloatArray, cells: IntArray, passes: int) -> FloatArray:

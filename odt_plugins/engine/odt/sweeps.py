@@ -12,6 +12,7 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from odt_plugins.engine.cells.elementary import power
 from odt_plugins.engine.cells.geometry import signed_volumes
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.topology.coloring import Coloring, run_chunks
@@ -414,6 +415,6 @@ def move_stats(
     moved = np.flatnonzero(np.any(new != points, axis=1))
     if not moved.size:
         return StepStats(0, 0.0, reduced, 0.0)
-    size = _mean_star_volumes(points, topology)[moved] ** (1 / points.shape[1])
+    size = power(_mean_star_volumes(points, topology)[moved], 1 / points.shape[1])
     longest = float((np.linalg.norm(new[moved] - points[moved], axis=1) / size).max())
     return StepStats(int(moved.size), longest, reduced, alpha)

@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.engine.cells.elementary import arccos, power
 from odt_plugins.engine.cells.mean_ratio import tet_mean_ratio
 from odt_plugins.engine.cells.tetrahedron import MEAN_RATIO, tet_cosines, tet_quality
 from odt_plugins.engine.cells.triangle import triangle_in_space, triangle_measure, triangle_shape
@@ -122,7 +123,7 @@ def figures(
     score = mean + 0.5 * p1 + 0.25 * least - PRICE * min(small, MANY)
     if objective == "min_dihedral":
         regular = math.acos(1.0 / (cells.shape[1] - 1))
-        angles = np.arccos(np.clip(shapes[:, 1], -1.0, 1.0)) / regular
+        angles = arccos(np.clip(shapes[:, 1], -1.0, 1.0)) / regular
         smallest, few, average = _spread(angles)
         score = mean + average + few + 0.5 * smallest
     elif objective == "amips":
@@ -153,5 +154,4 @@ def amips_energies(points: FloatArray, cells: IntArray) -> FloatArray:
     for first, last in pieces(0, len(cells)):
         _mean_ratios(points, cells[first:last], m[first:last])
     dim = cells.shape[1] - 1
-    energies: FloatArray = dim * np.maximum(m, 1e-300) ** (-1.0 / dim)
-    return energies
+    return dim * power(np.maximum(m, 1e-300), -1.0 / dim)

@@ -11,7 +11,7 @@ from odt_plugins.engine.ground.crossings import count_crossings, crossing_triang
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 from odt_plugins.mesh.numbering import in_old_numbers, old_numbers
-from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.mesh.simplex import SimplexMesh, diagonal
 from odt_plugins.options import Options
 from odt_plugins.promise.volume import broken_promises
 
@@ -46,7 +46,7 @@ def slides(mesh: SimplexMesh, options: Options) -> bool:
 def envelope_length(mesh: SimplexMesh, options: Options) -> float:
     """The envelope as a length: ``options.envelope`` times the diagonal of the bounding box."""
     used = mesh.points[np.unique(mesh.cells)]
-    return options.envelope * float(np.linalg.norm(used.max(axis=0) - used.min(axis=0)))
+    return options.envelope * diagonal(used)
 
 
 def measure_slide(

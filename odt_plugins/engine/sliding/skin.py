@@ -66,8 +66,9 @@ def make_skin(
     fan = np.full(n, -1, dtype=np.int32)
     fan[triangles] = np.arange(len(triangles), dtype=np.int32)[:, None]
     low, high = edges.vertices.T
-    keys = np.sort(stays, axis=1).astype(np.int64) @ np.array([n, 1])
-    kept = held[low] & held[high] | np.isin(low.astype(np.int64) * n + high, keys)
+    ends = np.sort(stays, axis=1).astype(np.int64)
+    kept = held[low] & held[high] | np.isin(low.astype(np.int64) * n + high,
+                                       ends[:, 0] * n + ends[:, 1])
     most = VOLUME * float(signed_volumes(points, cells).sum())
     return Skin(
         sheet, ground, features.lines, Limits(limit, limit, math.cos(math.radians(TURN))), kept,

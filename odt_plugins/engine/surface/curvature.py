@@ -4,10 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
+from odt_plugins.engine.cells.elementary import exp, log, power
 from odt_plugins.engine.odt.density import smooth_over_stars
 from odt_plugins.engine.topology.star import star_sum
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.simplex import diagonal
 
 AVERAGES = 3
 """Passes that average the curvature tensors, vertices to triangles and back."""
@@ -143,14 +145,13 @@ def curvature_density(
     a, b, c = (points[triangles[:, i]] for i in range(3))
     share = star_sum(np.sqrt((np.cross(b - a, c - a) ** 2).sum(axis=1)), triangles, n)
     used = np.unique(triangles)
-    diagonal = float(np.linalg.norm(np.ptp(points[used], axis=0)))
+    length = diagonal(points[used])
     if not share.sum() > 0.0:
         return np.ones(n)
-    kappa = np.maximum(vertex_curvature(points, triangles, neighbors), FLAT / diagonal)
+    kappa = np.maximum(vertex_curvature(points, triangles, neighbors), FLAT / length)
     mean = float((kappa * share).sum() / share.sum())
     kappa = np.clip(kappa, mean / ratio, mean * ratio)
-    log_h = smooth_over_stars(-0.5 * np.log(kappa / mean), triangles, SMOOTHING)
-    h = np.exp(log_h)
+    log_h = smooth_over_stars(-0.5 * log(kappa / mean), triangles, SMOOTHING)
+    h = exp(log_h)
     h /= h[used].mean()
-    rho: FloatArray = h**-4.0
-    return rho
+    return power(h, -4.0)

@@ -27,7 +27,7 @@ from odt_plugins.engine.surface.rounds import check_method, smooth_surface
 from odt_plugins.engine.topology.frame import Frame, callers_vertices, make_frame
 from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
-from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.mesh.simplex import SimplexMesh, diagonal
 from odt_plugins.mesh.surface import Edges, surface_edges
 from odt_plugins.options import Options
 
@@ -258,15 +258,15 @@ def _build(
     sheet = make_sheet(points, triangles, edges, features)
     sheet.locked[edges.of_cell[shut[triangles].all(axis=1)]] = True
     used = mesh.points[np.unique(mesh.cells)]
-    diagonal = float(np.linalg.norm(used.max(axis=0) - used.min(axis=0))) * frame.scale
+    length = diagonal(used) * frame.scale
     limits = Limits(
-        (GUARD * options.envelope * diagonal) ** 2, (slack * diagonal) ** 2,
+        (GUARD * options.envelope * length) ** 2, (slack * length) ** 2,
         math.cos(math.radians(NORMALS)),
     )
     held = np.ones(len(mesh.points), dtype=np.bool_)
     held[frame.vertices] = features.kind == HELD
     kept = Kept(
-        diagonal / frame.scale, options.envelope * diagonal / frame.scale,
+        length / frame.scale, options.envelope * length / frame.scale,
         frame.vertices[edges.vertices[features.edges]], held, features.corners,
         int((features.kind == LINE).sum()),
     )
