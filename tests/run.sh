@@ -1,11 +1,16 @@
 #!/usr/bin/env bash
-# Sets up what the tests need, then runs ruff, mypy and pytest, the numerical tests as other kinds of
-# processors too. Quick the second time.
+# Sets up what the tests need, then runs ruff, mypy and pytest. Quick the second time.
 #   bash tests/run.sh [arguments of pytest]
+# Without arguments the numerical tests run again for other processors: BLAS of three kinds, and
+# kernels without the instructions that came after SSE4.2.
 # Uses the active virtual environment, or makes .venv beside pyproject.toml.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . tests/environment.sh
+
+NUMERICAL="tests/engine/run/test_bits.py tests/paper/test_paper_energy.py
+           tests/paper/test_paper_global.py tests/paper/test_paper_gradient.py
+           tests/paper/test_paper_smoothing.py"
 
 system_libraries
 system_browser
@@ -14,14 +19,18 @@ use_environment "all,test"
 echo "== ruff";   python -m ruff check .
 echo "== mypy";   python -m mypy
 echo "== pytest"
-if [ $# -gt 0 ]; then exec python -m pytest "$@"; fi
+if [ $# -gt 0 ]; then
+    python -m pytest "$@"
+    exit
+fi
 python -m pytest -n 2
-
-# What is computed must not hang on the kind of processor: the same tests as other kinds run them.
-NUMERICAL="tests/paper tests/engine/odt tests/engine/cells"
-for core in Haswell Prescott SkylakeX; do
-    echo "== pytest, OPENBLAS_CORETYPE=$core"
-    OPENBLAS_CORETYPE=$core python -m pytest -n 2 $NUMERICAL -k "not examples"
+[ "$(uname -m)" = x86_64 ] || exit 0
+for core in Prescott Nehalem Haswell; do
+    echo "== pytest, numerical tests, BLAS of $core"
+    OPENBLAS_CORETYPE="$core" python -m pytest -n 2 $NUMERICAL
 done
-echo "== pytest, NUMBA_CPU_NAME=x86-64-v2"
-NUMBA_CPU_NAME=x86-64-v2 NUMBA_CPU_FEATURES= python -m pytest -n 2 $NUMERICAL -k "not examples"
+echo "== pytest, numerical tests, kernels for x86-64-v2"
+# The name alone leaves numba the features of this machine.
+NUMBA_CPU_NAME=x86-64-v2 \
+NUMBA_CPU_FEATURES="+64bit,+cmov,+cx16,+cx8,+fxsr,+mmx,+popcnt,+sahf,+sse,+sse2,+sse3,+ssse3,+sse4.1,+sse4.2" \
+    python -m pytest -n 2 $NUMERICAL

@@ -2,7 +2,7 @@
 
 Strength of connection, aggregates and cycles are pyamg's. Ours are the loop that makes the levels
 and the conjugate gradients. pyamg's own loop, `smoothed_aggregation_solver` with the same
-parameters, takes 1.8 to 3 times as long for a system in all and 1.6 times the memory, since it
+parameters, takes 1.7 to 2.9 times as long for a system in all and 1.6 to 1.8 times the memory: it
 keeps blocks and candidates of a near-nullspace, which is one constant here; with its default
 parameters it starts from random numbers. Its conjugate gradients, as those of scipy, go through
 BLAS, whose sums have another order on every kind of processor and for every number of threads.

@@ -8,6 +8,7 @@ import pytest
 import reference_flips as ref
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from odt_plugins.engine.flips2d import FLIPS, lawson_flips, quality_flips, work_off
 from planar_meshes import grid
 from scipy.spatial import Delaunay
 
@@ -277,3 +278,15 @@ def test_same_bits_again_and_no_cells():
     np.testing.assert_array_equal(*results)
     empty = np.empty((0, 3), dtype=np.int32)
     assert lawson_flips(points, empty, empty.copy(), regions[:0]) == 0
+
+
+def test_a_queue_that_never_empties_is_left_after_so_many_flips_an_edge():
+    seen = []
+
+    def flip_some(waiting):
+        assert len(seen) < 10 * FLIPS
+        seen.append(waiting.tolist())
+        return 7
+
+    assert 10 * FLIPS <= work_off(3, 10, flip_some) < 10 * FLIPS + 7
+    assert seen[0] == [0, 3]
