@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import combinations
 from typing import Any, NamedTuple
 
 import contract
+import meshio
 import numpy as np
 
 from attack.judge import Mesh
@@ -41,6 +43,8 @@ def random_caller(mesh: RandomMesh, rng: Rng) -> Caller:
     sound = mesh.cells.size and 0 <= mesh.cells.min() <= mesh.cells.max() < len(mesh.points)
     if sound and rng.random() < 0.25 and (labels is None or len(labels) == len(mesh.cells)):
         return _of_toolkit(str(rng.choice(hosts)), mesh)
+    if sound and labels is None and rng.random() < 0.1:
+        return _with_others(mesh, rng)
     kinds = [np.float32] * 8 + [np.float64, np.float16, np.longdouble, np.int64, ">f8"]
     points = mesh.points
     if rng.random() < 0.3:
@@ -102,3 +106,35 @@ def _of_toolkit(name: str, mesh: RandomMesh) -> Caller:
 
     with np.errstate(all="ignore"):
         return Caller(host.make((mesh.points, mesh.cells, labels)), view, None, faults)
+
+
+def _with_others(mesh: RandomMesh, rng: Rng) -> Caller:
+    """A meshio.Mesh with lines, triangles and vertices beside the cells: they must stay faces."""
+    kinds = {4: "tetra", 3: "triangle", 2: "line", 1: "vertex"}
+    size = mesh.cells.shape[1]
+    blocks = [(kinds[size], mesh.cells)]
+    for k in range(1, size):
+        if rng.random() < 0.6:
+            rows = mesh.cells[rng.integers(len(mesh.cells), size=rng.integers(1, 6))]
+            blocks.insert(rng.integers(len(blocks) + 1),
+                          (kinds[k], np.array([rng.permutation(row)[:k] for row in rows])))
+
+    def view(found: Any) -> Mesh:
+        return Mesh(found.points, found.cells_dict[kinds[size]])
+
+    def faults(old: Any, new: Any, _interpolated: tuple[str, ...]) -> list[str]:
+        found = []
+        for a, b in zip(old.cells, new.cells, strict=True):
+            k = a.data.shape[1]
+            if a.type != b.type or (k < size and a.data.shape != b.data.shape):
+                found.append(f"{len(a.data)} {a.type} came back as {len(b.data)} {b.type}")
+            elif k < size and len(old.points) == len(new.points) and (a.data != b.data).any():
+                found.append(f"{a.type} cells have other vertices")
+            elif 1 < k < size:
+                faces = {f for row in new.cells_dict[kinds[size]].tolist()
+                         for f in combinations(sorted(row), k)}
+                if any(tuple(sorted(row)) not in faces for row in b.data.tolist()):
+                    found.append(f"a {a.type} is no face any more")
+        return found
+
+    return Caller(meshio.Mesh(mesh.points, blocks), view, None, faults)
