@@ -57,6 +57,7 @@ def main(
     counts = {kind: dict.fromkeys((OK, REFUSED, FAILED), 0) for kind in kinds}
     used = dict.fromkeys(kinds, 0.0)
     start = time.monotonic()
+    kind, number = kinds[0], first
     command = f"python tests/attack {' '.join(sys.argv[1:])}".strip()
     with handling(signal.SIGTERM, signal.default_int_handler), progress_bar(False) as progress:
         try:
@@ -79,7 +80,7 @@ def main(
                 if replay and verdict.details:
                     click.echo(verdict.details)
         except KeyboardInterrupt:
-            command += " (stopped)"
+            command += f" (stopped in --kind {kind} --seed {number})"
         finally:
             for worker in workers.values():
                 worker.stop()

@@ -100,13 +100,18 @@ def serve(module: str, pipe: Connection, log: str, seconds: float) -> None:
     faulthandler.enable(file=2)
 
     class Compiling(event.Listener):  # type: ignore[misc]
-        """The time of compilers does not count: the clock starts anew after them."""
+        """The time of compilers does not count: the clock starts anew after the outermost."""
+
+        depth = 0
 
         def on_start(self, event: Any) -> None:
+            self.depth += 1
             faulthandler.dump_traceback_later(COMPILING, exit=True, file=2)
 
         def on_end(self, event: Any) -> None:
-            faulthandler.dump_traceback_later(seconds, exit=True, file=2)
+            self.depth -= 1
+            faulthandler.dump_traceback_later(COMPILING if self.depth else seconds, exit=True,
+                                              file=2)
 
     importlib.import_module(module)
     with event.install_listener("numba:compile", Compiling()), contextlib.suppress(EOFError):
@@ -135,6 +140,8 @@ class Worker:
             self._start()
         try:
             self.pipe.send(seed)
+            if not self.pipe.poll(COMPILING + self.seconds):
+                self.process.kill()
             verdict: Verdict = self.pipe.recv()
         except (EOFError, OSError):
             verdict = self._end_of_process()
