@@ -8,11 +8,10 @@ import pytest
 import reference_flips as ref
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from odt_plugins.engine.flips2d import FLIPS, lawson_flips, quality_flips, work_off
 from planar_meshes import grid
 from scipy.spatial import Delaunay
 
-from odt_plugins.engine.moves.flips2d import lawson_flips, quality_flips
+from odt_plugins.engine.moves.flips2d import FLIPS, lawson_flips, quality_flips, work_off
 
 SEEDS = st.integers(0, 10**6)
 def two_regions(points, cells):
