@@ -37,6 +37,7 @@ if TYPE_CHECKING:
     from odt_plugins.distributed.pieces import optimize_pieces as optimize_pieces
     from odt_plugins.errors import CrashError as CrashError
     from odt_plugins.errors import DataNotKeptWarning as DataNotKeptWarning
+    from odt_plugins.errors import EndlessWalkError as EndlessWalkError
     from odt_plugins.errors import InvalidMeshError as InvalidMeshError
     from odt_plugins.errors import InvalidOptionError as InvalidOptionError
     from odt_plugins.errors import MeshFileError as MeshFileError
@@ -60,6 +61,7 @@ if TYPE_CHECKING:
 _HOMES = {
     "CrashError": "errors",
     "DataNotKeptWarning": "errors",
+    "EndlessWalkError": "errors",
     "InvalidMeshError": "errors",
     "InvalidOptionError": "errors",
     "MeshFileError": "errors",

@@ -73,6 +73,8 @@ MOST_PARAMETERS = {"kernel": 10, "function": 8}
 
 MORE_PARAMETERS = {
     "finish/plane.py": {"finish2d", "_descend", "_sweep"},
+    "ground/crossings.py": {"_sweep"},
+    "ground/envelope.py": {"_near"},
     "ground/features.py": {"find_features"},
     "ground/position.py": {"try_move"},
     "ground/trace.py": {"edge_is_near", "_trace"},
@@ -80,6 +82,7 @@ MORE_PARAMETERS = {
     "moves/newton2d.py": {"smooth_vertices_2d"},
     "odt/global_step.py": {"global_step"},
     "odt/sweeps.py": {"_move_vertices", "_sweep"},
+    "surface/flips.py": {"_flip_some"},
     "surface/newton.py": {"smooth_vertices"},
     "surface/odt.py": {"move_vertices"},
 }

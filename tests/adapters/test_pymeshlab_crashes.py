@@ -132,7 +132,8 @@ def test_nothing_ends_the_process(part):
         pytest.skip("pymeshlab is missing")
     done = subprocess.run([sys.executable, "-X", "faulthandler", __file__, part], check=False,
                           capture_output=True, text=True,
-                          env={**os.environ, "MALLOC_PERTURB_": "165"})
+                          env={**os.environ, "MALLOC_PERTURB_": "165",
+                               "PYTHONPATH": os.pathsep.join(filter(None, sys.path))})
     assert done.returncode == 0, (done.stdout[-200:], done.stderr[-800:])
 
 
