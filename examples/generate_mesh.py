@@ -31,9 +31,9 @@ def main(picture: str | None = None) -> dict[str, odt_plugins.QualitySummary]:
     """Make the meshes, draw them when a file is named, and return their figures."""
     size = hgraded(holes, 0.025, 0.2)
     meshes = {"plate": odtmesh2d(plate, size, 0.025, [[0, 0], [3, 1]], CORNERS)}
-    for name, h0 in (("crescent", 0.01), ("pie", 0.005)):
+    for name in ("crescent", "pie"):
         s = SAMPLES[name]
-        meshes[name] = odtmesh2d(s.fd, s.fh, h0, s.bbox, s.pfix)
+        meshes[name] = odtmesh2d(s.fd, s.fh, s.h0, s.bbox, s.pfix)
     if picture:
         draw(meshes, picture)
     return {name: odt_plugins.measure(mesh) for name, mesh in meshes.items()}

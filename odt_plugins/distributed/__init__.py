@@ -3,7 +3,7 @@
 - `optimize_partitioned` cuts a mesh into blocks of equal numbers of cells (`bricks`), fixes the
   rim of each (`cut_out`), improves each block with the engine (`improve`), and glues
   (`one_round`). The next rounds cut elsewhere: around the vertices that were held in every round
-  yet (`seams`, `grown`). The figures of the whole come from those of its parts (`figures_of`,
+  yet (`seams`, `grown`). The figures of the whole come from those of its parts (`total`,
   `total`), and the result is a state that keeps the promise for the whole, at
   worst the input.
 - `optimize_pieces` does the same for pieces on disk; the driver holds only their interfaces.

@@ -20,23 +20,4 @@ run, surface.
 References
 ----------
 L. Chen, M. Holst, CMAME 200 (2011) 967-984, doi:10.1016/j.cma.2010.11.007.
-
-Which bits are the same
------------------------
-The same input, options and versions of the packages give the same bits on the same machine, for
-any number of threads and workers, and every column of a linear system is solved as if it were
-alone. Sums have a fixed order: nothing that becomes part of a mesh goes through BLAS or LAPACK,
-whose order of sums depends on the processor and on the number of their threads. Exponentials,
-logarithms and powers are those of the C library (`cells.elementary`), since those of NumPy depend
-on the instructions of the processor. ``tests/engine/run/test_bits.py`` looks for either in the
-source and compares results under several kinds of BLAS and of NumPy's instructions;
-``tests/fingerprints.py`` does so by hand on many meshes.
-
-Between processors the promise of :mod:`odt_plugins.promise` holds, and the same bits are not
-promised, since the C library has other functions for processors without fused multiply-add.
-``python tests/attack --kind cores`` compares results between kinds of processors and fails where
-the mean quality differs by more than 0.02.
-
-Not covered: ``solver="lbfgs"``, which SciPy runs through BLAS; the search by which a generated mesh
-is found to cover its domain; the last digit of reported angles; pictures and comparisons.
 """

@@ -18,6 +18,7 @@ import runpy
 import shlex
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import click
@@ -128,7 +129,7 @@ def test_the_short_commands_of_a_page_run(
 def test_a_long_command_is_parsed(
     line: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path,
 ) -> None:
-    program, script, *words = shlex.split(line)
+    program, script, *words = shlex.split(line, comments=True)
     if program == "odt-plugins":
         parsed(line)
         return
@@ -138,6 +139,10 @@ def test_a_long_command_is_parsed(
         assert all((TOP / word).exists() for word in words[1:] if word.startswith("tests"))
         return
     path = TOP / script
+    if path.is_dir():
+        command = import_module(f"{path.name}.command").main
+        command.make_context(script, words)
+        return
     text = path.read_text(encoding="utf-8")
     if path.name == "figures.py":
         cut = words.index("--") if "--" in words else len(words)

@@ -20,6 +20,7 @@ from odt_plugins.engine.compiled import cache as kernel_cache
 from odt_plugins.engine.compiled import kernel
 from odt_plugins.engine.moves import cavity
 from odt_plugins.engine.topology.lookup import place_in
+from odt_plugins.engine.topology.tets import Tets
 
 ENGINE = Path(odt_plugins.__file__).parent / "engine"
 
@@ -98,7 +99,7 @@ print(vertex_stars(np.array([[0, 1, 2]], dtype=np.int32), 3).indptr.tolist())
 def test_a_full_disk_keeps_no_kernel_and_stops_none(tmp_path):
     code = """
 import resource
-from odt_plugins.engine.star import vertex_stars
+from odt_plugins.engine.topology.star import vertex_stars
 resource.setrlimit(resource.RLIMIT_FSIZE, (0, 0))
 import numpy as np
 print(vertex_stars(np.array([[0, 1, 2]], dtype=np.int32), 3).indptr.tolist())
@@ -197,10 +198,13 @@ def test_what_a_flip_calls_is_compiled_for_one_type():
     cells = np.zeros((n, 4), np.int32)
     cells[0] = 0, 1, 2, 3
     # Not from the cache, where the kernels that it calls would not be asked for.
+    tets = Tets(
+        np.zeros((n, 3)), cells, np.full((n, 4), -1, np.int32), np.zeros(n, np.int32),
+        np.zeros(n, np.bool_), np.zeros(n, np.uint8), np.array([1, 0, 0]), np.zeros(n, np.int32),
+    )
     numba.njit(cavity.replace_cavity.py_func)(
-        cells, np.full((n, 4), -1, np.int32), np.zeros(n, np.int32), np.zeros(n, np.uint8),
-        np.zeros(4, np.int32), 1, cells[:1].copy(), 1, np.array([1, 0, 0]), np.zeros(n, np.int32),
-        np.zeros((32, 5), np.int32), np.zeros((100, 4), np.int64),
+        tets, np.zeros(4, np.int32), np.int64(1), cells[:1].copy(), np.int64(1),
+        np.zeros((32, 5), np.int32), cavity.make_journal(np.bool_(True), np.int64(100)),
     )
     assert len(cavity._note.signatures) == len(cavity._sorted3.signatures) == 1
     assert apex_across(cells, 0, 0, 0) == 0
