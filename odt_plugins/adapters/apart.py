@@ -1,82 +1,92 @@
-"""HDF5 files, written in a process of their own.
+"""Work in a process of its own, which may crash or never end: ``python -m`` this module.
 
-A file that HDF5 could not write to its end, because the disk is full, stays half open: the process
-crashes when its handle is collected, or at its exit.
+HDF5 needs that: a file that it could not write to its end, because the disk is full, stays half
+open, and crashes the process when its handle is collected, or at its exit; and it reads some
+damaged files for ever, while no other thread runs.
 """
 
 from __future__ import annotations
 
+import gc
 import os
 import pickle
 import subprocess
 import sys
-from pathlib import Path
+from collections.abc import Callable
 from typing import Any
 
-from odt_plugins.adapters.reading import sentences
 from odt_plugins.errors import exit_name
 
-FORMATS = ("cgns", "exodus", "h5m", "hmf", "med", "xdmf")
-"""Formats of meshio that HDF5 writes, that of Exodus through netCDF."""
-
-PROGRAM = """
-import gc, os, pickle, sys
-answer = os.fdopen(os.dup(1), "wb")
-sys.stdout = sys.stderr
-
-def end(error):
-    try:
-        answered = pickle.dumps(error)
-        pickle.loads(answered)
-    except Exception:
-        answered = pickle.dumps(RuntimeError(f"{type(error).__name__}: {error}"))
-    answer.write(answered)
-    answer.flush()
-    sys.stderr.flush()
-    os._exit(0)
-
-sys.unraisablehook = lambda told: end(told.exc_value)
-try:
-    path, name, mesh = pickle.load(sys.stdin.buffer)
-    import meshio
-    meshio.write(path, mesh, file_format=name)
-    del mesh
-    gc.collect()
-except Exception as exc:
-    end(exc)
-end(None)
-"""
-"""What the process runs. It ends with the first error, in the collection of a handle as well, as
-what is left open would crash it."""
+HDF5 = ("cgns", "exodus", "h5m", "hmf", "med", "xdmf")
+"""Formats of meshio that HDF5 reads and writes, that of Exodus through netCDF."""
 
 
-def write(path: Path, mesh: Any, name: str) -> list[str]:
-    """Write a mesh as meshio.write does.
+def call(function: Callable[..., Any], *arguments: Any, seconds: float | None = None) -> Any:
+    """Call a function of a module in a process of its own.
 
     Parameters
     ----------
-    path : path
-    mesh : meshio.Mesh
-    name : str              one of FORMATS
+    function : callable
+    *arguments : anything        that pickle takes
+    seconds : float, optional    after which the process is ended
 
     Returns
     -------
-    list of str             what meshio says about it
+    what the function returns
 
     Raises
     ------
-    Exception               what meshio raises
+    TimeoutError            it was not done
     ChildProcessError       the process ended without an answer
+    Exception               what the function raises, or the collection of what it left
     """
-    done = subprocess.run(
-        [sys.executable, "-P", "-c", PROGRAM], input=pickle.dumps((str(path), name, mesh)),
-        capture_output=True, check=False,
-        env=dict(os.environ) | {"PYTHONPATH": os.pathsep.join(map(os.path.abspath, sys.path))},
-    )
+    paths = os.pathsep.join(map(os.path.abspath, sys.path))
+    try:
+        done = subprocess.run(
+            [sys.executable, "-P", "-m", "odt_plugins.adapters.apart"], capture_output=True,
+            input=pickle.dumps((function, arguments)), check=False, timeout=seconds,
+            env=dict(os.environ) | {"PYTHONPATH": paths},
+        )
+    except subprocess.TimeoutExpired as exc:
+        msg = f"no answer within {seconds} s"
+        raise TimeoutError(msg) from exc
     if done.returncode:
-        msg = f"the process that wrote it was ended by {exit_name(done.returncode)}"
-        raise ChildProcessError(msg)
-    error = pickle.loads(done.stdout)
+        said = done.stderr.decode("utf-8", "replace").strip().splitlines()
+        msg = f"its process was ended by {exit_name(done.returncode)}"
+        raise ChildProcessError(f"{msg}: {said[-1]}" if said else msg)
+    answer, error = pickle.loads(done.stdout)
     if error is not None:
         raise error
-    return sentences(done.stderr.decode("utf-8", "replace"))
+    return answer
+
+
+def main() -> None:
+    """Do the work that standard input names, and write its result or error to standard output."""
+    stream = os.fdopen(os.dup(1), "wb")
+    os.dup2(2, 1)
+
+    def end(result: Any, error: BaseException | None) -> None:
+        try:
+            answer = pickle.dumps((result, error))
+            pickle.loads(answer)
+        except Exception:
+            answer = pickle.dumps((None, RuntimeError(f"{type(error).__name__}: {error}")))
+        stream.write(answer)
+        stream.flush()
+        # What is left open would crash the process on its way out.
+        os._exit(0)
+
+    sys.unraisablehook = lambda told: end(None, told.exc_value)
+    try:
+        function, arguments = pickle.load(sys.stdin.buffer)
+        result = function(*arguments)
+        del arguments
+        gc.collect()
+    # A reader or writer may raise anything at all.
+    except Exception as exc:
+        end(None, exc)
+    end(result, None)
+
+
+if __name__ == "__main__":
+    main()

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from odt_plugins.adapters import apart
 from odt_plugins.adapters.stated import expect_counts, expect_held
 from odt_plugins.errors import MeshFileError
 
@@ -24,7 +25,8 @@ RATE = 50_000
 """Bytes for which it may take a second more. The slowest reader of meshio, that of PERMAS files,
 takes 2.7 MB in a second, and 1.4 MB of a packed Netgen file."""
 
-READ_ON = {"ansys": "rb", "mdpa": "rb", "nastran": "r", "off": "r", "ply": "rb", "tecplot": "r"}
+READ_ON = {"ansys": "rb", "gmsh": "rb", "mdpa": "rb", "nastran": "r", "off": "r", "ply": "rb",
+           "tecplot": "r"}
 """Formats whose readers go on at the end of the file, and the mode in which they open it."""
 
 PATIENCE = 1000
@@ -80,17 +82,31 @@ def read(path: Path, name: str) -> tuple[Any, list[str]]:
     TimeoutError    it took longer than a file of this size may
     Exception       anything at all, on a file that is broken
     """
-    from meshio._helpers import reader_map
-
     size = expect_counts(path, name)
     seconds = LEAST + size / RATE
-    with remarks() as said:
-        mesh = within(seconds, size, lambda: _read(reader_map[name], path, name))
+    try:
+        if name in apart.HDF5:
+            mesh, said = apart.call(_read_heard, path, name, seconds=seconds)
+        else:
+            with remarks() as said:
+                mesh = within(seconds, lambda: _read(path, name))
+    except TimeoutError as exc:
+        msg = f"it takes longer than {seconds:.3g} s, the limit for {size} bytes"
+        raise TimeoutError(msg) from exc
     expect_held(path, name, mesh)
     return mesh, said
 
 
-def _read(reader: Callable[[Any], Any], path: Path, name: str) -> Any:
+def _read_heard(path: Path, name: str) -> tuple[Any, list[str]]:
+    with remarks() as said:
+        return _read(path, name), said
+
+
+def _read(path: Path, name: str) -> Any:
+    from meshio._helpers import reader_map
+    from meshio.gmsh.main import read_buffer
+
+    reader = read_buffer if name == "gmsh" else reader_map[name]
     # A number that is none would become an index. The first bytes of an STL file of text, taken
     # for a number of triangles, overflow.
     with (
@@ -134,7 +150,7 @@ def _positional(found: re.Match[str]) -> str:
     return np.format_float_positional(number, trim="-")
 
 
-def within(seconds: float, size: int, work: Callable[[], Any]) -> Any:
+def within(seconds: float, work: Callable[[], Any]) -> Any:
     """Do work in a thread that is broken off after some time, and give what it returns.
 
     Raises
@@ -162,8 +178,7 @@ def within(seconds: float, size: int, work: Callable[[], Any]) -> Any:
     if failed:
         raise failed.pop()
     if not done:
-        msg = f"it takes longer than {seconds:.3g} s, the limit for {size} bytes"
-        raise TimeoutError(msg)
+        raise TimeoutError
     return done[0]
 
 

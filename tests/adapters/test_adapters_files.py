@@ -14,7 +14,7 @@ import numpy as np
 import pytest
 
 import odt_plugins
-from odt_plugins.adapters import apart, files
+from odt_plugins.adapters import files
 from odt_plugins.engine.run import driver
 from odt_plugins.errors import (
     DataNotKeptWarning,
@@ -275,10 +275,12 @@ def test_a_full_disk_leaves_the_old_file_and_no_open_handle(suffix, tmp_path):
 
 
 def test_a_writer_that_dies_is_an_error(tmp_path, monkeypatch):
-    monkeypatch.setattr(apart, "PROGRAM", "import os; os.kill(os.getpid(), 9)")
-    with pytest.raises(MeshFileError, match=r"the process that wrote it was ended by SIGKILL"):
-        files.write_file(tmp_path / "out.med", contract.file_mesh(".vtu", 3))
-    assert not list(tmp_path.iterdir())
+    (tmp_path / "h5py.py").write_text("import os\nos.kill(os.getpid(), 9)\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "out").mkdir()
+    with pytest.raises(MeshFileError, match=r"out\.med: its process was ended by SIGKILL"):
+        files.write_file(tmp_path / "out" / "out.med", contract.file_mesh(".vtu", 3))
+    assert not list((tmp_path / "out").iterdir())
 
 
 @pytest.mark.parametrize("suffix", [".xdmf", ".med", ".e"])
@@ -321,10 +323,12 @@ def test_formats_of_two_files_are_written_whole(tmp_path):
 
 
 def test_formats_that_need_another_package_name_it(tmp_path, monkeypatch):
-    monkeypatch.setitem(sys.modules, "h5py", None)
+    (tmp_path / "h5py.py").write_text("raise ModuleNotFoundError(name='h5py')\n")
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "out").mkdir()
     with pytest.raises(MissingDependencyError, match=r"\.xdmf files need the package h5py.*pip"):
-        files.write_file(tmp_path / "out.xdmf", contract.file_mesh(".vtu", 2))
-    assert not list(tmp_path.iterdir())
+        files.write_file(tmp_path / "out" / "out.xdmf", contract.file_mesh(".vtu", 2))
+    assert not list((tmp_path / "out").iterdir())
 
 
 def test_writing_does_not_change_the_mesh(tmp_path):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 import threading
 import time
@@ -14,7 +15,7 @@ import pytest
 from attack import damage
 from meshio._helpers import reader_map
 
-from odt_plugins.adapters import files, reading, stated
+from odt_plugins.adapters import apart, files, reading, stated
 from odt_plugins.errors import DataNotKeptWarning, MeshFileError, ODTError
 
 NO_DATA = ("h5m", "su2", "ugrid", "ugrid text")
@@ -174,6 +175,31 @@ def test_a_reader_that_does_not_end_is_broken_off(main, tmp_path, monkeypatch):
     for thread in set(threading.enumerate()) - before:
         thread.join(60)
         assert not thread.is_alive()
+
+
+def test_work_that_lets_no_other_thread_run_is_ended():
+    with pytest.raises(TimeoutError):
+        apart.call(re.match, "(a+)+$", 64 * "a" + "b", seconds=2.0)
+    assert apart.call(divmod, 7, 2) == (3, 1)
+    with pytest.raises(ZeroDivisionError):
+        apart.call(divmod, 7, 0)
+
+
+def test_an_hdf5_file_that_is_read_for_ever_is_broken_off(tmp_path, monkeypatch):
+    path = _stored("hmf", tmp_path)
+    # The global heap of the file is shifted by a byte: HDF5 walks through it for ever.
+    path.write_bytes(path.read_bytes().replace(b"0.1-alpha", b"0.1-alphaa", 1))
+    monkeypatch.setattr(reading, "LEAST", 3.0)
+    with pytest.raises(MeshFileError, match=r"cannot read .*mesh\.hmf as hmf"):
+        files.read_file(path)
+
+
+@pytest.mark.parametrize("count", ["100000", "1000000000000"])
+def test_tags_of_gmsh_data_that_are_not_there_end_with_the_file(count, tmp_path):
+    path = _stored("gmsh 2.2 text", tmp_path)
+    whole = path.read_text()
+    path.write_text(f'{whole}$NodeData\n1\n"t"\n{count}\n0.0\n')
+    assert "it ends too early" in _refused(path)
 
 
 def test_readings_in_threads_leave_the_streams_as_they_were(tmp_path, monkeypatch):
