@@ -27,7 +27,7 @@ from odt_plugins.mesh.surface import surface_mesh
 from odt_plugins.options import Options
 
 if TYPE_CHECKING:
-    from odt_plugins.engine.run.driver import Leaving, Outcome
+    from odt_plugins.engine.run.outcome import Leaving, Outcome
 
 
 class _Prepared(NamedTuple):

@@ -15,11 +15,12 @@ from odt_plugins.distributed.apply import told
 from odt_plugins.distributed.glue import Map, Traffic, Whole, labels, one_round
 from odt_plugins.distributed.local import executor
 from odt_plugins.engine.odt.density import make_density
-from odt_plugins.engine.odt.rounds import MODERATE
+from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import Figures
 from odt_plugins.engine.record.figures import figures as figures_of
-from odt_plugins.engine.run.driver import Leaving, Outcome, as_it_is, run
+from odt_plugins.engine.run.driver import run
 from odt_plugins.engine.run.judge import faults
+from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is
 from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
 from odt_plugins.mesh.arrays import IntArray
 from odt_plugins.mesh.simplex import SimplexMesh
@@ -256,7 +257,7 @@ def _start(mesh: SimplexMesh, options: Options) -> tuple[Whole, Options, float]:
 
 def first(options: Options, cells: int) -> Options:
     """Options of the first round: its blocks choose as the whole, of so many cells, would."""
-    if options.connectivity != "auto" or cells <= MODERATE:
+    if options.connectivity != "auto" or cells <= POLICY.exchange_cells:
         return options
     return replace(options, connectivity="flips")
 

@@ -21,6 +21,7 @@ from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.order import curve_order
 from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.engine.topology.stencil import make_topology
+from odt_plugins.engine.topology.triangles import Triangles
 from odt_plugins.generate.domain import Domain
 from odt_plugins.generate.refine2d import refine_triangles
 from odt_plugins.generate.rim import Rim, make_rim, move_rim, respaced, spaced
@@ -288,7 +289,7 @@ def finish(mesh: Mesh, phases: tuple[Phase, ...], near: BoolArray | None = None)
         touched = np.asarray(near[mesh.cells].any(axis=1))
     mesh.points, mesh.cells = mesh.points.copy(), mesh.cells.copy()
     finish2d(
-        mesh.points, mesh.cells, cell_neighbors(mesh.cells), regions, free,
+        Triangles(mesh.points, mesh.cells, cell_neighbors(mesh.cells), regions), free,
         movable_cells=touched, phases=phases,
     )
 

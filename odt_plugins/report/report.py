@@ -22,7 +22,7 @@ from odt_plugins.quality import QualitySummary, cell_figures, summarize
 from odt_plugins.report.binding import BindingCell, binding_cells
 
 if TYPE_CHECKING:
-    from odt_plugins.engine.run.driver import Outcome
+    from odt_plugins.engine.run.outcome import Outcome
 
 BINS = np.linspace(0.0, 1.0, 51)
 """Bins of the quality histograms, 0:0.02:1 as in Figs 6 and 10 of the paper."""

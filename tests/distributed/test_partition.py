@@ -11,6 +11,7 @@ import meshio
 import numpy as np
 import pytest
 import tet_meshes
+from policies import set_policy
 
 import odt_plugins
 from odt_plugins.compare.start import ball, plate, reordered, stored
@@ -203,7 +204,7 @@ def test_blocks_choose_their_flips_as_the_whole_would(small_blocks, monkeypatch)
     run_blocks(mesh, Options(), 4, 1, sees)
     assert seen[:4] == ["auto"] * 4
     seen.clear()
-    monkeypatch.setattr(blocks_module, "MODERATE", len(mesh.cells) - 1)
+    set_policy(monkeypatch, blocks_module, exchange_cells=len(mesh.cells) - 1)
     run_blocks(mesh, Options(), 4, 1, sees)
     run_blocks(mesh, Options(connectivity="delaunay"), 4, 1, sees)
     assert seen == ["flips"] * 4 + ["delaunay"] * 4

@@ -21,6 +21,7 @@ import tet_meshes
 from hypothesis import given
 from hypothesis import strategies as st
 from pieces import glued, write_pieces
+from policies import set_policy
 from scipy.spatial import Delaunay
 
 import odt_plugins
@@ -104,7 +105,7 @@ def test_pieces_choose_flips_and_rings_as_the_whole_would(tmp_path, monkeypatch)
     monkeypatch.setattr(pieces, "split", sees_rings)
     m = len(start.cells)
     for moderate, large in ((m, m // 2 + 1), (m - 1, m // 2)):
-        monkeypatch.setattr(blocks_module, "MODERATE", moderate)
+        set_policy(monkeypatch, blocks_module, exchange_cells=moderate)
         monkeypatch.setattr(partition, "LARGE", large)
         optimize_pieces(index, tmp_path / "out.pvtu", block_rounds=2)
     assert flips == ["auto", "auto", "flips", "flips"]

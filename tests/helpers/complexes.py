@@ -6,14 +6,13 @@ import numpy as np
 import pytest
 import tet_meshes as tm
 
-from odt_plugins.engine.cells.extremes import Bounds, Extremes
+from odt_plugins.engine.cells.extremes import FREELY, Bounds, Extremes
 from odt_plugins.engine.cells.tetrahedron import QUALITY, Cost
 from odt_plugins.engine.moves import compound
 from odt_plugins.engine.moves.passes import measures
 from odt_plugins.engine.topology.complex import make_complex
 from odt_plugins.engine.topology.tets import FREE
 
-FREELY = Extremes(0.0, 1.0, -1.0)
 OPEN = Bounds(FREELY, FREELY)
 
 

@@ -16,7 +16,7 @@ import quadratic_meshes
 import surface_meshes
 
 import odt_plugins
-from odt_plugins.engine.run.driver import Outcome
+from odt_plugins.engine.run.outcome import Outcome
 from odt_plugins.quality import radius_ratio
 
 THIRD = 1.0 / 3.0

@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from odt_plugins.engine.run.driver import Outcome
+from odt_plugins.engine.run.outcome import Outcome
 from odt_plugins.errors import MeshFileError, MissingDependencyError
 from odt_plugins.mesh.simplex import SimplexMesh, simplex_mesh
 from odt_plugins.options import Options

@@ -22,6 +22,10 @@ class Extremes(NamedTuple):
     small: float
 
 
+FREELY = Extremes(0.0, 1.0, -1.0)
+"""Extremes that every cell keeps."""
+
+
 class Bounds(NamedTuple):
     """What no new cell may pass, unless a cell that it replaces does.
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 
+from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.tetrahedron import MEAN_RATIO, QUALITY
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.topology.lookup import place_in
@@ -54,6 +55,13 @@ def triangle_shape(points: FloatArray, a: int, b: int, c: int) -> tuple[float, f
     cv = -(wx * ux + wy * uy) / (lw * lu)
     cw = -(ux * vx + uy * vy) / (lu * lv)
     return q, max(cu, cv, cw), min(cu, cv, cw)
+
+
+@kernel
+def triangle_extremes(points: FloatArray, a: int, b: int, c: int) -> Extremes:
+    """What :func:`triangle_shape` gives, as extremes."""
+    q, large, small = triangle_shape(points, a, b, c)
+    return Extremes(q, large, small)
 
 
 @kernel

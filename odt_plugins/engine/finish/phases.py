@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY, Cost
-from odt_plugins.engine.record.figures import MANY, SMALL_ANGLE
+from odt_plugins.engine.policy import POLICY
 from odt_plugins.options import Objective
 
 
@@ -27,8 +27,8 @@ class Phase:
         starts; None: than the input (d = 3)
     least : float or None
         no new cell gets a smaller angle, in degrees, unless one that it replaces has such an
-        angle, or more than the share MOST of the cells has; nor a smaller angle than all cells
-        have when the phase starts; None: than the input (d = 3)
+        angle, or many cells (``POLICY.many_small_angles``) have; nor a smaller angle than all
+        cells have when the phase starts; None: than the input (d = 3)
     enough : float
         of the cells whose measure reaches this only a tenth of the share is worked on (d = 3)
     """
@@ -80,9 +80,6 @@ ANGLES = Phase(2.0, 0.01, 2, 3, 3, DIHEDRAL, guard=0.01, enough=0.33)
 """For the smallest and largest angles, which radius ratios alone do not mind enough: those below
 about 25 degrees, or above 150."""
 
-MOST = 0.1
-"""Share of small angles up to which that is done: where there are more they are not what counts."""
-
 
 def bulk(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
     """Phases for the mean: every cell, a small p; with "amips" the sum of the energies."""
@@ -103,7 +100,7 @@ def with_angles(phases: tuple[Phase, ...]) -> tuple[Phase, ...]:
 
     Those after it make no new small angle, and win back what the angles cost.
     """
-    return phases[0], ANGLES, *(replace(phase, least=SMALL_ANGLE) for phase in phases[1:])
+    return phases[0], ANGLES, *(replace(phase, least=POLICY.small_angle) for phase in phases[1:])
 
 
 def polish(share: float) -> tuple[tuple[Phase, ...], ...]:
@@ -111,12 +108,13 @@ def polish(share: float) -> tuple[tuple[Phase, ...], ...]:
 
     Parameters
     ----------
-    share : part of the cells with an angle below SMALL_ANGLE
+    share : part of the cells with an angle below ``POLICY.small_angle``
     """
-    if not 0.0 < share <= MOST:
+    if not 0.0 < share <= POLICY.many_small_angles:
         return ()
-    worst = min(share, MANY)
-    after = Phase(4.0, 2.0 * min(8.0 * share, MANY), 2, 3, 3, guard=0.0, least=SMALL_ANGLE)
+    most, least = POLICY.counted_small_angles, POLICY.small_angle
+    worst = min(share, most)
+    after = Phase(4.0, 2.0 * min(8.0 * share, most), 2, 3, 3, guard=0.0, least=least)
     return (
         (Phase(2.0, worst, 2, 3, 3, DIHEDRAL, guard=1e-3), after),
         (Phase(4.0, worst, 2, 3, 3, DIHEDRAL, guard=0.0), after),

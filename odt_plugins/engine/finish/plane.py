@@ -1,7 +1,6 @@
-"""Planar finishing: descent of F_p = sum of m^-p by edge flips and vertex smoothing.
+"""Stage 2 in the plane: descent of F_p by edge flips and Newton steps.
 
 A small p over the whole mesh serves the mean, a large p near the worst triangles the minimum.
-Flips and moves lower the same sum, so neither undoes the other.
 """
 
 from __future__ import annotations
@@ -10,31 +9,29 @@ from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
+from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.triangle import triangle_measure
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import pieces
+from odt_plugins.engine.finish.descent import finish_phase
 from odt_plugins.engine.finish.phases import Phase, bulk, tail
+from odt_plugins.engine.finish.triangles import TriangleDescent
 from odt_plugins.engine.moves.flips2d import quality_flips
 from odt_plugins.engine.moves.newton2d import smooth_vertices_2d
+from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import cell_shapes
-from odt_plugins.engine.topology.active import spread
 from odt_plugins.engine.topology.coloring import run_chunks, vertex_coloring
-from odt_plugins.engine.topology.star import Stars, vertex_stars
+from odt_plugins.engine.topology.star import Stars
+from odt_plugins.engine.topology.triangles import Triangles
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
-
-SETTLED = 1e-3
-"""A vertex whose star gained less than this part of F_p does not wake its neighbours."""
 
 
 def finish2d(
-    points: FloatArray,
-    cells: IntArray,
-    neighbors: IntArray,
-    regions: IntArray,
-    movable: BoolArray,
+    mesh: Triangles,
+    free: BoolArray,
     *,
     movable_cells: BoolArray | None = None,
-    bounds: FloatArray | None = None,
+    bounds: Extremes | None = None,
     phases: tuple[Phase, ...] | None = None,
     pool: ThreadPoolExecutor | None = None,
     threads: int = 1,
@@ -43,14 +40,11 @@ def finish2d(
 
     Parameters
     ----------
-    points : (n, 2) float64       changed
-    cells : (m, 3) int32          counterclockwise; changed
-    neighbors : (m, 3) int32      cells across the edges, -1 at the boundary; changed
-    regions : (m,) int32          region labels; row t of the result has the label of row t
-    movable : (n,) bool           vertices that may move; none on the boundary or an interface
+    mesh : Triangles              changed
+    free : (n,) bool              vertices that may move; none on the boundary or an interface
     movable_cells : (m,) bool     an edge is flipped only between two such cells; None means all
-    bounds : (3,) float64         least radius ratio, largest and smallest cosine of an angle that
-                                  may appear where it was not before; None takes those of the mesh
+    bounds : Extremes             that may not appear where they were not before; None takes those
+                                  of the mesh
     phases : tuple of Phase       what is done, in order; None takes the whole schedule
     pool, threads                 see :func:`run_chunks`; the result does not depend on them
 
@@ -58,67 +52,57 @@ def finish2d(
     -------
     flips, moves : int            edges that were flipped, moves of vertices
     """
-    if len(cells) == 0:
+    if len(mesh.cells) == 0:
         return 0, 0
     if bounds is None:
-        shapes = cell_shapes(points, cells)
-        bounds = np.array([shapes[:, 0].min(), shapes[:, 1].max(), shapes[:, 2].min()])
+        shapes = cell_shapes(mesh.points, mesh.cells)
+        bounds = Extremes(
+            float(shapes[:, 0].min()), float(shapes[:, 1].max()), float(shapes[:, 2].min())
+        )
     flips = moves = 0
     for phase in bulk(2) + tail(2) if phases is None else phases:
-        m = np.empty(len(cells))
-        for first, last in pieces(0, len(cells)):
-            _measures(points, cells[first:last], phase.objective, m[first:last])
-        near = np.zeros(len(points), dtype=np.bool_)
-        near[cells[m <= np.quantile(m, phase.share)]] = True
-        pending = np.asarray(near[cells].any(axis=1))
-        more_flips, more_moves = _descend(points, cells, neighbors, regions, movable,
-                                          movable_cells, bounds, phase, pending, pool, threads)
-        flips += more_flips
-        moves += more_moves
+        done = finish_phase(
+            _PlaneDescent(mesh, phase, bounds, free, movable_cells, pool, threads), phase
+        )
+        flips += done[0]
+        moves += done[1]
     return flips, moves
 
 
-def _descend(
-    points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
-    movable: BoolArray, movable_cells: BoolArray | None, bounds: FloatArray, phase: Phase,
-    pending: BoolArray, pool: ThreadPoolExecutor | None, threads: int,
-) -> tuple[int, int]:
-    """Flip and smooth, in place, from the pending cells on, until nothing gains; counts both."""
-    flips = moves = 0
-    wanted = np.zeros(len(points), dtype=np.bool_)
-    wanted[cells[pending]] = True
-    moved = np.zeros(len(points))
-    for _ in range(phase.rounds):
-        changed = np.zeros(len(cells), dtype=np.bool_)
-        flips += quality_flips(points, cells, neighbors, regions, movable_cells, phase.power,
-                               bounds, seeds=pending, changed=changed, objective=phase.objective)
-        wanted[cells[changed]] = True
-        stars = vertex_stars(cells, len(points))
-        status = np.zeros(len(cells), dtype=np.uint8)
-        for _ in range(phase.sweeps):
-            moves += _sweep(points, cells, stars, wanted & movable, phase, bounds, moved, pool,
-                            threads)
-            spread(cells, stars.indptr, stars.indices, moved, SETTLED, wanted, status)
-        pending = status == 1
-        if not pending.any():
-            break
-    return flips, moves
+class _PlaneDescent(TriangleDescent):
+    """A planar mesh under one phase, see :class:`odt_plugins.engine.finish.descent.Descending`."""
 
+    gain = POLICY.plane_gain
 
-def _sweep(
-    points: FloatArray, cells: IntArray, stars: Stars, wanted: BoolArray, phase: Phase,
-    bounds: FloatArray, moved: FloatArray, pool: ThreadPoolExecutor | None, threads: int,
-) -> int:
-    """Smooth every wanted vertex once, block after block; returns how many moved."""
-    coloring = vertex_coloring(cells, wanted)
-    moved[:] = 0.0
+    def __init__(
+        self, mesh: Triangles, phase: Phase, bounds: Extremes, free: BoolArray,
+        movable_cells: BoolArray | None, pool: ThreadPoolExecutor | None, threads: int,
+    ) -> None:
+        super().__init__(mesh.points, mesh.cells, phase)
+        self.mesh, self.bounds, self.free = mesh, bounds, free
+        self.movable_cells, self.pool, self.threads = movable_cells, pool, threads
 
-    def work(start: int, stop: int) -> int:
-        return int(smooth_vertices_2d(points, cells, stars.indptr, stars.indices,
-                                      coloring.order, start, stop, phase.objective,
-                                      phase.power, bounds, moved))
+    def measures(self) -> FloatArray:
+        """Measure of every triangle, (m,)."""
+        m = np.empty(len(self.cells))
+        for first, last in pieces(0, len(self.cells)):
+            _measures(self.points, self.cells[first:last], self.phase.objective, m[first:last])
+        return m
 
-    return sum(run_chunks(pool, threads, coloring, work))
+    def flip_some(self, seeds: BoolArray, changed: BoolArray) -> int:
+        """Flip from the seeds on."""
+        return quality_flips(self.mesh, self.phase.cost, self.bounds,
+                             movable_cells=self.movable_cells, seeds=seeds, changed=changed)
+
+    def sweep(self, stars: Stars, active: BoolArray, moved: FloatArray) -> int:
+        """Smooth every active vertex once, block after block; returns how many moved."""
+        coloring = vertex_coloring(self.cells, active & self.free)
+
+        def work(start: int, stop: int) -> int:
+            return int(smooth_vertices_2d(self.points, self.cells, stars, coloring.order, start,
+                                          stop, self.phase.cost, self.bounds, moved))
+
+        return sum(run_chunks(self.pool, self.threads, coloring, work))
 
 
 @kernel

@@ -11,14 +11,12 @@ import numpy as np
 from odt_plugins.engine.cells.extremes import Bounds
 from odt_plugins.engine.finish.phases import Phase, polish
 from odt_plugins.engine.finish.volume import guarded
+from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import COS_SMALL, cell_shapes
 from odt_plugins.engine.record.memory import Memory
 from odt_plugins.engine.topology.complex import Complex
 from odt_plugins.engine.topology.part import Part, around, inside
 from odt_plugins.mesh.arrays import BoolArray, IntArray
-
-POLISHED = 4
-"""Rings of cells around small angles that are changed for their sake."""
 
 Settle = Callable[[Complex, tuple[Phase, ...], Bounds], None]
 """Runs phases of the finishing stage on a complex within bounds."""
@@ -55,7 +53,7 @@ def polish_small_angles(
     if work.skin is None:
         near = np.zeros(len(mesh.points), dtype=np.bool_)
         near[small] = True
-        part = around(mesh, near, POLISHED) or mesh
+        part = around(mesh, near, POLICY.polished_rings) or mesh
     more = work.count() / inside(part).count()
     for phases in passes:
         if not len(_small(inside(part), cut)):

@@ -11,12 +11,14 @@ import math
 
 import numpy as np
 
+from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.triangle import triangle_shape
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.moves.flips2d import GAIN, flip, number_edges
 from odt_plugins.engine.topology.lookup import place_in
-from odt_plugins.engine.topology.star import OffsetArray, vertex_stars
+from odt_plugins.engine.topology.star import Stars, vertex_stars
+from odt_plugins.engine.topology.triangles import EdgeNumbers, Triangles
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 
 MARGINS = (1e-2, 1e-4, 1e-6, 1e-8, 1e-10)
@@ -34,42 +36,39 @@ COMPASS = ((1.0, 0.0), (0.7, 0.7), (0.0, 1.0), (-0.7, 0.7),
 
 
 def within_bounds(
-    points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
-    movable: BoolArray, bounds: FloatArray,
+    mesh: Triangles, free: BoolArray, bounds: Extremes
 ) -> bool:
     """Move vertices and flip edges, in place, until no triangle is beyond the bounds.
 
     Parameters
     ----------
-    points : (n, 2) float64
-    cells : (m, 3) int32        counterclockwise
-    neighbors : (m, 3) int32    cell across the edge opposite each vertex, -1 at the boundary
-    regions : (m,) int32        no edge between two of them is flipped
-    movable : (n,) bool         vertices that may move
-    bounds : (3,) float64       least radius ratio, largest and smallest cosine of an angle
+    mesh : Triangles    changed
+    free : (n,) bool    vertices that may move
+    bounds : Extremes
 
     Returns
     -------
-    bool                        whether that was reached
+    bool                whether that was reached
     """
-    edges = number_edges(neighbors)
+    points, cells = mesh.points, mesh.cells
+    edges = number_edges(mesh.neighbors)
     for margin in MARGINS:
         for _ in range(ROUNDS):
             lacking = _lacking(points, cells, bounds)
             if not lacking.any():
                 return True
             for first, last in pieces(0, len(cells)):
-                _flips(points, cells, neighbors, regions, *edges, bounds, first, last)
+                _flips(mesh, edges, bounds, first, last)
             stars = vertex_stars(cells, len(points))
             lacking = _lacking(points, cells, bounds)
             near = np.zeros(len(points), dtype=np.bool_)
             near[cells[lacking > 0.0]] = True
             for _ in range(RINGS):
                 near[cells[near[cells].any(axis=1)]] = True
-            order = np.flatnonzero(near & movable).astype(np.int32)
+            order = np.flatnonzero(near & free).astype(np.int32)
             for _ in range(SWEEPS):
                 for first, last in pieces(0, len(order), costly=True):
-                    _search(points, cells, *stars, order[first:last], bounds, margin)
+                    _search(points, cells, stars, order[first:last], bounds, margin)
         lacking = _lacking(points, cells, bounds)
         if lacking.max() > margin * margin:
             break
@@ -78,19 +77,19 @@ def within_bounds(
 
 @kernel
 def _lack(
-    points: FloatArray, a: int, b: int, c: int, bounds: FloatArray, margin: float
+    points: FloatArray, a: int, b: int, c: int, bounds: Extremes, margin: float
 ) -> float:
     """What a triangle pays."""
     q, large, small = triangle_shape(points, a, b, c)
     if not q > 0.0:
         return math.inf
-    x = max(0.0, bounds[0] + margin - q)
-    y = max(0.0, large + margin - bounds[1])
-    z = max(0.0, bounds[2] + margin - small)
+    x = max(0.0, bounds.quality + margin - q)
+    y = max(0.0, large + margin - bounds.large)
+    z = max(0.0, bounds.small + margin - small)
     return x * x + y * y + z * z
 
 
-def _lacking(points: FloatArray, cells: IntArray, bounds: FloatArray) -> FloatArray:
+def _lacking(points: FloatArray, cells: IntArray, bounds: Extremes) -> FloatArray:
     """What every triangle pays without a margin, (m,)."""
     lacking = np.empty(len(cells))
     for first, last in pieces(0, len(cells)):
@@ -99,7 +98,7 @@ def _lacking(points: FloatArray, cells: IntArray, bounds: FloatArray) -> FloatAr
 
 
 @kernel
-def _lacks(points: FloatArray, cells: IntArray, bounds: FloatArray, lacking: FloatArray) -> None:
+def _lacks(points: FloatArray, cells: IntArray, bounds: Extremes, lacking: FloatArray) -> None:
     """What every triangle pays without a margin, which may be rounded."""
     for t in range(cells.shape[0]):
         pays = _lack(points, cells[t, 0], cells[t, 1], cells[t, 2], bounds, 0.0)
@@ -108,10 +107,10 @@ def _lacks(points: FloatArray, cells: IntArray, bounds: FloatArray, lacking: Flo
 
 @kernel
 def _flips(
-    points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
-    cell_edges: IntArray, edge_cell: IntArray, bounds: FloatArray, start: int, stop: int,
+    mesh: Triangles, edges: EdgeNumbers, bounds: Extremes, start: int, stop: int
 ) -> None:
     """Flip the edges of triangles beyond the bounds, once, where the two pay less then."""
+    points, cells, neighbors, regions = mesh
     for t in range(start, stop):
         for i in range(3):
             s = neighbors[t, i]
@@ -119,21 +118,22 @@ def _flips(
             here = _lack(points, a, b, c, bounds, 0.0)
             if s < 0 or regions[s] != regions[t] or here == 0.0:
                 continue
-            j = place_in(cell_edges, s, cell_edges[t, i])
+            j = place_in(edges.of_cell, s, edges.of_cell[t, i])
             d = cells[s, j]
             old = here + _lack(points, d, c, b, bounds, 0.0)
             new = _lack(points, a, b, d, bounds, 0.0) + _lack(points, a, d, c, bounds, 0.0)
             if new < (1.0 - GAIN) * old:
-                flip(cells, neighbors, cell_edges, edge_cell, t, i, s, j)
+                flip(cells, neighbors, edges, t, i, s, j)
                 break
 
 
 @kernel
 def _star_lack(
-    points: FloatArray, cells: IntArray, indptr: OffsetArray, indices: IntArray, vertex: int,
-    bounds: FloatArray, margin: float,
+    points: FloatArray, cells: IntArray, stars: Stars, vertex: int, bounds: Extremes,
+    margin: float,
 ) -> float:
     """What the star of a vertex pays."""
+    indptr, indices = stars
     total = 0.0
     for s in range(indptr[vertex], indptr[vertex + 1]):
         t = indices[s]
@@ -143,13 +143,14 @@ def _star_lack(
 
 @kernel
 def _search(
-    points: FloatArray, cells: IntArray, indptr: OffsetArray, indices: IntArray, order: IntArray,
-    bounds: FloatArray, margin: float,
+    points: FloatArray, cells: IntArray, stars: Stars, order: IntArray, bounds: Extremes,
+    margin: float,
 ) -> None:
     """Let every vertex of ``order`` look for a place where its star pays less, in place."""
+    indptr, indices = stars
     for o in range(order.shape[0]):
         v = order[o]
-        now = _star_lack(points, cells, indptr, indices, v, bounds, margin)
+        now = _star_lack(points, cells, stars, v, bounds, margin)
         if now == 0.0:
             continue
         x, y = points[v, 0], points[v, 1]
@@ -167,7 +168,7 @@ def _search(
             for k in range(len(COMPASS)):
                 points[v, 0] = x + step * COMPASS[k][0]
                 points[v, 1] = y + step * COMPASS[k][1]
-                there = _star_lack(points, cells, indptr, indices, v, bounds, margin)
+                there = _star_lack(points, cells, stars, v, bounds, margin)
                 if there < best:
                     best, to_x, to_y = there, points[v, 0], points[v, 1]
             if best == now:

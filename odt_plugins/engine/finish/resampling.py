@@ -15,24 +15,15 @@ import numpy as np
 from odt_plugins.engine.cells.extremes import Bounds
 from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.finish.phases import Phase, Resampling, after_resampling, resampling
-from odt_plugins.engine.finish.volume import RING
 from odt_plugins.engine.moves import insertion
-from odt_plugins.engine.moves.passes import grow, measures
+from odt_plugins.engine.moves.passes import NO_CELL, grow, measures
 from odt_plugins.engine.odt.rounds import Log
+from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import Figures, figures
 from odt_plugins.engine.topology.complex import Complex, make_complex
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
 from odt_plugins.mesh.numbering import most_vertices
 from odt_plugins.options import Objective
-
-ROUNDS = 3
-"""Rounds of insertion, each followed by finishing."""
-LESS = 0.1
-"""After a round that was taken back the next ones take this part of its cells."""
-
-NOISE = 1e-3
-NOISY_CELLS = 5
-"""How far the mean or the 1 % quantile may fall by insertion: NOISE + NOISY_CELLS / m."""
 
 
 @dataclass(kw_only=True)
@@ -98,14 +89,14 @@ def resample(
     for _ in range(step.passes):
         tried = np.concatenate([tried, np.zeros(len(mesh.cells) - len(tried), dtype=bool)])
         q = measures(mesh, step.objective)
-        count = 1 + int(scale * step.share * (q < 1.5).sum())
-        q[tried[: len(q)]] = 3.0
+        count = 1 + int(scale * step.share * (q < NO_CELL).sum())
+        q[tried[: len(q)]] = np.inf
         order = np.argsort(q, kind="stable")[:count].astype(np.int32)
         mesh.status[:] = 0
         for first, last in pieces(0, len(order), costly=True):
             taken += int(insertion.insertion_pass(
-                mesh.tets, mesh.first, mesh.stays, order[first:last], step.cost, RING, bounds,
-                tried,
+                mesh.tets, mesh.first, mesh.stays, order[first:last], step.cost,
+                POLICY.quality_ring, bounds, tried,
             ))
         if mesh.full:
             grow(mesh)
@@ -135,10 +126,10 @@ def resample_in_rounds(
     report : callable           is told the share that is done
     log : Log
     """
-    noise = NOISE + NOISY_CELLS / len(mesh.live())
+    noise = POLICY.insertion_noise + POLICY.insertion_noisy_cells / len(mesh.live())
     scale = 1.0
-    for done in range(ROUNDS):
-        report(done / ROUNDS)
+    for done in range(POLICY.insertion_rounds):
+        report(done / POLICY.insertion_rounds)
         changed = deepcopy(mesh)
         taken = sum(
             resample(changed, step, scale, limits(before)) for step in resampling(objective)
@@ -151,7 +142,7 @@ def resample_in_rounds(
             gains &= before.mean_quality - now.mean_quality <= noise
         if not gains:
             log.add("resamplings taken back", 1)
-            scale *= LESS
+            scale *= POLICY.insertion_less
             continue
         mesh = changed
         log.add("vertex operations", taken)

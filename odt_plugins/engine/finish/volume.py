@@ -1,4 +1,4 @@
-"""Stage 2: descent of F_p by flips and smoothing, first everywhere, then where cells are bad.
+"""Stage 2 in space: descent of F_p first everywhere, then where cells are bad.
 
 F_p is the sum over all cells of about q^-p, see ``tetrahedron.quality_cost``.  Both moves lower
 the same sum, so they cannot undo each other's work.  A small p serves the mean, a large p the
@@ -13,20 +13,21 @@ from functools import partial
 
 import numpy as np
 
-from odt_plugins.engine.cells.extremes import Bounds, Extremes
-from odt_plugins.engine.cells.tetrahedron import QUALITY, Cost
-from odt_plugins.engine.finish.phases import MOST, Phase
+from odt_plugins.engine.cells.extremes import Bounds
+from odt_plugins.engine.cells.tetrahedron import QUALITY
+from odt_plugins.engine.finish.descent import finish_phase
+from odt_plugins.engine.finish.phases import Phase
 from odt_plugins.engine.finish.plane import finish2d
-from odt_plugins.engine.moves import compound
-from odt_plugins.engine.moves import newton3d as smooth3d
-from odt_plugins.engine.moves.passes import flip_pending, grow, measures
+from odt_plugins.engine.moves.compound import compound_pass
+from odt_plugins.engine.moves.newton3d import smooth_vertices
+from odt_plugins.engine.moves.passes import NO_CELL, flip_pending, grow, measures
+from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import cell_shapes
 from odt_plugins.engine.sliding.skin import flip_skin, slide
 from odt_plugins.engine.topology.active import (
     DONE,
     PENDING,
     around_vertices,
-    spread,
     vertices_of_pending,
 )
 from odt_plugins.engine.topology.coloring import run_chunks, touching_blocks, vertex_coloring
@@ -34,18 +35,13 @@ from odt_plugins.engine.topology.complex import Complex, slot_stars
 from odt_plugins.engine.topology.slabs import side_by_side
 from odt_plugins.engine.topology.star import Stars
 from odt_plugins.engine.topology.tets import Tets
-from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
-
-GAIN = 3e-3
-RING = 10
-WORTH_COMPOUND = 0.01
-"""Part of the cells from which on compound moves, slower than flips, are made in slabs."""
-
+from odt_plugins.engine.topology.triangles import Triangles
+from odt_plugins.mesh.arrays import BoolArray, ByteArray, FloatArray, IntArray
 
 
 def worst_count(q: FloatArray, phase: Phase) -> int:
     """How many cells a phase starts from, besides the best of all; ``q`` as of :func:`measures`."""
-    cells = int((q < 1.5).sum())
+    cells = int((q < NO_CELL).sum())
     most = min(int(phase.share * cells + 1e-6), cells - 1)
     return min(most, max(most // 10, int((q < phase.enough).sum())))
 
@@ -65,13 +61,104 @@ def guarded(
         cosines = cell_shapes(mesh.points, cells)[:, 1]
         least = math.cos(math.radians(phase.least))
         reached = cosines.max()
-        few = (cosines > least).mean() <= MOST
+        few = (cosines > least).mean() <= POLICY.many_small_angles
         bounds = bounds.with_large(min(least, reached) if few else reached)
     if phase.guard is not None:
         q = measures(mesh, QUALITY, pool)
-        reached = np.quantile(q[q < 1.5], phase.guard)
+        reached = np.quantile(q[q < NO_CELL], phase.guard)
         bounds = bounds.with_quality(max(bounds.cells.quality, reached))
     return bounds
+
+
+class _VolumeDescent:
+    """Tetrahedra under one phase, see :class:`odt_plugins.engine.finish.descent.Descending`."""
+
+    gain = POLICY.volume_gain
+
+    def __init__(
+        self, mesh: Complex, phase: Phase, bounds: Bounds, pool: ThreadPoolExecutor | None,
+        threads: int,
+    ) -> None:
+        self.mesh, self.phase, self.bounds = mesh, phase, bounds
+        self.pool, self.threads = pool, threads
+        self.zone = ~mesh.locked
+        self.touch: BoolArray | None = None
+
+    @property
+    def points(self) -> FloatArray:
+        """Coordinates (n, 3)."""
+        return self.mesh.points
+
+    @property
+    def cells(self) -> IntArray:
+        """Slots in use, (k, 4)."""
+        return self.mesh.cells[: self.mesh.used]
+
+    @property
+    def status(self) -> ByteArray:
+        """Whether flips are to be tried at a slot."""
+        return self.mesh.status
+
+    def worst(self) -> BoolArray:
+        """Make the worst cells pending; the vertices of all cells that touch them move first.
+
+        A phase that starts from every cell moves every vertex.
+        """
+        mesh, cells = self.mesh, self.cells
+        q = measures(mesh, self.phase.objective, self.pool)
+        used = len(q)
+        mesh.status[:] = 0
+        if mesh.skin is not None:
+            mesh.skin.allow(self.phase.share < 1.0)
+        if self.phase.share == 1.0:
+            mesh.status[:used][q < NO_CELL] = PENDING
+            return np.ones(len(mesh.points), dtype=np.bool_)
+        count = worst_count(q, self.phase)
+        bad = q < np.partition(q, count)[count]
+        touched = np.zeros(len(mesh.points), dtype=np.bool_)
+        touched[cells[bad].ravel()] = True
+        active = np.zeros(len(mesh.points), dtype=np.bool_)
+        around_vertices(cells, touched, mesh.status)
+        vertices_of_pending(cells, mesh.status, active)
+        mesh.status[:used][~bad] = 0
+        self.zone &= active
+        return active
+
+    def flip(self, active: BoolArray) -> int:
+        """Flip edges of a surface that slides, then inside; returns the number of flips."""
+        mesh = self.mesh
+        flips = _flip_surface(mesh, self.phase, self.bounds)
+        flips += flip_pending(
+            mesh, self.phase.cost, POLICY.quality_ring, self.bounds, POLICY.quality_passes,
+            self.pool,
+        )
+        mesh.status[mesh.status == DONE] = 0
+        return flips
+
+    def stars(self) -> Stars:
+        """Stars of all vertices; also which blocks of them touch, for the sweeps."""
+        self.touch = touching_blocks(self.cells, self.zone, self.pool)
+        return slot_stars(self.mesh, self.pool)
+
+    def sweep(self, stars: Stars, active: BoolArray, moved: FloatArray) -> int:
+        """Smooth the active vertices once, those of a surface that slides after the others."""
+        mesh, phase, limit = self.mesh, self.phase, self.bounds.cells
+        coloring = vertex_coloring(self.cells, active & self.zone, self.touch)
+
+        def work(start: int, stop: int) -> int:
+            return int(smooth_vertices(
+                mesh.points, self.cells, stars, coloring.order, start, stop, phase.cost, limit,
+                moved,
+            ))
+
+        moves = sum(run_chunks(self.pool, self.threads, coloring, work))
+        if mesh.skin is not None:
+            moves += slide(mesh, mesh.skin, stars, active, phase.cost, limit, moved)
+        return moves
+
+    def settled(self, flips: int, woke: int) -> bool:
+        """Whether the last round changed nothing that matters."""
+        return flips == 0 and woke == 0
 
 
 def descend(
@@ -81,49 +168,9 @@ def descend(
     pool: ThreadPoolExecutor | None,
     threads: int,
 ) -> tuple[int, int]:
-    """Lower F_p by flips and smoothing; returns the numbers of flips and of vertex moves."""
+    """One phase with its compound moves; returns the numbers of flips and of vertex moves."""
     bounds = guarded(mesh, phase, bounds, pool)
-    q = measures(mesh, phase.objective, pool)
-    used = len(q)
-    mesh.status[:] = 0
-    active = np.zeros(len(mesh.points), dtype=bool)
-    if phase.share < 1.0:
-        count = worst_count(q, phase)
-        bad = q < np.partition(q, count)[count]
-        touched = np.zeros(len(mesh.points), dtype=bool)
-        touched[mesh.cells[:used][bad].ravel()] = True
-        around_vertices(mesh.cells[:used], touched, mesh.status)
-        vertices_of_pending(mesh.cells[:used], mesh.status, active)
-        mesh.status[:used][~bad] = 0
-    else:
-        mesh.status[:used][q < 1.5] = PENDING
-        active[:] = True
-    zone = ~mesh.locked if phase.share == 1.0 else active & ~mesh.locked
-    moved = np.zeros(len(mesh.points))
-    if mesh.skin is not None:
-        mesh.skin.allow(phase.share < 1.0)
-    flips = moves = 0
-    for _ in range(phase.rounds):
-        round_flips = _flip_surface(mesh, phase, bounds)
-        round_flips += flip_pending(mesh, phase.cost, RING, bounds, 4, pool)
-        flips += round_flips
-        mesh.status[mesh.status == DONE] = 0
-        stars = slot_stars(mesh, pool)
-        cells = mesh.cells[: mesh.used]
-        touch = touching_blocks(cells, zone, pool)
-        pushed = 0
-        for _ in range(phase.sweeps):
-            coloring = vertex_coloring(cells, active & zone, touch)
-            moved[:] = 0.0
-            work = partial(
-                _smooth_chunk, mesh, stars, coloring.order, phase.cost, bounds.cells, moved
-            )
-            moves += sum(run_chunks(pool, threads, coloring, work))
-            if mesh.skin is not None:
-                moves += slide(mesh, mesh.skin, stars, active, phase.cost, bounds.cells, moved)
-            pushed = spread(cells, stars.indptr, stars.indices, moved, GAIN, active, mesh.status)
-        if pushed == 0 and round_flips == 0:
-            break
+    flips, moves = finish_phase(_VolumeDescent(mesh, phase, bounds, pool, threads), phase)
     tried = np.zeros(0, dtype=bool)
     for _ in range(phase.compound):
         tried = np.concatenate([tried, np.zeros(len(mesh.cells) - len(tried), dtype=bool)])
@@ -145,16 +192,6 @@ def _flip_surface(mesh: Complex, phase: Phase, bounds: Bounds) -> int:
     return flips
 
 
-def _smooth_chunk(
-    mesh: Complex, stars: Stars, order: IntArray, cost: Cost, limit: Extremes, moved: FloatArray,
-    start: int, stop: int,
-) -> int:
-    """Smooth the vertices order[start:stop]."""
-    return int(smooth3d.smooth_vertices(
-        mesh.points, mesh.cells, stars, order, start, stop, cost, limit, moved
-    ))
-
-
 def compound_moves(
     mesh: Complex, phase: Phase, bounds: Bounds, tried: BoolArray, pool: ThreadPoolExecutor | None
 ) -> int:
@@ -165,7 +202,7 @@ def compound_moves(
     order = worst[np.argsort(q[worst], kind="stable")].astype(np.int32)
     mesh.status[:] = 0
     work = partial(_compound_part, phase, bounds, tried)
-    taken = side_by_side(mesh, order, pool, work, WORTH_COMPOUND, costly=True)
+    taken = side_by_side(mesh, order, pool, work, POLICY.slabs_worth, costly=True)
     if mesh.full:
         grow(mesh)
     return taken
@@ -175,7 +212,9 @@ def _compound_part(
     phase: Phase, bounds: Bounds, tried: BoolArray, order: IntArray, tets: Tets
 ) -> int:
     """Try compound moves at the cells of one slab."""
-    return int(compound.compound_pass(tets, order, phase.cost, RING, bounds, tried))
+    return int(compound_pass(
+        tets, order, phase.cost, POLICY.quality_ring, bounds, tried
+    ))
 
 
 def finish(
@@ -200,8 +239,8 @@ def finish(
     """
     if mesh.dim == 2:
         return finish2d(
-            mesh.points, mesh.cells, mesh.neighbors, mesh.regions, ~mesh.locked,
-            bounds=np.array(bounds.cells), phases=phases, pool=pool, threads=threads,
+            Triangles(mesh.points, mesh.cells, mesh.neighbors, mesh.regions), ~mesh.locked,
+            bounds=bounds.cells, phases=phases, pool=pool, threads=threads,
         )
     flips = moves = 0
     for phase in phases:

@@ -9,6 +9,7 @@ from odt_plugins.engine.ground.closest import Ground
 from odt_plugins.engine.ground.features import Features
 from odt_plugins.engine.ground.sheet import Sheet
 from odt_plugins.engine.topology.star import Stars
+from odt_plugins.engine.topology.triangles import EdgeNumbers
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.surface import Edges
 
@@ -60,7 +61,8 @@ def make_sheet(
     edge_cell = np.zeros(len(edges.degree), dtype=np.int32)
     edge_cell[edges.of_cell] = np.arange(m, dtype=np.int32)[:, None]
     return Sheet(
-        points.copy(), triangles.copy(), edges.neighbors.copy(), edges.of_cell.copy(), edge_cell,
+        points.copy(), triangles.copy(), edges.neighbors.copy(),
+        EdgeNumbers(edges.of_cell.copy(), edge_cell),
         locked, features.kind, features.pinched, foot, first, following,
         np.full(1, -1, dtype=np.int32),
     )

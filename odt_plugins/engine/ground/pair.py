@@ -12,8 +12,8 @@ from odt_plugins.engine.topology.lookup import place_in
 @kernel
 def flip_back(sheet: Sheet, t: int, s: int, e: int) -> None:
     """Undo a flip: flipped again, the edge is as before, and the two triangles change places."""
-    i, j = place_in(sheet.cell_edges, t, e), place_in(sheet.cell_edges, s, e)
-    flip(sheet.triangles, sheet.neighbors, sheet.cell_edges, sheet.edge_cell, t, i, s, j)
+    i, j = place_in(sheet.edges.of_cell, t, e), place_in(sheet.edges.of_cell, s, e)
+    flip(sheet.triangles, sheet.neighbors, sheet.edges, t, i, s, j)
     sheet.first[t], sheet.first[s] = sheet.first[s], sheet.first[t]
 
 

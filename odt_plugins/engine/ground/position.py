@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
-from odt_plugins.engine.cells.bounds import relaxed
+from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
 from odt_plugins.engine.cells.triangle import triangle_in_space
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import Ground, walk
 from odt_plugins.engine.ground.lines import Lines, line_direction, line_is_near, on_line
 from odt_plugins.engine.ground.sheet import (
     LINE,
+    Guards,
     Limits,
     Sheet,
     Work,
@@ -18,8 +20,7 @@ from odt_plugins.engine.ground.sheet import (
     normal_cosine,
     star_fits,
 )
-from odt_plugins.engine.topology.star import OffsetArray
-from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.engine.topology.star import Stars
 
 HALVINGS = 6
 """Step lengths alpha = 1, 1/2, 1/4, ... tried for one vertex."""
@@ -30,18 +31,38 @@ DECREASE = 1e-6
 ARMIJO = 1e-4
 """Part of the decrease that the slope predicts which a step must reach."""
 
+NO_COST = 0.0
+"""In the place of the power of F_p: a move need not lower it."""
+
 APART = 0.05
 """Part of the way between its neighbours on the line that a vertex keeps from each."""
 
 
+class Step(NamedTuple):
+    """Where a vertex is to go.
+
+    Attributes
+    ----------
+    x, y, z : float     in space
+    along : float       along the feature line of a vertex that is on one
+    before : float      F_p of the star before
+    slope : float       derivative of F_p along the step
+    """
+
+    x: float
+    y: float
+    z: float
+    along: float
+    before: float
+    slope: float
+
+
 @kernel
-def star_normal(
-    sheet: Sheet, indptr: OffsetArray, indices: IntArray, vertex: int
-) -> tuple[float, float, float]:
+def star_normal(sheet: Sheet, stars: Stars, vertex: int) -> tuple[float, float, float]:
     """Unit normal of a star, area-weighted; 0 when there is none."""
     x = y = z = 0.0
-    for s in range(indptr[vertex], indptr[vertex + 1]):
-        c = indices[s]
+    for s in range(stars.indptr[vertex], stars.indptr[vertex + 1]):
+        c = stars.indices[s]
         t = sheet.triangles
         _, _, _, nx, ny, nz = triangle_in_space(sheet.points, t[c, 0], t[c, 1], t[c, 2])
         x += nx
@@ -68,22 +89,30 @@ def axis_across(nx: float, ny: float, nz: float) -> tuple[float, float, float]:
 
 @kernel
 def star_shape(
-    sheet: Sheet, indptr: OffsetArray, indices: IntArray, vertex: int, power: float
-) -> tuple[float, float, float, float]:
-    """F_p, worst radius ratio, cosines of the smallest and of the largest angle of a star."""
+    sheet: Sheet, stars: Stars, vertex: int, power: float
+) -> tuple[float, Extremes]:
+    """F_p of a star, and its extremes."""
     total = 0.0
-    worst = 1.0
-    large = -1.0
-    small = 1.0
+    found = Extremes(1.0, -1.0, 1.0)
     t = sheet.triangles
-    for s in range(indptr[vertex], indptr[vertex + 1]):
-        c = indices[s]
-        q, hi, lo, _, _, _ = triangle_in_space(sheet.points, t[c, 0], t[c, 1], t[c, 2])
+    for s in range(stars.indptr[vertex], stars.indptr[vertex + 1]):
+        c = stars.indices[s]
+        q, large, small, _, _, _ = triangle_in_space(sheet.points, t[c, 0], t[c, 1], t[c, 2])
         total += q**-power if q > 0.0 else math.inf
-        worst = min(worst, q)
-        large = max(large, hi)
-        small = min(small, lo)
-    return total, worst, large, small
+        found = worse(found, Extremes(q, large, small))
+    return total, found
+
+
+@kernel
+def along_line(
+    sheet: Sheet, lines: Lines, vertex: int, dx: float, dy: float, dz: float
+) -> float:
+    """Length of a step along the feature line of a vertex, 0 for one that is on none."""
+    slot = lines.slot[vertex]
+    if slot < 0:
+        return 0.0
+    ex, ey, ez = line_direction(lines, sheet.points, slot)
+    return dx * ex + dy * ey + dz * ez
 
 
 @kernel
@@ -111,67 +140,70 @@ def put_vertex(
 
 @kernel
 def least_cosine(
-    sheet: Sheet, ground: Ground, indptr: OffsetArray, indices: IntArray, vertex: int,
-    limits: Limits,
+    sheet: Sheet, ground: Ground, stars: Stars, vertex: int, limits: Limits
 ) -> float:
     """The limit for normals, or less where the star does not keep it as it is."""
     t = sheet.triangles
     least = limits.cosine
-    for s in range(indptr[vertex], indptr[vertex + 1]):
-        c = indices[s]
+    for s in range(stars.indptr[vertex], stars.indptr[vertex + 1]):
+        c = stars.indices[s]
         least = min(least, normal_cosine(sheet, ground, t[c, 0], t[c, 1], t[c, 2]))
     return least
 
 
 @kernel
 def try_move(
-    sheet: Sheet, ground: Ground, lines: Lines, indptr: OffsetArray, indices: IntArray,
-    vertex: int, dx: float, dy: float, dz: float, limits: Limits, power: float, cost: float,
-    slope: float, bounds: FloatArray, work: Work,
+    sheet: Sheet, guards: Guards, stars: Stars, vertex: int, step: Step, power: float,
+    bounds: Extremes, work: Work,
 ) -> float:
-    """Move a vertex by alpha d, alpha = 1, 1/2, ..., until every guard agrees.
+    """Move a vertex by alpha times a step, alpha = 1, 1/2, ..., until every guard agrees.
+
+    Parameters
+    ----------
+    stars : Stars        of the sheet
+    step : Step
+    power : float        p of the sum F_p that must fall, or NO_COST
+    bounds : Extremes    that the star may not pass unless it does already
 
     Returns
     -------
-    float      alpha, 0 when the vertex stayed; ``power`` = 0 asks for no decrease of F_p
+    float      alpha, 0 when the vertex stayed
     """
+    ground, lines, limits = guards
     p = sheet.points
     x, y, z, foot = p[vertex, 0], p[vertex, 1], p[vertex, 2], sheet.foot[vertex]
     slot = lines.slot[vertex]
     place = lines.place[slot] if slot >= 0 else 0.0
-    length = 0.0
-    if slot >= 0:
-        ex, ey, ez = line_direction(lines, p, slot)
-        length = dx * ex + dy * ey + dz * ez
-    _, worst, large, small = star_shape(sheet, indptr, indices, vertex, 1.0)
-    least, most, fewest = relaxed(bounds, worst, large, small)
+    _, here = star_shape(sheet, stars, vertex, 1.0)
+    limit = worse(bounds, here)
     floor = 2.0
     alpha = 1.0
     for _ in range(HALVINGS + 1):
         good = put_vertex(
-            sheet, ground, lines, vertex, x + alpha * dx, y + alpha * dy, z + alpha * dz,
-            alpha * length, limits.line,
+            sheet, ground, lines, vertex, x + alpha * step.x, y + alpha * step.y,
+            z + alpha * step.z, alpha * step.along, limits.line,
         )
         if good:
-            there, worst, large, small = star_shape(sheet, indptr, indices, vertex, power)
-            good = worst >= least and large <= most and small >= fewest
-            if power > 0.0:
+            there, found = star_shape(sheet, stars, vertex, power)
+            good = keeps(found, limit)
+            if power != NO_COST:
                 good = good and (
-                    there <= cost + ARMIJO * alpha * slope and there < (1.0 - DECREASE) * cost
+                    there <= step.before + ARMIJO * alpha * step.slope
+                    and there < (1.0 - DECREASE) * step.before
                 )
         if good:
             number = star_fits(
-                sheet, ground, indptr, indices, vertex, limits, min(floor, limits.cosine), work
+                sheet, ground, stars, vertex, limits, min(floor, limits.cosine), work
             )
             if number >= 0:
-                cover(sheet, indptr[vertex + 1] - indptr[vertex], number, work)
+                cover(sheet, stars.indptr[vertex + 1] - stars.indptr[vertex], number, work)
                 return alpha
         if slot >= 0:
             lines.place[slot] = place
         sheet.foot[vertex] = foot
         if good and floor > 1.0:
             p[vertex, 0], p[vertex, 1], p[vertex, 2] = x, y, z
-            floor = least_cosine(sheet, ground, indptr, indices, vertex, limits)
+            floor = least_cosine(sheet, ground, stars, vertex, limits)
         alpha *= 0.5
     p[vertex, 0], p[vertex, 1], p[vertex, 2] = x, y, z
     return 0.0

@@ -10,9 +10,11 @@ import numpy as np
 from odt_plugins.engine.cells.triangle import triangle_in_space
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import Ground, closest_on_triangle, walk
+from odt_plugins.engine.ground.lines import Lines
 from odt_plugins.engine.ground.trace import edge_is_near
 from odt_plugins.engine.topology.lookup import place_in
-from odt_plugins.engine.topology.star import OffsetArray
+from odt_plugins.engine.topology.star import Stars
+from odt_plugins.engine.topology.triangles import EdgeNumbers
 from odt_plugins.errors import endless_walk
 from odt_plugins.mesh.arrays import BoolArray, ByteArray, FloatArray, IntArray
 
@@ -29,8 +31,7 @@ class Sheet(NamedTuple):
     triangles : (m, 3) int32        oriented alike across every edge of two triangles
     neighbors : (m, 3) int32        triangle across the edge opposite to a corner, -1 at the rim
                                     and at edges of more than two triangles
-    cell_edges : (m, 3) int32       number of that edge
-    edge_cell : (e,) int32          a triangle of every edge
+    edges : EdgeNumbers                   their numbers
     locked : (e,) bool              edges that stay: features, rims, borders of labels
     kind : (n,) uint8               SMOOTH, LINE or HELD
     pinched : (n,) bool             vertices around which the triangles form more than one fan
@@ -43,8 +44,7 @@ class Sheet(NamedTuple):
     points: FloatArray
     triangles: IntArray
     neighbors: IntArray
-    cell_edges: IntArray
-    edge_cell: IntArray
+    edges: EdgeNumbers
     locked: BoolArray
     kind: ByteArray
     pinched: BoolArray
@@ -97,6 +97,21 @@ class Limits(NamedTuple):
     distance: float
     line: float
     cosine: float
+
+
+class Guards(NamedTuple):
+    """What every move of a vertex on a surface must heed.
+
+    Attributes
+    ----------
+    ground : Ground    the surface as it was
+    lines : Lines      its feature lines
+    limits : Limits
+    """
+
+    ground: Ground
+    lines: Lines
+    limits: Limits
 
 
 @kernel
@@ -192,14 +207,14 @@ def cover(sheet: Sheet, count: int, number: int, work: Work) -> None:
 
 @kernel
 def star_fits(
-    sheet: Sheet, ground: Ground, indptr: OffsetArray, indices: IntArray, vertex: int,
-    limits: Limits, least: float, work: Work,
+    sheet: Sheet, ground: Ground, stars: Stars, vertex: int, limits: Limits, least: float,
+    work: Work,
 ) -> int:
     """Check the star of a vertex against the ground.
 
     Parameters
     ----------
-    indptr, indices      stars of the sheet
+    stars : Stars        of the sheet
     vertex : int
     limits : Limits
     least : float        least cosine of a normal that is asked for
@@ -210,10 +225,10 @@ def star_fits(
     int                  rows of the pool, or -1 when the star leaves the limits
     """
     t, cells = sheet.triangles, work.cells
-    start = indptr[vertex]
-    count = indptr[vertex + 1] - start
+    start = stars.indptr[vertex]
+    count = stars.indptr[vertex + 1] - start
     for s in range(count):
-        c = indices[start + s]
+        c = stars.indices[start + s]
         cells[s] = c
         if normal_cosine(sheet, ground, t[c, 0], t[c, 1], t[c, 2]) < least:
             return -1
@@ -221,7 +236,7 @@ def star_fits(
         c = cells[s]
         i = place_in(t, c, vertex)
         # every edge of the vertex that has two triangles leaves one of them behind its corner
-        if sheet.locked[sheet.cell_edges[c, (i + 2) % 3]]:
+        if sheet.locked[sheet.edges.of_cell[c, (i + 2) % 3]]:
             continue
         if not joined(sheet, ground, vertex, t[c, (i + 1) % 3], limits.distance):
             return -1

@@ -7,15 +7,17 @@ arrays are the only thing to update and a later pass can start from what changed
 from __future__ import annotations
 
 from collections.abc import Callable
+from typing import NamedTuple
 
 import numpy as np
 
-from odt_plugins.engine.cells.bounds import relaxed
-from odt_plugins.engine.cells.tetrahedron import QUALITY
-from odt_plugins.engine.cells.triangle import triangle_measure, triangle_shape
+from odt_plugins.engine.cells.extremes import FREELY, Extremes, keeps, worse
+from odt_plugins.engine.cells.tetrahedron import ENERGY, QUALITY, Cost
+from odt_plugins.engine.cells.triangle import triangle_extremes, triangle_measure, triangle_shape
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import PIECE
 from odt_plugins.engine.topology.lookup import place_in
+from odt_plugins.engine.topology.triangles import EdgeNumbers, Triangles
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
 
 FLAT = 1e-12
@@ -27,7 +29,6 @@ GAIN = 1e-9
 FLIPS = 100
 """Most flips an edge, on average, before a queue is left as it is: exact sums fall with every flip,
 rounded ones of flat triangles may go round in a circle."""
-
 
 def lawson_flips(
     points: FloatArray,
@@ -67,101 +68,127 @@ def lawson_flips(
     ----------
     L. Chen, M. Holst, CMAME 200 (2011) 967-984, Sections 3.1 and 5.
     """
+    mesh = Triangles(points, cells, neighbors, regions)
     guard = np.zeros(len(points), dtype=np.bool_) if fixed is None else fixed
-    changed = np.zeros(len(cells), dtype=np.bool_)
-    return _run(points, cells, neighbors, regions, active, None, guard, QUALITY, 0.0,
-                np.array([fixed_floor, 1.0, -1.0]), not one_sweep, changed)
+    limit = FREELY._replace(quality=fixed_floor)
+    rule = Rule(Cost(ENERGY, 1.0), limit, _or_all(active, cells), guard, not one_sweep)
+    return _run(mesh, rule, None, np.zeros(len(cells), dtype=np.bool_))
 
 
 def quality_flips(
-    points: FloatArray,
-    cells: IntArray,
-    neighbors: IntArray,
-    regions: IntArray,
-    movable_cells: BoolArray | None = None,
-    power: float = 2.0,
-    bounds: FloatArray | None = None,
+    mesh: Triangles,
+    cost: Cost,
+    bounds: Extremes = FREELY,
     *,
+    movable_cells: BoolArray | None = None,
     seeds: BoolArray | None = None,
     changed: BoolArray | None = None,
-    objective: int = QUALITY,
 ) -> int:
     """Flip edges, in place, while the sum of m^-p over the two triangles falls.
 
     Parameters
     ----------
-    points, cells, neighbors, regions    as for :func:`lawson_flips`
+    mesh : Triangles            changed
+    cost : Cost                 measure m, see ``triangle_measure``, and p > 0
+    bounds : Extremes           a flip that passes one of them and is worse there than the pair it
+                                replaces is refused
     movable_cells : (m,) bool   an edge is flipped only between two such cells; None means all
-    power : float               p > 0
-    bounds : (3,) float64       least radius ratio, largest and smallest cosine of an angle; a flip
-                                that passes one of them and is worse there than the pair it
-                                replaces is refused; None means no bounds
     seeds : (m,) bool           the first edges looked at are those of these cells; None means all
     changed : (m,) bool         set, in place, where a cell was replaced
-    objective : int             measure m, see ``triangle_measure``; q of (5.1) unless given
 
     Returns
     -------
     int                         number of flips
     """
-    if bounds is None:
-        bounds = np.array([0.0, 1.0, -1.0])
     if changed is None:
-        changed = np.zeros(len(cells), dtype=np.bool_)
-    nothing = np.zeros(len(points), dtype=np.bool_)
-    return _run(points, cells, neighbors, regions, movable_cells, seeds, nothing, objective, power,
-                bounds, True, changed)
+        changed = np.zeros(len(mesh.cells), dtype=np.bool_)
+    guard = np.zeros(len(mesh.points), dtype=np.bool_)
+    rule = Rule(cost, bounds, _or_all(movable_cells, mesh.cells), guard, True)
+    return _run(mesh, rule, seeds, changed)
 
 
-def _run(
-    points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
-    active: BoolArray | None, seeds: BoolArray | None, fixed: BoolArray,
-    objective: int, power: float, bounds: FloatArray, repeat: bool, changed: BoolArray,
-) -> int:
+def _or_all(chosen: BoolArray | None, cells: IntArray) -> BoolArray:
+    return np.ones(len(cells), dtype=np.bool_) if chosen is None else chosen
+
+
+class Rule(NamedTuple):
+    """Which edges are flipped.
+
+    Attributes
+    ----------
+    cost : Cost           the energy of ODT, or a measure and p of the sum of m^-p that must fall
+    limit : Extremes      that no new triangle passes; for the energy its quality is the least of
+                          one of guarded vertices
+    active : (m,) bool    both cells of an edge must be such
+    guarded : (n,) bool   vertices that never move
+    repeat : bool         look again at the edges around one that was flipped
+    """
+
+    cost: Cost
+    limit: Extremes
+    active: BoolArray
+    guarded: BoolArray
+    repeat: bool
+
+
+class Queue(NamedTuple):
+    """EdgeNumbers that wait to be looked at.
+
+    Attributes
+    ----------
+    ring : (e,) int32       a ring of numbers of edges
+    waits : (e,) bool       edges that wait, or never shall
+    ends : (2,) int64       place in the ring of the first edge that waits, and how many do
+    """
+
+    ring: IntArray
+    waits: BoolArray
+    ends: LongArray
+
+
+def make_queue(waits: BoolArray) -> Queue:
+    """Let some of the edges, (e,) bool, wait in order of their numbers."""
+    first = np.flatnonzero(waits).astype(np.int32)
+    ring = np.zeros(len(waits), dtype=np.int32)
+    ring[: len(first)] = first
+    return Queue(ring, waits, np.array([0, len(first)], dtype=np.int64))
+
+
+def _run(mesh: Triangles, rule: Rule, seeds: BoolArray | None, changed: BoolArray) -> int:
     """Number the edges, queue those of the seed cells and flip."""
-    if len(cells) == 0:
+    if len(mesh.cells) == 0:
         return 0
-    if active is None:
-        active = np.ones(len(cells), dtype=np.bool_)
-    cell_edges, edge_cell = number_edges(neighbors)
-    queued = np.zeros(len(edge_cell), dtype=np.bool_)
-    queued[cell_edges if seeds is None else cell_edges[seeds]] = True
-    queue = np.zeros(len(edge_cell), dtype=np.int32)
-    first = np.flatnonzero(queued).astype(np.int32)
-    queue[: len(first)] = first
-    return work_off(len(first), len(queue), lambda waiting: _flip_edges(
-        points, cells, neighbors, regions, active, fixed, cell_edges, edge_cell, queue, queued,
-        waiting, PIECE, objective, power, bounds, repeat, changed,
-    ))
+    edges = number_edges(mesh.neighbors)
+    waits = np.zeros(len(edges.cell), dtype=np.bool_)
+    waits[edges.of_cell if seeds is None else edges.of_cell[seeds]] = True
+    queue = make_queue(waits)
+    return work_off(queue, lambda: _flip_edges(mesh, edges, queue, PIECE, rule, changed))
 
 
-def work_off(count: int, edges: int, flip_some: Callable[[LongArray], int]) -> int:
+def work_off(queue: Queue, flip_some: Callable[[], int]) -> int:
     """Flip until no edge waits, or FLIPS an edge were made.
 
     Parameters
     ----------
-    count : int              edges that wait at first, from the start of the queue on
-    edges : int              length of the queue, a ring
-    flip_some : callable     visits some of them, and keeps ``waiting`` (2,) up to date: the place
-                             of the first edge that waits, and how many do; returns its flips
+    queue : Queue
+    flip_some : callable     visits some of the edges that wait; returns its flips
 
     Returns
     -------
     int                      number of flips
     """
-    waiting = np.array([0, count], dtype=np.int64)
     flips = 0
-    while waiting[1] > 0 and flips < FLIPS * edges:
-        flips += int(flip_some(waiting))
+    while queue.ends[1] > 0 and flips < FLIPS * len(queue.ring):
+        flips += int(flip_some())
     return flips
 
 
-def number_edges(neighbors: IntArray) -> tuple[IntArray, IntArray]:
-    """Number of the edge opposite each vertex of every cell, (m, 3), and a cell of each, (e,)."""
+def number_edges(neighbors: IntArray) -> EdgeNumbers:
+    """Give every edge a number."""
     cell_edges = np.empty(neighbors.shape, dtype=np.int32)
     edge_cell = np.empty(neighbors.size, dtype=np.int32)
     count = _number_edges(neighbors, cell_edges, edge_cell)
-    return cell_edges, edge_cell[:count]
+    return EdgeNumbers(cell_edges, edge_cell[:count])
 
 
 @kernel
@@ -184,83 +211,72 @@ def _number_edges(neighbors: IntArray, cell_edges: IntArray, edge_cell: IntArray
 
 @kernel
 def _flip_edges(
-    points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
-    active: BoolArray, fixed: BoolArray, cell_edges: IntArray, edge_cell: IntArray,
-    queue: IntArray, queued: BoolArray, waiting: LongArray, most: int, objective: int,
-    power: float, bounds: FloatArray, repeat: bool, changed: BoolArray,
+    mesh: Triangles, edges: EdgeNumbers, queue: Queue, most: int, rule: Rule, changed: BoolArray
 ) -> int:
-    """Visit at most ``most`` edges; after a flip the four edges around it are looked at again.
-
-    power = 0 flips to Delaunay with the guard for fixed vertices, power > 0 for the sum of m^-p.
-    ``waiting`` as in :func:`work_off`.
-    """
-    head, size = waiting[0], waiting[1]
+    """Visit at most ``most`` edges; after a flip the four edges around it are looked at again."""
+    points, cells, neighbors, regions = mesh
+    active = rule.active
     flips = 0
-    for _ in range(min(size, most)):
-        e = queue[head]
-        head = (head + 1) % len(queue)
-        size -= 1
-        queued[e] = False
-        t = edge_cell[e]
-        i = place_in(cell_edges, t, e)
+    for _ in range(min(queue.ends[1], most)):
+        e = first_waiting(queue)
+        t = edges.cell[e]
+        i = place_in(edges.of_cell, t, e)
         s = neighbors[t, i]
         if s < 0 or regions[s] != regions[t] or not (active[t] and active[s]):
             continue
-        j = place_in(cell_edges, s, e)
+        j = place_in(edges.of_cell, s, e)
         a = cells[t, i]
         b = cells[t, (i + 1) % 3]
         c = cells[t, (i + 2) % 3]
         d = cells[s, j]
         if not (_is_wide(points, a, b, d) and _is_wide(points, a, d, c)):
             continue
-        if power > 0.0:
-            if not _shapes_improve(points, a, b, c, d, objective, power, bounds):
+        if rule.cost.objective != ENERGY:
+            if not _shapes_improve(points, a, b, c, d, rule.cost, rule.limit):
                 continue
         elif not _in_circle(points, a, b, c, d) or not _guard_agrees(
-            points, fixed, a, b, c, d, bounds[0]
+            points, rule.guarded, a, b, c, d, rule.limit.quality
         ):
             continue
-        flip(cells, neighbors, cell_edges, edge_cell, t, i, s, j)
+        flip(cells, neighbors, edges, t, i, s, j)
         changed[t] = True
         changed[s] = True
         flips += 1
-        if repeat:
-            size = queue_around(cell_edges, t, s, queue, queued, head, size)
-    waiting[0], waiting[1] = head, size
+        if rule.repeat:
+            queue_around(edges, t, s, queue)
     return flips
 
 
 @kernel
-def queue_around(
-    cell_edges: IntArray, t: int, s: int, queue: IntArray, queued: BoolArray, head: int, size: int
-) -> int:
-    """Queue the four edges around the one that was just flipped between triangles t and s.
+def first_waiting(queue: Queue) -> int:
+    """Take the edge out of the queue that has waited longest; there must be one."""
+    ends = queue.ends
+    e = queue.ring[ends[0]]
+    ends[0] = (ends[0] + 1) % len(queue.ring)
+    ends[1] -= 1
+    queue.waits[e] = False
+    return e
 
-    Parameters
-    ----------
-    queue : (e,) int32     ring of edges; from ``head`` on, ``size`` of them wait
-    queued : (e,) bool     edges that wait, or never shall; kept up to date
 
-    Returns
-    -------
-    int                    how many wait then
-    """
+@kernel
+def queue_around(edges: EdgeNumbers, t: int, s: int, queue: Queue) -> None:
+    """Queue the four edges around the one that was just flipped between triangles t and s."""
+    ring, waits, ends = queue
     for cell in (t, s):
         for k in range(3):
-            near = cell_edges[cell, k]
-            if near != cell_edges[t, 1] and not queued[near]:
-                queued[near] = True
-                queue[(head + size) % len(queue)] = near
-                size += 1
-    return size
+            near = edges.of_cell[cell, k]
+            if near != edges.of_cell[t, 1] and not waits[near]:
+                waits[near] = True
+                ring[(ends[0] + ends[1]) % len(ring)] = near
+                ends[1] += 1
 
 
 @kernel
 def flip(
-    cells: IntArray, neighbors: IntArray, cell_edges: IntArray, edge_cell: IntArray,
-    t: int, i: int, s: int, j: int,
+    cells: IntArray, neighbors: IntArray, edges: EdgeNumbers, t: int, i: int, s: int, j: int
 ) -> None:
     """Replace (a, b, c) in slot t and (d, c, b) in slot s by (a, b, d) and (a, d, c)."""
+    cell_edges, edge_cell = edges
     i1 = (i + 1) % 3
     i2 = (i + 2) % 3
     j1 = (j + 1) % 3
@@ -368,27 +384,22 @@ def _guard_agrees(
 
 @kernel
 def _shapes_improve(
-    points: FloatArray, a: int, b: int, c: int, d: int, objective: int, power: float,
-    bounds: FloatArray,
+    points: FloatArray, a: int, b: int, c: int, d: int, cost: Cost, limit: Extremes
 ) -> bool:
     """Whether the flip lowers the sum of m^-p and respects the bounds."""
-    q1, large1, small1 = triangle_shape(points, a, b, c)
-    q2, large2, small2 = triangle_shape(points, d, c, b)
-    q3, large3, small3 = triangle_shape(points, a, b, d)
-    q4, large4, small4 = triangle_shape(points, a, d, c)
-    worst = min(q3, q4)
-    if not worst > 0.0:
+    first, second = triangle_extremes(points, a, b, c), triangle_extremes(points, d, c, b)
+    third, fourth = triangle_extremes(points, a, b, d), triangle_extremes(points, a, d, c)
+    before, after = worse(first, second), worse(third, fourth)
+    if not after.quality > 0.0 or not keeps(after, worse(limit, before)):
         return False
-    least, most, fewest = relaxed(
-        bounds, min(q1, q2), max(large1, large2), min(small1, small2)
-    )
-    if worst < least or max(large3, large4) > most or min(small3, small4) < fewest:
-        return False
-    if not min(q1, q2) > 0.0:
+    if not before.quality > 0.0:
         return True
-    if objective != QUALITY:
-        q1 = triangle_measure(points, a, b, c, objective)
-        q2 = triangle_measure(points, d, c, b, objective)
-        q3 = triangle_measure(points, a, b, d, objective)
-        q4 = triangle_measure(points, a, d, c, objective)
-    return bool(q3**-power + q4**-power < (1.0 - GAIN) * (q1**-power + q2**-power))
+    p = cost.power
+    if cost.objective == QUALITY:
+        now = first.quality**-p + second.quality**-p
+        then = third.quality**-p + fourth.quality**-p
+        return bool(then < (1.0 - GAIN) * now)
+    m = cost.objective
+    now = triangle_measure(points, a, b, c, m) ** -p + triangle_measure(points, d, c, b, m) ** -p
+    then = triangle_measure(points, a, b, d, m) ** -p + triangle_measure(points, a, d, c, m) ** -p
+    return bool(then < (1.0 - GAIN) * now)

@@ -12,18 +12,18 @@ import math
 
 import numpy as np
 
-from odt_plugins.engine.cells.bounds import relaxed
-from odt_plugins.engine.cells.tetrahedron import MEAN_RATIO, QUALITY
+from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
+from odt_plugins.engine.cells.tetrahedron import MEAN_RATIO, QUALITY, Cost
 from odt_plugins.engine.cells.triangle import (
     angle_cost,
     angle_measure,
     opposite_edge,
+    triangle_extremes,
     triangle_measure,
-    triangle_shape,
 )
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.moves.plane_step import plane_step
-from odt_plugins.engine.topology.star import OffsetArray
+from odt_plugins.engine.topology.star import Stars
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 HALVINGS = 8
@@ -101,23 +101,25 @@ def _angle_terms(
 
 @kernel
 def star_cost_2d(
-    points: FloatArray, cells: IntArray, indptr: OffsetArray, indices: IntArray, vertex: int,
-    objective: int, power: float, derivatives: FloatArray,
+    points: FloatArray, cells: IntArray, stars: Stars, vertex: int, kind: Cost,
+    derivatives: FloatArray,
 ) -> float:
     """Sum of m^-p over the star of a vertex, with gradient and Hessian in its position.
 
     Parameters
     ----------
     points : (n, 2) float64, cells : (m, 3) int32 counterclockwise
-    indptr : (n + 1,) int64, indices : int32    stars
+    stars : Stars
     vertex : int
-    objective, power                            measure m, see ``triangle_measure``, and p
-    derivatives : (5,) float64                  OUT: F_x, F_y, F_xx, F_xy, F_yy
+    kind : Cost                   measure m, see ``triangle_measure``, and p
+    derivatives : (5,) float64    OUT: F_x, F_y, F_xx, F_xy, F_yy
 
     Returns
     -------
-    float                                       infinite when a triangle is not positive
+    float                         infinite when a triangle is not positive
     """
+    indptr, indices = stars
+    objective, power = kind
     derivatives[:] = 0.0
     total = 0.0
     x = points[vertex, 0]
@@ -187,33 +189,29 @@ def star_cost_2d(
 
 @kernel
 def _star_shape(
-    points: FloatArray, cells: IntArray, indptr: OffsetArray, indices: IntArray, vertex: int,
-    objective: int, power: float,
-) -> tuple[float, float, float, float]:
-    """F_p, worst radius ratio, cosine of the smallest and of the largest angle of a star."""
+    points: FloatArray, cells: IntArray, stars: Stars, vertex: int, kind: Cost
+) -> tuple[float, Extremes]:
+    """F_p of a star, and its extremes; F_p is infinite where a triangle is not positive."""
     total = 0.0
-    worst = 1.0
-    large = -1.0
-    small = 1.0
-    for s in range(indptr[vertex], indptr[vertex + 1]):
-        t = indices[s]
-        q, hi, lo = triangle_shape(points, cells[t, 0], cells[t, 1], cells[t, 2])
-        if not q > 0.0:
-            return np.inf, q, 1.0, -1.0
-        m = q
-        if objective != QUALITY:
-            m = triangle_measure(points, cells[t, 0], cells[t, 1], cells[t, 2], objective)
-        total += m**-power
-        worst = min(worst, q)
-        large = max(large, hi)
-        small = min(small, lo)
-    return total, worst, large, small
+    found = Extremes(1.0, -1.0, 1.0)
+    for s in range(stars.indptr[vertex], stars.indptr[vertex + 1]):
+        t = stars.indices[s]
+        a, b, c = cells[t, 0], cells[t, 1], cells[t, 2]
+        own = triangle_extremes(points, a, b, c)
+        if not own.quality > 0.0:
+            return np.inf, Extremes(own.quality, 1.0, -1.0)
+        m = own.quality
+        if kind.objective != QUALITY:
+            m = triangle_measure(points, a, b, c, kind.objective)
+        total += m**-kind.power
+        found = worse(found, own)
+    return total, found
 
 
 @allocating_kernel
 def smooth_vertices_2d(
-    points: FloatArray, cells: IntArray, indptr: OffsetArray, indices: IntArray, order: IntArray,
-    start: int, stop: int, objective: int, power: float, bounds: FloatArray, moved: FloatArray,
+    points: FloatArray, cells: IntArray, stars: Stars, order: IntArray, start: int, stop: int,
+    kind: Cost, bounds: Extremes, moved: FloatArray,
 ) -> int:
     """One guarded Newton step on F_p for every vertex of order[start:stop], in place.
 
@@ -221,12 +219,11 @@ def smooth_vertices_2d(
     ----------
     points : (n, 2) float64         changed in place
     cells : (m, 3) int32            counterclockwise
-    indptr : (n + 1,) int64, indices : int32    stars
+    stars : Stars
     order : (k,) int32              vertices, moved one after another
     start, stop : int
-    objective, power                measure m, see ``triangle_measure``, and p > 0
-    bounds : (3,) float64           least radius ratio, largest and smallest cosine of an angle; a
-                                    step that passes one of them and makes the star worse there
+    kind : Cost                     measure m, see ``triangle_measure``, and p > 0
+    bounds : Extremes               a step that passes one of them and makes the star worse there
                                     is shortened
     moved : (n,) float64            OUT: relative decrease of F_p over the star, 0 if it stays
 
@@ -244,9 +241,9 @@ def smooth_vertices_2d(
     for o in range(start, stop):
         v = order[o]
         moved[v] = 0.0
-        if indptr[v] == indptr[v + 1]:
+        if stars.indptr[v] == stars.indptr[v + 1]:
             continue
-        cost = star_cost_2d(points, cells, indptr, indices, v, objective, power, derivatives)
+        cost = star_cost_2d(points, cells, stars, v, kind, derivatives)
         if not cost < np.inf:
             continue
         gx, gy = derivatives[0], derivatives[1]
@@ -254,25 +251,19 @@ def smooth_vertices_2d(
         slope = gx * dx + gy * dy
         if not -slope > DECREASE * cost:
             continue
-        _, worst, large, small = _star_shape(
-            points, cells, indptr, indices, v, objective, power
-        )
-        least, most, fewest = relaxed(bounds, worst, large, small)
+        _, here = _star_shape(points, cells, stars, v, kind)
+        limit = worse(bounds, here)
         x = points[v, 0]
         y = points[v, 1]
         alpha = 1.0
         for _ in range(HALVINGS):
             points[v, 0] = x + alpha * dx
             points[v, 1] = y + alpha * dy
-            there, worst, large, small = _star_shape(
-                points, cells, indptr, indices, v, objective, power
-            )
+            there, found = _star_shape(points, cells, stars, v, kind)
             if (
                 there <= cost + ARMIJO * alpha * slope
                 and there < (1.0 - DECREASE) * cost
-                and worst >= least
-                and large <= most
-                and small >= fewest
+                and keeps(found, limit)
             ):
                 moved[v] = 1.0 - there / cost
                 break

@@ -18,6 +18,9 @@ from odt_plugins.engine.topology.slabs import side_by_side
 from odt_plugins.engine.topology.tets import FULL, Tets
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
+NO_CELL = 2.0
+"""Measure of a free slot, beyond that of any cell."""
+
 BLOCK_BITS = 14
 """The worst cells come first within 2^BLOCK_BITS slots, which lie together in memory."""
 
@@ -27,11 +30,11 @@ def _slot_measures(
     points: FloatArray, cells: IntArray, slots: IntArray, objective: int, m: FloatArray,
     start: int, stop: int,
 ) -> None:
-    """Write the measures of the cells in slots[start:stop], 2 for a free slot."""
+    """Write the measures of the cells in slots[start:stop], NO_CELL for a free slot."""
     for s in range(start, stop):
         c = slots[s]
         if cells[c, 0] < 0:
-            m[s] = 2.0
+            m[s] = NO_CELL
         else:
             m[s] = tet_measure(
                 points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], objective
@@ -42,7 +45,7 @@ def measures(
     mesh: Complex, objective: int, pool: ThreadPoolExecutor | None = None,
     slots: IntArray | None = None,
 ) -> FloatArray:
-    """Measures of cells, see ``tetrahedron.tet_measure``, 2 for a free slot.
+    """Measures of cells, see ``tetrahedron.tet_measure``, NO_CELL for a free slot.
 
     Parameters
     ----------

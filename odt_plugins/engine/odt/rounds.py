@@ -22,36 +22,12 @@ from odt_plugins.engine.odt.descent import lbfgs_step, richardson_step
 from odt_plugins.engine.odt.global_step import global_step
 from odt_plugins.engine.odt.sweeps import StepStats, gauss_seidel_sweep, jacobi_sweep
 from odt_plugins.engine.odt.total_energy import total_energy
+from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import cell_shapes
 from odt_plugins.engine.topology.complex import Complex, make_complex, renumbered
 from odt_plugins.engine.topology.stencil import Topology, make_topology
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.options import Options
-
-FAR = 0.1
-"""Longest move, in edge lengths, above which "delaunay" asks scipy (Section 3.2, row 10)."""
-
-MODERATE = 20_000
-"""Most cells for which "auto" asks scipy in the first round; beyond, local flips are cheaper."""
-
-CONVERGED = 1.6e-3
-PATIENCE = 8
-"""A stage ends when PATIENCE rounds have lowered the least energy by less than CONVERGED of it."""
-
-DAMPED = 0.8
-"""First alpha of Jacobi sweeps, whose limit of stability is 1."""
-
-OVERRELAXED = 1.95
-"""First alpha of ODT sweeps in space when finishing follows: the energy leaves shallow minima."""
-
-RING = 7
-"""Longest ring of an edge that is removed for the sake of the energy."""
-
-SCATTERED = 0.2
-"""The cells are sorted again when there were more flips than this part of their number."""
-
-PASSES = 3
-"""Passes of flips in a round; what is left pending waits for the next round."""
 
 
 @dataclass
@@ -83,8 +59,8 @@ def relaxation(options: Options, dim: int) -> float:
     if options.omega is not None:
         return options.omega
     if options.solver == "jacobi":
-        return DAMPED
-    return OVERRELAXED if dim == 3 and options.method == "odt" and options.finish else 1.0
+        return POLICY.damped
+    return POLICY.overrelaxed if dim == 3 and options.method == "odt" and options.finish else 1.0
 
 
 Step = Callable[
@@ -210,7 +186,9 @@ def local_flips(
             mark_non_delaunay, mesh.points, mesh.cells, mesh.neighbors, mesh.regions, mesh.status
         )
         run_ranges(pool, mesh.used, work)
-        flips = flip_pending(mesh, Cost(ENERGY, 1.0), RING, bounds, PASSES, pool)
+        flips = flip_pending(
+            mesh, Cost(ENERGY, 1.0), POLICY.energy_ring, bounds, POLICY.energy_passes, pool
+        )
     log.add("energy flips", flips)
     return flips
 
@@ -268,19 +246,19 @@ def smooth(
         log.add("vertex moves", stats.moved)
         log.add("shortened moves", stats.reduced)
         count = mesh.count()
-        moderate = count <= MODERATE
+        moderate, far = count <= POLICY.exchange_cells, stats.max_move > POLICY.exchange_move
         old = mesh
         flips = 0
         if options.connectivity == "delaunay" or (
-            options.connectivity == "auto" and k == 0 and moderate and stats.max_move > FAR
+            options.connectivity == "auto" and k == 0 and moderate and far
         ):
             mesh = exchange(mesh, log)
         if options.connectivity in ("auto", "flips") or (
-            options.connectivity == "delaunay" and stats.max_move <= FAR
+            options.connectivity == "delaunay" and not far
         ):
             flips = local_flips(mesh, bounds, log, pool)
         scattered += flips
-        if scattered > SCATTERED * count:
+        if scattered > POLICY.scattered * count:
             mesh = renumbered(mesh)
             scattered = 0
         if flips > 0 or mesh is not old:
@@ -292,7 +270,8 @@ def smooth(
         if watch is not None:
             watch(mesh)
         least.append(min(current, least[-1]) if least else current)
-        if k >= PATIENCE and least[-1 - PATIENCE] - least[-1] <= CONVERGED * least[-1]:
+        before = POLICY.settled_rounds
+        if k >= before and least[-1 - before] - least[-1] <= POLICY.settled_energy * least[-1]:
             reason = f"the energy settled after {k + 1} rounds"
             break
     return renumbered(mesh) if scattered else mesh, reason

@@ -14,18 +14,11 @@ from odt_plugins.engine.cells.tetrahedron import MEAN_RATIO, tet_cosines, tet_qu
 from odt_plugins.engine.cells.triangle import triangle_in_space, triangle_measure, triangle_shape
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import pieces
+from odt_plugins.engine.policy import POLICY
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.options import Objective
 
-SMALL_ANGLE = 20.0
-"""Dihedral angle in degrees below which a cell is looked after on its own."""
-
-MANY = 0.02
-"""Share of small angles beyond which the score counts no more of them, nor a phase starts from."""
-
-COS_SMALL = math.cos(math.radians(SMALL_ANGLE))
-PRICE = 3.0
-"""Of a tetrahedron with a small angle in the score: what three regular ones add to it."""
+COS_SMALL = math.cos(math.radians(POLICY.small_angle))
 
 ROUNDING = 1e-13
 """Figures and scores that differ by no more are equal."""
@@ -60,8 +53,8 @@ def cell_shapes(points: FloatArray, cells: IntArray) -> FloatArray:
 class Figures:
     """Minimum, 1 % quantile and mean of q, cosines of the smallest and the largest angle.
 
-    ``small_angles`` is the share of the tetrahedra with an angle below SMALL_ANGLE.  ``score`` is
-    what the best-state memory ranks by: mean and tail together of what is improved.
+    ``small_angles`` is the share of the tetrahedra with an angle below ``POLICY.small_angle``.
+    ``score`` is what the best-state memory ranks by: mean and tail of what is improved.
     """
 
     min_quality: float
@@ -120,7 +113,10 @@ def figures(
     q: NDArray[np.float64] = shapes[:, 0]
     least, p1, mean = _spread(q)
     small = float((shapes[:, 1] > COS_SMALL).mean()) if cells.shape[1] == 4 else 0.0
-    score = mean + 0.5 * p1 + 0.25 * least - PRICE * min(small, MANY)
+    score = (
+        mean + POLICY.score_p1 * p1 + POLICY.score_least * least
+        - POLICY.small_angle_price * min(small, POLICY.counted_small_angles)
+    )
     if objective == "min_dihedral":
         regular = math.acos(1.0 / (cells.shape[1] - 1))
         angles = arccos(np.clip(shapes[:, 1], -1.0, 1.0)) / regular

@@ -7,12 +7,10 @@ from typing import Protocol
 
 import numpy as np
 
+from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import ROUNDING, Figures, cell_shapes, figures
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.options import Objective
-
-NOTABLE = 5e-3
-"""Mean quality that was given up and is worth a word."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +90,7 @@ class Memory:
     def price(self) -> str:
         """End of a sentence: the mean quality that was given up to keep the figures, if any."""
         best = self.states[0].figures if self.states else self.before
-        if not self.worse or self.missed < best.mean_quality + NOTABLE:
+        if not self.worse or self.missed < best.mean_quality + POLICY.notable_price:
             return ""
         return f" at a mean quality of {self.missed:.3f}"
 

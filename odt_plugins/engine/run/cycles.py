@@ -4,33 +4,26 @@ from __future__ import annotations
 
 import math
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
-import numpy as np
-
 from odt_plugins.engine.cells.extremes import Bounds, Extremes
 from odt_plugins.engine.finish.phases import WORST, Phase, bulk, cautious, descents, repair, tail
-from odt_plugins.engine.finish.polishing import polish_small_angles
+from odt_plugins.engine.finish.polishing import Settle, polish_small_angles
 from odt_plugins.engine.finish.repair2d import within_bounds
 from odt_plugins.engine.finish.volume import finish, held_angles
 from odt_plugins.engine.odt.density import Density
 from odt_plugins.engine.odt.rounds import Log, smooth
+from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import Figures, figures
 from odt_plugins.engine.record.memory import Memory
 from odt_plugins.engine.record.progress import report_share, silent
 from odt_plugins.engine.topology.complex import Complex
 from odt_plugins.engine.topology.part import Part, around, away_from, inside, joined
+from odt_plugins.engine.topology.triangles import Triangles
 from odt_plugins.mesh.arrays import BoolArray
 from odt_plugins.options import Options
-
-WORTH = 5e-4
-"""Gain of the mean quality for which a cycle is worth its time."""
-
-LOCKED_QUALITY = 0.3
-LOCKED_ANGLES = (14.0, 157.0)
-"""What a cell without a movable vertex must reach when there was none such before (d = 3)."""
 
 
 def extremes(before: Figures, keep: tuple[str, ...]) -> Bounds:
@@ -38,84 +31,138 @@ def extremes(before: Figures, keep: tuple[str, ...]) -> Bounds:
     quality = float(before.min_quality) if "min_quality" in keep else 0.0
     large = float(before.cos_min_angle) if "min_angle" in keep else 1.0
     small = float(before.cos_max_angle) if "max_angle" in keep else -1.0
-    low, high = (math.cos(math.radians(angle)) for angle in LOCKED_ANGLES)
-    locked = Extremes(LOCKED_QUALITY, min(large, low), max(small, high))
+    low, high = (math.cos(math.radians(angle)) for angle in POLICY.locked_angles)
+    locked = Extremes(POLICY.locked_quality, min(large, low), max(small, high))
     return Bounds(Extremes(quality, large, small), locked)
 
 
 def settled(means: Sequence[float]) -> str:
     """Why no cycle follows those that ended with these mean qualities; empty when one may."""
     *before, now = means
-    if not before or now - max(before) >= WORTH:
+    if not before or now - max(before) >= POLICY.cycle_worth:
         return ""
     return f"the mean quality settled after {len(means)} cycles"
+
+
+def alternate(
+    smooth: Callable[[Callable[[float], None]], str], finish: Callable[[], None],
+    mean_quality: Callable[[], float], options: Options, log: Log,
+) -> str:
+    """Alternate stage 1 and the phases of stage 2 for the mean; without finishing, stage 1 once.
+
+    Parameters
+    ----------
+    smooth : callable          runs stage 1, tells what it is given the share that is done, and
+                               returns why it stopped
+    finish : callable          runs the phases
+    mean_quality : callable    of the mesh as it is
+    options : Options
+    log : Log                  takes the times
+
+    Returns
+    -------
+    str                        why it stopped
+    """
+    report = options.progress if options.progress is not None else silent
+    cycles = options.cycles if options.finish else 1
+    reason = "nothing was asked for"
+    means: list[float] = []
+    for cycle in range(cycles):
+        clock = time.perf_counter()
+        reason = smooth(partial(report_share, report, cycle / cycles, 0.5 / cycles))
+        log.add_time("smoothing", time.perf_counter() - clock)
+        if not options.finish:
+            continue
+        clock = time.perf_counter()
+        finish()
+        report("finishing", (cycle + 1) / cycles)
+        means.append(mean_quality())
+        log.add_time("finishing", time.perf_counter() - clock)
+        if end := settled(means):
+            return end
+    return reason
+
+
+def repaired(
+    phases: Sequence[Phase], settle: Callable[[tuple[Phase, ...]], None],
+    offer: Callable[[], bool], log: Log,
+) -> bool:
+    """Run phases that bring a few cells back within the input's extremes, until one does.
+
+    Parameters
+    ----------
+    settle : callable    runs phases on a mesh
+    offer : callable     shows the mesh to the memory; says whether it was taken
+    """
+    for phase in phases:
+        log.add("repairs", 1)
+        settle((phase,))
+        if offer():
+            return True
+    return False
 
 
 def run_cycles(
     mesh: Complex, density: Density, options: Options, bounds: Bounds, memory: Memory,
     log: Log, pool: ThreadPoolExecutor | None, near: BoolArray | None,
 ) -> str:
-    """Alternate the two stages; returns why stage 1 stopped last."""
-    report = options.progress if options.progress is not None else silent
-    cycles = options.cycles if options.finish else 1
-    reason = "nothing was asked for"
+    """Alternate the two stages, then look after the worst cells; returns why stage 1 stopped."""
     limits = bounds
     if not options.finish and "p1_quality" in options.keep:
         limits = bounds.with_quality(memory.before.p1_quality)
-    means: list[float] = []
-    for cycle in range(cycles):
-        clock = time.perf_counter()
-        base = cycle / cycles
-        watch = None if options.finish else partial(memory.offer, name="smoothing")
-        mesh, reason = smooth(
-            mesh, density, options, limits, log,
-            partial(report_share, report, base, 0.5 / cycles), watch, pool,
-        )
-        log.add_time("smoothing", time.perf_counter() - clock)
-        if not options.finish:
-            continue
-        clock = time.perf_counter()
-        settle(mesh, bulk(mesh.dim, options.objective), bounds, log, pool, options.threads)
-        report("finishing", (cycle + 1) / cycles)
-        cells, _ = mesh.mesh_arrays()
-        means.append(figures(mesh.points, cells).mean_quality)
-        log.add_time("finishing", time.perf_counter() - clock)
-        if end := settled(means):
-            reason = end
-            break
+    watch = None if options.finish else partial(memory.offer, name="smoothing")
+    work_on = partial(settle, log=log, pool=pool, threads=options.threads)
+
+    def stage1(tick: Callable[[float], None]) -> str:
+        nonlocal mesh
+        mesh, reason = smooth(mesh, density, options, limits, log, tick, watch, pool)
+        return reason
+
+    reason = alternate(
+        stage1, lambda: work_on(mesh, bulk(mesh.dim, options.objective), bounds),
+        lambda: figures(mesh.points, mesh.mesh_arrays()[0]).mean_quality, options, log,
+    )
     if options.finish:
         clock = time.perf_counter()
-        state: Complex | Part = mesh
-        for descent in descents(mesh.dim, options.objective):
-            if near is not None:
-                state = away_from(state, near) or joined(state)
-            work = inside(state)
-            held = bounds if descent.hold is None else held_angles(work, bounds, descent.hold)
-            settle(work, descent.phases, held, log, pool, options.threads)
-            if memory.offer(state, "finished") or mesh.dim == 2:
-                continue
-            edge = None if near is None else around(state, near)
-            if edge is not None and _repair(edge, held, options, memory, log, pool):
-                state = edge
-            else:
-                state = joined(edge or state)
-                _repair(state, held, options, memory, log, pool)
-        work_on = partial(settle, log=log, pool=pool, threads=options.threads)
-        polish_small_angles(state, bounds, memory, "finished", work_on, pool, near)
-        mesh = mesh if memory.states else joined(state)
-        if not memory.states and options.objective != "radius_ratio":
-            settle(mesh, tail(mesh.dim), bounds, log, pool, options.threads)
-            memory.offer(mesh, "finished")
-        if not memory.states and mesh.dim == 2:
-            log.add("repairs", 1)
-            if within_bounds(mesh.points, mesh.cells, mesh.neighbors, mesh.regions, ~mesh.locked,
-                             np.array(bounds.cells)):
-                memory.offer(mesh, "repaired")
-                settle(mesh, bulk(2), bounds, log, pool, options.threads)
-                memory.offer(mesh, "finished")
+        _worst_cells(mesh, options, bounds, memory, log, pool, near)
         log.add_time("finishing", time.perf_counter() - clock)
-    report("finishing", 1.0)
+    (options.progress or silent)("finishing", 1.0)
     return reason
+
+
+def _worst_cells(
+    mesh: Complex, options: Options, bounds: Bounds, memory: Memory, log: Log,
+    pool: ThreadPoolExecutor | None, near: BoolArray | None,
+) -> None:
+    """The phases of stage 2 that follow the bulk; good states go to the memory."""
+    work_on = partial(settle, log=log, pool=pool, threads=options.threads)
+    state: Complex | Part = mesh
+    for descent in descents(mesh.dim, options.objective):
+        if near is not None:
+            state = away_from(state, near) or joined(state)
+        work = inside(state)
+        held = bounds if descent.hold is None else held_angles(work, bounds, descent.hold)
+        work_on(work, descent.phases, held)
+        if memory.offer(state, "finished") or mesh.dim == 2:
+            continue
+        edge = None if near is None else around(state, near)
+        if edge is not None and _repair(edge, held, memory, log, work_on):
+            state = edge
+        else:
+            state = joined(edge or state)
+            _repair(state, held, memory, log, work_on)
+    polish_small_angles(state, bounds, memory, "finished", work_on, pool, near)
+    mesh = mesh if memory.states else joined(state)
+    if not memory.states and options.objective != "radius_ratio":
+        work_on(mesh, tail(mesh.dim), bounds)
+        memory.offer(mesh, "finished")
+    if not memory.states and mesh.dim == 2:
+        log.add("repairs", 1)
+        plane = Triangles(mesh.points, mesh.cells, mesh.neighbors, mesh.regions)
+        if within_bounds(plane, ~mesh.locked, bounds.cells):
+            memory.offer(mesh, "repaired")
+            work_on(mesh, bulk(2), bounds)
+            memory.offer(mesh, "finished")
 
 
 def finish_alone(
@@ -128,7 +175,7 @@ def finish_alone(
     flat cells falls as soon as the number of cells does. Where it falls all the same, the worst
     cells are taken first and the mean is regained.
     """
-    enough = min(LOCKED_QUALITY, 100.0 * memory.before.p1_quality)
+    enough = min(POLICY.locked_quality, 100.0 * memory.before.p1_quality)
     strict = bounds.with_quality(max(bounds.cells.quality, enough))
     schedule = cautious(mesh.dim, options.objective)
     for phase in (schedule[0], *schedule):
@@ -152,13 +199,10 @@ def settle(
 
 
 def _repair(
-    mesh: Complex | Part, bounds: Bounds, options: Options, memory: Memory, log: Log,
-    pool: ThreadPoolExecutor | None,
+    mesh: Complex | Part, bounds: Bounds, memory: Memory, log: Log, work_on: Settle
 ) -> bool:
     """Bring the few cells of a good mesh that pass an extreme of the input back; says whether."""
-    for phase in repair(memory.worse):
-        log.add("repairs", 1)
-        settle(inside(mesh), (phase,), bounds, log, pool, options.threads)
-        if memory.offer(mesh, "repaired"):
-            return True
-    return False
+    return repaired(
+        repair(memory.worse), lambda phases: work_on(inside(mesh), phases, bounds),
+        lambda: memory.offer(mesh, "repaired"), log,
+    )

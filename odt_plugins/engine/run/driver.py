@@ -4,98 +4,38 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from odt_plugins.engine.cells.geometry import boundary_vertices, interface_vertices
 from odt_plugins.engine.compiled.threads import thread_pool
 from odt_plugins.engine.finish.resampling import resample_in_rounds, with_spare_vertices
 from odt_plugins.engine.odt.density import Density, NodalDensity, make_density
 from odt_plugins.engine.odt.rounds import Log
+from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import Figures, figures
 from odt_plugins.engine.record.memory import Memory, State
 from odt_plugins.engine.record.progress import in_turn, report_insertion, silent, until_insertion
+from odt_plugins.engine.run.best import ALONE, BESIDES, INPUT, best_state, input_returned
 from odt_plugins.engine.run.cycles import extremes, finish_alone, run_cycles, settle
-from odt_plugins.engine.run.judge import Slid, cut_vertices, envelope_length, faults, slides
+from odt_plugins.engine.run.judge import cut_vertices, envelope_length, faults, slides
+from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
+from odt_plugins.engine.run.start import Start, make_start
 from odt_plugins.engine.sliding.boundary import Skin
 from odt_plugins.engine.sliding.skin import make_skin
 from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.complex import make_complex
-from odt_plugins.engine.topology.frame import Frame, callers_vertices, make_frame
+from odt_plugins.engine.topology.frame import Frame, callers_vertices
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
-from odt_plugins.mesh.numbering import new_numbers
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
 
-INPUT = "the input is returned, "
-
-RETREATS = 4
-"""How often a surface slides again, with those vertices left alone at which it was spoiled."""
-
-POOR, FEW = 0.15, 3000
-"""1 % quantile of q, and number of cells, below which a fixed boundary is tried besides."""
-
-STILL = 0.02
-"""Share of the vertices that may move below which stage 1 has little to do."""
-
-ALONE = "finishing alone"
-BESIDES = "finishing alone, besides"
 NO_DENSITY = "nothing that follows the density kept the promise, the sizes are those of the input"
-
-
-@dataclass(frozen=True)
-class Outcome:
-    """What the engine hands back.
-
-    Attributes
-    ----------
-    points : (n, d) float64         same numbering as the input
-    cells : (m', d + 1) int32       positively oriented
-    regions : (m',) int32           exact region labels
-    energy : list of (stage, E)     ODT energy after every round
-    times : dict stage -> seconds   wall time
-    stop_reason : str               one sentence
-    fallback : str or None          why an earlier state is returned, when it is
-    counts : dict name -> int       sweeps, flips, exchanges, refusals
-    slid : Slid or None             how far the boundary moved, when it may slide and did
-    sizes : (n,) float64 or None    values of a :class:`NodalDensity` where the vertices are now,
-                                    None without one, or with new vertices
-    origin : (n',) int64 or None    input vertex of every vertex, -1 for the new ones at the end;
-                                    None when the vertices are those of the input
-    written : (n', D) or None       points in the caller's type and space, as they leave
-    source : (m',) int32 or None    input cell of which every cell takes the data, as it leaves
-    """
-
-    points: FloatArray
-    cells: IntArray
-    regions: IntArray
-    energy: list[tuple[str, float]] = field(default_factory=list)
-    times: dict[str, float] = field(default_factory=dict)
-    stop_reason: str = ""
-    fallback: str | None = None
-    counts: dict[str, int] = field(default_factory=dict)
-    slid: Slid | None = None
-    sizes: FloatArray | None = None
-    origin: NDArray[np.int64] | None = None
-    written: NDArray[Any] | None = None
-    source: IntArray | None = None
-
-
-Leaving = Callable[[Outcome], Outcome]
-"""What a mesh goes through before the caller has it: its points are rounded to the caller's type,
-its cells sorted. The points of the new outcome are those that the caller will read."""
-
-
-def as_it_is(outcome: Outcome) -> Outcome:
-    """Let a mesh leave as the engine has it."""
-    return outcome
 
 
 def locked_vertices(mesh: SimplexMesh, neighbors: IntArray) -> tuple[BoolArray, BoolArray]:
@@ -156,7 +96,7 @@ def _run_sliding(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outco
     outcome, spoiled = _run(mesh, in_turn(options, 0), leaving)
     fixed = mesh.fixed.copy()
     times = Counter(outcome.times)
-    for turn in range(RETREATS):
+    for turn in range(POLICY.slide_retreats):
         if outcome.slid is not None or fixed[spoiled].all():
             break
         fixed[spoiled] = True
@@ -170,7 +110,8 @@ def _run_sliding(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outco
         outcome = replace(outcome, counts=outcome.counts | more, times=dict(times))
         if not _may_be_beaten(outcome, options):
             return outcome
-    still, _ = _run(mesh, replace(in_turn(options, RETREATS + 1), boundary="fixed"), leaving)
+    last = in_turn(options, POLICY.slide_retreats + 1)
+    still, _ = _run(mesh, replace(last, boundary="fixed"), leaving)
     times.update(still.times)
     why = (outcome.fallback or outcome.stop_reason).removeprefix(INPUT)
     if outcome.slid is not None:
@@ -187,8 +128,8 @@ def _may_be_beaten(outcome: Outcome, options: Options) -> bool:
     """Whether a fixed boundary is worth a run of its own beside a surface that slid."""
     if not options.finish:
         return False
-    few, alone = len(outcome.cells) < FEW, f"runs of {ALONE}" in outcome.counts
-    return few or alone or figures(outcome.points, outcome.cells).p1_quality < POOR
+    few, alone = len(outcome.cells) < POLICY.few_cells, f"runs of {ALONE}" in outcome.counts
+    return few or alone or figures(outcome.points, outcome.cells).p1_quality < POLICY.poor_quality
 
 
 def _score(outcome: Outcome, options: Options) -> float:
@@ -213,15 +154,14 @@ def _run_in(
     neighbors = cell_neighbors(mesh.cells, pool=pool)
     locked, rim = locked_vertices(mesh, neighbors)
     if mesh.frozen.all() or len(mesh.cells) == 0:
-        return _unchanged(mesh, "no cell may change"), nowhere
-    frame, cells = make_frame(mesh)
+        return unchanged(mesh, "no cell may change"), nowhere
+    start = make_start(mesh)
+    frame, cells, regions = start.frame, start.cells, start.regions
     inner_locked = np.ascontiguousarray(locked[frame.vertices])
     inner_rim = np.ascontiguousarray(rim[frame.vertices])
-    input_points = frame.inside(mesh.points[frame.vertices])
-    points = input_points.copy()
-    regions = np.ascontiguousarray(mesh.regions[frame.active])
-    skin = _skin(mesh, options, frame, points, cells) if slides(mesh, options) else None
-    start = make_complex(
+    points = start.points.copy()
+    skin = _skin(start, options, points) if slides(mesh, options) else None
+    first = make_complex(
         points, cells, regions, inner_locked, inner_rim, skin, frame.inner_neighbors(neighbors)
     )
     del neighbors
@@ -231,19 +171,19 @@ def _run_in(
     memory = Memory(before, tuple(options.keep), options.objective, by_score=options.finish,
                     aside=None if whole is None else near)
     spec = inner_density(mesh, options, frame)
-    m = start.used
+    m = first.used
     density = make_density(
-        spec, options.exponent, start.points, start.cells[:m], start.neighbors[:m].copy()
+        spec, options.exponent, points, first.cells[:m], first.neighbors[:m].copy()
     )
     log = Log(times={"prepare": time.perf_counter() - clock})
     bounds = extremes(before, tuple(options.keep))
-    first = until_insertion(options) if options.insert else options
-    reason = run_cycles(start, density, first, bounds, memory, log, pool, near)
+    before_insertion = until_insertion(options) if options.insert else options
+    reason = run_cycles(first, density, before_insertion, bounds, memory, log, pool, near)
     refused = not memory.states and not (skin and memory.spoiled().size)
     besides = skin is None and _may_finish_alone(memory, inner_locked, options)
     if options.finish and (refused or besides):
-        again = input_points.copy()
-        skin = _skin(mesh, options, frame, again, cells) if skin else None
+        again = start.points.copy()
+        skin = _skin(start, options, again) if skin else None
         second = make_complex(again, cells, regions, inner_locked, inner_rim, skin)
         log.add(f"runs of {ALONE}", 1)
         name = ALONE if refused else BESIDES
@@ -254,7 +194,7 @@ def _run_in(
             reason += f"; {NO_DENSITY}"
     if options.insert and (memory.states or skin is None):
         clock = time.perf_counter()
-        best = (memory.states or [State(input_points, cells, regions, before, "input")])[0]
+        best = (memory.states or [State(start.points, cells, regions, before, "input")])[0]
         spare = with_spare_vertices(
             best.points, best.cells, best.regions, inner_locked, inner_rim,
             mesh.anchored[frame.vertices],
@@ -268,10 +208,10 @@ def _run_in(
         )
         log.times["resampling"] = time.perf_counter() - clock
     clock = time.perf_counter()
-    outcome = _best(
-        mesh, frame, input_points, memory, options, log, reason,
-        leaving if whole is None else None,
+    found, broken = best_state(
+        memory, partial(_judged, start, options, leaving, whole is None), log, reason
     )
+    outcome = found or input_returned(mesh, memory, broken, reason)
     sizes = _sizes(mesh, options, frame, density, outcome, pool)
     log.times["check"] = time.perf_counter() - clock
     outcome = replace(
@@ -282,25 +222,35 @@ def _run_in(
     spoiled = memory.spoiled()
     if memory.states:
         best = memory.states[0]
-        spoiled = cut_vertices(input_points, cells, best.points, best.cells)
+        spoiled = cut_vertices(start.points, cells, best.points, best.cells)
     spoiled = spoiled[spoiled < len(inner_rim)]
     return outcome, frame.vertices[spoiled[inner_rim[spoiled]]]
 
 
-def _skin(
-    mesh: SimplexMesh, options: Options, frame: Frame, points: FloatArray, cells: IntArray
-) -> Skin:
+def _skin(start: Start, options: Options, points: FloatArray) -> Skin:
     """The boundary as it may slide; interfaces, fixed vertices and frozen cells hold it."""
-    number = np.full(len(mesh.points), -1, dtype=np.int32)
-    number[frame.vertices] = np.arange(len(frame.vertices), dtype=np.int32)
+    mesh, frame = start.mesh, start.frame
     held = mesh.fixed | interface_vertices(mesh.cells, len(mesh.points), mesh.regions)
     held[mesh.cells[mesh.frozen]] = True
-    stays, lines = (number[pairs] for pairs in (mesh.stays, mesh.lines))
     return make_skin(
-        points, cells, held=held[frame.vertices],
+        points, start.cells, held=held[frame.vertices],
         envelope=envelope_length(mesh, options) * frame.scale, angle=options.feature_angle,
-        stays=stays[(stays >= 0).all(axis=1)], lines=lines[(lines >= 0).all(axis=1)],
+        stays=start.pairs(mesh.stays), lines=start.pairs(mesh.lines),
     )
+
+
+def _judged(
+    start: Start, options: Options, leaving: Leaving, is_whole: bool, state: State
+) -> tuple[Outcome, list[str]]:
+    """A state as it leaves, and what it breaks of the promise; a part is left to its judge."""
+    outcome = start.placed(state)
+    if not is_whole:
+        return outcome, []
+    outcome = leaving(outcome)
+    broken, slid = faults(
+        start.mesh, outcome.points, outcome.cells, outcome.regions, options, outcome.origin
+    )
+    return replace(outcome, slid=slid), broken
 
 
 def _sizes(
@@ -317,10 +267,6 @@ def _sizes(
     found = replace(density, power=1.0).at(frame.inside(now[moved]), pool, walk)
     values[frame.vertices[moved]] = found
     return values
-
-
-def _unchanged(mesh: SimplexMesh, reason: str) -> Outcome:
-    return Outcome(mesh.points.copy(), mesh.cells.copy(), mesh.regions.copy(), stop_reason=reason)
 
 
 def inner_density(mesh: SimplexMesh, options: Options, frame: Frame) -> Any:
@@ -354,7 +300,8 @@ def _may_finish_alone(memory: Memory, locked: BoolArray, options: Options) -> bo
     """
     if not (memory.states and _keeps_sizes(options)):
         return False
-    return memory.states[0].figures.p1_quality < POOR or (~locked).mean() < STILL
+    poor = memory.states[0].figures.p1_quality < POLICY.poor_quality
+    return poor or bool((~locked).mean() < POLICY.few_movable)
 
 
 def _keeps_sizes(options: Options) -> bool:
@@ -362,72 +309,3 @@ def _keeps_sizes(options: Options) -> bool:
     if isinstance(spec, NodalDensity):
         return spec.keeps
     return isinstance(spec, str) and spec == "keep"
-
-
-def _best(
-    mesh: SimplexMesh, frame: Frame, start: FloatArray, memory: Memory, options: Options, log: Log,
-    reason: str, leaving: Leaving | None,
-) -> Outcome:
-    """The best remembered state that keeps the promise as it leaves, at worst the input.
-
-    Without ``leaving`` no state is judged.
-    """
-    broken: list[str] = [f"{name} would be worse" for name in memory.worse]
-    for rank, state in enumerate(memory.states):
-        points = mesh.points.copy()
-        n = len(start)
-        moved = (state.points[:n] != start).any(axis=1)
-        points[frame.vertices[moved]] = frame.outside(state.points[:n][moved])
-        outcome = _in_caller_terms(mesh, frame, points, state)
-        broken_now: list[str] = []
-        slid = None
-        if leaving is not None:
-            outcome = leaving(outcome)
-            broken_now, slid = faults(
-                mesh, outcome.points, outcome.cells, outcome.regions, options, outcome.origin
-            )
-        if not broken_now:
-            fallback = None
-            if state.name == BESIDES:
-                reason += "; finishing without smoothing before it gave more"
-            if rank or state.name == ALONE:
-                why = "; ".join(broken) or "no better than the input"
-                fallback = f"a later state was given up ({why}){memory.price()}"
-            return replace(outcome, stop_reason=reason, fallback=fallback, slid=slid)
-        log.add("states refused", 1)
-        broken = broken_now
-    if not broken:
-        return _unchanged(mesh, f"nothing could be improved ({reason})")
-    unchanged = _unchanged(mesh, reason)
-    return replace(
-        unchanged,
-        fallback=f"{INPUT}nothing better kept the promise ({'; '.join(broken)}){memory.price()}",
-    )
-
-
-def _in_caller_terms(
-    mesh: SimplexMesh, frame: Frame, points: FloatArray, state: State
-) -> Outcome:
-    """A state in the caller's numbering, with the frozen cells; ``points`` are the old vertices.
-
-    Vertices keep their index, or their order when some have gone; new ones stand at the end.
-    """
-    n = len(frame.vertices)
-    regions = np.concatenate([mesh.regions[mesh.frozen], state.regions])
-    used = np.zeros(len(state.points), dtype=bool)
-    used[state.cells] = True
-    new = n + np.flatnonzero(used[n:])
-    if used[:n].all() and not len(new):
-        cells = np.concatenate([mesh.cells[mesh.frozen], frame.vertices[state.cells]])
-        return Outcome(points, np.ascontiguousarray(cells), regions)
-    stays = np.ones(len(points), dtype=bool)
-    stays[frame.vertices[~used[:n]]] = False
-    kept = np.flatnonzero(stays)
-    origin = np.concatenate([kept, np.full(len(new), -1, dtype=np.int64)])
-    outer = new_numbers(origin, len(points))
-    inner = np.full(len(state.points), -1, dtype=np.int32)
-    inner[:n] = outer[frame.vertices]
-    inner[new] = len(kept) + np.arange(len(new))
-    cells = np.concatenate([outer[mesh.cells[mesh.frozen]], inner[state.cells]])
-    points = np.concatenate([points[kept], frame.outside(state.points[new])])
-    return Outcome(points, np.ascontiguousarray(cells), regions, origin=origin)

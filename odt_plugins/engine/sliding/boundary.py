@@ -10,11 +10,8 @@ from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import Ground
 from odt_plugins.engine.ground.lines import Lines
 from odt_plugins.engine.ground.sheet import HELD, Limits, Sheet
+from odt_plugins.engine.policy import POLICY
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
-
-RESERVE = 0.4
-"""Part of the change of the volume which descents over the whole mesh leave to those at the worst
-cells."""
 
 
 class Skin(NamedTuple):
@@ -48,7 +45,7 @@ class Skin(NamedTuple):
 
     def allow(self, everything: bool) -> None:
         """Set the largest change of the volume: all of it, or all but the reserve."""
-        self.volume[0, 1] = self.most if everything else (1.0 - RESERVE) * self.most
+        self.volume[0, 1] = self.most if everything else (1.0 - POLICY.slide_reserve) * self.most
 
 
 @kernel

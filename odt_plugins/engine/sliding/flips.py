@@ -142,11 +142,11 @@ def _flip_sheet(skin: Skin, a: int, b: int, room: Work) -> bool:
     t, f = sheet_triangle(sheet, fan[a], a, b)
     if t < 0:
         return False
-    edge = sheet.cell_edges[t, f]
+    edge = sheet.edges.of_cell[t, f]
     s = sheet.neighbors[t, f]
     if s < 0 or sheet.locked[edge] or skin.stays[edge]:
         return False
-    g = place_in(sheet.cell_edges, s, edge)
+    g = place_in(sheet.edges.of_cell, s, edge)
     x, y = sheet.triangles[t, f], sheet.triangles[s, g]
     change = _signed_volume(
         sheet.points, x, sheet.triangles[t, (f + 1) % 3], sheet.triangles[t, (f + 2) % 3], y
@@ -161,7 +161,7 @@ def _flip_sheet(skin: Skin, a: int, b: int, room: Work) -> bool:
         or not joined(sheet, ground, x, y, limits.distance)
     ):
         return False
-    flip(sheet.triangles, sheet.neighbors, sheet.cell_edges, sheet.edge_cell, t, f, s, g)
+    flip(sheet.triangles, sheet.neighbors, sheet.edges, t, f, s, g)
     room.cells[0] = t
     room.cells[1] = s
     # numba would compile claim and cover once more for a literal

@@ -6,8 +6,6 @@ surface, and to the volume of the mesh.
 
 from __future__ import annotations
 
-from typing import NamedTuple
-
 import numpy as np
 
 from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
@@ -19,6 +17,7 @@ from odt_plugins.engine.ground.position import (
     ARMIJO,
     DECREASE,
     HALVINGS,
+    Step,
     axis_across,
     least_cosine,
     put_vertex,
@@ -30,25 +29,6 @@ from odt_plugins.engine.moves.plane_step import plane_step
 from odt_plugins.engine.sliding.boundary import Skin, affordable, spend
 from odt_plugins.engine.topology.star import Stars
 from odt_plugins.mesh.arrays import FloatArray, IntArray
-
-
-class Step(NamedTuple):
-    """Where a vertex is to go.
-
-    Attributes
-    ----------
-    x, y, z : float     in space
-    along : float       along the feature line of a vertex that is on one
-    before : float      cost of the star before
-    slope : float       derivative of the cost along the step
-    """
-
-    x: float
-    y: float
-    z: float
-    along: float
-    before: float
-    slope: float
 
 
 @allocating_kernel
@@ -77,14 +57,13 @@ def slide_vertices(
     sheet, lines = skin.sheet, skin.lines
     points = sheet.points
     indptr, indices = stars
-    sheet_indptr, sheet_indices = own
     room = make_derivatives()
     out = room.star
     count = 0
     for o in range(len(order)):
         v = order[o]
         moved[v] = 0.0
-        if sheet.kind[v] == HELD or sheet_indptr[v] == sheet_indptr[v + 1]:
+        if sheet.kind[v] == HELD or own.indptr[v] == own.indptr[v + 1]:
             continue
         out[:] = 0.0
         positive = True
@@ -96,7 +75,7 @@ def slide_vertices(
         if not positive:
             continue
         on_a_line = sheet.kind[v] == LINE
-        nx, ny, nz = star_normal(sheet, sheet_indptr, sheet_indices, v)
+        nx, ny, nz = star_normal(sheet, own, v)
         if on_a_line:
             ax, ay, az = line_direction(lines, points, lines.slot[v])
         elif nx * nx + ny * ny + nz * nz > 0.0:
@@ -162,7 +141,6 @@ def _try_slide(
     """Move v by alpha step, alpha = 1, 1/2, ..., until every guard agrees; returns the decrease."""
     sheet, ground, lines, limits = skin.sheet, skin.ground, skin.lines, skin.limits
     points, before = sheet.points, step.before
-    sheet_indptr, sheet_indices = own
     start, stop = stars.indptr[v], stars.indptr[v + 1]
     x, y, z, foot = points[v, 0], points[v, 1], points[v, 2], sheet.foot[v]
     slot = lines.slot[v]
@@ -191,11 +169,10 @@ def _try_slide(
             good = affordable(skin.volume, swept, v)
         if good:
             number = star_fits(
-                sheet, ground, sheet_indptr, sheet_indices, v, limits,
-                min(floor, limits.cosine), work,
+                sheet, ground, own, v, limits, min(floor, limits.cosine), work
             )
             if number >= 0:
-                cover(sheet, sheet_indptr[v + 1] - sheet_indptr[v], number, work)
+                cover(sheet, own.indptr[v + 1] - own.indptr[v], number, work)
                 spend(skin.volume, swept, v)
                 return before - after
         if slot >= 0:
@@ -203,7 +180,7 @@ def _try_slide(
         sheet.foot[v] = foot
         if good and floor > 1.0:
             points[v, 0], points[v, 1], points[v, 2] = x, y, z
-            floor = least_cosine(sheet, ground, sheet_indptr, sheet_indices, v, limits)
+            floor = least_cosine(sheet, ground, own, v, limits)
         alpha *= 0.5
     points[v, 0], points[v, 1], points[v, 2] = x, y, z
     return 0.0

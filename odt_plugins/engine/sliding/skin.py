@@ -13,6 +13,7 @@ from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.ground.build import make_ground, make_sheet
 from odt_plugins.engine.ground.features import find_features
 from odt_plugins.engine.ground.sheet import SMOOTH, Limits, make_work
+from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.sliding.boundary import Skin
 from odt_plugins.engine.sliding.flips import flip_boundary
 from odt_plugins.engine.sliding.newton import slide_vertices
@@ -20,21 +21,6 @@ from odt_plugins.engine.topology.complex import Complex
 from odt_plugins.engine.topology.star import Stars, star_sum, vertex_stars
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.surface import surface_edges
-
-WITHIN = 0.97
-"""Part of the envelope that the guards allow; the rest is for the rounding of the way back."""
-
-VOLUME = 2.9e-3
-"""Largest change of the volume, as a part of it."""
-
-CANCEL = 4.0
-"""Largest multiple of its budget that the mesh gives to its vertices where changes cancel."""
-
-UNUSED = 1.2
-"""A further factor, since not every vertex uses up what it has."""
-
-TURN = 30.0
-"""Degrees by which a triangle of the surface may be turned against the input surface."""
 
 
 def make_skin(
@@ -62,16 +48,17 @@ def make_skin(
     )
     ground = make_ground(points, triangles, edges, vertex_stars(triangles, n), features)
     sheet = make_sheet(points, triangles, edges, features)._replace(points=points)
-    limit = (WITHIN * envelope) ** 2
+    limit = (POLICY.slide_guard * envelope) ** 2
     fan = np.full(n, -1, dtype=np.int32)
     fan[triangles] = np.arange(len(triangles), dtype=np.int32)[:, None]
     low, high = edges.vertices.T
     ends = np.sort(stays, axis=1).astype(np.int64)
     kept = held[low] & held[high] | np.isin(low.astype(np.int64) * n + high,
                                        ends[:, 0] * n + ends[:, 1])
-    most = VOLUME * float(signed_volumes(points, cells).sum())
+    most = POLICY.slide_volume * float(signed_volumes(points, cells).sum())
+    limits = Limits(limit, limit, math.cos(math.radians(POLICY.slide_turn)))
     return Skin(
-        sheet, ground, features.lines, Limits(limit, limit, math.cos(math.radians(TURN))), kept,
+        sheet, ground, features.lines, limits, kept,
         _budgets(points, triangles, features.kind == SMOOTH, most), most, fan,
     )
 
@@ -96,8 +83,8 @@ def _budgets(
     whole, net = float(np.abs(bump).sum()), abs(float(bump.sum()))
     volume = np.zeros((n + 1, 2))
     volume[0, 1] = most
-    more = min(whole / net, CANCEL) if net > 0.0 else CANCEL
-    volume[1:, 1] = UNUSED * more * share / share.sum()
+    more = min(whole / net, POLICY.slide_cancel) if net > 0.0 else POLICY.slide_cancel
+    volume[1:, 1] = POLICY.slide_unused * more * share / share.sum()
     return volume
 
 

@@ -9,52 +9,39 @@ from functools import partial
 
 import numpy as np
 
+from odt_plugins.engine.cells.extremes import FREELY, Extremes
 from odt_plugins.engine.compiled.threads import thread_pool
+from odt_plugins.engine.finish.descent import finish_phase
 from odt_plugins.engine.finish.phases import Phase, bulk, tail
 from odt_plugins.engine.ground.build import make_ground, make_sheet
 from odt_plugins.engine.ground.features import EXACT, Features, find_features
-from odt_plugins.engine.ground.sheet import HELD, LINE, Limits
+from odt_plugins.engine.ground.sheet import HELD, LINE, Guards, Limits
 from odt_plugins.engine.odt.rounds import Log
-from odt_plugins.engine.record.figures import Figures, figures
+from odt_plugins.engine.policy import POLICY
+from odt_plugins.engine.record.figures import figures
 from odt_plugins.engine.record.memory import Memory, State
-from odt_plugins.engine.record.progress import in_turn, report_share, silent
-from odt_plugins.engine.run.cycles import extremes, settled
-from odt_plugins.engine.run.driver import Leaving, Outcome, as_it_is, inner_density
+from odt_plugins.engine.record.progress import in_turn, silent
+from odt_plugins.engine.run.best import ALONE, best_state, input_returned
+from odt_plugins.engine.run.cycles import alternate, extremes, repaired
+from odt_plugins.engine.run.driver import inner_density
+from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
+from odt_plugins.engine.run.start import Start, make_start
 from odt_plugins.engine.surface.density import SurfaceDensity, surface_density
 from odt_plugins.engine.surface.judge import Distance, Kept, faults, outside
-from odt_plugins.engine.surface.passes import Surface, finish_phase
+from odt_plugins.engine.surface.passes import Surface, SurfaceDescent
 from odt_plugins.engine.surface.rounds import check_method, smooth_surface
-from odt_plugins.engine.topology.frame import Frame, callers_vertices, make_frame
+from odt_plugins.engine.topology.frame import Frame, callers_vertices
 from odt_plugins.engine.topology.star import vertex_stars
-from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.arrays import BoolArray, IntArray
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal
 from odt_plugins.mesh.surface import Edges, surface_edges
 from odt_plugins.options import Options
-
-GUARD = 0.975
-"""Part of the envelope that the guards use; the rest is for the bounds of the judge."""
-
-SLIDING = 0.5
-"""Part of the envelope by which feature lines may change when the boundary slides."""
-
-NORMALS = 60.0
-"""Degrees by which the normal of a new triangle may differ from that of the ground under it."""
-
-THIN = 0.02
-"""Radius ratio below which stage 1 makes no triangle worse."""
 
 TAIL = tail(2)[:2]
 """Phases for the worst triangles; beyond p = 8 the envelope leaves them nothing to gain."""
 
 REPAIR = (Phase(16.0, 0.3, 20, 3), Phase(32.0, 0.3, 20, 3), Phase(64.0, 0.3, 20, 3))
 """Phases for a surface that is good but for a few triangles beyond the input's extremes."""
-
-ATTEMPTS = 4
-"""Runs until the input is returned; each leaves alone what broke the promise in those before, with
-one more ring of triangles around it every time."""
-
-SPOILED = 0.3
-"""Part of the vertices that may be left alone because of triangles beyond the input's extremes."""
 
 
 @dataclass(frozen=True)
@@ -72,22 +59,16 @@ class SurfaceOutcome(Outcome):
 
 
 @dataclass(frozen=True)
-class Start:
-    """The input of one run in inner numbering and coordinates.
+class SurfaceStart(Start):
+    """The input of a run on a surface.
 
     Attributes
     ----------
-    frame : Frame
-    points : (k, 3) float64, triangles : (m1, 3) int32, regions : (m1,) int32
     fixed : (k,) bool           vertices that the caller holds
     marked : (l, 2) int32       edges that the caller marked as features
     edges : Edges
     """
 
-    frame: Frame
-    points: FloatArray
-    triangles: IntArray
-    regions: IntArray
     fixed: BoolArray
     marked: IntArray
     edges: Edges
@@ -114,7 +95,7 @@ def run_surface(
     """
     check_method(options)
     if mesh.frozen.all():
-        return _unchanged(mesh, "no triangle may change")
+        return _as_given(unchanged(mesh, "no triangle may change"))
     with callers_vertices(mesh):
         return _run_until_kept(mesh, options, leaving)
 
@@ -125,74 +106,55 @@ def _run_until_kept(
     """Runs from the input on until one keeps the promise, at last the input itself."""
     clock = time.perf_counter()
     start = _start(mesh)
-    log = Log()
-    times: dict[str, float] = {"prepare": time.perf_counter() - clock}
+    log = Log(times={"prepare": time.perf_counter() - clock})
     alone = np.zeros(len(mesh.points), dtype=np.bool_)
     broken: list[str] = []
-    for attempt in range(ATTEMPTS):
-        memory, kept, reason = _run(
-            mesh, start, in_turn(options, attempt), alone, log, times
-        )
+    for attempt in range(POLICY.surface_attempts):
+        last = attempt == POLICY.surface_attempts - 1
+        memory, kept, reason = _run(start, in_turn(options, attempt), alone, log)
         if not memory.states and options.finish:
             spoiled = np.zeros(len(mesh.points), dtype=np.bool_)
             spoiled[start.frame.vertices[memory.spoiled()]] = True
             spoiled = _with_rings(mesh, spoiled, 1)
-            if attempt < ATTEMPTS - 1 and 0 < spoiled.sum() <= SPOILED * len(start.points):
+            if not last and 0 < spoiled.sum() <= POLICY.surface_spoiled * len(start.points):
                 broken = [f"{name} would be worse" for name in memory.worse]
                 alone |= spoiled
                 continue
-            _finishing_alone(mesh, start, options, alone, memory, log, times)
+            _finishing_alone(start, options, alone, memory, log)
         clock = time.perf_counter()
-        outcome, found = _best(mesh, start, kept, memory, options, log, leaving)
-        if outcome is None and not memory.states:
-            found = [f"{name} would be worse" for name in memory.worse]
-        times["check"] = times.get("check", 0.0) + time.perf_counter() - clock
+        outcome, found = best_state(
+            memory, partial(_judged, start, kept, options, leaving), log, reason
+        )
+        log.add_time("check", time.perf_counter() - clock)
         if outcome is not None:
-            (options.progress or silent)("finishing", 1.0)
-            fallback = None if not broken else f"a run was given up ({'; '.join(broken)})"
-            return replace(
-                outcome, times=times, energy=log.energy, counts=log.counts, stop_reason=reason,
-                fallback=outcome.fallback or fallback, kept=kept,
-            )
-        broken = found
-        if not memory.states or attempt == ATTEMPTS - 1:
+            if broken and not outcome.fallback:
+                why = f"a result was given up, then others were tried ({'; '.join(broken)})"
+                outcome = replace(outcome, fallback=why)
             break
-        alone |= _left_alone(mesh, start, kept, memory, leaving, attempt + 1)
+        broken = found
+        if not memory.states or last:
+            break
+        alone |= _left_alone(start, kept, memory, leaving, attempt + 1)
     (options.progress or silent)("finishing", 1.0)
-    unchanged = replace(
-        _unchanged(mesh, reason), times=times, energy=log.energy, counts=log.counts, kept=kept
-    )
-    if not broken:
-        return replace(unchanged, stop_reason=f"nothing could be improved ({reason})")
-    fallback = (
-        f"the input is returned, nothing better kept the promise ({'; '.join(broken)})"
-        f"{memory.price()}"
-    )
-    return replace(unchanged, fallback=fallback)
-
-
-def _unchanged(mesh: SimplexMesh, reason: str) -> SurfaceOutcome:
-    return SurfaceOutcome(
-        mesh.points.copy(), mesh.cells.copy(), mesh.regions.copy(), stop_reason=reason,
-        distance=Distance(0.0, 0.0),
+    if not isinstance(outcome, SurfaceOutcome):
+        outcome = _as_given(input_returned(mesh, memory, broken, reason))
+    return replace(
+        outcome, times=log.times, energy=log.energy, counts=log.counts, kept=kept
     )
 
 
-def _start(mesh: SimplexMesh) -> Start:
-    frame, triangles = make_frame(mesh)
-    number = np.full(len(mesh.points), -1, dtype=np.int32)
-    number[frame.vertices] = np.arange(len(frame.vertices), dtype=np.int32)
-    marked = number[mesh.lines]
+def _as_given(outcome: Outcome) -> SurfaceOutcome:
+    """The outcome of a surface on which nothing moved."""
+    return SurfaceOutcome(**vars(outcome), distance=Distance(0.0, 0.0))
+
+
+def _start(mesh: SimplexMesh) -> SurfaceStart:
+    start = make_start(mesh)
     fixed = mesh.fixed.copy()
     fixed[mesh.cells[mesh.frozen]] = True
-    return Start(
-        frame,
-        frame.inside(mesh.points[frame.vertices]),
-        triangles,
-        np.ascontiguousarray(mesh.regions[frame.active]),
-        fixed[frame.vertices],
-        marked[(marked >= 0).all(axis=1)],
-        _inner_edges(mesh, frame, triangles),
+    return SurfaceStart(
+        **vars(start), fixed=fixed[start.frame.vertices], marked=start.pairs(mesh.lines),
+        edges=_inner_edges(mesh, start.frame, start.cells),
     )
 
 
@@ -209,47 +171,48 @@ def _inner_edges(mesh: SimplexMesh, frame: Frame, triangles: IntArray) -> Edges:
 
 
 def _run(
-    mesh: SimplexMesh, start: Start, options: Options, alone: BoolArray, log: Log,
-    times: dict[str, float],
+    start: SurfaceStart, options: Options, alone: BoolArray, log: Log
 ) -> tuple[Memory, Kept, str]:
     """Both stages from the input on; triangles of vertices ``alone``, (n,) bool, stay."""
     clock = time.perf_counter()
-    surface, features, kept = _build(mesh, start, options, alone)
+    surface, features, kept = _build(start, options, alone)
     density = surface_density(
-        inner_density(mesh, options, start.frame), options.exponent, start.points,
-        start.triangles, start.edges, features,
+        inner_density(start.mesh, options, start.frame), options.exponent, start.points,
+        start.cells, start.edges, features,
     )
-    before = figures(start.points, start.triangles)
+    before = figures(start.points, start.cells)
     memory = Memory(before, tuple(options.keep), options.objective, by_score=options.finish)
-    times["prepare"] += time.perf_counter() - clock
+    log.add_time("prepare", time.perf_counter() - clock)
     with thread_pool(options.threads) as pool:
         surface = replace(surface, pool=pool, threads=options.threads)
-        reason = _cycles(surface, density, options, before, memory, log, times)
+        reason = _cycles(surface, density, options, memory, log)
     return memory, kept, reason
 
 
 def _finishing_alone(
-    mesh: SimplexMesh, start: Start, options: Options, alone: BoolArray, memory: Memory, log: Log,
-    times: dict[str, float],
+    start: SurfaceStart, options: Options, alone: BoolArray, memory: Memory, log: Log
 ) -> None:
     """Improve the input by stage 2 alone, which never leaves the extremes of the input."""
-    log.add("runs of finishing alone", 1)
-    surface, _, _ = _build(mesh, start, options, alone)
-    strict = np.array(extremes(memory.before, tuple(options.keep)).cells)
+    log.add(f"runs of {ALONE}", 1)
+    clock = time.perf_counter()
+    surface, _, _ = _build(start, options, alone)
+    strict = extremes(memory.before, tuple(options.keep)).cells
     for phases in (bulk(2), TAIL):
-        _descend(surface, phases, strict, log, times)
-        memory.offer(surface, "finishing alone")
+        _settle(surface, phases, strict, log)
+        memory.offer(surface, ALONE)
+    log.add_time("finishing", time.perf_counter() - clock)
 
 
 def _build(
-    mesh: SimplexMesh, start: Start, options: Options, alone: BoolArray
+    start: SurfaceStart, options: Options, alone: BoolArray
 ) -> tuple[Surface, Features, Kept]:
     """Find the features and lay ground and sheet out."""
-    points, triangles, edges = start.points, start.triangles, start.edges
-    frame = start.frame
+    points, triangles, edges = start.points, start.cells, start.edges
+    frame, mesh = start.frame, start.mesh
     shut = alone[frame.vertices]
     stars = vertex_stars(triangles, len(points))
-    slack = SLIDING * options.envelope if options.boundary == "slide" else EXACT
+    slides = options.boundary == "slide"
+    slack = POLICY.surface_lines * options.envelope if slides else EXACT
     features = find_features(
         points, triangles, edges, stars, angle=options.feature_angle, fixed=start.fixed | shut,
         regions=start.regions, marked=start.marked, slack=slack,
@@ -260,8 +223,8 @@ def _build(
     used = mesh.points[np.unique(mesh.cells)]
     length = diagonal(used) * frame.scale
     limits = Limits(
-        (GUARD * options.envelope * length) ** 2, (slack * length) ** 2,
-        math.cos(math.radians(NORMALS)),
+        (POLICY.surface_guard * options.envelope * length) ** 2, (slack * length) ** 2,
+        math.cos(math.radians(POLICY.surface_turn)),
     )
     held = np.ones(len(mesh.points), dtype=np.bool_)
     held[frame.vertices] = features.kind == HELD
@@ -270,120 +233,67 @@ def _build(
         frame.vertices[edges.vertices[features.edges]], held, features.corners,
         int((features.kind == LINE).sum()),
     )
-    return Surface(sheet, ground, features.lines, limits, start.regions), features, kept
+    return Surface(sheet, Guards(ground, features.lines, limits), start.regions), features, kept
 
 
 def _cycles(
-    surface: Surface, density: SurfaceDensity, options: Options, before: Figures, memory: Memory,
-    log: Log, times: dict[str, float],
+    surface: Surface, density: SurfaceDensity, options: Options, memory: Memory, log: Log
 ) -> str:
-    """Alternate the two stages; returns why stage 1 stopped last."""
-    report = options.progress if options.progress is not None else silent
-    strict = np.array(extremes(before, tuple(options.keep)).cells)
-    bounds = np.array([THIN, 1.0, -1.0])
-    watch = None
-    if not options.finish:
-        bounds = strict
-        watch = partial(memory.offer, name="smoothing")
-        if "p1_quality" in options.keep:
-            bounds[0] = before.p1_quality
-    cycles = options.cycles if options.finish else 1
-    reason = "nothing was asked for"
-    means: list[float] = []
-    for cycle in range(cycles):
-        clock = time.perf_counter()
-        reason = smooth_surface(
-            surface, density, options, bounds, log,
-            partial(report_share, report, cycle / cycles, 0.5 / cycles), watch,
-        )
-        times["smoothing"] = times.get("smoothing", 0.0) + time.perf_counter() - clock
-        if not options.finish:
-            continue
-        _descend(surface, bulk(2), strict, log, times)
-        report("finishing", (cycle + 1) / cycles)
-        means.append(figures(surface.points, surface.triangles).mean_quality)
-        if end := settled(means):
-            reason = end
-            break
+    """Alternate the two stages, then look after the worst triangles; why stage 1 stopped."""
+    strict = extremes(memory.before, tuple(options.keep)).cells
+    bounds = FREELY._replace(quality=POLICY.surface_thin) if options.finish else strict
+    if not options.finish and "p1_quality" in options.keep:
+        bounds = bounds._replace(quality=memory.before.p1_quality)
+    watch = None if options.finish else partial(memory.offer, name="smoothing")
+    reason = alternate(
+        lambda tick: smooth_surface(surface, density, options, bounds, log, tick, watch),
+        lambda: _settle(surface, bulk(2), strict, log),
+        lambda: figures(surface.points, surface.triangles).mean_quality, options, log,
+    )
     if options.finish:
+        clock = time.perf_counter()
         memory.offer(surface, "bulk")
-        _descend(surface, TAIL, strict, log, times)
+        _settle(surface, TAIL, strict, log)
         memory.offer(surface, "finished")
         if not memory.states and "mean_quality" not in memory.worse:
-            _repair(surface, strict, memory, log, times)
-    report("finishing", 1.0)
+            worse, refused = memory.worse, memory.refused
+            if not repaired(REPAIR, lambda phases: _settle(surface, phases, strict, log),
+                            lambda: memory.offer(surface, "repaired"), log):
+                memory.worse, memory.refused = worse, refused
+        log.add_time("finishing", time.perf_counter() - clock)
+    (options.progress or silent)("finishing", 1.0)
     return reason
 
 
-def _repair(
-    surface: Surface, bounds: FloatArray, memory: Memory, log: Log, times: dict[str, float]
-) -> None:
-    """Bring the triangles beyond the bounds back; what is refused all the same is forgotten."""
-    worse, refused = memory.worse, memory.refused
-    for phase in REPAIR:
-        log.add("repairs", 1)
-        _descend(surface, (phase,), bounds, log, times)
-        if memory.offer(surface, "repaired"):
-            return
-    memory.worse, memory.refused = worse, refused
-
-
-def _descend(
-    surface: Surface, phases: tuple[Phase, ...], bounds: FloatArray, log: Log,
-    times: dict[str, float],
+def _settle(
+    surface: Surface, phases: tuple[Phase, ...], bounds: Extremes, log: Log
 ) -> None:
     """Run phases of stage 2 and count."""
-    clock = time.perf_counter()
     for phase in phases:
-        flips, moves = finish_phase(surface, phase, bounds)
+        flips, moves = finish_phase(SurfaceDescent(surface, phase, bounds), phase)
         log.add("quality flips", flips)
         log.add("vertex moves", moves)
-    times["finishing"] = times.get("finishing", 0.0) + time.perf_counter() - clock
 
 
-def _placed(mesh: SimplexMesh, start: Start, state: State, leaving: Leaving) -> Outcome:
-    """A state in the caller's numbering as it leaves; what did not move keeps its bits."""
-    frame = start.frame
-    points = mesh.points.copy()
-    moved = (state.points != start.points).any(axis=1)
-    points[frame.vertices[moved]] = frame.outside(state.points[moved])
-    cells = np.concatenate([mesh.cells[mesh.frozen], frame.vertices[state.cells]])
-    regions = np.concatenate([mesh.regions[mesh.frozen], state.regions])
-    return leaving(Outcome(points, np.ascontiguousarray(cells), regions))
-
-
-def _best(
-    mesh: SimplexMesh, start: Start, kept: Kept, memory: Memory, options: Options, log: Log,
-    leaving: Leaving,
-) -> tuple[SurfaceOutcome | None, list[str]]:
-    """The best remembered state that keeps the promise, or what the last one broke."""
-    broken: list[str] = []
-    for rank, state in enumerate(memory.states):
-        placed = _placed(mesh, start, state, leaving)
-        found, distance = faults(
-            mesh, kept, placed.points, placed.cells, placed.regions, options
-        )
-        if not found:
-            fallback = None
-            if rank or state.name == "finishing alone":
-                worse = broken or [f"{name} would be worse" for name in memory.worse]
-                fallback = f"a later state was given up ({'; '.join(worse)}){memory.price()}"
-            return SurfaceOutcome(
-                placed.points, placed.cells, placed.regions, fallback=fallback,
-                written=placed.written, source=placed.source, kept=kept, distance=distance,
-            ), []
-        log.add("states refused", 1)
-        broken = found
-    return None, broken
+def _judged(
+    start: SurfaceStart, kept: Kept, options: Options, leaving: Leaving, state: State
+) -> tuple[Outcome, list[str]]:
+    """A state as it leaves, and what it breaks of the promise."""
+    outcome = leaving(start.placed(state))
+    broken, distance = faults(
+        start.mesh, kept, outcome.points, outcome.cells, outcome.regions, options
+    )
+    return SurfaceOutcome(**vars(outcome), distance=distance), broken
 
 
 def _left_alone(
-    mesh: SimplexMesh, start: Start, kept: Kept, memory: Memory, leaving: Leaving, rings: int
+    start: SurfaceStart, kept: Kept, memory: Memory, leaving: Leaving, rings: int
 ) -> BoolArray:
     """Vertices, (n,) bool, around the places where a state broke the promise."""
+    mesh = start.mesh
     alone = np.zeros(len(mesh.points), dtype=np.bool_)
     for state in memory.states:
-        placed = _placed(mesh, start, state, leaving)
+        placed = leaving(start.placed(state))
         alone |= outside(mesh, kept, placed.points, placed.cells)
     return _with_rings(mesh, alone, rings)
 

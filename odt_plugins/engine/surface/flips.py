@@ -9,15 +9,15 @@ import math
 
 import numpy as np
 
-from odt_plugins.engine.cells.bounds import relaxed
+from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
+from odt_plugins.engine.cells.tetrahedron import ENERGY, Cost
 from odt_plugins.engine.cells.triangle import offset, triangle_in_space
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import PIECE
-from odt_plugins.engine.ground.closest import Ground
 from odt_plugins.engine.ground.pair import edge_is_free, flip_back, keeps_normals
 from odt_plugins.engine.ground.sheet import (
     SMOOTH,
-    Limits,
+    Guards,
     Sheet,
     Work,
     claim,
@@ -25,28 +25,35 @@ from odt_plugins.engine.ground.sheet import (
     joined,
     make_work,
 )
-from odt_plugins.engine.moves.flips2d import GAIN, flip, queue_around, work_off
+from odt_plugins.engine.moves.flips2d import (
+    GAIN,
+    Queue,
+    first_waiting,
+    flip,
+    make_queue,
+    queue_around,
+    work_off,
+)
 from odt_plugins.engine.topology.lookup import place_in
-from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
+from odt_plugins.mesh.arrays import BoolArray, FloatArray
 
 HELD_FLOOR = 0.3
 """Radius ratio that a new triangle without a free vertex must reach: smoothing cannot help it."""
 
 
 def flip_edges(
-    sheet: Sheet, ground: Ground, limits: Limits, power: float, bounds: FloatArray,
-    seeds: BoolArray, changed: BoolArray,
+    sheet: Sheet, guards: Guards, cost: Cost, bounds: Extremes, seeds: BoolArray,
+    changed: BoolArray,
 ) -> int:
     """Flip edges, in place, as long as it pays.
 
     Parameters
     ----------
-    sheet : Sheet, ground : Ground, limits : Limits
-    power : float            0 flips where opposite angles exceed 180 degrees and the ODT energy of
-                             the pair falls; p > 0 where the sum of q^-p falls
-    bounds : (3,) float64    least radius ratio, largest and smallest cosine of an angle; a flip
-                             that passes one of them and is worse there than the pair it replaces
-                             is refused
+    sheet : Sheet, guards : Guards
+    cost : Cost              the energy flips where opposite angles exceed 180 degrees and the ODT
+                             energy of the pair falls; the quality where the sum of q^-p falls
+    bounds : Extremes        a flip that passes one of them and is worse there than the pair it
+                             replaces is refused
     seeds : (m,) bool        the first edges looked at are those of these triangles
     changed : (m,) bool      set, in place, where a triangle was replaced
 
@@ -54,17 +61,14 @@ def flip_edges(
     -------
     int                      number of flips
     """
-    count = len(sheet.edge_cell)
-    queued = np.zeros(count, dtype=np.bool_)
-    queued[sheet.cell_edges[seeds]] = True
-    queued[sheet.locked] = False
-    first = np.flatnonzero(queued).astype(np.int32)
-    queue = np.zeros(count, dtype=np.int32)
-    queue[: len(first)] = first
-    queued |= sheet.locked
-    work = make_work(ground)
-    flips = work_off(len(first), count, lambda waiting: _flip_some(
-        sheet, ground, limits, power, bounds, queue, queued, waiting, PIECE, work, changed
+    waits = np.zeros(len(sheet.edges.cell), dtype=np.bool_)
+    waits[sheet.edges.of_cell[seeds]] = True
+    waits[sheet.locked] = False
+    queue = make_queue(waits)
+    waits |= sheet.locked
+    work = make_work(guards.ground)
+    flips = work_off(queue, lambda: _flip_some(
+        sheet, guards, cost, bounds, queue, PIECE, work, changed
     ))
     sheet.check()
     return flips
@@ -72,30 +76,25 @@ def flip_edges(
 
 @kernel
 def _flip_some(
-    sheet: Sheet, ground: Ground, limits: Limits, power: float, bounds: FloatArray,
-    queue: IntArray, queued: BoolArray, waiting: LongArray, most: int, work: Work,
-    changed: BoolArray,
+    sheet: Sheet, guards: Guards, cost: Cost, bounds: Extremes, queue: Queue, most: int,
+    work: Work, changed: BoolArray,
 ) -> int:
     """Visit at most ``most`` edges; after a flip the four edges around it are looked at again."""
-    cells, neighbors = sheet.triangles, sheet.neighbors
-    cell_edges, edge_cell = sheet.cell_edges, sheet.edge_cell
+    ground, limits = guards.ground, guards.limits
+    cells, neighbors, edges = sheet.triangles, sheet.neighbors, sheet.edges
     pair = work.cells
-    head, size = waiting[0], waiting[1]
     flips = 0
-    for _ in range(min(size, most)):
-        e = queue[head]
-        head = (head + 1) % len(queue)
-        size -= 1
-        queued[e] = False
-        t = edge_cell[e]
-        i = place_in(cell_edges, t, e)
+    for _ in range(min(queue.ends[1], most)):
+        e = first_waiting(queue)
+        t = edges.cell[e]
+        i = place_in(edges.of_cell, t, e)
         s = neighbors[t, i]
         if s < 0:
             continue
-        j = place_in(cell_edges, s, e)
+        j = place_in(edges.of_cell, s, e)
         a, b, c = cells[t, i], cells[t, (i + 1) % 3], cells[t, (i + 2) % 3]
         d = cells[s, j]
-        if not _pays(sheet, a, b, c, d, power, bounds):
+        if not _pays(sheet, a, b, c, d, cost, bounds):
             continue
         if not edge_is_free(sheet, t, a, s, d) or not keeps_normals(
             sheet, ground, a, b, c, d, limits.cosine
@@ -103,7 +102,7 @@ def _flip_some(
             continue
         if not joined(sheet, ground, a, d, limits.distance):
             continue
-        flip(cells, neighbors, cell_edges, edge_cell, t, i, s, j)
+        flip(cells, neighbors, edges, t, i, s, j)
         pair[0] = t
         pair[1] = s
         number = claim(sheet, ground, 2, limits.distance, work)
@@ -114,33 +113,29 @@ def _flip_some(
         changed[t] = True
         changed[s] = True
         flips += 1
-        size = queue_around(cell_edges, t, s, queue, queued, head, size)
-    waiting[0], waiting[1] = head, size
+        queue_around(edges, t, s, queue)
     return flips
 
 
 @kernel
 def _pays(
-    sheet: Sheet, a: int, b: int, c: int, d: int, power: float, bounds: FloatArray
+    sheet: Sheet, a: int, b: int, c: int, d: int, cost: Cost, bounds: Extremes
 ) -> bool:
     """Whether (a, b, d) and (a, d, c) are to be preferred to (a, b, c) and (d, c, b)."""
     p = sheet.points
-    if power == 0.0 and not _wide(p, a, b, c, d):
+    if cost.objective == ENERGY and not _wide(p, a, b, c, d):
         return False
     q1, large1, small1, x1, y1, z1 = triangle_in_space(p, a, b, c)
     q2, large2, small2, x2, y2, z2 = triangle_in_space(p, d, c, b)
     q3, large3, small3, x3, y3, z3 = triangle_in_space(p, a, b, d)
     q4, large4, small4, x4, y4, z4 = triangle_in_space(p, a, d, c)
-    worst = min(q3, q4)
-    if not worst > 0.0:
+    before = worse(Extremes(q1, large1, small1), Extremes(q2, large2, small2))
+    after = worse(Extremes(q3, large3, small3), Extremes(q4, large4, small4))
+    if not after.quality > 0.0 or not keeps(after, worse(bounds, before)):
         return False
-    least, most, fewest = relaxed(
-        bounds, min(q1, q2), max(large1, large2), min(small1, small2)
-    )
-    if worst < least or max(large3, large4) > most or min(small3, small4) < fewest:
-        return False
-    if power > 0.0:
-        if not min(q1, q2) > 0.0:
+    power = cost.power
+    if cost.objective != ENERGY:
+        if not before.quality > 0.0:
             return True
         return q3**-power + q4**-power < (1.0 - GAIN) * (q1**-power + q2**-power)
     kind = sheet.kind
@@ -150,15 +145,15 @@ def _pays(
             held = min(held, q3)
         if kind[c] != SMOOTH:
             held = min(held, q4)
-        if held < HELD_FLOOR and held < min(q1, q2):
+        if held < HELD_FLOOR and held < before.quality:
             return False
     # energy (2.2): area times the sum of squared edges
     bc, ad = _squared(p, b, c), _squared(p, a, d)
-    before = _norm(x1, y1, z1) * (_squared(p, a, b) + _squared(p, c, a) + bc) + _norm(
+    energy = _norm(x1, y1, z1) * (_squared(p, a, b) + _squared(p, c, a) + bc) + _norm(
         x2, y2, z2) * (_squared(p, b, d) + _squared(p, d, c) + bc)
-    after = _norm(x3, y3, z3) * (_squared(p, a, b) + _squared(p, b, d) + ad) + _norm(
+    then = _norm(x3, y3, z3) * (_squared(p, a, b) + _squared(p, b, d) + ad) + _norm(
         x4, y4, z4) * (_squared(p, d, c) + _squared(p, c, a) + ad)
-    return after < (1.0 - GAIN) * before
+    return then < (1.0 - GAIN) * energy
 
 
 @kernel

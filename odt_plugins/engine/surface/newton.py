@@ -4,42 +4,44 @@ from __future__ import annotations
 
 import math
 
+from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.triangle import opposite_edge
 from odt_plugins.engine.compiled.kernel import kernel
-from odt_plugins.engine.ground.closest import Ground
-from odt_plugins.engine.ground.lines import Lines, line_direction
+from odt_plugins.engine.ground.lines import line_direction
 from odt_plugins.engine.ground.position import (
     DECREASE,
+    Step,
+    along_line,
     axis_across,
     star_normal,
     star_shape,
     try_move,
 )
-from odt_plugins.engine.ground.sheet import HELD, LINE, Limits, Sheet, Work
+from odt_plugins.engine.ground.sheet import HELD, LINE, Guards, Sheet, Work
 from odt_plugins.engine.moves.plane_step import plane_step
-from odt_plugins.engine.topology.star import OffsetArray
+from odt_plugins.engine.topology.star import Stars
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 
 @kernel
 def star_cost(
-    points: FloatArray, triangles: IntArray, indptr: OffsetArray, indices: IntArray, vertex: int,
-    power: float, e: FloatArray, derivatives: FloatArray,
+    points: FloatArray, triangles: IntArray, stars: Stars, vertex: int, power: float,
+    e: FloatArray, derivatives: FloatArray,
 ) -> float:
     """Sum of q^-p over the star of a vertex, with its derivatives along two directions.
 
     Parameters
     ----------
     points : (n, 3) float64, triangles : (m, 3) int32
-    indptr : (n + 1,) int64, indices : int32    stars
+    stars : Stars
     vertex : int
-    power : float                               p
-    e : (2, 3) float64                          orthonormal directions
-    derivatives : (5,) float64                  OUT: F_1, F_2, F_11, F_12, F_22
+    power : float                 p
+    e : (2, 3) float64            orthonormal directions
+    derivatives : (5,) float64    OUT: F_1, F_2, F_11, F_12, F_22
 
     Returns
     -------
-    float                                       infinite when a triangle is flat
+    float                         infinite when a triangle is flat
 
     Notes
     -----
@@ -47,6 +49,7 @@ def star_cost(
     log l2 - log(l1 + l2 + |w|) + constant; B = |w|^2 |u|^2 - (u w)^2, four times the squared area,
     is a quadratic of the vertex.
     """
+    indptr, indices = stars
     derivatives[:] = 0.0
     total = 0.0
     for s in range(indptr[vertex], indptr[vertex + 1]):
@@ -114,9 +117,8 @@ def star_cost(
 
 @kernel
 def smooth_vertices(
-    sheet: Sheet, ground: Ground, lines: Lines, indptr: OffsetArray, indices: IntArray,
-    order: IntArray, start: int, stop: int, power: float, limits: Limits, bounds: FloatArray,
-    work: Work, moved: FloatArray,
+    sheet: Sheet, guards: Guards, stars: Stars, order: IntArray, start: int, stop: int,
+    power: float, bounds: Extremes, work: Work, moved: FloatArray,
 ) -> int:
     """One guarded Newton step on F_p for every vertex of order[start:stop], in place.
 
@@ -131,15 +133,16 @@ def smooth_vertices(
     -----
     The Hessian is made positive definite by a shift; a vertex on a line has one direction only.
     """
+    lines = guards.lines
     e, derivatives = work.axes, work.derivatives
     count = 0
     for o in range(start, stop):
         v = order[o]
         moved[v] = 0.0
-        if sheet.kind[v] == HELD or indptr[v] == indptr[v + 1]:
+        if sheet.kind[v] == HELD or stars.indptr[v] == stars.indptr[v + 1]:
             continue
         on_a_line = sheet.kind[v] == LINE
-        nx, ny, nz = star_normal(sheet, indptr, indices, v)
+        nx, ny, nz = star_normal(sheet, stars, v)
         if on_a_line:
             e[0, 0], e[0, 1], e[0, 2] = line_direction(lines, sheet.points, lines.slot[v])
         else:
@@ -149,7 +152,7 @@ def smooth_vertices(
         e[1, 0] = ny * e[0, 2] - nz * e[0, 1]
         e[1, 1] = nz * e[0, 0] - nx * e[0, 2]
         e[1, 2] = nx * e[0, 1] - ny * e[0, 0]
-        cost = star_cost(sheet.points, sheet.triangles, indptr, indices, v, power, e, derivatives)
+        cost = star_cost(sheet.points, sheet.triangles, stars, v, power, e, derivatives)
         if not cost < math.inf:
             continue
         g1, g2 = derivatives[0], derivatives[1]
@@ -161,11 +164,9 @@ def smooth_vertices(
         dx = d1 * e[0, 0] + d2 * e[1, 0]
         dy = d1 * e[0, 1] + d2 * e[1, 1]
         dz = d1 * e[0, 2] + d2 * e[1, 2]
-        if try_move(
-            sheet, ground, lines, indptr, indices, v, dx, dy, dz, limits, power, cost, slope,
-            bounds, work,
-        ) > 0.0:
-            there, _, _, _ = star_shape(sheet, indptr, indices, v, power)
+        step = Step(dx, dy, dz, along_line(sheet, lines, v, dx, dy, dz), cost, slope)
+        if try_move(sheet, guards, stars, v, step, power, bounds, work) > 0.0:
+            there, _ = star_shape(sheet, stars, v, power)
             moved[v] = 1.0 - there / cost
             count += 1
     return count

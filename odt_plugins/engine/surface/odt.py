@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
+import numpy as np
+
+from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.triangle import opposite_edge
 from odt_plugins.engine.compiled.kernel import kernel
-from odt_plugins.engine.ground.closest import Ground
-from odt_plugins.engine.ground.lines import Lines
-from odt_plugins.engine.ground.position import star_normal, try_move
-from odt_plugins.engine.ground.sheet import HELD, Limits, Sheet, Work
-from odt_plugins.engine.topology.star import OffsetArray
+from odt_plugins.engine.ground.position import NO_COST, Step, along_line, star_normal, try_move
+from odt_plugins.engine.ground.sheet import HELD, Guards, Sheet, Work
+from odt_plugins.engine.topology.star import Stars
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 ODT, CPT, LAPLACIAN, GIVEN = 0, 1, 2, 3
@@ -21,13 +23,38 @@ SLENDER = 1e-12
 """A triangle whose squared sine at the vertex is below this has no circumcentre."""
 
 
+class Target(NamedTuple):
+    """Where vertices are to go.
+
+    Attributes
+    ----------
+    centre : int              ODT, CPT, LAPLACIAN or GIVEN; triangles with a vertex on a feature
+                              line count by their barycentre (Section 4.2.1)
+    rho : (n,) float64        density at the vertices
+    equal_weights : bool      density (4.22)
+    omega : float             first alpha
+    vectors : (n, 3) float64  by which to move, for GIVEN; otherwise NOWHERE
+    """
+
+    centre: int
+    rho: FloatArray
+    equal_weights: bool
+    omega: float
+    vectors: FloatArray
+
+
+NOWHERE = np.zeros((0, 3))
+"""Vectors for a target that takes none."""
+
+
 @kernel
 def star_centre(
-    sheet: Sheet, indptr: OffsetArray, indices: IntArray, vertex: int, rho: FloatArray,
-    equal_weights: bool, target: int,
+    sheet: Sheet, stars: Stars, vertex: int, target: Target
 ) -> tuple[float, float, float]:
     """Vector to the weighted mean of the centres of a star (4.13), (4.20) or (4.21)."""
     p, t = sheet.points, sheet.triangles
+    indptr, indices = stars
+    rho = target.rho
     x, y, z = p[vertex, 0], p[vertex, 1], p[vertex, 2]
     tx = ty = tz = weight = 0.0
     for s in range(indptr[vertex], indptr[vertex + 1]):
@@ -40,16 +67,16 @@ def star_centre(
         uv = ux * vx + uy * vy + uz * vz
         # square of twice the area
         square = uu * vv - uv * uv
-        if target == LAPLACIAN:
+        if target.centre == LAPLACIAN:
             share, left, right = 1.0, 0.5, 0.5
         elif not square > SLENDER * uu * vv:
             continue
         else:
             share = 1.0
-            if not equal_weights:
+            if not target.equal_weights:
                 share = math.sqrt(square) * (rho[vertex] + rho[b] + rho[d])
             left = right = 1.0 / 3.0
-            if target == ODT and sheet.kind[vertex] + sheet.kind[b] + sheet.kind[d] == 0:
+            if target.centre == ODT and sheet.kind[vertex] + sheet.kind[b] + sheet.kind[d] == 0:
                 left = 0.5 * vv * (uu - uv) / square
                 right = 0.5 * uu * (vv - uv) / square
         weight += share
@@ -63,28 +90,20 @@ def star_centre(
 
 @kernel
 def move_vertices(
-    sheet: Sheet, ground: Ground, lines: Lines, indptr: OffsetArray, indices: IntArray,
-    order: IntArray, start: int, stop: int, target: int, vectors: FloatArray, rho: FloatArray,
-    equal_weights: bool, omega: float, limits: Limits, bounds: FloatArray, work: Work,
-    moved: FloatArray,
+    sheet: Sheet, guards: Guards, stars: Stars, order: IntArray, start: int, stop: int,
+    target: Target, bounds: Extremes, work: Work, moved: FloatArray,
 ) -> int:
     """Move every vertex of order[start:stop] to the mean centre of its star, in place.
 
     Parameters
     ----------
-    sheet : Sheet, ground : Ground, lines : Lines
-    indptr, indices           stars of the sheet
+    sheet : Sheet, guards : Guards
+    stars : Stars             of the sheet
     order : (k,) int32        vertices; those of one call share no triangle
     start, stop : int
-    target : int              ODT, CPT, LAPLACIAN or GIVEN; triangles with a vertex on a feature
-                              line count by their barycentre (Section 4.2.1)
-    vectors : (n, 3) float64  by which to move, for GIVEN
-    rho : (n,) float64        density at the vertices
-    equal_weights : bool      density (4.22)
-    omega : float             first alpha
-    limits : Limits
-    bounds : (3,) float64     least radius ratio, largest and smallest cosine of an angle; a move
-                              that passes one of them and makes the star worse there is shortened
+    target : Target
+    bounds : Extremes         a move that passes one of them and makes the star worse there is
+                              shortened
     work : Work               of this thread
     moved : (n,) float64      OUT: length of the move
 
@@ -92,36 +111,33 @@ def move_vertices(
     -------
     int                       number of vertices moved
     """
-    p = sheet.points
+    p, omega, vectors = sheet.points, target.omega, target.vectors
     count = 0
     for o in range(start, stop):
         v = order[o]
         moved[v] = 0.0
-        if sheet.kind[v] == HELD or indptr[v] == indptr[v + 1]:
+        if sheet.kind[v] == HELD or stars.indptr[v] == stars.indptr[v + 1]:
             continue
-        if target == GIVEN:
+        if target.centre == GIVEN:
             dx, dy, dz = vectors[v, 0], vectors[v, 1], vectors[v, 2]
         else:
-            dx, dy, dz = star_centre(sheet, indptr, indices, v, rho, equal_weights, target)
-        nx, ny, nz = star_normal(sheet, indptr, indices, v)
+            dx, dy, dz = star_centre(sheet, stars, v, target)
+        nx, ny, nz = star_normal(sheet, stars, v)
         up = dx * nx + dy * ny + dz * nz
         dx, dy, dz = omega * (dx - up * nx), omega * (dy - up * ny), omega * (dz - up * nz)
         if not dx * dx + dy * dy + dz * dz > 0.0:
             continue
         x, y, z = p[v, 0], p[v, 1], p[v, 2]
-        if try_move(sheet, ground, lines, indptr, indices, v, dx, dy, dz, limits, 0.0, 0.0, 0.0,
-                bounds, work) > 0.0:
+        step = Step(dx, dy, dz, along_line(sheet, guards.lines, v, dx, dy, dz), 0.0, 0.0)
+        if try_move(sheet, guards, stars, v, step, NO_COST, bounds, work) > 0.0:
             moved[v] = math.sqrt((p[v, 0] - x) ** 2 + (p[v, 1] - y) ** 2 + (p[v, 2] - z) ** 2)
             count += 1
     return count
 
 
 @kernel
-def star_centres(
-    sheet: Sheet, indptr: OffsetArray, indices: IntArray, rho: FloatArray, equal_weights: bool,
-    target: int, vectors: FloatArray,
-) -> None:
+def star_centres(sheet: Sheet, stars: Stars, target: Target, vectors: FloatArray) -> None:
     """Vectors (n, 3) to the mean centres of all stars as they are now."""
     for v in range(len(sheet.points)):
-        x, y, z = star_centre(sheet, indptr, indices, v, rho, equal_weights, target)
+        x, y, z = star_centre(sheet, stars, v, target)
         vectors[v, 0], vectors[v, 1], vectors[v, 2] = x, y, z

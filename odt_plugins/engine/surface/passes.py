@@ -1,4 +1,4 @@
-"""Passes over a surface: flips, moves, and the descent of F_p that is stage 2."""
+"""Passes over a surface: flips, moves, and what stage 2 does on it."""
 
 from __future__ import annotations
 
@@ -11,21 +11,19 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.engine.cells.extremes import Extremes
+from odt_plugins.engine.cells.tetrahedron import Cost
 from odt_plugins.engine.finish.phases import Phase
-from odt_plugins.engine.ground.closest import Ground
-from odt_plugins.engine.ground.lines import Lines
-from odt_plugins.engine.ground.sheet import HELD, Limits, Sheet, make_work
+from odt_plugins.engine.finish.triangles import TriangleDescent
+from odt_plugins.engine.ground.sheet import HELD, Guards, Sheet, Work, make_work
+from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import cell_shapes
 from odt_plugins.engine.surface.flips import flip_edges
 from odt_plugins.engine.surface.newton import smooth_vertices
-from odt_plugins.engine.surface.odt import move_vertices
-from odt_plugins.engine.topology.active import spread
+from odt_plugins.engine.surface.odt import Target, move_vertices
 from odt_plugins.engine.topology.coloring import run_chunks, vertex_coloring
 from odt_plugins.engine.topology.star import Stars, vertex_stars
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
-
-GAIN = 3e-3
-"""A vertex whose star gained less than this part of F_p does not wake its neighbours."""
 
 
 @dataclass(frozen=True)
@@ -34,15 +32,13 @@ class Surface:
 
     Attributes
     ----------
-    sheet : Sheet, ground : Ground, lines : Lines, limits : Limits
+    sheet : Sheet, guards : Guards
     regions : (m,) int32                                 labels; no flip crosses their borders
     pool : ThreadPoolExecutor or None, threads : int     see :func:`run_chunks`
     """
 
     sheet: Sheet
-    ground: Ground
-    lines: Lines
-    limits: Limits
+    guards: Guards
     regions: IntArray
     pool: ThreadPoolExecutor | None = None
     threads: int = 1
@@ -72,29 +68,30 @@ class Surface:
 
     def _moving(self) -> tuple[NDArray[Any], ...]:
         sheet = self.sheet
-        return sheet.points, sheet.foot, sheet.first, sheet.following, self.lines.place
+        return sheet.points, sheet.foot, sheet.first, sheet.following, self.guards.lines.place
 
     def stars(self) -> Stars:
         """Triangles around every vertex, as they are now."""
         return vertex_stars(self.sheet.triangles, len(self.sheet.points))
 
 
+    def room(self, stars: Stars) -> Work:
+        """Room for the star of any vertex."""
+        return make_work(self.guards.ground, stars.largest())
+
+
 def flip_all(
-    surface: Surface, power: float, bounds: FloatArray, seeds: BoolArray, changed: BoolArray
+    surface: Surface, cost: Cost, bounds: Extremes, seeds: BoolArray, changed: BoolArray
 ) -> int:
     """Flip from the seeds on; see :func:`flip_edges`."""
-    return flip_edges(
-        surface.sheet, surface.ground, surface.limits, power, bounds, seeds, changed
-    )
+    return flip_edges(surface.sheet, surface.guards, cost, bounds, seeds, changed)
 
 
 def sweep(
-    surface: Surface, wanted: BoolArray, moved: FloatArray,
-    work: Callable[[IntArray, int, int], int],
+    surface: Surface, wanted: BoolArray, work: Callable[[IntArray, int, int], int]
 ) -> int:
     """Visit every wanted vertex that may move once, block after block."""
     coloring = vertex_coloring(surface.triangles, wanted & (surface.sheet.kind != HELD))
-    moved[:] = 0.0
     moves = sum(run_chunks(
         surface.pool, surface.threads, coloring, partial(work, coloring.order)
     ))
@@ -102,58 +99,45 @@ def sweep(
     return moves
 
 
-def move_all(
-    surface: Surface, target: int, rho: FloatArray, bounds: FloatArray, *,
-    vectors: FloatArray | None = None, equal_weights: bool = False, omega: float = 1.0,
-) -> tuple[int, FloatArray]:
+def move_all(surface: Surface, target: Target, bounds: Extremes) -> tuple[int, FloatArray]:
     """Move every vertex once; returns how many moved and how far, (n,)."""
     stars = surface.stars()
-    largest = stars.largest()
     moved = np.zeros(len(surface.points))
-    given = np.zeros((0, 3)) if vectors is None else vectors
 
     def work(order: IntArray, start: int, stop: int) -> int:
         return int(move_vertices(
-            surface.sheet, surface.ground, surface.lines, stars.indptr, stars.indices, order,
-            start, stop, target, given, rho, equal_weights, omega, surface.limits, bounds,
-            make_work(surface.ground, largest), moved,
+            surface.sheet, surface.guards, stars, order, start, stop, target, bounds,
+            surface.room(stars), moved,
         ))
 
-    everything = np.ones(len(surface.points), dtype=np.bool_)
-    return sweep(surface, everything, moved, work), moved
+    return sweep(surface, np.ones(len(surface.points), dtype=np.bool_), work), moved
 
 
-def finish_phase(surface: Surface, phase: Phase, bounds: FloatArray) -> tuple[int, int]:
-    """Lower F_p, in place, from the worst triangles on; returns flips and moves."""
-    q = cell_shapes(surface.points, surface.triangles)[:, 0]
-    near = np.zeros(len(surface.points), dtype=np.bool_)
-    near[surface.triangles[q <= np.quantile(q, phase.share)]] = True
-    pending = np.asarray(near[surface.triangles].any(axis=1))
-    wanted = np.zeros(len(surface.points), dtype=np.bool_)
-    wanted[surface.triangles[pending]] = True
-    moved = np.zeros(len(surface.points))
-    flips = total = 0
-    for _ in range(phase.rounds):
-        changed = np.zeros(len(surface.triangles), dtype=np.bool_)
-        flips += flip_all(surface, phase.power, bounds, pending, changed)
-        wanted[surface.triangles[changed]] = True
-        stars = surface.stars()
-        status = np.zeros(len(surface.triangles), dtype=np.uint8)
+class SurfaceDescent(TriangleDescent):
+    """A surface under one phase, see :class:`odt_plugins.engine.finish.descent.Descending`."""
 
-        def work(
-            order: IntArray, start: int, stop: int, stars: Stars = stars,
-            largest: int = stars.largest(),
-        ) -> int:
+    gain = POLICY.surface_gain
+
+    def __init__(self, surface: Surface, phase: Phase, bounds: Extremes) -> None:
+        super().__init__(surface.points, surface.triangles, phase)
+        self.surface, self.bounds = surface, bounds
+
+    def measures(self) -> FloatArray:
+        """Radius ratio of every triangle, (m,)."""
+        return cell_shapes(self.points, self.cells)[:, 0]
+
+    def flip_some(self, seeds: BoolArray, changed: BoolArray) -> int:
+        """Flip from the seeds on."""
+        return flip_all(self.surface, self.phase.cost, self.bounds, seeds, changed)
+
+    def sweep(self, stars: Stars, active: BoolArray, moved: FloatArray) -> int:
+        """Smooth every active vertex once along the surface; returns how many moved."""
+        surface = self.surface
+
+        def work(order: IntArray, start: int, stop: int) -> int:
             return int(smooth_vertices(
-                surface.sheet, surface.ground, surface.lines, stars.indptr, stars.indices, order,
-                start, stop, phase.power, surface.limits, bounds,
-                make_work(surface.ground, largest), moved,
+                surface.sheet, surface.guards, stars, order, start, stop, self.phase.power,
+                self.bounds, surface.room(stars), moved,
             ))
 
-        for _ in range(phase.sweeps):
-            total += sweep(surface, wanted, moved, work)
-            spread(surface.triangles, stars.indptr, stars.indices, moved, GAIN, wanted, status)
-        pending = status == 1
-        if not pending.any():
-            break
-    return flips, total
+        return sweep(surface, active, work)

@@ -7,7 +7,9 @@ from functools import partial
 
 import numpy as np
 
+from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.geometry import barycenters, circumcenters, signed_volumes
+from odt_plugins.engine.cells.tetrahedron import ENERGY, Cost
 from odt_plugins.engine.ground.sheet import HELD, SMOOTH
 from odt_plugins.engine.odt.energy import energy
 from odt_plugins.engine.odt.global_step import (
@@ -17,9 +19,18 @@ from odt_plugins.engine.odt.global_step import (
     interior_matrix,
 )
 from odt_plugins.engine.odt.gradient import centers_gradient
-from odt_plugins.engine.odt.rounds import DAMPED, Log
+from odt_plugins.engine.odt.rounds import Log
+from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.surface.density import SurfaceDensity
-from odt_plugins.engine.surface.odt import CPT, GIVEN, LAPLACIAN, ODT, star_centres
+from odt_plugins.engine.surface.odt import (
+    CPT,
+    GIVEN,
+    LAPLACIAN,
+    NOWHERE,
+    ODT,
+    Target,
+    star_centres,
+)
 from odt_plugins.engine.surface.passes import Surface, flip_all, move_all
 from odt_plugins.engine.topology.star import star_sum
 from odt_plugins.engine.topology.stencil import make_topology
@@ -27,9 +38,6 @@ from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.components import components
 from odt_plugins.options import Options
-
-SETTLED = 2e-3
-"""A stage ends with a round that lowers the energy by less than this part of it."""
 
 CONNECTIVITY = ("auto", "flips", "none")
 """How a surface is reconnected; scipy triangulates the plane and space only."""
@@ -60,7 +68,7 @@ def smooth_surface(
     surface: Surface,
     density: SurfaceDensity,
     options: Options,
-    bounds: FloatArray,
+    bounds: Extremes,
     log: Log,
     tick: Callable[[float], None],
     watch: Callable[[Surface], object] | None = None,
@@ -72,7 +80,7 @@ def smooth_surface(
     surface : Surface
     density : SurfaceDensity
     options : Options
-    bounds : (3,) float64       see :func:`odt_plugins.engine.surface.odt.move_vertices`
+    bounds : Extremes           see :func:`odt_plugins.engine.surface.odt.move_vertices`
     log : Log
     tick : callable             called with the share of the rounds that is done
     watch : callable, optional  called with the surface after every round
@@ -84,7 +92,7 @@ def smooth_surface(
     _flip(surface, options, bounds, log)
     last = np.inf
     for k in range(options.rounds):
-        rho = density.at(surface.sheet, surface.ground)
+        rho = density.at(surface.sheet, surface.guards.ground)
         step(surface, rho, options, bounds, log, equal_weights=density.equal_weights)
         _flip(surface, options, bounds, log)
         now = surface_energy(surface, rho)
@@ -92,14 +100,14 @@ def smooth_surface(
         tick((k + 1) / options.rounds)
         if watch is not None:
             watch(surface)
-        if last - now <= SETTLED * now:
+        if last - now <= POLICY.surface_settled * now:
             return f"the energy settled after {k + 1} rounds"
         last = now
     return f"the {options.rounds} rounds were used up"
 
 
 def step(
-    surface: Surface, rho: FloatArray, options: Options, bounds: FloatArray, log: Log, *,
+    surface: Surface, rho: FloatArray, options: Options, bounds: Extremes, log: Log, *,
     equal_weights: bool,
 ) -> None:
     """Move all vertices once, in place, by the chosen method and solver (Sections 4.1 to 4.3)."""
@@ -108,28 +116,28 @@ def step(
 
 
 def _sweep(
-    centre: int, surface: Surface, rho: FloatArray, options: Options, bounds: FloatArray,
+    centre: int, surface: Surface, rho: FloatArray, options: Options, bounds: Extremes,
     equal_weights: bool,
 ) -> int:
     """Move the vertices one after another to the centres of their stars."""
     omega = 1.0 if options.omega is None else options.omega
-    return move_all(surface, centre, rho, bounds, equal_weights=equal_weights, omega=omega)[0]
+    return move_all(surface, Target(centre, rho, equal_weights, omega, NOWHERE), bounds)[0]
 
 
 def _jacobi(
-    centre: int, surface: Surface, rho: FloatArray, options: Options, bounds: FloatArray,
+    centre: int, surface: Surface, rho: FloatArray, options: Options, bounds: Extremes,
     equal_weights: bool,
 ) -> int:
     """Move all vertices towards the centres that their stars have before any of them moves."""
-    stars = surface.stars()
     vectors = np.zeros_like(surface.points)
-    star_centres(surface.sheet, stars.indptr, stars.indices, rho, equal_weights, centre, vectors)
-    omega = DAMPED if options.omega is None else options.omega
-    return move_all(surface, GIVEN, rho, bounds, vectors=vectors, omega=omega)[0]
+    omega = POLICY.damped if options.omega is None else options.omega
+    target = Target(centre, rho, equal_weights, omega, vectors)
+    star_centres(surface.sheet, surface.stars(), target, vectors)
+    return move_all(surface, target._replace(centre=GIVEN), bounds)[0]
 
 
 def _global(
-    barycentric: bool, surface: Surface, rho: FloatArray, options: Options, bounds: FloatArray,
+    barycentric: bool, surface: Surface, rho: FloatArray, options: Options, bounds: Extremes,
     equal_weights: bool,
 ) -> int:
     """One step of (4.27) or (4.28) in the tangent planes, shortened until the energy falls."""
@@ -139,7 +147,8 @@ def _global(
     before = energy(points, triangles, rho_tau)
     start = surface.copy()
     for trial in range(TRIALS):
-        moved, _ = move_all(surface, GIVEN, rho, bounds, vectors=direction, omega=0.5**trial)
+        target = Target(GIVEN, rho, equal_weights, 0.5**trial, direction)
+        moved, _ = move_all(surface, target, bounds)
         if equal_weights or energy(points, triangles, rho_tau) < before:
             return moved
         surface.restore(start)
@@ -208,13 +217,13 @@ def _tangential(vectors: FloatArray, points: FloatArray, triangles: IntArray) ->
     return tangential
 
 
-def _flip(surface: Surface, options: Options, bounds: FloatArray, log: Log) -> None:
+def _flip(surface: Surface, options: Options, bounds: Extremes, log: Log) -> None:
     """Flip to intrinsic Delaunay unless the connectivity is to stay."""
     if options.connectivity == "none":
         return
     m = len(surface.triangles)
     everything, changed = np.ones(m, dtype=np.bool_), np.zeros(m, dtype=np.bool_)
-    log.add("energy flips", flip_all(surface, 0.0, bounds, everything, changed))
+    log.add("energy flips", flip_all(surface, Cost(ENERGY, 1.0), bounds, everything, changed))
 
 
 def surface_energy(surface: Surface, rho: FloatArray) -> float:

@@ -31,12 +31,14 @@ from odt_plugins.engine.finish.volume import finish, guarded, held_angles
 from odt_plugins.engine.moves.flips2d import quality_flips
 from odt_plugins.engine.moves.newton3d import smooth_vertices
 from odt_plugins.engine.moves.passes import flip_pending
-from odt_plugins.engine.record.figures import SMALL_ANGLE, amips_energies, figures
+from odt_plugins.engine.policy import POLICY
+from odt_plugins.engine.record.figures import amips_energies, figures
 from odt_plugins.engine.run import driver
 from odt_plugins.engine.run.driver import run
 from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.coloring import vertex_coloring
 from odt_plugins.engine.topology.star import vertex_stars
+from odt_plugins.engine.topology.triangles import Triangles
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.options import Options
 from odt_plugins.quality import amips_energy, summarize
@@ -94,8 +96,8 @@ def test_an_edge_is_flipped_when_that_lowers_the_sum(measure):
             continue
         sums = [(MEASURES[measure](points, way) ** -2.0).sum() for way in ways]
         cells = ways[0].copy()
-        done = quality_flips(points, cells, cell_neighbors(cells), np.zeros(2, dtype=np.int32),
-                             objective=measure)
+        mesh = Triangles(points, cells, cell_neighbors(cells), np.zeros(2, dtype=np.int32))
+        done = quality_flips(mesh, Cost(measure, 2.0))
         assert done == (sums[1] < sums[0])
         turned.add(done)
     assert turned == {0, 1}
@@ -112,10 +114,11 @@ def test_planar_finishing_flips_by_the_measure_of_its_phase(measure):
             phase = Phase(2.0, 1.0, 1, 1, objective=m)
             nothing = np.zeros(len(points), dtype=bool)
             found[m] = start.copy()
-            counts = finish2d(points, found[m], cell_neighbors(start), regions, nothing,
-                              bounds=np.array(FREELY), phases=(phase,))
+            mesh = Triangles(points, found[m], cell_neighbors(start), regions)
+            counts = finish2d(mesh, nothing, bounds=FREELY, phases=(phase,))
             cells = start.copy()
-            flips = quality_flips(points, cells, cell_neighbors(cells), regions, objective=m)
+            mesh = Triangles(points, cells, cell_neighbors(cells), regions)
+            flips = quality_flips(mesh, phase.cost)
             assert counts == (flips, 0)
             assert np.array_equal(found[m], cells)
         other += not np.array_equal(found[measure], found[QUALITY])
@@ -279,17 +282,17 @@ def test_polishing_leaves_fewer_small_angles_and_keeps_the_least_quality():
     points, cells = tm.ball(300, 8)
     bounds = OPEN
     mesh = complex_of(points, cells)
-    assert polish((tm.dihedral_angles(points, cells).min(axis=1) < SMALL_ANGLE).mean()) == ()
+    assert polish((tm.dihedral_angles(points, cells).min(axis=1) < POLICY.small_angle).mean()) == ()
     finish(mesh, (Phase(2.0, 0.1, 2, 3, 0),), bounds, None, 1)
     cells = mesh.mesh_arrays()[0]
-    small = (tm.dihedral_angles(mesh.points, cells).min(axis=1) < SMALL_ANGLE).mean()
+    small = (tm.dihedral_angles(mesh.points, cells).min(axis=1) < POLICY.small_angle).mean()
     left, least = [small], [tm.quality(mesh.points, cells).min()]
     assert 0.01 < small < 0.1
     bounds = Bounds(FREELY, FREELY._replace(quality=least[0]))
     for phases in polish(small):
         finish(mesh, phases, bounds, None, 1)
         now = mesh.mesh_arrays()[0]
-        left.append((tm.dihedral_angles(mesh.points, now).min(axis=1) < SMALL_ANGLE).mean())
+        left.append((tm.dihedral_angles(mesh.points, now).min(axis=1) < POLICY.small_angle).mean())
         least.append(tm.quality(mesh.points, now).min())
     assert all(later <= sooner for sooner, later in pairwise(left))
     assert all(later >= sooner - 1e-13 for sooner, later in pairwise(least))
@@ -303,7 +306,7 @@ def test_small_angles_are_polished_and_the_better_state_stays(monkeypatch):
     monkeypatch.setattr(polishing, "polish", lambda share: ())
     plain = run(mesh, Options())
     few, many = (
-        (tm.dihedral_angles(r.points, r.cells).min(axis=1) < SMALL_ANGLE).sum()
+        (tm.dihedral_angles(r.points, r.cells).min(axis=1) < POLICY.small_angle).sum()
         for r in (polished, plain)
     )
     assert few < many
@@ -318,7 +321,7 @@ def test_schedules(d):
     assert tuple(replace(phase, least=None) for phase in general) == tail(d)
     angles = [phase for phase in default.phases if phase.objective != QUALITY]
     assert [phase.objective for phase in angles] == [DIHEDRAL] * (d - 2)
-    assert all((phase.least == SMALL_ANGLE) == (d == 3) for phase in general[1:])
+    assert all((phase.least == POLICY.small_angle) == (d == 3) for phase in general[1:])
     assert descents(d, "min_dihedral")[0] == Descent(tail(d))
     for objective in CODES:
         measures = {p.objective for step in descents(d, objective) for p in step.phases}

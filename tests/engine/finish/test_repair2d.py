@@ -9,9 +9,11 @@ import planar_meshes as pm
 import pytest
 from promises import assert_promise, mesh_of, planar
 
+from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.finish.repair2d import within_bounds
 from odt_plugins.engine.run.driver import run
 from odt_plugins.engine.topology.adjacency import cell_neighbors
+from odt_plugins.engine.topology.triangles import Triangles
 from odt_plugins.options import Options
 
 
@@ -86,7 +88,8 @@ def test_pressed_vertices_go_back_within_the_bounds():
     assert limits(points, cells)[0] < bounds[0] - 0.05
     pressed = points.copy()
     regions = np.zeros(len(cells), np.int32)
-    assert within_bounds(points, cells, cell_neighbors(cells), regions, movable, bounds)
+    mesh = Triangles(points, cells, cell_neighbors(cells), regions)
+    assert within_bounds(mesh, movable, Extremes(*bounds))
     assert (bounds_of(points, cells) * [1, -1, 1] >= bounds * [1, -1, 1] - 1e-9).all()
     assert (pm.areas(points, cells) > 0).all()
     assert points[~movable].tobytes() == pressed[~movable].tobytes()
@@ -98,23 +101,24 @@ def test_neither_boundary_nor_interfaces_are_flipped():
     points, cells = points.copy(), cells.astype(np.int32)
     regions = (points[cells].mean(axis=1)[:, 0] > points[:, 0].mean()).astype(np.int32)
     kept = pm.kept_edges(cells, regions)
-    bounds = np.array([0.6, np.cos(np.radians(30)), np.cos(np.radians(110))])
+    bounds = Extremes(0.6, np.cos(np.radians(30)), np.cos(np.radians(110)))
     movable = ~rim(cells, len(points))
     movable[[v for e in kept for v in e]] = False
     before = cells.copy()
-    within_bounds(points, cells, neighbors := cell_neighbors(cells), regions, movable, bounds)
+    mesh = Triangles(points, cells, cell_neighbors(cells), regions)
+    within_bounds(mesh, movable, bounds)
     assert (cells != before).any()
     assert pm.kept_edges(cells, regions) == kept
-    assert np.array_equal(neighbors, cell_neighbors(cells))
+    assert np.array_equal(mesh.neighbors, cell_neighbors(cells))
     assert (pm.areas(points, cells) > 0).all()
 
 
 def test_bounds_out_of_reach_are_given_up():
     points, cells = planar()
     points, cells = points.copy(), cells.astype(np.int32)
-    bounds = np.array([0.999, 0.51, 0.49])
-    assert not within_bounds(points, cells, cell_neighbors(cells), np.zeros(len(cells), np.int32),
-                             ~rim(cells, len(points)), bounds)
+    bounds = Extremes(0.999, 0.51, 0.49)
+    mesh = Triangles(points, cells, cell_neighbors(cells), np.zeros(len(cells), np.int32))
+    assert not within_bounds(mesh, ~rim(cells, len(points)), bounds)
     assert (pm.areas(points, cells) > 0).all()
 
 

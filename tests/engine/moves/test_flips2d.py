@@ -11,9 +11,21 @@ from hypothesis import strategies as st
 from planar_meshes import grid
 from scipy.spatial import Delaunay
 
-from odt_plugins.engine.moves.flips2d import FLIPS, lawson_flips, quality_flips, work_off
+from odt_plugins.engine.cells.extremes import FREELY, Extremes
+from odt_plugins.engine.cells.tetrahedron import QUALITY, Cost
+from odt_plugins.engine.moves.flips2d import (
+    FLIPS,
+    lawson_flips,
+    make_queue,
+    quality_flips,
+    work_off,
+)
+from odt_plugins.engine.topology.triangles import Triangles
 
 SEEDS = st.integers(0, 10**6)
+GENTLY, SQUARES = Cost(QUALITY, 0.1), Cost(QUALITY, 2.0)
+
+
 def two_regions(points, cells):
     return (points[cells].mean(axis=1)[:, 0] > 3.5).astype(np.int32)
 
@@ -180,7 +192,8 @@ def test_quality_flips_lower_the_sum_and_respect_the_mesh(seed, two, power):
     regions = two_regions(points, start) * two
     cells, neighbors = start.copy(), ref.brute_neighbors(start)
     changed = np.zeros(len(cells), dtype=bool)
-    count = quality_flips(points, cells, neighbors, regions, None, power, changed=changed)
+    count = quality_flips(Triangles(points, cells, neighbors, regions), Cost(QUALITY, power),
+                          changed=changed)
     check_mesh(points, start, cells, neighbors, regions)
     before, after = planar.shape(points, start)[0], planar.shape(points, cells)[0]
     assert count > 0
@@ -206,8 +219,8 @@ def test_bounds_refuse_a_flip_that_is_worse_there_and_beyond(which):
     """Random quadrilaterals: worst q, smallest angle, minus the largest angle of the pair."""
     rng = np.random.default_rng(5)
     regions = np.zeros(2, dtype=np.int32)
-    free, tight = np.array([0.0, 1.0, -1.0]), np.array([0.0, 1.0, -1.0])
-    tight[which] = (1.0, -1.0, 1.0)[which]
+    name = FREELY._fields[which]
+    tight = FREELY._replace(**{name: (1.0, -1.0, 1.0)[which]})
     refused = within = 0
     for _ in range(6000):
         points = rng.normal(size=(4, 2)) * [3.0, 1.0]
@@ -215,9 +228,9 @@ def test_bounds_refuse_a_flip_that_is_worse_there_and_beyond(which):
         if (start[0] == [0, 1, 2]).all() != (start[1] == [3, 2, 1]).all():
             continue
         figures = []
-        for bounds in (free, tight):
+        for bounds in (FREELY, tight):
             cells, neighbors = start.copy(), ref.brute_neighbors(start)
-            count = quality_flips(points, cells, neighbors, regions, None, 0.1, bounds)
+            count = quality_flips(Triangles(points, cells, neighbors, regions), GENTLY, bounds)
             figures.append((count, goodness(points, cells)[which]))
         before = goodness(points, start)[which]
         if figures[0][0] == 0:
@@ -225,11 +238,11 @@ def test_bounds_refuse_a_flip_that_is_worse_there_and_beyond(which):
         elif figures[0][1] < before - 1e-9:
             assert figures[1][0] == 0
             refused += 1
-            loose = tight.copy()
             edge = figures[0][1] - 1e-6
-            loose[which] = edge if which == 0 else np.cos(np.radians(abs(edge)))
+            loose = tight._replace(
+                **{name: edge if which == 0 else np.cos(np.radians(abs(edge)))})
             cells, neighbors = start.copy(), ref.brute_neighbors(start)
-            within += quality_flips(points, cells, neighbors, regions, None, 0.1, loose)
+            within += quality_flips(Triangles(points, cells, neighbors, regions), GENTLY, loose)
         elif figures[0][1] > before + 1e-9:
             assert figures[1][0] == 1
     assert refused > 3
@@ -241,10 +254,10 @@ def test_bounds_hold_on_a_whole_mesh():
         points, start = grid(seed, flips=30)
         regions = np.zeros(len(start), dtype=np.int32)
         q, angles = planar.shape(points, start)
-        bounds = np.array([q.min(), np.cos(np.radians(angles.min())),
-                           np.cos(np.radians(angles.max()))])
+        bounds = Extremes(q.min(), np.cos(np.radians(angles.min())),
+                          np.cos(np.radians(angles.max())))
         cells, neighbors = start.copy(), ref.brute_neighbors(start)
-        assert quality_flips(points, cells, neighbors, regions, None, 0.1, bounds) > 0
+        assert quality_flips(Triangles(points, cells, neighbors, regions), GENTLY, bounds) > 0
         assert (goodness(points, cells) >= goodness(points, start) - 1e-9).all()
 
 
@@ -254,14 +267,15 @@ def test_quality_flips_look_at_seeds_and_movable_cells_only():
     nothing = np.zeros(len(start), dtype=bool)
     for options in ({"seeds": nothing}, {"movable_cells": nothing}):
         cells, neighbors = start.copy(), ref.brute_neighbors(start)
-        assert quality_flips(points, cells, neighbors, regions, **options) == 0
+        assert quality_flips(Triangles(points, cells, neighbors, regions), SQUARES, **options) == 0
         np.testing.assert_array_equal(cells, start)
     movable = points[start].mean(axis=1)[:, 0] < 3.0
     cells, neighbors = start.copy(), ref.brute_neighbors(start)
-    assert quality_flips(points, cells, neighbors, regions, movable) > 0
+    assert quality_flips(Triangles(points, cells, neighbors, regions), SQUARES,
+                         movable_cells=movable) > 0
     np.testing.assert_array_equal(cells[~movable], start[~movable])
     settled = cells.copy()
-    assert quality_flips(points, settled, neighbors, regions, seeds=movable) > 0
+    assert quality_flips(Triangles(points, settled, neighbors, regions), SQUARES, seeds=movable) > 0
     np.testing.assert_array_equal(neighbors, ref.brute_neighbors(settled))
 
 
@@ -272,7 +286,7 @@ def test_same_bits_again_and_no_cells():
     for _ in range(2):
         cells, neighbors = start.copy(), ref.brute_neighbors(start)
         lawson_flips(points, cells, neighbors, regions)
-        quality_flips(points, cells, neighbors, regions)
+        quality_flips(Triangles(points, cells, neighbors, regions), SQUARES)
         results.append(cells)
     np.testing.assert_array_equal(*results)
     empty = np.empty((0, 3), dtype=np.int32)
@@ -281,11 +295,13 @@ def test_same_bits_again_and_no_cells():
 
 def test_a_queue_that_never_empties_is_left_after_so_many_flips_an_edge():
     seen = []
+    queue = make_queue(np.arange(10) % 4 == 1)
 
-    def flip_some(waiting):
+    def flip_some():
         assert len(seen) < 10 * FLIPS
-        seen.append(waiting.tolist())
+        seen.append(queue.ends.tolist())
         return 7
 
-    assert 10 * FLIPS <= work_off(3, 10, flip_some) < 10 * FLIPS + 7
+    assert 10 * FLIPS <= work_off(queue, flip_some) < 10 * FLIPS + 7
     assert seen[0] == [0, 3]
+    assert queue.ring[:3].tolist() == [1, 5, 9]

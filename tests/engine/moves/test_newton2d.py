@@ -11,14 +11,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from planar_meshes import MEASURES
 
-from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY
+from odt_plugins.engine.cells.extremes import Extremes
+from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY, Cost
 from odt_plugins.engine.cells.triangle import triangle_measure
 from odt_plugins.engine.finish.plane import finish2d
 from odt_plugins.engine.moves.newton2d import smooth_vertices_2d, star_cost_2d
 from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.star import vertex_stars
+from odt_plugins.engine.topology.triangles import Triangles
 
-FREE = np.array([0.0, 1.0, -1.0])
+FREE = Extremes(0.0, 1.0, -1.0)
 
 
 @pytest.fixture(scope="module")
@@ -30,8 +32,7 @@ def airfoil():
 def cost_and_derivatives(points, cells, vertex, power, objective=QUALITY):
     stars = vertex_stars(cells, len(points))
     out = np.empty(5)
-    cost = star_cost_2d(points, cells, stars.indptr, stars.indices, vertex, objective, power,
-                        out)
+    cost = star_cost_2d(points, cells, stars, vertex, Cost(objective, power), out)
     return cost, out[:2].copy(), np.array([[out[2], out[3]], [out[3], out[4]]])
 
 
@@ -42,8 +43,8 @@ def smooth(points, cells, order, power=2.0, bounds=FREE, objective=QUALITY):
     order = np.asarray(order, dtype=np.int32)
     count = 0
     for k in range(len(order)):
-        count += smooth_vertices_2d(points, cells, stars.indptr, stars.indices, order, k, k + 1,
-                                    objective, power, bounds, moved)
+        count += smooth_vertices_2d(points, cells, stars, order, k, k + 1,
+                                    Cost(objective, power), bounds, moved)
     return points, moved, count
 
 
@@ -59,7 +60,7 @@ def finished(points, cells, regions, movable, **settings):
     """Points and cells of a copy that `finish2d` worked on, whose neighbours fit."""
     points, cells = points.copy(), cells.copy()
     neighbors = cell_neighbors(cells)
-    finish2d(points, cells, neighbors, regions, movable, **settings)
+    finish2d(Triangles(points, cells, neighbors, regions), movable, **settings)
     np.testing.assert_array_equal(neighbors, cell_neighbors(cells))
     return points, cells
 
@@ -158,8 +159,7 @@ def test_smoothing_stays_within_bounds(seed, which):
     points, cells, inner, _ = jittered(seed)
     q, angles = planar.shape(points, cells)
     tight = [q.min(), np.cos(np.radians(angles.min())), np.cos(np.radians(angles.max()))]
-    bounds = FREE.copy()
-    bounds[which] = tight[which]
+    bounds = FREE._replace(**{FREE._fields[which]: tight[which]})
     new, _, _ = smooth(points, cells, inner, 0.2, bounds)
     new_q, new_angles = planar.shape(new, cells)
     worse = [q.min() - new_q.min(), angles.min() - new_angles.min(),
@@ -175,8 +175,7 @@ def goodness(points, cells):
 
 @pytest.mark.parametrize("which", [0, 1, 2])
 def test_bounds_stop_a_move_that_free_smoothing_makes(which):
-    bounds = FREE.copy()
-    bounds[which] = (1.0, -1.0, 1.0)[which]
+    bounds = FREE._replace(**{FREE._fields[which]: (1.0, -1.0, 1.0)[which]})
     stopped = 0
     for seed in range(40):
         points, cells, inner, _ = jittered(seed)
@@ -201,8 +200,7 @@ def test_stuck_vertex_without_cells_and_range():
     stars = vertex_stars(cells, len(points))
     order = inner.astype(np.int32)
     work = points.copy()
-    smooth_vertices_2d(work, cells, stars.indptr, stars.indices, order, 1, 2, QUALITY, 2.0, FREE,
-                       moved)
+    smooth_vertices_2d(work, cells, stars, order, 1, 2, Cost(QUALITY, 2.0), FREE, moved)
     np.testing.assert_array_equal(np.delete(work, order[1], 0), np.delete(points, order[1], 0))
 
 
@@ -284,8 +282,8 @@ def test_finish_touches_only_movable_cells(airfoil):
 
 def test_finish_of_nothing_and_of_a_perfect_mesh():
     nothing = np.empty((0, 3), dtype=np.int32)
-    assert finish2d(np.zeros((0, 2)), nothing, nothing.copy(), np.empty(0, dtype=np.int32),
-                    np.empty(0, dtype=bool)) == (0, 0)
+    empty = Triangles(np.zeros((0, 2)), nothing, nothing.copy(), np.empty(0, dtype=np.int32))
+    assert finish2d(empty, np.empty(0, dtype=bool)) == (0, 0)
     i, j = np.mgrid[:6, :6]
     points = np.stack([i.ravel() + 0.5 * j.ravel(), j.ravel() * np.sqrt(0.75)], axis=1)
     index = np.arange(36).reshape(6, 6)

@@ -11,6 +11,7 @@ import pytest
 import tet_meshes as tm
 from hypothesis import given
 from hypothesis import strategies as st
+from policies import set_policy
 from promises import assert_promise, measure, mesh_of, planar, volumes
 from scipy.spatial import Delaunay
 
@@ -371,8 +372,7 @@ def test_finishing_alone_is_tried_too_where_it_may_do_better(make, monkeypatch):
     mesh = make()
     result = run(mesh, Options())
     assert result.counts["runs of finishing alone"] == 1
-    monkeypatch.setattr(driver, "STILL", 0.0)
-    monkeypatch.setattr(driver, "POOR", 0.0)
+    set_policy(monkeypatch, driver, few_movable=0.0, poor_quality=0.0)
     plain = run(mesh, Options())
     assert plain.fallback is None
     assert "runs of finishing alone" not in plain.counts

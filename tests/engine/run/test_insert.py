@@ -15,6 +15,7 @@ from click.testing import CliRunner
 from complexes import complex_of
 from hypothesis import given
 from hypothesis import strategies as st
+from policies import set_policy
 from promises import assert_promise, facet_set, measure, mesh_of
 
 import odt_plugins
@@ -23,9 +24,11 @@ from odt_plugins.cli.main import cli
 from odt_plugins.compare.hard import hard_meshes
 from odt_plugins.engine.finish import resampling
 from odt_plugins.engine.odt.rounds import Log
+from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import figures
 from odt_plugins.engine.run import driver
-from odt_plugins.engine.run.driver import Outcome, run
+from odt_plugins.engine.run.driver import run
+from odt_plugins.engine.run.outcome import Outcome
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.simplex import simplex_mesh
 from odt_plugins.options import Options
@@ -143,13 +146,12 @@ def test_unit_and_place_do_not_matter(scale, shift):
 
 
 def test_a_round_that_costs_too_much_is_taken_back(monkeypatch):
-    monkeypatch.setattr(resampling, "NOISE", -1.0)
-    monkeypatch.setattr(resampling, "NOISY_CELLS", 0)
+    set_policy(monkeypatch, resampling, insertion_noise=-1.0, insertion_noisy_cells=0)
     mesh = mesh_of(*start())
     outcome = run(mesh, Options(insert=True))
     plain = run(mesh, Options())
     assert outcome.origin is None
-    assert outcome.counts["resamplings taken back"] == resampling.ROUNDS
+    assert outcome.counts["resamplings taken back"] == POLICY.insertion_rounds
     assert outcome.points.tobytes() == plain.points.tobytes()
     assert outcome.cells.tobytes() == plain.cells.tobytes()
 
@@ -171,7 +173,7 @@ def test_a_round_may_cost_the_quantile_for_a_gain_in_the_score(change, stays, mo
         mesh, before, "radius_ratio", limits=lambda _: None, settle=lambda *_: None,
         offer=kept.append, report=lambda _: None, log=Log(),
     )
-    assert len(kept) == (resampling.ROUNDS if stays else 0)
+    assert len(kept) == (POLICY.insertion_rounds if stays else 0)
 
 
 def test_insertion_goes_on_from_the_input_when_nothing_else_helps(monkeypatch):

@@ -8,6 +8,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
+from policies import set_policy
 from surface_meshes import two_sided
 from tet_meshes import (
     ball,
@@ -26,6 +27,7 @@ from odt_plugins.engine.cells.tetrahedron import QUALITY, Cost
 from odt_plugins.engine.finish.phases import Phase, bulk, tail
 from odt_plugins.engine.finish.volume import _flip_surface, finish
 from odt_plugins.engine.ground.crossings import count_crossings, crossing_triangles
+from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import figures
 from odt_plugins.engine.run import driver
 from odt_plugins.engine.run.driver import run
@@ -453,7 +455,7 @@ def shelled(gap):
 
 
 def test_bodies_close_to_each_other_never_overlap(monkeypatch):
-    monkeypatch.setattr(driver, "RETREATS", 0)
+    set_policy(monkeypatch, driver, slide_retreats=0)
     points, cells = shelled(2e-4)
     assert count_crossings(points, boundary(cells)) == 0
     (x, t), report = odt_plugins.optimize_with_report(
@@ -509,10 +511,10 @@ def test_a_surface_is_left_alone_where_cells_would_pass_the_extremes(monkeypatch
     assert broken_promises(mesh, outcome.points, outcome.cells, outcome.regions, slides=True) == []
 
 
-@pytest.mark.parametrize(("poor", "few"), [(driver.POOR, 0), (0.0, driver.FEW)])
+@pytest.mark.parametrize(("poor", "few"), [
+    (POLICY.poor_quality, 0), (0.0, POLICY.few_cells)])
 def test_a_surface_that_may_slide_is_no_worse_than_a_fixed_one(monkeypatch, poor, few):
-    monkeypatch.setattr(driver, "POOR", poor)
-    monkeypatch.setattr(driver, "FEW", few)
+    set_policy(monkeypatch, driver, poor_quality=poor, few_cells=few)
     left = {}
     for hard in hard_meshes(100):
         if hard.points.shape[1] == 2:
@@ -542,7 +544,7 @@ def test_a_surface_that_slides_is_alone_where_cells_are_many_and_good(monkeypatc
         return once(start, options, leaving)
 
     monkeypatch.setattr(driver, "_run", counted)
-    monkeypatch.setattr(driver, "FEW", 0)
+    set_policy(monkeypatch, driver, few_cells=0)
     mesh = simplex_mesh(*ball(500, 5), orient=True)[0]
     assert run(mesh, Options(boundary="slide")).slid is not None
     assert run(mesh, Options(boundary="slide", finish=False, keep=())).slid is not None

@@ -9,6 +9,7 @@ import pytest
 import surface_meshes as sm
 from hypothesis import given
 from hypothesis import strategies as st
+from policies import set_policy
 from scipy.spatial import cKDTree
 from strategies import SEEDS
 
@@ -422,15 +423,14 @@ def test_a_few_triangles_beyond_the_extremes_of_the_input_are_left_alone(monkeyp
     assert max(sm.two_sided(*mesh, x, c, 2)) <= 1e-3 * sm.diagonal(mesh[0])
     reached = report.after.mean_quality
     assert reached > before.mean_quality + 0.05
-    monkeypatch.setattr(driver, "SPOILED", 0.0)
+    set_policy(monkeypatch, driver, surface_spoiled=0.0)
     _, without = odt_plugins.optimize_with_report(mesh)
     assert reached > without.after.mean_quality + 0.02
 
 
 def test_a_state_that_breaks_the_promise_is_never_returned(monkeypatch):
     p, t = sm.sphere(3, 0.15)
-    monkeypatch.setattr(driver, "GUARD", 3.0)
-    monkeypatch.setattr(driver, "ATTEMPTS", 1)
+    set_policy(monkeypatch, driver, surface_guard=3.0, surface_attempts=1)
     x, c, report = improved((p, t), 2e-4)
     assert np.array_equal(x, p)
     assert np.array_equal(c, t)

@@ -9,23 +9,35 @@ import numpy as np
 import pytest
 import surface_meshes as sm
 
+from odt_plugins.engine.cells.extremes import FREELY
+from odt_plugins.engine.cells.tetrahedron import ENERGY, QUALITY, Cost
+from odt_plugins.engine.finish import descent
 from odt_plugins.engine.finish.phases import Phase
 from odt_plugins.engine.ground.build import ground_values, make_ground, make_sheet
 from odt_plugins.engine.ground.features import find_features
 from odt_plugins.engine.ground.pair import edge_is_free
-from odt_plugins.engine.ground.sheet import HELD, Limits, claim, make_work
+from odt_plugins.engine.ground.sheet import HELD, Guards, Limits, claim, make_work
 from odt_plugins.engine.ground.trace import edge_is_near
 from odt_plugins.engine.sliding.flips import sheet_triangle
+from odt_plugins.engine.surface import passes
 from odt_plugins.engine.surface.newton import star_cost
-from odt_plugins.engine.surface.odt import CPT, GIVEN, LAPLACIAN, ODT, star_centre
-from odt_plugins.engine.surface.passes import Surface, finish_phase, flip_all, move_all
+from odt_plugins.engine.surface.odt import (
+    CPT,
+    GIVEN,
+    LAPLACIAN,
+    NOWHERE,
+    ODT,
+    Target,
+    star_centre,
+)
+from odt_plugins.engine.surface.passes import Surface, SurfaceDescent, flip_all
 from odt_plugins.engine.surface.rounds import surface_energy
 from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.errors import EndlessWalkError
 from odt_plugins.mesh.surface import surface_edges
 from odt_plugins.quality import angles, radius_ratio
 
-LOOSE = np.array([0.0, 1.0, -1.0])
+ENERGY_ONLY = Cost(ENERGY, 1.0)
 
 
 def build(p, t, envelope=1e-2, cosine=0.5, slack=1e-6, **options):
@@ -35,8 +47,17 @@ def build(p, t, envelope=1e-2, cosine=0.5, slack=1e-6, **options):
                           slack=slack)
     size = sm.diagonal(p)
     limits = Limits((envelope * size) ** 2, (slack * size) ** 2, cosine)
-    return Surface(make_sheet(p, t, edges, found), make_ground(p, t, edges, stars, found),
-                   found.lines, limits, np.zeros(len(t), np.int32), **options)
+    guards = Guards(make_ground(p, t, edges, stars, found), found.lines, limits)
+    return Surface(make_sheet(p, t, edges, found), guards, np.zeros(len(t), np.int32), **options)
+
+
+def finish_phase(surface, phase):
+    return descent.finish_phase(SurfaceDescent(surface, phase, FREELY), phase)
+
+
+def move_all(surface, centre, rho=None, vectors=NOWHERE):
+    rho = np.ones(len(surface.points)) if rho is None else rho
+    return passes.move_all(surface, Target(centre, rho, False, 1.0, vectors), FREELY)
 
 
 def improve(surface, rounds=4):
@@ -44,10 +65,10 @@ def improve(surface, rounds=4):
     m = len(surface.triangles)
     rho = np.ones(len(surface.points))
     for _ in range(rounds):
-        flip_all(surface, 0.0, LOOSE, np.ones(m, bool), np.zeros(m, bool))
-        move_all(surface, ODT, rho, LOOSE)
-    finish_phase(surface, Phase(2.0, 1.0, 4, 2), LOOSE)
-    finish_phase(surface, Phase(8.0, 0.1, 4, 2), LOOSE)
+        flip_all(surface, ENERGY_ONLY, FREELY, np.ones(m, bool), np.zeros(m, bool))
+        move_all(surface, ODT, rho)
+    finish_phase(surface, Phase(2.0, 1.0, 4, 2))
+    finish_phase(surface, Phase(8.0, 0.1, 4, 2))
 
 
 MESHES = {
@@ -73,7 +94,7 @@ def test_the_surface_stays_in_its_envelope_and_keeps_its_topology(name, envelope
     assert after.mean() > before.mean() + 0.01
     held = surface.sheet.kind == HELD
     assert np.array_equal(surface.points[held], p[held])
-    assert np.array_equal(surface.ground.points, p)
+    assert np.array_equal(surface.guards.ground.points, p)
 
 
 @pytest.mark.parametrize("name", MESHES)
@@ -86,8 +107,8 @@ def test_neighbours_numbers_and_lists_stay_sound(name):
     assert np.array_equal(edges.neighbors, sheet.neighbors)
     assert (edges.degree[edges.of_cell] != 2).tolist() == (
         (sheet.neighbors < 0).tolist())
-    for e in range(len(sheet.edge_cell)):
-        assert e in sheet.cell_edges[sheet.edge_cell[e]]
+    for e in range(len(sheet.edges.cell)):
+        assert e in sheet.edges.of_cell[sheet.edges.cell[e]]
     ways = np.bincount(edges.of_cell.ravel(), edges.forward.ravel())
     assert (ways[edges.degree == 2] == 1).all()
     covered = []
@@ -97,7 +118,7 @@ def test_neighbours_numbers_and_lists_stay_sound(name):
             covered.append(v)
             v = sheet.following[v]
     assert sorted(covered) == list(range(len(p)))
-    feet = surface.ground.triangles[sheet.foot]
+    feet = surface.guards.ground.triangles[sheet.foot]
     off = [sm.distances(x[None], p, f[None])[0]
            for x, f in zip(surface.points, feet, strict=True)]
     assert max(off) < 1e-12
@@ -110,10 +131,10 @@ def test_sharp_edges_of_a_cube_stay_while_their_vertices_slide():
     improve(surface)
     assert max(sm.two_sided(p, t, surface.points, surface.triangles, 3)) < 1e-12
     moved = (surface.points != p).any(axis=1)
-    assert moved[surface.lines.slot >= 0].all()
+    assert moved[surface.guards.lines.slot >= 0].all()
     assert sm.edge_set(surface.triangles).keys() >= {
-        tuple(sorted((int(a), int(b)))) for a, b in pairwise(surface.lines.nodes)
-        if surface.lines.slot[a] >= 0 or surface.lines.slot[b] >= 0}
+        tuple(sorted((int(a), int(b)))) for a, b in pairwise(surface.guards.lines.nodes)
+        if surface.guards.lines.slot[a] >= 0 or surface.guards.lines.slot[b] >= 0}
 
 
 def test_lines_slide_within_their_slack():
@@ -143,7 +164,7 @@ def test_normals_stay_within_the_stated_angle():
     surface = build(p, t, 0.2, cosine=np.cos(np.radians(20.0)))
     shake = 0.3 * np.random.default_rng(14).standard_normal((3, *p.shape))
     for vectors in shake:
-        move_all(surface, GIVEN, np.ones(len(p)), LOOSE, vectors=vectors)
+        move_all(surface, GIVEN, vectors=vectors)
     x, c = surface.points, surface.triangles
     centre = x[c].mean(axis=1)
     flat = centre * [1, 1, 0]
@@ -163,7 +184,7 @@ def test_flat_surfaces_become_delaunay():
     surface = build(p, t)
     m = len(t)
     energy = surface_energy(surface, np.ones(len(p)))
-    assert flip_all(surface, 0.0, LOOSE, np.ones(m, bool), np.zeros(m, bool)) > 10
+    assert flip_all(surface, ENERGY_ONLY, FREELY, np.ones(m, bool), np.zeros(m, bool)) > 10
     assert surface_energy(surface, np.ones(len(p))) < energy
     angle = angles(p, surface.triangles)
     for c in range(m):
@@ -181,8 +202,8 @@ def test_no_flip_makes_an_edge_twice():
                   [2, 0, 5], [1, 2, 5], [3, 1, 5], [0, 3, 5]])
     surface = build(p, t, 10.0, cosine=-2.0)
     surface.sheet.locked[:] = False
-    for power in (0.0, 1.0, 4.0):
-        flip_all(surface, power, LOOSE, np.ones(8, bool), np.zeros(8, bool))
+    for cost in (ENERGY_ONLY, Cost(QUALITY, 1.0), Cost(QUALITY, 4.0)):
+        flip_all(surface, cost, FREELY, np.ones(8, bool), np.zeros(8, bool))
         assert set(sm.edge_set(surface.triangles).values()) == {2}
         assert len(sm.edge_set(surface.triangles)) == 12
 
@@ -213,12 +234,12 @@ def test_a_walk_that_never_comes_back_to_where_it_began_ends_and_is_named(walk):
 
 def test_a_list_of_covered_vertices_that_bites_its_tail_ends_and_is_named():
     surface = build(*wheel())
-    work = make_work(surface.ground)
+    work = make_work(surface.guards.ground)
     work.cells[0] = 4
-    assert claim(surface.sheet, surface.ground, 1, 1.0, work) >= 1
+    assert claim(surface.sheet, surface.guards.ground, 1, 1.0, work) >= 1
     v = surface.sheet.first[4]
     surface.sheet.following[v] = v
-    assert claim(surface.sheet, surface.ground, 1, 1.0, work) == -1
+    assert claim(surface.sheet, surface.guards.ground, 1, 1.0, work) == -1
     with pytest.raises(EndlessWalkError, match=f"vertex {v} "):
         surface.sheet.check()
 
@@ -228,9 +249,9 @@ def test_a_walk_that_did_not_end_ends_the_pass():
     surface.sheet.lost[0] = 5
     m = len(surface.triangles)
     with pytest.raises(EndlessWalkError):
-        flip_all(surface, 1.0, LOOSE, np.ones(m, bool), np.zeros(m, bool))
+        flip_all(surface, Cost(QUALITY, 1.0), FREELY, np.ones(m, bool), np.zeros(m, bool))
     with pytest.raises(EndlessWalkError):
-        move_all(surface, ODT, np.ones(len(surface.points)), LOOSE)
+        move_all(surface, ODT)
 
 
 @pytest.mark.parametrize("power", [0.5, 2.0, 8.0])
@@ -250,7 +271,7 @@ def test_derivatives_of_the_cost_are_those_of_finite_differences(power):
             star = t[stars.indices[stars.indptr[v] : stars.indptr[v + 1]]]
             return (radius_ratio(q, star) ** -power).sum()
 
-        value = star_cost(p, t, stars.indptr, stars.indices, v, power, e, out)
+        value = star_cost(p, t, stars, v, power, e, out)
         assert value == pytest.approx(cost(0, 0), rel=1e-12)
         h = 3e-5
         first = [(cost(h, 0) - cost(-h, 0)) / 2 / h, (cost(0, h) - cost(0, -h)) / 2 / h]
@@ -293,15 +314,15 @@ def test_the_mean_centre_of_a_star(target, weights):
         else:
             c = centres(p, star) if target == ODT else p[star].mean(axis=1)
             expected = (w[:, None] * c).sum(axis=0) / w.sum()
-        found = star_centre(surface.sheet, stars.indptr, stars.indices, v, rho,
-                            weights == "equal", target)
+        found = star_centre(surface.sheet, stars, v,
+                            Target(target, rho, weights == "equal", 1.0, NOWHERE))
         assert p[v] + found == pytest.approx(expected, abs=1e-10)
 
 
 def test_an_edge_over_a_sphere_is_as_far_as_its_sagitta():
     p, t = sm.sphere(5)
     surface = build(p, t)
-    ground = surface.ground
+    ground = surface.guards.ground
     foot = surface.sheet.foot
     for b in (40, 200, 1234):
         half = np.linalg.norm(p[b] - p[0]) / 2
@@ -320,7 +341,7 @@ def test_an_edge_between_two_lines_is_held_against_what_it_crosses():
         surface = build(p, np.array([[0, 1, 2], [3, 2, 1]]), 10.0)
         foot = surface.sheet.foot
         for factor, near in ((0.98, False), (1.02, True)):
-            assert edge_is_near(*p[0], foot[0], False, *p[3], foot[3], False, surface.ground,
+            assert edge_is_near(*p[0], foot[0], False, *p[3], foot[3], False, surface.guards.ground,
                                 (factor * 0.1) ** 2) is near
 
 
@@ -329,7 +350,7 @@ def test_given_vectors_are_followed_as_far_as_the_guards_allow():
     surface = build(p, t, 2e-2)
     axis = np.array([0.0, 0.0, 1.0])
     vectors = 0.02 * np.cross(axis, p)
-    move_all(surface, GIVEN, np.ones(len(p)), LOOSE, vectors=vectors)
+    move_all(surface, GIVEN, vectors=vectors)
     turned = np.linalg.norm(surface.points - p - vectors, axis=1)
     assert np.median(turned) < 2e-3
     assert np.abs(np.linalg.norm(surface.points, axis=1) - 1).max() < 1e-2
@@ -341,7 +362,7 @@ def test_values_are_interpolated_linearly_at_the_feet():
     improve(surface, 2)
     values = p @ [1.0, -2.0, 0.5] + 3
     out = np.zeros(len(p))
-    ground_values(surface.ground, values, surface.points, surface.sheet.foot, out)
+    ground_values(surface.guards.ground, values, surface.points, surface.sheet.foot, out)
     assert out == pytest.approx(surface.points @ [1.0, -2.0, 0.5] + 3, abs=1e-9)
 
 

@@ -1,0 +1,172 @@
+"""The numbers that decide when a stage begins, how long it goes on and what it is worth.
+
+They were chosen by measurement, and every one of them names the command that measures it: run the
+command before and after a change. Exponents, shares and rounds of the phases of stage 2 stand in
+:mod:`odt_plugins.engine.finish.phases`, one phase a line. Tolerances of a formula stand beside the
+formula.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from textwrap import wrap
+from typing import Any
+
+STANDARD = "odt-plugins compare --suite standard"
+LARGE = "odt-plugins compare --suite large --against odt-plugins"
+HARD = "odt-plugins compare --suite hard"
+STAGES = "odt-plugins compare --scaling --part stages"
+SURFACE = "odt-plugins compare --scaling --part surface"
+
+
+def _chosen(value: Any, meaning: str, command: str) -> Any:
+    """A number, what it means and the command that measures it."""
+    return field(default=value, metadata={"meaning": meaning, "command": command})
+
+
+@dataclass(frozen=True)
+class Policy:
+    """Numbers of the stages."""
+
+    # stage 1
+    settled_rounds: int = _chosen(8, "Stage 1 ends when so many rounds", STAGES)
+    settled_energy: float = _chosen(
+        1.6e-3, "have lowered the least energy by less than this part of it.", STAGES)
+    exchange_cells: int = _chosen(
+        20_000, "Most cells for which connectivity 'auto' asks scipy in the first round; beyond, "
+        "local flips are cheaper.", STAGES)
+    exchange_move: float = _chosen(
+        0.1, "Longest move, in edge lengths, above which scipy is asked (Section 3.2, row 10).",
+        STANDARD)
+    overrelaxed: float = _chosen(
+        1.95, "First alpha of ODT sweeps in space when finishing follows: the energy leaves "
+        "shallow minima.", STANDARD)
+    damped: float = _chosen(
+        0.8, "First alpha of Jacobi sweeps, whose limit of stability is 1.", STANDARD)
+    energy_ring: int = _chosen(
+        7, "Longest ring of an edge that is removed for the sake of the energy.", STAGES)
+    energy_passes: int = _chosen(
+        3, "Passes of energy flips in a round; what is left pending waits for the next round.",
+        STAGES)
+    scattered: float = _chosen(
+        0.2, "Cells are sorted again after more flips than this part of their number.", STAGES)
+
+    # stage 2
+    volume_gain: float = _chosen(
+        3e-3, "A vertex of tetrahedra whose star gained less than this part of F_p wakes no "
+        "neighbour.", STAGES)
+    plane_gain: float = _chosen(1e-3, "The same in the plane.", STANDARD)
+    surface_gain: float = _chosen(3e-3, "The same on a curved surface.", SURFACE)
+    quality_ring: int = _chosen(
+        10, "Longest ring of an edge that is removed for the sake of the quality.", STANDARD)
+    quality_passes: int = _chosen(4, "Passes of quality flips in a round.", STAGES)
+    slabs_worth: float = _chosen(
+        0.01, "Part of the cells from which on compound moves, slower than flips, are made in "
+        "slabs by several threads.", LARGE)
+    many_small_angles: float = _chosen(
+        0.1, "Share of cells with a small angle up to which phases look after them: where there "
+        "are more they do not decide.", HARD)
+    polished_rings: int = _chosen(
+        4, "Rings of cells around small angles that are changed for their sake.", STANDARD)
+
+    # insertion
+    insertion_rounds: int = _chosen(
+        3, "Rounds of insertion, each followed by finishing.", STANDARD)
+    insertion_less: float = _chosen(
+        0.1, "After a round that was taken back the next ones take this part of its cells.",
+        STANDARD)
+    insertion_noise: float = _chosen(
+        1e-3, "How far the mean or the 1 % quantile may fall by insertion,", STANDARD)
+    insertion_noisy_cells: int = _chosen(
+        5, "and so much divided by the number of cells besides.", STANDARD)
+
+    # figures of a state
+    small_angle: float = _chosen(
+        20.0, "Dihedral angle in degrees below which a cell is looked after on its own.", STANDARD)
+    counted_small_angles: float = _chosen(
+        0.02, "Share of small angles beyond which the score counts no more of them, nor a phase "
+        "starts from.", STANDARD)
+    small_angle_price: float = _chosen(
+        3.0, "Of a tetrahedron with a small angle in the score: what three regular ones add to it.",
+        STANDARD)
+    score_p1: float = _chosen(
+        0.5, "Weight of the 1 % quantile of the radius ratio in the score; that of the mean is 1.",
+        STANDARD)
+    score_least: float = _chosen(0.25, "Weight of the least radius ratio.", STANDARD)
+
+    # cycles and runs
+    cycle_worth: float = _chosen(
+        5e-4, "Gain of the mean quality for which a cycle is worth its time.", STANDARD)
+    locked_quality: float = _chosen(
+        0.3, "Radius ratio that a cell without a movable vertex must reach when there was no "
+        "worse one before,", STANDARD)
+    locked_angles: tuple[float, float] = _chosen(
+        (14.0, 157.0), "and its smallest and largest angle, in degrees.", STANDARD)
+    poor_quality: float = _chosen(
+        0.15, "1 % quantile of the radius ratio below which finishing alone, or a fixed boundary, "
+        "is tried besides.", HARD)
+    few_cells: int = _chosen(
+        3000, "Number of cells below which a fixed boundary is tried beside one that slid.", HARD)
+    few_movable: float = _chosen(
+        0.02, "Share of the vertices that may move below which finishing alone is tried besides.",
+        HARD)
+    notable_price: float = _chosen(
+        5e-3, "Mean quality that was given up to keep the figures and is worth a word.", HARD)
+    slide_retreats: int = _chosen(
+        4, "How often a boundary slides again, with those vertices left alone at which it was "
+        "spoiled.", HARD)
+
+    # the boundary of tetrahedra that slides
+    slide_guard: float = _chosen(
+        0.97, "Part of the envelope that the guards allow; the rest is for the rounding of the way "
+        "back.", HARD)
+    slide_volume: float = _chosen(
+        2.9e-3, "Largest change of the volume, as a part of it.", STANDARD)
+    slide_reserve: float = _chosen(
+        0.4, "Part of that change which is kept for the worst cells.", STANDARD)
+    slide_cancel: float = _chosen(
+        4.0, "Largest multiple of that change which the vertices share where changes cancel.",
+        STANDARD)
+    slide_unused: float = _chosen(
+        1.2, "A further factor, since not every vertex uses up what it has.", STANDARD)
+    slide_turn: float = _chosen(
+        30.0, "Degrees by which a boundary triangle may be turned against the input surface.",
+        STANDARD)
+
+    # curved surfaces
+    surface_guard: float = _chosen(
+        0.975, "Part of the envelope that the guards use; the rest is for the bounds of the judge.",
+        HARD)
+    surface_lines: float = _chosen(
+        0.5, "Part of the envelope by which feature lines may change when the boundary slides.",
+        STANDARD)
+    surface_turn: float = _chosen(
+        60.0, "Degrees by which the normal of a new triangle may differ from that of the ground "
+        "under it.", STANDARD)
+    surface_thin: float = _chosen(
+        0.02, "Radius ratio below which stage 1 makes no triangle worse.", STANDARD)
+    surface_settled: float = _chosen(
+        2e-3, "Stage 1 ends with a round that lowers the energy by less than this part of it.",
+        SURFACE)
+    surface_attempts: int = _chosen(
+        4, "Runs until the input is returned; each leaves alone what broke the promise in those "
+        "before, with one more ring of triangles around it every time.", HARD)
+    surface_spoiled: float = _chosen(
+        0.3, "Part of the vertices that may be left alone because of triangles beyond the input's "
+        "extremes.", HARD)
+
+
+def _documentation() -> str:
+    """Docstring of :class:`Policy`: value, meaning and command of every number."""
+    lines = [str(Policy.__doc__), "", "    Attributes", "    ----------"]
+    for about in fields(Policy):
+        lines.append(f"    {about.name} : {about.type}, {about.default!r}")
+        text = f"{about.metadata['meaning']} Measured by ``{about.metadata['command']}``."
+        lines += wrap(text, 92, initial_indent=8 * " ", subsequent_indent=8 * " ")
+    return "\n".join([*lines, "    "])
+
+
+Policy.__doc__ = _documentation()
+
+POLICY = Policy()
+"""The numbers of this version."""
