@@ -71,16 +71,6 @@ TOOLKITS = {
 MOST_PARAMETERS = {"kernel": 10, "function": 8}
 """Parameters that a kernel and any other function of the engine may take."""
 
-MORE_PARAMETERS = {
-    "ground/crossings.py": {"_sweep"},
-    "ground/envelope.py": {"_near"},
-    "ground/features.py": {"find_features"},
-    "ground/trace.py": {"edge_is_near", "_trace"},
-    "odt/global_step.py": {"global_step"},
-    "odt/sweeps.py": {"_move_vertices", "_sweep"},
-}
-"""Functions of the engine that still take more; one that no longer does leaves this list."""
-
 SLOW = ("numba", "scipy", "pyamg", "click", "rich", "dask", "distributed", *TOOLKITS)
 
 
@@ -186,7 +176,7 @@ def long_lists(path: Path) -> set[str]:
 def test_no_function_of_the_engine_takes_a_long_list_of_parameters():
     found = {path.relative_to(PACKAGE / "engine").as_posix(): long_lists(path)
              for path in MODULES if room(path) == "engine"}
-    assert {name: functions for name, functions in found.items() if functions} == MORE_PARAMETERS
+    assert {name: functions for name, functions in found.items() if functions} == {}
 
 
 def test_no_test_imports_from_a_test():

@@ -13,7 +13,8 @@ A mesh walks through the rooms of this package in this order:
    `run_cycles`).
 
 `engine.surface` walks curved triangle meshes through its own form of the stages (`run_surface`).
-`engine.cells` measures one cell, and `engine.compiled` compiles the kernels. Each room imports
+`engine.cells` measures one cell, and `engine.compiled` compiles the kernels; `engine.policy` holds
+the numbers that decide when a stage begins and ends. Each room imports
 only the rooms before it: compiled, topology, cells, record, moves, ground, odt, sliding, finish,
 run, surface.
 

@@ -12,7 +12,8 @@ m^-p (`quality_cost`). Three measures of a tetrahedron (`tet_measure`, `tet_cost
 `tet_energy` is the ODT energy (2.2) of one tetrahedron, `triangle_shape` and `triangle_measure`
 are the measures of a triangle. `circumcenters` (4.6), `barycenters` and `signed_volumes` treat
 all cells of a mesh at once; `inside_sphere` asks whether a facet is locally Delaunay (Definition
-2.1). `relaxed` gives the extremes that what takes the place of some cells may reach.
+2.1). `Extremes` and `Bounds` are what new cells may not pass unless those they replace do
+(`worse`, `keeps`).
 
 References
 ----------

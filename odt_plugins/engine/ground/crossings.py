@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,6 +17,22 @@ ROUNDING = 1e-12
 
 STRIP = 4
 """Triangles of mean size across a strip, about."""
+
+
+class Boxes(NamedTuple):
+    """Bounding boxes of triangles, and the strips that they lie in.
+
+    Attributes
+    ----------
+    low, high : (m, 3) float64    corners
+    axis : int                    the longest of the bounding box of all
+    first : (m,) int32            first strip of every triangle
+    """
+
+    low: FloatArray
+    high: FloatArray
+    axis: int
+    first: IntArray
 
 
 def count_crossings(points: FloatArray, triangles: IntArray) -> int:
@@ -66,8 +83,9 @@ def _crossings(points: FloatArray, triangles: IntArray, hit: BoolArray) -> int:
     order = order[np.argsort(strip[order], kind="stable")]
     begin = np.searchsorted(strip[order], np.arange(count + 1))
     member = member[order]
+    boxes = Boxes(low, high, along, first)
     return sum(
-        int(_sweep(points, triangles, low, high, along, member, start, stop, end, s, first, hit))
+        int(_sweep(points, triangles, boxes, member, start, stop, end, s, hit))
         for s, end in enumerate(begin[1:].tolist())
         for start, stop in pieces(int(begin[s]), end, costly=True)
     )
@@ -75,15 +93,16 @@ def _crossings(points: FloatArray, triangles: IntArray, hit: BoolArray) -> int:
 
 @kernel
 def _sweep(
-    points: FloatArray, triangles: IntArray, low: FloatArray, high: FloatArray, axis: int,
-    member: IntArray, start: int, stop: int, end: int, strip: int, first: IntArray, hit: BoolArray,
+    points: FloatArray, triangles: IntArray, boxes: Boxes, member: IntArray, start: int,
+    stop: int, end: int, strip: int, hit: BoolArray,
 ) -> int:
     """Compare triangles of a strip with those behind them that begin before they end.
 
     ``member[start:stop]`` are compared with those behind them up to ``end``, sorted by ``low``; a
-    pair counts in the ``first`` strip that both lie in. Marks in ``hit`` the triangles of every
+    pair counts in the first strip that both lie in. Marks in ``hit`` the triangles of every
     crossing.
     """
+    low, high, axis, first = boxes
     other, third = (axis + 1) % 3, (axis + 2) % 3
     count = 0
     for k in range(start, stop):

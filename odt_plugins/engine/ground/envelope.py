@@ -12,7 +12,7 @@ from odt_plugins.engine.ground.closest import Ground, closest_on_triangle
 from odt_plugins.engine.ground.overlay import Work, height_over, make_overlay_work
 from odt_plugins.engine.ground.reference import Reference, make_reference
 from odt_plugins.engine.ground.triangle_within import faces_near, triangle_within
-from odt_plugins.engine.topology.star import OffsetArray, Stars
+from odt_plugins.engine.topology.star import Stars
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 
 INSET = 0.01
@@ -42,9 +42,10 @@ def _within(
 @kernel
 def _near(
     points: FloatArray, triangles: IntArray, chosen: IntArray, feet: IntArray, surface: Ground,
-    reach: float, work: Work, start: int, stop: int, indptr: OffsetArray, indices: IntArray,
+    reach: float, work: Work, start: int, stop: int, near: Stars,
 ) -> None:
     """Count the triangles of the surface near chosen[start:stop]; write them when there is room."""
+    indptr, indices = near
     three = work.feet
     for r in range(start, stop):
         i, j, k = triangles[chosen[r], 0], triangles[chosen[r], 1], triangles[chosen[r], 2]
@@ -134,7 +135,7 @@ def uncovered(
         for first, last in pieces(0, len(chosen), costly=True):
             _near(
                 reference.points, reference.triangles, chosen, feet, result.surface,
-                float(envelope), work, first, last, indptr, indices,
+                float(envelope), work, first, last, Stars(indptr, indices),
             )
         indices = np.empty(int(indptr[-1]), dtype=np.int32) if not indices.size else indices
     return Uncovered(chosen, Stars(indptr, indices))

@@ -77,8 +77,7 @@ def find_features(
     *,
     angle: float,
     fixed: BoolArray,
-    regions: IntArray | None = None,
-    marked: NDArray[np.integer] | None = None,
+    kept: BoolArray | None = None,
     slack: float = EXACT,
 ) -> Features:
     """Find the feature edges of a surface and say how its vertices may move.
@@ -91,8 +90,8 @@ def find_features(
     angle : float                       degrees by which the surface turns at a feature edge; also
                                         those by which a line turns at a corner
     fixed : (n,) bool                   vertices that must not move
-    regions : (m,) int32, optional      labels whose borders are features
-    marked : (k, 2) int, optional       more feature edges; what is no edge is passed over
+    kept : (e,) bool, optional          edges that are features whatever their angle, see
+                                        :func:`label_borders` and :func:`marked_edges`
     slack : float                       part of the bounding-box diagonal by which a line may
                                         change when a vertex slides along it
 
@@ -102,11 +101,7 @@ def find_features(
     """
     n = len(points)
     fixed = fixed | (np.diff(stars.indptr) > LARGEST_FAN)
-    kept = edges.degree != 2
-    if regions is not None:
-        kept |= _label_borders(edges, regions)
-    if marked is not None and len(marked):
-        kept |= _marked_edges(edges, np.asarray(marked), n)
+    kept = edges.degree != 2 if kept is None else kept | (edges.degree != 2)
     sharp = sharp_edges(points, triangles, edges, angle) & ~kept
     feature = kept | sharp
     while True:
@@ -204,14 +199,16 @@ def _hidden(
     return edges.of_cell[flat[agree]].ravel()
 
 
-def _label_borders(edges: Edges, regions: IntArray) -> BoolArray:
+def label_borders(edges: Edges, regions: IntArray) -> BoolArray:
+    """Edges (e,) between triangles of different labels (m,)."""
     differs = (regions[edges.neighbors] != regions[:, None]) & (edges.neighbors >= 0)
     border = np.zeros(len(edges.degree), dtype=np.bool_)
     border[edges.of_cell[differs]] = True
     return border
 
 
-def _marked_edges(edges: Edges, marked: NDArray[np.integer], n: int) -> BoolArray:
+def marked_edges(edges: Edges, marked: NDArray[np.integer], n: int) -> BoolArray:
+    """Edges (e,) with the ends (k, 2); a pair of the n vertices that is no edge is passed over."""
     key = edges.vertices[:, 0].astype(np.int64) * n + edges.vertices[:, 1]
     wanted = np.sort(marked.astype(np.int64), axis=1)
     return np.isin(key, wanted[:, 0] * n + wanted[:, 1])

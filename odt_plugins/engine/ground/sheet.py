@@ -11,7 +11,7 @@ from odt_plugins.engine.cells.triangle import triangle_in_space
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import Ground, closest_on_triangle, walk
 from odt_plugins.engine.ground.lines import Lines
-from odt_plugins.engine.ground.trace import edge_is_near
+from odt_plugins.engine.ground.trace import End, edge_is_near
 from odt_plugins.engine.topology.lookup import place_in
 from odt_plugins.engine.topology.star import Stars
 from odt_plugins.engine.topology.triangles import EdgeNumbers
@@ -139,12 +139,14 @@ def normal_cosine(sheet: Sheet, ground: Ground, a: int, b: int, c: int) -> float
 @kernel
 def joined(sheet: Sheet, ground: Ground, a: int, b: int, limit: float) -> bool:
     """Whether the edge ab and the ground under it are close to each other."""
+    return edge_is_near(_end(sheet, a), _end(sheet, b), ground, limit)
+
+
+@kernel
+def _end(sheet: Sheet, v: int) -> End:
     p = sheet.points
-    return edge_is_near(
-        p[a, 0], p[a, 1], p[a, 2], sheet.foot[a], sheet.kind[a] == SMOOTH,
-        p[b, 0], p[b, 1], p[b, 2], sheet.foot[b], sheet.kind[b] == SMOOTH,
-        ground, limit,
-    )
+    face = np.int64(sheet.foot[v])
+    return End(p[v, 0], p[v, 1], p[v, 2], face, sheet.kind[v] == SMOOTH)
 
 
 @kernel

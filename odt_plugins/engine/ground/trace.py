@@ -10,6 +10,9 @@ distances.
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
+
+import numpy as np
 
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import Ground, closest_on_triangle, walk
@@ -25,36 +28,46 @@ ARRIVED = 1e-18
 """Squared distance below which the end of an edge lies on a triangle; coordinates are about 1."""
 
 
+class End(NamedTuple):
+    """An end of an edge.
+
+    Attributes
+    ----------
+    x, y, z : float    on the ground
+    face : int64       triangle of the ground on which it lies
+    inside : bool      whether it lies on no feature line: only then is its triangle on the same
+                       side of the line as the edge
+    """
+
+    x: float
+    y: float
+    z: float
+    face: np.int64
+    inside: bool
+
+
 @kernel
-def edge_is_near(
-    ax: float, ay: float, az: float, face_a: int, smooth_a: bool,
-    bx: float, by: float, bz: float, face_b: int, smooth_b: bool,
-    ground: Ground, limit: float,
-) -> bool:
+def edge_is_near(a: End, b: End, ground: Ground, limit: float) -> bool:
     """Whether a straight edge stays close to the ground, and the ground under it to the edge.
 
     Parameters
     ----------
-    ax, ay, az, bx, by, bz : float    ends, on the ground
-    face_a, face_b : int              triangle of the ground on which an end lies
-    smooth_a, smooth_b : bool         whether the end lies on no feature line: only then is its
-                                      triangle on the same side of the line as the edge
+    a, b : End
     ground : Ground
-    limit : float                     squared distance
+    limit : float    squared distance
     """
-    if smooth_a:
-        return _trace(
-            ax, ay, az, face_a, ax, ay, az, bx, by, bz, face_b, smooth_b, ground, limit
-        )
-    if smooth_b:
-        return _trace(bx, by, bz, face_b, bx, by, bz, ax, ay, az, face_a, False, ground, limit)
-    mx, my, mz = 0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz)
-    far, face, x, y, z = walk(mx, my, mz, face_a, ground, False)
+    if a.inside:
+        return _trace(a, a.x, a.y, a.z, b, ground, limit)
+    if b.inside:
+        return _trace(b, b.x, b.y, b.z, a, ground, limit)
+    mx, my, mz = 0.5 * (a.x + b.x), 0.5 * (a.y + b.y), 0.5 * (a.z + b.z)
+    far, face, x, y, z = walk(mx, my, mz, a.face, ground, False)
     if far > limit:
         return False
-    return _trace(
-        x, y, z, face, mx, my, mz, ax, ay, az, face_a, False, ground, limit
-    ) and _trace(x, y, z, face, mx, my, mz, bx, by, bz, face_b, False, ground, limit)
+    middle = End(x, y, z, np.int64(face), True)
+    return _trace(middle, mx, my, mz, a, ground, limit) and _trace(
+        middle, mx, my, mz, b, ground, limit
+    )
 
 
 @kernel
@@ -73,18 +86,17 @@ def _inward(
 
 @kernel
 def _trace(
-    ax: float, ay: float, az: float, face: int, ox: float, oy: float, oz: float,
-    bx: float, by: float, bz: float, last: int, inside: bool,
-    ground: Ground, limit: float,
+    a: End, ox: float, oy: float, oz: float, b: End, ground: Ground, limit: float
 ) -> bool:
-    """Follow the plane through a, b and the normals from ``face``, which holds a, to b.
+    """Follow the plane through a, b and the normals from the triangle of a to that of b.
 
-    What is crossed must be close to the segment from o, of which a is the foot, to b. ``inside``
-    says that b lies within triangle ``last``; otherwise it lies on a feature line, and any
-    triangle that holds it will do.
+    What is crossed must be close to the segment from o, of which a is the foot, to b. Any triangle
+    that holds b will do where b lies on a feature line.
     """
     p = ground.points
     t = ground.triangles
+    ax, ay, az, face, _ = a
+    bx, by, bz, last, inside = b
     nx, ny, nz = ground.normals[face, 0], ground.normals[face, 1], ground.normals[face, 2]
     ax, ay, az = _inward(ax, ay, az, face, ground)
     if inside:

@@ -257,7 +257,7 @@ def global_step(
     linear_solver: Literal["auto", "direct", "amg"] = "auto",
     objective: Objective | None = None,
 ) -> tuple[FloatArray, StepStats]:
-    """One step of the global scheme (4.27) or (4.28) with line search.
+    """One step (4.27) or (4.28) with line search; its parameters are the choices of Section 4.3.
 
     Parameters
     ----------

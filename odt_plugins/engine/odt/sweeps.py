@@ -15,10 +15,10 @@ import numpy as np
 from odt_plugins.engine.cells.elementary import power
 from odt_plugins.engine.cells.geometry import signed_volumes
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
-from odt_plugins.engine.topology.coloring import Coloring, run_chunks
-from odt_plugins.engine.topology.star import OffsetArray, star_sum
+from odt_plugins.engine.topology.coloring import run_chunks
+from odt_plugins.engine.topology.star import Stars, star_sum
 from odt_plugins.engine.topology.stencil import Topology
-from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
 
 Center = Literal["odt", "cpt", "laplacian"]
 
@@ -134,21 +134,30 @@ def _space_chunk(
         rows[OZ + u] = 0.25 * (az + bz + ez) if central else aa * pz + bb * qz + ee * rz
 
 
+class Pull(NamedTuple):
+    """What vertices are drawn by.
+
+    Attributes
+    ----------
+    equal_weights : bool    every cell counts the same (4.22)
+    neighbors : Stars       of the vertices, when these draw (4.21), otherwise empty
+    omega : float           first alpha
+    largest_star : int      most cells around a vertex
+    """
+
+    equal_weights: bool
+    neighbors: Stars
+    omega: float
+    largest_star: int
+
+
+NO_NEIGHBORS = Stars(np.empty(0, dtype=np.int64), np.empty(0, dtype=np.int32))
+
+
 @allocating_kernel
 def _move_vertices(
-    nodes: FloatArray,
-    out: FloatArray,
-    cells: IntArray,
-    indptr: OffsetArray,
-    indices: IntArray,
-    equal_weights: bool,
-    row_start: OffsetArray,
-    row_vertices: IntArray,
-    order: IntArray,
-    start: int,
-    stop: int,
-    omega: float,
-    largest_star: int,
+    nodes: FloatArray, out: FloatArray, cells: IntArray, stars: Stars, pull: Pull,
+    order: IntArray, start: int, stop: int,
 ) -> tuple[int, float, int]:
     """Move order[start:stop] from nodes to out, which may be the same array.
 
@@ -161,11 +170,14 @@ def _move_vertices(
     det = d! |tau| and c - x_i = moment / (2 det): weights |tau| cancel the division, so flat cells
     do no harm. det is linear in x_i, so one gradient a cell decides every alpha.
     """
+    indptr, indices = stars
+    equal_weights, omega = pull.equal_weights, pull.omega
+    row_start, row_vertices = pull.neighbors
     d = cells.shape[1] - 1
     factorial = 2.0 if d == 2 else 6.0
     laplacian = row_start.shape[0] > 0
     rows = np.empty(18 * CHUNK)
-    cell = np.empty((4, largest_star))
+    cell = np.empty((4, pull.largest_star))
     moved = 0
     reduced = 0
     longest = 0.0
@@ -242,45 +254,29 @@ def _move_vertices(
 
 
 def _sweep(
-    points: FloatArray,
-    topology: Topology,
-    rho: FloatArray | None,
-    method: Center,
-    inverse_volume: bool,
-    omega: float,
-    boundary_rule: bool,
-    threads: int,
-    coloring: Coloring,
-    *,
-    in_place: bool,
+    points: FloatArray, topology: Topology, rho: FloatArray | None, pull: Pull,
+    barycentric: BoolArray | bool, threads: int, offsets: LongArray | None = None,
 ) -> tuple[FloatArray, StepStats]:
-    """Run the kernel over blocks of vertices; ``in_place`` lets them see each other's moves."""
+    """Run the kernel over blocks of vertices.
+
+    Parameters
+    ----------
+    barycentric : (n,) bool, or one for all    vertices whose cells count by their barycenters
+    offsets : (c + 1,) int64, optional         where the colours begin whose vertices do not see
+                                               each other's moves; None takes those of the topology
+    """
     d = points.shape[1]
     nodes = np.zeros((len(points), 4))
     nodes[:, :d] = points
     nodes[:, 3] = 1.0 if rho is None else rho
-    barycentric = topology.is_boundary if method == "odt" and boundary_rule else method != "odt"
     np.negative(nodes[:, 3], out=nodes[:, 3], where=barycentric)
-    out = nodes if in_place else nodes.copy()
-    rows = topology.neighbors if method == "laplacian" else None
-    row_start = rows.indptr if rows else np.empty(0, dtype=np.int64)
-    row_vertices = rows.indices if rows else np.empty(0, dtype=np.int32)
+    coloring, out = topology.coloring, nodes
+    if offsets is not None:
+        coloring, out = coloring._replace(offsets=offsets), nodes.copy()
 
     def run(start: int, stop: int) -> Any:
         return _move_vertices(
-            nodes,
-            out,
-            topology.cells,
-            topology.stars.indptr,
-            topology.stars.indices,
-            inverse_volume,
-            row_start,
-            row_vertices,
-            coloring.order,
-            start,
-            stop,
-            float(omega),
-            topology.largest_star,
+            nodes, out, topology.cells, topology.stars, pull, coloring.order, start, stop
         )
 
     with ThreadPoolExecutor(threads) if threads > 1 else nullcontext() as pool:
@@ -288,6 +284,15 @@ def _sweep(
     moved, longest, reduced = zip((0, 0.0, 0), *results, strict=True)
     new = np.ascontiguousarray(out[:, :d])
     return new, StepStats(sum(moved), max(longest), sum(reduced))
+
+
+def _pull(
+    topology: Topology, method: Center, inverse_volume: bool, omega: float, boundary_rule: bool
+) -> tuple[Pull, BoolArray | bool]:
+    """What draws the vertices, and those whose cells count by their barycenters."""
+    neighbors = topology.neighbors if method == "laplacian" else NO_NEIGHBORS
+    pull = Pull(bool(inverse_volume), neighbors, float(omega), topology.largest_star)
+    return pull, topology.is_boundary if method == "odt" and boundary_rule else method != "odt"
 
 
 def gauss_seidel_sweep(
@@ -326,10 +331,8 @@ def gauss_seidel_sweep(
     CMAME 200 (2011) 967-984, Section 4.1.3, (4.12), (4.13), Section 4.2.1, (4.20), (4.21), (4.22).
     (4.18) is (4.20) with alpha = 1 and the integrals by one point.
     """
-    return _sweep(
-        points, topology, rho, method, inverse_volume, omega, boundary_rule, threads,
-        topology.coloring, in_place=True,
-    )
+    pull, barycentric = _pull(topology, method, inverse_volume, omega, boundary_rule)
+    return _sweep(points, topology, rho, pull, barycentric, threads)
 
 
 def jacobi_sweep(
@@ -350,12 +353,9 @@ def jacobi_sweep(
     omega = 1 is the limit of stability, so the default is below it.
     """
     old = np.ascontiguousarray(points, dtype=np.float64)
-    blocks = topology.coloring
-    target, stats = _sweep(
-        old, topology, rho, method, inverse_volume, omega, boundary_rule, threads,
-        blocks._replace(offsets=np.array([0, len(blocks.blocks) - 1], dtype=np.int64)),
-        in_place=False,
-    )
+    pull, barycentric = _pull(topology, method, inverse_volume, omega, boundary_rule)
+    one_colour = np.array([0, len(topology.coloring.blocks) - 1], dtype=np.int64)
+    target, stats = _sweep(old, topology, rho, pull, barycentric, threads, one_colour)
     new, reduced = guarded_move(old, topology, target - old)
     return new, move_stats(old, new, topology, stats.reduced + reduced, 1.0)
 

@@ -11,7 +11,7 @@ from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
 from odt_plugins.engine.cells.tetrahedron import Cost
 from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.ground.build import make_ground, make_sheet
-from odt_plugins.engine.ground.features import find_features
+from odt_plugins.engine.ground.features import find_features, marked_edges
 from odt_plugins.engine.ground.sheet import SMOOTH, Limits, make_work
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.sliding.boundary import Skin
@@ -44,7 +44,7 @@ def make_skin(
     edges = surface_edges(triangles, n)
     features = find_features(
         points, triangles, edges, vertex_stars(triangles, n), angle=angle, fixed=held,
-        marked=lines,
+        kept=marked_edges(edges, lines, n),
     )
     ground = make_ground(points, triangles, edges, vertex_stars(triangles, n), features)
     sheet = make_sheet(points, triangles, edges, features)._replace(points=points)

@@ -7,7 +7,7 @@ What differs from meshes in the plane and in space stands here, the guards are t
   (4.20) or (4.21), each centre taken in its triangle, the step in the tangent plane and back to
   the ground; `flip_edges` flips to intrinsic Delaunay: the angles opposite to an edge sum up to
   at most pi;
-- stage 2 (`finish_phase`): Newton steps on F_p = sum q^-p in the tangent plane
+- stage 2 (`SurfaceDescent` in `finish_phase`): Newton steps on F_p = sum q^-p in the tangent plane
   (`smooth_vertices`, `star_cost`) and flips that lower F_p;
 - the promise (`faults`): distances both ways (`measured`), folds and crossings (`outside`).
 

@@ -14,7 +14,13 @@ from odt_plugins.engine.compiled.threads import thread_pool
 from odt_plugins.engine.finish.descent import finish_phase
 from odt_plugins.engine.finish.phases import Phase, bulk, tail
 from odt_plugins.engine.ground.build import make_ground, make_sheet
-from odt_plugins.engine.ground.features import EXACT, Features, find_features
+from odt_plugins.engine.ground.features import (
+    EXACT,
+    Features,
+    find_features,
+    label_borders,
+    marked_edges,
+)
 from odt_plugins.engine.ground.sheet import HELD, LINE, Guards, Limits
 from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.policy import POLICY
@@ -65,13 +71,13 @@ class SurfaceStart(Start):
     Attributes
     ----------
     fixed : (k,) bool           vertices that the caller holds
-    marked : (l, 2) int32       edges that the caller marked as features
     edges : Edges
+    kept : (e,) bool            edges between regions, or that the caller marked as features
     """
 
     fixed: BoolArray
-    marked: IntArray
     edges: Edges
+    kept: BoolArray
 
 
 def run_surface(
@@ -152,9 +158,11 @@ def _start(mesh: SimplexMesh) -> SurfaceStart:
     start = make_start(mesh)
     fixed = mesh.fixed.copy()
     fixed[mesh.cells[mesh.frozen]] = True
+    edges = _inner_edges(mesh, start.frame, start.cells)
+    marked = marked_edges(edges, start.pairs(mesh.lines), len(start.points))
     return SurfaceStart(
-        **vars(start), fixed=fixed[start.frame.vertices], marked=start.pairs(mesh.lines),
-        edges=_inner_edges(mesh, start.frame, start.cells),
+        **vars(start), fixed=fixed[start.frame.vertices], edges=edges,
+        kept=label_borders(edges, start.regions) | marked,
     )
 
 
@@ -215,7 +223,7 @@ def _build(
     slack = POLICY.surface_lines * options.envelope if slides else EXACT
     features = find_features(
         points, triangles, edges, stars, angle=options.feature_angle, fixed=start.fixed | shut,
-        regions=start.regions, marked=start.marked, slack=slack,
+        kept=start.kept, slack=slack,
     )
     ground = make_ground(points, triangles, edges, stars, features)
     sheet = make_sheet(points, triangles, edges, features)

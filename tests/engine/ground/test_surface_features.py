@@ -11,6 +11,8 @@ import surface_meshes as sm
 from odt_plugins.engine.ground.features import (
     LARGEST_FAN,
     find_features,
+    label_borders,
+    marked_edges,
     pinched_vertices,
     sharp_edges,
 )
@@ -20,13 +22,13 @@ from odt_plugins.errors import EndlessWalkError, InvalidMeshError, InvalidOption
 from odt_plugins.mesh.surface import surface_edges, surface_mesh
 
 
-def features(p, t, angle=40.0, fixed=(), **options):
+def features(p, t, angle=40.0, fixed=(), kept=None, **options):
     mesh = surface_mesh(p, t)
     edges = surface_edges(mesh.cells, len(p))
     mask = np.zeros(len(p), bool)
     mask[list(fixed)] = True
     found = find_features(mesh.points, mesh.cells, edges, vertex_stars(mesh.cells, len(p)),
-                          angle=angle, fixed=mask, **options)
+                          angle=angle, fixed=mask, kept=kept and kept(edges), **options)
     return found, {tuple(e) for e in edges.vertices[found.edges].tolist()}
 
 
@@ -133,13 +135,14 @@ def test_a_crease_with_loose_ends_counts_from_five_edges_on():
 def test_labels_marks_and_fixed_vertices():
     p, t = sm.sphere(2)
     label = (p[t].mean(axis=1)[:, 2] > 0).astype(np.int32)
-    _, edges = features(p, t, regions=label)
+    _, edges = features(p, t, kept=lambda edges: label_borders(edges, label))
     border = {e for e in sm.edge_set(t)
               if len({label[c] for c in np.flatnonzero(np.isin(t, e).sum(axis=1) == 2)}) == 2}
     assert edges == border
     assert edges
     a, b = (int(v) for v in t[0, :2])
-    assert features(p, t, marked=np.array([[b, a], [0, 0]]))[1] == {(min(a, b), max(a, b))}
+    assert features(p, t, kept=lambda edges: marked_edges(
+        edges, np.array([[b, a], [0, 0]]), len(p)))[1] == {(min(a, b), max(a, b))}
     assert features(p, t, fixed=[5])[0].kind[5] == HELD
     p, t = sm.cube(4)
     line = int(np.flatnonzero(features(p, t)[0].kind == LINE)[0])

@@ -17,7 +17,7 @@ from odt_plugins.engine.ground.build import ground_values, make_ground, make_she
 from odt_plugins.engine.ground.features import find_features
 from odt_plugins.engine.ground.pair import edge_is_free
 from odt_plugins.engine.ground.sheet import HELD, Guards, Limits, claim, make_work
-from odt_plugins.engine.ground.trace import edge_is_near
+from odt_plugins.engine.ground.trace import End, edge_is_near
 from odt_plugins.engine.sliding.flips import sheet_triangle
 from odt_plugins.engine.surface import passes
 from odt_plugins.engine.surface.newton import star_cost
@@ -331,7 +331,8 @@ def test_an_edge_over_a_sphere_is_as_far_as_its_sagitta():
         sagitta = 1 - np.sqrt(1 - half**2)
         for factor, near in ((0.9, False), (1.1, True)):
             limit = (factor * sagitta + 1e-3 * (factor - 1)) ** 2
-            assert edge_is_near(*p[0], foot[0], True, *p[b], foot[b], True, ground, limit) is near
+            assert edge_is_near(
+                End(*p[0], foot[0], True), End(*p[b], foot[b], True), ground, limit) is near
 
 
 def test_an_edge_between_two_lines_is_held_against_what_it_crosses():
@@ -341,8 +342,9 @@ def test_an_edge_between_two_lines_is_held_against_what_it_crosses():
         surface = build(p, np.array([[0, 1, 2], [3, 2, 1]]), 10.0)
         foot = surface.sheet.foot
         for factor, near in ((0.98, False), (1.02, True)):
-            assert edge_is_near(*p[0], foot[0], False, *p[3], foot[3], False, surface.guards.ground,
-                                (factor * 0.1) ** 2) is near
+            assert edge_is_near(
+                End(*p[0], foot[0], False), End(*p[3], foot[3], False), surface.guards.ground,
+                (factor * 0.1) ** 2) is near
 
 
 def test_given_vectors_are_followed_as_far_as_the_guards_allow():
