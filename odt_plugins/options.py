@@ -34,7 +34,8 @@ SOLVERS: dict[str, tuple[str, ...]] = {
 
 DENSITIES = ("keep", "uniform", "inverse-volume", "curvature")
 
-FIGURES = ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle")
+FIGURES = ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle",
+           "share_below_20")
 
 Progress = Callable[[str, float], None]
 
@@ -140,7 +141,8 @@ class Options:
         "of a curved surface.",
         flag="Name of a cell array; charts keeps the seams of the texture of a curved surface."))
     keep: tuple[str, ...] = field(default=FIGURES, metadata=_told(
-        "Figures that must not get worse.",
+        "Figures that must not get worse; share_below_20 is the part of the cells with an angle "
+        "below 20 degrees.",
         flag="Separated by commas; none to keep no figure."))
     orient: bool = field(default=False, metadata=_told(
         "Whether cells of mixed orientation are turned instead of refused."))

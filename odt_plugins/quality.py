@@ -71,6 +71,11 @@ class QualitySummary:
     uniformity: float
     volume: float
 
+    @property
+    def share_below_20(self) -> float:
+        """Part of the cells whose smallest angle is below 20 degrees."""
+        return self.below_20 / self.n_cells
+
     def to_dict(self) -> dict[str, int | float | None]:
         """Give the figures as plain numbers; a figure that is not finite becomes None."""
         values = {f.name: getattr(self, f.name) for f in fields(self)}

@@ -9,6 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
+from odt_plugins.promise.volume import LOWER_IS_BETTER
 from odt_plugins.quality import cell_figures
 
 PIVOTS = 1 << 10
@@ -27,6 +28,7 @@ class Figures(NamedTuple):
     quality : float                sum of the radius ratios (5.1)
     volume : float
     min_quality, p1_quality, min_angle, max_angle : float
+    below_20 : int                 cells with an angle below 20 degrees
     """
 
     cells: int
@@ -36,11 +38,17 @@ class Figures(NamedTuple):
     p1_quality: float
     min_angle: float
     max_angle: float
+    below_20: int
 
     @property
     def mean_quality(self) -> float:
         """Mean radius ratio."""
         return self.quality / self.cells
+
+    @property
+    def share_below_20(self) -> float:
+        """Part of the cells with an angle below 20 degrees."""
+        return self.below_20 / self.cells
 
 
 def measure_part(points: FloatArray, cells: IntArray, path: str) -> Figures:
@@ -51,7 +59,8 @@ def measure_part(points: FloatArray, cells: IntArray, path: str) -> Figures:
     os.replace(beside, _ratios(path))
     return Figures(len(cells), float(f.quality.sum()), float(f.volume.sum()),
                    float(f.quality.min()), float(np.quantile(f.quality, 0.01)),
-                   float(f.min_angle.min()), float(f.max_angle.max()))
+                   float(f.min_angle.min()), float(f.max_angle.max()),
+                   int(np.count_nonzero(f.min_angle < 20.0)))
 
 
 def _ratios(path: str) -> str:
@@ -70,6 +79,7 @@ def total(parts: Sequence[tuple[str, Figures]]) -> Figures:
         quantile([_ratios(path) for path, _ in parts], cells, 0.01),
         min(f.min_angle for f in figures),
         max(f.max_angle for f in figures),
+        sum(f.below_20 for f in figures),
     )
 
 
@@ -112,7 +122,7 @@ def worse(before: Figures, after: Figures, keep: Sequence[str]) -> list[str]:
     for name in keep:
         old, new = getattr(before, name), getattr(after, name)
         slack = 1e-12 * abs(old)
-        if (new > old + slack) if name == "max_angle" else (new < old - slack):
+        if (new > old + slack) if name in LOWER_IS_BETTER else (new < old - slack):
             found.append(f"{name} went from {old:.6g} to {new:.6g}")
     if abs(after.volume - before.volume) > VOLUME * before.volume:
         found.append(f"the volume went from {before.volume:.15g} to {after.volume:.15g}")

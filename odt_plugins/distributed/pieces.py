@@ -42,7 +42,13 @@ from odt_plugins.errors import (
     writing,
 )
 from odt_plugins.mesh.arrays import FloatArray, IntArray
-from odt_plugins.options import OptionKeywords, Options, make_options, with_option_signature
+from odt_plugins.options import (
+    FIGURES,
+    OptionKeywords,
+    Options,
+    make_options,
+    with_option_signature,
+)
 
 REGIONS = "marker"
 """Name of the cell array of labels in the result when none was given."""
@@ -68,7 +74,7 @@ class PiecesReport(NamedTuple):
     def __str__(self) -> str:
         """A few lines: the figures before and after."""
         lines = [f"{'':20}{'before':>10}{'after':>10}"]
-        for name in ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle"):
+        for name in FIGURES:
             a, b = getattr(self.before, name), getattr(self.after, name)
             lines.append(f"{name:20}{a:10.4f}{b:10.4f}")
         lines.append(f"{'cells':20}{self.before.cells:10d}{self.after.cells:10d}")

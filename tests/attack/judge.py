@@ -19,7 +19,7 @@ from odt_plugins.options import Options
 SLACK = 1e-12
 """Relative rounding of a figure that the promise allows."""
 
-LOWER_IS_BETTER = ("max_angle",)
+LOWER_IS_BETTER = ("max_angle", "share_below_20")
 
 VOLUME = 3e-3
 """Largest relative change of the volume when the boundary slides."""

@@ -41,7 +41,7 @@ from odt_plugins.errors import (
     UnsupportedMeshError,
 )
 from odt_plugins.mesh.simplex import simplex_mesh
-from odt_plugins.options import Options
+from odt_plugins.options import FIGURES, Options
 from odt_plugins.promise.volume import broken_promises
 
 
@@ -191,9 +191,6 @@ def test_a_process_with_too_little_memory_for_the_whole_is_enough_for_the_pieces
     assert q.min() > 0.3
 
 
-KEEP = ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle")
-
-
 def in_parts(folder: Path, points: Any, cells: Any, count: int) -> Any:
     """Figures of a mesh whose every so-many-th cell is in the same part."""
     return total([(str(folder / f"{k}.npz"),
@@ -209,11 +206,14 @@ def test_figures_of_the_whole_are_those_of_its_parts(tmp_path):
     assert again.mean_quality == pytest.approx(q.mean(), abs=1e-14)
     assert again.min_quality == whole.min_quality
     assert again.p1_quality == whole.p1_quality == pytest.approx(np.quantile(q, 0.01), abs=1e-13)
-    assert worse(whole, again, KEEP) == []
+    assert worse(whole, again, FIGURES) == []
     for name in ("quality", "min_quality", "p1_quality", "min_angle", "volume"):
         spoiled = whole._replace(**{name: 0.9 * getattr(whole, name)})
-        assert len(worse(whole, spoiled, KEEP)) == 1
-    assert worse(whole, whole._replace(max_angle=whole.max_angle + 1e-6), KEEP)
+        assert len(worse(whole, spoiled, FIGURES)) == 1
+    assert worse(whole, whole._replace(max_angle=whole.max_angle + 1e-6), FIGURES)
+    small = (tet_meshes.dihedral_angles(start.points, start.cells).min(axis=1) < 20.0).sum()
+    assert again.below_20 == small
+    assert worse(whole, whole._replace(below_20=whole.below_20 + 1), FIGURES)
 
 
 def test_no_loss_of_the_quantile_is_too_small_to_be_seen(tmp_path):

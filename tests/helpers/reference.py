@@ -244,4 +244,5 @@ def figures(points, cells, kind=np.longdouble):
     """The figures that an option can keep."""
     q, least, largest = cell_figures(points, np.asarray(cells).astype(np.int64), kind)
     return {"min_quality": q.min(), "p1_quality": np.quantile(q, 0.01), "mean_quality": q.mean(),
-            "min_angle": least.min(), "max_angle": largest.max()}
+            "min_angle": least.min(), "max_angle": largest.max(),
+            "share_below_20": (least < 20.0).mean()}

@@ -76,6 +76,9 @@ TAILS = {
 }
 """Power, share, rounds, sweeps and compound passes of the phases for the worst cells."""
 
+EXTREMES = {"min_quality", "min_angle", "max_angle"}
+"""Figures of single cells."""
+
 ANGLES = Phase(2.0, 0.01, 2, 3, 3, DIHEDRAL, guard=0.01, enough=0.33)
 """For the smallest and largest angles, which radius ratios alone do not mind enough: those below
 about 25 degrees, or above 150."""
@@ -121,20 +124,29 @@ def polish(share: float) -> tuple[tuple[Phase, ...], ...]:
     )
 
 
-def repair(worse: Sequence[str]) -> tuple[Phase, ...]:
-    """Phases for a mesh of tetrahedra that is good but for a few cells beyond the input's extremes.
+def repair(worse: Sequence[str], small_angles: float) -> tuple[tuple[Phase, ...], ...]:
+    """Phases for a mesh of tetrahedra that is good but for what it lost against the input.
 
-    The first touches hardly more than those: the others cost the 1 % quantile.
+    Of a few cells beyond the input's extremes the first touches hardly more than those: the others
+    cost the 1 % quantile. Of more small angles than the input has all are worked on.
 
     Parameters
     ----------
     worse : names of the figures that got worse
+    small_angles : part of the cells with an angle below ``POLICY.small_angle``
     """
-    if not worse or not set(worse) <= {"min_quality", "min_angle", "max_angle"}:
+    if "share_below_20" in worse and set(worse) <= {"share_below_20", *EXTREMES}:
+        again = Phase(1.0, 1.0, 3, 3, guard=0.0, least=POLICY.small_angle)
+        return tuple(
+            (Phase(power, small_angles, 2, 3, 3, DIHEDRAL, guard=guard), again)
+            for power, guard in ((2.0, 0.01), (2.0, 1e-3), (4.0, 0.0))
+        )
+    if not worse or not set(worse) <= EXTREMES:
         return ()
     measure = QUALITY if "min_quality" in worse else DIHEDRAL
     gentle = Phase(4.0, 0.0003, 1, 3, 0, measure)
-    return gentle, *(Phase(4.0, share, 3, 3, 3, measure) for share in (0.003, 0.01, 0.03, 0.1))
+    rest = (Phase(4.0, share, 3, 3, 3, measure) for share in (0.003, 0.01, 0.03, 0.1))
+    return tuple((phase,) for phase in (gentle, *rest))
 
 
 def cautious(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:

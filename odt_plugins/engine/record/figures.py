@@ -53,7 +53,7 @@ def cell_shapes(points: FloatArray, cells: IntArray) -> FloatArray:
 class Figures:
     """Minimum, 1 % quantile and mean of q, cosines of the smallest and the largest angle.
 
-    ``small_angles`` is the share of the tetrahedra with an angle below ``POLICY.small_angle``.
+    ``small_angles`` is the share of the cells with an angle below ``POLICY.small_angle``.
     ``score`` is what the best-state memory ranks by: mean and tail of what is improved.
     """
 
@@ -84,6 +84,7 @@ class Figures:
             "mean_quality": self.mean_quality < before.mean_quality - ROUNDING,
             "min_angle": self.cos_min_angle > before.cos_min_angle + ROUNDING,
             "max_angle": self.cos_max_angle < before.cos_max_angle - ROUNDING,
+            "share_below_20": self.small_angles > before.small_angles + ROUNDING,
         }
         return [name for name in keep if worse.get(name, False)]
 
@@ -112,10 +113,11 @@ def figures(
     shapes = cell_shapes(points, cells)
     q: NDArray[np.float64] = shapes[:, 0]
     least, p1, mean = _spread(q)
-    small = float((shapes[:, 1] > COS_SMALL).mean()) if cells.shape[1] == 4 else 0.0
+    small = float((shapes[:, 1] > COS_SMALL).mean())
+    counted = min(small, POLICY.counted_small_angles) if cells.shape[1] == 4 else 0.0
     score = (
         mean + POLICY.score_p1 * p1 + POLICY.score_least * least
-        - POLICY.small_angle_price * min(small, POLICY.counted_small_angles)
+        - POLICY.small_angle_price * counted
     )
     if objective == "min_dihedral":
         regular = math.acos(1.0 / (cells.shape[1] - 1))

@@ -84,19 +84,19 @@ def alternate(
 
 
 def repaired(
-    phases: Sequence[Phase], settle: Callable[[tuple[Phase, ...]], None],
+    steps: Sequence[tuple[Phase, ...]], settle: Callable[[tuple[Phase, ...]], None],
     offer: Callable[[], bool], log: Log,
 ) -> bool:
-    """Run phases that bring a few cells back within the input's extremes, until one does.
+    """Run steps of phases that bring a mesh back within what the input had, until one does.
 
     Parameters
     ----------
     settle : callable    runs phases on a mesh
     offer : callable     shows the mesh to the memory; says whether it was taken
     """
-    for phase in phases:
+    for phases in steps:
         log.add("repairs", 1)
-        settle((phase,))
+        settle(phases)
         if offer():
             return True
     return False
@@ -202,7 +202,8 @@ def _repair(
     mesh: Complex | Part, bounds: Bounds, memory: Memory, log: Log, work_on: Settle
 ) -> bool:
     """Bring the few cells of a good mesh that pass an extreme of the input back; says whether."""
+    small = memory.refused.figures.small_angles if memory.refused else 0.0
     return repaired(
-        repair(memory.worse), lambda phases: work_on(inside(mesh), phases, bounds),
+        repair(memory.worse, small), lambda phases: work_on(inside(mesh), phases, bounds),
         lambda: memory.offer(mesh, "repaired"), log,
     )

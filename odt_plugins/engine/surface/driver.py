@@ -46,7 +46,7 @@ from odt_plugins.options import Options
 TAIL = tail(2)[:2]
 """Phases for the worst triangles; beyond p = 8 the envelope leaves them nothing to gain."""
 
-REPAIR = (Phase(16.0, 0.3, 20, 3), Phase(32.0, 0.3, 20, 3), Phase(64.0, 0.3, 20, 3))
+REPAIR = tuple((Phase(power, 0.3, 20, 3),) for power in (16.0, 32.0, 64.0))
 """Phases for a surface that is good but for a few triangles beyond the input's extremes."""
 
 

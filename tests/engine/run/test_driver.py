@@ -23,7 +23,7 @@ from odt_plugins.engine.run import cycles, driver
 from odt_plugins.engine.run.driver import run
 from odt_plugins.engine.topology import coloring, order
 from odt_plugins.engine.topology.frame import Frame
-from odt_plugins.options import Options
+from odt_plugins.options import FIGURES, Options
 
 DATA = Path(__file__).parents[2] / "data"
 
@@ -424,8 +424,8 @@ def test_cells_that_another_run_looks_after_may_pass_the_extremes_but_not_others
     worst = int(np.argmin(tm.quality(points, cells)))
     others = driver.figures(points, np.delete(cells, worst, axis=0))
     whole = driver.figures(points, cells)
-    bound = replace(others, p1_quality=0.0, mean_quality=0.0, score=-1.0)
-    keep = ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle")
+    bound = replace(others, p1_quality=0.0, mean_quality=0.0, small_angles=1.0, score=-1.0)
+    keep = FIGURES
     assert whole.worse_than(bound, keep)
 
     class Still:
