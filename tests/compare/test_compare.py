@@ -25,7 +25,16 @@ from odt_plugins.compare.output import FILES, to_csv, to_json, verdict
 from odt_plugins.compare.poisson import conjugate_gradients, solve_poisson
 from odt_plugins.compare.rows import Row, compare_on, mark, measure_mesh
 from odt_plugins.compare.runner import Limits, Run, run_contestant
-from odt_plugins.compare.start import STORED, ball, make_start, plate, refine, stored, suite
+from odt_plugins.compare.start import (
+    STORED,
+    ball,
+    make_start,
+    plate,
+    read_start,
+    refine,
+    stored,
+    suite,
+)
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.quality import radius_ratio, volumes
 
@@ -426,3 +435,60 @@ def test_worker_is_a_process_that_leaves_its_own_result(tmp_path):
     assert facts["status"] == "ok"
     assert facts["peak"] >= facts["peak_before"] > 0
     assert isinstance(run_contestant(start, contestant("Laplacian"), ONCE), Run)
+
+
+# ---- regions
+
+def with_regions(start):
+    """The same mesh in three regions: halves, one of them cut once more."""
+    centre = start.points[start.cells].mean(axis=1)
+    halves = (centre[:, 0] > 0).astype(np.int32)
+    return replace(start, regions=halves + halves * (centre[:, 1] > 0))
+
+
+REGIONS = ["Laplacian", "smart Laplacian", "Gmsh default", "Gmsh Netgen", "Gmsh combination",
+           "Gmsh Relocate2D", "Netgen stm", "mmg3d with insertion, 3 times", "MeshLab Laplacian",
+           OURS]
+
+
+@pytest.mark.parametrize(("name", "kind"), [
+    (name, kind) for name in REGIONS for kind in ("tets", "planar")
+    if any(c.name == name and kind in c.kinds for c in CONTESTANTS)])
+def test_who_can_respects_the_regions_of_a_mesh(name, kind):
+    one = next(c for c in CONTESTANTS if c.name == name and kind in c.kinds)
+    row = compare_on(with_regions(SMALL[kind]), [one], ONCE, poisson=False).rows[0]
+    assert row.status == "ok", row.message
+    assert not row.measured.regions_ignored
+    assert row.measured.boundary.verdict in ("identical", "same place")
+    assert abs(row.measured.volume_change) < 1e-12
+
+
+def test_who_cannot_respect_regions_says_so():
+    start = with_regions(SMALL["tets"])
+    assert run_contestant(start, contestant("CGAL exude"), ONCE).status == "unsupported"
+    rows = compare_on(with_regions(SMALL["planar"]), choose(["MeshLab flips"]), ONCE,
+                      poisson=False).rows
+    assert [row.measured.regions_ignored for row in rows] == [False, True]
+    assert rows[1].freer == "regions ignored"
+
+
+def test_an_interface_that_moves_or_is_lost_is_measured():
+    start = with_regions(SMALL["planar"])
+    swapped = measure_mesh(start, start.points, start.cells, (start.regions + 1) % 3,
+                           poisson=False)
+    assert swapped.boundary.verdict == "identical"
+    assert abs(swapped.volume_change) > 0.4
+    one = measure_mesh(start, start.points, start.cells, np.zeros_like(start.regions),
+                       poisson=False)
+    assert one.boundary.verdict == "moved"
+    assert one.boundary.inward > 0.1
+    assert measure_mesh(start, start.points, start.cells, poisson=False).regions_ignored
+
+
+def test_regions_of_a_file_are_those_of_the_start(tmp_path):
+    import meshio
+
+    start = with_regions(SMALL["tets"])
+    meshio.write(tmp_path / "two.vtu", meshio.Mesh(
+        start.points, [("tetra", start.cells)], cell_data={"medit:ref": [7 * start.regions]}))
+    assert np.array_equal(read_start(tmp_path / "two.vtu").regions, start.regions)
