@@ -16,6 +16,7 @@ from odt_plugins.compare.hull import ROUNDING, BoundaryChange, compare_boundarie
 from odt_plugins.compare.poisson import PoissonFigures, solve_poisson
 from odt_plugins.compare.runner import Limits, Run, run_contestant
 from odt_plugins.compare.start import SEED, StartMesh
+from odt_plugins.compare.tools import refusals
 from odt_plugins.errors import InvalidMeshError, MissingDependencyError
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import reverse
@@ -154,7 +155,8 @@ def compare_on(
     Parameters
     ----------
     start : StartMesh
-    contestants : sequence      those for other kinds of mesh are left out
+    contestants : sequence      a tool of which none is for this kind of mesh has one row, which
+                                says why
     limits : Limits
     poisson : bool              whether the Poisson problem is solved on every result
     tell : callable             is given every row as soon as it is measured
@@ -165,12 +167,17 @@ def compare_on(
     MeshResult
     """
     before = measure_mesh(start, start.points, start.cells, start.regions, poisson=poisson)
+    refused = refusals(start.kind, contestants)
     rows = []
     for contestant in contestants:
-        if start.kind not in contestant.kinds:
+        if start.kind in contestant.kinds:
+            begin(contestant)
+            run = run_contestant(start, contestant, limits)
+        elif contestant.family in refused:
+            name, why = refused.pop(contestant.family)
+            contestant, run = replace(contestant, name=name, settings={}), Run("unsupported", why)
+        else:
             continue
-        begin(contestant)
-        run = run_contestant(start, contestant, limits)
         rows.append(make_row(start, contestant, run, limits, poisson=poisson))
         tell(rows[-1])
     return MeshResult(start, before, mark(rows))

@@ -12,7 +12,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.errors import InvalidOptionError
+from odt_plugins.errors import InvalidOptionError, counted
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.plane import plane_frame
 from odt_plugins.mesh.simplex import compact_labels, mesh_arrays, reverse, simplex_mesh
@@ -57,6 +57,18 @@ class StartMesh:
     origin: str = ""
     regions: IntArray | None = None
     sha256: str = ""
+
+    @property
+    def n_regions(self) -> int:
+        """Number of regions."""
+        return 1 if self.regions is None else int(self.regions.max()) + 1
+
+    @property
+    def about(self) -> str:
+        """Where it comes from, and its size, in words."""
+        size = [counted(len(self.points), "vertex", "vertices"), counted(len(self.cells), "cell")]
+        size += [f"{self.n_regions} regions"] if self.regions is not None else []
+        return ", ".join([*([self.origin] if self.origin else []), *size])
 
 
 def make_start(
