@@ -33,7 +33,7 @@ CHOSEN_SUITES = ("standard", "large", "hard")
                    "pymeshlab, open3d, odt-plugins, or the name of a row); may be repeated. "
                    "Everybody unless given.")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("comparison"),
-              show_default=True, help="Directory for CSV, JSON, Markdown and the page.")
+              show_default=True, help="Directory for CSV, JSON, the page, Markdown, LaTeX, BibTeX.")
 @click.option("--repeats", type=click.IntRange(min=1), default=3, show_default=True,
               help="Runs of every contestant; fewer where one takes long.")
 @click.option("--time-limit", type=click.FloatRange(min=0.0, min_open=True), default=None,

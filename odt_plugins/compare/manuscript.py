@@ -25,6 +25,9 @@ INPUTS = ("sha256 of the file; of a mesh made on the fly, of its points (float64
 MARKS = (f"▲ better than {OURS} by default. △ better as well, but no plain win: the tool moved the "
          "surface further, or ignored the regions.")
 
+CITED = {OURS: f"{OURS},ChenHolst2011"}
+"""Keys of BibTeX of a family where they are not its name."""
+
 COLUMNS = {"min_quality": r"$q_{\min}$", "p1_quality": r"$q_{1\%}$", "mean_quality": r"$\bar q$",
            "min_angle": r"$\theta_{\min}$", "max_angle": r"$\theta_{\max}$",
            "below_20": r"$<20^\circ$"}
@@ -152,7 +155,8 @@ def _notes(row: Row, result: MeshResult) -> list[str]:
 
 def _tex_row(row: Row, rows: Sequence[Row]) -> list[str]:
     name = tex(row.contestant)
-    name = (rf"\textbf{{{name}}}" if row.contestant == OURS else name) + rf"~\cite{{{row.family}}}"
+    keys = CITED.get(row.family, row.family)
+    name = (rf"\textbf{{{name}}}" if row.contestant == OURS else name) + rf"~\cite{{{keys}}}"
     if row.measured is None or row.timing is None:
         return [name, tex(f"{row.status}: {row.message}")]
     figures = _tex_figures(row.measured, row, best_figures(row, rows))
