@@ -2,28 +2,23 @@
 
 from __future__ import annotations
 
-import shlex
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import click
 
+from odt_plugins.cli.terminal import command_line
+from odt_plugins.compare.cells import BETTER, best_figures, cells_of, marked, seconds
 from odt_plugins.compare.contestants import OURS, Contestant, choose
 from odt_plugins.compare.machine import describe
-from odt_plugins.compare.output import (
-    FILES,
-    best_figures,
-    cells_of,
-    check_page,
-    seconds,
-    verdict,
-    write_all,
-)
-from odt_plugins.compare.rows import MeshResult, compare_on
+from odt_plugins.compare.output import FILES, write_all
+from odt_plugins.compare.rows import MeshResult, Row, compare_on
 from odt_plugins.compare.runner import Limits
+from odt_plugins.compare.score import score_table, verdict
 from odt_plugins.compare.start import SEED, read_start
 from odt_plugins.compare.start import suite as suite_meshes
+from odt_plugins.compare.table import as_text
+from odt_plugins.compare.template import check_page
 
 CHOSEN_SUITES = ("standard", "large", "hard")
 
@@ -38,7 +33,7 @@ CHOSEN_SUITES = ("standard", "large", "hard")
                    "pymeshlab, open3d, odt-plugins, or the name of a row); may be repeated. "
                    "Everybody unless given.")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("comparison"),
-              show_default=True, help="Directory for CSV, JSON, Markdown and the page.")
+              show_default=True, help="Directory for CSV, JSON, the page, Markdown, LaTeX, BibTeX.")
 @click.option("--repeats", type=click.IntRange(min=1), default=3, show_default=True,
               help="Runs of every contestant; fewer where one takes long.")
 @click.option("--time-limit", type=click.FloatRange(min=0.0, min_open=True), default=None,
@@ -88,25 +83,22 @@ def compare(
     starts = [read_start(path) for path in sources]
     starts += suite_meshes(suite) if suite else []
     usual = {"standard": 20.0, "large": 900.0}.get(suite or "", 60.0)
-    limits = Limits(time_limit or usual, repeats, min(1.5, (time_limit or usual) / 4), threads)
+    limit = time_limit or usual
+    limits = Limits(limit, repeats, min(1.5, limit / 4), threads)
+    words = command_line(click.get_current_context(), out=out, repeats=repeats,
+                         time_limit=limit, threads=threads)
     results: list[MeshResult] = []
     for start in starts:
         view = _Table(start.name)
         result = compare_on(start, contestants, limits, poisson=poisson, begin=view.begin)
         view.show(result)
         results.append(result)
-        write_all(out, results, describe(threads, SEED), command_line(sources, suite, against))
+        write_all(out, results, describe(threads, SEED), words)
+    score = score_table(results)
+    if score:
+        click.echo("\n".join([*as_text(score)[1:], ""]))
     click.echo("written: " + ", ".join(str(out / name) for name in FILES))
     return 0
-
-
-def command_line(sources: Sequence[Path], suite: str | None, against: Sequence[str]) -> str:
-    """Give the command that makes the same tables again."""
-    words = ["odt-plugins", "compare", *map(str, sources)]
-    words += ["--suite", suite] if suite else []
-    for name in against:
-        words += ["--against", name]
-    return shlex.join(words)
 
 
 class _Table:
@@ -142,14 +134,12 @@ SHOWN = ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle", 
 
 
 def make_table(result: MeshResult) -> Any:
-    """Make the rich table of one mesh: figures, ▲ where a row beats our default, best in bold."""
+    """Make the rich table of one mesh: best in bold, ▲ or △ where a row beats our default."""
     from rich.table import Table
 
     start = cells_of(result.measured)
-    origin = f": {result.start.origin}" if result.start.origin else ""
     table = Table(
-        title=f"{result.start.name}{origin}, {start['n_points']} vertices, "
-              f"{start['n_cells']} cells",
+        title=f"{result.start.name}: {result.start.about}",
         title_justify="left", header_style="bold", show_edge=False, pad_edge=False,
     )
     table.add_column("contestant", no_wrap=True)
@@ -166,9 +156,8 @@ def make_table(result: MeshResult) -> Any:
             table.add_row(row.contestant, *[""] * 10, row.status, "", style=style or "dim")
             continue
         cells, best = cells_of(row.measured), best_figures(row, result.rows)
-        better = set(row.better_than_ours)
-        took = _marked(seconds(row.timing.median), "seconds" in better, False)
-        figures = [_marked(cells[f], f in better, f in best) for f in SHOWN]
+        took = _shown(row, "seconds", seconds(row.timing.median), best)
+        figures = [_shown(row, f, cells[f], best) for f in SHOWN]
         table.add_row(row.contestant, took, *figures, cells["farthest"], cells["cg"],
                       style=style)
     return table
@@ -183,9 +172,10 @@ def _not_measured(result: MeshResult) -> dict[str, list[str]]:
     return found
 
 
-def _marked(text: str, better: bool, best: bool) -> str:
-    text = f"[bold]{text}[/bold]" if best else text
-    return f"[dark_orange3]▲[/dark_orange3]{text}" if better else text
+def _shown(row: Row, figure: str, text: str, best: set[str]) -> str:
+    mark = marked(row, figure, "")
+    text = f"[bold]{text}[/bold]" if figure in best else text
+    return f"[{'dark_orange3' if mark == BETTER else 'dim'}]{mark}[/]{text}" if mark else text
 
 
 def _run_scaling(

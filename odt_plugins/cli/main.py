@@ -18,6 +18,7 @@ import numpy as np
 
 from odt_plugins.cli.terminal import (
     check_paths,
+    command_line,
     one_line,
     progress_bar,
     warnings_told,
@@ -259,7 +260,7 @@ def batch(
         except batches.Stopped as exc:
             rows, stopped = exc.rows, exc
         seconds = time.perf_counter() - clock
-        words = summary.command_line(click.get_current_context())
+        words = command_line(click.get_current_context())
         summary.write_summary(out, rows, words, options["threads"], seconds)
     if not quiet:
         click.echo(summary.counts(rows))

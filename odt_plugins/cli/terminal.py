@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import sys
 import tempfile
 import threading
@@ -13,11 +14,39 @@ from pathlib import Path
 from typing import Any
 
 import click
+from click.core import ParameterSource
 
 from odt_plugins.errors import MeshFileError, ODTWarning, require
 from odt_plugins.options import COMPILING
 
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
+
+
+def command_line(context: click.Context, **settled: Any) -> str:
+    """Give the command of a context again, with the flags that were given.
+
+    Parameters
+    ----------
+    context : click.Context
+    **settled                  flags that are written in any case, by parameter, and their values
+    """
+    words = context.command_path.split()
+    for parameter in context.command.params:
+        name = str(parameter.name)
+        value, source = context.params[name], context.get_parameter_source(name)
+        if isinstance(parameter, click.Argument):
+            words += map(str, value)
+        elif name in settled or source is ParameterSource.COMMANDLINE:
+            value = settled.get(name, value)
+            on, off = parameter.opts, parameter.secondary_opts
+            flag = (off or on)[0] if value is False else on[0]
+            if parameter.multiple:
+                words += [word for one in value for word in (flag, str(one))]
+            elif isinstance(value, bool):
+                words.append(flag)
+            else:
+                words += [flag, ",".join(value) if isinstance(value, tuple) else str(value)]
+    return shlex.join(words)
 
 
 def check_paths(target: Path, report_file: Path | None, plot_file: Path | None) -> None:

@@ -3,9 +3,10 @@
 `suite` makes the start meshes; `choose` picks contestants from one table, and each stands in a
 file of `compare.baselines` with one function `prepare`. `run_contestant` runs one in a process of
 its own with a time limit; `compare_on` measures every result with `measure_mesh`: quality,
-boundary (`compare_boundaries`), volume, and a Poisson problem (`solve_poisson`). `write_all`
-writes CSV, JSON, Markdown (`to_markdown`) and one page (`to_page`). A contestant that fails is a
-row that says so, and rows that beat ours stay and are marked (`mark`).
+boundary and interfaces (`compare_boundaries`), volume, and a Poisson problem (`solve_poisson`). A
+contestant that fails is a row that says so, as is a tool that takes no such mesh (`refusals`). Rows
+that beat ours stay and are marked (`mark`), and `scores` counts them. `write_all` writes CSV, JSON,
+one page (`to_page`), Markdown (`to_markdown`), LaTeX (`to_latex`) and BibTeX (`to_bibtex`).
 
 `run_hard` holds the promise against hard meshes (`hard_meshes`). `run_scaling` measures how time,
 memory and iterations grow: `stages_part`, `surface_part`, `forty_sweeps_part`, `multigrid_part`,

@@ -63,21 +63,23 @@ def histograms(result: MeshResult) -> str:
     if not rows:
         return ""
     down = -(-len(rows) // ACROSS)
-    figure = _figure(11.4, 1.7 * down)
+    figure = _figure(11.4, 1.9 * down)
     grid = figure.subplots(down, ACROSS, squeeze=False, sharex=True, sharey=True).ravel()
     before = _shares(result.measured.histogram)
     edges = [k / len(before) for k in range(len(before) + 1)]
     for axes, (i, row) in zip(grid, rows, strict=False):
         _plain(axes, f"{i}. {row.contestant}")
         axes.title.set_size(8)
+        axes.spines["left"].set(visible=True, color=GREY)
+        axes.tick_params(labelleft=True, labelbottom=True)
         axes.stairs(before, edges, fill=True, color=BEHIND)
         if row.measured:
             axes.stairs(_shares(row.measured.histogram), edges, fill=True, alpha=0.75,
                         color=colour(row.family))
-    for axes in grid[:len(rows)][-ACROSS:]:
-        axes.tick_params(labelbottom=True)
     for axes in grid[::ACROSS]:
         axes.set_ylabel("% of the cells", size=8)
+    for axes in grid[:len(rows)][-ACROSS:]:
+        axes.set_xlabel("radius ratio", size=8)
     for axes in grid[len(rows):]:
         axes.set_visible(False)
     return _svg(figure, "chart", f"histograms of {result.start.name}")

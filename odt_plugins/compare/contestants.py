@@ -136,9 +136,11 @@ def _volume_tools() -> list[Contestant]:
 
 
 def _surface_tools() -> list[Contestant]:
-    def lab(name: str, kinds: tuple[Kind, ...], *filters: Any, remark: str = "") -> Contestant:
+    def lab(name: str, kinds: tuple[Kind, ...], *filters: Any, remark: str = "",
+            **settings: Any) -> Contestant:
         return Contestant(f"MeshLab {name}", "pymeshlab", kinds, "meshlab",
-                          {"filters": [list(f) for f in filters]}, "pymeshlab", remark=remark)
+                          {"filters": [list(f) for f in filters], **settings}, "pymeshlab",
+                          remark=remark)
 
     def o3d(name: str, steps: int) -> Contestant:
         return Contestant(f"open3d {name}", "open3d", CURVED, "open3d_smooth",
@@ -150,13 +152,15 @@ def _surface_tools() -> list[Contestant]:
         ("compute_selection_from_mesh_border", {}), ("apply_selection_inverse", {}),
         ("apply_coord_laplacian_smoothing", {**ten, "selected": True}),
     )
+    free = ("compute_selection_by_condition_per_vertex", {"condselect": "q > 0"})
     remesh = "meshing_isotropic_explicit_remeshing"
     same_size: dict[str, Any] = {"iterations": 5, "targetlen": None}
     fixed_size: dict[str, Any] = {**same_size, "splitflag": False, "collapseflag": False}
     return [
         lab("flips", (*FLAT, *CURVED), FLIPS),
         lab("Laplacian", CURVED, laplacian),
-        lab("Laplacian", FLAT, *inner, remark="10 passes, the boundary not selected"),
+        lab("Laplacian", FLAT, free, inner[-1], remark="10 passes, the boundary not selected",
+            regions=True),
         lab("flips and Laplacian", FLAT, FLIPS, *inner, FLIPS, *inner[2:], FLIPS),
         lab("Taubin", CURVED, ("apply_coord_taubin_smoothing", {})),
         lab("HC Laplacian", CURVED, ("apply_coord_hc_laplacian_smoothing", {})),

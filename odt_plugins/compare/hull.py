@@ -1,7 +1,8 @@
-"""Boundary of a mesh, and how far it is from the boundary of another one."""
+"""Boundary and interfaces of a mesh, and how far they are from those of another one."""
 
 from __future__ import annotations
 
+from math import inf
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -9,7 +10,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.compare.start import StartMesh
 from odt_plugins.errors import MissingDependencyError
-from odt_plugins.mesh.arrays import FloatArray
+from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.promise.locked_facets import locked_facets
 
 ROUNDING = 1e-12
@@ -17,7 +18,7 @@ ROUNDING = 1e-12
 
 
 class BoundaryChange(NamedTuple):
-    """What became of the boundary; of all triangles, for a surface.
+    """What became of the boundary and the interfaces; of all triangles, for a surface.
 
     Attributes
     ----------
@@ -31,6 +32,45 @@ class BoundaryChange(NamedTuple):
     outward: float | None
     inward: float | None
 
+    @property
+    def reach(self) -> float:
+        """The larger of both distances, infinite where no boundary is left."""
+        if self.outward is None or self.inward is None:
+            return inf
+        return max(self.outward, self.inward)
+
+
+class Patches(NamedTuple):
+    """Facets that must stay, each once: those on the boundary and between two regions.
+
+    Attributes
+    ----------
+    facets : (k, d) int32        outward from the region `inside`
+    inside : (k,) int32          label of the cell on the one side ...
+    outside : (k,) int32         ... and on the other, -1 on the boundary
+    """
+
+    facets: IntArray
+    inside: IntArray
+    outside: IntArray
+
+
+def labels_of(mesh: StartMesh) -> IntArray:
+    """Labels (m,) of the cells, all 0 where a mesh has no regions."""
+    return np.zeros(len(mesh.cells), np.int32) if mesh.regions is None else mesh.regions
+
+
+def patches(mesh: StartMesh) -> Patches:
+    """Give the boundary and the interfaces of a mesh, for tools that want to be told of them."""
+    found = locked_facets(mesh.cells, labels_of(mesh), len(mesh.points))
+    rim = found.boundary
+    # Both sides of an interface facet follow each other.
+    inner, labels = found.facets[~rim][::2], found.labels[~rim]
+    facets = np.concatenate([found.facets[rim], inner])
+    inside = np.concatenate([found.labels[rim], labels[::2]])
+    outside = np.concatenate([np.full(rim.sum(), -1), labels[1::2]])
+    return Patches(facets.astype(np.int32), inside.astype(np.int32), outside.astype(np.int32))
+
 
 def hull_facets(mesh: StartMesh) -> NDArray[Any]:
     """Boundary triangles of tetrahedra, boundary edges of triangles, outward."""
@@ -39,8 +79,8 @@ def hull_facets(mesh: StartMesh) -> NDArray[Any]:
 
 
 def shell(mesh: StartMesh) -> NDArray[Any]:
-    """What must keep its place: the hull, or every triangle of a surface."""
-    return mesh.cells if mesh.kind == "surface" else hull_facets(mesh)
+    """What must keep its place: hull and interfaces, or every triangle of a surface."""
+    return mesh.cells if mesh.kind == "surface" else patches(mesh).facets
 
 
 def compare_boundaries(before: StartMesh, after: StartMesh) -> BoundaryChange:

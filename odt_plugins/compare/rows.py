@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import hashlib
+import math
 from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from typing import Any
@@ -11,10 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.compare.contestants import OURS, Contestant
-from odt_plugins.compare.hull import BoundaryChange, compare_boundaries
+from odt_plugins.compare.hull import ROUNDING, BoundaryChange, compare_boundaries, labels_of
 from odt_plugins.compare.poisson import PoissonFigures, solve_poisson
 from odt_plugins.compare.runner import Limits, Run, run_contestant
 from odt_plugins.compare.start import SEED, StartMesh
+from odt_plugins.compare.tools import refusals
 from odt_plugins.errors import InvalidMeshError, MissingDependencyError
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import reverse
@@ -44,8 +46,10 @@ class Measured:
     histogram : list of int           cells in BINS bins of the radius ratio
     worst : list of cells             corners (k, d) of the worst cells and their quality
     boundary : BoundaryChange
-    volume_change : float             relative to the volume of the start; None on a surface
+    volume_change : float             relative to the volume of the start, of the region where it
+                                      changed most; None on a surface
     poisson : PoissonFigures or None
+    regions_ignored : bool            the start has regions, and this mesh came back without
     """
 
     summary: QualitySummary
@@ -54,6 +58,7 @@ class Measured:
     boundary: BoundaryChange
     volume_change: float | None
     poisson: PoissonFigures | None
+    regions_ignored: bool = False
 
 
 @dataclass(frozen=True)
@@ -92,6 +97,8 @@ class Row:
     timing : Timing or None
     better_than_ours : tuple         names of the figures in which it beats our default, with
                                      "seconds" when it is also faster
+    freer : str                      why that is no plain win: what it was free to do and ours was
+                                     not, "" where it kept to the same
     """
 
     mesh: str
@@ -110,6 +117,7 @@ class Row:
     repeats_itself: bool | None = None
     timing: Timing | None = None
     better_than_ours: tuple[str, ...] = ()
+    freer: str = ""
 
     def to_dict(self) -> dict[str, Any]:
         """Give the row as plain values, without the cells for the pictures."""
@@ -147,7 +155,8 @@ def compare_on(
     Parameters
     ----------
     start : StartMesh
-    contestants : sequence      those for other kinds of mesh are left out
+    contestants : sequence      a tool of which none is for this kind of mesh has one row, which
+                                says why
     limits : Limits
     poisson : bool              whether the Poisson problem is solved on every result
     tell : callable             is given every row as soon as it is measured
@@ -157,13 +166,18 @@ def compare_on(
     -------
     MeshResult
     """
-    before = measure_mesh(start, start.points, start.cells, poisson=poisson)
+    before = measure_mesh(start, start.points, start.cells, start.regions, poisson=poisson)
+    refused = refusals(start.kind, contestants)
     rows = []
     for contestant in contestants:
-        if start.kind not in contestant.kinds:
+        if start.kind in contestant.kinds:
+            begin(contestant)
+            run = run_contestant(start, contestant, limits)
+        elif contestant.family in refused:
+            name, why = refused.pop(contestant.family)
+            contestant, run = replace(contestant, name=name, settings={}), Run("unsupported", why)
+        else:
             continue
-        begin(contestant)
-        run = run_contestant(start, contestant, limits)
         rows.append(make_row(start, contestant, run, limits, poisson=poisson))
         tell(rows[-1])
     return MeshResult(start, before, mark(rows))
@@ -185,7 +199,7 @@ def make_row(
     prints = {_fingerprint(*mesh) for mesh in run.meshes}
     means = [measured.summary.mean_quality]
     if len(prints) > 1:
-        means += [oriented(start, p, t)[1].mean_quality for p, t in run.meshes[1:]]
+        means += [oriented(start, *mesh)[1].mean_quality for mesh in run.meshes[1:]]
     facts = run.facts
     seconds = facts["seconds"]
     timing = Timing(len(seconds), float(np.median(seconds)), min(seconds), max(seconds),
@@ -197,24 +211,35 @@ def make_row(
 
 
 def measure_mesh(
-    start: StartMesh, points: FloatArray, cells: IntArray, *, poisson: bool
+    start: StartMesh, points: FloatArray, cells: IntArray, regions: IntArray | None = None, *,
+    poisson: bool,
 ) -> Measured:
     """Measure a mesh against the start: quality, boundary, volume, Poisson problem."""
-    mesh, summary, figures = oriented(start, points, cells)
+    mesh, summary, figures = oriented(start, points, cells, regions)
+    ignored = mesh.regions is None and start.regions is not None
+    same = replace(start, regions=None) if ignored else start
     order = np.argsort(figures.quality, kind="stable")[:WORST]
     worst = [(mesh.points[mesh.cells[i]].tolist(), float(figures.quality[i])) for i in order]
     histogram = np.histogram(np.clip(figures.quality, 0.0, 1.0), BINS, (0.0, 1.0))[0]
     change = None
     if start.kind != "surface":
-        volume = float(cell_figures(start.points, start.cells).volume.sum())
-        change = summary.volume / volume - 1.0
+        before = _volumes(same, cell_figures(start.points, start.cells).volume)
+        after = _volumes(mesh, figures.volume)
+        change = max((after.get(label, 0.0) / before[label] - 1.0 for label in before), key=abs)
     sound = poisson and summary.inverted == 0
-    return Measured(summary, histogram.tolist(), worst, compare_boundaries(start, mesh), change,
-                    _poisson(mesh, start) if sound else None)
+    return Measured(summary, histogram.tolist(), worst, compare_boundaries(same, mesh), change,
+                    _poisson(mesh, start) if sound else None, ignored)
+
+
+def _volumes(mesh: StartMesh, volume: FloatArray) -> dict[int, float]:
+    """Volume of every region."""
+    labels = labels_of(mesh)
+    return {label: float(volume[labels == label].sum()) for label in np.unique(labels).tolist()}
 
 
 def oriented(
-    start: StartMesh, points: NDArray[Any], cells: NDArray[Any]
+    start: StartMesh, points: NDArray[Any], cells: NDArray[Any],
+    regions: NDArray[Any] | None = None,
 ) -> tuple[StartMesh, QualitySummary, Any]:
     """Turn a mesh whose cells are mostly negative: a tool may have its own orientation.
 
@@ -229,7 +254,8 @@ def oriented(
     if 2 * int((figures.volume < 0).sum()) > len(t):
         t = reverse(t, np.ones(len(t), dtype=np.bool_))
         figures = cell_figures(p, t)
-    mesh = replace(start, points=p, cells=np.ascontiguousarray(t))
+    mesh = replace(start, points=p, cells=np.ascontiguousarray(t),
+                   regions=None if start.regions is None else regions)
     return mesh, summarize(p, t, figures), figures
 
 
@@ -237,17 +263,30 @@ def mark(rows: Sequence[Row]) -> list[Row]:
     """Write into every row in which figures it is better than our default on the same mesh.
 
     A row with inverted cells beats nobody. If ours has no result, every other that has one is
-    better in everything.
+    better in everything. A row that moved the boundary further than ours, or ignored the regions,
+    was freer, and what it wins by that is no plain win.
     """
     ours = next((row for row in rows if row.contestant == OURS), None)
     out = []
     for row in rows:
         names: tuple[str, ...] = ()
+        freer = ""
         sound = row.measured is not None and row.measured.summary.inverted == 0
         if ours is not None and row is not ours and sound and row.family != ours.family:
-            names = _better(row, ours)
-        out.append(replace(row, better_than_ours=names))
+            names, freer = _better(row, ours), _freer(row, ours)
+        out.append(replace(row, better_than_ours=names, freer=freer))
     return out
+
+
+def _freer(row: Row, ours: Row) -> str:
+    if row.measured is None:
+        return ""
+    if row.measured.regions_ignored:
+        return "regions ignored"
+    limit = ours.measured.boundary.reach if ours.measured else math.inf
+    if row.measured.boundary.reach > max(limit * (1.0 + MARGIN), ROUNDING):
+        return f"{'boundary' if row.kind == 'planar' else 'surface'} moved further than ours"
+    return ""
 
 
 def _better(row: Row, ours: Row) -> tuple[str, ...]:
@@ -273,7 +312,6 @@ def _poisson(mesh: StartMesh, start: StartMesh) -> PoissonFigures | None:
         return None
 
 
-def _fingerprint(points: NDArray[Any], cells: NDArray[Any]) -> str:
-    digest = hashlib.sha256(np.ascontiguousarray(points).tobytes())
-    digest.update(np.ascontiguousarray(cells).tobytes())
-    return digest.hexdigest()
+def _fingerprint(*arrays: NDArray[Any] | None) -> str:
+    given = [np.ascontiguousarray(array).tobytes() for array in arrays if array is not None]
+    return hashlib.sha256(b"".join(given)).hexdigest()

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 import odt_plugins
 from odt_plugins.compare.contestants import Contestant
 from odt_plugins.compare.start import SEED, StartMesh
-from odt_plugins.compare.worker import READY, RESULT
+from odt_plugins.compare.worker import READY, RESULT, load_mesh, save_mesh
 from odt_plugins.errors import exit_name
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
@@ -67,13 +67,14 @@ class Run:
                       "failed" (raised), "crashed", "timeout", "nothing" (no cells)
     message : str     what to tell about it
     facts : dict      seconds, convert, import, compile, peak_before, peak of the worker
-    meshes : list of (points, cells), one per finished repeat
+    meshes : list of (points, cells, regions), one per finished repeat; regions are None where
+                      the tool gives none back
     """
 
     status: str
     message: str = ""
     facts: dict[str, Any] = field(default_factory=dict)
-    meshes: list[tuple[FloatArray, IntArray]] = field(default_factory=list)
+    meshes: list[tuple[FloatArray, IntArray, IntArray | None]] = field(default_factory=list)
 
 
 def run_contestant(start: StartMesh, contestant: Contestant, limits: Limits) -> Run:
@@ -88,7 +89,7 @@ def run_contestant(start: StartMesh, contestant: Contestant, limits: Limits) -> 
                "threads": limits.threads, "repeats": limits.repeats, "enough": limits.enough,
                "seed": SEED}
         (folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
-        np.savez(folder / "start.npz", points=start.points, cells=start.cells)
+        save_mesh(folder / "start.npz", start.points, start.cells, start.regions)
         ending, said = _process(folder, limits)
         return _read(folder, ending, said, limits)
 
@@ -141,8 +142,7 @@ def _read(folder: Path, ending: int | None, said: str, limits: Limits) -> Run:
     message = str(facts.get("message", ""))
     meshes = []
     for turn in range(len(facts.get("seconds", []))):
-        with np.load(folder / f"mesh-{turn}.npz") as data:
-            meshes.append((data["points"], data["cells"]))
+        meshes.append(load_mesh(folder / f"mesh-{turn}.npz"))
     if ending is None:
         status, message = "timeout", f"no answer within {limits.seconds:g} s"
     elif ending:
@@ -151,7 +151,7 @@ def _read(folder: Path, ending: int | None, said: str, limits: Limits) -> Run:
     if meshes and status in ("timeout", "crashed"):
         message = f"{message}, after {len(meshes)} complete runs, which are shown"
         status = "ok"
-    if status == "ok" and any(fault := [_fault(*mesh) for mesh in meshes]):
+    if status == "ok" and any(fault := [_fault(*mesh[:2]) for mesh in meshes]):
         return Run("nothing", next(f for f in fault if f), facts)
     return Run(status, message, facts, meshes)
 

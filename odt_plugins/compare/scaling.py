@@ -13,10 +13,10 @@ from odt_plugins.compare.generation import generation_part
 from odt_plugins.compare.local_global import forty_sweeps_part, races_part
 from odt_plugins.compare.machine import describe
 from odt_plugins.compare.multigrid import multigrid_part
-from odt_plugins.compare.output import fill_template
 from odt_plugins.compare.stages import stages_part, surface_part
 from odt_plugins.compare.start import SEED
 from odt_plugins.compare.table import Part, Say, as_text, shown
+from odt_plugins.compare.template import fill_template
 from odt_plugins.compare.threads import threads_part
 from odt_plugins.errors import writing
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 from dataclasses import dataclass, replace
 from importlib.resources import as_file, files
 from itertools import permutations
@@ -11,10 +12,10 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.errors import InvalidOptionError
+from odt_plugins.errors import InvalidOptionError, counted
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.plane import plane_frame
-from odt_plugins.mesh.simplex import mesh_arrays, reverse, simplex_mesh
+from odt_plugins.mesh.simplex import compact_labels, mesh_arrays, reverse, simplex_mesh
 from odt_plugins.quality import volumes
 
 Kind = Literal["tets", "planar", "surface"]
@@ -45,6 +46,8 @@ class StartMesh:
     points : (n, d) float64        every vertex is used; d = 2 when planar
     cells : (m, k) int32           positive volumes; triangles of a surface as they came
     origin : str                   where it comes from, for the report
+    regions : (m,) int32 or None   labels 0, 1, ...; None where all cells are of one region
+    sha256 : str                   of the file, or of the arrays of a mesh made on the fly
     """
 
     name: str
@@ -52,9 +55,26 @@ class StartMesh:
     points: FloatArray
     cells: IntArray
     origin: str = ""
+    regions: IntArray | None = None
+    sha256: str = ""
+
+    @property
+    def n_regions(self) -> int:
+        """Number of regions."""
+        return 1 if self.regions is None else int(self.regions.max()) + 1
+
+    @property
+    def about(self) -> str:
+        """Where it comes from, and its size, in words."""
+        size = [counted(len(self.points), "vertex", "vertices"), counted(len(self.cells), "cell")]
+        size += [f"{self.n_regions} regions"] if self.regions is not None else []
+        return ", ".join([*([self.origin] if self.origin else []), *size])
 
 
-def make_start(name: str, points: FloatArray, cells: IntArray, origin: str = "") -> StartMesh:
+def make_start(
+    name: str, points: FloatArray, cells: IntArray, origin: str = "",
+    regions: NDArray[np.integer] | None = None,
+) -> StartMesh:
     """Make a start mesh of arrays: check, orient and leave out unused vertices.
 
     Raises
@@ -62,6 +82,7 @@ def make_start(name: str, points: FloatArray, cells: IntArray, origin: str = "")
     InvalidMeshError    the mesh is broken
     """
     p, t = mesh_arrays(points, cells)
+    labels = compact_labels(regions, len(t))
     kind: Kind = "tets" if t.shape[1] == 4 else "planar"
     if p.shape[1] == 3 and t.shape[1] == 3:
         frame = plane_frame(p, t)
@@ -75,7 +96,9 @@ def make_start(name: str, points: FloatArray, cells: IntArray, origin: str = "")
         t = reverse(t, negative) if negative.any() else t
     used, inverse = np.unique(t, return_inverse=True)
     compact = np.ascontiguousarray(inverse.reshape(t.shape), dtype=np.int32)
-    return StartMesh(name, kind, np.ascontiguousarray(p[used]), compact, origin)
+    p = np.ascontiguousarray(p[used])
+    digest = hashlib.sha256(p.tobytes() + compact.tobytes()).hexdigest()
+    return StartMesh(name, kind, p, compact, origin, labels if labels.any() else None, digest)
 
 
 def read_start(path: Path) -> StartMesh:
@@ -88,7 +111,8 @@ def read_start(path: Path) -> StartMesh:
     from odt_plugins.adapters import files as mesh_files
 
     host = mesh_files.read(path)
-    return make_start(path.stem, host.points, host.cells, str(path))
+    start = make_start(path.stem, host.points, host.cells, str(path), host.regions)
+    return replace(start, sha256=hashlib.sha256(path.read_bytes()).hexdigest())
 
 
 def stored(name: str) -> StartMesh:
@@ -103,8 +127,10 @@ def reordered(start: StartMesh, seed: int) -> StartMesh:
     order = rng.permutation(len(start.points))
     number = np.empty(len(order), dtype=np.int32)
     number[order] = np.arange(len(order))
-    cells = number[start.cells][rng.permutation(len(start.cells))]
-    return replace(start, points=start.points[order], cells=cells)
+    shuffled = rng.permutation(len(start.cells))
+    regions = None if start.regions is None else start.regions[shuffled]
+    return replace(start, points=start.points[order], cells=number[start.cells][shuffled],
+                   regions=regions)
 
 
 def suite(name: str) -> list[StartMesh]:

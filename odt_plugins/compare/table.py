@@ -1,4 +1,8 @@
-"""Tables of the scaling report: plain values, shown alike in the terminal and on the page."""
+"""Tables of plain values, aligned by six lines of our own: rich takes twice as many and 16 ms.
+
+The same table is shown in the terminal, on pages, in Markdown and in LaTeX; jinja2 writes the last
+three. rich would also read units in brackets as its markup.
+"""
 
 from __future__ import annotations
 

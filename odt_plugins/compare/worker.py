@@ -51,8 +51,8 @@ def run_job(folder: Path) -> None:
 def _repeat(job: dict[str, Any], folder: Path, result: dict[str, Any]) -> None:
     from odt_plugins.compare.start import StartMesh
 
-    with np.load(folder / "start.npz") as data:
-        start = StartMesh(job["mesh"], job["kind"], data["points"], data["cells"])
+    points, cells, regions = load_mesh(folder / "start.npz")
+    start = StartMesh(job["mesh"], job["kind"], points, cells, regions=regions)
     settings = {**job["settings"], "threads": job["threads"], "seed": job["seed"]}
     clock = time.perf_counter()
     name = job["module"]
@@ -81,9 +81,9 @@ def _repeat(job: dict[str, Any], folder: Path, result: dict[str, Any]) -> None:
         clock = time.perf_counter()
         if task.details is not None:
             result["details"] = task.details(state)
-        points, cells = task.collect(state)
+        mesh = task.collect(state)
         convert += time.perf_counter() - clock
-        _save(folder / f"mesh-{turn}.npz", points, cells)
+        save_mesh(folder / f"mesh-{turn}.npz", *mesh)
         result["seconds"].append(seconds)
         result["convert"].append(convert)
         _write(folder, result)
@@ -91,9 +91,18 @@ def _repeat(job: dict[str, Any], folder: Path, result: dict[str, Any]) -> None:
             break
 
 
-def _save(path: Path, points: Any, cells: Any) -> None:
-    p = np.ascontiguousarray(points, dtype=np.float64)
-    np.savez(path, points=p, cells=np.ascontiguousarray(cells, dtype=np.int32))
+def save_mesh(path: Path, points: Any, cells: Any, regions: Any = None) -> None:
+    """Write arrays to a file of numpy; no regions are an empty array."""
+    np.savez(path, points=np.ascontiguousarray(points, dtype=np.float64),
+             cells=np.ascontiguousarray(cells, dtype=np.int32),
+             regions=np.asarray(() if regions is None else regions, dtype=np.int32))
+
+
+def load_mesh(path: Path) -> tuple[Any, Any, Any]:
+    """Read points, cells and regions, None where there are none."""
+    with np.load(path) as data:
+        regions = data["regions"] if "regions" in data else ()
+        return data["points"], data["cells"], regions if len(regions) else None
 
 
 def _write(folder: Path, result: dict[str, Any]) -> None:

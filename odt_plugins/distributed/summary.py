@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import os
-import shlex
 import tempfile
 from collections.abc import Sequence
 from io import StringIO
@@ -12,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from odt_plugins.compare.machine import describe
-from odt_plugins.compare.output import fill_template
+from odt_plugins.compare.template import fill_template
 from odt_plugins.errors import require, writing
 from odt_plugins.quality import QualitySummary
 
@@ -71,21 +70,6 @@ def write_summary(
         (folder / FILES[2]).write_text(page, encoding="utf-8")
         for file in FILES:
             os.replace(folder / file, out / file)
-
-
-def command_line(context: Any) -> str:
-    """Give the command of a click context again, with the flags that were given."""
-    words = context.command_path.split()
-    for parameter in context.command.params:
-        value = context.params[parameter.name]
-        if parameter.param_type_name == "argument":
-            words += value
-        elif context.get_parameter_source(parameter.name).name == "COMMANDLINE":
-            on, off = parameter.opts, parameter.secondary_opts
-            words.append((off or on)[0] if value is False else on[0])
-            text = ",".join(value) if isinstance(value, tuple) else str(value)
-            words += [] if isinstance(value, bool) else [text]
-    return shlex.join(words)
 
 
 def to_csv(rows: Sequence[dict[str, Any]]) -> str:

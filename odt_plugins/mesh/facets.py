@@ -57,7 +57,7 @@ def row_keys(rows: NDArray[np.integer], n: int) -> NDArray[np.int64]:
     key = rows[:, 0].astype(np.int64)
     span = max(n, 1)
     for column in rows.T[1:]:
-        if span > (1 << 62) // max(n, 1):
+        if span > (WORDS >> 2) // max(n, 1):
             distinct, key = np.unique(key, return_inverse=True)
             span = len(distinct)
         key = key * n + column

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.mesh.facets import WORDS, UnevenFacets, uneven_facets
+from odt_plugins.mesh.facets import UnevenFacets, row_keys, sorted_columns, uneven_facets
 
 LOCAL_FACETS = {3: ((1, 2), (2, 0), (0, 1)),
                 4: ((1, 2, 3), (0, 3, 2), (0, 1, 3), (0, 2, 1))}
@@ -66,10 +66,11 @@ def facet_census(
     table = cells[touched[:, None, None], np.array(LOCAL_FACETS[k])]
     cell, local = np.nonzero(near[table].all(axis=2))
     facets, cell = table[cell, local], touched[cell]
-    (key,) = pack([with_parity(list(facets.T))], [n_points] * (k - 1) + [2])
+    columns, odd = sorted_columns(facets)
+    key = 2 * row_keys(np.stack(columns, axis=1), n_points) + odd
     order = np.argsort(key, kind="stable")
     facets, cell, key = facets[order], cell[order], key[order]
-    side = key >> np.uint64(1)
+    side = key >> 1
     first = np.flatnonzero(side[1:] == side[:-1])
     twice = first[key[first] == key[first + 1]]
     label = regions[cell]
@@ -94,34 +95,3 @@ def _between_labels(
     for corner in cells.T:
         mixed[corner[one[corner] != regions]] = True
     return mixed
-
-
-def with_parity(facet: list[NDArray[Any]]) -> list[NDArray[Any]]:
-    """Sort the vertices of facets and append whether the permutation was odd."""
-    if len(facet) == 2:
-        a, b = facet
-        return [np.minimum(a, b), np.maximum(a, b), a > b]
-    a, b, c = facet
-    odd = (a > b) ^ (b > c) ^ (a > c)
-    low, high = np.minimum(a, b), np.maximum(a, b)
-    return [np.minimum(low, c), np.maximum(low, np.minimum(high, c)), np.maximum(high, c), odd]
-
-
-def pack(tables: list[list[NDArray[Any]]], bases: list[int]) -> list[NDArray[np.uint64]]:
-    """Give equal integers to equal rows of the tables, each a list of columns.
-
-    Column j holds values below ``bases[j]``. Where 64 bits do not suffice the rows are ranked
-    before the next column is taken in.
-    """
-    size = 1
-    keys = [np.zeros(len(t[0]), np.uint64) for t in tables]
-    for j, base in enumerate(bases):
-        if size * base > WORDS:
-            ranked = np.unique(np.concatenate(keys), return_inverse=True)[1].astype(np.uint64)
-            keys = np.split(ranked, np.cumsum([len(k) for k in keys])[:-1])
-            size = int(ranked.max()) + 1
-        size *= base
-        for key, table in zip(keys, tables, strict=True):
-            key *= np.uint64(base)
-            key += table[j].astype(np.uint64)
-    return keys

@@ -13,11 +13,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.mesh.chunks import chunks, spread
-from odt_plugins.mesh.facets import row_keys, uneven_facets
+from odt_plugins.mesh.facets import row_keys, sorted_columns, uneven_facets
 from odt_plugins.mesh.numbering import in_old_numbers, most_vertices, old_numbers, removed_vertices
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import FIGURES
-from odt_plugins.promise.locked_facets import LockedFacets, facet_census, pack, with_parity
+from odt_plugins.promise.locked_facets import LockedFacets, facet_census
 from odt_plugins.quality import QualitySummary, cell_figures, summarize
 
 SLACK = 1e-12
@@ -349,10 +349,9 @@ def _thawed(
     near = np.flatnonzero(touched[cells].all(axis=1))
     new = np.sort(cells[near], axis=1)
     labels = np.union1d(before.regions, regions)
-    a, b = pack([[*old.T, np.searchsorted(labels, before.regions[frozen])],
-                  [*new.T, np.searchsorted(labels, regions[near])]],
-                 [n] * old.shape[1] + [len(labels)])
-    gone = np.flatnonzero(~np.isin(a, b))
+    label = np.searchsorted(labels, np.concatenate([before.regions[frozen], regions[near]]))
+    keys = row_keys(np.column_stack([np.concatenate([old, new]), label]), max(n, len(labels)))
+    gone = np.flatnonzero(~np.isin(keys[:len(old)], keys[len(old):]))
     if not len(gone):
         return []
     index = np.flatnonzero(frozen)[gone[0]]
@@ -361,8 +360,8 @@ def _thawed(
 
 def _signature(f: LockedFacets, mask: NDArray[np.bool_]) -> NDArray[Any]:
     """Directed facets (sorted vertices, parity) with their labels, in the order of the census."""
-    columns = with_parity(list(f.facets[mask].T))
-    return np.column_stack([*columns, f.labels[mask]]).astype(np.int64)
+    columns, odd = sorted_columns(f.facets[mask])
+    return np.column_stack([*columns, odd, f.labels[mask]]).astype(np.int64)
 
 
 def _not_in(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:

@@ -1,4 +1,4 @@
-"""The counts of a run as a Markdown table."""
+"""The counts of a run as a Markdown table; one join a row is less than the call of a library."""
 
 from __future__ import annotations
 

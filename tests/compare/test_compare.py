@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import csv
+import hashlib
+import html
 import json
 import math
 import os
@@ -19,18 +21,30 @@ from odt_plugins.cli.main import main
 from odt_plugins.compare import contestants as table
 from odt_plugins.compare.baselines import netgen_optimize
 from odt_plugins.compare.contestants import CONTESTANTS, OURS, Contestant, choose
-from odt_plugins.compare.hull import compare_boundaries, hull_facets
-from odt_plugins.compare.markdown import to_markdown
-from odt_plugins.compare.output import FILES, to_csv, to_json, verdict
+from odt_plugins.compare.hull import BoundaryChange, compare_boundaries, hull_facets
+from odt_plugins.compare.manuscript import to_markdown
+from odt_plugins.compare.output import FILES, to_csv, to_json
 from odt_plugins.compare.poisson import conjugate_gradients, solve_poisson
 from odt_plugins.compare.rows import Row, compare_on, mark, measure_mesh
 from odt_plugins.compare.runner import Limits, Run, run_contestant
-from odt_plugins.compare.start import STORED, ball, make_start, plate, refine, stored, suite
+from odt_plugins.compare.score import scores, verdict
+from odt_plugins.compare.start import (
+    STORED,
+    ball,
+    make_start,
+    plate,
+    read_start,
+    refine,
+    stored,
+    suite,
+)
+from odt_plugins.compare.tools import KINDS, TOOLS
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.quality import radius_ratio, volumes
 
 QUICK = Limits(seconds=60.0, repeats=2, enough=0.0)
 ONCE = Limits(seconds=60.0, repeats=1)
+FACTS = {"processor": "one", "threads": 1, "seed": 2, "date": "today"}
 
 
 def contestant(name):
@@ -314,6 +328,22 @@ def test_choice_by_family_and_by_name():
         choose(["gmesh"])
 
 
+def test_a_tool_that_cannot_take_a_mesh_has_its_row():
+    start = SMALL["planar"]
+    chosen = choose(["netgen", "Gmsh default", "open3d", "cgal"])
+    rows = compare_on(start, chosen, ONCE, poisson=False).rows
+    told = {row.contestant: row.message for row in rows if row.status == "unsupported"}
+    assert list(told) == ["Gmsh default", "Netgen", "CGAL", "Open3D"]
+    assert told["Gmsh default"] == "does not take triangles in the plane"
+    assert "geometry" in told["Netgen"]
+    assert len(rows) == 5
+    families = {c.family for c in CONTESTANTS}
+    assert set(TOOLS) == families
+    for kind in KINDS:
+        taken = {c.family for c in CONTESTANTS if kind in c.kinds}
+        assert {name for name in TOOLS if kind in TOOLS[name].refuses} == families - taken
+
+
 # ---- rows and files
 
 @pytest.fixture(scope="module")
@@ -358,6 +388,59 @@ def test_verdict_names_who_is_better_in_what(result):
     assert verdict(replace(result, rows=rows)) == f"Better than {OURS} in least q: rival."
 
 
+def test_there_is_no_verdict_without_an_opponent(result):
+    ours = made_up(OURS, OURS, min_quality=0.5)
+    beside = made_up(f"{OURS}: insertion", OURS, min_quality=0.4)
+    gone = replace(made_up("gone", "rival"), measured=None, status="missing")
+    for rows in ([ours], [ours, beside], [ours, beside, gone]):
+        alone = replace(result, rows=mark(rows))
+        assert verdict(alone) == "No other tool has a result here to compare with."
+        assert scores([alone]) == []
+
+
+def moved(row, outward, inward=0.0):
+    boundary = BoundaryChange("moved", outward, inward)
+    return replace(row, measured=replace(row.measured, boundary=boundary))
+
+
+def test_what_moved_the_surface_further_is_no_plain_win(result):
+    ours = moved(made_up(OURS, OURS, min_quality=0.5), 1e-3, 2e-4)
+    level = moved(made_up("level", "rival", min_quality=0.6), 1e-4, 1e-3)
+    further = moved(made_up("further", "rival", min_quality=0.7), 1e-4, 1.1e-3)
+    rows = mark([ours, level, further])
+    assert [row.freer for row in rows] == ["", "", "surface moved further than ours"]
+    assert rows[1].better_than_ours == rows[2].better_than_ours == ("min_quality",)
+    both = replace(result, rows=rows)
+    assert verdict(both) == (
+        f"Better than {OURS} in least q: level. "
+        "Better, but no plain win (surface moved further than ours), in least q: further.")
+    only = replace(result, rows=[rows[0], rows[2]])
+    assert verdict(only).startswith(f"No other tool is plainly better than {OURS}")
+    timed = [replace(row, timing=result.rows[0].timing) for row in rows]
+    text = to_markdown([replace(result, rows=timed)], FACTS, "the command")
+    assert "| level | ▲0.600 /" in text
+    assert "| further | △0.700 /" in text
+
+
+def test_figures_are_counted_per_opponent_and_in_all(result):
+    ours = made_up(OURS, OURS, min_quality=0.5, mean_quality=0.8, max_angle=150.0)
+    better = made_up("better", "rival", min_quality=0.6, mean_quality=0.8, max_angle=140.0)
+    freer = moved(made_up("freer", "rival", min_quality=0.6), 1e-3)
+    gone = replace(better, contestant="gone", measured=None, status="crashed")
+    timed = [replace(row, timing=result.rows[0].timing) for row in (ours, better)]
+    one = replace(result, rows=mark([*timed, freer, gone]))
+    two = replace(result, rows=mark([ours, replace(freer, contestant="better")]))
+    found = {score.opponent: score for score in scores([one, two])}
+    lost = len(mark([ours, freer])[1].better_than_ours)
+    assert lost > 0
+    assert found["better"][1:] == (2, 12, 10 - lost, 2, lost, 1)
+    assert found["freer"][1:] == (1, 6, 6 - lost, 0, lost, 0)
+    assert found["all"][1:] == (3, 18, 16 - 2 * lost, 2, 2 * lost, 1)
+    assert list(found) == ["better", "freer", "all"]
+    text = to_markdown([one, two], FACTS, "the command")
+    assert f"**{OURS} is ahead or level in {16 - 2 * lost} of 18 figures**" in text
+
+
 def test_csv_and_json_hold_every_row(result):
     missing = replace(result.rows[0], contestant="gone", status="missing", measured=None,
                       timing=None)
@@ -377,8 +460,9 @@ def test_markdown_marks_what_beats_ours_and_tells_what_failed(result):
                  replace(made_up("gone", "rival"), measured=None, status="crashed")])
     timing = result.rows[0].timing
     rows = [replace(row, timing=timing) for row in rows]
-    text = to_markdown([replace(result, rows=rows)], "the command")
-    lines = {line.split(" | ")[0].strip("| *"): line for line in text.splitlines()}
+    text = to_markdown([replace(result, rows=rows)], FACTS, "the command")
+    table = text.partition("ahead or level")[0]
+    lines = {line.split(" | ")[0].strip("| *"): line for line in table.splitlines()}
     assert "the command" in lines
     assert "▲0.600 /" in lines["rival"]
     assert "+884 vertices" in lines["rival"]
@@ -402,7 +486,14 @@ def test_command_writes_into_out_alone(tmp_path, monkeypatch, capsys):
     assert sorted(os.listdir(tmp_path)) == ["small.vtu", "table"]
     assert sorted(os.listdir("table")) == sorted(FILES)
     facts = json.loads((tmp_path / "table" / FILES[1]).read_text())
-    assert facts["command"] == "odt-plugins compare small.vtu --against laplacian"
+    assert facts["command"] == (
+        "odt-plugins compare small.vtu --against laplacian --out table --repeats 1 "
+        "--time-limit 60.0 --threads 1")
+    digest = hashlib.sha256((tmp_path / "small.vtu").read_bytes()).hexdigest()
+    for name in FILES[:-1]:
+        text = (tmp_path / "table" / name).read_text(encoding="utf-8")
+        assert digest[:16] in text, name
+        assert "--repeats 1 --time-limit 60.0" in html.unescape(text) or name == FILES[0]
     assert facts["machine"]["numpy"] == np.__version__
 
 
@@ -426,3 +517,60 @@ def test_worker_is_a_process_that_leaves_its_own_result(tmp_path):
     assert facts["status"] == "ok"
     assert facts["peak"] >= facts["peak_before"] > 0
     assert isinstance(run_contestant(start, contestant("Laplacian"), ONCE), Run)
+
+
+# ---- regions
+
+def with_regions(start):
+    """The same mesh in three regions: halves, one of them cut once more."""
+    centre = start.points[start.cells].mean(axis=1)
+    halves = (centre[:, 0] > 0).astype(np.int32)
+    return replace(start, regions=halves + halves * (centre[:, 1] > 0))
+
+
+REGIONS = ["Laplacian", "smart Laplacian", "Gmsh default", "Gmsh Netgen", "Gmsh combination",
+           "Gmsh Relocate2D", "Netgen stm", "mmg3d with insertion, 3 times", "MeshLab Laplacian",
+           OURS]
+
+
+@pytest.mark.parametrize(("name", "kind"), [
+    (name, kind) for name in REGIONS for kind in ("tets", "planar")
+    if any(c.name == name and kind in c.kinds for c in CONTESTANTS)])
+def test_who_can_respects_the_regions_of_a_mesh(name, kind):
+    one = next(c for c in CONTESTANTS if c.name == name and kind in c.kinds)
+    row = compare_on(with_regions(SMALL[kind]), [one], ONCE, poisson=False).rows[0]
+    assert row.status == "ok", row.message
+    assert not row.measured.regions_ignored
+    assert row.measured.boundary.verdict in ("identical", "same place")
+    assert abs(row.measured.volume_change) < 1e-12
+
+
+def test_who_cannot_respect_regions_says_so():
+    start = with_regions(SMALL["tets"])
+    assert run_contestant(start, contestant("CGAL exude"), ONCE).status == "unsupported"
+    rows = compare_on(with_regions(SMALL["planar"]), choose(["MeshLab flips"]), ONCE,
+                      poisson=False).rows
+    assert [row.measured.regions_ignored for row in rows] == [False, True]
+    assert rows[1].freer == "regions ignored"
+
+
+def test_an_interface_that_moves_or_is_lost_is_measured():
+    start = with_regions(SMALL["planar"])
+    swapped = measure_mesh(start, start.points, start.cells, (start.regions + 1) % 3,
+                           poisson=False)
+    assert swapped.boundary.verdict == "identical"
+    assert abs(swapped.volume_change) > 0.4
+    one = measure_mesh(start, start.points, start.cells, np.zeros_like(start.regions),
+                       poisson=False)
+    assert one.boundary.verdict == "moved"
+    assert one.boundary.inward > 0.1
+    assert measure_mesh(start, start.points, start.cells, poisson=False).regions_ignored
+
+
+def test_regions_of_a_file_are_those_of_the_start(tmp_path):
+    import meshio
+
+    start = with_regions(SMALL["tets"])
+    meshio.write(tmp_path / "two.vtu", meshio.Mesh(
+        start.points, [("tetra", start.cells)], cell_data={"medit:ref": [7 * start.regions]}))
+    assert np.array_equal(read_start(tmp_path / "two.vtu").regions, start.regions)

@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
+from odt_plugins.compare.charts import ACROSS, histograms
 from odt_plugins.compare.contestants import OURS, choose
 from odt_plugins.compare.machine import describe
 from odt_plugins.compare.output import FILES, write_all
@@ -23,6 +24,7 @@ from odt_plugins.compare.scaling import PARTS, run_scaling
 from odt_plugins.compare.start import ball, plate, stored
 from odt_plugins.distributed.summary import to_page
 from odt_plugins.quality import summarize
+from odt_plugins.report.plotting import GREY
 
 BROWSER = next((b for b in map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))
                 if b), None)
@@ -99,6 +101,33 @@ def test_page_needs_nothing_but_itself(page):
     assert all(link.startswith(("#", "data:")) for link in links)
     assert not re.search(r"url\((?!#)", text)
     assert "@import" not in text
+
+
+def test_every_histogram_has_its_axes(results):
+    for result in results:
+        panels = histograms(result).split('<g id="axes_')[1:]
+        shown = [panel for panel in panels if "matplotlib.axis" in panel]
+        assert len(shown) == len([row for row in result.rows if row.measured])
+        for panel in shown:
+            x, y = re.findall(r'<g id="matplotlib\.axis_.*?(?=<g id="matplotlib|<g id="patch|$)',
+                              panel, re.DOTALL)
+            assert x.count("<text") > 3
+            assert y.count("<text") > 2
+            assert f"stroke: {GREY}" in panel.partition('id="matplotlib.axis')[2]
+        assert panels[0].count("% of the cells") == 1
+        assert panels[0].count("radius ratio") == (len(shown) <= ACROSS)
+
+
+def test_page_tells_paths_as_they_are_and_what_every_tool_was_told(results, tmp_path):
+    named = replace(results[0], start=replace(results[0].start, origin="data/small.vtu"))
+    write_all(tmp_path, [named], describe(1, 0), "odt-plugins compare data/small.vtu")
+    text = html.unescape((tmp_path / FILES[2]).read_text(encoding="utf-8"))
+    assert f"data/small.vtu, {len(named.start.points)} vertices" in text
+    assert "Data/small" not in text
+    assert named.start.sha256 in text
+    for row in results[0].rows:
+        assert json.dumps(row.settings) in text
+    assert "is ahead or level in" in text
 
 
 def test_page_escapes_what_tools_say(page):

@@ -1,4 +1,6 @@
-"""The table of options on the package's page: made of the fields of Options.
+"""The table of options on the page, one f-string a row, which is less than the call of a library.
+
+The table is made of the fields of Options.
 
 Run this file to write the table to the page anew.
 """

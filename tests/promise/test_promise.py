@@ -12,9 +12,8 @@ from scipy.spatial import Delaunay
 from odt_plugins.mesh import facets as facets_module
 from odt_plugins.mesh.facets import uneven_facets
 from odt_plugins.mesh.simplex import SimplexMesh, simplex_mesh
-from odt_plugins.promise import locked_facets as locked_facets_module
 from odt_plugins.promise import volume as promise
-from odt_plugins.promise.locked_facets import LOCAL_FACETS, facet_census, locked_facets, pack
+from odt_plugins.promise.locked_facets import LOCAL_FACETS, facet_census, locked_facets
 from odt_plugins.promise.volume import broken_promises, held_vertices
 from odt_plugins.quality import summarize
 
@@ -91,7 +90,6 @@ def test_held_vertices_by_a_slow_twin(mesh: SimplexMesh) -> None:
 def test_the_census_of_any_heap_of_cells_by_a_slow_twin(
     d: int, words: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(locked_facets_module, "WORDS", words)
     monkeypatch.setattr(facets_module, "WORDS", words)
     rng = np.random.default_rng(827)
     for m in (1, 5, 12, 30):
@@ -270,23 +268,12 @@ def test_the_slack_is_rounding_and_no_more() -> None:
 
 
 def test_facet_keys_beyond_64_bits(mesh: SimplexMesh, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(locked_facets_module, "WORDS", 1000)
     monkeypatch.setattr(facets_module, "WORDS", 1000)
     assert sentences(mesh) == []
     rest = np.arange(len(mesh.cells)) != 7
     assert sentences(mesh, cells=mesh.cells[rest], regions=mesh.regions[rest]) != []
     flagged = replace(mesh, frozen=np.arange(len(mesh.cells)) % 3 == 0)
     assert sentences(flagged) == []
-
-
-def test_keys_are_equal_for_equal_rows_and_no_others_however_large_the_values() -> None:
-    rng = np.random.default_rng(839)
-    rows = rng.integers(0, 3, (60, 3)) * np.int64(2**40)
-    tables = [list(rows[:20].T), list(rows[20:].T)]
-    keys = np.concatenate(pack(tables, [3 * 2**40] * 3))
-    same = (rows[:, None] == rows[None]).all(axis=2)
-    assert np.array_equal(keys[:, None] == keys[None], same)
-    assert not same.all()
 
 
 # Vertices that come and go: the same judge with the origin of every vertex.

@@ -1,4 +1,4 @@
-"""Laplacian smoothing as everybody writes it, plain and smart, in numpy; the boundary stays."""
+"""Laplacian smoothing as everybody writes it, plain and smart, in numpy, between what stays."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.compare.baselines.task import Settings, Task
-from odt_plugins.compare.hull import hull_facets
+from odt_plugins.compare.hull import patches
 from odt_plugins.compare.start import StartMesh
 from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.quality import EDGES, radius_ratio
@@ -31,7 +31,7 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
     graph.data[:] = 1.0
     mean: Any = sparse.diags(1.0 / graph.sum(axis=1).A1) @ graph
     free = np.ones(n, dtype=np.bool_)
-    free[hull_facets(start)] = False
+    free[patches(start).facets] = False
     if start.kind == "surface":
         free[:] = True
     sets = _independent_sets(graph, free) if settings["smart"] else [np.flatnonzero(free)]
@@ -47,7 +47,7 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
                 points = moved
         return points
 
-    return Task(call, lambda points: (points, cells))
+    return Task(call, lambda points: (points, cells, start.regions))
 
 
 def _take_back_worse(

@@ -24,10 +24,15 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
 
     Raises
     ------
-    NotPossibleError    the start is not Delaunay, so it is no complex of CGAL's
+    NotPossibleError    the start is not Delaunay, so it is no complex of CGAL's; or it has regions,
+                        which the domain of a polyhedron does not know
     """
     from CGAL import CGAL_Mesh_3 as cgal
 
+    if start.regions is not None:
+        msg = ("CGAL would need the regions in its domain; the domain made of a stored surface has "
+               "one region only")
+        raise NotPossibleError(msg)
     _refuse_other_than_delaunay(start)
     domain, complex_ = _complex(cgal, start)
 

@@ -4,22 +4,27 @@ from __future__ import annotations
 
 from typing import Any
 
+import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.compare.baselines.task import Settings, Task, in_space
+from odt_plugins.compare.hull import shell
 from odt_plugins.compare.start import StartMesh
 
 
 def prepare(start: StartMesh, settings: Settings) -> Task:
-    """Give the start to a MeshSet.
+    """Give the start to a MeshSet, with the vertex quality 0 where a vertex must stay, 1 elsewhere.
 
     Settings: `filters`, a list of (name, parameters); a parameter `targetlen` that is None
-    becomes the mean edge length of the start.
+    becomes the mean edge length of the start. `regions`, whether the filters keep the cells and
+    what must stay.
     """
     import pymeshlab
 
     meshes = pymeshlab.MeshSet()
-    meshes.add_mesh(pymeshlab.Mesh(in_space(start.points), start.cells))
+    free = np.ones(len(start.points))
+    free[shell(start)] = 0.0
+    meshes.add_mesh(pymeshlab.Mesh(in_space(start.points), start.cells, v_scalar_array=free))
     filters = []
     for name, parameters in settings["filters"]:
         given = dict(parameters)
@@ -32,9 +37,10 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
         for name, given in filters:
             meshes.apply_filter(name, **given)
 
-    def collect(_: Any) -> tuple[NDArray[Any], NDArray[Any]]:
+    def collect(_: Any) -> tuple[NDArray[Any] | None, ...]:
         mesh = meshes.current_mesh()
         mesh.compact()
-        return mesh.vertex_matrix()[:, : start.points.shape[1]], mesh.face_matrix()
+        regions = start.regions if settings.get("regions") else None
+        return mesh.vertex_matrix()[:, : start.points.shape[1]], mesh.face_matrix(), regions
 
     return Task(call, collect)

@@ -7,6 +7,7 @@ from typing import Any
 from numpy.typing import NDArray
 
 from odt_plugins.compare.baselines.task import Settings, Task
+from odt_plugins.compare.hull import labels_of
 from odt_plugins.compare.start import StartMesh
 
 
@@ -20,17 +21,23 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
     from mmgpy import Mmg3DOptions, MmgMesh3D
 
     options = Mmg3DOptions(verbose=-1, **settings["options"]).to_dict()
-    first = MmgMesh3D(start.points, start.cells)
+
+    def given(points: NDArray[Any], cells: NDArray[Any], references: NDArray[Any]) -> Any:
+        mesh = MmgMesh3D(points, cells)
+        mesh.set_tetrahedra(cells, references)
+        return mesh
+
+    first = given(start.points, start.cells, labels_of(start))
 
     def call() -> Any:
         mesh = first
         for turn in range(settings.get("times", 1)):
             if turn:
-                mesh = MmgMesh3D(mesh.get_vertices(), mesh.get_tetrahedra())
+                mesh = given(mesh.get_vertices(), *mesh.get_tetrahedra_with_refs())
             mesh.remesh(**options)
         return mesh
 
-    def collect(mesh: Any) -> tuple[NDArray[Any], NDArray[Any]]:
-        return mesh.get_vertices(), mesh.get_tetrahedra()
+    def collect(mesh: Any) -> tuple[NDArray[Any], ...]:
+        return mesh.get_vertices(), *mesh.get_tetrahedra_with_refs()
 
     return Task(call, collect)

@@ -14,10 +14,12 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
 
     options = {**settings["options"], "threads": settings["threads"]}
 
-    def call() -> Any:
-        return optimize((start.points, start.cells), **options)
+    mesh = (start.points, start.cells, *(() if start.regions is None else (start.regions,)))
 
-    return Task(call, lambda result: (result[0], result[1]))
+    def call() -> Any:
+        return optimize(mesh, **options)
+
+    return Task(call, tuple)
 
 
 def warm_up(start: StartMesh, settings: Settings) -> None:

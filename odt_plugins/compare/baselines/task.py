@@ -21,12 +21,13 @@ class Task(NamedTuple):
     Attributes
     ----------
     call : callable       the optimising call alone; its time is what the table shows
-    collect : callable    takes what `call` returned and gives (points, cells)
+    collect : callable    takes what `call` returned and gives (points, cells), or (points, cells,
+                          regions) where the tool respects the regions of the start
     details : callable    takes the same and gives seconds of its parts, by name
     """
 
     call: Callable[[], Any]
-    collect: Callable[[Any], tuple[NDArray[Any], NDArray[Any]]]
+    collect: Callable[[Any], tuple[NDArray[Any] | None, ...]]
     details: Callable[[Any], dict[str, float]] | None = None
 
 

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 from odt_plugins.engine.cells.elementary import power
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.components import components
+from odt_plugins.mesh.facets import directed_facets
 from odt_plugins.mesh.simplex import determinant
 
 IndexArray = NDArray[np.int64]
@@ -268,42 +269,17 @@ def _radius_ratio(points: FloatArray, cells: IndexArray) -> FloatArray:
     return ratio
 
 
-def _directed_facets(cells: IndexArray) -> tuple[IndexArray, IndexArray]:
-    """Sorted vertices of every facet, cell by cell, and the side, 0 or 1, it is seen from."""
-    width = cells.shape[1]
-    facets = np.stack([np.delete(cells, i, axis=1) for i in range(width)], axis=1)
-    side = np.broadcast_to(np.arange(width) % 2, facets.shape[:2]).copy()
-    for i in range(width - 1):
-        for j in range(i + 1, width - 1):
-            side ^= facets[:, :, i] > facets[:, :, j]
-    return np.sort(facets, axis=2).reshape(-1, width - 1), side.ravel()
-
-
-def _facet_ids(facets: IndexArray, n: int) -> tuple[IndexArray, int]:
-    """Number equal rows equally, 0, 1, ...; keys are folded before they leave 63 bits."""
-    key, bound = facets[:, 0].copy(), n
-    for column in range(1, facets.shape[1]):
-        if bound * n >= 2**63:
-            values, key = np.unique(key, return_inverse=True)
-            bound = len(values)
-        key = key * n + facets[:, column]
-        bound *= n
-    values, ids = np.unique(key, return_inverse=True)
-    return ids.ravel(), len(values)
-
-
 def _matching_pieces(
     old: IndexArray, new: IndexArray, n: int
 ) -> tuple[IndexArray, IndexArray, IndexArray]:
     """Piece of every old cell, of every new cell, and the new piece of every old one or -1."""
-    width = old.shape[1]
-    old_facets, old_side = _directed_facets(old)
-    new_facets, new_side = _directed_facets(new)
-    ids, count = _facet_ids(np.concatenate([old_facets, new_facets]), n)
-    old_at = np.full((count, 2), -1, dtype=np.int64)
-    new_at = np.full((count, 2), -1, dtype=np.int64)
-    old_at[ids[: len(old_facets)], old_side] = np.arange(len(old_facets)) // width
-    new_at[ids[len(old_facets):], new_side] = np.arange(len(new_facets)) // width
+    keys, side = directed_facets(np.concatenate([old, new]), n)
+    found, inverse = np.unique(keys, return_inverse=True)
+    ids, m = inverse.reshape(keys.shape), len(old)
+    old_at = np.full((len(found), 2), -1, dtype=np.int64)
+    new_at = np.full((len(found), 2), -1, dtype=np.int64)
+    old_at[ids[:m], side[:m]] = np.arange(m)[:, None]
+    new_at[ids[m:], side[m:]] = np.arange(len(new))[:, None]
     has_old, has_new = old_at >= 0, new_at >= 0
     shared = has_old.any(axis=1) & has_new.any(axis=1)
     old_links = old_at[has_old.all(axis=1) & ~shared]

@@ -325,15 +325,6 @@ def test_non_delaunay_facets_against_exact_arithmetic(dim):
     assert len(non_delaunay_facets(points, best, ref.brute_neighbors(best))) == 0
 
 
-def test_facet_ids_when_the_key_leaves_63_bits():
-    rng = np.random.default_rng(2)
-    facets = rng.integers(0, 6, (200, 3))
-    small, count = delaunay._facet_ids(facets, 6)
-    large, same_count = delaunay._facet_ids(facets, 2**40)
-    assert count == same_count == len(np.unique(facets, axis=0))
-    np.testing.assert_array_equal(small, large)
-
-
 def test_piece_with_an_open_facet_or_two_counterparts_has_no_match():
     # an annulus whose inner edges the other mesh lacks: 0 1 2 outside, 3 4 5 inside
     ring = np.array([[0, 1, 3], [1, 4, 3], [1, 2, 4], [2, 5, 4], [2, 0, 5], [0, 3, 5]])
