@@ -124,14 +124,17 @@ def _prepare(mesh: Any, options: Options) -> _Prepared:
             "regions": labels,
             "fixed": options.fixed,
             "selection": options.selection,
-            "orient": options.orient,
         }
         if on_surface:
-            surface = protect_surface(surface_mesh(points, host.cells, **given), host.kept)
+            surface = surface_mesh(points, host.cells, orient=options.orient, **given)
+            surface = protect_surface(surface, host.kept)
             if charts:
                 surface = hold_charts(surface, host.blocks)
             return _Prepared(adapter, host, None, surface, 1)
         simplices, orientation = simplex_mesh(points, host.cells, **given)
+        if frame is not None and 2 * simplices.turned > len(simplices.cells):
+            orientation = -1
+            simplices = replace(simplices, turned=len(simplices.cells) - simplices.turned)
         simplices = protect(simplices, host.kept, host.anchors)
         return _Prepared(adapter, host, frame, simplices, orientation)
 

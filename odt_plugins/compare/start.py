@@ -70,7 +70,7 @@ def make_start(name: str, points: FloatArray, cells: IntArray, origin: str = "")
         else:
             p = frame.to_plane(p)
     if kind != "surface":
-        t = simplex_mesh(p, t, orient=True)[0].cells
+        t = simplex_mesh(p, t)[0].cells
         negative = volumes(p, t) < 0
         t = reverse(t, negative) if negative.any() else t
     used, inverse = np.unique(t, return_inverse=True)

@@ -6,7 +6,7 @@ import dataclasses
 import json
 import platform
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from os import PathLike
 from typing import TYPE_CHECKING, Any
@@ -39,11 +39,13 @@ ROWS = (
     ("below_10", "cells below 10 deg", "d"),
     ("below_20", "cells below 20 deg", "d"),
     ("inverted", "cells not positive", "d"),
+    ("turned", "cells turned", "d"),
     ("uniformity", "uniformity", ".4f"),
     ("n_points", "vertices", "d"),
     ("n_cells", "cells", "d"),
 )
-"""Rows of every table: name in QualitySummary, heading, format."""
+"""Rows of every table: name in QualitySummary, heading, format. That of `turned` is left out where
+no cell was."""
 
 
 LARGE = 1e5
@@ -198,7 +200,7 @@ def make_report(before: SimplexMesh, outcome: Outcome, options: Options) -> Repo
         counts["vertices removed"] = n + int(added.sum()) - len(added)
     return Report(
         dim=before.dim,
-        before=summarize(before.points, before.cells, old),
+        before=replace(summarize(before.points, before.cells, old), turned=before.turned),
         after=summarize(outcome.points, outcome.cells, new),
         histogram_before=histogram(old.quality),
         histogram_after=histogram(new.quality),
@@ -261,7 +263,9 @@ def table_lines(columns: Mapping[str, QualitySummary]) -> list[str]:
     angle = "dihedral" if all(s.dim == 3 for s in columns.values()) else "angle"
     rows = [("", list(columns))]
     for name, heading, form in ROWS:
-        values = (getattr(summary, name) for summary in columns.values())
+        values = [getattr(summary, name) for summary in columns.values()]
+        if name == "turned" and not any(values):
+            continue
         rows.append((heading.format(angle=angle), [_figure(value, form) for value in values]))
     width = max(10, *(len(cell) + 2 for _, cells in rows for cell in cells))
     return [f"{head:<20}{''.join(f'{cell:>{width}}' for cell in cells)}" for head, cells in rows]
