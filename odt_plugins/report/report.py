@@ -79,6 +79,8 @@ class Report:
                                             input's from it, and the numbers of
                                             "feature_edges", "corners", vertices "on_lines" that
                                             slide along features, and "held" ones
+    notes : tuple of str                    what was done to the mesh on its way in, and what may be
+                                            done about it
     """
 
     dim: int
@@ -98,6 +100,7 @@ class Report:
     versions: Mapping[str, str]
     slid: Mapping[str, float] | None = None
     surface: Mapping[str, float] | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def movable_share(self) -> float:
@@ -115,6 +118,7 @@ class Report:
         lines = [*table_lines({"before": self.before, "after": self.after}), ""]
         lines.append(f"{self.n_movable} of {self.n_used} vertices may move "
                      f"({100 * self.movable_share:.0f} %)")
+        lines += [f"note   {note}" for note in self.notes]
         if self.surface:
             lines += _surface_lines(self.surface)
         if self.energy:
@@ -167,7 +171,9 @@ class Report:
         plot_report(self, path)
 
 
-def make_report(before: SimplexMesh, outcome: Outcome, options: Options) -> Report:
+def make_report(
+    before: SimplexMesh, outcome: Outcome, options: Options, **told: Any
+) -> Report:
     """Measure a run from outside.
 
     Parameters
@@ -175,6 +181,7 @@ def make_report(before: SimplexMesh, outcome: Outcome, options: Options) -> Repo
     before : SimplexMesh    what the engine was given
     outcome : Outcome       what it handed back
     options : Options       what it was asked for
+    **told                  fields of the report that only the adapters know
 
     Returns
     -------
@@ -216,6 +223,7 @@ def make_report(before: SimplexMesh, outcome: Outcome, options: Options) -> Repo
         versions=_versions(),
         slid=None if outcome.slid is None else outcome.slid._asdict(),
         surface=_surface_facts(before, outcome, used),
+        **told,
     )
 
 
