@@ -84,9 +84,9 @@ def run_engine(
     cells, places = outcome.cells, outcome.points
     same = work.same
     if same is not None:
-        moved = (places != work.mesh.points).any(axis=1)[same]
-        points = np.where(moved[:, None], points[same], work.host.points)
-        places = np.where(moved[:, None], places[same], work.mesh.points)
+        stays = (places == work.mesh.points).all(axis=1)[same]
+        points, places = points[same], places[same]
+        points[stays], places[stays] = work.host.points[stays], work.mesh.points[stays]
         old = work.host.cells.astype(np.int64)
         cells = at_copies(cells, source, old, same, work.host.blocks)
     if work.orientation < 0:
@@ -141,15 +141,9 @@ def _prepare(mesh: Any, options: Options) -> _Prepared:
             _expect_linear_tetrahedra(host)
         labels = host.regions if name or options.regions is None else options.regions
         work = partial(_checked, adapter, flat_points(host), labels, options)
-        torn = host.cells.astype(np.int64)
-        same = None if host.quadratic else same_places(host.points, torn)
-        if same is None:
-            return work(host, keep_seams=keep_seams)
-        if options.insert:
-            msg = ("got insert=True for cells that share hardly any vertices; expected a mesh, "
-                   "try merging vertices at the same place")
-            raise InvalidOptionError(msg)
-        return _merged(work, host, same, keep_seams)
+        found = work(host, keep_seams=keep_seams)
+        same = None if host.quadratic else same_places(host.points, host.cells.astype(np.int64))
+        return found if same is None else _of_soup(found, work, host, same, keep_seams)
 
 
 def _checked(
@@ -178,38 +172,41 @@ def _checked(
     return _Prepared(adapter, host, frame, simplices, orientation)
 
 
-def _merged(
-    work: Callable[..., _Prepared], host: HostMesh, same: NDArray[np.int64], keep_seams: bool
+def _of_soup(
+    found: _Prepared, work: Callable[..., _Prepared], host: HostMesh, same: NDArray[np.int64],
+    keep_seams: bool,
 ) -> _Prepared:
-    """A soup whose vertices at the same place count as one, where its cells then fit together.
+    """The curved surface of a soup, vertices at the same place as one; others as they were found.
 
-    Where vertices have texture coordinates those that have several stay. Where the cells do not
-    fit together the soup is prepared as it is.
+    Where vertices have texture coordinates those that have several stay.
 
     Warns
     -----
-    ODTWarning    they do not
+    ODTWarning    hardly any vertices may move, since the cells are no such surface
     """
-    of_vertices = host.texture is not None and host.texture.ndim == 2
-    try:
-        found = work(_glued(host, same), keep_seams=keep_seams or of_vertices)
-    except InvalidMeshError as exc:
-        apart = work(host, keep_seams=keep_seams)
-        note = host.words(
-            f"the cells share hardly any vertices, and do not fit together where vertices at the "
-            f"same place count as one ({exc}); hardly any may move, try merging vertices at the "
-            f"same place")
-        warnings.warn(note, ODTWarning, stacklevel=5)
-        return apart._replace(notes=(note,))
-    fixed = np.zeros(len(same), dtype=np.bool_)
-    fixed[same[found.mesh.fixed]] = True
-    used, places = len(np.unique(host.cells)), len(np.unique(found.mesh.cells))
+    call = "try merging vertices at the same place"
+    why = ""
+    if found.mesh.is_surface:
+        of_vertices = host.texture is not None and host.texture.ndim == 2
+        try:
+            merged = work(_glued(host, same), keep_seams=keep_seams or of_vertices)
+        except InvalidMeshError as exc:
+            why = f", and do not fit together where vertices at the same place are one ({exc})"
+        else:
+            fixed = np.zeros(len(same), dtype=np.bool_)
+            fixed[same[merged.mesh.fixed]] = True
+            used, places = len(np.unique(host.cells)), len(np.unique(merged.mesh.cells))
+            note = host.words(
+                f"{used - places} of {used} vertices were at the place of another one and merged "
+                f"with it for the work; in the result they are apart again, at the same place; "
+                f"{call} for a mesh without them")
+            return merged._replace(
+                mesh=replace(merged.mesh, fixed=fixed), same=same, notes=(note,),
+                host=replace(host, blocks=merged.host.blocks))
     note = host.words(
-        f"{used - places} of {used} vertices were at the place of another one and merged with it "
-        f"for the work; in the result they are apart again, at the same place; try merging "
-        f"vertices at the same place for a mesh without them")
-    return found._replace(mesh=replace(found.mesh, fixed=fixed), same=same, notes=(note,),
-                          host=replace(host, blocks=found.host.blocks))
+        f"hardly any vertices may move, since the cells share hardly any{why}; {call}")
+    warnings.warn(note, ODTWarning, stacklevel=5)
+    return found._replace(notes=(note,))
 
 
 def _glued(host: HostMesh, same: NDArray[np.int64]) -> HostMesh:
