@@ -32,10 +32,10 @@ def main(picture: Path | None = None) -> tuple[float, float]:
     cloud = ball()
     tets, indices = o3d.geometry.TetraMesh.create_from_point_cloud(cloud)
     tets.vertex_colors = o3d.utility.Vector3dVector(np.asarray(cloud.colors)[list(indices)])
-    better = optimize_odt(tets, orient=True)
+    better = optimize_odt(tets)
     if picture:
         before, after = ((np.asarray(m.vertices), np.asarray(m.tetras)) for m in (tets, better))
-        _, report = odt_plugins.optimize_with_report(tets, orient=True)
+        _, report = odt_plugins.optimize_with_report(tets)
         plot_before_after(before, after, report, picture, title="open3d's tetrahedra in a ball")
     return float(compute_radius_ratios(tets).mean()), float(compute_radius_ratios(better).mean())
 

@@ -46,7 +46,7 @@ def main(path: Path | None = None) -> tuple[float, float]:
     """Return the mean radius ratio before and after."""
     odt_plugins.register("pyvista")
     before = start()
-    after = before.odt.optimize(orient=True)
+    after = before.odt.optimize()
     if path:
         with pyvista.vtk_verbosity("error"):  # where there is no display, VTK warns of that
             picture(before, after, path)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
-
-import numpy as np
 
 from odt_plugins.adapters.files import check_output, read_file, write_file
 from odt_plugins.adapters.registry import find_adapter
-from odt_plugins.mesh.simplex import mesh_arrays, reverse
+from odt_plugins.mesh.simplex import mesh_arrays, turned_alike
 from odt_plugins.options import OptionKeywords, make_options, with_option_signature
 from odt_plugins.roundtrip import flat_points, run_engine, words_of
 
@@ -90,8 +89,8 @@ def optimize_with_report(mesh: Any, **options: Unpack[OptionKeywords]) -> tuple[
     from odt_plugins.report.report import make_report
 
     chosen = make_options(**options)
-    result, before, outcome = run_engine(mesh, chosen)
-    return result, make_report(before, outcome, chosen)
+    result, before, outcome, told = run_engine(mesh, chosen)
+    return result, make_report(before, outcome, chosen, **told)
 
 
 @with_option_signature()
@@ -126,8 +125,9 @@ def optimize_file(
 def measure(mesh: Any) -> QualitySummary:
     """Sum up the quality of a mesh of any kind that :func:`optimize` takes.
 
-    Flat and inverted cells are counted, not refused; a mesh most of whose cells have negative
-    volume counts as turned.
+    Flat and inverted cells are counted, not refused. Cells of mixed orientation are turned where
+    the mesh then fits together, and counted; otherwise a mesh most of whose cells have negative
+    volume is turned as a whole.
 
     Examples
     --------
@@ -137,12 +137,14 @@ def measure(mesh: Any) -> QualitySummary:
     >>> round(odt_plugins.measure((points, np.array([[0, 1, 2]]))).min_quality, 12)
     1.0
     """
-    from odt_plugins.quality import summarize, volumes
+    from odt_plugins.quality import summarize
 
     host = find_adapter(mesh).read(mesh)
     with words_of(host):
-        points, _ = flat_points(host)
+        points, frame = flat_points(host)
         p, t = mesh_arrays(points, host.cells)
-    if 2 * int((volumes(p, t) < 0).sum()) > len(t):
-        t = reverse(t, np.ones(len(t), dtype=np.bool_))
-    return summarize(p, t)
+    turned = 0
+    if p.shape[1] < t.shape[1]:
+        t, turned = turned_alike(p, t)
+        turned = turned if frame is None else min(turned, len(t) - turned)
+    return replace(summarize(p, t), turned=turned)

@@ -145,7 +145,8 @@ class Options:
         "below 20 degrees.",
         flag="Separated by commas; none to keep no figure."))
     orient: bool = field(default=False, metadata=_told(
-        "Whether cells of mixed orientation are turned instead of refused."))
+        "Whether triangles of a curved surface whose neighbours disagree about the outside are "
+        "turned instead of refused; all other cells of mixed orientation always are turned."))
     threads: int = field(default=1, metadata=_told(
         "Worker threads; the result does not depend on it.", least=1))
     progress: Progress | None = field(default=None, metadata=_told(

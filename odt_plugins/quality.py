@@ -52,6 +52,8 @@ class QualitySummary:
     inverted : int                                  cells of zero or negative signed volume
     uniformity : float                              std(R) / mean(R), h constant
     volume : float                                  sum of the signed volumes
+    turned : int                                    cells of mixed orientation that were turned
+                                                    before they were measured
     """
 
     dim: int
@@ -70,6 +72,7 @@ class QualitySummary:
     inverted: int
     uniformity: float
     volume: float
+    turned: int = 0
 
     @property
     def share_below_20(self) -> float:

@@ -5,6 +5,7 @@ This is the only place where adapters and engine meet.
 
 from __future__ import annotations
 
+import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -12,17 +13,27 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import CHARTS, Adapter, Feet, HostMesh, NewVertices, Result
+from odt_plugins.adapters.host import (
+    CHARTS,
+    Adapter,
+    Feet,
+    HostMesh,
+    KeptCells,
+    NewVertices,
+    Result,
+)
 from odt_plugins.adapters.kept import hold_charts, protect, protect_surface
 from odt_plugins.adapters.registry import find_adapter
-from odt_plugins.adapters.wedges import SEAM
+from odt_plugins.adapters.wedges import SEAM, charts
 from odt_plugins.carry import in_input_order, surrounding_cells
-from odt_plugins.errors import InvalidOptionError, ODTError
+from odt_plugins.errors import InvalidMeshError, InvalidOptionError, ODTError, ODTWarning
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.numbering import in_old_numbers, new_numbers, old_numbers
 from odt_plugins.mesh.plane import PlaneFrame, plane_frame
 from odt_plugins.mesh.simplex import SimplexMesh, compact_labels, mesh_arrays, reverse, simplex_mesh
+from odt_plugins.mesh.soup import at_copies, same_places
 from odt_plugins.mesh.surface import surface_mesh
 from odt_plugins.options import Options
 
@@ -38,14 +49,16 @@ class _Prepared(NamedTuple):
     frame: PlaneFrame | None
     mesh: SimplexMesh
     orientation: int
+    same: NDArray[np.int64] | None = None
+    notes: tuple[str, ...] = ()
 
 
 def run_engine(
     mesh: Any,
     options: Options,
     engine: Callable[[SimplexMesh, Options, Leaving], Outcome] | None = None,
-) -> tuple[Any, SimplexMesh, Outcome]:
-    """Adapter, engine, adapter: the caller's new mesh, the engine's input and its outcome.
+) -> tuple[Any, SimplexMesh, Outcome, dict[str, Any]]:
+    """Adapter, engine, adapter: the caller's new mesh and all that its report is made of.
 
     Parameters
     ----------
@@ -53,6 +66,12 @@ def run_engine(
     options : Options
     engine : callable    takes the place of the engine for this kind of mesh; it judges meshes as
                          they leave
+
+    Returns
+    -------
+    result : same type as `mesh`
+    before, outcome : the input of the engine, and what it handed back
+    told : dict          what its report is told besides, by the names of the fields
     """
     work = _prepare(mesh, options)
     leaving = partial(_as_it_leaves, work, options.threads)
@@ -62,7 +81,14 @@ def run_engine(
         outcome = leaving(outcome)
     points: Any = outcome.written
     source: Any = outcome.source
-    cells = outcome.cells
+    cells, places = outcome.cells, outcome.points
+    same = work.same
+    if same is not None:
+        stays = (places == work.mesh.points).all(axis=1)[same]
+        points, places = points[same], places[same]
+        points[stays], places[stays] = work.host.points[stays], work.mesh.points[stays]
+        old = work.host.cells.astype(np.int64)
+        cells = at_copies(cells, source, old, same, work.host.blocks)
     if work.orientation < 0:
         cells = reverse(cells, np.ones(len(cells), dtype=np.bool_))
     kind = work.host.cells.dtype
@@ -70,9 +96,9 @@ def run_engine(
         kind = np.promote_types(kind, np.min_scalar_type(len(outcome.points) - 1))
     result = Result(
         points, cells.astype(kind), source, work.mesh.is_surface,
-        _feet(work, outcome.points, cells), _new_vertices(work.mesh, outcome),
+        _feet(work, places, cells), _new_vertices(work.mesh, outcome), same=same,
     )
-    return work.adapter.write(result, work.host), work.mesh, outcome
+    return work.adapter.write(result, work.host), work.mesh, outcome, {"notes": work.notes}
 
 
 def _optimized(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
@@ -108,32 +134,96 @@ def _prepare(mesh: Any, options: Options) -> _Prepared:
     adapter = find_adapter(mesh)
     name = options.regions if isinstance(options.regions, str) else None
     host = adapter.read(mesh, None if name == CHARTS else name)
-    charts = name == CHARTS and host.textured
-    host = adapter.read(mesh, name) if name == CHARTS and not charts else host
+    keep_seams = name == CHARTS and host.textured
+    host = adapter.read(mesh, name) if name == CHARTS and not keep_seams else host
     with words_of(host):
         if options.insert:
             _expect_linear_tetrahedra(host)
-        points, frame = flat_points(host)
         labels = host.regions if name or options.regions is None else options.regions
-        on_surface = host.cells.shape[1] == points.shape[1]
-        host = _without_seams(host) if on_surface and not charts else host
-        if host.blocks is not None:
-            labels = compact_labels(labels, len(host.cells)).astype(np.int64)
-            labels = labels * (int(host.blocks.max()) + 1) + host.blocks
-        given: Any = {
-            "regions": labels,
-            "fixed": options.fixed,
-            "selection": options.selection,
-            "orient": options.orient,
-        }
-        if on_surface:
-            surface = protect_surface(surface_mesh(points, host.cells, **given), host.kept)
-            if charts:
-                surface = hold_charts(surface, host.blocks)
-            return _Prepared(adapter, host, None, surface, 1)
-        simplices, orientation = simplex_mesh(points, host.cells, **given)
-        simplices = protect(simplices, host.kept, host.anchors)
-        return _Prepared(adapter, host, frame, simplices, orientation)
+        work = partial(_checked, adapter, flat_points(host), labels, options)
+        found = work(host, keep_seams=keep_seams)
+        same = None if host.quadratic else same_places(host.points, host.cells.astype(np.int64))
+        return found if same is None else _of_soup(found, work, host, same, keep_seams)
+
+
+def _checked(
+    adapter: Adapter, flat: tuple[FloatArray, PlaneFrame | None], labels: Any, options: Options,
+    host: HostMesh, *, keep_seams: bool,
+) -> _Prepared:
+    """Check a mesh and fix what is to stay of it, the seams of its texture if asked to."""
+    points, frame = flat
+    on_surface = host.cells.shape[1] == points.shape[1]
+    host = _without_seams(host) if on_surface and not keep_seams else host
+    if host.blocks is not None:
+        labels = compact_labels(labels, len(host.cells)).astype(np.int64)
+        labels = labels * (int(host.blocks.max()) + 1) + host.blocks
+    given: Any = {"regions": labels, "fixed": options.fixed, "selection": options.selection}
+    if on_surface:
+        surface = surface_mesh(points, host.cells, orient=options.orient, **given)
+        surface = protect_surface(surface, host.kept)
+        if keep_seams:
+            surface = hold_charts(surface, host.blocks)
+        return _Prepared(adapter, host, None, surface, 1)
+    simplices, orientation = simplex_mesh(points, host.cells, **given)
+    if frame is not None and 2 * simplices.turned > len(simplices.cells):
+        orientation = -1
+        simplices = replace(simplices, turned=len(simplices.cells) - simplices.turned)
+    simplices = protect(simplices, host.kept, host.anchors)
+    return _Prepared(adapter, host, frame, simplices, orientation)
+
+
+def _of_soup(
+    found: _Prepared, work: Callable[..., _Prepared], host: HostMesh, same: NDArray[np.int64],
+    keep_seams: bool,
+) -> _Prepared:
+    """The curved surface of a soup, vertices at the same place as one; others as they were found.
+
+    Where vertices have texture coordinates those that have several stay.
+
+    Warns
+    -----
+    ODTWarning    hardly any vertices may move, since the cells are no such surface
+    """
+    call = "try merging vertices at the same place"
+    why = ""
+    if found.mesh.is_surface:
+        of_vertices = host.texture is not None and host.texture.ndim == 2
+        try:
+            merged = work(_glued(host, same), keep_seams=keep_seams or of_vertices)
+        except InvalidMeshError as exc:
+            why = f", and do not fit together where vertices at the same place are one ({exc})"
+        else:
+            fixed = np.zeros(len(same), dtype=np.bool_)
+            fixed[same[merged.mesh.fixed]] = True
+            used, places = len(np.unique(host.cells)), len(np.unique(merged.mesh.cells))
+            note = host.words(
+                f"{used - places} of {used} vertices were at the place of another one and merged "
+                f"with it for the work; in the result they are apart again, at the same place; "
+                f"{call} for a mesh without them")
+            return merged._replace(
+                mesh=replace(merged.mesh, fixed=fixed), same=same, notes=(note,),
+                host=replace(host, blocks=merged.host.blocks))
+    note = host.words(
+        f"hardly any vertices may move, since the cells share hardly any{why}; {call}")
+    warnings.warn(note, ODTWarning, stacklevel=5)
+    return found._replace(notes=(note,))
+
+
+def _glued(host: HostMesh, same: NDArray[np.int64]) -> HostMesh:
+    """The same soup with one vertex at every place; textures part it where they did."""
+    def first(rows: NDArray[Any]) -> NDArray[Any]:
+        known = (rows >= 0) & (rows < len(same))
+        return np.where(known, same[np.where(known, rows, 0).astype(np.int64)], rows)
+
+    cells = first(host.cells).astype(np.int64)
+    kept = [KeptCells(kind, first(rows)) for kind, rows in host.kept if kind != SEAM]
+    blocks = host.blocks
+    if host.texture is not None and cells.shape[1] == 3:
+        uv = host.texture if host.texture.ndim == 3 else host.texture[host.cells.astype(np.int64)]
+        blocks, seams = charts(uv, cells)
+        kept.append(seams)
+    anchors = None if host.anchors is None else first(host.anchors)
+    return replace(host, cells=cells, blocks=blocks, kept=tuple(kept), anchors=anchors)
 
 
 def _without_seams(host: HostMesh) -> HostMesh:

@@ -44,10 +44,11 @@ class HostMesh:
     kept : tuple of KeptCells         cells that are not optimised
     source : object                   the caller's object, never changed
     layout : object                   what else the writer of this adapter needs
-    textured : bool                   whether there are texture coordinates of points in space
     words : callable                  puts an error message into the words of this toolkit
     anchors : (k,) int or None        vertices that may move but must not be removed
     quadratic : bool                  whether there are mid-nodes on the edges of the cells
+    texture : array or None           texture coordinates: (m, 3, c) of the corners of triangles, or
+                                      (n, c) of the vertices
     """
 
     points: NDArray[Any]
@@ -57,10 +58,15 @@ class HostMesh:
     kept: tuple[KeptCells, ...] = ()
     source: Any = None
     layout: Any = None
-    textured: bool = False
     words: Callable[[str], str] = str
     anchors: NDArray[Any] | None = None
     quadratic: bool = False
+    texture: NDArray[Any] | None = None
+
+    @property
+    def textured(self) -> bool:
+        """Whether there are texture coordinates."""
+        return self.texture is not None
 
 
 class NewVertices(NamedTuple):
@@ -136,6 +142,7 @@ class Result(NamedTuple):
     vertices : NewVertices     when some were removed or added
     split : callable or None   when the mesh was refined: the parts (c q, r) of other cells (q, r),
                                r = 1, 2 or 3 vertices, those of row i from c i on
+    same : (n,) int or None    of a soup, the first vertex at the place of every vertex
     """
 
     points: NDArray[Any]
@@ -145,6 +152,7 @@ class Result(NamedTuple):
     feet: Feet | None = None
     vertices: NewVertices | None = None
     split: Callable[[NDArray[Any]], NDArray[np.int64]] | None = None
+    same: NDArray[np.int64] | None = None
 
 
 class Adapter(Protocol):

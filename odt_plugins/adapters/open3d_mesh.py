@@ -26,6 +26,8 @@ MATERIALS = {"legacy": "triangle_material_ids", "tensor": "material_ids"}
 
 
 REMEDIES = (
+    (r"merging vertices at the same place",
+     ("remove_duplicated_vertices()", "to_legacy().remove_duplicated_vertices()")),
     (r"(?<=try )orient=True", ("orient_triangles()",)),
     (r"(?<=try )removing the cells that overlap", ("remove_non_manifold_edges()",)),
     (r"(?<=try )removing repeated cells",
@@ -166,7 +168,7 @@ def _host(
         blocks, seams = charts(uv, cells)
         kept = (seams,) if len(seams.rows) else ()
     return HostMesh(points, cells, labels, blocks, kept, source=mesh, layout=uv,
-                    textured=uv is not None, words=partial(in_words, mesh=mesh))
+                    words=partial(in_words, mesh=mesh), texture=uv)
 
 
 def _in_range(cells: NDArray[Any], n: int) -> bool:

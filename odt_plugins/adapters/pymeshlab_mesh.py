@@ -88,8 +88,10 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
     edges = np.array(inner.edge_matrix())
     kept = [KeptCells("edge", edges)]
     blocks = None
+    texture = np.array(inner.vertex_tex_coord_matrix()) if inner.has_vertex_tex_coord() else None
     if inner.has_wedge_tex_coord():
-        chart, seams = charts(inner.wedge_tex_coord_matrix().reshape(-1, 3, 2), cells)
+        texture = np.array(inner.wedge_tex_coord_matrix()).reshape(-1, 3, 2)
+        chart, seams = charts(texture, cells)
         kept.append(seams)
         numbers = textures(copy)[1]
         blocks = chart if numbers is None else chart * (int(numbers.max()) + 2) + numbers + 1
@@ -100,7 +102,9 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
         blocks=blocks,
         kept=tuple(part for part in kept if len(part.rows)),
         source=mesh,
-        textured=inner.has_wedge_tex_coord() or inner.has_vertex_tex_coord(),
+        texture=texture,
+        words=lambda text: text.replace("merging vertices at the same place",
+                                        "meshing_remove_duplicate_vertices()"),
     )
 
 

@@ -94,6 +94,8 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
         check_mid_nodes(nodes, mesh.n_points)
     labels = region_array({name: np.asarray(mesh.cell_data[name])
                            for name in mesh.cell_data.keys()}, regions)
+    name = mesh.point_data.active_texture_coordinates_name
+    texture = None if name is None else np.asarray(mesh.point_data[name])
     return HostMesh(
         points=np.asarray(mesh.points),
         cells=nodes[:, : CORNERS[nodes.shape[1]]] if wide else nodes,
@@ -101,9 +103,10 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
         kept=kept,
         source=mesh,
         layout=(ids, nodes if wide else None),
-        textured=mesh.point_data.active_texture_coordinates_name is not None,
         anchors=_anchors(mesh) if grid else None,
         quadratic=wide,
+        texture=None if texture is None else texture.reshape(len(texture), -1),
+        words=lambda text: text.replace("merging vertices at the same place", "mesh.clean()"),
     )
 
 

@@ -27,7 +27,7 @@ def charts(
 
     Parameters
     ----------
-    uv : (m, 3, 2)      texture coordinates of the wedges
+    uv : (m, 3, c)      texture coordinates of the wedges
     cells : (m, 3)      triangles
 
     Returns
@@ -42,7 +42,7 @@ def charts(
     end = cells[:, [1, 2, 0]].T.ravel()
     face = np.tile(np.arange(m), 3)
     place = np.stack([uv[:, [0, 1, 2]], uv[:, [1, 2, 0]]], axis=2)
-    place = place.transpose(1, 0, 2, 3).reshape(3 * m, 2, 2)
+    place = place.transpose(1, 0, 2, 3).reshape(3 * m, 2, -1)
     turned = start > end
     place[turned] = place[turned, ::-1]
     edge = np.sort(np.stack([start, end], axis=1), axis=1)
@@ -74,6 +74,8 @@ def carried(
                        that lies nearest to the source triangle in the texture. On a surface
                        along which vertices moved, see :func:`_on_surface`
     """
+    if result.same is not None:
+        cells, result = result.same[cells], result._replace(cells=result.same[result.cells])
     if result.feet is not None:
         return _on_surface(uv, cells, result.cells, result.feet)
     return _of_sources(uv, cells, result)
@@ -100,7 +102,7 @@ def _on_surface(
     wanted = new.astype(np.int64) * count + own[:, None]
     at = np.minimum(np.searchsorted(key[order], wanted), len(key) - 1)
     wedge = order[at]
-    row = np.full(int(cells.max()) + 1, -1)
+    row = np.full(int(max(cells.max(), feet.vertex.max())) + 1, -1)
     row[feet.vertex] = np.arange(len(feet.vertex))
     place = row[new]
 

@@ -70,7 +70,7 @@ def judge(hard: HardMesh, threads: int = 1) -> dict[str, Any]:
     dict    name, figures before and after, the broken sentences of the promise (none when it
             holds), whether the input came back, what the report says, seconds
     """
-    mesh = simplex_mesh(hard.points, hard.cells, regions=hard.regions, orient=True)[0]
+    mesh = simplex_mesh(hard.points, hard.cells, regions=hard.regions)[0]
     clock = time.perf_counter()
     (points, cells, regions), report = optimize_with_report(
         (mesh.points, mesh.cells, mesh.regions), threads=threads

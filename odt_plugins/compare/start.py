@@ -91,7 +91,7 @@ def make_start(
         else:
             p = frame.to_plane(p)
     if kind != "surface":
-        t = simplex_mesh(p, t, orient=True)[0].cells
+        t = simplex_mesh(p, t)[0].cells
         negative = volumes(p, t) < 0
         t = reverse(t, negative) if negative.any() else t
     used, inverse = np.unique(t, return_inverse=True)

@@ -63,6 +63,7 @@ class PiecesReport(NamedTuple):
     pieces : int                files of the result
     interface : int             vertices of the interfaces of the input: what the driver holds
     fallback : str or None      why the result of an earlier round is returned, when it is
+    turned : int                cells of mixed orientation that were turned
     """
 
     before: Figures
@@ -70,6 +71,7 @@ class PiecesReport(NamedTuple):
     pieces: int
     interface: int
     fallback: str | None
+    turned: int = 0
 
     def __str__(self) -> str:
         """A few lines: the figures before and after."""
@@ -79,6 +81,8 @@ class PiecesReport(NamedTuple):
             lines.append(f"{name:20}{a:10.4f}{b:10.4f}")
         lines.append(f"{'cells':20}{self.before.cells:10d}{self.after.cells:10d}")
         lines.append(f"{self.pieces} pieces; {self.interface} vertices on interfaces of the input")
+        if self.turned:
+            lines.append(f"{counted(self.turned, 'cell')} turned to positive volume")
         return "\n".join(lines + ([f"fell back: {self.fallback}"] if self.fallback else []))
 
 
@@ -176,7 +180,7 @@ def _run(
         return told(apply, report, name, count)
 
     read = stage("reading", len(sources))
-    found = read(partial(take_in, regions=named, orient=options.orient), [
+    found = read(partial(take_in, regions=named), [
         (path, str(folder / f"0-{k}.npz")) for k, path in enumerate(sources)])
     taken: list[Taken] = [part for part in found if part is not None]
     _check_taken(taken, ghosts=ghosts)
@@ -208,10 +212,13 @@ def _run(
         after = total(states[-1])
     paths = [path for path, _ in states[-1]]
     given = numbers if len(states) == 1 else [None] * len(paths)
+    orientation = max(part.orientation for part in taken)
+    turned = sum(part.turned if part.orientation == orientation else part.figures.cells
+                 for part in taken)
     _publish(list(zip(paths, given, strict=True)), index, folder, partial(
-        publish, regions=name, orientation=taken[0].orientation), stage("writing", len(paths)))
+        publish, regions=name, orientation=orientation), stage("writing", len(paths)))
     fallback = f"a later round was given up ({'; '.join(broken)})" if broken else None
-    return PiecesReport(before, after, len(paths), interface, fallback)
+    return PiecesReport(before, after, len(paths), interface, fallback, turned)
 
 
 def _state(parts: Sequence[Taken | Done]) -> list[tuple[str, Figures]]:

@@ -51,6 +51,7 @@ class Taken(NamedTuple):
     sizes : (k,) float64     the size field there
     mean : float             mean of that field
     orientation : int        -1 when all cells came with negative volume
+    turned : int             cells of mixed orientation that were turned
     regions : str or None    name of the cell array of labels
     kinds : dict             what a value of every array is, its shape and type, in each of TABLES
     ghosts : bool            whether it told which of its cells belong to others
@@ -65,6 +66,7 @@ class Taken(NamedTuple):
     sizes: FloatArray
     mean: float
     orientation: int
+    turned: int
     regions: str | None
     kinds: dict[str, dict[str, tuple[tuple[int, ...], str]]]
     ghosts: bool
@@ -115,7 +117,7 @@ class Cut(NamedTuple):
     parts: list[tuple[int, str]]
 
 
-def take_in(item: tuple[str, str], regions: str | None, *, orient: bool) -> Taken | None:
+def take_in(item: tuple[str, str], regions: str | None) -> Taken | None:
     """Read a piece of the input, measure it and keep it as arrays; None when it is empty.
 
     Raises
@@ -123,7 +125,7 @@ def take_in(item: tuple[str, str], regions: str | None, *, orient: bool) -> Take
     InvalidMeshError         two of its vertices have the same number
     """
     source, path = item
-    found = read_piece(source, regions, orient=orient)
+    found = read_piece(source, regions)
     if found is None:
         return None
     piece = found.piece
@@ -137,7 +139,7 @@ def take_in(item: tuple[str, str], regions: str | None, *, orient: bool) -> Take
     save(path, replace(piece, sizes=sizes))
     return Taken(path, measure_part(piece.points, piece.cells, path), n, rim,
                  piece.ids[rim] if found.numbered else None, piece.points[rim], sizes[rim], scale,
-                 found.orientation, found.regions,
+                 found.orientation, found.turned, found.regions,
                  {table: {name: (values.shape[1:], values.dtype.str)
                           for name, values in getattr(piece, table).items()} for table in TABLES},
                  found.ghosts)

@@ -171,6 +171,7 @@ class Found(NamedTuple):
     numbered : bool            whether it came with numbers
     ghosts : bool              whether it told which cells belong to others; they are left out
     orientation : int          -1 when its cells came with negative volume
+    turned : int               cells of mixed orientation that were turned
     regions : str or None      name of the cell array of labels
     """
 
@@ -178,17 +179,17 @@ class Found(NamedTuple):
     numbered: bool
     ghosts: bool
     orientation: int
+    turned: int
     regions: str | None
 
 
-def read_piece(path: str, regions: str | None, *, orient: bool = False) -> Found | None:
+def read_piece(path: str, regions: str | None) -> Found | None:
     """Read a piece.
 
     Parameters
     ----------
     path : str
     regions : str or None      cell array of labels; a known one of integers unless given
-    orient : bool              turn cells of mixed orientation
 
     Returns
     -------
@@ -214,7 +215,7 @@ def read_piece(path: str, regions: str | None, *, orient: bool = False) -> Found
         msg = f"{path} holds other cells than linear tetrahedra; expected these alone in pieces"
         raise UnsupportedMeshError(msg)
     labels = np.zeros(len(host.cells), np.int64) if host.regions is None else host.regions
-    mesh, orientation = simplex_mesh(host.points, host.cells, orient=orient)
+    mesh, orientation = simplex_mesh(host.points, host.cells)
     n = len(mesh.points)
     ids = np.asarray(source.point_data.get(IDS, 0.0))
     numbered = ids.shape == (n,) and ids.dtype.kind in "iu"
@@ -230,7 +231,7 @@ def read_piece(path: str, regions: str | None, *, orient: bool = False) -> Found
         piece = piece.part(np.flatnonzero(ghosts.astype(np.int64) & DUPLICATE == 0))
     if not len(piece.cells):
         return None
-    return Found(piece, numbered, ghosts is not None, orientation, regions)
+    return Found(piece, numbered, ghosts is not None, orientation, mesh.turned, regions)
 
 
 def write_piece(path: Path, piece: Piece, regions: str, orientation: int) -> None:

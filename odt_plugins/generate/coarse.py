@@ -59,7 +59,7 @@ def coarse_mesh(mesh: Any, surface: Any, edge_length: float, options: Options) -
     points, cells = mesh_arrays(host.points, host.cells)
     if cells.shape[1] == 4:
         read_linear(mesh)
-        simplex, _ = simplex_mesh(points, cells, orient=options.orient)
+        simplex, _ = simplex_mesh(points, cells)
         if surface is None:
             target = make_target(simplex.points, boundary_facets(simplex.cells), angle)
         else:

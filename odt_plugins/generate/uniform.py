@@ -68,8 +68,10 @@ def uniform_refine(mesh: MeshT) -> MeshT:
     p, t = mesh_arrays(host.points, host.cells)
     n = len(p)
     check_size(len(t), t.shape[1] - 1, 1)
-    check = surface_mesh if p.shape[1] == t.shape[1] else simplex_mesh
-    check(p, t, orient=True)
+    if p.shape[1] == t.shape[1]:
+        surface_mesh(p, t, orient=True)
+    else:
+        simplex_mesh(p, t)
     refined = red_refinement(p, t)
     points = refined.points.astype(host.points.dtype)
     added = len(refined.edges)

@@ -6,8 +6,9 @@ indices in range, positive volumes, every facet with one or two cells, one on ea
 their edges, and `plane_frame` finds the plane of triangles that lie in one. `freeze` adds cells
 that must stay, `vertex_mask` reads masks and lists of indices, `compact_labels` numbers region
 labels. Where vertices were added and removed, `old_numbers` and `new_numbers` go from one
-numbering to the other. `CellGeometry` holds edges, normals and determinants in numpy, for the
-figures that leave the package.
+numbering to the other. `same_places` finds the vertices that a soup has several times, and
+`at_copies` gives the corners of new cells one of them. `CellGeometry` holds edges, normals and
+determinants in numpy, for the figures that leave the package.
 
 Source: d-simplices in R^d as in Section 2 of Chen and Holst.
 

@@ -42,6 +42,8 @@ class SimplexMesh:
     lines : (l, 2) int32                     edges that count as feature edges
     anchored : (n,) bool                     vertices that may move but must not be removed, since
                                              something refers to them; none by default
+    turned : int                             cells of mixed orientation that were turned on the way
+                                             in
     """
 
     points: FloatArray
@@ -52,6 +54,7 @@ class SimplexMesh:
     stays: IntArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int32))
     lines: IntArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int32))
     anchored: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    turned: int = 0
 
     def __post_init__(self) -> None:
         if self.anchored.size != len(self.points):
@@ -82,9 +85,10 @@ def simplex_mesh(
     regions: ArrayLike | None = None,
     fixed: ArrayLike | None = None,
     selection: ArrayLike | None = None,
-    orient: bool = False,
 ) -> tuple[SimplexMesh, int]:
     """Check a mesh and bring it into the form the engine works on; the input is not changed.
+
+    Cells of mixed orientation are turned where the mesh then fits together.
 
     Parameters
     ----------
@@ -95,7 +99,6 @@ def simplex_mesh(
                                           in increasing order
     fixed : (n,) bool or (k,) int         vertices that must not move
     selection : (m,) bool or (k,) int     only these cells may change; the others are frozen
-    orient : bool                         turn the cells of a mesh of mixed orientation
 
     Returns
     -------
@@ -104,7 +107,7 @@ def simplex_mesh(
 
     Raises
     ------
-    InvalidMeshError                      wrong shapes, types, indices, coordinates; flat, mixed,
+    InvalidMeshError                      wrong shapes, types, indices, coordinates; flat,
                                           repeated or overlapping cells; more than two cells
                                           on a facet. Unused vertices are allowed and so are
                                           boundary edges shared by several boundary facets
@@ -115,28 +118,39 @@ def simplex_mesh(
         msg = f"got triangles with points of dimension {p.shape[1]}; expected points (n, 2)"
         raise InvalidMeshError(msg)
     _check_vertices(t)
-    sign = _signs(p, t)
+    sign, size = _signs(p, t)
+    _check_sizes(sign, size, p.shape[1])
     orientation = -1 if (sign < 0).all() else 1
-    if orientation == 1 and (sign < 0).any() and not orient:
-        n_negative = int((sign < 0).sum())
-        odd = np.flatnonzero(sign < 0 if 2 * n_negative <= len(t) else sign > 0)
-        name = "area" if p.shape[1] == 2 else "volume"
-        msg = (
-            f"got {_where(odd, 'cell')} of {len(t)} turned against the others (negative against "
-            f"positive {name}); expected one orientation, try orient=True"
-        )
-        raise InvalidMeshError(msg)
     mesh = SimplexMesh(
         points=p,
         cells=reverse(t, sign < 0),
         regions=compact_labels(regions, len(t)),
         fixed=vertex_mask(fixed, len(p), "fixed", "vertices"),
+        turned=int((sign < 0).sum()) if orientation == 1 else 0,
     )
     if len(mesh.uneven.crowded):
-        _refuse_overlaps(mesh.cells, len(p))
+        _refuse_overlaps(mesh, sign)
     if selection is not None:
         mesh = freeze(mesh, ~vertex_mask(selection, len(t), "selection", "cells"))
     return mesh, orientation
+
+
+def turned_alike(points: FloatArray, cells: IntArray) -> tuple[IntArray, int]:
+    """Turn cells of mixed orientation as :func:`simplex_mesh` does; nothing is refused.
+
+    Returns
+    -------
+    cells : (m, d + 1) int32    of positive volume but for flat ones, where those fit together;
+                                otherwise as they were, all turned where most volumes are negative
+    turned : int                how many were turned against the others
+    """
+    sign, _ = _signs(points, cells)
+    negative = sign < 0
+    if negative.any() and (sign > 0).any():
+        alike = reverse(cells, negative)
+        if not len(uneven_facets(alike[sign != 0], len(points)).crowded):
+            return alike, int(negative.sum())
+    return reverse(cells, np.full(len(cells), 2 * negative.sum() > len(cells))), 0
 
 
 def mesh_arrays(points: ArrayLike, cells: ArrayLike) -> tuple[FloatArray, IntArray]:
@@ -307,8 +321,8 @@ def _check_span(p: FloatArray, t: IntArray) -> None:
         raise InvalidMeshError(msg)
 
 
-def _signs(p: FloatArray, t: IntArray) -> NDArray[np.int8]:
-    """Sign of every signed volume, (m,) int8; raises when one of them is zero."""
+def _signs(p: FloatArray, t: IntArray) -> tuple[NDArray[np.int8], FloatArray]:
+    """Sign of every signed volume, (m,) int8, 0 where it is flat, and the extents of the cells."""
     sign = np.zeros(len(t), dtype=np.int8)
     size = np.empty(len(t))
     axes = np.ascontiguousarray(p.T)
@@ -319,26 +333,34 @@ def _signs(p: FloatArray, t: IntArray) -> NDArray[np.int8]:
         sign[part] = np.sign(det) * (
             np.abs(det) > FLAT * math.prod([size[part]] * p.shape[1])
         )
+    return sign, size
+
+
+def _check_sizes(sign: NDArray[np.int8], size: FloatArray, d: int) -> None:
+    """Refuse flat cells, and cells that are too small beside the largest."""
     small = np.flatnonzero((size > 0.0) & (size < size.max() / SPAN_LIMIT))
     if small.size:
         msg = (
-            f"got {_where(small, 'cell')} of {len(t)} smaller than {1 / SPAN_LIMIT:.0e} of the "
+            f"got {_where(small, 'cell')} of {len(sign)} smaller than {1 / SPAN_LIMIT:.0e} of the "
             f"largest; expected sizes closer together, try removing such cells"
         )
         raise InvalidMeshError(msg)
     bad = np.flatnonzero(sign == 0)
     if bad.size:
-        name = "area" if p.shape[1] == 2 else "volume"
+        name = "area" if d == 2 else "volume"
         msg = (
-            f"got {_where(bad, 'cell')} of {len(t)} with zero {name} relative to their size; "
+            f"got {_where(bad, 'cell')} of {len(sign)} with zero {name} relative to their size; "
             f"expected every {name} different from zero, try removing such cells"
         )
         raise InvalidMeshError(msg)
-    return sign
 
 
-def _refuse_overlaps(t: IntArray, n: int) -> None:
-    """Say where two cells are on the same side of a facet; three on one always hold such a pair."""
+def _refuse_overlaps(mesh: SimplexMesh, sign: NDArray[np.int8]) -> None:
+    """Say where two cells are on the same side of a facet; three on one always hold such a pair.
+
+    ``sign`` (m,) are the signs of the volumes with which the cells came.
+    """
+    t, n = mesh.cells, len(mesh.points)
     key, side = directed_facets(t, n)
     ordered = np.sort(t, axis=1)
     _, first, inverse = np.unique(row_keys(ordered, n), return_index=True, return_inverse=True)
@@ -365,9 +387,15 @@ def _refuse_overlaps(t: IntArray, n: int) -> None:
         raise InvalidMeshError(msg)
     _, inverse, count = np.unique(key * 2 + side, return_inverse=True, return_counts=True)
     bad = np.flatnonzero((count[inverse] > 1).reshape(key.shape).any(axis=1))
+    turned = ""
+    if mesh.turned:
+        odd = np.flatnonzero(sign == (-1 if 2 * mesh.turned <= len(t) else 1))
+        name = "area" if t.shape[1] == 3 else "volume"
+        turned = (f", also after turning {_where(odd, 'cell')} of {len(t)} like the others "
+                  f"(negative against positive {name})")
     msg = (
-        f"got {_where(bad, 'cell')} overlapping a neighbour: both lie on the same side of a common "
-        f"{noun}; expected one on each side, try removing or untangling those cells"
+        f"got {_where(bad, 'cell')} overlapping a neighbour{turned}: both lie on the same side of "
+        f"a common {noun}; expected one on each side, try removing or untangling those cells"
     )
     raise InvalidMeshError(msg)
 

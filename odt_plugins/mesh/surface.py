@@ -106,6 +106,7 @@ def surface_mesh(
     n = len(p)
     _check_corners(p, t)
     edges = surface_edges(t, n)
+    count = 0
     turned = _disagreeing(edges)
     if turned.size:
         if not orient:
@@ -116,12 +117,14 @@ def surface_mesh(
                 f"orient=True"
             )
             raise InvalidMeshError(msg)
-        t = reverse(t, _to_turn(t, edges))
+        against = _to_turn(t, edges)
+        t, count = reverse(t, against), int(against.sum())
     mesh = SimplexMesh(
         points=p,
         cells=t,
         regions=compact_labels(regions, len(t)),
         fixed=vertex_mask(fixed, n, "fixed", "vertices"),
+        turned=count,
     )
     if selection is not None:
         mesh = freeze(mesh, ~vertex_mask(selection, len(t), "selection", "cells"))

@@ -6,7 +6,7 @@ import dataclasses
 import json
 import platform
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from os import PathLike
 from typing import TYPE_CHECKING, Any
@@ -39,11 +39,13 @@ ROWS = (
     ("below_10", "cells below 10 deg", "d"),
     ("below_20", "cells below 20 deg", "d"),
     ("inverted", "cells not positive", "d"),
+    ("turned", "cells turned", "d"),
     ("uniformity", "uniformity", ".4f"),
     ("n_points", "vertices", "d"),
     ("n_cells", "cells", "d"),
 )
-"""Rows of every table: name in QualitySummary, heading, format."""
+"""Rows of every table: name in QualitySummary, heading, format. That of `turned` is left out where
+no cell was."""
 
 
 LARGE = 1e5
@@ -77,6 +79,8 @@ class Report:
                                             input's from it, and the numbers of
                                             "feature_edges", "corners", vertices "on_lines" that
                                             slide along features, and "held" ones
+    notes : tuple of str                    what was done to the mesh on its way in, and what may be
+                                            done about it
     """
 
     dim: int
@@ -96,6 +100,7 @@ class Report:
     versions: Mapping[str, str]
     slid: Mapping[str, float] | None = None
     surface: Mapping[str, float] | None = None
+    notes: tuple[str, ...] = ()
 
     @property
     def movable_share(self) -> float:
@@ -113,6 +118,7 @@ class Report:
         lines = [*table_lines({"before": self.before, "after": self.after}), ""]
         lines.append(f"{self.n_movable} of {self.n_used} vertices may move "
                      f"({100 * self.movable_share:.0f} %)")
+        lines += [f"note   {note}" for note in self.notes]
         if self.surface:
             lines += _surface_lines(self.surface)
         if self.energy:
@@ -165,7 +171,9 @@ class Report:
         plot_report(self, path)
 
 
-def make_report(before: SimplexMesh, outcome: Outcome, options: Options) -> Report:
+def make_report(
+    before: SimplexMesh, outcome: Outcome, options: Options, **told: Any
+) -> Report:
     """Measure a run from outside.
 
     Parameters
@@ -173,6 +181,7 @@ def make_report(before: SimplexMesh, outcome: Outcome, options: Options) -> Repo
     before : SimplexMesh    what the engine was given
     outcome : Outcome       what it handed back
     options : Options       what it was asked for
+    **told                  fields of the report that only the adapters know
 
     Returns
     -------
@@ -198,7 +207,7 @@ def make_report(before: SimplexMesh, outcome: Outcome, options: Options) -> Repo
         counts["vertices removed"] = n + int(added.sum()) - len(added)
     return Report(
         dim=before.dim,
-        before=summarize(before.points, before.cells, old),
+        before=replace(summarize(before.points, before.cells, old), turned=before.turned),
         after=summarize(outcome.points, outcome.cells, new),
         histogram_before=histogram(old.quality),
         histogram_after=histogram(new.quality),
@@ -214,6 +223,7 @@ def make_report(before: SimplexMesh, outcome: Outcome, options: Options) -> Repo
         versions=_versions(),
         slid=None if outcome.slid is None else outcome.slid._asdict(),
         surface=_surface_facts(before, outcome, used),
+        **told,
     )
 
 
@@ -261,7 +271,9 @@ def table_lines(columns: Mapping[str, QualitySummary]) -> list[str]:
     angle = "dihedral" if all(s.dim == 3 for s in columns.values()) else "angle"
     rows = [("", list(columns))]
     for name, heading, form in ROWS:
-        values = (getattr(summary, name) for summary in columns.values())
+        values = [getattr(summary, name) for summary in columns.values()]
+        if name == "turned" and not any(values):
+            continue
         rows.append((heading.format(angle=angle), [_figure(value, form) for value in values]))
     width = max(10, *(len(cell) + 2 for _, cells in rows for cell in cells))
     return [f"{head:<20}{''.join(f'{cell:>{width}}' for cell in cells)}" for head, cells in rows]

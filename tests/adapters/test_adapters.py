@@ -358,7 +358,7 @@ def test_what_pyvista_can_make_cells_of_is_said():
         with pytest.raises(odt_plugins.UnsupportedMeshError) as caught:
             odt_plugins.optimize(mesh)
         assert str(caught.value).endswith(call)
-        odt_plugins.optimize(eval(call), orient=True)
+        odt_plugins.optimize(eval(call))
 
 
 @pytest.mark.parametrize("regions", [None, "marker", "array"])

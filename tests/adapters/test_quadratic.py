@@ -49,6 +49,22 @@ def _engine(request, monkeypatch):
         monkeypatch.setattr(driver, "run", contract.churn)
 
 
+TURNED = {2: [0, 2, 1, 5, 4, 3], 3: [0, 1, 3, 2, 4, 8, 7, 6, 5, 9]}
+"""Nodes of a cell whose last two corners are exchanged."""
+
+
+@pytest.mark.parametrize("host", MAKERS)
+def test_mid_nodes_stay_on_the_edges_of_cells_that_are_turned(host, d):
+    pytest.importorskip(host)
+    points, rows, labels = quadratic_grid(d)
+    mixed = rows.copy()
+    mixed[::3] = rows[::3][:, TURNED[d]]
+    results = [view(odt_plugins.optimize(MAKERS[host](points, cells, labels, {}, d)), d)
+               for cells in (rows, mixed)]
+    for plain, turned in zip(*results, strict=True):
+        np.testing.assert_equal(turned, plain)
+
+
 @pytest.mark.usefixtures("_engine")
 @pytest.mark.parametrize("host", MAKERS)
 def test_mid_nodes_follow_their_edges(host, d):

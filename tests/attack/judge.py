@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
+from dataclasses import replace
 from itertools import combinations
 from typing import NamedTuple
 
@@ -64,6 +65,8 @@ def broken(before: Mesh, after: Mesh, options: Options, *, curved: bool = False)
     faults = _malformed(before, after, options)
     if faults:
         return faults
+    if curved and _is_soup(before) and not _soup(before, after, options):
+        return []
     held = _held(before, options, curved=curved)
     if options.insert and not curved:
         names = _names(before.points, after.points)
@@ -87,6 +90,35 @@ def broken(before: Mesh, after: Mesh, options: Options, *, curved: bool = False)
     if slides:
         faults += _slid(before, after, options)
     return faults
+
+
+def places(points: np.ndarray) -> np.ndarray:
+    """First vertex with the coordinates of every vertex, (n,)."""
+    known: dict[tuple[float, ...], int] = {}
+    return np.array([known.setdefault(tuple(x), i) for i, x in enumerate(points.tolist())])
+
+
+def _is_soup(mesh: Mesh) -> bool:
+    """Most edges are of one triangle; of most of them that is no longer so at equal places."""
+    torn, whole = (surface_meshes.edge_set(cells) for cells in (
+        mesh.cells, places(mesh.points)[mesh.cells]))
+    single, left = (sum(count == 1 for count in found.values()) for found in (torn, whole))
+    return 2 * single > len(torn) and 2 * (single - left) > single
+
+
+def _soup(before: Mesh, after: Mesh, options: Options) -> list[str]:
+    """Vertices of a soup are together where they were, and as one they keep what is promised."""
+    place = places(before.points)
+    n = len(place)
+    apart = np.flatnonzero((after.points != after.points[place]).any(axis=1))
+    if len(apart):
+        return [f"vertex {apart[0]} is not where vertex {place[apart[0]]} is, as it was"]
+    first, number = np.unique(place, return_inverse=True)
+    if options.fixed is not None:
+        fixed = np.bincount(number, _mask(options.fixed, n)) > 0
+        options = replace(options, fixed=fixed)
+    whole = [m._replace(points=m.points[first], cells=number[m.cells]) for m in (before, after)]
+    return broken(whole[0], whole[1], options, curved=True)
 
 
 def _malformed(before: Mesh, after: Mesh, options: Options) -> list[str]:

@@ -211,6 +211,20 @@ def test_quality_prints_a_column_for_every_file(
     assert solid["min_quality"] == pytest.approx(3 / (3 + 3**0.5) / (3**0.5 / 2))
 
 
+def test_turned_cells_are_counted_in_what_is_printed(
+    place: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    flipped = np.vstack([FAN[:3], FAN[3:, ::-1]])
+    meshio.Mesh(SQUARE, [("triangle", flipped)]).write("flipped.vtu")
+    assert cli.main(["optimize", "flipped.vtu", "out.vtu", "--report", "report.json"]) == 0
+    assert re.search(r"(?m)^cells turned +1 +0$", capsys.readouterr().out)
+    assert json.loads(Path("report.json").read_text())["before"]["turned"] == 1
+    assert cli.main(["quality", "flipped.vtu", "out.vtu"]) == 0
+    assert re.search(r"(?m)^cells turned +1 +0$", capsys.readouterr().out)
+    assert cli.main(["quality", "out.vtu"]) == 0
+    assert "turned" not in capsys.readouterr().out
+
+
 def test_quality_goes_on_after_a_file_that_it_cannot_read(
     place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -226,10 +240,9 @@ def broken_files(place: Path) -> None:
     Path("cut.vtu").write_bytes(whole[: len(whole) // 2])
     Path("text.vtu").write_text("no mesh at all\n")
     Path("folder.vtu").mkdir()
-    flipped = FAN.copy()
-    flipped[2] = flipped[2][::-1]
     inner = np.column_stack([SQUARE, np.zeros(5)])
-    meshio.Mesh(inner, [("triangle", flipped)]).write("mixed.vtu")
+    bent = np.vstack([inner, [[0.5, 0.5, 1.0]]])
+    meshio.Mesh(bent, [("triangle", [[0, 1, 5], [1, 2, 5], [5, 3, 2]])]).write("mixed.vtu")
     meshio.Mesh(inner, [("triangle", np.vstack([FAN, [[0, 1, 1]]]))]).write("twice.vtu")
     meshio.Mesh(inner, [("triangle", np.vstack([FAN, FAN[:1]]))]).write("double.vtu")
     nan = inner.copy()

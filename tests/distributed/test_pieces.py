@@ -488,15 +488,25 @@ def test_cell_arrays_come_through_as_they_do_in_one_piece(tmp_path, recwarn):
     assert sorted(array.get("Name") for array in declared) == ["marker", "place", "row"]
 
 
-def test_cells_of_mixed_orientation_are_turned_when_asked(tmp_path):
+def test_cells_of_mixed_orientation_are_turned(tmp_path):
     start = ball(150)
     cells = start.cells.copy()
     cells[::5] = cells[::5, [1, 0, 2, 3]]
     index = write_pieces(tmp_path / "in", start.points, cells,
                          bricks(start.points, start.cells, 2))
-    with pytest.raises(InvalidMeshError, match="orient=True"):
-        optimize_pieces(index, tmp_path / "out.pvtu")
-    optimize_pieces(index, tmp_path / "out.pvtu", orient=True)
+    report = optimize_pieces(index, tmp_path / "out.pvtu")
+    assert f"{len(cells[::5])} cells turned to positive volume" in str(report)
+    points, result, _, _ = glued(tmp_path / "out.pvtu", len(start.points))
+    assert tet_meshes.signed_volumes(points, result).min() > 0.0
+
+
+@pytest.mark.parametrize("turned", [0, 1])
+def test_a_piece_that_is_turned_as_a_whole_counts(turned, tmp_path):
+    start = ball(150)
+    label = bricks(start.points, start.cells, 2)
+    cells = np.where((label == turned)[:, None], start.cells[:, [1, 0, 2, 3]], start.cells)
+    index = write_pieces(tmp_path / "in", start.points, cells, label)
+    assert optimize_pieces(index, tmp_path / "out.pvtu").turned == (label == turned).sum()
     points, result, _, _ = glued(tmp_path / "out.pvtu", len(start.points))
     assert tet_meshes.signed_volumes(points, result).min() > 0.0
 

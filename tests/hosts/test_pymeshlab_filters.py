@@ -228,12 +228,12 @@ def test_lengths_are_percentages_or_pure_values_as_in_meshlab():
 
 
 def test_meshes_that_a_filter_cannot_take_are_named_in_the_words_of_meshlab():
-    crossed = pymeshlab.Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]]),
+    crossed = pymeshlab.Mesh(np.array([[0.0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 1]]),
                              np.array([[0, 1, 2], [0, 3, 2]]))
     double = pymeshlab.Mesh(np.eye(3), np.array([[0, 1, 2], [0, 1, 2]]))
     for mesh, words in ((None, "^[a-z_]+ requires at least one mesh loaded in the MeshSet.$"),
                         (pymeshlab.Mesh(np.eye(3)), "does not have any faces"),
-                        (crossed, r"1 face .*meshing_re_orient_faces_coherently"),
+                        (crossed, r"1 edge .*meshing_re_orient_faces_coherently"),
                         (double, "meshing_remove_duplicate_faces")):
         meshes = pymeshlab.MeshSet()
         if callable(mesh):

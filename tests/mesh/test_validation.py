@@ -2,11 +2,14 @@
 
 from __future__ import annotations
 
+import math
+import re
 from dataclasses import replace
 
 import contract
 import numpy as np
 import pytest
+from scipy.spatial import Delaunay
 
 import odt_plugins
 from odt_plugins.adapters.host import KeptCells
@@ -47,6 +50,14 @@ def _flat_cell(points, cells):
     corner = points[cells[0, :d]]
     points = np.vstack([points, corner.mean(axis=0)])
     return points, np.vstack([cells, [*cells[0, :d], len(points) - 1]])
+
+
+def _tangled(d, turn=np.asarray):
+    """Cells around a vertex that was pulled out of a simplex: the first is inverted."""
+    corners = np.vstack([np.zeros((1, d)), np.eye(d)])
+    rows = np.tile(np.arange(d + 1), (d + 1, 1))
+    np.fill_diagonal(rows, d + 1)
+    return np.vstack([corners, np.full((1, d), 1.1 / d)]), turn(rows)
 
 
 def _third(points, cells):
@@ -92,10 +103,11 @@ BAD_ARRAYS = {
     "vertex twice": (lambda p, t: (p, np.vstack([t, t[0, [0, 0, *range(1, t.shape[1] - 1)]]])),
                      r"got 1 cell \(first: cell [46]\) with a vertex used twice"),
     "flat cell": (_flat_cell, r"got 1 cell \(first: cell [46]\) of [57] with zero (area|volume)"),
-    "mixed": (lambda p, t: (p, np.vstack([contract.negative(t[:1]), t[1:]])),
-              r"got 1 cell \(first: cell 0\) of [46] turned .* try orient=True"),
-    "mixed, most negative": (lambda p, t: (p, np.vstack([contract.negative(t[:-1]), t[-1:]])),
-                             r"got 1 cell \(first: cell [35]\) of [46] turned"),
+    "tangled": (lambda p, _: _tangled(p.shape[1]),
+                r"overlapping a neighbour, also after turning 1 cell \(first: cell 0\) of [34] "
+                r"like the others \(negative against positive (area|volume)\): both lie on the"),
+    "tangled, most negative": (lambda p, _: _tangled(p.shape[1], contract.negative),
+                               r"also after turning 1 cell \(first: cell 0\) of [34] like"),
     "repeated cell": (lambda p, t: (p, np.vstack([t, np.roll(t[1:2], 1 if t.shape[1] == 3 else 2,
                                                              axis=1)])),
                       r"got 1 cell \(first: cell [46]\) with the same vertices.*\(cell 1\)"),
@@ -117,7 +129,7 @@ def test_bad_mesh_is_refused_in_one_sentence(case, d):
     assert (points.tobytes(), cells.tobytes()) == before
 
 
-@pytest.mark.parametrize("case", ["nan", "index too large", "no cells", "mixed"])
+@pytest.mark.parametrize("case", ["nan", "index too large", "no cells", "tangled"])
 @pytest.mark.parametrize("kind", ["meshio", "pyvista"])
 def test_bad_mesh_in_an_object_is_refused_as_well(case, kind, d):
     change, message = BAD_ARRAYS[case]
@@ -263,15 +275,66 @@ def test_meshes_with_nothing_to_optimise_are_refused_by_name():
         odt_plugins.optimize(meshio.Mesh(corners, []))
 
 
-def test_orient_turns_mixed_cells(d):
-    points, cells = MESHES[d]()
-    mixed = np.vstack([contract.negative(cells[:2]), cells[2:]])
-    mesh, orientation = simplex_mesh(points, mixed, orient=True)
+@pytest.mark.parametrize("most", [False, True])
+def test_cells_of_mixed_orientation_are_turned(d, most):
+    points, cells, _ = contract.grid(d, 4)
+    some = np.random.default_rng(3).random(len(cells)) < 0.8 if most else cells[:, 0] % 3 == 0
+    mixed = np.where(some[:, None], contract.negative(cells), cells)
+    mesh, orientation = simplex_mesh(points, mixed)
     assert orientation == 1
+    assert mesh.turned == some.sum()
     assert (contract.volumes(mesh.points, mesh.cells) > 0).all()
+    assert np.array_equal(mesh.cells[~some], mixed[~some])
     assert np.array_equal(np.sort(mesh.cells, axis=1), np.sort(mixed, axis=1))
-    out = odt_plugins.optimize((points, mixed), orient=True)
+    out, report = odt_plugins.optimize_with_report((points, mixed))
     assert (contract.volumes(*out) > 0).all()
+    alike, plain = odt_plugins.optimize_with_report((points, mesh.cells))
+    assert np.array_equal(out[0], alike[0])
+    assert np.array_equal(out[1], alike[1])
+    assert (report.before.turned, report.after.turned) == (some.sum(), 0)
+    assert re.search(rf"(?m)^cells turned +{some.sum()} +0$", str(report))
+    assert "cells turned" not in str(plain)
+    assert odt_plugins.measure((points, mixed)) == report.before
+    assert replace(report.before, turned=0) == plain.before
+
+
+def test_delaunay_cells_of_scipy_are_taken_as_they_are(d):
+    points = np.random.default_rng(6).random((60, d))
+    cells = Delaunay(points).simplices
+    volumes = contract.volumes(points, cells) / math.factorial(d)
+    figures = odt_plugins.measure((points, cells))
+    assert (figures.inverted, figures.turned) == (0, (volumes < 0).sum())
+    assert np.isclose(figures.volume, np.abs(volumes).sum())
+    assert (contract.volumes(*odt_plugins.optimize((points, cells))) > 0).all()
+
+
+@pytest.mark.parametrize("place", [0.0, 0.3])
+@pytest.mark.parametrize("share", [0.2, 0.8])
+def test_triangles_in_a_plane_in_space_keep_the_side_of_most(place, share):
+    flat, cells, _ = contract.grid(2, 4)
+    points = np.column_stack([flat, place * flat[:, 0]])
+    some = np.random.default_rng(4).random(len(cells)) < share
+    mixed = np.where(some[:, None], contract.negative(cells), cells)
+    (_, out), report = odt_plugins.optimize_with_report((points, mixed))
+    side = contract.volumes(flat, out)
+    assert (side < 0).all() if share > 0.5 else (side > 0).all()
+    against = min(some.sum(), (~some).sum())
+    assert report.before.turned == odt_plugins.measure((points, mixed)).turned == against
+
+
+def test_figures_of_a_tangled_mesh_count_its_inverted_cells(d):
+    for turn in (np.asarray, contract.negative):
+        figures = odt_plugins.measure(_tangled(d, turn))
+        assert (figures.inverted, figures.turned) == (1, 0)
+
+
+def test_flat_cells_do_not_keep_a_mesh_from_being_measured_as_turned(d):
+    points, cells = _flat_cell(*MESHES[d]())
+    rows = np.vstack([contract.negative(cells[:2]), cells[2:]])
+    figures = odt_plugins.measure((points, rows))
+    assert (figures.turned, figures.min_quality < 1e-12) == (2, True)
+    with pytest.raises(InvalidMeshError, match=r"1 cell .* with zero (area|volume)"):
+        odt_plugins.optimize((points, rows))
 
 
 def test_uniformly_negative_cells_are_valid(d):
@@ -281,10 +344,10 @@ def test_uniformly_negative_cells_are_valid(d):
     assert (contract.volumes(mesh.points, mesh.cells) > 0).all()
 
 
-def test_orient_does_not_hide_overlapping_cells(d):
+def test_turning_does_not_hide_overlapping_cells(d):
     points, cells = _folded(*MESHES[d]())
     with pytest.raises(InvalidMeshError, match="overlapping"):
-        simplex_mesh(points, np.vstack([contract.negative(cells[:1]), cells[1:]]), orient=True)
+        simplex_mesh(points, np.vstack([contract.negative(cells[:1]), cells[1:]]))
 
 
 def test_unused_vertices_are_kept(d):
@@ -313,7 +376,7 @@ def test_many_crowded_facets_are_counted():
     points[5] *= 1.5
     cells = np.array([[3, 0, 1, 2], [0, 1, 2, 4], [0, 1, 2, 5], [0, 1, 4, 3], [0, 1, 4, 6]])
     with pytest.raises(InvalidMeshError, match="2 faces belong to more than two cells"):
-        simplex_mesh(points, cells, orient=True)
+        simplex_mesh(points, cells)
 
 
 @pytest.mark.parametrize("density", [np.ones(5) + 1j, np.array(["1.0"] * 5),

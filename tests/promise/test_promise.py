@@ -31,7 +31,7 @@ def grid_mesh(d: int, seed: int = 809) -> SimplexMesh:
     size = np.abs(np.linalg.det(corners[:, 1:] - corners[:, :1]))
     cells = cells[size > 1e-4 * np.median(size)]
     regions = (x[cells].mean(axis=1)[:, 0] > 0.5).astype(np.int32)
-    return simplex_mesh(x, cells, regions=regions, orient=True)[0]
+    return simplex_mesh(x, cells, regions=regions)[0]
 
 
 @pytest.fixture(params=[2, 3])

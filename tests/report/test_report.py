@@ -23,7 +23,7 @@ def fan(height: float = 0.4) -> SimplexMesh:
     """Four tetrahedra around one inner vertex."""
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [0.2, 0.2, height * 0.5]])
     cells = np.array([[0, 1, 2, 4], [0, 1, 3, 4], [0, 2, 3, 4], [1, 2, 3, 4]])
-    return simplex_mesh(points, cells, orient=True)[0]
+    return simplex_mesh(points, cells)[0]
 
 
 def outcome(mesh: SimplexMesh, **changes: object) -> Outcome:
@@ -158,7 +158,7 @@ def test_binding_by_a_boundary_triangle() -> None:
     grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, 41)] * 3), axis=-1).reshape(-1, 3)
     tets = np.column_stack([np.tile([0, 1, 2], (len(grid), 1)), np.arange(3, 3 + len(grid))])
     best = grid[np.abs(radius_ratio(np.vstack([base, grid]), tets)).argmax()]
-    mesh = simplex_mesh(np.vstack([base, best]), [[0, 1, 2, 3]], orient=True)[0]
+    mesh = simplex_mesh(np.vstack([base, best]), [[0, 1, 2, 3]])[0]
     mask = np.array([False, False, False, True])
     cells = mesh.cells
     facets = [f for f in ([0, 1, 2],)]
@@ -170,7 +170,7 @@ def test_binding_by_a_boundary_triangle() -> None:
 
 def test_binding_by_a_sharp_corner_of_the_surface() -> None:
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 1, 0.05], [0.5, 1, -0.05]])
-    mesh = simplex_mesh(points, [[0, 1, 2, 3]], orient=True)[0]
+    mesh = simplex_mesh(points, [[0, 1, 2, 3]])[0]
     only = bind(mesh, [])[0]
     assert only.reason.startswith("two fixed facets meet at")
     assert set(only.binds) == {"quality", "min_angle", "max_angle"}

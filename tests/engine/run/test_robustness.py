@@ -44,7 +44,7 @@ def test_hard_meshes(name):
 def tetwild(name):
     stored = meshio.read(DATA / f"{name}.vtu")
     cells = stored.cells_dict["tetra"]
-    return simplex_mesh(np.array(stored.points, dtype=float), cells, orient=True)[0]
+    return simplex_mesh(np.array(stored.points, dtype=float), cells)[0]
 
 
 TETWILD = ["bone05", "tetwild_bunny", "tetwild_csg", "tetwild_cube", "tetwild_airplane"]

@@ -490,7 +490,7 @@ def test_a_surface_is_left_alone_only_where_it_would_cut_through_itself():
 
 
 def test_a_surface_is_left_alone_where_cells_would_pass_the_extremes(monkeypatch):
-    mesh = simplex_mesh(*ball(500, 5), orient=True)[0]
+    mesh = simplex_mesh(*ball(500, 5))[0]
     rim = np.unique(boundary(mesh.cells))
     once = driver._run
     free, nowhere = once(mesh, Options(boundary="slide"), driver.as_it_is)
@@ -519,7 +519,7 @@ def test_a_surface_that_may_slide_is_no_worse_than_a_fixed_one(monkeypatch, poor
     for hard in hard_meshes(100):
         if hard.points.shape[1] == 2:
             continue
-        mesh = simplex_mesh(hard.points, hard.cells, regions=hard.regions, orient=True)[0]
+        mesh = simplex_mesh(hard.points, hard.cells, regions=hard.regions)[0]
         slid, fixed = (run(mesh, Options(boundary=name)) for name in ("slide", "fixed"))
         least, one, mean = spread(slid) - spread(fixed)
         assert mean + 0.5 * one + 0.25 * least >= -1e-12, hard.name
@@ -545,14 +545,14 @@ def test_a_surface_that_slides_is_alone_where_cells_are_many_and_good(monkeypatc
 
     monkeypatch.setattr(driver, "_run", counted)
     set_policy(monkeypatch, driver, few_cells=0)
-    mesh = simplex_mesh(*ball(500, 5), orient=True)[0]
+    mesh = simplex_mesh(*ball(500, 5))[0]
     assert run(mesh, Options(boundary="slide")).slid is not None
     assert run(mesh, Options(boundary="slide", finish=False, keep=())).slid is not None
     assert asked == ["slide", "slide"]
 
 
 def test_a_refused_state_tells_the_cells_beyond_the_extremes():
-    mesh = simplex_mesh(*ball(300, 2), orient=True)[0]
+    mesh = simplex_mesh(*ball(300, 2))[0]
     keep = Options().keep
     before = replace(figures(mesh.points, mesh.cells), mean_quality=0.0, p1_quality=0.0)
     rim = np.unique(boundary(mesh.cells))
