@@ -147,7 +147,6 @@ def _surface_tools() -> list[Contestant]:
                           {"filter": name, "iterations": steps}, "open3d")
 
     ten = {"stepsmoothnum": 10, "boundary": False, "cotangentweight": False}
-    laplacian = ("apply_coord_laplacian_smoothing", ten)
     inner: tuple[Any, ...] = (
         ("compute_selection_from_mesh_border", {}), ("apply_selection_inverse", {}),
         ("apply_coord_laplacian_smoothing", {**ten, "selected": True}),
@@ -158,9 +157,8 @@ def _surface_tools() -> list[Contestant]:
     fixed_size: dict[str, Any] = {**same_size, "splitflag": False, "collapseflag": False}
     return [
         lab("flips", (*FLAT, *CURVED), FLIPS),
-        lab("Laplacian", CURVED, laplacian),
-        lab("Laplacian", FLAT, free, inner[-1], remark="10 passes, the boundary not selected",
-            regions=True),
+        lab("Laplacian", (*FLAT, *CURVED), free, inner[-1],
+            remark="10 passes; a boundary in the plane and interfaces not selected", regions=True),
         lab("flips and Laplacian", FLAT, FLIPS, *inner, FLIPS, *inner[2:], FLIPS),
         lab("Taubin", CURVED, ("apply_coord_taubin_smoothing", {})),
         lab("HC Laplacian", CURVED, ("apply_coord_hc_laplacian_smoothing", {})),

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.compare.start import StartMesh
 from odt_plugins.errors import MissingDependencyError
-from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.promise.locked_facets import locked_facets
 
 ROUNDING = 1e-12
@@ -70,6 +70,18 @@ def patches(mesh: StartMesh) -> Patches:
     inside = np.concatenate([found.labels[rim], labels[::2]])
     outside = np.concatenate([np.full(rim.sum(), -1), labels[1::2]])
     return Patches(facets.astype(np.int32), inside.astype(np.int32), outside.astype(np.int32))
+
+
+def held_vertices(mesh: StartMesh) -> BoolArray:
+    """Mark (n,) the vertices on boundary and interfaces; of a surface, on interfaces only."""
+    held = np.zeros(len(mesh.points), dtype=np.bool_)
+    if mesh.kind != "surface":
+        held[patches(mesh).facets] = True
+        return held
+    labels, lowest = labels_of(mesh), np.full(len(mesh.points), np.iinfo(np.int32).max)
+    np.minimum.at(lowest, mesh.cells, labels[:, None])
+    held[mesh.cells[lowest[mesh.cells] < labels[:, None]]] = True
+    return held
 
 
 def hull_facets(mesh: StartMesh) -> NDArray[Any]:

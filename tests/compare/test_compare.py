@@ -21,7 +21,12 @@ from odt_plugins.cli.main import main
 from odt_plugins.compare import contestants as table
 from odt_plugins.compare.baselines import netgen_optimize
 from odt_plugins.compare.contestants import CONTESTANTS, OURS, Contestant, choose
-from odt_plugins.compare.hull import BoundaryChange, compare_boundaries, hull_facets
+from odt_plugins.compare.hull import (
+    BoundaryChange,
+    compare_boundaries,
+    held_vertices,
+    hull_facets,
+)
 from odt_plugins.compare.manuscript import to_markdown
 from odt_plugins.compare.output import FILES, to_csv, to_json
 from odt_plugins.compare.poisson import conjugate_gradients, solve_poisson
@@ -32,6 +37,7 @@ from odt_plugins.compare.start import (
     STORED,
     ball,
     make_start,
+    pebble,
     plate,
     read_start,
     refine,
@@ -543,6 +549,22 @@ def test_who_can_respects_the_regions_of_a_mesh(name, kind):
     assert not row.measured.regions_ignored
     assert row.measured.boundary.verdict in ("identical", "same place")
     assert abs(row.measured.volume_change) < 1e-12
+
+
+def test_meshlabs_laplacian_holds_the_regions_of_a_surface():
+    start = with_regions(pebble(200))
+    held = held_vertices(start)
+    corners = np.repeat(np.arange(len(start.cells)), 3)
+    for vertex in range(len(start.points)):
+        around = start.regions[corners[start.cells.ravel() == vertex]]
+        assert held[vertex] == (len(set(around.tolist())) > 1)
+    run = run_contestant(start, contestant("MeshLab Laplacian"), ONCE)
+    points, cells, regions = run.meshes[0]
+    assert np.array_equal(points[held], start.points[held])
+    assert (points[~held] != start.points[~held]).any(axis=1).all()
+    assert np.array_equal(cells, start.cells)
+    assert np.array_equal(regions, start.regions)
+    assert not held_vertices(pebble(200)).any()
 
 
 def test_who_cannot_respect_regions_says_so():

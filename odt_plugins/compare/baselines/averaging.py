@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.compare.baselines.task import Settings, Task
-from odt_plugins.compare.hull import patches
+from odt_plugins.compare.hull import held_vertices
 from odt_plugins.compare.start import StartMesh
 from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.quality import EDGES, radius_ratio
@@ -30,10 +30,7 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
     graph = abs(graph + graph.T).tocsr()
     graph.data[:] = 1.0
     mean: Any = sparse.diags(1.0 / graph.sum(axis=1).A1) @ graph
-    free = np.ones(n, dtype=np.bool_)
-    free[patches(start).facets] = False
-    if start.kind == "surface":
-        free[:] = True
+    free = ~held_vertices(start)
     sets = _independent_sets(graph, free) if settings["smart"] else [np.flatnonzero(free)]
 
     def call() -> FloatArray:

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.compare.baselines.task import Settings, Task, in_space
-from odt_plugins.compare.hull import shell
+from odt_plugins.compare.hull import held_vertices
 from odt_plugins.compare.start import StartMesh
 
 
@@ -22,8 +21,7 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
     import pymeshlab
 
     meshes = pymeshlab.MeshSet()
-    free = np.ones(len(start.points))
-    free[shell(start)] = 0.0
+    free = 1.0 - held_vertices(start)
     meshes.add_mesh(pymeshlab.Mesh(in_space(start.points), start.cells, v_scalar_array=free))
     filters = []
     for name, parameters in settings["filters"]:
