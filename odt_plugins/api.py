@@ -90,8 +90,8 @@ def optimize_with_report(mesh: Any, **options: Unpack[OptionKeywords]) -> tuple[
     from odt_plugins.report.report import make_report
 
     chosen = make_options(**options)
-    result, before, outcome = run_engine(mesh, chosen)
-    return result, make_report(before, outcome, chosen)
+    result, before, outcome, told = run_engine(mesh, chosen)
+    return result, make_report(before, outcome, chosen, **told)
 
 
 @with_option_signature()

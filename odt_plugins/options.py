@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import difflib
 import inspect
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields
 from numbers import Integral, Real
 from textwrap import wrap
@@ -134,11 +134,12 @@ class Options:
         python="(m,) bool mask or cell indices.",
         flag="A file of indices (text or .npy), or the name of a cell array, non-zero where "
         "selected."))
-    regions: Any = field(default=None, metadata=_told(
-        "Labels of the cells; interfaces between labels stay.",
-        python="(m,) integers, or the name of a cell array; charts keeps the seams of the texture "
-        "of a curved surface.",
-        flag="Name of a cell array; charts keeps the seams of the texture of a curved surface."))
+    regions: Any = field(default="auto", metadata=_told(
+        "Labels of the cells; interfaces between labels stay. auto takes the cell arrays of "
+        "integers whose names tell it, or which part the mesh into few connected pieces; the "
+        "report says which. charts keeps the seams of the texture of a curved surface.",
+        python="Also (m,) integers, the names of cell arrays, whose labels are combined, or None.",
+        flag="Also names of cell arrays, between commas, whose labels are combined, or none."))
     keep: tuple[str, ...] = field(default=FIGURES, metadata=_told(
         "Figures that must not get worse.",
         flag="Separated by commas; none to keep no figure."))
@@ -269,7 +270,7 @@ class OptionKeywords(TypedDict, total=False):
     feature_angle: float
     fixed: ArrayLike | None
     selection: ArrayLike | None
-    regions: str | ArrayLike | None
+    regions: str | Sequence[str] | ArrayLike | None
     keep: tuple[str, ...]
     orient: bool
     threads: int

@@ -12,9 +12,11 @@ from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import CHARTS, Adapter, Feet, HostMesh, NewVertices, Result
+from odt_plugins.adapters.host import Adapter, Feet, HostMesh, NewVertices, Result
 from odt_plugins.adapters.kept import hold_charts, protect, protect_surface
+from odt_plugins.adapters.regions import AUTO, CHARTS, are_names
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.adapters.wedges import SEAM
 from odt_plugins.carry import in_input_order, surrounding_cells
@@ -44,8 +46,8 @@ def run_engine(
     mesh: Any,
     options: Options,
     engine: Callable[[SimplexMesh, Options, Leaving], Outcome] | None = None,
-) -> tuple[Any, SimplexMesh, Outcome]:
-    """Adapter, engine, adapter: the caller's new mesh, the engine's input and its outcome.
+) -> tuple[Any, SimplexMesh, Outcome, dict[str, Any]]:
+    """Adapter, engine, adapter: the caller's new mesh and all that its report is made of.
 
     Parameters
     ----------
@@ -53,6 +55,12 @@ def run_engine(
     options : Options
     engine : callable    takes the place of the engine for this kind of mesh; it judges meshes as
                          they leave
+
+    Returns
+    -------
+    result : same type as `mesh`
+    before, outcome : the input of the engine, and what it handed back
+    told : dict          what its report is told besides, by the names of the fields
     """
     work = _prepare(mesh, options)
     leaving = partial(_as_it_leaves, work, options.threads)
@@ -63,6 +71,7 @@ def run_engine(
     points: Any = outcome.written
     source: Any = outcome.source
     cells = outcome.cells
+    told = {"regions_from": work.host.regions_from, "cell_origin": _cell_origin(work.host, source)}
     if work.orientation < 0:
         cells = reverse(cells, np.ones(len(cells), dtype=np.bool_))
     kind = work.host.cells.dtype
@@ -72,7 +81,15 @@ def run_engine(
         points, cells.astype(kind), source, work.mesh.is_surface,
         _feet(work, outcome.points, cells), _new_vertices(work.mesh, outcome),
     )
-    return work.adapter.write(result, work.host), work.mesh, outcome
+    return work.adapter.write(result, work.host), work.mesh, outcome, told
+
+
+def _cell_origin(host: HostMesh, source: IntArray) -> NDArray[np.int64]:
+    """Cell of the caller's object of which every cell of the result takes the data."""
+    if host.ids is None:
+        return source.astype(np.int64)
+    others = np.setdiff1d(np.arange(host.total), host.ids)
+    return np.sort(np.concatenate([host.ids[source], others]))
 
 
 def _optimized(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
@@ -106,15 +123,17 @@ def _feet(work: _Prepared, points: FloatArray, cells: IntArray) -> Feet | None:
 
 def _prepare(mesh: Any, options: Options) -> _Prepared:
     adapter = find_adapter(mesh)
-    name = options.regions if isinstance(options.regions, str) else None
-    host = adapter.read(mesh, None if name == CHARTS else name)
-    charts = name == CHARTS and host.textured
-    host = adapter.read(mesh, name) if name == CHARTS and not charts else host
+    names = options.regions if are_names(options.regions) else None
+    host = adapter.read(mesh, AUTO if names == CHARTS else names)
+    charts = names == CHARTS and host.textured
+    host = adapter.read(mesh, CHARTS) if names == CHARTS and not charts else host
+    if not are_names(options.regions):
+        host = replace(host, regions=np.asarray(options.regions))
     with words_of(host):
         if options.insert:
             _expect_linear_tetrahedra(host)
         points, frame = flat_points(host)
-        labels = host.regions if name or options.regions is None else options.regions
+        labels = host.regions
         on_surface = host.cells.shape[1] == points.shape[1]
         host = _without_seams(host) if on_surface and not charts else host
         if host.blocks is not None:

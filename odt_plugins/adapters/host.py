@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-
-from odt_plugins.errors import InvalidOptionError
-
-REGION_ARRAYS = ("marker", "gmsh:physical", "gmsh:geometrical", "medit:ref", "cell_tags",
-                 "nastran:ref", "netgen:index", "tetgen:ref", "ugrid:ref", "avsucd:material")
-"""Integer cell arrays taken as regions by default, in this order: the names that
-pytetwild.tetrahedralize_csg and the formats of meshio give to the material of a cell."""
 
 
 class KeptCells(NamedTuple):
@@ -40,6 +33,7 @@ class HostMesh:
     points : (n, D) array             in the caller's dtype
     cells : (m, k) array              triangles or tetrahedra in the caller's dtype and order
     regions : (m,) int or None        labels found in the object
+    regions_from : tuple of str       names of the arrays or sets that they come from
     blocks : (m,) int or None         groups of cells that must not mix, such as meshio's blocks
     kept : tuple of KeptCells         cells that are not optimised
     source : object                   the caller's object, never changed
@@ -48,11 +42,15 @@ class HostMesh:
     words : callable                  puts an error message into the words of this toolkit
     anchors : (k,) int or None        vertices that may move but must not be removed
     quadratic : bool                  whether there are mid-nodes on the edges of the cells
+    ids : (m,) int or None            place of every cell among all cells of the object, ascending,
+                                      where there may be others; they stay in that order
+    total : int                       number of all cells of the object, with `ids`
     """
 
     points: NDArray[Any]
     cells: NDArray[Any]
     regions: NDArray[Any] | None = None
+    regions_from: tuple[str, ...] = ()
     blocks: NDArray[Any] | None = None
     kept: tuple[KeptCells, ...] = ()
     source: Any = None
@@ -61,6 +59,8 @@ class HostMesh:
     words: Callable[[str], str] = str
     anchors: NDArray[Any] | None = None
     quadratic: bool = False
+    ids: NDArray[Any] | None = None
+    total: int = 0
 
 
 class NewVertices(NamedTuple):
@@ -96,10 +96,6 @@ class NewVertices(NamedTuple):
             nearest = self.weights.argmax(axis=1)
             out[added] = at_corners[np.arange(len(nearest)), nearest]
         return out
-
-
-CHARTS = "charts"
-"""What to pass as `regions` to keep the seams of the texture of a curved surface."""
 
 
 class Feet(NamedTuple):
@@ -154,8 +150,8 @@ class Adapter(Protocol):
         """Say whether this adapter reads the object, without importing its toolkit."""
         ...
 
-    def read(self, mesh: Any, regions: str | None = None) -> HostMesh:
-        """Take the arrays out; `regions` names the cell array of region labels."""
+    def read(self, mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
+        """Take the arrays out; `regions` is what `region_labels` takes: names, "auto" or None."""
         ...
 
     def write(self, result: Result, host: HostMesh) -> Any:
@@ -169,30 +165,3 @@ def is_instance(mesh: object, module: str, name: str) -> bool:
         base.__name__ == name and base.__module__.partition(".")[0] == module
         for base in type(mesh).__mro__
     )
-
-
-def region_array(arrays: Mapping[str, NDArray[Any]], name: str | None) -> NDArray[Any] | None:
-    """Choose the cell array of region labels: by name, or the first known one of integers.
-
-    Of the known ones those with a single value are passed over: they part nothing.
-
-    Raises
-    ------
-    InvalidOptionError     there is no array of that name
-    """
-    if name is not None:
-        if name not in arrays:
-            known = f"one of {sorted(arrays)} or " if arrays else ""
-            msg = (
-                f"regions={name!r} names no cell array{'' if arrays else ', the mesh has none'}; "
-                f"expected {known}an array of integer labels, one per cell"
-            )
-            raise InvalidOptionError(msg)
-        return arrays[name]
-    for known in REGION_ARRAYS:
-        values = arrays.get(known)
-        if values is None or values.ndim != 1 or values.dtype.kind not in "iu":
-            continue
-        if (values != values[:1]).any():
-            return values
-    return None

@@ -9,6 +9,7 @@ polyhedra are refused by name.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
@@ -20,7 +21,6 @@ from odt_plugins.adapters.host import (
     NewVertices,
     Result,
     is_instance,
-    region_array,
 )
 from odt_plugins.adapters.quadratic import (
     CORNERS,
@@ -31,6 +31,7 @@ from odt_plugins.adapters.quadratic import (
     warn_of_folds,
     with_mid_nodes,
 )
+from odt_plugins.adapters.regions import AUTO, Labels, region_labels
 from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError, counted
 
 FACES = {"line": 2, "triangle": 3, "line3": 2, "triangle6": 3}
@@ -57,15 +58,15 @@ def matches(mesh: object) -> bool:
     return is_instance(mesh, "meshio", "Mesh")
 
 
-def read(mesh: Any, regions: str | None = None) -> HostMesh:
+def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     """Take the tetrahedra, or the triangles if there are none, out of all blocks.
 
     Parameters
     ----------
     mesh : meshio.Mesh
-    regions : str or None      name of the cell data of region labels, or of a cell set; None
-                               takes "marker", "gmsh:physical" or another known name if it is
-                               there, else the cell sets if every cell is in exactly one
+    regions : names, "auto" or None
+                               of cell data of region labels, or of cell sets; "auto" finds cell
+                               data, else takes the cell sets if every cell is in exactly one
 
     Raises
     ------
@@ -91,14 +92,11 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
         msg = f"got a mesh with cells of {', '.join(sorted(found))}; expected tetra or triangle"
         raise UnsupportedMeshError(msg)
     chosen = [i for i, block in enumerate(mesh.cells) if block.type == kind]
-    size = [len(mesh.cells[i].data) for i in chosen]
+    sizes = [len(block.data) for block in mesh.cells]
+    size = [sizes[i] for i in chosen]
     arrays = {name: _joined(name, values, mesh, chosen)
               for name, values in mesh.cell_data.items()}
     sets = _memberships(mesh, chosen, size)
-    labels = region_array(sets | arrays if regions is not None else arrays, regions)
-    if labels is None and sets:
-        inside = np.stack(list(sets.values()))
-        labels = np.argmax(inside, axis=0) if (inside.sum(axis=0) == 1).all() else None
     kept = tuple(
         _kept(block.type, np.asarray(block.data))
         for i, block in enumerate(mesh.cells)
@@ -108,16 +106,24 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
     if kind in QUADRATIC:
         check_mid_nodes(nodes, len(mesh.points))
         nodes = nodes[:, : CORNERS[nodes.shape[1]]]
+    labels = region_labels(arrays if regions == AUTO else sets | arrays, regions, nodes)
+    if regions == AUTO and labels.values is None and sets:
+        inside = np.stack(list(sets.values()))
+        if (inside.sum(axis=0) == 1).all():
+            labels = Labels(np.argmax(inside, axis=0), tuple(sets))
     return HostMesh(
         points=np.asarray(mesh.points),
         cells=nodes,
-        regions=labels,
+        regions=labels.values,
+        regions_from=labels.names,
         blocks=np.repeat(np.arange(len(chosen)), size) if len(chosen) > 1 else None,
         kept=kept,
         source=mesh,
         layout=dict(zip(chosen, np.cumsum([0, *size[:-1]]).tolist(), strict=True)),
         anchors=_anchors(mesh),
         quadratic=kind in QUADRATIC,
+        ids=np.flatnonzero(np.repeat([block.type == kind for block in mesh.cells], sizes)),
+        total=sum(sizes),
     )
 
 

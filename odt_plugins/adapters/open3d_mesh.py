@@ -11,19 +11,17 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance, region_array
+from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
+from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.wedges import carried, charts
 from odt_plugins.errors import InvalidMeshError, ODTWarning, UnsupportedMeshError
-
-MATERIALS = {"legacy": "triangle_material_ids", "tensor": "material_ids"}
-"""Names of the material of every triangle."""
-
 
 REMEDIES = (
     (r"(?<=try )orient=True", ("orient_triangles()",)),
@@ -50,15 +48,15 @@ def is_tensor(mesh: object) -> bool:
     return any(".t.geometry" in base.__module__ for base in type(mesh).__mro__)
 
 
-def read(mesh: Any, regions: str | None = None) -> HostMesh:
+def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     """Take the arrays out of an open3d mesh.
 
     Parameters
     ----------
     mesh : open3d.geometry.TriangleMesh, open3d.geometry.TetraMesh or
         open3d.t.geometry.TriangleMesh
-    regions : str or None      name of the triangle attribute of region labels; None takes
-                               "marker" or another known name, else the material ids
+    regions : names, "auto" or None
+                               of triangle attributes of region labels, such as the material ids
 
     Raises
     ------
@@ -71,7 +69,7 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
         return HostMesh(
             points=np.array(mesh.vertices),
             cells=np.array(mesh.tetras),
-            regions=region_array({}, regions),
+            regions=region_labels({}, regions, np.array(mesh.tetras)).values,
             source=mesh,
             words=partial(in_words, mesh=mesh),
         )
@@ -111,19 +109,19 @@ def in_words(text: str, mesh: Any) -> str:
     return re.sub(r"\bcell(s?)\b", rf"{noun}\1", text)
 
 
-def _read_legacy(mesh: Any, regions: str | None) -> HostMesh:
+def _read_legacy(mesh: Any, regions: str | Sequence[str] | None) -> HostMesh:
     n, m = len(mesh.vertices), len(mesh.triangles)
     _require(m, n, "TriangleMesh", "triangles")
     cells = np.array(mesh.triangles)
     uv = _wedges(mesh.triangle_uvs, m, "triangle_uvs") if mesh.has_triangle_uvs() else None
     arrays = {}
     if mesh.has_triangle_material_ids():
-        name = MATERIALS["legacy"]
+        name = "triangle_material_ids"
         arrays[name] = _per_triangle(np.array(mesh.triangle_material_ids), m, name)
     return _host(mesh, np.array(mesh.vertices), cells, uv, arrays, regions)
 
 
-def _read_tensor(mesh: Any, regions: str | None) -> HostMesh:
+def _read_tensor(mesh: Any, regions: str | Sequence[str] | None) -> HostMesh:
     if "positions" not in mesh.vertex or "indices" not in mesh.triangle:
         n = len(mesh.vertex["positions"]) if "positions" in mesh.vertex else 0
         _require(0, n, "t.geometry.TriangleMesh", "triangles")
@@ -153,19 +151,16 @@ def _host(
     cells: NDArray[Any],
     uv: NDArray[Any] | None,
     arrays: dict[str, NDArray[Any]],
-    regions: str | None,
+    regions: str | Sequence[str] | None,
 ) -> HostMesh:
     """Put together what both classes of triangle meshes have."""
-    labels = region_array(arrays, regions)
-    if labels is None:
-        labels = next((arrays[name] for name in MATERIALS.values() if name in arrays), None)
-        labels = None if labels is None else labels.reshape(-1)
+    labels = region_labels(arrays, regions, cells)
     blocks: NDArray[np.int64] | None = None
     kept: tuple[KeptCells, ...] = ()
     if uv is not None and _in_range(cells, len(points)):
         blocks, seams = charts(uv, cells)
         kept = (seams,) if len(seams.rows) else ()
-    return HostMesh(points, cells, labels, blocks, kept, source=mesh, layout=uv,
+    return HostMesh(points, cells, *labels, blocks, kept, source=mesh, layout=uv,
                     textured=uv is not None, words=partial(in_words, mesh=mesh))
 
 

@@ -10,14 +10,14 @@ quadratic cells, quadratic beside linear ones, polyhedra and triangle strips are
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance, region_array
+from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
 from odt_plugins.adapters.normals import renewed
 from odt_plugins.adapters.quadratic import (
     CORNERS,
@@ -26,6 +26,7 @@ from odt_plugins.adapters.quadratic import (
     warn_of_folds,
     with_mid_nodes,
 )
+from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.wedges import slid
 from odt_plugins.errors import UnsupportedMeshError, counted
 
@@ -73,14 +74,15 @@ def matches(mesh: object) -> bool:
     )
 
 
-def read(mesh: Any, regions: str | None = None) -> HostMesh:
+def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     """Take the arrays out of a grid or of PolyData.
 
     Parameters
     ----------
     mesh : pyvista.UnstructuredGrid or pyvista.PolyData
-    regions : str or None      name of the cell array of region labels; None takes "marker" or
-                               another known name if it is there
+    regions : names, "auto" or None
+                               of cell arrays of region labels, see
+                               :func:`odt_plugins.adapters.regions.region_labels`
 
     Raises
     ------
@@ -92,15 +94,19 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
     wide = nodes.shape[1] > 4
     if wide:
         check_mid_nodes(nodes, mesh.n_points)
-    labels = region_array({name: np.asarray(mesh.cell_data[name])
-                           for name in mesh.cell_data.keys()}, regions)
+    corners = nodes[:, : CORNERS[nodes.shape[1]]] if wide else nodes
+    labels = region_labels({name: np.atleast_1d(mesh.cell_data[name])[ids]
+                            for name in mesh.cell_data.keys()}, regions, corners)
     return HostMesh(
         points=np.asarray(mesh.points),
-        cells=nodes[:, : CORNERS[nodes.shape[1]]] if wide else nodes,
-        regions=None if labels is None else labels[ids],
+        cells=corners,
+        regions=labels.values,
+        regions_from=labels.names,
         kept=kept,
         source=mesh,
         layout=(ids, nodes if wide else None),
+        ids=ids,
+        total=mesh.n_cells,
         textured=mesh.point_data.active_texture_coordinates_name is not None,
         anchors=_anchors(mesh) if grid else None,
         quadratic=wide,

@@ -108,14 +108,15 @@ def optimize_partitioned_with_report(
     from odt_plugins.report.report import make_report
 
     chosen = make_options(odt, **options)
-    result, before, outcome = _partitioned(mesh, blocks, block_rounds, client, workers, chosen)
-    return result, make_report(before, outcome, chosen)
+    result, before, outcome, told = _partitioned(
+        mesh, blocks, block_rounds, client, workers, chosen)
+    return result, make_report(before, outcome, chosen, **told)
 
 
 def _partitioned(
     mesh: Any, blocks: int, rounds: int, client: Any, workers: int, options: Options
-) -> tuple[Any, SimplexMesh, Outcome]:
-    """The result, the mesh that the engine was given, and what it handed back."""
+) -> tuple[Any, SimplexMesh, Outcome, dict[str, Any]]:
+    """What :func:`run_engine` returns."""
     check(blocks, rounds, workers, options, several=client is not None or workers > 0)
 
     def engine(simplices: SimplexMesh, chosen: Options, leaving: Leaving) -> Outcome:

@@ -8,13 +8,14 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from numbers import Integral, Real
 from typing import Any, Unpack
 
 import numpy as np
 
 from odt_plugins.adapters.host import HostMesh, Result
+from odt_plugins.adapters.regions import are_names
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.api import optimize_with_report
 from odt_plugins.engine.cells.geometry import boundary_facets, interface_vertices
@@ -110,16 +111,18 @@ def refine_and_optimize(
     """
     chosen = make_options(**options)
     _check(levels, edge_length, options)
-    named = chosen.regions
     start = coarse_mesh(mesh, surface, edge_length, chosen)
     slides = options.get("boundary", "slide" if start.meshed or surface is not None else "fixed")
     reference = start.target.reference
     envelope = chosen.envelope * diagonal(reference.points[np.unique(reference.triangles)])
     plain: Any = {name: value for name, value in options.items() if name not in CARRIED}
-    plain |= {"envelope": chosen.envelope, "feature_angle": chosen.feature_angle, "regions": named}
+    plain |= {"envelope": chosen.envelope, "feature_angle": chosen.feature_angle}
 
     current = start.mesh
-    host = find_adapter(current).read(current, named)
+    host = find_adapter(current).read(current, chosen.regions)
+    # What is found at the start is held at every level.
+    named = host.regions_from or (None if host.regions is None else chosen.regions)
+    plain["regions"] = named
     n, m = len(host.points), len(host.cells)
     check_size(m, 3, levels)
     fixed = vertex_mask(chosen.fixed, n, "fixed", "vertices")
@@ -182,8 +185,7 @@ def _check(levels: Any, edge_length: Any, options: Mapping[str, Any]) -> None:
     if not (good and 0 < edge_length < 1):
         msg = f"got edge_length={edge_length!r}; expected a part of the diagonal, between 0 and 1"
         raise InvalidOptionError(msg)
-    regions = options.get("regions")
-    if not (regions is None or isinstance(regions, str)):
+    if not are_names(options.get("regions")):
         msg = (
             "got regions as an array; expected the name of a cell array, try (points, cells, "
             "regions) as the mesh"
@@ -219,8 +221,8 @@ def _among(cells: Any, rows: Any, n: int) -> BoolArray:
 
 
 def _projected(
-    mesh: Any, named: str | None, fixed: BoolArray, frozen: BoolArray, target: Target,
-    envelope: float, *, last: bool,
+    mesh: Any, named: str | Sequence[str] | None, fixed: BoolArray, frozen: BoolArray,
+    target: Target, envelope: float, *, last: bool,
 ) -> tuple[Any, int, int]:
     """The caller's mesh with its boundary on the surface, and how many vertices got there."""
     adapter = find_adapter(mesh)

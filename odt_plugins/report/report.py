@@ -77,6 +77,11 @@ class Report:
                                             input's from it, and the numbers of
                                             "feature_edges", "corners", vertices "on_lines" that
                                             slide along features, and "held" ones
+    regions_from : tuple of str             names of the cell arrays taken as labels of regions;
+                                            empty when there were none, or an array was given
+    cell_origin : (m',) int64 or None       cell of the input of which every cell of the result has
+                                            the data, counted over all cells of the object; not in
+                                            :meth:`to_dict`
     """
 
     dim: int
@@ -96,6 +101,9 @@ class Report:
     versions: Mapping[str, str]
     slid: Mapping[str, float] | None = None
     surface: Mapping[str, float] | None = None
+    regions_from: tuple[str, ...] = ()
+    cell_origin: NDArray[np.int64] | None = dataclasses.field(
+        default=None, repr=False, compare=False)
 
     @property
     def movable_share(self) -> float:
@@ -113,6 +121,8 @@ class Report:
         lines = [*table_lines({"before": self.before, "after": self.after}), ""]
         lines.append(f"{self.n_movable} of {self.n_used} vertices may move "
                      f"({100 * self.movable_share:.0f} %)")
+        if self.regions_from:
+            lines.append(regions_line(self.regions_from))
         if self.surface:
             lines += _surface_lines(self.surface)
         if self.energy:
@@ -137,8 +147,9 @@ class Report:
         return "\n".join(lines)
 
     def to_dict(self) -> dict[str, Any]:
-        """Give everything as plain values that JSON knows; what is not finite becomes None."""
-        data: dict[str, Any] = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        """Give all but `cell_origin` as values that JSON knows; what is not finite becomes None."""
+        data: dict[str, Any] = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)
+                                if f.name != "cell_origin"}
         data |= {"before": self.before.to_dict(), "after": self.after.to_dict(),
                  "binding": [dataclasses.asdict(cell) for cell in self.binding],
                  "movable_share": self.movable_share}
@@ -165,7 +176,9 @@ class Report:
         plot_report(self, path)
 
 
-def make_report(before: SimplexMesh, outcome: Outcome, options: Options) -> Report:
+def make_report(
+    before: SimplexMesh, outcome: Outcome, options: Options, **told: Any
+) -> Report:
     """Measure a run from outside.
 
     Parameters
@@ -173,6 +186,7 @@ def make_report(before: SimplexMesh, outcome: Outcome, options: Options) -> Repo
     before : SimplexMesh    what the engine was given
     outcome : Outcome       what it handed back
     options : Options       what it was asked for
+    **told                  fields of the report that only the adapters know
 
     Returns
     -------
@@ -214,7 +228,13 @@ def make_report(before: SimplexMesh, outcome: Outcome, options: Options) -> Repo
         versions=_versions(),
         slid=None if outcome.slid is None else outcome.slid._asdict(),
         surface=_surface_facts(before, outcome, used),
+        **told,
     )
+
+
+def regions_line(names: tuple[str, ...]) -> str:
+    """Say which arrays were taken as labels of regions."""
+    return f"regions are those of {', '.join(map(repr, names))}, interfaces between them stay"
 
 
 def _surface_facts(

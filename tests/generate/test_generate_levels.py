@@ -215,6 +215,17 @@ def test_a_region_keeps_its_interface():
         assert volumes(new, parts)[labels == label].sum() == pytest.approx(4.0, rel=1e-12)
 
 
+@pytest.mark.parametrize("name", ["CellEntityIds", "half"])
+def test_regions_that_are_found_keep_their_interface(name):
+    points, cells = tet_meshes.grid(2, 3, jitter=0.0)
+    half = (points[cells].mean(axis=1)[:, 0] > 1).astype(np.int32)
+    mesh = meshio.Mesh(points, [("tetra", cells)], cell_data={
+        name: [half], "partition": [(points[cells].mean(axis=1)[:, 1] > 1).astype(np.int32)]})
+    out, _ = odt_plugins.refine_and_optimize(mesh, 1)
+    assert volumes(out.points, out.cells[0].data)[out.cell_data[name][0] == 1].sum() == (
+        pytest.approx(4.0, rel=1e-12))
+
+
 @pytest.mark.filterwarnings("ignore:the boundary is up to")
 def test_single_precision_and_negative_cells_come_back_so():
     points, cells = coarse_ball()
