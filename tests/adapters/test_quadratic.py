@@ -147,7 +147,7 @@ def test_corners_keep_their_index_when_they_come_first(monkeypatch, d):
     out = odt_plugins.optimize(MAKERS["meshio"](points, rows, labels, {}, d))
     n = int(rows[:, : d + 1].max()) + 1
     assert out.cells[0].data[:, : d + 1].max() == n - 1
-    lone, _ = odt_plugins.optimize((points, rows[:, : d + 1]), regions=labels)
+    lone, *_ = odt_plugins.optimize((points, rows[:, : d + 1]), regions=labels)
     assert out.points[:n].tobytes() == lone[:n].tobytes()
 
 
