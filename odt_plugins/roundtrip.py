@@ -71,7 +71,11 @@ def run_engine(
     points: Any = outcome.written
     source: Any = outcome.source
     cells = outcome.cells
-    told = {"regions_from": work.host.regions_from, "cell_origin": _cell_origin(work.host, source)}
+    fields = _interpolated(work, options)
+    around = partial(_around, work, options.threads)
+    vertices = _new_vertices(work, outcome, around, moved=bool(fields))
+    told = {"regions_from": work.host.regions_from, "cell_origin": _cell_origin(work.host, source),
+            "interpolated": () if vertices is None else fields}
     if work.orientation < 0:
         cells = reverse(cells, np.ones(len(cells), dtype=np.bool_))
     kind = work.host.cells.dtype
@@ -79,7 +83,8 @@ def run_engine(
         kind = np.promote_types(kind, np.min_scalar_type(len(outcome.points) - 1))
     result = Result(
         points, cells.astype(kind), source, work.mesh.is_surface,
-        _feet(work, outcome.points, cells), _new_vertices(work.mesh, outcome),
+        _feet(work, outcome.points, cells), vertices if not work.host.quadratic else None,
+        locate=around if fields else None,
     )
     return work.adapter.write(result, work.host), work.mesh, outcome, told
 
@@ -233,14 +238,41 @@ def _sorted_cells(
     return new_numbers(origin, n)[cells], regions, source
 
 
-def _new_vertices(before: SimplexMesh, outcome: Outcome) -> NewVertices | None:
-    """Where the vertices come from, when some were removed or added."""
-    origin = outcome.origin
-    if origin is None:
-        return None
-    corners, weights = surrounding_cells(
-        before.points, before.cells, outcome.points[origin < 0]
-    )
+def _interpolated(work: _Prepared, options: Options) -> tuple[str, ...]:
+    """Names of the point arrays that are interpolated at vertices that moved."""
+    by_default = work.host.follows and not work.mesh.is_surface
+    chosen = options.fields == "interpolate" or (options.fields == "auto" and by_default)
+    return work.host.fields if chosen else ()
+
+
+def _around(
+    work: _Prepared, threads: int, x: NDArray[Any], near: IntArray
+) -> tuple[IntArray, FloatArray]:
+    """Input cells in which places (k, D) lie or, on a curved surface, under them; coordinates."""
+    before = work.mesh
+    x = x if work.frame is None else work.frame.to_plane(x)
+    if not before.is_surface:
+        return surrounding_cells(before, x, near, threads)
+    from odt_plugins.engine.surface.judge import feet_on
+
+    return feet_on(before.points, before.cells, x)
+
+
+def _new_vertices(
+    work: _Prepared, outcome: Outcome, around: Callable[..., Any], *, moved: bool
+) -> NewVertices | None:
+    """Where point data come from, when vertices came or went, or have others where they moved."""
+    before = work.mesh
     n = len(before.points)
+    written: Any = outcome.written
+    origin = np.arange(n) if outcome.origin is None else outcome.origin
+    placed = origin < 0
+    if moved:
+        placed |= (written != work.host.points[origin]).any(axis=1)
+    if outcome.origin is None and not placed.any():
+        return None
+    near = np.zeros(len(written), dtype=np.int32)
+    near[outcome.cells] = np.asarray(outcome.source)[:, None]
+    cell, weights = around(written[placed].astype(np.float64), near[placed])
     number = new_numbers(origin, n)[:n].astype(np.int64)
-    return NewVertices(origin, number, corners, weights)
+    return NewVertices(origin, number, np.flatnonzero(placed), before.cells[cell], weights)

@@ -45,6 +45,8 @@ class HostMesh:
     ids : (m,) int or None            place of every cell among all cells of the object, ascending,
                                       where there may be others; they stay in that order
     total : int                       number of all cells of the object, with `ids`
+    fields : tuple of str             names of the point arrays that sample a field
+    follows : bool                    whether fields are interpolated unless the caller says so
     """
 
     points: NDArray[Any]
@@ -61,41 +63,56 @@ class HostMesh:
     quadratic: bool = False
     ids: NDArray[Any] | None = None
     total: int = 0
+    fields: tuple[str, ...] = ()
+    follows: bool = True
 
 
 class NewVertices(NamedTuple):
-    """Vertices of the result where some were removed and others added.
+    """Where the point data of the result come from, if some vertices have others than before.
 
     Attributes
     ----------
     origin : (n',) int64        input vertex of every vertex, -1 for those added, at the end
     number : (n,) int64         vertex of the result for every input vertex, -1 if it was removed
-    corners : (k, d + 1) int32  input vertices around each vertex that was added
-    weights : (k, d + 1)        with these barycentric coordinates
+    placed : (k,) int64         vertices of the result that were added, or moved to places where
+                                fields have other values
+    corners : (k, d + 1) int32  input vertices around each of them
+    weights : (k, d + 1)        with these barycentric coordinates, of sum 1
     """
 
     origin: NDArray[np.int64]
     number: NDArray[np.int64]
+    placed: NDArray[np.int64]
     corners: NDArray[np.int32]
     weights: NDArray[np.float64]
 
-    def carried(self, values: NDArray[Any]) -> NDArray[Any]:
+    def carried(self, values: NDArray[Any], *, field: bool = True) -> NDArray[Any]:
         """Point data (n, ...) of the input for the vertices of the result, (n', ...).
 
-        A vertex that is still there keeps its value; for one that was added, floating-point
-        numbers are interpolated linearly, of anything else the value of the nearest corner is
-        taken.
+        A vertex that is still there keeps its value, unless it moved and the values are those of a
+        `field`. For one that was added, floating-point numbers are interpolated linearly, of
+        anything else the value of the nearest corner is taken.
         """
         out = values[self.origin]
-        added = self.origin < 0
+        added = self.origin[self.placed] < 0
         at_corners = values[self.corners]
         if values.dtype.kind in "fc":
-            wide = at_corners.astype(np.result_type(values, np.float64))
-            out[added] = np.einsum("kc,kc...->k...", self.weights, wide)
+            new = added | field
+            out[self.placed[new]] = interpolated(at_corners[new], self.weights[new])
         else:
             nearest = self.weights.argmax(axis=1)
-            out[added] = at_corners[np.arange(len(nearest)), nearest]
+            out[self.placed[added]] = at_corners[np.arange(len(nearest)), nearest][added]
         return out
+
+
+def interpolated(at_corners: NDArray[Any], weights: NDArray[np.float64]) -> NDArray[Any]:
+    """Values (k, ...) of linear functions with values (k, c, ...) at corners, weights (k, c).
+
+    Equal values at all corners are taken as they are.
+    """
+    wide = at_corners.astype(np.result_type(at_corners, np.float64))
+    first = wide[:, :1]
+    return np.asarray(first[:, 0] + np.einsum("kc,kc...->k...", weights, wide - first))
 
 
 class Feet(NamedTuple):
@@ -129,9 +146,12 @@ class Result(NamedTuple):
     curved : bool              whether these are triangles of a curved surface: its vertices moved
                                along it, and its normals are others
     feet : Feet or None        of the vertices that moved along one with texture coordinates
-    vertices : NewVertices     when some were removed or added
+    vertices : NewVertices     when some were removed or added, or fields are interpolated
     split : callable or None   when the mesh was refined: the parts (c q, r) of other cells (q, r),
                                r = 1, 2 or 3 vertices, those of row i from c i on
+    locate : callable or None  of quadratic cells when fields are interpolated: the input cells
+                               (k,) around places (k, D) near some input cells (k,), and their
+                               barycentric coordinates there
     """
 
     points: NDArray[Any]
@@ -141,6 +161,7 @@ class Result(NamedTuple):
     feet: Feet | None = None
     vertices: NewVertices | None = None
     split: Callable[[NDArray[Any]], NDArray[np.int64]] | None = None
+    locate: Callable[[NDArray[Any], NDArray[Any]], tuple[NDArray[Any], NDArray[Any]]] | None = None
 
 
 class Adapter(Protocol):

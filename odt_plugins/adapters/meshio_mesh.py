@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters.fields import field_names
 from odt_plugins.adapters.host import (
     HostMesh,
     KeptCells,
@@ -27,6 +28,7 @@ from odt_plugins.adapters.quadratic import (
     Quadratic,
     carried_point_data,
     check_mid_nodes,
+    placed_nodes,
     renumbered,
     warn_of_folds,
     with_mid_nodes,
@@ -124,6 +126,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         quadratic=kind in QUADRATIC,
         ids=np.flatnonzero(np.repeat([block.type == kind for block in mesh.cells], sizes)),
         total=sum(sizes),
+        fields=field_names({name: np.asarray(v) for name, v in mesh.point_data.items()}),
     )
 
 
@@ -185,13 +188,13 @@ def _take(out: Any, i: int, local: NDArray[Any], size: int) -> None:
 
 
 def _renumber(out: Any, result: Result, vertices: NewVertices, host: HostMesh) -> None:
-    """Let point data, point sets and other blocks follow vertices that came and went."""
+    """Let point data, point sets and other blocks follow vertices that moved, came and went."""
     for i, block in enumerate(out.cells):
         if i not in host.layout:
             block.data = vertices.number[block.data].astype(block.data.dtype)
     entities = out.cell_data.get(CELL_ENTITIES)
     for name, values in out.point_data.items():
-        out.point_data[name] = vertices.carried(np.asarray(values))
+        out.point_data[name] = vertices.carried(np.asarray(values), field=name in host.fields)
         if name == NODE_ENTITIES and entities is not None:
             of_cells = np.concatenate([entities[i] for i in host.layout])[result.source]
             _set_entities(out.point_data[name], 3, result.cells, vertices.origin < 0, of_cells)
@@ -211,13 +214,15 @@ def _with_mid_nodes(out: Any, result: Result, host: HostMesh) -> Result:
     for i in others:
         old = np.asarray(out.cells[i].data)
         out.cells[i].data = q.number[old].astype(old.dtype)
+    placed = placed_nodes(q, result, host.points, nodes)
     entities = out.cell_data.get(CELL_ENTITIES)
     for name, values in out.point_data.items():
         if name == NODE_ENTITIES and entities is not None:
             of_cells = np.concatenate([entities[i] for i in host.layout])[result.source]
             out.point_data[name] = _node_entities(np.asarray(values), q, of_cells)
         else:
-            out.point_data[name] = carried_point_data(name, np.asarray(values), q)
+            out.point_data[name] = carried_point_data(
+                name, np.asarray(values), q, placed if name in host.fields else None)
     out.point_sets = renumbered(out.point_sets, q)
     return Result(q.points, q.cells, result.source)
 

@@ -12,12 +12,14 @@ from __future__ import annotations
 import re
 import warnings
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters.fields import field_names
 from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
 from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.wedges import carried, charts
@@ -71,6 +73,8 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
             cells=np.array(mesh.tetras),
             regions=region_labels({}, regions, np.array(mesh.tetras)).values,
             source=mesh,
+            fields=field_names({"vertex_colors": np.asarray(mesh.vertex_colors)}),
+            follows=False,
             words=partial(in_words, mesh=mesh),
         )
     return _read_tensor(mesh, regions) if is_tensor(mesh) else _read_legacy(mesh, regions)
@@ -94,7 +98,9 @@ def write(result: Result, host: HostMesh) -> Any:
             for name in ("vertex_normals", "vertex_colors"):
                 values = np.asarray(getattr(mesh, name))
                 if len(values):
-                    setattr(out, name, Vector3dVector(result.vertices.carried(values)))
+                    field = name in host.fields
+                    setattr(out, name, Vector3dVector(
+                        result.vertices.carried(values, field=field)))
         return out
     return _write_triangles(out, result, host)
 
@@ -118,7 +124,9 @@ def _read_legacy(mesh: Any, regions: str | Sequence[str] | None) -> HostMesh:
     if mesh.has_triangle_material_ids():
         name = "triangle_material_ids"
         arrays[name] = _per_triangle(np.array(mesh.triangle_material_ids), m, name)
-    return _host(mesh, np.array(mesh.vertices), cells, uv, arrays, regions)
+    colors = {"vertex_colors": np.array(mesh.vertex_colors)} if mesh.has_vertex_colors() else {}
+    host = _host(mesh, np.array(mesh.vertices), cells, uv, arrays, regions)
+    return replace(host, fields=field_names(colors))
 
 
 def _read_tensor(mesh: Any, regions: str | Sequence[str] | None) -> HostMesh:
@@ -142,7 +150,8 @@ def _read_tensor(mesh: Any, regions: str | Sequence[str] | None) -> HostMesh:
     }
     uv = arrays.get("texture_uvs")
     uv = None if uv is None else _wedges(uv.reshape(-1, 2), m, "triangle.texture_uvs")
-    return _host(mesh, points, cells, uv, arrays, regions)
+    host = _host(mesh, points, cells, uv, arrays, regions)
+    return replace(host, fields=field_names(_point_data(mesh)))
 
 
 def _host(
@@ -161,7 +170,7 @@ def _host(
         blocks, seams = charts(uv, cells)
         kept = (seams,) if len(seams.rows) else ()
     return HostMesh(points, cells, *labels, blocks, kept, source=mesh, layout=uv,
-                    textured=uv is not None, words=partial(in_words, mesh=mesh))
+                    follows=False, textured=uv is not None, words=partial(in_words, mesh=mesh))
 
 
 def _in_range(cells: NDArray[Any], n: int) -> bool:
@@ -180,6 +189,9 @@ def _write_triangles(out: Any, result: Result, host: HostMesh) -> Any:
     if mesh.has_triangle_material_ids():
         out.triangle_material_ids = IntVector(
             np.array(mesh.triangle_material_ids)[result.source])
+    if host.fields and result.vertices is not None:
+        out.vertex_colors = Vector3dVector(
+            result.vertices.carried(np.array(mesh.vertex_colors)))
     out.triangle_normals, out.vertex_normals = nowhere, nowhere
     if mesh.has_triangle_normals():
         out.compute_triangle_normals()
@@ -201,13 +213,22 @@ def _write_tensor(result: Result, host: HostMesh, same: bool) -> Any:
     out.material = mesh.material
     if same:
         return out
-    for values, arrays in ((out.vertex, {"positions": result.points}),
+    data = {} if result.vertices is None else {
+        name: result.vertices.carried(values) for name, values in _point_data(mesh).items()
+        if name in host.fields}
+    for values, arrays in ((out.vertex, data | {"positions": result.points}),
                            (out.triangle, _triangle_data(result, host))):
         for name, array in arrays.items():
             tensor: Any = Tensor.from_numpy(np.ascontiguousarray(array)).clone()
             values[name] = tensor if mesh.is_cpu else tensor.to(mesh.device)
     _renew_normals(out, mesh)
     return out
+
+
+def _point_data(mesh: Any) -> dict[str, NDArray[Any]]:
+    """Attributes of the vertices of a tensor mesh, without their places and texture coordinates."""
+    return {name: np.array(values.cpu().numpy()) for name, values in mesh.vertex.items()
+            if name not in ("positions", "texture_uvs")}
 
 
 def _triangle_data(result: Result, host: HostMesh) -> dict[str, NDArray[Any]]:

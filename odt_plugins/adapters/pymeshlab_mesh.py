@@ -28,6 +28,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters.fields import field_names
 from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
 from odt_plugins.adapters.pymeshlab_copy import (
     Attribute,
@@ -105,13 +106,16 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         kept=tuple(part for part in kept if len(part.rows)),
         source=mesh,
         textured=inner.has_wedge_tex_coord() or inner.has_vertex_tex_coord(),
+        fields=field_names(_vertex_data(inner, copy)),
+        follows=False,
     )
 
 
 def write(result: Result, host: HostMesh) -> Any:
     """Move the vertices or exchange the faces of the current mesh, in a copy unless InPlace."""
     source = host.source
-    moves = result.feet is None and np.array_equal(result.cells, host.cells)
+    moves = result.feet is None and result.vertices is None
+    moves = moves and np.array_equal(result.cells, host.cells)
     if isinstance(source, InPlace):
         if moves:
             move_vertices(source.meshes, result.points)
@@ -133,6 +137,14 @@ def standing_alone(owner: Any) -> Any:
     mesh = owner.current_mesh()
     weakref.finalize(mesh, lambda kept: None, owner).atexit = False
     return mesh
+
+
+def _vertex_data(mesh: Any, meshes: Any) -> dict[str, NDArray[Any]]:
+    """Custom attributes of the vertices, and their scalars where there are others than 0."""
+    out = {attribute.name: attribute.values(mesh) for attribute in custom_attributes(meshes)
+           if attribute.reader.startswith("vertex")}
+    scalars = np.array(mesh.vertex_scalar_array())
+    return out | ({"vertex scalar": scalars} if scalars.any() else {})
 
 
 def _labels(mesh: Any, names: list[Attribute]) -> dict[str, NDArray[Any]]:

@@ -11,18 +11,19 @@ quadratic cells, quadratic beside linear ones, polyhedra and triangle strips are
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters.fields import field_names
 from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
 from odt_plugins.adapters.normals import renewed
 from odt_plugins.adapters.quadratic import (
     CORNERS,
     carried_point_data,
     check_mid_nodes,
+    placed_nodes,
     warn_of_folds,
     with_mid_nodes,
 )
@@ -107,6 +108,9 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         layout=(ids, nodes if wide else None),
         ids=ids,
         total=mesh.n_cells,
+        fields=field_names(
+            {name: np.asarray(mesh.point_data[name]) for name in mesh.point_data.keys()},
+            (mesh.point_data.active_normals_name, mesh.point_data.active_texture_coordinates_name)),
         textured=mesh.point_data.active_texture_coordinates_name is not None,
         anchors=_anchors(mesh) if grid else None,
         quadratic=wide,
@@ -118,11 +122,11 @@ def write(result: Result, host: HostMesh) -> Any:
     out = host.source.copy(deep=True)
     ids, nodes = host.layout
     out.cell_data.clear()
+    vertices = result.vertices
     if not is_instance(host.source, "pyvista", "UnstructuredGrid"):
         rows = _write_polydata(out, result, ids)
         out.points = result.points
     elif nodes is None:
-        vertices = result.vertices
         number = None if vertices is None else vertices.number
         if result.split is not None:
             rows = _write_refined(out, result, host.source, ids)
@@ -131,10 +135,11 @@ def write(result: Result, host: HostMesh) -> Any:
         if vertices is not None:
             out.point_data.clear()
         out.points = result.points
-        if vertices is not None:
-            _carry_point_data(out, host.source, lambda _, values: vertices.carried(values))
     else:
         rows = _write_quadratic(out, result, host)
+    if vertices is not None and nodes is None:
+        _carry_point_data(out, host.source, lambda name, values: vertices.carried(
+            values, field=name in host.fields))
     _carry_cell_data(out, host.source, rows)
     if result.curved and nodes is None:
         _follow_surface(out, result, host, rows)
@@ -245,7 +250,9 @@ def _write_quadratic(out: Any, result: Result, host: HostMesh) -> IndexArray:
     rows = _write_grid(out, whole, source, ids, q.number)
     out.point_data.clear()
     out.points = q.points
-    _carry_point_data(out, source, partial(carried_point_data, q=q))
+    placed = placed_nodes(q, result, host.points, nodes)
+    _carry_point_data(out, source, lambda name, values: carried_point_data(
+        name, values, q, placed if name in host.fields else None))
     return rows
 
 

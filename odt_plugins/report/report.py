@@ -82,6 +82,8 @@ class Report:
     cell_origin : (m',) int64 or None       cell of the input of which every cell of the result has
                                             the data, counted over all cells of the object; not in
                                             :meth:`to_dict`
+    interpolated : tuple of str             names of the point arrays whose values at vertices that
+                                            moved are those that the field has there
     """
 
     dim: int
@@ -104,6 +106,7 @@ class Report:
     regions_from: tuple[str, ...] = ()
     cell_origin: NDArray[np.int64] | None = dataclasses.field(
         default=None, repr=False, compare=False)
+    interpolated: tuple[str, ...] = ()
 
     @property
     def movable_share(self) -> float:
@@ -123,6 +126,9 @@ class Report:
                      f"({100 * self.movable_share:.0f} %)")
         if self.regions_from:
             lines.append(regions_line(self.regions_from))
+        if self.interpolated:
+            names = ", ".join(map(repr, self.interpolated))
+            lines.append(f"fields interpolated at the new places of vertices: {names}")
         if self.surface:
             lines += _surface_lines(self.surface)
         if self.energy:

@@ -62,7 +62,7 @@ def test_mid_nodes_follow_their_edges(host, d):
     mesh = MAKERS[host](points, rows, labels, data, d)
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always")
-        out = odt_plugins.optimize(mesh, keep=())
+        out = odt_plugins.optimize(mesh, keep=(), fields="keep")
     assert type(out) is type(mesh)
     old = view(mesh, d)
     assert np.array_equal(old[0], points)
@@ -123,7 +123,7 @@ def test_without_flips_all_indices_stay_and_nothing_is_lost(host, d):
     pytest.importorskip(host)
     points, rows, labels = quadratic_grid(d)
     mesh = MAKERS[host](points, rows, labels, {"name": np.arange(len(points)) / 7}, d)
-    out = odt_plugins.optimize(mesh, connectivity="none", finish=False)
+    out = odt_plugins.optimize(mesh, connectivity="none", finish=False, fields="keep")
     new_points, new_rows, point, _ = view(out, d)
     assert np.array_equal(new_rows, rows)
     assert np.array_equal(point["name"], np.arange(len(points)) / 7)
