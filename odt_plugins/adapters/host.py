@@ -86,6 +86,11 @@ class NewVertices(NamedTuple):
     corners: NDArray[np.int32]
     weights: NDArray[np.float64]
 
+    @property
+    def renumbered(self) -> bool:
+        """Whether vertices came or went."""
+        return not np.array_equal(self.origin, np.arange(len(self.number)))
+
     def carried(self, values: NDArray[Any], *, field: bool = True) -> NDArray[Any]:
         """Point data (n, ...) of the input for the vertices of the result, (n', ...).
 
@@ -112,7 +117,8 @@ def interpolated(at_corners: NDArray[Any], weights: NDArray[np.float64]) -> NDAr
     """
     wide = at_corners.astype(np.result_type(at_corners, np.float64))
     first = wide[:, :1]
-    return np.asarray(first[:, 0] + np.einsum("kc,kc...->k...", weights, wide - first))
+    with np.errstate(all="ignore"):
+        return np.asarray(first[:, 0] + np.einsum("kc,kc...->k...", weights, wide - first))
 
 
 class Feet(NamedTuple):

@@ -135,8 +135,11 @@ def write(result: Result, host: HostMesh) -> Any:
     out = host.source.copy()
     if any(out.cells[i].type in QUADRATIC for i in host.layout):
         result = _with_mid_nodes(out, result, host)
-    elif result.vertices is not None:
+    elif result.vertices is not None and result.vertices.renumbered:
         _renumber(out, result, result.vertices, host)
+    elif result.vertices is not None:
+        for name in host.fields:
+            out.point_data[name] = result.vertices.carried(np.asarray(out.point_data[name]))
     out.points = result.points
     if result.split is not None:
         _refine_others(out, result, host)
@@ -188,7 +191,7 @@ def _take(out: Any, i: int, local: NDArray[Any], size: int) -> None:
 
 
 def _renumber(out: Any, result: Result, vertices: NewVertices, host: HostMesh) -> None:
-    """Let point data, point sets and other blocks follow vertices that moved, came and went."""
+    """Let point data, point sets and other blocks follow vertices that came and went."""
     for i, block in enumerate(out.cells):
         if i not in host.layout:
             block.data = vertices.number[block.data].astype(block.data.dtype)

@@ -123,23 +123,23 @@ def write(result: Result, host: HostMesh) -> Any:
     ids, nodes = host.layout
     out.cell_data.clear()
     vertices = result.vertices
+    number = vertices.number if vertices is not None and vertices.renumbered else None
     if not is_instance(host.source, "pyvista", "UnstructuredGrid"):
         rows = _write_polydata(out, result, ids)
         out.points = result.points
     elif nodes is None:
-        number = None if vertices is None else vertices.number
         if result.split is not None:
             rows = _write_refined(out, result, host.source, ids)
         else:
             rows = _write_grid(out, result, host.source, ids, number)
-        if vertices is not None:
+        if number is not None:
             out.point_data.clear()
         out.points = result.points
     else:
         rows = _write_quadratic(out, result, host)
     if vertices is not None and nodes is None:
         _carry_point_data(out, host.source, lambda name, values: vertices.carried(
-            values, field=name in host.fields))
+            values, field=name in host.fields), host.fields if number is None else None)
     _carry_cell_data(out, host.source, rows)
     if result.curved and nodes is None:
         _follow_surface(out, result, host, rows)
@@ -257,10 +257,12 @@ def _write_quadratic(out: Any, result: Result, host: HostMesh) -> IndexArray:
 
 
 def _carry_point_data(
-    out: Any, source: Any, carry: Callable[[str, NDArray[Any]], NDArray[Any]]
+    out: Any, source: Any, carry: Callable[[str, NDArray[Any]], NDArray[Any]],
+    names: Sequence[str] | None = None,
 ) -> None:
+    """Give the points the data of those they came from, or some of these arrays if named."""
     old, new = source.point_data, out.point_data
-    for name in old.keys():
+    for name in old.keys() if names is None else names:
         new.set_array(carry(name, np.asarray(old[name])), name)
     _make_active(new, old)
 

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
+from odt_plugins.adapters.fields import field_names
 from odt_plugins.adapters.regions import AUTO, are_names, region_names
 from odt_plugins.distributed.apply import Apply, told
 from odt_plugins.distributed.figures import Figures, total, worse
@@ -44,7 +45,7 @@ from odt_plugins.errors import (
 )
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.options import OptionKeywords, Options, make_options, with_option_signature
-from odt_plugins.report.report import regions_line
+from odt_plugins.report.report import fields_line, regions_line
 
 
 class PiecesReport(NamedTuple):
@@ -57,6 +58,8 @@ class PiecesReport(NamedTuple):
     interface : int             vertices of the interfaces of the input: what the driver holds
     fallback : str or None      why the result of an earlier round is returned, when it is
     regions_from : tuple of str names of the cell arrays taken as labels of regions
+    interpolated : tuple of str names of the point arrays that are fields: in every round they take
+                                their values at the new places of vertices
     """
 
     before: Figures
@@ -65,6 +68,7 @@ class PiecesReport(NamedTuple):
     interface: int
     fallback: str | None
     regions_from: tuple[str, ...] = ()
+    interpolated: tuple[str, ...] = ()
 
     def __str__(self) -> str:
         """A few lines: the figures before and after."""
@@ -76,6 +80,8 @@ class PiecesReport(NamedTuple):
         lines.append(f"{self.pieces} pieces; {self.interface} vertices on interfaces of the input")
         if self.regions_from:
             lines.append(regions_line(self.regions_from))
+        if self.interpolated:
+            lines.append(fields_line(self.interpolated))
         return "\n".join(lines + ([f"fell back: {self.fallback}"] if self.fallback else []))
 
 
@@ -179,7 +185,10 @@ def _run(
     _check_taken(taken, ghosts=ghosts)
     spreads = [part.spreads for part in taken]
     labels = region_names(spreads) if given == AUTO else tuple(spreads[0])
-    numbers, waiting = _number(taken, _data_of_all(taken), labels)
+    kept = _data_of_all(taken)
+    kinds = taken[0].kinds["data"]
+    fields = field_names({name: np.empty(0, kinds[name][1]) for name in kept["data"]})
+    numbers, waiting = _number(taken, kept, labels)
     states = [_state(taken)]
     before = total(states[0])
     improve = stage("round 1", len(taken))
@@ -205,7 +214,8 @@ def _run(
     _publish(list(zip(paths, given, strict=True)), index, folder, partial(
         publish, orientation=taken[0].orientation), stage("writing", len(paths)))
     fallback = f"a later round was given up ({'; '.join(broken)})" if broken else None
-    return PiecesReport(before, after, len(paths), interface, fallback, labels)
+    return PiecesReport(before, after, len(paths), interface, fallback, labels,
+                        fields if options.fields != "keep" else ())
 
 
 def _state(parts: Sequence[Taken | Done]) -> list[tuple[str, Figures]]:

@@ -10,8 +10,10 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters.fields import field_names
+from odt_plugins.adapters.host import interpolated
 from odt_plugins.adapters.regions import Spread
-from odt_plugins.carry import cell_source
+from odt_plugins.carry import cell_source, surrounding_cells
 from odt_plugins.distributed.block import Block, improve
 from odt_plugins.distributed.figures import Figures, measure_part
 from odt_plugins.distributed.partition import grown, seams
@@ -267,13 +269,21 @@ def _improved(
     power = -float(mesh.dim + 2 if options.exponent is None else options.exponent)
     sizes = piece.sizes if options.density == "keep" else None
     result = improve(Block(mesh, sizes, options, power, later, versions_here()))
-    cell_data = piece.cell_data
-    if cell_data:
-        source = cell_source(mesh.points, mesh.cells, regions, result.points, result.cells,
-                             result.regions, options.threads)
-        cell_data = {name: values[source] for name, values in cell_data.items()}
+    source = cell_source(mesh.points, mesh.cells, regions, result.points, result.cells,
+                         result.regions, options.threads)
+    cell_data = {name: values[source] for name, values in piece.cell_data.items()}
+    data = dict(piece.data)
+    names = field_names(data) if options.fields != "keep" else ()
+    moved = np.flatnonzero((result.points != mesh.points).any(axis=1))
+    if names and moved.size:
+        near = np.zeros(len(mesh.points), dtype=np.int32)
+        near[result.cells] = source[:, None]
+        cell, weights = surrounding_cells(mesh, result.points[moved], near[moved], options.threads)
+        for name in names:
+            data[name] = piece.data[name].copy()
+            data[name][moved] = interpolated(piece.data[name][mesh.cells[cell]], weights)
     save(path, Piece(result.points, result.cells, labels[result.regions], piece.ids,
                      piece.sizes if result.density is None else result.density,
-                     np.ones(len(piece.ids), dtype=np.bool_), piece.data, cell_data))
+                     np.ones(len(piece.ids), dtype=np.bool_), data, cell_data))
     return Done(path, measure_part(result.points, result.cells, path), piece.ids[held],
                 np.intersect1d(piece.ids[~held], waiting))

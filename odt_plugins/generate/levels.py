@@ -14,10 +14,11 @@ from typing import Any, Unpack
 
 import numpy as np
 
-from odt_plugins.adapters.host import HostMesh, Result
+from odt_plugins.adapters.host import HostMesh, NewVertices, Result
 from odt_plugins.adapters.regions import are_names
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.api import optimize_with_report
+from odt_plugins.carry import surrounding_cells
 from odt_plugins.engine.cells.geometry import boundary_facets, interface_vertices
 from odt_plugins.engine.ground.envelope import distances
 from odt_plugins.errors import InvalidOptionError, ODTWarning
@@ -28,7 +29,13 @@ from odt_plugins.generate.refine3d import check_size, numbered_edges
 from odt_plugins.generate.uniform import uniform_refine
 from odt_plugins.mesh.arrays import BoolArray
 from odt_plugins.mesh.facets import row_keys
-from odt_plugins.mesh.simplex import compact_labels, diagonal, mesh_arrays, vertex_mask
+from odt_plugins.mesh.simplex import (
+    SimplexMesh,
+    compact_labels,
+    diagonal,
+    mesh_arrays,
+    vertex_mask,
+)
 from odt_plugins.options import OptionKeywords, make_options, with_option_signature
 from odt_plugins.quality import volumes
 
@@ -140,7 +147,8 @@ def refine_and_optimize(
             current = uniform_refine(current)
             refining, clock = _lap(clock)
             current, asked, short = _projected(
-                current, named, fixed, frozen, start.target, envelope, last=level == levels)
+                current, named, fixed, frozen, start.target, envelope, last=level == levels,
+                fields=chosen.fields != "keep")
             projecting, clock = _lap(clock)
         given = plain | {"fixed": fixed, "boundary": "fixed" if level else slides}
         if chosen.progress is not None:
@@ -222,7 +230,7 @@ def _among(cells: Any, rows: Any, n: int) -> BoolArray:
 
 def _projected(
     mesh: Any, named: str | Sequence[str] | None, fixed: BoolArray, frozen: BoolArray,
-    target: Target, envelope: float, *, last: bool,
+    target: Target, envelope: float, *, last: bool, fields: bool,
 ) -> tuple[Any, int, int]:
     """The caller's mesh with its boundary on the surface, and how many vertices got there."""
     adapter = find_adapter(mesh)
@@ -244,7 +252,16 @@ def _projected(
     out = np.array(host.points)
     out[moved] = new[moved]
     source = np.arange(len(cells), dtype=np.int32)
-    return adapter.write(Result(out, host.cells, source), host), asked, short
+    vertices = None
+    if fields and host.fields and moved.any():
+        simplices = SimplexMesh(points, cells, labels, held)
+        near = np.zeros(len(points), dtype=np.int32)
+        near[cells] = source[:, None]
+        cell, weights = surrounding_cells(simplices, new[moved], near[moved])
+        number = np.arange(len(points))
+        vertices = NewVertices(number, number, np.flatnonzero(moved), cells[cell], weights)
+    result = Result(out, host.cells, source, vertices=vertices)
+    return adapter.write(result, host), asked, short
 
 
 def _measured(

@@ -127,8 +127,7 @@ class Report:
         if self.regions_from:
             lines.append(regions_line(self.regions_from))
         if self.interpolated:
-            names = ", ".join(map(repr, self.interpolated))
-            lines.append(f"fields interpolated at the new places of vertices: {names}")
+            lines.append(fields_line(self.interpolated))
         if self.surface:
             lines += _surface_lines(self.surface)
         if self.energy:
@@ -241,6 +240,11 @@ def make_report(
 def regions_line(names: tuple[str, ...]) -> str:
     """Say which arrays were taken as labels of regions."""
     return f"regions are those of {', '.join(map(repr, names))}, interfaces between them stay"
+
+
+def fields_line(names: tuple[str, ...]) -> str:
+    """Say which point arrays were interpolated."""
+    return f"fields interpolated at the new places of vertices: {', '.join(map(repr, names))}"
 
 
 def _surface_facts(

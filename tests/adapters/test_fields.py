@@ -106,6 +106,20 @@ def test_linear_fields_are_exact_where_the_surface_slides_and_at_new_vertices(op
         assert np.asarray(again[name]).tobytes() == np.asarray(out[name]).tobytes()
 
 
+def test_sets_and_other_blocks_of_meshio_stay_as_they_are():
+    points, cells = start(2)
+    inside = np.zeros(len(points), dtype=bool)
+    inside[5:20] = True
+    mesh = meshio.Mesh(points, [("triangle", cells), ("vertex", np.array([[0], [1]]))],
+                       point_data={"T": linear(points)},
+                       point_sets={"some": np.array([3, -1, 7]), "mask": inside})
+    out = odt_plugins.optimize(mesh)
+    assert np.abs(out.point_data["T"] - linear(out.points)).max() < 1e-12
+    assert out.point_sets["some"].tolist() == [3, -1, 7]
+    assert np.array_equal(out.point_sets["mask"], inside)
+    assert np.array_equal(out.cells[1].data, [[0], [1]])
+
+
 def test_a_kink_and_a_jump_between_regions_stay_sharp():
     points, cells, labels = contract.grid(3, 4)
     field = np.abs(points[:, 0] - 0.5)

@@ -100,6 +100,30 @@ def test_regions_are_found_in_all_pieces_together(tmp_path):
         optimize_pieces(index, out, regions="nosuch")
 
 
+def test_fields_are_interpolated_in_every_piece(tmp_path):
+    start = ball(400)
+    slope = np.array([1.0, -2.0, 0.5])
+    index = write_pieces(tmp_path / "in", start.points, start.cells,
+                         bricks(start.points, start.cells, 3))
+    for path in piece_files(index)[0]:
+        mesh = meshio.read(path)
+        mesh.point_data |= {"T": mesh.points @ slope, "GlobalNodeId": mesh.point_data["was"] * 1.0}
+        mesh.write(path)
+    for fields in ("auto", "keep"):
+        report = optimize_pieces(index, tmp_path / "out.pvtu", fields=fields)
+        assert report.interpolated == (("T",) if fields == "auto" else ())
+        assert ("fields interpolated" in str(report)) == (fields == "auto")
+        moved = 0
+        for path in piece_files(tmp_path / "out.pvtu")[0]:
+            mesh = meshio.read(path)
+            was = mesh.point_data["was"]
+            moved += (mesh.points != start.points[was]).any(axis=1).sum()
+            places = mesh.points if fields == "auto" else start.points[was]
+            assert np.abs(mesh.point_data["T"] - places @ slope).max() < 1e-12
+            assert np.array_equal(mesh.point_data["GlobalNodeId"], was)
+        assert moved > 50
+
+
 def test_the_command_takes_pieces(tmp_path, capsys, monkeypatch):
     monkeypatch.chdir(tmp_path)
     start = ball(1500)
