@@ -40,8 +40,9 @@ def optimize(mesh: Any, **options: Unpack[OptionKeywords]) -> Any:
     same type as `mesh`
         A meshio.Mesh for a path. Vertices keep their index, with insert=True their order, new
         ones last and with interpolated data; dtype, orientation, point, cell and
-        field data come back. A cell that is still there keeps its data; a new one takes those of
-        the input cell of its region with the nearest barycentre.
+        field data come back. Fields are interpolated where vertices moved, see `fields`. A cell
+        that is still there keeps its data; a new one takes those of the input cell of its region
+        with the nearest barycentre.
 
     Raises
     ------

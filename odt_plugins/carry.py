@@ -6,13 +6,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.chunks import chunks, spread
 from odt_plugins.mesh.facets import sorted_columns
 from odt_plugins.mesh.simplex import SimplexMesh, barycentric, corner_mean
 
-NEAR = (16, 256)
-"""How many of the nearest cells a point is looked for in, before all of them."""
+NEAR = 16
+"""In how many of the nearest cells a point is looked for where a walk did not find it."""
 
-CHUNK = 1 << 17
+STEPS = 200
+"""Most cells on a walk to a point."""
+
+INSIDE = 1e-12
+"""How negative the barycentric coordinates of a point in a cell may be, by rounding."""
 
 
 def cell_source(
@@ -48,8 +53,8 @@ def cell_source(
     if new.size:
         source[new] = _nearest(
             corner_mean(points0, cells0), regions0,
-            corner_mean(points1, cells1[new]), regions1[new], threads,
-        )
+            corner_mean(points1, cells1[new]), regions1[new], 1, threads,
+        )[:, 0]
     return source
 
 
@@ -84,60 +89,115 @@ def in_input_order(
 
 
 def surrounding_cells(
-    points: FloatArray, cells: IntArray, x: FloatArray
+    mesh: SimplexMesh, x: FloatArray, start: IntArray | None = None, threads: int = 1
 ) -> tuple[IntArray, FloatArray]:
     """Find the cells of a mesh in which some points lie.
 
     Parameters
     ----------
-    points, cells : (n, d) float64, (m, d + 1) int32    a mesh, positively oriented
-    x : (k, d) float64                                  points in the mesh, to rounding
+    mesh : SimplexMesh             tetrahedra, or triangles in the plane
+    x : (k, d) float64
+    start : (k,) int, optional     a cell near each point: cells of other regions are not looked at;
+                                   unless given, the one with the nearest barycentre
+    threads : int                  how many share the work
 
     Returns
     -------
-    corners : (k, d + 1) int32                          vertices of the cell around each point
-    weights : (k, d + 1) float64                        its barycentric coordinates there, not
-                                                        negative, of sum 1
+    cell : (k,) int32              the cell around each point; of one outside of the mesh, that one
+                                   of those near it in which its least coordinate is largest
+    weights : (k, d + 1) float64   its barycentric coordinates there, of sum 1: some are negative
+                                   outside of the mesh, where linear fields are continued
+
+    Notes
+    -----
+    A walk goes from cell to cell, over the facet that separates it most from the point. Where it
+    ends at the boundary, another one starts from the best of the nearest cells.
     """
-    from scipy.spatial import cKDTree
+    from odt_plugins.engine.topology.adjacency import cell_neighbors
 
-    tree = cKDTree(corner_mean(points, cells))
-    corners = np.empty((len(x), cells.shape[1]), dtype=np.int32)
-    weights = np.full(corners.shape, -np.inf)
-    for near in NEAR:
-        left = np.flatnonzero(weights.min(axis=1) < 0.0)
-        for part in np.array_split(left, len(left) * near // CHUNK + 1):
-            _, hit = tree.query(x[part], k=[*range(1, min(near, len(cells)) + 1)])
-            corners[part], weights[part] = _best_cell(points, cells[hit], x[part])
-    for i in np.flatnonzero(weights.min(axis=1) < 0.0):
-        corners[i], weights[i] = _best_cell(points, cells[None], x[i : i + 1])
-    weights = np.maximum(weights, 0.0)
-    return corners, weights / weights.sum(axis=1, keepdims=True)
+    neighbors = cell_neighbors(mesh.cells)
+    regions = np.zeros_like(mesh.regions)
+    if start is None:
+        centres = corner_mean(mesh.points, mesh.cells)
+        start = _nearest(centres, regions, x, np.zeros(len(x), dtype=np.int32), 1, threads)[:, 0]
+    else:
+        regions = mesh.regions
+        neighbors[regions[:, None] != regions[neighbors]] = -1
+    cell = np.array(start, dtype=np.int32)
+    weights = np.empty((len(x), mesh.cells.shape[1]))
+
+    def walk(part: slice) -> None:
+        cell[part], weights[part] = _walk(mesh, neighbors, x[part], cell[part])
+
+    spread(walk, chunks(len(x)), threads)
+    outside = np.flatnonzero(weights.min(axis=1) < -INSIDE)
+    if not outside.size:
+        return cell, weights
+    centres = corner_mean(mesh.points, mesh.cells)
+    hit = _nearest(centres, regions, x[outside], regions[cell[outside]], NEAR, threads)
+
+    def walk_again(part: slice) -> None:
+        rows = outside[part]
+        found = barycentric(mesh.points[mesh.cells[hit[part]]], x[rows, None]).min(axis=2)
+        best = hit[part][np.arange(len(rows)), found.argmax(axis=1)]
+        again, deep = _walk(mesh, neighbors, x[rows], best)
+        better = deep.min(axis=1) > weights[rows].min(axis=1)
+        cell[rows[better]], weights[rows[better]] = again[better], deep[better]
+
+    spread(walk_again, chunks(len(outside)), threads)
+    return cell, weights
 
 
-def _best_cell(
-    points: FloatArray, cells: IntArray, x: FloatArray
+def _walk(
+    mesh: SimplexMesh, neighbors: IntArray, x: FloatArray, start: IntArray
 ) -> tuple[IntArray, FloatArray]:
-    """The cell (k, d + 1) out of (k, c, d + 1) that a point is deepest in, and its coordinates."""
-    found = barycentric(points[cells], x[:, None])
-    best = found.min(axis=2).argmax(axis=1)
-    row = np.arange(len(x))
-    return cells[row, best], found[row, best]
+    """The deepest cell on the way from a cell towards each point, and its coordinates there."""
+    cell, best = start.copy(), start.copy()
+    weights = np.full((len(x), mesh.cells.shape[1]), -np.inf)
+    left = np.arange(len(x))
+    for step in range(STEPS):
+        corners = mesh.points[mesh.cells[cell[left]]]
+        found = _refined(corners, x[left], barycentric(corners, x[left]))
+        deeper = found.min(axis=1) > weights[left].min(axis=1)
+        best[left[deeper]], weights[left[deeper]] = cell[left[deeper]], found[deeper]
+        across = neighbors[cell[left]]
+        ways = (found < -INSIDE) & (across >= 0)
+        # A walk straight on may run in a circle where cells are not Delaunay, one at random cannot.
+        turn = found if step < STEPS // 4 else np.random.default_rng(step).random(found.shape)
+        goes = ways.any(axis=1)
+        way = np.where(ways, turn, np.inf).argmin(axis=1)
+        left, across, way = left[goes], across[goes], way[goes]
+        if not left.size:
+            break
+        cell[left] = across[np.arange(len(left)), way]
+    return best, weights
+
+
+def _refined(corners: FloatArray, x: FloatArray, weights: FloatArray) -> FloatArray:
+    """Barycentric coordinates again, less what their rounding leaves between them and x."""
+    edges = corners - corners[:, :1]
+    rest = (x - corners[:, 0]) - np.einsum("kc,kcd->kd", weights, edges)
+    step = barycentric(edges, rest)
+    step[:, 0] -= 1.0
+    refined: FloatArray = weights + step
+    return refined
 
 
 def _nearest(
-    centre0: FloatArray, regions0: IntArray, centre1: FloatArray, regions1: IntArray, threads: int
+    centres: FloatArray, regions: IntArray, x: FloatArray, labels: IntArray, count: int,
+    threads: int = 1,
 ) -> IntArray:
+    """Those (k, count) of centres (m, d) in regions (m,) nearest to x in the regions (k,)."""
     from scipy.spatial import cKDTree
 
-    source = np.full(len(centre1), -1, dtype=np.int32)
-    by_region0, by_region1 = _groups(regions0), _groups(regions1)
-    for label, targets in by_region1.items():
-        candidates = by_region0[label]
-        tree = cKDTree(centre0[candidates], balanced_tree=False, compact_nodes=False)
-        _, hit = tree.query(centre1[targets], workers=threads)
-        source[targets] = candidates[hit]
-    return source
+    out = np.empty((len(x), count), dtype=np.int32)
+    members = _groups(regions)
+    for label, rows in _groups(labels).items():
+        own = members[label]
+        tree = cKDTree(centres[own], balanced_tree=False, compact_nodes=False)
+        ranks = [min(i, len(own)) for i in range(1, count + 1)]
+        out[rows] = own[tree.query(x[rows], k=ranks, workers=threads)[1]]
+    return out
 
 
 def _groups(labels: IntArray) -> dict[int, NDArray[np.intp]]:

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
+import dataclasses
 import difflib
 import inspect
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, fields
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from numbers import Integral, Real
 from textwrap import wrap
 from typing import Any, Literal, TypedDict, TypeVar, get_args
@@ -19,6 +20,7 @@ Method = Literal["odt", "cpt", "laplacian", "cvt"]
 Solver = Literal["gauss-seidel", "jacobi", "richardson", "global", "lbfgs"]
 Connectivity = Literal["auto", "delaunay", "flips", "none"]
 Boundary = Literal["fixed", "slide"]
+Fields = Literal["auto", "interpolate", "keep"]
 Objective = Literal["radius_ratio", "min_dihedral", "amips"]
 LinearSolver = Literal["auto", "direct", "amg"]
 
@@ -135,11 +137,18 @@ class Options:
         python="(m,) bool mask or cell indices.",
         flag="A file of indices (text or .npy), or the name of a cell array, non-zero where "
         "selected."))
-    regions: Any = field(default=None, metadata=_told(
-        "Labels of the cells; interfaces between labels stay.",
-        python="(m,) integers, or the name of a cell array; charts keeps the seams of the texture "
-        "of a curved surface.",
-        flag="Name of a cell array; charts keeps the seams of the texture of a curved surface."))
+    regions: Any = field(default="auto", metadata=_told(
+        "Labels of the cells; interfaces between labels stay. auto takes the cell arrays of "
+        "integers whose names tell it, or which part the mesh into few connected pieces; the "
+        "report says which. charts keeps the seams of the texture of a curved surface.",
+        python="Also (m,) integers, the names of cell arrays, whose labels are combined, or None.",
+        flag="Also names of cell arrays, between commas, whose labels are combined, or none."))
+    fields: Fields = field(default="auto", metadata=_told(
+        "Point arrays of floating-point numbers: interpolate gives vertices that moved the value "
+        "that the field of the input has there, keep lets values stay with their vertices, auto "
+        "interpolates for tetrahedra and meshes in the plane unless they come from pymeshlab or "
+        "open3d, whose own filters keep. Other arrays, ids and normals stay in any case.",
+        choices=get_args(Fields)))
     keep: tuple[str, ...] = field(default=FIGURES, metadata=_told(
         "Figures that must not get worse; share_below_20 is the part of the cells with an angle "
         "below 20 degrees.",
@@ -217,7 +226,7 @@ def _expect(good: bool, name: str, value: object, expected: str) -> None:
         raise InvalidOptionError(msg)
 
 
-OPTIONS = {about.name: about for about in fields(Options)}
+OPTIONS = {about.name: about for about in dataclasses.fields(Options)}
 """Every field of :class:`Options` by its name, with its metadata, see :func:`_told`."""
 
 
@@ -272,7 +281,8 @@ class OptionKeywords(TypedDict, total=False):
     feature_angle: float
     fixed: ArrayLike | None
     selection: ArrayLike | None
-    regions: str | ArrayLike | None
+    regions: str | Sequence[str] | ArrayLike | None
+    fields: Fields
     keep: tuple[str, ...]
     orient: bool
     threads: int

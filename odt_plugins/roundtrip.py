@@ -15,16 +15,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import (
-    CHARTS,
-    Adapter,
-    Feet,
-    HostMesh,
-    KeptCells,
-    NewVertices,
-    Result,
-)
+from odt_plugins.adapters.host import Adapter, Feet, HostMesh, KeptCells, NewVertices, Result
 from odt_plugins.adapters.kept import hold_charts, protect, protect_surface
+from odt_plugins.adapters.regions import AUTO, CHARTS, are_names
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.adapters.wedges import SEAM, charts
 from odt_plugins.carry import in_input_order, surrounding_cells
@@ -89,6 +82,12 @@ def run_engine(
         points[stays], places[stays] = work.host.points[stays], work.mesh.points[stays]
         old = work.host.cells.astype(np.int64)
         cells = at_copies(cells, source, old, same, work.host.blocks)
+    fields = _interpolated(work, options)
+    around = partial(_around, work, options.threads)
+    written = replace(outcome, written=points, cells=cells)
+    vertices = _new_vertices(work, written, around, moved=bool(fields))
+    told = {"regions_from": work.host.regions_from, "cell_origin": _cell_origin(work.host, source),
+            "interpolated": () if vertices is None else fields, "notes": work.notes}
     if work.orientation < 0:
         cells = reverse(cells, np.ones(len(cells), dtype=np.bool_))
     kind = work.host.cells.dtype
@@ -96,9 +95,18 @@ def run_engine(
         kind = np.promote_types(kind, np.min_scalar_type(len(outcome.points) - 1))
     result = Result(
         points, cells.astype(kind), source, work.mesh.is_surface,
-        _feet(work, places, cells), _new_vertices(work.mesh, outcome), same=same,
+        _feet(work, places, cells), vertices if not work.host.quadratic else None,
+        locate=around if fields else None, same=same,
     )
-    return work.adapter.write(result, work.host), work.mesh, outcome, {"notes": work.notes}
+    return work.adapter.write(result, work.host), work.mesh, outcome, told
+
+
+def _cell_origin(host: HostMesh, source: IntArray) -> NDArray[np.int64]:
+    """Cell of the caller's object of which every cell of the result takes the data."""
+    if host.ids is None:
+        return source.astype(np.int64)
+    others = np.setdiff1d(np.arange(host.total), host.ids)
+    return np.sort(np.concatenate([host.ids[source], others]))
 
 
 def _optimized(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
@@ -132,26 +140,28 @@ def _feet(work: _Prepared, points: FloatArray, cells: IntArray) -> Feet | None:
 
 def _prepare(mesh: Any, options: Options) -> _Prepared:
     adapter = find_adapter(mesh)
-    name = options.regions if isinstance(options.regions, str) else None
-    host = adapter.read(mesh, None if name == CHARTS else name)
-    keep_seams = name == CHARTS and host.textured
-    host = adapter.read(mesh, name) if name == CHARTS and not keep_seams else host
+    names = options.regions if are_names(options.regions) else None
+    host = adapter.read(mesh, AUTO if names == CHARTS else names)
+    keep_seams = names == CHARTS and host.textured
+    host = adapter.read(mesh, CHARTS) if names == CHARTS and not keep_seams else host
+    if not are_names(options.regions):
+        host = replace(host, regions=np.asarray(options.regions))
     with words_of(host):
         if options.insert:
             _expect_linear_tetrahedra(host)
-        labels = host.regions if name or options.regions is None else options.regions
-        work = partial(_checked, adapter, flat_points(host), labels, options)
+        work = partial(_checked, adapter, flat_points(host), options)
         found = work(host, keep_seams=keep_seams)
         same = None if host.quadratic else same_places(host.points, host.cells.astype(np.int64))
         return found if same is None else _of_soup(found, work, host, same, keep_seams)
 
 
 def _checked(
-    adapter: Adapter, flat: tuple[FloatArray, PlaneFrame | None], labels: Any, options: Options,
+    adapter: Adapter, flat: tuple[FloatArray, PlaneFrame | None], options: Options,
     host: HostMesh, *, keep_seams: bool,
 ) -> _Prepared:
     """Check a mesh and fix what is to stay of it, the seams of its texture if asked to."""
     points, frame = flat
+    labels: Any = host.regions
     on_surface = host.cells.shape[1] == points.shape[1]
     host = _without_seams(host) if on_surface and not keep_seams else host
     if host.blocks is not None:
@@ -304,14 +314,41 @@ def _sorted_cells(
     return new_numbers(origin, n)[cells], regions, source
 
 
-def _new_vertices(before: SimplexMesh, outcome: Outcome) -> NewVertices | None:
-    """Where the vertices come from, when some were removed or added."""
-    origin = outcome.origin
-    if origin is None:
-        return None
-    corners, weights = surrounding_cells(
-        before.points, before.cells, outcome.points[origin < 0]
-    )
+def _interpolated(work: _Prepared, options: Options) -> tuple[str, ...]:
+    """Names of the point arrays that are interpolated at vertices that moved."""
+    by_default = work.host.follows and not work.mesh.is_surface
+    chosen = options.fields == "interpolate" or (options.fields == "auto" and by_default)
+    return work.host.fields if chosen else ()
+
+
+def _around(
+    work: _Prepared, threads: int, x: NDArray[Any], near: IntArray
+) -> tuple[IntArray, FloatArray]:
+    """Input cells in which places (k, D) lie or, on a curved surface, under them; coordinates."""
+    before = work.mesh
+    x = x if work.frame is None else work.frame.to_plane(x)
+    if not before.is_surface:
+        return surrounding_cells(before, x, near, threads)
+    from odt_plugins.engine.surface.judge import feet_on
+
+    return feet_on(before.points, before.cells, x)
+
+
+def _new_vertices(
+    work: _Prepared, outcome: Outcome, around: Callable[..., Any], *, moved: bool
+) -> NewVertices | None:
+    """Where point data come from, when vertices came or went, or have others where they moved."""
+    before = work.mesh
     n = len(before.points)
+    written: Any = outcome.written
+    origin = np.arange(n) if outcome.origin is None else outcome.origin
+    placed = origin < 0
+    if moved:
+        placed |= (written != work.host.points[origin]).any(axis=1)
+    if outcome.origin is None and not placed.any():
+        return None
+    near = np.zeros(len(written), dtype=np.int32)
+    near[outcome.cells] = np.asarray(outcome.source)[:, None]
+    cell, weights = around(written[placed].astype(np.float64), near[placed])
     number = new_numbers(origin, n)[:n].astype(np.int64)
-    return NewVertices(origin, number, corners, weights)
+    return NewVertices(origin, number, np.flatnonzero(placed), before.cells[cell], weights)

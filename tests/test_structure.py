@@ -34,7 +34,7 @@ MAY_IMPORT = {
     "api": {"adapters", "report", "roundtrip", *BASE},
     "tetwild": {"api", "errors", "mesh", "options"},
     "hosts": {"adapters", "api", "report", "tetwild", *BASE},
-    "generate": {"adapters", "api", "engine", "report", "tetwild", *BASE},
+    "generate": {"adapters", "api", "carry", "engine", "report", "tetwild", *BASE},
     "compare": {"adapters", "api", "engine", "generate", "report", *BASE},
     "distributed": {"adapters", "api", "carry", "compare", "engine", "report", "roundtrip",
                     "signals", "tetwild", *BASE},

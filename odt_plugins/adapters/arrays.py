@@ -1,16 +1,19 @@
 """Plain arrays: `(points, cells)` or `(points, cells, regions)`, as a tuple or a list.
 
 This is also what pytetwild.tetrahedralize returns. Everything survives: the class of the
-sequence, the dtypes, the orientation; the regions come back exactly, one per output cell.
+sequence, the dtypes, the orientation; the regions come back exactly, one per output cell, also
+those that were given by keyword.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 
-from odt_plugins.adapters.host import HostMesh, Result, region_array
+from odt_plugins.adapters.host import HostMesh, Result
+from odt_plugins.adapters.regions import AUTO, region_labels
 
 
 def matches(mesh: object) -> bool:
@@ -22,19 +25,21 @@ def matches(mesh: object) -> bool:
     )
 
 
-def read(mesh: Any, regions: str | None = None) -> HostMesh:
+def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     """Take the arrays as they are; a third one holds the region labels (m,)."""
     points, cells = mesh[:2]
-    labels = mesh[2] if len(mesh) == 3 else None
-    if regions is not None:
-        labels = region_array({}, regions)
+    given = len(mesh) == 3 and regions == AUTO
+    labels = mesh[2] if given else region_labels({}, regions, cells).values
     return HostMesh(points, cells, regions=labels, source=mesh)
 
 
 def write(result: Result, host: HostMesh) -> Any:
-    """Give back a sequence of the same class with new arrays."""
+    """Give back a sequence of the same class with new arrays, and labels if any were given."""
     parts = [result.points, result.cells]
-    if len(host.source) == 3:
-        parts.append(host.source[2][result.source])
+    labels = host.source[2] if len(host.source) == 3 else host.regions
+    if labels is not None:
+        parts.append(labels[result.source])
     kind = type(host.source)
-    return kind._make(parts) if hasattr(kind, "_make") else kind(parts)
+    if hasattr(kind, "_make"):
+        return kind._make(parts) if len(parts) == len(host.source) else tuple(parts)
+    return kind(parts)

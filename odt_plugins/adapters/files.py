@@ -7,6 +7,7 @@ import re
 import shutil
 import tempfile
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -36,7 +37,7 @@ def matches(mesh: object) -> bool:
     return isinstance(mesh, str | os.PathLike)
 
 
-def read(mesh: Any, regions: str | None = None) -> HostMesh:
+def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     """Read the file and take the arrays out as of any meshio.Mesh."""
     return meshio_mesh.read(read_file(mesh), regions)
 

@@ -2,19 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
-
-from odt_plugins.errors import InvalidOptionError
-
-REGION_ARRAYS = ("marker", "gmsh:physical", "gmsh:geometrical", "medit:ref", "cell_tags",
-                 "nastran:ref", "netgen:index", "tetgen:ref", "ugrid:ref", "avsucd:material")
-"""Integer cell arrays taken as regions by default, in this order: the names that
-pytetwild.tetrahedralize_csg and the formats of meshio give to the material of a cell."""
 
 
 class KeptCells(NamedTuple):
@@ -40,6 +33,7 @@ class HostMesh:
     points : (n, D) array             in the caller's dtype
     cells : (m, k) array              triangles or tetrahedra in the caller's dtype and order
     regions : (m,) int or None        labels found in the object
+    regions_from : tuple of str       names of the arrays or sets that they come from
     blocks : (m,) int or None         groups of cells that must not mix, such as meshio's blocks
     kept : tuple of KeptCells         cells that are not optimised
     source : object                   the caller's object, never changed
@@ -47,6 +41,11 @@ class HostMesh:
     words : callable                  puts an error message into the words of this toolkit
     anchors : (k,) int or None        vertices that may move but must not be removed
     quadratic : bool                  whether there are mid-nodes on the edges of the cells
+    ids : (m,) int or None            place of every cell among all cells of the object, ascending,
+                                      where there may be others; they stay in that order
+    total : int                       number of all cells of the object, with `ids`
+    fields : tuple of str             names of the point arrays that sample a field
+    follows : bool                    whether fields are interpolated unless the caller says so
     texture : array or None           texture coordinates: (m, 3, c) of the corners of triangles, or
                                       (n, c) of the vertices
     """
@@ -54,6 +53,7 @@ class HostMesh:
     points: NDArray[Any]
     cells: NDArray[Any]
     regions: NDArray[Any] | None = None
+    regions_from: tuple[str, ...] = ()
     blocks: NDArray[Any] | None = None
     kept: tuple[KeptCells, ...] = ()
     source: Any = None
@@ -61,6 +61,10 @@ class HostMesh:
     words: Callable[[str], str] = str
     anchors: NDArray[Any] | None = None
     quadratic: bool = False
+    ids: NDArray[Any] | None = None
+    total: int = 0
+    fields: tuple[str, ...] = ()
+    follows: bool = True
     texture: NDArray[Any] | None = None
 
     @property
@@ -70,42 +74,57 @@ class HostMesh:
 
 
 class NewVertices(NamedTuple):
-    """Vertices of the result where some were removed and others added.
+    """Where the point data of the result come from, if some vertices have others than before.
 
     Attributes
     ----------
     origin : (n',) int64        input vertex of every vertex, -1 for those added, at the end
     number : (n,) int64         vertex of the result for every input vertex, -1 if it was removed
-    corners : (k, d + 1) int32  input vertices around each vertex that was added
-    weights : (k, d + 1)        with these barycentric coordinates
+    placed : (k,) int64         vertices of the result that were added, or moved to places where
+                                fields have other values
+    corners : (k, d + 1) int32  input vertices around each of them
+    weights : (k, d + 1)        with these barycentric coordinates, of sum 1
     """
 
     origin: NDArray[np.int64]
     number: NDArray[np.int64]
+    placed: NDArray[np.int64]
     corners: NDArray[np.int32]
     weights: NDArray[np.float64]
 
-    def carried(self, values: NDArray[Any]) -> NDArray[Any]:
+    @property
+    def renumbered(self) -> bool:
+        """Whether vertices came or went."""
+        return not np.array_equal(self.origin, np.arange(len(self.number)))
+
+    def carried(self, values: NDArray[Any], *, field: bool = True) -> NDArray[Any]:
         """Point data (n, ...) of the input for the vertices of the result, (n', ...).
 
-        A vertex that is still there keeps its value; for one that was added, floating-point
-        numbers are interpolated linearly, of anything else the value of the nearest corner is
-        taken.
+        A vertex that is still there keeps its value, unless it moved and the values are those of a
+        `field`. For one that was added, floating-point numbers are interpolated linearly, of
+        anything else the value of the nearest corner is taken.
         """
         out = values[self.origin]
-        added = self.origin < 0
+        added = self.origin[self.placed] < 0
         at_corners = values[self.corners]
         if values.dtype.kind in "fc":
-            wide = at_corners.astype(np.result_type(values, np.float64))
-            out[added] = np.einsum("kc,kc...->k...", self.weights, wide)
+            new = added | field
+            out[self.placed[new]] = interpolated(at_corners[new], self.weights[new])
         else:
             nearest = self.weights.argmax(axis=1)
-            out[added] = at_corners[np.arange(len(nearest)), nearest]
+            out[self.placed[added]] = at_corners[np.arange(len(nearest)), nearest][added]
         return out
 
 
-CHARTS = "charts"
-"""What to pass as `regions` to keep the seams of the texture of a curved surface."""
+def interpolated(at_corners: NDArray[Any], weights: NDArray[np.float64]) -> NDArray[Any]:
+    """Values (k, ...) of linear functions with values (k, c, ...) at corners, weights (k, c).
+
+    Equal values at all corners are taken as they are.
+    """
+    wide = at_corners.astype(np.result_type(at_corners, np.float64))
+    first = wide[:, :1]
+    with np.errstate(all="ignore"):
+        return np.asarray(first[:, 0] + np.einsum("kc,kc...->k...", weights, wide - first))
 
 
 class Feet(NamedTuple):
@@ -139,9 +158,12 @@ class Result(NamedTuple):
     curved : bool              whether these are triangles of a curved surface: its vertices moved
                                along it, and its normals are others
     feet : Feet or None        of the vertices that moved along one with texture coordinates
-    vertices : NewVertices     when some were removed or added
+    vertices : NewVertices     when some were removed or added, or fields are interpolated
     split : callable or None   when the mesh was refined: the parts (c q, r) of other cells (q, r),
                                r = 1, 2 or 3 vertices, those of row i from c i on
+    locate : callable or None  of quadratic cells when fields are interpolated: the input cells
+                               (k,) around places (k, D) near some input cells (k,), and their
+                               barycentric coordinates there
     same : (n,) int or None    of a soup, the first vertex at the place of every vertex
     """
 
@@ -152,6 +174,7 @@ class Result(NamedTuple):
     feet: Feet | None = None
     vertices: NewVertices | None = None
     split: Callable[[NDArray[Any]], NDArray[np.int64]] | None = None
+    locate: Callable[[NDArray[Any], NDArray[Any]], tuple[NDArray[Any], NDArray[Any]]] | None = None
     same: NDArray[np.int64] | None = None
 
 
@@ -162,8 +185,8 @@ class Adapter(Protocol):
         """Say whether this adapter reads the object, without importing its toolkit."""
         ...
 
-    def read(self, mesh: Any, regions: str | None = None) -> HostMesh:
-        """Take the arrays out; `regions` names the cell array of region labels."""
+    def read(self, mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
+        """Take the arrays out; `regions` is what `region_labels` takes: names, "auto" or None."""
         ...
 
     def write(self, result: Result, host: HostMesh) -> Any:
@@ -177,30 +200,3 @@ def is_instance(mesh: object, module: str, name: str) -> bool:
         base.__name__ == name and base.__module__.partition(".")[0] == module
         for base in type(mesh).__mro__
     )
-
-
-def region_array(arrays: Mapping[str, NDArray[Any]], name: str | None) -> NDArray[Any] | None:
-    """Choose the cell array of region labels: by name, or the first known one of integers.
-
-    Of the known ones those with a single value are passed over: they part nothing.
-
-    Raises
-    ------
-    InvalidOptionError     there is no array of that name
-    """
-    if name is not None:
-        if name not in arrays:
-            known = f"one of {sorted(arrays)} or " if arrays else ""
-            msg = (
-                f"regions={name!r} names no cell array{'' if arrays else ', the mesh has none'}; "
-                f"expected {known}an array of integer labels, one per cell"
-            )
-            raise InvalidOptionError(msg)
-        return arrays[name]
-    for known in REGION_ARRAYS:
-        values = arrays.get(known)
-        if values is None or values.ndim != 1 or values.dtype.kind not in "iu":
-            continue
-        if (values != values[:1]).any():
-            return values
-    return None

@@ -9,28 +9,31 @@ polyhedra are refused by name.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters.fields import field_names
 from odt_plugins.adapters.host import (
     HostMesh,
     KeptCells,
     NewVertices,
     Result,
     is_instance,
-    region_array,
 )
 from odt_plugins.adapters.quadratic import (
     CORNERS,
     Quadratic,
     carried_point_data,
     check_mid_nodes,
+    placed_nodes,
     renumbered,
     warn_of_folds,
     with_mid_nodes,
 )
+from odt_plugins.adapters.regions import AUTO, Labels, region_labels
 from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError, counted
 
 FACES = {"line": 2, "triangle": 3, "line3": 2, "triangle6": 3}
@@ -57,15 +60,15 @@ def matches(mesh: object) -> bool:
     return is_instance(mesh, "meshio", "Mesh")
 
 
-def read(mesh: Any, regions: str | None = None) -> HostMesh:
+def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     """Take the tetrahedra, or the triangles if there are none, out of all blocks.
 
     Parameters
     ----------
     mesh : meshio.Mesh
-    regions : str or None      name of the cell data of region labels, or of a cell set; None
-                               takes "marker", "gmsh:physical" or another known name if it is
-                               there, else the cell sets if every cell is in exactly one
+    regions : names, "auto" or None
+                               of cell data of region labels, or of cell sets; "auto" finds cell
+                               data, else takes the cell sets if every cell is in exactly one
 
     Raises
     ------
@@ -91,14 +94,11 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
         msg = f"got a mesh with cells of {', '.join(sorted(found))}; expected tetra or triangle"
         raise UnsupportedMeshError(msg)
     chosen = [i for i, block in enumerate(mesh.cells) if block.type == kind]
-    size = [len(mesh.cells[i].data) for i in chosen]
+    sizes = [len(block.data) for block in mesh.cells]
+    size = [sizes[i] for i in chosen]
     arrays = {name: _joined(name, values, mesh, chosen)
               for name, values in mesh.cell_data.items()}
     sets = _memberships(mesh, chosen, size)
-    labels = region_array(sets | arrays if regions is not None else arrays, regions)
-    if labels is None and sets:
-        inside = np.stack(list(sets.values()))
-        labels = np.argmax(inside, axis=0) if (inside.sum(axis=0) == 1).all() else None
     kept = tuple(
         _kept(block.type, np.asarray(block.data))
         for i, block in enumerate(mesh.cells)
@@ -108,16 +108,25 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
     if kind in QUADRATIC:
         check_mid_nodes(nodes, len(mesh.points))
         nodes = nodes[:, : CORNERS[nodes.shape[1]]]
+    labels = region_labels(arrays if regions == AUTO else sets | arrays, regions, nodes)
+    if regions == AUTO and labels.values is None and sets:
+        inside = np.stack(list(sets.values()))
+        if (inside.sum(axis=0) == 1).all():
+            labels = Labels(np.argmax(inside, axis=0), tuple(sets))
     return HostMesh(
         points=np.asarray(mesh.points),
         cells=nodes,
-        regions=labels,
+        regions=labels.values,
+        regions_from=labels.names,
         blocks=np.repeat(np.arange(len(chosen)), size) if len(chosen) > 1 else None,
         kept=kept,
         source=mesh,
         layout=dict(zip(chosen, np.cumsum([0, *size[:-1]]).tolist(), strict=True)),
         anchors=_anchors(mesh),
         quadratic=kind in QUADRATIC,
+        ids=np.flatnonzero(np.repeat([block.type == kind for block in mesh.cells], sizes)),
+        total=sum(sizes),
+        fields=field_names({name: np.asarray(v) for name, v in mesh.point_data.items()}),
     )
 
 
@@ -126,8 +135,11 @@ def write(result: Result, host: HostMesh) -> Any:
     out = host.source.copy()
     if any(out.cells[i].type in QUADRATIC for i in host.layout):
         result = _with_mid_nodes(out, result, host)
-    elif result.vertices is not None:
+    elif result.vertices is not None and result.vertices.renumbered:
         _renumber(out, result, result.vertices, host)
+    elif result.vertices is not None:
+        for name in host.fields:
+            out.point_data[name] = result.vertices.carried(np.asarray(out.point_data[name]))
     out.points = result.points
     if result.split is not None:
         _refine_others(out, result, host)
@@ -185,7 +197,7 @@ def _renumber(out: Any, result: Result, vertices: NewVertices, host: HostMesh) -
             block.data = vertices.number[block.data].astype(block.data.dtype)
     entities = out.cell_data.get(CELL_ENTITIES)
     for name, values in out.point_data.items():
-        out.point_data[name] = vertices.carried(np.asarray(values))
+        out.point_data[name] = vertices.carried(np.asarray(values), field=name in host.fields)
         if name == NODE_ENTITIES and entities is not None:
             of_cells = np.concatenate([entities[i] for i in host.layout])[result.source]
             _set_entities(out.point_data[name], 3, result.cells, vertices.origin < 0, of_cells)
@@ -205,13 +217,15 @@ def _with_mid_nodes(out: Any, result: Result, host: HostMesh) -> Result:
     for i in others:
         old = np.asarray(out.cells[i].data)
         out.cells[i].data = q.number[old].astype(old.dtype)
+    placed = placed_nodes(q, result, host.points, nodes)
     entities = out.cell_data.get(CELL_ENTITIES)
     for name, values in out.point_data.items():
         if name == NODE_ENTITIES and entities is not None:
             of_cells = np.concatenate([entities[i] for i in host.layout])[result.source]
             out.point_data[name] = _node_entities(np.asarray(values), q, of_cells)
         else:
-            out.point_data[name] = carried_point_data(name, np.asarray(values), q)
+            out.point_data[name] = carried_point_data(
+                name, np.asarray(values), q, placed if name in host.fields else None)
     out.point_sets = renumbered(out.point_sets, q)
     return Result(q.points, q.cells, result.source)
 

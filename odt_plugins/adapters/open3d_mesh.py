@@ -11,19 +11,19 @@ from __future__ import annotations
 
 import re
 import warnings
+from collections.abc import Sequence
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance, region_array
+from odt_plugins.adapters.fields import field_names
+from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
+from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.wedges import carried, charts
 from odt_plugins.errors import InvalidMeshError, ODTWarning, UnsupportedMeshError
-
-MATERIALS = {"legacy": "triangle_material_ids", "tensor": "material_ids"}
-"""Names of the material of every triangle."""
-
 
 REMEDIES = (
     (r"merging vertices at the same place",
@@ -52,15 +52,15 @@ def is_tensor(mesh: object) -> bool:
     return any(".t.geometry" in base.__module__ for base in type(mesh).__mro__)
 
 
-def read(mesh: Any, regions: str | None = None) -> HostMesh:
+def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     """Take the arrays out of an open3d mesh.
 
     Parameters
     ----------
     mesh : open3d.geometry.TriangleMesh, open3d.geometry.TetraMesh or
         open3d.t.geometry.TriangleMesh
-    regions : str or None      name of the triangle attribute of region labels; None takes
-                               "marker" or another known name, else the material ids
+    regions : names, "auto" or None
+                               of triangle attributes of region labels, such as the material ids
 
     Raises
     ------
@@ -73,8 +73,10 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
         return HostMesh(
             points=np.array(mesh.vertices),
             cells=np.array(mesh.tetras),
-            regions=region_array({}, regions),
+            regions=region_labels({}, regions, np.array(mesh.tetras)).values,
             source=mesh,
+            fields=field_names({"vertex_colors": np.asarray(mesh.vertex_colors)}),
+            follows=False,
             words=partial(in_words, mesh=mesh),
         )
     return _read_tensor(mesh, regions) if is_tensor(mesh) else _read_legacy(mesh, regions)
@@ -98,7 +100,9 @@ def write(result: Result, host: HostMesh) -> Any:
             for name in ("vertex_normals", "vertex_colors"):
                 values = np.asarray(getattr(mesh, name))
                 if len(values):
-                    setattr(out, name, Vector3dVector(result.vertices.carried(values)))
+                    field = name in host.fields
+                    setattr(out, name, Vector3dVector(
+                        result.vertices.carried(values, field=field)))
         return out
     return _write_triangles(out, result, host)
 
@@ -113,19 +117,21 @@ def in_words(text: str, mesh: Any) -> str:
     return re.sub(r"\bcell(s?)\b", rf"{noun}\1", text)
 
 
-def _read_legacy(mesh: Any, regions: str | None) -> HostMesh:
+def _read_legacy(mesh: Any, regions: str | Sequence[str] | None) -> HostMesh:
     n, m = len(mesh.vertices), len(mesh.triangles)
     _require(m, n, "TriangleMesh", "triangles")
     cells = np.array(mesh.triangles)
     uv = _wedges(mesh.triangle_uvs, m, "triangle_uvs") if mesh.has_triangle_uvs() else None
     arrays = {}
     if mesh.has_triangle_material_ids():
-        name = MATERIALS["legacy"]
+        name = "triangle_material_ids"
         arrays[name] = _per_triangle(np.array(mesh.triangle_material_ids), m, name)
-    return _host(mesh, np.array(mesh.vertices), cells, uv, arrays, regions)
+    colors = {"vertex_colors": np.array(mesh.vertex_colors)} if mesh.has_vertex_colors() else {}
+    host = _host(mesh, np.array(mesh.vertices), cells, uv, arrays, regions)
+    return replace(host, fields=field_names(colors))
 
 
-def _read_tensor(mesh: Any, regions: str | None) -> HostMesh:
+def _read_tensor(mesh: Any, regions: str | Sequence[str] | None) -> HostMesh:
     if "positions" not in mesh.vertex or "indices" not in mesh.triangle:
         n = len(mesh.vertex["positions"]) if "positions" in mesh.vertex else 0
         _require(0, n, "t.geometry.TriangleMesh", "triangles")
@@ -146,7 +152,8 @@ def _read_tensor(mesh: Any, regions: str | None) -> HostMesh:
     }
     uv = arrays.get("texture_uvs")
     uv = None if uv is None else _wedges(uv.reshape(-1, 2), m, "triangle.texture_uvs")
-    return _host(mesh, points, cells, uv, arrays, regions)
+    host = _host(mesh, points, cells, uv, arrays, regions)
+    return replace(host, fields=field_names(_point_data(mesh)))
 
 
 def _host(
@@ -155,20 +162,17 @@ def _host(
     cells: NDArray[Any],
     uv: NDArray[Any] | None,
     arrays: dict[str, NDArray[Any]],
-    regions: str | None,
+    regions: str | Sequence[str] | None,
 ) -> HostMesh:
     """Put together what both classes of triangle meshes have."""
-    labels = region_array(arrays, regions)
-    if labels is None:
-        labels = next((arrays[name] for name in MATERIALS.values() if name in arrays), None)
-        labels = None if labels is None else labels.reshape(-1)
+    labels = region_labels(arrays, regions, cells)
     blocks: NDArray[np.int64] | None = None
     kept: tuple[KeptCells, ...] = ()
     if uv is not None and _in_range(cells, len(points)):
         blocks, seams = charts(uv, cells)
         kept = (seams,) if len(seams.rows) else ()
-    return HostMesh(points, cells, labels, blocks, kept, source=mesh, layout=uv,
-                    words=partial(in_words, mesh=mesh), texture=uv)
+    return HostMesh(points, cells, *labels, blocks, kept, source=mesh, layout=uv,
+                    follows=False, words=partial(in_words, mesh=mesh), texture=uv)
 
 
 def _in_range(cells: NDArray[Any], n: int) -> bool:
@@ -187,6 +191,9 @@ def _write_triangles(out: Any, result: Result, host: HostMesh) -> Any:
     if mesh.has_triangle_material_ids():
         out.triangle_material_ids = IntVector(
             np.array(mesh.triangle_material_ids)[result.source])
+    if host.fields and result.vertices is not None:
+        out.vertex_colors = Vector3dVector(
+            result.vertices.carried(np.array(mesh.vertex_colors)))
     out.triangle_normals, out.vertex_normals = nowhere, nowhere
     if mesh.has_triangle_normals():
         out.compute_triangle_normals()
@@ -208,13 +215,22 @@ def _write_tensor(result: Result, host: HostMesh, same: bool) -> Any:
     out.material = mesh.material
     if same:
         return out
-    for values, arrays in ((out.vertex, {"positions": result.points}),
+    data = {} if result.vertices is None else {
+        name: result.vertices.carried(values) for name, values in _point_data(mesh).items()
+        if name in host.fields}
+    for values, arrays in ((out.vertex, data | {"positions": result.points}),
                            (out.triangle, _triangle_data(result, host))):
         for name, array in arrays.items():
             tensor: Any = Tensor.from_numpy(np.ascontiguousarray(array)).clone()
             values[name] = tensor if mesh.is_cpu else tensor.to(mesh.device)
     _renew_normals(out, mesh)
     return out
+
+
+def _point_data(mesh: Any) -> dict[str, NDArray[Any]]:
+    """Attributes of the vertices of a tensor mesh, without their places and texture coordinates."""
+    return {name: np.array(values.cpu().numpy()) for name, values in mesh.vertex.items()
+            if name not in ("positions", "texture_uvs")}
 
 
 def _triangle_data(result: Result, host: HostMesh) -> dict[str, NDArray[Any]]:

@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters import pymeshlab_ply
+from odt_plugins.adapters.fields import field_names
 from odt_plugins.adapters.host import Result
 from odt_plugins.errors import DataNotKeptWarning
 
@@ -208,7 +209,12 @@ def _add_from_file(meshes: Any, mesh: Any, result: Result) -> None:
     inner = meshes.current_mesh()
     for attribute in attributes:
         values = attribute.values(mesh)
-        attribute.add(inner, values[result.source] if "face" in attribute.reader else values)
+        if "face" in attribute.reader:
+            values = values[result.source]
+        elif result.vertices is not None:
+            field = bool(field_names({attribute.name: values}))
+            values = result.vertices.carried(values, field=field)
+        attribute.add(inner, values)
 
 
 def _plain_names(names: list[str]) -> list[str]:

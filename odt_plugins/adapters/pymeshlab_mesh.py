@@ -22,12 +22,14 @@ A Mesh that comes back belongs to a MeshSet of its own, which lives as long as i
 from __future__ import annotations
 
 import weakref
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance, region_array
+from odt_plugins.adapters.fields import field_names
+from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
 from odt_plugins.adapters.pymeshlab_copy import (
     Attribute,
     custom_attributes,
@@ -37,6 +39,7 @@ from odt_plugins.adapters.pymeshlab_copy import (
     without_pictures,
 )
 from odt_plugins.adapters.pymeshlab_set import copy_of_set, exchange
+from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.wedges import charts
 from odt_plugins.errors import UnsupportedMeshError, counted
 
@@ -54,14 +57,15 @@ def matches(mesh: object) -> bool:
     return is_instance(mesh, "pymeshlab", "Mesh") or is_instance(mesh, "pymeshlab", "MeshSet")
 
 
-def read(mesh: Any, regions: str | None = None) -> HostMesh:
+def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     """Take the arrays of a Mesh or of the current mesh of a MeshSet.
 
     Parameters
     ----------
     mesh : pymeshlab.Mesh, pymeshlab.MeshSet or InPlace
-    regions : str or None      name of the custom scalar attribute per face that holds region
-                               labels; None takes "marker" or another known name if it is there
+    regions : names, "auto" or None
+                               of custom scalar attributes per face of whole numbers, see
+                               :func:`odt_plugins.adapters.regions.region_labels`
 
     Raises
     ------
@@ -84,7 +88,7 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
     copy = without_pictures(current)
     inner = copy.current_mesh()
     cells = np.array(inner.face_matrix())
-    labels = region_array(_labels(inner, custom_attributes(copy)), regions)
+    labels = region_labels(_labels(inner, custom_attributes(copy)), regions, cells)
     edges = np.array(inner.edge_matrix())
     kept = [KeptCells("edge", edges)]
     blocks = None
@@ -98,20 +102,24 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
     return HostMesh(
         points=np.array(inner.vertex_matrix()),
         cells=cells,
-        regions=labels,
+        regions=labels.values,
+        regions_from=labels.names,
         blocks=blocks,
         kept=tuple(part for part in kept if len(part.rows)),
         source=mesh,
         texture=texture,
         words=lambda text: text.replace("merging vertices at the same place",
                                         "meshing_remove_duplicate_vertices()"),
+        fields=field_names(_vertex_data(inner, copy)),
+        follows=False,
     )
 
 
 def write(result: Result, host: HostMesh) -> Any:
     """Move the vertices or exchange the faces of the current mesh, in a copy unless InPlace."""
     source = host.source
-    moves = result.feet is None and np.array_equal(result.cells, host.cells)
+    moves = result.feet is None and result.vertices is None
+    moves = moves and np.array_equal(result.cells, host.cells)
     if isinstance(source, InPlace):
         if moves:
             move_vertices(source.meshes, result.points)
@@ -133,6 +141,14 @@ def standing_alone(owner: Any) -> Any:
     mesh = owner.current_mesh()
     weakref.finalize(mesh, lambda kept: None, owner).atexit = False
     return mesh
+
+
+def _vertex_data(mesh: Any, meshes: Any) -> dict[str, NDArray[Any]]:
+    """Custom attributes of the vertices, and their scalars where there are others than 0."""
+    out = {attribute.name: attribute.values(mesh) for attribute in custom_attributes(meshes)
+           if attribute.reader.startswith("vertex")}
+    scalars = np.array(mesh.vertex_scalar_array())
+    return out | ({"vertex scalar": scalars} if scalars.any() else {})
 
 
 def _labels(mesh: Any, names: list[Attribute]) -> dict[str, NDArray[Any]]:

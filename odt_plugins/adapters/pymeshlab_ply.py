@@ -45,7 +45,9 @@ def encode(
     if mesh.has_vertex_color():
         vertex += _colours(mesh.vertex_color_matrix())
     if mesh.has_vertex_scalar():
-        vertex.append(("double quality", "<f8", mesh.vertex_scalar_array()))
+        scalars = mesh.vertex_scalar_array()
+        scalars = scalars if result.vertices is None else result.vertices.carried(scalars)
+        vertex.append(("double quality", "<f8", scalars))
     if mesh.has_vertex_tex_coord():
         uv = slid(mesh.vertex_tex_coord_matrix(), mesh.face_matrix(), result.feet)
         vertex += [("float texture_u", "<f4", uv[:, 0]), ("float texture_v", "<f4", uv[:, 1])]

@@ -10,22 +10,24 @@ quadratic cells, quadratic beside linear ones, polyhedra and triangle strips are
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from functools import partial
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance, region_array
+from odt_plugins.adapters.fields import field_names
+from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
 from odt_plugins.adapters.normals import renewed
 from odt_plugins.adapters.quadratic import (
     CORNERS,
     carried_point_data,
     check_mid_nodes,
+    placed_nodes,
     warn_of_folds,
     with_mid_nodes,
 )
+from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.wedges import slid
 from odt_plugins.errors import UnsupportedMeshError, counted
 
@@ -73,14 +75,15 @@ def matches(mesh: object) -> bool:
     )
 
 
-def read(mesh: Any, regions: str | None = None) -> HostMesh:
+def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     """Take the arrays out of a grid or of PolyData.
 
     Parameters
     ----------
     mesh : pyvista.UnstructuredGrid or pyvista.PolyData
-    regions : str or None      name of the cell array of region labels; None takes "marker" or
-                               another known name if it is there
+    regions : names, "auto" or None
+                               of cell arrays of region labels, see
+                               :func:`odt_plugins.adapters.regions.region_labels`
 
     Raises
     ------
@@ -92,17 +95,24 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
     wide = nodes.shape[1] > 4
     if wide:
         check_mid_nodes(nodes, mesh.n_points)
-    labels = region_array({name: np.asarray(mesh.cell_data[name])
-                           for name in mesh.cell_data.keys()}, regions)
+    corners = nodes[:, : CORNERS[nodes.shape[1]]] if wide else nodes
+    labels = region_labels({name: np.atleast_1d(mesh.cell_data[name])[ids]
+                            for name in mesh.cell_data.keys()}, regions, corners)
     name = mesh.point_data.active_texture_coordinates_name
     texture = None if name is None else np.asarray(mesh.point_data[name])
     return HostMesh(
         points=np.asarray(mesh.points),
-        cells=nodes[:, : CORNERS[nodes.shape[1]]] if wide else nodes,
-        regions=None if labels is None else labels[ids],
+        cells=corners,
+        regions=labels.values,
+        regions_from=labels.names,
         kept=kept,
         source=mesh,
         layout=(ids, nodes if wide else None),
+        ids=ids,
+        total=mesh.n_cells,
+        fields=field_names(
+            {name: np.asarray(mesh.point_data[name]) for name in mesh.point_data.keys()},
+            (mesh.point_data.active_normals_name, name)),
         anchors=_anchors(mesh) if grid else None,
         quadratic=wide,
         texture=None if texture is None else texture.reshape(len(texture), -1),
@@ -115,23 +125,24 @@ def write(result: Result, host: HostMesh) -> Any:
     out = host.source.copy(deep=True)
     ids, nodes = host.layout
     out.cell_data.clear()
+    vertices = result.vertices
+    number = vertices.number if vertices is not None and vertices.renumbered else None
     if not is_instance(host.source, "pyvista", "UnstructuredGrid"):
         rows = _write_polydata(out, result, ids)
         out.points = result.points
     elif nodes is None:
-        vertices = result.vertices
-        number = None if vertices is None else vertices.number
         if result.split is not None:
             rows = _write_refined(out, result, host.source, ids)
         else:
             rows = _write_grid(out, result, host.source, ids, number)
-        if vertices is not None:
+        if number is not None:
             out.point_data.clear()
         out.points = result.points
-        if vertices is not None:
-            _carry_point_data(out, host.source, lambda _, values: vertices.carried(values))
     else:
         rows = _write_quadratic(out, result, host)
+    if vertices is not None and nodes is None:
+        _carry_point_data(out, host.source, lambda name, values: vertices.carried(
+            values, field=name in host.fields), host.fields if number is None else None)
     _carry_cell_data(out, host.source, rows)
     if result.curved and nodes is None:
         _follow_surface(out, result, host, rows)
@@ -242,15 +253,19 @@ def _write_quadratic(out: Any, result: Result, host: HostMesh) -> IndexArray:
     rows = _write_grid(out, whole, source, ids, q.number)
     out.point_data.clear()
     out.points = q.points
-    _carry_point_data(out, source, partial(carried_point_data, q=q))
+    placed = placed_nodes(q, result, host.points, nodes)
+    _carry_point_data(out, source, lambda name, values: carried_point_data(
+        name, values, q, placed if name in host.fields else None))
     return rows
 
 
 def _carry_point_data(
-    out: Any, source: Any, carry: Callable[[str, NDArray[Any]], NDArray[Any]]
+    out: Any, source: Any, carry: Callable[[str, NDArray[Any]], NDArray[Any]],
+    names: Sequence[str] | None = None,
 ) -> None:
+    """Give the points the data of those they came from, or some of these arrays if named."""
     old, new = source.point_data, out.point_data
-    for name in old.keys():
+    for name in old.keys() if names is None else names:
         new.set_array(carry(name, np.asarray(old[name])), name)
     _make_active(new, old)
 

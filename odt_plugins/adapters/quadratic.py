@@ -11,15 +11,15 @@ from __future__ import annotations
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import Result
+from odt_plugins.adapters.host import Result, interpolated
 from odt_plugins.errors import DataNotKeptWarning, InvalidMeshError, ODTWarning
 from odt_plugins.mesh.facets import row_keys
-from odt_plugins.mesh.simplex import determinant
+from odt_plugins.mesh.simplex import barycentric, determinant
 
 EDGES = {
     6: np.array([[0, 1], [1, 2], [2, 0]]),
@@ -190,7 +190,67 @@ def _follow(
     out[node] += 0.5 * (shift[a] + shift[b])
 
 
-def carried_point_data(name: str, values: NDArray[Any], q: Quadratic) -> NDArray[Any]:
+class Placed(NamedTuple):
+    """Nodes that moved or are new, and where they lie in the input.
+
+    Attributes
+    ----------
+    node : (k,) int            of the result
+    cell : (k, 6 or 10) int    nodes of the input cell around each
+    weights : (k, d + 1)       its barycentric coordinates with respect to the corners of that cell
+    middle : (k, e, d + 1)     those of the mid-nodes of that cell
+    """
+
+    node: NDArray[np.intp]
+    cell: NDArray[Any]
+    weights: NDArray[np.float64]
+    middle: NDArray[np.float64]
+
+
+def placed_nodes(
+    q: Quadratic, result: Result, points: NDArray[Any], rows: NDArray[Any]
+) -> Placed | None:
+    """Locate the nodes that moved or are new, unless fields stay with their nodes.
+
+    Parameters
+    ----------
+    q, result : the nodes after :func:`with_mid_nodes`, and its argument
+    points, rows : (n, D), (m, 6 or 10)    all nodes and the cells of the input
+    """
+    node = np.flatnonzero((q.origin < 0) | (q.points != points[q.origin]).any(axis=1))
+    if result.locate is None or not node.size:
+        return None
+    near = np.zeros(len(q.points), dtype=np.int32)
+    near[q.cells] = result.source[:, None]
+    which, weights = result.locate(q.points[node].astype(np.float64), near[node])
+    x = np.asarray(points, dtype=np.float64)[rows[which]]
+    x = x - x[:, :1]
+    c = CORNERS[rows.shape[1]]
+    if x.shape[2] > c - 1:
+        x = np.einsum("kid,kjd->kij", x, x[:, 1:c])
+    edges = rows.shape[1] - c
+    middle = barycentric(np.repeat(x[:, None, :c], edges, axis=1), x[:, c:])
+    return Placed(node, rows[which], weights, middle)
+
+
+def _at_places(values: NDArray[Any], placed: Placed) -> NDArray[Any]:
+    """The field of the input at nodes (k, ...): linear between corners, and its mid-nodes' bubbles.
+
+    A mid-node adds 4 w_a w_b times what its value differs from that of the linear function at its
+    place: linear fields are exact in curved cells too, quadratic ones where edges are straight.
+    """
+    k, c = placed.cell.shape[1], placed.weights.shape[1]
+    wide = values[placed.cell].astype(np.result_type(values, np.float64))
+    a, b = EDGES[k].T
+    bubble = 4.0 * placed.weights[:, a] * placed.weights[:, b]
+    more = wide[:, c:] - np.einsum("kec,kc...->ke...", placed.middle, wide[:, :c])
+    straight = interpolated(wide[:, :c], placed.weights)
+    return np.asarray(straight + np.einsum("ke,ke...->k...", bubble, more))
+
+
+def carried_point_data(
+    name: str, values: NDArray[Any], q: Quadratic, placed: Placed | None = None
+) -> NDArray[Any]:
     """Point data after :func:`with_mid_nodes`.
 
     Parameters
@@ -198,6 +258,7 @@ def carried_point_data(name: str, values: NDArray[Any], q: Quadratic) -> NDArray
     name : str            for the warning
     values : (n, ...)     of the input nodes
     q : Quadratic
+    placed : Placed       of a field: it takes its values at these nodes
 
     Returns
     -------
@@ -211,6 +272,9 @@ def carried_point_data(name: str, values: NDArray[Any], q: Quadratic) -> NDArray
                           on that edge gives
     """
     out = values[np.maximum(q.origin, 0)]
+    if placed is not None:
+        out[placed.node] = _at_places(values, placed)
+        return out
     new = np.flatnonzero(q.origin < 0)
     a, b = (values[q.origin[q.ends[new, i]]] for i in (0, 1))
     out[new] = _between(a, b)

@@ -11,7 +11,8 @@ import warnings
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import CHARTS, Feet, KeptCells, Result
+from odt_plugins.adapters.host import Feet, KeptCells, Result
+from odt_plugins.adapters.regions import CHARTS
 from odt_plugins.errors import DataNotKeptWarning, counted
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.facets import row_keys

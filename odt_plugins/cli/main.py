@@ -109,12 +109,18 @@ def _option_flags(command: Callable[..., Any]) -> Callable[..., Any]:
             settings["type"] = click.IntRange(min=told["least"])
         elif float in (hints[name], *get_args(hints[name])):
             settings["type"] = float
+        elif name == "regions":
+            settings["callback"] = _region_names
         elif name == "keep":
             settings |= {"default": ",".join(FIGURES), "callback": _figure_names}
         else:
             settings["type"] = str
         command = click.option(flag, name, **settings)(command)
     return command
+
+
+def _region_names(_ctx: click.Context, _param: click.Parameter, text: str) -> str | None:
+    return None if text == "none" else text
 
 
 def _figure_names(_ctx: click.Context, _param: click.Parameter, text: str) -> tuple[str, ...]:

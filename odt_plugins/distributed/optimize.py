@@ -117,7 +117,7 @@ def optimize_partitioned_with_report(
 def _partitioned(
     mesh: Any, blocks: int, rounds: int, client: Any, workers: int, options: Options
 ) -> tuple[Any, SimplexMesh, Outcome, dict[str, Any]]:
-    """What :func:`odt_plugins.roundtrip.run_engine` returns."""
+    """What :func:`run_engine` returns."""
     check(blocks, rounds, workers, options, several=client is not None or workers > 0)
 
     def engine(simplices: SimplexMesh, chosen: Options, leaving: Leaving) -> Outcome:

@@ -12,6 +12,8 @@ from typing import Any, NamedTuple, Unpack
 
 import numpy as np
 
+from odt_plugins.adapters.fields import field_names
+from odt_plugins.adapters.regions import AUTO, are_names, region_names
 from odt_plugins.distributed.apply import Apply, told
 from odt_plugins.distributed.figures import Figures, total, worse
 from odt_plugins.distributed.local import executor
@@ -49,9 +51,7 @@ from odt_plugins.options import (
     make_options,
     with_option_signature,
 )
-
-REGIONS = "marker"
-"""Name of the cell array of labels in the result when none was given."""
+from odt_plugins.report.report import fields_line, regions_line
 
 
 class PiecesReport(NamedTuple):
@@ -63,6 +63,9 @@ class PiecesReport(NamedTuple):
     pieces : int                files of the result
     interface : int             vertices of the interfaces of the input: what the driver holds
     fallback : str or None      why the result of an earlier round is returned, when it is
+    regions_from : tuple of str names of the cell arrays taken as labels of regions
+    interpolated : tuple of str names of the point arrays that are fields: in every round they take
+                                their values at the new places of vertices
     turned : int                cells of mixed orientation that were turned
     """
 
@@ -71,6 +74,8 @@ class PiecesReport(NamedTuple):
     pieces: int
     interface: int
     fallback: str | None
+    regions_from: tuple[str, ...] = ()
+    interpolated: tuple[str, ...] = ()
     turned: int = 0
 
     def __str__(self) -> str:
@@ -81,6 +86,10 @@ class PiecesReport(NamedTuple):
             lines.append(f"{name:20}{a:10.4f}{b:10.4f}")
         lines.append(f"{'cells':20}{self.before.cells:10d}{self.after.cells:10d}")
         lines.append(f"{self.pieces} pieces; {self.interface} vertices on interfaces of the input")
+        if self.regions_from:
+            lines.append(regions_line(self.regions_from))
+        if self.interpolated:
+            lines.append(fields_line(self.interpolated))
         if self.turned:
             lines.append(f"{counted(self.turned, 'cell')} turned to positive volume")
         return "\n".join(lines + ([f"fell back: {self.fallback}"] if self.fallback else []))
@@ -161,7 +170,7 @@ def _check_for_pieces(options: Options) -> None:
         if getattr(options, name) is not None:
             msg = f"got {name} for a mesh in pieces; expected options that every piece can tell"
             raise InvalidOptionError(msg)
-    if not isinstance(options.regions, str | None):
+    if not are_names(options.regions):
         msg = "got an array of regions for a mesh in pieces; expected the name of a cell array"
         raise InvalidOptionError(msg)
     if not isinstance(options.density, str) or options.density not in ("keep", "uniform"):
@@ -173,23 +182,23 @@ def _run(
     sources: Sequence[str], index: Path, folder: Path, rounds: int, options: Options,
     apply: Apply, *, ghosts: bool,
 ) -> PiecesReport:
-    named = options.regions if isinstance(options.regions, str) else None
+    given: Any = options.regions
     report, options = options.progress, replace(options, regions=None, progress=None)
 
     def stage(name: str, count: int) -> Apply:
         return told(apply, report, name, count)
 
     read = stage("reading", len(sources))
-    found = read(partial(take_in, regions=named), [
+    found = read(partial(take_in, regions=given), [
         (path, str(folder / f"0-{k}.npz")) for k, path in enumerate(sources)])
     taken: list[Taken] = [part for part in found if part is not None]
     _check_taken(taken, ghosts=ghosts)
-    names = {part.regions for part in taken}
-    if len(names) > 1:
-        msg = f"got pieces with labels in different cell arrays ({names}); expected one name in all"
-        raise InvalidOptionError(msg)
-    name = names.pop() or REGIONS
-    numbers, waiting = _number(taken, _data_of_all(taken))
+    spreads = [part.spreads for part in taken]
+    labels = region_names(spreads) if given == AUTO else tuple(spreads[0])
+    kept = _data_of_all(taken)
+    kinds = taken[0].kinds["data"]
+    fields = field_names({name: np.empty(0, kinds[name][1]) for name in kept["data"]})
+    numbers, waiting = _number(taken, kept, labels)
     states = [_state(taken)]
     before = total(states[0])
     improve = stage("round 1", len(taken))
@@ -216,9 +225,10 @@ def _run(
     turned = sum(part.turned if part.orientation == orientation else part.figures.cells
                  for part in taken)
     _publish(list(zip(paths, given, strict=True)), index, folder, partial(
-        publish, regions=name, orientation=orientation), stage("writing", len(paths)))
+        publish, orientation=orientation), stage("writing", len(paths)))
     fallback = f"a later round was given up ({'; '.join(broken)})" if broken else None
-    return PiecesReport(before, after, len(paths), interface, fallback, turned)
+    return PiecesReport(before, after, len(paths), interface, fallback, labels,
+                        fields if options.fields != "keep" else (), turned)
 
 
 def _state(parts: Sequence[Taken | Done]) -> list[tuple[str, Figures]]:
@@ -253,14 +263,21 @@ def _data_of_all(taken: Sequence[Taken]) -> dict[str, tuple[str, ...]]:
 
 
 def _number(
-    taken: Sequence[Taken], kept: dict[str, tuple[str, ...]]
+    taken: Sequence[Taken], kept: dict[str, tuple[str, ...]], labels: tuple[str, ...]
 ) -> tuple[list[Numbers], Ids]:
     """Find vertices of several pieces; numbers for all, and those of the vertices found.
 
     Raises
     ------
     InvalidMeshError      numbers that came with the pieces, or coordinates, do not tell
+    InvalidOptionError    arrays of labels are of several types
     """
+    lost = [name for name in labels if name not in kept["cell_data"]]
+    if lost:
+        msg = f"got pieces whose cell arrays {lost[0]!r} are of several types; expected one in all"
+        raise InvalidOptionError(msg)
+    known = [np.unique(np.concatenate([part.spreads[name].values for part in taken]))
+             for name in labels]
     points = np.ascontiguousarray(np.concatenate([part.points for part in taken]) + 0.0)
     lengths = [len(part.rim) for part in taken]
     piece = np.repeat(np.arange(len(taken)), lengths)
@@ -292,7 +309,7 @@ def _number(
         place = slice(ends[k] - lengths[k], ends[k])
         here = inverse[place][shared[place]]
         numbers.append(Numbers(None if came else int(first[k]), part.rim[shared[place]],
-                               ids[one[here]], sizes[here], scale, kept))
+                               ids[one[here]], sizes[here], scale, kept, labels, known))
     return numbers, np.unique(ids[one[pieces > 1]])
 
 
@@ -365,4 +382,4 @@ def _publish(
     files = [fresh / piece_name(index, k) for k in range(len(items))]
     examples = list(apply(write, [(path, file, number)
                                   for (path, number), file in zip(items, files, strict=True)]))
-    place_pieces(index, files, examples[0], write.keywords["regions"])
+    place_pieces(index, files, examples[0])

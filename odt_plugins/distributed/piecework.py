@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.carry import cell_source
+from odt_plugins.adapters.fields import field_names
+from odt_plugins.adapters.host import interpolated
+from odt_plugins.adapters.regions import Spread
+from odt_plugins.carry import cell_source, surrounding_cells
 from odt_plugins.distributed.block import Block, improve
 from odt_plugins.distributed.figures import Figures, measure_part
 from odt_plugins.distributed.partition import grown, seams
@@ -36,6 +40,9 @@ from odt_plugins.options import Options
 
 Ids = NDArray[np.int64]
 
+REGIONS = "marker"
+"""Name of the cell array of labels in the result where none was found."""
+
 
 class Taken(NamedTuple):
     """What the driver learns of a piece of the input.
@@ -52,7 +59,7 @@ class Taken(NamedTuple):
     mean : float             mean of that field
     orientation : int        -1 when all cells came with negative volume
     turned : int             cells of mixed orientation that were turned
-    regions : str or None    name of the cell array of labels
+    spreads : dict           how its arrays of integers lie in it
     kinds : dict             what a value of every array is, its shape and type, in each of TABLES
     ghosts : bool            whether it told which of its cells belong to others
     """
@@ -67,7 +74,7 @@ class Taken(NamedTuple):
     mean: float
     orientation: int
     turned: int
-    regions: str | None
+    spreads: dict[str, Spread]
     kinds: dict[str, dict[str, tuple[tuple[int, ...], str]]]
     ghosts: bool
 
@@ -83,6 +90,8 @@ class Numbers(NamedTuple):
     sizes : (k,) float64     the size field there
     scale : float            mean of that field over all pieces
     kept : dict              names of the arrays that all pieces have, in each of TABLES
+    regions : tuple of str   cell arrays of labels
+    known : list of (k,)     all values that each of them has in the whole mesh, ascending
     """
 
     first: int | None
@@ -91,6 +100,8 @@ class Numbers(NamedTuple):
     sizes: FloatArray
     scale: float
     kept: dict[str, tuple[str, ...]]
+    regions: tuple[str, ...]
+    known: list[NDArray[Any]]
 
 
 class Done(NamedTuple):
@@ -117,7 +128,7 @@ class Cut(NamedTuple):
     parts: list[tuple[int, str]]
 
 
-def take_in(item: tuple[str, str], regions: str | None) -> Taken | None:
+def take_in(item: tuple[str, str], regions: str | Sequence[str] | None) -> Taken | None:
     """Read a piece of the input, measure it and keep it as arrays; None when it is empty.
 
     Raises
@@ -139,7 +150,7 @@ def take_in(item: tuple[str, str], regions: str | None) -> Taken | None:
     save(path, replace(piece, sizes=sizes))
     return Taken(path, measure_part(piece.points, piece.cells, path), n, rim,
                  piece.ids[rim] if found.numbered else None, piece.points[rim], sizes[rim], scale,
-                 found.orientation, found.turned, found.regions,
+                 found.orientation, found.turned, found.spreads,
                  {table: {name: (values.shape[1:], values.dtype.str)
                           for name, values in getattr(piece, table).items()} for table in TABLES},
                  found.ghosts)
@@ -164,7 +175,12 @@ def numbered(source: str, number: Numbers) -> Piece:
     sizes[number.rim] = number.sizes
     data, cell_data = ({name: getattr(piece, table)[name] for name in number.kept[table]}
                        for table in TABLES)
-    return replace(piece, ids=ids, sizes=sizes / number.scale, data=data, cell_data=cell_data)
+    labels = np.zeros(len(piece.cells), dtype=np.int64)
+    for name, known in zip(number.regions, number.known, strict=True):
+        labels = labels * len(known) + np.searchsorted(known, cell_data[name].reshape(-1))
+    cell_data = cell_data if number.regions else {REGIONS: labels} | cell_data
+    return replace(piece, ids=ids, sizes=sizes / number.scale, data=data, cell_data=cell_data,
+                   regions=labels)
 
 
 def first_round(item: tuple[str, str, Numbers], options: Options) -> Done:
@@ -230,14 +246,14 @@ def merge(item: tuple[list[str], str, Ids, Ids, Ids], options: Options) -> Done:
     return _improved(piece, held, options, path, waiting, held & np.isin(piece.ids, waiting))
 
 
-def publish(item: tuple[str, Path, Numbers | None], regions: str, orientation: int) -> Piece:
+def publish(item: tuple[str, Path, Numbers | None], orientation: int) -> Piece:
     """Write a piece of the result, one of the input with its numbers.
 
     Gives back one without cells and vertices.
     """
     source, path, number = item
     piece = load(source) if number is None else numbered(source, number)
-    write_piece(path, piece, regions, orientation)
+    write_piece(path, piece, orientation)
     return piece.part(np.zeros(0, dtype=np.intp))
 
 
@@ -253,13 +269,21 @@ def _improved(
     power = -float(mesh.dim + 2 if options.exponent is None else options.exponent)
     sizes = piece.sizes if options.density == "keep" else None
     result = improve(Block(mesh, sizes, options, power, later, versions_here()))
-    cell_data = piece.cell_data
-    if cell_data:
-        source = cell_source(mesh.points, mesh.cells, regions, result.points, result.cells,
-                             result.regions, options.threads)
-        cell_data = {name: values[source] for name, values in cell_data.items()}
+    source = cell_source(mesh.points, mesh.cells, regions, result.points, result.cells,
+                         result.regions, options.threads)
+    cell_data = {name: values[source] for name, values in piece.cell_data.items()}
+    data = dict(piece.data)
+    names = field_names(data) if options.fields != "keep" else ()
+    moved = np.flatnonzero((result.points != mesh.points).any(axis=1))
+    if names and moved.size:
+        near = np.zeros(len(mesh.points), dtype=np.int32)
+        near[result.cells] = source[:, None]
+        cell, weights = surrounding_cells(mesh, result.points[moved], near[moved], options.threads)
+        for name in names:
+            data[name] = piece.data[name].copy()
+            data[name][moved] = interpolated(piece.data[name][mesh.cells[cell]], weights)
     save(path, Piece(result.points, result.cells, labels[result.regions], piece.ids,
                      piece.sizes if result.density is None else result.density,
-                     np.ones(len(piece.ids), dtype=np.bool_), piece.data, cell_data))
+                     np.ones(len(piece.ids), dtype=np.bool_), data, cell_data))
     return Done(path, measure_part(result.points, result.cells, path), piece.ids[held],
                 np.intersect1d(piece.ids[~held], waiting))

@@ -13,7 +13,7 @@ from odt_plugins.distributed.store import Piece, piece_files, write_index
 from odt_plugins.errors import MeshFileError
 
 
-def place_pieces(index: Path, files: list[Path], example: Piece, regions: str) -> None:
+def place_pieces(index: Path, files: list[Path], example: Piece) -> None:
     """Move files into a folder of their own beside the index, and let it name them.
 
     Nothing else is touched, but the pieces of an earlier result which the index named before.
@@ -22,7 +22,7 @@ def place_pieces(index: Path, files: list[Path], example: Piece, regions: str) -
     ----------
     index : path             a .pvtu file, which may exist
     files : list of path     on the same file system
-    example, regions         see :func:`write_index`
+    example : Piece          see :func:`write_index`
 
     Raises
     ------
@@ -33,7 +33,7 @@ def place_pieces(index: Path, files: list[Path], example: Piece, regions: str) -
         for file in files:
             os.replace(file, folder / file.name)
         old = _earlier(index)
-        write_index(index, [f"{folder.name}/{file.name}" for file in files], example, regions)
+        write_index(index, [f"{folder.name}/{file.name}" for file in files], example)
     except BaseException:
         shutil.rmtree(folder, ignore_errors=True)
         raise

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import os
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
 from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters import files, meshio_mesh
-from odt_plugins.adapters.host import REGION_ARRAYS
+from odt_plugins.adapters.regions import Spread, named_spreads
 from odt_plugins.errors import (
     InvalidMeshError,
     MeshFileError,
@@ -38,13 +39,13 @@ class Piece:
     ----------
     points : (n, 3) float64
     cells : (m, 4) int32         positive, in the numbering of the piece
-    regions : (m,) int64         labels as they came
+    regions : (m,) int64         labels
     ids : (n,) int64             number of every vertex in the whole mesh
     sizes : (n,) float64         cell size h of the input, carried with the vertices
     whole : (n,) bool            whether all cells around a vertex, of those of the piece that it
                                  was split from, are here
     data : dict                  point arrays of the input
-    cell_data : dict             cell arrays of the input, without the labels
+    cell_data : dict             cell arrays of the input, those that the labels are from as well
     """
 
     points: FloatArray
@@ -172,7 +173,7 @@ class Found(NamedTuple):
     ghosts : bool              whether it told which cells belong to others; they are left out
     orientation : int          -1 when its cells came with negative volume
     turned : int               cells of mixed orientation that were turned
-    regions : str or None      name of the cell array of labels
+    spreads : dict             see :func:`odt_plugins.adapters.regions.named_spreads`
     """
 
     piece: Piece
@@ -180,16 +181,16 @@ class Found(NamedTuple):
     ghosts: bool
     orientation: int
     turned: int
-    regions: str | None
+    spreads: dict[str, Spread]
 
 
-def read_piece(path: str, regions: str | None) -> Found | None:
-    """Read a piece.
+def read_piece(path: str, regions: str | Sequence[str] | None) -> Found | None:
+    """Read a piece, all its labels 0.
 
     Parameters
     ----------
     path : str
-    regions : str or None      cell array of labels; a known one of integers unless given
+    regions : names of the cell arrays of labels, "auto" or None
 
     Returns
     -------
@@ -205,16 +206,10 @@ def read_piece(path: str, regions: str | None) -> Found | None:
         return None
     if not any(len(block.data) for block in source.cells):
         return None
-    arrays = source.cell_data
-    if regions is None:
-        # A piece may lie in one region: an array of one value parts nothing here, but elsewhere.
-        regions = next((name for name in REGION_ARRAYS if name in arrays
-                        and all(block.dtype.kind in "iu" for block in arrays[name])), None)
-    host = meshio_mesh.read(source, regions)
+    host = meshio_mesh.read(source)
     if host.cells.shape[1:] != (4,) or host.quadratic or host.kept:
         msg = f"{path} holds other cells than linear tetrahedra; expected these alone in pieces"
         raise UnsupportedMeshError(msg)
-    labels = np.zeros(len(host.cells), np.int64) if host.regions is None else host.regions
     mesh, orientation = simplex_mesh(host.points, host.cells)
     n = len(mesh.points)
     ids = np.asarray(source.point_data.get(IDS, 0.0))
@@ -222,30 +217,31 @@ def read_piece(path: str, regions: str | None) -> Found | None:
     data = {name: np.asarray(values) for name, values in source.point_data.items()
             if name not in (IDS, GHOSTS)}
     cell_data = {name: np.concatenate([np.asarray(values[block]) for block in host.layout])
-                 for name, values in arrays.items() if name != regions}
+                 for name, values in source.cell_data.items()}
     ghosts = cell_data.pop(GHOSTS, None)
-    piece = Piece(mesh.points, mesh.cells, np.asarray(labels, dtype=np.int64),
+    piece = Piece(mesh.points, mesh.cells, np.zeros(len(mesh.cells), dtype=np.int64),
                   ids.astype(np.int64) if numbered else np.arange(n, dtype=np.int64),
                   np.ones(n), np.ones(n, dtype=np.bool_), data, cell_data)
     if ghosts is not None:
         piece = piece.part(np.flatnonzero(ghosts.astype(np.int64) & DUPLICATE == 0))
     if not len(piece.cells):
         return None
-    return Found(piece, numbered, ghosts is not None, orientation, mesh.turned, regions)
+    return Found(piece, numbered, ghosts is not None, orientation, mesh.turned,
+                 named_spreads(piece.cell_data, regions, piece.cells))
 
 
-def write_piece(path: Path, piece: Piece, regions: str, orientation: int) -> None:
-    """Write a piece as .vtu, with its numbers, its arrays and its regions."""
+def write_piece(path: Path, piece: Piece, orientation: int) -> None:
+    """Write a piece as .vtu, with its numbers and its arrays."""
     from meshio import Mesh
 
     turned = np.full(len(piece.cells), orientation < 0)
     mesh = Mesh(piece.points, [("tetra", reverse(piece.cells, turned))],
                 point_data={**piece.data, IDS: piece.ids},
-                cell_data={name: [values] for name, values in _cell_arrays(piece, regions).items()})
+                cell_data={name: [values] for name, values in piece.cell_data.items()})
     files.write_file(path, mesh)
 
 
-def write_index(path: Path, names: list[str], example: Piece, regions: str) -> None:
+def write_index(path: Path, names: list[str], example: Piece) -> None:
     """Write the .pvtu file that names the pieces; it comes last.
 
     Raises
@@ -256,7 +252,7 @@ def write_index(path: Path, names: list[str], example: Piece, regions: str) -> N
                                byte_order="LittleEndian")
     grid = ElementTree.SubElement(root, "PUnstructuredGrid", GhostLevel="0")
     _declare(grid, "PPointData", {**example.data, IDS: example.ids})
-    _declare(grid, "PCellData", _cell_arrays(example, regions))
+    _declare(grid, "PCellData", example.cell_data)
     _declare(grid, "PPoints", {"Points": example.points})
     for name in names:
         ElementTree.SubElement(grid, "Piece", Source=name)
@@ -264,11 +260,6 @@ def write_index(path: Path, names: list[str], example: Piece, regions: str) -> N
     with writing(path, "another path"):
         ElementTree.ElementTree(root).write(beside, xml_declaration=True)
         os.replace(beside, path)
-
-
-def _cell_arrays(piece: Piece, regions: str) -> dict[str, NDArray[Any]]:
-    """All of them; labels that were made here, of one value, give way to one of the same name."""
-    return {regions: piece.regions, **piece.cell_data}
 
 
 def _declare(grid: Any, tag: str, arrays: dict[str, NDArray[Any]]) -> None:

@@ -66,7 +66,7 @@ def coarse_mesh(mesh: Any, surface: Any, edge_length: float, options: Options) -
             target = make_target(*_surface(surface), angle)
         return Coarse(mesh, target, 0.0, False)
     given = {"surface": surface, "fixed": options.fixed, "selection": options.selection,
-             "regions": options.regions}
+             "regions": None if options.regions == "auto" else options.regions}
     name = next((name for name, value in given.items() if value is not None), None)
     if name is not None:
         msg = f"got {name} for a mesh of triangles; expected it for tetrahedra only"

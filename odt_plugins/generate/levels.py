@@ -8,15 +8,17 @@ from __future__ import annotations
 
 import time
 import warnings
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from numbers import Integral, Real
 from typing import Any, Unpack
 
 import numpy as np
 
-from odt_plugins.adapters.host import HostMesh, Result
+from odt_plugins.adapters.host import HostMesh, NewVertices, Result
+from odt_plugins.adapters.regions import are_names
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.api import optimize_with_report
+from odt_plugins.carry import surrounding_cells
 from odt_plugins.engine.cells.geometry import boundary_facets, interface_vertices
 from odt_plugins.engine.ground.envelope import distances
 from odt_plugins.errors import InvalidOptionError, ODTWarning
@@ -27,7 +29,13 @@ from odt_plugins.generate.refine3d import check_size, numbered_edges
 from odt_plugins.generate.uniform import uniform_refine
 from odt_plugins.mesh.arrays import BoolArray
 from odt_plugins.mesh.facets import row_keys
-from odt_plugins.mesh.simplex import compact_labels, diagonal, mesh_arrays, vertex_mask
+from odt_plugins.mesh.simplex import (
+    SimplexMesh,
+    compact_labels,
+    diagonal,
+    mesh_arrays,
+    vertex_mask,
+)
 from odt_plugins.options import OptionKeywords, make_options, with_option_signature
 from odt_plugins.quality import volumes
 
@@ -110,16 +118,18 @@ def refine_and_optimize(
     """
     chosen = make_options(**options)
     _check(levels, edge_length, options)
-    named = chosen.regions
     start = coarse_mesh(mesh, surface, edge_length, chosen)
     slides = options.get("boundary", "slide" if start.meshed or surface is not None else "fixed")
     reference = start.target.reference
     envelope = chosen.envelope * diagonal(reference.points[np.unique(reference.triangles)])
     plain: Any = {name: value for name, value in options.items() if name not in CARRIED}
-    plain |= {"envelope": chosen.envelope, "feature_angle": chosen.feature_angle, "regions": named}
+    plain |= {"envelope": chosen.envelope, "feature_angle": chosen.feature_angle}
 
     current = start.mesh
-    host = find_adapter(current).read(current, named)
+    host = find_adapter(current).read(current, chosen.regions)
+    # What is found at the start is held at every level.
+    named = host.regions_from or (None if host.regions is None else chosen.regions)
+    plain["regions"] = named
     n, m = len(host.points), len(host.cells)
     check_size(m, 3, levels)
     fixed = vertex_mask(chosen.fixed, n, "fixed", "vertices")
@@ -137,7 +147,8 @@ def refine_and_optimize(
             current = uniform_refine(current)
             refining, clock = _lap(clock)
             current, asked, short = _projected(
-                current, named, fixed, frozen, start.target, envelope, last=level == levels)
+                current, named, fixed, frozen, start.target, envelope, last=level == levels,
+                fields=chosen.fields != "keep")
             projecting, clock = _lap(clock)
         given = plain | {"fixed": fixed, "boundary": "fixed" if level else slides}
         if chosen.progress is not None:
@@ -182,8 +193,7 @@ def _check(levels: Any, edge_length: Any, options: Mapping[str, Any]) -> None:
     if not (good and 0 < edge_length < 1):
         msg = f"got edge_length={edge_length!r}; expected a part of the diagonal, between 0 and 1"
         raise InvalidOptionError(msg)
-    regions = options.get("regions")
-    if not (regions is None or isinstance(regions, str)):
+    if not are_names(options.get("regions")):
         msg = (
             "got regions as an array; expected the name of a cell array, try (points, cells, "
             "regions) as the mesh"
@@ -219,8 +229,8 @@ def _among(cells: Any, rows: Any, n: int) -> BoolArray:
 
 
 def _projected(
-    mesh: Any, named: str | None, fixed: BoolArray, frozen: BoolArray, target: Target,
-    envelope: float, *, last: bool,
+    mesh: Any, named: str | Sequence[str] | None, fixed: BoolArray, frozen: BoolArray,
+    target: Target, envelope: float, *, last: bool, fields: bool,
 ) -> tuple[Any, int, int]:
     """The caller's mesh with its boundary on the surface, and how many vertices got there."""
     adapter = find_adapter(mesh)
@@ -242,7 +252,16 @@ def _projected(
     out = np.array(host.points)
     out[moved] = new[moved]
     source = np.arange(len(cells), dtype=np.int32)
-    return adapter.write(Result(out, host.cells, source), host), asked, short
+    vertices = None
+    if fields and host.fields and moved.any():
+        simplices = SimplexMesh(points, cells, labels, held)
+        near = np.zeros(len(points), dtype=np.int32)
+        near[cells] = source[:, None]
+        cell, weights = surrounding_cells(simplices, new[moved], near[moved])
+        number = np.arange(len(points))
+        vertices = NewVertices(number, number, np.flatnonzero(moved), cells[cell], weights)
+    result = Result(out, host.cells, source, vertices=vertices)
+    return adapter.write(result, host), asked, short
 
 
 def _measured(

@@ -78,6 +78,7 @@ def uniform_refine(mesh: MeshT) -> MeshT:
     vertices = NewVertices(
         np.concatenate([np.arange(n), np.full(added, -1)]),
         np.arange(n),
+        n + np.arange(added),
         refined.edges.astype(np.int32),
         np.full((added, 2), 0.5),
     )

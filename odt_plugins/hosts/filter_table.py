@@ -10,13 +10,13 @@ from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from math import inf
 from numbers import Integral, Real
-from typing import Any, Literal
+from typing import Any, Literal, get_args
 
 import numpy as np
 
 from odt_plugins.adapters.host import is_instance
 from odt_plugins.errors import InvalidOptionError
-from odt_plugins.options import DENSITIES, OPTIONS, Options
+from odt_plugins.options import DENSITIES, OPTIONS, Fields, Options
 
 Kind = Literal["int", "float", "bool", "enum", "length"]
 
@@ -229,9 +229,11 @@ KEEP = _of_option(
 ROUNDS = replace(STEPS, default=Options.rounds)
 ITERATIONS = _of_option("cycles", "Iterations", "int", "Iterations", least=1)
 
+FIELDS = _of_option("fields", "Fields", "enum", "Vertex values", choices=get_args(Fields))
+
 IDS = " Two ids of the MeshSet are used up."
 
-SMOOTHING = (STEPS, BOUNDARY, DENSITY, KEEP, ENVELOPE, ANGLE, SELECTED)
+SMOOTHING = (STEPS, BOUNDARY, DENSITY, FIELDS, KEEP, ENVELOPE, ANGLE, SELECTED)
 
 _ALL = (
     Filter(
@@ -257,7 +259,7 @@ _ALL = (
         "it are void then: take current_mesh() again. It gets a new id, and a warning says so, "
         "while another mesh of the set is in use as a Mesh object, or has several textures or one "
         "without wedge texture coordinates, or while there are rasters.",
-        (ROUNDS, ITERATIONS, BOUNDARY, DENSITY, KEEP, ENVELOPE, ANGLE, SELECTED)),
+        (ROUNDS, ITERATIONS, BOUNDARY, DENSITY, FIELDS, KEEP, ENVELOPE, ANGLE, SELECTED)),
     Filter(
         "compute_scalar_by_radius_ratio_per_face", "Per Face Quality by Radius Ratio",
         "Store in the scalar of every face its radius ratio 2 r/R, 1 for an equilateral triangle "

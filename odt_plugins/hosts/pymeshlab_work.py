@@ -134,6 +134,8 @@ def _options(values: Mapping[str, Any], length: float) -> dict[str, Any]:
     """Options of :func:`odt_plugins.optimize` that MeshLab's words stand for; length: diagonal."""
     options = {"rounds": values["stepsmoothnum"], "density": values["density"],
                "keep": FIGURES if values["keepquality"] else ()}
+    if "fields" in values:
+        options["fields"] = values["fields"]
     if values.get("boundary"):
         options["boundary"] = "slide"
     if "envelope" in values:

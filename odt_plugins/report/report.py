@@ -79,6 +79,13 @@ class Report:
                                             input's from it, and the numbers of
                                             "feature_edges", "corners", vertices "on_lines" that
                                             slide along features, and "held" ones
+    regions_from : tuple of str             names of the cell arrays taken as labels of regions;
+                                            empty when there were none, or an array was given
+    cell_origin : (m',) int64 or None       cell of the input of which every cell of the result has
+                                            the data, counted over all cells of the object; not in
+                                            :meth:`to_dict`
+    interpolated : tuple of str             names of the point arrays whose values at vertices that
+                                            moved are those that the field has there
     notes : tuple of str                    what was done to the mesh on its way in, and what may be
                                             done about it
     """
@@ -100,6 +107,10 @@ class Report:
     versions: Mapping[str, str]
     slid: Mapping[str, float] | None = None
     surface: Mapping[str, float] | None = None
+    regions_from: tuple[str, ...] = ()
+    cell_origin: NDArray[np.int64] | None = dataclasses.field(
+        default=None, repr=False, compare=False)
+    interpolated: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
 
     @property
@@ -118,6 +129,10 @@ class Report:
         lines = [*table_lines({"before": self.before, "after": self.after}), ""]
         lines.append(f"{self.n_movable} of {self.n_used} vertices may move "
                      f"({100 * self.movable_share:.0f} %)")
+        if self.regions_from:
+            lines.append(regions_line(self.regions_from))
+        if self.interpolated:
+            lines.append(fields_line(self.interpolated))
         lines += [f"note   {note}" for note in self.notes]
         if self.surface:
             lines += _surface_lines(self.surface)
@@ -143,8 +158,9 @@ class Report:
         return "\n".join(lines)
 
     def to_dict(self) -> dict[str, Any]:
-        """Give everything as plain values that JSON knows; what is not finite becomes None."""
-        data: dict[str, Any] = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)}
+        """Give all but `cell_origin` as values that JSON knows; what is not finite becomes None."""
+        data: dict[str, Any] = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)
+                                if f.name != "cell_origin"}
         data |= {"before": self.before.to_dict(), "after": self.after.to_dict(),
                  "binding": [dataclasses.asdict(cell) for cell in self.binding],
                  "movable_share": self.movable_share}
@@ -225,6 +241,16 @@ def make_report(
         surface=_surface_facts(before, outcome, used),
         **told,
     )
+
+
+def regions_line(names: tuple[str, ...]) -> str:
+    """Say which arrays were taken as labels of regions."""
+    return f"regions are those of {', '.join(map(repr, names))}, interfaces between them stay"
+
+
+def fields_line(names: tuple[str, ...]) -> str:
+    """Say which point arrays were interpolated."""
+    return f"fields interpolated at the new places of vertices: {', '.join(map(repr, names))}"
 
 
 def _surface_facts(

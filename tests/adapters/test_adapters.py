@@ -361,7 +361,7 @@ def test_what_pyvista_can_make_cells_of_is_said():
         odt_plugins.optimize(eval(call))
 
 
-@pytest.mark.parametrize("regions", [None, "marker", "array"])
+@pytest.mark.parametrize("regions", ["auto", "marker", "array"])
 def test_blocks_and_regions_both_have_interfaces(regions, monkeypatch):
     seen = []
     monkeypatch.setattr(driver, "run", lambda mesh, options, _: seen.append(mesh) or driver.Outcome(

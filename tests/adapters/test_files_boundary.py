@@ -103,7 +103,7 @@ def test_subregions_of_abaqus_files_keep_their_interface(tmp_path, monkeypatch):
     _consistent(out, inside, new)
 
 
-@pytest.mark.parametrize("regions", ["part", "marker", None])
+@pytest.mark.parametrize("regions", ["part", "marker", "auto"])
 def test_a_cell_set_can_be_named_as_the_region(regions, monkeypatch):
     seen = []
     monkeypatch.setattr(driver, "run", lambda mesh, options, _: seen.append(mesh) or driver.Outcome(

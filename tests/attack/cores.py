@@ -71,11 +71,12 @@ def compare(
             raise Broken([f"{chosen}: one says {refused[0]!r}"])
         raise refused[0]
     faults = []
-    before = Mesh(points, cells, options.get("regions"))
-    for setting, (p, t) in zip(chosen, found, strict=True):
+    labels = options.get("regions")
+    before = Mesh(points, cells, None if isinstance(labels, str) else labels)
+    for setting, result in zip(chosen, found, strict=True):
         faults += [f"{setting}: {fault}" for fault in broken(
-            before, Mesh(p, t), Options(**options), curved=curved(before))]
-    means = [reference.figures(p, t)["mean_quality"] for p, t in found]
+            before, Mesh(*result), Options(**options), curved=curved(before))]
+    means = [reference.figures(*result[:2])["mean_quality"] for result in found]
     if max(means) - min(means) > MEAN:
         faults.append(f"{chosen}: mean qualities {[round(float(x), 4) for x in means]}")
     if faults:

@@ -93,7 +93,7 @@ def _some_of(count: int, rng: Rng) -> Any:
 
 
 def _regions(_rng: Rng, _mesh: RandomMesh, labels: Any) -> Any:
-    return labels
+    return "auto" if labels is None else labels
 
 
 def _keep(rng: Rng, _mesh: RandomMesh, _labels: Any) -> tuple[str, ...]:

@@ -85,7 +85,7 @@ def test_choices_are_those_of_options() -> None:
     hints = get_type_hints(Options)
     choices = {name for name, hint in hints.items() if get_origin(hint) is Literal}
     assert choices == {"method", "solver", "linear_solver", "connectivity", "objective",
-                       "boundary"}
+                       "boundary", "fields"}
     for name in choices:
         assert tuple(flags()[name].type.choices) == get_args(hints[name])
     assert choices == {name for name, about in OPTIONS.items() if about.metadata["choices"]}
@@ -115,8 +115,19 @@ def test_every_flag_reaches_the_engine(place: Path, still: list[Options]) -> Non
         method="cpt", solver="global", linear_solver="direct", connectivity="flips",
         exponent=3.5, rounds=7, finish=False, regions="part",
         keep=("min_quality", "max_angle"), orient=True, threads=2)
-    assert cli.main(["optimize", "in.vtu", "out.vtu", "--keep", "none"]) == 0
+    assert cli.main(["optimize", "in.vtu", "out.vtu", "--keep", "none", "--regions", "none"]) == 0
     assert still[1].keep == ()
+    assert still[1].regions is None
+
+
+def test_the_command_says_which_array_holds_the_regions(
+    place: Path, still: list[Options], capsys: pytest.CaptureFixture[str]
+) -> None:
+    square(cell_data={"Material": [np.array([1, 1, 0, 0])]}).write("two.vtu")
+    runs = (((), True), (("--regions", "Material"), True), (("--regions", "none"), False))
+    for words, said in runs:
+        assert cli.main(["optimize", "two.vtu", "out.vtu", *words]) == 0
+        assert ("regions are those of 'Material'" in capsys.readouterr().out) == said
 
 
 def test_names_of_arrays_and_files_of_indices(place: Path, still: list[Options]) -> None:

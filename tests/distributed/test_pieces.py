@@ -32,7 +32,7 @@ from odt_plugins.distributed import partition, pieces, placing
 from odt_plugins.distributed.figures import measure_part, quantile, total, worse
 from odt_plugins.distributed.partition import RINGS, bricks
 from odt_plugins.distributed.pieces import optimize_pieces
-from odt_plugins.distributed.store import Piece, join
+from odt_plugins.distributed.store import Piece, join, piece_files
 from odt_plugins.errors import (
     DataNotKeptWarning,
     InvalidMeshError,
@@ -68,6 +68,61 @@ def test_pieces_are_about_as_good_as_one_piece_and_fit_together(tmp_path):
     assert report.interface < 0.3 * n
     assert "mean_quality" in str(report)
     assert sorted(os.listdir(tmp_path)) == ["in", "in.pvtu", "out", "out.pvtu"]
+
+
+def test_regions_are_found_in_all_pieces_together(tmp_path):
+    start = ball(400)
+    points, cells = start.points, start.cells
+    x = points[cells].mean(axis=1)
+    right, inner = (x[:, 0] > 0.1).astype(np.int64), (np.linalg.norm(x, axis=1) < 0.6).astype(int)
+    label = bricks(points, cells, 2)
+    index = write_pieces(tmp_path / "in", points, cells, label, right=right, inner=inner + 4,
+                         seed=np.arange(len(cells)), part_id=np.zeros(len(cells), dtype=np.int64),
+                         marker=label.astype(np.int64) * 0)
+    truth = simplex_mesh(points, cells, regions=2 * right + inner)[0]
+    cases = (({}, ("right", "inner")), ({"regions": "inner, right"}, ("inner", "right")),
+             ({"regions": ["inner"]}, ("inner",)), ({"regions": None}, ()))
+    for options, names in cases:
+        out = tmp_path / "out.pvtu"
+        report = optimize_pieces(index, out, **options)
+        assert report.regions_from == names
+        assert ("regions are those of" in str(report)) == bool(names)
+        place = np.full((len(points), 3), np.nan)
+        parts, found = [], []
+        for path in piece_files(out)[0]:
+            mesh = meshio.read(path)
+            place[mesh.point_data["was"]] = mesh.points
+            parts.append(mesh.point_data["was"][mesh.cells[0].data])
+            found.append(2 * mesh.cell_data["right"][0] + mesh.cell_data["inner"][0] - 4)
+        broken = broken_promises(truth, place, np.concatenate(parts).astype(np.int32),
+                                 np.concatenate(found).astype(np.int32))
+        assert bool(broken) == (len(names) < 2), (names, broken)
+    with pytest.raises(InvalidOptionError, match="regions='nosuch' names no cell array"):
+        optimize_pieces(index, out, regions="nosuch")
+
+
+def test_fields_are_interpolated_in_every_piece(tmp_path):
+    start = ball(400)
+    slope = np.array([1.0, -2.0, 0.5])
+    index = write_pieces(tmp_path / "in", start.points, start.cells,
+                         bricks(start.points, start.cells, 3))
+    for path in piece_files(index)[0]:
+        mesh = meshio.read(path)
+        mesh.point_data |= {"T": mesh.points @ slope, "GlobalNodeId": mesh.point_data["was"] * 1.0}
+        mesh.write(path)
+    for fields in ("auto", "keep"):
+        report = optimize_pieces(index, tmp_path / "out.pvtu", fields=fields)
+        assert report.interpolated == (("T",) if fields == "auto" else ())
+        assert ("fields interpolated" in str(report)) == (fields == "auto")
+        moved = 0
+        for path in piece_files(tmp_path / "out.pvtu")[0]:
+            mesh = meshio.read(path)
+            was = mesh.point_data["was"]
+            moved += (mesh.points != start.points[was]).any(axis=1).sum()
+            places = mesh.points if fields == "auto" else start.points[was]
+            assert np.abs(mesh.point_data["T"] - places @ slope).max() < 1e-12
+            assert np.array_equal(mesh.point_data["GlobalNodeId"], was)
+        assert moved > 50
 
 
 def test_the_command_takes_pieces(tmp_path, capsys, monkeypatch):

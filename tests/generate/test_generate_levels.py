@@ -216,6 +216,31 @@ def test_a_region_keeps_its_interface():
 
 
 @pytest.mark.filterwarnings("ignore:the boundary is up to")
+def test_linear_fields_are_exact_on_every_level():
+    points, cells = coarse_ball()
+    slope = np.array([1.0, -2.0, 0.5])
+    mesh = meshio.Mesh(points, [("tetra", cells)], point_data={"T": points @ slope})
+    surface = surface_meshes.sphere(3)
+    out, _ = odt_plugins.refine_and_optimize(mesh, 1, surface=surface)
+    assert np.linalg.norm(out.points, axis=1).max() > np.linalg.norm(points, axis=1).max() - 1e-9
+    assert np.abs(out.point_data["T"] - out.points @ slope).max() < 1e-12
+    kept, _ = odt_plugins.refine_and_optimize(mesh, 1, surface=surface, fields="keep")
+    assert np.array_equal(kept.points, out.points)
+    assert np.abs(kept.point_data["T"] - out.points @ slope).max() > 1e-3
+
+
+@pytest.mark.parametrize("name", ["CellEntityIds", "half"])
+def test_regions_that_are_found_keep_their_interface(name):
+    points, cells = tet_meshes.grid(2, 3, jitter=0.0)
+    half = (points[cells].mean(axis=1)[:, 0] > 1).astype(np.int32)
+    mesh = meshio.Mesh(points, [("tetra", cells)], cell_data={
+        name: [half], "partition": [(points[cells].mean(axis=1)[:, 1] > 1).astype(np.int32)]})
+    out, _ = odt_plugins.refine_and_optimize(mesh, 1)
+    assert volumes(out.points, out.cells[0].data)[out.cell_data[name][0] == 1].sum() == (
+        pytest.approx(4.0, rel=1e-12))
+
+
+@pytest.mark.filterwarnings("ignore:the boundary is up to")
 def test_single_precision_and_negative_cells_come_back_so():
     points, cells = coarse_ball()
     given_ = points.astype(np.float32), cells[:, [1, 0, 2, 3]].astype(np.int64)

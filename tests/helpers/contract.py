@@ -6,6 +6,7 @@ import itertools
 import weakref
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -56,6 +57,7 @@ class Host:
     region    name of the cell array whose interfaces stay
     word      what the host calls its cells
     optimize  what a caller of this host does
+    fields    whether vertices that moved take the values of fields at their new places
     """
 
     make: Callable[..., Any]
@@ -64,6 +66,7 @@ class Host:
     region: str | None
     word: str = "cells"
     optimize: Callable[..., Any] = odt_plugins.optimize
+    fields: bool = False
 
 
 def need(name: str) -> None:
@@ -186,7 +189,7 @@ def check(host: Host, before: View, after: View) -> None:
             whole, rel=tolerance)
     assert set(np.unique(new)) == set(np.unique(old))
 
-    check_data(before, after, old, new)
+    check_data(before, after, old, new, fields=host.fields)
     check_wedges(before, after, old, new)
     check_normals(before, after)
     check_mid_nodes(before, after)
@@ -199,20 +202,41 @@ def check(host: Host, before: View, after: View) -> None:
         assert np.array_equal(before.cells[i], after.cells[j])
 
 
-def check_data(before, after, old, new, interpolated=()):
-    """Point and field data are the same, cell data those of the sources; all of the same dtype."""
+def check_data(before, after, old, new, interpolated=(), *, fields=False):
+    """Point and field data are the same, cell data those of the sources; all of the same dtype.
+
+    With fields, floating-point numbers are interpolated linearly at vertices that moved.
+    """
+    moved = (before.points != after.points).any(axis=1) & fields
+    place = after.points[moved].astype(np.float64)
+    corners, weights = surroundings(before.points.astype(np.float64), before.cells, place)
     for kind in ("point_data", "field_data"):
         a, b = getattr(before, kind), getattr(after, kind)
         assert sorted(a) == sorted(b)
         for name in a:
             assert np.asarray(b[name]).dtype == np.asarray(a[name]).dtype, name
-            if name not in interpolated:
+            if kind == "point_data" and a[name].dtype.kind == "f" and fields:
+                assert a[name][~moved].tobytes() == b[name][~moved].tobytes(), name
+                there = np.einsum("kc,kc...->k...", weights, a[name][corners].astype(np.float64))
+                tolerance = 1e-11 if a[name].dtype.itemsize == 8 else 1e-5
+                assert b[name][moved] == pytest.approx(there, rel=tolerance, abs=tolerance), name
+            elif name not in interpolated:
                 assert np.array_equal(a[name], b[name]), name
     assert sorted(before.cell_data) == sorted(after.cell_data)
     source = sources(before, after, old, new)
     for name, values in before.cell_data.items():
         assert after.cell_data[name].dtype == values.dtype, name
         assert np.array_equal(after.cell_data[name], values[source]), name
+
+
+def surroundings(points, cells, x):
+    """Corners and barycentric coordinates of the cell in which every point lies, of all cells."""
+    d = cells.shape[1] - 1
+    rows = np.concatenate([points[cells][:, :, :d], np.ones((*cells.shape, 1))], axis=2)
+    x = np.concatenate([x[:, :d], np.ones((len(x), 1))], axis=1)
+    found = np.einsum("kd,mdc->kmc", x, np.linalg.inv(rows))
+    best = found.min(axis=2).argmax(axis=1) if len(x) else np.zeros(0, dtype=int)
+    return cells[best], found[np.arange(len(x)), best]
 
 
 def check_wedges(before, after, old, new):
@@ -352,7 +376,7 @@ def _pyvista(dim, kind, dtype):
         return View(np.array(mesh.points), np.array(cells), _copy_data(mesh.point_data),
                     _copy_data(mesh.cell_data), _copy_data(mesh.field_data))
 
-    return Host(make, view, dim, "marker")
+    return Host(make, view, dim, "marker", fields=True)
 
 
 def meshio_view(kind):
@@ -380,7 +404,7 @@ def _meshio(dim, blocks=False):
             cell_data={name: [v[part] for part in parts] for name, v in cell.items()},
             field_data={"steel": np.array([7, dim])})
 
-    return Host(make, meshio_view(kind), dim, "marker")
+    return Host(make, meshio_view(kind), dim, "marker", fields=True)
 
 
 def _vtk_file(points, cells, labels):
@@ -434,7 +458,7 @@ def _file(suffix, dim):
         odt_plugins.optimize_file(path, target, **options)
         return target
 
-    return Host(make, view, dim, region, optimize=optimize)
+    return Host(make, view, dim, region, optimize=optimize, fields=True)
 
 
 def _quadratic(kind, dim):
@@ -456,7 +480,7 @@ def _quadratic(kind, dim):
         return View(nodes[:n], rows[:, : dim + 1], {k: v[:n] for k, v in point.items()}, cell, {},
                     mid=mid)
 
-    return Host(make, view, dim, "marker")
+    return Host(make, view, dim, "marker", optimize=partial(odt_plugins.optimize, fields="keep"))
 
 
 def add_pymeshlab_attributes(mesh, labels):
