@@ -156,8 +156,7 @@ def _walk(
     weights = np.full((len(x), mesh.cells.shape[1]), -np.inf)
     left = np.arange(len(x))
     for step in range(STEPS):
-        corners = mesh.points[mesh.cells[cell[left]]]
-        found = _refined(corners, x[left], barycentric(corners, x[left]))
+        found = barycentric(mesh.points[mesh.cells[cell[left]]], x[left])
         deeper = found.min(axis=1) > weights[left].min(axis=1)
         best[left[deeper]], weights[left[deeper]] = cell[left[deeper]], found[deeper]
         across = neighbors[cell[left]]
@@ -170,7 +169,7 @@ def _walk(
         if not left.size:
             break
         cell[left] = across[np.arange(len(left)), way]
-    return best, weights
+    return best, _refined(mesh.points[mesh.cells[best]], x, weights)
 
 
 def _refined(corners: FloatArray, x: FloatArray, weights: FloatArray) -> FloatArray:
