@@ -20,6 +20,10 @@ INSIDE = 1e-12
 """How negative the barycentric coordinates of a point in a cell may be, by rounding."""
 
 
+FAR = 1.0
+"""How negative they are where a point lies far from a cell, measured by the size of that cell."""
+
+
 def cell_source(
     points0: FloatArray,
     cells0: IntArray,
@@ -103,15 +107,17 @@ def surrounding_cells(
 
     Returns
     -------
-    cell : (k,) int32              the cell around each point; of one outside of the mesh, that one
-                                   of those near it in which its least coordinate is largest
+    cell : (k,) int32              the cell around each point; of one outside of the mesh, one at
+                                   the boundary near it
     weights : (k, d + 1) float64   its barycentric coordinates there, of sum 1: some are negative
                                    outside of the mesh, where linear fields are continued
 
     Notes
     -----
     A walk goes from cell to cell, over the facet that separates it most from the point. Where it
-    ends at the boundary, another one starts from the best of the nearest cells.
+    ends at the boundary, another one starts from the best of the nearest cells. It is taken where
+    it finds the point, or the first one ended far from it: a point that left the mesh a little does
+    not belong to the other side of a gap.
     """
     from odt_plugins.engine.topology.adjacency import cell_neighbors
 
@@ -141,7 +147,8 @@ def surrounding_cells(
         found = barycentric(mesh.points[mesh.cells[hit[part]]], x[rows, None]).min(axis=2)
         best = hit[part][np.arange(len(rows)), found.argmax(axis=1)]
         again, deep = _walk(mesh, neighbors, x[rows], best)
-        better = deep.min(axis=1) > weights[rows].min(axis=1)
+        least, now = weights[rows].min(axis=1), deep.min(axis=1)
+        better = (now > least) & ((now >= -INSIDE) | (least < -FAR))
         cell[rows[better]], weights[rows[better]] = again[better], deep[better]
 
     spread(walk_again, chunks(len(outside)), threads)
@@ -156,8 +163,7 @@ def _walk(
     weights = np.full((len(x), mesh.cells.shape[1]), -np.inf)
     left = np.arange(len(x))
     for step in range(STEPS):
-        corners = mesh.points[mesh.cells[cell[left]]]
-        found = _refined(corners, x[left], barycentric(corners, x[left]))
+        found = barycentric(mesh.points[mesh.cells[cell[left]]], x[left])
         deeper = found.min(axis=1) > weights[left].min(axis=1)
         best[left[deeper]], weights[left[deeper]] = cell[left[deeper]], found[deeper]
         across = neighbors[cell[left]]
@@ -170,7 +176,7 @@ def _walk(
         if not left.size:
             break
         cell[left] = across[np.arange(len(left)), way]
-    return best, weights
+    return best, _refined(mesh.points[mesh.cells[best]], x, weights)
 
 
 def _refined(corners: FloatArray, x: FloatArray, weights: FloatArray) -> FloatArray:

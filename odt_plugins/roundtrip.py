@@ -347,8 +347,13 @@ def _new_vertices(
         placed |= (written != work.host.points[origin]).any(axis=1)
     if outcome.origin is None and not placed.any():
         return None
-    near = np.zeros(len(written), dtype=np.int32)
-    near[outcome.cells] = np.asarray(outcome.source)[:, None]
+    star = np.zeros(n, dtype=np.int32)
+    star[before.cells] = np.arange(len(before.cells), dtype=np.int32)[:, None]
+    near = star[origin]
+    if outcome.origin is not None:
+        beside = np.zeros(len(written), dtype=np.int32)
+        beside[outcome.cells] = np.asarray(outcome.source)[:, None]
+        near = np.where(origin < 0, beside, near)
     cell, weights = around(written[placed].astype(np.float64), near[placed])
     number = new_numbers(origin, n)[:n].astype(np.int64)
     return NewVertices(origin, number, np.flatnonzero(placed), before.cells[cell], weights)

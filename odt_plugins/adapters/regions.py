@@ -110,7 +110,7 @@ def region_labels(
         _expect(arrays, name)
     values = [arrays[name] for name in names]
     if len(values) > 1:
-        rows = np.stack([np.unique(v, return_inverse=True)[1].ravel() for v in values], axis=1)
+        rows = np.stack([compact_labels(v, len(cells)) for v in values], axis=1)
         values = [np.unique(rows, axis=0, return_inverse=True)[1].ravel()]
     return Labels(values[0], tuple(names)) if values else Labels(None)
 

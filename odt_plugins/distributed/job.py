@@ -125,7 +125,9 @@ def work(job: dict[str, Any]) -> dict[str, Any]:
     result, report = optimize_with_report(mesh, **job["options"])
     compiled = compiling(Path(job["folder"]))
     row |= {"compile_seconds": compiled, "fallback": report.fallback,
-            "optimize_seconds": time.perf_counter() - clock - compiled}
+            "optimize_seconds": time.perf_counter() - clock - compiled,
+            "regions_from": ", ".join(report.regions_from),
+            "interpolated": ", ".join(report.interpolated)}
     write_file(target, _as_file(*result) if job["tetrahedralize"] else result)
     for when, summary in (("before", report.before), ("after", report.after)):
         row |= {f"{when}_{name}": value for name, value in summary.to_dict().items()}

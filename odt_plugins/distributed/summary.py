@@ -18,7 +18,8 @@ from odt_plugins.quality import QualitySummary
 FILES = ("summary.csv", "summary.parquet", "summary.html")
 
 FIRST = ("source", "result", "status", "message", "seconds", "tetwild_seconds",
-         "optimize_seconds", "compile_seconds", "resumed", "fallback", "key")
+         "optimize_seconds", "compile_seconds", "resumed", "fallback", "regions_from",
+         "interpolated", "key")
 
 FIGURES = tuple(QualitySummary.__dataclass_fields__)
 
@@ -86,7 +87,8 @@ def _write_parquet(path: Path, rows: Sequence[dict[str, Any]]) -> None:
     import pyarrow.parquet as pq
 
     kinds = {"resumed": pa.bool_(), **dict.fromkeys(
-        ("source", "result", "status", "message", "fallback", "key"), pa.string())}
+        ("source", "result", "status", "message", "fallback", "regions_from", "interpolated",
+         "key"), pa.string())}
     whole = {"dim", "n_points", "n_cells", "below_5", "below_10", "below_20", "inverted"}
     for when in ("before", "after"):
         kinds |= {f"{when}_{name}": pa.int64() for name in whole}

@@ -169,6 +169,18 @@ def test_a_walk_stays_in_the_region_it_starts_in():
     assert np.abs(found).max() < 2.0
 
 
+def test_a_point_that_left_the_mesh_a_little_is_not_of_the_other_side_of_a_gap():
+    points, cells = tet_meshes.grid(2, 3, jitter=0.0)
+    upper = points + np.array([0.0, 0.0, 2.01])
+    mesh = simplex_mesh(np.vstack([points, upper]), np.vstack([cells, cells + len(points)]))[0]
+    x = np.array([[0.8, 0.9, 2.006], [0.8, 0.9, 2.004]])
+    low = points[cells][:, :, 2].max(axis=1).argmax()
+    high = upper[cells][:, :, 2].min(axis=1).argmin() + len(cells)
+    cell, weights = surrounding_cells(mesh, x, np.array([low, high]))
+    assert cell[0] < len(cells) <= cell[1]
+    assert -0.1 < weights.min() < 0.0
+
+
 @pytest.mark.parametrize("kind", ["pyvista", "meshio"])
 @pytest.mark.parametrize("dim", [2, 3])
 def test_fields_on_quadratic_cells(kind, dim):

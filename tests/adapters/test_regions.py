@@ -115,6 +115,8 @@ def test_several_names_combine_their_labels(names):
     assert labels.names == ("right", "top")
     with pytest.raises(InvalidOptionError, match="regions='top' names no cell array"):
         region_labels({"right": right}, names, cells)
+    with pytest.raises(InvalidOptionError, match="dtype float64; expected integer labels"):
+        region_labels({"right": right, "top": top + 0.5}, names, cells)
     assert region_labels({"right,top": top, "right": right}, "right,top", cells).names == (
         "right,top",)
 
@@ -149,6 +151,16 @@ def test_cell_sets_are_named_in_the_report():
         report = odt_plugins.optimize_with_report(mesh, regions=regions)[1]
         assert report.regions_from == (("west", "east") if regions == "auto" else ("west",))
     assert odt_plugins.optimize_with_report(mesh, regions=None)[1].regions_from == ()
+
+
+def test_blocks_take_the_same_regions_and_fields():
+    points, cells, x = plane()
+    mesh = meshio.Mesh(points, [("triangle", cells)], point_data={"T": points[:, 0].copy()},
+                       cell_data={"half": [(x[:, 0] > 0.5).astype(int)]})
+    out, report = odt_plugins.optimize_partitioned_with_report(mesh, 2)
+    assert (report.regions_from, report.interpolated) == (("half",), ("T",))
+    assert np.array_equal(out.cell_data["half"][0], mesh.cell_data["half"][0][report.cell_origin])
+    assert np.abs(out.point_data["T"] - out.points[:, 0]).max() < 1e-12
 
 
 class Pair(NamedTuple):

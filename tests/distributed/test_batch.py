@@ -198,6 +198,20 @@ with event.install_listener("numba:compile", Compiling(Path(sys.argv[1]) / COMPI
 """
 
 
+def test_a_row_tells_the_regions_and_the_fields_of_a_mesh(place):
+    points, cells = tet_meshes.ball(150, 3)
+    half = (points[cells].mean(axis=1)[:, 0] > 0.0).astype(int)
+    mesh = meshio.Mesh(points, [("tetra", cells)], point_data={"T": points[:, 0]},
+                       cell_data={"half": [half], "Material": [half * 2]})
+    mesh.write(place / "models" / "two.vtu")
+    told = []
+    for words in ((), ("--regions", "none", "--fields", "keep")):
+        assert cli.main(["batch", "models/two.vtu", "--out", f"out{len(told)}", *words]) == 0
+        with open(f"out{len(told)}/summary.csv", newline="") as file:
+            told += [(row["regions_from"], row["interpolated"]) for row in csv.DictReader(file)]
+    assert told == [("half, Material", "T"), ("", "")]
+
+
 def test_compiling_kernels_does_not_count_for_the_time_limit(place, monkeypatch):
     subprocess.run([sys.executable, "-c", COMPILES, str(place)], check=True)
     lines = (place / COMPILING).read_text().split()
