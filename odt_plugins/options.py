@@ -146,8 +146,9 @@ class Options:
         "Whether cells of mixed orientation are turned instead of refused."))
     threads: int = field(default=1, metadata=_told(
         "Worker threads; the result does not depend on it.", least=1))
-    progress: Progress | None = field(default=None, metadata=_told(
-        "Callback progress(stage, fraction).", flag=None))
+    progress: Any = field(default=None, metadata=_told(
+        "Callback progress(stage, fraction), where the fraction grows from 0 to 1 over all stages; "
+        "True shows a bar, in a notebook too.", flag=None))
 
     def __post_init__(self) -> None:
         """Refuse values outside their range, and options that would have no effect."""
@@ -200,8 +201,9 @@ class Options:
         _expect(self.finish or not self.insert, "insert", self.insert, "False without finishing")
         good = isinstance(self.keep, tuple | list) and all(k in FIGURES for k in self.keep)
         _expect(good, "keep", self.keep, f"some of {FIGURES}")
-        good = self.progress is None or callable(self.progress)
-        _expect(good, "progress", self.progress, "None or a callable progress(stage, fraction)")
+        good = callable(self.progress) or isinstance(self.progress, bool | None)
+        what = "None, True or a callable progress(stage, fraction)"
+        _expect(good, "progress", self.progress, what)
 
 
 def _is_number(value: object) -> bool:
@@ -273,7 +275,7 @@ class OptionKeywords(TypedDict, total=False):
     keep: tuple[str, ...]
     orient: bool
     threads: int
-    progress: Progress | None
+    progress: Progress | bool | None
 
 
 def with_option_signature(*without: str) -> Callable[[FunctionT], FunctionT]:

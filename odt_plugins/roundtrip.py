@@ -25,6 +25,7 @@ from odt_plugins.mesh.plane import PlaneFrame, plane_frame
 from odt_plugins.mesh.simplex import SimplexMesh, compact_labels, mesh_arrays, reverse, simplex_mesh
 from odt_plugins.mesh.surface import surface_mesh
 from odt_plugins.options import Options
+from odt_plugins.progress import telling
 
 if TYPE_CHECKING:
     from odt_plugins.engine.run.driver import Leaving, Outcome
@@ -56,8 +57,10 @@ def run_engine(
     """
     work = _prepare(mesh, options)
     leaving = partial(_as_it_leaves, work, options.threads)
-    with words_of(work.host):
-        outcome = (engine or _optimized)(work.mesh, _in_frame(options, work.frame), leaving)
+    with words_of(work.host), telling(options.progress, "preparing") as progress:
+        chosen = _in_frame(options, work.frame)
+        chosen = replace(chosen, progress=progress if options.progress else None)
+        outcome = (engine or _optimized)(work.mesh, chosen, leaving)
     if outcome.written is None:
         outcome = leaving(outcome)
     points: Any = outcome.written

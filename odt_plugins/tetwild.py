@@ -23,6 +23,7 @@ from odt_plugins.api import optimize as optimize_mesh
 from odt_plugins.errors import CrashError, InvalidMeshError, InvalidOptionError, exit_name, require
 from odt_plugins.mesh.simplex import barycentric, mesh_arrays
 from odt_plugins.options import OPTIONS, OptionKeywords, make_options, with_option_signature
+from odt_plugins.progress import part, telling
 
 PROGRAM = """
 import pickle
@@ -39,6 +40,9 @@ except Exception as exc:
 with open("result", "wb") as file:
     pickle.dump(result, file)
 """
+
+BY_TETWILD = 0.8
+"""Part of the progress that TetWild takes."""
 
 INSIDE = -1e-9
 """Least barycentric coordinate of a point that counts as inside a tetrahedron."""
@@ -106,13 +110,24 @@ def tetrahedralize(
     _expect_known(options, given)
     chosen = odt_options(odt, **options)
     _check_surface(vertices, faces)
-    points, cells = run_tetwild(given)
     if chosen is None:
-        return points, cells
-    field = (bg_vertices, bg_tets, bg_values)
+        return run_tetwild(given)
+    with telling(chosen.pop("progress", None), "TetWild") as tell:
+        points, cells = run_tetwild(given)
+        chosen["progress"] = part(tell, BY_TETWILD, 1.0)
+        return optimize_mesh((points, cells), **_with_field(chosen, points, cells, given))
+
+
+def _with_field(
+    chosen: dict[str, Any], points: NDArray[np.float64], cells: NDArray[np.int32],
+    given: Mapping[str, Any],
+) -> dict[str, Any]:
+    """The options, with the density that keeps the sizing field of the arguments, if any."""
+    field = (given["bg_vertices"], given["bg_tets"], given["bg_values"])
     exponent = chosen.pop("exponent", None) if "density" not in chosen else None
-    if bg_values is not None and "density" not in chosen:
-        ideal = edge_length_abs or edge_length_fac * _diagonal(np.asarray(vertices))
+    if given["bg_values"] is not None and "density" not in chosen:
+        ideal = (given["edge_length_abs"]
+                 or given["edge_length_fac"] * _diagonal(np.asarray(given["vertices"])))
         power = -float(points.shape[1] + 2 if exponent is None else exponent)
 
         def density(x: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -124,7 +139,7 @@ def tetrahedralize(
         chosen["density"] = density if len(points) == len(cells) else density(points)
     elif exponent is not None:
         chosen["exponent"] = exponent
-    return optimize_mesh((points, cells), **chosen)
+    return chosen
 
 
 def _expect_known(options: Mapping[str, Any], own: Mapping[str, Any]) -> None:

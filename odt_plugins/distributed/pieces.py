@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import itertools
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
@@ -43,6 +44,8 @@ from odt_plugins.errors import (
 )
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.options import OptionKeywords, Options, make_options, with_option_signature
+from odt_plugins.progress import part as part_of
+from odt_plugins.progress import telling
 
 REGIONS = "marker"
 """Name of the cell array of labels in the result when none was given."""
@@ -110,7 +113,7 @@ def optimize_pieces(
     **options
         The fields of :class:`odt_plugins.Options` that every piece can tell: no arrays, and of the
         densities "keep" and "uniform". Its `progress` is told the stage ("reading", "round 1",
-        "round 2: cutting", "round 2", ..., "writing") and the share of the pieces that is done.
+        "round 2: cutting", "round 2", ..., "writing") and the share of the work that is done.
 
     Returns
     -------
@@ -139,7 +142,8 @@ def optimize_pieces(
     try:
         with writing(target, "another directory"):
             folder = make_scratch(index.parent, f".{index.stem}")
-            with executor(client, workers) as apply:
+            with executor(client, workers) as apply, telling(chosen.progress, "reading") as tell:
+                chosen = replace(chosen, progress=tell)
                 return _run(sources, index, folder, block_rounds, chosen, apply, ghosts=ghosts)
     finally:
         if folder is not None:
@@ -166,8 +170,11 @@ def _run(
     named = options.regions if isinstance(options.regions, str) else None
     report, options = options.progress, replace(options, regions=None, progress=None)
 
+    turns, stages = itertools.count(), 2 * rounds + 1
+
     def stage(name: str, count: int) -> Apply:
-        return told(apply, report, name, count)
+        turn = next(turns)
+        return told(apply, part_of(report, turn / stages, (turn + 1) / stages), name, count)
 
     read = stage("reading", len(sources))
     found = read(partial(take_in, regions=named, orient=options.orient), [

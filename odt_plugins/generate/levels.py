@@ -9,6 +9,7 @@ from __future__ import annotations
 import time
 import warnings
 from collections.abc import Mapping
+from dataclasses import replace
 from numbers import Integral, Real
 from typing import Any, Unpack
 
@@ -28,7 +29,14 @@ from odt_plugins.generate.uniform import uniform_refine
 from odt_plugins.mesh.arrays import BoolArray
 from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.simplex import compact_labels, diagonal, mesh_arrays, vertex_mask
-from odt_plugins.options import OptionKeywords, make_options, with_option_signature
+from odt_plugins.options import (
+    OptionKeywords,
+    Options,
+    Progress,
+    make_options,
+    with_option_signature,
+)
+from odt_plugins.progress import part, telling
 from odt_plugins.quality import volumes
 
 SLIDES: tuple[dict[str, Any], ...] = (
@@ -37,6 +45,9 @@ SLIDES: tuple[dict[str, Any], ...] = (
 )
 """Runs on the coarse mesh whose boundary slides, with parts of the envelope: what is sharp there
 stays so at every level. Fine boundaries move to the surface again."""
+
+BY_TETWILD = 0.2
+"""Part of the progress that a coarse mesh by TetWild takes."""
 
 TOLERANCE = 0.02
 """Distances are bounded to this part of the envelope."""
@@ -110,8 +121,18 @@ def refine_and_optimize(
     """
     chosen = make_options(**options)
     _check(levels, edge_length, options)
+    with telling(chosen.progress, "coarse mesh") as tell:
+        return _refined(mesh, levels, surface, edge_length, options, replace(chosen, progress=tell))
+
+
+def _refined(
+    mesh: Any, levels: int, surface: Any, edge_length: float, options: OptionKeywords,
+    chosen: Options,
+) -> tuple[Any, LevelsReport]:
+    """The mesh of the last level; `chosen` are the `options` made, with a progress to tell."""
     named = chosen.regions
     start = coarse_mesh(mesh, surface, edge_length, chosen)
+    left = part(chosen.progress, BY_TETWILD if start.meshed else 0.0, 1.0)
     slides = options.get("boundary", "slide" if start.meshed or surface is not None else "fixed")
     reference = start.target.reference
     envelope = chosen.envelope * diagonal(reference.points[np.unique(reference.triangles)])
@@ -127,7 +148,6 @@ def refine_and_optimize(
     if chosen.selection is not None:
         frozen = ~vertex_mask(chosen.selection, m, "selection", "cells")
     done: list[Level] = []
-    reached = [0.0]
     for level in range(levels + 1):
         clock = time.perf_counter()
         refining = projecting = 0.0
@@ -140,8 +160,7 @@ def refine_and_optimize(
                 current, named, fixed, frozen, start.target, envelope, last=level == levels)
             projecting, clock = _lap(clock)
         given = plain | {"fixed": fixed, "boundary": "fixed" if level else slides}
-        if chosen.progress is not None:
-            given["progress"] = _share(chosen.progress, level, levels, reached)
+        given["progress"] = _share(left, level, levels)
         runs = SLIDES if slides == "slide" and not level and chosen.finish else ({},)
         for run in runs:
             if run:
@@ -256,19 +275,11 @@ def _measured(
     return (both.forward_upper, both.backward_upper), float(np.abs(volume).sum())
 
 
-def _share(progress: Any, level: int, levels: int, reached: list[float]) -> Any:
-    """Progress of one level as a part of all: the last takes most of the time.
-
-    Several runs of one level, each from 0 to 1, do not lead back behind what was ``reached``.
-    """
+def _share(progress: Progress, level: int, levels: int) -> Progress:
+    """Progress of one level as a part of all: the last takes most of the time."""
     weights = np.cumsum([0.0, *(8.0**k for k in range(levels + 1))])
-    low, high = weights[level] / weights[-1], weights[level + 1] / weights[-1]
-
-    def tell(stage: str, share: float) -> None:
-        reached[0] = max(reached[0], float(low + (high - low) * share))
-        progress(f"level {level}: {stage}", reached[0])
-
-    return tell
+    low, high = weights[level : level + 2] / weights[-1]
+    return part(lambda stage, share: progress(f"level {level}: {stage}", share), low, high)
 
 
 def _lap(clock: float) -> tuple[float, float]:

@@ -22,7 +22,7 @@ import pytest
 from odt_plugins.cli import main as cli
 from odt_plugins.cli import terminal
 from odt_plugins.engine.run import driver
-from odt_plugins.options import FIGURES, OPTIONS, Options
+from odt_plugins.options import COMPILING, FIGURES, OPTIONS, Options
 
 SQUARE = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1], [0.7, 0.8]])
 FAN = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
@@ -379,8 +379,8 @@ def test_a_terminal_is_told_once_that_kernels_are_compiled(
     assert "compiling" not in capsys.readouterr().err
     with terminal.progress_bar(quiet=False) as progress:
         assert progress is not None
-        progress(terminal.COMPILING, 0.0)
-        progress(terminal.COMPILING, 0.0)
+        progress(COMPILING, 0.0)
+        progress(COMPILING, 0.0)
     assert capsys.readouterr().err.count("compiling the kernels, once") == 1
 
 

@@ -158,7 +158,7 @@ BAD_OPTIONS = {
     "finish": ({"finish": "yes"}, r"got finish='yes'; expected a bool"),
     "keep": ({"keep": ("mean",)}, r"got keep=\('mean',\); expected some of \('min_quality'"),
     "keep string": ({"keep": "min_quality"}, r"got keep='min_quality'; expected some of"),
-    "progress": ({"progress": 3}, r"got progress=3; expected None or a callable"),
+    "progress": ({"progress": 3}, r"got progress=3; expected None, True or a callable"),
     "regions length": ({"regions": np.zeros(3, int)}, r"regions have shape \(3,\); .* \(6,\)"),
     "regions float": ({"regions": np.full(6, 0.5)}, r"regions have dtype float64; expected int"),
     "regions text": ({"regions": np.array(list("abcdef"))}, r"regions have dtype <U1"),
