@@ -66,7 +66,7 @@ def mesh(
     from odt_plugins.generate.samples import SAMPLES
     from odt_plugins.generate.userfile import read_domain
     from odt_plugins.quality import summarize, uniformity
-    from odt_plugins.report.report import table_lines
+    from odt_plugins.table import table_lines
 
     check_paths(target, report_file, None)
     check_output(target)

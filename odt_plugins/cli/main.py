@@ -281,7 +281,7 @@ def batch(
 def quality(sources: tuple[Path, ...], as_json: bool) -> int:
     """Print the quality figures of mesh files."""
     from odt_plugins.api import measure
-    from odt_plugins.report.report import table_lines
+    from odt_plugins.table import table_lines
 
     code = DONE
     found = {}

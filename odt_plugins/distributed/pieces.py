@@ -46,6 +46,7 @@ from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.options import OptionKeywords, Options, make_options, with_option_signature
 from odt_plugins.progress import part as part_of
 from odt_plugins.progress import telling
+from odt_plugins.table import text_html
 
 REGIONS = "marker"
 """Name of the cell array of labels in the result when none was given."""
@@ -77,6 +78,10 @@ class PiecesReport(NamedTuple):
         lines.append(f"{'cells':20}{self.before.cells:10d}{self.after.cells:10d}")
         lines.append(f"{self.pieces} pieces; {self.interface} vertices on interfaces of the input")
         return "\n".join(lines + ([f"fell back: {self.fallback}"] if self.fallback else []))
+
+    def _repr_html_(self) -> str:
+        """The same for a notebook."""
+        return text_html(str(self))
 
 
 @with_option_signature("odt")

@@ -206,7 +206,7 @@ def test_quality_prints_a_column_for_every_file(
     assert head.split() == ["in.vtu", "tet.vtu"]
     assert cli.main(["quality", "in.vtu", "tet.vtu", "--json"]) == 0
     flat, solid = json.loads(capsys.readouterr().out)
-    assert (flat["dim"], flat["n_cells"], flat["volume"]) == (2, 4, pytest.approx(1.0))
+    assert (flat["dim"], flat["n_cells"], flat["area"]) == (2, 4, pytest.approx(1.0))
     assert (solid["dim"], solid["inverted"]) == (3, 0)
     assert solid["min_quality"] == pytest.approx(3 / (3 + 3**0.5) / (3**0.5 / 2))
 

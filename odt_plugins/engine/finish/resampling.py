@@ -140,9 +140,8 @@ def resample_in_rounds(
     for done in range(ROUNDS):
         report(done / ROUNDS)
         changed = deepcopy(mesh)
-        taken = sum(
-            resample(changed, step, scale, limits(before)) for step in resampling(objective)
-        )
+        for step in resampling(objective):
+            resample(changed, step, scale, limits(before))
         settle(changed, after_resampling(objective), limits(_figures(changed, objective)))
         now = _figures(changed, objective)
         gains = now.score >= before.score
@@ -150,11 +149,10 @@ def resample_in_rounds(
             gains |= before.p1_quality - now.p1_quality <= noise
             gains &= before.mean_quality - now.mean_quality <= noise
         if not gains:
-            log.add("resamplings taken back", 1)
+            log.add("insertions taken back", 1)
             scale *= LESS
             continue
         mesh = changed
-        log.add("vertex operations", taken)
         offer(mesh)
     report(1.0)
 

@@ -266,7 +266,7 @@ def _run_in(
             offer=partial(memory.offer, name="resampled"),
             report=partial(report_insertion, options.progress or silent), log=log,
         )
-        log.times["resampling"] = time.perf_counter() - clock
+        log.times["inserting"] = time.perf_counter() - clock
     clock = time.perf_counter()
     outcome = _best(
         mesh, frame, input_points, memory, options, log, reason,
