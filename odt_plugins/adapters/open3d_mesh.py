@@ -10,7 +10,6 @@ mix. Tensor meshes on another device are optimised on the CPU and copied back, w
 from __future__ import annotations
 
 import re
-import warnings
 from functools import partial
 from typing import Any
 
@@ -19,7 +18,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance, region_array
 from odt_plugins.adapters.wedges import carried, charts
-from odt_plugins.errors import InvalidMeshError, ODTWarning, UnsupportedMeshError
+from odt_plugins.errors import InvalidMeshError, ODTWarning, UnsupportedMeshError, warn
 
 MATERIALS = {"legacy": "triangle_material_ids", "tensor": "material_ids"}
 """Names of the material of every triangle."""
@@ -132,7 +131,7 @@ def _read_tensor(mesh: Any, regions: str | None) -> HostMesh:
             f"the mesh lies on {mesh.device}; it is copied to the CPU, optimised there and "
             f"copied back"
         )
-        warnings.warn(msg, ODTWarning, stacklevel=6)
+        warn(msg, ODTWarning)
     points = np.array(mesh.vertex["positions"].cpu().numpy())
     cells = np.array(mesh.triangle["indices"].cpu().numpy())
     m = len(cells)

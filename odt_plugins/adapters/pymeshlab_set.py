@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import tempfile
-import warnings
 import weakref
 from pathlib import Path
 from typing import Any
 
 from odt_plugins.adapters.pymeshlab_copy import add_copy, muted, needs_file, one_point
-from odt_plugins.errors import DataNotKeptWarning, ODTWarning
+from odt_plugins.errors import DataNotKeptWarning, ODTWarning, warn
 
 
 def copy_of_set(meshes: Any, current: Any) -> Any:
@@ -31,7 +30,7 @@ def copy_of_set(meshes: Any, current: Any) -> Any:
     restore_script(out, saved_script(meshes))
     if rasters(meshes):
         msg = f"the copy of the MeshSet does not keep its {rasters(meshes)} rasters"
-        warnings.warn(msg, DataNotKeptWarning, stacklevel=2)
+        warn(msg, DataNotKeptWarning)
     return out
 
 
@@ -99,12 +98,12 @@ def exchange(meshes: Any, new: Any) -> None:
         meshes.set_current_mesh(added)
         msg = (f"mesh {own} of the MeshSet was built anew and is now mesh {added}; ids stay where "
                f"its other meshes have no second texture and are in no variable, and no rasters")
-        warnings.warn(msg, ODTWarning, stacklevel=2)
+        warn(msg, ODTWarning)
     mesh = held()
     if mesh is not None and mesh is not meshes.current_mesh():
         msg = ("the current mesh was built anew; the Mesh object taken from the MeshSet before is "
                "void, take current_mesh() again")
-        warnings.warn(msg, ODTWarning, stacklevel=2)
+        warn(msg, ODTWarning)
 
 
 def _may_be_emptied(meshes: Any) -> bool:

@@ -56,13 +56,13 @@ def write_beside(path: Path, write: Callable[[Path], Any]) -> None:
 
 
 @contextmanager
-def warnings_told() -> Iterator[None]:
-    """Show the package's own warnings as one line each on stderr."""
+def warnings_told(quiet: bool) -> Iterator[None]:
+    """Show the package's own warnings as one line each on stderr, or nowhere."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", ODTWarning)
         yield
     for warning in caught:
-        if issubclass(warning.category, ODTWarning):
+        if issubclass(warning.category, ODTWarning) and not quiet:
             click.echo(f"odt-plugins: warning: {one_line(warning.message)}", err=True)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import itertools
 import os
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -40,6 +39,7 @@ from odt_plugins.errors import (
     InvalidOptionError,
     MeshFileError,
     counted,
+    warn,
     writing,
 )
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -247,7 +247,7 @@ def _data_of_all(taken: Sequence[Taken]) -> dict[str, tuple[str, ...]]:
     if other:
         names = ", ".join(sorted(other))
         msg = f"arrays that pieces do not have alike do not come through: {names}"
-        warnings.warn(msg, DataNotKeptWarning, stacklevel=4)
+        warn(msg, DataNotKeptWarning)
     return alike
 
 

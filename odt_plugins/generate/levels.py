@@ -7,7 +7,6 @@ few dozen microseconds. So TetWild makes a coarse mesh only.
 from __future__ import annotations
 
 import time
-import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from numbers import Integral, Real
@@ -20,7 +19,7 @@ from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.api import optimize_with_report
 from odt_plugins.engine.cells.geometry import boundary_facets, interface_vertices
 from odt_plugins.engine.ground.envelope import distances
-from odt_plugins.errors import InvalidOptionError, ODTWarning
+from odt_plugins.errors import InvalidOptionError, ODTWarning, warn
 from odt_plugins.generate.coarse import coarse_mesh
 from odt_plugins.generate.levels_report import Level, LevelsReport
 from odt_plugins.generate.project import Target, project
@@ -187,7 +186,7 @@ def _refined(
             f"{told.backward:.3g} from it; expected at most {envelope:.3g}, try one more level, a "
             f"smaller edge_length or a finer coarse mesh"
         )
-        warnings.warn(msg, ODTWarning, stacklevel=2)
+        warn(msg, ODTWarning)
     return current, told
 
 

@@ -194,6 +194,8 @@ def test_what_a_format_drops_is_told_in_one_line(
     assert cli.main(["optimize", "in.vtu", "out.off"]) == 0
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("odt-plugins: warning: out.off does not keep")
+    assert cli.main(["optimize", "in.vtu", "out.off", "--quiet"]) == 0
+    assert capsys.readouterr() == ("", "")
 
 
 def test_quality_prints_a_column_for_every_file(
