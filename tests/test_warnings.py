@@ -78,13 +78,24 @@ def curvature(place, monkeypatch):
 
 
 def held(place, monkeypatch):
+    points, cells = square()
     meshes = pymeshlab.MeshSet()
-    for _ in range(2):
-        meshes.add_mesh(pymeshlab.Mesh(*square()))
+    meshes.add_mesh(pymeshlab.Mesh(points, cells))
+    mesh = meshes.current_mesh()
+    mesh.add_face_custom_scalar_attribute(np.arange(len(cells), dtype=float), "stress")
     monkeypatch.setattr(driver, "run", contract.churn)
-    other = meshes.mesh(0)
     meshes.meshing_odt_optimization()
-    assert other.vertex_number()
+    assert mesh.vertex_number()
+
+
+def polygons(place, monkeypatch):
+    turn = np.arange(12) * np.pi / 6
+    rim = np.column_stack([3 * np.cos(turn), np.sin(turn), 0 * turn])
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(pymeshlab.Mesh(rim, [np.arange(12, dtype=np.uint32)]))
+    meshes.meshing_odt_optimization(keepquality=False)
+    mesh = meshes.current_mesh()
+    assert len(mesh.polygonal_face_list()) == mesh.face_number() == 10
 
 
 def beyond(place, monkeypatch):
@@ -114,6 +125,7 @@ CASES = {
     "adapters/wedges.py": (seams,),
     "adapters/pymeshlab_copy.py": (curvature,),
     "adapters/pymeshlab_set.py": (held,),
+    "adapters/pymeshlab_faces.py": (polygons,),
     "generate/levels.py": (beyond,),
     "distributed/pieces.py": (apart,),
     "engine/odt/multigrid.py": (slow,),

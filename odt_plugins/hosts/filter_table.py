@@ -253,10 +253,12 @@ _ALL = (
         "meshing_odt_optimization", "ODT Optimization",
         "Improve a planar or curved mesh by Optimal Delaunay Triangulation: moves vertices and "
         "flips edges. On a curved surface vertices slide within an envelope of it. "
-        "When edges were flipped the mesh is built anew in its place, with its id; Mesh objects of "
-        "it are void then: take current_mesh() again. It gets a new id, and a warning says so, "
-        "while another mesh of the set is in use as a Mesh object, or has several textures or one "
-        "without wedge texture coordinates, or while there are rasters.",
+        "The mesh is changed in its place, and Mesh objects of it stay valid. Only with custom "
+        "attributes or curvature directions of faces, or edges of three faces, it is built anew; "
+        "then it gets a new id, and a warning says so, while a mesh of the set is in use as a Mesh "
+        "object (the old mesh stays in the set if it is that one), or another has several "
+        "textures or one without wedge texture coordinates, or while there are rasters. Up to 18 "
+        "ids of the MeshSet are used up.",
         (ROUNDS, ITERATIONS, BOUNDARY, DENSITY, KEEP, ENVELOPE, ANGLE, SELECTED)),
     Filter(
         "compute_scalar_by_radius_ratio_per_face", "Per Face Quality by Radius Ratio",
