@@ -115,7 +115,8 @@ def _print_filter_parameter_list(native: Any, name: str) -> None:
         elif p.kind == "enum":
             shown = f"str = {p.default!r} (or one of {', '.join(map(repr, p.choices))})"
         else:
-            shown = f"{p.kind} = {bool(p.default) if p.kind == 'bool' else p.default}"
+            kind = "str" if p.kind == "string" else p.kind
+            shown = f"{kind} = {bool(p.default) if p.kind == 'bool' else p.default}"
         say(f"\t{p.name} : {shown}\n")
 
 
