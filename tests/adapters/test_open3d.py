@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 import subprocess
 import sys
 import warnings
@@ -362,8 +364,6 @@ def test_filters_smooth_as_the_options_say_and_flip_nothing(kind, name):
 
 
 def test_filter_signatures_are_those_of_open3d():
-    import inspect
-
     for function in (open3d_filters.filter_smooth_odt, open3d_filters.filter_smooth_cpt,
                      open3d_filters.filter_smooth_odt_global):
         parameters = inspect.signature(function).parameters
@@ -490,12 +490,21 @@ def test_wrong_arguments_are_named():
     ("filter_smooth_odt", {"cycles": 2}, "got cycles=2"),
     ("filter_smooth_odt_global", {"solver": "lbfgs"}, "got solver='lbfgs'"),
     ("filter_smooth_odt_global", {"method": "cpt"}, "got method='cpt'"),
+    ("filter_smooth_odt", {"iterations": 3}, r"did you mean 'number_of_iterations'\?"),
+    ("filter_smooth_cpt", {"objective": "amips"}, r"got objective='amips'.*, try optimize_odt\(\)"),
+    ("filter_smooth_odt", {"insert": True}, r"got insert=True.*, try optimize_odt\(\)"),
+    ("filter_smooth_odt_global", {"omega": 1.0}, r"got omega=1\.0.*, try optimize_odt\(\)"),
 ])
 def test_options_that_contradict_a_filter_are_refused(name, options, message):
     function, mesh = getattr(open3d_filters, name), make("triangle")
     with pytest.raises(InvalidOptionError, match=message):
         function(mesh, number_of_iterations=3, **options)
-    same = function(mesh, 3, rounds=3, finish=False)
+    for unknown in ({"anything": 1}, {"insert": True}):
+        with pytest.raises(InvalidOptionError) as caught:
+            function(mesh, **unknown)
+        listed = eval(re.search(r"\[.*\]", str(caught.value))[0])
+        assert listed == list(inspect.signature(function).parameters)[1:]
+    same = function(mesh, 3, rounds=3, finish=False, insert=False)
     assert contract.same_bits(view("triangle", same), view("triangle", function(mesh, 3)))
 
 

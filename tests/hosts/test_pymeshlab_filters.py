@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import inspect
 import re
+from pathlib import Path
 from xml.etree import ElementTree
 
 import contract
+import meshio
 import numpy as np
 import pytest
 import surface_meshes
@@ -14,7 +16,6 @@ import surface_meshes
 import odt_plugins
 from odt_plugins.adapters.pymeshlab_set import saved_script
 from odt_plugins.cli import main as cli
-from odt_plugins.compare.start import ball
 from odt_plugins.errors import (
     InvalidMeshError,
     InvalidOptionError,
@@ -29,6 +30,7 @@ from odt_plugins.hosts.filter_table import FILTERS, RICH
 pymeshlab = pytest.importorskip("pymeshlab")
 odt_plugins.register("pymeshlab")
 
+DATA = Path(__file__).parents[1] / "data"
 MOVING = [name for name in FILTERS if name.startswith("apply_coord")]
 ENTRY = '<filter name="{}">{}</filter>'
 
@@ -149,11 +151,12 @@ def test_regions_and_objective_are_parameters():
 
 
 def test_vertices_are_inserted_into_tetrahedra(monkeypatch):
-    tets = ball(300)
-    monkeypatch.setattr(pymeshlab_work, "run_tetwild", lambda given: (tets.points, tets.cells))
+    mesh = meshio.read(DATA / "tetwild_bunny.vtu")
+    tets = mesh.points, mesh.cells[0].data
+    monkeypatch.setattr(pymeshlab_work, "run_tetwild", lambda given: tets)
     result = sphere().generate_odt_tetrahedralization(insert=True, objective="min_dihedral")
     (points, cells), report = odt_plugins.optimize_with_report(
-        (tets.points, tets.cells), insert=True, objective="min_dihedral")
+        tets, insert=True, objective="min_dihedral")
     assert np.array_equal(result["tet_vertex_matrix"], points)
     assert np.array_equal(result["tet_matrix"], cells)
     assert result["vertices_added"] == report.counts["vertices added"]
