@@ -141,6 +141,7 @@ class Options:
         flag="Name of a cell array; charts keeps the seams of the texture of a curved surface."))
     keep: tuple[str, ...] = field(default=FIGURES, metadata=_told(
         "Figures that must not get worse.",
+        python="A single one may be given as a word.",
         flag="Separated by commas; none to keep no figure."))
     orient: bool = field(default=False, metadata=_told(
         "Whether cells of mixed orientation are turned instead of refused."))
@@ -199,6 +200,9 @@ class Options:
             _expect(good, "objective", self.objective, "'radius_ratio' without finishing")
             _expect(self.cycles == 1, "cycles", self.cycles, "1 without finishing")
         _expect(self.finish or not self.insert, "insert", self.insert, "False without finishing")
+        if isinstance(self.keep, str):
+            _expect(self.keep in FIGURES, "keep", self.keep, f"some of {FIGURES}")
+            object.__setattr__(self, "keep", (self.keep,))
         good = isinstance(self.keep, tuple | list) and all(k in FIGURES for k in self.keep)
         _expect(good, "keep", self.keep, f"some of {FIGURES}")
         good = callable(self.progress) or isinstance(self.progress, bool | None)
@@ -272,7 +276,7 @@ class OptionKeywords(TypedDict, total=False):
     fixed: ArrayLike | None
     selection: ArrayLike | None
     regions: str | ArrayLike | None
-    keep: tuple[str, ...]
+    keep: str | tuple[str, ...]
     orient: bool
     threads: int
     progress: Progress | bool | None

@@ -61,12 +61,12 @@ def read(mesh: Any, regions: str | None = None) -> HostMesh:
 
     Raises
     ------
-    UnsupportedMeshError       the mesh has no triangles or tetras
+    UnsupportedMeshError       the mesh has no triangles or tetrahedra
     InvalidMeshError           texture coordinates or material ids of the wrong length
     InvalidOptionError         there is no attribute of that name
     """
     if is_instance(mesh, "open3d", "TetraMesh"):
-        _require(len(mesh.tetras), len(mesh.vertices), "TetraMesh", "tetras")
+        _require(len(mesh.tetras), len(mesh.vertices), "TetraMesh", "tetrahedra")
         return HostMesh(
             points=np.array(mesh.vertices),
             cells=np.array(mesh.tetras),
@@ -106,8 +106,9 @@ def in_words(text: str, mesh: Any) -> str:
         call = next((call for call in calls if hasattr(mesh, call.partition("(")[0])), None)
         if call:
             text = re.sub(advice, f"mesh.{call}", text)
-    noun = "tetra" if is_instance(mesh, "open3d", "TetraMesh") else "triangle"
-    return re.sub(r"\bcell(s?)\b", rf"{noun}\1", text)
+    names = ("tetrahedron", "tetrahedra") if is_instance(mesh, "open3d", "TetraMesh") else (
+        "triangle", "triangles")
+    return re.sub(r"\bcell(s?)\b", lambda found: names[bool(found[1])], text)
 
 
 def _read_legacy(mesh: Any, regions: str | None) -> HostMesh:

@@ -75,7 +75,8 @@ def refine_and_optimize(
     mesh : arrays, pyvista.UnstructuredGrid, meshio.Mesh or path of tetrahedra; or of triangles, a
         closed surface, then also pyvista.PolyData. It is never changed.
     levels : int
-        How often to refine, at least 1; each gives about eight times as many tetrahedra.
+        How often to refine; each gives about eight times as many tetrahedra. 0 only optimises
+        the coarse mesh.
     surface : mesh of triangles, optional
         Closed surface that coarse tetrahedra stand for; None: their own boundary.
     edge_length : float
@@ -100,7 +101,7 @@ def refine_and_optimize(
     Raises
     ------
     InvalidMeshError        the surface is not closed, the mesh is broken, or would be too large
-    InvalidOptionError      levels below 1, an envelope out of range, options with no meaning here
+    InvalidOptionError      levels below 0, an envelope out of range, options with no meaning here
     UnsupportedMeshError    the object is nothing that can be refined
     MissingDependencyError  a surface, and pytetwild is not installed
 
@@ -193,8 +194,8 @@ def _refined(
 def _check(levels: Any, edge_length: Any, options: Mapping[str, Any]) -> None:
     """Refuse what has no meaning for several levels."""
     whole = isinstance(levels, Integral) and not isinstance(levels, bool)
-    if not (whole and int(levels) >= 1):
-        msg = f"got levels={levels!r}; expected an integer of at least 1"
+    if not (whole and int(levels) >= 0):
+        msg = f"got levels={levels!r}; expected an integer of at least 0"
         raise InvalidOptionError(msg)
     good = isinstance(edge_length, Real) and not isinstance(edge_length, bool)
     if not (good and 0 < edge_length < 1):

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import inspect
 from collections.abc import Callable
 from typing import Any
@@ -73,7 +74,17 @@ def _replace(owner: Any, name: str, wrapper: Callable[..., Any]) -> None:
 def _apply_filter(native: Any, self: Any, filter_name: str, **kwargs: Any) -> Any:
     if filter_name in FILTERS:
         return run_filter(self, filter_name, kwargs)
-    return native(self, filter_name, **kwargs)
+    import pymeshlab
+
+    try:
+        return native(self, filter_name, **kwargs)
+    except pymeshlab.PyMeshLabException as exc:
+        known = pymeshlab.filter_list()
+        near = difflib.get_close_matches(filter_name, known, n=1)
+        if filter_name in known or not near:
+            raise
+        msg = f"{exc}\nDid you mean {near[0]}?"
+        raise type(exc)(msg) from exc
 
 
 def _filter_parameter_values(native: Any, self: Any, name: str, **kwargs: Any) -> Any:

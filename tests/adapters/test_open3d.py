@@ -294,7 +294,7 @@ def test_tensor_meshes_keep_both_kinds_of_numbers(dtype, index):
     assert not np.array_equal(out.vertex.positions.numpy(), space.astype(dtype))
 
 
-@pytest.mark.parametrize(("kind", "what"), [("triangle", "triangles"), ("tetra", "tetras"),
+@pytest.mark.parametrize(("kind", "what"), [("triangle", "triangles"), ("tetra", "tetrahedra"),
                                             ("tensor", "triangles")])
 def test_meshes_without_cells_and_data_of_wrong_length_are_named(kind, what):
     empty = type(make(kind))()
@@ -441,10 +441,10 @@ FAULTS = [
     ("tensor", TWICE, "1 triangle .*used twice", False),
     ("triangle", REPEATED, "same vertices as an earlier triangle", True),
     ("tensor", REPEATED, "same vertices as an earlier triangle", False),
-    ("tetra", [[0, 1, 2, 3], [0, 1, 4, 2]], "1 tetra .*zero volume", False),
-    ("tetra", [[0, 1, 2, 3], [0, 1, 4, 4]], "1 tetra .*used twice", True),
+    ("tetra", [[0, 1, 2, 3], [0, 1, 4, 2]], "1 tetrahedron .*zero volume", False),
+    ("tetra", [[0, 1, 2, 3], [0, 1, 4, 4]], "1 tetrahedron .*used twice", True),
     ("tetra", [[0, 1, 2, 3], [1, 2, 0, 3]], "same vertices as an earlier tetra", True),
-    ("tetra", [[0, 1, 2, 3], [1, 2, 4, 3]], "1 tetra .*negative against positive volume", True),
+    ("tetra", [[0, 1, 2, 3], [1, 2, 4, 3]], "1 tetrahedron .*negative against positive", True),
 ]
 """Kind and rows of a broken mesh, what is said of it, and whether code is advised."""
 
@@ -460,7 +460,7 @@ def test_errors_speak_of_triangles_and_tetras_and_advise_what_helps(kind, rows, 
         advice = said.partition("try ")[2]
         assert advice.startswith(("mesh.", "orient=")) == code
         if not code:
-            assert advice in ("removing such tetras", "removing such triangles",
+            assert advice in ("removing such tetrahedra", "removing such triangles",
                               "removing repeated triangles")
         elif advice == "orient=True":
             function(mesh, orient=True)

@@ -480,6 +480,22 @@ def test_other_errors_of_scripts_name_the_filter_and_its_place(tmp_path):
     assert b"<filter " not in saved_script(meshes)
 
 
+@pytest.mark.parametrize(("name", "near"), [
+    ("Taubin Smoth", r"'Taubin Smooth' \(apply_coord_taubin_smoothing in Python\)"),
+    ("ODT Smothing", r"'ODT Smoothing' \(apply_coord_odt_smoothing in Python\)"),
+    ("apply_coord_taubin_smoothing", r"'Taubin Smooth' \(apply_coord_taubin_smoothing"),
+    ("Zzzz", "expected the name of a filter in MeshLab's menus$"),
+])
+def test_the_nearest_filter_is_named(tmp_path, name, near):
+    with pytest.raises(InvalidMeshError, match=rf"^MeshLab has no filter '{name}', .*{near}"):
+        odt_plugins.run_filter_script(flat_set(), script(tmp_path, ENTRY.format(name, "")))
+    python = {"apply_coord_odt_smothing": "apply_coord_odt_smoothing",
+              "apply_coord_taubin_smothing": "apply_coord_taubin_smoothing"}
+    for wrong, right in python.items():
+        with pytest.raises(pymeshlab.PyMeshLabException, match=rf"Did you mean {right}\?"):
+            flat_set().apply_filter(wrong)
+
+
 def test_scripts_that_would_crash_meshlab_are_refused(tmp_path):
     empty = pymeshlab.MeshSet()
     with pytest.raises(InvalidMeshError, match=r"Smooth requires at least one mesh .*1 of 1"):

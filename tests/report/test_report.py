@@ -206,10 +206,10 @@ def test_binding_by_a_sharp_corner_of_the_surface() -> None:
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 1, 0.05], [0.5, 1, -0.05]])
     mesh = simplex_mesh(points, [[0, 1, 2, 3]], orient=True)[0]
     only = bind(mesh, [])[0]
-    assert only.reason.startswith("two fixed facets meet at")
+    assert only.reason.startswith("two triangles of it that stay fixed meet along its edge (")
     assert set(only.binds) == {"quality", "min_angle", "max_angle"}
     flat = simplex_mesh(np.array([[0.0, 0], [1, 0], [0.9, 0.1]]), [[0, 1, 2]])[0]
-    assert "along vertex (0)" in bind(flat, [])[0].reason
+    assert "meet at its vertex (0) at" in bind(flat, [])[0].reason
 
 
 def test_binding_names_the_worst_cells_of_each_figure() -> None:

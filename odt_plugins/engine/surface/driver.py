@@ -149,7 +149,9 @@ def _run_until_kept(
         times["check"] = times.get("check", 0.0) + time.perf_counter() - clock
         if outcome is not None:
             (options.progress or silent)("finishing", 1.0)
-            fallback = None if not broken else f"a run was given up ({'; '.join(broken)})"
+            fallback = None if not broken else (
+                f"some vertices stay where they are, since a run that moved them was given up: "
+                f"{'; '.join(broken)}")
             return replace(
                 outcome, times=times, energy=log.energy, counts=log.counts, stop_reason=reason,
                 fallback=outcome.fallback or fallback, kept=kept,
