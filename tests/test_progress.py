@@ -77,20 +77,34 @@ def test_one_share_grows_from_0_to_1_over_all_stages(name, tmp_path, monkeypatch
     assert shares == sorted(shares)
     stages = {stage for stage, _ in seen}
     assert STAGES.get(name, set()) <= stages
+    if name in ("TetWild", "levels"):
+        assert len({share for stage, share in seen if stage == "TetWild"}) > 3
 
 
 def test_tetwild_has_most_of_the_bar_and_odt_the_rest(monkeypatch):
     seen = []
 
-    def made(given):
+    def made(given, report):
         assert seen == [("TetWild", 0.0)]
+        report("TetWild", 0.5)
         return tets()
 
     monkeypatch.setattr(tetwild, "run_tetwild", made)
     odt_plugins.tetrahedralize(*surface_meshes.sphere(1),
                                progress=lambda stage, share: seen.append((stage, share)))
-    assert seen[1] == ("preparing", tetwild.BY_TETWILD)
+    assert seen[1] == ("TetWild", 0.5 * tetwild.BY_TETWILD)
+    assert seen[2] == ("preparing", tetwild.BY_TETWILD)
     assert seen[-1][1] == 1.0
+
+
+def test_the_share_of_tetwild_grows_with_its_passes():
+    lines = ["Tetrahedralization performed.", "initializing...",
+             *(f"//////////////// pass {k} ////////////////" for k in range(80)),
+             "//////////////// postprocessing ////////////////"]
+    shares = [tetwild.share_done(line) for line in lines]
+    assert shares == sorted(shares)
+    assert 0.0 < shares[0] < shares[-1] < 1.0
+    assert tetwild.share_done("#v = 1488") == 0.0
 
 
 def test_what_is_told_never_falls_and_an_error_is_no_end():

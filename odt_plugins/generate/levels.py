@@ -131,7 +131,8 @@ def _refined(
 ) -> tuple[Any, LevelsReport]:
     """The mesh of the last level; `chosen` are the `options` made, with a progress to tell."""
     named = chosen.regions
-    start = coarse_mesh(mesh, surface, edge_length, chosen)
+    reports = (part(chosen.progress, 0.0, BY_TETWILD),) if options.get("progress") else ()
+    start = coarse_mesh(mesh, surface, edge_length, chosen, *reports)
     left = part(chosen.progress, BY_TETWILD if start.meshed else 0.0, 1.0)
     slides = options.get("boundary", "slide" if start.meshed or surface is not None else "fixed")
     reference = start.target.reference
