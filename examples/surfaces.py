@@ -1,8 +1,9 @@
 """Curved surfaces before and after, beside what MeshLab's own remeshing makes of them.
 
-python examples/surfaces.py [MESH.obj ...] [--envelope 1e-3 ...] [--picture surface.png]
+python examples/surfaces.py [MESH ...] [--envelope 1e-3 ...] [--picture surface.png]
 
-Takes the bunny and the cow that ship with pymeshlab when no mesh is named. All results are
+Takes files of surfaces of any format that VTK or meshio reads, and the bunny and the cow that ship
+with pymeshlab when none is named. All results are
 measured alike, by numpy and VTK: distances there and back at the vertices, midpoints and
 barycentres, in thousandths of the diagonal.
 """
@@ -15,6 +16,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import pyvista
 from PIL import Image
 
 import odt_plugins
@@ -34,8 +36,14 @@ HEADER = (
 
 
 def read(path: Path) -> StartMesh:
-    """Read an OBJ file; vertices at the same place become one."""
-    points, faces = read_obj(path)
+    """Read a file of a surface; vertices at the same place become one."""
+    if path.suffix.lower() == ".obj":
+        points, faces = read_obj(path)
+    else:
+        mesh = pyvista.read(path).triangulate()
+        points = np.array(mesh.points, dtype=np.float64)
+        plain = isinstance(mesh, pyvista.PolyData)
+        faces = mesh.regular_faces if plain else mesh.cells_dict[pyvista.CellType.TRIANGLE]
     _, first, inverse = np.unique(points, axis=0, return_index=True, return_inverse=True)
     faces = first[inverse.ravel()][faces]
     proper = (faces != np.roll(faces, 1, axis=1)).all(axis=1)
@@ -75,7 +83,7 @@ def picture(start: StartMesh, envelope: float, path: Path) -> None:
 def main(arguments: list[str]) -> None:
     """Measure every mesh and print one table."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("meshes", nargs="*", type=Path, metavar="MESH.obj")
+    parser.add_argument("meshes", nargs="*", type=Path, metavar="MESH")
     parser.add_argument("--envelope", nargs="+", type=float, default=[1e-3, 2e-3, 3e-3])
     parser.add_argument("--picture", type=Path)
     given = parser.parse_args(arguments)

@@ -29,9 +29,9 @@ def optimize(mesh: Any, **options: Unpack[OptionKeywords]) -> Any:
 
     Parameters
     ----------
-    mesh : (points, cells) or (points, cells, regions) arrays, pyvista.UnstructuredGrid,
-        pyvista.PolyData, meshio.Mesh, pymeshlab.MeshSet or Mesh, an open3d TriangleMesh or
-        TetraMesh, or the path of a mesh file. It is never changed.
+    mesh : (points, cells) or (points, cells, regions), arrays or lists of rows,
+        pyvista.UnstructuredGrid, pyvista.PolyData, meshio.Mesh, pymeshlab.MeshSet or Mesh, an
+        open3d TriangleMesh or TetraMesh, or the path of a mesh file. It is never changed.
     **options
         The fields of :class:`odt_plugins.Options`, all by keyword.
 

@@ -6,13 +6,21 @@ expected and what to try.
 
 from __future__ import annotations
 
+import contextlib
+import os
 import signal
+import sys
+import warnings
 from contextlib import contextmanager
 from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
+
+
+INSIDE = (os.path.dirname(os.path.abspath(__file__)) + os.sep, contextlib.__file__)
+"""Where the files of the package begin, and what may stand between two of their functions."""
 
 
 class ODTError(Exception):
@@ -75,6 +83,14 @@ class DataNotKeptWarning(ODTWarning):
 
 class NotConvergedWarning(ODTWarning):
     """An iterative solver stopped before it reached its tolerance."""
+
+
+def warn(message: str, category: type[ODTWarning] = ODTWarning) -> None:
+    """Warn of a line of the caller's: the first one outside of the package."""
+    level, frame = 2, sys._getframe(1)
+    while frame.f_back is not None and frame.f_code.co_filename.startswith(INSIDE):
+        level, frame = level + 1, frame.f_back
+    warnings.warn(message, category, stacklevel=level)
 
 
 def counted(count: int, noun: str, plural: str | None = None) -> str:

@@ -152,14 +152,16 @@ class Options:
     keep: tuple[str, ...] = field(default=FIGURES, metadata=_told(
         "Figures that must not get worse; share_below_20 is the part of the cells with an angle "
         "below 20 degrees.",
+        python="A single one may be given as a word.",
         flag="Separated by commas; none to keep no figure."))
     orient: bool = field(default=False, metadata=_told(
         "Whether triangles of a curved surface whose neighbours disagree about the outside are "
         "turned instead of refused; all other cells of mixed orientation always are turned."))
     threads: int = field(default=1, metadata=_told(
         "Worker threads; the result does not depend on it.", least=1))
-    progress: Progress | None = field(default=None, metadata=_told(
-        "Callback progress(stage, fraction).", flag=None))
+    progress: Any = field(default=None, metadata=_told(
+        "Callback progress(stage, fraction), where the fraction grows from 0 to 1 over all stages; "
+        "True shows a bar, in a notebook too.", flag=None))
 
     def __post_init__(self) -> None:
         """Refuse values outside their range, and options that would have no effect."""
@@ -210,10 +212,14 @@ class Options:
             _expect(good, "objective", self.objective, "'radius_ratio' without finishing")
             _expect(self.cycles == 1, "cycles", self.cycles, "1 without finishing")
         _expect(self.finish or not self.insert, "insert", self.insert, "False without finishing")
+        if isinstance(self.keep, str):
+            _expect(self.keep in FIGURES, "keep", self.keep, f"some of {FIGURES}")
+            object.__setattr__(self, "keep", (self.keep,))
         good = isinstance(self.keep, tuple | list) and all(k in FIGURES for k in self.keep)
         _expect(good, "keep", self.keep, f"some of {FIGURES}")
-        good = self.progress is None or callable(self.progress)
-        _expect(good, "progress", self.progress, "None or a callable progress(stage, fraction)")
+        good = callable(self.progress) or isinstance(self.progress, bool | None)
+        what = "None, True or a callable progress(stage, fraction)"
+        _expect(good, "progress", self.progress, what)
 
 
 def _is_number(value: object) -> bool:
@@ -283,10 +289,10 @@ class OptionKeywords(TypedDict, total=False):
     selection: ArrayLike | None
     regions: str | Sequence[str] | ArrayLike | None
     fields: Fields
-    keep: tuple[str, ...]
+    keep: str | tuple[str, ...]
     orient: bool
     threads: int
-    progress: Progress | None
+    progress: Progress | bool | None
 
 
 def with_option_signature(*without: str) -> Callable[[FunctionT], FunctionT]:

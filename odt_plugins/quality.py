@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError
 from odt_plugins.mesh.cell_geometry import CellGeometry
 from odt_plugins.mesh.chunks import chunks, spread
+from odt_plugins.table import table_html, table_lines
 
 FloatArray = NDArray[np.float64]
 
@@ -51,7 +52,8 @@ class QualitySummary:
     below_5, below_10, below_20 : int               cells whose smallest angle is below it
     inverted : int                                  cells of zero or negative signed volume
     uniformity : float                              std(R) / mean(R), h constant
-    volume : float                                  sum of the signed volumes
+    volume : float                                  sum of the signed volumes; of triangles their
+                                                    areas, which is `area` as well
     turned : int                                    cells of mixed orientation that were turned
                                                     before they were measured
     """
@@ -79,9 +81,30 @@ class QualitySummary:
         """Part of the cells whose smallest angle is below 20 degrees."""
         return self.below_20 / self.n_cells
 
+    @property
+    def area(self) -> float:
+        """Sum of the areas; tetrahedra have a volume instead."""
+        if self.dim != 2:
+            msg = "got tetrahedra, which have no area; expected triangles, try volume"
+            raise AttributeError(msg)
+        return self.volume
+
+    def __str__(self) -> str:
+        """A table, one row per figure."""
+        return "\n".join(table_lines({"": self})[1:])
+
+    def _repr_html_(self) -> str:
+        """The same for a notebook."""
+        return table_html({"": self})
+
     def to_dict(self) -> dict[str, int | float | None]:
-        """Give the figures as plain numbers; a figure that is not finite becomes None."""
+        """Give the figures as plain numbers; a figure that is not finite becomes None.
+
+        The volume of triangles has the name "area".
+        """
         values = {f.name: getattr(self, f.name) for f in fields(self)}
+        if self.dim == 2:
+            values["area"] = values.pop("volume")
         return {k: v if np.isfinite(v) else None for k, v in values.items()}
 
 

@@ -5,7 +5,6 @@ This is the only place where adapters and engine meet.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -21,7 +20,7 @@ from odt_plugins.adapters.regions import AUTO, CHARTS, are_names
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.adapters.wedges import SEAM, charts
 from odt_plugins.carry import in_input_order, surrounding_cells
-from odt_plugins.errors import InvalidMeshError, InvalidOptionError, ODTError, ODTWarning
+from odt_plugins.errors import InvalidMeshError, InvalidOptionError, ODTError, warn
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.numbering import in_old_numbers, new_numbers, old_numbers
 from odt_plugins.mesh.plane import PlaneFrame, plane_frame
@@ -29,6 +28,7 @@ from odt_plugins.mesh.simplex import SimplexMesh, compact_labels, mesh_arrays, r
 from odt_plugins.mesh.soup import at_copies, same_places
 from odt_plugins.mesh.surface import surface_mesh
 from odt_plugins.options import Options
+from odt_plugins.progress import telling
 
 if TYPE_CHECKING:
     from odt_plugins.engine.run.outcome import Leaving, Outcome
@@ -68,8 +68,10 @@ def run_engine(
     """
     work = _prepare(mesh, options)
     leaving = partial(_as_it_leaves, work, options.threads)
-    with words_of(work.host):
-        outcome = (engine or _optimized)(work.mesh, _in_frame(options, work.frame), leaving)
+    with words_of(work.host), telling(options.progress, "preparing") as progress:
+        chosen = _in_frame(options, work.frame)
+        chosen = replace(chosen, progress=progress if options.progress else None)
+        outcome = (engine or _optimized)(work.mesh, chosen, leaving)
     if outcome.written is None:
         outcome = leaving(outcome)
     points: Any = outcome.written
@@ -215,7 +217,7 @@ def _of_soup(
                 host=replace(host, blocks=merged.host.blocks))
     note = host.words(
         f"hardly any vertices may move, since the cells share hardly any{why}; {call}")
-    warnings.warn(note, ODTWarning, stacklevel=5)
+    warn(note)
     return found._replace(notes=(note,))
 
 

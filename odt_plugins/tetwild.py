@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 import inspect
 import pickle
+import re
 import subprocess
 import sys
 import tempfile
@@ -22,7 +23,14 @@ from numpy.typing import NDArray
 from odt_plugins.api import optimize as optimize_mesh
 from odt_plugins.errors import CrashError, InvalidMeshError, InvalidOptionError, exit_name, require
 from odt_plugins.mesh.simplex import barycentric, mesh_arrays
-from odt_plugins.options import OPTIONS, OptionKeywords, make_options, with_option_signature
+from odt_plugins.options import (
+    OPTIONS,
+    OptionKeywords,
+    Progress,
+    make_options,
+    with_option_signature,
+)
+from odt_plugins.progress import part, telling
 
 PROGRAM = """
 import pickle
@@ -39,6 +47,12 @@ except Exception as exc:
 with open("result", "wb") as file:
     pickle.dump(result, file)
 """
+
+BY_TETWILD = 0.8
+"""Part of the progress that TetWild takes."""
+
+SHARES = {"Tetrahedralization performed": 0.1, "initializing": 0.2, "postprocessing": 0.95}
+"""How far TetWild is when it says so, besides its passes."""
 
 INSIDE = -1e-9
 """Least barycentric coordinate of a point that counts as inside a tetrahedron."""
@@ -106,13 +120,26 @@ def tetrahedralize(
     _expect_known(options, given)
     chosen = odt_options(odt, **options)
     _check_surface(vertices, faces)
-    points, cells = run_tetwild(given)
     if chosen is None:
-        return points, cells
-    field = (bg_vertices, bg_tets, bg_values)
+        return run_tetwild(given)
+    asked = chosen.pop("progress", None)
+    with telling(asked, "TetWild") as tell:
+        first = (part(tell, 0.0, BY_TETWILD),) if asked else ()
+        points, cells = run_tetwild(given, *first)
+        chosen["progress"] = part(tell, BY_TETWILD, 1.0)
+        return optimize_mesh((points, cells), **_with_field(chosen, points, cells, given))
+
+
+def _with_field(
+    chosen: dict[str, Any], points: NDArray[np.float64], cells: NDArray[np.int32],
+    given: Mapping[str, Any],
+) -> dict[str, Any]:
+    """The options, with the density that keeps the sizing field of the arguments, if any."""
+    field = (given["bg_vertices"], given["bg_tets"], given["bg_values"])
     exponent = chosen.pop("exponent", None) if "density" not in chosen else None
-    if bg_values is not None and "density" not in chosen:
-        ideal = edge_length_abs or edge_length_fac * _diagonal(np.asarray(vertices))
+    if given["bg_values"] is not None and "density" not in chosen:
+        ideal = (given["edge_length_abs"]
+                 or given["edge_length_fac"] * _diagonal(np.asarray(given["vertices"])))
         power = -float(points.shape[1] + 2 if exponent is None else exponent)
 
         def density(x: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -124,7 +151,7 @@ def tetrahedralize(
         chosen["density"] = density if len(points) == len(cells) else density(points)
     elif exponent is not None:
         chosen["exponent"] = exponent
-    return optimize_mesh((points, cells), **chosen)
+    return chosen
 
 
 def _expect_known(options: Mapping[str, Any], own: Mapping[str, Any]) -> None:
@@ -185,8 +212,12 @@ def expect_pytetwild() -> None:
     require("tetrahedralize", "pytetwild", "pytetwild")
 
 
-def run_tetwild(given: Mapping[str, Any]) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
+def run_tetwild(
+    given: Mapping[str, Any], report: Progress | None = None
+) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Run pytetwild.tetrahedralize on arguments by name, in a process of its own.
+
+    A callable `report` is told a share that grows with the passes that TetWild names.
 
     Arguments that have their default are left out, so that older versions run too.
 
@@ -199,19 +230,18 @@ def run_tetwild(given: Mapping[str, Any]) -> tuple[NDArray[np.float64], NDArray[
     arguments = {name: value for name, value in given.items()
                  if usual[name].default is inspect.Parameter.empty
                  or value is not usual[name].default}
+    quiet = given.get("quiet", True)
+    if report is not None:
+        arguments["quiet"] = False
     with tempfile.TemporaryDirectory(prefix="odt-plugins-") as folder:
         (Path(folder) / "arguments").write_bytes(pickle.dumps(arguments))
-        done = subprocess.run(
-            [sys.executable, "-c", PROGRAM], cwd=folder, check=False, text=True,
-            stdout=subprocess.DEVNULL if given.get("quiet", True) else None,
-            stderr=subprocess.PIPE,
-        )
+        code, errors = _run(Path(folder), quiet, report)
         file = Path(folder) / "result"
-        if done.returncode or not file.is_file():
-            said = done.stderr.strip().splitlines()
-            error = CrashError(_no_tetrahedra(f"it was ended by {exit_name(done.returncode)}"
+        if code or not file.is_file():
+            said = errors.strip().splitlines()
+            error = CrashError(_no_tetrahedra(f"it was ended by {exit_name(code)}"
                                               + (f" ({said[-1]})" if said else "")))
-            error.code = done.returncode
+            error.code = code
             raise error
         result = pickle.loads(file.read_bytes())
     if isinstance(result, Exception):
@@ -220,6 +250,39 @@ def run_tetwild(given: Mapping[str, Any]) -> tuple[NDArray[np.float64], NDArray[
     if not len(cells):
         raise InvalidMeshError(_no_tetrahedra("it gave an empty mesh"))
     return points, cells
+
+
+def _run(folder: Path, quiet: bool, report: Progress | None) -> tuple[int, str]:
+    """Run the program in a directory; its exit code, and what it wrote to stderr."""
+    out = None if not quiet else subprocess.DEVNULL
+    with (
+        open(folder / "errors", "w", encoding="utf-8") as errors,
+        subprocess.Popen(
+            [sys.executable, "-c", PROGRAM], cwd=folder, text=True, errors="replace",
+            stdout=out if report is None else subprocess.PIPE, stderr=errors,
+        ) as job,
+    ):
+        try:
+            for line in job.stdout or ():
+                if report is not None and (share := share_done(line)):
+                    report("TetWild", share)
+                if not quiet:
+                    sys.stdout.write(line)
+            code = job.wait()
+        except BaseException:
+            job.kill()
+            raise
+    return code, (folder / "errors").read_text(encoding="utf-8", errors="replace")
+
+
+def share_done(line: str) -> float:
+    """About how far TetWild is when it writes a line, 0 when the line does not tell.
+
+    The number of passes is not known before, so each takes a quarter of what the others left.
+    """
+    if found := re.match(r"/+ pass (\d+) /+", line):
+        return 0.2 + 0.7 * (1.0 - 0.75 ** (int(found[1]) + 1))
+    return next((share for word, share in SHARES.items() if word in line), 0.0)
 
 
 def background_sizes(

@@ -57,7 +57,7 @@ def test_the_types_of_keywords_are_those_of_options():
     keywords, of_options = get_type_hints(OptionKeywords), get_type_hints(Options)
     assert list(keywords) == list(of_options) == list(OPTIONS)
     for name, kind in keywords.items():
-        assert of_options[name] in (kind, Any), name
+        assert of_options[name] in (kind, Any, *get_args(kind)), name
 
 
 def test_hosts_show_the_keywords_that_they_take():
@@ -228,14 +228,50 @@ def test_progress_and_options_reach_the_engine(monkeypatch):
         seen.append(options)
         return driver.Outcome(mesh.points, mesh.cells, mesh.regions)
 
+    told = []
+
     def progress(stage, fraction):
-        raise AssertionError
+        told.append((stage, fraction))
 
     monkeypatch.setattr(driver, "run", run)
     points, cells, _ = contract.grid(2, 2)
     given = {"method": "cpt", "rounds": 3, "threads": 2, "progress": progress, "exponent": 3.0}
     odt_plugins.optimize((points, cells), **given)
-    assert {name: getattr(seen[0], name) for name in given} == given
+    seen[0].progress("smoothing", 0.5)
+    assert told[-1] == ("smoothing", 1.0), "what came to its end does not go back"
+    assert {**{name: getattr(seen[0], name) for name in given}, "progress": progress} == given
+
+
+def test_a_single_figure_to_keep_is_a_word():
+    points, cells, _ = contract.grid(2, 5)
+    assert make_options(keep="mean_quality").keep == ("mean_quality",)
+    one, two = (odt_plugins.optimize((points, cells), keep=keep)
+                for keep in ("min_quality", ("min_quality",)))
+    assert np.array_equal(one[0], two[0])
+    with pytest.raises(odt_plugins.InvalidOptionError, match="got keep='quality'; expected some"):
+        odt_plugins.optimize((points, cells), keep="quality")
+
+
+@pytest.mark.parametrize("kind", [list, tuple])
+def test_lists_of_rows_are_arrays_too_and_come_back_as_lists(kind, tmp_path):
+    points, cells, labels = contract.grid(2, 5)
+    arrays = (points, cells, labels)
+    rows = kind([points.tolist(), [tuple(cell) for cell in cells.tolist()], labels.tolist()])
+    before = repr(rows)
+    for k in (2, 3):
+        assert odt_plugins.measure(rows[:k]) == odt_plugins.measure(arrays[:k])
+        out = odt_plugins.optimize(rows[:k])
+        assert type(out) is kind
+        assert list(out) == [part.tolist() for part in odt_plugins.optimize(arrays[:k])]
+    assert repr(rows) == before
+    mixed = odt_plugins.optimize((points, cells.tolist()))
+    assert (type(mixed[0]), type(mixed[1])) == (np.ndarray, list)
+    assert odt_plugins.measure([[[0, 0], [2, 0], [0, 1]], [[0, 1, 2]]]).area == 1.0
+    meshio.Mesh(points, [("triangle", cells)]).write(tmp_path / "in.vtu")
+    assert odt_plugins.measure(tmp_path / "in.vtu").n_cells == len(cells)
+    for bad in ([[0.0], [1.0, 2.0]], [["a", "b"]]):
+        with pytest.raises(odt_plugins.InvalidMeshError, match="points that are no rows of num"):
+            odt_plugins.measure((bad, [[0, 1, 2]]))
 
 
 @pytest.mark.parametrize("k", [3, 4])

@@ -6,7 +6,6 @@ import os
 import re
 import shutil
 import tempfile
-import warnings
 from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
@@ -22,6 +21,7 @@ from odt_plugins.errors import (
     InvalidMeshError,
     MeshFileError,
     MissingDependencyError,
+    warn,
     writing,
 )
 
@@ -81,7 +81,7 @@ def read_file(path: str | os.PathLike[str]) -> Any:
         raise MeshFileError(msg)
     mesh, remarks = _read_as(path, formats)
     for remark in remarks:
-        warnings.warn(f"{path}: {remark}", DataNotKeptWarning, stacklevel=3)
+        warn(f"{path}: {remark}", DataNotKeptWarning)
     return mesh
 
 
@@ -139,10 +139,10 @@ def write_file(path: str | os.PathLike[str], mesh: Any) -> None:
         shutil.rmtree(beside, ignore_errors=True)
     if lost:
         msg = f"{path} does not keep {', '.join(lost)}; try a .vtu file or another format"
-        warnings.warn(msg, DataNotKeptWarning, stacklevel=3)
+        warn(msg, DataNotKeptWarning)
         return
     for remark in remarks:
-        warnings.warn(f"{path}: {remark}", DataNotKeptWarning, stacklevel=3)
+        warn(f"{path}: {remark}", DataNotKeptWarning)
 
 
 def _formats(path: Path) -> list[str]:

@@ -10,7 +10,6 @@ mix. Tensor meshes on another device are optimised on the CPU and copied back, w
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
@@ -23,7 +22,7 @@ from odt_plugins.adapters.fields import field_names
 from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
 from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.wedges import carried, charts
-from odt_plugins.errors import InvalidMeshError, ODTWarning, UnsupportedMeshError
+from odt_plugins.errors import InvalidMeshError, ODTWarning, UnsupportedMeshError, warn
 
 REMEDIES = (
     (r"merging vertices at the same place",
@@ -64,12 +63,12 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
 
     Raises
     ------
-    UnsupportedMeshError       the mesh has no triangles or tetras
+    UnsupportedMeshError       the mesh has no triangles or tetrahedra
     InvalidMeshError           texture coordinates or material ids of the wrong length
     InvalidOptionError         there is no attribute of that name
     """
     if is_instance(mesh, "open3d", "TetraMesh"):
-        _require(len(mesh.tetras), len(mesh.vertices), "TetraMesh", "tetras")
+        _require(len(mesh.tetras), len(mesh.vertices), "TetraMesh", "tetrahedra")
         return HostMesh(
             points=np.array(mesh.vertices),
             cells=np.array(mesh.tetras),
@@ -113,8 +112,9 @@ def in_words(text: str, mesh: Any) -> str:
         call = next((call for call in calls if hasattr(mesh, call.partition("(")[0])), None)
         if call:
             text = re.sub(advice, f"mesh.{call}", text)
-    noun = "tetra" if is_instance(mesh, "open3d", "TetraMesh") else "triangle"
-    return re.sub(r"\bcell(s?)\b", rf"{noun}\1", text)
+    names = ("tetrahedron", "tetrahedra") if is_instance(mesh, "open3d", "TetraMesh") else (
+        "triangle", "triangles")
+    return re.sub(r"\bcell(s?)\b", lambda found: names[bool(found[1])], text)
 
 
 def _read_legacy(mesh: Any, regions: str | Sequence[str] | None) -> HostMesh:
@@ -140,7 +140,7 @@ def _read_tensor(mesh: Any, regions: str | Sequence[str] | None) -> HostMesh:
             f"the mesh lies on {mesh.device}; it is copied to the CPU, optimised there and "
             f"copied back"
         )
-        warnings.warn(msg, ODTWarning, stacklevel=6)
+        warn(msg, ODTWarning)
     points = np.array(mesh.vertex["positions"].cpu().numpy())
     cells = np.array(mesh.triangle["indices"].cpu().numpy())
     m = len(cells)

@@ -5,7 +5,6 @@ from __future__ import annotations
 import os
 import re
 import tempfile
-import warnings
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
@@ -17,7 +16,7 @@ from numpy.typing import NDArray
 from odt_plugins.adapters import pymeshlab_ply
 from odt_plugins.adapters.fields import field_names
 from odt_plugins.adapters.host import Result
-from odt_plugins.errors import DataNotKeptWarning
+from odt_plugins.errors import DataNotKeptWarning, warn
 
 CUSTOM = {
     "__ca_vs__": "vertex_custom_scalar_attribute_array",
@@ -224,7 +223,7 @@ def _plain_names(names: list[str]) -> list[str]:
         new = ", ".join(f"{old!r} is {name!r}" for old, name in zip(names, plain, strict=True)
                         if old != name)
         msg = f"MeshLab does not take over the names of all textures: {new} now"
-        warnings.warn(msg, DataNotKeptWarning, stacklevel=2)
+        warn(msg, DataNotKeptWarning)
     return plain
 
 
@@ -240,7 +239,7 @@ def _warn_of_losses(mesh: Any) -> None:
         lost.append("the polygons, which are now triangles")
     if lost:
         msg = f"the mesh was built anew; MeshLab does not take over {' and '.join(lost)}"
-        warnings.warn(msg, DataNotKeptWarning, stacklevel=2)
+        warn(msg, DataNotKeptWarning)
 
 
 @contextmanager

@@ -5,10 +5,11 @@ custom attributes, selection, edges, label, visibility, transform matrix, the ot
 set with their ids, and the filter script. Normals are recomputed. Faces of different textures or
 charts of one never mix.
 
-When edges were flipped the mesh is built anew, since MeshLab cannot set faces: then curvature
+When edges were flipped a copy is built anew, since MeshLab cannot set faces: then curvature
 directions and polygons (faux edges) are lost. So they are in copies of a mesh with several
 textures, or with one and no wedges. Warnings name them, and textures whose names no PLY file can
-hold. Copies belong to no file, as far as `save_project()` is concerned.
+hold. Copies belong to no file, as far as `save_project()` is concerned. A filter gives the mesh
+itself its new faces (`pymeshlab_faces`), so that Mesh objects of it stay valid.
 
 Custom attributes that came into a MeshSet with `add_mesh()` are unsound in pymeshlab: its function
 filters crash on them or replace their values by others. Copies that are made here are sound.
@@ -38,6 +39,7 @@ from odt_plugins.adapters.pymeshlab_copy import (
     textures,
     without_pictures,
 )
+from odt_plugins.adapters.pymeshlab_faces import move_vertices, result_in_place, set_faces
 from odt_plugins.adapters.pymeshlab_set import copy_of_set, exchange
 from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.wedges import charts
@@ -123,6 +125,8 @@ def write(result: Result, host: HostMesh) -> Any:
     if isinstance(source, InPlace):
         if moves:
             move_vertices(source.meshes, result.points)
+        elif (fitting := result_in_place(source.meshes, result)) is not None:
+            set_faces(source.meshes, fitting)
         else:
             exchange(source.meshes, rebuilt(source.meshes.current_mesh(), result))
         return source
@@ -161,38 +165,3 @@ def _labels(mesh: Any, names: list[Attribute]) -> dict[str, NDArray[Any]]:
             whole = whole and (values == np.floor(values)).all()
             out[attribute.name] = values.astype(np.int64) if whole else values
     return out
-
-
-def move_vertices(meshes: Any, points: NDArray[np.float64]) -> None:
-    """Set the vertex coordinates of the current mesh, exactly, and nothing else.
-
-    Linear morphing x + p (y - x) towards a mesh of the same size is the only filter of MeshLab
-    that sets coordinates from data; unlike the function filters it copes with custom attributes.
-    By way of the origin, with y = -x and then y = 2 x', p = 1/2, nothing is rounded. A -0.0 lives
-    through x + p (y - x) only if p (y - x) underflows to -0.0.
-    """
-    old = np.array(meshes.current_mesh().vertex_matrix())
-    if np.array_equal(old, points):
-        return
-    negative = (old == 0.0) & np.signbit(old)
-    stays = negative & (points == 0.0) & np.signbit(points)
-    tiny = -np.nextafter(0.0, 1.0)
-    _halfway(meshes, np.where(negative, tiny, 0.0 - old))
-    _halfway(meshes, np.where(stays, tiny, 2.0 * points))
-    meshes.current_mesh().update_bounding_box()
-
-
-def _halfway(meshes: Any, points: NDArray[np.float64]) -> None:
-    """Move the vertices of the current mesh half of the way to other places."""
-    from pymeshlab import Mesh
-
-    own = meshes.current_mesh_id()
-    meshes.add_mesh(Mesh(points, meshes.current_mesh().face_matrix()), "target", True)
-    target = meshes.current_mesh_id()
-    meshes.set_current_mesh(own)
-    try:
-        meshes.apply_filter("compute_coord_linear_morphing", targetmesh=target, percentmorph=50.0)
-    finally:
-        meshes.set_current_mesh(target)
-        meshes.apply_filter("delete_current_mesh")
-        meshes.set_current_mesh(own)

@@ -3,13 +3,12 @@
 from __future__ import annotations
 
 import tempfile
-import warnings
 import weakref
 from pathlib import Path
 from typing import Any
 
 from odt_plugins.adapters.pymeshlab_copy import add_copy, muted, needs_file, one_point
-from odt_plugins.errors import DataNotKeptWarning, ODTWarning
+from odt_plugins.errors import DataNotKeptWarning, ODTWarning, warn
 
 
 def copy_of_set(meshes: Any, current: Any) -> Any:
@@ -31,7 +30,7 @@ def copy_of_set(meshes: Any, current: Any) -> Any:
     restore_script(out, saved_script(meshes))
     if rasters(meshes):
         msg = f"the copy of the MeshSet does not keep its {rasters(meshes)} rasters"
-        warnings.warn(msg, DataNotKeptWarning, stacklevel=2)
+        warn(msg, DataNotKeptWarning)
     return out
 
 
@@ -71,9 +70,10 @@ def exchange(meshes: Any, new: Any) -> None:
     """Put a mesh in the place of the current one, with its id.
 
     MeshLab gives ids only to meshes that are added, so the whole set is emptied and filled again
-    in its order. Where that would do harm, since the set holds rasters, or another of its meshes
-    is still in use as a Mesh object or has several textures, the new mesh is added at the end,
-    with a new id.
+    in its order. Where that would do harm, since the set holds rasters, or one of its meshes is
+    still in use as a Mesh object, or another has several textures, the new mesh is added at the
+    end, with a new id. A current mesh that is in use stays beside it: a Mesh object of a mesh
+    that is gone would read freed memory.
 
     Parameters
     ----------
@@ -82,29 +82,30 @@ def exchange(meshes: Any, new: Any) -> None:
 
     Warns
     -----
-    ODTWarning                    the mesh has a new id, or a Mesh object taken before is void
+    ODTWarning                    the mesh has a new id
     """
     own, held = meshes.current_mesh_id(), weakref.ref(meshes.current_mesh())
-    if _may_be_emptied(meshes):
+    if held() is None and _may_be_emptied(meshes):
         copy = copy_of_set(meshes, new)
         meshes.clear()
         fill(meshes, copy, copy)
-    else:
-        visible = meshes.is_current_mesh_visible()
-        add_copy(meshes, new.current_mesh())
-        added = meshes.current_mesh_id()
-        meshes.set_current_mesh_visibility(visible)
+        return
+    visible = meshes.is_current_mesh_visible()
+    add_copy(meshes, new.current_mesh())
+    added = meshes.current_mesh_id()
+    meshes.set_current_mesh_visibility(visible)
+    if held() is None:
         meshes.set_current_mesh(own)
         meshes.apply_filter("delete_current_mesh")
         meshes.set_current_mesh(added)
-        msg = (f"mesh {own} of the MeshSet was built anew and is now mesh {added}; ids stay where "
-               f"its other meshes have no second texture and are in no variable, and no rasters")
-        warnings.warn(msg, ODTWarning, stacklevel=2)
-    mesh = held()
-    if mesh is not None and mesh is not meshes.current_mesh():
-        msg = ("the current mesh was built anew; the Mesh object taken from the MeshSet before is "
-               "void, take current_mesh() again")
-        warnings.warn(msg, ODTWarning, stacklevel=2)
+        msg = (f"mesh {own} of the MeshSet was built anew and is now mesh {added}, since another "
+               f"mesh of the set is in use as a Mesh object or has several textures, or there are "
+               f"rasters; to keep the id, delete those Mesh objects (del) before")
+    else:
+        msg = (f"mesh {own} of the MeshSet is in use as a Mesh object and stays as it was, since "
+               f"MeshLab cannot change its faces in place; the result is mesh {added}, which is "
+               f"current now; to replace mesh {own}, delete the Mesh object (del) before")
+    warn(msg, ODTWarning)
 
 
 def _may_be_emptied(meshes: Any) -> bool:

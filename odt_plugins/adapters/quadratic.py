@@ -8,7 +8,6 @@ the indices above them close up.
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, NamedTuple
@@ -17,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.host import Result, interpolated
-from odt_plugins.errors import DataNotKeptWarning, InvalidMeshError, ODTWarning
+from odt_plugins.errors import DataNotKeptWarning, InvalidMeshError, ODTWarning, warn
 from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.simplex import barycentric, determinant
 
@@ -289,7 +288,7 @@ def carried_point_data(
             f"point data {name!r} of {lost.size} mid-nodes (first: node {q.gone[lost[0]]}) are "
             f"not kept: their edges were flipped away; try connectivity='none', finish=False"
         )
-        warnings.warn(msg, DataNotKeptWarning, stacklevel=7)
+        warn(msg, DataNotKeptWarning)
     return out
 
 
@@ -313,7 +312,7 @@ def warn_of_folds(before: NDArray[Any], rows: NDArray[Any], q: Quadratic) -> Non
             f"expected none as in the input, try a selection without the cells at the curved "
             f"boundary"
         )
-        warnings.warn(msg, ODTWarning, stacklevel=7)
+        warn(msg, ODTWarning)
 
 
 def _folded(points: NDArray[Any], rows: NDArray[Any]) -> NDArray[np.bool_]:
@@ -360,5 +359,5 @@ def renumbered(mapping: Mapping[str, Any], q: Quadratic) -> dict[str, Any]:
                 f"point set {name!r} loses {int((new < 0).sum())} mid-nodes whose edges were "
                 f"flipped away; try connectivity='none', finish=False"
             )
-            warnings.warn(msg, DataNotKeptWarning, stacklevel=7)
+            warn(msg, DataNotKeptWarning)
     return out

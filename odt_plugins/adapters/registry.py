@@ -11,7 +11,7 @@ from odt_plugins.adapters import (
     pyvista_mesh,
 )
 from odt_plugins.adapters.host import Adapter
-from odt_plugins.errors import UnsupportedMeshError
+from odt_plugins.errors import UnsupportedMeshError, counted
 
 ADAPTERS: tuple[Adapter, ...] = (
     arrays,
@@ -38,6 +38,19 @@ HINTS = {
     "pyvista.MultiBlock": "mesh.combine().triangulate()",
     "vtkmodules": "pyvista.wrap(mesh)",
     "trimesh": "(mesh.vertices, mesh.faces) as plain arrays",
+    "scipy.Delaunay": "(mesh.points, mesh.simplices)",
+    "matplotlib.Triangulation": "(numpy.column_stack([mesh.x, mesh.y]), mesh.triangles)",
+    "skfem.Mesh": "(mesh.p.T, mesh.t.T)",
+    "netgen.Mesh": '(mesh.Coordinates(), mesh.Elements3D().NumPy()["nodes"][:, :4] - 1)',
+    "ngsolve.Mesh": "mesh.ngmesh, and what its message says",
+    "mmgpy.MmgMesh3D": "(mesh.get_vertices(), mesh.get_tetrahedra())",
+    "mmgpy": "(mesh.get_vertices(), mesh.get_triangles())",
+    "tetgen.TetGen": "mesh.grid",
+    "meshpy": "(numpy.array(mesh.points), numpy.array(mesh.elements))",
+    "dolfinx": "(mesh.geometry.x, mesh.geometry.dofmap)",
+    "vedo": "pyvista.wrap(mesh.dataset)",
+    "builtins.dict": '(mesh["vertices"], mesh["triangles"])',
+    "builtins.module": "the path of a file that it writes, such as gmsh.write(path)",
     "builtins": "numpy.asarray on the points and on the cells",
 }
 """What to pass instead of an object that has no adapter, by package or package and class."""
@@ -54,6 +67,12 @@ def find_adapter(mesh: object) -> Adapter:
         if adapter.matches(mesh):
             return adapter
     kind = type(mesh)
+    if isinstance(mesh, tuple | list):
+        parts = ", ".join(type(part).__name__ for part in mesh[:3])
+        msg = (f"got a {kind.__name__} of {counted(len(mesh), 'part')} ({parts}"
+               f"{', ...' if len(mesh) > 3 else ''}); expected two or three, (points, cells) or "
+               f"(points, cells, regions), as arrays or lists of rows, try numpy.asarray on each")
+        raise UnsupportedMeshError(msg)
     packages = [base.__module__.partition(".")[0] for base in kind.__mro__]
     keys = [key for package, base in zip(packages, kind.__mro__, strict=True)
             for key in (f"{package}.{base.__name__}", package)]

@@ -6,14 +6,12 @@ vertices of a curved surface move across seams, and the coordinates of its wedge
 
 from __future__ import annotations
 
-import warnings
-
 import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.host import Feet, KeptCells, Result
 from odt_plugins.adapters.regions import CHARTS
-from odt_plugins.errors import DataNotKeptWarning, counted
+from odt_plugins.errors import DataNotKeptWarning, counted, warn
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.facets import row_keys
 
@@ -119,7 +117,7 @@ def _on_surface(
             f"{counted(across, 'triangle')} of the result lie across seams of the texture, which "
             f"is continued there beyond its charts; to keep the seams try regions={CHARTS!r}"
         )
-        warnings.warn(msg, DataNotKeptWarning, stacklevel=2)
+        warn(msg, DataNotKeptWarning)
     return out
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from importlib.util import find_spec
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -109,7 +110,7 @@ def bunny_path() -> Path:
 def read_obj(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Read the vertices (n, 3) and the triangles (m, 3) of an OBJ file, and nothing else.
 
-    OBJ counts from 1, or from -1 backwards from the last vertex so far.
+    OBJ counts from 1, or from -1 backwards from the last vertex so far. A polygon becomes a fan.
     """
     points, faces = [], []
     for line in path.read_text(encoding="utf-8").splitlines():
@@ -117,6 +118,7 @@ def read_obj(path: Path) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
         if kind == "v":
             points.append([float(x) for x in words[:3]])
         elif kind == "f":
-            corner = [int(word.split("/")[0]) for word in words[:3]]
-            faces.append([i - 1 if i > 0 else len(points) + i for i in corner])
+            corner = [int(word.split("/")[0]) for word in words]
+            first, *others = [i - 1 if i > 0 else len(points) + i for i in corner]
+            faces += [[first, *pair] for pair in pairwise(others)]
     return np.array(points), np.array(faces, dtype=np.int32)

@@ -66,7 +66,7 @@ def mesh(
     from odt_plugins.generate.samples import SAMPLES
     from odt_plugins.generate.userfile import read_domain
     from odt_plugins.quality import summarize, uniformity
-    from odt_plugins.report.report import table_lines
+    from odt_plugins.table import table_lines
 
     check_paths(target, report_file, None)
     check_output(target)
@@ -95,7 +95,7 @@ def mesh(
     if size is None and not known:
         msg = f"{what} does not say h0; expected --size, the edge length where the mesh is finest"
         raise click.UsageError(msg)
-    with warnings_told(), progress_bar(quiet) as progress:
+    with warnings_told(quiet), progress_bar(quiet) as progress:
         points, cells = odtmesh2d(
             sample.fd, sample.fh, sample.h0 if size is None else size, sample.bbox, sample.pfix,
             level=levels, seed=SEED if seed is None else seed,
@@ -121,7 +121,7 @@ def _refine(
 
     options: Any = {"edge_length": edge_length, "envelope": envelope}
     options = {name: value for name, value in options.items() if value is not None}
-    with warnings_told(), progress_bar(quiet) as progress:
+    with warnings_told(quiet), progress_bar(quiet) as progress:
         out, report = refine_and_optimize(
             what, levels, threads=threads, progress=progress, **options)
         write_file(target, out)

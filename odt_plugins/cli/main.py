@@ -192,7 +192,10 @@ def optimize(
         raise click.UsageError(msg)
     from odt_plugins.api import optimize_file
 
-    with warnings_told(), _cluster(scheduler, workers) as client, progress_bar(quiet) as progress:
+    with (
+        warnings_told(quiet), _cluster(scheduler, workers, quiet) as client,
+        progress_bar(quiet) as progress,
+    ):
         options["progress"] = progress
         report: Any
         if pieces:
@@ -258,7 +261,7 @@ def batch(
         retry=retry,
         memory_limit=None if memory_limit is None else round(memory_limit * 1e9),
     )
-    with _cluster(scheduler, workers) as client, progress_bar(quiet) as progress:
+    with _cluster(scheduler, workers, quiet) as client, progress_bar(quiet) as progress:
         clock = time.perf_counter()
         stopped = None
         try:
@@ -288,13 +291,13 @@ def batch(
 def quality(sources: tuple[Path, ...], as_json: bool) -> int:
     """Print the quality figures of mesh files."""
     from odt_plugins.api import measure
-    from odt_plugins.report.report import table_lines
+    from odt_plugins.table import table_lines
 
     code = DONE
     found = {}
     for source in sources:
         try:
-            with warnings_told():
+            with warnings_told(quiet=False):
                 found[str(source)] = measure(source)
         except ODTError as exc:
             code = _fail(exc, COULD_NOT)
@@ -319,7 +322,7 @@ def script(file: Path, source: Path, target: Path, quiet: bool) -> int:
     """
     from odt_plugins.hosts.script import run_script_on_files
 
-    with warnings_told():
+    with warnings_told(quiet):
         run_script_on_files(file, source, target, progress=None if quiet else click.echo)
     return DONE
 
@@ -335,7 +338,7 @@ def demo(out: Path, edge_length: float | None, threads: int) -> int:
     """Improve a TetWild mesh of the Stanford bunny and draw it before and after."""
     from odt_plugins.cli.demo import EDGE_LENGTH, FILES, run_demo
 
-    with warnings_told(), progress_bar(quiet=False) as progress:
+    with warnings_told(quiet=False), progress_bar(quiet=False) as progress:
         report = run_demo(out, edge_length=edge_length or EDGE_LENGTH, say=click.echo,
                           threads=threads, progress=progress)
     click.echo(f"\n{report}\n")
@@ -404,7 +407,7 @@ def _indices(path: Path, option: str) -> Any:
 
 
 @contextmanager
-def _cluster(scheduler: str | None, workers: int) -> Iterator[Any]:
+def _cluster(scheduler: str | None, workers: int, quiet: bool) -> Iterator[Any]:
     """Connect to Dask when asked to, and tell where its dashboard is; None otherwise."""
     if scheduler is None and not workers:
         yield None
@@ -412,7 +415,8 @@ def _cluster(scheduler: str | None, workers: int) -> Iterator[Any]:
     from odt_plugins.distributed.cluster import connected
 
     with connected(scheduler, workers) as client:
-        click.echo(f"Dask dashboard: {client.dashboard_link}", err=True)
+        if not quiet:
+            click.echo(f"Dask dashboard: {client.dashboard_link}", err=True)
         yield client
 
 

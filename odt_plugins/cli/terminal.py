@@ -6,7 +6,6 @@ import os
 import shlex
 import sys
 import tempfile
-import threading
 import warnings
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -17,7 +16,8 @@ import click
 from click.core import ParameterSource
 
 from odt_plugins.errors import MeshFileError, ODTWarning, require
-from odt_plugins.options import COMPILING
+from odt_plugins.options import Progress
+from odt_plugins.progress import shown
 
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
 
@@ -85,56 +85,23 @@ def write_beside(path: Path, write: Callable[[Path], Any]) -> None:
 
 
 @contextmanager
-def warnings_told() -> Iterator[None]:
-    """Show the package's own warnings as one line each on stderr."""
+def warnings_told(quiet: bool) -> Iterator[None]:
+    """Show the package's own warnings as one line each on stderr, or nowhere."""
     with warnings.catch_warnings(record=True) as caught:
         warnings.simplefilter("always", ODTWarning)
         yield
     for warning in caught:
-        if issubclass(warning.category, ODTWarning):
+        if issubclass(warning.category, ODTWarning) and not quiet:
             click.echo(f"odt-plugins: warning: {one_line(warning.message)}", err=True)
 
 
 @contextmanager
-def progress_bar(quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
-    """Show a bar on stderr when that is a terminal; nothing in a pipe.
-
-    Yields
-    ------
-    what is told a stage and its share, or COMPILING, which is said once above the bar; None
-    """
+def progress_bar(quiet: bool) -> Iterator[Progress | None]:
+    """Show a bar on stderr when that is a terminal; nothing in a pipe."""
     if quiet or not sys.stderr.isatty():
         yield None
         return
-    from numba.core import event
-    from rich.console import Console
-    from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
-
-    bar = Progress(TextColumn("{task.description:<24}"), BarColumn(), TimeElapsedColumn(),
-                   console=Console(stderr=True), transient=True,
-                   redirect_stdout=sys.stdout.isatty())
-
-    said = threading.Event()
-
-    def progress(stage: str, fraction: float) -> None:
-        if stage != COMPILING:
-            bar.update(task, description=stage, total=1.0, completed=min(max(fraction, 0.0), 1.0))
-        elif not said.is_set():
-            said.set()
-            bar.console.print(COMPILING)
-
-    class FirstKernel(event.Listener):  # type: ignore[misc]
-        """Tells that kernels are compiled, which means that none were found in the cache."""
-
-        def on_start(self, event: Any) -> None:
-            if event.data["dispatcher"].py_func.__module__.startswith("odt_plugins"):
-                progress(COMPILING, 0.0)
-
-        def on_end(self, event: Any) -> None:
-            """Nothing to tell."""
-
-    with bar, event.install_listener("numba:compile", FirstKernel()):
-        task = bar.add_task("reading", total=None)
+    with shown() as progress:
         yield progress
 
 

@@ -144,7 +144,7 @@ def _notes(row: Row, result: MeshResult) -> list[str]:
         notes.append(f"{summary.inverted} inverted")
     more = summary.n_points - result.measured.summary.n_points
     if more:
-        notes.append(f"{more:+d} vertices")
+        notes.append(f"{more:+d} {'vertex' if abs(more) == 1 else 'vertices'}")
     if boundary.verdict == "moved" and boundary.outward is not None:
         place = "surface" if row.kind != "planar" else "boundary"
         notes.append(f"{place} moved {boundary.reach:.0e}")

@@ -18,6 +18,7 @@ from odt_plugins.engine.odt.density import make_density
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import Figures
 from odt_plugins.engine.record.figures import figures as figures_of
+from odt_plugins.engine.record.progress import in_turn, silent
 from odt_plugins.engine.run.driver import run
 from odt_plugins.engine.run.judge import faults
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is
@@ -25,6 +26,7 @@ from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
 from odt_plugins.mesh.arrays import IntArray
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import OptionKeywords, Options, make_options, with_option_signature
+from odt_plugins.progress import part
 from odt_plugins.roundtrip import run_engine
 
 if TYPE_CHECKING:
@@ -191,12 +193,15 @@ def run_blocks(
     found: list[tuple[int, Outcome]] = []
     for judged in (False, True):
         done = _Done([start])
+        told_all = replace(options, progress=options.progress or silent)
+        report = in_turn(told_all, int(judged)).progress
         for index in range(rounds):
             label = labels(done.states[-1], count, index, rounds)
             if label.max() < 0:
                 continue
             name = f"round {index + 1}"
-            blockwise = told(apply, options.progress, name, int(label.max()) + 1)
+            share = part(report, index / rounds, (index + 1) / rounds)
+            blockwise = told(apply, share, name, int(label.max()) + 1)
             chosen = first(plain, len(active)) if index == 0 else later(plain)
             done.add(name, label, chosen, power, blockwise, None if judged else figures)
         clock = time.perf_counter()

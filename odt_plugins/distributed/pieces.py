@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
+import itertools
 import os
-import warnings
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from functools import partial
@@ -41,6 +41,7 @@ from odt_plugins.errors import (
     InvalidOptionError,
     MeshFileError,
     counted,
+    warn,
     writing,
 )
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -51,7 +52,10 @@ from odt_plugins.options import (
     make_options,
     with_option_signature,
 )
+from odt_plugins.progress import part as part_of
+from odt_plugins.progress import telling
 from odt_plugins.report.report import fields_line, regions_line
+from odt_plugins.table import text_html
 
 
 class PiecesReport(NamedTuple):
@@ -94,6 +98,10 @@ class PiecesReport(NamedTuple):
             lines.append(f"{counted(self.turned, 'cell')} turned to positive volume")
         return "\n".join(lines + ([f"fell back: {self.fallback}"] if self.fallback else []))
 
+    def _repr_html_(self) -> str:
+        """The same for a notebook."""
+        return text_html(str(self))
+
 
 @with_option_signature("odt")
 def optimize_pieces(
@@ -129,7 +137,7 @@ def optimize_pieces(
     **options
         The fields of :class:`odt_plugins.Options` that every piece can tell: no arrays, and of the
         densities "keep" and "uniform". Its `progress` is told the stage ("reading", "round 1",
-        "round 2: cutting", "round 2", ..., "writing") and the share of the pieces that is done.
+        "round 2: cutting", "round 2", ..., "writing") and the share of the work that is done.
 
     Returns
     -------
@@ -158,7 +166,8 @@ def optimize_pieces(
     try:
         with writing(target, "another directory"):
             folder = make_scratch(index.parent, f".{index.stem}")
-            with executor(client, workers) as apply:
+            with executor(client, workers) as apply, telling(chosen.progress, "reading") as tell:
+                chosen = replace(chosen, progress=tell)
                 return _run(sources, index, folder, block_rounds, chosen, apply, ghosts=ghosts)
     finally:
         if folder is not None:
@@ -185,8 +194,11 @@ def _run(
     given: Any = options.regions
     report, options = options.progress, replace(options, regions=None, progress=None)
 
+    turns, stages = itertools.count(), 2 * rounds + 1
+
     def stage(name: str, count: int) -> Apply:
-        return told(apply, report, name, count)
+        turn = next(turns)
+        return told(apply, part_of(report, turn / stages, (turn + 1) / stages), name, count)
 
     read = stage("reading", len(sources))
     found = read(partial(take_in, regions=given), [
@@ -258,7 +270,7 @@ def _data_of_all(taken: Sequence[Taken]) -> dict[str, tuple[str, ...]]:
     if other:
         names = ", ".join(sorted(other))
         msg = f"arrays that pieces do not have alike do not come through: {names}"
-        warnings.warn(msg, DataNotKeptWarning, stacklevel=4)
+        warn(msg, DataNotKeptWarning)
     return alike
 
 

@@ -18,7 +18,7 @@ from odt_plugins.generate.project import Target, make_target
 from odt_plugins.generate.uniform import read_linear
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import mesh_arrays, simplex_mesh
-from odt_plugins.options import Options
+from odt_plugins.options import Options, Progress
 from odt_plugins.tetwild import run_tetwild
 
 TETWILD_PART = 0.75
@@ -42,8 +42,12 @@ class Coarse(NamedTuple):
     meshed: bool
 
 
-def coarse_mesh(mesh: Any, surface: Any, edge_length: float, options: Options) -> Coarse:
+def coarse_mesh(
+    mesh: Any, surface: Any, edge_length: float, options: Options, *reports: Progress
+) -> Coarse:
     """Read a coarse mesh, or make one of a surface; parameters as of `refine_and_optimize`.
+
+    A callable besides them is told the share of TetWild that is done.
 
     Raises
     ------
@@ -77,7 +81,7 @@ def coarse_mesh(mesh: Any, surface: Any, edge_length: float, options: Options) -
     made = run_tetwild({
         "vertices": points, "faces": faces, "edge_length_fac": edge_length,
         "epsilon": TETWILD_PART * options.envelope, "vtk_ordering": True,
-    })
+    }, *reports)
     seconds = time.perf_counter() - clock
     p, t = np.asarray(made[0], dtype=np.float64), np.asarray(made[1], dtype=np.int32)
     if is_instance(mesh, "pyvista", "DataSet") or is_instance(mesh, "pyvista", "PolyData"):

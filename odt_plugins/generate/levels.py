@@ -7,8 +7,8 @@ few dozen microseconds. So TetWild makes a coarse mesh only.
 from __future__ import annotations
 
 import time
-import warnings
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 from numbers import Integral, Real
 from typing import Any, Unpack
 
@@ -21,7 +21,7 @@ from odt_plugins.api import optimize_with_report
 from odt_plugins.carry import surrounding_cells
 from odt_plugins.engine.cells.geometry import boundary_facets, interface_vertices
 from odt_plugins.engine.ground.envelope import distances
-from odt_plugins.errors import InvalidOptionError, ODTWarning
+from odt_plugins.errors import InvalidOptionError, ODTWarning, warn
 from odt_plugins.generate.coarse import coarse_mesh
 from odt_plugins.generate.levels_report import Level, LevelsReport
 from odt_plugins.generate.project import Target, project
@@ -36,7 +36,14 @@ from odt_plugins.mesh.simplex import (
     mesh_arrays,
     vertex_mask,
 )
-from odt_plugins.options import OptionKeywords, make_options, with_option_signature
+from odt_plugins.options import (
+    OptionKeywords,
+    Options,
+    Progress,
+    make_options,
+    with_option_signature,
+)
+from odt_plugins.progress import part, telling
 from odt_plugins.quality import volumes
 
 SLIDES: tuple[dict[str, Any], ...] = (
@@ -45,6 +52,9 @@ SLIDES: tuple[dict[str, Any], ...] = (
 )
 """Runs on the coarse mesh whose boundary slides, with parts of the envelope: what is sharp there
 stays so at every level. Fine boundaries move to the surface again."""
+
+BY_TETWILD = 0.2
+"""Part of the progress that a coarse mesh by TetWild takes."""
 
 TOLERANCE = 0.02
 """Distances are bounded to this part of the envelope."""
@@ -73,7 +83,8 @@ def refine_and_optimize(
     mesh : arrays, pyvista.UnstructuredGrid, meshio.Mesh or path of tetrahedra; or of triangles, a
         closed surface, then also pyvista.PolyData. It is never changed.
     levels : int
-        How often to refine, at least 1; each gives about eight times as many tetrahedra.
+        How often to refine; each gives about eight times as many tetrahedra. 0 only optimises
+        the coarse mesh.
     surface : mesh of triangles, optional
         Closed surface that coarse tetrahedra stand for; None: their own boundary.
     edge_length : float
@@ -98,7 +109,7 @@ def refine_and_optimize(
     Raises
     ------
     InvalidMeshError        the surface is not closed, the mesh is broken, or would be too large
-    InvalidOptionError      levels below 1, an envelope out of range, options with no meaning here
+    InvalidOptionError      levels below 0, an envelope out of range, options with no meaning here
     UnsupportedMeshError    the object is nothing that can be refined
     MissingDependencyError  a surface, and pytetwild is not installed
 
@@ -118,7 +129,18 @@ def refine_and_optimize(
     """
     chosen = make_options(**options)
     _check(levels, edge_length, options)
-    start = coarse_mesh(mesh, surface, edge_length, chosen)
+    with telling(chosen.progress, "coarse mesh") as tell:
+        return _refined(mesh, levels, surface, edge_length, options, replace(chosen, progress=tell))
+
+
+def _refined(
+    mesh: Any, levels: int, surface: Any, edge_length: float, options: OptionKeywords,
+    chosen: Options,
+) -> tuple[Any, LevelsReport]:
+    """The mesh of the last level; `chosen` are the `options` made, with a progress to tell."""
+    reports = (part(chosen.progress, 0.0, BY_TETWILD),) if options.get("progress") else ()
+    start = coarse_mesh(mesh, surface, edge_length, chosen, *reports)
+    left = part(chosen.progress, BY_TETWILD if start.meshed else 0.0, 1.0)
     slides = options.get("boundary", "slide" if start.meshed or surface is not None else "fixed")
     reference = start.target.reference
     envelope = chosen.envelope * diagonal(reference.points[np.unique(reference.triangles)])
@@ -137,7 +159,6 @@ def refine_and_optimize(
     if chosen.selection is not None:
         frozen = ~vertex_mask(chosen.selection, m, "selection", "cells")
     done: list[Level] = []
-    reached = [0.0]
     for level in range(levels + 1):
         clock = time.perf_counter()
         refining = projecting = 0.0
@@ -151,8 +172,7 @@ def refine_and_optimize(
                 fields=chosen.fields != "keep")
             projecting, clock = _lap(clock)
         given = plain | {"fixed": fixed, "boundary": "fixed" if level else slides}
-        if chosen.progress is not None:
-            given["progress"] = _share(chosen.progress, level, levels, reached)
+        given["progress"] = _share(left, level, levels)
         runs = SLIDES if slides == "slide" and not level and chosen.finish else ({},)
         for run in runs:
             if run:
@@ -179,15 +199,15 @@ def refine_and_optimize(
             f"{told.backward:.3g} from it; expected at most {envelope:.3g}, try one more level, a "
             f"smaller edge_length or a finer coarse mesh"
         )
-        warnings.warn(msg, ODTWarning, stacklevel=2)
+        warn(msg, ODTWarning)
     return current, told
 
 
 def _check(levels: Any, edge_length: Any, options: Mapping[str, Any]) -> None:
     """Refuse what has no meaning for several levels."""
     whole = isinstance(levels, Integral) and not isinstance(levels, bool)
-    if not (whole and int(levels) >= 1):
-        msg = f"got levels={levels!r}; expected an integer of at least 1"
+    if not (whole and int(levels) >= 0):
+        msg = f"got levels={levels!r}; expected an integer of at least 0"
         raise InvalidOptionError(msg)
     good = isinstance(edge_length, Real) and not isinstance(edge_length, bool)
     if not (good and 0 < edge_length < 1):
@@ -275,19 +295,11 @@ def _measured(
     return (both.forward_upper, both.backward_upper), float(np.abs(volume).sum())
 
 
-def _share(progress: Any, level: int, levels: int, reached: list[float]) -> Any:
-    """Progress of one level as a part of all: the last takes most of the time.
-
-    Several runs of one level, each from 0 to 1, do not lead back behind what was ``reached``.
-    """
+def _share(progress: Progress, level: int, levels: int) -> Progress:
+    """Progress of one level as a part of all: the last takes most of the time."""
     weights = np.cumsum([0.0, *(8.0**k for k in range(levels + 1))])
-    low, high = weights[level] / weights[-1], weights[level + 1] / weights[-1]
-
-    def tell(stage: str, share: float) -> None:
-        reached[0] = max(reached[0], float(low + (high - low) * share))
-        progress(f"level {level}: {stage}", reached[0])
-
-    return tell
+    low, high = weights[level : level + 2] / weights[-1]
+    return part(lambda stage, share: progress(f"level {level}: {stage}", share), low, high)
 
 
 def _lap(clock: float) -> tuple[float, float]:

@@ -7,6 +7,7 @@ from dataclasses import asdict, dataclass
 from typing import Any
 
 from odt_plugins.quality import QualitySummary
+from odt_plugins.table import text_html
 
 
 @dataclass(frozen=True)
@@ -94,6 +95,10 @@ class LevelsReport:
             f"{1e6 * self.seconds / last.quality.n_cells:.0f} us a cell",
         ]
         return "\n".join(lines)
+
+    def _repr_html_(self) -> str:
+        """The same for a notebook."""
+        return text_html(str(self))
 
     def to_dict(self) -> dict[str, Any]:
         """Give everything as plain values that JSON knows."""

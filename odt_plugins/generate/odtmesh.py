@@ -31,6 +31,7 @@ from odt_plugins.generate.stages import (
 from odt_plugins.generate.truss import initial_points, lattice, truss_smoothing
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.options import Progress
+from odt_plugins.progress import telling
 
 SEED = 2011
 """Seed of the points that are left out where sizes are larger."""
@@ -86,7 +87,7 @@ def odtmesh2d(
     level: int | None = None,
     seed: int = SEED,
     most_points: int = MOST_POINTS,
-    progress: Progress | None = None,
+    progress: Progress | bool | None = None,
     watch: Watch | None = None,
 ) -> tuple[FloatArray, IntArray]:
     """Mesh the domain where fd is negative; the interface is that of distmesh2d.
@@ -104,7 +105,7 @@ def odtmesh2d(
                                 part of the domain
     seed : int                  of the points left out where sizes are larger
     most_points : int           refuse to make about more vertices than this
-    progress : callable         progress(stage, fraction)
+    progress : callable         progress(stage, fraction), or True for a bar
     watch : callable            watch(stage, points, cells) after "truss", "coarse", "refinement"
                                 and "smoothing" of every level, "optimization" and "clean-up"
 
@@ -144,16 +145,16 @@ def odtmesh2d(
     h0 = float(h0)
     fixed = fixed_points(pfix, domain, h0)
     plan = _plan(domain, h0, fixed, most_points)
-    tell = progress or (lambda _stage, _fraction: None)
     see = watch or (lambda _stage, _points, _cells: None)
     reason = None
-    for chosen in _levels(plan, level):
-        try:
-            mesh = _build(domain, h0, fixed, plan, chosen, int(seed), tell, see)
-        except TooCoarseError as exc:
-            reason = exc
-        else:
-            return mesh.points, mesh.cells
+    with telling(progress, "coarse mesh") as tell:
+        for chosen in _levels(plan, level):
+            try:
+                mesh = _build(domain, h0, fixed, plan, chosen, int(seed), tell, see)
+            except TooCoarseError as exc:
+                reason = exc
+            else:
+                return mesh.points, mesh.cells
     what, name = (f"level={level}", "level") if level else (f"h0={h0:g}", "h0")
     msg = (f"got {what}, too coarse for this domain: {reason}; expected edges shorter than its "
            f"narrowest part, try a smaller {name}")

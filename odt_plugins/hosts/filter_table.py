@@ -18,10 +18,10 @@ from odt_plugins.adapters.host import is_instance
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.options import DENSITIES, OPTIONS, Fields, Options
 
-Kind = Literal["int", "float", "bool", "enum", "length"]
+Kind = Literal["int", "float", "bool", "enum", "length", "string"]
 
 RICH = {"int": "RichInt", "float": "RichFloat", "bool": "RichBool", "enum": "RichEnum",
-        "length": "RichAbsPerc"}
+        "length": "RichAbsPerc", "string": "RichString"}
 """Type names in the filter scripts of MeshLab."""
 
 
@@ -69,6 +69,9 @@ class Parameter:
         if self.kind == "bool":
             self._expect(isinstance(value, bool | np.bool_), value, "a bool")
             return bool(value)
+        if self.kind == "string":
+            self._expect(isinstance(value, str), value, "a str")
+            return value
         if self.kind == "int":
             good = isinstance(value, Integral) and not isinstance(value, bool)
             good = good and int(value) >= self.least
@@ -122,6 +125,8 @@ class Parameter:
         try:
             if self.kind == "int":
                 return int(text)
+            if self.kind == "string":
+                return text
             if self.kind in ("float", "length"):
                 return float(text)
             if self.kind == "bool":
@@ -142,7 +147,7 @@ class Parameter:
             return entry | {"value": str(value).lower()}
         if self.kind == "length":
             entry |= {"min": "0", "max": repr(diagonal)}
-        return entry | {"value": repr(value)}
+        return entry | {"value": value if self.kind == "string" else repr(value)}
 
 
 @dataclass(frozen=True)
@@ -226,6 +231,15 @@ ANGLE = _of_option("feature_angle", "FeatureDeg", "float", "Crease Angle")
 KEEP = _of_option(
     "keep", "keepQuality", "bool", "Keep quality",
     "No figure (smallest, 1 % and mean radius ratio, extreme angles) may get worse.", default=True)
+REGIONS = _of_option(
+    "regions", "Regions", "string", "Regions",
+    "Custom scalar attribute of the faces that holds labels; edges between labels stay. Empty: one "
+    "of a known name; charts: the seams of the texture of a curved surface stay as well.",
+    default=OPTIONS["regions"].default or "")
+OBJECTIVE = _of_option(
+    "objective", "Objective", "enum", "Objective",
+    choices=OPTIONS["objective"].metadata["choices"])
+INSERT = _of_option("insert", "Insert", "bool", "Add and remove vertices")
 ROUNDS = replace(STEPS, default=Options.rounds)
 ITERATIONS = _of_option("cycles", "Iterations", "int", "Iterations", least=1)
 
@@ -233,7 +247,7 @@ FIELDS = _of_option("fields", "Fields", "enum", "Vertex values", choices=get_arg
 
 IDS = " Two ids of the MeshSet are used up."
 
-SMOOTHING = (STEPS, BOUNDARY, DENSITY, FIELDS, KEEP, ENVELOPE, ANGLE, SELECTED)
+SMOOTHING = (STEPS, BOUNDARY, DENSITY, FIELDS, KEEP, ENVELOPE, ANGLE, REGIONS, SELECTED)
 
 _ALL = (
     Filter(
@@ -255,11 +269,14 @@ _ALL = (
         "meshing_odt_optimization", "ODT Optimization",
         "Improve a planar or curved mesh by Optimal Delaunay Triangulation: moves vertices and "
         "flips edges. On a curved surface vertices slide within an envelope of it. "
-        "When edges were flipped the mesh is built anew in its place, with its id; Mesh objects of "
-        "it are void then: take current_mesh() again. It gets a new id, and a warning says so, "
-        "while another mesh of the set is in use as a Mesh object, or has several textures or one "
-        "without wedge texture coordinates, or while there are rasters.",
-        (ROUNDS, ITERATIONS, BOUNDARY, DENSITY, FIELDS, KEEP, ENVELOPE, ANGLE, SELECTED)),
+        "The mesh is changed in its place, and Mesh objects of it stay valid. Only with custom "
+        "attributes or curvature directions of faces, or edges of three faces, it is built anew; "
+        "then it gets a new id, and a warning says so, while a mesh of the set is in use as a Mesh "
+        "object (the old mesh stays in the set if it is that one), or another has several "
+        "textures or one without wedge texture coordinates, or while there are rasters. Up to 18 "
+        "ids of the MeshSet are used up.",
+        (ROUNDS, ITERATIONS, BOUNDARY, DENSITY, OBJECTIVE, KEEP, ENVELOPE, ANGLE, REGIONS,
+         SELECTED)),
     Filter(
         "compute_scalar_by_radius_ratio_per_face", "Per Face Quality by Radius Ratio",
         "Store in the scalar of every face its radius ratio 2 r/R, 1 for an equilateral triangle "
@@ -277,7 +294,7 @@ _ALL = (
                       "Edge length of the tetrahedra."),
             Parameter("MaxSurfDist", "length", 0.1, "Max. Surface Distance",
                       "How far the boundary may lie from the surface."),
-            ROUNDS, ITERATIONS, DENSITY, KEEP,
+            ROUNDS, ITERATIONS, DENSITY, OBJECTIVE, INSERT, KEEP,
         )),
 )
 

@@ -6,6 +6,8 @@ They take a TriangleMesh (legacy or tensor) or a TetraMesh and return a new mesh
 
 from __future__ import annotations
 
+import difflib
+import inspect
 import re
 from typing import Any, TypeVar, Unpack, cast
 
@@ -16,7 +18,7 @@ from odt_plugins.adapters import open3d_mesh
 from odt_plugins.adapters.host import is_instance
 from odt_plugins.api import optimize as optimize_mesh
 from odt_plugins.errors import InvalidOptionError, ODTError, UnsupportedMeshError
-from odt_plugins.options import OptionKeywords, with_option_signature
+from odt_plugins.options import OPTIONS, OptionKeywords, with_option_signature
 from odt_plugins.quality import radius_ratio
 
 MeshT = TypeVar("MeshT")
@@ -65,7 +67,7 @@ def filter_smooth_odt(
     ----------
     L. Chen, M. Holst, CMAME 200 (2011) 967-984, doi:10.1016/j.cma.2010.11.007, (4.13).
     """
-    return cast("MeshT", _smooth(mesh, number_of_iterations, filter_scope,
+    return cast("MeshT", _smooth(filter_smooth_odt, mesh, number_of_iterations, filter_scope,
                                  {"method": "odt"}, options))
 
 
@@ -80,7 +82,7 @@ def filter_smooth_cpt(
 
     Every vertex moves to the weighted mean of the barycenters around it.
     """
-    return cast("MeshT", _smooth(mesh, number_of_iterations, filter_scope,
+    return cast("MeshT", _smooth(filter_smooth_cpt, mesh, number_of_iterations, filter_scope,
                                  {"method": "cpt"}, options))
 
 
@@ -95,7 +97,7 @@ def filter_smooth_odt_global(
 
     Every round solves a linear system with the graph Laplacian.
     """
-    return cast("MeshT", _smooth(mesh, number_of_iterations, filter_scope,
+    return cast("MeshT", _smooth(filter_smooth_odt_global, mesh, number_of_iterations, filter_scope,
                                  {"method": "odt", "solver": "global"}, options))
 
 
@@ -143,7 +145,9 @@ def register() -> None:
             setattr(kind, function.__name__, function)
 
 
-def _smooth(mesh: Any, iterations: int, scope: Any, kind: Any, options: Any) -> Any:
+def _smooth(
+    function: Any, mesh: Any, iterations: int, scope: Any, kind: Any, options: Any
+) -> Any:
     _expect_mesh(mesh)
     name = "All" if scope is None else getattr(scope, "name", str(scope))
     if name not in ("All", "Vertex"):
@@ -162,6 +166,7 @@ def _smooth(mesh: Any, iterations: int, scope: Any, kind: Any, options: Any) -> 
             f"other options only, try {instead}"
         )
         raise InvalidOptionError(msg)
+    _expect_known(options, own, list(inspect.signature(function).parameters)[1:])
     try:
         out = optimize_mesh(mesh, **{**options, **own})
     except ODTError as exc:
@@ -170,6 +175,19 @@ def _smooth(mesh: Any, iterations: int, scope: Any, kind: Any, options: Any) -> 
     if name == "Vertex":
         _restore_normals(out, mesh)
     return out
+
+
+def _expect_known(options: Any, own: Any, parameters: list[str]) -> None:
+    """Refuse keywords that a filter does not have, unless they say what it does anyway."""
+    for name, value in options.items():
+        plain = name in own or (name in OPTIONS and value == OPTIONS[name].default)
+        if name in parameters or plain:
+            continue
+        near = difflib.get_close_matches(name, parameters, n=1)
+        hint = f", did you mean {near[0]!r}?" if near and name not in OPTIONS else ""
+        hint = ", try optimize_odt()" if name in OPTIONS else hint
+        msg = f"got {name}={value!r}; expected some of {parameters} for this filter{hint}"
+        raise InvalidOptionError(msg)
 
 
 def _restore_normals(out: Any, mesh: Any) -> None:

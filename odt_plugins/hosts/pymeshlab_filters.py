@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import difflib
 import inspect
 from collections.abc import Callable
 from typing import Any
@@ -73,7 +74,17 @@ def _replace(owner: Any, name: str, wrapper: Callable[..., Any]) -> None:
 def _apply_filter(native: Any, self: Any, filter_name: str, **kwargs: Any) -> Any:
     if filter_name in FILTERS:
         return run_filter(self, filter_name, kwargs)
-    return native(self, filter_name, **kwargs)
+    import pymeshlab
+
+    try:
+        return native(self, filter_name, **kwargs)
+    except pymeshlab.PyMeshLabException as exc:
+        known = pymeshlab.filter_list()
+        near = difflib.get_close_matches(filter_name, known, n=1)
+        if filter_name in known or not near:
+            raise
+        msg = f"{exc}\nDid you mean {near[0]}?"
+        raise type(exc)(msg) from exc
 
 
 def _filter_parameter_values(native: Any, self: Any, name: str, **kwargs: Any) -> Any:
@@ -115,7 +126,8 @@ def _print_filter_parameter_list(native: Any, name: str) -> None:
         elif p.kind == "enum":
             shown = f"str = {p.default!r} (or one of {', '.join(map(repr, p.choices))})"
         else:
-            shown = f"{p.kind} = {bool(p.default) if p.kind == 'bool' else p.default}"
+            kind = "str" if p.kind == "string" else p.kind
+            shown = f"{kind} = {bool(p.default) if p.kind == 'bool' else p.default}"
         say(f"\t{p.name} : {shown}\n")
 
 

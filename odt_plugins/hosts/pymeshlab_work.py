@@ -104,6 +104,10 @@ def _tetrahedralize(meshes: Any, values: Mapping[str, Any]) -> Effect:
     if not np.array_equal(matrix, np.eye(4)):
         meshes.apply_filter("set_matrix", transformmatrix=matrix, freeze=False)
     effect = _effect(tets[0], points, report, "Moved {} vertices of the tetrahedra")
+    if values["insert"]:
+        came, went = (report.counts[f"vertices {what}"] for what in ("added", "removed"))
+        effect.values.update(vertices_added=came, vertices_removed=went)
+        effect.lines.insert(1, f"{came} vertices added, {went} vertices removed")
     effect.values.update(
         tet_vertex_matrix=points, tet_matrix=cells, boundary_vertex_index=used)
     effect.lines.insert(0, f"{len(points)} vertices, {len(cells)} tetrahedra, "
@@ -134,8 +138,11 @@ def _options(values: Mapping[str, Any], length: float) -> dict[str, Any]:
     """Options of :func:`odt_plugins.optimize` that MeshLab's words stand for; length: diagonal."""
     options = {"rounds": values["stepsmoothnum"], "density": values["density"],
                "keep": FIGURES if values["keepquality"] else ()}
-    if "fields" in values:
-        options["fields"] = values["fields"]
+    for name in ("fields", "objective", "insert"):
+        if name in values:
+            options[name] = values[name]
+    if values.get("regions"):
+        options["regions"] = values["regions"]
     if values.get("boundary"):
         options["boundary"] = "slide"
     if "envelope" in values:
@@ -160,7 +167,9 @@ def _effect(
     old: NDArray[np.float64], new: NDArray[np.float64], report: Report, title: str
 ) -> Effect:
     """Figures of a run, for the result and for the log."""
-    moved = int((old != new).any(axis=1).sum())
+    there = {point.tobytes() for point in old}
+    moved = sum(point.tobytes() not in there for point in new)
+    moved -= report.counts.get("vertices added", 0)
     a, b = report.before, report.after
     lines = [
         title.format(moved),

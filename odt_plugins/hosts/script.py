@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import difflib
 import os
+import re
 import tempfile
 import time
 from collections.abc import Callable
@@ -18,6 +20,9 @@ from odt_plugins.hosts.filter_table import BY_GUI, FILTERS, ChoiceError, Filter,
 from odt_plugins.hosts.pymeshlab_apply import apply
 
 HEAD = b"<!DOCTYPE FilterScript>\n"
+
+SILENT = "Something really bad happened."
+"""What MeshLab says when it does not know what happened."""
 
 SURFACES = (".ply", ".obj", ".stl", ".off", ".wrl", ".dae", ".x3d", ".3ds", ".u3d", ".ctm", ".dxf")
 """Suffixes of the files that MeshLab writes."""
@@ -279,9 +284,40 @@ def _run_native(meshes: Any, step: Step, where: str) -> None:
     try:
         meshes.apply_filter_script()
     except PyMeshLabException as exc:
+        if unknown := _unknown(step.name):
+            msg = f"MeshLab has no filter {step.name!r}, {where}; {unknown}"
+            raise InvalidMeshError(msg) from exc
         reason = str(exc).partition("\n")[0]
+        reason = "it does not say why" if reason == SILENT else reason
         msg = (
-            f"MeshLab could not apply {step.name!r}, {where}: {reason}; expected the name of a "
-            f"filter in MeshLab's menus and a mesh that it can work on"
+            f"MeshLab could not apply {step.name!r}, {where}: {reason}; expected a mesh that this "
+            f"filter can work on"
         )
         raise InvalidMeshError(msg) from exc
+
+
+def _unknown(name: str) -> str:
+    """What to try instead of a name that no filter has in MeshLab's menus; empty for one.
+
+    pymeshlab has a list of names in menus only as its old names in Python, which are those in
+    small letters, and what they are now.
+    """
+    import pymeshlab
+
+    keys = Path(pymeshlab.__path__[0]) / "keys.txt"
+    pairs = [line.split() for line in keys.read_text(encoding="utf-8").splitlines()]
+    menus = {old: (old.replace("_", " ").title(), new) for old, new in pairs}
+    menus |= {_small(gui): (gui, own.name) for gui, own in BY_GUI.items()}
+    if _small(name) in menus:
+        return ""
+    known = menus | {new: (gui, new) for gui, new in menus.values()}
+    near = difflib.get_close_matches(_small(name), known, n=1)
+    if not near:
+        return "expected the name of a filter in MeshLab's menus"
+    gui, new = known[near[0]]
+    return f"the nearest in its menus is {gui!r} ({new} in Python)"
+
+
+def _small(name: str) -> str:
+    """A name in menus as pymeshlab makes names in Python of them."""
+    return "_".join(re.findall("[a-z0-9]+", name.lower()))

@@ -84,7 +84,7 @@ def broken_promises(
     )
     bad = np.flatnonzero(~(figures.volume > 0))
     if len(bad):
-        broken.append(f"cell {bad[0]} has volume {figures.volume[bad[0]]:.3g}, "
+        broken.append(f"cell {bad[0]} has {_size(before)} {figures.volume[bad[0]]:.3g}, "
                       f"not positive ({len(bad)} in all)")
     broken += _moved(before, points, held, slides=slides)
     broken += _dropped(held["unused"], cells, removed, len(points))
@@ -304,8 +304,13 @@ def _volume_changed(
             return []
         return [f"the volume went from {a:.6g} to {b:.6g}"]
     bad = np.flatnonzero(~(np.abs(new - old) <= 1e-13 * (size + other)))
-    return [f"the volume of region {labels[i]} went from {old[i]:.15g} to {new[i]:.15g}"
+    return [f"the {_size(before)} of region {labels[i]} went from {old[i]:.15g} to {new[i]:.15g}"
             for i in bad]
+
+
+def _size(mesh: SimplexMesh) -> str:
+    """What the size of a cell is called."""
+    return "area" if mesh.dim == 2 else "volume"
 
 
 def _volume_per_label(

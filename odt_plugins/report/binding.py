@@ -182,9 +182,10 @@ def _sharp_corner(
         [frozenset([int(cell[i]), int(cell[j])]) for i, j in EDGES[4]]
     for worst in (int(angle.argmin()), int(angle.argmax())):
         if at[worst] in held:
-            where = "vertex" if len(cell) == 3 else "edge"
-            return (f"two fixed facets meet at {angle[worst]:.1f} deg along {where} "
-                    f"{_names(sorted(at[worst]))}")
+            what, where = (("edges", "at its vertex") if len(cell) == 3 else
+                           ("triangles", "along its edge"))
+            return (f"two {what} of it that stay fixed meet {where} {_names(sorted(at[worst]))} "
+                    f"at {angle[worst]:.1f} deg, so that angle stays")
     return None
 
 

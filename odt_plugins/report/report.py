@@ -20,37 +20,13 @@ from odt_plugins.options import Options
 from odt_plugins.promise.volume import held_vertices
 from odt_plugins.quality import QualitySummary, cell_figures, summarize
 from odt_plugins.report.binding import BindingCell, binding_cells
+from odt_plugins.table import table_html, table_lines, text_html
 
 if TYPE_CHECKING:
     from odt_plugins.engine.run.outcome import Outcome
 
 BINS = np.linspace(0.0, 1.0, 51)
 """Bins of the quality histograms, 0:0.02:1 as in Figs 6 and 10 of the paper."""
-
-ROWS = (
-    ("min_quality", "min quality", ".4f"),
-    ("p1_quality", "1 % quality", ".4f"),
-    ("mean_quality", "mean quality", ".4f"),
-    ("min_angle", "smallest {angle}", ".2f"),
-    ("max_angle", "largest {angle}", ".2f"),
-    ("mean_amips", "mean AMIPS energy", ".4f"),
-    ("max_amips", "max AMIPS energy", ".4f"),
-    ("below_5", "cells below 5 deg", "d"),
-    ("below_10", "cells below 10 deg", "d"),
-    ("below_20", "cells below 20 deg", "d"),
-    ("inverted", "cells not positive", "d"),
-    ("turned", "cells turned", "d"),
-    ("uniformity", "uniformity", ".4f"),
-    ("n_points", "vertices", "d"),
-    ("n_cells", "cells", "d"),
-)
-"""Rows of every table: name in QualitySummary, heading, format. That of `turned` is left out where
-no cell was."""
-
-
-LARGE = 1e5
-"""Figures from here on, as energies of nearly flat cells, are written with an exponent."""
-
 
 @dataclass(frozen=True)
 class Report:
@@ -126,9 +102,18 @@ class Report:
 
     def __str__(self) -> str:
         """Text of a page: the table of figures, then how it went."""
-        lines = [*table_lines({"before": self.before, "after": self.after}), ""]
-        lines.append(f"{self.n_movable} of {self.n_used} vertices may move "
-                     f"({100 * self.movable_share:.0f} %)")
+        table = table_lines({"before": self.before, "after": self.after})
+        return "\n".join([*table, "", *self._story()])
+
+    def _repr_html_(self) -> str:
+        """The same for a notebook."""
+        table = table_html({"before": self.before, "after": self.after})
+        return table + text_html("\n".join(self._story()))
+
+    def _story(self) -> list[str]:
+        """How it went, line by line."""
+        lines = [f"{self.n_movable} of {self.n_used} vertices may move "
+                 f"({100 * self.movable_share:.0f} %)"]
         if self.regions_from:
             lines.append(regions_line(self.regions_from))
         if self.interpolated:
@@ -155,7 +140,7 @@ class Report:
         if self.binding:
             lines += ["", "what binds the minimum:"]
             lines += [f"  {cell}" for cell in self.binding[:5]]
-        return "\n".join(lines)
+        return lines
 
     def to_dict(self) -> dict[str, Any]:
         """Give all but `cell_origin` as values that JSON knows; what is not finite becomes None."""
@@ -216,9 +201,11 @@ def make_report(
         movable = used & ~kept.held
     counts = {k: int(v) for k, v in outcome.counts.items()}
     movable_after = movable
+    added = np.zeros(n, bool)
     if outcome.origin is not None:
         added = outcome.origin < 0
         movable_after = added | movable[outcome.origin]
+    if options.insert:
         counts["vertices added"] = int(added.sum())
         counts["vertices removed"] = n + int(added.sum()) - len(added)
     return Report(
@@ -290,24 +277,6 @@ def histogram(quality: NDArray[np.float64]) -> tuple[int, ...]:
     """Count radius ratios in the 50 bins 0:0.02:1; negative ones fall into the first."""
     counts = np.histogram(np.clip(quality, 0.0, 1.0), bins=BINS)[0]
     return tuple(int(c) for c in counts)
-
-
-def table_lines(columns: Mapping[str, QualitySummary]) -> list[str]:
-    """Set summaries side by side as aligned text, one row per figure."""
-    angle = "dihedral" if all(s.dim == 3 for s in columns.values()) else "angle"
-    rows = [("", list(columns))]
-    for name, heading, form in ROWS:
-        values = [getattr(summary, name) for summary in columns.values()]
-        if name == "turned" and not any(values):
-            continue
-        rows.append((heading.format(angle=angle), [_figure(value, form) for value in values]))
-    width = max(10, *(len(cell) + 2 for _, cells in rows for cell in cells))
-    return [f"{head:<20}{''.join(f'{cell:>{width}}' for cell in cells)}" for head, cells in rows]
-
-
-def _figure(value: float, form: str) -> str:
-    """Give a figure as text; without decimals where they say nothing."""
-    return f"{value:.3g}" if form != "d" and LARGE <= abs(value) < np.inf else format(value, form)
 
 
 def _described(options: Options) -> dict[str, Any]:

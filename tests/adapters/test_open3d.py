@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import inspect
+import re
 import subprocess
 import sys
 import warnings
@@ -292,7 +294,7 @@ def test_tensor_meshes_keep_both_kinds_of_numbers(dtype, index):
     assert not np.array_equal(out.vertex.positions.numpy(), space.astype(dtype))
 
 
-@pytest.mark.parametrize(("kind", "what"), [("triangle", "triangles"), ("tetra", "tetras"),
+@pytest.mark.parametrize(("kind", "what"), [("triangle", "triangles"), ("tetra", "tetrahedra"),
                                             ("tensor", "triangles")])
 def test_meshes_without_cells_and_data_of_wrong_length_are_named(kind, what):
     empty = type(make(kind))()
@@ -362,8 +364,6 @@ def test_filters_smooth_as_the_options_say_and_flip_nothing(kind, name):
 
 
 def test_filter_signatures_are_those_of_open3d():
-    import inspect
-
     for function in (open3d_filters.filter_smooth_odt, open3d_filters.filter_smooth_cpt,
                      open3d_filters.filter_smooth_odt_global):
         parameters = inspect.signature(function).parameters
@@ -441,8 +441,8 @@ FAULTS = [
     ("tensor", TWICE, "1 triangle .*used twice", False),
     ("triangle", REPEATED, "same vertices as an earlier triangle", True),
     ("tensor", REPEATED, "same vertices as an earlier triangle", False),
-    ("tetra", [[0, 1, 2, 3], [0, 1, 4, 2]], "1 tetra .*zero volume", False),
-    ("tetra", [[0, 1, 2, 3], [0, 1, 4, 4]], "1 tetra .*used twice", True),
+    ("tetra", [[0, 1, 2, 3], [0, 1, 4, 2]], "1 tetrahedron .*zero volume", False),
+    ("tetra", [[0, 1, 2, 3], [0, 1, 4, 4]], "1 tetrahedron .*used twice", True),
     ("tetra", [[0, 1, 2, 3], [1, 2, 0, 3]], "same vertices as an earlier tetra", True),
 ]
 """Kind and rows of a broken mesh, what is said of it, and whether code is advised."""
@@ -459,7 +459,7 @@ def test_errors_speak_of_triangles_and_tetras_and_advise_what_helps(kind, rows, 
         advice = said.partition("try ")[2]
         assert advice.startswith(("mesh.", "orient=")) == code
         if not code:
-            assert advice in ("removing such tetras", "removing such triangles",
+            assert advice in ("removing such tetrahedra", "removing such triangles",
                               "removing repeated triangles")
         elif advice == "orient=True":
             function(mesh, orient=True)
@@ -503,12 +503,21 @@ def test_wrong_arguments_are_named():
     ("filter_smooth_odt", {"cycles": 2}, "got cycles=2"),
     ("filter_smooth_odt_global", {"solver": "lbfgs"}, "got solver='lbfgs'"),
     ("filter_smooth_odt_global", {"method": "cpt"}, "got method='cpt'"),
+    ("filter_smooth_odt", {"iterations": 3}, r"did you mean 'number_of_iterations'\?"),
+    ("filter_smooth_cpt", {"objective": "amips"}, r"got objective='amips'.*, try optimize_odt\(\)"),
+    ("filter_smooth_odt", {"insert": True}, r"got insert=True.*, try optimize_odt\(\)"),
+    ("filter_smooth_odt_global", {"omega": 1.0}, r"got omega=1\.0.*, try optimize_odt\(\)"),
 ])
 def test_options_that_contradict_a_filter_are_refused(name, options, message):
     function, mesh = getattr(open3d_filters, name), make("triangle")
     with pytest.raises(InvalidOptionError, match=message):
         function(mesh, number_of_iterations=3, **options)
-    same = function(mesh, 3, rounds=3, finish=False)
+    for unknown in ({"anything": 1}, {"insert": True}):
+        with pytest.raises(InvalidOptionError) as caught:
+            function(mesh, **unknown)
+        listed = eval(re.search(r"\[.*\]", str(caught.value))[0])
+        assert listed == list(inspect.signature(function).parameters)[1:]
+    same = function(mesh, 3, rounds=3, finish=False, insert=False)
     assert contract.same_bits(view("triangle", same), view("triangle", function(mesh, 3)))
 
 

@@ -9,14 +9,13 @@ import re
 import subprocess
 import sys
 import tempfile
-import warnings
 
 import contract
 import numpy as np
 import pytest
 
 import odt_plugins
-from odt_plugins.adapters.pymeshlab_copy import private_copy
+from odt_plugins.adapters.pymeshlab_copy import CUSTOM, custom_attributes, private_copy
 from odt_plugins.adapters.pymeshlab_mesh import move_vertices
 from odt_plugins.adapters.pymeshlab_set import saved_script
 from odt_plugins.errors import (
@@ -26,6 +25,7 @@ from odt_plugins.errors import (
     ODTWarning,
     UnsupportedMeshError,
 )
+from odt_plugins.options import FIGURES
 
 pymeshlab = pytest.importorskip("pymeshlab")
 odt_plugins.register("pymeshlab")
@@ -310,14 +310,69 @@ def test_another_mesh_with_several_textures_stays_when_edges_are_flipped(tmp_pat
     assert sorted(meshes.mesh(0).textures()) == ["rock.png", "soil.png"]
 
 
-def test_a_mesh_object_that_is_void_is_told():
+def without_face_attributes(mesh):
+    """A set of one mesh with all its data but custom attributes of faces."""
+    meshes = private_copy(mesh)
+    found = custom_attributes(meshes)
+    with tempfile.TemporaryDirectory() as folder:
+        file = f"{folder}/mesh.ply"
+        names = {f"{mark}{a.name}": False for a in found for mark, reader in CUSTOM.items()
+                 if reader == a.reader}
+        meshes.save_current_mesh(file, save_textures=True, **names)
+        fresh = pymeshlab.MeshSet()
+        fresh.load_new_mesh(file)
+    for attribute in found:
+        if "vertex" in attribute.reader:
+            attribute.add(fresh.current_mesh(), attribute.values(mesh))
+    fresh.set_matrix(transformmatrix=np.array(mesh.transform_matrix()), freeze=False)
+    return fresh
+
+
+READ = [name for name in dir(pymeshlab.Mesh) if name.endswith(("_array", "_matrix", "_number"))
+        and not any(word in name for word in ("custom", "curvature", "adjacency"))]
+
+
+@pytest.mark.parametrize("keep", [True, False])
+def test_a_mesh_object_stays_valid_when_edges_are_flipped(keep):
+    """Everything is as in a copy that was built anew."""
+    start = plates()
+    meshes = without_face_attributes(start.current_mesh())
+    mesh, matrix = meshes.current_mesh(), plate().face_matrix()
+    copy = odt_plugins.optimize(meshes, cycles=1, keep=FIGURES if keep else ())
+    other = copy.current_mesh()
+    meshes.meshing_odt_optimization(selected=False, keepquality=keep)
+    assert meshes.current_mesh() is mesh
+    assert (meshes.mesh_number(), mesh.id()) == (1, 0)
+    assert (mesh.face_matrix() != matrix).any()
+    for name in READ:
+        there = getattr(other, name)()
+        assert np.array_equal(getattr(mesh, name)(), there), name
+    for what in ("custom scalars per vertex", "custom points per vertex"):
+        assert np.array_equal(PER_VERTEX[what](mesh), PER_VERTEX[what](other))
+
+
+def test_a_mesh_object_whose_mesh_takes_no_faces_keeps_its_mesh():
+    """MeshLab sets custom attributes of faces for new meshes only."""
     meshes = plates()
-    mesh = meshes.current_mesh()
-    with warnings.catch_warnings(record=True) as heard:
-        warnings.simplefilter("always")
+    start = plates()
+    mesh, before = meshes.current_mesh(), start.current_mesh()
+    with pytest.warns(ODTWarning, match="mesh 1 of the MeshSet is in use .* result is mesh 3"):
         meshes.meshing_odt_optimization(selected=False)
-    told = any("take current_mesh() again" in str(w.message) for w in heard)
-    assert told == (mesh is not meshes.current_mesh())
+    assert meshes.current_mesh_id() == 3
+    assert meshes.mesh(1) is mesh
+    for name in READ:
+        assert np.array_equal(getattr(mesh, name)(), getattr(before, name)()), name
+    assert (meshes.current_mesh().face_matrix() != mesh.face_matrix()).any()
+
+
+def test_a_mesh_object_stays_valid_with_several_textures(tmp_path):
+    meshes = two_textures(tmp_path)
+    mesh = meshes.current_mesh()
+    before = sorted(materials(meshes, tmp_path).values())
+    meshes.meshing_odt_optimization()
+    assert meshes.current_mesh() is mesh
+    assert sorted(mesh.textures()) == ["rock.png", "soil.png"]
+    assert sorted(materials(meshes, tmp_path).values()) == before
 
 
 def test_coordinates_arrive_bit_for_bit():
@@ -569,7 +624,9 @@ def test_what_cannot_survive_is_named():
     meshes.add_mesh(pymeshlab.Mesh(np.column_stack([points, 0 * points[:, 0]]), faces))
     meshes.compute_curvature_principal_directions_per_vertex()
     with pytest.warns(DataNotKeptWarning, match="curvature directions per vertex"):
-        meshes.meshing_odt_optimization()
+        odt_plugins.optimize(meshes)
+    meshes.meshing_odt_optimization()
+    assert meshes.current_mesh().vertex_curvature_principal_dir1_matrix().any()
 
 
 def test_an_optimal_mesh_and_a_single_face_come_back_unchanged():

@@ -22,7 +22,7 @@ import pytest
 from odt_plugins.cli import main as cli
 from odt_plugins.cli import terminal
 from odt_plugins.engine.run import driver
-from odt_plugins.options import FIGURES, OPTIONS, Options
+from odt_plugins.options import COMPILING, FIGURES, OPTIONS, Options
 
 SQUARE = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1], [0.7, 0.8]])
 FAN = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
@@ -205,6 +205,8 @@ def test_what_a_format_drops_is_told_in_one_line(
     assert cli.main(["optimize", "in.vtu", "out.off"]) == 0
     (line,) = capsys.readouterr().err.splitlines()
     assert line.startswith("odt-plugins: warning: out.off does not keep")
+    assert cli.main(["optimize", "in.vtu", "out.off", "--quiet"]) == 0
+    assert capsys.readouterr() == ("", "")
 
 
 def test_quality_prints_a_column_for_every_file(
@@ -217,7 +219,7 @@ def test_quality_prints_a_column_for_every_file(
     assert head.split() == ["in.vtu", "tet.vtu"]
     assert cli.main(["quality", "in.vtu", "tet.vtu", "--json"]) == 0
     flat, solid = json.loads(capsys.readouterr().out)
-    assert (flat["dim"], flat["n_cells"], flat["volume"]) == (2, 4, pytest.approx(1.0))
+    assert (flat["dim"], flat["n_cells"], flat["area"]) == (2, 4, pytest.approx(1.0))
     assert (solid["dim"], solid["inverted"]) == (3, 0)
     assert solid["min_quality"] == pytest.approx(3 / (3 + 3**0.5) / (3**0.5 / 2))
 
@@ -403,8 +405,8 @@ def test_a_terminal_is_told_once_that_kernels_are_compiled(
     assert "compiling" not in capsys.readouterr().err
     with terminal.progress_bar(quiet=False) as progress:
         assert progress is not None
-        progress(terminal.COMPILING, 0.0)
-        progress(terminal.COMPILING, 0.0)
+        progress(COMPILING, 0.0)
+        progress(COMPILING, 0.0)
     assert capsys.readouterr().err.count("compiling the kernels, once") == 1
 
 

@@ -239,7 +239,7 @@ def run_cli(folder: Path, *words: str, **settings: Any) -> subprocess.Popen[str]
 def test_a_killed_client_leaves_nothing_and_the_next_run_is_whole(client, tmp_path, expected):
     mesh = ball(4000)
     meshio.Mesh(mesh.points, [("tetra", mesh.cells)]).write(tmp_path / "in.vtu")
-    words = ["optimize", "in.vtu", "out.vtu", "--blocks", "4", "--quiet"]
+    words = ["optimize", "in.vtu", "out.vtu", "--blocks", "4"]
     first = run_cli(tmp_path, *words, "--workers", "1")
     assert first.stderr is not None
     assert "dashboard" in first.stderr.readline()

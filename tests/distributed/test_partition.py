@@ -325,7 +325,7 @@ def test_data_of_the_caller_come_through(small_blocks):
         k.points.astype(float), k.cells[0].data)) for k in (mesh, result)]
     assert volume[1] == pytest.approx(volume[0], rel=1e-5)
     assert report.after.mean_quality > report.before.mean_quality + 0.1
-    assert {name for name, _ in seen} == {"round 1", "round 2", "round 3"}
+    assert {name for name, _ in seen} == {"preparing", "round 1", "round 2", "round 3"}
     assert report.counts["round 1 bytes sent"] > 16 * m
 
 

@@ -16,6 +16,7 @@ from scipy.spatial import Delaunay
 from strategies import SEEDS
 
 import odt_plugins
+from odt_plugins.cli import main as cli
 from odt_plugins.engine.cells.geometry import boundary_facets
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError, ODTWarning
 from odt_plugins.generate import coarse, project, refine3d
@@ -262,7 +263,8 @@ def test_the_same_input_gives_the_same_bits_with_any_threads():
 def meshed(monkeypatch):
     """TetWild replaced by a coarse ball."""
     calls = []
-    monkeypatch.setattr(coarse, "run_tetwild", lambda given: calls.append(given) or coarse_ball())
+    monkeypatch.setattr(
+        coarse, "run_tetwild", lambda given, *_: calls.append(given) or coarse_ball())
     return calls
 
 
@@ -289,6 +291,28 @@ def test_surfaces_of_every_kind_are_meshed_coarsely_first(meshed, tmp_path):
     assert max(shares) == 1.0
 
 
+def test_no_level_optimises_the_coarse_mesh(meshed):
+    points, cells = coarse_ball()
+    (p, t), report = odt_plugins.refine_and_optimize((points, cells), 0)
+    assert [at.level for at in report.levels] == [0]
+    assert len(p) == len(points)
+    expected = odt_plugins.optimize((points, cells))
+    assert np.array_equal(p, expected[0])
+    assert np.array_equal(t, expected[1])
+    _, report = odt_plugins.refine_and_optimize(
+        surface_meshes.sphere(3), 0, edge_length=0.3, envelope=1e-1)
+    assert report.levels[-1].quality.n_points == len(points)
+
+
+def test_no_level_on_the_command_line(tmp_path, capsys):
+    points, cells = coarse_ball()
+    meshio.Mesh(points, [("tetra", cells)]).write(tmp_path / "in.vtu")
+    out = tmp_path / "out.vtu"
+    assert cli.main(["mesh", str(tmp_path / "in.vtu"), str(out), "--levels", "0"]) == 0
+    assert len(meshio.read(out).points) == len(points)
+    assert "0" in capsys.readouterr().out
+
+
 def test_a_boundary_out_of_the_envelope_is_told():
     with pytest.warns(ODTWarning, match=r"up to 0\.\d+ from the surface .* try one more level"):
         _, report = odt_plugins.refine_and_optimize(
@@ -302,7 +326,7 @@ def test_what_has_no_meaning_is_refused_with_one_sentence(meshed, monkeypatch):
     sphere = surface_meshes.sphere(2)
     plane = np.array([[0.0, 0], [1, 0], [0, 1]]), np.array([[0, 1, 2]])
     cases = (
-        (mesh, {"levels": 0}, "got levels=0; expected an integer of at least 1"),
+        (mesh, {"levels": -1}, "got levels=-1; expected an integer of at least 0"),
         (mesh, {"levels": True}, "got levels=True"),
         (mesh, {"envelope": 0.0}, r"got envelope=0.0; expected a part of the diagonal"),
         (mesh, {"edge_length": -1.0}, "got edge_length=-1.0"),

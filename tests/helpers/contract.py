@@ -617,7 +617,7 @@ def _open3d(kind, real=np.float32, index=np.int64):
                     np.array(mesh.triangle_uvs).reshape(-1, 3, 2))
 
     region = {"tetra": None, "triangle": "material", "tensor": "marker"}[kind]
-    return Host(make, view, dim, region, "tetras" if dim == 3 else "triangles")
+    return Host(make, view, dim, region, "tetrahedra" if dim == 3 else "triangles")
 
 
 PICTURE = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)

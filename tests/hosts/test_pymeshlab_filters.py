@@ -4,9 +4,11 @@ from __future__ import annotations
 
 import inspect
 import re
+from pathlib import Path
 from xml.etree import ElementTree
 
 import contract
+import meshio
 import numpy as np
 import pytest
 import surface_meshes
@@ -23,11 +25,12 @@ from odt_plugins.errors import (
     UnsupportedMeshError,
 )
 from odt_plugins.hosts import pymeshlab_work
-from odt_plugins.hosts.filter_table import FILTERS
+from odt_plugins.hosts.filter_table import FILTERS, RICH
 
 pymeshlab = pytest.importorskip("pymeshlab")
 odt_plugins.register("pymeshlab")
 
+DATA = Path(__file__).parents[1] / "data"
 MOVING = [name for name in FILTERS if name.startswith("apply_coord")]
 ENTRY = '<filter name="{}">{}</filter>'
 
@@ -125,6 +128,41 @@ def test_optimization_flips_edges_and_says_how_many_faces_are_new():
     old = {frozenset(f) for f in flat().face_matrix().tolist()}
     new = {frozenset(f) for f in expected.face_matrix().tolist()}
     assert result["new_faces"] == len(new - old) > 0
+
+
+def test_regions_and_objective_are_parameters():
+    """What messages advise can be followed."""
+    _, faces, labels = contract.grid(2, 6, 3)
+    meshes, plain = flat_set(), flat_set()
+    for some in (meshes, plain):
+        some.current_mesh().add_face_custom_scalar_attribute(labels.astype(float), "part")
+    before = meshes.current_mesh().vertex_matrix()
+    given = {"regions": "part", "objective": "min_dihedral"}
+    expected = odt_plugins.optimize((before, faces), **{**given, "regions": labels})
+    meshes.meshing_odt_optimization(**given)
+    assert np.array_equal(meshes.current_mesh().vertex_matrix(), expected[0])
+    assert np.array_equal(meshes.current_mesh().face_matrix(), expected[1])
+    plain.meshing_odt_optimization()
+    assert not same(meshes, plain)
+    with pytest.raises(pymeshlab.PyMeshLabException, match="regions='none_such' names no"):
+        plain.apply_coord_odt_smoothing(regions="none_such")
+    with pytest.raises(pymeshlab.PyMeshLabException, match="regions: got 3; expected a str"):
+        plain.apply_coord_odt_smoothing(regions=3)
+
+
+def test_vertices_are_inserted_into_tetrahedra(monkeypatch):
+    mesh = meshio.read(DATA / "tetwild_bunny.vtu")
+    tets = mesh.points, mesh.cells[0].data
+    monkeypatch.setattr(pymeshlab_work, "run_tetwild", lambda given: tets)
+    result = sphere().generate_odt_tetrahedralization(insert=True, objective="min_dihedral")
+    (points, cells), report = odt_plugins.optimize_with_report(
+        tets, insert=True, objective="min_dihedral")
+    assert np.array_equal(result["tet_vertex_matrix"], points)
+    assert np.array_equal(result["tet_matrix"], cells)
+    assert result["vertices_added"] == report.counts["vertices added"]
+    assert result["vertices_removed"] == report.counts["vertices removed"]
+    assert result["vertices_added"] + result["vertices_removed"] > 0
+    assert 0 < result["moved_vertices"] <= len(points) - result["vertices_added"]
 
 
 def test_quality_is_kept_unless_told_otherwise():
@@ -353,6 +391,18 @@ def test_the_filter_script_of_a_set_holds_our_filters_and_runs_them(tmp_path):
     assert not np.array_equal(before[0], loaded.current_mesh().vertex_matrix())
 
 
+@pytest.mark.parametrize(("name", "value"), [
+    ("regions", "part"), ("regions", ""), ("objective", "amips"), ("density", "uniform"),
+    ("keepquality", False), ("iterations", 3), ("featuredeg", 25.5), ("envelope", 0.125)])
+def test_values_come_back_from_a_script_as_they_went_in(name, value):
+    chosen = FILTERS["meshing_odt_optimization"]
+    parameter = next(p for p in chosen.parameters if p.name == name)
+    entry = parameter.to_script(value, 2.0)
+    assert entry["type"] == RICH[parameter.kind]
+    assert all(isinstance(text, str) for text in entry.values())
+    assert parameter.from_script(entry) == value
+
+
 def test_names_and_values_of_scripts(tmp_path):
     """Names as in menus or in Python, parameters in any case, and every kind of value."""
     length = '<Param name="TargetLen" type="{}" value="{}"/>'
@@ -368,7 +418,9 @@ def test_names_and_values_of_scripts(tmp_path):
         ENTRY.format("ODT Tetrahedralization", (
             '<Param name="DENSITY" type="RichEnum" value="1" enum_val0="keep"/>'
             '<Param name="keepquality" type="RichBool" value="false"/>'
-            '<Param name="stepSmoothNum" type="RichInt" value="7"/>')),
+            '<Param name="stepSmoothNum" type="RichInt" value="7"/>'
+            '<Param name="Insert" type="RichBool" value="true"/>'
+            '<Param name="Objective" type="RichEnum" value="1"/>')),
         ENTRY.format("ODT Tetrahedralization",
                      '<Param name="density" type="RichString" value="inverse-volume"/>'),
     ]
@@ -379,7 +431,8 @@ def test_names_and_values_of_scripts(tmp_path):
     assert [v["targetlen"] for v in seen[:2]] == pytest.approx([0.25, 0.25 * 2**0.5])
     assert (seen[2]["density"], seen[2]["keepquality"], seen[2]["stepsmoothnum"]) == (
         "uniform", False, 7)
-    assert seen[3]["density"] == "inverse-volume"
+    assert (seen[2]["insert"], seen[2]["objective"]) == (True, "min_dihedral")
+    assert (seen[3]["density"], seen[3]["insert"]) == ("inverse-volume", False)
 
 
 @pytest.mark.parametrize(("entries", "error", "words"), [
@@ -425,6 +478,22 @@ def test_other_errors_of_scripts_name_the_filter_and_its_place(tmp_path):
         odt_plugins.run_filter_script(meshes, script(tmp_path, *entries))
     assert not same(meshes, flat_set())
     assert b"<filter " not in saved_script(meshes)
+
+
+@pytest.mark.parametrize(("name", "near"), [
+    ("Taubin Smoth", r"'Taubin Smooth' \(apply_coord_taubin_smoothing in Python\)"),
+    ("ODT Smothing", r"'ODT Smoothing' \(apply_coord_odt_smoothing in Python\)"),
+    ("apply_coord_taubin_smoothing", r"'Taubin Smooth' \(apply_coord_taubin_smoothing"),
+    ("Zzzz", "expected the name of a filter in MeshLab's menus$"),
+])
+def test_the_nearest_filter_is_named(tmp_path, name, near):
+    with pytest.raises(InvalidMeshError, match=rf"^MeshLab has no filter '{name}', .*{near}"):
+        odt_plugins.run_filter_script(flat_set(), script(tmp_path, ENTRY.format(name, "")))
+    python = {"apply_coord_odt_smothing": "apply_coord_odt_smoothing",
+              "apply_coord_taubin_smothing": "apply_coord_taubin_smoothing"}
+    for wrong, right in python.items():
+        with pytest.raises(pymeshlab.PyMeshLabException, match=rf"Did you mean {right}\?"):
+            flat_set().apply_filter(wrong)
 
 
 def test_scripts_that_would_crash_meshlab_are_refused(tmp_path):

@@ -169,8 +169,8 @@ BAD_OPTIONS = {
     "threads type": ({"threads": True}, r"got threads=True"),
     "finish": ({"finish": "yes"}, r"got finish='yes'; expected a bool"),
     "keep": ({"keep": ("mean",)}, r"got keep=\('mean',\); expected some of \('min_quality'"),
-    "keep string": ({"keep": "min_quality"}, r"got keep='min_quality'; expected some of"),
-    "progress": ({"progress": 3}, r"got progress=3; expected None or a callable"),
+    "keep string": ({"keep": "quality"}, r"got keep='quality'; expected some of"),
+    "progress": ({"progress": 3}, r"got progress=3; expected None, True or a callable"),
     "regions length": ({"regions": np.zeros(3, int)}, r"regions have shape \(3,\); .* \(6,\)"),
     "regions float": ({"regions": np.full(6, 0.5)}, r"regions have dtype float64; expected int"),
     "regions text": ({"regions": np.array(list("abcdef"))}, r"regions have dtype <U1"),
@@ -209,10 +209,50 @@ class Stranger:
     """An object of no known kind."""
 
 
-@pytest.mark.parametrize("mesh", [Stranger(), None, 3, ([[0.0, 0.0]], [[0, 0, 0]]), (np.eye(3),)])
+@pytest.mark.parametrize("mesh", [Stranger(), None, 3])
 def test_unknown_objects_are_named(mesh):
     with pytest.raises(UnsupportedMeshError, match=rf"{type(mesh).__name__}; expected a \(points"):
         odt_plugins.optimize(mesh)
+
+
+@pytest.mark.parametrize(("mesh", "said"), [
+    ((np.eye(3),), r"got a tuple of 1 part \(ndarray\); expected two or three, \(points, cells\) "),
+    ([1, "a", None, 2], r"got a list of 4 parts \(int, str, NoneType, ...\)"),
+    ((np.eye(3), 3), r"got a tuple of 2 parts \(ndarray, int\).* try numpy.asarray on each"),
+])
+def test_a_sequence_is_named_by_its_parts(mesh, said):
+    for function in (odt_plugins.optimize, odt_plugins.measure):
+        with pytest.raises(UnsupportedMeshError, match=said):
+            function(mesh)
+
+
+def others():
+    """Meshes of other toolkits by their names."""
+    from matplotlib.tri import Triangulation
+    from mmgpy import MmgMesh3D, MmgMeshS
+    from netgen.csg import unit_cube
+    from scipy.spatial import Delaunay
+    from skfem import MeshTet, MeshTri
+
+    points = np.random.default_rng(5).random((30, 2))
+    flat = np.column_stack([points, np.zeros(30)])
+    tets = Delaunay(np.random.default_rng(6).random((30, 3)))
+    return {
+        "scipy": Delaunay(points), "matplotlib": Triangulation(*points.T),
+        "skfem": MeshTri().refined(2), "skfem in space": MeshTet().refined(1),
+        "netgen": unit_cube.GenerateMesh(maxh=0.5),
+        "mmgpy": MmgMeshS(flat, Delaunay(points).simplices.astype(np.int32)),
+        "mmgpy in space": MmgMesh3D(tets.points, tets.simplices.astype(np.int32)),
+        "triangle": {"vertices": points, "triangles": Delaunay(points).simplices},
+    }
+
+
+def test_hints_for_objects_of_other_toolkits_lead_to_a_mesh():
+    for name, mesh in others().items():
+        with pytest.raises(UnsupportedMeshError) as caught:
+            odt_plugins.optimize(mesh)
+        way = str(caught.value).rpartition(", try ")[2]
+        assert odt_plugins.measure(eval(way, {"mesh": mesh, "numpy": np})).n_cells > 1, name
 
 
 @pytest.mark.parametrize("module", ["open3d.pybind.geometry", "vtkmodules", "trimesh"])

@@ -64,8 +64,9 @@ def test_open3d_tetrahedra_are_improved_and_drawn(here):
 
 
 def test_surfaces_are_measured_and_drawn(here, tmp_path_factory, capsys, monkeypatch):
-    for name in ("pymeshlab", "pyvista", "matplotlib"):
+    for name in ("pymeshlab", "matplotlib"):
         pytest.importorskip(name)
+    pyvista = pytest.importorskip("pyvista")
     points, cells = sm.sphere(3, 0.2)
     # the first vertex a second time, as in files with seams
     cells[0][cells[0] == 0] = len(points)
@@ -75,6 +76,22 @@ def test_surfaces_are_measured_and_drawn(here, tmp_path_factory, capsys, monkeyp
                     + "".join(f"f {a} {b} {c}\n" for a, b, c in (cells + 1).tolist()))
     surfaces = example("surfaces")
     monkeypatch.setattr(surfaces, "PEERS", ())
+    found = surfaces.read(path)
+    for suffix in ("stl", "ply", "vtp", "vtu", "off"):
+        other = path.with_suffix(f".{suffix}")
+        soup = meshio.Mesh(np.array(points), [("triangle", cells)])
+        if suffix == "vtp":
+            pyvista.PolyData.from_regular_faces(np.array(points), cells).save(other)
+        else:
+            soup.write(other)
+        same = surfaces.read(other)
+        assert len(same.points) == len(found.points), suffix
+        assert np.linalg.norm(same.points, axis=1).sum() == pytest.approx(
+            np.linalg.norm(found.points, axis=1).sum(), rel=1e-6)
+        assert len(same.cells) == len(cells)
+    square = path.with_name("square.obj")
+    square.write_text("v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3 4\n")
+    assert surfaces.read(square).cells.tolist() == [[0, 1, 2], [0, 2, 3]]
     surfaces.main([str(path), "--envelope", "4e-3", "--picture", str(here / "ball.png")])
     rows = [[w.strip() for w in line.split("|")] for line in capsys.readouterr().out.splitlines()]
     before, after = rows[2:]

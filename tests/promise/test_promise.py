@@ -17,6 +17,8 @@ from odt_plugins.promise.locked_facets import LOCAL_FACETS, facet_census, locked
 from odt_plugins.promise.volume import broken_promises, held_vertices
 from odt_plugins.quality import summarize
 
+SIZE = {2: "area", 3: "volume"}
+
 
 def grid_mesh(d: int, seed: int = 809) -> SimplexMesh:
     """Delaunay mesh of a jittered grid in the unit box, two regions, some vertices inside."""
@@ -149,13 +151,14 @@ def test_an_inverted_cell(mesh: SimplexMesh) -> None:
     v = np.flatnonzero(~held_vertices(mesh))[0]
     points = mesh.points.copy()
     points[v] += 3.0
-    assert said(sentences(mesh, points), r"cell \d+ has volume -")
+    assert said(sentences(mesh, points), rf"cell \d+ has {SIZE[mesh.dim]} -")
 
 
 def test_a_flat_cell_is_not_positive(mesh: SimplexMesh) -> None:
     cells = np.vstack([mesh.cells, np.repeat(mesh.cells[:1, :1], mesh.dim + 1, axis=1)])
     regions = np.append(mesh.regions, mesh.regions[0]).astype(np.int32)
-    assert said(sentences(mesh, cells=cells, regions=regions), "has volume 0, not positive")
+    found = sentences(mesh, cells=cells, regions=regions)
+    assert said(found, f"has {SIZE[mesh.dim]} 0, not positive")
 
 
 @pytest.mark.parametrize("why", ["boundary", "interface", "fixed", "frozen", "unused"])
@@ -197,7 +200,7 @@ def test_a_vertex_that_is_dropped(mesh: SimplexMesh) -> None:
     found = sentences(mesh, cells=mesh.cells[rest], regions=mesh.regions[rest])
     assert said(found, f"vertex {v} is no longer used")
     assert said(found, "boundary facet .* is new")
-    assert said(found, "the volume of region")
+    assert said(found, f"the {SIZE[mesh.dim]} of region")
 
 
 def test_a_lost_cell_at_the_boundary(mesh: SimplexMesh) -> None:
@@ -221,7 +224,7 @@ def test_a_cell_that_changed_its_region(mesh: SimplexMesh) -> None:
     regions[inner] = 1 - regions[inner]
     found = sentences(mesh, regions=regions)
     assert said(found, "interface facet .* is new")
-    assert said(found, "the volume of region 0 went from")
+    assert said(found, f"the {SIZE[mesh.dim]} of region 0 went from")
 
 
 def test_labels_swapped_on_both_sides_of_an_interface(mesh: SimplexMesh) -> None:

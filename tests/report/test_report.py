@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 from dataclasses import fields, replace
 from pathlib import Path
+from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 
+import odt_plugins
 from odt_plugins.engine.run.outcome import Outcome
 from odt_plugins.errors import MeshFileError, MissingDependencyError
 from odt_plugins.mesh.simplex import SimplexMesh, simplex_mesh
@@ -16,7 +18,8 @@ from odt_plugins.options import Options
 from odt_plugins.quality import CellFigures, cell_figures, radius_ratio
 from odt_plugins.report import binding, plotting
 from odt_plugins.report.binding import best_quality_on, binding_cells
-from odt_plugins.report.report import BINS, Report, histogram, make_report, table_lines
+from odt_plugins.report.report import BINS, Report, histogram, make_report
+from odt_plugins.table import ROWS, table_html, table_lines
 
 
 def fan(height: float = 0.4) -> SimplexMesh:
@@ -62,6 +65,37 @@ def test_columns_stay_apart_and_narrow_when_figures_are_huge(report: Report) -> 
     assert found["uniformity"][0] == "-3e+07"
     many = table_lines({"a.vtu": replace(flat, n_cells=12345678901)})
     assert len(many[-1]) == len(many[0]) == 33
+
+
+def test_figures_and_reports_print_as_tables_and_have_html_for_notebooks(report: Report) -> None:
+    rows = str(report).splitlines()[1 : len(ROWS) + 1]
+    assert [line.split() for line in str(report.after).splitlines()] == [
+        [*line[:20].split(), line.split()[-1]] for line in rows]
+    page = table_html({"<a>": report.before, "b": report.after})
+    assert page.startswith("<table><tr><th></th><th>&lt;a&gt;</th><th>b</th></tr>")
+    assert page.count("<tr>") == len(ROWS) + 1
+    assert page.count("<td>") == 2 * len(ROWS)
+    single = report.after._repr_html_()
+    assert single.startswith("<table><tr><th>min quality</th><td>")
+    assert single.count("<td>") == len(ROWS)
+    whole = report._repr_html_()
+    assert f"<td>{report.after.min_quality:.4f}</td>" in whole
+    assert "what binds the minimum" in whole
+    ElementTree.fromstring(f"<div>{whole}</div>")
+
+
+def test_the_volume_of_triangles_is_called_their_area(report: Report) -> None:
+    flat = odt_plugins.measure((np.array([[0.0, 0], [2, 0], [0, 1]]), np.array([[0, 1, 2]])))
+    assert flat.area == flat.volume == flat.to_dict()["area"] == 1.0
+    assert "volume" not in flat.to_dict()
+    assert "area" in str(flat)
+    assert "volume" not in str(flat) + flat._repr_html_()
+    solid = report.before
+    assert solid.to_dict()["volume"] == solid.volume
+    assert "volume" in str(solid)
+    assert "area" not in str(solid)
+    with pytest.raises(AttributeError, match="expected triangles, try volume"):
+        _ = solid.area
 
 
 def test_a_report_in_a_list_is_one_line(report: Report) -> None:
@@ -172,10 +206,10 @@ def test_binding_by_a_sharp_corner_of_the_surface() -> None:
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0.5, 1, 0.05], [0.5, 1, -0.05]])
     mesh = simplex_mesh(points, [[0, 1, 2, 3]])[0]
     only = bind(mesh, [])[0]
-    assert only.reason.startswith("two fixed facets meet at")
+    assert only.reason.startswith("two triangles of it that stay fixed meet along its edge (")
     assert set(only.binds) == {"quality", "min_angle", "max_angle"}
     flat = simplex_mesh(np.array([[0.0, 0], [1, 0], [0.9, 0.1]]), [[0, 1, 2]])[0]
-    assert "along vertex (0)" in bind(flat, [])[0].reason
+    assert "meet at its vertex (0) at" in bind(flat, [])[0].reason
 
 
 def test_binding_names_the_worst_cells_of_each_figure() -> None:

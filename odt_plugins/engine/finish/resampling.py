@@ -131,9 +131,8 @@ def resample_in_rounds(
     for done in range(POLICY.insertion_rounds):
         report(done / POLICY.insertion_rounds)
         changed = deepcopy(mesh)
-        taken = sum(
-            resample(changed, step, scale, limits(before)) for step in resampling(objective)
-        )
+        for step in resampling(objective):
+            resample(changed, step, scale, limits(before))
         settle(changed, after_resampling(objective), limits(_figures(changed, objective)))
         now = _figures(changed, objective)
         gains = now.score >= before.score
@@ -141,11 +140,10 @@ def resample_in_rounds(
             gains |= before.p1_quality - now.p1_quality <= noise
             gains &= before.mean_quality - now.mean_quality <= noise
         if not gains:
-            log.add("resamplings taken back", 1)
+            log.add("insertions taken back", 1)
             scale *= POLICY.insertion_less
             continue
         mesh = changed
-        log.add("vertex operations", taken)
         offer(mesh)
     report(1.0)
 

@@ -12,13 +12,12 @@ BLAS, whose sums have another order on every kind of processor and for every num
 from __future__ import annotations
 
 import importlib
-import warnings
 from typing import Any
 
 import numpy as np
 
 from odt_plugins.engine.odt.cholesky import factorize
-from odt_plugins.errors import NotConvergedWarning
+from odt_plugins.errors import NotConvergedWarning, warn
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 STEP_TOLERANCE = 1e-2
@@ -201,5 +200,5 @@ def solve_amg(
             f"got a relative residual of {worst:.1e} after {iterations} "
             f"multigrid iterations, expected {tolerance:.1e}, try linear_solver='direct'"
         )
-        warnings.warn(msg, NotConvergedWarning, stacklevel=2)
+        warn(msg, NotConvergedWarning)
     return solution

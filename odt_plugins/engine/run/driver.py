@@ -206,7 +206,7 @@ def _run_in(
             offer=partial(memory.offer, name="resampled"),
             report=partial(report_insertion, options.progress or silent), log=log,
         )
-        log.times["resampling"] = time.perf_counter() - clock
+        log.times["inserting"] = time.perf_counter() - clock
     clock = time.perf_counter()
     found, broken = best_state(
         memory, partial(_judged, start, options, leaving, whole is None), log, reason

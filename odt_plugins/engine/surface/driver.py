@@ -134,7 +134,8 @@ def _run_until_kept(
         log.add_time("check", time.perf_counter() - clock)
         if outcome is not None:
             if broken and not outcome.fallback:
-                why = f"a result was given up, then others were tried ({'; '.join(broken)})"
+                why = ("some vertices stay where they are, since a run that moved them was given "
+                       f"up: {'; '.join(broken)}")
                 outcome = replace(outcome, fallback=why)
             break
         broken = found

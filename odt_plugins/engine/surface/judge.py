@@ -86,7 +86,9 @@ def faults(
             )
         cut = int(_newly_cut(mesh, points, cells).sum())
         if cut:
-            broken.append(f"{counted(cut, 'triangle')} cut through the surface where none did")
+            verb = "goes" if cut == 1 else "go"
+            broken.append(f"{counted(cut, 'triangle')} of the result {verb} through other "
+                          f"triangles, which none of the input did there")
     return broken, distance
 
 

@@ -129,7 +129,7 @@ def test_an_open_surface_keeps_its_rim_and_a_mechanical_part_its_edges():
 def test_surfaces_whose_triangles_fold_stay_in_their_envelope():
     p, t = sm.sphere(3, 0.4)
     _, _, report = improved((p, t))
-    assert "a result was given up" in report.fallback
+    assert report.fallback.startswith("some vertices stay where they are, since a run")
     assert report.after.mean_quality > report.before.mean_quality + 0.02
 
 
@@ -462,14 +462,14 @@ def test_progress_is_told():
     told = []
     odt_plugins.optimize(sm.sphere(3, 0.2), progress=lambda *a: told.append(a))
     assert told[-1] == ("finishing", 1.0)
-    assert {stage for stage, _ in told} == {"smoothing", "finishing"}
+    assert {stage for stage, _ in told} == {"preparing", "smoothing", "finishing"}
 
 
 def test_progress_never_goes_back_when_a_run_is_repeated():
     told = []
     _, report = odt_plugins.optimize_with_report(
         sm.sphere(3, 0.4), progress=lambda *a: told.append(a))
-    assert "a result was given up" in report.fallback
+    assert report.fallback.startswith("some vertices stay where they are, since a run")
     shares = [share for _, share in told]
     assert shares == sorted(shares)
     assert shares[0] < 0.1

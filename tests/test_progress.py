@@ -1,0 +1,172 @@
+"""Progress as a caller sees it: one share from 0 to 1 in every public function, or a bar."""
+
+from __future__ import annotations
+
+import re
+import sys
+
+import IPython.display
+import numpy as np
+import planar_meshes
+import pytest
+import rich.console
+import surface_meshes
+import tet_meshes
+from pieces import write_pieces
+
+import odt_plugins
+from odt_plugins import generate, tetwild
+from odt_plugins.compare.start import ball
+from odt_plugins.distributed import optimize as blockwise
+from odt_plugins.options import COMPILING
+from odt_plugins.progress import STEP, part, shown, telling
+
+
+def tets(seed=2):
+    return tet_meshes.grid(3, seed)[:2]
+
+
+def plane():
+    return planar_meshes.jittered_grid(8, 8, np.random.default_rng(3))[:2]
+
+
+def pieces(place, **given):
+    start = ball(300)
+    write_pieces(place / "in", start.points, start.cells, np.arange(len(start.cells)) % 2)
+    odt_plugins.optimize_pieces(place / "in.pvtu", place / "out.pvtu", 2, **given)
+
+
+RUNS = {
+    "tetrahedra": lambda place, **given: odt_plugins.optimize(tets(), **given),
+    "plane": lambda place, **given: odt_plugins.optimize(plane(), cycles=2, **given),
+    "surface": lambda place, **given: odt_plugins.optimize(
+        surface_meshes.sphere(2, 0.2), boundary="slide", **given),
+    "insert": lambda place, **given: odt_plugins.optimize(
+        tets(), insert=True, boundary="slide", **given),
+    "nothing to do": lambda place, **given: odt_plugins.optimize(
+        tets(), selection=np.zeros(0, dtype=int), **given),
+    "blocks": lambda place, **given: odt_plugins.optimize_partitioned(
+        (ball(500).points, ball(500).cells), 2, 2, **given),
+    "pieces": pieces,
+    "levels": lambda place, **given: odt_plugins.refine_and_optimize(
+        surface_meshes.sphere(1), 1, edge_length=0.4, envelope=0.1, **given),
+    "TetWild": lambda place, **given: odt_plugins.tetrahedralize(
+        *surface_meshes.sphere(1), edge_length_fac=0.4, **given),
+    "generated": lambda place, **given: generate.odtmesh2d(
+        lambda p: generate.dcircle(p, 0, 0, 1), generate.huniform, 0.2, [[-1, -1], [1, 1]],
+        **given),
+}
+
+
+STAGES = {
+    "insert": {"smoothing", "inserting"},
+    "blocks": {"round 1", "round 2"},
+    "pieces": {"reading", "round 1", "round 2", "writing"},
+    "TetWild": {"TetWild", "smoothing"},
+}
+
+
+@pytest.mark.parametrize("name", RUNS)
+def test_one_share_grows_from_0_to_1_over_all_stages(name, tmp_path, monkeypatch):
+    monkeypatch.setattr(blockwise, "LEAST_CELLS", 50)
+    seen = []
+    RUNS[name](tmp_path, progress=lambda stage, share: seen.append((stage, share)))
+    shares = [share for _, share in seen]
+    assert shares[0] == 0.0
+    assert shares[-1] == 1.0
+    assert shares == sorted(shares)
+    stages = {stage for stage, _ in seen}
+    assert STAGES.get(name, set()) <= stages
+    if name in ("TetWild", "levels"):
+        assert len({share for stage, share in seen if stage == "TetWild"}) > 3
+
+
+def test_tetwild_has_most_of_the_bar_and_odt_the_rest(monkeypatch):
+    seen = []
+
+    def made(given, report):
+        assert seen == [("TetWild", 0.0)]
+        report("TetWild", 0.5)
+        return tets()
+
+    monkeypatch.setattr(tetwild, "run_tetwild", made)
+    odt_plugins.tetrahedralize(*surface_meshes.sphere(1),
+                               progress=lambda stage, share: seen.append((stage, share)))
+    assert seen[1] == ("TetWild", 0.5 * tetwild.BY_TETWILD)
+    assert seen[2] == ("preparing", tetwild.BY_TETWILD)
+    assert seen[-1][1] == 1.0
+
+
+def test_the_share_of_tetwild_grows_with_its_passes():
+    lines = ["Tetrahedralization performed.", "initializing...",
+             *(f"//////////////// pass {k} ////////////////" for k in range(80)),
+             "//////////////// postprocessing ////////////////"]
+    shares = [tetwild.share_done(line) for line in lines]
+    assert shares == sorted(shares)
+    assert 0.0 < shares[0] < shares[-1] < 1.0
+    assert tetwild.share_done("#v = 1488") == 0.0
+
+
+def test_what_is_told_never_falls_and_an_error_is_no_end():
+    seen = []
+    with telling(lambda *pair: seen.append(pair), "first") as tell:
+        tell("a", 0.5)
+        tell("b", 0.25)
+        tell(COMPILING, 0.0)
+        part(tell, 0.5, 1.0)("c", 0.5)
+        tell("d", 7.0)
+    assert seen == [("first", 0.0), ("a", 0.5), ("b", 0.5), (COMPILING, 0.5), ("c", 0.75),
+                    ("d", 1.0)]
+    seen.clear()
+    with telling(lambda *pair: seen.append(pair), "first") as tell:
+        tell("a", 0.5)
+    assert seen[-1] == ("a", 1.0)
+    seen.clear()
+    with (pytest.raises(KeyError), telling(lambda *pair: seen.append(pair), "first")):
+        raise KeyError
+    assert seen == [("first", 0.0)]
+    for nobody in (None, False):
+        with telling(nobody, "first") as tell:
+            tell("a", 0.5)
+
+
+def test_true_shows_a_bar_on_a_terminal(capsys, monkeypatch):
+    monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    monkeypatch.setenv("TERM", "xterm")
+    odt_plugins.optimize(tets(), progress=True)
+    out, err = capsys.readouterr()
+    assert "finishing" in err
+    assert "━" in err
+    assert out == ""
+    odt_plugins.optimize(tets(), progress=False)
+    assert capsys.readouterr() == ("", "")
+
+
+def test_true_shows_a_bar_of_html_in_a_notebook(monkeypatch):
+    pages = []
+
+    class Handle:
+        def update(self, page):
+            pages.append(page.data)
+
+    def display(page, display_id=False):
+        pages.append(page.data)
+        return Handle() if display_id else None
+
+    monkeypatch.setattr(rich.console, "_is_jupyter", lambda: True)
+    monkeypatch.setattr(IPython.display, "display", display)
+    odt_plugins.optimize(tets(), progress=True)
+    found = [re.match(r'<progress value="([\d.]+)" max="1"></progress>(.*)', p) for p in pages]
+    values = [float(m[1]) for m in found if m]
+    assert values[0] == 0.0
+    assert values[-1] == 1.0
+    assert values == sorted(values)
+    assert any("smoothing" in m[2] for m in found if m)
+    pages.clear()
+    with shown() as progress:
+        for k in range(1000):
+            progress("<one>", k / 1e6)
+        progress(COMPILING, 0.0)
+        progress(COMPILING, 0.0)
+    assert len(pages) == 3, f"a page for every {STEP} of a stage, and one for compiling"
+    assert "&lt;one&gt;" in pages[1]
