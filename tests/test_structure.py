@@ -51,9 +51,10 @@ ENGINE = ("compiled", "topology", "cells", "record", "moves", "ground", "odt", "
 TOOLKITS = {
     "pyvista": {"adapters/pyvista_mesh.py", "hosts/pyvista_accessor.py", "report/plotting.py",
                 "cli/demo.py", "compare/hull.py"},
-    "vtkmodules": {"adapters/pyvista_mesh.py", "report/plotting.py"},
+    "vtkmodules": {"adapters/pyvista_mesh.py", "adapters/vtk_files.py", "report/plotting.py"},
     "meshio": {"adapters/meshio_mesh.py", "adapters/files.py", "adapters/reading.py",
-               "cli/demo.py", "distributed/job.py", "distributed/store.py", "hosts/script.py"},
+               "adapters/vtk_files.py", "cli/demo.py", "distributed/job.py",
+               "distributed/store.py", "hosts/script.py"},
     "matplotlib": {"report/plotting.py", "compare/charts.py", "compare/pictures.py"},
     "pytetwild": {"compare/baselines/tetwild.py"},
     "pymeshlab": {"adapters/pymeshlab_copy.py", "adapters/pymeshlab_mesh.py",

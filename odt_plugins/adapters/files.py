@@ -1,4 +1,4 @@
-"""Mesh files by path, through meshio: read, check, and write so that no half file is ever seen."""
+"""Mesh files by path, through meshio or VTK: read, check, and written so that none is seen half."""
 
 from __future__ import annotations
 
@@ -7,13 +7,14 @@ import re
 import shutil
 import tempfile
 import warnings
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters import apart, meshio_mesh, reading
+from odt_plugins.adapters import apart, meshio_mesh, reading, vtk_files
 from odt_plugins.adapters.host import HostMesh, Result
 from odt_plugins.adapters.stated import declares_no_cells
 from odt_plugins.errors import (
@@ -47,7 +48,7 @@ def write(result: Result, host: HostMesh) -> Any:
 
 
 def read_file(path: str | os.PathLike[str]) -> Any:
-    """Read a mesh file of any format that meshio knows, by its suffix.
+    """Read a mesh file of any format that meshio or, where it is there, VTK knows, by its suffix.
 
     Returns
     -------
@@ -145,18 +146,21 @@ def write_file(path: str | os.PathLike[str], mesh: Any) -> None:
 
 
 def _formats(path: Path) -> list[str]:
-    """Formats of meshio for a suffix, the most likely first."""
+    """Formats of meshio, and of VTK where it is there, for a suffix, the most likely first."""
     from meshio import extension_to_filetypes
 
+    known = dict(extension_to_filetypes)
+    if vtk_files.installed():
+        known[".vtp"] = ["vtp"]
     for count in range(len(path.suffixes)):
         suffix = "".join(path.suffixes[count:]).lower()
-        if suffix in extension_to_filetypes:
+        if suffix in known:
             first = PREFERRED.get(suffix)
-            return sorted(extension_to_filetypes[suffix], key=lambda name: name != first)
-    msg = (
-        f"{path} has no suffix of a mesh file; expected one of "
-        f"{' '.join(sorted(extension_to_filetypes))}"
-    )
+            return sorted(known[suffix], key=lambda name: name != first)
+    if path.suffix.lower() == ".vtp":
+        msg = f'{path} needs the package pyvista, which is not installed; try "pip install pyvista"'
+        raise MissingDependencyError(msg)
+    msg = f"{path} has no suffix of a mesh file; expected one of {' '.join(sorted(known))}"
     raise MeshFileError(msg)
 
 
@@ -183,7 +187,7 @@ def _read_as(path: Path, formats: list[str]) -> tuple[Any, list[str]]:
 
     cause: Exception | None = None
     for name in formats:
-        if name not in reader_map:
+        if name not in reader_map and name not in vtk_files.FORMATS:
             continue
         try:
             return reading.read(path, name)
@@ -225,12 +229,15 @@ def _write_and_compare(path: Path, mesh: Any) -> tuple[list[str], list[str]]:
     tags = {"gmsh:physical", "gmsh:geometrical"} <= set(mesh.cell_data)
     if name == "gmsh" and not (tags and "gmsh:dim_tags" in mesh.point_data):
         name = "gmsh22"
+    said: list[str] = []
+    differs = ""
     try:
-        if name in apart.HDF5:
-            said = apart.call(_write_heard, path, mesh, name)
+        if name in vtk_files.FORMATS and vtk_files.installed():
+            back, differs = apart.call(vtk_files.write_and_read, path, mesh, name)
         else:
-            said = _write_heard(path, mesh, name)
-        back, _ = _read_as(path, _formats(path))
+            heard = partial(apart.call, _write_heard) if name in apart.HDF5 else _write_heard
+            said = heard(path, mesh, name)
+            back, _ = _read_as(path, _formats(path))
     except MissingDependencyError:
         raise
     except ImportError as exc:
@@ -246,19 +253,39 @@ def _write_and_compare(path: Path, mesh: Any) -> tuple[list[str], list[str]]:
         if isinstance(exc, OSError):
             raise
         raise _not_written(path, name, _reason(exc)) from exc
+    if differs:
+        raise _not_written(path, name, f"meshio and VTK read {differs} of the file differently")
     if _sizes(back) != _sizes(mesh) or len(back.points) != len(mesh.points):
         reason = f"it does not hold {len(mesh.points)} points with cells {_sizes(mesh)}"
         raise _not_written(path, name, reason)
-    return _lost(mesh, back), said
+    lost = _lost(mesh, back)
+    if name in vtk_files.FORMATS:
+        lost += _other_types(mesh, back)
+    return lost, said
 
 
 def _write_heard(path: Path, mesh: Any, name: str) -> list[str]:
     import meshio
 
+    mesh = mesh.copy()
+    if name == "vtk":
+        _widen(mesh)
     # Flat triangles of STL files have no normals.
     with reading.remarks() as said, np.errstate(all="ignore"):
-        meshio.write(path, mesh.copy(), file_format=name)
+        meshio.write(path, mesh, file_format=name)
     return said
+
+
+def _widen(mesh: Any) -> None:
+    """Exchange integers of less than eight bytes, which meshio writes in words VTK lacks."""
+
+    def wide(values: Any) -> NDArray[Any]:
+        array = np.asarray(values)
+        return array.astype(np.int64) if array.dtype.kind in "biu" and array.itemsize < 8 else array
+
+    mesh.point_data = {name: wide(values) for name, values in mesh.point_data.items()}
+    mesh.cell_data = {name: [*map(wide, values)] for name, values in mesh.cell_data.items()}
+    mesh.field_data = {name: wide(values) for name, values in mesh.field_data.items()}
 
 
 def _refused(exc: Exception, path: Path) -> OSError | None:
@@ -319,6 +346,19 @@ def _lost(mesh: Any, back: Any) -> list[str]:
         if gone:
             lost.append(f"{what} {', '.join(map(repr, gone))}")
     return lost + renamed
+
+
+def _other_types(mesh: Any, back: Any) -> list[str]:
+    """Name the arrays that came back with values of another type."""
+    other = []
+    for kind in ("point_data", "cell_data"):
+        old, new = getattr(mesh, kind), getattr(back, kind)
+        for name in sorted(set(old) & set(new)):
+            was, now = _one_array(old[name]).dtype, _one_array(new[name]).dtype
+            if now.newbyteorder("=") != was.newbyteorder("=") and was.kind not in "US":
+                what = kind.replace("_", " ")
+                other.append(f"the type of {what} {name!r} ({was}, there {now})")
+    return other
 
 
 def _same_values(values: Any, data: Any, names: set[str]) -> str | None:

@@ -22,6 +22,7 @@ from odt_plugins.adapters.host import (
     is_instance,
     region_array,
 )
+from odt_plugins.adapters.normals import renewed
 from odt_plugins.adapters.quadratic import (
     CORNERS,
     Quadratic,
@@ -47,6 +48,8 @@ KINDS = ("tetra", "tetra10", "triangle", "triangle6")
 
 NODE_ENTITIES, CELL_ENTITIES = "gmsh:dim_tags", "gmsh:geometrical"
 """Data of Gmsh's files: dimension and tag of the entity of a node, tag of that of a cell."""
+
+NORMALS = "Normals"
 
 NOT_CELL_INDICES = ("gmsh:bounding_entities",)
 """Cell sets that hold something else than indices of cells."""
@@ -138,7 +141,20 @@ def write(result: Result, host: HostMesh) -> Any:
         local = result.source[here] - start
         block.data = result.cells[here].astype(block.data.dtype)
         _take(out, i, local, end - start)
+    if result.curved and not host.quadratic:
+        _renew_normals(out, result, host)
     return out
+
+
+def _renew_normals(out: Any, result: Result, host: HostMesh) -> None:
+    """Compute the normals of a curved surface anew that VTK's files have under this name."""
+    if NORMALS in out.point_data:
+        out.point_data[NORMALS] = renewed(
+            np.asarray(out.point_data[NORMALS]), result.points, result.cells, of_vertices=True)
+    for i in host.layout if NORMALS in out.cell_data else ():
+        out.cell_data[NORMALS][i] = renewed(
+            np.asarray(out.cell_data[NORMALS][i]), result.points, out.cells[i].data,
+            of_vertices=False)
 
 
 def _anchors(mesh: Any) -> NDArray[Any]:
