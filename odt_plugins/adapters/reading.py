@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from odt_plugins.adapters import apart, vtk_files
+from odt_plugins.adapters import apart, gmsh_files, netgen_files, vtk_files
 from odt_plugins.adapters.legacy import expect_whole
 from odt_plugins.adapters.stated import expect_counts, expect_held
 from odt_plugins.errors import MeshFileError
@@ -119,7 +119,29 @@ def _read_vtk(path: Path, name: str, seconds: float) -> tuple[Any, list[str]]:
     return mesh, said
 
 
+MORE: dict[str, tuple[Callable[[], bool], Callable[..., Any], str]] = {
+    "gmsh": (gmsh_files.installed, gmsh_files.translate,
+             r"Incompatible cell data|len\(points\) = "),
+    "nastran": (gmsh_files.installed, gmsh_files.translate_bdf, '"BEGIN BULK" statement not found'),
+    "netgen": (netgen_files.installed, netgen_files.read, "Unknown Netgen mesh token"),
+}
+"""Toolkits that read more files of a format than meshio: whether they are there, how they read, and
+what meshio says of those files."""
+
+
 def _read_meshio(path: Path, name: str, seconds: float) -> tuple[Any, list[str]]:
+    """Read a file by meshio; by the toolkit that wrote it what meshio does not know."""
+    try:
+        return _read_alone(path, name, seconds)
+    except Exception as exc:
+        there, reader, unknown = MORE.get(name, (bool, vtk_files.read, "$^"))
+        old = name == "gmsh" and re.match(rb"\$MeshFormat\s+4(\.0)?\s", path.read_bytes()[:40])
+        if not (old or re.search(unknown, str(exc))) or not there():
+            raise
+        return apart.call(reader, path, seconds=seconds), []
+
+
+def _read_alone(path: Path, name: str, seconds: float) -> tuple[Any, list[str]]:
     if name in apart.HDF5:
         mesh, said = apart.call(_read_heard, path, name, seconds=seconds)
     else:
@@ -141,9 +163,8 @@ def _read_heard(path: Path, name: str) -> tuple[Any, list[str]]:
 
 def _read(path: Path, name: str) -> Any:
     from meshio._helpers import reader_map
-    from meshio.gmsh.main import read_buffer
 
-    reader = read_buffer if name == "gmsh" else reader_map[name]
+    reader = gmsh_files.read if name == "gmsh" else reader_map[name]
     # A number that is none would become an index. The first bytes of an STL file of text, taken
     # for a number of triangles, overflow.
     with (
