@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.gmsh_files import BOOKKEEPING, ENTITY, PHYSICAL, is_group
 from odt_plugins.adapters.host import REGION_ARRAYS
+from odt_plugins.adapters.quadratic import HIGHER, LAGRANGE, lattice, order_of
 
 
 class Form(NamedTuple):
@@ -93,6 +94,7 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
         lost = [f"{sum(len(b.data) for b in out.cells if b.type == kind)} cells of type {kind}"
                 for kind in sorted(kinds)]
         _choose(out, [i for i, b in enumerate(out.cells) if main in (None, b.type)])
+    _reorder(out, form)
     if name in ("gmsh", "gmsh22"):
         return _with_tags(out, name), lost
     named = _named_groups(out)
@@ -138,6 +140,28 @@ def _choose(mesh: Any, chosen: list[int]) -> None:
     mesh.cell_data = {name: [values[i] for i in chosen] for name, values in mesh.cell_data.items()}
     mesh.cell_sets = {name: [members[i] for i in chosen]
                       for name, members in mesh.cell_sets.items()}
+
+
+def _reorder(mesh: Any, form: Form) -> None:
+    """Give cubic and higher simplices the names and the order of nodes that the format has."""
+    from meshio import CellBlock
+
+    gmsh = {(dim, order): name for name, (dim, order) in HIGHER.items() if order > 2}
+    vtk = {dim: name for name, dim in LAGRANGE.items()}
+    for i, block in enumerate(mesh.cells):
+        if form is EVERYTHING and HIGHER.get(block.type, (0, 0)) in gmsh:
+            dim, order = HIGHER[block.type]
+            kind, hosts = vtk[dim], ("gmsh", "vtk")
+        elif form is not EVERYTHING and block.type in LAGRANGE:
+            dim = LAGRANGE[block.type]
+            order = order_of(dim, block.data.shape[1])
+            kind, hosts = gmsh.get((dim, order), block.type), ("vtk", "gmsh")
+        else:
+            continue
+        if kind != block.type:
+            was, now = ([tuple(node) for node in lattice(dim, order, host).tolist()]
+                        for host in hosts)
+            mesh.cells[i] = CellBlock(kind, block.data[:, [was.index(node) for node in now]])
 
 
 def _merge(mesh: Any) -> None:
