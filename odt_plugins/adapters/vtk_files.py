@@ -95,6 +95,9 @@ def write_and_read(path: Path, mesh: Any, name: str, binary: bool = True) -> tup
     MeshFileError           VTK could not write
     UnsupportedMeshError    the format does not hold such cells
     """
+    if not any(len(block.data) for block in mesh.cells):
+        msg = "the mesh has no cells"
+        raise UnsupportedMeshError(msg)
     sink = _writer(name, binary)
     sink.SetFileName(str(path))
     sink.SetInputData(_polydata(mesh) if name == "vtp" else _grid(mesh))

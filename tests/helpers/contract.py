@@ -419,7 +419,7 @@ def file_mesh(suffix, dim, mesh=None):
 
 def store(path, mesh):
     """Write a file of one of FILES; a legacy one of VTK by VTK, as meshio's is none with int32."""
-    if path.suffix == ".vtk":
+    if path.suffix == ".vtk" and mesh.cells:
         files.write_file(path, mesh)
     else:
         meshio.write(path, mesh, FILES[path.suffix][1])
