@@ -17,7 +17,7 @@ import numpy as np
 from odt_plugins.adapters import apart, gmsh_files, netgen_files, vtk_files
 from odt_plugins.adapters.legacy import expect_whole
 from odt_plugins.adapters.stated import expect_counts, expect_held
-from odt_plugins.errors import MeshFileError
+from odt_plugins.errors import InvalidMeshError, MeshFileError
 
 LEAST = 20.0
 """Seconds that the reading of any file may take."""
@@ -103,7 +103,7 @@ def _read_vtk(path: Path, name: str, seconds: float) -> tuple[Any, list[str]]:
     """Read a file by VTK; what VTK does not read, meshio may: that is said."""
     try:
         mesh, said = apart.call(vtk_files.read, path, name, seconds=seconds)
-    except TimeoutError:
+    except (TimeoutError, InvalidMeshError):
         raise
     # VTK refuses, or has crashed.
     except Exception as exc:

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.errors import MeshFileError, UnsupportedMeshError
+from odt_plugins.errors import InvalidMeshError, MeshFileError, UnsupportedMeshError
 
 FORMATS = {"vtk": "legacy", "vtu": "UnstructuredGrid", "vtp": "PolyData"}
 """Formats that VTK reads and writes, by their name in meshio, which knows no .vtp."""
@@ -56,6 +56,7 @@ def read(path: Path, name: str) -> tuple[Any, list[str]]:
     Raises
     ------
     MeshFileError           VTK says that the file is broken, or it has no cells
+    InvalidMeshError        it has cells of other numbers of nodes than their type has
     UnsupportedMeshError    it holds no grid of cells that meshio has a name for
     """
     source = _reader(name)
@@ -158,13 +159,14 @@ def _run(algorithm: Any) -> str:
 def _mesh(dataset: Any) -> tuple[Any, list[str]]:
     """Take a grid or PolyData apart into a meshio.Mesh; also which cells come as others."""
     from meshio import Mesh
+    from meshio._common import num_nodes_per_cell
 
     names = _names()
     types, offset, flat = _cells(dataset)
     size = np.diff(offset)
     if len(types) != len(size) or (size < 0).any() or offset[0] != 0 or offset[-1] != len(flat):
         msg = "its cells do not fit together"
-        raise MeshFileError(msg)
+        raise InvalidMeshError(msg)
     blocks: list[Any] = []
     rows: list[NDArray[Any]] = []
     said: list[str] = []
@@ -190,6 +192,9 @@ def _mesh(dataset: Any) -> tuple[Any, list[str]]:
         else:
             msg = f"it has cells of VTK's type {kind} (first: cell {i})"
             raise UnsupportedMeshError(msg)
+        if nodes.shape[1] != num_nodes_per_cell.get(name, nodes.shape[1]):
+            msg = f"its cell {i} is of type {name} and has {width} nodes"
+            raise InvalidMeshError(msg)
         same = [j for j, (other, old) in enumerate(blocks)
                 if other == name and old.shape[1:] == nodes.shape[1:]]
         if same:

@@ -166,6 +166,17 @@ def test_a_crash_or_a_hang_of_vtk_is_a_sentence(tmp_path, monkeypatch):
         files.read_file(path)
 
 
+def test_cells_with_other_numbers_of_nodes_than_their_type_has_are_refused(tmp_path):
+    rows = np.array([4, 0, 1, 2, 3, 4, 1, 2, 3, 4])
+    path = tmp_path / "in.vtu"
+    pyvista.UnstructuredGrid(rows, [10, 10], np.eye(5, 3)).save(path, binary=False)
+    text = path.read_text()
+    start = text.index('Name="offsets"')
+    path.write_text(text[:start] + text[start:].replace("4 8", "3 8", 1))
+    with pytest.raises(MeshFileError, match="its cell 0 is of type tetra and has 3 nodes"):
+        files.read_file(path)
+
+
 @pytest.mark.parametrize("word", ["NumberOfPoints", "NumberOfPolys"])
 def test_counts_of_xml_files_beyond_their_size_are_refused(word, tmp_path, monkeypatch):
     path = tmp_path / "in.vtp"
