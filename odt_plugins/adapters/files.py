@@ -269,10 +269,10 @@ def _write_and_compare(
     path: Path, mesh: Any, name: str, binary: bool | None
 ) -> tuple[list[str], list[str]]:
     """Write a file, read it again and name the data that are gone; also what meshio says."""
-    fit, lost = fitted(mesh, name)
     said: list[str] = []
     differs = ""
     try:
+        fit, lost = fitted(mesh, name)
         if name in vtk_files.FORMATS and vtk_files.installed():
             back, differs = apart.call(
                 vtk_files.write_and_read, path, fit, name, binary is not False)

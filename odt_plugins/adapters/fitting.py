@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from odt_plugins.adapters.gmsh_files import BOOKKEEPING, ENTITY, PHYSICAL, is_group
 from odt_plugins.adapters.host import REGION_ARRAYS
 from odt_plugins.adapters.quadratic import HIGHER, LAGRANGE, lattice, order_of
+from odt_plugins.errors import UnsupportedMeshError
 
 
 class Form(NamedTuple):
@@ -69,6 +70,9 @@ POINT_LABELS = ("medit:ref", "tetgen:ref", "point_tags")
 
 MAIN = ("tetra", "triangle")
 
+TETRAHEDRA = ("cgns", "flac3d", "tetgen")
+"""Formats in which meshio writes cells in space only."""
+
 
 def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
     """Make a mesh that a format holds: one block a type, groups as labels, no more than it takes.
@@ -82,12 +86,19 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
     -------
     mesh : meshio.Mesh
     lost : list of str    cells that the format does not hold
+
+    Raises
+    ------
+    UnsupportedMeshError    the format holds tetrahedra only, and there are none
     """
     form = FORMS.get(name)
     if form is None:
         return mesh.copy(), []
     out = mesh.copy()
     lost = []
+    if name in TETRAHEDRA and not any(block.type == "tetra" for block in out.cells):
+        msg = f"it holds no cells of type {', '.join(sorted({b.type for b in out.cells}))}"
+        raise UnsupportedMeshError(msg)
     if not form.beside:
         main = next((kind for kind in MAIN if any(b.type == kind for b in out.cells)), None)
         kinds = {b.type for b in out.cells if main is not None and len(b.data)} - {main}
@@ -244,6 +255,9 @@ class _Pair(tuple):  # type: ignore[type-arg]
 def _as_written(mesh: Any, name: str) -> None:
     """Give blocks and labels the form in which meshio's writers of .su2 and .ugrid use them."""
     if name == "su2":
+        flat = mesh.points.shape[1] == 3 and not mesh.points[:, 2].any()
+        if flat and not any(block.dim == 3 for block in mesh.cells):
+            mesh.points = mesh.points[:, :2]
         mesh.cells = [_Pair((block.type, block.data)) for block in mesh.cells]
         return
     flat = [i for i, block in enumerate(mesh.cells) if block.type in ("triangle", "quad")]

@@ -238,6 +238,22 @@ def test_plain_arrays_are_written_for_gmsh_without_a_word(tmp_path):
         assert np.array_equal(mesh.cells[0].data, cells)
 
 
+@pytest.mark.parametrize("suffix", [".cgns", ".ele", ".f3grid"])
+def test_formats_of_tetrahedra_refuse_triangles_in_words(suffix, tmp_path):
+    points, cells, _ = contract.grid(2, 2)
+    with pytest.raises(MeshFileError, match=r": it holds no cells of type triangle; try another"):
+        files.write_arrays(tmp_path / f"out{suffix}", points, cells)
+    assert not list(tmp_path.iterdir())
+
+
+def test_planar_arrays_are_written_for_su2(tmp_path):
+    points, cells, _ = contract.grid(2, 2)
+    files.write_arrays(tmp_path / "out.su2", points, cells)
+    mesh = files.read_file(tmp_path / "out.su2")
+    assert np.array_equal(mesh.points, points)
+    assert np.array_equal(mesh.cells[0].data, cells)
+
+
 def test_cells_that_a_format_does_not_hold_are_counted(tmp_path):
     mesh = mesh_of_everything()
     count = sum(len(block.data) for block in mesh.cells if block.type == "triangle")
