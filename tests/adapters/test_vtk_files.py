@@ -61,6 +61,8 @@ def test_polydata_come_back_with_new_normals(tmp_path):
     points, cells = surface_meshes.bowl(8, 0.3)
     mesh = pyvista.PolyData.from_regular_faces(points, cells).compute_normals(
         cell_normals=True, point_normals=True, split_vertices=False, auto_orient_normals=False)
+    for data in (mesh.cell_data, mesh.point_data):
+        data["Normals"] = np.tile([0.0, 0.8, 0.6], (len(data["Normals"]), 1))
     mesh["part"] = (np.arange(len(cells)) % 2).astype(np.uint8)
     mesh.save(tmp_path / "in.vtp")
     odt_plugins.optimize_file(tmp_path / "in.vtp", tmp_path / "out.vtp", regions=None)
