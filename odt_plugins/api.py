@@ -98,13 +98,19 @@ def optimize_with_report(mesh: Any, **options: Unpack[OptionKeywords]) -> tuple[
 def optimize_file(
     source: str | os.PathLike[str],
     target: str | os.PathLike[str],
+    *,
+    file_format: str | None = None,
+    binary: bool | None = None,
     **options: Unpack[OptionKeywords],
 ) -> Report:
     """Improve the mesh of one file and write it to another, or to the same.
 
     Parameters
     ----------
-    source, target : path    any format of meshio, by suffix
+    source, target : path    any format of meshio, and of VTK where it is installed, by suffix
+    file_format : str        "gmsh22" or "gmsh41" for a .msh file; None takes that of `source`
+    binary : bool            or as text, where the format has both; None takes that of `source`
+                             for .msh files, else binary
     **options
         The fields of :class:`odt_plugins.Options`.
 
@@ -117,9 +123,9 @@ def optimize_file(
     MeshFileError            a file cannot be read or written; `target` is then as it was before
     """
     make_options(**options)
-    check_output(target)
+    check_output(target, file_format, binary)
     mesh, report = optimize_with_report(read_file(source), **options)
-    write_file(target, mesh)
+    write_file(target, mesh, file_format, binary)
     return report
 
 

@@ -1,4 +1,4 @@
-"""Mesh files by path, through meshio: read, check, and write so that no half file is ever seen."""
+"""Mesh files by path, through meshio or VTK: read, check, and written so that none is seen half."""
 
 from __future__ import annotations
 
@@ -7,23 +7,29 @@ import re
 import shutil
 import tempfile
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters import apart, meshio_mesh, reading
+from odt_plugins.adapters import apart, gmsh_files, meshio_mesh, reading, vtk_files
+from odt_plugins.adapters.fitting import FORMS, fitted, group_names
 from odt_plugins.adapters.host import HostMesh, Result
 from odt_plugins.adapters.stated import declares_no_cells
 from odt_plugins.errors import (
     DataNotKeptWarning,
     InvalidMeshError,
+    InvalidOptionError,
     MeshFileError,
     MissingDependencyError,
     warn,
     writing,
 )
+
+FILE_FORMATS = {"gmsh22": "gmsh22", "gmsh41": "gmsh"}
+"""Versions of Gmsh's format that can be asked for, and their names in meshio."""
 
 PREFERRED = {".msh": "gmsh"}
 """Format to take first where several share a suffix."""
@@ -48,7 +54,7 @@ def write(result: Result, host: HostMesh) -> Any:
 
 
 def read_file(path: str | os.PathLike[str]) -> Any:
-    """Read a mesh file of any format that meshio knows, by its suffix.
+    """Read a mesh file of any format that meshio or, where it is there, VTK knows, by its suffix.
 
     Returns
     -------
@@ -85,15 +91,18 @@ def read_file(path: str | os.PathLike[str]) -> Any:
     return mesh
 
 
-def check_output(path: str | os.PathLike[str]) -> None:
+def check_output(
+    path: str | os.PathLike[str], file_format: str | None = None, binary: bool | None = None
+) -> None:
     """See whether a mesh file could be written there, before any work is done.
 
     Raises
     ------
+    InvalidOptionError    as for :func:`write_file`
     MeshFileError    the suffix is unknown, or the directory is missing or not writable
     """
     path = Path(path)
-    _formats(path)
+    chosen_format(path, None, file_format, binary)
     folder = path.parent
     if not folder.is_dir():
         msg = f"cannot write {path}: {folder} is not a directory; expected an existing one"
@@ -104,7 +113,10 @@ def check_output(path: str | os.PathLike[str]) -> None:
         raise MeshFileError(msg)
 
 
-def write_file(path: str | os.PathLike[str], mesh: Any) -> None:
+def write_file(
+    path: str | os.PathLike[str], mesh: Any, file_format: str | None = None,
+    binary: bool | None = None,
+) -> None:
     """Write a meshio.Mesh; the format is that of the suffix.
 
     The file is written in a directory beside the target, read back and compared, and renamed
@@ -114,9 +126,13 @@ def write_file(path: str | os.PathLike[str], mesh: Any) -> None:
     ----------
     path : path            target
     mesh : meshio.Mesh     not changed
+    file_format : str      one of FILE_FORMATS, where the suffix leaves a choice; None takes
+                           version 4.1 for meshes that were read from such files
+    binary : bool          or as text; None takes text for .msh where the mesh was read from that
 
     Raises
     ------
+    InvalidOptionError        the suffix is not one of that format, or has no such choice
     MeshFileError             it cannot be written, or the format does not hold such a mesh
     MissingDependencyError    meshio needs another package for this format
 
@@ -127,11 +143,12 @@ def write_file(path: str | os.PathLike[str], mesh: Any) -> None:
     """
     path = Path(path)
     check_output(path)
+    name, binary = chosen_format(path, mesh, file_format, binary)
     with writing(path, "another directory"):
         beside = Path(tempfile.mkdtemp(prefix=f".{path.stem}-", dir=path.parent))
     try:
         with writing(path, "another path"):
-            lost, remarks = _write_and_compare(beside / path.name, mesh)
+            lost, remarks = _write_and_compare(beside / path.name, mesh, name, binary)
             # Formats such as xdmf write companions; the file that refers to them comes last.
             for part in sorted(beside.iterdir(), key=lambda part: part.name == path.name):
                 os.replace(part, path.parent / part.name)
@@ -146,18 +163,21 @@ def write_file(path: str | os.PathLike[str], mesh: Any) -> None:
 
 
 def _formats(path: Path) -> list[str]:
-    """Formats of meshio for a suffix, the most likely first."""
+    """Formats of meshio, and of VTK where it is there, for a suffix, the most likely first."""
     from meshio import extension_to_filetypes
 
+    known = dict(extension_to_filetypes)
+    if vtk_files.installed():
+        known[".vtp"] = ["vtp"]
     for count in range(len(path.suffixes)):
         suffix = "".join(path.suffixes[count:]).lower()
-        if suffix in extension_to_filetypes:
+        if suffix in known:
             first = PREFERRED.get(suffix)
-            return sorted(extension_to_filetypes[suffix], key=lambda name: name != first)
-    msg = (
-        f"{path} has no suffix of a mesh file; expected one of "
-        f"{' '.join(sorted(extension_to_filetypes))}"
-    )
+            return sorted(known[suffix], key=lambda name: name != first)
+    if path.suffix.lower() == ".vtp":
+        msg = f'{path} needs the package pyvista, which is not installed; try "pip install pyvista"'
+        raise MissingDependencyError(msg)
+    msg = f"{path} has no suffix of a mesh file; expected one of {' '.join(sorted(known))}"
     raise MeshFileError(msg)
 
 
@@ -184,7 +204,7 @@ def _read_as(path: Path, formats: list[str]) -> tuple[Any, list[str]]:
 
     cause: Exception | None = None
     for name in formats:
-        if name not in reader_map:
+        if name not in reader_map and name not in vtk_files.FORMATS:
             continue
         try:
             return reading.read(path, name)
@@ -219,19 +239,48 @@ def _missing(path: Path, exc: ImportError) -> MissingDependencyError:
     return MissingDependencyError(msg)
 
 
-def _write_and_compare(path: Path, mesh: Any) -> tuple[list[str], list[str]]:
-    """Write a file, read it again and name the data that are gone; also what meshio says."""
+def chosen_format(
+    path: Path, mesh: Any = None, file_format: str | None = None, binary: bool | None = None
+) -> tuple[str, bool | None]:
+    """Name in meshio of the format to write, and whether binary: None where there is no choice.
+
+    Raises
+    ------
+    InvalidOptionError    the suffix is not one of that format, or has no such choice
+    """
     name = _formats(path)[0]
-    # What meshio writes as Gmsh 4.1 is complete with these three arrays only.
-    tags = {"gmsh:physical", "gmsh:geometrical"} <= set(mesh.cell_data)
-    if name == "gmsh" and not (tags and "gmsh:dim_tags" in mesh.point_data):
-        name = "gmsh22"
+    if file_format is not None and (name != "gmsh" or file_format not in FILE_FORMATS):
+        msg = (f"got file_format={file_format!r} for {path.name}; expected None or, for .msh "
+               f"files, one of {', '.join(FILE_FORMATS)}")
+        raise InvalidOptionError(msg)
+    if name == "gmsh" and mesh is not None:
+        tags = {gmsh_files.PHYSICAL, gmsh_files.ENTITY} & set(mesh.cell_data)
+        whole = tags and gmsh_files.NODE_ENTITY in mesh.point_data
+        name = FILE_FORMATS[file_format or ("gmsh41" if whole else "gmsh22")]
+        if binary is None:
+            binary = not (isinstance(mesh.info, dict) and mesh.info.get("text"))
+    if binary is not None and not (name in FORMS and FORMS[name].text):
+        kind = "binary" if binary else "text"
+        msg = f"got {kind} files for {path.name}; expected None, the format has only one kind"
+        raise InvalidOptionError(msg)
+    return name, binary
+
+
+def _write_and_compare(
+    path: Path, mesh: Any, name: str, binary: bool | None
+) -> tuple[list[str], list[str]]:
+    """Write a file, read it again and name the data that are gone; also what meshio says."""
+    said: list[str] = []
+    differs = ""
     try:
-        if name in apart.HDF5:
-            said = apart.call(_write_heard, path, mesh, name)
+        fit, lost = fitted(mesh, name)
+        if name in vtk_files.FORMATS and vtk_files.installed():
+            back, differs = apart.call(
+                vtk_files.write_and_read, path, fit, name, binary is not False)
         else:
-            said = _write_heard(path, mesh, name)
-        back, _ = _read_as(path, _formats(path))
+            heard = partial(apart.call, _write_heard) if name in apart.HDF5 else _write_heard
+            said = heard(path, fit, name, binary)
+            back, _ = _read_as(path, _formats(path))
     except MissingDependencyError:
         raise
     except ImportError as exc:
@@ -247,19 +296,46 @@ def _write_and_compare(path: Path, mesh: Any) -> tuple[list[str], list[str]]:
         if isinstance(exc, OSError):
             raise
         raise _not_written(path, name, _reason(exc)) from exc
-    if _sizes(back) != _sizes(mesh) or len(back.points) != len(mesh.points):
-        reason = f"it does not hold {len(mesh.points)} points with cells {_sizes(mesh)}"
+    if differs:
+        raise _not_written(path, name, f"meshio and VTK read {differs} of the file differently")
+    if _sizes(back) != _sizes(fit) or len(back.points) != len(fit.points):
+        reason = f"it does not hold {len(fit.points)} points with cells {_sizes(fit)}"
         raise _not_written(path, name, reason)
-    return _lost(mesh, back), said
+    lost += _lost(mesh, back)
+    if name in vtk_files.FORMATS:
+        lost += _other_types(mesh, back)
+    return lost, said
 
 
-def _write_heard(path: Path, mesh: Any, name: str) -> list[str]:
+def _write_heard(path: Path, mesh: Any, name: str, binary: bool | None) -> list[str]:
     import meshio
 
-    # Flat triangles of STL files have no normals.
-    with reading.remarks() as said, np.errstate(all="ignore"):
-        meshio.write(path, mesh.copy(), file_format=name)
+    if name == "vtk":
+        _widen(mesh)
+    # Flat triangles of STL files have no normals. Some writers print numbers as they are written
+    # in Python, which were plain ones before NumPy 2.
+    with (
+        reading.remarks() as said, np.errstate(all="ignore"), np.printoptions(legacy="1.25"),
+    ):
+        if name == "gmsh":
+            gmsh_files.write(path, mesh, binary is not False)
+        elif binary is None:
+            meshio.write(path, mesh, file_format=name)
+        else:
+            meshio.write(path, mesh, file_format=name, binary=binary)
     return said
+
+
+def _widen(mesh: Any) -> None:
+    """Exchange integers of less than eight bytes, which meshio writes in words VTK lacks."""
+
+    def wide(values: Any) -> NDArray[Any]:
+        array = np.asarray(values)
+        return array.astype(np.int64) if array.dtype.kind in "biu" and array.itemsize < 8 else array
+
+    mesh.point_data = {name: wide(values) for name, values in mesh.point_data.items()}
+    mesh.cell_data = {name: [*map(wide, values)] for name, values in mesh.cell_data.items()}
+    mesh.field_data = {name: wide(values) for name, values in mesh.field_data.items()}
 
 
 def _refused(exc: Exception, path: Path) -> OSError | None:
@@ -308,24 +384,68 @@ def _lost(mesh: Any, back: Any) -> list[str]:
         np.unique(old, axis=0), np.unique(new, axis=0)
     ):
         lost.append("the last digits of the coordinates")
+    groups = group_names(mesh)
+    homes = (back.cell_sets, back.field_data, _families(back))
+    named = any(groups <= set(home) for home in homes)
     for kind in ("point_data", "cell_data", "field_data", "point_sets", "cell_sets"):
         old, new = getattr(mesh, kind), getattr(back, kind)
         what = kind.replace("_", " ")
-        gone = sorted(set(old) - set(new))
-        if kind in ("point_data", "cell_data"):
-            names = {name: _same_values(old[name], new, set(new) - set(old)) for name in gone}
-            renamed += [f"the name of {what} {name!r} (there {other!r})"
-                        for name, other in names.items() if other]
-            gone = [name for name in gone if not names[name]]
+        gone = set(old) - set(new) - set(gmsh_files.BOOKKEEPING)
+        if kind in ("field_data", "cell_sets"):
+            gone -= groups
+        if gmsh_files.PHYSICAL in mesh.cell_data:
+            gone -= {gmsh_files.ENTITY}
+            gone -= {gmsh_files.PHYSICAL} if groups and groups <= set(back.cell_sets) else set()
+        for name in sorted(gone if kind in ("point_data", "cell_data") else ()):
+            values = _by_type(mesh, old[name])
+            others = {n: _by_type(back, new[n]) for n in sorted(set(new) - set(old))}
+            other = next((n for n in others if _same(values, others[n]) == set(others[n])), None)
+            best = other or max(others, key=lambda n: len(_same(values, others[n])), default="")
+            kept = _same(values, others[best]) if best else set()
+            if kept:
+                gone.discard(name)
+                renamed.append(f"the name of {what} {name!r} (there {best!r})")
+            if kept and not other:
+                rest = " and ".join(sorted(set(values) - kept))
+                lost.append(f"{what} {name!r} of {rest}")
         if gone:
-            lost.append(f"{what} {', '.join(map(repr, gone))}")
+            lost.append(f"{what} {', '.join(map(repr, sorted(gone)))}")
+    if not named:
+        lost.append(f"the names of the groups {', '.join(map(repr, sorted(groups)))}")
     return lost + renamed
 
 
-def _same_values(values: Any, data: Any, names: set[str]) -> str | None:
-    """Name under which a point or cell array came back."""
-    flat = _one_array(values)
-    return next((n for n in sorted(names) if np.array_equal(_one_array(data[n]), flat)), None)
+def _families(mesh: Any) -> set[str]:
+    """Names of the families of a MED file."""
+    return {name for names in getattr(mesh, "cell_tags", {}).values() for name in names}
+
+
+def _by_type(mesh: Any, values: Any) -> dict[str, NDArray[Any]]:
+    """Cell data of the blocks of each type, one after another; point data as they are."""
+    if not isinstance(values, list):
+        return {"": np.asarray(values)}
+    kinds = sorted({block.type for block in mesh.cells})
+    return {kind: np.concatenate([np.asarray(part) for block, part in
+                                  zip(mesh.cells, values, strict=True) if block.type == kind])
+            for kind in kinds}
+
+
+def _same(one: dict[str, NDArray[Any]], two: dict[str, NDArray[Any]]) -> set[str]:
+    """Types of cells with the same values, that are not all alike."""
+    return {kind for kind in set(one) & set(two) if np.array_equal(one[kind], two[kind])}
+
+
+def _other_types(mesh: Any, back: Any) -> list[str]:
+    """Name the arrays that came back with values of another type."""
+    other = []
+    for kind in ("point_data", "cell_data"):
+        old, new = getattr(mesh, kind), getattr(back, kind)
+        for name in sorted(set(old) & set(new)):
+            was, now = _one_array(old[name]).dtype, _one_array(new[name]).dtype
+            if now.newbyteorder("=") != was.newbyteorder("=") and was.kind not in "US":
+                what = kind.replace("_", " ")
+                other.append(f"the type of {what} {name!r} ({was}, there {now})")
+    return other
 
 
 def _one_array(values: Any) -> NDArray[Any]:

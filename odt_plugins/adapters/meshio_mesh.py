@@ -1,10 +1,10 @@
 """meshio.Mesh of tetrahedra or planar triangles.
 
 Everything survives: the blocks and their tags, point, cell and field data, point and cell sets.
-Cells of different blocks never mix. Blocks of other linear cells come back as they are. Quadratic
-triangles and tetrahedra are optimised by their corners, see
-:mod:`odt_plugins.adapters.quadratic`; other quadratic cells, quadratic beside linear ones, and
-polyhedra are refused by name.
+Cells of different blocks never mix. Blocks of other linear cells come back as they are. Triangles
+and tetrahedra of higher order are optimised by their corners, see
+:mod:`odt_plugins.adapters.quadratic`; other cells of higher order, such cells beside linear ones,
+and polyhedra are refused by name.
 """
 
 from __future__ import annotations
@@ -23,11 +23,16 @@ from odt_plugins.adapters.host import (
     Result,
     is_instance,
 )
+from odt_plugins.adapters.normals import renewed
 from odt_plugins.adapters.quadratic import (
-    CORNERS,
+    HIGHER,
+    LAGRANGE,
+    Lattice,
     Quadratic,
     carried_point_data,
     check_mid_nodes,
+    lattice,
+    order_of,
     placed_nodes,
     renumbered,
     warn_of_folds,
@@ -36,20 +41,23 @@ from odt_plugins.adapters.quadratic import (
 from odt_plugins.adapters.regions import AUTO, Labels, region_labels
 from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError, counted
 
-FACES = {"line": 2, "triangle": 3, "line3": 2, "triangle6": 3}
+FACES = {"line": 2, "triangle": 3} | {
+    name: dim + 1 for name, dim in
+    (LAGRANGE | {name: dim for name, (dim, _) in HIGHER.items()}).items() if dim < 3}
 """Cells that must stay faces of the optimised ones, with their number of vertices."""
 
 LINEAR = ("vertex", "line", "triangle", "quad", "polygon", "tetra", "hexahedron", "wedge",
           "pyramid")
 
-QUADRATIC = ("line3", "triangle6", "tetra10")
-"""Cells that may lie in a mesh of quadratic triangles or tetrahedra, beside the linear ones."""
-
-KINDS = ("tetra", "tetra10", "triangle", "triangle6")
+KINDS = (
+    "tetra", *(name for name, (dim, _) in HIGHER.items() if dim == 3), "VTK_LAGRANGE_TETRAHEDRON",
+    "triangle", *(name for name, (dim, _) in HIGHER.items() if dim == 2), "VTK_LAGRANGE_TRIANGLE")
 """Cells that can be optimised, the first ones before the others."""
 
 NODE_ENTITIES, CELL_ENTITIES = "gmsh:dim_tags", "gmsh:geometrical"
 """Data of Gmsh's files: dimension and tag of the entity of a node, tag of that of a cell."""
+
+NORMALS = "Normals"
 
 NOT_CELL_INDICES = ("gmsh:bounding_entities",)
 """Cell sets that hold something else than indices of cells."""
@@ -79,8 +87,9 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     """
     found = {block.type for block in mesh.cells if len(block.data)}
     kind = next((kind for kind in KINDS if kind in found), "triangle")
+    shape = _shape(kind, next((np.shape(b.data)[1] for b in mesh.cells if b.type == kind), 3))
     for block in mesh.cells:
-        known = block.type in (LINEAR if kind in LINEAR else LINEAR + QUADRATIC)
+        known = block.type in LINEAR or _of_order(block, kind, shape)
         if len(block.data) and not known:
             msg = (
                 f"got {counted(len(block.data), 'cell')} of type {block.type}; expected linear "
@@ -105,9 +114,9 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         if i not in chosen and block.type != "vertex" and len(block.data)
     )
     nodes = np.concatenate([mesh.cells[i].data for i in chosen])
-    if kind in QUADRATIC:
-        check_mid_nodes(nodes, len(mesh.points))
-        nodes = nodes[:, : CORNERS[nodes.shape[1]]]
+    if shape is not None:
+        check_mid_nodes(nodes, len(mesh.points), shape)
+        nodes = nodes[:, : shape.shape[1]]
     labels = region_labels(arrays if regions == AUTO else sets | arrays, regions, nodes)
     if regions == AUTO and labels.values is None and sets:
         inside = np.stack(list(sets.values()))
@@ -123,17 +132,37 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         source=mesh,
         layout=dict(zip(chosen, np.cumsum([0, *size[:-1]]).tolist(), strict=True)),
         anchors=_anchors(mesh),
-        quadratic=kind in QUADRATIC,
+        quadratic=shape is not None,
         ids=np.flatnonzero(np.repeat([block.type == kind for block in mesh.cells], sizes)),
         total=sum(sizes),
         fields=field_names({name: np.asarray(v) for name, v in mesh.point_data.items()}),
     )
 
 
+def _shape(kind: str, width: int) -> Lattice | None:
+    """Where the nodes of a type of cells lie; None of linear ones."""
+    if kind in LAGRANGE:
+        return lattice(LAGRANGE[kind], order_of(LAGRANGE[kind], width))
+    if kind not in HIGHER:
+        return None
+    dim, order = HIGHER[kind]
+    return lattice(dim, order, "vtk" if order == 2 else "gmsh")
+
+
+def _of_order(block: Any, kind: str, shape: Lattice | None) -> bool:
+    """Whether cells may lie beside those of a type: of the same order and the same family."""
+    if shape is None or (block.type in LAGRANGE) != (kind in LAGRANGE):
+        return False
+    if block.type in LAGRANGE:
+        dim = LAGRANGE[block.type]
+        return bool(len(lattice(dim, int(shape[0, 0]))) == np.shape(block.data)[1])
+    return HIGHER.get(block.type, (0, 0))[1] == int(shape[0, 0])
+
+
 def write(result: Result, host: HostMesh) -> Any:
     """Copy the caller's mesh and exchange its points and the optimised blocks."""
     out = host.source.copy()
-    if any(out.cells[i].type in QUADRATIC for i in host.layout):
+    if host.quadratic:
         result = _with_mid_nodes(out, result, host)
     elif result.vertices is not None and result.vertices.renumbered:
         _renumber(out, result, result.vertices, host)
@@ -150,7 +179,20 @@ def write(result: Result, host: HostMesh) -> Any:
         local = result.source[here] - start
         block.data = result.cells[here].astype(block.data.dtype)
         _take(out, i, local, end - start)
+    if result.curved and not host.quadratic:
+        _renew_normals(out, result, host)
     return out
+
+
+def _renew_normals(out: Any, result: Result, host: HostMesh) -> None:
+    """Compute the normals of a curved surface anew that VTK's files have under this name."""
+    if NORMALS in out.point_data:
+        out.point_data[NORMALS] = renewed(
+            np.asarray(out.point_data[NORMALS]), result.points, result.cells, of_vertices=True)
+    for i in host.layout if NORMALS in out.cell_data else ():
+        out.cell_data[NORMALS][i] = renewed(
+            np.asarray(out.cell_data[NORMALS][i]), result.points, out.cells[i].data,
+            of_vertices=False)
 
 
 def _anchors(mesh: Any) -> NDArray[Any]:
@@ -211,8 +253,11 @@ def _with_mid_nodes(out: Any, result: Result, host: HostMesh) -> Result:
     nodes = np.concatenate([out.cells[i].data for i in host.layout])
     others = [i for i in range(len(out.cells)) if i not in host.layout]
     kept = [np.asarray(out.cells[i].data).ravel() for i in others]
+    shape = _shape(out.cells[next(iter(host.layout))].type, nodes.shape[1])
+    if shape is None:
+        return result
     q = with_mid_nodes(result, host.points, nodes,
-                       np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *kept])))
+                       np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *kept])), shape)
     warn_of_folds(host.points, nodes, q)
     for i in others:
         old = np.asarray(out.cells[i].data)
@@ -235,7 +280,7 @@ def _node_entities(
 ) -> NDArray[Any]:
     """Dimension and tag (n', 2) of Gmsh's entity of every node; new ones lie in that of a cell."""
     out = values[np.maximum(q.origin, 0)]
-    _set_entities(out, CORNERS[q.cells.shape[1]] - 1, q.cells, q.origin < 0, of_cells)
+    _set_entities(out, q.shape.shape[1] - 1, q.cells, q.origin < 0, of_cells)
     return out
 
 

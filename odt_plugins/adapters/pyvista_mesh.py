@@ -3,9 +3,10 @@
 Everything survives: class, dtype of the points, point, cell and field data, active arrays and
 user dictionary. On a curved surface the active normals are computed anew, and the active texture
 coordinates are interpolated at the new places of the vertices. Other linear cells (lines,
-boundary triangles, quadrilaterals, hexahedra, ...) come back as they are. Quadratic triangles and
-tetrahedra are optimised by their corners, see :mod:`odt_plugins.adapters.quadratic`; other
-quadratic cells, quadratic beside linear ones, polyhedra and triangle strips are refused by name.
+boundary triangles, quadrilaterals, hexahedra, ...) come back as they are. Quadratic and Lagrange
+triangles and tetrahedra are optimised by their corners, see
+:mod:`odt_plugins.adapters.quadratic`; other cells of higher order, such cells beside linear ones,
+polyhedra and triangle strips are refused by name.
 """
 
 from __future__ import annotations
@@ -20,9 +21,10 @@ from odt_plugins.adapters.fields import field_names
 from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
 from odt_plugins.adapters.normals import renewed
 from odt_plugins.adapters.quadratic import (
-    CORNERS,
     carried_point_data,
     check_mid_nodes,
+    lattice,
+    order_of,
     placed_nodes,
     warn_of_folds,
     with_mid_nodes,
@@ -58,13 +60,16 @@ LINEAR = {
 QUADRATIC = {21: "quadratic line", 22: "quadratic triangle", 24: "quadratic tetrahedron"}
 """Cell types that may lie in a mesh of quadratic triangles or tetrahedra beside linear ones."""
 
-NODES = {TETRA: 4, 24: 10, TRIANGLE: 3, 22: 6}
-"""Nodes of the cells that can be optimised, the first ones before the others."""
+LAGRANGE = {68: "Lagrange curve", 69: "Lagrange triangle", 71: "Lagrange tetrahedron"}
+"""Cell types of any order, that may lie beside one another where their order is the same."""
+
+DIMENSION = {TETRA: 3, 24: 3, 71: 3, TRIANGLE: 2, 22: 2, 69: 2}
+"""Dimension of the cells that can be optimised, the first ones before the others."""
 
 REFINED = {VERTEX: 1, LINE: 2, TRIANGLE: 3}
 """Vertices of the cells that can be refined beside others."""
 
-FACES = {21: 2, TRIANGLE: 3, 22: 3}
+FACES = {21: 2, TRIANGLE: 3, 22: 3, 68: 2, 69: 3}
 """Corners of the cells that must stay edges or faces of the optimised ones; lines apart."""
 
 
@@ -92,10 +97,12 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     """
     grid = is_instance(mesh, "pyvista", "UnstructuredGrid")
     nodes, ids, kept = _read_grid(mesh) if grid else _read_polydata(mesh)
-    wide = nodes.shape[1] > 4
+    dim = DIMENSION[int(np.asarray(mesh.celltypes)[ids[0]])] if grid and len(ids) else 2
+    shape = lattice(dim, order_of(dim, nodes.shape[1]))
+    wide = len(shape) > shape.shape[1]
     if wide:
-        check_mid_nodes(nodes, mesh.n_points)
-    corners = nodes[:, : CORNERS[nodes.shape[1]]] if wide else nodes
+        check_mid_nodes(nodes, mesh.n_points, shape)
+    corners = nodes[:, : shape.shape[1]]
     labels = region_labels({name: np.atleast_1d(mesh.cell_data[name])[ids]
                             for name in mesh.cell_data.keys()}, regions, corners)
     name = mesh.point_data.active_texture_coordinates_name
@@ -107,7 +114,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         regions_from=labels.names,
         kept=kept,
         source=mesh,
-        layout=(ids, nodes if wide else None),
+        layout=(ids, nodes if wide else None, shape),
         ids=ids,
         total=mesh.n_cells,
         fields=field_names(
@@ -123,7 +130,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
 def write(result: Result, host: HostMesh) -> Any:
     """Copy the caller's object and exchange its points, cells and cell data."""
     out = host.source.copy(deep=True)
-    ids, nodes = host.layout
+    ids, nodes, _ = host.layout
     out.cell_data.clear()
     vertices = result.vertices
     number = vertices.number if vertices is not None and vertices.renumbered else None
@@ -189,10 +196,12 @@ def _anchors(mesh: Any) -> IndexArray:
 def _read_grid(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]]:
     types = np.asarray(mesh.celltypes)
     there = set(types.tolist())
-    kind = next((k for k in NODES if k in there), TRIANGLE)
-    names = LINEAR if kind in LINEAR else LINEAR | QUADRATIC
+    kind = next((k for k in DIMENSION if k in there), TRIANGLE)
+    names = LINEAR | (LAGRANGE if kind in LAGRANGE else {} if kind in LINEAR else QUADRATIC)
     _refuse_unknown(types, list(names))
     offset, flat = _connectivity(mesh)
+    if kind in LAGRANGE:
+        _expect_one_order(types, np.diff(offset), kind)
     ids = np.flatnonzero(types == kind)
     if not ids.size and types.size:
         found = ", ".join(names[int(t)] for t in np.unique(types))
@@ -202,7 +211,8 @@ def _read_grid(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]
             f"mesh.triangulate()"
         )
         raise UnsupportedMeshError(msg)
-    cells = flat[offset[ids][:, None] + np.arange(NODES[kind])]
+    width = int(np.diff(offset)[ids[0]]) if ids.size else 3
+    cells = flat[offset[ids][:, None] + np.arange(width)]
 
     kept = []
     for other in np.unique(types).tolist():
@@ -219,6 +229,19 @@ def _read_grid(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]
             rows = flat[_positions(start, size)][:, None]
         kept.append(KeptCells(names[other], rows))
     return cells, ids, tuple(kept)
+
+
+def _expect_one_order(types: NDArray[Any], size: IndexArray, kind: int) -> None:
+    """Refuse Lagrange cells of several orders in one grid."""
+    order = order_of(DIMENSION[kind], int(size[types == kind][0]))
+    for other in LAGRANGE:
+        nodes = len(lattice({68: 1, 69: 2, 71: 3}[other], order))
+        bad = np.flatnonzero((types == other) & (size != nodes))
+        if bad.size:
+            name = counted(bad.size, LAGRANGE[other])
+            msg = (f"got {name} of another order than {order} (first: cell {bad[0]}); expected "
+                   f"cells of one order, try extracting them")
+            raise UnsupportedMeshError(msg)
 
 
 def _connectivity(mesh: Any) -> tuple[IndexArray, IndexArray]:
@@ -243,11 +266,11 @@ def _refuse_unknown(types: NDArray[Any], known: list[int]) -> None:
 def _write_quadratic(out: Any, result: Result, host: HostMesh) -> IndexArray:
     """Set cells, points and point data of a grid whose cells have mid-nodes."""
     source = host.source
-    ids, nodes = host.layout
+    ids, nodes, shape = host.layout
     offset, flat = _connectivity(source)
     others = np.ones(len(flat), dtype=np.bool_)
     others[(offset[ids][:, None] + np.arange(nodes.shape[1])).ravel()] = False
-    q = with_mid_nodes(result, host.points, nodes, np.unique(flat[others]))
+    q = with_mid_nodes(result, host.points, nodes, np.unique(flat[others]), shape)
     warn_of_folds(host.points, nodes, q)
     whole = Result(q.points, q.cells, result.source)
     rows = _write_grid(out, whole, source, ids, q.number)

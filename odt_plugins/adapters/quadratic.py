@@ -1,15 +1,20 @@
-"""Quadratic triangles and tetrahedra: the corners are optimised, the mid-nodes follow their edges.
+"""Triangles and tetrahedra of higher order: the corners are optimised, the other nodes follow.
 
-A mid-node whose edge is still there keeps its offset from the middle of that edge, so nodes on a
-curved boundary stay bit for bit. Every edge gets exactly one mid-node: a new edge takes the index
-of a mid-node whose edge has gone, or one at the end; mid-nodes that are left over are removed, and
-the indices above them close up.
+Every node but a corner has its place by whole barycentric weights among the corners of an edge, a
+face or a cell. Where that edge, face or cell is still there and no corner of it has moved, the node
+stays bit for bit, as all nodes on a boundary do. Where a corner has moved, the mid-nodes of
+quadratic cells keep their offset from the straight edge, and nodes of cells of higher order are put
+on the straight edge or face. A place has exactly one node: those of new edges take the indices of
+nodes whose edges have gone, or indices at the end; nodes that are left over are removed, and the
+indices above them close up.
 """
 
 from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
+from math import factorial
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -20,78 +25,160 @@ from odt_plugins.errors import DataNotKeptWarning, InvalidMeshError, ODTWarning,
 from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.simplex import barycentric, determinant
 
-EDGES = {
-    6: np.array([[0, 1], [1, 2], [2, 0]]),
-    10: np.array([[0, 1], [1, 2], [2, 0], [0, 3], [1, 3], [2, 3]]),
-}
-"""Corners at the ends of the edges on which the mid-nodes 3, 4, 5 or 4, ..., 9 lie, as in VTK."""
+Lattice = NDArray[np.int64]
+"""Whole barycentric weights (k, d + 1) of the nodes of a cell, corners first; each sums to p."""
 
-CORNERS = {3: 2, 6: 3, 10: 4}
-"""Corners of a quadratic line, triangle and tetrahedron by their number of nodes."""
+EDGES = {"vtk": ((0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)),
+         "gmsh": ((0, 1), (1, 2), (2, 0), (3, 0), (3, 2), (3, 1))}
+FACES = {"vtk": ((0, 1, 3), (2, 3, 1), (0, 3, 2), (0, 2, 1)),
+         "gmsh": ((0, 2, 1), (0, 1, 3), (0, 3, 2), (3, 1, 2))}
+"""Edges and faces of a tetrahedron in the order in which VTK and Gmsh number the nodes on them,
+from the first corner on; the first three edges are those of a triangle."""
+
+HIGHER = {"line3": (1, 2), "triangle6": (2, 2), "tetra10": (3, 2), "line4": (1, 3),
+          "triangle10": (2, 3), "tetra20": (3, 3), "line5": (1, 4), "triangle15": (2, 4),
+          "tetra35": (3, 4), "line6": (1, 5), "triangle21": (2, 5), "tetra56": (3, 5)}
+"""Dimension and order of simplices with nodes between their corners, by their names in meshio.
+The nodes of quadratic ones are ordered as VTK orders them, those of others as Gmsh does."""
+
+LAGRANGE = {"VTK_LAGRANGE_CURVE": 1, "VTK_LAGRANGE_TRIANGLE": 2, "VTK_LAGRANGE_TETRAHEDRON": 3}
+"""Dimension of simplices of VTK's whose order is told by their number of nodes."""
+
+ORDERS = {2: "quadratic", 3: "cubic", 4: "quartic", 5: "quintic"}
+
+
+@cache
+def lattice(dim: int, order: int, host: str = "vtk") -> Lattice:
+    """Where the nodes of a simplex lie: corners, edges, faces, inside.
+
+    Parameters
+    ----------
+    dim : int      1, 2 or 3
+    order : int    p; the nodes inside a face or cell are those of one of order p - 3 or p - 4
+    host : str     "vtk" or "gmsh"
+
+    Returns
+    -------
+    (k, dim + 1) int64
+    """
+    if order <= 0:
+        return np.zeros((1 + order if order > -1 else 0, dim + 1), dtype=np.int64)
+    parts = [order * np.eye(dim + 1, dtype=np.int64)]
+    step = np.arange(1, order)
+    for a, b in EDGES[host][: (0, 1, 3, 6)[dim]]:
+        on_edge = np.zeros((order - 1, dim + 1), dtype=np.int64)
+        on_edge[:, a], on_edge[:, b] = order - step, step
+        parts.append(on_edge)
+    if dim == 3:
+        inside = lattice(2, order - 3, host) + 1
+        for face in FACES[host]:
+            on_face = np.zeros((len(inside), 4), dtype=np.int64)
+            on_face[:, face] = inside
+            parts.append(on_face)
+    if dim > 1:
+        parts.append(lattice(dim, order - dim - 1, host) + 1)
+    return np.concatenate(parts)
+
+
+def order_of(dim: int, nodes: int) -> int:
+    """Order of a simplex with so many nodes.
+
+    Raises
+    ------
+    InvalidMeshError    there is none
+    """
+    for order in range(1, 20):
+        if len(lattice(dim, order)) == nodes:
+            return order
+    kind = {1: "line", 2: "triangle", 3: "tetrahedron"}[dim]
+    msg = f"got a {kind} of {nodes} nodes; expected those of one order, such as {dim + 1}"
+    raise InvalidMeshError(msg)
+
+
+class Places(NamedTuple):
+    """Where nodes lie.
+
+    Attributes
+    ----------
+    corners : (k, s) int64      corners of the edge, face or cell, ascending; where there are fewer
+                                than s the first one again, with the weight 0
+    weights : (k, s) float64    barycentric coordinates there
+    key : (k,) int64            equal for equal places; comparable within one call only
+    """
+
+    corners: NDArray[np.int64]
+    weights: NDArray[np.float64]
+    key: NDArray[np.int64]
 
 
 @dataclass(frozen=True)
 class Quadratic:
-    """Quadratic cells after the corners were optimised.
+    """Cells of higher order after the corners were optimised.
 
     Attributes
     ----------
     points : (n', D)             all nodes, in the caller's dtype
-    cells : (m', 6 or 10)        indices of the new nodes, in the caller's dtype
-    origin : (n',) int           old node of every node; -1 at mid-nodes of new edges
-    ends : (n', 2) int           new nodes at the ends of the edge of every mid-node of a new edge,
-                                 elsewhere the node itself
+    cells : (m', k)              indices of the new nodes, in the caller's dtype
+    origin : (n',) int           old node of every node; -1 at nodes of new places
+    corners : (n', s) int        new nodes among which a node of a new place lies
+    weights : (n', s)            its barycentric coordinates there
     number : (n,) int            new index of every old node, -1 if it is gone
-    gone : (g,) int              old mid-nodes whose edges have gone
-    gone_ends : (g, 2) int       old nodes at the ends of these edges
+    gone : (g,) int              old nodes whose places have gone
+    gone_places : Places         where they were, by old nodes
+    shape : (k, d + 1) int       lattice of a cell
     """
 
     points: NDArray[Any]
     cells: NDArray[Any]
     origin: NDArray[np.int64]
-    ends: NDArray[np.int64]
+    corners: NDArray[np.int64]
+    weights: NDArray[np.float64]
     number: NDArray[np.int64]
     gone: NDArray[np.int64]
-    gone_ends: NDArray[np.int64]
+    gone_places: Places
+    shape: Lattice
 
 
-def check_mid_nodes(rows: NDArray[Any], n: int) -> None:
-    """Refuse quadratic cells whose mid-nodes are not one for every edge.
+def check_mid_nodes(rows: NDArray[Any], n: int, shape: Lattice) -> None:
+    """Refuse cells of higher order whose nodes are not one for every place.
 
     Parameters
     ----------
-    rows : (m, 6 or 10) int    nodes of the cells, mid-nodes after the corners
-    n : int                    number of nodes
+    rows : (m, k) int         nodes of the cells
+    n : int                   number of nodes
+    shape : (k, d + 1) int    lattice of a cell
 
     Raises
     ------
-    InvalidMeshError           indices out of range, two mid-nodes on one edge, one on two edges
+    InvalidMeshError           indices out of range, two nodes on one place, one on two
     """
+    order, corners = int(shape[0, 0]), shape.shape[1]
     bad = np.flatnonzero(((rows < 0) | (rows >= n)).any(axis=1))
     if bad.size:
         msg = (
-            f"got {bad.size} quadratic cells with node indices out of range (first: cell "
+            f"got {bad.size} {_name(order)} cells with node indices out of range (first: cell "
             f"{bad[0]}); expected 0 to {n - 1} for {n} nodes"
         )
         raise InvalidMeshError(msg)
-    edge, mid = _edges(rows)
-    key = row_keys(edge, n)
-    for one, other, what in ((key, mid, "edges with more than one mid-node"),
-                             (mid, key, "mid-nodes that lie on more than one edge")):
-        order = np.argsort(one, kind="stable")
-        twin = one[order][1:] == one[order][:-1]
-        wrong = np.flatnonzero(twin & (other[order][1:] != other[order][:-1]))
+    wide = rows.astype(np.int64)
+    places, mid = _places(wide[:, :corners], shape, n), wide[:, corners:].ravel()
+    what = ("edge", "edges") if order == 2 else ("place", "places of an edge, face or cell")
+    for one, other, text in ((places.key, mid, f"{what[1]} with more than one mid-node"),
+                             (mid, places.key, f"mid-nodes that lie on more than one {what[0]}")):
+        by_one = np.argsort(one, kind="stable")
+        twin = one[by_one][1:] == one[by_one][:-1]
+        wrong = np.flatnonzero(twin & (other[by_one][1:] != other[by_one][:-1]))
         if wrong.size:
-            first = order[wrong[0]]
-            count = len(np.unique(one[order[wrong]]))
+            first = by_one[wrong[0]]
+            count = len(np.unique(one[by_one[wrong]]))
+            around = np.unique(places.corners[first]).tolist()
             msg = (
-                f"got {count} {what} (first: node {mid[first]} on the edge "
-                f"{edge[first].tolist()}); expected one mid-node for every edge, try merging "
-                f"nodes at the same place"
+                f"got {count} {text} (first: node {mid[first]} on the edge or face {around}); "
+                f"expected one mid-node for every {what[0]}, try merging nodes at the same place"
             )
             raise InvalidMeshError(msg)
     is_corner = np.zeros(n, dtype=np.bool_)
-    is_corner[rows[:, : CORNERS[rows.shape[1]]]] = True
+    is_corner[rows[:, :corners]] = True
     wrong = np.unique(mid[is_corner[mid]])
     if wrong.size:
         msg = (
@@ -101,37 +188,42 @@ def check_mid_nodes(rows: NDArray[Any], n: int) -> None:
         raise InvalidMeshError(msg)
 
 
+def _name(order: int) -> str:
+    return ORDERS.get(order, f"order-{order}")
+
+
 def with_mid_nodes(
-    result: Result, points: NDArray[Any], rows: NDArray[Any], kept: NDArray[Any]
+    result: Result, points: NDArray[Any], rows: NDArray[Any], kept: NDArray[Any], shape: Lattice
 ) -> Quadratic:
-    """Put mid-nodes on all edges of optimised corner cells.
+    """Put nodes on all places of optimised corner cells.
 
     Parameters
     ----------
-    result : Result          corners after optimisation: points (n, D), cells (m', d + 1)
-    points : (n, D)          all nodes of the input
-    rows : (m, 6 or 10)      nodes of the input cells
-    kept : (k,) int          nodes of other cells, which stay even where their edge is gone
+    result : Result           corners after optimisation: points (n, D), cells (m', d + 1)
+    points : (n, D)           all nodes of the input
+    rows : (m, k)             nodes of the input cells
+    kept : (k,) int           nodes of other cells, which stay even where their place is gone
+    shape : (k, d + 1) int    lattice of a cell
 
     Returns
     -------
     Quadratic
     """
-    n, k = len(points), rows.shape[1]
-    edge, mid = _edges(rows)
-    corner = result.cells.astype(np.int64)
-    wanted = np.sort(corner[:, EDGES[k]].reshape(-1, 2), axis=1)
-    keys = row_keys(np.concatenate([edge, wanted]), n)
-    old_key, first = np.unique(keys[: len(edge)], return_index=True)
-    old_edge, old_mid = edge[first], mid[first]
+    n, d = len(points), shape.shape[1]
+    wide, corner = rows.astype(np.int64), result.cells.astype(np.int64)
+    places = _places(np.concatenate([wide[:, :d], corner]), shape, n)
+    mid = wide[:, d:].ravel()
+    old_key, first = np.unique(places.key[: len(mid)], return_index=True)
+    old_mid = mid[first]
     new_key, new_first, inverse = np.unique(
-        keys[len(edge) :], return_index=True, return_inverse=True)
+        places.key[len(mid) :], return_index=True, return_inverse=True)
+    new_first += len(mid)
     place = np.minimum(np.searchsorted(old_key, new_key), len(old_key) - 1)
     stays = old_key[place] == new_key
 
     lost = np.ones(len(old_key), dtype=np.bool_)
     lost[place[stays]] = False
-    gone, gone_ends = old_mid[lost], old_edge[lost]
+    gone = old_mid[lost]
     free = np.setdiff1d(gone, kept)
     fresh = np.flatnonzero(~stays)
     taken = np.concatenate([free[: len(fresh)], n + np.arange(max(len(fresh) - len(free), 0))])
@@ -143,17 +235,21 @@ def with_mid_nodes(
     out[:n] = points
     used = np.unique(corner)
     out[used] = result.points[used]
-    ends = wanted[new_first]
-    _follow(out, points, result.points, node[stays], ends[stays])
-    out[taken] = 0.5 * (out[ends[fresh, 0]] + out[ends[fresh, 1]])
+    around, weights = places.corners[new_first], places.weights[new_first]
+    _follow(out, points, result.points, node[stays], (around[stays], weights[stays]),
+            int(shape[0, 0]))
+    out[taken] = _mean(out, around[fresh], weights[fresh])
 
     there = np.ones(total, dtype=np.bool_)
     there[free[len(fresh) :]] = False
     number = np.where(there, np.cumsum(there) - 1, -1)
     origin = np.arange(total)
     origin[taken] = -1
-    pair = np.repeat(np.arange(total)[:, None], 2, axis=1)
-    pair[taken] = ends[fresh]
+    beside = np.repeat(np.arange(total)[:, None], around.shape[1], axis=1)
+    beside[taken] = around[fresh]
+    share = np.zeros(beside.shape)
+    share[:, 0] = 1.0
+    share[taken] = weights[fresh]
     cells = np.concatenate([corner, node[inverse.reshape(len(corner), -1)]], axis=1)
     old_number = number[:n].copy()
     old_number[gone] = np.where(np.isin(gone, kept), number[gone], -1)
@@ -161,18 +257,45 @@ def with_mid_nodes(
         points=out[there].astype(points.dtype),
         cells=number[cells].astype(rows.dtype),
         origin=origin[there],
-        ends=number[pair[there]],
+        corners=number[beside[there]],
+        weights=share[there],
         number=old_number,
         gone=gone,
-        gone_ends=gone_ends,
+        gone_places=Places(places.corners[first][lost], places.weights[first][lost],
+                           old_key[lost]),
+        shape=shape,
     )
 
 
-def _edges(rows: NDArray[Any]) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Sorted corners (e, 2) of every edge of every cell, and its mid-node (e,)."""
-    wide = rows.astype(np.int64)
-    edge = np.sort(wide[:, EDGES[rows.shape[1]]].reshape(-1, 2), axis=1)
-    return edge, wide[:, CORNERS[rows.shape[1]] :].ravel()
+def _places(corners: NDArray[np.int64], shape: Lattice, n: int) -> Places:
+    """Where the nodes behind the corners of every cell lie, cell by cell."""
+    order, inner = int(shape[0, 0]), shape[shape.shape[1] :]
+    width = int((inner > 0).sum(axis=1).max())
+    chosen = np.argsort(inner == 0, axis=1, kind="stable")[:, :width]
+    weights = np.broadcast_to(np.take_along_axis(inner, chosen, axis=1),
+                              (len(corners), *chosen.shape)).reshape(-1, width)
+    around = corners[:, chosen].reshape(-1, width)
+    # The corners that count come first, ascending.
+    by_index = np.argsort(np.where(weights > 0, around, n), axis=1, kind="stable")
+    around = np.take_along_axis(around, by_index, axis=1)
+    weights = np.take_along_axis(weights, by_index, axis=1)
+    around = np.where(weights > 0, around, around[:, :1])
+    code = weights @ (order + 1) ** np.arange(width)
+    base = max(n, (order + 1) ** width)
+    key = row_keys(np.concatenate([around, code[:, None]], axis=1), base)
+    return Places(around, weights / order, key)
+
+
+def _mean(
+    values: NDArray[Any], corners: NDArray[np.int64], weights: NDArray[np.float64]
+) -> NDArray[Any]:
+    """Weighted sums (k, ...) of values (n, ...) at corners (k, s)."""
+    shares = weights.reshape(*weights.shape, *(1,) * (values.ndim - 1))
+    terms = shares * values[corners]
+    total = terms[:, 0]
+    for i in range(1, terms.shape[1]):
+        total = total + terms[:, i]
+    return np.asarray(total)
 
 
 def _follow(
@@ -180,13 +303,17 @@ def _follow(
     before: NDArray[Any],
     after: NDArray[Any],
     node: NDArray[np.int64],
-    ends: NDArray[np.int64],
+    places: tuple[NDArray[np.int64], NDArray[np.float64]],
+    order: int,
 ) -> None:
-    """Move the mid-nodes of edges that are still there, where an end has moved."""
-    moved = (before[ends] != after[ends]).any(axis=(1, 2))
-    node, (a, b) = node[moved], ends[moved].T
-    shift = np.asarray(after, dtype=np.float64) - np.asarray(before, dtype=np.float64)
-    out[node] += 0.5 * (shift[a] + shift[b])
+    """Move the nodes of places that are still there, where a corner has moved."""
+    moved = (before[places[0]] != after[places[0]]).any(axis=(1, 2))
+    node, corners, weights = node[moved], places[0][moved], places[1][moved]
+    if order == 2:
+        shift = np.asarray(after, dtype=np.float64) - np.asarray(before, dtype=np.float64)
+        out[node] += _mean(shift, corners, weights)
+    else:
+        out[node] = _mean(out, corners, weights)
 
 
 class Placed(NamedTuple):
@@ -194,16 +321,18 @@ class Placed(NamedTuple):
 
     Attributes
     ----------
-    node : (k,) int            of the result
-    cell : (k, 6 or 10) int    nodes of the input cell around each
-    weights : (k, d + 1)       its barycentric coordinates with respect to the corners of that cell
-    middle : (k, e, d + 1)     those of the mid-nodes of that cell
+    node : (q,) int            of the result
+    cell : (q, k) int          nodes of the input cell around each
+    weights : (q, d + 1)       its barycentric coordinates with respect to the corners of that cell
+    middle : (q, e, d + 1)     those of the nodes between the corners of that cell
+    share : (q, e)             values of their shape functions there
     """
 
     node: NDArray[np.intp]
     cell: NDArray[Any]
     weights: NDArray[np.float64]
     middle: NDArray[np.float64]
+    share: NDArray[np.float64]
 
 
 def placed_nodes(
@@ -214,7 +343,7 @@ def placed_nodes(
     Parameters
     ----------
     q, result : the nodes after :func:`with_mid_nodes`, and its argument
-    points, rows : (n, D), (m, 6 or 10)    all nodes and the cells of the input
+    points, rows : (n, D), (m, k)    all nodes and the cells of the input
     """
     node = np.flatnonzero((q.origin < 0) | (q.points != points[q.origin]).any(axis=1))
     if result.locate is None or not node.size:
@@ -224,27 +353,26 @@ def placed_nodes(
     which, weights = result.locate(q.points[node].astype(np.float64), near[node])
     x = np.asarray(points, dtype=np.float64)[rows[which]]
     x = x - x[:, :1]
-    c = CORNERS[rows.shape[1]]
+    c = q.shape.shape[1]
     if x.shape[2] > c - 1:
         x = np.einsum("kid,kjd->kij", x, x[:, 1:c])
-    edges = rows.shape[1] - c
-    middle = barycentric(np.repeat(x[:, None, :c], edges, axis=1), x[:, c:])
-    return Placed(node, rows[which], weights, middle)
+    between = rows.shape[1] - c
+    middle = barycentric(np.repeat(x[:, None, :c], between, axis=1), x[:, c:])
+    return Placed(node, rows[which], weights, middle, shape_values(q.shape, weights)[:, c:])
 
 
 def _at_places(values: NDArray[Any], placed: Placed) -> NDArray[Any]:
-    """The field of the input at nodes (k, ...): linear between corners, and its mid-nodes' bubbles.
+    """The field of the input at nodes (q, ...): linear between corners, and what others add.
 
-    A mid-node adds 4 w_a w_b times what its value differs from that of the linear function at its
-    place: linear fields are exact in curved cells too, quadratic ones where edges are straight.
+    A node between the corners adds its shape function times what its value differs from that of
+    the linear function at its place: linear fields are exact in curved cells too, polynomials of
+    the order of the cells where edges are straight.
     """
-    k, c = placed.cell.shape[1], placed.weights.shape[1]
+    c = placed.weights.shape[1]
     wide = values[placed.cell].astype(np.result_type(values, np.float64))
-    a, b = EDGES[k].T
-    bubble = 4.0 * placed.weights[:, a] * placed.weights[:, b]
     more = wide[:, c:] - np.einsum("kec,kc...->ke...", placed.middle, wide[:, :c])
     straight = interpolated(wide[:, :c], placed.weights)
-    return np.asarray(straight + np.einsum("ke,ke...->k...", bubble, more))
+    return np.asarray(straight + np.einsum("ke,ke...->k...", placed.share, more))
 
 
 def carried_point_data(
@@ -261,23 +389,22 @@ def carried_point_data(
 
     Returns
     -------
-    (n', ...)             nodes that are still there keep their value; the mid-node of a new edge
-                          takes the mean of the ends, or for data other than floating-point numbers
-                          the value of the end of lower index
+    (n', ...)             nodes that are still there keep their value; the node of a new place takes
+                          the linear interpolation of its corners, or for data other than
+                          floating-point numbers the value of the nearest, of lowest index
 
     Warns
     -----
-    DataNotKeptWarning    the value of a mid-node whose edge has gone was not what interpolation
-                          on that edge gives
+    DataNotKeptWarning    the value of a node whose place has gone was not what interpolation
+                          gives there
     """
     out = values[np.maximum(q.origin, 0)]
     if placed is not None:
         out[placed.node] = _at_places(values, placed)
         return out
     new = np.flatnonzero(q.origin < 0)
-    a, b = (values[q.origin[q.ends[new, i]]] for i in (0, 1))
-    out[new] = _between(a, b)
-    expected = _between(values[q.gone_ends[:, 0]], values[q.gone_ends[:, 1]])
+    out[new] = _between(values, q.origin[q.corners[new]], q.weights[new])
+    expected = _between(values, q.gone_places.corners, q.gone_places.weights)
     off = expected != values[q.gone]
     if values.dtype.kind in "fc":
         size = np.abs(values).max() if values.size else 0.0
@@ -292,10 +419,15 @@ def carried_point_data(
     return out
 
 
-def _between(a: NDArray[Any], b: NDArray[Any]) -> NDArray[Any]:
-    if a.dtype.kind not in "fc":
-        return a
-    mean: NDArray[Any] = ((a.astype(np.result_type(a, np.float64)) + b) / 2).astype(a.dtype)
+def _between(
+    values: NDArray[Any], corners: NDArray[np.int64], weights: NDArray[np.float64]
+) -> NDArray[Any]:
+    if values.dtype.kind not in "fc":
+        nearest = weights.argmax(axis=1)
+        values_there: NDArray[Any] = values[corners[np.arange(len(corners)), nearest]]
+        return values_there
+    wide = values.astype(np.result_type(values, np.float64), copy=False)
+    mean: NDArray[Any] = _mean(wide, corners, weights).astype(values.dtype)
     return mean
 
 
@@ -305,22 +437,20 @@ def warn_of_folds(before: NDArray[Any], rows: NDArray[Any], q: Quadratic) -> Non
     The promise holds for the corners; a strongly curved boundary can reach through a straight
     neighbour. Cells are told by the sign of the Jacobian at all nodes.
     """
-    bad = np.flatnonzero(_folded(q.points, q.cells))
-    if bad.size and not _folded(before, rows).any():
+    bad = np.flatnonzero(_folded(q.points, q.cells, q.shape))
+    if bad.size and not _folded(before, rows, q.shape).any():
         msg = (
-            f"{bad.size} quadratic cells (first: cell {bad[0]}) have a Jacobian of changing sign; "
-            f"expected none as in the input, try a selection without the cells at the curved "
-            f"boundary"
+            f"{bad.size} {_name(int(q.shape[0, 0]))} cells (first: cell {bad[0]}) have a Jacobian "
+            f"of changing sign; expected none as in the input, try a selection without the cells "
+            f"at the curved boundary"
         )
         warn(msg, ODTWarning)
 
 
-def _folded(points: NDArray[Any], rows: NDArray[Any]) -> NDArray[np.bool_]:
+def _folded(points: NDArray[Any], rows: NDArray[Any], shape: Lattice) -> NDArray[np.bool_]:
     """Cells whose Jacobian determinant is not of one sign at their nodes."""
-    k = rows.shape[1]
-    gradient = _shape_gradients(k)
     x = np.asarray(points, dtype=np.float64)[rows]
-    jacobian = np.einsum("qkd,mkx->mqdx", gradient, x)
+    jacobian = np.einsum("qkd,mkx->mqdx", shape_gradients(shape), x)
     if jacobian.shape[2] == jacobian.shape[3]:
         det = determinant(np.moveaxis(jacobian, (2, 3), (0, 1)))
     else:
@@ -330,16 +460,41 @@ def _folded(points: NDArray[Any], rows: NDArray[Any]) -> NDArray[np.bool_]:
     return folded
 
 
-def _shape_gradients(k: int) -> NDArray[np.float64]:
-    """Gradients (k, k, d) of the quadratic shape functions at the nodes, reference coordinates."""
-    d = CORNERS[k] - 1
-    corner = np.eye(d + 1)
-    nodes = np.concatenate([corner, 0.5 * corner[EDGES[k]].sum(axis=1)])
-    slope = np.concatenate([-np.ones((1, d)), np.eye(d)])
-    at_corners = (4.0 * nodes[:, :, None] - 1.0) * slope
-    a, b = EDGES[k].T
-    on_edges = 4.0 * (nodes[:, a, None] * slope[b] + nodes[:, b, None] * slope[a])
-    return np.concatenate([at_corners, on_edges], axis=1)
+def shape_values(shape: Lattice, weights: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Shape functions (q, k) of all nodes at barycentric coordinates (q, d + 1).
+
+    See :func:`shape_gradients`.
+    """
+    order = int(shape[0, 0])
+    at = np.ones((order + 1, *weights.shape))
+    for a in range(order):
+        at[a + 1] = at[a] * (order * weights - a) / (a + 1)
+    out: NDArray[np.float64] = np.stack(
+        [np.prod([at[a, :, i] for i, a in enumerate(node)], axis=0) for node in shape.tolist()],
+        axis=1)
+    return out
+
+
+def shape_gradients(shape: Lattice) -> NDArray[np.float64]:
+    """Gradients (k, k, d) of the shape functions at the nodes, in reference coordinates.
+
+    That of the node a is the product over the corners i of P(p l_i; a_i), with the barycentric
+    coordinates l and P(x; a) = x (x - 1) ... (x - a + 1) / a!.
+    """
+    order, d = int(shape[0, 0]), shape.shape[1] - 1
+    value = np.empty((order + 1, order + 1))
+    slope = np.empty((order + 1, order + 1))
+    for a in range(order + 1):
+        polynomial = np.poly1d(np.poly(np.arange(a)) / factorial(a))
+        value[a] = polynomial(np.arange(order + 1))
+        slope[a] = order * polynomial.deriv()(np.arange(order + 1))
+    at = value[shape[None], shape[:, None]]
+    gradient = np.zeros((len(shape), len(shape), d))
+    for i in range(d + 1):
+        others = np.delete(at, i, axis=2).prod(axis=2)
+        along = others * slope[shape[None, :, i], shape[:, None, i]]
+        gradient += along[:, :, None] * (np.eye(d)[i - 1] if i else -np.ones(d))
+    return gradient
 
 
 def renumbered(mapping: Mapping[str, Any], q: Quadratic) -> dict[str, Any]:

@@ -1,4 +1,4 @@
-"""Readers of meshio, run so that each of them comes to an end whatever the file holds."""
+"""Readers of meshio and VTK, run so that each of them comes to an end whatever the file holds."""
 
 from __future__ import annotations
 
@@ -14,9 +14,10 @@ from typing import Any
 
 import numpy as np
 
-from odt_plugins.adapters import apart
+from odt_plugins.adapters import apart, gmsh_files, netgen_files, vtk_files
+from odt_plugins.adapters.legacy import expect_whole
 from odt_plugins.adapters.stated import expect_counts, expect_held
-from odt_plugins.errors import MeshFileError
+from odt_plugins.errors import InvalidMeshError, MeshFileError
 
 LEAST = 20.0
 """Seconds that the reading of any file may take."""
@@ -65,7 +66,7 @@ class Ending(io.FileIO):
 
 
 def read(path: Path, name: str) -> tuple[Any, list[str]]:
-    """Read a file by one reader of meshio.
+    """Read a file by one reader of meshio; files of VTK by its own, where VTK is installed.
 
     Parameters
     ----------
@@ -75,7 +76,7 @@ def read(path: Path, name: str) -> tuple[Any, list[str]]:
     Returns
     -------
     mesh : meshio.Mesh
-    remarks : list of str    what meshio and NumPy say about it, one sentence an entry
+    remarks : list of str    what the reader and NumPy say about it, one sentence an entry
 
     Raises
     ------
@@ -83,18 +84,76 @@ def read(path: Path, name: str) -> tuple[Any, list[str]]:
     Exception       anything at all, on a file that is broken
     """
     size = expect_counts(path, name)
+    if name == "vtk":
+        expect_whole(path)
     seconds = LEAST + size / RATE
     try:
-        if name in apart.HDF5:
-            mesh, said = apart.call(_read_heard, path, name, seconds=seconds)
+        if name in vtk_files.FORMATS and vtk_files.installed():
+            mesh, said = _read_vtk(path, name, seconds)
         else:
-            with remarks() as said:
-                mesh = within(seconds, lambda: _read(path, name))
+            mesh, said = _read_meshio(path, name, seconds)
     except TimeoutError as exc:
         msg = f"it takes longer than {seconds:.3g} s, the limit for {size} bytes"
         raise TimeoutError(msg) from exc
     expect_held(path, name, mesh)
     return mesh, said
+
+
+def _read_vtk(path: Path, name: str, seconds: float) -> tuple[Any, list[str]]:
+    """Read a file by VTK; what VTK does not read, meshio may: that is said."""
+    try:
+        mesh, said = apart.call(vtk_files.read, path, name, seconds=seconds)
+    except (TimeoutError, InvalidMeshError):
+        raise
+    # VTK refuses, or has crashed.
+    except Exception as exc:
+        if name not in _readers():
+            raise
+        try:
+            mesh, said = _read_meshio(path, name, seconds)
+        except TimeoutError:
+            raise
+        except Exception:
+            raise exc from None
+        return mesh, [f"VTK cannot read it, meshio can ({' '.join(str(exc).split())[:200]})", *said]
+    return mesh, said
+
+
+MORE: dict[str, tuple[Callable[[], bool], Callable[..., Any], str]] = {
+    "gmsh": (gmsh_files.installed, gmsh_files.translate,
+             r"Incompatible cell data|len\(points\) = "),
+    "nastran": (gmsh_files.installed, gmsh_files.translate_bdf, '"BEGIN BULK" statement not found'),
+    "netgen": (netgen_files.installed, netgen_files.read, "Unknown Netgen mesh token"),
+}
+"""Toolkits that read more files of a format than meshio: whether they are there, how they read, and
+what meshio says of those files."""
+
+
+def _read_meshio(path: Path, name: str, seconds: float) -> tuple[Any, list[str]]:
+    """Read a file by meshio; by the toolkit that wrote it what meshio does not know."""
+    try:
+        return _read_alone(path, name, seconds)
+    except Exception as exc:
+        there, reader, unknown = MORE.get(name, (bool, vtk_files.read, "$^"))
+        old = name == "gmsh" and re.match(rb"\$MeshFormat\s+4(\.0)?\s", path.read_bytes()[:40])
+        if not (old or re.search(unknown, str(exc))) or not there():
+            raise
+        return apart.call(reader, path, seconds=seconds), []
+
+
+def _read_alone(path: Path, name: str, seconds: float) -> tuple[Any, list[str]]:
+    if name in apart.HDF5:
+        mesh, said = apart.call(_read_heard, path, name, seconds=seconds)
+    else:
+        with remarks() as said:
+            mesh = within(seconds, lambda: _read(path, name))
+    return mesh, said
+
+
+def _readers() -> dict[str, Any]:
+    from meshio._helpers import reader_map
+
+    return dict(reader_map)
 
 
 def _read_heard(path: Path, name: str) -> tuple[Any, list[str]]:
@@ -104,9 +163,8 @@ def _read_heard(path: Path, name: str) -> tuple[Any, list[str]]:
 
 def _read(path: Path, name: str) -> Any:
     from meshio._helpers import reader_map
-    from meshio.gmsh.main import read_buffer
 
-    reader = read_buffer if name == "gmsh" else reader_map[name]
+    reader = gmsh_files.read if name == "gmsh" else reader_map[name]
     # A number that is none would become an index. The first bytes of an STL file of text, taken
     # for a number of triangles, overflow.
     with (

@@ -11,6 +11,11 @@ from odt_plugins.errors import MeshFileError
 
 COMMENTS = rb"(?:\s*#[^\n]*\n)*\s*"
 
+VTK_XML = rb"\sNumberOf(?:Points|Cells|Verts|Lines|Strips|Polys|Tuples)\s*=\s*[\"'](\d+)[\"']"
+
+PACKED = 1100
+"""Most bytes of data in a byte of a file that is packed by zlib, as the arrays of VTK's are."""
+
 COUNTS = {
     "ansys": rb"\((?:20|30)?1[0-3]\s*\(\s*[\da-fA-F]+\s+[\da-fA-F]+\s+([\da-fA-F]+)",
     "avsucd": rb"\A" + COMMENTS + rb"(\d+)\s+(\d+)",
@@ -23,7 +28,9 @@ COUNTS = {
     "su2": rb"\n[ \t]*(?:NPOIN|NELEM|MARKER_ELEMS)\s*=\s*(\d+)",
     "tetgen": rb"\A" + COMMENTS + rb"(\d+)",
     "ugrid": rb"\A\s*(\d+)" + 6 * rb"\s+(\d+)",
+    "vtp": VTK_XML,
     "vtk": rb"\n(?:POINTS|CELLS|CELL_TYPES|POINT_DATA|CELL_DATA)\s+(\d+)",
+    "vtu": VTK_XML,
 }
 """Where a format states how many items follow, or the last index. Tecplot files state it too, but
 their reader goes line by line and allocates nothing beforehand."""
@@ -60,7 +67,8 @@ def expect_counts(path: Path, name: str) -> int:
         found = None
         for found in re.finditer(COUNTS[name], part.read_bytes()):
             base = 16 if name == "ansys" else 10
-            if any(int(count, base) > size for count in found.groups() if count):
+            most = size * PACKED if COUNTS[name] == VTK_XML else size
+            if any(int(count, base) > most for count in found.groups() if count):
                 said = " ".join(found[0].decode("ascii", "replace").split())
                 msg = f"{part.name} says {said[-60:]!r} and has {size} bytes"
                 raise MeshFileError(msg)

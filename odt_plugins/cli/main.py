@@ -161,6 +161,11 @@ def _cluster_flags(command: Callable[..., Any]) -> Callable[..., Any]:
                    "workers.")
 @click.option("--block-rounds", type=click.IntRange(min=1), default=3, show_default=True,
               help="Most rounds of --blocks, cut elsewhere in each.")
+@click.option("--file-format", type=click.Choice(["gmsh22", "gmsh41"]),
+              help="Version of a .msh file; that of INPUT unless given.")
+@click.option("--ascii/--binary", "text", default=None,
+              help="Write OUTPUT as text or binary, where its format has both; unless given a "
+                   ".msh file is as INPUT was, others are binary.")
 @_cluster_flags
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 def optimize(
@@ -170,6 +175,8 @@ def optimize(
     plot_file: Path | None,
     blocks: int | None,
     block_rounds: int,
+    file_format: str | None,
+    text: bool | None,
     scheduler: str | None,
     workers: int,
     quiet: bool,
@@ -184,6 +191,9 @@ def optimize(
     check_paths(target, report_file, plot_file)
     options = _resolve_arrays(source, options)
     pieces = target.suffix == ".pvtu"
+    if pieces and (file_format or text is not None):
+        msg = "--file-format, --ascii and --binary are for meshes of one file, OUTPUT names pieces"
+        raise click.UsageError(msg)
     if blocks is None and (scheduler or workers) and not pieces:
         msg = "--scheduler and --workers need --blocks, the number of blocks to cut the mesh into"
         raise click.UsageError(msg)
@@ -197,18 +207,19 @@ def optimize(
         progress_bar(quiet) as progress,
     ):
         options["progress"] = progress
+        written: Any = {"file_format": file_format, "binary": None if text is None else not text}
         report: Any
         if pieces:
             from odt_plugins.distributed.pieces import optimize_pieces
 
             report = optimize_pieces(source, target, block_rounds, client=client, **options)
         elif blocks is None:
-            report = optimize_file(source, target, **options)
+            report = optimize_file(source, target, **written, **options)
         else:
             from odt_plugins.distributed.optimize import optimize_file_partitioned
 
             report = optimize_file_partitioned(source, target, blocks, block_rounds,
-                                               client=client, **options)
+                                               client=client, **written, **options)
     if not quiet:
         click.echo(str(report))
     if report_file:

@@ -144,17 +144,19 @@ def optimize_file_partitioned(
     *,
     client: Any = None,
     odt: Mapping[str, Any] | None = None,
+    file_format: str | None = None,
+    binary: bool | None = None,
     **options: Unpack[OptionKeywords],
 ) -> Report:
     """Improve the mesh of one file in blocks and write it to another, or to the same.
 
     As :func:`odt_plugins.optimize_file`: `target` is complete, or as it was before.
     """
-    check_output(target)
+    check_output(target, file_format, binary)
     mesh, report = optimize_partitioned_with_report(
         read_file(source), blocks, block_rounds, client=client, odt=odt, **options
     )
-    write_file(target, mesh)
+    write_file(target, mesh, file_format, binary)
     return report
 
 

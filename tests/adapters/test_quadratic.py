@@ -17,6 +17,7 @@ from odt_plugins.adapters.host import Result
 from odt_plugins.adapters.quadratic import (
     carried_point_data,
     check_mid_nodes,
+    lattice,
     warn_of_folds,
     with_mid_nodes,
 )
@@ -214,7 +215,7 @@ def test_more_edges_get_nodes_at_the_end_and_fewer_close_up():
     """Two tetrahedra on one face become three around an edge, and back."""
     nodes, rows, _ = wide(TWO)
     result = Result(nodes, np.array(THREE), np.array([0, 0, 1], dtype=np.int32))
-    q = with_mid_nodes(result, nodes, rows, np.zeros(0, dtype=int))
+    q = with_mid_nodes(result, nodes, rows, np.zeros(0, dtype=int), lattice(3, 2))
     assert len(q.points) == len(nodes) + 1
     assert q.points[-1] == pytest.approx([0.3, 0.3, 0.0])
     assert q.number.tolist() == list(range(len(nodes)))
@@ -225,7 +226,7 @@ def test_more_edges_get_nodes_at_the_end_and_fewer_close_up():
     result = Result(nodes, np.array(TWO), np.array([0, 1], dtype=np.int32))
     lost = mid[3, 4]
     for kept in ([], [lost]):
-        q = with_mid_nodes(result, nodes, rows, np.array(kept, dtype=int))
+        q = with_mid_nodes(result, nodes, rows, np.array(kept, dtype=int), lattice(3, 2))
         assert q.gone.tolist() == [lost]
         assert len(q.points) == len(nodes) - 1 + len(kept)
         assert (q.number[lost] >= 0) == bool(kept)
@@ -235,7 +236,7 @@ def test_more_edges_get_nodes_at_the_end_and_fewer_close_up():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         carried_point_data("kept", np.arange(len(nodes)), q)
-    q = with_mid_nodes(result, nodes, rows, np.zeros(0, dtype=int))
+    q = with_mid_nodes(result, nodes, rows, np.zeros(0, dtype=int), lattice(3, 2))
     with pytest.warns(DataNotKeptWarning, match=rf"'label' of 1 mid-nodes \(first: node {lost}\)"):
         assert len(carried_point_data("label", np.arange(len(nodes)), q)) == len(nodes) - 1
 
@@ -374,7 +375,7 @@ def _an_index_too_large(rows, spare):
 def test_mid_nodes_that_do_not_fit_are_named(spoil, message):
     points, rows, _ = quadratic_grid(3, n=1)
     points = np.vstack([points, points[:1]])
-    check_mid_nodes(rows, len(points))
+    check_mid_nodes(rows, len(points), lattice(3, 2))
     spoil(rows, len(points) - 1)
     with pytest.raises(InvalidMeshError, match=message):
         odt_plugins.optimize(meshio.Mesh(points, [("tetra10", rows)]))
@@ -398,7 +399,7 @@ def test_cells_that_fold_between_their_corners_are_named(d):
     for (a, b), mid in edges_of(rows, d).items():
         straight[mid] = (points[a] + points[b]) / 2
     same = Result(straight, rows[:, : d + 1], np.arange(len(rows), dtype=np.int32))
-    q = with_mid_nodes(same, straight, rows, np.zeros(0, dtype=int))
+    q = with_mid_nodes(same, straight, rows, np.zeros(0, dtype=int), lattice(d, 2))
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         warn_of_folds(straight, rows, q)
@@ -406,7 +407,8 @@ def test_cells_that_fold_between_their_corners_are_named(d):
     a, b, c = straight[rows[5][:3]]
     bent[rows[5][d + 1]] = (a + b) / 2 + 0.6 * (c - (a + b) / 2)
     # At that mid-node the Jacobian is 1 - 2 * 0.6 times the old one.
-    again = with_mid_nodes(same._replace(points=bent), bent, rows, np.zeros(0, dtype=int))
+    again = with_mid_nodes(same._replace(points=bent), bent, rows, np.zeros(0, dtype=int),
+                           lattice(d, 2))
     with pytest.warns(ODTWarning, match=r"quadratic cells \(first: cell \d+\) have a Jacobian"):
         warn_of_folds(straight, rows, again)
     with warnings.catch_warnings():

@@ -70,7 +70,7 @@ def test_flags_are_the_fields_of_options_with_their_defaults() -> None:
     found = flags()
     named = {f.name for f in fields(Options)} - {"progress"}
     own = {"source", "target", "report_file", "plot_file", "quiet", "blocks", "block_rounds",
-           "scheduler", "workers"}
+           "scheduler", "workers", "file_format", "text"}
     assert set(found) == named | own
     for field in fields(Options):
         if field.name == "progress":

@@ -17,6 +17,7 @@ import quadratic_meshes
 import surface_meshes
 
 import odt_plugins
+from odt_plugins.adapters import files
 from odt_plugins.engine.run.outcome import Outcome
 from odt_plugins.quality import radius_ratio
 
@@ -440,16 +441,30 @@ def file_mesh(suffix, dim, mesh=None):
                        **FILES[suffix][0](points, cells, labels))
 
 
+def store(path, mesh):
+    """Write a file of one of FILES; a legacy one of VTK by VTK, as meshio's is none with int32."""
+    if path.suffix == ".vtk" and mesh.cells:
+        files.write_file(path, mesh)
+    else:
+        meshio.write(path, mesh, FILES[path.suffix][1])
+
+
 def _file(suffix, dim):
     """A file in the working directory, and what `optimize_file` makes of it."""
-    _, name, region = FILES[suffix]
+    region = FILES[suffix][2]
 
     def make(mesh=None):
         path = Path(f"{len(list(Path().iterdir()))}{suffix}")
-        meshio.write(path, file_mesh(suffix, dim, mesh), file_format=name)
+        store(path, file_mesh(suffix, dim, mesh))
         return path
 
     def view(path):
+        if suffix == ".vtk":
+            import pyvista
+
+            mesh = pyvista.read(path)
+            return View(np.array(mesh.points), mesh.cells_dict[5 if dim == 2 else 10],
+                        *map(_copy_data, (mesh.point_data, mesh.cell_data, mesh.field_data)))
         mesh = meshio.gmsh.read(path) if suffix == ".msh" else meshio.read(path)
         return meshio_view("triangle" if dim == 2 else "tetra")(mesh)
 

@@ -1,0 +1,283 @@
+"""What of a mesh each format of meshio holds, and a mesh made so that its writer takes it."""
+
+from __future__ import annotations
+
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.adapters.gmsh_files import BOOKKEEPING, ENTITY, PHYSICAL, is_group
+from odt_plugins.adapters.quadratic import HIGHER, LAGRANGE, lattice, order_of
+from odt_plugins.adapters.regions import REGION_ARRAYS
+from odt_plugins.errors import UnsupportedMeshError
+
+
+class Form(NamedTuple):
+    """What a format holds.
+
+    Attributes
+    ----------
+    label : str or None    name that meshio gives to the one array of labels of cells
+    points, cells : bool   whether it holds other arrays of points and of cells
+    beside : bool          whether it holds cells of lower dimension beside the others
+    blocks : bool          whether several blocks may have cells of one type
+    sets : bool            whether it holds sets
+    text : bool            whether it is written as text or binary, as asked
+    """
+
+    label: str | None = None
+    points: bool = True
+    cells: bool = True
+    beside: bool = True
+    blocks: bool = False
+    sets: bool = False
+    text: bool = False
+
+
+EVERYTHING = Form(sets=True, text=True)
+
+FORMS = {
+    "abaqus": Form(points=False, cells=False, blocks=True, sets=True),
+    "avsucd": Form("avsucd:material", cells=False),
+    "cgns": Form(points=False, cells=False, beside=False),
+    "dolfin-xml": Form(points=False, beside=False),
+    "exodus": Form(blocks=True),
+    "flac3d": Form(points=False, cells=False, beside=False, text=True),
+    "gmsh": Form(blocks=True, sets=True, text=True),
+    "gmsh22": Form(blocks=True, text=True),
+    "h5m": Form(cells=False),
+    "hmf": Form(),
+    "mdpa": Form(),
+    "med": Form("cell_tags"),
+    "medit": Form("medit:ref", points=False, cells=False),
+    "nastran": Form("nastran:ref", points=False, cells=False),
+    "netgen": Form("netgen:index", points=False, cells=False),
+    "permas": Form(points=False, cells=False, blocks=True),
+    "su2": Form("su2:tag", points=False, cells=False),
+    "tecplot": Form(beside=False),
+    "tetgen": Form("tetgen:ref", points=False, cells=False, beside=False),
+    "ugrid": Form("ugrid:ref", points=False, cells=False),
+    "vtk": EVERYTHING,
+    "vtp": EVERYTHING,
+    "vtu": EVERYTHING,
+    "xdmf": Form(),
+}
+"""Formats by their name in meshio; of those that are not here meshio is given all there is."""
+
+POINT_LABELS = ("medit:ref", "tetgen:ref", "point_tags")
+"""Labels of points that formats hold beside their labels of cells."""
+
+MAIN = ("tetra", "triangle")
+
+TETRAHEDRA = ("cgns", "flac3d", "tetgen")
+"""Formats in which meshio writes cells in space only."""
+
+
+def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
+    """Make a mesh that a format holds: one block a type, groups as labels, no more than it takes.
+
+    Parameters
+    ----------
+    mesh : meshio.Mesh    not changed
+    name : str            of the format
+
+    Returns
+    -------
+    mesh : meshio.Mesh
+    lost : list of str    cells that the format does not hold
+
+    Raises
+    ------
+    UnsupportedMeshError    the format holds tetrahedra only, and there are none
+    """
+    form = FORMS.get(name)
+    if form is None:
+        return mesh.copy(), []
+    out = mesh.copy()
+    lost = []
+    if name in TETRAHEDRA and not any(block.type == "tetra" for block in out.cells):
+        msg = f"it holds no cells of type {', '.join(sorted({b.type for b in out.cells}))}"
+        raise UnsupportedMeshError(msg)
+    if not form.beside:
+        main = next((kind for kind in MAIN if any(b.type == kind for b in out.cells)), None)
+        kinds = {b.type for b in out.cells if main is not None and len(b.data)} - {main}
+        lost = [f"{sum(len(b.data) for b in out.cells if b.type == kind)} cells of type {kind}"
+                for kind in sorted(kinds)]
+        _choose(out, [i for i, b in enumerate(out.cells) if main in (None, b.type)])
+    _reorder(out, form)
+    if name in ("gmsh", "gmsh22"):
+        return _with_tags(out, name), lost
+    named = _named_groups(out)
+    out.gmsh_periodic = None
+    for array in BOOKKEEPING if form is not EVERYTHING else BOOKKEEPING[1:]:
+        out.point_data.pop(array, None)
+        out.cell_sets.pop(array, None)
+    if named and not form.sets:
+        out.cell_sets = {}
+    elif form.cells:
+        out.cell_sets = {key: value for key, value in out.cell_sets.items() if key not in named}
+    elif form.sets:
+        out.cell_sets = named | out.cell_sets
+    if form is not EVERYTHING:
+        out.field_data = {key: value for key, value in out.field_data.items() if is_group(value)}
+    if not form.blocks:
+        _merge(out)
+    labels = _labels(out, form.label)
+    if not form.cells or (form.label and name != "med"):
+        out.cell_data = {}
+    if form.label and labels is not None:
+        if PHYSICAL in out.cell_data:
+            out.cell_data.pop(PHYSICAL)
+            out.cell_data.pop(ENTITY, None)
+        out.cell_data[form.label] = labels
+    if not form.points:
+        out.point_data = {key: value for key, value in out.point_data.items()
+                          if key in POINT_LABELS and key == form.label}
+    if name == "med":
+        out.cell_data = {key: value for key, value in out.cell_data.items()
+                         if key == form.label or value[0].dtype.kind == "f"}
+        _name_families(out)
+    if name == "hmf" and len(out.cells) > 1:
+        out.cell_data = {}
+    if name in ("su2", "ugrid"):
+        _as_written(out, name)
+    return out, lost
+
+
+def _choose(mesh: Any, chosen: list[int]) -> None:
+    """Keep some of the blocks."""
+    mesh.cells = [mesh.cells[i] for i in chosen]
+    mesh.cell_data = {name: [values[i] for i in chosen] for name, values in mesh.cell_data.items()}
+    mesh.cell_sets = {name: [members[i] for i in chosen]
+                      for name, members in mesh.cell_sets.items()}
+
+
+def _reorder(mesh: Any, form: Form) -> None:
+    """Give cubic and higher simplices the names and the order of nodes that the format has."""
+    from meshio import CellBlock
+
+    gmsh = {(dim, order): name for name, (dim, order) in HIGHER.items() if order > 2}
+    vtk = {dim: name for name, dim in LAGRANGE.items()}
+    for i, block in enumerate(mesh.cells):
+        if form is EVERYTHING and HIGHER.get(block.type, (0, 0)) in gmsh:
+            dim, order = HIGHER[block.type]
+            kind, hosts = vtk[dim], ("gmsh", "vtk")
+        elif form is not EVERYTHING and block.type in LAGRANGE:
+            dim = LAGRANGE[block.type]
+            order = order_of(dim, block.data.shape[1])
+            kind, hosts = gmsh.get((dim, order), block.type), ("vtk", "gmsh")
+        else:
+            continue
+        if kind != block.type:
+            was, now = ([tuple(node) for node in lattice(dim, order, host).tolist()]
+                        for host in hosts)
+            mesh.cells[i] = CellBlock(kind, block.data[:, [was.index(node) for node in now]])
+
+
+def _merge(mesh: Any) -> None:
+    """Join the blocks of each type, in the order in which the types first appear."""
+    from meshio import CellBlock
+
+    groups: dict[Any, list[int]] = {}
+    for i, block in enumerate(mesh.cells):
+        if len(block.data):
+            groups.setdefault((block.type, np.shape(block.data)[1:]), []).append(i)
+    if all(len(group) == 1 for group in groups.values()) and len(groups) == len(mesh.cells):
+        return
+    sizes = [len(block.data) for block in mesh.cells]
+    mesh.cell_sets = {
+        name: [np.concatenate([_indices(members[i]) + sum(sizes[j] for j in group if j < i)
+                               for i in group]) for group in groups.values()]
+        for name, members in mesh.cell_sets.items()}
+    mesh.cell_data = {name: [np.concatenate([np.asarray(values[i]) for i in group])
+                             for group in groups.values()]
+                      for name, values in mesh.cell_data.items()}
+    mesh.cells = [CellBlock(kind, np.concatenate([mesh.cells[i].data for i in group]))
+                  for (kind, _), group in groups.items()]
+
+
+def _indices(members: Any) -> NDArray[np.int64]:
+    """Indices of the members of a set in a block, given as such or as a mask."""
+    given = np.asarray([] if members is None else members)
+    found: NDArray[np.int64] = (np.flatnonzero(given) if given.dtype == np.bool_
+                                else given.astype(np.int64))
+    return found
+
+
+def _named_groups(mesh: Any) -> dict[str, list[Any]]:
+    """Cell sets of the named physical groups of Gmsh, as their labels tell them."""
+    groups = mesh.cell_data.get(PHYSICAL)
+    if groups is None:
+        return {}
+    out = {}
+    for name, value in mesh.field_data.items():
+        if is_group(value):
+            out[name] = [np.flatnonzero(np.asarray(group) == value[0]) if block.dim == value[1]
+                         else np.zeros(0, dtype=np.int64)
+                         for block, group in zip(mesh.cells, groups, strict=True)]
+    return out
+
+
+def _labels(mesh: Any, label: str | None) -> list[NDArray[Any]] | None:
+    """Integers of cells that become the labels of a format: its own, or known ones, or others."""
+    def fits(values: Any) -> bool:
+        parts = [np.asarray(part) for part in values]
+        return all(part.ndim == 1 and part.dtype.kind in "iu" for part in parts)
+
+    there = [name for name in (label, *REGION_ARRAYS, *mesh.cell_data)
+             if name in mesh.cell_data and fits(mesh.cell_data[name])]
+    differ = [name for name in there if any(np.any(part) for part in mesh.cell_data[name])]
+    return mesh.cell_data[(differ or there)[0]] if there else None
+
+
+def _name_families(mesh: Any) -> None:
+    """Give the families of a MED file the names of Gmsh's groups."""
+    names: dict[int, list[str]] = {}
+    for name, value in mesh.field_data.items():
+        if is_group(value):
+            names.setdefault(int(value[0]), []).append(name)
+    if names and not hasattr(mesh, "cell_tags"):
+        mesh.cell_tags = names
+    mesh.field_data = {}
+
+
+class _Pair(tuple):  # type: ignore[type-arg]
+    """Type and nodes of a block, as meshio's writer of .su2 files takes them apart."""
+
+    type = property(lambda self: self[0])
+    data = property(lambda self: self[1])
+
+    def __len__(self) -> int:
+        return len(self[1])
+
+
+def _as_written(mesh: Any, name: str) -> None:
+    """Give blocks and labels the form in which meshio's writers of .su2 and .ugrid use them."""
+    if name == "su2":
+        flat = mesh.points.shape[1] == 3 and not mesh.points[:, 2].any()
+        if flat and not any(block.dim == 3 for block in mesh.cells):
+            mesh.points = mesh.points[:, :2]
+        mesh.cells = [_Pair((block.type, block.data)) for block in mesh.cells]
+        return
+    flat = [i for i, block in enumerate(mesh.cells) if block.type in ("triangle", "quad")]
+    labels = mesh.cell_data.pop("ugrid:ref", None)
+    if labels is not None and len(flat) == 1:
+        mesh.cell_data["ugrid:ref"] = labels[flat[0]]
+
+
+def group_names(mesh: Any) -> set[str]:
+    """Names of the physical groups of Gmsh that have cells."""
+    return {name for name, members in _named_groups(mesh).items() if any(map(len, members))}
+
+
+def _with_tags(mesh: Any, name: str) -> Any:
+    """Give a mesh for Gmsh the tags of groups and entities that it lacks."""
+    for tag, value in ((PHYSICAL, 0), (ENTITY, 1)):
+        if tag not in mesh.cell_data:
+            mesh.cell_data[tag] = [np.full(len(block.data), value, dtype=np.int32)
+                                   for block in mesh.cells]
+    if name == "gmsh22":
+        mesh.point_data.pop(BOOKKEEPING[0], None)
+    mesh.field_data = {key: value for key, value in mesh.field_data.items() if is_group(value)}
+    return mesh

@@ -1,0 +1,106 @@
+"""Legacy files of VTK: whether all data are there that the file announces.
+
+Neither VTK nor meshio notices when the last arrays of a file are cut off.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import BinaryIO
+
+from odt_plugins.errors import MeshFileError
+
+SIZES = {b"bit": 0, b"char": 1, b"signed_char": 1, b"unsigned_char": 1, b"short": 2,
+         b"unsigned_short": 2, b"int": 4, b"unsigned_int": 4, b"long": 8, b"unsigned_long": 8,
+         b"float": 4, b"double": 8, b"vtkidtype": 4, b"vtktypeint64": 8, b"vtktypeuint64": 8,
+         b"vtktypeint32": 4, b"vtktypeuint32": 4, b"vtktypeint16": 2, b"vtktypeuint16": 2,
+         b"vtktypeint8": 1, b"vtktypeuint8": 1}
+"""Bytes of a number of each type; eight bits are one."""
+
+LISTS = (b"CELLS", b"VERTICES", b"LINES", b"POLYGONS", b"TRIANGLE_STRIPS")
+
+COMPONENTS = {b"VECTORS": 3, b"NORMALS": 3, b"TENSORS": 9, b"TENSORS6": 6}
+
+
+def expect_whole(path: Path) -> None:
+    """Walk through a file from one announcement to the next, as far as its words are known.
+
+    Raises
+    ------
+    MeshFileError    the file ends within what it announces
+    """
+    with path.open("rb") as file:
+        file.readline()
+        file.readline()
+        text = file.readline().strip().upper() == b"ASCII"
+        rows = 0
+        try:
+            while line := file.readline():
+                words = line.split()
+                if not words:
+                    continue
+                if words[0].upper() in (b"POINT_DATA", b"CELL_DATA"):
+                    rows = int(words[1])
+                elif words[0].upper() == b"METADATA":
+                    while file.readline().strip():
+                        pass
+                elif words[0].upper() not in (b"DATASET", b"FIELD"):
+                    for count, kind in _announced(words, rows, file):
+                        _pass(file, count, kind, text, words)
+        # A word that VTK may know; the readers judge the rest.
+        except (KeyError, IndexError, ValueError):
+            return
+
+
+def _announced(words: list[bytes], rows: int, file: BinaryIO) -> list[tuple[int, bytes]]:
+    """Numbers and types of the values that follow a line.
+
+    Raises
+    ------
+    KeyError, IndexError, ValueError    it is none that announces values
+    """
+    name = words[0].upper()
+    if name == b"POINTS":
+        return [(3 * int(words[1]), words[2])]
+    if name in LISTS:
+        at = file.tell()
+        follows = file.readline().split()
+        file.seek(at)
+        if follows[0].upper() != b"OFFSETS":
+            return [(int(words[2]), b"int")]
+        return [(-1, b""), (int(words[1]), follows[1]), (-1, b""), (int(words[2]), follows[1])]
+    if name == b"CELL_TYPES":
+        return [(int(words[1]), b"int")]
+    if name == b"SCALARS":
+        return [(-1, b""), (rows * int(words[3] if len(words) > 3 else 1), words[2])]
+    if name == b"LOOKUP_TABLE":
+        return [(4 * int(words[2]), b"unsigned_char")]
+    if name == b"COLOR_SCALARS":
+        return [(rows * int(words[2]), b"unsigned_char")]
+    if name == b"TEXTURE_COORDINATES":
+        return [(rows * int(words[2]), words[3])]
+    if name in COMPONENTS:
+        return [(rows * COMPONENTS[name], words[2])]
+    return [(int(words[1]) * int(words[2]), words[3])]
+
+
+def _pass(file: BinaryIO, count: int, kind: bytes, text: bool, words: list[bytes]) -> None:
+    """Go on behind values, or behind a line where the count is -1."""
+    if count < 0:
+        while (line := file.readline()) and not line.strip():
+            pass
+        return
+    size = SIZES[kind.lower()]
+    if text:
+        while count > 0 and (line := file.readline()):
+            count -= len(line.split())
+        there = count <= 0
+    else:
+        wanted = count * size if size else -(-count // 8)
+        end = file.seek(0, 1) + wanted
+        there = end <= file.seek(0, 2)
+        file.seek(end)
+    if not there:
+        said = b" ".join(words).decode("ascii", "replace")
+        msg = f"it ends within what {said[:60]!r} announces"
+        raise MeshFileError(msg)

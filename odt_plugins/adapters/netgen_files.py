@@ -1,0 +1,65 @@
+"""Netgen's own files, `.vol`, by Netgen: meshio knows the sections of its older files only."""
+
+from __future__ import annotations
+
+import os
+import tempfile
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+
+def installed() -> bool:
+    """Say whether Netgen is there."""
+    return find_spec("netgen") is not None
+
+
+def read(path: Path) -> Any:
+    """Read a file by Netgen.
+
+    Returns
+    -------
+    meshio.Mesh    lines, triangles and tetrahedra of one order, with the cell data
+                   ``netgen:index``: materials of tetrahedra, boundary conditions of triangles;
+                   their first names are field data
+
+    Raises
+    ------
+    Exception      anything at all, on a file that is broken
+    """
+    from meshio import Mesh
+    from netgen.meshing import Mesh as NetgenMesh
+
+    mesh = NetgenMesh()
+    whole = str(path.resolve())
+    # Netgen writes into the directory in which it runs.
+    with tempfile.TemporaryDirectory() as folder:
+        os.chdir(folder)
+        mesh.Load(whole)
+        os.chdir("/")
+    points = np.array(mesh.Coordinates(), dtype=np.float64)
+    condition = np.array([0] + [mesh.FaceDescriptor(i + 1).bc
+                                for i in range(mesh.GetNFaceDescriptors())])
+    cells: list[Any] = []
+    labels = []
+    for elements, corners, kind in ((mesh.Elements2D(), 3, "triangle"),
+                                    (mesh.Elements3D(), 4, "tetra")):
+        table = elements.NumPy()
+        if not len(table):
+            continue
+        nodes = np.array([element.vertices for element in elements], dtype=object)
+        if any(len(row) != corners for row in nodes):
+            msg = f"it has elements other than {kind}"
+            raise ValueError(msg)
+        cells.append((kind, table["nodes"][:, :corners].astype(np.int64) - 1))
+        index = table["index"].astype(np.int64)
+        labels.append(condition[index] if corners == 3 else index)
+    names: dict[str, Any] = {}
+    for i in range(1, int(max(map(np.max, labels), default=0)) + 1):
+        names.setdefault(mesh.GetMaterial(i), np.array([i, 3]))
+    for i, number in enumerate(condition[1:].tolist()):
+        names.setdefault(mesh.GetBCName(i), np.array([number, 2]))
+    names = {name: tag for name, tag in names.items() if name and name != "default"}
+    return Mesh(points, cells, None, {"netgen:index": labels}, names)

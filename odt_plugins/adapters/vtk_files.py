@@ -1,0 +1,393 @@
+"""Files of VTK, `.vtk`, `.vtu` and `.vtp`, through VTK's own readers and writers.
+
+meshio reads no legacy file with integers of one or two bytes and writes some that VTK cannot read.
+VTK's readers are C++: they run in a process of their own (:mod:`odt_plugins.adapters.apart`).
+"""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.errors import InvalidMeshError, MeshFileError, UnsupportedMeshError
+
+FORMATS = {"vtk": "legacy", "vtu": "UnstructuredGrid", "vtp": "PolyData"}
+"""Formats that VTK reads and writes, by their name in meshio, which knows no .vtp."""
+
+SPLIT = {2: ("vertex", 1), 4: ("line", 2)}
+"""Poly-vertices and poly-lines come as vertices and lines, one for each of their parts."""
+
+TURNED = {8: ("quad", [0, 1, 3, 2]), 11: ("hexahedron", [0, 1, 3, 2, 4, 5, 7, 6])}
+"""Pixels and voxels come as quadrilaterals and hexahedra."""
+
+POLYDATA: tuple[tuple[str, dict[int, int], int], ...] = (
+    ("Verts", {1: 1}, 2), ("Lines", {2: 3}, 4), ("Polys", {3: 5, 4: 9}, 7), ("Strips", {}, 6))
+"""Parts of PolyData in the order of their cell data: cell types by number of nodes, and of
+other numbers."""
+
+SECOND_NAMES = {"char": "int8", "signed_char": "int8", "unsigned_char": "uint8", "short": "int16",
+                "unsigned_short": "uint16", "int": "int32", "unsigned_int": "uint32",
+                "long": "int64", "unsigned_long": "uint64"}
+"""Words of legacy files that meshio does not know, or takes for another type."""
+
+
+def installed() -> bool:
+    """Say whether VTK is there; it comes with pyvista."""
+    return find_spec("vtkmodules") is not None
+
+
+def read(path: Path, name: str) -> tuple[Any, list[str]]:
+    """Read a file by VTK: one block for each type of cells, all arrays in the types of the file.
+
+    Parameters
+    ----------
+    path : path
+    name : str    one of FORMATS
+
+    Returns
+    -------
+    mesh : meshio.Mesh
+    remarks : list of str    cells that come as others
+
+    Raises
+    ------
+    MeshFileError           VTK says that the file is broken, or it has no cells
+    InvalidMeshError        it has cells of other numbers of nodes than their type has
+    UnsupportedMeshError    it holds no grid of cells that meshio has a name for
+    """
+    source = _reader(name)
+    source.SetFileName(str(path))
+    said = _run(source)
+    if said:
+        raise MeshFileError(said)
+    dataset = source.GetOutput()
+    if dataset is None or not dataset.IsA("vtkPointSet"):
+        kind = "nothing" if dataset is None else dataset.GetClassName()
+        msg = f"it holds {kind}, expected vtkUnstructuredGrid or vtkPolyData"
+        raise UnsupportedMeshError(msg)
+    if not dataset.GetNumberOfCells():
+        msg = "it has no cells"
+        raise MeshFileError(msg)
+    return _mesh(dataset)
+
+
+def write_and_read(path: Path, mesh: Any, name: str, binary: bool = True) -> tuple[Any, str]:
+    """Write a mesh by VTK, and read the file again: by VTK, and by meshio.
+
+    Parameters
+    ----------
+    path : path
+    mesh : meshio.Mesh    point and cell sets are written as arrays of 0 and 1
+    name : str            one of FORMATS
+    binary : bool         or as text
+
+    Returns
+    -------
+    back : meshio.Mesh    what VTK reads
+    said : str            how that differs from what meshio reads; empty when it does not, or
+                          when meshio does not know something in the file
+
+    Raises
+    ------
+    MeshFileError           VTK could not write
+    UnsupportedMeshError    the format does not hold such cells
+    """
+    if not any(len(block.data) for block in mesh.cells):
+        msg = "the mesh has no cells"
+        raise UnsupportedMeshError(msg)
+    sink = _writer(name, binary)
+    sink.SetFileName(str(path))
+    sink.SetInputData(_polydata(mesh) if name == "vtp" else _grid(mesh))
+    said = _run(sink)
+    if said or not path.is_file():
+        raise MeshFileError(said or "VTK wrote nothing")
+    back, _ = read(path, name)
+    return back, "" if name == "vtp" else _second_look(path, name, back)
+
+
+def _reader(name: str) -> Any:
+    if name == "vtk":
+        from vtkmodules.vtkIOLegacy import vtkDataSetReader
+
+        reader = vtkDataSetReader()
+        for kind in ("Scalars", "Vectors", "Normals", "Tensors", "ColorScalars", "TCoords",
+                     "Fields"):
+            getattr(reader, f"ReadAll{kind}On")()
+        return reader
+    from vtkmodules import vtkIOXML
+
+    return getattr(vtkIOXML, f"vtkXML{FORMATS[name]}Reader")()
+
+
+def _writer(name: str, binary: bool) -> Any:
+    if name == "vtk":
+        from vtkmodules.vtkIOLegacy import vtkDataSetWriter
+
+        writer = vtkDataSetWriter()
+        (writer.SetFileTypeToBinary if binary else writer.SetFileTypeToASCII)()
+        return writer
+    from vtkmodules import vtkIOXML
+
+    writer = getattr(vtkIOXML, f"vtkXML{FORMATS[name]}Writer")()
+    (writer.SetDataModeToBinary if binary else writer.SetDataModeToAscii)()
+    return writer
+
+
+def _run(algorithm: Any) -> str:
+    """Run a reader or writer, and give the first error that VTK tells, in one line."""
+    from vtkmodules.vtkCommonCore import vtkOutputWindow, vtkStringOutputWindow
+
+    window, before = vtkStringOutputWindow(), vtkOutputWindow.GetInstance()
+    vtkOutputWindow.SetInstance(window)
+    try:
+        algorithm.Update() if hasattr(algorithm, "GetOutput") else algorithm.Write()
+    finally:
+        vtkOutputWindow.SetInstance(before)
+    errors = [part.partition("\n\n")[0].partition("): ")[2] or part
+              for part in window.GetOutput().split("ERROR:")[1:]]
+    if not errors and algorithm.GetErrorCode():
+        from vtkmodules.vtkCommonMisc import vtkErrorCode
+
+        errors = [vtkErrorCode.GetStringFromErrorCode(algorithm.GetErrorCode())]
+    return " ".join(errors[0].split()) if errors else ""
+
+
+def _mesh(dataset: Any) -> tuple[Any, list[str]]:
+    """Take a grid or PolyData apart into a meshio.Mesh; also which cells come as others."""
+    from meshio import Mesh
+    from meshio._common import num_nodes_per_cell
+
+    names = _names()
+    types, offset, flat = _cells(dataset)
+    size = np.diff(offset)
+    if len(types) != len(size) or (size < 0).any() or offset[0] != 0 or offset[-1] != len(flat):
+        msg = "its cells do not fit together"
+        raise InvalidMeshError(msg)
+    blocks: list[Any] = []
+    rows: list[NDArray[Any]] = []
+    said: list[str] = []
+    kinds = types.astype(np.int64) * (int(size.max()) + 1) + size
+    _, first = np.unique(kinds, return_index=True)
+    for i in np.sort(first):
+        kind, width = int(types[i]), int(size[i])
+        which = np.flatnonzero(kinds == kinds[i])
+        nodes = flat[offset[which][:, None] + np.arange(width)]
+        if kind in SPLIT:
+            name, step = SPLIT[kind]
+            said.append(f"poly-{name} cells come as {name} cells")
+            nodes = np.stack([nodes[:, j : width - step + j + 1] for j in range(step)], axis=2)
+            which = np.repeat(which, nodes.shape[1])
+            nodes = nodes.reshape(-1, step)
+        elif kind in TURNED:
+            name, order = TURNED[kind]
+            said.append(f"VTK's cells of type {kind} come as {name} cells")
+            nodes = nodes[:, order]
+        elif kind in names.vtk_to_meshio_type and kind not in (0, 42):
+            name, order = names.vtk_to_meshio_type[kind], names.vtk_to_meshio_order(kind)
+            nodes = nodes if order is None else nodes[:, order]
+        else:
+            msg = f"it has cells of VTK's type {kind} (first: cell {i})"
+            raise UnsupportedMeshError(msg)
+        if nodes.shape[1] != num_nodes_per_cell.get(name, nodes.shape[1]):
+            msg = f"its cell {i} is of type {name} and has {width} nodes"
+            raise InvalidMeshError(msg)
+        same = [j for j, (other, old) in enumerate(blocks)
+                if other == name and old.shape[1:] == nodes.shape[1:]]
+        if same:
+            blocks[same[0]] = (name, np.concatenate([blocks[same[0]][1], nodes]))
+            rows[same[0]] = np.concatenate([rows[same[0]], which])
+        else:
+            blocks.append((name, nodes))
+            rows.append(which)
+    cell_data = {key: [values[row] for row in rows]
+                 for key, values in _arrays(dataset.GetCellData()).items()}
+    point_data: Any = _arrays(dataset.GetPointData())
+    mesh = Mesh(_numpy(dataset.GetPoints().GetData()), blocks, point_data, cell_data,
+                _arrays(dataset.GetFieldData()))
+    return mesh, list(dict.fromkeys(said))
+
+
+def _names() -> Any:
+    """Tables of meshio: names and order of nodes of VTK's cell types."""
+    import meshio._vtk_common
+
+    return meshio._vtk_common
+
+
+def _cells(dataset: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
+    """Types (m,) of the cells, and their nodes: offsets (m + 1,) into the last array."""
+    if dataset.IsA("vtkUnstructuredGrid"):
+        cells = dataset.GetCells()
+        return (_numpy(dataset.GetCellTypes()), _numpy(cells.GetOffsetsArray()),
+                _numpy(cells.GetConnectivityArray()))
+    if not dataset.IsA("vtkPolyData"):
+        msg = f"it holds {dataset.GetClassName()}, expected vtkUnstructuredGrid or vtkPolyData"
+        raise UnsupportedMeshError(msg)
+    types, sizes, flat = [], [], []
+    for part, kinds, other in POLYDATA:
+        cells = getattr(dataset, f"Get{part}")()
+        size = np.diff(_numpy(cells.GetOffsetsArray()))
+        types.append(np.array([kinds.get(k, other) for k in size.tolist()], dtype=np.int64))
+        sizes.append(size)
+        flat.append(_numpy(cells.GetConnectivityArray()))
+    offset = np.concatenate([[0], np.cumsum(np.concatenate(sizes))])
+    return np.concatenate(types), offset, np.concatenate(flat)
+
+
+def _numpy(array: Any) -> NDArray[Any]:
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+
+    if array.IsA("vtkStringArray"):
+        return np.array([array.GetValue(i) for i in range(array.GetNumberOfValues())], dtype=str)
+    return np.array(vtk_to_numpy(array))
+
+
+def _arrays(data: Any) -> dict[str, NDArray[Any]]:
+    """All arrays by name; those without a name are called after their number."""
+    arrays = [data.GetAbstractArray(i) for i in range(data.GetNumberOfArrays())]
+    return {array.GetName() or f"array {i}": _numpy(array) for i, array in enumerate(arrays)}
+
+
+def _polydata(mesh: Any) -> Any:
+    """Make PolyData, whose cells are vertices, lines and polygons, in this order."""
+    from meshio import Mesh
+    from vtkmodules.vtkCommonDataModel import vtkPolyData
+
+    kinds = _names().meshio_to_vtk_type
+    part = {kind: i for i, (_, some, other) in enumerate(POLYDATA)
+            for kind in (*some.values(), other)}
+    numbers = [part.get(kinds.get(block.type), -1) for block in mesh.cells]
+    if -1 in numbers:
+        name = mesh.cells[numbers.index(-1)].type
+        msg = f"PolyData holds no cells of type {name}"
+        raise UnsupportedMeshError(msg)
+    order = np.argsort(numbers, kind="stable")
+    ordered = Mesh(
+        mesh.points, [mesh.cells[i] for i in order], mesh.point_data,
+        {name: [values[i] for i in order] for name, values in mesh.cell_data.items()},
+        mesh.field_data, mesh.point_sets,
+        {name: [members[i] for i in order] for name, members in mesh.cell_sets.items()},
+    )
+    out = vtkPolyData()
+    for i, (name, _, _) in enumerate(POLYDATA):
+        chosen = [mesh.cells[j].data for j in order if numbers[j] == i]
+        if chosen:
+            getattr(out, f"Set{name}")(_cell_array(chosen))
+    return _with_data(out, ordered)
+
+
+def _grid(mesh: Any) -> Any:
+    from vtkmodules.util.numpy_support import numpy_to_vtk
+    from vtkmodules.vtkCommonDataModel import vtkUnstructuredGrid
+
+    names = _names()
+    kinds = names.meshio_to_vtk_type
+    unknown = [block.type for block in mesh.cells if block.type not in kinds]
+    if unknown:
+        msg = f"VTK has no cells of type {unknown[0]}"
+        raise UnsupportedMeshError(msg)
+    orders = [names.meshio_to_vtk_order(block.type) for block in mesh.cells]
+    nodes = [block.data if order is None else block.data[:, order]
+             for block, order in zip(mesh.cells, orders, strict=True)]
+    types = np.concatenate([np.full(len(block.data), kinds[block.type], np.uint8)
+                            for block in mesh.cells])
+    out = vtkUnstructuredGrid()
+    out.SetCells(numpy_to_vtk(types, deep=True), _cell_array(nodes))
+    return _with_data(out, mesh)
+
+
+def _cell_array(blocks: list[NDArray[Any]]) -> Any:
+    from vtkmodules.util.numpy_support import numpy_to_vtkIdTypeArray
+    from vtkmodules.vtkCommonDataModel import vtkCellArray
+
+    size = np.concatenate([np.full(len(nodes), nodes.shape[1]) for nodes in blocks])
+    offset = np.concatenate([[0], np.cumsum(size)]).astype(np.int64)
+    flat = np.concatenate([nodes.ravel() for nodes in blocks]).astype(np.int64)
+    cells = vtkCellArray()
+    cells.SetData(numpy_to_vtkIdTypeArray(offset, deep=True),
+                  numpy_to_vtkIdTypeArray(flat, deep=True))
+    return cells
+
+
+def _with_data(out: Any, mesh: Any) -> Any:
+    """Give a dataset the points and all arrays of a mesh; sets become arrays of 0 and 1."""
+    from vtkmodules.vtkCommonCore import vtkPoints
+
+    n, sizes = len(mesh.points), [len(block.data) for block in mesh.cells]
+    points = np.zeros((n, 3), dtype=mesh.points.dtype)
+    points[:, : mesh.points.shape[1]] = mesh.points
+    if points.dtype not in (np.float32, np.float64):
+        points = points.astype(np.float64)
+    corners = vtkPoints()
+    corners.SetData(_vtk(points))
+    out.SetPoints(corners)
+    point = {name: _members([members], [n]) for name, members in mesh.point_sets.items()}
+    cell = {name: _members(members, sizes) for name, members in mesh.cell_sets.items()}
+    cell |= {name: np.concatenate(values) for name, values in mesh.cell_data.items()}
+    for data, arrays in ((out.GetPointData(), point | mesh.point_data), (out.GetCellData(), cell),
+                         (out.GetFieldData(), mesh.field_data)):
+        for name, values in arrays.items():
+            array = _vtk(np.atleast_1d(np.asarray(values)))
+            array.SetName(name)
+            data.AddArray(array)
+    return out
+
+
+def _members(members: list[Any], sizes: list[int]) -> NDArray[np.uint8]:
+    """Array of 0 and 1 of the members of a set, given by blocks as indices or masks."""
+    parts = []
+    for part, size in zip(members, sizes, strict=True):
+        inside = np.zeros(size, dtype=np.uint8)
+        if part is not None and len(part):
+            inside[np.asarray(part)] = 1
+        parts.append(inside)
+    return np.concatenate(parts)
+
+
+def _vtk(values: NDArray[Any]) -> Any:
+    """Array of VTK with the same values and type; truth values become bytes."""
+    from vtkmodules.util.numpy_support import numpy_to_vtk
+    from vtkmodules.vtkCommonCore import vtkStringArray
+
+    if values.dtype.kind in "US":
+        texts = vtkStringArray()
+        for text in values.ravel().tolist():
+            texts.InsertNextValue(text)
+        return texts
+    if values.dtype.kind == "b":
+        values = values.astype(np.uint8)
+    wide = values.astype(values.dtype.newbyteorder("="), copy=False)
+    return numpy_to_vtk(np.ascontiguousarray(wide.reshape(len(wide), -1) if wide.ndim > 2
+                                             else wide), deep=True)
+
+
+def _second_look(path: Path, name: str, mesh: Any) -> str:
+    """Read a file by meshio, and name what is other than VTK reads it."""
+    from urllib.parse import unquote
+
+    from meshio._helpers import reader_map
+    from meshio.vtk import _vtk_42, _vtk_51
+
+    modules: Any = (_vtk_42, _vtk_51)
+    for module in modules:
+        module.vtk_to_numpy_dtype_name |= SECOND_NAMES
+    try:
+        other = reader_map[name](str(path))
+        cells, data = other.cells_dict, other.cell_data_dict
+    # It knows less than VTK, such as arrays of text.
+    except Exception:
+        return ""
+    pairs = [("the points", other.points, mesh.points)]
+    pairs += [(f"cells of type {kind}", cells.get(kind), nodes)
+              for kind, nodes in mesh.cells_dict.items()]
+    pairs += [(f"point data {key!r}", values, mesh.point_data.get(unquote(key)))
+              for key, values in other.point_data.items()]
+    mine = mesh.cell_data_dict
+    pairs += [(f"cell data {key!r}", values, mine.get(unquote(key), {}).get(kind))
+              for key, parts in data.items() for kind, values in parts.items()]
+    return ", ".join(what for what, one, two in pairs
+                     if not np.array_equal(np.ravel(one), np.ravel(two)))
