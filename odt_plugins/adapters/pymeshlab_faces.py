@@ -8,6 +8,7 @@ Places also tell data of faces to MeshLab's function filters.
 
 from __future__ import annotations
 
+import weakref
 from contextlib import suppress
 from typing import Any
 
@@ -32,11 +33,16 @@ def result_in_place(meshes: Any, result: Result) -> Result | None:
     -------
     Result or None    faces have the textures of those whose places they take; None when the mesh
                       has custom attributes or curvature directions of faces, which MeshLab sets for
-                      new meshes only, edges of three faces, or faces whose number changes
+                      new meshes only, edges of three faces, or faces whose number changes; and
+                      when it is no Mesh object in use, but has texture coordinates of wedges alone:
+                      the filter that sets them adds some of vertices
     """
     from pymeshlab import MissingComponentException
 
+    in_use = weakref.ref(meshes.current_mesh())() is not None
     mesh = meshes.current_mesh()
+    if mesh.has_wedge_tex_coord() and not (mesh.has_vertex_tex_coord() or in_use):
+        return None
     if any("face" in attribute.reader for attribute in custom_attributes(meshes)):
         return None
     with suppress(MissingComponentException), muted():

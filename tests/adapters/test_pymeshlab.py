@@ -365,6 +365,24 @@ def test_a_mesh_object_whose_mesh_takes_no_faces_keeps_its_mesh():
     assert (meshes.current_mesh().face_matrix() != mesh.face_matrix()).any()
 
 
+@pytest.mark.parametrize("held", [True, False])
+def test_texture_coordinates_of_wedges_alone(held):
+    """The filter of MeshLab that sets them adds texture coordinates of vertices."""
+    points, faces, _ = contract.grid(2, 6)
+    space = np.column_stack([points, np.zeros(len(points))])
+    meshes = pymeshlab.MeshSet()
+    meshes.add_mesh(pymeshlab.Mesh(space, faces, w_tex_coords_matrix=points[faces].reshape(-1, 2)))
+    mesh = meshes.current_mesh() if held else None
+    meshes.meshing_odt_optimization()
+    now = meshes.current_mesh()
+    assert meshes.current_mesh_id() == 0
+    assert (now.face_matrix() != faces).any()
+    assert not held or now is mesh
+    assert now.has_vertex_tex_coord() == held
+    uv = now.wedge_tex_coord_matrix().reshape(-1, 3, 2)
+    assert uv == pytest.approx(points[now.face_matrix()], abs=1e-6)
+
+
 def test_a_mesh_object_stays_valid_with_several_textures(tmp_path):
     meshes = two_textures(tmp_path)
     mesh = meshes.current_mesh()
