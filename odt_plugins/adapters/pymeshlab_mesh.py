@@ -125,7 +125,9 @@ def write(result: Result, host: HostMesh) -> Any:
     if isinstance(source, InPlace):
         if moves:
             move_vertices(source.meshes, result.points)
-        elif (fitting := result_in_place(source.meshes, result)) is not None:
+        elif result.vertices is None and (
+            fitting := result_in_place(source.meshes, result)
+        ) is not None:
             set_faces(source.meshes, fitting)
         else:
             exchange(source.meshes, rebuilt(source.meshes.current_mesh(), result))

@@ -280,7 +280,7 @@ def _places(corners: NDArray[np.int64], shape: Lattice, n: int) -> Places:
     around = np.take_along_axis(around, by_index, axis=1)
     weights = np.take_along_axis(weights, by_index, axis=1)
     around = np.where(weights > 0, around, around[:, :1])
-    code = weights @ (order + 1) ** np.arange(width)
+    code = (weights * (order + 1) ** np.arange(width)).sum(axis=1)
     base = max(n, (order + 1) ** width)
     key = row_keys(np.concatenate([around, code[:, None]], axis=1), base)
     return Places(around, weights / order, key)

@@ -109,8 +109,8 @@ def read_start(path: Path) -> StartMesh:
     MeshFileError, InvalidMeshError, UnsupportedMeshError
     """
     from odt_plugins.adapters import files as mesh_files
-
-    host = mesh_files.read(path)
+    from odt_plugins.adapters.regions import AUTO
+    host = mesh_files.read(path, AUTO)
     start = make_start(path.stem, host.points, host.cells, str(path), host.regions)
     return replace(start, sha256=hashlib.sha256(path.read_bytes()).hexdigest())
 

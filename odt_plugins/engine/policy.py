@@ -161,8 +161,9 @@ def _documentation() -> str:
     lines = [str(Policy.__doc__), "", "    Attributes", "    ----------"]
     for about in fields(Policy):
         lines.append(f"    {about.name} : {about.type}, {about.default!r}")
-        text = f"{about.metadata['meaning']} Measured by ``{about.metadata['command']}``."
-        lines += wrap(text, 92, initial_indent=8 * " ", subsequent_indent=8 * " ")
+        text = f"{about.metadata['meaning']} ``{about.metadata['command']}``"
+        lines += wrap(text, 92, initial_indent=8 * " ", subsequent_indent=8 * " ",
+                      break_on_hyphens=False)
     return "\n".join([*lines, "    "])
 
 

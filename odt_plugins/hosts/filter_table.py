@@ -275,7 +275,7 @@ _ALL = (
         "object (the old mesh stays in the set if it is that one), or another has several "
         "textures or one without wedge texture coordinates, or while there are rasters. Up to 18 "
         "ids of the MeshSet are used up.",
-        (ROUNDS, ITERATIONS, BOUNDARY, DENSITY, OBJECTIVE, KEEP, ENVELOPE, ANGLE, REGIONS,
+        (ROUNDS, ITERATIONS, BOUNDARY, DENSITY, FIELDS, OBJECTIVE, KEEP, ENVELOPE, ANGLE, REGIONS,
          SELECTED)),
     Filter(
         "compute_scalar_by_radius_ratio_per_face", "Per Face Quality by Radius Ratio",

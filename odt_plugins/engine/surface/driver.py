@@ -28,7 +28,7 @@ from odt_plugins.engine.record.figures import figures
 from odt_plugins.engine.record.memory import Memory, State
 from odt_plugins.engine.record.progress import in_turn, silent
 from odt_plugins.engine.run.best import ALONE, best_state, input_returned
-from odt_plugins.engine.run.cycles import alternate, extremes, repaired
+from odt_plugins.engine.run.cycles import alternate, extremes, repaired, without_finishing
 from odt_plugins.engine.run.driver import inner_density
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
 from odt_plugins.engine.run.start import Start, make_start
@@ -250,9 +250,9 @@ def _cycles(
 ) -> str:
     """Alternate the two stages, then look after the worst triangles; why stage 1 stopped."""
     strict = extremes(memory.before, tuple(options.keep)).cells
-    bounds = FREELY._replace(quality=POLICY.surface_thin) if options.finish else strict
-    if not options.finish and "p1_quality" in options.keep:
-        bounds = bounds._replace(quality=memory.before.p1_quality)
+    bounds = FREELY._replace(quality=POLICY.surface_thin)
+    if not options.finish:
+        bounds = without_finishing(strict, memory)
     watch = None if options.finish else partial(memory.offer, name="smoothing")
     reason = alternate(
         lambda tick: smooth_surface(surface, density, options, bounds, log, tick, watch),
