@@ -198,7 +198,7 @@ def make_report(
     kept = getattr(outcome, "kept", None)
     movable = used & (~held_vertices(before) | (now != before.points).any(axis=1))
     if kept is not None:
-        movable = used & ~kept.held
+        movable = used & ~kept.locked
     counts = {k: int(v) for k, v in outcome.counts.items()}
     movable_after = movable
     added = np.zeros(n, bool)
@@ -258,7 +258,7 @@ def _surface_facts(
         "feature_edges": len(kept.lines),
         "corners": kept.corners,
         "on_lines": kept.on_lines,
-        "held": int((kept.held & used).sum()),
+        "held": int((kept.locked & used).sum()),
     }
 
 

@@ -48,7 +48,7 @@ def polish_small_angles(
     passes = polish(len(small) / max(work.count(), 1))
     if not passes:
         return
-    held = {phase: guarded(work, phase, bounds, pool) for phases in passes for phase in phases}
+    limits = {phase: guarded(work, phase, bounds, pool) for phases in passes for phase in phases}
     part: Complex | Part = mesh
     if work.skin is None:
         near = np.zeros(len(mesh.points), dtype=np.bool_)
@@ -60,7 +60,7 @@ def polish_small_angles(
             break
         for phase in phases:
             local = replace(phase, share=min(1.0, more * phase.share), guard=None, least=None)
-            settle(inside(part), (local,), held[phase])
+            settle(inside(part), (local,), limits[phase])
         memory.offer(part, name)
 
 

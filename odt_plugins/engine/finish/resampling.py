@@ -41,7 +41,7 @@ class SpareComplex(Complex):
 
 
 def with_spare_vertices(
-    points: FloatArray, cells: IntArray, regions: IntArray, locked: BoolArray, rim: BoolArray,
+    points: FloatArray, cells: IntArray, regions: IntArray, locked: BoolArray, boundary: BoolArray,
     stays: BoolArray,
 ) -> SpareComplex:
     """Build a complex with room for a tenth more vertices.
@@ -49,7 +49,7 @@ def with_spare_vertices(
     Parameters
     ----------
     points : (n, 3) float64, cells : (m, 4) int32, regions : (m,) int32
-    locked, rim : (n,) bool       see ``Complex``
+    locked, boundary : (n,) bool       see ``Complex``
     stays : (n,) bool             vertices that must not be removed
     """
     n = len(points)
@@ -59,7 +59,7 @@ def with_spare_vertices(
         cells,
         regions,
         np.concatenate([locked, np.ones(spare, dtype=bool)]),
-        np.concatenate([rim, np.zeros(spare, dtype=bool)]),
+        np.concatenate([boundary, np.zeros(spare, dtype=bool)]),
     )
     return SpareComplex(
         **vars(mesh),

@@ -10,7 +10,7 @@ lies on the ground, vertex by vertex, while it changes (`Sheet`, `make_sheet`). 
 - distance: every point of an edge or triangle within the envelope of the ground, and the ground
   under it within the envelope of the triangle (`edge_is_near`, `height_over`, `joined`);
 - features: `find_features` finds edges at which the surface turns by more than an angle; their
-  vertices slide along chains (`on_line`, `line_is_near`) or are held.
+  vertices slide along chains (`on_line`, `line_is_near`) or are locked.
 
 `within`, `uncovered` and `distances` bound the distances of a whole surface both ways: a bound of
 a triangle is certified by the triangles of the ground around it, and the triangle is cut until

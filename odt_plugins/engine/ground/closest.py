@@ -26,7 +26,7 @@ class Ground(NamedTuple):
     ----------
     points : (n, 3) float64
     triangles : (m, 3) int32       degenerate ones are allowed
-    neighbors : (m, 3) int32       triangle across the edge opposite to a corner; -1 at the rim
+    neighbors : (m, 3) int32       triangle across the edge opposite to a corner; -1 at the boundary
                                    and at edges of more than two triangles
     indptr : (n + 1,) int64, indices : (3 m,) int32     stars
     normals : (m, 3) float64       unit normals, averaged with the neighbours on the same side

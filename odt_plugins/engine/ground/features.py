@@ -1,7 +1,7 @@
-"""Feature edges of a surface, and the kinds of its vertices: smooth, on a line, or held.
+"""Feature edges of a surface, and the kinds of its vertices: smooth, on a line, or locked.
 
-An edge is a feature when it is a rim, belongs to more than two triangles, separates two labels,
-is marked by the caller, or when the surface turns by more than the feature angle at it. The turn
+An edge is a feature on the boundary, where more than two triangles meet, between two labels, where
+the caller marks it, or when the surface turns by more than the feature angle at it. The turn
 must show in the normals of the triangles and in those averaged with the neighbours that agree,
 which tells a crease from a bump. Of edges that merely turn, loose ends shorter than TRIM edges are
 noise; so are the edges of a flat triangle whose neighbours agree with each other.
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.lines import Lines
-from odt_plugins.engine.ground.sheet import HELD, LINE, SMOOTH
+from odt_plugins.engine.ground.sheet import LINE, LOCKED, SMOOTH
 from odt_plugins.engine.topology.lookup import place_in
 from odt_plugins.engine.topology.star import Stars
 from odt_plugins.errors import endless_walk
@@ -49,10 +49,10 @@ class Features:
     Attributes
     ----------
     edges : (e,) bool          feature edges, by their number in ``Edges``
-    kind : (n,) uint8          SMOOTH, LINE or HELD
+    kind : (n,) uint8          SMOOTH, LINE or LOCKED
     pinched : (n,) bool        vertices around which the triangles form more than one fan
     lines : Lines              chains on which LINE vertices slide
-    corners : int              held vertices where features end, branch or bend
+    corners : int              locked vertices where features end, branch or bend
     """
 
     edges: BoolArray
@@ -119,10 +119,10 @@ def find_features(
     chains = _chains(edges.vertices[feature], n, ends)
     kind = np.full(n, SMOOTH, dtype=np.uint8)
     kind[on_line] = LINE
-    kind[ends | fixed | pinched & ~on_line] = HELD
-    kind[chains.nodes[chains.offsets[:-1]]] = HELD
-    kind[np.diff(stars.indptr) == 0] = HELD
-    corners = int((kind[on_line] == HELD).sum())
+    kind[ends | fixed | pinched & ~on_line] = LOCKED
+    kind[chains.nodes[chains.offsets[:-1]]] = LOCKED
+    kind[np.diff(stars.indptr) == 0] = LOCKED
+    corners = int((kind[on_line] == LOCKED).sum())
     _hold_bent(points, chains, kind, slack * diagonal(points))
     lines = _lines(points, chains, edges, triangles, kind)
     return Features(feature, kind, pinched, lines, corners)
@@ -386,7 +386,7 @@ def _hold_bent(points: FloatArray, chains: _Chains, kind: ByteArray, slack: floa
     w = np.divide(((v - a) * u).sum(axis=1), length, out=np.zeros(len(u)), where=length > 0.0)
     off = v - a - np.clip(w, 0.0, 1.0)[:, None] * u
     bent = np.sqrt((off * off).sum(axis=1)) > slack
-    kind[nodes[middle[bent]]] = HELD
+    kind[nodes[middle[bent]]] = LOCKED
 
 
 def _lines(

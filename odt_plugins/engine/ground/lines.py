@@ -15,7 +15,7 @@ from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 
 class Lines(NamedTuple):
-    """Chains of feature edges from one held vertex to another, one after the other.
+    """Chains of feature edges from one locked vertex to another, one after the other.
 
     Attributes
     ----------

@@ -126,11 +126,11 @@ def _part_inside(
     """
     au, av, bu, bv, cu, cv = corners
     low, top = 0.0, 1.0
-    for rim in range(3):
+    for side in range(3):
         ou, ov, du, dv = au, av, bu - au, bv - av
-        if rim == 1:
+        if side == 1:
             ou, ov, du, dv = bu, bv, cu - bu, cv - bv
-        elif rim == 2:
+        elif side == 2:
             ou, ov, du, dv = cu, cv, au - cu, av - cv
         first = du * (pv - ov) - dv * (pu - ou) + slack
         last = du * (qv - ov) - dv * (qu - ou) + slack
@@ -158,7 +158,7 @@ def height_over(
     surface : Ground               or any tuple with ``points``, ``triangles`` and ``neighbors``,
                                    triangles oriented alike across an edge that has a neighbour
     shrink : float                 T is shrunk towards its barycentre by this distance at most, so
-                                   that edges of the surface along the rim of T do not count
+                                   that edges of the surface along the boundary of T do not count
     limit : float                  stop at a height above this
     work : Work                    from :func:`make_overlay_work`
 

@@ -18,8 +18,8 @@ from odt_plugins.engine.topology.triangles import EdgeNumbers
 from odt_plugins.errors import endless_walk
 from odt_plugins.mesh.arrays import BoolArray, ByteArray, FloatArray, IntArray
 
-SMOOTH, LINE, HELD = 0, 1, 2
-"""Kinds of vertices: free on the surface, free on a feature line, held in place."""
+SMOOTH, LINE, LOCKED = 0, 1, 2
+"""Kinds of vertices: free on the surface, free on a feature line, locked."""
 
 
 class Sheet(NamedTuple):
@@ -29,11 +29,11 @@ class Sheet(NamedTuple):
     ----------
     points : (n, 3) float64         moved in place; each on the ground
     triangles : (m, 3) int32        oriented alike across every edge of two triangles
-    neighbors : (m, 3) int32        triangle across the edge opposite to a corner, -1 at the rim
-                                    and at edges of more than two triangles
-    edges : EdgeNumbers                   their numbers
-    locked : (e,) bool              edges that stay: features, rims, borders of labels
-    kind : (n,) uint8               SMOOTH, LINE or HELD
+    neighbors : (m, 3) int32        triangle across the edge opposite to a corner, -1 where there is
+                                    none and at edges of more than two triangles
+    edges : EdgeNumbers             their numbers
+    locked : (e,) bool              edges that stay: features, boundaries, borders of labels
+    kind : (n,) uint8               SMOOTH, LINE or LOCKED
     pinched : (n,) bool             vertices around which the triangles form more than one fan
     foot : (n,) int32               triangle of the ground on which a vertex lies
     first : (m,) int32              first vertex of the ground that a triangle covers, or -1

@@ -169,7 +169,7 @@ def exchange(mesh: Complex, log: Log) -> Complex:
     log.add("regions exchanged", stats.exchanged)
     if not stats.exchanged:
         return mesh
-    return make_complex(mesh.points, cells, regions, mesh.locked, mesh.rim, mesh.skin)
+    return make_complex(mesh.points, cells, regions, mesh.locked, mesh.boundary, mesh.skin)
 
 
 def local_flips(
@@ -232,7 +232,7 @@ def smooth(
     reason = f"the {options.rounds} rounds were used up"
     movable = ~mesh.locked
     cells = _cells(mesh, options)
-    topology = make_topology(cells, movable, mesh.rim, pool=pool)
+    topology = make_topology(cells, movable, mesh.boundary, pool=pool)
     scattered = 0
     walk = density.walk_start(len(mesh.points))
     for k in range(options.rounds):
@@ -263,7 +263,7 @@ def smooth(
             scattered = 0
         if flips > 0 or mesh is not old:
             cells = _cells(mesh, options)
-            topology = make_topology(cells, movable, mesh.rim, pool=pool)
+            topology = make_topology(cells, movable, mesh.boundary, pool=pool)
         current = total_energy(mesh.points, cells, rho, pool)
         log.energy.append((options.method, current))
         tick((k + 1) / options.rounds)

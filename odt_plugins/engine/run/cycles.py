@@ -150,16 +150,16 @@ def _worst_cells(
         if near is not None:
             state = away_from(state, near) or joined(state)
         work = inside(state)
-        held = bounds if descent.hold is None else held_angles(work, bounds, descent.hold)
-        work_on(work, descent.phases, held)
+        limits = bounds if descent.hold is None else held_angles(work, bounds, descent.hold)
+        work_on(work, descent.phases, limits)
         if memory.offer(state, "finished") or mesh.dim == 2:
             continue
         edge = None if near is None else around(state, near)
-        if edge is not None and _repair(edge, held, memory, log, work_on):
+        if edge is not None and _repair(edge, limits, memory, log, work_on):
             state = edge
         else:
             state = joined(edge or state)
-            _repair(state, held, memory, log, work_on)
+            _repair(state, limits, memory, log, work_on)
     polish_small_angles(state, bounds, memory, "finished", work_on, pool, near)
     mesh = mesh if memory.states else joined(state)
     if not memory.states and options.objective != "radius_ratio":

@@ -43,10 +43,10 @@ def locked_vertices(mesh: SimplexMesh, neighbors: IntArray) -> tuple[BoolArray, 
 
     A vertex of a frozen cell may not move either.
     """
-    rim = boundary_vertices(mesh.cells, len(mesh.points), mesh.regions, neighbors)
-    locked = rim | mesh.fixed
+    boundary = boundary_vertices(mesh.cells, len(mesh.points), mesh.regions, neighbors)
+    locked = boundary | mesh.fixed
     locked[mesh.cells[mesh.frozen]] = True
-    return locked, rim
+    return locked, boundary
 
 
 def run(
@@ -152,17 +152,17 @@ def _run_in(
     clock = time.perf_counter()
     nowhere = np.zeros(0, dtype=np.int32)
     neighbors = cell_neighbors(mesh.cells, pool=pool)
-    locked, rim = locked_vertices(mesh, neighbors)
+    locked, boundary = locked_vertices(mesh, neighbors)
     if mesh.frozen.all() or len(mesh.cells) == 0:
         return unchanged(mesh, "no cell may change"), nowhere
     start = make_start(mesh)
     frame, cells, regions = start.frame, start.cells, start.regions
     inner_locked = np.ascontiguousarray(locked[frame.vertices])
-    inner_rim = np.ascontiguousarray(rim[frame.vertices])
+    inner_boundary = np.ascontiguousarray(boundary[frame.vertices])
     points = start.points.copy()
     skin = _skin(start, options, points) if slides(mesh, options) else None
     first = make_complex(
-        points, cells, regions, inner_locked, inner_rim, skin, frame.inner_neighbors(neighbors)
+        points, cells, regions, inner_locked, inner_boundary, skin, frame.inner_neighbors(neighbors)
     )
     del neighbors
     before = figures(points, cells, options.objective)
@@ -184,7 +184,7 @@ def _run_in(
     if options.finish and (refused or besides):
         again = start.points.copy()
         skin = _skin(start, options, again) if skin else None
-        second = make_complex(again, cells, regions, inner_locked, inner_rim, skin)
+        second = make_complex(again, cells, regions, inner_locked, inner_boundary, skin)
         log.add(f"runs of {ALONE}", 1)
         name = ALONE if refused else BESIDES
         clock = time.perf_counter()
@@ -196,7 +196,7 @@ def _run_in(
         clock = time.perf_counter()
         best = (memory.states or [State(start.points, cells, regions, before, "input")])[0]
         spare = with_spare_vertices(
-            best.points, best.cells, best.regions, inner_locked, inner_rim,
+            best.points, best.cells, best.regions, inner_locked, inner_boundary,
             mesh.anchored[frame.vertices],
         )
         resample_in_rounds(
@@ -223,17 +223,17 @@ def _run_in(
     if memory.states:
         best = memory.states[0]
         spoiled = cut_vertices(start.points, cells, best.points, best.cells)
-    spoiled = spoiled[spoiled < len(inner_rim)]
-    return outcome, frame.vertices[spoiled[inner_rim[spoiled]]]
+    spoiled = spoiled[spoiled < len(inner_boundary)]
+    return outcome, frame.vertices[spoiled[inner_boundary[spoiled]]]
 
 
 def _skin(start: Start, options: Options, points: FloatArray) -> Skin:
     """The boundary as it may slide; interfaces, fixed vertices and frozen cells hold it."""
     mesh, frame = start.mesh, start.frame
-    held = mesh.fixed | interface_vertices(mesh.cells, len(mesh.points), mesh.regions)
-    held[mesh.cells[mesh.frozen]] = True
+    locked = mesh.fixed | interface_vertices(mesh.cells, len(mesh.points), mesh.regions)
+    locked[mesh.cells[mesh.frozen]] = True
     return make_skin(
-        points, start.cells, held=held[frame.vertices],
+        points, start.cells, locked=locked[frame.vertices],
         envelope=envelope_length(mesh, options) * frame.scale, angle=options.feature_angle,
         stays=start.pairs(mesh.stays), lines=start.pairs(mesh.lines),
     )

@@ -9,7 +9,7 @@ import numpy as np
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import Ground
 from odt_plugins.engine.ground.lines import Lines
-from odt_plugins.engine.ground.sheet import HELD, Limits, Sheet
+from odt_plugins.engine.ground.sheet import LOCKED, Limits, Sheet
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 
@@ -41,7 +41,7 @@ class Skin(NamedTuple):
     @property
     def free(self) -> BoolArray:
         """Vertices (n,) that may slide."""
-        return np.asarray(self.sheet.kind != HELD)
+        return np.asarray(self.sheet.kind != LOCKED)
 
     def allow(self, everything: bool) -> None:
         """Set the largest change of the volume: all of it, or all but the reserve."""

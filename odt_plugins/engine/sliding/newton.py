@@ -23,7 +23,7 @@ from odt_plugins.engine.ground.position import (
     put_vertex,
     star_normal,
 )
-from odt_plugins.engine.ground.sheet import HELD, LINE, Sheet, Work, cover, star_fits
+from odt_plugins.engine.ground.sheet import LINE, LOCKED, Sheet, Work, cover, star_fits
 from odt_plugins.engine.moves.newton3d import add_cost_terms, make_derivatives, star_state
 from odt_plugins.engine.moves.plane_step import plane_step
 from odt_plugins.engine.sliding.boundary import Skin, affordable, spend
@@ -63,7 +63,7 @@ def slide_vertices(
     for o in range(len(order)):
         v = order[o]
         moved[v] = 0.0
-        if sheet.kind[v] == HELD or own.indptr[v] == own.indptr[v + 1]:
+        if sheet.kind[v] == LOCKED or own.indptr[v] == own.indptr[v + 1]:
             continue
         out[:] = 0.0
         positive = True

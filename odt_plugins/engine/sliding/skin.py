@@ -24,7 +24,7 @@ from odt_plugins.mesh.surface import surface_edges
 
 
 def make_skin(
-    points: FloatArray, cells: IntArray, *, held: BoolArray, envelope: float, angle: float,
+    points: FloatArray, cells: IntArray, *, locked: BoolArray, envelope: float, angle: float,
     stays: IntArray, lines: IntArray,
 ) -> Skin:
     """Lay the boundary of a mesh out for sliding.
@@ -33,7 +33,7 @@ def make_skin(
     ----------
     points : (n, 3) float64     shared with the mesh
     cells : (m, 4) int32        positive
-    held : (n,) bool            vertices that must not move; no edge between two of them is flipped
+    locked : (n,) bool          vertices that must not move; no edge between two of them is flipped
     envelope : float            length
     angle : float               degrees by which the surface turns at a feature edge
     stays : (k, 2) int32        edges that must stay edges
@@ -43,7 +43,7 @@ def make_skin(
     triangles = boundary_facets(cells)
     edges = surface_edges(triangles, n)
     features = find_features(
-        points, triangles, edges, vertex_stars(triangles, n), angle=angle, fixed=held,
+        points, triangles, edges, vertex_stars(triangles, n), angle=angle, fixed=locked,
         kept=marked_edges(edges, lines, n),
     )
     ground = make_ground(points, triangles, edges, vertex_stars(triangles, n), features)
@@ -53,7 +53,7 @@ def make_skin(
     fan[triangles] = np.arange(len(triangles), dtype=np.int32)[:, None]
     low, high = edges.vertices.T
     ends = np.sort(stays, axis=1).astype(np.int64)
-    kept = held[low] & held[high] | np.isin(low.astype(np.int64) * n + high,
+    kept = locked[low] & locked[high] | np.isin(low.astype(np.int64) * n + high,
                                        ends[:, 0] * n + ends[:, 1])
     most = POLICY.slide_volume * float(signed_volumes(points, cells).sum())
     limits = Limits(limit, limit, math.cos(math.radians(POLICY.slide_turn)))

@@ -18,7 +18,7 @@ SMOOTHING = 3
 """Passes that average the logarithm of the sizes."""
 
 DOUBTFUL = 0.05
-"""Weight of a triangle that touches the rim or a feature against the others."""
+"""Weight of a triangle that touches the boundary or a feature against the others."""
 
 FLAT = 0.1
 """Curvature, in units of 1 / diagonal of the bounding box, below which a surface is flat."""
@@ -39,7 +39,7 @@ def vertex_curvature(
     ----------
     points : (n, 3) float64
     triangles : (m, 3) int32    oriented alike across an edge that has a neighbour
-    neighbors : (m, 3) int32    triangle across the edge opposite to a corner; -1 at the rim, and
+    neighbors : (m, 3) int32    triangle across the edge opposite to a corner; -1 outside and
                                 where the surface is not to count as curved: at feature edges
     passes : int                averaging passes over the tensors, weighted by area
 
@@ -52,7 +52,7 @@ def vertex_curvature(
     The shape operator is the gradient of the normals n_i at the vertices, linear on a triangle:
     |tau| grad n = sum_i n_i (n x e_i)^T / 2, with n its normal and e_i the edge opposite to corner
     i. This is bounded whatever the shape of the triangle, and linear in the normals, so that noise
-    averages out. A vertex normal is the sum of the area vectors of its star; on the rim or on a
+    averages out. A vertex normal is the sum of the area vectors of its star; on the boundary or a
     feature, of those of a triangle and its two neighbours at that vertex.
 
     References

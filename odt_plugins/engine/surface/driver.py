@@ -21,7 +21,7 @@ from odt_plugins.engine.ground.features import (
     label_borders,
     marked_edges,
 )
-from odt_plugins.engine.ground.sheet import HELD, LINE, Guards, Limits
+from odt_plugins.engine.ground.sheet import LINE, LOCKED, Guards, Limits
 from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import figures
@@ -235,11 +235,11 @@ def _build(
         (POLICY.surface_guard * options.envelope * length) ** 2, (slack * length) ** 2,
         math.cos(math.radians(POLICY.surface_turn)),
     )
-    held = np.ones(len(mesh.points), dtype=np.bool_)
-    held[frame.vertices] = features.kind == HELD
+    locked = np.ones(len(mesh.points), dtype=np.bool_)
+    locked[frame.vertices] = features.kind == LOCKED
     kept = Kept(
         length / frame.scale, options.envelope * length / frame.scale,
-        frame.vertices[edges.vertices[features.edges]], held, features.corners,
+        frame.vertices[edges.vertices[features.edges]], locked, features.corners,
         int((features.kind == LINE).sum()),
     )
     return Surface(sheet, Guards(ground, features.lines, limits), start.regions), features, kept

@@ -37,7 +37,7 @@ from odt_plugins.engine.moves.flips2d import (
 from odt_plugins.engine.topology.lookup import place_in
 from odt_plugins.mesh.arrays import BoolArray, FloatArray
 
-HELD_FLOOR = 0.3
+LOCKED_FLOOR = 0.3
 """Radius ratio that a new triangle without a free vertex must reach: smoothing cannot help it."""
 
 
@@ -140,12 +140,12 @@ def _pays(
         return q3**-power + q4**-power < (1.0 - GAIN) * (q1**-power + q2**-power)
     kind = sheet.kind
     if kind[a] != SMOOTH and kind[d] != SMOOTH and (kind[b] != SMOOTH or kind[c] != SMOOTH):
-        held = 1.0
+        worst = 1.0
         if kind[b] != SMOOTH:
-            held = min(held, q3)
+            worst = min(worst, q3)
         if kind[c] != SMOOTH:
-            held = min(held, q4)
-        if held < HELD_FLOOR and held < before.quality:
+            worst = min(worst, q4)
+        if worst < LOCKED_FLOOR and worst < before.quality:
             return False
     # energy (2.2): area times the sum of squared edges
     bc, ad = _squared(p, b, c), _squared(p, a, d)

@@ -33,15 +33,15 @@ class Kept(NamedTuple):
     diagonal : float            of the bounding box of all triangles
     envelope : float            length
     lines : (k, 2) int32        feature edges
-    held : (n,) bool            vertices that do not move
-    corners : int               held vertices where features end, branch or bend
+    locked : (n,) bool          vertices that do not move
+    corners : int               locked vertices where features end, branch or bend
     on_lines : int              vertices that slide along a feature line
     """
 
     diagonal: float
     envelope: float
     lines: IntArray
-    held: BoolArray
+    locked: BoolArray
     corners: int
     on_lines: int
 
@@ -73,7 +73,7 @@ def faults(
     options : Options
     """
     broken = broken_surface_promises(
-        mesh, points, cells, regions, tuple(options.keep), lines=kept.lines, held=kept.held
+        mesh, points, cells, regions, tuple(options.keep), lines=kept.lines, held=kept.locked
     )
     distance = Distance(0.0, 0.0)
     if not broken:

@@ -17,7 +17,7 @@ from odt_plugins.engine.ground.position import (
     star_shape,
     try_move,
 )
-from odt_plugins.engine.ground.sheet import HELD, LINE, Guards, Sheet, Work
+from odt_plugins.engine.ground.sheet import LINE, LOCKED, Guards, Sheet, Work
 from odt_plugins.engine.moves.plane_step import plane_step
 from odt_plugins.engine.topology.star import Stars
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -139,7 +139,7 @@ def smooth_vertices(
     for o in range(start, stop):
         v = order[o]
         moved[v] = 0.0
-        if sheet.kind[v] == HELD or stars.indptr[v] == stars.indptr[v + 1]:
+        if sheet.kind[v] == LOCKED or stars.indptr[v] == stars.indptr[v + 1]:
             continue
         on_a_line = sheet.kind[v] == LINE
         nx, ny, nz = star_normal(sheet, stars, v)

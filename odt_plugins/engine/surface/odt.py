@@ -11,7 +11,7 @@ from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.triangle import opposite_edge
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.position import NO_COST, Step, along_line, star_normal, try_move
-from odt_plugins.engine.ground.sheet import HELD, Guards, Sheet, Work
+from odt_plugins.engine.ground.sheet import LOCKED, Guards, Sheet, Work
 from odt_plugins.engine.topology.star import Stars
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
@@ -116,7 +116,7 @@ def move_vertices(
     for o in range(start, stop):
         v = order[o]
         moved[v] = 0.0
-        if sheet.kind[v] == HELD or stars.indptr[v] == stars.indptr[v + 1]:
+        if sheet.kind[v] == LOCKED or stars.indptr[v] == stars.indptr[v + 1]:
             continue
         if target.centre == GIVEN:
             dx, dy, dz = vectors[v, 0], vectors[v, 1], vectors[v, 2]

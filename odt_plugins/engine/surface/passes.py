@@ -15,7 +15,7 @@ from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.tetrahedron import Cost
 from odt_plugins.engine.finish.phases import Phase
 from odt_plugins.engine.finish.triangles import TriangleDescent
-from odt_plugins.engine.ground.sheet import HELD, Guards, Sheet, Work, make_work
+from odt_plugins.engine.ground.sheet import LOCKED, Guards, Sheet, Work, make_work
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import cell_shapes
 from odt_plugins.engine.surface.flips import flip_edges
@@ -91,7 +91,7 @@ def sweep(
     surface: Surface, wanted: BoolArray, work: Callable[[IntArray, int, int], int]
 ) -> int:
     """Visit every wanted vertex that may move once, block after block."""
-    coloring = vertex_coloring(surface.triangles, wanted & (surface.sheet.kind != HELD))
+    coloring = vertex_coloring(surface.triangles, wanted & (surface.sheet.kind != LOCKED))
     moves = sum(run_chunks(
         surface.pool, surface.threads, coloring, partial(work, coloring.order)
     ))

@@ -10,7 +10,7 @@ import numpy as np
 from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.geometry import barycenters, circumcenters, signed_volumes
 from odt_plugins.engine.cells.tetrahedron import ENERGY, Cost
-from odt_plugins.engine.ground.sheet import HELD, SMOOTH
+from odt_plugins.engine.ground.sheet import LOCKED, SMOOTH
 from odt_plugins.engine.odt.energy import energy
 from odt_plugins.engine.odt.global_step import (
     choose_solve,
@@ -173,10 +173,10 @@ def _direction(
 ) -> FloatArray:
     """Full step -A^-1 grad E of (4.27), or that of (4.28), the gradient in the tangent planes.
 
-    A piece of the surface on which nothing is held has one vertex pinned: A is singular there.
+    A piece of the surface on which nothing is locked has one vertex pinned: A is singular there.
     """
     points, triangles, kind = surface.points, surface.triangles, surface.sheet.kind
-    movable = kind != HELD
+    movable = kind != LOCKED
     movable[_pins(triangles, movable)] = False
     topology = make_topology(triangles, movable, kind != SMOOTH, surface.stars())
     centers = barycenters(points, triangles)
@@ -196,7 +196,7 @@ def _direction(
 
 
 def _pins(triangles: IntArray, movable: BoolArray) -> IntArray:
-    """First vertex of every connected piece without a vertex that is held."""
+    """First vertex of every connected piece without a vertex that is locked."""
     n = len(movable)
     start, end = triangles.ravel(), triangles[:, [1, 2, 0]].ravel()
     piece = components(start, end, n)

@@ -24,7 +24,7 @@ class Complex:
     ----------
     points : (n, d) float64           moved in place by the kernels
     locked : (n,) bool                vertices that may not move
-    rim : (n,) bool                   vertices on the boundary or an interface
+    boundary : (n,) bool                   vertices on the boundary or an interface
     cells : (room, d + 1) int32       -1 in column 0 of a free slot
     neighbors : (room, d + 1) int32   cell opposite to local vertex i, -1 outside
     regions : (room,) int32
@@ -37,7 +37,7 @@ class Complex:
 
     points: FloatArray
     locked: BoolArray
-    rim: BoolArray
+    boundary: BoolArray
     cells: IntArray
     neighbors: IntArray
     regions: IntArray
@@ -89,7 +89,7 @@ class Complex:
 
 
 def make_complex(
-    points: FloatArray, cells: IntArray, regions: IntArray, locked: BoolArray, rim: BoolArray,
+    points: FloatArray, cells: IntArray, regions: IntArray, locked: BoolArray, boundary: BoolArray,
     skin: Any = None, neighbors: IntArray | None = None,
 ) -> Complex:
     """Build the adjacency of a valid mesh, with room for flips that add cells.
@@ -98,18 +98,18 @@ def make_complex(
     ----------
     points : (n, d) float64          kept by reference
     cells : (m, d + 1) int32, regions : (m,) int32
-    locked, rim : (n,) bool
+    locked, boundary : (n,) bool
     skin : Skin, optional            kept by reference
     neighbors : (m, d + 1) int32, optional    of the cells, when already known
     """
     if neighbors is None:
         neighbors = cell_neighbors(cells, vertex_stars(cells, len(points)))
-    return _with_room(points, cells, neighbors, regions, locked, rim, skin)
+    return _with_room(points, cells, neighbors, regions, locked, boundary, skin)
 
 
 def _with_room(
     points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
-    locked: BoolArray, rim: BoolArray, skin: Any,
+    locked: BoolArray, boundary: BoolArray, skin: Any,
 ) -> Complex:
     """Put the arrays of a mesh into slots, an eighth more than there are cells in space."""
     m, k = cells.shape
@@ -123,7 +123,7 @@ def _with_room(
     return Complex(
         points,
         locked,
-        rim,
+        boundary,
         slots,
         across,
         labels,
@@ -145,7 +145,7 @@ def renumbered(mesh: Complex) -> Complex:
     fresh = _with_room(
         mesh.points, np.take(mesh.cells, order, axis=0),
         rank[np.take(mesh.neighbors, order, axis=0)], mesh.regions[order],
-        mesh.locked, mesh.rim, mesh.skin,
+        mesh.locked, mesh.boundary, mesh.skin,
     )
     fresh.shares = mesh.shares
     return fresh

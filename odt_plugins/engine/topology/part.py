@@ -90,7 +90,7 @@ def joined(mesh: Complex | Part) -> Complex:
     """Put the parts together again."""
     if not isinstance(mesh, Part):
         return mesh
-    return make_complex(mesh.points, *mesh.mesh_arrays(), mesh.locked, mesh.inside.rim)
+    return make_complex(mesh.points, *mesh.mesh_arrays(), mesh.locked, mesh.inside.boundary)
 
 
 def _part(
@@ -100,5 +100,5 @@ def _part(
         return None
     locked = mesh.locked.copy()
     locked[cells[~chosen]] = True
-    some = make_complex(mesh.points, cells[chosen], regions[chosen], locked, inside(mesh).rim)
+    some = make_complex(mesh.points, cells[chosen], regions[chosen], locked, inside(mesh).boundary)
     return Part(some, cells[~chosen], regions[~chosen], mesh.locked)

@@ -16,7 +16,7 @@ from odt_plugins.engine.ground.features import (
     pinched_vertices,
     sharp_edges,
 )
-from odt_plugins.engine.ground.sheet import HELD, LINE, SMOOTH
+from odt_plugins.engine.ground.sheet import LINE, LOCKED, SMOOTH
 from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.errors import EndlessWalkError, InvalidMeshError, InvalidOptionError
 from odt_plugins.mesh.surface import surface_edges, surface_mesh
@@ -67,7 +67,7 @@ def test_a_cylinder_has_two_rims_whose_vertices_stay():
     assert len(edges) == 48
     assert found.corners == 2, "one anchor for each closed line"
     on = np.unique(list(edges))
-    assert (found.kind[on] == HELD).all()
+    assert (found.kind[on] == LOCKED).all()
     assert (np.delete(found.kind, on) == SMOOTH).all()
     slides, _ = features(p, t, slack=0.02)
     assert (slides.kind[on] == LINE).sum() == 46
@@ -143,10 +143,10 @@ def test_labels_marks_and_fixed_vertices():
     a, b = (int(v) for v in t[0, :2])
     assert features(p, t, kept=lambda edges: marked_edges(
         edges, np.array([[b, a], [0, 0]]), len(p)))[1] == {(min(a, b), max(a, b))}
-    assert features(p, t, fixed=[5])[0].kind[5] == HELD
+    assert features(p, t, fixed=[5])[0].kind[5] == LOCKED
     p, t = sm.cube(4)
     line = int(np.flatnonzero(features(p, t)[0].kind == LINE)[0])
-    assert features(p, t, fixed=[line])[0].kind[line] == HELD
+    assert features(p, t, fixed=[line])[0].kind[line] == LOCKED
 
 
 def test_three_sheets_meet_in_a_line_that_stays():
@@ -170,7 +170,7 @@ def test_vertices_where_two_fans_meet_are_held():
     other = np.where(t == 0, 0, t + len(p) - 1)
     found, _ = features(q, np.concatenate([t, other]))
     assert found.pinched.nonzero()[0].tolist() == [0]
-    assert found.kind[0] == HELD
+    assert found.kind[0] == LOCKED
 
 
 def test_triangles_that_lead_on_without_an_end_are_named():
@@ -181,7 +181,7 @@ def test_triangles_that_lead_on_without_an_end_are_named():
     assert caught.value.vertex == 0
 
 
-@pytest.mark.parametrize(("around", "kind"), [(LARGEST_FAN, SMOOTH), (LARGEST_FAN + 1, HELD)])
+@pytest.mark.parametrize(("around", "kind"), [(LARGEST_FAN, SMOOTH), (LARGEST_FAN + 1, LOCKED)])
 def test_a_vertex_of_very_many_triangles_stays(around, kind):
     angle = np.arange(around) * 2 * np.pi / around
     ring = np.stack([np.cos(angle), np.sin(angle), 0 * angle], axis=1)
@@ -194,7 +194,7 @@ def test_a_vertex_of_very_many_triangles_stays(around, kind):
 def test_unused_vertices_do_no_harm():
     p, t = sm.sphere(1)
     found, edges = features(np.concatenate([p, [[9.0, 9, 9]]]), t)
-    assert found.kind[-1] == HELD
+    assert found.kind[-1] == LOCKED
     assert not edges
 
 
@@ -246,4 +246,4 @@ def test_a_bend_whose_vertex_is_there_several_times_is_held():
         np.stack([2 * k + i + 1, i + 1, 2 * k + i], axis=1),
     ])
     found, _ = features(points, cells)
-    assert found.kind[:k].tolist() == [HELD, LINE, HELD, HELD, HELD, LINE, HELD]
+    assert found.kind[:k].tolist() == [LOCKED, LINE, LOCKED, LOCKED, LOCKED, LINE, LOCKED]

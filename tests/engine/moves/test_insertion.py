@@ -25,7 +25,7 @@ def spare_complex(points, cells, regions=None, stays=None):
     n = len(points)
     stays = np.zeros(n, dtype=bool) if stays is None else stays
     labels = mesh.mesh_arrays()[1]
-    return with_spare_vertices(points.copy(), cells, labels, mesh.locked, mesh.rim, stays)
+    return with_spare_vertices(points.copy(), cells, labels, mesh.locked, mesh.boundary, stays)
 
 
 class Operation:

@@ -69,7 +69,7 @@ def skinned(points, cells, envelope=1e-2, held=None, stays=NONE):
     held = np.zeros(len(points), dtype=bool) if held is None else held
     x = mesh.points.copy()
     skin = make_skin(
-        x, mesh.cells, held=held, envelope=envelope * diagonal(x), angle=40.0, stays=stays,
+        x, mesh.cells, locked=held, envelope=envelope * diagonal(x), angle=40.0, stays=stays,
         lines=NONE,
     )
     return make_complex(x, mesh.cells, mesh.regions, rim | held, rim, skin)
@@ -289,7 +289,7 @@ def test_a_flat_cell_of_the_surface_goes_unless_an_interface_is_behind_it(label,
     held = np.array([True, False, True, True, True])
     stays = np.array([[0, 2], [0, 3], [1, 2], [1, 3]], dtype=np.int32)
     skin = make_skin(
-        mesh.points, mesh.cells, held=held, envelope=0.01, angle=40.0, stays=stays, lines=NONE
+        mesh.points, mesh.cells, locked=held, envelope=0.01, angle=40.0, stays=stays, lines=NONE
     )
     tets = make_complex(mesh.points, mesh.cells, mesh.regions, rim, rim, skin)
     flat = np.array([True, False, False])

@@ -16,7 +16,7 @@ from odt_plugins.engine.finish.phases import Phase
 from odt_plugins.engine.ground.build import ground_values, make_ground, make_sheet
 from odt_plugins.engine.ground.features import find_features
 from odt_plugins.engine.ground.pair import edge_is_free
-from odt_plugins.engine.ground.sheet import HELD, Guards, Limits, claim, make_work
+from odt_plugins.engine.ground.sheet import LOCKED, Guards, Limits, claim, make_work
 from odt_plugins.engine.ground.trace import End, edge_is_near
 from odt_plugins.engine.sliding.flips import sheet_triangle
 from odt_plugins.engine.surface import passes
@@ -92,7 +92,7 @@ def test_the_surface_stays_in_its_envelope_and_keeps_its_topology(name, envelope
     assert sm.topology(surface.triangles) == sm.topology(t)
     before, after = radius_ratio(p, t), radius_ratio(surface.points, surface.triangles)
     assert after.mean() > before.mean() + 0.01
-    held = surface.sheet.kind == HELD
+    held = surface.sheet.kind == LOCKED
     assert np.array_equal(surface.points[held], p[held])
     assert np.array_equal(surface.guards.ground.points, p)
 

@@ -36,7 +36,7 @@ def start(regions=1):
     points, cells = tm.grid(9, 3)
     labels = (points[cells].mean(axis=1)[:, 1] > 9 / regions).astype(np.int32)
     mesh = complex_of(points, cells, labels)
-    mesh.locked[:] = mesh.rim
+    mesh.locked[:] = mesh.boundary
     return mesh
 
 
