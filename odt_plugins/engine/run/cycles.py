@@ -16,7 +16,7 @@ from odt_plugins.engine.finish.volume import finish, held_angles
 from odt_plugins.engine.odt.density import Density
 from odt_plugins.engine.odt.rounds import Log, smooth
 from odt_plugins.engine.policy import POLICY
-from odt_plugins.engine.record.figures import COS_SMALL, Figures, figures
+from odt_plugins.engine.record.figures import Figures, figures
 from odt_plugins.engine.record.memory import Memory
 from odt_plugins.engine.record.progress import report_share, silent
 from odt_plugins.engine.topology.complex import Complex
@@ -34,15 +34,6 @@ def extremes(before: Figures, keep: tuple[str, ...]) -> Bounds:
     low, high = (math.cos(math.radians(angle)) for angle in POLICY.locked_angles)
     locked = Extremes(POLICY.locked_quality, min(large, low), max(small, high))
     return Bounds(Extremes(quality, large, small), locked)
-
-
-def without_finishing(limit: Extremes, memory: Memory) -> Extremes:
-    """Extremes for the stars of vertices when no finishing wins back what smoothing costs."""
-    if "p1_quality" in memory.keep:
-        limit = limit._replace(quality=memory.before.p1_quality)
-    if "share_below_20" in memory.keep:
-        limit = limit._replace(large=min(limit.large, COS_SMALL))
-    return limit
 
 
 def settled(means: Sequence[float]) -> str:
@@ -117,8 +108,8 @@ def run_cycles(
 ) -> str:
     """Alternate the two stages, then look after the worst cells; returns why stage 1 stopped."""
     limits = bounds
-    if not options.finish:
-        limits = bounds._replace(cells=without_finishing(bounds.cells, memory))
+    if not options.finish and "p1_quality" in options.keep:
+        limits = bounds.with_quality(memory.before.p1_quality)
     watch = None if options.finish else partial(memory.offer, name="smoothing")
     work_on = partial(settle, log=log, pool=pool, threads=options.threads)
 

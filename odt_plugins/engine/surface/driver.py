@@ -24,11 +24,11 @@ from odt_plugins.engine.ground.features import (
 from odt_plugins.engine.ground.sheet import LINE, LOCKED, Guards, Limits
 from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.policy import POLICY
-from odt_plugins.engine.record.figures import figures
+from odt_plugins.engine.record.figures import COS_SMALL, figures
 from odt_plugins.engine.record.memory import Memory, State
 from odt_plugins.engine.record.progress import in_turn, silent
 from odt_plugins.engine.run.best import ALONE, best_state, input_returned
-from odt_plugins.engine.run.cycles import alternate, extremes, repaired, without_finishing
+from odt_plugins.engine.run.cycles import alternate, extremes, repaired
 from odt_plugins.engine.run.driver import inner_density
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
 from odt_plugins.engine.run.start import Start, make_start
@@ -252,7 +252,11 @@ def _cycles(
     strict = extremes(memory.before, tuple(options.keep)).cells
     bounds = FREELY._replace(quality=POLICY.surface_thin)
     if not options.finish:
-        bounds = without_finishing(strict, memory)
+        bounds = strict
+        if "p1_quality" in options.keep:
+            bounds = bounds._replace(quality=memory.before.p1_quality)
+        if "share_below_20" in options.keep:
+            bounds = bounds._replace(large=min(bounds.large, COS_SMALL))
     watch = None if options.finish else partial(memory.offer, name="smoothing")
     reason = alternate(
         lambda tick: smooth_surface(surface, density, options, bounds, log, tick, watch),
