@@ -145,12 +145,25 @@ def explode(block: Any) -> Any:
     os.kill(os.getpid(), signal.SIGKILL)
 
 
-def test_lost_processes_end_the_run_with_a_sentence(monkeypatch):
-    from odt_plugins.distributed.local import executor
+LOSING = """
+import os, signal
+from odt_plugins.distributed.local import executor
 
-    with pytest.raises(WorkerError, match="worker process ended before its work did"), \
-            executor(workers=1) as apply:
+def explode(block):
+    os.kill(os.getpid(), signal.SIGKILL)
+
+if __name__ == "__main__":
+    with executor(workers=1) as apply:
         list(apply(explode, [1, 2]))
+"""
+
+
+def test_lost_processes_end_the_run_with_a_sentence(tmp_path):
+    (tmp_path / "losing.py").write_text(LOSING)
+    done = subprocess.run([sys.executable, "losing.py"], cwd=tmp_path, capture_output=True,
+                          text=True, check=False, timeout=200)
+    assert done.returncode == 1
+    assert "WorkerError: a worker process ended before its work did" in done.stderr
 
 
 def test_work_that_kills_every_worker_ends_the_run_with_a_sentence(client):
