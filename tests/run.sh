@@ -1,7 +1,7 @@
 #!/usr/bin/env bash
 # Sets up what the tests need, then runs ruff, mypy and pytest. Quick the second time.
 #   bash tests/run.sh [arguments of pytest]
-# Without arguments the numerical tests run again for other processors: BLAS of three kinds, and
+# Without arguments the numerical tests run again for other processors: BLAS of two kinds, and
 # kernels without the instructions that came after SSE4.2.
 # Uses the active virtual environment, or makes .venv beside pyproject.toml.
 set -euo pipefail
@@ -25,7 +25,7 @@ if [ $# -gt 0 ]; then
 fi
 python -m pytest -n 2
 [ "$(uname -m)" = x86_64 ] || exit 0
-for core in Prescott Nehalem Haswell; do
+for core in Prescott Haswell; do
     echo "== pytest, numerical tests, BLAS of $core"
     OPENBLAS_CORETYPE="$core" python -m pytest -n 2 $NUMERICAL
 done

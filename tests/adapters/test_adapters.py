@@ -10,9 +10,17 @@ import numpy as np
 import pytest
 
 import odt_plugins
+from odt_plugins.adapters import apart
 from odt_plugins.carry import cell_source, in_input_order
 from odt_plugins.engine.run import driver
 from odt_plugins.mesh.simplex import simplex_mesh
+
+
+@pytest.fixture(autouse=True)
+def _in_this_process(monkeypatch):
+    """No process of its own for every file: other tests hold that such a process is used."""
+    monkeypatch.setattr(apart, "call", lambda function, *arguments, seconds=None: function(
+        *arguments))
 
 
 @pytest.fixture(autouse=True)
