@@ -15,6 +15,10 @@ STEP = 0.005
 """Part by which a bar in a notebook grows at least; each step is a message to the browser."""
 
 
+def silent(stage: str, fraction: float) -> None:
+    """Tell nobody."""
+
+
 @contextmanager
 def telling(progress: Progress | bool | None, first: str) -> Iterator[Progress]:
     """Make one progress of all that is told while this lasts: from 0 to 1, and never back.
@@ -32,7 +36,7 @@ def telling(progress: Progress | bool | None, first: str) -> Iterator[Progress]:
         with shown() as bar, telling(bar, first) as whole:
             yield whole
         return
-    report, reached, last = progress or _nobody, 0.0, first
+    report, reached, last = progress or silent, 0.0, first
 
     def tell(stage: str, fraction: float) -> None:
         nonlocal reached, last
@@ -44,10 +48,6 @@ def telling(progress: Progress | bool | None, first: str) -> Iterator[Progress]:
     yield tell
     if reached < 1.0:
         tell(last, 1.0)
-
-
-def _nobody(stage: str, fraction: float) -> None:
-    """Tell nobody."""
 
 
 def part(progress: Progress, low: float, high: float) -> Progress:

@@ -97,7 +97,7 @@ def run_engine(
         kind = np.promote_types(kind, np.min_scalar_type(len(outcome.points) - 1))
     result = Result(
         points, cells.astype(kind), source, work.mesh.is_surface,
-        _feet(work, places, cells), vertices if not work.host.quadratic else None,
+        _feet(work, places, cells), vertices if not work.host.higher_order else None,
         locate=around if fields else None, same=same,
     )
     return work.adapter.write(result, work.host), work.mesh, outcome, told
@@ -153,7 +153,7 @@ def _prepare(mesh: Any, options: Options) -> _Prepared:
             _expect_linear_tetrahedra(host)
         work = partial(_checked, adapter, flat_points(host), options)
         found = work(host, keep_seams=keep_seams)
-        same = None if host.quadratic else same_places(host.points, host.cells.astype(np.int64))
+        same = None if host.higher_order else same_places(host.points, host.cells.astype(np.int64))
         return found if same is None else _of_soup(found, work, host, same, keep_seams)
 
 
@@ -295,8 +295,8 @@ def _as_it_leaves(work: _Prepared, threads: int, outcome: Outcome) -> Outcome:
 
 def _expect_linear_tetrahedra(host: HostMesh) -> None:
     """Refuse meshes into which no vertices can be inserted."""
-    what = "triangles" if host.cells.shape[1:] == (3,) else "quadratic cells"
-    if host.quadratic or what == "triangles":
+    what = "triangles" if host.cells.shape[1:] == (3,) else "cells of higher order"
+    if host.higher_order or what == "triangles":
         msg = f"got insert=True for a mesh of {what}; expected one of linear tetrahedra"
         raise InvalidOptionError(msg)
 

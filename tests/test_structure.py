@@ -27,7 +27,7 @@ MAY_IMPORT = {
     "mesh": {"errors"},
     "quality": {"errors", "mesh", "table"},
     "promise": {"errors", "mesh", "options", "quality"},
-    "engine": BASE,
+    "engine": {"progress", *BASE},
     "paper": {"engine", "mesh"},
     "adapters": {"errors", "mesh"},
     "carry": {"engine", "errors", "mesh"},

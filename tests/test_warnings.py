@@ -137,7 +137,7 @@ CASES = {
     "adapters/gmsh_files.py": (section,),
     "roundtrip.py": (soup,),
     "adapters/files.py": (dropped, unknown),
-    "adapters/quadratic.py": (point_set,),
+    "adapters/higher_order.py": (point_set,),
     "adapters/wedges.py": (seams,),
     "adapters/pymeshlab_copy.py": (curvature,),
     "adapters/pymeshlab_set.py": (held,),

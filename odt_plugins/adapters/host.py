@@ -40,7 +40,7 @@ class HostMesh:
     layout : object                   what else the writer of this adapter needs
     words : callable                  puts an error message into the words of this toolkit
     anchors : (k,) int or None        vertices that may move but must not be removed
-    quadratic : bool                  whether there are mid-nodes on the edges of the cells
+    higher_order : bool               whether there are nodes between the corners of the cells
     ids : (m,) int or None            place of every cell among all cells of the object, ascending,
                                       where there may be others; they stay in that order
     total : int                       number of all cells of the object, with `ids`
@@ -60,7 +60,7 @@ class HostMesh:
     layout: Any = None
     words: Callable[[str], str] = str
     anchors: NDArray[Any] | None = None
-    quadratic: bool = False
+    higher_order: bool = False
     ids: NDArray[Any] | None = None
     total: int = 0
     fields: tuple[str, ...] = ()
@@ -161,9 +161,9 @@ class Result(NamedTuple):
     vertices : NewVertices     when some were removed or added, or fields are interpolated
     split : callable or None   when the mesh was refined: the parts (c q, r) of other cells (q, r),
                                r = 1, 2 or 3 vertices, those of row i from c i on
-    locate : callable or None  of quadratic cells when fields are interpolated: the input cells
-                               (k,) around places (k, D) near some input cells (k,), and their
-                               barycentric coordinates there
+    locate : callable or None  of cells of higher order when fields are interpolated: the input
+                               cells (k,) around places (k, D) near some input cells (k,), and
+                               their barycentric coordinates there
     same : (n,) int or None    of a soup, the first vertex at the place of every vertex
     """
 

@@ -3,8 +3,8 @@
 Everything survives: the blocks and their tags, point, cell and field data, point and cell sets.
 Cells of different blocks never mix. Blocks of other linear cells come back as they are. Triangles
 and tetrahedra of higher order are optimised by their corners, see
-:mod:`odt_plugins.adapters.quadratic`; other cells of higher order, such cells beside linear ones,
-and polyhedra are refused by name.
+:mod:`odt_plugins.adapters.higher_order`; other cells of higher order, such cells beside linear
+ones, and polyhedra are refused by name.
 """
 
 from __future__ import annotations
@@ -16,19 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.fields import field_names
-from odt_plugins.adapters.host import (
-    HostMesh,
-    KeptCells,
-    NewVertices,
-    Result,
-    is_instance,
-)
-from odt_plugins.adapters.normals import renewed
-from odt_plugins.adapters.quadratic import (
+from odt_plugins.adapters.higher_order import (
     HIGHER,
     LAGRANGE,
+    HigherOrder,
     Lattice,
-    Quadratic,
     carried_point_data,
     check_mid_nodes,
     lattice,
@@ -38,6 +30,14 @@ from odt_plugins.adapters.quadratic import (
     warn_of_folds,
     with_mid_nodes,
 )
+from odt_plugins.adapters.host import (
+    HostMesh,
+    KeptCells,
+    NewVertices,
+    Result,
+    is_instance,
+)
+from odt_plugins.adapters.normals import renewed
 from odt_plugins.adapters.regions import AUTO, Labels, region_labels
 from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError, counted
 
@@ -132,7 +132,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         source=mesh,
         layout=dict(zip(chosen, np.cumsum([0, *size[:-1]]).tolist(), strict=True)),
         anchors=_anchors(mesh),
-        quadratic=shape is not None,
+        higher_order=shape is not None,
         ids=np.flatnonzero(np.repeat([block.type == kind for block in mesh.cells], sizes)),
         total=sum(sizes),
         fields=field_names({name: np.asarray(v) for name, v in mesh.point_data.items()}),
@@ -162,7 +162,7 @@ def _of_order(block: Any, kind: str, shape: Lattice | None) -> bool:
 def write(result: Result, host: HostMesh) -> Any:
     """Copy the caller's mesh and exchange its points and the optimised blocks."""
     out = host.source.copy()
-    if host.quadratic:
+    if host.higher_order:
         result = _with_mid_nodes(out, result, host)
     elif result.vertices is not None and result.vertices.renumbered:
         _renumber(out, result, result.vertices, host)
@@ -179,7 +179,7 @@ def write(result: Result, host: HostMesh) -> Any:
         local = result.source[here] - start
         block.data = result.cells[here].astype(block.data.dtype)
         _take(out, i, local, end - start)
-    if result.curved and not host.quadratic:
+    if result.curved and not host.higher_order:
         _renew_normals(out, result, host)
     return out
 
@@ -276,7 +276,7 @@ def _with_mid_nodes(out: Any, result: Result, host: HostMesh) -> Result:
 
 
 def _node_entities(
-    values: NDArray[Any], q: Quadratic, of_cells: NDArray[np.integer]
+    values: NDArray[Any], q: HigherOrder, of_cells: NDArray[np.integer]
 ) -> NDArray[Any]:
     """Dimension and tag (n', 2) of Gmsh's entity of every node; new ones lie in that of a cell."""
     out = values[np.maximum(q.origin, 0)]

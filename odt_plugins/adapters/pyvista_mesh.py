@@ -5,8 +5,8 @@ user dictionary. On a curved surface the active normals are computed anew, and t
 coordinates are interpolated at the new places of the vertices. Other linear cells (lines,
 boundary triangles, quadrilaterals, hexahedra, ...) come back as they are. Quadratic and Lagrange
 triangles and tetrahedra are optimised by their corners, see
-:mod:`odt_plugins.adapters.quadratic`; other cells of higher order, such cells beside linear ones,
-polyhedra and triangle strips are refused by name.
+:mod:`odt_plugins.adapters.higher_order`; other cells of higher order, such cells beside linear
+ones, polyhedra and triangle strips are refused by name.
 """
 
 from __future__ import annotations
@@ -18,9 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.fields import field_names
-from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
-from odt_plugins.adapters.normals import renewed
-from odt_plugins.adapters.quadratic import (
+from odt_plugins.adapters.higher_order import (
     carried_point_data,
     check_mid_nodes,
     lattice,
@@ -29,6 +27,8 @@ from odt_plugins.adapters.quadratic import (
     warn_of_folds,
     with_mid_nodes,
 )
+from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
+from odt_plugins.adapters.normals import renewed
 from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.wedges import slid
 from odt_plugins.errors import UnsupportedMeshError, counted
@@ -121,7 +121,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
             {name: np.asarray(mesh.point_data[name]) for name in mesh.point_data.keys()},
             (mesh.point_data.active_normals_name, name)),
         anchors=_anchors(mesh) if grid else None,
-        quadratic=wide,
+        higher_order=wide,
         texture=None if texture is None else texture.reshape(len(texture), -1),
         words=lambda text: text.replace("merging vertices at the same place", "mesh.clean()"),
     )
@@ -146,7 +146,7 @@ def write(result: Result, host: HostMesh) -> Any:
             out.point_data.clear()
         out.points = result.points
     else:
-        rows = _write_quadratic(out, result, host)
+        rows = _write_higher_order(out, result, host)
     if vertices is not None and nodes is None:
         _carry_point_data(out, host.source, lambda name, values: vertices.carried(
             values, field=name in host.fields), host.fields if number is None else None)
@@ -263,7 +263,7 @@ def _refuse_unknown(types: NDArray[Any], known: list[int]) -> None:
         raise UnsupportedMeshError(msg)
 
 
-def _write_quadratic(out: Any, result: Result, host: HostMesh) -> IndexArray:
+def _write_higher_order(out: Any, result: Result, host: HostMesh) -> IndexArray:
     """Set cells, points and point data of a grid whose cells have mid-nodes."""
     source = host.source
     ids, nodes, shape = host.layout

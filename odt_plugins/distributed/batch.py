@@ -31,9 +31,9 @@ from odt_plugins.distributed.job import (
 )
 from odt_plugins.distributed.scratch import clear, make_scratch
 from odt_plugins.distributed.versions import expect_versions, installed_version, versions_here
-from odt_plugins.engine.record.progress import silent
 from odt_plugins.errors import InvalidOptionError, MeshFileError, exit_name
 from odt_plugins.options import COMPILING, make_options
+from odt_plugins.progress import silent
 from odt_plugins.tetwild import expect_pytetwild
 
 HIDDEN = ".batch"

@@ -18,7 +18,7 @@ from odt_plugins.engine.odt.density import make_density
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import Figures
 from odt_plugins.engine.record.figures import figures as figures_of
-from odt_plugins.engine.record.progress import in_turn, silent
+from odt_plugins.engine.record.progress import in_turn
 from odt_plugins.engine.run.driver import run
 from odt_plugins.engine.run.judge import faults
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is
@@ -26,7 +26,7 @@ from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
 from odt_plugins.mesh.arrays import IntArray
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import OptionKeywords, Options, make_options, with_option_signature
-from odt_plugins.progress import part
+from odt_plugins.progress import part, silent
 from odt_plugins.roundtrip import run_engine
 
 if TYPE_CHECKING:

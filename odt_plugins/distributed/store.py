@@ -207,7 +207,7 @@ def read_piece(path: str, regions: str | Sequence[str] | None) -> Found | None:
     if not any(len(block.data) for block in source.cells):
         return None
     host = meshio_mesh.read(source)
-    if host.cells.shape[1:] != (4,) or host.quadratic or host.kept:
+    if host.cells.shape[1:] != (4,) or host.higher_order or host.kept:
         msg = f"{path} holds other cells than linear tetrahedra; expected these alone in pieces"
         raise UnsupportedMeshError(msg)
     mesh, orientation = simplex_mesh(host.points, host.cells)

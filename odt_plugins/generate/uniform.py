@@ -111,8 +111,8 @@ def read_linear(mesh: Any) -> tuple[Adapter, HostMesh]:
         )
         raise UnsupportedMeshError(msg)
     host = adapter.read(mesh)
-    if host.quadratic:
-        msg = "got a mesh of quadratic cells; expected linear ones, try the corners alone"
+    if host.higher_order:
+        msg = "got a mesh of cells of higher order; expected linear ones, try the corners alone"
         raise UnsupportedMeshError(msg)
     other = next((kept.kind for kept in host.kept if kept.kind not in SPLIT), None)
     if other is not None:

@@ -12,7 +12,7 @@ from higher_order import places_of, raised
 
 import odt_plugins
 from odt_plugins.adapters import files
-from odt_plugins.adapters.quadratic import lattice, shape_gradients
+from odt_plugins.adapters.higher_order import lattice, shape_gradients
 from odt_plugins.engine.run import driver
 from odt_plugins.errors import DataNotKeptWarning, InvalidMeshError, UnsupportedMeshError
 

@@ -13,14 +13,14 @@ from quadratic_meshes import EDGES, MAKERS, MESHIO, edges_of, view, widened
 
 import odt_plugins
 from odt_plugins.adapters import files
-from odt_plugins.adapters.host import Result
-from odt_plugins.adapters.quadratic import (
+from odt_plugins.adapters.higher_order import (
     carried_point_data,
     check_mid_nodes,
     lattice,
     warn_of_folds,
     with_mid_nodes,
 )
+from odt_plugins.adapters.host import Result
 from odt_plugins.engine.run import driver
 from odt_plugins.errors import (
     DataNotKeptWarning,

@@ -18,12 +18,12 @@ from odt_plugins.engine.odt.rounds import Log, smooth
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import Figures, figures
 from odt_plugins.engine.record.memory import Memory
-from odt_plugins.engine.record.progress import report_share, silent
 from odt_plugins.engine.topology.complex import Complex
 from odt_plugins.engine.topology.part import Part, around, away_from, inside, joined
 from odt_plugins.engine.topology.triangles import Triangles
 from odt_plugins.mesh.arrays import BoolArray
 from odt_plugins.options import Options
+from odt_plugins.progress import part, silent
 
 
 def extremes(before: Figures, keep: tuple[str, ...]) -> Bounds:
@@ -69,7 +69,8 @@ def alternate(
     means: list[float] = []
     for cycle in range(cycles):
         clock = time.perf_counter()
-        reason = smooth(partial(report_share, report, cycle / cycles, 0.5 / cycles))
+        half = part(report, cycle / cycles, (cycle + 0.5) / cycles)
+        reason = smooth(partial(half, "smoothing"))
         log.add_time("smoothing", time.perf_counter() - clock)
         if not options.finish:
             continue

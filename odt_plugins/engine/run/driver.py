@@ -19,7 +19,7 @@ from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import Figures, figures
 from odt_plugins.engine.record.memory import Memory, State
-from odt_plugins.engine.record.progress import in_turn, report_insertion, silent, until_insertion
+from odt_plugins.engine.record.progress import BEFORE_INSERTION, in_turn, until_insertion
 from odt_plugins.engine.run.best import ALONE, BESIDES, INPUT, best_state, input_returned
 from odt_plugins.engine.run.cycles import extremes, finish_alone, run_cycles, settle
 from odt_plugins.engine.run.judge import cut_vertices, envelope_length, faults, slides
@@ -34,6 +34,7 @@ from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
+from odt_plugins.progress import part, silent
 
 NO_DENSITY = "nothing that follows the density kept the promise, the sizes are those of the input"
 
@@ -204,7 +205,8 @@ def _run_in(
             limits=partial(extremes, keep=tuple(options.keep)),
             settle=partial(settle, log=log, pool=pool, threads=options.threads),
             offer=partial(memory.offer, name="resampled"),
-            report=partial(report_insertion, options.progress or silent), log=log,
+            report=partial(part(options.progress or silent, BEFORE_INSERTION, 1.0), "inserting"),
+            log=log,
         )
         log.times["inserting"] = time.perf_counter() - clock
     clock = time.perf_counter()

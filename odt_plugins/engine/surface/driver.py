@@ -26,7 +26,7 @@ from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import COS_SMALL, figures
 from odt_plugins.engine.record.memory import Memory, State
-from odt_plugins.engine.record.progress import in_turn, silent
+from odt_plugins.engine.record.progress import in_turn
 from odt_plugins.engine.run.best import ALONE, best_state, input_returned
 from odt_plugins.engine.run.cycles import alternate, extremes, repaired
 from odt_plugins.engine.run.driver import inner_density
@@ -42,6 +42,7 @@ from odt_plugins.mesh.arrays import BoolArray, IntArray
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal
 from odt_plugins.mesh.surface import Edges, surface_edges
 from odt_plugins.options import Options
+from odt_plugins.progress import silent
 
 TAIL = tail(2)[:2]
 """Phases for the worst triangles; beyond p = 8 the envelope leaves them nothing to gain."""

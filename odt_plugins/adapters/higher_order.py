@@ -112,7 +112,7 @@ class Places(NamedTuple):
 
 
 @dataclass(frozen=True)
-class Quadratic:
+class HigherOrder:
     """Cells of higher order after the corners were optimised.
 
     Attributes
@@ -194,7 +194,7 @@ def _name(order: int) -> str:
 
 def with_mid_nodes(
     result: Result, points: NDArray[Any], rows: NDArray[Any], kept: NDArray[Any], shape: Lattice
-) -> Quadratic:
+) -> HigherOrder:
     """Put nodes on all places of optimised corner cells.
 
     Parameters
@@ -207,7 +207,7 @@ def with_mid_nodes(
 
     Returns
     -------
-    Quadratic
+    HigherOrder
     """
     n, d = len(points), shape.shape[1]
     wide, corner = rows.astype(np.int64), result.cells.astype(np.int64)
@@ -253,7 +253,7 @@ def with_mid_nodes(
     cells = np.concatenate([corner, node[inverse.reshape(len(corner), -1)]], axis=1)
     old_number = number[:n].copy()
     old_number[gone] = np.where(np.isin(gone, kept), number[gone], -1)
-    return Quadratic(
+    return HigherOrder(
         points=out[there].astype(points.dtype),
         cells=number[cells].astype(rows.dtype),
         origin=origin[there],
@@ -336,7 +336,7 @@ class Placed(NamedTuple):
 
 
 def placed_nodes(
-    q: Quadratic, result: Result, points: NDArray[Any], rows: NDArray[Any]
+    q: HigherOrder, result: Result, points: NDArray[Any], rows: NDArray[Any]
 ) -> Placed | None:
     """Locate the nodes that moved or are new, unless fields stay with their nodes.
 
@@ -376,7 +376,7 @@ def _at_places(values: NDArray[Any], placed: Placed) -> NDArray[Any]:
 
 
 def carried_point_data(
-    name: str, values: NDArray[Any], q: Quadratic, placed: Placed | None = None
+    name: str, values: NDArray[Any], q: HigherOrder, placed: Placed | None = None
 ) -> NDArray[Any]:
     """Point data after :func:`with_mid_nodes`.
 
@@ -384,7 +384,7 @@ def carried_point_data(
     ----------
     name : str            for the warning
     values : (n, ...)     of the input nodes
-    q : Quadratic
+    q : HigherOrder
     placed : Placed       of a field: it takes its values at these nodes
 
     Returns
@@ -431,7 +431,7 @@ def _between(
     return mean
 
 
-def warn_of_folds(before: NDArray[Any], rows: NDArray[Any], q: Quadratic) -> None:
+def warn_of_folds(before: NDArray[Any], rows: NDArray[Any], q: HigherOrder) -> None:
     """Warn when curved cells came to overlap themselves between their corners.
 
     The promise holds for the corners; a strongly curved boundary can reach through a straight
@@ -497,7 +497,7 @@ def shape_gradients(shape: Lattice) -> NDArray[np.float64]:
     return gradient
 
 
-def renumbered(mapping: Mapping[str, Any], q: Quadratic) -> dict[str, Any]:
+def renumbered(mapping: Mapping[str, Any], q: HigherOrder) -> dict[str, Any]:
     """Sets of nodes by name in the new numbering.
 
     Warns
