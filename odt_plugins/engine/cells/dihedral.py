@@ -19,14 +19,14 @@ import numpy as np
 
 from odt_plugins.engine.cells.corner import corner_edges, corner_normals, opposite_edges
 from odt_plugins.engine.cells.packed import add_identity, add_square
-from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.compiled.kernel import inner_kernel
 from odt_plugins.mesh.arrays import FloatArray
 
 SHARP = 4.0
 """k: the larger, the more the smallest angle counts alone."""
 
 
-@kernel
+@inner_kernel
 def six_cosines(
     points: FloatArray, i: int, j: int, k: int, l: int
 ) -> tuple[float, float, float, float, float, float, float]:
@@ -54,7 +54,7 @@ def six_cosines(
     return ax * x1 + ay * y1 + az * z1, c01, c02, c03, c12, c13, c23
 
 
-@kernel
+@inner_kernel
 def _edge_cost(cosine: float) -> float:
     """Term x_e of an edge."""
     x = 1.0 / max(1.0 - cosine * cosine, 1e-30)
@@ -62,13 +62,13 @@ def _edge_cost(cosine: float) -> float:
     return x * x
 
 
-@kernel
+@inner_kernel
 def _measure(total: float) -> float:
     """Measure m from the sum of the six terms."""
     return 1.125 / math.sqrt(math.sqrt(total / 6.0))
 
 
-@kernel
+@inner_kernel
 def tet_dihedral(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     """Softened smallest squared sine of tetrahedron (i, j, k, l); -1 if it is not positive."""
     det, c01, c02, c03, c12, c13, c23 = six_cosines(points, i, j, k, l)
@@ -79,7 +79,7 @@ def tet_dihedral(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     return _measure(total) if total > 0.0 else 0.0
 
 
-@kernel
+@inner_kernel
 def _raw_cost(d2: float, e2: float, n2: float, o2: float) -> float:
     """sin^(-2k) of the angle at an edge, from squared det, edge and face normals."""
     x = n2 * o2 / max(d2 * e2, 1e-300)
@@ -87,7 +87,7 @@ def _raw_cost(d2: float, e2: float, n2: float, o2: float) -> float:
     return x * x
 
 
-@kernel
+@inner_kernel
 def _add_edge(out: FloatArray, u: float, x: float, y: float, z: float) -> None:
     """Add the share u of an edge whose log sine has the gradient (x, y, z)."""
     out[1] += 2.0 * u * x
@@ -96,7 +96,7 @@ def _add_edge(out: FloatArray, u: float, x: float, y: float, z: float) -> None:
     add_square(out, -4.0 * SHARP * u, x, y, z)
 
 
-@kernel
+@inner_kernel
 def dihedral_terms(
     points: FloatArray, v: int, i: int, j: int, k: int, out: FloatArray
 ) -> bool:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from odt_plugins.engine.cells.corner import corner_edges, corner_normals
-from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
 from odt_plugins.engine.topology.active import PENDING
 from odt_plugins.mesh.arrays import ByteArray, FloatArray, IntArray
 
@@ -13,7 +13,7 @@ ROUNDING = 1e-9
 """A point is on the sphere when the test is below this part of (longest edge)^5."""
 
 
-@kernel
+@inner_kernel
 def circumsphere(
     points: FloatArray, i: int, j: int, k: int, l: int
 ) -> tuple[float, float, float, float, float]:
@@ -38,7 +38,7 @@ def circumsphere(
     return ax * px + ay * py + az * pz, gx, gy, gz, max(max(aa, bb), cc)
 
 
-@kernel
+@inner_kernel
 def inside_sphere(
     points: FloatArray, i: int, v: int, det: float, gx: float, gy: float, gz: float, size: float
 ) -> bool:
@@ -57,7 +57,7 @@ def inside_sphere(
     return test < -ROUNDING * size * size * np.sqrt(size)
 
 
-@kernel
+@inner_kernel
 def apex_across(cells: IntArray, c: int, f: int, across: int) -> np.int32:
     """Vertex of the cell across facet f of cell c that is not on the facet.
 

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from odt_plugins.engine.cells.corner import corner_edges, six_volumes
-from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
 from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 
@@ -131,7 +131,7 @@ def _sweep(
     return count
 
 
-@kernel
+@inner_kernel
 def _meet(triangles: IntArray, i: int, j: int) -> bool:
     """Whether two triangles share a vertex."""
     for a in range(3):
@@ -141,13 +141,13 @@ def _meet(triangles: IntArray, i: int, j: int) -> bool:
     return False
 
 
-@kernel
+@inner_kernel
 def _side(p: FloatArray, i: int, j: int, k: int, l: int) -> float:
     """Six times the signed volume of (i, j, k, l)."""
     return -six_volumes(*corner_edges(p, l, i, j, k))
 
 
-@kernel
+@inner_kernel
 def _crosses(p: FloatArray, triangles: IntArray, i: int, e: int, j: int) -> bool:
     """Whether edge e of triangle i goes through the inside of triangle j, by more than rounding."""
     u, v = triangles[i, e], triangles[i, (e + 1) % 3]
@@ -166,7 +166,7 @@ def _crosses(p: FloatArray, triangles: IntArray, i: int, e: int, j: int) -> bool
     return least > ROUNDING * length * math.sqrt(length)
 
 
-@kernel
+@inner_kernel
 def _squared(p: FloatArray, i: int, j: int) -> float:
     """Squared distance of two vertices."""
     return (p[i, 0] - p[j, 0]) ** 2 + (p[i, 1] - p[j, 1]) ** 2 + (p[i, 2] - p[j, 2]) ** 2

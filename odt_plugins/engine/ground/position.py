@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
 from odt_plugins.engine.cells.triangle import triangle_in_space
-from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.compiled.kernel import inner_kernel
 from odt_plugins.engine.ground.closest import Ground, walk
 from odt_plugins.engine.ground.lines import Lines, line_direction, line_is_near, on_line
 from odt_plugins.engine.ground.sheet import (
@@ -57,7 +57,7 @@ class Step(NamedTuple):
     slope: float
 
 
-@kernel
+@inner_kernel
 def star_normal(sheet: Sheet, stars: Stars, vertex: int) -> tuple[float, float, float]:
     """Unit normal of a star, area-weighted; 0 when there is none."""
     x = y = z = 0.0
@@ -74,7 +74,7 @@ def star_normal(sheet: Sheet, stars: Stars, vertex: int) -> tuple[float, float, 
     return x / length, y / length, z / length
 
 
-@kernel
+@inner_kernel
 def axis_across(nx: float, ny: float, nz: float) -> tuple[float, float, float]:
     """Unit vector at right angles to a unit vector."""
     if abs(nx) <= abs(ny) and abs(nx) <= abs(nz):
@@ -87,7 +87,7 @@ def axis_across(nx: float, ny: float, nz: float) -> tuple[float, float, float]:
     return x / length, y / length, z / length
 
 
-@kernel
+@inner_kernel
 def star_shape(
     sheet: Sheet, stars: Stars, vertex: int, power: float
 ) -> tuple[float, Extremes]:
@@ -103,7 +103,7 @@ def star_shape(
     return total, found
 
 
-@kernel
+@inner_kernel
 def along_line(
     sheet: Sheet, lines: Lines, vertex: int, dx: float, dy: float, dz: float
 ) -> float:
@@ -115,7 +115,7 @@ def along_line(
     return dx * ex + dy * ey + dz * ez
 
 
-@kernel
+@inner_kernel
 def put_vertex(
     sheet: Sheet, ground: Ground, lines: Lines, vertex: int,
     x: float, y: float, z: float, along: float, line_limit: float,
@@ -138,7 +138,7 @@ def put_vertex(
     return line_is_near(lines, p, ground.points, lines.slot[vertex], line_limit)
 
 
-@kernel
+@inner_kernel
 def least_cosine(
     sheet: Sheet, ground: Ground, stars: Stars, vertex: int, limits: Limits
 ) -> float:
@@ -151,7 +151,7 @@ def least_cosine(
     return least
 
 
-@kernel
+@inner_kernel
 def try_move(
     sheet: Sheet, guards: Guards, stars: Stars, vertex: int, step: Step, power: float,
     bounds: Extremes, work: Work,

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.compiled.kernel import inner_kernel
 from odt_plugins.engine.ground.closest import Ground, closest_on_triangle, walk
 from odt_plugins.engine.topology.lookup import place_in
 
@@ -46,7 +46,7 @@ class End(NamedTuple):
     inside: bool
 
 
-@kernel
+@inner_kernel
 def edge_is_near(a: End, b: End, ground: Ground, limit: float) -> bool:
     """Whether a straight edge stays close to the ground, and the ground under it to the edge.
 
@@ -70,7 +70,7 @@ def edge_is_near(a: End, b: End, ground: Ground, limit: float) -> bool:
     )
 
 
-@kernel
+@inner_kernel
 def _inward(
     x: float, y: float, z: float, face: int, ground: Ground
 ) -> tuple[float, float, float]:
@@ -84,7 +84,7 @@ def _inward(
     )
 
 
-@kernel
+@inner_kernel
 def _trace(
     a: End, ox: float, oy: float, oz: float, b: End, ground: Ground, limit: float
 ) -> bool:
@@ -162,7 +162,7 @@ def _trace(
     return False
 
 
-@kernel
+@inner_kernel
 def _sides(
     ground: Ground, face: int, x: float, y: float, z: float, mx: float, my: float, mz: float
 ) -> tuple[float, float, float]:

@@ -17,7 +17,7 @@ from odt_plugins.engine.cells.tetrahedron import (
     opposite_vertices,
     tet_cost,
 )
-from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
+from odt_plugins.engine.compiled.kernel import allocating_kernel, inner_kernel
 from odt_plugins.engine.moves.cavity import (
     Journal,
     Ring,
@@ -41,7 +41,7 @@ WITHIN_BOUNDS = 0.0
 """Allowance of a flip that must lower the cost and keep the bounds."""
 
 
-@kernel
+@inner_kernel
 def admissible(
     tets: Tets, old: IntArray, n_old: int, new: IntArray, n_new: int, objective: int,
     bounds: Bounds,
@@ -76,7 +76,7 @@ def admissible(
     return keeps(free, limit) and keeps(locked, locked_limit)
 
 
-@kernel
+@inner_kernel
 def remove_edge(
     tets: Tets, c: int, e: int, cost: Cost, max_ring: int, bounds: Bounds, allowance: float,
     ring: Ring, journal: Journal,
@@ -114,7 +114,7 @@ def remove_edge(
     return before - after, n_new
 
 
-@kernel
+@inner_kernel
 def flip_facet(
     tets: Tets, c: int, f: int, cost: Cost, bounds: Bounds, allowance: float, ring: Ring,
     journal: Journal,
@@ -165,7 +165,7 @@ def flip_facet(
     return before - after, int(n_new)
 
 
-@kernel
+@inner_kernel
 def improve_cell(
     tets: Tets, c: int, cost: Cost, max_ring: int, bounds: Bounds, ring: Ring, journal: Journal
 ) -> tuple[float, int]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from odt_plugins.engine.cells.extremes import Bounds, Extremes
 from odt_plugins.engine.cells.tetrahedron import Cost
-from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
+from odt_plugins.engine.compiled.kernel import allocating_kernel, inner_kernel
 from odt_plugins.engine.moves.cavity import replace_cavity
 from odt_plugins.engine.moves.compound import (
     GAIN,
@@ -73,7 +73,7 @@ def make_proposal() -> Proposal:
     )
 
 
-@kernel
+@inner_kernel
 def propose_vertex(
     tets: Tets, c: int, place: int, p: int, cost: Cost, max_ring: int, bounds: Bounds,
     scratch: Scratch, proposal: Proposal,
@@ -106,7 +106,7 @@ def propose_vertex(
     return total, n_old, n_new
 
 
-@kernel
+@inner_kernel
 def propose_removal(
     tets: Tets, stays: BoolArray, c: int, v: int, cost: Cost, scratch: Scratch, proposal: Proposal
 ) -> tuple[float, int, int]:
@@ -122,7 +122,7 @@ def propose_removal(
     return total, n_old, n_new
 
 
-@kernel
+@inner_kernel
 def surroundings_within(tets: Tets, n_touched: int, limit: Extremes, scratch: Scratch) -> bool:
     """:func:`compound.within` for all cells around the vertices of touched cells that can move."""
     cells = tets.cells

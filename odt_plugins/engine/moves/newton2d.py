@@ -21,7 +21,7 @@ from odt_plugins.engine.cells.triangle import (
     triangle_extremes,
     triangle_measure,
 )
-from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
+from odt_plugins.engine.compiled.kernel import allocating_kernel, inner_kernel
 from odt_plugins.engine.moves.plane_step import plane_step
 from odt_plugins.engine.topology.star import Stars
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -34,7 +34,7 @@ ARMIJO = 1e-4
 """Part of the decrease that the slope predicts which a step must reach."""
 
 
-@kernel
+@inner_kernel
 def _mean_ratio_terms(
     ux: float, uy: float, vx: float, vy: float, l3: float, ax: float, ay: float, d2: float
 ) -> tuple[float, float, float, float, float, float]:
@@ -52,7 +52,7 @@ def _mean_ratio_terms(
     )
 
 
-@kernel
+@inner_kernel
 def _angle_terms(
     ux: float, uy: float, vx: float, vy: float, l3: float, ax: float, ay: float, d2: float
 ) -> tuple[float, float, float, float, float, float]:
@@ -99,7 +99,7 @@ def _angle_terms(
     )
 
 
-@kernel
+@inner_kernel
 def star_cost_2d(
     points: FloatArray, cells: IntArray, stars: Stars, vertex: int, kind: Cost,
     derivatives: FloatArray,
@@ -187,7 +187,7 @@ def star_cost_2d(
     return total
 
 
-@kernel
+@inner_kernel
 def _star_shape(
     points: FloatArray, cells: IntArray, stars: Stars, vertex: int, kind: Cost
 ) -> tuple[float, Extremes]:

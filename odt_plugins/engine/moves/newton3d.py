@@ -27,7 +27,7 @@ from odt_plugins.engine.cells.tetrahedron import (
     tet_cosines,
     tet_quality,
 )
-from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
+from odt_plugins.engine.compiled.kernel import allocating_kernel, inner_kernel
 from odt_plugins.engine.topology.star import Stars
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
@@ -59,7 +59,7 @@ def make_derivatives() -> Derivatives:
     return Derivatives(np.empty(10), np.empty(10), np.empty(3))
 
 
-@kernel
+@inner_kernel
 def add_quality_terms(
     points: FloatArray, v: int, i: int, j: int, k: int, power: float, out: FloatArray,
 ) -> bool:
@@ -194,7 +194,7 @@ def add_quality_terms(
     return True
 
 
-@kernel
+@inner_kernel
 def add_cost_terms(
     points: FloatArray, v: int, i: int, j: int, k: int, cost: Cost, room: Derivatives
 ) -> bool:
@@ -221,7 +221,7 @@ def add_cost_terms(
     return True
 
 
-@kernel
+@inner_kernel
 def _newton_direction(out: FloatArray, step: FloatArray) -> bool:
     """Solve (H + s I) step = -g with the least shift s of a short ladder that makes it SPD."""
     trace = abs(out[4]) + abs(out[7]) + abs(out[9])
@@ -250,7 +250,7 @@ def _newton_direction(out: FloatArray, step: FloatArray) -> bool:
     return False
 
 
-@kernel
+@inner_kernel
 def star_state(
     points: FloatArray, cells: IntArray, indices: IntArray, start: int, stop: int, cost: Cost,
     limit: float, sure: float,
@@ -288,7 +288,7 @@ def star_state(
     return total, found
 
 
-@kernel
+@inner_kernel
 def sure_quality(limit: Extremes) -> float:
     """Radius ratio from which on no dihedral angle passes the limit; above 1 if none is sure.
 
@@ -300,7 +300,7 @@ def sure_quality(limit: Extremes) -> float:
     return 3.0 * math.sqrt(max(1.0 - cosine * cosine, 0.0) + ROUNDING)
 
 
-@kernel
+@inner_kernel
 def newton_vertex(
     points: FloatArray, cells: IntArray, indices: IntArray, start: int, stop: int, v: int,
     cost: Cost, limit: Extremes, room: Derivatives,

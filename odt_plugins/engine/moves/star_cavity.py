@@ -11,7 +11,7 @@ from __future__ import annotations
 import numpy as np
 
 from odt_plugins.engine.cells.tetrahedron import Cost, cell_cost, tet_cost
-from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.compiled.kernel import inner_kernel
 from odt_plugins.engine.moves.cavity import Ring, walk_ring
 from odt_plugins.engine.topology.lookup import is_in, place_in
 from odt_plugins.engine.topology.tets import Tets
@@ -23,7 +23,7 @@ PLACES = 11
 """Where a vertex may come into a cell: on its 6 edges, on its 4 facets, in its middle."""
 
 
-@kernel
+@inner_kernel
 def _cone_cost(
     points: FloatArray, cells: IntArray, c: int, f: int, p: int, cost: Cost
 ) -> float:
@@ -35,7 +35,7 @@ def _cone_cost(
     return tet_cost(points, i, j, k, l, cost)
 
 
-@kernel
+@inner_kernel
 def _write_cone(cells: IntArray, c: int, f: int, p: int, out: IntArray) -> None:
     """Write cell c with vertex p in the place of its local vertex f."""
     for i in range(4):
@@ -43,7 +43,7 @@ def _write_cone(cells: IntArray, c: int, f: int, p: int, out: IntArray) -> None:
     out[f] = p
 
 
-@kernel
+@inner_kernel
 def seed_cavity(
     tets: Tets, c: int, place: int, p: int, max_ring: int, ring: Ring, cavity: IntArray
 ) -> int:
@@ -89,7 +89,7 @@ def seed_cavity(
     return n
 
 
-@kernel
+@inner_kernel
 def grow_cavity(tets: Tets, p: int, cavity: IntArray, n: int, cost: Cost) -> int:
     """Take in the cell across a facet that lowers the sum of the costs most, while there is one.
 
@@ -130,7 +130,7 @@ def grow_cavity(tets: Tets, p: int, cavity: IntArray, n: int, cost: Cost) -> int
     return n
 
 
-@kernel
+@inner_kernel
 def join_facets(
     tets: Tets, p: int, cavity: IntArray, n: int, cost: Cost, new: IntArray
 ) -> tuple[float, int]:
@@ -157,7 +157,7 @@ def join_facets(
     return gain, n_new
 
 
-@kernel
+@inner_kernel
 def collapse_edge(
     tets: Tets, v: int, w: int, star: IntArray, n: int, cost: Cost, new: IntArray
 ) -> tuple[float, int]:
@@ -186,7 +186,7 @@ def collapse_edge(
     return gain, n_new
 
 
-@kernel
+@inner_kernel
 def best_collapse(
     tets: Tets, v: int, star: IntArray, n: int, cost: Cost, new: IntArray
 ) -> tuple[float, int]:

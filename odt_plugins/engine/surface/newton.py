@@ -6,7 +6,7 @@ import math
 
 from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.triangle import opposite_edge
-from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
 from odt_plugins.engine.ground.lines import line_direction
 from odt_plugins.engine.ground.position import (
     DECREASE,
@@ -23,7 +23,7 @@ from odt_plugins.engine.topology.star import Stars
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 
-@kernel
+@inner_kernel
 def star_cost(
     points: FloatArray, triangles: IntArray, stars: Stars, vertex: int, power: float,
     e: FloatArray, derivatives: FloatArray,

@@ -9,7 +9,7 @@ import numpy as np
 
 from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.triangle import opposite_edge
-from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
 from odt_plugins.engine.ground.position import NO_COST, Step, along_line, star_normal, try_move
 from odt_plugins.engine.ground.sheet import LOCKED, Guards, Sheet, Work
 from odt_plugins.engine.topology.star import Stars
@@ -47,7 +47,7 @@ NOWHERE = np.zeros((0, 3))
 """Vectors for a target that takes none."""
 
 
-@kernel
+@inner_kernel
 def star_centre(
     sheet: Sheet, stars: Stars, vertex: int, target: Target
 ) -> tuple[float, float, float]:

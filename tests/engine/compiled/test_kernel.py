@@ -155,6 +155,46 @@ def test_a_change_in_a_kernel_that_another_file_calls_is_seen(tmp_path):
     assert call() == {"4.0 1"}
 
 
+DECORATORS = {"kernel", "inner_kernel", "allocating_kernel"}
+
+
+def test_kernels_that_only_kernels_call_are_inner_kernels():
+    """Others compile what unpacks the arguments of a call from Python, which takes its time."""
+    marks: dict[str, set[str]] = {}
+    named = set()
+
+    def visit(node):
+        if isinstance(node, ast.FunctionDef):
+            found = DECORATORS & {getattr(d, "id", "") for d in node.decorator_list}
+            if found:
+                marks.setdefault(node.name, set()).update(found)
+                return
+        named.add(getattr(node, "id", getattr(node, "attr", "")))
+        for child in ast.iter_child_nodes(node):
+            visit(child)
+
+    for path in ENGINE.parent.rglob("*.py"):
+        visit(ast.parse(path.read_text(encoding="utf-8")))
+    assert len(marks) > 100
+    for name, mark in marks.items():
+        if mark != {"allocating_kernel"}:
+            assert (mark == {"inner_kernel"}) == (name not in named), (name, mark)
+
+
+def test_an_inner_kernel_is_called_from_python_through_a_caller():
+    @kernel.inner_kernel
+    def double(x: float) -> float:
+        return 2.0 * x
+
+    @kernel.kernel
+    def quadruple(x: float) -> float:
+        return double(double(x))
+
+    assert quadruple(3.0) == 12.0
+    assert double(3.0) == 6.0
+    assert double.targetoptions["no_cpython_wrapper"]
+
+
 def test_what_a_kernel_uses_stands_in_files_with_kernels():
     """A number that a kernel takes from another file is part of its machine code as well."""
     trees = {f"odt_plugins.engine.{'.'.join(path.relative_to(ENGINE).with_suffix('').parts)}":
@@ -162,7 +202,7 @@ def test_what_a_kernel_uses_stands_in_files_with_kernels():
     kernels = {
         name: [node for node in tree.body if isinstance(node, ast.FunctionDef)
                and {getattr(d, "id", "") for d in node.decorator_list}
-               & {"kernel", "allocating_kernel"}] for name, tree in trees.items()}
+               & DECORATORS] for name, tree in trees.items()}
     assert sum(map(len, kernels.values())) > 100
     for name, found in kernels.items():
         source = {alias.asname or alias.name: node.module for node in trees[name].body
