@@ -8,7 +8,9 @@ from odt_plugins.adapters import (
     meshio_mesh,
     open3d_mesh,
     pymeshlab_mesh,
+    pyvista_blocks,
     pyvista_mesh,
+    vtk_mesh,
 )
 from odt_plugins.adapters.host import Adapter
 from odt_plugins.errors import UnsupportedMeshError, counted
@@ -18,14 +20,16 @@ ADAPTERS: tuple[Adapter, ...] = (
     files,
     meshio_mesh,
     pyvista_mesh,
+    pyvista_blocks,
+    vtk_mesh,
     pymeshlab_mesh,
     open3d_mesh,
 )
 
 ACCEPTED = (
-    "a (points, cells) tuple of numpy arrays, a pyvista.UnstructuredGrid or PolyData, a "
-    "meshio.Mesh, a pymeshlab.MeshSet or Mesh, an open3d TriangleMesh (legacy or tensor) or "
-    "TetraMesh, or the path of a mesh file"
+    "a (points, cells) tuple of arrays, a pyvista.UnstructuredGrid, PolyData or MultiBlock, a "
+    "vtkUnstructuredGrid or vtkPolyData, a meshio.Mesh, a pymeshlab.MeshSet or Mesh, an open3d "
+    "TriangleMesh (legacy or tensor) or TetraMesh, or the path of a mesh file"
 )
 
 HINTS = {
@@ -35,7 +39,6 @@ HINTS = {
     "open3d": "a TriangleMesh or TetraMesh made of it",
     "pyvista.PointSet": "mesh.delaunay_3d()",
     "pyvista.DataSet": "mesh.cast_to_unstructured_grid().triangulate()",
-    "pyvista.MultiBlock": "mesh.combine().triangulate()",
     "vtkmodules": "pyvista.wrap(mesh)",
     "trimesh": "(mesh.vertices, mesh.faces) as plain arrays",
     "scipy.Delaunay": "(mesh.points, mesh.simplices)",

@@ -6,6 +6,7 @@
   names for ``apply_filter``, and steps of filter scripts; `run_filter` applies one,
   `run_filter_script` a script that mixes them with MeshLab's own;
 - "pyvista" (`hosts.pyvista_accessor`): `OdtAccessor` and `OdtSurfaceAccessor` as ``mesh.odt``;
+  pyvista 0.48 and newer find them by themselves (`hosts.pyvista_plugin`);
 - "open3d" (`hosts.open3d_filters`): functions shaped like open3d's filters, such as
   `filter_smooth_odt` and `optimize_odt`, become methods of its meshes.
 

@@ -73,7 +73,7 @@ class Host:
 def need(name: str) -> None:
     """Skip a test where the toolkit of a host is missing."""
     toolkit = name.partition("-")[0]
-    if toolkit in ("pyvista", "pymeshlab", "open3d"):
+    if toolkit in ("pyvista", "pymeshlab", "open3d", "vtk"):
         pytest.importorskip(toolkit)
 
 
@@ -380,6 +380,44 @@ def _pyvista(dim, kind, dtype):
     return Host(make, view, dim, "marker", fields=True)
 
 
+def _vtk(dim, kind, dtype):
+    """The same as of pyvista, as an object of VTK alone, with bits and words and a table."""
+    own = _pyvista(dim, kind, dtype)
+
+    def make(mesh=None):
+        from vtkmodules.vtkCommonCore import vtkBitArray, vtkLookupTable
+        from vtkmodules.vtkCommonDataModel import vtkPolyData, vtkUnstructuredGrid
+
+        out = vtkUnstructuredGrid() if kind == "grid" else vtkPolyData()
+        out.DeepCopy(own.make(mesh))
+        bits = vtkBitArray()
+        bits.SetName("bits")
+        for i in range(out.GetNumberOfCells()):
+            bits.InsertNextValue(i % 2)
+        if out.GetNumberOfCells():
+            out.GetCellData().AddArray(bits)
+            axis = out.GetCellData().GetArray("axis")
+            axis.SetComponentName(1, "northing")
+            axis.SetLookupTable(vtkLookupTable())
+        return out
+
+    def view(mesh):
+        import pyvista
+
+        found = own.view(pyvista.wrap(mesh))
+        for where in (mesh.GetPointData(), mesh.GetCellData()):
+            for i in range(where.NUM_ATTRIBUTES):
+                array = where.GetAbstractAttribute(i)
+                found.field_data[f"{where.GetClassName()} {i}"] = np.array(
+                    "" if array is None else f"{array.GetName()} {array.GetClassName()}")
+        axis = mesh.GetCellData().GetArray("axis")
+        found.field_data["northing"] = np.array(
+            axis is not None and (axis.GetComponentName(1), axis.GetLookupTable() is not None))
+        return found
+
+    return Host(make, view, dim, "marker", fields=True)
+
+
 def meshio_view(kind):
     def view(mesh):
         chosen = [i for i, block in enumerate(mesh.cells) if block.type == kind]
@@ -648,6 +686,8 @@ HOSTS = {
     "pyvista-tet-float32": _pyvista(3, "grid", np.float32),
     "pyvista-tri": _pyvista(2, "grid", np.float64),
     "pyvista-polydata": _pyvista(2, "poly", np.float32),
+    "vtk-tet": _vtk(3, "grid", np.float64),
+    "vtk-polydata": _vtk(2, "poly", np.float32),
     "meshio-tet": _meshio(3),
     "meshio-tet-blocks": _meshio(3, blocks=True),
     "meshio-tri": _meshio(2),
