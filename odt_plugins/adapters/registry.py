@@ -5,6 +5,7 @@ from __future__ import annotations
 from odt_plugins.adapters import (
     arrays,
     files,
+    gmsh_model,
     meshio_mesh,
     open3d_mesh,
     pymeshlab_mesh,
@@ -24,12 +25,13 @@ ADAPTERS: tuple[Adapter, ...] = (
     vtk_mesh,
     pymeshlab_mesh,
     open3d_mesh,
+    gmsh_model,
 )
 
 ACCEPTED = (
     "a (points, cells) tuple of arrays, a pyvista.UnstructuredGrid, PolyData or MultiBlock, a "
     "vtkUnstructuredGrid or vtkPolyData, a meshio.Mesh, a pymeshlab.MeshSet or Mesh, an open3d "
-    "TriangleMesh (legacy or tensor) or TetraMesh, or the path of a mesh file"
+    "TriangleMesh (legacy or tensor) or TetraMesh, gmsh.model, or the path of a mesh file"
 )
 
 HINTS = {
@@ -53,7 +55,7 @@ HINTS = {
     "dolfinx": "(mesh.geometry.x, mesh.geometry.dofmap)",
     "vedo": "pyvista.wrap(mesh.dataset)",
     "builtins.dict": '(mesh["vertices"], mesh["triangles"])',
-    "builtins.module": "the path of a file that it writes, such as gmsh.write(path)",
+    "builtins.module": "gmsh.model, if it is gmsh",
     "builtins": "numpy.asarray on the points and on the cells",
 }
 """What to pass instead of an object that has no adapter, by package or package and class."""

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import tempfile
 import weakref
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -46,6 +47,11 @@ class View:
     mid: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
 
 
+def itself(mesh):
+    """What most hosts make is taken as it is."""
+    return mesh
+
+
 @dataclass
 class Host:
     """One kind of caller's object.
@@ -59,6 +65,7 @@ class Host:
     word      what the host calls its cells
     optimize  what a caller of this host does
     fields    whether vertices that moved take the values of fields at their new places
+    mesh      gives what `measure` takes
     """
 
     make: Callable[..., Any]
@@ -68,12 +75,13 @@ class Host:
     word: str = "cells"
     optimize: Callable[..., Any] = odt_plugins.optimize
     fields: bool = False
+    mesh: Callable[[Any], Any] = itself
 
 
 def need(name: str) -> None:
     """Skip a test where the toolkit of a host is missing."""
     toolkit = name.partition("-")[0]
-    if toolkit in ("pyvista", "pymeshlab", "open3d", "vtk"):
+    if toolkit in ("pyvista", "pymeshlab", "open3d", "vtk", "gmsh"):
         pytest.importorskip(toolkit)
 
 
@@ -673,6 +681,101 @@ def _open3d(kind, real=np.float32, index=np.int64):
     return Host(make, view, dim, region, "tetrahedra" if dim == 3 else "triangles")
 
 
+NUMBERS = itertools.count()
+
+
+class GmshModel:
+    """A model of Gmsh by its name; what is done with it is done while it is the current one."""
+
+    def __init__(self):
+        import gmsh
+
+        if not gmsh.isInitialized():
+            gmsh.initialize(interruptible=False)
+            gmsh.option.setNumber("General.Terminal", 0)
+        self.name, self.last = f"model {next(NUMBERS)}", 0
+        gmsh.model.add(self.name)
+
+    def current(self):
+        import gmsh
+
+        gmsh.model.setCurrent(self.name)
+        return gmsh.model
+
+    def copied(self):
+        """The same in another model, by a file."""
+        import gmsh
+
+        self.current()
+        gmsh.option.setNumber("Mesh.SaveAll", 1)
+        gmsh.option.setNumber("Mesh.Binary", 1)
+        with tempfile.TemporaryDirectory() as folder:
+            gmsh.write(f"{folder}/mesh.msh")
+            other = GmshModel()
+            gmsh.merge(f"{folder}/mesh.msh")
+        other.last = self.last
+        return other
+
+
+def _gmsh(dim):
+    """Two entities with a group each, facets beside them, tags with gaps; of a model in memory."""
+    kinds = (1, 2, 4)[dim - 2:dim]
+
+    def make(mesh=None):
+        points, cells, labels = mesh or grid(dim, 4)
+        out = GmshModel()
+        model = out.current()
+        owners: dict[tuple[int, ...], list[int]] = {}
+        for label, cell in zip(labels.tolist(), cells.tolist(), strict=True):
+            for facet in itertools.combinations(sorted(cell), dim):
+                owners.setdefault(facet, []).append(label)
+        skin = [list(f) for f, have in owners.items() if len(have) == 1]
+        inner = [list(f) for f, have in owners.items() if len(set(have)) == 2]
+        free, first = np.ones(len(points), dtype=bool), 1
+        for d, tag, rows in ((dim - 1, 1, skin), (dim - 1, 2, inner), (dim, 1, cells[labels == 7]),
+                             (dim, 2, cells[labels == -2])):
+            rows = np.array(rows, dtype=np.int64).reshape(-1, d + 1)
+            model.addDiscreteEntity(d, tag)
+            new = np.unique(rows)
+            new = new[free[new]]
+            free[new] = False
+            model.mesh.addNodes(d, tag, 3 * new + 5, in_space(points)[new].ravel())
+            if len(rows):
+                model.mesh.addElementsByType(tag, kinds[d - dim + 1], first + np.arange(len(rows)),
+                                             (3 * rows + 5).ravel())
+            first += 2 * len(rows)
+        out.last = 3 * len(points) + 2
+        model.addPhysicalGroup(dim, [2], 9, name="steel")
+        model.addPhysicalGroup(dim - 1, [1, 2], 4, name="walls")
+        return out
+
+    def view(mesh):
+        """Field data without the tags of nodes that may come or go, those inside."""
+        model = mesh.current()
+        tags, flat, _ = model.mesh.getNodes()
+        # New ones come last.
+        order = np.argsort(tags > mesh.last, kind="stable")
+        rank = np.argsort(tags[order])
+        parts = [model.mesh.getElementsByType(kinds[1], tag)[1].reshape(-1, dim + 1)
+                 for tag in (1, 2)]
+        cells = rank[np.searchsorted(tags[order], np.concatenate(parts), sorter=rank)]
+        field = {"groups": np.array(model.getPhysicalGroups()),
+                 "steel": np.array(model.getPhysicalName(dim, 9))}
+        for d, tag in model.getEntities():
+            if d < dim:
+                field[f"nodes {d} {tag}"] = model.mesh.getNodes(d, tag)[0]
+                field[f"facets {d} {tag}"] = model.mesh.getElementsByType(kinds[0], tag)[1]
+        return View(flat.reshape(-1, 3)[order], cells, {},
+                    {"entity": np.repeat([1, 2], [len(part) for part in parts])}, field)
+
+    def optimize(mesh, **options):
+        out = mesh.copied()
+        assert odt_plugins.optimize(out.current(), **options) is out.current()
+        return out
+
+    return Host(make, view, dim, "entity", "elements", optimize, mesh=GmshModel.current)
+
+
 PICTURE = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
 
 HOSTS = {
@@ -698,6 +801,8 @@ HOSTS = {
     "open3d-tetra": _open3d("tetra"),
     "open3d-tensor": _open3d("tensor"),
     "open3d-tensor-float64-int32": _open3d("tensor", np.float64, np.int32),
+    "gmsh-tet": _gmsh(3),
+    "gmsh-tri": _gmsh(2),
     "pyvista-quadratic-tet": _quadratic("pyvista", 3),
     "pyvista-quadratic-tri": _quadratic("pyvista", 2),
     "meshio-quadratic-tet": _quadratic("meshio", 3),
