@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from odt_plugins.adapters import (
     arrays,
+    dlpack_arrays,
     files,
     gmsh_model,
     meshio_mesh,
@@ -11,6 +12,8 @@ from odt_plugins.adapters import (
     pymeshlab_mesh,
     pyvista_blocks,
     pyvista_mesh,
+    skfem_mesh,
+    trimesh_mesh,
     vtk_mesh,
 )
 from odt_plugins.adapters.host import Adapter
@@ -18,6 +21,7 @@ from odt_plugins.errors import UnsupportedMeshError, counted
 
 ADAPTERS: tuple[Adapter, ...] = (
     arrays,
+    dlpack_arrays,
     files,
     meshio_mesh,
     pyvista_mesh,
@@ -26,12 +30,15 @@ ADAPTERS: tuple[Adapter, ...] = (
     pymeshlab_mesh,
     open3d_mesh,
     gmsh_model,
+    trimesh_mesh,
+    skfem_mesh,
 )
 
 ACCEPTED = (
     "a (points, cells) tuple of arrays, a pyvista.UnstructuredGrid, PolyData or MultiBlock, a "
     "vtkUnstructuredGrid or vtkPolyData, a meshio.Mesh, a pymeshlab.MeshSet or Mesh, an open3d "
-    "TriangleMesh (legacy or tensor) or TetraMesh, gmsh.model, or the path of a mesh file"
+    "TriangleMesh (legacy or tensor) or TetraMesh, gmsh.model, a trimesh.Trimesh, a mesh of "
+    "scikit-fem, or the path of a mesh file"
 )
 
 HINTS = {
@@ -42,10 +49,10 @@ HINTS = {
     "pyvista.PointSet": "mesh.delaunay_3d()",
     "pyvista.DataSet": "mesh.cast_to_unstructured_grid().triangulate()",
     "vtkmodules": "pyvista.wrap(mesh)",
+    "trimesh.Scene": "mesh.to_mesh()",
     "trimesh": "(mesh.vertices, mesh.faces) as plain arrays",
     "scipy.Delaunay": "(mesh.points, mesh.simplices)",
     "matplotlib.Triangulation": "(numpy.column_stack([mesh.x, mesh.y]), mesh.triangles)",
-    "skfem.Mesh": "(mesh.p.T, mesh.t.T)",
     "netgen.Mesh": '(mesh.Coordinates(), mesh.Elements3D().NumPy()["nodes"][:, :4] - 1)',
     "ngsolve.Mesh": "mesh.ngmesh, and what its message says",
     "mmgpy.MmgMesh3D": "(mesh.get_vertices(), mesh.get_tetrahedra())",

@@ -81,7 +81,8 @@ class Host:
 def need(name: str) -> None:
     """Skip a test where the toolkit of a host is missing."""
     toolkit = name.partition("-")[0]
-    if toolkit in ("pyvista", "pymeshlab", "open3d", "vtk", "gmsh"):
+    if toolkit in (
+            "pyvista", "pymeshlab", "open3d", "vtk", "gmsh", "trimesh", "skfem"):
         pytest.importorskip(toolkit)
 
 
@@ -350,6 +351,118 @@ def _arrays(dim, turn, dtype, index, container, regions, space=False):
         return View(mesh[0], mesh[1], {}, cell_data, {})
 
     return Host(make, view, dim, "marker" if regions else None)
+
+
+class Foreign:
+    """An array of another library, which numpy knows through `__dlpack__` alone."""
+
+    device = "cpu"
+
+    def __init__(self, values):
+        self.values = values
+
+    def __dlpack__(self, **options):
+        return self.values.__dlpack__(**options)
+
+    def __dlpack_device__(self):
+        return self.values.__dlpack_device__()
+
+    def __array_namespace__(self):
+        return Foreign
+
+    @staticmethod
+    def asarray(values, device):
+        assert device == "cpu"
+        return Foreign(np.array(values))
+
+
+def _foreign(dim, index):
+    """Arrays of another library, with labels."""
+    own = _arrays(dim, False, np.float32, index, tuple, True)
+
+    def make(mesh=None):
+        return tuple(map(Foreign, own.make(mesh)))
+
+    def view(mesh):
+        assert {type(part) for part in mesh} == {Foreign}
+        return own.view([part.values for part in mesh])
+
+    return Host(make, view, dim, "marker")
+
+
+def _trimesh(textured):
+    """Attributes of every kind, with colours of faces, or a texture and materials of faces."""
+
+    def make(mesh=None):
+        import trimesh
+
+        points, cells, labels = mesh or grid(2, 4)
+        point, cell = data(points, cells, labels)
+        space = in_space(points, THIRD)
+        mesh = trimesh.Trimesh(space, cells, process=False, vertex_attributes=point,
+                               face_attributes=cell, metadata={"recipe": "steel"})
+        if textured:
+            mesh.visual = trimesh.visual.TextureVisuals(
+                uv=points[:, :2] / 7, material=trimesh.visual.material.PBRMaterial(name="rust"),
+                face_materials=(labels == 7).astype(np.int64))
+        elif len(cells):
+            mesh.visual.face_colors = np.random.default_rng(3).integers(
+                0, 256, (len(cells), 4), dtype=np.uint8)
+        return mesh
+
+    def view(mesh):
+        point, cell = _copy_data(mesh.vertex_attributes), _copy_data(mesh.face_attributes)
+        field = {"recipe": np.array(mesh.metadata["recipe"])}
+        if textured:
+            cell["material"] = np.array(mesh.visual.face_materials)
+            field |= {"uv": np.array(mesh.visual.uv),
+                      "material": np.array(mesh.visual.material.name)}
+        else:
+            cell["colour"] = np.array(mesh.visual.face_colors)
+            field["kind"] = np.array(mesh.visual.kind)
+        normals = {"vertex": np.array(mesh.vertex_normals), "face": np.array(mesh.face_normals)}
+        return View(np.array(mesh.vertices), np.array(mesh.faces), point, cell, field, normals)
+
+    return Host(make, view, 2, "marker", "faces", fields=True)
+
+
+def _skfem(dim):
+    """Two subdomains, and a boundary whose facets are told by their vertices."""
+
+    def make(mesh=None):
+        import skfem
+
+        points, cells, labels = mesh or grid(dim, 4)
+        kind = skfem.MeshTri1 if dim == 2 else skfem.MeshTet1
+        out = kind(points.T.copy(), cells.T.astype(np.int32), validate=False, sort_t=False)
+        if not len(cells):
+            return out
+        out = out.with_subdomains({"steel": np.flatnonzero(labels == 7),
+                                   "air": np.flatnonzero(labels == -2)})
+        differ = labels[out.f2t[0]] != labels[out.f2t[1]]
+        inner = np.flatnonzero(differ & (out.f2t[1] >= 0))
+        skin = np.flatnonzero(out.f2t[1] < 0)
+        from skfem.generic_utils import OrientedBoundary
+
+        sides = np.where(labels[out.f2t[0, inner]] == 7, 0, 1)
+        return out.with_boundaries({"skin": skin[::2], "wall": OrientedBoundary(inner, sides)})
+
+    def view(mesh):
+        label = np.zeros(mesh.t.shape[1], dtype=np.int64)
+        for number, cells in enumerate((mesh.subdomains or {}).values()):
+            label[cells] += number + 1
+        field = {}
+        for name, facets in (mesh.boundaries or {}).items():
+            corners = np.sort(mesh.doflocs[:, mesh.facets[:, np.asarray(facets)]], axis=1)
+            corners = corners.reshape(dim * dim, corners.shape[2])
+            field[name] = corners[:, np.lexsort(corners)]
+        if "wall" in field:
+            # All are told from the side of the steel.
+            wall = mesh.boundaries["wall"]
+            field["sides"] = np.unique(label[mesh.f2t[wall.ori, np.asarray(wall)]])
+        return View(mesh.doflocs.T.copy(), mesh.t.T.copy(), {}, {"label": label}, field)
+
+    return Host(make, view, dim, "label", "elements")
 
 
 def _copy_data(data):
@@ -801,6 +914,12 @@ HOSTS = {
     "open3d-tetra": _open3d("tetra"),
     "open3d-tensor": _open3d("tensor"),
     "open3d-tensor-float64-int32": _open3d("tensor", np.float64, np.int32),
+    "dlpack-tet": _foreign(3, np.int64),
+    "dlpack-tri": _foreign(2, np.int32),
+    "trimesh": _trimesh(textured=False),
+    "trimesh-texture": _trimesh(textured=True),
+    "skfem-tet": _skfem(3),
+    "skfem-tri": _skfem(2),
     "gmsh-tet": _gmsh(3),
     "gmsh-tri": _gmsh(2),
     "pyvista-quadratic-tet": _quadratic("pyvista", 3),
@@ -811,7 +930,7 @@ HOSTS = {
 }
 
 CURVED = [name for name, host in HOSTS.items()
-          if host.dim == 2 and name not in ("arrays-tri",)]
+          if host.dim == 2 and name not in ("arrays-tri", "dlpack-tri", "skfem-tri")]
 """Hosts that hold triangles in space."""
 
 
