@@ -33,8 +33,9 @@ def optimize(mesh: Any, **options: Unpack[OptionKeywords]) -> Any:
     mesh : (points, cells) or (points, cells, regions), arrays or lists of rows,
         pyvista.UnstructuredGrid, PolyData or MultiBlock, vtkUnstructuredGrid, vtkPolyData,
         meshio.Mesh, pymeshlab.MeshSet or Mesh, an open3d TriangleMesh or TetraMesh,
-        trimesh.Trimesh, a mesh of scikit-fem, gmsh.model, or the path of a mesh file; arrays may
-        be of any library with DLPack. It is never changed, but for gmsh.model, in place.
+        trimesh.Trimesh, a mesh of scikit-fem, Netgen or NGSolve, gmsh.model, or the path of a mesh
+        file; arrays may be of any library with DLPack. It is never changed, but for gmsh.model,
+        which is in place.
     **options
         The fields of :class:`odt_plugins.Options`, all by keyword.
 

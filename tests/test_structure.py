@@ -73,6 +73,7 @@ TOOLKITS = {
                "compare/baselines/open3d_smooth.py"},
     "trimesh": set(),
     "skfem": {"compare/poisson.py"},
+    "ngsolve": set(),
     "torch": set(),
     "cupy": set(),
     "dask": {"distributed/cluster.py"},

@@ -8,6 +8,7 @@ from odt_plugins.adapters import (
     files,
     gmsh_model,
     meshio_mesh,
+    netgen_mesh,
     open3d_mesh,
     pymeshlab_mesh,
     pyvista_blocks,
@@ -32,13 +33,14 @@ ADAPTERS: tuple[Adapter, ...] = (
     gmsh_model,
     trimesh_mesh,
     skfem_mesh,
+    netgen_mesh,
 )
 
 ACCEPTED = (
     "a (points, cells) tuple of arrays, a pyvista.UnstructuredGrid, PolyData or MultiBlock, a "
     "vtkUnstructuredGrid or vtkPolyData, a meshio.Mesh, a pymeshlab.MeshSet or Mesh, an open3d "
     "TriangleMesh (legacy or tensor) or TetraMesh, gmsh.model, a trimesh.Trimesh, a mesh of "
-    "scikit-fem, or the path of a mesh file"
+    "scikit-fem, Netgen or NGSolve, or the path of a mesh file"
 )
 
 HINTS = {
@@ -53,8 +55,6 @@ HINTS = {
     "trimesh": "(mesh.vertices, mesh.faces) as plain arrays",
     "scipy.Delaunay": "(mesh.points, mesh.simplices)",
     "matplotlib.Triangulation": "(numpy.column_stack([mesh.x, mesh.y]), mesh.triangles)",
-    "netgen.Mesh": '(mesh.Coordinates(), mesh.Elements3D().NumPy()["nodes"][:, :4] - 1)',
-    "ngsolve.Mesh": "mesh.ngmesh, and what its message says",
     "mmgpy.MmgMesh3D": "(mesh.get_vertices(), mesh.get_tetrahedra())",
     "mmgpy": "(mesh.get_vertices(), mesh.get_triangles())",
     "tetgen.TetGen": "mesh.grid",

@@ -82,7 +82,8 @@ def need(name: str) -> None:
     """Skip a test where the toolkit of a host is missing."""
     toolkit = name.partition("-")[0]
     if toolkit in (
-            "pyvista", "pymeshlab", "open3d", "vtk", "gmsh", "trimesh", "skfem"):
+            "pyvista", "pymeshlab", "open3d", "vtk", "gmsh", "trimesh", "skfem",
+            "netgen", "ngsolve"):
         pytest.importorskip(toolkit)
 
 
@@ -463,6 +464,61 @@ def _skfem(dim):
         return View(mesh.doflocs.T.copy(), mesh.t.T.copy(), {}, {"label": label}, field)
 
     return Host(make, view, dim, "label", "elements")
+
+
+def _netgen(dim, wrap=False):
+    """Two materials and named faces or edges; of triangles in the plane, in space as a surface."""
+
+    def make(mesh=None):
+        from netgen.meshing import Element1D, FaceDescriptor, Mesh
+
+        points, cells, labels = mesh or grid(dim, 4)
+        solid = cells.shape[1] == 4
+        out = Mesh(points.shape[1])
+        out.AddPoints(np.ascontiguousarray(points))
+        kinds = [label for label in (7, -2) if (labels == label).any()]
+        walls: dict[tuple[int, ...], list[int]] = {}
+        for label, cell in zip(labels.tolist(), cells.tolist(), strict=True):
+            for facet in itertools.combinations(cell, cells.shape[1] - 1):
+                walls.setdefault(tuple(sorted(facet)), []).append(label)
+        walls = {f: have for f, have in walls.items() if len(have) == 1 or have[0] != have[1]}
+        for k in (1, 2):
+            out.Add(FaceDescriptor(surfnr=k, domin=1, domout=0 if k == 1 else 2, bc=k))
+        for k, label in enumerate((7, -2), 1):
+            rows = cells[labels == label].astype(np.int32)
+            if len(rows):
+                out.AddElements(dim=3 if solid else 2, index=k, data=np.ascontiguousarray(rows),
+                                base=0)
+            out.SetMaterial(k, f"material {k}")
+        for k, part in enumerate(([f for f, have in walls.items() if len(have) == 1],
+                                  [f for f, have in walls.items() if len(have) == 2]), 1):
+            if part and solid:
+                out.AddElements(dim=2, index=k, data=np.array(part, dtype=np.int32), base=0)
+            for a, b in part if not solid else ():
+                out.Add(Element1D([a + 1, b + 1], index=k))
+            out.SetBCName(k - 1, f"wall {k}")
+        assert kinds or not len(cells)
+        if wrap:
+            import ngsolve
+
+            return ngsolve.Mesh(out)
+        return out
+
+    def view(mesh):
+        inner = mesh.ngmesh if wrap else mesh
+        solid = len(inner.Elements3D()) > 0
+        table = (inner.Elements3D() if solid else inner.Elements2D()).NumPy()
+        own = np.array(inner.Coordinates())
+        field = {"names": np.array([inner.GetBCName(i) for i in range(2)]
+                                   + [inner.GetMaterial(i) for i in (1, 2)])}
+        lower = (inner.Elements2D() if solid else inner.Elements1D()).NumPy()
+        corners = lower["nodes"][:, :3 if solid else 2] - 1
+        # Numbers of points may be others where some came and went.
+        field |= {"walls": own[corners], "of walls": np.array(lower["index"])}
+        return View(own, np.array(table["nodes"], dtype=np.int64) - 1, {},
+                    {"index": np.array(table["index"])}, field)
+
+    return Host(make, view, dim, "index", "elements")
 
 
 def _copy_data(data):
@@ -920,6 +976,9 @@ HOSTS = {
     "trimesh-texture": _trimesh(textured=True),
     "skfem-tet": _skfem(3),
     "skfem-tri": _skfem(2),
+    "netgen-tet": _netgen(3),
+    "netgen-tri": _netgen(2),
+    "ngsolve-tet": _netgen(3, wrap=True),
     "gmsh-tet": _gmsh(3),
     "gmsh-tri": _gmsh(2),
     "pyvista-quadratic-tet": _quadratic("pyvista", 3),

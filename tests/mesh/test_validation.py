@@ -230,7 +230,6 @@ def others():
     """Meshes of other toolkits by their names."""
     from matplotlib.tri import Triangulation
     from mmgpy import MmgMesh3D, MmgMeshS
-    from netgen.csg import unit_cube
     from scipy.spatial import Delaunay
 
     points = np.random.default_rng(5).random((30, 2))
@@ -238,7 +237,6 @@ def others():
     tets = Delaunay(np.random.default_rng(6).random((30, 3)))
     return {
         "scipy": Delaunay(points), "matplotlib": Triangulation(*points.T),
-        "netgen": unit_cube.GenerateMesh(maxh=0.5),
         "mmgpy": MmgMeshS(flat, Delaunay(points).simplices.astype(np.int32)),
         "mmgpy in space": MmgMesh3D(tets.points, tets.simplices.astype(np.int32)),
         "triangle": {"vertices": points, "triangles": Delaunay(points).simplices},
