@@ -6,11 +6,12 @@ import os
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
 
+from odt_plugins.adapters import pyvista_blocks
 from odt_plugins.adapters.files import check_output, read_file, write_file
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.mesh.simplex import mesh_arrays, turned_alike
 from odt_plugins.options import OptionKeywords, make_options, with_option_signature
-from odt_plugins.roundtrip import flat_points, run_engine, words_of
+from odt_plugins.roundtrip import flat_points, run_blocks, run_engine, words_of
 
 if TYPE_CHECKING:
     from odt_plugins.quality import QualitySummary
@@ -30,8 +31,11 @@ def optimize(mesh: Any, **options: Unpack[OptionKeywords]) -> Any:
     Parameters
     ----------
     mesh : (points, cells) or (points, cells, regions), arrays or lists of rows,
-        pyvista.UnstructuredGrid, pyvista.PolyData, meshio.Mesh, pymeshlab.MeshSet or Mesh, an
-        open3d TriangleMesh or TetraMesh, or the path of a mesh file. It is never changed.
+        pyvista.UnstructuredGrid, PolyData or MultiBlock, vtkUnstructuredGrid, vtkPolyData,
+        meshio.Mesh, pymeshlab.MeshSet or Mesh, an open3d TriangleMesh or TetraMesh,
+        trimesh.Trimesh, a mesh of scikit-fem, Netgen or NGSolve, gmsh.model, or the path of a mesh
+        file; arrays may be of any library with DLPack. It is never changed, but for gmsh.model,
+        which is in place.
     **options
         The fields of :class:`odt_plugins.Options`, all by keyword.
 
@@ -67,7 +71,10 @@ def optimize(mesh: Any, **options: Unpack[OptionKeywords]) -> Any:
     >>> bool((better_points[:4] == points[:4]).all())
     True
     """
-    return run_engine(mesh, make_options(**options))[0]
+    chosen = make_options(**options)
+    if pyvista_blocks.matches(mesh):
+        return optimize_with_report(mesh, **options)[0]
+    return run_engine(mesh, chosen)[0]
 
 
 @overload
@@ -79,17 +86,20 @@ def optimize_with_report(
     mesh: MeshT, **options: Unpack[OptionKeywords]
 ) -> tuple[MeshT, Report]: ...
 @with_option_signature()
-def optimize_with_report(mesh: Any, **options: Unpack[OptionKeywords]) -> tuple[Any, Report]:
+def optimize_with_report(mesh: Any, **options: Unpack[OptionKeywords]) -> tuple[Any, Any]:
     """Improve a mesh as :func:`optimize` does and tell what was done.
 
     Returns
     -------
     mesh : same type as the input
-    report : Report     figures before and after, energy, times, why it stopped, what binds
+    report : Report     figures before and after, energy, times, why it stopped, what binds; a list
+                        of them for the blocks of a pyvista.MultiBlock
     """
     from odt_plugins.report.report import make_report
 
     chosen = make_options(**options)
+    if pyvista_blocks.matches(mesh):
+        return run_blocks(mesh, options, optimize_with_report)
     result, before, outcome, told = run_engine(mesh, chosen)
     return result, make_report(before, outcome, chosen, **told)
 

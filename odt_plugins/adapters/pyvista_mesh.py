@@ -95,7 +95,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     UnsupportedMeshError       no tetrahedra and no triangles, or cells that cannot be kept
     InvalidOptionError         there is no cell array of that name
     """
-    grid = is_instance(mesh, "pyvista", "UnstructuredGrid")
+    grid = mesh.IsA("vtkUnstructuredGrid")
     nodes, ids, kept = _read_grid(mesh) if grid else _read_polydata(mesh)
     dim = DIMENSION[int(np.asarray(mesh.celltypes)[ids[0]])] if grid and len(ids) else 2
     shape = lattice(dim, order_of(dim, nodes.shape[1]))
@@ -134,7 +134,7 @@ def write(result: Result, host: HostMesh) -> Any:
     out.cell_data.clear()
     vertices = result.vertices
     number = vertices.number if vertices is not None and vertices.renumbered else None
-    if not is_instance(host.source, "pyvista", "UnstructuredGrid"):
+    if not host.source.IsA("vtkUnstructuredGrid"):
         rows = _write_polydata(out, result, ids)
         out.points = result.points
     elif nodes is None:
@@ -253,9 +253,11 @@ def _connectivity(mesh: Any) -> tuple[IndexArray, IndexArray]:
 def _refuse_unknown(types: NDArray[Any], known: list[int]) -> None:
     bad = np.flatnonzero(~np.isin(types, known))
     if bad.size:
-        from pyvista import CellType
+        from vtkmodules import vtkCommonDataModel
 
-        name = CellType(int(types[bad[0]])).name
+        kind = int(types[bad[0]])
+        name = next(name.removeprefix("VTK_") for name, value in vars(vtkCommonDataModel).items()
+                    if name.startswith("VTK_") and value == kind)
         msg = (
             f"got {counted(bad.size, 'cell')} of type {name} (first: cell {bad[0]}); expected "
             f"linear tetrahedra or triangles, try grid.linear_copy() or extracting the linear cells"
@@ -346,11 +348,21 @@ def _write_refined(out: Any, result: Result, source: Any, ids: IndexArray) -> In
 
 
 def _set_cells(out: Any, types: NDArray[Any], size: IndexArray, flat: NDArray[Any]) -> None:
-    from pyvista import CellArray, convert_array
+    from vtkmodules.util.numpy_support import numpy_to_vtk
 
+    kinds = numpy_to_vtk(np.ascontiguousarray(types, dtype=np.uint8), deep=True)
+    out.SetCells(kinds, cell_array(size, flat))
+
+
+def cell_array(size: IndexArray, flat: NDArray[Any]) -> Any:
+    """Make a vtkCellArray of cells of so many nodes (m,), and these one after another."""
+    from vtkmodules.util.numpy_support import numpy_to_vtk
+    from vtkmodules.vtkCommonDataModel import vtkCellArray
+
+    cells = vtkCellArray()
     offset = np.concatenate([[0], np.cumsum(size)]).astype(flat.dtype)
-    cells = CellArray.from_arrays(offset, flat, deep=True)
-    out.SetCells(convert_array(np.ascontiguousarray(types, dtype=np.uint8), deep=True), cells)
+    cells.SetData(numpy_to_vtk(offset, deep=True), numpy_to_vtk(flat, deep=True))
+    return cells
 
 
 def _read_polydata(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]]:

@@ -4,28 +4,43 @@ from __future__ import annotations
 
 from odt_plugins.adapters import (
     arrays,
+    dlpack_arrays,
     files,
+    gmsh_model,
     meshio_mesh,
+    netgen_mesh,
     open3d_mesh,
     pymeshlab_mesh,
+    pyvista_blocks,
     pyvista_mesh,
+    skfem_mesh,
+    trimesh_mesh,
+    vtk_mesh,
 )
 from odt_plugins.adapters.host import Adapter
 from odt_plugins.errors import UnsupportedMeshError, counted
 
 ADAPTERS: tuple[Adapter, ...] = (
     arrays,
+    dlpack_arrays,
     files,
     meshio_mesh,
     pyvista_mesh,
+    pyvista_blocks,
+    vtk_mesh,
     pymeshlab_mesh,
     open3d_mesh,
+    gmsh_model,
+    trimesh_mesh,
+    skfem_mesh,
+    netgen_mesh,
 )
 
 ACCEPTED = (
-    "a (points, cells) tuple of numpy arrays, a pyvista.UnstructuredGrid or PolyData, a "
-    "meshio.Mesh, a pymeshlab.MeshSet or Mesh, an open3d TriangleMesh (legacy or tensor) or "
-    "TetraMesh, or the path of a mesh file"
+    "a (points, cells) tuple of arrays, a pyvista.UnstructuredGrid, PolyData or MultiBlock, a "
+    "vtkUnstructuredGrid or vtkPolyData, a meshio.Mesh, a pymeshlab.MeshSet or Mesh, an open3d "
+    "TriangleMesh (legacy or tensor) or TetraMesh, gmsh.model, a trimesh.Trimesh, a mesh of "
+    "scikit-fem, Netgen or NGSolve, or the path of a mesh file"
 )
 
 HINTS = {
@@ -35,14 +50,11 @@ HINTS = {
     "open3d": "a TriangleMesh or TetraMesh made of it",
     "pyvista.PointSet": "mesh.delaunay_3d()",
     "pyvista.DataSet": "mesh.cast_to_unstructured_grid().triangulate()",
-    "pyvista.MultiBlock": "mesh.combine().triangulate()",
     "vtkmodules": "pyvista.wrap(mesh)",
+    "trimesh.Scene": "mesh.to_mesh()",
     "trimesh": "(mesh.vertices, mesh.faces) as plain arrays",
     "scipy.Delaunay": "(mesh.points, mesh.simplices)",
     "matplotlib.Triangulation": "(numpy.column_stack([mesh.x, mesh.y]), mesh.triangles)",
-    "skfem.Mesh": "(mesh.p.T, mesh.t.T)",
-    "netgen.Mesh": '(mesh.Coordinates(), mesh.Elements3D().NumPy()["nodes"][:, :4] - 1)',
-    "ngsolve.Mesh": "mesh.ngmesh, and what its message says",
     "mmgpy.MmgMesh3D": "(mesh.get_vertices(), mesh.get_tetrahedra())",
     "mmgpy": "(mesh.get_vertices(), mesh.get_triangles())",
     "tetgen.TetGen": "mesh.grid",
@@ -50,7 +62,7 @@ HINTS = {
     "dolfinx": "(mesh.geometry.x, mesh.geometry.dofmap)",
     "vedo": "pyvista.wrap(mesh.dataset)",
     "builtins.dict": '(mesh["vertices"], mesh["triangles"])',
-    "builtins.module": "the path of a file that it writes, such as gmsh.write(path)",
+    "builtins.module": "gmsh.model, if it is gmsh",
     "builtins": "numpy.asarray on the points and on the cells",
 }
 """What to pass instead of an object that has no adapter, by package or package and class."""

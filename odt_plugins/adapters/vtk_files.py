@@ -206,7 +206,7 @@ def _mesh(dataset: Any) -> tuple[Any, list[str]]:
     cell_data = {key: [values[row] for row in rows]
                  for key, values in _arrays(dataset.GetCellData()).items()}
     point_data: Any = _arrays(dataset.GetPointData())
-    mesh = Mesh(_numpy(dataset.GetPoints().GetData()), blocks, point_data, cell_data,
+    mesh = Mesh(as_numpy(dataset.GetPoints().GetData()), blocks, point_data, cell_data,
                 _arrays(dataset.GetFieldData()))
     return mesh, list(dict.fromkeys(said))
 
@@ -222,23 +222,24 @@ def _cells(dataset: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
     """Types (m,) of the cells, and their nodes: offsets (m + 1,) into the last array."""
     if dataset.IsA("vtkUnstructuredGrid"):
         cells = dataset.GetCells()
-        return (_numpy(dataset.GetCellTypes()), _numpy(cells.GetOffsetsArray()),
-                _numpy(cells.GetConnectivityArray()))
+        return (as_numpy(dataset.GetCellTypes()), as_numpy(cells.GetOffsetsArray()),
+                as_numpy(cells.GetConnectivityArray()))
     if not dataset.IsA("vtkPolyData"):
         msg = f"it holds {dataset.GetClassName()}, expected vtkUnstructuredGrid or vtkPolyData"
         raise UnsupportedMeshError(msg)
     types, sizes, flat = [], [], []
     for part, kinds, other in POLYDATA:
         cells = getattr(dataset, f"Get{part}")()
-        size = np.diff(_numpy(cells.GetOffsetsArray()))
+        size = np.diff(as_numpy(cells.GetOffsetsArray()))
         types.append(np.array([kinds.get(k, other) for k in size.tolist()], dtype=np.int64))
         sizes.append(size)
-        flat.append(_numpy(cells.GetConnectivityArray()))
+        flat.append(as_numpy(cells.GetConnectivityArray()))
     offset = np.concatenate([[0], np.cumsum(np.concatenate(sizes))])
     return np.concatenate(types), offset, np.concatenate(flat)
 
 
-def _numpy(array: Any) -> NDArray[Any]:
+def as_numpy(array: Any) -> NDArray[Any]:
+    """Copy an array of VTK, of texts too."""
     from vtkmodules.util.numpy_support import vtk_to_numpy
 
     if array.IsA("vtkStringArray"):
@@ -249,7 +250,7 @@ def _numpy(array: Any) -> NDArray[Any]:
 def _arrays(data: Any) -> dict[str, NDArray[Any]]:
     """All arrays by name; those without a name are called after their number."""
     arrays = [data.GetAbstractArray(i) for i in range(data.GetNumberOfArrays())]
-    return {array.GetName() or f"array {i}": _numpy(array) for i, array in enumerate(arrays)}
+    return {array.GetName() or f"array {i}": as_numpy(array) for i, array in enumerate(arrays)}
 
 
 def _polydata(mesh: Any) -> Any:

@@ -6,6 +6,8 @@
   names for ``apply_filter``, and steps of filter scripts; `run_filter` applies one,
   `run_filter_script` a script that mixes them with MeshLab's own;
 - "pyvista" (`hosts.pyvista_accessor`): `OdtAccessor` and `OdtSurfaceAccessor` as ``mesh.odt``;
+  pyvista 0.48 and newer find them by themselves (`hosts.pyvista_plugin`);
+- "gmsh" (`hosts.gmsh_methods`): `odt` as ``gmsh.model.mesh.odt``;
 - "open3d" (`hosts.open3d_filters`): functions shaped like open3d's filters, such as
   `filter_smooth_odt` and `optimize_odt`, become methods of its meshes.
 
@@ -19,6 +21,7 @@ from importlib import import_module
 from odt_plugins.errors import InvalidOptionError, require
 
 HOSTS = {
+    "gmsh": "gmsh_methods",
     "open3d": "open3d_filters",
     "pymeshlab": "pymeshlab_filters",
     "pyvista": "pyvista_accessor",
@@ -34,7 +37,7 @@ def register(name: str) -> None:
     name : str              "pymeshlab": filters of MeshSet such as `apply_coord_odt_smoothing`,
                             listed by `pymeshlab.print_filter_list()`; "pyvista": accessors
                             `grid.odt` and `surface.odt`; "open3d": methods of its meshes such as
-                            `filter_smooth_odt`
+                            `filter_smooth_odt`; "gmsh": `gmsh.model.mesh.odt`
 
     Raises
     ------

@@ -68,6 +68,28 @@ class OdtAccessor:
         return out
 
 
+class OdtBlocksAccessor:
+    """Optimal Delaunay Triangulation of every block of a MultiBlock by itself."""
+
+    def __init__(self, mesh: Any) -> None:
+        self._mesh = mesh
+
+    @with_option_signature()
+    def optimize(self, **options: Unpack[OptionKeywords]) -> Any:
+        """Improve the blocks of tetrahedra, or where there are none those of triangles.
+
+        Returns
+        -------
+        pyvista.MultiBlock    a new one; all other blocks are copied
+        """
+        return optimize(self._mesh, **options)
+
+    @with_option_signature()
+    def optimize_with_report(self, **options: Unpack[OptionKeywords]) -> tuple[Any, Any]:
+        """Improve the blocks as :meth:`optimize` does; a report of each of them."""
+        return optimize_with_report(self._mesh, **options)
+
+
 class OdtSurfaceAccessor(OdtAccessor):
     """The same for PolyData, which can be filled with tetrahedra as well."""
 
@@ -140,11 +162,12 @@ def _unpacked(field: Any, scalars: str | None) -> tuple[Any, Any, Any]:
 
 
 def register() -> None:
-    """Add the accessor to UnstructuredGrid and PolyData; pyvista before 0.48 gets a property."""
+    """Add the accessors to the classes of pyvista; before its version 0.48 as properties."""
     import pyvista
 
     for kind, accessor in ((pyvista.UnstructuredGrid, OdtAccessor),
-                           (pyvista.PolyData, OdtSurfaceAccessor)):
+                           (pyvista.PolyData, OdtSurfaceAccessor),
+                           (pyvista.MultiBlock, OdtBlocksAccessor)):
         if NAME in vars(kind):
             continue
         if hasattr(pyvista, "register_dataset_accessor"):

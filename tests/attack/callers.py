@@ -15,6 +15,9 @@ from attack.shapes import RandomMesh
 
 Rng = np.random.Generator
 
+NOT_ANY = ("file", "gmsh", "netgen", "ngsolve", "skfem")
+"""Hosts whose objects cannot be made of any mesh at all, such as one with two other labels."""
+
 
 class Caller(NamedTuple):
     """An object, and how it is read.
@@ -39,7 +42,7 @@ def random_caller(mesh: RandomMesh, rng: Rng) -> Caller:
     d = mesh.cells.shape[1] - 1
     names = contract.CURVED if mesh.points.shape[1] > d else contract.HOSTS
     hosts = [name for name in names
-             if contract.HOSTS[name].dim == d and not name.startswith("file")]
+             if contract.HOSTS[name].dim == d and not name.startswith(NOT_ANY)]
     sound = mesh.cells.size and 0 <= mesh.cells.min() <= mesh.cells.max() < len(mesh.points)
     if sound and rng.random() < 0.25 and (labels is None or len(labels) == len(mesh.cells)):
         return _of_toolkit(str(rng.choice(hosts)), mesh)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import itertools
+import tempfile
 import weakref
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -46,6 +47,11 @@ class View:
     mid: dict[tuple[int, int], np.ndarray] = field(default_factory=dict)
 
 
+def itself(mesh):
+    """What most hosts make is taken as it is."""
+    return mesh
+
+
 @dataclass
 class Host:
     """One kind of caller's object.
@@ -59,6 +65,7 @@ class Host:
     word      what the host calls its cells
     optimize  what a caller of this host does
     fields    whether vertices that moved take the values of fields at their new places
+    mesh      gives what `measure` takes
     """
 
     make: Callable[..., Any]
@@ -68,12 +75,15 @@ class Host:
     word: str = "cells"
     optimize: Callable[..., Any] = odt_plugins.optimize
     fields: bool = False
+    mesh: Callable[[Any], Any] = itself
 
 
 def need(name: str) -> None:
     """Skip a test where the toolkit of a host is missing."""
     toolkit = name.partition("-")[0]
-    if toolkit in ("pyvista", "pymeshlab", "open3d"):
+    if toolkit in (
+            "pyvista", "pymeshlab", "open3d", "vtk", "gmsh", "trimesh", "skfem",
+            "netgen", "ngsolve"):
         pytest.importorskip(toolkit)
 
 
@@ -344,6 +354,173 @@ def _arrays(dim, turn, dtype, index, container, regions, space=False):
     return Host(make, view, dim, "marker" if regions else None)
 
 
+class Foreign:
+    """An array of another library, which numpy knows through `__dlpack__` alone."""
+
+    device = "cpu"
+
+    def __init__(self, values):
+        self.values = values
+
+    def __dlpack__(self, **options):
+        return self.values.__dlpack__(**options)
+
+    def __dlpack_device__(self):
+        return self.values.__dlpack_device__()
+
+    def __array_namespace__(self):
+        return Foreign
+
+    @staticmethod
+    def asarray(values, device):
+        assert device == "cpu"
+        return Foreign(np.array(values))
+
+
+def _foreign(dim, index):
+    """Arrays of another library, with labels."""
+    own = _arrays(dim, False, np.float32, index, tuple, True)
+
+    def make(mesh=None):
+        return tuple(map(Foreign, own.make(mesh)))
+
+    def view(mesh):
+        assert {type(part) for part in mesh} == {Foreign}
+        return own.view([part.values for part in mesh])
+
+    return Host(make, view, dim, "marker")
+
+
+def _trimesh(textured):
+    """Attributes of every kind, with colours of faces, or a texture and materials of faces."""
+
+    def make(mesh=None):
+        import trimesh
+
+        points, cells, labels = mesh or grid(2, 4)
+        point, cell = data(points, cells, labels)
+        space = in_space(points, THIRD)
+        mesh = trimesh.Trimesh(space, cells, process=False, vertex_attributes=point,
+                               face_attributes=cell, metadata={"recipe": "steel"})
+        if textured:
+            mesh.visual = trimesh.visual.TextureVisuals(
+                uv=points[:, :2] / 7, material=trimesh.visual.material.PBRMaterial(name="rust"),
+                face_materials=(labels == 7).astype(np.int64))
+        elif len(cells):
+            mesh.visual.face_colors = np.random.default_rng(3).integers(
+                0, 256, (len(cells), 4), dtype=np.uint8)
+        return mesh
+
+    def view(mesh):
+        point, cell = _copy_data(mesh.vertex_attributes), _copy_data(mesh.face_attributes)
+        field = {"recipe": np.array(mesh.metadata["recipe"])}
+        if textured:
+            cell["material"] = np.array(mesh.visual.face_materials)
+            field |= {"uv": np.array(mesh.visual.uv),
+                      "material": np.array(mesh.visual.material.name)}
+        else:
+            cell["colour"] = np.array(mesh.visual.face_colors)
+            field["kind"] = np.array(mesh.visual.kind)
+        normals = {"vertex": np.array(mesh.vertex_normals), "face": np.array(mesh.face_normals)}
+        return View(np.array(mesh.vertices), np.array(mesh.faces), point, cell, field, normals)
+
+    return Host(make, view, 2, "marker", "faces", fields=True)
+
+
+def _skfem(dim):
+    """Two subdomains, and a boundary whose facets are told by their vertices."""
+
+    def make(mesh=None):
+        import skfem
+
+        points, cells, labels = mesh or grid(dim, 4)
+        kind = skfem.MeshTri1 if dim == 2 else skfem.MeshTet1
+        out = kind(points.T.copy(), cells.T.astype(np.int32), validate=False, sort_t=False)
+        if not len(cells):
+            return out
+        out = out.with_subdomains({"steel": np.flatnonzero(labels == 7),
+                                   "air": np.flatnonzero(labels == -2)})
+        differ = labels[out.f2t[0]] != labels[out.f2t[1]]
+        inner = np.flatnonzero(differ & (out.f2t[1] >= 0))
+        skin = np.flatnonzero(out.f2t[1] < 0)
+        from skfem.generic_utils import OrientedBoundary
+
+        sides = np.where(labels[out.f2t[0, inner]] == 7, 0, 1)
+        return out.with_boundaries({"skin": skin[::2], "wall": OrientedBoundary(inner, sides)})
+
+    def view(mesh):
+        label = np.zeros(mesh.t.shape[1], dtype=np.int64)
+        for number, cells in enumerate((mesh.subdomains or {}).values()):
+            label[cells] += number + 1
+        field = {}
+        for name, facets in (mesh.boundaries or {}).items():
+            corners = np.sort(mesh.doflocs[:, mesh.facets[:, np.asarray(facets)]], axis=1)
+            corners = corners.reshape(dim * dim, corners.shape[2])
+            field[name] = corners[:, np.lexsort(corners)]
+        if "wall" in field:
+            # All are told from the side of the steel.
+            wall = mesh.boundaries["wall"]
+            field["sides"] = np.unique(label[mesh.f2t[wall.ori, np.asarray(wall)]])
+        return View(mesh.doflocs.T.copy(), mesh.t.T.copy(), {}, {"label": label}, field)
+
+    return Host(make, view, dim, "label", "elements")
+
+
+def _netgen(dim, wrap=False):
+    """Two materials and named faces or edges; of triangles in the plane, in space as a surface."""
+
+    def make(mesh=None):
+        from netgen.meshing import Element1D, FaceDescriptor, Mesh
+
+        points, cells, labels = mesh or grid(dim, 4)
+        solid = cells.shape[1] == 4
+        out = Mesh(points.shape[1])
+        out.AddPoints(np.ascontiguousarray(points))
+        kinds = [label for label in (7, -2) if (labels == label).any()]
+        walls: dict[tuple[int, ...], list[int]] = {}
+        for label, cell in zip(labels.tolist(), cells.tolist(), strict=True):
+            for facet in itertools.combinations(cell, cells.shape[1] - 1):
+                walls.setdefault(tuple(sorted(facet)), []).append(label)
+        walls = {f: have for f, have in walls.items() if len(have) == 1 or have[0] != have[1]}
+        for k in (1, 2):
+            out.Add(FaceDescriptor(surfnr=k, domin=1, domout=0 if k == 1 else 2, bc=k))
+        for k, label in enumerate((7, -2), 1):
+            rows = cells[labels == label].astype(np.int32)
+            if len(rows):
+                out.AddElements(dim=3 if solid else 2, index=k, data=np.ascontiguousarray(rows),
+                                base=0)
+            out.SetMaterial(k, f"material {k}")
+        for k, part in enumerate(([f for f, have in walls.items() if len(have) == 1],
+                                  [f for f, have in walls.items() if len(have) == 2]), 1):
+            if part and solid:
+                out.AddElements(dim=2, index=k, data=np.array(part, dtype=np.int32), base=0)
+            for a, b in part if not solid else ():
+                out.Add(Element1D([a + 1, b + 1], index=k))
+            out.SetBCName(k - 1, f"wall {k}")
+        assert kinds or not len(cells)
+        if wrap:
+            import ngsolve
+
+            return ngsolve.Mesh(out)
+        return out
+
+    def view(mesh):
+        inner = mesh.ngmesh if wrap else mesh
+        solid = len(inner.Elements3D()) > 0
+        table = (inner.Elements3D() if solid else inner.Elements2D()).NumPy()
+        own = np.array(inner.Coordinates())
+        field = {"names": np.array([inner.GetBCName(i) for i in range(2)]
+                                   + [inner.GetMaterial(i) for i in (1, 2)])}
+        lower = (inner.Elements2D() if solid else inner.Elements1D()).NumPy()
+        corners = lower["nodes"][:, :3 if solid else 2] - 1
+        # Numbers of points may be others where some came and went.
+        field |= {"walls": own[corners], "of walls": np.array(lower["index"])}
+        return View(own, np.array(table["nodes"], dtype=np.int64) - 1, {},
+                    {"index": np.array(table["index"])}, field)
+
+    return Host(make, view, dim, "index", "elements")
+
+
 def _copy_data(data):
     return {name: np.array(data[name]) for name in data.keys()}
 
@@ -376,6 +553,44 @@ def _pyvista(dim, kind, dtype):
         cells = mesh.cells_dict[5 if dim == 2 else 10] if kind == "grid" else mesh.regular_faces
         return View(np.array(mesh.points), np.array(cells), _copy_data(mesh.point_data),
                     _copy_data(mesh.cell_data), _copy_data(mesh.field_data))
+
+    return Host(make, view, dim, "marker", fields=True)
+
+
+def _vtk(dim, kind, dtype):
+    """The same as of pyvista, as an object of VTK alone, with bits and words and a table."""
+    own = _pyvista(dim, kind, dtype)
+
+    def make(mesh=None):
+        from vtkmodules.vtkCommonCore import vtkBitArray, vtkLookupTable
+        from vtkmodules.vtkCommonDataModel import vtkPolyData, vtkUnstructuredGrid
+
+        out = vtkUnstructuredGrid() if kind == "grid" else vtkPolyData()
+        out.DeepCopy(own.make(mesh))
+        bits = vtkBitArray()
+        bits.SetName("bits")
+        for i in range(out.GetNumberOfCells()):
+            bits.InsertNextValue(i % 2)
+        if out.GetNumberOfCells():
+            out.GetCellData().AddArray(bits)
+            axis = out.GetCellData().GetArray("axis")
+            axis.SetComponentName(1, "northing")
+            axis.SetLookupTable(vtkLookupTable())
+        return out
+
+    def view(mesh):
+        import pyvista
+
+        found = own.view(pyvista.wrap(mesh))
+        for where in (mesh.GetPointData(), mesh.GetCellData()):
+            for i in range(where.NUM_ATTRIBUTES):
+                array = where.GetAbstractAttribute(i)
+                found.field_data[f"{where.GetClassName()} {i}"] = np.array(
+                    "" if array is None else f"{array.GetName()} {array.GetClassName()}")
+        axis = mesh.GetCellData().GetArray("axis")
+        found.field_data["northing"] = np.array(
+            axis is not None and (axis.GetComponentName(1), axis.GetLookupTable() is not None))
+        return found
 
     return Host(make, view, dim, "marker", fields=True)
 
@@ -635,6 +850,101 @@ def _open3d(kind, real=np.float32, index=np.int64):
     return Host(make, view, dim, region, "tetrahedra" if dim == 3 else "triangles")
 
 
+NUMBERS = itertools.count()
+
+
+class GmshModel:
+    """A model of Gmsh by its name; what is done with it is done while it is the current one."""
+
+    def __init__(self):
+        import gmsh
+
+        if not gmsh.isInitialized():
+            gmsh.initialize(interruptible=False)
+            gmsh.option.setNumber("General.Terminal", 0)
+        self.name, self.last = f"model {next(NUMBERS)}", 0
+        gmsh.model.add(self.name)
+
+    def current(self):
+        import gmsh
+
+        gmsh.model.setCurrent(self.name)
+        return gmsh.model
+
+    def copied(self):
+        """The same in another model, by a file."""
+        import gmsh
+
+        self.current()
+        gmsh.option.setNumber("Mesh.SaveAll", 1)
+        gmsh.option.setNumber("Mesh.Binary", 1)
+        with tempfile.TemporaryDirectory() as folder:
+            gmsh.write(f"{folder}/mesh.msh")
+            other = GmshModel()
+            gmsh.merge(f"{folder}/mesh.msh")
+        other.last = self.last
+        return other
+
+
+def _gmsh(dim):
+    """Two entities with a group each, facets beside them, tags with gaps; of a model in memory."""
+    kinds = (1, 2, 4)[dim - 2:dim]
+
+    def make(mesh=None):
+        points, cells, labels = mesh or grid(dim, 4)
+        out = GmshModel()
+        model = out.current()
+        owners: dict[tuple[int, ...], list[int]] = {}
+        for label, cell in zip(labels.tolist(), cells.tolist(), strict=True):
+            for facet in itertools.combinations(sorted(cell), dim):
+                owners.setdefault(facet, []).append(label)
+        skin = [list(f) for f, have in owners.items() if len(have) == 1]
+        inner = [list(f) for f, have in owners.items() if len(set(have)) == 2]
+        free, first = np.ones(len(points), dtype=bool), 1
+        for d, tag, rows in ((dim - 1, 1, skin), (dim - 1, 2, inner), (dim, 1, cells[labels == 7]),
+                             (dim, 2, cells[labels == -2])):
+            rows = np.array(rows, dtype=np.int64).reshape(-1, d + 1)
+            model.addDiscreteEntity(d, tag)
+            new = np.unique(rows)
+            new = new[free[new]]
+            free[new] = False
+            model.mesh.addNodes(d, tag, 3 * new + 5, in_space(points)[new].ravel())
+            if len(rows):
+                model.mesh.addElementsByType(tag, kinds[d - dim + 1], first + np.arange(len(rows)),
+                                             (3 * rows + 5).ravel())
+            first += 2 * len(rows)
+        out.last = 3 * len(points) + 2
+        model.addPhysicalGroup(dim, [2], 9, name="steel")
+        model.addPhysicalGroup(dim - 1, [1, 2], 4, name="walls")
+        return out
+
+    def view(mesh):
+        """Field data without the tags of nodes that may come or go, those inside."""
+        model = mesh.current()
+        tags, flat, _ = model.mesh.getNodes()
+        # New ones come last.
+        order = np.argsort(tags > mesh.last, kind="stable")
+        rank = np.argsort(tags[order])
+        parts = [model.mesh.getElementsByType(kinds[1], tag)[1].reshape(-1, dim + 1)
+                 for tag in (1, 2)]
+        cells = rank[np.searchsorted(tags[order], np.concatenate(parts), sorter=rank)]
+        field = {"groups": np.array(model.getPhysicalGroups()),
+                 "steel": np.array(model.getPhysicalName(dim, 9))}
+        for d, tag in model.getEntities():
+            if d < dim:
+                field[f"nodes {d} {tag}"] = model.mesh.getNodes(d, tag)[0]
+                field[f"facets {d} {tag}"] = model.mesh.getElementsByType(kinds[0], tag)[1]
+        return View(flat.reshape(-1, 3)[order], cells, {},
+                    {"entity": np.repeat([1, 2], [len(part) for part in parts])}, field)
+
+    def optimize(mesh, **options):
+        out = mesh.copied()
+        assert odt_plugins.optimize(out.current(), **options) is out.current()
+        return out
+
+    return Host(make, view, dim, "entity", "elements", optimize, mesh=GmshModel.current)
+
+
 PICTURE = np.arange(48, dtype=np.uint8).reshape(4, 4, 3)
 
 HOSTS = {
@@ -648,6 +958,8 @@ HOSTS = {
     "pyvista-tet-float32": _pyvista(3, "grid", np.float32),
     "pyvista-tri": _pyvista(2, "grid", np.float64),
     "pyvista-polydata": _pyvista(2, "poly", np.float32),
+    "vtk-tet": _vtk(3, "grid", np.float64),
+    "vtk-polydata": _vtk(2, "poly", np.float32),
     "meshio-tet": _meshio(3),
     "meshio-tet-blocks": _meshio(3, blocks=True),
     "meshio-tri": _meshio(2),
@@ -658,6 +970,17 @@ HOSTS = {
     "open3d-tetra": _open3d("tetra"),
     "open3d-tensor": _open3d("tensor"),
     "open3d-tensor-float64-int32": _open3d("tensor", np.float64, np.int32),
+    "dlpack-tet": _foreign(3, np.int64),
+    "dlpack-tri": _foreign(2, np.int32),
+    "trimesh": _trimesh(textured=False),
+    "trimesh-texture": _trimesh(textured=True),
+    "skfem-tet": _skfem(3),
+    "skfem-tri": _skfem(2),
+    "netgen-tet": _netgen(3),
+    "netgen-tri": _netgen(2),
+    "ngsolve-tet": _netgen(3, wrap=True),
+    "gmsh-tet": _gmsh(3),
+    "gmsh-tri": _gmsh(2),
     "pyvista-quadratic-tet": _quadratic("pyvista", 3),
     "pyvista-quadratic-tri": _quadratic("pyvista", 2),
     "meshio-quadratic-tet": _quadratic("meshio", 3),
@@ -666,7 +989,7 @@ HOSTS = {
 }
 
 CURVED = [name for name, host in HOSTS.items()
-          if host.dim == 2 and name not in ("arrays-tri",)]
+          if host.dim == 2 and name not in ("arrays-tri", "dlpack-tri", "skfem-tri")]
 """Hosts that hold triangles in space."""
 
 

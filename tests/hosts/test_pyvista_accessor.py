@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import inspect
+import os
 import subprocess
 import sys
+import tomllib
+from pathlib import Path
 
 import contract
 import numpy as np
@@ -166,3 +169,92 @@ def test_importing_the_package_registers_nothing():
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.split() == ["False"]
     assert pyvista_accessor.NAME == "odt"
+
+
+def _installed(folder, there):
+    """Environment in which the package is installed anew, with the entry points of its project."""
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+    info = folder / "odt_plugins-0.1.0.dist-info"
+    info.mkdir()
+    (info / "METADATA").write_text("Metadata-Version: 2.1\nName: odt-plugins\nVersion: 0.1.0\n")
+    lines = [f"[{group}]\n" + "".join(f"{name} = {value}\n" for name, value in points.items())
+             for group, points in project["entry-points"].items() if there]
+    (info / "entry_points.txt").write_text("\n".join(lines))
+    return os.environ | {"PYTHONPATH": os.pathsep.join([str(folder), *sys.path])}
+
+
+WITHOUT_A_LINE = """
+import sys, pyvista
+tets = pyvista.ImageData(dimensions=(3, 3, 3)).to_tetrahedra()
+print("odt" in dir(tets), "odt_plugins" in sys.modules)
+if "odt" in dir(tets):
+    print(tets.odt.quality().n_cells, pyvista.MultiBlock([tets]).odt.optimize().n_blocks)
+    assert not hasattr(pyvista.ImageData(), "odt")
+    import odt_plugins
+    odt_plugins.register("pyvista")
+"""
+
+
+@pytest.mark.parametrize("there", [True, False])
+def test_newer_versions_of_pyvista_find_the_accessor_without_a_line(tmp_path, there):
+    done = subprocess.run([sys.executable, "-W", "error", "-c", WITHOUT_A_LINE],
+                          capture_output=True, text=True, check=False,
+                          env=_installed(tmp_path, there))
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == (["True", "False", "40", "1"] if there else ["False", "False"])
+
+
+def _blocks():
+    """Blocks of every kind: tetrahedra, nested too, and what stays beside them."""
+    tets = contract.HOSTS["pyvista-tet"].make()
+    inner = pyvista.MultiBlock({"deep": contract.HOSTS["pyvista-tet-float32"].make(), "none": None})
+    blocks = pyvista.MultiBlock({"tets": tets, "skin": tets.extract_surface(algorithm=None),
+                                 "image": pyvista.ImageData(dimensions=(2, 3, 4)), "inner": inner})
+    blocks.field_data["recipe"] = np.arange(3)
+    return blocks
+
+
+def test_blocks_are_optimised_one_by_one():
+    blocks, same = _blocks(), _blocks()
+    told = []
+    out, reports = odt_plugins.optimize_with_report(
+        blocks, progress=lambda _, share: told.append(share))
+    assert type(out) is pyvista.MultiBlock
+    assert out.keys() == blocks.keys()
+    assert out["inner"].keys() == ["deep", "none"]
+    assert np.array_equal(out.field_data["recipe"], np.arange(3))
+    for path in (["tets"], ["inner", "deep"]):
+        mine, alone, old = out, same, blocks
+        for key in path:
+            mine, alone, old = mine[key], alone[key], old[key]
+        assert mine == odt_plugins.optimize(alone)
+        assert old == alone
+        assert mine != old
+    for key in ("skin", "image"):
+        assert out[key] == blocks[key]
+        assert out[key] is not blocks[key]
+    assert out["inner"]["none"] is None
+    assert [report.after.mean_quality > report.before.mean_quality for report in reports] == [
+        True, True]
+    assert told == sorted(told)
+    assert (told[0], told[-1]) == (0.0, 1.0)
+    assert blocks.odt.optimize()["tets"] == out["tets"]
+
+
+def test_blocks_of_triangles_alone_are_optimised():
+    plane = contract.HOSTS["pyvista-polydata"].make()
+    blocks = pyvista.MultiBlock([plane, pyvista.Line()])
+    out, reports = blocks.odt.optimize_with_report()
+    assert out[0] == odt_plugins.optimize(plane)
+    assert out[1] == blocks[1]
+    assert len(reports) == 1
+
+
+def test_blocks_that_cannot_be_optimised_are_named():
+    tets = contract.HOSTS["pyvista-tet"].make()
+    broken = tets.copy()
+    broken.points[0] = np.nan
+    with pytest.raises(InvalidMeshError, match=r"^block 'two': .*finite"):
+        odt_plugins.optimize(pyvista.MultiBlock({"one": tets, "two": broken}))
+    with pytest.raises(InvalidOptionError, match="blocks that touch"):
+        odt_plugins.optimize(pyvista.MultiBlock([tets, tets.copy()]), boundary="slide")

@@ -230,17 +230,13 @@ def others():
     """Meshes of other toolkits by their names."""
     from matplotlib.tri import Triangulation
     from mmgpy import MmgMesh3D, MmgMeshS
-    from netgen.csg import unit_cube
     from scipy.spatial import Delaunay
-    from skfem import MeshTet, MeshTri
 
     points = np.random.default_rng(5).random((30, 2))
     flat = np.column_stack([points, np.zeros(30)])
     tets = Delaunay(np.random.default_rng(6).random((30, 3)))
     return {
         "scipy": Delaunay(points), "matplotlib": Triangulation(*points.T),
-        "skfem": MeshTri().refined(2), "skfem in space": MeshTet().refined(1),
-        "netgen": unit_cube.GenerateMesh(maxh=0.5),
         "mmgpy": MmgMeshS(flat, Delaunay(points).simplices.astype(np.int32)),
         "mmgpy in space": MmgMesh3D(tets.points, tets.simplices.astype(np.int32)),
         "triangle": {"vertices": points, "triangles": Delaunay(points).simplices},

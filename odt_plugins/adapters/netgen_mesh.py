@@ -1,0 +1,202 @@
+"""netgen.meshing.Mesh and ngsolve.Mesh.
+
+Everything survives: domains with their materials, names of boundaries, edges and points, face
+descriptors, elements of lower dimension, periodic identifications, the geometry. Elements of
+different domains never mix. A curved mesh is curved anew on its geometry, in its order. Points on
+the edges of a geometry stay, since Netgen keeps where they lie there. Lost are the levels of
+refinement, and of ngsolve.Mesh a deformation and absorbing layers: a warning names them. Elements
+of second order (Netgen's `SecondOrder`), and others than triangles and tetrahedra, are refused by
+name.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
+from odt_plugins.adapters.regions import region_labels
+from odt_plugins.errors import (
+    DataNotKeptWarning,
+    InvalidMeshError,
+    UnsupportedMeshError,
+    counted,
+    warn,
+)
+
+TRIANGLE, TETRAHEDRON = 10, 20
+"""Netgen's numbers of element types."""
+
+
+def matches(mesh: object) -> bool:
+    """Say whether this is a mesh of Netgen or NGSolve."""
+    return is_instance(mesh, "netgen", "Mesh") or is_instance(mesh, "ngsolve", "Mesh")
+
+
+def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
+    """Take the tetrahedra, or the triangles if there are none.
+
+    Parameters
+    ----------
+    mesh : netgen.meshing.Mesh or ngsolve.Mesh
+    regions : "auto" or None    or "material", the numbers of the domains
+
+    Raises
+    ------
+    InvalidMeshError            there are no elements
+    UnsupportedMeshError        other elements, or points that are in no element
+    InvalidOptionError          other regions are named
+    """
+    inner = _inner(mesh)
+    dim = 3 if len(inner.Elements3D()) else 2
+    if dim == 2 and not len(inner.Elements2D()):
+        msg = (f"the mesh has no elements ({len(inner.Points())} points); expected tetrahedra or "
+               f"triangles, try mesh.GenerateVolumeMesh()")
+        raise InvalidMeshError(msg)
+    points, table = np.array(inner.Coordinates(), dtype=np.float64), _elements(inner, dim)
+    cells = np.array(table["nodes"], dtype=np.int64) - 1
+    kept = [KeptCells("point element", _points_of(inner))]
+    if dim == 3 and len(inner.Elements2D()):
+        faces = np.array(_elements(inner, 2)["nodes"], dtype=np.int64) - 1
+        kept.append(KeptCells("surface element", faces))
+    if len(inner.Elements1D()):
+        edges = np.array(inner.Elements1D().NumPy()["nodes"][:, :2], dtype=np.int64) - 1
+        kept.append(KeptCells("edge element", edges))
+        if has_geometry(inner):
+            kept.append(KeptCells("point of an edge", edges.reshape(-1, 1)))
+    used = np.zeros(len(points) + 1, dtype=np.bool_)
+    used[cells] = True
+    for part in kept:
+        used[part.rows] = True
+    lost = np.flatnonzero(~used[:-1])
+    if lost.size:
+        msg = (f"got {counted(lost.size, 'point')} in no element (first: point {lost[0]}); "
+               f"expected none, try mesh.Compress()")
+        raise UnsupportedMeshError(msg)
+    labels = np.array(table["index"], dtype=np.int64)
+    return HostMesh(
+        points, cells, *region_labels({"material": labels}, regions, cells), kept=tuple(kept),
+        source=mesh, layout=labels, words=in_words,
+        blocks=labels - labels.min() if labels.min() != labels.max() else None,
+    )
+
+
+def write(result: Result, host: HostMesh) -> Any:
+    """Copy the caller's mesh and exchange its points and elements.
+
+    Warns
+    -----
+    DataNotKeptWarning    a deformation or absorbing layers of ngsolve.Mesh are lost
+    """
+    inner = _inner(host.source)
+    order = max(int(inner.GetCurveOrder()), 1)
+    out = inner.Copy()
+    _fill(out, result, host)
+    _identify(out, inner, result)
+    if order > 1:
+        out.Curve(order)
+    if is_instance(host.source, "ngsolve", "Mesh"):
+        return _wrapped(host.source, out)
+    return out
+
+
+def in_words(text: str) -> str:
+    """Put an error message into Netgen's words."""
+    return re.sub(r"\bcell(s?)\b", r"element\1", text)
+
+
+def has_geometry(mesh: Any) -> bool:
+    """Say whether a mesh of Netgen knows the geometry that it is made of."""
+    return type(mesh.GetGeometry()).__name__ not in ("NetgenGeometry", "NoneType")
+
+
+def _inner(mesh: Any) -> Any:
+    """The mesh of Netgen within one of NGSolve."""
+    return mesh.ngmesh if is_instance(mesh, "ngsolve", "Mesh") else mesh
+
+
+def _elements(mesh: Any, dim: int) -> Any:
+    """Table of the elements of a dimension, whose columns are written through.
+
+    Raises
+    ------
+    UnsupportedMeshError    they are no triangles or tetrahedra of first order
+    """
+    table = (mesh.Elements3D() if dim == 3 else mesh.Elements2D()).NumPy()
+    kind, name = (TETRAHEDRON, "tetrahedra") if dim == 3 else (TRIANGLE, "triangles")
+    bad = np.flatnonzero(table["type"] != kind)
+    if bad.size:
+        msg = (f"got {counted(bad.size, 'element')} of Netgen's type {table['type'][bad[0]]} "
+               f"(first: element {bad[0]}); expected linear {name} only, and Curve(2) in the "
+               f"place of SecondOrder()")
+        raise UnsupportedMeshError(msg)
+    return table
+
+
+def _points_of(mesh: Any) -> NDArray[np.int64]:
+    """Points (q, 1) of the elements of dimension 0."""
+    rows = [[int(vertex.nr) - 1 for vertex in element.vertices] for element in mesh.Elements0D()]
+    return np.array(rows, dtype=np.int64).reshape(-1, 1)
+
+
+def _fill(out: Any, result: Result, host: HostMesh) -> None:
+    """Write points and elements into a copy of the mesh.
+
+    Elements take the places of old ones; those that are too many get no points, which Netgen takes
+    for deleted, and go with `Compress`, as points that are in no element do.
+    """
+    n, dim = len(host.points), host.cells.shape[1] - 1
+    origin = np.arange(n)
+    if result.vertices is not None:
+        origin = result.vertices.origin
+    fresh = origin < 0
+    if fresh.any():
+        out.AddPoints(np.ascontiguousarray(result.points[fresh]))
+    number = origin.copy()
+    number[fresh] = n + np.arange(int(fresh.sum()))
+    places = out.Coordinates()
+    places[number] = result.points
+    rows = (number[result.cells] + 1).astype(np.int32)
+    labels = host.layout[result.source]
+    table = _elements(out, dim)
+    old = len(table)
+    table["nodes"][: len(rows)] = rows[:old]
+    table["index"][: len(rows)] = labels[:old]
+    table["nodes"][len(rows):] = 0
+    del table, places
+    ends = np.flatnonzero(np.diff(labels[old:])) + 1
+    for part in np.split(np.arange(old, len(rows)), ends) if len(rows) > old else ():
+        out.AddElements(dim=dim, index=int(labels[part[0]]), data=np.ascontiguousarray(rows[part]),
+                        base=1)
+    if dim == 3 and (len(rows) < old or (~fresh).sum() < n):
+        out.Compress()
+    elements = out.Elements3D() if dim == 3 else out.Elements2D()
+    found = len(elements), len(out.Points())
+    if found != (len(rows), len(result.points)):
+        msg = f"Netgen made {found} elements and points of {(len(rows), len(result.points))}"
+        raise InvalidMeshError(msg)
+
+
+def _identify(out: Any, source: Any, result: Result) -> None:
+    """Identify the same points, which Netgen's copy does not; they are on the boundary."""
+    for one, other, number in source.GetIdentifications():
+        pair = [one, other]
+        if result.vertices is not None:
+            pair = [type(p)(int(result.vertices.number[p.nr - 1]) + 1) for p in pair]
+        out.AddPointIdentification(*pair, number, source.GetIdentificationType(number))
+
+
+def _wrapped(source: Any, inner: Any) -> Any:
+    """A mesh of NGSolve around one of Netgen."""
+    lost = [name for name, there in (
+        ("the deformation", source.deformation is not None),
+        ("absorbing layers", any(trafo is not None for trafo in source.GetPMLTrafos())),
+    ) if there]
+    if lost:
+        msg = f"{' and '.join(lost)} of the mesh are not kept; try setting them on the result"
+        warn(msg, DataNotKeptWarning)
+    return type(source)(inner)

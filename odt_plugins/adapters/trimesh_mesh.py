@@ -1,0 +1,120 @@
+"""trimesh.Trimesh.
+
+Everything survives: class, metadata, colours of vertices or faces, texture coordinates with their
+material, material of every face, attributes of vertices and faces, density and centre of mass if
+they were set. trimesh itself computes normals, and all else that it caches, anew when it is asked.
+On a curved surface texture coordinates are interpolated at the new places of the vertices.
+Primitives, such as `trimesh.primitives.Box`, have no other vertices than their own and are refused.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.adapters.fields import field_names
+from odt_plugins.adapters.host import HostMesh, Result, is_instance
+from odt_plugins.adapters.regions import region_labels
+from odt_plugins.adapters.wedges import slid
+from odt_plugins.errors import UnsupportedMeshError
+
+MATERIALS = "face_materials"
+
+REMEDIES = (
+    (r"merging vertices at the same place", "mesh.merge_vertices()"),
+    (r"(?<=try )orient=True", "mesh.fix_normals()"),
+    (r"(?<=try )removing repeated cells", "mesh.update_faces(mesh.unique_faces())"),
+    (r"(?<=try )removing such cells", "mesh.update_faces(mesh.nondegenerate_faces())"),
+)
+"""What error messages advise, and the methods of trimesh that do it."""
+
+
+def matches(mesh: object) -> bool:
+    """Say whether this is a Trimesh."""
+    return is_instance(mesh, "trimesh", "Trimesh")
+
+
+def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
+    """Take the arrays out of a Trimesh.
+
+    Parameters
+    ----------
+    mesh : trimesh.Trimesh
+    regions : names, "auto" or None
+                               of face attributes of region labels, or "face_materials"
+
+    Raises
+    ------
+    UnsupportedMeshError       a primitive, or no faces
+    InvalidOptionError         there is no attribute of that name
+    """
+    if is_instance(mesh, "trimesh", "Primitive"):
+        msg = (f"got a primitive, {type(mesh).__name__}, whose vertices follow from its size; "
+               f"expected a Trimesh, try mesh.to_mesh()")
+        raise UnsupportedMeshError(msg)
+    n, m = len(mesh.vertices), len(mesh.faces)
+    if not m:
+        msg = f"got a Trimesh without faces ({n} vertices); expected at least one"
+        raise UnsupportedMeshError(msg)
+    cells = np.array(mesh.faces)
+    arrays = _of_length(mesh.face_attributes, m)
+    if _materials(mesh) is not None:
+        arrays[MATERIALS] = np.asarray(_materials(mesh))
+    uv = getattr(mesh.visual, "uv", None)
+    return HostMesh(
+        np.array(mesh.vertices), cells, *region_labels(arrays, regions, cells), source=mesh,
+        fields=field_names(_of_length(mesh.vertex_attributes, n)), words=in_words,
+        texture=None if uv is None or len(uv) != n else np.array(uv),
+    )
+
+
+def write(result: Result, host: HostMesh) -> Any:
+    """Copy the caller's mesh and exchange its vertices, its faces and their data."""
+    mesh = host.source
+    same = np.array_equal(result.cells, host.cells) and np.array_equal(result.points, host.points)
+    out = mesh.copy(include_cache=same)
+    out.__class__ = type(mesh)
+    if same:
+        return out
+    colours = np.array(mesh.visual.face_colors) if mesh.visual.kind == "face" else None
+    of_vertices = np.array(mesh.visual.vertex_colors) if mesh.visual.kind == "vertex" else None
+    out.vertices, out.faces = result.points, result.cells
+    if colours is not None:
+        out.visual.face_colors = colours[result.source]
+    if of_vertices is not None:
+        out.visual.vertex_colors = of_vertices
+    if _materials(mesh) is not None:
+        out.visual.face_materials = np.asarray(_materials(mesh))[result.source]
+    if host.texture is not None and result.curved:
+        out.visual.uv = slid(host.texture, host.cells, result.feet)
+    for name, values in _of_length(mesh.face_attributes, len(host.cells)).items():
+        out.face_attributes[name] = values[result.source]
+    if result.vertices is not None:
+        for name in host.fields:
+            values = np.asarray(mesh.vertex_attributes[name])
+            out.vertex_attributes[name] = result.vertices.carried(values)
+    return out
+
+
+def in_words(text: str) -> str:
+    """Put an error message into trimesh's words."""
+    for advice, call in REMEDIES:
+        text = re.sub(advice, call, text)
+    return re.sub(r"\bcell(s?)\b", r"face\1", text)
+
+
+def _materials(mesh: Any) -> Any:
+    """Number of the material of every face, or None."""
+    found = getattr(mesh.visual, MATERIALS, None)
+    return found if found is not None and len(found) == len(mesh.faces) else None
+
+
+def _of_length(attributes: Any, count: int) -> dict[str, NDArray[Any]]:
+    """Attributes that have one entry for each of the vertices or faces."""
+    arrays = {name: np.asarray(values) for name, values in attributes.items()}
+    return {name: values for name, values in arrays.items()
+            if values.ndim and len(values) == count}

@@ -1,0 +1,270 @@
+"""Models of Gmsh in memory: CAD parts, cells of higher order, periodic links, all or nothing."""
+
+from __future__ import annotations
+
+import re
+from contextlib import contextmanager
+
+import contract
+import numpy as np
+import pytest
+
+import odt_plugins
+from odt_plugins.adapters import gmsh_model
+from odt_plugins.errors import InvalidMeshError, InvalidOptionError, UnsupportedMeshError
+from odt_plugins.quality import radius_ratio
+
+gmsh = pytest.importorskip("gmsh")
+
+
+@contextmanager
+def part(dim=3, size=0.4, order=1):
+    """A plate with a pin in it, two volumes with groups, or two faces of it; meshed."""
+    model = contract.GmshModel().current()
+    box = model.occ.addBox(-0.7, -0.7, 0, 1.4, 1.4, 0.5)
+    pin = model.occ.addCylinder(0, 0, 0, 0, 0, 0.5, 0.4)
+    model.occ.fragment([(3, box)], [(3, pin)])
+    model.occ.synchronize()
+    model.addPhysicalGroup(3, [2], 11, name="pin")
+    gmsh.option.setNumber("Mesh.MeshSizeMax", size)
+    gmsh.option.setNumber("Mesh.ElementOrder", order)
+    gmsh.option.setNumber("Mesh.Optimize", 0)
+    model.mesh.generate(dim)
+    try:
+        yield model
+    finally:
+        gmsh.option.restoreDefaults()
+        gmsh.option.setNumber("General.Terminal", 0)
+        model.remove()
+
+
+def dump(model):
+    """All that the mesh is made of, by entity."""
+    return {entity: [*model.mesh.getNodes(*entity), *(
+        np.array(part) for parts in model.mesh.getElements(*entity) for part in parts)]
+        for entity in model.getEntities()}
+
+
+def same(a, b):
+    return sorted(a) == sorted(b) and all(
+        len(x) == len(y) and all(map(np.array_equal, x, y)) for x, y in zip(
+            a.values(), b.values(), strict=True))
+
+
+def corners(model, number=4):
+    tags, nodes = model.mesh.getElementsByType(number)
+    return tags, nodes.reshape(len(tags), -1)
+
+
+def places(model):
+    tags, flat, _ = model.mesh.getNodes()
+    out = np.full((int(tags.max()) + 1, 3), np.nan)
+    out[tags] = flat.reshape(-1, 3)
+    return out
+
+
+def test_a_part_keeps_all_but_its_volumes(tmp_path):
+    with part() as model:
+        before, tags = dump(model), corners(model)
+        out, report = odt_plugins.optimize_with_report(model)
+        after = dump(model)
+        assert out is gmsh.model
+        assert report.regions_from == ("entities",)
+        assert list(after) == list(before)
+        for entity in before:
+            if entity[0] < 3:
+                assert all(map(np.array_equal, before[entity], after[entity])), entity
+            else:
+                assert np.array_equal(np.sort(before[entity][0]), np.sort(after[entity][0]))
+        assert model.getPhysicalName(3, 11) == "pin"
+        assert model.getPhysicalGroups() == [(3, 11)]
+        now = corners(model)
+        assert len(np.unique(now[0])) == len(now[0])
+        old = {int(t): frozenset(c.tolist()) for t, c in zip(*tags, strict=True)}
+        keys = {cell: tag for tag, cell in old.items()}
+        for tag, cell in zip(*now, strict=True):
+            cell = frozenset(cell.tolist())
+            assert keys.get(cell, int(tag)) == tag
+        theirs = model.mesh.getElementQualities(now[0], "gamma")
+        p = places(model)
+        assert theirs == pytest.approx(radius_ratio(p, now[1].astype(np.int64)), abs=1e-12)
+        assert theirs.min() == pytest.approx(report.after.min_quality)
+        assert report.after.mean_quality > report.before.mean_quality
+        node = int(before[3, 2][0][0])
+        assert np.array_equal(model.mesh.getNode(node)[0], p[node])
+        assert model.mesh.getNode(node)[2:] == (3, 2)
+        assert odt_plugins.measure(model) == report.after
+        gmsh.option.setNumber("Mesh.SaveAll", 1)
+        gmsh.option.setNumber("Mesh.Binary", 1)
+        gmsh.write(str(tmp_path / "part.msh"))
+        assert odt_plugins.measure(tmp_path / "part.msh") == report.after
+
+
+@pytest.mark.parametrize(("dim", "order"), [(3, 2), (2, 2), (3, 3)])
+def test_elements_of_higher_order_stay_so(dim, order):
+    with part(dim, 0.5, order) as model:
+        if dim == 2:
+            model.removeEntities(model.getEntities(3))
+            model.removeEntities([(2, 1)], recursive=False)
+        kind = {(3, 2): 11, (2, 2): 9, (3, 3): 29}[dim, order]
+        before = dump(model)
+        least = model.mesh.getElementQualities(corners(model, kind)[0], "minSICN")
+        _, report = odt_plugins.optimize_with_report(model)
+        after = dump(model)
+        assert report.after.mean_quality > report.before.mean_quality
+        for entity in before:
+            # Nodes of the curves of a curved surface may slide along them.
+            if entity[0] < 2 * dim - 3:
+                assert all(map(np.array_equal, before[entity], after[entity])), entity
+        assert not same(before, after)
+        tags, cells = corners(model, kind)
+        assert set(np.unique(cells).tolist()) <= set(model.mesh.getNodes()[0].tolist())
+        assert model.mesh.getElementQualities(tags, "minSICN").min() >= min(least.min(), 0.2)
+        assert np.isfinite(places(model)[cells]).all()
+        used = {int(node) for key in after if key[0] < dim for node in after[key][0]}
+        for entity in after:
+            if entity[0] == dim:
+                own = model.mesh.getNodes(*entity)[0]
+                here = np.concatenate(model.mesh.getElements(*entity)[2])
+                assert set(own.tolist()) == set(here.tolist()) - used
+
+
+def test_faces_keep_parametric_coordinates():
+    with part(2) as model:
+        model.removeEntities(model.getEntities(3))
+        before = dump(model)
+        odt_plugins.optimize(model, envelope=0.02)
+        after = dump(model)
+        moved = 0
+        for entity in before:
+            tags, flat, parameters = after[entity][:3]
+            assert len(parameters) == len(before[entity][2])
+            if entity[0] != 2 or not len(tags):
+                continue
+            still = before[entity][1].reshape(-1, 3) == flat.reshape(-1, 3)
+            still = still.all(axis=1)
+            moved += (~still).sum()
+            assert np.array_equal(before[entity][2].reshape(-1, 2)[still],
+                                  parameters.reshape(-1, 2)[still])
+            there = model.getValue(*entity, parameters)
+            assert np.abs(there - flat).max() < 0.03
+            if model.getType(*entity) == "Plane":
+                assert np.abs(there - flat).max() < 1e-12
+        assert moved > 10
+
+
+def test_vertices_are_inserted_and_removed():
+    with part() as model:
+        most = model.mesh.getMaxNodeTag()
+        before = len(model.mesh.getNodes()[0])
+        _, report = odt_plugins.optimize_with_report(model, insert=True)
+        added, removed = (report.counts[f"vertices {what}"] for what in ("added", "removed"))
+        _, cells = corners(model)
+        own = model.mesh.getNodes()[0]
+        assert len(own) - before == added - removed
+        assert set(np.unique(cells).tolist()) <= set(own.tolist())
+        assert len(np.unique(own)) == len(own)
+        assert added
+        assert own.max() == most + added
+
+
+def test_periodic_curves_stay_linked_and_periodic_surfaces_do_not_move():
+    shift = [1, 0, 0, 1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]
+    model = contract.GmshModel().current()
+    model.occ.addRectangle(0, 0, 0, 1, 1)
+    model.occ.synchronize()
+    gmsh.option.setNumber("Mesh.MeshSizeMax", 0.15)
+    model.mesh.setPeriodic(1, [2], [4], shift)
+    model.mesh.generate(2)
+    links = model.mesh.getPeriodicNodes(1, 2)
+    before = dump(model)
+    odt_plugins.optimize(model)
+    assert not same(before, dump(model))
+    assert all(map(np.array_equal, links, model.mesh.getPeriodicNodes(1, 2)))
+
+    model = contract.GmshModel().current()
+    model.occ.addSphere(0, 0, 0, 1)
+    other = model.occ.copy([(3, 1)])
+    model.occ.translate(other, 3, 0, 0)
+    model.occ.synchronize()
+    shift[3] = 3
+    model.mesh.setPeriodic(2, [2], [1], shift)
+    gmsh.option.setNumber("Mesh.MeshSizeMax", 0.5)
+    model.mesh.generate(2)
+    before = dump(model)
+    with pytest.raises(UnsupportedMeshError, match="surface 2 and its master 1"):
+        odt_plugins.optimize(model, envelope=0.1)
+    assert same(before, dump(model))
+    model.mesh.generate(3)
+    links = model.mesh.getPeriodicNodes(2, 2)
+    odt_plugins.optimize(model)
+    assert all(map(np.array_equal, links, model.mesh.getPeriodicNodes(2, 2)))
+    gmsh.option.restoreDefaults()
+    gmsh.option.setNumber("General.Terminal", 0)
+
+
+def test_a_refusal_of_gmsh_leaves_the_model_as_it_was(monkeypatch):
+    with part() as model:
+        before = dump(model)
+        calls = []
+
+        def refuses(*arguments):
+            calls.append(arguments)
+            if len(calls) == 2:
+                raise RuntimeError("no more")
+            return add(*arguments)
+
+        add = model.mesh.addElementsByType
+        monkeypatch.setattr(model.mesh, "addElementsByType", staticmethod(refuses))
+        with pytest.raises(RuntimeError, match="no more"):
+            odt_plugins.optimize(model)
+        assert len(calls) == 4
+        assert same(before, dump(model))
+
+
+def test_what_cannot_be_kept_is_named():
+    with part(size=0.7) as model:
+        before = dump(model)
+        with pytest.raises(InvalidOptionError, match="names no cell array"):
+            odt_plugins.optimize(model, regions="pin")
+        model.mesh.partition(2)
+        with pytest.raises(UnsupportedMeshError, match=r"2 partitions; .*unpartition\(\)"):
+            odt_plugins.optimize(model)
+        model.mesh.unpartition()
+        assert sorted(before) == sorted(dump(model))
+    model = contract.GmshModel().current()
+    model.addDiscreteEntity(3, 1)
+    model.mesh.addNodes(3, 1, range(1, 9), contract.grid(3, 1)[0].ravel())
+    model.mesh.addElementsByType(1, 5, [1], [1, 2, 4, 3, 5, 6, 8, 7])
+    with pytest.raises(UnsupportedMeshError, match="type Hexahedron 8; expected tetra"):
+        odt_plugins.optimize(model)
+    model.mesh.addElementsByType(1, 4, [2], [1, 2, 3, 5])
+    assert odt_plugins.measure(model).n_cells == 1
+    model.addDiscreteEntity(3, 2)
+    model.mesh.addNodes(3, 2, range(9, 19), np.arange(30.0))
+    model.mesh.addElementsByType(2, 11, [3], range(9, 19))
+    with pytest.raises(UnsupportedMeshError, match="Tetrahedron 10 beside Tetrahedron 4"):
+        odt_plugins.optimize(model)
+
+
+def test_gmsh_that_is_not_initialised_is_named(monkeypatch):
+    monkeypatch.setattr(gmsh, "isInitialized", lambda: 0)
+    with pytest.raises(InvalidMeshError, match=re.escape("try gmsh.initialize() first")):
+        odt_plugins.optimize(gmsh.model)
+
+
+def test_the_method_of_gmsh_does_what_the_function_does():
+    odt_plugins.register("gmsh")
+    odt_plugins.register("gmsh")
+    meshes = []
+    for how in (gmsh.model.mesh.odt, lambda **options: odt_plugins.optimize(gmsh.model, **options)):
+        with part() as model:
+            report = how(rounds=3)
+            meshes.append(dump(model))
+            if len(meshes) == 1:
+                assert report.after == odt_plugins.measure(model)
+    assert same(*meshes)
+    with pytest.raises(InvalidOptionError, match="did you mean 'rounds'"):
+        gmsh.model.mesh.odt(round=3)
+    assert gmsh_model.matches(gmsh.model)
+    assert not gmsh_model.matches(gmsh.model.mesh)

@@ -1,0 +1,115 @@
+"""Meshes of scikit-fem: those of second order, boundaries, and what is refused."""
+
+from __future__ import annotations
+
+import contract
+import numpy as np
+import pytest
+
+import odt_plugins
+from odt_plugins.errors import InvalidMeshError, InvalidOptionError, UnsupportedMeshError
+
+skfem = pytest.importorskip("skfem")
+poisson = pytest.importorskip("skfem.models.poisson")
+
+
+def start(dim, order=1):
+    """A mesh whose inner vertices are off their places, with all that can be on it."""
+    plain = skfem.MeshTri.init_sqsymmetric() if dim == 2 else skfem.MeshTet.init_ball(1)
+    mesh = plain.refined(2 if dim == 2 else 1)
+    inner = mesh.interior_nodes()
+    x = mesh.doflocs.copy()
+    step = np.random.default_rng(3).uniform(-1, 1, (dim, len(inner)))
+    x[:, inner] += (0.12 if dim == 2 else 0.05) * mesh.param() * step
+    mesh = type(mesh)(x, mesh.t)
+    if order == 2:
+        kind = skfem.MeshTri2 if dim == 2 else skfem.MeshTet2
+        mesh = kind.from_mesh(mesh)
+        moved = mesh.doflocs.copy()
+        edge = np.setdiff1d(mesh.dofs.get_facet_dofs(mesh.boundary_facets()).flatten(),
+                            np.arange(mesh.nvertices))
+        moved[:, edge] *= 1.01
+        mesh = kind(moved, mesh.t)
+    return mesh.with_subdomains({"left": lambda y: y[0] < y[0].mean()}).with_boundaries(
+        {"top": lambda y: y[dim - 1] > 0.7})
+
+
+def energy(mesh):
+    """Of a function on the boundary, continued harmonically; its value tells of the boundary."""
+    element = {2: skfem.ElementTriP1(), 3: skfem.ElementTetP1()}[mesh.dim()]
+    if mesh.doflocs.shape[1] > mesh.nvertices:
+        element = {2: skfem.ElementTriP2(), 3: skfem.ElementTetP2()}[mesh.dim()]
+    basis = skfem.Basis(mesh, element)
+    stiffness = poisson.laplace.assemble(basis)
+    u = np.zeros(basis.N)
+    top = basis.get_dofs("top")
+    u[top] = basis.doflocs[0, top]
+    u = skfem.solve(*skfem.condense(stiffness, x=u, D=basis.get_dofs()))
+    return u @ stiffness @ u, (poisson.unit_load.assemble(basis)).sum()
+
+
+@pytest.mark.parametrize("order", [1, 2])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_problems_can_be_solved_on_the_result(dim, order):
+    mesh = start(dim, order)
+    before = (mesh.doflocs.copy(), mesh.t.copy())
+    out, report = odt_plugins.optimize_with_report(mesh)
+    assert type(out) is type(mesh)
+    assert np.array_equal(mesh.doflocs, before[0])
+    assert np.array_equal(mesh.t, before[1])
+    assert report.after.mean_quality > report.before.mean_quality
+    # scikit-fem takes nodes of edges for vertices that are in no element.
+    assert order == 2 or out.is_valid(raise_=True)
+    assert out.doflocs.shape == mesh.doflocs.shape or dim == 3
+    assert len(out.boundaries["top"]) == len(mesh.boundaries["top"])
+    old, new = energy(mesh), energy(out)
+    assert new[1] == pytest.approx(old[1], rel=1e-12)
+    assert new[0] == pytest.approx(old[0], rel=0.2)
+    inside = np.zeros(out.nelements, dtype=bool)
+    inside[out.subdomains["left"]] = True
+
+    def volume(mesh, cells):
+        return poisson.unit_load.assemble(skfem.CellBasis(
+            mesh, mesh.elem(), elements=cells)).sum()
+
+    assert volume(out, out.subdomains["left"]) == pytest.approx(
+        volume(mesh, mesh.subdomains["left"]), rel=1e-12)
+
+
+def test_nodes_of_edges_stay_on_the_curved_boundary():
+    mesh = start(3, 2)
+    out = odt_plugins.optimize(mesh)
+
+    def boundary(mesh):
+        basis = skfem.Basis(mesh, skfem.ElementTetP2())
+        places = basis.doflocs[:, basis.get_dofs().flatten()]
+        return places[:, np.lexsort(places)]
+
+    assert np.array_equal(boundary(out), boundary(mesh))
+
+
+def test_regions_are_named_by_subdomains():
+    mesh = start(2)
+    _, report = odt_plugins.optimize_with_report(mesh)
+    assert report.regions_from == ("left",)
+    _, report = odt_plugins.optimize_with_report(mesh, regions=None)
+    assert report.regions_from == ()
+    with pytest.raises(InvalidOptionError, match="right"):
+        odt_plugins.optimize(mesh, regions="right")
+    plain = skfem.MeshTri().refined(1)
+    assert odt_plugins.optimize(plain).boundaries is None
+    assert odt_plugins.optimize(plain).subdomains is None
+
+
+def test_other_meshes_of_skfem_are_refused():
+    with pytest.raises(UnsupportedMeshError, match=r"MeshQuad1; .*to_meshtri\(\)"):
+        odt_plugins.optimize(skfem.MeshQuad())
+    assert odt_plugins.optimize(skfem.MeshQuad().to_meshtri()).nelements == 2
+    points, cells, _ = contract.grid(2, 2)
+    apart = skfem.MeshTri(points[cells.ravel()].T, np.arange(cells.size).reshape(-1, 3).T)
+    with pytest.warns(odt_plugins.ODTWarning, match=r"mesh\.remove_duplicate_nodes\(\)"):
+        odt_plugins.optimize(apart)
+    assert hasattr(apart, "remove_duplicate_nodes")
+    broken = skfem.MeshTri(points.T, np.zeros((3, 2), dtype=int))
+    with pytest.raises(InvalidMeshError, match="element"):
+        odt_plugins.optimize(broken)

@@ -1,0 +1,86 @@
+"""Meshes of trimesh."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import surface_meshes as sm
+
+import odt_plugins
+from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError
+
+trimesh = pytest.importorskip("trimesh")
+
+
+def ball():
+    mesh = trimesh.creation.icosphere(2)
+    step = np.random.default_rng(1).normal(size=mesh.vertices.shape)
+    mesh.vertices += 0.04 * np.cross(step, mesh.vertices)
+    mesh.vertices /= np.linalg.norm(mesh.vertices, axis=1)[:, None]
+    return mesh
+
+
+def test_colours_and_what_is_set_survive_on_a_curved_surface():
+    mesh = ball()
+    rng = np.random.default_rng(5)
+    mesh.visual.vertex_colors = rng.integers(0, 256, (len(mesh.vertices), 4), dtype=np.uint8)
+    mesh.density, mesh.center_mass = 3.0, [0.1, 0.2, 0.3]
+    mesh.vertex_attributes["heat"] = mesh.vertices[:, 2].copy()
+    mesh.face_attributes["odd"] = np.arange(len(mesh.faces) + 1)
+    before = mesh.vertices.copy()
+    out, report = odt_plugins.optimize_with_report(mesh, envelope=0.02, fields="interpolate")
+    assert np.array_equal(mesh.vertices, before)
+    assert report.after.mean_quality > report.before.mean_quality
+    assert out.is_watertight
+    assert (out.density, out.center_mass.tolist()) == (3.0, [0.1, 0.2, 0.3])
+    assert out.visual.kind == "vertex"
+    assert np.array_equal(out.visual.vertex_colors, mesh.visual.vertex_colors)
+    assert np.array_equal(out.face_attributes["odd"], mesh.face_attributes["odd"])
+    assert np.abs(out.vertex_attributes["heat"] - out.vertices[:, 2]).max() < 1e-9
+    assert (out.vertex_normals * out.vertices).sum(axis=1).min() > 0.95
+    assert (out.face_normals * out.triangles_center).sum(axis=1).min() > 0.9
+
+
+def test_texture_coordinates_are_interpolated():
+    p, t = sm.bowl(15)
+    uv = p[:, :2] * [0.25, 0.5] + 0.5
+    mesh = trimesh.Trimesh(p, t, process=False, visual=trimesh.visual.TextureVisuals(
+        uv=uv, material=trimesh.visual.material.SimpleMaterial(diffuse=[1, 2, 3, 4])))
+    out = odt_plugins.optimize(mesh, envelope=0.02)
+    moved = (out.vertices != p).any(axis=1)
+    assert moved.sum() > 50
+    assert np.abs(out.visual.uv - (out.vertices[:, :2] * [0.25, 0.5] + 0.5)).max() < 1e-9
+    assert out.visual.material.diffuse.tolist() == [1, 2, 3, 4]
+    assert np.array_equal(mesh.visual.uv, uv)
+
+
+def test_a_class_of_the_users_comes_back_and_normals_that_were_set_do_where_nothing_moved():
+    class Mine(trimesh.Trimesh):
+        pass
+
+    mesh = Mine(*sm.bowl(5), process=False)
+    mesh.vertex_normals = np.tile([0.6, 0.0, 0.8], (len(mesh.vertices), 1))
+    mesh.face_normals = -mesh.face_normals
+    out = odt_plugins.optimize(mesh, fixed=np.ones(len(mesh.vertices), bool), connectivity="none",
+                               finish=False)
+    assert type(out) is Mine
+    assert np.array_equal(out.vertex_normals, mesh.vertex_normals)
+    out.vertices[0] += 1.0
+    assert not np.array_equal(out.vertices, mesh.vertices)
+
+
+def test_what_cannot_be_optimised_is_named():
+    with pytest.raises(UnsupportedMeshError, match=r"primitive, Box, .*try mesh\.to_mesh\(\)"):
+        odt_plugins.optimize(trimesh.primitives.Box())
+    assert odt_plugins.measure(trimesh.primitives.Box().to_mesh()).n_cells == 12
+    scene = trimesh.Scene([ball()])
+    with pytest.raises(UnsupportedMeshError, match=r"trimesh.*try mesh\.to_mesh\(\)") as caught:
+        odt_plugins.optimize(scene)
+    way = str(caught.value).rpartition("try ")[2]
+    assert odt_plugins.measure(eval(way, {"mesh": scene})).n_cells == len(ball().faces)
+    mesh = ball()
+    mesh.faces[::2] = mesh.faces[::2, ::-1]
+    with pytest.raises(InvalidMeshError, match=r"try mesh\.fix_normals\(\)"):
+        odt_plugins.optimize(mesh)
+    mesh.fix_normals()
+    assert odt_plugins.measure(mesh).n_cells == len(mesh.faces)

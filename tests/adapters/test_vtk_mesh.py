@@ -1,0 +1,91 @@
+"""Objects of VTK itself."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import contract
+import numpy as np
+import pytest
+
+import odt_plugins
+from odt_plugins.errors import UnsupportedMeshError
+
+pytest.importorskip("vtkmodules")
+
+ALONE = """
+import sys
+sys.modules["pyvista"] = None
+import numpy as np
+import contract
+from vtkmodules.util.numpy_support import numpy_to_vtk, vtk_to_numpy
+from vtkmodules.vtkCommonCore import vtkPoints
+from vtkmodules.vtkCommonDataModel import vtkCellArray, vtkPolyData, vtkUnstructuredGrid
+import odt_plugins
+
+class Grid(vtkUnstructuredGrid):
+    pass
+
+def filled(mesh, points, cells):
+    places = vtkPoints()
+    places.SetData(numpy_to_vtk(contract.in_space(points), deep=True))
+    mesh.SetPoints(places)
+    rows = vtkCellArray()
+    for cell in cells.tolist():
+        rows.InsertNextCell(len(cell), cell)
+    mesh.SetPolys(rows) if isinstance(mesh, vtkPolyData) else mesh.SetCells(10, rows)
+    return mesh
+
+for mesh, dim in ((Grid(), 3), (vtkPolyData(), 2)):
+    points, cells, _ = contract.grid(dim, 4)
+    mesh = filled(mesh, points, cells)
+    out, report = odt_plugins.optimize_with_report(mesh)
+    assert type(out) is type(mesh)
+    assert report.after == odt_plugins.measure(out)
+    assert report.after.mean_quality > odt_plugins.measure((points, cells)).mean_quality
+    arrays = odt_plugins.optimize((points, cells))
+    places = vtk_to_numpy(out.GetPoints().GetData())
+    assert np.allclose(places[:, :dim], arrays[0], rtol=0, atol=1e-15)
+print("done")
+"""
+
+
+def test_vtk_objects_need_no_pyvista():
+    done = subprocess.run([sys.executable, "-W", "error", "-c", ALONE], capture_output=True,
+                          text=True, check=False,
+                          env={"PYTHONPATH": ":".join(sys.path), "PATH": "/usr/bin:/bin"})
+    assert done.returncode == 0, done.stderr
+    assert done.stdout.split() == ["done"]
+
+
+def test_quadratic_cells_and_others_come_back_as_from_pyvista():
+    pyvista = pytest.importorskip("pyvista")
+    from vtkmodules.vtkCommonDataModel import vtkPolyData, vtkUnstructuredGrid
+
+    mesh = contract.HOSTS["pyvista-quadratic-tet"].make()
+    plain = vtkUnstructuredGrid()
+    plain.DeepCopy(mesh)
+    assert pyvista.wrap(odt_plugins.optimize(plain)) == odt_plugins.optimize(mesh)
+    x, y = np.meshgrid(np.linspace(-1, 1, 9), np.linspace(-1, 1, 9))
+    bowl = pyvista.StructuredGrid(x, y, x * x + y * y).extract_surface(algorithm=None)
+    bowl = bowl.triangulate().merge(pyvista.Line((-1, -1, 2), (1, 1, 2)), merge_points=True)
+    bowl = bowl.compute_normals(split_vertices=False)
+    plain = vtkPolyData()
+    plain.DeepCopy(bowl)
+    out = pyvista.wrap(odt_plugins.optimize(plain))
+    assert out == odt_plugins.optimize(bowl)
+    assert not np.array_equal(out.points, bowl.points)
+
+
+def test_other_objects_of_vtk_are_refused():
+    from vtkmodules.vtkCommonDataModel import vtkImageData, vtkUnstructuredGrid
+
+    with pytest.raises(UnsupportedMeshError, match=r"vtkImageData; .*try pyvista\.wrap"):
+        odt_plugins.optimize(vtkImageData())
+    pyvista = pytest.importorskip("pyvista")
+    grid = vtkUnstructuredGrid()
+    grid.DeepCopy(pyvista.UnstructuredGrid({10: np.arange(4)[None], 26: np.arange(15)[None]},
+                                           np.eye(15)[:, :3]))
+    with pytest.raises(UnsupportedMeshError, match="type QUADRATIC_WEDGE"):
+        odt_plugins.optimize(grid)
