@@ -49,12 +49,14 @@ if TYPE_CHECKING:
     from odt_plugins.errors import WorkerError as WorkerError
     from odt_plugins.generate import refine_and_optimize as refine_and_optimize
     from odt_plugins.generate import uniform_refine as uniform_refine
+    from odt_plugins.generate.fill import tetrahedralize_file as tetrahedralize_file
     from odt_plugins.hosts import register as register
     from odt_plugins.hosts.script import run_filter_script as run_filter_script
     from odt_plugins.options import Options as Options
     from odt_plugins.quality import QualitySummary as QualitySummary
     from odt_plugins.report.report import Report as Report
     from odt_plugins.tetwild import tetrahedralize as tetrahedralize
+    from odt_plugins.tetwild import tetrahedralize_with_report as tetrahedralize_with_report
 
     __version__: str
 
@@ -85,6 +87,8 @@ _HOMES = {
     "register": "hosts",
     "run_filter_script": "hosts.script",
     "tetrahedralize": "tetwild",
+    "tetrahedralize_file": "generate.fill",
+    "tetrahedralize_with_report": "tetwild",
     "uniform_refine": "generate",
 }
 """Module of every public name. Type checkers read the imports above, which a test holds equal."""

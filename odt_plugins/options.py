@@ -39,6 +39,9 @@ DENSITIES = ("keep", "uniform", "inverse-volume", "curvature")
 FIGURES = ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle",
            "share_below_20")
 
+OF_MESHES = ("fixed", "selection", "regions", "fields", "orient")
+"""Options for what a mesh has that is there already, none for a surface that is to be filled."""
+
 Progress = Callable[[str, float], None]
 
 COMPILING = "compiling the kernels, once after installation: about half a minute ..."

@@ -13,14 +13,18 @@ import re
 import subprocess
 import sys
 import tempfile
-from collections.abc import Mapping
+import time
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
-from typing import Any, Unpack
+from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.api import optimize as optimize_mesh
+from odt_plugins.api import optimize_with_report
 from odt_plugins.errors import CrashError, InvalidMeshError, InvalidOptionError, exit_name, require
 from odt_plugins.mesh.simplex import barycentric, mesh_arrays
 from odt_plugins.options import (
@@ -31,6 +35,9 @@ from odt_plugins.options import (
     with_option_signature,
 )
 from odt_plugins.progress import part, telling
+
+if TYPE_CHECKING:
+    from odt_plugins.report.report import Report
 
 PROGRAM = """
 import pickle
@@ -53,6 +60,8 @@ BY_TETWILD = 0.8
 
 SHARES = {"Tetrahedralization performed": 0.1, "initializing": 0.2, "postprocessing": 0.95}
 """How far TetWild is when it says so, besides its passes."""
+
+Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
 
 INSIDE = -1e-9
 """Least barycentric coordinate of a point that counts as inside a tetrahedron."""
@@ -117,17 +126,67 @@ def tetrahedralize(
     L. Chen, M. Holst, CMAME 200 (2011) 967-984, doi:10.1016/j.cma.2010.11.007, Theorem 2.8.
     """
     given = {name: value for name, value in locals().items() if name not in ("odt", "options")}
-    _expect_known(options, given)
-    chosen = odt_options(odt, **options)
-    _check_surface(vertices, faces)
+    chosen = _checked(given, odt, options)
     if chosen is None:
         return run_tetwild(given)
+    with _made(given, chosen) as (mesh, _, improving):
+        return optimize_mesh(mesh, **improving)
+
+
+def tetrahedralize_with_report(
+    vertices: NDArray[np.floating], faces: NDArray[np.integer], **keywords: Any
+) -> tuple[Mesh, Report]:
+    """Fill a triangle surface as :func:`tetrahedralize` does and tell what was done.
+
+    Parameters
+    ----------
+    vertices, faces, **keywords    of :func:`tetrahedralize`, all but the first two by keyword
+
+    Returns
+    -------
+    mesh : (points, cells)
+    report : Report     before is the mesh of TetWild, whose seconds stand among the times
+
+    Raises
+    ------
+    InvalidOptionError  odt=False, and what :func:`tetrahedralize` raises
+    """
+    own = inspect.signature(tetrahedralize).parameters
+    usual = {name: about.default for name, about in own.items()
+             if name not in ("vertices", "faces", "odt", *OPTIONS)}
+    given = {"vertices": vertices, "faces": faces} | {
+        name: keywords.pop(name, value) for name, value in usual.items()}
+    chosen = _checked(given, keywords.pop("odt", True), keywords)
+    if chosen is None:
+        msg = ("got odt=False, TetWild alone, of which there is no report; expected True or a dict "
+               "of options, try odt_plugins.tetrahedralize")
+        raise InvalidOptionError(msg)
+    with _made(given, chosen) as (mesh, seconds, improving):
+        out, report = optimize_with_report(mesh, **improving)
+    return out, replace(report, times={"TetWild": seconds, **report.times})
+
+
+def _checked(
+    given: Mapping[str, Any], odt: Mapping[str, Any] | bool, options: Mapping[str, Any]
+) -> dict[str, Any] | None:
+    """The options of ODT, None for TetWild alone; all that can be refused at once is."""
+    _expect_known(options, given)
+    chosen = odt_options(odt, **options)
+    _check_surface(given["vertices"], given["faces"])
+    return chosen
+
+
+@contextmanager
+def _made(given: Mapping[str, Any], chosen: dict[str, Any]) -> Iterator[tuple[Mesh, float, Any]]:
+    """The mesh of TetWild, its seconds, and the options to improve it with, in one progress."""
     asked = chosen.pop("progress", None)
     with telling(asked, "TetWild") as tell:
         first = (part(tell, 0.0, BY_TETWILD),) if asked else ()
+        clock = time.perf_counter()
         points, cells = run_tetwild(given, *first)
+        seconds = time.perf_counter() - clock
         chosen["progress"] = part(tell, BY_TETWILD, 1.0)
-        return optimize_mesh((points, cells), **_with_field(chosen, points, cells, given))
+        yield (points, cells), seconds, _with_field(chosen, points, cells, given)
 
 
 def _with_field(

@@ -391,4 +391,10 @@ def _second_look(path: Path, name: str, mesh: Any) -> str:
     pairs += [(f"cell data {key!r}", values, mine.get(unquote(key), {}).get(kind))
               for key, parts in data.items() for kind, values in parts.items()]
     return ", ".join(what for what, one, two in pairs
-                     if not np.array_equal(np.ravel(one), np.ravel(two)))
+                     if not _alike(np.ravel(one), np.ravel(two)))
+
+
+def _alike(one: NDArray[Any], two: NDArray[Any]) -> bool:
+    """Whether all values are the same, NaN being the same as NaN."""
+    numbers = one.dtype.kind in "fc" and two.dtype.kind in "fc"
+    return np.array_equal(one, two, equal_nan=numbers)

@@ -10,12 +10,14 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 import click
-import numpy as np
+from click.core import ParameterSource
 
+from odt_plugins.cli.named import resolve_arrays
 from odt_plugins.cli.terminal import (
     check_paths,
     command_line,
@@ -25,10 +27,19 @@ from odt_plugins.cli.terminal import (
     write_beside,
 )
 from odt_plugins.errors import InvalidOptionError, ODTError
-from odt_plugins.options import DENSITIES, FIGURES, OPTIONS, Options
+from odt_plugins.options import FIGURES, OF_MESHES, OPTIONS, Options
 from odt_plugins.signals import handling
 
 DONE, COULD_NOT, WRONG_USE = 0, 1, 2
+
+EDGE_LENGTH = click.option(
+    "--edge-length", type=click.FloatRange(min=0.0, max=1.0, min_open=True, max_open=True),
+    default=0.05, show_default=True, help="For TetWild, relative to the diagonal.")
+
+LEVELS = click.option(
+    "--levels", type=click.IntRange(min=0), default=0, show_default=True,
+    help="How often the mesh of TetWild is refined, moved to the surface and optimised; each "
+         "level has eight times as many tetrahedra.")
 
 
 def main(argv: Sequence[str] | None = None) -> int:
@@ -91,12 +102,14 @@ def cli() -> None:
     """
 
 
-def _option_flags(command: Callable[..., Any]) -> Callable[..., Any]:
+def _option_flags(
+    command: Callable[..., Any], without: Sequence[str] = ()
+) -> Callable[..., Any]:
     """Give a command one flag for every option that has one; all that is said is read there."""
     hints = get_type_hints(Options)
     for name, about in reversed(OPTIONS.items()):
         told, default = about.metadata, about.default
-        if told["flag"] is None:
+        if told["flag"] is None or name in without:
             continue
         flag = "--" + name.replace("_", "-")
         settings: dict[str, Any] = {"default": default, "show_default": default is not None,
@@ -117,6 +130,13 @@ def _option_flags(command: Callable[..., Any]) -> Callable[..., Any]:
             settings["type"] = str
         command = click.option(flag, name, **settings)(command)
     return command
+
+
+def _chosen(options: dict[str, Any]) -> dict[str, Any]:
+    """Options that were given on the command line; the others have other defaults with levels."""
+    source = click.get_current_context().get_parameter_source
+    return {name: value for name, value in options.items()
+            if source(name) is ParameterSource.COMMANDLINE}
 
 
 def _region_names(_ctx: click.Context, _param: click.Parameter, text: str) -> str | None:
@@ -189,7 +209,7 @@ def optimize(
     or a directory of .vtu files, and only one of the pieces is in memory at a time.
     """
     check_paths(target, report_file, plot_file)
-    options = _resolve_arrays(source, options)
+    options = resolve_arrays(source, options)
     pieces = target.suffix == ".pvtu"
     if pieces and (file_format or text is not None):
         msg = "--file-format, --ascii and --binary are for meshes of one file, OUTPUT names pieces"
@@ -229,13 +249,50 @@ def optimize(
     return DONE
 
 
+@cli.command(short_help="Fill a surface with good tetrahedra.")
+@click.argument("source", metavar="SURFACE", type=click.Path(path_type=Path))
+@click.argument("target", metavar="OUTPUT", type=click.Path(path_type=Path))
+@EDGE_LENGTH
+@LEVELS
+@partial(_option_flags, without=OF_MESHES)
+@click.option("--report", "report_file", type=click.Path(path_type=Path), metavar="FILE.json",
+              help="Write the report there as JSON.")
+@click.option("--file-format", type=click.Choice(["gmsh22", "gmsh41"]),
+              help="Version of a .msh file.")
+@click.option("--ascii/--binary", "text", default=None,
+              help="Write OUTPUT as text or binary, where its format has both.")
+@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+def tetrahedralize(
+    source: Path, target: Path, edge_length: float, levels: int, report_file: Path | None,
+    file_format: str | None, text: bool | None, quiet: bool, **options: Any,
+) -> int:
+    """Fill the surface of triangles SURFACE with tetrahedra and write them to OUTPUT.
+
+    TetWild fills it, Optimal Delaunay Triangulation improves the tetrahedra. Labels and other
+    arrays of the faces come to the triangles of the boundary, which stand beside the tetrahedra
+    then. --envelope is how far the boundary may be from SURFACE.
+    """
+    from odt_plugins.generate.fill import tetrahedralize_file
+
+    check_paths(target, report_file, None)
+    with warnings_told(quiet), progress_bar(quiet) as progress:
+        report = tetrahedralize_file(
+            source, target, levels, edge_length=edge_length, file_format=file_format,
+            binary=None if text is None else not text, progress=progress, **_chosen(options))
+    if not quiet:
+        click.echo(str(report))
+    if report_file:
+        write_beside(report_file, lambda path: path.write_text(report.to_json() + "\n"))
+    return DONE
+
+
 @cli.command(short_help="Improve many mesh files.")
 @click.argument("sources", metavar="INPUT...", nargs=-1, required=True)
 @click.option("--out", type=click.Path(path_type=Path), required=True,
               help="Folder for the results and the summary.")
 @click.option("--tetrahedralize", is_flag=True, help="Let TetWild fill the surfaces first.")
-@click.option("--edge-length", type=click.FloatRange(min=0.0, max=1.0, min_open=True),
-              default=0.05, show_default=True, help="For TetWild, relative to the diagonal.")
+@EDGE_LENGTH
+@LEVELS
 @click.option("--suffix", default=None, metavar=".vtu", help="Format of the results.  [default: "
               "that of the input, .vtu with --tetrahedralize]")
 @click.option("--timeout", type=click.FloatRange(min=0.0, min_open=True), default=None,
@@ -252,7 +309,7 @@ def optimize(
 def batch(
     sources: tuple[str, ...], out: Path, suffix: str | None, memory_limit: float | None,
     scheduler: str | None, workers: int, quiet: bool, tetrahedralize: bool, edge_length: float,
-    timeout: float | None, resume: bool, retry: bool, **options: Any,
+    levels: int, timeout: float | None, resume: bool, retry: bool, **options: Any,
 ) -> int:
     """Improve many mesh files, each in a process of its own.
 
@@ -266,10 +323,10 @@ def batch(
         msg = "--retry goes with --resume; without it all inputs are worked on"
         raise click.UsageError(msg)
     summary.check_summary()
+    given = _chosen(options) if levels else options
     jobs = batches.make_jobs(
-        batches.find_inputs(sources, out), out, options, suffix=suffix,
-        tetrahedralize=tetrahedralize, edge_length=edge_length, timeout=timeout, resume=resume,
-        retry=retry,
+        batches.find_inputs(sources, out), out, given, suffix=suffix, retry=retry, resume=resume,
+        tetrahedralize=tetrahedralize, edge_length=edge_length, levels=levels, timeout=timeout,
         memory_limit=None if memory_limit is None else round(memory_limit * 1e9),
     )
     with _cluster(scheduler, workers, quiet) as client, progress_bar(quiet) as progress:
@@ -355,66 +412,6 @@ def demo(out: Path, edge_length: float | None, threads: int) -> int:
     click.echo(f"\n{report}\n")
     click.echo("written: " + ", ".join(str(out / name) for name in FILES))
     return DONE
-
-
-def _resolve_arrays(source: Path, options: dict[str, Any]) -> dict[str, Any]:
-    """Replace names of arrays and of index files by their values."""
-    from odt_plugins.adapters import files
-
-    options = dict(options)
-    host = None
-    if options["density"] not in DENSITIES:
-        host = files.read(source)
-        options["density"] = _file_array(host, options["density"], "density", "point", "cell")
-    for name, place in (("fixed", "point"), ("selection", "cell")):
-        given = options[name]
-        if given is None:
-            continue
-        if Path(given).is_file():
-            options[name] = _indices(Path(given), name)
-        else:
-            host = host or files.read(source)
-            options[name] = _file_array(host, given, name, place) != 0
-    return options
-
-
-def _file_array(host: Any, name: str, option: str, *places: str) -> Any:
-    """Take a point array (n,) or a cell array (m,) of a mesh file by its name."""
-    mesh, known = host.source, []
-    for place in places:
-        data = mesh.point_data if place == "point" else mesh.cell_data
-        known += [f"{key} ({place})" for key in data]
-        if name not in data:
-            continue
-        values = data[name] if place == "point" else np.concatenate(
-            [np.asarray(data[name][block]) for block in host.layout])
-        if np.ndim(values) != 1:
-            msg = f"array {name!r} has shape {np.shape(values)}; expected one value for each"
-            raise click.BadParameter(msg, param_hint=f"--{option}")
-        return np.asarray(values)
-    what = " or ".join(places)
-    file = "" if option == "density" else " or a file of indices"
-    msg = (f"got {name!r}; expected the name of a {what} array of INPUT{file}, it has "
-           f"{', '.join(known) or 'none'}")
-    raise click.BadParameter(msg, param_hint=f"--{option}")
-
-
-def _indices(path: Path, option: str) -> Any:
-    """Read indices from a .npy file or from text, one or more on a line, # for remarks."""
-    try:
-        if path.suffix == ".npy":
-            values = np.load(path, allow_pickle=False)
-        else:
-            words = [line.partition("#")[0].split()
-                     for line in path.read_text(encoding="utf-8").splitlines()]
-            values = np.array([int(w) for line in words for w in line], dtype=np.int64)
-    except (OSError, ValueError, EOFError) as exc:
-        msg = f"cannot read indices from {path}: {one_line(exc)}; expected whole numbers or .npy"
-        raise click.BadParameter(msg, param_hint=f"--{option}") from exc
-    if not values.size:
-        msg = f"{path} holds no index; expected at least one, leave out --{option} to give none"
-        raise click.BadParameter(msg, param_hint=f"--{option}")
-    return values
 
 
 @contextmanager

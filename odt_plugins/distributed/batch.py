@@ -65,6 +65,7 @@ class Job:
     options : dict               of :func:`odt_plugins.optimize`, plain values
     tetrahedralize : bool        whether TetWild fills the surface first
     edge_length : float          for TetWild, relative to the diagonal
+    levels : int                 how often the mesh of TetWild is refined
     timeout : float or None      seconds after which it is ended, not counting those in which the
                                  kernels were compiled
     memory_limit : int or None   bytes that its process may take
@@ -81,6 +82,7 @@ class Job:
     options: dict[str, Any]
     tetrahedralize: bool = False
     edge_length: float = 0.05
+    levels: int = 0
     timeout: float | None = None
     memory_limit: int | None = None
     resume: bool = False
@@ -144,6 +146,13 @@ def make_jobs(
     MeshFileError                the suffix is none of a mesh file
     """
     make_options(**options)
+    if settings.get("tetrahedralize"):
+        from odt_plugins.generate.fill import check_fill
+
+        check_fill(settings.get("levels", 0), settings.get("edge_length", 0.05), options)
+    elif settings.get("levels"):
+        msg = "got levels for meshes that are there; expected them with tetrahedralize only"
+        raise InvalidOptionError(msg)
     for option, value in options.items():
         if not isinstance(value, str | int | float | tuple | None):
             msg = f"got {option} of type {type(value).__name__}; expected a plain value for a batch"
@@ -350,7 +359,7 @@ def job_key(job: Job) -> str:
     versions = versions_here()
     if job.tetrahedralize:
         versions["pytetwild"] = installed_version("pytetwild")
-    rest = [options, job.name, job.tetrahedralize, job.edge_length, versions]
+    rest = [options, job.name, job.tetrahedralize, job.edge_length, job.levels, versions]
     digest.update(json.dumps(rest, sort_keys=True).encode())
     return digest.hexdigest()
 

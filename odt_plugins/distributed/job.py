@@ -21,7 +21,7 @@ from typing import Any
 from numba.core import event
 
 from odt_plugins.compare.runner import PREPARING
-from odt_plugins.errors import CrashError, InvalidMeshError, ODTError, ODTWarning
+from odt_plugins.errors import CrashError, ODTError, ODTWarning
 
 ROW, RESULT, COMPILING = "row.json", "result", "compiling"
 """What lies in the work folder: the row, the folder of the result, and when kernels were compiled:
@@ -117,40 +117,24 @@ def work(job: dict[str, Any]) -> dict[str, Any]:
     row: dict[str, Any] = {}
     clock = time.perf_counter()
     if job["tetrahedralize"]:
-        mesh = _tetrahedra(source, job)
-        row["tetwild_seconds"] = time.perf_counter() - clock
+        from odt_plugins.generate.fill import fill
+
+        result, report, seconds = fill(source, job["levels"], job["edge_length"], job["options"])
+        row["tetwild_seconds"] = seconds
     else:
         mesh = read_file(source)
-    clock = time.perf_counter()
-    result, report = optimize_with_report(mesh, **job["options"])
+        clock = time.perf_counter()
+        result, report = optimize_with_report(mesh, **job["options"])
+        row |= {"regions_from": ", ".join(report.regions_from),
+                "interpolated": ", ".join(report.interpolated)}
     compiled = compiling(Path(job["folder"]))
     row |= {"compile_seconds": compiled, "fallback": report.fallback,
-            "optimize_seconds": time.perf_counter() - clock - compiled,
-            "regions_from": ", ".join(report.regions_from),
-            "interpolated": ", ".join(report.interpolated)}
-    write_file(target, _as_file(*result) if job["tetrahedralize"] else result)
+            "optimize_seconds": time.perf_counter() - clock - compiled
+            - row.get("tetwild_seconds", 0.0)}
+    write_file(target, result)
     for when, summary in (("before", report.before), ("after", report.after)):
         row |= {f"{when}_{name}": value for name, value in summary.to_dict().items()}
     return row
-
-
-def _tetrahedra(source: Path, job: dict[str, Any]) -> Any:
-    """What TetWild makes of a surface."""
-    from odt_plugins.adapters import files
-    from odt_plugins.tetwild import tetrahedralize
-
-    host = files.read(source)
-    if host.cells.shape[1] != 3:
-        msg = f"{source.name} holds tetrahedra; expected a surface of triangles to be filled"
-        raise InvalidMeshError(msg)
-    return tetrahedralize(host.points, host.cells, edge_length_fac=job["edge_length"],
-                          num_threads=job["options"]["threads"], vtk_ordering=True, odt=False)
-
-
-def _as_file(points: Any, cells: Any) -> Any:
-    from meshio import Mesh
-
-    return Mesh(points, [("tetra", cells)])
 
 
 def _limit_memory(limit: int | None) -> None:

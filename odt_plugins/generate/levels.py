@@ -128,7 +128,7 @@ def refine_and_optimize(
     L. Chen, M. Holst, CMAME 200 (2011) 967-984, doi:10.1016/j.cma.2010.11.007, Section 5.3.
     """
     chosen = make_options(**options)
-    _check(levels, edge_length, options)
+    check_levels(levels, edge_length, options)
     with telling(chosen.progress, "coarse mesh") as tell:
         return _refined(mesh, levels, surface, edge_length, options, replace(chosen, progress=tell))
 
@@ -159,6 +159,7 @@ def _refined(
     if chosen.selection is not None:
         frozen = ~vertex_mask(chosen.selection, m, "selection", "cells")
     done: list[Level] = []
+    before = None
     for level in range(levels + 1):
         clock = time.perf_counter()
         refining = projecting = 0.0
@@ -181,6 +182,7 @@ def _refined(
             rows = host.cells[frozen]
             given["selection"] = ~frozen if frozen.any() else None
             current, report = optimize_with_report(current, **given)
+            before = before or report.before
             host = find_adapter(current).read(current, named)
             frozen = _among(host.cells, rows, len(host.points))
         optimising, _ = _lap(clock)
@@ -191,7 +193,7 @@ def _refined(
     checking, _ = _lap(clock)
     told = LevelsReport(
         tuple(done), envelope, both[0], both[1], volume, abs(start.target.volume), start.seconds,
-        checking,
+        checking, before or done[0].quality,
     )
     if not told.within:
         msg = (
@@ -203,7 +205,7 @@ def _refined(
     return current, told
 
 
-def _check(levels: Any, edge_length: Any, options: Mapping[str, Any]) -> None:
+def check_levels(levels: Any, edge_length: Any, options: Mapping[str, Any]) -> None:
     """Refuse what has no meaning for several levels."""
     whole = isinstance(levels, Integral) and not isinstance(levels, bool)
     if not (whole and int(levels) >= 0):

@@ -46,6 +46,7 @@ class LevelsReport:
                                       the surface, and from the surface to it
     volume, surface_volume : float    of the mesh, and inside the surface
     meshing, checking : float         wall seconds of TetWild, and of measuring the distances
+    before : QualitySummary           of the coarse mesh
     """
 
     levels: tuple[Level, ...]
@@ -56,11 +57,17 @@ class LevelsReport:
     surface_volume: float
     meshing: float
     checking: float
+    before: QualitySummary
 
     @property
     def after(self) -> QualitySummary:
         """Figures of the result."""
         return self.levels[-1].quality
+
+    @property
+    def fallback(self) -> str | None:
+        """Why the last level gave an earlier state back."""
+        return self.levels[-1].fallback
 
     @property
     def within(self) -> bool:
@@ -105,6 +112,7 @@ class LevelsReport:
         data = asdict(self)
         for level, at in zip(data["levels"], self.levels, strict=True):
             level["quality"] = at.quality.to_dict()
+        data["before"] = self.before.to_dict()
         return data | {"within": self.within, "seconds": self.seconds}
 
     def to_json(self) -> str:

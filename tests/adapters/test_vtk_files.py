@@ -189,3 +189,13 @@ def test_counts_of_xml_files_beyond_their_size_are_refused(word, tmp_path, monke
     monkeypatch.setattr(apart, "call", lambda *_, **__: pytest.fail("it was read"))
     with pytest.raises(MeshFileError, match=f"{word}=\"1000000000000"):
         files.read_file(path)
+
+
+@pytest.mark.parametrize("suffix", [".vtk", ".vtu"])
+def test_values_that_are_no_numbers_are_written(tmp_path, suffix):
+    points, cells, _ = contract.grid(3, 1)
+    heat = np.where(np.arange(len(cells)) % 2, np.nan, 1.5)
+    mesh = meshio.Mesh(points, [("tetra", cells)], cell_data={"heat": [heat]})
+    files.write_file(tmp_path / f"a{suffix}", mesh)
+    back = files.read_file(tmp_path / f"a{suffix}").cell_data_dict["heat"]["tetra"]
+    assert np.array_equal(back, heat, equal_nan=True)

@@ -414,14 +414,21 @@ def test_surfaces_go_through_tetwild_when_asked(place):
     points = np.array([[x, y, z] for x in (0, 1) for y in (0, 1) for z in (0, 1)], dtype=float)
     faces = [[0, 1, 3], [0, 3, 2], [4, 6, 7], [4, 7, 5], [0, 4, 5], [0, 5, 1],
              [2, 3, 7], [2, 7, 6], [0, 2, 6], [0, 6, 4], [1, 5, 7], [1, 7, 3]]
-    meshio.Mesh(points, [("triangle", faces)]).write(place / "models" / "cube.stl")
-    jobs = make_jobs(["models/cube.stl"], place / "out", {}, tetrahedralize=True, edge_length=0.3)
+    side = np.repeat(np.arange(1, 7), 2)
+    meshio.Mesh(points, [("triangle", faces)], cell_data={"side": [side]}).write("models/cube.vtu")
+    jobs = make_jobs(["models/cube.vtu"], place / "out", {}, tetrahedralize=True, edge_length=0.3)
     (row,) = run_batch(jobs)
     assert row["status"] == "ok", row["message"]
     assert 0.0 < row["tetwild_seconds"] < row["seconds"] - row["optimize_seconds"] + 1e-3
     mesh = meshio.read(place / "out" / "cube.vtu")
     assert tet_meshes.signed_volumes(mesh.points, mesh.cells[0].data).sum() == pytest.approx(
         1.0, abs=0.02)
+    label = mesh.cell_data_dict["side"]["triangle"]
+    assert np.bincount(label).tolist()[0] == 0
+    for value, (axis, end) in zip(range(1, 7), [(0, 0), (0, 1), (1, 0), (1, 1), (2, 0), (2, 1)],
+                                  strict=True):
+        at = mesh.points[mesh.cells_dict["triangle"][label == value]][:, :, axis]
+        assert at == pytest.approx(end, abs=0.01)
 
 
 def rows_of(folder: Path) -> list[str]:

@@ -1,0 +1,211 @@
+"""From the file of a surface to good tetrahedra: TetWild, ODT, labels of faces on the facets."""
+
+from __future__ import annotations
+
+import os
+from typing import TYPE_CHECKING, Any, Unpack
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.adapters import files, meshio_mesh
+from odt_plugins.engine.cells.geometry import boundary_facets
+from odt_plugins.engine.ground.reference import make_reference
+from odt_plugins.errors import InvalidMeshError, InvalidOptionError, ODTWarning, counted, warn
+from odt_plugins.generate.coarse import TETWILD_PART
+from odt_plugins.generate.levels import check_levels, refine_and_optimize
+from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.simplex import diagonal, mesh_arrays
+from odt_plugins.options import (
+    OF_MESHES,
+    OPTIONS,
+    OptionKeywords,
+    make_options,
+    with_option_signature,
+)
+from odt_plugins.tetwild import tetrahedralize_with_report
+
+if TYPE_CHECKING:
+    from odt_plugins.adapters.host import HostMesh
+    from odt_plugins.generate.levels_report import LevelsReport
+    from odt_plugins.report.report import Report
+
+REACH = 2.0
+"""Envelopes within which a facet stands for a face: TetWild checks its own at samples only."""
+
+GROUPS = ("gmsh:physical", "gmsh:geometrical")
+"""Labels of Gmsh, in which 0 is none; the tetrahedra are the volume 1."""
+
+
+@with_option_signature(*OF_MESHES)
+def tetrahedralize_file(
+    source: str | os.PathLike[str],
+    target: str | os.PathLike[str],
+    levels: int = 0,
+    *,
+    edge_length: float = 0.05,
+    file_format: str | None = None,
+    binary: bool | None = None,
+    **options: Unpack[OptionKeywords],
+) -> Report | LevelsReport:
+    """Fill the surface of one file with tetrahedra, improve them, and write them to another.
+
+    Every array of the faces but normals, such as a label, and every set of them comes to the
+    triangles of the boundary beside the tetrahedra: each takes the values of the closest face.
+
+    Parameters
+    ----------
+    source, target : path    any format of meshio, and of VTK where it is installed, by suffix
+    levels : int             0: TetWild and ODT; otherwise TetWild makes a coarse mesh, which is
+                             refined so often, see :func:`odt_plugins.refine_and_optimize`
+    edge_length : float      that TetWild aims at, as a part of the diagonal
+    file_format, binary      as for :func:`odt_plugins.optimize_file`
+    **options
+        The fields of :class:`odt_plugins.Options` but for those of a mesh that is there already.
+        `envelope` is how far the boundary may be from the surface; TetWild gets all of it, or
+        three quarters where the boundary moves afterwards.
+
+    Returns
+    -------
+    Report, with `levels` LevelsReport
+
+    Raises
+    ------
+    InvalidMeshError         no surface, or TetWild found no tetrahedra
+    MissingDependencyError   pytetwild is not installed
+    MeshFileError            a file cannot be read or written; `target` is then as it was before
+
+    Warns
+    -----
+    ODTWarning               parts of the boundary stand for no face, as where holes were closed
+    """
+    check_fill(levels, edge_length, options)
+    files.check_output(target, file_format, binary)
+    mesh, report, _ = fill(source, levels, edge_length, options)
+    files.write_file(target, mesh, file_format, binary)
+    return report
+
+
+def check_fill(levels: Any, edge_length: Any, options: Any) -> None:
+    """Refuse what has no meaning for a surface, before any work is done.
+
+    Raises
+    ------
+    InvalidOptionError
+    """
+    make_options(**options)
+    check_levels(levels, edge_length, options if levels else {})
+    for name in OF_MESHES:
+        usual = OPTIONS[name].default
+        value = options.get(name, usual)
+        if isinstance(value, str | bool | None) and value == usual:
+            continue
+        msg = f"got {name} for a surface; expected it for meshes, try odt_plugins.optimize"
+        raise InvalidOptionError(msg)
+
+
+def fill(
+    source: str | os.PathLike[str], levels: int, edge_length: float, options: Any
+) -> tuple[Any, Report | LevelsReport, float]:
+    """Give the mesh of :func:`tetrahedralize_file`, its report, and the seconds of TetWild."""
+    host = files.read(source)
+    if host.cells.shape[1] != 3 or host.points.shape[1] != 3:
+        what = "tetrahedra" if host.cells.shape[1] == 4 else "triangles in the plane"
+        msg = (f"{os.path.basename(source)} holds {what}; expected a surface of triangles to be "
+               "filled")
+        raise InvalidMeshError(msg)
+    envelope = options.get("envelope", make_options().envelope)
+    report: Report | LevelsReport
+    if levels:
+        out, report = refine_and_optimize(
+            host.source, levels, edge_length=edge_length, **options)
+        points, cells, seconds = out.points, out.cells[0].data, report.meshing
+    else:
+        slides = options.get("boundary") == "slide"
+        first, rest = (TETWILD_PART, 1.0 - TETWILD_PART) if slides else (1.0, 1.0)
+        (points, cells), report = tetrahedralize_with_report(
+            host.points, host.cells, edge_length_fac=edge_length, epsilon=first * envelope,
+            num_threads=options.get("threads", 1), vtk_ordering=True,
+            **options | {"envelope": rest * envelope})
+        seconds = report.times["TetWild"]
+    return _labelled(points, cells, host, envelope), report, seconds
+
+
+def closest_faces(
+    points: FloatArray, facets: IntArray, surface: tuple[FloatArray, IntArray], reach: float
+) -> IntArray:
+    """Find the face of a surface that every facet stands for: the closest to its barycentre.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, facets : (k, 3) int
+    surface : (points, faces)    any triangles in space
+    reach : float                a facet further away than that stands for none
+
+    Returns
+    -------
+    (k,) int32                   -1 for none
+
+    Raises
+    ------
+    InvalidMeshError             the surface has no faces
+    """
+    distance, face, _ = make_reference(*surface).closest(points[facets].mean(axis=1))
+    return np.where(distance <= reach, face, np.int32(-1))
+
+
+def _labelled(points: FloatArray, cells: IntArray, host: HostMesh, envelope: float) -> Any:
+    """The tetrahedra, beside them their boundary with the data of the faces, if there are any."""
+    from meshio import Mesh
+
+    surface, blocks = host.source, host.layout
+    arrays = {name: np.concatenate([np.asarray(values[i]) for i in blocks])
+              for name, values in surface.cell_data.items() if "normal" not in name.lower()}
+    sets = {name: _members(parts, surface, blocks) for name, parts in surface.cell_sets.items()
+            if name not in meshio_mesh.NOT_CELL_INDICES}
+    if not arrays and not sets:
+        return meshio_mesh.tetrahedra(points, cells)
+    facets = boundary_facets(cells)
+    ground = mesh_arrays(host.points, host.cells)
+    reach = REACH * envelope * diagonal(ground[0][np.unique(ground[1])])
+    face = closest_faces(points, facets, ground, reach)
+    lost = int((face < 0).sum())
+    if lost:
+        msg = (f"{lost} of {counted(len(face), 'triangle')} of the boundary stand for no face of "
+               f"the surface, as where a hole was closed; they have no label")
+        warn(msg, ODTWarning)
+    data: dict[str, Any] = {
+        name: [_of_cells(name, values, len(cells)), _of_facets(values, face)]
+        for name, values in arrays.items()}
+    none = np.zeros(0, dtype=np.int64)
+    return Mesh(
+        points, [("tetra", cells), ("triangle", facets)], cell_data=data,
+        cell_sets={name: [none, np.flatnonzero(_of_facets(inside, face))]
+                   for name, inside in sets.items()},
+        field_data=dict(surface.field_data),
+    )
+
+
+def _members(parts: Any, surface: Any, blocks: Any) -> NDArray[np.bool_]:
+    """Whether each of the faces is in a set, which holds indices for every block."""
+    inside = [np.zeros(len(surface.cells[i].data), dtype=np.bool_) for i in blocks]
+    for mask, i in zip(inside, blocks, strict=True):
+        if parts[i] is not None:
+            mask[np.asarray(parts[i], dtype=np.int64)] = True
+    return np.concatenate(inside)
+
+
+def _of_cells(name: str, values: NDArray[Any], count: int) -> NDArray[Any]:
+    """What tetrahedra have of an array of faces: nothing, or the number of their volume."""
+    return np.full((count, *values.shape[1:]), 1 if name in GROUPS else _nothing(values),
+                   dtype=values.dtype)
+
+
+def _of_facets(values: NDArray[Any], face: IntArray) -> NDArray[Any]:
+    out = values[face].copy()
+    out[face < 0] = _nothing(values)
+    return np.asarray(out)
+
+
+def _nothing(values: NDArray[Any]) -> Any:
+    return np.nan if values.dtype.kind in "fc" else np.zeros((), dtype=values.dtype)[()]

@@ -1,0 +1,180 @@
+"""From the file of a surface to tetrahedra: labels of faces on the boundary, report, levels."""
+
+from __future__ import annotations
+
+import json
+
+import contract
+import meshio
+import numpy as np
+import pytest
+
+import odt_plugins
+from odt_plugins import tetwild
+from odt_plugins.adapters import files
+from odt_plugins.cli import main as cli
+from odt_plugins.errors import InvalidMeshError, InvalidOptionError, ODTWarning
+from odt_plugins.generate import coarse, fill
+
+CUBE = np.array([[x, y, z] for x in (0.0, 1) for y in (0.0, 1) for z in (0.0, 1)])
+QUADS = ((0, 1, 3, 2), (4, 6, 7, 5), (0, 4, 5, 1), (2, 3, 7, 6), (0, 2, 6, 4), (1, 5, 7, 3))
+FACES = np.array([t for a, b, c, d in QUADS for t in ((a, b, c), (a, c, d))], dtype=np.int32)
+SIDE = np.repeat(np.arange(1, 7, dtype=np.int32), 2)
+"""Number of the side of the cube for every face: 2 axis + 1 at 0, one more at 1."""
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch):
+    """An empty directory, and TetWild replaced by a mesh of the cube."""
+    points, cells, _ = contract.grid(3, 3)
+    calls = []
+
+    def made(given, *_):
+        calls.append(given)
+        return points.copy(), cells.astype(np.int32)
+
+    for module in (tetwild, coarse):
+        monkeypatch.setattr(module, "run_tetwild", made)
+    monkeypatch.chdir(tmp_path)
+    tmp_path.joinpath("calls").mkdir()
+    return calls
+
+
+def surface(keep=slice(None), **data):
+    return meshio.Mesh(CUBE, [("triangle", FACES[keep])],
+                       cell_data={name: [values[keep]] for name, values in data.items()})
+
+
+def side_of(points, facets):
+    """Side of the cube on which each facet lies, 0 for none."""
+    x = points[facets]
+    out = np.zeros(len(facets), dtype=int)
+    for axis in range(3):
+        for end in (0, 1):
+            out[np.isclose(x[:, :, axis], end, atol=1e-6).all(axis=1)] = 2 * axis + 1 + end
+    return out
+
+
+@pytest.mark.parametrize("levels", ["0", "1"])
+def test_labels_and_names_of_faces_come_to_the_boundary(place, capsys, levels):
+    mesh = surface(**{"gmsh:physical": SIDE, "gmsh:geometrical": SIDE})
+    mesh.field_data = {f"side{i}": np.array([i, 2]) for i in range(1, 7)}
+    files.write_file("part.msh", mesh)
+    assert cli.main(["tetrahedralize", "part.msh", "out.msh", "--edge-length", "0.3",
+                     "--levels", levels, "--boundary", "fixed", "--report", "out.json"]) == 0
+    out = files.read_file("out.msh")
+    tets, facets = out.cells_dict["tetra"], out.cells_dict["triangle"]
+    assert {tuple(sorted(row)) for row in facets.tolist()} == set(
+        contract.facets(tets, np.zeros(len(tets), int)))
+    label = out.cell_data_dict["gmsh:physical"]
+    assert np.array_equal(label["triangle"], side_of(out.points, facets))
+    assert set(label["triangle"]) == set(range(1, 7))
+    assert set(label["tetra"]) == {1}
+    assert {name: values.tolist() for name, values in out.field_data.items()} == {
+        f"side{i}": [i, 2] for i in range(1, 7)}
+    assert place[0]["edge_length_fac"] == 0.3
+    with open("out.json") as file:
+        told = json.load(file)
+    assert told["before"]["n_cells"] == 6 * 3**3
+    assert ("levels" in told) == (levels == "1")
+    assert ("TetWild" in told.get("times", {})) == (levels == "0")
+    assert "mean q" in capsys.readouterr().out
+
+
+def test_what_stands_for_no_face_has_no_label(place):
+    heat = SIDE + 0.5
+    mesh = surface(slice(0, 10), side=SIDE, heat=heat, facet_normals=np.ones((12, 3)))
+    mesh.write("open.vtu")
+    with pytest.warns(ODTWarning, match=r"18 of 108 triangles of the boundary stand for no face"):
+        odt_plugins.tetrahedralize_file("open.vtu", "out.vtu")
+    out = files.read_file("out.vtu")
+    truth = side_of(out.points, out.cells_dict["triangle"])
+    truth[truth == 6] = 0
+    side, heat = out.cell_data_dict["side"], out.cell_data_dict["heat"]
+    assert np.array_equal(side["triangle"], truth)
+    assert not side["tetra"].any()
+    assert np.array_equal(heat["triangle"], np.where(truth, truth + 0.5, np.nan), equal_nan=True)
+    assert np.isnan(heat["tetra"]).all()
+    assert set(out.cell_data) == {"side", "heat"}
+
+
+def test_sets_of_faces_become_sets_of_facets(place, monkeypatch):
+    mesh = surface()
+    mesh.cell_sets = {"left": [np.array([0, 1])], "top": [np.array([10, 11])]}
+    monkeypatch.setattr(files, "read_file", lambda path: mesh)
+    out, _, _ = fill.fill("part.inp", 0, 0.3, {})
+    truth = side_of(out.points, out.cells[1].data)
+    for name, side in (("left", 1), ("top", 6)):
+        assert not len(out.cell_sets[name][0])
+        assert np.array_equal(out.cell_sets[name][1], np.flatnonzero(truth == side))
+
+
+def test_a_surface_without_labels_gives_tetrahedra_alone(place):
+    surface().write("part.stl")
+    report = odt_plugins.tetrahedralize_file("part.stl", "out.vtu", rounds=2, threads=1)
+    assert set(files.read_file("out.vtu").cells_dict) == {"tetra"}
+    assert report.options["rounds"] == 2
+    assert place[0]["num_threads"] == 1
+
+
+def test_each_part_of_a_thin_wall_takes_the_label_of_its_side():
+    plate = CUBE * [1.0, 1.0, 0.01]
+    points, cells, _ = contract.grid(3, 3)
+    points = points * [1.0, 1.0, 0.01]
+    facets = fill.boundary_facets(cells.astype(np.int32))
+    face = fill.closest_faces(points, facets, (plate, FACES), 1e-3)
+    on_z = np.isin(SIDE[face], (5, 6))
+    assert on_z.sum() == 36
+    assert np.array_equal(points[facets][on_z].mean(axis=1)[:, 2] > 0.005, SIDE[face][on_z] == 6)
+
+
+@pytest.mark.parametrize(("boundary", "share"), [("fixed", 1.0), ("slide", 0.75)])
+def test_tetwild_gets_its_part_of_the_envelope(place, boundary, share):
+    surface().write("part.vtu")
+    report = odt_plugins.tetrahedralize_file(
+        "part.vtu", "out.vtu", boundary=boundary, envelope=0.02, rounds=1)
+    assert place[0]["epsilon"] == pytest.approx(share * 0.02)
+    assert report.options["envelope"] == pytest.approx(0.02 if share == 1.0 else 0.005)
+
+
+@pytest.mark.parametrize(("options", "sentence"), [
+    ({"fixed": [0]}, "got fixed for a surface"), ({"regions": None}, "got regions for a surface"),
+    ({"orient": True}, "got orient for a surface"), ({"levels": -1}, "got levels=-1"),
+    ({"edge_length": 2.0}, "got edge_length=2.0"), ({"levels": 1, "insert": True}, "insert=True"),
+    ({"round": 3}, "did you mean 'rounds'"),
+])
+def test_what_has_no_meaning_for_a_surface_is_refused_at_once(place, options, sentence):
+    surface().write("part.vtu")
+    with pytest.raises(InvalidOptionError, match=sentence):
+        odt_plugins.tetrahedralize_file("part.vtu", "out.vtu", **options)
+    assert place == []
+
+
+def test_tetrahedra_are_refused_and_nothing_is_written(place, capsys):
+    points, cells, _ = contract.grid(3, 1)
+    meshio.Mesh(points, [("tetra", cells)]).write("tets.vtu")
+    with pytest.raises(InvalidMeshError, match=r"^tets.vtu holds tetrahedra; expected a surface"):
+        odt_plugins.tetrahedralize_file("tets.vtu", "out.vtu")
+    assert cli.main(["tetrahedralize", "tets.vtu", "out.vtu", "--fixed", "a"]) == 2
+    assert "No such option" in capsys.readouterr().err
+    assert cli.main(["tetrahedralize", "tets.vtu", "none/out.vtu"]) == 1
+    assert "is not a directory" in capsys.readouterr().err
+    with pytest.raises(InvalidOptionError, match="got levels for meshes that are there"):
+        cli.cli.main(["batch", "tets.vtu", "--out", "o", "--levels", "1"], standalone_mode=False)
+    assert place == []
+
+
+def test_the_report_of_arrays_tells_of_tetwild(place):
+    mesh, report = odt_plugins.tetrahedralize_with_report(
+        CUBE, FACES, edge_length_fac=0.3, vtk_ordering=True, rounds=2)
+    truth = odt_plugins.tetrahedralize(CUBE, FACES, edge_length_fac=0.3, vtk_ordering=True,
+                                       rounds=2)
+    assert mesh[0].tobytes() == truth[0].tobytes()
+    assert np.array_equal(mesh[1], truth[1])
+    assert next(iter(report.times)) == "TetWild"
+    assert report.after.mean_quality > report.before.mean_quality
+    assert list(place[0]) == list(place[1])
+    with pytest.raises(InvalidOptionError, match="of which there is no report; expected True"):
+        odt_plugins.tetrahedralize_with_report(CUBE, FACES, odt=False)
+    with pytest.raises(InvalidOptionError, match="did you mean 'edge_length_fac'"):
+        odt_plugins.tetrahedralize_with_report(CUBE, FACES, edge_length_fax=0.3)
