@@ -48,7 +48,7 @@ MAY_IMPORT = {
 """Rooms that a room may import."""
 
 ENGINE = ("compiled", "topology", "cells", "record", "moves", "ground", "odt", "sliding", "finish",
-          "run", "surface")
+          "run", "surface", "untangle")
 """Rooms of the engine; each imports only itself and those before it."""
 
 TOOLKITS = {

@@ -118,7 +118,7 @@ def simplex_mesh(
         msg = f"got triangles with points of dimension {p.shape[1]}; expected points (n, 2)"
         raise InvalidMeshError(msg)
     _check_vertices(t)
-    sign, size = _signs(p, t)
+    sign, size = cell_signs(p, t)
     _check_sizes(sign, size, p.shape[1])
     orientation = -1 if (sign < 0).all() else 1
     mesh = SimplexMesh(
@@ -144,7 +144,7 @@ def turned_alike(points: FloatArray, cells: IntArray) -> tuple[IntArray, int]:
                                 otherwise as they were, all turned where most volumes are negative
     turned : int                how many were turned against the others
     """
-    sign, _ = _signs(points, cells)
+    sign, _ = cell_signs(points, cells)
     negative = sign < 0
     if negative.any() and (sign > 0).any():
         alike = reverse(cells, negative)
@@ -321,7 +321,7 @@ def _check_span(p: FloatArray, t: IntArray) -> None:
         raise InvalidMeshError(msg)
 
 
-def _signs(p: FloatArray, t: IntArray) -> tuple[NDArray[np.int8], FloatArray]:
+def cell_signs(p: FloatArray, t: IntArray) -> tuple[NDArray[np.int8], FloatArray]:
     """Sign of every signed volume, (m,) int8, 0 where it is flat, and the extents of the cells."""
     sign = np.zeros(len(t), dtype=np.int8)
     size = np.empty(len(t))
