@@ -91,12 +91,19 @@ def cli() -> None:
     """
 
 
-def _option_flags(command: Callable[..., Any]) -> Callable[..., Any]:
+def _some_option_flags(*names: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Decorator that gives a command the flags of some options."""
+    return lambda command: _option_flags(command, names)
+
+
+def _option_flags(
+    command: Callable[..., Any], names: Sequence[str] = tuple(OPTIONS)
+) -> Callable[..., Any]:
     """Give a command one flag for every option that has one; all that is said is read there."""
     hints = get_type_hints(Options)
     for name, about in reversed(OPTIONS.items()):
         told, default = about.metadata, about.default
-        if told["flag"] is None:
+        if told["flag"] is None or name not in names:
             continue
         flag = "--" + name.replace("_", "-")
         settings: dict[str, Any] = {"default": default, "show_default": default is not None,
@@ -109,6 +116,9 @@ def _option_flags(command: Callable[..., Any]) -> Callable[..., Any]:
             settings["type"] = click.IntRange(min=told["least"])
         elif float in (hints[name], *get_args(hints[name])):
             settings["type"] = float
+        elif name == "untangle":
+            flag = "--untangle/--no-untangle"
+            settings |= {"default": True, "callback": lambda _ctx, _param, on: on and "auto"}
         elif name == "regions":
             settings["callback"] = _region_names
         elif name == "keep":
@@ -226,6 +236,39 @@ def optimize(
         write_beside(report_file, lambda path: path.write_text(report.to_json() + "\n"))
     if plot_file:
         write_beside(plot_file, report.plot)
+    return DONE
+
+
+@cli.command(short_help="Make the inverted cells of a mesh file valid, and no more.")
+@click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
+@click.argument("target", metavar="OUTPUT", type=click.Path(path_type=Path))
+@click.option("--rest", type=click.Path(path_type=Path), metavar="FILE",
+              help="A valid mesh of the same cells: cells are brought near to the shapes they have "
+                   "there.")
+@click.option("--partial", is_flag=True,
+              help="Write the mesh with the fewest inverted cells where no valid one is found.")
+@_some_option_flags("fixed", "selection", "regions", "threads")
+@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+def untangle(source: Path, target: Path, rest: Path | None, partial: bool, quiet: bool,
+             **options: Any) -> int:
+    """Make every cell of the mesh INPUT valid, write it to OUTPUT with all its data, and no more.
+
+    The boundary, interfaces and fixed vertices stay where they are; the others move.
+    """
+    check_paths(target, None, None)
+    options = _resolve_arrays(source, options)
+    from odt_plugins.adapters.files import read_file, write_file
+    from odt_plugins.api import measure
+    from odt_plugins.api import untangle as untangled
+    from odt_plugins.table import table_lines
+
+    with warnings_told(quiet):
+        mesh = read_file(source)
+        found = untangled(mesh, rest=None if rest is None else read_file(rest), partial=partial,
+                          **options)
+        write_file(target, found)
+    if not quiet:
+        click.echo("\n".join(table_lines({"before": measure(mesh), "after": measure(found)})))
     return DONE
 
 
@@ -363,7 +406,7 @@ def _resolve_arrays(source: Path, options: dict[str, Any]) -> dict[str, Any]:
 
     options = dict(options)
     host = None
-    if options["density"] not in DENSITIES:
+    if options.get("density", DENSITIES[0]) not in DENSITIES:
         host = files.read(source)
         options["density"] = _file_array(host, options["density"], "density", "point", "cell")
     for name, place in (("fixed", "point"), ("selection", "cell")):
