@@ -30,6 +30,7 @@ if TYPE_CHECKING:
     from odt_plugins.api import optimize as optimize
     from odt_plugins.api import optimize_file as optimize_file
     from odt_plugins.api import optimize_with_report as optimize_with_report
+    from odt_plugins.api import untangle as untangle
     from odt_plugins.distributed.optimize import optimize_partitioned as optimize_partitioned
     from odt_plugins.distributed.optimize import (
         optimize_partitioned_with_report as optimize_partitioned_with_report,
@@ -45,6 +46,7 @@ if TYPE_CHECKING:
     from odt_plugins.errors import NotConvergedWarning as NotConvergedWarning
     from odt_plugins.errors import ODTError as ODTError
     from odt_plugins.errors import ODTWarning as ODTWarning
+    from odt_plugins.errors import TangledMeshError as TangledMeshError
     from odt_plugins.errors import UnsupportedMeshError as UnsupportedMeshError
     from odt_plugins.errors import WorkerError as WorkerError
     from odt_plugins.generate import refine_and_optimize as refine_and_optimize
@@ -74,6 +76,7 @@ _HOMES = {
     "Options": "options",
     "QualitySummary": "quality",
     "Report": "report.report",
+    "TangledMeshError": "errors",
     "UnsupportedMeshError": "errors",
     "WorkerError": "errors",
     "measure": "api",
@@ -89,6 +92,7 @@ _HOMES = {
     "tetrahedralize": "tetwild",
     "tetrahedralize_file": "generate.fill",
     "tetrahedralize_with_report": "tetwild",
+    "untangle": "api",
     "uniform_refine": "generate",
 }
 """Module of every public name. Type checkers read the imports above, which a test holds equal."""

@@ -6,14 +6,23 @@ import os
 from dataclasses import replace
 from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
 
+import numpy as np
+
 from odt_plugins.adapters import pyvista_blocks
 from odt_plugins.adapters.files import check_output, read_file, write_file
 from odt_plugins.adapters.registry import find_adapter
+from odt_plugins.errors import UnsupportedMeshError
 from odt_plugins.mesh.simplex import mesh_arrays, turned_alike
 from odt_plugins.options import OptionKeywords, make_options, with_option_signature
 from odt_plugins.roundtrip import flat_points, run_blocks, run_engine, words_of
+from odt_plugins.untangling import Wanted
 
 if TYPE_CHECKING:
+    from numpy.typing import ArrayLike
+
+    from odt_plugins.engine.run.outcome import Leaving, Outcome
+    from odt_plugins.mesh.simplex import SimplexMesh
+    from odt_plugins.options import Options
     from odt_plugins.quality import QualitySummary
     from odt_plugins.report.report import Report
 
@@ -51,6 +60,7 @@ def optimize(mesh: Any, **options: Unpack[OptionKeywords]) -> Any:
     Raises
     ------
     InvalidMeshError        the mesh is broken
+    TangledMeshError        cells are inverted or flat, and could not or were not to be untangled
     UnsupportedMeshError    the object, or one of its cell types, is nothing that can be optimised
     InvalidOptionError      an option is unknown or out of range
     MeshFileError           the file cannot be read
@@ -137,6 +147,76 @@ def optimize_file(
     mesh, report = optimize_with_report(read_file(source), **options)
     write_file(target, mesh, file_format, binary)
     return report
+
+
+def untangle(
+    mesh: Any,
+    *,
+    rest: Any = None,
+    partial: bool = False,
+    fixed: ArrayLike | None = None,
+    selection: ArrayLike | None = None,
+    regions: Any = "auto",
+    threads: int = 1,
+) -> Any:
+    """Make every cell valid of a mesh some of whose cells are inverted or flat, and no more.
+
+    Parameters
+    ----------
+    mesh : object             what :func:`optimize` takes, of triangles in the plane or tetrahedra;
+                              it is never changed, and a valid one comes back as it is
+    rest : object or (n, d) array, optional
+                              a valid mesh of the same cells, or the places of its vertices: the
+                              cells of the result are brought near to the shapes they have there;
+                              regular unless given
+    partial : bool            whether to return the mesh with the fewest inverted or flat cells
+                              that was found, where no valid one was
+    fixed, selection, regions, threads
+                              as for :func:`optimize`
+
+    Returns
+    -------
+    same type as `mesh`       Vertices on the boundary and on interfaces, fixed ones and those of
+                              cells outside the selection are where they were, bit for bit; every
+                              cell has positive volume, in exact arithmetic
+
+    Raises
+    ------
+    TangledMeshError          some cells stay inverted or flat; `cells` are their indices
+    InvalidMeshError          the mesh, or the rest mesh, is broken in another way
+    UnsupportedMeshError      a curved surface, whose triangles have no sign
+
+    References
+    ----------
+    V. Garanzha et al., Foldover-free maps in 50 lines of code, ACM Trans. Graph. 40 (2021),
+    doi:10.1145/3450626.3459847.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import odt_plugins
+    >>> points = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [1.5, 0.5]])
+    >>> cells = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+    >>> valid_points, _ = odt_plugins.untangle((points, cells))
+    >>> bool((valid_points[:4] == points[:4]).all() and 0 < valid_points[4, 0] < 1)
+    True
+    """
+    places = rest
+    if rest is not None and not isinstance(rest, np.ndarray):
+        places = np.asarray(find_adapter(rest).read(rest).points)
+    options = make_options(fixed=fixed, selection=selection, regions=regions, threads=threads)
+    return run_engine(mesh, options, _as_it_is, Wanted(places, partial))[0]
+
+
+def _as_it_is(mesh: SimplexMesh, _options: Options, _leaving: Leaving) -> Outcome:
+    """Take the place of the engine and leave the mesh as it is."""
+    if mesh.is_surface:
+        msg = ("got a curved surface; expected triangles in a plane or tetrahedra, whose cells "
+               "may be inverted")
+        raise UnsupportedMeshError(msg)
+    from odt_plugins.engine.run.outcome import unchanged
+
+    return unchanged(mesh, "untangled")
 
 
 def measure(mesh: Any) -> QualitySummary:

@@ -16,7 +16,7 @@ from importlib.util import find_spec
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from collections.abc import Iterator
+    from collections.abc import Iterable, Iterator
 
 
 INSIDE = (os.path.dirname(os.path.abspath(__file__)) + os.sep, contextlib.__file__)
@@ -29,6 +29,19 @@ class ODTError(Exception):
 
 class InvalidMeshError(ODTError, ValueError):
     """The mesh itself is broken: shapes, indices, coordinates, orientation, topology."""
+
+
+class TangledMeshError(InvalidMeshError):
+    """Some cells are inverted or flat, and were not to be, or could not be, untangled.
+
+    Attributes
+    ----------
+    cells : tuple of int    their indices
+    """
+
+    def __init__(self, message: str, cells: Iterable[int] = ()) -> None:
+        super().__init__(message)
+        self.cells = tuple(int(cell) for cell in cells)
 
 
 class CrashError(InvalidMeshError):

@@ -39,7 +39,7 @@ DENSITIES = ("keep", "uniform", "inverse-volume", "curvature")
 FIGURES = ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle",
            "share_below_20")
 
-OF_MESHES = ("fixed", "selection", "regions", "fields", "orient")
+OF_MESHES = ("fixed", "selection", "regions", "fields", "orient", "untangle")
 """Options for what a mesh has that is there already, none for a surface that is to be filled."""
 
 Progress = Callable[[str, float], None]
@@ -160,6 +160,10 @@ class Options:
     orient: bool = field(default=False, metadata=_told(
         "Whether triangles of a curved surface whose neighbours disagree about the outside are "
         "turned instead of refused; all other cells of mixed orientation always are turned."))
+    untangle: str | bool = field(default="auto", metadata=_told(
+        "Whether a mesh some of whose cells are inverted or flat is untangled first, with the "
+        "boundary where it is; figures in keep are then compared with its valid cells only.",
+        python="'auto' or False, which refuses such meshes."))
     threads: int = field(default=1, metadata=_told(
         "Worker threads; the result does not depend on it.", least=1))
     progress: Any = field(default=None, metadata=_told(
@@ -220,6 +224,8 @@ class Options:
             object.__setattr__(self, "keep", (self.keep,))
         good = isinstance(self.keep, tuple | list) and all(k in FIGURES for k in self.keep)
         _expect(good, "keep", self.keep, f"some of {FIGURES}")
+        good = self.untangle == "auto" or self.untangle is False
+        _expect(good, "untangle", self.untangle, "'auto' or False")
         good = callable(self.progress) or isinstance(self.progress, bool | None)
         what = "None, True or a callable progress(stage, fraction)"
         _expect(good, "progress", self.progress, what)
@@ -294,6 +300,7 @@ class OptionKeywords(TypedDict, total=False):
     fields: Fields
     keep: str | tuple[str, ...]
     orient: bool
+    untangle: str | bool
     threads: int
     progress: Progress | bool | None
 

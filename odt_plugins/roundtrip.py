@@ -21,22 +21,37 @@ from odt_plugins.adapters.regions import AUTO, CHARTS, are_names
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.adapters.wedges import SEAM, charts
 from odt_plugins.carry import in_input_order, surrounding_cells
-from odt_plugins.errors import InvalidMeshError, InvalidOptionError, ODTError, warn
+from odt_plugins.errors import (
+    InvalidMeshError,
+    InvalidOptionError,
+    ODTError,
+    TangledMeshError,
+    warn,
+)
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.numbering import in_old_numbers, new_numbers, old_numbers
 from odt_plugins.mesh.plane import PlaneFrame, plane_frame
 from odt_plugins.mesh.simplex import SimplexMesh, compact_labels, mesh_arrays, reverse, simplex_mesh
 from odt_plugins.mesh.soup import at_copies, same_places
 from odt_plugins.mesh.surface import surface_mesh
+from odt_plugins.mesh.tangled import tangled_mesh
 from odt_plugins.options import Options
 from odt_plugins.progress import part, telling
+from odt_plugins.untangling import Tangle, Wanted, rest_places, untangle_mesh
 
 if TYPE_CHECKING:
     from odt_plugins.engine.run.outcome import Leaving, Outcome
 
 
+PLAIN = Wanted()
+"""What is asked of a mesh with inverted or flat cells unless something else is."""
+
+
 class _Prepared(NamedTuple):
-    """A caller's mesh in the engine's form, and the way back."""
+    """A caller's mesh in the engine's form, and the way back.
+
+    Where it was untangled, `host` has its new places and cells, and `tangle` says what it was.
+    """
 
     adapter: Adapter
     host: HostMesh
@@ -45,12 +60,14 @@ class _Prepared(NamedTuple):
     orientation: int
     same: NDArray[np.int64] | None = None
     notes: tuple[str, ...] = ()
+    tangle: Tangle | None = None
 
 
 def run_engine(
     mesh: Any,
     options: Options,
     engine: Callable[[SimplexMesh, Options, Leaving], Outcome] | None = None,
+    wanted: Wanted = PLAIN,
 ) -> tuple[Any, SimplexMesh, Outcome, dict[str, Any]]:
     """Adapter, engine, adapter: the caller's new mesh and all that its report is made of.
 
@@ -60,14 +77,15 @@ def run_engine(
     options : Options
     engine : callable    takes the place of the engine for this kind of mesh; it judges meshes as
                          they leave
+    wanted : Wanted      of a mesh with inverted or flat cells
 
     Returns
     -------
     result : same type as `mesh`
-    before, outcome : the input of the engine, and what it handed back
+    before, outcome : the input as the engine reads it, and what the engine handed back
     told : dict          what its report is told besides, by the names of the fields
     """
-    work = _prepare(mesh, options)
+    work, given = _prepare(mesh, options, wanted)
     leaving = partial(_as_it_leaves, work, options.threads)
     with words_of(work.host), telling(options.progress, "preparing") as progress:
         chosen = _in_frame(options, work.frame)
@@ -89,8 +107,12 @@ def run_engine(
     around = partial(_around, work, options.threads)
     written = replace(outcome, written=points, cells=cells)
     vertices = _new_vertices(work, written, around, moved=bool(fields))
+    before = work.mesh
+    if work.tangle is not None:
+        before, source = work.tangle.before, work.tangle.source[source]
     told = {"regions_from": work.host.regions_from, "cell_origin": _cell_origin(work.host, source),
-            "interpolated": () if vertices is None else fields, "notes": work.notes}
+            "interpolated": () if vertices is None else fields, "notes": work.notes,
+            "tangle": work.tangle}
     if work.orientation < 0:
         cells = reverse(cells, np.ones(len(cells), dtype=np.bool_))
     kind = work.host.cells.dtype
@@ -101,7 +123,7 @@ def run_engine(
         _feet(work, places, cells), vertices if not work.host.higher_order else None,
         locate=around if fields else None, same=same,
     )
-    return work.adapter.write(result, work.host), work.mesh, outcome, told
+    return work.adapter.write(result, given), before, outcome, told
 
 
 def run_blocks(
@@ -183,7 +205,8 @@ def _feet(work: _Prepared, points: FloatArray, cells: IntArray) -> Feet | None:
     return Feet(moved, face[:k], weights[:k], face[k:], np.stack(corners, axis=1))
 
 
-def _prepare(mesh: Any, options: Options) -> _Prepared:
+def _prepare(mesh: Any, options: Options, wanted: Wanted) -> tuple[_Prepared, HostMesh]:
+    """The mesh for the engine, and as it came."""
     adapter = find_adapter(mesh)
     names = options.regions if are_names(options.regions) else None
     host = adapter.read(mesh, AUTO if names == CHARTS else names)
@@ -194,15 +217,17 @@ def _prepare(mesh: Any, options: Options) -> _Prepared:
     with words_of(host):
         if options.insert:
             _expect_linear_tetrahedra(host)
-        work = partial(_checked, adapter, flat_points(host), options)
+        work = partial(_checked, adapter, flat_points(host), options, wanted)
         found = work(host, keep_seams=keep_seams)
+        if found.tangle is not None:
+            return found, host
         same = None if host.higher_order else same_places(host.points, host.cells.astype(np.int64))
-        return found if same is None else _of_soup(found, work, host, same, keep_seams)
+        return (found if same is None else _of_soup(found, work, host, same, keep_seams)), host
 
 
 def _checked(
     adapter: Adapter, flat: tuple[FloatArray, PlaneFrame | None], options: Options,
-    host: HostMesh, *, keep_seams: bool,
+    wanted: Wanted, host: HostMesh, *, keep_seams: bool,
 ) -> _Prepared:
     """Check a mesh and fix what is to stay of it, the seams of its texture if asked to."""
     points, frame = flat
@@ -219,12 +244,41 @@ def _checked(
         if keep_seams:
             surface = hold_charts(surface, host.blocks)
         return _Prepared(adapter, host, None, surface, 1)
-    simplices, orientation = simplex_mesh(points, host.cells, **given)
+    tangled = False
+    try:
+        simplices, orientation = simplex_mesh(points, host.cells, **given)
+    except TangledMeshError:
+        if options.untangle is False:
+            raise
+        simplices, orientation = tangled_mesh(points, host.cells, **given)
+        tangled = True
     if frame is not None and 2 * simplices.turned > len(simplices.cells):
         orientation = -1
         simplices = replace(simplices, turned=len(simplices.cells) - simplices.turned)
     simplices = protect(simplices, host.kept, host.anchors)
-    return _Prepared(adapter, host, frame, simplices, orientation)
+    work = _Prepared(adapter, host, frame, simplices, orientation)
+    return _untangled(work, options, wanted) if tangled or wanted.rest is not None else work
+
+
+def _untangled(work: _Prepared, options: Options, wanted: Wanted) -> _Prepared:
+    """The same mesh without inverted or flat cells, in the type of the caller."""
+    host, frame, before = work.host, work.frame, work.mesh
+
+    def places(points: FloatArray) -> tuple[NDArray[Any], FloatArray]:
+        moved = (points != before.points).any(axis=1)
+        written, read = np.array(host.points), points.copy()
+        written[moved] = points[moved] if frame is None else frame.to_space(points[moved])
+        back = written[moved].astype(np.float64)
+        read[moved] = back if frame is None else frame.to_plane(back)
+        return written, read
+
+    if wanted.rest is not None:
+        rest = rest_places(wanted.rest, host.points, before.cells, frame)
+        wanted = wanted._replace(rest=rest)
+    mesh, tangle = untangle_mesh(before, options, lambda points: places(points)[1], wanted)
+    cells = reverse(mesh.cells, np.full(len(mesh.cells), work.orientation < 0))
+    host = replace(host, points=places(mesh.points)[0], cells=cells.astype(host.cells.dtype))
+    return work._replace(host=host, mesh=mesh, tangle=tangle)
 
 
 def _of_soup(
@@ -298,7 +352,9 @@ def words_of(host: HostMesh) -> Iterator[None]:
         text = host.words(str(exc))
         if text == str(exc):
             raise
-        raise type(exc)(text) from exc
+        said = type(exc)(text)
+        said.__dict__.update(exc.__dict__)
+        raise said from exc
 
 
 def flat_points(host: HostMesh) -> tuple[FloatArray, PlaneFrame | None]:

@@ -31,9 +31,10 @@ MAY_IMPORT = {
     "paper": {"engine", "mesh"},
     "adapters": {"errors", "mesh"},
     "carry": {"engine", "errors", "mesh"},
-    "report": {"engine", "table", *BASE},
-    "roundtrip": {"adapters", "carry", "engine", "progress", *BASE},
-    "api": {"adapters", "report", "roundtrip", *BASE},
+    "untangling": {"engine", *BASE},
+    "report": {"engine", "table", "untangling", *BASE},
+    "roundtrip": {"adapters", "carry", "engine", "progress", "untangling", *BASE},
+    "api": {"adapters", "engine", "report", "roundtrip", "untangling", *BASE},
     "tetwild": {"api", "errors", "mesh", "options", "progress", "report"},
     "hosts": {"adapters", "api", "report", "tetwild", *BASE},
     "generate": {"adapters", "api", "carry", "engine", "progress", "report", "table", "tetwild",
@@ -48,7 +49,7 @@ MAY_IMPORT = {
 """Rooms that a room may import."""
 
 ENGINE = ("compiled", "topology", "cells", "record", "moves", "ground", "odt", "sliding", "finish",
-          "run", "surface")
+          "run", "surface", "untangle")
 """Rooms of the engine; each imports only itself and those before it."""
 
 TOOLKITS = {

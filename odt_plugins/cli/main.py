@@ -10,7 +10,6 @@ import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
-from functools import partial
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
@@ -102,14 +101,19 @@ def cli() -> None:
     """
 
 
+def _some_option_flags(*names: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Decorator that gives a command the flags of some options."""
+    return lambda command: _option_flags(command, names)
+
+
 def _option_flags(
-    command: Callable[..., Any], without: Sequence[str] = ()
+    command: Callable[..., Any], names: Sequence[str] = tuple(OPTIONS)
 ) -> Callable[..., Any]:
     """Give a command one flag for every option that has one; all that is said is read there."""
     hints = get_type_hints(Options)
     for name, about in reversed(OPTIONS.items()):
         told, default = about.metadata, about.default
-        if told["flag"] is None or name in without:
+        if told["flag"] is None or name not in names:
             continue
         flag = "--" + name.replace("_", "-")
         settings: dict[str, Any] = {"default": default, "show_default": default is not None,
@@ -122,6 +126,9 @@ def _option_flags(
             settings["type"] = click.IntRange(min=told["least"])
         elif float in (hints[name], *get_args(hints[name])):
             settings["type"] = float
+        elif name == "untangle":
+            flag = "--untangle/--no-untangle"
+            settings |= {"default": True, "callback": lambda _ctx, _param, on: on and "auto"}
         elif name == "regions":
             settings["callback"] = _region_names
         elif name == "keep":
@@ -254,7 +261,7 @@ def optimize(
 @click.argument("target", metavar="OUTPUT", type=click.Path(path_type=Path))
 @EDGE_LENGTH
 @LEVELS
-@partial(_option_flags, without=OF_MESHES)
+@_some_option_flags(*(name for name in OPTIONS if name not in OF_MESHES))
 @click.option("--report", "report_file", type=click.Path(path_type=Path), metavar="FILE.json",
               help="Write the report there as JSON.")
 @click.option("--file-format", type=click.Choice(["gmsh22", "gmsh41"]),
@@ -283,6 +290,39 @@ def tetrahedralize(
         click.echo(str(report))
     if report_file:
         write_beside(report_file, lambda path: path.write_text(report.to_json() + "\n"))
+    return DONE
+
+
+@cli.command(short_help="Make the inverted cells of a mesh file valid, and no more.")
+@click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
+@click.argument("target", metavar="OUTPUT", type=click.Path(path_type=Path))
+@click.option("--rest", type=click.Path(path_type=Path), metavar="FILE",
+              help="A valid mesh of the same cells: cells are brought near to the shapes they have "
+                   "there.")
+@click.option("--partial", is_flag=True,
+              help="Write the mesh with the fewest inverted cells where no valid one is found.")
+@_some_option_flags("fixed", "selection", "regions", "threads")
+@click.option("--quiet", is_flag=True, help="Print nothing but errors.")
+def untangle(source: Path, target: Path, rest: Path | None, partial: bool, quiet: bool,
+             **options: Any) -> int:
+    """Make every cell of the mesh INPUT valid, write it to OUTPUT with all its data, and no more.
+
+    The boundary, interfaces and fixed vertices stay where they are; the others move.
+    """
+    check_paths(target, None, None)
+    options = resolve_arrays(source, options)
+    from odt_plugins.adapters.files import read_file, write_file
+    from odt_plugins.api import measure
+    from odt_plugins.api import untangle as untangled
+    from odt_plugins.table import table_lines
+
+    with warnings_told(quiet):
+        mesh = read_file(source)
+        found = untangled(mesh, rest=None if rest is None else read_file(rest), partial=partial,
+                          **options)
+        write_file(target, found)
+    if not quiet:
+        click.echo("\n".join(table_lines({"before": measure(mesh), "after": measure(found)})))
     return DONE
 
 

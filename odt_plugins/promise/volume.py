@@ -7,6 +7,7 @@ mesh it came from and says in plain sentences what does not hold.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -15,16 +16,19 @@ from numpy.typing import NDArray
 from odt_plugins.mesh.chunks import chunks, spread
 from odt_plugins.mesh.facets import row_keys, sorted_columns, uneven_facets
 from odt_plugins.mesh.numbering import in_old_numbers, most_vertices, old_numbers, removed_vertices
-from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.mesh.simplex import SimplexMesh, determinant
 from odt_plugins.options import FIGURES
 from odt_plugins.promise.locked_facets import LockedFacets, facet_census
-from odt_plugins.quality import QualitySummary, cell_figures, summarize
+from odt_plugins.quality import CellFigures, QualitySummary, cell_figures, summarize
 
 SLACK = 1e-12
 """Relative slack for a figure that must not get worse: the rounding of a mean, no more."""
 
 LOWER_IS_BETTER = frozenset({"max_angle", "mean_amips", "max_amips", "below_5", "below_10",
                              "below_20", "share_below_20", "inverted", "uniformity"})
+
+ROUNDING = 1e-13
+"""Bound of the rounding of a volume relative to R^d, R the circumradius: no edge is above 2 R."""
 
 VOLUME = 3e-3
 """Largest relative change of the volume when the boundary slides."""
@@ -82,7 +86,7 @@ def broken_promises(
     now_locked, overlaps = facet_census(
         cells, regions, len(points), uneven_facets(cells, len(points), threads)
     )
-    bad = np.flatnonzero(~(figures.volume > 0))
+    bad = _not_positive(points, cells, figures)
     if len(bad):
         broken.append(f"cell {bad[0]} has {_size(before)} {figures.volume[bad[0]]:.3g}, "
                       f"not positive ({len(bad)} in all)")
@@ -100,6 +104,24 @@ def broken_promises(
         )
         broken += worse_figures(old, summarize(points, cells, figures), keep)
     return broken
+
+
+def _not_positive(
+    points: NDArray[np.float64], cells: NDArray[np.int32], figures: CellFigures
+) -> NDArray[np.intp]:
+    """Cells without positive volume, in rational numbers where rounding may have made the sign."""
+    d = points.shape[1]
+    with np.errstate(invalid="ignore"):
+        doubtful = ~(figures.volume > ROUNDING * figures.circumradius**d)
+    bad = [i for i in np.flatnonzero(doubtful) if not _exact_determinant(points[cells[i]]) > 0]
+    return np.array(bad, dtype=np.intp)
+
+
+def _exact_determinant(corners: NDArray[np.float64]) -> Fraction:
+    """Volume of one cell times d!, without rounding."""
+    first, *others = ([Fraction(x) for x in corner] for corner in corners.tolist())
+    rows = [[x - y for x, y in zip(corner, first, strict=True)] for corner in others]
+    return Fraction(determinant(rows).item())  # type: ignore[arg-type]
 
 
 def worse_figures(

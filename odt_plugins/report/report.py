@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.errors import counted
 from odt_plugins.mesh.numbering import in_old_numbers
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
@@ -21,6 +22,7 @@ from odt_plugins.promise.volume import held_vertices
 from odt_plugins.quality import QualitySummary, cell_figures, summarize
 from odt_plugins.report.binding import BindingCell, binding_cells
 from odt_plugins.table import table_html, table_lines, text_html
+from odt_plugins.untangling import Tangle, worse_than_valid
 
 if TYPE_CHECKING:
     from odt_plugins.engine.run.outcome import Outcome
@@ -64,6 +66,11 @@ class Report:
                                             moved are those that the field has there
     notes : tuple of str                    what was done to the mesh on its way in, and what may be
                                             done about it
+    untangled : dict or None                of a mesh with inverted or flat cells: the numbers of
+                                            "inverted" and "flat" cells, of vertices "moved" and of
+                                            "flips" until all were valid, of cells "left" that were
+                                            not, and in what the result is "worse" than the valid
+                                            cells of the input
     """
 
     dim: int
@@ -88,6 +95,7 @@ class Report:
         default=None, repr=False, compare=False)
     interpolated: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
+    untangled: Mapping[str, Any] | None = None
 
     @property
     def movable_share(self) -> float:
@@ -119,6 +127,8 @@ class Report:
         if self.interpolated:
             lines.append(fields_line(self.interpolated))
         lines += [f"note   {note}" for note in self.notes]
+        if self.untangled:
+            lines += _untangled_lines(self.untangled)
         if self.surface:
             lines += _surface_lines(self.surface)
         if self.energy:
@@ -173,7 +183,8 @@ class Report:
 
 
 def make_report(
-    before: SimplexMesh, outcome: Outcome, options: Options, **told: Any
+    before: SimplexMesh, outcome: Outcome, options: Options, *, tangle: Tangle | None = None,
+    **told: Any,
 ) -> Report:
     """Measure a run from outside.
 
@@ -182,6 +193,7 @@ def make_report(
     before : SimplexMesh    what the engine was given
     outcome : Outcome       what it handed back
     options : Options       what it was asked for
+    tangle : Tangle         what was done to a mesh with inverted or flat cells
     **told                  fields of the report that only the adapters know
 
     Returns
@@ -208,10 +220,14 @@ def make_report(
     if options.insert:
         counts["vertices added"] = int(added.sum())
         counts["vertices removed"] = n + int(added.sum()) - len(added)
+    after = summarize(outcome.points, outcome.cells, new)
+    untangled = None
+    if tangle is not None:
+        untangled = {**tangle.facts, "worse": worse_than_valid(tangle, after, tuple(options.keep))}
     return Report(
         dim=before.dim,
         before=replace(summarize(before.points, before.cells, old), turned=before.turned),
-        after=summarize(outcome.points, outcome.cells, new),
+        after=after,
         histogram_before=histogram(old.quality),
         histogram_after=histogram(new.quality),
         energy=tuple((str(stage), float(e)) for stage, e in outcome.energy),
@@ -226,6 +242,7 @@ def make_report(
         versions=_versions(),
         slid=None if outcome.slid is None else outcome.slid._asdict(),
         surface=_surface_facts(before, outcome, used),
+        untangled=untangled,
         **told,
     )
 
@@ -238,6 +255,16 @@ def regions_line(names: tuple[str, ...]) -> str:
 def fields_line(names: tuple[str, ...]) -> str:
     """Say which point arrays were interpolated."""
     return f"fields interpolated at the new places of vertices: {', '.join(map(repr, names))}"
+
+
+def _untangled_lines(facts: Mapping[str, Any]) -> list[str]:
+    """Say what was done to a mesh with inverted or flat cells."""
+    lines = [f"untangled {facts['inverted']} inverted and {facts['flat']} flat cells: "
+             f"{counted(facts['moved'], 'vertex', 'vertices')} moved, "
+             f"{counted(facts['flips'], 'flip')}; {facts['left']} left"]
+    if facts["worse"]:
+        lines.append(f"of the valid cells of the input {', '.join(facts['worse'])}")
+    return lines
 
 
 def _surface_facts(

@@ -77,7 +77,8 @@ def test_flags_are_the_fields_of_options_with_their_defaults() -> None:
             continue
         flag = found[field.name]
         assert flag.opts == ["--" + field.name.replace("_", "-")]
-        assert flag.default == (",".join(FIGURES) if field.name == "keep" else field.default)
+        other = {"keep": ",".join(FIGURES), "untangle": True}
+        assert flag.default == other.get(field.name, field.default)
         assert flag.help
 
 
@@ -238,6 +239,34 @@ def test_turned_cells_are_counted_in_what_is_printed(
     assert "turned" not in capsys.readouterr().out
 
 
+def test_inverted_cells_are_untangled_alone_or_first_or_refused(
+    place: Path, still: list[Options], capsys: pytest.CaptureFixture[str],
+) -> None:
+    square().write("rest.vtu")
+    points = square().points.copy()
+    points[4, 0] = 1.5
+    meshio.Mesh(points, [("triangle", FAN)], cell_data={"size": [np.arange(4.0)]}).write("bad.vtu")
+    for words in ("untangle bad.vtu out.vtu", "untangle bad.vtu out.vtu --rest rest.vtu",
+                  "optimize bad.vtu out.vtu"):
+        assert cli.main(words.split()) == 0
+        assert re.search(r"(?m)^cells not positive +1 +0$", capsys.readouterr().out)
+        out = meshio.read("out.vtu")
+        assert np.array_equal(out.points[:4], points[:4])
+        assert 0 < out.points[4, 0] < 1
+        assert np.array_equal(out.cell_data["size"][0], np.arange(4.0))
+    Path("out.vtu").unlink()
+    assert cli.main("optimize bad.vtu out.vtu --no-untangle".split()) == 1
+    assert "overlapping a neighbour" in capsys.readouterr().err
+    points[[0, 1]] = points[[1, 0]]
+    meshio.Mesh(points, [("triangle", FAN)]).write("bad.vtu")
+    assert cli.main("untangle bad.vtu out.vtu".split()) == 1
+    assert "inverted or flat cell" in capsys.readouterr().err
+    assert not Path("out.vtu").exists()
+    assert cli.main("untangle bad.vtu out.vtu --partial --quiet".split()) == 0
+    assert capsys.readouterr().out == ""
+    assert Path("out.vtu").exists()
+
+
 def test_quality_goes_on_after_a_file_that_it_cannot_read(
     place: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
@@ -289,7 +318,7 @@ def test_every_command_says_what_it_is_for_in_one_whole_line(
 ) -> None:
     assert cli.main(["--help"]) == 0
     lines = capsys.readouterr().out.split("Commands:")[1].splitlines()
-    assert len([line for line in lines if line.strip()]) == 7
+    assert len([line for line in lines if line.strip()]) == 8
     assert all(line.endswith(".") and "..." not in line for line in lines if line.strip())
 
 

@@ -1,0 +1,24 @@
+"""Grids some of whose cells are inverted, though other places of their vertices are valid."""
+
+import numpy as np
+from contract import grid
+
+
+def tangled(dim, n, how, seed=0):
+    """A grid whose inner vertices are where they should not be: points, cells, movable."""
+    points, cells, _ = grid(dim, n)
+    cells = cells.astype(np.int32)
+    movable = ((points > 0.0) & (points < 1.0)).all(axis=1)
+    rng = np.random.default_rng(seed)
+    if how == "random":
+        points[movable] += rng.normal(size=(movable.sum(), dim)) * 3 / n
+    elif how == "one point":
+        points[movable] = 0.5
+    elif how == "reflected":
+        points[movable, 0] = 1.0 - points[movable, 0]
+    elif how == "one vertex":
+        points[np.flatnonzero(movable)[0]] = 0.9
+    elif how == "bent":
+        bend = np.where(movable, 0.0, 3.0 * (points[:, 0] - 0.5) ** 2)
+        points[:, -1] += bend
+    return points, cells, movable

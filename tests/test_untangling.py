@@ -1,0 +1,242 @@
+"""Meshes with inverted or flat cells: untangled by every host, or refused with their places."""
+
+from dataclasses import replace
+from fractions import Fraction
+
+import contract
+import numpy as np
+import pytest
+import reference as ref
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from tangled_meshes import tangled
+
+import odt_plugins
+from odt_plugins import InvalidMeshError, InvalidOptionError, TangledMeshError, UnsupportedMeshError
+from odt_plugins.engine.run import driver
+from odt_plugins.engine.run.outcome import unchanged
+from odt_plugins.mesh.simplex import simplex_mesh
+from odt_plugins.mesh.tangled import odd_cells, tangled_mesh
+from odt_plugins.promise.volume import broken_promises
+
+
+def knotted(dim):
+    """The labelled grid with one inner vertex elsewhere in its region; the first cell is valid."""
+    points, cells, labels = contract.grid(dim, 4)
+    vertex = np.flatnonzero(np.abs(points - [0.75, *[0.5] * (dim - 1)]).max(axis=1) < 0.07)[0]
+    points[vertex] = [0.6, *[0.97] * (dim - 1)]
+    volumes = contract.volumes(points, cells)
+    assert volumes[0] > 0
+    assert (volumes < 0).any()
+    return points, cells, labels
+
+
+@pytest.mark.parametrize("name", contract.HOSTS)
+def test_every_host_gets_a_valid_mesh_with_its_data(name, monkeypatch, tmp_path):
+    contract.need(name)
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(driver, "run", lambda mesh, *_: unchanged(mesh, "as it is"))
+    host = contract.HOSTS[name]
+    mesh = host.make(knotted(host.dim))
+    before = host.view(mesh)
+    out = host.optimize(mesh, keep=())
+    assert type(out) is type(mesh)
+    assert contract.same_bits(host.view(mesh), before)
+    after = host.view(out)
+    contract.check(replace(host, fields=False), before, after)
+    assert np.array_equal(before.cells, after.cells)
+    assert (before.points != after.points).any()
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_optimize_untangles_and_the_report_tells(dim):
+    points, cells, labels = knotted(dim)
+    out, report = odt_plugins.optimize_with_report((points, cells, labels))
+    inverted = int((contract.volumes(points, cells) < 0).sum())
+    assert report.before.inverted == inverted
+    assert report.untangled["inverted"] == inverted
+    assert (report.untangled["flat"], report.untangled["left"]) == (0, 0)
+    assert f"untangled {inverted} inverted and 0 flat cells" in str(report)
+    assert report.to_dict()["untangled"]["inverted"] == inverted
+    assert (contract.volumes(*out[:2]) > 0).all()
+    assert report.after == odt_plugins.measure(out)
+    assert contract.facets(out[1], out[2]) == contract.facets(cells, labels)
+    plain = odt_plugins.optimize_with_report(contract.grid(dim, 4)[:2])[1]
+    assert plain.untangled is None
+    assert "untangled" not in str(plain)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_the_report_says_which_figures_are_worse_than_those_of_the_valid_cells(dim):
+    points, cells, _ = knotted(dim)
+    valid = contract.volumes(points, cells) > 0
+    best = odt_plugins.measure((points, cells[valid]))
+    _, report = odt_plugins.optimize_with_report((points, cells), rounds=1, finish=False)
+    fell = report.after.mean_quality < best.mean_quality
+    assert any("mean_quality fell" in text for text in report.untangled["worse"]) == fell
+    low = report.after.min_quality < best.min_quality
+    assert any("min_quality fell" in text for text in report.untangled["worse"]) == low
+
+
+def test_untangling_can_be_refused():
+    points, cells, _ = knotted(2)
+    with pytest.raises(TangledMeshError, match="overlapping a neighbour") as caught:
+        odt_plugins.optimize((points, cells), untangle=False)
+    assert set(np.flatnonzero(contract.volumes(points, cells) < 0)) <= set(caught.value.cells)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_valid_mesh_comes_back_as_it_is(dim):
+    mesh = contract.grid(dim, 4)
+    out = odt_plugins.untangle(mesh)
+    assert all(np.array_equal(a, b) for a, b in zip(out, mesh, strict=True))
+
+
+def exact(points, cells):
+    return (ref.exact_signs(np.asarray(points, dtype=np.float64), cells) > 0).all()
+
+
+@settings(deadline=None, max_examples=25)
+@given(dim=st.sampled_from([2, 3]), seed=st.integers(0, 1000),
+       spread=st.sampled_from([0.3, 1.0, 30.0]), scale=st.sampled_from([1e-9, 1.0, 1e9]),
+       shift=st.sampled_from([0.0, 1e3]), single=st.booleans())
+def test_any_places_of_inner_vertices_are_mended(dim, seed, spread, scale, shift, single):
+    """Whatever the places, units, origin and type: exact signs, and the boundary bit for bit."""
+    points, cells, movable = tangled(dim, 3, "none")
+    rng = np.random.default_rng(seed)
+    points[movable] += spread * rng.normal(size=(movable.sum(), dim)) / 3
+    points = (scale * (points + shift)).astype(np.float32 if single else np.float64)
+    flipped = rng.permutation(len(cells))[: int(rng.integers(0, len(cells)))]
+    cells[flipped] = contract.negative(cells[flipped])
+    if single and shift:
+        return
+    out, rows = odt_plugins.untangle((points, cells))
+    assert exact(out, rows) or exact(out, contract.negative(rows))
+    assert out.dtype == points.dtype
+    assert out[~movable].tobytes() == points[~movable].tobytes()
+    assert np.array_equal(np.sort(rows, axis=1), np.sort(cells, axis=1))
+
+
+def test_fixed_vertices_selections_and_regions_stay():
+    points, cells, labels = knotted(3)
+    inner = ((points > 0) & (points < 1)).all(axis=1)
+    bad = np.flatnonzero(contract.volumes(points, cells) < 0)
+    moving = np.unique(cells[bad])[inner[np.unique(cells[bad])]]
+    fixed = np.setdiff1d(np.flatnonzero(inner), moving)
+    out, _ = odt_plugins.untangle((points, cells), fixed=fixed)
+    assert np.array_equal(out[fixed], points[fixed])
+    near = np.isin(cells, np.unique(cells[bad])).any(axis=1)
+    out, rows = odt_plugins.untangle((points, cells), selection=near)
+    assert np.array_equal(out[cells[~near]], points[cells[~near]])
+    assert (contract.volumes(out, rows) > 0).all()
+    out, rows, _ = odt_plugins.untangle((points, cells, labels))
+    assert (out[points[:, 0] == 0.5] == points[points[:, 0] == 0.5]).all()
+    with pytest.raises(TangledMeshError, match="which must stay as they are") as caught:
+        odt_plugins.untangle((points, cells), selection=np.arange(5))
+    assert set(caught.value.cells) == set(bad.tolist())
+
+
+def hopeless():
+    """A grid in the plane with two corners of its boundary exchanged, and places to look at."""
+    points, cells, _ = contract.grid(2, 4)
+    corner = [int(np.flatnonzero((points == x).all(axis=1))[0]) for x in ([0, 0], [1, 1])]
+    points[corner] = points[corner[::-1]]
+    return points, cells
+
+
+def test_what_the_boundary_makes_impossible_is_told_with_its_places():
+    points, cells = hopeless()
+    with pytest.raises(TangledMeshError, match="expected a boundary") as caught:
+        odt_plugins.optimize((points, cells))
+    said = str(caught.value)
+    first = caught.value.cells[0]
+    assert f"first: cell {first} with vertices {cells[first].tolist()}" in said
+    assert "partial=True" in said
+    contract.need("open3d")
+    mesh = contract.HOSTS["open3d-triangle"].make((points, cells, np.zeros(len(cells), int)))
+    with pytest.raises(TangledMeshError, match="first: triangle") as again:
+        odt_plugins.optimize(mesh)
+    assert again.value.cells == caught.value.cells
+
+
+def test_on_request_the_best_mesh_comes_back():
+    points, cells = hopeless()
+    out, rows = odt_plugins.untangle((points, cells), partial=True)
+    was, now = (odt_plugins.measure((p, cells)).inverted for p in (points, out))
+    assert 0 < now <= was
+    boundary = ((points == 0) | (points == 1)).any(axis=1)
+    assert np.array_equal(out[boundary], points[boundary])
+    assert np.array_equal(np.sort(rows), np.sort(cells))
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_a_rest_mesh_gives_the_shapes(dim):
+    rest, cells, _ = contract.grid(dim, 4)
+    points = rest.copy()
+    inner = ((points > 0) & (points < 1)).all(axis=1)
+    points[inner] = 0.5
+    points[:, 0] *= 1.2
+    by_rest, _ = odt_plugins.untangle((points, cells), rest=(rest, cells))
+    same, _ = odt_plugins.untangle((points, cells), rest=rest)
+    assert np.array_equal(by_rest, same)
+    plain, _ = odt_plugins.untangle((points, cells))
+    wanted = rest * [1.2, *[1.0] * (dim - 1)]
+    assert np.abs(by_rest - wanted).max() < 0.3 * np.abs(plain - wanted).max()
+    with pytest.raises(InvalidMeshError, match=r"rest mesh with points of shape"):
+        odt_plugins.untangle((points, cells), rest=rest[:-1])
+    with pytest.raises(InvalidMeshError, match=r"flat in the rest mesh"):
+        odt_plugins.untangle((points, cells), rest=points)
+
+
+def test_curved_surfaces_and_wrong_options_are_refused():
+    points, cells, _ = contract.bowl(4)
+    with pytest.raises(UnsupportedMeshError, match="curved surface"):
+        odt_plugins.untangle((points, cells))
+    with pytest.raises(InvalidOptionError, match="untangle='always'"):
+        odt_plugins.optimize((points, cells), untangle="always")
+
+
+def test_cells_that_cannot_agree_are_refused_as_before():
+    """A band of triangles with a half turn, flattened; and cells that are there twice."""
+    points = np.array([[0.0, 0], [1, 0], [2, 0.1], [0.2, 1], [1.1, 1.2]])
+    band = np.array([[0, 1, 2], [1, 2, 3], [2, 3, 4], [3, 4, 0], [4, 0, 1]])
+    assert odd_cells(points, band.astype(np.int32)) is None
+    with pytest.raises(TangledMeshError, match="overlapping a neighbour"):
+        odt_plugins.optimize((points, band))
+    points, cells, _ = knotted(2)
+    with pytest.raises(InvalidMeshError, match="same vertices as an earlier cell"):
+        odt_plugins.optimize((points, np.concatenate([cells, cells[5:6]])))
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_cells_of_any_orientation_agree_with_positive_volume(dim):
+    points, cells, _ = knotted(dim)
+    rng = np.random.default_rng(3)
+    flipped = rng.random(len(cells)) < 0.5
+    mixed = np.where(flipped[:, None], contract.negative(cells), cells).astype(np.int32)
+    found, orientation = tangled_mesh(points, mixed)
+    assert (orientation, found.turned) == (1, flipped.sum())
+    assert np.array_equal(contract.volumes(points, found.cells) < 0,
+                          contract.volumes(points, cells) < 0)
+    found, orientation = tangled_mesh(points, contract.negative(cells))
+    assert (orientation, found.turned) == (-1, 0)
+
+
+def test_the_promise_knows_the_exact_sign_of_a_thin_cell():
+    """Rounded the volume is positive; exactly it is not."""
+    points = np.array([[0.1, 0.1], [0.3, 0.3], [0.7, 0.7], [0.0, 1.0]])
+    rng = np.random.default_rng(0)
+    for _ in range(10_000):
+        points[:3] = (rng.random(3)[:, None] + 1e-17) * [1.0, 1.0 + rng.random()]
+        a, b, c = ([Fraction(x) for x in p] for p in points[:3].tolist())
+        true = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
+        if true <= 0 < odt_plugins.quality.volumes(points, np.array([[0, 1, 2]]))[0]:
+            break
+    else:
+        pytest.fail("no such cell was found")
+    valid = points.copy()
+    valid[2, 0] -= 0.1
+    before, _ = simplex_mesh(valid, np.array([[0, 1, 2]]))
+    cells = np.array([[0, 1, 2]], dtype=np.int32)
+    assert any("not positive" in said
+               for said in broken_promises(before, points, cells, before.regions, ()))
