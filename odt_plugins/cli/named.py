@@ -18,7 +18,7 @@ def resolve_arrays(source: Path, options: dict[str, Any]) -> dict[str, Any]:
 
     options = dict(options)
     host = None
-    if options["density"] not in DENSITIES:
+    if options.get("density", DENSITIES[0]) not in DENSITIES:
         host = files.read(source)
         options["density"] = _file_array(host, options["density"], "density", "point", "cell")
     for name, place in (("fixed", "point"), ("selection", "cell")):

@@ -318,7 +318,7 @@ def test_every_command_says_what_it_is_for_in_one_whole_line(
 ) -> None:
     assert cli.main(["--help"]) == 0
     lines = capsys.readouterr().out.split("Commands:")[1].splitlines()
-    assert len([line for line in lines if line.strip()]) == 8
+    assert len([line for line in lines if line.strip()]) == 9
     assert all(line.endswith(".") and "..." not in line for line in lines if line.strip())
 
 
