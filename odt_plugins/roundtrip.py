@@ -31,7 +31,14 @@ from odt_plugins.errors import (
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.numbering import in_old_numbers, new_numbers, old_numbers
 from odt_plugins.mesh.plane import PlaneFrame, plane_frame
-from odt_plugins.mesh.simplex import SimplexMesh, compact_labels, mesh_arrays, reverse, simplex_mesh
+from odt_plugins.mesh.simplex import (
+    SimplexMesh,
+    compact_labels,
+    diagonal,
+    mesh_arrays,
+    reverse,
+    simplex_mesh,
+)
 from odt_plugins.mesh.soup import at_copies, same_places
 from odt_plugins.mesh.surface import surface_mesh
 from odt_plugins.mesh.tangled import tangled_mesh
@@ -45,6 +52,8 @@ if TYPE_CHECKING:
 
 PLAIN = Wanted()
 """What is asked of a mesh with inverted or flat cells unless something else is."""
+LARGEST = 0.5
+"""Envelope, as a part of the diagonal, up to which the sag of a surface is added to it."""
 
 
 class _Prepared(NamedTuple):
@@ -86,9 +95,11 @@ def run_engine(
     told : dict          what its report is told besides, by the names of the fields
     """
     work, given = _prepare(mesh, options, wanted)
-    leaving = partial(_as_it_leaves, work, options.threads)
+    moves = work.host.geometry is not None and _surface_moves(work, options)
+    leaving = partial(_as_it_leaves, work, options.threads, onto=moves)
     with words_of(work.host), telling(options.progress, "preparing") as progress:
         chosen = _in_frame(options, work.frame)
+        chosen = _with_sag(chosen, work) if moves else chosen
         chosen = replace(chosen, progress=progress if options.progress else None)
         outcome = (engine or _optimized)(work.mesh, chosen, leaving)
     if outcome.written is None:
@@ -241,6 +252,8 @@ def _checked(
     if on_surface:
         surface = surface_mesh(points, host.cells, orient=options.orient, **given)
         surface = protect_surface(surface, host.kept)
+        if host.geometry is not None and options.boundary == "fixed":
+            surface.fixed[host.geometry.on_curves] = True
         if keep_seams:
             surface = hold_charts(surface, host.blocks)
         return _Prepared(adapter, host, None, surface, 1)
@@ -374,16 +387,35 @@ def _in_frame(options: Options, frame: PlaneFrame | None) -> Options:
     return replace(options, density=lambda x: density(frame.to_space(x)))
 
 
-def _as_it_leaves(work: _Prepared, threads: int, outcome: Outcome) -> Outcome:
+def _surface_moves(work: _Prepared, options: Options) -> bool:
+    """Whether vertices of a surface in space may move along it."""
+    return work.mesh.is_surface or (options.boundary == "slide" and work.frame is None)
+
+
+def _with_sag(options: Options, work: _Prepared) -> Options:
+    """Let the envelope be that around the geometry, from which the surface of the input sags."""
+    if work.host.geometry is None:
+        return options
+    used = work.mesh.points[np.unique(work.mesh.cells)]
+    sag = work.host.geometry.sag() / diagonal(used)
+    return replace(options, envelope=min(options.envelope + sag, LARGEST))
+
+
+def _as_it_leaves(
+    work: _Prepared, threads: int, outcome: Outcome, *, onto: bool = False
+) -> Outcome:
     """The outcome with the points that the caller will read, and cells in the order of the input's.
 
-    A vertex that did not move keeps the caller's coordinates bit for bit.
+    A vertex that did not move keeps the caller's coordinates bit for bit; others are put `onto` the
+    geometry if they are on one.
     """
     n = len(work.mesh.points)
     origin = outcome.origin if outcome.origin is not None else np.arange(n)
     moved = (origin < 0) | (outcome.points != work.mesh.points[origin]).any(axis=1)
     written = np.array(work.host.points)[origin]
     points, new = outcome.points.copy(), outcome.points[moved]
+    if onto and work.host.geometry is not None:
+        new = work.host.geometry.closest(origin[moved], new)
     written[moved] = new if work.frame is None else work.frame.to_space(new)
     read = written[moved].astype(np.float64)
     points[moved] = read if work.frame is None else work.frame.to_plane(read)

@@ -8,6 +8,7 @@ physical groups, names, attributes, tags of nodes, tags of elements that are sti
 coordinates (computed anew where a node moved on a curve or surface), periodic links, elements of
 lower dimension and other linear ones. New elements and mid-nodes take tags that became free, then
 those above all others, inserted nodes only such. Elements of different entities never mix.
+Vertices of a face or curve that slide do so on the geometry itself, not on its triangles.
 Triangles and tetrahedra of higher order are optimised by their corners, see
 :mod:`odt_plugins.adapters.higher_order`. Views of
 post-processing stay as they are. Partitioned meshes, periodic surfaces whose nodes would move, and
@@ -18,6 +19,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from dataclasses import replace
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -29,7 +31,7 @@ from odt_plugins.adapters.higher_order import (
     warn_of_folds,
     with_mid_nodes,
 )
-from odt_plugins.adapters.host import HostMesh, KeptCells, Result
+from odt_plugins.adapters.host import Geometry, HostMesh, KeptCells, Result
 from odt_plugins.adapters.regions import AUTO, region_labels
 from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError, counted
 
@@ -37,6 +39,9 @@ Entity = tuple[int, int]
 """Dimension and tag."""
 
 IntArray = NDArray[np.int64]
+
+WITHOUT_GEOMETRY = ("Discrete curve", "Discrete surface", "Unknown")
+"""Types of entities that are nothing but their mesh."""
 
 
 class Kind(NamedTuple):
@@ -163,6 +168,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         source=mesh,
         layout=Layout(parts, number, kind, entity, tags, nodes),
         higher_order=kind.order > 1,
+        geometry=_geometry(mesh, parts, entity, tags),
         ids=np.concatenate(ids),
         total=total,
         words=in_words,
@@ -282,6 +288,53 @@ def _apart(
     return np.flatnonzero(used & ((low == 0) | ((low < dim) & ~held)))[:, None]
 
 
+def _geometry(
+    model: Any, parts: dict[Entity, Part], entity: IntArray, tags: IntArray
+) -> Geometry | None:
+    """The faces and curves of the model, unless all are discrete."""
+    keys = list(parts)
+    shaped = _shaped(model, keys)
+    if not any(keys[i][0] == 2 for i in shaped):
+        return None
+
+    def closest(vertices: NDArray[Any], places: NDArray[np.float64]) -> NDArray[np.float64]:
+        return _put_on(model, keys, np.where(vertices < 0, -1, entity[vertices]), places)
+
+    def sag() -> float:
+        most = 0.0
+        where = np.concatenate([part.places for part in parts.values()])
+        order = np.argsort(tags)
+        for i in shaped:
+            for elements in parts[keys[i]].elements if keys[i][0] == 2 else ():
+                corners = order[np.searchsorted(tags, elements.nodes[:, :3], sorter=order)]
+                x = where[corners]
+                middle = np.concatenate([x.mean(axis=1), *(
+                    0.5 * (x[:, a] + x[:, b]) for a, b in ((0, 1), (1, 2), (2, 0)))])
+                there = _put_on(model, keys, np.full(len(middle), i), middle)
+                most = max(most, float(np.linalg.norm(there - middle, axis=1).max()))
+        return most
+
+    curves = [i for i in range(len(keys)) if keys[i][0] == 1]
+    return Geometry(closest, sag, np.flatnonzero(np.isin(entity, curves)))
+
+
+def _shaped(model: Any, keys: list[Entity]) -> list[int]:
+    """Which of the entities are curves and faces that are more than their mesh."""
+    return [i for i, key in enumerate(keys)
+            if key[0] in (1, 2) and model.getType(*key) not in WITHOUT_GEOMETRY]
+
+
+def _put_on(
+    model: Any, keys: list[Entity], of: IntArray, places: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Places (k, 3) nearest to given ones on entities `of` (k,), where these are shaped."""
+    out = places.copy()
+    for i in np.intersect1d(of, _shaped(model, keys)).tolist():
+        found = model.getClosestPoint(*keys[i], places[of == i].ravel())[0]
+        out[of == i] = np.asarray(found).reshape(-1, 3)
+    return out
+
+
 def _new_parts(model: Any, result: Result, host: HostMesh) -> dict[Entity, Part]:
     """The mesh of every entity after optimisation."""
     layout = host.layout
@@ -293,7 +346,6 @@ def _new_parts(model: Any, result: Result, host: HostMesh) -> dict[Entity, Part]
         kept = order[np.searchsorted(layout.tags, np.unique(others[0]), sorter=order)]
         shape = lattice(layout.kind.dim, layout.kind.order, "gmsh")
         q = with_mid_nodes(result, host.points, layout.nodes, kept, shape)
-        warn_of_folds(host.points, layout.nodes, q)
         points, cells, origin = q.points, q.cells.astype(np.int64), q.origin
     else:
         points, cells = result.points, result.cells.astype(np.int64)
@@ -305,6 +357,11 @@ def _new_parts(model: Any, result: Result, host: HostMesh) -> dict[Entity, Part]
     fresh = origin < 0
     inside = fresh[cells]
     entity[cells[inside]] = np.broadcast_to(block[:, None], cells.shape)[inside]
+    if host.higher_order:
+        between = fresh | (points != host.points[origin]).any(axis=1)
+        between[cells[:, : layout.kind.corners]] = False
+        points[between] = _put_on(model, list(layout.parts), entity[between], points[between])
+        warn_of_folds(host.points, layout.nodes, replace(q, points=points))
     tags = layout.tags[origin]
     free = np.setdiff1d(layout.tags, tags[~fresh]) if host.higher_order else np.zeros(0, np.int64)
     tags[fresh] = _tags(free, int(model.mesh.getMaxNodeTag()), int(fresh.sum()))
@@ -353,7 +410,9 @@ def _parameters(
     out: NDArray[np.float64] = part.parameters[origin].copy()
     anew = (origin < 0) | np.isnan(out).any(axis=1)
     if anew.any():
-        found = model.getClosestPoint(*entity, places[anew].ravel())[1]
+        # The parameters that getClosestPoint gives on curves are no numbers of theirs.
+        found = (model.getParametrization(*entity, places[anew].ravel()) if entity[0] == 1 else
+                 model.getClosestPoint(*entity, places[anew].ravel())[1])
         out[anew] = np.asarray(found).reshape(-1, width)
     return out
 

@@ -24,6 +24,22 @@ class KeptCells(NamedTuple):
     rows: NDArray[Any]
 
 
+class Geometry(NamedTuple):
+    """The geometry that a mesh was made of, on which the vertices of its surface slide.
+
+    Attributes
+    ----------
+    closest : callable       places (k, 3) nearest to given ones (k, 3) on the faces and curves on
+                             which the vertices (k,) are; of vertices on none the given ones
+    sag : callable           how far the surface of the mesh is from it
+    on_curves : (c,) int     vertices on curves, which stay unless the boundary slides
+    """
+
+    closest: Callable[[NDArray[Any], NDArray[np.float64]], NDArray[np.float64]]
+    sag: Callable[[], float]
+    on_curves: NDArray[Any]
+
+
 @dataclass(frozen=True)
 class HostMesh:
     """A caller's mesh as raw arrays, not yet checked.
@@ -46,6 +62,7 @@ class HostMesh:
     total : int                       number of all cells of the object, with `ids`
     fields : tuple of str             names of the point arrays that sample a field
     follows : bool                    whether fields are interpolated unless the caller says so
+    geometry : Geometry or None       that the vertices of the surface are on, and stay on
     texture : array or None           texture coordinates: (m, 3, c) of the corners of triangles, or
                                       (n, c) of the vertices
     """
@@ -66,6 +83,7 @@ class HostMesh:
     fields: tuple[str, ...] = ()
     follows: bool = True
     texture: NDArray[Any] | None = None
+    geometry: Geometry | None = None
 
     @property
     def textured(self) -> bool:

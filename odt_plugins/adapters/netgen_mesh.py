@@ -2,11 +2,11 @@
 
 Everything survives: domains with their materials, names of boundaries, edges and points, face
 descriptors, elements of lower dimension, periodic identifications, the geometry. Elements of
-different domains never mix. A curved mesh is curved anew on its geometry, in its order. Points on
-the edges of a geometry stay, since Netgen keeps where they lie there. Lost are the levels of
-refinement, and of ngsolve.Mesh a deformation and absorbing layers: a warning names them. Elements
-of second order (Netgen's `SecondOrder`), and others than triangles and tetrahedra, are refused by
-name.
+different domains never mix. A curved mesh is curved anew on its geometry, in its order. Points of a
+surface that slide do so on the faces of the geometry, not on their triangles; those on its edges
+stay, since Netgen keeps where they lie there. Lost are the levels of refinement, and of
+ngsolve.Mesh a deformation and absorbing layers: a warning names them. Elements of second order
+(Netgen's `SecondOrder`), and others than triangles and tetrahedra, are refused by name.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
+from odt_plugins.adapters.host import Geometry, HostMesh, KeptCells, Result, is_instance
 from odt_plugins.adapters.regions import region_labels
 from odt_plugins.errors import (
     DataNotKeptWarning,
@@ -82,6 +82,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         points, cells, *region_labels({"material": labels}, regions, cells), kept=tuple(kept),
         source=mesh, layout=labels, words=in_words,
         blocks=labels - labels.min() if labels.min() != labels.max() else None,
+        geometry=_geometry(inner, points) if points.shape[1] == 3 else None,
     )
 
 
@@ -112,6 +113,61 @@ def in_words(text: str) -> str:
 def has_geometry(mesh: Any) -> bool:
     """Say whether a mesh of Netgen knows the geometry that it is made of."""
     return type(mesh.GetGeometry()).__name__ not in ("NetgenGeometry", "NoneType")
+
+
+def _geometry(mesh: Any, points: NDArray[np.float64]) -> Geometry | None:
+    """The faces of the geometry, if there is one."""
+    if not (has_geometry(mesh) and len(mesh.Elements2D())):
+        return None
+    table = _elements(mesh, 2)
+    faces = np.array(table["nodes"], dtype=np.int64) - 1
+    index = np.array(table["index"], dtype=np.int64)
+    face = np.zeros(len(points), dtype=np.int64)
+    face[faces] = index[:, None]
+    edges = np.zeros((0, 2), dtype=np.int64)
+    if len(mesh.Elements1D()):
+        edges = np.array(mesh.Elements1D().NumPy()["nodes"][:, :2], dtype=np.int64) - 1
+    face[edges] = 0
+
+    def closest(vertices: NDArray[Any], places: NDArray[np.float64]) -> NDArray[np.float64]:
+        return _put_on(mesh, np.where(vertices < 0, 0, face[vertices]), places)
+
+    def sag() -> float:
+        x = points[faces]
+        middle = np.concatenate([x.mean(axis=1), *(
+            0.5 * (x[:, a] + x[:, b]) for a, b in ((0, 1), (1, 2), (2, 0)))])
+        there = _put_on(mesh, np.tile(index, 4), middle)
+        return float(np.linalg.norm(there - middle, axis=1).max())
+
+    return Geometry(closest, sag, np.unique(edges))
+
+
+def _put_on(
+    mesh: Any, face: NDArray[np.int64], places: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Places (k, 3) nearest to given ones on the faces (k,) of the geometry, from 1 on.
+
+    Netgen projects the corners of surface elements that are added to a mesh.
+    """
+    from netgen.meshing import FaceDescriptor, Mesh
+
+    out = places.copy()
+    on = np.flatnonzero(face > 0)
+    if not on.size:
+        return out
+    scratch = Mesh(3)
+    scratch.SetGeometry(mesh.GetGeometry())
+    for number in range(1, mesh.GetNFaceDescriptors() + 1):
+        own = mesh.FaceDescriptor(number)
+        scratch.Add(FaceDescriptor(surfnr=own.surfnr, domin=own.domin, domout=own.domout,
+                                   bc=own.bc))
+    scratch.AddPoints(np.ascontiguousarray(places[on]))
+    for number in np.unique(face[on]).tolist():
+        rows = np.repeat(np.flatnonzero(face[on] == number)[:, None], 3, axis=1)
+        scratch.AddElements(dim=2, index=number, data=rows.astype(np.int32), base=0,
+                            project_geometry=True)
+    out[on] = scratch.Coordinates()
+    return out
 
 
 def _inner(mesh: Any) -> Any:

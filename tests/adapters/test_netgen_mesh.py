@@ -85,6 +85,44 @@ def test_vertices_are_inserted_into_a_curved_mesh():
     assert new[1] == pytest.approx(areas, rel=1e-9)
 
 
+def off_the_ball(mesh):
+    """How far the vertices of the surface are from the unit sphere."""
+    x = np.array(mesh.Coordinates())
+    faces = mesh.Elements2D().NumPy()["nodes"] - 1
+    return np.abs(np.linalg.norm(x[np.unique(faces)], axis=1) - 1).max()
+
+
+@pytest.mark.parametrize("kind", ["occ", "csg"])
+def test_points_of_a_face_slide_on_the_geometry(kind):
+    if kind == "occ":
+        from netgen.occ import OCCGeometry, Pnt, Sphere
+
+        geometry = OCCGeometry(Sphere(Pnt(0, 0, 0), 1))
+    else:
+        from netgen.csg import CSGeometry, Pnt, Sphere
+
+        geometry = CSGeometry()
+        geometry.Add(Sphere(Pnt(0, 0, 0), 1))
+    mesh = geometry.GenerateMesh(maxh=0.4, optsteps2d=0, optsteps3d=0)
+    mesh.Curve(3)
+    old = np.array(mesh.Coordinates())
+    assert off_the_ball(mesh) < 1e-6
+    out, report = odt_plugins.optimize_with_report(mesh, boundary="slide")
+    new = np.array(out.Coordinates())
+    skin = np.unique(mesh.Elements2D().NumPy()["nodes"]) - 1
+    assert (old[skin] != new[skin]).any(axis=1).sum() > 50
+    assert off_the_ball(out) < 1e-6
+    assert report.after.mean_quality > report.before.mean_quality
+    assert odt_plugins.measure(out) == report.after
+    volume = ngsolve.Integrate(ngsolve.CF(1), ngsolve.Mesh(out), order=9)
+    assert volume == pytest.approx(4 / 3 * np.pi, rel=1e-3)
+    shell = geometry.GenerateMesh(maxh=0.4, optsteps2d=0, perfstepsend=3)
+    surface = odt_plugins.optimize(shell)
+    assert len(surface.Elements3D()) == 0
+    assert (np.array(surface.Coordinates()) != np.array(shell.Coordinates())).any()
+    assert off_the_ball(surface) < 1e-6
+
+
 def test_a_mesh_in_the_plane_keeps_its_edges(tmp_path):
     from netgen.geom2d import SplineGeometry
 
