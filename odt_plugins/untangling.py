@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.carry import in_input_order
 from odt_plugins.errors import InvalidMeshError, TangledMeshError, counted
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.plane import PlaneFrame
@@ -71,8 +72,12 @@ def untangle_mesh(
         raise _left(mesh, mesh.points, np.flatnonzero(bad & mesh.frozen),
                     "which must stay as they are", "try a larger selection")
     found = untangled(mesh, options.threads, wanted.rest, rounded)
+    moved = replace(mesh, points=found.points)
+    cells, regions, source = in_input_order(moved, found.points, found.cells, found.regions,
+                                            options.threads)
     if found.bad.any() and not wanted.partial:
-        raise _left(mesh, found.points, np.unique(found.source[found.bad]),
+        left = cell_signs(found.points, cells)[0] <= 0
+        raise _left(mesh, found.points, np.unique(source[left]),
                     "for which neither other places of their vertices nor flips were found",
                     "try moving what holds them, or untangle(mesh, partial=True) for the best mesh "
                     "there is")
@@ -83,9 +88,8 @@ def untangle_mesh(
         "moved": int((found.points != mesh.points).any(axis=1).sum()),
         "flips": found.flips,
     }
-    new = replace(mesh, points=found.points, cells=found.cells,
-                  regions=mesh.regions[found.source], frozen=mesh.frozen[found.source])
-    return new, Tangle(mesh, found.source, facts)
+    new = replace(moved, cells=cells, regions=regions, frozen=mesh.frozen[source])
+    return new, Tangle(mesh, source, facts)
 
 
 def _left(

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
+from itertools import chain, islice
 from typing import NamedTuple
 
 import numpy as np
@@ -11,10 +13,17 @@ import numpy as np
 from odt_plugins.engine.compiled.threads import thread_pool
 from odt_plugins.engine.run.driver import locked_vertices
 from odt_plugins.engine.topology.adjacency import cell_neighbors
+from odt_plugins.engine.untangle.flips import alternatives, reconnected
 from odt_plugins.engine.untangle.harmonic import harmonic
 from odt_plugins.engine.untangle.places import bad_cells, untangled_places
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.simplex import SimplexMesh
+
+ROUNDS = 5
+"""Most turns of flips and of new places after them."""
+
+TRIALS = 12
+"""Changes that are tried, with new places after each, where none helps by itself."""
 
 TRIES = 3
 """How often places are looked for that are valid as the caller's type rounds them."""
@@ -27,14 +36,14 @@ class Untangled(NamedTuple):
     ----------
     points : (n, d) float64      as the caller's type rounds them
     cells : (m', d + 1) int32
-    source : (m',) int32         cell of the input from which each takes region and data, ascending
+    regions : (m',) int32
     bad : (m',) bool             cells that are still inverted or flat
     flips : int                  how often cells were reconnected
     """
 
     points: FloatArray
     cells: IntArray
-    source: IntArray
+    regions: IntArray
     bad: BoolArray
     flips: int = 0
 
@@ -56,10 +65,26 @@ def untangled(
     used = np.zeros(len(locked), dtype=np.bool_)
     used[mesh.cells] = True
     movable = used & ~locked
+    flips = 0
     with thread_pool(threads) as pool:
         points = _placed(mesh, movable, rest, rounded, pool)
-    rows = np.arange(len(mesh.cells), dtype=np.int32)
-    return Untangled(points, mesh.cells, rows, bad_cells(points, mesh.cells))
+        bad = bad_cells(points, mesh.cells)
+        for _ in range(ROUNDS):
+            if not bad.any():
+                break
+            cells, source, made = reconnected(points, mesh, bad)
+            tries = [(cells, source)] if made else []
+            for cells, source in chain(tries, islice(alternatives(points, mesh, bad), TRIALS)):
+                new = replace(mesh, points=points, cells=cells, regions=mesh.regions[source],
+                              frozen=mesh.frozen[source])
+                moved = _placed(new, movable, None, rounded, pool)
+                left = bad_cells(moved, cells)
+                if left.sum() < bad.sum():
+                    break
+            else:
+                break
+            mesh, points, bad, flips = new, moved, left, flips + max(made, 1)
+    return Untangled(points, mesh.cells, mesh.regions, bad, flips)
 
 
 def _placed(
