@@ -31,6 +31,8 @@ class Phase:
         cells have when the phase starts; None: than the input (d = 3)
     enough : float
         of the cells whose measure reaches this only a tenth of the share is worked on (d = 3)
+    name : str
+        what the phase is for; phases with one name serve one purpose
     """
 
     power: float
@@ -42,6 +44,7 @@ class Phase:
     guard: float | None = None
     least: float | None = None
     enough: float = 1.0
+    name: str = ""
 
     @property
     def cost(self) -> Cost:
@@ -79,7 +82,7 @@ TAILS = {
 EXTREMES = {"min_quality", "min_angle", "max_angle"}
 """Figures of single cells."""
 
-ANGLES = Phase(2.0, 0.01, 2, 3, 3, DIHEDRAL, guard=0.01, enough=0.33)
+ANGLES = Phase(2.0, 0.01, 2, 3, 3, DIHEDRAL, guard=0.01, enough=0.33, name="angles")
 """For the smallest and largest angles, which radius ratios alone do not mind enough: those below
 about 25 degrees, or above 150."""
 
@@ -88,14 +91,18 @@ def bulk(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
     """Phases for the mean: every cell, a small p; with "amips" the sum of the energies."""
     if objective == "amips":
         if dim == 2:
-            return (Phase(1 / 2, 1.0, 20, 2, objective=MEAN_RATIO),)
-        return (Phase(1 / 3, 1.0, 6, 3, objective=MEAN_RATIO),)
-    return (Phase(2.0, 1.0, 20, 2),) if dim == 2 else (Phase(0.5, 1.0, 6, 3),)
+            return (Phase(1 / 2, 1.0, 20, 2, objective=MEAN_RATIO, name="bulk"),)
+        return (Phase(1 / 3, 1.0, 6, 3, objective=MEAN_RATIO, name="bulk"),)
+    power, rounds, sweeps = (2.0, 20, 2) if dim == 2 else (0.5, 6, 3)
+    return (Phase(power, 1.0, rounds, sweeps, name="bulk"),)
 
 
 def tail(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
     """Phases for the worst cells: fewer and fewer of them, a larger and larger p."""
-    return tuple(Phase(*row, MEASURES[objective]) for row in TAILS[objective, dim])
+    return tuple(
+        Phase(*row, MEASURES[objective], name=f"tail {k}")
+        for k, row in enumerate(TAILS[objective, dim], 1)
+    )
 
 
 def with_angles(phases: tuple[Phase, ...]) -> tuple[Phase, ...]:
@@ -117,10 +124,11 @@ def polish(share: float) -> tuple[tuple[Phase, ...], ...]:
         return ()
     most, least = POLICY.counted_small_angles, POLICY.small_angle
     worst = min(share, most)
-    after = Phase(4.0, 2.0 * min(8.0 * share, most), 2, 3, 3, guard=0.0, least=least)
+    after = Phase(4.0, 2.0 * min(8.0 * share, most), 2, 3, 3, guard=0.0, least=least,
+                  name="after polish")
     return (
-        (Phase(2.0, worst, 2, 3, 3, DIHEDRAL, guard=1e-3), after),
-        (Phase(4.0, worst, 2, 3, 3, DIHEDRAL, guard=0.0), after),
+        (Phase(2.0, worst, 2, 3, 3, DIHEDRAL, guard=1e-3, name="polish"), after),
+        (Phase(4.0, worst, 2, 3, 3, DIHEDRAL, guard=0.0, name="polish"), after),
     )
 
 
@@ -136,31 +144,35 @@ def repair(worse: Sequence[str], small_angles: float) -> tuple[tuple[Phase, ...]
     small_angles : part of the cells with an angle below ``POLICY.small_angle``
     """
     if "share_below_20" in worse and set(worse) <= {"share_below_20", *EXTREMES}:
-        again = Phase(1.0, 1.0, 3, 3, guard=0.0, least=POLICY.small_angle)
+        again = Phase(
+            1.0, 1.0, 3, 3, guard=0.0, least=POLICY.small_angle, name="after repair"
+        )
         return tuple(
-            (Phase(power, small_angles, 2, 3, 3, DIHEDRAL, guard=guard), again)
+            (Phase(power, small_angles, 2, 3, 3, DIHEDRAL, guard=guard, name="repair"), again)
             for power, guard in ((2.0, 0.01), (2.0, 1e-3), (4.0, 0.0))
         )
     if not worse or not set(worse) <= EXTREMES:
         return ()
     measure = QUALITY if "min_quality" in worse else DIHEDRAL
-    gentle = Phase(4.0, 0.0003, 1, 3, 0, measure)
-    rest = (Phase(4.0, share, 3, 3, 3, measure) for share in (0.003, 0.01, 0.03, 0.1))
+    gentle = Phase(4.0, 0.0003, 1, 3, 0, measure, name="repair")
+    rest = (
+        replace(gentle, share=share, rounds=3, compound=3) for share in (0.003, 0.01, 0.03, 0.1)
+    )
     return tuple((phase,) for phase in (gentle, *rest))
 
 
 def cautious(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
     """Phases for a mesh that the others spoil: the mean comes first, then worse and worse cells."""
     general = (
-        Phase(0.25, 1.0, 6, 3),
-        Phase(0.5, 0.3, 2, 3),
-        Phase(1.0, 0.1, 2, 3, 1),
-        Phase(2.0, 0.05, 2, 3, 3),
+        Phase(0.25, 1.0, 6, 3, name="cautious"),
+        Phase(0.5, 0.3, 2, 3, name="cautious"),
+        Phase(1.0, 0.1, 2, 3, 1, name="cautious"),
+        Phase(2.0, 0.05, 2, 3, 3, name="cautious"),
     )
     return general if objective == "radius_ratio" else general + tail(dim, objective)
 
 
-WORST = Phase(4.0, 0.015, 2, 3, 3)
+WORST = Phase(4.0, 0.015, 2, 3, 3, name="worst")
 """For a mesh with a better mean but a worse tail: about the cells that make the 1 % quantile."""
 
 
@@ -177,7 +189,9 @@ def descents(dim: int, objective: Objective = "radius_ratio") -> tuple[Descent, 
     general, own = Descent(tail(dim)), Descent(tail(dim, objective), hold=0.0)
     if dim == 2:
         return general, own
-    return general, own, Descent((Phase(2.0, 0.03, 2, 3, 3),), hold=0.01)
+    return general, own, Descent(
+        (Phase(2.0, 0.03, 2, 3, 3, name="regain"),), hold=0.01
+    )
 
 
 @dataclass(frozen=True)

@@ -25,7 +25,7 @@ from odt_plugins.engine.cells.extremes import Bounds, Extremes
 from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY, Cost
 from odt_plugins.engine.finish import polishing
 from odt_plugins.engine.finish.phases import MEASURES as CODES
-from odt_plugins.engine.finish.phases import Descent, Phase, bulk, descents, polish, tail
+from odt_plugins.engine.finish.phases import Descent, Phase, bulk, cautious, descents, polish, tail
 from odt_plugins.engine.finish.plane import finish2d
 from odt_plugins.engine.finish.volume import finish, guarded, held_angles
 from odt_plugins.engine.moves.flips2d import quality_flips
@@ -326,6 +326,9 @@ def test_schedules(d):
     for objective in CODES:
         measures = {p.objective for step in descents(d, objective) for p in step.phases}
         assert CODES[objective] in measures
+        steps = (bulk(d, objective), *(step.phases for step in descents(d, objective)))
+        for step in (*steps, *polish(0.01), cautious(d, objective)):
+            assert all(phase.name for phase in step)
     assert {p.objective for p in bulk(d, "amips")} == {MEAN_RATIO}
 
 
