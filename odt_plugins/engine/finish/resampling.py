@@ -14,7 +14,12 @@ import numpy as np
 
 from odt_plugins.engine.cells.extremes import Bounds
 from odt_plugins.engine.compiled.threads import pieces
-from odt_plugins.engine.finish.phases import Phase, Resampling, after_resampling, resampling
+from odt_plugins.engine.finish.phases import Phase
+from odt_plugins.engine.finish.resampling_schedule import (
+    Resampling,
+    after_resampling,
+    resampling,
+)
 from odt_plugins.engine.moves import insertion
 from odt_plugins.engine.moves.passes import NO_CELL, grow, measures
 from odt_plugins.engine.odt.rounds import Log

@@ -9,8 +9,8 @@ from complexes import FREELY, OPEN, assert_sound, complex_of, contents, extremes
 
 from odt_plugins.engine.cells.extremes import Bounds
 from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, QUALITY, Cost
-from odt_plugins.engine.finish.phases import Resampling
 from odt_plugins.engine.finish.resampling import resample, with_spare_vertices
+from odt_plugins.engine.finish.resampling_schedule import Resampling
 from odt_plugins.engine.moves import insertion, star_cavity
 from odt_plugins.engine.moves.cavity import replace_cavity
 from odt_plugins.engine.moves.compound import descend_around, make_scratch, settle
