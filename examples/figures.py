@@ -10,24 +10,25 @@ import sys
 import tempfile
 import time
 from pathlib import Path
+from statistics import median
 from typing import Any
 
 from odt_plugins.cli.main import main as command
 
 HEADER = (
-    "| start | | mean q | 1 % | min q | angles | < 10° | < 20° | AMIPS | vertices | seconds |\n"
-    "|---|---|---|---|---|---|---|---|---|---|---|"
+    "| start | | mean q | 1 % | min q | angles | < 10° | < 20° | AMIPS | step | "
+    "vertices | seconds |\n|---|---|---|---|---|---|---|---|---|---|---|---|"
 )
 
 
-def row(name: str, when: str, figures: dict[str, Any], seconds: str) -> str:
+def row(name: str, when: str, figures: dict[str, Any], step: str, seconds: str) -> str:
     """One line of the table."""
     return (
         f"| {name} | {when} | {figures['mean_quality']:.4f} | {figures['p1_quality']:.3f} | "
         f"{figures['min_quality']:.3f} | {figures['min_angle']:.1f}..{figures['max_angle']:.1f} | "
         f"{figures['below_10']} | {figures['below_20']} | "
         f"{figures['mean_amips']:.3f}, {figures['max_amips']:.2f} | "
-        f"{figures['n_points']} | {seconds} |"
+        f"{step} | {figures['n_points']} | {seconds} |"
     )
 
 
@@ -54,11 +55,16 @@ def main(arguments: list[str]) -> None:
     if not paths or {"-h", "--help"} & set(arguments):
         sys.exit("usage: python examples/figures.py MESH... [-- OPTIONS of odt-plugins optimize]")
     print(HEADER)
+    gains = []
     for path in paths:
         measure(path, [*options, "--rounds", "1", "--cycles", "1"])
         report, seconds = measure(path, options)
-        print(row(path.stem, "before", report["before"], ""))
-        print(row(path.stem, "after", report["after"], f"{seconds:.1f}"))
+        before, after = report["before"], report["after"]
+        gains.append(after["min_altitude"] / before["min_altitude"])
+        print(row(path.stem, "before", before, f"{before['min_altitude']:.3g}", ""))
+        print(row(path.stem, "after", after, f"x {gains[-1]:.2f}", f"{seconds:.1f}"))
+    print(f"\nstable time step (least altitude over wave speed): median x {median(gains):.2f}, "
+          f"least x {min(gains):.2f}")
 
 
 if __name__ == "__main__":

@@ -21,7 +21,7 @@ Solver = Literal["gauss-seidel", "jacobi", "richardson", "global", "lbfgs"]
 Connectivity = Literal["auto", "delaunay", "flips", "none"]
 Boundary = Literal["fixed", "slide"]
 Fields = Literal["auto", "interpolate", "keep"]
-Objective = Literal["radius_ratio", "min_dihedral", "amips"]
+Objective = Literal["radius_ratio", "min_dihedral", "amips", "time_step"]
 LinearSolver = Literal["auto", "direct", "amg"]
 
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
@@ -36,8 +36,10 @@ SOLVERS: dict[str, tuple[str, ...]] = {
 
 DENSITIES = ("keep", "uniform", "inverse-volume", "curvature")
 
-FIGURES = ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle",
-           "share_below_20")
+KEPT = ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle", "share_below_20")
+
+FIGURES = (*KEPT, "min_altitude")
+"""What can be kept; the first of them are by default."""
 
 OF_MESHES = ("fixed", "selection", "regions", "fields", "orient", "untangle")
 """Options for what a mesh has that is there already, none for a surface that is to be filled."""
@@ -110,8 +112,9 @@ class Options:
         "its worst cells worse and --keep refuses that; to have the smoothed mesh all the "
         "same: --no-finish --keep none."))
     objective: Objective = field(default="radius_ratio", metadata=_told(
-        "What finishing improves: radius ratios, the smallest (dihedral) angles, or the energy "
-        "that TetWild minimises (amips).",
+        "What finishing improves: radius ratios, the smallest (dihedral) angles, the energy that "
+        "TetWild minimises (amips), or the least altitude of a cell, which decides the time step "
+        "of explicit dynamics (time_step).",
         python="radius_ratio is (5.1).",
         choices=get_args(Objective)))
     insert: bool = field(default=False, metadata=_told(
@@ -152,9 +155,10 @@ class Options:
         "interpolates for tetrahedra and meshes in the plane unless they come from pymeshlab or "
         "open3d, whose own filters keep. Other arrays, ids and normals stay in any case.",
         choices=get_args(Fields)))
-    keep: tuple[str, ...] = field(default=FIGURES, metadata=_told(
+    keep: tuple[str, ...] = field(default=KEPT, metadata=_told(
         "Figures that must not get worse; share_below_20 is the part of the cells with an angle "
-        "below 20 degrees.",
+        "below 20 degrees, min_altitude the least altitude of a cell, which the objective "
+        "time_step keeps with the others.",
         python="A single one may be given as a word.",
         flag="Separated by commas; none to keep no figure."))
     orient: bool = field(default=False, metadata=_told(
@@ -226,6 +230,8 @@ class Options:
         _expect(good, "keep", self.keep, f"some of {FIGURES}")
         good = self.untangle == "auto" or self.untangle is False
         _expect(good, "untangle", self.untangle, "'auto' or False")
+        if self.objective == "time_step" and self.keep and "min_altitude" not in self.keep:
+            object.__setattr__(self, "keep", (*self.keep, "min_altitude"))
         good = callable(self.progress) or isinstance(self.progress, bool | None)
         what = "None, True or a callable progress(stage, fraction)"
         _expect(good, "progress", self.progress, what)

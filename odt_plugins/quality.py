@@ -28,7 +28,7 @@ ANGLE_LIMITS = (5.0, 10.0, 20.0)
 
 
 class CellFigures(NamedTuple):
-    """What is known of every cell: six arrays of shape (m,)."""
+    """What is known of every cell: seven arrays of shape (m,)."""
 
     quality: FloatArray
     min_angle: FloatArray
@@ -36,6 +36,7 @@ class CellFigures(NamedTuple):
     amips: FloatArray
     volume: FloatArray
     circumradius: FloatArray
+    altitude: FloatArray
 
 
 @dataclass(frozen=True)
@@ -54,6 +55,9 @@ class QualitySummary:
     uniformity : float                              std(R) / mean(R), h constant
     volume : float                                  sum of the signed volumes; of triangles their
                                                     areas, which is `area` as well
+    min_altitude : float                            least altitude of a cell, in the caller's unit:
+                                                    over the wave speed, the time step of explicit
+                                                    dynamics
     turned : int                                    cells of mixed orientation that were turned
                                                     before they were measured
     """
@@ -74,6 +78,7 @@ class QualitySummary:
     inverted: int
     uniformity: float
     volume: float
+    min_altitude: float
     turned: int = 0
 
     @property
@@ -274,7 +279,7 @@ def uniformity(
 
 
 def cell_figures(points: ArrayLike, cells: ArrayLike, threads: int = 1) -> CellFigures:
-    """Measure every cell once: :class:`CellFigures` of six (m,) arrays, for any number of threads.
+    """Measure every cell once, :class:`CellFigures` of seven (m,) arrays, by any number of threads.
 
     Parameters
     ----------
@@ -295,6 +300,7 @@ def cell_figures(points: ArrayLike, cells: ArrayLike, threads: int = 1) -> CellF
         figures.amips[part] = geometry.amips()
         figures.volume[part] = geometry.volume()
         figures.circumradius[part] = geometry.circumradius()
+        figures.altitude[part] = geometry.altitude()
 
     spread(measure, chunks(len(t)), threads)
     return figures
@@ -342,6 +348,7 @@ def summarize(
         inverted=int(np.count_nonzero(~(f.volume > 0))),
         uniformity=_variation(f.circumradius),
         volume=float(f.volume.sum()),
+        min_altitude=float(f.altitude.min()),
     )
 
 

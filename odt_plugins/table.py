@@ -13,6 +13,7 @@ ROWS = (
     ("mean_quality", "mean quality", ".4f"),
     ("min_angle", "smallest {angle}", ".2f"),
     ("max_angle", "largest {angle}", ".2f"),
+    ("min_altitude", "least altitude", ".4g"),
     ("mean_amips", "mean AMIPS energy", ".4f"),
     ("max_amips", "max AMIPS energy", ".4f"),
     ("below_5", "cells below 5 deg", "d"),

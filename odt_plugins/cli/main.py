@@ -26,7 +26,7 @@ from odt_plugins.cli.terminal import (
     write_beside,
 )
 from odt_plugins.errors import InvalidOptionError, ODTError
-from odt_plugins.options import FIGURES, OF_MESHES, OPTIONS, Options
+from odt_plugins.options import FIGURES, KEPT, OF_MESHES, OPTIONS, Options
 from odt_plugins.signals import handling
 
 DONE, COULD_NOT, WRONG_USE = 0, 1, 2
@@ -132,7 +132,7 @@ def _option_flags(
         elif name == "regions":
             settings["callback"] = _region_names
         elif name == "keep":
-            settings |= {"default": ",".join(FIGURES), "callback": _figure_names}
+            settings |= {"default": ",".join(KEPT), "callback": _figure_names}
         else:
             settings["type"] = str
         command = click.option(flag, name, **settings)(command)
@@ -183,6 +183,9 @@ def _cluster_flags(command: Callable[..., Any]) -> Callable[..., Any]:
               help="Write the report there as JSON.")
 @click.option("--plot", "plot_file", type=click.Path(path_type=Path), metavar="FILE.png",
               help="Draw histograms before and after there (.png, .pdf, .svg).")
+@click.option("--worth", is_flag=True,
+              help="Print what a solver gains: condition number, steps of conjugate gradients, "
+                   "stable time step. It needs scikit-fem.")
 @click.option("--blocks", type=click.IntRange(min=1), default=None,
               help="Optimise the mesh in so many blocks, one after the other unless there are "
                    "workers.")
@@ -200,6 +203,7 @@ def optimize(
     target: Path,
     report_file: Path | None,
     plot_file: Path | None,
+    worth: bool,
     blocks: int | None,
     block_rounds: int,
     file_format: str | None,
@@ -224,8 +228,8 @@ def optimize(
     if blocks is None and (scheduler or workers) and not pieces:
         msg = "--scheduler and --workers need --blocks, the number of blocks to cut the mesh into"
         raise click.UsageError(msg)
-    if pieces and (report_file or plot_file):
-        msg = "--report and --plot are for meshes of one file each, OUTPUT names pieces"
+    if pieces and (report_file or plot_file or worth):
+        msg = "--report, --plot and --worth are for one file each, OUTPUT names pieces"
         raise click.UsageError(msg)
     from odt_plugins.api import optimize_file
 
@@ -249,6 +253,8 @@ def optimize(
                                                client=client, **written, **options)
     if not quiet:
         click.echo(str(report))
+    if worth:
+        click.echo(f"\n{report.worth()}")
     if report_file:
         write_beside(report_file, lambda path: path.write_text(report.to_json() + "\n"))
     if plot_file:

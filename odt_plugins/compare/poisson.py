@@ -3,22 +3,13 @@
 from __future__ import annotations
 
 import warnings
-from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
 from odt_plugins.compare.start import StartMesh
-from odt_plugins.mesh.arrays import FloatArray
-
-TOLERANCE = 1e-8
-"""Relative residual at which CG stops."""
-
-MOST_STEPS = 5000
-"""Of CG; a mesh that needs more has no condition worth a figure."""
-
-Operator = Callable[[FloatArray], FloatArray]
+from odt_plugins.report.worth import Operator, conjugate_gradients
 
 
 @dataclass(frozen=True)
@@ -127,51 +118,3 @@ def _multigrid(matrix: Any) -> Operator:
             np.random.set_state(state)  # noqa: NPY002
     operator = hierarchy.aspreconditioner(cycle="V")
     return lambda r: np.asarray(operator @ r)
-
-
-def conjugate_gradients(
-    matrix: Any, right: FloatArray, precondition: Operator | None = None
-) -> tuple[FloatArray, int, float]:
-    """Preconditioned conjugate gradients from zero.
-
-    Parameters
-    ----------
-    matrix : (n, n) sparse, symmetric positive definite
-    right : (n,) float64
-    precondition : callable    r -> approximate solution
-
-    Returns
-    -------
-    x : (n,) float64
-    steps : int                to a relative residual of TOLERANCE; MOST_STEPS if it is not reached
-    condition : float          ratio of the extreme eigenvalues of the Lanczos matrix
-
-    References
-    ----------
-    Y. Saad, Iterative Methods for Sparse Linear Systems, 2nd ed., Sections 6.7.1 and 6.7.3.
-    """
-    from scipy.linalg import eigvalsh_tridiagonal
-
-    x, r = np.zeros_like(right), right.copy()
-    target = TOLERANCE * float(np.linalg.norm(right))
-    z = r if precondition is None else precondition(r)
-    p, rz = z.copy(), float(r @ z)
-    alphas: list[float] = []
-    betas: list[float] = []
-    while float(np.linalg.norm(r)) > target and len(alphas) < MOST_STEPS:
-        q = matrix @ p
-        alpha = rz / float(p @ q)
-        x += alpha * p
-        r -= alpha * q
-        z = r if precondition is None else precondition(r)
-        old, rz = rz, float(r @ z)
-        alphas.append(alpha)
-        betas.append(rz / old)
-        p = z + betas[-1] * p
-    if not alphas:
-        return x, 0, 1.0
-    a, b = np.array(alphas), np.array(betas)
-    diagonal = 1.0 / a
-    diagonal[1:] += b[:-1] / a[:-1]
-    values = eigvalsh_tridiagonal(diagonal, np.sqrt(b[:-1]) / a[:-1])
-    return x, len(alphas), float(values[-1] / values[0])

@@ -29,6 +29,7 @@ class Figures(NamedTuple):
     volume : float
     min_quality, p1_quality, min_angle, max_angle : float
     below_20 : int                 cells with an angle below 20 degrees
+    min_altitude : float
     """
 
     cells: int
@@ -39,6 +40,7 @@ class Figures(NamedTuple):
     min_angle: float
     max_angle: float
     below_20: int
+    min_altitude: float
 
     @property
     def mean_quality(self) -> float:
@@ -60,7 +62,7 @@ def measure_part(points: FloatArray, cells: IntArray, path: str) -> Figures:
     return Figures(len(cells), float(f.quality.sum()), float(f.volume.sum()),
                    float(f.quality.min()), float(np.quantile(f.quality, 0.01)),
                    float(f.min_angle.min()), float(f.max_angle.max()),
-                   int(np.count_nonzero(f.min_angle < 20.0)))
+                   int(np.count_nonzero(f.min_angle < 20.0)), float(f.altitude.min()))
 
 
 def _ratios(path: str) -> str:
@@ -80,6 +82,7 @@ def total(parts: Sequence[tuple[str, Figures]]) -> Figures:
         min(f.min_angle for f in figures),
         max(f.max_angle for f in figures),
         sum(f.below_20 for f in figures),
+        min(f.min_altitude for f in figures),
     )
 
 

@@ -35,7 +35,7 @@ if TYPE_CHECKING:
 LEAST_CELLS = 5000
 """Meshes are cut into no smaller blocks: most of such a block lies beside its rim."""
 
-EXTREMES = ("min_quality", "min_angle", "max_angle")
+EXTREMES = ("min_quality", "min_angle", "max_angle", "min_altitude")
 """Figures of one part that say something of the whole: kept by every block in later rounds."""
 
 

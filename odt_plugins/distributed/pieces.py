@@ -46,7 +46,7 @@ from odt_plugins.errors import (
 )
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.options import (
-    FIGURES,
+    KEPT,
     OptionKeywords,
     Options,
     make_options,
@@ -85,7 +85,7 @@ class PiecesReport(NamedTuple):
     def __str__(self) -> str:
         """A few lines: the figures before and after."""
         lines = [f"{'':20}{'before':>10}{'after':>10}"]
-        for name in FIGURES:
+        for name in KEPT:
             a, b = getattr(self.before, name), getattr(self.after, name)
             lines.append(f"{name:20}{a:10.4f}{b:10.4f}")
         lines.append(f"{'cells':20}{self.before.cells:10d}{self.after.cells:10d}")

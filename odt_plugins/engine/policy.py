@@ -93,6 +93,9 @@ class Policy:
         0.5, "Weight of the 1 % quantile of the radius ratio in the score; that of the mean is 1.",
         STANDARD)
     score_least: float = _chosen(0.25, "Weight of the least radius ratio.", STANDARD)
+    score_altitude: float = _chosen(
+        4.0, "Weight of the logarithm of the least altitude for the objective time_step.",
+        "python examples/figures.py MESH... -- --objective time_step --boundary slide")
 
     # cycles and runs
     cycle_worth: float = _chosen(

@@ -13,7 +13,7 @@ from odt_plugins.adapters.pymeshlab_mesh import InPlace
 from odt_plugins.adapters.pymeshlab_set import exchange
 from odt_plugins.api import optimize_with_report
 from odt_plugins.errors import InvalidMeshError, ODTError
-from odt_plugins.options import FIGURES
+from odt_plugins.options import KEPT
 from odt_plugins.tetwild import run_tetwild
 
 if TYPE_CHECKING:
@@ -137,7 +137,7 @@ def boundary_surface(
 def _options(values: Mapping[str, Any], length: float) -> dict[str, Any]:
     """Options of :func:`odt_plugins.optimize` that MeshLab's words stand for; length: diagonal."""
     options = {"rounds": values["stepsmoothnum"], "density": values["density"],
-               "keep": FIGURES if values["keepquality"] else ()}
+               "keep": KEPT if values["keepquality"] else ()}
     for name in ("fields", "objective", "insert"):
         if name in values:
             options[name] = values[name]

@@ -104,6 +104,12 @@ class CellGeometry:
             q = np.where(size > 0, (self.k - 1) * inradius / self.radius, 0.0)
         return np.where(np.isnan(self.det), np.nan, np.sign(self.det) * q)
 
+    def altitude(self) -> FloatArray:
+        """Least altitude, in the unit of the caller, with the sign of the volume."""
+        most = np.max([_norm(n) for n in self.normals] if self.k == 4 else self.edges, axis=0)
+        least = np.divide(self.det, most, out=np.zeros_like(most), where=most > 0)
+        return np.asarray(least * self.scale)
+
     def amips(self) -> FloatArray:
         """AMIPS energy, 1 for a regular cell, infinite for one without positive volume."""
         squares = np.square(self.edges).sum(axis=0)

@@ -16,7 +16,7 @@ from odt_plugins.mesh.components import components
 from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.mesh.surface import Edges, surface_edges
-from odt_plugins.options import FIGURES
+from odt_plugins.options import KEPT
 from odt_plugins.promise.volume import worse_figures
 from odt_plugins.quality import QualitySummary, summarize
 
@@ -29,7 +29,7 @@ def broken_surface_promises(
     points: NDArray[np.float64],
     cells: NDArray[np.int32],
     regions: NDArray[np.int32],
-    keep: Sequence[str] = FIGURES,
+    keep: Sequence[str] = KEPT,
     *,
     lines: NDArray[np.integer] | None = None,
     held: NDArray[np.bool_] | None = None,

@@ -17,7 +17,7 @@ from odt_plugins.mesh.chunks import chunks, spread
 from odt_plugins.mesh.facets import row_keys, sorted_columns, uneven_facets
 from odt_plugins.mesh.numbering import in_old_numbers, most_vertices, old_numbers, removed_vertices
 from odt_plugins.mesh.simplex import SimplexMesh, determinant
-from odt_plugins.options import FIGURES
+from odt_plugins.options import KEPT
 from odt_plugins.promise.locked_facets import LockedFacets, facet_census
 from odt_plugins.quality import CellFigures, QualitySummary, cell_figures, summarize
 
@@ -38,7 +38,7 @@ def broken_promises(
     points: NDArray[np.float64],
     cells: NDArray[np.int32],
     regions: NDArray[np.int32],
-    keep: Sequence[str] = FIGURES,
+    keep: Sequence[str] = KEPT,
     before_summary: QualitySummary | None = None,
     *,
     slides: bool = False,
@@ -125,7 +125,7 @@ def _exact_determinant(corners: NDArray[np.float64]) -> Fraction:
 
 
 def worse_figures(
-    old: QualitySummary, new: QualitySummary, keep: Sequence[str] = FIGURES
+    old: QualitySummary, new: QualitySummary, keep: Sequence[str] = KEPT
 ) -> list[str]:
     """Say which of the figures ``keep`` got worse from ``old`` to ``new``."""
     sentences = []

@@ -26,6 +26,7 @@ from odt_plugins.untangling import Tangle, worse_than_valid
 
 if TYPE_CHECKING:
     from odt_plugins.engine.run.outcome import Outcome
+    from odt_plugins.report.worth import Worth
 
 BINS = np.linspace(0.0, 1.0, 51)
 """Bins of the quality histograms, 0:0.02:1 as in Figs 6 and 10 of the paper."""
@@ -71,6 +72,8 @@ class Report:
                                             "flips" until all were valid, of cells "left" that were
                                             not, and in what the result is "worse" than the valid
                                             cells of the input
+    meshes : two of (points, cells)         before and after, for :meth:`worth`; not in
+                                            :meth:`to_dict`
     """
 
     dim: int
@@ -96,6 +99,8 @@ class Report:
     interpolated: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     untangled: Mapping[str, Any] | None = None
+    meshes: tuple[tuple[NDArray[Any], NDArray[Any]], ...] = dataclasses.field(
+        default=(), repr=False, compare=False)
 
     @property
     def movable_share(self) -> float:
@@ -153,9 +158,9 @@ class Report:
         return lines
 
     def to_dict(self) -> dict[str, Any]:
-        """Give all but `cell_origin` as values that JSON knows; what is not finite becomes None."""
+        """Give all but `cell_origin` and `meshes` as values that JSON knows; None if not finite."""
         data: dict[str, Any] = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)
-                                if f.name != "cell_origin"}
+                                if f.name not in ("cell_origin", "meshes")}
         data |= {"before": self.before.to_dict(), "after": self.after.to_dict(),
                  "binding": [dataclasses.asdict(cell) for cell in self.binding],
                  "movable_share": self.movable_share}
@@ -164,6 +169,18 @@ class Report:
     def to_json(self) -> str:
         """Give :meth:`to_dict` as JSON text, strictly: without NaN or Infinity."""
         return json.dumps(self.to_dict(), indent=2, allow_nan=False)
+
+    def worth(self) -> Worth:
+        """Solve on both meshes: condition number, steps of CG, stable time step.
+
+        Raises
+        ------
+        UnsupportedMeshError          triangles of a curved surface
+        MissingDependencyError        scikit-fem is not installed
+        """
+        from odt_plugins.report.worth import Worth, solved
+
+        return Worth(*(solved(points, cells) for points, cells in self.meshes))
 
     def plot(self, path: str | PathLike[str]) -> None:
         """Write a figure: histograms before and after (cf. Figs 6 and 10) and the energy.
@@ -243,6 +260,7 @@ def make_report(
         slid=None if outcome.slid is None else outcome.slid._asdict(),
         surface=_surface_facts(before, outcome, used),
         untangled=untangled,
+        meshes=((before.points, before.cells), (outcome.points, outcome.cells)),
         **told,
     )
 

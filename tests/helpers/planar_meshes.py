@@ -6,7 +6,7 @@ import numpy as np
 import reference_flips as ref
 from scipy.spatial import Delaunay, cKDTree
 
-from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY
+from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY, STEP
 
 
 def shape(points, cells):
@@ -203,8 +203,22 @@ def grid(seed, n=7, holes=HOLES, flips=0):
     return points, ref.random_flips(points, cells, rng, flips)
 
 
+def altitudes(points, cells):
+    """Three altitudes of every triangle, (m, 3): twice the area over the length of an edge."""
+    x = points[cells]
+    length = np.stack([np.linalg.norm(x[:, j] - x[:, i], axis=1)
+                       for i, j in ((1, 2), (0, 2), (0, 1))], axis=1)
+    return 2.0 * np.abs(areas(points, cells))[:, None] / length
+
+
+def step(points, cells):
+    """Fourth root of (sum h^-2)^(-1/2), h the altitudes."""
+    return (altitudes(points, cells) ** -2.0).sum(axis=1) ** -0.125
+
+
 MEASURES = {
     QUALITY: lambda points, cells: shape(points, cells)[0],
     MEAN_RATIO: lambda points, cells: (2.0 / amips(points, cells)) ** 2,
     DIHEDRAL: softened_sine,
+    STEP: step,
 }

@@ -9,6 +9,7 @@ from odt_plugins.engine.cells.tetrahedron import (
     DIHEDRAL,
     MEAN_RATIO,
     QUALITY,
+    STEP,
 )
 
 
@@ -142,10 +143,24 @@ def energy(points, cells):
     return float((signed_volumes(points, cells) * t).sum() / 20.0)
 
 
+def altitudes(points, cells):
+    """Four altitudes of every tetrahedron, (m, 4): three volumes over the area of a face."""
+    x = points[cells]
+    area = np.stack([np.linalg.norm(np.cross(x[:, j] - x[:, i], x[:, k] - x[:, i]), axis=1) / 2
+                     for i, j, k in ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2))], axis=1)
+    return 3.0 * np.abs(signed_volumes(points, cells))[:, None] / area
+
+
+def step(points, cells):
+    """Fourth root of (sum h^-2)^(-1/2), h the altitudes."""
+    return (altitudes(points, cells) ** -2.0).sum(axis=1) ** -0.125
+
+
 TWINS = {
     QUALITY: quality,
     MEAN_RATIO: lambda points, cells: (3.0 / amips(points, cells)) ** 3,
     DIHEDRAL: softened_sine,
+    STEP: step,
 }
 
 

@@ -9,6 +9,9 @@ m^-p (`quality_cost`). Three measures of a tetrahedron (`tet_measure`, `tet_cost
 - the cube of the mean ratio, which falls as the AMIPS energy of TetWild grows, `tet_mean_ratio`
   and `mean_ratio_terms`.
 
+A fourth, `tet_step` with `step_terms`, is a power of the time step for which explicit dynamics is
+stable on the cell; it has no best cell.
+
 `tet_energy` is the ODT energy (2.2) of one tetrahedron, `triangle_shape` and `triangle_measure`
 are the measures of a triangle. `circumcenters` (4.6), `barycenters` and `signed_volumes` treat
 all cells of a mesh at once; `inside_sphere` asks whether a facet is locally Delaunay (Definition

@@ -16,6 +16,7 @@ from odt_plugins.engine.cells.corner import (
 from odt_plugins.engine.cells.dihedral import six_cosines, tet_dihedral
 from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.mean_ratio import tet_mean_ratio
+from odt_plugins.engine.cells.step import tet_step
 from odt_plugins.engine.compiled.kernel import inner_kernel
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
@@ -23,6 +24,7 @@ ENERGY = 0
 QUALITY = 1
 MEAN_RATIO = 2
 DIHEDRAL = 3
+STEP = 4
 """What a cell costs: the ODT energy, or (1/m)^p with one of the cell measures m."""
 
 
@@ -141,6 +143,8 @@ def tet_measure(points: FloatArray, i: int, j: int, k: int, l: int, objective: i
         return tet_quality(points, i, j, k, l)
     if objective == MEAN_RATIO:
         return tet_mean_ratio(points, i, j, k, l)
+    if objective == STEP:
+        return tet_step(points, i, j, k, l)
     return tet_dihedral(points, i, j, k, l)
 
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 from odt_plugins.engine.cells.extremes import Extremes
-from odt_plugins.engine.cells.tetrahedron import MEAN_RATIO, QUALITY
+from odt_plugins.engine.cells.step import eighth_root
+from odt_plugins.engine.cells.tetrahedron import MEAN_RATIO, QUALITY, STEP
 from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
 from odt_plugins.engine.topology.lookup import place_in
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -99,12 +100,35 @@ def triangle_in_space(
 
 
 @inner_kernel
+def triangle_altitude(points: FloatArray, a: int, b: int, c: int) -> float:
+    """Least altitude of a triangle in the plane or in space, 0 of a flat one.
+
+    Twice the area is the product of two edges less their projections on each other, by Lagrange's
+    identity: D^2 = sum_(i < j) (v_i w_j - v_j w_i)^2.
+    """
+    uu = vv = ww = d2 = 0.0
+    for i in range(points.shape[1]):
+        u = points[c, i] - points[b, i]
+        v = points[a, i] - points[c, i]
+        w = points[b, i] - points[a, i]
+        uu += u * u
+        vv += v * v
+        ww += w * w
+        for j in range(i):
+            part = v * (points[b, j] - points[a, j]) - w * (points[a, j] - points[c, j])
+            d2 += part * part
+    most = max(uu, max(vv, ww))
+    return math.sqrt(d2 / most) if most > 0.0 else 0.0
+
+
+@inner_kernel
 def triangle_measure(points: FloatArray, a: int, b: int, c: int, objective: int) -> float:
     """Measure of one triangle, 1 for the regular one; 0 or negative when not counterclockwise.
 
     With D twice the area and l the lengths of the edges, the mean ratio is
     m = (2 sqrt(3) D / sum l^2)^2 = (2/E)^2, E = tr(J^T J) / det(J) the AMIPS energy; the measure
-    of the smallest angle is m = (4/3) (1/3 sum_i sin^-8 theta_i)^(-1/4).
+    of the smallest angle is m = (4/3) (1/3 sum_i sin^-8 theta_i)^(-1/4); that of the time step,
+    m = (D^2 / sum l^2)^(1/8), is 1 for no triangle, see ``step``.
     """
     if objective == QUALITY:
         return triangle_shape(points, a, b, c)[0]
@@ -119,6 +143,8 @@ def triangle_measure(points: FloatArray, a: int, b: int, c: int, objective: int)
     if objective == MEAN_RATIO:
         t = uu + vv + ww
         return 12.0 * d2 / (t * t)
+    if objective == STEP:
+        return eighth_root(d2 / (uu + vv + ww))
     total = angle_cost(vv * ww, d2) + angle_cost(ww * uu, d2) + angle_cost(uu * vv, d2)
     return angle_measure(total)
 

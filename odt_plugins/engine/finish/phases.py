@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY, Cost
+from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY, STEP, Cost
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.options import Objective
 
@@ -67,7 +67,8 @@ class Descent:
     hold: float | None = None
 
 
-MEASURES = {"radius_ratio": QUALITY, "amips": MEAN_RATIO, "min_dihedral": DIHEDRAL}
+MEASURES = {"radius_ratio": QUALITY, "amips": MEAN_RATIO, "min_dihedral": DIHEDRAL,
+            "time_step": STEP}
 
 TAILS = {
     ("radius_ratio", 2): ((4.0, 0.05, 10, 2, 0), (8.0, 0.01, 10, 2, 0), (16.0, 0.003, 10, 2, 0)),
@@ -76,10 +77,12 @@ TAILS = {
     ("amips", 3): ((0.5, 0.1, 2, 3, 3), (2.0, 0.01, 2, 3, 3), (8.0, 0.002, 2, 3, 3)),
     ("min_dihedral", 2): ((4.0, 0.05, 10, 2, 0), (8.0, 0.003, 10, 2, 0), (16.0, 0.001, 4, 2, 0)),
     ("min_dihedral", 3): ((1.0, 0.03, 2, 3, 3), (2.0, 0.01, 2, 3, 3), (8.0, 0.002, 2, 3, 3)),
+    ("time_step", 2): ((16.0, 0.05, 10, 2, 0), (32.0, 0.01, 10, 2, 0), (64.0, 0.003, 10, 2, 0)),
+    ("time_step", 3): ((16.0, 0.03, 2, 3, 3), (32.0, 0.01, 2, 3, 3), (64.0, 0.002, 2, 3, 3)),
 }
 """Power, share, rounds, sweeps and compound passes of the phases for the worst cells."""
 
-EXTREMES = {"min_quality", "min_angle", "max_angle"}
+EXTREMES = {"min_quality", "min_angle", "max_angle", "min_altitude"}
 """Figures of single cells."""
 
 ANGLES = Phase(2.0, 0.01, 2, 3, 3, DIHEDRAL, guard=0.01, enough=0.33, name="angles")
@@ -154,6 +157,7 @@ def repair(worse: Sequence[str], small_angles: float) -> tuple[tuple[Phase, ...]
     if not worse or not set(worse) <= EXTREMES:
         return ()
     measure = QUALITY if "min_quality" in worse else DIHEDRAL
+    measure = STEP if set(worse) == {"min_altitude"} else measure
     gentle = Phase(4.0, 0.0003, 1, 3, 0, measure, name="repair")
     rest = (
         replace(gentle, share=share, rounds=3, compound=3) for share in (0.003, 0.01, 0.03, 0.1)
@@ -179,16 +183,17 @@ WORST = Phase(4.0, 0.015, 2, 3, 3, name="worst")
 def descents(dim: int, objective: Objective = "radius_ratio") -> tuple[Descent, ...]:
     """What follows the bulk; the best of the results is taken.
 
-    Angles cost radius ratios: the last descent of "min_dihedral" wins back what it can of them
-    while the worst angles hold.
+    Angles and altitudes cost radius ratios: the last descent of "min_dihedral" wins back what it
+    can of them while the worst angles hold, that of "time_step" around all cells it touched.
     """
     if objective == "radius_ratio":
         return (Descent(tail(dim) if dim == 2 else with_angles(tail(dim))),)
     if objective == "amips":
         return (Descent(tail(dim, objective)),)
-    general, own = Descent(tail(dim)), Descent(tail(dim, objective), hold=0.0)
+    hold = objective == "min_dihedral"
+    general, own = Descent(tail(dim)), Descent(tail(dim, objective), hold=0.0 if hold else None)
     if dim == 2:
         return general, own
     return general, own, Descent(
-        (Phase(2.0, 0.03, 2, 3, 3, name="regain"),), hold=0.01
+        (Phase(2.0, 0.03, 2, 3, 3, name="regain"),), hold=0.01 if hold else None
     )

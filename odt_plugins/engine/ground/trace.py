@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from odt_plugins.engine.compiled.kernel import inner_kernel
+from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
 from odt_plugins.engine.ground.closest import Ground, closest_on_triangle, walk
 from odt_plugins.engine.topology.lookup import place_in
 
@@ -162,7 +162,7 @@ def _trace(
     return False
 
 
-@inner_kernel
+@kernel
 def _sides(
     ground: Ground, face: int, x: float, y: float, z: float, mx: float, my: float, mz: float
 ) -> tuple[float, float, float]:

@@ -13,7 +13,8 @@ import math
 import numpy as np
 
 from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
-from odt_plugins.engine.cells.tetrahedron import MEAN_RATIO, QUALITY, Cost
+from odt_plugins.engine.cells.step import ROOT, eighth_root
+from odt_plugins.engine.cells.tetrahedron import MEAN_RATIO, QUALITY, STEP, Cost
 from odt_plugins.engine.cells.triangle import (
     angle_cost,
     angle_measure,
@@ -49,6 +50,24 @@ def _mean_ratio_terms(
         2.0 * (ax * ax - tx * tx) + 8.0 / t,
         2.0 * (ax * ay - tx * ty),
         2.0 * (ay * ay - ty * ty) + 8.0 / t,
+    )
+
+
+@inner_kernel
+def _step_terms(
+    ux: float, uy: float, vx: float, vy: float, l3: float, ax: float, ay: float, d2: float
+) -> tuple[float, float, float, float, float, float]:
+    """Measure m of the time step, gradient of log m and minus its Hessian, see below."""
+    t = ux * ux + uy * uy + vx * vx + vy * vy + l3 * l3
+    tx = 2.0 * (ux + vx) / t
+    ty = 2.0 * (uy + vy) / t
+    return (
+        eighth_root(d2 / t),
+        ROOT * (2.0 * ax - tx),
+        ROOT * (2.0 * ay - ty),
+        ROOT * (2.0 * ax * ax - tx * tx + 4.0 / t),
+        ROOT * (2.0 * ax * ay - tx * ty),
+        ROOT * (2.0 * ay * ay - ty * ty + 4.0 / t),
     )
 
 
@@ -170,6 +189,10 @@ def star_cost_2d(
             hyy = 2.0 * ay * ay - py * py + iso - t1 * uy * uy - t2 * vy * vy
         elif objective == MEAN_RATIO:
             q, gx, gy, hxx, hxy, hyy = _mean_ratio_terms(
+                ux, uy, vx, vy, l3, ax, ay, double_area * double_area
+            )
+        elif objective == STEP:
+            q, gx, gy, hxx, hxy, hyy = _step_terms(
                 ux, uy, vx, vy, l3, ax, ay, double_area * double_area
             )
         else:

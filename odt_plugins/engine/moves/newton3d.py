@@ -16,10 +16,12 @@ from odt_plugins.engine.cells.dihedral import dihedral_terms
 from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
 from odt_plugins.engine.cells.mean_ratio import mean_ratio_terms
 from odt_plugins.engine.cells.packed import add_square
+from odt_plugins.engine.cells.step import step_terms
 from odt_plugins.engine.cells.tetrahedron import (
     MEAN_RATIO,
     QUALITY,
     SHIFT,
+    STEP,
     Cost,
     cell_cost,
     opposite_vertices,
@@ -204,6 +206,9 @@ def add_cost_terms(
         return add_quality_terms(points, v, i, j, k, cost.power, out)
     if cost.objective == MEAN_RATIO:
         if not mean_ratio_terms(points, v, i, j, k, terms):
+            return False
+    elif cost.objective == STEP:
+        if not step_terms(points, v, i, j, k, terms):
             return False
     elif not dihedral_terms(points, v, i, j, k, terms):
         return False

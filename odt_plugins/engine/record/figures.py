@@ -10,8 +10,14 @@ from numpy.typing import NDArray
 
 from odt_plugins.engine.cells.elementary import arccos, power
 from odt_plugins.engine.cells.mean_ratio import tet_mean_ratio
+from odt_plugins.engine.cells.step import tet_altitude
 from odt_plugins.engine.cells.tetrahedron import MEAN_RATIO, tet_cosines, tet_quality
-from odt_plugins.engine.cells.triangle import triangle_in_space, triangle_measure, triangle_shape
+from odt_plugins.engine.cells.triangle import (
+    triangle_altitude,
+    triangle_in_space,
+    triangle_measure,
+    triangle_shape,
+)
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.policy import POLICY
@@ -26,7 +32,7 @@ ROUNDING = 1e-13
 
 @kernel
 def _cell_shapes(points: FloatArray, cells: IntArray, shapes: FloatArray) -> None:
-    """Radius ratio, cosine of the smallest and of the largest (dihedral) angle of every cell."""
+    """Radius ratio, cosines of smallest and largest (dihedral) angle, altitude of every cell."""
     for c in range(cells.shape[0]):
         if cells.shape[1] == 3 and points.shape[1] == 3:
             i, j, k = cells[c, 0], cells[c, 1], cells[c, 2]
@@ -36,14 +42,18 @@ def _cell_shapes(points: FloatArray, cells: IntArray, shapes: FloatArray) -> Non
         else:
             q = tet_quality(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
             large, small = tet_cosines(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
+            shapes[c, 3] = tet_altitude(
+                points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
+        if cells.shape[1] == 3:
+            shapes[c, 3] = triangle_altitude(points, cells[c, 0], cells[c, 1], cells[c, 2])
         shapes[c, 0] = q
         shapes[c, 1] = large
         shapes[c, 2] = small
 
 
 def cell_shapes(points: FloatArray, cells: IntArray) -> FloatArray:
-    """Radius ratio (5.1), cosine of the smallest and of the largest angle, (m, 3)."""
-    shapes = np.empty((len(cells), 3))
+    """Radius ratio (5.1), cosines of the smallest and largest angle, least altitude, (m, 4)."""
+    shapes = np.empty((len(cells), 4))
     for first, last in pieces(0, len(cells)):
         _cell_shapes(points, cells[first:last], shapes[first:last])
     return shapes
@@ -53,6 +63,7 @@ def cell_shapes(points: FloatArray, cells: IntArray) -> FloatArray:
 class Figures:
     """Minimum, 1 % quantile and mean of q, cosines of the smallest and the largest angle.
 
+    ``min_altitude`` is the least altitude of a cell, in the unit of the points;
     ``small_angles`` is the share of the cells with an angle below ``POLICY.small_angle``.
     ``score`` is what the best-state memory ranks by: mean and tail of what is improved.
     """
@@ -63,18 +74,20 @@ class Figures:
     cos_min_angle: float
     cos_max_angle: float
     small_angles: float
+    min_altitude: float
     score: float
 
     def with_extremes_of(self, other: Figures) -> Figures:
         """The same mean and quantile, with the worst cell and the extreme angles of another."""
         return replace(self, min_quality=other.min_quality, cos_min_angle=other.cos_min_angle,
-                       cos_max_angle=other.cos_max_angle)
+                       cos_max_angle=other.cos_max_angle, min_altitude=other.min_altitude)
 
     def with_extremes(self, shapes: FloatArray) -> Figures:
         """The same mean and quantile, with the extremes of some :func:`cell_shapes`."""
         return replace(self, min_quality=float(shapes[:, 0].min()),
                        cos_min_angle=float(shapes[:, 1].max()),
-                       cos_max_angle=float(shapes[:, 2].min()))
+                       cos_max_angle=float(shapes[:, 2].min()),
+                       min_altitude=float(shapes[:, 3].min()))
 
     def worse_than(self, before: Figures, keep: tuple[str, ...]) -> list[str]:
         """Figures of ``keep`` that are worse than before, beyond rounding."""
@@ -84,6 +97,7 @@ class Figures:
             "mean_quality": self.mean_quality < before.mean_quality - ROUNDING,
             "min_angle": self.cos_min_angle > before.cos_min_angle + ROUNDING,
             "max_angle": self.cos_max_angle < before.cos_max_angle - ROUNDING,
+            "min_altitude": self.min_altitude < before.min_altitude * (1.0 - ROUNDING),
             "share_below_20": self.small_angles > before.small_angles + ROUNDING,
         }
         return [name for name in keep if worse.get(name, False)]
@@ -97,6 +111,8 @@ class Figures:
             passed |= shapes[:, 1] > self.cos_min_angle
         if "max_angle" in keep:
             passed |= shapes[:, 2] < self.cos_max_angle
+        if "min_altitude" in keep:
+            passed |= shapes[:, 3] < self.min_altitude
         return passed
 
 
@@ -108,7 +124,8 @@ def figures(
     Parameters
     ----------
     points : (n, d) float64, cells : (m, d + 1) int32
-    objective       what the score sums up: radius ratios, smallest angles or AMIPS energies
+    objective       what the score sums up: radius ratios, smallest angles or AMIPS energies, or
+                    radius ratios and the logarithm of the least altitude
     """
     shapes = cell_shapes(points, cells)
     q: NDArray[np.float64] = shapes[:, 0]
@@ -119,7 +136,10 @@ def figures(
         mean + POLICY.score_p1 * p1 + POLICY.score_least * least
         - POLICY.small_angle_price * counted
     )
-    if objective == "min_dihedral":
+    altitude = float(shapes[:, 3].min())
+    if objective == "time_step" and altitude > 0.0:
+        score += POLICY.score_altitude * math.log(altitude)
+    elif objective == "min_dihedral":
         regular = math.acos(1.0 / (cells.shape[1] - 1))
         angles = arccos(np.clip(shapes[:, 1], -1.0, 1.0)) / regular
         smallest, few, average = _spread(angles)
@@ -128,7 +148,7 @@ def figures(
         greatest, few, average = _spread(-amips_energies(points, cells))
         score = average + 0.5 * few + 0.25 * greatest
     return Figures(least, p1, mean, float(shapes[:, 1].max()), float(shapes[:, 2].min()), small,
-                   score)
+                   altitude, score)
 
 
 def _spread(values: NDArray[np.float64]) -> tuple[float, float, float]:

@@ -22,7 +22,7 @@ import odt_plugins
 from odt_plugins.cli import main as cli
 from odt_plugins.compare.hard import CLOUDS, delaunay
 from odt_plugins.engine.cells.extremes import Bounds, Extremes
-from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY, Cost
+from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY, STEP, Cost
 from odt_plugins.engine.finish import polishing
 from odt_plugins.engine.finish.phases import MEASURES as CODES
 from odt_plugins.engine.finish.phases import Descent, Phase, bulk, cautious, descents, polish, tail
@@ -45,8 +45,9 @@ from odt_plugins.quality import amips_energy, summarize
 
 DATA = Path(__file__).parents[2] / "data"
 AIRFOIL = Path(__file__).parents[3] / "examples" / "meshes" / "airfoil.vtu"
-OTHERS = ("min_dihedral", "amips")
-OTHER = pytest.mark.parametrize("measure", [MEAN_RATIO, DIHEDRAL], ids=["mean ratio", "dihedral"])
+OTHERS = ("min_dihedral", "amips", "time_step")
+OTHER = pytest.mark.parametrize("measure", [MEAN_RATIO, DIHEDRAL, STEP],
+                                ids=["mean ratio", "dihedral", "step"])
 
 
 def total(points, cells, measure, power):
@@ -111,7 +112,7 @@ def test_planar_finishing_flips_by_the_measure_of_its_phase(measure):
         regions = np.zeros(len(start), dtype=np.int32)
         found = {}
         for m in (QUALITY, measure):
-            phase = Phase(2.0, 1.0, 1, 1, objective=m)
+            phase = Phase(16.0 if m == STEP else 2.0, 1.0, 1, 1, objective=m)
             nothing = np.zeros(len(points), dtype=bool)
             found[m] = start.copy()
             mesh = Triangles(points, found[m], cell_neighbors(start), regions)
@@ -130,6 +131,10 @@ def angles(points, cells):
     if cells.shape[1] == 3:
         return pm.shape(points, cells)[1].min(axis=1)
     return tm.dihedral_angles(points, cells).min(axis=1)
+
+
+def altitudes(points, cells):
+    return (pm if cells.shape[1] == 3 else tm).altitudes(points, cells)
 
 
 def energies(points, cells):
@@ -164,6 +169,10 @@ def test_each_objective_is_better_in_its_own_figure(source, below):
     default, amips = (energies(*found[name]) for name in ("radius_ratio", "amips"))
     assert amips.max() < default.max()
     assert amips.mean() < default.mean()
+    start, default, step = (altitudes(*mesh).min() for mesh in
+                            ((mesh.points, mesh.cells), found["radius_ratio"], found["time_step"]))
+    assert step > 1.5 * start
+    assert step > 0.95 * default
 
 
 @pytest.mark.parametrize("objective", OTHERS)
@@ -211,6 +220,8 @@ def test_figures_rank_by_the_objective(d):
     shares["amips"] = -e.mean() - 0.5 * np.quantile(e, 0.99) - 0.25 * e.max()
     t = np.radians(angles(points, cells)) / np.arccos(1 / d)
     shares["min_dihedral"] = q.mean() + t.mean() + np.quantile(t, 0.01) + 0.5 * t.min()
+    shares["time_step"] = shares["radius_ratio"] + 4.0 * np.log(
+        altitudes(points, cells).min())
     for objective, score in shares.items():
         assert figures(points, cells, objective).score == pytest.approx(score, rel=1e-6)
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from planar_meshes import MEASURES
 
 from odt_plugins.engine.cells.extremes import Extremes
-from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY, Cost
+from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY, STEP, Cost
 from odt_plugins.engine.cells.triangle import triangle_measure
 from odt_plugins.engine.finish.plane import finish2d
 from odt_plugins.engine.moves.newton2d import smooth_vertices_2d, star_cost_2d
@@ -65,18 +65,20 @@ def finished(points, cells, regions, movable, **settings):
     return points, cells
 
 
-EVERY = pytest.mark.parametrize("objective", MEASURES, ids=["radius ratio", "mean ratio", "angle"])
+EVERY = pytest.mark.parametrize("objective", MEASURES,
+                                ids=["radius ratio", "mean ratio", "angle", "step"])
 
 
 @EVERY
 def test_measure_of_a_triangle(objective):
     regular = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, np.sqrt(0.75)]])
-    assert triangle_measure(regular, 0, 1, 2, objective) == pytest.approx(1.0, abs=1e-14)
+    best = 0.25**0.125 if objective == STEP else 1.0
+    assert triangle_measure(regular, 0, 1, 2, objective) == pytest.approx(best, abs=1e-14)
     assert triangle_measure(regular, 1, 0, 2, objective) < 0
     assert triangle_measure(np.zeros((3, 2)), 0, 1, 2, objective) <= 0
     right = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
     closed = {QUALITY: 2 * np.sqrt(2) - 2, MEAN_RATIO: 0.75,
-              DIHEDRAL: 4 / 3 * ((1 + 2 * 2**4) / 3) ** -0.25}
+              DIHEDRAL: 4 / 3 * ((1 + 2 * 2**4) / 3) ** -0.25, STEP: 0.25**0.125}
     assert triangle_measure(right, 0, 1, 2, objective) == pytest.approx(closed[objective])
     for seed in range(200):
         rng = np.random.default_rng(seed)
@@ -85,6 +87,7 @@ def test_measure_of_a_triangle(objective):
         assert m < 1.0
         assert triangle_measure(points, 1, 2, 0, objective) == pytest.approx(m, rel=1e-12)
         turned = 7.0 * points @ np.array([[0.6, 0.8], [-0.8, 0.6]]) - 3.0
+        m *= 7.0**0.25 if objective == STEP and m > 0.0 else 1.0
         assert triangle_measure(turned, 0, 1, 2, objective) == pytest.approx(m, rel=1e-9)
 
 

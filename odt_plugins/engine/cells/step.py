@@ -1,0 +1,105 @@
+"""Stable time step of a simplex, and its altitudes, with derivatives.
+
+With h_i the altitudes and wave speed 1, explicit central differences with linear elements and
+lumped masses are stable for every step of at most tau = (sum_i h_i^-2)^(-1/2) in all cells: on
+one cell the eigenvalues of K u = lambda M u are at most (d + 1) sum_i h_i^-2, those of the mesh
+are at most the greatest of its cells (Irons and Treharne), and a step of 2 / sqrt(lambda) is
+stable. tau is between the least altitude over sqrt(d + 1) and all of it.  The measure tau^(1/4) is
+below 1 in the unit of the engine, where a mesh has at most the size 1, and has no other unit.
+
+References
+----------
+B. M. Irons, G. Treharne, A bound theorem in eigenvalues and its practical applications, Proc. 3rd
+Conf. Matrix Methods in Structural Mechanics (1971).
+"""
+
+from __future__ import annotations
+
+import math
+
+from odt_plugins.engine.cells.corner import corner_edges, corner_normals, opposite_edges
+from odt_plugins.engine.cells.packed import add_identity, add_square
+from odt_plugins.engine.compiled.kernel import inner_kernel
+from odt_plugins.mesh.arrays import FloatArray
+
+ROOT = 0.125
+"""Exponent of tau^2 in the measure."""
+
+
+@inner_kernel
+def eighth_root(x: float) -> float:
+    """x^(1/8), by square roots."""
+    return math.sqrt(math.sqrt(math.sqrt(x)))
+
+
+@inner_kernel
+def _normal_squares(
+    points: FloatArray, i: int, j: int, k: int, l: int
+) -> tuple[float, float, float, float, float]:
+    """Six times the volume, and the squares of twice the four areas."""
+    ax, ay, az, bx, by, bz, cx, cy, cz = corner_edges(points, i, j, k, l)
+    px, py, pz, qx, qy, qz, rx, ry, rz = corner_normals(ax, ay, az, bx, by, bz, cx, cy, cz)
+    ox, oy, oz = px + qx + rx, py + qy + ry, pz + qz + rz
+    return (
+        ax * px + ay * py + az * pz,
+        px * px + py * py + pz * pz, qx * qx + qy * qy + qz * qz,
+        rx * rx + ry * ry + rz * rz, ox * ox + oy * oy + oz * oz,
+    )
+
+
+@inner_kernel
+def tet_altitude(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
+    """Least altitude of tetrahedron (i, j, k, l); negative if inverted."""
+    det, p, q, r, o = _normal_squares(points, i, j, k, l)
+    most = max(max(p, q), max(r, o))
+    return det / math.sqrt(most) if most > 0.0 else 0.0
+
+
+@inner_kernel
+def tet_step(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
+    """Fourth root of tau, det^2 / sum |n_i|^2 = tau^2, of a tetrahedron; -1 if not positive."""
+    det, p, q, r, o = _normal_squares(points, i, j, k, l)
+    square = det * det
+    if not (det > 0.0 and square > 0.0):
+        return -1.0
+    return eighth_root(square / (p + q + r + o))
+
+
+@inner_kernel
+def step_terms(points: FloatArray, v: int, i: int, j: int, k: int, out: FloatArray) -> bool:
+    """Write m = :func:`tet_step` of (v, i, j, k), gradient and Hessian of log m in x_v.
+
+    ``out`` is packed as in ``packed``.  False when the cell is not positive.  The normal n of a
+    face at v, whose edge opposite to v is e, changes by dx x e: |n|^2 is quadratic in x_v.
+    """
+    ax, ay, az, bx, by, bz, cx, cy, cz = corner_edges(points, v, i, j, k)
+    px, py, pz, qx, qy, qz, rx, ry, rz = corner_normals(ax, ay, az, bx, by, bz, cx, cy, cz)
+    ex, ey, ez, fx, fy, fz, gx, gy, gz = opposite_edges(ax, ay, az, bx, by, bz, cx, cy, cz)
+    ox, oy, oz = px + qx + rx, py + qy + ry, pz + qz + rz
+    det = ax * px + ay * py + az * pz
+    total = (
+        px * px + py * py + pz * pz + qx * qx + qy * qy + qz * qz
+        + rx * rx + ry * ry + rz * rz + ox * ox + oy * oy + oz * oz
+    )
+    square = det * det
+    if not (det > 0.0 and square > 0.0):
+        return False
+    # gradients of log det and log total
+    dx, dy, dz = -ox / det, -oy / det, -oz / det
+    w = 2.0 / total
+    tx = w * ((ey * pz - ez * py) + (fy * qz - fz * qy) + (gy * rz - gz * ry))
+    ty = w * ((ez * px - ex * pz) + (fz * qx - fx * qz) + (gz * rx - gx * rz))
+    tz = w * ((ex * py - ey * px) + (fx * qy - fy * qx) + (gx * ry - gy * rx))
+    out[:] = 0.0
+    out[0] = eighth_root(square / total)
+    out[1] = ROOT * (2.0 * dx - tx)
+    out[2] = ROOT * (2.0 * dy - ty)
+    out[3] = ROOT * (2.0 * dz - tz)
+    ee = ex * ex + ey * ey + ez * ez + fx * fx + fy * fy + fz * fz + gx * gx + gy * gy + gz * gz
+    add_identity(out, -ROOT * w * ee)
+    add_square(out, ROOT * w, ex, ey, ez)
+    add_square(out, ROOT * w, fx, fy, fz)
+    add_square(out, ROOT * w, gx, gy, gz)
+    add_square(out, ROOT, tx, ty, tz)
+    add_square(out, -2.0 * ROOT, dx, dy, dz)
+    return True
