@@ -15,19 +15,20 @@ from odt_plugins.compare.output import FILES, write_all
 from odt_plugins.compare.rows import MeshResult, Row, compare_on
 from odt_plugins.compare.runner import Limits
 from odt_plugins.compare.score import score_table, verdict
-from odt_plugins.compare.start import SEED, read_start
+from odt_plugins.compare.start import SEED, read_start, stored
 from odt_plugins.compare.start import suite as suite_meshes
 from odt_plugins.compare.table import as_text
 from odt_plugins.compare.template import check_page
 
-CHOSEN_SUITES = ("standard", "large", "hard")
+CHOSEN_SUITES = ("standard", "large", "hard", "tangled")
 
 
 @click.command(short_help="Measure other tools on the same meshes.")
 @click.argument("sources", metavar="[MESH]...", nargs=-1, type=click.Path(path_type=Path))
 @click.option("--suite", type=click.Choice(CHOSEN_SUITES),
               help="Start meshes of the package: modest ones of every kind, millions of cells, or "
-                   "hard ones, on which odt-plugins alone is run and its promise checked.")
+                   "hard ones, on which odt-plugins alone is run and its promise checked; "
+                   "tangled: every MESH, or the package's, with vertices that turn cells over.")
 @click.option("--against", metavar="TOOL", multiple=True,
               help="Compare with this tool only (gmsh, netgen, mmg, cgal, tetwild, laplacian, "
                    "pymeshlab, open3d, odt-plugins, or the name of a row); may be repeated. "
@@ -76,6 +77,14 @@ def compare(
         return _run_scaling(out, smallest, largest, threads, parts)
     if suite == "hard":
         return _run_hard(out, threads, alone=not (sources or against))
+    if suite == "tangled":
+        from odt_plugins.compare.tangled import FILE, run_tangled
+
+        meshes = [read_start(path) for path in sources] or [stored("bunny"), stored("bone")]
+        click.echo(run_tangled(out, meshes, against, Limits(time_limit or 60.0, repeats, 2.0,
+                               threads), say=lambda name: click.echo(name, err=True)))
+        click.echo(f"written: {out / FILE}")
+        return 0
     if not sources and suite is None:
         msg = "nothing to compare on; give a mesh file, or --suite standard"
         raise click.UsageError(msg)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.util
 import itertools
+import re
 import shutil
 import subprocess
 import sys
@@ -99,6 +100,17 @@ def test_surfaces_are_measured_and_drawn(here, tmp_path_factory, capsys, monkeyp
     assert float(after[4]) > float(before[4]) + 0.05
     assert 0 < max(float(after[8]), float(after[9])) <= 4.0
     assert min(colours(here / "ball.png")) > 50
+
+
+def test_a_rotor_turns_and_no_cell_stays_inverted(here, capsys, monkeypatch):
+    pytest.importorskip("matplotlib")
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    example("rotor").main(["--steps", "2", "--turn", "40", "--size", "0.15",
+                           "--picture", str(here / "rotor.png")])
+    steps = [line for line in capsys.readouterr().out.splitlines() if line.startswith("step")]
+    assert len(steps) == 2
+    assert all(re.search(r" [1-9]\d* cells inverted before, 0 after", line) for line in steps)
+    assert min(colours(here / "rotor.png")) > 5
 
 
 def test_a_sizing_field_is_kept():

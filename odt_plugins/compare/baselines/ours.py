@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Any
 
 from odt_plugins.compare.baselines.task import Settings, Task
@@ -23,8 +24,14 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
 
 
 def warm_up(start: StartMesh, settings: Settings) -> None:
-    """Compile the kernels, or load them from numba's cache, on a mesh of a few cells."""
+    """Compile the kernels, or load them from numba's cache, on a mesh of a few cells.
+
+    It has inverted cells where the start has some.
+    """
     from odt_plugins.compare.start import ball, pebble, plate
+    from odt_plugins.compare.tangled import inverted, tangles
 
     small = {"tets": ball, "planar": plate, "surface": pebble}[start.kind](60)
+    if start.kind != "surface" and inverted(start.points, start.cells).any():
+        small = replace(small, points=next(tangles(small))[1])
     prepare(small, settings).call()
