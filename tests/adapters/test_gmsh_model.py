@@ -337,3 +337,34 @@ def test_the_method_of_gmsh_does_what_the_function_does():
         gmsh.model.mesh.odt(round=3)
     assert gmsh_model.matches(gmsh.model)
     assert not gmsh_model.matches(gmsh.model.mesh)
+
+
+def judged_by_gmsh():
+    """Qualities of all tetrahedra of the current model by Gmsh's plugin, sorted."""
+    for name in ("ICNMeasure", "CreateView", "Recompute"):
+        gmsh.plugin.setNumber("AnalyseMeshQuality", name, 1)
+    gmsh.plugin.setNumber("AnalyseMeshQuality", "DimensionOfElements", 3)
+    gmsh.plugin.run("AnalyseMeshQuality")
+    view = gmsh.view.getTags()[-1]
+    values = np.sort(np.ravel(gmsh.view.getModelData(view, 0)[2]))
+    gmsh.view.remove(view)
+    return values
+
+
+@pytest.mark.parametrize("options", [{}, {"insert": True}, {"boundary": "slide"}])
+def test_the_quality_plugin_of_gmsh_and_a_written_file_agree(options, tmp_path):
+    with part() as model:
+        before = judged_by_gmsh()
+        _, report = odt_plugins.optimize_with_report(model, **options)
+        after = judged_by_gmsh()
+        assert len(after) == report.after.n_cells
+        assert after.mean() > before.mean()
+        assert after.min() > before.min()
+        gmsh.option.setNumber("Mesh.SaveAll", 1)
+        gmsh.option.setNumber("Mesh.Binary", 1)
+        gmsh.write(str(tmp_path / "part.msh"))
+        name = model.getCurrent()
+        gmsh.open(str(tmp_path / "part.msh"))
+        assert np.array_equal(judged_by_gmsh(), after)
+        gmsh.model.remove()
+        gmsh.model.setCurrent(name)
