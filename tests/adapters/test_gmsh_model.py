@@ -209,6 +209,30 @@ def test_vertices_of_a_cad_face_slide_on_it(kind, order, tmp_path):
     assert 0.85 * volume < size < volume
 
 
+def test_vertices_slide_on_the_parametrisation_of_a_surface_from_a_file(tmp_path):
+    first = contract.GmshModel().current()
+    first.occ.addTorus(0, 0, 0, 1, 0.4)
+    first.occ.synchronize()
+    gmsh.option.setNumber("Mesh.MeshSizeMax", 0.2)
+    first.mesh.generate(2)
+    gmsh.write(str(tmp_path / "torus.stl"))
+    model = contract.GmshModel().current()
+    gmsh.merge(str(tmp_path / "torus.stl"))
+    model.mesh.classifySurfaces(np.pi / 4, True, True, np.pi)
+    model.mesh.createGeometry()
+    loop = model.geo.addSurfaceLoop([tag for _, tag in model.getEntities(2)])
+    model.geo.addVolume([loop])
+    model.geo.synchronize()
+    gmsh.option.setNumber("Mesh.MeshSizeMax", 0.5)
+    model.mesh.generate(3)
+    assert {model.getType(*entity) for entity in model.getEntities(2)} == {"Discrete surface"}
+    before = dump(model)
+    odt_plugins.optimize(model, boundary="slide")
+    assert off_the_geometry(model)[0] < 1e-5
+    assert sum(not np.array_equal(before[e][1], part[1]) for e, part in dump(model).items()
+               if e[0] == 2) > 1
+
+
 def test_faces_of_a_model_without_volumes_stay_on_it():
     for options in ({}, {"boundary": "slide"}):
         with part(2) as model:
