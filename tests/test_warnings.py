@@ -135,8 +135,9 @@ def soup(place, monkeypatch):
 
 def levels_of_refinement(place, monkeypatch):
     from netgen.csg import unit_cube
+    from ngsolve import Mesh
 
-    mesh = unit_cube.GenerateMesh(maxh=1.0)
+    mesh = Mesh(unit_cube.GenerateMesh(maxh=1.0))
     mesh.Refine()
     odt_plugins.optimize(mesh)
 
