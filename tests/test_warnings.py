@@ -133,7 +133,17 @@ def soup(place, monkeypatch):
     odt_plugins.optimize((start.points[start.cells].reshape(-1, 3), cells))
 
 
+def levels_of_refinement(place, monkeypatch):
+    from netgen.csg import unit_cube
+    from ngsolve import Mesh
+
+    mesh = Mesh(unit_cube.GenerateMesh(maxh=1.0))
+    mesh.Refine()
+    odt_plugins.optimize(mesh)
+
+
 CASES = {
+    "adapters/netgen_mesh.py": (levels_of_refinement,),
     "adapters/gmsh_files.py": (section,),
     "roundtrip.py": (soup,),
     "adapters/files.py": (dropped, unknown),

@@ -293,12 +293,12 @@ def _geometry(
 ) -> Geometry | None:
     """The faces and curves of the model, unless all are discrete."""
     keys = list(parts)
-    shaped = _shaped(model, keys)
+    shaped = _shaped(model, parts)
     if not any(keys[i][0] == 2 for i in shaped):
         return None
 
     def closest(vertices: NDArray[Any], places: NDArray[np.float64]) -> NDArray[np.float64]:
-        return _put_on(model, keys, np.where(vertices < 0, -1, entity[vertices]), places)
+        return _put_on(model, parts, np.where(vertices < 0, -1, entity[vertices]), places)
 
     def sag() -> float:
         most = 0.0
@@ -310,7 +310,7 @@ def _geometry(
                 x = where[corners]
                 middle = np.concatenate([x.mean(axis=1), *(
                     0.5 * (x[:, a] + x[:, b]) for a, b in ((0, 1), (1, 2), (2, 0)))])
-                there = _put_on(model, keys, np.full(len(middle), i), middle)
+                there = _put_on(model, parts, np.full(len(middle), i), middle)
                 most = max(most, float(np.linalg.norm(there - middle, axis=1).max()))
         return most
 
@@ -318,18 +318,21 @@ def _geometry(
     return Geometry(closest, sag, np.flatnonzero(np.isin(entity, curves)))
 
 
-def _shaped(model: Any, keys: list[Entity]) -> list[int]:
-    """Which of the entities are curves and faces that are more than their mesh."""
-    return [i for i, key in enumerate(keys)
-            if key[0] in (1, 2) and model.getType(*key) not in WITHOUT_GEOMETRY]
+def _shaped(model: Any, parts: dict[Entity, Part]) -> list[int]:
+    """Which of the entities are curves and faces that are more than their mesh.
+
+    Discrete ones are where Gmsh has found a parametrisation of them (`createGeometry`).
+    """
+    return [i for i, (key, part) in enumerate(parts.items()) if key[0] in (1, 2) and (
+        part.parameters.size or model.getType(*key) not in WITHOUT_GEOMETRY)]
 
 
 def _put_on(
-    model: Any, keys: list[Entity], of: IntArray, places: NDArray[np.float64]
+    model: Any, parts: dict[Entity, Part], of: IntArray, places: NDArray[np.float64]
 ) -> NDArray[np.float64]:
     """Places (k, 3) nearest to given ones on entities `of` (k,), where these are shaped."""
-    out = places.copy()
-    for i in np.intersect1d(of, _shaped(model, keys)).tolist():
+    out, keys = places.copy(), list(parts)
+    for i in np.intersect1d(of, _shaped(model, parts)).tolist():
         found = model.getClosestPoint(*keys[i], places[of == i].ravel())[0]
         out[of == i] = np.asarray(found).reshape(-1, 3)
     return out
@@ -360,7 +363,7 @@ def _new_parts(model: Any, result: Result, host: HostMesh) -> dict[Entity, Part]
     if host.higher_order:
         between = fresh | (points != host.points[origin]).any(axis=1)
         between[cells[:, : layout.kind.corners]] = False
-        points[between] = _put_on(model, list(layout.parts), entity[between], points[between])
+        points[between] = _put_on(model, layout.parts, entity[between], points[between])
         warn_of_folds(host.points, layout.nodes, replace(q, points=points))
     tags = layout.tags[origin]
     free = np.setdiff1d(layout.tags, tags[~fresh]) if host.higher_order else np.zeros(0, np.int64)

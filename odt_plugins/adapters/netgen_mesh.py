@@ -91,18 +91,26 @@ def write(result: Result, host: HostMesh) -> Any:
 
     Warns
     -----
-    DataNotKeptWarning    a deformation or absorbing layers of ngsolve.Mesh are lost
+    DataNotKeptWarning    levels of refinement, or a deformation or absorbing layers of
+                          ngsolve.Mesh, are lost
     """
     inner = _inner(host.source)
     order = max(int(inner.GetCurveOrder()), 1)
     out = inner.Copy()
     _fill(out, result, host)
-    _identify(out, inner, result)
+    _identify(out, inner, result, host)
     if order > 1:
         out.Curve(order)
-    if is_instance(host.source, "ngsolve", "Mesh"):
-        return _wrapped(host.source, out)
-    return out
+    wraps = is_instance(host.source, "ngsolve", "Mesh")
+    lost = [name for name, there in (
+        ("levels of refinement", len(inner.parentelements) > 0),
+        ("the deformation", wraps and host.source.deformation is not None),
+        ("absorbing layers", wraps and any(
+            trafo is not None for trafo in host.source.GetPMLTrafos())),
+    ) if there]
+    if lost:
+        warn(f"{' and '.join(lost)} of the mesh are not kept", DataNotKeptWarning)
+    return type(host.source)(out) if wraps else out
 
 
 def in_words(text: str) -> str:
@@ -237,22 +245,19 @@ def _fill(out: Any, result: Result, host: HostMesh) -> None:
         raise InvalidMeshError(msg)
 
 
-def _identify(out: Any, source: Any, result: Result) -> None:
-    """Identify the same points, which Netgen's copy does not; they are on the boundary."""
-    for one, other, number in source.GetIdentifications():
-        pair = [one, other]
-        if result.vertices is not None:
-            pair = [type(p)(int(result.vertices.number[p.nr - 1]) + 1) for p in pair]
-        out.AddPointIdentification(*pair, number, source.GetIdentificationType(number))
+def _identify(out: Any, source: Any, result: Result, host: HostMesh) -> None:
+    """Identify the same points, which Netgen's copy does not; they are on the boundary.
 
-
-def _wrapped(source: Any, inner: Any) -> Any:
-    """A mesh of NGSolve around one of Netgen."""
-    lost = [name for name, there in (
-        ("the deformation", source.deformation is not None),
-        ("absorbing layers", any(trafo is not None for trafo in source.GetPMLTrafos())),
-    ) if there]
-    if lost:
-        msg = f"{' and '.join(lost)} of the mesh are not kept; try setting them on the result"
-        warn(msg, DataNotKeptWarning)
-    return type(source)(inner)
+    Raises
+    ------
+    UnsupportedMeshError    they moved, and no longer correspond
+    """
+    number = np.arange(len(host.points)) if result.vertices is None else result.vertices.number
+    for one, other, which in source.GetIdentifications():
+        old = np.array([one.nr - 1, other.nr - 1])
+        if not np.array_equal(result.points[number[old]], host.points[old]):
+            msg = (f"got identified points, such as {old[0]} and {old[1]}, that would no longer "
+                   f"correspond; expected none that move, try boundary='fixed'")
+            raise UnsupportedMeshError(msg)
+        pair = (type(p)(int(number[p.nr - 1]) + 1) for p in (one, other))
+        out.AddPointIdentification(*pair, which, source.GetIdentificationType(which))

@@ -50,7 +50,8 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     UnsupportedMeshError       cells other than triangles and tetrahedra, or none
     InvalidOptionError         there is no subdomain of that name
     """
-    kind = type(mesh).__name__
+    # That of scikit-fem, of which a class of the caller's is made.
+    kind = next(base.__name__ for base in type(mesh).__mro__ if base.__module__[:5] == "skfem")
     order = ORDERS.get(kind)
     if order is None:
         msg = (f"got a {kind}; expected MeshTri, MeshTet, MeshTri2 or MeshTet2, try "

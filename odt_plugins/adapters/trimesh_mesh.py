@@ -11,6 +11,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
+from copy import deepcopy
 from typing import Any
 
 import numpy as np
@@ -78,6 +79,8 @@ def write(result: Result, host: HostMesh) -> Any:
     same = np.array_equal(result.cells, host.cells) and np.array_equal(result.points, host.points)
     out = mesh.copy(include_cache=same)
     out.__class__ = type(mesh)
+    vars(out).update({name: deepcopy(value) for name, value in vars(mesh).items()
+                      if name not in vars(out)})
     if same:
         return out
     colours = np.array(mesh.visual.face_colors) if mesh.visual.kind == "face" else None

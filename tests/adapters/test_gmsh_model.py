@@ -209,6 +209,30 @@ def test_vertices_of_a_cad_face_slide_on_it(kind, order, tmp_path):
     assert 0.85 * volume < size < volume
 
 
+def test_vertices_slide_on_the_parametrisation_of_a_surface_from_a_file(tmp_path):
+    first = contract.GmshModel().current()
+    first.occ.addTorus(0, 0, 0, 1, 0.4)
+    first.occ.synchronize()
+    gmsh.option.setNumber("Mesh.MeshSizeMax", 0.2)
+    first.mesh.generate(2)
+    gmsh.write(str(tmp_path / "torus.stl"))
+    model = contract.GmshModel().current()
+    gmsh.merge(str(tmp_path / "torus.stl"))
+    model.mesh.classifySurfaces(np.pi / 4, True, True, np.pi)
+    model.mesh.createGeometry()
+    loop = model.geo.addSurfaceLoop([tag for _, tag in model.getEntities(2)])
+    model.geo.addVolume([loop])
+    model.geo.synchronize()
+    gmsh.option.setNumber("Mesh.MeshSizeMax", 0.5)
+    model.mesh.generate(3)
+    assert {model.getType(*entity) for entity in model.getEntities(2)} == {"Discrete surface"}
+    before = dump(model)
+    odt_plugins.optimize(model, boundary="slide")
+    assert off_the_geometry(model)[0] < 1e-5
+    assert sum(not np.array_equal(before[e][1], part[1]) for e, part in dump(model).items()
+               if e[0] == 2) > 1
+
+
 def test_faces_of_a_model_without_volumes_stay_on_it():
     for options in ({}, {"boundary": "slide"}):
         with part(2) as model:
@@ -337,3 +361,34 @@ def test_the_method_of_gmsh_does_what_the_function_does():
         gmsh.model.mesh.odt(round=3)
     assert gmsh_model.matches(gmsh.model)
     assert not gmsh_model.matches(gmsh.model.mesh)
+
+
+def judged_by_gmsh():
+    """Qualities of all tetrahedra of the current model by Gmsh's plugin, sorted."""
+    for name in ("ICNMeasure", "CreateView", "Recompute"):
+        gmsh.plugin.setNumber("AnalyseMeshQuality", name, 1)
+    gmsh.plugin.setNumber("AnalyseMeshQuality", "DimensionOfElements", 3)
+    gmsh.plugin.run("AnalyseMeshQuality")
+    view = gmsh.view.getTags()[-1]
+    values = np.sort(np.ravel(gmsh.view.getModelData(view, 0)[2]))
+    gmsh.view.remove(view)
+    return values
+
+
+@pytest.mark.parametrize("options", [{}, {"insert": True}, {"boundary": "slide"}])
+def test_the_quality_plugin_of_gmsh_and_a_written_file_agree(options, tmp_path):
+    with part() as model:
+        before = judged_by_gmsh()
+        _, report = odt_plugins.optimize_with_report(model, **options)
+        after = judged_by_gmsh()
+        assert len(after) == report.after.n_cells
+        assert after.mean() > before.mean()
+        assert after.min() > before.min()
+        gmsh.option.setNumber("Mesh.SaveAll", 1)
+        gmsh.option.setNumber("Mesh.Binary", 1)
+        gmsh.write(str(tmp_path / "part.msh"))
+        name = model.getCurrent()
+        gmsh.open(str(tmp_path / "part.msh"))
+        assert np.array_equal(judged_by_gmsh(), after)
+        gmsh.model.remove()
+        gmsh.model.setCurrent(name)

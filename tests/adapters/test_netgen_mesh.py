@@ -159,6 +159,8 @@ def test_periodic_identifications_stay():
             apart = places[b.nr - 1] - places[a.nr - 1]
             assert np.abs(apart) == pytest.approx([1, 0, 0], abs=1e-9)
             assert out.GetIdentificationType(number) == IdentificationType.PERIODIC
+    with pytest.raises(UnsupportedMeshError, match="identified points"):
+        odt_plugins.optimize(mesh, boundary="slide")
 
 
 def test_what_ngsolve_adds_is_lost_with_a_warning():
@@ -171,6 +173,11 @@ def test_what_ngsolve_adds_is_lost_with_a_warning():
         out = odt_plugins.optimize(mesh)
     assert out.deformation is None
     assert mesh.deformation is not None
+    mesh = ngsolve.Mesh(part(0.8))
+    mesh.Refine()
+    with pytest.warns(DataNotKeptWarning, match="^levels of refinement of the mesh"):
+        out = odt_plugins.optimize(mesh)
+    assert figures(out)[0] == pytest.approx(figures(mesh)[0], rel=1e-9)
 
 
 def test_what_cannot_be_kept_is_named():

@@ -101,7 +101,18 @@ def test_regions_are_named_by_subdomains():
     assert odt_plugins.optimize(plain).subdomains is None
 
 
+def test_a_class_of_the_users_comes_back():
+    class Mine(skfem.MeshTri1):
+        pass
+
+    plain = start(2)
+    assert type(odt_plugins.optimize(Mine(plain.doflocs, plain.t))) is Mine
+
+
 def test_other_meshes_of_skfem_are_refused():
+    with pytest.raises(UnsupportedMeshError, match="got a MeshTri1DG"):
+        odt_plugins.optimize(skfem.MeshTri1DG.init_tensor(np.linspace(0, 1, 3),
+                                                          np.linspace(0, 1, 3)))
     with pytest.raises(UnsupportedMeshError, match=r"MeshQuad1; .*to_meshtri\(\)"):
         odt_plugins.optimize(skfem.MeshQuad())
     assert odt_plugins.optimize(skfem.MeshQuad().to_meshtri()).nelements == 2

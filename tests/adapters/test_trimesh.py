@@ -56,14 +56,17 @@ def test_texture_coordinates_are_interpolated():
 
 def test_a_class_of_the_users_comes_back_and_normals_that_were_set_do_where_nothing_moved():
     class Mine(trimesh.Trimesh):
-        pass
+        mine = None
 
     mesh = Mine(*sm.bowl(5), process=False)
+    mesh.mine = ["kept"]
     mesh.vertex_normals = np.tile([0.6, 0.0, 0.8], (len(mesh.vertices), 1))
     mesh.face_normals = -mesh.face_normals
     out = odt_plugins.optimize(mesh, fixed=np.ones(len(mesh.vertices), bool), connectivity="none",
                                finish=False)
     assert type(out) is Mine
+    assert out.mine == ["kept"]
+    assert out.mine is not mesh.mine
     assert np.array_equal(out.vertex_normals, mesh.vertex_normals)
     out.vertices[0] += 1.0
     assert not np.array_equal(out.vertices, mesh.vertices)

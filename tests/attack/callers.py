@@ -15,8 +15,8 @@ from attack.shapes import RandomMesh
 
 Rng = np.random.Generator
 
-NOT_ANY = ("file", "gmsh", "netgen", "ngsolve", "skfem")
-"""Hosts whose objects cannot be made of any mesh at all, such as one with two other labels."""
+NOT_ANY = ("dlpack", "file", "gmsh", "netgen", "ngsolve", "skfem")
+"""Hosts that are none here, or whose objects cannot be made of any mesh with any labels."""
 
 
 class Caller(NamedTuple):

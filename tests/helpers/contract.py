@@ -691,7 +691,7 @@ def _file(suffix, dim):
     return Host(make, view, dim, region, optimize=optimize, fields=True)
 
 
-def _quadratic(kind, dim):
+def _quadratic(kind, dim, word="cells"):
     """A grid of quadratic cells, corners first, with data that are linear on every edge."""
 
     def make(mesh=None):
@@ -710,7 +710,7 @@ def _quadratic(kind, dim):
         return View(nodes[:n], rows[:, : dim + 1], {k: v[:n] for k, v in point.items()}, cell, {},
                     mid=mid)
 
-    return Host(make, view, dim, "marker", optimize=partial(odt_plugins.optimize, fields="keep"))
+    return Host(make, view, dim, "marker", word, partial(odt_plugins.optimize, fields="keep"))
 
 
 def add_pymeshlab_attributes(mesh, labels):
@@ -985,11 +985,14 @@ HOSTS = {
     "pyvista-quadratic-tri": _quadratic("pyvista", 2),
     "meshio-quadratic-tet": _quadratic("meshio", 3),
     "meshio-quadratic-tri": _quadratic("meshio", 2),
+    "skfem-quadratic-tet": _quadratic("skfem", 3, "elements"),
+    "skfem-quadratic-tri": _quadratic("skfem", 2, "elements"),
     **{f"file{suffix}-{dim}d": _file(suffix, dim) for suffix in FILES for dim in (2, 3)},
 }
 
 CURVED = [name for name, host in HOSTS.items()
-          if host.dim == 2 and name not in ("arrays-tri", "dlpack-tri", "skfem-tri")]
+          if host.dim == 2 and name not in (
+              "arrays-tri", "dlpack-tri", "skfem-tri", "skfem-quadratic-tri")]
 """Hosts that hold triangles in space."""
 
 

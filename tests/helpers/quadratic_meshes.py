@@ -65,8 +65,24 @@ def _meshio(points, rows, labels, point, dim):
                        cell_data={"marker": [labels], "origin": [np.arange(len(rows))]})
 
 
+def _skfem(points, rows, labels, point, dim):
+    """Without point data, which scikit-fem has none of; the labels as subdomains."""
+    import skfem
+
+    kind = {2: skfem.MeshTri2, 3: skfem.MeshTet2}[dim]
+    rows = rows if len(rows) else rows[:, : dim + 1]
+    mesh = kind(points.T.copy(), rows.T.astype(np.int32), validate=False)
+    names = {f"{label}": np.flatnonzero(labels == label) for label in np.unique(labels)}
+    return mesh.with_subdomains(names) if len(rows) else mesh
+
+
 def view(mesh, dim):
-    """Nodes, rows, point and cell data of a mesh of either kind; planar nodes in the plane."""
+    """Nodes, rows, point and cell data of a mesh of any kind; planar nodes in the plane."""
+    if hasattr(mesh, "doflocs"):
+        labels = np.zeros(mesh.t.shape[1], dtype=int)
+        for name, members in mesh.subdomains.items():
+            labels[members] = int(name)
+        return mesh.doflocs.T.copy(), mesh.dofs.element_dofs.T.copy(), {}, {"marker": labels}
     width = 3 if np.any(np.asarray(mesh.points)[:, dim:]) else dim
     if isinstance(mesh, meshio.Mesh):
         return (mesh.points[:, :width], mesh.cells[0].data, dict(mesh.point_data),
@@ -76,5 +92,5 @@ def view(mesh, dim):
             {name: np.array(mesh.cell_data[name]) for name in mesh.cell_data})
 
 
-MAKERS = {"pyvista": _pyvista, "meshio": _meshio}
+MAKERS = {"pyvista": _pyvista, "meshio": _meshio, "skfem": _skfem}
 """Each makes a mesh of nodes, rows, labels, point data and the dimension."""

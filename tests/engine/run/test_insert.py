@@ -408,7 +408,7 @@ def test_other_meshes_are_refused_before_any_work(name, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     host = contract.HOSTS[name]
     monkeypatch.setattr(driver, "run", lambda *_: pytest.fail("work was done"))
-    what = "triangles|faces" if host.dim == 2 else "cells of higher order"
+    what = "triangles|faces" if host.dim == 2 else f"{host.word} of higher order"
     with pytest.raises(InvalidOptionError, match=f"insert=True for a mesh of ({what})"):
         host.optimize(host.make(), insert=True)
 
