@@ -20,7 +20,8 @@ class Phase:
     share : float    part of the cells, worst first, that it starts from
     rounds : int     most rounds of flips and smoothing
     sweeps : int     sweeps of smoothing in a round
-    compound : int   passes of compound moves over the same share afterwards (d = 3)
+    compound : int   passes of compound moves over the same share: afterwards in space, before in
+                     the plane
     objective : int  the cell measure in the cost, see ``tetrahedron.tet_cost``
     guard : float or None
         no new cell gets a worse radius ratio than this share of the cells has when the phase
@@ -30,7 +31,8 @@ class Phase:
         angle, or many cells (``POLICY.many_small_angles``) have; nor a smaller angle than all
         cells have when the phase starts; None: than the input (d = 3)
     enough : float
-        of the cells whose measure reaches this only a tenth of the share is worked on (d = 3)
+        of the cells whose measure reaches this only a tenth of the share is worked on, in the
+        plane by compound moves
     name : str
         what the phase is for; phases with one name serve one purpose
     """
@@ -71,16 +73,19 @@ MEASURES = {"radius_ratio": QUALITY, "amips": MEAN_RATIO, "min_dihedral": DIHEDR
             "time_step": STEP}
 
 TAILS = {
-    ("radius_ratio", 2): ((4.0, 0.05, 10, 2, 0), (8.0, 0.01, 10, 2, 0), (16.0, 0.003, 10, 2, 0)),
+    ("radius_ratio", 2): ((4.0, 0.1, 4, 2, 3), (8.0, 0.01, 4, 2, 2), (32.0, 0.003, 6, 2, 3)),
     ("radius_ratio", 3): ((2.0, 0.1, 2, 3, 0), (4.0, 0.03, 2, 3, 3), (8.0, 0.002, 2, 3, 0)),
-    ("amips", 2): ((2.0, 0.03, 10, 2, 0), (8.0, 0.003, 10, 2, 0), (16.0, 0.001, 2, 2, 0)),
+    ("amips", 2): ((2.0, 0.1, 4, 2, 3), (8.0, 0.01, 4, 2, 2), (32.0, 0.003, 6, 2, 3)),
     ("amips", 3): ((0.5, 0.1, 2, 3, 3), (2.0, 0.01, 2, 3, 3), (8.0, 0.002, 2, 3, 3)),
-    ("min_dihedral", 2): ((4.0, 0.05, 10, 2, 0), (8.0, 0.003, 10, 2, 0), (16.0, 0.001, 4, 2, 0)),
+    ("min_dihedral", 2): ((4.0, 0.1, 4, 2, 3), (8.0, 0.003, 4, 2, 2), (16.0, 0.001, 6, 2, 3)),
     ("min_dihedral", 3): ((1.0, 0.03, 2, 3, 3), (2.0, 0.01, 2, 3, 3), (8.0, 0.002, 2, 3, 3)),
     ("time_step", 2): ((16.0, 0.05, 10, 2, 0), (32.0, 0.01, 10, 2, 0), (64.0, 0.003, 10, 2, 0)),
     ("time_step", 3): ((16.0, 0.03, 2, 3, 3), (32.0, 0.01, 2, 3, 3), (64.0, 0.002, 2, 3, 3)),
 }
 """Power, share, rounds, sweeps and compound passes of the phases for the worst cells."""
+
+GOOD_TRIANGLE = 0.93
+"""Measure of a triangle in the plane around which hardly a compound move pays."""
 
 EXTREMES = {"min_quality", "min_angle", "max_angle", "min_altitude"}
 """Figures of single cells."""
@@ -102,8 +107,9 @@ def bulk(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
 
 def tail(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
     """Phases for the worst cells: fewer and fewer of them, a larger and larger p."""
+    enough = GOOD_TRIANGLE if dim == 2 else 1.0
     return tuple(
-        Phase(*row, MEASURES[objective], name=f"tail {k}")
+        Phase(*row, MEASURES[objective], enough=enough, name=f"tail {k}")
         for k, row in enumerate(TAILS[objective, dim], 1)
     )
 

@@ -5,6 +5,7 @@ A small p over the whole mesh serves the mean, a large p near the worst triangle
 
 from __future__ import annotations
 
+import math
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -16,7 +17,8 @@ from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.finish.descent import finish_phase
 from odt_plugins.engine.finish.phases import Phase, bulk, tail
 from odt_plugins.engine.finish.triangles import TriangleDescent
-from odt_plugins.engine.moves.flips2d import quality_flips
+from odt_plugins.engine.moves.compound2d import compound_pass_2d, excess_degrees
+from odt_plugins.engine.moves.flips2d import Rule, number_edges, quality_flips
 from odt_plugins.engine.moves.newton2d import smooth_vertices_2d
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import cell_shapes
@@ -61,9 +63,9 @@ def finish2d(
         )
     flips = moves = 0
     for phase in bulk(2) + tail(2) if phases is None else phases:
-        done = finish_phase(
-            _PlaneDescent(mesh, phase, bounds, free, movable_cells, pool, threads), phase
-        )
+        descent = _PlaneDescent(mesh, phase, bounds, free, movable_cells, pool, threads)
+        flips += descent.compound()
+        done = finish_phase(descent, phase)
         flips += done[0]
         moves += done[1]
     return flips, moves
@@ -80,7 +82,9 @@ class _PlaneDescent(TriangleDescent):
     ) -> None:
         super().__init__(mesh.points, mesh.cells, phase)
         self.mesh, self.bounds, self.free = mesh, bounds, free
-        self.movable_cells, self.pool, self.threads = movable_cells, pool, threads
+        self.pool, self.threads = pool, threads
+        every: BoolArray = np.ones(len(mesh.cells), dtype=np.bool_)
+        self.movable_cells = every if movable_cells is None else movable_cells
 
     def measures(self) -> FloatArray:
         """Measure of every triangle, (m,)."""
@@ -93,6 +97,27 @@ class _PlaneDescent(TriangleDescent):
         """Flip from the seeds on."""
         return quality_flips(self.mesh, self.phase.cost, self.bounds,
                              movable_cells=self.movable_cells, seeds=seeds, changed=changed)
+
+    def compound(self) -> int:
+        """Try compound moves at the worst triangles; returns how many stayed."""
+        mesh, phase = self.mesh, self.phase
+        tried = np.zeros(len(self.cells), dtype=np.bool_)
+        rule = Rule(phase.cost, self.bounds, self.movable_cells, ~self.free, True)
+        taken = 0
+        for _ in range(phase.compound):
+            measures = self.measures()
+            most = math.ceil(phase.share * len(measures))
+            count = min(most, max(most // 10, int((measures < phase.enough).sum())))
+            order = np.argsort(measures, kind="stable")[:count].astype(np.int32)
+            edges, excess = number_edges(mesh.neighbors), excess_degrees(mesh)
+            now = sum(
+                int(compound_pass_2d(mesh, edges, order[first:last], rule, tried, excess))
+                for first, last in pieces(0, count, costly=True)
+            )
+            taken += now
+            if now == 0:
+                break
+        return taken
 
     def sweep(self, stars: Stars, active: BoolArray, moved: FloatArray) -> int:
         """Smooth every active vertex once, block after block; returns how many moved."""
@@ -110,3 +135,4 @@ def _measures(points: FloatArray, cells: IntArray, objective: int, m: FloatArray
     """Measure of every triangle."""
     for t in range(cells.shape[0]):
         m[t] = triangle_measure(points, cells[t, 0], cells[t, 1], cells[t, 2], objective)
+

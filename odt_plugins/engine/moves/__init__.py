@@ -11,7 +11,7 @@ run.
 - Newton steps: x -= (H + s I)^-1 g for one vertex, halved until F_p falls: `newton_vertex` and
   `smooth_vertices` in space, `star_cost_2d` and `smooth_vertices_2d` in the plane, `plane_step`.
 - Compound moves: a flip that costs something, a descent around it, and all taken back if it did
-  not pay: `compound_pass`, `descend_around`.
+  not pay: `compound_pass`, `descend_around` in space, `compound_pass_2d` in the plane.
 - Insertion and removal of vertices: `propose_vertex` grows a star-shaped cavity (`grow_cavity`),
   `propose_removal` collapses the best edge (`best_collapse`), `insertion_pass` keeps what pays.
 

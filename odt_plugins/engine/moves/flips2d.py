@@ -229,10 +229,10 @@ def _flip_edges(
         b = cells[t, (i + 1) % 3]
         c = cells[t, (i + 2) % 3]
         d = cells[s, j]
-        if not (_is_wide(points, a, b, d) and _is_wide(points, a, d, c)):
+        if not (is_wide(points, a, b, d) and is_wide(points, a, d, c)):
             continue
         if rule.cost.objective != ENERGY:
-            if not _shapes_improve(points, a, b, c, d, rule.cost, rule.limit):
+            if not shapes_improve(points, a, b, c, d, rule.cost, rule.limit):
                 continue
         elif not _in_circle(points, a, b, c, d) or not _guard_agrees(
             points, rule.guarded, a, b, c, d, rule.limit.quality
@@ -327,7 +327,41 @@ def flip(
 
 
 @inner_kernel
-def _is_wide(points: FloatArray, a: int, b: int, c: int) -> bool:
+def take_back_flip(
+    cells: IntArray, neighbors: IntArray, edges: EdgeNumbers, t: int, i: int, s: int, j: int
+) -> None:
+    """Undo the :func:`flip` with the same arguments, which must have been the last around it."""
+    cell_edges, edge_cell = edges
+    i1 = (i + 1) % 3
+    i2 = (i + 2) % 3
+    j1 = (j + 1) % 3
+    j2 = (j + 2) % 3
+    a, b, d = cells[t, 0], cells[t, 1], cells[t, 2]
+    c = cells[s, 2]
+    across_bd, across_ab = neighbors[t, 0], neighbors[t, 2]
+    across_dc, across_ca = neighbors[s, 0], neighbors[s, 1]
+    edge_bd, shared, edge_ab = cell_edges[t, 0], cell_edges[t, 1], cell_edges[t, 2]
+    edge_dc, edge_ca = cell_edges[s, 0], cell_edges[s, 1]
+    cells[t, i], cells[t, i1], cells[t, i2] = a, b, c
+    cells[s, j], cells[s, j1], cells[s, j2] = d, c, b
+    neighbors[t, i], neighbors[t, i1], neighbors[t, i2] = s, across_ca, across_ab
+    neighbors[s, j], neighbors[s, j1], neighbors[s, j2] = t, across_bd, across_dc
+    cell_edges[t, i], cell_edges[t, i1], cell_edges[t, i2] = shared, edge_ca, edge_ab
+    cell_edges[s, j], cell_edges[s, j1], cell_edges[s, j2] = shared, edge_bd, edge_dc
+    edge_cell[edge_bd] = s
+    edge_cell[edge_ca] = t
+    if across_bd >= 0:
+        for k in range(3):
+            if cell_edges[across_bd, k] == edge_bd:
+                neighbors[across_bd, k] = s
+    if across_ca >= 0:
+        for k in range(3):
+            if cell_edges[across_ca, k] == edge_ca:
+                neighbors[across_ca, k] = t
+
+
+@inner_kernel
+def is_wide(points: FloatArray, a: int, b: int, c: int) -> bool:
     """Whether (a, b, c) is counterclockwise and not flat."""
     ux = points[b, 0] - points[a, 0]
     uy = points[b, 1] - points[a, 1]
@@ -383,7 +417,7 @@ def _guard_agrees(
 
 
 @inner_kernel
-def _shapes_improve(
+def shapes_improve(
     points: FloatArray, a: int, b: int, c: int, d: int, cost: Cost, limit: Extremes
 ) -> bool:
     """Whether the flip lowers the sum of m^-p and respects the bounds."""

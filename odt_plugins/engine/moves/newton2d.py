@@ -120,7 +120,7 @@ def _angle_terms(
 
 @inner_kernel
 def star_cost_2d(
-    points: FloatArray, cells: IntArray, stars: Stars, vertex: int, kind: Cost,
+    points: FloatArray, cells: IntArray, star: IntArray, vertex: int, kind: Cost,
     derivatives: FloatArray,
 ) -> float:
     """Sum of m^-p over the star of a vertex, with gradient and Hessian in its position.
@@ -128,7 +128,7 @@ def star_cost_2d(
     Parameters
     ----------
     points : (n, 2) float64, cells : (m, 3) int32 counterclockwise
-    stars : Stars
+    star : (k,) int32             the cells around it
     vertex : int
     kind : Cost                   measure m, see ``triangle_measure``, and p
     derivatives : (5,) float64    OUT: F_x, F_y, F_xx, F_xy, F_yy
@@ -137,14 +137,13 @@ def star_cost_2d(
     -------
     float                         infinite when a triangle is not positive
     """
-    indptr, indices = stars
     objective, power = kind
     derivatives[:] = 0.0
     total = 0.0
     x = points[vertex, 0]
     y = points[vertex, 1]
-    for s in range(indptr[vertex], indptr[vertex + 1]):
-        t = indices[s]
+    for s in range(star.shape[0]):
+        t = star[s]
         b, c = opposite_edge(cells, t, vertex)
         ux = x - points[b, 0]
         uy = y - points[b, 1]
@@ -212,13 +211,13 @@ def star_cost_2d(
 
 @inner_kernel
 def _star_shape(
-    points: FloatArray, cells: IntArray, stars: Stars, vertex: int, kind: Cost
+    points: FloatArray, cells: IntArray, star: IntArray, kind: Cost
 ) -> tuple[float, Extremes]:
-    """F_p of a star, and its extremes; F_p is infinite where a triangle is not positive."""
+    """F_p of some cells, and their extremes; F_p is infinite where a triangle is not positive."""
     total = 0.0
     found = Extremes(1.0, -1.0, 1.0)
-    for s in range(stars.indptr[vertex], stars.indptr[vertex + 1]):
-        t = stars.indices[s]
+    for s in range(star.shape[0]):
+        t = star[s]
         a, b, c = cells[t, 0], cells[t, 1], cells[t, 2]
         own = triangle_extremes(points, a, b, c)
         if not own.quality > 0.0:
@@ -231,12 +230,62 @@ def _star_shape(
     return total, found
 
 
+@inner_kernel
+def newton_vertex_2d(
+    points: FloatArray, cells: IntArray, star: IntArray, v: int, kind: Cost, bounds: Extremes,
+    derivatives: FloatArray,
+) -> tuple[float, float]:
+    """One guarded Newton step on F_p for vertex v, in place.
+
+    Parameters as for :func:`star_cost_2d` and :func:`smooth_vertices_2d`.
+
+    Returns
+    -------
+    before, after : float    F_p over the star, the same when the vertex stays
+
+    Notes
+    -----
+    The Hessian is made positive definite by a shift; alpha = 1, 1/2, 1/4, ... until F_p decreases
+    strictly with every area positive.
+    """
+    cost = star_cost_2d(points, cells, star, v, kind, derivatives)
+    if not cost < np.inf:
+        return cost, cost
+    gx, gy = derivatives[0], derivatives[1]
+    dx, dy = plane_step(gx, gy, derivatives[2], derivatives[3], derivatives[4], False)
+    slope = gx * dx + gy * dy
+    if not -slope > DECREASE * cost:
+        return cost, cost
+    x = points[v, 0]
+    y = points[v, 1]
+    alpha = 1.0
+    for _ in range(HALVINGS):
+        points[v, 0] = x + alpha * dx
+        points[v, 1] = y + alpha * dy
+        there, found = _star_shape(points, cells, star, kind)
+        if there <= cost + ARMIJO * alpha * slope and there < (1.0 - DECREASE) * cost:
+            if keeps(found, bounds):
+                return cost, there
+            to_x, to_y = points[v, 0], points[v, 1]
+            points[v, 0] = x
+            points[v, 1] = y
+            _, here = _star_shape(points, cells, star, kind)
+            if keeps(found, worse(bounds, here)):
+                points[v, 0] = to_x
+                points[v, 1] = to_y
+                return cost, there
+        alpha *= 0.5
+    points[v, 0] = x
+    points[v, 1] = y
+    return cost, cost
+
+
 @allocating_kernel
 def smooth_vertices_2d(
     points: FloatArray, cells: IntArray, stars: Stars, order: IntArray, start: int, stop: int,
     kind: Cost, bounds: Extremes, moved: FloatArray,
 ) -> int:
-    """One guarded Newton step on F_p for every vertex of order[start:stop], in place.
+    """One :func:`newton_vertex_2d` for every vertex of order[start:stop], in place.
 
     Parameters
     ----------
@@ -253,47 +302,20 @@ def smooth_vertices_2d(
     Returns
     -------
     int                             number of vertices moved
-
-    Notes
-    -----
-    The Hessian is made positive definite by a shift; alpha = 1, 1/2, 1/4, ... until F_p decreases
-    strictly with every area positive.
     """
     derivatives = np.empty(5)
     count = 0
     for o in range(start, stop):
         v = order[o]
         moved[v] = 0.0
-        if stars.indptr[v] == stars.indptr[v + 1]:
+        first, last = stars.indptr[v], stars.indptr[v + 1]
+        if first == last:
             continue
-        cost = star_cost_2d(points, cells, stars, v, kind, derivatives)
-        if not cost < np.inf:
-            continue
-        gx, gy = derivatives[0], derivatives[1]
-        dx, dy = plane_step(gx, gy, derivatives[2], derivatives[3], derivatives[4], False)
-        slope = gx * dx + gy * dy
-        if not -slope > DECREASE * cost:
-            continue
-        _, here = _star_shape(points, cells, stars, v, kind)
-        limit = worse(bounds, here)
-        x = points[v, 0]
-        y = points[v, 1]
-        alpha = 1.0
-        for _ in range(HALVINGS):
-            points[v, 0] = x + alpha * dx
-            points[v, 1] = y + alpha * dy
-            there, found = _star_shape(points, cells, stars, v, kind)
-            if (
-                there <= cost + ARMIJO * alpha * slope
-                and there < (1.0 - DECREASE) * cost
-                and keeps(found, limit)
-            ):
-                moved[v] = 1.0 - there / cost
-                break
-            alpha *= 0.5
+        before, after = newton_vertex_2d(
+            points, cells, stars.indices[first:last], v, kind, bounds, derivatives
+        )
+        if after < before:
+            moved[v] = 1.0 - after / before
         if moved[v] > 0.0:
             count += 1
-        else:
-            points[v, 0] = x
-            points[v, 1] = y
     return count

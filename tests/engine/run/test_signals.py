@@ -39,7 +39,7 @@ SURFACE = COMMON | {
     ("start", "stop"), "ground.envelope._upper": "triangles", "ground.reference._across":
     ("start", "stop"),
 }
-SHORT = ("compound_pass", "insertion_pass", "_upper", "ground.crossings._sweep")
+SHORT = ("compound_pass", "compound_pass_2d", "insertion_pass", "_upper", "ground.crossings._sweep")
 
 
 def planar():
@@ -58,7 +58,8 @@ RUNS = {
     "plane": (planar, {}, COMMON | {
         "topology.adjacency._match_facets": ("first", "last"),
         "odt.sweeps._move_vertices": ("start", "stop"), "moves.flips2d._flip_edges": "most",
-        "moves.newton2d.smooth_vertices_2d": ("start", "stop"), "finish.plane._measures": "cells"}),
+        "moves.newton2d.smooth_vertices_2d": ("start", "stop"), "finish.plane._measures": "cells",
+        "moves.compound2d.compound_pass_2d": "order", "moves.compound2d._add_excess": "cells"}),
     "surface": (lambda: sm.torus(40, 20, noise=0.7), {}, SURFACE),
 }
 
