@@ -54,7 +54,8 @@ ENGINE = ("compiled", "topology", "cells", "record", "moves", "ground", "odt", "
 TOOLKITS = {
     "pyvista": {"adapters/pyvista_mesh.py", "hosts/pyvista_accessor.py", "report/plotting.py",
                 "cli/demo.py", "compare/hull.py"},
-    "vtkmodules": {"adapters/pyvista_mesh.py", "adapters/vtk_files.py", "report/plotting.py"},
+    "vtkmodules": {"adapters/pyvista_mesh.py", "adapters/vtk_files.py", "hosts/paraview_plugin.py",
+                   "report/plotting.py"},
     "meshio": {"adapters/meshio_mesh.py", "adapters/files.py", "adapters/reading.py",
                "adapters/vtk_files.py", "adapters/fitting.py", "adapters/gmsh_files.py",
                "adapters/netgen_files.py", "cli/demo.py", "distributed/store.py",
