@@ -30,6 +30,14 @@ system_browser() {
     [ "${CI:-}" != true ]
 }
 
+# ParaView and a display without a screen, for the tests of its plugin.
+system_paraview() {
+    command -v pvpython >/dev/null && command -v Xvfb >/dev/null && return 0
+    install_packages paraview python3-paraview xvfb && return 0
+    say "missing ParaView; on Debian, as root: apt-get install -y paraview python3-paraview xvfb"
+    [ "${CI:-}" != true ]
+}
+
 # install_packages NAMES: on Debian and its kin, as root; fails otherwise.
 install_packages() {
     [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null || return 1

@@ -14,6 +14,7 @@ NUMERICAL="tests/engine/run/test_bits.py tests/paper/test_paper_energy.py
 
 system_libraries
 system_browser
+system_paraview
 use_environment "all,test"
 
 echo "== ruff";   python -m ruff check .

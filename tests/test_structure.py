@@ -56,6 +56,7 @@ TOOLKITS = {
     "pyvista": {"adapters/pyvista_mesh.py", "hosts/pyvista_accessor.py", "report/plotting.py",
                 "cli/demo.py", "compare/hull.py"},
     "vtkmodules": {"adapters/pyvista_mesh.py", "adapters/vtk_files.py", "adapters/vtk_mesh.py",
+                   "hosts/paraview_plugin.py",
                    "report/plotting.py"},
     "meshio": {"adapters/meshio_mesh.py", "adapters/files.py", "adapters/reading.py",
                "adapters/vtk_files.py", "adapters/fitting.py", "adapters/gmsh_files.py",

@@ -76,7 +76,7 @@ class _Commands(click.Group):
     """The subcommands; those with a room of their own are loaded when they are asked for."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return sorted([*super().list_commands(ctx), "compare", "mesh"])
+        return sorted([*super().list_commands(ctx), "compare", "mesh", "paraview"])
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name == "compare":
@@ -87,6 +87,10 @@ class _Commands(click.Group):
             from odt_plugins.cli.generate import mesh
 
             return mesh
+        if cmd_name == "paraview":
+            from odt_plugins.cli.paraview import paraview
+
+            return paraview
         return super().get_command(ctx, cmd_name)
 
 

@@ -22,7 +22,7 @@ import pytest
 from odt_plugins.cli import main as cli
 from odt_plugins.cli import terminal
 from odt_plugins.engine.run import driver
-from odt_plugins.options import COMPILING, FIGURES, OPTIONS, Options
+from odt_plugins.options import COMPILING, KEPT, OPTIONS, Options
 
 SQUARE = np.array([[0.0, 0], [1, 0], [1, 1], [0, 1], [0.7, 0.8]])
 FAN = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
@@ -77,7 +77,7 @@ def test_flags_are_the_fields_of_options_with_their_defaults() -> None:
             continue
         flag = found[field.name]
         assert flag.opts == ["--" + field.name.replace("_", "-")]
-        other = {"keep": ",".join(FIGURES), "untangle": True}
+        other = {"keep": ",".join(KEPT), "untangle": True}
         assert flag.default == other.get(field.name, field.default)
         assert flag.help
 
