@@ -17,6 +17,7 @@ import click
 import numpy as np
 
 from odt_plugins.cli.terminal import (
+    ShareOption,
     check_paths,
     command_line,
     one_line,
@@ -104,6 +105,7 @@ def _option_flags(command: Callable[..., Any]) -> Callable[..., Any]:
         if told["choices"]:
             settings["type"] = click.Choice(told["choices"])
         elif isinstance(default, bool):
+            settings["cls"] = ShareOption if told["share"] else click.Option
             flag = f"{flag}/--no-{name.replace('_', '-')}"
         elif isinstance(default, int):
             settings["type"] = click.IntRange(min=told["least"])
