@@ -52,7 +52,7 @@ COMPILING = "compiling the kernels, once after installation: about half a minute
 
 def _told(
     text: str, *, python: str = "", flag: str | None = "", choices: tuple[str, ...] = (),
-    least: int = 0,
+    least: int = 0, share: bool = False,
 ) -> dict[str, Any]:
     """What is told of an option, as metadata of its field.
 
@@ -63,8 +63,10 @@ def _told(
     flag : str, optional     what users of the command line are told besides; None: there is no flag
     choices : tuple of str   all values there are, of a word
     least : int              smallest value of an integer
+    share : bool             whether a switch may also be a number above 0
     """
-    return {"help": text, "python": python, "flag": flag, "choices": choices, "least": least}
+    return {"help": text, "python": python, "flag": flag, "choices": choices, "least": least,
+            "share": share}
 
 
 @dataclass(frozen=True)
@@ -117,10 +119,11 @@ class Options:
         "of explicit dynamics (time_step).",
         python="radius_ratio is (5.1).",
         choices=get_args(Objective)))
-    insert: bool = field(default=False, metadata=_told(
-        "Whether finishing of tetrahedra may add and remove vertices inside where nothing else "
-        "helps, at most 10 % more than before; new ones come last and their data are "
-        "interpolated."))
+    insert: bool | float = field(default=False, metadata=_told(
+        "Whether finishing of tetrahedra may add and remove vertices inside: as many as pay, at "
+        "most half as many again as there were, or a number, such as 0.2, for at most that part "
+        "of them; new ones come last and their data are interpolated.",
+        share=True))
     boundary: Boundary = field(default="fixed", metadata=_told(
         "What happens to the boundary: fixed keeps it bit for bit, slide lets the surface of a "
         "mesh of tetrahedra move along itself within the envelope; features and interfaces stay. "
@@ -182,7 +185,10 @@ class Options:
             if choices:
                 good = isinstance(value, str) and value in choices
                 _expect(good, name, value, f"one of {choices}")
-            if isinstance(about.default, bool):
+            if about.metadata["share"] and not isinstance(value, bool):
+                good = _is_number(value) and 0 < value < float("inf")
+                _expect(good, name, value, "a bool, or a number above 0")
+            elif isinstance(about.default, bool):
                 _expect(isinstance(value, bool), name, value, "a bool")
             elif isinstance(about.default, int):
                 good = isinstance(value, Integral) and not isinstance(value, bool)
@@ -296,7 +302,7 @@ class OptionKeywords(TypedDict, total=False):
     cycles: int
     finish: bool
     objective: Objective
-    insert: bool
+    insert: bool | float
     boundary: Boundary
     envelope: float
     feature_angle: float

@@ -18,6 +18,7 @@ from click.core import ParameterSource
 
 from odt_plugins.cli.named import resolve_arrays
 from odt_plugins.cli.terminal import (
+    ShareOption,
     check_paths,
     command_line,
     one_line,
@@ -125,6 +126,7 @@ def _option_flags(
         if told["choices"]:
             settings["type"] = click.Choice(told["choices"])
         elif isinstance(default, bool):
+            settings["cls"] = ShareOption if told["share"] else click.Option
             flag = f"{flag}/--no-{name.replace('_', '-')}"
         elif isinstance(default, int):
             settings["type"] = click.IntRange(min=told["least"])

@@ -22,6 +22,37 @@ from odt_plugins.progress import shown
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
 
 
+class ShareOption(click.Option):
+    """A switch, or a number that follows it."""
+
+    def add_to_parser(self, parser: Any, ctx: click.Context) -> None:
+        """Let the switch take the next word if that is a number."""
+        super().add_to_parser(parser, ctx)
+        switch = parser._long_opt[self.opts[0]]
+        plain = switch.process
+
+        def process(value: Any, state: Any) -> None:
+            plain(value, state)
+            if state.rargs and _is_number(state.rargs[0]):
+                state.opts[self.name] = state.rargs.pop(0)
+
+        switch.process = process
+
+    def type_cast_value(self, ctx: click.Context, value: Any) -> Any:
+        """Give a number, or what a switch gives."""
+        if isinstance(value, str) and _is_number(value):
+            return float(value)
+        return super().type_cast_value(ctx, value)
+
+
+def _is_number(word: str) -> bool:
+    try:
+        float(word)
+    except ValueError:
+        return False
+    return True
+
+
 def command_line(context: click.Context, **settled: Any) -> str:
     """Give the command of a context again, with the flags that were given.
 

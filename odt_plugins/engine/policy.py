@@ -71,14 +71,30 @@ class Policy:
 
     # insertion
     insertion_rounds: int = _chosen(
-        3, "Rounds of insertion, each followed by finishing.", STANDARD)
-    insertion_less: float = _chosen(
-        0.1, "After a round that was taken back the next ones take this part of its cells.",
+        6, "Most rounds of insertion, each followed by finishing.", STANDARD)
+    insertion_worth: float = _chosen(
+        1e-3, "Gain of the score for which a round is followed by another.", STANDARD)
+    insertion_effort: float = _chosen(
+        2.0, "Insertion ends when it has tried so many operations for every cell of the input,",
         STANDARD)
-    insertion_noise: float = _chosen(
-        1e-3, "How far the mean or the 1 % quantile may fall by insertion,", STANDARD)
-    insertion_noisy_cells: int = _chosen(
-        5, "and so much divided by the number of cells besides.", STANDARD)
+    insertion_least_effort: int = _chosen(8000, "and so many besides.", STANDARD)
+    insertion_enough: float = _chosen(
+        0.03, "A pass over the cells, worst first, ends where less than this part of them gained.",
+        STANDARD)
+    insertion_p1: tuple[float, float] = _chosen(
+        (0.01, 0.04), "Shares of the cells between which a cell counts for the 1 % quantile, less "
+        "and less.", STANDARD)
+    insertion_tail: float = _chosen(
+        3.0, "Most that one of those costs, in units of a regular cell.", STANDARD)
+    insertion_flat: float = _chosen(
+        2.0, "What a flat cell costs besides.", STANDARD)
+    insertion_worst: float = _chosen(
+        5.0, "A fifteenth of what a cell costs besides that has half of the radius ratio, or of "
+        "the sine of an angle, at which the very worst begin:", STANDARD)
+    insertion_few: float = _chosen(
+        1.5, "so many times the least that there is.", STANDARD)
+    insertion_sines: float = _chosen(
+        0.05, "For the angles alone the worst begin with this share of the cells.", STANDARD)
 
     # figures of a state
     small_angle: float = _chosen(

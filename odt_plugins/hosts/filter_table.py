@@ -239,7 +239,9 @@ REGIONS = _of_option(
 OBJECTIVE = _of_option(
     "objective", "Objective", "enum", "Objective",
     choices=OPTIONS["objective"].metadata["choices"])
-INSERT = _of_option("insert", "Insert", "bool", "Add and remove vertices")
+INSERT = _of_option(
+    "insert", "Insert", "bool", "Add and remove vertices",
+    "Whether vertices may be added and removed inside: as many as pay, at most half as many again.")
 ROUNDS = replace(STEPS, default=Options.rounds)
 ITERATIONS = _of_option("cycles", "Iterations", "int", "Iterations", least=1)
 

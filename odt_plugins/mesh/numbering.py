@@ -9,10 +9,19 @@ import numpy as np
 
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 
+AS_MANY_AS_PAY = 0.5
+"""Share of the vertices by which a mesh may grow where every vertex that pays is wanted."""
 
-def most_vertices(n: int) -> int:
-    """Give the number of vertices that a mesh of n vertices may have after insertion."""
-    return n + n // 10
+
+def most_vertices(n: int, insert: bool | float = True) -> int:
+    """Give the number of vertices that a mesh of n vertices may have after insertion.
+
+    Parameters
+    ----------
+    n : int
+    insert : bool or float    the share of n that may come; True for as many as pay
+    """
+    return n + int((AS_MANY_AS_PAY if insert is True else insert) * n)
 
 
 def removed_vertices(origin: LongArray, n: int) -> LongArray:

@@ -293,24 +293,26 @@ def with_a_vertex(mesh: SimplexMesh, c: int) -> tuple[np.ndarray, np.ndarray, np
 
 
 def judged(mesh: SimplexMesh, points: object, cells: object, regions: object,
-           origin: object) -> list[str]:
-    return broken_promises(mesh, points, cells, regions, (), origin=np.asarray(origin))
+           origin: object, **allowed: float) -> list[str]:
+    return broken_promises(
+        mesh, points, cells, regions, (), origin=np.asarray(origin), **allowed)
 
 
-def test_added_vertices_are_allowed_up_to_a_tenth() -> None:
+@pytest.mark.parametrize(("insert", "most"), [(0.1, 21), (True, 108)])
+def test_added_vertices_are_allowed_up_to_a_share(insert: bool | float, most: int) -> None:
     mesh = grid_mesh(3)
     n = len(mesh.points)
     now, origin = mesh, list(range(n))
-    for count in range(1, n // 10 + 2):
+    for count in range(1, most + 2):
         points, cells, regions = with_a_vertex(now, 0)
         now = replace(now, points=points, cells=cells, regions=regions,
                       fixed=np.zeros(len(points), bool), anchored=np.zeros(len(points), bool),
                       frozen=np.zeros(len(cells), bool))
         origin.append(-1)
-        found = judged(mesh, points, cells, regions, origin)
-        if count <= n // 10:
+        found = judged(mesh, points, cells, regions, origin, insert=insert)
+        if count <= most:
             assert found == []
-    assert found == [f"{n + count} vertices are used, {n} were; expected at most {n + n // 10}"]
+    assert found == [f"{n + count} vertices are used, {n} were; expected at most {n + most}"]
     assert said(sentences(mesh, points, cells, regions), "points have shape")
 
 

@@ -1,6 +1,6 @@
 """Stage 3, on request: vertices are added and removed where nothing else helps.
 
-The paper minimises over meshes with at most N vertices (Section 2); here N may grow by a tenth.
+The paper minimises over meshes with at most N vertices (Section 2); here N may grow as asked.
 """
 
 from __future__ import annotations
@@ -8,7 +8,6 @@ from __future__ import annotations
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
 
@@ -19,12 +18,14 @@ from odt_plugins.engine.finish.resampling_schedule import (
     Resampling,
     after_resampling,
     resampling,
+    weights,
 )
 from odt_plugins.engine.moves import insertion
 from odt_plugins.engine.moves.passes import NO_CELL, grow, measures
+from odt_plugins.engine.moves.worth import Weights, worth_of_cells
 from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.policy import POLICY
-from odt_plugins.engine.record.figures import Figures, figures
+from odt_plugins.engine.record.figures import Figures, cell_shapes, figures
 from odt_plugins.engine.topology.complex import Complex, make_complex
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
 from odt_plugins.mesh.numbering import most_vertices
@@ -47,18 +48,19 @@ class SpareComplex(Complex):
 
 def with_spare_vertices(
     points: FloatArray, cells: IntArray, regions: IntArray, locked: BoolArray, boundary: BoolArray,
-    stays: BoolArray,
+    stays: BoolArray, insert: bool | float,
 ) -> SpareComplex:
-    """Build a complex with room for a tenth more vertices.
+    """Build a complex with room for more vertices.
 
     Parameters
     ----------
     points : (n, 3) float64, cells : (m, 4) int32, regions : (m,) int32
     locked, boundary : (n,) bool       see ``Complex``
     stays : (n,) bool             vertices that must not be removed
+    insert : bool or float        how many may come, see ``numbering.most_vertices``
     """
     n = len(points)
-    spare = most_vertices(n) - n
+    spare = most_vertices(n, insert) - n
     mesh = make_complex(
         np.concatenate([points, np.zeros((spare, 3))]),
         cells,
@@ -74,51 +76,63 @@ def with_spare_vertices(
 
 
 def resample(
-    mesh: SpareComplex, step: Resampling, scale: float, bounds: Bounds
-) -> int:
+    mesh: SpareComplex, step: Resampling, scale: Weights, bounds: Bounds, most: int
+) -> tuple[int, int]:
     """Insert and remove vertices at the worst cells.
 
     Parameters
     ----------
     mesh : SpareComplex        changed in place
     step : Resampling
-    scale : float              of the step's share
+    scale : Weights            what cells are worth
     bounds : Bounds
+    most : int                 operations that may be tried
 
     Returns
     -------
-    int                        operations that stayed
+    taken, tried : int         operations that stayed, and that were tried
     """
-    taken = 0
-    tried = np.zeros(len(mesh.cells), dtype=bool)
-    for _ in range(step.passes):
-        tried = np.concatenate([tried, np.zeros(len(mesh.cells) - len(tried), dtype=bool)])
-        q = measures(mesh, step.objective)
-        count = 1 + int(scale * step.share * (q < NO_CELL).sum())
-        q[tried[: len(q)]] = np.inf
-        order = np.argsort(q, kind="stable")[:count].astype(np.int32)
-        mesh.status[:] = 0
-        for first, last in pieces(0, len(order), costly=True):
-            taken += int(insertion.insertion_pass(
-                mesh.tets, mesh.first, mesh.stays, order[first:last], step.cost,
-                POLICY.quality_ring, bounds, tried,
-            ))
+    q = measures(mesh, step.objective)
+    count = 1 + int(min(step.share * (q < NO_CELL).sum(), most / step.looks))
+    order = np.argsort(q, kind="stable")[:count].astype(np.int32)
+    mesh.status[:] = 0
+    ledger, done = make_ledger(mesh, scale), np.zeros(len(mesh.cells), dtype=bool)
+    taken = visited = 0
+    for first, last in pieces(0, len(order), costly=True):
+        found = int(insertion.insertion_pass(
+            mesh.tets, order[first:last], step.step, bounds, scale, ledger, done,
+        ))
+        taken += found
+        visited = last
         if mesh.full:
             grow(mesh)
-    return taken
+            ledger = make_ledger(mesh, scale)
+            done = np.concatenate([done, np.zeros(len(mesh.cells) - len(done), dtype=bool)])
+        if found < POLICY.insertion_enough * (last - first):
+            break
+    return taken, visited * step.looks
+
+
+def make_ledger(mesh: SpareComplex, scale: Weights) -> insertion.Ledger:
+    """What the cells are worth, before any is changed."""
+    room = len(mesh.cells)
+    worth = np.zeros(room)
+    worth_of_cells(mesh.tets, scale, mesh.used, worth)
+    return insertion.Ledger(
+        mesh.first, mesh.stays, worth, np.zeros(room, np.int64), np.zeros(1, np.int64),
+        np.empty(1 << 13, np.int64), np.empty(1 << 13),
+    )
 
 
 def resample_in_rounds(
     mesh: SpareComplex, before: Figures, objective: Objective, *,
     limits: Callable[[Figures], Bounds],
     settle: Callable[[Complex, tuple[Phase, ...], Bounds], None],
-    offer: Callable[[Complex], Any], report: Callable[[float], None], log: Log,
+    offer: Callable[[Complex], bool], report: Callable[[float], None], log: Log,
 ) -> None:
     """Add and remove vertices, in rounds with finishing at the end of each.
 
-    Nothing may pass the extremes ``before``.  A round that costs more than noise of their mean, or
-    of their 1 % quantile for no gain in the score, is taken back, and the next one looks at fewer
-    cells.
+    Nothing may pass the extremes that the mesh has when the round begins.
 
     Parameters
     ----------
@@ -127,29 +141,35 @@ def resample_in_rounds(
     objective : str             what finishing improves
     limits : callable           bounds that keep the extremes of some figures
     settle : callable           runs phases of finishing within bounds
-    offer : callable            is shown the mesh after every round that stayed
+    offer : callable            is shown the mesh after every step; says whether it is a good one
     report : callable           is told the share that is done
     log : Log
     """
-    noise = POLICY.insertion_noise + POLICY.insertion_noisy_cells / len(mesh.live())
-    scale = 1.0
+    effort = POLICY.insertion_least_effort + int(POLICY.insertion_effort * mesh.count())
+    good = True
     for done in range(POLICY.insertion_rounds):
         report(done / POLICY.insertion_rounds)
-        changed = deepcopy(mesh)
+        start = before.score
+        taken = 0
         for step in resampling(objective):
-            resample(changed, step, scale, limits(before))
-        settle(changed, after_resampling(objective), limits(_figures(changed, objective)))
-        now = _figures(changed, objective)
-        gains = now.score >= before.score
-        if objective == "radius_ratio":
-            gains |= before.p1_quality - now.p1_quality <= noise
-            gains &= before.mean_quality - now.mean_quality <= noise
-        if not gains:
-            log.add("insertions taken back", 1)
-            scale *= POLICY.insertion_less
-            continue
-        mesh = changed
-        offer(mesh)
+            shapes = cell_shapes(mesh.points, mesh.mesh_arrays()[0])
+            stayed, tried = resample(
+                mesh, step, weights(shapes, objective), limits(before), max(effort, 0)
+            )
+            taken += stayed
+            effort -= tried
+        if taken == 0:
+            break
+        before, good = _figures(mesh, objective), offer(mesh)
+        for phase in after_resampling(objective):
+            settled = deepcopy(mesh)
+            settle(settled, (phase,), limits(before))
+            now, also = _figures(settled, objective), offer(settled)
+            if (also, now.score) > (good, before.score):
+                mesh, before, good = settled, now, also
+        log.add("rounds of insertion", 1)
+        if effort <= 0 or before.score - start < POLICY.insertion_worth:
+            break
     report(1.0)
 
 

@@ -13,7 +13,8 @@ run.
 - Compound moves: a flip that costs something, a descent around it, and all taken back if it did
   not pay: `compound_pass`, `descend_around` in space, `compound_pass_2d` in the plane.
 - Insertion and removal of vertices: `propose_vertex` grows a star-shaped cavity (`grow_cavity`),
-  `propose_removal` collapses the best edge (`best_collapse`), `insertion_pass` keeps what pays.
+  `propose_removal` collapses the best edge (`best_collapse`), `insertion_pass` keeps what pays by
+  the share of every cell in the figures of the whole mesh (`worth_of`).
 
 References
 ----------

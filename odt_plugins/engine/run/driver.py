@@ -198,7 +198,7 @@ def _run_in(
         best = (memory.states or [State(start.points, cells, regions, before, "input")])[0]
         spare = with_spare_vertices(
             best.points, best.cells, best.regions, inner_locked, inner_boundary,
-            mesh.anchored[frame.vertices],
+            mesh.anchored[frame.vertices], options.insert,
         )
         resample_in_rounds(
             spare, best.figures, options.objective,

@@ -86,7 +86,7 @@ def faults(
     """
     sliding = slides(mesh, options)
     broken = broken_promises(mesh, points, cells, regions, tuple(options.keep), slides=sliding,
-                             origin=origin, threads=options.threads)
+                             origin=origin, insert=options.insert, threads=options.threads)
     if broken or not sliding:
         return broken, None
     if origin is not None:

@@ -7,25 +7,34 @@ import pytest
 import tet_meshes as tm
 from complexes import FREELY, OPEN, assert_sound, complex_of, contents, extremes_of
 
-from odt_plugins.engine.cells.extremes import Bounds
+from odt_plugins.engine.cells.extremes import Bounds, Extremes
 from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, QUALITY, Cost
-from odt_plugins.engine.finish.resampling import resample, with_spare_vertices
-from odt_plugins.engine.finish.resampling_schedule import Resampling
+from odt_plugins.engine.finish.resampling import make_ledger, resample, with_spare_vertices
+from odt_plugins.engine.finish.resampling_schedule import Resampling, weights
 from odt_plugins.engine.moves import insertion, star_cavity
 from odt_plugins.engine.moves.cavity import replace_cavity
 from odt_plugins.engine.moves.compound import descend_around, make_scratch, settle
 from odt_plugins.engine.moves.passes import measures
+from odt_plugins.engine.moves.worth import Weights, worth_of
+from odt_plugins.engine.record.figures import COS_SMALL, cell_shapes
 
 POWER = 4.0
 COST = Cost(QUALITY, POWER)
 
 
-def spare_complex(points, cells, regions=None, stays=None):
+def spare_complex(points, cells, regions=None, stays=None, insert=True):
     mesh = complex_of(points, cells, regions)
     n = len(points)
     stays = np.zeros(n, dtype=bool) if stays is None else stays
     labels = mesh.mesh_arrays()[1]
-    return with_spare_vertices(points.copy(), cells, labels, mesh.locked, mesh.boundary, stays)
+    return with_spare_vertices(
+        points.copy(), cells, labels, mesh.locked, mesh.boundary, stays, insert)
+
+
+def resampled(mesh, step, bounds=OPEN):
+    """One pass over the worst cells; how many operations stayed."""
+    scale = weights(cell_shapes(mesh.points, mesh.mesh_arrays()[0]))
+    return resample(mesh, step, scale, bounds, 10**6)[0]
 
 
 class Operation:
@@ -162,7 +171,7 @@ def test_what_stays_lowers_the_sum_within_the_bounds(seed):
     locked = mesh.locked.copy()
     last = cost_sum(mesh)
     before = extremes_of(points, cells)
-    taken = resample(mesh, Resampling(POWER, 0.05, 2), 1.0, Bounds(before, FREELY))
+    taken = resampled(mesh, Resampling(POWER, 0.1, 15), Bounds(before, FREELY))
     assert taken > 20
     after = mesh.mesh_arrays()[0]
     assert cost_sum(mesh) < last
@@ -184,11 +193,45 @@ def test_what_stays_lowers_the_sum_within_the_bounds(seed):
     assert now.small >= before.small - 1e-12
 
 
+@pytest.mark.parametrize("price", [0.2, 2.0])
+def test_every_vertex_is_worth_its_price_by_the_worth_of_all_cells(price):
+    points, cells = tm.ball(300, 4)
+    mesh = spare_complex(points, cells)
+    scale = weights(cell_shapes(points, cells))
+    ledger = make_ledger(mesh, scale)
+    start, before = ledger.worth.sum(), len(points)
+    order = np.argsort(measures(mesh, QUALITY)).astype(np.int32)[:200]
+    step = Resampling(2.0, 1.0, 15, price=price).step
+    tried = np.zeros(len(mesh.cells), dtype=bool)
+    taken = insertion.insertion_pass(mesh.tets, order, step, OPEN, scale, ledger, tried)
+    added = int(mesh.first[0]) - before
+    assert added > 3
+    assert not mesh.full
+    now = make_ledger(mesh, scale).worth
+    assert ledger.worth == pytest.approx(now, abs=1e-9)
+    assert now.sum() - start >= added * price + (taken - added) * 0.1 * price
+
+
+def test_the_worth_of_a_cell_falls_with_its_quality_and_its_angles():
+    scale = Weights(mean=0.8, low=0.3, high=0.4, tail=2.0, depth=2.0, large=COS_SMALL, small=3.0,
+                    least=0.1, sharp=0.2, worst=5.0)
+    good = worth_of(Extremes(0.8, 0.5, -0.5), scale)
+    assert good == pytest.approx(0.0)
+    poor = [worth_of(Extremes(q, 0.5, -0.5), scale) for q in (0.5, 0.4, 0.35, 0.3, 0.2, 0.1, 0.05)]
+    assert np.diff([good, *poor]).max() < 0
+    assert poor[3] == pytest.approx(0.3 - 0.8 - 2.0)
+    sharp = [worth_of(Extremes(0.8, np.cos(a), -0.5), scale) for a in np.radians([22, 19, 8, 3])]
+    flat = [worth_of(Extremes(0.8, 0.5, np.cos(a)), scale) for a in np.radians([150, 172, 177])]
+    assert sharp[1] == pytest.approx(-3.0)
+    assert np.diff([good, *sharp[1:]]).max() < 0
+    assert np.diff(flat).max() < 0
+
+
 def test_the_smallest_angle_as_measure():
     points, cells = tm.ball(300, 6)
     mesh = spare_complex(points, cells)
     before = np.sort(measures(mesh, DIHEDRAL))[:10]
-    assert resample(mesh, Resampling(POWER, 0.05, 2, DIHEDRAL), 1.0, OPEN) > 10
+    assert resampled(mesh, Resampling(POWER, 0.05, 15, DIHEDRAL)) > 10
     after = np.sort(measures(mesh, DIHEDRAL))[:10]
     assert (after > before).all()
 
@@ -197,7 +240,7 @@ def test_interfaces_stay():
     points, cells = tm.grid(4, 9)
     regions = (points[cells].mean(axis=1)[:, 0] > 2).astype(np.int32)
     mesh = spare_complex(points, cells, regions)
-    assert resample(mesh, Resampling(POWER, 0.2, 2), 1.0, OPEN) > 5
+    assert resampled(mesh, Resampling(POWER, 0.2, 15)) > 5
     after, labels = mesh.mesh_arrays()
     face = {f for f, o in tm.facets_of(after).items()
             if len(o) == 2 and labels[o[0]] != labels[o[1]]}
@@ -210,10 +253,11 @@ def test_interfaces_stay():
 
 def test_no_more_vertices_than_there_is_room_for():
     points, cells = tm.ball(100, 7)
-    mesh = spare_complex(points, cells)
-    assert len(mesh.points) == len(points) + len(points) // 10
-    for _ in range(6):
-        resample(mesh, Resampling(8.0, 0.3, 2), 1.0, OPEN)
+    assert len(spare_complex(points, cells).points) == len(points) + len(points) // 2
+    mesh = spare_complex(points, cells, insert=0.05)
+    assert len(mesh.points) == len(points) + len(points) // 20
+    for _ in range(3):
+        resampled(mesh, Resampling(2.0, 0.3, 7, price=0.1))
     assert mesh.first[0] == len(mesh.points)
     assert_sound(mesh, mesh.points, tm.signed_volumes(points, cells).sum())
 
@@ -221,8 +265,8 @@ def test_no_more_vertices_than_there_is_room_for():
 def test_anchored_vertices_stay():
     points, cells = tm.ball(300, 4)
     free = spare_complex(points, cells)
-    step = Resampling(POWER, 0.05, 2)
-    resample(free, step, 1.0, OPEN)
+    step = Resampling(POWER, 0.1, 15)
+    resampled(free, step)
     used = np.zeros(len(free.points), dtype=bool)
     used[free.mesh_arrays()[0]] = True
     gone = np.flatnonzero(~used[: len(points)])
@@ -230,5 +274,5 @@ def test_anchored_vertices_stay():
     stays = np.zeros(len(points), dtype=bool)
     stays[gone] = True
     held = spare_complex(points, cells, stays=stays)
-    resample(held, step, 1.0, OPEN)
+    resampled(held, step)
     assert np.isin(gone, held.mesh_arrays()[0]).all()

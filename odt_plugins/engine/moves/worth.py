@@ -1,0 +1,84 @@
+"""What a tetrahedron is worth: its share in the figures of a mesh, to the first order.
+
+The mean of the radius ratio changes by (q - mean) / m when a cell comes, the 1 % quantile by what
+crosses it over the density of q there, and the share of small angles by the cells that have one.
+Sums of such shares over a few cells tell what a change there does to the score of the whole mesh.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+from odt_plugins.engine.cells.extremes import Extremes
+from odt_plugins.engine.cells.tetrahedron import cell_extremes
+from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
+from odt_plugins.engine.topology.tets import Tets
+from odt_plugins.mesh.arrays import FloatArray
+
+
+class Weights(NamedTuple):
+    """What counts, in units of the radius ratio of one cell.
+
+    Attributes
+    ----------
+    mean : float         radius ratio at which a further cell is worth nothing
+    low, high : float    radius ratios between which the price of a poor cell falls to nothing
+    tail : float         price of a poor cell
+    depth : float        further price of a cell with the radius ratio 0; falls to nothing at low
+    large : float        cosine of the angle below which an angle is small
+    small : float        price of a cell with a small angle
+    least : float        radius ratio of the very worst cells
+    sharp : float        sine of the smallest or largest angle of the cells that are worst there
+    worst : float        a fifteenth of the further price of half of either
+    """
+
+    mean: float
+    low: float
+    high: float
+    tail: float
+    depth: float
+    large: float
+    small: float
+    least: float
+    sharp: float
+    worst: float
+
+
+SOFT = 0.015
+"""Cosines over which the price of a small angle falls to nothing."""
+
+
+@inner_kernel
+def _excess(x: float, least: float) -> float:
+    """How far x lies below least, more and more."""
+    if x >= least:
+        return 0.0
+    ratio = least / max(x, 0.1 * least)
+    ratio *= ratio
+    return ratio * ratio - 1.0
+
+
+@inner_kernel
+def worth_of(found: Extremes, weights: Weights) -> float:
+    """Worth of a cell with these extremes."""
+    q, large, small = found.quality, found.large, found.small
+    total = q - weights.mean
+    if q < weights.high:
+        total -= weights.tail * min((weights.high - q) / (weights.high - weights.low), 1.0)
+        total -= weights.depth * max(1.0 - q / weights.low, 0.0)
+    if large > weights.large - SOFT:
+        total -= weights.small * min((large - weights.large + SOFT) / SOFT, 1.0)
+    cosine = max(large, -small)
+    sine = math.sqrt(max(1.0 - cosine * cosine, 0.0))
+    return total - weights.worst * (_excess(q, weights.least) + _excess(sine, weights.sharp))
+
+
+@kernel
+def worth_of_cells(tets: Tets, weights: Weights, stop: int, worth: FloatArray) -> None:
+    """Write the worth of every cell below ``stop``, 0 for a free slot."""
+    for c in range(stop):
+        worth[c] = 0.0
+        if tets.cells[c, 0] >= 0:
+            # as the numbers of cells are: for another type it would be compiled once more
+            worth[c] = worth_of(cell_extremes(tets.points, tets.cells, c), weights)
