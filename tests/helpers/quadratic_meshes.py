@@ -94,3 +94,6 @@ def view(mesh, dim):
 
 MAKERS = {"pyvista": _pyvista, "meshio": _meshio, "skfem": _skfem}
 """Each makes a mesh of nodes, rows, labels, point data and the dimension."""
+
+WITH_DATA = ("pyvista", "meshio")
+"""Those of them whose meshes have data of nodes, and their order."""
