@@ -87,7 +87,7 @@ def run_engine(
     work, given = _prepare(mesh, options, wanted)
     leaving = partial(_as_it_leaves, work, options.threads)
     with words_of(work.host), telling(options.progress, "preparing") as progress:
-        chosen = _in_frame(options, work.frame)
+        chosen = _of_cells(_in_frame(options, work.frame), work.tangle)
         chosen = replace(chosen, progress=progress if options.progress else None)
         outcome = (engine or _optimized)(work.mesh, chosen, leaving)
     if outcome.written is None:
@@ -329,6 +329,18 @@ def _in_frame(options: Options, frame: PlaneFrame | None) -> Options:
     if frame is None or not callable(density):
         return options
     return replace(options, density=lambda x: density(frame.to_space(x)))
+
+
+def _of_cells(options: Options, tangle: Tangle | None) -> Options:
+    """Let the cells of a mesh that was untangled have the densities of those they come from."""
+    density = options.density
+    if tangle is None or isinstance(density, str) or callable(density):
+        return options
+    values = np.asarray(density)
+    m, n = len(tangle.before.cells), len(tangle.before.points)
+    if values.shape != (m,) or m == n:
+        return options
+    return replace(options, density=values[tangle.source])
 
 
 def _as_it_leaves(work: _Prepared, threads: int, outcome: Outcome) -> Outcome:
