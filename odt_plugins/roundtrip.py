@@ -98,7 +98,7 @@ def run_engine(
     moves = work.host.geometry is not None and _surface_moves(work, options)
     leaving = partial(_as_it_leaves, work, options.threads, onto=moves)
     with words_of(work.host), telling(options.progress, "preparing") as progress:
-        chosen = _in_frame(options, work.frame)
+        chosen = _of_cells(_in_frame(options, work.frame), work.tangle)
         chosen = _with_sag(chosen, work) if moves else chosen
         chosen = replace(chosen, progress=progress if options.progress else None)
         outcome = (engine or _optimized)(work.mesh, chosen, leaving)
@@ -399,6 +399,18 @@ def _with_sag(options: Options, work: _Prepared) -> Options:
     used = work.mesh.points[np.unique(work.mesh.cells)]
     sag = work.host.geometry.sag() / diagonal(used)
     return replace(options, envelope=min(options.envelope + sag, LARGEST))
+
+
+def _of_cells(options: Options, tangle: Tangle | None) -> Options:
+    """Let the cells of a mesh that was untangled have the densities of those they come from."""
+    density = options.density
+    if tangle is None or isinstance(density, str) or callable(density):
+        return options
+    values = np.asarray(density)
+    m, n = len(tangle.before.cells), len(tangle.before.points)
+    if values.shape != (m,) or m == n:
+        return options
+    return replace(options, density=values[tangle.source])
 
 
 def _as_it_leaves(

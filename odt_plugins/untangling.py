@@ -25,11 +25,13 @@ class Tangle(NamedTuple):
     Attributes
     ----------
     before : SimplexMesh       cells that agree about their orientation, some inverted or flat
+    after : SimplexMesh        the same without those
     source : (m',) int32       its cell of which every cell of the untangled mesh takes the data
     facts : dict               what the report says of it
     """
 
     before: SimplexMesh
+    after: SimplexMesh
     source: IntArray
     facts: Mapping[str, Any]
 
@@ -88,8 +90,9 @@ def untangle_mesh(
         "moved": int((found.points != mesh.points).any(axis=1).sum()),
         "flips": found.flips,
     }
-    new = replace(moved, cells=cells, regions=regions, frozen=mesh.frozen[source])
-    return new, Tangle(mesh, source, facts)
+    new = replace(moved, cells=cells, regions=regions, frozen=mesh.frozen[source],
+                  valid_before=None if bad.all() else (mesh.points, mesh.cells[~bad]))
+    return new, Tangle(mesh, new, source, facts)
 
 
 def _left(
@@ -111,11 +114,9 @@ def worse_than_valid(
     tangle: Tangle, after: QualitySummary, keep: tuple[str, ...] = FIGURES
 ) -> tuple[str, ...]:
     """Say which figures of a result are worse than those of the valid cells of the input."""
-    before = tangle.before
-    valid = cell_signs(before.points, before.cells)[0] > 0
-    if not valid.any():
+    if tangle.after.valid_before is None:
         return ()
-    return tuple(worse_figures(summarize(before.points, before.cells[valid]), after, keep))
+    return tuple(worse_figures(summarize(*tangle.after.valid_before), after, keep))
 
 
 def rest_places(

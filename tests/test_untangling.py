@@ -78,6 +78,22 @@ def test_the_report_says_which_figures_are_worse_than_those_of_the_valid_cells(d
     assert any("min_quality fell" in text for text in report.untangled["worse"]) == low
 
 
+@pytest.mark.parametrize("dim", [2, 3])
+def test_figures_may_be_as_bad_as_those_of_the_valid_cells(dim):
+    """All cells of a lattice are alike when untangled: any change spoils the least quality."""
+    points, cells, _ = tangled(dim, 5, "random")
+    out, report = odt_plugins.optimize_with_report((points, cells))
+    lattice = odt_plugins.measure(odt_plugins.untangle((points, cells)))
+    assert report.after.mean_quality > lattice.mean_quality + (0.02 if dim == 3 else -1e-9)
+    assert (contract.volumes(*out) > 0).all()
+    before, _ = simplex_mesh(*contract.grid(dim, 4)[:2])
+    valid = (np.asarray(points), cells[contract.volumes(points, cells) > 0])
+    worse = before.points + 0.03 * ((before.points > 0) & (before.points < 1)).all(axis=1)[:, None]
+    given = (worse, before.cells, before.regions, ("min_quality",))
+    assert broken_promises(before, *given)
+    assert not broken_promises(replace(before, valid_before=valid), *given)
+
+
 def test_untangling_can_be_refused():
     points, cells, _ = knotted(2)
     with pytest.raises(TangledMeshError, match="overlapping a neighbour") as caught:

@@ -44,6 +44,8 @@ class SimplexMesh:
                                              something refers to them; none by default
     turned : int                             cells of mixed orientation that were turned on the way
                                              in
+    valid_before : (points, cells) or None   of a mesh that was untangled, the valid cells it had: a
+                                             figure may be as bad as with these, too
     """
 
     points: FloatArray
@@ -55,6 +57,7 @@ class SimplexMesh:
     lines: IntArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int32))
     anchored: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     turned: int = 0
+    valid_before: tuple[FloatArray, IntArray] | None = None
 
     def __post_init__(self) -> None:
         if self.anchored.size != len(self.points):

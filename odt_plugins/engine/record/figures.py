@@ -89,6 +89,14 @@ class Figures:
                        cos_max_angle=float(shapes[:, 2].min()),
                        min_altitude=float(shapes[:, 3].min()))
 
+    def or_worse(self, other: Figures) -> Figures:
+        """The worse of two values of every figure, with the own score."""
+        low = ("min_quality", "p1_quality", "mean_quality", "cos_max_angle")
+        worse = {name: min(getattr(self, name), getattr(other, name)) for name in low}
+        worse |= {name: max(getattr(self, name), getattr(other, name))
+                  for name in ("cos_min_angle", "small_angles")}
+        return replace(self, **worse)
+
     def worse_than(self, before: Figures, keep: tuple[str, ...]) -> list[str]:
         """Figures of ``keep`` that are worse than before, beyond rounding."""
         worse = {

@@ -91,6 +91,12 @@ def test_cell_data_come_from_the_input_and_flips_are_counted():
     assert len(report.cell_origin) == 2
 
 
+def test_densities_of_cells_follow_the_flips():
+    for density in ([1.0, 1.0, 2.0], np.ones(len(FLAT))):
+        out = odt_plugins.optimize((FLAT, FLAT_CELLS), density=density)
+        assert odt_plugins.measure(out).inverted == 0
+
+
 @pytest.mark.parametrize("case", CASES)
 def test_frozen_cells_stay(case):
     points, cells = CASES[case]
