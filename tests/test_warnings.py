@@ -18,6 +18,7 @@ from pieces import write_pieces
 from scipy import sparse
 
 import odt_plugins
+from odt_plugins import tetwild
 from odt_plugins.compare.start import ball
 from odt_plugins.engine.odt.multigrid import solve_amg
 from odt_plugins.engine.run import driver
@@ -104,6 +105,15 @@ def beyond(place, monkeypatch):
     odt_plugins.refine_and_optimize((points, cells), 1)
 
 
+def closed(place, monkeypatch):
+    points, cells, _ = contract.grid(3, 1)
+    monkeypatch.setattr(tetwild, "run_tetwild", lambda *_: (points, cells.astype(np.int32)))
+    faces = np.array(sorted(contract.facets(cells, np.zeros(len(cells), int))))[1:]
+    meshio.write(place / "in.vtu", meshio.Mesh(points, [("triangle", faces)],
+                                               cell_data={"side": [np.arange(len(faces))]}))
+    odt_plugins.tetrahedralize_file(place / "in.vtu", place / "out.vtu")
+
+
 def apart(place, monkeypatch):
     start = ball(150)
     index = write_pieces(place / "in", start.points, start.cells, np.arange(len(start.cells)) % 2)
@@ -153,6 +163,7 @@ CASES = {
     "adapters/pymeshlab_set.py": (held,),
     "adapters/pymeshlab_faces.py": (polygons,),
     "generate/levels.py": (beyond,),
+    "generate/fill.py": (closed,),
     "distributed/pieces.py": (apart,),
     "engine/odt/multigrid.py": (slow,),
 }

@@ -240,9 +240,26 @@ def cell_figures(points, cells, kind=np.longdouble):
     return q, angle.min(axis=0), angle.max(axis=0)
 
 
+def least_altitude(points, cells, kind=np.longdouble):
+    """Least altitude of all cells."""
+    x = np.asarray(points)[cells].astype(kind)
+    if x.shape[2] == 2:
+        x = np.concatenate([x, np.zeros((*x.shape[:2], 1), kind)], axis=2)
+    a, b = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
+    if cells.shape[1] == 3:
+        size, facets = _length(np.cross(a, b)), [_length(v) for v in (a, b, b - a)]
+    else:
+        c = x[:, 3] - x[:, 0]
+        size = np.abs((a * np.cross(b, c)).sum(axis=1))
+        facets = [_length(np.cross(u, v)) for u, v in ((a, b), (b, c), (c, a), (b - a, c - a))]
+    most = np.max(facets, axis=0)
+    return np.divide(size, most, out=np.zeros_like(size), where=most > 0).min()
+
+
 def figures(points, cells, kind=np.longdouble):
     """The figures that an option can keep."""
     q, least, largest = cell_figures(points, np.asarray(cells).astype(np.int64), kind)
     return {"min_quality": q.min(), "p1_quality": np.quantile(q, 0.01), "mean_quality": q.mean(),
             "min_angle": least.min(), "max_angle": largest.max(),
-            "share_below_20": (least < 20.0).mean()}
+            "share_below_20": (least < 20.0).mean(),
+            "min_altitude": least_altitude(points, np.asarray(cells).astype(np.int64), kind)}

@@ -26,14 +26,14 @@ BONE = Path(odt_plugins.__file__).parent / "compare" / "data" / "bone.vtu"
 SESSION = Path(__file__).with_name("paraview_session.py")
 
 
-@pytest.fixture(scope="module")
-def session(tmp_path_factory):
+@pytest.fixture
+def session(tmp_path):
     """What the session found, what it said, and its folder."""
     for program in ("pvpython", "Xvfb"):
         assert shutil.which(program), (
             f"{program} is not installed; on Debian, as root: apt-get install -y "
             "python3-paraview paraview xvfb")
-    folder = tmp_path_factory.mktemp("paraview")
+    folder = tmp_path
     mesh = pyvista.read(BONE)
     mesh["height"] = mesh.points[:, 2].astype(float)
     mesh.save(folder / "mesh.vtu")
@@ -57,7 +57,7 @@ def session(tmp_path_factory):
     return json.loads((folder / "found.json").read_text()), done.stderr, folder
 
 
-def test_optimize_does_what_the_package_does_and_keeps_the_arrays(session):
+def optimize_is_that_of_the_package(session):
     found, _, folder = session
     mesh = meshio.read(folder / "mesh.vtu")
     truth = odt_plugins.optimize(mesh, exponent=4.0, rounds=10)
@@ -71,7 +71,7 @@ def test_optimize_does_what_the_package_does_and_keeps_the_arrays(session):
     assert {"odt_min_angle", "odt_max_angle", "odt_altitude"} < set(found["after"]["arrays"])
 
 
-def test_properties_are_the_options(session):
+def properties_are_the_options(session):
     found = session[0]
     named = {"".join(word.capitalize() for word in name.split("_")) for name, about
              in OPTIONS.items() if about.metadata["flag"] is not None}
@@ -79,20 +79,20 @@ def test_properties_are_the_options(session):
     assert tuple(found["choices"]) == OPTIONS["objective"].metadata["choices"]
 
 
-def test_progress_grows_in_the_bar_of_paraview(session):
+def progress_grows_in_the_bar_of_paraview(session):
     told = session[0]["progress"]
     assert len(set(told)) > 5
     assert told[-1] == 1.0
 
 
-def test_errors_are_the_sentences_of_the_package(session):
+def errors_are_the_sentences_of_the_package(session):
     found, said, _ = session
     assert found["refused"] == 0
     assert "got exponent=-4.0; expected a positive number or None" in said
     assert "Traceback" not in said
 
 
-def test_surfaces_are_optimised_and_filled(session):
+def surfaces_are_optimised_and_filled(session):
     found = session[0]
     assert found["surface"]["class"] == "vtkPolyData"
     assert found["surface"]["cells"] == 80
@@ -102,7 +102,7 @@ def test_surfaces_are_optimised_and_filled(session):
     assert sorted(set(found["filled"]["arrays"]["side"])) == [0, 1, 2]
 
 
-def test_both_meshes_are_in_the_picture(session):
+def both_meshes_are_in_the_picture(session):
     from matplotlib.image import imread
 
     pixels = (imread(session[2] / "shot.png")[:, :, :3] * 255).astype(int)
@@ -110,6 +110,14 @@ def test_both_meshes_are_in_the_picture(session):
     for side in (pixels[:, :half], pixels[:, half:]):
         assert len(np.unique(side.reshape(-1, 3), axis=0)) > 200
         assert 0.05 < (side < 250).any(axis=2).mean() < 0.9
+
+
+def test_the_filters_work_in_paraview(session):
+    """One test, so that ParaView runs once however many processes the tests have."""
+    for check in (optimize_is_that_of_the_package, properties_are_the_options,
+                  progress_grows_in_the_bar_of_paraview, errors_are_the_sentences_of_the_package,
+                  surfaces_are_optimised_and_filled, both_meshes_are_in_the_picture):
+        check(session)
 
 
 def test_the_command_says_how_to_load_the_plugin(capsys):

@@ -248,3 +248,16 @@ def test_the_gallery_is_drawn(here, capsys):
     assert capsys.readouterr().out.strip() == str(here / "plane.png")
     assert min(colours(here / "plane.png")) > 50
     assert (here / "plane.png").stat().st_size < 210_000
+
+
+def test_a_job_of_ten_lines_is_run_drawn_and_measured(here, capsys, monkeypatch):
+    pytest.importorskip("gmsh")
+    monkeypatch.syspath_prepend(EXAMPLES)
+    jobs = example("jobs")
+    assert list(jobs.jobs()) == ["job_fem", "job_ngsolve", "job_gmsh", "job_meshlab", "job_open3d"]
+    jobs.main(["job_gmsh", "--folder", str(here)])
+    name, figure, before, after = [
+        word.strip() for word in capsys.readouterr().out.splitlines()[-1].strip("|").split("|")]
+    assert (name, figure) == ("job_gmsh", "least minSICN")
+    assert float(after) > float(before) + 0.1
+    assert min(colours(here / "job_gmsh.png")) > 50
