@@ -29,9 +29,9 @@ CHOSEN_SUITES = ("standard", "large", "hard")
               help="Start meshes of the package: modest ones of every kind, millions of cells, or "
                    "hard ones, on which odt-plugins alone is run and its promise checked.")
 @click.option("--against", metavar="TOOL", multiple=True,
-              help="Compare with this tool only (gmsh, netgen, mmg, cgal, tetwild, laplacian, "
-                   "pymeshlab, open3d, odt-plugins, or the name of a row); may be repeated. "
-                   "Everybody unless given.")
+              help="Compare with this tool only (gmsh, netgen, mmg, cgal, stellar, tetwild, "
+                   "laplacian, pymeshlab, open3d, odt-plugins, or the name of a row); may be "
+                   "repeated. Everybody unless given.")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("comparison"),
               show_default=True, help="Directory for CSV, JSON, the page, Markdown, LaTeX, BibTeX.")
 @click.option("--repeats", type=click.IntRange(min=1), default=3, show_default=True,
