@@ -19,6 +19,7 @@ from odt_plugins.compare.start import SEED, read_start, stored
 from odt_plugins.compare.start import suite as suite_meshes
 from odt_plugins.compare.table import as_text
 from odt_plugins.compare.template import check_page
+from odt_plugins.options import Options
 
 CHOSEN_SUITES = ("standard", "large", "hard", "tangled")
 
@@ -30,9 +31,9 @@ CHOSEN_SUITES = ("standard", "large", "hard", "tangled")
                    "hard ones, on which odt-plugins alone is run and its promise checked; "
                    "tangled: every MESH, or the package's, with vertices that turn cells over.")
 @click.option("--against", metavar="TOOL", multiple=True,
-              help="Compare with this tool only (gmsh, netgen, mmg, cgal, tetwild, laplacian, "
-                   "pymeshlab, open3d, odt-plugins, or the name of a row); may be repeated. "
-                   "Everybody unless given.")
+              help="Compare with this tool only (gmsh, netgen, mmg, cgal, stellar, tetwild, "
+                   "laplacian, pymeshlab, open3d, odt-plugins, or the name of a row); may be "
+                   "repeated. Everybody unless given.")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("comparison"),
               show_default=True, help="Directory for CSV, JSON, the page, Markdown, LaTeX, BibTeX.")
 @click.option("--repeats", type=click.IntRange(min=1), default=3, show_default=True,
@@ -46,6 +47,9 @@ CHOSEN_SUITES = ("standard", "large", "hard", "tangled")
               help="Solve the Poisson problem on every result.")
 @click.option("--scaling", is_flag=True,
               help="Measure how time, memory and iterations grow instead.")
+@click.option("--ablation", is_flag=True,
+              help="Leave out one phase of the schedule at a time instead, and show what each "
+                   "gains on each MESH, or on the standard suite.")
 @click.option("--part", "parts", metavar="PART", multiple=True,
               help="Only this part of --scaling (stages, surface, races, forty-sweeps, "
                    "multigrid, bandwidth, threads, blocks, generation); may be repeated.")
@@ -63,6 +67,7 @@ def compare(
     threads: int,
     poisson: bool,
     scaling: bool,
+    ablation: bool,
     parts: tuple[str, ...],
     smallest: int,
     largest: int,
@@ -72,6 +77,8 @@ def compare(
     Each tool runs in a process of its own; one that is not installed, crashes, hangs or breaks the
     boundary is a row that says so. Nothing is written outside --out and temporary folders.
     """
+    if ablation:
+        return _run_ablation(sources, suite, threads)
     check_page()
     if scaling:
         return _run_scaling(out, smallest, largest, threads, parts)
@@ -199,6 +206,16 @@ def _run_scaling(
     click.echo(run_scaling(out, largest, threads, say=click.echo, smallest=smallest,
                            parts=parts or tuple(PARTS)))
     click.echo("written: " + ", ".join(str(out / name) for name in FILES))
+    return 0
+
+
+def _run_ablation(sources: tuple[Path, ...], suite: str | None, threads: int) -> int:
+    from odt_plugins.compare.ablation import ablation
+
+    starts = [read_start(path) for path in sources]
+    starts += suite_meshes(suite or "standard") if suite or not sources else []
+    table = ablation(starts, Options(threads=threads), say=lambda name: click.echo(name, err=True))
+    click.echo("\n".join(as_text(table)[1:]))
     return 0
 
 

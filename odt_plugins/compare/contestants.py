@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from importlib.metadata import PackageNotFoundError, version
+from shutil import which
 from typing import Any
 
 from odt_plugins.compare.start import Kind
@@ -26,6 +27,8 @@ class Contestant:
     module : str               file in `baselines`, or the full name of a module elsewhere
     settings : dict            for its `prepare`; plain JSON values
     package : str              distribution whose version is recorded, "" for numpy alone
+    program : str              executable that is run, "" for none; without it on the PATH the row
+                               is left out
     extra : str                extra of odt-plugins that brings the package
     remark : str               what one must know to read its row
     """
@@ -36,15 +39,25 @@ class Contestant:
     module: str
     settings: dict[str, Any] = field(default_factory=dict)
     package: str = ""
+    program: str = ""
     extra: str = "compare"
     remark: str = ""
 
     def installed(self) -> str | None:
-        """Version of the package, None when it is not installed."""
+        """Version of the package, "" of a program, None when it is not installed."""
+        if self.program:
+            return which(self.program) and ""
         try:
             return version(self.package or "numpy")
         except PackageNotFoundError:
             return None
+
+    @property
+    def missing(self) -> str:
+        """What to say where it is not installed."""
+        if self.program:
+            return f"no program {self.program} is on the PATH"
+        return f'{self.package} is not installed; try pip install "odt-plugins[{self.extra}]"'
 
 
 FLAT: tuple[Kind, ...] = ("planar",)
@@ -132,6 +145,8 @@ def _volume_tools() -> list[Contestant]:
             mmg("with insertion, 3 times", INSERT, 3, "adds vertices"),
             cgal("odt"), cgal("lloyd"), cgal("perturb"), cgal("exude"),
             cgal("odt", "perturb", "exude"),
+            Contestant("Stellar", "stellar", SOLID, "stellar", {"measure": 0}, program="Stellar",
+                       remark="surface fixed, smallest sine; adds vertices"),
             tetwild("TetWild again", 10.0), tetwild("TetWild again, energy 5", 5.0)]
 
 
@@ -152,6 +167,10 @@ def _surface_tools() -> list[Contestant]:
         ("apply_coord_laplacian_smoothing", {**ten, "selected": True}),
     )
     free = ("compute_selection_by_condition_per_vertex", {"condselect": "q > 0"})
+    def mmgs(name: str, envelope: float) -> Contestant:
+        return Contestant(f"mmgs {name}", "mmg", CURVED, "mmgs_remesh", {"envelope": envelope},
+                          "mmgpy", remark="hausd as the envelope; changes the vertices")
+
     remesh = "meshing_isotropic_explicit_remeshing"
     same_size: dict[str, Any] = {"iterations": 5, "targetlen": None}
     fixed_size: dict[str, Any] = {**same_size, "splitflag": False, "collapseflag": False}
@@ -168,6 +187,9 @@ def _surface_tools() -> list[Contestant]:
         lab("isotropic remeshing", CURVED, (remesh, same_size), remark="changes the vertices"),
         lab("isotropic, no refinement", CURVED, (remesh, fixed_size),
             remark="flips, smoothing and projection alone"),
+        mmgs("hausd 1e-3", 1e-3), mmgs("hausd 2e-3", 2e-3),
+        Contestant("CGAL isotropic remeshing", "cgal", CURVED, "cgal_remesh", {"iterations": 5},
+                   "cgal", remark="changes the vertices"),
         o3d("simple", 5), o3d("laplacian", 5), o3d("taubin", 5),
     ]
 
@@ -187,7 +209,7 @@ def choose(against: Sequence[str]) -> list[Contestant]:
     InvalidOptionError             a name that nobody has
     """
     if not against:
-        return list(CONTESTANTS)
+        return [c for c in CONTESTANTS if not c.program or c.installed() is not None]
     families = sorted({c.family for c in CONTESTANTS})
     known = {c.name for c in CONTESTANTS} | set(families)
     for name in against:

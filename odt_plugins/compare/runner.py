@@ -80,8 +80,7 @@ class Run:
 def run_contestant(start: StartMesh, contestant: Contestant, limits: Limits) -> Run:
     """Run one contestant on one start mesh in a process and a temporary folder of its own."""
     if contestant.installed() is None:
-        return Run("missing", f'{contestant.package} is not installed; try '
-                              f'pip install "odt-plugins[{contestant.extra}]"')
+        return Run("missing", contestant.missing)
     with tempfile.TemporaryDirectory(prefix="odt-compare-") as name:
         folder = Path(name)
         job = {"mesh": start.name, "kind": start.kind, "module": contestant.module,

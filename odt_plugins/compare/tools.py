@@ -27,8 +27,9 @@ class Tool(NamedTuple):
     refuses: dict[Kind, str]
 
 
-MMG = "mmg3d, the part of Mmg that is compared, takes tetrahedra only"
-CGAL = "CGAL's optimisers of Mesh_3 take tetrahedra only"
+MMG = "mmg3d and mmgs, the parts of Mmg that are compared, take no mesh in the plane"
+CGAL = "CGAL's optimisers of Mesh_3 and its remeshing of surfaces take no mesh in the plane"
+STELLAR = "Stellar takes tetrahedra only"
 TETWILD = "TetWild fills a surface with tetrahedra; the mesh has none"
 
 TOOLS: dict[str, Tool] = {
@@ -41,8 +42,9 @@ TOOLS: dict[str, Tool] = {
         "planar": "Netgen optimises triangles only on a geometry of its own, not on a stored mesh",
         "surface": "Netgen optimises triangles only on a geometry of its own, not on a stored mesh",
     }),
-    "mmg": Tool("Mmg", {"planar": MMG, "surface": MMG}),
-    "cgal": Tool("CGAL", {"planar": CGAL, "surface": CGAL}),
+    "mmg": Tool("Mmg", {"planar": MMG}),
+    "cgal": Tool("CGAL", {"planar": CGAL}),
+    "stellar": Tool("Stellar", {"planar": STELLAR, "surface": STELLAR}),
     "tetwild": Tool("TetWild", {"planar": TETWILD, "surface": TETWILD}),
     "pymeshlab": Tool("MeshLab", {"tets": "MeshLab has no tetrahedra"}),
     "open3d": Tool("Open3D", {

@@ -55,21 +55,10 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
 
 def _complex(cgal: Any, start: StartMesh) -> tuple[Any, Any]:
     from CGAL.CGAL_Kernel import Point_3, Weighted_point_3
-    from CGAL.CGAL_Polyhedron_3 import Polyhedron_3
 
     facets = hull_facets(start)
     surface, local = np.unique(facets, return_inverse=True)
-    with tempfile.TemporaryDirectory() as folder:
-        path = Path(folder) / "surface.off"
-        with path.open("w") as file:
-            file.write(f"OFF\n{len(surface)} {len(facets)} 0\n")
-            np.savetxt(file, start.points[surface], fmt="%.17g")
-            rows = local.reshape(facets.shape)
-            np.savetxt(file, np.column_stack([np.full(len(rows), 3), rows]), fmt="%d")
-        polyhedron = Polyhedron_3(str(path))
-    if not polyhedron.is_closed():
-        msg = "CGAL needs a closed two-manifold surface"
-        raise NotPossibleError(msg)
+    polyhedron = polyhedron_of(start.points[surface], local.reshape(facets.shape))
     domain = cgal.Polyhedral_mesh_domain_3(polyhedron)
     result = cgal.Mesh_3_Complex_3_in_triangulation_3()
     triangulation = result.triangulation()
@@ -82,7 +71,7 @@ def _complex(cgal: Any, start: StartMesh) -> tuple[Any, Any]:
         number[tuple(x)] = i
     wanted = {tuple(row) for row in np.sort(start.cells, axis=1).tolist()}
     for cell in triangulation.finite_cells():
-        if tuple(sorted(number[_place(cell.vertex(k))] for k in range(4))) in wanted:
+        if tuple(sorted(number[place(cell.vertex(k))] for k in range(4))) in wanted:
             result.add_to_complex(cell, 1)
     if result.number_of_cells() != len(start.cells):
         msg = "CGAL's Delaunay triangulation of the points lacks some cells of the start"
@@ -96,6 +85,28 @@ def _complex(cgal: Any, start: StartMesh) -> tuple[Any, Any]:
     return domain, result
 
 
+def polyhedron_of(points: NDArray[Any], triangles: NDArray[Any]) -> Any:
+    """Make CGAL's polyhedron of a closed surface.
+
+    Raises
+    ------
+    NotPossibleError    the surface is not closed, or not two-manifold
+    """
+    from CGAL.CGAL_Polyhedron_3 import Polyhedron_3
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = Path(folder) / "surface.off"
+        with path.open("w") as file:
+            file.write(f"OFF\n{len(points)} {len(triangles)} 0\n")
+            np.savetxt(file, points, fmt="%.17g")
+            np.savetxt(file, np.column_stack([np.full(len(triangles), 3), triangles]), fmt="%d")
+        polyhedron = Polyhedron_3(str(path))
+    if not polyhedron.is_closed() or polyhedron.size_of_facets() != len(triangles):
+        msg = "CGAL needs a closed two-manifold surface"
+        raise NotPossibleError(msg)
+    return polyhedron
+
+
 def _refuse_other_than_delaunay(start: StartMesh) -> None:
     from scipy.spatial import Delaunay
 
@@ -107,13 +118,14 @@ def _refuse_other_than_delaunay(start: StartMesh) -> None:
         raise NotPossibleError(msg)
 
 
-def _place(vertex: Any) -> tuple[float, float, float]:
+def place(vertex: Any) -> tuple[float, float, float]:
+    """Coordinates of a vertex of CGAL's."""
     point = vertex.point()
     return point.x(), point.y(), point.z()
 
 
 def _arrays(complex_: Any) -> tuple[NDArray[Any], NDArray[Any]]:
     number: dict[tuple[float, float, float], int] = {}
-    rows = [[number.setdefault(_place(cell.vertex(k)), len(number)) for k in range(4)]
+    rows = [[number.setdefault(place(cell.vertex(k)), len(number)) for k in range(4)]
             for cell in complex_.cells()]
     return np.array(list(number)), np.array(rows, dtype=np.int32)

@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
+from itertools import combinations
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.compare.start import StartMesh
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import reverse
 
@@ -38,6 +40,14 @@ class NotPossibleError(Exception):
 def flipped(cells: IntArray) -> IntArray:
     """All cells with the other orientation, for tools that want negative ones."""
     return reverse(cells, np.ones(len(cells), dtype=np.bool_))
+
+
+def mean_edge(start: StartMesh) -> float:
+    """Mean length of the edges of a start mesh."""
+    corners = combinations(range(start.cells.shape[1]), 2)
+    pairs = np.concatenate([start.cells[:, pair] for pair in corners])
+    ends = start.points[np.unique(np.sort(pairs, axis=1), axis=0)]
+    return float(np.sqrt(((ends[:, 0] - ends[:, 1]) ** 2).sum(axis=1)).mean())
 
 
 def in_space(points: FloatArray) -> FloatArray:

@@ -7,7 +7,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.compare.baselines.task import Settings, Task
+from odt_plugins.compare.baselines.task import Settings, Task, mean_edge
 from odt_plugins.compare.hull import hull_facets
 from odt_plugins.compare.start import StartMesh
 
@@ -22,9 +22,7 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
 
     facets = hull_facets(start)
     used, local = np.unique(facets, return_inverse=True)
-    edges = start.cells[:, [0, 1, 0, 2, 0, 3, 1, 2, 1, 3, 2, 3]].reshape(-1, 2)
-    ends = start.points[np.unique(np.sort(edges, axis=1), axis=0)]
-    length = float(np.sqrt(((ends[:, 0] - ends[:, 1]) ** 2).sum(axis=1)).mean())
+    length = mean_edge(start)
     surface = start.points[used], local.reshape(facets.shape).astype(np.int32)
 
     def call() -> Any:

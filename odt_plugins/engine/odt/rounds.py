@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Container
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
@@ -32,18 +32,20 @@ from odt_plugins.options import Options
 
 @dataclass
 class Log:
-    """What the stages count and record.
+    """What the stages count and record, and what they leave out.
 
     Attributes
     ----------
     energy : list of (stage, E)
     counts : dict name -> int
     times : dict stage -> seconds
+    without : container of str    names of the phases of stage 2 that are left out
     """
 
     energy: list[tuple[str, float]] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
     times: dict[str, float] = field(default_factory=dict)
+    without: Container[str] = frozenset()
 
     def add(self, name: str, amount: int) -> None:
         """Add to a count."""

@@ -193,7 +193,8 @@ def settle(
     mesh: Complex, phases: tuple[Phase, ...], bounds: Bounds, log: Log,
     pool: ThreadPoolExecutor | None, threads: int,
 ) -> None:
-    """Run phases of stage 2 and count."""
+    """Run phases of stage 2 that are not left out, and count."""
+    phases = tuple(phase for phase in phases if phase.name not in log.without)
     flips, moves = finish(mesh, phases, bounds, pool, threads)
     log.add("quality flips", flips)
     log.add("vertex moves", moves)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import time
 from collections import Counter
+from collections.abc import Container
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
@@ -53,6 +54,7 @@ def locked_vertices(mesh: SimplexMesh, neighbors: IntArray) -> tuple[BoolArray, 
 def run(
     mesh: SimplexMesh, options: Options, leaving: Leaving = as_it_is, *,
     cut: BoolArray | None = None, whole: Figures | None = None,
+    without: Container[str] = frozenset(),
 ) -> Outcome:
     """Optimise a valid mesh.
 
@@ -66,6 +68,8 @@ def run(
                                  what lies around them waits for another run
     whole : Figures, optional    of the larger mesh: its extremes are those that no cell may pass,
                                  and the promise is left to its judge
+    without : container          names of the phases of stage 2 that are left out where the boundary
+                                 does not slide
 
     Returns
     -------
@@ -82,7 +86,7 @@ def run(
         )
         raise InvalidOptionError(msg)
     if not slides(mesh, options):
-        return _run(mesh, options, leaving, cut, whole)[0]
+        return _run(mesh, options, leaving, cut, whole, without)[0]
     outcome = _run_sliding(mesh, options, leaving)
     (options.progress or silent)("finishing", 1.0)
     return outcome
@@ -139,16 +143,16 @@ def _score(outcome: Outcome, options: Options) -> float:
 
 def _run(
     mesh: SimplexMesh, options: Options, leaving: Leaving, cut: BoolArray | None = None,
-    whole: Figures | None = None,
+    whole: Figures | None = None, without: Container[str] = frozenset(),
 ) -> tuple[Outcome, IntArray]:
     """One run of all stages; also the surface vertices at which a surface that slid is spoiled."""
     with thread_pool(options.threads) as pool, callers_vertices(mesh):
-        return _run_in(pool, mesh, options, leaving, cut, whole)
+        return _run_in(pool, mesh, options, leaving, cut, whole, without)
 
 
 def _run_in(
     pool: ThreadPoolExecutor | None, mesh: SimplexMesh, options: Options, leaving: Leaving,
-    cut: BoolArray | None, whole: Figures | None,
+    cut: BoolArray | None, whole: Figures | None, without: Container[str],
 ) -> tuple[Outcome, IntArray]:
     clock = time.perf_counter()
     nowhere = np.zeros(0, dtype=np.int32)
@@ -179,7 +183,7 @@ def _run_in(
     density = make_density(
         spec, options.exponent, points, first.cells[:m], first.neighbors[:m].copy()
     )
-    log = Log(times={"prepare": time.perf_counter() - clock})
+    log = Log(times={"prepare": time.perf_counter() - clock}, without=without)
     bounds = extremes(before, tuple(options.keep))
     before_insertion = until_insertion(options) if options.insert else options
     reason = run_cycles(first, density, before_insertion, bounds, memory, log, pool, near)

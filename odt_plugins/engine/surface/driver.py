@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import time
+from collections.abc import Container
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -47,7 +48,7 @@ from odt_plugins.progress import silent
 TAIL = (Phase(4.0, 0.05, 10, 2, name="tail 1"), Phase(8.0, 0.01, 10, 2, name="tail 2"))
 """Phases for the worst triangles; beyond p = 8 the envelope leaves them nothing to gain."""
 
-REPAIR = tuple((Phase(power, 0.3, 20, 3),) for power in (16.0, 32.0, 64.0))
+REPAIR = tuple((Phase(power, 0.3, 20, 3, name="repair"),) for power in (16.0, 32.0, 64.0))
 """Phases for a surface that is good but for a few triangles beyond the input's extremes."""
 
 
@@ -82,7 +83,8 @@ class SurfaceStart(Start):
 
 
 def run_surface(
-    mesh: SimplexMesh, options: Options, leaving: Leaving = as_it_is
+    mesh: SimplexMesh, options: Options, leaving: Leaving = as_it_is, *,
+    without: Container[str] = frozenset(),
 ) -> SurfaceOutcome:
     """Optimise a curved surface.
 
@@ -91,6 +93,7 @@ def run_surface(
     mesh : SimplexMesh    triangles in space, made by :func:`odt_plugins.mesh.surface.surface_mesh`
     options : Options
     leaving : callable    applied to every state before it is judged
+    without : container   names of the phases of stage 2 that are left out
 
     Returns
     -------
@@ -104,16 +107,16 @@ def run_surface(
     if mesh.frozen.all():
         return _as_given(unchanged(mesh, "no triangle may change"))
     with callers_vertices(mesh):
-        return _run_until_kept(mesh, options, leaving)
+        return _run_until_kept(mesh, options, leaving, without)
 
 
 def _run_until_kept(
-    mesh: SimplexMesh, options: Options, leaving: Leaving
+    mesh: SimplexMesh, options: Options, leaving: Leaving, without: Container[str]
 ) -> SurfaceOutcome:
     """Runs from the input on until one keeps the promise, at last the input itself."""
     clock = time.perf_counter()
     start = _start(mesh)
-    log = Log(times={"prepare": time.perf_counter() - clock})
+    log = Log(times={"prepare": time.perf_counter() - clock}, without=without)
     alone = np.zeros(len(mesh.points), dtype=np.bool_)
     broken: list[str] = []
     for attempt in range(POLICY.surface_attempts):
@@ -282,8 +285,10 @@ def _cycles(
 def _settle(
     surface: Surface, phases: tuple[Phase, ...], bounds: Extremes, log: Log
 ) -> None:
-    """Run phases of stage 2 and count."""
+    """Run phases of stage 2 that are not left out, and count."""
     for phase in phases:
+        if phase.name in log.without:
+            continue
         flips, moves = finish_phase(SurfaceDescent(surface, phase, bounds), phase)
         log.add("quality flips", flips)
         log.add("vertex moves", moves)
