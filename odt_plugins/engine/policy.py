@@ -63,9 +63,14 @@ class Policy:
     slabs_worth: float = _chosen(
         0.01, "Part of the cells from which on compound moves, slower than flips, are made in "
         "slabs by several threads.", LARGE)
+    reconnected: float = _chosen(
+        0.01, "Largest share of the cells around which a phase fills polyhedra anew.", STANDARD)
     many_small_angles: float = _chosen(
-        0.1, "Share of cells with a small angle up to which phases look after them: where there "
+        0.08, "Share of cells with a small angle up to which phases look after them: where there "
         "are more they do not decide.", HARD)
+    polished: float = _chosen(
+        0.02, "Largest share of the cells from which a phase for small angles alone starts.",
+        STANDARD)
     polished_rings: int = _chosen(
         4, "Rings of cells around small angles that are changed for their sake.", STANDARD)
 
@@ -100,8 +105,7 @@ class Policy:
     small_angle: float = _chosen(
         20.0, "Dihedral angle in degrees below which a cell is looked after on its own.", STANDARD)
     counted_small_angles: float = _chosen(
-        0.02, "Share of small angles beyond which the score counts no more of them, nor a phase "
-        "starts from.", STANDARD)
+        0.1, "Share of small angles beyond which the score counts no more of them.", STANDARD)
     small_angle_price: float = _chosen(
         3.0, "Of a tetrahedron with a small angle in the score: what three regular ones add to it.",
         STANDARD)

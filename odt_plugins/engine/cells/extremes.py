@@ -42,6 +42,13 @@ class Bounds(NamedTuple):
         """The same with another least radius ratio of all cells."""
         return self._replace(cells=self.cells._replace(quality=float(least)))
 
+    def within(self, found: Extremes) -> Bounds:
+        """The same, but no cell may pass an extreme that was found besides."""
+        return Bounds(*(
+            Extremes(max(own.quality, found.quality), min(own.large, found.large),
+                     max(own.small, found.small)) for own in self
+        ))
+
     def with_large(self, cosine: float) -> Bounds:
         """The same, but no cosine of any cell may be larger than this one."""
         return Bounds(*(own._replace(large=min(own.large, float(cosine))) for own in self))

@@ -20,8 +20,8 @@ class Phase:
     share : float    part of the cells, worst first, that it starts from
     rounds : int     most rounds of flips and smoothing
     sweeps : int     sweeps of smoothing in a round
-    compound : int   passes of compound moves over the same share: afterwards in space, before in
-                     the plane
+    compound : int   passes of compound moves over the same share: before in the plane, afterwards
+                     in space, where polyhedra around it are filled anew before and after
     objective : int  the cell measure in the cost, see ``tetrahedron.tet_cost``
     guard : float or None
         no new cell gets a worse radius ratio than this share of the cells has when the phase
@@ -33,6 +33,11 @@ class Phase:
     enough : float
         of the cells whose measure reaches this only a tenth of the share is worked on, in the
         plane by compound moves
+    count : int
+        so many cells, worst first, in the place of the share; 0: the share (d = 3)
+    hold : bool
+        no new cell passes the worst radius ratio and the extreme angles that all cells have when
+        the phase starts; False: those of the input (d = 3)
     name : str
         what the phase is for; phases with one name serve one purpose
     """
@@ -46,6 +51,8 @@ class Phase:
     guard: float | None = None
     least: float | None = None
     enough: float = 1.0
+    count: int = 0
+    hold: bool = False
     name: str = ""
 
     @property
@@ -94,6 +101,12 @@ ANGLES = Phase(2.0, 0.01, 2, 3, 3, DIHEDRAL, guard=0.01, enough=0.33, name="angl
 """For the smallest and largest angles, which radius ratios alone do not mind enough: those below
 about 25 degrees, or above 150."""
 
+EXTREME_CELLS = tuple(
+    Phase(2.0, 0.0, 1, 3, 3, measure, count=count, hold=True, name="extremes")
+    for count in (10, 20) for measure in (DIHEDRAL, QUALITY)
+)
+"""For the worst cells of all, by their angles and by their radius ratio."""
+
 
 def bulk(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
     """Phases for the mean: every cell, a small p; with "amips" the sum of the energies."""
@@ -114,16 +127,22 @@ def tail(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
     )
 
 
-def with_angles(phases: tuple[Phase, ...]) -> tuple[Phase, ...]:
-    """Put :data:`ANGLES` after the first of the phases for radius ratios in space.
+def worst_cells() -> tuple[Phase, ...]:
+    """Phases for radius ratios in space: the tail, angles, the very worst cells, and the way back.
 
-    Those after it make no new small angle, and win back what the angles cost.
+    What the extremes cost is won back while they hold, and no new small angle is made.
     """
-    return phases[0], ANGLES, *(replace(phase, least=POLICY.small_angle) for phase in phases[1:])
+    first, *others = tail(3)
+    back = Phase(1.0, 1.0, 2, 3, name="regain")
+    held = (replace(phase, hold=True, least=POLICY.small_angle) for phase in (back, *others))
+    return first, ANGLES, *EXTREME_CELLS, *held
 
 
 def polish(share: float) -> tuple[tuple[Phase, ...], ...]:
-    """Phases for small angles alone, and to win back around them what they cost: gently, then not.
+    """Phases for small angles alone, and to win back around them what they cost.
+
+    Few small angles are polished once more, less gently: what they cost is no loss to the 1 %
+    quantile.
 
     Parameters
     ----------
@@ -131,14 +150,15 @@ def polish(share: float) -> tuple[tuple[Phase, ...], ...]:
     """
     if not 0.0 < share <= POLICY.many_small_angles:
         return ()
-    most, least = POLICY.counted_small_angles, POLICY.small_angle
-    worst = min(share, most)
-    after = Phase(4.0, 2.0 * min(8.0 * share, most), 2, 3, 3, guard=0.0, least=least,
-                  name="after polish")
-    return (
-        (Phase(2.0, worst, 2, 3, 3, DIHEDRAL, guard=1e-3, name="polish"), after),
-        (Phase(4.0, worst, 2, 3, 3, DIHEDRAL, guard=0.0, name="polish"), after),
+    most = POLICY.polished
+    gentle = Phase(
+        2.0, min(share, most), 2, 3, 3, DIHEDRAL, guard=0.01, hold=True, name="polish"
     )
+    after = Phase(4.0, 2.0 * min(8.0 * share, most), 2, 3, 3, hold=True, least=POLICY.small_angle,
+                  name="after polish")
+    if share > 0.5 * most:
+        return ((gentle, after),)
+    return (gentle, after), (replace(gentle, power=4.0, guard=1e-3), after)
 
 
 def repair(worse: Sequence[str], small_angles: float) -> tuple[tuple[Phase, ...], ...]:
@@ -193,7 +213,7 @@ def descents(dim: int, objective: Objective = "radius_ratio") -> tuple[Descent, 
     can of them while the worst angles hold, that of "time_step" around all cells it touched.
     """
     if objective == "radius_ratio":
-        return (Descent(tail(dim) if dim == 2 else with_angles(tail(dim))),)
+        return (Descent(tail(2) if dim == 2 else worst_cells()),)
     if objective == "amips":
         return (Descent(tail(dim, objective)),)
     hold = objective == "min_dihedral"

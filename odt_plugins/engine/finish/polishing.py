@@ -59,7 +59,8 @@ def polish_small_angles(
         if not len(_small(inside(part), cut)):
             break
         for phase in phases:
-            local = replace(phase, share=min(1.0, more * phase.share), guard=None, least=None)
+            share = min(1.0, more * phase.share)
+            local = replace(phase, share=share, guard=None, least=None, hold=False)
             settle(inside(part), (local,), limits[phase])
         memory.offer(part, name)
 

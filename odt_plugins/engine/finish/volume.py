@@ -13,7 +13,7 @@ from functools import partial
 
 import numpy as np
 
-from odt_plugins.engine.cells.extremes import Bounds
+from odt_plugins.engine.cells.extremes import Bounds, Extremes
 from odt_plugins.engine.cells.tetrahedron import QUALITY
 from odt_plugins.engine.finish.descent import finish_phase
 from odt_plugins.engine.finish.phases import Phase
@@ -21,6 +21,7 @@ from odt_plugins.engine.finish.plane import finish2d
 from odt_plugins.engine.moves.compound import compound_pass
 from odt_plugins.engine.moves.newton3d import smooth_vertices
 from odt_plugins.engine.moves.passes import NO_CELL, flip_pending, grow, measures
+from odt_plugins.engine.moves.reconnection import reconnection_pass
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import cell_shapes
 from odt_plugins.engine.sliding.skin import flip_skin, slide
@@ -32,16 +33,21 @@ from odt_plugins.engine.topology.active import (
 )
 from odt_plugins.engine.topology.coloring import run_chunks, touching_blocks, vertex_coloring
 from odt_plugins.engine.topology.complex import Complex, slot_stars
-from odt_plugins.engine.topology.slabs import side_by_side
+from odt_plugins.engine.topology.slabs import Work, side_by_side
 from odt_plugins.engine.topology.star import Stars
 from odt_plugins.engine.topology.tets import Tets
 from odt_plugins.engine.topology.triangles import Triangles
 from odt_plugins.mesh.arrays import BoolArray, ByteArray, FloatArray, IntArray
 
+FEW = 50
+"""Cells at which reconnection is tried however small a part of the mesh they are."""
+
 
 def worst_count(q: FloatArray, phase: Phase) -> int:
     """How many cells a phase starts from, besides the best of all; ``q`` as of :func:`measures`."""
     cells = int((q < NO_CELL).sum())
+    if phase.count:
+        return min(phase.count, cells - 1)
     most = min(int(phase.share * cells + 1e-6), cells - 1)
     return min(most, max(most // 10, int((q < phase.enough).sum())))
 
@@ -56,6 +62,12 @@ def guarded(
     mesh: Complex, phase: Phase, bounds: Bounds, pool: ThreadPoolExecutor | None = None
 ) -> Bounds:
     """Bounds for a phase, see :class:`Phase`."""
+    if phase.hold:
+        shapes = cell_shapes(mesh.points, mesh.mesh_arrays()[0])
+        bounds = bounds.within(
+            Extremes(*(float(m) for m in (shapes[:, 0].min(), shapes[:, 1].max(),
+                                          shapes[:, 2].min())))
+        )
     if phase.least is not None:
         cells, _ = mesh.mesh_arrays()
         cosines = cell_shapes(mesh.points, cells)[:, 1]
@@ -168,9 +180,14 @@ def descend(
     pool: ThreadPoolExecutor | None,
     threads: int,
 ) -> tuple[int, int]:
-    """One phase with its compound moves; returns the numbers of flips and of vertex moves."""
+    """One phase with its compound moves, between reconnections of the same cells.
+
+    Returns the numbers of flips, reconnections and compound moves among them, and of vertex moves.
+    """
     bounds = guarded(mesh, phase, bounds, pool)
+    before = reconnections(mesh, phase, bounds, pool) if phase.compound else 0
     flips, moves = finish_phase(_VolumeDescent(mesh, phase, bounds, pool, threads), phase)
+    flips += before
     tried = np.zeros(0, dtype=bool)
     for _ in range(phase.compound):
         tried = np.concatenate([tried, np.zeros(len(mesh.cells) - len(tried), dtype=bool)])
@@ -178,6 +195,8 @@ def descend(
         flips += taken
         if taken == 0:
             break
+    if phase.count:
+        flips += reconnections(mesh, phase, bounds, pool)
     return flips, moves
 
 
@@ -196,12 +215,27 @@ def compound_moves(
     mesh: Complex, phase: Phase, bounds: Bounds, tried: BoolArray, pool: ThreadPoolExecutor | None
 ) -> int:
     """Try compound moves at the worst share of the cells; returns how many stayed."""
+    work = partial(_compound_part, phase, bounds, tried)
+    return _at_the_worst(mesh, phase, pool, work, 1.0)
+
+
+def reconnections(
+    mesh: Complex, phase: Phase, bounds: Bounds, pool: ThreadPoolExecutor | None
+) -> int:
+    """Fill polyhedra around the worst share of the cells anew; returns how many."""
+    work = partial(_reconnected_part, mesh, phase, bounds)
+    return _at_the_worst(mesh, phase, pool, work, POLICY.reconnected)
+
+
+def _at_the_worst(
+    mesh: Complex, phase: Phase, pool: ThreadPoolExecutor | None, work: Work, most: float
+) -> int:
+    """Work at the worst share of the cells, ``most`` of them, in slabs where these are many."""
     q = measures(mesh, phase.objective, pool)
-    count = worst_count(q, phase)
+    count = min(worst_count(q, phase), max(int(most * mesh.count()), FEW))
     worst = np.argpartition(q, count)[: count + 1]
     order = worst[np.argsort(q[worst], kind="stable")].astype(np.int32)
     mesh.status[:] = 0
-    work = partial(_compound_part, phase, bounds, tried)
     taken = side_by_side(mesh, order, pool, work, POLICY.slabs_worth, costly=True)
     if mesh.full:
         grow(mesh)
@@ -215,6 +249,14 @@ def _compound_part(
     return int(compound_pass(
         tets, order, phase.cost, POLICY.quality_ring, bounds, tried
     ))
+
+
+def _reconnected_part(
+    mesh: Complex, phase: Phase, bounds: Bounds, order: IntArray, tets: Tets
+) -> int:
+    """Reconnect at the cells of one slab; no vertex moves, so those at its cuts are not locked."""
+    own = tets._replace(locked=mesh.locked)
+    return int(reconnection_pass(own, order, phase.cost, bounds))
 
 
 def finish(

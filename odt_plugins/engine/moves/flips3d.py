@@ -42,6 +42,22 @@ WITHIN_BOUNDS = 0.0
 
 
 @inner_kernel
+def worst_of(
+    tets: Tets, old: IntArray, n_old: int, bounds: Bounds
+) -> tuple[Extremes, Extremes]:
+    """Worst of the bounds and the first n_old cells of ``old``: of all, of the locked ones."""
+    cells = tets.cells
+    limit, locked = bounds.cells, bounds.locked
+    for m in range(n_old):
+        c = old[m]
+        own = cell_extremes(tets.points, cells, c)
+        limit = worse(limit, own)
+        if all_locked(tets, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3]):
+            locked = worse(locked, own)
+    return limit, locked
+
+
+@inner_kernel
 def admissible(
     tets: Tets, old: IntArray, n_old: int, new: IntArray, n_new: int, objective: int,
     bounds: Bounds,
@@ -52,7 +68,7 @@ def admissible(
     such cell among the old ones, other cells to the worst of all.  In the energy objective, which
     smoothing and finishing follow, only the locked cells are held to anything.
     """
-    points, cells = tets.points, tets.cells
+    points = tets.points
     free = locked = Extremes(2.0, -1.0, 1.0)
     for m in range(n_new):
         is_locked = all_locked(tets, new[m, 0], new[m, 1], new[m, 2], new[m, 3])
@@ -66,13 +82,7 @@ def admissible(
             free = worse(free, own)
     if keeps(free, bounds.cells) and keeps(locked, bounds.locked):
         return True
-    limit, locked_limit = bounds.cells, bounds.locked
-    for m in range(n_old):
-        c = old[m]
-        own = cell_extremes(points, cells, c)
-        limit = worse(limit, own)
-        if all_locked(tets, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3]):
-            locked_limit = worse(locked_limit, own)
+    limit, locked_limit = worst_of(tets, old, n_old, bounds)
     return keeps(free, limit) and keeps(locked, locked_limit)
 
 

@@ -125,7 +125,9 @@ def labelled_start():
 
 def test_promise_with_regions_fixed_and_frozen_on_any_number_of_threads():
     mesh = labelled_start()
-    outcome, again = (run(mesh, Options(insert=True, threads=k)) for k in (1, 2))
+    outcome, again = (
+        run(mesh, Options(insert=True, threads=k, objective="min_dihedral")) for k in (1, 2)
+    )
     assert outcome.origin is not None
     assert_inserted(mesh, outcome)
     assert again.points.tobytes() == outcome.points.tobytes()
@@ -137,8 +139,9 @@ def test_promise_with_regions_fixed_and_frozen_on_any_number_of_threads():
 def test_unit_and_place_do_not_matter(scale, shift):
     points, cells = start()
     points = points.astype(np.float32).astype(float)
-    here = run(mesh_of(points, cells), Options(insert=True))
-    there = run(mesh_of(points * scale + shift, cells), Options(insert=True))
+    options = Options(insert=True, objective="min_dihedral")
+    here = run(mesh_of(points, cells), options)
+    there = run(mesh_of(points * scale + shift, cells), options)
     assert here.origin is not None
     assert np.array_equal(there.origin, here.origin)
     assert np.array_equal(there.cells, here.cells)

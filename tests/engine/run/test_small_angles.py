@@ -10,6 +10,7 @@ import pytest
 import tet_meshes as tm
 from promises import mesh_of
 
+from odt_plugins.engine.finish import polishing
 from odt_plugins.engine.record.figures import figures
 from odt_plugins.engine.run import driver
 from odt_plugins.engine.run.driver import run
@@ -53,6 +54,7 @@ def test_a_result_with_more_small_angles_is_refused_unless_the_caller_leaves_the
 def test_small_angles_beyond_those_of_the_input_are_worked_off(part, monkeypatch):
     points, cells = tm.ball(300, 4)
     mesh = mesh_of(points * [1.0, 1.0, 0.4], tm.oriented(points, cells))
+    monkeypatch.setattr(polishing, "polish", lambda share: ())
     plain = run(mesh, Options())
     reached = share(plain.points, plain.cells)
     assert reached > 0.02
