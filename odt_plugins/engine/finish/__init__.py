@@ -5,7 +5,8 @@ serves the mean of m, a large p the worst cells. A `Phase` is one descent of F_p
 one measure, from a share of the cells, worst first; `finish_phase` alternates flips and sweeps of
 Newton steps there until both gain too little. It works on whatever does the steps of the protocol
 `Descending`: tetrahedra, where `compound_moves` follows if the phase asks for it, planar triangles,
-where `compound_pass_2d` goes before, and curved ones in `engine.surface`; what the last two do alike is `TriangleDescent`.
+where `compound_pass_2d` goes before, and curved ones in `engine.surface`; what the last two do
+alike is `TriangleDescent`.
 
 The schedule is data: `bulk` for the mean, `tail` for the worst cells, `with_angles` for small
 angles between, `polish` for the few small angles that are left (`polish_small_angles`), `repair`
