@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from collections.abc import Callable, Container, Sequence
 from functools import partial
@@ -89,9 +90,11 @@ def _optimiser(start: StartMesh) -> Callable[[Options, Container[str]], Outcome]
 
 
 def _measured(optimise: Callable[[], Outcome]) -> FloatArray:
-    """Figures of the result and the processor seconds."""
-    clock = time.process_time()
-    outcome = optimise()
-    seconds = time.process_time() - clock
+    """Figures of the result and the processor seconds, the fewer of two runs."""
+    seconds = math.inf
+    for _ in range(2):
+        clock = time.process_time()
+        outcome = optimise()
+        seconds = min(seconds, time.process_time() - clock)
     summary = summarize(outcome.points, outcome.cells)
     return np.array([*(getattr(summary, name) for name in FIGURES), seconds])

@@ -67,7 +67,7 @@ def test_figs4_and_5_channel(script, tmp_path, capsys):
         assert (np.diff(curve["CPT"]) < 0).all()
         assert (curve["ODT"] < curve["CPT"])[2:].all()
         assert curve["ODT"][1] < 0.25 * curve["ODT"][0]
-    assert "0.709 | 0.7" in capsys.readouterr().out
+    assert "0.709 | 0.69" in capsys.readouterr().out
     drawn(tmp_path, "fig04.png", "fig05.png")
 
 

@@ -5,8 +5,8 @@ serves the mean of m, a large p the worst cells. A `Phase` is one descent of F_p
 one measure, from a share of the cells, worst first; `finish_phase` alternates flips and sweeps of
 Newton steps there until both gain too little. It works on whatever does the steps of the protocol
 `Descending`: tetrahedra, where `reconnections` and `compound_moves` go with it if the phase asks
-for them, planar triangles, and curved ones in `engine.surface`; what the last two do alike is
-`TriangleDescent`.
+for them, planar triangles, where `compound_pass_2d` goes before, and curved ones in
+`engine.surface`; what the last two do alike is `TriangleDescent`.
 
 The schedule is data: `bulk` for the mean, `tail` for the worst cells, `worst_cells` for these,
 small angles and the very worst cells in turn, `polish` for the few small angles that are left
