@@ -76,7 +76,7 @@ class Policy:
 
     # insertion
     insertion_rounds: int = _chosen(
-        6, "Most rounds of insertion, each followed by finishing.", STANDARD)
+        10, "Most rounds of insertion, each followed by finishing.", STANDARD)
     insertion_worth: float = _chosen(
         1e-3, "Gain of the score for which a round is followed by another.", STANDARD)
     insertion_effort: float = _chosen(
@@ -94,12 +94,12 @@ class Policy:
     insertion_flat: float = _chosen(
         2.0, "What a flat cell costs besides.", STANDARD)
     insertion_worst: float = _chosen(
-        5.0, "A fifteenth of what a cell costs besides that has half of the radius ratio, or of "
+        20.0, "A fifteenth of what a cell costs besides that has half of the radius ratio, or of "
         "the sine of an angle, at which the very worst begin:", STANDARD)
     insertion_few: float = _chosen(
         1.5, "so many times the least that there is.", STANDARD)
     insertion_sines: float = _chosen(
-        0.05, "For the angles alone the worst begin with this share of the cells.", STANDARD)
+        0.03, "For the angles alone the worst begin with this share of the cells.", STANDARD)
 
     # figures of a state
     small_angle: float = _chosen(

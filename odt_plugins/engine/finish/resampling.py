@@ -92,7 +92,7 @@ def resample(
     -------
     taken, tried : int         operations that stayed, and that were tried
     """
-    q = measures(mesh, step.objective)
+    q = measures(mesh, step.order)
     count = 1 + int(min(step.share * (q < NO_CELL).sum(), most / step.looks))
     order = np.argsort(q, kind="stable")[:count].astype(np.int32)
     mesh.status[:] = 0
@@ -132,7 +132,7 @@ def resample_in_rounds(
 ) -> None:
     """Add and remove vertices, in rounds with finishing at the end of each.
 
-    Nothing may pass the extremes that the mesh has when the round begins.
+    A phase stays if the mesh is a good one then, or the score rises.
 
     Parameters
     ----------

@@ -26,6 +26,7 @@ class Resampling:
     share : float     part of the cells, worst first, that the pass looks at
     looks : int       operations at a cell that are tried
     objective : int   the cell measure in the cost
+    order : int       the cell measure by which cells are the worst
     price : float     worth that a new vertex must gain
     best : bool       whether the best operation at a cell is taken, else the first that pays
     """
@@ -34,6 +35,7 @@ class Resampling:
     share: float
     looks: int
     objective: int = QUALITY
+    order: int = QUALITY
     price: float = 0.5
     best: bool = False
 
@@ -48,14 +50,17 @@ def resampling(objective: Objective = "radius_ratio") -> tuple[Resampling, ...]:
     """Passes of one round of insertion: for the mean, the quality, the very smallest angles."""
     if objective == "min_dihedral":
         return (
-            Resampling(4.0, 0.05, 7, DIHEDRAL),
-            Resampling(4.0, 0.003, 15, DIHEDRAL, best=True),
+            Resampling(2.0, 0.05, 7, order=DIHEDRAL, price=1.0),
+            Resampling(4.0, 0.02, 7, DIHEDRAL, DIHEDRAL, 1.0),
+            Resampling(2.0, 0.003, 15, order=DIHEDRAL, best=True),
+            Resampling(4.0, 0.003, 15, DIHEDRAL, DIHEDRAL, best=True),
         )
     return (
         Resampling(2.0, 0.5, 2, price=1.0),
         Resampling(2.0, 0.15, 7),
         Resampling(4.0, 0.001, 15, best=True),
-        Resampling(4.0, 0.001, 15, DIHEDRAL, best=True),
+        Resampling(2.0, 0.001, 15, order=DIHEDRAL, best=True),
+        Resampling(4.0, 0.001, 15, DIHEDRAL, DIHEDRAL, best=True),
     )
 
 

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from odt_plugins.engine.cells.extremes import Bounds
 from odt_plugins.engine.cells.geometry import boundary_vertices, interface_vertices
 from odt_plugins.engine.compiled.threads import thread_pool
 from odt_plugins.engine.finish.resampling import resample_in_rounds, with_spare_vertices
@@ -209,7 +210,7 @@ def _run_in(
         )
         resample_in_rounds(
             spare, best.figures, options.objective,
-            limits=partial(extremes, keep=tuple(options.keep)),
+            limits=partial(_held, options, before),
             settle=partial(settle, log=log, pool=pool, threads=options.threads),
             offer=partial(memory.offer, name="resampled"),
             report=partial(part(options.progress or silent, BEFORE_INSERTION, 1.0), "inserting"),
@@ -301,6 +302,14 @@ def inner_density(mesh: SimplexMesh, options: Options, frame: Frame) -> Any:
     values = np.asarray(spec, dtype=np.float64)
     per_cell = len(values) == len(mesh.cells) and len(values) != len(mesh.points)
     return values[frame.active] if per_cell else values[frame.vertices]
+
+
+def _held(options: Options, before: Figures, now: Figures) -> Bounds:
+    """Bounds of insertion: the extremes of now, but for angles' sake the input's quality."""
+    bounds = extremes(now, tuple(options.keep))
+    if options.objective != "min_dihedral":
+        return bounds
+    return bounds.with_quality(extremes(before, tuple(options.keep)).cells.quality)
 
 
 def _may_finish_alone(memory: Memory, locked: BoolArray, options: Options) -> bool:

@@ -185,6 +185,16 @@ def test_a_phase_stays_only_if_the_score_rises(gain, monkeypatch):
     assert all(work is not mesh for work in settled)
 
 
+@pytest.mark.parametrize(("objective", "held"), [("radius_ratio", 0.2), ("min_dihedral", 0.1)])
+def test_angles_may_cost_radius_ratios_down_to_those_of_the_input(objective, held):
+    before = figures(*start())
+    before = replace(before, min_quality=0.1, cos_min_angle=0.9)
+    now = replace(before, min_quality=0.2, cos_min_angle=0.8)
+    bounds = driver._held(Options(insert=True, objective=objective), before, now)
+    assert bounds.cells.quality == held
+    assert bounds.cells.large == 0.8
+
+
 def test_insertion_goes_on_from_the_input_when_nothing_else_helps(monkeypatch):
     monkeypatch.setattr(driver, "run_cycles", lambda *_: "left out")
     monkeypatch.setattr(driver, "finish_alone", lambda *_: None)
