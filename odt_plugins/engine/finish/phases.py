@@ -133,7 +133,7 @@ def worst_cells() -> tuple[Phase, ...]:
     What the extremes cost is won back while they hold, and no new small angle is made.
     """
     first, *others = tail(3)
-    back = Phase(1.0, 1.0, 2, 3, name="regain")
+    back = Phase(1.0, 1.0, 1, 3, name="regain")
     held = (replace(phase, hold=True, least=POLICY.small_angle) for phase in (back, *others))
     return first, ANGLES, *EXTREME_CELLS, *held
 
@@ -156,7 +156,7 @@ def polish(share: float) -> tuple[tuple[Phase, ...], ...]:
     )
     after = Phase(4.0, 2.0 * min(8.0 * share, most), 2, 3, 3, hold=True, least=POLICY.small_angle,
                   name="after polish")
-    if share > 0.5 * most:
+    if share > 0.25 * most:
         return ((gentle, after),)
     return (gentle, after), (replace(gentle, power=4.0, guard=1e-3), after)
 
