@@ -75,7 +75,7 @@ TOOLKITS = {
     "open3d": {"adapters/open3d_mesh.py", "hosts/open3d_filters.py",
                "compare/baselines/open3d_smooth.py"},
     "trimesh": set(),
-    "skfem": {"compare/poisson.py"},
+    "skfem": {"compare/poisson.py", "report/worth.py"},
     "ngsolve": set(),
     "torch": set(),
     "cupy": set(),

@@ -79,6 +79,6 @@ def test_the_script_prints_what_the_command_reports(capsys):
     spec.loader.exec_module(script)
     script.main([str(BONE), "--", "--rounds", "2", "--cycles", "1"])
     lines = capsys.readouterr().out.splitlines()
-    assert len(lines) == 4
+    assert len(lines) == 6
     assert lines[2].startswith("| bone05 | before | 0.6795 | 0.370 | 0.106 | 10.3..164.4 |")
     assert float(lines[3].split("|")[3]) > 0.69
