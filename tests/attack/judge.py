@@ -80,7 +80,8 @@ def broken(before: Mesh, after: Mesh, options: Options, *, curved: bool = False)
     old = before._replace(cells=names[0][before.cells])
     new = after._replace(cells=names[1][after.cells])
     faults += _frozen(old, new, options)
-    faults += _figures(before, after, options)
+    if curved or not tangled(before):
+        faults += _figures(before, after, options)
     if curved:
         return faults + _surface(before, after, options)
     slides = options.boundary == "slide" and before.cells.shape[1] == 4
