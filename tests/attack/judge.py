@@ -80,7 +80,8 @@ def broken(before: Mesh, after: Mesh, options: Options, *, curved: bool = False)
     old = before._replace(cells=names[0][before.cells])
     new = after._replace(cells=names[1][after.cells])
     faults += _frozen(old, new, options)
-    faults += _figures(before, after, options)
+    if curved or not tangled(before):
+        faults += _figures(before, after, options)
     if curved:
         return faults + _surface(before, after, options)
     slides = options.boundary == "slide" and before.cells.shape[1] == 4
@@ -264,7 +265,7 @@ def _orientation(before: Mesh, after: Mesh, options: Options) -> list[str]:
     signs = reference.exact_signs(_flat(before), before.cells)
     flat = _flat(before._replace(points=after.points))
     now = reference.exact_signs(flat, after.cells)
-    if before.points.shape[1] > before.cells.shape[1] - 1:
+    if before.points.shape[1] > before.cells.shape[1] - 1 or tangled(before):
         wanted = now[0]
     else:
         wanted = -1 if (signs < 0).all() else 1
@@ -323,8 +324,21 @@ def _overlaps(cells: np.ndarray) -> list[Facet]:
     return [facet for (facet, _), count in seen.items() if count > 1]
 
 
+def tangled(mesh: Mesh) -> bool:
+    """Whether cells are flat, or overlap when all of them are turned to positive volume."""
+    signs = reference.exact_signs(_flat(mesh), mesh.cells)
+    turned = mesh.cells.copy()
+    turned[signs < 0, :2] = mesh.cells[signs < 0, 1::-1]
+    return bool((signs == 0).any()) or bool(_overlaps(turned))
+
+
 def _volume(before: Mesh, after: Mesh, *, slides: bool) -> list[str]:
-    """Every label has its volume; a slid mesh nearly its own."""
+    """Every label has its volume; a slid mesh nearly its own.
+
+    That of a tangled mesh follows from its facets, which are compared as well.
+    """
+    if tangled(before):
+        return []
     sums = []
     axes = _flat(before), _flat(before._replace(points=after.points))
     # Of planar cells in space the same two coordinates.

@@ -112,6 +112,7 @@ BY_NAME: dict[str, Callable[[Rng, Any, Any], Any]] = {
     "selection": lambda rng, mesh, _: _some_of(len(mesh.cells), rng),
     "regions": _regions,
     "keep": _keep,
+    "untangle": lambda rng, *_: "auto" if rng.random() < 0.5 else False,
     "threads": lambda rng, *_: int(rng.integers(1, 4)),
     "progress": lambda *_: lambda _stage, _fraction: None,
 }

@@ -26,8 +26,11 @@ from odt_plugins.mesh.simplex import SimplexMesh, determinant
 RING = 9
 """Most vertices of a ring around an edge that is removed."""
 
-MOST = 20
-"""Most changes for every inverted or flat cell."""
+PASSES = 20
+"""Most visits of every inverted or flat cell."""
+
+FEW = 100
+"""Most of them: more are no matter of flips."""
 
 LEAST_GAIN = 1e-9
 """By how much the worst cell must be better after a change."""
@@ -62,13 +65,18 @@ def reconnected(
     patch = _Patch(points, mesh)
     waiting = np.flatnonzero(bad).tolist()
     flips = 0
-    for _ in range(MOST * len(waiting)):
-        waiting = [i for i in waiting if i in patch.cells and patch.worst([patch.cells[i]]) <= 0.0]
-        found = next(filter(None, map(patch.best_change, waiting)), None)
-        if found is None:
+    for _ in range(PASSES if len(waiting) <= FEW else 0):
+        before = flips
+        made: list[int] = []
+        for number in waiting:
+            change = patch.best_change(number) if number in patch.cells else None
+            if change is not None:
+                made += patch.replace(change)
+                flips += 1
+        waiting = [i for i in waiting + made
+                   if i in patch.cells and patch.worst([patch.cells[i]]) <= 0.0]
+        if flips == before or not waiting:
             break
-        waiting += patch.replace(found)
-        flips += 1
     rows = sorted(patch.cells)
     return (np.array([patch.cells[i] for i in rows], dtype=np.int32),
             np.array([patch.source[i] for i in rows], dtype=np.int64), flips)
@@ -116,7 +124,8 @@ class _Patch:
         edges = np.moveaxis(x[:, 1:] - x[:, :1], 0, -1)
         pairs = list(combinations(range(x.shape[1]), 2))
         longest = np.max([((x[:, i] - x[:, j]) ** 2).sum(axis=1) for i, j in pairs], axis=0)
-        return float((determinant(edges) / longest ** (len(edges) / 2)).min())
+        size = longest ** (len(edges) / 2)
+        return float((determinant(edges) / np.where(size > 0.0, size, 1.0)).min())
 
     def replace(self, change: Change) -> list[int]:
         """Put cells in the place of others; their numbers."""

@@ -74,7 +74,8 @@ def untangled(
                 break
             cells, source, made = reconnected(points, mesh, bad)
             tries = [(cells, source)] if made else []
-            for cells, source in chain(tries, islice(alternatives(points, mesh, bad), TRIALS)):
+            single = alternatives(points, mesh, bad) if bad.sum() <= TRIALS else iter(())
+            for cells, source in chain(tries, islice(single, TRIALS)):
                 new = replace(mesh, points=points, cells=cells, regions=mesh.regions[source],
                               frozen=mesh.frozen[source])
                 moved = _placed(new, movable, None, rounded, pool)

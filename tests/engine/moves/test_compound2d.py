@@ -90,7 +90,7 @@ def test_excess_degrees_are_those_of_the_angles():
     np.testing.assert_allclose(excess_degrees(mesh), [0.5, 0.5, 0.5, 0.5, -2.0], atol=1e-12)
 
 
-@pytest.mark.parametrize("objective", MEASURES, ids=["radius ratio", "mean ratio", "angle"])
+@pytest.mark.parametrize("objective", MEASURES, ids=["radius ratio", "mean ratio", "angle", "step"])
 def test_compound_moves_lower_the_sum_where_single_moves_are_stuck(settled, objective):
     mesh = copy_of(settled)
     measure = MEASURES[objective]
