@@ -46,7 +46,7 @@ def _parts(det: float, t: float, eps: float, d: int) -> tuple[float, float, floa
     """E of a cell, its derivative in t, and that in det(J)."""
     root = math.sqrt(eps * eps + det * det)
     chi = 0.5 * (det + root) if det > 0.0 else 0.5 * eps * eps / (root - det)
-    scale = 1.0 / chi if d == 2 else 1.0 / np.cbrt(chi * chi)
+    scale = 1.0 / chi if d == 2 else chi ** (-2.0 / 3.0)
     size = (det * det + 1.0) / chi
     # the derivative of chi is chi / root
     by_det = -2.0 / d * t * scale / root + WEIGHT * (2.0 * det / chi - size / root)
