@@ -122,7 +122,7 @@ def test_whatever_an_input_does_is_a_row(place, capsys, monkeypatch):
         "good.vtu": "ok", "good.msh": "ok", "poisoned.vtu": "failed", "flat.vtu": "failed",
         "bad.crash": "crashed", "greedy.fat": "memory"}
     assert "SIGSEGV" in rows["bad.crash"]["message"]
-    assert "zero volume" in rows["flat.vtu"]["message"]
+    assert "1 inverted or flat cell" in rows["flat.vtu"]["message"]
     assert "expected a complete file" in rows["poisoned.vtu"]["message"]
     assert rows["greedy.fat"]["message"] == "more than 3 GB needed"
     assert files(place / "out") == ["good.vtu", "inner/good.vtu", "summary.csv", "summary.html",

@@ -29,6 +29,9 @@ def test_a_number_is_read_by_a_stage_and_says_what_it_means(number):
 @pytest.mark.parametrize("command", sorted({n.metadata["command"] for n in fields(Policy)}))
 def test_the_command_that_measures_a_number_exists(command):
     program, name, *arguments = shlex.split(command)
+    if program == "python":
+        assert (ENGINE.parents[1] / name).is_file()
+        return
     assert (program, name) == ("odt-plugins", "compare")
     given = compare.make_context(name, list(arguments)).params
     assert given["suite"] or given["scaling"]

@@ -20,8 +20,8 @@ from odt_plugins.mesh.simplex import barycentric, determinant, diagonal
 
 PACKAGE = Path(odt_plugins.__file__).parent
 
-APART = ("compare/", "report/plotting.py")
-"""Tables, charts and pictures: nothing there becomes part of a mesh."""
+APART = ("compare/", "report/plotting.py", "report/worth.py")
+"""Tables, charts, pictures and what a solver gains: nothing there becomes part of a mesh."""
 
 ALLOWED = {
     "mesh/cell_geometry.py": {"arctan2", "cbrt"},
