@@ -130,7 +130,7 @@ VOLUMES = {
                                           "labels": np.append(m.labels, m.labels[0])}, {}),
     "is not among the vertices": lambda m: (m, {"points": m.points[1:], "cells": np.maximum(
         m.cells - 1, 0)}, {"insert": True}),
-    "vertices are in use": lambda m: (m, _refined(m), {"insert": True}),
+    "vertices are in use": lambda m: (m, _refined(m), {"insert": 0.1}),
     "of its diagonal from the input": lambda m: (m, {"points": moved(m, 0, -0.05)},
                                                  {"boundary": "slide"}),
     "the volume of label 0": lambda m: (m, {"points": moved(m, 0, -0.05)},

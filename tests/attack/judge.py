@@ -25,8 +25,8 @@ LOWER_IS_BETTER = ("max_angle", "share_below_20")
 VOLUME = 3e-3
 """Largest relative change of the volume when the boundary slides."""
 
-GROWTH = 0.1
-"""Share of vertices that may be added."""
+GROWTH = 0.5
+"""Share of vertices that may be added where none is given."""
 
 Facet = tuple[int, ...]
 
@@ -129,7 +129,8 @@ def _malformed(before: Mesh, after: Mesh, options: Options) -> list[str]:
     if n != len(before.points) and not options.insert:
         return [f"there are {n} points, there were {len(before.points)}"]
     was = len(np.unique(before.cells))
-    if len(np.unique(after.cells)) > was + GROWTH * was:
+    share = GROWTH if options.insert is True else options.insert
+    if len(np.unique(after.cells)) > was + share * was:
         return [f"{len(np.unique(after.cells))} vertices are in use, {was} were"]
     if after.cells.ndim != 2 or after.cells.shape[1] != before.cells.shape[1] or not m:
         return [f"cells have shape {after.cells.shape}, they had {before.cells.shape}"]

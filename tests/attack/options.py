@@ -100,6 +100,13 @@ def _keep(rng: Rng, _mesh: RandomMesh, _labels: Any) -> tuple[str, ...]:
     return tuple(name for name in FIGURES if rng.random() < 0.5)
 
 
+def _share(rng: Rng) -> float:
+    """A share of vertices: too small for one of them up to more than there were; or no share."""
+    if rng.random() < 0.03:
+        return float(rng.choice([-0.1, np.nan, np.inf]))
+    return float(10.0 ** rng.uniform(-3, 0.2))
+
+
 BY_NAME: dict[str, Callable[[Rng, Any, Any], Any]] = {
     "density": _density,
     "exponent": lambda rng, *_: float(10.0 ** rng.uniform(-2, 1)),
@@ -112,6 +119,7 @@ BY_NAME: dict[str, Callable[[Rng, Any, Any], Any]] = {
     "selection": lambda rng, mesh, _: _some_of(len(mesh.cells), rng),
     "regions": _regions,
     "keep": _keep,
+    "insert": lambda rng, *_: bool(rng.random() < 0.5) if rng.random() < 0.5 else _share(rng),
     "untangle": lambda rng, *_: "auto" if rng.random() < 0.5 else False,
     "threads": lambda rng, *_: int(rng.integers(1, 4)),
     "progress": lambda *_: lambda _stage, _fraction: None,

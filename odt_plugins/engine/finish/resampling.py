@@ -31,6 +31,9 @@ from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
 from odt_plugins.mesh.numbering import most_vertices
 from odt_plugins.options import Objective
 
+BATCH = 1 << 8
+"""Cells after which a pass may end; the pieces in which a kernel sees them may be shorter."""
+
 
 @dataclass(kw_only=True)
 class SpareComplex(Complex):
@@ -97,20 +100,27 @@ def resample(
     order = np.argsort(q, kind="stable")[:count].astype(np.int32)
     mesh.status[:] = 0
     ledger, done = make_ledger(mesh, scale), np.zeros(len(mesh.cells), dtype=bool)
-    taken = visited = 0
-    for first, last in pieces(0, len(order), costly=True):
-        found = int(insertion.insertion_pass(
-            mesh.tets, order[first:last], step.step, bounds, scale, ledger, done,
-        ))
-        taken += found
-        visited = last
-        if mesh.full:
-            grow(mesh)
-            ledger = make_ledger(mesh, scale)
-            done = np.concatenate([done, np.zeros(len(mesh.cells) - len(done), dtype=bool)])
-        if found < POLICY.insertion_enough * (last - first):
+    taken = seen = 0
+    for stop in range(BATCH, len(order) + BATCH, BATCH):
+        start, stayed = seen, taken
+        while seen < min(stop, len(order)):
+            first, last = next(pieces(seen, min(stop, len(order)), costly=True))
+            found, looked_at = insertion.insertion_pass(
+                mesh.tets, order[first:last], step.step, bounds, scale, ledger, done,
+            )
+            taken += int(found)
+            seen += int(looked_at)
+            if mesh.full:
+                grow(mesh)
+                more = len(mesh.cells) - len(done)
+                ledger = ledger._replace(
+                    worth=np.append(ledger.worth, np.zeros(more)),
+                    marks=np.append(ledger.marks, np.zeros(more, np.int64)),
+                )
+                done = np.append(done, np.zeros(more, dtype=bool))
+        if taken - stayed < POLICY.insertion_enough * (seen - start):
             break
-    return taken, visited * step.looks
+    return taken, seen * step.looks
 
 
 def make_ledger(mesh: SpareComplex, scale: Weights) -> insertion.Ledger:

@@ -34,7 +34,7 @@ from odt_plugins.engine.moves.star_cavity import (
 )
 from odt_plugins.engine.moves.worth import Weights, worth_of
 from odt_plugins.engine.topology.lookup import is_in
-from odt_plugins.engine.topology.tets import Tets
+from odt_plugins.engine.topology.tets import FULL, Tets
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
 
 GROWTHS = 3
@@ -313,8 +313,10 @@ def order_operations(tets: Tets, c: int, room: Room) -> None:
 def insertion_pass(
     tets: Tets, order: IntArray, step: Step, bounds: Bounds, weights: Weights, ledger: Ledger,
     tried: BoolArray,
-) -> int:
+) -> tuple[int, int]:
     """Insert and remove vertices at the cells of ``order``; other arguments as in compound_pass.
+
+    It stops before a cell at which an operation or its descent found no room for a further cell.
 
     Parameters
     ----------
@@ -326,7 +328,7 @@ def insertion_pass(
 
     Returns
     -------
-    int                 number of operations that stayed
+    taken, seen : int   number of operations that stayed, and of the cells before it stopped
     """
     room = make_room()
     scratch, proposal = room.scratch, room.proposal
@@ -354,6 +356,9 @@ def insertion_pass(
                 tets, proposal.cavity, proposal.sizes[0], proposal.new, proposal.sizes[1],
                 proposal.border, journal
             ):
+                if tets.slots[FULL] > 0:
+                    tried[c] = False
+                    return taken, o
                 continue
             locked[v] = not inserts
             total, n_touched, n_moved = descend_around(
@@ -362,9 +367,13 @@ def insertion_pass(
             )
             gain, n_zone = judge(tets, n_touched, limit, weights, ledger, scratch)
             gain -= step.price if inserts else step.least
-            final = last or (gain > 0.0 and step.first)
+            full = tets.slots[FULL] > 0
+            final = not full and (last or (gain > 0.0 and step.first))
             settle(tets, final, n_touched, n_moved, scratch, tried)
             locked[v] = inserts != final
+            if full:
+                tried[c] = False
+                return taken, o
             if final:
                 taken += 1
                 ledger.first[0] += inserts
@@ -374,4 +383,4 @@ def insertion_pass(
             if gain > best:
                 best = gain
                 chosen = op
-    return taken
+    return taken, order.shape[0]

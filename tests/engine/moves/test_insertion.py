@@ -14,7 +14,7 @@ from odt_plugins.engine.finish.resampling_schedule import Resampling, weights
 from odt_plugins.engine.moves import insertion, star_cavity
 from odt_plugins.engine.moves.cavity import replace_cavity
 from odt_plugins.engine.moves.compound import descend_around, make_scratch, settle
-from odt_plugins.engine.moves.passes import measures
+from odt_plugins.engine.moves.passes import grow, measures
 from odt_plugins.engine.moves.worth import Weights, worth_of
 from odt_plugins.engine.record.figures import COS_SMALL, cell_shapes
 
@@ -203,13 +203,32 @@ def test_every_vertex_is_worth_its_price_by_the_worth_of_all_cells(price):
     order = np.argsort(measures(mesh, QUALITY)).astype(np.int32)[:200]
     step = Resampling(2.0, 1.0, 15, price=price).step
     tried = np.zeros(len(mesh.cells), dtype=bool)
-    taken = insertion.insertion_pass(mesh.tets, order, step, OPEN, scale, ledger, tried)
+    taken, _ = insertion.insertion_pass(mesh.tets, order, step, OPEN, scale, ledger, tried)
     added = int(mesh.first[0]) - before
     assert added > 3
     assert not mesh.full
     now = make_ledger(mesh, scale).worth
     assert ledger.worth == pytest.approx(now, abs=1e-9)
     assert now.sum() - start >= added * price + (taken - added) * 0.1 * price
+
+
+@pytest.mark.parametrize("best", [True, False])
+def test_a_mesh_without_room_for_further_cells_grows_and_no_bit_changes(best):
+    points, cells = tm.ball(300, 4)
+    roomy, tight = (spare_complex(points, cells) for _ in range(2))
+    for _ in range(8):
+        grow(roomy)
+    used = tight.used
+    for name in ("cells", "neighbors", "regions", "status", "free"):
+        setattr(tight, name, getattr(tight, name)[:used].copy())
+    step = Resampling(2.0, 1.0, 15, best=best)
+    assert resampled(roomy, step) == resampled(tight, step) > 10
+    assert tight.used == roomy.used
+    assert len(tight.cells) > used
+    assert not roomy.full
+    assert not tight.full
+    assert tight.cells[: tight.used].tobytes() == roomy.cells[: roomy.used].tobytes()
+    assert tight.points.tobytes() == roomy.points.tobytes()
 
 
 def test_the_worth_of_a_cell_falls_with_its_quality_and_its_angles():
