@@ -25,6 +25,13 @@ class Extremes(NamedTuple):
 FREELY = Extremes(0.0, 1.0, -1.0)
 """Extremes that every cell keeps."""
 
+BEST = Extremes(2.0, -1.0, 1.0)
+"""Extremes of no cell."""
+
+ROUNDED = 1e-14
+"""A cell may come back with its vertices in another order: rounding must not decide whether it is
+as it was."""
+
 
 class Bounds(NamedTuple):
     """What no new cell may pass, unless a cell that it replaces does.
@@ -62,6 +69,13 @@ def worse(first: Extremes, second: Extremes) -> Extremes:
         max(first.large, second.large),
         min(first.small, second.small),
     )
+
+
+@kernel
+def rounded(found: Extremes) -> Extremes:
+    """The extremes, a little worse, such that they are kept by cells that differ by rounding."""
+    q = found.quality
+    return Extremes(q - ROUNDED * abs(q), found.large + ROUNDED, found.small - ROUNDED)
 
 
 @kernel

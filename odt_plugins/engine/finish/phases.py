@@ -38,6 +38,8 @@ class Phase:
     hold : bool
         no new cell passes the worst radius ratio and the extreme angles that all cells have when
         the phase starts; False: those of the input (d = 3)
+    fills : bool
+        whether the compound moves come with polyhedra that are filled anew (d = 3)
     name : str
         what the phase is for; phases with one name serve one purpose
     """
@@ -53,6 +55,7 @@ class Phase:
     enough: float = 1.0
     count: int = 0
     hold: bool = False
+    fills: bool = True
     name: str = ""
 
     @property
@@ -202,8 +205,12 @@ def cautious(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ..
     return general if objective == "radius_ratio" else general + tail(dim, objective)
 
 
-WORST = Phase(4.0, 0.015, 2, 3, 3, name="worst")
-"""For a mesh with a better mean but a worse tail: about the cells that make the 1 % quantile."""
+WORST = Phase(4.0, 0.015, 2, 3, 3, fills=False, name="worst")
+"""For a mesh with a better mean but a worse tail: about the cells that make the 1 % quantile.
+
+Where these are flat their costs have levelled off, and a polyhedron filled anew gives a good cell
+and the quantile for less of it.
+"""
 
 
 def descents(dim: int, objective: Objective = "radius_ratio") -> tuple[Descent, ...]:

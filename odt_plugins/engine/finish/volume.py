@@ -185,7 +185,7 @@ def descend(
     Returns the numbers of flips, reconnections and compound moves among them, and of vertex moves.
     """
     bounds = guarded(mesh, phase, bounds, pool)
-    before = reconnections(mesh, phase, bounds, pool) if phase.compound else 0
+    before = reconnections(mesh, phase, bounds, pool) if phase.compound and phase.fills else 0
     flips, moves = finish_phase(_VolumeDescent(mesh, phase, bounds, pool, threads), phase)
     flips += before
     tried = np.zeros(0, dtype=bool)

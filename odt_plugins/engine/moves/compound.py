@@ -11,7 +11,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from odt_plugins.engine.cells.extremes import Bounds, Extremes, keeps, worse
+from odt_plugins.engine.cells.extremes import Bounds, Extremes, keeps, rounded, worse
 from odt_plugins.engine.cells.tetrahedron import Cost, cell_extremes, quality_cost, tet_measure
 from odt_plugins.engine.compiled.kernel import allocating_kernel, inner_kernel, kernel
 from odt_plugins.engine.moves.cavity import Journal, Ring, make_journal, make_ring, take_back
@@ -30,10 +30,6 @@ DEEP = 2.0
 """A descent that is still this many times the worst cell's own cost down is given up."""
 HOPELESS = 10.0
 """A forced flip may raise the cost by this many times the worst cell's own."""
-ROUNDED = 1e-14
-"""A cell may come back with its vertices in another order: rounding must not decide whether it is
-as it was."""
-
 SAME = 1e-9
 """A descent is given up, too, when its flips won back all but this part of what was lost."""
 GAIN = 1e-3
@@ -213,10 +209,7 @@ def stakes(tets: Tets, c: int, cost: Cost, bounds: Bounds) -> tuple[float, Extre
     limit : Extremes     the bounds, or the extremes of the cell where it passes them
     """
     points, cells = tets.points, tets.cells
-    q, large, small = cell_extremes(points, cells, c)
-    limit = worse(
-        bounds.cells, Extremes(q - ROUNDED * abs(q), large + ROUNDED, small - ROUNDED)
-    )
+    limit = worse(bounds.cells, rounded(cell_extremes(points, cells, c)))
     m = tet_measure(
         points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], cost.objective
     )

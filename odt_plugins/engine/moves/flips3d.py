@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from odt_plugins.engine.cells.extremes import Bounds, Extremes, keeps, worse
+from odt_plugins.engine.cells.extremes import BEST, Bounds, Extremes, keeps, worse
 from odt_plugins.engine.cells.sphere import apex_across, circumsphere, inside_sphere
 from odt_plugins.engine.cells.tetrahedron import (
     ENERGY,
@@ -69,7 +69,7 @@ def admissible(
     smoothing and finishing follow, only the locked cells are held to anything.
     """
     points = tets.points
-    free = locked = Extremes(2.0, -1.0, 1.0)
+    free = locked = BEST
     for m in range(n_new):
         is_locked = all_locked(tets, new[m, 0], new[m, 1], new[m, 2], new[m, 3])
         if objective == ENERGY and not is_locked:

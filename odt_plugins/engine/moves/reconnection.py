@@ -19,7 +19,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from odt_plugins.engine.cells.extremes import Bounds, Extremes, keeps
+from odt_plugins.engine.cells.extremes import BEST, Bounds, Extremes, keeps, rounded, worse
 from odt_plugins.engine.cells.tetrahedron import (
     Cost,
     cell_cost,
@@ -42,6 +42,9 @@ TETRAHEDRA = FACETS * (MOST_VERTICES - 3) // 4
 """Facets and cells that some vertices of a polyhedron can have."""
 DEPTH = 48
 """Most cells of a filling."""
+ALIKE = 1e-9
+"""Costs that differ by no more than this part of them are equal: rounding, which is another for
+another unit, must not decide between cells that are mirror images of each other."""
 UNSEEN, EVEN, CLOSED = 0, 1, 3
 """Facet of no cell so far; one that wants a cell on its positive side, with its vertices in
 ascending order (one more: on the other side); one between two cells, or a cell and the outside."""
@@ -208,7 +211,7 @@ def grow_polyhedron(tets: Tets, c: int, cost: Cost, room: Room) -> tuple[int, in
         if n == MOST_CELLS:
             break
         found = -1
-        most = -1.0
+        most = 0.0
         for m in range(n):
             for f in range(4):
                 t = neighbors[mine[m], f]
@@ -224,7 +227,7 @@ def grow_polyhedron(tets: Tets, c: int, cost: Cost, room: Room) -> tuple[int, in
                     continue
                 badness = cell_cost(tets.points, cells, t, cost)
                 rank = badness / (1.0 + badness) + (1.0 if missing == 0 else 0.0)
-                if rank > most:
+                if rank > most * (1.0 + ALIKE):
                     most = rank
                     found = t
         if found < 0:
@@ -248,13 +251,39 @@ def grow_polyhedron(tets: Tets, c: int, cost: Cost, room: Room) -> tuple[int, in
 
 
 @inner_kernel
-def _begin(tets: Tets, n: int, n_vertices: int, room: Room) -> None:
-    """Make the facets around the first n cells the front, and forget all costs."""
+def _inserted(x: int, a: int, b: int, c: int) -> tuple[int, int, int, int, int]:
+    """The vertices x and a < b < c in ascending order, and how many are less than x."""
+    if x < a:
+        return x, a, b, c, 0
+    if x < b:
+        return a, x, b, c, 1
+    if x < c:
+        return a, b, x, c, 2
+    return a, b, c, x, 3
+
+
+@inner_kernel
+def _begin(tets: Tets, n: int, n_vertices: int, cost: Cost, room: Room) -> None:
+    """Make the facets around the first n cells the front, and forget all costs but theirs.
+
+    They may stay whatever their shape: with its vertices in another order a cell that is as bad as
+    the limit could pass it by rounding.
+    """
     room.state[:] = UNSEEN
     room.costs[:] = np.nan
     front = np.int64(0)
     for m in range(n):
         c = room.cells[m]
+        x = _place(room.vertices, n_vertices, tets.cells[c, 0])
+        a, b, d, odd = _sorted_facet(
+            _place(room.vertices, n_vertices, tets.cells[c, 1]),
+            _place(room.vertices, n_vertices, tets.cells[c, 2]),
+            _place(room.vertices, n_vertices, tets.cells[c, 3]),
+        )
+        i, j, k, l, less = _inserted(x, a, b, d)
+        number = cell_number(i, j, k, l)
+        room.costs[number] = cell_cost(tets.points, tets.cells, c, cost)
+        room.turned[number] = (less ^ odd) & 1
         for f in range(4):
             if is_in(tets.neighbors[c, f], room.cells, n):
                 continue
@@ -269,18 +298,6 @@ def _begin(tets: Tets, n: int, n_vertices: int, room: Room) -> None:
             front += 1
     room.n_front[0] = front
     room.total[0] = 0.0
-
-
-@inner_kernel
-def _inserted(x: int, a: int, b: int, c: int) -> tuple[int, int, int, int, int]:
-    """The vertices x and a < b < c in ascending order, and how many are less than x."""
-    if x < a:
-        return x, a, b, c, 0
-    if x < b:
-        return a, x, b, c, 1
-    if x < c:
-        return a, b, x, c, 2
-    return a, b, c, x, 3
 
 
 @inner_kernel
@@ -379,7 +396,7 @@ def _branch(
             for m in range(count):
                 place = m
                 for _ in range(m):
-                    if room.price[depth, place - 1] <= prices[m]:
+                    if room.price[depth, place - 1] <= prices[m] * (1.0 + ALIKE):
                         break
                     choices[place] = choices[place - 1]
                     room.price[depth, place] = room.price[depth, place - 1]
@@ -450,7 +467,7 @@ def fill_polyhedron(
             room.n_choices[depth] = 0
             room.turn[depth] = 0
             if room.n_front[depth] == 0:
-                least = room.total[depth]
+                least = REAL * room.total[depth]
                 n_best = depth
                 for m in range(depth):
                     for a in range(4):
@@ -481,6 +498,21 @@ def fill_polyhedron(
 
 
 @inner_kernel
+def _as_it_was(cells: IntArray, n: int, m: int, room: Room) -> None:
+    """Give a new cell the order of vertices of the old one that it equals, and so its figures."""
+    new = room.new[m]
+    for k in range(n):
+        c = room.cells[k]
+        same = True
+        for a in range(4):
+            same = same and is_in(cells[c, a], new, np.int64(4))
+        if same:
+            for a in range(4):
+                new[a] = cells[c, a]
+            return
+
+
+@inner_kernel
 def reconnect_cell(
     tets: Tets, c: int, cost: Cost, bounds: Bounds, room: Room, journal: Journal
 ) -> bool:
@@ -489,14 +521,17 @@ def reconnect_cell(
     before = 0.0
     for m in range(n):
         before += cell_cost(tets.points, tets.cells, room.cells[m], cost)
-    limit, locked = worst_of(tets, room.cells, n, bounds)
-    _begin(tets, n, n_vertices, room)
+    worst, worst_locked = worst_of(tets, room.cells, n, Bounds(BEST, BEST))
+    limit = worse(bounds.cells, rounded(worst))
+    locked = worse(bounds.locked, rounded(worst_locked))
+    _begin(tets, n, n_vertices, cost, room)
     _, n_new = fill_polyhedron(tets, n_vertices, cost, REAL * before, limit, locked, room)
     if n_new == 0:
         return False
     for m in range(n_new):
         for a in range(4):
             room.new[m, a] = room.vertices[room.best[m, a]]
+        _as_it_was(tets.cells, n, m, room)
     return replace_cavity(tets, room.cells, n, room.new, np.int64(n_new), room.border, journal)
 
 
