@@ -233,8 +233,8 @@ def _at_the_worst(
     """Work at the worst share of the cells, ``most`` of them, in slabs where these are many."""
     q = measures(mesh, phase.objective, pool)
     count = min(worst_count(q, phase), max(int(most * mesh.count()), FEW))
-    worst = np.argpartition(q, count)[: count + 1]
-    order = worst[np.argsort(q[worst], kind="stable")].astype(np.int32)
+    worst = np.flatnonzero(q <= np.partition(q, count)[count])
+    order = worst[np.argsort(q[worst], kind="stable")][: count + 1].astype(np.int32)
     mesh.status[:] = 0
     taken = side_by_side(mesh, order, pool, work, POLICY.slabs_worth, costly=True)
     if mesh.full:
