@@ -271,6 +271,17 @@ def queue_around(edges: EdgeNumbers, t: int, s: int, queue: Queue) -> None:
                 ends[1] += 1
 
 
+@inner_kernel
+def _tell_across(
+    neighbors: IntArray, cell_edges: IntArray, across: int, edge: int, t: int
+) -> None:
+    """Make t the neighbor of the triangle across an edge; nothing beyond the boundary."""
+    if across >= 0:
+        for k in range(3):
+            if cell_edges[across, k] == edge:
+                neighbors[across, k] = t
+
+
 @kernel
 def flip(
     cells: IntArray, neighbors: IntArray, edges: EdgeNumbers, t: int, i: int, s: int, j: int
@@ -316,14 +327,8 @@ def flip(
     edge_cell[shared] = t
     edge_cell[edge_bd] = t
     edge_cell[edge_ca] = s
-    if across_bd >= 0:
-        for k in range(3):
-            if cell_edges[across_bd, k] == edge_bd:
-                neighbors[across_bd, k] = t
-    if across_ca >= 0:
-        for k in range(3):
-            if cell_edges[across_ca, k] == edge_ca:
-                neighbors[across_ca, k] = s
+    _tell_across(neighbors, cell_edges, across_bd, edge_bd, t)
+    _tell_across(neighbors, cell_edges, across_ca, edge_ca, s)
 
 
 @inner_kernel
@@ -350,14 +355,8 @@ def take_back_flip(
     cell_edges[s, j], cell_edges[s, j1], cell_edges[s, j2] = shared, edge_bd, edge_dc
     edge_cell[edge_bd] = s
     edge_cell[edge_ca] = t
-    if across_bd >= 0:
-        for k in range(3):
-            if cell_edges[across_bd, k] == edge_bd:
-                neighbors[across_bd, k] = s
-    if across_ca >= 0:
-        for k in range(3):
-            if cell_edges[across_ca, k] == edge_ca:
-                neighbors[across_ca, k] = t
+    _tell_across(neighbors, cell_edges, across_bd, edge_bd, s)
+    _tell_across(neighbors, cell_edges, across_ca, edge_ca, t)
 
 
 @inner_kernel
