@@ -10,6 +10,7 @@ from pathlib import Path
 from odt_plugins.compare.bandwidth import bandwidth_part
 from odt_plugins.compare.blocks import blocks_part
 from odt_plugins.compare.generation import generation_part
+from odt_plugins.compare.ladder import ladder_part
 from odt_plugins.compare.local_global import forty_sweeps_part, races_part
 from odt_plugins.compare.machine import describe
 from odt_plugins.compare.multigrid import multigrid_part
@@ -32,6 +33,7 @@ PARTS: dict[str, Callable[[Sequence[int], int, Say], Part]] = {
     "threads": threads_part,
     "blocks": blocks_part,
     "generation": generation_part,
+    "ladder": ladder_part,
 }
 """Every part of the report: takes the sizes, the number of threads, and whom to tell."""
 

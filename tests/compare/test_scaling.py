@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import tet_meshes as tm
 
-from odt_plugins.compare import blocks
+from odt_plugins.compare import blocks, ladder
 from odt_plugins.compare.bandwidth import sweep_bytes, triad_bandwidth
 from odt_plugins.compare.generation import generation_part
 from odt_plugins.compare.local_global import forty_sweeps_part, moved_rhombohedron, moved_triangle
@@ -40,6 +40,18 @@ def test_one_piece_and_blocks_are_measured(monkeypatch):
     assert table.rows[1][6] > 50
     assert traffic.rows[0][2:4] == (2, table.rows[0][0])
     assert min(min(row[4:]) for row in traffic.rows) > 0
+
+
+def test_the_ladder_has_a_rung_for_every_power_of_ten(monkeypatch):
+    monkeypatch.setattr(ladder, "AGAINST", ("Gmsh Netgen",))
+    part = ladder.ladder_part([1000, 3162], 1, silent)
+    table = part.tables[0]
+    assert table.heads == ladder.HEADS
+    assert [row[1] for row in table.rows] == ["odt-plugins", "Gmsh Netgen"]
+    assert {row[0] for row in table.rows} == {1073}
+    assert all(row[2] > 0 and row[3] > 10 for row in table.rows)
+    assert float(table.rows[0][6]) > float(table.rows[1][6])
+    assert len(part.charts) == 2
 
 
 def test_the_stages_of_curved_surfaces_are_measured():

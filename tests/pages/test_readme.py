@@ -75,9 +75,9 @@ class Parsed(Exception):
 
 
 def test_the_first_page_is_short_and_begins_with_the_two_commands() -> None:
-    assert len(FIRST.splitlines()) < 190
+    assert len(FIRST.splitlines()) < 165
     assert commands(FIRST, "sh")[:2] == ["bash examples/demo.sh", "bash tests/run.sh"]
-    assert len(blocks(FIRST, "python")) == 3
+    assert len(blocks(FIRST, "python")) == 2
     assert len([c for c in commands(FIRST, "sh") if c.startswith("odt-plugins")]) == 5
 
 
