@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import os
 from dataclasses import replace
+from importlib import import_module
+from threading import Thread
 from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
 
 import numpy as np
@@ -144,9 +146,16 @@ def optimize_file(
     """
     make_options(**options)
     check_output(target, file_format, binary)
+    Thread(target=_load_engine, daemon=True).start()
     mesh, report = optimize_with_report(read_file(source), **options)
     write_file(target, mesh, file_format, binary)
     return report
+
+
+def _load_engine() -> None:
+    """Import what a run of the engine needs, while a file is read."""
+    for name in ("odt_plugins.engine.run.driver", "scipy.spatial"):
+        import_module(name)
 
 
 def untangle(

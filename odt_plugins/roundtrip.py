@@ -101,7 +101,7 @@ def run_engine(
         chosen = _of_cells(_in_frame(options, work.frame), work.tangle)
         chosen = _with_sag(chosen, work) if moves else chosen
         chosen = replace(chosen, progress=progress if options.progress else None)
-        outcome = (engine or _optimized)(work.mesh, chosen, leaving)
+        outcome = (engine or optimized)(work.mesh, chosen, leaving)
     if outcome.written is None:
         outcome = leaving(outcome)
     points: Any = outcome.written
@@ -187,7 +187,7 @@ def _cell_origin(host: HostMesh, source: IntArray) -> NDArray[np.int64]:
     return np.sort(np.concatenate([host.ids[source], others]))
 
 
-def _optimized(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
+def optimized(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
     """Let the engine for this kind of mesh do the work."""
     if mesh.is_surface:
         from odt_plugins.engine.surface.driver import run_surface

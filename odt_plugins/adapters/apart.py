@@ -2,16 +2,20 @@
 
 HDF5 needs that: a file that it could not write to its end, because the disk is full, stays half
 open, and crashes the process when its handle is collected, or at its exit; and it reads some
-damaged files for ever, while no other thread runs.
+damaged files for ever, while no other thread runs. VTK needs most of a second to start: its process
+stays for the next file.
 """
 
 from __future__ import annotations
 
+import atexit
 import gc
 import os
 import pickle
 import subprocess
 import sys
+import tempfile
+import threading
 from collections.abc import Callable
 from typing import Any
 
@@ -19,6 +23,102 @@ from odt_plugins.errors import exit_name
 
 HDF5 = ("cgns", "exodus", "h5m", "hmf", "med", "xdmf")
 """Formats of meshio that HDF5 reads and writes, that of Exodus through netCDF."""
+
+LENGTH = 8
+"""Bytes of the length of a message."""
+
+KEPT = threading.Lock()
+"""Held while the process that stays is at work."""
+
+
+class _Process:
+    """A process that calls functions of modules, one after the other."""
+
+    def __init__(self) -> None:
+        paths = os.pathsep.join(map(os.path.abspath, sys.path))
+        self.owner = os.getpid()
+        self.said = tempfile.TemporaryFile()
+        self.process = subprocess.Popen(
+            [sys.executable, "-P", "-m", "odt_plugins.adapters.apart"], stdin=subprocess.PIPE,
+            stdout=subprocess.PIPE, stderr=self.said,
+            env=dict(os.environ) | {"PYTHONPATH": paths},
+        )
+
+    @property
+    def usable(self) -> bool:
+        """Whether it waits for work of this process, and not of one that forked from it."""
+        return self.owner == os.getpid() and self.process.poll() is None
+
+    def ask(self, function: Callable[..., Any], arguments: Any, seconds: float | None) -> Any:
+        """As :func:`call`."""
+        late = threading.Event()
+
+        def stop() -> None:
+            late.set()
+            self.process.kill()
+
+        timer = None if seconds is None else threading.Timer(seconds, stop)
+        try:
+            if timer:
+                timer.daemon = True
+                timer.start()
+            answer = self._answer(pickle.dumps((function, arguments)))
+        except BaseException:
+            self.end()
+            raise
+        finally:
+            if timer:
+                timer.cancel()
+        if answer is not None:
+            result, error = pickle.loads(answer)
+            if error is not None:
+                raise error
+            return result
+        self.process.kill() if late.is_set() else None
+        code = self.process.wait()
+        self.said.seek(0)
+        said = self.said.read().decode("utf-8", "replace").strip().splitlines()
+        self.end()
+        if late.is_set():
+            msg = f"no answer within {seconds} s"
+            raise TimeoutError(msg)
+        msg = f"its process was ended by {exit_name(code)}"
+        raise ChildProcessError(f"{msg}: {said[-1]}" if said else msg)
+
+    def _answer(self, message: bytes) -> bytes | None:
+        """What the process answers, None if it ended before."""
+        stdin, stdout = self.process.stdin, self.process.stdout
+        assert stdin is not None
+        assert stdout is not None
+        try:
+            stdin.write(len(message).to_bytes(LENGTH, "big") + message)
+            stdin.flush()
+        except BrokenPipeError:
+            return None
+        return _message(stdout)
+
+    def end(self) -> None:
+        """Let the process end."""
+        if self.owner != os.getpid():
+            return
+        self.process.kill()
+        self.process.wait()
+        for stream in (self.process.stdin, self.process.stdout, self.said):
+            try:
+                if stream is not None:
+                    stream.close()
+            except BrokenPipeError:
+                continue
+
+
+def _message(stream: Any) -> bytes | None:
+    """The next message, None where the stream ends before."""
+    head = stream.read(LENGTH)
+    if len(head) < LENGTH:
+        return None
+    size = int.from_bytes(head, "big")
+    body: bytes = stream.read(size)
+    return body if len(body) == size else None
 
 
 def call(function: Callable[..., Any], *arguments: Any, seconds: float | None = None) -> Any:
@@ -40,52 +140,57 @@ def call(function: Callable[..., Any], *arguments: Any, seconds: float | None = 
     ChildProcessError       the process ended without an answer
     Exception               what the function raises, or the collection of what it left
     """
-    paths = os.pathsep.join(map(os.path.abspath, sys.path))
+    process = _Process()
     try:
-        done = subprocess.run(
-            [sys.executable, "-P", "-m", "odt_plugins.adapters.apart"], capture_output=True,
-            input=pickle.dumps((function, arguments)), check=False, timeout=seconds,
-            env=dict(os.environ) | {"PYTHONPATH": paths},
-        )
-    except subprocess.TimeoutExpired as exc:
-        msg = f"no answer within {seconds} s"
-        raise TimeoutError(msg) from exc
-    if done.returncode:
-        said = done.stderr.decode("utf-8", "replace").strip().splitlines()
-        msg = f"its process was ended by {exit_name(done.returncode)}"
-        raise ChildProcessError(f"{msg}: {said[-1]}" if said else msg)
-    answer, error = pickle.loads(done.stdout)
-    if error is not None:
-        raise error
-    return answer
+        return process.ask(function, arguments, seconds)
+    finally:
+        process.end()
+
+
+_staying: list[_Process] = []
+
+
+def call_again(function: Callable[..., Any], *arguments: Any, seconds: float | None = None) -> Any:
+    """As :func:`call`, in a process that stays for the next such call, until this one ends."""
+    with KEPT:
+        if not (_staying and _staying[0].usable):
+            _staying[:] = [_Process()]
+            atexit.register(_staying[0].end)
+        return _staying[0].ask(function, arguments, seconds)
 
 
 def main() -> None:
-    """Do the work that standard input names, and write its result or error to standard output."""
+    """Do the work that standard input names, and write its results or errors to standard output."""
     stream = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-
-    def end(result: Any, error: BaseException | None) -> None:
+    left: list[BaseException] = []
+    sys.unraisablehook = lambda told: left.append(told.exc_value or RuntimeError(told.err_msg))
+    while True:
+        message = _message(sys.stdin.buffer)
+        if message is None:
+            # What is left open would crash the process on its way out.
+            os._exit(0)
+        result: Any = None
+        error: BaseException | None = None
+        # A reader or writer may raise anything at all.
+        try:
+            function, arguments = pickle.loads(message)
+            result = function(*arguments)
+        except Exception as exc:
+            error = exc
+        function = arguments = message = None
+        gc.collect()
+        if left:
+            result, error = None, error or left.pop()
         try:
             answer = pickle.dumps((result, error))
             pickle.loads(answer)
         except Exception:
             answer = pickle.dumps((None, RuntimeError(f"{type(error).__name__}: {error}")))
-        stream.write(answer)
+        left.clear()
+        stream.write(len(answer).to_bytes(LENGTH, "big") + answer)
         stream.flush()
-        # What is left open would crash the process on its way out.
-        os._exit(0)
-
-    sys.unraisablehook = lambda told: end(None, told.exc_value)
-    try:
-        function, arguments = pickle.load(sys.stdin.buffer)
-        result = function(*arguments)
-        del arguments
-        gc.collect()
-    # A reader or writer may raise anything at all.
-    except Exception as exc:
-        end(None, exc)
-    end(result, None)
+        result = error = None
 
 
 if __name__ == "__main__":

@@ -14,6 +14,7 @@ from odt_plugins.compare.ladder import ladder_part
 from odt_plugins.compare.local_global import forty_sweeps_part, races_part
 from odt_plugins.compare.machine import describe
 from odt_plugins.compare.multigrid import multigrid_part
+from odt_plugins.compare.small import small_part
 from odt_plugins.compare.stages import stages_part, surface_part
 from odt_plugins.compare.start import SEED
 from odt_plugins.compare.table import Part, Say, as_text, shown
@@ -34,6 +35,7 @@ PARTS: dict[str, Callable[[Sequence[int], int, Say], Part]] = {
     "blocks": blocks_part,
     "generation": generation_part,
     "ladder": ladder_part,
+    "small": small_part,
 }
 """Every part of the report: takes the sizes, the number of threads, and whom to tell."""
 

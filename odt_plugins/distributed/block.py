@@ -12,9 +12,16 @@ from odt_plugins.distributed.versions import expect_versions
 from odt_plugins.engine.odt.density import NodalDensity
 from odt_plugins.engine.record.figures import Figures
 from odt_plugins.engine.run.driver import run
+from odt_plugins.engine.run.outcome import Outcome
+from odt_plugins.engine.surface.driver import run_surface
+from odt_plugins.engine.surface.judge import values_on
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.numbering import in_old_numbers, old_numbers
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
+
+AROUND = 0.1
+"""A block that slides sees the surface as far around it, as a part of its longest side."""
 
 
 @dataclass(frozen=True)
@@ -33,6 +40,8 @@ class Block:
     versions : dict              of the packages that compute, as they are where the block was cut
     whole : Figures or None      those of the whole mesh, when its worst cell and its extreme angles
                                  are the bounds; None holds the block to the promise by itself
+    without : tuple of str       phases of stage 2 that are left to another round
+    share : float                part of the change of the volume that a surface that slides may use
     """
 
     mesh: SimplexMesh
@@ -42,25 +51,30 @@ class Block:
     waiting: BoolArray
     versions: dict[str, str]
     whole: Figures | None = None
+    without: tuple[str, ...] = ()
+    share: float = 1.0
 
     @property
     def nbytes(self) -> int:
         """Bytes of its arrays."""
-        arrays = (self.mesh.points, self.mesh.cells, self.mesh.regions, self.mesh.fixed,
-                  self.waiting)
+        mesh, ground = self.mesh, self.mesh.ground
+        arrays: list[NDArray[Any]] = [mesh.points, mesh.cells, mesh.regions, mesh.fixed,
+                                      mesh.stays, mesh.lines, self.waiting]
+        if ground is not None:
+            arrays += [ground.points, ground.cells, ground.lines]
         return sum(a.nbytes for a in arrays) + (0 if self.density is None else self.density.nbytes)
 
 
 @dataclass(frozen=True)
 class Improved:
-    """What a worker hands back: the same vertices, moved, and other cells.
+    """What a worker hands back: the same vertices, moved, new ones behind them, and other cells.
 
     Attributes
     ----------
-    points : (n, d) float64
+    points : (n', d) float64     a vertex that was removed is where it was
     cells : (m', d + 1) int32    in the numbering of the block
     regions : (m',) int32
-    density : (n,) or None       values at the vertices, where these are now
+    density : (n',) or None      values at the vertices, where these are now
     counts : dict                what the engine counted
     fallback : str or None       why the engine went back to an earlier state
     """
@@ -105,8 +119,28 @@ def cut_out(
         cells=number[cells],
         regions=np.ascontiguousarray(mesh.regions[members]),
         fixed=mesh.fixed[vertices] | rim[vertices],
+        stays=_inner(mesh.stays, number, inside),
+        lines=_inner(mesh.lines, number, inside),
+        anchored=mesh.anchored[vertices],
+        ground=mesh.ground and _under(mesh.ground, mesh.points[vertices]),
     )
     return block, vertices
+
+
+def _under(ground: SimplexMesh, points: FloatArray) -> SimplexMesh:
+    """The part of a surface in the bounding box of a block that has slid on it, and some more."""
+    low, high = points.min(axis=0), points.max(axis=0)
+    more = AROUND * (high - low).max()
+    near = ((ground.points >= low - more) & (ground.points <= high + more)).all(axis=1)
+    members = np.flatnonzero(near[ground.cells].any(axis=1))
+    if not members.size:
+        return ground
+    return cut_out(ground, members, np.zeros(len(near), dtype=np.bool_))[0]
+
+
+def _inner(edges: IntArray, number: IntArray, inside: BoolArray) -> IntArray:
+    """Edges (k, 2) with both ends in the block, in its numbering."""
+    return number[edges[inside[edges].all(axis=1)]]
 
 
 def improve(block: Block) -> Improved:
@@ -121,7 +155,30 @@ def improve(block: Block) -> Improved:
     if block.density is not None:
         density = NodalDensity(block.density, block.power, keeps=options.density == "keep")
         options = replace(options, density=density, exponent=None)
-    outcome = run(mesh, options, cut=block.waiting, whole=block.whole)
-    return Improved(outcome.points, outcome.cells, outcome.regions,
-                    block.density if outcome.sizes is None else outcome.sizes, outcome.counts,
+    if mesh.is_surface:
+        return _improved_surface(block, run_surface(mesh, options, without=block.without))
+    outcome = run(mesh, options, cut=block.waiting, whole=block.whole, without=block.without,
+                  share=block.share)
+    points, cells, sizes = outcome.points, outcome.cells, outcome.sizes
+    if outcome.origin is not None:
+        n = len(mesh.points)
+        number = old_numbers(outcome.origin, n)
+        points, cells = in_old_numbers(mesh.points, points, outcome.origin), number[cells]
+        if sizes is not None:
+            values = np.ones(len(points))
+            values[number] = sizes
+            sizes = values
+    return Improved(points, cells, outcome.regions, block.density if sizes is None else sizes,
+                    outcome.counts, outcome.fallback)
+
+
+def _improved_surface(block: Block, outcome: Outcome) -> Improved:
+    """The result of a curved block; the values of its density are those at the feet."""
+    mesh, values = block.mesh, block.density
+    moved = np.flatnonzero((outcome.points != mesh.points).any(axis=1))
+    if values is not None and moved.size:
+        values = values.copy()
+        values[moved] = values_on(
+            mesh.points, mesh.cells, np.asarray(block.density), outcome.points[moved])
+    return Improved(outcome.points, outcome.cells, outcome.regions, values, outcome.counts,
                     outcome.fallback)

@@ -10,17 +10,28 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.distributed.block import Block, Improved, cut_out, improve
-from odt_plugins.distributed.partition import bricks, clusters, groups, grown, rings_again, seams
+from odt_plugins.distributed.partition import (
+    RINGS,
+    WORST_RINGS,
+    bricks,
+    clusters,
+    groups,
+    grown,
+    seams,
+)
 from odt_plugins.distributed.versions import versions_here
 from odt_plugins.engine.record.figures import Figures
 from odt_plugins.engine.topology.part import rings
 from odt_plugins.errors import InvalidMeshError
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
-from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.mesh.simplex import SimplexMesh, diagonal
 from odt_plugins.options import Options
 
 Map = Callable[[Callable[[Block], Improved], Iterable[Block]], Iterator[Improved]]
 """Applies a pure function to blocks anywhere and gives the results in the order of the blocks."""
+
+LARGEST = 0.9
+"""No envelope is a larger part of the diagonal of a block."""
 
 
 @dataclass(frozen=True)
@@ -34,6 +45,8 @@ class Whole:
     waiting : (n,) bool         vertices that have not been inside a block in any round yet
     patch : (n,) int32          equal for those of them between the same two blocks of the last
                                 round, -1 for all others
+
+    A vertex that was removed is one that no cell has; new ones stand at the end.
     """
 
     mesh: SimplexMesh
@@ -53,25 +66,62 @@ class Traffic(NamedTuple):
     fallbacks: list[str]
 
 
-def labels(whole: Whole, count: int, index: int, rounds: int) -> IntArray:
+class Task(NamedTuple):
+    """What the blocks of a round are told besides their cells.
+
+    Attributes
+    ----------
+    options : Options
+    power : float                 of the values of the density
+    figures : Figures or None     as `whole` of :class:`Block`
+    without, share                as of :class:`Block`
+    length : float                of the envelope in this round
+    room : int                    vertices that may be added in this round
+    """
+
+    options: Options
+    power: float = 1.0
+    figures: Figures | None = None
+    without: tuple[str, ...] = ()
+    share: float = 1.0
+    length: float = 0.0
+    room: int = 0
+
+    def of(self, block: SimplexMesh, part: float) -> Options:
+        """Options of a block that holds such a part of the cells of the round."""
+        options = self.options
+        if options.insert:
+            insert = self.room * part / len(block.points)
+            options = replace(options, insert=insert if insert > 0.0 else False)
+        if self.length:
+            envelope = min(self.length / diagonal(block.points), LARGEST)
+            options = replace(options, envelope=envelope)
+        return options
+
+
+def labels(
+    whole: Whole, count: int, index: int, rounds: int, worst: BoolArray | None = None
+) -> IntArray:
     """Block of every cell in one round, -1 for cells that rest.
 
     The first round takes all cells that may change, in bricks. Every later one takes the cells
     around the vertices that have been on rims only: a block from what lies around each patch of
     the seam between two former blocks, and in the last round, so that nothing is cut again, whole
-    clusters around what is left.
+    clusters around what is left, and around the vertices ``worst`` (n,).
     """
     mesh = whole.mesh
     label = np.full(len(mesh.cells), -1, dtype=np.int32)
     active = np.flatnonzero(~mesh.frozen)
     cells = mesh.cells[active]
-    again = rings_again(len(active), count)
     if index == 0:
         label[active] = bricks(mesh.points, cells, min(count, len(active)))
     elif index < rounds - 1:
-        label[active] = grown(whole.patch, cells, again)
+        label[active] = grown(whole.patch, cells, RINGS)
     else:
-        zone = active[rings(whole.waiting, cells, again)]
+        near = rings(whole.waiting, cells, RINGS)
+        if worst is not None:
+            near |= rings(worst, cells, WORST_RINGS)
+        zone = active[near]
         if len(zone):
             parts = -(-len(zone) * count // len(active))
             label[zone] = clusters(mesh.cells[zone], parts)
@@ -79,10 +129,9 @@ def labels(whole: Whole, count: int, index: int, rounds: int) -> IntArray:
 
 
 def one_round(
-    whole: Whole, label: IntArray, options: Options, power: float, apply: Map,
-    figures: Figures | None = None,
+    whole: Whole, label: IntArray, task: Task, apply: Map
 ) -> tuple[Whole, Traffic]:
-    """Cut along the labels, improve every block, glue; ``figures`` as ``whole`` of :class:`Block`.
+    """Cut along the labels, improve every block, glue.
 
     Raises
     ------
@@ -92,6 +141,7 @@ def one_round(
     rim, patch, held = _rims(mesh, label)
     members = groups(label)
     waiting = whole.waiting & rim
+    inside = int((label >= 0).sum())
     versions = versions_here()
     sent: list[int] = []
     vertices_of: list[NDArray[np.intp]] = []
@@ -101,22 +151,30 @@ def one_round(
             block, vertices = cut_out(mesh, cells, held)
             density = None if whole.density is None else whole.density[vertices]
             vertices_of.append(vertices)
-            work = Block(block, density, options, power, waiting[vertices], versions, figures)
+            options = task.of(block, len(cells) / inside)
+            work = Block(block, density, options, task.power, waiting[vertices], versions,
+                         task.figures, task.without, task.share)
             sent.append(work.nbytes)
             yield work
 
-    points = mesh.points.copy()
-    density = None if whole.density is None else whole.density.copy()
+    points = [mesh.points.copy()]
+    density = None if whole.density is None else [whole.density.copy()]
+    total = len(mesh.points)
     rest = label < 0
     new_cells, new_regions = [mesh.cells[rest]], [mesh.regions[rest]]
     received, counts, fallbacks = 0, dict[str, int](), list[str]()
     for k, result in enumerate(apply(improve, cut())):
         vertices = vertices_of[k]
+        n = len(vertices)
         _expect_fit(result, mesh.points[vertices], held[vertices], k)
-        points[vertices] = result.points
+        points[0][vertices] = result.points[:n]
+        points.append(result.points[n:])
         if density is not None and result.density is not None:
-            density[vertices] = result.density
-        new_cells.append(vertices[result.cells].astype(np.int32, copy=False))
+            density[0][vertices] = result.density[:n]
+            density.append(result.density[n:])
+        number = np.concatenate([vertices, np.arange(total, total + len(result.points) - n)])
+        total += len(result.points) - n
+        new_cells.append(number[result.cells].astype(np.int32, copy=False))
         new_regions.append(result.regions)
         received += result.nbytes
         for name, value in result.counts.items():
@@ -124,10 +182,16 @@ def one_round(
         fallbacks += [result.fallback] if result.fallback else []
     frozen = np.zeros(sum(map(len, new_cells)), dtype=np.bool_)
     frozen[: int(rest.sum())] = mesh.frozen[rest]
-    glued = replace(mesh, points=points, cells=np.concatenate(new_cells),
-                    regions=np.concatenate(new_regions), frozen=frozen)
-    traffic = Traffic(len(members), int((~rest).sum()), sum(sent), received, counts, fallbacks)
-    return Whole(glued, density, waiting, np.where(waiting, patch, np.int32(-1))), traffic
+    added = np.zeros(total - len(mesh.points), dtype=np.bool_)
+    waiting = np.concatenate([waiting, added])
+    glued = replace(mesh, points=np.concatenate(points), cells=np.concatenate(new_cells),
+                    regions=np.concatenate(new_regions), frozen=frozen,
+                    fixed=np.concatenate([mesh.fixed, added]),
+                    anchored=np.concatenate([mesh.anchored, added]))
+    patch = np.concatenate([patch, np.full(len(added), -1, dtype=np.int32)])
+    traffic = Traffic(len(members), inside, sum(sent), received, counts, fallbacks)
+    values = None if density is None else np.concatenate(density)
+    return Whole(glued, values, waiting, np.where(waiting, patch, np.int32(-1))), traffic
 
 
 def _rims(mesh: SimplexMesh, label: IntArray) -> tuple[BoolArray, IntArray, BoolArray]:
@@ -144,12 +208,14 @@ def _rims(mesh: SimplexMesh, label: IntArray) -> tuple[BoolArray, IntArray, Bool
     return rim, patch, held
 
 
-def _expect_fit(result: Improved, before: FloatArray, held: BoolArray, index: int) -> None:
-    """Refuse a result of other vertices, or with a rim that moved."""
-    n = len(before)
-    good = result.points.shape == before.shape and len(result.cells) == len(result.regions)
-    good = good and 0 <= result.cells.min() and result.cells.max() < n
-    if not good or not np.array_equal(result.points[held], before[held]):
+def _expect_fit(
+    result: Improved, before: FloatArray, held: BoolArray, index: int
+) -> None:
+    """Refuse a result without some of the vertices, or with a rim that moved."""
+    n, now = len(before), len(result.points)
+    good = now >= n and len(result.cells) == len(result.regions)
+    good = good and 0 <= result.cells.min() and result.cells.max() < now
+    if not good or not np.array_equal(result.points[:n][held], before[held]):
         msg = (f"the result of block {index} does not fit the mesh it was cut from; expected "
                f"{n} vertices with an unchanged rim, try the run again")
         raise InvalidMeshError(msg)

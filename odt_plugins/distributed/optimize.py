@@ -12,28 +12,42 @@ import numpy as np
 
 from odt_plugins.adapters.files import check_output, read_file, write_file
 from odt_plugins.distributed.apply import told
-from odt_plugins.distributed.glue import Map, Traffic, Whole, labels, one_round
+from odt_plugins.distributed.glue import Map, Task, Traffic, Whole, labels, one_round
 from odt_plugins.distributed.local import executor
+from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
 from odt_plugins.engine.odt.density import make_density
 from odt_plugins.engine.policy import POLICY
-from odt_plugins.engine.record.figures import Figures
+from odt_plugins.engine.record.figures import cell_shapes
 from odt_plugins.engine.record.figures import figures as figures_of
 from odt_plugins.engine.record.progress import in_turn
-from odt_plugins.engine.run.driver import run
-from odt_plugins.engine.run.judge import faults
-from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is
-from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
-from odt_plugins.mesh.arrays import IntArray
+from odt_plugins.engine.run.judge import envelope_length, faults, slides
+from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
+from odt_plugins.engine.sliding.skin import skin_features
+from odt_plugins.engine.surface.driver import surface_kept, surface_outcome, surface_sizes
+from odt_plugins.engine.surface.judge import Distance, Kept
+from odt_plugins.engine.surface.judge import faults as surface_faults
+from odt_plugins.errors import InvalidOptionError
+from odt_plugins.mesh.arrays import BoolArray, IntArray
+from odt_plugins.mesh.numbering import most_vertices, without_removed
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import OptionKeywords, Options, make_options, with_option_signature
 from odt_plugins.progress import part, silent
-from odt_plugins.roundtrip import run_engine
+from odt_plugins.roundtrip import optimized, run_engine
 
 if TYPE_CHECKING:
     from odt_plugins.report.report import Report
 
 LEAST_CELLS = 5000
 """Meshes are cut into no smaller blocks: most of such a block lies beside its rim."""
+
+WORST_CELLS = 20
+"""So many tetrahedra, worst first by each measure, are looked after in the last round."""
+
+FIRST_SHARE = 0.9
+"""Part of the allowed change of the volume for the first round; the cuts need the rest."""
+
+LAST = ("extremes",)
+"""Phases of stage 2 for the worst cells of the whole, which come in the last round."""
 
 EXTREMES = ("min_quality", "min_angle", "max_angle", "min_altitude")
 """Figures of one part that say something of the whole: kept by every block in later rounds."""
@@ -60,7 +74,7 @@ def optimize_partitioned(
     Parameters
     ----------
     mesh : object
-        What :func:`odt_plugins.optimize` takes: tetrahedra, or triangles in a plane.
+        What :func:`odt_plugins.optimize` takes.
     blocks : int
         Blocks of about equal size in the first round; fewer when they had less than 5000 cells.
     block_rounds : int
@@ -82,7 +96,6 @@ def optimize_partitioned(
     ------
     InvalidOptionError      an option is out of range, does not go with blocks, or a worker has
                             other packages than this process
-    UnsupportedMeshError    the mesh is a curved surface
     WorkerError             workers were lost again and again
     and what :func:`odt_plugins.optimize` raises
     """
@@ -123,12 +136,6 @@ def _partitioned(
     check(blocks, rounds, workers, options, several=client is not None or workers > 0)
 
     def engine(simplices: SimplexMesh, chosen: Options, leaving: Leaving) -> Outcome:
-        if simplices.is_surface:
-            msg = (
-                "got a curved surface; expected tetrahedra, or triangles in a plane, for blocks; "
-                "try optimize"
-            )
-            raise UnsupportedMeshError(msg)
         with executor(client, workers) as apply:
             return run_blocks(simplices, chosen, blocks, rounds, apply, leaving)
 
@@ -187,30 +194,40 @@ def run_blocks(
     active = np.flatnonzero(~mesh.frozen)
     count = min(blocks, len(active) // LEAST_CELLS)
     if count < 2:
-        return run(mesh, options, leaving)
+        return optimized(mesh, options, leaving)
     clock = time.perf_counter()
-    start, plain, power = _start(mesh, options)
+    kept = surface_kept(mesh, options) if mesh.is_surface else None
+    start, plain, power = _start(_with_features(mesh, options, kept), options)
+    length = envelope_length(mesh, options) if kept or slides(mesh, options) else 0.0
     times = {"prepare": time.perf_counter() - clock}
     figures = figures_of(mesh.points, mesh.cells[active])
     found: list[tuple[int, Outcome]] = []
-    for judged in (False, True):
+    for judged in (True,) if mesh.is_surface else (False, True):
         done = _Done([start])
         told_all = replace(options, progress=options.progress or silent)
         report = in_turn(told_all, int(judged)).progress
         for index in range(rounds):
-            label = labels(done.states[-1], count, index, rounds)
+            last = index == rounds - 1
+            state = done.states[-1]
+            if length and index == 1:
+                state = replace(state, mesh=_on_ground(start.mesh, state.mesh))
+                done.states[-1] = state
+            label = labels(state, count, index, rounds, _worst(state.mesh) if last else None)
             if label.max() < 0:
                 continue
             name = f"round {index + 1}"
-            share = part(report, index / rounds, (index + 1) / rounds)
-            blockwise = told(apply, share, name, int(label.max()) + 1)
-            chosen = first(plain, len(active)) if index == 0 else later(plain)
-            done.add(name, label, chosen, power, blockwise, None if judged else figures)
+            told_of = part(report, index / rounds, (index + 1) / rounds)
+            blockwise = told(apply, told_of, name, int(label.max()) + 1)
+            task = Task(first(plain, len(active)) if index == 0 else later(plain), power,
+                        None if judged else figures, () if last else LAST,
+                        _share(mesh, state.mesh) if length and index else FIRST_SHARE, length,
+                        _room(mesh, state.mesh, options))
+            done.add(name, label, task, blockwise)
         clock = time.perf_counter()
-        outcome, kept = _judged(mesh, done, options, leaving)
+        outcome, good = _judged(mesh, done, options, leaving, kept)
         done.times["check"] = time.perf_counter() - clock
-        found.append((kept, replace(outcome, times=times | done.times, counts=done.counts)))
-        if kept == len(done.states) - 1:
+        found.append((good, replace(outcome, times=times | done.times, counts=done.counts)))
+        if good == len(done.states) - 1:
             break
     return max(found, key=lambda pair: pair[0])[1]
 
@@ -225,16 +242,63 @@ class _Done:
     fallbacks: list[str] = field(default_factory=list)
 
     def add(
-        self, name: str, label: IntArray, options: Options, power: float, apply: Map,
-        figures: Figures | None,
+        self, name: str, label: IntArray, task: Task, apply: Map
     ) -> None:
-        """Do one round, its blocks within those figures of the whole, or judged on their own."""
+        """Do one round."""
         clock = time.perf_counter()
-        whole, traffic = one_round(self.states[-1], label, options, power, apply, figures)
+        whole, traffic = one_round(self.states[-1], label, task, apply)
         self.states.append(whole)
         _count(self.counts, name, traffic)
         self.fallbacks += [f"{name}: {reason}" for reason in traffic.fallbacks]
         self.times[name] = time.perf_counter() - clock
+
+
+def _share(mesh: SimplexMesh, now: SimplexMesh) -> float:
+    """The part of the allowed change of the volume that former rounds left."""
+    if mesh.is_surface:
+        return 1.0
+    was, after = (float(signed_volumes(m.points, m.cells).sum()) for m in (mesh, now))
+    return max(0.0, 1.0 - abs(after / was - 1.0) / POLICY.slide_volume)
+
+
+def _room(mesh: SimplexMesh, now: SimplexMesh, options: Options) -> int:
+    """How many vertices may be added to the mesh as it is now."""
+    if not options.insert:
+        return 0
+    most = most_vertices(len(np.unique(mesh.cells)), options.insert)
+    return most - len(np.unique(now.cells))
+
+
+def _worst(mesh: SimplexMesh) -> BoolArray | None:
+    """Vertices (n,) of the worst tetrahedra, by their radius ratio and by their angles."""
+    if mesh.dim == 2:
+        return None
+    cells = mesh.cells[~mesh.frozen]
+    shapes = cell_shapes(mesh.points, cells) * [1.0, -1.0, 1.0, 1.0]
+    worst = np.zeros(len(mesh.points), dtype=np.bool_)
+    for column in shapes.T[:3]:
+        worst[cells[np.argsort(column, kind="stable")[:WORST_CELLS]]] = True
+    return worst
+
+
+def _with_features(mesh: SimplexMesh, options: Options, kept: Kept | None) -> SimplexMesh:
+    """The mesh with the features of a surface that slides; what holds there is held."""
+    if kept is not None:
+        return replace(mesh, fixed=mesh.fixed | kept.locked, lines=kept.lines)
+    if not slides(mesh, options):
+        return mesh
+    lines, corners = skin_features(mesh, options)
+    return replace(mesh, fixed=mesh.fixed | corners, lines=lines)
+
+
+def _on_ground(before: SimplexMesh, now: SimplexMesh) -> SimplexMesh:
+    """A mesh whose surface slid in a former round: it slides on that of the input, lines apart."""
+    fixed = now.fixed.copy()
+    fixed[before.lines] = True
+    cells = before.cells if before.is_surface else boundary_facets(before.cells)
+    nowhere = np.zeros(len(cells), dtype=np.int32)
+    ground = SimplexMesh(before.points, cells, nowhere, before.fixed, lines=before.lines)
+    return replace(now, fixed=fixed, ground=ground)
 
 
 def _start(mesh: SimplexMesh, options: Options) -> tuple[Whole, Options, float]:
@@ -246,7 +310,9 @@ def _start(mesh: SimplexMesh, options: Options) -> tuple[Whole, Options, float]:
     spec, power, values = options.density, 1.0, None
     unused = mesh.cells[:0]
     named = isinstance(spec, str)
-    if spec == "keep" if named else not callable(spec):
+    if named and spec == "curvature":
+        values, named, spec = surface_sizes(mesh, options), False, "uniform"
+    elif spec == "keep" if named else not callable(spec):
         if not named:
             make_density(spec, None, mesh.points, mesh.cells, unused)
             spec = np.asarray(spec, dtype=np.float64)
@@ -281,24 +347,40 @@ def later(options: Options) -> Options:
 
 
 def _judged(
-    mesh: SimplexMesh, done: _Done, options: Options, leaving: Leaving
+    mesh: SimplexMesh, done: _Done, options: Options, leaving: Leaving, kept: Kept | None
 ) -> tuple[Outcome, int]:
     """The last state that keeps the promise as it leaves, or the input, and after which round."""
     broken: list[str] = []
     reason = f"{len(done.states) - 1} rounds of blocks"
-    for kept in range(len(done.states) - 1, 0, -1):
-        last = done.states[kept].mesh
-        outcome = leaving(Outcome(last.points, last.cells, last.regions, stop_reason=reason))
-        now, _ = faults(mesh, outcome.points, outcome.cells, outcome.regions, options)
+    for index in range(len(done.states) - 1, 0, -1):
+        last = done.states[index].mesh
+        points, cells, origin = without_removed(mesh, last.points, last.cells)
+        outcome = leaving(Outcome(points, cells, last.regions, stop_reason=reason, origin=origin))
+        outcome, now = _looked_at(mesh, outcome, options, kept)
         if not now:
             given_up = [f"a later round was given up ({'; '.join(broken)})"] if broken else []
             fallback = "; ".join((given_up + done.fallbacks)[:3]) or None
-            return replace(outcome, fallback=fallback), kept
+            return replace(outcome, fallback=fallback), index
         broken = now
-    return Outcome(
-        mesh.points.copy(), mesh.cells.copy(), mesh.regions.copy(), stop_reason=reason,
+    outcome = replace(
+        unchanged(mesh, reason),
         fallback=f"the input is returned, nothing better kept the promise ({'; '.join(broken)})",
-    ), 0
+    )
+    if kept is not None:
+        outcome = surface_outcome(outcome, kept, Distance(0.0, 0.0))
+    return outcome, 0
+
+
+def _looked_at(
+    mesh: SimplexMesh, outcome: Outcome, options: Options, kept: Kept | None
+) -> tuple[Outcome, list[str]]:
+    """A mesh that leaves, with what its judge measured, and what of the promise it breaks."""
+    given = outcome.points, outcome.cells, outcome.regions, options
+    if kept is None:
+        broken, slid = faults(mesh, *given, outcome.origin)
+        return replace(outcome, slid=slid), broken
+    broken, distance = surface_faults(mesh, kept, *given)
+    return surface_outcome(outcome, kept, distance), broken
 
 
 def _count(counts: dict[str, int], name: str, traffic: Traffic) -> None:
@@ -320,11 +402,6 @@ def check(blocks: int, rounds: int, workers: int, options: Options, *, several: 
         if not isinstance(value, int) or isinstance(value, bool) or value < least:
             msg = f"got {name}={value!r}; expected an integer of at least {least}"
             raise InvalidOptionError(msg)
-    if options.boundary == "slide" or options.insert:
-        name = "insert=True" if options.insert else "boundary='slide'"
-        msg = (f"got {name} with blocks; expected a boundary and vertices that stay, "
-               "try optimize without blocks")
-        raise InvalidOptionError(msg)
     if several and callable(options.density):
         _expect_picklable(options.density)
 

@@ -8,16 +8,11 @@ from numpy.typing import NDArray
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.components import components
 
-RINGS = 4
+RINGS = 3
 """Cells within so many rings of a vertex that was held in every round yet are improved again."""
 
-LARGE = 50_000
-"""Cells of a block from which on one ring fewer will do: few of its cells are near its rim."""
-
-
-def rings_again(cells: int, blocks: int) -> int:
-    """Rings to be improved again of a mesh of so many cells in so many blocks."""
-    return RINGS - 1 if cells >= LARGE * blocks else RINGS
+WORST_RINGS = 2
+"""Cells within so many rings of the worst cells of all are improved again in the last round."""
 
 
 def bricks(points: FloatArray, cells: IntArray, count: int) -> IntArray:

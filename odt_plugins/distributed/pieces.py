@@ -18,7 +18,6 @@ from odt_plugins.distributed.apply import Apply, told
 from odt_plugins.distributed.figures import Figures, total, worse
 from odt_plugins.distributed.local import executor
 from odt_plugins.distributed.optimize import check, first, later
-from odt_plugins.distributed.partition import rings_again
 from odt_plugins.distributed.piecework import (
     Cut,
     Done,
@@ -175,6 +174,11 @@ def optimize_pieces(
 
 
 def _check_for_pieces(options: Options) -> None:
+    if options.boundary == "slide" or options.insert:
+        name = "insert=True" if options.insert else "boundary='slide'"
+        msg = (f"got {name} for a mesh in pieces; expected a boundary and vertices that stay, "
+               "try optimize_partitioned")
+        raise InvalidOptionError(msg)
     for name in ("fixed", "selection"):
         if getattr(options, name) is not None:
             msg = f"got {name} for a mesh in pieces; expected options that every piece can tell"
@@ -220,9 +224,8 @@ def _run(
         for k, (part, number) in enumerate(zip(taken, numbers, strict=True))]))
     interface = len(waiting)
     states.append(_state(done))
-    cut = partial(split, rings=rings_again(before.cells, len(taken)))
     for turn in range(2, rounds + 1):
-        done, waiting = _later_round(done, waiting, folder / str(turn), later(options), stage, cut,
+        done, waiting = _later_round(done, waiting, folder / str(turn), later(options), stage,
                                      last=turn == rounds)
         states.append(_state(done))
     broken: list[str] = []
@@ -335,7 +338,7 @@ def _expect_one_place(ids: Ids, points: FloatArray, first: FloatArray) -> None:
 
 def _later_round(
     done: Sequence[Done], waiting: Ids, place: Path, options: Options,
-    stage: Callable[[str, int], Apply], cut: Callable[[Any], Cut], *, last: bool,
+    stage: Callable[[str, int], Apply], *, last: bool,
 ) -> tuple[list[Done], Ids]:
     """Cut off what lies around the vertices that wait, and improve it as pieces of its own.
 
@@ -352,7 +355,7 @@ def _later_round(
         else:
             kept.append(part)
     name = f"round {place.name}"
-    cuts: list[Cut] = list(stage(f"{name}: cutting", len(cutting))(cut, cutting))
+    cuts: list[Cut] = list(stage(f"{name}: cutting", len(cutting))(split, cutting))
     parts: dict[int, list[str]] = {}
     near: dict[int, list[Ids]] = {}
     for item, found in zip(cutting, cuts, strict=True):

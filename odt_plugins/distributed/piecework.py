@@ -16,7 +16,7 @@ from odt_plugins.adapters.regions import Spread
 from odt_plugins.carry import cell_source, surrounding_cells
 from odt_plugins.distributed.block import Block, improve
 from odt_plugins.distributed.figures import Figures, measure_part
-from odt_plugins.distributed.partition import grown, seams
+from odt_plugins.distributed.partition import RINGS, grown, seams
 from odt_plugins.distributed.store import (
     GHOSTS,
     IDS,
@@ -192,14 +192,13 @@ def first_round(item: tuple[str, str, Numbers], options: Options) -> Done:
     return _improved(piece, held, options, path, piece.ids[:0], held)
 
 
-def split(item: tuple[str, str, Ids, Ids, Ids], rings: int) -> Cut:
-    """Cut off what lies within some rings of some vertices, one part for each of their labels.
+def split(item: tuple[str, str, Ids, Ids, Ids]) -> Cut:
+    """Cut off what lies within RINGS rings of some vertices, one part for each of their labels.
 
     Parameters
     ----------
     item : source, start of the paths of the parts, ids of its vertices in other pieces, ids of
            the vertices to be cut off, ascending, and their labels
-    rings : int
     """
     source, path, rim, ids, labels = item
     piece = load(source)
@@ -208,7 +207,7 @@ def split(item: tuple[str, str, Ids, Ids, Ids], rings: int) -> Cut:
     place = np.minimum(np.searchsorted(ids, piece.ids), len(ids) - 1)
     known = ids[place] == piece.ids
     patch[known] = labels[place[known]]
-    label = grown(patch, piece.cells, rings)
+    label = grown(patch, piece.cells, RINGS)
     cells = np.bincount(piece.cells.ravel(), minlength=n)
     parts = []
     for k in np.unique(label[label >= 0]).tolist():

@@ -8,6 +8,7 @@ from __future__ import annotations
 import numpy as np
 
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
+from odt_plugins.mesh.simplex import SimplexMesh
 
 AS_MANY_AS_PAY = 0.5
 """Share of the vertices by which a mesh may grow where every vertex that pays is wanted."""
@@ -52,3 +53,32 @@ def in_old_numbers(old_points: FloatArray, points: FloatArray, origin: LongArray
     together = np.concatenate([old_points, points[origin < 0]])
     together[old_numbers(origin, n)] = points
     return together
+
+
+def without_removed(
+    before: SimplexMesh, points: FloatArray, cells: IntArray
+) -> tuple[FloatArray, IntArray, LongArray | None]:
+    """Leave out removed vertices: those that cells had before and have no more.
+
+    Parameters
+    ----------
+    before : SimplexMesh
+    points : (n', d) float64    vertices of the mesh before, then new ones
+    cells : (m, d + 1) int32
+
+    Returns
+    -------
+    points, cells               of the vertices that are left
+    origin : (k,) int64         see above; None when the vertices are those of the mesh before
+    """
+    n = len(before.points)
+    used, was = np.zeros(len(points), dtype=np.bool_), np.zeros(len(points), dtype=np.bool_)
+    used[cells] = True
+    was[n:] = True
+    was[before.cells] = True
+    left = np.flatnonzero(used | ~was)
+    if len(points) == n == len(left):
+        return points, cells, None
+    number = np.empty(len(points), dtype=np.int32)
+    number[left] = np.arange(len(left), dtype=np.int32)
+    return points[left], number[cells], np.where(left < n, left, -1).astype(np.int64)

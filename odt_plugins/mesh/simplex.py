@@ -46,6 +46,8 @@ class SimplexMesh:
                                              in
     valid_before : (points, cells) or None   of a mesh that was untangled, the valid cells it had: a
                                              figure may be as bad as with these, too
+    ground : SimplexMesh or None             of a mesh whose surface has slid before, the surface
+                                             that it slides on, with its feature lines
     """
 
     points: FloatArray
@@ -58,6 +60,7 @@ class SimplexMesh:
     anchored: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     turned: int = 0
     valid_before: tuple[FloatArray, IntArray] | None = None
+    ground: SimplexMesh | None = None
 
     def __post_init__(self) -> None:
         if self.anchored.size != len(self.points):

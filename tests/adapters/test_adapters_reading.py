@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import re
 import sys
 import threading
@@ -184,6 +185,19 @@ def test_work_that_lets_no_other_thread_run_is_ended():
     assert apart.call(divmod, 7, 2) == (3, 1)
     with pytest.raises(ZeroDivisionError):
         apart.call(divmod, 7, 0)
+
+
+def test_a_process_that_stays_is_the_same_until_it_crashes():
+    first = apart.call_again(os.getpid)
+    with pytest.raises(ZeroDivisionError):
+        apart.call_again(divmod, 7, 0)
+    assert apart.call_again(os.getpid) == first != os.getpid()
+    with pytest.raises(ChildProcessError, match="SIGABRT"):
+        apart.call_again(os.abort)
+    with pytest.raises(TimeoutError):
+        apart.call_again(re.match, "(a+)+$", 64 * "a" + "b", seconds=1.0)
+    assert apart.call_again(os.getpid) != first
+    assert apart.call(os.getpid) != apart.call_again(os.getpid)
 
 
 def test_an_hdf5_file_that_is_read_for_ever_is_broken_off(tmp_path, monkeypatch):

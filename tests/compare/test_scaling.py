@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import tet_meshes as tm
 
-from odt_plugins.compare import blocks, ladder
+from odt_plugins.compare import blocks, ladder, small
 from odt_plugins.compare.bandwidth import sweep_bytes, triad_bandwidth
 from odt_plugins.compare.generation import generation_part
 from odt_plugins.compare.local_global import forty_sweeps_part, moved_rhombohedron, moved_triangle
@@ -52,6 +52,17 @@ def test_the_ladder_has_a_rung_for_every_power_of_ten(monkeypatch):
     assert all(row[2] > 0 and row[3] > 10 for row in table.rows)
     assert float(table.rows[0][6]) > float(table.rows[1][6])
     assert len(part.charts) == 2
+
+
+def test_small_meshes_and_the_command_are_measured(monkeypatch):
+    monkeypatch.setattr(small, "SMALL", (300, 600))
+    monkeypatch.setattr(small, "REPEATS", 1)
+    meshes, command = small.small_part([1500], 1, silent).tables
+    assert all(row[0] > 0.8 * size
+               for row, size in zip(meshes.rows, (300, 600, 1500), strict=True))
+    assert meshes.rows[-1][-1] == "1.00"
+    assert min(row[2] for row in meshes.rows) > 0
+    assert command.rows[0][2] > 0.1
 
 
 def test_the_stages_of_curved_surfaces_are_measured():

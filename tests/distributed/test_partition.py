@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
+from functools import partial
 from itertools import takewhile
 from typing import Any
 
@@ -16,16 +17,26 @@ from policies import set_policy
 import odt_plugins
 from odt_plugins.compare.start import ball, plate, reordered, stored
 from odt_plugins.distributed import optimize as blocks_module
-from odt_plugins.distributed import partition
 from odt_plugins.distributed.block import Block, Improved, improve
-from odt_plugins.distributed.glue import Whole, labels, one_round
+from odt_plugins.distributed.glue import Task, Whole, labels, one_round
 from odt_plugins.distributed.optimize import run_blocks
-from odt_plugins.distributed.partition import RINGS, bricks, clusters, groups, grown, seams
+from odt_plugins.distributed.partition import (
+    RINGS,
+    WORST_RINGS,
+    bricks,
+    clusters,
+    groups,
+    grown,
+    seams,
+)
 from odt_plugins.distributed.versions import versions_here
-from odt_plugins.errors import InvalidMeshError, InvalidOptionError, UnsupportedMeshError
+from odt_plugins.engine.cells.geometry import boundary_facets
+from odt_plugins.engine.run.outcome import as_it_is
+from odt_plugins.errors import InvalidMeshError, InvalidOptionError
 from odt_plugins.mesh.simplex import SimplexMesh, simplex_mesh
 from odt_plugins.options import Options
 from odt_plugins.promise.volume import broken_promises
+from odt_plugins.roundtrip import optimized
 
 
 @pytest.fixture
@@ -119,7 +130,7 @@ def test_every_vertex_is_inside_a_block_in_some_round(count, rounds):
         stars = [label[np.flatnonzero((whole.mesh.cells == v).any(axis=1))]
                  for v in np.flatnonzero(~inside)]
         inside[~inside] = [s.min() >= 0 and s.min() == s.max() for s in stars]
-        whole, traffic = one_round(whole, label, Options(), 1.0, lambda _, b: map(unchanged, b))
+        whole, traffic = one_round(whole, label, Task(Options()), lambda _, b: map(unchanged, b))
         assert (whole.waiting == ~inside).all()
         assert traffic.cells == (label >= 0).sum()
     assert inside.all()
@@ -130,7 +141,7 @@ def test_gluing_what_was_cut_gives_the_mesh_back():
     whole = replace(whole_of(mesh), density=np.arange(len(mesh.points), dtype=float))
     label = bricks(mesh.points, mesh.cells, 4)
     label[::7] = -1
-    glued, _ = one_round(whole, label, Options(), 1.0, lambda _, b: map(unchanged, b))
+    glued, _ = one_round(whole, label, Task(Options()), lambda _, b: map(unchanged, b))
     assert np.array_equal(glued.mesh.points, mesh.points)
     assert np.array_equal(glued.density, whole.density)
     rows = [sorted(zip(m.cells.tolist(), m.regions.tolist(), strict=True))
@@ -138,21 +149,23 @@ def test_gluing_what_was_cut_gives_the_mesh_back():
     assert rows[0] == rows[1]
 
 
-@pytest.mark.parametrize("rounds", [2, 3])
-@pytest.mark.parametrize(("large", "count"), [(10, RINGS - 1), (10**6, RINGS)])
-def test_a_ring_fewer_is_improved_again_in_large_blocks(monkeypatch, large, count, rounds):
-    monkeypatch.setattr(partition, "LARGE", large)
+def test_the_last_round_looks_after_the_worst_cells_too():
     mesh = mesh_of(2000)
-    waiting = np.zeros(len(mesh.points), dtype=bool)
-    waiting[:2] = True
+    n = len(mesh.points)
+    waiting, worst = np.zeros(n, dtype=bool), np.zeros(n, dtype=bool)
+    waiting[:2], worst[9] = True, True
     whole = replace(whole_of(mesh), waiting=waiting, patch=np.where(waiting, 0, -1))
-    label = labels(whole, 2, 1, rounds)
-    reached = waiting.copy()
-    for _ in range(count):
-        near = reached[mesh.cells].any(axis=1)
-        reached[mesh.cells[near]] = True
-    assert np.array_equal(label >= 0, near)
-    assert not near.all()
+    for index in (1, 2):
+        label = labels(whole, 2, index, 3, worst)
+        wanted = np.zeros(len(mesh.cells), dtype=bool)
+        for start, rings in ((waiting, RINGS), (worst, WORST_RINGS)):
+            reached = start.copy()
+            for _ in range(rings if index == 2 or start is waiting else 0):
+                near = reached[mesh.cells].any(axis=1)
+                reached[mesh.cells[near]] = True
+                wanted |= near
+        assert np.array_equal(label >= 0, wanted)
+    assert not wanted.all()
 
 
 def moved_rim(result: Improved) -> Improved:
@@ -173,7 +186,7 @@ def test_a_result_that_does_not_fit_its_block_is_refused(spoil):
     whole = whole_of(mesh)
     label = bricks(mesh.points, mesh.cells, 2)
     with pytest.raises(InvalidMeshError, match="block 0 does not fit"):
-        one_round(whole, label, Options(), 1.0, lambda _, b: map(lambda x: spoil(unchanged(x)), b))
+        one_round(whole, label, Task(Options()), lambda _, b: map(lambda x: spoil(unchanged(x)), b))
 
 
 @pytest.mark.parametrize(("name", "seed"), [
@@ -385,12 +398,72 @@ def test_what_does_not_go_with_blocks_is_refused():
     start = ball(60)
     mesh = (start.points, start.cells)
     for wrong in ({"blocks": 0}, {"blocks": 2.0}, {"blocks": 2, "block_rounds": 0},
-                  {"blocks": 2, "workers": -1}, {"blocks": 2, "insert": True},
-                  {"blocks": 2, "boundary": "slide"}, {"blocks": 2, "odt": {"rings": 1}},
+                  {"blocks": 2, "workers": -1}, {"blocks": 2, "odt": {"rings": 1}},
                   {"blocks": 2, "rings": 1}, {"blocks": 2, "rounds": 1, "odt": {"rounds": 1}},
                   {"blocks": 2, "workers": 2, "density": lambda x: x[:, 0]}):
         with pytest.raises(InvalidOptionError, match="expected"):
             odt_plugins.optimize_partitioned(mesh, **wrong)
-    surface = stored("bunny-surface")
-    with pytest.raises(UnsupportedMeshError, match="curved surface"):
-        odt_plugins.optimize_partitioned((surface.points, surface.cells), 2)
+
+
+def same_in_any_order(mesh: SimplexMesh, options: Options, blocks: int) -> Any:
+    """Outcome of a run in blocks, which must not depend on which block is done first."""
+    one, other = (run_blocks(mesh, options, blocks, 3, apply) for apply in (map, backwards))
+    for name in ("points", "cells", "regions", "origin"):
+        assert np.array_equal(getattr(one, name), getattr(other, name))
+    return one
+
+
+def test_a_boundary_slides_in_blocks(small_blocks):
+    mesh = mesh_of(900)
+    options = Options(boundary="slide")
+    rims: list[Any] = []
+
+    def sees(function: Any, items: Iterable[Block]) -> Iterator[Improved]:
+        rims.append(0)
+        for block in items:
+            result = function(block)
+            moved = (result.points != block.mesh.points).any(axis=1)
+            rims[-1] += int(moved[boundary_facets(block.mesh.cells)].any(axis=1).sum())
+            yield result
+
+    one = optimized(mesh, options, as_it_is)
+    outcome = run_blocks(mesh, options, 3, 3, sees)
+    assert len(rims) == 3
+    assert all(rims)
+    assert outcome.fallback is None
+    assert 0.0 < max(outcome.slid.forward, outcome.slid.backward) <= outcome.slid.envelope
+    assert not broken_promises(mesh, outcome.points, outcome.cells, outcome.regions, slides=True)
+    q = [figures(found.points, found.cells)["mean"] for found in (mesh, one, outcome)]
+    assert q[2] > q[1] - 0.01 > q[0] + 0.1
+    shell = np.zeros(len(mesh.points), dtype=bool)
+    shell[boundary_facets(mesh.cells)] = True
+    moved = (outcome.points != mesh.points).any(axis=1)
+    assert moved[shell].mean() > 0.9
+
+
+def test_vertices_are_inserted_in_blocks(small_blocks):
+    mesh = mesh_of(900)
+    n = len(mesh.points)
+    outcome = same_in_any_order(mesh, Options(insert=0.02, density="keep"), 3)
+    added = int((outcome.origin < 0).sum())
+    assert added > 0
+    assert len(outcome.points) <= n + 0.02 * n
+    assert not broken_promises(mesh, outcome.points, outcome.cells, outcome.regions,
+                               origin=outcome.origin, insert=0.02)
+    without = run_blocks(mesh, Options(), 3, 3, map)
+    assert (figures(outcome.points, outcome.cells)["mean"]
+            > figures(without.points, without.cells)["mean"])
+
+
+def test_a_curved_surface_is_as_good_in_blocks_within_the_same_envelope(small_blocks):
+    start = stored("bunny-surface")
+    mesh = start.points, start.cells
+    one, blocks = (call(mesh, density="curvature") for call in (
+        odt_plugins.optimize_with_report,
+        partial(odt_plugins.optimize_partitioned_with_report, blocks=4)))
+    report = blocks[1]
+    assert report.fallback is None
+    assert report.counts["round 2 blocks"] > 0
+    assert max(report.surface["forward"], report.surface["backward"]) <= report.surface["envelope"]
+    assert report.after.mean_quality == pytest.approx(one[1].after.mean_quality, abs=0.003)
+    assert report.after.p1_quality == pytest.approx(one[1].after.p1_quality, abs=0.01)

@@ -28,9 +28,9 @@ import odt_plugins
 from odt_plugins.cli import main as cli
 from odt_plugins.compare.start import ball
 from odt_plugins.distributed import optimize as blocks_module
-from odt_plugins.distributed import partition, pieces, placing
+from odt_plugins.distributed import pieces, placing
 from odt_plugins.distributed.figures import measure_part, quantile, total, worse
-from odt_plugins.distributed.partition import RINGS, bricks
+from odt_plugins.distributed.partition import bricks
 from odt_plugins.distributed.pieces import optimize_pieces
 from odt_plugins.distributed.store import Piece, join, piece_files
 from odt_plugins.errors import (
@@ -140,31 +140,23 @@ def test_the_command_takes_pieces(tmp_path, capsys, monkeypatch):
     assert tet_meshes.quality(points, cells).mean() > 0.85
 
 
-def test_pieces_choose_flips_and_rings_as_the_whole_would(tmp_path, monkeypatch):
+def test_pieces_choose_flips_as_the_whole_would(tmp_path, monkeypatch):
     start = ball(300)
     index = write_pieces(tmp_path / "in", start.points, start.cells,
                          bricks(start.points, start.cells, 2))
     flips: list[str] = []
-    again: list[int] = []
-    first_round, split = pieces.first_round, pieces.split
+    first_round = pieces.first_round
 
     def sees_options(item: Any, options: Options) -> Any:
         flips.append(options.connectivity)
         return first_round(item, options)
 
-    def sees_rings(item: Any, rings: int) -> Any:
-        again.append(rings)
-        return split(item, rings)
-
     monkeypatch.setattr(pieces, "first_round", sees_options)
-    monkeypatch.setattr(pieces, "split", sees_rings)
     m = len(start.cells)
-    for moderate, large in ((m, m // 2 + 1), (m - 1, m // 2)):
+    for moderate in (m, m - 1):
         set_policy(monkeypatch, blocks_module, exchange_cells=moderate)
-        monkeypatch.setattr(partition, "LARGE", large)
         optimize_pieces(index, tmp_path / "out.pvtu", block_rounds=2)
     assert flips == ["auto", "auto", "flips", "flips"]
-    assert again == [RINGS, RINGS, RINGS - 1, RINGS - 1]
 
 
 def test_a_directory_and_a_second_run_onto_the_same_place(tmp_path):

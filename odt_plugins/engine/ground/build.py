@@ -6,16 +6,18 @@ import numpy as np
 
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import Ground
-from odt_plugins.engine.ground.features import Features
+from odt_plugins.engine.ground.features import Features, marked_edges
+from odt_plugins.engine.ground.reference import make_reference
 from odt_plugins.engine.ground.sheet import Sheet
-from odt_plugins.engine.topology.star import Stars
+from odt_plugins.engine.topology.star import Stars, vertex_stars
 from odt_plugins.engine.topology.triangles import EdgeNumbers
-from odt_plugins.mesh.arrays import FloatArray, IntArray
-from odt_plugins.mesh.surface import Edges
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.mesh.surface import Edges, surface_edges
 
 
 def make_ground(
-    points: FloatArray, triangles: IntArray, edges: Edges, stars: Stars, features: Features
+    points: FloatArray, triangles: IntArray, edges: Edges, stars: Stars, apart: BoolArray
 ) -> Ground:
     """Lay the input surface out for the kernels.
 
@@ -23,14 +25,14 @@ def make_ground(
     ----------
     points : (n, 3) float64, triangles : (m, 3) int32
     edges : Edges, stars : Stars     of these triangles
-    features : Features              normals are not averaged across feature edges
+    apart : (e,) bool                feature edges, across which normals are not averaged
     """
     a, b, c = (points[triangles[:, i]] for i in range(3))
     area = np.cross(b - a, c - a)
     normals = area.copy()
     for i in range(3):
         near = edges.neighbors[:, i]
-        alike = (near >= 0) & ~features.edges[edges.of_cell[:, i]]
+        alike = (near >= 0) & ~apart[edges.of_cell[:, i]]
         normals[alike] += area[near[alike]]
     length = np.sqrt((normals * normals).sum(axis=1))
     np.divide(normals, length[:, None], out=normals, where=length[:, None] > 0.0)
@@ -68,6 +70,34 @@ def make_sheet(
     )
 
 
+def earlier_ground(surface: SimplexMesh, points: FloatArray) -> Ground:
+    """Lay out the surface that a mesh has slid on before, its vertices at ``points`` (n, 3)."""
+    n, triangles = len(points), surface.cells
+    edges = surface_edges(triangles, n)
+    apart = marked_edges(edges, surface.lines, n)
+    return make_ground(points, triangles, edges, vertex_stars(triangles, n), apart)
+
+
+def laid_on(sheet: Sheet, ground: Ground, limit: float) -> Sheet:
+    """Put a sheet on a ground other than itself.
+
+    Every vertex lies on the closest triangle of the ground. Vertices of the ground within the
+    squared distance ``limit`` are covered by the closest triangle of the sheet.
+    """
+    used = np.unique(sheet.triangles)
+    foot = np.full(len(sheet.points), -1, dtype=np.int32)
+    foot[used] = make_reference(ground.points, ground.triangles).closest(sheet.points[used])[1]
+    under = np.unique(ground.triangles)
+    distance, face, _ = make_reference(sheet.points, sheet.triangles).closest(ground.points[under])
+    near = distance * distance <= limit
+    covered_by = np.full(len(ground.points), -1, dtype=np.int32)
+    covered_by[under[near]] = face[near]
+    first = np.full(len(sheet.triangles), -1, dtype=np.int32)
+    following = np.full(len(ground.points), -1, dtype=np.int32)
+    _cover_first(covered_by, first, following)
+    return sheet._replace(foot=foot, first=first, following=following)
+
+
 @kernel
 def _largest_of_star(triangles: IntArray, size: FloatArray, foot: IntArray) -> None:
     """Give every vertex the largest triangle of its star."""
@@ -79,10 +109,10 @@ def _largest_of_star(triangles: IntArray, size: FloatArray, foot: IntArray) -> N
 
 
 @kernel
-def _cover_first(foot: IntArray, first: IntArray, following: IntArray) -> None:
-    """Let every vertex of the ground be covered by a triangle that holds it."""
-    for v in range(foot.shape[0] - 1, -1, -1):
-        t = foot[v]
+def _cover_first(by: IntArray, first: IntArray, following: IntArray) -> None:
+    """Let every vertex of the ground be covered by a triangle."""
+    for v in range(by.shape[0] - 1, -1, -1):
+        t = by[v]
         if t >= 0:
             following[v] = first[t]
             first[t] = v

@@ -82,7 +82,9 @@ class Memory:
         """The figures of a mesh with the extremes of the cells that count."""
         if self.aside is None:
             return now
-        inner = cells[~self.aside[cells].any(axis=1)]
+        aside = np.zeros(len(points), dtype=np.bool_)
+        aside[: len(self.aside)] = self.aside
+        inner = cells[~aside[cells].any(axis=1)]
         if not len(inner):
             return now
         return now.with_extremes(cell_shapes(points, inner))

@@ -28,12 +28,13 @@ from odt_plugins.engine.run.judge import cut_vertices, envelope_length, faults, 
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
 from odt_plugins.engine.run.start import Start, make_start
 from odt_plugins.engine.sliding.boundary import Skin
-from odt_plugins.engine.sliding.skin import make_skin
+from odt_plugins.engine.sliding.skin import make_skin, on_earlier_ground
 from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.complex import make_complex
 from odt_plugins.engine.topology.frame import Frame, callers_vertices
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.numbering import old_numbers
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
@@ -55,7 +56,7 @@ def locked_vertices(mesh: SimplexMesh, neighbors: IntArray) -> tuple[BoolArray, 
 def run(
     mesh: SimplexMesh, options: Options, leaving: Leaving = as_it_is, *,
     cut: BoolArray | None = None, whole: Figures | None = None,
-    without: Container[str] = frozenset(),
+    without: Container[str] = frozenset(), share: float = 1.0,
 ) -> Outcome:
     """Optimise a valid mesh.
 
@@ -64,13 +65,15 @@ def run(
     mesh : SimplexMesh
     options : Options
     leaving : callable           applied to every state before it is judged
-    cut : (n,) bool, optional    vertices at which a mesh whose boundary does not slide was cut from
-                                 a larger one: the worst cells are looked for away from them, since
-                                 what lies around them waits for another run
+    cut : (n,) bool, optional    vertices at which a mesh was cut from a larger one: the worst cells
+                                 are looked for away from them where the boundary does not slide,
+                                 since what lies around them waits for another run
     whole : Figures, optional    of the larger mesh: its extremes are those that no cell may pass,
                                  and the promise is left to its judge
     without : container          names of the phases of stage 2 that are left out where the boundary
                                  does not slide
+    share : float                part of the allowed change of the volume that a boundary that
+                                 slides may use in this run
 
     Returns
     -------
@@ -88,18 +91,23 @@ def run(
         raise InvalidOptionError(msg)
     if not slides(mesh, options):
         return _run(mesh, options, leaving, cut, whole, without)[0]
-    outcome = _run_sliding(mesh, options, leaving)
+    if whole is None:
+        outcome = _run_sliding(mesh, options, leaving, cut, share)
+    else:
+        outcome, _ = _run(mesh, options, leaving, cut, whole, share=share)
     (options.progress or silent)("finishing", 1.0)
     return outcome
 
 
-def _run_sliding(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
+def _run_sliding(
+    mesh: SimplexMesh, options: Options, leaving: Leaving, cut: BoolArray | None, share: float
+) -> Outcome:
     """Runs from the input on until a surface that slid keeps the promise, at last without.
 
     Where stage 1 failed, where flat cells are left and where it costs little, the boundary is
     fixed in another run, and the better of the two is handed back.
     """
-    outcome, spoiled = _run(mesh, in_turn(options, 0), leaving)
+    outcome, spoiled = _run(mesh, in_turn(options, 0), leaving, cut, share=share)
     fixed = mesh.fixed.copy()
     times = Counter(outcome.times)
     for turn in range(POLICY.slide_retreats):
@@ -107,7 +115,7 @@ def _run_sliding(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outco
             break
         fixed[spoiled] = True
         outcome, spoiled = _run(
-            replace(mesh, fixed=fixed), in_turn(options, turn + 1), leaving
+            replace(mesh, fixed=fixed), in_turn(options, turn + 1), leaving, cut, share=share
         )
         times.update(outcome.times)
     if outcome.slid is not None:
@@ -117,7 +125,7 @@ def _run_sliding(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outco
         if not _may_be_beaten(outcome, options):
             return outcome
     last = in_turn(options, POLICY.slide_retreats + 1)
-    still, _ = _run(mesh, replace(last, boundary="fixed"), leaving)
+    still, _ = _run(mesh, replace(last, boundary="fixed"), leaving, cut)
     times.update(still.times)
     why = (outcome.fallback or outcome.stop_reason).removeprefix(INPUT)
     if outcome.slid is not None:
@@ -144,16 +152,16 @@ def _score(outcome: Outcome, options: Options) -> float:
 
 def _run(
     mesh: SimplexMesh, options: Options, leaving: Leaving, cut: BoolArray | None = None,
-    whole: Figures | None = None, without: Container[str] = frozenset(),
+    whole: Figures | None = None, without: Container[str] = frozenset(), share: float = 1.0,
 ) -> tuple[Outcome, IntArray]:
     """One run of all stages; also the surface vertices at which a surface that slid is spoiled."""
     with thread_pool(options.threads) as pool, callers_vertices(mesh):
-        return _run_in(pool, mesh, options, leaving, cut, whole, without)
+        return _run_in(pool, mesh, options, leaving, cut, whole, without, share)
 
 
 def _run_in(
     pool: ThreadPoolExecutor | None, mesh: SimplexMesh, options: Options, leaving: Leaving,
-    cut: BoolArray | None, whole: Figures | None, without: Container[str],
+    cut: BoolArray | None, whole: Figures | None, without: Container[str], share: float,
 ) -> tuple[Outcome, IntArray]:
     clock = time.perf_counter()
     nowhere = np.zeros(0, dtype=np.int32)
@@ -166,7 +174,7 @@ def _run_in(
     inner_locked = np.ascontiguousarray(locked[frame.vertices])
     inner_boundary = np.ascontiguousarray(boundary[frame.vertices])
     points = start.points.copy()
-    skin = _skin(start, options, points) if slides(mesh, options) else None
+    skin = _skin(start, options, points, share) if slides(mesh, options) else None
     first = make_complex(
         points, cells, regions, inner_locked, inner_boundary, skin, frame.inner_neighbors(neighbors)
     )
@@ -187,12 +195,13 @@ def _run_in(
     log = Log(times={"prepare": time.perf_counter() - clock}, without=without)
     bounds = extremes(before, tuple(options.keep))
     before_insertion = until_insertion(options) if options.insert else options
-    reason = run_cycles(first, density, before_insertion, bounds, memory, log, pool, near)
+    away = near if skin is None else None
+    reason = run_cycles(first, density, before_insertion, bounds, memory, log, pool, away)
     refused = not memory.states and not (skin and memory.spoiled().size)
     besides = skin is None and _may_finish_alone(memory, inner_locked, options)
     if options.finish and (refused or besides):
         again = start.points.copy()
-        skin = _skin(start, options, again) if skin else None
+        skin = _skin(start, options, again, share) if skin else None
         second = make_complex(again, cells, regions, inner_locked, inner_boundary, skin)
         log.add(f"runs of {ALONE}", 1)
         name = ALONE if refused else BESIDES
@@ -237,16 +246,19 @@ def _run_in(
     return outcome, frame.vertices[spoiled[inner_boundary[spoiled]]]
 
 
-def _skin(start: Start, options: Options, points: FloatArray) -> Skin:
+def _skin(start: Start, options: Options, points: FloatArray, share: float) -> Skin:
     """The boundary as it may slide; interfaces, fixed vertices and frozen cells hold it."""
     mesh, frame = start.mesh, start.frame
     locked = mesh.fixed | interface_vertices(mesh.cells, len(mesh.points), mesh.regions)
     locked[mesh.cells[mesh.frozen]] = True
-    return make_skin(
+    skin = make_skin(
         points, start.cells, locked=locked[frame.vertices],
         envelope=envelope_length(mesh, options) * frame.scale, angle=options.feature_angle,
-        stays=start.pairs(mesh.stays), lines=start.pairs(mesh.lines),
+        stays=start.pairs(mesh.stays), lines=start.pairs(mesh.lines), share=share,
     )
+    if mesh.ground is None:
+        return skin
+    return on_earlier_ground(skin, mesh.ground, frame.inside(mesh.ground.points))
 
 
 def _judged(
@@ -267,16 +279,27 @@ def _sizes(
     mesh: SimplexMesh, options: Options, frame: Frame, density: Density, outcome: Outcome,
     pool: ThreadPoolExecutor | None,
 ) -> FloatArray | None:
-    """The values of a density that came with the vertices, None without or with new vertices."""
-    if not isinstance(options.density, NodalDensity) or outcome.origin is not None:
+    """The values of a density that came with the vertices, None without."""
+    if not isinstance(options.density, NodalDensity):
         return None
-    values = options.density.values.copy()
-    now = outcome.points[frame.vertices]
-    moved = (now != mesh.points[frame.vertices]).any(axis=1)
-    walk = density.walk_start(len(now))[moved]
-    found = replace(density, power=1.0).at(frame.inside(now[moved]), pool, walk)
-    values[frame.vertices[moved]] = found
-    return values
+    n, origin = len(mesh.points), outcome.origin
+    number = np.arange(n) if origin is None else old_numbers(origin, n)
+    values = np.concatenate([options.density.values, np.ones(int((number >= n).sum()))])
+    beside = np.zeros(len(values), dtype=np.int32)
+    beside[frame.vertices] = density.walk_start(len(frame.vertices))
+    cells = number[outcome.cells]
+    old = cells.min(axis=1)
+    near = np.full(len(values), -1, dtype=np.int32)
+    near[cells] = np.where(old < n, old, -1)[:, None]
+    added = np.arange(n, len(values))
+    beside[added] = beside[near[added]]
+    moved = number >= n
+    moved[~moved] = (outcome.points[~moved] != mesh.points[number[~moved]]).any(axis=1)
+    found = replace(density, power=1.0).at(
+        frame.inside(outcome.points[moved]), pool, beside[number[moved]]
+    )
+    values[number[moved]] = found
+    return values[number]
 
 
 def inner_density(mesh: SimplexMesh, options: Options, frame: Frame) -> Any:

@@ -63,6 +63,8 @@ def measure_slide(
     from odt_plugins.engine.ground.envelope import distances
 
     length = envelope_length(mesh, options)
+    if mesh.ground is not None:
+        length *= 2.0  # both surfaces are within the envelope of the ground
     old, new = boundary_facets(mesh.cells), boundary_facets(cells)
     both = distances((points, new), (mesh.points, old), TOLERANCE * length)
     was = float(signed_volumes(mesh.points, mesh.cells).sum())

@@ -29,8 +29,8 @@ class Outcome:
     fallback : str or None          why an earlier state is returned, when it is
     counts : dict name -> int       sweeps, flips, exchanges, refusals
     slid : Slid or None             how far the boundary moved, when it may slide and did
-    sizes : (n,) float64 or None    values of a :class:`NodalDensity` where the vertices are now,
-                                    None without one, or with new vertices
+    sizes : (n',) float64 or None   values of a :class:`NodalDensity` where the vertices are now,
+                                    None without one
     origin : (n',) int64 or None    input vertex of every vertex, -1 for the new ones at the end;
                                     None when the vertices are those of the input
     written : (n', D) or None       points in the caller's type and space, as they leave

@@ -10,9 +10,9 @@ from odt_plugins.engine.cells.extremes import Bounds, Extremes
 from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
 from odt_plugins.engine.cells.tetrahedron import Cost
 from odt_plugins.engine.compiled.threads import pieces
-from odt_plugins.engine.ground.build import make_ground, make_sheet
+from odt_plugins.engine.ground.build import earlier_ground, laid_on, make_ground, make_sheet
 from odt_plugins.engine.ground.features import find_features, marked_edges
-from odt_plugins.engine.ground.sheet import SMOOTH, Limits, make_work
+from odt_plugins.engine.ground.sheet import LOCKED, SMOOTH, Limits, make_work
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.sliding.boundary import Skin
 from odt_plugins.engine.sliding.flips import flip_boundary
@@ -20,12 +20,14 @@ from odt_plugins.engine.sliding.newton import slide_vertices
 from odt_plugins.engine.topology.complex import Complex
 from odt_plugins.engine.topology.star import Stars, star_sum, vertex_stars
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.mesh.surface import surface_edges
+from odt_plugins.options import Options
 
 
 def make_skin(
     points: FloatArray, cells: IntArray, *, locked: BoolArray, envelope: float, angle: float,
-    stays: IntArray, lines: IntArray,
+    stays: IntArray, lines: IntArray, share: float = 1.0,
 ) -> Skin:
     """Lay the boundary of a mesh out for sliding.
 
@@ -38,6 +40,7 @@ def make_skin(
     angle : float               degrees by which the surface turns at a feature edge
     stays : (k, 2) int32        edges that must stay edges
     lines : (l, 2) int32        edges that count as feature edges
+    share : float               part of the allowed change of the volume that may be used
     """
     n = len(points)
     triangles = boundary_facets(cells)
@@ -46,7 +49,9 @@ def make_skin(
         points, triangles, edges, vertex_stars(triangles, n), angle=angle, fixed=locked,
         kept=marked_edges(edges, lines, n),
     )
-    ground = make_ground(points, triangles, edges, vertex_stars(triangles, n), features)
+    ground = make_ground(
+        points, triangles, edges, vertex_stars(triangles, n), features.edges
+    )
     sheet = make_sheet(points, triangles, edges, features)._replace(points=points)
     limit = (POLICY.slide_guard * envelope) ** 2
     fan = np.full(n, -1, dtype=np.int32)
@@ -55,12 +60,32 @@ def make_skin(
     ends = np.sort(stays, axis=1).astype(np.int64)
     kept = locked[low] & locked[high] | np.isin(low.astype(np.int64) * n + high,
                                        ends[:, 0] * n + ends[:, 1])
-    most = POLICY.slide_volume * float(signed_volumes(points, cells).sum())
+    most = share * POLICY.slide_volume * float(signed_volumes(points, cells).sum())
     limits = Limits(limit, limit, math.cos(math.radians(POLICY.slide_turn)))
     return Skin(
         sheet, ground, features.lines, limits, kept,
         _budgets(points, triangles, features.kind == SMOOTH, most), most, fan,
     )
+
+
+def on_earlier_ground(skin: Skin, surface: SimplexMesh, points: FloatArray) -> Skin:
+    """Let a boundary slide on a surface other than itself, whose vertices are at ``points``."""
+    ground = earlier_ground(surface, points)
+    return skin._replace(ground=ground, sheet=laid_on(skin.sheet, ground, skin.limits.distance))
+
+
+def skin_features(mesh: SimplexMesh, options: Options) -> tuple[IntArray, BoolArray]:
+    """Feature edges (k, 2) of the boundary of a mesh, and its vertices (n,) bool that hold."""
+    n = len(mesh.points)
+    triangles = boundary_facets(mesh.cells)
+    edges = surface_edges(triangles, n)
+    stars = vertex_stars(triangles, n)
+    features = find_features(
+        mesh.points, triangles, edges, stars, angle=options.feature_angle, fixed=mesh.fixed,
+        kept=marked_edges(edges, mesh.lines, n),
+    )
+    surface = np.diff(stars.indptr) > 0
+    return edges.vertices[features.edges], surface & (features.kind == LOCKED)
 
 
 def _budgets(

@@ -14,7 +14,7 @@ from odt_plugins.engine.cells.extremes import FREELY, Extremes
 from odt_plugins.engine.compiled.threads import thread_pool
 from odt_plugins.engine.finish.descent import finish_phase
 from odt_plugins.engine.finish.phases import Phase, bulk
-from odt_plugins.engine.ground.build import make_ground, make_sheet
+from odt_plugins.engine.ground.build import earlier_ground, laid_on, make_ground, make_sheet
 from odt_plugins.engine.ground.features import (
     EXACT,
     Features,
@@ -34,12 +34,12 @@ from odt_plugins.engine.run.driver import inner_density
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
 from odt_plugins.engine.run.start import Start, make_start
 from odt_plugins.engine.surface.density import SurfaceDensity, surface_density
-from odt_plugins.engine.surface.judge import Distance, Kept, faults, outside
+from odt_plugins.engine.surface.judge import Distance, Kept, faults, outside, values_on
 from odt_plugins.engine.surface.passes import Surface, SurfaceDescent
 from odt_plugins.engine.surface.rounds import check_method, smooth_surface
 from odt_plugins.engine.topology.frame import Frame, callers_vertices
 from odt_plugins.engine.topology.star import vertex_stars
-from odt_plugins.mesh.arrays import BoolArray, IntArray
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal
 from odt_plugins.mesh.surface import Edges, surface_edges
 from odt_plugins.options import Options
@@ -159,6 +159,29 @@ def _as_given(outcome: Outcome) -> SurfaceOutcome:
     return SurfaceOutcome(**vars(outcome), distance=Distance(0.0, 0.0))
 
 
+def surface_kept(mesh: SimplexMesh, options: Options) -> Kept:
+    """What a run would keep of a surface."""
+    check_method(options)
+    return _build(_start(mesh), options, np.zeros(len(mesh.points), dtype=np.bool_))[2]
+
+
+def surface_sizes(mesh: SimplexMesh, options: Options) -> FloatArray:
+    """The density "curvature" of a surface at its vertices, (n,)."""
+    start = _start(mesh)
+    _, features, _ = _build(start, options, np.zeros(len(mesh.points), dtype=np.bool_))
+    density = surface_density(
+        options.density, options.exponent, start.points, start.cells, start.edges, features
+    )
+    values = np.ones(len(mesh.points))
+    values[start.frame.vertices] = density.values
+    return values
+
+
+def surface_outcome(outcome: Outcome, kept: Kept, distance: Distance) -> SurfaceOutcome:
+    """The outcome of a surface, with what was kept of it and how far it moved."""
+    return SurfaceOutcome(**vars(outcome), kept=kept, distance=distance)
+
+
 def _start(mesh: SimplexMesh) -> SurfaceStart:
     start = make_start(mesh)
     fixed = mesh.fixed.copy()
@@ -193,6 +216,9 @@ def _run(
         inner_density(start.mesh, options, start.frame), options.exponent, start.points,
         start.cells, start.edges, features,
     )
+    if start.mesh.ground is not None and density.values is not None:
+        density = replace(density, values=values_on(
+            start.points, start.cells, density.values, surface.guards.ground.points))
     before = figures(start.points, start.cells)
     memory = Memory(before, tuple(options.keep), options.objective, by_score=options.finish)
     log.add_time("prepare", time.perf_counter() - clock)
@@ -230,7 +256,7 @@ def _build(
         points, triangles, edges, stars, angle=options.feature_angle, fixed=start.fixed | shut,
         kept=start.kept, slack=slack,
     )
-    ground = make_ground(points, triangles, edges, stars, features)
+    ground = make_ground(points, triangles, edges, stars, features.edges)
     sheet = make_sheet(points, triangles, edges, features)
     sheet.locked[edges.of_cell[shut[triangles].all(axis=1)]] = True
     used = mesh.points[np.unique(mesh.cells)]
@@ -239,10 +265,15 @@ def _build(
         (POLICY.surface_guard * options.envelope * length) ** 2, (slack * length) ** 2,
         math.cos(math.radians(POLICY.surface_turn)),
     )
+    between = options.envelope * length
+    if mesh.ground is not None:
+        ground = earlier_ground(mesh.ground, frame.inside(mesh.ground.points))
+        sheet = laid_on(sheet, ground, limits.distance)
+        between *= 2.0  # both surfaces are within the envelope of the ground
     locked = np.ones(len(mesh.points), dtype=np.bool_)
     locked[frame.vertices] = features.kind == LOCKED
     kept = Kept(
-        length / frame.scale, options.envelope * length / frame.scale,
+        length / frame.scale, between / frame.scale,
         frame.vertices[edges.vertices[features.edges]], locked, features.corners,
         int((features.kind == LINE).sum()),
     )

@@ -169,6 +169,15 @@ def feet_on(
     return face, weights / weights.sum(axis=1)[:, None]
 
 
+def values_on(
+    points: FloatArray, triangles: IntArray, values: FloatArray, x: FloatArray
+) -> FloatArray:
+    """Values (n,) at the vertices of a surface, at its places closest to points x (k, 3)."""
+    face, weights = feet_on(points, triangles, x)
+    found: FloatArray = (values[triangles[face]] * weights).sum(axis=1)
+    return found
+
+
 def barycentric(points: FloatArray, triangles: IntArray, x: FloatArray) -> FloatArray:
     """Barycentric coordinates (k, 3) of points x (k, 3) put onto the planes of triangles (k, 3).
 

@@ -47,7 +47,7 @@ def build(p, t, envelope=1e-2, cosine=0.5, slack=1e-6, **options):
                           slack=slack)
     size = sm.diagonal(p)
     limits = Limits((envelope * size) ** 2, (slack * size) ** 2, cosine)
-    guards = Guards(make_ground(p, t, edges, stars, found), found.lines, limits)
+    guards = Guards(make_ground(p, t, edges, stars, found.edges), found.lines, limits)
     return Surface(make_sheet(p, t, edges, found), guards, np.zeros(len(t), np.int32), **options)
 
 

@@ -1,0 +1,87 @@
+"""What a small mesh costs: the share of its cells and the rest, and the whole command for one."""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable, Sequence
+from pathlib import Path
+
+from odt_plugins.compare.start import ball_of
+from odt_plugins.compare.table import Part, Say, Table, Value
+
+SMALL = (500, 1500, 5000, 6832)
+"""Cells, about, of the small meshes."""
+
+REPEATS = 5
+"""The least time of so many counts."""
+
+
+def small_part(sizes: Sequence[int], threads: int, say: Say) -> Part:
+    """Compare small balls of tetrahedra with the largest of some sizes, and time the command.
+
+    Parameters
+    ----------
+    sizes : ints      about so many cells; the last is that of the large mesh
+    threads : int
+    say : callable    is told what is measured
+    """
+    from odt_plugins import optimize
+
+    found: list[tuple[int, float, float]] = []
+    for size in (*SMALL, sizes[-1]):
+        start = ball_of(size)
+        mesh = start.points, start.cells
+        optimize(mesh, threads=threads)
+        count = 1 if size > SMALL[-1] else REPEATS
+        wall, cpu = _least(lambda mesh=mesh: optimize(mesh, threads=threads), count)  # type: ignore[misc]
+        found.append((len(start.cells), wall, cpu))
+        say(f"{found[-1][0]} cells: processor {1e3 * cpu:.0f} ms")
+    share = found[-1][2] / found[-1][0]
+    rows: list[tuple[Value, ...]] = [
+        (cells, 1e3 * wall, 1e3 * cpu, 1e6 * cpu / cells, f"{cpu / cells / share:.2f}")
+        for cells, wall, cpu in found
+    ]
+    heads = ("cells", "wall [ms]", "processor [ms]", "a cell [us]", "to a cell of the last")
+    command: list[tuple[Value, ...]] = [("optimize, .vtu to .vtu", *_command(SMALL[-1], say))]
+    return Part([
+        Table("small", "Small meshes in process, kernels loaded", heads, rows),
+        Table("command", "The whole command, kernels compiled", ("command", "wall [s]",
+              "processor [s]"), command),
+    ])
+
+
+def _least(work: Callable[[], object], count: int) -> tuple[float, float]:
+    """Least wall time and least processor time of some calls, with those of ended children."""
+    walls, cpus = [], []
+    for _ in range(count):
+        clock, busy = time.perf_counter(), _busy()
+        work()
+        walls.append(time.perf_counter() - clock)
+        cpus.append(_busy() - busy)
+    return min(walls), min(cpus)
+
+
+def _busy() -> float:
+    times = os.times()
+    return times.user + times.system + times.children_user + times.children_system
+
+
+def _command(size: int, say: Say) -> tuple[float, float]:
+    """Wall and processor seconds of the command line on one file, start and imports included."""
+    from odt_plugins.adapters.files import write_arrays
+
+    start = ball_of(size)
+    with tempfile.TemporaryDirectory() as folder:
+        source, target = (Path(folder) / name for name in ("in.vtu", "out.vtu"))
+        write_arrays(source, start.points, start.cells)
+        line = [sys.executable, "-P", "-m", "odt_plugins.cli", "optimize", str(source), str(target),
+                "--quiet"]
+        paths = os.pathsep.join(map(os.path.abspath, sys.path))
+        work = {**os.environ, "PYTHONPATH": paths}
+        found = _least(lambda: subprocess.run(line, check=True, env=work), REPEATS)
+    say(f"the command: {found[0]:.2f} s, processor {found[1]:.2f} s")
+    return found
