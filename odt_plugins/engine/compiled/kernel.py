@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property
+from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
@@ -55,8 +55,8 @@ class InnerKernel:
     left out; such a call, as tests make it, goes through a caller that is compiled for it.
     """
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        self._dispatcher = compiled(**UNCOUNTED, no_cpython_wrapper=True)(function)
+    def __init__(self, function: Callable[..., Any], **options: Any) -> None:
+        self._dispatcher = compiled(**UNCOUNTED, no_cpython_wrapper=True, **options)(function)
         self._numba_type_ = self._dispatcher._numba_type_
 
     def __getattr__(self, name: str) -> Any:
@@ -73,3 +73,7 @@ class InnerKernel:
 
 inner_kernel = InnerKernel
 """Decorator of a kernel that only kernels call."""
+
+inlined_kernel = partial(InnerKernel, forceinline=True)
+"""The same of one that becomes part of its callers: for those called so often that handing on the
+arrays, up to 150 words a call, takes longer than the work."""

@@ -17,7 +17,7 @@ from odt_plugins.engine.cells.tetrahedron import (
     opposite_vertices,
     tet_cost,
 )
-from odt_plugins.engine.compiled.kernel import allocating_kernel, inner_kernel
+from odt_plugins.engine.compiled.kernel import allocating_kernel, inlined_kernel, inner_kernel
 from odt_plugins.engine.moves.cavity import (
     Journal,
     Ring,
@@ -101,17 +101,54 @@ def remove_edge(
     gain : float     cost before minus cost after; 0 when nothing was done
     n_new : int      new cells, whose slots are in ``ring.cells``
     """
+    a, b, n, before = ring_worth(tets, c, e, cost, max_ring, allowance, ring)
+    if n == 0:
+        return 0.0, 0
+    return _fill_ring(tets, a, b, n, before, cost, bounds, allowance, ring, journal)
+
+
+@inlined_kernel
+def ring_worth(
+    tets: Tets, c: int, e: int, cost: Cost, max_ring: int, allowance: float, ring: Ring
+) -> tuple[int, int, int, float]:
+    """Look at the ring of edge e of cell c, before anything is tried; see :func:`remove_edge`.
+
+    It is apart from what follows, since most edges end here and a call hands on every array.
+
+    Returns
+    -------
+    a, b : int       ends of the edge
+    n : int          length of the ring; 0 where no filling of it can lower the cost enough
+    before : float   cost of the cells around the edge
+    """
     objective = cost.objective
     forced = allowance > WITHIN_BOUNDS
     a, b, n = walk_ring(tets, c, e, max_ring, objective != ENERGY and not forced, ring)
     if n < 3:
-        return 0.0, 0
+        return a, b, 0, 0.0
     before = 0.0
     for m in range(n):
         before += known_cost(tets, ring.cells[m], cost, ring)
-    limit = before + allowance if forced else before * REAL
-    if objective != ENERGY and limit <= 2.0 * (n - 2):
-        return 0.0, 0
+    if objective != ENERGY and _cost_below(before, allowance) <= 2.0 * (n - 2):
+        n = 0
+    return a, b, n, before
+
+
+@inlined_kernel
+def _cost_below(before: float, allowance: float) -> float:
+    """Cost below which a flip is taken."""
+    return before + allowance if allowance > WITHIN_BOUNDS else before * REAL
+
+
+@inner_kernel
+def _fill_ring(
+    tets: Tets, a: int, b: int, n: int, before: float, cost: Cost, bounds: Bounds,
+    allowance: float, ring: Ring, journal: Journal,
+) -> tuple[float, int]:
+    """Fill the ring of n cells found by :func:`ring_worth`; results as :func:`remove_edge`."""
+    objective = cost.objective
+    forced = allowance > WITHIN_BOUNDS
+    limit = _cost_below(before, allowance)
     after = triangulate_ring(tets.points, a, b, n, cost, limit, ring)
     if not after < limit:
         return 0.0, 0
@@ -130,22 +167,42 @@ def flip_facet(
     journal: Journal,
 ) -> tuple[float, int]:
     """2-3 flip of facet f of cell c; arguments and results as :func:`remove_edge`."""
+    before, across = facet_worth(tets, c, f, cost, allowance, ring)
+    if across < 0:
+        return 0.0, 0
+    return _flip_facet(tets, c, f, across, before, cost, bounds, allowance, ring, journal)
+
+
+@inlined_kernel
+def facet_worth(
+    tets: Tets, c: int, f: int, cost: Cost, allowance: float, ring: Ring
+) -> tuple[float, int]:
+    """As :func:`ring_worth` for facet f of cell c: cost of its cells, the cell across or -1."""
+    objective = cost.objective
+    across = np.int64(tets.neighbors[c, f])
+    if across < 0 or tets.regions[across] != tets.regions[c]:
+        return 0.0, np.int64(-1)
+    if objective != ENERGY and allowance <= WITHIN_BOUNDS and tets.status[across] == DONE:
+        return 0.0, np.int64(-1)
+    before = known_cost(tets, c, cost, ring) + known_cost(tets, across, cost, ring)
+    if objective != ENERGY and _cost_below(before, allowance) <= 3.0:
+        across = np.int64(-1)
+    return before, across
+
+
+@inner_kernel
+def _flip_facet(
+    tets: Tets, c: int, f: int, across: int, before: float, cost: Cost, bounds: Bounds,
+    allowance: float, ring: Ring, journal: Journal,
+) -> tuple[float, int]:
+    """Flip a facet found by :func:`facet_worth`."""
     points, cells, objective = tets.points, tets.cells, cost.objective
     around, new = ring.cells, ring.new
     forced = allowance > WITHIN_BOUNDS
-    across = tets.neighbors[c, f]
-    if across < 0 or tets.regions[across] != tets.regions[c]:
-        return 0.0, 0
-    if objective != ENERGY and not forced and tets.status[across] == DONE:
-        return 0.0, 0
+    limit = _cost_below(before, allowance)
     apex = apex_across(cells, c, f, across)
     base = cells[c, f]
     u, v, w = opposite_vertices(cells, c, base)
-    before = known_cost(tets, c, cost, ring)
-    before += known_cost(tets, across, cost, ring)
-    limit = before + allowance if forced else before * REAL
-    if objective != ENERGY and limit <= 3.0:
-        return 0.0, 0
     after = tet_cost(points, base, u, v, apex, cost)
     if not after < limit:
         return 0.0, 0
@@ -175,11 +232,11 @@ def flip_facet(
     return before - after, int(n_new)
 
 
-@inner_kernel
-def improve_cell(
+@inlined_kernel
+def _improve_cell(
     tets: Tets, c: int, cost: Cost, max_ring: int, bounds: Bounds, ring: Ring, journal: Journal
 ) -> tuple[float, int]:
-    """Take the first flip at cell c that lowers the cost; results as :func:`remove_edge`.
+    """As :func:`improve_cell`, as part of its caller.
 
     With the energy only facets that are not locally Delaunay are looked at, and their edges,
     once: not again from a cell across that was visited and is still the same.
@@ -204,18 +261,34 @@ def improve_cell(
         _, _, k, l = local_edge(e)
         if facets & ((1 << k) | (1 << l)) == 0:
             continue
-        gain, n_new = remove_edge(
-            tets, c, e, cost, max_ring, bounds, WITHIN_BOUNDS, ring, journal
+        a, b, n, before = ring_worth(tets, c, e, cost, max_ring, WITHIN_BOUNDS, ring)
+        if n == 0:
+            continue
+        gain, n_new = _fill_ring(
+            tets, a, b, n, before, cost, bounds, WITHIN_BOUNDS, ring, journal
         )
         if n_new > 0:
             return gain, n_new
     for f in range(4):
         if facets & (1 << f) == 0:
             continue
-        gain, n_new = flip_facet(tets, c, f, cost, bounds, WITHIN_BOUNDS, ring, journal)
+        before, across = facet_worth(tets, c, f, cost, WITHIN_BOUNDS, ring)
+        if across < 0:
+            continue
+        gain, n_new = _flip_facet(
+            tets, c, f, across, before, cost, bounds, WITHIN_BOUNDS, ring, journal
+        )
         if n_new > 0:
             return gain, n_new
     return 0.0, 0
+
+
+@inner_kernel
+def improve_cell(
+    tets: Tets, c: int, cost: Cost, max_ring: int, bounds: Bounds, ring: Ring, journal: Journal
+) -> tuple[float, int]:
+    """Take the first flip at cell c that lowers the cost; results as :func:`remove_edge`."""
+    return _improve_cell(tets, c, cost, max_ring, bounds, ring, journal)
 
 
 @allocating_kernel
@@ -247,7 +320,7 @@ def flip_pass(
         if tets.status[c] != PENDING or tets.cells[c, 0] < 0:
             continue
         tets.status[c] = DONE
-        _, n_new = improve_cell(tets, c, cost, max_ring, bounds, ring, journal)
+        _, n_new = _improve_cell(tets, c, cost, max_ring, bounds, ring, journal)
         if n_new > 0:
             flips += 1
     return flips
