@@ -31,7 +31,7 @@ MAY_IMPORT = {
     "paper": {"engine", "mesh"},
     "adapters": {"errors", "mesh"},
     "carry": {"engine", "errors", "mesh"},
-    "untangling": {"carry", "engine", *BASE},
+    "untangling": {"carry", "engine", "progress", *BASE},
     "report": {"engine", "table", "untangling", *BASE},
     "roundtrip": {"adapters", "carry", "engine", "progress", "untangling", *BASE},
     "api": {"adapters", "engine", "report", "roundtrip", "untangling", *BASE},
