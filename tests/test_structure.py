@@ -41,7 +41,7 @@ MAY_IMPORT = {
                  *BASE},
     "compare": {"adapters", "api", "engine", "generate", "report", *BASE},
     "distributed": {"adapters", "api", "carry", "compare", "engine", "generate", "progress",
-                    "report", "roundtrip", "signals", "table", "tetwild", *BASE},
+                    "report", "roundtrip", "signals", "table", "tetwild", "untangling", *BASE},
     "cli": {"adapters", "api", "compare", "distributed", "generate", "hosts", "progress", "report",
             "signals", "table", "tetwild", *BASE},
     "__init__": {"api", "distributed", "generate", "hosts", "report", "tetwild", *BASE},

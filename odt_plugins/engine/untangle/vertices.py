@@ -1,7 +1,8 @@
 """Vertices inserted where neither places nor flips help: few, so in plain Python.
 
 Around an inverted cell a cavity is grown until it is star-shaped: until all its facets face a place
-in it, which a linear program finds, as far inside of all of them as can be. Cells are added across
+in it, which a linear program finds, as far inside of all of them as can be (by the dual simplex of
+HiGHS, which does without BLAS). Cells are added across
 the facets that keep the place from being better.
 
 References
@@ -122,7 +123,7 @@ def _cavity(
     normals, offsets = _planes(points, cells, facets, centre, size)
     d = points.shape[1]
     found = linprog(np.append(np.zeros(d), -1.0), np.column_stack([-normals, np.ones(len(facets))]),
-                    offsets, bounds=[(-1.0, 1.0)] * d + [(None, 1.0)])
+                    offsets, bounds=[(-1.0, 1.0)] * d + [(None, 1.0)], method="highs-ds")
     if found.x is None:
         return Cavity(numbers, facets, centre, -np.inf)
     return Cavity(numbers, facets, found.x[:d] * size + centre, float(found.x[d]))
