@@ -31,6 +31,7 @@ if TYPE_CHECKING:
     from odt_plugins.api import optimize_file as optimize_file
     from odt_plugins.api import optimize_with_report as optimize_with_report
     from odt_plugins.api import untangle as untangle
+    from odt_plugins.api import untangle_with_report as untangle_with_report
     from odt_plugins.distributed.optimize import optimize_partitioned as optimize_partitioned
     from odt_plugins.distributed.optimize import (
         optimize_partitioned_with_report as optimize_partitioned_with_report,
@@ -93,6 +94,7 @@ _HOMES = {
     "tetrahedralize_file": "generate.fill",
     "tetrahedralize_with_report": "tetwild",
     "untangle": "api",
+    "untangle_with_report": "api",
     "uniform_refine": "generate",
 }
 """Module of every public name. Type checkers read the imports above, which a test holds equal."""

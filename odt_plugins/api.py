@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import os
 from dataclasses import replace
 from importlib import import_module
@@ -13,14 +14,20 @@ import numpy as np
 from odt_plugins.adapters import pyvista_blocks
 from odt_plugins.adapters.files import check_output, read_file, write_file
 from odt_plugins.adapters.registry import find_adapter
-from odt_plugins.errors import UnsupportedMeshError
+from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
 from odt_plugins.mesh.simplex import mesh_arrays, turned_alike
-from odt_plugins.options import OptionKeywords, make_options, with_option_signature
+from odt_plugins.options import (
+    OF_UNTANGLING,
+    OPTIONS,
+    OptionKeywords,
+    make_options,
+    with_option_signature,
+)
 from odt_plugins.roundtrip import flat_points, run_blocks, run_engine, words_of
 from odt_plugins.untangling import Wanted
 
 if TYPE_CHECKING:
-    from numpy.typing import ArrayLike
+    from collections.abc import Mapping
 
     from odt_plugins.engine.run.outcome import Leaving, Outcome
     from odt_plugins.mesh.simplex import SimplexMesh
@@ -158,15 +165,9 @@ def _load_engine() -> None:
         import_module(name)
 
 
+@with_option_signature(*(name for name in OPTIONS if name not in OF_UNTANGLING))
 def untangle(
-    mesh: Any,
-    *,
-    rest: Any = None,
-    partial: bool = False,
-    fixed: ArrayLike | None = None,
-    selection: ArrayLike | None = None,
-    regions: Any = "auto",
-    threads: int = 1,
+    mesh: Any, *, rest: Any = None, partial: bool = False, **options: Unpack[OptionKeywords]
 ) -> Any:
     """Make every cell valid of a mesh some of whose cells are inverted or flat, and no more.
 
@@ -180,7 +181,9 @@ def untangle(
                               regular unless given
     partial : bool            whether to return the mesh with the fewest inverted or flat cells
                               that was found, where no valid one was
-    fixed, selection, regions, threads
+    insert : bool or float    whether vertices may be inserted where neither other places nor flips
+                              make all tetrahedra valid; they come last, with interpolated data
+    fixed, selection, regions, threads, progress
                               as for :func:`optimize`
 
     Returns
@@ -194,6 +197,7 @@ def untangle(
     TangledMeshError          some cells stay inverted or flat; `cells` are their indices
     InvalidMeshError          the mesh, or the rest mesh, is broken in another way
     UnsupportedMeshError      a curved surface, whose triangles have no sign
+    InvalidOptionError        an option is unknown or out of range
 
     References
     ----------
@@ -210,11 +214,49 @@ def untangle(
     >>> bool((valid_points[:4] == points[:4]).all() and 0 < valid_points[4, 0] < 1)
     True
     """
+    if pyvista_blocks.matches(mesh):
+        return untangle_with_report(mesh, rest=rest, partial=partial, **options)[0]
+    return _untangled(mesh, _untangling(options), rest, partial=partial)[0]
+
+
+@with_option_signature(*(name for name in OPTIONS if name not in OF_UNTANGLING))
+def untangle_with_report(
+    mesh: Any, *, rest: Any = None, partial: bool = False, **options: Unpack[OptionKeywords]
+) -> tuple[Any, Any]:
+    """Make every cell valid as :func:`untangle` does and tell what was done.
+
+    Returns
+    -------
+    mesh : same type as the input
+    report : Report     figures before and after, and `untangled`: how many cells were inverted, how
+                        it went, and how many are left; a list of them for the blocks of a
+                        pyvista.MultiBlock
+    """
+    from odt_plugins.report.report import make_report
+
+    chosen = _untangling(options)
+    if pyvista_blocks.matches(mesh):
+        one = functools.partial(untangle_with_report, rest=rest, partial=partial)
+        return run_blocks(mesh, options, one)
+    result, before, outcome, told = _untangled(mesh, chosen, rest, partial=partial)
+    return result, make_report(before, outcome, chosen, **told)
+
+
+def _untangling(options: Mapping[str, Any]) -> Options:
+    """Options of untangling alone; others would have no effect."""
+    others = [name for name in options if name in OPTIONS and name not in OF_UNTANGLING]
+    if others:
+        msg = f"got {others[0]}= for untangling; expected some of {list(OF_UNTANGLING)}"
+        raise InvalidOptionError(msg)
+    return make_options(**options)
+
+
+def _untangled(mesh: Any, options: Options, rest: Any, *, partial: bool) -> tuple[Any, ...]:
+    """What :func:`run_engine` gives, with the mesh untangled and left so."""
     places = rest
     if rest is not None and not isinstance(rest, np.ndarray):
         places = np.asarray(find_adapter(rest).read(rest).points)
-    options = make_options(fixed=fixed, selection=selection, regions=regions, threads=threads)
-    return run_engine(mesh, options, _as_it_is, Wanted(places, partial))[0]
+    return run_engine(mesh, options, _as_it_is, Wanted(places, partial, share=1.0))
 
 
 def _as_it_is(mesh: SimplexMesh, _options: Options, _leaving: Leaving) -> Outcome:

@@ -44,6 +44,9 @@ FIGURES = (*KEPT, "min_altitude")
 OF_MESHES = ("fixed", "selection", "regions", "fields", "orient", "untangle")
 """Options for what a mesh has that is there already, none for a surface that is to be filled."""
 
+OF_UNTANGLING = ("insert", "fixed", "selection", "regions", "threads", "progress")
+"""Options of :func:`odt_plugins.untangle`."""
+
 Progress = Callable[[str, float], None]
 
 COMPILING = "compiling the kernels, once after installation: about half a minute ..."

@@ -29,7 +29,12 @@ from odt_plugins.errors import (
     warn,
 )
 from odt_plugins.mesh.arrays import FloatArray, IntArray
-from odt_plugins.mesh.numbering import in_old_numbers, new_numbers, old_numbers
+from odt_plugins.mesh.numbering import (
+    in_old_numbers,
+    most_vertices,
+    new_numbers,
+    old_numbers,
+)
 from odt_plugins.mesh.plane import PlaneFrame, plane_frame
 from odt_plugins.mesh.simplex import (
     SimplexMesh,
@@ -94,14 +99,18 @@ def run_engine(
     before, outcome : the input as the engine reads it, and what the engine handed back
     told : dict          what its report is told besides, by the names of the fields
     """
-    work, given = _prepare(mesh, options, wanted)
-    moves = work.host.geometry is not None and _surface_moves(work, options)
-    leaving = partial(_as_it_leaves, work, options.threads, onto=moves)
-    with words_of(work.host), telling(options.progress, "preparing") as progress:
-        chosen = _of_cells(_in_frame(options, work.frame), work.tangle)
-        chosen = _with_sag(chosen, work) if moves else chosen
-        chosen = replace(chosen, progress=progress if options.progress else None)
-        outcome = (engine or optimized)(work.mesh, chosen, leaving)
+    with telling(options.progress, "preparing") as progress:
+        tell = progress if options.progress else None
+        first = part(progress, 0.0, wanted.share)
+        work, given = _prepare(mesh, replace(options, progress=tell and first), wanted)
+        moves = work.host.geometry is not None and _surface_moves(work, options)
+        leaving = partial(_as_it_leaves, work, options.threads, onto=moves)
+        with words_of(work.host):
+            chosen = _of_mesh(_in_frame(options, work.frame), work.tangle)
+            chosen = _with_sag(chosen, work) if moves else chosen
+            then = progress if work.tangle is None else part(progress, wanted.share, 1.0)
+            chosen = replace(chosen, progress=tell and then)
+            outcome = (engine or optimized)(work.mesh, chosen, leaving)
     if outcome.written is None:
         outcome = leaving(outcome)
     points: Any = outcome.written
@@ -114,13 +123,14 @@ def run_engine(
         points[stays], places[stays] = work.host.points[stays], work.mesh.points[stays]
         old = work.host.cells.astype(np.int64)
         cells = at_copies(cells, source, old, same, work.host.blocks)
+    before = work.mesh
+    if work.tangle is not None:
+        before, source = work.tangle.before, work.tangle.source[source]
+        outcome = replace(outcome, origin=work.tangle.origin(outcome.origin))
     fields = _interpolated(work, options)
     around = partial(_around, work, options.threads)
     written = replace(outcome, written=points, cells=cells)
     vertices = _new_vertices(work, written, around, moved=bool(fields))
-    before = work.mesh
-    if work.tangle is not None:
-        before, source = work.tangle.before, work.tangle.source[source]
     told = {"regions_from": work.host.regions_from, "cell_origin": _cell_origin(work.host, source),
             "interpolated": () if vertices is None else fields, "notes": work.notes,
             "tangle": work.tangle}
@@ -278,8 +288,9 @@ def _untangled(work: _Prepared, options: Options, wanted: Wanted) -> _Prepared:
     host, frame, before = work.host, work.frame, work.mesh
 
     def places(points: FloatArray) -> tuple[NDArray[Any], FloatArray]:
-        moved = (points != before.points).any(axis=1)
-        written, read = np.array(host.points), points.copy()
+        n, k = len(before.points), len(points) - len(before.points)
+        moved = np.append((points[:n] != before.points).any(axis=1), np.ones(k, dtype=np.bool_))
+        written, read = np.pad(host.points, [(0, k), (0, 0)]), points.copy()
         written[moved] = points[moved] if frame is None else frame.to_space(points[moved])
         back = written[moved].astype(np.float64)
         read[moved] = back if frame is None else frame.to_plane(back)
@@ -401,13 +412,25 @@ def _with_sag(options: Options, work: _Prepared) -> Options:
     return replace(options, envelope=min(options.envelope + sag, LARGEST))
 
 
-def _of_cells(options: Options, tangle: Tangle | None) -> Options:
-    """Let the cells of a mesh that was untangled have the densities of those they come from."""
-    density = options.density
-    if tangle is None or isinstance(density, str) or callable(density):
+def _of_mesh(options: Options, tangle: Tangle | None) -> Options:
+    """Say for a mesh that was untangled what was said for the one before: densities and how many
+    vertices may come.
+
+    Its cells have the densities of those they come from, inserted vertices those around them.
+    """
+    if tangle is None:
         return options
-    values = np.asarray(density)
     m, n = len(tangle.before.cells), len(tangle.before.points)
+    if options.insert and tangle.added:
+        left = most_vertices(n, options.insert) / (n + tangle.added) - 1.0
+        options = replace(options, insert=left if left > 0.0 else False)
+    if isinstance(options.density, str) or callable(options.density):
+        return options
+    values = np.asarray(options.density)
+    if values.shape == (n,) and tangle.added:
+        cell, weights = surrounding_cells(tangle.around, tangle.after.points[n:])
+        more = (values[tangle.before.cells[cell]] * weights).sum(axis=1)
+        return replace(options, density=np.append(values, more))
     if values.shape != (m,) or m == n:
         return options
     return replace(options, density=values[tangle.source])
@@ -470,7 +493,7 @@ def _around(
     work: _Prepared, threads: int, x: NDArray[Any], near: IntArray
 ) -> tuple[IntArray, FloatArray]:
     """Input cells in which places (k, D) lie or, on a curved surface, under them; coordinates."""
-    before = work.mesh
+    before = work.mesh if work.tangle is None else work.tangle.around
     x = x if work.frame is None else work.frame.to_plane(x)
     if not before.is_surface:
         return surrounding_cells(before, x, near, threads)
@@ -483,7 +506,7 @@ def _new_vertices(
     work: _Prepared, outcome: Outcome, around: Callable[..., Any], *, moved: bool
 ) -> NewVertices | None:
     """Where point data come from, when vertices came or went, or have others where they moved."""
-    before = work.mesh
+    before = work.mesh if work.tangle is None else work.tangle.around
     n = len(before.points)
     written: Any = outcome.written
     origin = np.arange(n) if outcome.origin is None else outcome.origin
@@ -497,7 +520,9 @@ def _new_vertices(
     near = star[origin]
     if outcome.origin is not None:
         beside = np.zeros(len(written), dtype=np.int32)
-        beside[outcome.cells] = np.asarray(outcome.source)[:, None]
+        source: Any = outcome.source
+        source = source if work.tangle is None else work.tangle.source_around[source]
+        beside[outcome.cells] = source[:, None]
         near = np.where(origin < 0, beside, near)
     cell, weights = around(written[placed].astype(np.float64), near[placed])
     number = new_numbers(origin, n)[:n].astype(np.int64)

@@ -11,10 +11,12 @@ from numpy.typing import NDArray
 
 from odt_plugins.carry import in_input_order
 from odt_plugins.errors import InvalidMeshError, TangledMeshError, counted
-from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
+from odt_plugins.mesh.numbering import most_vertices
 from odt_plugins.mesh.plane import PlaneFrame
-from odt_plugins.mesh.simplex import SimplexMesh, cell_signs
+from odt_plugins.mesh.simplex import SimplexMesh, cell_signs, with_vertices
 from odt_plugins.options import FIGURES, Options
+from odt_plugins.progress import silent
 from odt_plugins.promise.volume import worse_figures
 from odt_plugins.quality import QualitySummary, summarize
 
@@ -35,6 +37,33 @@ class Tangle(NamedTuple):
     source: IntArray
     facts: Mapping[str, Any]
 
+    @property
+    def added(self) -> int:
+        """Vertices that were inserted: the last ones of the mesh after."""
+        return len(self.after.points) - len(self.before.points)
+
+    @property
+    def around(self) -> SimplexMesh:
+        """A mesh of the vertices that have data, where these are after: cells around every place.
+
+        Those after, and where vertices were inserted those before, of which some are inverted.
+        """
+        if not self.added:
+            return self.after
+        return replace(self.before, points=self.after.points[: len(self.before.points)])
+
+    @property
+    def source_around(self) -> IntArray:
+        """Cell of `around` that is near each of the cells after."""
+        return self.source if self.added else np.arange(len(self.source), dtype=np.int32)
+
+    def origin(self, of: LongArray | None) -> LongArray | None:
+        """Vertices before, -1 for others, from vertices `of` the mesh after; None if the same."""
+        if not self.added:
+            return of
+        own = np.arange(len(self.after.points)) if of is None else of
+        return np.where(own < len(self.before.points), own, -1)
+
 
 class Wanted(NamedTuple):
     """What a caller of :func:`odt_plugins.untangle` asks for besides a valid mesh.
@@ -43,10 +72,12 @@ class Wanted(NamedTuple):
     ----------
     rest : (n, d) float64 or None    places at which all cells have the shapes they should have
     partial : bool                   whether a mesh with fewer inverted cells will do
+    share : float                    part of the run that this is, for its progress
     """
 
     rest: FloatArray | None = None
     partial: bool = False
+    share: float = 0.3
 
 
 def untangle_mesh(
@@ -59,38 +90,45 @@ def untangle_mesh(
     ----------
     mesh : SimplexMesh     cells that agree about their orientation, some inverted or flat
     options : Options
-    rounded : callable     points as the caller's type has them
+    rounded : callable     points as the caller's type has them, more of them than the mesh has too
     wanted : Wanted
 
     Raises
     ------
     TangledMeshError       some cells stay inverted or flat
     """
-    from odt_plugins.engine.untangle.run import untangled
+    from odt_plugins.engine.untangle.run import Wishes, untangled
 
     sign, _ = cell_signs(mesh.points, mesh.cells)
     bad = sign <= 0
     if (bad & mesh.frozen).any() and not wanted.partial:
         raise _left(mesh, mesh.points, np.flatnonzero(bad & mesh.frozen),
                     "which must stay as they are", "try a larger selection")
-    found = untangled(mesh, options.threads, wanted.rest, rounded)
-    moved = replace(mesh, points=found.points)
+    n = len(mesh.points)
+    room = most_vertices(n, options.insert) - n if options.insert else 0
+    tell = options.progress if callable(options.progress) else silent
+    found = untangled(mesh, options.threads, Wishes(wanted.rest, room, rounded, tell))
+    moved = replace(mesh, points=found.points[:n])
     cells, regions, source = in_input_order(moved, found.points, found.cells, found.regions,
                                             options.threads)
     if found.bad.any() and not wanted.partial:
         left = cell_signs(found.points, cells)[0] <= 0
-        raise _left(mesh, found.points, np.unique(source[left]),
-                    "for which neither other places of their vertices nor flips were found",
-                    "try moving what holds them, or untangle(mesh, partial=True) for the best mesh "
-                    "there is")
+        tried = "flips nor vertices more" if options.insert else "flips"
+        may = "" if options.insert or mesh.dim == 2 else "insert=True, "
+        raise _left(mesh, moved.points, np.unique(source[left]),
+                    f"for which neither other places of their vertices nor {tried} were found",
+                    f"try {may}moving what holds them, or untangle(mesh, partial=True) for the "
+                    f"best mesh there is")
     facts = {
         "inverted": int((sign < 0).sum()),
         "flat": int((sign == 0).sum()),
         "left": int(found.bad.sum()),
-        "moved": int((found.points != mesh.points).any(axis=1).sum()),
+        "moved": int((moved.points != mesh.points).any(axis=1).sum()),
+        "added": len(found.points) - n,
         "flips": found.flips,
     }
-    new = replace(moved, cells=cells, regions=regions, frozen=mesh.frozen[source],
+    new = replace(with_vertices(mesh, found.points), cells=cells, regions=regions,
+                  frozen=mesh.frozen[source],
                   valid_before=None if bad.all() else (mesh.points, mesh.cells[~bad]))
     return new, Tangle(mesh, new, source, facts)
 

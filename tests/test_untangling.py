@@ -9,7 +9,8 @@ import pytest
 import reference as ref
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from tangled_meshes import tangled
+from tangled_meshes import schoenhardt, tangled
+from tet_meshes import ball
 
 import odt_plugins
 from odt_plugins import InvalidMeshError, InvalidOptionError, TangledMeshError, UnsupportedMeshError
@@ -257,3 +258,111 @@ def test_the_promise_knows_the_exact_sign_of_a_thin_cell():
     cells = np.array([[0, 1, 2]], dtype=np.int32)
     assert any("not positive" in said
                for said in broken_promises(before, points, cells, before.regions, ()))
+
+
+@pytest.mark.parametrize("more", [False, True])
+@pytest.mark.parametrize("work", ["untangle", "optimize"])
+def test_inserted_vertices_have_the_data_around_them(work, more):
+    """More: beside a mesh into which the engine inserts some as well."""
+    pv = pytest.importorskip("pyvista")
+    points, cells = schoenhardt()
+    if more:
+        other, rows = ball(60, 1)
+        points = np.concatenate([points, other + np.array([4.0, 0.0, 0.0])])
+        cells = np.concatenate([cells, rows + 6])
+    n, field = len(points), points @ [1.0, 2.0, 3.0]
+    grid = pv.UnstructuredGrid({pv.CellType.TETRA: cells}, points)
+    grid.point_data["temperature"], grid.point_data["number"] = field, np.arange(n)
+    grid.cell_data["material"] = np.full(len(cells), 7)
+    grid.cell_data["size"] = np.arange(len(cells))
+    with pytest.raises(TangledMeshError, match="try insert=True, moving"):
+        odt_plugins.optimize(grid)
+    function = getattr(odt_plugins, f"{work}_with_report")
+    out, report = function(grid, insert=0.2)
+    assert report.untangled["added"] == 1
+    assert "0 vertices moved, 1 added, 0 flips; 0 left" in str(report)
+    assert report.counts["vertices added"] >= 1 + (more and work == "optimize")
+    removed = report.counts["vertices removed"]
+    assert len(out.points) == n + report.counts["vertices added"] - removed
+    rows = out.cells_dict[pv.CellType.TETRA]
+    assert (contract.volumes(out.points, rows) > 0).all()
+    assert np.array_equal(out.points[:6], points[:6])
+    assert out.points[: n - removed + 1][-1, 0] < 1.0
+    assert np.allclose(out.point_data["temperature"], out.points @ [1.0, 2.0, 3.0], atol=1e-12)
+    kept = np.setdiff1d(np.arange(n), out.point_data["number"][: n - removed])
+    assert len(kept) == removed
+    assert (out.cell_data["material"] == 7).all()
+    assert np.array_equal(out.cell_data["size"], report.cell_origin)
+    assert len(report.cell_origin) == len(rows)
+    assert report.before.inverted == 1
+    assert len(report.to_dict()["binding"]) > 0
+
+
+def test_vertices_of_untangling_count_among_those_that_may_come():
+    points, cells = schoenhardt()
+    with pytest.raises(TangledMeshError, match="nor flips nor vertices more"):
+        odt_plugins.untangle((points, cells), insert=0.1)
+    three = np.concatenate([points + 4.0 * i * np.eye(3)[0] for i in range(3)])
+    rows = np.concatenate([cells + 6 * i for i in range(3)])
+    for insert, most in ((0.17, 3), (0.23, 4), (0.5, 9)):
+        out, _ = odt_plugins.optimize((three, rows), insert=insert, keep=())
+        assert 21 <= len(out) <= 18 + most
+
+
+def test_densities_of_vertices_reach_inserted_ones():
+    points, cells = schoenhardt()
+    for density in (np.arange(1.0, 7.0), np.ones(4), "keep"):
+        out = odt_plugins.optimize((points, cells), insert=True, density=density)
+        assert odt_plugins.measure(out).inverted == 0
+
+
+def test_vertices_are_inserted_into_tetrahedra_alone():
+    points, cells, _ = knotted(2)
+    with pytest.raises(InvalidOptionError, match="insert=True for a mesh of triangles"):
+        odt_plugins.untangle((points, cells), insert=True)
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_untangling_reports_and_tells_how_far_it_is(dim):
+    points, cells, _ = tangled(dim, 6, "bent")
+    told = []
+    out, report = odt_plugins.untangle_with_report(
+        (points, cells), progress=lambda stage, share: told.append((stage, share)))
+    same = odt_plugins.untangle((points, cells))
+    assert all(np.array_equal(a, b) for a, b in zip(same, out, strict=True))
+    shares = [share for _, share in told]
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
+    assert shares == sorted(shares)
+    assert len({share for stage, share in told if stage == "untangling" and share < 1.0}) > 1
+    assert report.before == odt_plugins.measure((points, cells))
+    assert report.after == odt_plugins.measure(out)
+    assert report.untangled["inverted"] == report.before.inverted > 0
+    assert report.stop_reason == "untangled"
+    told.clear()
+    odt_plugins.optimize((points, cells), progress=lambda stage, share: told.append((stage, share)))
+    shares = [share for _, share in told]
+    assert shares == sorted(shares)
+    assert (shares[0], shares[-1]) == (0.0, 1.0)
+    assert any(stage == "untangling" and 0.0 < share <= 0.3 for stage, share in told)
+    assert any(stage != "untangling" and 0.3 < share < 1.0 for stage, share in told)
+    assert odt_plugins.untangle_with_report(contract.grid(dim, 2)[:2])[1].untangled is None
+
+
+def test_options_without_effect_on_untangling_are_refused():
+    mesh = contract.grid(2, 2)[:2]
+    for function in (odt_plugins.untangle, odt_plugins.untangle_with_report):
+        with pytest.raises(InvalidOptionError, match="got cycles= for untangling; expected some"):
+            function(mesh, cycles=2)
+        with pytest.raises(InvalidOptionError, match="did you mean 'threads'"):
+            function(mesh, thread=2)
+
+
+def test_blocks_of_a_pyvista_mesh_are_untangled_one_by_one():
+    pv = pytest.importorskip("pyvista")
+    points, cells, _ = knotted(3)
+    grid = pv.UnstructuredGrid({pv.CellType.TETRA: cells}, points)
+    blocks = pv.MultiBlock({"a": grid, "b": grid})
+    out, reports = odt_plugins.untangle_with_report(blocks)
+    assert [r.untangled["left"] for r in reports] == [0, 0]
+    same = odt_plugins.untangle(blocks)
+    assert np.array_equal(same["b"].points, out["b"].points)

@@ -313,28 +313,35 @@ def tetrahedralize(
                    "there.")
 @click.option("--partial", is_flag=True,
               help="Write the mesh with the fewest inverted cells where no valid one is found.")
+@click.option("--insert/--no-insert", cls=ShareOption, default=False,
+              help="Whether vertices may be inserted where neither other places nor flips make all "
+                   "tetrahedra valid: at most half as many as there are, or a number for at most "
+                   "that part of them.")
 @_some_option_flags("fixed", "selection", "regions", "threads")
+@click.option("--report", "report_file", type=click.Path(path_type=Path), metavar="FILE.json",
+              help="Write the report there as JSON.")
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
-def untangle(source: Path, target: Path, rest: Path | None, partial: bool, quiet: bool,
-             **options: Any) -> int:
+def untangle(source: Path, target: Path, rest: Path | None, partial: bool,
+             report_file: Path | None, quiet: bool, **options: Any) -> int:
     """Make every cell of the mesh INPUT valid, write it to OUTPUT with all its data, and no more.
 
     The boundary, interfaces and fixed vertices stay where they are; the others move.
     """
-    check_paths(target, None, None)
+    check_paths(target, report_file, None)
     options = resolve_arrays(source, options)
-    from odt_plugins.adapters.files import read_file, write_file
-    from odt_plugins.api import measure
-    from odt_plugins.api import untangle as untangled
-    from odt_plugins.table import table_lines
+    from odt_plugins.adapters.files import check_output, read_file, write_file
+    from odt_plugins.api import untangle_with_report
 
-    with warnings_told(quiet):
-        mesh = read_file(source)
-        found = untangled(mesh, rest=None if rest is None else read_file(rest), partial=partial,
-                          **options)
+    check_output(target)
+    with warnings_told(quiet), progress_bar(quiet) as progress:
+        found, report = untangle_with_report(
+            read_file(source), rest=None if rest is None else read_file(rest), partial=partial,
+            progress=progress, **options)
         write_file(target, found)
     if not quiet:
-        click.echo("\n".join(table_lines({"before": measure(mesh), "after": measure(found)})))
+        click.echo(str(report))
+    if report_file:
+        write_beside(report_file, lambda path: path.write_text(report.to_json() + "\n"))
     return DONE
 
 

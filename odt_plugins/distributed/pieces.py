@@ -17,6 +17,7 @@ from odt_plugins.adapters.regions import AUTO, are_names, region_names
 from odt_plugins.distributed.apply import Apply, told
 from odt_plugins.distributed.figures import Figures, total, worse
 from odt_plugins.distributed.local import executor
+from odt_plugins.distributed.mending import mended
 from odt_plugins.distributed.optimize import check, first, later
 from odt_plugins.distributed.piecework import (
     Cut,
@@ -70,6 +71,8 @@ class PiecesReport(NamedTuple):
     interpolated : tuple of str names of the point arrays that are fields: in every round they take
                                 their values at the new places of vertices
     turned : int                cells of mixed orientation that were turned
+    untangled : int             cells that were inverted or flat; the figures before are those of
+                                the others
     """
 
     before: Figures
@@ -80,6 +83,7 @@ class PiecesReport(NamedTuple):
     regions_from: tuple[str, ...] = ()
     interpolated: tuple[str, ...] = ()
     turned: int = 0
+    untangled: int = 0
 
     def __str__(self) -> str:
         """A few lines: the figures before and after."""
@@ -95,6 +99,9 @@ class PiecesReport(NamedTuple):
             lines.append(fields_line(self.interpolated))
         if self.turned:
             lines.append(f"{counted(self.turned, 'cell')} turned to positive volume")
+        if self.untangled:
+            lines.append(f"{counted(self.untangled, 'inverted or flat cell')} untangled; the "
+                         f"figures before are those of the others")
         return "\n".join(lines + ([f"fell back: {self.fallback}"] if self.fallback else []))
 
     def _repr_html_(self) -> str:
@@ -145,6 +152,8 @@ def optimize_pieces(
     Raises
     ------
     MeshFileError             a file cannot be read or written; `target` is then as it was before
+    TangledMeshError          cells are inverted or flat, and could not be untangled in their piece
+                              and those around it, or were not to be
     InvalidMeshError, UnsupportedMeshError, InvalidOptionError, WorkerError
 
     Warns
@@ -205,8 +214,8 @@ def _run(
         return told(apply, part_of(report, turn / stages, (turn + 1) / stages), name, count)
 
     read = stage("reading", len(sources))
-    found = read(partial(take_in, regions=given), [
-        (path, str(folder / f"0-{k}.npz")) for k, path in enumerate(sources)])
+    found = list(read(partial(take_in, regions=given, untangle=options.untangle == "auto"), [
+        (path, str(folder / f"0-{k}.npz")) for k, path in enumerate(sources)]))
     taken: list[Taken] = [part for part in found if part is not None]
     _check_taken(taken, ghosts=ghosts)
     spreads = [part.spreads for part in taken]
@@ -214,11 +223,19 @@ def _run(
     kept = _data_of_all(taken)
     kinds = taken[0].kinds["data"]
     fields = field_names({name: np.empty(0, kinds[name][1]) for name in kept["data"]})
+    valid = [(part.path, part.figures) for part in taken if part.figures is not None]
+    untangled = sum(part.inverted for part in taken)
+    if untangled:
+        names = [path for path, part in zip(sources, found, strict=True) if part is not None]
+        report("untangling", 1 / stages)
+        taken = mended(taken, names, folder, options,
+                       lambda parts: _number(parts, kept, labels)[0], apply)
     numbers, waiting = _number(taken, kept, labels)
     states = [_state(taken)]
-    before = total(states[0])
+    start = total(states[0])
+    before = total(valid)._replace(volume=start.volume) if untangled and valid else start
     improve = stage("round 1", len(taken))
-    work = partial(first_round, options=first(options, before.cells))
+    work = partial(first_round, options=first(options, start.cells))
     done: list[Done] = list(improve(work, [
         (part.path, str(folder / f"1-{k}.npz"), number)
         for k, (part, number) in enumerate(zip(taken, numbers, strict=True))]))
@@ -237,18 +254,18 @@ def _run(
     paths = [path for path, _ in states[-1]]
     given = numbers if len(states) == 1 else [None] * len(paths)
     orientation = max(part.orientation for part in taken)
-    turned = sum(part.turned if part.orientation == orientation else part.figures.cells
-                 for part in taken)
+    turned = sum(part.turned if part.orientation == orientation or part.figures is None
+                 else part.figures.cells for part in taken)
     _publish(list(zip(paths, given, strict=True)), index, folder, partial(
         publish, orientation=orientation), stage("writing", len(paths)))
     fallback = f"a later round was given up ({'; '.join(broken)})" if broken else None
     return PiecesReport(before, after, len(paths), interface, fallback, labels,
-                        fields if options.fields != "keep" else (), turned)
+                        fields if options.fields != "keep" else (), turned, untangled)
 
 
 def _state(parts: Sequence[Taken | Done]) -> list[tuple[str, Figures]]:
     """Where the pieces are kept after a round, and their figures."""
-    return [(part.path, part.figures) for part in parts]
+    return [(part.path, part.figures) for part in parts if part.figures is not None]
 
 
 def _check_taken(taken: Sequence[Taken], *, ghosts: bool) -> None:

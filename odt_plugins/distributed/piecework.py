@@ -35,10 +35,13 @@ from odt_plugins.engine.odt.density import size_field
 from odt_plugins.engine.topology.star import star_sum
 from odt_plugins.errors import InvalidMeshError, counted
 from odt_plugins.mesh.arrays import BoolArray, FloatArray
-from odt_plugins.mesh.simplex import SimplexMesh, compact_labels
+from odt_plugins.mesh.simplex import SimplexMesh, cell_signs, compact_labels
 from odt_plugins.options import Options
 
 Ids = NDArray[np.int64]
+
+RINGS = 2
+"""Rings of cells around inverted ones that count as near to them."""
 
 REGIONS = "marker"
 """Name of the cell array of labels in the result where none was found."""
@@ -62,10 +65,13 @@ class Taken(NamedTuple):
     spreads : dict           how its arrays of integers lie in it
     kinds : dict             what a value of every array is, its shape and type, in each of TABLES
     ghosts : bool            whether it told which of its cells belong to others
+    inverted : int           cells that are inverted or flat; the figures are those of the others
+                             then, and the sizes mean nothing
+    around : (q, 3)          vertices of the rim near to those cells
     """
 
     path: str
-    figures: Figures
+    figures: Figures | None
     vertices: int
     rim: NDArray[np.intp]
     ids: Ids | None
@@ -77,6 +83,8 @@ class Taken(NamedTuple):
     spreads: dict[str, Spread]
     kinds: dict[str, dict[str, tuple[tuple[int, ...], str]]]
     ghosts: bool
+    inverted: int
+    around: FloatArray
 
 
 class Numbers(NamedTuple):
@@ -128,32 +136,52 @@ class Cut(NamedTuple):
     parts: list[tuple[int, str]]
 
 
-def take_in(item: tuple[str, str], regions: str | Sequence[str] | None) -> Taken | None:
+def take_in(
+    item: tuple[str, str], regions: str | Sequence[str] | None, *, untangle: bool = False
+) -> Taken | None:
     """Read a piece of the input, measure it and keep it as arrays; None when it is empty.
 
     Raises
     ------
     InvalidMeshError         two of its vertices have the same number
+    TangledMeshError         cells are inverted or flat, and not to be untangled
     """
     source, path = item
-    found = read_piece(source, regions)
+    found = read_piece(source, regions, untangle=untangle)
     if found is None:
         return None
     piece = found.piece
-    n = len(piece.points)
-    count = star_sum(np.ones(len(piece.cells)), piece.cells, n)
-    _expect_numbered_once(piece.ids[count > 0], source)
-    mean = star_sum(power(signed_volumes(piece.points, piece.cells), 1 / 3), piece.cells, n)
-    scale = float((mean[count > 0] / count[count > 0]).mean())
-    sizes = scale * size_field(piece.points, piece.cells)
-    rim = np.flatnonzero(boundary_vertices(piece.cells, n))
+    used = np.bincount(piece.cells.ravel(), minlength=len(piece.points)) > 0
+    _expect_numbered_once(piece.ids[used], source)
+    return Taken(**measured(piece, path, numbered=found.numbered), orientation=found.orientation,
+                 turned=found.turned, spreads=found.spreads, ghosts=found.ghosts,
+                 kinds={table: {name: (values.shape[1:], values.dtype.str)
+                                for name, values in getattr(piece, table).items()}
+                        for table in TABLES})
+
+
+def measured(piece: Piece, path: str, *, numbered: bool) -> dict[str, Any]:
+    """Keep a piece at a path; what :class:`Taken` tells of its vertices and cells."""
+    n, cells = len(piece.points), piece.cells
+    bad = cell_signs(piece.points, cells)[0] <= 0
+    near = np.zeros(n, dtype=np.bool_)
+    sizes, scale = np.ones(n), 1.0
+    if bad.any():
+        near[cells[bad]] = True
+        for _ in range(RINGS):
+            near[cells[near[cells].any(axis=1)]] = True
+    else:
+        count = star_sum(np.ones(len(cells)), cells, n)
+        mean = star_sum(power(signed_volumes(piece.points, cells), 1 / 3), cells, n)
+        scale = float((mean[count > 0] / count[count > 0]).mean())
+        sizes = scale * size_field(piece.points, cells)
+    rim = np.flatnonzero(boundary_vertices(cells, n))
     save(path, replace(piece, sizes=sizes))
-    return Taken(path, measure_part(piece.points, piece.cells, path), n, rim,
-                 piece.ids[rim] if found.numbered else None, piece.points[rim], sizes[rim], scale,
-                 found.orientation, found.turned, found.spreads,
-                 {table: {name: (values.shape[1:], values.dtype.str)
-                          for name, values in getattr(piece, table).items()} for table in TABLES},
-                 found.ghosts)
+    figures = None if bad.all() else measure_part(piece.points, cells[~bad], path)
+    return {"path": path, "figures": figures, "vertices": n, "rim": rim,
+            "ids": piece.ids[rim] if numbered else None, "points": piece.points[rim],
+            "sizes": sizes[rim], "mean": scale, "inverted": int(bad.sum()),
+            "around": piece.points[rim[near[rim]]]}
 
 
 def _expect_numbered_once(ids: Ids, source: str) -> None:
@@ -256,15 +284,20 @@ def publish(item: tuple[str, Path, Numbers | None], orientation: int) -> Piece:
     return piece.part(np.zeros(0, dtype=np.intp))
 
 
+def expect_apart(mesh: SimplexMesh) -> None:
+    """Refuse cells that are in several pieces."""
+    if len(mesh.uneven.crowded):
+        msg = (f"pieces overlap at {counted(len(mesh.uneven.crowded), 'facet')}; expected every "
+               f"cell in one piece only, or the cell array {GHOSTS}")
+        raise InvalidMeshError(msg)
+
+
 def _improved(
     piece: Piece, held: BoolArray, options: Options, path: str, waiting: Ids, later: BoolArray
 ) -> Done:
     labels, regions = np.unique(piece.regions), compact_labels(piece.regions, len(piece.cells))
     mesh = SimplexMesh(piece.points, piece.cells, regions, held)
-    if len(mesh.uneven.crowded):
-        msg = (f"pieces overlap at {counted(len(mesh.uneven.crowded), 'facet')}; expected every "
-               f"cell in one piece only, or the cell array {GHOSTS}")
-        raise InvalidMeshError(msg)
+    expect_apart(mesh)
     power = -float(mesh.dim + 2 if options.exponent is None else options.exponent)
     sizes = piece.sizes if options.density == "keep" else None
     result = improve(Block(mesh, sizes, options, power, later, versions_here()))

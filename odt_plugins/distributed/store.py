@@ -17,12 +17,14 @@ from odt_plugins.adapters.regions import Spread, named_spreads
 from odt_plugins.errors import (
     InvalidMeshError,
     MeshFileError,
+    TangledMeshError,
     UnsupportedMeshError,
     counted,
     writing,
 )
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.simplex import reverse, simplex_mesh
+from odt_plugins.mesh.tangled import tangled_mesh
 
 IDS = "GlobalPointIds"
 """Point array: vertices of several pieces with the same number are one."""
@@ -184,13 +186,16 @@ class Found(NamedTuple):
     spreads: dict[str, Spread]
 
 
-def read_piece(path: str, regions: str | Sequence[str] | None) -> Found | None:
+def read_piece(
+    path: str, regions: str | Sequence[str] | None, *, untangle: bool = False
+) -> Found | None:
     """Read a piece, all its labels 0.
 
     Parameters
     ----------
     path : str
     regions : names of the cell arrays of labels, "auto" or None
+    untangle : bool              whether some cells may be inverted or flat
 
     Returns
     -------
@@ -210,7 +215,12 @@ def read_piece(path: str, regions: str | Sequence[str] | None) -> Found | None:
     if host.cells.shape[1:] != (4,) or host.higher_order or host.kept:
         msg = f"{path} holds other cells than linear tetrahedra; expected these alone in pieces"
         raise UnsupportedMeshError(msg)
-    mesh, orientation = simplex_mesh(host.points, host.cells)
+    try:
+        mesh, orientation = simplex_mesh(host.points, host.cells)
+    except TangledMeshError:
+        if not untangle:
+            raise
+        mesh, orientation = tangled_mesh(host.points, host.cells)
     n = len(mesh.points)
     ids = np.asarray(source.point_data.get(IDS, 0.0))
     numbered = ids.shape == (n,) and ids.dtype.kind in "iu"

@@ -186,6 +186,13 @@ def freeze(
     return replace(mesh, fixed=fixed, frozen=mesh.frozen | frozen)
 
 
+def with_vertices(mesh: SimplexMesh, points: FloatArray) -> SimplexMesh:
+    """The mesh with its vertices at other places, and perhaps more of them, which are free."""
+    more = (0, len(points) - len(mesh.points))
+    return replace(mesh, points=points, fixed=np.pad(mesh.fixed, more),
+                   anchored=np.pad(mesh.anchored, more))
+
+
 def reverse(cells: NDArray[Any], which: BoolArray) -> NDArray[Any]:
     """Turn the orientation of some cells: a copy with their last two vertices exchanged."""
     out = cells.copy()

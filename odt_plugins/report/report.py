@@ -68,10 +68,10 @@ class Report:
     notes : tuple of str                    what was done to the mesh on its way in, and what may be
                                             done about it
     untangled : dict or None                of a mesh with inverted or flat cells: the numbers of
-                                            "inverted" and "flat" cells, of vertices "moved" and of
-                                            "flips" until all were valid, of cells "left" that were
-                                            not, and in what the result is "worse" than the valid
-                                            cells of the input
+                                            "inverted" and "flat" cells, of vertices "moved" and
+                                            "added" and of "flips" until all were valid, of cells
+                                            "left" that were not, and in what the result is "worse"
+                                            than the valid cells of the input
     meshes : two of (points, cells)         before and after, for :meth:`worth`; not in
                                             :meth:`to_dict`
     """
@@ -278,7 +278,7 @@ def fields_line(names: tuple[str, ...]) -> str:
 def _untangled_lines(facts: Mapping[str, Any]) -> list[str]:
     """Say what was done to a mesh with inverted or flat cells."""
     lines = [f"untangled {facts['inverted']} inverted and {facts['flat']} flat cells: "
-             f"{counted(facts['moved'], 'vertex', 'vertices')} moved, "
+             f"{counted(facts['moved'], 'vertex', 'vertices')} moved, {facts['added']} added, "
              f"{counted(facts['flips'], 'flip')}; {facts['left']} left"]
     if facts["worse"]:
         lines.append(f"of the valid cells of the input {', '.join(facts['worse'])}")

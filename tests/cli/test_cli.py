@@ -10,6 +10,8 @@ import subprocess
 import sys
 import textwrap
 import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import fields
 from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
@@ -18,6 +20,7 @@ import meshio
 import numba
 import numpy as np
 import pytest
+from tangled_meshes import schoenhardt
 
 from odt_plugins.cli import main as cli
 from odt_plugins.cli import terminal
@@ -262,9 +265,32 @@ def test_inverted_cells_are_untangled_alone_or_first_or_refused(
     assert cli.main("untangle bad.vtu out.vtu".split()) == 1
     assert "inverted or flat cell" in capsys.readouterr().err
     assert not Path("out.vtu").exists()
-    assert cli.main("untangle bad.vtu out.vtu --partial --quiet".split()) == 0
+    assert cli.main("untangle bad.vtu out.vtu --partial --quiet --report out.json".split()) == 0
     assert capsys.readouterr().out == ""
     assert Path("out.vtu").exists()
+    told = json.loads(Path("out.json").read_text())["untangled"]
+    assert told["left"] > 0
+
+
+def test_untangling_inserts_vertices_when_told_and_shows_its_progress(
+    place: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str],
+) -> None:
+    told: list[tuple[str, float]] = []
+
+    @contextmanager
+    def bar(quiet: bool) -> Iterator[Callable[[str, float], None]]:
+        yield lambda stage, share: told.append((stage, share))
+
+    monkeypatch.setattr(cli, "progress_bar", bar)
+    points, cells = schoenhardt()
+    meshio.Mesh(points, [("tetra", cells)]).write("bad.vtu")
+    assert cli.main("untangle bad.vtu out.vtu".split()) == 1
+    assert "try --insert, moving what holds them" in capsys.readouterr().err
+    assert cli.main("untangle bad.vtu out.vtu --insert 0.2".split()) == 0
+    assert "0 vertices moved, 1 added" in capsys.readouterr().out
+    assert len(meshio.read("out.vtu").points) == 7
+    assert told[-1][1] == 1.0
+    assert any(stage == "untangling" for stage, _ in told)
 
 
 def test_quality_goes_on_after_a_file_that_it_cannot_read(

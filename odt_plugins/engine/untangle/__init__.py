@@ -3,8 +3,8 @@
 `untangled_places` moves the free vertices: from `harmonic` places, or those of the input where
 fewer cells are inverted there, `lbfgs` lowers the regularised distortion of all cells
 (`Distortion`), whose eps follows the worst cell down to 0. First the vertices around the inverted
-cells move, at last all of them. What no places mend is `reconnected` by flips, and placed again;
-`untangled` does all of this.
+cells move, at last all of them. What no places mend is `reconnected` by flips, or filled anew
+around `inserted` vertices, and placed again; `untangled` does all of this.
 
 References
 ----------

@@ -8,6 +8,7 @@ further around them, at last everywhere.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
@@ -35,6 +36,7 @@ LEAST_EPS, FOLLOW = 1e-6, 0.2
 def untangled_places(
     points: FloatArray, cells: IntArray, movable: BoolArray, reference: FloatArray | None = None,
     moved: FloatArray | None = None, pool: ThreadPoolExecutor | None = None,
+    tell: Callable[[int], object] = int,
 ) -> FloatArray:
     """Move vertices until no cell is inverted or flat, or fewer are.
 
@@ -48,6 +50,7 @@ def untangled_places(
                                                 near to; regular ones unless given
     moved : (n, d) float64, optional            other places to start from
     pool : ThreadPoolExecutor, optional         shares the work; the result does not depend on it
+    tell : callable                             is told how many cells are inverted after every step
 
     Returns
     -------
@@ -64,7 +67,7 @@ def untangled_places(
             continue
         if not near.any():
             continue
-        found = _moved(best, cells, np.flatnonzero(near), reference, moved, pool)
+        found = _moved(best, cells, np.flatnonzero(near), reference, moved, pool, tell)
         bad = bad_cells(found, cells)
         if bad.sum() < left.sum():
             best, left = found, bad
@@ -88,7 +91,7 @@ def _around(cells: IntArray, which: BoolArray, rings: int, n: int) -> BoolArray:
 
 def _moved(
     points: FloatArray, cells: IntArray, free: LongArray, reference: FloatArray | None,
-    moved: FloatArray | None, pool: ThreadPoolExecutor | None,
+    moved: FloatArray | None, pool: ThreadPoolExecutor | None, tell: Callable[[int], object],
 ) -> FloatArray:
     """The same with some vertices moved, in units of the cells that have them."""
     d = points.shape[1]
@@ -110,7 +113,7 @@ def _moved(
     start = min(starts, key=lambda p: int(bad_cells(p, inner).sum()))
     distortion = Distortion((start - centre) / unit, inner, free, shapes / unit, pool)
     out = points.copy()
-    x = _lowered(distortion)
+    x = _lowered(distortion, tell)
     x = x if reference is None else _shaped(distortion, x)
     out[vertices[free]] = x * unit + centre
     return out
@@ -129,7 +132,7 @@ def _shapes(points: FloatArray, cells: IntArray, reference: FloatArray | None) -
     return np.repeat(size * REGULAR[d][None], len(cells), axis=0)
 
 
-def _lowered(distortion: Distortion) -> FloatArray:
+def _lowered(distortion: Distortion, tell: Callable[[int], object]) -> FloatArray:
     """Places of the free vertices with the fewest inverted cells on the way to the least sum."""
     x = distortion.points[distortion.free]
     distortion(x, 1.0)
@@ -144,7 +147,7 @@ def _lowered(distortion: Distortion) -> FloatArray:
         least = float(distortion.dets.min())
         eps = math.hypot(LEAST_EPS, FOLLOW * min(least, 0.0))
         x, _ = lbfgs(partial(distortion, eps=eps), x, STEPS,
-                     partial(_turned, distortion) if least <= 0.0 else bool)
+                     partial(_turned, distortion, tell) if least <= 0.0 else bool)
         distortion(x, eps)
     return best
 
@@ -156,6 +159,8 @@ def _shaped(distortion: Distortion, x: FloatArray) -> FloatArray:
     return x if bad_cells(distortion.points, distortion.cells).any() else new
 
 
-def _turned(distortion: Distortion) -> bool:
-    """Whether all cells are positive now."""
-    return bool(distortion.dets.min() > 0.0)
+def _turned(distortion: Distortion, tell: Callable[[int], object]) -> bool:
+    """Whether all cells are positive now; tells how many are not."""
+    left = int((~(distortion.dets > 0.0)).sum())
+    tell(left)
+    return left == 0
