@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.carry import in_input_order
-from odt_plugins.errors import InvalidMeshError, TangledMeshError, counted
+from odt_plugins.errors import FacetPair, InvalidMeshError, TangledMeshError, counted
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.plane import PlaneFrame
 from odt_plugins.mesh.simplex import SimplexMesh, cell_signs
@@ -79,10 +79,11 @@ def untangle_mesh(
                                             options.threads)
     if found.bad.any() and not wanted.partial:
         left = cell_signs(found.points, cells)[0] <= 0
+        why, facets = _overlapping(mesh, cells[left])
         raise _left(mesh, found.points, np.unique(source[left]),
-                    "for which neither other places of their vertices nor flips were found",
+                    f"for which neither other places of their vertices nor flips were found{why}",
                     "try moving what holds them, or untangle(mesh, partial=True) for the best mesh "
-                    "there is")
+                    "there is", facets)
     facts = {
         "inverted": int((sign < 0).sum()),
         "flat": int((sign == 0).sum()),
@@ -95,8 +96,26 @@ def untangle_mesh(
     return new, Tangle(mesh, new, source, facts)
 
 
+def _overlapping(mesh: SimplexMesh, left: IntArray) -> tuple[str, tuple[FacetPair, ...]]:
+    """The facets that must stay and make cells (k, d + 1) impossible: what to say, and all."""
+    from odt_plugins.engine.untangle.overlaps import overlaps
+
+    near = np.zeros(len(mesh.points), dtype=np.bool_)
+    near[left] = True
+    found = overlaps(mesh, near)
+    if not len(found.facets):
+        return "", ()
+    place = ", ".join(f"{x:.6g}" for x in found.places[0])
+    why = (f", since {len(found.facets)} facets of the boundary or of interfaces (first: "
+           f"that of vertices {found.facets[0].tolist()}, with that of {found.others[0].tolist()}, "
+           f"at ({place})) cross or overlap others")
+    pairs = zip(found.facets.tolist(), found.others.tolist(), strict=True)
+    return why, tuple((tuple(one), tuple(other)) for one, other in pairs)
+
+
 def _left(
-    mesh: SimplexMesh, points: FloatArray, cells: NDArray[np.integer], why: str, hint: str
+    mesh: SimplexMesh, points: FloatArray, cells: NDArray[np.integer], why: str, hint: str,
+    facets: Iterable[FacetPair] = (),
 ) -> TangledMeshError:
     """The error that names the cells of the input which stay inverted or flat."""
     first = int(cells[0])
@@ -107,7 +126,7 @@ def _left(
         f"{corners.tolist()} around ({place})) {why}; expected a boundary, interfaces and fixed "
         f"vertices that leave every cell room, {hint}"
     )
-    return TangledMeshError(msg, cells)
+    return TangledMeshError(msg, cells, facets)
 
 
 def worse_than_valid(

@@ -175,6 +175,39 @@ def test_what_the_boundary_makes_impossible_is_told_with_its_places():
     assert again.value.cells == caught.value.cells
 
 
+@pytest.mark.parametrize(("dim", "to", "crossed"), [
+    (2, [0.5, -0.3], [[0.5, 0.0]]), (3, [0.5, 0.53, -0.3], [[0.5, 0.5, 0.0]]),
+    (2, [0.9, 1.0], [[0.75, 1.0]]), (3, [0.9, 0.53, 1.0], [[0.75, 0.5, 1.0], [0.75, 0.75, 1.0]]),
+])
+def test_facets_of_the_boundary_that_cross_or_overlap_are_named(dim, to, crossed):
+    """A vertex of the boundary pushed through the other side, or over its neighbours."""
+    points, cells, _ = contract.grid(dim, 4)
+    top = [*[0.5] * (dim - 1), 1.0]
+    moved = int(np.flatnonzero((points == top).all(axis=1))[0])
+    near = {int(np.flatnonzero((points == x).all(axis=1))[0]) for x in crossed}
+    points[moved] = to
+    with pytest.raises(TangledMeshError, match="cross or overlap others") as caught:
+        odt_plugins.untangle((points, cells))
+    pairs = caught.value.facets
+    named = {facet for pair in pairs for facet in pair}
+    assert named <= contract.facets(cells, np.zeros(len(cells), int))
+    assert all(any(moved in facet for facet in pair) for pair in pairs)
+    assert near <= {vertex for facet in named for vertex in facet}
+    said = str(caught.value)
+    one, other = pairs[0]
+    assert f"{len(pairs)} facets" in said
+    assert f"first: that of vertices {list(one)}, with that of {list(other)}, at (" in said
+
+
+def test_nothing_is_said_of_facets_where_none_overlap():
+    points, cells, _ = contract.grid(3, 2)
+    inner = np.flatnonzero(((points > 0) & (points < 1)).all(axis=1))
+    points[inner] = 1.5
+    with pytest.raises(TangledMeshError, match="nor flips were found; expected") as caught:
+        odt_plugins.untangle((points, cells), fixed=inner)
+    assert caught.value.facets == ()
+
+
 def test_on_request_the_best_mesh_comes_back():
     points, cells = hopeless()
     out, rows = odt_plugins.untangle((points, cells), partial=True)
