@@ -402,10 +402,19 @@ def _with_sag(options: Options, work: _Prepared) -> Options:
 
 
 def _of_cells(options: Options, tangle: Tangle | None) -> Options:
-    """Let the cells of a mesh that was untangled have the densities of those they come from."""
+    """Let the cells of a mesh that was untangled have the densities of those they come from, and
+    keep the sizes of what stayed.
+    """
     density = options.density
-    if tangle is None or isinstance(density, str) or callable(density):
+    if tangle is None or callable(density):
         return options
+    if isinstance(density, str):
+        if density != "keep":
+            return options
+        from odt_plugins.engine.untangle.sizes import kept_sizes
+
+        kept = kept_sizes(tangle.after, tangle.before.points, options.exponent)
+        return options if kept is None else replace(options, density=kept, exponent=None)
     values = np.asarray(density)
     m, n = len(tangle.before.cells), len(tangle.before.points)
     if values.shape != (m,) or m == n:

@@ -14,7 +14,7 @@ from odt_plugins.adapters.files import check_output, read_file, write_file
 from odt_plugins.distributed.apply import told
 from odt_plugins.distributed.glue import Map, Traffic, Whole, labels, one_round
 from odt_plugins.distributed.local import executor
-from odt_plugins.engine.odt.density import make_density
+from odt_plugins.engine.odt.density import NodalDensity, make_density
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import Figures
 from odt_plugins.engine.record.figures import figures as figures_of
@@ -246,7 +246,9 @@ def _start(mesh: SimplexMesh, options: Options) -> tuple[Whole, Options, float]:
     spec, power, values = options.density, 1.0, None
     unused = mesh.cells[:0]
     named = isinstance(spec, str)
-    if spec == "keep" if named else not callable(spec):
+    if isinstance(spec, NodalDensity):
+        values, power, spec = spec.values, spec.power, "keep" if spec.keeps else "uniform"
+    elif spec == "keep" if named else not callable(spec):
         if not named:
             make_density(spec, None, mesh.points, mesh.cells, unused)
             spec = np.asarray(spec, dtype=np.float64)
