@@ -31,17 +31,25 @@ class InvalidMeshError(ODTError, ValueError):
     """The mesh itself is broken: shapes, indices, coordinates, orientation, topology."""
 
 
+FacetPair = tuple[tuple[int, ...], tuple[int, ...]]
+"""Vertices of two facets."""
+
+
 class TangledMeshError(InvalidMeshError):
     """Some cells are inverted or flat, and were not to be, or could not be, untangled.
 
     Attributes
     ----------
-    cells : tuple of int    their indices
+    cells : tuple of int     their indices
+    facets : tuple of pairs  facets of the boundary or of interfaces that make it impossible, each
+                             with one that it crosses or lies on, by their vertices
     """
 
-    def __init__(self, message: str, cells: Iterable[int] = ()) -> None:
+    def __init__(self, message: str, cells: Iterable[int] = (),
+                 facets: Iterable[FacetPair] = ()) -> None:
         super().__init__(message)
         self.cells = tuple(int(cell) for cell in cells)
+        self.facets = tuple(facets)
 
 
 class CrashError(InvalidMeshError):

@@ -416,7 +416,8 @@ def _of_mesh(options: Options, tangle: Tangle | None) -> Options:
     """Say for a mesh that was untangled what was said for the one before: densities and how many
     vertices may come.
 
-    Its cells have the densities of those they come from, inserted vertices those around them.
+    Its cells have the densities of those they come from, inserted vertices those around them; the
+    sizes of what stayed are kept.
     """
     if tangle is None:
         return options
@@ -424,6 +425,11 @@ def _of_mesh(options: Options, tangle: Tangle | None) -> Options:
     if options.insert and tangle.added:
         left = most_vertices(n, options.insert) / (n + tangle.added) - 1.0
         options = replace(options, insert=left if left > 0.0 else False)
+    if isinstance(options.density, str) and options.density == "keep":
+        from odt_plugins.engine.untangle.sizes import kept_sizes
+
+        kept = kept_sizes(tangle.after, tangle.before.points, options.exponent)
+        return options if kept is None else replace(options, density=kept, exponent=None)
     if isinstance(options.density, str) or callable(options.density):
         return options
     values = np.asarray(options.density)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.carry import in_input_order
-from odt_plugins.errors import InvalidMeshError, TangledMeshError, counted
+from odt_plugins.errors import FacetPair, InvalidMeshError, TangledMeshError, counted
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 from odt_plugins.mesh.numbering import most_vertices
 from odt_plugins.mesh.plane import PlaneFrame
@@ -115,10 +115,11 @@ def untangle_mesh(
         left = cell_signs(found.points, cells)[0] <= 0
         tried = "flips nor vertices more" if options.insert else "flips"
         may = "" if options.insert or mesh.dim == 2 else "insert=True, "
+        why, facets = _overlapping(mesh, cells[left])
         raise _left(mesh, moved.points, np.unique(source[left]),
-                    f"for which neither other places of their vertices nor {tried} were found",
+                    f"for which neither other places of their vertices nor {tried} were found{why}",
                     f"try {may}moving what holds them, or untangle(mesh, partial=True) for the "
-                    f"best mesh there is")
+                    f"best mesh there is", facets)
     facts = {
         "inverted": int((sign < 0).sum()),
         "flat": int((sign == 0).sum()),
@@ -133,8 +134,26 @@ def untangle_mesh(
     return new, Tangle(mesh, new, source, facts)
 
 
+def _overlapping(mesh: SimplexMesh, left: IntArray) -> tuple[str, tuple[FacetPair, ...]]:
+    """The facets that must stay and make cells (k, d + 1) impossible: what to say, and all."""
+    from odt_plugins.engine.untangle.overlaps import overlaps
+
+    near = np.zeros(len(mesh.points), dtype=np.bool_)
+    near[left[left < len(near)]] = True
+    found = overlaps(mesh, near)
+    if not len(found.facets):
+        return "", ()
+    place = ", ".join(f"{x:.6g}" for x in found.places[0])
+    why = (f", since {len(found.facets)} facets of the boundary or of interfaces (first: "
+           f"that of vertices {found.facets[0].tolist()}, with that of {found.others[0].tolist()}, "
+           f"at ({place})) cross or overlap others")
+    pairs = zip(found.facets.tolist(), found.others.tolist(), strict=True)
+    return why, tuple((tuple(one), tuple(other)) for one, other in pairs)
+
+
 def _left(
-    mesh: SimplexMesh, points: FloatArray, cells: NDArray[np.integer], why: str, hint: str
+    mesh: SimplexMesh, points: FloatArray, cells: NDArray[np.integer], why: str, hint: str,
+    facets: Iterable[FacetPair] = (),
 ) -> TangledMeshError:
     """The error that names the cells of the input which stay inverted or flat."""
     first = int(cells[0])
@@ -145,7 +164,7 @@ def _left(
         f"{corners.tolist()} around ({place})) {why}; expected a boundary, interfaces and fixed "
         f"vertices that leave every cell room, {hint}"
     )
-    return TangledMeshError(msg, cells)
+    return TangledMeshError(msg, cells, facets)
 
 
 def worse_than_valid(

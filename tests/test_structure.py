@@ -64,6 +64,7 @@ TOOLKITS = {
                "generate/fill.py", "hosts/script.py"},
     "gmsh": {"adapters/gmsh_files.py", "adapters/gmsh_model.py", "hosts/gmsh_methods.py",
              "compare/baselines/gmsh_optimize.py"},
+    "mfem": {"compare/baselines/mfem_tmop.py"},
     "netgen": {"adapters/netgen_files.py", "adapters/netgen_mesh.py",
                "compare/baselines/netgen_optimize.py"},
     "matplotlib": {"report/plotting.py", "compare/charts.py", "compare/pictures.py"},

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from fractions import Fraction
+from pathlib import Path
 
 import contract
 import numpy as np
@@ -14,11 +15,15 @@ from tet_meshes import ball
 
 import odt_plugins
 from odt_plugins import InvalidMeshError, InvalidOptionError, TangledMeshError, UnsupportedMeshError
+from odt_plugins.compare.start import read_start
+from odt_plugins.compare.tangled import tangles
 from odt_plugins.engine.run import driver
 from odt_plugins.engine.run.outcome import unchanged
 from odt_plugins.mesh.simplex import simplex_mesh
 from odt_plugins.mesh.tangled import odd_cells, tangled_mesh
 from odt_plugins.promise.volume import broken_promises
+
+AIRFOIL = Path(__file__).parents[1] / "examples" / "meshes" / "airfoil.vtu"
 
 
 def knotted(dim):
@@ -176,6 +181,39 @@ def test_what_the_boundary_makes_impossible_is_told_with_its_places():
     assert again.value.cells == caught.value.cells
 
 
+@pytest.mark.parametrize(("dim", "to", "crossed"), [
+    (2, [0.5, -0.3], [[0.5, 0.0]]), (3, [0.5, 0.53, -0.3], [[0.5, 0.5, 0.0]]),
+    (2, [0.9, 1.0], [[0.75, 1.0]]), (3, [0.9, 0.53, 1.0], [[0.75, 0.5, 1.0], [0.75, 0.75, 1.0]]),
+])
+def test_facets_of_the_boundary_that_cross_or_overlap_are_named(dim, to, crossed):
+    """A vertex of the boundary pushed through the other side, or over its neighbours."""
+    points, cells, _ = contract.grid(dim, 4)
+    top = [*[0.5] * (dim - 1), 1.0]
+    moved = int(np.flatnonzero((points == top).all(axis=1))[0])
+    near = {int(np.flatnonzero((points == x).all(axis=1))[0]) for x in crossed}
+    points[moved] = to
+    with pytest.raises(TangledMeshError, match="cross or overlap others") as caught:
+        odt_plugins.untangle((points, cells))
+    pairs = caught.value.facets
+    named = {facet for pair in pairs for facet in pair}
+    assert named <= contract.facets(cells, np.zeros(len(cells), int))
+    assert all(any(moved in facet for facet in pair) for pair in pairs)
+    assert near <= {vertex for facet in named for vertex in facet}
+    said = str(caught.value)
+    one, other = pairs[0]
+    assert f"{len(pairs)} facets" in said
+    assert f"first: that of vertices {list(one)}, with that of {list(other)}, at (" in said
+
+
+def test_nothing_is_said_of_facets_where_none_overlap():
+    points, cells, _ = contract.grid(3, 2)
+    inner = np.flatnonzero(((points > 0) & (points < 1)).all(axis=1))
+    points[inner] = 1.5
+    with pytest.raises(TangledMeshError, match="nor flips were found; expected") as caught:
+        odt_plugins.untangle((points, cells), fixed=inner)
+    assert caught.value.facets == ()
+
+
 def test_on_request_the_best_mesh_comes_back():
     points, cells = hopeless()
     out, rows = odt_plugins.untangle((points, cells), partial=True)
@@ -185,6 +223,32 @@ def test_on_request_the_best_mesh_comes_back():
     assert np.array_equal(out[boundary], points[boundary])
     one = np.zeros(len(cells), int)
     assert contract.facets(rows, one) == contract.facets(cells, one)
+
+
+def test_the_result_is_as_good_as_that_of_the_mesh_without_the_tangle():
+    """The airfoil with its boundary bent and the inner vertices left behind."""
+    start = read_start(AIRFOIL)
+    points, whole = next((p, w) for how, p, w in tangles(start) if how == "bent")
+    found = odt_plugins.optimize_with_report((points, start.cells))[1].after
+    best = odt_plugins.optimize_with_report((whole, start.cells))[1].after
+    assert found.mean_quality > best.mean_quality - 0.005
+    assert found.p1_quality > best.p1_quality - 0.02
+
+
+@pytest.mark.parametrize("partitioned", [False, True])
+def test_the_sizes_of_cells_that_stayed_are_kept(partitioned):
+    """Cells around one inverted vertex of a mesh whose cells are finer on one side."""
+    points, cells, _ = contract.grid(2, 72 if partitioned else 12)
+    points[:, 0] **= 2
+    vertex = int(np.flatnonzero(np.abs(points - [0.33, 0.5]).max(axis=1) < 0.06)[0])
+    points[vertex] = [0.9, 0.9]
+    call = odt_plugins.optimize_partitioned if partitioned else odt_plugins.optimize
+    options = {"blocks": 2} if partitioned else {}
+    out = call((points, cells), keep=(), **options)
+    areas = contract.volumes(*out)
+    middle = out[0][out[1]].mean(axis=1)[:, 0]
+    assert (areas > 0).all()
+    assert areas[middle < 0.1].mean() < 0.4 * areas[middle > 0.7].mean()
 
 
 @pytest.mark.parametrize("dim", [2, 3])

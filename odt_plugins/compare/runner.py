@@ -28,6 +28,7 @@ IMPORTS = {
     "gmsh_optimize": ["gmsh"], "netgen_optimize": ["netgen.meshing"], "mmg_optimize": ["mmgpy"],
     "cgal_optimize": ["CGAL.CGAL_Mesh_3"], "tetwild": ["pytetwild"], "meshlab": ["pymeshlab"],
     "open3d_smooth": ["open3d"], "averaging": ["scipy.sparse"], "ours": ["odt_plugins.api"],
+    "mfem_tmop": ["mfem.ser"],
 }
 """What a baseline imports, so that the time of importing is measured by itself."""
 

@@ -37,6 +37,8 @@ CONTESTANTS = (
                {"sequence": [["UntangleMeshGeometry", 1]]}, "gmsh"),
     Contestant("Laplacian", "laplacian", (*SOLID, *FLAT), "averaging",
                {"iterations": 100, "smart": False}),
+    Contestant("MFEM TMOP", "mfem", (*SOLID, *FLAT), "mfem_tmop",
+               {"newton": 200, "linear": 50, "gain": 1e-6}, "mfem", extra="mfem"),
 )
 
 HEADS = ("mesh", "how", "inverted", "of locked", *(f"left by {c.name}" for c in CONTESTANTS),

@@ -15,7 +15,7 @@ from odt_plugins.distributed.apply import told
 from odt_plugins.distributed.glue import Map, Task, Traffic, Whole, labels, one_round
 from odt_plugins.distributed.local import executor
 from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
-from odt_plugins.engine.odt.density import make_density
+from odt_plugins.engine.odt.density import NodalDensity, make_density
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import cell_shapes
 from odt_plugins.engine.record.figures import figures as figures_of
@@ -310,7 +310,9 @@ def _start(mesh: SimplexMesh, options: Options) -> tuple[Whole, Options, float]:
     spec, power, values = options.density, 1.0, None
     unused = mesh.cells[:0]
     named = isinstance(spec, str)
-    if named and spec == "curvature":
+    if isinstance(spec, NodalDensity):
+        values, power, spec = spec.values, spec.power, "keep" if spec.keeps else "uniform"
+    elif named and spec == "curvature":
         values, named, spec = surface_sizes(mesh, options), False, "uniform"
     elif spec == "keep" if named else not callable(spec):
         if not named:

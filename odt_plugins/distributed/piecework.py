@@ -40,7 +40,7 @@ from odt_plugins.options import Options
 
 Ids = NDArray[np.int64]
 
-RINGS = 2
+NEAR_RINGS = 2
 """Rings of cells around inverted ones that count as near to them."""
 
 REGIONS = "marker"
@@ -168,7 +168,7 @@ def measured(piece: Piece, path: str, *, numbered: bool) -> dict[str, Any]:
     sizes, scale = np.ones(n), 1.0
     if bad.any():
         near[cells[bad]] = True
-        for _ in range(RINGS):
+        for _ in range(NEAR_RINGS):
             near[cells[near[cells].any(axis=1)]] = True
     else:
         count = star_sum(np.ones(len(cells)), cells, n)

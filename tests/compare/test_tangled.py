@@ -1,15 +1,17 @@
 """Tangled meshes: what is done to valid ones, and the table of what every tool leaves."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from odt_plugins.cli.main import main
 from odt_plugins.compare import tangled
+from odt_plugins.compare.baselines import mfem_tmop
 from odt_plugins.compare.contestants import OURS
 from odt_plugins.compare.hull import held_vertices
-from odt_plugins.compare.runner import Limits, Run
+from odt_plugins.compare.runner import Limits, Run, run_contestant
 from odt_plugins.compare.start import ball, plate
 from odt_plugins.compare.tangled import FILE, inverted, run_tangled, tangles
 
@@ -80,3 +82,26 @@ def test_the_command_runs_the_suite_on_files(tmp_path, monkeypatch, capsys):
     assert main(["compare", "--suite", "tangled", "--out", str(tmp_path), "--against", "gmsh"]) == 0
     assert asked == [(["bunny", "bone"], ("gmsh",), 1)]
     assert "a table" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize("make", [plate, ball])
+def test_tmop_mends_reflected_vertices_and_leaves_the_boundary(make):
+    """Where MFEM is installed; elsewhere its row says what to install."""
+    start = make(60)
+    tmop = next(c for c in tangled.CONTESTANTS if c.family == "mfem")
+    points = next(points for how, points, _ in tangles(start) if how == "reflected")
+    knot = replace(start, points=points)
+    run = run_contestant(knot, tmop, Limits(repeats=1))
+    if tmop.installed() is None:
+        said = 'mfem is not installed; try pip install "odt-plugins[mfem]"'
+        assert (run.status, run.message) == ("missing", said)
+        return
+    assert run.status == "ok", run.message
+    told = tangled._told(knot, run)
+    assert (told["status"], told["inverted"]) == ("ok", 0)
+
+
+def test_the_barrier_of_tmop_begins_below_the_least_determinant():
+    points = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, np.sqrt(0.75)], [0.5, -2.0 * np.sqrt(0.75)]])
+    cells = np.array([[0, 1, 2], [0, 1, 3]])
+    assert mfem_tmop._barrier(points, cells) == pytest.approx(-2.0 - mfem_tmop.BELOW)

@@ -1,4 +1,4 @@
-"""Where a triangulated surface cuts through itself."""
+"""Where a triangulated surface, or a polygon in the plane, cuts through itself."""
 
 from __future__ import annotations
 
@@ -27,12 +27,14 @@ class Boxes(NamedTuple):
     low, high : (m, 3) float64    corners
     axis : int                    the longest of the bounding box of all
     first : (m,) int32            first strip of every triangle
+    joined : bool                 whether triangles that share a vertex are compared
     """
 
     low: FloatArray
     high: FloatArray
     axis: int
     first: IntArray
+    joined: bool
 
 
 def count_crossings(points: FloatArray, triangles: IntArray) -> int:
@@ -52,22 +54,39 @@ def count_crossings(points: FloatArray, triangles: IntArray) -> int:
     -----
     Sweep and prune along the longest axis of the bounding box, in strips across it.
     """
-    return _crossings(points, triangles, np.zeros(len(triangles), dtype=np.bool_))
+    return _crossings(points, triangles, np.full(len(triangles), -1, dtype=np.int32))
 
 
 def crossing_triangles(points: FloatArray, triangles: IntArray) -> BoolArray:
     """Mark the triangles, (m,), that cross others or are crossed; as in :func:`count_crossings`."""
-    hit = np.zeros(len(triangles), dtype=np.bool_)
-    _crossings(points, triangles, hit)
+    other = np.full(len(triangles), -1, dtype=np.int32)
+    _crossings(points, triangles, other)
+    hit: BoolArray = other >= 0
     return hit
 
 
-def _crossings(points: FloatArray, triangles: IntArray, hit: BoolArray) -> int:
+def crossed_facets(points: FloatArray, facets: IntArray) -> IntArray:
+    """For every facet one that it crosses, (k,), -1 for none.
+
+    Parameters
+    ----------
+    points : (n, d) float64
+    facets : (k, d) int32      triangles in space, edges in the plane; those that share a vertex are
+                               compared too
+    """
+    other = np.full(len(facets), -1, dtype=np.int32)
+    in_space = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
+    _crossings(in_space, facets, other, joined=True)
+    return other
+
+
+def _crossings(
+    points: FloatArray, triangles: IntArray, other: IntArray, *, joined: bool = False
+) -> int:
     m = len(triangles)
     if not m:
         return 0
-    a, b, c = (points[triangles[:, i]] for i in range(3))
-    low, high = np.minimum(np.minimum(a, b), c), np.maximum(np.maximum(a, b), c)
+    low, high = points[triangles].min(axis=1), points[triangles].max(axis=1)
     span = high.max(axis=0) - low.min(axis=0)
     axes = np.argsort(-span, kind="stable")
     along, across = int(axes[0]), int(axes[1])
@@ -83,9 +102,9 @@ def _crossings(points: FloatArray, triangles: IntArray, hit: BoolArray) -> int:
     order = order[np.argsort(strip[order], kind="stable")]
     begin = np.searchsorted(strip[order], np.arange(count + 1))
     member = member[order]
-    boxes = Boxes(low, high, along, first)
+    boxes = Boxes(low, high, along, first, joined)
     return sum(
-        int(_sweep(points, triangles, boxes, member, start, stop, end, s, hit))
+        int(_sweep(points, triangles, boxes, member, start, stop, end, s, other))
         for s, end in enumerate(begin[1:].tolist())
         for start, stop in pieces(int(begin[s]), end, costly=True)
     )
@@ -94,16 +113,16 @@ def _crossings(points: FloatArray, triangles: IntArray, hit: BoolArray) -> int:
 @kernel
 def _sweep(
     points: FloatArray, triangles: IntArray, boxes: Boxes, member: IntArray, start: int,
-    stop: int, end: int, strip: int, hit: BoolArray,
+    stop: int, end: int, strip: int, other: IntArray,
 ) -> int:
     """Compare triangles of a strip with those behind them that begin before they end.
 
     ``member[start:stop]`` are compared with those behind them up to ``end``, sorted by ``low``; a
-    pair counts in the first strip that both lie in. Marks in ``hit`` the triangles of every
-    crossing.
+    pair counts in the first strip that both lie in. ``other`` gets the last triangle that each
+    crosses.
     """
-    low, high, axis, first = boxes
-    other, third = (axis + 1) % 3, (axis + 2) % 3
+    low, high, axis, first, joined = boxes
+    second, third = (axis + 1) % 3, (axis + 2) % 3
     count = 0
     for k in range(start, stop):
         i = member[k]
@@ -112,22 +131,25 @@ def _sweep(
             if low[j, axis] > high[i, axis]:
                 break
             if (
-                low[j, other] > high[i, other]
-                or low[i, other] > high[j, other]
+                low[j, second] > high[i, second]
+                or low[i, second] > high[j, second]
                 or low[j, third] > high[i, third]
                 or low[i, third] > high[j, third]
                 or max(first[i], first[j]) != strip
-                or _meet(triangles, i, j)
+                or (not joined and _meet(triangles, i, j))
             ):
                 continue
             before = count
-            for e in range(3):
-                if _crosses(points, triangles, i, e, j):
-                    count += 1
-                if _crosses(points, triangles, j, e, i):
-                    count += 1
+            if triangles.shape[1] == 2:
+                count += _edges_cross(points, triangles, i, j)
+            else:
+                for e in range(3):
+                    if _crosses(points, triangles, i, e, j):
+                        count += 1
+                    if _crosses(points, triangles, j, e, i):
+                        count += 1
             if count > before:
-                hit[i] = hit[j] = True
+                other[i], other[j] = j, i
     return count
 
 
@@ -164,6 +186,25 @@ def _crosses(p: FloatArray, triangles: IntArray, i: int, e: int, j: int) -> bool
     least = min(abs(above), abs(below), abs(first), abs(second), abs(third))
     length = max(_squared(p, u, v), _squared(p, a, b), _squared(p, b, c), _squared(p, c, a))
     return least > ROUNDING * length * math.sqrt(length)
+
+
+@inner_kernel
+def _edges_cross(p: FloatArray, edges: IntArray, i: int, j: int) -> bool:
+    """Whether two edges in the plane z = 0 cross each other, by more than rounding."""
+    u, v, a, b = edges[i, 0], edges[i, 1], edges[j, 0], edges[j, 1]
+    above, below = _area(p, u, v, a), _area(p, u, v, b)
+    left, right = _area(p, a, b, u), _area(p, a, b, v)
+    if above * below >= 0.0 or left * right >= 0.0:
+        return False
+    least = min(abs(above), abs(below), abs(left), abs(right))
+    return least > ROUNDING * max(_squared(p, u, v), _squared(p, a, b))
+
+
+@inner_kernel
+def _area(p: FloatArray, i: int, j: int, k: int) -> float:
+    """Twice the signed area of (i, j, k) in the plane."""
+    return ((p[j, 0] - p[i, 0]) * (p[k, 1] - p[i, 1])
+            - (p[j, 1] - p[i, 1]) * (p[k, 0] - p[i, 0]))
 
 
 @inner_kernel
