@@ -176,7 +176,8 @@ def repair(worse: Sequence[str], small_angles: float) -> tuple[tuple[Phase, ...]
     """Phases for a mesh of tetrahedra that is good but for what it lost against the input.
 
     Of a few cells beyond the input's extremes the first touches hardly more than those: the others
-    cost the 1 % quantile. Of more small angles than the input has all are worked on.
+    cost the 1 % quantile. Of more small angles than the input has all are worked on, where they are
+    few enough to decide (``POLICY.many_small_angles``).
 
     Parameters
     ----------
@@ -184,11 +185,12 @@ def repair(worse: Sequence[str], small_angles: float) -> tuple[tuple[Phase, ...]
     small_angles : part of the cells with an angle below ``POLICY.small_angle``
     """
     if "share_below_20" in worse and set(worse) <= {"share_below_20", *EXTREMES}:
+        share = min(small_angles, POLICY.many_small_angles)
         again = Phase(
             1.0, 1.0, 3, 3, guard=0.0, least=POLICY.small_angle, name="after repair"
         )
         return tuple(
-            (Phase(power, small_angles, 2, 3, 3, DIHEDRAL, guard=guard, name="repair"), again)
+            (Phase(power, share, 2, 3, 3, DIHEDRAL, guard=guard, name="repair"), again)
             for power, guard in ((2.0, 0.01), (2.0, 1e-3), (4.0, 0.0))
         )
     if not worse or not set(worse) <= EXTREMES:

@@ -25,7 +25,16 @@ from odt_plugins.engine.cells.extremes import Bounds, Extremes
 from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY, STEP, Cost
 from odt_plugins.engine.finish import polishing, volume
 from odt_plugins.engine.finish.phases import MEASURES as CODES
-from odt_plugins.engine.finish.phases import Descent, Phase, bulk, cautious, descents, polish, tail
+from odt_plugins.engine.finish.phases import (
+    Descent,
+    Phase,
+    bulk,
+    cautious,
+    descents,
+    polish,
+    repair,
+    tail,
+)
 from odt_plugins.engine.finish.plane import finish2d
 from odt_plugins.engine.finish.volume import finish, guarded, held_angles
 from odt_plugins.engine.moves.flips2d import quality_flips
@@ -370,6 +379,12 @@ def test_schedules(d):
         for step in (*steps, *polish(0.01), cautious(d, objective)):
             assert all(phase.name for phase in step)
     assert {p.objective for p in bulk(d, "amips")} == {MEAN_RATIO}
+
+
+def test_small_angles_are_repaired_from_few_cells():
+    for small in (0.01, 0.5):
+        steps = repair(["share_below_20"], small)
+        assert {first.share for first, _ in steps} == {min(small, POLICY.many_small_angles)}
 
 
 def test_the_general_tail_is_the_way_back(monkeypatch, d):
