@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from odt_plugins.engine.compiled.kernel import kernel
@@ -68,6 +69,26 @@ def worse(first: Extremes, second: Extremes) -> Extremes:
         min(first.quality, second.quality),
         max(first.large, second.large),
         min(first.small, second.small),
+    )
+
+
+def better(first: Extremes, second: Extremes) -> Extremes:
+    """The better one of two values of every extreme."""
+    return Extremes(
+        max(first.quality, second.quality),
+        min(first.large, second.large),
+        max(first.small, second.small),
+    )
+
+
+def part_of(found: Extremes, part: float) -> Extremes:
+    """A part of the radius ratio, the smallest angle, and what the largest lacks of 180 degrees."""
+    if part == 1.0:
+        return found
+    return Extremes(
+        part * found.quality,
+        math.cos(part * math.acos(max(min(found.large, 1.0), -1.0))),
+        -math.cos(part * math.acos(max(min(-found.small, 1.0), -1.0))),
     )
 
 

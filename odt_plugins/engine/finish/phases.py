@@ -35,9 +35,10 @@ class Phase:
         plane by compound moves
     count : int
         so many cells, worst first, in the place of the share; 0: the share (d = 3)
-    hold : bool
-        no new cell passes the worst radius ratio and the extreme angles that all cells have when
-        the phase starts; False: those of the input (d = 3)
+    hold : float
+        no new cell passes this part of the best extremes, the least radius ratio, the smallest
+        angle and what the largest lacks of 180 degrees, that all cells had when one of the phases
+        that hold started, unless they are worse when this one starts; 0: those of the input (d = 3)
     fills : bool
         whether the compound moves come with polyhedra that are filled anew (d = 3)
     name : str
@@ -54,7 +55,7 @@ class Phase:
     least: float | None = None
     enough: float = 1.0
     count: int = 0
-    hold: bool = False
+    hold: float = 0.0
     fills: bool = True
     name: str = ""
 
@@ -105,10 +106,17 @@ ANGLES = Phase(2.0, 0.01, 2, 3, 3, DIHEDRAL, guard=0.01, enough=0.33, name="angl
 about 25 degrees, or above 150."""
 
 EXTREME_CELLS = tuple(
-    Phase(2.0, 0.0, 1, 3, 3, measure, count=count, hold=True, name="extremes")
-    for count in (10, 20) for measure in (DIHEDRAL, QUALITY)
+    Phase(power, 0.0, 1, 3, 3, measure, count=count, hold=0.995, name="extremes")
+    for count, power, measure in (
+        (2, 4.0, DIHEDRAL), (2, 2.0, QUALITY), (10, 2.0, DIHEDRAL), (10, 2.0, QUALITY),
+        (20, 2.0, DIHEDRAL), (20, 2.0, QUALITY),
+    )
 )
-"""For the worst cells of all, by their angles and by their radius ratio."""
+"""For the worst cells of all, by their angles and by their radius ratio.
+
+One cell often has all extremes: what one of them gives up, a two-hundredth at most, is what the
+others gain by.
+"""
 
 
 def bulk(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
@@ -133,16 +141,18 @@ def tail(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
 def worst_cells() -> tuple[Phase, ...]:
     """Phases for radius ratios in space: the tail, angles, the very worst cells, and the way back.
 
-    What the extremes cost is won back while they hold, and no new small angle is made.
+    What the extremes cost is won back while they hold, and no new small angle is made; at last what
+    the tail costs, while the 1 % quantile holds.
     """
     first, *others = tail(3)
-    back = Phase(1.0, 1.0, 1, 3, name="regain")
-    held = (replace(phase, hold=True, least=POLICY.small_angle) for phase in (back, *others))
+    back = Phase(0.5, 1.0, 1, 3, name="regain")
+    last = replace(back, guard=0.01)
+    held = (replace(phase, hold=1.0, least=POLICY.small_angle) for phase in (back, *others, last))
     return first, ANGLES, *EXTREME_CELLS, *held
 
 
 def polish(share: float) -> tuple[tuple[Phase, ...], ...]:
-    """Phases for small angles alone, and to win back around them what they cost.
+    """Phases for small angles alone, and to win back around them what they cost; no extreme falls.
 
     Few small angles are polished once more, less gently: what they cost is no loss to the 1 %
     quantile.
@@ -154,10 +164,8 @@ def polish(share: float) -> tuple[tuple[Phase, ...], ...]:
     if not 0.0 < share <= POLICY.many_small_angles:
         return ()
     most = POLICY.polished
-    gentle = Phase(
-        2.0, min(share, most), 2, 3, 3, DIHEDRAL, guard=0.01, hold=True, name="polish"
-    )
-    after = Phase(4.0, 2.0 * min(8.0 * share, most), 2, 3, 3, hold=True, least=POLICY.small_angle,
+    gentle = Phase(2.0, min(share, most), 2, 3, 3, DIHEDRAL, guard=0.01, name="polish")
+    after = Phase(4.0, 2.0 * min(8.0 * share, most), 2, 3, 3, least=POLICY.small_angle,
                   name="after polish")
     if share > 0.25 * most:
         return ((gentle, after),)
@@ -168,7 +176,8 @@ def repair(worse: Sequence[str], small_angles: float) -> tuple[tuple[Phase, ...]
     """Phases for a mesh of tetrahedra that is good but for what it lost against the input.
 
     Of a few cells beyond the input's extremes the first touches hardly more than those: the others
-    cost the 1 % quantile. Of more small angles than the input has all are worked on.
+    cost the 1 % quantile. Of more small angles than the input has all are worked on, where they are
+    few enough to decide (``POLICY.many_small_angles``).
 
     Parameters
     ----------
@@ -176,11 +185,12 @@ def repair(worse: Sequence[str], small_angles: float) -> tuple[tuple[Phase, ...]
     small_angles : part of the cells with an angle below ``POLICY.small_angle``
     """
     if "share_below_20" in worse and set(worse) <= {"share_below_20", *EXTREMES}:
+        share = min(small_angles, POLICY.many_small_angles)
         again = Phase(
             1.0, 1.0, 3, 3, guard=0.0, least=POLICY.small_angle, name="after repair"
         )
         return tuple(
-            (Phase(power, small_angles, 2, 3, 3, DIHEDRAL, guard=guard, name="repair"), again)
+            (Phase(power, share, 2, 3, 3, DIHEDRAL, guard=guard, name="repair"), again)
             for power, guard in ((2.0, 0.01), (2.0, 1e-3), (4.0, 0.0))
         )
     if not worse or not set(worse) <= EXTREMES:
@@ -222,7 +232,9 @@ def descents(dim: int, objective: Objective = "radius_ratio") -> tuple[Descent, 
     if objective == "radius_ratio":
         return (Descent(tail(2) if dim == 2 else worst_cells()),)
     if objective == "amips":
-        return (Descent(tail(dim, objective)),)
+        (back,) = bulk(dim, objective)
+        back = replace(back, rounds=1, hold=1.0, guard=0.01, name="regain")
+        return (Descent(tail(dim, objective) + (dim == 3) * (back,)),)
     hold = objective == "min_dihedral"
     general, own = Descent(tail(dim)), Descent(tail(dim, objective), hold=0.0 if hold else None)
     if dim == 2:

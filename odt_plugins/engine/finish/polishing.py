@@ -10,7 +10,7 @@ import numpy as np
 
 from odt_plugins.engine.cells.extremes import Bounds
 from odt_plugins.engine.finish.phases import Phase, polish
-from odt_plugins.engine.finish.volume import guarded
+from odt_plugins.engine.finish.volume import guarded, reached
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import COS_SMALL, cell_shapes
 from odt_plugins.engine.record.memory import Memory
@@ -48,7 +48,8 @@ def polish_small_angles(
     passes = polish(len(small) / max(work.count(), 1))
     if not passes:
         return
-    limits = {phase: guarded(work, phase, bounds, pool) for phases in passes for phase in phases}
+    held = bounds.within(reached(work))
+    limits = {phase: guarded(work, phase, held, pool) for phases in passes for phase in phases}
     part: Complex | Part = mesh
     if work.skin is None:
         near = np.zeros(len(mesh.points), dtype=np.bool_)
@@ -60,7 +61,7 @@ def polish_small_angles(
             break
         for phase in phases:
             share = min(1.0, more * phase.share)
-            local = replace(phase, share=share, guard=None, least=None, hold=False)
+            local = replace(phase, share=share, guard=None, least=None)
             settle(inside(part), (local,), limits[phase])
         memory.offer(part, name)
 

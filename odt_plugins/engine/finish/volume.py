@@ -13,7 +13,14 @@ from functools import partial
 
 import numpy as np
 
-from odt_plugins.engine.cells.extremes import Bounds, Extremes
+from odt_plugins.engine.cells.extremes import (
+    FREELY,
+    Bounds,
+    Extremes,
+    better,
+    part_of,
+    worse,
+)
 from odt_plugins.engine.cells.tetrahedron import QUALITY
 from odt_plugins.engine.finish.descent import finish_phase
 from odt_plugins.engine.finish.phases import Phase
@@ -58,16 +65,18 @@ def held_angles(mesh: Complex, bounds: Bounds, share: float) -> Bounds:
     return bounds.with_large(np.quantile(cell_shapes(mesh.points, cells)[:, 1], 1.0 - share))
 
 
+def reached(mesh: Complex) -> Extremes:
+    """Extremes of all cells."""
+    shapes = cell_shapes(mesh.points, mesh.mesh_arrays()[0])
+    return Extremes(
+        float(shapes[:, 0].min()), float(shapes[:, 1].max()), float(shapes[:, 2].min())
+    )
+
+
 def guarded(
     mesh: Complex, phase: Phase, bounds: Bounds, pool: ThreadPoolExecutor | None = None
 ) -> Bounds:
-    """Bounds for a phase, see :class:`Phase`."""
-    if phase.hold:
-        shapes = cell_shapes(mesh.points, mesh.mesh_arrays()[0])
-        bounds = bounds.within(
-            Extremes(*(float(m) for m in (shapes[:, 0].min(), shapes[:, 1].max(),
-                                          shapes[:, 2].min())))
-        )
+    """Bounds for a phase by its guard and its least angle, see :class:`Phase`."""
     if phase.least is not None:
         cells, _ = mesh.mesh_arrays()
         cosines = cell_shapes(mesh.points, cells)[:, 1]
@@ -180,7 +189,7 @@ def descend(
     pool: ThreadPoolExecutor | None,
     threads: int,
 ) -> tuple[int, int]:
-    """One phase with its compound moves, between reconnections of the same cells.
+    """One phase with its compound moves, after reconnections of the same cells.
 
     Returns the numbers of flips, reconnections and compound moves among them, and of vertex moves.
     """
@@ -195,8 +204,6 @@ def descend(
         flips += taken
         if taken == 0:
             break
-    if phase.count:
-        flips += reconnections(mesh, phase, bounds, pool)
     return flips, moves
 
 
@@ -285,8 +292,14 @@ def finish(
             bounds=bounds.cells, phases=phases, pool=pool, threads=threads,
         )
     flips = moves = 0
+    best = FREELY
     for phase in phases:
-        more_flips, more_moves = descend(mesh, phase, bounds, pool, threads)
+        limits = bounds
+        if phase.hold:
+            now = reached(mesh)
+            best = better(best, now)
+            limits = bounds.within(worse(now, part_of(best, phase.hold)))
+        more_flips, more_moves = descend(mesh, phase, limits, pool, threads)
         flips += more_flips
         moves += more_moves
     return flips, moves

@@ -23,9 +23,18 @@ from odt_plugins.cli import main as cli
 from odt_plugins.compare.hard import CLOUDS, delaunay
 from odt_plugins.engine.cells.extremes import Bounds, Extremes
 from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY, STEP, Cost
-from odt_plugins.engine.finish import polishing
+from odt_plugins.engine.finish import polishing, volume
 from odt_plugins.engine.finish.phases import MEASURES as CODES
-from odt_plugins.engine.finish.phases import Descent, Phase, bulk, cautious, descents, polish, tail
+from odt_plugins.engine.finish.phases import (
+    Descent,
+    Phase,
+    bulk,
+    cautious,
+    descents,
+    polish,
+    repair,
+    tail,
+)
 from odt_plugins.engine.finish.plane import finish2d
 from odt_plugins.engine.finish.volume import finish, guarded, held_angles
 from odt_plugins.engine.moves.flips2d import quality_flips
@@ -245,6 +254,31 @@ def test_held_bounds_are_the_angles_reached():
         assert same_but_large(held, bounds)
 
 
+def test_phases_that_hold_give_up_a_part_of_the_best_extremes_at_most(monkeypatch):
+    points, cells = tm.ball(300, 8)
+    bounds = Bounds(Extremes(0.01, 1.0, -1.0), Extremes(0.3, np.cos(np.radians(5.0)), -0.9))
+    found = [(0.2, 10.0, 150.0), (0.3, 8.0, 160.0), (0.1, 20.0, 160.0), (0.3, 19.99, 149.9)]
+    steps = iter(found)
+
+    def reached(_):
+        q, small, large = next(steps)
+        return Extremes(q, np.cos(np.radians(small)), np.cos(np.radians(large)))
+
+    limits = []
+    monkeypatch.setattr(volume, "reached", reached)
+    monkeypatch.setattr(volume, "descend", lambda *given: limits.append(given[2]) or (0, 0))
+    phase = Phase(2.0, 0.1, 1, 1, hold=0.9)
+    phases = (*[phase] * 3, replace(phase, hold=1.0), replace(phase, hold=0.0))
+    finish(complex_of(points, cells), phases, bounds, None, 1)
+    expected = [(0.18, 9.0, 153.0), (0.27, 8.0, 160.0), (0.1, 18.0, 160.0), (0.3, 19.99, 149.9)]
+    for now, (q, small, large) in zip(limits, expected, strict=False):
+        assert now.cells.quality == pytest.approx(q)
+        assert np.degrees(np.arccos(now.cells.large)) == pytest.approx(small)
+        assert np.degrees(np.arccos(now.cells.small)) == pytest.approx(large)
+    assert limits[-1] == bounds
+    assert len(limits) == len(found) + 1
+
+
 def test_guarded_phases_keep_the_other_measure():
     points, cells = tm.ball(300, 8)
     bounds = Bounds(Extremes(0.01, 1.0, -1.0), Extremes(0.3, np.cos(np.radians(5.0)), -0.9))
@@ -312,7 +346,7 @@ def test_polishing_leaves_fewer_small_angles_and_keeps_the_least_quality():
 
 
 def test_small_angles_are_polished_and_the_better_state_stays(monkeypatch):
-    points, cells = tm.ball(300, 8)
+    points, cells = tm.ball(300, 5)
     mesh = mesh_of(points, cells)
     polished = run(mesh, Options())
     monkeypatch.setattr(polishing, "polish", lambda share: ())
@@ -330,12 +364,12 @@ def test_small_angles_are_polished_and_the_better_state_stays(monkeypatch):
 def test_schedules(d):
     (default,) = descents(d)
     general = [phase for phase in default.phases if phase.name.startswith("tail")]
-    assert tuple(replace(phase, least=None, hold=False) for phase in general) == tail(d)
+    assert tuple(replace(phase, least=None, hold=0.0) for phase in general) == tail(d)
     assert all((phase.least == POLICY.small_angle) == (d == 3) for phase in general[1:])
     others = [phase for phase in default.phases if phase not in general]
     assert all(phase.hold for phase in others if phase.count or phase.name == "regain")
     assert [phase.objective for phase in others] == (d == 3) * [
-        DIHEDRAL, DIHEDRAL, QUALITY, DIHEDRAL, QUALITY, QUALITY
+        DIHEDRAL, *3 * (DIHEDRAL, QUALITY), QUALITY, QUALITY
     ]
     assert descents(d, "min_dihedral")[0] == Descent(tail(d))
     for objective in CODES:
@@ -345,6 +379,12 @@ def test_schedules(d):
         for step in (*steps, *polish(0.01), cautious(d, objective)):
             assert all(phase.name for phase in step)
     assert {p.objective for p in bulk(d, "amips")} == {MEAN_RATIO}
+
+
+def test_small_angles_are_repaired_from_few_cells():
+    for small in (0.01, 0.5):
+        steps = repair(["share_below_20"], small)
+        assert {first.share for first, _ in steps} == {min(small, POLICY.many_small_angles)}
 
 
 def test_the_general_tail_is_the_way_back(monkeypatch, d):
@@ -424,16 +464,15 @@ def test_amips_energy_of_any_cells():
 def test_a_phase_that_holds_passes_no_extreme_that_was_reached():
     points, cells = tm.ball(300, 8)
     start = complex_of(points, cells)
-    phase = Phase(4.0, 0.0, 2, 3, 3, count=20, hold=True)
+    phase = Phase(4.0, 0.0, 2, 3, 3, count=20, hold=1.0)
     bounds = Bounds(FREELY, FREELY)
-    held = guarded(start, phase, bounds)
     angles = tm.dihedral_angles(points, cells)
-    for own in held:
+    for own in bounds.within(volume.reached(start)):
         assert own.quality == pytest.approx(tm.quality(points, cells).min(), rel=1e-9)
         assert own.large == pytest.approx(np.cos(np.radians(angles.min())), rel=1e-9)
         assert own.small == pytest.approx(np.cos(np.radians(angles.max())), rel=1e-9)
     reached = []
-    for way in (phase, replace(phase, objective=DIHEDRAL), replace(phase, hold=False)):
+    for way in (phase, replace(phase, objective=DIHEDRAL), replace(phase, hold=0.0)):
         mesh = deepcopy(start)
         finish(mesh, (way,), bounds, None, 1)
         now = mesh.mesh_arrays()[0]
