@@ -88,8 +88,8 @@ class _Process:
     def _answer(self, message: bytes) -> bytes | None:
         """What the process answers, None if it ended before."""
         stdin, stdout = self.process.stdin, self.process.stdout
-        assert stdin is not None
-        assert stdout is not None
+        if stdin is None or stdout is None:
+            return None
         try:
             stdin.write(len(message).to_bytes(LENGTH, "big") + message)
             stdin.flush()
@@ -151,7 +151,10 @@ _staying: list[_Process] = []
 
 
 def call_again(function: Callable[..., Any], *arguments: Any, seconds: float | None = None) -> Any:
-    """As :func:`call`, in a process that stays for the next such call, until this one ends."""
+    """As :func:`call`, in a process that stays for the next such call, until this one ends.
+
+    It stays in the folder in which it began: the arguments name files from the root.
+    """
     with KEPT:
         if not (_staying and _staying[0].usable):
             _staying[:] = [_Process()]

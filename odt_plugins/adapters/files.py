@@ -276,7 +276,7 @@ def _write_and_compare(
         fit, lost = fitted(mesh, name)
         if name in vtk_files.FORMATS and vtk_files.installed():
             back, differs = apart.call_again(
-                vtk_files.write_and_read, path, fit, name, binary is not False)
+                vtk_files.write_and_read, path.absolute(), fit, name, binary is not False)
         else:
             heard = partial(apart.call, _write_heard) if name in apart.HDF5 else _write_heard
             said = heard(path, fit, name, binary)
