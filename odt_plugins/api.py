@@ -175,7 +175,7 @@ def untangle(
     ----------
     mesh : object             what :func:`optimize` takes, of triangles in the plane or tetrahedra;
                               it is never changed, and a valid one comes back as it is
-    rest : object or (n, d) array, optional
+    rest : object, or (n, d) array or list of rows, optional
                               a valid mesh of the same cells, or the places of its vertices: the
                               cells of the result are brought near to the shapes they have there;
                               regular unless given
@@ -254,7 +254,9 @@ def _untangling(options: Mapping[str, Any]) -> Options:
 def _untangled(mesh: Any, options: Options, rest: Any, *, partial: bool) -> tuple[Any, ...]:
     """What :func:`run_engine` gives, with the mesh untangled and left so."""
     places = rest
-    if rest is not None and not isinstance(rest, np.ndarray):
+    if isinstance(rest, list) and np.ndim(rest[:1]) == 2:
+        places = np.asarray(rest)
+    elif rest is not None and not isinstance(rest, np.ndarray):
         places = np.asarray(find_adapter(rest).read(rest).points)
     return run_engine(mesh, options, _as_it_is, Wanted(places, partial, share=1.0))
 

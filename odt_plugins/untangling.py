@@ -190,13 +190,19 @@ def rest_places(
 
     Raises
     ------
-    InvalidMeshError                 they are of other vertices, or cells are inverted or flat there
+    InvalidMeshError                 they are of other vertices or not finite, or cells are inverted
+                                     or flat there
     """
     if rest.shape != points.shape:
         msg = (f"got a rest mesh with points of shape {rest.shape}; expected {points.shape}, "
                f"places of the same vertices")
         raise InvalidMeshError(msg)
     places = np.asarray(rest, dtype=np.float64)
+    lost = np.flatnonzero(~np.isfinite(places).all(axis=1))
+    if lost.size:
+        msg = (f"got {counted(len(lost), 'point')} (first: point {lost[0]}) with NaN or infinite "
+               f"coordinates in the rest mesh; expected finite numbers")
+        raise InvalidMeshError(msg)
     places = places if frame is None else frame.to_plane(places)
     bad = np.flatnonzero(~(cell_signs(places, cells)[0] > 0))
     if bad.size:

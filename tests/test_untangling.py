@@ -261,6 +261,10 @@ def test_a_rest_mesh_gives_the_shapes(dim):
     by_rest, _ = odt_plugins.untangle((points, cells), rest=(rest, cells))
     same, _ = odt_plugins.untangle((points, cells), rest=rest)
     assert np.array_equal(by_rest, same)
+    same, _ = odt_plugins.untangle((points, cells), rest=rest.tolist())
+    assert np.array_equal(by_rest, same)
+    with pytest.raises(InvalidMeshError, match=r"1 point \(first: point 0\) with NaN .* rest mesh"):
+        odt_plugins.untangle((points, cells), rest=np.vstack([rest[:1] * np.nan, rest[1:]]))
     plain, _ = odt_plugins.untangle((points, cells))
     wanted = rest * [1.2, *[1.0] * (dim - 1)]
     assert np.abs(by_rest - wanted).max() < 0.3 * np.abs(plain - wanted).max()

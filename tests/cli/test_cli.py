@@ -292,6 +292,20 @@ def test_untangling_inserts_vertices_when_told_and_shows_its_progress(
     assert told[-1][1] == 1.0
     assert any(stage == "untangling" for stage, _ in told)
 
+    @contextmanager
+    def stopped(quiet: bool) -> Iterator[Callable[[str, float], None]]:
+        def stop(stage: str, share: float) -> None:
+            if stage == "untangling":
+                raise KeyboardInterrupt
+
+        yield stop
+
+    monkeypatch.setattr(cli, "progress_bar", stopped)
+    Path("out.vtu").unlink()
+    assert cli.main("untangle bad.vtu out.vtu --insert".split()) == 1
+    assert "stopped before the end" in capsys.readouterr().err
+    assert [path.name for path in Path().iterdir() if "out" in path.name] == []
+
 
 def test_quality_goes_on_after_a_file_that_it_cannot_read(
     place: Path, capsys: pytest.CaptureFixture[str]
