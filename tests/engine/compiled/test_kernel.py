@@ -168,6 +168,22 @@ print(outer(1.0), sum(outer.stats.cache_hits.values()))
 """
 
 
+def test_a_kernel_from_disk_imports_nothing_of_what_compiling_needs(tmp_path):
+    code = """
+import sys
+import numpy as np
+from odt_plugins.engine.moves.newton3d import make_derivatives
+from odt_plugins.engine.topology.star import vertex_stars
+assert vertex_stars(np.array([[0, 1, 2]], dtype=np.int32), 3).indptr.tolist() == [0, 1, 2, 3]
+assert make_derivatives()[0].dtype == np.float64
+print("numba.np.arraymath" in sys.modules, "scipy.linalg" in sys.modules)
+"""
+    for compiled in ("True True", "False False"):
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True,
+                              check=False, env=dict(os.environ) | {"NUMBA_CACHE_DIR": str(tmp_path)})
+        assert done.stdout.strip() == compiled, done.stderr
+
+
 def test_a_change_in_a_kernel_that_another_file_calls_is_seen(tmp_path):
     engine = tmp_path / "odt_plugins" / "engine"
     shutil.copytree(ENGINE / "compiled", engine / "compiled",
