@@ -52,8 +52,8 @@ CHOSEN_SUITES = ("standard", "large", "hard", "tangled")
                    "gains on each MESH, or on the standard suite.")
 @click.option("--part", "parts", metavar="PART", multiple=True,
               help="Only this part of --scaling (stages, surface, races, forty-sweeps, "
-                   "multigrid, bandwidth, threads, blocks, generation, ladder, small); may be "
-                   "repeated.")
+                   "multigrid, bandwidth, threads, blocks, generation, ladder, small, cold); "
+                   "may be repeated.")
 @click.option("--smallest", type=click.IntRange(min=1000), default=10_000, show_default=True,
               help="Cells of the smallest mesh of --scaling.")
 @click.option("--largest", type=click.IntRange(min=1000), default=1_000_000, show_default=True,

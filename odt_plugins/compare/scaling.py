@@ -9,6 +9,7 @@ from pathlib import Path
 
 from odt_plugins.compare.bandwidth import bandwidth_part
 from odt_plugins.compare.blocks import blocks_part
+from odt_plugins.compare.cold import cold_part
 from odt_plugins.compare.generation import generation_part
 from odt_plugins.compare.ladder import ladder_part
 from odt_plugins.compare.local_global import forty_sweeps_part, races_part
@@ -36,6 +37,7 @@ PARTS: dict[str, Callable[[Sequence[int], int, Say], Part]] = {
     "generation": generation_part,
     "ladder": ladder_part,
     "small": small_part,
+    "cold": cold_part,
 }
 """Every part of the report: takes the sizes, the number of threads, and whom to tell."""
 

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import tet_meshes as tm
 
-from odt_plugins.compare import blocks, ladder, small
+from odt_plugins.compare import blocks, cold, ladder, small
 from odt_plugins.compare.bandwidth import sweep_bytes, triad_bandwidth
 from odt_plugins.compare.generation import generation_part
 from odt_plugins.compare.local_global import forty_sweeps_part, moved_rhombohedron, moved_triangle
@@ -151,6 +151,20 @@ def test_bytes_of_a_sweep_are_counted():
 
 def test_triad_is_a_plausible_speed():
     assert 1e8 < triad_bandwidth(1 << 16) < 1e13
+
+
+def test_first_results_are_measured_with_and_without_kernels_on_disk(monkeypatch):
+    write = "import os, pathlib; p = pathlib.Path(os.environ['NUMBA_CACHE_DIR']); "
+    monkeypatch.setattr(cold, "JOBS", (
+        ("first", write + "p.mkdir(); (p / 'kernel').touch(); sum(range(10**7))", True),
+        ("again", write + "assert (p / 'kernel').exists()", False),
+        ("another", write + "assert not p.exists()", True),
+    ))
+    rows = cold.cold_part([], 1, silent).tables[0].rows
+    assert [row[:2] for row in rows] == [
+        ("first", "empty"), ("again", "kept"), ("another", "empty")]
+    assert min(min(row[2:]) for row in rows) > 0
+    assert rows[0][3] > rows[1][3]
 
 
 def test_tables_are_aligned():

@@ -30,9 +30,11 @@ def keep_by(stamp: str, dispatcher: Any) -> None:
 
     Processes with other sources then never read or write the same file. On a full disk a kernel
     is compiled in every process. A numba that caches in a way unknown here goes on as it does.
+    Code that is found needs nothing of what numba imports for compiling, half a second of work.
     """
     with contextlib.suppress(ImportError, AttributeError, TypeError):
         from numba.core.caching import IndexDataCacheFile
+        from numba.core.runtime import rtsys
 
         cache = dispatcher._cache
         kept, locator, save = cache._impl, cache._impl.locator, cache.save_overload
@@ -41,8 +43,16 @@ def keep_by(stamp: str, dispatcher: Any) -> None:
             with contextlib.suppress(OSError):
                 save(signature, data)
 
+        load, guard = cache._load_overload, cache._guard_against_spurious_io_errors
+
+        def load_alone(signature: Any, context: Any) -> Any:
+            rtsys.initialize(context)
+            with guard():
+                return load(signature, context)
+
         cache._cache_file = IndexDataCacheFile(  # type: ignore[no-untyped-call]
             cache_path=locator.get_cache_path(), filename_base=f"{kept.filename_base}.{stamp}",
             source_stamp=locator.get_source_stamp(),
         )
         cache.save_overload = save_where_there_is_room
+        cache.load_overload = load_alone

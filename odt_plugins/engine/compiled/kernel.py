@@ -11,6 +11,8 @@ from numba import njit
 from numba.core.cpu import CPUTargetOptions
 
 from odt_plugins.engine.compiled.cache import keep_by, source_stamp
+from odt_plugins.engine.compiled.compiler import compile_part, compiler_for
+from odt_plugins.engine.compiled.library import Library, Part
 
 STAMP = source_stamp(Path(__file__).parents[1])
 """Tells states of the engine apart in the cache of its kernels."""
@@ -18,6 +20,9 @@ STAMP = source_stamp(Path(__file__).parents[1])
 UNCOUNTED: dict[str, Any] = {"_nrt": False} if hasattr(CPUTargetOptions, "_nrt") else {}
 """numba counts the references to every array that a call hands on, by atomic operations that
 take longer than most of our calls.  Code that allocates nothing does not need it."""
+
+COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+"""What numba is told of every kernel."""
 
 
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
@@ -28,9 +33,7 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        chosen: dict[str, Any] = {
-            "nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True, **options,
-        }
+        chosen = COMMON | {"pipeline_class": compiler_for(Library)} | options
         try:
             dispatcher = njit(cache=True, **chosen)(function)
         except RuntimeError:
@@ -51,12 +54,14 @@ allocating_kernel = compiled()
 class InnerKernel:
     """A kernel that only kernels call.
 
-    What unpacks the arguments of a call from Python, a fifth of the time that compiling takes, is
-    left out; such a call, as tests make it, goes through a caller that is compiled for it.
+    It has neither machine code nor files of its own: whoever calls it takes its code in.  A call
+    from Python, as tests make it, goes through a caller that is compiled for it.
     """
 
     def __init__(self, function: Callable[..., Any], **options: Any) -> None:
-        self._dispatcher = compiled(**UNCOUNTED, no_cpython_wrapper=True, **options)(function)
+        chosen = COMMON | UNCOUNTED | {"pipeline_class": compiler_for(Part)} | options
+        self._dispatcher = njit(**chosen | {"no_cpython_wrapper": True})(function)
+        self._dispatcher.compile = partial(compile_part, self._dispatcher)
         self._numba_type_ = self._dispatcher._numba_type_
 
     def __getattr__(self, name: str) -> Any:

@@ -12,12 +12,14 @@ from pathlib import Path
 
 import numba
 import numpy as np
+from numba.core.caching import NullCache
 
 import odt_plugins
 from odt_plugins.engine.cells.sphere import apex_across
 from odt_plugins.engine.cells.tetrahedron import tet_quality
 from odt_plugins.engine.compiled import cache as kernel_cache
 from odt_plugins.engine.compiled import kernel
+from odt_plugins.engine.compiled.library import Library, Part
 from odt_plugins.engine.moves import cavity
 from odt_plugins.engine.topology.lookup import place_in
 from odt_plugins.engine.topology.tets import Tets
@@ -110,6 +112,42 @@ print(vertex_stars(np.array([[0, 1, 2]], dtype=np.int32), 3).indptr.tolist())
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 
 
+def test_a_kernel_takes_in_what_it_calls_and_inner_kernels_have_no_machine_code():
+    @kernel.inner_kernel
+    def third(x: float) -> float:
+        return x / 3.0
+
+    @kernel.inner_kernel
+    def both(x: float) -> float:
+        return third(x) + third(2.0 * x)
+
+    @kernel.kernel
+    def outer(x: float) -> float:
+        return both(x) + third(x)
+
+    assert outer(1.5) == 2.0
+    assert both(3.0) == 3.0
+    for inner in (third, both):
+        (compiled,) = inner.overloads.values()
+        assert isinstance(inner._cache, NullCache)
+        assert compiled.library._compiled_object is None
+    (compiled,) = outer.overloads.values()
+    assert compiled.library._compiled_object is not None
+    assert not [f.name for f in compiled.library._final_module.functions
+                if f.is_declaration and "third" in f.name]
+
+
+def test_callers_are_taken_in_before_what_they_call():
+    codegen = numba.core.registry.cpu_target.target_context.codegen()
+    whole, (first, second, third) = Library(codegen, "whole"), (Part(codegen, c) for c in "abc")
+    whole._linking_libraries = [first, second]
+    first._linking_libraries = second._linking_libraries = [third]
+    for _ in range(2):
+        assert whole.needed()[-1] is third
+        assert {*whole.needed()} == {first, second, third}
+        whole._linking_libraries.reverse()
+
+
 INNER = """
 from odt_plugins.engine.compiled.kernel import kernel
 STEP = {step}
@@ -130,10 +168,26 @@ print(outer(1.0), sum(outer.stats.cache_hits.values()))
 """
 
 
+def test_a_kernel_from_disk_imports_nothing_of_what_compiling_needs(tmp_path):
+    code = """
+import sys
+import numpy as np
+from odt_plugins.engine.moves.newton3d import make_derivatives
+from odt_plugins.engine.topology.star import vertex_stars
+assert vertex_stars(np.array([[0, 1, 2]], dtype=np.int32), 3).indptr.tolist() == [0, 1, 2, 3]
+assert make_derivatives()[0].dtype == np.float64
+print("numba.np.arraymath" in sys.modules, "scipy.linalg" in sys.modules)
+"""
+    for compiled in ("True True", "False False"):
+        done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True,
+                              check=False, env=dict(os.environ) | {"NUMBA_CACHE_DIR": str(tmp_path)})
+        assert done.stdout.strip() == compiled, done.stderr
+
+
 def test_a_change_in_a_kernel_that_another_file_calls_is_seen(tmp_path):
     engine = tmp_path / "odt_plugins" / "engine"
     shutil.copytree(ENGINE / "compiled", engine / "compiled",
-                    ignore=lambda folder, names: set(names) - {"kernel.py", "cache.py"})
+                    ignore=shutil.ignore_patterns("__*"))
     (engine / "outer.py").write_text(OUTER, encoding="utf-8")
     env = {key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"}
 

@@ -1,0 +1,123 @@
+"""numba's compiler without what no kernel needs.
+
+Kernels have no closures, generators, object mode or parallel loops: the passes that look for them,
+and what numba tells listeners about each pass, are left out.  What a call of a function of the
+language or of numba has for a type is looked up once for the same types of arguments.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from functools import cache
+from types import BuiltinFunctionType
+from typing import Any
+
+from numba.core import typed_passes, types, untyped_passes
+from numba.core.compiler import Compiler
+from numba.core.compiler_lock import global_compiler_lock
+from numba.core.compiler_machinery import PassManager, _pass_registry
+from numba.core.postproc import PostProcessor
+from numba.core.sigutils import normalize_signature
+from numba.core.typing.context import Context
+
+from odt_plugins.engine.compiled.library import Library
+
+PASSES = (
+    untyped_passes.TranslateByteCode,
+    untyped_passes.FixupArgs,
+    untyped_passes.IRProcessing,
+    untyped_passes.RewriteSemanticConstants,
+    untyped_passes.DeadBranchPrune,
+    untyped_passes.GenericRewrites,
+    untyped_passes.ReconstructSSA,
+    typed_passes.NopythonTypeInference,
+    typed_passes.PreLowerStripPhis,
+    typed_passes.NopythonRewrites,
+    typed_passes.IRLegalization,
+    typed_passes.NativeLowering,
+    typed_passes.NoPythonBackend,
+)
+"""What turns a kernel into code, in order."""
+
+
+class Knowing(Context):  # type: ignore[misc]
+    """What numba knows of types, and has found out about calls before.
+
+    All is numba's own and stays one with it, so that the two count as the same.
+    """
+
+    def __init__(self, context: Context) -> None:
+        self.__dict__ = context.__dict__
+        self._context = context
+        self._calls: dict[Any, Any] = {}
+
+    def __eq__(self, other: object) -> bool:
+        return other is self or other is self._context
+
+    def __hash__(self) -> int:
+        return hash(self._context)
+
+    def resolve_function_type(self, func: Any, args: Any, kws: Any) -> Any:
+        """Find the signature of a call of a function of the language or of numba."""
+        if kws or not isinstance(func, types.Function | BuiltinFunctionType):
+            return super().resolve_function_type(func, args, kws)
+        key = func, tuple(args)
+        known = self._calls.get(key)
+        if known is None:
+            known = super().resolve_function_type(func, args, kws)
+            self._calls[key] = known
+        return known
+
+
+@cache
+def knowing(context: Context) -> Knowing:
+    """Give what is known beside a context of numba."""
+    return Knowing(context)
+
+
+class Passes(PassManager):  # type: ignore[misc]
+    """The passes of a kernel."""
+
+    def run(self, state: Any) -> None:
+        """Run them over a kernel."""
+        for kind, _ in self.passes:
+            step = _pass_registry.get(kind).pass_inst
+            step.analysis = self._analysis
+            step.run_initialization(state)
+            step.run_pass(state)
+            step.run_finalizer(state)
+            if kind is untyped_passes.DeadBranchPrune:
+                PostProcessor(state.func_ir).run()
+
+
+def compile_part(dispatcher: Any, signature: Any) -> Any:
+    """Compile a kernel that only kernels call, where it is not for these types of arguments."""
+    with global_compiler_lock:
+        args, returned = normalize_signature(signature)
+        known = dispatcher.overloads.get(tuple(args))
+        if known is None:
+            with dispatcher._compiling_counter:
+                known = dispatcher._compiler.compile(args, returned)
+            dispatcher.add_overload(known)
+        return known.entry_point
+
+
+@cache
+def compiler_for(kind: type[Library]) -> type[Compiler]:
+    """Make numba's compiler for one kind of library."""
+
+    class KernelCompiler(Compiler):  # type: ignore[misc]
+        def compile_extra(self, func: Callable[..., Any]) -> Any:
+            self.state.library = kind(self.state.targetctx.codegen(), func.__qualname__)
+            self.state.typingctx = knowing(self.state.typingctx)
+            self.state.type_annotation = ""
+            return super().compile_extra(func)
+
+        def define_pipelines(self) -> list[PassManager]:
+            passes = Passes("kernel")
+            for step in PASSES:
+                passes.add_pass(step)
+            passes.finalize()
+            return [passes]
+
+    return KernelCompiler
