@@ -1,4 +1,7 @@
-"""One thread against several: sweeps, the whole run, and whether the bits are the same."""
+"""One thread against several: sweeps, the whole run and its stages, and whether bits are the same.
+
+The serial share s is that of Amdahl's law: n threads take s + (1 - s) / n of the time of one.
+"""
 
 from __future__ import annotations
 
@@ -15,6 +18,9 @@ from odt_plugins.compare.table import Part, Say, Table, Value
 SWEEPS, RUNS = 15, 3
 """Repeats of which the quickest counts; one thread and several take turns."""
 
+MANY = 16
+"""Threads of which the time is foretold."""
+
 
 def threads_part(sizes: Sequence[int], threads: int, say: Say) -> Part:
     """Compare one thread with several.
@@ -27,25 +33,56 @@ def threads_part(sizes: Sequence[int], threads: int, say: Say) -> Part:
     """
     count = max(threads, 2)
     rows: list[tuple[Value, ...]] = []
+    stages: list[tuple[Value, ...]] = []
     for size in sizes:
         start = ball_of(size)
-        rows.append(_row(start, count))
-        say(f"{rows[-1][0]} tets, {count} threads: sweeps {rows[-1][3]:.2f} times as fast, "
-            f"the whole run {rows[-1][6]:.2f} times, the bits are {rows[-1][7]}")
+        row, ran = _row(start, count)
+        rows.append(row)
+        stages += ran
+        say(f"{row[0]} tets, {count} threads: sweeps {row[3]:.2f} times as fast, "
+            f"the whole run {row[6]:.2f} times, the bits are {row[-1]}")
     heads = ("tets", "sweep, 1 [s]", f"sweep, {count} [s]", "ratio", "run, 1 [s]",
-             f"run, {count} [s]", "ratio", "bits")
-    return Part([Table("threads", f"One thread against {count}", heads, rows)])
+             f"run, {count} [s]", "ratio", "serial share", "by processor time",
+             f"{MANY} threads would take [s]", "ratio", "bits")
+    parts = ("tets", "stage", "1 [s]", f"{count} [s]", "ratio", "serial share")
+    return Part([Table("threads", f"One thread against {count}", heads, rows),
+                 Table("threads-stages", f"One thread against {count}, by stage", parts, stages)])
 
 
-def _row(start: StartMesh, count: int) -> tuple[Value, ...]:
-    from odt_plugins.api import optimize
+def serial_share(one: float, several: float, count: int) -> float:
+    """The share s at which Amdahl's law gives the seconds of one and of ``count`` threads."""
+    return (count * several / one - 1.0) / (count - 1.0)
 
+
+def forecast(one: float, share: float, count: int) -> float:
+    """Seconds of so many threads by Amdahl's law; a share below 0 counts as 0."""
+    share = max(share, 0.0)
+    return one * (share + (1.0 - share) / count)
+
+
+def _row(start: StartMesh, count: int) -> tuple[tuple[Value, ...], list[tuple[Value, ...]]]:
+    """One mesh: its row of the first table, and those of the table of stages."""
+    from odt_plugins.api import optimize, optimize_with_report
+
+    mesh = start.points, start.cells
     sweep, same_sweep = _race(_sweep_of(start), count, SWEEPS)
-    run, same_run = _race(
-        lambda threads: optimize((start.points, start.cells), threads=threads), count, RUNS
-    )
+    run, same_run = _race(lambda threads: optimize(mesh, threads=threads), count, RUNS)
+    share = serial_share(*run, count)
+    caller, process = time.thread_time(), time.process_time()
+    optimize(mesh, threads=count)
+    by_processor = (time.thread_time() - caller) / (time.process_time() - process)
+    many = forecast(run[0], share, MANY)
     bits = "the same" if same_sweep and same_run else "DIFFERENT"
-    return len(start.cells), *sweep, sweep[0] / sweep[1], *run, run[0] / run[1], bits
+    m = len(start.cells)
+    one, several = (optimize_with_report(mesh, threads=threads)[1].times
+                    for threads in (1, count))
+    stages: list[tuple[Value, ...]] = [
+        (m, name, one[name], several[name], one[name] / several[name],
+         serial_share(one[name], several[name], count))
+        for name in one if min(one[name], several[name]) > 0.0
+    ]
+    return (m, *sweep, sweep[0] / sweep[1], *run, run[0] / run[1], share, by_processor, many,
+            run[0] / many, bits), stages
 
 
 def _sweep_of(start: StartMesh) -> Callable[[int], Any]:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import tet_meshes as tm
 
-from odt_plugins.compare import blocks, cold, ladder, small
+from odt_plugins.compare import blocks, cold, ladder, small, threads
 from odt_plugins.compare.bandwidth import sweep_bytes, triad_bandwidth
 from odt_plugins.compare.generation import generation_part
 from odt_plugins.compare.local_global import forty_sweeps_part, moved_rhombohedron, moved_triangle
@@ -63,6 +63,27 @@ def test_small_meshes_and_the_command_are_measured(monkeypatch):
     assert meshes.rows[-1][-1] == "1.00"
     assert min(row[2] for row in meshes.rows) > 0
     assert command.rows[0][2] > 0.1
+
+
+def test_the_serial_share_is_that_of_amdahls_law():
+    one, share = 10.0, 0.25
+    for count in (2, 4):
+        several = one * (share + (1 - share) / count)
+        assert threads.serial_share(one, several, count) == pytest.approx(share)
+        assert threads.forecast(one, share, count) == pytest.approx(several)
+    assert threads.forecast(one, -0.1, 16) == one / 16
+
+
+def test_one_thread_and_two_are_compared_by_stage(monkeypatch):
+    monkeypatch.setattr(threads, "SWEEPS", 1)
+    monkeypatch.setattr(threads, "RUNS", 1)
+    whole, stages = threads.threads_part([3000], 1, silent).tables
+    row = dict(zip(whole.heads, whole.rows[0], strict=True))
+    assert row["bits"] == "the same"
+    assert 0.0 < row["by processor time"] <= 1.0
+    assert row["16 threads would take [s]"] <= row["run, 1 [s]"] * max(row["serial share"], 1.0)
+    assert {"prepare", "smoothing", "finishing", "check"} <= {row[1] for row in stages.rows}
+    assert min(row[2] for row in stages.rows) > 0
 
 
 def test_the_stages_of_curved_surfaces_are_measured():

@@ -16,6 +16,14 @@ from odt_plugins.engine.cells.dihedral import dihedral_terms
 from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
 from odt_plugins.engine.cells.mean_ratio import mean_ratio_terms
 from odt_plugins.engine.cells.packed import add_square
+from odt_plugins.engine.cells.rows import (
+    CHUNK,
+    ROWS,
+    Q,
+    add_star_terms,
+    gather_corners,
+    quality_rows,
+)
 from odt_plugins.engine.cells.step import step_terms
 from odt_plugins.engine.cells.tetrahedron import (
     MEAN_RATIO,
@@ -48,17 +56,19 @@ class Derivatives(NamedTuple):
     star : (10,) float64    sum over the cells of a star, packed as in ``packed``
     cell : (10,) float64    measure of one of them, packed in the same way
     step : (3,) float64     where the vertex goes
+    rows : (ROWS,) float64  the cells of a star side by side, see ``star_rows``
     """
 
     star: FloatArray
     cell: FloatArray
     step: FloatArray
+    rows: FloatArray
 
 
 @allocating_kernel
 def make_derivatives() -> Derivatives:
     """Room for one thread."""
-    return Derivatives(np.empty(10), np.empty(10), np.empty(3))
+    return Derivatives(np.empty(10), np.empty(10), np.empty(3), np.empty(ROWS))
 
 
 @inner_kernel
@@ -294,6 +304,34 @@ def star_state(
 
 
 @inner_kernel
+def _row_state(
+    points: FloatArray, cells: IntArray, indices: IntArray, start: int, v: int, power: float,
+    limit: float, sure: float, count: int, rows: FloatArray,
+) -> tuple[float, Extremes]:
+    """As :func:`star_state` for radius ratios, with the other corners of the cells in rows."""
+    quality_rows(points[v, 0], points[v, 1], points[v, 2], count, rows)
+    total = 0.0
+    found = Extremes(1.0, -1.0, 1.0)
+    for s in range(count):
+        q = rows[Q + s]
+        if q <= 1e-9:
+            return np.inf, found
+        total += quality_cost(q, power)
+    if total >= limit:
+        return np.inf, found
+    for s in range(count):
+        q = rows[Q + s]
+        large, small = -1.0, 1.0
+        if q < sure:
+            c = indices[start + s]
+            large, small = tet_cosines(
+                points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3]
+            )
+        found = worse(found, Extremes(q, large, small))
+    return total, found
+
+
+@inner_kernel
 def sure_quality(limit: Extremes) -> float:
     """Radius ratio from which on no dihedral angle passes the limit; above 1 if none is sure.
 
@@ -315,17 +353,24 @@ def newton_vertex(
     Returns the cost before minus the cost after, 0 when the vertex stays; room.star[0] is the cost
     before.
     """
-    out, step = room.star, room.step
+    out, step, rows = room.star, room.step, room.rows
     out[:] = 0.0
-    for s in range(start, stop):
-        i, j, k = opposite_vertices(cells, indices[s], v)
-        if not add_cost_terms(points, v, i, j, k, cost, room):
-            return 0.0
-    if not _newton_direction(out, step):
-        return 0.0
     x = points[v, 0]
     y = points[v, 1]
     z = points[v, 2]
+    count = stop - start
+    in_rows = cost.objective == QUALITY and count <= CHUNK
+    if in_rows:
+        gather_corners(points, cells, indices, start, stop, v, rows)
+        if not add_star_terms(x, y, z, count, cost.power, rows, out):
+            return 0.0
+    else:
+        for s in range(start, stop):
+            i, j, k = opposite_vertices(cells, indices[s], v)
+            if not add_cost_terms(points, v, i, j, k, cost, room):
+                return 0.0
+    if not _newton_direction(out, step):
+        return 0.0
     slope = out[1] * step[0] + out[2] * step[1] + out[3] * step[2]
     if -slope < 1e-9 * out[0]:
         return 0.0
@@ -336,7 +381,12 @@ def newton_vertex(
         points[v, 1] = y + alpha * step[1]
         points[v, 2] = z + alpha * step[2]
         most = out[0] + 1e-4 * alpha * slope
-        after, there = star_state(points, cells, indices, start, stop, cost, most, sure)
+        if in_rows:
+            after, there = _row_state(
+                points, cells, indices, start, v, cost.power, most, sure, count, rows
+            )
+        else:
+            after, there = star_state(points, cells, indices, start, stop, cost, most, sure)
         if after < out[0]:
             if keeps(there, limit):
                 return out[0] - after

@@ -8,8 +8,9 @@ from functools import partial
 import numpy as np
 
 from odt_plugins.engine.cells.extremes import Bounds
-from odt_plugins.engine.cells.tetrahedron import ENERGY, Cost, tet_measure
-from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.cells.rows import CHUNK, ROWS, Q, gather_edges, quality_rows
+from odt_plugins.engine.cells.tetrahedron import ENERGY, QUALITY, Cost, tet_measure
+from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.compiled.threads import run_ranges
 from odt_plugins.engine.moves import flips3d
 from odt_plugins.engine.topology.active import pending_slots
@@ -25,12 +26,26 @@ BLOCK_BITS = 14
 """The worst cells come first within 2^BLOCK_BITS slots, which lie together in memory."""
 
 
+@allocating_kernel
+def _slot_qualities(
+    points: FloatArray, cells: IntArray, slots: IntArray, q: FloatArray, start: int, stop: int
+) -> None:
+    """Write the radius ratios of the cells in slots[start:stop], NO_CELL for a free slot."""
+    rows = np.empty(ROWS)
+    for first in range(start, stop, CHUNK):
+        count = min(CHUNK, stop - first)
+        gather_edges(points, cells, slots, first, count, rows)
+        quality_rows(0.0, 0.0, 0.0, count, rows)
+        for s in range(count):
+            q[first + s] = NO_CELL if cells[slots[first + s], 0] < 0 else rows[Q + s]
+
+
 @kernel
 def _slot_measures(
     points: FloatArray, cells: IntArray, slots: IntArray, objective: int, m: FloatArray,
     start: int, stop: int,
 ) -> None:
-    """Write the measures of the cells in slots[start:stop], NO_CELL for a free slot."""
+    """As :func:`_slot_qualities` for any measure."""
     for s in range(start, stop):
         c = slots[s]
         if cells[c, 0] < 0:
@@ -61,7 +76,11 @@ def measures(
     if slots is None:
         slots = np.arange(mesh.used, dtype=np.int32)
     m = np.empty(len(slots))
-    run_ranges(pool, len(m), partial(_slot_measures, mesh.points, mesh.cells, slots, objective, m))
+    if objective == QUALITY:
+        work = partial(_slot_qualities, mesh.points, mesh.cells, slots, m)
+    else:
+        work = partial(_slot_measures, mesh.points, mesh.cells, slots, objective, m)
+    run_ranges(pool, len(m), work)
     return m
 
 

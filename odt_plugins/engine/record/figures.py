@@ -10,15 +10,25 @@ from numpy.typing import NDArray
 
 from odt_plugins.engine.cells.elementary import arccos, power
 from odt_plugins.engine.cells.mean_ratio import tet_mean_ratio
-from odt_plugins.engine.cells.step import tet_altitude
-from odt_plugins.engine.cells.tetrahedron import MEAN_RATIO, tet_cosines, tet_quality
+from odt_plugins.engine.cells.rows import (
+    ALTITUDE,
+    CHUNK,
+    LARGE,
+    ROWS,
+    SMALL,
+    Q,
+    gather_edges,
+    quality_rows,
+    shape_rows,
+)
+from odt_plugins.engine.cells.tetrahedron import MEAN_RATIO
 from odt_plugins.engine.cells.triangle import (
     triangle_altitude,
     triangle_in_space,
     triangle_measure,
     triangle_shape,
 )
-from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
@@ -31,31 +41,40 @@ ROUNDING = 1e-13
 
 
 @kernel
-def _cell_shapes(points: FloatArray, cells: IntArray, shapes: FloatArray) -> None:
-    """Radius ratio, cosines of smallest and largest (dihedral) angle, altitude of every cell."""
+def _triangle_shapes(points: FloatArray, cells: IntArray, shapes: FloatArray) -> None:
+    """Radius ratio, cosines of smallest and largest angle, altitude of every triangle."""
     for c in range(cells.shape[0]):
-        if cells.shape[1] == 3 and points.shape[1] == 3:
-            i, j, k = cells[c, 0], cells[c, 1], cells[c, 2]
+        i, j, k = cells[c, 0], cells[c, 1], cells[c, 2]
+        if points.shape[1] == 3:
             q, large, small, _, _, _ = triangle_in_space(points, i, j, k)
-        elif cells.shape[1] == 3:
-            q, large, small = triangle_shape(points, cells[c, 0], cells[c, 1], cells[c, 2])
         else:
-            q = tet_quality(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
-            large, small = tet_cosines(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
-            shapes[c, 3] = tet_altitude(
-                points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
-        if cells.shape[1] == 3:
-            shapes[c, 3] = triangle_altitude(points, cells[c, 0], cells[c, 1], cells[c, 2])
-        shapes[c, 0] = q
-        shapes[c, 1] = large
-        shapes[c, 2] = small
+            q, large, small = triangle_shape(points, i, j, k)
+        shapes[c, 0], shapes[c, 1], shapes[c, 2] = q, large, small
+        shapes[c, 3] = triangle_altitude(points, i, j, k)
+
+
+@allocating_kernel
+def _tet_shapes(points: FloatArray, cells: IntArray, shapes: FloatArray) -> None:
+    """The same of every tetrahedron, with dihedral angles; several at once."""
+    rows = np.empty(ROWS)
+    slots = np.arange(cells.shape[0])
+    for first in range(0, cells.shape[0], CHUNK):
+        count = min(CHUNK, cells.shape[0] - first)
+        gather_edges(points, cells, slots, first, count, rows)
+        quality_rows(0.0, 0.0, 0.0, count, rows)
+        shape_rows(count, rows)
+        for s in range(count):
+            c = first + s
+            shapes[c, 0], shapes[c, 1] = rows[Q + s], rows[LARGE + s]
+            shapes[c, 2], shapes[c, 3] = rows[SMALL + s], rows[ALTITUDE + s]
 
 
 def cell_shapes(points: FloatArray, cells: IntArray) -> FloatArray:
     """Radius ratio (5.1), cosines of the smallest and largest angle, least altitude, (m, 4)."""
     shapes = np.empty((len(cells), 4))
+    measure = _tet_shapes if cells.shape[1] == 4 else _triangle_shapes
     for first, last in pieces(0, len(cells)):
-        _cell_shapes(points, cells[first:last], shapes[first:last])
+        measure(points, cells[first:last], shapes[first:last])
     return shapes
 
 

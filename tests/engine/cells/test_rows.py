@@ -1,0 +1,66 @@
+"""Several tetrahedra in rows against the kernels for one, which say what they are to give."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from odt_plugins.engine.cells import rows as r
+from odt_plugins.engine.cells.step import tet_altitude
+from odt_plugins.engine.cells.tetrahedron import tet_cosines, tet_quality
+from odt_plugins.engine.moves.newton3d import add_quality_terms
+
+
+def some_cells(count=r.CHUNK):
+    """Random tetrahedra, inverted ones and a flat one among them, and a free slot."""
+    rng = np.random.default_rng(3)
+    points = rng.random((4 * count, 3))
+    points[:4] = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]
+    cells = rng.permutation(4 * count).astype(np.int32).reshape(count, 4)
+    cells[7] = [0, 1, 2, 3]
+    cells[9, 0] = -1
+    return points, cells
+
+
+def test_shapes_in_rows_are_those_of_the_single_cells_bit_for_bit():
+    points, cells = some_cells()
+    room = np.empty(r.ROWS)
+    r.gather_edges(points, cells, np.arange(len(cells)), 0, len(cells), room)
+    r.quality_rows(0.0, 0.0, 0.0, len(cells), room)
+    r.shape_rows(len(cells), room)
+    found = [room[k : k + r.CHUNK] for k in (r.Q, r.LARGE, r.SMALL, r.ALTITUDE)]
+    signs = set()
+    for c, cell in enumerate(cells):
+        if cell[0] < 0:
+            continue
+        own = tet_quality(points, *cell), *tet_cosines(points, *cell), tet_altitude(points, *cell)
+        signs.add(np.sign(own[0]))
+        assert [row[c] for row in found] == list(own)
+    assert signs == {-1.0, 0.0, 1.0} or signs == {-1.0, 1.0}
+
+
+@pytest.mark.parametrize("power", [0.5, 2.0, 3.0])
+def test_a_star_in_rows_has_the_cost_and_derivatives_of_its_cells(power):
+    rng = np.random.default_rng(5)
+    points = np.concatenate([[[0.1, 0.2, 0.1]], rng.standard_normal((60, 3))])
+    cells = rng.permutation(np.arange(1, 61)).reshape(20, 3).astype(np.int32)
+    cells = np.column_stack([np.zeros(20, dtype=np.int32), cells])
+    negative = np.array([tet_quality(points, *cell) < 0 for cell in cells])
+    cells[negative, 2:] = cells[negative, :1:-1]
+    for turn in range(4):
+        cells[turn::4] = cells[turn::4][:, [[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1],
+                                            [3, 2, 1, 0]][turn]]
+    room, together, alone = np.empty(r.ROWS), np.zeros(10), np.zeros(10)
+    indices = np.arange(20, dtype=np.int32)
+    r.gather_corners(points, cells, indices, 0, 20, 0, room)
+    assert r.add_star_terms(*points[0], 20, power, room, together)
+    for cell in cells:
+        at = int(np.flatnonzero(cell == 0)[0])
+        others = np.delete(cell, at)
+        if at % 2:
+            others[1:] = others[:0:-1]
+        assert add_quality_terms(points, 0, *others, power, alone)
+    assert together == pytest.approx(alone, rel=1e-11)
+    cells[3, [1, 2]] = cells[3, [2, 1]]
+    r.gather_corners(points, cells, indices, 0, 20, 0, room)
+    assert not r.add_star_terms(*points[0], 20, power, room, np.zeros(10))
