@@ -15,6 +15,7 @@ from typing import Any
 STANDARD = "odt-plugins compare --suite standard"
 LARGE = "odt-plugins compare --suite large --against odt-plugins"
 HARD = "odt-plugins compare --suite hard"
+ANGLES = "python examples/figures.py MESH... -- --objective min_dihedral --insert"
 STAGES = "odt-plugins compare --scaling --part stages"
 SURFACE = "odt-plugins compare --scaling --part surface"
 
@@ -80,9 +81,9 @@ class Policy:
     insertion_worth: float = _chosen(
         1e-3, "Gain of the score for which a round is followed by another.", STANDARD)
     insertion_effort: float = _chosen(
-        2.0, "Insertion ends when it has tried so many operations for every cell of the input,",
+        0.5, "Insertion ends when it has tried so many operations for every cell of the input,",
         STANDARD)
-    insertion_least_effort: int = _chosen(8000, "and so many besides.", STANDARD)
+    insertion_least_effort: int = _chosen(2000, "and so many besides.", STANDARD)
     insertion_enough: float = _chosen(
         0.03, "A pass over the cells, worst first, ends where less than this part of them gained.",
         STANDARD)
@@ -98,8 +99,8 @@ class Policy:
         "the sine of an angle, at which the very worst begin:", STANDARD)
     insertion_few: float = _chosen(
         1.5, "so many times the least that there is.", STANDARD)
-    insertion_sines: float = _chosen(
-        0.03, "For the angles alone the worst begin with this share of the cells.", STANDARD)
+    insertion_angles: float = _chosen(
+        100.0, "The same in passes for angles alone, where it outweighs all else.", ANGLES)
 
     # figures of a state
     small_angle: float = _chosen(

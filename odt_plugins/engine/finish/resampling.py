@@ -164,7 +164,8 @@ def resample_in_rounds(
         for step in resampling(objective):
             shapes = cell_shapes(mesh.points, mesh.mesh_arrays()[0])
             stayed, tried = resample(
-                mesh, step, weights(shapes, objective), limits(before), max(effort, 0)
+                mesh, step, weights(shapes, objective, step.reach), limits(before),
+                max(effort, 0),
             )
             taken += stayed
             effort -= tried

@@ -6,7 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, QUALITY, Cost
+from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, QUALITY, STEP, Cost
 from odt_plugins.engine.finish.phases import Phase, tail
 from odt_plugins.engine.moves.insertion import Step
 from odt_plugins.engine.moves.worth import Weights
@@ -29,6 +29,7 @@ class Resampling:
     order : int       the cell measure by which cells are the worst
     price : float     worth that a new vertex must gain
     best : bool       whether the best operation at a cell is taken, else the first that pays
+    reach : float     sine above the least one up to which angles outweigh all else; 0: as usual
     """
 
     power: float
@@ -38,6 +39,7 @@ class Resampling:
     order: int = QUALITY
     price: float = 0.5
     best: bool = False
+    reach: float = 0.0
 
     @property
     def step(self) -> Step:
@@ -46,16 +48,23 @@ class Resampling:
                     not self.best, self.price, 0.1 * self.price)
 
 
+ANGLES = tuple(
+    Resampling(power, share, 15, DIHEDRAL, DIHEDRAL, reach=0.2)
+    for power, share in ((4.0, 0.03), (2.0, 0.01))
+)
+"""For the smallest and largest angles, whatever they cost."""
+
+ALTITUDES = Resampling(16.0, 0.003, 15, STEP, STEP, best=True)
+"""For the least altitudes."""
+
+
 def resampling(objective: Objective = "radius_ratio") -> tuple[Resampling, ...]:
-    """Passes of one round of insertion: for the mean, the quality, the very smallest angles."""
+    """Passes of one round of insertion: for the mean, the quality, the angles."""
     if objective == "min_dihedral":
-        return (
-            Resampling(2.0, 0.05, 7, order=DIHEDRAL, price=1.0),
-            Resampling(4.0, 0.02, 7, DIHEDRAL, DIHEDRAL, 1.0),
-            Resampling(2.0, 0.003, 15, order=DIHEDRAL, best=True),
-            Resampling(4.0, 0.003, 15, DIHEDRAL, DIHEDRAL, best=True),
-        )
+        return ANGLES
+    own = (ALTITUDES,) if objective == "time_step" else ()
     return (
+        *own,
         Resampling(2.0, 0.5, 2, price=1.0),
         Resampling(2.0, 0.15, 7),
         Resampling(4.0, 0.001, 15, best=True),
@@ -64,21 +73,29 @@ def resampling(objective: Objective = "radius_ratio") -> tuple[Resampling, ...]:
     )
 
 
-def weights(shapes: FloatArray, objective: Objective = "radius_ratio") -> Weights:
+HIGHEST = 0.9
+"""Sine beyond which no angle is among the worst; that of the regular cell is .943."""
+
+
+def weights(
+    shapes: FloatArray, objective: Objective = "radius_ratio", reach: float = 0.0
+) -> Weights:
     """What cells are worth in a mesh with these :func:`figures.cell_shapes`."""
     q = shapes[:, 0]
-    sine = np.sqrt(np.maximum(1.0 - np.abs(shapes[:, 1:]).max(axis=1) ** 2, 0.0))
+    sine = np.sqrt(np.maximum(1.0 - np.abs(shapes[:, 1:3]).max(axis=1) ** 2, 0.0))
     shares = POLICY.insertion_p1
     low, high = (float(x) for x in np.quantile(q, shares))
     high = max(high, low + 0.01)
     tail = min(POLICY.score_p1 * (high - low) / (shares[1] - shares[0]), POLICY.insertion_tail)
-    few = POLICY.insertion_few
-    sharp = few * float(sine.min())
-    if objective == "min_dihedral":
-        sharp = max(sharp, float(np.quantile(sine, POLICY.insertion_sines)))
+    few, worst = POLICY.insertion_few, POLICY.insertion_worst
+    least, sharp = few * float(q.min()), few * float(sine.min())
+    height = few * float(shapes[:, 3].min()) if objective == "time_step" else 0.0
+    if reach > 0.0:
+        least, sharp = 0.0, min(float(sine.min()) + reach, HIGHEST)
+        worst = POLICY.insertion_angles
     return Weights(
         float(q.mean()), low, high, tail, POLICY.insertion_flat, COS_SMALL,
-        POLICY.small_angle_price, few * float(q.min()), sharp, POLICY.insertion_worst,
+        POLICY.small_angle_price, least, sharp, height, worst,
     )
 
 

@@ -32,12 +32,12 @@ from odt_plugins.engine.moves.star_cavity import (
     join_facets,
     seed_cavity,
 )
-from odt_plugins.engine.moves.worth import Weights, worth_of
+from odt_plugins.engine.moves.worth import Weights, worth_of_cell
 from odt_plugins.engine.topology.lookup import is_in
 from odt_plugins.engine.topology.tets import FULL, Tets
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
 
-GROWTHS = 3
+GROWTHS = 5
 """How often a cavity grows and the new vertex is moved within it."""
 DEEP = 4.0
 HOPELESS = 100.0
@@ -247,7 +247,7 @@ def judge(
             found = cell_extremes(tets.points, cells, c)
             if not keeps(found, limit):
                 return -np.inf, n
-            now = worth_of(found, weights)
+            now = worth_of_cell(tets.points, cells, c, found, weights)
         ledger.values[m] = now
         gain += now - ledger.worth[c]
     return gain, n

@@ -1,16 +1,19 @@
 """Cavities that are star-shaped from a point, and the cells that join their facets to it.
 
 A set of cells whose facets all face the point is filled exactly once by the cells that join the
-facets to it.  It is grown cell by cell as long as the sum of all costs falls, a descent in the
-place of the search for the largest worst quality in B. M. Klingner, J. R. Shewchuk, Aggressive
-tetrahedral mesh improvement, 16th International Meshing Roundtable (2007) 3-23, Section 3.3.
+facets to it.  Of all such sets the one whose worst new cell is the best is looked for, as in B. M.
+Klingner, J. R. Shewchuk, Aggressive tetrahedral mesh improvement, 16th International Meshing
+Roundtable (2007) 3-23, Section 3.3; there by a cut through a graph of all cells that could go.
 """
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 
-from odt_plugins.engine.cells.tetrahedron import Cost, cell_cost, tet_cost
+from odt_plugins.engine.cells.corner import corner_edges, corner_normals
+from odt_plugins.engine.cells.tetrahedron import Cost, cell_cost, opposite_vertices, tet_cost
 from odt_plugins.engine.compiled.kernel import inner_kernel
 from odt_plugins.engine.moves.cavity import Ring, walk_ring
 from odt_plugins.engine.topology.lookup import is_in, place_in
@@ -43,11 +46,30 @@ def _write_cone(cells: IntArray, c: int, f: int, p: int, out: IntArray) -> None:
     out[f] = p
 
 
+HEIGHT = 0.64
+"""Of a vertex above a triangle, in roots of twice its area: three quarters of a regular cell's."""
+
+
+@inner_kernel
+def _rise(points: FloatArray, cells: IntArray, c: int, f: int, p: int) -> None:
+    """Lift vertex p from facet f of cell c, on the side of the cell."""
+    i, j, k = opposite_vertices(cells, c, cells[c, f])
+    ax, ay, az, bx, by, bz, _, _, _ = corner_edges(points, i, k, j, j)
+    _, _, _, _, _, _, nx, ny, nz = corner_normals(ax, ay, az, bx, by, bz, bx, by, bz)
+    square = max(nx * nx + ny * ny + nz * nz, 1e-300)
+    height = HEIGHT / math.sqrt(math.sqrt(square))
+    points[p, 0] += height * nx
+    points[p, 1] += height * ny
+    points[p, 2] += height * nz
+
+
 @inner_kernel
 def seed_cavity(
     tets: Tets, c: int, place: int, p: int, max_ring: int, ring: Ring, cavity: IntArray
 ) -> int:
     """Put vertex p in the middle of an edge, of a facet or of cell c; the cells that contain it.
+
+    A facet of the boundary or of an interface gets it above its middle.
 
     Parameters
     ----------
@@ -57,8 +79,8 @@ def seed_cavity(
 
     Returns
     -------
-    int                        number of cells; 0 on a boundary, on an interface or when the ring
-                               of the edge is longer than ``max_ring``
+    int                        number of cells; 0 for an edge on a boundary, on an interface or
+                               with a ring longer than ``max_ring``
     """
     points, cells, regions = tets.points, tets.cells, tets.regions
     if place < 6:
@@ -75,10 +97,9 @@ def seed_cavity(
     n = 1
     if left_out < 4:
         across = tets.neighbors[c, left_out]
-        if across < 0 or regions[across] != regions[c]:
-            return 0
-        cavity[1] = across
-        n = 2
+        if across >= 0 and regions[across] == regions[c]:
+            cavity[1] = across
+            n = 2
     corners = 3.0 if left_out < 4 else 4.0
     for x in range(3):
         total = 0.0
@@ -86,48 +107,54 @@ def seed_cavity(
             if i != left_out:
                 total += points[cells[c, i], x]
         points[p, x] = total / corners
+    if left_out < 4 and n == 1:
+        _rise(points, cells, c, left_out, p)
     return n
 
 
 @inner_kernel
 def grow_cavity(tets: Tets, p: int, cavity: IntArray, n: int, cost: Cost) -> int:
-    """Take in the cell across a facet that lowers the sum of the costs most, while there is one.
+    """Take cells in until the worst of the new cells is as good as in any cavity around this one.
 
-    A cell with three facets on the cavity stays outside: a vertex would be lost with it.
+    A better cavity holds the cell across the facet whose new cell is the worst, so that one is
+    taken in, again and again, and the best of these cavities stays.  A cell with three facets on
+    the cavity ends it: a vertex would be lost with it.
 
     Returns
     -------
-    int    number of cells in the cavity, at most LARGEST_CAVITY
+    int    number of cells in the cavity
     """
     points, cells, neighbors, regions = tets.points, tets.cells, tets.neighbors, tets.regions
     label = regions[cavity[0]]
-    for _ in range(n, LARGEST_CAVITY):
-        best = 0.0
+    least = np.inf
+    size = n
+    for _ in range(n, LARGEST_CAVITY + 1):
+        worst = -1.0
         chosen = -1
         for m in range(n):
+            c = cavity[m]
             for f in range(4):
-                t = neighbors[cavity[m], f]
-                if t < 0 or regions[t] != label or is_in(t, cavity, n):
+                across = neighbors[c, f]
+                if across >= 0 and is_in(across, cavity, n):
                     continue
-                shared = 0
-                gain = cell_cost(points, cells, t, cost)
-                for g in range(4):
-                    across = neighbors[t, g]
-                    if across < 0 or not is_in(across, cavity, n):
-                        gain -= _cone_cost(points, cells, t, g, p, cost)
-                        continue
-                    shared += 1
-                    for h in range(4):
-                        if neighbors[across, h] == t:
-                            gain += _cone_cost(points, cells, across, h, p, cost)
-                if shared < 3 and gain > best and gain < np.inf:
-                    best = gain
-                    chosen = t
-        if chosen < 0:
+                price = _cone_cost(points, cells, c, f, p, cost)
+                if price > worst:
+                    worst = price
+                    chosen = across
+        if worst < least:
+            least = worst
+            size = n
+        if chosen < 0 or regions[chosen] != label or n == LARGEST_CAVITY:
+            break
+        shared = 0
+        for g in range(4):
+            across = neighbors[chosen, g]
+            shared += across >= 0 and is_in(across, cavity, n)
+        if shared > 2:
             break
         cavity[n] = chosen
         n += 1
-    return n
+    return size
 
 
 @inner_kernel

@@ -11,10 +11,11 @@ import math
 from typing import NamedTuple
 
 from odt_plugins.engine.cells.extremes import Extremes
+from odt_plugins.engine.cells.step import tet_altitude
 from odt_plugins.engine.cells.tetrahedron import cell_extremes
 from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
 from odt_plugins.engine.topology.tets import Tets
-from odt_plugins.mesh.arrays import FloatArray
+from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 
 class Weights(NamedTuple):
@@ -30,7 +31,8 @@ class Weights(NamedTuple):
     small : float        price of a cell with a small angle
     least : float        radius ratio of the very worst cells
     sharp : float        sine of the smallest or largest angle of the cells that are worst there
-    worst : float        a fifteenth of the further price of half of either
+    height : float       least altitude below which cells are worst too; 0: altitudes do not count
+    worst : float        a fifteenth of the further price of half of any of them
     """
 
     mean: float
@@ -42,6 +44,7 @@ class Weights(NamedTuple):
     small: float
     least: float
     sharp: float
+    height: float
     worst: float
 
 
@@ -61,7 +64,7 @@ def _excess(x: float, least: float) -> float:
 
 @inner_kernel
 def worth_of(found: Extremes, weights: Weights) -> float:
-    """Worth of a cell with these extremes."""
+    """Worth of a cell with these extremes, whatever its altitudes."""
     q, large, small = found.quality, found.large, found.small
     total = q - weights.mean
     if q < weights.high:
@@ -74,6 +77,18 @@ def worth_of(found: Extremes, weights: Weights) -> float:
     return total - weights.worst * (_excess(q, weights.least) + _excess(sine, weights.sharp))
 
 
+@inner_kernel
+def worth_of_cell(
+    points: FloatArray, cells: IntArray, c: int, found: Extremes, weights: Weights
+) -> float:
+    """Worth of cell c, with the extremes that were found."""
+    total = worth_of(found, weights)
+    if weights.height > 0.0:
+        altitude = tet_altitude(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
+        total -= weights.worst * _excess(altitude, weights.height)
+    return total
+
+
 @kernel
 def worth_of_cells(tets: Tets, weights: Weights, stop: int, worth: FloatArray) -> None:
     """Write the worth of every cell below ``stop``, 0 for a free slot."""
@@ -81,4 +96,5 @@ def worth_of_cells(tets: Tets, weights: Weights, stop: int, worth: FloatArray) -
         worth[c] = 0.0
         if tets.cells[c, 0] >= 0:
             # as the numbers of cells are: for another type it would be compiled once more
-            worth[c] = worth_of(cell_extremes(tets.points, tets.cells, c), weights)
+            found = cell_extremes(tets.points, tets.cells, c)
+            worth[c] = worth_of_cell(tets.points, tets.cells, c, found, weights)

@@ -93,39 +93,64 @@ def test_cells_of_a_proposal_fill_the_cavity_and_the_gain_is_the_fall_of_the_sum
     assert count["removal"] > 50
 
 
-def test_growth_stops_where_no_cell_lowers_the_sum():
+def test_no_cavity_around_the_seed_has_a_better_worst_cell():
     points, cells = tm.ball(200, 3)
     mesh = spare_complex(points, cells)
     step = Operation(mesh)
-    grown = 0
+    rng = np.random.default_rng(0)
     p = int(mesh.first[0])
 
-    def cone_sum(cavity):
-        inside = set(cavity)
+    def worst(cavity):
         rows = []
         for c in cavity:
             for f in range(4):
-                if int(mesh.neighbors[c, f]) not in inside:
+                if int(mesh.neighbors[c, f]) not in cavity:
                     rows.append(mesh.cells[c].copy())
                     rows[-1][f] = p
         rows = np.array(rows)
         if (tm.signed_volumes(mesh.points, rows) <= 0).any():
             return np.inf
-        return tm.cost(mesh.points, rows, POWER).sum()
+        if not np.isin(mesh.cells[cavity], rows).all():
+            return np.inf
+        return tm.cost(mesh.points, rows, POWER).max()
 
+    grown = rivals = 0
     for c in range(0, len(cells), 11):
         n = star_cavity.seed_cavity(mesh.tets, c, 10, p, 10, step.scratch.ring, step.cavity)
+        start = step.cavity[:n].tolist()
         n_old = star_cavity.grow_cavity(mesh.tets, p, step.cavity, n, COST)
-        cavity = step.cavity[:n_old].tolist()
+        least = worst(step.cavity[:n_old].tolist())
         grown += n_old > n
-        total = cone_sum(cavity) - tm.cost(mesh.points, mesh.cells[cavity], POWER).sum()
-        across = {int(t) for t in mesh.neighbors[cavity].ravel()} - set(cavity) - {-1}
-        for t in across:
-            if sum(int(u) in cavity for u in mesh.neighbors[t]) < 3:
-                bigger = [*cavity, t]
-                after = cone_sum(bigger) - tm.cost(mesh.points, mesh.cells[bigger], POWER).sum()
-                assert after >= total - 1e-9 * abs(total)
-    assert grown > 10
+        assert least <= worst(start)
+        for _ in range(20):
+            cavity = list(start)
+            for _ in range(12):
+                across = sorted({int(t) for t in mesh.neighbors[cavity].ravel()} - {-1, *cavity})
+                cavity.append(int(rng.choice(across)))
+                rival = worst(cavity)
+                rivals += rival < np.inf
+                assert rival >= least * (1.0 - 1e-12)
+    assert grown > 20
+    assert rivals > 100
+
+
+def test_a_facet_of_the_boundary_gets_its_vertex_above_it():
+    points, cells = tm.ball(200, 3)
+    mesh = spare_complex(points, cells)
+    step = Operation(mesh)
+    p = int(mesh.first[0])
+    outer = np.argwhere(mesh.neighbors[: len(cells)] < 0)
+    assert len(outer) > 50
+    for c, f in outer:
+        n = star_cavity.seed_cavity(mesh.tets, c, 6 + f, p, 10, step.scratch.ring, step.cavity)
+        assert step.cavity[:n].tolist() == [c]
+        corners = np.delete(mesh.points[cells[c]], f, axis=0)
+        lift = mesh.points[p] - corners.mean(axis=0)
+        normal = np.cross(corners[1] - corners[0], corners[2] - corners[0])
+        assert np.linalg.norm(lift) == pytest.approx(0.64 * np.linalg.norm(normal) ** 0.5)
+        assert abs(lift @ normal) == pytest.approx(
+            np.linalg.norm(lift) * np.linalg.norm(normal), rel=1e-9)
+        assert lift @ (mesh.points[cells[c, f]] - corners[0]) > 0
 
 
 @pytest.mark.parametrize("seed", [1, 2])
@@ -143,6 +168,7 @@ def test_what_does_not_stay_leaves_every_bit_as_it_was(seed):
             here = mesh.points.copy()
             gain, n_old, n_new = step.propose(c, op)
             if not gain > -np.inf or not step.put(n_old, n_new):
+                mesh.points[mesh.first[0]] = here[mesh.first[0]]
                 continue
             assert contents(mesh) != before
             _, n_touched, n_moved = descend_around(
@@ -197,6 +223,7 @@ def test_what_stays_lowers_the_sum_within_the_bounds(seed):
 def test_every_vertex_is_worth_its_price_by_the_worth_of_all_cells(price):
     points, cells = tm.ball(300, 4)
     mesh = spare_complex(points, cells)
+    grow(mesh)
     scale = weights(cell_shapes(points, cells))
     ledger = make_ledger(mesh, scale)
     start, before = ledger.worth.sum(), len(points)
@@ -233,7 +260,7 @@ def test_a_mesh_without_room_for_further_cells_grows_and_no_bit_changes(best):
 
 def test_the_worth_of_a_cell_falls_with_its_quality_and_its_angles():
     scale = Weights(mean=0.8, low=0.3, high=0.4, tail=2.0, depth=2.0, large=COS_SMALL, small=3.0,
-                    least=0.1, sharp=0.2, worst=5.0)
+                    least=0.1, sharp=0.2, height=0.0, worst=5.0)
     good = worth_of(Extremes(0.8, 0.5, -0.5), scale)
     assert good == pytest.approx(0.0)
     poor = [worth_of(Extremes(q, 0.5, -0.5), scale) for q in (0.5, 0.4, 0.35, 0.3, 0.2, 0.1, 0.05)]
@@ -253,6 +280,37 @@ def test_the_smallest_angle_as_measure():
     assert resampled(mesh, Resampling(POWER, 0.05, 15, DIHEDRAL)) > 10
     after = np.sort(measures(mesh, DIHEDRAL))[:10]
     assert (after > before).all()
+
+
+def test_within_reach_angles_outweigh_all_else():
+    points, cells = tm.ball(300, 6)
+    steps = [Resampling(POWER, 0.1, 15, DIHEDRAL, DIHEDRAL, reach=reach) for reach in (0.0, 0.1)]
+    sines, means = [], []
+    for step in steps:
+        mesh = spare_complex(points, cells)
+        for _ in range(3):
+            shapes = cell_shapes(mesh.points, mesh.mesh_arrays()[0])
+            scale = weights(shapes, "min_dihedral", step.reach)
+            resample(mesh, step, scale, OPEN, 10**6)
+        shapes = cell_shapes(mesh.points, mesh.mesh_arrays()[0])
+        sines.append(np.sqrt(1.0 - np.abs(shapes[:, 1:3]).max(axis=1) ** 2).min())
+        means.append(shapes[:, 0].mean())
+    assert sines[1] > 1.2 * sines[0]
+    assert means[1] < means[0]
+
+
+def test_low_cells_are_worth_less_for_the_time_step_alone():
+    points, cells = tm.ball(200, 3)
+    mesh = spare_complex(points, cells)
+    shapes = cell_shapes(points, cells)
+    usual, scale = (weights(shapes, objective) for objective in ("radius_ratio", "time_step"))
+    lost = (make_ledger(mesh, usual).worth - make_ledger(mesh, scale).worth)[: len(cells)]
+    assert usual.height == 0.0
+    low = shapes[:, 3] < scale.height
+    assert 0 < low.sum() < 0.5 * len(cells)
+    assert np.argmax(lost) == np.argmin(shapes[:, 3])
+    assert (lost[low] > 0.0).all()
+    assert (lost[~low] == 0.0).all()
 
 
 def test_interfaces_stay():
