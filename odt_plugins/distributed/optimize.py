@@ -17,7 +17,7 @@ from odt_plugins.distributed.local import executor
 from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
 from odt_plugins.engine.odt.density import NodalDensity, make_density
 from odt_plugins.engine.policy import POLICY
-from odt_plugins.engine.record.figures import cell_shapes
+from odt_plugins.engine.record.figures import COS_SMALL, cell_shapes
 from odt_plugins.engine.record.figures import figures as figures_of
 from odt_plugins.engine.record.progress import in_turn
 from odt_plugins.engine.run.judge import envelope_length, faults, slides
@@ -46,7 +46,10 @@ WORST_CELLS = 20
 FIRST_SHARE = 0.9
 """Part of the allowed change of the volume for the first round; the cuts need the rest."""
 
-LAST = ("extremes",)
+MOST_POLISHED = 0.01
+"""Largest share of the tetrahedra whose small angles are looked after in the last round."""
+
+LAST = ("extremes", "polish", "after polish")
 """Phases of stage 2 for the worst cells of the whole, which come in the last round."""
 
 EXTREMES = ("min_quality", "min_angle", "max_angle", "min_altitude")
@@ -270,14 +273,16 @@ def _room(mesh: SimplexMesh, now: SimplexMesh, options: Options) -> int:
 
 
 def _worst(mesh: SimplexMesh) -> BoolArray | None:
-    """Vertices (n,) of the worst tetrahedra, by their radius ratio and by their angles."""
+    """Vertices (n,) of the worst tetrahedra by radius ratio and angles, and of small angles."""
     if mesh.dim == 2:
         return None
     cells = mesh.cells[~mesh.frozen]
     shapes = cell_shapes(mesh.points, cells) * [1.0, -1.0, 1.0, 1.0]
     worst = np.zeros(len(mesh.points), dtype=np.bool_)
-    for column in shapes.T[:3]:
-        worst[cells[np.argsort(column, kind="stable")[:WORST_CELLS]]] = True
+    small = min(int((shapes[:, 1] < -COS_SMALL).sum()), int(MOST_POLISHED * len(cells)))
+    for column, count in zip(shapes.T, (WORST_CELLS, max(WORST_CELLS, small), WORST_CELLS),
+                             strict=False):
+        worst[cells[np.argsort(column, kind="stable")[:count]]] = True
     return worst
 
 

@@ -168,6 +168,27 @@ def test_the_last_round_looks_after_the_worst_cells_too():
     assert not wanted.all()
 
 
+def test_phases_for_the_worst_cells_of_the_whole_wait_for_the_last_round(small_blocks):
+    mesh = mesh_of(900)
+    seen: list[tuple[str, ...]] = []
+    at_work: list[Any] = []
+
+    def sees(function: Any, items: Iterable[Block]) -> Iterator[Improved]:
+        for block in items:
+            seen.append(block.without)
+            if not block.without:
+                at_work.append(block.mesh)
+            yield unchanged(block)
+
+    run_blocks(mesh, Options(), 3, 3, sees)
+    assert seen[0] == blocks_module.LAST
+    assert set(seen) == {blocks_module.LAST, ()}
+    angles = tet_meshes.dihedral_angles(mesh.points, mesh.cells).reshape(len(mesh.cells), -1)
+    worst = mesh.cells[angles.min(axis=1).argsort()[:blocks_module.WORST_CELLS]]
+    places = {tuple(x) for block in at_work for x in block.points}
+    assert all(tuple(x) in places for x in mesh.points[worst].reshape(-1, 3))
+
+
 def moved_rim(result: Improved) -> Improved:
     return replace(result, points=result.points + 1e-3)
 
