@@ -6,6 +6,8 @@ the sum of the cell costs strictly falls, so that a sequence of flips terminates
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from odt_plugins.engine.cells.extremes import BEST, Bounds, Extremes, keeps, worse
@@ -176,7 +178,7 @@ def flip_facet(
 @inlined_kernel
 def facet_worth(
     tets: Tets, c: int, f: int, cost: Cost, allowance: float, ring: Ring
-) -> tuple[float, int]:
+) -> tuple[float, Any]:
     """As :func:`ring_worth` for facet f of cell c: cost of its cells, the cell across or -1."""
     objective = cost.objective
     across = np.int64(tets.neighbors[c, f])
