@@ -87,15 +87,13 @@ class _Process:
 
     def _answer(self, message: bytes) -> bytes | None:
         """What the process answers, None if it ended before."""
-        stdin, stdout = self.process.stdin, self.process.stdout
-        if stdin is None or stdout is None:
-            return None
+        stdin: Any = self.process.stdin
         try:
             stdin.write(len(message).to_bytes(LENGTH, "big") + message)
             stdin.flush()
         except BrokenPipeError:
             return None
-        return _message(stdout)
+        return _message(self.process.stdout)
 
     def end(self) -> None:
         """Let the process end."""

@@ -67,7 +67,7 @@ def _least(work: Callable[[], object], count: int) -> tuple[float, float]:
 
 def _busy() -> float:
     times = os.times()
-    return times.user + times.system + times.children_user + times.children_system
+    return time.process_time() + times.children_user + times.children_system
 
 
 def _command(size: int, say: Say) -> tuple[float, float]:
