@@ -60,8 +60,11 @@ def triangle_shape(points: FloatArray, a: int, b: int, c: int) -> tuple[float, f
 
 @inner_kernel
 def triangle_extremes(points: FloatArray, a: int, b: int, c: int) -> Extremes:
-    """What :func:`triangle_shape` gives, as extremes."""
-    q, large, small = triangle_shape(points, a, b, c)
+    """What :func:`triangle_shape` gives in the plane, or :func:`triangle_in_space`, as extremes."""
+    if points.shape[1] == 3:
+        q, large, small, _, _, _ = triangle_in_space(points, a, b, c)
+    else:
+        q, large, small = triangle_shape(points, a, b, c)
     return Extremes(q, large, small)
 
 
@@ -128,8 +131,11 @@ def triangle_measure(points: FloatArray, a: int, b: int, c: int, objective: int)
     With D twice the area and l the lengths of the edges, the mean ratio is
     m = (2 sqrt(3) D / sum l^2)^2 = (2/E)^2, E = tr(J^T J) / det(J) the AMIPS energy; the measure
     of the smallest angle is m = (4/3) (1/3 sum_i sin^-8 theta_i)^(-1/4); that of the time step,
-    m = (D^2 / sum l^2)^(1/8), is 1 for no triangle, see ``step``.
+    m = (D^2 / sum l^2)^(1/8), is 1 for no triangle, see ``step``. Of a triangle in space there is
+    the radius ratio alone.
     """
+    if points.shape[1] == 3:
+        return triangle_in_space(points, a, b, c)[0]
     if objective == QUALITY:
         return triangle_shape(points, a, b, c)[0]
     ux, uy, vx, vy, wx, wy = _edges(points, a, b, c)

@@ -20,8 +20,8 @@ class Phase:
     share : float    part of the cells, worst first, that it starts from
     rounds : int     most rounds of flips and smoothing
     sweeps : int     sweeps of smoothing in a round
-    compound : int   passes of compound moves over the same share: before in the plane, afterwards
-                     in space, where polyhedra around it are filled anew before and after
+    compound : int   passes of compound moves over the same share: before of triangles, afterwards
+                     of tetrahedra, where polyhedra around it are filled anew before and after
     objective : int  the cell measure in the cost, see ``tetrahedron.tet_cost``
     guard : float or None
         no new cell gets a worse radius ratio than this share of the cells has when the phase
@@ -32,7 +32,7 @@ class Phase:
         cells have when the phase starts; None: than the input (d = 3)
     enough : float
         of the cells whose measure reaches this only a tenth of the share is worked on, in the
-        plane by compound moves
+        case of triangles by compound moves
     count : int
         so many cells, worst first, in the place of the share; 0: the share (d = 3)
     hold : float

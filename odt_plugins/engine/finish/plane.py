@@ -5,7 +5,7 @@ A small p over the whole mesh serves the mean, a large p near the worst triangle
 
 from __future__ import annotations
 
-import math
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
@@ -17,7 +17,7 @@ from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.finish.descent import finish_phase
 from odt_plugins.engine.finish.phases import Phase, bulk, tail
 from odt_plugins.engine.finish.triangles import TriangleDescent
-from odt_plugins.engine.moves.compound2d import compound_pass_2d, excess_degrees
+from odt_plugins.engine.moves.compound2d import compound_pass_2d
 from odt_plugins.engine.moves.flips2d import Rule, number_edges, quality_flips
 from odt_plugins.engine.moves.newton2d import smooth_vertices_2d
 from odt_plugins.engine.policy import POLICY
@@ -80,8 +80,8 @@ class _PlaneDescent(TriangleDescent):
         self, mesh: Triangles, phase: Phase, bounds: Extremes, free: BoolArray,
         movable_cells: BoolArray | None, pool: ThreadPoolExecutor | None, threads: int,
     ) -> None:
-        super().__init__(mesh.points, mesh.cells, phase)
-        self.mesh, self.bounds, self.free = mesh, bounds, free
+        super().__init__(mesh, phase)
+        self.bounds, self.free = bounds, free
         self.pool, self.threads = pool, threads
         every: BoolArray = np.ones(len(mesh.cells), dtype=np.bool_)
         self.movable_cells = every if movable_cells is None else movable_cells
@@ -98,26 +98,13 @@ class _PlaneDescent(TriangleDescent):
         return quality_flips(self.mesh, self.phase.cost, self.bounds,
                              movable_cells=self.movable_cells, seeds=seeds, changed=changed)
 
-    def compound(self) -> int:
-        """Try compound moves at the worst triangles; returns how many stayed."""
-        mesh, phase = self.mesh, self.phase
-        tried = np.zeros(len(self.cells), dtype=np.bool_)
-        rule = Rule(phase.cost, self.bounds, self.movable_cells, ~self.free, True)
-        taken = 0
-        for _ in range(phase.compound):
-            measures = self.measures()
-            most = math.ceil(phase.share * len(measures))
-            count = min(most, max(most // 10, int((measures < phase.enough).sum())))
-            order = np.argsort(measures, kind="stable")[:count].astype(np.int32)
-            edges, excess = number_edges(mesh.neighbors), excess_degrees(mesh)
-            now = sum(
-                int(compound_pass_2d(mesh, edges, order[first:last], rule, tried, excess))
-                for first, last in pieces(0, count, costly=True)
-            )
-            taken += now
-            if now == 0:
-                break
-        return taken
+    def compound_moves(
+        self, tried: BoolArray, excess: FloatArray
+    ) -> Callable[[IntArray], int]:
+        """What tries compound moves at some cells."""
+        rule = Rule(self.phase.cost, self.bounds, self.movable_cells, ~self.free, True)
+        edges = number_edges(self.mesh.neighbors)
+        return lambda order: compound_pass_2d(self.mesh, edges, order, rule, tried, excess)
 
     def sweep(self, stars: Stars, active: BoolArray, moved: FloatArray) -> int:
         """Smooth every active vertex once, block after block; returns how many moved."""

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
+import math
 from abc import ABC, abstractmethod
+from collections.abc import Callable
 
 import numpy as np
 
+from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.finish.phases import Phase
+from odt_plugins.engine.moves.compound2d import excess_degrees
 from odt_plugins.engine.topology.active import IDLE, PENDING
 from odt_plugins.engine.topology.star import Stars, vertex_stars
+from odt_plugins.engine.topology.triangles import Triangles
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 
 
@@ -17,13 +22,14 @@ class TriangleDescent(ABC):
 
     Parameters
     ----------
-    points : (n, d) float64, cells : (m, 3) int32    changed in place
+    mesh : Triangles    changed in place
     phase : Phase
     """
 
-    def __init__(self, points: FloatArray, cells: IntArray, phase: Phase) -> None:
-        self.points, self.cells, self.phase = points, cells, phase
-        self.status = np.zeros(len(cells), dtype=np.uint8)
+    def __init__(self, mesh: Triangles, phase: Phase) -> None:
+        self.mesh, self.phase = mesh, phase
+        self.points, self.cells = mesh.points, mesh.cells
+        self.status = np.zeros(len(mesh.cells), dtype=np.uint8)
 
     @abstractmethod
     def measures(self) -> FloatArray:
@@ -32,6 +38,31 @@ class TriangleDescent(ABC):
     @abstractmethod
     def flip_some(self, seeds: BoolArray, changed: BoolArray) -> int:
         """Flip from the seeds (m,) on; ``changed`` (m,) is set where a triangle was replaced."""
+
+    @abstractmethod
+    def compound_moves(
+        self, tried: BoolArray, excess: FloatArray
+    ) -> Callable[[IntArray], int]:
+        """What tries compound moves at some cells; parameters as of ``compound_pass_2d``."""
+
+    def compound(self) -> int:
+        """Try compound moves at the worst triangles; returns how many stayed."""
+        phase = self.phase
+        tried = np.zeros(len(self.cells), dtype=np.bool_)
+        taken = 0
+        for _ in range(phase.compound):
+            measures = self.measures()
+            most = math.ceil(phase.share * len(measures))
+            count = min(most, max(most // 10, int((measures < phase.enough).sum())))
+            order = np.argsort(measures, kind="stable")[:count].astype(np.int32)
+            move_some = self.compound_moves(tried, excess_degrees(self.mesh))
+            now = sum(
+                int(move_some(order[first:last])) for first, last in pieces(0, count, costly=True)
+            )
+            taken += now
+            if now == 0:
+                break
+        return taken
 
     def worst(self) -> BoolArray:
         """Make the worst triangles and those beside them pending; their vertices move first."""

@@ -58,36 +58,6 @@ class Step(NamedTuple):
 
 
 @inner_kernel
-def star_normal(sheet: Sheet, stars: Stars, vertex: int) -> tuple[float, float, float]:
-    """Unit normal of a star, area-weighted; 0 when there is none."""
-    x = y = z = 0.0
-    for s in range(stars.indptr[vertex], stars.indptr[vertex + 1]):
-        c = stars.indices[s]
-        t = sheet.triangles
-        _, _, _, nx, ny, nz = triangle_in_space(sheet.points, t[c, 0], t[c, 1], t[c, 2])
-        x += nx
-        y += ny
-        z += nz
-    length = math.sqrt(x * x + y * y + z * z)
-    if not length > 0.0:
-        return 0.0, 0.0, 0.0
-    return x / length, y / length, z / length
-
-
-@inner_kernel
-def axis_across(nx: float, ny: float, nz: float) -> tuple[float, float, float]:
-    """Unit vector at right angles to a unit vector."""
-    if abs(nx) <= abs(ny) and abs(nx) <= abs(nz):
-        x, y, z = 0.0, nz, -ny
-    elif abs(ny) <= abs(nz):
-        x, y, z = -nz, 0.0, nx
-    else:
-        x, y, z = ny, -nx, 0.0
-    length = math.sqrt(x * x + y * y + z * z)
-    return x / length, y / length, z / length
-
-
-@inner_kernel
 def star_shape(
     sheet: Sheet, stars: Stars, vertex: int, power: float
 ) -> tuple[float, Extremes]:

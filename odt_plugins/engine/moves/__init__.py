@@ -11,9 +11,11 @@ run.
 - Reconnection: up to two dozen cells around a bad one are filled anew at least cost, by branch and
   bound over all fillings between their vertices: `reconnection_pass`, `fill_polyhedron`.
 - Newton steps: x -= (H + s I)^-1 g for one vertex, halved until F_p falls: `newton_vertex` and
-  `smooth_vertices` in space, `star_cost_2d` and `smooth_vertices_2d` in the plane, `plane_step`.
+  `smooth_vertices` in space, `star_cost_2d` and `smooth_vertices_2d` in the plane, `star_cost` in a
+  tangent plane, `plane_step`.
 - Compound moves: a flip that costs something, a descent around it, and all taken back if it did
-  not pay: `compound_pass`, `descend_around` in space, `compound_pass_2d` in the plane.
+  not pay: `compound_pass`, `descend_around` in space, `compound_pass_2d` in the plane; on a surface
+  `force` and `take_back` without guards.
 - Insertion and removal of vertices: `propose_vertex` grows a star-shaped cavity (`grow_cavity`),
   `propose_removal` collapses the best edge (`best_collapse`), `insertion_pass` keeps what pays by
   the share of every cell in the figures of the whole mesh (`worth_of`).

@@ -1,8 +1,9 @@
-"""Compound moves in the plane: a forced flip, a local descent, and back if it did not pay.
+"""Compound moves of triangles: a forced flip, a local descent, and back if it did not pay.
 
 Single flips stop in local minima of F_p.  Here one flip at a bad triangle is taken whatever it
 costs, if it brings no degree further from what the angle around the vertex has room for; Newton
-steps then descend around it, ring after ring.
+steps then descend around it, ring after ring.  Of a surface in space the vertices move in the
+tangent planes of their stars.
 """
 
 from __future__ import annotations
@@ -52,20 +53,24 @@ class Scratch(NamedTuple):
     Attributes
     ----------
     derivatives : (5,) float64                 of F_p in the place of a vertex
+    axes : (2, d) float64                      orthonormal directions of a plane
     star : (LARGEST_STAR,) int32               cells around a vertex
     touched : (MOST_TOUCHED,) int32            cells that a descent changed
     seen : (MOST_TOUCHED,) int32               vertices that were visited in a sweep
     moved : (6 MOST_TOUCHED,) int32            vertices, in the order of their moves
-    origin : (6 MOST_TOUCHED, 2) float64       where they were before
+    origin : (6 MOST_TOUCHED, d) float64       where they were before
+    feet : (6 MOST_TOUCHED,) int32             on a surface, triangles of the ground under them then
     counts : (2,) int64                        of touched cells and of moves
     """
 
     derivatives: FloatArray
+    axes: FloatArray
     star: IntArray
     touched: IntArray
     seen: IntArray
     moved: IntArray
     origin: FloatArray
+    feet: IntArray
     counts: LongArray
 
 
@@ -74,12 +79,14 @@ TOUCHED, MOVED = 0, 1
 
 
 @allocating_kernel
-def make_scratch() -> Scratch:
+def make_scratch(dim: int) -> Scratch:
     """Room for one thread."""
     return Scratch(
-        np.empty(5), np.empty(LARGEST_STAR, np.int32), np.empty(MOST_TOUCHED, np.int32),
-        np.empty(MOST_TOUCHED, np.int32), np.empty(len(DEEP) * MOST_TOUCHED, np.int32),
-        np.empty((len(DEEP) * MOST_TOUCHED, 2)), np.zeros(2, np.int64),
+        np.empty(5), np.eye(2, dim), np.empty(LARGEST_STAR, np.int32),
+        np.empty(MOST_TOUCHED, np.int32), np.empty(MOST_TOUCHED, np.int32),
+        np.empty(len(DEEP) * MOST_TOUCHED, np.int32),
+        np.empty((len(DEEP) * MOST_TOUCHED, dim)),
+        np.empty(len(DEEP) * MOST_TOUCHED, np.int32), np.zeros(2, np.int64),
     )
 
 
@@ -126,39 +133,68 @@ def _add_excess(points: FloatArray, cells: IntArray, excess: FloatArray) -> None
     for t in range(cells.shape[0]):
         for k in range(3):
             a, b, c = cells[t, k], cells[t, (k + 1) % 3], cells[t, (k + 2) % 3]
-            ux, uy = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
-            vx, vy = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1]
-            angle = math.atan2(ux * vy - uy * vx, ux * vx + uy * vy)
-            excess[a] += 1.0 - 3.0 / math.pi * angle
+            excess[a] += 1.0 - 3.0 / math.pi * _angle(points, a, b, c)
 
 
 @inner_kernel
-def _loss(
-    mesh: Triangles, edges: EdgeNumbers, t: int, i: int, rule: Rule, excess: FloatArray
-) -> tuple[float, int, int]:
-    """What it costs to flip the edge of cell t opposite its corner i; infinite where it stays.
+def _angle(points: FloatArray, a: int, b: int, c: int) -> float:
+    """Angle at a; negative in the plane where (a, b, c) is not counterclockwise."""
+    ux, uy = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
+    vx, vy = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1]
+    along, across = ux * vx + uy * vy, ux * vy - uy * vx
+    if points.shape[1] == 3:
+        uz, vz = points[b, 2] - points[a, 2], points[c, 2] - points[a, 2]
+        x, y = uy * vz - uz * vy, uz * vx - ux * vz
+        along += uz * vz
+        across = math.sqrt(x * x + y * y + across * across)
+    return math.atan2(across, along)
 
-    It stays where the sum of the squares of the excess degrees would grow.
 
-    Returns
-    -------
-    loss : float, s, j : int    the cell across the edge, and its corner opposite of it
+class ForcedFlip(NamedTuple):
+    """A flip that is taken although it costs something.
+
+    Attributes
+    ----------
+    t, i, s, j : int    the two cells, and their corners opposite of the edge
+    loss : float        growth of F_p; infinite where the edge must stay
+    """
+
+    t: int
+    i: int
+    s: int
+    j: int
+    loss: float
+
+
+@inner_kernel
+def forced_flip(
+    mesh: Triangles, edges: EdgeNumbers, bad: int, op: int, rule: Rule, excess: FloatArray
+) -> ForcedFlip:
+    """One of the nine flips of the edges of a bad cell and of those beside it.
+
+    The edge stays where the sum of the squares of the excess degrees would grow.
     """
     points, cells, neighbors, regions = mesh
-    s = neighbors[t, i]
-    if s < 0 or regions[s] != regions[t] or not (rule.active[t] and rule.active[s]):
-        return np.inf, 0, 0
-    j = place_in(edges.of_cell, s, edges.of_cell[t, i])
-    a, b, c, d = cells[t, i], cells[t, (i + 1) % 3], cells[t, (i + 2) % 3], cells[s, j]
-    if excess[a] + excess[d] - excess[b] - excess[c] + 2.0 > LEVEL:
-        return np.inf, 0, 0
-    if not (is_wide(points, a, b, d) and is_wide(points, a, d, c)):
-        return np.inf, 0, 0
-    loss = (
-        _cost(points, a, b, d, rule.cost) + _cost(points, a, d, c, rule.cost)
-        - _cost(points, a, b, c, rule.cost) - _cost(points, d, c, b, rule.cost)
-    )
-    return loss, s, j
+    # sums with a number are of 64 bits, as the other places of a ForcedFlip are
+    t, i = 0 + bad, op
+    if op >= 3:
+        k = (op - 3) // 2
+        t = 0 + neighbors[bad, k]
+        if t >= 0:
+            i = (place_in(edges.of_cell, t, edges.of_cell[bad, k]) + 1 + op % 2) % 3
+    s = 0 + neighbors[t, i] if t >= 0 else t
+    j, loss = 0, np.inf
+    if s >= 0 and regions[s] == regions[t] and rule.active[t] and rule.active[s]:
+        j = place_in(edges.of_cell, s, edges.of_cell[t, i])
+        a, b, c, d = cells[t, i], cells[t, (i + 1) % 3], cells[t, (i + 2) % 3], cells[s, j]
+        if excess[a] + excess[d] - excess[b] - excess[c] + 2.0 <= LEVEL and (
+            points.shape[1] == 3 or (is_wide(points, a, b, d) and is_wide(points, a, d, c))
+        ):
+            loss = (
+                _cost(points, a, b, d, rule.cost) + _cost(points, a, d, c, rule.cost)
+                - _cost(points, a, b, c, rule.cost) - _cost(points, d, c, b, rule.cost)
+            )
+    return ForcedFlip(t, i, s, j, loss)
 
 
 @kernel
@@ -180,10 +216,11 @@ def _sweep(
             size = gather_star_2d(cells, neighbors, t, v, scratch.star)
             n = scratch.counts[MOVED]
             scratch.moved[n] = v
-            scratch.origin[n, 0] = points[v, 0]
-            scratch.origin[n, 1] = points[v, 1]
+            for d in range(points.shape[1]):
+                scratch.origin[n, d] = points[v, d]
             before, after = newton_vertex_2d(
-                points, cells, scratch.star[:size], v, rule.cost, rule.limit, scratch.derivatives
+                points, cells, scratch.star[:size], v, rule.cost, rule.limit, scratch.derivatives,
+                scratch.axes,
             )
             if after < before:
                 total += before - after
@@ -194,15 +231,22 @@ def _sweep(
 
 
 @inner_kernel
-def _descend(mesh: Triangles, rule: Rule, loss: float, own: float, scratch: Scratch) -> float:
-    """Newton steps around a forced flip until they pay; returns the gain of everything together.
+def force(
+    mesh: Triangles, edges: EdgeNumbers, forced: ForcedFlip, own: float, rule: Rule,
+    scratch: Scratch,
+) -> float:
+    """Flip, and take Newton steps around it until they pay; returns the gain of all together.
 
     Parameters
     ----------
-    loss : float         of the forced flip
     own : float          cost of the bad triangle
-    scratch : Scratch    its touched cells are the two that were flipped; what takes all back
+    scratch : Scratch    OUT: the touched cells, and what takes all back
     """
+    t, i, s, j, loss = forced
+    flip(mesh.cells, mesh.neighbors, edges, t, i, s, j)
+    scratch.counts[:] = 0
+    _touch(scratch, t)
+    _touch(scratch, s)
     total = -loss
     known = 0
     for turn in range(len(DEEP)):
@@ -214,14 +258,37 @@ def _descend(mesh: Triangles, rule: Rule, loss: float, own: float, scratch: Scra
     return total
 
 
-@kernel
-def _within(mesh: Triangles, limit: Extremes, scratch: Scratch) -> bool:
-    """Whether no touched cell passes the limit."""
+@inner_kernel
+def take_back(
+    mesh: Triangles, edges: EdgeNumbers, forced: ForcedFlip, scratch: Scratch
+) -> None:
+    """Undo what :func:`force` did last."""
+    for m in range(scratch.counts[MOVED] - 1, -1, -1):
+        for d in range(mesh.points.shape[1]):
+            mesh.points[scratch.moved[m], d] = scratch.origin[m, d]
+    t, i, s, j, _ = forced
+    take_back_flip(mesh.cells, mesh.neighbors, edges, t, i, s, j)
+
+
+@inner_kernel
+def touched_shape(mesh: Triangles, cost: Cost, scratch: Scratch) -> tuple[float, Extremes]:
+    """F_p of the touched cells, and their extremes."""
+    total = 0.0
+    found = Extremes(1.0, -1.0, 1.0)
     for m in range(scratch.counts[TOUCHED]):
         a, b, c = mesh.cells[scratch.touched[m]]
-        if not keeps(triangle_extremes(mesh.points, a, b, c), limit):
-            return False
-    return True
+        total += _cost(mesh.points, a, b, c, cost)
+        found = worse(found, triangle_extremes(mesh.points, a, b, c))
+    return total, found
+
+
+@inner_kernel
+def standing(mesh: Triangles, bad: int, rule: Rule) -> tuple[float, Extremes]:
+    """Cost of a bad cell, and what no cell may pass that comes in its place."""
+    a, b, c = mesh.cells[bad, 0], mesh.cells[bad, 1], mesh.cells[bad, 2]
+    q, large, small = triangle_extremes(mesh.points, a, b, c)
+    limit = worse(rule.limit, Extremes(q - ROUNDED, large + ROUNDED, small - ROUNDED))
+    return _cost(mesh.points, a, b, c, rule.cost), limit
 
 
 @allocating_kernel
@@ -246,52 +313,33 @@ def compound_pass_2d(
     -------
     int                      number of compound moves that stayed
     """
-    points, cells, neighbors, _ = mesh
-    scratch = make_scratch()
-    counts = scratch.counts
+    scratch = make_scratch(2)
     taken = 0
     for o in range(order.shape[0]):
         bad = order[o]
         if tried[bad]:
             continue
         tried[bad] = True
-        a, b, c = cells[bad, 0], cells[bad, 1], cells[bad, 2]
-        own = _cost(points, a, b, c, rule.cost)
-        q, large, small = triangle_extremes(points, a, b, c)
-        limit = worse(rule.limit, Extremes(q - ROUNDED, large + ROUNDED, small - ROUNDED))
+        own, limit = standing(mesh, bad, rule)
         for op in range(9):
-            t, i = bad, op
-            if op >= 3:
-                k = (op - 3) // 2
-                t = neighbors[bad, k]
-                if t < 0:
-                    continue
-                i = (place_in(edges.of_cell, t, edges.of_cell[bad, k]) + 1 + op % 2) % 3
-            loss, s, j = _loss(mesh, edges, t, i, rule, excess)
-            if not loss < HOPELESS * own:
+            forced = forced_flip(mesh, edges, bad, op, rule, excess)
+            if not forced.loss < HOPELESS * own:
                 continue
-            flip(cells, neighbors, edges, t, i, s, j)
-            counts[:] = 0
-            _touch(scratch, t)
-            _touch(scratch, s)
-            gain = _descend(mesh, rule, loss, own, scratch)
-            if gain > GAIN * own and _within(mesh, limit, scratch):
-                _settle(mesh, t, s, excess, tried, scratch)
+            gain = force(mesh, edges, forced, own, rule, scratch)
+            if gain > GAIN * own and keeps(touched_shape(mesh, rule.cost, scratch)[1], limit):
+                keep_forced(mesh, forced, excess, tried, scratch)
                 taken += 1
                 break
-            for m in range(counts[MOVED] - 1, -1, -1):
-                v = scratch.moved[m]
-                points[v, 0] = scratch.origin[m, 0]
-                points[v, 1] = scratch.origin[m, 1]
-            take_back_flip(cells, neighbors, edges, t, i, s, j)
+            take_back(mesh, edges, forced, scratch)
     return taken
 
 
-@kernel
-def _settle(
-    mesh: Triangles, t: int, s: int, excess: FloatArray, tried: BoolArray, scratch: Scratch
+@inner_kernel
+def keep_forced(
+    mesh: Triangles, forced: ForcedFlip, excess: FloatArray, tried: BoolArray, scratch: Scratch
 ) -> None:
-    """Count the edge between t and s; what was touched, or lies beside that, may be tried again."""
+    """Count the new edge; what was touched, or lies beside that, may be tried again."""
+    t, s = forced.t, forced.s
     excess[mesh.cells[t, 0]] += 1.0
     excess[mesh.cells[t, 2]] += 1.0
     excess[mesh.cells[t, 1]] -= 1.0

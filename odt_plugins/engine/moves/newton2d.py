@@ -22,8 +22,9 @@ from odt_plugins.engine.cells.triangle import (
     triangle_extremes,
     triangle_measure,
 )
-from odt_plugins.engine.compiled.kernel import allocating_kernel, inner_kernel
+from odt_plugins.engine.compiled.kernel import allocating_kernel, inner_kernel, kernel
 from odt_plugins.engine.moves.plane_step import plane_step
+from odt_plugins.engine.moves.tangent import set_axes, star_cost, star_normal
 from odt_plugins.engine.topology.star import Stars
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
@@ -233,11 +234,15 @@ def _star_shape(
 @inner_kernel
 def newton_vertex_2d(
     points: FloatArray, cells: IntArray, star: IntArray, v: int, kind: Cost, bounds: Extremes,
-    derivatives: FloatArray,
+    derivatives: FloatArray, axes: FloatArray,
 ) -> tuple[float, float]:
-    """One guarded Newton step on F_p for vertex v, in place.
+    """One guarded Newton step on F_p for vertex v, in place; in space in its tangent plane.
 
-    Parameters as for :func:`star_cost_2d` and :func:`smooth_vertices_2d`.
+    Parameters as for :func:`star_cost_2d` and :func:`smooth_vertices_2d`, and
+
+    Parameters
+    ----------
+    axes : (2, d) float64    orthonormal directions of the plane; OUT where d = 3
 
     Returns
     -------
@@ -248,36 +253,46 @@ def newton_vertex_2d(
     The Hessian is made positive definite by a shift; alpha = 1, 1/2, 1/4, ... until F_p decreases
     strictly with every area positive.
     """
-    cost = star_cost_2d(points, cells, star, v, kind, derivatives)
+    dim = points.shape[1]
+    if dim == 2:
+        cost = star_cost_2d(points, cells, star, v, kind, derivatives)
+    else:
+        set_axes(*star_normal(points, cells, star), axes)
+        cost = star_cost(points, cells, star, v, kind.power, axes, derivatives)
     if not cost < np.inf:
         return cost, cost
-    gx, gy = derivatives[0], derivatives[1]
-    dx, dy = plane_step(gx, gy, derivatives[2], derivatives[3], derivatives[4], False)
-    slope = gx * dx + gy * dy
+    g1, g2 = derivatives[0], derivatives[1]
+    d1, d2 = plane_step(g1, g2, derivatives[2], derivatives[3], derivatives[4], False)
+    slope = g1 * d1 + g2 * d2
     if not -slope > DECREASE * cost:
         return cost, cost
-    x = points[v, 0]
-    y = points[v, 1]
+    x, y, z = points[v, 0], points[v, 1], points[v, dim - 1]
+    dx = d1 * axes[0, 0] + d2 * axes[1, 0]
+    dy = d1 * axes[0, 1] + d2 * axes[1, 1]
+    dz = d1 * axes[0, dim - 1] + d2 * axes[1, dim - 1]
     alpha = 1.0
     for _ in range(HALVINGS):
-        points[v, 0] = x + alpha * dx
-        points[v, 1] = y + alpha * dy
+        _put(points, v, x + alpha * dx, y + alpha * dy, z + alpha * dz)
         there, found = _star_shape(points, cells, star, kind)
         if there <= cost + ARMIJO * alpha * slope and there < (1.0 - DECREASE) * cost:
             if keeps(found, bounds):
                 return cost, there
-            to_x, to_y = points[v, 0], points[v, 1]
-            points[v, 0] = x
-            points[v, 1] = y
+            _put(points, v, x, y, z)
             _, here = _star_shape(points, cells, star, kind)
             if keeps(found, worse(bounds, here)):
-                points[v, 0] = to_x
-                points[v, 1] = to_y
+                _put(points, v, x + alpha * dx, y + alpha * dy, z + alpha * dz)
                 return cost, there
         alpha *= 0.5
+    _put(points, v, x, y, z)
+    return cost, cost
+
+
+@kernel
+def _put(points: FloatArray, v: int, x: float, y: float, z: float) -> None:
+    """Put vertex v at (x, y), or (x, y, z) in space; y and z are the same in the plane."""
+    points[v, points.shape[1] - 1] = z
     points[v, 0] = x
     points[v, 1] = y
-    return cost, cost
 
 
 @allocating_kernel
@@ -304,6 +319,7 @@ def smooth_vertices_2d(
     int                             number of vertices moved
     """
     derivatives = np.empty(5)
+    axes = np.eye(2)
     count = 0
     for o in range(start, stop):
         v = order[o]
@@ -312,7 +328,7 @@ def smooth_vertices_2d(
         if first == last:
             continue
         before, after = newton_vertex_2d(
-            points, cells, stars.indices[first:last], v, kind, bounds, derivatives
+            points, cells, stars.indices[first:last], v, kind, bounds, derivatives, axes
         )
         if after < before:
             moved[v] = 1.0 - after / before

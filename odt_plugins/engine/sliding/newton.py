@@ -18,14 +18,13 @@ from odt_plugins.engine.ground.position import (
     DECREASE,
     HALVINGS,
     Step,
-    axis_across,
     least_cosine,
     put_vertex,
-    star_normal,
 )
 from odt_plugins.engine.ground.sheet import LINE, LOCKED, Sheet, Work, cover, star_fits
 from odt_plugins.engine.moves.newton3d import add_cost_terms, make_derivatives, star_state
 from odt_plugins.engine.moves.plane_step import plane_step
+from odt_plugins.engine.moves.tangent import axis_across, star_normal
 from odt_plugins.engine.sliding.boundary import Skin, affordable, spend
 from odt_plugins.engine.topology.star import Stars
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -75,7 +74,8 @@ def slide_vertices(
         if not positive:
             continue
         on_a_line = sheet.kind[v] == LINE
-        nx, ny, nz = star_normal(sheet, own, v)
+        around = own.indices[own.indptr[v] : own.indptr[v + 1]]
+        nx, ny, nz = star_normal(points, sheet.triangles, around)
         if on_a_line:
             ax, ay, az = line_direction(lines, points, lines.slot[v])
         elif nx * nx + ny * ny + nz * nz > 0.0:

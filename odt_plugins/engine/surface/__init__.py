@@ -8,7 +8,9 @@ What differs from meshes in the plane and in space stands here, the guards are t
   the ground; `flip_edges` flips to intrinsic Delaunay: the angles opposite to an edge sum up to
   at most pi;
 - stage 2 (`SurfaceDescent` in `finish_phase`): Newton steps on F_p = sum q^-p in the tangent plane
-  (`smooth_vertices`, `star_cost`) and flips that lower F_p;
+  (`smooth_vertices`, `star_cost`) and flips that lower F_p; compound moves (`compound_pass`), a
+  flip that costs something and a descent without guards, of which only the outcome is held
+  against the ground;
 - the promise (`faults`): distances both ways (`measured`), folds and crossings (`outside`).
 
 `surface_density` makes a density from the sizes of the input; `curvature_density` makes one from

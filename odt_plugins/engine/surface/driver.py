@@ -45,6 +45,9 @@ from odt_plugins.mesh.surface import Edges, surface_edges
 from odt_plugins.options import Options
 from odt_plugins.progress import silent
 
+COMPOUND = Phase(2.0, 1.0, 20, 2, 2, enough=0.97, name="compound")
+"""The bulk once more, from where the compound moves have led."""
+
 TAIL = (Phase(4.0, 0.05, 10, 2, name="tail 1"), Phase(8.0, 0.01, 10, 2, name="tail 2"))
 """Phases for the worst triangles; beyond p = 8 the envelope leaves them nothing to gain."""
 
@@ -236,7 +239,7 @@ def _finishing_alone(
     clock = time.perf_counter()
     surface, _, _ = _build(start, options, alone)
     strict = extremes(memory.before, tuple(options.keep)).cells
-    for phases in (bulk(2), TAIL):
+    for phases in (bulk(2), (COMPOUND, *TAIL)):
         _settle(surface, phases, strict, log)
         memory.offer(surface, ALONE)
     log.add_time("finishing", time.perf_counter() - clock)
@@ -301,7 +304,7 @@ def _cycles(
     if options.finish:
         clock = time.perf_counter()
         memory.offer(surface, "bulk")
-        _settle(surface, TAIL, strict, log)
+        _settle(surface, (COMPOUND, *TAIL), strict, log)
         memory.offer(surface, "finished")
         if not memory.states and "mean_quality" not in memory.worse:
             worse, refused = memory.worse, memory.refused
@@ -320,8 +323,10 @@ def _settle(
     for phase in phases:
         if phase.name in log.without:
             continue
-        flips, moves = finish_phase(SurfaceDescent(surface, phase, bounds), phase)
-        log.add("quality flips", flips)
+        descent = SurfaceDescent(surface, phase, bounds)
+        compound = descent.compound()
+        flips, moves = finish_phase(descent, phase)
+        log.add("quality flips", flips + compound)
         log.add("vertex moves", moves)
 
 

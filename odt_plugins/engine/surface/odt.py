@@ -10,8 +10,9 @@ import numpy as np
 from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.triangle import opposite_edge
 from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
-from odt_plugins.engine.ground.position import NO_COST, Step, along_line, star_normal, try_move
+from odt_plugins.engine.ground.position import NO_COST, Step, along_line, try_move
 from odt_plugins.engine.ground.sheet import LOCKED, Guards, Sheet, Work
+from odt_plugins.engine.moves.tangent import star_normal
 from odt_plugins.engine.topology.star import Stars
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
@@ -122,7 +123,8 @@ def move_vertices(
             dx, dy, dz = vectors[v, 0], vectors[v, 1], vectors[v, 2]
         else:
             dx, dy, dz = star_centre(sheet, stars, v, target)
-        nx, ny, nz = star_normal(sheet, stars, v)
+        star = stars.indices[stars.indptr[v] : stars.indptr[v + 1]]
+        nx, ny, nz = star_normal(p, sheet.triangles, star)
         up = dx * nx + dy * ny + dz * nz
         dx, dy, dz = omega * (dx - up * nx), omega * (dy - up * ny), omega * (dz - up * nz)
         if not dx * dx + dy * dy + dz * dz > 0.0:

@@ -15,14 +15,18 @@ from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.tetrahedron import Cost
 from odt_plugins.engine.finish.phases import Phase
 from odt_plugins.engine.finish.triangles import TriangleDescent
-from odt_plugins.engine.ground.sheet import LOCKED, Guards, Sheet, Work, make_work
+from odt_plugins.engine.ground.sheet import LOCKED, SMOOTH, Guards, Sheet, Work, make_work
+from odt_plugins.engine.moves.compound2d import MOST_TOUCHED
+from odt_plugins.engine.moves.flips2d import Rule
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import cell_shapes
+from odt_plugins.engine.surface.compound import compound_pass
 from odt_plugins.engine.surface.flips import flip_edges
 from odt_plugins.engine.surface.newton import smooth_vertices
 from odt_plugins.engine.surface.odt import Target, move_vertices
 from odt_plugins.engine.topology.coloring import run_chunks, vertex_coloring
 from odt_plugins.engine.topology.star import Stars, vertex_stars
+from odt_plugins.engine.topology.triangles import Triangles
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 
 
@@ -119,7 +123,10 @@ class SurfaceDescent(TriangleDescent):
     gain = POLICY.surface_gain
 
     def __init__(self, surface: Surface, phase: Phase, bounds: Extremes) -> None:
-        super().__init__(surface.points, surface.triangles, phase)
+        sheet = surface.sheet
+        super().__init__(
+            Triangles(sheet.points, sheet.triangles, sheet.neighbors, surface.regions), phase
+        )
         self.surface, self.bounds = surface, bounds
 
     def measures(self) -> FloatArray:
@@ -129,6 +136,22 @@ class SurfaceDescent(TriangleDescent):
     def flip_some(self, seeds: BoolArray, changed: BoolArray) -> int:
         """Flip from the seeds on."""
         return flip_all(self.surface, self.phase.cost, self.bounds, seeds, changed)
+
+    def compound_moves(
+        self, tried: BoolArray, excess: FloatArray
+    ) -> Callable[[IntArray], int]:
+        """What tries compound moves at some triangles."""
+        sheet, guards = self.surface.sheet, self.surface.guards
+        every = np.ones(len(self.cells), dtype=np.bool_)
+        rule = Rule(self.phase.cost, self.bounds, every, sheet.kind != SMOOTH, True)
+        work = make_work(guards.ground, MOST_TOUCHED)
+
+        def move_some(order: IntArray) -> int:
+            taken = compound_pass(sheet, guards, self.mesh, order, rule, tried, excess, work)
+            sheet.check()
+            return int(taken)
+
+        return move_some
 
     def sweep(self, stars: Stars, active: BoolArray, moved: FloatArray) -> int:
         """Smooth every active vertex once along the surface; returns how many moved."""

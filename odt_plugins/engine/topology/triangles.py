@@ -8,12 +8,12 @@ from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 
 class Triangles(NamedTuple):
-    """A planar mesh that is changed in place.
+    """A mesh of triangles, planar or in space, that is changed in place.
 
     Attributes
     ----------
-    points : (n, 2) float64
-    cells : (m, 3) int32        counterclockwise
+    points : (n, d) float64
+    cells : (m, 3) int32        counterclockwise, or oriented alike in space
     neighbors : (m, 3) int32    cell across the edge opposite each vertex, -1 at the boundary
     regions : (m,) int32        region labels; the label of a row does not change
     """

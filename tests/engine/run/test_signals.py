@@ -37,7 +37,8 @@ SURFACE = COMMON | {
     "surface.odt.move_vertices": ("start", "stop"), "surface.flips._flip_some": "most",
     "surface.newton.smooth_vertices": ("start", "stop"), "ground.crossings._sweep":
     ("start", "stop"), "ground.envelope._upper": "triangles", "ground.reference._across":
-    ("start", "stop"),
+    ("start", "stop"), "surface.compound.compound_pass": "order",
+    "moves.compound2d._add_excess": "cells",
 }
 SHORT = ("compound_pass", "compound_pass_2d", "insertion_pass", "_upper", "ground.crossings._sweep")
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import combinations, pairwise
 
 import numpy as np
@@ -385,7 +386,7 @@ def test_rims_and_lines_slide_on_demand():
     assert (x[rim] != p[rim]).any(axis=1).sum() > 40
     assert np.array_equal(x[rim, 2], p[rim, 2])
     assert slid.surface["on_lines"] > 40
-    assert slid.after.mean_quality > fixed.after.mean_quality
+    assert slid.after.p1_quality > fixed.after.p1_quality
 
 
 def test_nothing_to_do():
@@ -416,16 +417,25 @@ def globe(around=30, along=30):
 
 
 def test_a_few_triangles_beyond_the_extremes_of_the_input_are_left_alone(monkeypatch):
-    mesh = globe()
+    mesh = globe(24, 24)
     before = summarize(*mesh)
-    (x, c), report = odt_plugins.optimize_with_report(mesh)
+    (x, c), report = odt_plugins.optimize_with_report(mesh, envelope=3e-3)
     assert angles(x, c).max() <= before.max_angle + 1e-9
-    assert max(sm.two_sided(*mesh, x, c, 2)) <= 1e-3 * sm.diagonal(mesh[0])
+    assert max(sm.two_sided(*mesh, x, c, 2)) <= 3e-3 * sm.diagonal(mesh[0])
     reached = report.after.mean_quality
     assert reached > before.mean_quality + 0.05
     set_policy(monkeypatch, driver, surface_spoiled=0.0)
-    _, without = odt_plugins.optimize_with_report(mesh)
-    assert reached > without.after.mean_quality + 0.02
+    _, without = odt_plugins.optimize_with_report(mesh, envelope=3e-3)
+    assert reached > without.after.mean_quality + 0.005
+
+
+def test_the_schedule_leaves_local_minima(monkeypatch):
+    mesh = MESHES["torus"]()
+    reached = odt_plugins.optimize_with_report(mesh, envelope=3e-3)[1].after
+    monkeypatch.setattr(driver, "COMPOUND", replace(driver.COMPOUND, compound=0))
+    single = odt_plugins.optimize_with_report(mesh, envelope=3e-3)[1].after
+    assert reached.mean_quality > single.mean_quality + 0.008
+    assert reached.p1_quality > single.p1_quality + 0.01
 
 
 def test_a_state_that_breaks_the_promise_is_never_returned(monkeypatch):
