@@ -14,6 +14,9 @@ from odt_plugins.mesh.chunks import chunks, spread
 WORDS = 1 << 64
 """Number of different keys that 64 bits can hold."""
 
+SHARE = 1 << 16
+"""Fewer keys than so many for each thread are sorted by one."""
+
 
 class UnevenFacets(NamedTuple):
     """Facets that do not have just one cell on each side, by their vertices in increasing order.
@@ -87,6 +90,16 @@ def directed_facets(
     return key, odd[:, None] ^ (np.arange(k) & 1)
 
 
+def _sort(values: NDArray[Any], threads: int) -> None:
+    """Sort in place, by shares of equal length, one a thread, with larger and larger values."""
+    size = len(values)
+    shares = threads if size >= threads * SHARE else 1
+    parts = [slice(size * k // shares, size * (k + 1) // shares) for k in range(shares)]
+    if shares > 1:
+        values.partition([part.start for part in parts[1:]])
+    spread(lambda part: values[part].sort(), parts, threads)
+
+
 def uneven_facets(cells: NDArray[np.integer], n: int, threads: int = 1) -> UnevenFacets:
     """Find the facets that do not have just one cell on each side.
 
@@ -108,7 +121,7 @@ def uneven_facets(cells: NDArray[np.integer], n: int, threads: int = 1) -> Uneve
     for first in range(0, n, step):
         keys = partial(_facet_keys, cells, n, first, step)
         key = np.concatenate(spread(keys, chunks(len(cells)), threads))
-        key.sort()
+        _sort(key, threads)
         paired = np.zeros(len(key) + 1, dtype=np.bool_)
         paired[1:-1] = key[:-1] ^ np.uint64(1) == key[1:]
         single.append(_vertices(key[~(paired[1:] | paired[:-1])], first, n, d))

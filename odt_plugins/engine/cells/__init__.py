@@ -15,7 +15,8 @@ stable on the cell; it has no best cell.
 `tet_energy` is the ODT energy (2.2) of one tetrahedron, `triangle_shape` and `triangle_measure`
 are the measures of a triangle. `circumcenters` (4.6), `barycenters` and `signed_volumes` treat
 all cells of a mesh at once; `inside_sphere` asks whether a facet is locally Delaunay (Definition
-2.1). `Extremes` and `Bounds` are what new cells may not pass unless those they replace do
+2.1). `quality_rows`, `shape_rows` and `add_star_terms` take several tetrahedra side by side.
+`Extremes` and `Bounds` are what new cells may not pass unless those they replace do
 (`worse`, `keeps`).
 
 References

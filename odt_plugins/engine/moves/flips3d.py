@@ -6,8 +6,6 @@ the sum of the cell costs strictly falls, so that a sequence of flips terminates
 
 from __future__ import annotations
 
-from typing import Any
-
 import numpy as np
 
 from odt_plugins.engine.cells.extremes import BEST, Bounds, Extremes, keeps, worse
@@ -178,7 +176,7 @@ def flip_facet(
 @inlined_kernel
 def facet_worth(
     tets: Tets, c: int, f: int, cost: Cost, allowance: float, ring: Ring
-) -> tuple[float, Any]:
+) -> tuple[float, np.int64]:
     """As :func:`ring_worth` for facet f of cell c: cost of its cells, the cell across or -1."""
     objective = cost.objective
     across = np.int64(tets.neighbors[c, f])
@@ -194,7 +192,7 @@ def facet_worth(
 
 @inner_kernel
 def _flip_facet(
-    tets: Tets, c: int, f: int, across: int, before: float, cost: Cost, bounds: Bounds,
+    tets: Tets, c: int, f: int, across: np.int64, before: float, cost: Cost, bounds: Bounds,
     allowance: float, ring: Ring, journal: Journal,
 ) -> tuple[float, int]:
     """Flip a facet found by :func:`facet_worth`."""

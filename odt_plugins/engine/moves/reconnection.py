@@ -28,7 +28,7 @@ from odt_plugins.engine.cells.tetrahedron import (
     tet_cost,
     tet_quality,
 )
-from odt_plugins.engine.compiled.kernel import allocating_kernel, inner_kernel, kernel
+from odt_plugins.engine.compiled.kernel import allocating_kernel, inlined_kernel, inner_kernel
 from odt_plugins.engine.moves.cavity import Journal, make_journal, replace_cavity
 from odt_plugins.engine.moves.flips3d import REAL, worst_of
 from odt_plugins.engine.topology.lookup import is_in
@@ -61,6 +61,8 @@ class Room(NamedTuple):
     cells : (MOST_CELLS + DEPTH,) int32    of the polyhedron; after an exchange those in their place
     vertices : (MOST_VERTICES,) int32      global numbers
     spoils : (MOST_CELLS,) int32           cells that would put a vertex inside
+    beside : (MOST_CELLS, 4) float64       costs of the cells across its facets, nan where not
+                                           computed
     corners : (FACETS, 3) int64            vertices of every facet
     state : (FACETS,) uint8                see :data:`UNSEEN`
     costs : (TETRAHEDRA,) float64          nan where not computed, inf where not allowed
@@ -85,6 +87,7 @@ class Room(NamedTuple):
     cells: IntArray
     vertices: IntArray
     spoils: IntArray
+    beside: FloatArray
     corners: LongArray
     state: ByteArray
     costs: FloatArray
@@ -132,6 +135,7 @@ def make_room() -> Room:
         np.empty(MOST_CELLS + DEPTH, np.int32),
         np.empty(MOST_VERTICES, np.int32),
         np.empty(MOST_CELLS, np.int32),
+        np.empty((MOST_CELLS, 4)),
         corners,
         np.empty(FACETS, np.uint8),
         np.empty(TETRAHEDRA),
@@ -193,7 +197,7 @@ def _encloses(tets: Tets, n: int, n_vertices: int, room: Room) -> bool:
     return seen != (1 << n_vertices) - 1
 
 
-@inner_kernel
+@inlined_kernel
 def grow_polyhedron(tets: Tets, c: int, cost: Cost, room: Room) -> tuple[int, int]:
     """Collect cells around cell c until no more fit; the numbers of cells and of vertices.
 
@@ -205,6 +209,7 @@ def grow_polyhedron(tets: Tets, c: int, cost: Cost, room: Room) -> tuple[int, in
     n_vertices = np.int64(4)
     n_spoils = np.int64(0)
     mine[0] = c
+    room.beside[:] = np.nan
     for a in range(4):
         vertices[a] = cells[c, a]
     for _ in range(2 * MOST_CELLS):
@@ -225,7 +230,9 @@ def grow_polyhedron(tets: Tets, c: int, cost: Cost, room: Room) -> tuple[int, in
                         missing += 1
                 if n_vertices + missing > MOST_VERTICES:
                     continue
-                badness = cell_cost(tets.points, cells, t, cost)
+                if math.isnan(room.beside[m, f]):
+                    room.beside[m, f] = cell_cost(tets.points, cells, t, cost)
+                badness = room.beside[m, f]
                 rank = badness / (1.0 + badness) + (1.0 if missing == 0 else 0.0)
                 if rank > most * (1.0 + ALIKE):
                     most = rank
@@ -262,7 +269,7 @@ def _inserted(x: int, a: int, b: int, c: int) -> tuple[int, int, int, int, int]:
     return a, b, c, x, 3
 
 
-@inner_kernel
+@inlined_kernel
 def _begin(tets: Tets, n: int, n_vertices: int, cost: Cost, room: Room) -> None:
     """Make the facets around the first n cells the front, and forget all costs but theirs.
 
@@ -300,7 +307,7 @@ def _begin(tets: Tets, n: int, n_vertices: int, cost: Cost, room: Room) -> None:
     room.total[0] = 0.0
 
 
-@inner_kernel
+@inlined_kernel
 def _weigh(
     tets: Tets, a: int, b: int, c: int, d: int, cost: Cost, most: float, limit: Extremes,
     locked: Extremes, room: Room,
@@ -326,7 +333,7 @@ def _weigh(
     room.turned[n] = turned
 
 
-@inner_kernel
+@inlined_kernel
 def _beside(a: int, b: int, c: int, odd: int, place: int, x: int) -> tuple[int, int]:
     """Number and state of the facet that is left open when x closes facet (a, b, c)."""
     if place == 0:
@@ -339,7 +346,7 @@ def _beside(a: int, b: int, c: int, odd: int, place: int, x: int) -> tuple[int, 
     return facet_number(a, b, c), EVEN + (odd ^ more)
 
 
-@inner_kernel
+@inlined_kernel
 def _matches(a: int, b: int, c: int, odd: int, x: int, state: ByteArray) -> bool:
     """Whether every other facet of the cell of x and facet (a, b, c) is still wanted, or unseen."""
     for place in range(3):
@@ -349,7 +356,7 @@ def _matches(a: int, b: int, c: int, odd: int, x: int, state: ByteArray) -> bool
     return True
 
 
-@inner_kernel
+@inlined_kernel
 def _branch(
     tets: Tets, depth: int, n_vertices: int, cost: Cost, most: float, left: float,
     limit: Extremes, locked: Extremes, room: Room,
@@ -406,8 +413,8 @@ def _branch(
     room.n_choices[depth] = n_choices
 
 
-@kernel
-def _put(depth: int, x: int, room: Room) -> None:
+@inlined_kernel
+def _put_cell(depth: int, x: int, room: Room) -> None:
     """Put the cell of vertex x on the chosen facet; what is open then is the next front."""
     state, front, before = room.state, room.front, room.before
     chosen = before[depth, 3, 0]
@@ -442,7 +449,7 @@ def _put(depth: int, x: int, room: Room) -> None:
     room.n_front[depth + 1] = n
 
 
-@inner_kernel
+@inlined_kernel
 def fill_polyhedron(
     tets: Tets, n_vertices: int, cost: Cost, most: float, limit: Extremes, locked: Extremes,
     room: Room,
@@ -484,7 +491,7 @@ def fill_polyhedron(
             total = room.total[depth] + room.price[depth, turn]
             if not total < least:
                 continue
-            _put(depth, room.choices[depth, turn], room)
+            _put_cell(depth, room.choices[depth, turn], room)
             room.total[depth + 1] = total
             depth += 1
             arrived = True
@@ -512,7 +519,7 @@ def _as_it_was(cells: IntArray, n: int, m: int, room: Room) -> None:
             return
 
 
-@inner_kernel
+@inlined_kernel
 def reconnect_cell(
     tets: Tets, c: int, cost: Cost, bounds: Bounds, room: Room, journal: Journal
 ) -> bool:

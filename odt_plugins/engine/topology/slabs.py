@@ -20,7 +20,7 @@ from odt_plugins.engine.topology.complex import Complex
 from odt_plugins.engine.topology.tets import FREE, FULL, USED, Tets
 from odt_plugins.mesh.arrays import BoolArray, ByteArray, IntArray, LongArray
 
-WORTH = 0.08
+WORTH = 0.02
 """Flips at fewer cells than this part of all are done in one go."""
 
 LEFT, GONE = 254, 255
