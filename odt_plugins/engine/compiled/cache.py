@@ -34,7 +34,7 @@ def keep_by(stamp: str, dispatcher: Any) -> None:
     """
     with contextlib.suppress(ImportError, AttributeError, TypeError):
         from numba.core.caching import IndexDataCacheFile
-        from numba.core.runtime import rtsys
+        from numba.core.runtime.nrt import rtsys
 
         cache = dispatcher._cache
         kept, locator, save = cache._impl, cache._impl.locator, cache.save_overload

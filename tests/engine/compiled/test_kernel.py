@@ -178,10 +178,11 @@ assert vertex_stars(np.array([[0, 1, 2]], dtype=np.int32), 3).indptr.tolist() ==
 assert make_derivatives()[0].dtype == np.float64
 print("numba.np.arraymath" in sys.modules, "scipy.linalg" in sys.modules)
 """
-    for compiled in ("True True", "False False"):
+    env = dict(os.environ) | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    for imported in ("True True", "False False"):
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True,
-                              check=False, env=dict(os.environ) | {"NUMBA_CACHE_DIR": str(tmp_path)})
-        assert done.stdout.strip() == compiled, done.stderr
+                              check=False, env=env)
+        assert done.stdout.strip() == imported, done.stderr
 
 
 def test_a_change_in_a_kernel_that_another_file_calls_is_seen(tmp_path):
