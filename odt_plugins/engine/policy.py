@@ -83,6 +83,8 @@ class Policy:
     insertion_effort: float = _chosen(
         0.5, "Insertion ends when it has tried so many operations for every cell of the input,",
         STANDARD)
+    insertion_angles_effort: float = _chosen(
+        1.0, "(so many for the objective min_dihedral)", ANGLES)
     insertion_least_effort: int = _chosen(2000, "and so many besides.", STANDARD)
     insertion_enough: float = _chosen(
         0.03, "A pass over the cells, worst first, ends where less than this part of them gained.",

@@ -155,7 +155,9 @@ def resample_in_rounds(
     report : callable           is told the share that is done
     log : Log
     """
-    effort = POLICY.insertion_least_effort + int(POLICY.insertion_effort * mesh.count())
+    angles = objective == "min_dihedral"
+    share = POLICY.insertion_angles_effort if angles else POLICY.insertion_effort
+    effort = POLICY.insertion_least_effort + int(share * mesh.count())
     good = True
     for done in range(POLICY.insertion_rounds):
         report(done / POLICY.insertion_rounds)
