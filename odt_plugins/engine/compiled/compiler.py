@@ -20,7 +20,7 @@ from numba.core.postproc import PostProcessor
 from numba.core.sigutils import normalize_signature
 from numba.core.typing.context import Context
 
-from odt_plugins.engine.compiled.library import Library
+from odt_plugins.engine.compiled.library import Library, Part
 
 PASSES = (
     untyped_passes.TranslateByteCode,
@@ -121,3 +121,10 @@ def compiler_for(kind: type[Library]) -> type[Compiler]:
             return [passes]
 
     return KernelCompiler
+
+
+WHOLE: dict[str, Any] = {"pipeline_class": compiler_for(Library)}
+"""What numba is told of a kernel that Python calls."""
+
+PART: dict[str, Any] = {"pipeline_class": compiler_for(Part)}
+"""What numba is told of a kernel that only kernels call."""

@@ -7,12 +7,15 @@ from functools import cached_property, partial
 from pathlib import Path
 from typing import Any
 
+import numba
 from numba import njit
 from numba.core.cpu import CPUTargetOptions
 
 from odt_plugins.engine.compiled.cache import keep_by, source_stamp
-from odt_plugins.engine.compiled.compiler import compile_part, compiler_for
-from odt_plugins.engine.compiled.library import Library, Part
+
+TRIED = ("0.68.",)
+"""Versions of numba that :mod:`odt_plugins.engine.compiled.compiler` takes apart; with another one
+kernels are compiled as numba does by itself, which takes longer."""
 
 STAMP = source_stamp(Path(__file__).parents[1])
 """Tells states of the engine apart in the cache of its kernels."""
@@ -25,6 +28,18 @@ COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapp
 """What numba is told of every kernel."""
 
 
+def _own_compiler() -> Any:
+    if not numba.__version__.startswith(TRIED):
+        return None
+    from odt_plugins.engine.compiled import compiler
+
+    return compiler
+
+
+OWN = _own_compiler()
+"""Compiles kernels with less work than numba, None where numba does it by itself."""
+
+
 def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """Decorator of functions that numba compiles, and keeps where there is a place to write to.
 
@@ -33,7 +48,7 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        chosen = COMMON | {"pipeline_class": compiler_for(Library)} | options
+        chosen = COMMON | (OWN.WHOLE if OWN else {}) | options
         try:
             dispatcher = njit(cache=True, **chosen)(function)
         except RuntimeError:
@@ -59,9 +74,12 @@ class InnerKernel:
     """
 
     def __init__(self, function: Callable[..., Any], **options: Any) -> None:
-        chosen = COMMON | UNCOUNTED | {"pipeline_class": compiler_for(Part)} | options
-        self._dispatcher = njit(**chosen | {"no_cpython_wrapper": True})(function)
-        self._dispatcher.compile = partial(compile_part, self._dispatcher)
+        chosen = UNCOUNTED | {"no_cpython_wrapper": True} | options
+        if OWN:
+            self._dispatcher = njit(**COMMON, **OWN.PART, **chosen)(function)
+            self._dispatcher.compile = partial(OWN.compile_part, self._dispatcher)
+        else:
+            self._dispatcher = compiled(**chosen)(function)
         self._numba_type_ = self._dispatcher._numba_type_
 
     def __getattr__(self, name: str) -> Any:

@@ -137,6 +137,32 @@ def test_a_kernel_takes_in_what_it_calls_and_inner_kernels_have_no_machine_code(
                 if f.is_declaration and "third" in f.name]
 
 
+def test_a_numba_that_was_not_tried_compiles_by_itself(tmp_path):
+    (tmp_path / "kernels.py").write_text("""
+import numba
+numba.__version__ = "0.60.0"
+from odt_plugins.engine.compiled.kernel import OWN, inlined_kernel, inner_kernel, kernel
+
+@inlined_kernel
+def third(x: float) -> float:
+    return x / 3.0
+
+@inner_kernel
+def both(x: float) -> float:
+    return third(x) + third(2.0 * x)
+
+@kernel
+def outer(x: float) -> float:
+    return both(x) + third(x)
+
+print(OWN, outer(1.5), both(3.0))
+""", encoding="utf-8")
+    done = subprocess.run([sys.executable, "-m", "kernels"], capture_output=True, text=True,
+                          check=False, env=dict(os.environ) | {"NUMBA_CACHE_DIR": str(tmp_path)},
+                          cwd=tmp_path)
+    assert done.stdout.strip() == "None 2.0 3.0", done.stderr
+
+
 def test_callers_are_taken_in_before_what_they_call():
     codegen = numba.core.registry.cpu_target.target_context.codegen()
     whole, (first, second, third) = Library(codegen, "whole"), (Part(codegen, c) for c in "abc")
