@@ -178,7 +178,8 @@ class Options:
         "Worker threads; the result does not depend on it.", least=1))
     progress: Any = field(default=None, metadata=_told(
         "Callback progress(stage, fraction), where the fraction grows from 0 to 1 over all stages; "
-        "True shows a bar, in a notebook too.", flag=None))
+        "True shows a bar, in a notebook too. Unless False, there is one while kernels are "
+        "compiled, on a terminal and in a notebook.", flag=None))
 
     def __post_init__(self) -> None:
         """Refuse values outside their range, and options that would have no effect."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import sys
 import threading
-from collections.abc import Iterator
-from contextlib import contextmanager
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
 from html import escape
 from typing import Any
 
@@ -63,11 +63,7 @@ def shown() -> Iterator[Progress]:
     ------
     what is told a stage and its share, or COMPILING, which is said once above the bar
     """
-    from numba.core import event
-    from rich.console import Console
-
-    console = Console(stderr=True)
-    with _in_notebook() if console.is_jupyter else _in_terminal(console) as (move, say):
+    with _bar() as (move, say):
         said = threading.Event()
 
         def progress(stage: str, fraction: float) -> None:
@@ -77,30 +73,96 @@ def shown() -> Iterator[Progress]:
                 said.set()
                 say(COMPILING)
 
-        class FirstKernel(event.Listener):  # type: ignore[misc]
-            """Tells that kernels are compiled, which means that none were found in the cache."""
+        def count(number: int) -> None:
+            progress(COMPILING, 0.0)
+            move(f"compiling kernel {number}", None)
 
-            def on_start(self, event: Any) -> None:
-                if event.data["dispatcher"].py_func.__module__.startswith("odt_plugins"):
-                    progress(COMPILING, 0.0)
-
-            def on_end(self, event: Any) -> None:
-                """Nothing to tell."""
-
-        with event.install_listener("numba:compile", FirstKernel()):
+        with _counting(count):
             yield progress
 
 
 @contextmanager
+def kernels_shown(progress: Progress | bool | None) -> Iterator[None]:
+    """Count the kernels that are compiled, in a bar that comes with the first of them.
+
+    Only on a terminal or in a notebook, and where nobody is told how far the work is.
+    """
+    if progress is not None or not _interactive():
+        yield
+        return
+    with ExitStack() as stack:
+        moves: list[Any] = []
+
+        def count(number: int) -> None:
+            if not moves:
+                move, say = stack.enter_context(_bar())
+                moves.append(move)
+                say(COMPILING)
+            moves[0](f"compiling kernel {number}", None)
+
+        stack.enter_context(_counting(count))
+        yield
+
+
+def _interactive() -> bool:
+    """Whether somebody sees a bar; rich, which knows, is only asked where IPython runs."""
+    if sys.stderr is not None and sys.stderr.isatty():
+        return True
+    if "IPython" not in sys.modules:
+        return False
+    from rich.console import Console
+
+    return Console(stderr=True).is_jupyter
+
+
+@contextmanager
+def _counting(count: Callable[[int], None]) -> Iterator[None]:
+    """Tell the number of every kernel of ours that is compiled, as none was found on disk."""
+    from numba.core import event
+
+    class Kernels(event.Listener):  # type: ignore[misc]
+        """Hears of everything that is compiled."""
+
+        number = 0
+
+        def on_start(self, event: Any) -> None:
+            if event.data["dispatcher"].py_func.__module__.startswith("odt_plugins"):
+                self.number += 1
+                count(self.number)
+
+        def on_end(self, event: Any) -> None:
+            """Nothing to tell."""
+
+    with event.install_listener("numba:compile", Kernels()):
+        yield
+
+
+@contextmanager
+def _bar() -> Iterator[tuple[Any, Any]]:
+    """Show a bar, on stderr or in a notebook; gives what moves it and what says a line above it.
+
+    It moves to a stage and a share, or to None where nobody knows the share.
+    """
+    from rich.console import Console
+
+    console = Console(stderr=True)
+    with _in_notebook() if console.is_jupyter else _in_terminal(console) as bar:
+        yield bar
+
+
+@contextmanager
 def _in_terminal(console: Any) -> Iterator[tuple[Any, Any]]:
-    """Show a bar of rich; gives what moves it and what says a line above it."""
+    """As :func:`_bar`, by rich."""
     from rich.progress import BarColumn, Progress, TextColumn, TimeElapsedColumn
 
     bar = Progress(TextColumn("{task.description:<24}"), BarColumn(), TimeElapsedColumn(),
                    console=console, transient=True, redirect_stdout=sys.stdout.isatty())
 
-    def move(stage: str, fraction: float) -> None:
-        bar.update(task, description=stage, total=1.0, completed=min(max(fraction, 0.0), 1.0))
+    def move(stage: str, fraction: float | None) -> None:
+        if fraction is None:
+            bar.update(task, description=stage)
+        else:
+            bar.update(task, description=stage, total=1.0, completed=min(max(fraction, 0.0), 1.0))
 
     with bar:
         task = bar.add_task("reading", total=None)
@@ -109,19 +171,23 @@ def _in_terminal(console: Any) -> Iterator[tuple[Any, Any]]:
 
 @contextmanager
 def _in_notebook() -> Iterator[tuple[Any, Any]]:
-    """Show a bar of HTML, for which no widgets need be installed."""
+    """As :func:`_bar`, of HTML, for which no widgets need be installed."""
     from IPython.display import HTML, display
 
-    def page(stage: str, fraction: float) -> Any:
+    def page(stage: str, fraction: float | None) -> Any:
+        if fraction is None:
+            return HTML(f"<progress></progress> {escape(stage)}")
         return HTML(f'<progress value="{fraction:.3f}" max="1"></progress> '
                     f"{escape(stage)} {100.0 * fraction:.0f} %")
 
     handle = display(page("", 0.0), display_id=True)
     seen = "", 0.0
 
-    def move(stage: str, fraction: float) -> None:
+    def move(stage: str, fraction: float | None) -> None:
         nonlocal seen
-        if stage != seen[0] or fraction >= seen[1] + STEP or fraction == 1.0:
+        if fraction is None:
+            handle.update(page(stage, None))
+        elif stage != seen[0] or fraction >= seen[1] + STEP or fraction == 1.0:
             seen = stage, fraction
             handle.update(page(stage, fraction))
 

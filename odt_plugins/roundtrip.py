@@ -48,7 +48,7 @@ from odt_plugins.mesh.soup import at_copies, same_places
 from odt_plugins.mesh.surface import surface_mesh
 from odt_plugins.mesh.tangled import tangled_mesh
 from odt_plugins.options import Options
-from odt_plugins.progress import part, telling
+from odt_plugins.progress import kernels_shown, part, telling
 from odt_plugins.untangling import Tangle, Wanted, rest_places, untangle_mesh
 
 if TYPE_CHECKING:
@@ -99,7 +99,7 @@ def run_engine(
     before, outcome : the input as the engine reads it, and what the engine handed back
     told : dict          what its report is told besides, by the names of the fields
     """
-    with telling(options.progress, "preparing") as progress:
+    with kernels_shown(options.progress), telling(options.progress, "preparing") as progress:
         tell = progress if options.progress else None
         first = part(progress, 0.0, wanted.share)
         work, given = _prepare(mesh, replace(options, progress=tell and first), wanted)

@@ -12,6 +12,7 @@ import pytest
 import rich.console
 import surface_meshes
 import tet_meshes
+from numba import njit
 from pieces import write_pieces
 
 import odt_plugins
@@ -19,7 +20,7 @@ from odt_plugins import generate, tetwild
 from odt_plugins.compare.start import ball
 from odt_plugins.distributed import optimize as blockwise
 from odt_plugins.options import COMPILING
-from odt_plugins.progress import STEP, part, shown, telling
+from odt_plugins.progress import STEP, kernels_shown, part, shown, telling
 
 
 def tets(seed=2):
@@ -140,6 +141,30 @@ def test_true_shows_a_bar_on_a_terminal(capsys, monkeypatch):
     assert out == ""
     odt_plugins.optimize(tets(), progress=False)
     assert capsys.readouterr() == ("", "")
+
+
+def compile_one():
+    """Compile what counts as a kernel of the package."""
+    function = njit(lambda x: x + 1)
+    function.py_func.__module__ = "odt_plugins.engine"
+    assert function(1) == 2
+
+
+def test_kernels_are_counted_where_nobody_asked_how_far_it_is(capsys, monkeypatch):
+    monkeypatch.setenv("TERM", "xterm")
+    for interactive, asked, shows in ((True, None, True), (True, False, False),
+                                      (False, None, False)):
+        monkeypatch.setattr(sys.stderr, "isatty", lambda on=interactive: on, raising=False)
+        with kernels_shown(asked):
+            pass
+        assert capsys.readouterr() == ("", "")
+        with kernels_shown(asked):
+            compile_one()
+            compile_one()
+        out, err = capsys.readouterr()
+        assert out == ""
+        assert ("compiling kernel 2" in err) == shows
+        assert bool(err) == shows
 
 
 def test_true_shows_a_bar_of_html_in_a_notebook(monkeypatch):

@@ -392,7 +392,8 @@ def batch(
         clock = time.perf_counter()
         stopped = None
         try:
-            rows = batches.run_batch(jobs, client=client, progress=progress)
+            told = progress if callable(progress) else None
+            rows = batches.run_batch(jobs, client=client, progress=told)
         except batches.Stopped as exc:
             rows, stopped = exc.rows, exc
         seconds = time.perf_counter() - clock

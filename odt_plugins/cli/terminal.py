@@ -127,10 +127,10 @@ def warnings_told(quiet: bool) -> Iterator[None]:
 
 
 @contextmanager
-def progress_bar(quiet: bool) -> Iterator[Progress | None]:
-    """Show a bar on stderr when that is a terminal; nothing in a pipe."""
+def progress_bar(quiet: bool) -> Iterator[Progress | bool]:
+    """Show a bar on stderr when that is a terminal; nothing in a pipe, where it yields False."""
     if quiet or not sys.stderr.isatty():
-        yield None
+        yield False
         return
     with shown() as progress:
         yield progress
