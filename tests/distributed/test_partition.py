@@ -487,4 +487,4 @@ def test_a_curved_surface_is_as_good_in_blocks_within_the_same_envelope(small_bl
     assert report.counts["round 2 blocks"] > 0
     assert max(report.surface["forward"], report.surface["backward"]) <= report.surface["envelope"]
     assert report.after.mean_quality == pytest.approx(one[1].after.mean_quality, abs=0.003)
-    assert report.after.p1_quality == pytest.approx(one[1].after.p1_quality, abs=0.01)
+    assert report.after.p1_quality > one[1].after.p1_quality - 0.01

@@ -87,7 +87,8 @@ def _folded(points: FloatArray, facets: IntArray, near: BoolArray) -> tuple[IntA
     longest = np.sqrt(np.max([(e * e).sum(axis=1) for e in edges], axis=0, initial=0.0))
     size = np.abs(determinant([e.T for e in edges]))
     for along in edges[: d - 2]:
-        unit = along / np.sqrt((along * along).sum(axis=1))[:, None]
+        length = np.sqrt((along * along).sum(axis=1))
+        unit = along / np.where(length > 0.0, length, 1.0)[:, None]
         sides = [s - (s * unit).sum(axis=1)[:, None] * unit for s in sides]
     on = (size <= ROUNDING * longest**d) & ((sides[0] * sides[1]).sum(axis=1) > 0.0)
     pairs = np.concatenate([np.column_stack([a, b])[on], np.column_stack([b, a])[on]]) % k

@@ -27,13 +27,15 @@ from odt_plugins.engine.topology.coloring import Coloring, run_chunks
 
 PIECE, COSTLY = 40, 7
 
-COMMON = {"record.figures._cell_shapes": "cells", "topology.order._match_rows": "new"}
+COMMON = {"topology.order._match_rows": "new"}
+FLAT = COMMON | {"record.figures._triangle_shapes": "cells"}
 VOLUME = COMMON | {
+    "record.figures._tet_shapes": "cells",
     "topology.adjacency._match_facets": ("first", "last"),
     "odt.sweeps._move_vertices": ("start", "stop"), "moves.flips3d.flip_pass": "order",
     "moves.newton3d.smooth_vertices": ("start", "stop"), "moves.compound.compound_pass": "order",
 }
-SURFACE = COMMON | {
+SURFACE = FLAT | {
     "surface.odt.move_vertices": ("start", "stop"), "surface.flips._flip_some": "most",
     "surface.newton.smooth_vertices": ("start", "stop"), "ground.crossings._sweep":
     ("start", "stop"), "ground.envelope._upper": "triangles", "ground.reference._across":
@@ -56,7 +58,7 @@ RUNS = {
         "ground.envelope._upper": "triangles"}),
     "insert": (lambda: tm.ball(150, 3), {"insert": True}, VOLUME | {
         "moves.insertion.insertion_pass": "order"}),
-    "plane": (planar, {}, COMMON | {
+    "plane": (planar, {}, FLAT | {
         "topology.adjacency._match_facets": ("first", "last"),
         "odt.sweeps._move_vertices": ("start", "stop"), "moves.flips2d._flip_edges": "most",
         "moves.newton2d.smooth_vertices_2d": ("start", "stop"), "finish.plane._measures": "cells",
