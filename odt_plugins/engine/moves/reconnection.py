@@ -51,6 +51,8 @@ from odt_plugins.engine.topology.lookup import is_in
 from odt_plugins.engine.topology.tets import Tets, all_locked
 from odt_plugins.mesh.arrays import IntArray
 
+UNPROVEN = 2
+"""Added to ``turned`` until it is known whether the cell is within the limits."""
 MOST_NODES = 400
 """Nodes of the tree of fillings that are visited for one polyhedron."""
 
@@ -90,28 +92,45 @@ def _begin(tets: Tets, n: int, n_vertices: int, cost: Cost, room: Room) -> None:
 
 @inlined_kernel
 def _weigh(
-    tets: Tets, a: int, b: int, c: int, d: int, cost: Cost, most: float, limit: Extremes,
-    locked: Extremes, room: Room,
+    tets: Tets, a: int, b: int, c: int, d: int, cost: Cost, most: float, room: Room
 ) -> None:
-    """Write down what the cell a < b < c < d costs, infinite beyond the limits or ``most``."""
+    """Write down what the cell a < b < c < d costs, infinite beyond ``most``."""
     points, vertices = tets.points, room.vertices
     i, j, k, l = vertices[a], vertices[b], vertices[c], vertices[d]
-    turned = 0
+    turned = UNPROVEN
     own = tet_cost(points, i, j, k, l, cost)
     if own == np.inf:
-        i, j = j, i
-        turned = 1
-        own = tet_cost(points, i, j, k, l, cost)
-    if own < most:
-        large, small = tet_cosines(points, i, j, k, l)
-        shape = Extremes(tet_quality(points, i, j, k, l), large, small)
-        if not keeps(shape, locked if all_locked(tets, i, j, k, l) else limit):
-            own = np.inf
-    else:
-        own = np.inf
+        turned = UNPROVEN + 1
+        own = tet_cost(points, j, i, k, l, cost)
     n = cell_number(a, b, c, d)
-    room.costs[n] = own
+    room.costs[n] = own if own < most else np.inf
     room.turned[n] = turned
+
+
+@inlined_kernel
+def _allowed(
+    tets: Tets, a: int, b: int, c: int, d: int, limit: Extremes, locked: Extremes, room: Room
+) -> bool:
+    """Whether the cell a < b < c < d is within the limits; costs are infinite beyond them."""
+    vertices = room.vertices
+    n = cell_number(a, b, c, d)
+    i, j, k, l = vertices[a], vertices[b], vertices[c], vertices[d]
+    room.turned[n] -= UNPROVEN
+    if room.turned[n] == 1:
+        i, j = j, i
+    large, small = tet_cosines(tets.points, i, j, k, l)
+    shape = Extremes(tet_quality(tets.points, i, j, k, l), large, small)
+    if keeps(shape, locked if all_locked(tets, i, j, k, l) else limit):
+        return True
+    room.costs[n] = np.inf
+    return False
+
+
+@inlined_kernel
+def _cell(facet: int, x: int, room: Room) -> tuple[int, int, int, int, int]:
+    """Vertices of the cell of x and a facet in ascending order."""
+    corners = room.corners
+    return inserted(x, corners[facet, 0], corners[facet, 1], corners[facet, 2])
 
 
 @inlined_kernel
@@ -151,14 +170,16 @@ def _branch(
                 continue
             n = np.uint32(code >> 1)
             if math.isnan(costs[n]):
-                i, j, k, l, _ = inserted(
-                    x, room.corners[facet, 0], room.corners[facet, 1], room.corners[facet, 2]
-                )
-                _weigh(tets, i, j, k, l, cost, most, limit, locked, room)
+                i, j, k, l, _ = _cell(facet, x, room)
+                _weigh(tets, i, j, k, l, cost, most, room)
             own = costs[n]
-            if not own < left or turned[n] != (code ^ odd) & 1:
+            if not own < left or (turned[n] ^ code ^ odd) & 1:
                 continue
             if _matches(facet, np.uint32(x), odd, room):
+                if turned[n] >= UNPROVEN:
+                    i, j, k, l, _ = _cell(facet, x, room)
+                    if not _allowed(tets, i, j, k, l, limit, locked, room):
+                        continue
                 room.fits[count] = x
                 prices[count] = own
                 count += 1
