@@ -98,6 +98,8 @@ def finish_phase(mesh: Descending, phase: Phase) -> tuple[int, int]:
             woke = spread(
                 mesh.cells, stars.indptr, stars.indices, moved, mesh.gain, active, mesh.status
             )
+            if woke == 0:
+                break
         if mesh.settled(flipped, woke):
             break
     return flips, moves

@@ -9,7 +9,8 @@ run.
   all cells that wait. In the plane `lawson_flips` goes to Delaunay and `quality_flips` lowers
   F_p.
 - Reconnection: up to two dozen cells around a bad one are filled anew at least cost, by branch and
-  bound over all fillings between their vertices: `reconnection_pass`, `fill_polyhedron`.
+  bound over all fillings between their vertices: `reconnection_pass`, `grow_polyhedron`,
+  `fill_polyhedron`.
 - Newton steps: x -= (H + s I)^-1 g for one vertex, halved until F_p falls: `newton_vertex` and
   `smooth_vertices` in space, `star_cost_2d` and `smooth_vertices_2d` in the plane, `star_cost` in a
   tangent plane, `plane_step`.

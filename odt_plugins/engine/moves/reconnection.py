@@ -15,7 +15,6 @@ exactly once, so nothing else has to be checked.
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
 
 import numpy as np
 
@@ -31,242 +30,31 @@ from odt_plugins.engine.cells.tetrahedron import (
 from odt_plugins.engine.compiled.kernel import allocating_kernel, inlined_kernel, inner_kernel
 from odt_plugins.engine.moves.cavity import Journal, make_journal, replace_cavity
 from odt_plugins.engine.moves.flips3d import REAL, worst_of
+from odt_plugins.engine.moves.polyhedron import (
+    ALIKE,
+    CLOSED,
+    DEPTH,
+    EVEN,
+    INSIDE,
+    MOST_VERTICES,
+    UNSEEN,
+    Room,
+    cell_number,
+    facet_number,
+    grow_polyhedron,
+    inserted,
+    make_room,
+    place_of,
+    sorted_facet,
+)
 from odt_plugins.engine.topology.lookup import is_in
 from odt_plugins.engine.topology.tets import Tets, all_locked
-from odt_plugins.mesh.arrays import ByteArray, FloatArray, IntArray, LongArray
+from odt_plugins.mesh.arrays import IntArray
 
-MOST_VERTICES, MOST_CELLS, MOST_NODES = 13, 24, 400
-"""Of one polyhedron: vertices and cells, and nodes of the tree of its fillings that are visited."""
-FACETS = MOST_VERTICES * (MOST_VERTICES - 1) * (MOST_VERTICES - 2) // 6
-TETRAHEDRA = FACETS * (MOST_VERTICES - 3) // 4
-"""Facets and cells that some vertices of a polyhedron can have."""
-DEPTH = 48
-"""Most cells of a filling."""
-ALIKE = 1e-9
-"""Costs that differ by no more than this part of them are equal: rounding, which is another for
-another unit, must not decide between cells that are mirror images of each other."""
-UNSEEN, EVEN, CLOSED = 0, 1, 3
-"""Facet of no cell so far; one that wants a cell on its positive side, with its vertices in
-ascending order (one more: on the other side); one between two cells, or a cell and the outside."""
-
-
-class Room(NamedTuple):
-    """Room in which one thread looks for fillings; made by :func:`make_room`.
-
-    Vertices of the polyhedron go by their place in ``vertices``, facets and cells by the number
-    that :func:`facet_number` and :func:`cell_number` give their vertices in ascending order.
-
-    Attributes
-    ----------
-    cells : (MOST_CELLS + DEPTH,) int32    of the polyhedron; after an exchange those in their place
-    vertices : (MOST_VERTICES,) int32      global numbers
-    spoils : (MOST_CELLS,) int32           cells that would put a vertex inside
-    beside : (MOST_CELLS, 4) float64       costs of the cells across its facets, nan where not
-                                           computed
-    corners : (FACETS, 3) int64            vertices of every facet
-    state : (FACETS,) uint8                see :data:`UNSEEN`
-    costs : (TETRAHEDRA,) float64          nan where not computed, inf where not allowed
-    turned : (TETRAHEDRA,) uint8           1 when the vertices in ascending order are negative
-    front, n_front : (DEPTH + 1, FACETS) and (DEPTH + 1,) int64
-        facets at every depth that still want a cell
-    total : (DEPTH + 1,) float64           cost of the cells so far
-    fits, prices : (MOST_VERTICES,) int64, float64
-        vertices that fit a facet, and what the cells cost
-    choices, price : (DEPTH + 1, MOST_VERTICES) int64, float64
-        the same at every depth for the chosen facet, the cheapest first
-    n_choices, turn : (DEPTH + 1,) int64   how many they are, and how many of them were tried
-    chosen : (DEPTH + 1, 4) int64          vertices of the cell at every depth; the first is the
-                                           tried one, the others the chosen facet
-    before : (DEPTH + 1, 4, 2) int64       its facets and their states before it came
-    best : (DEPTH, 4) int64                the best filling so far
-    new : (DEPTH, 4) int32                 the same by global numbers
-    border : (4 MOST_CELLS + 4 DEPTH, 5) int32
-        see ``cavity.replace_cavity``
-    """
-
-    cells: IntArray
-    vertices: IntArray
-    spoils: IntArray
-    beside: FloatArray
-    corners: LongArray
-    state: ByteArray
-    costs: FloatArray
-    turned: ByteArray
-    front: LongArray
-    n_front: LongArray
-    total: FloatArray
-    fits: LongArray
-    prices: FloatArray
-    choices: LongArray
-    price: FloatArray
-    n_choices: LongArray
-    turn: LongArray
-    chosen: LongArray
-    before: LongArray
-    best: LongArray
-    new: IntArray
-    border: IntArray
-
-
-@inner_kernel
-def facet_number(a: int, b: int, c: int) -> int:
-    """Number of the facet with the vertices a < b < c."""
-    return c * (c - 1) * (c - 2) // 6 + b * (b - 1) // 2 + a
-
-
-@inner_kernel
-def cell_number(a: int, b: int, c: int, d: int) -> int:
-    """Number of the cell with the vertices a < b < c < d."""
-    return d * (d - 1) * (d - 2) * (d - 3) // 24 + facet_number(a, b, c)
-
-
-@allocating_kernel
-def make_room() -> Room:
-    """Room for one thread."""
-    corners = np.empty((FACETS, 3), np.int64)
-    for c in range(MOST_VERTICES):
-        for b in range(c):
-            for a in range(b):
-                n = facet_number(a, b, c)
-                corners[n, 0] = a
-                corners[n, 1] = b
-                corners[n, 2] = c
-    return Room(
-        np.empty(MOST_CELLS + DEPTH, np.int32),
-        np.empty(MOST_VERTICES, np.int32),
-        np.empty(MOST_CELLS, np.int32),
-        np.empty((MOST_CELLS, 4)),
-        corners,
-        np.empty(FACETS, np.uint8),
-        np.empty(TETRAHEDRA),
-        np.empty(TETRAHEDRA, np.uint8),
-        np.empty((DEPTH + 1, FACETS), np.int64),
-        np.empty(DEPTH + 1, np.int64),
-        np.empty(DEPTH + 1),
-        np.empty(MOST_VERTICES, np.int64),
-        np.empty(MOST_VERTICES),
-        np.empty((DEPTH + 1, MOST_VERTICES), np.int64),
-        np.empty((DEPTH + 1, MOST_VERTICES)),
-        np.empty(DEPTH + 1, np.int64),
-        np.empty(DEPTH + 1, np.int64),
-        np.empty((DEPTH + 1, 4), np.int64),
-        np.empty((DEPTH + 1, 4, 2), np.int64),
-        np.empty((DEPTH, 4), np.int64),
-        np.empty((DEPTH, 4), np.int32),
-        np.empty((4 * MOST_CELLS + 4 * DEPTH, 5), np.int32),
-    )
-
-
-@inner_kernel
-def _place(vertices: IntArray, n: int, v: int) -> int:
-    """Place of vertex v among the first n, -1 if it is not there."""
-    for k in range(n):
-        if vertices[k] == v:
-            return k
-    return -1
-
-
-@inner_kernel
-def _sorted_facet(a: int, b: int, c: int) -> tuple[int, int, int, int]:
-    """Three vertices in ascending order, and 1 if that is an odd permutation."""
-    odd = 0
-    if a > b:
-        a, b = b, a
-        odd ^= 1
-    if b > c:
-        b, c = c, b
-        odd ^= 1
-    if a > b:
-        a, b = b, a
-        odd ^= 1
-    return a, b, c, odd
-
-
-@inner_kernel
-def _encloses(tets: Tets, n: int, n_vertices: int, room: Room) -> bool:
-    """Whether a vertex of the first n cells lies on no facet around them."""
-    seen = 0
-    for m in range(n):
-        c = room.cells[m]
-        for f in range(4):
-            if is_in(tets.neighbors[c, f], room.cells, n):
-                continue
-            for a in range(4):
-                if a != f:
-                    seen |= 1 << _place(room.vertices, n_vertices, tets.cells[c, a])
-    return seen != (1 << n_vertices) - 1
-
-
-@inlined_kernel
-def grow_polyhedron(tets: Tets, c: int, cost: Cost, room: Room) -> tuple[int, int]:
-    """Collect cells around cell c until no more fit; the numbers of cells and of vertices.
-
-    Cells between the vertices that are there come first, then the worst ones.
-    """
-    cells, neighbors, regions = tets.cells, tets.neighbors, tets.regions
-    mine, vertices = room.cells, room.vertices
-    n = np.int64(1)
-    n_vertices = np.int64(4)
-    n_spoils = np.int64(0)
-    mine[0] = c
-    room.beside[:] = np.nan
-    for a in range(4):
-        vertices[a] = cells[c, a]
-    for _ in range(2 * MOST_CELLS):
-        if n == MOST_CELLS:
-            break
-        found = -1
-        most = 0.0
-        for m in range(n):
-            for f in range(4):
-                t = neighbors[mine[m], f]
-                if t < 0 or regions[t] != regions[c] or is_in(t, mine, n):
-                    continue
-                if is_in(t, room.spoils, n_spoils):
-                    continue
-                missing = 0
-                for a in range(4):
-                    if _place(vertices, n_vertices, cells[t, a]) < 0:
-                        missing += 1
-                if n_vertices + missing > MOST_VERTICES:
-                    continue
-                if math.isnan(room.beside[m, f]):
-                    room.beside[m, f] = cell_cost(tets.points, cells, t, cost)
-                badness = room.beside[m, f]
-                rank = badness / (1.0 + badness) + (1.0 if missing == 0 else 0.0)
-                if rank > most * (1.0 + ALIKE):
-                    most = rank
-                    found = t
-        if found < 0:
-            break
-        more = n_vertices
-        for a in range(4):
-            v = cells[found, a]
-            if _place(vertices, more, v) < 0:
-                vertices[more] = v
-                more += 1
-        mine[n] = found
-        if not _encloses(tets, n + 1, more, room):
-            n += 1
-            n_vertices = more
-        elif n_spoils == MOST_CELLS:
-            break
-        else:
-            room.spoils[n_spoils] = found
-            n_spoils += 1
-    return int(n), int(n_vertices)
-
-
-@inner_kernel
-def _inserted(x: int, a: int, b: int, c: int) -> tuple[int, int, int, int, int]:
-    """The vertices x and a < b < c in ascending order, and how many are less than x."""
-    if x < a:
-        return x, a, b, c, 0
-    if x < b:
-        return a, x, b, c, 1
-    if x < c:
-        return a, b, x, c, 2
-    return a, b, c, x, 3
+UNPROVEN = 2
+"""Added to ``turned`` until it is known whether the cell is within the limits."""
+MOST_NODES = 400
+"""Nodes of the tree of fillings that are visited for one polyhedron."""
 
 
 @inlined_kernel
@@ -281,23 +69,18 @@ def _begin(tets: Tets, n: int, n_vertices: int, cost: Cost, room: Room) -> None:
     front = np.int64(0)
     for m in range(n):
         c = room.cells[m]
-        x = _place(room.vertices, n_vertices, tets.cells[c, 0])
-        a, b, d, odd = _sorted_facet(
-            _place(room.vertices, n_vertices, tets.cells[c, 1]),
-            _place(room.vertices, n_vertices, tets.cells[c, 2]),
-            _place(room.vertices, n_vertices, tets.cells[c, 3]),
-        )
-        i, j, k, l, less = _inserted(x, a, b, d)
+        a, b, d, odd = sorted_facet(room.local[m, 1], room.local[m, 2], room.local[m, 3])
+        i, j, k, l, less = inserted(room.local[m, 0], a, b, d)
         number = cell_number(i, j, k, l)
         room.costs[number] = cell_cost(tets.points, tets.cells, c, cost)
         room.turned[number] = (less ^ odd) & 1
         for f in range(4):
-            if is_in(tets.neighbors[c, f], room.cells, n):
+            if room.side[m, f] == INSIDE:
                 continue
             i, j, k = opposite_vertices(tets.cells, c, tets.cells[c, f])
-            a, b, d, odd = _sorted_facet(
-                _place(room.vertices, n_vertices, i), _place(room.vertices, n_vertices, j),
-                _place(room.vertices, n_vertices, k),
+            a, b, d, odd = sorted_facet(
+                place_of(room.vertices, n_vertices, i), place_of(room.vertices, n_vertices, j),
+                place_of(room.vertices, n_vertices, k),
             )
             number = facet_number(a, b, d)
             room.state[number] = EVEN + odd
@@ -309,49 +92,54 @@ def _begin(tets: Tets, n: int, n_vertices: int, cost: Cost, room: Room) -> None:
 
 @inlined_kernel
 def _weigh(
-    tets: Tets, a: int, b: int, c: int, d: int, cost: Cost, most: float, limit: Extremes,
-    locked: Extremes, room: Room,
+    tets: Tets, a: int, b: int, c: int, d: int, cost: Cost, most: float, room: Room
 ) -> None:
-    """Write down what the cell a < b < c < d costs, infinite beyond the limits or ``most``."""
+    """Write down what the cell a < b < c < d costs, infinite beyond ``most``."""
     points, vertices = tets.points, room.vertices
     i, j, k, l = vertices[a], vertices[b], vertices[c], vertices[d]
-    turned = 0
+    turned = UNPROVEN
     own = tet_cost(points, i, j, k, l, cost)
     if own == np.inf:
-        i, j = j, i
-        turned = 1
-        own = tet_cost(points, i, j, k, l, cost)
-    if own < most:
-        large, small = tet_cosines(points, i, j, k, l)
-        shape = Extremes(tet_quality(points, i, j, k, l), large, small)
-        if not keeps(shape, locked if all_locked(tets, i, j, k, l) else limit):
-            own = np.inf
-    else:
-        own = np.inf
+        turned = UNPROVEN + 1
+        own = tet_cost(points, j, i, k, l, cost)
     n = cell_number(a, b, c, d)
-    room.costs[n] = own
+    room.costs[n] = own if own < most else np.inf
     room.turned[n] = turned
 
 
 @inlined_kernel
-def _beside(a: int, b: int, c: int, odd: int, place: int, x: int) -> tuple[int, int]:
-    """Number and state of the facet that is left open when x closes facet (a, b, c)."""
-    if place == 0:
-        a = x
-    elif place == 1:
-        b = x
-    else:
-        c = x
-    a, b, c, more = _sorted_facet(a, b, c)
-    return facet_number(a, b, c), EVEN + (odd ^ more)
+def _allowed(
+    tets: Tets, a: int, b: int, c: int, d: int, limit: Extremes, locked: Extremes, room: Room
+) -> bool:
+    """Whether the cell a < b < c < d is within the limits; costs are infinite beyond them."""
+    vertices = room.vertices
+    n = cell_number(a, b, c, d)
+    i, j, k, l = vertices[a], vertices[b], vertices[c], vertices[d]
+    room.turned[n] -= UNPROVEN
+    if room.turned[n] == 1:
+        i, j = j, i
+    large, small = tet_cosines(tets.points, i, j, k, l)
+    shape = Extremes(tet_quality(tets.points, i, j, k, l), large, small)
+    if keeps(shape, locked if all_locked(tets, i, j, k, l) else limit):
+        return True
+    room.costs[n] = np.inf
+    return False
 
 
 @inlined_kernel
-def _matches(a: int, b: int, c: int, odd: int, x: int, state: ByteArray) -> bool:
-    """Whether every other facet of the cell of x and facet (a, b, c) is still wanted, or unseen."""
-    for place in range(3):
-        other, wanted = _beside(a, b, c, odd, place, x)
-        if state[other] == CLOSED or state[other] == wanted:
+def _cell(facet: int, x: int, room: Room) -> tuple[int, int, int, int, int]:
+    """Vertices of the cell of x and a facet in ascending order."""
+    corners = room.corners
+    return inserted(x, corners[facet, 0], corners[facet, 1], corners[facet, 2])
+
+
+@inlined_kernel
+def _matches(facet: int, x: int, odd: int, room: Room) -> bool:
+    """Whether every other facet of the cell of x and a facet is still wanted, or unseen."""
+    for place in range(1, 4):
+        code = room.tables[facet, x, place]
+        found = room.state[np.uint32(code >> 1)]
+        if found == CLOSED or found == EVEN + (odd ^ (code & 1)):
             return False
     return True
 
@@ -365,29 +153,33 @@ def _branch(
 
     There are no choices where a facet fits no vertex, or all together cost more than is ``left``.
     """
-    state, costs, turned, prices = room.state, room.costs, room.turned, room.prices
+    costs, turned, prices, tables = room.costs, room.turned, room.prices, room.tables
     choices, n_choices = room.choices[depth], 0
     room.n_choices[depth] = 0
     room.turn[depth] = 0
     fewest = MOST_VERTICES + 1
     together = 0.0
     for p in range(room.n_front[depth]):
-        facet = room.front[depth, p]
-        a, b, c = room.corners[facet, 0], room.corners[facet, 1], room.corners[facet, 2]
-        odd = np.int64(state[facet]) - EVEN
+        facet = np.uint32(room.front[depth, p])
+        odd = np.int64(room.state[facet]) - EVEN
         count = 0
         least = np.inf
         for x in range(n_vertices):
-            if x == a or x == b or x == c:
+            code = tables[facet, np.uint32(x), 0]
+            if code < 0:
                 continue
-            i, j, k, l, less = _inserted(x, a, b, c)
-            n = cell_number(i, j, k, l)
+            n = np.uint32(code >> 1)
             if math.isnan(costs[n]):
-                _weigh(tets, i, j, k, l, cost, most, limit, locked, room)
+                i, j, k, l, _ = _cell(facet, x, room)
+                _weigh(tets, i, j, k, l, cost, most, room)
             own = costs[n]
-            if not own < left or turned[n] != (less ^ odd) & 1:
+            if not own < left or (turned[n] ^ code ^ odd) & 1:
                 continue
-            if _matches(a, b, c, odd, x, state):
+            if _matches(facet, np.uint32(x), odd, room):
+                if turned[n] >= UNPROVEN:
+                    i, j, k, l, _ = _cell(facet, x, room)
+                    if not _allowed(tets, i, j, k, l, limit, locked, room):
+                        continue
                 room.fits[count] = x
                 prices[count] = own
                 count += 1
@@ -431,7 +223,8 @@ def _put_cell(depth: int, x: int, room: Room) -> None:
     room.chosen[depth, 2] = b if odd == 0 else a
     room.chosen[depth, 3] = c
     for place in range(3):
-        other, wanted = _beside(a, b, c, odd, place, x)
+        code = np.int64(room.tables[chosen, x, 1 + place])
+        other, wanted = code >> 1, EVEN + (odd ^ (code & 1))
         before[depth, place, 0] = other
         before[depth, place, 1] = state[other]
         if state[other] == UNSEEN:

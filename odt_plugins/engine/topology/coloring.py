@@ -18,7 +18,7 @@ import numpy as np
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import PIECE, pieces, run_ranges
 from odt_plugins.engine.topology.star import OffsetArray
-from odt_plugins.mesh.arrays import BoolArray, IntArray
+from odt_plugins.mesh.arrays import BoolArray, IntArray, LongArray
 
 SMALLEST_BITS = 6
 """A block has at least 2^SMALLEST_BITS vertex numbers."""
@@ -66,16 +66,50 @@ def _touching(
 
 
 @kernel
-def _greedy(touch: BoolArray, color: IntArray, taken: IntArray) -> None:
-    """Give every block the lowest colour free among its neighbours; taken[c] = b marks."""
-    for b in range(color.shape[0]):
+def _arrange(
+    movable: BoolArray, bits: int, touch: BoolArray, room: LongArray, order: IntArray,
+    blocks: OffsetArray, offsets: OffsetArray,
+) -> tuple[int, int, int]:
+    """Colour the blocks and fill the arrays of a :class:`Coloring`; how much of each is in use.
+
+    Every block gets the lowest colour free among its neighbours. ``room`` is (3, blocks + 1).
+    """
+    color, taken, place = room[0], room[1], room[2]
+    count = touch.shape[0] - 1
+    colors = 0
+    for b in range(count):
         for other in range(b):
             if touch[b, other]:
-                taken[color[other]] = b
+                taken[color[other]] = b + 1
         for low in range(b + 1):
-            if taken[low] != b:
+            if taken[low] != b + 1:
                 color[b] = low
+                colors = max(colors, low + 1)
                 break
+    for v in range(movable.shape[0]):
+        if movable[v]:
+            place[v >> bits] += 1
+    total = 0
+    n_blocks = 0
+    n_colors = 0
+    blocks[0] = 0
+    offsets[0] = 0
+    for low in range(colors):
+        for b in range(count):
+            size = place[b]
+            if color[b] == low and size > 0:
+                place[b] = total
+                total += size
+                n_blocks += 1
+                blocks[n_blocks] = total
+        if n_blocks > offsets[n_colors]:
+            n_colors += 1
+            offsets[n_colors] = n_blocks
+    for v in range(movable.shape[0]):
+        if movable[v]:
+            order[place[v >> bits]] = v
+            place[v >> bits] += 1
+    return total, n_blocks, n_colors
 
 
 def _block_bits(n: int) -> int:
@@ -127,19 +161,14 @@ def vertex_coloring(
     """
     if touch is None:
         touch = touching_blocks(cells, movable)
-    vertices = np.flatnonzero(movable)
-    bits, count = _block_bits(len(movable)), len(touch) - 1
-    color = np.zeros(count, dtype=np.int32)
-    _greedy(touch, color, np.full(count + 1, -1, dtype=np.int32))
-    size = np.bincount(vertices >> bits, minlength=count)
-    used = np.flatnonzero(size)
-    used = used[np.argsort(color[used], kind="stable")]
-    place = np.zeros(count, dtype=np.int64)
-    place[used] = np.arange(len(used))
-    order = vertices[np.argsort(place[vertices >> bits], kind="stable")].astype(np.int32)
-    blocks = np.concatenate([[0], np.cumsum(size[used])]).astype(np.int64)
-    groups = np.unique(color[used], return_counts=True)[1]
-    return Coloring(order, blocks, np.concatenate([[0], np.cumsum(groups)]).astype(np.int64))
+    count = len(touch)
+    order = np.empty(len(movable), dtype=np.int32)
+    blocks, offsets = np.empty((2, count), dtype=np.int64)
+    room = np.zeros((3, count), dtype=np.int64)
+    total, n_blocks, n_colors = _arrange(
+        movable, _block_bits(len(movable)), touch, room, order, blocks, offsets
+    )
+    return Coloring(order[:total], blocks[: n_blocks + 1], offsets[: n_colors + 1])
 
 
 def run_chunks(
