@@ -2,8 +2,9 @@
 
 Single flips stop in local minima of F_p.  Here one flip at a bad triangle is taken whatever it
 costs, if it brings no degree further from what the angle around the vertex has room for; Newton
-steps then descend around it, ring after ring.  Of a surface in space the vertices move in the
-tangent planes of their stars.
+steps then descend around it, ring after ring.  A Newton step divides a sum of m^-p by about e
+whatever p, so a descent for a large p starts with a smaller one.  Of a surface in space the
+vertices move in the tangent planes of their stars.
 """
 
 from __future__ import annotations
@@ -33,11 +34,14 @@ MOST_TOUCHED = 64
 """Cells that a descent may touch."""
 DEEP = (3.0, 1.0, 0.35, 0.25, 0.1, 0.0)
 """A descent is given up that is still so many times the bad triangle's own cost down after its
-first, its second and every further sweep; every other sweep reaches one ring of cells further."""
+first, its second and every further sweep, p as at the start or its own; every other sweep reaches
+one ring of cells further."""
+START = 4.0
+"""Largest p of the first two sweeps of a descent, which doubles every other sweep up to its own."""
 LARGEST_STAR = 32
 """Cells around a vertex; one with more is left alone."""
 HOPELESS = 200.0
-"""A forced flip may raise the cost by this many times the bad triangle's own."""
+"""A forced flip may raise F_p by this many times the bad triangle's own cost, p as at the start."""
 LEVEL = 0.01
 """By how little, halved, the sum of the squares of the excess degrees may grow: rounding of angles
 does not decide."""
@@ -56,6 +60,7 @@ class Scratch(NamedTuple):
     axes : (2, d) float64                      orthonormal directions of a plane
     star : (LARGEST_STAR,) int32               cells around a vertex
     touched : (MOST_TOUCHED,) int32            cells that a descent changed
+    before : (MOST_TOUCHED,) float64           their measures before it
     seen : (MOST_TOUCHED,) int32               vertices that were visited in a sweep
     moved : (6 MOST_TOUCHED,) int32            vertices, in the order of their moves
     origin : (6 MOST_TOUCHED, d) float64       where they were before
@@ -67,6 +72,7 @@ class Scratch(NamedTuple):
     axes: FloatArray
     star: IntArray
     touched: IntArray
+    before: FloatArray
     seen: IntArray
     moved: IntArray
     origin: FloatArray
@@ -83,7 +89,7 @@ def make_scratch(dim: int) -> Scratch:
     """Room for one thread."""
     return Scratch(
         np.empty(5), np.eye(2, dim), np.empty(LARGEST_STAR, np.int32),
-        np.empty(MOST_TOUCHED, np.int32), np.empty(MOST_TOUCHED, np.int32),
+        np.empty(MOST_TOUCHED, np.int32), np.empty(MOST_TOUCHED), np.empty(MOST_TOUCHED, np.int32),
         np.empty(len(DEEP) * MOST_TOUCHED, np.int32),
         np.empty((len(DEEP) * MOST_TOUCHED, dim)),
         np.empty(len(DEEP) * MOST_TOUCHED, np.int32), np.zeros(2, np.int64),
@@ -105,11 +111,13 @@ def gather_star_2d(cells: IntArray, neighbors: IntArray, t: int, v: int, star: I
 
 
 @inner_kernel
-def _touch(scratch: Scratch, t: int) -> None:
-    """Add a cell to the touched ones, once."""
+def _touch(mesh: Triangles, objective: int, scratch: Scratch, t: int) -> None:
+    """Add a cell that is about to change to the touched ones, once."""
     n = scratch.counts[TOUCHED]
     if n < MOST_TOUCHED and not is_in(t, scratch.touched, n):
+        a, b, c = mesh.cells[t, 0], mesh.cells[t, 1], mesh.cells[t, 2]
         scratch.touched[n] = t
+        scratch.before[n] = triangle_measure(mesh.points, a, b, c, objective)
         scratch.counts[TOUCHED] += 1
 
 
@@ -117,6 +125,12 @@ def _touch(scratch: Scratch, t: int) -> None:
 def _cost(points: FloatArray, a: int, b: int, c: int, cost: Cost) -> float:
     m = triangle_measure(points, a, b, c, cost.objective)
     return m**-cost.power if m > 0.0 else np.inf
+
+
+@inner_kernel
+def _at_turn(cost: Cost, turn: int) -> Cost:
+    """What a sweep of a descent lowers."""
+    return Cost(cost.objective, min(cost.power, START * 2.0 ** (turn // 2)))
 
 
 def excess_degrees(mesh: Triangles) -> FloatArray:
@@ -156,7 +170,7 @@ class ForcedFlip(NamedTuple):
     Attributes
     ----------
     t, i, s, j : int    the two cells, and their corners opposite of the edge
-    loss : float        growth of F_p; infinite where the edge must stay
+    loss : float        growth of F_p, p as at the start; infinite where the edge must stay
     """
 
     t: int
@@ -172,7 +186,7 @@ def forced_flip(
 ) -> ForcedFlip:
     """One of the nine flips of the edges of a bad cell and of those beside it.
 
-    The edge stays where the sum of the squares of the excess degrees would grow.
+    The edge stays where the sum of the squares of the excess degrees would grow, or F_p too much.
     """
     points, cells, neighbors, regions = mesh
     # sums with a number are of 64 bits, as the other places of a ForcedFlip are
@@ -190,16 +204,20 @@ def forced_flip(
         if excess[a] + excess[d] - excess[b] - excess[c] + 2.0 <= LEVEL and (
             points.shape[1] == 3 or (is_wide(points, a, b, d) and is_wide(points, a, d, c))
         ):
+            cost = _at_turn(rule.cost, 0)
+            x, y, z = cells[bad, 0], cells[bad, 1], cells[bad, 2]
             loss = (
-                _cost(points, a, b, d, rule.cost) + _cost(points, a, d, c, rule.cost)
-                - _cost(points, a, b, c, rule.cost) - _cost(points, d, c, b, rule.cost)
+                _cost(points, a, b, d, cost) + _cost(points, a, d, c, cost)
+                - _cost(points, a, b, c, cost) - _cost(points, d, c, b, cost)
             )
+            if not loss < HOPELESS * _cost(points, x, y, z, cost):
+                loss = np.inf
     return ForcedFlip(t, i, s, j, loss)
 
 
 @kernel
 def _sweep(
-    mesh: Triangles, rule: Rule, known: int, scratch: Scratch
+    mesh: Triangles, rule: Rule, cost: Cost, known: int, scratch: Scratch
 ) -> float:
     """Newton steps of the vertices of the first ``known`` touched cells; returns what they gain."""
     points, cells, neighbors, _ = mesh
@@ -218,16 +236,43 @@ def _sweep(
             scratch.moved[n] = v
             for d in range(points.shape[1]):
                 scratch.origin[n, d] = points[v, d]
+            n_touched = scratch.counts[TOUCHED]
+            for s in range(size):
+                _touch(mesh, cost.objective, scratch, scratch.star[s])
             before, after = newton_vertex_2d(
-                points, cells, scratch.star[:size], v, rule.cost, rule.limit, scratch.derivatives,
+                points, cells, scratch.star[:size], v, cost, rule.limit, scratch.derivatives,
                 scratch.axes,
             )
             if after < before:
                 total += before - after
                 scratch.counts[MOVED] += 1
-                for s in range(size):
-                    _touch(scratch, scratch.star[s])
+            else:
+                scratch.counts[TOUCHED] = n_touched
     return total
+
+
+@inner_kernel
+def touched_shape(mesh: Triangles, cost: Cost, scratch: Scratch) -> tuple[float, Extremes]:
+    """F_p of the touched cells, and their extremes."""
+    total = 0.0
+    found = Extremes(1.0, -1.0, 1.0)
+    for m in range(scratch.counts[TOUCHED]):
+        a, b, c = mesh.cells[scratch.touched[m]]
+        total += _cost(mesh.points, a, b, c, cost)
+        found = worse(found, triangle_extremes(mesh.points, a, b, c))
+    return total, found
+
+
+@inner_kernel
+def _gain(mesh: Triangles, cost: Cost, scratch: Scratch) -> float:
+    """What the touched cells gain, or nothing where there may be more of them than are known."""
+    count = scratch.counts[TOUCHED]
+    if count == MOST_TOUCHED:
+        return 0.0
+    total = 0.0
+    for m in range(count):
+        total += scratch.before[m]**-cost.power
+    return total - touched_shape(mesh, cost, scratch)[0]
 
 
 @inner_kernel
@@ -243,17 +288,26 @@ def force(
     scratch : Scratch    OUT: the touched cells, and what takes all back
     """
     t, i, s, j, loss = forced
-    flip(mesh.cells, mesh.neighbors, edges, t, i, s, j)
+    start = _at_turn(rule.cost, 0).power
+    at_start = own ** (start / rule.cost.power)
     scratch.counts[:] = 0
-    _touch(scratch, t)
-    _touch(scratch, s)
-    total = -loss
+    _touch(mesh, rule.cost.objective, scratch, t)
+    _touch(mesh, rule.cost.objective, scratch, s)
+    flip(mesh.cells, mesh.neighbors, edges, t, i, s, j)
+    total = first = -loss
     known = 0
     for turn in range(len(DEEP)):
         if turn % 2 == 0:
             known = scratch.counts[TOUCHED]
-        total += _sweep(mesh, rule, known, scratch)
-        if total < -DEEP[turn] * own or total > GAIN * own:
+        cost = _at_turn(rule.cost, turn)
+        first += _sweep(mesh, rule, cost, known, scratch)
+        # sums of a larger p are dominated by what comes and goes
+        total = first if rule.cost.power == start else _gain(mesh, rule.cost, scratch)
+        if total > GAIN * own:
+            break
+        if cost.power == start and first < -DEEP[turn] * at_start:
+            break
+        if cost.power == rule.cost.power and total < -DEEP[turn] * own:
             break
     return total
 
@@ -268,18 +322,6 @@ def take_back(
             mesh.points[scratch.moved[m], d] = scratch.origin[m, d]
     t, i, s, j, _ = forced
     take_back_flip(mesh.cells, mesh.neighbors, edges, t, i, s, j)
-
-
-@inner_kernel
-def touched_shape(mesh: Triangles, cost: Cost, scratch: Scratch) -> tuple[float, Extremes]:
-    """F_p of the touched cells, and their extremes."""
-    total = 0.0
-    found = Extremes(1.0, -1.0, 1.0)
-    for m in range(scratch.counts[TOUCHED]):
-        a, b, c = mesh.cells[scratch.touched[m]]
-        total += _cost(mesh.points, a, b, c, cost)
-        found = worse(found, triangle_extremes(mesh.points, a, b, c))
-    return total, found
 
 
 @inner_kernel
@@ -323,7 +365,7 @@ def compound_pass_2d(
         own, limit = standing(mesh, bad, rule)
         for op in range(9):
             forced = forced_flip(mesh, edges, bad, op, rule, excess)
-            if not forced.loss < HOPELESS * own:
+            if not forced.loss < np.inf:
                 continue
             gain = force(mesh, edges, forced, own, rule, scratch)
             if gain > GAIN * own and keeps(touched_shape(mesh, rule.cost, scratch)[1], limit):

@@ -6,6 +6,8 @@ the ground and the touched triangles compared with it.
 
 from __future__ import annotations
 
+import numpy as np
+
 from odt_plugins.engine.cells.extremes import Extremes, keeps
 from odt_plugins.engine.compiled.kernel import allocating_kernel, inner_kernel
 from odt_plugins.engine.ground.closest import walk
@@ -21,7 +23,6 @@ from odt_plugins.engine.ground.sheet import (
 )
 from odt_plugins.engine.moves.compound2d import (
     GAIN,
-    HOPELESS,
     MOST_TOUCHED,
     MOVED,
     TOUCHED,
@@ -70,7 +71,7 @@ def compound_pass(
         own, limit = standing(mesh, bad, rule)
         for op in range(9):
             forced = forced_flip(mesh, edges, bad, op, rule, excess)
-            if not forced.loss < HOPELESS * own or not _may_flip(sheet, forced):
+            if not forced.loss < np.inf or not _may_flip(sheet, forced):
                 continue
             gain = force(mesh, edges, forced, own, rule, scratch)
             if gain > GAIN * own:

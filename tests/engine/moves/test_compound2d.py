@@ -106,6 +106,15 @@ def test_compound_moves_lower_the_sum_where_single_moves_are_stuck(settled, obje
         settled.cells, settled.regions)
 
 
+@pytest.mark.parametrize("power", [16.0, 32.0, 64.0])
+def test_compound_moves_pay_for_a_large_power_too(settled, power):
+    mesh = copy_of(settled)
+    taken = compound(mesh, Cost(QUALITY, power), count=10)
+    was, now = (planar.shape(m.points, m.cells)[0] for m in (settled, mesh))
+    assert taken > 2
+    assert (now**-power).sum() < (was**-power).sum() - was.min() ** -power
+
+
 def test_compound_moves_heed_regions_active_cells_guarded_vertices_and_bounds(settled):
     left = settled.points[settled.cells].mean(axis=1)[:, 0] < 0.0
     parted = copy_of(settled._replace(regions=left.astype(np.int32)))
