@@ -9,6 +9,7 @@ the same space, so each such pair can be exchanged on its own.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import combinations
 from typing import Any
 
 import numpy as np
@@ -177,7 +178,8 @@ def delaunay_exchange(
     if fixed is not None:
         is_fixed = fixed[used]
         worst, worst_fixed = _worst(local, from_cells, from_piece, is_fixed, n_old)
-        _, worst_fixed_there = _worst(local, to_cells, to_piece, is_fixed, n_old)
+        stuck = is_fixed[to_cells].all(axis=1)
+        worst_fixed_there, _ = _worst(local, to_cells[stuck], to_piece[stuck], is_fixed, n_old)
         needed = np.where(np.isfinite(worst_fixed), worst_fixed, np.maximum(worst, fixed_floor))
         refuse("guard", worst_fixed_there < needed)
 
@@ -251,22 +253,33 @@ def _measures(points: FloatArray, cells: IndexArray) -> tuple[FloatArray, FloatA
 def _radius_ratio(points: FloatArray, cells: IndexArray) -> FloatArray:
     """Radius ratio d r / R (5.1) of cells of positive volume."""
     dim = points.shape[1]
-    x = points[cells]
+    x = np.ascontiguousarray(points[cells].transpose(1, 2, 0))
     volume, _, _ = _measures(points, cells)
-    length = [[np.linalg.norm(x[:, i] - x[:, j], axis=1) for j in range(dim + 1)]
-              for i in range(dim + 1)]
+    length = {(i, j): _norm(x[i] - x[j]) for i, j in combinations(range(dim + 1), 2)}
     if dim == 2:
-        a, b, c = length[1][2], length[0][2], length[0][1]
+        a, b, c = length[1, 2], length[0, 2], length[0, 1]
         ratio: FloatArray = 16.0 * volume**2 / ((a + b + c) * a * b * c)
         return ratio
     surface = np.zeros(len(cells))
     for i, j, k in ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)):
-        surface += np.linalg.norm(np.cross(x[:, j] - x[:, i], x[:, k] - x[:, i]), axis=1) / 2.0
-    p, q, r = (length[0][i] * length[j][k] for i, j, k in ((1, 2, 3), (2, 1, 3), (3, 1, 2)))
+        surface += _norm(_cross(x[j] - x[i], x[k] - x[i])) / 2.0
+    p, q, r = (length[0, i] * length[j, k] for i, j, k in ((1, 2, 3), (2, 1, 3), (3, 1, 2)))
     root = np.sqrt(np.maximum((p + q + r) * (p + q - r) * (p - q + r) * (q + r - p), 0.0))
     # r = 3V/S and R = sqrt(...)/(24V); a root that rounds to zero belongs to a flat cell
     ratio = np.divide(216.0 * volume**2, surface * root, out=np.zeros_like(root), where=root > 0.0)
     return ratio
+
+
+def _norm(vectors: FloatArray) -> FloatArray:
+    """Lengths (m,) of vectors (d, m)."""
+    length: FloatArray = np.sqrt(sum(x * x for x in vectors))
+    return length
+
+
+def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
+    """Cross products (3, m) of vectors (3, m)."""
+    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
+                     a[0] * b[1] - a[1] * b[0]])
 
 
 def _matching_pieces(
