@@ -49,18 +49,18 @@ def bounds_of(points, cells):
     return np.array([q, np.cos(np.radians(small)), np.cos(np.radians(large))])
 
 
-@pytest.mark.parametrize(("name", "place", "mean"), [
-    ("quarter of a ring", ring, 0.9),
-    ("rectangle", lambda i, j: (1.5 * i, j), 0.88),
-    ("graded square", lambda i, j: (i**1.5, j**1.5), 0.9),
+@pytest.mark.parametrize(("name", "place", "mean", "repairs"), [
+    ("quarter of a ring", ring, 0.9, 1),
+    ("rectangle", lambda i, j: (1.5 * i, j), 0.88, None),
+    ("graded square", lambda i, j: (i**1.5, j**1.5), 0.9, 1),
 ])
-def test_structured_meshes_gain_within_their_extremes(name, place, mean):
+def test_structured_meshes_gain_within_their_extremes(name, place, mean, repairs):
     points, cells = structured(16, 16, place)
     mesh = mesh_of(points, cells)
     outcome = run(mesh, Options())
     assert_promise(mesh, outcome)
     assert outcome.fallback is None
-    assert outcome.counts["repairs"] == 1
+    assert outcome.counts.get("repairs") == repairs
     assert pm.shape(points, cells)[0].mean() < 0.83
     assert pm.shape(outcome.points, outcome.cells)[0].mean() > mean
 
