@@ -7,9 +7,9 @@ of all kernels (`source_stamp`), so that no kernel runs with the code of an olde
 calls. `thread_pool` and `run_ranges` give parts of a range to threads, cut alike for any number
 of them.
 
-numba's front end runs without the passes that no kernel needs (`compiler`).  A kernel that only
+numba's front end runs without the passes that no kernel needs (`compiler_for`).  A kernel that only
 kernels call is typed once and has no machine code of its own: the code of all that a kernel needs
-is put together and optimised once, where Python calls it (`library`).
+is put together and optimised once, where Python calls it (`Library`).
 
 Source: numba, https://numba.readthedocs.io.
 """

@@ -121,7 +121,7 @@ def cell_number(a: int, b: int, c: int, d: int) -> int:
 
 
 @inner_kernel
-def inserted(x: int, a: int, b: int, c: int) -> tuple[int, int, int, int, int]:
+def ascending_cell(x: int, a: int, b: int, c: int) -> tuple[int, int, int, int, int]:
     """The vertices x and a < b < c in ascending order, and how many are less than x."""
     if x < a:
         return x, a, b, c, 0
@@ -177,7 +177,7 @@ def make_room() -> Room:
                     if x in (a, b, c):
                         tables[n, x, 0] = -1
                         continue
-                    i, j, k, l, less = inserted(x, a, b, c)
+                    i, j, k, l, less = ascending_cell(x, a, b, c)
                     tables[n, x, 0] = 2 * cell_number(i, j, k, l) + (less & 1)
                     for place in range(3):
                         tables[n, x, 1 + place] = _beside(a, b, c, place, x)

@@ -39,10 +39,10 @@ from odt_plugins.engine.moves.polyhedron import (
     MOST_VERTICES,
     UNSEEN,
     Room,
+    ascending_cell,
     cell_number,
     facet_number,
     grow_polyhedron,
-    inserted,
     make_room,
     place_of,
     sorted_facet,
@@ -70,7 +70,7 @@ def _begin(tets: Tets, n: int, n_vertices: int, cost: Cost, room: Room) -> None:
     for m in range(n):
         c = room.cells[m]
         a, b, d, odd = sorted_facet(room.local[m, 1], room.local[m, 2], room.local[m, 3])
-        i, j, k, l, less = inserted(room.local[m, 0], a, b, d)
+        i, j, k, l, less = ascending_cell(room.local[m, 0], a, b, d)
         number = cell_number(i, j, k, l)
         room.costs[number] = cell_cost(tets.points, tets.cells, c, cost)
         room.turned[number] = (less ^ odd) & 1
@@ -127,10 +127,10 @@ def _allowed(
 
 
 @inlined_kernel
-def _cell(facet: int, x: int, room: Room) -> tuple[int, int, int, int, int]:
+def _next_cell(facet: int, x: int, room: Room) -> tuple[int, int, int, int, int]:
     """Vertices of the cell of x and a facet in ascending order."""
     corners = room.corners
-    return inserted(x, corners[facet, 0], corners[facet, 1], corners[facet, 2])
+    return ascending_cell(x, corners[facet, 0], corners[facet, 1], corners[facet, 2])
 
 
 @inlined_kernel
@@ -170,14 +170,14 @@ def _branch(
                 continue
             n = np.uint32(code >> 1)
             if math.isnan(costs[n]):
-                i, j, k, l, _ = _cell(facet, x, room)
+                i, j, k, l, _ = _next_cell(facet, x, room)
                 _weigh(tets, i, j, k, l, cost, most, room)
             own = costs[n]
             if not own < left or (turned[n] ^ code ^ odd) & 1:
                 continue
             if _matches(facet, np.uint32(x), odd, room):
                 if turned[n] >= UNPROVEN:
-                    i, j, k, l, _ = _cell(facet, x, room)
+                    i, j, k, l, _ = _next_cell(facet, x, room)
                     if not _allowed(tets, i, j, k, l, limit, locked, room):
                         continue
                 room.fits[count] = x
