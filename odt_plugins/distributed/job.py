@@ -156,9 +156,10 @@ def _end_with(parent: int, folder: str) -> None:
 def outside(exc: BaseException) -> bool:
     """Whether a failure comes from the system or a missing package, not from the input."""
     # Errors of the system have a number, those of a parser have none. A writer that finds no room
-    # may end its process.
+    # may end its process, or leave a file that cannot be read.
+    if str(exc).startswith("cannot write"):
+        return True
     return any(isinstance(cause, ImportError) or getattr(cause, "errno", None) is not None
-               or (isinstance(cause, ChildProcessError) and "cannot write" in str(exc))
                or (isinstance(cause, CrashError) and -cause.code in FROM_OUTSIDE)
                for cause in _causes(exc))
 
