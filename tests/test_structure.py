@@ -40,6 +40,7 @@ MAY_IMPORT = {
     "generate": {"adapters", "api", "carry", "engine", "progress", "report", "table", "tetwild",
                  *BASE},
     "compare": {"adapters", "api", "engine", "generate", "report", *BASE},
+    "ahead": {"api", "compare", "engine"},
     "distributed": {"adapters", "api", "carry", "compare", "engine", "generate", "progress",
                     "report", "roundtrip", "signals", "table", "tetwild", "untangling", *BASE},
     "cli": {"adapters", "api", "compare", "distributed", "generate", "hosts", "progress", "report",

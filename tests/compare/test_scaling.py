@@ -174,18 +174,23 @@ def test_triad_is_a_plausible_speed():
     assert 1e8 < triad_bandwidth(1 << 16) < 1e13
 
 
-def test_first_results_are_measured_with_and_without_kernels_on_disk(monkeypatch):
-    write = "import os, pathlib; p = pathlib.Path(os.environ['NUMBA_CACHE_DIR']); "
+def test_first_results_are_measured_with_and_without_kernels(monkeypatch):
+    write = """import os, pathlib
+kept = pathlib.Path(os.environ["NUMBA_CACHE_DIR"])
+named = "NUMBA_CPU_NAME" in os.environ
+"""
+    monkeypatch.delenv("NUMBA_CPU_NAME", raising=False)
     monkeypatch.setattr(cold, "JOBS", (
-        ("first", write + "p.mkdir(); (p / 'kernel').touch(); sum(range(10**7))", True),
-        ("again", write + "assert (p / 'kernel').exists()", False),
-        ("another", write + "assert not p.exists()", True),
+        ("ahead", write + "assert not kept.exists() and not named", cold.INSTALLED),
+        ("first", write + "assert named; kept.mkdir(); sum(range(10**7))", cold.NONE),
+        ("again", write + "assert named and kept.exists()", cold.KEPT),
+        ("another", write + "assert named and not kept.exists()", cold.NONE),
     ))
     rows = cold.cold_part([], 1, silent).tables[0].rows
-    assert [row[:2] for row in rows] == [
-        ("first", "empty"), ("again", "kept"), ("another", "empty")]
+    assert [row[:2] for row in rows] == [("ahead", cold.INSTALLED), ("first", cold.NONE),
+                                         ("again", cold.KEPT), ("another", cold.NONE)]
     assert min(min(row[2:]) for row in rows) > 0
-    assert rows[0][3] > rows[1][3]
+    assert rows[1][3] > rows[2][3]
 
 
 def test_tables_are_aligned():

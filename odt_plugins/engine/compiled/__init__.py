@@ -2,9 +2,12 @@
 
 A kernel is a function of scalars and arrays that numba compiles (`compiled`): it holds no lock of
 Python, allocates nothing in inner loops, and its result does not depend on the number of threads.
-numba keeps machine code beside the source; `keep_by` gives it a name with the hash of the sources
-of all kernels (`source_stamp`), so that no kernel runs with the code of an older one that it
-calls. `thread_pool` and `run_ranges` give parts of a range to threads, cut alike for any number
+Machine code is kept on disk (`KernelCache`) under a name with the hash of the sources of all
+kernels (`source_stamp`), so that no kernel runs with the code of an older one that it calls. What
+usual runs need is compiled while the package is installed (`AHEAD`, `common_machine`;
+`odt_plugins.ahead` says what that is): a run only loads it. Everything else is compiled by the
+first run that needs it and kept for the next.
+`thread_pool` and `run_ranges` give parts of a range to threads, cut alike for any number
 of them.
 
 numba's front end runs without the passes that no kernel needs (`compiler_for`).  A kernel that only

@@ -1,16 +1,61 @@
 """Machine code on disk that goes with the source of all kernels.
 
-numba keeps a kernel for as long as the file stays as it is in which that kernel stands. The kernels
-of other files that it calls are part of its machine code, though: where one of those changes, as
-in a working copy that is updated in place, the old code would go on being used.
+A kernel takes in the code of those that it calls, in files of its own or of others: its name on
+disk has the hash of all of them, of what compiled it and of the processor that it is for.  Code
+comes from :data:`AHEAD`, which an installation fills, or else from where this user's processes keep
+what they compile.
 """
 
 from __future__ import annotations
 
 import contextlib
 import hashlib
+import os
+import pickle
+import sys
+import tempfile
+from collections.abc import Callable
+from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
+
+import llvmlite.binding as llvm
+import numba
+from numba.core.caching import FunctionCache, NullCache
+from numba.core.runtime.nrt import rtsys
+from numba.core.serialize import dumps
+
+from odt_plugins.engine.compiled.code import from_disk, to_disk
+
+AHEAD = Path(__file__).parent / "ahead"
+"""Kernels that were compiled when the package was installed, for :func:`common_machine`."""
+
+SUFFIX = ".kernel"
+"""Of the files with machine code."""
+
+PROCESSORS = {
+    "x86-64-v3": ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe", "xsave"),
+    "x86-64-v2": ("cx16", "popcnt", "sse4.2", "ssse3"),
+}
+"""Processors that many share, by LLVM's name, the better first: what they have to have."""
+
+
+@cache
+def common_machine(system: str) -> tuple[str, str, str]:
+    """Give the best of the processors in common use that this one can stand in for.
+
+    Parameters
+    ----------
+    system : str    LLVM's name of processor family and system
+
+    Returns
+    -------
+    system, processor, features    as numba tells machines apart; what the environment variables
+                                   NUMBA_CPU_NAME and NUMBA_CPU_FEATURES are for its kernels
+    """
+    known = llvm.get_host_cpu_features()
+    fitting = (name for name, needed in PROCESSORS.items() if all(map(known.get, needed)))
+    return system, next(fitting, "generic"), ""
 
 
 def source_stamp(folder: Path) -> str:
@@ -25,34 +70,87 @@ def source_stamp(folder: Path) -> str:
     return digest.hexdigest()[:12]
 
 
-def keep_by(stamp: str, dispatcher: Any) -> None:
-    """Keep a cached kernel under a name of its own for every stamp, as long as there is room.
+@cache
+def _file_stamp(name: str) -> bytes:
+    """Hash of a file, of its name where it cannot be read."""
+    try:
+        return hashlib.sha256(Path(name).read_bytes()).digest()
+    except OSError:
+        return name.encode()
 
-    Processes with other sources then never read or write the same file. On a full disk a kernel
-    is compiled in every process. A numba that caches in a way unknown here goes on as it does.
-    Code that is found needs nothing of what numba imports for compiling, half a second of work.
+
+class KernelCache(NullCache):  # type: ignore[misc]
+    """What numba asks for a kernel before it compiles it, and tells of it afterwards.
+
+    Processes with other sources never read or write the same file.  On a full disk, and where
+    nothing may be written, a kernel is compiled in every process.  Code that is found needs
+    nothing of what numba imports for compiling, half a second of work.
+
+    Parameters
+    ----------
+    function : callable    the kernel
+    stamp : str            hash of the sources of all kernels
     """
-    with contextlib.suppress(ImportError, AttributeError, TypeError):
-        from numba.core.caching import IndexDataCacheFile
-        from numba.core.runtime.nrt import rtsys
 
-        cache = dispatcher._cache
-        kept, locator, save = cache._impl, cache._impl.locator, cache.save_overload
+    def __init__(self, function: Callable[..., Any], stamp: str) -> None:
+        self._function, self._stamp = function, stamp
 
-        def save_where_there_is_room(signature: Any, data: Any) -> None:
+    @cached_property
+    def _locator(self) -> Any:
+        """What numba knows of the place to write to; None where there is none."""
+        try:
+            return FunctionCache(self._function)._impl.locator
+        except RuntimeError:
+            return None
+
+    @property
+    def cache_path(self) -> str | None:
+        """Directory to write to."""
+        return str(self._locator.get_cache_path()) if self._locator else None
+
+    def load_overload(self, sig: Any, target_context: Any) -> Any:
+        """Give a kernel for these types of arguments, None if there is none on disk."""
+        rtsys.initialize(target_context)
+        machine = target_context.codegen().magic_tuple()
+        places = []
+        if not os.environ.get("NUMBA_CPU_NAME"):
+            places.append(AHEAD / self._name(sig, common_machine(machine[0])))
+        if self.cache_path:
+            places.append(Path(self.cache_path) / self._name(sig, machine))
+        for path in places:
+            with contextlib.suppress(OSError, EOFError, pickle.UnpicklingError):
+                return from_disk(target_context, pickle.loads(path.read_bytes()))
+        return None
+
+    def save_overload(self, sig: Any, data: Any) -> None:
+        """Keep a kernel for these types of arguments, where there is a place and room."""
+        if self.cache_path and not data.library.has_dynamic_globals:
             with contextlib.suppress(OSError):
-                save(signature, data)
+                self._locator.ensure_cache_path()
+                write(Path(self.cache_path) / self._name(sig, data.codegen.magic_tuple()),
+                      dumps(to_disk(data)))
 
-        load, guard = cache._load_overload, cache._guard_against_spurious_io_errors
+    def _name(self, sig: Any, machine: tuple[str, ...]) -> str:
+        code = self._function.__code__
+        closure = [cell.cell_contents for cell in self._function.__closure__ or ()]
+        key = (numba.__version__, sys.implementation.cache_tag, machine, self._stamp,
+               _file_stamp(code.co_filename), code.co_firstlineno, closure, str(sig))
+        digest = hashlib.sha256(repr(key).encode()).hexdigest()
+        return f"{self._function.__module__}.{self._function.__name__}.{digest[:20]}{SUFFIX}"
 
-        def load_alone(signature: Any, context: Any) -> Any:
-            rtsys.initialize(context)
-            with guard():
-                return load(signature, context)
 
-        cache._cache_file = IndexDataCacheFile(  # type: ignore[no-untyped-call]
-            cache_path=locator.get_cache_path(), filename_base=f"{kept.filename_base}.{stamp}",
-            source_stamp=locator.get_source_stamp(),
-        )
-        cache.save_overload = save_where_there_is_room
-        cache.load_overload = load_alone
+def write(path: Path, content: bytes) -> None:
+    """Write a file whole or not at all.
+
+    Raises
+    ------
+    OSError
+    """
+    number, name = tempfile.mkstemp(dir=path.parent)
+    try:
+        with os.fdopen(number, "wb") as file:
+            file.write(content)
+        os.replace(name, path)
+    except BaseException:
+        os.unlink(name)
+        raise

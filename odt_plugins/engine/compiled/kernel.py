@@ -11,7 +11,7 @@ import numba
 from numba import njit
 from numba.core.cpu import CPUTargetOptions
 
-from odt_plugins.engine.compiled.cache import keep_by, source_stamp
+from odt_plugins.engine.compiled.cache import KernelCache, source_stamp
 
 TRIED = ("0.68.",)
 """Versions of numba that :mod:`odt_plugins.engine.compiled.compiler` takes apart; with another one
@@ -48,12 +48,8 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     """
 
     def decorate(function: Callable[..., Any]) -> Any:
-        chosen = COMMON | (OWN.WHOLE if OWN else {}) | options
-        try:
-            dispatcher = njit(cache=True, **chosen)(function)
-        except RuntimeError:
-            return njit(**chosen)(function)
-        keep_by(STAMP, dispatcher)
+        dispatcher: Any = njit(**COMMON | (OWN.WHOLE if OWN else {}) | options)(function)
+        dispatcher._cache = KernelCache(function, STAMP)
         return dispatcher
 
     return decorate

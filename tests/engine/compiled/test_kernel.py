@@ -12,9 +12,11 @@ from pathlib import Path
 
 import numba
 import numpy as np
+import pytest
 from numba.core.caching import NullCache
 
 import odt_plugins
+from odt_plugins.ahead import compile_ahead
 from odt_plugins.engine.cells.sphere import apex_across
 from odt_plugins.engine.cells.tetrahedron import tet_quality
 from odt_plugins.engine.compiled import cache as kernel_cache
@@ -66,23 +68,18 @@ def test_kernels_are_cached_and_divide_as_numpy_does():
 
 
 def test_without_a_place_for_the_cache_kernels_are_compiled_all_the_same(monkeypatch):
-    asked = []
+    def nowhere(function):
+        msg = "cannot cache function: no locator available"
+        raise RuntimeError(msg)
 
-    def njit(**options):
-        asked.append(options)
-        if options.get("cache"):
-            msg = "cannot cache function: no locator available"
-            raise RuntimeError(msg)
-        return numba.njit(**options)
-
-    monkeypatch.setattr(kernel, "njit", njit)
+    monkeypatch.setattr(kernel_cache, "FunctionCache", nowhere)
 
     @kernel.compiled()
     def twice(x: float) -> float:
         return 2.0 * x
 
     assert twice(4.0) == 8.0
-    assert [bool(options.get("cache")) for options in asked] == [True, False]
+    assert twice._cache.cache_path is None
 
 
 def test_a_process_that_may_write_nowhere_can_use_the_engine(tmp_path):
@@ -205,10 +202,10 @@ assert make_derivatives()[0].dtype == np.float64
 print("numba.np.arraymath" in sys.modules, "scipy.linalg" in sys.modules)
 """
     env = dict(os.environ) | {"NUMBA_CACHE_DIR": str(tmp_path)}
-    for imported in ("True True", "False False"):
+    for _ in range(2):
         done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True,
                               check=False, env=env)
-        assert done.stdout.strip() == imported, done.stderr
+    assert done.stdout.strip() == "False False", done.stderr
 
 
 def test_a_change_in_a_kernel_that_another_file_calls_is_seen(tmp_path):
@@ -296,15 +293,105 @@ def test_what_a_kernel_uses_stands_in_files_with_kernels():
             assert not module.startswith("odt_plugins") or kernels.get(module), (name, word)
 
 
-def test_an_unknown_numba_caches_as_it_does(monkeypatch):
-    dispatcher = numba.njit(tet_quality.py_func, cache=True)
-    file = dispatcher._cache._cache_file
-    monkeypatch.setattr("numba.core.caching.IndexDataCacheFile", lambda path: None)
-    kernel_cache.keep_by("0", dispatcher)
-    monkeypatch.delattr("numba.core.caching.IndexDataCacheFile")
-    kernel_cache.keep_by("0", dispatcher)
-    assert dispatcher._cache._cache_file is file
-    kernel_cache.keep_by("0", object())
+LOADED = """
+from pathlib import Path
+from odt_plugins.engine.compiled import cache
+cache.AHEAD = Path({ahead!r})
+from odt_plugins.engine.topology import star
+import numpy as np
+star.vertex_stars(np.array([[0, 1, 2]], dtype=np.int32), 3)
+print(sum(star._count.stats.cache_hits.values()))
+"""
+
+
+def test_kernels_that_were_compiled_ahead_are_not_compiled_again(tmp_path):
+    ahead, kept = tmp_path / "ahead", tmp_path / "kept"
+    (tmp_path / "other.txt").write_text("stays", encoding="utf-8")
+    program = LOADED.format(ahead=str(ahead))
+
+    def hits(**machine: str) -> str:
+        env = os.environ | {"NUMBA_CACHE_DIR": str(kept), **machine}
+        done = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True,
+                              check=True, env=env)
+        return done.stdout.strip()
+
+    compile_ahead(ahead, [program])
+    names = sorted(path.name for path in ahead.iterdir())
+    assert any("_count" in name for name in names)
+    assert all(name.endswith(kernel_cache.SUFFIX) for name in names)
+    assert hits() == "1"
+    assert not list(kept.rglob(f"*{kernel_cache.SUFFIX}"))
+    # Whoever names another processor is given none of them.
+    assert hits(NUMBA_CPU_NAME="generic") == "0"
+    compile_ahead(ahead, [program])
+    assert sorted(path.name for path in ahead.iterdir()) == names
+
+
+def test_compiling_ahead_tells_of_a_program_that_fails(tmp_path):
+    with pytest.raises(subprocess.CalledProcessError):
+        compile_ahead(tmp_path, ["raise SystemExit(3)", "pass"])
+
+
+COVERED = """
+import sys
+from numba.core.dispatcher import Dispatcher
+from odt_plugins import ahead, optimize
+from odt_plugins.compare.start import ball, plate, stored
+
+def known():
+    return {(name, value.py_func.__qualname__, str(types))
+            for name, module in list(sys.modules.items()) if name.startswith("odt_plugins")
+            for value in vars(module).values() if isinstance(value, Dispatcher)
+            for types in value.overloads}
+
+for name in ahead.RUNS:
+    ahead.run(name)
+before = known()
+for name in ("bunny", "bunny-surface"):
+    optimize((stored(name).points, stored(name).cells))
+optimize((plate(1000).points, plate(1000).cells))
+optimize((stored("bone").points, stored("bone").cells), boundary="slide", insert=True, threads=2)
+print(len(before), sorted(known() - before))
+"""
+
+
+def test_usual_runs_need_no_other_kernel_than_those_compiled_ahead():
+    done = subprocess.run([sys.executable, "-c", COVERED], capture_output=True, text=True,
+                          check=True)
+    count, missing = done.stdout.strip().split(" ", 1)
+    assert int(count) > 50
+    assert missing == "[]"
+
+
+def test_a_kernel_from_disk_is_taken_in_by_one_that_calls_it(tmp_path):
+    (tmp_path / "kernels.py").write_text("""
+import sys
+from odt_plugins.engine.compiled.kernel import kernel
+
+@kernel
+def half(x: float) -> float:
+    return x / 2.0
+
+@kernel
+def quarter(x: float) -> float:
+    return half(half(x))
+
+print(half(3.0), quarter(2.0) if "all" in sys.argv else "", sum(half.stats.cache_hits.values()))
+""", encoding="utf-8")
+
+    def told(*arguments: str) -> str:
+        done = subprocess.run([sys.executable, "kernels.py", *arguments], capture_output=True,
+                              text=True, check=True, cwd=tmp_path,
+                              env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)})
+        return done.stdout.strip()
+
+    assert told() == "1.5  0"
+    assert told("all") == "1.5 0.5 1"
+    # What is damaged is compiled anew.
+    for path in tmp_path.rglob(f"*.half.*{kernel_cache.SUFFIX}"):
+        path.write_bytes(path.read_bytes()[:50])
+    assert told("all") == "1.5 0.5 0"
+    assert told("all") == "1.5 0.5 1"
 
 
 def test_an_editor_may_leave_a_link_that_leads_nowhere(tmp_path):

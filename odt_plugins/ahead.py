@@ -1,0 +1,95 @@
+"""Kernels compiled ahead: what an installation does, so that no first run has to.
+
+    python -m odt_plugins.ahead FOLDER
+
+puts machine code into a folder, for the best of the processors in common use that this one can
+stand in for (`common_machine`).  Runs of one kind of mesh share kernels and one process; the
+processes run side by side.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+SMALL = 300
+"""Vertices of the meshes, about."""
+
+RUNS: dict[str, dict[str, tuple[dict[str, Any], ...]]] = {
+    "cells": {
+        "ball": ({}, {"insert": True}, {"objective": "time_step", "insert": True},
+                 {"objective": "min_dihedral", "insert": True, "boundary": "slide"},
+                 {"density": "inverse-volume"}),
+    },
+    "triangles": {
+        "plate": ({}, {"objective": "min_dihedral"}, {"density": "inverse-volume"}),
+        "pebble": ({}, {"boundary": "fixed"}, {"density": "curvature"}),
+    },
+}
+"""For every process the start meshes, and the options of their runs."""
+
+PROGRAMS = tuple(f"from odt_plugins.ahead import run; run({name!r})" for name in RUNS)
+"""What is run side by side."""
+
+
+def run(name: str) -> None:
+    """Do the runs of one process, then improve the same cells tangled, and pressed flat.
+
+    Parameters
+    ----------
+    name : str    in :data:`RUNS`
+    """
+    import numpy as np
+
+    from odt_plugins.api import optimize
+    from odt_plugins.compare import start
+    from odt_plugins.engine.cells.geometry import boundary_vertices
+
+    for mesh, options in RUNS[name].items():
+        made = getattr(start, mesh)(SMALL)
+        points, cells = made.points, made.cells
+        for chosen in options:
+            optimize((points, cells), **chosen)
+        if made.kind != "surface":
+            inside = ~boundary_vertices(cells, len(points))
+            noise = np.random.default_rng(0).normal(scale=0.1, size=points.shape)
+            optimize((points + noise * inside[:, None], cells))
+            optimize((points * np.where(np.arange(points.shape[1]) > 0, 1.0, 0.2), cells))
+
+
+def compile_ahead(folder: Path, programs: Sequence[str] = PROGRAMS) -> None:
+    """Compile the kernels that programs use into a folder.
+
+    Parameters
+    ----------
+    folder : path         is made where it is missing; what was there goes
+    programs : of str     are run side by side
+
+    Raises
+    ------
+    CalledProcessError    a run ended with an error
+    """
+    from odt_plugins.engine.compiled.cache import SUFFIX, common_machine
+
+    _, processor, features = common_machine("")
+    folder.mkdir(parents=True, exist_ok=True)
+    with TemporaryDirectory(dir=folder) as made:
+        work = os.environ | {"NUMBA_CACHE_DIR": made, "NUMBA_CPU_NAME": processor,
+                             "NUMBA_CPU_FEATURES": features}
+        processes = [subprocess.Popen([sys.executable, "-c", program], env=work)
+                     for program in programs]
+        for process in [process for process in processes if process.wait()]:
+            raise subprocess.CalledProcessError(process.returncode, process.args)
+        for old in folder.glob(f"*{SUFFIX}"):
+            old.unlink()
+        for new in Path(made).rglob(f"*{SUFFIX}"):
+            new.replace(folder / new.name)
+
+
+if __name__ == "__main__":
+    compile_ahead(Path(sys.argv[1]))
