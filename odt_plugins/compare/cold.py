@@ -63,13 +63,14 @@ def cold_part(sizes: Sequence[int], threads: int, say: Say) -> Part:
     say : callable    is told what is measured
     """
     rows: list[tuple[Value, ...]] = []
+    named = str(llvm.get_host_cpu_name())  # type: ignore[no-untyped-call]
     with TemporaryDirectory() as folder:
         kept = folder
         for number, (name, program, kernels) in enumerate(JOBS):
             if kernels != KEPT:
                 kept = os.path.join(folder, str(number))
             # Nothing is compiled ahead for a processor that is named.
-            work = {} if kernels == INSTALLED else {"NUMBA_CPU_NAME": llvm.get_host_cpu_name()}
+            work = {} if kernels == INSTALLED else {"NUMBA_CPU_NAME": named}
             wall, busy = _seconds(program, {**work, "NUMBA_CACHE_DIR": kept})
             rows.append((name, kernels, wall, busy))
             say(f"{name}, kernels {kernels}: {wall:.2f} s, {busy:.2f} s of processors")
