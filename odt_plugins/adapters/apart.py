@@ -9,6 +9,7 @@ stays for the next file.
 from __future__ import annotations
 
 import atexit
+import functools
 import gc
 import os
 import pickle
@@ -145,7 +146,12 @@ def call(function: Callable[..., Any], *arguments: Any, seconds: float | None = 
         process.end()
 
 
-_staying: list[_Process] = []
+@functools.cache
+def _staying() -> _Process:
+    """The process that stays, until the end of this one."""
+    process = _Process()
+    atexit.register(process.end)
+    return process
 
 
 def call_again(function: Callable[..., Any], *arguments: Any, seconds: float | None = None) -> Any:
@@ -154,10 +160,10 @@ def call_again(function: Callable[..., Any], *arguments: Any, seconds: float | N
     It stays in the folder in which it began: the arguments name files from the root.
     """
     with KEPT:
-        if not (_staying and _staying[0].usable):
-            _staying[:] = [_Process()]
-            atexit.register(_staying[0].end)
-        return _staying[0].ask(function, arguments, seconds)
+        if not _staying().usable:
+            atexit.unregister(_staying().end)
+            _staying.cache_clear()
+        return _staying().ask(function, arguments, seconds)
 
 
 def main() -> None:

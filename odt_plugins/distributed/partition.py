@@ -11,7 +11,7 @@ from odt_plugins.mesh.components import components
 RINGS = 3
 """Cells within so many rings of a vertex that was held in every round yet are improved again."""
 
-WORST_RINGS = 2
+WORST_RINGS = 3
 """Cells within so many rings of the worst cells of all are improved again in the last round."""
 
 

@@ -159,7 +159,7 @@ def test_a_crash_or_a_hang_of_vtk_is_a_sentence(tmp_path, monkeypatch):
     package = tmp_path / "away" / "vtkmodules"
     package.mkdir()
     monkeypatch.syspath_prepend(tmp_path / "away")
-    monkeypatch.setattr(apart, "_staying", [])
+    apart._staying.cache_clear()
     (package / "__init__.py").write_text("import os\nos.kill(os.getpid(), 11)\n")
     with pytest.raises(MeshFileError, match=r"in\.vtp as vtp: its process was ended by SIGSEGV"):
         files.read_file(path)

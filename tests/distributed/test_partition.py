@@ -223,7 +223,7 @@ def test_blocks_are_about_as_good_as_one_piece(name, seed):
         )
     )
     assert abs(one["mean"] - blocks["mean"]) <= 0.003
-    assert abs(one["p1"] - blocks["p1"]) <= 0.012
+    assert abs(one["p1"] - blocks["p1"]) <= 0.01
 
 
 def test_blocks_choose_their_flips_as_the_whole_would(small_blocks, monkeypatch):
@@ -336,7 +336,7 @@ def test_blocks_are_held_to_the_worst_cells_of_the_whole_then_to_their_own(
     assert first
     assert second == [None] * len(second)
     assert second
-    assert outcome.fallback is None or "min_angle" not in outcome.fallback
+    assert outcome.fallback is None or "would be worse" not in outcome.fallback
     assert not broken_promises(mesh, outcome.points, outcome.cells, outcome.regions)
     assert (outcome.points != mesh.points).any()
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from copy import deepcopy
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -142,7 +142,8 @@ def resample_in_rounds(
 ) -> None:
     """Add and remove vertices, in rounds with finishing at the end of each.
 
-    A phase stays if the mesh is a good one then, or the score rises.
+    A phase stays if the mesh is a good one then, or the score rises. Where the round does not raise
+    it, its phases are run again and make no small angle: few vertices gain less than those cost.
 
     Parameters
     ----------
@@ -158,7 +159,6 @@ def resample_in_rounds(
     angles = objective == "min_dihedral"
     share = POLICY.insertion_angles_effort if angles else POLICY.insertion_effort
     effort = POLICY.insertion_least_effort + int(share * mesh.count())
-    good = True
     for done in range(POLICY.insertion_rounds):
         report(done / POLICY.insertion_rounds)
         start = before.score
@@ -173,13 +173,17 @@ def resample_in_rounds(
             effort -= tried
         if taken == 0:
             break
-        before, good = _figures(mesh, objective), offer(mesh)
-        for phase in after_resampling(objective):
-            settled = deepcopy(mesh)
-            settle(settled, (phase,), limits(before))
-            now, also = _figures(settled, objective), offer(settled)
-            if (also, now.score) > (good, before.score):
-                mesh, before, good = settled, now, also
+        resampled = mesh, _figures(mesh, objective), offer(mesh)
+        for least in (None, POLICY.small_angle):
+            mesh, before, good = resampled
+            for phase in after_resampling(objective):
+                settled = deepcopy(mesh)
+                settle(settled, (replace(phase, least=least),), limits(before))
+                now, also = _figures(settled, objective), offer(settled)
+                if (also, now.score) > (good, before.score):
+                    mesh, before, good = settled, now, also
+            if before.score > start:
+                break
         log.add("rounds of insertion", 1)
         if effort <= 0 or before.score - start < POLICY.insertion_worth:
             break

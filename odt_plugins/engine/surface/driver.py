@@ -303,17 +303,40 @@ def _cycles(
     )
     if options.finish:
         clock = time.perf_counter()
-        memory.offer(surface, "bulk")
-        _settle(surface, (COMPOUND, *TAIL), strict, log)
-        memory.offer(surface, "finished")
-        if not memory.states and "mean_quality" not in memory.worse:
-            worse, refused = memory.worse, memory.refused
-            if not repaired(REPAIR, lambda phases: _settle(surface, phases, strict, log),
-                            lambda: memory.offer(surface, "repaired"), log):
-                memory.worse, memory.refused = worse, refused
+        _worst_triangles(surface, strict, memory, log)
         log.add_time("finishing", time.perf_counter() - clock)
     (options.progress or silent)("finishing", 1.0)
     return reason
+
+
+def _worst_triangles(surface: Surface, strict: Extremes, memory: Memory, log: Log) -> None:
+    """The phases of stage 2 that follow the bulk; good states go to the memory.
+
+    Compound moves that lead to a surface which no repair brings back within the input's extremes
+    are made once more, after it was repaired without them.
+    """
+    memory.offer(surface, "bulk")
+    plain = surface.twin()
+    _settle(surface, (COMPOUND, *TAIL), strict, log)
+    memory.offer(surface, "finished")
+    if memory.states or _repaired(surface, strict, memory, log):
+        return
+    _settle(plain, TAIL, strict, log)
+    if memory.offer(plain, "finished") or _repaired(plain, strict, memory, log):
+        _settle(plain, (COMPOUND, *TAIL), strict, log)
+        memory.offer(plain, "finished")
+
+
+def _repaired(surface: Surface, strict: Extremes, memory: Memory, log: Log) -> bool:
+    """Whether the surface is good but for a few triangles, and comes back within the extremes."""
+    worse, refused = memory.worse, memory.refused
+    if "mean_quality" in worse:
+        return False
+    if repaired(REPAIR, lambda phases: _settle(surface, phases, strict, log),
+                lambda: memory.offer(surface, "repaired"), log):
+        return True
+    memory.worse, memory.refused = worse, refused
+    return False
 
 
 def _settle(

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from copy import deepcopy
+from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -69,6 +70,11 @@ class Surface:
         """Go back to where :meth:`copy` was called; there must have been no flip since."""
         for now, before in zip(self._moving(), copy, strict=True):
             now[:] = before
+
+    def twin(self) -> Surface:
+        """The same surface, for flips and moves of its own."""
+        guards = self.guards._replace(lines=deepcopy(self.guards.lines))
+        return replace(self, sheet=deepcopy(self.sheet), guards=guards)
 
     def _moving(self) -> tuple[NDArray[Any], ...]:
         sheet = self.sheet

@@ -83,7 +83,7 @@ def test_cgal_bunny_reaches_the_figures_of_no_other_tool():
     assert (angle.min(axis=1) < 20).sum() <= 15
     assert q.mean() >= 0.823
     assert np.quantile(q, 0.01) >= 0.47
-    assert len(p) <= 1.5 * len(points)
+    assert len(p) <= 1.15 * len(points)
     assert report.counts["rounds of insertion"] > 0
     counts = report.counts
     told = {name for name in (*counts, *report.times) if "vert" in name or "sampl" in name}
@@ -103,8 +103,7 @@ def test_a_mesh_of_tetwild_gains_in_every_figure():
     assert gain[1] > 0.02
     assert gain[2] > 0.02
     before, after = (tm.dihedral_angles(*out).min(axis=1) for out in (plain, inserted))
-    assert (after < 20).sum() <= (before < 20).sum()
-    assert (after < 20).mean() < (before < 20).mean()
+    assert (after < 20).sum() < (before < 20).sum()
     assert (after < 25).sum() < 0.1 * (before < 25).sum()
 
 
@@ -150,9 +149,10 @@ def test_unit_and_place_do_not_matter(scale, shift):
     assert (there.points - shift) / scale == pytest.approx(here.points, abs=1e-9)
 
 
-@pytest.mark.parametrize("share", [0.1, 0.3])
-def test_no_more_vertices_than_the_share(share):
-    mesh = mesh_of(*start(1))
+@pytest.mark.parametrize("seed", [1, 5])
+@pytest.mark.parametrize("share", [0.02, 0.1])
+def test_no_more_vertices_than_the_share(share, seed):
+    mesh = mesh_of(*start(seed))
     outcome = run(mesh, Options(insert=share))
     assert outcome.origin is not None
     assert_inserted(mesh, outcome, share)

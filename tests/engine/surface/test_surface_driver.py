@@ -386,7 +386,11 @@ def test_rims_and_lines_slide_on_demand():
     assert (x[rim] != p[rim]).any(axis=1).sum() > 40
     assert np.array_equal(x[rim, 2], p[rim, 2])
     assert slid.surface["on_lines"] > 40
-    assert slid.after.p1_quality > fixed.after.p1_quality
+    assert fixed.after.mean_quality > 0.97
+    better, worse = (np.array([r.after.mean_quality, r.after.p1_quality, r.after.min_quality])
+                     for r in (slid, fixed))
+    assert (better > worse - [1e-3, 0.0, 0.0]).all()
+    assert (better - worse) @ [1.0, 0.5, 0.25] > 0.0
 
 
 def test_nothing_to_do():
@@ -417,16 +421,16 @@ def globe(around=30, along=30):
 
 
 def test_a_few_triangles_beyond_the_extremes_of_the_input_are_left_alone(monkeypatch):
-    mesh = globe(24, 24)
+    mesh = globe()
     before = summarize(*mesh)
-    (x, c), report = odt_plugins.optimize_with_report(mesh, envelope=3e-3)
+    (x, c), report = odt_plugins.optimize_with_report(mesh)
     assert angles(x, c).max() <= before.max_angle + 1e-9
-    assert max(sm.two_sided(*mesh, x, c, 2)) <= 3e-3 * sm.diagonal(mesh[0])
+    assert max(sm.two_sided(*mesh, x, c, 2)) <= 1e-3 * sm.diagonal(mesh[0])
     reached = report.after.mean_quality
-    assert reached > before.mean_quality + 0.05
+    assert reached > before.mean_quality + 0.15
     set_policy(monkeypatch, driver, surface_spoiled=0.0)
-    _, without = odt_plugins.optimize_with_report(mesh, envelope=3e-3)
-    assert reached > without.after.mean_quality + 0.005
+    _, without = odt_plugins.optimize_with_report(mesh)
+    assert reached > without.after.mean_quality + 0.02
 
 
 def test_the_schedule_leaves_local_minima(monkeypatch):
