@@ -29,6 +29,9 @@ MOST_BLOCKS = 1024
 SMALLEST = 256
 """Fewer vertices of one colour than this are not worth a second thread."""
 
+TURNS = 4
+"""Chunks of a colour for each thread, so that none waits long for the last one to end."""
+
 T = TypeVar("T")
 
 
@@ -195,7 +198,9 @@ def run_chunks(
         if size < SMALLEST:
             results.append(work(int(blocks[first]), int(blocks[last])))
             continue
-        count = max(threads, -(-size // PIECE))
-        cuts = [int(blocks[first + (last - first) * t // count]) for t in range(count + 1)]
+        count = max(threads, min(TURNS * threads, size // SMALLEST), -(-size // PIECE))
+        wanted = blocks[first] + np.arange(1, count) * size // count
+        inner = first + np.searchsorted(blocks[first:last], wanted)
+        cuts = blocks[[first, *inner, last]].tolist()
         results += pool.map(work, cuts[:-1], cuts[1:])
     return results
