@@ -92,8 +92,7 @@ def flip_pending(
     total = 0
     costs = np.zeros(len(mesh.cells))
     for _ in range(passes):
-        found = np.empty(mesh.used, dtype=np.int32)
-        pending = found[: pending_slots(mesh.cells, mesh.status, found)]
+        pending = _pending(mesh, pool)
         if cost.objective != ENERGY:
             _worst_first(mesh, cost.objective, pending, pool)
         flips = side_by_side(
@@ -106,6 +105,16 @@ def flip_pending(
         elif flips == 0:
             break
     return total
+
+
+def _pending(mesh: Complex, pool: ThreadPoolExecutor | None) -> IntArray:
+    """The pending slots, which ascend."""
+    found = np.empty(mesh.used, dtype=np.int32)
+
+    def work(start: int, stop: int) -> IntArray:
+        return found[start : start + pending_slots(mesh.cells, mesh.status, found, start, stop)]
+
+    return np.concatenate([found[:0], *run_ranges(pool, mesh.used, work)])
 
 
 def _worst_first(

@@ -7,6 +7,7 @@ move one after another.  The blocks depend on the mesh alone, not on the number 
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -189,18 +190,17 @@ def run_chunks(
     coloring : Coloring
     work : callable                      releases the GIL; works on coloring.order[start:stop]
     """
-    blocks = coloring.blocks
+    blocks = coloring.blocks.tolist()
     if pool is None:
-        return [work(first, last) for first, last in pieces(0, int(blocks[-1]))]
+        return [work(first, last) for first, last in pieces(0, blocks[-1])]
     results = []
     for first, last in pairwise(coloring.offsets.tolist()):
-        size = int(blocks[last] - blocks[first])
+        start, size = blocks[first], blocks[last] - blocks[first]
         if size < SMALLEST:
-            results.append(work(int(blocks[first]), int(blocks[last])))
+            results.append(work(start, start + size))
             continue
         count = max(threads, min(TURNS * threads, size // SMALLEST), -(-size // PIECE))
-        wanted = blocks[first] + np.arange(1, count) * size // count
-        inner = first + np.searchsorted(blocks[first:last], wanted)
-        cuts = blocks[[first, *inner, last]].tolist()
+        cuts = [blocks[bisect_left(blocks, start + size * t // count, first, last)]
+                for t in range(count + 1)]
         results += pool.map(work, cuts[:-1], cuts[1:])
     return results
