@@ -52,12 +52,12 @@ def cell_source(
         return np.arange(len(cells0), dtype=np.int32)
     from odt_plugins.engine.topology.order import same_vertices
 
-    source = same_vertices(cells0, cells1, len(points1))
+    source = same_vertices(cells0, cells1, len(points1), threads)
     new = np.flatnonzero(source < 0)
     if new.size:
         source[new] = _nearest(
-            corner_mean(points0, cells0), regions0,
-            corner_mean(points1, cells1[new]), regions1[new], 1, threads,
+            corner_mean(points0, cells0, threads), regions0,
+            corner_mean(points1, cells1[new], threads), regions1[new], 1, threads,
         )[:, 0]
     return source
 
@@ -86,10 +86,15 @@ def in_input_order(
     )
     order = np.argsort(source, kind="stable")
     cells, source = cells[order], source[order]
-    old = before.cells[source]
-    (was, odd0), (now, odd1) = sorted_columns(old), sorted_columns(cells)
-    same = np.logical_and.reduce([odd0 == odd1, *map(np.equal, was, now)])
-    return np.where(same[:, None], old, cells), regions[order], source
+
+    def as_before(part: slice) -> None:
+        old = before.cells[source[part]]
+        (was, odd0), (now, odd1) = sorted_columns(old), sorted_columns(cells[part])
+        same = np.logical_and.reduce([odd0 == odd1, *map(np.equal, was, now)])
+        cells[part] = np.where(same[:, None], old, cells[part])
+
+    spread(as_before, chunks(len(cells)), threads)
+    return cells, regions[order], source
 
 
 def surrounding_cells(
@@ -124,7 +129,7 @@ def surrounding_cells(
     neighbors = cell_neighbors(mesh.cells)
     regions = np.zeros_like(mesh.regions)
     if start is None:
-        centres = corner_mean(mesh.points, mesh.cells)
+        centres = corner_mean(mesh.points, mesh.cells, threads)
         start = _nearest(centres, regions, x, np.zeros(len(x), dtype=np.int32), 1, threads)[:, 0]
     else:
         regions = mesh.regions
@@ -139,7 +144,7 @@ def surrounding_cells(
     outside = np.flatnonzero(weights.min(axis=1) < -INSIDE)
     if not outside.size:
         return cell, weights
-    centres = corner_mean(mesh.points, mesh.cells)
+    centres = corner_mean(mesh.points, mesh.cells, threads)
     hit = _nearest(centres, regions, x[outside], regions[cell[outside]], NEAR, threads)
 
     def walk_again(part: slice) -> None:

@@ -269,7 +269,9 @@ def _checked(
         return _Prepared(adapter, host, None, surface, 1)
     tangled = False
     try:
-        simplices, orientation = simplex_mesh(points, host.cells, **given)
+        simplices, orientation = simplex_mesh(
+            points, host.cells, **given, threads=options.threads
+        )
     except TangledMeshError:
         if options.untangle is False:
             raise

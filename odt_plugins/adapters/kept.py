@@ -13,7 +13,7 @@ from odt_plugins.adapters.host import KeptCells
 from odt_plugins.errors import InvalidMeshError, counted
 from odt_plugins.mesh.arrays import BoolArray, IntArray
 from odt_plugins.mesh.facets import directed_facets, row_keys
-from odt_plugins.mesh.simplex import SimplexMesh, freeze
+from odt_plugins.mesh.simplex import SimplexMesh, freeze, with_same_cells
 
 
 def protect(
@@ -57,8 +57,9 @@ def protect(
     if anchors is not None:
         anchored[anchors[(anchors >= 0) & (anchors < n)]] = True
     safe = freeze(mesh, frozen, np.concatenate(loose))
-    return replace(safe, stays=np.concatenate(stays), lines=np.concatenate(lines),
-                   anchored=anchored)
+    return with_same_cells(
+        safe, stays=np.concatenate(stays), lines=np.concatenate(lines), anchored=anchored
+    )
 
 
 def _edges(rows: NDArray[np.int64]) -> IntArray:

@@ -122,10 +122,9 @@ def uneven_facets(cells: NDArray[np.integer], n: int, threads: int = 1) -> Uneve
         keys = partial(_facet_keys, cells, n, first, step)
         key = np.concatenate(spread(keys, chunks(len(cells)), threads))
         _sort(key, threads)
-        paired = np.zeros(len(key) + 1, dtype=np.bool_)
-        paired[1:-1] = key[:-1] ^ np.uint64(1) == key[1:]
-        single.append(_vertices(key[~(paired[1:] | paired[:-1])], first, n, d))
-        double.append(_vertices(key[1:][key[1:] == key[:-1]], first, n, d))
+        for lone, again in spread(partial(_uneven_keys, key), chunks(len(key)), threads):
+            single.append(_vertices(lone, first, n, d))
+            double.append(_vertices(again, first, n, d))
     return UnevenFacets(np.concatenate(single), np.concatenate(double))
 
 
@@ -144,6 +143,21 @@ def _facet_keys(
             key = key * np.uint64(n) + column[here]
         keys.append(2 * key + (odd[here] ^ (i % 2 == 1)))
     return np.concatenate(keys)
+
+
+def _uneven_keys(
+    key: NDArray[np.uint64], part: slice
+) -> tuple[NDArray[np.uint64], NDArray[np.uint64]]:
+    """Of a part of the sorted keys those without the other side beside them, and repeated ones."""
+    low = max(part.start - 1, 0)
+    near = key[low : part.stop + 1]
+    own = slice(part.start - low, part.stop - low)
+    paired = np.zeros(len(near) + 1, dtype=np.bool_)
+    paired[1:-1] = near[:-1] ^ np.uint64(1) == near[1:]
+    again = np.zeros(len(near), dtype=np.bool_)
+    again[1:] = near[1:] == near[:-1]
+    lone = ~(paired[1:] | paired[:-1])
+    return near[own][lone[own]], near[own][again[own]]
 
 
 def _vertices(key: NDArray[np.uint64], first: int, n: int, d: int) -> NDArray[np.int64]:

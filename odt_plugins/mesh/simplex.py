@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError, TangledMeshError, counted
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
-from odt_plugins.mesh.chunks import chunks
+from odt_plugins.mesh.chunks import chunks, spread
 from odt_plugins.mesh.facets import UnevenFacets, directed_facets, row_keys, uneven_facets
 
 FLAT = 1e-14
@@ -91,6 +91,7 @@ def simplex_mesh(
     regions: ArrayLike | None = None,
     fixed: ArrayLike | None = None,
     selection: ArrayLike | None = None,
+    threads: int = 1,
 ) -> tuple[SimplexMesh, int]:
     """Check a mesh and bring it into the form the engine works on; the input is not changed.
 
@@ -105,6 +106,7 @@ def simplex_mesh(
                                           in increasing order
     fixed : (n,) bool or (k,) int         vertices that must not move
     selection : (m,) bool or (k,) int     only these cells may change; the others are frozen
+    threads : int                         how many share the work
 
     Returns
     -------
@@ -125,7 +127,7 @@ def simplex_mesh(
         msg = f"got triangles with points of dimension {p.shape[1]}; expected points (n, 2)"
         raise InvalidMeshError(msg)
     _check_vertices(t)
-    sign, size = cell_signs(p, t)
+    sign, size = cell_signs(p, t, threads)
     _check_sizes(sign, size, p.shape[1])
     orientation = -1 if (sign < 0).all() else 1
     mesh = SimplexMesh(
@@ -135,6 +137,7 @@ def simplex_mesh(
         fixed=vertex_mask(fixed, len(p), "fixed", "vertices"),
         turned=int((sign < 0).sum()) if orientation == 1 else 0,
     )
+    vars(mesh)["uneven"] = uneven_facets(mesh.cells, len(p), threads)
     if len(mesh.uneven.crowded):
         refuse_overlaps(mesh, sign)
     if selection is not None:
@@ -183,7 +186,14 @@ def freeze(
     fixed[mesh.cells[frozen].ravel()] = True
     if vertices is not None:
         fixed[vertices] = True
-    return replace(mesh, fixed=fixed, frozen=mesh.frozen | frozen)
+    return with_same_cells(mesh, fixed=fixed, frozen=mesh.frozen | frozen)
+
+
+def with_same_cells(mesh: SimplexMesh, **changes: Any) -> SimplexMesh:
+    """The mesh with other values of some fields, and with what is known of its cells."""
+    other = replace(mesh, **changes)
+    vars(other).update((name, value) for name, value in vars(mesh).items() if name == "uneven")
+    return other
 
 
 def with_vertices(mesh: SimplexMesh, points: FloatArray) -> SimplexMesh:
@@ -200,12 +210,18 @@ def reverse(cells: NDArray[Any], which: BoolArray) -> NDArray[Any]:
     return out
 
 
-def corner_mean(values: FloatArray, cells: IntArray) -> FloatArray:
+def corner_mean(values: FloatArray, cells: IntArray, threads: int = 1) -> FloatArray:
     """Mean of values (n,) or (n, c) at the vertices of every cell, shape (m,) or (m, c)."""
-    mean: FloatArray = values[cells[:, 0]]
-    for corner in cells.T[1:]:
-        mean += values[corner]
-    mean /= cells.shape[1]
+    mean: FloatArray = np.empty((len(cells), *values.shape[1:]))
+
+    def fill(part: slice) -> None:
+        first, *others = cells[part].T
+        total = values.take(first, axis=0)
+        for corner in others:
+            total += values.take(corner, axis=0)
+        np.divide(total, cells.shape[1], out=mean[part])
+
+    spread(fill, chunks(len(cells)), threads)
     return mean
 
 
@@ -335,7 +351,9 @@ def _check_span(p: FloatArray, t: IntArray) -> None:
         raise InvalidMeshError(msg)
 
 
-def cell_signs(p: FloatArray, t: IntArray) -> tuple[NDArray[np.int8], FloatArray]:
+def cell_signs(
+    p: FloatArray, t: IntArray, threads: int = 1
+) -> tuple[NDArray[np.int8], FloatArray]:
     """Sign of every signed volume, (m,) int8, 0 where it is flat, and the extents of the cells.
 
     A sign other than 0 is exact: FLAT is above the bounds of the rounding error, (3 + 16 u) u and
@@ -349,13 +367,16 @@ def cell_signs(p: FloatArray, t: IntArray) -> tuple[NDArray[np.int8], FloatArray
     sign = np.zeros(len(t), dtype=np.int8)
     size = np.empty(len(t))
     axes = np.ascontiguousarray(p.T)
-    for part in chunks(len(t)):
+
+    def measure(part: slice) -> None:
         corner = axes.take(t[part].T, axis=1)
         size[part] = (corner.max(axis=1) - corner.min(axis=1)).max(axis=0)
         det = determinant((corner[:, 1:] - corner[:, :1]).swapaxes(0, 1))
         sign[part] = np.sign(det) * (
             np.abs(det) > FLAT * math.prod([size[part]] * p.shape[1])
         )
+
+    spread(measure, chunks(len(t)), threads)
     return sign, size
 
 

@@ -7,6 +7,8 @@ from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from typing import TypeVar
 
+from odt_plugins.mesh.chunks import Pool
+
 T = TypeVar("T")
 
 PART = 1 << 15
@@ -28,7 +30,7 @@ def pieces(start: int, stop: int, *, costly: bool = False) -> Iterator[tuple[int
 
 def thread_pool(threads: int) -> AbstractContextManager[ThreadPoolExecutor | None]:
     """A pool of so many threads, None for one, which does everything by itself."""
-    return ThreadPoolExecutor(threads) if threads > 1 else nullcontext()
+    return Pool(threads) if threads > 1 else nullcontext()
 
 
 def run_ranges(
@@ -47,3 +49,14 @@ def run_ranges(
     starts = range(0, size, PART)
     stops = [min(start + PART, size) for start in starts]
     return list(map(work, starts, stops) if pool is None else pool.map(work, starts, stops))
+
+
+def run_pieces(
+    pool: ThreadPoolExecutor | None, size: int, work: Callable[[int, int], object]
+) -> None:
+    """Call ``work(start, stop)`` over pieces of the parts of range(size), as :func:`run_ranges`."""
+    def part(start: int, stop: int) -> None:
+        for first, last in pieces(start, stop):
+            work(first, last)
+
+    run_ranges(pool, size, part)

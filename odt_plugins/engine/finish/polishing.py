@@ -44,11 +44,11 @@ def polish_small_angles(
     work = inside(mesh)
     if not memory.states or work.dim == 2 or memory.objective != "radius_ratio":
         return
-    small = _small(work, cut)
+    small = _small(work, cut, pool)
     passes = polish(len(small) / max(work.count(), 1))
     if not passes:
         return
-    held = bounds.within(reached(work))
+    held = bounds.within(reached(work, pool))
     limits = {phase: guarded(work, phase, held, pool) for phases in passes for phase in phases}
     part: Complex | Part = mesh
     if work.skin is None:
@@ -57,7 +57,7 @@ def polish_small_angles(
         part = around(mesh, near, POLICY.polished_rings) or mesh
     more = work.count() / inside(part).count()
     for phases in passes:
-        if not len(_small(inside(part), cut)):
+        if not len(_small(inside(part), cut, pool)):
             break
         for phase in phases:
             share = min(1.0, more * phase.share)
@@ -66,8 +66,10 @@ def polish_small_angles(
         memory.offer(part, name)
 
 
-def _small(mesh: Complex, cut: BoolArray | None) -> IntArray:
+def _small(
+    mesh: Complex, cut: BoolArray | None, pool: ThreadPoolExecutor | None
+) -> IntArray:
     """Cells (k, 4) with a small angle, but those at the cut."""
     cells, _ = mesh.mesh_arrays()
-    small = cells[cell_shapes(mesh.points, cells)[:, 1] > COS_SMALL]
+    small = cells[cell_shapes(mesh.points, cells, pool)[:, 1] > COS_SMALL]
     return small if cut is None else small[~cut[small].any(axis=1)]

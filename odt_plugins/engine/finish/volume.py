@@ -59,15 +59,18 @@ def worst_count(q: FloatArray, phase: Phase) -> int:
     return min(most, max(most // 10, int((q < phase.enough).sum())))
 
 
-def held_angles(mesh: Complex, bounds: Bounds, share: float) -> Bounds:
+def held_angles(
+    mesh: Complex, bounds: Bounds, share: float, pool: ThreadPoolExecutor | None = None
+) -> Bounds:
     """Bounds under which no new cell gets a smaller angle than a share of the cells has now."""
     cells, _ = mesh.mesh_arrays()
-    return bounds.with_large(np.quantile(cell_shapes(mesh.points, cells)[:, 1], 1.0 - share))
+    cosines = cell_shapes(mesh.points, cells, pool)[:, 1]
+    return bounds.with_large(np.quantile(cosines, 1.0 - share))
 
 
-def reached(mesh: Complex) -> Extremes:
+def reached(mesh: Complex, pool: ThreadPoolExecutor | None = None) -> Extremes:
     """Extremes of all cells."""
-    shapes = cell_shapes(mesh.points, mesh.mesh_arrays()[0])
+    shapes = cell_shapes(mesh.points, mesh.mesh_arrays()[0], pool)
     return Extremes(
         float(shapes[:, 0].min()), float(shapes[:, 1].max()), float(shapes[:, 2].min())
     )
@@ -79,7 +82,7 @@ def guarded(
     """Bounds for a phase by its guard and its least angle, see :class:`Phase`."""
     if phase.least is not None:
         cells, _ = mesh.mesh_arrays()
-        cosines = cell_shapes(mesh.points, cells)[:, 1]
+        cosines = cell_shapes(mesh.points, cells, pool)[:, 1]
         least = math.cos(math.radians(phase.least))
         reached = cosines.max()
         few = (cosines > least).mean() <= POLICY.many_small_angles
@@ -296,7 +299,7 @@ def finish(
     for phase in phases:
         limits = bounds
         if phase.hold:
-            now = reached(mesh)
+            now = reached(mesh, pool)
             best = better(best, now)
             limits = bounds.within(worse(now, part_of(best, phase.hold)))
         more_flips, more_moves = descend(mesh, phase, limits, pool, threads)

@@ -92,11 +92,9 @@ def flip_pending(
     total = 0
     costs = np.zeros(len(mesh.cells))
     for _ in range(passes):
-        found = np.empty(mesh.used, dtype=np.int32)
-        pending = found[: pending_slots(mesh.cells, mesh.status, found)]
+        pending = _pending(mesh, pool)
         if cost.objective != ENERGY:
-            q = measures(mesh, cost.objective, pool, pending)
-            pending = pending[np.lexsort((q, pending >> BLOCK_BITS))]
+            _worst_first(mesh, cost.objective, pending, pool)
         flips = side_by_side(
             mesh, pending, pool, partial(_flip_part, mesh, cost, max_ring, bounds, costs)
         )
@@ -107,6 +105,31 @@ def flip_pending(
         elif flips == 0:
             break
     return total
+
+
+def _pending(mesh: Complex, pool: ThreadPoolExecutor | None) -> IntArray:
+    """The pending slots, which ascend."""
+    found = np.empty(mesh.used, dtype=np.int32)
+
+    def work(start: int, stop: int) -> IntArray:
+        return found[start : start + pending_slots(mesh.cells, mesh.status, found, start, stop)]
+
+    return np.concatenate([found[:0], *run_ranges(pool, mesh.used, work)])
+
+
+def _worst_first(
+    mesh: Complex, objective: int, pending: IntArray, pool: ThreadPoolExecutor | None
+) -> None:
+    """Sort slots, which ascend, by their measures within each block."""
+    starts = np.arange(0, mesh.used + (1 << BLOCK_BITS), 1 << BLOCK_BITS)
+    cuts = np.searchsorted(pending, starts).tolist()
+
+    def sort(first: int, last: int) -> None:
+        block = pending[first:last]
+        q = measures(mesh, objective, None, block)
+        block[:] = block[np.argsort(q, kind="stable")]
+
+    list((map if pool is None else pool.map)(sort, cuts[:-1], cuts[1:]))
 
 
 def _flip_part(

@@ -216,9 +216,10 @@ class Density:
                 WALK_LIMIT,
                 values[first:last],
             )
+            values[first:last] = bounded_power(values[first:last], self.power)
 
         run_ranges(pool, len(points), work)
-        return bounded_power(values, self.power)
+        return values
 
 
 def _asked(function: Callable[[FloatArray], Any], points: FloatArray) -> FloatArray:

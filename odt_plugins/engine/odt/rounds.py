@@ -261,7 +261,7 @@ def smooth(
             flips = local_flips(mesh, bounds, log, pool)
         scattered += flips
         if scattered > POLICY.scattered * count:
-            mesh = renumbered(mesh)
+            mesh = renumbered(mesh, pool)
             scattered = 0
         if flips > 0 or mesh is not old:
             cells = _cells(mesh, options)
@@ -276,4 +276,4 @@ def smooth(
         if k >= before and least[-1 - before] - least[-1] <= POLICY.settled_energy * least[-1]:
             reason = f"the energy settled after {k + 1} rounds"
             break
-    return renumbered(mesh) if scattered else mesh, reason
+    return renumbered(mesh, pool) if scattered else mesh, reason

@@ -6,7 +6,6 @@ way: the largest step that leaves every cell of the star a sound volume.
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import nullcontext
 from typing import Any, Literal, NamedTuple
 
@@ -15,6 +14,7 @@ import numpy as np
 from odt_plugins.engine.cells.elementary import power
 from odt_plugins.engine.cells.geometry import signed_volumes
 from odt_plugins.engine.compiled.kernel import allocating_kernel, inner_kernel
+from odt_plugins.engine.compiled.threads import thread_pool
 from odt_plugins.engine.topology.coloring import run_chunks
 from odt_plugins.engine.topology.star import Stars, star_sum
 from odt_plugins.engine.topology.stencil import Topology
@@ -279,7 +279,7 @@ def _sweep(
             nodes, out, topology.cells, topology.stars, pull, coloring.order, start, stop
         )
 
-    with ThreadPoolExecutor(threads) if threads > 1 else nullcontext() as pool:
+    with nullcontext(topology.pool) if topology.pool else thread_pool(threads) as pool:
         results = run_chunks(pool, threads, coloring, run)
     moved, longest, reduced = zip((0, 0.0, 0), *results, strict=True)
     new = np.ascontiguousarray(out[:, :d])

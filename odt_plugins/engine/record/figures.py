@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -29,7 +30,7 @@ from odt_plugins.engine.cells.triangle import (
     triangle_shape,
 )
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
-from odt_plugins.engine.compiled.threads import pieces
+from odt_plugins.engine.compiled.threads import run_pieces
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.options import Objective
@@ -69,12 +70,20 @@ def _tet_shapes(points: FloatArray, cells: IntArray, shapes: FloatArray) -> None
             shapes[c, 2], shapes[c, 3] = rows[SMALL + s], rows[ALTITUDE + s]
 
 
-def cell_shapes(points: FloatArray, cells: IntArray) -> FloatArray:
-    """Radius ratio (5.1), cosines of the smallest and largest angle, least altitude, (m, 4)."""
+def cell_shapes(
+    points: FloatArray, cells: IntArray, pool: ThreadPoolExecutor | None = None
+) -> FloatArray:
+    """Radius ratio (5.1), cosines of the smallest and largest angle, least altitude, (m, 4).
+
+    ``pool`` as in ``threads.run_ranges``.
+    """
     shapes = np.empty((len(cells), 4))
     measure = _tet_shapes if cells.shape[1] == 4 else _triangle_shapes
-    for first, last in pieces(0, len(cells)):
+
+    def work(first: int, last: int) -> None:
         measure(points, cells[first:last], shapes[first:last])
+
+    run_pieces(pool, len(cells), work)
     return shapes
 
 
@@ -144,7 +153,8 @@ class Figures:
 
 
 def figures(
-    points: FloatArray, cells: IntArray, objective: Objective = "radius_ratio"
+    points: FloatArray, cells: IntArray, objective: Objective = "radius_ratio",
+    pool: ThreadPoolExecutor | None = None,
 ) -> Figures:
     """Compute the named figures of a mesh.
 
@@ -153,8 +163,9 @@ def figures(
     points : (n, d) float64, cells : (m, d + 1) int32
     objective       what the score sums up: radius ratios, smallest angles or AMIPS energies, or
                     radius ratios and the logarithm of the least altitude
+    pool            see ``threads.run_ranges``
     """
-    shapes = cell_shapes(points, cells)
+    shapes = cell_shapes(points, cells, pool)
     q: NDArray[np.float64] = shapes[:, 0]
     least, p1, mean = _spread(q)
     small = float((shapes[:, 1] > COS_SMALL).mean())
@@ -172,7 +183,7 @@ def figures(
         smallest, few, average = _spread(angles)
         score = mean + average + few + 0.5 * smallest
     elif objective == "amips":
-        greatest, few, average = _spread(-amips_energies(points, cells))
+        greatest, few, average = _spread(-amips_energies(points, cells, pool))
         score = average + 0.5 * few + 0.25 * greatest
     return Figures(least, p1, mean, float(shapes[:, 1].max()), float(shapes[:, 2].min()), small,
                    altitude, score)
@@ -193,10 +204,15 @@ def _mean_ratios(points: FloatArray, cells: IntArray, m: FloatArray) -> None:
             m[c] = tet_mean_ratio(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
 
 
-def amips_energies(points: FloatArray, cells: IntArray) -> FloatArray:
+def amips_energies(
+    points: FloatArray, cells: IntArray, pool: ThreadPoolExecutor | None = None
+) -> FloatArray:
     """AMIPS energy of every cell as TetWild counts it, (m,): d for the regular one."""
     m = np.empty(len(cells))
-    for first, last in pieces(0, len(cells)):
+
+    def work(first: int, last: int) -> None:
         _mean_ratios(points, cells[first:last], m[first:last])
+
+    run_pieces(pool, len(cells), work)
     dim = cells.shape[1] - 1
     return dim * power(np.maximum(m, 1e-300), -1.0 / dim)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -48,13 +49,14 @@ class Memory:
 
     def __init__(
         self, before: Figures, keep: tuple[str, ...], objective: Objective, *, by_score: bool,
-        aside: BoolArray | None = None,
+        aside: BoolArray | None = None, pool: ThreadPoolExecutor | None = None,
     ) -> None:
         self.before = before
         self.keep = keep
         self.objective = objective
         self.by_score = by_score
         self.aside = aside
+        self.pool = pool
         self.states: list[State] = []
         self.worse: list[str] = []
         self.refused: State | None = None
@@ -63,7 +65,7 @@ class Memory:
     def offer(self, mesh: Changing, name: str) -> bool:
         """Take the state if it keeps the figures; only the two best are held."""
         cells, regions = mesh.mesh_arrays()
-        now = figures(mesh.points, cells, self.objective)
+        now = figures(mesh.points, cells, self.objective, self.pool)
         worse = self._but_aside(now, mesh.points, cells).worse_than(self.before, self.keep)
         if worse:
             self.worse = worse

@@ -121,7 +121,7 @@ def run_cycles(
 
     reason = alternate(
         stage1, lambda: work_on(mesh, bulk(mesh.dim, options.objective), bounds),
-        lambda: figures(mesh.points, mesh.mesh_arrays()[0]).mean_quality, options, log,
+        lambda: figures(mesh.points, mesh.mesh_arrays()[0], pool=pool).mean_quality, options, log,
     )
     if options.finish:
         clock = time.perf_counter()
@@ -142,7 +142,7 @@ def _worst_cells(
         if near is not None:
             state = away_from(state, near) or joined(state)
         work = inside(state)
-        limits = bounds if descent.hold is None else held_angles(work, bounds, descent.hold)
+        limits = bounds if descent.hold is None else held_angles(work, bounds, descent.hold, pool)
         work_on(work, descent.phases, limits)
         if memory.offer(state, "finished") or mesh.dim == 2:
             continue

@@ -179,14 +179,14 @@ def _run_in(
         points, cells, regions, inner_locked, inner_boundary, skin, frame.inner_neighbors(neighbors)
     )
     del neighbors
-    before = figures(points, cells, options.objective)
+    before = figures(points, cells, options.objective, pool)
     before = before if whole is None else before.with_extremes_of(whole)
     if mesh.valid_before is not None:
         places, valid = mesh.valid_before
         before = before.or_worse(figures(frame.inside(places), valid, options.objective))
     near = None if cut is None or not cut.any() else cut[frame.vertices]
     memory = Memory(before, tuple(options.keep), options.objective, by_score=options.finish,
-                    aside=None if whole is None else near)
+                    aside=None if whole is None else near, pool=pool)
     spec = inner_density(mesh, options, frame)
     m = first.used
     density = make_density(

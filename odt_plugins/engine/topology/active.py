@@ -19,12 +19,14 @@ def vertices_of_pending(cells: IntArray, status: ByteArray, active: BoolArray) -
 
 
 @kernel
-def pending_slots(cells: IntArray, status: ByteArray, found: IntArray) -> int:
-    """Write the pending slots among the first ``len(found)`` ones; returns their number."""
+def pending_slots(
+    cells: IntArray, status: ByteArray, found: IntArray, start: int, stop: int
+) -> int:
+    """Write the pending slots from start to stop into ``found`` from start on; their number."""
     count = 0
-    for c in range(found.shape[0]):
+    for c in range(start, stop):
         if status[c] == PENDING and cells[c, 0] >= 0:
-            found[count] = c
+            found[start + count] = c
             count += 1
     return count
 

@@ -7,6 +7,7 @@ move one after another.  The blocks depend on the mesh alone, not on the number 
 
 from __future__ import annotations
 
+from bisect import bisect_left
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
@@ -28,6 +29,9 @@ MOST_BLOCKS = 1024
 
 SMALLEST = 256
 """Fewer vertices of one colour than this are not worth a second thread."""
+
+TURNS = 4
+"""Chunks of a colour for each thread, so that none waits long for the last one to end."""
 
 T = TypeVar("T")
 
@@ -186,16 +190,17 @@ def run_chunks(
     coloring : Coloring
     work : callable                      releases the GIL; works on coloring.order[start:stop]
     """
-    blocks = coloring.blocks
+    blocks = coloring.blocks.tolist()
     if pool is None:
-        return [work(first, last) for first, last in pieces(0, int(blocks[-1]))]
+        return [work(first, last) for first, last in pieces(0, blocks[-1])]
     results = []
     for first, last in pairwise(coloring.offsets.tolist()):
-        size = int(blocks[last] - blocks[first])
+        start, size = blocks[first], blocks[last] - blocks[first]
         if size < SMALLEST:
-            results.append(work(int(blocks[first]), int(blocks[last])))
+            results.append(work(start, start + size))
             continue
-        count = max(threads, -(-size // PIECE))
-        cuts = [int(blocks[first + (last - first) * t // count]) for t in range(count + 1)]
+        count = max(threads, min(TURNS * threads, size // SMALLEST), -(-size // PIECE))
+        cuts = [blocks[bisect_left(blocks, start + size * t // count, first, last)]
+                for t in range(count + 1)]
         results += pool.map(work, cuts[:-1], cuts[1:])
     return results

@@ -4,16 +4,27 @@ from __future__ import annotations
 
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
-from typing import Any
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.compiled.threads import run_ranges
 from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.order import by_lowest_vertex, make_slabs
 from odt_plugins.engine.topology.star import Stars, vertex_stars
 from odt_plugins.engine.topology.tets import FREE, FULL, USED, Tets
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+
+
+class Cells(NamedTuple):
+    """What is known of every cell: its vertices and neighbours, (room, d + 1), and its label."""
+
+    cells: IntArray
+    neighbors: IntArray
+    regions: IntArray
 
 
 @dataclass
@@ -104,29 +115,27 @@ def make_complex(
     """
     if neighbors is None:
         neighbors = cell_neighbors(cells, vertex_stars(cells, len(points)))
-    return _with_room(points, cells, neighbors, regions, locked, boundary, skin)
+    mesh = _with_room(len(cells), cells.shape[1], points, locked, boundary, skin)
+    mesh.cells[: mesh.used] = cells
+    mesh.neighbors[: mesh.used] = neighbors
+    mesh.regions[: mesh.used] = regions
+    return mesh
 
 
 def _with_room(
-    points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
-    locked: BoolArray, boundary: BoolArray, skin: Any,
+    m: int, k: int, points: FloatArray, locked: BoolArray, boundary: BoolArray, skin: Any
 ) -> Complex:
-    """Put the arrays of a mesh into slots, an eighth more than there are cells in space."""
-    m, k = cells.shape
+    """Slots for m cells of k vertices, which are to be filled in, an eighth more in space."""
     room = m if k == 3 else m + m // 8 + 64
-    slots = np.full((room, k), -1, dtype=np.int32)
-    slots[:m] = cells
-    across = np.full((room, k), -1, dtype=np.int32)
-    across[:m] = neighbors
-    labels = np.zeros(room, dtype=np.int32)
-    labels[:m] = regions
+    cells, neighbors = np.empty((2, room, k), dtype=np.int32)
+    cells[m:] = neighbors[m:] = -1
     return Complex(
         points,
         locked,
         boundary,
-        slots,
-        across,
-        labels,
+        cells,
+        neighbors,
+        np.zeros(room, dtype=np.int32),
         np.zeros(room, dtype=np.uint8),
         np.array([m, 0, 0], dtype=np.int64),
         np.empty(room, dtype=np.int32),
@@ -134,19 +143,34 @@ def _with_room(
     )
 
 
-def renumbered(mesh: Complex) -> Complex:
+@kernel
+def _copy_cells(
+    old: Cells, order: IntArray, rank: IntArray, new: Cells, start: int, stop: int
+) -> None:
+    """Copy the cells order[start:stop] to these places; ``rank`` is the new number of every one."""
+    for i in range(start, stop):
+        c = order[i]
+        new.regions[i] = old.regions[c]
+        for a in range(old.cells.shape[1]):
+            new.cells[i, a] = old.cells[c, a]
+            across = old.neighbors[c, a]
+            new.neighbors[i, a] = rank[across] if across >= 0 else -1
+
+
+def renumbered(mesh: Complex, pool: ThreadPoolExecutor | None = None) -> Complex:
     """Return the same mesh without free slots, its cells by their smallest vertex, nothing pending.
 
     Flips scatter the cells around a vertex over the memory; this brings them together again.
+    ``pool`` as in ``threads.run_ranges``.
     """
     order = by_lowest_vertex(mesh.cells[: mesh.used], len(mesh.points))
-    rank = np.full(len(mesh.cells) + 1, -1, dtype=np.int32)
+    rank = np.empty(mesh.used, dtype=np.int32)
     rank[order] = np.arange(len(order), dtype=np.int32)
     fresh = _with_room(
-        mesh.points, np.take(mesh.cells, order, axis=0),
-        rank[np.take(mesh.neighbors, order, axis=0)], mesh.regions[order],
-        mesh.locked, mesh.boundary, mesh.skin,
+        len(order), mesh.dim + 1, mesh.points, mesh.locked, mesh.boundary, mesh.skin
     )
+    old, new = (Cells(each.cells, each.neighbors, each.regions) for each in (mesh, fresh))
+    run_ranges(pool, len(order), partial(_copy_cells, old, order, rank, new))
     fresh.shares = mesh.shares
     return fresh
 

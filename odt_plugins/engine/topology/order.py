@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
-from odt_plugins.engine.compiled.threads import pieces
+from odt_plugins.engine.compiled.threads import run_pieces, thread_pool
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 
 BITS = 10
@@ -117,13 +117,14 @@ def _match_rows(
                 break
 
 
-def same_vertices(old: IntArray, new: IntArray, n: int) -> IntArray:
+def same_vertices(old: IntArray, new: IntArray, n: int, threads: int = 1) -> IntArray:
     """Find the cells that are still there.
 
     Parameters
     ----------
     old, new : (m, d + 1), (m', d + 1) int32    cells, each of different vertices
     n : int                                     number of vertices
+    threads : int                               how many share the work
 
     Returns
     -------
@@ -133,8 +134,12 @@ def same_vertices(old: IntArray, new: IntArray, n: int) -> IntArray:
     count = np.bincount(old.ravel(), minlength=n)
     _sort_by_rarest(old, count, ends, order)
     source = np.full(len(new), -1, dtype=np.int32)
-    for first, last in pieces(0, len(new)):
+
+    def match(first: int, last: int) -> None:
         _match_rows(old, new[first:last], count, order, ends, source[first:last])
+
+    with thread_pool(threads) as pool:
+        run_pieces(pool, len(new), match)
     return source
 
 

@@ -10,12 +10,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from functools import partial
 from threading import Event
 
 import numpy as np
 
 from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
-from odt_plugins.engine.compiled.threads import pieces
+from odt_plugins.engine.compiled.threads import pieces, run_ranges
 from odt_plugins.engine.topology.complex import Complex
 from odt_plugins.engine.topology.tets import FREE, FULL, USED, Tets
 from odt_plugins.mesh.arrays import BoolArray, ByteArray, IntArray, LongArray
@@ -38,14 +39,17 @@ def _slab_of_cell(cells: IntArray, c: int, slab: ByteArray) -> int:
 
 
 @kernel
-def cut_walls(cells: IntArray, neighbors: IntArray, slab: ByteArray, cut: BoolArray) -> int:
+def cut_walls(
+    cells: IntArray, neighbors: IntArray, slab: ByteArray, cut: BoolArray, start: int, stop: int
+) -> int:
     """Cut the adjacency between slabs; a cell belongs to the least slab of its vertices.
 
-    The k-th such facet gets -2 - k in the place of the cell across, on both sides, and its
-    vertices are marked in ``cut``.  Returns the number of facets.
+    Only where the cell of the lesser slab is one of start to stop; others can be cut at the same
+    time.  The k-th such facet is wall w = 4 start + k: its sides get -2 - 2 w and -3 - 2 w in the
+    place of the cell across, and its vertices are marked in ``cut``.  Returns the number of facets.
     """
     count = 0
-    for c in range(cells.shape[0]):
+    for c in range(start, stop):
         if cells[c, 0] < 0:
             continue
         mine = slab[cells[c, 0]]
@@ -58,11 +62,12 @@ def cut_walls(cells: IntArray, neighbors: IntArray, slab: ByteArray, cut: BoolAr
             across = neighbors[c, f]
             if across < 0 or _slab_of_cell(cells, across, slab) <= mine:
                 continue
+            wall = 4 * start + count
             for g in range(4):
                 if neighbors[across, g] == c:
-                    neighbors[across, g] = -2 - count
+                    neighbors[across, g] = -3 - 2 * wall
                     break
-            neighbors[c, f] = -2 - count
+            neighbors[c, f] = -2 - 2 * wall
             count += 1
             for i in range(4):
                 if i != f:
@@ -71,29 +76,38 @@ def cut_walls(cells: IntArray, neighbors: IntArray, slab: ByteArray, cut: BoolAr
 
 
 @kernel
-def heal_walls(cells: IntArray, neighbors: IntArray, ends: LongArray) -> None:
-    """Join again what :func:`cut_walls` cut; ``ends`` (number of facets,) is filled with -1."""
-    for c in range(cells.shape[0]):
+def find_walls(
+    cells: IntArray, neighbors: IntArray, ends: LongArray, start: int, stop: int
+) -> None:
+    """Write where the sides of the walls are, among the cells start to stop.
+
+    Side 0 or 1 of wall w at facet f of cell c is 4 c + f in ``ends[2 w]`` or ``ends[2 w + 1]``.
+    """
+    for c in range(start, stop):
         if cells[c, 0] < 0:
             continue
         for f in range(4):
-            wall = -2 - neighbors[c, f]
-            if wall < 0:
-                continue
-            if ends[wall] < 0:
-                ends[wall] = 4 * c + f
-            else:
-                across = ends[wall] >> 2
-                neighbors[c, f] = across
-                neighbors[across, ends[wall] & 3] = c
+            side = -2 - neighbors[c, f]
+            if side >= 0:
+                ends[side] = 4 * c + f
+
+
+@kernel
+def heal_walls(neighbors: IntArray, ends: LongArray, first: int, last: int) -> None:
+    """Join again at the walls first to last what :func:`cut_walls` cut."""
+    for wall in range(first, last):
+        a, b = ends[2 * wall], ends[2 * wall + 1]
+        neighbors[a >> 2, a & 3] = b >> 2
+        neighbors[b >> 2, b & 3] = a >> 2
 
 
 @kernel
 def _sort_out(
-    cells: IntArray, order: IntArray, slab: ByteArray, cut: BoolArray, home: ByteArray
+    cells: IntArray, order: IntArray, slab: ByteArray, cut: BoolArray, home: ByteArray,
+    start: int, stop: int,
 ) -> None:
-    """Write the slab of every cell of ``order``, LEFT at a cut, GONE for a free slot."""
-    for o in range(order.shape[0]):
+    """Write the slab of the cells order[start:stop], LEFT at a cut, GONE for a free slot."""
+    for o in range(start, stop):
         c = order[o]
         if cells[c, 0] < 0:
             home[o] = GONE
@@ -140,31 +154,39 @@ def _in_slabs(
     """Work at the cells away from the cuts; returns what it gave, and the cells that are left."""
     used = mesh.used
     cut = np.zeros(len(mesh.points), dtype=np.bool_)
-    walls = cut_walls(mesh.cells[:used], mesh.neighbors, slab, cut)
+
+    def cut_part(start: int, stop: int) -> tuple[int, int]:
+        number = cut_walls(mesh.cells, mesh.neighbors, slab, cut, start, stop)
+        return 4 * start, 4 * start + int(number)
+
+    walls = run_ranges(pool, used, cut_part)
     home = np.empty(len(order), dtype=np.uint8)
-    _sort_out(mesh.cells, order, slab, cut, home)
-    parts = [order[home == k] for k in range(int(slab.max()) + 1)]
-    ends, slots, free = _share_room(mesh, len(parts))
+    run_ranges(pool, len(order), partial(_sort_out, mesh.cells, order, slab, cut, home))
+    count = int(slab.max()) + 1
+    ends, slots, free = _share_room(mesh, count)
     whole = mesh.tets._replace(locked=mesh.locked | cut)
     given_up = Event()
 
     def run(k: int) -> int:
         own = whole._replace(cells=mesh.cells[: ends[k]], slots=slots[k], free=free[k])
+        mine = order[home == k]
         total = 0
-        for first, last in pieces(0, len(parts[k]), costly=costly):
+        for first, last in pieces(0, len(mine), costly=costly):
             if given_up.is_set():
                 break
-            total += work(parts[k][first:last], own)
+            total += work(mine[first:last], own)
         return total
 
     try:
-        total = sum((map if pool is None else pool.map)(run, range(len(parts))))
+        total = sum((map if pool is None else pool.map)(run, range(count)))
     except BaseException:
         given_up.set()
         raise
     _collect_room(mesh, ends, slots, free)
-    used = mesh.used
-    heal_walls(mesh.cells[:used], mesh.neighbors, np.full(walls, -1, dtype=np.int64))
+    sides = np.empty(8 * used, dtype=np.int64)
+    run_ranges(pool, mesh.used, partial(find_walls, mesh.cells, mesh.neighbors, sides))
+    for first, last in walls:
+        heal_walls(mesh.neighbors, sides, first, last)
     return total, order[home == LEFT]
 
 

@@ -260,7 +260,7 @@ def test_phases_that_hold_give_up_a_part_of_the_best_extremes_at_most(monkeypatc
     found = [(0.2, 10.0, 150.0), (0.3, 8.0, 160.0), (0.1, 20.0, 160.0), (0.3, 19.99, 149.9)]
     steps = iter(found)
 
-    def reached(_):
+    def reached(*_):
         q, small, large = next(steps)
         return Extremes(q, np.cos(np.radians(small)), np.cos(np.radians(large)))
 

@@ -59,7 +59,7 @@ def test_small_angles_beyond_those_of_the_input_are_worked_off(part, monkeypatch
     reached = share(plain.points, plain.cells)
     assert reached > 0.02
 
-    def fewer(points, cells, objective):
+    def fewer(points, cells, objective, _):
         return replace(figures(points, cells, objective), small_angles=part * reached)
 
     monkeypatch.setattr(driver, "figures", fewer)

@@ -65,16 +65,25 @@ def test_walls_are_the_facets_between_slabs_and_heal():
     cells = mesh.mesh_arrays()[0]
     before = mesh.neighbors.copy()
     cut = np.zeros(len(mesh.points), dtype=bool)
-    walls = slabs.cut_walls(mesh.cells, mesh.neighbors, slab, cut)
+    middle = mesh.used // 2
+    parts = [(middle, mesh.used), (0, middle)]
+    counts = [slabs.cut_walls(mesh.cells, mesh.neighbors, slab, cut, *part) for part in parts]
     home = slab[cells].min(axis=1)
     expected = [facet for facet, owners in tm.facets_of(cells).items()
                 if len(owners) == 2 and home[owners[0]] != home[owners[1]]]
-    assert walls == len(expected) > 100
+    assert sum(counts) == len(expected) > 100
+    assert min(counts) > 10
     assert set(np.flatnonzero(cut)) == {v for f in expected for v in f}
     codes, count = np.unique(mesh.neighbors[mesh.neighbors < -1], return_counts=True)
-    assert codes.tolist() == list(range(-1 - walls, -1))
-    assert np.all(count == 2)
-    slabs.heal_walls(mesh.cells, mesh.neighbors, np.full(walls, -1))
+    sides = [8 * first + side for (first, _), found in zip(parts, counts, strict=True)
+             for side in range(2 * found)]
+    assert (-2 - codes).tolist() == sorted(sides, reverse=True)
+    assert np.all(count == 1)
+    ends = np.zeros(8 * mesh.used, dtype=np.int64)
+    for part in parts:
+        slabs.find_walls(mesh.cells, mesh.neighbors, ends, *part)
+    for (first, _), found in zip(parts, counts, strict=True):
+        slabs.heal_walls(mesh.neighbors, ends, 4 * first, 4 * first + found)
     assert np.array_equal(mesh.neighbors, before)
 
 
@@ -102,7 +111,10 @@ def test_slabs_that_run_when_one_is_interrupted_stop_at_their_next_piece():
 
     class Interrupted:
         def map(self, work, *arguments):
-            tasks.extend((work, *task) for task in zip(*arguments, strict=True))
+            calls = list(zip(*arguments, strict=True))
+            if len(arguments) > 1:
+                return [work(*call) for call in calls]
+            tasks.extend((work, *call) for call in calls)
             raise KeyboardInterrupt
 
     seen = []
