@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from odt_plugins.distributed.versions import expect_versions
 from odt_plugins.engine.odt.density import NodalDensity
 from odt_plugins.engine.record.figures import Figures
-from odt_plugins.engine.run.driver import run
+from odt_plugins.engine.run.driver import Again, run
 from odt_plugins.engine.run.outcome import Outcome
 from odt_plugins.engine.surface.driver import run_surface
 from odt_plugins.engine.surface.judge import values_on
@@ -42,6 +42,7 @@ class Block:
                                  are the bounds; None holds the block to the promise by itself
     without : tuple of str       phases of stage 2 that are left to another round
     share : float                part of the change of the volume that a surface that slides may use
+    again : Again or None        in later rounds
     """
 
     mesh: SimplexMesh
@@ -53,6 +54,7 @@ class Block:
     whole: Figures | None = None
     without: tuple[str, ...] = ()
     share: float = 1.0
+    again: Again | None = None
 
     @property
     def nbytes(self) -> int:
@@ -60,6 +62,7 @@ class Block:
         mesh, ground = self.mesh, self.mesh.ground
         arrays: list[NDArray[Any]] = [mesh.points, mesh.cells, mesh.regions, mesh.fixed,
                                       mesh.stays, mesh.lines, self.waiting]
+        arrays += [] if self.again is None else [self.again.fresh]
         if ground is not None:
             arrays += [ground.points, ground.cells, ground.lines]
         return sum(a.nbytes for a in arrays) + (0 if self.density is None else self.density.nbytes)
@@ -158,7 +161,7 @@ def improve(block: Block) -> Improved:
     if mesh.is_surface:
         return _improved_surface(block, run_surface(mesh, options, without=block.without))
     outcome = run(mesh, options, cut=block.waiting, whole=block.whole, without=block.without,
-                  share=block.share)
+                  share=block.share, again=block.again)
     points, cells, sizes = outcome.points, outcome.cells, outcome.sizes
     if outcome.origin is not None:
         n = len(mesh.points)

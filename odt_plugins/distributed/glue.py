@@ -21,6 +21,7 @@ from odt_plugins.distributed.partition import (
 )
 from odt_plugins.distributed.versions import versions_here
 from odt_plugins.engine.record.figures import Figures
+from odt_plugins.engine.run.driver import Again
 from odt_plugins.engine.topology.part import rings
 from odt_plugins.errors import InvalidMeshError
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
@@ -118,7 +119,7 @@ def labels(
     elif index < rounds - 1:
         label[active] = grown(whole.patch, cells, RINGS)
     else:
-        near = rings(whole.waiting, cells, RINGS)
+        near = near_cuts(whole)[active]
         if worst is not None:
             near |= rings(worst, cells, WORST_RINGS)
         zone = active[near]
@@ -126,6 +127,14 @@ def labels(
             parts = -(-len(zone) * count // len(active))
             label[zone] = clusters(mesh.cells[zone], parts)
     return label
+
+
+def near_cuts(whole: Whole) -> BoolArray:
+    """Say which cells may change and lie around vertices that have been on rims only, (m,)."""
+    mesh = whole.mesh
+    near = ~mesh.frozen
+    near[near] = rings(whole.waiting, mesh.cells[near], RINGS)
+    return near
 
 
 def one_round(
@@ -142,6 +151,7 @@ def one_round(
     members = groups(label)
     waiting = whole.waiting & rim
     inside = int((label >= 0).sum())
+    part = inside / int((~mesh.frozen).sum())
     versions = versions_here()
     sent: list[int] = []
     vertices_of: list[NDArray[np.intp]] = []
@@ -152,8 +162,10 @@ def one_round(
             density = None if whole.density is None else whole.density[vertices]
             vertices_of.append(vertices)
             options = task.of(block, len(cells) / inside)
+            fresh = whole.waiting[vertices]
+            again = None if fresh.all() else Again(fresh, 1.0 if task.without else part)
             work = Block(block, density, options, task.power, waiting[vertices], versions,
-                         task.figures, task.without, task.share)
+                         task.figures, task.without, task.share, again)
             sent.append(work.nbytes)
             yield work
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from odt_plugins.adapters.files import check_output, read_file, write_file
 from odt_plugins.distributed.apply import told
-from odt_plugins.distributed.glue import Map, Task, Traffic, Whole, labels, one_round
+from odt_plugins.distributed.glue import Map, Task, Traffic, Whole, labels, near_cuts, one_round
 from odt_plugins.distributed.local import executor
 from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
 from odt_plugins.engine.odt.density import NodalDensity, make_density
@@ -39,6 +39,9 @@ if TYPE_CHECKING:
 
 LEAST_CELLS = 5000
 """Meshes are cut into no smaller blocks: most of such a block lies beside its rim."""
+
+LAST_BLOCKS = 10
+"""No more such blocks of cells around the cuts are done in one last round, and not cut again."""
 
 WORST_CELLS = 20
 """So many tetrahedra, worst first by each measure, are looked after in the last round."""
@@ -82,7 +85,8 @@ def optimize_partitioned(
         Blocks of about equal size in the first round; fewer when they had less than 5000 cells.
     block_rounds : int
         Most rounds of blocks. In the last one nothing is cut again, so that from two on every cell
-        has been inside a block in some round.
+        has been inside a block in some round. The second is the last where at most 50,000 cells
+        lie around the cuts.
     client : distributed.Client, optional
         Blocks go to the workers of this cluster; Dask gives those of a lost worker to another.
     workers : int
@@ -210,12 +214,13 @@ def run_blocks(
         told_all = replace(options, progress=options.progress or silent)
         report = in_turn(told_all, int(judged)).progress
         for index in range(rounds):
-            last = index == rounds - 1
             state = done.states[-1]
+            last = index == rounds - 1 or (index > 0 and _soon_done(state))
             if length and index == 1:
                 state = replace(state, mesh=_on_ground(start.mesh, state.mesh))
                 done.states[-1] = state
-            label = labels(state, count, index, rounds, _worst(state.mesh) if last else None)
+            label = labels(state, count, index, index + 1 if last else rounds,
+                           _worst(state.mesh) if last else None)
             if label.max() < 0:
                 continue
             name = f"round {index + 1}"
@@ -226,6 +231,8 @@ def run_blocks(
                         _share(mesh, state.mesh) if length and index else FIRST_SHARE, length,
                         _room(mesh, state.mesh, options))
             done.add(name, label, task, blockwise)
+            if last:
+                break
         clock = time.perf_counter()
         outcome, good = _judged(mesh, done, options, leaving, kept)
         done.times["check"] = time.perf_counter() - clock
@@ -233,6 +240,11 @@ def run_blocks(
         if good == len(done.states) - 1:
             break
     return max(found, key=lambda pair: pair[0])[1]
+
+
+def _soon_done(whole: Whole) -> bool:
+    """Whether so few cells lie around the cuts that the next round is the last."""
+    return int(near_cuts(whole).sum()) <= LAST_BLOCKS * LEAST_CELLS
 
 
 @dataclass

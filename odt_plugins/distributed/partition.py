@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
 from odt_plugins.mesh.components import components
 
 RINGS = 3
@@ -63,10 +63,11 @@ def clusters(cells: IntArray, count: int) -> IntArray:
     -------
     (m,) int32                  group of every cell; cells with a common vertex are together
     """
-    used, local = np.unique(cells, return_inverse=True)
-    local = local.reshape(cells.shape)
+    used = np.zeros(int(cells.max()) + 1, dtype=np.bool_)
+    used[cells] = True
+    local: LongArray = (np.cumsum(used) - 1)[cells]
     rows, columns = np.repeat(local[:, 0], cells.shape[1] - 1), local[:, 1:].ravel()
-    of_cell = components(rows, columns, len(used))[local[:, 0]]
+    of_cell = components(rows, columns, int(used.sum()))[local[:, 0]]
     before = np.cumsum(np.bincount(of_cell)) - 1
     return np.asarray(before * count // len(cells), dtype=np.int32)[of_cell]
 

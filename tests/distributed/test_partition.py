@@ -189,6 +189,33 @@ def test_phases_for_the_worst_cells_of_the_whole_wait_for_the_last_round(small_b
     assert all(tuple(x) in places for x in mesh.points[worst].reshape(-1, 3))
 
 
+@pytest.mark.parametrize(("most", "rounds"), [(0, 3), (100, 2)])
+def test_few_cells_around_the_cuts_are_done_in_one_last_round(
+    small_blocks, monkeypatch, most, rounds
+):
+    monkeypatch.setattr(blocks_module, "LAST_BLOCKS", most)
+    seen: list[list[Block]] = []
+
+    def sees(function: Any, items: Iterable[Block]) -> Iterator[Improved]:
+        seen.append([])
+        for block in items:
+            seen[-1].append(block)
+            yield unchanged(block)
+
+    mesh = mesh_of(900)
+    run_blocks(mesh, Options(), 4, 3, sees)
+    assert len(seen) == rounds
+    assert all(block.again is None for block in seen[0])
+    inside = sum(len(block.mesh.cells) for block in seen[-1])
+    for block in seen[-1]:
+        assert block.again is not None
+        assert block.again.part == inside / len(mesh.cells)
+        assert not block.waiting.any()
+        assert block.without == ()
+    fresh = [block.again.fresh.any() for blocks in seen[1:] for block in blocks if block.again]
+    assert any(fresh)
+
+
 def moved_rim(result: Improved) -> Improved:
     return replace(result, points=result.points + 1e-3)
 

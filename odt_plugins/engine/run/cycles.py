@@ -6,6 +6,7 @@ import math
 import time
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from functools import partial
 
 from odt_plugins.engine.cells.extremes import Bounds, Extremes
@@ -116,7 +117,12 @@ def run_cycles(
 
     def stage1(tick: Callable[[float], None]) -> str:
         nonlocal mesh
-        mesh, reason = smooth(mesh, density, options, limits, log, tick, watch, pool)
+        some = None if log.fresh is None else around(mesh, log.fresh)
+        if log.fresh is not None and some is None:
+            return "no vertex is new"
+        work = some.inside if some else mesh
+        work, reason = smooth(work, density, options, limits, log, tick, watch, pool)
+        mesh = joined(replace(some, inside=work)) if some else work
         return reason
 
     reason = alternate(
@@ -193,8 +199,14 @@ def settle(
     mesh: Complex, phases: tuple[Phase, ...], bounds: Bounds, log: Log,
     pool: ThreadPoolExecutor | None, threads: int,
 ) -> None:
-    """Run phases of stage 2 that are not left out, and count."""
-    phases = tuple(phase for phase in phases if phase.name not in log.without)
+    """Run phases of stage 2 that are not left out, and count.
+
+    A guard is that share of the cells of the larger mesh, where this one is a part of it.
+    """
+    phases = tuple(
+        replace(phase, guard=phase.guard and min(1.0, phase.guard / log.part))
+        for phase in phases if phase.name not in log.without
+    )
     flips, moves = finish(mesh, phases, bounds, pool, threads)
     log.add("quality flips", flips)
     log.add("vertex moves", moves)

@@ -8,7 +8,7 @@ from collections.abc import Container
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -39,6 +39,20 @@ from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
 
+
+class Again(NamedTuple):
+    """What a mesh is told of the larger one it was cut from where most of it was optimised before.
+
+    Attributes
+    ----------
+    fresh : (n,) bool    vertices that could not move then: stage 1 works around these
+    part : float         of the cells of the larger mesh, the worst of which are all here
+    """
+
+    fresh: BoolArray
+    part: float
+
+
 NO_DENSITY = "nothing that follows the density kept the promise, the sizes are those of the input"
 
 
@@ -56,7 +70,7 @@ def locked_vertices(mesh: SimplexMesh, neighbors: IntArray) -> tuple[BoolArray, 
 def run(
     mesh: SimplexMesh, options: Options, leaving: Leaving = as_it_is, *,
     cut: BoolArray | None = None, whole: Figures | None = None,
-    without: Container[str] = frozenset(), share: float = 1.0,
+    without: Container[str] = frozenset(), share: float = 1.0, again: Again | None = None,
 ) -> Outcome:
     """Optimise a valid mesh.
 
@@ -74,6 +88,7 @@ def run(
                                  does not slide
     share : float                part of the allowed change of the volume that a boundary that
                                  slides may use in this run
+    again : Again, optional      has no effect where the boundary slides
 
     Returns
     -------
@@ -90,7 +105,7 @@ def run(
         )
         raise InvalidOptionError(msg)
     if not slides(mesh, options):
-        return _run(mesh, options, leaving, cut, whole, without)[0]
+        return _run(mesh, options, leaving, cut, whole, without, again=again)[0]
     if whole is None:
         outcome = _run_sliding(mesh, options, leaving, cut, share)
     else:
@@ -153,15 +168,19 @@ def _score(outcome: Outcome, options: Options) -> float:
 def _run(
     mesh: SimplexMesh, options: Options, leaving: Leaving, cut: BoolArray | None = None,
     whole: Figures | None = None, without: Container[str] = frozenset(), share: float = 1.0,
+    again: Again | None = None,
 ) -> tuple[Outcome, IntArray]:
     """One run of all stages; also the surface vertices at which a surface that slid is spoiled."""
+    log = Log(without=without)
+    if again is not None:
+        log.part, log.fresh = again.part, again.fresh if options.finish else None
     with thread_pool(options.threads) as pool, callers_vertices(mesh):
-        return _run_in(pool, mesh, options, leaving, cut, whole, without, share)
+        return _run_in(pool, mesh, options, leaving, cut, whole, log, share)
 
 
 def _run_in(
     pool: ThreadPoolExecutor | None, mesh: SimplexMesh, options: Options, leaving: Leaving,
-    cut: BoolArray | None, whole: Figures | None, without: Container[str], share: float,
+    cut: BoolArray | None, whole: Figures | None, log: Log, share: float,
 ) -> tuple[Outcome, IntArray]:
     clock = time.perf_counter()
     nowhere = np.zeros(0, dtype=np.int32)
@@ -192,7 +211,8 @@ def _run_in(
     density = make_density(
         spec, options.exponent, points, first.cells[:m], first.neighbors[:m].copy()
     )
-    log = Log(times={"prepare": time.perf_counter() - clock}, without=without)
+    log.fresh = None if log.fresh is None else log.fresh[frame.vertices]
+    log.times["prepare"] = time.perf_counter() - clock
     bounds = extremes(before, tuple(options.keep))
     before_insertion = until_insertion(options) if options.insert else options
     away = near if skin is None else None

@@ -16,12 +16,13 @@ from promises import assert_promise, measure, mesh_of, planar, volumes
 from scipy.spatial import Delaunay
 
 from odt_plugins.engine.compiled import threads
-from odt_plugins.engine.finish.phases import Descent
+from odt_plugins.engine.finish.phases import Descent, worst_cells
 from odt_plugins.engine.odt.density import NodalDensity, cell_density
 from odt_plugins.engine.odt.energy import energy
+from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.odt.total_energy import total_energy
 from odt_plugins.engine.run import cycles, driver
-from odt_plugins.engine.run.driver import run
+from odt_plugins.engine.run.driver import Again, run
 from odt_plugins.engine.topology import coloring, order
 from odt_plugins.engine.topology.frame import Frame
 from odt_plugins.options import FIGURES, Options
@@ -422,6 +423,33 @@ def test_bounds_of_a_larger_mesh_take_the_place_of_those_of_its_part():
     taken = run(mesh, Options(rounds=8, finish=False), whole=worse)
     assert taken.fallback is None
     assert tm.quality(taken.points, taken.cells).mean() > own.mean_quality + 0.1
+
+
+def test_stage_1_works_again_only_around_vertices_that_could_not_move():
+    mesh = mesh_of(*tm.ball(900, 4))
+    fresh = mesh.points[:, 0] > 0.7
+    reached = fresh.copy()
+    for _ in range(2):
+        reached[mesh.cells[reached[mesh.cells].any(axis=1)]] = True
+    names = {"bulk", "polish", "after polish", "cautious", "worst"}
+    names |= {phase.name for phase in worst_cells()}
+    assert not reached.all()
+    for new in (fresh, np.zeros_like(fresh)):
+        outcome = run(mesh, Options(keep=()), without=names, again=Again(new, 1.0))
+        moved = (outcome.points != mesh.points).any(axis=1)
+        assert moved.any() == new.any()
+        assert not moved[~reached].any()
+
+
+def test_guards_of_a_part_are_shares_of_the_cells_of_the_larger_mesh(monkeypatch):
+    seen = []
+    monkeypatch.setattr(cycles, "finish", lambda mesh, phases, *_: seen.extend(phases) or (0, 0))
+    for part in (1.0, 0.25, 0.001):
+        cycles.settle(None, worst_cells(), None, Log(part=part), None, 1)
+    guards = [phase.guard for phase in worst_cells()]
+    assert set(guards) == {None, 0.01}
+    assert [phase.guard for phase in seen] == [
+        guard and most for most in (0.01, 0.04, 1.0) for guard in guards]
 
 
 def test_cells_that_another_run_looks_after_may_pass_the_extremes_but_not_others():
