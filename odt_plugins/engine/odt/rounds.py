@@ -11,10 +11,10 @@ import numpy as np
 
 from odt_plugins.engine.cells.extremes import Bounds
 from odt_plugins.engine.cells.sphere import mark_non_delaunay
-from odt_plugins.engine.cells.tetrahedron import ENERGY, Cost
+from odt_plugins.engine.cells.tetrahedron import ENERGY, QUALITY, Cost
 from odt_plugins.engine.compiled.threads import run_ranges
 from odt_plugins.engine.moves.flips2d import lawson_flips
-from odt_plugins.engine.moves.passes import flip_pending
+from odt_plugins.engine.moves.passes import NO_CELL, flip_pending, measures
 from odt_plugins.engine.odt.cvt import cvt_step
 from odt_plugins.engine.odt.delaunay import delaunay_exchange
 from odt_plugins.engine.odt.density import Density
@@ -178,6 +178,16 @@ def exchange(mesh: Complex, log: Log) -> Complex:
     return make_complex(mesh.points, cells, regions, mesh.locked, mesh.boundary, mesh.skin)
 
 
+def exchange_pays(mesh: Complex) -> bool:
+    """Whether connectivity 'auto' asks scipy in the first round."""
+    if mesh.count() > POLICY.exchange_cells:
+        return False
+    if mesh.dim == 2 or (~mesh.locked).mean() < POLICY.flips_free:
+        return True
+    q = measures(mesh, QUALITY)
+    return float(q[q < NO_CELL].mean()) < POLICY.flips_quality
+
+
 def local_flips(
     mesh: Complex, bounds: Bounds, log: Log, pool: ThreadPoolExecutor | None
 ) -> int:
@@ -240,6 +250,7 @@ def smooth(
     cells = _cells(mesh, options)
     topology = make_topology(cells, movable, mesh.boundary, pool=pool)
     scattered = 0
+    pays = exchange_pays(mesh)
     walk = density.walk_start(len(mesh.points))
     for k in range(options.rounds):
         rho = density.at(mesh.points, pool, walk)
@@ -252,11 +263,11 @@ def smooth(
         log.add("vertex moves", stats.moved)
         log.add("shortened moves", stats.reduced)
         count = mesh.count()
-        moderate, far = count <= POLICY.exchange_cells, stats.max_move > POLICY.exchange_move
+        far = stats.max_move > POLICY.exchange_move
         old = mesh
         flips = 0
         if options.connectivity == "delaunay" or (
-            options.connectivity == "auto" and k == 0 and moderate and far
+            options.connectivity == "auto" and k == 0 and far and pays
         ):
             mesh = exchange(mesh, log)
         if options.connectivity in ("auto", "flips") or (

@@ -15,6 +15,7 @@ from policies import set_policy
 from promises import assert_promise, measure, mesh_of, planar, volumes
 from scipy.spatial import Delaunay
 
+from odt_plugins.compare.start import kuhn_lattice
 from odt_plugins.engine.compiled import threads
 from odt_plugins.engine.finish.phases import Descent, worst_cells
 from odt_plugins.engine.odt.density import NodalDensity, cell_density
@@ -25,6 +26,7 @@ from odt_plugins.engine.run import cycles, driver
 from odt_plugins.engine.run.driver import Again, run
 from odt_plugins.engine.topology import coloring, order
 from odt_plugins.engine.topology.frame import Frame
+from odt_plugins.mesh.simplex import simplex_mesh
 from odt_plugins.options import FIGURES, Options
 
 DATA = Path(__file__).parents[2] / "data"
@@ -87,6 +89,19 @@ def test_row10_scipy_early_and_flips_late(d):
     outcome = run(mesh, Options(connectivity="auto", finish=False, rounds=8, keep=()))
     assert outcome.counts["delaunay calls"] == 1
     assert outcome.counts["energy flips"] > 0
+
+
+def test_scipy_is_not_asked_where_most_vertices_may_move_and_cells_are_good():
+    points, cells = kuhn_lattice(11)
+    mesh = simplex_mesh(points, cells)[0]
+    inner = ((points > 0) & (points < 11)).all(axis=1)
+    points = points + 0.15 * inner[:, None] * np.sin(7.0 * points + np.arange(3) * points[:, :1])
+    few = np.zeros(len(points), dtype=bool)
+    few[::3] = True
+    options = Options(finish=False, rounds=1, keep=())
+    for fixed, asked in ((mesh.fixed, False), (few, True)):
+        outcome = run(replace(mesh, points=points, fixed=fixed), options)
+        assert ("delaunay calls" in outcome.counts) == asked
 
 
 @pytest.mark.parametrize(
