@@ -8,12 +8,14 @@ worst cells; bounds keep every change within the extremes that the input had.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import numpy as np
 
 from odt_plugins.engine.cells.extremes import (
+    BEST,
     FREELY,
     Bounds,
     Extremes,
@@ -22,6 +24,7 @@ from odt_plugins.engine.cells.extremes import (
     worse,
 )
 from odt_plugins.engine.cells.tetrahedron import QUALITY
+from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.finish.descent import finish_phase
 from odt_plugins.engine.finish.phases import Phase
 from odt_plugins.engine.finish.plane import finish2d
@@ -59,18 +62,33 @@ def worst_count(q: FloatArray, phase: Phase) -> int:
     return min(most, max(most // 10, int((q < phase.enough).sum())))
 
 
+def _shapes(mesh: Complex) -> Iterator[FloatArray]:
+    """:func:`cell_shapes` of all cells, piece by piece, which takes no room to speak of."""
+    for first, last in pieces(0, mesh.used):
+        cells = mesh.cells[first:last]
+        yield cell_shapes(mesh.points, cells[cells[:, 0] >= 0])
+
+
+def _large_cosines(mesh: Complex) -> FloatArray:
+    """Largest cosine of an angle of every cell."""
+    return np.concatenate([shapes[:, 1] for shapes in _shapes(mesh)])
+
+
 def held_angles(mesh: Complex, bounds: Bounds, share: float) -> Bounds:
     """Bounds under which no new cell gets a smaller angle than a share of the cells has now."""
-    cells, _ = mesh.mesh_arrays()
-    return bounds.with_large(np.quantile(cell_shapes(mesh.points, cells)[:, 1], 1.0 - share))
+    return bounds.with_large(np.quantile(_large_cosines(mesh), 1.0 - share))
 
 
 def reached(mesh: Complex) -> Extremes:
     """Extremes of all cells."""
-    shapes = cell_shapes(mesh.points, mesh.mesh_arrays()[0])
-    return Extremes(
-        float(shapes[:, 0].min()), float(shapes[:, 1].max()), float(shapes[:, 2].min())
-    )
+    found = BEST
+    for shapes in _shapes(mesh):
+        found = Extremes(
+            float(shapes[:, 0].min(initial=found.quality)),
+            float(shapes[:, 1].max(initial=found.large)),
+            float(shapes[:, 2].min(initial=found.small)),
+        )
+    return found
 
 
 def guarded(
@@ -78,8 +96,7 @@ def guarded(
 ) -> Bounds:
     """Bounds for a phase by its guard and its least angle, see :class:`Phase`."""
     if phase.least is not None:
-        cells, _ = mesh.mesh_arrays()
-        cosines = cell_shapes(mesh.points, cells)[:, 1]
+        cosines = _large_cosines(mesh)
         least = math.cos(math.radians(phase.least))
         reached = cosines.max()
         few = (cosines > least).mean() <= POLICY.many_small_angles

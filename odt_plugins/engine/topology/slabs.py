@@ -48,10 +48,9 @@ def cut_walls(cells: IntArray, neighbors: IntArray, slab: ByteArray, cut: BoolAr
     for c in range(cells.shape[0]):
         if cells[c, 0] < 0:
             continue
-        mine = slab[cells[c, 0]]
-        if (
-            slab[cells[c, 1]] == mine and slab[cells[c, 2]] == mine and slab[cells[c, 3]] == mine
-        ):
+        first, second = slab[np.uint32(cells[c, 0])], slab[np.uint32(cells[c, 1])]
+        third, fourth = slab[np.uint32(cells[c, 2])], slab[np.uint32(cells[c, 3])]
+        if (first ^ second) | (first ^ third) | (first ^ fourth) == 0:
             continue
         mine = _slab_of_cell(cells, c, slab)
         for f in range(4):
@@ -74,7 +73,8 @@ def cut_walls(cells: IntArray, neighbors: IntArray, slab: ByteArray, cut: BoolAr
 def heal_walls(cells: IntArray, neighbors: IntArray, ends: LongArray) -> None:
     """Join again what :func:`cut_walls` cut; ``ends`` (number of facets,) is filled with -1."""
     for c in range(cells.shape[0]):
-        if cells[c, 0] < 0:
+        least = min(min(neighbors[c, 0], neighbors[c, 1]), min(neighbors[c, 2], neighbors[c, 3]))
+        if least >= -1 or cells[c, 0] < 0:
             continue
         for f in range(4):
             wall = -2 - neighbors[c, f]
