@@ -19,7 +19,7 @@ import numpy as np
 
 from odt_plugins.engine.cells.corner import corner_edges, corner_normals, opposite_edges
 from odt_plugins.engine.cells.packed import add_identity, add_square
-from odt_plugins.engine.compiled.kernel import inner_kernel
+from odt_plugins.engine.compiled.kernel import inlined_kernel, inner_kernel
 from odt_plugins.mesh.arrays import FloatArray
 
 SHARP = 4.0
@@ -34,7 +34,15 @@ def six_cosines(
 
     Of the pairs ab = 01, 02, 03, 12, 13, 23 of (i, j, k, l); the two faces meet at the other edge.
     """
-    ax, ay, az, bx, by, bz, cx, cy, cz = corner_edges(points, i, j, k, l)
+    return corner_cosines(*corner_edges(points, i, j, k, l))
+
+
+@inlined_kernel
+def corner_cosines(
+    ax: float, ay: float, az: float, bx: float, by: float, bz: float, cx: float, cy: float,
+    cz: float,
+) -> tuple[float, float, float, float, float, float, float]:
+    """As :func:`six_cosines`, from the edges at the first vertex."""
     x1, y1, z1, x2, y2, z2, x3, y3, z3 = corner_normals(
         ax, ay, az, bx, by, bz, cx, cy, cz
     )
@@ -68,15 +76,23 @@ def _measure(total: float) -> float:
     return 1.125 / math.sqrt(math.sqrt(total / 6.0))
 
 
+@inlined_kernel
+def measure_of(
+    c01: float, c02: float, c03: float, c12: float, c13: float, c23: float
+) -> float:
+    """Measure m from the six cosines."""
+    total = _edge_cost(c01) + _edge_cost(c02) + _edge_cost(c03)
+    total += _edge_cost(c12) + _edge_cost(c13) + _edge_cost(c23)
+    return _measure(total) if total > 0.0 else 0.0
+
+
 @inner_kernel
 def tet_dihedral(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     """Softened smallest squared sine of tetrahedron (i, j, k, l); -1 if it is not positive."""
     det, c01, c02, c03, c12, c13, c23 = six_cosines(points, i, j, k, l)
     if not det > 0.0:
         return -1.0
-    total = _edge_cost(c01) + _edge_cost(c02) + _edge_cost(c03)
-    total += _edge_cost(c12) + _edge_cost(c13) + _edge_cost(c23)
-    return _measure(total) if total > 0.0 else 0.0
+    return measure_of(c01, c02, c03, c12, c13, c23)
 
 
 @inner_kernel

@@ -10,6 +10,7 @@ import math
 
 import numpy as np
 
+from odt_plugins.engine.cells.dihedral import corner_cosines, measure_of
 from odt_plugins.engine.cells.tetrahedron import SHIFT, opposite_vertices, quality_cost
 from odt_plugins.engine.compiled.kernel import inner_kernel
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -137,6 +138,19 @@ def shape_rows(count: int, rows: FloatArray) -> None:
         most = max(max(s1, s2), max(s3, s0))
         height = det / math.sqrt(max(most, 1e-300))
         rows[ALTITUDE + u] = height if most > 0.0 else 0.0
+
+
+@inner_kernel
+def dihedral_rows(count: int, rows: FloatArray) -> None:
+    """Write the measures ``dihedral.tet_dihedral`` from the rows of :func:`gather_edges`."""
+    for s in range(count):
+        u = np.uint32(s)
+        det, c01, c02, c03, c12, c13, c23 = corner_cosines(
+            rows[AX + u], rows[AY + u], rows[AZ + u], rows[BX + u], rows[BY + u], rows[BZ + u],
+            rows[CX + u], rows[CY + u], rows[CZ + u],
+        )
+        measure = measure_of(c01, c02, c03, c12, c13, c23)
+        rows[Q + u] = measure if det > 0.0 else -1.0
 
 
 @inner_kernel

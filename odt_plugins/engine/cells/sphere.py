@@ -5,7 +5,26 @@ from __future__ import annotations
 import numpy as np
 
 from odt_plugins.engine.cells.corner import corner_edges, corner_normals
-from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
+from odt_plugins.engine.cells.rows import (
+    AX,
+    AY,
+    AZ,
+    BX,
+    BY,
+    BZ,
+    CHUNK,
+    CX,
+    CY,
+    CZ,
+    GX,
+    GY,
+    GZ,
+    ROWS,
+    XX,
+    Q,
+    gather_edges,
+)
+from odt_plugins.engine.compiled.kernel import allocating_kernel, inlined_kernel, inner_kernel
 from odt_plugins.engine.topology.active import PENDING
 from odt_plugins.mesh.arrays import ByteArray, FloatArray, IntArray
 
@@ -25,7 +44,15 @@ def circumsphere(
     gx, gy, gz : float     2 det (centre - x_i)
     size : float           longest squared edge at x_i
     """
-    ax, ay, az, bx, by, bz, cx, cy, cz = corner_edges(points, i, j, k, l)
+    return sphere_of_edges(*corner_edges(points, i, j, k, l))
+
+
+@inlined_kernel
+def sphere_of_edges(
+    ax: float, ay: float, az: float, bx: float, by: float, bz: float, cx: float, cy: float,
+    cz: float,
+) -> tuple[float, float, float, float, float]:
+    """As :func:`circumsphere`, from the edges at x_i."""
     aa = ax * ax + ay * ay + az * az
     bb = bx * bx + by * by + bz * bz
     cc = cx * cx + cy * cy + cz * cz
@@ -69,7 +96,20 @@ def apex_across(cells: IntArray, c: int, f: int, across: int) -> np.int32:
     )
 
 
-@kernel
+@inner_kernel
+def _sphere_rows(count: int, rows: FloatArray) -> None:
+    """Write the spheres of :func:`circumsphere` from the rows of ``gather_edges``."""
+    for s in range(count):
+        u = np.uint32(s)
+        det, gx, gy, gz, size = sphere_of_edges(
+            rows[AX + u], rows[AY + u], rows[AZ + u], rows[BX + u], rows[BY + u], rows[BZ + u],
+            rows[CX + u], rows[CY + u], rows[CZ + u],
+        )
+        rows[Q + u], rows[GX + u], rows[GY + u], rows[GZ + u] = det, gx, gy, gz
+        rows[XX + u] = size
+
+
+@allocating_kernel
 def mark_non_delaunay(
     points: FloatArray, cells: IntArray, neighbors: IntArray, regions: IntArray,
     status: ByteArray, start: int, stop: int,
@@ -78,21 +118,34 @@ def mark_non_delaunay(
 
     Of the two cells at a facet the one in the lower slot is taken.  Returns their number.
     """
-    count = 0
-    for c in range(start, stop):
-        i = np.uint32(cells[c, 0])
-        if cells[c, 0] < 0:
-            continue
-        det, gx, gy, gz, size = circumsphere(
-            points, i, np.uint32(cells[c, 1]), np.uint32(cells[c, 2]), np.uint32(cells[c, 3])
-        )
-        for f in range(4):
-            across = neighbors[c, f]
-            if across <= c or regions[across] != regions[c]:
+    rows = np.empty(ROWS)
+    slots, facets = np.empty(CHUNK, np.int32), np.empty(4 * CHUNK, np.int64)
+    found = 0
+    for first in range(start, stop, CHUNK):
+        count = min(CHUNK, stop - first)
+        for s in range(count):
+            slots[s] = first + s
+        gather_edges(points, cells, slots, 0, count, rows)
+        _sphere_rows(count, rows)
+        n_facets = 0
+        for c in range(first, first + count):
+            last = c if cells[c, 0] >= 0 else cells.shape[0]
+            for f in range(4):
+                facets[np.uint32(n_facets)] = 4 * c + f
+                n_facets += neighbors[c, f] > last
+        marked = -1
+        for m in range(n_facets):
+            c, f = facets[m] >> 2, facets[m] & 3
+            across = np.uint32(neighbors[c, f])
+            if c == marked or regions[across] != regions[c]:
                 continue
-            v = np.uint32(apex_across(cells, c, f, np.uint32(across)))
-            if inside_sphere(points, i, v, det, gx, gy, gz, size):
+            v = np.uint32(apex_across(cells, c, f, across))
+            u = np.uint32(c - first)
+            if inside_sphere(
+                points, np.uint32(cells[c, 0]), v, rows[Q + u], rows[GX + u], rows[GY + u],
+                rows[GZ + u], rows[XX + u],
+            ):
                 status[c] = PENDING
-                count += 1
-                break
-    return count
+                marked = c
+                found += 1
+    return found

@@ -8,12 +8,15 @@ worst cells; bounds keep every change within the extremes that the input had.
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 
 from odt_plugins.engine.cells.extremes import (
+    BEST,
     FREELY,
     Bounds,
     Extremes,
@@ -22,6 +25,7 @@ from odt_plugins.engine.cells.extremes import (
     worse,
 )
 from odt_plugins.engine.cells.tetrahedron import QUALITY
+from odt_plugins.engine.compiled.threads import run_ranges
 from odt_plugins.engine.finish.descent import finish_phase
 from odt_plugins.engine.finish.phases import Phase
 from odt_plugins.engine.finish.plane import finish2d
@@ -50,6 +54,9 @@ FEW = 50
 """Cells at which reconnection is tried however small a part of the mesh they are."""
 
 
+T = TypeVar("T")
+
+
 def worst_count(q: FloatArray, phase: Phase) -> int:
     """How many cells a phase starts from, besides the best of all; ``q`` as of :func:`measures`."""
     cells = int((q < NO_CELL).sum())
@@ -59,21 +66,38 @@ def worst_count(q: FloatArray, phase: Phase) -> int:
     return min(most, max(most // 10, int((q < phase.enough).sum())))
 
 
+def _of_shapes(
+    mesh: Complex, pool: ThreadPoolExecutor | None, figure: Callable[[FloatArray], T]
+) -> list[T]:
+    """Take a figure of :func:`cell_shapes` of each part of the cells."""
+    def part(start: int, stop: int) -> T:
+        cells = mesh.cells[start:stop]
+        return figure(cell_shapes(mesh.points, cells[cells[:, 0] >= 0]))
+
+    return run_ranges(pool, mesh.used, part)
+
+
+def _large_cosines(mesh: Complex, pool: ThreadPoolExecutor | None) -> FloatArray:
+    """Largest cosine of an angle of every cell."""
+    return np.concatenate(_of_shapes(mesh, pool, lambda shapes: shapes[:, 1]))
+
+
 def held_angles(
     mesh: Complex, bounds: Bounds, share: float, pool: ThreadPoolExecutor | None = None
 ) -> Bounds:
     """Bounds under which no new cell gets a smaller angle than a share of the cells has now."""
-    cells, _ = mesh.mesh_arrays()
-    cosines = cell_shapes(mesh.points, cells, pool)[:, 1]
-    return bounds.with_large(np.quantile(cosines, 1.0 - share))
+    return bounds.with_large(np.quantile(_large_cosines(mesh, pool), 1.0 - share))
 
 
 def reached(mesh: Complex, pool: ThreadPoolExecutor | None = None) -> Extremes:
     """Extremes of all cells."""
-    shapes = cell_shapes(mesh.points, mesh.mesh_arrays()[0], pool)
-    return Extremes(
-        float(shapes[:, 0].min()), float(shapes[:, 1].max()), float(shapes[:, 2].min())
-    )
+    def extremes(shapes: FloatArray) -> tuple[float, float, float]:
+        return (float(shapes[:, 0].min(initial=BEST.quality)),
+                float(shapes[:, 1].max(initial=BEST.large)),
+                float(shapes[:, 2].min(initial=BEST.small)))
+
+    quality, large, small = zip(*_of_shapes(mesh, pool, extremes), strict=True)
+    return Extremes(min(quality), max(large), min(small))
 
 
 def guarded(
@@ -81,8 +105,7 @@ def guarded(
 ) -> Bounds:
     """Bounds for a phase by its guard and its least angle, see :class:`Phase`."""
     if phase.least is not None:
-        cells, _ = mesh.mesh_arrays()
-        cosines = cell_shapes(mesh.points, cells, pool)[:, 1]
+        cosines = _large_cosines(mesh, pool)
         least = math.cos(math.radians(phase.least))
         reached = cosines.max()
         few = (cosines > least).mean() <= POLICY.many_small_angles

@@ -2,14 +2,22 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import numpy as np
 
 from odt_plugins.engine.cells.extremes import Bounds
-from odt_plugins.engine.cells.rows import CHUNK, ROWS, Q, gather_edges, quality_rows
-from odt_plugins.engine.cells.tetrahedron import ENERGY, QUALITY, Cost, tet_measure
+from odt_plugins.engine.cells.rows import (
+    CHUNK,
+    ROWS,
+    Q,
+    dihedral_rows,
+    gather_edges,
+    quality_rows,
+)
+from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, ENERGY, QUALITY, Cost, tet_measure
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.compiled.threads import run_ranges
 from odt_plugins.engine.moves import flips3d
@@ -27,17 +35,21 @@ BLOCK_BITS = 14
 
 
 @allocating_kernel
-def _slot_qualities(
-    points: FloatArray, cells: IntArray, slots: IntArray, q: FloatArray, start: int, stop: int
+def _row_measures(
+    points: FloatArray, cells: IntArray, slots: IntArray, objective: int, m: FloatArray,
+    start: int, stop: int,
 ) -> None:
-    """Write the radius ratios of the cells in slots[start:stop], NO_CELL for a free slot."""
+    """As :func:`_slot_measures` for the measures QUALITY and DIHEDRAL, cells side by side."""
     rows = np.empty(ROWS)
     for first in range(start, stop, CHUNK):
         count = min(CHUNK, stop - first)
         gather_edges(points, cells, slots, first, count, rows)
-        quality_rows(0.0, 0.0, 0.0, count, rows)
+        if objective == QUALITY:
+            quality_rows(0.0, 0.0, 0.0, count, rows)
+        else:
+            dihedral_rows(count, rows)
         for s in range(count):
-            q[first + s] = NO_CELL if cells[slots[first + s], 0] < 0 else rows[Q + s]
+            m[first + s] = NO_CELL if cells[slots[first + s], 0] < 0 else rows[Q + s]
 
 
 @kernel
@@ -45,7 +57,7 @@ def _slot_measures(
     points: FloatArray, cells: IntArray, slots: IntArray, objective: int, m: FloatArray,
     start: int, stop: int,
 ) -> None:
-    """As :func:`_slot_qualities` for any measure."""
+    """Write the measures of the cells in slots[start:stop], NO_CELL for a free slot."""
     for s in range(start, stop):
         c = slots[s]
         if cells[c, 0] < 0:
@@ -76,12 +88,25 @@ def measures(
     if slots is None:
         slots = np.arange(mesh.used, dtype=np.int32)
     m = np.empty(len(slots))
-    if objective == QUALITY:
-        work = partial(_slot_qualities, mesh.points, mesh.cells, slots, m)
-    else:
-        work = partial(_slot_measures, mesh.points, mesh.cells, slots, objective, m)
+    measure = _row_measures if objective in (QUALITY, DIHEDRAL) else _slot_measures
+    work = partial(measure, mesh.points, mesh.cells, slots, objective, m)
     run_ranges(pool, len(m), work)
     return m
+
+
+def worst_first(
+    slots: IntArray, measured: Callable[[IntArray], FloatArray], pool: ThreadPoolExecutor | None
+) -> None:
+    """Sort slots, which ascend, by what is measured of them within each block of 2^BLOCK_BITS."""
+    blocks = int(slots.max(initial=0)) >> BLOCK_BITS
+    ends = np.searchsorted(slots, np.arange(1, blocks + 1) << BLOCK_BITS)
+    cuts = [0, *ends.tolist(), len(slots)]
+
+    def sort(first: int, last: int) -> None:
+        block = slots[first:last]
+        block[:] = block[np.argsort(measured(block), kind="stable")]
+
+    list((map if pool is None else pool.map)(sort, cuts[:-1], cuts[1:]))
 
 
 def flip_pending(
@@ -94,7 +119,8 @@ def flip_pending(
     for _ in range(passes):
         pending = _pending(mesh, pool)
         if cost.objective != ENERGY:
-            _worst_first(mesh, cost.objective, pending, pool)
+            measured = partial(measures, mesh, cost.objective, None)
+            worst_first(pending, measured, pool)
         flips = side_by_side(
             mesh, pending, pool, partial(_flip_part, mesh, cost, max_ring, bounds, costs)
         )
@@ -115,21 +141,6 @@ def _pending(mesh: Complex, pool: ThreadPoolExecutor | None) -> IntArray:
         return found[start : start + pending_slots(mesh.cells, mesh.status, found, start, stop)]
 
     return np.concatenate([found[:0], *run_ranges(pool, mesh.used, work)])
-
-
-def _worst_first(
-    mesh: Complex, objective: int, pending: IntArray, pool: ThreadPoolExecutor | None
-) -> None:
-    """Sort slots, which ascend, by their measures within each block."""
-    starts = np.arange(0, mesh.used + (1 << BLOCK_BITS), 1 << BLOCK_BITS)
-    cuts = np.searchsorted(pending, starts).tolist()
-
-    def sort(first: int, last: int) -> None:
-        block = pending[first:last]
-        q = measures(mesh, objective, None, block)
-        block[:] = block[np.argsort(q, kind="stable")]
-
-    list((map if pool is None else pool.map)(sort, cuts[:-1], cuts[1:]))
 
 
 def _flip_part(

@@ -17,7 +17,7 @@ import numpy as np
 
 from odt_plugins.engine.cells.elementary import exp, log, power
 from odt_plugins.engine.cells.geometry import signed_volumes
-from odt_plugins.engine.compiled.kernel import allocating_kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import run_ranges
 from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.star import star_sum
@@ -40,7 +40,7 @@ WALK_LIMIT = 500
 """Cells visited for one point before the best one seen is taken."""
 
 
-@allocating_kernel
+@kernel
 def _interpolate(
     queries: FloatArray,
     start: IntArray,
@@ -58,66 +58,60 @@ def _interpolate(
     Outside the mesh the coordinates of the best cell are clamped to it.
     """
     d = queries.shape[1]
-    now = np.empty(4)
-    best = np.empty(4)
     for q in range(queries.shape[0]):
         c = start[q]
         before = -1
         best_low = -np.inf
         best_cell = c
+        b0 = b1 = b2 = b3 = 0.0
         for _ in range(limit):
-            o = cells[c, 0]
+            o, i, j = np.uint32(cells[c, 0]), np.uint32(cells[c, 1]), np.uint32(cells[c, 2])
             x, y = queries[q, 0] - points[o, 0], queries[q, 1] - points[o, 1]
-            ax, ay = points[cells[c, 1], 0] - points[o, 0], points[cells[c, 1], 1] - points[o, 1]
-            bx, by = points[cells[c, 2], 0] - points[o, 0], points[cells[c, 2], 1] - points[o, 1]
+            ax, ay = points[i, 0] - points[o, 0], points[i, 1] - points[o, 1]
+            bx, by = points[j, 0] - points[o, 0], points[j, 1] - points[o, 1]
             if d == 2:
                 det = ax * by - ay * bx
-                now[1] = (x * by - y * bx) / det
-                now[2] = (ax * y - ay * x) / det
-                now[3] = 0.0
+                w1 = (x * by - y * bx) / det
+                w2 = (ax * y - ay * x) / det
+                w3 = 0.0
             else:
-                e = cells[c, 3]
+                e = np.uint32(cells[c, 3])
                 z = queries[q, 2] - points[o, 2]
-                az = points[cells[c, 1], 2] - points[o, 2]
-                bz = points[cells[c, 2], 2] - points[o, 2]
+                az, bz = points[i, 2] - points[o, 2], points[j, 2] - points[o, 2]
                 ex, ey = points[e, 0] - points[o, 0], points[e, 1] - points[o, 1]
                 ez = points[e, 2] - points[o, 2]
                 px, py, pz = by * ez - bz * ey, bz * ex - bx * ez, bx * ey - by * ex
                 det = ax * px + ay * py + az * pz
-                now[1] = (x * px + y * py + z * pz) / det
+                w1 = (x * px + y * py + z * pz) / det
                 px, py, pz = ey * az - ez * ay, ez * ax - ex * az, ex * ay - ey * ax
-                now[2] = (x * px + y * py + z * pz) / det
+                w2 = (x * px + y * py + z * pz) / det
                 px, py, pz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-                now[3] = (x * px + y * py + z * pz) / det
-            now[0] = 1.0 - now[1] - now[2] - now[3]
-            low = now[0]
-            for a in range(1, d + 1):
-                low = min(low, now[a])
+                w3 = (x * px + y * py + z * pz) / det
+            w0 = 1.0 - w1 - w2 - w3
+            low = min(min(min(w0, w1), w2), w3)
             if low > best_low:
-                best_low = low
-                best_cell = c
-                for a in range(4):
-                    best[a] = now[a]
+                best_low, best_cell = low, c
+                b0, b1, b2, b3 = w0, w1, w2, w3
             if low >= 0.0:
                 break
             next_cell = -1
             lowest = 0.0
             for a in range(d + 1):
                 across = neighbors[c, a]
-                if now[a] < lowest and across != -1 and across != before:
-                    lowest = now[a]
+                w = w0 if a == 0 else w1 if a == 1 else w2 if a == 2 else w3
+                if w < lowest and across != -1 and across != before:
+                    lowest = w
                     next_cell = across
             if next_cell == -1:
                 break
             before = c
             c = next_cell
-        total = 0.0
-        result = 0.0
-        for a in range(d + 1):
-            share = max(best[a], 0.0)
-            total += share
-            result += share * points[cells[best_cell, a], d]
-        out[q] = result / total
+        b0, b1, b2, b3 = max(b0, 0.0), max(b1, 0.0), max(b2, 0.0), max(b3, 0.0)
+        result = b0 * points[cells[best_cell, 0], d] + b1 * points[cells[best_cell, 1], d]
+        result += b2 * points[cells[best_cell, 2], d]
+        if d == 3:
+            result += b3 * points[cells[best_cell, 3], d]
+        out[q] = result / (b0 + b1 + b2 + b3)
         start[q] = best_cell
 
 

@@ -62,6 +62,12 @@ def _touching(
     for c in range(start, stop):
         if cells[c, 0] < 0:
             continue
+        first = block[np.uint32(cells[c, 0])]
+        apart = 0
+        for a in range(1, cells.shape[1]):
+            apart |= first ^ block[np.uint32(cells[c, a])]
+        if apart == 0:
+            continue
         for a in range(1, cells.shape[1]):
             u = block[np.uint32(cells[c, a])]
             for b in range(a):

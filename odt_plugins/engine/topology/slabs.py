@@ -52,10 +52,9 @@ def cut_walls(
     for c in range(start, stop):
         if cells[c, 0] < 0:
             continue
-        mine = slab[cells[c, 0]]
-        if (
-            slab[cells[c, 1]] == mine and slab[cells[c, 2]] == mine and slab[cells[c, 3]] == mine
-        ):
+        first, second = slab[np.uint32(cells[c, 0])], slab[np.uint32(cells[c, 1])]
+        third, fourth = slab[np.uint32(cells[c, 2])], slab[np.uint32(cells[c, 3])]
+        if (first ^ second) | (first ^ third) | (first ^ fourth) == 0:
             continue
         mine = _slab_of_cell(cells, c, slab)
         for f in range(4):
@@ -84,7 +83,8 @@ def find_walls(
     Side 0 or 1 of wall w at facet f of cell c is 4 c + f in ``ends[2 w]`` or ``ends[2 w + 1]``.
     """
     for c in range(start, stop):
-        if cells[c, 0] < 0:
+        least = min(min(neighbors[c, 0], neighbors[c, 1]), min(neighbors[c, 2], neighbors[c, 3]))
+        if least >= -1 or cells[c, 0] < 0:
             continue
         for f in range(4):
             side = -2 - neighbors[c, f]

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from odt_plugins.engine.cells import rows as r
+from odt_plugins.engine.cells.dihedral import tet_dihedral
 from odt_plugins.engine.cells.step import tet_altitude
 from odt_plugins.engine.cells.tetrahedron import tet_cosines, tet_quality
 from odt_plugins.engine.moves.newton3d import add_quality_terms
@@ -26,15 +27,18 @@ def test_shapes_in_rows_are_those_of_the_single_cells_bit_for_bit():
     points, cells = some_cells()
     room = np.empty(r.ROWS)
     r.gather_edges(points, cells, np.arange(len(cells)), 0, len(cells), room)
+    r.dihedral_rows(len(cells), room)
+    found = [room[r.Q : r.Q + r.CHUNK].copy()]
     r.quality_rows(0.0, 0.0, 0.0, len(cells), room)
     r.shape_rows(len(cells), room)
-    found = [room[k : k + r.CHUNK] for k in (r.Q, r.LARGE, r.SMALL, r.ALTITUDE)]
+    found += [room[k : k + r.CHUNK] for k in (r.Q, r.LARGE, r.SMALL, r.ALTITUDE)]
     signs = set()
     for c, cell in enumerate(cells):
         if cell[0] < 0:
             continue
-        own = tet_quality(points, *cell), *tet_cosines(points, *cell), tet_altitude(points, *cell)
-        signs.add(np.sign(own[0]))
+        own = (tet_dihedral(points, *cell), tet_quality(points, *cell),
+               *tet_cosines(points, *cell), tet_altitude(points, *cell))
+        signs.add(np.sign(own[1]))
         assert [row[c] for row in found] == list(own)
     assert signs == {-1.0, 0.0, 1.0} or signs == {-1.0, 1.0}
 

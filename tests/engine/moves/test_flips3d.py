@@ -18,7 +18,8 @@ from odt_plugins.engine.cells.tetrahedron import (
     tet_energy,
     tet_quality,
 )
-from odt_plugins.engine.moves import cavity, flips3d
+from odt_plugins.engine.compiled.threads import thread_pool
+from odt_plugins.engine.moves import cavity, flips3d, passes
 from odt_plugins.engine.moves.passes import flip_pending
 from odt_plugins.engine.topology.active import PENDING
 from odt_plugins.engine.topology.complex import renumbered
@@ -214,6 +215,24 @@ def test_marked_cells_own_the_facets_that_are_not_delaunay(labels):
         count += sphere.mark_non_delaunay(*arrays, cut, n)
         assert set(np.flatnonzero(mesh.status).tolist()) == bad
         assert count == len(bad) > 20
+
+
+def test_cells_come_worst_first_within_blocks_of_slots():
+    rng = np.random.default_rng(4)
+    slots = np.flatnonzero(rng.random(100_000) < 0.4).astype(np.int32)
+    slots = slots[(slots < 20_000) | (slots > 60_000)]
+    q = rng.integers(0, 50, len(slots)) / 50.0
+    of_slot = np.zeros(slots.max() + 1)
+    of_slot[slots] = q
+    order = slots.copy()
+    passes.worst_first(order, of_slot.__getitem__, None)
+    assert np.array_equal(order, slots[np.lexsort((q, slots >> passes.BLOCK_BITS))])
+    assert not np.array_equal(order, slots[np.argsort(q, kind="stable")])
+    threaded = slots.copy()
+    with thread_pool(2) as pool:
+        passes.worst_first(threaded, of_slot.__getitem__, pool)
+    assert np.array_equal(order, threaded)
+    passes.worst_first(slots[:0], of_slot.__getitem__, None)
 
 
 @pytest.mark.parametrize("objective", [ENERGY, QUALITY])
