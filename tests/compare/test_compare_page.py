@@ -170,7 +170,7 @@ def test_page_without_a_result_of_ours_says_so(results, tmp_path):
 
 
 def test_scaling_report_opens_and_holds_every_part(tmp_path, monkeypatch):
-    monkeypatch.setattr(cold, "JOBS", (("nothing", "", True), ("nothing", "", False)))
+    monkeypatch.setattr(cold, "JOBS", (("nothing", "", cold.NONE), ("nothing", "", cold.KEPT)))
     said = []
     summary = run_scaling(tmp_path, 2600, 1, said.append)
     values = json.loads((tmp_path / SCALING_FILES[0]).read_text())
