@@ -49,7 +49,7 @@ OF_UNTANGLING = ("insert", "fixed", "selection", "regions", "threads", "progress
 
 Progress = Callable[[str, float], None]
 
-COMPILING = "compiling kernels that the installation did not, once: up to half a minute ..."
+COMPILING = "compiling the kernels, once on this machine: up to half a minute ..."
 """Stage of which a progress callback is told while kernels are compiled."""
 
 

@@ -14,7 +14,7 @@ from typing import Any
 
 import numpy as np
 
-from odt_plugins.adapters import apart, gmsh_files, netgen_files, plain_vtu, vtk_files
+from odt_plugins.adapters import apart, gmsh_files, netgen_files, vtk_files
 from odt_plugins.adapters.legacy import expect_whole
 from odt_plugins.adapters.stated import expect_counts, expect_held
 from odt_plugins.errors import InvalidMeshError, MeshFileError
@@ -66,8 +66,7 @@ class Ending(io.FileIO):
 
 
 def read(path: Path, name: str) -> tuple[Any, list[str]]:
-    """Read a file by one reader of meshio; files of VTK by its own, where VTK is installed, but for
-    plain ones.
+    """Read a file by one reader of meshio; files of VTK by its own, where VTK is installed.
 
     Parameters
     ----------
@@ -88,9 +87,6 @@ def read(path: Path, name: str) -> tuple[Any, list[str]]:
     if name == "vtk":
         expect_whole(path)
     seconds = LEAST + size / RATE
-    plain = plain_vtu.read(path) if name == "vtu" else None
-    if plain is not None:
-        return plain, []
     try:
         if name in vtk_files.FORMATS and vtk_files.installed():
             mesh, said = _read_vtk(path, name, seconds)

@@ -13,11 +13,16 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.vtk_cells import Dataset, blocks_of, dataset_of, names
-from odt_plugins.errors import MeshFileError, UnsupportedMeshError
+from odt_plugins.errors import InvalidMeshError, MeshFileError, UnsupportedMeshError
 
 FORMATS = {"vtk": "legacy", "vtu": "UnstructuredGrid", "vtp": "PolyData"}
 """Formats that VTK reads and writes, by their name in meshio, which knows no .vtp."""
+
+SPLIT = {2: ("vertex", 1), 4: ("line", 2)}
+"""Poly-vertices and poly-lines come as vertices and lines, one for each of their parts."""
+
+TURNED = {8: ("quad", [0, 1, 3, 2]), 11: ("hexahedron", [0, 1, 3, 2, 4, 5, 7, 6])}
+"""Pixels and voxels come as quadrilaterals and hexahedra."""
 
 POLYDATA: tuple[tuple[str, dict[int, int], int], ...] = (
     ("Verts", {1: 1}, 2), ("Lines", {2: 3}, 4), ("Polys", {3: 5, 4: 9}, 7), ("Strips", {}, 6))
@@ -67,7 +72,7 @@ def read(path: Path, name: str) -> tuple[Any, list[str]]:
     if not dataset.GetNumberOfCells():
         msg = "it has no cells"
         raise MeshFileError(msg)
-    return blocks_of(_dataset(dataset))
+    return _mesh(dataset)
 
 
 def write_and_read(path: Path, mesh: Any, name: str, binary: bool = True) -> tuple[Any, str]:
@@ -101,7 +106,7 @@ def write_and_read(path: Path, mesh: Any, name: str, binary: bool = True) -> tup
     if said or not path.is_file():
         raise MeshFileError(said or "VTK wrote nothing")
     back, _ = read(path, name)
-    return back, "" if name == "vtp" else second_look(path, name, back)
+    return back, "" if name == "vtp" else _second_look(path, name, back)
 
 
 def _reader(name: str) -> Any:
@@ -151,11 +156,66 @@ def _run(algorithm: Any) -> str:
     return " ".join(errors[0].split()) if errors else ""
 
 
-def _dataset(grid: Any) -> Dataset:
-    """The arrays of a grid or PolyData."""
-    return Dataset(as_numpy(grid.GetPoints().GetData()), *_cells(grid),
-                   _arrays(grid.GetPointData()), _arrays(grid.GetCellData()),
-                   _arrays(grid.GetFieldData()))
+def _mesh(dataset: Any) -> tuple[Any, list[str]]:
+    """Take a grid or PolyData apart into a meshio.Mesh; also which cells come as others."""
+    from meshio import Mesh
+    from meshio._common import num_nodes_per_cell
+
+    names = _names()
+    types, offset, flat = _cells(dataset)
+    size = np.diff(offset)
+    if len(types) != len(size) or (size < 0).any() or offset[0] != 0 or offset[-1] != len(flat):
+        msg = "its cells do not fit together"
+        raise InvalidMeshError(msg)
+    blocks: list[Any] = []
+    rows: list[NDArray[Any]] = []
+    said: list[str] = []
+    kinds = types.astype(np.int64) * (int(size.max()) + 1) + size
+    _, first = np.unique(kinds, return_index=True)
+    for i in np.sort(first):
+        kind, width = int(types[i]), int(size[i])
+        which = np.flatnonzero(kinds == kinds[i])
+        nodes = flat[offset[which][:, None] + np.arange(width)]
+        if kind in SPLIT:
+            name, step = SPLIT[kind]
+            said.append(f"poly-{name} cells come as {name} cells")
+            nodes = np.stack([nodes[:, j : width - step + j + 1] for j in range(step)], axis=2)
+            which = np.repeat(which, nodes.shape[1])
+            nodes = nodes.reshape(-1, step)
+        elif kind in TURNED:
+            name, order = TURNED[kind]
+            said.append(f"VTK's cells of type {kind} come as {name} cells")
+            nodes = nodes[:, order]
+        elif kind in names.vtk_to_meshio_type and kind not in (0, 42):
+            name, order = names.vtk_to_meshio_type[kind], names.vtk_to_meshio_order(kind)
+            nodes = nodes if order is None else nodes[:, order]
+        else:
+            msg = f"it has cells of VTK's type {kind} (first: cell {i})"
+            raise UnsupportedMeshError(msg)
+        if nodes.shape[1] != num_nodes_per_cell.get(name, nodes.shape[1]):
+            msg = f"its cell {i} is of type {name} and has {width} nodes"
+            raise InvalidMeshError(msg)
+        same = [j for j, (other, old) in enumerate(blocks)
+                if other == name and old.shape[1:] == nodes.shape[1:]]
+        if same:
+            blocks[same[0]] = (name, np.concatenate([blocks[same[0]][1], nodes]))
+            rows[same[0]] = np.concatenate([rows[same[0]], which])
+        else:
+            blocks.append((name, nodes))
+            rows.append(which)
+    cell_data = {key: [values[row] for row in rows]
+                 for key, values in _arrays(dataset.GetCellData()).items()}
+    point_data: Any = _arrays(dataset.GetPointData())
+    mesh = Mesh(as_numpy(dataset.GetPoints().GetData()), blocks, point_data, cell_data,
+                _arrays(dataset.GetFieldData()))
+    return mesh, list(dict.fromkeys(said))
+
+
+def _names() -> Any:
+    """Tables of meshio: names and order of nodes of VTK's cell types."""
+    import meshio._vtk_common
+
+    return meshio._vtk_common
 
 
 def _cells(dataset: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
@@ -198,7 +258,7 @@ def _polydata(mesh: Any) -> Any:
     from meshio import Mesh
     from vtkmodules.vtkCommonDataModel import vtkPolyData
 
-    kinds = names().meshio_to_vtk_type
+    kinds = _names().meshio_to_vtk_type
     part = {kind: i for i, (_, some, other) in enumerate(POLYDATA)
             for kind in (*some.values(), other)}
     numbers = [part.get(kinds.get(block.type), -1) for block in mesh.cells]
@@ -213,56 +273,84 @@ def _polydata(mesh: Any) -> Any:
         mesh.field_data, mesh.point_sets,
         {name: [members[i] for i in order] for name, members in mesh.cell_sets.items()},
     )
-    data = dataset_of(ordered)
-    out, first = vtkPolyData(), 0
+    out = vtkPolyData()
     for i, (name, _, _) in enumerate(POLYDATA):
-        last = first + sum(len(mesh.cells[j].data) for j in order if numbers[j] == i)
-        if last > first:
-            ends = data.offset[first : last + 1]
-            getattr(out, f"Set{name}")(_cell_array(ends - ends[0], data.nodes[ends[0] : ends[-1]]))
-        first = last
-    return _with_data(out, data)
+        chosen = [mesh.cells[j].data for j in order if numbers[j] == i]
+        if chosen:
+            getattr(out, f"Set{name}")(_cell_array(chosen))
+    return _with_data(out, ordered)
 
 
 def _grid(mesh: Any) -> Any:
     from vtkmodules.util.numpy_support import numpy_to_vtk
     from vtkmodules.vtkCommonDataModel import vtkUnstructuredGrid
 
-    data = dataset_of(mesh)
+    names = _names()
+    kinds = names.meshio_to_vtk_type
+    unknown = [block.type for block in mesh.cells if block.type not in kinds]
+    if unknown:
+        msg = f"VTK has no cells of type {unknown[0]}"
+        raise UnsupportedMeshError(msg)
+    orders = [names.meshio_to_vtk_order(block.type) for block in mesh.cells]
+    nodes = [block.data if order is None else block.data[:, order]
+             for block, order in zip(mesh.cells, orders, strict=True)]
+    types = np.concatenate([np.full(len(block.data), kinds[block.type], np.uint8)
+                            for block in mesh.cells])
     out = vtkUnstructuredGrid()
-    out.SetCells(numpy_to_vtk(data.types, deep=True), _cell_array(data.offset, data.nodes))
-    return _with_data(out, data)
+    out.SetCells(numpy_to_vtk(types, deep=True), _cell_array(nodes))
+    return _with_data(out, mesh)
 
 
-def _cell_array(offset: NDArray[Any], nodes: NDArray[Any]) -> Any:
+def _cell_array(blocks: list[NDArray[Any]]) -> Any:
     from vtkmodules.util.numpy_support import numpy_to_vtkIdTypeArray
     from vtkmodules.vtkCommonDataModel import vtkCellArray
 
+    size = np.concatenate([np.full(len(nodes), nodes.shape[1]) for nodes in blocks])
+    offset = np.concatenate([[0], np.cumsum(size)]).astype(np.int64)
+    flat = np.concatenate([nodes.ravel() for nodes in blocks]).astype(np.int64)
     cells = vtkCellArray()
     cells.SetData(numpy_to_vtkIdTypeArray(offset, deep=True),
-                  numpy_to_vtkIdTypeArray(nodes, deep=True))
+                  numpy_to_vtkIdTypeArray(flat, deep=True))
     return cells
 
 
-def _with_data(out: Any, data: Dataset) -> Any:
-    """Give a dataset of VTK the points and all arrays."""
+def _with_data(out: Any, mesh: Any) -> Any:
+    """Give a dataset the points and all arrays of a mesh; sets become arrays of 0 and 1."""
     from vtkmodules.vtkCommonCore import vtkPoints
 
+    n, sizes = len(mesh.points), [len(block.data) for block in mesh.cells]
+    points = np.zeros((n, 3), dtype=mesh.points.dtype)
+    points[:, : mesh.points.shape[1]] = mesh.points
+    if points.dtype not in (np.float32, np.float64):
+        points = points.astype(np.float64)
     corners = vtkPoints()
-    corners.SetData(_vtk(data.points))
+    corners.SetData(_vtk(points))
     out.SetPoints(corners)
-    for field, arrays in ((out.GetPointData(), data.point_data),
-                          (out.GetCellData(), data.cell_data),
-                          (out.GetFieldData(), data.field_data)):
+    point = {name: _members([members], [n]) for name, members in mesh.point_sets.items()}
+    cell = {name: _members(members, sizes) for name, members in mesh.cell_sets.items()}
+    cell |= {name: np.concatenate(values) for name, values in mesh.cell_data.items()}
+    for data, arrays in ((out.GetPointData(), point | mesh.point_data), (out.GetCellData(), cell),
+                         (out.GetFieldData(), mesh.field_data)):
         for name, values in arrays.items():
-            array = _vtk(values)
+            array = _vtk(np.atleast_1d(np.asarray(values)))
             array.SetName(name)
-            field.AddArray(array)
+            data.AddArray(array)
     return out
 
 
+def _members(members: list[Any], sizes: list[int]) -> NDArray[np.uint8]:
+    """Array of 0 and 1 of the members of a set, given by blocks as indices or masks."""
+    parts = []
+    for part, size in zip(members, sizes, strict=True):
+        inside = np.zeros(size, dtype=np.uint8)
+        if part is not None and len(part):
+            inside[np.asarray(part)] = 1
+        parts.append(inside)
+    return np.concatenate(parts)
+
+
 def _vtk(values: NDArray[Any]) -> Any:
-    """Array of VTK with the same values and type."""
+    """Array of VTK with the same values and type; truth values become bytes."""
     from vtkmodules.util.numpy_support import numpy_to_vtk
     from vtkmodules.vtkCommonCore import vtkStringArray
 
@@ -271,10 +359,14 @@ def _vtk(values: NDArray[Any]) -> Any:
         for text in values.ravel().tolist():
             texts.InsertNextValue(text)
         return texts
-    return numpy_to_vtk(values, deep=True)
+    if values.dtype.kind == "b":
+        values = values.astype(np.uint8)
+    wide = values.astype(values.dtype.newbyteorder("="), copy=False)
+    return numpy_to_vtk(np.ascontiguousarray(wide.reshape(len(wide), -1) if wide.ndim > 2
+                                             else wide), deep=True)
 
 
-def second_look(path: Path, name: str, mesh: Any) -> str:
+def _second_look(path: Path, name: str, mesh: Any) -> str:
     """Read a file by meshio, and name what is other than VTK reads it."""
     from urllib.parse import unquote
 
