@@ -13,9 +13,6 @@ from odt_plugins.mesh.simplex import SimplexMesh, barycentric, corner_mean
 NEAR = 16
 """In how many of the nearest cells a point is looked for where a walk did not find it."""
 
-FEW = 20_000
-"""Cells up to which no tree is worth the import of scipy."""
-
 STEPS = 200
 """Most cells on a walk to a point."""
 
@@ -202,17 +199,12 @@ def _nearest(
     threads: int = 1,
 ) -> IntArray:
     """Those (k, count) of centres (m, d) in regions (m,) nearest to x in the regions (k,)."""
-    from odt_plugins.engine.topology.nearest import nearest
+    from scipy.spatial import cKDTree
 
     out = np.empty((len(x), count), dtype=np.int32)
     members = _groups(regions)
     for label, rows in _groups(labels).items():
         own = members[label]
-        if count == 1 and len(own) <= FEW:
-            out[rows, 0] = own[nearest(centres[own], x[rows])]
-            continue
-        from scipy.spatial import cKDTree
-
         tree = cKDTree(centres[own], balanced_tree=False, compact_nodes=False)
         ranks = [min(i, len(own)) for i in range(1, count + 1)]
         out[rows] = own[tree.query(x[rows], k=ranks, workers=threads)[1]]
