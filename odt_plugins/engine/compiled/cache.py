@@ -13,11 +13,11 @@ import hashlib
 import os
 import pickle
 import sys
-import tempfile
 from collections.abc import Callable
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
+from uuid import uuid4
 
 import llvmlite.binding as llvm
 import numba
@@ -146,11 +146,10 @@ def write(path: Path, content: bytes) -> None:
     ------
     OSError
     """
-    number, name = tempfile.mkstemp(dir=path.parent)
+    beside = path.with_name(uuid4().hex)
     try:
-        with os.fdopen(number, "wb") as file:
-            file.write(content)
-        os.replace(name, path)
+        beside.write_bytes(content)
+        beside.replace(path)
     except BaseException:
-        os.unlink(name)
+        beside.unlink(missing_ok=True)
         raise
