@@ -40,8 +40,8 @@ if TYPE_CHECKING:
 LEAST_CELLS = 5000
 """Meshes are cut into no smaller blocks: most of such a block lies beside its rim."""
 
-LAST_BLOCKS = 10
-"""No more such blocks of cells around the cuts are done in one last round, and not cut again."""
+LAST_CELLS = 50_000
+"""No more cells around the cuts than that are done in one last round."""
 
 WORST_CELLS = 20
 """So many tetrahedra, worst first by each measure, are looked after in the last round."""
@@ -244,7 +244,7 @@ def run_blocks(
 
 def _soon_done(whole: Whole) -> bool:
     """Whether so few cells lie around the cuts that the next round is the last."""
-    return int(near_cuts(whole).sum()) <= LAST_BLOCKS * LEAST_CELLS
+    return int(near_cuts(whole).sum()) <= LAST_CELLS
 
 
 @dataclass

@@ -43,6 +43,7 @@ from odt_plugins.roundtrip import optimized
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Let small meshes be cut."""
     monkeypatch.setattr(blocks_module, "LEAST_CELLS", 300)
+    monkeypatch.setattr(blocks_module, "LAST_CELLS", 3000)
 
 
 def mesh_of(n: int, **given: Any) -> SimplexMesh:
@@ -189,11 +190,11 @@ def test_phases_for_the_worst_cells_of_the_whole_wait_for_the_last_round(small_b
     assert all(tuple(x) in places for x in mesh.points[worst].reshape(-1, 3))
 
 
-@pytest.mark.parametrize(("most", "rounds"), [(0, 3), (100, 2)])
+@pytest.mark.parametrize(("most", "rounds"), [(0, 3), (30_000, 2)])
 def test_few_cells_around_the_cuts_are_done_in_one_last_round(
     small_blocks, monkeypatch, most, rounds
 ):
-    monkeypatch.setattr(blocks_module, "LAST_BLOCKS", most)
+    monkeypatch.setattr(blocks_module, "LAST_CELLS", most)
     seen: list[list[Block]] = []
 
     def sees(function: Any, items: Iterable[Block]) -> Iterator[Improved]:
