@@ -8,14 +8,12 @@ from __future__ import annotations
 import time
 from collections.abc import Callable, Sequence
 from typing import Any
-from unittest.mock import patch
 
 import numpy as np
 
 from odt_plugins.compare.numbered import along_curve, inside_free
 from odt_plugins.compare.start import StartMesh, ball_of
 from odt_plugins.compare.table import Part, Say, Table, Value
-from odt_plugins.mesh.chunks import Pool
 
 SWEEPS, RUNS = 15, 3
 """Repeats of which the quickest counts; one thread and several take turns."""
@@ -70,7 +68,7 @@ def _row(start: StartMesh, count: int) -> tuple[tuple[Value, ...], list[tuple[Va
     sweep, same_sweep = _race(_sweep_of(start), count, SWEEPS)
     run, same_run = _race(lambda threads: optimize(mesh, threads=threads), count, RUNS)
     share = serial_share(*run, count)
-    by_processor = _share_alone(lambda: optimize(mesh, threads=count))
+    by_processor = _share_alone(lambda: optimize(mesh, threads=count), count)
     many = forecast(run[0], share, MANY)
     bits = "the same" if same_sweep and same_run else "DIFFERENT"
     m = len(start.cells)
@@ -85,23 +83,16 @@ def _row(start: StartMesh, count: int) -> tuple[tuple[Value, ...], list[tuple[Va
             run[0] / many, bits), stages
 
 
-def _share_alone(work: Callable[[], Any]) -> float:
-    """Share of the processor time that passes in the caller's thread while no other one works."""
-    together = 0.0
-    shared = Pool.map
+def _share_alone(work: Callable[[], Any], count: int) -> float:
+    """Share of the processor time in which the caller works alone.
 
-    def timed(pool: Pool, *arguments: Any) -> Any:
-        nonlocal together
-        clock = time.thread_time()
-        found = shared(pool, *arguments)
-        together += time.thread_time() - clock
-        return found
-
+    The other threads do all of theirs in what is shared, and the caller does as much there as each.
+    """
     caller, process = time.thread_time(), time.process_time()
-    with patch.object(Pool, "map", timed):
-        work()
-    alone = time.thread_time() - caller - together
-    return alone / (time.process_time() - process)
+    work()
+    whole = time.process_time() - process
+    others = whole - (time.thread_time() - caller)
+    return 1.0 - others * count / (count - 1) / whole
 
 
 def _sweep_of(start: StartMesh) -> Callable[[int], Any]:

@@ -250,7 +250,7 @@ def smooth(
     cells = _cells(mesh, options)
     topology = make_topology(cells, movable, mesh.boundary, pool=pool)
     scattered = 0
-    pays = exchange_pays(mesh)
+    pays = options.connectivity == "auto" and exchange_pays(mesh)
     walk = density.walk_start(len(mesh.points))
     for k in range(options.rounds):
         rho = density.at(mesh.points, pool, walk)
@@ -266,9 +266,7 @@ def smooth(
         far = stats.max_move > POLICY.exchange_move
         old = mesh
         flips = 0
-        if options.connectivity == "delaunay" or (
-            options.connectivity == "auto" and k == 0 and far and pays
-        ):
+        if options.connectivity == "delaunay" or (k == 0 and far and pays):
             mesh = exchange(mesh, log)
         if options.connectivity in ("auto", "flips") or (
             options.connectivity == "delaunay" and not far
