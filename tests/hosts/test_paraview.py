@@ -42,7 +42,9 @@ def session(tmp_path):
     surface.cell_data["side"] = 1 + (points[faces].mean(axis=1)[:, 2] > 0)
     surface.save(folder / "surface.vtp")
     display, number = os.pipe()
-    with subprocess.Popen(["Xvfb", "-displayfd", str(number), "-screen", "0", "1000x600x24"],
+    # A server that starts anew whenever its last window closes refuses who comes just then.
+    with subprocess.Popen(["Xvfb", "-noreset", "-displayfd", str(number),
+                           "-screen", "0", "1000x600x24"],
                           pass_fds=[number], stderr=subprocess.DEVNULL) as server:
         os.close(number)
         with open(display) as file:
