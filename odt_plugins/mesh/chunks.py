@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
+from threading import Condition
 from typing import Any, TypeVar
 
 T = TypeVar("T")
@@ -15,7 +16,9 @@ CHUNK = 1 << 14
 
 
 class Pool(ThreadPoolExecutor):
-    """Threads of which the caller is one: a call of ``map`` wakes the others and works with them.
+    """Threads of which the caller is one: it wakes the others and works with them.
+
+    Each thread takes the next call when it is done with one.
 
     Parameters
     ----------
@@ -30,26 +33,60 @@ class Pool(ThreadPoolExecutor):
         self, fn: Callable[..., R], *iterables: Iterable[Any], timeout: float | None = None,
         chunksize: int = 1,
     ) -> Iterator[R]:
-        """Call ``fn`` as :func:`map` does, and wait; of several errors the first one is raised.
+        """Call ``fn`` as :func:`map` does, but wait, see :meth:`run`.
 
-        Each thread takes the next call when it is done with one; ``timeout`` and ``chunksize``
-        mean nothing.
+        ``timeout`` and ``chunksize`` mean nothing.
         """
-        calls = deque(enumerate(zip(*iterables, strict=False)))
+        return iter(self.run(fn, list(zip(*iterables, strict=False))))
+
+    def run(
+        self, fn: Callable[..., R], calls: Sequence[tuple[Any, ...]],
+        after: Iterable[Sequence[int]] = (),
+    ) -> list[R]:
+        """Call ``fn`` with what is in ``calls`` and wait; of several errors the first is raised.
+
+        Parameters
+        ----------
+        fn : callable
+        calls : sequence of tuples
+        after : pairs (a, b) of indices, a < b    call b begins when call a has ended
+        """
         results: list[Any] = [None] * len(calls)
         failed: dict[int, Exception] = {}
+        missing = [0] * len(calls)
+        followers: list[list[int]] = [[] for _ in calls]
+        for a, b in after:
+            missing[b] += 1
+            followers[a].append(b)
+        ready = deque(i for i, count in enumerate(missing) if count == 0)
+        held = set(range(len(calls))).difference(ready)
+        turn = Condition()
+
+        def stop() -> None:
+            with turn:
+                ready.clear()
+                held.clear()
+                turn.notify_all()
 
         def work() -> None:
             while True:
+                with turn:
+                    turn.wait_for(lambda: ready or not held)
+                    if not ready:
+                        return
+                    i = ready.popleft()
                 try:
-                    i, given = calls.popleft()
-                except IndexError:
-                    return
-                try:
-                    results[i] = fn(*given)
+                    results[i] = fn(*calls[i])
                 except Exception as exc:
                     failed[i] = exc
-                    calls.clear()
+                    stop()
+                with turn:
+                    for j in followers[i]:
+                        missing[j] -= 1
+                        if missing[j] == 0 and j in held:
+                            held.remove(j)
+                            ready.append(j)
+                    turn.notify_all()
 
         helpers = [self.submit(work) for _ in range(min(self.others, len(calls) - 1))]
         try:
@@ -58,10 +95,10 @@ class Pool(ThreadPoolExecutor):
                 if not helper.cancel():
                     helper.result()
         finally:
-            calls.clear()
+            stop()
         if failed:
             raise failed[min(failed)]
-        return iter(results)
+        return results
 
 
 def chunks(m: int) -> Iterator[slice]:

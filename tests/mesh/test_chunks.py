@@ -47,6 +47,31 @@ def test_of_several_errors_the_first_is_raised_and_nothing_else_is_begun(count):
     assert sorted(begun) == list(range(count))
 
 
+@pytest.mark.parametrize("count", [2, 3])
+def test_a_call_begins_when_those_before_it_have_ended(count):
+    rng = np.random.default_rng(count)
+    after = [(int(a), int(b)) for a, b in rng.integers(60, size=(200, 2)) if a < b]
+    ended = []
+
+    def work(i):
+        assert {a for a, b in after if b == i} <= set(ended)
+        time.sleep(0.001 * rng.random())
+        ended.append(i)
+        return -i
+
+    with Pool(count) as pool:
+        assert pool.run(work, [(i,) for i in range(60)], after) == [-i for i in range(60)]
+
+
+def test_nothing_waits_for_a_call_that_failed():
+    def work(i):
+        if i == 1:
+            raise ValueError(i)
+
+    with Pool(3) as pool, pytest.raises(ValueError, match="1"):
+        pool.run(work, [(i,) for i in range(20)], [(i, i + 1) for i in range(19)])
+
+
 def test_calls_within_calls_end():
     with Pool(3) as pool:
         found = pool.map(lambda i: sum(pool.map(lambda j: i * j, range(5))), range(20))

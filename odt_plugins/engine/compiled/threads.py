@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import AbstractContextManager, nullcontext
 from typing import TypeVar
 
@@ -28,13 +27,13 @@ def pieces(start: int, stop: int, *, costly: bool = False) -> Iterator[tuple[int
     return ((first, min(first + most, stop)) for first in range(start, stop, most))
 
 
-def thread_pool(threads: int) -> AbstractContextManager[ThreadPoolExecutor | None]:
+def thread_pool(threads: int) -> AbstractContextManager[Pool | None]:
     """A pool of so many threads, None for one, which does everything by itself."""
     return Pool(threads) if threads > 1 else nullcontext()
 
 
 def run_ranges(
-    pool: ThreadPoolExecutor | None, size: int, work: Callable[[int, int], T]
+    pool: Pool | None, size: int, work: Callable[[int, int], T]
 ) -> list[T]:
     """Call ``work(start, stop)`` over parts of range(size); returns what it returned.
 
@@ -42,7 +41,7 @@ def run_ranges(
 
     Parameters
     ----------
-    pool : ThreadPoolExecutor or None    None runs everything here
+    pool : Pool or None    None runs everything here
     size : int
     work : callable                      releases the GIL; the parts are independent
     """
@@ -52,7 +51,7 @@ def run_ranges(
 
 
 def run_pieces(
-    pool: ThreadPoolExecutor | None, size: int, work: Callable[[int, int], object]
+    pool: Pool | None, size: int, work: Callable[[int, int], object]
 ) -> None:
     """Call ``work(start, stop)`` over pieces of the parts of range(size), as :func:`run_ranges`."""
     def part(start: int, stop: int) -> None:

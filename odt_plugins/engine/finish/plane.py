@@ -6,7 +6,6 @@ A small p over the whole mesh serves the mean, a large p near the worst triangle
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -26,6 +25,7 @@ from odt_plugins.engine.topology.coloring import run_chunks, vertex_coloring
 from odt_plugins.engine.topology.star import Stars
 from odt_plugins.engine.topology.triangles import Triangles
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.chunks import Pool
 
 
 def finish2d(
@@ -35,7 +35,7 @@ def finish2d(
     movable_cells: BoolArray | None = None,
     bounds: Extremes | None = None,
     phases: tuple[Phase, ...] | None = None,
-    pool: ThreadPoolExecutor | None = None,
+    pool: Pool | None = None,
     threads: int = 1,
 ) -> tuple[int, int]:
     """Improve the shape of a planar mesh in place; its boundary and its vertices all stay.
@@ -78,7 +78,7 @@ class _PlaneDescent(TriangleDescent):
 
     def __init__(
         self, mesh: Triangles, phase: Phase, bounds: Extremes, free: BoolArray,
-        movable_cells: BoolArray | None, pool: ThreadPoolExecutor | None, threads: int,
+        movable_cells: BoolArray | None, pool: Pool | None, threads: int,
     ) -> None:
         super().__init__(mesh, phase)
         self.bounds, self.free = bounds, free

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +16,7 @@ from odt_plugins.engine.record.memory import Memory
 from odt_plugins.engine.topology.complex import Complex
 from odt_plugins.engine.topology.part import Part, around, inside
 from odt_plugins.mesh.arrays import BoolArray, IntArray
+from odt_plugins.mesh.chunks import Pool
 
 Settle = Callable[[Complex, tuple[Phase, ...], Bounds], None]
 """Runs phases of the finishing stage on a complex within bounds."""
@@ -24,7 +24,7 @@ Settle = Callable[[Complex, tuple[Phase, ...], Bounds], None]
 
 def polish_small_angles(
     mesh: Complex | Part, bounds: Bounds, memory: Memory, name: str, settle: Settle,
-    pool: ThreadPoolExecutor | None, cut: BoolArray | None = None,
+    pool: Pool | None, cut: BoolArray | None = None,
 ) -> None:
     """Look after the small angles alone that a mesh has left, of tetrahedra and for radius ratios.
 
@@ -67,7 +67,7 @@ def polish_small_angles(
 
 
 def _small(
-    mesh: Complex, cut: BoolArray | None, pool: ThreadPoolExecutor | None
+    mesh: Complex, cut: BoolArray | None, pool: Pool | None
 ) -> IntArray:
     """Cells (k, 4) with a small angle, but those at the cut."""
     cells, _ = mesh.mesh_arrays()

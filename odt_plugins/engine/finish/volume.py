@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import TypeVar
 
@@ -49,6 +48,7 @@ from odt_plugins.engine.topology.star import Stars
 from odt_plugins.engine.topology.tets import Tets
 from odt_plugins.engine.topology.triangles import Triangles
 from odt_plugins.mesh.arrays import BoolArray, ByteArray, FloatArray, IntArray
+from odt_plugins.mesh.chunks import Pool
 
 FEW = 50
 """Cells at which reconnection is tried however small a part of the mesh they are."""
@@ -67,7 +67,7 @@ def worst_count(q: FloatArray, phase: Phase) -> int:
 
 
 def _of_shapes(
-    mesh: Complex, pool: ThreadPoolExecutor | None, figure: Callable[[FloatArray], T]
+    mesh: Complex, pool: Pool | None, figure: Callable[[FloatArray], T]
 ) -> list[T]:
     """Take a figure of :func:`cell_shapes` of each part of the cells."""
     def part(start: int, stop: int) -> T:
@@ -77,19 +77,19 @@ def _of_shapes(
     return run_ranges(pool, mesh.used, part)
 
 
-def _large_cosines(mesh: Complex, pool: ThreadPoolExecutor | None) -> FloatArray:
+def _large_cosines(mesh: Complex, pool: Pool | None) -> FloatArray:
     """Largest cosine of an angle of every cell."""
     return np.concatenate(_of_shapes(mesh, pool, lambda shapes: shapes[:, 1]))
 
 
 def held_angles(
-    mesh: Complex, bounds: Bounds, share: float, pool: ThreadPoolExecutor | None = None
+    mesh: Complex, bounds: Bounds, share: float, pool: Pool | None = None
 ) -> Bounds:
     """Bounds under which no new cell gets a smaller angle than a share of the cells has now."""
     return bounds.with_large(np.quantile(_large_cosines(mesh, pool), 1.0 - share))
 
 
-def reached(mesh: Complex, pool: ThreadPoolExecutor | None = None) -> Extremes:
+def reached(mesh: Complex, pool: Pool | None = None) -> Extremes:
     """Extremes of all cells."""
     def extremes(shapes: FloatArray) -> tuple[float, float, float]:
         return (float(shapes[:, 0].min(initial=BEST.quality)),
@@ -101,7 +101,7 @@ def reached(mesh: Complex, pool: ThreadPoolExecutor | None = None) -> Extremes:
 
 
 def guarded(
-    mesh: Complex, phase: Phase, bounds: Bounds, pool: ThreadPoolExecutor | None = None
+    mesh: Complex, phase: Phase, bounds: Bounds, pool: Pool | None = None
 ) -> Bounds:
     """Bounds for a phase by its guard and its least angle, see :class:`Phase`."""
     if phase.least is not None:
@@ -123,7 +123,7 @@ class _VolumeDescent:
     gain = POLICY.volume_gain
 
     def __init__(
-        self, mesh: Complex, phase: Phase, bounds: Bounds, pool: ThreadPoolExecutor | None,
+        self, mesh: Complex, phase: Phase, bounds: Bounds, pool: Pool | None,
         threads: int,
     ) -> None:
         self.mesh, self.phase, self.bounds = mesh, phase, bounds
@@ -212,7 +212,7 @@ def descend(
     mesh: Complex,
     phase: Phase,
     bounds: Bounds,
-    pool: ThreadPoolExecutor | None,
+    pool: Pool | None,
     threads: int,
 ) -> tuple[int, int]:
     """One phase with its compound moves, after reconnections of the same cells.
@@ -245,7 +245,7 @@ def _flip_surface(mesh: Complex, phase: Phase, bounds: Bounds) -> int:
 
 
 def compound_moves(
-    mesh: Complex, phase: Phase, bounds: Bounds, tried: BoolArray, pool: ThreadPoolExecutor | None
+    mesh: Complex, phase: Phase, bounds: Bounds, tried: BoolArray, pool: Pool | None
 ) -> int:
     """Try compound moves at the worst share of the cells; returns how many stayed."""
     work = partial(_compound_part, phase, bounds, tried)
@@ -253,7 +253,7 @@ def compound_moves(
 
 
 def reconnections(
-    mesh: Complex, phase: Phase, bounds: Bounds, pool: ThreadPoolExecutor | None
+    mesh: Complex, phase: Phase, bounds: Bounds, pool: Pool | None
 ) -> int:
     """Fill polyhedra around the worst share of the cells anew; returns how many."""
     work = partial(_reconnected_part, mesh, phase, bounds)
@@ -261,7 +261,7 @@ def reconnections(
 
 
 def _at_the_worst(
-    mesh: Complex, phase: Phase, pool: ThreadPoolExecutor | None, work: Work, most: float
+    mesh: Complex, phase: Phase, pool: Pool | None, work: Work, most: float
 ) -> int:
     """Work at the worst share of the cells, ``most`` of them, in slabs where these are many."""
     q = measures(mesh, phase.objective, pool)
@@ -296,7 +296,7 @@ def finish(
     mesh: Complex,
     phases: tuple[Phase, ...],
     bounds: Bounds,
-    pool: ThreadPoolExecutor | None,
+    pool: Pool | None,
     threads: int,
 ) -> tuple[int, int]:
     """Run phases of the finishing stage on a complex, in place.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import numpy as np
@@ -26,6 +25,7 @@ from odt_plugins.engine.topology.complex import Complex
 from odt_plugins.engine.topology.slabs import side_by_side
 from odt_plugins.engine.topology.tets import FULL, Tets
 from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.chunks import Pool
 
 NO_CELL = 2.0
 """Measure of a free slot, beyond that of any cell."""
@@ -69,7 +69,7 @@ def _slot_measures(
 
 
 def measures(
-    mesh: Complex, objective: int, pool: ThreadPoolExecutor | None = None,
+    mesh: Complex, objective: int, pool: Pool | None = None,
     slots: IntArray | None = None,
 ) -> FloatArray:
     """Measures of cells, see ``tetrahedron.tet_measure``, NO_CELL for a free slot.
@@ -95,7 +95,7 @@ def measures(
 
 
 def worst_first(
-    slots: IntArray, measured: Callable[[IntArray], FloatArray], pool: ThreadPoolExecutor | None
+    slots: IntArray, measured: Callable[[IntArray], FloatArray], pool: Pool | None
 ) -> None:
     """Sort slots, which ascend, by what is measured of them within each block of 2^BLOCK_BITS."""
     blocks = int(slots.max(initial=0)) >> BLOCK_BITS
@@ -111,7 +111,7 @@ def worst_first(
 
 def flip_pending(
     mesh: Complex, cost: Cost, max_ring: int, bounds: Bounds, passes: int,
-    pool: ThreadPoolExecutor | None = None,
+    pool: Pool | None = None,
 ) -> int:
     """Flip at the pending cells until none is left or the passes are used up."""
     total = 0
@@ -133,7 +133,7 @@ def flip_pending(
     return total
 
 
-def _pending(mesh: Complex, pool: ThreadPoolExecutor | None) -> IntArray:
+def _pending(mesh: Complex, pool: Pool | None) -> IntArray:
     """The pending slots, which ascend."""
     found = np.empty(mesh.used, dtype=np.int32)
 

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Any
 
@@ -23,6 +22,7 @@ from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.star import star_sum
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.chunks import Pool
 from odt_plugins.mesh.simplex import corner_mean
 
 NAMES = ("keep", "uniform", "inverse-volume")
@@ -171,7 +171,7 @@ class Density:
     def at(
         self,
         points: FloatArray,
-        pool: ThreadPoolExecutor | None = None,
+        pool: Pool | None = None,
         walk: IntArray | None = None,
     ) -> FloatArray:
         """Evaluate rho, up to a constant factor.

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Container
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -27,6 +26,7 @@ from odt_plugins.engine.record.figures import cell_shapes
 from odt_plugins.engine.topology.complex import Complex, make_complex, renumbered
 from odt_plugins.engine.topology.stencil import Topology, make_topology
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.chunks import Pool
 from odt_plugins.options import Options
 
 
@@ -189,7 +189,7 @@ def exchange_pays(mesh: Complex) -> bool:
 
 
 def local_flips(
-    mesh: Complex, bounds: Bounds, log: Log, pool: ThreadPoolExecutor | None
+    mesh: Complex, bounds: Bounds, log: Log, pool: Pool | None
 ) -> int:
     """Flip towards Delaunay (Section 3.1): Lawson's edges in the plane, energy flips in space."""
     if mesh.dim == 2:
@@ -223,7 +223,7 @@ def smooth(
     log: Log,
     tick: Callable[[float], None],
     watch: Callable[[Complex], object] | None = None,
-    pool: ThreadPoolExecutor | None = None,
+    pool: Pool | None = None,
 ) -> tuple[Complex, str]:
     """Run stage 1 until the energy settles or the rounds are used up.
 
@@ -236,7 +236,7 @@ def smooth(
     log : Log
     tick : callable             called with the share of the rounds that is done
     watch : callable, optional  called with the mesh after every round
-    pool : ThreadPoolExecutor, optional
+    pool : Pool, optional
         of options.threads workers
 
     Returns

@@ -18,7 +18,7 @@ from odt_plugins.engine.compiled.threads import thread_pool
 from odt_plugins.engine.topology.coloring import run_chunks
 from odt_plugins.engine.topology.star import Stars, star_sum
 from odt_plugins.engine.topology.stencil import Topology
-from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 
 Center = Literal["odt", "cpt", "laplacian"]
 
@@ -255,15 +255,14 @@ def _move_vertices(
 
 def _sweep(
     points: FloatArray, topology: Topology, rho: FloatArray | None, pull: Pull,
-    barycentric: BoolArray | bool, threads: int, offsets: LongArray | None = None,
+    barycentric: BoolArray | bool, threads: int, together: bool = False,
 ) -> tuple[FloatArray, StepStats]:
     """Run the kernel over blocks of vertices.
 
     Parameters
     ----------
     barycentric : (n,) bool, or one for all    vertices whose cells count by their barycenters
-    offsets : (c + 1,) int64, optional         where the colours begin whose vertices do not see
-                                               each other's moves; None takes those of the topology
+    together : bool                            no vertex sees the move of another
     """
     d = points.shape[1]
     nodes = np.zeros((len(points), 4))
@@ -271,8 +270,8 @@ def _sweep(
     nodes[:, 3] = 1.0 if rho is None else rho
     np.negative(nodes[:, 3], out=nodes[:, 3], where=barycentric)
     coloring, out = topology.coloring, nodes
-    if offsets is not None:
-        coloring, out = coloring._replace(offsets=offsets), nodes.copy()
+    if together:
+        coloring, out = coloring.of_one_colour(), nodes.copy()
 
     def run(start: int, stop: int) -> Any:
         return _move_vertices(
@@ -354,8 +353,7 @@ def jacobi_sweep(
     """
     old = np.ascontiguousarray(points, dtype=np.float64)
     pull, barycentric = _pull(topology, method, inverse_volume, omega, boundary_rule)
-    one_colour = np.array([0, len(topology.coloring.blocks) - 1], dtype=np.int64)
-    target, stats = _sweep(old, topology, rho, pull, barycentric, threads, one_colour)
+    target, stats = _sweep(old, topology, rho, pull, barycentric, threads, together=True)
     new, reduced = guarded_move(old, topology, target - old)
     return new, move_stats(old, new, topology, stats.reduced + reduced, 1.0)
 

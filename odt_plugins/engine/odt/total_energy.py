@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-
 from odt_plugins.engine.cells.corner import corner_edges, six_volumes
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import run_ranges
 from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.chunks import Pool
 
 
 @kernel
@@ -46,7 +45,7 @@ def _sum_energy(points: FloatArray, cells: IntArray, rho: FloatArray, of_cells: 
 
 
 def total_energy(
-    points: FloatArray, cells: IntArray, rho: FloatArray, pool: ThreadPoolExecutor | None = None
+    points: FloatArray, cells: IntArray, rho: FloatArray, pool: Pool | None = None
 ) -> float:
     """ODT energy (2.2) with the mean of the vertex densities on every cell.
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -33,6 +32,7 @@ from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.compiled.threads import run_pieces
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.chunks import Pool
 from odt_plugins.options import Objective
 
 COS_SMALL = math.cos(math.radians(POLICY.small_angle))
@@ -71,7 +71,7 @@ def _tet_shapes(points: FloatArray, cells: IntArray, shapes: FloatArray) -> None
 
 
 def cell_shapes(
-    points: FloatArray, cells: IntArray, pool: ThreadPoolExecutor | None = None
+    points: FloatArray, cells: IntArray, pool: Pool | None = None
 ) -> FloatArray:
     """Radius ratio (5.1), cosines of the smallest and largest angle, least altitude, (m, 4).
 
@@ -154,7 +154,7 @@ class Figures:
 
 def figures(
     points: FloatArray, cells: IntArray, objective: Objective = "radius_ratio",
-    pool: ThreadPoolExecutor | None = None,
+    pool: Pool | None = None,
 ) -> Figures:
     """Compute the named figures of a mesh.
 
@@ -205,7 +205,7 @@ def _mean_ratios(points: FloatArray, cells: IntArray, m: FloatArray) -> None:
 
 
 def amips_energies(
-    points: FloatArray, cells: IntArray, pool: ThreadPoolExecutor | None = None
+    points: FloatArray, cells: IntArray, pool: Pool | None = None
 ) -> FloatArray:
     """AMIPS energy of every cell as TetWild counts it, (m,): d for the regular one."""
     m = np.empty(len(cells))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from typing import Protocol
 
@@ -11,6 +10,7 @@ import numpy as np
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import ROUNDING, Figures, cell_shapes, figures
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.chunks import Pool
 from odt_plugins.options import Objective
 
 
@@ -49,7 +49,7 @@ class Memory:
 
     def __init__(
         self, before: Figures, keep: tuple[str, ...], objective: Objective, *, by_score: bool,
-        aside: BoolArray | None = None, pool: ThreadPoolExecutor | None = None,
+        aside: BoolArray | None = None, pool: Pool | None = None,
     ) -> None:
         self.before = before
         self.keep = keep

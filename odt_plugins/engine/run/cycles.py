@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 
@@ -23,6 +22,7 @@ from odt_plugins.engine.topology.complex import Complex
 from odt_plugins.engine.topology.part import Part, around, away_from, inside, joined
 from odt_plugins.engine.topology.triangles import Triangles
 from odt_plugins.mesh.arrays import BoolArray
+from odt_plugins.mesh.chunks import Pool
 from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
 
@@ -106,7 +106,7 @@ def repaired(
 
 def run_cycles(
     mesh: Complex, density: Density, options: Options, bounds: Bounds, memory: Memory,
-    log: Log, pool: ThreadPoolExecutor | None, near: BoolArray | None,
+    log: Log, pool: Pool | None, near: BoolArray | None,
 ) -> str:
     """Alternate the two stages, then look after the worst cells; returns why stage 1 stopped."""
     limits = bounds
@@ -139,7 +139,7 @@ def run_cycles(
 
 def _worst_cells(
     mesh: Complex, options: Options, bounds: Bounds, memory: Memory, log: Log,
-    pool: ThreadPoolExecutor | None, near: BoolArray | None,
+    pool: Pool | None, near: BoolArray | None,
 ) -> None:
     """The phases of stage 2 that follow the bulk; good states go to the memory."""
     work_on = partial(settle, log=log, pool=pool, threads=options.threads)
@@ -174,7 +174,7 @@ def _worst_cells(
 
 def finish_alone(
     mesh: Complex, options: Options, bounds: Bounds, memory: Memory, name: str, log: Log,
-    pool: ThreadPoolExecutor | None,
+    pool: Pool | None,
 ) -> None:
     """Improve the input by stage 2 alone, which never leaves the extremes of the input.
 
@@ -197,7 +197,7 @@ def finish_alone(
 
 def settle(
     mesh: Complex, phases: tuple[Phase, ...], bounds: Bounds, log: Log,
-    pool: ThreadPoolExecutor | None, threads: int,
+    pool: Pool | None, threads: int,
 ) -> None:
     """Run phases of stage 2 that are not left out, and count.
 

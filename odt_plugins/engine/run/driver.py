@@ -5,7 +5,6 @@ from __future__ import annotations
 import time
 from collections import Counter
 from collections.abc import Container
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -34,6 +33,7 @@ from odt_plugins.engine.topology.complex import make_complex
 from odt_plugins.engine.topology.frame import Frame, callers_vertices
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.chunks import Pool
 from odt_plugins.mesh.numbering import old_numbers
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
@@ -179,7 +179,7 @@ def _run(
 
 
 def _run_in(
-    pool: ThreadPoolExecutor | None, mesh: SimplexMesh, options: Options, leaving: Leaving,
+    pool: Pool | None, mesh: SimplexMesh, options: Options, leaving: Leaving,
     cut: BoolArray | None, whole: Figures | None, log: Log, share: float,
 ) -> tuple[Outcome, IntArray]:
     clock = time.perf_counter()
@@ -297,7 +297,7 @@ def _judged(
 
 def _sizes(
     mesh: SimplexMesh, options: Options, frame: Frame, density: Density, outcome: Outcome,
-    pool: ThreadPoolExecutor | None,
+    pool: Pool | None,
 ) -> FloatArray | None:
     """The values of a density that came with the vertices, None without."""
     if not isinstance(options.density, NodalDensity):

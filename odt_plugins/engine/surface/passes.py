@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from copy import deepcopy
 from dataclasses import dataclass, replace
 from functools import partial
@@ -29,6 +28,7 @@ from odt_plugins.engine.topology.coloring import run_chunks, vertex_coloring
 from odt_plugins.engine.topology.star import Stars, vertex_stars
 from odt_plugins.engine.topology.triangles import Triangles
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.chunks import Pool
 
 
 @dataclass(frozen=True)
@@ -39,13 +39,13 @@ class Surface:
     ----------
     sheet : Sheet, guards : Guards
     regions : (m,) int32                                 labels; no flip crosses their borders
-    pool : ThreadPoolExecutor or None, threads : int     see :func:`run_chunks`
+    pool : Pool or None, threads : int     see :func:`run_chunks`
     """
 
     sheet: Sheet
     guards: Guards
     regions: IntArray
-    pool: ThreadPoolExecutor | None = None
+    pool: Pool | None = None
     threads: int = 1
 
     @property

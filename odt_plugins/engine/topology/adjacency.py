@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import numpy as np
@@ -12,6 +11,7 @@ from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.topology.star import PARTS, OffsetArray, Stars, vertex_stars
 from odt_plugins.errors import InvalidMeshError
 from odt_plugins.mesh.arrays import IntArray
+from odt_plugins.mesh.chunks import Pool
 
 
 @kernel
@@ -93,7 +93,7 @@ def _match_facets(
 
 
 def cell_neighbors(
-    cells: IntArray, stars: Stars | None = None, pool: ThreadPoolExecutor | None = None
+    cells: IntArray, stars: Stars | None = None, pool: Pool | None = None
 ) -> IntArray:
     """Find the cell across every facet.
 
@@ -101,7 +101,7 @@ def cell_neighbors(
     ----------
     cells : (m, d + 1) int32
     stars : Stars, optional      of these cells, when already known
-    pool : ThreadPoolExecutor, optional
+    pool : Pool, optional
         shares the work; the result does not depend on it
 
     Returns

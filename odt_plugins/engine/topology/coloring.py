@@ -9,7 +9,6 @@ from __future__ import annotations
 
 from bisect import bisect_left
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from itertools import pairwise
 from typing import NamedTuple, TypeVar
@@ -20,6 +19,7 @@ from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import PIECE, pieces, run_ranges
 from odt_plugins.engine.topology.star import OffsetArray
 from odt_plugins.mesh.arrays import BoolArray, IntArray, LongArray
+from odt_plugins.mesh.chunks import Pool
 
 SMALLEST_BITS = 6
 """A block has at least 2^SMALLEST_BITS vertex numbers."""
@@ -28,10 +28,10 @@ MOST_BLOCKS = 1024
 """Larger meshes have larger blocks, since which of them touch is a table of all pairs."""
 
 SMALLEST = 256
-"""Fewer vertices of one colour than this are not worth a second thread."""
+"""Fewer vertices than this are not worth a chunk of their own."""
 
 TURNS = 4
-"""Chunks of a colour for each thread, so that none waits long for the last one to end."""
+"""Most chunks of a colour for each thread, unless they get longer than a piece."""
 
 T = TypeVar("T")
 
@@ -47,11 +47,17 @@ class Coloring(NamedTuple):
     order : (v,) int32
     blocks : (number of blocks + 1,) int64
     offsets : (number of colours + 1,) int64
+    links : (l, 2) int32        blocks with vertices in one cell, the one that comes first first
     """
 
     order: IntArray
     blocks: OffsetArray
     offsets: OffsetArray
+    links: IntArray
+
+    def of_one_colour(self) -> Coloring:
+        """The same blocks as if none touched another."""
+        return self._replace(offsets=self.offsets[[0, -1]], links=self.links[:0])
 
 
 @kernel
@@ -78,19 +84,22 @@ def _touching(
 @kernel
 def _arrange(
     movable: BoolArray, bits: int, touch: BoolArray, room: LongArray, order: IntArray,
-    blocks: OffsetArray, offsets: OffsetArray,
-) -> tuple[int, int, int]:
+    blocks: OffsetArray, offsets: OffsetArray, links: IntArray,
+) -> tuple[int, int, int, int]:
     """Colour the blocks and fill the arrays of a :class:`Coloring`; how much of each is in use.
 
-    Every block gets the lowest colour free among its neighbours. ``room`` is (3, blocks + 1).
+    Every block gets the lowest colour free among its neighbours. ``room`` is (4, blocks + 1).
     """
-    color, taken, place = room[0], room[1], room[2]
+    color, taken, place, number = room[0], room[1], room[2], room[3]
     count = touch.shape[0] - 1
     colors = 0
+    found = 0
     for b in range(count):
         for other in range(b):
             if touch[b, other]:
                 taken[color[other]] = b + 1
+                links[found, 0], links[found, 1] = other, b
+                found += 1
         for low in range(b + 1):
             if taken[low] != b + 1:
                 color[b] = low
@@ -109,6 +118,7 @@ def _arrange(
             size = place[b]
             if color[b] == low and size > 0:
                 place[b] = total
+                number[b] = n_blocks
                 total += size
                 n_blocks += 1
                 blocks[n_blocks] = total
@@ -119,7 +129,13 @@ def _arrange(
         if movable[v]:
             order[place[v >> bits]] = v
             place[v >> bits] += 1
-    return total, n_blocks, n_colors
+    n_links = 0
+    for link in range(found):
+        a, b = number[links[link, 0]], number[links[link, 1]]
+        if a >= 0 and b >= 0:
+            links[n_links, 0], links[n_links, 1] = min(a, b), max(a, b)
+            n_links += 1
+    return total, n_blocks, n_colors, n_links
 
 
 def _block_bits(n: int) -> int:
@@ -130,7 +146,7 @@ def _block_bits(n: int) -> int:
 
 
 def touching_blocks(
-    cells: IntArray, movable: BoolArray, pool: ThreadPoolExecutor | None = None
+    cells: IntArray, movable: BoolArray, pool: Pool | None = None
 ) -> BoolArray:
     """Find out which blocks have movable vertices in one cell.
 
@@ -174,39 +190,44 @@ def vertex_coloring(
     count = len(touch)
     order = np.empty(len(movable), dtype=np.int32)
     blocks, offsets = np.empty((2, count), dtype=np.int64)
-    room = np.zeros((3, count), dtype=np.int64)
-    total, n_blocks, n_colors = _arrange(
-        movable, _block_bits(len(movable)), touch, room, order, blocks, offsets
+    links = np.empty((np.count_nonzero(touch), 2), dtype=np.int32)
+    room = np.zeros((4, count), dtype=np.int64)
+    room[3] = -1
+    total, n_blocks, n_colors, n_links = _arrange(
+        movable, _block_bits(len(movable)), touch, room, order, blocks, offsets, links
     )
-    return Coloring(order[:total], blocks[: n_blocks + 1], offsets[: n_colors + 1])
+    return Coloring(
+        order[:total], blocks[: n_blocks + 1], offsets[: n_colors + 1], links[:n_links]
+    )
 
 
 def run_chunks(
-    pool: ThreadPoolExecutor | None,
+    pool: Pool | None,
     threads: int,
     coloring: Coloring,
     work: Callable[[int, int], T],
 ) -> list[T]:
-    """Call ``work(start, stop)`` over the vertices of every colour; returns what it returned.
+    """Call ``work(start, stop)`` over chunks of the vertices in order; returns what it returned.
+
+    A chunk begins when all chunks that it touches and that come before it have ended.
 
     Parameters
     ----------
-    pool : ThreadPoolExecutor or None    None runs everything here, in pieces
+    pool : Pool or None    None runs everything here, in pieces
     threads : int                        least number of chunks a colour is cut into, between blocks
     coloring : Coloring
     work : callable                      releases the GIL; works on coloring.order[start:stop]
     """
     blocks = coloring.blocks.tolist()
-    if pool is None:
+    if pool is None or blocks[-1] < threads * SMALLEST:
         return [work(first, last) for first, last in pieces(0, blocks[-1])]
-    results = []
+    starts: list[int] = []
     for first, last in pairwise(coloring.offsets.tolist()):
         start, size = blocks[first], blocks[last] - blocks[first]
-        if size < SMALLEST:
-            results.append(work(start, start + size))
-            continue
-        count = max(threads, min(TURNS * threads, size // SMALLEST), -(-size // PIECE))
-        cuts = [blocks[bisect_left(blocks, start + size * t // count, first, last)]
-                for t in range(count + 1)]
-        results += pool.map(work, cuts[:-1], cuts[1:])
-    return results
+        count = max(1, min(TURNS * threads, size // SMALLEST), -(-size // PIECE))
+        starts += {blocks[bisect_left(blocks, start + size * t // count, first, last)]: None
+                   for t in range(count)}
+    chunk = np.searchsorted(starts, coloring.blocks[:-1], side="right") - 1
+    touch = np.zeros((len(starts), len(starts)), dtype=np.bool_)
+    touch[chunk[coloring.links[:, 0]], chunk[coloring.links[:, 1]]] = True
+    return pool.run(work, list(pairwise([*starts, blocks[-1]])), np.argwhere(touch).tolist())

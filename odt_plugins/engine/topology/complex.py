@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
 from typing import Any, NamedTuple
@@ -17,6 +16,7 @@ from odt_plugins.engine.topology.order import by_lowest_vertex, make_slabs
 from odt_plugins.engine.topology.star import Stars, vertex_stars
 from odt_plugins.engine.topology.tets import FREE, FULL, USED, Tets
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.chunks import Pool
 
 
 class Cells(NamedTuple):
@@ -157,7 +157,7 @@ def _copy_cells(
             new.neighbors[i, a] = rank[across] if across >= 0 else -1
 
 
-def renumbered(mesh: Complex, pool: ThreadPoolExecutor | None = None) -> Complex:
+def renumbered(mesh: Complex, pool: Pool | None = None) -> Complex:
     """Return the same mesh without free slots, its cells by their smallest vertex, nothing pending.
 
     Flips scatter the cells around a vertex over the memory; this brings them together again.
@@ -175,6 +175,6 @@ def renumbered(mesh: Complex, pool: ThreadPoolExecutor | None = None) -> Complex
     return fresh
 
 
-def slot_stars(mesh: Complex, pool: ThreadPoolExecutor | None = None) -> Stars:
+def slot_stars(mesh: Complex, pool: Pool | None = None) -> Stars:
     """List the slots of the cells around every vertex; free slots belong to none."""
     return vertex_stars(mesh.cells[: mesh.used], len(mesh.points), pool)

@@ -9,7 +9,6 @@ middle of the first ones.  The slabs depend on the mesh alone, not on the number
 from __future__ import annotations
 
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from threading import Event
 
@@ -20,6 +19,7 @@ from odt_plugins.engine.compiled.threads import pieces, run_ranges
 from odt_plugins.engine.topology.complex import Complex
 from odt_plugins.engine.topology.tets import FREE, FULL, USED, Tets
 from odt_plugins.mesh.arrays import BoolArray, ByteArray, IntArray, LongArray
+from odt_plugins.mesh.chunks import Pool
 
 WORTH = 0.02
 """Flips at fewer cells than this part of all are done in one go."""
@@ -120,7 +120,7 @@ def _sort_out(
 
 
 def side_by_side(
-    mesh: Complex, order: IntArray, pool: ThreadPoolExecutor | None, work: Work,
+    mesh: Complex, order: IntArray, pool: Pool | None, work: Work,
     worth: float = WORTH, costly: bool = False,
 ) -> int:
     """Work at cells, in slabs where there are many, and add up what the work returns.
@@ -129,7 +129,7 @@ def side_by_side(
     ----------
     mesh : Complex
     order : (k,) int32      cells to visit, in this order within a slab
-    pool : ThreadPoolExecutor or None
+    pool : Pool or None
         None runs the slabs one after another; the result is the same
     work : callable         see ``Work``
     worth : float           part of all cells that is worth cutting the mesh into slabs
@@ -148,7 +148,7 @@ def side_by_side(
 
 
 def _in_slabs(
-    mesh: Complex, order: IntArray, slab: ByteArray, pool: ThreadPoolExecutor | None, work: Work,
+    mesh: Complex, order: IntArray, slab: ByteArray, pool: Pool | None, work: Work,
     costly: bool,
 ) -> tuple[int, IntArray]:
     """Work at the cells away from the cuts; returns what it gave, and the cells that are left."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from typing import NamedTuple
 
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.errors import InvalidMeshError
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
+from odt_plugins.mesh.chunks import Pool
 
 OffsetArray = NDArray[np.int64]
 
@@ -109,7 +109,7 @@ def _neighbor_rows(
 
 
 def vertex_stars(
-    cells: IntArray, n_points: int, pool: ThreadPoolExecutor | None = None
+    cells: IntArray, n_points: int, pool: Pool | None = None
 ) -> Stars:
     """List the cells around every vertex.
 
@@ -118,7 +118,7 @@ def vertex_stars(
     cells : (m, d + 1) int32    vertex indices, each below n_points; a row that starts with -1 is
                                 a free slot and belongs to no star
     n_points : int              n
-    pool : ThreadPoolExecutor, optional
+    pool : Pool, optional
         shares the work; the result does not depend on it
 
     Returns

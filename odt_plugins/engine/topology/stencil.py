@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -11,6 +10,7 @@ import numpy as np
 from odt_plugins.engine.topology.coloring import Coloring, touching_blocks, vertex_coloring
 from odt_plugins.engine.topology.star import Stars, vertex_neighbors, vertex_stars
 from odt_plugins.mesh.arrays import BoolArray, IntArray
+from odt_plugins.mesh.chunks import Pool
 
 
 @dataclass(frozen=True)
@@ -24,7 +24,7 @@ class Topology:
     is_boundary : (n,) bool       vertices on the boundary or an interface: their cells are the
                                   boundary elements of Section 4.2.1
     stars : Stars                 cells around every vertex
-    pool : ThreadPoolExecutor or None
+    pool : Pool or None
         shares the work of what is made later
     """
 
@@ -32,7 +32,7 @@ class Topology:
     movable: BoolArray
     is_boundary: BoolArray
     stars: Stars
-    pool: ThreadPoolExecutor | None = None
+    pool: Pool | None = None
 
     @cached_property
     def boundary_cells(self) -> BoolArray:
@@ -59,7 +59,7 @@ class Topology:
 
 def make_topology(
     cells: IntArray, movable: BoolArray, is_boundary: BoolArray, stars: Stars | None = None,
-    pool: ThreadPoolExecutor | None = None,
+    pool: Pool | None = None,
 ) -> Topology:
     """Build a :class:`Topology`; vertices of no cell are taken out of ``movable``."""
     cells = np.ascontiguousarray(cells, dtype=np.int32)

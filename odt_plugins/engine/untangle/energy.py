@@ -18,7 +18,6 @@ untangling and smoothing of tetrahedral meshes, CMAME 192 (2003) 2775-2787.
 from __future__ import annotations
 
 import math
-from concurrent.futures import ThreadPoolExecutor
 
 import numpy as np
 
@@ -27,6 +26,7 @@ from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import run_ranges
 from odt_plugins.engine.topology.star import OffsetArray, vertex_stars
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
+from odt_plugins.mesh.chunks import Pool
 from odt_plugins.mesh.simplex import determinant
 
 REGULAR = {
@@ -149,7 +149,7 @@ class Distortion:
     free : (k,) int64                  vertices that move
     reference : (m, d, d) float64      edges of the reference cell of every cell at its first
                                        vertex, one a column; det > 0
-    pool : ThreadPoolExecutor, optional
+    pool : Pool, optional
         shares the work; no value depends on it
 
     Attributes
@@ -160,7 +160,7 @@ class Distortion:
 
     def __init__(
         self, points: FloatArray, cells: IntArray, free: LongArray, reference: FloatArray,
-        pool: ThreadPoolExecutor | None = None,
+        pool: Pool | None = None,
     ) -> None:
         m, d = len(cells), points.shape[1]
         self.points, self.cells, self.free, self.pool = points.copy(), cells, free, pool

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 
 import numpy as np
@@ -18,6 +17,7 @@ from odt_plugins.engine.untangle.energy import REGULAR, Distortion
 from odt_plugins.engine.untangle.harmonic import harmonic
 from odt_plugins.engine.untangle.lbfgs import lbfgs
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
+from odt_plugins.mesh.chunks import Pool
 from odt_plugins.mesh.simplex import cell_signs, determinant
 
 RINGS = (2, 5)
@@ -35,7 +35,7 @@ LEAST_EPS, FOLLOW = 1e-6, 0.2
 
 def untangled_places(
     points: FloatArray, cells: IntArray, movable: BoolArray, reference: FloatArray | None = None,
-    moved: FloatArray | None = None, pool: ThreadPoolExecutor | None = None,
+    moved: FloatArray | None = None, pool: Pool | None = None,
     tell: Callable[[int], object] = int,
 ) -> FloatArray:
     """Move vertices until no cell is inverted or flat, or fewer are.
@@ -49,7 +49,7 @@ def untangled_places(
                                                 vertex, one a column, which all cells are brought
                                                 near to; regular ones unless given
     moved : (n, d) float64, optional            other places to start from
-    pool : ThreadPoolExecutor, optional         shares the work; the result does not depend on it
+    pool : Pool, optional         shares the work; the result does not depend on it
     tell : callable                             is told how many cells are inverted after every step
 
     Returns
@@ -91,7 +91,7 @@ def _around(cells: IntArray, which: BoolArray, rings: int, n: int) -> BoolArray:
 
 def _moved(
     points: FloatArray, cells: IntArray, free: LongArray, reference: FloatArray | None,
-    moved: FloatArray | None, pool: ThreadPoolExecutor | None, tell: Callable[[int], object],
+    moved: FloatArray | None, pool: Pool | None, tell: Callable[[int], object],
 ) -> FloatArray:
     """The same with some vertices moved, in units of the cells that have them."""
     d = points.shape[1]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import islice
 from typing import NamedTuple
@@ -18,6 +17,7 @@ from odt_plugins.engine.untangle.harmonic import harmonic
 from odt_plugins.engine.untangle.places import bad_cells, untangled_places
 from odt_plugins.engine.untangle.vertices import inserted
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
+from odt_plugins.mesh.chunks import Pool
 from odt_plugins.mesh.simplex import SimplexMesh, with_vertices
 from odt_plugins.options import Progress
 from odt_plugins.progress import silent
@@ -133,7 +133,7 @@ def _changed(
 
 
 def _placed(
-    mesh: SimplexMesh, movable: BoolArray, wishes: Wishes, pool: ThreadPoolExecutor | None,
+    mesh: SimplexMesh, movable: BoolArray, wishes: Wishes, pool: Pool | None,
     rest: FloatArray | None = None,
 ) -> FloatArray:
     """Places of the vertices of a mesh, as they leave."""

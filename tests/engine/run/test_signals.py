@@ -105,7 +105,8 @@ def test_the_vertices_of_every_colour_come_in_short_chunks_and_in_order(workers,
     for module in (threads, coloring):
         monkeypatch.setattr(module, "PIECE", 1000)
     blocks = np.arange(0, 40_001, 100)
-    colors = Coloring(np.arange(40_000, dtype=np.int32), blocks, np.array([0, 3, 100, 400]))
+    apart = np.empty((0, 2), dtype=np.int32)
+    colors = Coloring(np.arange(40_000, dtype=np.int32), blocks, np.array([0, 3, 100, 400]), apart)
     with threads.thread_pool(workers or 1) as pool:
         chunks = run_chunks(pool, workers or 1, colors, lambda *chunk: chunk)
     starts, stops = np.array([(a, b) for a, b in chunks if a < b]).T

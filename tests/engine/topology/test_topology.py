@@ -152,6 +152,8 @@ def test_no_cell_has_vertices_in_two_blocks_of_one_color(mesh, seed):
     for c, (first, last) in enumerate(pairwise(found.offsets)):
         color[np.isin(block, np.arange(first, last))] = c
     assert np.array_equal(color >= 0, movable)
+    assert sorted(map(tuple, found.links.tolist())) == sorted(
+        {(a, b) for cell in cells for a in block[cell] for b in block[cell] if 0 <= a < b})
     for cell in cells:
         mine = cell[movable[cell]]
         assert len(set(color[mine])) == len(set(block[mine]))
