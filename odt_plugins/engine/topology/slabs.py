@@ -14,6 +14,7 @@ from threading import Event
 
 import numpy as np
 
+from odt_plugins.engine.compiled import threads
 from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
 from odt_plugins.engine.compiled.threads import pieces, run_ranges
 from odt_plugins.engine.topology.complex import Complex
@@ -45,8 +46,8 @@ def cut_walls(
     """Cut the adjacency between slabs; a cell belongs to the least slab of its vertices.
 
     Only where the cell of the lesser slab is one of start to stop; others can be cut at the same
-    time.  The k-th such facet is wall w = 4 start + k: its sides get -2 - 2 w and -3 - 2 w in the
-    place of the cell across, and its vertices are marked in ``cut``.  Returns the number of facets.
+    time.  The k-th such facet has number w = 4 start + k: its sides get -2 - 2 w and -3 - 2 w in
+    the place of the cell across; its vertices are marked in ``cut``.  Returns how many there are.
     """
     count = 0
     for c in range(start, stop):
@@ -76,11 +77,13 @@ def cut_walls(
 
 @kernel
 def find_walls(
-    cells: IntArray, neighbors: IntArray, ends: LongArray, start: int, stop: int
+    cells: IntArray, neighbors: IntArray, first: LongArray, part: int, ends: LongArray, start: int,
+    stop: int,
 ) -> None:
     """Write where the sides of the walls are, among the cells start to stop.
 
-    Side 0 or 1 of wall w at facet f of cell c is 4 c + f in ``ends[2 w]`` or ``ends[2 w + 1]``.
+    Number w stands for the wall ``first[w // part] + w % part``. Side 0 or 1 of a wall at facet f
+    of cell c is 4 c + f in its row of ``ends``.
     """
     for c in range(start, stop):
         least = min(min(neighbors[c, 0], neighbors[c, 1]), min(neighbors[c, 2], neighbors[c, 3]))
@@ -89,14 +92,15 @@ def find_walls(
         for f in range(4):
             side = -2 - neighbors[c, f]
             if side >= 0:
-                ends[side] = 4 * c + f
+                number = side >> 1
+                ends[first[number // part] + number % part, side & 1] = 4 * c + f
 
 
 @kernel
-def heal_walls(neighbors: IntArray, ends: LongArray, first: int, last: int) -> None:
-    """Join again at the walls first to last what :func:`cut_walls` cut."""
-    for wall in range(first, last):
-        a, b = ends[2 * wall], ends[2 * wall + 1]
+def heal_walls(neighbors: IntArray, ends: LongArray) -> None:
+    """Join again at the walls what :func:`cut_walls` cut."""
+    for wall in range(ends.shape[0]):
+        a, b = ends[wall, 0], ends[wall, 1]
         neighbors[a >> 2, a & 3] = b >> 2
         neighbors[b >> 2, b & 3] = a >> 2
 
@@ -136,9 +140,10 @@ def side_by_side(
     costly : bool           see ``threads.pieces``
     """
     total = 0
-    if len(order) > worth * mesh.count():
+    few = worth * mesh.count()
+    if len(order) > few:
         for slab in mesh.slabs():
-            if slab.any():
+            if slab.any() and len(order) > few:
                 done, order = _in_slabs(mesh, order, slab, pool, work, costly)
                 total += done
     return total + sum(
@@ -154,12 +159,8 @@ def _in_slabs(
     """Work at the cells away from the cuts; returns what it gave, and the cells that are left."""
     used = mesh.used
     cut = np.zeros(len(mesh.points), dtype=np.bool_)
-
-    def cut_part(start: int, stop: int) -> tuple[int, int]:
-        number = cut_walls(mesh.cells, mesh.neighbors, slab, cut, start, stop)
-        return 4 * start, 4 * start + int(number)
-
-    walls = run_ranges(pool, used, cut_part)
+    walls = run_ranges(pool, used, partial(cut_walls, mesh.cells, mesh.neighbors, slab, cut))
+    wall = np.cumsum([0, *walls])
     home = np.empty(len(order), dtype=np.uint8)
     run_ranges(pool, len(order), partial(_sort_out, mesh.cells, order, slab, cut, home))
     count = int(slab.max()) + 1
@@ -183,10 +184,11 @@ def _in_slabs(
         given_up.set()
         raise
     _collect_room(mesh, ends, slots, free)
-    sides = np.empty(8 * used, dtype=np.int64)
-    run_ranges(pool, mesh.used, partial(find_walls, mesh.cells, mesh.neighbors, sides))
-    for first, last in walls:
-        heal_walls(mesh.neighbors, sides, first, last)
+    sides = np.empty((wall[-1], 2), dtype=np.int64)
+    run_ranges(pool, mesh.used, partial(
+        find_walls, mesh.cells, mesh.neighbors, wall, 4 * threads.PART, sides
+    ))
+    heal_walls(mesh.neighbors, sides)
     return total, order[home == LEFT]
 
 

@@ -65,7 +65,7 @@ def test_walls_are_the_facets_between_slabs_and_heal():
     cells = mesh.mesh_arrays()[0]
     before = mesh.neighbors.copy()
     cut = np.zeros(len(mesh.points), dtype=bool)
-    middle = mesh.used // 2
+    middle = -(-mesh.used // 2)
     parts = [(middle, mesh.used), (0, middle)]
     counts = [slabs.cut_walls(mesh.cells, mesh.neighbors, slab, cut, *part) for part in parts]
     home = slab[cells].min(axis=1)
@@ -79,11 +79,11 @@ def test_walls_are_the_facets_between_slabs_and_heal():
              for side in range(2 * found)]
     assert (-2 - codes).tolist() == sorted(sides, reverse=True)
     assert np.all(count == 1)
-    ends = np.zeros(8 * mesh.used, dtype=np.int64)
+    wall = np.cumsum([0, *counts[::-1]])
+    ends = np.zeros((wall[-1], 2), dtype=np.int64)
     for part in parts:
-        slabs.find_walls(mesh.cells, mesh.neighbors, ends, *part)
-    for (first, _), found in zip(parts, counts, strict=True):
-        slabs.heal_walls(mesh.neighbors, ends, 4 * first, 4 * first + found)
+        slabs.find_walls(mesh.cells, mesh.neighbors, wall, 4 * middle, ends, *part)
+    slabs.heal_walls(mesh.neighbors, ends)
     assert np.array_equal(mesh.neighbors, before)
 
 
