@@ -17,12 +17,11 @@ import numpy as np
 from odt_plugins.engine.cells.elementary import exp, log, power
 from odt_plugins.engine.cells.geometry import signed_volumes
 from odt_plugins.engine.compiled.kernel import kernel
-from odt_plugins.engine.compiled.threads import run_ranges
 from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.star import star_sum
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import FloatArray, IntArray
-from odt_plugins.mesh.chunks import Pool
+from odt_plugins.mesh.chunks import Pool, chunks
 from odt_plugins.mesh.simplex import corner_mean
 
 NAMES = ("keep", "uniform", "inverse-volume")
@@ -179,7 +178,7 @@ class Density:
         Parameters
         ----------
         points : (k, d) float64    the vertices of the input mesh, moved; further points may follow
-        pool                       see ``threads.run_ranges``
+        pool                       whose threads share the work
         walk : (k,) int32, optional
             from :meth:`walk_start` or the last call, for points that moved little since; the
             cells where they are now are written to it
@@ -200,19 +199,14 @@ class Density:
         values = np.empty(len(points))
         points = np.ascontiguousarray(points, dtype=np.float64)
 
-        def work(first: int, last: int) -> None:
+        def work(part: slice) -> None:
             _interpolate(
-                points[first:last],
-                start[first:last],
-                self.nodes,
-                self.cells,
-                self.neighbors,
-                WALK_LIMIT,
-                values[first:last],
+                points[part], start[part], self.nodes, self.cells, self.neighbors, WALK_LIMIT,
+                values[part],
             )
-            values[first:last] = bounded_power(values[first:last], self.power)
+            values[part] = bounded_power(values[part], self.power)
 
-        run_ranges(pool, len(points), work)
+        list((map if pool is None else pool.map)(work, chunks(len(points))))
         return values
 
 
