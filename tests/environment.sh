@@ -73,7 +73,8 @@ use_environment() {
     say "installing odt-plugins[$extras] into $VIRTUAL_ENV (a few minutes, once)"
     python -m pip --version >/dev/null 2>&1 || {
         say "$VIRTUAL_ENV has no pip; try python -m ensurepip"; return 1; }
-    python -m pip install --quiet --disable-pip-version-check -e ".[$extras]" || {
+    # Python compiles what is imported, a small part of all that is installed.
+    python -m pip install --quiet --disable-pip-version-check --no-compile -e ".[$extras]" || {
         say "installation failed; the lines above say why"; return 1; }
     echo "$stamp" >> "$marker"
 }

@@ -243,12 +243,11 @@ def test_an_interrupted_write_leaves_the_old_file(error, tmp_path, monkeypatch):
 FULL = """
 import os, resource, sys, warnings
 import meshio, numpy as np
-import contract
 from odt_plugins.adapters import files
 from odt_plugins.errors import MeshFileError
 warnings.simplefilter("ignore")
-points, cells, _ = contract.grid(3, 9)
-mesh = meshio.Mesh(points, [("tetra", cells)])
+with np.load(sys.argv[2]) as grid:
+    mesh = meshio.Mesh(grid["points"], [("tetra", grid["cells"])])
 name = "out" + sys.argv[1]
 for limit in (2_000, 20_000):
     resource.setrlimit(resource.RLIMIT_FSIZE, (limit, resource.RLIM_INFINITY))
@@ -264,12 +263,15 @@ print(len(files.read_file(name).points))
 
 
 @pytest.mark.parametrize("suffix", [".xdmf", ".med", ".h5m", ".cgns", ".hmf", ".e", ".msh"])
-def test_a_full_disk_leaves_the_old_file_and_no_open_handle(suffix, tmp_path):
+def test_a_full_disk_leaves_the_old_file_and_no_open_handle(suffix, tmp_path, tmp_path_factory):
+    points, cells, _ = contract.grid(3, 9)
+    grid = tmp_path_factory.mktemp("grid") / "grid.npz"
+    np.savez(grid, points=points, cells=cells)
     (tmp_path / f"out{suffix}").write_text("old")
     paths = os.pathsep.join([str(Path(__file__).parent), *sys.path])
     done = subprocess.run(
-        [sys.executable, "-c", FULL, suffix], cwd=tmp_path, capture_output=True, text=True,
-        check=False, timeout=200, env=dict(os.environ) | {"PYTHONPATH": paths})
+        [sys.executable, "-c", FULL, suffix, str(grid)], cwd=tmp_path, capture_output=True,
+        text=True, check=False, timeout=200, env=dict(os.environ) | {"PYTHONPATH": paths})
     assert (done.returncode, done.stderr) == (0, "")
     said = f"cannot write out{suffix}: File too large; try another path"
     assert done.stdout.splitlines() == [said, said, f"['out{suffix}'] old", "1000"]

@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from odt_plugins.compare import cold
+from odt_plugins.compare import cold, small
 from odt_plugins.compare.charts import ACROSS, histograms
 from odt_plugins.compare.contestants import OURS, choose
 from odt_plugins.compare.machine import describe
@@ -171,6 +171,8 @@ def test_page_without_a_result_of_ours_says_so(results, tmp_path):
 
 def test_scaling_report_opens_and_holds_every_part(tmp_path, monkeypatch):
     monkeypatch.setattr(cold, "JOBS", (("nothing", "", cold.NONE), ("nothing", "", cold.KEPT)))
+    monkeypatch.setattr(small, "SMALL", (300,))
+    monkeypatch.setattr(small, "REPEATS", 1)
     said = []
     summary = run_scaling(tmp_path, 2600, 1, said.append)
     values = json.loads((tmp_path / SCALING_FILES[0]).read_text())
