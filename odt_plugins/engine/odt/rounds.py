@@ -252,8 +252,11 @@ def smooth(
     scattered = 0
     pays = options.connectivity == "auto" and exchange_pays(mesh)
     walk = density.walk_start(len(mesh.points))
+    moving, rho = np.arange(len(movable)), np.ones(len(movable))
     for k in range(options.rounds):
-        rho = density.at(mesh.points, pool, walk)
+        began = walk.copy()
+        rho = density.again(mesh.points, rho, moving, walk, pool)
+        moving = np.flatnonzero(movable | (walk != began))
         points, stats = position_step(
             mesh.points, topology, rho, options, density.inverse_volume
         )
