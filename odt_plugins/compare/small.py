@@ -14,7 +14,11 @@ from odt_plugins.compare.start import ball_of
 from odt_plugins.compare.table import Part, Say, Table, Value
 
 SMALL = (500, 1500, 5000, 6832)
-"""Cells, about, of the small meshes."""
+"""Cells, about, of small meshes, each by itself."""
+
+MANY = (500, 5000, 60)
+"""Cells, about, of the first and the last of so many meshes, evenly spread: they stand for a
+thousand."""
 
 REPEATS = 5
 """The least time of so many counts."""
@@ -23,35 +27,49 @@ REPEATS = 5
 def small_part(sizes: Sequence[int], threads: int, say: Say) -> Part:
     """Compare small balls of tetrahedra with the largest of some sizes, and time the command.
 
+    One row is the sum over MANY of them.
+
     Parameters
     ----------
     sizes : ints      about so many cells; the last is that of the large mesh
     threads : int
     say : callable    is told what is measured
     """
-    from odt_plugins import optimize
-
-    found: list[tuple[int, float, float]] = []
-    for size in (*SMALL, sizes[-1]):
-        start = ball_of(size)
-        mesh = start.points, start.cells
-        optimize(mesh, threads=threads)
-        count = 1 if size > SMALL[-1] else REPEATS
-        wall, cpu = _least(lambda mesh=mesh: optimize(mesh, threads=threads), count)  # type: ignore[misc]
-        found.append((len(start.cells), wall, cpu))
-        say(f"{found[-1][0]} cells: processor {1e3 * cpu:.0f} ms")
-    share = found[-1][2] / found[-1][0]
+    low, high, count = MANY
+    spread = [low + (high - low) * k // (count - 1) for k in range(count)]
+    found = []
+    for wanted in (*([size] for size in SMALL), spread, [sizes[-1]]):
+        found.append(_balls(wanted, threads))
+        meshes, cells, _, cpu = found[-1]
+        say(f"{meshes} x {cells // meshes} cells: processor {1e3 * cpu:.0f} ms")
+    share = found[-1][3] / found[-1][1]
     rows: list[tuple[Value, ...]] = [
-        (cells, 1e3 * wall, 1e3 * cpu, 1e6 * cpu / cells, f"{cpu / cells / share:.2f}")
-        for cells, wall, cpu in found
+        (meshes, cells, 1e3 * wall, 1e3 * cpu, 1e6 * cpu / cells, f"{cpu / cells / share:.2f}")
+        for meshes, cells, wall, cpu in found
     ]
-    heads = ("cells", "wall [ms]", "processor [ms]", "a cell [us]", "to a cell of the last")
+    heads = ("meshes", "cells", "wall [ms]", "processor [ms]", "a cell [us]",
+             "to a cell of the last")
+    about = f"{count} of {low} to {high} cells stand for 1,000"
     command: list[tuple[Value, ...]] = [("optimize, .vtu to .vtu", *_command(SMALL[-1], say))]
     return Part([
-        Table("small", "Small meshes in process, kernels loaded", heads, rows),
+        Table("small", f"Small meshes in process, kernels loaded; {about}", heads, rows),
         Table("command", "The whole command, kernels compiled", ("command", "wall [s]",
               "processor [s]"), command),
     ])
+
+
+def _balls(sizes: Sequence[int], threads: int) -> tuple[int, int, float, float]:
+    """Number, cells, and seconds of wall and of processor, of balls optimised one by one."""
+    from odt_plugins import optimize
+
+    cells, walls, cpus = 0, 0.0, 0.0
+    for size in sizes:
+        start = ball_of(size)
+        mesh = start.points, start.cells
+        optimize(mesh, threads=threads)
+        wall, cpu = _least(lambda mesh=mesh: optimize(mesh, threads=threads), REPEATS)  # type: ignore[misc]
+        cells, walls, cpus = cells + len(start.cells), walls + wall, cpus + cpu
+    return len(sizes), cells, walls, cpus
 
 
 def _least(work: Callable[[], object], count: int) -> tuple[float, float]:

@@ -530,3 +530,16 @@ def test_help_is_quick_and_loads_neither_engine_nor_toolkits() -> None:
                           check=False)
     assert (done.returncode, done.stderr) == (0, "")
     assert "--linear-solver" in done.stdout
+
+
+def test_a_usual_run_loads_no_room_for_other_meshes_and_options() -> None:
+    script = ("import sys; from odt_plugins import optimize;"
+              "from odt_plugins.compare.start import ball;"
+              "mesh = ball(60); optimize((mesh.points, mesh.cells), threads=1);"
+              "others = ('ground', 'sliding', 'surface', 'untangle', 'moves.insertion',"
+              " 'moves.flips2d', 'odt.global_step');"
+              "sys.exit(str([name for name in sys.modules"
+              " if name.startswith(tuple('odt_plugins.engine.' + other for other in others))]))")
+    done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True,
+                          check=False)
+    assert done.stderr.strip() == "[]"

@@ -56,12 +56,14 @@ def test_the_ladder_has_a_rung_for_every_power_of_ten(monkeypatch):
 
 def test_small_meshes_and_the_command_are_measured(monkeypatch):
     monkeypatch.setattr(small, "SMALL", (300, 600))
+    monkeypatch.setattr(small, "MANY", (300, 500, 3))
     monkeypatch.setattr(small, "REPEATS", 1)
     meshes, command = small.small_part([1500], 1, silent).tables
-    assert all(row[0] > 0.8 * size
-               for row, size in zip(meshes.rows, (300, 600, 1500), strict=True))
+    assert [row[0] for row in meshes.rows] == [1, 1, 3, 1]
+    assert all(0.8 * size < row[1] < 1.25 * size
+               for row, size in zip(meshes.rows, (300, 600, 1200, 1500), strict=True))
     assert meshes.rows[-1][-1] == "1.00"
-    assert min(row[2] for row in meshes.rows) > 0
+    assert min(row[3] for row in meshes.rows) > 0
     assert command.rows[0][2] > 0.1
 
 

@@ -27,14 +27,12 @@ from odt_plugins.engine.cells.tetrahedron import QUALITY
 from odt_plugins.engine.compiled.threads import run_ranges
 from odt_plugins.engine.finish.descent import finish_phase
 from odt_plugins.engine.finish.phases import Phase
-from odt_plugins.engine.finish.plane import finish2d
 from odt_plugins.engine.moves.compound import compound_pass
 from odt_plugins.engine.moves.newton3d import smooth_vertices
 from odt_plugins.engine.moves.passes import NO_CELL, flip_pending, grow, measures
 from odt_plugins.engine.moves.reconnection import reconnection_pass
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import cell_shapes
-from odt_plugins.engine.sliding.skin import flip_skin, slide
 from odt_plugins.engine.topology.active import (
     DONE,
     PENDING,
@@ -200,6 +198,8 @@ class _VolumeDescent:
 
         moves = sum(run_chunks(self.pool, self.threads, coloring, work))
         if mesh.skin is not None:
+            from odt_plugins.engine.sliding.skin import slide
+
             moves += slide(mesh, mesh.skin, stars, active, phase.cost, limit, moved)
         return moves
 
@@ -237,6 +237,8 @@ def _flip_surface(mesh: Complex, phase: Phase, bounds: Bounds) -> int:
     """Flip edges of a surface that slides, around the pending cells."""
     if mesh.skin is None:
         return 0
+    from odt_plugins.engine.sliding.skin import flip_skin
+
     near = mesh.status[: mesh.used] == PENDING
     flips = flip_skin(mesh, mesh.skin, near, phase.cost, bounds)
     if mesh.full:
@@ -313,6 +315,8 @@ def finish(
     flips, moves : int
     """
     if mesh.dim == 2:
+        from odt_plugins.engine.finish.plane import finish2d
+
         return finish2d(
             Triangles(mesh.points, mesh.cells, mesh.neighbors, mesh.regions), ~mesh.locked,
             bounds=bounds.cells, phases=phases, pool=pool, threads=threads,

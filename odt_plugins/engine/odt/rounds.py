@@ -12,13 +12,9 @@ from odt_plugins.engine.cells.extremes import Bounds
 from odt_plugins.engine.cells.sphere import mark_non_delaunay
 from odt_plugins.engine.cells.tetrahedron import ENERGY, QUALITY, Cost
 from odt_plugins.engine.compiled.threads import run_ranges
-from odt_plugins.engine.moves.flips2d import lawson_flips
 from odt_plugins.engine.moves.passes import NO_CELL, flip_pending, measures
-from odt_plugins.engine.odt.cvt import cvt_step
 from odt_plugins.engine.odt.delaunay import delaunay_exchange
 from odt_plugins.engine.odt.density import Density
-from odt_plugins.engine.odt.descent import lbfgs_step, richardson_step
-from odt_plugins.engine.odt.global_step import global_step
 from odt_plugins.engine.odt.sweeps import StepStats, gauss_seidel_sweep, jacobi_sweep
 from odt_plugins.engine.odt.total_energy import total_energy
 from odt_plugins.engine.policy import POLICY
@@ -90,32 +86,47 @@ def _global(
     inverse_volume: bool,
 ) -> tuple[FloatArray, StepStats]:
     """All vertices by one linear system: (4.27) of ODT, (4.28) of CPT."""
+    from odt_plugins.engine.odt.global_step import global_step
+
     return global_step(
         points, topology, rho, method="cpt" if options.method == "cpt" else "odt",
         inverse_volume=inverse_volume, linear_solver=options.linear_solver,
     )
 
 
-def _plain(
-    step: Callable[..., tuple[FloatArray, StepStats]], points: FloatArray, topology: Topology,
-    rho: FloatArray | None, _options: Options, inverse_volume: bool,
+def _descent(
+    points: FloatArray, topology: Topology, rho: FloatArray | None, options: Options,
+    inverse_volume: bool,
 ) -> tuple[FloatArray, StepStats]:
-    """A step that takes no option but the density."""
+    """All vertices down the gradient of the energy, or by what L-BFGS makes of it."""
+    from odt_plugins.engine.odt.descent import lbfgs_step, richardson_step
+
+    step = lbfgs_step if options.solver == "lbfgs" else richardson_step
     return step(points, topology, rho, inverse_volume=inverse_volume)
+
+
+def _voronoi(
+    points: FloatArray, topology: Topology, rho: FloatArray | None, _options: Options,
+    inverse_volume: bool,
+) -> tuple[FloatArray, StepStats]:
+    """Every vertex to the centroid of its Voronoi cell, for comparison."""
+    from odt_plugins.engine.odt.cvt import cvt_step
+
+    return cvt_step(points, topology, rho, inverse_volume=inverse_volume)
 
 
 STEPS: dict[tuple[str, str], Step] = {
     ("odt", "gauss-seidel"): partial(_local, gauss_seidel_sweep),
     ("odt", "jacobi"): partial(_local, jacobi_sweep),
-    ("odt", "richardson"): partial(_plain, richardson_step),
+    ("odt", "richardson"): _descent,
     ("odt", "global"): _global,
-    ("odt", "lbfgs"): partial(_plain, lbfgs_step),
+    ("odt", "lbfgs"): _descent,
     ("cpt", "gauss-seidel"): partial(_local, gauss_seidel_sweep),
     ("cpt", "jacobi"): partial(_local, jacobi_sweep),
     ("cpt", "global"): _global,
     ("laplacian", "gauss-seidel"): partial(_local, gauss_seidel_sweep),
     ("laplacian", "jacobi"): partial(_local, jacobi_sweep),
-    ("cvt", "gauss-seidel"): partial(_plain, cvt_step),
+    ("cvt", "gauss-seidel"): _voronoi,
 }
 """The position step of every method and solver: those of ``odt_plugins.options.SOLVERS``."""
 
@@ -193,6 +204,8 @@ def local_flips(
 ) -> int:
     """Flip towards Delaunay (Section 3.1): Lawson's edges in the plane, energy flips in space."""
     if mesh.dim == 2:
+        from odt_plugins.engine.moves.flips2d import lawson_flips
+
         flips = lawson_flips(
             mesh.points, mesh.cells, mesh.neighbors, mesh.regions, fixed=mesh.locked
         )
@@ -252,8 +265,11 @@ def smooth(
     scattered = 0
     pays = options.connectivity == "auto" and exchange_pays(mesh)
     walk = density.walk_start(len(mesh.points))
+    moving, rho = np.arange(len(movable)), np.ones(len(movable))
     for k in range(options.rounds):
-        rho = density.at(mesh.points, pool, walk)
+        began = walk.copy()
+        rho = density.again(mesh.points, rho, moving, walk, pool)
+        moving = np.flatnonzero(movable | (walk != began))
         points, stats = position_step(
             mesh.points, topology, rho, options, density.inverse_volume
         )

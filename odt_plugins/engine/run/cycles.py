@@ -11,7 +11,6 @@ from functools import partial
 from odt_plugins.engine.cells.extremes import Bounds, Extremes
 from odt_plugins.engine.finish.phases import WORST, Phase, bulk, cautious, descents, repair, tail
 from odt_plugins.engine.finish.polishing import Settle, polish_small_angles
-from odt_plugins.engine.finish.repair2d import within_bounds
 from odt_plugins.engine.finish.volume import finish, held_angles
 from odt_plugins.engine.odt.density import Density
 from odt_plugins.engine.odt.rounds import Log, smooth
@@ -164,6 +163,8 @@ def _worst_cells(
         work_on(mesh, tail(mesh.dim), bounds)
         memory.offer(mesh, "finished")
     if not memory.states and mesh.dim == 2:
+        from odt_plugins.engine.finish.repair2d import within_bounds
+
         log.add("repairs", 1)
         plane = Triangles(mesh.points, mesh.cells, mesh.neighbors, mesh.regions)
         if within_bounds(plane, ~mesh.locked, bounds.cells):

@@ -7,14 +7,13 @@ from collections import Counter
 from collections.abc import Container
 from dataclasses import replace
 from functools import partial
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 
 from odt_plugins.engine.cells.extremes import Bounds
 from odt_plugins.engine.cells.geometry import boundary_vertices, interface_vertices
 from odt_plugins.engine.compiled.threads import thread_pool
-from odt_plugins.engine.finish.resampling import resample_in_rounds, with_spare_vertices
 from odt_plugins.engine.odt.density import Density, NodalDensity, make_density
 from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.policy import POLICY
@@ -26,8 +25,6 @@ from odt_plugins.engine.run.cycles import extremes, finish_alone, run_cycles, se
 from odt_plugins.engine.run.judge import cut_vertices, envelope_length, faults, slides
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
 from odt_plugins.engine.run.start import Start, make_start
-from odt_plugins.engine.sliding.boundary import Skin
-from odt_plugins.engine.sliding.skin import make_skin, on_earlier_ground
 from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.complex import make_complex
 from odt_plugins.engine.topology.frame import Frame, callers_vertices
@@ -38,6 +35,9 @@ from odt_plugins.mesh.numbering import old_numbers
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
+
+if TYPE_CHECKING:
+    from odt_plugins.engine.sliding.boundary import Skin
 
 
 class Again(NamedTuple):
@@ -231,6 +231,8 @@ def _run_in(
         if refused and not _keeps_sizes(options):
             reason += f"; {NO_DENSITY}"
     if options.insert and (memory.states or skin is None):
+        from odt_plugins.engine.finish.resampling import resample_in_rounds, with_spare_vertices
+
         clock = time.perf_counter()
         best = (memory.states or [State(start.points, cells, regions, before, "input")])[0]
         spare = with_spare_vertices(
@@ -268,6 +270,8 @@ def _run_in(
 
 def _skin(start: Start, options: Options, points: FloatArray, share: float) -> Skin:
     """The boundary as it may slide; interfaces, fixed vertices and frozen cells hold it."""
+    from odt_plugins.engine.sliding.skin import make_skin, on_earlier_ground
+
     mesh, frame = start.mesh, start.frame
     locked = mesh.fixed | interface_vertices(mesh.cells, len(mesh.points), mesh.regions)
     locked[mesh.cells[mesh.frozen]] = True

@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 
 from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
-from odt_plugins.engine.ground.crossings import count_crossings, crossing_triangles
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 from odt_plugins.mesh.numbering import in_old_numbers, old_numbers
@@ -91,6 +90,8 @@ def faults(
                              origin=origin, insert=options.insert, threads=options.threads)
     if broken or not sliding:
         return broken, None
+    from odt_plugins.engine.ground.crossings import count_crossings
+
     if origin is not None:
         cells = old_numbers(origin, len(mesh.points))[cells]
         points = in_old_numbers(mesh.points, points, origin)
@@ -112,6 +113,8 @@ def cut_vertices(
     before: FloatArray, cells_before: IntArray, points: FloatArray, cells: IntArray
 ) -> IntArray:
     """List the vertices of boundary triangles that cross others now, and did not before."""
+    from odt_plugins.engine.ground.crossings import crossing_triangles
+
     old, new = boundary_facets(cells_before), boundary_facets(cells)
     cut = np.unique(new[crossing_triangles(points, new)])
     return np.setdiff1d(cut, old[crossing_triangles(before, old)]).astype(np.int32)

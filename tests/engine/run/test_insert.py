@@ -204,7 +204,7 @@ def test_insertion_goes_on_from_the_input_when_nothing_else_helps(monkeypatch):
     outcome = run(mesh, Options(insert=True))
     assert outcome.origin is not None
     assert_inserted(mesh, outcome)
-    monkeypatch.setattr(driver, "resample_in_rounds", lambda *_, **__: None)
+    monkeypatch.setattr(resampling, "resample_in_rounds", lambda *_, **__: None)
     assert "nothing could be improved" in run(mesh, Options(insert=True)).stop_reason
 
 
