@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
-
 import numpy as np
 import planar_meshes as planar
 import pytest
@@ -19,6 +17,7 @@ from odt_plugins.engine.moves.newton2d import smooth_vertices_2d, star_cost_2d
 from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.engine.topology.triangles import Triangles
+from odt_plugins.mesh.chunks import Pool
 
 FREE = Extremes(0.0, 1.0, -1.0)
 
@@ -240,7 +239,7 @@ def test_finish_does_not_depend_on_threads(airfoil):
     _, cells, boundary, points = airfoil
     regions = np.zeros(len(cells), dtype=np.int32)
     alone = finished(points, cells, regions, ~boundary)
-    with ThreadPoolExecutor(3) as pool:
+    with Pool(3) as pool:
         shared = finished(points, cells, regions, ~boundary, pool=pool, threads=3)
     for a, b in zip(alone, shared, strict=True):
         np.testing.assert_array_equal(a, b)

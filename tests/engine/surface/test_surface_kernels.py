@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from itertools import pairwise
 
@@ -35,6 +34,7 @@ from odt_plugins.engine.surface.passes import Surface, SurfaceDescent, flip_all
 from odt_plugins.engine.surface.rounds import surface_energy
 from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.errors import EndlessWalkError
+from odt_plugins.mesh.chunks import Pool
 from odt_plugins.mesh.surface import surface_edges
 from odt_plugins.quality import angles, radius_ratio
 
@@ -406,7 +406,7 @@ def test_threads_do_not_change_a_bit():
     p, t = sm.torus(80, 40, noise=0.7)
     alone = build(p, t, 2e-3)
     improve(alone, 2)
-    with ThreadPoolExecutor(3) as pool:
+    with Pool(3) as pool:
         many = build(p, t, 2e-3, pool=pool, threads=3)
         improve(many, 2)
     assert np.array_equal(alone.points, many.points)
