@@ -87,7 +87,9 @@ class InnerKernel:
     @cached_property
     def _caller(self) -> Any:
         dispatcher = self._dispatcher
-        return njit(error_model="numpy")(lambda *args: dispatcher(*args))
+        caller: Any = njit(**COMMON)(lambda *args: dispatcher(*args))
+        caller._cache = KernelCache(dispatcher.py_func, STAMP)
+        return caller
 
 
 inner_kernel = InnerKernel
