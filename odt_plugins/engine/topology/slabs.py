@@ -3,7 +3,8 @@
 The cells are shared out among slabs across the longest axis, and the adjacency is cut at the
 facets between two slabs, as if they were boundary facets.  Nothing that one slab changes is then
 read or written in another.  Cells at a cut wait for a second set of slabs, whose cuts lie in the
-middle of the first ones, or are done in one go where they are few.  The slabs depend on the mesh alone, not on the number of threads.
+middle of the first ones, or are done in one go where they are few.  The slabs depend on the mesh
+alone, not on the number of threads.
 """
 
 from __future__ import annotations
