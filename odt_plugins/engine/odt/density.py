@@ -20,7 +20,7 @@ from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.star import star_sum
 from odt_plugins.errors import InvalidOptionError
-from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
+from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.chunks import Pool, chunks
 from odt_plugins.mesh.simplex import corner_mean
 
@@ -208,25 +208,6 @@ class Density:
 
         list((map if pool is None else pool.map)(work, chunks(len(points))))
         return values
-
-    def again(
-        self, points: FloatArray, known: FloatArray, moving: LongArray, walk: IntArray,
-        pool: Pool | None = None,
-    ) -> FloatArray:
-        """Evaluate rho as :meth:`at` does, but keep what is known of other points.
-
-        Parameters
-        ----------
-        known : (k,) float64    rho at the last call
-        moving : (l,) int64     points that have moved since, or whose walk did not end where it
-                                began, which may give another rounding next time
-        """
-        if self.function is not None or not self.nodes.size:
-            return self.at(points, pool, walk)
-        own, rho = walk[moving], known.copy()
-        rho[moving] = self.at(points[moving], pool, own)
-        walk[moving] = own
-        return rho
 
 
 def _asked(function: Callable[[FloatArray], Any], points: FloatArray) -> FloatArray:

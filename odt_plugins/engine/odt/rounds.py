@@ -265,11 +265,8 @@ def smooth(
     scattered = 0
     pays = options.connectivity == "auto" and exchange_pays(mesh)
     walk = density.walk_start(len(mesh.points))
-    moving, rho = np.arange(len(movable)), np.ones(len(movable))
     for k in range(options.rounds):
-        began = walk.copy()
-        rho = density.again(mesh.points, rho, moving, walk, pool)
-        moving = np.flatnonzero(movable | (walk != began))
+        rho = density.at(mesh.points, pool, walk)
         points, stats = position_step(
             mesh.points, topology, rho, options, density.inverse_volume
         )

@@ -225,25 +225,6 @@ def test_asking_changes_nothing_and_travels(d):
     assert np.array_equal(density.at(moved), first)
 
 
-def test_points_that_stay_are_not_asked_again(d):
-    points, cells = jittered(d, 4, 11)
-    density = make_density("keep", None, points, cells)
-    free = np.arange(len(points)) % 2 == 0
-    walks = [density.walk_start(len(points)) for _ in range(2)]
-    moving, rho = np.arange(len(points)), np.zeros(len(points))
-    for share in (0.0, 0.1, 0.2, 0.1):
-        points[free] = (1.0 - share) * points[free] + share * points.mean(axis=0)
-        began = walks[0].copy()
-        rho = density.again(points, rho, moving, walks[0])
-        assert np.array_equal(rho, density.at(points, None, walks[1]))
-        assert np.array_equal(*walks)
-        moving = np.flatnonzero(free | (walks[0] != began))
-    assert len(moving) < len(points)
-    known = np.zeros(len(points))
-    assert np.array_equal(np.flatnonzero(density.again(points, known, moving, walks[0])), moving)
-    assert not known.any()
-
-
 def bad(values, index, value):
     values = np.array(values, dtype=float)
     values[index] = value
