@@ -46,19 +46,25 @@ def cell_source(
     Returns
     -------
     (m',) int32    the input cell of the same vertices where there is one, otherwise the input
-                   cell of the same region whose barycentre is nearest
+                   cell of the same region whose barycentre is nearest, see :func:`nearest_cells`
     """
     if np.array_equal(cells0, cells1):
         return np.arange(len(cells0), dtype=np.int32)
+    from odt_plugins.engine.topology.nearest import nearest_cells
     from odt_plugins.engine.topology.order import same_vertices
 
-    source = same_vertices(cells0, cells1, len(points1), threads)
+    n = len(points1)
+    source = same_vertices(cells0, cells1, n, threads)
     new = np.flatnonzero(source < 0)
-    if new.size:
-        source[new] = _nearest(
-            corner_mean(points0, cells0, threads), regions0,
-            corner_mean(points1, cells1[new], threads), regions1[new], 1, threads,
-        )[:, 0]
+    if not new.size:
+        return source
+    rows, labels = cells1[new], regions1[new]
+    centres, x = corner_mean(points0, cells0, threads), corner_mean(points1, rows, threads)
+    found = nearest_cells(cells0, centres, regions0, rows, x, labels, n, threads)
+    far = np.flatnonzero(found < 0)
+    if far.size:
+        found[far] = _nearest(centres, regions0, x[far], labels[far], 1, threads)[:, 0]
+    source[new] = found
     return source
 
 

@@ -71,6 +71,8 @@ class Policy:
         "slabs by several threads.", LARGE)
     reconnected: float = _chosen(
         0.01, "Largest share of the cells around which a phase fills polyhedra anew.", STANDARD)
+    compound_rare: float = _chosen(
+        5e-3, "Compound moves end where they pay at less than this part of the cells.", STANDARD)
     many_small_angles: float = _chosen(
         0.08, "Share of cells with a small angle up to which phases look after them: where there "
         "are more they do not decide.", HARD)

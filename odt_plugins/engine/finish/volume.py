@@ -251,7 +251,7 @@ def compound_moves(
 ) -> int:
     """Try compound moves at the worst share of the cells; returns how many stayed."""
     work = partial(_compound_part, phase, bounds, tried)
-    return _at_the_worst(mesh, phase, pool, work, 1.0)
+    return _at_the_worst(mesh, phase, pool, work, rare=POLICY.compound_rare)
 
 
 def reconnections(
@@ -259,19 +259,23 @@ def reconnections(
 ) -> int:
     """Fill polyhedra around the worst share of the cells anew; returns how many."""
     work = partial(_reconnected_part, mesh, phase, bounds)
-    return _at_the_worst(mesh, phase, pool, work, POLICY.reconnected)
+    return _at_the_worst(mesh, phase, pool, work, most=POLICY.reconnected)
 
 
 def _at_the_worst(
-    mesh: Complex, phase: Phase, pool: Pool | None, work: Work, most: float
+    mesh: Complex, phase: Phase, pool: Pool | None, work: Work, most: float = 1.0,
+    rare: float = 0.0,
 ) -> int:
-    """Work at the worst share of the cells, ``most`` of them, in slabs where these are many."""
+    """Work at the worst share of the cells, ``most`` of them, in slabs where these are many, and
+    no longer where less than ``rare`` of them pay.
+    """
     q = measures(mesh, phase.objective, pool)
     count = min(worst_count(q, phase), max(int(most * mesh.count()), FEW))
     worst = np.flatnonzero(q <= np.partition(q, count)[count])
     order = worst[np.argsort(q[worst], kind="stable")][: count + 1].astype(np.int32)
     mesh.status[:] = 0
-    taken = side_by_side(mesh, order, pool, work, POLICY.slabs_worth, costly=True)
+    taken = side_by_side(mesh, order, pool, work, POLICY.slabs_worth, costly=True,
+                         rare=rare)
     if mesh.full:
         grow(mesh)
     return taken

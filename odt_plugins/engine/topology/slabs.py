@@ -126,7 +126,7 @@ def _sort_out(
 
 def side_by_side(
     mesh: Complex, order: IntArray, pool: Pool | None, work: Work,
-    worth: float = WORTH, costly: bool = False,
+    worth: float = WORTH, costly: bool = False, rare: float = 0.0,
 ) -> int:
     """Work at cells, in slabs where there are many, and add up what the work returns.
 
@@ -139,23 +139,34 @@ def side_by_side(
     work : callable         see ``Work``
     worth : float           part of all cells that is worth cutting the mesh into slabs
     costly : bool           see ``threads.pieces``
+    rare : float            work at a slab ends where it has returned less than this a cell
     """
+    given_up = Event()
+
+    def in_pieces(mine: IntArray, tets: Tets) -> int:
+        total = 0
+        for first, last in pieces(0, len(mine), costly=costly):
+            if given_up.is_set() or total < rare * first:
+                break
+            total += work(mine[first:last], tets)
+        return total
+
     total = 0
     few = worth * mesh.count()
     if len(order) > few:
         for slab in mesh.slabs():
             if slab.any() and len(order) > few:
-                done, order = _in_slabs(mesh, order, slab, pool, work, costly)
+                try:
+                    done, order = _in_slabs(mesh, order, slab, pool, in_pieces)
+                except BaseException:
+                    given_up.set()
+                    raise
                 total += done
-    return total + sum(
-        work(order[first:last], mesh.tets)
-        for first, last in pieces(0, len(order), costly=costly)
-    )
+    return total + in_pieces(order, mesh.tets)
 
 
 def _in_slabs(
-    mesh: Complex, order: IntArray, slab: ByteArray, pool: Pool | None, work: Work,
-    costly: bool,
+    mesh: Complex, order: IntArray, slab: ByteArray, pool: Pool | None, work: Work
 ) -> tuple[int, IntArray]:
     """Work at the cells away from the cuts; returns what it gave, and the cells that are left."""
     used = mesh.used
@@ -167,23 +178,12 @@ def _in_slabs(
     count = int(slab.max()) + 1
     ends, slots, free = _share_room(mesh, count)
     whole = mesh.tets._replace(locked=mesh.locked | cut)
-    given_up = Event()
 
     def run(k: int) -> int:
         own = whole._replace(cells=mesh.cells[: ends[k]], slots=slots[k], free=free[k])
-        mine = order[home == k]
-        total = 0
-        for first, last in pieces(0, len(mine), costly=costly):
-            if given_up.is_set():
-                break
-            total += work(mine[first:last], own)
-        return total
+        return work(order[home == k], own)
 
-    try:
-        total = sum((map if pool is None else pool.map)(run, range(count)))
-    except BaseException:
-        given_up.set()
-        raise
+    total = sum((map if pool is None else pool.map)(run, range(count)))
     _collect_room(mesh, ends, slots, free)
     sides = np.empty((wall[-1], 2), dtype=np.int64)
     run_ranges(pool, mesh.used, partial(

@@ -10,6 +10,7 @@ import tet_meshes as tm
 from complexes import OPEN, assert_sound, complex_of, free_slots
 
 from odt_plugins.engine.cells.tetrahedron import ENERGY, QUALITY, Cost
+from odt_plugins.engine.compiled import threads
 from odt_plugins.engine.finish.phases import Phase
 from odt_plugins.engine.finish.volume import compound_moves
 from odt_plugins.engine.moves.passes import flip_pending
@@ -125,6 +126,22 @@ def test_slabs_that_run_when_one_is_interrupted_stop_at_their_next_piece():
     for work, k in tasks:
         assert work(k) == 0
     assert not seen
+
+
+def test_work_ends_where_it_no_longer_pays(monkeypatch):
+    monkeypatch.setattr(threads, "COSTLY", 10)
+    mesh = start()
+    visits = mesh.live().astype(np.int32)
+    seen = []
+
+    def work(part, tets):
+        seen.append(len(part))
+        return len(part) * (len(seen) == 1)
+
+    assert slabs.side_by_side(mesh, visits, None, work, 1.0, costly=True, rare=0.5) == 10
+    assert seen == [10, 10, 10]
+    assert slabs.side_by_side(mesh, visits, None, work, 1.0, costly=True) == 0
+    assert sum(seen) == 30 + len(visits)
 
 
 def flips(mesh, objective, pool):
