@@ -293,10 +293,8 @@ def cell_figures(points: ArrayLike, cells: ArrayLike, threads: int = 1) -> CellF
 
     def measure(part: slice) -> None:
         geometry = CellGeometry(axes, t[part])
-        angle = geometry.angles()
         figures.quality[part] = geometry.quality()
-        figures.min_angle[part] = angle.min(axis=0)
-        figures.max_angle[part] = angle.max(axis=0)
+        figures.min_angle[part], figures.max_angle[part] = geometry.angle_range()
         figures.amips[part] = geometry.amips()
         figures.volume[part] = geometry.volume()
         figures.circumradius[part] = geometry.circumradius()

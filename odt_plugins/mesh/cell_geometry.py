@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any
 
 import numpy as np
@@ -126,10 +126,25 @@ class CellGeometry:
         if self.k == 3:
             cosine = [_dot(a, b), -_dot(a, b - a), _dot(b, b - a)]
             return np.degrees([np.arctan2(sine, x) for x in cosine])
+        return np.degrees([np.arctan2(length * sine, x)
+                           for length, x in zip(self.edges, self._cosines(), strict=True)])
+
+    def angle_range(self) -> tuple[FloatArray, FloatArray]:
+        """Smallest and largest angle of every cell in degrees, (m,) each."""
+        if self.k == 3:
+            angles = self.angles()
+            return angles.min(axis=0), angles.max(axis=0)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            over_sine = [x / length for length, x in zip(self.edges, self._cosines(), strict=True)]
+        ends = (reduce(end, over_sine) for end in (np.fmax, np.fmin))
+        low, high = (np.degrees(np.arctan2(np.abs(self.det), x)) for x in ends)
+        return low, high
+
+    def _cosines(self) -> list[FloatArray]:
+        """Cosines of the dihedral angles, each times the normals of its faces."""
         n = self.normals
         opposite = ((2, 3), (1, 3), (1, 2), (0, 3), (0, 2), (0, 1))
-        return np.degrees([np.arctan2(length * sine, -_dot(n[i], n[j]))
-                           for length, (i, j) in zip(self.edges, opposite, strict=True)])
+        return [-_dot(n[i], n[j]) for i, j in opposite]
 
 
 def _dot(a: FloatArray, b: FloatArray) -> FloatArray:

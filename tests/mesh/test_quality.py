@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import permutations
 
 import numpy as np
 import pytest
@@ -185,6 +186,20 @@ def test_uniformity_refuses_sizes_that_fit_nothing() -> None:
         q.uniformity(TRIANGLE, simplex(2), np.array([1.0, 0.0, -1.0]))
 
 
+@pytest.mark.parametrize("corners", [
+    [[0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]], [[0, 0, 0], [0, 0, 0], [1, 0, 0], [0, 1, 0]],
+    [[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]], [[0, 0, 0], [1, 0, 0], [2, 0, 0], [3, 0, 0]],
+    [[0, 0], [1, 0], [0, 1]], [[0, 0], [1, 0], [3, 0]], [[0, 0], [0, 0], [1, 0]],
+])
+def test_least_and_largest_angle_are_those_of_all_flat_cells_too(corners) -> None:
+    points = np.array(corners, dtype=float)
+    cells = np.array(list(permutations(range(len(corners)))))
+    found = q.cell_figures(points, cells)
+    angles = q.angles(points, cells)
+    assert found.min_angle == pytest.approx(angles.min(axis=1), abs=1e-9)
+    assert found.max_angle == pytest.approx(angles.max(axis=1), abs=1e-9)
+
+
 @pytest.mark.parametrize("d", [2, 3])
 def test_summary_counts_and_takes_quantiles(d: int) -> None:
     points, cells = random_simplices(d, 500, 787)
@@ -194,7 +209,8 @@ def test_summary_counts_and_takes_quantiles(d: int) -> None:
     assert (s.dim, s.n_points, s.n_cells) == (d, len(points), 500)
     assert (s.min_quality, s.mean_quality) == (ratio.min(), ratio.mean())
     assert s.p1_quality == np.quantile(ratio, 0.01)
-    assert (s.min_angle, s.max_angle) == (least.min(), q.angles(points, cells).max())
+    extremes = least.min(), q.angles(points, cells).max()
+    assert (s.min_angle, s.max_angle) == pytest.approx(extremes, rel=1e-12)
     assert [s.below_5, s.below_10, s.below_20] == [(least < a).sum() for a in (5, 10, 20)]
     assert s.inverted == (ratio < 0).sum() > 0
     assert s.volume == pytest.approx(q.volumes(points, cells).sum())
