@@ -44,21 +44,31 @@ class CellGeometry:
             return _cross(c - a, b - a), self.bc, _cross(c, a), _cross(a, b)
 
     @cached_property
-    def edges(self) -> list[FloatArray]:
-        """Lengths of the edges, in the order of :data:`odt_plugins.quality.EDGES`."""
+    def areas(self) -> list[FloatArray]:
+        """Twice the areas of the faces of a tetrahedron."""
+        return [_norm(n) for n in self.normals]
+
+    @cached_property
+    def squares(self) -> list[FloatArray]:
+        """Squares of :attr:`edges`."""
         a, b, c = self.a, self.b, self.c
         with np.errstate(invalid="ignore"):
-            if self.k == 3:
-                return [_norm(a), _norm(b), _norm(b - a)]
-            return [_norm(a), _norm(b), _norm(c), _norm(b - a), _norm(c - a), _norm(c - b)]
+            sides = [a, b, b - a] if self.k == 3 else [a, b, c, b - a, c - a, c - b]
+            return [_dot(side, side) for side in sides]
+
+    @cached_property
+    def edges(self) -> list[FloatArray]:
+        """Lengths of the edges, in the order of :data:`odt_plugins.quality.EDGES`."""
+        with np.errstate(invalid="ignore"):
+            return [np.sqrt(square) for square in self.squares]
 
     @cached_property
     def numerator(self) -> FloatArray:
         """Circumcenter from the first vertex, times twice the determinant."""
         with np.errstate(invalid="ignore"):
             _, bc, ca, ab = self.normals
-            e = self.edges
-            return np.asarray(e[0] ** 2 * bc + e[1] ** 2 * ca + e[2] ** 2 * ab)
+            aa, bb, cc, *_ = self.squares
+            return np.asarray(aa * bc + bb * ca + cc * ab)
 
     def volume(self) -> FloatArray:
         """Signed volume in the unit of the caller; of triangles, the area."""
@@ -77,7 +87,7 @@ class CellGeometry:
         top = _norm(self.numerator) if self.k == 4 else np.prod(self.edges, axis=0)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             radius = np.where(size > 0, top / (2 * size), np.inf)
-        return np.asarray(np.maximum(radius, np.max(self.edges, axis=0) / 2))
+        return np.asarray(np.maximum(radius, reduce(np.maximum, self.edges) / 2))
 
     def circumcenter(self) -> FloatArray:
         """Circumcenters (m, d) in the unit of the caller."""
@@ -95,7 +105,7 @@ class CellGeometry:
         """Radius ratio d r / R, with the sign of the volume."""
         size = np.abs(self.det)
         if self.k == 4:
-            surface = sum(_norm(n) for n in self.normals)
+            surface = sum(self.areas)
             inradius = np.divide(size, surface, out=np.zeros_like(size), where=surface > 0)
         else:
             perimeter = sum(self.edges)
@@ -106,13 +116,13 @@ class CellGeometry:
 
     def altitude(self) -> FloatArray:
         """Least altitude, in the unit of the caller, with the sign of the volume."""
-        most = np.max([_norm(n) for n in self.normals] if self.k == 4 else self.edges, axis=0)
+        most = reduce(np.maximum, self.areas if self.k == 4 else self.edges)
         least = np.divide(self.det, most, out=np.zeros_like(most), where=most > 0)
         return np.asarray(least * self.scale)
 
     def amips(self) -> FloatArray:
         """AMIPS energy, 1 for a regular cell, infinite for one without positive volume."""
-        squares = np.square(self.edges).sum(axis=0)
+        squares = sum(self.squares)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             if self.k == 4:
                 energy = squares / (2.0 * np.cbrt(2.0 * self.det ** 2))
