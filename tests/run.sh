@@ -7,6 +7,8 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . tests/environment.sh
+# Hundreds of processes import the same toolkits: what Python compiles of them is kept.
+unset PYTHONDONTWRITEBYTECODE
 
 NUMERICAL="tests/engine/run/test_bits.py tests/paper/test_paper_energy.py
            tests/paper/test_paper_global.py tests/paper/test_paper_gradient.py
