@@ -26,7 +26,8 @@ if [ $# -gt 0 ]; then
     python -m pytest "$@"
     exit
 fi
-python -m pytest -n 2
+# Tests that stand together run in the same process, which imports their toolkits once.
+python -m pytest -n 2 --dist worksteal
 [ "$(uname -m)" = x86_64 ] || exit 0
 echo "== pytest, numerical tests, BLAS of Haswell"
 OPENBLAS_CORETYPE=Haswell python -m pytest -n 2 $NUMERICAL
