@@ -7,6 +7,8 @@
 set -euo pipefail
 cd "$(dirname "$0")/.."
 . tests/environment.sh
+# Hundreds of processes import the same toolkits: what Python compiles of them is kept.
+unset PYTHONDONTWRITEBYTECODE
 
 NUMERICAL="tests/engine/run/test_bits.py tests/paper/test_paper_energy.py
            tests/paper/test_paper_global.py tests/paper/test_paper_gradient.py
@@ -24,12 +26,20 @@ if [ $# -gt 0 ]; then
     python -m pytest "$@"
     exit
 fi
-python -m pytest -n 2
+# Tests that stand together run in the same process, which imports their toolkits once.
+python -m pytest -n 2 --dist worksteal
 [ "$(uname -m)" = x86_64 ] || exit 0
-echo "== pytest, numerical tests, BLAS of Haswell"
-OPENBLAS_CORETYPE=Haswell python -m pytest -n 2 $NUMERICAL
+# Side by side with one worker each: two workers would compile the same kernels for x86-64-v2.
 echo "== pytest, numerical tests, BLAS of Prescott and kernels for x86-64-v2"
+told="$(mktemp)" failed=0
+OPENBLAS_CORETYPE=Haswell python -m pytest -p no:cacheprovider $NUMERICAL >"$told" 2>&1 &
+haswell=$!
 # The name alone leaves numba the features of this machine.
 OPENBLAS_CORETYPE=Prescott NUMBA_CPU_NAME=x86-64-v2 \
 NUMBA_CPU_FEATURES="+64bit,+cmov,+cx16,+cx8,+fxsr,+mmx,+popcnt,+sahf,+sse,+sse2,+sse3,+ssse3,+sse4.1,+sse4.2" \
-    python -m pytest -n 2 $NUMERICAL
+    python -m pytest -p no:cacheprovider $NUMERICAL || failed=1
+wait $haswell || failed=1
+echo "== pytest, numerical tests, BLAS of Haswell"
+cat "$told"
+rm "$told"
+exit $failed

@@ -225,7 +225,9 @@ def corner_mean(values: FloatArray, cells: IntArray, threads: int = 1) -> FloatA
     return mean
 
 
-def determinant(rows: FloatArray | Sequence[FloatArray]) -> FloatArray:
+def determinant(
+    rows: FloatArray | Sequence[FloatArray] | Sequence[Sequence[float]]
+) -> FloatArray:
     """Determinants of matrices 2 x 2 or 3 x 3, row by row: (d, d, ...) gives (...)."""
     if len(rows) == 2:
         (a, b), (c, d) = rows

@@ -172,6 +172,7 @@ def test_page_without_a_result_of_ours_says_so(results, tmp_path):
 def test_scaling_report_opens_and_holds_every_part(tmp_path, monkeypatch):
     monkeypatch.setattr(cold, "JOBS", (("nothing", "", cold.NONE), ("nothing", "", cold.KEPT)))
     monkeypatch.setattr(small, "SMALL", (300,))
+    monkeypatch.setattr(small, "MANY", (300, 500, 3))
     monkeypatch.setattr(small, "REPEATS", 1)
     said = []
     summary = run_scaling(tmp_path, 2600, 1, said.append)

@@ -14,6 +14,7 @@ meshes (2002): the triangulation of a ring by dynamic programming, after Klincse
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator
 from itertools import combinations, pairwise
 from typing import NamedTuple
@@ -105,7 +106,9 @@ class _Patch:
     """Cells of a mesh by their numbers, with the cells around every vertex."""
 
     def __init__(self, points: FloatArray, mesh: SimplexMesh) -> None:
-        self.points, self.mesh = points, mesh
+        self.mesh = mesh
+        self.places: list[list[float]] = points.tolist()
+        self.volumes: dict[Cell, float] = {}
         self.cells: dict[int, Cell] = dict(enumerate(map(tuple, mesh.cells.tolist())))
         self.source = {i: i for i in self.cells}
         self.next = len(self.cells)
@@ -120,12 +123,20 @@ class _Patch:
 
     def worst(self, cells: list[Cell]) -> float:
         """Least signed volume of some cells, relative to the power of their longest edges."""
-        x = self.points[np.array(cells)]
-        edges = np.moveaxis(x[:, 1:] - x[:, :1], 0, -1)
-        pairs = list(combinations(range(x.shape[1]), 2))
-        longest = np.max([((x[:, i] - x[:, j]) ** 2).sum(axis=1) for i, j in pairs], axis=0)
-        size = longest ** (len(edges) / 2)
-        return float((determinant(edges) / np.where(size > 0.0, size, 1.0)).min())
+        return min(map(self.volume, cells))
+
+    def volume(self, cell: Cell) -> float:
+        """Signed volume of a cell, as :meth:`worst` has it."""
+        known = self.volumes.get(cell)
+        if known is None:
+            x = [self.places[v] for v in cell]
+            edges = [[a - b for a, b in zip(y, x[0], strict=True)] for y in x[1:]]
+            longest = max(sum((a - b) * (a - b) for a, b in zip(y, z, strict=True))
+                          for y, z in combinations(x, 2))
+            size = longest * math.sqrt(longest) if len(edges) == 3 else longest
+            known = float(determinant(edges)) / (size or 1.0)
+            self.volumes[cell] = known
+        return known
 
     def replace(self, change: Change) -> list[int]:
         """Put cells in the place of others; their numbers."""

@@ -155,7 +155,7 @@ def test_a_facet_of_the_boundary_gets_its_vertex_above_it():
 
 @pytest.mark.parametrize("seed", [1, 2])
 def test_what_does_not_stay_leaves_every_bit_as_it_was(seed):
-    points, cells = tm.ball(150, seed)
+    points, cells = tm.ball(80, seed)
     mesh = spare_complex(points, cells)
     step = Operation(mesh)
     rng = np.random.default_rng(seed)

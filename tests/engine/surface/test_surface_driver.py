@@ -517,7 +517,7 @@ def test_a_block_with_a_hole_keeps_its_edges_corners_faces_and_genus():
     meshes = pymeshlab.MeshSet()
     zero = pymeshlab.PureValue(0)
     meshes.create_cube(size=2.0)
-    meshes.meshing_surface_subdivision_midpoint(iterations=3, threshold=zero)
+    meshes.meshing_surface_subdivision_midpoint(iterations=2, threshold=zero)
     meshes.create_cone(r0=0.5, r1=0.5, h=4, subdiv=24)
     meshes.generate_boolean_difference(first_mesh=0, second_mesh=1)
     meshes.meshing_surface_subdivision_midpoint(iterations=1, threshold=zero)

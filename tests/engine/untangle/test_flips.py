@@ -1,5 +1,6 @@
 """Reconnections around inverted cells: what they take and make, and when they mend a mesh."""
 
+from collections import Counter
 from itertools import combinations
 
 import numpy as np
@@ -39,19 +40,16 @@ def rim(cells):
 def test_changes_keep_the_facets_around_them_and_make_no_facet_twice(d, seed):
     points, cells = random_delaunay(d, 6, seed)
     patch = _Patch(points, mesh_of(points, cells))
+    whole = Counter(f for cell in patch.cells.values() for f in combinations(sorted(cell), d))
     seen = 0
     for number in range(len(cells)):
         for taken, made in patch.changes(number):
             seen += 1
             assert number in taken
             assert rim([patch.cells[i] for i in taken]) == rim(made)
-            others = {tuple(sorted(f)) for i, cell in patch.cells.items() if i not in taken
-                      for f in combinations(cell, d)}
-            count = {}
-            for cell in made:
-                for f in combinations(sorted(cell), d):
-                    count[f] = count.get(f, 0) + 1
-            assert all(n == 1 or f not in others for f, n in count.items())
+            gone = Counter(f for i in taken for f in combinations(sorted(patch.cells[i]), d))
+            count = Counter(f for cell in made for f in combinations(sorted(cell), d))
+            assert all(n == 1 or whole[f] == gone[f] for f, n in count.items())
     assert seen
 
 
