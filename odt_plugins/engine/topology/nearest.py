@@ -30,7 +30,7 @@ def _walk(
     for i in range(rows.shape[0]):
         best, least = -1, np.inf
         last, here = rows[i], rows[i]
-        while True:
+        for _ in range(cells.shape[0] + 1):
             start = best
             for a in range(k):
                 v = here[a]
