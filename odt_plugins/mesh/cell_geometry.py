@@ -44,6 +44,11 @@ class CellGeometry:
             return _cross(c - a, b - a), self.bc, _cross(c, a), _cross(a, b)
 
     @cached_property
+    def faces(self) -> list[FloatArray]:
+        """Areas of the faces of a tetrahedron, twice."""
+        return [_norm(n) for n in self.normals]
+
+    @cached_property
     def edges(self) -> list[FloatArray]:
         """Lengths of the edges, in the order of :data:`odt_plugins.quality.EDGES`."""
         a, b, c = self.a, self.b, self.c
@@ -95,7 +100,7 @@ class CellGeometry:
         """Radius ratio d r / R, with the sign of the volume."""
         size = np.abs(self.det)
         if self.k == 4:
-            surface = sum(_norm(n) for n in self.normals)
+            surface = sum(self.faces)
             inradius = np.divide(size, surface, out=np.zeros_like(size), where=surface > 0)
         else:
             perimeter = sum(self.edges)
@@ -106,7 +111,7 @@ class CellGeometry:
 
     def altitude(self) -> FloatArray:
         """Least altitude, in the unit of the caller, with the sign of the volume."""
-        most = np.max([_norm(n) for n in self.normals] if self.k == 4 else self.edges, axis=0)
+        most = np.max(self.faces if self.k == 4 else self.edges, axis=0)
         least = np.divide(self.det, most, out=np.zeros_like(most), where=most > 0)
         return np.asarray(least * self.scale)
 

@@ -50,6 +50,8 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher: Any = njit(**COMMON | (OWN.WHOLE if OWN else {}) | options)(function)
         dispatcher._cache = KernelCache(function, STAMP)
+        # Looking for extensions of numba, of which no kernel needs one, takes longer than to load.
+        dispatcher._compilation_chain_init_hook = bool
         return dispatcher
 
     return decorate

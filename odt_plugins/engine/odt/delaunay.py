@@ -16,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.engine.cells.elementary import power
+from odt_plugins.engine.topology.pieces import pieces_of
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
-from odt_plugins.mesh.components import components
 from odt_plugins.mesh.facets import directed_facets
 from odt_plugins.mesh.simplex import determinant
 
@@ -297,8 +297,8 @@ def _matching_pieces(
     shared = has_old.any(axis=1) & has_new.any(axis=1)
     old_links = old_at[has_old.all(axis=1) & ~shared]
     new_links = new_at[has_new.all(axis=1) & ~shared]
-    old_piece = components(old_links[:, 0], old_links[:, 1], len(old)).astype(np.int64)
-    new_piece = components(new_links[:, 0], new_links[:, 1], len(new)).astype(np.int64)
+    old_piece = pieces_of(old_links[:, 0], old_links[:, 1], len(old))
+    new_piece = pieces_of(new_links[:, 0], new_links[:, 1], len(new))
     n_old, n_new = int(old_piece.max()) + 1, int(new_piece.max()) + 1
 
     # open: a facet of one cell that the other mesh lacks, or a side that only one mesh fills

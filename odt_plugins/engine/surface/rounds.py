@@ -32,11 +32,11 @@ from odt_plugins.engine.surface.odt import (
     star_centres,
 )
 from odt_plugins.engine.surface.passes import Surface, flip_all, move_all
+from odt_plugins.engine.topology.pieces import pieces_of
 from odt_plugins.engine.topology.star import star_sum
 from odt_plugins.engine.topology.stencil import make_topology
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
-from odt_plugins.mesh.components import components
 from odt_plugins.options import Options
 
 CONNECTIVITY = ("auto", "flips", "none")
@@ -199,7 +199,7 @@ def _pins(triangles: IntArray, movable: BoolArray) -> IntArray:
     """First vertex of every connected piece without a vertex that is locked."""
     n = len(movable)
     start, end = triangles.ravel(), triangles[:, [1, 2, 0]].ravel()
-    piece = components(start, end, n)
+    piece = pieces_of(start, end, n)
     loose = np.ones(int(piece.max()) + 1, dtype=np.bool_)
     loose[piece[~movable]] = False
     first = np.unique(piece, return_index=True)[1]
