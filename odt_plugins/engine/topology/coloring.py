@@ -15,7 +15,7 @@ from typing import NamedTuple, TypeVar
 
 import numpy as np
 
-from odt_plugins.engine.compiled.kernel import inlined_kernel, kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import PIECE, pieces, run_ranges
 from odt_plugins.engine.topology.star import OffsetArray
 from odt_plugins.mesh.arrays import BoolArray, IntArray, LongArray
@@ -60,33 +60,24 @@ class Coloring(NamedTuple):
         return self._replace(offsets=self.offsets[[0, -1]], links=self.links[:0])
 
 
-@inlined_kernel
-def _block(v: int, movable: BoolArray, bits: int, stays: int) -> int:
-    return np.int64(v >> bits if movable[np.uint32(v)] else stays)
-
-
 @kernel
 def _touching(
-    cells: IntArray, movable: BoolArray, bits: int, touch: BoolArray, start: int, stop: int
+    cells: IntArray, block: IntArray, touch: BoolArray, start: int, stop: int
 ) -> None:
-    """Mark the pairs of blocks in the cells start to stop, the larger number first.
-
-    The vertices that stay are in the last one.
-    """
-    stays = touch.shape[0] - 1
+    """Mark the pairs of blocks in the cells start to stop, the larger number first."""
     for c in range(start, stop):
         if cells[c, 0] < 0:
             continue
-        first = _block(cells[c, 0], movable, bits, stays)
+        first = block[np.uint32(cells[c, 0])]
         apart = 0
         for a in range(1, cells.shape[1]):
-            apart |= first ^ _block(cells[c, a], movable, bits, stays)
+            apart |= first ^ block[np.uint32(cells[c, a])]
         if apart == 0:
             continue
         for a in range(1, cells.shape[1]):
-            u = _block(cells[c, a], movable, bits, stays)
+            u = block[np.uint32(cells[c, a])]
             for b in range(a):
-                w = _block(cells[c, b], movable, bits, stays)
+                w = block[np.uint32(cells[c, b])]
                 touch[np.uint32(max(u, w)), np.uint32(min(u, w))] = True
 
 
@@ -172,8 +163,10 @@ def touching_blocks(
     """
     bits = _block_bits(len(movable))
     count = (len(movable) >> bits) + 1
+    block = np.arange(len(movable), dtype=np.int32) >> bits
+    block[~movable] = count
     touch = np.zeros((count + 1, count + 1), dtype=np.bool_)
-    run_ranges(pool, len(cells), partial(_touching, cells, movable, bits, touch))
+    run_ranges(pool, len(cells), partial(_touching, cells, block, touch))
     return touch
 
 

@@ -14,7 +14,9 @@ from odt_plugins.mesh.arrays import LongArray
 @inner_kernel
 def _first(up: LongArray, v: int) -> int:
     """The node that stands for the piece of node v, and a shorter way to it."""
-    while up[v] != v:
+    for _ in range(up.shape[0]):
+        if up[v] == v:
+            break
         up[v] = up[up[v]]
         v = up[v]
     return v
