@@ -153,16 +153,10 @@ def optimize_file(
     """
     make_options(**options)
     check_output(target, file_format, binary)
-    Thread(target=_load_engine, daemon=True).start()
+    Thread(target=import_module, args=("odt_plugins.engine.run.driver",), daemon=True).start()
     mesh, report = optimize_with_report(read_file(source), **options)
     write_file(target, mesh, file_format, binary)
     return report
-
-
-def _load_engine() -> None:
-    """Import what a run of the engine needs, while a file is read."""
-    for name in ("odt_plugins.engine.run.driver", "scipy.spatial"):
-        import_module(name)
 
 
 @with_option_signature(*(name for name in OPTIONS if name not in OF_UNTANGLING))

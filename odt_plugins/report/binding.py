@@ -93,12 +93,13 @@ def binding_cells(
     )
 
 
-def best_quality_on(triangle: NDArray[np.float64]) -> float:
+def best_quality_on(triangle: NDArray[np.float64], enough: float = 1.0) -> float:
     """Give the largest radius ratio that a tetrahedron on a given triangle can have.
 
     Parameters
     ----------
     triangle : (3, 3) float64    three corners in space
+    enough : float               a larger one than this is not looked for beyond the first found
 
     Returns
     -------
@@ -126,6 +127,8 @@ def best_quality_on(triangle: NDArray[np.float64]) -> float:
         q = np.abs(radius_ratio(np.concatenate([x, trial]), tets))
         if q.max() > best:
             best, apex = float(q.max()), trial[int(q.argmax())]
+        if best > enough:
+            break
         reach *= 0.5
     return best
 
@@ -157,7 +160,7 @@ def _reason(
         return f"all its {k} vertices are {'held' if on_surface else 'fixed'}"
     if k == 4 and free == 1:
         facet = cell[~movable[cell]]
-        limit = best_quality_on(points[facet])
+        limit = best_quality_on(points[facet], figures.quality[index] / NEAR)
         if figures.quality[index] >= NEAR * limit:
             own = float(radius_ratio(points[facet], [[0, 1, 2]])[0])
             on_surface = any(set(f.tolist()) == set(facet.tolist()) for f in facets)

@@ -13,7 +13,7 @@ import hashlib
 import os
 import pickle
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from functools import cache, cached_property
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from uuid import uuid4
 import llvmlite.binding as llvm
 import numba
 from numba.core.caching import FunctionCache, NullCache
-from numba.core.runtime.nrt import rtsys
+from numba.core.runtime._nrt_python import c_helpers
 from numba.core.serialize import dumps
 
 from odt_plugins.engine.compiled.code import from_disk, to_disk
@@ -71,6 +71,22 @@ def source_stamp(folder: Path) -> str:
 
 
 @cache
+def _machine(codegen: Any) -> tuple[str, ...]:
+    """System, processor and features, as numba tells machines apart."""
+    return tuple(codegen.magic_tuple())
+
+
+@cache
+def _know_runtime() -> None:
+    """Tell LLVM where numba's runtime is, which kernels that allocate call.
+
+    What numba compiles of it besides is for kernels that are compiled.
+    """
+    for name, address in c_helpers.items():
+        llvm.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
+
+
+@cache
 def _file_stamp(name: str) -> bytes:
     """Hash of a file, of its name where it cannot be read."""
     try:
@@ -110,17 +126,19 @@ class KernelCache(NullCache):  # type: ignore[misc]
 
     def load_overload(self, sig: Any, target_context: Any) -> Any:
         """Give a kernel for these types of arguments, None if there is none on disk."""
-        rtsys.initialize(target_context)
-        machine = target_context.codegen().magic_tuple()
-        places = []
-        if not os.environ.get("NUMBA_CPU_NAME"):
-            places.append(AHEAD / self._name(sig, common_machine(machine[0])))
-        if self.cache_path:
-            places.append(Path(self.cache_path) / self._name(sig, machine))
-        for path in places:
+        _know_runtime()
+        machine = _machine(target_context.codegen())
+        for path in self._places(sig, machine):
             with contextlib.suppress(OSError, EOFError, pickle.UnpicklingError):
                 return from_disk(target_context, pickle.loads(path.read_bytes()))
         return None
+
+    def _places(self, sig: Any, machine: tuple[str, ...]) -> Iterator[Path]:
+        """Files that may hold a kernel; where users keep theirs is looked for at last."""
+        if not os.environ.get("NUMBA_CPU_NAME"):
+            yield AHEAD / self._name(sig, common_machine(machine[0]))
+        if self.cache_path:
+            yield Path(self.cache_path) / self._name(sig, machine)
 
     def save_overload(self, sig: Any, data: Any) -> None:
         """Keep a kernel for these types of arguments, where there is a place and room."""

@@ -50,6 +50,8 @@ def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
     def decorate(function: Callable[..., Any]) -> Any:
         dispatcher: Any = njit(**COMMON | (OWN.WHOLE if OWN else {}) | options)(function)
         dispatcher._cache = KernelCache(function, STAMP)
+        # Looking for extensions of numba, of which no kernel needs one, takes longer than to load.
+        dispatcher._compilation_chain_init_hook = bool
         return dispatcher
 
     return decorate
@@ -66,17 +68,25 @@ class InnerKernel:
     """A kernel that only kernels call.
 
     It has neither machine code nor files of its own: whoever calls it takes its code in.  A call
-    from Python, as tests make it, goes through a caller that is compiled for it.
+    from Python, as tests make it, goes through a caller that is compiled for it.  numba hears of it
+    when one that calls it is compiled.
     """
 
     def __init__(self, function: Callable[..., Any], **options: Any) -> None:
-        chosen = UNCOUNTED | {"no_cpython_wrapper": True} | options
-        if OWN:
-            self._dispatcher = njit(**COMMON, **OWN.PART, **chosen)(function)
-            self._dispatcher.compile = partial(OWN.compile_part, self._dispatcher)
-        else:
-            self._dispatcher = compiled(**chosen)(function)
-        self._numba_type_ = self._dispatcher._numba_type_
+        self._function = function
+        self._options = UNCOUNTED | {"no_cpython_wrapper": True} | options
+
+    @cached_property
+    def _dispatcher(self) -> Any:
+        if not OWN:
+            return compiled(**self._options)(self._function)
+        dispatcher: Any = njit(**COMMON, **OWN.PART, **self._options)(self._function)
+        dispatcher.compile = partial(OWN.compile_part, dispatcher)
+        return dispatcher
+
+    @property
+    def _numba_type_(self) -> Any:
+        return self._dispatcher._numba_type_
 
     def __getattr__(self, name: str) -> Any:
         return getattr(self._dispatcher, name)

@@ -45,6 +45,8 @@ def run_ranges(
     size : int
     work : callable                      releases the GIL; the parts are independent
     """
+    if 0 < size <= PART:
+        return [work(0, size)]
     starts = range(0, size, PART)
     stops = [min(start + PART, size) for start in starts]
     return list(map(work, starts, stops) if pool is None else pool.map(work, starts, stops))

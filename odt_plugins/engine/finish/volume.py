@@ -70,7 +70,8 @@ def _of_shapes(
     """Take a figure of :func:`cell_shapes` of each part of the cells."""
     def part(start: int, stop: int) -> T:
         cells = mesh.cells[start:stop]
-        return figure(cell_shapes(mesh.points, cells[cells[:, 0] >= 0]))
+        live = np.flatnonzero(cells[:, 0] >= 0)
+        return figure(cell_shapes(mesh.points, np.take(cells, live, axis=0)))
 
     return run_ranges(pool, mesh.used, part)
 
@@ -122,9 +123,9 @@ class _VolumeDescent:
 
     def __init__(
         self, mesh: Complex, phase: Phase, bounds: Bounds, pool: Pool | None,
-        threads: int,
+        threads: int, q: FloatArray,
     ) -> None:
-        self.mesh, self.phase, self.bounds = mesh, phase, bounds
+        self.mesh, self.phase, self.bounds, self.q = mesh, phase, bounds, q
         self.pool, self.threads = pool, threads
         self.zone = ~mesh.locked
         self.touch: BoolArray | None = None
@@ -149,8 +150,7 @@ class _VolumeDescent:
 
         A phase that starts from every cell moves every vertex.
         """
-        mesh, cells = self.mesh, self.cells
-        q = measures(mesh, self.phase.objective, self.pool)
+        mesh, cells, q = self.mesh, self.cells, self.q
         used = len(q)
         mesh.status[:] = 0
         if mesh.skin is not None:
@@ -220,8 +220,12 @@ def descend(
     Returns the numbers of flips, reconnections and compound moves among them, and of vertex moves.
     """
     bounds = guarded(mesh, phase, bounds, pool)
-    before = reconnections(mesh, phase, bounds, pool) if phase.compound and phase.fills else 0
-    flips, moves = finish_phase(_VolumeDescent(mesh, phase, bounds, pool, threads), phase)
+    q = measures(mesh, phase.objective, pool)
+    before = 0
+    if phase.compound and phase.fills:
+        before = reconnections(mesh, phase, bounds, pool, q)
+        q = measures(mesh, phase.objective, pool) if before else q
+    flips, moves = finish_phase(_VolumeDescent(mesh, phase, bounds, pool, threads, q), phase)
     flips += before
     tried = np.zeros(0, dtype=bool)
     for _ in range(phase.compound):
@@ -251,25 +255,28 @@ def compound_moves(
 ) -> int:
     """Try compound moves at the worst share of the cells; returns how many stayed."""
     work = partial(_compound_part, phase, bounds, tried)
-    return _at_the_worst(mesh, phase, pool, work, rare=POLICY.compound_rare)
+    q = measures(mesh, phase.objective, pool)
+    return _at_the_worst(mesh, phase, pool, work, q, rare=POLICY.compound_rare)
 
 
 def reconnections(
-    mesh: Complex, phase: Phase, bounds: Bounds, pool: Pool | None
+    mesh: Complex, phase: Phase, bounds: Bounds, pool: Pool | None, q: FloatArray
 ) -> int:
-    """Fill polyhedra around the worst share of the cells anew; returns how many."""
+    """Fill polyhedra around the worst share of the cells anew; returns how many.
+
+    ``q`` as of :func:`measures`.
+    """
     work = partial(_reconnected_part, mesh, phase, bounds)
-    return _at_the_worst(mesh, phase, pool, work, most=POLICY.reconnected)
+    return _at_the_worst(mesh, phase, pool, work, q, most=POLICY.reconnected)
 
 
 def _at_the_worst(
-    mesh: Complex, phase: Phase, pool: Pool | None, work: Work, most: float = 1.0,
+    mesh: Complex, phase: Phase, pool: Pool | None, work: Work, q: FloatArray, most: float = 1.0,
     rare: float = 0.0,
 ) -> int:
     """Work at the worst share of the cells, ``most`` of them, in slabs where these are many, and
     no longer where less than ``rare`` of them pay.
     """
-    q = measures(mesh, phase.objective, pool)
     count = min(worst_count(q, phase), max(int(most * mesh.count()), FEW))
     worst = np.flatnonzero(q <= np.partition(q, count)[count])
     order = worst[np.argsort(q[worst], kind="stable")][: count + 1].astype(np.int32)

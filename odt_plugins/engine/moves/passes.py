@@ -98,7 +98,7 @@ def worst_first(
     slots: IntArray, measured: Callable[[IntArray], FloatArray], pool: Pool | None
 ) -> None:
     """Sort slots, which ascend, by what is measured of them within each block of 2^BLOCK_BITS."""
-    blocks = int(slots.max(initial=0)) >> BLOCK_BITS
+    blocks = int(slots[-1]) >> BLOCK_BITS if slots.size else 0
     ends = np.searchsorted(slots, np.arange(1, blocks + 1) << BLOCK_BITS)
     cuts = [0, *ends.tolist(), len(slots)]
 
@@ -118,6 +118,8 @@ def flip_pending(
     costs = np.zeros(len(mesh.cells))
     for _ in range(passes):
         pending = _pending(mesh, pool)
+        if not pending.size:
+            break
         if cost.objective != ENERGY:
             measured = partial(measures, mesh, cost.objective, None)
             worst_first(pending, measured, pool)

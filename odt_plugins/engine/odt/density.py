@@ -226,7 +226,7 @@ def _asked(function: Callable[[FloatArray], Any], points: FloatArray) -> FloatAr
 def bounded_power(values: FloatArray, exponent: float) -> FloatArray:
     """values^exponent for values about 1, kept within 1 / RANGE and RANGE."""
     bound = RANGE ** (1.0 / max(1.0, abs(exponent)))
-    kept: FloatArray = np.clip(values, 1.0 / bound, bound)
+    kept: FloatArray = np.minimum(np.maximum(values, 1.0 / bound), bound)
     return kept if exponent == 1.0 else power(kept, exponent)
 
 
