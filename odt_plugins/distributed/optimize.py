@@ -26,6 +26,7 @@ from odt_plugins.engine.sliding.skin import skin_features
 from odt_plugins.engine.surface.driver import surface_kept, surface_outcome, surface_sizes
 from odt_plugins.engine.surface.judge import Distance, Kept
 from odt_plugins.engine.surface.judge import faults as surface_faults
+from odt_plugins.engine.topology.part import rings
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import BoolArray, IntArray
 from odt_plugins.mesh.numbering import most_vertices, without_removed
@@ -220,7 +221,7 @@ def run_blocks(
                 state = replace(state, mesh=_on_ground(start.mesh, state.mesh))
                 done.states[-1] = state
             label = labels(state, count, index, index + 1 if last else rounds,
-                           _worst(state.mesh) if last else None)
+                           _worst(state) if last else None)
             if label.max() < 0:
                 continue
             name = f"round {index + 1}"
@@ -284,11 +285,15 @@ def _room(mesh: SimplexMesh, now: SimplexMesh, options: Options) -> int:
     return most - len(np.unique(now.cells))
 
 
-def _worst(mesh: SimplexMesh) -> BoolArray | None:
-    """Vertices (n,) of the worst tetrahedra by radius ratio and angles, and of small angles."""
+def _worst(whole: Whole) -> BoolArray | None:
+    """Vertices (n,) of the worst tetrahedra by radius ratio and angles, and of small angles.
+
+    Those at the cuts, which were never optimised, are looked after in any case.
+    """
+    mesh = whole.mesh
     if mesh.dim == 2:
         return None
-    cells = mesh.cells[~mesh.frozen]
+    cells = mesh.cells[~mesh.frozen & ~rings(whole.waiting, mesh.cells, 1)]
     shapes = cell_shapes(mesh.points, cells) * [1.0, -1.0, 1.0, 1.0]
     worst = np.zeros(len(mesh.points), dtype=np.bool_)
     small = min(int((shapes[:, 1] < -COS_SMALL).sum()), int(MOST_POLISHED * len(cells)))

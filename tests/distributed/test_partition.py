@@ -169,6 +169,16 @@ def test_the_last_round_looks_after_the_worst_cells_too():
     assert not wanted.all()
 
 
+def test_the_worst_cells_are_looked_for_away_from_the_cuts():
+    mesh = mesh_of(900)
+    q = tet_meshes.quality(mesh.points, mesh.cells)
+    waiting = np.zeros(len(mesh.points), dtype=bool)
+    waiting[mesh.cells[q.argsort()[:30]]] = True
+    away = mesh.cells[~waiting[mesh.cells].any(axis=1)]
+    least = away[tet_meshes.quality(mesh.points, away).argsort()[:blocks_module.WORST_CELLS]]
+    assert blocks_module._worst(replace(whole_of(mesh), waiting=waiting))[least].all()
+
+
 def test_phases_for_the_worst_cells_of_the_whole_wait_for_the_last_round(small_blocks):
     mesh = mesh_of(900)
     seen: list[tuple[str, ...]] = []
