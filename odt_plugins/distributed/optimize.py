@@ -38,8 +38,11 @@ from odt_plugins.roundtrip import optimized, run_engine
 if TYPE_CHECKING:
     from odt_plugins.report.report import Report
 
-LEAST_CELLS = 5000
-"""Meshes are cut into no smaller blocks: most of such a block lies beside its rim."""
+LEAST_CELLS = 15_000
+"""Meshes are cut into no smaller blocks: most of such a block would be done twice."""
+
+WORTH_CELLS = 100_000
+"""Meshes of fewer cells are done in this process: others take as long to start."""
 
 LAST_CELLS = 50_000
 """No more cells around the cuts than that are done in one last round."""
@@ -83,7 +86,7 @@ def optimize_partitioned(
     mesh : object
         What :func:`odt_plugins.optimize` takes.
     blocks : int
-        Blocks of about equal size in the first round; fewer when they had less than 5000 cells.
+        Blocks of about equal size in the first round; fewer when they had less than 15,000 cells.
     block_rounds : int
         Most rounds of blocks. In the last one nothing is cut again, so that from two on every cell
         has been inside a block in some round. The second is the last where at most 50,000 cells
@@ -91,8 +94,9 @@ def optimize_partitioned(
     client : distributed.Client, optional
         Blocks go to the workers of this cluster; Dask gives those of a lost worker to another.
     workers : int
-        Processes of this machine, without a server; 0 works in this process. Scripts that give
-        more must be importable (``if __name__ == "__main__":``).
+        Processes of this machine, without a server; 0 works in this process, as do meshes of fewer
+        than 100,000 cells, for which processes take too long to start. Scripts that give more
+        must be importable (``if __name__ == "__main__":``).
     **options
         The fields of :class:`odt_plugins.Options`.
 
@@ -144,7 +148,8 @@ def _partitioned(
     check(blocks, rounds, workers, options, several=client is not None or workers > 0)
 
     def engine(simplices: SimplexMesh, chosen: Options, leaving: Leaving) -> Outcome:
-        with executor(client, workers) as apply:
+        few = len(simplices.cells) < WORTH_CELLS
+        with executor(client, 0 if few else workers) as apply:
             return run_blocks(simplices, chosen, blocks, rounds, apply, leaving)
 
     return run_engine(mesh, options, engine)
