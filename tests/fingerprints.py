@@ -244,7 +244,7 @@ def runs() -> dict[str, Run]:
     for title in ("cube", "torus"):
         found[f"surface: {title}"] = partial(optimized, partial(shape, title))
     found["blocks: bunny"] = partial(in_blocks, partial(standard, "bunny"), 4)
-    found["blocks: ball"] = partial(in_blocks, partial(standard, "ball-14k"), 2)
+    found["blocks: ball"] = partial(in_blocks, partial(made, ball, 5000), 2)
     found["pieces: ball"] = in_pieces
     for name in SAMPLES:
         found[f"odtmesh2d: {name}"] = partial(generated, name, odtmesh2d)

@@ -12,9 +12,6 @@ from odt_plugins.distributed.versions import expect_versions
 from odt_plugins.engine.odt.density import NodalDensity
 from odt_plugins.engine.record.figures import Figures
 from odt_plugins.engine.run.driver import Again, run
-from odt_plugins.engine.run.outcome import Outcome
-from odt_plugins.engine.surface.driver import run_surface
-from odt_plugins.engine.surface.judge import values_on
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.numbering import in_old_numbers, old_numbers
 from odt_plugins.mesh.simplex import SimplexMesh
@@ -159,7 +156,7 @@ def improve(block: Block) -> Improved:
         density = NodalDensity(block.density, block.power, keeps=options.density == "keep")
         options = replace(options, density=density, exponent=None)
     if mesh.is_surface:
-        return _improved_surface(block, run_surface(mesh, options, without=block.without))
+        return _improved_surface(block, options)
     outcome = run(mesh, options, cut=block.waiting, whole=block.whole, without=block.without,
                   share=block.share, again=block.again)
     points, cells, sizes = outcome.points, outcome.cells, outcome.sizes
@@ -175,9 +172,13 @@ def improve(block: Block) -> Improved:
                     outcome.counts, outcome.fallback)
 
 
-def _improved_surface(block: Block, outcome: Outcome) -> Improved:
+def _improved_surface(block: Block, options: Options) -> Improved:
     """The result of a curved block; the values of its density are those at the feet."""
+    from odt_plugins.engine.surface.driver import run_surface
+    from odt_plugins.engine.surface.judge import values_on
+
     mesh, values = block.mesh, block.density
+    outcome = run_surface(mesh, options, without=block.without)
     moved = np.flatnonzero((outcome.points != mesh.points).any(axis=1))
     if values is not None and moved.size:
         values = values.copy()

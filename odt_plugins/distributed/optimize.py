@@ -26,6 +26,7 @@ from odt_plugins.engine.sliding.skin import skin_features
 from odt_plugins.engine.surface.driver import surface_kept, surface_outcome, surface_sizes
 from odt_plugins.engine.surface.judge import Distance, Kept
 from odt_plugins.engine.surface.judge import faults as surface_faults
+from odt_plugins.engine.topology.part import rings
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import BoolArray, IntArray
 from odt_plugins.mesh.numbering import most_vertices, without_removed
@@ -37,8 +38,11 @@ from odt_plugins.roundtrip import optimized, run_engine
 if TYPE_CHECKING:
     from odt_plugins.report.report import Report
 
-LEAST_CELLS = 5000
-"""Meshes are cut into no smaller blocks: most of such a block lies beside its rim."""
+LEAST_CELLS = 15_000
+"""Meshes are cut into no smaller blocks: most of such a block would be done twice."""
+
+WORTH_CELLS = 100_000
+"""Meshes of fewer cells are done in this process: others take as long to start."""
 
 LAST_CELLS = 50_000
 """No more cells around the cuts than that are done in one last round."""
@@ -82,7 +86,7 @@ def optimize_partitioned(
     mesh : object
         What :func:`odt_plugins.optimize` takes.
     blocks : int
-        Blocks of about equal size in the first round; fewer when they had less than 5000 cells.
+        Blocks of about equal size in the first round; fewer when they had less than 15,000 cells.
     block_rounds : int
         Most rounds of blocks. In the last one nothing is cut again, so that from two on every cell
         has been inside a block in some round. The second is the last where at most 50,000 cells
@@ -90,8 +94,9 @@ def optimize_partitioned(
     client : distributed.Client, optional
         Blocks go to the workers of this cluster; Dask gives those of a lost worker to another.
     workers : int
-        Processes of this machine, without a server; 0 works in this process. Scripts that give
-        more must be importable (``if __name__ == "__main__":``).
+        Processes of this machine, without a server; 0 works in this process, as do meshes of fewer
+        than 100,000 cells, for which processes take too long to start. Scripts that give more
+        must be importable (``if __name__ == "__main__":``).
     **options
         The fields of :class:`odt_plugins.Options`.
 
@@ -143,7 +148,8 @@ def _partitioned(
     check(blocks, rounds, workers, options, several=client is not None or workers > 0)
 
     def engine(simplices: SimplexMesh, chosen: Options, leaving: Leaving) -> Outcome:
-        with executor(client, workers) as apply:
+        few = len(simplices.cells) < WORTH_CELLS
+        with executor(client, 0 if few else workers) as apply:
             return run_blocks(simplices, chosen, blocks, rounds, apply, leaving)
 
     return run_engine(mesh, options, engine)
@@ -220,7 +226,7 @@ def run_blocks(
                 state = replace(state, mesh=_on_ground(start.mesh, state.mesh))
                 done.states[-1] = state
             label = labels(state, count, index, index + 1 if last else rounds,
-                           _worst(state.mesh) if last else None)
+                           _worst(state) if last else None)
             if label.max() < 0:
                 continue
             name = f"round {index + 1}"
@@ -284,11 +290,15 @@ def _room(mesh: SimplexMesh, now: SimplexMesh, options: Options) -> int:
     return most - len(np.unique(now.cells))
 
 
-def _worst(mesh: SimplexMesh) -> BoolArray | None:
-    """Vertices (n,) of the worst tetrahedra by radius ratio and angles, and of small angles."""
+def _worst(whole: Whole) -> BoolArray | None:
+    """Vertices (n,) of the worst tetrahedra by radius ratio and angles, and of small angles.
+
+    Those at the cuts, which were never optimised, are looked after in any case.
+    """
+    mesh = whole.mesh
     if mesh.dim == 2:
         return None
-    cells = mesh.cells[~mesh.frozen]
+    cells = mesh.cells[~mesh.frozen & ~rings(whole.waiting, mesh.cells, 1)]
     shapes = cell_shapes(mesh.points, cells) * [1.0, -1.0, 1.0, 1.0]
     worst = np.zeros(len(mesh.points), dtype=np.bool_)
     small = min(int((shapes[:, 1] < -COS_SMALL).sum()), int(MOST_POLISHED * len(cells)))

@@ -22,6 +22,7 @@ from odt_plugins.cli import main as cli
 from odt_plugins.compare.start import ball
 from odt_plugins.distributed import cluster as cluster_module
 from odt_plugins.distributed import optimize as blocks_module
+from odt_plugins.distributed.local import executor
 from odt_plugins.distributed.versions import expect_versions, versions_here
 from odt_plugins.errors import InvalidOptionError, WorkerError
 
@@ -37,11 +38,13 @@ pytestmark = [
 START = ball(2500)
 MESH = (START.points, START.cells)
 BLOCKS = 3
+LARGER = ball(5000)
 
 
 @pytest.fixture(autouse=True)
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(blocks_module, "LEAST_CELLS", 1000)
+    monkeypatch.setattr(blocks_module, "WORTH_CELLS", 0)
 
 
 @pytest.fixture(scope="module")
@@ -73,6 +76,20 @@ def test_processes_and_a_cluster_give_the_bits_of_one_process(client, expected):
     assert not np.array_equal(expected[0], START.points)
     assert_same(odt_plugins.optimize_partitioned(MESH, BLOCKS, workers=2), expected)
     assert_same(odt_plugins.optimize_partitioned(MESH, BLOCKS, client=client), expected)
+
+
+@pytest.mark.parametrize(("more", "processes"), [(0, 2), (1, 0)])
+def test_processes_are_started_for_large_meshes_only(monkeypatch, more, processes):
+    asked: list[int] = []
+
+    def seen(client: Any = None, workers: int = 0) -> Any:
+        asked.append(workers)
+        return executor()
+
+    monkeypatch.setattr(blocks_module, "WORTH_CELLS", len(START.cells) + more)
+    monkeypatch.setattr(blocks_module, "executor", seen)
+    odt_plugins.optimize_partitioned(MESH, BLOCKS, workers=2)
+    assert asked == [processes]
 
 
 def test_pieces_on_a_cluster_give_the_bits_of_one_process(client, tmp_path):
@@ -197,7 +214,7 @@ def test_workers_that_are_paused_for_good_end_the_run_with_a_sentence(monkeypatc
 
 
 def test_a_scheduler_that_is_killed_ends_the_run_with_a_sentence(tmp_path):
-    meshio.Mesh(START.points, [("tetra", START.cells)]).write(tmp_path / "in.vtu")
+    meshio.Mesh(LARGER.points, [("tetra", LARGER.cells)]).write(tmp_path / "in.vtu")
     file = tmp_path / "scheduler.json"
     options = {"stdout": subprocess.DEVNULL, "stderr": subprocess.DEVNULL, "cwd": tmp_path}
     scheduler = subprocess.Popen(
@@ -250,9 +267,8 @@ def run_cli(folder: Path, *words: str, **settings: Any) -> subprocess.Popen[str]
 
 @pytest.mark.skipif(sys.platform != "linux", reason="looks at /proc")
 def test_a_killed_client_leaves_nothing_and_the_next_run_is_whole(client, tmp_path, expected):
-    mesh = ball(4000)
-    meshio.Mesh(mesh.points, [("tetra", mesh.cells)]).write(tmp_path / "in.vtu")
-    words = ["optimize", "in.vtu", "out.vtu", "--blocks", "4"]
+    meshio.Mesh(LARGER.points, [("tetra", LARGER.cells)]).write(tmp_path / "in.vtu")
+    words = ["optimize", "in.vtu", "out.vtu", "--blocks", "2"]
     first = run_cli(tmp_path, *words, "--workers", "1")
     assert first.stderr is not None
     assert "dashboard" in first.stderr.readline()
@@ -267,7 +283,7 @@ def test_a_killed_client_leaves_nothing_and_the_next_run_is_whole(client, tmp_pa
     _, said = second.communicate(timeout=90)
     assert second.returncode == 0, said
     out = meshio.read(tmp_path / "out.vtu")
-    whole = odt_plugins.optimize_partitioned((mesh.points, mesh.cells), 4)
+    whole = odt_plugins.optimize_partitioned((LARGER.points, LARGER.cells), 2)
     assert np.array_equal(out.points, whole[0])
     assert sorted(os.listdir(tmp_path)) == ["in.vtu", "out.vtu"]
 
@@ -276,7 +292,7 @@ def test_a_killed_client_leaves_nothing_and_the_next_run_is_whole(client, tmp_pa
 def test_a_full_disk_leaves_the_old_file(tmp_path):
     import resource
 
-    meshio.Mesh(*((START.points, [("tetra", START.cells)]))).write(tmp_path / "in.vtu")
+    meshio.Mesh(LARGER.points, [("tetra", LARGER.cells)]).write(tmp_path / "in.vtu")
     (tmp_path / "out.vtu").write_text("old")
     run = run_cli(tmp_path, "optimize", "in.vtu", "out.vtu", "--blocks", "2", "--quiet",
                   preexec_fn=lambda: (resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000)),

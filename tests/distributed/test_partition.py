@@ -169,6 +169,16 @@ def test_the_last_round_looks_after_the_worst_cells_too():
     assert not wanted.all()
 
 
+def test_the_worst_cells_are_looked_for_away_from_the_cuts():
+    mesh = mesh_of(900)
+    q = tet_meshes.quality(mesh.points, mesh.cells)
+    waiting = np.zeros(len(mesh.points), dtype=bool)
+    waiting[mesh.cells[q.argsort()[:30]]] = True
+    away = mesh.cells[~waiting[mesh.cells].any(axis=1)]
+    least = away[tet_meshes.quality(mesh.points, away).argsort()[:blocks_module.WORST_CELLS]]
+    assert blocks_module._worst(replace(whole_of(mesh), waiting=waiting))[least].all()
+
+
 def test_phases_for_the_worst_cells_of_the_whole_wait_for_the_last_round(small_blocks):
     mesh = mesh_of(900)
     seen: list[tuple[str, ...]] = []
@@ -241,7 +251,8 @@ def test_a_result_that_does_not_fit_its_block_is_refused(spoil):
 @pytest.mark.parametrize(("name", "seed"), [
     ("bunny", None), ("cgal-bunny", None), ("cgal-bunny", 1), ("ball", None), ("ball", 1),
 ])
-def test_blocks_are_about_as_good_as_one_piece(name, seed):
+def test_blocks_are_about_as_good_as_one_piece(name, seed, monkeypatch):
+    monkeypatch.setattr(blocks_module, "LEAST_CELLS", 5000)
     start = ball(7000) if name == "ball" else stored(name)
     start = start if seed is None else reordered(start, seed)
     mesh = start.points, start.cells

@@ -113,21 +113,22 @@ def run_cycles(
         limits = bounds.with_quality(memory.before.p1_quality)
     watch = None if options.finish else partial(memory.offer, name="smoothing")
     work_on = partial(settle, log=log, pool=pool, threads=options.threads)
+    some = None if log.fresh is None else around(mesh, log.fresh)
+    work = some.inside if some else mesh
 
     def stage1(tick: Callable[[float], None]) -> str:
-        nonlocal mesh
-        some = None if log.fresh is None else around(mesh, log.fresh)
-        if log.fresh is not None and some is None:
-            return "no vertex is new"
-        work = some.inside if some else mesh
+        nonlocal work
         work, reason = smooth(work, density, options, limits, log, tick, watch, pool)
-        mesh = joined(replace(some, inside=work)) if some else work
         return reason
 
-    reason = alternate(
-        stage1, lambda: work_on(mesh, bulk(mesh.dim, options.objective), bounds),
-        lambda: figures(mesh.points, mesh.mesh_arrays()[0], pool=pool).mean_quality, options, log,
-    )
+    reason = "no vertex is new"
+    if some or log.fresh is None:
+        reason = alternate(
+            stage1, lambda: work_on(work, bulk(work.dim, options.objective), bounds),
+            lambda: figures(work.points, work.mesh_arrays()[0], pool=pool).mean_quality,
+            options, log,
+        )
+        mesh = joined(replace(some, inside=work)) if some else work
     if options.finish:
         clock = time.perf_counter()
         _worst_cells(mesh, options, bounds, memory, log, pool, near)
