@@ -169,17 +169,17 @@ def objectives(path: Path) -> None:
 def blocks(path: Path) -> None:
     """The blocks into which a mesh is cut, drawn apart, and the mesh when they are glued."""
     points, cells = arrays("cgal-bunny")
-    label = bricks(points, cells, 8)
+    label = bricks(points, cells, 2)
     centres = points[cells].mean(axis=1)
     apart, own = [], []
-    for block in range(8):
+    for block in range(2):
         shift = 0.35 * (centres[label == block].mean(axis=0) - centres.mean(axis=0))
         vertices, inverse = np.unique(cells[label == block], return_inverse=True)
         own.append(inverse.reshape(-1, 4) + sum(map(len, apart)))
         apart.append(points[vertices] + shift)
     side_by_side({
-        "before, cut into 8 blocks": (np.concatenate(apart), np.concatenate(own)),
-        "after, glued": odt_plugins.optimize_partitioned((points, cells), 8),
+        "before, cut into 2 blocks": (np.concatenate(apart), np.concatenate(own)),
+        "after, glued": odt_plugins.optimize_partitioned((points, cells), 2),
     }, path)
 
 

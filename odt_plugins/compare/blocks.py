@@ -16,8 +16,9 @@ from odt_plugins.quality import summarize
 
 BLOCKS, ROUNDS = 4, 3
 
-WAYS = (("one piece", 0, 0), (f"{BLOCKS} blocks, this process", BLOCKS, 0),
-        (f"{BLOCKS} blocks, 1 worker", BLOCKS, 1), (f"{BLOCKS} blocks, 2 workers", BLOCKS, 2))
+WAYS = (("one piece", 0, 0), (f"up to {BLOCKS} blocks, this process", BLOCKS, 0),
+        (f"up to {BLOCKS} blocks, 1 worker", BLOCKS, 1),
+        (f"up to {BLOCKS} blocks, 2 workers", BLOCKS, 2))
 """Name, number of blocks, and number of worker processes."""
 
 HEADS = ("cells", "how", "wall [s]", "processor [s]", "to one piece", "driver [MB]", "worker [MB]",
@@ -53,12 +54,12 @@ def blocks_part(sizes: Sequence[int], threads: int, say: Say) -> Part:
             q = summarize(*mesh)
             rows.append((len(start.cells), name, facts["seconds"], cpu,
                          "" if one is None else f"{cpu / one:.2f}", facts["peak"] / 1e6,
-                         facts["workers peak"] / 1e6 if workers else "", f"{q.mean_quality:.4f}",
+                         facts.get("workers peak", 0.0) / 1e6 or "", f"{q.mean_quality:.4f}",
                          f"{q.p1_quality:.4f}", f"{q.min_quality:.3f}",
                          _same(expected, mesh) if blocks else ""))
             say(f"{rows[-1][0]} cells, {name}: {facts['seconds']:.1f} s, processor {cpu:.1f} s")
     notes = ("processor: driver and workers together, starting the workers included; worker: "
-             "the largest resident size of one",)
+             "the largest resident size of one, where the mesh is worth one",)
     return Part([Table("blocks", "One piece against blocks", HEADS, rows, notes),
                  Table("traffic", "What the blocks of a round move", TRAFFIC, moved)])
 
