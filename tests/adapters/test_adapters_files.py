@@ -12,6 +12,7 @@ import contract
 import meshio
 import numpy as np
 import pytest
+from processes import full_disk
 
 import odt_plugins
 from odt_plugins.adapters import files
@@ -271,7 +272,7 @@ def test_a_full_disk_leaves_the_old_file_and_no_open_handle(suffix, tmp_path, tm
     paths = os.pathsep.join([str(Path(__file__).parent), *sys.path])
     done = subprocess.run(
         [sys.executable, "-c", FULL, suffix, str(grid)], cwd=tmp_path, capture_output=True,
-        text=True, check=False, timeout=200, env=dict(os.environ) | {"PYTHONPATH": paths})
+        text=True, check=False, timeout=200, env=full_disk(PYTHONPATH=paths))
     assert (done.returncode, done.stderr) == (0, "")
     said = f"cannot write out{suffix}: File too large; try another path"
     assert done.stdout.splitlines() == [said, said, f"['out{suffix}'] old", "1000"]

@@ -10,6 +10,7 @@ import contract
 import meshio
 import numpy as np
 import surface_meshes
+from processes import full_disk
 
 from attack.damage import FORMATS, TRIANGLES
 from attack.judge import Broken
@@ -66,7 +67,7 @@ def attack(rng: Rng, folder: Path) -> None:
     words = [sys.executable, "-c", CHILD, source, whole / target.name, target, str(share)]
     try:
         done = subprocess.run(words, capture_output=True, text=True, check=False,
-                              timeout=0.8 * SECONDS)
+                              timeout=0.8 * SECONDS, env=full_disk())
     except subprocess.TimeoutExpired:
         raise Broken([f"no end (.{name}, {share:.3f} of its size)"]) from None
     if done.returncode == 100:

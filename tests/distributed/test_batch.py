@@ -18,7 +18,7 @@ import meshio
 import numpy as np
 import pytest
 import tet_meshes
-from processes import alive, children, wait_until
+from processes import alive, children, full_disk, wait_until
 
 from odt_plugins.adapters.files import read_file
 from odt_plugins.cli import main as cli
@@ -394,7 +394,7 @@ def test_a_full_disk_is_a_row_and_leaves_nothing_half_written(place):
     write_ball(place / "models" / "small.vtu", 60)
     done = subprocess.run(
         [sys.executable, "-m", "odt_plugins.cli", "batch", "models/*.vtu", "--out", "out"],
-        capture_output=True, text=True, check=False, timeout=100,
+        capture_output=True, text=True, check=False, timeout=100, env=full_disk(),
         preexec_fn=lambda: (resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000)),
                             signal.signal(signal.SIGXFSZ, signal.SIG_IGN)),
     )

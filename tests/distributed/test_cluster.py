@@ -15,7 +15,7 @@ from typing import Any
 import meshio
 import numpy as np
 import pytest
-from processes import alive, children, wait_until
+from processes import alive, children, full_disk, wait_until
 
 import odt_plugins
 from odt_plugins.cli import main as cli
@@ -295,6 +295,7 @@ def test_a_full_disk_leaves_the_old_file(tmp_path):
     meshio.Mesh(LARGER.points, [("tetra", LARGER.cells)]).write(tmp_path / "in.vtu")
     (tmp_path / "out.vtu").write_text("old")
     run = run_cli(tmp_path, "optimize", "in.vtu", "out.vtu", "--blocks", "2", "--quiet",
+                  env=full_disk(),
                   preexec_fn=lambda: (resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, 20_000)),
                                       signal.signal(signal.SIGXFSZ, signal.SIG_IGN)))
     _, said = run.communicate(timeout=90)

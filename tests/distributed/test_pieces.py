@@ -22,6 +22,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from pieces import glued, write_pieces
 from policies import set_policy
+from processes import full_disk
 from scipy.spatial import Delaunay
 
 import odt_plugins
@@ -586,7 +587,7 @@ def test_a_full_disk_leaves_the_old_result(tmp_path):
             "optimize_pieces(*sys.argv[1:])")
     done = subprocess.run(
         [sys.executable, "-c", code, str(index), str(tmp_path / "out.pvtu")],
-        capture_output=True, text=True, check=False,
+        capture_output=True, text=True, check=False, env=full_disk(),
         preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (100_000, 100_000)))
     assert "MeshFileError: cannot write" in done.stderr
     assert (tmp_path / "out.pvtu").read_text() == "old"

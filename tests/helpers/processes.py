@@ -2,11 +2,20 @@
 
 from __future__ import annotations
 
+import os
 import subprocess
 import time
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
+
+
+def full_disk(**names: str) -> dict[str, str]:
+    """The environment, and these names, of a process whose files are cut off.
+
+    Python would keep the half of what it compiled of a module, and trust it from then on.
+    """
+    return {**os.environ, **names, "PYTHONDONTWRITEBYTECODE": "1"}
 
 
 def wait_until(condition: Callable[[], Any], seconds: float = 60.0) -> None:

@@ -8,14 +8,11 @@ worst cells; bounds keep every change within the extremes that the input had.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from functools import partial
-from typing import TypeVar
+from functools import partial, reduce
 
 import numpy as np
 
 from odt_plugins.engine.cells.extremes import (
-    BEST,
     FREELY,
     Bounds,
     Extremes,
@@ -32,7 +29,7 @@ from odt_plugins.engine.moves.newton3d import smooth_vertices
 from odt_plugins.engine.moves.passes import NO_CELL, flip_pending, grow, measures
 from odt_plugins.engine.moves.reconnection import reconnection_pass
 from odt_plugins.engine.policy import POLICY
-from odt_plugins.engine.record.figures import cell_shapes
+from odt_plugins.engine.record.figures import cell_shapes, tet_extremes
 from odt_plugins.engine.topology.active import (
     DONE,
     PENDING,
@@ -52,9 +49,6 @@ FEW = 50
 """Cells at which reconnection is tried however small a part of the mesh they are."""
 
 
-T = TypeVar("T")
-
-
 def worst_count(q: FloatArray, phase: Phase) -> int:
     """How many cells a phase starts from, besides the best of all; ``q`` as of :func:`measures`."""
     cells = int((q < NO_CELL).sum())
@@ -64,21 +58,14 @@ def worst_count(q: FloatArray, phase: Phase) -> int:
     return min(most, max(most // 10, int((q < phase.enough).sum())))
 
 
-def _of_shapes(
-    mesh: Complex, pool: Pool | None, figure: Callable[[FloatArray], T]
-) -> list[T]:
-    """Take a figure of :func:`cell_shapes` of each part of the cells."""
-    def part(start: int, stop: int) -> T:
-        cells = mesh.cells[start:stop]
-        live = np.flatnonzero(cells[:, 0] >= 0)
-        return figure(cell_shapes(mesh.points, np.take(cells, live, axis=0)))
-
-    return run_ranges(pool, mesh.used, part)
-
-
 def _large_cosines(mesh: Complex, pool: Pool | None) -> FloatArray:
     """Largest cosine of an angle of every cell."""
-    return np.concatenate(_of_shapes(mesh, pool, lambda shapes: shapes[:, 1]))
+    def part(start: int, stop: int) -> FloatArray:
+        cells = mesh.cells[start:stop]
+        live = np.flatnonzero(cells[:, 0] >= 0)
+        return cell_shapes(mesh.points, np.take(cells, live, axis=0))[:, 1]
+
+    return np.concatenate(run_ranges(pool, mesh.used, part))
 
 
 def held_angles(
@@ -90,13 +77,8 @@ def held_angles(
 
 def reached(mesh: Complex, pool: Pool | None = None) -> Extremes:
     """Extremes of all cells."""
-    def extremes(shapes: FloatArray) -> tuple[float, float, float]:
-        return (float(shapes[:, 0].min(initial=BEST.quality)),
-                float(shapes[:, 1].max(initial=BEST.large)),
-                float(shapes[:, 2].min(initial=BEST.small)))
-
-    quality, large, small = zip(*_of_shapes(mesh, pool, extremes), strict=True)
-    return Extremes(min(quality), max(large), min(small))
+    parts = run_ranges(pool, mesh.used, partial(tet_extremes, mesh.points, mesh.cells))
+    return reduce(worse, parts)
 
 
 def guarded(

@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.engine.cells.elementary import arccos, power
+from odt_plugins.engine.cells.extremes import BEST, Extremes, worse
 from odt_plugins.engine.cells.mean_ratio import tet_mean_ratio
 from odt_plugins.engine.cells.rows import (
     ALTITUDE,
@@ -68,6 +69,23 @@ def _tet_shapes(points: FloatArray, cells: IntArray, shapes: FloatArray) -> None
             c = first + s
             shapes[c, 0], shapes[c, 1] = rows[Q + s], rows[LARGE + s]
             shapes[c, 2], shapes[c, 3] = rows[SMALL + s], rows[ALTITUDE + s]
+
+
+@allocating_kernel
+def tet_extremes(points: FloatArray, cells: IntArray, start: int, stop: int) -> Extremes:
+    """Extremes of the tetrahedra in the slots start to stop, of which some may be free."""
+    rows = np.empty(ROWS)
+    slots = np.arange(start, stop)
+    found = BEST
+    for first in range(0, stop - start, CHUNK):
+        count = min(CHUNK, stop - start - first)
+        gather_edges(points, cells, slots, first, count, rows)
+        quality_rows(0.0, 0.0, 0.0, count, rows)
+        shape_rows(count, rows)
+        for s in range(count):
+            if cells[start + first + s, 0] >= 0:
+                found = worse(found, Extremes(rows[Q + s], rows[LARGE + s], rows[SMALL + s]))
+    return found
 
 
 def cell_shapes(

@@ -26,6 +26,9 @@ from odt_plugins.mesh.chunks import Pool
 WORTH = 0.02
 """Flips at fewer cells than this part of all are done in one go."""
 
+TRIES = 256
+"""Cells after which it is asked again whether work pays."""
+
 LEFT, GONE = 254, 255
 
 Work = Callable[[IntArray, Tets], int]
@@ -139,16 +142,21 @@ def side_by_side(
     work : callable         see ``Work``
     worth : float           part of all cells that is worth cutting the mesh into slabs
     costly : bool           see ``threads.pieces``
-    rare : float            work at a slab ends where it has returned less than this a cell
+    rare : float            work at a slab ends where it has returned less than this a cell, after
+                            a multiple of TRIES cells
     """
     given_up = Event()
 
     def in_pieces(mine: IntArray, tets: Tets) -> int:
-        total = 0
-        for first, last in pieces(0, len(mine), costly=costly):
-            if given_up.is_set() or total < rare * first:
+        total, count = 0, len(mine)
+        length = TRIES if rare else max(count, 1)
+        for begin in range(0, count, length):
+            if total < rare * begin:
                 break
-            total += work(mine[first:last], tets)
+            for first, last in pieces(begin, min(begin + length, count), costly=costly):
+                if given_up.is_set():
+                    return total
+                total += work(mine[first:last], tets)
         return total
 
     total = 0

@@ -20,7 +20,8 @@ from odt_plugins.engine.cells.tetrahedron import (
     tet_measure,
 )
 from odt_plugins.engine.moves.newton3d import add_cost_terms, make_derivatives
-from odt_plugins.engine.record.figures import amips_energies
+from odt_plugins.engine.record.figures import amips_energies, tet_extremes
+from odt_plugins.quality import angles, radius_ratio
 
 REGULAR = np.array([[1, -1, -1], [1, 1, 1], [-1, 1, -1], [-1, -1, 1.0]])
 CORNER = np.vstack([np.zeros(3), np.eye(3)])
@@ -45,6 +46,21 @@ def positive(seed, spread=0.4):
         points = REGULAR + spread * rng.normal(size=(4, 3))
         if np.linalg.det(points[1:] - points[0]) > 1.0:
             return points
+
+
+def test_extremes_of_slots_are_those_of_the_cells_in_them_alone():
+    points = np.concatenate([positive(seed) for seed in range(200)])
+    cells = np.arange(800, dtype=np.int32).reshape(-1, 4)
+    live = np.arange(200) % 7 > 0
+    slots = np.where(live[:, None], cells, -1).astype(np.int32)
+    for start, stop in ((0, 200), (3, 150), (8, 9)):
+        chosen = cells[start:stop][live[start:stop]]
+        degrees = angles(points, chosen)
+        found = tet_extremes(points, slots, start, stop)
+        assert found.quality == pytest.approx(radius_ratio(points, chosen).min(), rel=1e-12)
+        ends = np.degrees(np.arccos([found.large, found.small]))
+        assert ends == pytest.approx([degrees.min(), degrees.max()], rel=1e-9)
+    assert tet_extremes(points, slots, 0, 1).quality > 1.0
 
 
 @SHAPES

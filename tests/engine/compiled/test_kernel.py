@@ -14,6 +14,7 @@ import numba
 import numpy as np
 import pytest
 from numba.core.caching import NullCache
+from processes import full_disk
 
 import odt_plugins
 from odt_plugins.ahead import compile_ahead
@@ -104,7 +105,7 @@ import numpy as np
 print(vertex_stars(np.array([[0, 1, 2]], dtype=np.int32), 3).indptr.tolist())
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=False,
-                          env=dict(os.environ) | {"NUMBA_CACHE_DIR": str(tmp_path)})
+                          env=full_disk(NUMBA_CACHE_DIR=str(tmp_path)))
     assert done.stdout.split() == ["[0,", "1,", "2,", "3]"], done.stderr
     assert not [path for path in tmp_path.rglob("*") if path.is_file()]
 

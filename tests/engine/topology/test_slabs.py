@@ -129,19 +129,24 @@ def test_slabs_that_run_when_one_is_interrupted_stop_at_their_next_piece():
 
 
 def test_work_ends_where_it_no_longer_pays(monkeypatch):
-    monkeypatch.setattr(threads, "COSTLY", 10)
+    monkeypatch.setattr(slabs, "TRIES", 10)
     mesh = start()
     visits = mesh.live().astype(np.int32)
     seen = []
 
     def work(part, tets):
-        seen.append(len(part))
-        return len(part) * (len(seen) == 1)
+        gain = int((part < 10).sum())
+        seen.extend(part)
+        return gain
 
-    assert slabs.side_by_side(mesh, visits, None, work, 1.0, costly=True, rare=0.5) == 10
-    assert seen == [10, 10, 10]
-    assert slabs.side_by_side(mesh, visits, None, work, 1.0, costly=True) == 0
-    assert sum(seen) == 30 + len(visits)
+    for length in (3, 100):
+        monkeypatch.setattr(threads, "COSTLY", length)
+        seen.clear()
+        assert slabs.side_by_side(mesh, visits, None, work, 1.0, costly=True, rare=0.5) == 10
+        assert seen == visits[:30].tolist()
+    seen.clear()
+    assert slabs.side_by_side(mesh, visits, None, work, 1.0, costly=True) == 10
+    assert seen == visits.tolist()
 
 
 def flips(mesh, objective, pool):
