@@ -12,6 +12,7 @@ from __future__ import annotations
 import os
 import subprocess
 import sys
+from argparse import ArgumentParser
 from collections.abc import Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -92,4 +93,6 @@ def compile_ahead(folder: Path, programs: Sequence[str] = PROGRAMS) -> None:
 
 
 if __name__ == "__main__":
-    compile_ahead(Path(sys.argv[1]))
+    parser = ArgumentParser("python -m odt_plugins.ahead", description="Compile the kernels.")
+    parser.add_argument("folder", type=Path, help="takes the machine code; is made where missing")
+    compile_ahead(parser.parse_args().folder)

@@ -198,6 +198,15 @@ def test_no_function_of_the_engine_takes_a_long_list_of_parameters():
     assert {name: functions for name, functions in found.items() if functions} == {}
 
 
+def test_the_top_level_holds_what_it_shall_and_nothing_else():
+    root = PACKAGE.parent
+    listed = subprocess.run(["git", "ls-files"], cwd=root, capture_output=True, text=True,
+                            check=True).stdout.splitlines()
+    assert {path.split("/")[0] for path in listed} == {
+        ".ci", ".gitignore", "LICENSE", "README.md", "examples", "odt_plugins", "pyproject.toml",
+        "setup.py", "tests"}
+
+
 def test_no_test_imports_from_a_test():
     for path in TESTS.rglob("*.py"):
         for node in nodes(path):
