@@ -32,7 +32,9 @@ class Policy:
     # stage 1
     settled_rounds: int = _chosen(8, "Stage 1 ends when so many rounds", STAGES)
     settled_energy: float = _chosen(
-        1.6e-3, "have lowered the least energy by less than this part of it.", STAGES)
+        1.6e-3, "have lowered the least energy by less than this part of it,", STAGES)
+    stirred_settled: float = _chosen(
+        8e-3, "or this part where sweeps go beyond the centres of the stars.", STAGES)
     exchange_cells: int = _chosen(
         20_000, "Most cells for which connectivity 'auto' asks scipy in the first round; beyond, "
         "local flips are cheaper.", STAGES)
@@ -44,15 +46,17 @@ class Policy:
     exchange_move: float = _chosen(
         0.1, "Longest move, in edge lengths, above which scipy is asked (Section 3.2, row 10).",
         STANDARD)
-    overrelaxed: float = _chosen(
-        1.95, "First alpha of ODT sweeps in space when finishing follows: the energy leaves "
-        "shallow minima.", STANDARD)
+    stirred: float = _chosen(
+        2.1, "First alpha of ODT sweeps in space when finishing follows: the energy leaves "
+        "shallow minima;", STANDARD)
+    stirred_rounds: int = _chosen(8, "for so many rounds.", STANDARD)
+    overrelaxed: float = _chosen(2.0, "The same in later rounds.", STANDARD)
     damped: float = _chosen(
         0.8, "First alpha of Jacobi sweeps, whose limit of stability is 1.", STANDARD)
     energy_ring: int = _chosen(
-        7, "Longest ring of an edge that is removed for the sake of the energy.", STAGES)
+        5, "Longest ring of an edge that is removed for the sake of the energy.", STAGES)
     energy_passes: int = _chosen(
-        3, "Passes of energy flips in a round; what is left pending waits for the next round.",
+        1, "Passes of energy flips in a round; what is left pending waits for the next round.",
         STAGES)
     scattered: float = _chosen(
         0.2, "Cells are sorted again after more flips than this part of their number.", STAGES)

@@ -56,34 +56,46 @@ class Log:
         self.times[stage] = self.times.get(stage, 0.0) + seconds
 
 
-def relaxation(options: Options, dim: int) -> float:
-    """First alpha of a local sweep."""
+def overrelaxes(options: Options, dim: int) -> bool:
+    """Whether sweeps go beyond the centres of the stars, which pays where finishing follows.
+
+    A move by alpha > 2 raises the energy of its star and the flips lower it again: that leads out
+    of more shallow minima than it costs.
+    """
+    return (
+        options.omega is None and dim == 3 and options.finish
+        and (options.method, options.solver) == ("odt", "gauss-seidel")
+    )
+
+
+def relaxation(options: Options, dim: int, k: int) -> float:
+    """First alpha of a local sweep in round k = 0, 1, ..."""
+    if overrelaxes(options, dim):
+        return POLICY.stirred if k < POLICY.stirred_rounds else POLICY.overrelaxed
     if options.omega is not None:
         return options.omega
-    if options.solver == "jacobi":
-        return POLICY.damped
-    return POLICY.overrelaxed if dim == 3 and options.method == "odt" and options.finish else 1.0
+    return POLICY.damped if options.solver == "jacobi" else 1.0
 
 
 Step = Callable[
-    [FloatArray, Topology, FloatArray | None, Options, bool], tuple[FloatArray, StepStats]
+    [FloatArray, Topology, FloatArray | None, Options, bool, float], tuple[FloatArray, StepStats]
 ]
 
 
 def _local(
     sweep: Callable[..., tuple[FloatArray, StepStats]], points: FloatArray, topology: Topology,
-    rho: FloatArray | None, options: Options, inverse_volume: bool,
+    rho: FloatArray | None, options: Options, inverse_volume: bool, omega: float,
 ) -> tuple[FloatArray, StepStats]:
     """A sweep over the vertices, each to the centre of its star: (4.13), (4.20), (4.21)."""
     return sweep(
         points, topology, rho, method=options.method, inverse_volume=inverse_volume,
-        omega=relaxation(options, points.shape[1]), threads=options.threads,
+        omega=omega, threads=options.threads,
     )
 
 
 def _global(
     points: FloatArray, topology: Topology, rho: FloatArray | None, options: Options,
-    inverse_volume: bool,
+    inverse_volume: bool, _omega: float,
 ) -> tuple[FloatArray, StepStats]:
     """All vertices by one linear system: (4.27) of ODT, (4.28) of CPT."""
     from odt_plugins.engine.odt.global_step import global_step
@@ -96,7 +108,7 @@ def _global(
 
 def _descent(
     points: FloatArray, topology: Topology, rho: FloatArray | None, options: Options,
-    inverse_volume: bool,
+    inverse_volume: bool, _omega: float,
 ) -> tuple[FloatArray, StepStats]:
     """All vertices down the gradient of the energy, or by what L-BFGS makes of it."""
     from odt_plugins.engine.odt.descent import lbfgs_step, richardson_step
@@ -107,7 +119,7 @@ def _descent(
 
 def _voronoi(
     points: FloatArray, topology: Topology, rho: FloatArray | None, _options: Options,
-    inverse_volume: bool,
+    inverse_volume: bool, _omega: float,
 ) -> tuple[FloatArray, StepStats]:
     """Every vertex to the centroid of its Voronoi cell, for comparison."""
     from odt_plugins.engine.odt.cvt import cvt_step
@@ -133,7 +145,7 @@ STEPS: dict[tuple[str, str], Step] = {
 
 def position_step(
     points: FloatArray, topology: Topology, rho: FloatArray | None, options: Options,
-    inverse_volume: bool,
+    inverse_volume: bool, omega: float = 1.0,
 ) -> tuple[FloatArray, StepStats]:
     """Move all vertices once by the chosen method and solver, (4.1) of Section 4.1.
 
@@ -143,8 +155,10 @@ def position_step(
     rho : (n,) float64 or None     density at the vertices
     options : Options              method, solver, linear_solver, threads
     inverse_volume : bool          density (4.22)
+    omega : float                  first alpha of a local sweep, see :func:`relaxation`
     """
-    return STEPS[options.method, options.solver](points, topology, rho, options, inverse_volume)
+    step = STEPS[options.method, options.solver]
+    return step(points, topology, rho, options, inverse_volume, omega)
 
 
 def held_to_bounds(
@@ -259,6 +273,9 @@ def smooth(
     """
     least: list[float] = []
     reason = f"the {options.rounds} rounds were used up"
+    settled = (
+        POLICY.stirred_settled if overrelaxes(options, mesh.dim) else POLICY.settled_energy
+    )
     movable = ~mesh.locked
     cells = _cells(mesh, options)
     topology = make_topology(cells, movable, mesh.boundary, pool=pool)
@@ -268,7 +285,8 @@ def smooth(
     for k in range(options.rounds):
         rho = density.at(mesh.points, pool, walk)
         points, stats = position_step(
-            mesh.points, topology, rho, options, density.inverse_volume
+            mesh.points, topology, rho, options, density.inverse_volume,
+            relaxation(options, mesh.dim, k),
         )
         if not options.finish:
             points = held_to_bounds(mesh.points, points, cells, bounds)
@@ -299,7 +317,7 @@ def smooth(
             watch(mesh)
         least.append(min(current, least[-1]) if least else current)
         before = POLICY.settled_rounds
-        if k >= before and least[-1 - before] - least[-1] <= POLICY.settled_energy * least[-1]:
+        if k >= before and least[-1 - before] - least[-1] <= settled * least[-1]:
             reason = f"the energy settled after {k + 1} rounds"
             break
     return renumbered(mesh, pool) if scattered else mesh, reason

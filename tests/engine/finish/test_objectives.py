@@ -345,7 +345,7 @@ def test_polishing_leaves_fewer_small_angles_and_keeps_the_least_quality():
     assert left[-1] < 0.5 * small
 
 
-@pytest.mark.parametrize(("seed", "pays"), [(3, True), (4, True), (5, True), (8, False)])
+@pytest.mark.parametrize(("seed", "pays"), [(3, True), (4, True), (5, True), (19, False)])
 def test_small_angles_are_polished_and_the_better_state_stays(monkeypatch, seed, pays):
     mesh = mesh_of(*tm.ball(300, seed))
     polished = run(mesh, Options())

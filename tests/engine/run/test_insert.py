@@ -149,7 +149,7 @@ def test_unit_and_place_do_not_matter(scale, shift):
     assert (there.points - shift) / scale == pytest.approx(here.points, abs=1e-9)
 
 
-@pytest.mark.parametrize("seed", [1, 5])
+@pytest.mark.parametrize("seed", [2, 3])
 @pytest.mark.parametrize("share", [0.02, 0.1])
 def test_no_more_vertices_than_the_share(share, seed):
     mesh = mesh_of(*start(seed))
