@@ -8,6 +8,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
+
 from odt_plugins.engine.cells.extremes import Bounds, Extremes
 from odt_plugins.engine.finish.phases import WORST, Phase, bulk, cautious, descents, repair, tail
 from odt_plugins.engine.finish.polishing import Settle, polish_small_angles
@@ -17,7 +19,7 @@ from odt_plugins.engine.odt.rounds import Log, smooth
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import Figures, figures
 from odt_plugins.engine.record.memory import Memory
-from odt_plugins.engine.topology.complex import Complex
+from odt_plugins.engine.topology.complex import Complex, make_complex
 from odt_plugins.engine.topology.part import Part, around, away_from, inside, joined
 from odt_plugins.engine.topology.triangles import Triangles
 from odt_plugins.mesh.arrays import BoolArray
@@ -172,6 +174,38 @@ def _worst_cells(
             memory.offer(mesh, "repaired")
             work_on(mesh, bulk(2), bounds)
             memory.offer(mesh, "finished")
+    elif not memory.states and memory.nearest:
+        _bring_back(mesh, bounds, memory, log, work_on, pool)
+
+
+def _bring_back(
+    mesh: Complex, bounds: Bounds, memory: Memory, log: Log, work_on: Settle, pool: Pool | None
+) -> None:
+    """Bring the few cells beyond the extremes of the input back in the nearest refused state.
+
+    What lies around them gives way in between.
+    """
+    from odt_plugins.engine.finish.repair3d import lacking, within_bounds
+
+    state = memory.nearest
+    beyond = state.cells[lacking(state.points, state.cells, bounds.cells) > 0.0]
+    if not 0 < len(beyond) <= POLICY.beyond:
+        return
+    whole = make_complex(
+        state.points.copy(), state.cells, state.regions, mesh.locked, mesh.boundary
+    )
+    zone = around(whole, np.isin(np.arange(len(whole.points)), beyond), 3)
+    work = inside(zone)
+    before = math.inf
+    for _ in range(POLICY.beyond_turns):
+        log.add("repairs", 1)
+        now = within_bounds(work.points, work.mesh_arrays()[0], ~work.locked, bounds.cells)
+        if now == 0.0 or now > 0.95 * before:
+            break
+        before = now
+        work_on(work, bulk(3, memory.objective), bounds)
+    if memory.offer(zone, "repaired"):
+        polish_small_angles(joined(zone), bounds, memory, "finished", work_on, pool)
 
 
 def finish_alone(
