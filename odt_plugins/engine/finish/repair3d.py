@@ -77,8 +77,8 @@ def _search(
     """
     own, here = np.unique(star, return_inverse=True)
     here = here.reshape(star.shape)
-    there = np.arange(len(own), len(own) + PLACES)[:, None]
-    there = np.where(own[here] == v, there[:, None], here).reshape(-1, 4).astype(np.int32)
+    added = np.arange(len(own), len(own) + PLACES)[:, None, None]
+    there: IntArray = np.where(own[here] == v, added, here).reshape(-1, 4).astype(np.int32)
     x = points[v].copy()
     longest = float(np.abs(points[own] - x).max())
     step, way = FIRST * longest, np.zeros(3)
