@@ -147,6 +147,10 @@ class Policy:
     few_movable: float = _chosen(
         0.02, "Share of the vertices that may move below which finishing alone is tried besides.",
         HARD)
+    beyond: int = _chosen(
+        100, "Most cells beyond the extremes of the input that are brought back on their own", HARD)
+    beyond_turns: int = _chosen(20, "in so many turns at most,", HARD)
+    beyond_rings: int = _chosen(3, "so many rings of cells around them smoothed in between.", HARD)
     notable_price: float = _chosen(
         5e-3, "Mean quality that was given up to keep the figures and is worth a word.", HARD)
     slide_retreats: int = _chosen(

@@ -12,8 +12,8 @@ The schedule is data: `bulk` for the mean, `tail` for the worst cells, `worst_ce
 small angles and the very worst cells in turn, `polish` for the few small angles that are left
 (`polish_small_angles`), `repair` for cells beyond the extremes of the input, `cautious` for meshes
 that the other phases spoil, and `descents` for the order. `finish` runs phases in space, `finish2d`
-in the plane, where `within_bounds` repairs. `resample_in_rounds` adds and removes vertices on
-request, with phases after every round.
+in the plane; `within_bounds` of `repair2d` and `repair3d` brings back what no phase does.
+`resample_in_rounds` adds and removes vertices on request, with phases after every round.
 
 References
 ----------

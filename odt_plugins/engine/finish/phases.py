@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY, STEP, Cost
 from odt_plugins.engine.policy import POLICY
+from odt_plugins.engine.record.figures import EXTREMES
 from odt_plugins.options import Objective
 
 
@@ -97,9 +98,6 @@ TAILS = {
 
 GOOD_TRIANGLE = 0.93
 """Measure of a triangle in the plane around which hardly a compound move pays."""
-
-EXTREMES = {"min_quality", "min_angle", "max_angle", "min_altitude"}
-"""Figures of single cells."""
 
 ANGLES = Phase(2.0, 0.01, 2, 3, 3, DIHEDRAL, guard=0.01, enough=0.33, name="angles")
 """For the smallest and largest angles, which radius ratios alone do not mind enough: those below

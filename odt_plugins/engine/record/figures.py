@@ -38,6 +38,9 @@ from odt_plugins.options import Objective
 
 COS_SMALL = math.cos(math.radians(POLICY.small_angle))
 
+EXTREMES = {"min_quality", "min_angle", "max_angle", "min_altitude"}
+"""Figures of single cells."""
+
 ROUNDING = 1e-13
 """Figures and scores that differ by no more are equal."""
 

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
 from typing import Protocol
 
 import numpy as np
 
 from odt_plugins.engine.policy import POLICY
-from odt_plugins.engine.record.figures import ROUNDING, Figures, cell_shapes, figures
+from odt_plugins.engine.record.figures import (
+    EXTREMES,
+    ROUNDING,
+    Figures,
+    cell_shapes,
+    figures,
+)
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.chunks import Pool
 from odt_plugins.options import Objective
@@ -41,6 +48,8 @@ class Changing(Protocol):
 class Memory:
     """Remembers the best state that keeps every named figure, and the last that did not.
 
+    Of those that did not it also remembers the one of highest score that lost extremes only.
+
     Cells at the vertices ``aside`` may pass the extremes: another run will look after them.
 
     After finishing the best is the one of highest score; without it, the latest, since then a
@@ -60,6 +69,7 @@ class Memory:
         self.states: list[State] = []
         self.worse: list[str] = []
         self.refused: State | None = None
+        self.nearest: State | None = None
         self.missed = before.mean_quality
 
     def offer(self, mesh: Changing, name: str) -> bool:
@@ -71,6 +81,9 @@ class Memory:
             self.worse = worse
             self.refused = State(mesh.points.copy(), cells, regions, now, name)
             self.missed = max(self.missed, now.mean_quality)
+            nearest = self.nearest.figures.score if self.nearest else -math.inf
+            if now.score > nearest and set(worse) <= EXTREMES:
+                self.nearest = self.refused
             return False
         if self.by_score and not now.score > self.before.score + ROUNDING:
             return False

@@ -8,6 +8,8 @@ from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
+import numpy as np
+
 from odt_plugins.engine.cells.extremes import Bounds, Extremes
 from odt_plugins.engine.finish.phases import WORST, Phase, bulk, cautious, descents, repair, tail
 from odt_plugins.engine.finish.polishing import Settle, polish_small_angles
@@ -16,8 +18,8 @@ from odt_plugins.engine.odt.density import Density
 from odt_plugins.engine.odt.rounds import Log, smooth
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import Figures, figures
-from odt_plugins.engine.record.memory import Memory
-from odt_plugins.engine.topology.complex import Complex
+from odt_plugins.engine.record.memory import Memory, State
+from odt_plugins.engine.topology.complex import Complex, make_complex
 from odt_plugins.engine.topology.part import Part, around, away_from, inside, joined
 from odt_plugins.engine.topology.triangles import Triangles
 from odt_plugins.mesh.arrays import BoolArray
@@ -172,6 +174,41 @@ def _worst_cells(
             memory.offer(mesh, "repaired")
             work_on(mesh, bulk(2), bounds)
             memory.offer(mesh, "finished")
+    elif not memory.states and memory.nearest:
+        _bring_back(mesh, memory.nearest, bounds, memory, log, work_on, pool)
+
+
+def _bring_back(
+    mesh: Complex, state: State, bounds: Bounds, memory: Memory, log: Log, work_on: Settle,
+    pool: Pool | None,
+) -> None:
+    """Bring the few cells of a state that are beyond the extremes of the input back on their own.
+
+    What lies around them gives way in between, where that does not help by compound moves.
+    """
+    from odt_plugins.engine.finish.repair3d import lacking, within_bounds
+
+    beyond = state.cells[lacking(state.points, state.cells, bounds.cells) > 0.0]
+    if not 0 < len(beyond) <= POLICY.beyond:
+        return
+    near = np.zeros(len(state.points), dtype=np.bool_)
+    near[beyond] = True
+    whole = make_complex(
+        state.points.copy(), state.cells, state.regions, mesh.locked, mesh.boundary
+    )
+    zone = around(whole, near, POLICY.beyond_rings) or whole
+    work = inside(zone)
+    before, stuck = math.inf, False
+    for _ in range(POLICY.beyond_turns):
+        log.add("repairs", 1)
+        now = within_bounds(work.points, work.mesh_arrays()[0], ~work.locked, bounds.cells)
+        was, stuck = stuck, now > 0.95 * before
+        if now == 0.0 or (was and stuck):
+            break
+        before = now
+        work_on(work, cautious(3)[2:] if stuck else bulk(3, memory.objective), bounds)
+    if memory.offer(zone, "repaired"):
+        polish_small_angles(joined(zone), bounds, memory, "finished", work_on, pool)
 
 
 def finish_alone(

@@ -214,6 +214,8 @@ def _run_in(
     log.fresh = None if log.fresh is None else log.fresh[frame.vertices]
     log.times["prepare"] = time.perf_counter() - clock
     bounds = extremes(before, tuple(options.keep))
+    if log.fresh is not None:
+        bounds = _as_good_as_before(bounds, points, cells[~log.fresh[cells].any(axis=1)])
     before_insertion = until_insertion(options) if options.insert else options
     away = near if skin is None else None
     reason = run_cycles(first, density, before_insertion, bounds, memory, log, pool, away)
@@ -266,6 +268,17 @@ def _run_in(
         spoiled = cut_vertices(start.points, cells, best.points, best.cells)
     spoiled = spoiled[spoiled < len(inner_boundary)]
     return outcome, frame.vertices[spoiled[inner_boundary[spoiled]]]
+
+
+def _as_good_as_before(bounds: Bounds, points: FloatArray, cells: IntArray) -> Bounds:
+    """Hold cells without a movable vertex to the 1 % quantile of cells that were optimised before.
+
+    Most of them are at a cut and were as good as others: no later round will see them again.
+    """
+    if not len(cells):
+        return bounds
+    quality = max(bounds.locked.quality, figures(points, cells).p1_quality)
+    return bounds._replace(locked=bounds.locked._replace(quality=quality))
 
 
 def _skin(start: Start, options: Options, points: FloatArray, share: float) -> Skin:

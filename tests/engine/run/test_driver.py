@@ -22,6 +22,7 @@ from odt_plugins.engine.odt.density import NodalDensity, cell_density
 from odt_plugins.engine.odt.energy import energy
 from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.odt.total_energy import total_energy
+from odt_plugins.engine.record.figures import figures
 from odt_plugins.engine.run import cycles, driver
 from odt_plugins.engine.run.driver import Again, run
 from odt_plugins.engine.topology import coloring, order
@@ -533,3 +534,26 @@ def test_the_input_is_returned_where_no_state_leaves_well(d):
     assert len(seen) == 2
     assert outcome.points.tobytes() == mesh.points.tobytes()
     assert outcome.fallback.startswith("the input is returned")
+
+
+def test_no_cell_at_a_cut_is_worse_than_what_was_optimised_before():
+    """A cell whose vertices are all held is at the cut for good: no later round sees it."""
+    outcome = run(mesh_of(*tm.ball(2500, 2)), Options())
+    points, cells = outcome.points, outcome.cells
+    cells = cells[np.linalg.norm(points[cells].mean(axis=1), axis=1) < 0.8]
+    used = np.unique(cells)
+    points, cells = points[used], np.searchsorted(used, cells).astype(np.int32)
+    free = tm.interior(points, cells)
+    fresh = free & (np.abs(points[:, 0]) < 0.15)
+    points[fresh] += 0.02 * np.random.default_rng(2).standard_normal((fresh.sum(), 3))
+    assert (tm.signed_volumes(points, cells) > 0).all()
+    options = Options(keep=("min_quality", "min_angle", "max_angle"))
+    result = run(mesh_of(points, cells), options, whole=figures(points, cells),
+                 again=Again(fresh, 1.0))
+    old = {tuple(cell) for cell in np.sort(cells, axis=1)}
+    held = [cell for cell in result.cells[~free[result.cells].any(axis=1)]
+            if tuple(np.sort(cell)) not in old]
+    good = tm.quality(points, cells[~fresh[cells].any(axis=1)])
+    made = tm.quality(result.points, np.array(held, dtype=int).reshape(-1, 4))
+    assert (made >= np.quantile(good, 0.01)).all()
+    assert tm.quality(result.points, result.cells).mean() > tm.quality(points, cells).mean() + 0.01
