@@ -28,13 +28,13 @@ older() {
 enter_environment
 # Side by side, as each keeps one core busy; whatever fails, packages are never left half installed.
 system=""
-trap wait EXIT
+trap '[ -z "$system" ] || wait "$system"' EXIT
 if can_install; then system_packages & system=$!; else system_packages; fi
 install_package "all,test"
 
 echo "== ruff";   python -m ruff check .
 echo "== mypy";   python -m mypy
-[ -z "$system" ] || wait "$system"
+if [ -n "$system" ]; then wait "$system"; fi
 echo "== pytest"
 if [ $# -gt 0 ]; then
     python -m pytest "$@"
