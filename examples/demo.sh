@@ -5,5 +5,6 @@ set -euo pipefail
 cd "$(dirname "$0")/.."
 . tests/environment.sh
 
-use_environment "demo"
+enter_environment
+install_package "demo"
 exec odt-plugins demo "$@"

@@ -6,41 +6,51 @@ say() { echo "odt-plugins: $*" >&2; }
 LIBRARIES="libusb-1.0.so.0:libusb-1.0-0 libGL.so.1:libgl1 libEGL.so.1:libegl1
            libOpenGL.so.0:libopengl0 libgomp.so.1:libgomp1 libX11.so.6:libx11-6"
 
-system_libraries() {
+missing_libraries() {
+    local known pair
     [ "$(uname -s)" = Linux ] || return 0
-    local known missing="" pair
     known="$(PATH="$PATH:/sbin:/usr/sbin" ldconfig -p 2>/dev/null || true)"
     for pair in $LIBRARIES; do
-        case "$known" in *"${pair%%:*}"*) ;; *) missing="$missing ${pair##*:}" ;; esac
+        case "$known" in *"${pair%%:*}"*) ;; *) echo "${pair##*:}" ;; esac
     done
-    [ -z "$missing" ] && return 0
-    install_packages $missing && return 0
-    say "missing system libraries; as root: apt-get install -y$missing"
-    return 1
 }
 
-# A browser, for the test that opens the page of `odt-plugins compare`.
-system_browser() {
+# A browser, for the tests that open the pages of `odt-plugins compare`.
+missing_browser() {
     local name
     for name in chromium chromium-browser google-chrome; do
         command -v "$name" >/dev/null && return 0
     done
-    install_packages chromium && return 0
-    say "missing a browser for one test; on Debian, as root: apt-get install -y chromium"
-    [ "${CI:-}" != true ]
+    echo chromium
 }
 
 # ParaView and a display without a screen, for the tests of its plugin.
-system_paraview() {
+missing_paraview() {
     command -v pvpython >/dev/null && command -v Xvfb >/dev/null && return 0
-    install_packages paraview python3-paraview xvfb && return 0
-    say "missing ParaView; on Debian, as root: apt-get install -y paraview python3-paraview xvfb"
-    [ "${CI:-}" != true ]
+    echo paraview python3-paraview xvfb
 }
+
+# system_packages: installs what is missing, all at once, and says what still is.  The libraries are
+# needed, the rest for a few tests, which CI does not leave out.
+system_packages() {
+    local what missing failed=0
+    missing="$(echo $(missing_libraries) $(missing_browser) $(missing_paraview))"
+    [ -z "$missing" ] && return 0
+    install_packages $missing && return 0
+    for what in libraries browser paraview; do
+        missing="$(echo $("missing_$what"))"
+        [ -z "$missing" ] || install_packages $missing && continue
+        say "missing for the tests ($what); on Debian, as root: apt-get install -y $missing"
+        [ "$what" = libraries ] || [ "${CI:-}" = true ] && failed=1
+    done
+    return $failed
+}
+
+can_install() { [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null; }
 
 # install_packages NAMES: on Debian and its kin, as root; fails otherwise.
 install_packages() {
-    [ "$(id -u)" = 0 ] && command -v apt-get >/dev/null || return 1
+    can_install || return 1
     say "installing system packages: $*"
     apt-get update -qq >/dev/null && DEBIAN_FRONTEND=noninteractive \
         apt-get install -y -qq --no-install-recommends "$@" >/dev/null
@@ -58,23 +68,28 @@ make_environment() {
     return 1
 }
 
-# use_environment EXTRAS: activate the environment, made or found, with this package in it.
-use_environment() {
-    local extras="$1" marker stamp
+# enter_environment: activates the environment, made or found.
+enter_environment() {
     if [ -z "${VIRTUAL_ENV:-}" ]; then
         [ -x .venv/bin/python ] || make_environment || return 1
         . .venv/bin/activate
     fi
     python -c 'import sys; sys.exit(sys.version_info < (3, 11))' || {
         say "needs Python 3.11 or newer, $VIRTUAL_ENV has $(python --version)"; return 1; }
+}
+
+# install_package EXTRAS: puts this package into the active environment.
+install_package() {
+    local extras="$1" marker stamp
     marker="$VIRTUAL_ENV/.odt-plugins-installed"
     stamp="$PWD [$extras] $(cksum < pyproject.toml)"
     if grep -qxF "$stamp" "$marker" 2>/dev/null; then return 0; fi
     say "installing odt-plugins[$extras] into $VIRTUAL_ENV (a few minutes, once)"
     python -m pip --version >/dev/null 2>&1 || {
         say "$VIRTUAL_ENV has no pip; try python -m ensurepip"; return 1; }
-    # Python compiles what is imported, a small part of all that is installed.
-    python -m pip install --quiet --disable-pip-version-check --no-compile -e ".[$extras]" || {
+    # Python compiles what is imported, a small part of all that is installed.  The option of that
+    # name would not reach the pip that installs what builds the package.
+    PIP_COMPILE=0 python -m pip install --quiet --disable-pip-version-check -e ".[$extras]" || {
         say "installation failed; the lines above say why"; return 1; }
     echo "$stamp" >> "$marker"
 }

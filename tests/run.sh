@@ -9,18 +9,32 @@ cd "$(dirname "$0")/.."
 . tests/environment.sh
 # Hundreds of processes import the same toolkits: what Python compiles of them is kept.
 unset PYTHONDONTWRITEBYTECODE
+# Two processes test side by side. Threads of BLAS would only take their time, waiting for work.
+export OPENBLAS_NUM_THREADS="${OPENBLAS_NUM_THREADS:-1}"
 
-NUMERICAL="tests/engine/run/test_bits.py tests/paper/test_paper_energy.py
-           tests/paper/test_paper_global.py tests/paper/test_paper_gradient.py
-           tests/paper/test_paper_smoothing.py"
+WHOLE="tests/engine/run/test_bits.py"
+PARTS="tests/paper/test_paper_energy.py tests/paper/test_paper_global.py
+       tests/paper/test_paper_gradient.py tests/paper/test_paper_smoothing.py"
 
-system_libraries
-system_browser
-system_paraview
-use_environment "all,test"
+newer() { OPENBLAS_CORETYPE=Haswell python -m pytest -p no:cacheprovider "$@"; }
+
+# The name alone leaves numba the features of this machine.
+older() {
+    OPENBLAS_CORETYPE=Prescott NUMBA_CPU_NAME=x86-64-v2 \
+    NUMBA_CPU_FEATURES="+64bit,+cmov,+cx16,+cx8,+fxsr,+mmx,+popcnt,+sahf,+sse,+sse2,+sse3,+ssse3,+sse4.1,+sse4.2" \
+        python -m pytest -p no:cacheprovider "$@"
+}
+
+enter_environment
+# Side by side, as each keeps one core busy; whatever fails, packages are never left half installed.
+system=""
+trap '[ -z "$system" ] || wait "$system"' EXIT
+if can_install; then system_packages & system=$!; else system_packages; fi
+install_package "all,test"
 
 echo "== ruff";   python -m ruff check .
 echo "== mypy";   python -m mypy
+if [ -n "$system" ]; then wait "$system"; fi
 echo "== pytest"
 if [ $# -gt 0 ]; then
     python -m pytest "$@"
@@ -29,17 +43,19 @@ fi
 # Tests that stand together run in the same process, which imports their toolkits once.
 python -m pytest -n 2 --dist worksteal
 [ "$(uname -m)" = x86_64 ] || exit 0
-# Side by side with one worker each: two workers would compile the same kernels for x86-64-v2.
-echo "== pytest, numerical tests, BLAS of Prescott and kernels for x86-64-v2"
+# Whole runs compile all their kernels for the older processor: the rest goes on beside them.
+echo "== pytest, numerical tests, BLAS of Prescott and kernels for x86-64-v2, whole runs"
 told="$(mktemp)" failed=0
-OPENBLAS_CORETYPE=Haswell python -m pytest -p no:cacheprovider $NUMERICAL >"$told" 2>&1 &
-haswell=$!
-# The name alone leaves numba the features of this machine.
-OPENBLAS_CORETYPE=Prescott NUMBA_CPU_NAME=x86-64-v2 \
-NUMBA_CPU_FEATURES="+64bit,+cmov,+cx16,+cx8,+fxsr,+mmx,+popcnt,+sahf,+sse,+sse2,+sse3,+ssse3,+sse4.1,+sse4.2" \
-    python -m pytest -p no:cacheprovider $NUMERICAL || failed=1
-wait $haswell || failed=1
-echo "== pytest, numerical tests, BLAS of Haswell"
+{
+    echo "== pytest, numerical tests, BLAS of Haswell"
+    newer $WHOLE $PARTS || failed=1
+    echo "== pytest, numerical tests, BLAS of Prescott and kernels for x86-64-v2, the rest"
+    older $PARTS || failed=1
+    exit $failed
+} >"$told" 2>&1 &
+beside=$!
+older $WHOLE || failed=1
+wait $beside || failed=1
 cat "$told"
 rm "$told"
 exit $failed

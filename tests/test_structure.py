@@ -114,10 +114,16 @@ def nodes(path: Path) -> list[ast.AST]:
     return list(ast.walk(ast.parse(path.read_text(encoding="utf-8"))))
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_rooms_import_only_what_the_table_allows(path):
+@pytest.fixture(scope="module", params=MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def module(request):
+    """A file and what it holds, which all tests of it share."""
+    return request.param, nodes(request.param)
+
+
+def test_rooms_import_only_what_the_table_allows(module):
+    path, held = module
     allowed = MAY_IMPORT[room(path)] | {room(path)}
-    for node in nodes(path):
+    for node in held:
         assert not (isinstance(node, ast.ImportFrom) and node.level), "relative import"
         for name in imports(node):
             parts = name.split(".")
@@ -125,13 +131,12 @@ def test_rooms_import_only_what_the_table_allows(path):
                 assert parts[1] in allowed, f"{path.name}:{node.lineno} imports {name}"
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_toolkits_are_imported_in_their_place_and_inside_functions(path):
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    inside = {id(inner) for outer in ast.walk(tree)
+def test_toolkits_are_imported_in_their_place_and_inside_functions(module):
+    path, held = module
+    inside = {id(inner) for outer in held
               if isinstance(outer, ast.FunctionDef | ast.AsyncFunctionDef)
               for inner in ast.walk(outer)}
-    for node in ast.walk(tree):
+    for node in held:
         for name in imports(node):
             toolkit = name.partition(".")[0]
             if toolkit in TOOLKITS:
@@ -146,12 +151,12 @@ def test_the_tables_name_the_rooms_that_exist():
     assert inside == set(ENGINE)
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_no_import_of_the_engine_runs_upward(path):
+def test_no_import_of_the_engine_runs_upward(module):
+    path, held = module
     parts = path.relative_to(PACKAGE).parts
     if parts[0] != "engine" or len(parts) < 3:
         return
-    for node in nodes(path):
+    for node in held:
         for name in imports(node):
             if name.startswith("odt_plugins.engine.") and name.split(".")[2] in ENGINE:
                 assert ENGINE.index(name.split(".")[2]) <= ENGINE.index(parts[1]), name
@@ -163,17 +168,16 @@ def test_no_imports_run_in_a_circle():
     TopologicalSorter(graph).prepare()
 
 
-@pytest.mark.parametrize("path", MODULES, ids=lambda p: str(p.relative_to(PACKAGE)))
-def test_files_hold_one_idea_and_print_nothing(path):
+def test_files_hold_one_idea_and_print_nothing(module):
+    path, held = module
     assert path.stat().st_size < 24_000
-    tree = ast.parse(path.read_text(encoding="utf-8"))
-    assert ast.get_docstring(tree)
+    assert ast.get_docstring(held[0])
     if room(path) != "cli":
-        called = {node.func.id for node in ast.walk(tree)
+        called = {node.func.id for node in held
                   if isinstance(node, ast.Call) and isinstance(node.func, ast.Name)}
         assert not called & {"print", "exit", "input"}
-    assert not [n for n in ast.walk(tree) if isinstance(n, ast.Assert)]
-    assert not [n for n in ast.walk(tree) if isinstance(n, ast.ExceptHandler) and n.type is None]
+    assert not [n for n in held if isinstance(n, ast.Assert)]
+    assert not [n for n in held if isinstance(n, ast.ExceptHandler) and n.type is None]
 
 
 def long_lists(path: Path) -> set[str]:

@@ -442,7 +442,7 @@ def test_a_killed_batch_goes_on_where_it_stopped(place):
     write_ball(place / "models" / "90.vtu", 90)
     (place / "models" / "90.slow").write_text("1000")
     words = [sys.executable, "-m", "odt_plugins.cli", "batch", "models/6*.vtu", "models/7*.vtu",
-             "models/90.slow", "--out", "out", "--suffix", ".vtu", "--workers", "2"]
+             "models/90.slow", "--out", "out", "--suffix", ".vtu", "--workers", "1"]
     first = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
     assert first.stderr is not None
     assert "dashboard" in first.stderr.readline()
@@ -463,7 +463,7 @@ def test_a_killed_batch_goes_on_where_it_stopped(place):
     assert len(meshio.read("out/90.vtu").points) == len(meshio.read("models/90.vtu").points)
 
 
-@pytest.mark.parametrize(("name", "flags"), [("SIGINT", ["--workers", "2"]), ("SIGTERM", [])])
+@pytest.mark.parametrize(("name", "flags"), [("SIGINT", ["--workers", "1"]), ("SIGTERM", [])])
 def test_a_stopped_batch_ends_with_one_line_and_the_summary_of_what_was_done(place, name, flags):
     if flags:
         pytest.importorskip("distributed")
@@ -577,7 +577,7 @@ def test_a_process_ends_when_its_work_folder_is_gone(place):
 
 def test_what_a_killed_worker_was_doing_is_done_by_another(place):
     distributed = pytest.importorskip("distributed")
-    for n in (60, 70, 80):
+    for n in (60, 70):
         write_ball(place / "models" / f"{n}.vtu", n)
         (place / "models" / f"{n}.slow").write_text("2")
     jobs = make_jobs(find_inputs(["models/*.slow"]), place / "out", {}, suffix=".vtu")
@@ -597,8 +597,8 @@ def test_what_a_killed_worker_was_doing_is_done_by_another(place):
         os.kill(victim, signal.SIGKILL)
         wait_until(lambda: not any(alive(pid) for pid in inner))
         thread.join(90)
-    assert [row["status"] for row in rows] == ["ok"] * 3
-    assert files(place / "out") == ["60.vtu", "70.vtu", "80.vtu"]
+    assert [row["status"] for row in rows] == ["ok"] * 2
+    assert files(place / "out") == ["60.vtu", "70.vtu"]
     for name in rows_of(place / "out"):
         row = json.loads((place / "out" / HIDDEN / "rows" / name).read_text())
         assert row["status"] == "ok"

@@ -252,8 +252,8 @@ def test_a_result_that_does_not_fit_its_block_is_refused(spoil):
     ("bunny", None), ("cgal-bunny", None), ("cgal-bunny", 1), ("ball", None), ("ball", 1),
 ])
 def test_blocks_are_about_as_good_as_one_piece(name, seed, monkeypatch):
-    monkeypatch.setattr(blocks_module, "LEAST_CELLS", 5000)
-    start = ball(7000) if name == "ball" else stored(name)
+    monkeypatch.setattr(blocks_module, "LEAST_CELLS", 3000)
+    start = ball(4000) if name == "ball" else stored(name)
     start = start if seed is None else reordered(start, seed)
     mesh = start.points, start.cells
     one, blocks = (

@@ -144,17 +144,17 @@ def test_the_same_call_gives_the_same_bits_and_leaves_its_arguments_alone():
 
 def test_a_coarse_mesh_that_misses_a_small_hole_is_made_finer():
     def plate(p):
-        return ddiff(drectangle(p, -1, 1, -1, 1), dcircle(p, 0.31, 0.27, 0.015))
+        return ddiff(drectangle(p, -1, 1, -1, 1), dcircle(p, 0.31, 0.27, 0.03))
 
     corners = [[-1, -1], [1, -1], [1, 1], [-1, 1]]
     starts = []
-    points, cells = odtmesh2d(plate, huniform, 0.012, SQUARE, corners, watch=lambda stage, p, t:
+    points, cells = odtmesh2d(plate, huniform, 0.024, SQUARE, corners, watch=lambda stage, p, t:
                               starts.append(len(p)) if stage == "truss" else None)
     assert len(starts) > 1
     assert starts[-1] > 3 * starts[0]
     check_mesh(points, cells, plate, holes=1, pfix=corners)
     with pytest.raises(InvalidOptionError, match="level=5, too coarse for this domain"):
-        odtmesh2d(plate, huniform, 0.012, SQUARE, corners, level=5)
+        odtmesh2d(plate, huniform, 0.024, SQUARE, corners, level=5)
 
 
 def test_a_polygon_keeps_its_corners_and_interior_fixed_points():

@@ -188,7 +188,7 @@ def test_each_objective_is_better_in_its_own_figure(source, below, more):
 @pytest.mark.parametrize("objective", OTHERS)
 @pytest.mark.parametrize("name", ["clusters", "needles", "shells", "almost a lattice"])
 def test_the_promise_stands_on_hard_clouds(d, objective, name):
-    points, cells = delaunay(CLOUDS[name](np.random.default_rng(1), d, 350))
+    points, cells = delaunay(CLOUDS[name](np.random.default_rng(1), d, 200))
     mesh = mesh_of(points, cells)
     assert_promise(mesh, run(mesh, Options(objective=objective)))
 

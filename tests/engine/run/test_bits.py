@@ -94,7 +94,7 @@ from odt_plugins.compare.hard import shaken
 import numpy as np
 digest = hashlib.sha256()
 rng = np.random.default_rng(5)
-for d, n in ((2, 1600), (3, 1200)):
+for d, n in ((2, 600), (3, 500)):
     mesh = shaken(rng, d, n)
     for options in ({}, {"solver": "global", "linear_solver": "amg", "rounds": 3},
                     {"solver": "global", "linear_solver": "direct", "rounds": 3},

@@ -169,7 +169,7 @@ def test_same_bits_for_any_number_of_threads(d, monkeypatch):
     monkeypatch.setattr(coloring, "SMALLEST", 8)
     monkeypatch.setattr(threads, "PART", 100)
     monkeypatch.setattr(order, "LAYERS", 3)
-    points, cells = planar(6, 60) if d == 2 else tm.ball(3000, 6)
+    points, cells = planar(6, 60) if d == 2 else tm.ball(1200, 6)
     mesh = mesh_of(points, cells)
     first = run(mesh, Options(rounds=3, cycles=1))
     for count in (2, 3):

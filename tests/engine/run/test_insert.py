@@ -136,17 +136,17 @@ def test_promise_with_regions_fixed_and_frozen_on_any_number_of_threads():
     assert again.origin.tobytes() == outcome.origin.tobytes()
 
 
-@pytest.mark.parametrize(("scale", "shift"), [(2.0**-30, 0.0), (2.0**30, 0.0), (1.0, 4096.0)])
-def test_unit_and_place_do_not_matter(scale, shift):
+def test_unit_and_place_do_not_matter():
     points, cells = start()
     points = points.astype(np.float32).astype(float)
     options = Options(insert=True, objective="min_dihedral")
     here = run(mesh_of(points, cells), options)
-    there = run(mesh_of(points * scale + shift, cells), options)
     assert here.origin is not None
-    assert np.array_equal(there.origin, here.origin)
-    assert np.array_equal(there.cells, here.cells)
-    assert (there.points - shift) / scale == pytest.approx(here.points, abs=1e-9)
+    for scale, shift in ((2.0**-30, 0.0), (2.0**30, 0.0), (1.0, 4096.0)):
+        there = run(mesh_of(points * scale + shift, cells), options)
+        assert np.array_equal(there.origin, here.origin), (scale, shift)
+        assert np.array_equal(there.cells, here.cells), (scale, shift)
+        assert (there.points - shift) / scale == pytest.approx(here.points, abs=1e-9)
 
 
 @pytest.mark.parametrize("seed", [2, 3])
@@ -454,7 +454,7 @@ def test_every_objective_gains(objective):
         assert inserted.min_angle > plain.min_angle + 2.0
 
 
-SOLID = {mesh.name: mesh for mesh in hard_meshes(150, (3,))}
+SOLID = {mesh.name: mesh for mesh in hard_meshes(100, (3,))}
 
 
 @pytest.mark.parametrize("name", SOLID)

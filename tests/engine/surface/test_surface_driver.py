@@ -157,7 +157,7 @@ def test_flat_triangles_are_improved():
     {"connectivity": "none"}, {"threads": 3}, {"keep": ()}, {"boundary": "slide"},
 ], ids=lambda o: "-".join(map(str, o)) or "nothing")
 def test_options(options):
-    p, t = sm.torus(60, 24, noise=0.5)
+    p, t = sm.torus(40, 16, noise=0.5)
     _, c, report = improved((p, t), 3e-3, **options)
     assert report.after.mean_quality > report.before.mean_quality + 0.03
     if options.get("connectivity") == "none" and options.get("finish") is False:
