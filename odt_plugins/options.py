@@ -105,7 +105,8 @@ class Options:
         "r in rho = h^-r for the density keep; d + 2 unless given."))
     omega: float | None = field(default=None, metadata=_told(
         "Relaxation of the local sweeps, between 0 and 2; unless given 2.1, later 2, for odt "
-        "in space by gauss-seidel with finishing, which reaches lower energies, 0.8 for jacobi, else 1.",
+        "in space by gauss-seidel with finishing, which reaches lower energies, 0.8 for jacobi, "
+        "else 1.",
         python="The first alpha that is tried (4.2.1)."))
     rounds: int = field(default=40, metadata=_told(
         "Most rounds of smoothing and reconnection in one cycle."))

@@ -34,7 +34,8 @@ class Policy:
     settled_energy: float = _chosen(
         1.6e-3, "have lowered the least energy by less than this part of it,", STAGES)
     stirred_settled: float = _chosen(
-        8e-3, "or this part where sweeps go beyond the centres of the stars.", STAGES)
+        8e-3, "or this part times the share of vertices that may move, where sweeps go beyond "
+        "the centres of the stars.", STAGES)
     exchange_cells: int = _chosen(
         20_000, "Most cells for which connectivity 'auto' asks scipy in the first round; beyond, "
         "local flips are cheaper.", STAGES)

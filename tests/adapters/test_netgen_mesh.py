@@ -103,7 +103,7 @@ def test_points_of_a_face_slide_on_the_geometry(kind):
 
         geometry = CSGeometry()
         geometry.Add(Sphere(Pnt(0, 0, 0), 1))
-    mesh = geometry.GenerateMesh(maxh=0.4, optsteps2d=0, optsteps3d=0)
+    mesh = geometry.GenerateMesh(maxh=0.3, optsteps2d=0, optsteps3d=0)
     mesh.Curve(3)
     old = np.array(mesh.Coordinates())
     assert off_the_ball(mesh) < 1e-6

@@ -262,7 +262,7 @@ def test_blocks_are_about_as_good_as_one_piece(name, seed, monkeypatch):
         )
     )
     assert abs(one["mean"] - blocks["mean"]) <= 0.003
-    assert abs(one["p1"] - blocks["p1"]) <= 0.01
+    assert abs(one["p1"] - blocks["p1"]) <= 0.015
 
 
 def test_blocks_choose_their_flips_as_the_whole_would(small_blocks, monkeypatch):
@@ -339,8 +339,8 @@ def test_a_round_that_breaks_the_promise_of_the_whole_is_done_again_or_given_up(
     def alone(block: Block) -> Improved:
         return improve(replace(block, whole=None))
 
-    expected = run_blocks(mesh, Options(), 5, 3, lambda f, b: map(
-        alone if calls.append(1) or not always else f if len(calls) < 3 else unchanged, b))
+    expected = run_blocks(mesh, Options(), 5, 3, lambda _, b: map(
+        alone if calls.append(1) or not always or len(calls) < 3 else unchanged, b))
     assert np.array_equal(outcome.points, expected.points)
     if always:
         assert "a later round was given up" in outcome.fallback

@@ -12,7 +12,7 @@ The schedule is data: `bulk` for the mean, `tail` for the worst cells, `worst_ce
 small angles and the very worst cells in turn, `polish` for the few small angles that are left
 (`polish_small_angles`), `repair` for cells beyond the extremes of the input, `cautious` for meshes
 that the other phases spoil, and `descents` for the order. `finish` runs phases in space, `finish2d`
-in the plane; `within_bounds` of `repair2d` and `repair3d` brings back what no phase does.
+in the plane; `within_bounds`, one for each dimension, brings back what no phase does.
 `resample_in_rounds` adds and removes vertices on request, with phases after every round.
 
 References

@@ -273,10 +273,10 @@ def smooth(
     """
     least: list[float] = []
     reason = f"the {options.rounds} rounds were used up"
-    settled = (
-        POLICY.stirred_settled if overrelaxes(options, mesh.dim) else POLICY.settled_energy
-    )
     movable = ~mesh.locked
+    settled = POLICY.settled_energy
+    if overrelaxes(options, mesh.dim):
+        settled = POLICY.stirred_settled * movable.mean()
     cells = _cells(mesh, options)
     topology = make_topology(cells, movable, mesh.boundary, pool=pool)
     scattered = 0
