@@ -473,7 +473,7 @@ def test_a_stopped_batch_ends_with_one_line_and_the_summary_of_what_was_done(pla
              "--out", "out", "--suffix", ".vtu", *flags]
     with subprocess.Popen(words, stderr=subprocess.PIPE, text=True,
                           start_new_session=True) as process:
-        wait_until(lambda: rows_of(place / "out"))
+        wait_until(lambda: rows_of(place / "out") and works(process.pid))
         started = children(process.pid)
         if name == "SIGINT":
             # A terminal sends it to all processes of the group.
@@ -490,6 +490,14 @@ def test_a_stopped_batch_ends_with_one_line_and_the_summary_of_what_was_done(pla
     assert files(place / "out") == ["60.vtu", *summary]
     assert [p.name for p in (place / "out" / HIDDEN).iterdir()] == ["rows"]
     assert table(place / "out") == {"60.vtu": "ok", "90.slow": "stopped"}
+
+
+def works(pid: int) -> bool:
+    """Whether a process of a run works on an input now."""
+    given = ",".join(map(str, children(pid)))
+    told = subprocess.run(["ps", "-o", "args=", "-p", given], capture_output=True, text=True,
+                          check=False).stdout
+    return "odt_plugins.distributed.job" in told
 
 
 def table(out: Path) -> dict[str, str]:

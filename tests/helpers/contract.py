@@ -204,13 +204,16 @@ def check(host: Host, before: View, after: View) -> None:
     check_wedges(before, after, old, new)
     check_normals(before, after)
     check_mid_nodes(before, after)
-    # Cells that are still there keep their rows and their order.
+    # Cells that are still there keep their rows and their order; those of the same vertices that
+    # were turned over have another.
     rows = {tuple(sorted(c)): i for i, c in enumerate(before.cells.tolist())}
     kept = [(rows[tuple(sorted(c))], i) for i, c in enumerate(after.cells.tolist())
             if tuple(sorted(c)) in rows]
     assert kept == sorted(kept)
     for i, j in kept:
-        assert np.array_equal(before.cells[i], after.cells[j])
+        same = np.array_equal(before.cells[i], after.cells[j])
+        turned = np.sign(volumes(after.points, before.cells[[i]])[0]) != sign
+        assert same != turned
 
 
 def check_data(before, after, old, new, interpolated=(), *, fields=False):
