@@ -3,12 +3,18 @@
 from __future__ import annotations
 
 import os
+import signal
 
 import pytest
 from hypothesis import settings
 
 settings.register_profile("odt", deadline=None, max_examples=25, derandomize=True)
 settings.load_profile("odt")
+
+
+# A shell starts what runs in the background deaf to Ctrl-C, and processes of the tests inherit that.
+if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
 @pytest.fixture(params=[2, 3], ids=["d2", "d3"])

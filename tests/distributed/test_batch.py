@@ -442,7 +442,7 @@ def test_a_killed_batch_goes_on_where_it_stopped(place):
     write_ball(place / "models" / "90.vtu", 90)
     (place / "models" / "90.slow").write_text("1000")
     words = [sys.executable, "-m", "odt_plugins.cli", "batch", "models/6*.vtu", "models/7*.vtu",
-             "models/90.slow", "--out", "out", "--suffix", ".vtu", "--workers", "1"]
+             "models/90.slow", "--out", "out", "--suffix", ".vtu", "--workers", "2"]
     first = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
     assert first.stderr is not None
     assert "dashboard" in first.stderr.readline()
@@ -463,7 +463,7 @@ def test_a_killed_batch_goes_on_where_it_stopped(place):
     assert len(meshio.read("out/90.vtu").points) == len(meshio.read("models/90.vtu").points)
 
 
-@pytest.mark.parametrize(("name", "flags"), [("SIGINT", ["--workers", "1"]), ("SIGTERM", [])])
+@pytest.mark.parametrize(("name", "flags"), [("SIGINT", ["--workers", "2"]), ("SIGTERM", [])])
 def test_a_stopped_batch_ends_with_one_line_and_the_summary_of_what_was_done(place, name, flags):
     if flags:
         pytest.importorskip("distributed")
@@ -473,7 +473,7 @@ def test_a_stopped_batch_ends_with_one_line_and_the_summary_of_what_was_done(pla
              "--out", "out", "--suffix", ".vtu", *flags]
     with subprocess.Popen(words, stderr=subprocess.PIPE, text=True,
                           start_new_session=True) as process:
-        wait_until(lambda: rows_of(place / "out") and works(process.pid))
+        wait_until(lambda: rows_of(place / "out"))
         started = children(process.pid)
         if name == "SIGINT":
             # A terminal sends it to all processes of the group.
@@ -490,14 +490,6 @@ def test_a_stopped_batch_ends_with_one_line_and_the_summary_of_what_was_done(pla
     assert files(place / "out") == ["60.vtu", *summary]
     assert [p.name for p in (place / "out" / HIDDEN).iterdir()] == ["rows"]
     assert table(place / "out") == {"60.vtu": "ok", "90.slow": "stopped"}
-
-
-def works(pid: int) -> bool:
-    """Whether a process of a run works on an input now."""
-    given = ",".join(map(str, children(pid)))
-    told = subprocess.run(["ps", "-o", "args=", "-p", given], capture_output=True, text=True,
-                          check=False).stdout
-    return "odt_plugins.distributed.job" in told
 
 
 def table(out: Path) -> dict[str, str]:
