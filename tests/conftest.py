@@ -12,7 +12,7 @@ settings.register_profile("odt", deadline=None, max_examples=25, derandomize=Tru
 settings.load_profile("odt")
 
 
-# A shell starts what runs in the background deaf to Ctrl-C, and processes of the tests inherit that.
+# Shells start what runs in the background deaf to Ctrl-C, and processes of tests inherit that.
 if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 

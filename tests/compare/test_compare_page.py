@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from odt_plugins.compare import blocks, cold, ladder, small
+from odt_plugins.compare import cold, small
 from odt_plugins.compare.charts import ACROSS, histograms
 from odt_plugins.compare.contestants import OURS, choose
 from odt_plugins.compare.machine import describe
@@ -22,7 +22,7 @@ from odt_plugins.compare.rows import compare_on, mark
 from odt_plugins.compare.runner import Limits
 from odt_plugins.compare.scaling import FILES as SCALING_FILES
 from odt_plugins.compare.scaling import PARTS, run_scaling
-from odt_plugins.compare.start import ball, pebble, plate
+from odt_plugins.compare.start import ball, plate, stored
 from odt_plugins.distributed.summary import to_page
 from odt_plugins.quality import summarize
 from odt_plugins.report.plotting import GREY
@@ -85,7 +85,7 @@ def results():
     row = replace(solid.rows[-1], contestant="<script>alert(1)</script>", status="crashed",
                   message="ended by <b>SIGSEGV</b>", measured=None, timing=None)
     flat = compare_on(plate(60), choose(["Laplacian"]), limits)
-    curved = compare_on(pebble(200), choose(["MeshLab flips"]), limits)
+    curved = compare_on(stored("bone-surface"), choose(["MeshLab flips"]), limits)
     return [replace(solid, rows=mark([*solid.rows, row])), flat, curved]
 
 
@@ -174,12 +174,8 @@ def test_scaling_report_opens_and_holds_every_part(tmp_path, monkeypatch):
     monkeypatch.setattr(small, "SMALL", (300,))
     monkeypatch.setattr(small, "MANY", (300, 500, 3))
     monkeypatch.setattr(small, "REPEATS", 1)
-    # The tests of the parts let them start processes.
-    monkeypatch.setattr(small, "_command", lambda size, say: (1.0, 1.0))
-    monkeypatch.setattr(blocks, "WAYS", blocks.WAYS[:2])
-    monkeypatch.setattr(ladder, "AGAINST", ("Gmsh Netgen",))
     said = []
-    summary = run_scaling(tmp_path, 1000, 1, said.append)
+    summary = run_scaling(tmp_path, 2600, 1, said.append)
     values = json.loads((tmp_path / SCALING_FILES[0]).read_text())
     assert {"whole call", "smoothing", "finishing"} <= {s["name"] for s in values["stages"]}
     tables = {t["name"]: t for t in values["tables"]}

@@ -397,14 +397,14 @@ def test_threads_and_repeats_give_the_same_bits():
     assert np.array_equal(one[1], two[1])
 
 
-def test_sliding_does_not_see_scale_or_place():
+@pytest.mark.parametrize(("scale", "shift"), [(2.0**-30, 0.0), (2.0**30, 0.0), (1.0, 1024.0)])
+def test_sliding_does_not_see_scale_or_place(scale, shift):
     points, cells = ball(300, 11)
     points = np.round(points * 2.0**24) / 2.0**24
     x, t = odt_plugins.optimize((points, cells), boundary="slide")
-    for scale, shift in ((2.0**-30, 0.0), (2.0**30, 0.0), (1.0, 1024.0)):
-        y, s = odt_plugins.optimize((points * scale + shift, cells), boundary="slide")
-        assert np.array_equal(t, s), (scale, shift)
-        assert np.abs((y - shift) / scale - x).max() <= 1e-12, (scale, shift)
+    y, s = odt_plugins.optimize((points * scale + shift, cells), boundary="slide")
+    assert np.array_equal(t, s)
+    assert np.abs((y - shift) / scale - x).max() <= 1e-12
 
 
 def test_a_planar_mesh_is_refused():
@@ -517,11 +517,11 @@ def test_a_surface_is_left_alone_where_cells_would_pass_the_extremes(monkeypatch
 def test_a_surface_that_may_slide_is_no_worse_than_a_fixed_one(monkeypatch, poor, few):
     set_policy(monkeypatch, driver, poor_quality=poor, few_cells=few)
     left = {}
-    for hard in hard_meshes(45, (3,)):
+    for hard in hard_meshes(60, (3,)):
         mesh = simplex_mesh(hard.points, hard.cells, regions=hard.regions)[0]
         slid, fixed = (run(mesh, Options(boundary=name)) for name in ("slide", "fixed"))
-        if few or summarize(slid.points, slid.cells).p1_quality < poor:
-            assert score(slid) >= score(fixed) - 1e-12, hard.name
+        compared = few or summarize(slid.points, slid.cells).p1_quality < poor
+        assert score(slid) >= score(fixed) - (1e-12 if compared else 0.005), hard.name
         if slid.slid is None:
             left[hard.name] = slid.fallback
             assert slid.points.tobytes() == fixed.points.tobytes()
