@@ -13,6 +13,7 @@ from odt_plugins.compare.start import StartMesh
 from odt_plugins.compare.table import Say, Table, Value
 from odt_plugins.engine.run.driver import run
 from odt_plugins.engine.run.outcome import Outcome
+from odt_plugins.engine.run.within import Within
 from odt_plugins.engine.surface.driver import run_surface
 from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.mesh.simplex import simplex_mesh
@@ -86,7 +87,7 @@ def _optimiser(start: StartMesh) -> Callable[[Options, Container[str]], Outcome]
         surface = surface_mesh(start.points, start.cells, regions=start.regions)
         return lambda options, without: run_surface(surface, options, without=without)
     mesh = simplex_mesh(start.points, start.cells, regions=start.regions)[0]
-    return lambda options, without: run(mesh, options, without=without)
+    return lambda options, without: run(mesh, options, within=Within(without=without))
 
 
 def _measured(optimise: Callable[[], Outcome]) -> FloatArray:

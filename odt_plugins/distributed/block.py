@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 
 from odt_plugins.distributed.versions import expect_versions
 from odt_plugins.engine.odt.density import NodalDensity
-from odt_plugins.engine.record.figures import Figures
-from odt_plugins.engine.run.driver import Again, run
+from odt_plugins.engine.run.driver import run
+from odt_plugins.engine.run.within import WHOLE, Within
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.numbering import in_old_numbers, old_numbers
 from odt_plugins.mesh.simplex import SimplexMesh
@@ -33,33 +33,25 @@ class Block:
                                  values, else it says whether those are the sizes of the input;
                                  their arrays over vertices or cells are not in use
     power : float                of those values
-    waiting : (n,) bool          vertices of the rim that wait for a later round
     versions : dict              of the packages that compute, as they are where the block was cut
-    whole : Figures or None      those of the whole mesh, when its worst cell and its extreme angles
-                                 are the bounds; None holds the block to the promise by itself
-    without : tuple of str       phases of stage 2 that are left to another round
-    share : float                part of the change of the volume that a surface that slides may use
-    again : Again or None        in later rounds
+    within : Within              the whole; without its figures, the block is held to the promise by
+                                 itself
     """
 
     mesh: SimplexMesh
     density: FloatArray | None
     options: Options
     power: float
-    waiting: BoolArray
     versions: dict[str, str]
-    whole: Figures | None = None
-    without: tuple[str, ...] = ()
-    share: float = 1.0
-    again: Again | None = None
+    within: Within = WHOLE
 
     @property
     def nbytes(self) -> int:
         """Bytes of its arrays."""
         mesh, ground = self.mesh, self.mesh.ground
         arrays: list[NDArray[Any]] = [mesh.points, mesh.cells, mesh.regions, mesh.fixed,
-                                      mesh.stays, mesh.lines, self.waiting]
-        arrays += [] if self.again is None else [self.again.fresh]
+                                      mesh.stays, mesh.lines]
+        arrays += [a for a in (self.within.cut, self.within.fresh) if a is not None]
         if ground is not None:
             arrays += [ground.points, ground.cells, ground.lines]
         return sum(a.nbytes for a in arrays) + (0 if self.density is None else self.density.nbytes)
@@ -157,8 +149,7 @@ def improve(block: Block) -> Improved:
         options = replace(options, density=density, exponent=None)
     if mesh.is_surface:
         return _improved_surface(block, options)
-    outcome = run(mesh, options, cut=block.waiting, whole=block.whole, without=block.without,
-                  share=block.share, again=block.again)
+    outcome = run(mesh, options, within=block.within)
     points, cells, sizes = outcome.points, outcome.cells, outcome.sizes
     if outcome.origin is not None:
         n = len(mesh.points)
@@ -178,7 +169,7 @@ def _improved_surface(block: Block, options: Options) -> Improved:
     from odt_plugins.engine.surface.judge import values_on
 
     mesh, values = block.mesh, block.density
-    outcome = run_surface(mesh, options, without=block.without)
+    outcome = run_surface(mesh, options, without=block.within.without)
     moved = np.flatnonzero((outcome.points != mesh.points).any(axis=1))
     if values is not None and moved.size:
         values = values.copy()

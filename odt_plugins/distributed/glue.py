@@ -20,8 +20,7 @@ from odt_plugins.distributed.partition import (
     seams,
 )
 from odt_plugins.distributed.versions import versions_here
-from odt_plugins.engine.record.figures import Figures
-from odt_plugins.engine.run.driver import Again
+from odt_plugins.engine.run.within import WHOLE, Within
 from odt_plugins.engine.topology.part import rings
 from odt_plugins.errors import InvalidMeshError
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
@@ -30,6 +29,10 @@ from odt_plugins.options import Options
 
 Map = Callable[[Callable[[Block], Improved], Iterable[Block]], Iterator[Improved]]
 """Applies a pure function to blocks anywhere and gives the results in the order of the blocks."""
+
+FIRST_PART = 0.5
+"""Of a block of the first round as ``part`` of :class:`Within`: most of its worst cells are at the
+cut, and what is regained at the cost of the others would never be looked after again."""
 
 LARGEST = 0.9
 """No envelope is a larger part of the diagonal of a block."""
@@ -74,17 +77,14 @@ class Task(NamedTuple):
     ----------
     options : Options
     power : float                 of the values of the density
-    figures : Figures or None     as `whole` of :class:`Block`
-    without, share                as of :class:`Block`
+    within : Within               but for what is each block's own
     length : float                of the envelope in this round
     room : int                    vertices that may be added in this round
     """
 
     options: Options
     power: float = 1.0
-    figures: Figures | None = None
-    without: tuple[str, ...] = ()
-    share: float = 1.0
+    within: Within = WHOLE
     length: float = 0.0
     room: int = 0
 
@@ -163,9 +163,12 @@ def one_round(
             vertices_of.append(vertices)
             options = task.of(block, len(cells) / inside)
             fresh = whole.waiting[vertices]
-            again = None if fresh.all() else Again(fresh, 1.0 if task.without else part)
-            work = Block(block, density, options, task.power, waiting[vertices], versions,
-                         task.figures, task.without, task.share, again)
+            within = task.within._replace(cut=waiting[vertices])
+            if fresh.all():
+                within = within._replace(part=FIRST_PART)
+            else:
+                within = within._replace(fresh=fresh, part=1.0 if within.without else part)
+            work = Block(block, density, options, task.power, versions, within)
             sent.append(work.nbytes)
             yield work
 

@@ -22,6 +22,7 @@ from odt_plugins.engine.record.figures import figures as figures_of
 from odt_plugins.engine.record.progress import in_turn
 from odt_plugins.engine.run.judge import envelope_length, faults, slides
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
+from odt_plugins.engine.run.within import Within
 from odt_plugins.engine.sliding.skin import skin_features
 from odt_plugins.engine.surface.driver import surface_kept, surface_outcome, surface_sizes
 from odt_plugins.engine.surface.judge import Distance, Kept
@@ -232,10 +233,11 @@ def run_blocks(
             name = f"round {index + 1}"
             told_of = part(report, index / rounds, (index + 1) / rounds)
             blockwise = told(apply, told_of, name, int(label.max()) + 1)
-            task = Task(first(plain, len(active)) if index == 0 else later(plain), power,
-                        None if judged else figures, () if last else LAST,
-                        _share(mesh, state.mesh) if length and index else FIRST_SHARE, length,
-                        _room(mesh, state.mesh, options))
+            share = _share(mesh, state.mesh) if length and index else FIRST_SHARE
+            within = Within(whole=None if judged else figures, without=() if last else LAST,
+                            share=share)
+            task = Task(first(plain, len(active)) if index == 0 else later(plain), power, within,
+                        length, _room(mesh, state.mesh, options))
             done.add(name, label, task, blockwise)
             if last:
                 break

@@ -32,6 +32,7 @@ from odt_plugins.distributed.versions import versions_here
 from odt_plugins.engine.cells.elementary import power
 from odt_plugins.engine.cells.geometry import boundary_vertices, signed_volumes
 from odt_plugins.engine.odt.density import size_field
+from odt_plugins.engine.run.within import Within
 from odt_plugins.engine.topology.star import star_sum
 from odt_plugins.errors import InvalidMeshError, counted
 from odt_plugins.mesh.arrays import BoolArray, FloatArray
@@ -300,7 +301,7 @@ def _improved(
     expect_apart(mesh)
     power = -float(mesh.dim + 2 if options.exponent is None else options.exponent)
     sizes = piece.sizes if options.density == "keep" else None
-    result = improve(Block(mesh, sizes, options, power, later, versions_here()))
+    result = improve(Block(mesh, sizes, options, power, versions_here(), Within(later)))
     source = cell_source(mesh.points, mesh.cells, regions, result.points, result.cells,
                          result.regions, options.threads)
     cell_data = {name: values[source] for name, values in piece.cell_data.items()}

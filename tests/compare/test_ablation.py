@@ -9,6 +9,7 @@ from odt_plugins.cli.main import main
 from odt_plugins.compare.ablation import HEADS, SMOOTHING, ablation
 from odt_plugins.compare.start import ball, pebble, plate
 from odt_plugins.engine.run.driver import run
+from odt_plugins.engine.run.within import Within
 from odt_plugins.engine.surface.driver import run_surface
 from odt_plugins.mesh.simplex import simplex_mesh
 from odt_plugins.mesh.surface import surface_mesh
@@ -35,7 +36,8 @@ def test_the_ablation_has_a_row_for_every_phase_that_runs(table):
 
 
 def test_a_gain_is_the_difference_to_the_run_without_the_phase(table):
-    engine = {"planar": (simplex_mesh, run), "surface": (surface_mesh, run_surface)}
+    engine = {"planar": (simplex_mesh, lambda mesh, options, without: run(
+        mesh, options, within=Within(without=without))), "surface": (surface_mesh, run_surface)}
     gain = 0.0
     for start in STARTS:
         make, optimise = engine[start.kind]
@@ -60,11 +62,11 @@ def test_a_phase_that_is_left_out_is_not_run_and_other_names_change_nothing():
     start = ball(60)
     mesh = simplex_mesh(start.points, start.cells)[0]
     whole = run(mesh, Options())
-    same = run(mesh, Options(), without=("no such phase",))
+    same = run(mesh, Options(), within=Within(without=("no such phase",)))
     assert whole.points.tobytes() == same.points.tobytes()
     names = ("bulk", "tail 1", "tail 2", "tail 3", "angles", "extremes", "regain", "polish",
              "after polish", "repair", "after repair", "cautious", "worst")
-    nothing = run(mesh, Options(rounds=0), without=names)
+    nothing = run(mesh, Options(rounds=0), within=Within(without=names))
     assert nothing.counts.get("quality flips", 0) == 0
     assert whole.counts["quality flips"] > 0
 

@@ -21,7 +21,7 @@ from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import cell_shapes
 from odt_plugins.engine.topology.complex import Complex, make_complex, renumbered
 from odt_plugins.engine.topology.stencil import Topology, make_topology
-from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.chunks import Pool
 from odt_plugins.options import Options
 
@@ -36,16 +36,12 @@ class Log:
     counts : dict name -> int
     times : dict stage -> seconds
     without : container of str    names of the phases of stage 2 that are left out
-    fresh : (n,) bool or None     vertices around which stage 1 works; None: everywhere
-    part : float                  of a larger mesh whose worst cells are all in this one
     """
 
     energy: list[tuple[str, float]] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
     times: dict[str, float] = field(default_factory=dict)
     without: Container[str] = frozenset()
-    fresh: BoolArray | None = None
-    part: float = 1.0
 
     def add(self, name: str, amount: int) -> None:
         """Add to a count."""

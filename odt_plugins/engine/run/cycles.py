@@ -19,10 +19,10 @@ from odt_plugins.engine.odt.rounds import Log, smooth
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import Figures, figures
 from odt_plugins.engine.record.memory import Memory, State
+from odt_plugins.engine.run.within import Within
 from odt_plugins.engine.topology.complex import Complex, make_complex
 from odt_plugins.engine.topology.part import Part, around, away_from, inside, joined
 from odt_plugins.engine.topology.triangles import Triangles
-from odt_plugins.mesh.arrays import BoolArray
 from odt_plugins.mesh.chunks import Pool
 from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
@@ -107,15 +107,15 @@ def repaired(
 
 def run_cycles(
     mesh: Complex, density: Density, options: Options, bounds: Bounds, memory: Memory,
-    log: Log, pool: Pool | None, near: BoolArray | None,
+    log: Log, pool: Pool | None, within: Within,
 ) -> str:
     """Alternate the two stages, then look after the worst cells; returns why stage 1 stopped."""
     limits = bounds
     if not options.finish and "p1_quality" in options.keep:
         limits = bounds.with_quality(memory.before.p1_quality)
     watch = None if options.finish else partial(memory.offer, name="smoothing")
-    work_on = partial(settle, log=log, pool=pool, threads=options.threads)
-    some = None if log.fresh is None else around(mesh, log.fresh)
+    work_on = partial(settle, log=log, pool=pool, threads=options.threads, part=within.part)
+    some = None if within.fresh is None else around(mesh, within.fresh)
     work = some.inside if some else mesh
 
     def stage1(tick: Callable[[float], None]) -> str:
@@ -124,7 +124,7 @@ def run_cycles(
         return reason
 
     reason = "no vertex is new"
-    if some or log.fresh is None:
+    if some or within.fresh is None:
         reason = alternate(
             stage1, lambda: work_on(work, bulk(work.dim, options.objective), bounds),
             lambda: figures(work.points, work.mesh_arrays()[0], pool=pool).mean_quality,
@@ -133,7 +133,7 @@ def run_cycles(
         mesh = joined(replace(some, inside=work)) if some else work
     if options.finish:
         clock = time.perf_counter()
-        _worst_cells(mesh, options, bounds, memory, log, pool, near)
+        _worst_cells(mesh, options, bounds, memory, log, pool, within)
         log.add_time("finishing", time.perf_counter() - clock)
     (options.progress or silent)("finishing", 1.0)
     return reason
@@ -141,11 +141,12 @@ def run_cycles(
 
 def _worst_cells(
     mesh: Complex, options: Options, bounds: Bounds, memory: Memory, log: Log,
-    pool: Pool | None, near: BoolArray | None,
+    pool: Pool | None, within: Within,
 ) -> None:
     """The phases of stage 2 that follow the bulk; good states go to the memory."""
-    work_on = partial(settle, log=log, pool=pool, threads=options.threads)
+    work_on = partial(settle, log=log, pool=pool, threads=options.threads, part=within.part)
     state: Complex | Part = mesh
+    near = within.cut
     for descent in descents(mesh.dim, options.objective):
         if near is not None:
             state = away_from(state, near) or joined(state)
@@ -213,7 +214,7 @@ def _bring_back(
 
 def finish_alone(
     mesh: Complex, options: Options, bounds: Bounds, memory: Memory, name: str, log: Log,
-    pool: Pool | None,
+    pool: Pool | None, part: float,
 ) -> None:
     """Improve the input by stage 2 alone, which never leaves the extremes of the input.
 
@@ -224,26 +225,26 @@ def finish_alone(
     enough = min(POLICY.locked_quality, 100.0 * memory.before.p1_quality)
     strict = bounds.with_quality(max(bounds.cells.quality, enough))
     schedule = cautious(mesh.dim, options.objective)
+    work_on = partial(settle, log=log, pool=pool, threads=options.threads, part=part)
     for phase in (schedule[0], *schedule):
-        settle(mesh, (phase,), strict, log, pool, options.threads)
+        work_on(mesh, (phase,), strict)
         if memory.offer(mesh, name) or "mean_quality" in memory.worse:
             continue
-        settle(mesh, (WORST,), strict, log, pool, options.threads)
+        work_on(mesh, (WORST,), strict)
         memory.offer(mesh, name)
-    work_on = partial(settle, log=log, pool=pool, threads=options.threads)
     polish_small_angles(mesh, bounds, memory, name, work_on, pool)
 
 
 def settle(
     mesh: Complex, phases: tuple[Phase, ...], bounds: Bounds, log: Log,
-    pool: Pool | None, threads: int,
+    pool: Pool | None, threads: int, part: float,
 ) -> None:
     """Run phases of stage 2 that are not left out, and count.
 
-    A guard is that share of the cells of the larger mesh, where this one is a part of it.
+    A guard is a share of the cells divided by ``part``, see :class:`Within`.
     """
     phases = tuple(
-        replace(phase, guard=phase.guard and min(1.0, phase.guard / log.part))
+        replace(phase, guard=phase.guard and min(1.0, phase.guard / part))
         for phase in phases if phase.name not in log.without
     )
     flips, moves = finish(mesh, phases, bounds, pool, threads)

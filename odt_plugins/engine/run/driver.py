@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import time
 from collections import Counter
-from collections.abc import Container
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -25,6 +24,7 @@ from odt_plugins.engine.run.cycles import extremes, finish_alone, run_cycles, se
 from odt_plugins.engine.run.judge import cut_vertices, envelope_length, faults, slides
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
 from odt_plugins.engine.run.start import Start, make_start
+from odt_plugins.engine.run.within import WHOLE, Within
 from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.complex import make_complex
 from odt_plugins.engine.topology.frame import Frame, callers_vertices
@@ -38,19 +38,6 @@ from odt_plugins.progress import part, silent
 
 if TYPE_CHECKING:
     from odt_plugins.engine.sliding.boundary import Skin
-
-
-class Again(NamedTuple):
-    """What a mesh is told of the larger one it was cut from where most of it was optimised before.
-
-    Attributes
-    ----------
-    fresh : (n,) bool    vertices that could not move then: stage 1 works around these
-    part : float         of the cells of the larger mesh, the worst of which are all here
-    """
-
-    fresh: BoolArray
-    part: float
 
 
 NO_DENSITY = "nothing that follows the density kept the promise, the sizes are those of the input"
@@ -69,8 +56,7 @@ def locked_vertices(mesh: SimplexMesh, neighbors: IntArray) -> tuple[BoolArray, 
 
 def run(
     mesh: SimplexMesh, options: Options, leaving: Leaving = as_it_is, *,
-    cut: BoolArray | None = None, whole: Figures | None = None,
-    without: Container[str] = frozenset(), share: float = 1.0, again: Again | None = None,
+    within: Within = WHOLE,
 ) -> Outcome:
     """Optimise a valid mesh.
 
@@ -78,17 +64,8 @@ def run(
     ----------
     mesh : SimplexMesh
     options : Options
-    leaving : callable           applied to every state before it is judged
-    cut : (n,) bool, optional    vertices at which a mesh was cut from a larger one: the worst cells
-                                 are looked for away from them where the boundary does not slide,
-                                 since what lies around them waits for another run
-    whole : Figures, optional    of the larger mesh: its extremes are those that no cell may pass,
-                                 and the promise is left to its judge
-    without : container          names of the phases of stage 2 that are left out where the boundary
-                                 does not slide
-    share : float                part of the allowed change of the volume that a boundary that
-                                 slides may use in this run
-    again : Again, optional      has no effect where the boundary slides
+    leaving : callable    applied to every state before it is judged
+    within : Within       of a larger mesh
 
     Returns
     -------
@@ -105,24 +82,25 @@ def run(
         )
         raise InvalidOptionError(msg)
     if not slides(mesh, options):
-        return _run(mesh, options, leaving, cut, whole, without, again=again)[0]
-    if whole is None:
-        outcome = _run_sliding(mesh, options, leaving, cut, share)
+        return _run(mesh, options, leaving, within)[0]
+    within = Within(within.cut, within.whole, share=within.share)
+    if within.whole is None:
+        outcome = _run_sliding(mesh, options, leaving, within)
     else:
-        outcome, _ = _run(mesh, options, leaving, cut, whole, share=share)
+        outcome, _ = _run(mesh, options, leaving, within)
     (options.progress or silent)("finishing", 1.0)
     return outcome
 
 
 def _run_sliding(
-    mesh: SimplexMesh, options: Options, leaving: Leaving, cut: BoolArray | None, share: float
+    mesh: SimplexMesh, options: Options, leaving: Leaving, within: Within
 ) -> Outcome:
     """Runs from the input on until a surface that slid keeps the promise, at last without.
 
     Where stage 1 failed, where flat cells are left and where it costs little, the boundary is
     fixed in another run, and the better of the two is handed back.
     """
-    outcome, spoiled = _run(mesh, in_turn(options, 0), leaving, cut, share=share)
+    outcome, spoiled = _run(mesh, in_turn(options, 0), leaving, within)
     fixed = mesh.fixed.copy()
     times = Counter(outcome.times)
     for turn in range(POLICY.slide_retreats):
@@ -130,7 +108,7 @@ def _run_sliding(
             break
         fixed[spoiled] = True
         outcome, spoiled = _run(
-            replace(mesh, fixed=fixed), in_turn(options, turn + 1), leaving, cut, share=share
+            replace(mesh, fixed=fixed), in_turn(options, turn + 1), leaving, within
         )
         times.update(outcome.times)
     if outcome.slid is not None:
@@ -140,7 +118,7 @@ def _run_sliding(
         if not _may_be_beaten(outcome, options):
             return outcome
     last = in_turn(options, POLICY.slide_retreats + 1)
-    still, _ = _run(mesh, replace(last, boundary="fixed"), leaving, cut)
+    still, _ = _run(mesh, replace(last, boundary="fixed"), leaving, within)
     times.update(still.times)
     why = (outcome.fallback or outcome.stop_reason).removeprefix(INPUT)
     if outcome.slid is not None:
@@ -166,23 +144,20 @@ def _score(outcome: Outcome, options: Options) -> float:
 
 
 def _run(
-    mesh: SimplexMesh, options: Options, leaving: Leaving, cut: BoolArray | None = None,
-    whole: Figures | None = None, without: Container[str] = frozenset(), share: float = 1.0,
-    again: Again | None = None,
+    mesh: SimplexMesh, options: Options, leaving: Leaving, within: Within = WHOLE
 ) -> tuple[Outcome, IntArray]:
     """One run of all stages; also the surface vertices at which a surface that slid is spoiled."""
-    log = Log(without=without)
-    if again is not None:
-        log.part, log.fresh = again.part, again.fresh if options.finish else None
+    if not options.finish:
+        within = within._replace(fresh=None)
     with thread_pool(options.threads) as pool, callers_vertices(mesh):
-        return _run_in(pool, mesh, options, leaving, cut, whole, log, share)
+        return _run_in(pool, mesh, options, leaving, within)
 
 
 def _run_in(
-    pool: Pool | None, mesh: SimplexMesh, options: Options, leaving: Leaving,
-    cut: BoolArray | None, whole: Figures | None, log: Log, share: float,
+    pool: Pool | None, mesh: SimplexMesh, options: Options, leaving: Leaving, within: Within
 ) -> tuple[Outcome, IntArray]:
     clock = time.perf_counter()
+    log, whole = Log(without=within.without), within.whole
     nowhere = np.zeros(0, dtype=np.int32)
     neighbors = cell_neighbors(mesh.cells, pool=pool)
     locked, boundary = locked_vertices(mesh, neighbors)
@@ -193,7 +168,7 @@ def _run_in(
     inner_locked = np.ascontiguousarray(locked[frame.vertices])
     inner_boundary = np.ascontiguousarray(boundary[frame.vertices])
     points = start.points.copy()
-    skin = _skin(start, options, points, share) if slides(mesh, options) else None
+    skin = _skin(start, options, points, within.share) if slides(mesh, options) else None
     first = make_complex(
         points, cells, regions, inner_locked, inner_boundary, skin, frame.inner_neighbors(neighbors)
     )
@@ -203,32 +178,31 @@ def _run_in(
     if mesh.valid_before is not None:
         places, valid = mesh.valid_before
         before = before.or_worse(figures(frame.inside(places), valid, options.objective))
-    near = None if cut is None or not cut.any() else cut[frame.vertices]
+    within = within.numbered(frame.vertices)
     memory = Memory(before, tuple(options.keep), options.objective, by_score=options.finish,
-                    aside=None if whole is None else near, pool=pool)
+                    aside=None if whole is None else within.cut, pool=pool)
     spec = inner_density(mesh, options, frame)
     m = first.used
     density = make_density(
         spec, options.exponent, points, first.cells[:m], first.neighbors[:m].copy()
     )
-    log.fresh = None if log.fresh is None else log.fresh[frame.vertices]
     log.times["prepare"] = time.perf_counter() - clock
     bounds = extremes(before, tuple(options.keep))
-    if log.fresh is not None:
-        bounds = _as_good_as_before(bounds, points, cells[~log.fresh[cells].any(axis=1)])
+    if within.fresh is not None:
+        bounds = _as_good_as_before(bounds, points, cells[~within.fresh[cells].any(axis=1)])
     before_insertion = until_insertion(options) if options.insert else options
-    away = near if skin is None else None
-    reason = run_cycles(first, density, before_insertion, bounds, memory, log, pool, away)
+    around = within if skin is None else within._replace(cut=None)
+    reason = run_cycles(first, density, before_insertion, bounds, memory, log, pool, around)
     refused = not memory.states and not (skin and memory.spoiled().size)
     besides = skin is None and _may_finish_alone(memory, inner_locked, options)
     if options.finish and (refused or besides):
         again = start.points.copy()
-        skin = _skin(start, options, again, share) if skin else None
+        skin = _skin(start, options, again, within.share) if skin else None
         second = make_complex(again, cells, regions, inner_locked, inner_boundary, skin)
         log.add(f"runs of {ALONE}", 1)
         name = ALONE if refused else BESIDES
         clock = time.perf_counter()
-        finish_alone(second, options, bounds, memory, name, log, pool)
+        finish_alone(second, options, bounds, memory, name, log, pool, within.part)
         log.times[ALONE] = time.perf_counter() - clock
         if refused and not _keeps_sizes(options):
             reason += f"; {NO_DENSITY}"
@@ -244,7 +218,7 @@ def _run_in(
         resample_in_rounds(
             spare, best.figures, options.objective,
             limits=partial(_held, options, before),
-            settle=partial(settle, log=log, pool=pool, threads=options.threads),
+            settle=partial(settle, log=log, pool=pool, threads=options.threads, part=within.part),
             offer=partial(memory.offer, name="resampled"),
             report=partial(part(options.progress or silent, BEFORE_INSERTION, 1.0), "inserting"),
             log=log,

@@ -24,7 +24,8 @@ from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.odt.total_energy import total_energy
 from odt_plugins.engine.record.figures import figures
 from odt_plugins.engine.run import cycles, driver
-from odt_plugins.engine.run.driver import Again, run
+from odt_plugins.engine.run.driver import run
+from odt_plugins.engine.run.within import Within
 from odt_plugins.engine.topology import coloring, order
 from odt_plugins.engine.topology.frame import Frame
 from odt_plugins.mesh.simplex import simplex_mesh
@@ -432,11 +433,11 @@ def test_bounds_of_a_larger_mesh_take_the_place_of_those_of_its_part():
     own = driver.figures(mesh.points, mesh.cells)
     better = replace(own, min_quality=0.2, cos_min_angle=np.cos(np.radians(12.0)),
                      cos_max_angle=np.cos(np.radians(160.0)))
-    refused = run(mesh, Options(rounds=1, finish=False), whole=better)
+    refused = run(mesh, Options(rounds=1, finish=False), within=Within(whole=better))
     assert refused.fallback
     assert np.array_equal(refused.points, mesh.points)
     worse = replace(own, min_quality=0.0, cos_min_angle=1.0, cos_max_angle=-1.0)
-    taken = run(mesh, Options(rounds=8, finish=False), whole=worse)
+    taken = run(mesh, Options(rounds=8, finish=False), within=Within(whole=worse))
     assert taken.fallback is None
     assert tm.quality(taken.points, taken.cells).mean() > own.mean_quality + 0.1
 
@@ -451,7 +452,7 @@ def test_stage_1_works_again_only_around_vertices_that_could_not_move():
     names |= {phase.name for phase in worst_cells()}
     assert not reached.all()
     for new in (fresh, np.zeros_like(fresh)):
-        outcome = run(mesh, Options(keep=()), without=names, again=Again(new, 1.0))
+        outcome = run(mesh, Options(keep=()), within=Within(without=names, fresh=new))
         moved = (outcome.points != mesh.points).any(axis=1)
         assert moved.any() == new.any()
         assert not moved[~reached].any()
@@ -461,7 +462,7 @@ def test_guards_of_a_part_are_shares_of_the_cells_of_the_larger_mesh(monkeypatch
     seen = []
     monkeypatch.setattr(cycles, "finish", lambda mesh, phases, *_: seen.extend(phases) or (0, 0))
     for part in (1.0, 0.25, 0.001):
-        cycles.settle(None, worst_cells(), None, Log(part=part), None, 1)
+        cycles.settle(None, worst_cells(), None, Log(), None, 1, part)
     guards = [phase.guard for phase in worst_cells()]
     assert set(guards) == {None, 0.01}
     assert [phase.guard for phase in seen] == [
@@ -548,8 +549,8 @@ def test_no_cell_at_a_cut_is_worse_than_what_was_optimised_before():
     points[fresh] += 0.014 * np.random.default_rng(2).standard_normal((fresh.sum(), 3))
     assert (tm.signed_volumes(points, cells) > 0).all()
     options = Options(keep=("min_quality", "min_angle", "max_angle"))
-    result = run(mesh_of(points, cells), options, whole=figures(points, cells),
-                 again=Again(fresh, 1.0))
+    result = run(mesh_of(points, cells), options,
+                 within=Within(whole=figures(points, cells), fresh=fresh))
     old = {tuple(cell) for cell in np.sort(cells, axis=1)}
     held = [cell for cell in result.cells[~free[result.cells].any(axis=1)]
             if tuple(np.sort(cell)) not in old]

@@ -7,6 +7,7 @@ import tet_meshes
 
 from odt_plugins.compare.start import ball
 from odt_plugins.engine.run.driver import run
+from odt_plugins.engine.run.within import Within
 from odt_plugins.engine.topology.complex import make_complex
 from odt_plugins.engine.topology.part import around, away_from, joined
 from odt_plugins.mesh.simplex import simplex_mesh
@@ -48,7 +49,7 @@ def test_the_worst_cells_are_looked_for_away_from_a_cut():
     start = ball(2500)
     cut = start.points[:, 0] > 0.2
     mesh = simplex_mesh(start.points, start.cells, fixed=cut)[0]
-    both = [run(mesh, Options(), cut=c) for c in (None, cut)]
+    both = [run(mesh, Options(), within=Within(cut=c)) for c in (None, cut)]
     tails = []
     for outcome in both:
         assert not broken_promises(mesh, outcome.points, outcome.cells, outcome.regions)

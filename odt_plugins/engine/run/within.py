@@ -1,0 +1,46 @@
+"""What a mesh that was cut from a larger one is told of it."""
+
+from __future__ import annotations
+
+from collections.abc import Container
+from typing import NamedTuple
+
+from odt_plugins.engine.record.figures import Figures
+from odt_plugins.mesh.arrays import BoolArray, IntArray
+
+
+class Within(NamedTuple):
+    """How a mesh lies within a larger one; by itself, it is the whole.
+
+    Attributes
+    ----------
+    cut : (n,) bool or None       vertices of the cut that a later run may move: where the boundary
+                                  does not slide, the worst cells are looked for away from them
+    whole : Figures or None       of the larger mesh: its extremes are those that no cell may pass,
+                                  and the promise is left to its judge
+    without : container of str    phases of stage 2 that are left out, where the boundary does not
+                                  slide
+    share : float                 part of the allowed change of the volume that a boundary that
+                                  slides may use
+    fresh : (n,) bool or None     vertices that no run has moved yet, when others were: stage 1
+                                  works around these, where finishing follows and the boundary does
+                                  not slide
+    part : float                  guards of phases are shares of the cells divided by this: the
+                                  worst cells of so much of the larger mesh are all here
+    """
+
+    cut: BoolArray | None = None
+    whole: Figures | None = None
+    without: Container[str] = frozenset()
+    share: float = 1.0
+    fresh: BoolArray | None = None
+    part: float = 1.0
+
+    def numbered(self, vertices: IntArray) -> Within:
+        """In another numbering: the vertices (k,) in this one."""
+        cut = None if self.cut is None or not self.cut.any() else self.cut[vertices]
+        return self._replace(cut=cut, fresh=None if self.fresh is None else self.fresh[vertices])
+
+
+WHOLE = Within()
+"""A mesh by itself."""
