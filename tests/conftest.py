@@ -17,6 +17,13 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
+@pytest.fixture(autouse=True, scope="session")
+def _meshes_of_any_size_are_worth_several_threads():
+    from odt_plugins.engine.compiled import threads
+
+    threads.WORTH_CELLS = 0
+
+
 @pytest.fixture(params=[2, 3], ids=["d2", "d3"])
 def d(request: pytest.FixtureRequest) -> int:
     """Dimension of the space."""

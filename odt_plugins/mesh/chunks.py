@@ -108,7 +108,8 @@ def chunks(m: int) -> Iterator[slice]:
 
 def spread(work: Callable[[T], R], items: Iterable[T], threads: int) -> list[R]:
     """Call ``work`` on every item, by several threads at a time; what it returned, in order."""
-    if threads == 1:
+    items = list(items)
+    if threads == 1 or len(items) < 2:
         return [work(item) for item in items]
     with Pool(threads) as pool:
-        return list(pool.map(work, items))
+        return pool.run(work, [(item,) for item in items])

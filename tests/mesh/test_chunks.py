@@ -89,3 +89,15 @@ def test_short_parts_by_several_threads_change_no_bit(monkeypatch):
     )
     assert one != [points.tobytes(), np.asarray(cells).tobytes()]
     assert others == [one, one]
+
+
+def test_a_small_mesh_is_left_to_one_thread(monkeypatch):
+    mesh = tm.ball(200, 1)
+    begun = []
+    submit = Pool.submit
+    monkeypatch.setattr(Pool, "submit", lambda *args: begun.append(1) or submit(*args))
+    for least, used in ((len(mesh[1]), True), (len(mesh[1]) + 1, False)):
+        begun.clear()
+        monkeypatch.setattr(threads, "WORTH_CELLS", least)
+        odt_plugins.optimize(mesh, threads=2)
+        assert bool(begun) == used

@@ -12,7 +12,7 @@ import numpy as np
 
 from odt_plugins.engine.cells.extremes import Bounds
 from odt_plugins.engine.cells.geometry import boundary_vertices, interface_vertices
-from odt_plugins.engine.compiled.threads import thread_pool
+from odt_plugins.engine.compiled.threads import thread_pool, worth
 from odt_plugins.engine.odt.density import Density, NodalDensity, make_density
 from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.policy import POLICY
@@ -149,6 +149,7 @@ def _run(
     """One run of all stages; also the surface vertices at which a surface that slid is spoiled."""
     if not options.finish:
         within = within._replace(fresh=None)
+    options = replace(options, threads=worth(options.threads, len(mesh.cells)))
     with thread_pool(options.threads) as pool, callers_vertices(mesh):
         return _run_in(pool, mesh, options, leaving, within)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from odt_plugins.engine.compiled.kernel import inlined_kernel, kernel
-from odt_plugins.engine.compiled.threads import run_pieces, thread_pool
+from odt_plugins.engine.compiled.threads import run_pieces, thread_pool, worth
 from odt_plugins.engine.topology.lookup import is_in
 from odt_plugins.engine.topology.star import Stars, vertex_stars
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -72,7 +72,7 @@ def nearest_cells(
                   of the last one; -1 where no cell of the region has a vertex of the row
     """
     found = np.empty(len(rows), dtype=np.int32)
-    with thread_pool(threads) as pool:
+    with thread_pool(worth(threads, len(cells))) as pool:
         stars = vertex_stars(cells, n, pool)
 
         def walk(first: int, last: int) -> None:

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
-from odt_plugins.engine.compiled.threads import run_pieces, thread_pool
+from odt_plugins.engine.compiled.threads import run_pieces, thread_pool, worth
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 
 BITS = 10
@@ -138,7 +138,7 @@ def same_vertices(old: IntArray, new: IntArray, n: int, threads: int = 1) -> Int
     def match(first: int, last: int) -> None:
         _match_rows(old, new[first:last], count, order, ends, source[first:last])
 
-    with thread_pool(threads) as pool:
+    with thread_pool(worth(threads, len(new))) as pool:
         run_pieces(pool, len(new), match)
     return source
 
