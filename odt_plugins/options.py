@@ -176,8 +176,8 @@ class Options:
         "boundary where it is; figures in keep are then compared with its valid cells only.",
         python="'auto' or False, which refuses such meshes."))
     threads: int = field(default=1, metadata=_told(
-        "Worker threads; the result does not depend on it. Fewer than 40,000 tetrahedra, or "
-        "triangles in the plane, take one.", least=1))
+        "Worker threads; the result does not depend on it. The stages of fewer than "
+        "40,000 tetrahedra, or triangles in the plane, take one.", least=1))
     progress: Any = field(default=None, metadata=_told(
         "Callback progress(stage, fraction), where the fraction grows from 0 to 1 over all stages; "
         "True shows a bar, in a notebook too. Unless False, there is one while kernels are "

@@ -21,7 +21,7 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
 def _meshes_of_any_size_are_worth_several_threads():
     from odt_plugins.engine.compiled import threads
 
-    threads.WORTH_CELLS = 0
+    threads.THREADED_CELLS = 0
 
 
 @pytest.fixture(params=[2, 3], ids=["d2", "d3"])

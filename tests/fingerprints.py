@@ -38,12 +38,14 @@ from odt_plugins.compare.start import (
     read_start,
     suite,
 )
+from odt_plugins.engine.compiled import threads
 from odt_plugins.generate import SAMPLES, distmesh2d, odtmesh2d, refine_and_optimize, uniform_refine
 
 Arrays = tuple[np.ndarray, ...]
 Run = Callable[[], tuple[Arrays, Arrays]]
 """Gives the arrays of the start mesh and those of the result."""
 
+threads.THREADED_CELLS = 0
 HERE = Path(__file__).parent
 sys.path.append(str(HERE / "helpers"))
 HARD = 1000

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from odt_plugins.distributed.versions import expect_versions
 from odt_plugins.engine.odt.density import NodalDensity
 from odt_plugins.engine.run.driver import run
-from odt_plugins.engine.run.within import WHOLE, Within
+from odt_plugins.engine.run.within import Within
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.numbering import in_old_numbers, old_numbers
 from odt_plugins.mesh.simplex import SimplexMesh
@@ -34,8 +34,8 @@ class Block:
                                  their arrays over vertices or cells are not in use
     power : float                of those values
     versions : dict              of the packages that compute, as they are where the block was cut
-    within : Within              the whole; without its figures, the block is held to the promise by
-                                 itself
+    within : Within              how it lies in the whole; a block that is not told figures of that
+                                 is held to the promise by itself
     """
 
     mesh: SimplexMesh
@@ -43,7 +43,7 @@ class Block:
     options: Options
     power: float
     versions: dict[str, str]
-    within: Within = WHOLE
+    within: Within
 
     @property
     def nbytes(self) -> int:

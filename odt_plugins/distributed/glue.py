@@ -30,10 +30,6 @@ from odt_plugins.options import Options
 Map = Callable[[Callable[[Block], Improved], Iterable[Block]], Iterator[Improved]]
 """Applies a pure function to blocks anywhere and gives the results in the order of the blocks."""
 
-FIRST_PART = 0.5
-"""Of a block of the first round as ``part`` of :class:`Within`: most of its worst cells are at the
-cut, and what is regained at the cost of the others would never be looked after again."""
-
 LARGEST = 0.9
 """No envelope is a larger part of the diagonal of a block."""
 
@@ -77,7 +73,7 @@ class Task(NamedTuple):
     ----------
     options : Options
     power : float                 of the values of the density
-    within : Within               but for what is each block's own
+    within : Within               but for cut and fresh; part where phases are left out
     length : float                of the envelope in this round
     room : int                    vertices that may be added in this round
     """
@@ -164,10 +160,10 @@ def one_round(
             options = task.of(block, len(cells) / inside)
             fresh = whole.waiting[vertices]
             within = task.within._replace(cut=waiting[vertices])
-            if fresh.all():
-                within = within._replace(part=FIRST_PART)
-            else:
-                within = within._replace(fresh=fresh, part=1.0 if within.without else part)
+            if not fresh.all():
+                within = within._replace(fresh=fresh)
+            if not within.without:
+                within = within._replace(part=part)
             work = Block(block, density, options, task.power, versions, within)
             sent.append(work.nbytes)
             yield work

@@ -54,6 +54,10 @@ WORST_CELLS = 20
 FIRST_SHARE = 0.9
 """Part of the allowed change of the volume for the first round; the cuts need the rest."""
 
+FIRST_PART = 0.5
+"""``part`` of :class:`Within` in the first round, where many of the worst cells are at the cuts and
+no later round sees most of the others again."""
+
 MOST_POLISHED = 0.01
 """Largest share of the tetrahedra whose small angles are looked after in the last round."""
 
@@ -235,7 +239,7 @@ def run_blocks(
             blockwise = told(apply, told_of, name, int(label.max()) + 1)
             share = _share(mesh, state.mesh) if length and index else FIRST_SHARE
             within = Within(whole=None if judged else figures, without=() if last else LAST,
-                            share=share)
+                            share=share, part=1.0 if index else FIRST_PART)
             task = Task(first(plain, len(active)) if index == 0 else later(plain), power, within,
                         length, _room(mesh, state.mesh, options))
             done.add(name, label, task, blockwise)

@@ -301,7 +301,7 @@ def _improved(
     expect_apart(mesh)
     power = -float(mesh.dim + 2 if options.exponent is None else options.exponent)
     sizes = piece.sizes if options.density == "keep" else None
-    result = improve(Block(mesh, sizes, options, power, versions_here(), Within(later)))
+    result = improve(Block(mesh, sizes, options, power, versions_here(), Within(cut=later)))
     source = cell_source(mesh.points, mesh.cells, regions, result.points, result.cells,
                          result.regions, options.threads)
     cell_data = {name: values[source] for name, values in piece.cell_data.items()}

@@ -218,6 +218,7 @@ def test_few_cells_around_the_cuts_are_done_in_one_last_round(
     run_blocks(mesh, Options(), 4, 3, sees)
     assert len(seen) == rounds
     assert all(block.within.fresh is None for block in seen[0])
+    assert all(block.within.part == blocks_module.FIRST_PART for block in seen[0])
     inside = sum(len(block.mesh.cells) for block in seen[-1])
     for block in seen[-1]:
         assert block.within.fresh is not None
@@ -422,7 +423,7 @@ def test_a_density_is_carried_with_the_vertices():
     mesh = simplex_mesh(start.points, start.cells)[0]
     linear = 2.0 + mesh.points @ [0.3, -0.2, 0.5]
     rim = mesh.points[:, 0] > 0.6
-    block = Block(replace(mesh, fixed=rim), linear, Options(), -5.0, {}, Within(rim))
+    block = Block(replace(mesh, fixed=rim), linear, Options(), -5.0, {}, Within(cut=rim))
     result = improve(block)
     moved = (result.points != mesh.points).any(axis=1)
     assert moved.sum() > 100
@@ -438,7 +439,7 @@ def test_finishing_is_tried_alone_where_sizes_are_kept_and_little_may_move(densi
     fixed = np.arange(len(mesh.points)) > 2
     values = np.ones(len(mesh.points))
     block = Block(replace(mesh, fixed=fixed), values, Options(density=density), -5.0,
-                  versions_here(), Within(fixed))
+                  versions_here(), Within(cut=fixed))
     assert ("runs of finishing alone" in improve(block).counts) == (density == "keep")
 
 

@@ -98,6 +98,6 @@ def test_a_small_mesh_is_left_to_one_thread(monkeypatch):
     monkeypatch.setattr(Pool, "submit", lambda *args: begun.append(1) or submit(*args))
     for least, used in ((len(mesh[1]), True), (len(mesh[1]) + 1, False)):
         begun.clear()
-        monkeypatch.setattr(threads, "WORTH_CELLS", least)
+        monkeypatch.setattr(threads, "THREADED_CELLS", least)
         odt_plugins.optimize(mesh, threads=2)
         assert bool(begun) == used

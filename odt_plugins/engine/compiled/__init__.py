@@ -8,7 +8,7 @@ usual runs need is compiled while the package is installed (`AHEAD`, `common_mac
 `odt_plugins.ahead` says what that is): a run only loads it. Everything else is compiled by the
 first run that needs it and kept for the next.
 `thread_pool` and `run_ranges` give parts of a range to threads, cut alike for any number
-of them.
+of them; `worth` leaves small meshes to one.
 
 numba's front end runs without the passes that no kernel needs (`compiler_for`).  A kernel that only
 kernels call is typed once and has no machine code of its own: the code of all that a kernel needs

@@ -20,7 +20,7 @@ Ctrl-C, only between two calls."""
 COSTLY = 1 << 8
 """The same where one of them may take a millisecond."""
 
-WORTH_CELLS = 40_000
+THREADED_CELLS = 40_000
 """Smaller meshes are done by one thread: others would wait, and be waited for, more than work."""
 
 
@@ -31,11 +31,8 @@ def pieces(start: int, stop: int, *, costly: bool = False) -> Iterator[tuple[int
 
 
 def worth(threads: int, cells: int) -> int:
-    """How many of some threads a mesh of so many tetrahedra, or triangles in the plane, is worth.
-
-    ``odt-plugins compare --scaling --part threads`` measures it.
-    """
-    return threads if cells >= WORTH_CELLS else 1
+    """How many of some threads a mesh of so many cells is worth."""
+    return threads if cells >= THREADED_CELLS else 1
 
 
 def thread_pool(threads: int) -> AbstractContextManager[Pool | None]:

@@ -14,7 +14,8 @@
    boundary slid. A boundary that is spoiled slides again with the
    vertices at that place left alone (`cut_vertices`), and stays in the end.
 
-Curved surfaces take `make_start`, `alternate`, `repaired` and `best_state` from here.
+A mesh that was cut from a larger one is told of it (`Within`). Curved surfaces take `make_start`,
+`alternate`, `repaired` and `best_state` from here.
 
 Source: the outer loop is that of Sections 3 to 5 of Chen and Holst, with the second stage added.
 

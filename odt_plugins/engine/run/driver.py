@@ -65,7 +65,7 @@ def run(
     mesh : SimplexMesh
     options : Options
     leaving : callable    applied to every state before it is judged
-    within : Within       of a larger mesh
+    within : Within       how the mesh lies within a larger one
 
     Returns
     -------
@@ -83,7 +83,7 @@ def run(
         raise InvalidOptionError(msg)
     if not slides(mesh, options):
         return _run(mesh, options, leaving, within)[0]
-    within = Within(within.cut, within.whole, share=within.share)
+    within = within._replace(without=frozenset(), fresh=None, part=1.0)
     if within.whole is None:
         outcome = _run_sliding(mesh, options, leaving, within)
     else:
@@ -192,8 +192,8 @@ def _run_in(
     if within.fresh is not None:
         bounds = _as_good_as_before(bounds, points, cells[~within.fresh[cells].any(axis=1)])
     before_insertion = until_insertion(options) if options.insert else options
-    around = within if skin is None else within._replace(cut=None)
-    reason = run_cycles(first, density, before_insertion, bounds, memory, log, pool, around)
+    told = within if skin is None else within._replace(cut=None)
+    reason = run_cycles(first, density, before_insertion, bounds, memory, log, pool, told)
     refused = not memory.states and not (skin and memory.spoiled().size)
     besides = skin is None and _may_finish_alone(memory, inner_locked, options)
     if options.finish and (refused or besides):

@@ -25,8 +25,9 @@ class Within(NamedTuple):
     fresh : (n,) bool or None     vertices that no run has moved yet, when others were: stage 1
                                   works around these, where finishing follows and the boundary does
                                   not slide
-    part : float                  guards of phases are shares of the cells divided by this: the
-                                  worst cells of so much of the larger mesh are all here
+    part : float                  what guards of phases, shares of the cells, are divided by, where
+                                  the boundary does not slide: the worst cells of so much of the
+                                  larger mesh are all here; less where cells at a cut are among them
     """
 
     cut: BoolArray | None = None
@@ -37,7 +38,7 @@ class Within(NamedTuple):
     part: float = 1.0
 
     def numbered(self, vertices: IntArray) -> Within:
-        """In another numbering: the vertices (k,) in this one."""
+        """The same with ``vertices`` (k,) of these in their order; a cut without any is none."""
         cut = None if self.cut is None or not self.cut.any() else self.cut[vertices]
         return self._replace(cut=cut, fresh=None if self.fresh is None else self.fresh[vertices])
 

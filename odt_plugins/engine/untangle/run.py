@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from odt_plugins.engine.compiled.threads import thread_pool
+from odt_plugins.engine.compiled.threads import thread_pool, worth
 from odt_plugins.engine.run.driver import locked_vertices
 from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.untangle.flips import alternatives, reconnected
@@ -87,7 +87,7 @@ def untangled(mesh: SimplexMesh, threads: int = 1, wishes: Wishes = PLAIN) -> Un
     movable = used & ~locked
     most = len(movable) + wishes.insert
     flips = 0
-    with thread_pool(threads) as pool:
+    with thread_pool(worth(threads, len(mesh.cells))) as pool:
         points = _placed(mesh, movable, wishes, pool, wishes.rest)
         bad = bad_cells(points, mesh.cells)
         for _ in range(ROUNDS):

@@ -338,6 +338,9 @@ import sys
 from numba.core.dispatcher import Dispatcher
 from odt_plugins import ahead, optimize
 from odt_plugins.compare.start import ball, plate, stored
+from odt_plugins.engine.compiled import threads
+
+threads.THREADED_CELLS = 0
 
 def known():
     return {(name, value.py_func.__qualname__, str(types))

@@ -31,6 +31,7 @@ from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import figures
 from odt_plugins.engine.run import driver
 from odt_plugins.engine.run.driver import run
+from odt_plugins.engine.run.within import Within
 from odt_plugins.engine.sliding.skin import flip_skin, make_skin
 from odt_plugins.engine.topology.complex import make_complex
 from odt_plugins.errors import InvalidOptionError
@@ -620,3 +621,13 @@ def test_crossings_in_many_strips_are_those_of_the_slow_twin():
     hit = crossing_triangles(points, triangles)
     alone = [count_crossings(points, np.delete(triangles, i, axis=0)) == found for i in range(40)]
     assert np.array_equal(hit[:40], ~np.array(alone))
+
+
+def test_a_surface_that_slides_leaves_no_phase_out_and_works_everywhere():
+    mesh = simplex_mesh(*ball(200, 3))[0]
+    told = Within(whole=figures(mesh.points, mesh.cells))
+    nowhere = np.zeros(len(mesh.points), dtype=bool)
+    plain, other = (run(mesh, Options(boundary="slide"), within=how) for how in (
+        told, told._replace(without=("bulk",), fresh=nowhere, part=0.1)))
+    assert plain.points.tobytes() == other.points.tobytes()
+    assert (plain.points != mesh.points).any()
