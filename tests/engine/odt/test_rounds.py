@@ -1,12 +1,16 @@
-"""The step of stage 1 that every pair of method and solver has."""
+"""The step of stage 1 that every pair of method and solver has, and when its rounds end."""
 
 from __future__ import annotations
 
 import numpy as np
 import planar_meshes as planar
 import pytest
+import tet_meshes as tm
 
-from odt_plugins.engine.odt.rounds import STEPS, position_step
+from odt_plugins.engine.cells.extremes import Bounds, Extremes
+from odt_plugins.engine.odt.density import make_density
+from odt_plugins.engine.odt.rounds import STEPS, Log, position_step, smooth
+from odt_plugins.engine.topology.complex import make_complex
 from odt_plugins.engine.topology.stencil import make_topology
 from odt_plugins.options import Options
 
@@ -28,3 +32,22 @@ def test_cells_that_count_alike_are_heeded_where_cells_are_weighed(method, solve
 def test_no_two_steps_are_the_same():
     results = [stepped(*pair, inverse_volume=False).tobytes() for pair in STEPS]
     assert len(set(results)) == len(STEPS)
+
+
+def test_vertices_without_a_cell_do_not_keep_stage_1_from_its_end():
+    points, cells = tm.ball(700, 3)
+    every = Extremes(0.0, 1.0, -1.0)
+    ended = []
+    for lone in (0, 5000):
+        x = np.concatenate([points, np.zeros((lone, 3))])
+        locked = np.ones(len(x), dtype=bool)
+        locked[: len(points)] = ~tm.interior(points, cells)
+        mesh = make_complex(
+            x, cells.astype(np.int32), np.zeros(len(cells), dtype=np.int32), locked, locked.copy())
+        used = mesh.cells[: mesh.used], mesh.neighbors[: mesh.used]
+        density = make_density("uniform", None, x, *used)
+        log = Log()
+        mesh, _ = smooth(mesh, density, Options(), Bounds(every, every), log, lambda _: None)
+        ended.append((len(log.energy), mesh.points[: len(points)].tobytes()))
+    assert ended[0] == ended[1]
+    assert ended[0][0] < Options().rounds
