@@ -77,7 +77,7 @@ def compile_ahead(folder: Path, programs: Sequence[str] = PROGRAMS) -> None:
     """
     from odt_plugins.engine.compiled.cache import SUFFIX, common_machine
 
-    _, processor, features = common_machine("")
+    _, processor, features = common_machine()
     folder.mkdir(parents=True, exist_ok=True)
     with TemporaryDirectory(dir=folder) as made:
         work = os.environ | {"NUMBA_CACHE_DIR": made, "NUMBA_CPU_NAME": processor,

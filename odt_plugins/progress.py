@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import itertools
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
+from functools import cache
 from html import escape
 from typing import Any
 
@@ -115,25 +117,49 @@ def _interactive() -> bool:
     return Console(stderr=True).is_jupyter
 
 
+@cache
+def _listening() -> list[Callable[[bool], object]]:
+    """Those who are told when a kernel begins and ends to be compiled."""
+    return []
+
+
+@contextmanager
+def compiling_heard(hear: Callable[[bool], object]) -> Iterator[None]:
+    """Call ``hear(True)`` where a kernel of any thread begins to be compiled, then hear(False).
+
+    It is called under a lock that other kernels wait for, and never for two kernels at a time.
+    """
+    _listening().append(hear)
+    try:
+        yield
+    finally:
+        with suppress(ValueError):
+            _listening().remove(hear)
+
+
+@contextmanager
+def compiling_told() -> Iterator[None]:
+    """Tell who listens that a kernel is compiled while this lasts."""
+    hearing = tuple(_listening())
+    for hear in hearing:
+        hear(True)
+    try:
+        yield
+    finally:
+        for hear in hearing:
+            hear(False)
+
+
 @contextmanager
 def _counting(count: Callable[[int], None]) -> Iterator[None]:
-    """Tell the number of every kernel of ours that is compiled, as none was found on disk."""
-    from numba.core import event
+    """Tell the number of every kernel that is compiled, as none was found on disk."""
+    numbers = itertools.count(1)
 
-    class Kernels(event.Listener):  # type: ignore[misc]
-        """Hears of everything that is compiled."""
+    def hear(begins: bool) -> None:
+        if begins:
+            count(next(numbers))
 
-        number = 0
-
-        def on_start(self, event: Any) -> None:
-            if event.data["dispatcher"].py_func.__module__.startswith("odt_plugins"):
-                self.number += 1
-                count(self.number)
-
-        def on_end(self, event: Any) -> None:
-            """Nothing to tell."""
-
-    with event.install_listener("numba:compile", Kernels()):
+    with compiling_heard(hear):
         yield
 
 

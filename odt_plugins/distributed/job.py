@@ -14,14 +14,13 @@ import sys
 import threading
 import time
 import warnings
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from numba.core import event
-
 from odt_plugins.compare.runner import PREPARING
 from odt_plugins.errors import CrashError, ODTError, ODTWarning
+from odt_plugins.progress import compiling_heard
 
 ROW, RESULT, COMPILING = "row.json", "result", "compiling"
 """What lies in the work folder: the row, the folder of the result, and when kernels were compiled:
@@ -44,7 +43,7 @@ def main() -> None:
     clock = time.perf_counter()
     try:
         with (
-            event.install_listener("numba:compile", Compiling(Path(job["folder"]) / COMPILING)),
+            compiling_heard(note_compiling(Path(job["folder"]))),
             warnings.catch_warnings(record=True) as caught,
         ):
             warnings.simplefilter("always")
@@ -65,27 +64,14 @@ def main() -> None:
     (Path(job["folder"]) / ROW).write_text(json.dumps(row), encoding="utf-8")
 
 
-class Compiling(event.Listener):  # type: ignore[misc]
-    """Notes the times at which kernels begin and end to be compiled."""
+def note_compiling(folder: Path) -> Callable[[bool], None]:
+    """Give what notes, in a work folder, when a kernel begins and ends to be compiled."""
 
-    def __init__(self, file: Path) -> None:
-        self.file, self.depth = file, 0
-
-    def on_start(self, event: Any) -> None:
-        """One kernel may need others compiled within."""
-        self.depth += 1
-        if self.depth == 1:
-            self._note()
-
-    def on_end(self, event: Any) -> None:
-        """The outermost one ends it."""
-        self.depth -= 1
-        if self.depth == 0:
-            self._note()
-
-    def _note(self) -> None:
-        with self.file.open("a") as file:
+    def note(_begins: bool) -> None:
+        with (folder / COMPILING).open("a") as file:
             file.write(f"{time.monotonic()}\n")
+
+    return note
 
 
 def compiling(folder: Path) -> float:

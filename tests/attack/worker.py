@@ -87,10 +87,8 @@ def _place(exc: BaseException) -> str:
 
 def serve(module: str, pipe: Connection, log: str, seconds: float) -> None:
     """Answer seeds with verdicts; a case that takes too long ends the process."""
-    from numba.core import event
-
     from odt_plugins.engine.compiled import threads
-
+    from odt_plugins.progress import compiling_heard
     threads.THREADED_CELLS = 0
     # A group of its own: the signals of the terminal go to the parent alone, and what hangs is
     # ended with all that it started.
@@ -102,22 +100,12 @@ def serve(module: str, pipe: Connection, log: str, seconds: float) -> None:
         os.dup2(file.fileno(), 2)
     faulthandler.enable(file=2)
 
-    class Compiling(event.Listener):  # type: ignore[misc]
-        """The time of compilers does not count: the clock starts anew after the outermost."""
-
-        depth = 0
-
-        def on_start(self, event: Any) -> None:
-            self.depth += 1
-            faulthandler.dump_traceback_later(COMPILING, exit=True, file=2)
-
-        def on_end(self, event: Any) -> None:
-            self.depth -= 1
-            faulthandler.dump_traceback_later(COMPILING if self.depth else seconds, exit=True,
-                                              file=2)
+    def hear(begins: bool) -> None:
+        """The time of compilers does not count: the clock starts anew after them."""
+        faulthandler.dump_traceback_later(COMPILING if begins else seconds, exit=True, file=2)
 
     importlib.import_module(module)
-    with event.install_listener("numba:compile", Compiling()), contextlib.suppress(EOFError):
+    with compiling_heard(hear), contextlib.suppress(EOFError):
         while True:
             seed = pipe.recv()
             os.ftruncate(2, 0)

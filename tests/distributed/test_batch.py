@@ -188,12 +188,12 @@ def test_an_input_without_end_is_given_up(place):
 COMPILES = """
 import sys, time
 from pathlib import Path
-from numba.core import event
-from odt_plugins.distributed.job import COMPILING, Compiling
+from odt_plugins.distributed.job import note_compiling
+from odt_plugins.progress import compiling_heard, compiling_told
 
-with event.install_listener("numba:compile", Compiling(Path(sys.argv[1]) / COMPILING)):
+with compiling_heard(note_compiling(Path(sys.argv[1]))):
     for seconds in (0.0, 1.0):
-        with event.trigger_event("numba:compile"), event.trigger_event("numba:compile"):
+        with compiling_told():
             time.sleep(seconds)
 """
 

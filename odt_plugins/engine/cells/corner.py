@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.mesh.arrays import FloatArray
 
 
-@inner_kernel
+@kernel
 def corner_edges(
     points: FloatArray, i: int, j: int, k: int, l: int
 ) -> tuple[float, float, float, float, float, float, float, float, float]:
@@ -37,7 +37,7 @@ def corner_normals(
     )
 
 
-@inner_kernel
+@kernel
 def opposite_edges(
     ax: float, ay: float, az: float, bx: float, by: float, bz: float, cx: float, cy: float,
     cz: float,
@@ -46,7 +46,7 @@ def opposite_edges(
     return bx - cx, by - cy, bz - cz, cx - ax, cy - ay, cz - az, ax - bx, ay - by, az - bz
 
 
-@inner_kernel
+@kernel
 def six_volumes(
     ax: float, ay: float, az: float, bx: float, by: float, bz: float, cx: float, cy: float,
     cz: float,

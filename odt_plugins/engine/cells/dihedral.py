@@ -19,14 +19,14 @@ import numpy as np
 
 from odt_plugins.engine.cells.corner import corner_edges, corner_normals, opposite_edges
 from odt_plugins.engine.cells.packed import add_identity, add_square
-from odt_plugins.engine.compiled.kernel import inlined_kernel, inner_kernel
+from odt_plugins.engine.compiled.kernel import inlined_kernel, kernel
 from odt_plugins.mesh.arrays import FloatArray
 
 SHARP = 4.0
 """k: the larger, the more the smallest angle counts alone."""
 
 
-@inner_kernel
+@kernel
 def six_cosines(
     points: FloatArray, i: int, j: int, k: int, l: int
 ) -> tuple[float, float, float, float, float, float, float]:
@@ -62,7 +62,7 @@ def corner_cosines(
     return ax * x1 + ay * y1 + az * z1, c01, c02, c03, c12, c13, c23
 
 
-@inner_kernel
+@kernel
 def _edge_cost(cosine: float) -> float:
     """Term x_e of an edge."""
     x = 1.0 / max(1.0 - cosine * cosine, 1e-30)
@@ -70,7 +70,7 @@ def _edge_cost(cosine: float) -> float:
     return x * x
 
 
-@inner_kernel
+@kernel
 def _measure(total: float) -> float:
     """Measure m from the sum of the six terms."""
     return 1.125 / math.sqrt(math.sqrt(total / 6.0))
@@ -86,7 +86,7 @@ def measure_of(
     return _measure(total) if total > 0.0 else 0.0
 
 
-@inner_kernel
+@kernel
 def tet_dihedral(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     """Softened smallest squared sine of tetrahedron (i, j, k, l); -1 if it is not positive."""
     det, c01, c02, c03, c12, c13, c23 = six_cosines(points, i, j, k, l)
@@ -95,7 +95,7 @@ def tet_dihedral(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     return measure_of(c01, c02, c03, c12, c13, c23)
 
 
-@inner_kernel
+@kernel
 def _raw_cost(d2: float, e2: float, n2: float, o2: float) -> float:
     """sin^(-2k) of the angle at an edge, from squared det, edge and face normals."""
     x = n2 * o2 / max(d2 * e2, 1e-300)
@@ -103,7 +103,7 @@ def _raw_cost(d2: float, e2: float, n2: float, o2: float) -> float:
     return x * x
 
 
-@inner_kernel
+@kernel
 def _add_edge(out: FloatArray, u: float, x: float, y: float, z: float) -> None:
     """Add the share u of an edge whose log sine has the gradient (x, y, z)."""
     out[1] += 2.0 * u * x
@@ -112,7 +112,7 @@ def _add_edge(out: FloatArray, u: float, x: float, y: float, z: float) -> None:
     add_square(out, -4.0 * SHARP * u, x, y, z)
 
 
-@inner_kernel
+@kernel
 def dihedral_terms(
     points: FloatArray, v: int, i: int, j: int, k: int, out: FloatArray
 ) -> bool:

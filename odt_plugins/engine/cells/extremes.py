@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Iterable
 from typing import NamedTuple
 
 from odt_plugins.engine.compiled.kernel import kernel
@@ -70,6 +71,12 @@ def worse(first: Extremes, second: Extremes) -> Extremes:
         max(first.large, second.large),
         min(first.small, second.small),
     )
+
+
+def together(found: Iterable[Extremes]) -> Extremes:
+    """Extremes of several sets of cells together."""
+    quality, large, small = zip(*found, strict=True)
+    return Extremes(min(quality), max(large), min(small))
 
 
 def better(first: Extremes, second: Extremes) -> Extremes:

@@ -11,11 +11,11 @@ from __future__ import annotations
 
 from odt_plugins.engine.cells.corner import corner_edges, six_volumes
 from odt_plugins.engine.cells.packed import add_identity, add_square
-from odt_plugins.engine.compiled.kernel import inner_kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.mesh.arrays import FloatArray
 
 
-@inner_kernel
+@kernel
 def _det_and_edges(
     ax: float, ay: float, az: float, bx: float, by: float, bz: float, cx: float, cy: float,
     cz: float,
@@ -31,7 +31,7 @@ def _det_and_edges(
     return det, 4.0 * squares - (sx * sx + sy * sy + sz * sz)
 
 
-@inner_kernel
+@kernel
 def tet_mean_ratio(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     """Cube of the mean ratio of tetrahedron (i, j, k, l); -1 if it is not positive."""
     ax, ay, az, bx, by, bz, cx, cy, cz = corner_edges(points, i, j, k, l)
@@ -42,7 +42,7 @@ def tet_mean_ratio(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     return 432.0 * det * det / cube
 
 
-@inner_kernel
+@kernel
 def mean_ratio_terms(
     points: FloatArray, v: int, i: int, j: int, k: int, out: FloatArray
 ) -> bool:

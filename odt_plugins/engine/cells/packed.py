@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from odt_plugins.engine.compiled.kernel import inner_kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.mesh.arrays import FloatArray
 
 
-@inner_kernel
+@kernel
 def add_square(out: FloatArray, w: float, x: float, y: float, z: float) -> None:
     """Add w u u^T, u = (x, y, z), to the Hessian."""
     out[4] += w * x * x
@@ -17,7 +17,7 @@ def add_square(out: FloatArray, w: float, x: float, y: float, z: float) -> None:
     out[9] += w * z * z
 
 
-@inner_kernel
+@kernel
 def add_identity(out: FloatArray, w: float) -> None:
     """Add w I to the Hessian."""
     out[4] += w

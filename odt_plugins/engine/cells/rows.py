@@ -12,7 +12,7 @@ import numpy as np
 
 from odt_plugins.engine.cells.dihedral import corner_cosines, measure_of
 from odt_plugins.engine.cells.tetrahedron import SHIFT, opposite_vertices, quality_cost
-from odt_plugins.engine.compiled.kernel import inner_kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 CHUNK = 64
@@ -31,7 +31,7 @@ ROWS = 20 * CHUNK
 """Length of all rows."""
 
 
-@inner_kernel
+@kernel
 def gather_corners(
     points: FloatArray, cells: IntArray, indices: IntArray, start: int, stop: int, v: int,
     rows: FloatArray,
@@ -46,7 +46,7 @@ def gather_corners(
         rows[CX + u], rows[CY + u], rows[CZ + u] = points[k, 0], points[k, 1], points[k, 2]
 
 
-@inner_kernel
+@kernel
 def gather_edges(
     points: FloatArray, cells: IntArray, slots: IntArray, first: int, count: int, rows: FloatArray
 ) -> None:
@@ -71,7 +71,7 @@ def gather_edges(
         rows[CZ + u] = points[k, 2] - z
 
 
-@inner_kernel
+@kernel
 def quality_rows(x: float, y: float, z: float, count: int, rows: FloatArray) -> None:
     """Write radius ratios with v at (x, y, z), as ``tetrahedron.tet_quality``."""
     for s in range(count):
@@ -103,7 +103,7 @@ def quality_rows(x: float, y: float, z: float, count: int, rows: FloatArray) -> 
         rows[Q + u] = signed if min(h, faces) > 0.0 else flat
 
 
-@inner_kernel
+@kernel
 def shape_rows(count: int, rows: FloatArray) -> None:
     """Write largest and smallest cosine of the dihedral angles, and least altitudes.
 
@@ -140,7 +140,7 @@ def shape_rows(count: int, rows: FloatArray) -> None:
         rows[ALTITUDE + u] = height if most > 0.0 else 0.0
 
 
-@inner_kernel
+@kernel
 def dihedral_rows(count: int, rows: FloatArray) -> None:
     """Write the measures ``dihedral.tet_dihedral`` from the rows of :func:`gather_edges`."""
     for s in range(count):
@@ -153,7 +153,7 @@ def dihedral_rows(count: int, rows: FloatArray) -> None:
         rows[Q + u] = measure if det > 0.0 else -1.0
 
 
-@inner_kernel
+@kernel
 def derivative_rows(x: float, y: float, z: float, count: int, rows: FloatArray) -> None:
     """Write radius ratios, gradients and Hessians of their logarithm with v at (x, y, z).
 
@@ -246,7 +246,7 @@ def derivative_rows(x: float, y: float, z: float, count: int, rows: FloatArray) 
         )
 
 
-@inner_kernel
+@kernel
 def add_star_terms(
     x: float, y: float, z: float, count: int, power: float, rows: FloatArray, out: FloatArray
 ) -> bool:

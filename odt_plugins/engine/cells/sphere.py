@@ -24,7 +24,7 @@ from odt_plugins.engine.cells.rows import (
     Q,
     gather_edges,
 )
-from odt_plugins.engine.compiled.kernel import allocating_kernel, inlined_kernel, inner_kernel
+from odt_plugins.engine.compiled.kernel import allocating_kernel, inlined_kernel, kernel
 from odt_plugins.engine.topology.active import PENDING
 from odt_plugins.mesh.arrays import ByteArray, FloatArray, IntArray
 
@@ -32,7 +32,7 @@ ROUNDING = 1e-9
 """A point is on the sphere when the test is below this part of (longest edge)^5."""
 
 
-@inner_kernel
+@kernel
 def circumsphere(
     points: FloatArray, i: int, j: int, k: int, l: int
 ) -> tuple[float, float, float, float, float]:
@@ -65,7 +65,7 @@ def sphere_of_edges(
     return ax * px + ay * py + az * pz, gx, gy, gz, max(max(aa, bb), cc)
 
 
-@inner_kernel
+@kernel
 def inside_sphere(
     points: FloatArray, i: int, v: int, det: float, gx: float, gy: float, gz: float, size: float
 ) -> bool:
@@ -84,7 +84,7 @@ def inside_sphere(
     return test < -ROUNDING * size * size * np.sqrt(size)
 
 
-@inner_kernel
+@kernel
 def apex_across(cells: IntArray, c: int, f: int, across: int) -> np.int32:
     """Vertex of the cell across facet f of cell c that is not on the facet.
 
@@ -96,7 +96,7 @@ def apex_across(cells: IntArray, c: int, f: int, across: int) -> np.int32:
     )
 
 
-@inner_kernel
+@kernel
 def _sphere_rows(count: int, rows: FloatArray) -> None:
     """Write the spheres of :func:`circumsphere` from the rows of ``gather_edges``."""
     for s in range(count):

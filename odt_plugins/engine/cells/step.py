@@ -19,20 +19,20 @@ import math
 
 from odt_plugins.engine.cells.corner import corner_edges, corner_normals, opposite_edges
 from odt_plugins.engine.cells.packed import add_identity, add_square
-from odt_plugins.engine.compiled.kernel import inner_kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.mesh.arrays import FloatArray
 
 ROOT = 0.125
 """Exponent of tau^2 in the measure."""
 
 
-@inner_kernel
+@kernel
 def eighth_root(x: float) -> float:
     """x^(1/8), by square roots."""
     return math.sqrt(math.sqrt(math.sqrt(x)))
 
 
-@inner_kernel
+@kernel
 def _normal_squares(
     points: FloatArray, i: int, j: int, k: int, l: int
 ) -> tuple[float, float, float, float, float]:
@@ -47,7 +47,7 @@ def _normal_squares(
     )
 
 
-@inner_kernel
+@kernel
 def tet_altitude(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     """Least altitude of tetrahedron (i, j, k, l); negative if inverted."""
     det, p, q, r, o = _normal_squares(points, i, j, k, l)
@@ -55,7 +55,7 @@ def tet_altitude(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     return det / math.sqrt(most) if most > 0.0 else 0.0
 
 
-@inner_kernel
+@kernel
 def tet_step(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     """Fourth root of tau, det^2 / sum |n_i|^2 = tau^2, of a tetrahedron; -1 if not positive."""
     det, p, q, r, o = _normal_squares(points, i, j, k, l)
@@ -65,7 +65,7 @@ def tet_step(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     return eighth_root(square / (p + q + r + o))
 
 
-@inner_kernel
+@kernel
 def step_terms(points: FloatArray, v: int, i: int, j: int, k: int, out: FloatArray) -> bool:
     """Write m = :func:`tet_step` of (v, i, j, k), gradient and Hessian of log m in x_v.
 

@@ -17,7 +17,7 @@ from odt_plugins.engine.cells.dihedral import six_cosines, tet_dihedral
 from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.mean_ratio import tet_mean_ratio
 from odt_plugins.engine.cells.step import tet_step
-from odt_plugins.engine.compiled.kernel import inner_kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 ENERGY = 0
@@ -45,7 +45,7 @@ SHIFT = 0.005
 """Cells much flatter than this are no longer worth their neighbours: the cost levels off there."""
 
 
-@inner_kernel
+@kernel
 def quality_cost(q: float, power: float) -> float:
     """Cost ((1 + s)/(q + s))^power of a cell with the measure q, s = SHIFT; 1 for the best.
 
@@ -67,7 +67,7 @@ def quality_cost(q: float, power: float) -> float:
     return q**-power
 
 
-@inner_kernel
+@kernel
 def opposite_vertices(cells: IntArray, c: int, v: int) -> tuple[int, int, int]:
     """The other three vertices of cell c, such that (v, i, j, k) is positive."""
     if cells[c, 0] == v:
@@ -79,7 +79,7 @@ def opposite_vertices(cells: IntArray, c: int, v: int) -> tuple[int, int, int]:
     return cells[c, 0], cells[c, 2], cells[c, 1]
 
 
-@inner_kernel
+@kernel
 def tet_quality(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     """Radius ratio 3 r/R (Section 5) of tetrahedron (i, j, k, l); negative if inverted.
 
@@ -111,7 +111,7 @@ def tet_quality(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     return q if det > 0.0 else -q
 
 
-@inner_kernel
+@kernel
 def tet_energy(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     """20 times the ODT energy (2.2) of tetrahedron (i, j, k, l); infinite if not positive."""
     ax, ay, az, bx, by, bz, cx, cy, cz = corner_edges(points, i, j, k, l)
@@ -126,7 +126,7 @@ def tet_energy(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     return det * t / 6.0
 
 
-@inner_kernel
+@kernel
 def tet_cosines(points: FloatArray, i: int, j: int, k: int, l: int) -> tuple[float, float]:
     """Largest and smallest cosine of the six dihedral angles: (of the smallest, of the largest)."""
     _, c01, c02, c03, c12, c13, c23 = six_cosines(points, i, j, k, l)
@@ -136,7 +136,7 @@ def tet_cosines(points: FloatArray, i: int, j: int, k: int, l: int) -> tuple[flo
     )
 
 
-@inner_kernel
+@kernel
 def tet_measure(points: FloatArray, i: int, j: int, k: int, l: int, objective: int) -> float:
     """Measure of one cell for an objective that is not the energy; not positive if inverted."""
     if objective == QUALITY:
@@ -148,7 +148,7 @@ def tet_measure(points: FloatArray, i: int, j: int, k: int, l: int, objective: i
     return tet_dihedral(points, i, j, k, l)
 
 
-@inner_kernel
+@kernel
 def tet_cost(points: FloatArray, i: int, j: int, k: int, l: int, cost: Cost) -> float:
     """Cost of tetrahedron (i, j, k, l): ODT energy or that of its measure; infinite if inverted."""
     if cost.objective == QUALITY:
@@ -162,13 +162,13 @@ def tet_cost(points: FloatArray, i: int, j: int, k: int, l: int, cost: Cost) -> 
     return quality_cost(m, cost.power)
 
 
-@inner_kernel
+@kernel
 def cell_cost(points: FloatArray, cells: IntArray, c: int, cost: Cost) -> float:
     """:func:`tet_cost` of cell c."""
     return tet_cost(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], cost)
 
 
-@inner_kernel
+@kernel
 def cell_extremes(points: FloatArray, cells: IntArray, c: int) -> Extremes:
     """Radius ratio of cell c, largest and smallest cosine of its dihedral angles."""
     i, j, k, l = cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3]

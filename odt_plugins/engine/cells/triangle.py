@@ -7,7 +7,7 @@ import math
 from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.step import eighth_root
 from odt_plugins.engine.cells.tetrahedron import MEAN_RATIO, QUALITY, STEP
-from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.topology.lookup import place_in
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
@@ -27,14 +27,14 @@ def _edges(
     )
 
 
-@inner_kernel
+@kernel
 def opposite_edge(triangles: IntArray, t: int, v: int) -> tuple[int, int]:
     """The other two vertices of triangle t, such that (v, b, c) turns as the triangle does."""
     i = place_in(triangles, t, v)
     return triangles[t, (i + 1) % 3], triangles[t, (i + 2) % 3]
 
 
-@inner_kernel
+@kernel
 def triangle_shape(points: FloatArray, a: int, b: int, c: int) -> tuple[float, float, float]:
     """Radius ratio 2 r / R (5.1), cosine of the smallest and of the largest angle.
 
@@ -58,7 +58,7 @@ def triangle_shape(points: FloatArray, a: int, b: int, c: int) -> tuple[float, f
     return q, max(cu, cv, cw), min(cu, cv, cw)
 
 
-@inner_kernel
+@kernel
 def triangle_extremes(points: FloatArray, a: int, b: int, c: int) -> Extremes:
     """What :func:`triangle_shape` gives in the plane, or :func:`triangle_in_space`, as extremes."""
     if points.shape[1] == 3:
@@ -74,7 +74,7 @@ def offset(points: FloatArray, a: int, b: int) -> tuple[float, float, float]:
     return points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
 
 
-@inner_kernel
+@kernel
 def triangle_in_space(
     points: FloatArray, a: int, b: int, c: int
 ) -> tuple[float, float, float, float, float, float]:
@@ -102,7 +102,7 @@ def triangle_in_space(
     return q, max(cu, cv, cw), min(cu, cv, cw), nx, ny, nz
 
 
-@inner_kernel
+@kernel
 def triangle_altitude(points: FloatArray, a: int, b: int, c: int) -> float:
     """Least altitude of a triangle in the plane or in space, 0 of a flat one.
 
@@ -124,7 +124,7 @@ def triangle_altitude(points: FloatArray, a: int, b: int, c: int) -> float:
     return math.sqrt(d2 / most) if most > 0.0 else 0.0
 
 
-@inner_kernel
+@kernel
 def triangle_measure(points: FloatArray, a: int, b: int, c: int, objective: int) -> float:
     """Measure of one triangle, 1 for the regular one; 0 or negative when not counterclockwise.
 
@@ -155,7 +155,7 @@ def triangle_measure(points: FloatArray, a: int, b: int, c: int, objective: int)
     return angle_measure(total)
 
 
-@inner_kernel
+@kernel
 def angle_cost(sides: float, d2: float) -> float:
     """sin^-8 of the angle between two edges, from their squared lengths' product and D^2."""
     x = sides / d2
@@ -163,7 +163,7 @@ def angle_cost(sides: float, d2: float) -> float:
     return x * x
 
 
-@inner_kernel
+@kernel
 def angle_measure(total: float) -> float:
     """Measure of the smallest angle from the sum of the three costs."""
     return 4.0 / 3.0 / math.sqrt(math.sqrt(total / 3.0))

@@ -14,21 +14,21 @@ import os
 import pickle
 import sys
 from collections.abc import Callable, Iterator
-from functools import cache, cached_property
+from functools import cache
 from pathlib import Path
 from typing import Any
 from uuid import uuid4
 
+import llvmlite
 import llvmlite.binding as llvm
-import numba
-from numba.core.caching import FunctionCache, NullCache
-from numba.core.runtime._nrt_python import c_helpers
-from numba.core.serialize import dumps
 
-from odt_plugins.engine.compiled.code import from_disk, to_disk
+from odt_plugins.engine.compiled.machine import MachineCode, numba_version
 
 AHEAD = Path(__file__).parent / "ahead"
 """Kernels that were compiled when the package was installed, for :func:`common_machine`."""
+
+ENGINE = Path(__file__).parents[1]
+"""The folder of all kernels."""
 
 SUFFIX = ".kernel"
 """Of the files with machine code."""
@@ -41,23 +41,30 @@ PROCESSORS = {
 
 
 @cache
-def common_machine(system: str) -> tuple[str, str, str]:
+def common_machine() -> tuple[str, str, str]:
     """Give the best of the processors in common use that this one can stand in for.
-
-    Parameters
-    ----------
-    system : str    LLVM's name of processor family and system
 
     Returns
     -------
-    system, processor, features    as numba tells machines apart; what the environment variables
-                                   NUMBA_CPU_NAME and NUMBA_CPU_FEATURES are for its kernels
+    system, processor, features    LLVM's name of processor family and system, and what the
+                                   environment variables NUMBA_CPU_NAME and NUMBA_CPU_FEATURES are
+                                   for its kernels
     """
     known = llvm.get_host_cpu_features()
     fitting = (name for name, needed in PROCESSORS.items() if all(map(known.get, needed)))
-    return system, next(fitting, "generic"), ""
+    return llvm.get_process_triple(), next(fitting, "generic"), ""
 
 
+def this_machine() -> tuple[str, str, str]:
+    """The same of the processor that numba compiles for."""
+    processor = os.environ.get("NUMBA_CPU_NAME")
+    features = os.environ.get("NUMBA_CPU_FEATURES")
+    if features is None:
+        features = llvm.get_host_cpu_features().flatten()
+    return llvm.get_process_triple(), processor or llvm.get_host_cpu_name(), features
+
+
+@cache
 def source_stamp(folder: Path) -> str:
     """Short hash of the files in a folder, and below, in which kernels stand."""
     digest = hashlib.sha256()
@@ -71,22 +78,6 @@ def source_stamp(folder: Path) -> str:
 
 
 @cache
-def _machine(codegen: Any) -> tuple[str, ...]:
-    """System, processor and features, as numba tells machines apart."""
-    return tuple(codegen.magic_tuple())
-
-
-@cache
-def _know_runtime() -> None:
-    """Tell LLVM where numba's runtime is, which kernels that allocate call.
-
-    What numba compiles of it besides is for kernels that are compiled.
-    """
-    for name, address in c_helpers.items():
-        llvm.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
-
-
-@cache
 def _file_stamp(name: str) -> bytes:
     """Hash of a file, of its name where it cannot be read."""
     try:
@@ -95,66 +86,52 @@ def _file_stamp(name: str) -> bytes:
         return name.encode()
 
 
-class KernelCache(NullCache):  # type: ignore[misc]
-    """What numba asks for a kernel before it compiles it, and tells of it afterwards.
+@cache
+def kept() -> Path | None:
+    """Where this user's processes keep what they compile; None where nothing can be written."""
+    chosen = os.environ.get("NUMBA_CACHE_DIR")
+    folders = [chosen] if chosen else [Path(__file__).parent / "__pycache__",
+                                       Path("~/.cache/odt_plugins").expanduser()]
+    for folder in map(Path, folders):
+        with contextlib.suppress(OSError):
+            folder.mkdir(parents=True, exist_ok=True)
+            if os.access(folder, os.W_OK | os.X_OK):
+                return folder
+    return None
 
-    Processes with other sources never read or write the same file.  On a full disk, and where
-    nothing may be written, a kernel is compiled in every process.  Code that is found needs
-    nothing of what numba imports for compiling, half a second of work.
 
-    Parameters
-    ----------
-    function : callable    the kernel
-    stamp : str            hash of the sources of all kernels
-    """
+def load(function: Callable[..., Any], types: Any) -> MachineCode | None:
+    """Give a kernel for these types of arguments, None if there is none on disk."""
+    for path in _places(function, types):
+        with contextlib.suppress(OSError, EOFError, pickle.UnpicklingError):
+            return MachineCode(*pickle.loads(path.read_bytes()))
+    return None
 
-    def __init__(self, function: Callable[..., Any], stamp: str) -> None:
-        self._function, self._stamp = function, stamp
 
-    @cached_property
-    def _locator(self) -> Any:
-        """What numba knows of the place to write to; None where there is none."""
-        try:
-            return FunctionCache(self._function)._impl.locator
-        except RuntimeError:
-            return None
+def _places(function: Callable[..., Any], types: Any) -> Iterator[Path]:
+    """Files that may hold a kernel, the likeliest first."""
+    if not os.environ.get("NUMBA_CPU_NAME"):
+        yield AHEAD / _name(function, types, common_machine())
+    folder = kept()
+    if folder:
+        yield folder / _name(function, types, this_machine())
 
-    @property
-    def cache_path(self) -> str | None:
-        """Directory to write to."""
-        return str(self._locator.get_cache_path()) if self._locator else None
 
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Give a kernel for these types of arguments, None if there is none on disk."""
-        _know_runtime()
-        machine = _machine(target_context.codegen())
-        for path in self._places(sig, machine):
-            with contextlib.suppress(OSError, EOFError, pickle.UnpicklingError):
-                return from_disk(target_context, pickle.loads(path.read_bytes()))
-        return None
+def save(function: Callable[..., Any], types: Any, code: MachineCode) -> None:
+    """Keep a kernel for these types of arguments, where there is a place and room."""
+    folder = kept()
+    if folder:
+        with contextlib.suppress(OSError):
+            write(folder / _name(function, types, this_machine()), pickle.dumps(tuple(code)))
 
-    def _places(self, sig: Any, machine: tuple[str, ...]) -> Iterator[Path]:
-        """Files that may hold a kernel; where users keep theirs is looked for at last."""
-        if not os.environ.get("NUMBA_CPU_NAME"):
-            yield AHEAD / self._name(sig, common_machine(machine[0]))
-        if self.cache_path:
-            yield Path(self.cache_path) / self._name(sig, machine)
 
-    def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep a kernel for these types of arguments, where there is a place and room."""
-        if self.cache_path and not data.library.has_dynamic_globals:
-            with contextlib.suppress(OSError):
-                self._locator.ensure_cache_path()
-                write(Path(self.cache_path) / self._name(sig, data.codegen.magic_tuple()),
-                      dumps(to_disk(data)))
-
-    def _name(self, sig: Any, machine: tuple[str, ...]) -> str:
-        code = self._function.__code__
-        closure = [cell.cell_contents for cell in self._function.__closure__ or ()]
-        key = (numba.__version__, sys.implementation.cache_tag, machine, self._stamp,
-               _file_stamp(code.co_filename), code.co_firstlineno, closure, str(sig))
-        digest = hashlib.sha256(repr(key).encode()).hexdigest()
-        return f"{self._function.__module__}.{self._function.__name__}.{digest[:20]}{SUFFIX}"
+def _name(function: Callable[..., Any], types: Any, machine: tuple[str, str, str]) -> str:
+    code = function.__code__
+    closure = [cell.cell_contents for cell in function.__closure__ or ()]
+    key = (numba_version(), llvmlite.__version__, sys.implementation.cache_tag, machine,
+           source_stamp(ENGINE), _file_stamp(code.co_filename), code.co_firstlineno, closure, types)
+    digest = hashlib.sha256(repr(key).encode()).hexdigest()
+    return f"{function.__module__}.{function.__name__}.{digest[:20]}{SUFFIX}"
 
 
 def write(path: Path, content: bytes) -> None:

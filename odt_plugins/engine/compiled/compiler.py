@@ -1,4 +1,4 @@
-"""numba's compiler without what no kernel needs.
+"""From the source of a kernel to its machine code: numba's compiler without what no kernel needs.
 
 Kernels have no closures, generators, object mode or parallel loops: the passes that look for them,
 and what numba tells listeners about each pass, are left out.  What a call of a function of the
@@ -8,19 +8,25 @@ language or of numba has for a type is looked up once for the same types of argu
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cache
+from functools import cache, partial
 from types import BuiltinFunctionType
 from typing import Any
 
+from numba import njit, typeof
 from numba.core import typed_passes, types, untyped_passes
 from numba.core.compiler import Compiler
 from numba.core.compiler_lock import global_compiler_lock
 from numba.core.compiler_machinery import PassManager, _pass_registry
+from numba.core.cpu import CPUTargetOptions
 from numba.core.postproc import PostProcessor
 from numba.core.sigutils import normalize_signature
 from numba.core.typing.context import Context
 
 from odt_plugins.engine.compiled.library import Library, Part
+from odt_plugins.engine.compiled.machine import MachineCode, tried
+
+COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+"""What numba is told of every kernel."""
 
 PASSES = (
     untyped_passes.TranslateByteCode,
@@ -90,18 +96,6 @@ class Passes(PassManager):  # type: ignore[misc]
                 PostProcessor(state.func_ir).run()
 
 
-def compile_part(dispatcher: Any, signature: Any) -> Any:
-    """Compile a kernel that only kernels call, where it is not for these types of arguments."""
-    with global_compiler_lock:
-        args, returned = normalize_signature(signature)
-        known = dispatcher.overloads.get(tuple(args))
-        if known is None:
-            with dispatcher._compiling_counter:
-                known = dispatcher._compiler.compile(args, returned)
-            dispatcher.add_overload(known)
-        return known.entry_point
-
-
 @cache
 def compiler_for(kind: type[Library]) -> type[Compiler]:
     """Make numba's compiler for one kind of library."""
@@ -123,8 +117,52 @@ def compiler_for(kind: type[Library]) -> type[Compiler]:
     return KernelCompiler
 
 
-WHOLE: dict[str, Any] = {"pipeline_class": compiler_for(Library)}
-"""What numba is told of a kernel that Python calls."""
+def _options(kind: type[Library], options: dict[str, Any]) -> dict[str, Any]:
+    """What numba is told of a kernel that becomes one kind of library."""
+    known = {name: value for name, value in options.items() if hasattr(CPUTargetOptions, name)}
+    return COMMON | known | ({"pipeline_class": compiler_for(kind)} if tried() else {})
 
-PART: dict[str, Any] = {"pipeline_class": compiler_for(Part)}
-"""What numba is told of a kernel that only kernels call."""
+
+def compile_whole(function: Callable[..., Any], options: dict[str, Any], args: Any) -> MachineCode:
+    """Compile a kernel that Python calls, with all that it calls.
+
+    Parameters
+    ----------
+    function : callable
+    options : dict          what numba is told of it
+    args : sequence         arguments of the types that it is compiled for
+    """
+    dispatcher: Any = njit(**_options(Library, options))(function)
+    dispatcher.compile(tuple(map(typeof, args)))
+    (result,) = dispatcher.overloads.values()
+    # One without constants is never read, but for that of the entry.
+    used = [each for each in result._find_referenced_environments() if each.consts]
+    constants = {each.env_name: list(each.consts) for each in (result.environment, *used)}
+    return MachineCode(
+        result.library._get_compiled_object(), result.fndesc.llvm_cpython_wrapper_name, constants)
+
+
+def part(function: Callable[..., Any], options: dict[str, Any]) -> Any:
+    """Give what numba compiles where a kernel calls another one.
+
+    Parameters
+    ----------
+    function : callable
+    options : dict          what numba is told of it
+    """
+    dispatcher: Any = njit(**_options(Part, options | {"no_cpython_wrapper": True}))(function)
+    if tried():
+        dispatcher.compile = partial(_compile_part, dispatcher)
+    return dispatcher
+
+
+def _compile_part(dispatcher: Any, signature: Any) -> Any:
+    """Compile a kernel that only kernels call, where it is not for these types of arguments."""
+    with global_compiler_lock:
+        args, returned = normalize_signature(signature)
+        known = dispatcher.overloads.get(tuple(args))
+        if known is None:
+            with dispatcher._compiling_counter:
+                known = dispatcher._compiler.compile(args, returned)
+            dispatcher.add_overload(known)
+        return known.entry_point

@@ -1,110 +1,118 @@
-"""How the kernels are compiled."""
+"""What a kernel is: a function that Python calls as machine code."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
-from functools import cached_property, partial
-from pathlib import Path
+from functools import cached_property, partial, update_wrapper
+from threading import RLock
 from typing import Any
 
-import numba
-from numba import njit
-from numba.core.cpu import CPUTargetOptions
+from numpy import bool_, dtype, float64, int64, ndarray
 
-from odt_plugins.engine.compiled.cache import KernelCache, source_stamp
+from odt_plugins.progress import compiling_told
 
-TRIED = ("0.68.",)
-"""Versions of numba that :mod:`odt_plugins.engine.compiled.compiler` takes apart; with another one
-kernels are compiled as numba does by itself, which takes longer."""
+SCALARS: dict[type, str] = {
+    bool: "bool", bool_: "bool", int: "int64", int64: "int64", float: "float64", float64: "float64",
+}
+"""Numbers of Python and NumPy that kernels take for the same."""
 
-STAMP = source_stamp(Path(__file__).parents[1])
-"""Tells states of the engine apart in the cache of its kernels."""
+ALIGNED, WRITEABLE = 0x100, 0x400
+"""Of the flags of an array, as NumPy's ``ndarray.flags.num`` holds them."""
 
-UNCOUNTED: dict[str, Any] = {"_nrt": False} if hasattr(CPUTargetOptions, "_nrt") else {}
-"""numba counts the references to every array that a call hands on, by atomic operations that
-take longer than most of our calls.  Code that allocates nothing does not need it."""
+LAYOUTS = "ACFC"
+"""Letters of the flags C and F: neither, C, F, both."""
 
-COMMON: dict[str, Any] = {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
-"""What numba is told of every kernel."""
+LOADING = RLock()
+"""Held while machine code is looked for, or made: numba does one thing at a time."""
 
 
-def _own_compiler() -> Any:
-    if not numba.__version__.startswith(TRIED):
-        return None
-    from odt_plugins.engine.compiled import compiler
-
-    return compiler
-
-
-OWN = _own_compiler()
-"""Compiles kernels with less work than numba, None where numba does it by itself."""
-
-
-def compiled(**options: Any) -> Callable[[Callable[..., Any]], Any]:
-    """Decorator of functions that numba compiles, and keeps where there is a place to write to.
-
-    That is the directory of the package, or else the user's cache directory; without either
-    they are compiled anew in every process.
-    """
-
-    def decorate(function: Callable[..., Any]) -> Any:
-        dispatcher: Any = njit(**COMMON | (OWN.WHOLE if OWN else {}) | options)(function)
-        dispatcher._cache = KernelCache(function, STAMP)
-        # Looking for extensions of numba, of which no kernel needs one, takes longer than to load.
-        dispatcher._compilation_chain_init_hook = bool
-        return dispatcher
-
-    return decorate
+def kind_of(value: Any) -> Any:
+    """Tell an argument from those of other types, and from some of the same, in little time."""
+    kind = type(value)
+    if kind is ndarray:
+        return value.dtype, value.ndim, value.flags.num
+    if kind in SCALARS:
+        return SCALARS[kind]
+    if isinstance(value, tuple):
+        return kind, *map(kind_of, value)
+    return kind_of(value.view(ndarray)) if isinstance(value, ndarray) else kind
 
 
-kernel = compiled(**UNCOUNTED)
-"""Decorator of a scalar kernel that allocates no array; its caller keeps the arrays alive."""
+def type_of(kind: Any) -> Any:
+    """Give what all kinds of arguments have in common that go to the same machine code."""
+    if not isinstance(kind, tuple):
+        return kind
+    if isinstance(kind[0], dtype):
+        number, ndim, flags = kind
+        return number, ndim, LAYOUTS[flags & 3], flags & (ALIGNED | WRITEABLE)
+    return kind[0], *map(type_of, kind[1:])
 
-allocating_kernel = compiled()
-"""Decorator of a kernel that makes arrays of its own."""
 
+class Kernel:
+    """A function that numba compiles, and that Python calls without numba once it is on disk.
 
-class InnerKernel:
-    """A kernel that only kernels call.
+    Machine code for the types of the arguments is loaded by the first call of a process, from where
+    the installation put it or this user's processes keep theirs; what is not there is compiled,
+    and kept where there is a place to write to.  A kernel that other kernels call is taken in by
+    each of them.  Arguments go by position.
 
-    It has neither machine code nor files of its own: whoever calls it takes its code in.  A call
-    from Python, as tests make it, goes through a caller that is compiled for it.  numba hears of it
-    when one that calls it is compiled.
+    Parameters
+    ----------
+    function : callable
+    **options               what numba is told of it
     """
 
     def __init__(self, function: Callable[..., Any], **options: Any) -> None:
-        self._function = function
-        self._options = UNCOUNTED | {"no_cpython_wrapper": True} | options
+        update_wrapper(self, function)
+        self.py_func = function
+        self.options = options
+        self.loaded: dict[Any, Callable[..., Any]] = {}
+        self._by_kinds: dict[Any, Callable[..., Any]] = {}
+
+    def __call__(self, *args: Any) -> Any:
+        """Run the machine code for arguments of these types."""
+        kinds = tuple(map(kind_of, args))
+        run = self._by_kinds.get(kinds)
+        if run is None:
+            run = self._by_kinds[kinds] = self._load(tuple(map(type_of, kinds)), args)
+        return run(*args)
+
+    def _load(self, types: Any, args: Any) -> Callable[..., Any]:
+        from odt_plugins.engine.compiled import cache, machine
+
+        with LOADING:
+            if types not in self.loaded:
+                code = cache.load(self.py_func, types)
+                if code is None:
+                    with compiling_told():
+                        from odt_plugins.engine.compiled.compiler import compile_whole
+
+                        code = compile_whole(self.py_func, self.options, args)
+                        cache.save(self.py_func, types, code)
+                self.loaded[types] = machine.function_of(code, self.py_func.__name__)
+            return self.loaded[types]
 
     @cached_property
-    def _dispatcher(self) -> Any:
-        if not OWN:
-            return compiled(**self._options)(self._function)
-        dispatcher: Any = njit(**COMMON, **OWN.PART, **self._options)(self._function)
-        dispatcher.compile = partial(OWN.compile_part, dispatcher)
-        return dispatcher
+    def part(self) -> Any:
+        """What numba compiles where another kernel calls this one."""
+        from odt_plugins.engine.compiled.compiler import part
+
+        return part(self.py_func, self.options)
 
     @property
     def _numba_type_(self) -> Any:
-        return self._dispatcher._numba_type_
-
-    def __getattr__(self, name: str) -> Any:
-        return getattr(self._dispatcher, name)
-
-    def __call__(self, *args: Any) -> Any:  # noqa: D102
-        return self._caller(*args)
-
-    @cached_property
-    def _caller(self) -> Any:
-        dispatcher = self._dispatcher
-        caller: Any = njit(**COMMON)(lambda *args: dispatcher(*args))
-        caller._cache = KernelCache(dispatcher.py_func, STAMP)
-        return caller
+        return self.part._numba_type_
 
 
-inner_kernel = InnerKernel
-"""Decorator of a kernel that only kernels call."""
+allocating_kernel = Kernel
+"""Decorator of a kernel that makes arrays of its own."""
 
-inlined_kernel = partial(InnerKernel, forceinline=True)
+kernel = partial(Kernel, _nrt=False)
+"""Decorator of a scalar kernel that allocates no array; its caller keeps the arrays alive.
+
+numba counts the references to every array that a call hands on, by atomic operations that take
+longer than most of our calls.  Code that allocates nothing does not need it."""
+
+inlined_kernel = partial(Kernel, _nrt=False, forceinline=True)
 """The same of one that becomes part of its callers: for those called so often that handing on the
 arrays, up to 150 words a call, takes longer than the work."""

@@ -1,9 +1,9 @@
 """Code of a kernel and of all kernels that it calls, optimised once.
 
 numba optimises every kernel with copies of all that it calls, writes machine code of its own for
-it, and does so again in every kernel that calls it.  Here the code of a kernel that only kernels
-call stays as it is until a kernel is complete that Python calls; that one takes in each of them
-once, and they are optimised together.
+it, and does so again in every kernel that calls it.  Here the code of a kernel that another one
+calls stays as it is until one is complete that Python calls; that one takes in each of them once,
+and they are optimised together.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ from typing import Any
 
 import llvmlite.binding as llvm
 from numba.core.codegen import JITCodeLibrary
-from numba.core.environment import lookup_environment
 
 
 def link_once(library: Any) -> Any:
@@ -36,14 +35,9 @@ class Library(JITCodeLibrary):  # type: ignore[misc]
         """Take in what is called, optimise all of it, and write machine code."""
         self._raise_if_finalized()
         for library in self.needed():
-            self._reload_init.update(library._reload_init)
             self._final_module.link_in(link_once(library), preserve=True)
         self._optimize_final_module()
         self._finalize_final_module()
-        for variable in self._final_module.global_variables:
-            environment = lookup_environment(variable.name)
-            if environment is not None:
-                self._codegen.set_env(variable.name, environment)  # type: ignore[attr-defined]
 
     def needed(self) -> list[Any]:
         """List the libraries of all that is called, directly or not, callers before callees.
@@ -66,7 +60,7 @@ class Library(JITCodeLibrary):  # type: ignore[misc]
 
 
 class Part(Library):
-    """Code of a kernel that only kernels call, neither optimised nor translated by itself."""
+    """Code of a kernel that another one calls, neither optimised nor translated by itself."""
 
     @property
     def codegen(self) -> Any:

@@ -13,7 +13,7 @@ import numpy as np
 
 from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.triangle import triangle_shape
-from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.moves.flips2d import GAIN, flip, number_edges
 from odt_plugins.engine.topology.lookup import place_in
@@ -75,7 +75,7 @@ def within_bounds(
     return not lacking.any()
 
 
-@inner_kernel
+@kernel
 def _lack(
     points: FloatArray, a: int, b: int, c: int, bounds: Extremes, margin: float
 ) -> float:
@@ -127,7 +127,7 @@ def _flips(
                 break
 
 
-@inner_kernel
+@kernel
 def _star_lack(
     points: FloatArray, cells: IntArray, stars: Stars, vertex: int, bounds: Extremes,
     margin: float,

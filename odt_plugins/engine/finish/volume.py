@@ -8,7 +8,7 @@ worst cells; bounds keep every change within the extremes that the input had.
 from __future__ import annotations
 
 import math
-from functools import partial, reduce
+from functools import partial
 
 import numpy as np
 
@@ -18,7 +18,7 @@ from odt_plugins.engine.cells.extremes import (
     Extremes,
     better,
     part_of,
-    worse,
+    together,
 )
 from odt_plugins.engine.cells.tetrahedron import QUALITY
 from odt_plugins.engine.compiled.threads import run_ranges
@@ -78,7 +78,7 @@ def held_angles(
 def reached(mesh: Complex, pool: Pool | None = None) -> Extremes:
     """Extremes of all cells."""
     parts = run_ranges(pool, mesh.used, partial(tet_extremes, mesh.points, mesh.cells))
-    return reduce(worse, parts)
+    return together(Extremes(*part) for part in parts)
 
 
 def guarded(
@@ -321,7 +321,7 @@ def finish(
         if phase.hold:
             now = reached(mesh, pool)
             best = better(best, now)
-            limits = bounds.within(worse(now, part_of(best, phase.hold)))
+            limits = bounds.within(together((now, part_of(best, phase.hold))))
         more_flips, more_moves = descend(mesh, phase, limits, pool, threads)
         flips += more_flips
         moves += more_moves

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.topology.star import OffsetArray
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
@@ -41,7 +41,7 @@ class Ground(NamedTuple):
     normals: FloatArray
 
 
-@inner_kernel
+@kernel
 def closest_on_triangle(
     px: float, py: float, pz: float, points: FloatArray, a: int, b: int, c: int
 ) -> tuple[float, int, float, float, float]:

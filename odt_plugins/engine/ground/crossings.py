@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from odt_plugins.engine.cells.corner import corner_edges, six_volumes
-from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 
@@ -153,7 +153,7 @@ def _sweep(
     return count
 
 
-@inner_kernel
+@kernel
 def _meet(triangles: IntArray, i: int, j: int) -> bool:
     """Whether two triangles share a vertex."""
     for a in range(3):
@@ -163,13 +163,13 @@ def _meet(triangles: IntArray, i: int, j: int) -> bool:
     return False
 
 
-@inner_kernel
+@kernel
 def _side(p: FloatArray, i: int, j: int, k: int, l: int) -> float:
     """Six times the signed volume of (i, j, k, l)."""
     return -six_volumes(*corner_edges(p, l, i, j, k))
 
 
-@inner_kernel
+@kernel
 def _crosses(p: FloatArray, triangles: IntArray, i: int, e: int, j: int) -> bool:
     """Whether edge e of triangle i goes through the inside of triangle j, by more than rounding."""
     u, v = triangles[i, e], triangles[i, (e + 1) % 3]
@@ -188,7 +188,7 @@ def _crosses(p: FloatArray, triangles: IntArray, i: int, e: int, j: int) -> bool
     return least > ROUNDING * length * math.sqrt(length)
 
 
-@inner_kernel
+@kernel
 def _edges_cross(p: FloatArray, edges: IntArray, i: int, j: int) -> bool:
     """Whether two edges in the plane z = 0 cross each other, by more than rounding."""
     u, v, a, b = edges[i, 0], edges[i, 1], edges[j, 0], edges[j, 1]
@@ -200,14 +200,14 @@ def _edges_cross(p: FloatArray, edges: IntArray, i: int, j: int) -> bool:
     return least > ROUNDING * max(_squared(p, u, v), _squared(p, a, b))
 
 
-@inner_kernel
+@kernel
 def _area(p: FloatArray, i: int, j: int, k: int) -> float:
     """Twice the signed area of (i, j, k) in the plane."""
     return ((p[j, 0] - p[i, 0]) * (p[k, 1] - p[i, 1])
             - (p[j, 1] - p[i, 1]) * (p[k, 0] - p[i, 0]))
 
 
-@inner_kernel
+@kernel
 def _squared(p: FloatArray, i: int, j: int) -> float:
     """Squared distance of two vertices."""
     return (p[i, 0] - p[j, 0]) ** 2 + (p[i, 1] - p[j, 1]) ** 2 + (p[i, 2] - p[j, 2]) ** 2

@@ -10,7 +10,7 @@ import math
 from typing import NamedTuple
 
 from odt_plugins.engine.cells.triangle import offset
-from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 
@@ -59,7 +59,7 @@ def on_line(
     )
 
 
-@inner_kernel
+@kernel
 def line_is_near(
     lines: Lines, points: FloatArray, ground_points: FloatArray, slot: int, limit: float
 ) -> bool:
@@ -87,7 +87,7 @@ def line_is_near(
     return True
 
 
-@inner_kernel
+@kernel
 def line_direction(
     lines: Lines, points: FloatArray, slot: int
 ) -> tuple[float, float, float]:
@@ -100,7 +100,7 @@ def line_direction(
     return x / length, y / length, z / length
 
 
-@inner_kernel
+@kernel
 def _distance(points: FloatArray, a: int, b: int, others: FloatArray, c: int) -> float:
     """Squared distance of point c of ``others`` from the segment ab."""
     ux, uy, uz = offset(points, a, b)

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from odt_plugins.engine.compiled.kernel import inner_kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import Ground
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
@@ -63,7 +63,7 @@ def make_overlay_work() -> Work:
     )
 
 
-@inner_kernel
+@kernel
 def enter(face: int, table: IntArray) -> int:
     """Enter a triangle into the table: its place, or -1 when it is there already."""
     mask = table.shape[0] - 1
@@ -78,7 +78,7 @@ def enter(face: int, table: IntArray) -> int:
     return -1
 
 
-@inner_kernel
+@kernel
 def _seen(p: FloatArray, i: int, frame: tuple[float, ...]) -> tuple[float, float, float]:
     """Coordinates of point i in a frame: its origin, and three orthonormal axes."""
     x, y, z = p[i, 0] - frame[0], p[i, 1] - frame[1], p[i, 2] - frame[2]
@@ -89,7 +89,7 @@ def _seen(p: FloatArray, i: int, frame: tuple[float, ...]) -> tuple[float, float
     )
 
 
-@inner_kernel
+@kernel
 def _triangle_under(
     surface: Ground, start: int, frame: tuple[float, ...], u: float, v: float
 ) -> int:
@@ -114,7 +114,7 @@ def _triangle_under(
     return -1
 
 
-@inner_kernel
+@kernel
 def _part_inside(
     pu: float, pv: float, qu: float, qv: float, corners: tuple[float, ...], slack: float
 ) -> tuple[float, float]:
@@ -143,7 +143,7 @@ def _part_inside(
     return low, top
 
 
-@inner_kernel
+@kernel
 def height_over(
     points: FloatArray, a: int, b: int, c: int, start: int, surface: Ground,
     shrink: float, limit: float, work: Work,

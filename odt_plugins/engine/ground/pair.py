@@ -2,14 +2,14 @@
 
 from __future__ import annotations
 
-from odt_plugins.engine.compiled.kernel import inner_kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import Ground
 from odt_plugins.engine.ground.sheet import Sheet, normal_cosine
 from odt_plugins.engine.moves.flips2d import flip
 from odt_plugins.engine.topology.lookup import place_in
 
 
-@inner_kernel
+@kernel
 def flip_back(sheet: Sheet, t: int, s: int, e: int) -> None:
     """Undo a flip: flipped again, the edge is as before, and the two triangles change places."""
     i, j = place_in(sheet.edges.of_cell, t, e), place_in(sheet.edges.of_cell, s, e)
@@ -17,7 +17,7 @@ def flip_back(sheet: Sheet, t: int, s: int, e: int) -> None:
     sheet.first[t], sheet.first[s] = sheet.first[s], sheet.first[t]
 
 
-@inner_kernel
+@kernel
 def edge_is_free(sheet: Sheet, t: int, a: int, s: int, d: int) -> bool:
     """Whether there is no edge from a to d yet; the triangles around one of them tell."""
     if not sheet.pinched[a]:
@@ -27,7 +27,7 @@ def edge_is_free(sheet: Sheet, t: int, a: int, s: int, d: int) -> bool:
     return False
 
 
-@inner_kernel
+@kernel
 def _meets(sheet: Sheet, start: int, centre: int, other: int) -> bool:
     """Whether a triangle of the fan around a vertex holds another vertex."""
     t, neighbors = sheet.triangles, sheet.neighbors
@@ -48,7 +48,7 @@ def _meets(sheet: Sheet, start: int, centre: int, other: int) -> bool:
     return False
 
 
-@inner_kernel
+@kernel
 def keeps_normals(
     sheet: Sheet, ground: Ground, a: int, b: int, c: int, d: int, cosine: float
 ) -> bool:

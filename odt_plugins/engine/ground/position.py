@@ -7,7 +7,7 @@ from typing import NamedTuple
 
 from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
 from odt_plugins.engine.cells.triangle import triangle_in_space
-from odt_plugins.engine.compiled.kernel import inner_kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import Ground, walk
 from odt_plugins.engine.ground.lines import Lines, line_direction, line_is_near, on_line
 from odt_plugins.engine.ground.sheet import (
@@ -57,7 +57,7 @@ class Step(NamedTuple):
     slope: float
 
 
-@inner_kernel
+@kernel
 def star_shape(
     sheet: Sheet, stars: Stars, vertex: int, power: float
 ) -> tuple[float, Extremes]:
@@ -73,7 +73,7 @@ def star_shape(
     return total, found
 
 
-@inner_kernel
+@kernel
 def along_line(
     sheet: Sheet, lines: Lines, vertex: int, dx: float, dy: float, dz: float
 ) -> float:
@@ -85,7 +85,7 @@ def along_line(
     return dx * ex + dy * ey + dz * ez
 
 
-@inner_kernel
+@kernel
 def put_vertex(
     sheet: Sheet, ground: Ground, lines: Lines, vertex: int,
     x: float, y: float, z: float, along: float, line_limit: float,
@@ -108,7 +108,7 @@ def put_vertex(
     return line_is_near(lines, p, ground.points, lines.slot[vertex], line_limit)
 
 
-@inner_kernel
+@kernel
 def least_cosine(
     sheet: Sheet, ground: Ground, stars: Stars, vertex: int, limits: Limits
 ) -> float:
@@ -121,7 +121,7 @@ def least_cosine(
     return least
 
 
-@inner_kernel
+@kernel
 def try_move(
     sheet: Sheet, guards: Guards, stars: Stars, vertex: int, step: Step, power: float,
     bounds: Extremes, work: Work,

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from odt_plugins.engine.cells.triangle import triangle_in_space
-from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import Ground, closest_on_triangle, walk
 from odt_plugins.engine.ground.lines import Lines
 from odt_plugins.engine.ground.trace import End, edge_is_near
@@ -114,7 +114,7 @@ class Guards(NamedTuple):
     limits: Limits
 
 
-@inner_kernel
+@kernel
 def normal_cosine(sheet: Sheet, ground: Ground, a: int, b: int, c: int) -> float:
     """Cosine between the normal of (a, b, c) and that of the ground under its barycentre.
 
@@ -142,14 +142,14 @@ def joined(sheet: Sheet, ground: Ground, a: int, b: int, limit: float) -> bool:
     return edge_is_near(_end(sheet, a), _end(sheet, b), ground, limit)
 
 
-@inner_kernel
+@kernel
 def _end(sheet: Sheet, v: int) -> End:
     p = sheet.points
     face = np.int64(sheet.foot[v])
     return End(p[v, 0], p[v, 1], p[v, 2], face, sheet.kind[v] == SMOOTH)
 
 
-@inner_kernel
+@kernel
 def claim(
     sheet: Sheet, ground: Ground, count: int, limit: float, work: Work
 ) -> int:
@@ -195,7 +195,7 @@ def claim(
     return number
 
 
-@inner_kernel
+@kernel
 def cover(sheet: Sheet, count: int, number: int, work: Work) -> None:
     """Write what :func:`claim` found into the lists of the triangles."""
     cells, pool = work.cells, work.pool
@@ -207,7 +207,7 @@ def cover(sheet: Sheet, count: int, number: int, work: Work) -> None:
         sheet.first[c] = v
 
 
-@inner_kernel
+@kernel
 def star_fits(
     sheet: Sheet, ground: Ground, stars: Stars, vertex: int, limits: Limits, least: float,
     work: Work,

@@ -14,7 +14,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import Ground, closest_on_triangle, walk
 from odt_plugins.engine.topology.lookup import place_in
 
@@ -46,7 +46,7 @@ class End(NamedTuple):
     inside: bool
 
 
-@inner_kernel
+@kernel
 def edge_is_near(a: End, b: End, ground: Ground, limit: float) -> bool:
     """Whether a straight edge stays close to the ground, and the ground under it to the edge.
 
@@ -70,7 +70,7 @@ def edge_is_near(a: End, b: End, ground: Ground, limit: float) -> bool:
     )
 
 
-@inner_kernel
+@kernel
 def _inward(
     x: float, y: float, z: float, face: int, ground: Ground
 ) -> tuple[float, float, float]:
@@ -84,7 +84,7 @@ def _inward(
     )
 
 
-@inner_kernel
+@kernel
 def _trace(
     a: End, ox: float, oy: float, oz: float, b: End, ground: Ground, limit: float
 ) -> bool:

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 import math
 
-from odt_plugins.engine.compiled.kernel import inner_kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import Ground, closest_on_triangle
 from odt_plugins.engine.ground.overlay import DEEP, PIECE, Work, enter, height_over
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -24,7 +24,7 @@ PARTS = 1 << 8
 """Most parts of one triangle that are looked at."""
 
 
-@inner_kernel
+@kernel
 def faces_near(
     points: FloatArray, a: int, b: int, c: int, feet: IntArray, surface: Ground,
     envelope: float, work: Work,
@@ -89,7 +89,7 @@ def faces_near(
     return count
 
 
-@inner_kernel
+@kernel
 def _near_one(
     points: FloatArray, a: int, b: int, c: int, face: int, surface: Ground, limit: float
 ) -> bool:
@@ -104,7 +104,7 @@ def _near_one(
     return True
 
 
-@inner_kernel
+@kernel
 def triangle_within(
     points: FloatArray, a: int, b: int, c: int, feet: IntArray, surface: Ground,
     envelope: float, work: Work,
@@ -175,7 +175,7 @@ def triangle_within(
     return False
 
 
-@inner_kernel
+@kernel
 def _to_barycenter(
     parts: FloatArray, row: int, faces: IntArray, count: int, surface: Ground
 ) -> tuple[float, int]:
@@ -195,7 +195,7 @@ def _to_barycenter(
     return math.sqrt(nearest), face
 
 
-@inner_kernel
+@kernel
 def _radius(parts: FloatArray, row: int) -> float:
     """Largest distance of a corner of a part from its barycentre."""
     square = 0.0
@@ -208,7 +208,7 @@ def _radius(parts: FloatArray, row: int) -> float:
     return math.sqrt(square)
 
 
-@inner_kernel
+@kernel
 def _cut(parts: FloatArray, row: int) -> None:
     """Replace a part, three rows of points, by its four quarters."""
     for k in range(3):

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from odt_plugins.engine.cells.tetrahedron import ENERGY, Cost, cell_cost, tet_cost
-from odt_plugins.engine.compiled.kernel import allocating_kernel, inner_kernel, kernel
+from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.topology.active import DONE, IDLE, PENDING
 from odt_plugins.engine.topology.tets import FREE, USED, Tets, give_slot, has_room, take_slot
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
@@ -91,7 +91,7 @@ def make_journal(on: bool, room: int) -> Journal:
     return Journal(on, np.zeros(1, np.int64), np.empty((room, 4), np.int64))
 
 
-@inner_kernel
+@kernel
 def local_edge(e: int) -> tuple[int, int, int, int]:
     """Local vertices (i, j, k, l) of edge e = (i, j), an even permutation."""
     if e == 0:
@@ -107,7 +107,7 @@ def local_edge(e: int) -> tuple[int, int, int, int]:
     return 2, 3, 0, 1
 
 
-@inner_kernel
+@kernel
 def walk_ring(
     tets: Tets, c: int, e: int, longest: int, fresh: bool, ring: Ring
 ) -> tuple[int, int, int]:
@@ -149,7 +149,7 @@ def walk_ring(
     return a, b, 0
 
 
-@inner_kernel
+@kernel
 def known_cost(tets: Tets, c: int, cost: Cost, ring: Ring) -> float:
     """Cost of cell c, remembered until the cell is replaced where that is switched on."""
     if not ring.remembers:
@@ -160,7 +160,7 @@ def known_cost(tets: Tets, c: int, cost: Cost, ring: Ring) -> float:
     return costs[c]
 
 
-@inner_kernel
+@kernel
 def forget_costs(n: int, ring: Ring) -> None:
     """Forget the costs of the first n of ``ring.cells``, which were replaced."""
     if ring.remembers:
@@ -168,7 +168,7 @@ def forget_costs(n: int, ring: Ring) -> None:
             ring.costs[ring.cells[m]] = UNKNOWN
 
 
-@inner_kernel
+@kernel
 def triangulate_ring(
     points: FloatArray, a: int, b: int, n: int, cost: Cost, limit: float, ring: Ring
 ) -> float:
@@ -202,7 +202,7 @@ def triangulate_ring(
     return best[0, n - 1]
 
 
-@inner_kernel
+@kernel
 def write_ring(a: int, b: int, n: int, ring: Ring) -> int:
     """Write the cells of the triangulation found by :func:`triangulate_ring`; their number."""
     vertices, split, new, stack = ring.vertices, ring.split, ring.new, ring.stack
@@ -235,7 +235,7 @@ def write_ring(a: int, b: int, n: int, ring: Ring) -> int:
     return count
 
 
-@inner_kernel
+@kernel
 def _sorted3(cells: IntArray, c: int, f: int) -> tuple[int, int, int]:
     """Vertices of the facet opposite local vertex f, ascending."""
     x = cells[c, (f + 1) & 3]
@@ -267,7 +267,7 @@ def _note(journal: Journal, kind: int, a: int, b: int, value: int) -> None:
     entries[n, 3] = value
 
 
-@inner_kernel
+@kernel
 def take_back(tets: Tets, journal: Journal) -> None:
     """Undo all journalled writes, the last one first."""
     entries = journal.entries
@@ -289,7 +289,7 @@ def take_back(tets: Tets, journal: Journal) -> None:
     journal.length[0] = 0
 
 
-@inner_kernel
+@kernel
 def replace_cavity(
     tets: Tets, old: IntArray, n_old: int, new: IntArray, n_new: int, border: IntArray,
     journal: Journal,

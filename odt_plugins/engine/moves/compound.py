@@ -13,7 +13,7 @@ import numpy as np
 
 from odt_plugins.engine.cells.extremes import Bounds, Extremes, keeps, rounded, worse
 from odt_plugins.engine.cells.tetrahedron import Cost, cell_extremes, quality_cost, tet_measure
-from odt_plugins.engine.compiled.kernel import allocating_kernel, inner_kernel, kernel
+from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.moves.cavity import Journal, Ring, make_journal, make_ring, take_back
 from odt_plugins.engine.moves.flips3d import flip_facet, improve_cell, remove_edge
 from odt_plugins.engine.moves.newton3d import Derivatives, make_derivatives, newton_vertex
@@ -60,7 +60,7 @@ class Scratch(NamedTuple):
     origin: FloatArray
 
 
-@inner_kernel
+@kernel
 def gather_star(cells: IntArray, neighbors: IntArray, c: int, v: int, star: IntArray) -> int:
     """Cells that contain vertex v, found over facets from cell c; 0 if there are too many."""
     star[0] = c
@@ -109,7 +109,7 @@ def make_scratch(entries: int) -> Scratch:
     )
 
 
-@inner_kernel
+@kernel
 def descend_around(
     tets: Tets, cost: Cost, max_ring: int, bounds: Bounds, fresh: IntArray, n_fresh: int,
     total: float, least: float, scratch: Scratch,
@@ -199,7 +199,7 @@ def within(tets: Tets, touched: IntArray, n_touched: int, limit: Extremes) -> bo
     return True
 
 
-@inner_kernel
+@kernel
 def stakes(tets: Tets, c: int, cost: Cost, bounds: Bounds) -> tuple[float, Extremes]:
     """Cost of cell c, with which a gain is compared, and what all cells near it must keep then.
 

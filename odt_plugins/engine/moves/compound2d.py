@@ -17,7 +17,7 @@ import numpy as np
 from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
 from odt_plugins.engine.cells.tetrahedron import Cost
 from odt_plugins.engine.cells.triangle import triangle_extremes, triangle_measure
-from odt_plugins.engine.compiled.kernel import allocating_kernel, inner_kernel, kernel
+from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.moves.flips2d import (
     Rule,
@@ -96,7 +96,7 @@ def make_scratch(dim: int) -> Scratch:
     )
 
 
-@inner_kernel
+@kernel
 def gather_star_2d(cells: IntArray, neighbors: IntArray, t: int, v: int, star: IntArray) -> int:
     """Cells around vertex v, counterclockwise from t on; 0 at the boundary or if too many."""
     now = t
@@ -110,7 +110,7 @@ def gather_star_2d(cells: IntArray, neighbors: IntArray, t: int, v: int, star: I
     return 0
 
 
-@inner_kernel
+@kernel
 def _touch(mesh: Triangles, objective: int, scratch: Scratch, t: int) -> None:
     """Add a cell that is about to change to the touched ones, once."""
     n = scratch.counts[TOUCHED]
@@ -121,13 +121,13 @@ def _touch(mesh: Triangles, objective: int, scratch: Scratch, t: int) -> None:
         scratch.counts[TOUCHED] += 1
 
 
-@inner_kernel
+@kernel
 def _cost(points: FloatArray, a: int, b: int, c: int, cost: Cost) -> float:
     m = triangle_measure(points, a, b, c, cost.objective)
     return m**-cost.power if m > 0.0 else np.inf
 
 
-@inner_kernel
+@kernel
 def _at_turn(cost: Cost, turn: int) -> Cost:
     """What a sweep of a descent lowers."""
     return Cost(cost.objective, min(cost.power, START * 2.0 ** (turn // 2)))
@@ -150,7 +150,7 @@ def _add_excess(points: FloatArray, cells: IntArray, excess: FloatArray) -> None
             excess[a] += 1.0 - 3.0 / math.pi * _angle(points, a, b, c)
 
 
-@inner_kernel
+@kernel
 def _angle(points: FloatArray, a: int, b: int, c: int) -> float:
     """Angle at a; negative in the plane where (a, b, c) is not counterclockwise."""
     ux, uy = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
@@ -180,7 +180,7 @@ class ForcedFlip(NamedTuple):
     loss: float
 
 
-@inner_kernel
+@kernel
 def forced_flip(
     mesh: Triangles, edges: EdgeNumbers, bad: int, op: int, rule: Rule, excess: FloatArray
 ) -> ForcedFlip:
@@ -251,7 +251,7 @@ def _sweep(
     return total
 
 
-@inner_kernel
+@kernel
 def touched_shape(mesh: Triangles, cost: Cost, scratch: Scratch) -> tuple[float, Extremes]:
     """F_p of the touched cells, and their extremes."""
     total = 0.0
@@ -263,7 +263,7 @@ def touched_shape(mesh: Triangles, cost: Cost, scratch: Scratch) -> tuple[float,
     return total, found
 
 
-@inner_kernel
+@kernel
 def _gain(mesh: Triangles, cost: Cost, scratch: Scratch) -> float:
     """What the touched cells gain, or nothing where there may be more of them than are known."""
     count = scratch.counts[TOUCHED]
@@ -275,7 +275,7 @@ def _gain(mesh: Triangles, cost: Cost, scratch: Scratch) -> float:
     return total - touched_shape(mesh, cost, scratch)[0]
 
 
-@inner_kernel
+@kernel
 def force(
     mesh: Triangles, edges: EdgeNumbers, forced: ForcedFlip, own: float, rule: Rule,
     scratch: Scratch,
@@ -312,7 +312,7 @@ def force(
     return total
 
 
-@inner_kernel
+@kernel
 def take_back(
     mesh: Triangles, edges: EdgeNumbers, forced: ForcedFlip, scratch: Scratch
 ) -> None:
@@ -324,7 +324,7 @@ def take_back(
     take_back_flip(mesh.cells, mesh.neighbors, edges, t, i, s, j)
 
 
-@inner_kernel
+@kernel
 def standing(mesh: Triangles, bad: int, rule: Rule) -> tuple[float, Extremes]:
     """Cost of a bad cell, and what no cell may pass that comes in its place."""
     a, b, c = mesh.cells[bad, 0], mesh.cells[bad, 1], mesh.cells[bad, 2]
@@ -376,7 +376,7 @@ def compound_pass_2d(
     return taken
 
 
-@inner_kernel
+@kernel
 def keep_forced(
     mesh: Triangles, forced: ForcedFlip, excess: FloatArray, tried: BoolArray, scratch: Scratch
 ) -> None:

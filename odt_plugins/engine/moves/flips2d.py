@@ -14,7 +14,7 @@ import numpy as np
 from odt_plugins.engine.cells.extremes import FREELY, Extremes, keeps, worse
 from odt_plugins.engine.cells.tetrahedron import ENERGY, QUALITY, Cost
 from odt_plugins.engine.cells.triangle import triangle_extremes, triangle_measure, triangle_shape
-from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import PIECE
 from odt_plugins.engine.topology.lookup import place_in
 from odt_plugins.engine.topology.triangles import EdgeNumbers, Triangles
@@ -247,7 +247,7 @@ def _flip_edges(
     return flips
 
 
-@inner_kernel
+@kernel
 def first_waiting(queue: Queue) -> int:
     """Take the edge out of the queue that has waited longest; there must be one."""
     ends = queue.ends
@@ -258,7 +258,7 @@ def first_waiting(queue: Queue) -> int:
     return e
 
 
-@inner_kernel
+@kernel
 def queue_around(edges: EdgeNumbers, t: int, s: int, queue: Queue) -> None:
     """Queue the four edges around the one that was just flipped between triangles t and s."""
     ring, waits, ends = queue
@@ -271,7 +271,7 @@ def queue_around(edges: EdgeNumbers, t: int, s: int, queue: Queue) -> None:
                 ends[1] += 1
 
 
-@inner_kernel
+@kernel
 def _tell_across(
     neighbors: IntArray, cell_edges: IntArray, across: int, edge: int, t: int
 ) -> None:
@@ -331,7 +331,7 @@ def flip(
     _tell_across(neighbors, cell_edges, across_ca, edge_ca, s)
 
 
-@inner_kernel
+@kernel
 def take_back_flip(
     cells: IntArray, neighbors: IntArray, edges: EdgeNumbers, t: int, i: int, s: int, j: int
 ) -> None:
@@ -359,7 +359,7 @@ def take_back_flip(
     _tell_across(neighbors, cell_edges, across_ca, edge_ca, t)
 
 
-@inner_kernel
+@kernel
 def is_wide(points: FloatArray, a: int, b: int, c: int) -> bool:
     """Whether (a, b, c) is counterclockwise and not flat."""
     ux = points[b, 0] - points[a, 0]
@@ -372,7 +372,7 @@ def is_wide(points: FloatArray, a: int, b: int, c: int) -> bool:
     return bool(ux * vy - uy * vx > FLAT * longest)
 
 
-@inner_kernel
+@kernel
 def _in_circle(points: FloatArray, a: int, b: int, c: int, d: int) -> bool:
     """Whether d lies in the circumcircle of the counterclockwise (a, b, c), beyond rounding."""
     ax = points[a, 0] - points[d, 0]
@@ -393,7 +393,7 @@ def _in_circle(points: FloatArray, a: int, b: int, c: int, d: int) -> bool:
     return bool(value > IN_CIRCLE * size)
 
 
-@inner_kernel
+@kernel
 def _guard_agrees(
     points: FloatArray, fixed: BoolArray, a: int, b: int, c: int, d: int, floor: float
 ) -> bool:
@@ -415,7 +415,7 @@ def _guard_agrees(
     return new >= old
 
 
-@inner_kernel
+@kernel
 def shapes_improve(
     points: FloatArray, a: int, b: int, c: int, d: int, cost: Cost, limit: Extremes
 ) -> bool:

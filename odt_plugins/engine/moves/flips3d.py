@@ -17,7 +17,7 @@ from odt_plugins.engine.cells.tetrahedron import (
     opposite_vertices,
     tet_cost,
 )
-from odt_plugins.engine.compiled.kernel import allocating_kernel, inlined_kernel, inner_kernel
+from odt_plugins.engine.compiled.kernel import allocating_kernel, inlined_kernel, kernel
 from odt_plugins.engine.moves.cavity import (
     Journal,
     Ring,
@@ -41,7 +41,7 @@ WITHIN_BOUNDS = 0.0
 """Allowance of a flip that must lower the cost and keep the bounds."""
 
 
-@inner_kernel
+@kernel
 def worst_of(
     tets: Tets, old: IntArray, n_old: int, bounds: Bounds
 ) -> tuple[Extremes, Extremes]:
@@ -57,7 +57,7 @@ def worst_of(
     return limit, locked
 
 
-@inner_kernel
+@kernel
 def admissible(
     tets: Tets, old: IntArray, n_old: int, new: IntArray, n_new: int, objective: int,
     bounds: Bounds,
@@ -86,7 +86,7 @@ def admissible(
     return keeps(free, limit) and keeps(locked, locked_limit)
 
 
-@inner_kernel
+@kernel
 def remove_edge(
     tets: Tets, c: int, e: int, cost: Cost, max_ring: int, bounds: Bounds, allowance: float,
     ring: Ring, journal: Journal,
@@ -140,7 +140,7 @@ def _cost_below(before: float, allowance: float) -> float:
     return before + allowance if allowance > WITHIN_BOUNDS else before * REAL
 
 
-@inner_kernel
+@kernel
 def _fill_ring(
     tets: Tets, a: int, b: int, n: int, before: float, cost: Cost, bounds: Bounds,
     allowance: float, ring: Ring, journal: Journal,
@@ -161,7 +161,7 @@ def _fill_ring(
     return before - after, n_new
 
 
-@inner_kernel
+@kernel
 def flip_facet(
     tets: Tets, c: int, f: int, cost: Cost, bounds: Bounds, allowance: float, ring: Ring,
     journal: Journal,
@@ -190,7 +190,7 @@ def facet_worth(
     return before, across
 
 
-@inner_kernel
+@kernel
 def _flip_facet(
     tets: Tets, c: int, f: int, across: np.int64, before: float, cost: Cost, bounds: Bounds,
     allowance: float, ring: Ring, journal: Journal,
@@ -283,7 +283,7 @@ def _improve_cell(
     return 0.0, 0
 
 
-@inner_kernel
+@kernel
 def improve_cell(
     tets: Tets, c: int, cost: Cost, max_ring: int, bounds: Bounds, ring: Ring, journal: Journal
 ) -> tuple[float, int]:

@@ -13,7 +13,7 @@ import numpy as np
 
 from odt_plugins.engine.cells.extremes import Bounds, Extremes, keeps
 from odt_plugins.engine.cells.tetrahedron import Cost, cell_extremes
-from odt_plugins.engine.compiled.kernel import allocating_kernel, inner_kernel, kernel
+from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.moves.cavity import STATUS, local_edge, replace_cavity
 from odt_plugins.engine.moves.compound import (
     LARGEST_STAR,
@@ -145,7 +145,7 @@ def make_room() -> Room:
     )
 
 
-@inner_kernel
+@kernel
 def propose_vertex(
     tets: Tets, c: int, place: int, p: int, cost: Cost, max_ring: int, bounds: Bounds,
     scratch: Scratch, proposal: Proposal,
@@ -178,7 +178,7 @@ def propose_vertex(
     return total, n_old, n_new
 
 
-@inner_kernel
+@kernel
 def propose_removal(
     tets: Tets, stays: BoolArray, c: int, v: int, cost: Cost, scratch: Scratch, proposal: Proposal
 ) -> tuple[float, int, int]:
@@ -194,7 +194,7 @@ def propose_removal(
     return total, n_old, n_new
 
 
-@inner_kernel
+@kernel
 def add_to_zone(c: int, ledger: Ledger, n: int) -> int:
     """Put cell c into the zone, once; the number of cells in it."""
     if ledger.marks[c] == ledger.turn[0] or n == ledger.zone.shape[0]:
@@ -283,7 +283,7 @@ def attempt(
     return total if n_new > 0 else -np.inf
 
 
-@inner_kernel
+@kernel
 def order_operations(tets: Tets, c: int, room: Room) -> None:
     """Write the operations at cell c in the order in which they are tried.
 

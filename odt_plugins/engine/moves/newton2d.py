@@ -22,7 +22,7 @@ from odt_plugins.engine.cells.triangle import (
     triangle_extremes,
     triangle_measure,
 )
-from odt_plugins.engine.compiled.kernel import allocating_kernel, inner_kernel, kernel
+from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.moves.plane_step import plane_step
 from odt_plugins.engine.moves.tangent import set_axes, star_cost, star_normal
 from odt_plugins.engine.topology.star import Stars
@@ -36,7 +36,7 @@ ARMIJO = 1e-4
 """Part of the decrease that the slope predicts which a step must reach."""
 
 
-@inner_kernel
+@kernel
 def _mean_ratio_terms(
     ux: float, uy: float, vx: float, vy: float, l3: float, ax: float, ay: float, d2: float
 ) -> tuple[float, float, float, float, float, float]:
@@ -54,7 +54,7 @@ def _mean_ratio_terms(
     )
 
 
-@inner_kernel
+@kernel
 def _step_terms(
     ux: float, uy: float, vx: float, vy: float, l3: float, ax: float, ay: float, d2: float
 ) -> tuple[float, float, float, float, float, float]:
@@ -72,7 +72,7 @@ def _step_terms(
     )
 
 
-@inner_kernel
+@kernel
 def _angle_terms(
     ux: float, uy: float, vx: float, vy: float, l3: float, ax: float, ay: float, d2: float
 ) -> tuple[float, float, float, float, float, float]:
@@ -119,7 +119,7 @@ def _angle_terms(
     )
 
 
-@inner_kernel
+@kernel
 def star_cost_2d(
     points: FloatArray, cells: IntArray, star: IntArray, vertex: int, kind: Cost,
     derivatives: FloatArray,
@@ -210,7 +210,7 @@ def star_cost_2d(
     return total
 
 
-@inner_kernel
+@kernel
 def _star_shape(
     points: FloatArray, cells: IntArray, star: IntArray, kind: Cost
 ) -> tuple[float, Extremes]:
@@ -231,7 +231,7 @@ def _star_shape(
     return total, found
 
 
-@inner_kernel
+@kernel
 def newton_vertex_2d(
     points: FloatArray, cells: IntArray, star: IntArray, v: int, kind: Cost, bounds: Extremes,
     derivatives: FloatArray, axes: FloatArray,

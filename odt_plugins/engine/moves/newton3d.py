@@ -37,7 +37,7 @@ from odt_plugins.engine.cells.tetrahedron import (
     tet_cosines,
     tet_quality,
 )
-from odt_plugins.engine.compiled.kernel import allocating_kernel, inner_kernel
+from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.topology.star import Stars
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
@@ -71,7 +71,7 @@ def make_derivatives() -> Derivatives:
     return Derivatives(np.empty(10), np.empty(10), np.empty(3), np.empty(ROWS))
 
 
-@inner_kernel
+@kernel
 def add_quality_terms(
     points: FloatArray, v: int, i: int, j: int, k: int, power: float, out: FloatArray,
 ) -> bool:
@@ -206,7 +206,7 @@ def add_quality_terms(
     return True
 
 
-@inner_kernel
+@kernel
 def add_cost_terms(
     points: FloatArray, v: int, i: int, j: int, k: int, cost: Cost, room: Derivatives
 ) -> bool:
@@ -236,7 +236,7 @@ def add_cost_terms(
     return True
 
 
-@inner_kernel
+@kernel
 def _newton_direction(out: FloatArray, step: FloatArray) -> bool:
     """Solve (H + s I) step = -g with the least shift s of a short ladder that makes it SPD."""
     trace = abs(out[4]) + abs(out[7]) + abs(out[9])
@@ -265,7 +265,7 @@ def _newton_direction(out: FloatArray, step: FloatArray) -> bool:
     return False
 
 
-@inner_kernel
+@kernel
 def star_state(
     points: FloatArray, cells: IntArray, indices: IntArray, start: int, stop: int, cost: Cost,
     limit: float, sure: float,
@@ -303,7 +303,7 @@ def star_state(
     return total, found
 
 
-@inner_kernel
+@kernel
 def _row_state(
     points: FloatArray, cells: IntArray, indices: IntArray, start: int, v: int, power: float,
     limit: float, sure: float, count: int, rows: FloatArray,
@@ -331,7 +331,7 @@ def _row_state(
     return total, found
 
 
-@inner_kernel
+@kernel
 def sure_quality(limit: Extremes) -> float:
     """Radius ratio from which on no dihedral angle passes the limit; above 1 if none is sure.
 
@@ -343,7 +343,7 @@ def sure_quality(limit: Extremes) -> float:
     return 3.0 * math.sqrt(max(1.0 - cosine * cosine, 0.0) + ROUNDING)
 
 
-@inner_kernel
+@kernel
 def newton_vertex(
     points: FloatArray, cells: IntArray, indices: IntArray, start: int, stop: int, v: int,
     cost: Cost, limit: Extremes, room: Derivatives,

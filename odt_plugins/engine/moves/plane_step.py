@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 
-from odt_plugins.engine.compiled.kernel import inner_kernel
+from odt_plugins.engine.compiled.kernel import kernel
 
 LEAST_CURVATURE = 1e-2
 """The smaller eigenvalue of the Hessian is lifted to about this part of the larger one."""
 
 
-@inner_kernel
+@kernel
 def plane_step(
     g1: float, g2: float, h11: float, h12: float, h22: float, on_a_line: bool
 ) -> tuple[float, float]:

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.engine.cells.tetrahedron import Cost, cell_cost
-from odt_plugins.engine.compiled.kernel import allocating_kernel, inlined_kernel, inner_kernel
+from odt_plugins.engine.compiled.kernel import allocating_kernel, inlined_kernel, kernel
 from odt_plugins.engine.topology.lookup import is_in
 from odt_plugins.engine.topology.tets import Tets
 from odt_plugins.mesh.arrays import ByteArray, FloatArray, IntArray, LongArray
@@ -108,19 +108,19 @@ class Room(NamedTuple):
     border: IntArray
 
 
-@inner_kernel
+@kernel
 def facet_number(a: int, b: int, c: int) -> int:
     """Number of the facet with the vertices a < b < c."""
     return c * (c - 1) * (c - 2) // 6 + b * (b - 1) // 2 + a
 
 
-@inner_kernel
+@kernel
 def cell_number(a: int, b: int, c: int, d: int) -> int:
     """Number of the cell with the vertices a < b < c < d."""
     return d * (d - 1) * (d - 2) * (d - 3) // 24 + facet_number(a, b, c)
 
 
-@inner_kernel
+@kernel
 def ascending_cell(x: int, a: int, b: int, c: int) -> tuple[int, int, int, int, int]:
     """The vertices x and a < b < c in ascending order, and how many are less than x."""
     if x < a:
@@ -132,7 +132,7 @@ def ascending_cell(x: int, a: int, b: int, c: int) -> tuple[int, int, int, int, 
     return a, b, c, x, 3
 
 
-@inner_kernel
+@kernel
 def sorted_facet(a: int, b: int, c: int) -> tuple[int, int, int, int]:
     """Three vertices in ascending order, and 1 if that is an odd permutation."""
     odd = 0
@@ -148,7 +148,7 @@ def sorted_facet(a: int, b: int, c: int) -> tuple[int, int, int, int]:
     return a, b, c, odd
 
 
-@inner_kernel
+@kernel
 def _beside(a: int, b: int, c: int, place: int, x: int) -> int:
     """Twice the number of the facet with x at a place of facet (a, b, c); odd if the order is."""
     if place == 0:
@@ -212,7 +212,7 @@ def make_room() -> Room:
     )
 
 
-@inner_kernel
+@kernel
 def place_of(vertices: IntArray, n: int, v: int) -> int:
     """Place of vertex v among the first n, -1 if it is not there."""
     for k in range(n):

@@ -27,7 +27,7 @@ from odt_plugins.engine.cells.tetrahedron import (
     tet_cost,
     tet_quality,
 )
-from odt_plugins.engine.compiled.kernel import allocating_kernel, inlined_kernel, inner_kernel
+from odt_plugins.engine.compiled.kernel import allocating_kernel, inlined_kernel, kernel
 from odt_plugins.engine.moves.cavity import Journal, make_journal, replace_cavity
 from odt_plugins.engine.moves.flips3d import REAL, worst_of
 from odt_plugins.engine.moves.polyhedron import (
@@ -297,7 +297,7 @@ def fill_polyhedron(
     return least, n_best
 
 
-@inner_kernel
+@kernel
 def _as_it_was(cells: IntArray, n: int, m: int, room: Room) -> None:
     """Give a new cell the order of vertices of the old one that it equals, and so its figures."""
     new = room.new[m]

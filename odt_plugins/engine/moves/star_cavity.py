@@ -14,7 +14,7 @@ import numpy as np
 
 from odt_plugins.engine.cells.corner import corner_edges, corner_normals
 from odt_plugins.engine.cells.tetrahedron import Cost, cell_cost, opposite_vertices, tet_cost
-from odt_plugins.engine.compiled.kernel import inner_kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.moves.cavity import Ring, walk_ring
 from odt_plugins.engine.topology.lookup import is_in, place_in
 from odt_plugins.engine.topology.tets import Tets
@@ -26,7 +26,7 @@ PLACES = 11
 """Where a vertex may come into a cell: on its 6 edges, on its 4 facets, in its middle."""
 
 
-@inner_kernel
+@kernel
 def _cone_cost(
     points: FloatArray, cells: IntArray, c: int, f: int, p: int, cost: Cost
 ) -> float:
@@ -38,7 +38,7 @@ def _cone_cost(
     return tet_cost(points, i, j, k, l, cost)
 
 
-@inner_kernel
+@kernel
 def _write_cone(cells: IntArray, c: int, f: int, p: int, out: IntArray) -> None:
     """Write cell c with vertex p in the place of its local vertex f."""
     for i in range(4):
@@ -50,7 +50,7 @@ HEIGHT = 0.64
 """Of a vertex above a triangle, in roots of twice its area: three quarters of a regular cell's."""
 
 
-@inner_kernel
+@kernel
 def _rise(points: FloatArray, cells: IntArray, c: int, f: int, p: int) -> None:
     """Lift vertex p from facet f of cell c, on the side of the cell."""
     i, j, k = opposite_vertices(cells, c, cells[c, f])
@@ -63,7 +63,7 @@ def _rise(points: FloatArray, cells: IntArray, c: int, f: int, p: int) -> None:
     points[p, 2] += height * nz
 
 
-@inner_kernel
+@kernel
 def seed_cavity(
     tets: Tets, c: int, place: int, p: int, max_ring: int, ring: Ring, cavity: IntArray
 ) -> int:
@@ -112,7 +112,7 @@ def seed_cavity(
     return n
 
 
-@inner_kernel
+@kernel
 def grow_cavity(tets: Tets, p: int, cavity: IntArray, n: int, cost: Cost) -> int:
     """Take cells in until the worst of the new cells is as good as in any cavity around this one.
 
@@ -157,7 +157,7 @@ def grow_cavity(tets: Tets, p: int, cavity: IntArray, n: int, cost: Cost) -> int
     return size
 
 
-@inner_kernel
+@kernel
 def join_facets(
     tets: Tets, p: int, cavity: IntArray, n: int, cost: Cost, new: IntArray
 ) -> tuple[float, int]:
@@ -184,7 +184,7 @@ def join_facets(
     return gain, n_new
 
 
-@inner_kernel
+@kernel
 def collapse_edge(
     tets: Tets, v: int, w: int, star: IntArray, n: int, cost: Cost, new: IntArray
 ) -> tuple[float, int]:
@@ -213,7 +213,7 @@ def collapse_edge(
     return gain, n_new
 
 
-@inner_kernel
+@kernel
 def best_collapse(
     tets: Tets, v: int, star: IntArray, n: int, cost: Cost, new: IntArray
 ) -> tuple[float, int]:

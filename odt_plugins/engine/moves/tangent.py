@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 
 from odt_plugins.engine.cells.triangle import opposite_edge, triangle_in_space
-from odt_plugins.engine.compiled.kernel import inner_kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 
-@inner_kernel
+@kernel
 def star_normal(
     points: FloatArray, triangles: IntArray, star: IntArray
 ) -> tuple[float, float, float]:
@@ -29,7 +29,7 @@ def star_normal(
     return x / length, y / length, z / length
 
 
-@inner_kernel
+@kernel
 def axis_across(nx: float, ny: float, nz: float) -> tuple[float, float, float]:
     """Unit vector at right angles to a unit vector."""
     if abs(nx) <= abs(ny) and abs(nx) <= abs(nz):
@@ -42,14 +42,14 @@ def axis_across(nx: float, ny: float, nz: float) -> tuple[float, float, float]:
     return x / length, y / length, z / length
 
 
-@inner_kernel
+@kernel
 def set_axes(nx: float, ny: float, nz: float, e: FloatArray) -> None:
     """Make e (2, 3) orthonormal directions at right angles to a unit vector."""
     e[0, 0], e[0, 1], e[0, 2] = axis_across(nx, ny, nz)
     complete_axes(nx, ny, nz, e)
 
 
-@inner_kernel
+@kernel
 def complete_axes(nx: float, ny: float, nz: float, e: FloatArray) -> None:
     """Make e[1] the direction across a unit vector and e[0]."""
     e[1, 0] = ny * e[0, 2] - nz * e[0, 1]
@@ -57,7 +57,7 @@ def complete_axes(nx: float, ny: float, nz: float, e: FloatArray) -> None:
     e[1, 2] = nx * e[0, 1] - ny * e[0, 0]
 
 
-@inner_kernel
+@kernel
 def star_cost(
     points: FloatArray, triangles: IntArray, star: IntArray, vertex: int, power: float,
     e: FloatArray, derivatives: FloatArray,

@@ -13,7 +13,7 @@ from typing import NamedTuple
 from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.step import tet_altitude
 from odt_plugins.engine.cells.tetrahedron import cell_extremes
-from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.topology.tets import Tets
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
@@ -52,7 +52,7 @@ SOFT = 0.015
 """Cosines over which the price of a small angle falls to nothing."""
 
 
-@inner_kernel
+@kernel
 def _excess(x: float, least: float) -> float:
     """How far x lies below least, more and more."""
     if x >= least:
@@ -62,7 +62,7 @@ def _excess(x: float, least: float) -> float:
     return ratio * ratio - 1.0
 
 
-@inner_kernel
+@kernel
 def worth_of(found: Extremes, weights: Weights) -> float:
     """Worth of a cell with these extremes, whatever its altitudes."""
     q, large, small = found.quality, found.large, found.small
@@ -77,7 +77,7 @@ def worth_of(found: Extremes, weights: Weights) -> float:
     return total - weights.worst * (_excess(q, weights.least) + _excess(sine, weights.sharp))
 
 
-@inner_kernel
+@kernel
 def worth_of_cell(
     points: FloatArray, cells: IntArray, c: int, found: Extremes, weights: Weights
 ) -> float:

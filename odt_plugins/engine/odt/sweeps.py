@@ -13,7 +13,7 @@ import numpy as np
 
 from odt_plugins.engine.cells.elementary import power
 from odt_plugins.engine.cells.geometry import signed_volumes
-from odt_plugins.engine.compiled.kernel import allocating_kernel, inner_kernel
+from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.compiled.threads import thread_pool
 from odt_plugins.engine.topology.coloring import run_chunks
 from odt_plugins.engine.topology.star import Stars, star_sum
@@ -60,7 +60,7 @@ AX, AY, AZ, BX, BY, BZ, EX, EY, EZ, RHO, DET, GX, GY, GZ, OX, OY, OZ, LONG = (
 squared longest edge."""
 
 
-@inner_kernel
+@kernel
 def _plane_chunk(
     nodes: FloatArray, cells: IntArray, indices: IntArray, first: int, count: int, i: int,
     rows: FloatArray,
@@ -89,7 +89,7 @@ def _plane_chunk(
         rows[OZ + s] = 0.0
 
 
-@inner_kernel
+@kernel
 def _space_chunk(
     nodes: FloatArray, cells: IntArray, indices: IntArray, first: int, count: int, i: int,
     rows: FloatArray,

@@ -75,7 +75,9 @@ def _tet_shapes(points: FloatArray, cells: IntArray, shapes: FloatArray) -> None
 
 
 @allocating_kernel
-def tet_extremes(points: FloatArray, cells: IntArray, start: int, stop: int) -> Extremes:
+def tet_extremes(
+    points: FloatArray, cells: IntArray, start: int, stop: int
+) -> tuple[float, float, float]:
     """Extremes of the tetrahedra in the slots start to stop, of which some may be free."""
     rows = np.empty(ROWS)
     slots = np.arange(start, stop)
@@ -88,7 +90,7 @@ def tet_extremes(points: FloatArray, cells: IntArray, start: int, stop: int) -> 
         for s in range(count):
             if cells[start + first + s, 0] >= 0:
                 found = worse(found, Extremes(rows[Q + s], rows[LARGE + s], rows[SMALL + s]))
-    return found
+    return found.quality, found.large, found.small
 
 
 def cell_shapes(

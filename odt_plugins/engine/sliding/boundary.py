@@ -6,7 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from odt_plugins.engine.compiled.kernel import inner_kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import Ground
 from odt_plugins.engine.ground.lines import Lines
 from odt_plugins.engine.ground.sheet import LOCKED, Limits, Sheet
@@ -48,7 +48,7 @@ class Skin(NamedTuple):
         self.volume[0, 1] = self.most if everything else (1.0 - POLICY.slide_reserve) * self.most
 
 
-@inner_kernel
+@kernel
 def affordable(volume: FloatArray, change: float, v: int) -> bool:
     """Whether vertex v may change the volume: within all budgets, or if debts are paid back."""
     after = abs(volume[0, 0] + change)
@@ -58,7 +58,7 @@ def affordable(volume: FloatArray, change: float, v: int) -> bool:
     return after <= volume[v + 1, 1] * volume[0, 1] or after <= abs(volume[v + 1, 0])
 
 
-@inner_kernel
+@kernel
 def spend(volume: FloatArray, change: float, v: int) -> None:
     """Write down that vertex v changed the volume."""
     volume[0, 0] += change

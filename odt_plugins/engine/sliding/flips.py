@@ -12,7 +12,7 @@ import numpy as np
 from odt_plugins.engine.cells.corner import corner_edges, six_volumes
 from odt_plugins.engine.cells.extremes import Bounds
 from odt_plugins.engine.cells.tetrahedron import Cost, cell_cost
-from odt_plugins.engine.compiled.kernel import allocating_kernel, inner_kernel
+from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.ground.pair import edge_is_free, flip_back, keeps_normals
 from odt_plugins.engine.ground.sheet import Sheet, Work, claim, cover, joined
 from odt_plugins.engine.moves.cavity import (
@@ -34,7 +34,7 @@ from odt_plugins.engine.topology.tets import Tets, give_slot, has_room
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 
-@inner_kernel
+@kernel
 def walk_open_ring(
     tets: Tets, c: int, a: int, b: int, first: int, head: int, ring: Ring
 ) -> int:
@@ -65,7 +65,7 @@ def walk_open_ring(
     return 0
 
 
-@inner_kernel
+@kernel
 def sheet_triangle(sheet: Sheet, start: int, a: int, b: int) -> tuple[int, int]:
     """Find the triangle of the fan of a, from ``start`` on, in which b follows a.
 
@@ -90,13 +90,13 @@ def sheet_triangle(sheet: Sheet, start: int, a: int, b: int) -> tuple[int, int]:
     return -1, -1
 
 
-@inner_kernel
+@kernel
 def _signed_volume(p: FloatArray, i: int, j: int, k: int, l: int) -> float:
     """Volume of the tetrahedron (i, j, k, l)."""
     return six_volumes(*corner_edges(p, i, j, k, l)) / 6.0
 
 
-@inner_kernel
+@kernel
 def _ends_a_region(tets: Tets, c: int) -> bool:
     """Whether what is behind cell c belongs to another region: the interface would go with c."""
     neighbors, regions = tets.neighbors, tets.regions
@@ -107,7 +107,7 @@ def _ends_a_region(tets: Tets, c: int) -> bool:
     return False
 
 
-@inner_kernel
+@kernel
 def _remove_cell(tets: Tets, c: int) -> None:
     """Take a cell out of the mesh; what was behind it is outside now."""
     neighbors, status = tets.neighbors, tets.status
@@ -122,7 +122,7 @@ def _remove_cell(tets: Tets, c: int) -> None:
     give_slot(tets, np.int64(c))
 
 
-@inner_kernel
+@kernel
 def _all_afford(volume: FloatArray, change: float, a: int, b: int, x: int, y: int) -> bool:
     """Whether the mesh may change its volume so, and each of four vertices a quarter of that."""
     after = abs(volume[0, 0] + change)
@@ -134,7 +134,7 @@ def _all_afford(volume: FloatArray, change: float, a: int, b: int, x: int, y: in
     return True
 
 
-@inner_kernel
+@kernel
 def _flip_sheet(skin: Skin, a: int, b: int, room: Work) -> bool:
     """Flip the edge ab of the sheet if every guard agrees."""
     sheet, ground, limits = skin.sheet, skin.ground, skin.limits

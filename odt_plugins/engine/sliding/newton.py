@@ -11,7 +11,7 @@ import numpy as np
 from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
 from odt_plugins.engine.cells.tetrahedron import Cost, opposite_vertices
 from odt_plugins.engine.cells.triangle import opposite_edge
-from odt_plugins.engine.compiled.kernel import allocating_kernel, inner_kernel
+from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.ground.lines import line_direction
 from odt_plugins.engine.ground.position import (
     ARMIJO,
@@ -103,7 +103,7 @@ def slide_vertices(
     return count
 
 
-@inner_kernel
+@kernel
 def _form(
     out: FloatArray, ax: float, ay: float, az: float, bx: float, by: float, bz: float
 ) -> float:
@@ -115,7 +115,7 @@ def _form(
     )
 
 
-@inner_kernel
+@kernel
 def swept_volume(sheet: Sheet, own: Stars, v: int, x: float, y: float, z: float) -> float:
     """Volume that the star of v swept outwards when v moved from (x, y, z) to where it is."""
     p, t = sheet.points, sheet.triangles
@@ -133,7 +133,7 @@ def swept_volume(sheet: Sheet, own: Stars, v: int, x: float, y: float, z: float)
     return total / 6.0
 
 
-@inner_kernel
+@kernel
 def _try_slide(
     cells: IntArray, stars: Stars, v: int, step: Step, cost: Cost, limit: Extremes, skin: Skin,
     own: Stars, work: Work,

@@ -9,7 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from odt_plugins.engine.cells.extremes import Extremes, keeps
-from odt_plugins.engine.compiled.kernel import allocating_kernel, inner_kernel
+from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.ground.closest import walk
 from odt_plugins.engine.ground.pair import edge_is_free
 from odt_plugins.engine.ground.sheet import (
@@ -89,7 +89,7 @@ def compound_pass(
     return taken
 
 
-@inner_kernel
+@kernel
 def _may_flip(sheet: Sheet, forced: ForcedFlip) -> bool:
     """Whether the edge is no feature, and the new one not there yet."""
     t, i, s, j, _ = forced
@@ -98,7 +98,7 @@ def _may_flip(sheet: Sheet, forced: ForcedFlip) -> bool:
     return edge_is_free(sheet, t, sheet.triangles[t, i], s, sheet.triangles[s, j])
 
 
-@inner_kernel
+@kernel
 def _lands(
     sheet: Sheet, guards: Guards, mesh: Triangles, reserve: float, limit: Extremes, rule: Rule,
     scratch: Scratch, work: Work,

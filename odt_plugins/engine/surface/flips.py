@@ -12,7 +12,7 @@ import numpy as np
 from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
 from odt_plugins.engine.cells.tetrahedron import ENERGY, Cost
 from odt_plugins.engine.cells.triangle import offset, triangle_in_space
-from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import PIECE
 from odt_plugins.engine.ground.pair import edge_is_free, flip_back, keeps_normals
 from odt_plugins.engine.ground.sheet import (
@@ -117,7 +117,7 @@ def _flip_some(
     return flips
 
 
-@inner_kernel
+@kernel
 def _pays(
     sheet: Sheet, a: int, b: int, c: int, d: int, cost: Cost, bounds: Extremes
 ) -> bool:
@@ -156,7 +156,7 @@ def _pays(
     return then < (1.0 - GAIN) * energy
 
 
-@inner_kernel
+@kernel
 def _wide(p: FloatArray, a: int, b: int, c: int, d: int) -> bool:
     """Whether the angles at a and d, opposite to the edge bc, exceed 180 degrees together."""
     ab, ac, bc = _squared(p, a, b), _squared(p, a, c), _squared(p, b, c)
@@ -166,7 +166,7 @@ def _wide(p: FloatArray, a: int, b: int, c: int, d: int) -> bool:
     return at_a + at_d < -GAIN
 
 
-@inner_kernel
+@kernel
 def _squared(p: FloatArray, a: int, b: int) -> float:
     x, y, z = offset(p, a, b)
     return x * x + y * y + z * z

@@ -9,7 +9,7 @@ import numpy as np
 
 from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.triangle import opposite_edge
-from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.position import NO_COST, Step, along_line, try_move
 from odt_plugins.engine.ground.sheet import LOCKED, Guards, Sheet, Work
 from odt_plugins.engine.moves.tangent import star_normal
@@ -48,7 +48,7 @@ NOWHERE = np.zeros((0, 3))
 """Vectors for a target that takes none."""
 
 
-@inner_kernel
+@kernel
 def star_centre(
     sheet: Sheet, stars: Stars, vertex: int, target: Target
 ) -> tuple[float, float, float]:

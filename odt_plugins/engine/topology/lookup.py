@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-from odt_plugins.engine.compiled.kernel import inner_kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.mesh.arrays import IntArray
 
 
-@inner_kernel
+@kernel
 def is_in(value: int, values: IntArray, n: int) -> bool:
     """Whether the value is one of the first n; a literal n would have it compiled once more."""
     for m in range(n):
@@ -15,7 +15,7 @@ def is_in(value: int, values: IntArray, n: int) -> bool:
     return False
 
 
-@inner_kernel
+@kernel
 def place_in(rows: IntArray, row: int, value: int) -> int:
     """Place of a value in a row that holds it, such as the local number of a cell's vertex."""
     last = rows.shape[1] - 1

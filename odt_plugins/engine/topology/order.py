@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import run_pieces, thread_pool, worth
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 
@@ -72,7 +72,7 @@ def by_lowest_vertex(cells: IntArray, n: int) -> IntArray:
     return order
 
 
-@inner_kernel
+@kernel
 def _rarest(cells: IntArray, c: int, count: LongArray) -> int:
     """Vertex of a cell that the fewest cells have, of several the lowest."""
     rare = cells[c, 0]

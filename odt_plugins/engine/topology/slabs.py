@@ -16,7 +16,7 @@ from threading import Event
 import numpy as np
 
 from odt_plugins.engine.compiled import threads
-from odt_plugins.engine.compiled.kernel import inner_kernel, kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import pieces, run_ranges
 from odt_plugins.engine.topology.complex import Complex
 from odt_plugins.engine.topology.tets import FREE, FULL, USED, Tets
@@ -36,7 +36,7 @@ Work = Callable[[IntArray, Tets], int]
 slots and free list of its own, and the vertices at the cuts locked."""
 
 
-@inner_kernel
+@kernel
 def _slab_of_cell(cells: IntArray, c: int, slab: ByteArray) -> int:
     return min(
         min(slab[cells[c, 0]], slab[cells[c, 1]]), min(slab[cells[c, 2]], slab[cells[c, 3]])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import NamedTuple
 
-from odt_plugins.engine.compiled.kernel import inner_kernel
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.mesh.arrays import BoolArray, ByteArray, FloatArray, IntArray, LongArray
 
 USED, FREE, FULL = 0, 1, 2
@@ -36,7 +36,7 @@ class Tets(NamedTuple):
     free: IntArray
 
 
-@inner_kernel
+@kernel
 def has_room(tets: Tets, more: int) -> bool:
     """Whether there are so many slots for further cells; what is missing is written down."""
     slots = tets.slots
@@ -46,7 +46,7 @@ def has_room(tets: Tets, more: int) -> bool:
     return True
 
 
-@inner_kernel
+@kernel
 def take_slot(tets: Tets) -> int:
     """Slot for a further cell."""
     slots = tets.slots
@@ -57,7 +57,7 @@ def take_slot(tets: Tets) -> int:
     return slots[USED] - 1
 
 
-@inner_kernel
+@kernel
 def give_slot(tets: Tets, c: int) -> None:
     """Free the slot of cell c."""
     tets.cells[c, 0] = -1
@@ -65,7 +65,7 @@ def give_slot(tets: Tets, c: int) -> None:
     tets.slots[FREE] += 1
 
 
-@inner_kernel
+@kernel
 def all_locked(tets: Tets, a: int, b: int, c: int, d: int) -> bool:
     """Whether no vertex of cell (a, b, c, d) may move."""
     locked = tets.locked
