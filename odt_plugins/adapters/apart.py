@@ -9,21 +9,31 @@ stays for the next file.
 from __future__ import annotations
 
 import atexit
+import contextlib
 import functools
 import gc
+import importlib
 import os
 import pickle
 import subprocess
 import sys
 import tempfile
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
+from importlib.util import find_spec
 from typing import Any
 
 from odt_plugins.errors import exit_name
 
 HDF5 = ("cgns", "exodus", "h5m", "hmf", "med", "xdmf")
 """Formats of meshio that HDF5 reads and writes, that of Exodus through netCDF."""
+
+VTK = (".vtk", ".vtp", ".vtu")
+"""Suffixes of files that the process which stays reads and writes."""
+
+BEFOREHAND = ("odt_plugins.adapters.vtk_files", "vtkmodules.vtkIOXML",
+              "vtkmodules.util.numpy_support", "meshio")
+"""What it imports meanwhile, in the order in which that is needed."""
 
 LENGTH = 8
 """Bytes of the length of a message."""
@@ -35,12 +45,13 @@ KEPT = threading.Lock()
 class _Process:
     """A process that calls functions of modules, one after the other."""
 
-    def __init__(self) -> None:
+    def __init__(self, *modules: str) -> None:
         paths = os.pathsep.join(map(os.path.abspath, sys.path))
         self.owner = os.getpid()
         self.said = tempfile.TemporaryFile()
         self.process = subprocess.Popen(
-            [sys.executable, "-P", "-m", "odt_plugins.adapters.apart"], stdin=subprocess.PIPE,
+            [sys.executable, "-P", "-m", "odt_plugins.adapters.apart", *modules],
+            stdin=subprocess.PIPE,
             stdout=subprocess.PIPE, stderr=self.said,
             env=dict(os.environ) | {"PYTHONPATH": paths},
         )
@@ -149,9 +160,19 @@ def call(function: Callable[..., Any], *arguments: Any, seconds: float | None = 
 @functools.cache
 def _staying() -> _Process:
     """The process that stays, until the end of this one."""
-    process = _Process()
+    process = _Process(*BEFOREHAND)
     atexit.register(process.end)
     return process
+
+
+def make_ready_for(paths: Iterable[str]) -> None:
+    """Start the process that stays where VTK will read or write one of these files, if it is there.
+
+    It imports VTK while this one goes on.
+    """
+    if any(path.lower().endswith(VTK) for path in paths) and find_spec("vtkmodules"):
+        with contextlib.suppress(OSError), KEPT:
+            _staying()
 
 
 def call_again(function: Callable[..., Any], *arguments: Any, seconds: float | None = None) -> Any:
@@ -166,10 +187,17 @@ def call_again(function: Callable[..., Any], *arguments: Any, seconds: float | N
         return _staying().ask(function, arguments, seconds)
 
 
+def _import(modules: Iterable[str]) -> None:
+    for module in modules:
+        with contextlib.suppress(ImportError):
+            importlib.import_module(module)
+
+
 def main() -> None:
     """Do the work that standard input names, and write its results or errors to standard output."""
     stream = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
+    threading.Thread(target=_import, args=(sys.argv[1:],), daemon=True).start()
     left: list[BaseException] = []
     sys.unraisablehook = lambda told: left.append(told.exc_value or RuntimeError(told.err_msg))
     while True:

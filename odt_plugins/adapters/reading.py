@@ -102,7 +102,8 @@ def read(path: Path, name: str) -> tuple[Any, list[str]]:
 def _read_vtk(path: Path, name: str, seconds: float) -> tuple[Any, list[str]]:
     """Read a file by VTK; what VTK does not read, meshio may: that is said."""
     try:
-        mesh, said = apart.call_again(vtk_files.read, path.absolute(), name, seconds=seconds)
+        mesh, said = vtk_files.as_mesh(
+            apart.call_again(vtk_files.read, path.absolute(), name, seconds=seconds))
     except (TimeoutError, InvalidMeshError):
         raise
     # VTK refuses, or has crashed.

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -35,29 +35,33 @@ SECOND_NAMES = {"char": "int8", "signed_char": "int8", "unsigned_char": "uint8",
 """Words of legacy files that meshio does not know, or takes for another type."""
 
 
+class Grid(NamedTuple):
+    """What VTK reads; ``cells`` are types (m,), offsets (m + 1,), and the nodes these refer to."""
+
+    points: NDArray[Any]
+    cells: tuple[NDArray[Any], NDArray[Any], NDArray[Any]]
+    point_data: dict[str, NDArray[Any]]
+    cell_data: dict[str, NDArray[Any]]
+    field_data: dict[str, NDArray[Any]]
+
+
 def installed() -> bool:
     """Say whether VTK is there; it comes with pyvista."""
     return find_spec("vtkmodules") is not None
 
 
-def read(path: Path, name: str) -> tuple[Any, list[str]]:
-    """Read a file by VTK: one block for each type of cells, all arrays in the types of the file.
+def read(path: Path, name: str) -> Grid:
+    """Read a file by VTK, all arrays in the types of the file.
 
     Parameters
     ----------
     path : path
     name : str    one of FORMATS
 
-    Returns
-    -------
-    mesh : meshio.Mesh
-    remarks : list of str    cells that come as others
-
     Raises
     ------
     MeshFileError           VTK says that the file is broken, or it has no cells
-    InvalidMeshError        it has cells of other numbers of nodes than their type has
-    UnsupportedMeshError    it holds no grid of cells that meshio has a name for
+    UnsupportedMeshError    it holds no grid of cells
     """
     source = _reader(name)
     source.SetFileName(str(path))
@@ -72,7 +76,9 @@ def read(path: Path, name: str) -> tuple[Any, list[str]]:
     if not dataset.GetNumberOfCells():
         msg = "it has no cells"
         raise MeshFileError(msg)
-    return _mesh(dataset)
+    return Grid(as_numpy(dataset.GetPoints().GetData()), _cells(dataset),
+                _arrays(dataset.GetPointData()), _arrays(dataset.GetCellData()),
+                _arrays(dataset.GetFieldData()))
 
 
 def write_and_read(path: Path, mesh: Any, name: str, binary: bool = True) -> tuple[Any, str]:
@@ -105,7 +111,7 @@ def write_and_read(path: Path, mesh: Any, name: str, binary: bool = True) -> tup
     said = _run(sink)
     if said or not path.is_file():
         raise MeshFileError(said or "VTK wrote nothing")
-    back, _ = read(path, name)
+    back, _ = as_mesh(read(path, name))
     return back, "" if name == "vtp" else _second_look(path, name, back)
 
 
@@ -156,13 +162,24 @@ def _run(algorithm: Any) -> str:
     return " ".join(errors[0].split()) if errors else ""
 
 
-def _mesh(dataset: Any) -> tuple[Any, list[str]]:
-    """Take a grid or PolyData apart into a meshio.Mesh; also which cells come as others."""
+def as_mesh(grid: Grid) -> tuple[Any, list[str]]:
+    """Make what VTK reads a mesh: one block for each type of cells.
+
+    Returns
+    -------
+    mesh : meshio.Mesh
+    remarks : list of str    cells that come as others
+
+    Raises
+    ------
+    InvalidMeshError        it has cells of other numbers of nodes than their type has
+    UnsupportedMeshError    it has cells that meshio has no name for
+    """
     from meshio import Mesh
     from meshio._common import num_nodes_per_cell
 
     names = _names()
-    types, offset, flat = _cells(dataset)
+    types, offset, flat = grid.cells
     size = np.diff(offset)
     if len(types) != len(size) or (size < 0).any() or offset[0] != 0 or offset[-1] != len(flat):
         msg = "its cells do not fit together"
@@ -203,11 +220,9 @@ def _mesh(dataset: Any) -> tuple[Any, list[str]]:
         else:
             blocks.append((name, nodes))
             rows.append(which)
-    cell_data = {key: [values[row] for row in rows]
-                 for key, values in _arrays(dataset.GetCellData()).items()}
-    point_data: Any = _arrays(dataset.GetPointData())
-    mesh = Mesh(as_numpy(dataset.GetPoints().GetData()), blocks, point_data, cell_data,
-                _arrays(dataset.GetFieldData()))
+    cell_data = {key: [values[row] for row in rows] for key, values in grid.cell_data.items()}
+    point_data: Any = grid.point_data
+    mesh = Mesh(grid.points, blocks, point_data, cell_data, grid.field_data)
     return mesh, list(dict.fromkeys(said))
 
 

@@ -15,6 +15,7 @@ import numpy as np
 import pytest
 from attack import damage
 from meshio._helpers import reader_map
+from processes import wait_until
 
 from odt_plugins.adapters import apart, files, reading, stated, vtk_files
 from odt_plugins.errors import DataNotKeptWarning, MeshFileError, ODTError
@@ -198,6 +199,21 @@ def test_a_process_that_stays_is_the_same_until_it_crashes():
         apart.call_again(re.match, "(a+)+$", 64 * "a" + "b", seconds=1.0)
     assert apart.call_again(os.getpid) != first
     assert apart.call(os.getpid) != apart.call_again(os.getpid)
+
+
+def test_vtk_is_loaded_beforehand_where_a_file_will_need_it(monkeypatch):
+    started = []
+    monkeypatch.setattr(apart, "_staying", lambda: started.append(1))
+    apart.make_ready_for(["optimize", "in.msh", "vtu"])
+    assert not started
+    apart.make_ready_for(["optimize", "IN.VTU", "out.msh"])
+    assert started
+    process = apart._Process("nowhere", "colorsys")
+    try:
+        known = "'colorsys' in __import__('sys').modules"
+        wait_until(lambda: process.ask(eval, (known,), 60.0), 60.0)
+    finally:
+        process.end()
 
 
 def test_an_hdf5_file_that_is_read_for_ever_is_broken_off(tmp_path, monkeypatch):

@@ -121,17 +121,17 @@ def test_a_second_reader_that_sees_something_else_is_heard(suffix, what, tmp_pat
     mesh = contract.file_mesh(f".{suffix}", 3)
     path = tmp_path / f"out.{suffix}"
     assert vtk_files.write_and_read(path, mesh, suffix)[1] == ""
-    right = vtk_files.read
+    right = vtk_files.as_mesh
 
-    def wrong(path, name):
-        back, said = right(path, name)
+    def wrong(grid):
+        back, said = right(grid)
         part = {"points": back.points, "cells": back.cells[0].data,
                 "point_data": back.point_data["temperature"],
                 "cell_data": back.cell_data["marker"][0]}[what]
         part[-1] += 1
         return back, said
 
-    monkeypatch.setattr(vtk_files, "read", wrong)
+    monkeypatch.setattr(vtk_files, "as_mesh", wrong)
     monkeypatch.setattr(apart, "call_again", lambda function, *given, **_: function(*given))
     with pytest.raises(MeshFileError, match=r"meshio and VTK read .* of the file differently"):
         files.write_file(path, mesh)

@@ -9,6 +9,8 @@ from typing import Any
 
 from numpy import bool_, dtype, float64, int64, ndarray
 
+from odt_plugins.engine.compiled import cache
+from odt_plugins.engine.compiled.machine import function_of
 from odt_plugins.progress import compiling_told
 
 SCALARS: dict[type, str] = {
@@ -78,8 +80,6 @@ class Kernel:
         return run(*args)
 
     def _load(self, types: Any, args: Any) -> Callable[..., Any]:
-        from odt_plugins.engine.compiled import cache, machine
-
         with LOADING:
             if types not in self.loaded:
                 code = cache.load(self.py_func, types)
@@ -89,7 +89,7 @@ class Kernel:
 
                         code = compile_whole(self.py_func, self.options, args)
                         cache.save(self.py_func, types, code)
-                self.loaded[types] = machine.function_of(code, self.py_func.__name__)
+                self.loaded[types] = function_of(code, self.py_func.__name__)
             return self.loaded[types]
 
     @cached_property
