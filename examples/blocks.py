@@ -1,17 +1,20 @@
 """Prints how near blocks come to the run in one piece, for meshes in several orders.
 
-python examples/blocks.py [--blocks N] [--orders N] MESH...
+python examples/blocks.py [--blocks N] [--least N] [--orders N] MESH...
 
 A mesh is a file, or the name of one that is stored with the package, such as bunny or cgal-bunny.
+Blocks may have fewer cells here than the package gives them, which does such meshes in one piece.
 """
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
+from unittest import mock
 
 import odt_plugins
 from odt_plugins.compare.start import STORED, read_start, reordered, stored
+from odt_plugins.distributed import optimize as blockwise
 
 HEADER = (
     "| start | cells | mean in one piece | blocks to it: mean | 1 % |\n"
@@ -40,10 +43,12 @@ def main(arguments: list[str] | None = None) -> None:
     parser.add_argument("meshes", nargs="+", metavar="MESH")
     parser.add_argument("--blocks", type=int, default=4)
     parser.add_argument("--orders", type=int, default=6, help="random ones besides the given")
+    parser.add_argument("--least", type=int, default=5000, help="cells of a block")
     given = parser.parse_args(arguments)
     print(HEADER)
-    for name in given.meshes:
-        print(row(name, given.blocks, given.orders), flush=True)
+    with mock.patch.object(blockwise, "LEAST_CELLS", given.least):
+        for name in given.meshes:
+            print(row(name, given.blocks, given.orders), flush=True)
 
 
 if __name__ == "__main__":

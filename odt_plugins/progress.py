@@ -6,12 +6,14 @@ import itertools
 import sys
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
-from functools import cache
+from contextlib import ExitStack, contextmanager
 from html import escape
 from typing import Any
 
 from odt_plugins.options import COMPILING, Progress
+
+HEARING: list[Callable[[bool], object]] = []
+"""Those who are told when a kernel begins and ends to be compiled, in whatever thread."""
 
 STEP = 0.005
 """Part by which a bar in a notebook grows at least; each step is a message to the browser."""
@@ -117,37 +119,27 @@ def _interactive() -> bool:
     return Console(stderr=True).is_jupyter
 
 
-@cache
-def _listening() -> list[Callable[[bool], object]]:
-    """Those who are told when a kernel begins and ends to be compiled."""
-    return []
-
-
 @contextmanager
 def compiling_heard(hear: Callable[[bool], object]) -> Iterator[None]:
     """Call ``hear(True)`` where a kernel of any thread begins to be compiled, then hear(False).
 
     It is called under a lock that other kernels wait for, and never for two kernels at a time.
     """
-    _listening().append(hear)
+    HEARING.append(hear)
     try:
         yield
     finally:
-        with suppress(ValueError):
-            _listening().remove(hear)
+        HEARING.remove(hear)
 
 
 @contextmanager
 def compiling_told() -> Iterator[None]:
     """Tell who listens that a kernel is compiled while this lasts."""
-    hearing = tuple(_listening())
-    for hear in hearing:
-        hear(True)
-    try:
+    with ExitStack() as stack:
+        for hear in tuple(HEARING):
+            stack.callback(hear, False)
+            hear(True)
         yield
-    finally:
-        for hear in hearing:
-            hear(False)
 
 
 @contextmanager

@@ -24,6 +24,7 @@ import warnings
 from collections.abc import Callable
 from functools import cache, partial
 from pathlib import Path
+from unittest import mock
 
 import numpy as np
 
@@ -38,6 +39,7 @@ from odt_plugins.compare.start import (
     read_start,
     suite,
 )
+from odt_plugins.distributed import optimize as blockwise
 from odt_plugins.engine.compiled import threads
 from odt_plugins.generate import SAMPLES, distmesh2d, odtmesh2d, refine_and_optimize, uniform_refine
 
@@ -176,7 +178,8 @@ def selected(**options: object) -> tuple[Arrays, Arrays]:
 
 def in_blocks(start: Callable[[], Arrays], blocks: int) -> tuple[Arrays, Arrays]:
     mesh = start()
-    return mesh, odt_plugins.optimize_partitioned(mesh, blocks)
+    with mock.patch.object(blockwise, "LEAST_CELLS", 5000):
+        return mesh, odt_plugins.optimize_partitioned(mesh, blocks)
 
 
 def in_pieces() -> tuple[Arrays, Arrays]:

@@ -31,7 +31,7 @@ HDF5 = ("cgns", "exodus", "h5m", "hmf", "med", "xdmf")
 VTK = (".vtk", ".vtp", ".vtu")
 """Suffixes of files that the process which stays reads and writes."""
 
-BEFOREHAND = ("odt_plugins.adapters.vtk_files", "vtkmodules.vtkIOXML",
+BEFOREHAND = ("odt_plugins.adapters.vtk_files", "vtkmodules.vtkIOXML", "vtkmodules.vtkIOLegacy",
               "vtkmodules.util.numpy_support", "meshio")
 """What it imports meanwhile, in the order in which that is needed."""
 
@@ -51,8 +51,7 @@ class _Process:
         self.said = tempfile.TemporaryFile()
         self.process = subprocess.Popen(
             [sys.executable, "-P", "-m", "odt_plugins.adapters.apart", *modules],
-            stdin=subprocess.PIPE,
-            stdout=subprocess.PIPE, stderr=self.said,
+            stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=self.said,
             env=dict(os.environ) | {"PYTHONPATH": paths},
         )
 
@@ -189,7 +188,8 @@ def call_again(function: Callable[..., Any], *arguments: Any, seconds: float | N
 
 def _import(modules: Iterable[str]) -> None:
     for module in modules:
-        with contextlib.suppress(ImportError):
+        # A module may raise anything at all; who needs it will hear of it.
+        with contextlib.suppress(Exception):
             importlib.import_module(module)
 
 
@@ -199,7 +199,13 @@ def main() -> None:
     os.dup2(2, 1)
     threading.Thread(target=_import, args=(sys.argv[1:],), daemon=True).start()
     left: list[BaseException] = []
-    sys.unraisablehook = lambda told: left.append(told.exc_value or RuntimeError(told.err_msg))
+
+    def note(told: Any) -> None:
+        # The other thread imports what nobody has asked for yet.
+        if threading.current_thread() is threading.main_thread():
+            left.append(told.exc_value or RuntimeError(told.err_msg))
+
+    sys.unraisablehook = note
     while True:
         message = _message(sys.stdin.buffer)
         if message is None:

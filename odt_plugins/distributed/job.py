@@ -68,7 +68,7 @@ def note_compiling(folder: Path) -> Callable[[bool], None]:
     """Give what notes, in a work folder, when a kernel begins and ends to be compiled."""
 
     def note(_begins: bool) -> None:
-        with (folder / COMPILING).open("a") as file:
+        with contextlib.suppress(OSError), (folder / COMPILING).open("a") as file:
             file.write(f"{time.monotonic()}\n")
 
     return note

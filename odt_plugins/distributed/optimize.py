@@ -39,8 +39,8 @@ from odt_plugins.roundtrip import optimized, run_engine
 if TYPE_CHECKING:
     from odt_plugins.report.report import Report
 
-LEAST_CELLS = 15_000
-"""Meshes are cut into no smaller blocks: most of such a block would be done twice."""
+LEAST_CELLS = 40_000
+"""Meshes are cut into no smaller blocks: half of such a block would be done twice."""
 
 WORTH_CELLS = 100_000
 """Meshes of fewer cells are done in this process: others take as long to start."""
@@ -91,7 +91,7 @@ def optimize_partitioned(
     mesh : object
         What :func:`odt_plugins.optimize` takes.
     blocks : int
-        Blocks of about equal size in the first round; fewer when they had less than 15,000 cells.
+        Blocks of about equal size in the first round; fewer when they had less than 40,000 cells.
     block_rounds : int
         Most rounds of blocks. In the last one nothing is cut again, so that from two on every cell
         has been inside a block in some round. The second is the last where at most 50,000 cells

@@ -89,6 +89,7 @@ def serve(module: str, pipe: Connection, log: str, seconds: float) -> None:
     """Answer seeds with verdicts; a case that takes too long ends the process."""
     from odt_plugins.engine.compiled import threads
     from odt_plugins.progress import compiling_heard
+
     threads.THREADED_CELLS = 0
     # A group of its own: the signals of the terminal go to the parent alone, and what hangs is
     # ended with all that it started.

@@ -33,7 +33,7 @@ def test_fitted_exponent_is_that_of_a_power_law():
 
 def test_one_piece_and_blocks_are_measured(monkeypatch):
     monkeypatch.setattr(blocks, "WAYS", (blocks.WAYS[0], blocks.WAYS[2]))
-    table, traffic = blocks.blocks_part([32_000], 1, silent).tables
+    table, traffic = blocks.blocks_part([84_000], 1, silent).tables
     assert [row[1] for row in table.rows] == ["one piece", "up to 4 blocks, 1 worker"]
     assert [row[-1] for row in table.rows] == ["", "the same"]
     assert all(row[3] > 0 for row in table.rows)

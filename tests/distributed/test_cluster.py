@@ -38,7 +38,7 @@ pytestmark = [
 START = ball(2500)
 MESH = (START.points, START.cells)
 BLOCKS = 3
-LARGER = ball(5000)
+LARGER = ball(12_500)
 
 
 @pytest.fixture(autouse=True)

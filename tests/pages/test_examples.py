@@ -225,7 +225,7 @@ def test_figures_of_a_mesh_are_a_table(capsys, tmp_path_factory):
 
 
 def test_blocks_are_set_beside_one_piece(capsys):
-    example("blocks").main(["--blocks", "2", "--orders", "1",
+    example("blocks").main(["--blocks", "2", "--orders", "1", "--least", "100",
                             str(EXAMPLES / "meshes" / "airfoil.vtu")])
     name, cells, mean, by, p1 = [w.strip() for w in
                                  capsys.readouterr().out.splitlines()[2].strip("|").split("|")]

@@ -24,7 +24,7 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
 
 
 def warm_up(start: StartMesh, settings: Settings) -> None:
-    """Compile the kernels, or load them from numba's cache, on a mesh of a few cells.
+    """Compile the kernels, or load them from disk, on a mesh of a few cells.
 
     It has inverted cells where the start has some.
     """

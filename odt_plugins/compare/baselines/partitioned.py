@@ -41,5 +41,5 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
 
 
 def warm_up(start: StartMesh, settings: Settings) -> None:
-    """Compile the kernels, or load them from numba's cache, on a mesh of a few cells."""
+    """Compile the kernels, or load them from disk, on a mesh of a few cells."""
     ours.warm_up(start, {**settings, "options": {}})

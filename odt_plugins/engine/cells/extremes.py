@@ -74,7 +74,7 @@ def worse(first: Extremes, second: Extremes) -> Extremes:
 
 
 def together(found: Iterable[Extremes]) -> Extremes:
-    """Extremes of several sets of cells together."""
+    """The same of any number of sets of cells, outside of kernels."""
     quality, large, small = zip(*found, strict=True)
     return Extremes(min(quality), max(large), min(small))
 

@@ -30,8 +30,14 @@ AHEAD = Path(__file__).parent / "ahead"
 ENGINE = Path(__file__).parents[1]
 """The folder of all kernels."""
 
+CHOSEN = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_ENABLE_AVX")
+"""Variables of the environment by which a user chooses what numba compiles for."""
+
 SUFFIX = ".kernel"
 """Of the files with machine code."""
+
+DIGEST = hashlib.sha256().digest_size
+"""Bytes at the begin of a file that tell whether the rest is whole."""
 
 PROCESSORS = {
     "x86-64-v3": ("avx2", "bmi", "bmi2", "f16c", "fma", "lzcnt", "movbe", "xsave"),
@@ -55,16 +61,15 @@ def common_machine() -> tuple[str, str, str]:
     return llvm.get_process_triple(), next(fitting, "generic"), ""
 
 
-def this_machine() -> tuple[str, str, str]:
-    """The same of the processor that numba compiles for."""
-    processor = os.environ.get("NUMBA_CPU_NAME")
-    features = os.environ.get("NUMBA_CPU_FEATURES")
+def this_machine() -> tuple[str, ...]:
+    """The same of the processor that numba compiles for, and what else the user has chosen."""
+    processor, features, *others = map(os.environ.get, CHOSEN)
     if features is None:
         features = llvm.get_host_cpu_features().flatten()
-    return llvm.get_process_triple(), processor or llvm.get_host_cpu_name(), features
+    return (llvm.get_process_triple(), processor or llvm.get_host_cpu_name(), features,
+            *filter(None, others))
 
 
-@cache
 def source_stamp(folder: Path) -> str:
     """Short hash of the files in a folder, and below, in which kernels stand."""
     digest = hashlib.sha256()
@@ -77,22 +82,25 @@ def source_stamp(folder: Path) -> str:
     return digest.hexdigest()[:12]
 
 
+STAMP = source_stamp(ENGINE)
+"""Tells states of the engine apart, as they are when it is imported."""
+
+
 @cache
-def _file_stamp(name: str) -> bytes:
-    """Hash of a file, of its name where it cannot be read."""
-    try:
-        return hashlib.sha256(Path(name).read_bytes()).digest()
-    except OSError:
-        return name.encode()
+def file_stamp(name: str) -> bytes:
+    """Hash of a file, as it is at the first call; its name where STAMP holds it, or no file is."""
+    if not Path(name).is_relative_to(ENGINE):
+        with contextlib.suppress(OSError):
+            return hashlib.sha256(Path(name).read_bytes()).digest()
+    return name.encode()
 
 
 @cache
 def kept() -> Path | None:
     """Where this user's processes keep what they compile; None where nothing can be written."""
     chosen = os.environ.get("NUMBA_CACHE_DIR")
-    folders = [chosen] if chosen else [Path(__file__).parent / "__pycache__",
-                                       Path("~/.cache/odt_plugins").expanduser()]
-    for folder in map(Path, folders):
+    own, common = Path(__file__).parent / "__pycache__", os.path.expanduser("~/.cache/odt_plugins")
+    for folder in (Path(chosen),) if chosen else (own, Path(common)):
         with contextlib.suppress(OSError):
             folder.mkdir(parents=True, exist_ok=True)
             if os.access(folder, os.W_OK | os.X_OK):
@@ -103,14 +111,16 @@ def kept() -> Path | None:
 def load(function: Callable[..., Any], types: Any) -> MachineCode | None:
     """Give a kernel for these types of arguments, None if there is none on disk."""
     for path in _places(function, types):
-        with contextlib.suppress(OSError, EOFError, pickle.UnpicklingError):
-            return MachineCode(*pickle.loads(path.read_bytes()))
+        with contextlib.suppress(OSError):
+            content = path.read_bytes()
+            if content.startswith(hashlib.sha256(content[DIGEST:]).digest()):
+                return MachineCode(*pickle.loads(content[DIGEST:]))
     return None
 
 
 def _places(function: Callable[..., Any], types: Any) -> Iterator[Path]:
     """Files that may hold a kernel, the likeliest first."""
-    if not os.environ.get("NUMBA_CPU_NAME"):
+    if not any(map(os.environ.get, CHOSEN)):
         yield AHEAD / _name(function, types, common_machine())
     folder = kept()
     if folder:
@@ -120,16 +130,17 @@ def _places(function: Callable[..., Any], types: Any) -> Iterator[Path]:
 def save(function: Callable[..., Any], types: Any, code: MachineCode) -> None:
     """Keep a kernel for these types of arguments, where there is a place and room."""
     folder = kept()
-    if folder:
+    if folder and code.lasting:
+        content = pickle.dumps(tuple(code))
         with contextlib.suppress(OSError):
-            write(folder / _name(function, types, this_machine()), pickle.dumps(tuple(code)))
+            write(folder / _name(function, types, this_machine()),
+                  hashlib.sha256(content).digest() + content)
 
 
-def _name(function: Callable[..., Any], types: Any, machine: tuple[str, str, str]) -> str:
+def _name(function: Callable[..., Any], types: Any, machine: tuple[str, ...]) -> str:
     code = function.__code__
-    closure = [cell.cell_contents for cell in function.__closure__ or ()]
-    key = (numba_version(), llvmlite.__version__, sys.implementation.cache_tag, machine,
-           source_stamp(ENGINE), _file_stamp(code.co_filename), code.co_firstlineno, closure, types)
+    key = (numba_version(), llvmlite.__version__, sys.implementation.cache_tag, machine, STAMP,
+           file_stamp(code.co_filename), code.co_firstlineno, types)
     digest = hashlib.sha256(repr(key).encode()).hexdigest()
     return f"{function.__module__}.{function.__name__}.{digest[:20]}{SUFFIX}"
 

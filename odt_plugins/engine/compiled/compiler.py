@@ -7,12 +7,13 @@ language or of numba has for a type is looked up once for the same types of argu
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from functools import cache, partial
 from types import BuiltinFunctionType
 from typing import Any
 
-from numba import njit, typeof
+from numba import config, njit, typeof
 from numba.core import typed_passes, types, untyped_passes
 from numba.core.compiler import Compiler
 from numba.core.compiler_lock import global_compiler_lock
@@ -135,11 +136,18 @@ def compile_whole(function: Callable[..., Any], options: dict[str, Any], args: A
     dispatcher: Any = njit(**_options(Library, options))(function)
     dispatcher.compile(tuple(map(typeof, args)))
     (result,) = dispatcher.overloads.values()
+    library = result.library
     # One without constants is never read, but for that of the entry.
     used = [each for each in result._find_referenced_environments() if each.consts]
     constants = {each.env_name: list(each.consts) for each in (result.environment, *used)}
+    needs = (each.name for each in library._final_module.functions if each.is_declaration)
+    # A file of numba's may name another processor, of which the names on disk know nothing.
+    settings: Any = config
+    ours = settings.CPU_NAME == (os.environ.get("NUMBA_CPU_NAME") or None)
     return MachineCode(
-        result.library._get_compiled_object(), result.fndesc.llvm_cpython_wrapper_name, constants)
+        library._get_compiled_object(), result.fndesc.llvm_cpython_wrapper_name, constants,
+        tuple(name for name in needs if not name.startswith("llvm.")),
+        ours and not library.has_dynamic_globals and not function.__closure__)
 
 
 def part(function: Callable[..., Any], options: dict[str, Any]) -> Any:

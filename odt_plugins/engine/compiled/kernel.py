@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from collections.abc import Callable
 from functools import cached_property, partial, update_wrapper
 from threading import RLock
@@ -10,7 +11,7 @@ from typing import Any
 from numpy import bool_, dtype, float64, int64, ndarray
 
 from odt_plugins.engine.compiled import cache
-from odt_plugins.engine.compiled.machine import function_of
+from odt_plugins.engine.compiled.machine import fits, function_of
 from odt_plugins.progress import compiling_told
 
 SCALARS: dict[type, str] = {
@@ -25,7 +26,8 @@ LAYOUTS = "ACFC"
 """Letters of the flags C and F: neither, C, F, both."""
 
 LOADING = RLock()
-"""Held while machine code is looked for, or made: numba does one thing at a time."""
+"""Held while machine code is looked for, so that no two threads make the same, or while it is made,
+as numba compiles one kernel at a time."""
 
 
 def kind_of(value: Any) -> Any:
@@ -53,10 +55,11 @@ def type_of(kind: Any) -> Any:
 class Kernel:
     """A function that numba compiles, and that Python calls without numba once it is on disk.
 
-    Machine code for the types of the arguments is loaded by the first call of a process, from where
-    the installation put it or this user's processes keep theirs; what is not there is compiled,
-    and kept where there is a place to write to.  A kernel that other kernels call is taken in by
-    each of them.  Arguments go by position.
+    Machine code for the types of the arguments is loaded by the first call of a process, from
+    where the installation put it or this user's processes keep theirs; what is not there is
+    compiled, and kept where there is a place to write to, unless it is a closure.  A kernel that
+    other kernels call is taken in by each of them.  Arguments go by position; subclasses of arrays
+    count as arrays. Where NUMBA_DISABLE_JIT is set, it is the function of Python that runs.
 
     Parameters
     ----------
@@ -70,6 +73,7 @@ class Kernel:
         self.options = options
         self.loaded: dict[Any, Callable[..., Any]] = {}
         self._by_kinds: dict[Any, Callable[..., Any]] = {}
+        cache.file_stamp(function.__code__.co_filename)
 
     def __call__(self, *args: Any) -> Any:
         """Run the machine code for arguments of these types."""
@@ -80,10 +84,12 @@ class Kernel:
         return run(*args)
 
     def _load(self, types: Any, args: Any) -> Callable[..., Any]:
+        if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+            return self.py_func
         with LOADING:
             if types not in self.loaded:
-                code = cache.load(self.py_func, types)
-                if code is None:
+                code = None if self.py_func.__closure__ else cache.load(self.py_func, types)
+                if code is None or not fits(code):
                     with compiling_told():
                         from odt_plugins.engine.compiled.compiler import compile_whole
 
@@ -114,5 +120,5 @@ numba counts the references to every array that a call hands on, by atomic opera
 longer than most of our calls.  Code that allocates nothing does not need it."""
 
 inlined_kernel = partial(Kernel, _nrt=False, forceinline=True)
-"""The same of one that becomes part of its callers: for those called so often that handing on the
-arrays, up to 150 words a call, takes longer than the work."""
+"""Decorator of a kernel as :data:`kernel` that becomes part of its callers: for those called so
+often that handing on the arrays, up to 150 words a call, takes longer than the work."""

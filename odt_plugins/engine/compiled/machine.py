@@ -14,6 +14,7 @@ import os
 import sys
 from collections.abc import Callable
 from functools import cache
+from importlib import import_module
 from importlib.machinery import PathFinder
 from importlib.util import find_spec, module_from_spec
 from pathlib import Path
@@ -23,7 +24,8 @@ import llvmlite.binding as llvm
 
 TRIED = '"version": "0.68.'
 """What stands in numba's file of its version where all that is done here and in
-:mod:`odt_plugins.engine.compiled.compiler` has been tried.  Other ones compile by themselves."""
+:mod:`odt_plugins.engine.compiled.compiler` has been tried.  With another one kernels are compiled
+by numba's own passes, and numba is imported."""
 
 
 class MachineCode(NamedTuple):
@@ -38,6 +40,12 @@ class MachineCode(NamedTuple):
     constants: dict[str, list[Any]]
     """Python's objects that it uses, by the place in it that leads to them; the first one is that
     of the entry."""
+
+    needs: tuple[str, ...]
+    """Names of the functions in C that it calls."""
+
+    lasting: bool
+    """Whether other processes can use it: it holds no address of this one."""
 
 
 @cache
@@ -57,7 +65,9 @@ def _numba_folder() -> Path:
 
 
 def _extension(name: str) -> Any:
-    """Give an extension module of numba without the packages that it is in."""
+    """Give an extension module of numba; where numba was not imported, without all the rest."""
+    if "numba" in sys.modules:
+        return import_module(name)
     if name not in sys.modules:
         folder = _numba_folder().joinpath(*name.split(".")[1:-1])
         spec: Any = PathFinder.find_spec(name, [str(folder)])
@@ -73,6 +83,7 @@ def _know_symbols() -> Any:
     """Tell LLVM where the functions are that machine code calls; gives what makes functions."""
     llvm.initialize_native_target()
     llvm.initialize_native_asmprinter()
+    # Elsewhere numba looks for functions of the C library as well.
     if not tried() or os.name != "posix":
         from numba.core.registry import cpu_target
 
@@ -82,7 +93,9 @@ def _know_symbols() -> Any:
     runtime.memsys_use_cpython_allocator()
     symbols = {"_Py_NoneStruct": id(None)}
     for name, address in (*functions.c_helpers.items(), *helpers.c_helpers.items()):
-        symbols[name if hasattr(math, name) else f"numba_{name}"] = address
+        symbols[f"numba_{name}"] = address
+        if hasattr(math, name):
+            symbols[name] = address
     for name, address in runtime.c_helpers.items():
         symbols[name if name.startswith("_") else f"NRT_{name}"] = address
     for name, kind in vars(builtins).items():
@@ -90,6 +103,8 @@ def _know_symbols() -> Any:
             symbols[f"PyExc_{name}"] = id(kind)
     for name, address in symbols.items():
         llvm.add_symbol(name, address)
+    # The first engine tells LLVM where the functions of Python and of the C library are.
+    _engine()
     return functions
 
 
@@ -101,6 +116,12 @@ def _engine() -> Any:
     engine = llvm.create_mcjit_compiler(nothing, machine)
     engine.remove_module(nothing)
     return engine
+
+
+def fits(code: MachineCode) -> bool:
+    """Whether all functions are there that machine code calls; without one the process ends."""
+    _know_symbols()
+    return all(map(llvm.address_of_symbol, code.needs))
 
 
 def function_of(code: MachineCode, name: str) -> Callable[..., Any]:

@@ -78,7 +78,10 @@ def _tet_shapes(points: FloatArray, cells: IntArray, shapes: FloatArray) -> None
 def tet_extremes(
     points: FloatArray, cells: IntArray, start: int, stop: int
 ) -> tuple[float, float, float]:
-    """Extremes of the tetrahedra in the slots start to stop, of which some may be free."""
+    """Extremes of the tetrahedra in the slots start to stop, of which some may be free.
+
+    Returned as a plain tuple: what makes a named one for Python would import numba.
+    """
     rows = np.empty(ROWS)
     slots = np.arange(start, stop)
     found = BEST

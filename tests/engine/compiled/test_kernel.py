@@ -22,6 +22,7 @@ from odt_plugins.engine.cells.sphere import apex_across
 from odt_plugins.engine.compiled import cache as kernel_cache
 from odt_plugins.engine.compiled import kernel
 from odt_plugins.engine.compiled.library import Library, Part
+from odt_plugins.engine.compiled.machine import MachineCode, fits
 from odt_plugins.engine.moves import cavity
 from odt_plugins.engine.topology.lookup import place_in
 from odt_plugins.engine.topology.tets import Tets
@@ -239,6 +240,10 @@ from odt_plugins import optimize
 from odt_plugins.compare.start import ball, pebble, plate
 for made in (ball(300), plate(300), pebble(300)):
     optimize((made.points, made.cells))
+made = ball(300)
+for options in ({"insert": True, "boundary": "slide", "objective": "min_dihedral"},
+                {"objective": "time_step"}, {"density": "inverse-volume"}):
+    optimize((made.points, made.cells), **options)
 print("numba" in sys.modules)
 import numba
 print(numba.njit(lambda x: (x + 1.0).sum())(__import__("numpy").ones(3)))
@@ -398,10 +403,74 @@ print(first, int("numba" not in sys.modules), quarter(2.0) if "all" in sys.argv 
     assert told() == "1.5 0"
     assert told("all") == "1.5 1 0.5"
     # What is damaged is compiled anew.
-    for path in tmp_path.rglob(f"*.half.*{kernel_cache.SUFFIX}"):
-        path.write_bytes(path.read_bytes()[:50])
-    assert told("all") == "1.5 0 0.5"
-    assert told("all") == "1.5 1 0.5"
+    for damage in (lambda held: held[:50], lambda held: held[:200] + bytes(len(held) - 200),
+                   lambda held: b"N."):
+        for path in tmp_path.rglob(f"*.half.*{kernel_cache.SUFFIX}"):
+            path.write_bytes(damage(path.read_bytes()))
+        assert told("all") == "1.5 0 0.5"
+        assert told("all") == "1.5 1 0.5"
+
+
+HELPERS = """
+import math, sys
+import numpy as np
+from odt_plugins.engine.compiled.kernel import Kernel
+
+LARGE = np.full(200_000, 7.0)
+
+@Kernel
+def large(i: int) -> float:
+    return LARGE[i]
+
+@Kernel
+def several(x: float) -> float:
+    fraction, power = math.frexp(x)
+    return math.ldexp(fraction, power) + math.erf(0.0) + math.gamma(1.0) + math.hypot(3.0, 4.0)
+
+@Kernel
+def root(x: float) -> float:
+    if x < 0.0:
+        raise ValueError("negative")
+    return math.sqrt(x)
+
+try:
+    root(-1.0)
+except ValueError as error:
+    said = error
+print(several(2.0), root(9.0), int("numba" not in sys.modules), large(5))
+"""
+
+
+def test_what_another_process_cannot_use_is_not_kept_and_all_else_works_there(tmp_path):
+    (tmp_path / "kernels.py").write_text(HELPERS, encoding="utf-8")
+    for known in (0, 0):
+        done = subprocess.run([sys.executable, "kernels.py"], capture_output=True, text=True,
+                              check=False, cwd=tmp_path,
+                              env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)})
+        assert done.stdout.split() == ["8.0", "3.0", str(known), "7.0"], done.stderr
+
+
+def test_code_that_calls_what_is_not_there_does_not_fit():
+    code = MachineCode(b"", "", {}, ("pow", "no_such_function"), lasting=True)
+    assert not fits(code)
+    assert fits(code._replace(needs=("pow", "PyTuple_New", "numba_adapt_ndarray")))
+
+
+def test_kernels_run_as_python_where_numba_is_told_not_to_compile():
+    done = subprocess.run([sys.executable, "-c", NOTHING], capture_output=True, text=True,
+                          check=False, env=os.environ | {"NUMBA_DISABLE_JIT": "1"})
+    assert done.stdout.startswith("[0, 1, 2, 3]"), done.stderr
+
+
+def test_a_user_without_a_home_may_have_kernels(monkeypatch, tmp_path):
+    monkeypatch.delenv("HOME", raising=False)
+    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    monkeypatch.setattr(os.path, "expanduser", lambda path: path)
+    kernel_cache.kept.cache_clear()
+    try:
+        assert kernel_cache.kept() == ENGINE / "compiled" / "__pycache__"
+    finally:
+        kernel_cache.kept.cache_clear()
 
 
 def test_an_editor_may_leave_a_link_that_leads_nowhere(tmp_path):
