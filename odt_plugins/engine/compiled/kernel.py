@@ -43,12 +43,15 @@ def kind_of(value: Any) -> Any:
 
 
 def type_of(kind: Any) -> Any:
-    """Give what all kinds of arguments have in common that go to the same machine code."""
+    """Give what all kinds of arguments have in common that go to the same machine code.
+
+    The same types have the same ``repr``, which numbers of arrays by themselves have not.
+    """
     if not isinstance(kind, tuple):
         return kind
     if isinstance(kind[0], dtype):
         number, ndim, flags = kind
-        return number, ndim, LAYOUTS[flags & 3], flags & (ALIGNED | WRITEABLE)
+        return number.str, ndim, LAYOUTS[flags & 3], flags & (ALIGNED | WRITEABLE)
     return kind[0], *map(type_of, kind[1:])
 
 

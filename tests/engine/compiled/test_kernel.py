@@ -82,6 +82,9 @@ def test_arguments_of_one_type_go_to_the_same_code_and_others_do_not():
     for one, other in ((1, np.int64(2)), (1.0, np.float64(2.0)), (True, np.bool_(False)),
                        (np.zeros((3, 1)), np.zeros((1, 3))), (np.zeros(0), np.zeros(7))):
         assert type_of(one) == type_of(other)
+    own, other = np.zeros(3), np.zeros(3).view(np.dtype("float64").newbyteorder("<"))
+    assert repr(own.dtype) != repr(other.dtype)
+    assert repr(type_of(own)) == repr(type_of(other))
     split = np.zeros(9, np.uint8)[1:].view(np.float64)
     assert type_of(split) != type_of(np.zeros(1))
 
