@@ -88,11 +88,16 @@ STAMP = source_stamp(ENGINE)
 
 @cache
 def file_stamp(name: str) -> bytes:
-    """Hash of a file, as it is at the first call; its name where STAMP holds it, or no file is."""
-    if not Path(name).is_relative_to(ENGINE):
-        with contextlib.suppress(OSError):
-            return hashlib.sha256(Path(name).read_bytes()).digest()
-    return name.encode()
+    """Hash of a file, as it is at the first call; its name where it cannot be read.
+
+    Nothing for a file that STAMP holds: kernels are compiled where the package is built.
+    """
+    if Path(name).is_relative_to(ENGINE):
+        return b""
+    try:
+        return hashlib.sha256(Path(name).read_bytes()).digest()
+    except OSError:
+        return name.encode()
 
 
 @cache

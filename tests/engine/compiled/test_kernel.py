@@ -257,6 +257,23 @@ print(numba.njit(lambda x: (x + 1.0).sum())(__import__("numpy").ones(3)))
     assert done.stdout.split() == ["False", "6.0"], done.stderr
 
 
+def test_kernels_are_found_where_the_package_is_installed_not_only_where_it_was_built(tmp_path):
+    said = []
+    for place in ("built", "installed"):
+        engine = tmp_path / place / "odt_plugins" / "engine"
+        shutil.copytree(ENGINE / "compiled", engine / "compiled",
+                        ignore=shutil.ignore_patterns("__*", "ahead"))
+        for name in ("errors.py", "options.py", "progress.py"):
+            shutil.copy(ENGINE.parent / name, engine.parent)
+        (engine / "inner.py").write_text(INNER.format(step=1.0), encoding="utf-8")
+        (engine / "outer.py").write_text(OUTER, encoding="utf-8")
+        env = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path), "PYTHONPATH": str(tmp_path / place)}
+        done = subprocess.run([sys.executable, "-c", CALL], capture_output=True, text=True,
+                              check=True, cwd=tmp_path / place, env=env)
+        said.append(done.stdout.strip())
+    assert said == ["4.0 0", "4.0 1"]
+
+
 def test_a_change_in_a_kernel_that_another_file_calls_is_seen(tmp_path):
     engine = tmp_path / "odt_plugins" / "engine"
     shutil.copytree(ENGINE / "compiled", engine / "compiled",
