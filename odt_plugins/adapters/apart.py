@@ -28,12 +28,13 @@ from odt_plugins.errors import exit_name
 HDF5 = ("cgns", "exodus", "h5m", "hmf", "med", "xdmf")
 """Formats of meshio that HDF5 reads and writes, that of Exodus through netCDF."""
 
-VTK = (".vtk", ".vtp", ".vtu")
-"""Suffixes of files that the process which stays reads and writes."""
+VTK = {"vtk": "legacy", "vtu": "UnstructuredGrid", "vtp": "PolyData"}
+"""Formats that VTK reads and writes, by their name in meshio, which knows no .vtp, and what VTK
+calls them."""
 
 BEFOREHAND = ("odt_plugins.adapters.vtk_files", "vtkmodules.vtkIOXML", "vtkmodules.vtkIOLegacy",
               "vtkmodules.util.numpy_support", "meshio")
-"""What it imports meanwhile, in the order in which that is needed."""
+"""Modules that the process which stays imports while nobody asks it, the first needed first."""
 
 LENGTH = 8
 """Bytes of the length of a message."""
@@ -164,12 +165,17 @@ def _staying() -> _Process:
     return process
 
 
+def vtk_installed() -> bool:
+    """Say whether VTK is there; it comes with pyvista."""
+    return find_spec("vtkmodules") is not None
+
+
 def make_ready_for(paths: Iterable[str]) -> None:
-    """Start the process that stays where VTK will read or write one of these files, if it is there.
+    """Start the process that stays where VTK will read or write one of these files.
 
     It imports VTK while this one goes on.
     """
-    if any(path.lower().endswith(VTK) for path in paths) and find_spec("vtkmodules"):
+    if any(path.rpartition(".")[2].lower() in VTK for path in paths) and vtk_installed():
         with contextlib.suppress(OSError), KEPT:
             _staying()
 

@@ -167,7 +167,7 @@ def _formats(path: Path) -> list[str]:
     from meshio import extension_to_filetypes
 
     known = dict(extension_to_filetypes)
-    if vtk_files.installed():
+    if apart.vtk_installed():
         known[".vtp"] = ["vtp"]
     for count in range(len(path.suffixes)):
         suffix = "".join(path.suffixes[count:]).lower()
@@ -204,7 +204,7 @@ def _read_as(path: Path, formats: list[str]) -> tuple[Any, list[str]]:
 
     cause: Exception | None = None
     for name in formats:
-        if name not in reader_map and name not in vtk_files.FORMATS:
+        if name not in reader_map and name not in apart.VTK:
             continue
         try:
             return reading.read(path, name)
@@ -274,7 +274,7 @@ def _write_and_compare(
     differs = ""
     try:
         fit, lost = fitted(mesh, name)
-        if name in vtk_files.FORMATS and vtk_files.installed():
+        if name in apart.VTK and apart.vtk_installed():
             back, differs = apart.call_again(
                 vtk_files.write_and_read, path.absolute(), fit, name, binary is not False)
         else:
@@ -302,7 +302,7 @@ def _write_and_compare(
         reason = f"it does not hold {len(fit.points)} points with cells {_sizes(fit)}"
         raise _not_written(path, name, reason)
     lost += _lost(mesh, back)
-    if name in vtk_files.FORMATS:
+    if name in apart.VTK:
         lost += _other_types(mesh, back)
     return lost, said
 

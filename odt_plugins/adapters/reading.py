@@ -88,7 +88,7 @@ def read(path: Path, name: str) -> tuple[Any, list[str]]:
         expect_whole(path)
     seconds = LEAST + size / RATE
     try:
-        if name in vtk_files.FORMATS and vtk_files.installed():
+        if name in apart.VTK and apart.vtk_installed():
             mesh, said = _read_vtk(path, name, seconds)
         else:
             mesh, said = _read_meshio(path, name, seconds)

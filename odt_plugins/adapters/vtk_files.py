@@ -6,17 +6,14 @@ VTK's readers are C++: they run in a process of their own (:mod:`odt_plugins.ada
 
 from __future__ import annotations
 
-from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters.apart import VTK
 from odt_plugins.errors import InvalidMeshError, MeshFileError, UnsupportedMeshError
-
-FORMATS = {"vtk": "legacy", "vtu": "UnstructuredGrid", "vtp": "PolyData"}
-"""Formats that VTK reads and writes, by their name in meshio, which knows no .vtp."""
 
 SPLIT = {2: ("vertex", 1), 4: ("line", 2)}
 """Poly-vertices and poly-lines come as vertices and lines, one for each of their parts."""
@@ -45,18 +42,13 @@ class Grid(NamedTuple):
     field_data: dict[str, NDArray[Any]]
 
 
-def installed() -> bool:
-    """Say whether VTK is there; it comes with pyvista."""
-    return find_spec("vtkmodules") is not None
-
-
 def read(path: Path, name: str) -> Grid:
     """Read a file by VTK, all arrays in the types of the file.
 
     Parameters
     ----------
     path : path
-    name : str    one of FORMATS
+    name : str    one of apart.VTK
 
     Raises
     ------
@@ -88,7 +80,7 @@ def write_and_read(path: Path, mesh: Any, name: str, binary: bool = True) -> tup
     ----------
     path : path
     mesh : meshio.Mesh    point and cell sets are written as arrays of 0 and 1
-    name : str            one of FORMATS
+    name : str            one of apart.VTK
     binary : bool         or as text
 
     Returns
@@ -126,7 +118,7 @@ def _reader(name: str) -> Any:
         return reader
     from vtkmodules import vtkIOXML
 
-    return getattr(vtkIOXML, f"vtkXML{FORMATS[name]}Reader")()
+    return getattr(vtkIOXML, f"vtkXML{VTK[name]}Reader")()
 
 
 def _writer(name: str, binary: bool) -> Any:
@@ -138,7 +130,7 @@ def _writer(name: str, binary: bool) -> Any:
         return writer
     from vtkmodules import vtkIOXML
 
-    writer = getattr(vtkIOXML, f"vtkXML{FORMATS[name]}Writer")()
+    writer = getattr(vtkIOXML, f"vtkXML{VTK[name]}Writer")()
     (writer.SetDataModeToBinary if binary else writer.SetDataModeToAscii)()
     return writer
 

@@ -17,7 +17,7 @@ from attack import damage
 from meshio._helpers import reader_map
 from processes import wait_until
 
-from odt_plugins.adapters import apart, files, reading, stated, vtk_files
+from odt_plugins.adapters import apart, files, reading, stated
 from odt_plugins.errors import DataNotKeptWarning, MeshFileError, ODTError
 
 NO_DATA = ("h5m", "su2", "ugrid", "ugrid text")
@@ -155,7 +155,7 @@ def _endless(_path):
 
 @pytest.mark.parametrize("main", [True, False], ids=["main thread", "other thread"])
 def test_a_reader_that_does_not_end_is_broken_off(main, tmp_path, monkeypatch):
-    monkeypatch.setattr(vtk_files, "installed", lambda: False)
+    monkeypatch.setattr(apart, "vtk_installed", lambda: False)
     monkeypatch.setitem(reader_map, "vtu", _endless)
     monkeypatch.setattr(reading, "LEAST", 0.2)
     path = tmp_path / "mesh.vtu"
@@ -204,7 +204,7 @@ def test_a_process_that_stays_is_the_same_until_it_crashes():
 def test_vtk_is_loaded_beforehand_where_a_file_will_need_it(monkeypatch):
     started = []
     monkeypatch.setattr(apart, "_staying", lambda: started.append(1))
-    apart.make_ready_for(["optimize", "in.msh", "vtu"])
+    apart.make_ready_for(["optimize", "in.msh", "vtu.msh"])
     assert not started
     apart.make_ready_for(["optimize", "IN.VTU", "out.msh"])
     assert started
@@ -248,7 +248,7 @@ def test_readings_in_threads_leave_the_streams_as_they_were(tmp_path, monkeypatc
             first_out.wait(1)
         return reader(path)
 
-    monkeypatch.setattr(vtk_files, "installed", lambda: False)
+    monkeypatch.setattr(apart, "vtk_installed", lambda: False)
     monkeypatch.setitem(reader_map, "vtu", slow)
     streams, filters = (sys.stdout, sys.stderr), warnings.filters
 
@@ -296,7 +296,7 @@ def test_data_that_end_before_their_count_are_refused(tmp_path, monkeypatch):
         warnings.warn("string or file could not be read to its end due to unmatched data; this "
                       "will raise a ValueError in the future.", DeprecationWarning, stacklevel=1)
 
-    monkeypatch.setattr(vtk_files, "installed", lambda: False)
+    monkeypatch.setattr(apart, "vtk_installed", lambda: False)
     monkeypatch.setitem(reader_map, "vtu", reader)
     (tmp_path / "mesh.vtu").write_text("")
     assert "could not be read to its end" in _refused(tmp_path / "mesh.vtu")

@@ -96,7 +96,7 @@ def test_polydata_keep_the_order_of_their_parts(tmp_path):
 def test_vtk_reads_what_is_written_without_it(tmp_path, monkeypatch):
     mesh = contract.file_mesh(".vtk", 3)
     mesh.cell_data["byte"] = [np.arange(len(mesh.cells[0].data)).astype(np.uint8)]
-    monkeypatch.setattr(vtk_files, "installed", lambda: False)
+    monkeypatch.setattr(apart, "vtk_installed", lambda: False)
     message = r"the type of cell data 'byte' \(uint8, there int64\), the type of cell data 'marker'"
     with pytest.warns(DataNotKeptWarning, match=message):
         files.write_file(tmp_path / "out.vtk", mesh)

@@ -17,6 +17,7 @@ from pathlib import Path
 from typing import Any, Literal, get_args, get_origin, get_type_hints
 
 import meshio
+import numba
 import numpy as np
 import pytest
 from tangled_meshes import schoenhardt
@@ -458,6 +459,9 @@ def test_a_terminal_is_told_once_that_kernels_are_compiled(
             pass
 
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
+    with terminal.progress_bar(quiet=False):
+        numba.njit(lambda x: x)(1.0)
+    assert "compiling" not in capsys.readouterr().err
     with terminal.progress_bar(quiet=False):
         compile_one()
         compile_one()

@@ -21,7 +21,7 @@ from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import cell_shapes
 from odt_plugins.engine.topology.complex import Complex, make_complex, renumbered
 from odt_plugins.engine.topology.stencil import Topology, make_topology
-from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.chunks import Pool
 from odt_plugins.options import Options
 
@@ -238,13 +238,6 @@ def _cells(mesh: Complex, options: Options) -> IntArray:
     return mesh.cells[: mesh.used] if sweeps else mesh.mesh_arrays()[0]
 
 
-def _share_of_vertices(movable: BoolArray, cells: IntArray) -> float:
-    """Share of the vertices of some cells that may move."""
-    used = np.zeros(len(movable), dtype=np.bool_)
-    used[cells] = True
-    return float(movable[used].mean())
-
-
 def smooth(
     mesh: Complex,
     density: Density,
@@ -277,11 +270,11 @@ def smooth(
     least: list[float] = []
     reason = f"the {options.rounds} rounds were used up"
     movable = ~mesh.locked
-    settled = POLICY.settled_energy
     cells = _cells(mesh, options)
-    if overrelaxes(options, mesh.dim):
-        settled = POLICY.stirred_settled * _share_of_vertices(movable, mesh.mesh_arrays()[0])
     topology = make_topology(cells, movable, mesh.boundary, pool=pool)
+    settled = POLICY.settled_energy
+    if overrelaxes(options, mesh.dim):
+        settled = POLICY.stirred_settled * topology.movable_share
     scattered = 0
     pays = options.connectivity == "auto" and exchange_pays(mesh)
     walk = density.walk_start(len(mesh.points))

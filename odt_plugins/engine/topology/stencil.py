@@ -51,6 +51,11 @@ class Topology:
         """Vertices that share a cell with every vertex."""
         return vertex_neighbors(self.cells, self.stars)
 
+    @property
+    def movable_share(self) -> float:
+        """Share of the vertices of the cells that may move."""
+        return float(self.movable.sum() / (np.diff(self.stars.indptr) > 0).sum())
+
     @cached_property
     def largest_star(self) -> int:
         """Most cells around one vertex."""

@@ -21,11 +21,13 @@ from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.sphere import apex_across
 from odt_plugins.engine.compiled import cache as kernel_cache
 from odt_plugins.engine.compiled import kernel
+from odt_plugins.engine.compiled.compiler import compile_whole
 from odt_plugins.engine.compiled.library import Library, Part
 from odt_plugins.engine.compiled.machine import MachineCode, fits
 from odt_plugins.engine.moves import cavity
 from odt_plugins.engine.topology.lookup import place_in
 from odt_plugins.engine.topology.tets import Tets
+from odt_plugins.progress import compiling_heard
 
 ENGINE = Path(odt_plugins.__file__).parent / "engine"
 
@@ -96,6 +98,30 @@ def test_code_is_chosen_by_the_types_of_the_arguments():
 
     assert [halves(x) for x in (3, 3.0, np.float32(3.0), True)] == [1.5, 1.5, 1.5, 0.5]
     assert len(halves.loaded) == 4
+
+
+def test_compiling_a_kernel_is_heard_and_a_later_call_is_not():
+    @kernel.kernel
+    def third(x: float) -> float:
+        return x / 3.0
+
+    @kernel.kernel
+    def ninth(x: float) -> float:
+        return third(third(x))
+
+    heard: list[bool] = []
+    with compiling_heard(heard.append):
+        assert [ninth(9.0), ninth(18.0)] == [1.0, 2.0]
+    assert heard == [True, False]
+    assert third(3.0) == 1.0
+    assert heard == [True, False]
+
+
+def test_kernels_hold_no_lock_of_python():
+    for made in (kernel.kernel, kernel.allocating_kernel, kernel.inlined_kernel):
+        one = made(lambda x: x + 1.0)
+        code = compile_whole(one.py_func, one.options, (1.0,))
+        assert {"PyEval_SaveThread", "PyEval_RestoreThread"} <= {*code.needs}
 
 
 def test_a_kernel_that_raises_says_so():
@@ -191,7 +217,7 @@ def both(x: float) -> float:
 def outer(x: float) -> float:
     return both(x) + third(x)
 
-print(outer(1.5), both(3.0))
+print(outer(1.5), both(3.0), machine.tried())
 """
 
 
@@ -201,7 +227,7 @@ def test_a_numba_that_was_not_tried_compiles_by_itself(tmp_path):
         done = subprocess.run(
             [sys.executable, "-m", "kernels"], capture_output=True, text=True, check=False,
             env=dict(os.environ) | {"NUMBA_CACHE_DIR": str(tmp_path)}, cwd=tmp_path)
-        assert done.stdout.split() == ["2.0", "3.0"], done.stderr
+        assert done.stdout.split() == ["2.0", "3.0", "False"], done.stderr
 
 
 def test_callers_are_taken_in_before_what_they_call():
