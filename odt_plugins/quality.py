@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike, NDArray
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError
 from odt_plugins.mesh.cell_geometry import CellGeometry
 from odt_plugins.mesh.chunks import chunks, spread
+from odt_plugins.mesh.quantiles import quantile
 from odt_plugins.table import table_html, table_lines
 
 FloatArray = NDArray[np.float64]
@@ -334,7 +335,7 @@ def summarize(
         n_points=len(p),
         n_cells=len(t),
         min_quality=float(f.quality.min()),
-        p1_quality=float(np.quantile(f.quality, 0.01)),
+        p1_quality=quantile(f.quality, 0.01),
         mean_quality=float(f.quality.mean()),
         min_angle=float(f.min_angle.min()),
         max_angle=float(f.max_angle.max()),

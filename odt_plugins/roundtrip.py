@@ -193,8 +193,9 @@ def _cell_origin(host: HostMesh, source: IntArray) -> NDArray[np.int64]:
     """Cell of the caller's object of which every cell of the result takes the data."""
     if host.ids is None:
         return source.astype(np.int64)
-    others = np.setdiff1d(np.arange(host.total), host.ids)
-    return np.sort(np.concatenate([host.ids[source], others]))
+    other = np.ones(host.total, dtype=np.bool_)
+    other[host.ids] = False
+    return np.sort(np.concatenate([host.ids[source], np.flatnonzero(other)]))
 
 
 def optimized(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:

@@ -19,6 +19,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+from collections import deque
 from collections.abc import Callable, Iterable
 from importlib.util import find_spec
 from typing import Any
@@ -32,9 +33,10 @@ VTK = {"vtk": "legacy", "vtu": "UnstructuredGrid", "vtp": "PolyData"}
 """Formats that VTK reads and writes, by their name in meshio, which knows no .vtp, and what VTK
 calls them."""
 
-BEFOREHAND = ("odt_plugins.adapters.vtk_files", "vtkmodules.vtkIOXML", "vtkmodules.vtkIOLegacy",
+BEFOREHAND = ("odt_plugins.adapters.vtk_files vtkmodules.vtkIOXML vtkmodules.vtkIOLegacy "
               "vtkmodules.util.numpy_support", "meshio")
-"""Modules that the process which stays imports while nobody asks it, the first needed first."""
+"""Modules that the process which stays imports while it waits for its first task, which is to read,
+and for its second one; the first needed first."""
 
 LENGTH = 8
 """Bytes of the length of a message."""
@@ -203,7 +205,6 @@ def main() -> None:
     """Do the work that standard input names, and write its results or errors to standard output."""
     stream = os.fdopen(os.dup(1), "wb")
     os.dup2(2, 1)
-    threading.Thread(target=_import, args=(sys.argv[1:],), daemon=True).start()
     left: list[BaseException] = []
 
     def note(told: Any) -> None:
@@ -212,7 +213,13 @@ def main() -> None:
             left.append(told.exc_value or RuntimeError(told.err_msg))
 
     sys.unraisablehook = note
+    beforehand = deque(sys.argv[1:])
+    # Garbage is collected after every task, and looked for among what that made.
+    gc.disable()
     while True:
+        if beforehand:
+            modules = beforehand.popleft().split()
+            threading.Thread(target=_import, args=(modules,), daemon=True).start()
         message = _message(sys.stdin.buffer)
         if message is None:
             # What is left open would crash the process on its way out.
@@ -221,6 +228,7 @@ def main() -> None:
         error: BaseException | None = None
         # A reader or writer may raise anything at all.
         try:
+            gc.freeze()
             function, arguments = pickle.loads(message)
             result = function(*arguments)
         except Exception as exc:

@@ -1,5 +1,6 @@
 """The start of ``odt-plugins``, and of ``python -m odt_plugins.cli``."""
 
+import gc
 import sys
 
 from odt_plugins.adapters import apart
@@ -7,15 +8,25 @@ from odt_plugins.adapters import apart
 READING = ("optimize", "quality", "untangle")
 """Commands that read the files that they are given in this process."""
 
+RARELY = 50_000
+"""Objects of Python that are made between two looks for garbage."""
+
 
 def start() -> int:
-    """Let another process load VTK where files need it, while this one loads all the rest."""
+    """Let another process load VTK where files need it, while this one loads all the rest.
+
+    Nearly all that a command makes stays to its end: garbage is looked for rarely, and not then.
+    """
+    gc.set_threshold(RARELY)
     command, *words = sys.argv[1:] or [""]
     if command in READING and not {"-h", "--help"} & {*words}:
         apart.make_ready_for(words)
     from odt_plugins.cli.main import main
 
-    return main()
+    try:
+        return main()
+    finally:
+        gc.freeze()
 
 
 if __name__ == "__main__":

@@ -8,6 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from odt_plugins.mesh import quantiles
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 from odt_plugins.promise.volume import LOWER_IS_BETTER
 from odt_plugins.quality import cell_figures
@@ -60,7 +61,7 @@ def measure_part(points: FloatArray, cells: IntArray, path: str) -> Figures:
     np.sort(f.quality).tofile(beside)
     os.replace(beside, _ratios(path))
     return Figures(len(cells), float(f.quality.sum()), float(f.volume.sum()),
-                   float(f.quality.min()), float(np.quantile(f.quality, 0.01)),
+                   float(f.quality.min()), quantiles.quantile(f.quality, 0.01),
                    float(f.min_angle.min()), float(f.max_angle.max()),
                    int(np.count_nonzero(f.min_angle < 20.0)), float(f.altitude.min()))
 
@@ -90,8 +91,8 @@ def quantile(files: Sequence[str], count: int, share: float) -> float:
     """Quantile of ``count`` values in files, each ascending, as ``numpy.quantile`` computes it."""
     place = (count - 1) * share
     rank = int(place)
-    pair = [_of_rank(files, k) for k in (rank, min(rank + 1, count - 1))]
-    return float(np.quantile(pair, place - rank))
+    low, high = (_of_rank(files, k) for k in (rank, min(rank + 1, count - 1)))
+    return quantiles.between(low, high, place - rank)
 
 
 def _of_rank(files: Sequence[str], rank: int) -> float:

@@ -9,7 +9,6 @@ formula.
 from __future__ import annotations
 
 from dataclasses import dataclass, field, fields
-from textwrap import wrap
 from typing import Any
 
 STANDARD = "odt-plugins compare --suite standard"
@@ -202,10 +201,9 @@ def _documentation() -> str:
     """Docstring of :class:`Policy`: value, meaning and command of every number."""
     lines = [str(Policy.__doc__), "", "    Attributes", "    ----------"]
     for about in fields(Policy):
-        lines.append(f"    {about.name} : {about.type}, {about.default!r}")
-        text = f"{about.metadata['meaning']} ``{about.metadata['command']}``"
-        lines += wrap(text, 92, initial_indent=8 * " ", subsequent_indent=8 * " ",
-                      break_on_hyphens=False)
+        lines += [f"    {about.name} : {about.type}, {about.default!r}",
+                  f"        {about.metadata['meaning']}",
+                  f"        ``{about.metadata['command']}``"]
     return "\n".join([*lines, "    "])
 
 

@@ -323,7 +323,9 @@ def _volume_changed(
 
     When the boundary slides, the volume of all of them within VOLUME of it.
     """
-    labels = np.union1d(before.regions, regions)
+    labels = before.regions[:1]
+    if (before.regions != labels).any() or (regions != labels).any():
+        labels = np.union1d(before.regions, regions)
     old, size = _volume_per_label(before.points, before.cells, before.regions, labels, threads)
     new, other = _volume_per_label(points, cells, regions, labels, threads)
     if slides:
@@ -362,9 +364,10 @@ def _volume_per_label(
         size[part] = np.prod(np.abs(edges).max(axis=1), axis=0)
 
     spread(measure, chunks(len(cells)), threads)
-    order = np.argsort(regions, kind="stable")
-    ends = np.searchsorted(regions[order], labels, side="right")
-    groups = np.split(order, ends)[:-1]
+    groups: Any = [slice(None)]
+    if len(labels) > 1:
+        order = np.argsort(regions, kind="stable")
+        groups = np.split(order, np.searchsorted(regions[order], labels, side="right"))[:-1]
     volume, rounding = (np.array([x[g].sum() for g in groups]) for x in (det, size))
     return volume / (2 if d == 2 else 6), rounding
 

@@ -208,10 +208,12 @@ def test_vtk_is_loaded_beforehand_where_a_file_will_need_it(monkeypatch):
     assert not started
     apart.make_ready_for(["optimize", "IN.VTU", "out.msh"])
     assert started
-    process = apart._Process("nowhere", "colorsys")
+    process = apart._Process("nowhere colorsys", "stringprep")
     try:
-        known = "'colorsys' in __import__('sys').modules"
-        wait_until(lambda: process.ask(eval, (known,), 60.0), 60.0)
+        known = "'{}' in __import__('sys').modules"
+        assert not process.ask(eval, (known.format("stringprep"),), 60.0)
+        for module in ("colorsys", "stringprep"):
+            wait_until(lambda name=module: process.ask(eval, (known.format(name),), 60.0), 60.0)
     finally:
         process.end()
 

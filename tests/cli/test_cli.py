@@ -541,3 +541,15 @@ def test_a_usual_run_loads_no_room_for_other_meshes_and_options() -> None:
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True,
                           check=False)
     assert done.stderr.strip() == "[]"
+
+
+def test_garbage_is_looked_for_rarely_and_not_at_the_end():
+    code = """
+import gc, sys
+from odt_plugins.cli import __main__
+sys.argv = ["odt-plugins", "--version"]
+__main__.start()
+print(gc.get_threshold()[0] == __main__.RARELY, gc.get_freeze_count() > 1000)
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.splitlines()[-1] == "True True"

@@ -13,6 +13,7 @@ from odt_plugins.engine.moves.worth import Weights
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import COS_SMALL
 from odt_plugins.mesh.arrays import FloatArray
+from odt_plugins.mesh.quantiles import quantile
 from odt_plugins.options import Objective
 
 
@@ -84,7 +85,7 @@ def weights(
     q = shapes[:, 0]
     sine = np.sqrt(np.maximum(1.0 - np.abs(shapes[:, 1:3]).max(axis=1) ** 2, 0.0))
     shares = POLICY.insertion_p1
-    low, high = (float(x) for x in np.quantile(q, shares))
+    low, high = (quantile(q, share) for share in shares)
     high = max(high, low + 0.01)
     tail = min(POLICY.score_p1 * (high - low) / (shares[1] - shares[0]), POLICY.insertion_tail)
     few, worst = POLICY.insertion_few, POLICY.insertion_worst

@@ -15,6 +15,7 @@ from odt_plugins.engine.topology.active import IDLE, PENDING
 from odt_plugins.engine.topology.star import Stars, vertex_stars
 from odt_plugins.engine.topology.triangles import Triangles
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.quantiles import quantile
 
 
 class TriangleDescent(ABC):
@@ -68,7 +69,7 @@ class TriangleDescent(ABC):
         """Make the worst triangles and those beside them pending; their vertices move first."""
         measures = self.measures()
         near = np.zeros(len(self.points), dtype=np.bool_)
-        near[self.cells[measures <= np.quantile(measures, self.phase.share)]] = True
+        near[self.cells[measures <= quantile(measures, self.phase.share)]] = True
         pending = near[self.cells].any(axis=1)
         self.status[pending] = PENDING
         active = np.zeros(len(self.points), dtype=np.bool_)

@@ -44,6 +44,7 @@ from odt_plugins.engine.topology.tets import Tets
 from odt_plugins.engine.topology.triangles import Triangles
 from odt_plugins.mesh.arrays import BoolArray, ByteArray, FloatArray, IntArray
 from odt_plugins.mesh.chunks import Pool
+from odt_plugins.mesh.quantiles import quantile
 
 FEW = 50
 """Cells at which reconnection is tried however small a part of the mesh they are."""
@@ -72,7 +73,7 @@ def held_angles(
     mesh: Complex, bounds: Bounds, share: float, pool: Pool | None = None
 ) -> Bounds:
     """Bounds under which no new cell gets a smaller angle than a share of the cells has now."""
-    return bounds.with_large(np.quantile(_large_cosines(mesh, pool), 1.0 - share))
+    return bounds.with_large(quantile(_large_cosines(mesh, pool), 1.0 - share))
 
 
 def reached(mesh: Complex, pool: Pool | None = None) -> Extremes:
@@ -93,7 +94,7 @@ def guarded(
         bounds = bounds.with_large(min(least, reached) if few else reached)
     if phase.guard is not None:
         q = measures(mesh, QUALITY, pool)
-        reached = np.quantile(q[q < NO_CELL], phase.guard)
+        reached = quantile(q[q < NO_CELL], phase.guard)
         bounds = bounds.with_quality(max(bounds.cells.quality, reached))
     return bounds
 

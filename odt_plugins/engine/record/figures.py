@@ -34,6 +34,7 @@ from odt_plugins.engine.compiled.threads import run_pieces
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.chunks import Pool
+from odt_plugins.mesh.quantiles import quantile
 from odt_plugins.options import Objective
 
 COS_SMALL = math.cos(math.radians(POLICY.small_angle))
@@ -217,7 +218,7 @@ def figures(
 
 def _spread(values: NDArray[np.float64]) -> tuple[float, float, float]:
     """Minimum, 1 % quantile and mean."""
-    return float(values.min()), float(np.quantile(values, 0.01)), float(values.mean())
+    return float(values.min()), quantile(values, 0.01), float(values.mean())
 
 
 @kernel

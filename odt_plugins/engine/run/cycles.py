@@ -40,8 +40,7 @@ def extremes(before: Figures, keep: tuple[str, ...]) -> Bounds:
 
 def settled(means: Sequence[float]) -> str:
     """Why no cycle follows those that ended with these mean qualities; empty when one may."""
-    *before, now = means
-    if not before or now - max(before) >= POLICY.cycle_worth:
+    if len(means) < 2 or means[-1] - max(means[:-1]) >= POLICY.cycle_worth:
         return ""
     return f"the mean quality settled after {len(means)} cycles"
 
@@ -79,7 +78,8 @@ def alternate(
         clock = time.perf_counter()
         finish()
         report("finishing", (cycle + 1) / cycles)
-        means.append(mean_quality())
+        if cycles > 1:
+            means.append(mean_quality())
         log.add_time("finishing", time.perf_counter() - clock)
         if end := settled(means):
             return end
@@ -244,7 +244,7 @@ def settle(
     A guard is a share of the cells divided by ``part``, see :class:`Within`.
     """
     phases = tuple(
-        replace(phase, guard=phase.guard and min(1.0, phase.guard / part))
+        replace(phase, guard=min(1.0, phase.guard / part)) if phase.guard else phase
         for phase in phases if phase.name not in log.without
     )
     flips, moves = finish(mesh, phases, bounds, pool, threads)

@@ -12,12 +12,12 @@ from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 
 @inlined_kernel
-def _distance(centres: FloatArray, c: int, x: FloatArray, i: int) -> float:
+def _distance(centres: FloatArray, c: int, x: FloatArray, i: int, d: int) -> float:
     """Square of the distance."""
-    total = 0.0
-    for j in range(x.shape[1]):
-        total += (centres[c, j] - x[i, j]) ** 2
-    return total
+    at = np.uint32(c)
+    u, v = centres[at, 0] - x[i, 0], centres[at, 1] - x[i, 1]
+    w = centres[at, 2] - x[i, 2] if d == 3 else 0.0
+    return u * u + v * v + w * w
 
 
 @kernel
@@ -26,7 +26,7 @@ def _walk(
     rows: IntArray, x: FloatArray, labels: IntArray, found: IntArray,
 ) -> None:
     """Go on to the nearest cell around the vertices of the last one until it is that one."""
-    k = cells.shape[1]
+    k, d = cells.shape[1], x.shape[1]
     for i in range(rows.shape[0]):
         best, least = -1, np.inf
         last, here = rows[i], rows[i]
@@ -37,8 +37,8 @@ def _walk(
                 if start >= 0 and is_in(v, last, k):
                     continue
                 for s in range(stars.indptr[v], stars.indptr[v + 1]):
-                    c = stars.indices[s]
-                    square = _distance(centres, c, x, i)
+                    c = stars.indices[np.uint32(s)]
+                    square = _distance(centres, c, x, i, d)
                     nearer = square < least or (square == least and c < best)
                     if nearer and regions[c] == labels[i]:
                         best, least = c, square

@@ -11,7 +11,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from functools import partial
-from threading import Event
 
 import numpy as np
 
@@ -145,7 +144,7 @@ def side_by_side(
     rare : float            work at a slab ends where it has returned less than this a cell, after
                             a multiple of TRIES cells
     """
-    given_up = Event()
+    given_up: list[bool] = []
 
     def in_pieces(mine: IntArray, tets: Tets) -> int:
         total, count = 0, len(mine)
@@ -154,7 +153,7 @@ def side_by_side(
             if total < rare * begin:
                 break
             for first, last in pieces(begin, min(begin + length, count), costly=costly):
-                if given_up.is_set():
+                if given_up:
                     return total
                 total += work(mine[first:last], tets)
         return total
@@ -167,7 +166,7 @@ def side_by_side(
                 try:
                     done, order = _in_slabs(mesh, order, slab, pool, in_pieces)
                 except BaseException:
-                    given_up.set()
+                    given_up.append(True)
                     raise
                 total += done
     return total + in_pieces(order, mesh.tets)
