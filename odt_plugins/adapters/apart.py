@@ -19,7 +19,6 @@ import subprocess
 import sys
 import tempfile
 import threading
-from collections import deque
 from collections.abc import Callable, Iterable
 from importlib.util import find_spec
 from typing import Any
@@ -33,10 +32,13 @@ VTK = {"vtk": "legacy", "vtu": "UnstructuredGrid", "vtp": "PolyData"}
 """Formats that VTK reads and writes, by their name in meshio, which knows no .vtp, and what VTK
 calls them."""
 
-BEFOREHAND = ("odt_plugins.adapters.vtk_files vtkmodules.vtkIOXML vtkmodules.vtkIOLegacy "
+BEFOREHAND = ("odt_plugins.adapters.vtk_files", "vtkmodules.vtkIOXML", "vtkmodules.vtkIOLegacy",
               "vtkmodules.util.numpy_support", "meshio")
-"""Modules that the process which stays imports while it waits for its first task, which is to read,
-and for its second one; the first needed first."""
+"""Modules that the process which stays imports while nobody asks it, the first needed first; the
+last one, with which it writes and does not read, when it has answered or waited."""
+
+PAUSE = 0.2
+"""Seconds that it waits."""
 
 LENGTH = 8
 """Bytes of the length of a message."""
@@ -177,7 +179,8 @@ def make_ready_for(paths: Iterable[str]) -> None:
 
     It imports VTK while this one goes on.
     """
-    if any(path.rpartition(".")[2].lower() in VTK for path in paths) and vtk_installed():
+    suffixes = tuple(f".{name}" for name in VTK)
+    if any(path.lower().endswith(suffixes) for path in paths) and vtk_installed():
         with contextlib.suppress(OSError), KEPT:
             _staying()
 
@@ -194,11 +197,24 @@ def call_again(function: Callable[..., Any], *arguments: Any, seconds: float | N
         return _staying().ask(function, arguments, seconds)
 
 
-def _import(modules: Iterable[str]) -> None:
+def _import(modules: list[str], answered: threading.Event) -> None:
+    """Import modules, the last one after an answer or a pause."""
     for module in modules:
+        if module is modules[-1]:
+            answered.wait(PAUSE)
         # A module may raise anything at all; who needs it will hear of it.
         with contextlib.suppress(Exception):
             importlib.import_module(module)
+
+
+def _answered(result: Any, error: BaseException | None) -> bytes:
+    """What a task gave or raised as a message; an error that pickle does not take by its text."""
+    try:
+        answer = pickle.dumps((result, error))
+        pickle.loads(answer)
+    except Exception:
+        return pickle.dumps((None, RuntimeError(f"{type(error).__name__}: {error}")))
+    return answer
 
 
 def main() -> None:
@@ -213,13 +229,11 @@ def main() -> None:
             left.append(told.exc_value or RuntimeError(told.err_msg))
 
     sys.unraisablehook = note
-    beforehand = deque(sys.argv[1:])
+    answered = threading.Event()
+    threading.Thread(target=_import, args=(sys.argv[1:], answered), daemon=True).start()
     # Garbage is collected after every task, and looked for among what that made.
     gc.disable()
     while True:
-        if beforehand:
-            modules = beforehand.popleft().split()
-            threading.Thread(target=_import, args=(modules,), daemon=True).start()
         message = _message(sys.stdin.buffer)
         if message is None:
             # What is left open would crash the process on its way out.
@@ -233,19 +247,15 @@ def main() -> None:
             result = function(*arguments)
         except Exception as exc:
             error = exc
-        function = arguments = message = None
+        answer, failed = _answered(result, error), error is not None
+        function = arguments = message = result = error = None
         gc.collect()
-        if left:
-            result, error = None, error or left.pop()
-        try:
-            answer = pickle.dumps((result, error))
-            pickle.loads(answer)
-        except Exception:
-            answer = pickle.dumps((None, RuntimeError(f"{type(error).__name__}: {error}")))
+        if left and not failed:
+            answer = _answered(None, left[0])
         left.clear()
         stream.write(len(answer).to_bytes(LENGTH, "big") + answer)
         stream.flush()
-        result = error = None
+        answered.set()
 
 
 if __name__ == "__main__":

@@ -15,7 +15,8 @@ RARELY = 50_000
 def start() -> int:
     """Let another process load VTK where files need it, while this one loads all the rest.
 
-    Nearly all that a command makes stays to its end: garbage is looked for rarely, and not then.
+    Nearly all that a command makes stays to its end, so that garbage is looked for rarely, and at
+    the exit once.  This is for a process of its own; :func:`main` changes nothing of that.
     """
     gc.set_threshold(RARELY)
     command, *words = sys.argv[1:] or [""]
@@ -26,6 +27,7 @@ def start() -> int:
     try:
         return main()
     finally:
+        gc.collect()
         gc.freeze()
 
 

@@ -8,7 +8,8 @@ that must stay, `vertex_mask` reads masks and lists of indices, `compact_labels`
 labels. Where vertices were added and removed, `old_numbers` and `new_numbers` go from one
 numbering to the other. `same_places` finds the vertices that a soup has several times, and
 `at_copies` gives the corners of new cells one of them. `CellGeometry` holds edges, normals and
-determinants in numpy, for the figures that leave the package, `quantile` one of their values.
+determinants in numpy, for the figures that leave the package. `quantile` computes what that of
+numpy does, faster.
 
 Source: d-simplices in R^d as in Section 2 of Chen and Holst.
 

@@ -1,5 +1,6 @@
-"""Quantiles as ``numpy.quantile`` computes them, which takes ten times as long for one share, and
-imports masked arrays for it.
+"""Quantiles as ``numpy.quantile`` computes them.
+
+For one share that takes a tenth of a millisecond more, and numpy's masked arrays are imported.
 """
 
 from __future__ import annotations

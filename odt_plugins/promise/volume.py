@@ -346,7 +346,10 @@ def _size(mesh: SimplexMesh) -> str:
 def _volume_per_label(
     points: Any, cells: Any, regions: Any, labels: Any, threads: int
 ) -> tuple[NDArray[Any], NDArray[Any]]:
-    """Volume of each label, and the sum of products of edge lengths that bounds its rounding."""
+    """Volume of each label, and the sum of products of edge lengths that bounds its rounding.
+
+    ``labels`` are all those of ``regions``, ascending.
+    """
     d = points.shape[1]
     det, size = np.empty(len(cells)), np.empty(len(cells))
     axes = np.ascontiguousarray(points.T)

@@ -204,18 +204,38 @@ def test_a_process_that_stays_is_the_same_until_it_crashes():
 def test_vtk_is_loaded_beforehand_where_a_file_will_need_it(monkeypatch):
     started = []
     monkeypatch.setattr(apart, "_staying", lambda: started.append(1))
-    apart.make_ready_for(["optimize", "in.msh", "vtu.msh"])
+    apart.make_ready_for(["optimize", "in.msh", "vtu", "vtu.msh"])
     assert not started
     apart.make_ready_for(["optimize", "IN.VTU", "out.msh"])
     assert started
-    process = apart._Process("nowhere colorsys", "stringprep")
+    process = apart._Process("nowhere", "colorsys", "stringprep")
     try:
-        known = "'{}' in __import__('sys').modules"
-        assert not process.ask(eval, (known.format("stringprep"),), 60.0)
         for module in ("colorsys", "stringprep"):
-            wait_until(lambda name=module: process.ask(eval, (known.format(name),), 60.0), 60.0)
+            known = f"{module!r} in __import__('sys').modules"
+            wait_until(lambda asked=known: process.ask(eval, (asked,), 60.0), 60.0)
     finally:
         process.end()
+
+
+class Holding(ZeroDivisionError):
+    """An error that only the collection of garbage ends."""
+
+    def __init__(self, number):
+        super().__init__(number)
+        self.own = self
+
+
+def _fail_with(number):
+    raise Holding(number)
+
+
+def test_the_process_that_stays_keeps_nothing_of_what_a_task_made():
+    held = ("(lambda gc: [gc.unfreeze(), sum(type(x).__name__ == 'Holding' "
+            "for x in gc.get_objects())][1])(__import__('gc'))")
+    for number in range(3):
+        with pytest.raises(Holding, match=str(number)):
+            apart.call_again(_fail_with, number)
+    assert apart.call_again(eval, held) == 0
 
 
 def test_an_hdf5_file_that_is_read_for_ever_is_broken_off(tmp_path, monkeypatch):

@@ -56,7 +56,7 @@ def alternate(
     smooth : callable          runs stage 1, tells what it is given the share that is done, and
                                returns why it stopped
     finish : callable          runs the phases
-    mean_quality : callable    of the mesh as it is
+    mean_quality : callable    of the mesh as it is; asked after every cycle of several
     options : Options
     log : Log                  takes the times
 

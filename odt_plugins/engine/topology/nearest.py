@@ -13,7 +13,11 @@ from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 @inlined_kernel
 def _distance(centres: FloatArray, c: int, x: FloatArray, i: int, d: int) -> float:
-    """Square of the distance."""
+    """Square of the distance, d 2 or 3.
+
+    The compiler does not unroll a loop over the coordinates, and tests whether signed indices are
+    negative.
+    """
     at = np.uint32(c)
     u, v = centres[at, 0] - x[i, 0], centres[at, 1] - x[i, 1]
     w = centres[at, 2] - x[i, 2] if d == 3 else 0.0
@@ -37,7 +41,7 @@ def _walk(
                 if start >= 0 and is_in(v, last, k):
                     continue
                 for s in range(stars.indptr[v], stars.indptr[v + 1]):
-                    c = stars.indices[np.uint32(s)]
+                    c = stars.indices[np.uint64(s)]
                     square = _distance(centres, c, x, i, d)
                     nearer = square < least or (square == least and c < best)
                     if nearer and regions[c] == labels[i]:

@@ -144,6 +144,7 @@ def side_by_side(
     rare : float            work at a slab ends where it has returned less than this a cell, after
                             a multiple of TRIES cells
     """
+    # Not empty once a slab has failed.
     given_up: list[bool] = []
 
     def in_pieces(mine: IntArray, tets: Tets) -> int:
