@@ -19,27 +19,31 @@ from tempfile import TemporaryDirectory
 from typing import Any
 
 SMALL = 300
-"""Vertices of the meshes, about."""
+"""Vertices of most meshes, about."""
 
-RUNS: dict[str, dict[str, tuple[dict[str, Any], ...]]] = {
+LARGE = 14_000
+"""Vertices of one that is cut into slabs."""
+
+RUNS: dict[str, dict[tuple[str, int], tuple[dict[str, Any], ...]]] = {
     "cells": {
-        "ball": ({}, {"insert": True}, {"objective": "time_step", "insert": True},
-                 {"objective": "min_dihedral", "insert": True, "boundary": "slide"},
-                 {"density": "inverse-volume"}),
+        ("ball", SMALL): ({}, {"insert": True}, {"objective": "time_step", "insert": True},
+                          {"objective": "min_dihedral", "insert": True, "boundary": "slide"},
+                          {"density": "inverse-volume"}),
+        ("ball", LARGE): ({"rounds": 1, "finish": False},),
     },
     "triangles": {
-        "plate": ({}, {"objective": "min_dihedral"}, {"density": "inverse-volume"}),
-        "pebble": ({}, {"boundary": "fixed"}, {"density": "curvature"}),
+        ("plate", SMALL): ({}, {"objective": "min_dihedral"}, {"density": "inverse-volume"}),
+        ("pebble", SMALL): ({}, {"boundary": "fixed"}, {"density": "curvature"}),
     },
 }
-"""For every process the start meshes, and the options of their runs."""
+"""For every process the start meshes, their vertices, and the options of their runs."""
 
 PROGRAMS = tuple(f"from odt_plugins.ahead import run; run({name!r})" for name in RUNS)
 """What is run side by side."""
 
 
 def run(name: str) -> None:
-    """Do the runs of one process, then improve the same cells tangled, and pressed flat.
+    """Do the runs of one process, and improve the same small cells tangled, and pressed flat.
 
     Parameters
     ----------
@@ -51,12 +55,12 @@ def run(name: str) -> None:
     from odt_plugins.compare import start
     from odt_plugins.engine.cells.geometry import boundary_vertices
 
-    for mesh, options in RUNS[name].items():
-        made = getattr(start, mesh)(SMALL)
+    for (mesh, vertices), options in RUNS[name].items():
+        made = getattr(start, mesh)(vertices)
         points, cells = made.points, made.cells
         for chosen in options:
             optimize((points, cells), **chosen)
-        if made.kind != "surface":
+        if made.kind != "surface" and vertices == SMALL:
             inside = ~boundary_vertices(cells, len(points))
             noise = np.random.default_rng(0).normal(scale=0.1, size=points.shape)
             optimize((points + noise * inside[:, None], cells))
