@@ -1,6 +1,6 @@
 """Quantiles as ``numpy.quantile`` computes them.
 
-For one share that takes a tenth of a millisecond more, and numpy's masked arrays are imported.
+Numpy does much besides on the way to one share, and imports its masked arrays for it.
 """
 
 from __future__ import annotations

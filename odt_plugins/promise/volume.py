@@ -348,7 +348,7 @@ def _volume_per_label(
 ) -> tuple[NDArray[Any], NDArray[Any]]:
     """Volume of each label, and the sum of products of edge lengths that bounds its rounding.
 
-    ``labels`` are all those of ``regions``, ascending.
+    ``labels`` ascend, and all those of ``regions`` are among them.
     """
     d = points.shape[1]
     det, size = np.empty(len(cells)), np.empty(len(cells))
