@@ -6,6 +6,7 @@ import itertools
 from fractions import Fraction
 
 import numpy as np
+from reference import cell_figures
 
 
 def volume(points, cell):
@@ -129,8 +130,11 @@ def lawson(points, cells, regions):
         energies.append(total_energy(points, np.array(cells)))
 
 
-def exchange(points, cells, regions, new_cells, fixed=None, fixed_floor=0.3):
-    """Cells after the exchange of pieces with ``new_cells`` (any orientation), and the count."""
+def exchange(points, cells, regions, new_cells, fixed=None, limit=(0.0, 0.0, 180.0)):
+    """Cells after the exchange of pieces with ``new_cells`` (any orientation), and the count.
+
+    ``limit`` for new cells of fixed vertices: radius ratio, smallest and largest angle, degrees.
+    """
     old = [tuple(c) for c in cells.tolist()]
     new = [tuple(c) if volume(points, c) > 0 else (c[1], c[0], *c[2:]) for c in new_cells.tolist()]
     old_owner, new_owner = facet_owners(np.array(old)), facet_owners(np.array(new))
@@ -169,7 +173,7 @@ def exchange(points, cells, regions, new_cells, fixed=None, fixed_floor=0.3):
             e = sum(cell_energy(points, c) for c in ours)
             falls = sum(cell_energy(points, c) for c in theirs) < e * (1 - 1e-12)
             if same_vertices and same_volume and wide and falls and _agrees(
-                    points, ours, theirs, fixed, fixed_floor):
+                    points, ours, theirs, fixed, limit):
                 result += theirs
                 labels += [int(regions[piece[0]])] * len(theirs)
                 count += 1
@@ -179,16 +183,19 @@ def exchange(points, cells, regions, new_cells, fixed=None, fixed_floor=0.3):
     return result, labels, count
 
 
-def _agrees(points, ours, theirs, fixed, fixed_floor):
+def _agrees(points, ours, theirs, fixed, limit):
     if fixed is None:
         return True
-    stuck = [radius_ratio(points, c) for c in theirs if all(fixed[v] for v in c)]
-    if not stuck:
+    before, after = ([c for c in mesh if all(fixed[v] for v in c)] for mesh in (ours, theirs))
+    if not after:
         return True
-    before = [radius_ratio(points, c) for c in ours if all(fixed[v] for v in c)]
-    needed = min(before) if before else max(
-        fixed_floor, min(radius_ratio(points, c) for c in ours))
-    return min(stuck) >= needed
+    q, least, largest = cell_figures(points, np.array(after))
+    if not before:
+        needed = max(limit[0], min(radius_ratio(points, c) for c in ours))
+        return q.min() >= needed and least.min() >= limit[1] and largest.max() <= limit[2]
+    had = cell_figures(points, np.array(before))
+    return (q.min() >= had[0].min() and least.min() >= min(limit[1], had[1].min())
+            and largest.max() <= max(limit[2], had[2].max()))
 
 
 def random_flips(points, cells, rng, count):

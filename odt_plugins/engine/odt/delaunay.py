@@ -9,13 +9,14 @@ the same space, so each such pair can be exchanged on its own.
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import combinations
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.engine.cells.elementary import power
+from odt_plugins.engine.cells.extremes import FREELY, Extremes
+from odt_plugins.engine.record.figures import cell_shapes
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.facets import directed_facets
@@ -78,7 +79,7 @@ def delaunay_exchange(
     fixed: BoolArray | None = None,
     *,
     active: BoolArray | None = None,
-    fixed_floor: float = 0.3,
+    limit: Extremes = FREELY,
 ) -> tuple[IntArray, IntArray, ExchangeStats]:
     """Exchange every piece of a mesh that the Delaunay triangulation of its vertices improves.
 
@@ -94,8 +95,7 @@ def delaunay_exchange(
     regions : (m,) int32         region labels
     fixed : (n,) bool            vertices that never move; None switches the guard off
     active : (m,) bool           cells that may be exchanged; None means all
-    fixed_floor : float          least radius ratio of a cell of fixed vertices where there was
-                                 none before
+    limit : Extremes             of a cell of fixed vertices where there was none before
 
     Returns
     -------
@@ -105,10 +105,11 @@ def delaunay_exchange(
 
     Notes
     -----
-    The guard: smoothing can never repair a cell whose vertices are all fixed.  The worst such
-    cell of the new piece must be at least as good as the worst such cell of the old piece; where
-    the old piece has none, at least as good as its worst cell and as ``fixed_floor``, because a
-    bad cell with a free vertex is temporary and the new one is not.
+    The guard: smoothing can never repair a cell whose vertices are all fixed.  The radius ratio of
+    the worst such cell of the new piece must be at least that of the worst such cell of the old
+    piece; where the old piece has none, at least that of its worst cell and of ``limit``, because
+    a bad cell with a free vertex is temporary and the new one is not.  Its angles pass ``limit``
+    only as far as those of such cells of the old piece do.
 
     References
     ----------
@@ -177,11 +178,13 @@ def delaunay_exchange(
     refuse("energy", energy_there >= (1.0 - ENERGY_TOLERANCE) * energy)
     if fixed is not None:
         is_fixed = fixed[used]
-        worst, worst_fixed = _worst(local, from_cells, from_piece, is_fixed, n_old)
-        stuck = is_fixed[to_cells].all(axis=1)
-        worst_fixed_there, _ = _worst(local, to_cells[stuck], to_piece[stuck], is_fixed, n_old)
-        needed = np.where(np.isfinite(worst_fixed), worst_fixed, np.maximum(worst, fixed_floor))
-        refuse("guard", worst_fixed_there < needed)
+        worst, stuck = _worst(local, from_cells, from_piece, is_fixed, n_old)
+        _, stuck_there = _worst(local, to_cells, to_piece, is_fixed, n_old)
+        held = np.array([limit.quality, -limit.large, limit.small])
+        needed = np.minimum(stuck, held)
+        needed[:, 0] = np.where(np.isfinite(stuck[:, 0]), stuck[:, 0],
+                                np.maximum(worst[:, 0], limit.quality))
+        refuse("guard", (stuck_there < needed).any(axis=1))
 
     take = open_[to_piece]
     keep = ~open_[old_piece]
@@ -250,38 +253,6 @@ def _measures(points: FloatArray, cells: IndexArray) -> tuple[FloatArray, FloatA
     return volume, energy, np.abs(volume) <= FLAT * power(longest, dim / 2)
 
 
-def _radius_ratio(points: FloatArray, cells: IndexArray) -> FloatArray:
-    """Radius ratio d r / R (5.1) of cells of positive volume."""
-    dim = points.shape[1]
-    x = np.ascontiguousarray(points[cells].transpose(1, 2, 0))
-    volume, _, _ = _measures(points, cells)
-    length = {(i, j): _norm(x[i] - x[j]) for i, j in combinations(range(dim + 1), 2)}
-    if dim == 2:
-        a, b, c = length[1, 2], length[0, 2], length[0, 1]
-        ratio: FloatArray = 16.0 * volume**2 / ((a + b + c) * a * b * c)
-        return ratio
-    surface = np.zeros(len(cells))
-    for i, j, k in ((1, 2, 3), (0, 2, 3), (0, 1, 3), (0, 1, 2)):
-        surface += _norm(_cross(x[j] - x[i], x[k] - x[i])) / 2.0
-    p, q, r = (length[0, i] * length[j, k] for i, j, k in ((1, 2, 3), (2, 1, 3), (3, 1, 2)))
-    root = np.sqrt(np.maximum((p + q + r) * (p + q - r) * (p - q + r) * (q + r - p), 0.0))
-    # r = 3V/S and R = sqrt(...)/(24V); a root that rounds to zero belongs to a flat cell
-    ratio = np.divide(216.0 * volume**2, surface * root, out=np.zeros_like(root), where=root > 0.0)
-    return ratio
-
-
-def _norm(vectors: FloatArray) -> FloatArray:
-    """Lengths (m,) of vectors (d, m)."""
-    length: FloatArray = np.sqrt(sum(x * x for x in vectors))
-    return length
-
-
-def _cross(a: FloatArray, b: FloatArray) -> FloatArray:
-    """Cross products (3, m) of vectors (3, m)."""
-    return np.stack([a[1] * b[2] - a[2] * b[1], a[2] * b[0] - a[0] * b[2],
-                     a[0] * b[1] - a[1] * b[0]])
-
-
 def _matching_pieces(
     old: IndexArray, new: IndexArray, n: int
 ) -> tuple[IndexArray, IndexArray, IndexArray]:
@@ -346,11 +317,13 @@ def _vertices_differ(
 def _worst(
     points: FloatArray, cells: IndexArray, piece: IndexArray, fixed: BoolArray, n_pieces: int
 ) -> tuple[FloatArray, FloatArray]:
-    """Worst radius ratio in every piece: of all cells, and of cells whose vertices are fixed."""
-    quality = _radius_ratio(points, cells)
-    worst = np.full(n_pieces, np.inf)
-    worst_fixed = np.full(n_pieces, np.inf)
-    np.minimum.at(worst, piece, quality)
+    """Worst shapes in every piece: of all cells, and of cells whose vertices are fixed.
+
+    Radius ratio, and cosines of the smallest angle, with its sign turned, and of the largest.
+    """
+    shapes = cell_shapes(points, cells.astype(np.int32))[:, :3] * (1.0, -1.0, 1.0)
+    worst = np.full((2, n_pieces, 3), np.inf)
+    np.minimum.at(worst[0], piece, shapes)
     stuck = fixed[cells].all(axis=1)
-    np.minimum.at(worst_fixed, piece[stuck], quality[stuck])
-    return worst, worst_fixed
+    np.minimum.at(worst[1], piece[stuck], shapes[stuck])
+    return worst[0], worst[1]

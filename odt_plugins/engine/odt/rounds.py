@@ -188,10 +188,11 @@ def held_to_bounds(
         new[back] = old[back]
 
 
-def exchange(mesh: Complex, log: Log) -> Complex:
+def exchange(mesh: Complex, bounds: Bounds, log: Log) -> Complex:
     """Replace pieces of the mesh by scipy's Delaunay triangulation (Section 3.2)."""
     cells, regions = mesh.mesh_arrays()
-    cells, regions, stats = delaunay_exchange(mesh.points, cells, regions, mesh.locked)
+    cells, regions, stats = delaunay_exchange(
+        mesh.points, cells, regions, mesh.locked, limit=bounds.locked)
     log.add("delaunay calls", 1)
     log.add("regions exchanged", stats.exchanged)
     if not stats.exchanged:
@@ -294,7 +295,7 @@ def smooth(
         old = mesh
         flips = 0
         if options.connectivity == "delaunay" or (k == 0 and far and pays):
-            mesh = exchange(mesh, log)
+            mesh = exchange(mesh, bounds, log)
         if options.connectivity in ("auto", "flips") or (
             options.connectivity == "delaunay" and not far
         ):

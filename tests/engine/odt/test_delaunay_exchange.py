@@ -10,8 +10,10 @@ import reference_flips as ref
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from planar_meshes import jittered_grid
+from reference import cell_figures
 from scipy.spatial import ConvexHull, Delaunay, QhullError
 
+from odt_plugins.engine.cells.extremes import FREELY, Extremes
 from odt_plugins.engine.odt import delaunay
 from odt_plugins.engine.odt.delaunay import delaunay_exchange, non_delaunay_facets
 
@@ -99,18 +101,21 @@ def test_row09_lifting_gives_delaunay(dim):
 
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("kind", ["one", "two"])
-@pytest.mark.parametrize("guarded", [False, True])
-def test_equals_slow_twin(dim, kind, guarded):
+@pytest.mark.parametrize("guard", [None, (0.3, 0.0, 180.0), (0.0, 60.0, 180.0), (0.0, 0.0, 75.0)])
+def test_equals_slow_twin(dim, kind, guard):
     points, cells = holed_mesh(dim, 21)
     regions = regions_of(points, cells, kind)
-    fixed = ref.kept_vertices(cells, regions, len(points)) if guarded else None
-    if guarded:
+    fixed = ref.kept_vertices(cells, regions, len(points)) if guard else None
+    limit = guard or (0.0, 0.0, 180.0)
+    if guard:
         fixed |= np.random.default_rng(1).random(len(points)) < 0.6
-    new, labels, stats = delaunay_exchange(points, cells, regions, fixed)
+    new, labels, stats = delaunay_exchange(
+        points, cells, regions, fixed,
+        limit=Extremes(limit[0], *np.cos(np.radians(limit[1:]))))
     used = np.unique(cells)
     low, high = points[used].min(axis=0), points[used].max(axis=0)
     simplices = used[Delaunay((points[used] - 0.5 * (low + high)) / (high - low).max()).simplices]
-    twin, twin_labels, count = ref.exchange(points, cells, regions, simplices, fixed)
+    twin, twin_labels, count = ref.exchange(points, cells, regions, simplices, fixed, limit)
     assert stats.exchanged == count > 0
     ours = sorted((tuple(sorted(c)), r) for c, r in zip(new.tolist(), labels.tolist(), strict=True))
     theirs = sorted((tuple(sorted(c)), r) for c, r in zip(twin, twin_labels, strict=True))
@@ -184,17 +189,22 @@ def test_guard_with_every_vertex_fixed_keeps_the_worst_cell(dim):
         assert refused > 0
 
 
-def test_guard_floor_where_no_cell_was_stuck_before():
+def test_guard_holds_to_every_limit_where_no_cell_was_stuck_before():
     # two tetrahedra on one facet against three around the edge from top to bottom
     points = np.array([[1.0, 0, 0], [-0.5, 0.8, 0], [-0.5, -0.9, 0], [0, 0, 0.4], [0, 0.1, -0.45]])
     cells = positive(points, [[0, 1, 2, 3], [0, 1, 2, 4]])
     fixed = np.array([False, True, True, True, True])
     regions = np.zeros(2, dtype=np.int32)
-    stuck = ref.radius_ratio(points, [1, 2, 3, 4])
-    low, _, stats = delaunay_exchange(points, cells, regions, fixed, fixed_floor=stuck - 1e-6)
-    assert (len(low), stats.exchanged) == (3, 1)
-    high, _, stats = delaunay_exchange(points, cells, regions, fixed, fixed_floor=stuck + 1e-6)
-    assert (len(high), stats.guard) == (2, 1)
+    found = cell_figures(points, np.array([[1, 2, 3, 4]]))
+    quality, large, small = found[0][0], *np.cos(np.radians([found[1][0], found[2][0]]))
+    for name, value, easier in (("quality", quality, -1e-6), ("large", large, 1e-6),
+                                ("small", small, -1e-6)):
+        low, _, stats = delaunay_exchange(
+            points, cells, regions, fixed, limit=FREELY._replace(**{name: value + easier}))
+        assert (len(low), stats.exchanged) == (3, 1)
+        high, _, stats = delaunay_exchange(
+            points, cells, regions, fixed, limit=FREELY._replace(**{name: value - easier}))
+        assert (len(high), stats.guard) == (2, 1)
 
 
 def test_piece_of_two_regions_stays():
