@@ -12,7 +12,6 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 STANDARD = "odt-plugins compare --suite standard"
-LARGE = "odt-plugins compare --suite large --against odt-plugins"
 HARD = "odt-plugins compare --suite hard"
 ANGLES = "python examples/figures.py MESH... -- --objective min_dihedral --insert"
 STAGES = "odt-plugins compare --scaling --part stages"
@@ -70,9 +69,6 @@ class Policy:
     quality_ring: int = _chosen(
         10, "Longest ring of an edge that is removed for the sake of the quality.", STANDARD)
     quality_passes: int = _chosen(4, "Passes of quality flips in a round.", STAGES)
-    slabs_worth: float = _chosen(
-        0.01, "Part of the cells from which on compound moves, slower than flips, are made in "
-        "slabs by several threads.", LARGE)
     reconnected: float = _chosen(
         0.01, "Largest share of the cells around which a phase fills polyhedra anew.", STANDARD)
     compound_rare: float = _chosen(

@@ -264,8 +264,7 @@ def _at_the_worst(
     worst = np.flatnonzero(q <= np.partition(q, count)[count])
     order = worst[np.argsort(q[worst], kind="stable")][: count + 1].astype(np.int32)
     mesh.status[:] = 0
-    taken = side_by_side(mesh, order, pool, work, POLICY.slabs_worth, costly=True,
-                         rare=rare)
+    taken = side_by_side(mesh, order, pool, work, costly=True, rare=rare)
     if mesh.full:
         grow(mesh)
     return taken

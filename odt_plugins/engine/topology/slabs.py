@@ -22,8 +22,8 @@ from odt_plugins.engine.topology.tets import FREE, FULL, USED, Tets
 from odt_plugins.mesh.arrays import BoolArray, ByteArray, IntArray, LongArray
 from odt_plugins.mesh.chunks import Pool
 
-WORTH = 0.02
-"""Flips at fewer cells than this part of all are done in one go."""
+WORTH = 0.01
+"""Fewer cells than this part of all are worked at in one go."""
 
 TRIES = 256
 """Cells after which it is asked again whether work pays."""
@@ -127,8 +127,8 @@ def _sort_out(
 
 
 def side_by_side(
-    mesh: Complex, order: IntArray, pool: Pool | None, work: Work,
-    worth: float = WORTH, costly: bool = False, rare: float = 0.0,
+    mesh: Complex, order: IntArray, pool: Pool | None, work: Work, *, costly: bool = False,
+    rare: float = 0.0,
 ) -> int:
     """Work at cells, in slabs where there are many, and add up what the work returns.
 
@@ -139,7 +139,6 @@ def side_by_side(
     pool : Pool or None
         None runs the slabs one after another; the result is the same
     work : callable         see ``Work``
-    worth : float           part of all cells that is worth cutting the mesh into slabs
     costly : bool           see ``threads.pieces``
     rare : float            work at a slab ends where it has returned less than this a cell, after
                             a multiple of TRIES cells
@@ -160,7 +159,7 @@ def side_by_side(
         return total
 
     total = 0
-    few = worth * mesh.count()
+    few = WORTH * mesh.count()
     if len(order) > few:
         for slab in mesh.slabs():
             if slab.any() and len(order) > few:

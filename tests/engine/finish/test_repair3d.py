@@ -34,7 +34,7 @@ def extremes(points, cells):
     return np.array([tm.quality(points, cells).min(), angles.max(), angles.min()])
 
 
-@pytest.mark.parametrize(("seed", "mean"), [(7, 0.645), (14, 0.642), (15, 0.64), (32, 0.65)])
+@pytest.mark.parametrize(("seed", "mean"), [(7, 0.645), (14, 0.642), (15, 0.64), (37, 0.65)])
 def test_one_flat_cell_on_the_boundary_does_not_spoil_a_run(seed, mean):
     mesh = mesh_of(*ragged(seed))
     outcome = run(mesh, Options())

@@ -130,6 +130,7 @@ def test_slabs_that_run_when_one_is_interrupted_stop_at_their_next_piece():
 
 def test_work_ends_where_it_no_longer_pays(monkeypatch):
     monkeypatch.setattr(slabs, "TRIES", 10)
+    monkeypatch.setattr(slabs, "WORTH", 1.0)
     mesh = start()
     visits = mesh.live().astype(np.int32)
     seen = []
@@ -142,10 +143,10 @@ def test_work_ends_where_it_no_longer_pays(monkeypatch):
     for length in (3, 100):
         monkeypatch.setattr(threads, "COSTLY", length)
         seen.clear()
-        assert slabs.side_by_side(mesh, visits, None, work, 1.0, costly=True, rare=0.5) == 10
+        assert slabs.side_by_side(mesh, visits, None, work, costly=True, rare=0.5) == 10
         assert seen == visits[:30].tolist()
     seen.clear()
-    assert slabs.side_by_side(mesh, visits, None, work, 1.0, costly=True) == 10
+    assert slabs.side_by_side(mesh, visits, None, work, costly=True) == 10
     assert seen == visits.tolist()
 
 
