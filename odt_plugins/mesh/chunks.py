@@ -12,8 +12,8 @@ T = TypeVar("T")
 R = TypeVar("R")
 
 CHUNK = 1 << 15
-"""Items of a chunk: its work arrays stay in cache, and threads seldom wait for one another between
-two calls of numpy."""
+"""Items of a chunk: its work arrays stay in cache, and threads seldom wait for the interpreter
+between two calls of numpy."""
 
 
 class Pool(ThreadPoolExecutor):

@@ -95,7 +95,7 @@ def delaunay_exchange(
     regions : (m,) int32         region labels
     fixed : (n,) bool            vertices that never move; None switches the guard off
     active : (m,) bool           cells that may be exchanged; None means all
-    limit : Extremes             of a cell of fixed vertices where there was none before
+    limit : Extremes             for new cells of fixed vertices, see Notes
 
     Returns
     -------
@@ -108,8 +108,8 @@ def delaunay_exchange(
     The guard: smoothing can never repair a cell whose vertices are all fixed.  The radius ratio of
     the worst such cell of the new piece must be at least that of the worst such cell of the old
     piece; where the old piece has none, at least that of its worst cell and of ``limit``, because
-    a bad cell with a free vertex is temporary and the new one is not.  Its angles pass ``limit``
-    only as far as those of such cells of the old piece do.
+    a bad cell with a free vertex is temporary and the new one is not.  Angles of such new cells
+    pass ``limit`` no further than those of such cells of the old piece do.
 
     References
     ----------
@@ -319,7 +319,8 @@ def _worst(
 ) -> tuple[FloatArray, FloatArray]:
     """Worst shapes in every piece: of all cells, and of cells whose vertices are fixed.
 
-    Radius ratio, and cosines of the smallest angle, with its sign turned, and of the largest.
+    Columns: radius ratio, minus the cosine of the smallest angle, cosine of the largest; less is
+    worse.
     """
     shapes = cell_shapes(points, cells.astype(np.int32))[:, :3] * (1.0, -1.0, 1.0)
     worst = np.full((2, n_pieces, 3), np.inf)

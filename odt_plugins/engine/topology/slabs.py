@@ -23,7 +23,7 @@ from odt_plugins.mesh.arrays import BoolArray, ByteArray, IntArray, LongArray
 from odt_plugins.mesh.chunks import Pool
 
 WORTH = 0.01
-"""Fewer cells than this part of all are worked at in one go."""
+"""Up to this part of all cells are worked at in one go."""
 
 TRIES = 256
 """Cells after which it is asked again whether work pays."""

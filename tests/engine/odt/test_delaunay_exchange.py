@@ -13,9 +13,11 @@ from planar_meshes import jittered_grid
 from reference import cell_figures
 from scipy.spatial import ConvexHull, Delaunay, QhullError
 
-from odt_plugins.engine.cells.extremes import FREELY, Extremes
+from odt_plugins.engine.cells.extremes import FREELY, Bounds, Extremes
 from odt_plugins.engine.odt import delaunay
 from odt_plugins.engine.odt.delaunay import delaunay_exchange, non_delaunay_facets
+from odt_plugins.engine.odt.rounds import Log, exchange
+from odt_plugins.engine.topology.complex import make_complex
 
 REFUSALS = ("missing_facet", "several_regions", "inactive", "hidden_vertex", "flat", "volume",
             "energy", "guard")
@@ -205,6 +207,18 @@ def test_guard_holds_to_every_limit_where_no_cell_was_stuck_before():
         high, _, stats = delaunay_exchange(
             points, cells, regions, fixed, limit=FREELY._replace(**{name: value - easier}))
         assert (len(high), stats.guard) == (2, 1)
+
+
+def test_a_round_holds_the_exchange_to_the_bounds_of_locked_cells():
+    points = np.array([[1.0, 0, 0], [-0.5, 0.8, 0], [-0.5, -0.9, 0], [0, 0, 0.4], [0, 0.1, -0.45]])
+    cells = positive(points, [[0, 1, 2, 3], [0, 1, 2, 4]])
+    locked = np.array([False, True, True, True, True])
+    _, least, _ = cell_figures(points, np.array([[1, 2, 3, 4]]))
+    for easier, count in ((1e-6, 3), (-1e-6, 2)):
+        mesh = make_complex(points, cells, np.zeros(2, dtype=np.int32), locked, locked)
+        large = np.cos(np.radians(least[0])) + easier
+        bounds = Bounds(FREELY, FREELY._replace(large=float(large)))
+        assert exchange(mesh, bounds, Log()).count() == count
 
 
 def test_piece_of_two_regions_stays():
