@@ -88,7 +88,7 @@ def finish_phase(mesh: Descending, phase: Phase) -> tuple[int, int]:
     moved = np.zeros(len(mesh.points))
     flips = moves = 0
     for _ in range(phase.rounds):
-        flipped = mesh.flip(active)
+        flipped = mesh.flip(active) if phase.flips else 0
         flips += flipped
         stars = mesh.stars()
         woke = 0

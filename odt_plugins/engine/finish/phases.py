@@ -42,6 +42,8 @@ class Phase:
         that hold started, unless they are worse when this one starts; 0: those of the input (d = 3)
     fills : bool
         whether the compound moves come with polyhedra that are filled anew (d = 3)
+    flips : bool
+        whether edges are flipped in its rounds
     name : str
         what the phase is for; phases with one name serve one purpose
     """
@@ -58,6 +60,7 @@ class Phase:
     count: int = 0
     hold: float = 0.0
     fills: bool = True
+    flips: bool = True
     name: str = ""
 
     @property
@@ -219,6 +222,14 @@ WORST = Phase(4.0, 0.015, 2, 3, 3, fills=False, name="worst")
 Where these are flat their costs have levelled off, and a polyhedron filled anew gives a good cell
 and the quantile for less of it.
 """
+
+
+def moves_alone(phase: Phase) -> Phase:
+    """The same by moves of vertices alone, which make no new small angle.
+
+    The number of cells holds then: of one cell less every bad one is a larger share.
+    """
+    return replace(phase, compound=0, flips=False, least=POLICY.small_angle)
 
 
 def descents(dim: int, objective: Objective = "radius_ratio") -> tuple[Descent, ...]:

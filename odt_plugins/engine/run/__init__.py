@@ -7,7 +7,7 @@
 2. `run_cycles` alternates stage 1 (`smooth`) and stage 2 (`settle`) until the mean settles
    (`alternate`, `settled`), then improves the worst cells.
 3. Where the mesh stays poor or hardly a vertex may move, `finish_alone` tries stage 2 on the
-   input.
+   input, at last by moves of vertices alone.
 4. On request `resample_in_rounds` adds and removes vertices.
 5. `best_state` judges the remembered states as they leave, the best one first: `faults` asks
    `broken_promises` of `odt_plugins.promise` about one, and bounds with `measure_slide` how far a

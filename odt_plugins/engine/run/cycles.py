@@ -11,7 +11,16 @@ from functools import partial
 import numpy as np
 
 from odt_plugins.engine.cells.extremes import Bounds, Extremes
-from odt_plugins.engine.finish.phases import WORST, Phase, bulk, cautious, descents, repair, tail
+from odt_plugins.engine.finish.phases import (
+    WORST,
+    Phase,
+    bulk,
+    cautious,
+    descents,
+    moves_alone,
+    repair,
+    tail,
+)
 from odt_plugins.engine.finish.polishing import Settle, polish_small_angles
 from odt_plugins.engine.finish.volume import finish, held_angles
 from odt_plugins.engine.odt.density import Density
@@ -213,24 +222,24 @@ def _bring_back(
 
 
 def finish_alone(
-    mesh: Complex, options: Options, bounds: Bounds, memory: Memory, name: str, log: Log,
-    pool: Pool | None, part: float,
+    mesh: Complex, options: Options, bounds: Bounds, memory: Memory, name: str, work_on: Settle,
+    pool: Pool | None, *, flips: bool,
 ) -> None:
     """Improve the input by stage 2 alone, which never leaves the extremes of the input.
 
     New cells are also held to a multiple of the 1 % quantile, or that figure of a mesh full of
     flat cells falls as soon as the number of cells does. Where it falls all the same, the worst
-    cells are taken first and the mean is regained.
+    cells are taken first and the mean is regained. Without ``flips`` vertices move, and no more.
     """
     enough = min(POLICY.locked_quality, 100.0 * memory.before.p1_quality)
     strict = bounds.with_quality(max(bounds.cells.quality, enough))
-    schedule = cautious(mesh.dim, options.objective)
-    work_on = partial(settle, log=log, pool=pool, threads=options.threads, part=part)
-    for phase in (schedule[0], *schedule):
+    schedule = (*cautious(mesh.dim, options.objective), WORST)
+    *phases, worst = schedule if flips else map(moves_alone, schedule)
+    for phase in (phases[0], *phases):
         work_on(mesh, (phase,), strict)
         if memory.offer(mesh, name) or "mean_quality" in memory.worse:
             continue
-        work_on(mesh, (WORST,), strict)
+        work_on(mesh, (worst,), strict)
         memory.offer(mesh, name)
     polish_small_angles(mesh, bounds, memory, name, work_on, pool)
 

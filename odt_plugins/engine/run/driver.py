@@ -196,14 +196,18 @@ def _run_in(
     reason = run_cycles(first, density, before_insertion, bounds, memory, log, pool, told)
     refused = not memory.states and not (skin and memory.spoiled().size)
     besides = skin is None and _may_finish_alone(memory, inner_locked, options)
+    work_on = partial(settle, log=log, pool=pool, threads=options.threads, part=within.part)
     if options.finish and (refused or besides):
-        again = start.points.copy()
-        skin = _skin(start, options, again, within.share) if skin else None
-        second = make_complex(again, cells, regions, inner_locked, inner_boundary, skin)
-        log.add(f"runs of {ALONE}", 1)
         name = ALONE if refused else BESIDES
         clock = time.perf_counter()
-        finish_alone(second, options, bounds, memory, name, log, pool, within.part)
+        for flips in (True, False):
+            again = start.points.copy()
+            skin = _skin(start, options, again, within.share) if skin else None
+            second = make_complex(again, cells, regions, inner_locked, inner_boundary, skin)
+            log.add(f"runs of {ALONE}", 1)
+            finish_alone(second, options, bounds, memory, name, work_on, pool, flips=flips)
+            if memory.states or (skin is None and inner_locked.all()):
+                break
         log.times[ALONE] = time.perf_counter() - clock
         if refused and not _keeps_sizes(options):
             reason += f"; {NO_DENSITY}"
@@ -219,7 +223,7 @@ def _run_in(
         resample_in_rounds(
             spare, best.figures, options.objective,
             limits=partial(_held, options, before),
-            settle=partial(settle, log=log, pool=pool, threads=options.threads, part=within.part),
+            settle=work_on,
             offer=partial(memory.offer, name="resampled"),
             report=partial(part(options.progress or silent, BEFORE_INSERTION, 1.0), "inserting"),
             log=log,

@@ -23,8 +23,10 @@ from odt_plugins.engine.odt.energy import energy
 from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.odt.total_energy import total_energy
 from odt_plugins.engine.record.figures import figures
+from odt_plugins.engine.record.memory import Memory
 from odt_plugins.engine.run import cycles, driver
 from odt_plugins.engine.run.driver import run
+from odt_plugins.engine.run.start import make_start
 from odt_plugins.engine.run.within import Within
 from odt_plugins.engine.topology import coloring, order
 from odt_plugins.engine.topology.frame import Frame
@@ -425,6 +427,31 @@ def test_finishing_alone_is_not_tried_where_sizes_or_nothing_poor_ask_for_it():
         (ragged_ball(), Options(density="uniform")), (mesh_of(*tm.ball(800, 3)), Options()),
     ):
         assert "runs of finishing alone" not in run(mesh, options).counts
+
+
+def test_vertices_move_alone_where_any_other_cell_breaks_the_promise(d, monkeypatch):
+    mesh = start(d)
+    ways = {frozenset(cell) for cell in mesh.cells.tolist()}
+    offer = Memory.offer
+
+    def of_the_same_cells(memory, changing, name):
+        told = frame.vertices[changing.mesh_arrays()[0]]
+        if ways != {frozenset(cell) for cell in told.tolist()}:
+            memory.worse = ["mean_quality"]
+            return False
+        return offer(memory, changing, name)
+
+    frame = make_start(mesh).frame
+    monkeypatch.setattr(Memory, "offer", of_the_same_cells)
+    outcome = run(mesh, Options())
+    assert_promise(mesh, outcome)
+    assert "given up (mean_quality would be worse)" in outcome.fallback
+    assert outcome.counts["runs of finishing alone"] == 2
+    before, after = measure(mesh.points, mesh.cells), measure(outcome.points, outcome.cells)
+    assert after[2] > before[2] + 0.01
+    assert len(outcome.cells) == len(mesh.cells)
+    locked = replace(mesh, fixed=np.ones(len(mesh.points), dtype=bool))
+    assert run(locked, Options()).counts["runs of finishing alone"] == 1
 
 
 def test_bounds_of_a_larger_mesh_take_the_place_of_those_of_its_part():

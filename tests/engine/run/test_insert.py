@@ -200,7 +200,7 @@ def test_angles_may_cost_radius_ratios_down_to_those_of_the_input(objective, hel
 
 def test_insertion_goes_on_from_the_input_when_nothing_else_helps(monkeypatch):
     monkeypatch.setattr(driver, "run_cycles", lambda *_: "left out")
-    monkeypatch.setattr(driver, "finish_alone", lambda *_: None)
+    monkeypatch.setattr(driver, "finish_alone", lambda *_, **__: None)
     mesh = mesh_of(*start())
     outcome = run(mesh, Options(insert=True))
     assert outcome.origin is not None
