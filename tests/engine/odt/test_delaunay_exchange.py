@@ -119,6 +119,7 @@ def test_equals_slow_twin(dim, kind, guard):
     simplices = used[Delaunay((points[used] - 0.5 * (low + high)) / (high - low).max()).simplices]
     twin, twin_labels, count = ref.exchange(points, cells, regions, simplices, fixed, limit)
     assert stats.exchanged == count > 0
+    assert (stats.guard > 0) == bool(guard)
     ours = sorted((tuple(sorted(c)), r) for c, r in zip(new.tolist(), labels.tolist(), strict=True))
     theirs = sorted((tuple(sorted(c)), r) for c, r in zip(twin, twin_labels, strict=True))
     assert ours == theirs
