@@ -229,7 +229,8 @@ def finish_alone(
 
     New cells are also held to a multiple of the 1 % quantile, or that figure of a mesh full of
     flat cells falls as soon as the number of cells does. Where it falls all the same, the worst
-    cells are taken first and the mean is regained. Without ``flips`` vertices move, and no more.
+    cells are taken first and the mean is regained. Without ``flips`` vertices alone move until
+    small angles are polished.
     """
     enough = min(POLICY.locked_quality, 100.0 * memory.before.p1_quality)
     strict = bounds.with_quality(max(bounds.cells.quality, enough))
