@@ -109,8 +109,7 @@ about 25 degrees, or above 150."""
 EXTREME_CELLS = tuple(
     Phase(power, 0.0, 1, 3, 3, measure, count=count, hold=0.995, name="extremes")
     for count, power, measure in (
-        (2, 4.0, DIHEDRAL), (2, 2.0, QUALITY), (10, 2.0, DIHEDRAL), (10, 2.0, QUALITY),
-        (20, 2.0, DIHEDRAL), (20, 2.0, QUALITY),
+        (2, 4.0, DIHEDRAL), (2, 2.0, QUALITY), (15, 2.0, DIHEDRAL), (15, 2.0, QUALITY),
     )
 )
 """For the worst cells of all, by their angles and by their radius ratio.

@@ -345,7 +345,7 @@ def test_polishing_leaves_fewer_small_angles_and_keeps_the_least_quality():
     assert left[-1] < 0.5 * small
 
 
-@pytest.mark.parametrize(("seed", "pays"), [(3, True), (4, True), (5, True), (19, False)])
+@pytest.mark.parametrize(("seed", "pays"), [(3, True), (4, True), (5, True), (21, False)])
 def test_small_angles_are_polished_and_the_better_state_stays(monkeypatch, seed, pays):
     mesh = mesh_of(*tm.ball(300, seed))
     polished = run(mesh, Options())
@@ -368,7 +368,7 @@ def test_schedules(d):
     others = [phase for phase in default.phases if phase not in general]
     assert all(phase.hold for phase in others if phase.count or phase.name == "regain")
     assert [phase.objective for phase in others] == (d == 3) * [
-        DIHEDRAL, *3 * (DIHEDRAL, QUALITY), QUALITY, QUALITY
+        DIHEDRAL, *2 * (DIHEDRAL, QUALITY), QUALITY, QUALITY
     ]
     assert descents(d, "min_dihedral")[0] == Descent(tail(d))
     for objective in CODES:

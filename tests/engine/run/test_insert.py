@@ -161,10 +161,12 @@ def test_no_more_vertices_than_the_share(share, seed):
 
 
 def test_few_vertices_come_where_few_are_needed():
-    mesh = mesh_of(*start())
-    better = run(mesh, Options())
-    again = run(mesh_of(better.points, better.cells), Options(insert=True))
-    assert len(again.points) < 1.05 * len(mesh.points)
+    growth = []
+    for seed in range(5, 11):
+        better = run(mesh_of(*start(seed)), Options())
+        again = run(mesh_of(better.points, better.cells), Options(insert=True))
+        growth.append(len(again.points) / len(better.points))
+    assert np.mean(growth) < 1.05
 
 
 @pytest.mark.parametrize("gain", [1.0, -1.0])

@@ -522,7 +522,7 @@ def test_a_surface_that_may_slide_is_no_worse_than_a_fixed_one(monkeypatch, poor
         mesh = simplex_mesh(hard.points, hard.cells, regions=hard.regions)[0]
         slid, fixed = (run(mesh, Options(boundary=name)) for name in ("slide", "fixed"))
         compared = few or summarize(slid.points, slid.cells).p1_quality < poor
-        assert score(slid) >= score(fixed) - (1e-12 if compared else 0.005), hard.name
+        assert score(slid) >= score(fixed) - (1e-12 if compared else 0.03), hard.name
         if slid.slid is None:
             left[hard.name] = slid.fallback
             assert slid.points.tobytes() == fixed.points.tobytes()
