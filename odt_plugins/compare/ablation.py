@@ -32,6 +32,9 @@ FIGURES = ("mean_quality", "p1_quality", "min_quality", "min_angle", "max_angle"
 FALLING = np.array([1.0, 1.0, 1.0, 1.0, -1.0, -1.0])
 """-1 for figures that shall fall."""
 
+TURNS = 4
+"""Runs with and without a phase, in turns; the quicker ones count."""
+
 
 class _Asked:
     """Leaves nothing out, and remembers in order which phases there were."""
@@ -65,10 +68,10 @@ def ablation(starts: Sequence[StartMesh], options: Options, say: Say) -> Table:
         optimise = _optimiser(start)
         asked = _Asked()
         optimise(options, asked)
-        whole = _measured(partial(optimise, options, ()))
         for name in asked.names:
             fewer = Options(**{**vars(options), "rounds": 0}) if name == SMOOTHING else options
-            without = _measured(partial(optimise, fewer, (name,)))
+            whole, without = _in_turns(
+                partial(optimise, options, ()), partial(optimise, fewer, (name,)))
             gain = (whole - without) * np.append(FALLING, 1.0)
             gains.setdefault(name, []).append(np.append(gain, whole[-1]))
     rows: list[tuple[Value, ...]] = []
@@ -90,12 +93,15 @@ def _optimiser(start: StartMesh) -> Callable[[Options, Container[str]], Outcome]
     return lambda options, without: run(mesh, options, within=Within(without=without))
 
 
-def _measured(optimise: Callable[[], Outcome]) -> FloatArray:
-    """Figures of the result and the processor seconds, the fewer of two runs."""
-    seconds = math.inf
-    for _ in range(2):
-        clock = time.process_time()
-        outcome = optimise()
-        seconds = min(seconds, time.process_time() - clock)
-    summary = summarize(outcome.points, outcome.cells)
-    return np.array([*(getattr(summary, name) for name in FIGURES), seconds])
+def _in_turns(*runs: Callable[[], Outcome]) -> list[FloatArray]:
+    """Figures of what each returns and its processor seconds, the least of some turns."""
+    seconds = np.full(len(runs), math.inf)
+    for _ in range(TURNS):
+        outcomes = []
+        for k, run_once in enumerate(runs):
+            clock = time.process_time()
+            outcomes.append(run_once())
+            seconds[k] = min(seconds[k], time.process_time() - clock)
+    summaries = (summarize(outcome.points, outcome.cells) for outcome in outcomes)
+    return [np.array([*(getattr(summary, name) for name in FIGURES), least])
+            for summary, least in zip(summaries, seconds, strict=True)]

@@ -16,7 +16,10 @@ from odt_plugins.compare.start import StartMesh, ball_of
 from odt_plugins.compare.table import Part, Say, Table, Value
 
 SWEEPS, RUNS = 15, 3
-"""Repeats of which the quickest counts; one thread and several take turns."""
+"""Repeats of which the quickest counts, one thread and several in turns; runs as many as come to
+``RUNNING`` cells, where these are more."""
+
+RUNNING = 3_000_000
 
 MANY = 16
 """Threads of which the time is foretold."""
@@ -66,7 +69,8 @@ def _row(start: StartMesh, count: int) -> tuple[tuple[Value, ...], list[tuple[Va
 
     mesh = start.points, start.cells
     sweep, same_sweep = _race(_sweep_of(start), count, SWEEPS)
-    run, same_run = _race(lambda threads: optimize(mesh, threads=threads), count, RUNS)
+    runs = min(max(RUNNING // len(start.cells), RUNS), SWEEPS)
+    run, same_run = _race(lambda threads: optimize(mesh, threads=threads), count, runs)
     share = serial_share(*run, count)
     by_processor = _share_alone(lambda: optimize(mesh, threads=count), count)
     many = forecast(run[0], share, MANY)

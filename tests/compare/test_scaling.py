@@ -79,6 +79,7 @@ def test_the_serial_share_is_that_of_amdahls_law():
 def test_one_thread_and_two_are_compared_by_stage(monkeypatch):
     monkeypatch.setattr(threads, "SWEEPS", 1)
     monkeypatch.setattr(threads, "RUNS", 1)
+    monkeypatch.setattr(threads, "RUNNING", 1)
     whole, stages = threads.threads_part([3000], 1, silent).tables
     row = dict(zip(whole.heads, whole.rows[0], strict=True))
     assert row["bits"] == "the same"
