@@ -73,12 +73,15 @@ def this_machine() -> tuple[str, ...]:
 def source_stamp(folder: Path) -> str:
     """Short hash of the files in a folder, and below, in which kernels stand."""
     digest = hashlib.sha256()
-    for path in sorted(folder.rglob("*.py")):
-        # An editor may leave links that lead nowhere.
-        with contextlib.suppress(OSError):
-            text = path.read_bytes()
-            if b"kernel" in text:
-                digest.update(hashlib.sha256(text).digest())
+    for top, inner, names in os.walk(folder):
+        # Where kernels are kept there are hundreds of files and no source.
+        inner[:] = sorted(set(inner) - {"__pycache__"})
+        for name in sorted(name for name in names if name.endswith(".py")):
+            # An editor may leave links that lead nowhere.
+            with contextlib.suppress(OSError):
+                text = Path(top, name).read_bytes()
+                if b"kernel" in text:
+                    digest.update(hashlib.sha256(text).digest())
     return digest.hexdigest()[:12]
 
 
