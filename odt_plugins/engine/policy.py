@@ -37,11 +37,9 @@ class Policy:
     exchange_cells: int = _chosen(
         20_000, "Most cells for which connectivity 'auto' asks scipy in the first round; beyond, "
         "local flips are cheaper.", STAGES)
-    flips_free: float = _chosen(
-        0.45, "Share of vertices that may move, and", STANDARD)
     flips_quality: float = _chosen(
-        0.6, "mean quality, from which on local flips do as well in space, in three quarters of "
-        "the time.", STANDARD)
+        0.6, "Mean quality of tetrahedra from which on local flips do as well as scipy, in three "
+        "quarters of the time.", STANDARD)
     exchange_move: float = _chosen(
         0.1, "Longest move, in edge lengths, above which scipy is asked (Section 3.2, row 10).",
         STANDARD)

@@ -18,6 +18,7 @@ import math
 
 import numpy as np
 
+from odt_plugins.engine.cells.corner import corner_edges, six_volumes
 from odt_plugins.engine.cells.extremes import BEST, Bounds, Extremes, keeps, rounded, worse
 from odt_plugins.engine.cells.tetrahedron import (
     Cost,
@@ -51,8 +52,9 @@ from odt_plugins.engine.topology.lookup import is_in
 from odt_plugins.engine.topology.tets import Tets, all_locked
 from odt_plugins.mesh.arrays import IntArray
 
-UNPROVEN = 2
-"""Added to ``turned`` until it is known whether the cell is within the limits."""
+UNPROVEN, UNTURNED = 2, 4
+"""Added to ``turned`` until it is known whether the cell is within the limits; in its place until
+it is known which way the cell turns."""
 MOST_NODES = 400
 """Nodes of the tree of fillings that are visited for one polyhedron."""
 
@@ -66,6 +68,7 @@ def _begin(tets: Tets, n: int, n_vertices: int, cost: Cost, room: Room) -> None:
     """
     room.state[:] = UNSEEN
     room.costs[:] = np.nan
+    room.turned[:] = UNTURNED
     front = np.int64(0)
     for m in range(n):
         c = room.cells[m]
@@ -91,20 +94,31 @@ def _begin(tets: Tets, n: int, n_vertices: int, cost: Cost, room: Room) -> None:
 
 
 @inlined_kernel
+def _turn(tets: Tets, a: int, b: int, c: int, d: int, room: Room) -> None:
+    """Write down whether the cell a < b < c < d is negative."""
+    i, j, k, l = room.vertices[a], room.vertices[b], room.vertices[c], room.vertices[d]
+    negative = six_volumes(*corner_edges(tets.points, i, j, k, l)) < 0.0
+    room.turned[cell_number(a, b, c, d)] = UNPROVEN + negative
+
+
+@inlined_kernel
+def _positive(
+    n: int, a: int, b: int, c: int, d: int, room: Room
+) -> tuple[int, int, int, int]:
+    """Vertices of the n-th cell, a < b < c < d, by their global numbers and in positive order."""
+    i, j, k, l = room.vertices[a], room.vertices[b], room.vertices[c], room.vertices[d]
+    return (j, i, k, l) if room.turned[n] & 1 else (i, j, k, l)
+
+
+@inlined_kernel
 def _weigh(
     tets: Tets, a: int, b: int, c: int, d: int, cost: Cost, most: float, room: Room
 ) -> None:
     """Write down what the cell a < b < c < d costs, infinite beyond ``most``."""
-    points, vertices = tets.points, room.vertices
-    i, j, k, l = vertices[a], vertices[b], vertices[c], vertices[d]
-    turned = UNPROVEN
-    own = tet_cost(points, i, j, k, l, cost)
-    if own == np.inf:
-        turned = UNPROVEN + 1
-        own = tet_cost(points, j, i, k, l, cost)
     n = cell_number(a, b, c, d)
+    i, j, k, l = _positive(n, a, b, c, d, room)
+    own = tet_cost(tets.points, i, j, k, l, cost)
     room.costs[n] = own if own < most else np.inf
-    room.turned[n] = turned
 
 
 @inlined_kernel
@@ -112,12 +126,9 @@ def _allowed(
     tets: Tets, a: int, b: int, c: int, d: int, limit: Extremes, locked: Extremes, room: Room
 ) -> bool:
     """Whether the cell a < b < c < d is within the limits; costs are infinite beyond them."""
-    vertices = room.vertices
     n = cell_number(a, b, c, d)
-    i, j, k, l = vertices[a], vertices[b], vertices[c], vertices[d]
     room.turned[n] -= UNPROVEN
-    if room.turned[n] == 1:
-        i, j = j, i
+    i, j, k, l = _positive(n, a, b, c, d, room)
     large, small = tet_cosines(tets.points, i, j, k, l)
     shape = Extremes(tet_quality(tets.points, i, j, k, l), large, small)
     if keeps(shape, locked if all_locked(tets, i, j, k, l) else limit):
@@ -134,14 +145,17 @@ def _next_cell(facet: int, x: int, room: Room) -> tuple[int, int, int, int, int]
 
 
 @inlined_kernel
-def _matches(facet: int, x: int, odd: int, room: Room) -> bool:
-    """Whether every other facet of the cell of x and a facet is still wanted, or unseen."""
+def _wanted(facet: int, x: int, odd: int, room: Room) -> int:
+    """How many facets of the cell of x and a facet are wanted, 0 if one may not be there."""
+    count = 1
     for place in range(1, 4):
         code = room.tables[facet, x, place]
         found = room.state[np.uint32(code >> 1)]
         if found == CLOSED or found == EVEN + (odd ^ (code & 1)):
-            return False
-    return True
+            return 0
+        if found != UNSEEN:
+            count += 1
+    return count
 
 
 @inlined_kernel
@@ -163,19 +177,25 @@ def _branch(
         facet = np.uint32(room.front[depth, p])
         odd = np.int64(room.state[facet]) - EVEN
         count = 0
-        least = np.inf
+        least = share = np.inf
         for x in range(n_vertices):
             code = tables[facet, np.uint32(x), 0]
             if code < 0:
                 continue
             n = np.uint32(code >> 1)
+            if turned[n] == UNTURNED:
+                i, j, k, l, _ = _next_cell(facet, x, room)
+                _turn(tets, i, j, k, l, room)
+            if (turned[n] ^ code ^ odd) & 1:
+                continue
             if math.isnan(costs[n]):
                 i, j, k, l, _ = _next_cell(facet, x, room)
                 _weigh(tets, i, j, k, l, cost, most, room)
             own = costs[n]
-            if not own < left or (turned[n] ^ code ^ odd) & 1:
+            if not own < left:
                 continue
-            if _matches(facet, np.uint32(x), odd, room):
+            wanted = _wanted(facet, np.uint32(x), odd, room)
+            if wanted > 0:
                 if turned[n] >= UNPROVEN:
                     i, j, k, l, _ = _next_cell(facet, x, room)
                     if not _allowed(tets, i, j, k, l, limit, locked, room):
@@ -184,8 +204,8 @@ def _branch(
                 prices[count] = own
                 count += 1
                 least = min(least, own)
-        # no cell has more than four of the facets
-        together += 0.25 * least
+                share = min(share, own / wanted)
+        together += share
         if not max(least, together) < left:
             return
         if count < fewest:

@@ -204,7 +204,7 @@ def exchange_pays(mesh: Complex) -> bool:
     """Whether connectivity 'auto' asks scipy in the first round."""
     if mesh.count() > POLICY.exchange_cells:
         return False
-    if mesh.dim == 2 or (~mesh.locked).mean() < POLICY.flips_free:
+    if mesh.dim == 2:
         return True
     q = measures(mesh, QUALITY)
     return float(q[q < NO_CELL].mean()) < POLICY.flips_quality
