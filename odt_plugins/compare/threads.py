@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,7 @@ import numpy as np
 from odt_plugins.compare.numbered import along_curve, inside_free
 from odt_plugins.compare.start import StartMesh, ball_of
 from odt_plugins.compare.table import Part, Say, Table, Value
+from odt_plugins.mesh.chunks import Pool
 
 SWEEPS, RUNS = 15, 3
 """Repeats of which the quickest counts, one thread and several in turns; runs as many as come to
@@ -66,9 +68,11 @@ def forecast(one: float, share: float, count: int) -> float:
 def _row(start: StartMesh, count: int) -> tuple[tuple[Value, ...], list[tuple[Value, ...]]]:
     """One mesh: its row of the first table, and those of the table of stages."""
     from odt_plugins.api import optimize, optimize_with_report
+    from odt_plugins.engine.compiled.threads import thread_pool
 
     mesh = start.points, start.cells
-    sweep, same_sweep = _race(_sweep_of(start), count, SWEEPS)
+    with thread_pool(count) as pool:
+        sweep, same_sweep = _race(_sweep_of(start, pool), count, SWEEPS)
     runs = min(max(RUNNING // len(start.cells), RUNS), SWEEPS)
     run, same_run = _race(lambda threads: optimize(mesh, threads=threads), count, runs)
     share = serial_share(*run, count)
@@ -99,13 +103,15 @@ def _share_alone(work: Callable[[], Any], count: int) -> float:
     return 1.0 - others * count / (count - 1) / whole
 
 
-def _sweep_of(start: StartMesh) -> Callable[[int], Any]:
-    """A Gauss-Seidel sweep from the start, on the numbering that the engine uses."""
+def _sweep_of(start: StartMesh, pool: Pool | None) -> Callable[[int], Any]:
+    """A Gauss-Seidel sweep from the start as a run does it: its numbering, a pool made before."""
     from odt_plugins.engine.odt.sweeps import gauss_seidel_sweep
 
     vertices, cells = along_curve(start.points, start.cells)
     points, topology = start.points[vertices], inside_free(cells, len(vertices))
-    return lambda threads: gauss_seidel_sweep(points, topology, threads=threads)[:1]
+    shared = replace(topology, pool=pool)
+    return lambda threads: gauss_seidel_sweep(
+        points, topology if threads == 1 else shared, threads=threads)[:1]
 
 
 def _race(

@@ -14,7 +14,7 @@ import numpy as np
 from odt_plugins.engine.cells.elementary import power
 from odt_plugins.engine.cells.geometry import signed_volumes
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
-from odt_plugins.engine.compiled.threads import thread_pool
+from odt_plugins.engine.compiled.threads import run_ranges, thread_pool
 from odt_plugins.engine.topology.coloring import run_chunks
 from odt_plugins.engine.topology.star import Stars, star_sum
 from odt_plugins.engine.topology.stencil import Topology
@@ -264,24 +264,32 @@ def _sweep(
     barycentric : (n,) bool, or one for all    vertices whose cells count by their barycenters
     together : bool                            no vertex sees the move of another
     """
-    d = points.shape[1]
-    nodes = np.zeros((len(points), 4))
-    nodes[:, :d] = points
-    nodes[:, 3] = 1.0 if rho is None else rho
-    np.negative(nodes[:, 3], out=nodes[:, 3], where=barycentric)
-    coloring, out = topology.coloring, nodes
-    if together:
-        coloring, out = coloring.of_one_colour(), nodes.copy()
+    n, d = points.shape
+    nodes, new = np.zeros((n, 4)), np.empty((n, d))
+    density = np.broadcast_to(1.0 if rho is None else rho, n)
+    by_barycenters = np.broadcast_to(barycentric, n)
+    coloring = topology.coloring.of_one_colour() if together else topology.coloring
+
+    def fill(start: int, stop: int) -> None:
+        part = nodes[start:stop]
+        part[:, :d] = points[start:stop]
+        part[:, 3] = density[start:stop]
+        np.negative(part[:, 3], out=part[:, 3], where=by_barycenters[start:stop])
 
     def run(start: int, stop: int) -> Any:
         return _move_vertices(
             nodes, out, topology.cells, topology.stars, pull, coloring.order, start, stop
         )
 
+    def take(start: int, stop: int) -> None:
+        new[start:stop] = out[start:stop, :d]
+
     with nullcontext(topology.pool) if topology.pool else thread_pool(threads) as pool:
+        run_ranges(pool, n, fill)
+        out = nodes.copy() if together else nodes
         results = run_chunks(pool, threads, coloring, run)
+        run_ranges(pool, n, take)
     moved, longest, reduced = zip((0, 0.0, 0), *results, strict=True)
-    new = np.ascontiguousarray(out[:, :d])
     return new, StepStats(sum(moved), max(longest), sum(reduced))
 
 
