@@ -24,6 +24,9 @@ from odt_plugins.mesh.chunks import Pool
 SMALLEST_BITS = 6
 """A block has at least 2^SMALLEST_BITS vertex numbers."""
 
+WHOLE = 1 << 12
+"""So many vertices of tetrahedra are one block: one thread does meshes of no more."""
+
 MOST_BLOCKS = 1024
 """Larger meshes have larger blocks, since which of them touch is a table of all pairs."""
 
@@ -138,7 +141,9 @@ def _arrange(
     return total, n_blocks, n_colors, n_links
 
 
-def _block_bits(n: int) -> int:
+def _block_bits(cells: IntArray, n: int) -> int:
+    if cells.shape[1] == 4 and n <= WHOLE:
+        return n.bit_length()
     bits = SMALLEST_BITS
     while n >> bits >= MOST_BLOCKS:
         bits += 1
@@ -161,11 +166,13 @@ def touching_blocks(
     (blocks + 1, blocks + 1) bool
         [a, b] for a > b; the rest means nothing, nor does the last row, of the vertices that stay
     """
-    bits = _block_bits(len(movable))
+    bits = _block_bits(cells, len(movable))
     count = (len(movable) >> bits) + 1
     block = np.arange(len(movable), dtype=np.int32) >> bits
     block[~movable] = count
     touch = np.zeros((count + 1, count + 1), dtype=np.bool_)
+    if count == 1:
+        return touch
     run_ranges(pool, len(cells), partial(_touching, cells, block, touch))
     return touch
 
@@ -194,7 +201,7 @@ def vertex_coloring(
     room = np.zeros((4, count), dtype=np.int64)
     room[3] = -1
     total, n_blocks, n_colors, n_links = _arrange(
-        movable, _block_bits(len(movable)), touch, room, order, blocks, offsets, links
+        movable, _block_bits(cells, len(movable)), touch, room, order, blocks, offsets, links
     )
     return Coloring(
         order[:total], blocks[: n_blocks + 1], offsets[: n_colors + 1], links[:n_links]

@@ -161,7 +161,7 @@ def stored(path):
 
 @pytest.mark.parametrize(
     ("source", "below", "more"),
-    [(DATA / "bone05.vtu", 20, 1.0), (DATA / "tetwild_csg.vtu", 25, 0.0), (AIRFOIL, 40, 1.0)],
+    [(DATA / "bone05.vtu", 20, 0.5), (DATA / "tetwild_csg.vtu", 25, 0.0), (AIRFOIL, 40, 1.0)],
     ids=["bone", "csg", "airfoil"],
 )
 def test_each_objective_is_better_in_its_own_figure(source, below, more):
@@ -345,19 +345,22 @@ def test_polishing_leaves_fewer_small_angles_and_keeps_the_least_quality():
     assert left[-1] < 0.5 * small
 
 
-@pytest.mark.parametrize(("seed", "pays"), [(3, True), (4, True), (5, True), (21, False)])
-def test_small_angles_are_polished_and_the_better_state_stays(monkeypatch, seed, pays):
-    mesh = mesh_of(*tm.ball(300, seed))
-    polished = run(mesh, Options())
-    monkeypatch.setattr(polishing, "polish", lambda share: ())
-    plain = run(mesh, Options())
-    few, many = (
-        (tm.dihedral_angles(r.points, r.cells).min(axis=1) < POLICY.small_angle).sum()
-        for r in (polished, plain)
-    )
-    now, otherwise = (figures(r.points, r.cells).score for r in (polished, plain))
-    assert (few < many) == (now > otherwise) == pays
-    assert pays or polished.points.tobytes() == plain.points.tobytes()
+def test_small_angles_are_polished_and_the_better_state_stays(monkeypatch):
+    paid = []
+    for seed in range(12):
+        mesh = mesh_of(*tm.ball(300, seed))
+        polished = run(mesh, Options())
+        with monkeypatch.context() as patch:
+            patch.setattr(polishing, "polish", lambda share: ())
+            plain = run(mesh, Options())
+        few, many = (
+            (tm.dihedral_angles(r.points, r.cells).min(axis=1) < POLICY.small_angle).sum()
+            for r in (polished, plain)
+        )
+        now, otherwise = (figures(r.points, r.cells).score for r in (polished, plain))
+        paid.append(polished.points.tobytes() != plain.points.tobytes())
+        assert (few < many) == (now > otherwise) == paid[-1]
+    assert 6 < sum(paid) < len(paid)
 
 
 def test_schedules(d):
