@@ -46,7 +46,7 @@ from odt_plugins.mesh.arrays import BoolArray, ByteArray, FloatArray, IntArray
 from odt_plugins.mesh.chunks import Pool
 from odt_plugins.mesh.quantiles import quantile
 
-FEW = 50
+FEW = 20
 """Cells at which reconnection is tried however small a part of the mesh they are."""
 
 
