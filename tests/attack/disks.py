@@ -23,7 +23,7 @@ SECONDS = 120.0
 Rng = np.random.Generator
 
 CHILD = """
-import resource, sys
+import os, resource, sys
 from pathlib import Path
 from odt_plugins.cli.main import main
 source, whole, target, share = sys.argv[1:]
@@ -32,9 +32,13 @@ if main(["optimize", "--quiet", source, whole]) != 0:
 size = max(path.stat().st_size for path in Path(whole).parent.iterdir())
 limit = int(float(share) * size)
 resource.setrlimit(resource.RLIMIT_FSIZE, (limit, limit))
-sys.exit(main(["optimize", "--quiet", source, target]))
+again = "import sys; from odt_plugins.cli.main import main; sys.exit(main(sys.argv[1:]))"
+os.execv(sys.executable, [sys.executable, "-c", again, "optimize", "--quiet", source, target])
 """
-"""Write a file once with room enough, and then where files may not be longer than a share."""
+"""Write a file once with room enough, and then where files may not be longer than a share.
+
+That is done by a new process: VTK writes in one of its own, which the first time has started.
+"""
 
 
 def attack(rng: Rng, folder: Path) -> None:

@@ -24,6 +24,12 @@ def test_tangled_grids_become_valid_and_what_is_locked_stays(dim, how):
     assert (points == before).all()
 
 
+def test_cells_that_are_all_one_point_are_left():
+    points, cells = np.full((4, 2), 0.7), np.array([[0, 1, 3], [1, 2, 3], [2, 0, 3]], np.int32)
+    found = untangled_places(points, cells, np.arange(4) == 3)
+    assert np.array_equal(found, points)
+
+
 def test_far_from_an_inverted_cell_nothing_moves():
     points, cells, movable = tangled(2, 12, "one vertex")
     found = untangled_places(points, cells, movable)
