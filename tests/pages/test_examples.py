@@ -119,7 +119,7 @@ def test_a_sizing_field_is_kept():
     (plain, spread), (better, kept) = example("sizing_field").main().values()
     assert better > plain + 0.005
     assert spread < 0.27
-    assert kept < 0.27
+    assert kept < spread + 0.01
 
 
 def test_pyvista_renders_without_a_window(here):
