@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import cached_property, partial, update_wrapper
 from threading import RLock
 from typing import Any
 
-from numpy import bool_, dtype, float64, int64, ndarray
+from numpy import bool_, float64, int64, ndarray
 
 from odt_plugins.engine.compiled import cache
 from odt_plugins.engine.compiled.machine import fits, function_of
@@ -30,29 +30,38 @@ LOADING = RLock()
 as numba compiles one kernel at a time."""
 
 
-def kind_of(value: Any) -> Any:
-    """Tell an argument from those of other types, and from some of the same, in little time."""
-    kind = type(value)
-    if kind is ndarray:
-        return value.dtype, value.ndim, value.flags.num
-    if kind in SCALARS:
-        return SCALARS[kind]
-    if isinstance(value, tuple):
-        return kind, *map(kind_of, value)
-    return kind_of(value.view(ndarray)) if isinstance(value, ndarray) else kind
+def add_kinds(values: Iterable[Any], kinds: list[Any]) -> None:
+    """Add what tells arguments from those of other types, and from some of the same, quickly.
+
+    Tuples are laid out flat: the key of a call is made a million times, and nesting takes longer.
+    """
+    for value in values:
+        kind = type(value)
+        if kind is ndarray:
+            kinds += (value.dtype, value.ndim, value.flags.num)
+        elif kind in SCALARS:
+            kinds.append(SCALARS[kind])
+        elif isinstance(value, tuple):
+            kinds += (kind, len(value))
+            add_kinds(value, kinds)
+        elif isinstance(value, ndarray):
+            add_kinds((value.view(ndarray),), kinds)
+        else:
+            kinds.append(kind)
 
 
-def type_of(kind: Any) -> Any:
-    """Give what all kinds of arguments have in common that go to the same machine code.
+def type_of(value: Any) -> Any:
+    """Give what all arguments have in common that go to the same machine code.
 
     The same types have the same ``repr``, which numbers of arrays by themselves have not.
     """
-    if not isinstance(kind, tuple):
-        return kind
-    if isinstance(kind[0], dtype):
-        number, ndim, flags = kind
-        return number.str, ndim, LAYOUTS[flags & 3], flags & (ALIGNED | WRITEABLE)
-    return kind[0], *map(type_of, kind[1:])
+    if isinstance(value, ndarray):
+        flags = value.flags.num
+        return value.dtype.str, value.ndim, LAYOUTS[flags & 3], flags & (ALIGNED | WRITEABLE)
+    kind = type(value)
+    if isinstance(value, tuple):
+        return kind, *map(type_of, value)
+    return SCALARS.get(kind, kind)
 
 
 class Kernel:
@@ -80,10 +89,12 @@ class Kernel:
 
     def __call__(self, *args: Any) -> Any:
         """Run the machine code for arguments of these types."""
-        kinds = tuple(map(kind_of, args))
-        run = self._by_kinds.get(kinds)
+        kinds: list[Any] = []
+        add_kinds(args, kinds)
+        key = tuple(kinds)
+        run = self._by_kinds.get(key)
         if run is None:
-            run = self._by_kinds[kinds] = self._load(tuple(map(type_of, kinds)), args)
+            run = self._by_kinds[key] = self._load(tuple(map(type_of, args)), args)
         return run(*args)
 
     def _load(self, types: Any, args: Any) -> Callable[..., Any]:

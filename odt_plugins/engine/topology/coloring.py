@@ -168,11 +168,11 @@ def touching_blocks(
     """
     bits = _block_bits(cells, len(movable))
     count = (len(movable) >> bits) + 1
-    block = np.arange(len(movable), dtype=np.int32) >> bits
-    block[~movable] = count
     touch = np.zeros((count + 1, count + 1), dtype=np.bool_)
     if count == 1:
         return touch
+    block = np.arange(len(movable), dtype=np.int32) >> bits
+    block[~movable] = count
     run_ranges(pool, len(cells), partial(_touching, cells, block, touch))
     return touch
 
@@ -195,6 +195,10 @@ def vertex_coloring(
     if touch is None:
         touch = touching_blocks(cells, movable)
     count = len(touch)
+    if count == 2:
+        order = np.flatnonzero(movable).astype(np.int32)
+        ends = np.arange(1 + (len(order) > 0))
+        return Coloring(order, len(order) * ends, ends, np.empty((0, 2), dtype=np.int32))
     order = np.empty(len(movable), dtype=np.int32)
     blocks, offsets = np.empty((2, count), dtype=np.int64)
     links = np.empty((np.count_nonzero(touch), 2), dtype=np.int32)

@@ -68,8 +68,10 @@ def test_kernels_divide_as_numpy_does():
     assert inverse(0.0) == np.inf
 
 
-def type_of(value):
-    return kernel.type_of(kernel.kind_of(value))
+def key_of(value):
+    kinds = []
+    kernel.add_kinds([value], kinds)
+    return tuple(kinds)
 
 
 def test_arguments_of_one_type_go_to_the_same_code_and_others_do_not():
@@ -77,10 +79,14 @@ def test_arguments_of_one_type_go_to_the_same_code_and_others_do_not():
     values = (
         1, 1.0, True, None, np.int32(1), np.float32(1.0), square, square[:, 0], square.T[1:],
         square.T, square[::2, ::2], square[0], table, table.view(np.uint32), (1, 1.0), (1.0, 1),
-        Extremes(1.0, 1.0, 1.0), (1.0, 1.0, 1.0), ((1.0, 1.0), 1.0), np.frombuffer(bytes(8)))
+        Extremes(1.0, 1.0, 1.0), (1.0, 1.0, 1.0), ((1.0, 1.0), 1.0),
+        ((1.0,), 1.0, 1.0), ((), 1.0), (1.0,), np.frombuffer(bytes(8)))
+    type_of = kernel.type_of
     ours, types = [*map(type_of, values)], [*map(numba.typeof, values)]
-    for own, known in zip(ours, types, strict=True):
+    keys = [*map(key_of, values)]
+    for own, known, key in zip(ours, types, keys, strict=True):
         assert [own == other for other in ours] == [known == other for other in types], known
+        assert all(own == other for other, its in zip(ours, keys, strict=True) if its == key)
     for one, other in ((1, np.int64(2)), (1.0, np.float64(2.0)), (True, np.bool_(False)),
                        (np.zeros((3, 1)), np.zeros((1, 3))), (np.zeros(0), np.zeros(7))):
         assert type_of(one) == type_of(other)
