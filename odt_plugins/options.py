@@ -91,8 +91,8 @@ class Options:
         "Solver of the global step; auto chooses by size.", choices=get_args(LinearSolver)))
     connectivity: Connectivity = field(default="auto", metadata=_told(
         "How cells are reconnected in stage 1: by scipy every round (delaunay), by local flips "
-        "(flips), in the plane and where cells are poor by scipy first, and flips later (auto), or "
-        "not (none).",
+        "(flips), by scipy in the first round of a small mesh, in space of one with poor cells "
+        "only, and by local flips later (auto), or not (none).",
         python="Sections 3.1 and 3.2.",
         choices=get_args(Connectivity)))
     density: Any = field(default="keep", metadata=_told(

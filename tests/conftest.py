@@ -24,6 +24,15 @@ def _meshes_of_any_size_are_worth_several_threads():
     threads.THREADED_CELLS = 0
 
 
+@pytest.fixture
+def many_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Small meshes have blocks of vertices in colours, chunks of which threads do side by side."""
+    from odt_plugins.engine.topology import coloring
+
+    monkeypatch.setattr(coloring, "ONE_BLOCK", 0)
+    monkeypatch.setattr(coloring, "SMALLEST", 8)
+
+
 @pytest.fixture(params=[2, 3], ids=["d2", "d3"])
 def d(request: pytest.FixtureRequest) -> int:
     """Dimension of the space."""

@@ -37,7 +37,8 @@ os.execv(sys.executable, [sys.executable, "-c", again, "optimize", "--quiet", so
 """
 """Write a file once with room enough, and then where files may not be longer than a share.
 
-That is done by a new process: VTK writes in one of its own, which the first time has started.
+The second time is a new process: VTK writes in a helper process that the first time has started,
+which the limit would not reach.
 """
 
 

@@ -78,7 +78,7 @@ def test_calls_within_calls_end():
     assert list(found) == [10 * i for i in range(20)]
 
 
-def test_short_parts_by_several_threads_change_no_bit(monkeypatch):
+def test_short_parts_by_several_threads_change_no_bit(monkeypatch, many_blocks):
     points, cells = tm.ball(700, 4)
     monkeypatch.setattr(threads, "PART", 100)
     monkeypatch.setattr(chunks, "CHUNK", 70)

@@ -178,9 +178,7 @@ def test_row19_sweep_turns_and_scales_with_the_mesh(mesh, method, seed):
     assert turned == pytest.approx(4.0 * new @ turn.T + shift, abs=1e-7)
 
 
-def test_row19_threads_do_not_change_a_bit(d, monkeypatch):
-    monkeypatch.setattr(coloring, "WHOLE", 0)
-    monkeypatch.setattr(coloring, "SMALLEST", 5)
+def test_row19_threads_do_not_change_a_bit(d, monkeypatch, many_blocks):
     monkeypatch.setattr(coloring, "SMALLEST_BITS", 2)
     points, cells = jittered(d, {2: 20, 3: 8}[d], 19)
     topology = topology_of(points, cells)

@@ -31,9 +31,9 @@ as numba compiles one kernel at a time."""
 
 
 def add_kinds(values: Iterable[Any], kinds: list[Any]) -> None:
-    """Add what tells arguments from those of other types, and from some of the same, quickly.
+    """Append to ``kinds`` what tells values from those of other types, and from some of the same.
 
-    Tuples are laid out flat: the key of a call is made a million times, and nesting takes longer.
+    Tuples are laid out flat: a run makes hundreds of such keys, and nested ones take longer.
     """
     for value in values:
         kind = type(value)
@@ -53,7 +53,7 @@ def add_kinds(values: Iterable[Any], kinds: list[Any]) -> None:
 def type_of(value: Any) -> Any:
     """Give what all arguments have in common that go to the same machine code.
 
-    The same types have the same ``repr``, which numbers of arrays by themselves have not.
+    The same types have the same ``repr``, which equal dtypes have not.
     """
     if isinstance(value, ndarray):
         flags = value.flags.num

@@ -61,7 +61,8 @@ class Room(NamedTuple):
         odd if the order is; negative for a vertex of the facet
     state : (FACETS,) uint8                see :data:`UNSEEN`
     costs : (TETRAHEDRA,) float64          nan where not computed, inf where not allowed
-    turned : (TETRAHEDRA,) uint8           odd when the vertices in ascending order are negative
+    turned : (TETRAHEDRA,) uint8           odd when the vertices in ascending order are negative;
+                                           ``reconnection.UNPROVEN`` tells what is not known
     front, n_front : (DEPTH + 1, FACETS) and (DEPTH + 1,) int64
         facets at every depth that still want a cell
     total : (DEPTH + 1,) float64           cost of the cells so far

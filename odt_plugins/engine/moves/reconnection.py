@@ -2,11 +2,11 @@
 
 A few cells around a bad one make a polyhedron without a vertex inside.  Of all ways to fill it with
 cells between its vertices the one of least cost is looked for by branch and bound: the facet that
-fewest vertices fit comes first, and what every facet costs at least bounds what is to come
-(Liu, Chen, Sun, *Small polyhedron reconnection for mesh improvement and its implementation based on
-advancing front technique*, Int. J. Numer. Meth. Engng. 79 (2009) 1004-1018).  Edge removal, its
-inverse and the flips are special cases; no sequence of them that lowers the cost step by step need
-lead there.
+fewest vertices fit comes first, and what every facet costs at least, when the cost of a cell is
+shared among the facets that it closes, bounds what is to come (Liu, Chen, Sun, *Small polyhedron
+reconnection for mesh improvement and its implementation based on advancing front technique*, Int.
+J. Numer. Meth. Engng. 79 (2009) 1004-1018).  Edge removal, its inverse and the flips are special
+cases; no sequence of them that lowers the cost step by step need lead there.
 
 Cells of positive volume whose facets match each other and the surface of the polyhedron fill it
 exactly once, so nothing else has to be checked.
@@ -52,9 +52,9 @@ from odt_plugins.engine.topology.lookup import is_in
 from odt_plugins.engine.topology.tets import Tets, all_locked
 from odt_plugins.mesh.arrays import IntArray
 
-UNPROVEN, UNTURNED = 2, 4
-"""Added to ``turned`` until it is known whether the cell is within the limits; in its place until
-it is known which way the cell turns."""
+UNPROVEN, UNSIGNED = 2, 4
+"""What ``Room.turned`` holds more until a cell was compared with the limits; all that it holds
+until the sign of the cell's volume is known."""
 MOST_NODES = 400
 """Nodes of the tree of fillings that are visited for one polyhedron."""
 
@@ -68,7 +68,7 @@ def _begin(tets: Tets, n: int, n_vertices: int, cost: Cost, room: Room) -> None:
     """
     room.state[:] = UNSEEN
     room.costs[:] = np.nan
-    room.turned[:] = UNTURNED
+    room.turned[:] = UNSIGNED
     front = np.int64(0)
     for m in range(n):
         c = room.cells[m]
@@ -94,7 +94,7 @@ def _begin(tets: Tets, n: int, n_vertices: int, cost: Cost, room: Room) -> None:
 
 
 @inlined_kernel
-def _turn(tets: Tets, a: int, b: int, c: int, d: int, room: Room) -> None:
+def _find_sign(tets: Tets, a: int, b: int, c: int, d: int, room: Room) -> None:
     """Write down whether the cell a < b < c < d is negative."""
     i, j, k, l = room.vertices[a], room.vertices[b], room.vertices[c], room.vertices[d]
     negative = six_volumes(*corner_edges(tets.points, i, j, k, l)) < 0.0
@@ -114,7 +114,7 @@ def _positive(
 def _weigh(
     tets: Tets, a: int, b: int, c: int, d: int, cost: Cost, most: float, room: Room
 ) -> None:
-    """Write down what the cell a < b < c < d costs, infinite beyond ``most``."""
+    """Write down what the cell a < b < c < d, of known sign, costs, infinite beyond ``most``."""
     n = cell_number(a, b, c, d)
     i, j, k, l = _positive(n, a, b, c, d, room)
     own = tet_cost(tets.points, i, j, k, l, cost)
@@ -145,8 +145,8 @@ def _next_cell(facet: int, x: int, room: Room) -> tuple[int, int, int, int, int]
 
 
 @inlined_kernel
-def _wanted(facet: int, x: int, odd: int, room: Room) -> int:
-    """How many facets of the cell of x and a facet are wanted, 0 if one may not be there."""
+def _closes(facet: int, x: int, odd: int, room: Room) -> int:
+    """How many facets of the front the cell of x and a facet closes, 0 if it does not fit."""
     count = 1
     for place in range(1, 4):
         code = room.tables[facet, x, place]
@@ -183,9 +183,9 @@ def _branch(
             if code < 0:
                 continue
             n = np.uint32(code >> 1)
-            if turned[n] == UNTURNED:
+            if turned[n] == UNSIGNED:
                 i, j, k, l, _ = _next_cell(facet, x, room)
-                _turn(tets, i, j, k, l, room)
+                _find_sign(tets, i, j, k, l, room)
             if (turned[n] ^ code ^ odd) & 1:
                 continue
             if math.isnan(costs[n]):
@@ -194,8 +194,8 @@ def _branch(
             own = costs[n]
             if not own < left:
                 continue
-            wanted = _wanted(facet, np.uint32(x), odd, room)
-            if wanted > 0:
+            closed = _closes(facet, np.uint32(x), odd, room)
+            if closed > 0:
                 if turned[n] >= UNPROVEN:
                     i, j, k, l, _ = _next_cell(facet, x, room)
                     if not _allowed(tets, i, j, k, l, limit, locked, room):
@@ -204,7 +204,7 @@ def _branch(
                 prices[count] = own
                 count += 1
                 least = min(least, own)
-                share = min(share, own / wanted)
+                share = min(share, own / closed)
         together += share
         if not max(least, together) < left:
             return

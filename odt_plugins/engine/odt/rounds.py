@@ -201,7 +201,10 @@ def exchange(mesh: Complex, bounds: Bounds, log: Log) -> Complex:
 
 
 def exchange_pays(mesh: Complex) -> bool:
-    """Whether connectivity 'auto' asks scipy in the first round."""
+    """Whether connectivity 'auto' asks scipy in the first round: of few cells, in space poor ones.
+
+    See ``POLICY.exchange_cells`` and ``POLICY.flips_quality``.
+    """
     if mesh.count() > POLICY.exchange_cells:
         return False
     if mesh.dim == 2:

@@ -24,8 +24,9 @@ from odt_plugins.mesh.chunks import Pool
 SMALLEST_BITS = 6
 """A block has at least 2^SMALLEST_BITS vertex numbers."""
 
-WHOLE = 1 << 12
-"""So many vertices of tetrahedra are one block: one thread does meshes of no more."""
+ONE_BLOCK = 1 << 12
+"""So many vertices of tetrahedra are one block, which takes a twentieth of a run less time than
+colours: about six cells come to a vertex, and one thread does meshes of so few."""
 
 MOST_BLOCKS = 1024
 """Larger meshes have larger blocks, since which of them touch is a table of all pairs."""
@@ -142,7 +143,7 @@ def _arrange(
 
 
 def _block_bits(cells: IntArray, n: int) -> int:
-    if cells.shape[1] == 4 and n <= WHOLE:
+    if cells.shape[1] == 4 and n <= ONE_BLOCK:
         return n.bit_length()
     bits = SMALLEST_BITS
     while n >> bits >= MOST_BLOCKS:

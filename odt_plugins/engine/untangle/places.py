@@ -103,7 +103,7 @@ def _moved(
     free = np.searchsorted(vertices, free)
     shapes = _shapes(points, cells[touched], None if reference is None else reference[touched])
     unit = float(np.abs(determinant(np.moveaxis(shapes, 0, -1))).mean()) ** (1 / d)
-    # all of them are one and the same point
+    # each cell is a single point, or each reference flat: there is no unit of length
     if unit == 0.0:
         return points
     centre = points[vertices].mean(axis=0)

@@ -68,9 +68,9 @@ def test_kernels_divide_as_numpy_does():
     assert inverse(0.0) == np.inf
 
 
-def key_of(value):
+def key_of(*values):
     kinds = []
-    kernel.add_kinds([value], kinds)
+    kernel.add_kinds(values, kinds)
     return tuple(kinds)
 
 
@@ -87,6 +87,9 @@ def test_arguments_of_one_type_go_to_the_same_code_and_others_do_not():
     for own, known, key in zip(ours, types, keys, strict=True):
         assert [own == other for other in ours] == [known == other for other in types], known
         assert all(own == other for other, its in zip(ours, keys, strict=True) if its == key)
+    for one, other in ((((1.0,), 1.0), ((1.0, 1.0),)), (((), (1.0,)), (((), 1.0),)),
+                       ((1.0, ()), ((1.0,),))):
+        assert key_of(*one) != key_of(*other)
     for one, other in ((1, np.int64(2)), (1.0, np.float64(2.0)), (True, np.bool_(False)),
                        (np.zeros((3, 1)), np.zeros((1, 3))), (np.zeros(0), np.zeros(7))):
         assert type_of(one) == type_of(other)

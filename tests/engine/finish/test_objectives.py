@@ -194,7 +194,7 @@ def test_the_promise_stands_on_hard_clouds(d, objective, name):
 
 
 @pytest.mark.parametrize("objective", OTHERS)
-def test_regions_fixed_vertices_and_bits(d, objective):
+def test_regions_fixed_vertices_and_bits(d, objective, many_blocks):
     points, cells = (
         pm.jittered_grid(12, 12, np.random.default_rng(3))[:2] if d == 2 else tm.ball(500, 5)
     )

@@ -48,10 +48,10 @@ def test_one_flat_cell_on_the_boundary_does_not_spoil_a_run():
         assert after[0] >= before[0]
         assert (extremes(outcome.points, outcome.cells) * UP
                 >= extremes(mesh.points, mesh.cells) * UP - 1e-12).all()
-    assert repaired > 2
+    assert repaired >= 4
 
 
-def test_bits_depend_neither_on_the_unit_nor_on_threads():
+def test_bits_depend_neither_on_the_unit_nor_on_threads(many_blocks):
     points, cells = ragged(15)
     one = run(mesh_of(points, cells), Options())
     two = run(mesh_of(1024 * points, cells), Options(threads=2))

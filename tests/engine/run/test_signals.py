@@ -95,8 +95,7 @@ def test_calls_of_kernels_are_short_and_their_length_changes_no_bit(run, monkeyp
     pieces = odt_plugins.optimize(mesh, **options)
     assert [a.tobytes() for a in pieces] == [a.tobytes() for a in whole]
     for name, length in longest.items():
-        # a block of a colour is not cut for threads; it has 64 vertices here
-        most = COSTLY if name.endswith(SHORT) else 64 if "threads" in options else PIECE
+        most = COSTLY if name.endswith(SHORT) else PIECE
         assert 0 < length <= most, name
 
 

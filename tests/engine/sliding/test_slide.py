@@ -389,7 +389,7 @@ def test_wrong_options_are_named(options):
         odt_plugins.optimize((points, cells), **options)
 
 
-def test_threads_and_repeats_give_the_same_bits():
+def test_threads_and_repeats_give_the_same_bits(many_blocks):
     points, cells = ball(500, 10)
     one, two = (
         odt_plugins.optimize((points, cells), boundary="slide", threads=k) for k in (1, 2)

@@ -134,7 +134,7 @@ def test_no_cell_has_vertices_in_two_blocks_of_one_color(mesh, seed):
     movable = np.random.default_rng(seed).random(len(points)) < 0.7
     bits = seed % 4
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(coloring, "WHOLE", 0)
+        patch.setattr(coloring, "ONE_BLOCK", 0)
         patch.setattr(coloring, "SMALLEST_BITS", bits)
         patch.setattr(coloring, "MOST_BLOCKS", len(points) + 1)
         found = coloring.vertex_coloring(cells, movable)
