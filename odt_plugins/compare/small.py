@@ -13,7 +13,7 @@ from pathlib import Path
 from odt_plugins.compare.start import ball_of
 from odt_plugins.compare.table import Part, Say, Table, Value
 
-SMALL = (500, 1500, 5000, 6832)
+SMALL = (500, 1500, 5000, 6200)
 """Cells, about, of small meshes, each by itself."""
 
 MANY = (500, 5000, 60)

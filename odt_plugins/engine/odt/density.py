@@ -254,7 +254,7 @@ def size_field(points: FloatArray, cells: IntArray, passes: int = SMOOTHING_PASS
     Returns
     -------
     (n,) float64                mean of |tau|^(1/d) over the star, relative to its mean over the
-                                mesh; 1 at vertices without cells
+                                mesh; 1 at vertices without cells, and where all cells are flat
     """
     d = cells.shape[1] - 1
     n = len(points)
@@ -262,8 +262,9 @@ def size_field(points: FloatArray, cells: IntArray, passes: int = SMOOTHING_PASS
     used = count > 0
     size = star_sum(power(signed_volumes(points, cells), 1 / d), cells, n)
     h = np.ones(n)
-    h[used] = size[used] / count[used]
-    h[used] = np.maximum(h[used] / h[used].mean(), LEAST_SIZE)
+    if size.any():
+        h[used] = size[used] / count[used]
+        h[used] = np.maximum(h[used] / h[used].mean(), LEAST_SIZE)
     return exp(smooth_over_stars(log(h), cells, passes))
 
 

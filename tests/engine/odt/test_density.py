@@ -58,6 +58,11 @@ def test_size_field_equals_the_loop(mesh, passes):
     )
 
 
+def test_cells_that_are_all_flat_are_of_one_size():
+    points = np.array([[0.0, -0.4, 0.0], [0.0, -0.1, 0.0], [0.0, 0.4, 0.0], [1.0, 0.0, 0.0]])
+    assert size_field(points, np.array([[1, 2, 0]], np.int32)).tolist() == [1.0] * 4
+
+
 @given(meshes(), SCALES)
 def test_keep_has_no_scale(mesh, scale):
     points, cells = mesh
