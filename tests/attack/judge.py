@@ -25,6 +25,10 @@ LOWER_IS_BETTER = ("max_angle", "share_below_20")
 VOLUME = 3e-3
 """Largest relative change of the volume when the boundary slides."""
 
+FLAT = 3e-14
+"""Cells with less than this of their extent^d count as flat, three times the bound of the package:
+what they are compared by is not judged."""
+
 GROWTH = 0.5
 """Share of vertices that may be added where none is given."""
 
@@ -327,10 +331,14 @@ def _overlaps(cells: np.ndarray) -> list[Facet]:
 
 def tangled(mesh: Mesh) -> bool:
     """Whether cells are flat, or overlap when all of them are turned to positive volume."""
-    signs = reference.exact_signs(_flat(mesh), mesh.cells)
+    points = _flat(mesh)
+    signs = reference.exact_signs(points, mesh.cells)
     turned = mesh.cells.copy()
     turned[signs < 0, :2] = mesh.cells[signs < 0, 1::-1]
-    return bool((signs == 0).any()) or bool(_overlaps(turned))
+    extent = np.ptp(np.asarray(points)[mesh.cells].astype(np.longdouble), axis=1).max(axis=1)
+    volume = np.abs(reference.determinants(points, mesh.cells))
+    thin = volume <= FLAT * extent ** (mesh.cells.shape[1] - 1)
+    return bool(thin.any()) or bool(_overlaps(turned))
 
 
 def _volume(before: Mesh, after: Mesh, *, slides: bool) -> list[str]:

@@ -267,6 +267,7 @@ def _spoilt(
     if way == 0:
         points[rng.integers(len(points))] = rng.choice([np.nan, np.inf, 1e300, -1e300])
     elif way == 1:
+        cells = cells.astype(np.int64)
         cells[row, column] = rng.choice([-1, len(points), 1 << 31, 1 << 40])
     elif way == 2:
         cells[row, column] = cells[row, column - 1]

@@ -31,6 +31,10 @@ LARGEST_CAVITY = 32
 FEW = 1000
 """Most inverted or flat cells: more are no matter of single vertices."""
 
+IN_VAIN = 10
+"""Cells one after another around which no cavity is found: the others are left, each would take
+hundreds of linear programs."""
+
 LEAST_DEPTH = 1e-6
 """How far from all facets of a cavity its vertex is at least, in units of half its extent."""
 
@@ -83,11 +87,15 @@ def inserted(
     taken = mesh.frozen.copy()
     found: list[Cavity] = []
     numbers = np.flatnonzero(bad).tolist()
+    in_vain = 0
     for number in numbers if len(numbers) <= FEW else []:
-        if taken[number] or len(found) >= most:
+        if taken[number] or len(found) >= most or in_vain == IN_VAIN:
             continue
         cavity = _grown(points, mesh, neighbors, taken, number)
-        if cavity is not None:
+        if cavity is None:
+            in_vain += 1
+        else:
+            in_vain = 0
             taken[cavity.cells] = True
             found.append(cavity)
     return _filled(points, mesh, found) if found else None
@@ -96,7 +104,9 @@ def inserted(
 def _grown(
     points: FloatArray, mesh: SimplexMesh, neighbors: IntArray, taken: BoolArray, number: int
 ) -> Cavity | None:
-    """The first cavity around a cell that is deep enough, if there is one."""
+    """The first cavity around a cell that is deep enough, if there is one; none around a point."""
+    if not np.ptp(points[mesh.cells[number]], axis=0).any():
+        return None
     now = _cavity(points, mesh.cells, neighbors, [number])
     while now.depth <= LEAST_DEPTH:
         larger = []

@@ -92,3 +92,10 @@ def test_cells_of_a_cavity_fit_together_whatever_is_inverted(d, seed, share):
     assert (now[~kept] > 0).all()
     assert (now <= 0).sum() < bad.sum()
     assert volumes(found.points, found.cells).sum() == pytest.approx(volumes(points, cells).sum())
+
+
+def test_a_cell_that_is_a_single_point_takes_no_vertex():
+    points = np.zeros((5, 3))
+    points[4] = 1.0
+    mesh = mesh_of(points, [[0, 1, 2, 3], [0, 2, 1, 4]])
+    assert inserted(points, mesh, np.array([True, False]), 1) is None
