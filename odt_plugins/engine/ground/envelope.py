@@ -57,6 +57,16 @@ def _near(
         indptr[r + 1] = indptr[r] + count
 
 
+def _from_vertices(
+    reference: Reference, points: FloatArray, triangles: IntArray
+) -> tuple[FloatArray, IntArray]:
+    """Distance of the vertices of triangles, and the nearest triangle; 0 for all other points."""
+    used = np.unique(triangles)
+    distance, face = np.zeros(len(points)), np.zeros(len(points), dtype=np.int32)
+    distance[used], face[used], _ = reference.closest(points[used])
+    return distance, face
+
+
 def within(
     reference: Reference, points: FloatArray, triangles: IntArray, envelope: float
 ) -> BoolArray:
@@ -76,7 +86,7 @@ def within(
     points = np.ascontiguousarray(points, dtype=np.float64)
     triangles = np.ascontiguousarray(triangles, dtype=np.int32)
     out = np.zeros(len(triangles), dtype=np.bool_)
-    distance, face, _ = reference.closest(points)
+    distance, face = _from_vertices(reference, points, triangles)
     work = make_overlay_work()
     for first, last in pieces(0, len(triangles), costly=True):
         _within(
@@ -120,7 +130,7 @@ def uncovered(
                                 ``envelope`` of the result
     """
     result = make_reference(points, triangles) if result is None else result
-    distance, feet, _ = result.closest(reference.points)
+    distance, feet = _from_vertices(result, reference.points, reference.triangles)
     work = make_overlay_work()
     sure = np.zeros(len(reference.triangles), dtype=np.bool_)
     for first, last in pieces(0, len(sure), costly=True):
@@ -220,9 +230,7 @@ def one_sided(
     """
     points = np.ascontiguousarray(points, dtype=np.float64)
     triangles = np.ascontiguousarray(triangles, dtype=np.int32)
-    used = np.unique(triangles)
-    distance, feet = np.zeros(len(points)), np.zeros(len(points), dtype=np.int32)
-    distance[used], feet[used], _ = reference.closest(points[used])
+    distance, feet = _from_vertices(reference, points, triangles)
     lower = float(distance.max(initial=0.0))
     upper = 0.0
     work = make_overlay_work()

@@ -162,6 +162,14 @@ def test_closest_point_of_three_points_on_a_line():
         np.testing.assert_allclose(np.sqrt(square), expected, atol=1e-14)
 
 
+def test_points_of_no_triangle_do_not_count_wherever_they_are():
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1e300, 0, 0]])
+    reference = make_reference(points, ONE)
+    assert within(reference, points, ONE, 0.0).all()
+    assert not uncovered(reference, points, ONE, 1e-9).triangles.size
+    assert distances((points, ONE), (points, ONE), 1e-9).forward_upper <= 1e-9
+
+
 def test_one_triangle_and_none():
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0]])
     cells = ONE
