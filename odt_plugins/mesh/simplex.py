@@ -256,7 +256,7 @@ def barycentric(corners: FloatArray, x: FloatArray) -> FloatArray:
     with np.errstate(divide="ignore", invalid="ignore"):
         inner = np.stack([determinant([*edges[:i], offset, *edges[i + 1:]]) / volume
                           for i in range(len(edges))], axis=-1)
-    found = np.concatenate([1.0 - inner.sum(axis=-1, keepdims=True), inner], axis=-1)
+        found = np.concatenate([1.0 - inner.sum(axis=-1, keepdims=True), inner], axis=-1)
     found[volume == 0.0] = -np.inf
     return found
 

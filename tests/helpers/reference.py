@@ -204,7 +204,8 @@ def cell_figures(points, cells, kind=np.longdouble):
     """Radius ratio, least and largest (dihedral) angle in degrees of every cell, without sign.
 
     d r / R with r = d V / S; R from the product of the sides of a triangle, or the length of
-    |a|^2 b x c + |b|^2 c x a + |c|^2 a x b = 12 V R. Angles from a sine and a cosine.
+    |a|^2 b x c + |b|^2 c x a + |c|^2 a x b = 12 V R. Angles from a sine and a cosine; of a triangle
+    without area, whose corners may be one point, 0, 0 and 180.
     """
     x = np.asarray(points)[cells].astype(kind)
     e = x - x[:, :1]
@@ -220,6 +221,7 @@ def cell_figures(points, cells, kind=np.longdouble):
         q = np.divide(top, bottom, out=np.zeros_like(top), where=bottom > 0)
         angle = [np.arctan2(area, -(sides[(i + 1) % 3] * sides[(i + 2) % 3]).sum(axis=1))
                  for i in range(3)]
+        angle = np.where(area > 0, angle, np.array([[0], [0], [np.pi]], kind))
     else:
         a, b, c = (x[:, i] for i in (1, 2, 3))
         volume = np.abs((a * np.cross(b, c)).sum(axis=1))

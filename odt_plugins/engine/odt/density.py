@@ -236,9 +236,13 @@ def cell_density(points: FloatArray, cells: IntArray, rho: FloatArray) -> FloatA
 
 
 def inverse_volume_density(points: FloatArray, cells: IntArray) -> FloatArray:
-    """rho_tau = 1/|tau| of (4.22) up to a factor: mean volume over volume, shape (m,)."""
+    """rho_tau = 1/|tau| of (4.22) up to a factor: mean volume over volume, shape (m,).
+
+    It is at most RANGE, so that flat cells count for nothing; 1 where all are flat.
+    """
     volumes = signed_volumes(points, cells)
-    values: FloatArray = volumes.mean() / volumes
+    mean = volumes.mean()
+    values: FloatArray = mean / np.maximum(volumes, mean / RANGE) if mean else np.ones(len(cells))
     return values
 
 

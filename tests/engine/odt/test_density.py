@@ -60,7 +60,11 @@ def test_size_field_equals_the_loop(mesh, passes):
 
 def test_cells_that_are_all_flat_are_of_one_size():
     points = np.array([[0.0, -0.4, 0.0], [0.0, -0.1, 0.0], [0.0, 0.4, 0.0], [1.0, 0.0, 0.0]])
-    assert size_field(points, np.array([[1, 2, 0]], np.int32)).tolist() == [1.0] * 4
+    flat, sound = [1, 2, 0], [0, 1, 3]
+    assert size_field(points, np.array([flat], np.int32)).tolist() == [1.0] * 4
+    assert inverse_volume_density(points, np.array([flat], np.int32)).tolist() == [1.0]
+    found = inverse_volume_density(points, np.array([flat, sound], np.int32))
+    assert found == pytest.approx([1e100, 0.5])
 
 
 @given(meshes(), SCALES)

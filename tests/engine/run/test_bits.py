@@ -156,6 +156,9 @@ def test_determinants_and_barycentric_coordinates(d, seed):
     found = barycentric(corners, x)
     assert (found[3, 2] == -np.inf).all()
     assert np.isfinite(found).sum() == found.size - (d + 1)
+    # Cramer's rule gives infinities of both signs there.
+    flat = np.array([[0.0, 0], [1, 0], [2, 0]]) if d == 2 else np.eye(4, 3)[[3, 0, 1, 1]]
+    assert (barycentric(flat, np.full(d, 0.7)) == -np.inf).all()
 
 
 def test_diagonal_of_a_box(d):
