@@ -14,7 +14,7 @@ from odt_plugins.compare.start import ball_of
 from odt_plugins.compare.table import Part, Say, Table, Value
 
 SMALL = (500, 1500, 5000, 6200)
-"""Cells, about, of small meshes, each by itself."""
+"""Cells, about, of small meshes, each by itself; the last has 6832."""
 
 MANY = (500, 5000, 60)
 """Cells, about, of the first and the last of so many meshes, evenly spread: they stand for a

@@ -26,8 +26,8 @@ VOLUME = 3e-3
 """Largest relative change of the volume when the boundary slides."""
 
 FLAT = 3e-14
-"""Cells with less than this of their extent^d count as flat, three times the bound of the package:
-what they are compared by is not judged."""
+"""Cells with less than this of their extent^d may be flat to the package, whose bound is a third;
+its figures are then those of the other cells, and not judged."""
 
 GROWTH = 0.5
 """Share of vertices that may be added where none is given."""
@@ -84,7 +84,7 @@ def broken(before: Mesh, after: Mesh, options: Options, *, curved: bool = False)
     old = before._replace(cells=names[0][before.cells])
     new = after._replace(cells=names[1][after.cells])
     faults += _frozen(old, new, options)
-    if curved or not tangled(before):
+    if curved or not (tangled(before) or _has_flat(before)):
         faults += _figures(before, after, options)
     if curved:
         return faults + _surface(before, after, options)
@@ -331,14 +331,18 @@ def _overlaps(cells: np.ndarray) -> list[Facet]:
 
 def tangled(mesh: Mesh) -> bool:
     """Whether cells are flat, or overlap when all of them are turned to positive volume."""
-    points = _flat(mesh)
-    signs = reference.exact_signs(points, mesh.cells)
+    signs = reference.exact_signs(_flat(mesh), mesh.cells)
     turned = mesh.cells.copy()
     turned[signs < 0, :2] = mesh.cells[signs < 0, 1::-1]
-    extent = np.ptp(np.asarray(points)[mesh.cells].astype(np.longdouble), axis=1).max(axis=1)
+    return bool((signs == 0).any()) or bool(_overlaps(turned))
+
+
+def _has_flat(mesh: Mesh) -> bool:
+    """Whether cells are flat by the measure of the package, which untangles these."""
+    points = np.asarray(_flat(mesh))
+    extent = np.ptp(points[mesh.cells].astype(np.longdouble), axis=1).max(axis=1)
     volume = np.abs(reference.determinants(points, mesh.cells))
-    thin = volume <= FLAT * extent ** (mesh.cells.shape[1] - 1)
-    return bool(thin.any()) or bool(_overlaps(turned))
+    return bool((volume <= FLAT * extent ** points.shape[1]).any())
 
 
 def _volume(before: Mesh, after: Mesh, *, slides: bool) -> list[str]:

@@ -25,8 +25,8 @@ SMALLEST_BITS = 6
 """A block has at least 2^SMALLEST_BITS vertex numbers."""
 
 ONE_BLOCK = 1 << 12
-"""So many vertices of tetrahedra are one block, which takes a twentieth of a run less time than
-colours: about six cells come to a vertex, and one thread does meshes of so few."""
+"""So many vertices of tetrahedra are one block, which takes less time than colours: about six cells
+come to a vertex, and one thread does meshes of so few."""
 
 MOST_BLOCKS = 1024
 """Larger meshes have larger blocks, since which of them touch is a table of all pairs."""
@@ -196,6 +196,7 @@ def vertex_coloring(
     if touch is None:
         touch = touching_blocks(cells, movable)
     count = len(touch)
+    # a single block needs no colour
     if count == 2:
         order = np.flatnonzero(movable).astype(np.int32)
         ends = np.arange(1 + (len(order) > 0))

@@ -89,7 +89,9 @@ def inserted(
     numbers = np.flatnonzero(bad).tolist()
     in_vain = 0
     for number in numbers if len(numbers) <= FEW else []:
-        if taken[number] or len(found) >= most or in_vain == IN_VAIN:
+        if len(found) >= most or in_vain == IN_VAIN:
+            break
+        if taken[number]:
             continue
         cavity = _grown(points, mesh, neighbors, taken, number)
         if cavity is None:
