@@ -29,6 +29,10 @@ FLAT = 3e-14
 """Cells with less than this of their extent^d may be flat to the package, whose bound is a third;
 its figures are then those of the other cells, and not judged."""
 
+OFF_PLANE = 3e-6
+"""Part of the extent by which triangles may be off the plane they are said to lie in: where they
+are thinner, their side is not judged.  The package's bound is a third."""
+
 GROWTH = 0.5
 """Share of vertices that may be added where none is given."""
 
@@ -270,11 +274,12 @@ def _orientation(before: Mesh, after: Mesh, options: Options) -> list[str]:
     signs = reference.exact_signs(_flat(before), before.cells)
     flat = _flat(before._replace(points=after.points))
     now = reference.exact_signs(flat, after.cells)
+    sure = _lie_in_the_plane(after)
     if before.points.shape[1] > before.cells.shape[1] - 1 or tangled(before):
-        wanted = now[0]
+        wanted = now[sure][:1]
     else:
         wanted = -1 if (signs < 0).all() else 1
-    bad = np.flatnonzero(now != wanted)
+    bad = np.flatnonzero(sure & (now != wanted))
     return [f"cell {bad[0]} is flat or inverted, {len(bad)} in all"] if len(bad) else []
 
 
@@ -335,6 +340,17 @@ def tangled(mesh: Mesh) -> bool:
     turned = mesh.cells.copy()
     turned[signs < 0, :2] = mesh.cells[signs < 0, 1::-1]
     return bool((signs == 0).any()) or bool(_overlaps(turned))
+
+
+def _lie_in_the_plane(mesh: Mesh) -> np.ndarray:
+    """All cells but triangles in space thinner than their vertices may be off the plane."""
+    points, cells = np.asarray(mesh.points, dtype=np.float64), mesh.cells
+    if points.shape[1] == cells.shape[1] - 1:
+        return np.ones(len(cells), dtype=bool)
+    x = points[cells]
+    longest = np.linalg.norm(x - np.roll(x, 1, axis=1), axis=2).max(axis=1)
+    off = OFF_PLANE * np.linalg.norm(np.ptp(x.reshape(-1, 3), axis=0))
+    return np.asarray(reference.areas(points, cells) > off * longest)
 
 
 def _has_flat(mesh: Mesh) -> bool:

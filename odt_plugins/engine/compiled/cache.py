@@ -30,8 +30,8 @@ AHEAD = Path(__file__).parent / "ahead"
 ENGINE = Path(__file__).parents[1]
 """The folder of all kernels."""
 
-CHOSEN = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_ENABLE_AVX")
-"""Variables of the environment by which a user chooses what numba compiles for."""
+CHOSEN = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_ENABLE_AVX", "NUMBA_BOUNDSCHECK")
+"""Variables of the environment by which a user chooses what numba compiles for, and how."""
 
 SUFFIX = ".kernel"
 """Of the files with machine code."""
@@ -63,11 +63,11 @@ def common_machine() -> tuple[str, str, str]:
 
 def this_machine() -> tuple[str, ...]:
     """The same of the processor that numba compiles for, and what else the user has chosen."""
-    processor, features, *others = map(os.environ.get, CHOSEN)
+    processor, features = map(os.environ.get, CHOSEN[:2])
     if features is None:
         features = llvm.get_host_cpu_features().flatten()
-    return (llvm.get_process_triple(), processor or llvm.get_host_cpu_name(), features,
-            *filter(None, others))
+    others = (f"{name}={os.environ[name]}" for name in CHOSEN[2:] if os.environ.get(name))
+    return llvm.get_process_triple(), processor or llvm.get_host_cpu_name(), features, *others
 
 
 def source_stamp(folder: Path) -> str:

@@ -2,11 +2,13 @@
 
 Kernels have no closures, generators, object mode or parallel loops: the passes that look for them,
 and what numba tells listeners about each pass, are left out.  What a call of a function of the
-language or of numba has for a type is looked up once for the same types of arguments.
+language or of numba has for a type is looked up once for the same types of arguments.  Indices
+count from the start of an array: none is looked at for being negative, which nearly all would be.
 """
 
 from __future__ import annotations
 
+import operator
 import os
 from collections.abc import Callable
 from functools import cache, partial
@@ -47,6 +49,22 @@ PASSES = (
 """What turns a kernel into code, in order."""
 
 
+def from_start(array: Any, index: Any) -> Any:
+    """Type of an index as numbers without a sign, which numba takes as they are.
+
+    It takes others from the end where they are negative, and so looks at each.
+    """
+    parts: Any = index if isinstance(index, types.BaseTuple) else (index,)
+    if not isinstance(array, types.Array) or not all(map(_counts, parts)):
+        return index
+    return types.UniTuple(types.uintp, len(parts)) if parts is index else types.uintp
+
+
+def _counts(index: Any) -> bool:
+    """Whether a number can be the place of an element, counted from the start."""
+    return isinstance(index, types.Integer) and getattr(index, "literal_value", 0) >= 0
+
+
 class Knowing(Context):  # type: ignore[misc]
     """What numba knows of types, and has found out about calls before.
 
@@ -68,12 +86,18 @@ class Knowing(Context):  # type: ignore[misc]
         """Find the signature of a call of a function of the language or of numba."""
         if kws or not isinstance(func, types.Function | BuiltinFunctionType):
             return super().resolve_function_type(func, args, kws)
+        if func is operator.getitem:
+            args = args[0], from_start(*args)
         key = func, tuple(args)
         known = self._calls.get(key)
         if known is None:
             known = super().resolve_function_type(func, args, kws)
             self._calls[key] = known
         return known
+
+    def resolve_setitem(self, target: Any, index: Any, value: Any) -> Any:
+        """Find the signature of a write to an array."""
+        return super().resolve_setitem(target, from_start(target, index), value)
 
 
 @cache

@@ -36,8 +36,16 @@ class Library(JITCodeLibrary):  # type: ignore[misc]
         self._raise_if_finalized()
         for library in self.needed():
             self._final_module.link_in(link_once(library), preserve=True)
+        for function in self._final_module.functions:
+            if function.linkage == llvm.Linkage.linkonce_odr and not function.is_declaration:
+                function.linkage = "internal"
         self._optimize_final_module()
         self._finalize_final_module()
+
+    def _optimize_final_module(self) -> None:
+        """Run LLVM's passes once; numbers side by side become vectors."""
+        passes, builder = self._codegen._module_pass_manager(slp_vectorize=True)
+        passes.run(self._final_module, builder)
 
     def needed(self) -> list[Any]:
         """List the libraries of all that is called, directly or not, callers before callees.

@@ -10,9 +10,11 @@ from typing import NamedTuple
 
 import numpy as np
 
+from odt_plugins.engine.cells.sphere import apex_across
 from odt_plugins.engine.cells.tetrahedron import ENERGY, Cost, cell_cost, tet_cost
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.topology.active import DONE, IDLE, PENDING
+from odt_plugins.engine.topology.lookup import place_in
 from odt_plugins.engine.topology.tets import FREE, USED, Tets, give_slot, has_room, take_slot
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 
@@ -336,12 +338,8 @@ def replace_cavity(
             border[n_border, 1] = y
             border[n_border, 2] = z
             border[n_border, 3] = across
-            border[n_border, 4] = -1
             if across >= 0:
-                for g in range(4):
-                    if neighbors[across, g] == c:
-                        border[n_border, 4] = g
-                        break
+                border[n_border, 4] = place_in(cells, across, apex_across(cells, c, f, across))
             n_border += 1
     for m in range(n_new, n_old):
         c = np.int64(old[m])

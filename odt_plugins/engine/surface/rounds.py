@@ -45,6 +45,9 @@ CONNECTIVITY = ("auto", "flips", "none")
 TRIALS = 4
 """Step lengths alpha = 1, 1/2, 1/4, ... of a global step."""
 
+LEAST_PULL = 1e-12
+"""Part of the mean diagonal of A by which every vertex is held where it is."""
+
 
 def check_method(options: Options) -> None:
     """Refuse what there is in the plane and in space only.
@@ -173,8 +176,11 @@ def _direction(
 ) -> FloatArray:
     """Full step -A^-1 grad E of (4.27), or that of (4.28), the gradient in the tangent planes.
 
-    A piece of the surface on which nothing is locked has one vertex pinned: A is singular there.
+    A piece of the surface on which nothing is locked has one vertex pinned: A is singular there,
+    and among triangles without area, which draw nothing.
     """
+    from scipy.sparse import identity
+
     points, triangles, kind = surface.points, surface.triangles, surface.sheet.kind
     movable = kind != LOCKED
     movable[_pins(triangles, movable)] = False
@@ -191,7 +197,8 @@ def _direction(
     matrix, _ = interior_matrix(graph_laplacian(topology, weights), movable)
     scale = float(matrix.diagonal().mean())
     solve = choose_solve(options.linear_solver, int(movable.sum()))
-    direction[movable] = -solve(matrix / scale, slope[movable] / scale)
+    regular = matrix / scale + LEAST_PULL * identity(matrix.shape[0], format="csr")
+    direction[movable] = -solve(regular, slope[movable] / scale)
     return direction
 
 

@@ -60,6 +60,47 @@ def test_a_place_is_looked_for_in_its_own_row_only():
         assert 0 <= place_in(rows, 1, value) < 3
 
 
+def test_an_index_that_is_no_constant_counts_from_the_start():
+    @kernel.kernel
+    def second_row(table: np.ndarray, row: int, column: int) -> float:
+        table[row + 1, column] += table[-1, 0]
+        return table[row + 1, column]
+
+    whole = np.arange(8.0).reshape(4, 2)
+    for number in (int, np.int32):
+        assert second_row(whole[1:].copy(), number(0), number(1)) == 5.0 + 6.0
+        assert second_row(whole[1:], number(-2), number(1)) == 1.0 + 6.0
+        whole[0, 1] = 1.0
+
+
+CHECKED = """
+import numpy as np
+from odt_plugins.engine.compiled.kernel import kernel
+
+@kernel
+def element(row, at):
+    return row[at]
+
+print(element(np.arange(3.0), 2))
+try:
+    element(np.arange(3.0), -1)
+except IndexError as error:
+    print("stopped:", error)
+"""
+
+
+def test_indices_are_checked_where_numba_is_told_to(tmp_path):
+    (tmp_path / "kernels.py").write_text(CHECKED, encoding="utf-8")
+    command = [sys.executable, str(tmp_path / "kernels.py")]
+    kept = {"NUMBA_CACHE_DIR": str(tmp_path)}
+    for more in ({}, {"NUMBA_ENABLE_AVX": "1"}, {"NUMBA_BOUNDSCHECK": "1"}):
+        done = subprocess.run(command, env=os.environ | kept | more, check=True,
+                              capture_output=True, text=True)
+        assert done.stdout.startswith("2.0\n")
+    assert "stopped: index is out of bounds" in done.stdout
+    assert len(list(tmp_path.glob("*.kernel"))) == 3
+
+
 def test_kernels_divide_as_numpy_does():
     @kernel.kernel
     def inverse(x: float) -> float:

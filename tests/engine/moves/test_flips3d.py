@@ -272,3 +272,25 @@ def test_renumbered_cells_are_the_same_mesh_in_order():
     assert labels[0] == labels[1]
     assert np.all(np.diff(fresh.mesh_arrays()[0].min(axis=1)) >= 0)
     assert_sound(fresh, points, tm.signed_volumes(points, cells).sum())
+
+
+def test_two_cells_of_the_same_vertices_stay_next_to_each_other_at_the_same_facets():
+    """Where all is flat a cell may come to lie at two facets of one with the same vertices."""
+    before = np.array([[0, 1, 2, 3], [0, 1, 2, 4], [0, 1, 3, 4]], dtype=np.int32)
+    between = np.array([[0, 1, 2, 3], [0, 2, 3, 4], [1, 2, 3, 4]], dtype=np.int32)
+    mesh = complex_of(np.zeros((5, 3)), before)
+    slots = np.array([1, 2, 0], dtype=np.int32)
+    journal = cavity.make_journal(np.bool_(False), np.int64(0))
+    border = np.zeros((16, 5), dtype=np.int32)
+
+    def facets():
+        return sorted(
+            [sorted(np.delete(mesh.cells[c], f).tolist()),
+             [sorted(mesh.cells[s].tolist()) for s in (c, mesh.neighbors[c, f]) if s >= 0]]
+            for c in mesh.live() for f in range(4))
+
+    start = facets()
+    assert cavity.replace_cavity(mesh.tets, slots, 2, between, 3, border, journal)
+    assert np.count_nonzero(mesh.neighbors[0] == slots[0]) == 2
+    assert cavity.replace_cavity(mesh.tets, slots, 3, before[:0:-1].copy(), 2, border, journal)
+    assert facets() == start

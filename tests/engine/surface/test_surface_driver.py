@@ -185,6 +185,17 @@ def test_the_global_step_lowers_the_energy_like_many_sweeps():
     assert ends["global"] < 1.0
 
 
+@pytest.mark.parametrize("linear_solver", ["direct", "amg"])
+def test_the_global_step_bears_a_vertex_among_flat_triangles(linear_solver):
+    p, t = sm.sheet(8, lambda x, y: 0.3 * np.sin(x) + 0.2 * np.cos(y))
+    v = int(np.bincount(t.ravel()).argmax())
+    around = np.setdiff1d(t[(t == v).any(axis=1)], v)
+    p[around] = p[around[0]]
+    _, _, report = improved(
+        (p, t), solver="global", linear_solver=linear_solver, boundary="fixed")
+    assert report.after.mean_quality > report.before.mean_quality + 0.01
+
+
 @pytest.mark.parametrize("kind", ["vertices", "cells", "function"])
 def test_a_density_of_any_form_grades_the_surface(kind):
     p, t = sm.sphere(4)
