@@ -38,12 +38,10 @@ def gather_corners(
 ) -> None:
     """Write the corners other than v of the cells indices[start:stop], at most CHUNK of them."""
     for s in range(stop - start):
-        u = np.uint32(s)
-        i, j, k = opposite_vertices(cells, np.uint32(indices[start + s]), v)
-        i, j, k = np.uint32(i), np.uint32(j), np.uint32(k)
-        rows[AX + u], rows[AY + u], rows[AZ + u] = points[i, 0], points[i, 1], points[i, 2]
-        rows[BX + u], rows[BY + u], rows[BZ + u] = points[j, 0], points[j, 1], points[j, 2]
-        rows[CX + u], rows[CY + u], rows[CZ + u] = points[k, 0], points[k, 1], points[k, 2]
+        i, j, k = opposite_vertices(cells, indices[start + s], v)
+        rows[AX + s], rows[AY + s], rows[AZ + s] = points[i, 0], points[i, 1], points[i, 2]
+        rows[BX + s], rows[BY + s], rows[BZ + s] = points[j, 0], points[j, 1], points[j, 2]
+        rows[CX + s], rows[CY + s], rows[CZ + s] = points[k, 0], points[k, 1], points[k, 2]
 
 
 @kernel
@@ -55,30 +53,28 @@ def gather_edges(
     With that corner in the origin they are the other corners; a free slot gets those of no cell.
     """
     for s in range(count):
-        u = np.uint32(s)
-        c = np.uint32(slots[first + s])
+        c = slots[first + s]
         free = cells[c, 0] < 0
-        l = np.uint32(0 if free else cells[c, 0])
-        i = np.uint32(0 if free else cells[c, 1])
-        j = np.uint32(0 if free else cells[c, 2])
-        k = np.uint32(0 if free else cells[c, 3])
+        l = 0 if free else cells[c, 0]
+        i = 0 if free else cells[c, 1]
+        j = 0 if free else cells[c, 2]
+        k = 0 if free else cells[c, 3]
         x, y, z = points[l, 0], points[l, 1], points[l, 2]
-        rows[AX + u], rows[AY + u] = points[i, 0] - x, points[i, 1] - y
-        rows[AZ + u] = points[i, 2] - z
-        rows[BX + u], rows[BY + u] = points[j, 0] - x, points[j, 1] - y
-        rows[BZ + u] = points[j, 2] - z
-        rows[CX + u], rows[CY + u] = points[k, 0] - x, points[k, 1] - y
-        rows[CZ + u] = points[k, 2] - z
+        rows[AX + s], rows[AY + s] = points[i, 0] - x, points[i, 1] - y
+        rows[AZ + s] = points[i, 2] - z
+        rows[BX + s], rows[BY + s] = points[j, 0] - x, points[j, 1] - y
+        rows[BZ + s] = points[j, 2] - z
+        rows[CX + s], rows[CY + s] = points[k, 0] - x, points[k, 1] - y
+        rows[CZ + s] = points[k, 2] - z
 
 
 @kernel
 def quality_rows(x: float, y: float, z: float, count: int, rows: FloatArray) -> None:
     """Write radius ratios with v at (x, y, z), as ``tetrahedron.tet_quality``."""
     for s in range(count):
-        u = np.uint32(s)
-        ax, ay, az = rows[AX + u] - x, rows[AY + u] - y, rows[AZ + u] - z
-        bx, by, bz = rows[BX + u] - x, rows[BY + u] - y, rows[BZ + u] - z
-        cx, cy, cz = rows[CX + u] - x, rows[CY + u] - y, rows[CZ + u] - z
+        ax, ay, az = rows[AX + s] - x, rows[AY + s] - y, rows[AZ + s] - z
+        bx, by, bz = rows[BX + s] - x, rows[BY + s] - y, rows[BZ + s] - z
+        cx, cy, cz = rows[CX + s] - x, rows[CY + s] - y, rows[CZ + s] - z
         ux, uy, uz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
         vx, vy, vz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
         wx, wy, wz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -100,7 +96,7 @@ def quality_rows(x: float, y: float, z: float, count: int, rows: FloatArray) -> 
         ratio = 12.0 * det * det / (faces * math.sqrt(max(h, 1e-300)))
         signed = ratio if det > 0.0 else -ratio
         flat = 0.0 if det > 0.0 else -1.0
-        rows[Q + u] = signed if min(h, faces) > 0.0 else flat
+        rows[Q + s] = signed if min(h, faces) > 0.0 else flat
 
 
 @kernel
@@ -110,10 +106,9 @@ def shape_rows(count: int, rows: FloatArray) -> None:
     From the rows of :func:`gather_edges`, as ``tet_cosines`` and ``tet_altitude`` do.
     """
     for s in range(count):
-        u = np.uint32(s)
-        ax, ay, az = rows[AX + u], rows[AY + u], rows[AZ + u]
-        bx, by, bz = rows[BX + u], rows[BY + u], rows[BZ + u]
-        cx, cy, cz = rows[CX + u], rows[CY + u], rows[CZ + u]
+        ax, ay, az = rows[AX + s], rows[AY + s], rows[AZ + s]
+        bx, by, bz = rows[BX + s], rows[BY + s], rows[BZ + s]
+        cx, cy, cz = rows[CX + s], rows[CY + s], rows[CZ + s]
         x1, y1, z1 = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
         x2, y2, z2 = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
         x3, y3, z3 = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -132,25 +127,24 @@ def shape_rows(count: int, rows: FloatArray) -> None:
         c12 = -(x1 * x2 + y1 * y2 + z1 * z2) * n1 * n2
         c13 = -(x1 * x3 + y1 * y3 + z1 * z3) * n1 * n3
         c23 = -(x2 * x3 + y2 * y3 + z2 * z3) * n2 * n3
-        rows[LARGE + u] = max(max(max(c01, c02), max(c03, c12)), max(c13, c23))
-        rows[SMALL + u] = min(min(min(c01, c02), min(c03, c12)), min(c13, c23))
+        rows[LARGE + s] = max(max(max(c01, c02), max(c03, c12)), max(c13, c23))
+        rows[SMALL + s] = min(min(min(c01, c02), min(c03, c12)), min(c13, c23))
         det = ax * x1 + ay * y1 + az * z1
         most = max(max(s1, s2), max(s3, s0))
         height = det / math.sqrt(max(most, 1e-300))
-        rows[ALTITUDE + u] = height if most > 0.0 else 0.0
+        rows[ALTITUDE + s] = height if most > 0.0 else 0.0
 
 
 @kernel
 def dihedral_rows(count: int, rows: FloatArray) -> None:
     """Write the measures ``dihedral.tet_dihedral`` from the rows of :func:`gather_edges`."""
     for s in range(count):
-        u = np.uint32(s)
         det, c01, c02, c03, c12, c13, c23 = corner_cosines(
-            rows[AX + u], rows[AY + u], rows[AZ + u], rows[BX + u], rows[BY + u], rows[BZ + u],
-            rows[CX + u], rows[CY + u], rows[CZ + u],
+            rows[AX + s], rows[AY + s], rows[AZ + s], rows[BX + s], rows[BY + s], rows[BZ + s],
+            rows[CX + s], rows[CY + s], rows[CZ + s],
         )
         measure = measure_of(c01, c02, c03, c12, c13, c23)
-        rows[Q + u] = measure if det > 0.0 else -1.0
+        rows[Q + s] = measure if det > 0.0 else -1.0
 
 
 @kernel
@@ -161,10 +155,9 @@ def derivative_rows(x: float, y: float, z: float, count: int, rows: FloatArray) 
     edges, h the Heron form of these products: log q = 2 log det - log sum |n| - 1/2 log h + const.
     """
     for s in range(count):
-        u = np.uint32(s)
-        ax, ay, az = rows[AX + u] - x, rows[AY + u] - y, rows[AZ + u] - z
-        bx, by, bz = rows[BX + u] - x, rows[BY + u] - y, rows[BZ + u] - z
-        cx, cy, cz = rows[CX + u] - x, rows[CY + u] - y, rows[CZ + u] - z
+        ax, ay, az = rows[AX + s] - x, rows[AY + s] - y, rows[AZ + s] - z
+        bx, by, bz = rows[BX + s] - x, rows[BY + s] - y, rows[BZ + s] - z
+        cx, cy, cz = rows[CX + s] - x, rows[CY + s] - y, rows[CZ + s] - z
         nax, nay, naz = by * cz - bz * cy, bz * cx - bx * cz, bx * cy - by * cx
         nbx, nby, nbz = cy * az - cz * ay, cz * ax - cx * az, cx * ay - cy * ax
         ncx, ncy, ncz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
@@ -184,8 +177,8 @@ def derivative_rows(x: float, y: float, z: float, count: int, rows: FloatArray) 
         u2 = (bx * bx + by * by + bz * bz) * ff
         u3 = (cx * cx + cy * cy + cz * cz) * hh
         h = 2.0 * (u1 * u2 + u2 * u3 + u3 * u1) - u1 * u1 - u2 * u2 - u3 * u3
-        rows[SOUND + u] = min(det, h)
-        rows[Q + u] = 12.0 * det * det / (total * math.sqrt(max(h, 1e-300)))
+        rows[SOUND + s] = min(det, h)
+        rows[Q + s] = 12.0 * det * det / (total * math.sqrt(max(h, 1e-300)))
         ia, ib, ic = 1.0 / na, 1.0 / nb, 1.0 / nc
         nax, nay, naz = nax * ia, nay * ia, naz * ia
         nbx, nby, nbz = nbx * ib, nby * ib, nbz * ib
@@ -209,37 +202,37 @@ def derivative_rows(x: float, y: float, z: float, count: int, rows: FloatArray) 
         iso = ih * 2.0 * (h1 * ee + h2 * ff + h3 * hh)
         idet = 1.0 / det
         dx, dy, dz = -nox * idet, -noy * idet, -noz * idet
-        rows[GX + u] = 2.0 * dx - sx - gx
-        rows[GY + u] = 2.0 * dy - sy - gy
-        rows[GZ + u] = 2.0 * dz - sz - gz
+        rows[GX + s] = 2.0 * dx - sx - gx
+        rows[GY + s] = 2.0 * dy - sy - gy
+        rows[GZ + s] = 2.0 * dz - sz - gz
         wa, wb, wc = ee * ia * isum, ff * ib * isum, hh * ic * isum
         w2, w4 = 2.0 * ih, 4.0 * ih
-        rows[XX + u] = (
+        rows[XX + s] = (
             2.0 * dx * dx - sx * sx - 2.0 * gx * gx
             + wa * nax * nax + wb * nbx * nbx + wc * ncx * ncx
             + iso + w2 * tx * tx - w4 * (u1x * u1x + u2x * u2x + u3x * u3x)
         )
-        rows[XY + u] = (
+        rows[XY + s] = (
             2.0 * dx * dy - sx * sy - 2.0 * gx * gy
             + wa * nax * nay + wb * nbx * nby + wc * ncx * ncy
             + w2 * tx * ty - w4 * (u1x * u1y + u2x * u2y + u3x * u3y)
         )
-        rows[XZ + u] = (
+        rows[XZ + s] = (
             2.0 * dx * dz - sx * sz - 2.0 * gx * gz
             + wa * nax * naz + wb * nbx * nbz + wc * ncx * ncz
             + w2 * tx * tz - w4 * (u1x * u1z + u2x * u2z + u3x * u3z)
         )
-        rows[YY + u] = (
+        rows[YY + s] = (
             2.0 * dy * dy - sy * sy - 2.0 * gy * gy
             + wa * nay * nay + wb * nby * nby + wc * ncy * ncy
             + iso + w2 * ty * ty - w4 * (u1y * u1y + u2y * u2y + u3y * u3y)
         )
-        rows[YZ + u] = (
+        rows[YZ + s] = (
             2.0 * dy * dz - sy * sz - 2.0 * gy * gz
             + wa * nay * naz + wb * nby * nbz + wc * ncy * ncz
             + w2 * ty * tz - w4 * (u1y * u1z + u2y * u2z + u3y * u3z)
         )
-        rows[ZZ + u] = (
+        rows[ZZ + s] = (
             2.0 * dz * dz - sz * sz - 2.0 * gz * gz
             + wa * naz * naz + wb * nbz * nbz + wc * ncz * ncz
             + iso + w2 * tz * tz - w4 * (u1z * u1z + u2z * u2z + u3z * u3z)
@@ -258,24 +251,23 @@ def add_star_terms(
     f0 = gx = gy = gz = xx = xy = xz = yy = yz = zz = 0.0
     least = np.inf
     for s in range(count):
-        u = np.uint32(s)
-        least = min(least, rows[SOUND + u])
-        q = rows[Q + u]
+        least = min(least, rows[SOUND + s])
+        q = rows[Q + s]
         f = quality_cost(q, power)
         share = q / (q + SHIFT)
         pf = power * f * share
         pp = pf * ((power + 1.0) * share - 1.0)
-        lx, ly, lz = rows[GX + u], rows[GY + u], rows[GZ + u]
+        lx, ly, lz = rows[GX + s], rows[GY + s], rows[GZ + s]
         f0 += f
         gx -= pf * lx
         gy -= pf * ly
         gz -= pf * lz
-        xx += pp * lx * lx + pf * rows[XX + u]
-        xy += pp * lx * ly + pf * rows[XY + u]
-        xz += pp * lx * lz + pf * rows[XZ + u]
-        yy += pp * ly * ly + pf * rows[YY + u]
-        yz += pp * ly * lz + pf * rows[YZ + u]
-        zz += pp * lz * lz + pf * rows[ZZ + u]
+        xx += pp * lx * lx + pf * rows[XX + s]
+        xy += pp * lx * ly + pf * rows[XY + s]
+        xz += pp * lx * lz + pf * rows[XZ + s]
+        yy += pp * ly * ly + pf * rows[YY + s]
+        yz += pp * ly * lz + pf * rows[YZ + s]
+        zz += pp * lz * lz + pf * rows[ZZ + s]
     out[0] += f0
     out[1] += gx
     out[2] += gy

@@ -100,13 +100,12 @@ def apex_across(cells: IntArray, c: int, f: int, across: int) -> np.int32:
 def _sphere_rows(count: int, rows: FloatArray) -> None:
     """Write the spheres of :func:`circumsphere` from the rows of ``gather_edges``."""
     for s in range(count):
-        u = np.uint32(s)
         det, gx, gy, gz, size = sphere_of_edges(
-            rows[AX + u], rows[AY + u], rows[AZ + u], rows[BX + u], rows[BY + u], rows[BZ + u],
-            rows[CX + u], rows[CY + u], rows[CZ + u],
+            rows[AX + s], rows[AY + s], rows[AZ + s], rows[BX + s], rows[BY + s], rows[BZ + s],
+            rows[CX + s], rows[CY + s], rows[CZ + s],
         )
-        rows[Q + u], rows[GX + u], rows[GY + u], rows[GZ + u] = det, gx, gy, gz
-        rows[XX + u] = size
+        rows[Q + s], rows[GX + s], rows[GY + s], rows[GZ + s] = det, gx, gy, gz
+        rows[XX + s] = size
 
 
 @allocating_kernel
@@ -131,18 +130,18 @@ def mark_non_delaunay(
         for c in range(first, first + count):
             last = c if cells[c, 0] >= 0 else cells.shape[0]
             for f in range(4):
-                facets[np.uint32(n_facets)] = 4 * c + f
+                facets[n_facets] = 4 * c + f
                 n_facets += neighbors[c, f] > last
         marked = -1
         for m in range(n_facets):
             c, f = facets[m] >> 2, facets[m] & 3
-            across = np.uint32(neighbors[c, f])
+            across = neighbors[c, f]
             if c == marked or regions[across] != regions[c]:
                 continue
-            v = np.uint32(apex_across(cells, c, f, across))
-            u = np.uint32(c - first)
+            v = apex_across(cells, c, f, across)
+            u = c - first
             if inside_sphere(
-                points, np.uint32(cells[c, 0]), v, rows[Q + u], rows[GX + u], rows[GY + u],
+                points, cells[c, 0], v, rows[Q + u], rows[GX + u], rows[GY + u],
                 rows[GZ + u], rows[XX + u],
             ):
                 status[c] = PENDING

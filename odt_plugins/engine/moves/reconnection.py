@@ -150,7 +150,7 @@ def _closes(facet: int, x: int, odd: int, room: Room) -> int:
     count = 1
     for place in range(1, 4):
         code = room.tables[facet, x, place]
-        found = room.state[np.uint32(code >> 1)]
+        found = room.state[code >> 1]
         if found == CLOSED or found == EVEN + (odd ^ (code & 1)):
             return 0
         if found != UNSEEN:
@@ -174,15 +174,15 @@ def _branch(
     fewest = MOST_VERTICES + 1
     together = 0.0
     for p in range(room.n_front[depth]):
-        facet = np.uint32(room.front[depth, p])
+        facet = room.front[depth, p]
         odd = np.int64(room.state[facet]) - EVEN
         count = 0
         least = share = np.inf
         for x in range(n_vertices):
-            code = tables[facet, np.uint32(x), 0]
+            code = tables[facet, x, 0]
             if code < 0:
                 continue
-            n = np.uint32(code >> 1)
+            n = code >> 1
             if turned[n] == UNSIGNED:
                 i, j, k, l, _ = _next_cell(facet, x, room)
                 _find_sign(tets, i, j, k, l, room)
@@ -194,7 +194,7 @@ def _branch(
             own = costs[n]
             if not own < left:
                 continue
-            closed = _closes(facet, np.uint32(x), odd, room)
+            closed = _closes(facet, x, odd, room)
             if closed > 0:
                 if turned[n] >= UNPROVEN:
                     i, j, k, l, _ = _next_cell(facet, x, room)

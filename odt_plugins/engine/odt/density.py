@@ -64,7 +64,7 @@ def _interpolate(
         best_cell = c
         b0 = b1 = b2 = b3 = 0.0
         for _ in range(limit):
-            o, i, j = np.uint32(cells[c, 0]), np.uint32(cells[c, 1]), np.uint32(cells[c, 2])
+            o, i, j = cells[c, 0], cells[c, 1], cells[c, 2]
             x, y = queries[q, 0] - points[o, 0], queries[q, 1] - points[o, 1]
             ax, ay = points[i, 0] - points[o, 0], points[i, 1] - points[o, 1]
             bx, by = points[j, 0] - points[o, 0], points[j, 1] - points[o, 1]
@@ -74,7 +74,7 @@ def _interpolate(
                 w2 = (ax * y - ay * x) / det
                 w3 = 0.0
             else:
-                e = np.uint32(cells[c, 3])
+                e = cells[c, 3]
                 z = queries[q, 2] - points[o, 2]
                 az, bz = points[i, 2] - points[o, 2], points[j, 2] - points[o, 2]
                 ex, ey = points[e, 0] - points[o, 0], points[e, 1] - points[o, 1]

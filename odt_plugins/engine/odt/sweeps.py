@@ -68,10 +68,10 @@ def _plane_chunk(
     """Fill the rows for triangles indices[first:first + count] around vertex i."""
     x, y = nodes[i, 0], nodes[i, 1]
     for s in range(count):
-        c = np.uint32(indices[first + s])
+        c = indices[first + s]
         at = (cells[c, 1] == i) + 2 * (cells[c, 2] == i)
-        j = np.uint32(cells[c, (at + 1) % 3])
-        k = np.uint32(cells[c, (at + 2) % 3])
+        j = cells[c, (at + 1) % 3]
+        k = cells[c, (at + 2) % 3]
         ax, ay = nodes[j, 0] - x, nodes[j, 1] - y
         bx, by = nodes[k, 0] - x, nodes[k, 1] - y
         aa = ax * ax + ay * ay
@@ -100,38 +100,36 @@ def _space_chunk(
     """
     x, y, z, own = nodes[i, 0], nodes[i, 1], nodes[i, 2], nodes[i, 3]
     for s in range(count):
-        u = np.uint32(s)
-        c = np.uint32(indices[first + s])
+        c = indices[first + s]
         at = (cells[c, 1] == i) + 2 * (cells[c, 2] == i) + 3 * (cells[c, 3] == i)
         odd = at & 1
-        j = np.uint32(cells[c, np.uint32(at + 1) & 3])
-        k = np.uint32(cells[c, np.uint32(at + 2 + odd) & 3])
-        n = np.uint32(cells[c, np.uint32(at + 3 - odd) & 3])
-        rows[AX + u], rows[AY + u], rows[AZ + u] = nodes[j, 0], nodes[j, 1], nodes[j, 2]
-        rows[BX + u], rows[BY + u], rows[BZ + u] = nodes[k, 0], nodes[k, 1], nodes[k, 2]
-        rows[EX + u], rows[EY + u], rows[EZ + u] = nodes[n, 0], nodes[n, 1], nodes[n, 2]
+        j = cells[c, (at + 1) & 3]
+        k = cells[c, (at + 2 + odd) & 3]
+        n = cells[c, (at + 3 - odd) & 3]
+        rows[AX + s], rows[AY + s], rows[AZ + s] = nodes[j, 0], nodes[j, 1], nodes[j, 2]
+        rows[BX + s], rows[BY + s], rows[BZ + s] = nodes[k, 0], nodes[k, 1], nodes[k, 2]
+        rows[EX + s], rows[EY + s], rows[EZ + s] = nodes[n, 0], nodes[n, 1], nodes[n, 2]
         rho = abs(own) + abs(nodes[j, 3]) + abs(nodes[k, 3]) + abs(nodes[n, 3])
         central = min(min(own, nodes[j, 3]), min(nodes[k, 3], nodes[n, 3])) < 0.0
-        rows[RHO + u] = -rho if central else rho
+        rows[RHO + s] = -rho if central else rho
     for s in range(count):
-        u = np.uint32(s)
-        ax, ay, az = rows[AX + u] - x, rows[AY + u] - y, rows[AZ + u] - z
-        bx, by, bz = rows[BX + u] - x, rows[BY + u] - y, rows[BZ + u] - z
-        ex, ey, ez = rows[EX + u] - x, rows[EY + u] - y, rows[EZ + u] - z
+        ax, ay, az = rows[AX + s] - x, rows[AY + s] - y, rows[AZ + s] - z
+        bx, by, bz = rows[BX + s] - x, rows[BY + s] - y, rows[BZ + s] - z
+        ex, ey, ez = rows[EX + s] - x, rows[EY + s] - y, rows[EZ + s] - z
         aa = ax * ax + ay * ay + az * az
         bb = bx * bx + by * by + bz * bz
         ee = ex * ex + ey * ey + ez * ez
         px, py, pz = by * ez - bz * ey, bz * ex - bx * ez, bx * ey - by * ex
         qx, qy, qz = ey * az - ez * ay, ez * ax - ex * az, ex * ay - ey * ax
         rx, ry, rz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-        rows[DET + u] = ax * px + ay * py + az * pz
-        rows[GX + u], rows[GY + u] = -(px + qx + rx), -(py + qy + ry)
-        rows[GZ + u] = -(pz + qz + rz)
-        rows[LONG + u] = max(aa, bb, ee)
-        central = rows[RHO + u] < 0.0
-        rows[OX + u] = 0.25 * (ax + bx + ex) if central else aa * px + bb * qx + ee * rx
-        rows[OY + u] = 0.25 * (ay + by + ey) if central else aa * py + bb * qy + ee * ry
-        rows[OZ + u] = 0.25 * (az + bz + ez) if central else aa * pz + bb * qz + ee * rz
+        rows[DET + s] = ax * px + ay * py + az * pz
+        rows[GX + s], rows[GY + s] = -(px + qx + rx), -(py + qy + ry)
+        rows[GZ + s] = -(pz + qz + rz)
+        rows[LONG + s] = max(aa, bb, ee)
+        central = rows[RHO + s] < 0.0
+        rows[OX + s] = 0.25 * (ax + bx + ex) if central else aa * px + bb * qx + ee * rx
+        rows[OY + s] = 0.25 * (ay + by + ey) if central else aa * py + bb * qy + ee * ry
+        rows[OZ + s] = 0.25 * (az + bz + ez) if central else aa * pz + bb * qz + ee * rz
 
 
 class Pull(NamedTuple):
@@ -163,8 +161,7 @@ def _move_vertices(
 
     A row of ``nodes`` (n, 4) holds a vertex and its density, negative where a cell with that
     vertex is represented by its barycenter.  Returns the vertices moved, the longest relative move
-    and the vertices of reduced alpha.  Indices of arrays are unsigned because signed ones are
-    tested for negative values.
+    and the vertices of reduced alpha.
 
     Offsets are taken from x_i. With a = x_1 - x_i, ... the other corners in positive order,
     det = d! |tau| and c - x_i = moment / (2 det): weights |tau| cancel the division, so flat cells
@@ -182,7 +179,7 @@ def _move_vertices(
     reduced = 0
     longest = 0.0
     for position in range(start, stop):
-        i = np.uint32(order[position])
+        i = order[position]
         x, y, z = nodes[i, 0], nodes[i, 1], nodes[i, 2]
         first = indptr[i]
         count = indptr[i + 1] - first
@@ -197,23 +194,22 @@ def _move_vertices(
             else:
                 _space_chunk(nodes, cells, indices, first + done, length, i, rows)
             for s in range(length):
-                u = np.uint32(s)
-                det, rho = rows[DET + u], rows[RHO + u]
+                det, rho = rows[DET + s], rows[RHO + s]
                 share = 1.0 if equal_weights else det * abs(rho)
                 if rho < 0.0:
                     scale = share
                 else:
                     scale = 0.5 / det if equal_weights else 0.5 * rho
-                tx += scale * rows[OX + u]
-                ty += scale * rows[OY + u]
-                tz += scale * rows[OZ + u]
+                tx += scale * rows[OX + s]
+                ty += scale * rows[OY + s]
+                tz += scale * rows[OZ + s]
                 weight += share
                 total += det
                 lowest = min(lowest, det)
-                edge_max = max(edge_max, rows[LONG + u])
-                at = np.uint32(done + s)
-                cell[0, at], cell[1, at] = det, rows[GX + u]
-                cell[2, at], cell[3, at] = rows[GY + u], rows[GZ + u]
+                edge_max = max(edge_max, rows[LONG + s])
+                at = done + s
+                cell[0, at], cell[1, at] = det, rows[GX + s]
+                cell[2, at], cell[3, at] = rows[GY + s], rows[GZ + s]
         if laplacian:
             tx = ty = tz = 0.0
             weight = float(row_start[i + 1] - row_start[i])
@@ -233,8 +229,7 @@ def _move_vertices(
             mz = (z + alpha * tz) - z
             thin = 0
             for s in range(count):
-                u = np.uint32(s)
-                volume = cell[0, u] + (cell[1, u] * mx + cell[2, u] * my + cell[3, u] * mz)
+                volume = cell[0, s] + (cell[1, s] * mx + cell[2, s] * my + cell[3, s] * mz)
                 thin += 0 if volume >= floor else 1
             accepted = thin == 0
             if accepted:

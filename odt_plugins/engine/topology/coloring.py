@@ -72,17 +72,17 @@ def _touching(
     for c in range(start, stop):
         if cells[c, 0] < 0:
             continue
-        first = block[np.uint32(cells[c, 0])]
+        first = block[cells[c, 0]]
         apart = 0
         for a in range(1, cells.shape[1]):
-            apart |= first ^ block[np.uint32(cells[c, a])]
+            apart |= first ^ block[cells[c, a]]
         if apart == 0:
             continue
         for a in range(1, cells.shape[1]):
-            u = block[np.uint32(cells[c, a])]
+            u = block[cells[c, a]]
             for b in range(a):
-                w = block[np.uint32(cells[c, b])]
-                touch[np.uint32(max(u, w)), np.uint32(min(u, w))] = True
+                w = block[cells[c, b]]
+                touch[max(u, w), min(u, w)] = True
 
 
 @kernel

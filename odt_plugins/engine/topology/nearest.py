@@ -13,14 +13,9 @@ from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 @inlined_kernel
 def _distance(centres: FloatArray, c: int, x: FloatArray, i: int, d: int) -> float:
-    """Square of the distance, d 2 or 3.
-
-    The compiler does not unroll a loop over the coordinates, and tests whether signed indices are
-    negative.
-    """
-    at = np.uint32(c)
-    u, v = centres[at, 0] - x[i, 0], centres[at, 1] - x[i, 1]
-    w = centres[at, 2] - x[i, 2] if d == 3 else 0.0
+    """Square of the distance, d 2 or 3; the compiler does not unroll a loop over coordinates."""
+    u, v = centres[c, 0] - x[i, 0], centres[c, 1] - x[i, 1]
+    w = centres[c, 2] - x[i, 2] if d == 3 else 0.0
     return u * u + v * v + w * w
 
 
@@ -41,7 +36,7 @@ def _walk(
                 if start >= 0 and is_in(v, last, k):
                     continue
                 for s in range(stars.indptr[v], stars.indptr[v + 1]):
-                    c = stars.indices[np.uint64(s)]
+                    c = stars.indices[s]
                     square = _distance(centres, c, x, i, d)
                     nearer = square < least or (square == least and c < best)
                     if nearer and regions[c] == labels[i]:

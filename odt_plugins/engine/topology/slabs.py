@@ -56,8 +56,8 @@ def cut_walls(
     for c in range(start, stop):
         if cells[c, 0] < 0:
             continue
-        first, second = slab[np.uint32(cells[c, 0])], slab[np.uint32(cells[c, 1])]
-        third, fourth = slab[np.uint32(cells[c, 2])], slab[np.uint32(cells[c, 3])]
+        first, second = slab[cells[c, 0]], slab[cells[c, 1]]
+        third, fourth = slab[cells[c, 2]], slab[cells[c, 3]]
         if (first ^ second) | (first ^ third) | (first ^ fourth) == 0:
             continue
         mine = _slab_of_cell(cells, c, slab)

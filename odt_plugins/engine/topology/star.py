@@ -43,7 +43,7 @@ def _count(cells: IntArray, start: int, stop: int, count: LongArray) -> None:
         if cells[c, 0] < 0:
             continue
         for a in range(cells.shape[1]):
-            count[np.uint32(cells[c, a])] += 1
+            count[cells[c, a]] += 1
 
 
 @kernel
@@ -66,9 +66,9 @@ def _fill(cells: IntArray, start: int, stop: int, place: LongArray, indices: Int
         if cells[c, 0] < 0:
             continue
         for a in range(cells.shape[1]):
-            v = np.uint32(cells[c, a])
+            v = cells[c, a]
             at = place[v]
-            indices[np.uint64(at)] = c
+            indices[at] = c
             place[v] = at + 1
 
 
