@@ -47,12 +47,14 @@ def _interpolate(
     cells: IntArray,
     neighbors: IntArray,
     limit: int,
+    power: float,
+    bound: float,
     out: FloatArray,
 ) -> None:
     """P1 interpolation by walking from start[q] over the facet with the lowest coordinate.
 
     The values stand behind the coordinates in points (n, d + 1).  The cell where the walk ends is
-    left in start[q].
+    left in start[q].  What is found is kept within 1 / bound and bound, and raised to the power.
 
     Outside the mesh the coordinates of the best cell are clamped to it.
     """
@@ -110,7 +112,8 @@ def _interpolate(
         result += b2 * points[cells[best_cell, 2], d]
         if d == 3:
             result += b3 * points[cells[best_cell, 3], d]
-        out[q] = result / (b0 + b1 + b2 + b3)
+        value = min(max(result / (b0 + b1 + b2 + b3), 1.0 / bound), bound)
+        out[q] = value if power == 1.0 else value**power
         start[q] = best_cell
 
 
@@ -202,9 +205,8 @@ class Density:
         def work(part: slice) -> None:
             _interpolate(
                 points[part], start[part], self.nodes, self.cells, self.neighbors, WALK_LIMIT,
-                values[part],
+                self.power, _bound(self.power), values[part],
             )
-            values[part] = bounded_power(values[part], self.power)
 
         list((map if pool is None else pool.map)(work, chunks(len(points))))
         return values
@@ -225,9 +227,14 @@ def _asked(function: Callable[[FloatArray], Any], points: FloatArray) -> FloatAr
 
 def bounded_power(values: FloatArray, exponent: float) -> FloatArray:
     """values^exponent for values about 1, kept within 1 / RANGE and RANGE."""
-    bound = RANGE ** (1.0 / max(1.0, abs(exponent)))
+    bound = _bound(exponent)
     kept: FloatArray = np.minimum(np.maximum(values, 1.0 / bound), bound)
     return kept if exponent == 1.0 else power(kept, exponent)
+
+
+def _bound(exponent: float) -> float:
+    """Values within this and its inverse stay within RANGE when raised to the exponent."""
+    return RANGE ** (1.0 / max(1.0, abs(exponent)))
 
 
 def cell_density(points: FloatArray, cells: IntArray, rho: FloatArray) -> FloatArray:

@@ -261,8 +261,8 @@ def _sweep(
     """
     n, d = points.shape
     nodes, new = np.zeros((n, 4)), np.empty((n, d))
-    density = np.broadcast_to(1.0 if rho is None else rho, n)
-    by_barycenters = np.broadcast_to(barycentric, n)
+    density = np.ones(n) if rho is None else rho
+    by_barycenters = np.full(n, barycentric) if isinstance(barycentric, bool) else barycentric
     coloring = topology.coloring.of_one_colour() if together else topology.coloring
 
     def fill(start: int, stop: int) -> None:

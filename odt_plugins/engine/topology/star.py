@@ -73,6 +73,16 @@ def _fill(cells: IntArray, start: int, stop: int, place: LongArray, indices: Int
 
 
 @kernel
+def _sort_all(
+    cells: IntArray, place: LongArray, indptr: OffsetArray, indices: IntArray
+) -> None:
+    """Sort all cells by their vertices in one part."""
+    _count(cells, 0, cells.shape[0], place[0])
+    _places(place, indptr)
+    _fill(cells, 0, cells.shape[0], place[0], indices)
+
+
+@kernel
 def _add_to_corners(values: FloatArray, cells: IntArray, sums: FloatArray) -> None:
     for c in range(cells.shape[0]):
         for a in range(cells.shape[1]):
@@ -130,11 +140,13 @@ def vertex_stars(
     indices = np.empty(cells.size, dtype=np.int32)
     parts = 1 if pool is None else PARTS
     place = np.zeros((parts, n_points), dtype=np.int64)
-    cuts = [len(cells) * part // parts for part in range(parts + 1)]
-    run = map if pool is None else pool.map
-    list(run(partial(_count, cells), cuts[:-1], cuts[1:], place))
-    _places(place, indptr)
-    list(run(lambda *part: _fill(cells, *part, indices), cuts[:-1], cuts[1:], place))
+    if pool is None:
+        _sort_all(cells, place, indptr, indices)
+    else:
+        cuts = [len(cells) * part // parts for part in range(parts + 1)]
+        list(pool.map(partial(_count, cells), cuts[:-1], cuts[1:], place))
+        _places(place, indptr)
+        list(pool.map(lambda *part: _fill(cells, *part, indices), cuts[:-1], cuts[1:], place))
     return Stars(indptr, indices)
 
 
