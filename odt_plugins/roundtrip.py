@@ -426,7 +426,8 @@ def _of_mesh(options: Options, tangle: Tangle | None) -> Options:
         return options
     m, n = len(tangle.before.cells), len(tangle.before.points)
     if options.insert and tangle.added:
-        left = most_vertices(n, options.insert) / (n + tangle.added) - 1.0
+        used = len(np.unique(tangle.before.cells))
+        left = most_vertices(used, options.insert) / (used + tangle.added) - 1.0
         options = replace(options, insert=left if left > 0.0 else False)
     if isinstance(options.density, str) and options.density == "keep":
         from odt_plugins.engine.untangle.sizes import kept_sizes

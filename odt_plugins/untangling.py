@@ -105,7 +105,8 @@ def untangle_mesh(
         raise _left(mesh, mesh.points, np.flatnonzero(bad & mesh.frozen),
                     "which must stay as they are", "try a larger selection")
     n = len(mesh.points)
-    room = most_vertices(n, options.insert) - n if options.insert else 0
+    used = len(np.unique(mesh.cells))
+    room = most_vertices(used, options.insert) - used if options.insert else 0
     tell = options.progress if callable(options.progress) else silent
     found = untangled(mesh, options.threads, Wishes(wanted.rest, room, rounded, tell))
     moved = replace(mesh, points=found.points[:n])

@@ -368,13 +368,15 @@ def test_inserted_vertices_have_the_data_around_them(work, more):
 
 def test_vertices_of_untangling_count_among_those_that_may_come():
     points, cells = schoenhardt()
-    with pytest.raises(TangledMeshError, match="nor flips nor vertices more"):
-        odt_plugins.untangle((points, cells), insert=0.1)
+    for more in (0, 4):
+        with pytest.raises(TangledMeshError, match="nor flips nor vertices more"):
+            odt_plugins.untangle((np.concatenate([points, points[:more]]), cells), insert=0.1)
     three = np.concatenate([points + 4.0 * i * np.eye(3)[0] for i in range(3)])
     rows = np.concatenate([cells + 6 * i for i in range(3)])
-    for insert, most in ((0.17, 3), (0.23, 4), (0.5, 9)):
-        out, _ = odt_plugins.optimize((three, rows), insert=insert, keep=())
-        assert 21 <= len(out) <= 18 + most
+    for more, insert, most in ((0, 0.17, 3), (0, 0.23, 4), (0, 0.5, 9), (6, 0.17, 3)):
+        out, _ = odt_plugins.optimize(
+            (np.concatenate([three, three[:more]]), rows), insert=insert, keep=())
+        assert 21 <= len(out) - more <= 18 + most
 
 
 def test_densities_of_vertices_reach_inserted_ones():

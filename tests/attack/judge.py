@@ -276,7 +276,7 @@ def _orientation(before: Mesh, after: Mesh, options: Options) -> list[str]:
     now = reference.exact_signs(flat, after.cells)
     sure = _lie_in_the_plane(after)
     if before.points.shape[1] > before.cells.shape[1] - 1 or tangled(before):
-        wanted = now[sure][:1]
+        wanted = now[np.argmax(sure)]
     else:
         wanted = -1 if (signs < 0).all() else 1
     bad = np.flatnonzero(sure & (now != wanted))
