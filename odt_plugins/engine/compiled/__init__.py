@@ -14,7 +14,9 @@ of them; `worth` leaves small meshes to one.
 
 numba's front end runs without the passes that no kernel needs (`compiler_for`).  A kernel that
 another one calls is typed once and has no machine code there: the code of all that a kernel needs
-is put together and optimised once, where Python calls it (`Library`).
+is put together and optimised once, where Python calls it (`Library`).  An index that is no literal
+counts from the start of its array (`from_start`): a kernel asks whether a number is negative before
+it takes it for one.  With NUMBA_BOUNDSCHECK=1 every index is checked, by kernels compiled for that.
 
 Source: numba, https://numba.readthedocs.io.
 """

@@ -72,6 +72,7 @@ class Kernel:
     compiled, and kept where there is a place to write to, unless it is a closure.  A kernel that
     other kernels call is taken in by each of them.  Arguments go by position; subclasses of arrays
     count as arrays. Where NUMBA_DISABLE_JIT is set, it is the function of Python that runs.
+    No index but a literal may be negative, see ``compiler.from_start``.
 
     Parameters
     ----------
