@@ -2,8 +2,8 @@
 # Sets up what the tests need, then runs ruff, mypy and pytest. Quick the second time.
 #   bash tests/run.sh [arguments of pytest]
 # Without arguments the numerical tests run again for other processors: a newer one's BLAS, then an
-# older one's, with kernels without the instructions that came after SSE4.2; and whole runs once
-# more with kernels that check every index, as NUMBA_BOUNDSCHECK=1 does for any other command.
+# older one's, with kernels without the instructions that came after SSE4.2; and the runs for which
+# kernels are compiled at installation, with kernels that check every index.
 # Uses the active virtual environment, or makes .venv beside pyproject.toml.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -52,8 +52,10 @@ told="$(mktemp)" failed=0
     newer $WHOLE $PARTS || failed=1
     echo "== pytest, numerical tests, BLAS of Prescott and kernels for x86-64-v2, the rest"
     older $PARTS || failed=1
-    echo "== pytest, whole runs, every index checked"
-    NUMBA_BOUNDSCHECK=1 python -m pytest -p no:cacheprovider $WHOLE || failed=1
+    echo "== runs of the installation, every index checked"
+    checked="$(mktemp -d)"
+    NUMBA_BOUNDSCHECK=1 python -m odt_plugins.ahead "$checked" || failed=1
+    rm -r "$checked"
     exit $failed
 } >"$told" 2>&1 &
 beside=$!

@@ -3,7 +3,7 @@
 Kernels have no closures, generators, object mode or parallel loops: the passes that look for them,
 and what numba tells listeners about each pass, are left out.  What a call of a function of the
 language or of numba has for a type is looked up once for the same types of arguments.  Indices
-count from the start of an array: none is looked at for being negative, which nearly all would be.
+count from the start of an array: none is tested for being negative, as numba's own are.
 """
 
 from __future__ import annotations
@@ -52,7 +52,8 @@ PASSES = (
 def from_start(array: Any, index: Any) -> Any:
     """Type of an index as numbers without a sign, which numba takes as they are.
 
-    It takes others from the end where they are negative, and so looks at each.
+    It takes others from the end where they are negative, and so tests each: slices, and indices of
+    which one part is a negative literal.
     """
     parts: Any = index if isinstance(index, types.BaseTuple) else (index,)
     if not isinstance(array, types.Array) or not all(map(_counts, parts)):
@@ -165,9 +166,10 @@ def compile_whole(function: Callable[..., Any], options: dict[str, Any], args: A
     used = [each for each in result._find_referenced_environments() if each.consts]
     constants = {each.env_name: list(each.consts) for each in (result.environment, *used)}
     needs = (each.name for each in library._final_module.functions if each.is_declaration)
-    # A file of numba's may name another processor, of which the names on disk know nothing.
+    # A file of numba's may say otherwise, of which the names on disk know nothing.
     settings: Any = config
     ours = settings.CPU_NAME == (os.environ.get("NUMBA_CPU_NAME") or None)
+    ours &= bool(settings.BOUNDSCHECK) == bool(int(os.environ.get("NUMBA_BOUNDSCHECK") or 0))
     return MachineCode(
         library._get_compiled_object(), result.fndesc.llvm_cpython_wrapper_name, constants,
         tuple(name for name in needs if not name.startswith("llvm.")),

@@ -32,7 +32,10 @@ class Library(JITCodeLibrary):  # type: ignore[misc]
         ll_module.data_layout = self._codegen._data_layout
 
     def finalize(self) -> None:
-        """Take in what is called, optimise all of it, and write machine code."""
+        """Take in what is called, optimise all of it, and write machine code.
+
+        What was taken in has no other callers: LLVM leaves out the arguments that it does not use.
+        """
         self._raise_if_finalized()
         for library in self.needed():
             self._final_module.link_in(link_once(library), preserve=True)
@@ -43,7 +46,11 @@ class Library(JITCodeLibrary):  # type: ignore[misc]
         self._finalize_final_module()
 
     def _optimize_final_module(self) -> None:
-        """Run LLVM's passes once; numbers side by side become vectors."""
+        """Run LLVM's passes once.
+
+        numba has others before them, which bring together what it counts of references: few kernels
+        count any.  It leaves out vectors of a few numbers side by side, such as coordinates.
+        """
         passes, builder = self._codegen._module_pass_manager(slp_vectorize=True)
         passes.run(self._final_module, builder)
 

@@ -384,4 +384,11 @@ def replace_cavity(
                 border[n_border, 3] = c
                 border[n_border, 4] = f
                 n_border += 1
+    # Among flat cells a facet may be there more than twice: nothing leads to cells that went.
+    for r in range(n_border):
+        beyond = np.int64(border[r, 3])
+        if beyond >= 0:
+            local = np.int64(border[r, 4])
+            _note(journal, NEIGHBOR, beyond, local, np.int64(neighbors[beyond, local]))
+            neighbors[beyond, local] = -1
     return True

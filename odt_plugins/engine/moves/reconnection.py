@@ -60,11 +60,11 @@ MOST_NODES = 400
 
 
 @inlined_kernel
-def _begin(tets: Tets, n: int, n_vertices: int, cost: Cost, room: Room) -> None:
+def _begin(tets: Tets, n: int, n_vertices: int, cost: Cost, room: Room) -> bool:
     """Make the facets around the first n cells the front, and forget all costs but theirs.
 
     They may stay whatever their shape: with its vertices in another order a cell that is as bad as
-    the limit could pass it by rounding.
+    the limit could pass it by rounding.  False where a facet is there twice, as among flat cells.
     """
     room.state[:] = UNSEEN
     room.costs[:] = np.nan
@@ -86,11 +86,14 @@ def _begin(tets: Tets, n: int, n_vertices: int, cost: Cost, room: Room) -> None:
                 place_of(room.vertices, n_vertices, k),
             )
             number = facet_number(a, b, d)
+            if room.state[number] != UNSEEN:
+                return False
             room.state[number] = EVEN + odd
             room.front[0, front] = number
             front += 1
     room.n_front[0] = front
     room.total[0] = 0.0
+    return True
 
 
 @inlined_kernel
@@ -344,7 +347,8 @@ def reconnect_cell(
     worst, worst_locked = worst_of(tets, room.cells, n, Bounds(BEST, BEST))
     limit = worse(bounds.cells, rounded(worst))
     locked = worse(bounds.locked, rounded(worst_locked))
-    _begin(tets, n, n_vertices, cost, room)
+    if not _begin(tets, n, n_vertices, cost, room):
+        return False
     _, n_new = fill_polyhedron(tets, n_vertices, cost, REAL * before, limit, locked, room)
     if n_new == 0:
         return False

@@ -47,14 +47,15 @@ def _interpolate(
     cells: IntArray,
     neighbors: IntArray,
     limit: int,
-    power: float,
+    exponent: float,
     bound: float,
     out: FloatArray,
 ) -> None:
     """P1 interpolation by walking from start[q] over the facet with the lowest coordinate.
 
     The values stand behind the coordinates in points (n, d + 1).  The cell where the walk ends is
-    left in start[q].  What is found is kept within 1 / bound and bound, and raised to the power.
+    left in start[q].  What is found is kept within 1 / bound and bound and raised to the exponent,
+    as by :func:`bounded_power`.
 
     Outside the mesh the coordinates of the best cell are clamped to it.
     """
@@ -113,7 +114,7 @@ def _interpolate(
         if d == 3:
             result += b3 * points[cells[best_cell, 3], d]
         value = min(max(result / (b0 + b1 + b2 + b3), 1.0 / bound), bound)
-        out[q] = value if power == 1.0 else value**power
+        out[q] = value if exponent == 1.0 else value**exponent
         start[q] = best_cell
 
 

@@ -176,8 +176,8 @@ def _direction(
 ) -> FloatArray:
     """Full step -A^-1 grad E of (4.27), or that of (4.28), the gradient in the tangent planes.
 
-    A piece of the surface on which nothing is locked has one vertex pinned: A is singular there,
-    and among triangles without area, which draw nothing.
+    A piece of the surface on which nothing is locked has one vertex pinned: A is singular there.
+    So it is among triangles without area, which draw nothing: every vertex is held a little.
     """
     from scipy.sparse import identity
 
@@ -196,6 +196,8 @@ def _direction(
     weights = rho_tau * signed_volumes(points, triangles)
     matrix, _ = interior_matrix(graph_laplacian(topology, weights), movable)
     scale = float(matrix.diagonal().mean())
+    if not scale > 0.0:
+        return direction
     solve = choose_solve(options.linear_solver, int(movable.sum()))
     regular = matrix / scale + LEAST_PULL * identity(matrix.shape[0], format="csr")
     direction[movable] = -solve(regular, slope[movable] / scale)

@@ -99,7 +99,7 @@ def cell_neighbors(
 
     Parameters
     ----------
-    cells : (m, d + 1) int32
+    cells : (m, d + 1) int32     each of different vertices, d at least 2
     stars : Stars, optional      of these cells, when already known
     pool : Pool, optional
         shares the work; the result does not depend on it

@@ -20,7 +20,9 @@ from odt_plugins.engine.cells.tetrahedron import (
 )
 from odt_plugins.engine.compiled.threads import thread_pool
 from odt_plugins.engine.moves import cavity, flips3d, passes
+from odt_plugins.engine.moves.compound import compound_pass
 from odt_plugins.engine.moves.passes import flip_pending
+from odt_plugins.engine.moves.reconnection import reconnection_pass
 from odt_plugins.engine.topology.active import PENDING
 from odt_plugins.engine.topology.complex import renumbered
 
@@ -275,7 +277,7 @@ def test_renumbered_cells_are_the_same_mesh_in_order():
 
 
 def test_two_cells_of_the_same_vertices_stay_next_to_each_other_at_the_same_facets():
-    """Where all is flat a cell may come to lie at two facets of one with the same vertices."""
+    """Where all is flat, two cells of the same four vertices may share two facets."""
     before = np.array([[0, 1, 2, 3], [0, 1, 2, 4], [0, 1, 3, 4]], dtype=np.int32)
     between = np.array([[0, 1, 2, 3], [0, 2, 3, 4], [1, 2, 3, 4]], dtype=np.int32)
     mesh = complex_of(np.zeros((5, 3)), before)
@@ -294,3 +296,27 @@ def test_two_cells_of_the_same_vertices_stay_next_to_each_other_at_the_same_face
     assert np.count_nonzero(mesh.neighbors[0] == slots[0]) == 2
     assert cavity.replace_cavity(mesh.tets, slots, 3, before[:0:-1].copy(), 2, border, journal)
     assert facets() == start
+
+
+@pytest.mark.parametrize("seed", range(8))
+def test_nothing_leads_to_cells_that_went_where_cells_are_inverted(seed):
+    rng = np.random.default_rng(seed)
+    points, cells = tm.ball(40, seed)
+    mesh = complex_of(points, cells)
+    for step in range(6):
+        mesh.points[:] = points + rng.normal(size=points.shape) * 0.05 * step
+        tried = np.zeros(len(mesh.cells), dtype=bool)
+        for work, options in ((compound_pass, (10, OPEN, tried)), (reconnection_pass, (OPEN,))):
+            mesh.status[:] = 0
+            order = np.argsort(passes.measures(mesh, QUALITY), kind="stable")[:60]
+            work(mesh.tets, order.astype(np.int32), Cost(QUALITY, 4.0), *options)
+        mesh.status[:] = PENDING
+        flip_pending(mesh, Cost(QUALITY, 1.0), 10, OPEN, 3)
+        live = mesh.live()
+        for c in live:
+            for f, across in enumerate(mesh.neighbors[c]):
+                if across >= 0:
+                    assert mesh.cells[across, 0] >= 0
+                    shared = set(np.delete(mesh.cells[c], f)) & set(mesh.cells[across])
+                    assert len(shared) == 3
+                    assert c in mesh.neighbors[across]
