@@ -169,7 +169,7 @@ def compile_whole(function: Callable[..., Any], options: dict[str, Any], args: A
     # A file of numba's may say otherwise, of which the names on disk know nothing.
     settings: Any = config
     ours = settings.CPU_NAME == (os.environ.get("NUMBA_CPU_NAME") or None)
-    ours &= bool(settings.BOUNDSCHECK) == bool(int(os.environ.get("NUMBA_BOUNDSCHECK") or 0))
+    ours &= not settings.BOUNDSCHECK or "NUMBA_BOUNDSCHECK" in os.environ
     return MachineCode(
         library._get_compiled_object(), result.fndesc.llvm_cpython_wrapper_name, constants,
         tuple(name for name in needs if not name.startswith("llvm.")),
