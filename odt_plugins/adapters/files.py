@@ -16,6 +16,8 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters import apart, gmsh_files, meshio_mesh, reading, vtk_files
 from odt_plugins.adapters.fitting import FORMS, fitted, group_names
+from odt_plugins.adapters.formats import REWRITERS
+from odt_plugins.adapters.formats.change import Change, NotRewritable, Origin, origin_of
 from odt_plugins.adapters.host import HostMesh, Result
 from odt_plugins.adapters.stated import declares_no_cells
 from odt_plugins.errors import (
@@ -85,7 +87,8 @@ def read_file(path: str | os.PathLike[str]) -> Any:
         kind = "a directory" if path.is_dir() else "missing"
         msg = f"cannot read {path}: it is {kind}; expected a mesh file"
         raise MeshFileError(msg)
-    mesh, remarks = _read_as(path, formats)
+    mesh, remarks, name = _read_as(path, formats)
+    setattr(mesh, meshio_mesh.ORIGIN, origin_of(path, name, mesh))
     for remark in remarks:
         warn(f"{path}: {remark}", DataNotKeptWarning)
     return mesh
@@ -119,7 +122,9 @@ def write_file(
 ) -> None:
     """Write a meshio.Mesh; the format is that of the suffix.
 
-    The file is written in a directory beside the target, read back and compared, and renamed
+    A mesh that was read from a file of the same format is written into a copy of that file, whose
+    other parts stay as they are; files of formats that have no such rewriter are written anew.
+    Either way this is done in a directory beside the target, read back and compared, and renamed
     only then: whatever happens, the target is either as it was before or complete.
 
     Parameters
@@ -143,12 +148,16 @@ def write_file(
     """
     path = Path(path)
     check_output(path)
+    source = _source(path, mesh) if file_format is None and binary is None else None
     name, binary = chosen_format(path, mesh, file_format, binary)
     with writing(path, "another directory"):
         beside = Path(tempfile.mkdtemp(prefix=f".{path.stem}-", dir=path.parent))
     try:
         with writing(path, "another path"):
-            lost, remarks = _write_and_compare(beside / path.name, mesh, name, binary)
+            lost, remarks = _rewritten(beside / path.name, mesh, source)
+            if lost is None:
+                lost, more = _write_and_compare(beside / path.name, mesh, name, binary)
+                remarks += more
             # Formats such as xdmf write companions; the file that refers to them comes last.
             for part in sorted(beside.iterdir(), key=lambda part: part.name == path.name):
                 os.replace(part, path.parent / part.name)
@@ -198,8 +207,8 @@ def write_arrays(path: str | os.PathLike[str], points: NDArray[Any], cells: NDAr
     write_file(path, meshio.Mesh(space, [(kind, cells)]))
 
 
-def _read_as(path: Path, formats: list[str]) -> tuple[Any, list[str]]:
-    """Read as the first of some formats that goes; also what meshio says about it."""
+def _read_as(path: Path, formats: list[str]) -> tuple[Any, list[str], str]:
+    """Read as the first of some formats that goes; also what meshio says, and the format."""
     from meshio._helpers import reader_map
 
     cause: Exception | None = None
@@ -207,7 +216,7 @@ def _read_as(path: Path, formats: list[str]) -> tuple[Any, list[str]]:
         if name not in reader_map and name not in apart.VTK:
             continue
         try:
-            return reading.read(path, name)
+            return *reading.read(path, name), name
         except ImportError as exc:
             raise _missing(path, exc) from exc
         except TimeoutError as exc:
@@ -280,7 +289,7 @@ def _write_and_compare(
         else:
             heard = partial(apart.call, _write_heard) if name in apart.HDF5 else _write_heard
             said = heard(path, fit, name, binary)
-            back, _ = _read_as(path, _formats(path))
+            back, _, _ = _read_as(path, _formats(path))
     except MissingDependencyError:
         raise
     except ImportError as exc:
@@ -305,6 +314,43 @@ def _write_and_compare(
     if name in apart.VTK:
         lost += _other_types(mesh, back)
     return lost, said
+
+
+def _source(path: Path, mesh: Any) -> Origin | None:
+    """The file into a copy of which a mesh is written, if there is one of the same format."""
+    origin: Origin | None = getattr(mesh, meshio_mesh.ORIGIN, None)
+    if origin is None or origin.format not in REWRITERS or origin.format not in _formats(path):
+        return None
+    # Suffixes such as those of .inp and .msh belong to several formats.
+    same = origin.path.suffix.lower() == path.suffix.lower() or _formats(path)[0] == origin.format
+    return origin if same else None
+
+
+def _rewritten(
+    path: Path, mesh: Any, origin: Origin | None
+) -> tuple[list[str] | None, list[str]]:
+    """Write a mesh into a copy of the file it was read from: what is lost, None of none written."""
+    if origin is None:
+        return None, []
+    try:
+        if not origin.unchanged:
+            msg = "the file that was read is another one by now"
+            raise NotRewritable(msg)
+        before, _ = reading.read(origin.path, origin.format)
+        blocks = [(block.type, len(block.data)) for block in mesh.cells]
+        if [block.type for block in before.cells] != [kind for kind, _ in blocks] or [
+                size for _, size in blocks] != [len(rows) for rows in origin.cells]:
+            msg = "the mesh has other blocks of cells than the file that was read"
+            raise NotRewritable(msg)
+        lost = REWRITERS[origin.format](
+            origin.path, path, Change(before, mesh, origin.points, origin.cells))
+        back, _ = reading.read(path, origin.format)
+    except NotRewritable as exc:
+        return None, [f"written anew, with what the format's writer keeps: {exc}"]
+    if _sizes(back) != _sizes(mesh) or len(back.points) != len(mesh.points):
+        msg = f"it does not hold {len(mesh.points)} points with cells {_sizes(mesh)}"
+        raise _not_written(path, origin.format, msg)
+    return lost + _lost(mesh, back), []
 
 
 def _write_heard(path: Path, mesh: Any, name: str, binary: bool | None) -> list[str]:

@@ -59,6 +59,9 @@ NODE_ENTITIES, CELL_ENTITIES = "gmsh:dim_tags", "gmsh:geometrical"
 
 NORMALS = "Normals"
 
+ORIGIN = "read_from"
+"""Attribute of a meshio.Mesh that tells the file it was read from, and what stood where there."""
+
 NOT_CELL_INDICES = ("gmsh:bounding_entities",)
 """Cell sets that hold something else than indices of cells."""
 
@@ -162,8 +165,11 @@ def _of_order(block: Any, kind: str, shape: Lattice | None) -> bool:
 def write(result: Result, host: HostMesh) -> Any:
     """Copy the caller's mesh and exchange its points and the optimised blocks."""
     out = host.source.copy()
+    origin = None if result.split is not None else getattr(out, ORIGIN, None)
+    origin = None if origin is None else origin._replace(cells=[*origin.cells])
+    nodes = None if result.vertices is None else result.vertices.origin
     if host.higher_order:
-        result = _with_mid_nodes(out, result, host)
+        result, nodes = _with_mid_nodes(out, result, host)
     elif result.vertices is not None and result.vertices.renumbered:
         _renumber(out, result, result.vertices, host)
     elif result.vertices is not None:
@@ -179,8 +185,13 @@ def write(result: Result, host: HostMesh) -> Any:
         local = result.source[here] - start
         block.data = result.cells[here].astype(block.data.dtype)
         _take(out, i, local, end - start)
+        if origin is not None:
+            origin.cells[i] = origin.cells[i][local]
     if result.curved and not host.higher_order:
         _renew_normals(out, result, host)
+    if origin is not None and nodes is not None:
+        origin = origin._replace(points=np.where(nodes < 0, -1, origin.points[nodes]))
+    setattr(out, ORIGIN, origin)
     return out
 
 
@@ -248,14 +259,16 @@ def _renumber(out: Any, result: Result, vertices: NewVertices, host: HostMesh) -
         out.point_sets[name] = vertices.number[old].astype(old.dtype)
 
 
-def _with_mid_nodes(out: Any, result: Result, host: HostMesh) -> Result:
+def _with_mid_nodes(
+    out: Any, result: Result, host: HostMesh
+) -> tuple[Result, NDArray[np.int64] | None]:
     """Give every edge its mid-node; point data, sets and other blocks follow their nodes."""
     nodes = np.concatenate([out.cells[i].data for i in host.layout])
     others = [i for i in range(len(out.cells)) if i not in host.layout]
     kept = [np.asarray(out.cells[i].data).ravel() for i in others]
     shape = _shape(out.cells[next(iter(host.layout))].type, nodes.shape[1])
     if shape is None:
-        return result
+        return result, None
     q = with_mid_nodes(result, host.points, nodes,
                        np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *kept])), shape)
     warn_of_folds(host.points, nodes, q)
@@ -272,7 +285,7 @@ def _with_mid_nodes(out: Any, result: Result, host: HostMesh) -> Result:
             out.point_data[name] = carried_point_data(
                 name, np.asarray(values), q, placed if name in host.fields else None)
     out.point_sets = renumbered(out.point_sets, q)
-    return Result(q.points, q.cells, result.source)
+    return Result(q.points, q.cells, result.source), q.origin
 
 
 def _node_entities(
