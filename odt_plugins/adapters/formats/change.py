@@ -75,7 +75,8 @@ class Change(NamedTuple):
     def moved(self) -> NDArray[np.bool_]:
         """Points of `after` that are new or elsewhere, (n',)."""
         old = np.asarray(self.before.points)[self.points]
-        return (self.points < 0) | (old != np.asarray(self.after.points)).any(axis=1)
+        new = np.asarray(self.after.points)
+        return np.asarray((self.points < 0) | (old != new).any(axis=1))
 
     def exchanged(self, block: int) -> NDArray[np.bool_]:
         """Cells of a block of `after` that have other corners than those they come from, (m',)."""
