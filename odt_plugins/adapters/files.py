@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters import apart, gmsh_files, meshio_mesh, reading, vtk_files
 from odt_plugins.adapters.fitting import FORMS, fitted, group_names
-from odt_plugins.adapters.formats import REWRITERS
+from odt_plugins.adapters.formats import REWRITERS, WRITERS
 from odt_plugins.adapters.formats.change import Change, NotRewritable, Origin, origin_of
 from odt_plugins.adapters.host import HostMesh, Result
 from odt_plugins.adapters.stated import declares_no_cells
@@ -35,6 +35,12 @@ FILE_FORMATS = {"gmsh22": "gmsh22", "gmsh41": "gmsh"}
 
 PREFERRED = {".msh": "gmsh"}
 """Format to take first where several share a suffix."""
+
+REMARKS = 3
+"""Most remarks of a reader that are passed on one by one."""
+
+CUT = r"\bends?\b|declares|announces|incomplete|to its end|\d+ bytes|lines for|\bholds\b"
+"""What the reason has in it where a file is not whole."""
 
 PROBE = 1 << 16
 """Bytes added to a file that was not written, to see whether the system lets it grow."""
@@ -89,7 +95,10 @@ def read_file(path: str | os.PathLike[str]) -> Any:
         raise MeshFileError(msg)
     mesh, remarks, name = _read_as(path, formats)
     setattr(mesh, meshio_mesh.ORIGIN, origin_of(path, name, mesh))
-    for remark in remarks:
+    told = list(dict.fromkeys(remarks))
+    if len(told) > REMARKS:
+        told = [f"{told[0]} (and {len(told) - 1} more remarks of its reader)"]
+    for remark in told:
         warn(f"{path}: {remark}", DataNotKeptWarning)
     return mesh
 
@@ -236,7 +245,9 @@ def _read_as(path: Path, formats: list[str]) -> tuple[Any, list[str], str]:
             reason = "it needs more memory than there is"
     elif isinstance(cause, KeyError):
         reason = f"it refers to {cause.args[0]}, which is not there"
-    msg = f"cannot read {path} as {kinds}: {reason}; expected a complete file"
+    cut = isinstance(cause, EOFError) or re.search(CUT, reason)
+    hope = "expected a complete file" if cut else f"expected a file that is one of {kinds}"
+    msg = f"cannot read {path} as {kinds}: {reason}; {hope}"
     raise MeshFileError(msg) from cause
 
 
@@ -365,6 +376,8 @@ def _write_heard(path: Path, mesh: Any, name: str, binary: bool | None) -> list[
     ):
         if name == "gmsh":
             gmsh_files.write(path, mesh, binary is not False)
+        elif name in WRITERS:
+            WRITERS[name](path, mesh, binary)
         elif binary is None:
             meshio.write(path, mesh, file_format=name)
         else:

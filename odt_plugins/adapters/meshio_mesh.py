@@ -39,6 +39,7 @@ from odt_plugins.adapters.host import (
 )
 from odt_plugins.adapters.normals import renewed
 from odt_plugins.adapters.regions import AUTO, Labels, region_labels
+from odt_plugins.adapters.wedges import carried
 from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError, counted
 
 FACES = {"line": 2, "triangle": 3} | {
@@ -58,6 +59,9 @@ NODE_ENTITIES, CELL_ENTITIES = "gmsh:dim_tags", "gmsh:geometrical"
 """Data of Gmsh's files: dimension and tag of the entity of a node, tag of that of a cell."""
 
 NORMALS = "Normals"
+
+TEXTURE = "texcoord"
+"""Cell data (m, 6) of the texture coordinates of the corners of triangles."""
 
 ORIGIN = "read_from"
 """Attribute of a meshio.Mesh that tells the file it was read from, and what stood where there."""
@@ -137,6 +141,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         anchors=_anchors(mesh),
         higher_order=shape is not None,
         ids=np.flatnonzero(np.repeat([block.type == kind for block in mesh.cells], sizes)),
+        texture=_texture(arrays, kind),
         total=sum(sizes),
         fields=field_names({name: np.asarray(v) for name, v in mesh.point_data.items()}),
     )
@@ -189,6 +194,11 @@ def write(result: Result, host: HostMesh) -> Any:
             origin.cells[i] = origin.cells[i][local]
     if result.curved and not host.higher_order:
         _renew_normals(out, result, host)
+    if host.texture is not None:
+        uv = carried(host.texture, host.cells, result).reshape(-1, 6)
+        for i, start in host.layout.items():
+            end = start + len(host.source.cells[i].data)
+            out.cell_data[TEXTURE][i] = uv[(result.source >= start) & (result.source < end)]
     if origin is not None and nodes is not None:
         origin = origin._replace(points=np.where(nodes < 0, -1, origin.points[nodes]))
     setattr(out, ORIGIN, origin)
@@ -204,6 +214,12 @@ def _renew_normals(out: Any, result: Result, host: HostMesh) -> None:
         out.cell_data[NORMALS][i] = renewed(
             np.asarray(out.cell_data[NORMALS][i]), result.points, out.cells[i].data,
             of_vertices=False)
+
+
+def _texture(arrays: dict[str, NDArray[Any]], kind: str) -> NDArray[Any] | None:
+    """Texture coordinates (m, 3, 2) of the corners of triangles, if the cells have some."""
+    uv = arrays.get(TEXTURE) if kind == "triangle" else None
+    return None if uv is None or uv.shape[1:] != (6,) else uv.reshape(-1, 3, 2).astype(np.float64)
 
 
 def _anchors(mesh: Any) -> NDArray[Any]:

@@ -15,6 +15,7 @@ from typing import Any
 import numpy as np
 
 from odt_plugins.adapters import apart, gmsh_files, netgen_files, vtk_files
+from odt_plugins.adapters.formats import READERS
 from odt_plugins.adapters.legacy import expect_whole
 from odt_plugins.adapters.stated import expect_counts, expect_held
 from odt_plugins.errors import InvalidMeshError, MeshFileError
@@ -165,6 +166,8 @@ def _read_heard(path: Path, name: str) -> tuple[Any, list[str]]:
 def _read(path: Path, name: str) -> Any:
     from meshio._helpers import reader_map
 
+    if name in READERS:
+        return READERS[name](path)
     reader = gmsh_files.read if name == "gmsh" else reader_map[name]
     # A number that is none would become an index. The first bytes of an STL file of text, taken
     # for a number of triangles, overflow.

@@ -3,6 +3,12 @@
 A format has a reader, which takes a path and gives a meshio.Mesh, or a rewriter, or both. A
 rewriter makes the target out of the source: with the points, the optimised cells and the arrays
 of the result, and all else as the source has it.
+
+Sources
+-------
+OBJ: Wavefront, Appendix B1, Object Files (1995). OFF: Geomview manual, chapter on its formats.
+PLY: G. Turk, The PLY Polygon File Format (1994). STL: 3D Systems, StereoLithography Interface
+Specification (1989).
 """
 
 from __future__ import annotations
@@ -11,10 +17,20 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
+from odt_plugins.adapters.formats import obj, off, ply, stl
 from odt_plugins.adapters.formats.change import Change
 
-READERS: dict[str, Callable[[Path], Any]] = {}
+READERS: dict[str, Callable[[Path], Any]] = {
+    "obj": obj.read, "off": off.read, "ply": ply.read, "stl": stl.read,
+}
 """Readers that take the place of meshio's, by the name of the format in meshio."""
 
-REWRITERS: dict[str, Callable[[Path, Path, Change], list[str]]] = {}
+REWRITERS: dict[str, Callable[[Path, Path, Change], list[str]]] = {
+    "obj": obj.rewrite, "off": off.rewrite, "ply": ply.rewrite, "stl": stl.rewrite,
+}
 """Rewriters by the name of the format in meshio: source, target and change, to what is lost."""
+
+WRITERS: dict[str, Callable[[Path, Any, bool | None], list[str]]] = {
+    "ply": ply.write, "stl": stl.write,
+}
+"""Writers that take the place of meshio's: path, mesh and whether binary, to what is lost."""

@@ -1,0 +1,331 @@
+"""Wavefront OBJ files: groups, materials, colours of vertices, texture coordinates of corners."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.adapters.formats.change import Change, NotRewritable
+from odt_plugins.adapters.formats.polygons import as_mesh
+from odt_plugins.errors import MeshFileError
+
+TEXTURE = "texcoord"
+"""Array (m, 6) of the texture coordinates of the corners of triangles."""
+
+NORMALS, COLOURS = "Normals", "obj:colour"
+"""Arrays of vertices."""
+
+STATES = (b"o", b"g", b"usemtl")
+"""Lines that say what the faces behind them belong to."""
+
+SMOOTH = 40.0
+"""Degrees up to which triangles share a normal where the file has several for a vertex."""
+
+
+class _Lines(NamedTuple):
+    """Lines of a file with their ends, and what stands on which.
+
+    Attributes
+    ----------
+    lines : list of bytes        long lines that go on with a backslash as one
+    vertices, texture, normals, faces, ends : list of int    numbers of the lines of each, `ends`
+                                 those of lines through vertices
+    corners : list               of every face its words, as three numbers from 0 on; -1 for none
+    state : list of int          number of the group, object and material of every face
+    names : list of str          of these
+    """
+
+    lines: list[bytes]
+    vertices: list[int]
+    texture: list[int]
+    normals: list[int]
+    faces: list[int]
+    ends: list[list[int]]
+    corners: list[list[tuple[int, int, int]]]
+    state: list[int]
+    names: list[str]
+
+
+def read(path: Path) -> Any:
+    """Read vertices, faces and lines; what faces belong to are sets of cells where it differs.
+
+    Returns
+    -------
+    meshio.Mesh
+
+    Raises
+    ------
+    MeshFileError    a line is broken, or refers to something that is not there
+    """
+    from meshio import CellBlock
+
+    found = _lines(path.read_bytes())
+    words = [found.lines[i].partition(b"#")[0].split()[1:] for i in found.vertices]
+    try:
+        points = np.array([w[:3] for w in words], dtype=np.bytes_).astype(np.float64)
+        uv = np.array([found.lines[i].split()[1:3] for i in found.texture], dtype=np.bytes_)
+        normals = np.array([found.lines[i].split()[1:4] for i in found.normals], dtype=np.bytes_)
+        uv, normals = uv.astype(np.float64), normals.astype(np.float64)
+    except ValueError as exc:
+        msg = "a vertex, a normal or a texture coordinate has too few numbers, or none"
+        raise MeshFileError(msg) from exc
+    mesh, order = as_mesh(points.reshape(-1, 3), [[c[0] for c in f] for f in found.corners])
+    if words and all(len(w) in (6, 7) for w in words):
+        colours = np.array([w[-3:] if len(w) == 6 else w[3:6] for w in words], dtype=np.bytes_)
+        mesh.point_data[COLOURS] = colours.astype(np.float64)
+    for i, part in enumerate(_references(found, order, 1)):
+        if mesh.cells[i].type == "triangle" and uv.ndim == 2 and (part >= 0).all():
+            mesh.cell_data[TEXTURE] = [np.zeros((len(rows), 6)) for rows in order]
+            mesh.cell_data[TEXTURE][i] = uv[part].reshape(-1, 6)
+    at = _of_vertices(found, len(points))
+    if at is not None and normals.ndim == 2:
+        mesh.point_data[NORMALS] = normals[at]
+    state = np.array(found.state, dtype=np.int64)
+    kinds = np.unique(state)
+    if len(kinds) > 1:
+        mesh.cell_sets = {found.names[k]: [np.flatnonzero(state[rows] == k) for rows in order]
+                          for k in kinds.tolist()}
+    if found.ends:
+        pairs = np.array([pair for ends in found.ends for pair in pairwise(ends)])
+        mesh.cells.append(CellBlock("line", pairs.reshape(-1, 2)))
+        for values in mesh.cell_data.values():
+            values.append(np.zeros((len(pairs), 6)))
+        for members in mesh.cell_sets.values():
+            members.append(np.zeros(0, dtype=np.int64))
+    return mesh
+
+
+def rewrite(source: Path, target: Path, change: Change) -> list[str]:
+    """Replace vertices that moved, triangles that changed, and what their corners refer to."""
+    if change.renumbered:
+        msg = "vertices came or went"
+        raise NotRewritable(msg)
+    found = _lines(source.read_bytes())
+    lines = list(found.lines)
+    points = np.asarray(change.after.points)
+    moved = change.moved
+    for v in np.flatnonzero(moved).tolist():
+        lines[found.vertices[v]] = _placed(lines[found.vertices[v]], points[v].tolist())
+    _, order = as_mesh(np.asarray(change.before.points), [[c[0] for c in f] for f in found.corners])
+    block = next(i for i, b in enumerate(change.after.cells) if b.type == "triangle")
+    rows, cells = change.cells[block], np.asarray(change.after.cells[block].data)
+    if len(rows) != len(order[block]):
+        msg = "triangles came or went"
+        raise NotRewritable(msg)
+    fresh = change.exchanged(block)
+    corners = [list(face) for face in found.corners]
+    sources = np.arange(len(corners))
+    sources[order[block]] = order[block][rows]
+    changed = np.zeros(len(corners), dtype=np.bool_)
+    changed[order[block]] = fresh
+    texture = _texture(found, change, block)
+    for k, face in enumerate(order[block].tolist()):
+        old = found.corners[int(sources[face])]
+        if changed[face]:
+            corners[face] = [(int(v), -1, -1) for v in cells[k]]
+        else:
+            corners[face] = list(old)
+    if texture is not None:
+        numbers, values = texture
+        for k, face in enumerate(order[block].tolist()):
+            named = [(v, int(t), n) for (v, _, n), t in zip(corners[face], numbers[k], strict=True)]
+            changed[face] |= named != corners[face]
+            corners[face] = named
+        _listed(lines, found.texture, [_line(b"vt", row) for row in values])
+    if found.normals and (moved.any() or fresh.any()):
+        has = np.array([all(c[2] >= 0 for c in found.corners[i]) for i in sources.tolist()])
+        every = [[c[0] for c in face] for face in corners]
+        of, normals = _normals(points, every, _of_vertices(found, len(points)) is not None)
+        for face, new in enumerate(of):
+            if has[face]:
+                corners[face] = [(v, t, n) for (v, t, _), n in
+                                 zip(corners[face], new.tolist(), strict=True)]
+                changed[face] = True
+        _listed(lines, found.normals, [_line(b"vn", row) for row in normals])
+    texts = [found.lines[found.faces[i]] for i in sources.tolist()]
+    for face, at in enumerate(found.faces):
+        lines[at] = _face(corners[face], texts[face]) if changed[face] else texts[face]
+    target.write_bytes(b"".join(lines))
+    return []
+
+
+def _lines(data: bytes) -> _Lines:
+    raw = data.splitlines(keepends=True)
+    lines: list[bytes] = []
+    for line in raw:
+        if lines and lines[-1].rstrip().endswith(b"\\"):
+            lines[-1] = lines[-1].rstrip()[:-1] + b" " + line
+        else:
+            lines.append(line)
+    out = _Lines(lines, [], [], [], [], [], [], [], [])
+    known: dict[tuple[bytes, ...], int] = {}
+    current = dict.fromkeys(STATES, b"")
+    for i, line in enumerate(lines):
+        words = line.partition(b"#")[0].split()
+        if not words:
+            continue
+        head = words[0]
+        if head == b"v":
+            out.vertices.append(i)
+        elif head == b"vt":
+            out.texture.append(i)
+        elif head == b"vn":
+            out.normals.append(i)
+        elif head in current:
+            current[head] = b" ".join(words[1:])
+        elif head in (b"f", b"l"):
+            counts = (len(out.vertices), len(out.texture), len(out.normals))
+            corners = [_corner(word, counts) for word in words[1:]]
+            if head == b"l":
+                out.ends.append([c[0] for c in corners])
+                continue
+            key = tuple(current.values())
+            if key not in known:
+                known[key] = len(known)
+            out.faces.append(i)
+            out.corners.append(corners)
+            out.state.append(known[key])
+    _expect_there(out)
+    columns = [{key[i] for key in known} for i in range(len(STATES))]
+    for key in known:
+        parts = [text.decode(errors="replace") for text, column in zip(key, columns, strict=True)
+                 if len(column) > 1 and text]
+        out.names.append(" ".join(dict.fromkeys(parts)) or "none")
+    return out
+
+
+def _corner(word: bytes, counts: tuple[int, int, int]) -> tuple[int, int, int]:
+    """Numbers of vertex, texture and normal that a corner names, from 0 on; -1 for none."""
+    parts = word.split(b"/")
+    try:
+        given = [int(part) if part else 0 for part in parts]
+    except ValueError as exc:
+        msg = f"a face has the corner {word[:30]!r}"
+        raise MeshFileError(msg) from exc
+    given += [0] * (3 - len(given))
+    a, b, c = (x - 1 if x > 0 else count + x if x < 0 else -1
+               for x, count in zip(given, counts, strict=False))
+    return a, b, c
+
+
+def _expect_there(found: _Lines) -> None:
+    flat = [c for face in found.corners for c in face]
+    flat += [(v, -1, -1) for ends in found.ends for v in ends]
+    table = np.array(flat, dtype=np.int64).reshape(-1, 3)
+    for i, what in enumerate(("vertices", "texture", "normals")):
+        size = len(getattr(found, what))
+        bad = table[(table[:, i] >= size) | (table[:, i] < (0 if i == 0 else -1)), i]
+        if bad.size:
+            msg = f"a face refers to number {bad[0] + 1} of {size} {what}"
+            raise MeshFileError(msg)
+
+
+def _references(found: _Lines, order: list[NDArray[np.int64]], what: int) -> list[NDArray[Any]]:
+    """What the corners of the faces of every block refer to, (m, k)."""
+    return [np.array([[c[what] for c in found.corners[i]] for i in rows.tolist()])
+            for rows in order]
+
+
+def _of_vertices(found: _Lines, count: int) -> NDArray[np.int64] | None:
+    """The normal of every vertex, (n,); None where some have several or none."""
+    out = np.full(count, -1, dtype=np.int64)
+    values = [b" ".join(found.lines[i].split()[1:4]) for i in found.normals]
+    for face in found.corners:
+        for v, _, n in face:
+            if n < 0 or (out[v] >= 0 and values[out[v]] != values[n]):
+                return None
+            out[v] = n
+    return out if count and out.min() >= 0 else None
+
+
+def _texture(
+    found: _Lines, change: Change, block: int
+) -> tuple[NDArray[np.int64], list[list[float]]] | None:
+    """Numbers (m', 3) of the texture coordinates of corners, and all of these, new ones last."""
+    if TEXTURE not in change.after.cell_data:
+        return None
+    old = [[float(x) for x in found.lines[i].split()[1:]] for i in found.texture]
+    known = {tuple(row[:2]): i for i, row in reversed(list(enumerate(old)))}
+    wanted = np.asarray(change.after.cell_data[TEXTURE][block]).reshape(-1, 2).tolist()
+    numbers = [known.setdefault((u, v), len(known) + len(old)) for u, v in wanted]
+    fresh = {i: key for key, i in known.items() if i >= len(old)}
+    place = {i: len(old) + k for k, i in enumerate(sorted(fresh))}
+    values = old + [list(fresh[i]) for i in sorted(fresh)]
+    return np.array([place.get(i, i) for i in numbers]).reshape(-1, 3), values
+
+
+def _normals(
+    points: NDArray[Any], faces: list[list[int]], of_vertices: bool
+) -> tuple[list[NDArray[np.int64]], NDArray[np.float64]]:
+    """Numbers of the normals of the corners of every face, and the normals.
+
+    Normals are means over the faces around a vertex, weighted by area: over all, or over those
+    whose own normal is within SMOOTH degrees.
+    """
+    areas = np.zeros((len(faces), 3))
+    for i, face in enumerate(faces):
+        p = points[face].astype(np.float64)
+        areas[i] = np.cross(p[1:-1] - p[0], p[2:] - p[0]).sum(axis=0)
+    size = np.array([len(face) for face in faces])
+    vertex = np.concatenate([np.zeros(0, np.int64), *map(np.asarray, faces)]).astype(np.int64)
+    owner = np.repeat(np.arange(len(faces)), size)
+    unit = _unit(areas)
+    if of_vertices:
+        sums = np.stack([np.bincount(vertex, a[owner], len(points)) for a in areas.T], axis=1)
+        return np.split(vertex, np.cumsum(size)[:-1]), _unit(sums)
+    around: dict[int, list[int]] = {}
+    for v, i in zip(vertex.tolist(), owner.tolist(), strict=True):
+        around.setdefault(v, []).append(i)
+    least = np.cos(np.radians(SMOOTH))
+    known: dict[tuple[float, ...], int] = {}
+    numbers = []
+    for v, i in zip(vertex.tolist(), owner.tolist(), strict=True):
+        near = np.array(around[v])
+        near = near[unit[near] @ unit[i] >= least]
+        mean = _unit(areas[near].sum(axis=0)[None])[0].round(9) + 0.0
+        numbers.append(known.setdefault(tuple(mean.tolist()), len(known)))
+    return np.split(np.array(numbers, dtype=np.int64), np.cumsum(size)[:-1]), np.array(list(known))
+
+
+def _unit(vectors: NDArray[Any]) -> NDArray[np.float64]:
+    length = np.linalg.norm(vectors, axis=1)[:, None]
+    out = np.zeros(vectors.shape)
+    np.divide(vectors, length, out=out, where=length > 0.0)
+    return out
+
+
+def _listed(lines: list[bytes], at: list[int], new: list[bytes]) -> None:
+    """Put a list in place of the one whose lines are given, where it differs."""
+    if [lines[i].split() for i in at] == [line.split() for line in new]:
+        return
+    for i in at:
+        lines[i] = b""
+    lines[at[0]] = b"".join(new)
+
+
+def _line(head: bytes, numbers: Any) -> bytes:
+    return head + b" " + b" ".join(f"{float(x):.9g}".encode() for x in numbers) + b"\n"
+
+
+def _placed(line: bytes, place: list[float]) -> bytes:
+    words = line.partition(b"#")[0].split()
+    rest = words[4:]
+    end = b"\r\n" if line.endswith(b"\r\n") else b"\n"
+    return b" ".join([words[0], *(repr(x).encode() for x in place), *rest]) + end
+
+
+def _face(corners: list[tuple[int, int, int]], like: bytes) -> bytes:
+    end = b"\r\n" if like.endswith(b"\r\n") else b"\n"
+    words = []
+    for v, t, n in corners:
+        word = str(v + 1)
+        if t >= 0 or n >= 0:
+            word += f"/{t + 1 if t >= 0 else ''}"
+        if n >= 0:
+            word += f"/{n + 1}"
+        words.append(word)
+    return f"f {' '.join(words)}".encode() + end

@@ -1,0 +1,156 @@
+"""OFF files of text: comments, colours of vertices and of faces, polygons beside triangles."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from odt_plugins.adapters.formats.change import Change, NotRewritable
+from odt_plugins.adapters.formats.polygons import as_mesh
+from odt_plugins.errors import MeshFileError
+
+COLOURS = "off:colour"
+"""Array of what a file has behind the coordinates of a vertex, or behind the corners of a face."""
+
+KIND = re.compile(rb"((?:ST|C|N)*)OFF$")
+"""Headers of files that can be read: texture, colours and normals of vertices."""
+
+
+class _Lines(NamedTuple):
+    """Lines of a file with their ends, and which hold what.
+
+    Attributes
+    ----------
+    lines : list of bytes
+    vertices, faces : list of int    number of the line of each
+    normals : int or None            first word of the normal of a vertex
+    """
+
+    lines: list[bytes]
+    vertices: list[int]
+    faces: list[int]
+    normals: int | None
+
+
+def read(path: Path) -> Any:
+    """Read vertices and faces; what stands behind them are arrays where all have as much.
+
+    Returns
+    -------
+    meshio.Mesh
+
+    Raises
+    ------
+    MeshFileError    the file is binary, has another dimension, or ends too early
+    """
+    found = _lines(path.read_bytes())
+    words = [_words(found.lines[i]) for i in found.vertices]
+    points = np.array([w[:3] for w in words], dtype=np.bytes_).astype(np.float64)
+    rows = [_words(found.lines[i]) for i in found.faces]
+    sizes = [int(row[0]) for row in rows]
+    faces = [[int(x) for x in row[1: 1 + size]] for row, size in zip(rows, sizes, strict=True)]
+    if any(len(face) != size for face, size in zip(faces, sizes, strict=True)):
+        msg = "it ends within a face"
+        raise MeshFileError(msg)
+    mesh, order = as_mesh(points.reshape(-1, 3), faces)
+    behind = _table([w[3:] for w in words])
+    if behind is not None and found.normals is None:
+        mesh.point_data[COLOURS] = behind
+    if behind is not None and found.normals is not None:
+        mesh.point_data["Normals"] = behind[:, :3].astype(np.float64)
+        if behind.shape[1] > 3:
+            mesh.point_data[COLOURS] = behind[:, 3:]
+    colours = [_table([rows[i][1 + sizes[i]:] for i in chosen]) for chosen in order]
+    if colours and all(part is not None for part in colours):
+        mesh.cell_data[COLOURS] = colours
+    return mesh
+
+
+def rewrite(source: Path, target: Path, change: Change) -> list[str]:
+    """Replace the vertices that moved and the triangles that changed; all else stays as it is."""
+    found = _lines(source.read_bytes())
+    if change.renumbered:
+        msg = "vertices came or went"
+        raise NotRewritable(msg)
+    lines = list(found.lines)
+    points, moved = np.asarray(change.after.points), change.moved
+    for v in np.flatnonzero(moved).tolist():
+        at = found.vertices[v]
+        lines[at] = _replaced(lines[at], range(3), [repr(x) for x in points[v].tolist()])
+    if found.normals is not None:
+        for v, normal in enumerate(np.asarray(change.after.point_data["Normals"]).tolist()):
+            at = found.vertices[v]
+            span = range(found.normals, found.normals + 3)
+            lines[at] = _replaced(lines[at], span, [f"{x:.9g}" for x in normal])
+    faces = [[int(x) for x in _words(lines[i])[1: 1 + int(_words(lines[i])[0])]]
+             for i in found.faces]
+    _, order = as_mesh(np.asarray(change.before.points), faces)
+    for i, block in enumerate(change.after.cells):
+        if block.type != "triangle":
+            continue
+        here = [found.faces[row] for row in np.asarray(order[i])[change.cells[i]]]
+        texts = [found.lines[at] for at in here]
+        slots = [found.faces[row] for row in order[i]]
+        if len(texts) != len(slots):
+            msg = "triangles came or went"
+            raise NotRewritable(msg)
+        fresh = change.exchanged(i)
+        for k, (at, text) in enumerate(zip(slots, texts, strict=True)):
+            lines[at] = _replaced(text, range(1, 4), map(str, block.data[k].tolist())) if (
+                fresh[k]) else text
+    target.write_bytes(b"".join(lines))
+    return []
+
+
+def _lines(data: bytes) -> _Lines:
+    lines = data.splitlines(keepends=True)
+    full = [i for i, line in enumerate(lines) if _words(line)]
+    head = _words(lines[full[0]]) if full else []
+    kind = KIND.match(head[0]) if head else None
+    if kind is None or head[1:2] == [b"BINARY"]:
+        msg = (f"it begins with {b' '.join(head)[:20]!r}; expected OFF, or COFF, NOFF and the like "
+               f"of text")
+        raise MeshFileError(msg)
+    start = 1
+    counts = head[1:]
+    if not counts:
+        counts, start = (_words(lines[full[1]]) if len(full) > 1 else []), 2
+    try:
+        n, m = int(counts[0]), int(counts[1])
+    except (ValueError, IndexError) as exc:
+        msg = "it does not say how many vertices and faces it has"
+        raise MeshFileError(msg) from exc
+    rest = full[start:]
+    if len(rest) < n + m:
+        msg = f"it has {len(rest)} lines for {n} vertices and {m} faces"
+        raise MeshFileError(msg)
+    return _Lines(lines, rest[:n], rest[n: n + m], 3 if b"N" in kind[1] else None)
+
+
+def _words(line: bytes) -> list[bytes]:
+    return line.partition(b"#")[0].split()
+
+
+def _table(rows: list[list[bytes]]) -> Any:
+    """Numbers (n, k) where all rows have k > 0 words; None otherwise."""
+    width = {len(row) for row in rows}
+    if len(width) != 1 or width == {0}:
+        return None
+    numbers = np.array(rows, dtype=np.bytes_).astype(np.float64)
+    whole = all(b"." not in word and b"e" not in word for row in rows for word in row)
+    return numbers.astype(np.int64) if whole else numbers
+
+
+def _replaced(line: bytes, which: Any, texts: Any) -> bytes:
+    """A line with other words at some places."""
+    spans = [found.span() for found in re.finditer(rb"[^\s#]+", line.partition(b"#")[0])]
+    out = line
+    for i, text in reversed(list(zip(which, texts, strict=True))):
+        start, end = spans[i]
+        out = out[:start] + text.encode() + out[end:]
+    return out
+
+

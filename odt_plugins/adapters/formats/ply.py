@@ -1,0 +1,210 @@
+"""PLY files, of text or binary: every element and property stays, of any number and name."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.adapters.formats.change import Change, NotRewritable
+from odt_plugins.adapters.formats.ply_tables import (
+    TYPES,
+    Element,
+    Property,
+    Table,
+    decoded,
+    encoded,
+    header,
+    parsed,
+)
+from odt_plugins.adapters.formats.polygons import as_mesh
+from odt_plugins.errors import MeshFileError
+
+PLACE, NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
+CORNERS, ENDS = ("vertex_indices", "vertex_index"), ("vertex1", "vertex2")
+"""Names of the properties that are no arrays."""
+
+NORMALS = "Normals"
+"""Array of the normals of vertices or of faces."""
+
+COLOURS = ("red", "green", "blue", "alpha")
+
+
+def read(path: Path) -> Any:
+    """Read vertices, faces and edges with all their properties.
+
+    Returns
+    -------
+    meshio.Mesh      faces of three corners first; edges are lines
+
+    Raises
+    ------
+    MeshFileError    the file ends too early, or says something that PLY does not know
+    """
+    from meshio import CellBlock
+
+    data = path.read_bytes()
+    kind, elements, start = parsed(data)
+    tables, _ = decoded(data, kind, elements, start)
+    vertex = tables.get("vertex")
+    if vertex is None or any(name not in vertex for name in PLACE):
+        msg = "it has no vertices with x, y and z"
+        raise MeshFileError(msg)
+    points = np.stack([vertex[name] for name in PLACE], axis=1)
+    face = tables.get("face", {})
+    corners = face.get(_corners(face), np.zeros((0, 3), dtype=np.int64))
+    mesh, order = as_mesh(points, corners)
+    mesh.point_data = _arrays(vertex, PLACE)
+    mesh.cell_data = {name: [values[rows] for rows in order]
+                      for name, values in _arrays(face, CORNERS).items() if order}
+    edge = tables.get("edge", {})
+    if all(name in edge for name in ENDS) and len(edge[ENDS[0]]):
+        mesh.cells.append(CellBlock("line", np.stack([edge[n] for n in ENDS], 1).astype(np.int64)))
+        for name, values in mesh.cell_data.items():
+            empty = np.zeros((len(edge[ENDS[0]]), *values[0].shape[1:]), values[0].dtype)
+            values.append(np.asarray(edge[name]) if name in edge else empty)
+    return mesh
+
+
+def rewrite(source: Path, target: Path, change: Change) -> list[str]:
+    """Replace places, normals, changed triangles and arrays; all else stays as it is."""
+    data = source.read_bytes()
+    kind, elements, start = parsed(data)
+    tables, spans = decoded(data, kind, elements, start)
+    if change.renumbered:
+        msg = "vertices came or went"
+        raise NotRewritable(msg)
+    triangle = [i for i, block in enumerate(change.after.cells) if block.type == "triangle"]
+    face = tables["face"]
+    _, order = as_mesh(np.asarray(change.before.points), face[_corners(face)])
+    rows = np.arange(len(face[_corners(face)]))
+    for i in triangle:
+        if len(change.cells[i]) != len(order[i]):
+            msg = "triangles came or went"
+            raise NotRewritable(msg)
+        rows[order[i]] = order[i][change.cells[i]]
+    new = {name: _taken(values, rows) for name, values in face.items()}
+    corners = new[_corners(face)]
+    for i in triangle:
+        cells = np.asarray(change.after.cells[i].data)
+        if isinstance(corners, list):
+            for row, cell in zip(order[i].tolist(), cells, strict=True):
+                corners[row] = cell
+        else:
+            corners[order[i]] = cells
+        _put(new, {name: values[i] for name, values in change.after.cell_data.items()}, order[i])
+    vertex = {name: _taken(values, slice(None)) for name, values in tables["vertex"].items()}
+    points = np.asarray(change.after.points)
+    _put(vertex, dict(zip(PLACE, points.T, strict=False)), slice(None))
+    _put(vertex, change.after.point_data, slice(None))
+    replaced = {"vertex": (vertex, np.arange(len(points))), "face": (new, rows)}
+    pieces = [data[:start]]
+    for element in elements:
+        span = data[slice(*spans[element.name])]
+        if element.name in replaced:
+            table, of = replaced[element.name]
+            span = encoded(kind, element, table, tables[element.name], of, span)
+        pieces.append(span)
+    target.write_bytes(b"".join([*pieces, data[spans[elements[-1].name][1]:]]))
+    return []
+
+
+def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
+    """Write a mesh: faces with their arrays, lines as edges, colours of bytes as such.
+
+    Returns
+    -------
+    list of str    what is lost
+    """
+    lost: list[str] = []
+    points = np.zeros((len(mesh.points), 3), dtype=np.asarray(mesh.points).dtype)
+    points[:, : np.shape(mesh.points)[1]] = mesh.points
+    vertex: Table = dict(zip(PLACE, points.T, strict=True))
+    vertex |= _columns(mesh.point_data, "point data", lost)
+    flat = [i for i, block in enumerate(mesh.cells)
+            if block.type in ("triangle", "quad", "polygon") and len(block.data)]
+    ends = [np.asarray(block.data) for block in mesh.cells if block.type == "line"]
+    lost += sorted({f"cells of type {block.type}" for i, block in enumerate(mesh.cells)
+                    if i not in flat and block.type != "line" and len(block.data)})
+    blocks = [np.asarray(mesh.cells[i].data) for i in flat]
+    corners: Any = [row for block in blocks for row in block]
+    if len({block.shape[1] for block in blocks}) == 1:
+        corners = np.concatenate(blocks)
+    arrays = {name: np.concatenate([np.asarray(values[i]) for i in flat])
+              for name, values in mesh.cell_data.items() if flat}
+    face: Table = {CORNERS[0]: corners} | _columns(arrays, "cell data", lost)
+    tables = {"vertex": vertex, "face": face}
+    if ends:
+        tables["edge"] = dict(zip(ENDS, np.concatenate(ends).T, strict=True))
+    elements = [Element(name, len(next(iter(table.values()))), tuple(
+        Property(key, _type(np.asarray(values[:1] if isinstance(values, list) else values)),
+                 "uchar" if isinstance(values, list) or values.ndim > 1 else None)
+        for key, values in table.items())) for name, table in tables.items()]
+    kind = "ascii" if binary is False else "binary_little_endian"
+    body = [encoded(kind, element, tables[element.name]) for element in elements]
+    path.write_bytes(b"".join([header(kind, elements), *body]))
+    return lost
+
+
+def _corners(face: Table) -> str:
+    return next((name for name in CORNERS if name in face), CORNERS[0])
+
+
+def _arrays(table: Table, but: tuple[str, ...]) -> dict[str, NDArray[Any]]:
+    """Properties as arrays: the normal as one, lists that are all as long as rows."""
+    out = {name: values for name, values in table.items()
+           if name not in but and not isinstance(values, list)}
+    if all(name in out for name in NORMAL):
+        normal = np.stack([out.pop(name) for name in NORMAL], axis=1)
+        out[NORMALS] = normal
+    return out
+
+
+def _columns(arrays: dict[str, Any], what: str, lost: list[str]) -> Table:
+    """Arrays as properties: vectors of three are normals, and colours where they are bytes."""
+    out: Table = {}
+    for name, given in arrays.items():
+        values = np.asarray(given)
+        width = values.shape[1] if values.ndim == 2 else 0
+        if values.ndim == 1 and values.dtype.kind in "biuf":
+            out[name.replace(" ", "_")] = values
+        elif name == NORMALS and width == 3:
+            out |= dict(zip(NORMAL, values.T, strict=True))
+        elif values.dtype == np.uint8 and width in (3, 4) and COLOURS[0] not in arrays:
+            out |= dict(zip(COLOURS, values.T, strict=False))
+        elif name == "texcoord" and width == 6:
+            out[name] = values
+        else:
+            lost.append(f"{what} {name!r}")
+    return out
+
+
+def _type(values: NDArray[Any]) -> str:
+    """Name in PLY of the type that holds the values of an array."""
+    kind, size = values.dtype.kind, values.dtype.itemsize
+    if kind == "f":
+        return "float" if size <= 4 else "double"
+    if kind == "b" or values.dtype == np.uint8:
+        return "uchar"
+    found = {(dtype[0], int(dtype[1])): name for name, dtype in reversed(TYPES.items())}
+    return found.get((kind, size), "int")
+
+
+def _taken(values: Any, rows: Any) -> Any:
+    if isinstance(values, list):
+        return [values[i] for i in rows.tolist()]
+    return values[rows].copy()
+
+
+def _put(table: Table, arrays: dict[str, Any], rows: Any) -> None:
+    """Write arrays into the properties of the same names, in their types."""
+    for name, given in arrays.items():
+        values = np.asarray(given)
+        names = NORMAL if name == NORMALS else (name,)
+        for i, key in enumerate(names):
+            own = table.get(key)
+            part = values[:, i] if len(names) > 1 else values
+            if isinstance(own, np.ndarray) and own[rows].shape == part.shape:
+                own[rows] = part.astype(own.dtype)
