@@ -55,7 +55,7 @@ class Labels(NamedTuple):
 
 
 class Spread(NamedTuple):
-    """How the integers of one array lie in a mesh.
+    """How the labels of one array lie in a mesh.
 
     Attributes
     ----------
@@ -115,8 +115,17 @@ def region_labels(
     return Labels(values[0], tuple(names)) if values else Labels(None)
 
 
+def are_whole(values: NDArray[Any]) -> bool:
+    """Say whether an array may hold labels: whole numbers of any type, truth values or texts."""
+    if values.dtype.kind == "f":
+        return bool(np.isfinite(values).all() and (values == np.rint(values)).all())
+    if values.dtype.kind == "O":
+        return all(isinstance(value, str) for value in values.ravel().tolist())
+    return values.dtype.kind in "iubU"
+
+
 def spreads(arrays: Mapping[str, NDArray[Any]], cells: NDArray[Any]) -> dict[str, Spread]:
-    """How the integers of cell arrays lie in a mesh, or in a part of one.
+    """How the whole numbers and texts of cell arrays lie in a mesh, or in a part of one.
 
     Parameters
     ----------
@@ -132,12 +141,16 @@ def spreads(arrays: Mapping[str, NDArray[Any]], cells: NDArray[Any]) -> dict[str
     for name, values in arrays.items():
         plain = re.sub(r"[^a-z]", "", name.lower())
         known = name in REGION_ARRAYS or KNOWN.fullmatch(plain) is not None
-        whole = values.dtype.kind in "iu" and values.shape in ((len(cells),), (len(cells), 1))
+        whole = values.shape in ((len(cells),), (len(cells), 1)) and are_whole(values)
         if not whole or not (known or NOT_REGIONS.fullmatch(plain) is None):
             continue
+        if values.dtype.kind == "O":
+            values = values.astype(str)
         distinct, label, count = np.unique(values, return_inverse=True, return_counts=True)
         if known:
-            out[name] = Spread(distinct, count)
+            # Few whole values of a float are labels; a field that is whole everywhere has more.
+            if values.dtype.kind != "f" or len(distinct) <= _most(len(cells)):
+                out[name] = Spread(distinct, count)
         elif len(distinct) <= _most(len(cells)):
             pairs = pairs or _neighbours(cells)
             first, second = pairs

@@ -150,10 +150,12 @@ def _moved_facets(
 
 
 def _sides(mesh: Any, facets: NDArray[Any]) -> NDArray[np.bool_]:
-    """On which side (2, q) of its facet each of the two elements there lies."""
+    """On which side (2, q) of its facet each of the two elements there lies, or would lie."""
     corners = mesh.facets[:, facets]
     elements = mesh.f2t[:, facets]
+    outer = elements[1] < 0
     opposite = mesh.t[:, elements].sum(axis=0) - corners.sum(axis=0)
+    opposite[1, outer] = opposite[0, outer]
     order = np.argsort(corners, axis=0)
     corners = np.take_along_axis(corners, order, axis=0)
     x = mesh.doflocs
@@ -162,5 +164,7 @@ def _sides(mesh: Any, facets: NDArray[Any]) -> NDArray[np.bool_]:
         normal = np.stack([along[1], -along[0]])
     else:
         normal = np.cross(along, x[:, corners[2]] - x[:, corners[0]], axis=0)
-    return np.stack([(normal * (x[:, tip] - x[:, corners[0]])).sum(axis=0) > 0.0
+    side = np.stack([(normal * (x[:, tip] - x[:, corners[0]])).sum(axis=0) > 0.0
                      for tip in opposite])
+    side[1, outer] = ~side[0, outer]
+    return np.asarray(side)

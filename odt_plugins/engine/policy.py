@@ -183,8 +183,11 @@ class Policy:
     surface_settled: float = _chosen(
         2e-3, "Stage 1 ends with a round that lowers the energy by less than this part of it.",
         SURFACE)
+    surface_halvings: int = _chosen(
+        3, "Halvings of the envelope, each with runs of its own, until the input is returned.",
+        HARD)
     surface_attempts: int = _chosen(
-        4, "Runs until the input is returned; each leaves alone what broke the promise in those "
+        4, "Runs within one envelope; each leaves alone what broke the promise in those "
         "before, with one more ring of triangles around it every time.", HARD)
     surface_spoiled: float = _chosen(
         0.3, "Part of the vertices that may be left alone because of triangles beyond the input's "

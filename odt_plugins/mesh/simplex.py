@@ -447,7 +447,7 @@ def refuse_overlaps(mesh: SimplexMesh, sign: NDArray[np.int8]) -> None:
 
 
 def compact_labels(regions: ArrayLike | None, m: int) -> IntArray:
-    """Number region labels (m,) or (m, 1) of any integer type 0, 1, ... in increasing order."""
+    """Number labels (m,) or (m, 1), whole numbers or texts, from 0 on in increasing order."""
     if regions is None:
         return np.zeros(m, dtype=np.int32)
     raw = np.asarray(regions)
@@ -455,10 +455,13 @@ def compact_labels(regions: ArrayLike | None, m: int) -> IntArray:
     if raw.shape != (m,):
         msg = f"regions have shape {raw.shape}; expected ({m},), one label per cell"
         raise InvalidOptionError(msg)
-    if raw.dtype.kind not in "iub" and not (
+    if raw.dtype.kind == "O" and all(isinstance(label, str) for label in raw.tolist()):
+        raw = raw.astype(str)
+    if raw.dtype.kind not in "iubU" and not (
         raw.dtype.kind == "f" and np.isfinite(raw).all() and (raw == np.floor(raw)).all()
     ):
-        msg = f"regions have dtype {raw.dtype}; expected integer labels, try regions.astype(int)"
+        msg = (f"regions have dtype {raw.dtype}; expected whole numbers or texts, try "
+               f"regions.astype(int)")
         raise InvalidOptionError(msg)
     return np.unique(raw, return_inverse=True)[1].astype(np.int32)
 

@@ -23,6 +23,9 @@ from odt_plugins.quality import QualitySummary, summarize
 FOLD = 120.0
 """Degrees by which the surface turns at an edge where it folds back on itself."""
 
+ROUNDED = 5.0
+"""Degrees by which an edge of the input may turn less and still be a fold that is known."""
+
 
 def broken_surface_promises(
     before: SimplexMesh,
@@ -217,32 +220,81 @@ def _thawed(before: SimplexMesh, cells: NDArray[Any], regions: NDArray[Any]) -> 
 def _folded(
     old_points: Any, old_cells: Any, old: Edges, points: Any, cells: Any, new: Edges
 ) -> list[str]:
-    """Count flat triangles, and edges at which the surface folds back; both only get fewer."""
-    (flat, folds), (flat_now, folds_now) = (
-        tuple(int(mask.sum()) for mask in bad_places(*args))
-        for args in ((old_points, old_cells, old), (points, cells, new))
-    )
+    """Count flat triangles, which only get fewer, and look for folds where the input has none."""
+    flat, flat_now = (int(bad_places(*args)[0].sum())
+                      for args in ((old_points, old_cells, old), (points, cells, new)))
     sentences = []
     if flat_now > flat:
         sentences.append(f"{flat_now} triangles have no area, {flat} had none")
-    if folds_now > folds:
-        sentences.append(f"the surface folds back at {folds_now} edges, it did at {folds}")
+    fresh = np.flatnonzero(new_folds(old_points, old_cells, old, points, cells, new))
+    if len(fresh):
+        first = tuple(new.vertices[fresh[0]].tolist())
+        sentences.append(f"the surface folds back at edge {first}, where the input does not, "
+                         f"{len(fresh)} such edges")
     return sentences
 
 
+def new_folds(
+    old_points: NDArray[np.float64], old_cells: NDArray[np.int32], old: Edges,
+    points: NDArray[np.float64], cells: NDArray[np.int32], new: Edges,
+) -> NDArray[np.bool_]:
+    """Mark the edges (e,) at which a surface folds back where the input does not.
+
+    The input does at an edge of the same vertices, or at one to which both ends are nearer than
+    half the length of the edge; rounding decides nothing, since ROUNDED degrees less suffice there.
+    """
+    n = len(points)
+    _, folds = bad_places(points, cells, new)
+    if not folds.any():
+        return folds
+    _, known = bad_places(old_points, old_cells, old, FOLD - ROUNDED)
+    fresh = np.flatnonzero(folds)
+    fresh = fresh[~np.isin(_keys(new.vertices[fresh], n), _keys(old.vertices[known], n))]
+    start, end = (old_points[old.vertices[known, i]] for i in range(2))
+    out = np.zeros(len(folds), dtype=np.bool_)
+    for edge in fresh.tolist():
+        ends = points[new.vertices[edge]]
+        reach = 0.5 * float(np.linalg.norm(ends[1] - ends[0]))
+        away = [_distances(x, start, end).min(initial=np.inf) for x in ends]
+        out[edge] = max(away) > reach
+    return out
+
+
+def _distances(
+    x: NDArray[np.float64], start: NDArray[np.float64], end: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Distances (k,) of a point (3,) from segments."""
+    along = end - start
+    square = (along * along).sum(axis=1)
+    share = np.divide(((x - start) * along).sum(axis=1), square, out=np.zeros(len(start)),
+                      where=square > 0.0)
+    foot = start + np.clip(share, 0.0, 1.0)[:, None] * along
+    return np.asarray(np.sqrt(((x - foot) ** 2).sum(axis=1)))
+
+
 def bad_places(
-    points: NDArray[np.float64], cells: NDArray[np.int32], edges: Edges
+    points: NDArray[np.float64], cells: NDArray[np.int32], edges: Edges, fold: float = FOLD
 ) -> tuple[NDArray[np.bool_], NDArray[np.bool_]]:
-    """Mark flat triangles (m,), and edges (e,) at which a surface turns by more than FOLD."""
+    """Mark flat triangles (m,), and edges (e,) at which a surface turns by more than `fold`.
+
+    The neighbours of a flat triangle over two of its edges are compared with each other.
+    """
     a, b, c = (points[cells[:, i]] for i in range(3))
     normal = np.cross(b - a, c - a)
     length = np.sqrt((normal * normal).sum(axis=1))
     unit = np.divide(normal, length[:, None], out=np.zeros_like(normal), where=length[:, None] > 0)
-    limit = math.cos(math.radians(FOLD))
+    limit = math.cos(math.radians(fold))
     folds = np.zeros(len(edges.degree), dtype=np.bool_)
     for i in range(3):
         near = edges.neighbors[:, i]
         once = np.flatnonzero(near > np.arange(len(cells)))
         sharp = (unit[once] * unit[near[once]]).sum(axis=1) < limit
         folds[edges.of_cell[once[sharp], i]] = True
-    return ~(length > 0), folds
+    flat = ~(length > 0)
+    row = np.flatnonzero(flat)
+    for i in range(3):
+        j = (i + 1) % 3
+        one, two = edges.neighbors[row, i], edges.neighbors[row, j]
+        back = (one >= 0) & (two >= 0) & ((unit[one] * unit[two]).sum(axis=1) < limit)
+        folds[edges.of_cell[row[back], i]] = True
+    return flat, folds

@@ -82,7 +82,7 @@ def test_few_pieces_that_hang_together_are_regions_and_scattered_labels_are_not(
     for labels in (np.zeros(m), np.arange(m), parents, rng.integers(0, 2, m), rng.integers(0, 9, m),
                    rng.random(m) < 0.02, np.arange(m) == 7, x[:, 0] * 1000):
         assert found(np.asarray(labels).astype(int), cells) == ()
-    assert found((x[:, 0] > 0.5).astype(float), cells) == ()
+    assert found((x[:, 0] > 0.5).astype(float), cells) == ("q7",)
     assert found(np.arange(m), cells, "material") == ()
     assert found(rng.integers(0, 2, m), cells, "material") == ("material",)
     assert found(np.stack([grains, grains], axis=1), cells) == ()
@@ -115,7 +115,7 @@ def test_several_names_combine_their_labels(names):
     assert labels.names == ("right", "top")
     with pytest.raises(InvalidOptionError, match="regions='top' names no cell array"):
         region_labels({"right": right}, names, cells)
-    with pytest.raises(InvalidOptionError, match="dtype float64; expected integer labels"):
+    with pytest.raises(InvalidOptionError, match="dtype float64; expected whole numbers"):
         region_labels({"right": right, "top": top + 0.5}, names, cells)
     assert region_labels({"right,top": top, "right": right}, "right,top", cells).names == (
         "right,top",)
@@ -235,3 +235,25 @@ def test_the_origin_of_cells_counts_all_cells_of_the_object():
         assert np.array_equal(report.cell_origin, row)
         assert "cell_origin" not in report.to_dict()
         assert report == report
+
+
+@pytest.mark.parametrize("name", ["material", "q7"])
+@pytest.mark.parametrize("kind", [float, np.float32, bool, str, object, np.uint8])
+def test_labels_may_be_whole_numbers_truth_values_or_texts(name, kind):
+    points, cells, inside = ball()
+    values = inside.astype(str).astype(kind) if kind is object else inside.astype(kind)
+    assert found(values, cells, name) == (name,)
+    grid = pyvista.UnstructuredGrid({10: cells}, points)
+    grid.cell_data[name] = values.astype(str) if kind is object else values
+    better = odt_plugins.optimize(grid)
+    volume = [grid.extract_cells(np.flatnonzero(inside)).volume]
+    volume += [better.extract_cells(np.flatnonzero(
+        np.asarray(better.cell_data[name]).astype(str) == str(sorted(values.tolist())[-1]))).volume]
+    assert volume[1] == pytest.approx(volume[0], rel=1e-12)
+
+
+def test_fields_of_floats_are_no_labels():
+    _, cells, x = plane()
+    assert found(x[:, 0], cells, "material") == ()
+    assert found(np.floor(1000 * x[:, 0]), cells, "material") == ()
+    assert found(np.where(x[:, 0] > 0.5, np.nan, 1.0), cells, "material") == ()

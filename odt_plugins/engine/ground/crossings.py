@@ -58,9 +58,9 @@ def count_crossings(points: FloatArray, triangles: IntArray) -> int:
 
 
 def crossing_triangles(points: FloatArray, triangles: IntArray) -> BoolArray:
-    """Mark the triangles, (m,), that cross others or are crossed; as in :func:`count_crossings`."""
+    """Mark the triangles, (m,), that cross others or are crossed, those that share a vertex too."""
     other = np.full(len(triangles), -1, dtype=np.int32)
-    _crossings(points, triangles, other)
+    _crossings(points, triangles, other, joined=True)
     hit: BoolArray = other >= 0
     return hit
 

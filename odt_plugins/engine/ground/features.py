@@ -4,7 +4,7 @@ An edge is a feature on the boundary, where more than two triangles meet, betwee
 the caller marks it, or when the surface turns by more than the feature angle at it. The turn
 must show in the normals of the triangles and in those averaged with the neighbours that agree,
 which tells a crease from a bump. Of edges that merely turn, loose ends shorter than TRIM edges are
-noise; so are the edges of a flat triangle whose neighbours agree with each other.
+noise; so are the long edges of a flat triangle whose neighbours there agree with each other.
 """
 
 from __future__ import annotations
@@ -145,7 +145,7 @@ def sharp_edges(
     sharp[edges.of_cell[turns]] = True
     flat = np.flatnonzero(quality < FLAT_QUALITY)
     if flat.size:
-        sharp[_hidden(flat, normal, quality, lengths, edges, angle)] = False
+        _settle_flat(sharp, flat, normal, quality, lengths, edges, least)
     return sharp
 
 
@@ -178,16 +178,16 @@ def _cosines(normal: FloatArray, edges: Edges) -> FloatArray:
     return cosine
 
 
-def _hidden(
-    flat: NDArray[np.intp], normal: FloatArray, quality: FloatArray, lengths: FloatArray,
-    edges: Edges, angle: float,
-) -> IntArray:
-    """Edges of flat triangles whose neighbours agree with each other, that of a short edge apart.
+def _settle_flat(
+    sharp: BoolArray, flat: NDArray[np.intp], normal: FloatArray, quality: FloatArray,
+    lengths: FloatArray, edges: Edges, least: float,
+) -> None:
+    """Let neighbours say, in place, which edges of flat triangles (k,) are sharp.
 
-    The normal of a triangle that is nearly a line says little: its neighbours tell whether there
-    is a crease.
+    The normal of a triangle that is nearly a line says little. Where the neighbours over its long
+    edges agree, these edges are smooth, and their normal tells whether its short edge is on a
+    crease.
     """
-    least = math.cos(math.radians(angle))
     near = edges.neighbors[flat]
     counts = (lengths[flat] > SHORT * lengths[flat].max(axis=1)[:, None]) & (near >= 0)
     counts &= quality[near] >= FLAT_QUALITY
@@ -196,7 +196,13 @@ def _hidden(
         j = (i + 1) % 3
         cosine = (normal[near[:, i]] * normal[near[:, j]]).sum(axis=1)
         agree &= ~(counts[:, i] & counts[:, j]) | (cosine >= least)
-    return edges.of_cell[flat[agree]].ravel()
+    flat, near, counts = flat[agree], near[agree], counts[agree]
+    trusted = normal.copy()
+    trusted[flat] = _unit((normal[near] * counts[:, :, None]).sum(axis=1))
+    sharp[edges.of_cell[flat][counts]] = False
+    row, corner = np.nonzero(~counts & (near >= 0))
+    cosine = (trusted[flat[row]] * trusted[near[row, corner]]).sum(axis=1)
+    sharp[edges.of_cell[flat[row], corner]] = cosine < least
 
 
 def label_borders(edges: Edges, regions: IntArray) -> BoolArray:

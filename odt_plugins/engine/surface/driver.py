@@ -116,15 +116,53 @@ def run_surface(
 def _run_until_kept(
     mesh: SimplexMesh, options: Options, leaving: Leaving, without: Container[str]
 ) -> SurfaceOutcome:
-    """Runs from the input on until one keeps the promise, at last the input itself."""
+    """Runs from the input on until one keeps the promise, at last the input itself.
+
+    Where no run within the envelope does, runs within half of it follow, and so on: a larger
+    envelope gives no less than one of its halves.
+    """
     clock = time.perf_counter()
     start = _start(mesh)
     log = Log(times={"prepare": time.perf_counter() - clock}, without=without)
+    first: list[str] = []
+    asked: Any = None
+    for halving in range(POLICY.surface_halvings + 1):
+        within = replace(options, envelope=options.envelope * 0.5**halving)
+        outcome, memory, kept, broken, reason = _attempts(start, within, leaving, log, halving)
+        first, asked = first or broken, asked or kept
+        if outcome is not None or not memory.states:
+            break
+    if outcome is not None and halving:
+        why = (f"the surface stays within {within.envelope:.3g} of the diagonal, since runs within "
+               f"{options.envelope:.3g} were given up: {'; '.join(first)}")
+        outcome = replace(outcome, fallback=why)
+    (options.progress or silent)("finishing", 1.0)
+    if not isinstance(outcome, SurfaceOutcome):
+        outcome, kept = _as_given(input_returned(mesh, memory, first, reason)), asked
+    return replace(
+        outcome, times=log.times, energy=log.energy, counts=log.counts, kept=kept
+    )
+
+
+def _attempts(
+    start: SurfaceStart, options: Options, leaving: Leaving, log: Log, before: int
+) -> tuple[Outcome | None, Memory, Kept, list[str], str]:
+    """Runs within one envelope: each leaves alone what broke the promise in those before.
+
+    Returns
+    -------
+    outcome : Outcome or None    that keeps the promise
+    memory, kept                 of the last run
+    broken : list of str         what of the promise did not hold at last
+    reason : str                 why stage 1 of the last run stopped
+    """
+    mesh = start.mesh
     alone = np.zeros(len(mesh.points), dtype=np.bool_)
     broken: list[str] = []
     for attempt in range(POLICY.surface_attempts):
         last = attempt == POLICY.surface_attempts - 1
-        memory, kept, reason = _run(start, in_turn(options, attempt), alone, log)
+        turn = before * POLICY.surface_attempts + attempt
+        memory, kept, reason = _run(start, in_turn(options, turn), alone, log)
         if not memory.states and options.finish:
             spoiled = np.zeros(len(mesh.points), dtype=np.bool_)
             spoiled[start.frame.vertices[memory.spoiled()]] = True
@@ -149,12 +187,7 @@ def _run_until_kept(
         if not memory.states or last:
             break
         alone |= _left_alone(start, kept, memory, leaving, attempt + 1)
-    (options.progress or silent)("finishing", 1.0)
-    if not isinstance(outcome, SurfaceOutcome):
-        outcome = _as_given(input_returned(mesh, memory, broken, reason))
-    return replace(
-        outcome, times=log.times, energy=log.energy, counts=log.counts, kept=kept
-    )
+    return outcome, memory, kept, broken, reason
 
 
 def _as_given(outcome: Outcome) -> SurfaceOutcome:

@@ -12,11 +12,10 @@ from odt_plugins.engine.ground.reference import make_reference
 from odt_plugins.engine.topology.order import morton_keys
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
-from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.mesh.surface import surface_edges
 from odt_plugins.options import Options
-from odt_plugins.promise.surface import bad_places, broken_surface_promises
+from odt_plugins.promise.surface import bad_places, broken_surface_promises, new_folds
 
 TOLERANCE = 0.02
 """Distances are bounded to this part of the envelope."""
@@ -112,11 +111,8 @@ def _newly_folded(mesh: SimplexMesh, points: FloatArray, cells: IntArray) -> Boo
     n = len(points)
     mask = np.zeros(n, dtype=np.bool_)
     old, new = surface_edges(mesh.cells, n), surface_edges(cells, n)
-    flat, folds = bad_places(points, cells, new)
-    _, folded = bad_places(mesh.points, mesh.cells, old)
-    keys = [row_keys(e.vertices[f], n) for e, f in ((old, folded), (new, folds))]
-    fresh = np.zeros(len(folds), dtype=np.bool_)
-    fresh[np.flatnonzero(folds)[~np.isin(keys[1], keys[0])]] = True
+    flat, _ = bad_places(points, cells, new)
+    fresh = new_folds(mesh.points, mesh.cells, old, points, cells, new)
     mask[cells[flat | fresh[new.of_cell].any(axis=1)]] = True
     return mask
 
