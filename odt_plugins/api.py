@@ -16,6 +16,7 @@ from odt_plugins.adapters.files import check_output, read_file, write_file
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
 from odt_plugins.mesh.simplex import mesh_arrays, turned_alike
+from odt_plugins.multiblock import run_blocks
 from odt_plugins.options import (
     OF_UNTANGLING,
     OPTIONS,
@@ -23,7 +24,7 @@ from odt_plugins.options import (
     make_options,
     with_option_signature,
 )
-from odt_plugins.roundtrip import flat_points, run_blocks, run_engine, words_of
+from odt_plugins.roundtrip import flat_points, run_engine, words_of
 from odt_plugins.untangling import Wanted
 
 if TYPE_CHECKING:

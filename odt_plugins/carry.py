@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -164,6 +166,15 @@ def surrounding_cells(
 
     spread(walk_again, chunks(len(outside)), threads)
     return cell, weights
+
+
+def in_order_of(
+    caller: NDArray[Any], rows: NDArray[Any], cell: IntArray, weights: FloatArray
+) -> tuple[IntArray, FloatArray]:
+    """Coordinates (k, c) in some cells `rows` (k,) in the order of the `caller`'s same corners."""
+    ascending = np.take_along_axis(weights, np.argsort(rows[cell], axis=1), axis=1)
+    place = np.argsort(np.argsort(caller[cell], axis=1), axis=1)
+    return cell, np.take_along_axis(ascending, place, axis=1)
 
 
 def _walk(

@@ -5,7 +5,7 @@ This is the only place where adapters and engine meet.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from functools import partial
@@ -14,13 +14,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters import pyvista_blocks
 from odt_plugins.adapters.host import Adapter, Feet, HostMesh, KeptCells, NewVertices, Result
 from odt_plugins.adapters.kept import hold_charts, protect, protect_surface
 from odt_plugins.adapters.regions import AUTO, CHARTS, are_names
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.adapters.wedges import SEAM, charts
-from odt_plugins.carry import in_input_order, surrounding_cells
+from odt_plugins.carry import in_input_order, in_order_of, surrounding_cells
 from odt_plugins.errors import (
     InvalidMeshError,
     InvalidOptionError,
@@ -142,51 +141,9 @@ def run_engine(
     result = Result(
         points, cells.astype(kind), source, work.mesh.is_surface,
         _feet(work, places, cells), vertices if not work.host.higher_order else None,
-        locate=around if fields else None, same=same,
+        locate=_locating(work, around) if fields else None, same=same,
     )
     return work.adapter.write(result, given), before, outcome, told
-
-
-def run_blocks(
-    mesh: Any, options: Mapping[str, Any], one: Callable[..., tuple[Any, Any]]
-) -> tuple[Any, list[Any]]:
-    """Optimise every block of a pyvista.MultiBlock by itself.
-
-    Parameters
-    ----------
-    mesh : pyvista.MultiBlock
-    options : dict
-    one : callable     optimises a block with options: its result and report
-
-    Returns
-    -------
-    result : pyvista.MultiBlock
-    reports : list     of every block that was optimised
-
-    Raises
-    ------
-    InvalidOptionError    boundaries shall slide where blocks touch
-    ODTError              what one block raises, with its name
-    """
-    names = pyvista_blocks.chosen(mesh)
-    blocks = [pyvista_blocks.block_at(mesh, path) for path in names]
-    if options.get("boundary") == "slide" and pyvista_blocks.touching(blocks):
-        msg = ("got boundary='slide' for blocks that touch, which would come apart; expected "
-               "'fixed', try mesh.combine(merge_points=True) with an array of labels")
-        raise InvalidOptionError(msg)
-    results, reports = [], []
-    with telling(options.get("progress"), "preparing") as progress:
-        for i, (name, block) in enumerate(zip(names.values(), blocks, strict=True)):
-            share = part(progress, i / len(blocks), (i + 1) / len(blocks))
-            told = {"progress": share} if options.get("progress") else {}
-            try:
-                result, report = one(block, **{**options, **told})
-            except ODTError as exc:
-                msg = f"block {name!r}: {exc}"
-                raise type(exc)(msg) from exc
-            results.append(result)
-            reports.append(report)
-    return pyvista_blocks.replaced(mesh, dict(zip(names, results, strict=True))), reports
 
 
 def _cell_origin(host: HostMesh, source: IntArray) -> NDArray[np.int64]:
@@ -510,6 +467,12 @@ def _around(
     from odt_plugins.engine.surface.judge import feet_on
 
     return feet_on(before.points, before.cells, x)
+
+
+def _locating(work: _Prepared, around: Callable[..., Any]) -> Callable[..., Any]:
+    """What :func:`_around` does, with coordinates in the order of the caller's corners."""
+    rows = (work.mesh if work.tangle is None else work.tangle.around).cells
+    return lambda x, near: in_order_of(work.host.cells, rows, *around(x, near))
 
 
 def _new_vertices(

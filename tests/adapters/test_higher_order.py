@@ -16,7 +16,8 @@ from odt_plugins.adapters.higher_order import lattice, shape_gradients
 from odt_plugins.engine.run import driver
 from odt_plugins.errors import DataNotKeptWarning, InvalidMeshError, UnsupportedMeshError
 
-NAMES = {(1, 3): "line4", (2, 3): "triangle10", (3, 3): "tetra20",
+NAMES = {(2, 2): "triangle6", (3, 2): "tetra10",
+         (1, 3): "line4", (2, 3): "triangle10", (3, 3): "tetra20",
          (1, 4): "line5", (2, 4): "triangle15", (3, 4): "tetra35"}
 LAGRANGE = {1: 68, 2: 69, 3: 71}
 
@@ -88,6 +89,33 @@ def _view(mesh, dim):
         return mesh.points, mesh.cells[0].data, mesh.point_data["name"]
     flat = np.asarray(mesh.cell_connectivity).reshape(mesh.n_cells, -1)
     return np.array(mesh.points)[:, :dim], flat, np.array(mesh.point_data["name"])
+
+
+def _turned(rows, shape, exchanged):
+    """The same cells with two corners exchanged."""
+    order = np.arange(shape.shape[1])
+    order[list(exchanged)] = order[list(exchanged)][::-1]
+    place = {tuple(weights): i for i, weights in enumerate(shape.tolist())}
+    return rows[:, [place[tuple(weights)] for weights in shape[:, order].tolist()]]
+
+
+@pytest.mark.filterwarnings("ignore::odt_plugins.errors.DataNotKeptWarning")
+@pytest.mark.parametrize("turned", [slice(0), slice(None), slice(None, None, 3)],
+                         ids=["positive", "negative", "mixed"])
+@pytest.mark.parametrize("order", [2, 3, 4])
+@pytest.mark.parametrize("host", ["meshio", "pyvista"])
+def test_linear_fields_stay_linear_whatever_the_orientation(host, order, turned, d):
+    points, cells, labels = contract.grid(d, 4)
+    shape = lattice(d, order, "gmsh" if host == "meshio" and order > 2 else "vtk")
+    nodes, rows, _ = raised(points, cells, shape, off=0.0)
+    rows[turned] = _turned(rows, shape, (0, 1))[turned]
+    mesh = _mesh(host, nodes, rows, labels, d, order)
+    slope = np.array([1.3, -0.7, 0.4])[:d]
+    mesh.point_data["u"] = nodes @ slope
+    out = odt_plugins.optimize(mesh)
+    new = _view(out, d)[0]
+    assert not np.array_equal(np.sort(new, axis=0), np.sort(nodes, axis=0))
+    assert np.asarray(out.point_data["u"]) == pytest.approx(new @ slope, abs=1e-12)
 
 
 @pytest.mark.filterwarnings("ignore::odt_plugins.errors.DataNotKeptWarning")
