@@ -20,6 +20,7 @@ from odt_plugins.adapters.regions import AUTO, CHARTS, are_names
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.adapters.wedges import SEAM, charts
 from odt_plugins.carry import in_input_order, in_order_of, surrounding_cells
+from odt_plugins.curved import Kept, keep_curved
 from odt_plugins.errors import (
     InvalidMeshError,
     InvalidOptionError,
@@ -109,9 +110,8 @@ def run_engine(
             chosen = _with_sag(chosen, work) if moves else chosen
             then = progress if work.tangle is None else part(progress, wanted.share, 1.0)
             chosen = replace(chosen, progress=tell and then)
-            outcome = (engine or optimized)(work.mesh, chosen, leaving)
-    if outcome.written is None:
-        outcome = leaving(outcome)
+            curved = _run_kept(work, engine or optimized, chosen, leaving)
+    work, outcome = work._replace(mesh=curved.mesh), curved.outcome
     points: Any = outcome.written
     source: Any = outcome.source
     cells, places = outcome.cells, outcome.points
@@ -132,7 +132,7 @@ def run_engine(
     vertices = _new_vertices(work, written, around, moved=bool(fields))
     told = {"regions_from": work.host.regions_from, "cell_origin": _cell_origin(work.host, source),
             "interpolated": () if vertices is None else fields, "notes": work.notes,
-            "tangle": work.tangle}
+            "tangle": work.tangle, "curved": curved.facts}
     if work.orientation < 0:
         cells = reverse(cells, np.ones(len(cells), dtype=np.bool_))
     kind = work.host.cells.dtype
@@ -164,6 +164,25 @@ def optimized(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
     from odt_plugins.engine.run.driver import run
 
     return run(mesh, options, leaving)
+
+
+def _run_kept(
+    work: _Prepared, engine: Callable[..., Outcome], options: Options, leaving: Leaving
+) -> Kept:
+    """What the engine makes of the mesh, as it leaves, with curved cells as good as before."""
+    progress = options.progress
+
+    def run(mesh: SimplexMesh, attempt: int) -> Outcome:
+        tell = progress and part(progress, 1.0 - 0.5**attempt, 1.0 - 0.5 ** (attempt + 1))
+        outcome = engine(mesh, replace(options, progress=tell), leaving)
+        return outcome if outcome.written is not None else leaving(outcome)
+
+    if work.host.nodes is None or work.tangle is not None:
+        outcome = engine(work.mesh, options, leaving)
+        return Kept(work.mesh, outcome if outcome.written is not None else leaving(outcome), None)
+    figures = bool(options.keep) and not work.mesh.is_surface
+    return keep_curved(
+        work.host, work.mesh, run, leaving, work.orientation, figures=figures)
 
 
 def _feet(work: _Prepared, points: FloatArray, cells: IntArray) -> Feet | None:

@@ -20,15 +20,16 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from dataclasses import replace
+from functools import partial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.higher_order import (
+    HigherOrder,
     check_mid_nodes,
     lattice,
-    warn_of_folds,
     with_mid_nodes,
 )
 from odt_plugins.adapters.host import Geometry, HostMesh, KeptCells, Result
@@ -168,6 +169,9 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         source=mesh,
         layout=Layout(parts, number, kind, entity, tags, nodes),
         higher_order=kind.order > 1,
+        nodes=nodes if kind.order > 1 else None,
+        shape=shape if kind.order > 1 else None,
+        settle=partial(_settled, mesh),
         geometry=_geometry(mesh, parts, entity, tags),
         ids=np.concatenate(ids),
         total=total,
@@ -349,22 +353,13 @@ def _new_parts(model: Any, result: Result, host: HostMesh) -> dict[Entity, Part]
         kept = order[np.searchsorted(layout.tags, np.unique(others[0]), sorter=order)]
         shape = lattice(layout.kind.dim, layout.kind.order, "gmsh")
         q = with_mid_nodes(result, host.points, layout.nodes, kept, shape)
+        q = _settled(model, host, q, result.source)
         points, cells, origin = q.points, q.cells.astype(np.int64), q.origin
     else:
         points, cells = result.points, result.cells.astype(np.int64)
         origin = np.arange(len(points)) if result.vertices is None else result.vertices.origin
-    block = host.blocks[result.source] if host.blocks is not None else np.full(
-        len(cells), next(i for i, part in enumerate(layout.parts.values())
-                         if any(e.number == layout.number for e in part.elements)))
-    entity = layout.entity[origin]
+    entity, block = _entities(host, cells, origin, result.source)
     fresh = origin < 0
-    inside = fresh[cells]
-    entity[cells[inside]] = np.broadcast_to(block[:, None], cells.shape)[inside]
-    if host.higher_order:
-        between = fresh | (points != host.points[origin]).any(axis=1)
-        between[cells[:, : layout.kind.corners]] = False
-        points[between] = _put_on(model, layout.parts, entity[between], points[between])
-        warn_of_folds(host.points, layout.nodes, replace(q, points=points))
     tags = layout.tags[origin]
     free = np.setdiff1d(layout.tags, tags[~fresh]) if host.higher_order else np.zeros(0, np.int64)
     tags[fresh] = _tags(free, int(model.mesh.getMaxNodeTag()), int(fresh.sum()))
@@ -380,6 +375,30 @@ def _new_parts(model: Any, result: Result, host: HostMesh) -> dict[Entity, Part]
                                  np.where(moved, -1, origin[mine] - first))
         out[key] = Part(tags[mine], points[mine], parameters, elements)
     return out
+
+
+def _entities(
+    host: HostMesh, cells: IntArray, origin: IntArray, source: NDArray[Any]
+) -> tuple[IntArray, IntArray]:
+    """Entity of every node (n',) and of every cell (m',)."""
+    layout = host.layout
+    block = host.blocks[source] if host.blocks is not None else np.full(
+        len(cells), next(i for i, part in enumerate(layout.parts.values())
+                         if any(e.number == layout.number for e in part.elements)))
+    entity = layout.entity[origin]
+    inside = (origin < 0)[cells]
+    entity[cells[inside]] = np.broadcast_to(block[:, None], cells.shape)[inside]
+    return entity, block
+
+
+def _settled(model: Any, host: HostMesh, q: HigherOrder, source: NDArray[Any]) -> HigherOrder:
+    """The same with nodes between the corners on the geometry, where they moved or are new."""
+    layout, points, cells = host.layout, q.points.copy(), q.cells.astype(np.int64)
+    entity, _ = _entities(host, cells, q.origin, source)
+    between = (q.origin < 0) | (points != host.points[q.origin]).any(axis=1)
+    between[cells[:, : layout.kind.corners]] = False
+    points[between] = _put_on(model, layout.parts, entity[between], points[between])
+    return replace(q, points=points)
 
 
 def _tags(free: IntArray, last: int, count: int) -> IntArray:

@@ -14,16 +14,15 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import cache
-from math import factorial
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.host import Result, interpolated
-from odt_plugins.errors import DataNotKeptWarning, InvalidMeshError, ODTWarning, warn
+from odt_plugins.errors import DataNotKeptWarning, InvalidMeshError, warn
 from odt_plugins.mesh.facets import row_keys
-from odt_plugins.mesh.simplex import barycentric, determinant
+from odt_plugins.mesh.simplex import barycentric
 
 Lattice = NDArray[np.int64]
 """Whole barycentric weights (k, d + 1) of the nodes of a cell, corners first; each sums to p."""
@@ -431,39 +430,11 @@ def _between(
     return mean
 
 
-def warn_of_folds(before: NDArray[Any], rows: NDArray[Any], q: HigherOrder) -> None:
-    """Warn when curved cells came to overlap themselves between their corners.
-
-    The promise holds for the corners; a strongly curved boundary can reach through a straight
-    neighbour. Cells are told by the sign of the Jacobian at all nodes.
-    """
-    bad = np.flatnonzero(_folded(q.points, q.cells, q.shape))
-    if bad.size and not _folded(before, rows, q.shape).any():
-        msg = (
-            f"{bad.size} {_name(int(q.shape[0, 0]))} cells (first: cell {bad[0]}) have a Jacobian "
-            f"of changing sign; expected none as in the input, try a selection without the cells "
-            f"at the curved boundary"
-        )
-        warn(msg, ODTWarning)
-
-
-def _folded(points: NDArray[Any], rows: NDArray[Any], shape: Lattice) -> NDArray[np.bool_]:
-    """Cells whose Jacobian determinant is not of one sign at their nodes."""
-    x = np.asarray(points, dtype=np.float64)[rows]
-    jacobian = np.einsum("qkd,mkx->mqdx", shape_gradients(shape), x)
-    if jacobian.shape[2] == jacobian.shape[3]:
-        det = determinant(np.moveaxis(jacobian, (2, 3), (0, 1)))
-    else:
-        normal = np.cross(jacobian[:, :, 0], jacobian[:, :, 1])
-        det = (normal * normal.sum(axis=1, keepdims=True)).sum(axis=2)
-    folded: NDArray[np.bool_] = (det.min(axis=1) <= 0.0) & (det.max(axis=1) >= 0.0)
-    return folded
-
-
 def shape_values(shape: Lattice, weights: NDArray[np.float64]) -> NDArray[np.float64]:
     """Shape functions (q, k) of all nodes at barycentric coordinates (q, d + 1).
 
-    See :func:`shape_gradients`.
+    That of the node a is the product over the corners i of P(p l_i; a_i), with the barycentric
+    coordinates l and P(x; a) = x (x - 1) ... (x - a + 1) / a!.
     """
     order = int(shape[0, 0])
     at = np.ones((order + 1, *weights.shape))
@@ -473,28 +444,6 @@ def shape_values(shape: Lattice, weights: NDArray[np.float64]) -> NDArray[np.flo
         [np.prod([at[a, :, i] for i, a in enumerate(node)], axis=0) for node in shape.tolist()],
         axis=1)
     return out
-
-
-def shape_gradients(shape: Lattice) -> NDArray[np.float64]:
-    """Gradients (k, k, d) of the shape functions at the nodes, in reference coordinates.
-
-    That of the node a is the product over the corners i of P(p l_i; a_i), with the barycentric
-    coordinates l and P(x; a) = x (x - 1) ... (x - a + 1) / a!.
-    """
-    order, d = int(shape[0, 0]), shape.shape[1] - 1
-    value = np.empty((order + 1, order + 1))
-    slope = np.empty((order + 1, order + 1))
-    for a in range(order + 1):
-        polynomial = np.poly1d(np.poly(np.arange(a)) / factorial(a))
-        value[a] = polynomial(np.arange(order + 1))
-        slope[a] = order * polynomial.deriv()(np.arange(order + 1))
-    at = value[shape[None], shape[:, None]]
-    gradient = np.zeros((len(shape), len(shape), d))
-    for i in range(d + 1):
-        others = np.delete(at, i, axis=2).prod(axis=2)
-        along = others * slope[shape[None, :, i], shape[:, None, i]]
-        gradient += along[:, :, None] * (np.eye(d)[i - 1] if i else -np.ones(d))
-    return gradient
 
 
 def renumbered(mapping: Mapping[str, Any], q: HigherOrder) -> dict[str, Any]:

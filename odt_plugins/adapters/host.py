@@ -63,6 +63,10 @@ class HostMesh:
     fields : tuple of str             names of the point arrays that sample a field
     follows : bool                    whether fields are interpolated unless the caller says so
     geometry : Geometry or None       that the vertices of the surface are on, and stay on
+    nodes : (m, k) int or None        all nodes of the cells of higher order
+    shape : (k, d + 1) int or None    whole barycentric weights of these nodes
+    settle : callable or None         puts nodes between the corners where the writer puts them:
+                                      takes this, a HigherOrder and the source of its cells
     texture : array or None           texture coordinates: (m, 3, c) of the corners of triangles, or
                                       (n, c) of the vertices
     """
@@ -84,6 +88,9 @@ class HostMesh:
     follows: bool = True
     texture: NDArray[Any] | None = None
     geometry: Geometry | None = None
+    nodes: NDArray[Any] | None = None
+    shape: NDArray[np.int64] | None = None
+    settle: Callable[[Any, Any, NDArray[Any]], Any] | None = None
 
     @property
     def textured(self) -> bool:

@@ -27,7 +27,6 @@ from odt_plugins.adapters.higher_order import (
     order_of,
     placed_nodes,
     renumbered,
-    warn_of_folds,
     with_mid_nodes,
 )
 from odt_plugins.adapters.host import (
@@ -120,7 +119,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         for i, block in enumerate(mesh.cells)
         if i not in chosen and block.type != "vertex" and len(block.data)
     )
-    nodes = np.concatenate([mesh.cells[i].data for i in chosen])
+    rows = nodes = np.concatenate([mesh.cells[i].data for i in chosen])
     if shape is not None:
         check_mid_nodes(nodes, len(mesh.points), shape)
         nodes = nodes[:, : shape.shape[1]]
@@ -140,6 +139,8 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         layout=dict(zip(chosen, np.cumsum([0, *size[:-1]]).tolist(), strict=True)),
         anchors=_anchors(mesh),
         higher_order=shape is not None,
+        nodes=None if shape is None else rows,
+        shape=shape,
         ids=np.flatnonzero(np.repeat([block.type == kind for block in mesh.cells], sizes)),
         texture=_texture(arrays, kind),
         total=sum(sizes),
@@ -287,7 +288,6 @@ def _with_mid_nodes(
         return result, None
     q = with_mid_nodes(result, host.points, nodes,
                        np.unique(np.concatenate([np.zeros(0, dtype=np.int64), *kept])), shape)
-    warn_of_folds(host.points, nodes, q)
     for i in others:
         old = np.asarray(out.cells[i].data)
         out.cells[i].data = q.number[old].astype(old.dtype)

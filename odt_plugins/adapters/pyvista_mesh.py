@@ -24,7 +24,6 @@ from odt_plugins.adapters.higher_order import (
     lattice,
     order_of,
     placed_nodes,
-    warn_of_folds,
     with_mid_nodes,
 )
 from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
@@ -122,6 +121,8 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
             (mesh.point_data.active_normals_name, name)),
         anchors=_anchors(mesh) if grid else None,
         higher_order=wide,
+        nodes=nodes if wide else None,
+        shape=shape if wide else None,
         texture=None if texture is None else texture.reshape(len(texture), -1),
         words=lambda text: text.replace("merging vertices at the same place", "mesh.clean()"),
     )
@@ -273,7 +274,6 @@ def _write_higher_order(out: Any, result: Result, host: HostMesh) -> IndexArray:
     others = np.ones(len(flat), dtype=np.bool_)
     others[(offset[ids][:, None] + np.arange(nodes.shape[1])).ravel()] = False
     q = with_mid_nodes(result, host.points, nodes, np.unique(flat[others]), shape)
-    warn_of_folds(host.points, nodes, q)
     whole = Result(q.points, q.cells, result.source)
     rows = _write_grid(out, whole, source, ids, q.number)
     out.point_data.clear()

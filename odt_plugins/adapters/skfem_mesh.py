@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from odt_plugins.adapters.higher_order import (
     check_mid_nodes,
     lattice,
-    warn_of_folds,
     with_mid_nodes,
 )
 from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
@@ -70,7 +69,9 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
             for facets in (mesh.boundaries or {}).values() if len(facets)]
     labels = _labels(mesh, regions, corners)
     return HostMesh(points, corners, *labels, kept=tuple(kept), source=mesh, layout=nodes,
-                    higher_order=order == 2, words=in_words)
+                    higher_order=order == 2, words=in_words,
+                    nodes=nodes if order == 2 else None,
+                    shape=lattice(corners.shape[1] - 1, 2) if order == 2 else None)
 
 
 def write(result: Result, host: HostMesh) -> Any:
@@ -82,7 +83,6 @@ def write(result: Result, host: HostMesh) -> Any:
     if host.higher_order:
         shape = lattice(cells.shape[1] - 1, 2)
         q = with_mid_nodes(result, host.points, host.layout, np.zeros(0, dtype=np.int64), shape)
-        warn_of_folds(host.points, host.layout, q)
         # Vertices come first in scikit-fem, then a node for every edge in the order of its own.
         d, first = cells.shape[1], int(cells.max()) + 1
         out = replace(mesh, doflocs=q.points.T.copy(), t=cells.T.copy())

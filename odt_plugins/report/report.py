@@ -72,6 +72,11 @@ class Report:
                                             "added" and of "flips" until all were valid, of cells
                                             "left" that were not, and in what the result is "worse"
                                             than the valid cells of the input
+    curved : dict or None                   of curved "cells": least and mean scaled Jacobian
+                                            before and after, "least" and "mean" of the least
+                                            determinant by the largest one of a cell,
+                                            "least_of_corners" and "mean_of_corners" by that of its
+                                            corners; the number of "vertices_held" for them
     meshes : two of (points, cells)         before and after, for :meth:`worth`; not in
                                             :meth:`to_dict`
     """
@@ -99,6 +104,7 @@ class Report:
     interpolated: tuple[str, ...] = ()
     notes: tuple[str, ...] = ()
     untangled: Mapping[str, Any] | None = None
+    curved: Mapping[str, float] | None = None
     meshes: tuple[tuple[NDArray[Any], NDArray[Any]], ...] = dataclasses.field(
         default=(), repr=False, compare=False)
 
@@ -134,6 +140,8 @@ class Report:
         lines += [f"note   {note}" for note in self.notes]
         if self.untangled:
             lines += _untangled_lines(self.untangled)
+        if self.curved:
+            lines += _curved_lines(self.curved)
         if self.surface:
             lines += _surface_lines(self.surface)
         if self.energy:
@@ -263,6 +271,17 @@ def make_report(
         meshes=((before.points, before.cells), (outcome.points, outcome.cells)),
         **told,
     )
+
+
+def _curved_lines(facts: Mapping[str, float]) -> list[str]:
+    """How good curved cells are, and what was held for them."""
+    text = ("curved {cells} cells; least scaled Jacobian {least_before:.4f} -> {least_after:.4f}, "
+            "mean {mean_before:.4f} -> {mean_after:.4f}")
+    lines = [text.format(**facts)]
+    if facts["vertices_held"]:
+        lines.append(f"note   {facts['vertices_held']} vertices stay, since curved cells beside "
+                     f"them would be folded or have a smaller scaled Jacobian")
+    return lines
 
 
 def regions_line(names: tuple[str, ...]) -> str:

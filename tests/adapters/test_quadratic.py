@@ -9,7 +9,16 @@ import contract
 import meshio
 import numpy as np
 import pytest
-from quadratic_meshes import EDGES, MAKERS, MESHIO, WITH_DATA, edges_of, view, widened
+from quadratic_meshes import (
+    EDGES,
+    MAKERS,
+    MESHIO,
+    WITH_DATA,
+    churned,
+    edges_of,
+    view,
+    widened,
+)
 
 import odt_plugins
 from odt_plugins.adapters import files
@@ -17,7 +26,6 @@ from odt_plugins.adapters.higher_order import (
     carried_point_data,
     check_mid_nodes,
     lattice,
-    warn_of_folds,
     with_mid_nodes,
 )
 from odt_plugins.adapters.host import Result
@@ -25,7 +33,6 @@ from odt_plugins.engine.run import driver
 from odt_plugins.errors import (
     DataNotKeptWarning,
     InvalidMeshError,
-    ODTWarning,
     UnsupportedMeshError,
 )
 
@@ -47,7 +54,7 @@ def quadratic_grid(dim, n=4, shuffle=True):
 @pytest.fixture(params=["engine", "churn"])
 def _engine(request, monkeypatch):
     if request.param == "churn":
-        monkeypatch.setattr(driver, "run", contract.churn)
+        churned(monkeypatch)
 
 
 TURNED = {2: [0, 2, 1, 5, 4, 3], 3: [0, 1, 3, 2, 4, 8, 7, 6, 5, 9]}
@@ -159,7 +166,7 @@ def test_a_mesh_that_does_not_change_comes_back_bit_for_bit(host, d):
 
 
 def test_corners_keep_their_index_when_they_come_first(monkeypatch, d):
-    monkeypatch.setattr(driver, "run", contract.churn)
+    churned(monkeypatch)
     points, rows, labels = quadratic_grid(d, shuffle=False)
     out = odt_plugins.optimize(MAKERS["meshio"](points, rows, labels, {}, d))
     n = int(rows[:, : d + 1].max()) + 1
@@ -242,7 +249,7 @@ def test_more_edges_get_nodes_at_the_end_and_fewer_close_up():
 
 
 def test_boundary_cells_and_point_sets_beside_them_follow(monkeypatch):
-    monkeypatch.setattr(driver, "run", contract.churn)
+    churned(monkeypatch)
     points, rows, labels = quadratic_grid(3)
     mid = edges_of(rows, 3)
     outer = sorted(contract.facets(rows[:, :4], np.zeros(len(rows), int)))[:20]
@@ -268,7 +275,7 @@ def test_boundary_cells_and_point_sets_beside_them_follow(monkeypatch):
 
 
 def test_new_nodes_of_gmsh_files_lie_in_the_entity_of_their_cells(tmp_path, monkeypatch, d):
-    monkeypatch.setattr(driver, "run", contract.churn)
+    churned(monkeypatch)
     points, rows, labels = quadratic_grid(d)
     labels = np.where(labels == 7, 1, 2)
     rim = contract.facets(rows[:, : d + 1], np.zeros(len(rows), int))
@@ -299,7 +306,7 @@ def test_new_nodes_of_gmsh_files_lie_in_the_entity_of_their_cells(tmp_path, monk
 
 
 def test_a_point_set_that_loses_nodes_is_named(monkeypatch):
-    monkeypatch.setattr(driver, "run", contract.churn)
+    churned(monkeypatch)
     points, rows, labels = quadratic_grid(2)
     mesh = MAKERS["meshio"](points, rows, labels, {}, 2)
     mesh.point_sets["all"] = np.arange(len(points))
@@ -310,7 +317,7 @@ def test_a_point_set_that_loses_nodes_is_named(monkeypatch):
 
 def test_other_cells_of_a_grid_take_the_new_numbers(monkeypatch):
     pyvista = pytest.importorskip("pyvista")
-    monkeypatch.setattr(driver, "run", contract.churn)
+    churned(monkeypatch)
     points, rows, _ = quadratic_grid(3)
     mid = edges_of(rows, 3)
     face = sorted(contract.facets(rows[:, :4], np.zeros(len(rows), int)))[5]
@@ -391,26 +398,3 @@ def test_other_quadratic_cells_are_refused_by_name(beside):
     message = rf"QUADRATIC_HEXAHEDRON \(first: cell {len(parts)}\)"
     with pytest.raises(UnsupportedMeshError, match=message):
         odt_plugins.optimize(grid)
-
-
-def test_cells_that_fold_between_their_corners_are_named(d):
-    points, rows, _ = quadratic_grid(d, n=2, shuffle=False)
-    straight = points.copy()
-    for (a, b), mid in edges_of(rows, d).items():
-        straight[mid] = (points[a] + points[b]) / 2
-    same = Result(straight, rows[:, : d + 1], np.arange(len(rows), dtype=np.int32))
-    q = with_mid_nodes(same, straight, rows, np.zeros(0, dtype=int), lattice(d, 2))
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        warn_of_folds(straight, rows, q)
-    bent = straight.copy()
-    a, b, c = straight[rows[5][:3]]
-    bent[rows[5][d + 1]] = (a + b) / 2 + 0.6 * (c - (a + b) / 2)
-    # At that mid-node the Jacobian is 1 - 2 * 0.6 times the old one.
-    again = with_mid_nodes(same._replace(points=bent), bent, rows, np.zeros(0, dtype=int),
-                           lattice(d, 2))
-    with pytest.warns(ODTWarning, match=r"quadratic cells \(first: cell \d+\) have a Jacobian"):
-        warn_of_folds(straight, rows, again)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        warn_of_folds(bent, rows, again)

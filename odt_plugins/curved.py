@@ -1,0 +1,217 @@
+"""Curved cells keep the promise too: none is folded, and their scaled Jacobian is no worse.
+
+The engine knows the corners alone. After a run the nodes between them are put in place, and the
+cells that changed are compared with those of the input. Where they are worse, cells and vertices
+around them are held, and the engine runs again; at last all curved cells are held.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.adapters.higher_order import HigherOrder, with_mid_nodes
+from odt_plugins.adapters.host import HostMesh, Result
+from odt_plugins.engine.run.outcome import Outcome, unchanged
+from odt_plugins.mesh.arrays import BoolArray, FloatArray
+from odt_plugins.mesh.bernstein import jacobian_bounds
+from odt_plugins.mesh.simplex import SimplexMesh, freeze, reverse
+
+STRAIGHT = 1e-12
+"""Nodes that are off their place by less of the extent of a cell leave the cell straight."""
+
+ROUNDED = 1e-6
+"""A cell whose nodes are off by less does not count in the figures of curved cells."""
+
+SLACK = 1e-9
+"""By how much a figure may be smaller, by rounding."""
+
+ATTEMPTS = 5
+"""How often some vertices are held before all curved cells are."""
+
+SPARE = 1.5
+"""Cells are held that lost this many times what a mean lacks."""
+
+
+class Curved(NamedTuple):
+    """Curved cells of one mesh.
+
+    Attributes
+    ----------
+    valid : (m,) bool          the determinant of the Jacobian is certainly positive everywhere
+    scaled : (m,) float64      least determinant by the largest of a cell
+    shrunk : (m,) float64      least determinant by that of the corners
+    counts : (m,) bool         curved beyond rounding
+    """
+
+    valid: BoolArray
+    scaled: FloatArray
+    shrunk: FloatArray
+    counts: BoolArray
+
+    def figures(self) -> FloatArray:
+        """Least and mean of both (4,) over the cells that count, 1 where none does."""
+        values = np.stack([self.scaled, self.shrunk])[:, self.counts]
+        if not values.size:
+            return np.ones(4)
+        return np.concatenate([values.min(axis=1), values.mean(axis=1)])
+
+
+class Kept(NamedTuple):
+    """What came of the curved cells.
+
+    Attributes
+    ----------
+    mesh : SimplexMesh     the one of the engine, with what is held
+    outcome : Outcome
+    facts : dict or None   "cells", "vertices_held" and least and mean scaled Jacobian before and
+                           after; None without curved cells
+    """
+
+    mesh: SimplexMesh
+    outcome: Outcome
+    facts: dict[str, float] | None
+
+
+def measured(points: NDArray[Any], rows: NDArray[Any], shape: NDArray[np.int64]) -> Curved:
+    """Measure cells.
+
+    Parameters
+    ----------
+    points : (n, D)           all nodes
+    rows : (m, k) int         nodes of the cells
+    shape : (k, d + 1) int    lattice of a cell
+    """
+    d = shape.shape[1]
+    x = np.asarray(points[rows], dtype=np.float64)
+    x = x - x[:, :1]
+    off = x[:, d:] - np.einsum("ec,mcx->mex", shape[d:] / shape[0].sum(), x[:, :d])
+    off = np.sqrt((off * off).sum(axis=2)).max(axis=1)
+    extent = np.sqrt((x * x).sum(axis=2)).max(axis=1)
+    eps = float(np.finfo(points.dtype).eps)
+    largest = np.abs(np.asarray(points[rows], dtype=np.float64)).max(axis=(1, 2))
+    out = Curved(np.ones(len(x), dtype=np.bool_), np.ones(len(x)), np.ones(len(x)),
+                 off > np.maximum(ROUNDED * extent, 8 * eps * largest))
+    bent = np.flatnonzero(off > STRAIGHT * extent)
+    bounds = jacobian_bounds(x[bent], shape)
+    corners = jacobian_bounds(x[bent, :d], np.eye(d, dtype=np.int64)).least
+    out.valid[bent], out.scaled[bent] = bounds.valid, bounds.scaled
+    safe = np.where(corners > 0.0, corners, 1.0)
+    out.shrunk[bent] = np.where(corners > 0.0, np.maximum(bounds.lower, 0.0) / safe, 0.0)
+    return out
+
+
+def keep_curved(
+    host: HostMesh,
+    mesh: SimplexMesh,
+    run: Callable[[SimplexMesh, int], Outcome],
+    leave: Callable[[Outcome], Outcome],
+    orientation: int,
+    *,
+    figures: bool,
+) -> Kept:
+    """Run the engine until curved cells are as valid and as good as in the input.
+
+    Parameters
+    ----------
+    host : HostMesh      the caller's mesh, with `nodes` and `shape`
+    mesh : SimplexMesh   the same for the engine
+    run : callable       the engine; takes the mesh and the number of the attempt
+    leave : callable     lets an outcome leave
+    orientation : int    -1 where all cells of the caller are negative
+    figures : bool       whether the scaled Jacobian is kept, too
+    """
+    rows, shape = host.nodes, host.shape
+    before = None if rows is None or shape is None else measured(host.points, rows, shape)
+    if before is None or before.scaled.min(initial=1.0) == 1.0:
+        return Kept(mesh, run(mesh, 0), None)
+    now, was = mesh, before.figures()
+    for attempt in range(ATTEMPTS + 2):
+        outcome = run(now, attempt)
+        after, spoiled = _compared(host, before, outcome, orientation)
+        is_now = after.figures()
+        worse = (is_now < was - SLACK) & figures
+        if not spoiled.any() and not worse.any():
+            break
+        if attempt < ATTEMPTS:
+            spoiled |= _at_fault(before, after, outcome, was, worse)
+            now = _held(now, outcome, spoiled, strict=attempt + 1 == ATTEMPTS)
+        elif attempt == ATTEMPTS:
+            now = freeze(mesh, before.scaled < 1.0)
+        else:
+            why = "curved cells would be folded, or their scaled Jacobian worse"
+            outcome = leave(replace(unchanged(mesh, why), fallback=f"the input is returned: {why}"))
+            is_now, now = was, freeze(mesh, np.ones(len(mesh.cells), dtype=np.bool_))
+            break
+    names = ("least", "least_of_corners", "mean", "mean_of_corners")
+    facts: dict[str, float] = {"cells": int(before.counts.sum()),
+                               "vertices_held": int((now.fixed & ~mesh.fixed).sum())}
+    facts |= {f"{name}_before": float(v) for name, v in zip(names, was, strict=True)}
+    facts |= {f"{name}_after": float(v) for name, v in zip(names, is_now, strict=True)}
+    return Kept(now, outcome, facts)
+
+
+def _compared(
+    host: HostMesh, before: Curved, outcome: Outcome, orientation: int
+) -> tuple[Curved, BoolArray]:
+    """Cells of the result, and which (m',) are folded though those of the input were not."""
+    rows: Any = host.nodes
+    source: Any = outcome.source
+    q = placed(host, outcome, orientation)
+    old = q.origin[q.cells]
+    moved = (q.origin < 0) | (q.points != host.points[q.origin]).any(axis=1)
+    same = (np.sort(old, axis=1) == np.sort(rows[source], axis=1)).all(axis=1)
+    same &= ~moved[q.cells].any(axis=1)
+    after = Curved(*(values[source].copy() for values in before))
+    new = np.flatnonzero(~same)
+    for values, found in zip(after, measured(q.points, q.cells[new], q.shape), strict=True):
+        values[new] = found
+    return after, ~after.valid & ~same & before.valid[source]
+
+
+def placed(host: HostMesh, outcome: Outcome, orientation: int) -> HigherOrder:
+    """All nodes of an outcome that left."""
+    written: Any = outcome.written
+    source: Any = outcome.source
+    rows: Any = host.nodes
+    shape: Any = host.shape
+    cells = reverse(outcome.cells, np.full(len(outcome.cells), orientation < 0))
+    result = Result(written, cells.astype(host.cells.dtype), source)
+    q = with_mid_nodes(result, host.points, rows, np.zeros(0, dtype=np.int64), shape)
+    return q if host.settle is None else host.settle(host, q, source)
+
+
+def _at_fault(
+    before: Curved, after: Curved, outcome: Outcome, was: FloatArray, worse: BoolArray
+) -> BoolArray:
+    """Cells (m',) below the least figure, and where a mean fell those that lost most."""
+    fault = np.zeros(len(outcome.cells), dtype=np.bool_)
+    for i, (old, new) in enumerate(((before.scaled, after.scaled), (before.shrunk, after.shrunk))):
+        if worse[i]:
+            fault |= new < was[i] - SLACK
+        if worse[i + 2]:
+            lost = np.maximum(old[outcome.source] - new, 0.0)
+            lacking = was[i + 2] * after.counts.sum() - new[after.counts].sum()
+            order = np.argsort(-lost, kind="stable")
+            recovered = np.cumsum(lost[order])
+            most = order[: np.searchsorted(recovered, SPARE * lacking) + 1]
+            fault[most[lost[most] > SLACK]] = True
+    return fault
+
+
+def _held(mesh: SimplexMesh, outcome: Outcome, spoiled: BoolArray, *, strict: bool) -> SimplexMesh:
+    """The mesh for the next attempt: corners of spoiled cells that moved are held.
+
+    Where none of a cell moved, or to be `strict`, the cells of the input that share a facet with
+    the corners are frozen, too.
+    """
+    rows = outcome.cells[spoiled]
+    moved = (outcome.points != mesh.points).any(axis=1)
+    around = np.zeros(len(mesh.points), dtype=np.bool_)
+    around[rows if strict else rows[~moved[rows].any(axis=1)]] = True
+    frozen = around[mesh.cells].sum(axis=1) >= mesh.dim
+    return freeze(mesh, mesh.frozen | frozen, np.unique(rows[moved[rows]]))
