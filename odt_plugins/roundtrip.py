@@ -14,11 +14,12 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import Adapter, Feet, HostMesh, KeptCells, NewVertices, Result
+from odt_plugins.adapters.host import Adapter, Feet, HostMesh, NewVertices, Result
 from odt_plugins.adapters.kept import hold_charts, protect, protect_surface
 from odt_plugins.adapters.regions import AUTO, CHARTS, are_names
 from odt_plugins.adapters.registry import find_adapter
-from odt_plugins.adapters.wedges import SEAM, charts
+from odt_plugins.adapters.wedges import glued, without_seams
+from odt_plugins.aside import note, of_cells, seen, with_others, without_others
 from odt_plugins.carry import in_input_order, in_order_of, surrounding_cells
 from odt_plugins.curved import Kept, keep_curved
 from odt_plugins.errors import (
@@ -64,7 +65,8 @@ LARGEST = 0.5
 class _Prepared(NamedTuple):
     """A caller's mesh in the engine's form, and the way back.
 
-    Where it was untangled, `host` has its new places and cells, and `tangle` says what it was.
+    `own` are the cells that it has of the caller's, if not all. Where it was untangled, `host` has
+    its new places and cells, and `tangle` says what it was.
     """
 
     adapter: Adapter
@@ -75,6 +77,7 @@ class _Prepared(NamedTuple):
     same: NDArray[np.int64] | None = None
     notes: tuple[str, ...] = ()
     tangle: Tangle | None = None
+    own: NDArray[np.int64] | None = None
 
 
 def run_engine(
@@ -106,6 +109,7 @@ def run_engine(
         moves = work.host.geometry is not None and _surface_moves(work, options)
         leaving = partial(_as_it_leaves, work, options.threads, onto=moves)
         with words_of(work.host):
+            options = of_cells(options, work.own, len(given.cells))
             chosen = _of_mesh(_in_frame(options, work.frame), work.tangle)
             chosen = _with_sag(chosen, work) if moves else chosen
             then = progress if work.tangle is None else part(progress, wanted.share, 1.0)
@@ -130,11 +134,13 @@ def run_engine(
     around = partial(_around, work, options.threads)
     written = replace(outcome, written=points, cells=cells)
     vertices = _new_vertices(work, written, around, moved=bool(fields))
+    if work.orientation < 0:
+        cells = reverse(cells, np.ones(len(cells), dtype=np.bool_))
+    if work.own is not None:
+        cells, source = with_others(given.cells, cells, source, work.own)
     told = {"regions_from": work.host.regions_from, "cell_origin": _cell_origin(work.host, source),
             "interpolated": () if vertices is None else fields, "notes": work.notes,
             "tangle": work.tangle, "curved": curved.facts}
-    if work.orientation < 0:
-        cells = reverse(cells, np.ones(len(cells), dtype=np.bool_))
     kind = work.host.cells.dtype
     if outcome.origin is not None and kind.kind != "f":
         kind = np.promote_types(kind, np.min_scalar_type(len(outcome.points) - 1))
@@ -215,8 +221,15 @@ def _prepare(mesh: Any, options: Options, wanted: Wanted) -> tuple[_Prepared, Ho
     with words_of(host):
         if options.insert:
             _expect_linear_tetrahedra(host)
-        work = partial(_checked, adapter, flat_points(host), options, wanted)
-        found = work(host, keep_seams=keep_seams)
+        flat = flat_points(host)
+        own, seen_host = seen(host, flat[0]), host
+        if own is not None:
+            seen_host, options = without_others(host, options, own)
+        work = partial(_checked, adapter, flat, options, wanted)
+        found = work(seen_host, keep_seams=keep_seams)
+        if own is not None:
+            notes = (*found.notes, note(len(host.cells) - len(own)))
+            return found._replace(own=own, notes=notes), host
         if found.tangle is not None:
             return found, host
         same = None if host.higher_order else same_places(host.points, host.cells.astype(np.int64))
@@ -231,7 +244,7 @@ def _checked(
     points, frame = flat
     labels: Any = host.regions
     on_surface = host.cells.shape[1] == points.shape[1]
-    host = _without_seams(host) if on_surface and not keep_seams else host
+    host = without_seams(host) if on_surface and not keep_seams else host
     if host.blocks is not None:
         labels = compact_labels(labels, len(host.cells)).astype(np.int64)
         labels = labels * (int(host.blocks.max()) + 1) + host.blocks
@@ -301,7 +314,7 @@ def _of_soup(
     if found.mesh.is_surface:
         of_vertices = host.texture is not None and host.texture.ndim == 2
         try:
-            merged = work(_glued(host, same), keep_seams=keep_seams or of_vertices)
+            merged = work(glued(host, same), keep_seams=keep_seams or of_vertices)
         except InvalidMeshError as exc:
             why = f", and do not fit together where vertices at the same place are one ({exc})"
         else:
@@ -319,31 +332,6 @@ def _of_soup(
         f"hardly any vertices may move, since the cells share hardly any{why}; {call}")
     warn(note)
     return found._replace(notes=(note,))
-
-
-def _glued(host: HostMesh, same: NDArray[np.int64]) -> HostMesh:
-    """The same soup with one vertex at every place; textures part it where they did."""
-    def first(rows: NDArray[Any]) -> NDArray[Any]:
-        known = (rows >= 0) & (rows < len(same))
-        return np.where(known, same[np.where(known, rows, 0).astype(np.int64)], rows)
-
-    cells = first(host.cells).astype(np.int64)
-    kept = [KeptCells(kind, first(rows)) for kind, rows in host.kept if kind != SEAM]
-    blocks = host.blocks
-    if host.texture is not None and cells.shape[1] == 3:
-        uv = host.texture if host.texture.ndim == 3 else host.texture[host.cells.astype(np.int64)]
-        blocks, seams = charts(uv, cells)
-        kept.append(seams)
-    anchors = None if host.anchors is None else first(host.anchors)
-    return replace(host, cells=cells, blocks=blocks, kept=tuple(kept), anchors=anchors)
-
-
-def _without_seams(host: HostMesh) -> HostMesh:
-    """The same with nothing that keeps the seams of a texture."""
-    if not host.textured:
-        return host
-    kept = tuple(part for part in host.kept if part.kind != SEAM)
-    return replace(host, blocks=None, kept=kept)
 
 
 @contextmanager
@@ -491,7 +479,14 @@ def _around(
 def _locating(work: _Prepared, around: Callable[..., Any]) -> Callable[..., Any]:
     """What :func:`_around` does, with coordinates in the order of the caller's corners."""
     rows = (work.mesh if work.tangle is None else work.tangle.around).cells
-    return lambda x, near: in_order_of(work.host.cells, rows, *around(x, near))
+    own: Any = work.own
+
+    def locate(x: NDArray[Any], near: IntArray) -> tuple[NDArray[Any], FloatArray]:
+        near = near if own is None else np.searchsorted(own[:-1], near).astype(near.dtype)
+        cell, weights = in_order_of(work.host.cells, rows, *around(x, near))
+        return cell if own is None else own[cell], weights
+
+    return locate
 
 
 def _new_vertices(

@@ -6,10 +6,13 @@ vertices of a curved surface move across seams, and the coordinates of its wedge
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import Feet, KeptCells, Result
+from odt_plugins.adapters.host import Feet, HostMesh, KeptCells, Result
 from odt_plugins.adapters.regions import CHARTS
 from odt_plugins.errors import DataNotKeptWarning, counted, warn
 from odt_plugins.mesh.components import components
@@ -173,3 +176,28 @@ def _of_sources(
     first = best[np.cumsum(size) - size]
     out[face, corner] = flat[wedge[first]]
     return out
+
+
+def glued(host: HostMesh, same: NDArray[np.int64]) -> HostMesh:
+    """The same soup with one vertex at every place; textures part it where they did."""
+    def first(rows: NDArray[Any]) -> NDArray[Any]:
+        known = (rows >= 0) & (rows < len(same))
+        return np.where(known, same[np.where(known, rows, 0).astype(np.int64)], rows)
+
+    cells = first(host.cells).astype(np.int64)
+    kept = [KeptCells(kind, first(rows)) for kind, rows in host.kept if kind != SEAM]
+    blocks = host.blocks
+    if host.texture is not None and cells.shape[1] == 3:
+        uv = host.texture if host.texture.ndim == 3 else host.texture[host.cells.astype(np.int64)]
+        blocks, seams = charts(uv, cells)
+        kept.append(seams)
+    anchors = None if host.anchors is None else first(host.anchors)
+    return replace(host, cells=cells, blocks=blocks, kept=tuple(kept), anchors=anchors)
+
+
+def without_seams(host: HostMesh) -> HostMesh:
+    """The same with nothing that keeps the seams of a texture."""
+    if not host.textured:
+        return host
+    kept = tuple(part for part in host.kept if part.kind != SEAM)
+    return replace(host, blocks=None, kept=kept)
