@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.host import Adapter, Feet, HostMesh, NewVertices, Result
-from odt_plugins.adapters.kept import hold_charts, protect, protect_surface
+from odt_plugins.adapters.kept import hold_charts, hold_places, protect, protect_surface
 from odt_plugins.adapters.regions import AUTO, CHARTS, are_names
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.adapters.wedges import glued, without_seams
@@ -256,7 +256,8 @@ def _checked(
             surface.fixed[host.geometry.on_curves] = True
         if keep_seams:
             surface = hold_charts(surface, host.blocks)
-        return _Prepared(adapter, host, None, surface, 1)
+        notes = hold_places(surface, host, surface=True)
+        return _Prepared(adapter, host, None, surface, 1, notes=notes)
     tangled = False
     try:
         simplices, orientation = simplex_mesh(
@@ -271,7 +272,8 @@ def _checked(
         orientation = -1
         simplices = replace(simplices, turned=len(simplices.cells) - simplices.turned)
     simplices = protect(simplices, host.kept, host.anchors)
-    work = _Prepared(adapter, host, frame, simplices, orientation)
+    notes = hold_places(simplices, host, surface=False) if options.boundary == "slide" else ()
+    work = _Prepared(adapter, host, frame, simplices, orientation, notes=notes)
     return _untangled(work, options, wanted) if tangled or wanted.rest is not None else work
 
 
@@ -326,12 +328,13 @@ def _of_soup(
                 f"with it for the work; in the result they are apart again, at the same place; "
                 f"{call} for a mesh without them")
             return merged._replace(
-                mesh=replace(merged.mesh, fixed=fixed), same=same, notes=(note,),
+                mesh=replace(merged.mesh, fixed=fixed), same=same,
+                notes=(note, *merged.notes),
                 host=replace(host, blocks=merged.host.blocks))
     note = host.words(
         f"hardly any vertices may move, since the cells share hardly any{why}; {call}")
     warn(note)
-    return found._replace(notes=(note,))
+    return found._replace(notes=(note, *found.notes))
 
 
 @contextmanager

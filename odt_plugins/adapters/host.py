@@ -56,6 +56,8 @@ class HostMesh:
     layout : object                   what else the writer of this adapter needs
     words : callable                  puts an error message into the words of this toolkit
     anchors : (k,) int or None        vertices that may move but must not be removed
+    coupled : (k,) int or None        vertices of faces that correspond to each other, as those of
+                                      a periodic mesh, which stay when the boundary slides
     higher_order : bool               whether there are nodes between the corners of the cells
     ids : (m,) int or None            place of every cell among all cells of the object, ascending,
                                       where there may be others; they stay in that order
@@ -81,6 +83,7 @@ class HostMesh:
     layout: Any = None
     words: Callable[[str], str] = str
     anchors: NDArray[Any] | None = None
+    coupled: NDArray[Any] | None = None
     higher_order: bool = False
     ids: NDArray[Any] | None = None
     total: int = 0

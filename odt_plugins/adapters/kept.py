@@ -9,11 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import KeptCells
+from odt_plugins.adapters.host import HostMesh, KeptCells
 from odt_plugins.errors import InvalidMeshError, counted
 from odt_plugins.mesh.arrays import BoolArray, IntArray
 from odt_plugins.mesh.facets import directed_facets, row_keys
 from odt_plugins.mesh.simplex import SimplexMesh, freeze, with_same_cells
+from odt_plugins.mesh.soup import twins
+from odt_plugins.mesh.surface import disagreeing_edges
 
 
 def protect(
@@ -171,3 +173,25 @@ def _staying_facets(mesh: SimplexMesh, near: NDArray[np.intp]) -> BoolArray:
     differ = np.minimum.reduceat(label, start) != np.maximum.reduceat(label, start)
     stays = (count == 1) | differ
     return np.asarray(stays[inverse].reshape(key.shape))
+
+
+def hold_places(mesh: SimplexMesh, host: HostMesh, *, surface: bool) -> tuple[str, ...]:
+    """Hold, in place, what may not move each by itself, and say of what and why."""
+    notes = []
+    same = twins(mesh.points, mesh.cells)
+    if same.size:
+        mesh.fixed[same] = True
+        notes.append(f"{counted(len(same), 'vertex', 'vertices')} (first: {same[0]}) at the place "
+                     f"of another one stay, so that patches do not come apart there; try merging "
+                     f"vertices at the same place")
+    if host.coupled is not None and not surface:
+        mesh.fixed[host.coupled] = True
+        notes.append(f"{counted(len(host.coupled), 'vertex', 'vertices')} of periodic faces stay, "
+                     f"so that the faces still correspond")
+    if surface and mesh.frozen.any():
+        edges = disagreeing_edges(mesh)
+        if len(edges):
+            first = tuple(edges[0].tolist())
+            notes.append(f"cells disagree about the outside at {counted(len(edges), 'edge')} "
+                         f"(first: {first}) and stay there; try orient=True, or removing them")
+    return tuple(host.words(note) for note in notes)

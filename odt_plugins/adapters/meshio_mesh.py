@@ -138,6 +138,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         source=mesh,
         layout=dict(zip(chosen, np.cumsum([0, *size[:-1]]).tolist(), strict=True)),
         anchors=_anchors(mesh),
+        coupled=_coupled(mesh),
         higher_order=shape is not None,
         nodes=None if shape is None else rows,
         shape=shape,
@@ -215,6 +216,12 @@ def _renew_normals(out: Any, result: Result, host: HostMesh) -> None:
         out.cell_data[NORMALS][i] = renewed(
             np.asarray(out.cell_data[NORMALS][i]), result.points, out.cells[i].data,
             of_vertices=False)
+
+
+def _coupled(mesh: Any) -> NDArray[np.int64] | None:
+    """Vertices of the faces that a file of Gmsh says to be periodic, if there are any."""
+    pairs = [np.asarray(entry[-1]).ravel() for entry in mesh.gmsh_periodic or ()]
+    return np.unique(np.concatenate(pairs)).astype(np.int64) if pairs else None
 
 
 def _texture(arrays: dict[str, NDArray[Any]], kind: str) -> NDArray[Any] | None:

@@ -35,12 +35,31 @@ def same_places(
     alone, facets = _open_facets(cells, n)
     if 2 * alone <= facets:
         return None
+    same = _first_there(points)
+    closed = alone - _open_facets(same[cells], n)[0]
+    return same if 2 * closed > alone else None
+
+
+def twins(points: NDArray[np.floating], cells: NDArray[np.integer]) -> NDArray[np.int64]:
+    """Vertices (k,) of cells (m, d + 1) that share their place with one of no cell of theirs.
+
+    Patches that meet there come apart where such vertices move each by itself.
+    """
+    used, rows = np.unique(cells, return_inverse=True)
+    first = _first_there(points[used])
+    count = np.bincount(first, minlength=len(used))
+    place = first[rows.reshape(cells.shape)]
+    for i, j in combinations(range(cells.shape[1]), 2):
+        count[place[place[:, i] == place[:, j], i]] = 1
+    return np.asarray(used[count[first] > 1], dtype=np.int64)
+
+
+def _first_there(points: NDArray[np.floating]) -> NDArray[np.int64]:
+    """First point (n,) with the coordinates of every one."""
     rows = np.ascontiguousarray(points + 0.0)
     raw = rows.view(np.dtype((np.void, rows.dtype.itemsize * rows.shape[1]))).ravel()
     _, first, place = np.unique(raw, return_index=True, return_inverse=True)
-    same = first[place].astype(np.int64)
-    closed = alone - _open_facets(same[cells], n)[0]
-    return same if 2 * closed > alone else None
+    return np.asarray(first[place], dtype=np.int64)
 
 
 def _open_facets(cells: NDArray[np.integer], n: int) -> tuple[int, int]:

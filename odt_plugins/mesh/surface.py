@@ -21,6 +21,9 @@ from odt_plugins.mesh.simplex import (
     vertex_mask,
 )
 
+FEW = 0.05
+"""Largest part of the edges whose cells may disagree about the outside and be worked around."""
+
 
 class Edges(NamedTuple):
     """The edges of triangles, each once.
@@ -93,13 +96,14 @@ def surface_mesh(
     SimplexMesh                            triangles that run through every edge of two triangles
                                            once each way. Flat triangles, rims, edges of more than
                                            two triangles, vertices where several fans of triangles
-                                           meet, and vertices of no triangle are allowed
+                                           meet, and vertices of no triangle are allowed. Where few
+                                           neighbours disagree about the outside, they are frozen
 
     Raises
     ------
     InvalidMeshError                       wrong shapes, types, indices, coordinates; repeated
-                                           triangles; neighbours that disagree about the outside;
-                                           with ``orient`` a surface that has only one side
+                                           triangles; many neighbours that disagree about the
+                                           outside; with ``orient`` a surface with one side only
     InvalidOptionError                     `regions`, `fixed` or `selection` does not fit the mesh
     """
     p, t = mesh_arrays(points, cells)
@@ -108,17 +112,23 @@ def surface_mesh(
     edges = surface_edges(t, n)
     count = 0
     turned = _disagreeing(edges)
-    if turned.size:
-        if not orient:
-            a, b = edges.vertices[turned[0]].tolist()
-            msg = (
-                f"got {counted(turned.size, 'edge')} (first: the edge of vertices {a} and {b}) "
-                f"whose two cells disagree about the outside; expected one orientation, try "
-                f"orient=True"
-            )
-            raise InvalidMeshError(msg)
+    if turned.size and orient:
         against = _to_turn(t, edges)
-        t, count = reverse(t, against), int(against.sum())
+        if against is not None:
+            t, count = reverse(t, against), int(against.sum())
+            edges, turned = surface_edges(t, n), turned[:0]
+    few = turned.size <= FEW * len(edges.degree)
+    if turned.size and not few:
+        a, b = edges.vertices[turned[0]].tolist()
+        what, hope = ("disagree about the outside", "one orientation, try orient=True")
+        if orient:
+            what, hope = ("disagree however they are turned, as on a Moebius strip, non-orientable",
+                          "two sides, try cutting it open")
+        msg = (
+            f"got {counted(turned.size, 'edge')} (first: the edge of vertices {a} and {b}) whose "
+            f"two cells {what}; expected {hope}"
+        )
+        raise InvalidMeshError(msg)
     mesh = SimplexMesh(
         points=p,
         cells=t,
@@ -128,7 +138,17 @@ def surface_mesh(
     )
     if selection is not None:
         mesh = freeze(mesh, ~vertex_mask(selection, len(t), "selection", "cells"))
+    if turned.size:
+        around = np.zeros(len(edges.degree), dtype=np.bool_)
+        around[turned] = True
+        mesh = freeze(mesh, mesh.frozen | around[edges.of_cell].any(axis=1))
     return mesh
+
+
+def disagreeing_edges(mesh: SimplexMesh) -> IntArray:
+    """Edges (k, 2) of two triangles that disagree about the outside."""
+    edges = surface_edges(mesh.cells, len(mesh.points))
+    return edges.vertices[_disagreeing(edges)]
 
 
 def _check_corners(p: NDArray[np.float64], t: IntArray) -> None:
@@ -168,12 +188,10 @@ def _disagreeing(edges: Edges) -> NDArray[np.intp]:
     return np.flatnonzero((edges.degree == 2) & (ways != 1))
 
 
-def _to_turn(t: IntArray, edges: Edges) -> BoolArray:
+def _to_turn(t: IntArray, edges: Edges) -> BoolArray | None:
     """Triangles to turn so that neighbours agree: the smaller part of every connected piece.
 
-    Raises
-    ------
-    InvalidMeshError    there is no such choice
+    None where there is no such choice.
     """
     m = len(t)
     cell, corner = np.nonzero(edges.neighbors >= 0)
@@ -185,14 +203,8 @@ def _to_turn(t: IntArray, edges: Edges) -> BoolArray:
     rows = np.concatenate([cell, cell + m])
     columns = np.concatenate([other + turned * m, other + (1 - turned) * m])
     piece = components(rows, columns, 2 * m)
-    stuck = np.flatnonzero(piece[:m] == piece[m:])
-    if stuck.size:
-        msg = (
-            f"got {counted(stuck.size, 'cell')} (first: cell {stuck[0]}) of a surface with only "
-            f"one side, non-orientable like a Moebius strip; expected two sides, try cutting it "
-            f"open"
-        )
-        raise InvalidMeshError(msg)
+    if (piece[:m] == piece[m:]).any():
+        return None
     # of the two ways to orient a piece take the one that leaves more triangles as they are
     kept = np.bincount(piece[:m], minlength=int(piece.max()) + 1)
     as_is, flipped = kept[piece[:m]], kept[piece[m:]]

@@ -125,7 +125,7 @@ def _run_until_kept(
     start = _start(mesh)
     log = Log(times={"prepare": time.perf_counter() - clock}, without=without)
     first: list[str] = []
-    asked: Any = None
+    asked: Kept | None = None
     for halving in range(POLICY.surface_halvings + 1):
         within = replace(options, envelope=options.envelope * 0.5**halving)
         outcome, memory, kept, broken, reason = _attempts(start, within, leaving, log, halving)
@@ -138,7 +138,7 @@ def _run_until_kept(
         outcome = replace(outcome, fallback=why)
     (options.progress or silent)("finishing", 1.0)
     if not isinstance(outcome, SurfaceOutcome):
-        outcome, kept = _as_given(input_returned(mesh, memory, first, reason)), asked
+        outcome, kept = _as_given(input_returned(mesh, memory, first, reason)), asked or kept
     return replace(
         outcome, times=log.times, energy=log.energy, counts=log.counts, kept=kept
     )

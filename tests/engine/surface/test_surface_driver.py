@@ -363,8 +363,12 @@ def test_orientation_is_put_right_on_demand_only():
         odt_plugins.optimize((p, mixed))
     (_, c), _ = odt_plugins.optimize_with_report((p, mixed), orient=True)
     assert sm.topology(c) == sm.topology(t)
-    with pytest.raises(InvalidMeshError, match="only one side"):
-        odt_plugins.optimize(sm.moebius(), orient=True)
+    points, strip = sm.moebius()
+    _, report = odt_plugins.optimize_with_report((points, strip), orient=True)
+    assert "disagree about the outside" in str(report)
+    strip[::7] = strip[::7, [0, 2, 1]]
+    with pytest.raises(InvalidMeshError, match="Moebius strip, non-orientable; expected two sides"):
+        odt_plugins.optimize((points, strip), orient=True)
 
 
 @pytest.mark.parametrize(("options", "message"), [
