@@ -2,9 +2,9 @@
 
 Every node but a corner has its place by whole barycentric weights among the corners of an edge, a
 face or a cell. Where that edge, face or cell is still there and no corner of it has moved, the node
-stays bit for bit, as all nodes on a boundary do. Where a corner has moved, the mid-nodes of
-quadratic cells keep their offset from the straight edge, and nodes of cells of higher order are put
-on the straight edge or face. A place has exactly one node: those of new edges take the indices of
+stays bit for bit, as all nodes on a boundary do. Where a corner has moved, the nodes keep their
+offset from the straight edge or face. Nodes of new places are put on it; in faces of cubic cells
+they follow the edges. A place has exactly one node: those of new edges take the indices of
 nodes whose edges have gone, or indices at the end; nodes that are left over are removed, and the
 indices above them close up.
 """
@@ -42,6 +42,9 @@ The nodes of quadratic ones are ordered as VTK orders them, those of others as G
 
 LAGRANGE = {"VTK_LAGRANGE_CURVE": 1, "VTK_LAGRANGE_TRIANGLE": 2, "VTK_LAGRANGE_TETRAHEDRON": 3}
 """Dimension of simplices of VTK's whose order is told by their number of nodes."""
+
+ROUNDING = 1e-12
+"""Nodes that are off a straight edge by less of the extent of a cell are on it."""
 
 ORDERS = {2: "quadratic", 3: "cubic", 4: "quartic", 5: "quintic"}
 
@@ -235,9 +238,12 @@ def with_mid_nodes(
     used = np.unique(corner)
     out[used] = result.points[used]
     around, weights = places.corners[new_first], places.weights[new_first]
-    _follow(out, points, result.points, node[stays], (around[stays], weights[stays]),
-            int(shape[0, 0]))
+    _follow(out, points, result.points, node[stays], (around[stays], weights[stays]))
     out[taken] = _mean(out, around[fresh], weights[fresh])
+    is_new = np.zeros(total, dtype=np.bool_)
+    is_new[taken] = True
+    _bend(out, np.concatenate([corner, node[inverse.reshape(len(corner), -1)]], axis=1), is_new,
+          shape)
 
     there = np.ones(total, dtype=np.bool_)
     there[free[len(fresh) :]] = False
@@ -303,16 +309,34 @@ def _follow(
     after: NDArray[Any],
     node: NDArray[np.int64],
     places: tuple[NDArray[np.int64], NDArray[np.float64]],
-    order: int,
 ) -> None:
     """Move the nodes of places that are still there, where a corner has moved."""
     moved = (before[places[0]] != after[places[0]]).any(axis=(1, 2))
     node, corners, weights = node[moved], places[0][moved], places[1][moved]
-    if order == 2:
-        shift = np.asarray(after, dtype=np.float64) - np.asarray(before, dtype=np.float64)
-        out[node] += _mean(shift, corners, weights)
-    else:
-        out[node] = _mean(out, corners, weights)
+    shift = np.asarray(after, dtype=np.float64) - np.asarray(before, dtype=np.float64)
+    out[node] += _mean(shift, corners, weights)
+
+
+def _bend(
+    out: NDArray[np.float64], rows: NDArray[np.int64], is_new: NDArray[np.bool_], shape: Lattice
+) -> None:
+    """Move the new nodes in faces of cubic cells as the edges of the face are bent.
+
+    A quarter of the offsets of the six nodes on edges keeps quadratic maps exact.
+    """
+    if shape[0, 0] != 3:
+        return
+    for face in np.flatnonzero((shape > 0).sum(axis=1) == 3):
+        edges = np.flatnonzero(((shape > 0).sum(axis=1) == 2)
+                               & (shape[:, shape[face] == 0] == 0).all(axis=1))
+        new = rows[is_new[rows[:, face]]]
+        straight = np.einsum("ec,mcx->mex", shape[edges] / 3, out[new[:, : shape.shape[1]]])
+        offset = out[new[:, edges]] - straight
+        extent = np.ptp(out[new[:, : shape.shape[1]]], axis=1).max(axis=1)
+        bent = np.abs(offset).max(axis=(1, 2)) > ROUNDING * extent
+        middle = _mean(out, new[bent, : shape.shape[1]],
+                       np.repeat(shape[face][None] / 3, bent.sum(), axis=0))
+        out[new[bent, face]] = middle + offset[bent].sum(axis=1) / 4
 
 
 class Placed(NamedTuple):
