@@ -20,6 +20,7 @@ from odt_plugins.engine.run.outcome import Outcome, unchanged
 from odt_plugins.mesh.arrays import BoolArray, FloatArray
 from odt_plugins.mesh.bernstein import jacobian_bounds
 from odt_plugins.mesh.simplex import SimplexMesh, freeze, reverse
+from odt_plugins.promise.volume import held_vertices
 
 STRAIGHT = 1e-12
 """Nodes that are off their place by less of the extent of a cell leave the cell straight."""
@@ -113,6 +114,7 @@ def keep_curved(
     orientation: int,
     *,
     figures: bool,
+    slides: bool,
 ) -> Kept:
     """Run the engine until curved cells are as valid and as good as in the input.
 
@@ -124,6 +126,7 @@ def keep_curved(
     leave : callable     lets an outcome leave
     orientation : int    -1 where all cells of the caller are negative
     figures : bool       whether the scaled Jacobian is kept, too
+    slides : bool        whether vertices of the boundary may move
     """
     rows, shape = host.nodes, host.shape
     before = None if rows is None or shape is None else measured(host.points, rows, shape)
@@ -147,9 +150,10 @@ def keep_curved(
             outcome = leave(replace(unchanged(mesh, why), fallback=f"the input is returned: {why}"))
             is_now, now = was, freeze(mesh, np.ones(len(mesh.cells), dtype=np.bool_))
             break
+    stays = mesh.fixed if slides or now is mesh else held_vertices(mesh)
     names = ("least", "least_of_corners", "mean", "mean_of_corners")
     facts: dict[str, float] = {"cells": int(before.counts.sum()),
-                               "vertices_held": int((now.fixed & ~mesh.fixed).sum())}
+                               "vertices_held": int((now.fixed & ~stays).sum())}
     facts |= {f"{name}_before": float(v) for name, v in zip(names, was, strict=True)}
     facts |= {f"{name}_after": float(v) for name, v in zip(names, is_now, strict=True)}
     return Kept(now, outcome, facts)

@@ -188,7 +188,8 @@ def _run_kept(
         return Kept(work.mesh, outcome if outcome.written is not None else leaving(outcome), None)
     figures = bool(options.keep) and not work.mesh.is_surface
     return keep_curved(
-        work.host, work.mesh, run, leaving, work.orientation, figures=figures)
+        work.host, work.mesh, run, leaving, work.orientation, figures=figures,
+        slides=options.boundary == "slide" or work.mesh.is_surface)
 
 
 def _feet(work: _Prepared, points: FloatArray, cells: IntArray) -> Feet | None:
