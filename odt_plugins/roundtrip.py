@@ -335,7 +335,7 @@ def _of_soup(
     note = host.words(
         f"hardly any vertices may move, since the cells share hardly any{why}; {call}")
     warn(note)
-    return found._replace(notes=(note, *found.notes))
+    return found._replace(notes=(note,))
 
 
 @contextmanager

@@ -73,7 +73,8 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
         parts[row].append(text)
     pieces, at = [], 0
     for found, texts in zip(facets, parts, strict=True):
-        pieces += [data[at:found.start()], (end + b"  ").join(texts)]
+        gap = data[at:found.start()]
+        pieces += [gap if texts else gap.rstrip(), (end + b"  ").join(texts)]
         at = found.end()
     target.write_bytes(b"".join([*pieces, data[at:]]))
     return []
