@@ -357,7 +357,8 @@ def _rewritten(
             origin.path, path, Change(before, mesh, origin.points, origin.cells))
         back, _ = reading.read(path, origin.format)
     except NotRewritable as exc:
-        return None, [f"written anew, with what the format's writer keeps: {exc}"]
+        said = f"written anew, with what the format's writer keeps: {exc}"
+        return None, [said] if str(exc) else []
     if _sizes(back) != _sizes(mesh) or len(back.points) != len(mesh.points):
         msg = f"it does not hold {len(mesh.points)} points with cells {_sizes(mesh)}"
         raise _not_written(path, origin.format, msg)

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.fields import field_names
+from odt_plugins.adapters.formats.medit import REQUIRED
 from odt_plugins.adapters.higher_order import (
     HIGHER,
     LAGRANGE,
@@ -119,6 +120,9 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         for i, block in enumerate(mesh.cells)
         if i not in chosen and block.type != "vertex" and len(block.data)
     )
+    if REQUIRED in mesh.point_sets:
+        kept = (*kept, KeptCells("required vertex",
+                                 np.asarray(mesh.point_sets[REQUIRED]).reshape(-1, 1)))
     rows = nodes = np.concatenate([mesh.cells[i].data for i in chosen])
     if shape is not None:
         check_mid_nodes(nodes, len(mesh.points), shape)

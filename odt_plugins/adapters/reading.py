@@ -5,6 +5,7 @@ from __future__ import annotations
 import ctypes
 import io
 import re
+import tempfile
 import threading
 import warnings
 from collections.abc import Callable, Iterator
@@ -17,7 +18,7 @@ import numpy as np
 from odt_plugins.adapters import apart, gmsh_files, netgen_files, vtk_files
 from odt_plugins.adapters.formats import READERS
 from odt_plugins.adapters.legacy import expect_whole
-from odt_plugins.adapters.stated import expect_counts, expect_held
+from odt_plugins.adapters.stated import expect_counts, expect_held, parts_of
 from odt_plugins.errors import InvalidMeshError, MeshFileError
 
 LEAST = 20.0
@@ -33,6 +34,13 @@ READ_ON = {"ansys": "rb", "gmsh": "rb", "mdpa": "rb", "nastran": "r", "off": "r"
 
 PATIENCE = 1000
 """How often a reader may come to the end of a file."""
+
+TEXT = ("abaqus", "avsucd", "flac3d", "gmsh", "mdpa", "nastran", "netgen", "permas", "su2",
+        "tecplot", "tetgen")
+"""Formats of text that meshio reads."""
+
+FORTRAN = rb"(?<![\w.])([+-]?(?:\d+\.\d*|\.\d+))[dD]([+-]?\d+)(?!\w)"
+"""A number with an exponent as Fortran writes it."""
 
 NUMBER = r"[+-]?(?:\d++\.?+\d*+|\.\d++)(?:[eE][+-]?\d++)?+"
 POINT = rf"{NUMBER}(?:\s++{NUMBER}){{2,3}}+"
@@ -183,11 +191,29 @@ def _opened(path: Path, name: str) -> Iterator[Any]:
     """What a reader is given: the path, or a file that ends."""
     if name == "wkt":
         yield io.StringIO(_without_exponents(path.read_text()))
+    elif _written_otherwise(path, name):
+        with tempfile.TemporaryDirectory() as folder:
+            for part in parts_of(path, name):
+                (Path(folder) / part.name).write_bytes(_as_read(part.read_bytes()))
+            with _opened(Path(folder) / path.name, name) as source:
+                yield source
     elif name in READ_ON:
         with io.BufferedReader(Ending(path)) as file:
             yield file if READ_ON[name] == "rb" else io.TextIOWrapper(file)
     else:
         yield str(path)
+
+
+def _written_otherwise(path: Path, name: str) -> bool:
+    """Whether a file of text has ends of lines or exponents that meshio's readers do not know."""
+    return name in TEXT and any(
+        b"\0" not in data and _as_read(data) != data
+        for data in (part.read_bytes() for part in parts_of(path, name)))
+
+
+def _as_read(data: bytes) -> bytes:
+    """The same text with plain ends of lines, and exponents as in 1.5e3."""
+    return re.sub(FORTRAN, rb"\1e\2", re.sub(rb"\r\n?", b"\n", data))
 
 
 def _without_exponents(text: str) -> str:

@@ -58,7 +58,7 @@ def expect_counts(path: Path, name: str) -> int:
     MeshFileError  it states more items than it has bytes, or TetGen's files state none
     """
     total = 0
-    for part in _parts(path, name):
+    for part in parts_of(path, name):
         size = part.stat().st_size
         total += size
         # Counts within a packed file say nothing about the size that it is packed to.
@@ -78,7 +78,7 @@ def expect_counts(path: Path, name: str) -> int:
     return total
 
 
-def _parts(path: Path, name: str) -> list[Path]:
+def parts_of(path: Path, name: str) -> list[Path]:
     """The file, and those that belong to it as far as they are there."""
     if name == "tetgen":
         return [part for part in (path.with_suffix(".node"), path.with_suffix(".ele"))

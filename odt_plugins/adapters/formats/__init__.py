@@ -6,6 +6,7 @@ of the result, and all else as the source has it.
 
 Sources
 -------
+MEDIT: P. Frey, Medit, an interactive mesh visualization software, INRIA RT-0253 (2001).
 OBJ: Wavefront, Appendix B1, Object Files (1995). OFF: Geomview manual, chapter on its formats.
 PLY: G. Turk, The PLY Polygon File Format (1994). STL: 3D Systems, StereoLithography Interface
 Specification (1989).
@@ -17,16 +18,17 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from odt_plugins.adapters.formats import obj, off, ply, stl
+from odt_plugins.adapters.formats import medit, obj, off, ply, stl
 from odt_plugins.adapters.formats.change import Change
 
 READERS: dict[str, Callable[[Path], Any]] = {
-    "obj": obj.read, "off": off.read, "ply": ply.read, "stl": stl.read,
+    "medit": medit.read, "obj": obj.read, "off": off.read, "ply": ply.read, "stl": stl.read,
 }
 """Readers that take the place of meshio's, by the name of the format in meshio."""
 
 REWRITERS: dict[str, Callable[[Path, Path, Change], list[str]]] = {
-    "obj": obj.rewrite, "off": off.rewrite, "ply": ply.rewrite, "stl": stl.rewrite,
+    "medit": medit.rewrite, "obj": obj.rewrite, "off": off.rewrite, "ply": ply.rewrite,
+    "stl": stl.rewrite,
 }
 """Rewriters by the name of the format in meshio: source, target and change, to what is lost."""
 

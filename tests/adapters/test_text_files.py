@@ -1,0 +1,109 @@
+"""Files of text: ends of lines, exponents, and sections that a run does not know."""
+
+from __future__ import annotations
+
+import re
+import warnings
+
+import contract
+import meshio
+import numpy as np
+import pytest
+
+from odt_plugins.adapters.files import read_file, write_file
+from odt_plugins.api import optimize_file
+
+KINDS = [".su2", ".inp", ".mesh", ".bdf", ".msh", ".vol", ".avs", ".dato", ".f3grid", ".ele"]
+
+
+def box(n, seed=4):
+    """Tetrahedra of a box whose inner vertices are off their places."""
+    points, cells, _ = contract.grid(3, n)
+    inner = ((points > points.min(axis=0)) & (points < points.max(axis=0))).all(axis=1)
+    step = points.max() / n
+    points[inner] += np.random.default_rng(seed).uniform(-0.2, 0.2, (inner.sum(), 3)) * step
+    return points, cells
+
+
+@pytest.mark.parametrize("suffix", KINDS)
+@pytest.mark.parametrize("end", [b"\r\n"])
+def test_ends_of_lines_change_nothing(suffix, end, tmp_path):
+    points, cells = box(4)
+    plain, other = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        write_file(plain, meshio.Mesh(points, [("tetra", cells)]),
+                   binary=False if suffix == ".msh" else None)
+        names = [plain.name]
+        if suffix == ".ele":
+            names.append("a.node")
+        for name in names:
+            data = (tmp_path / name).read_bytes()
+            (tmp_path / ("b" + name[1:])).write_bytes(data.replace(b"\n", end))
+        one, two = read_file(plain), read_file(other)
+    assert np.array_equal(one.points, two.points)
+    assert np.array_equal(one.cells_dict["tetra"], two.cells_dict["tetra"])
+
+
+@pytest.mark.parametrize("suffix", [".su2", ".inp", ".mesh", ".avs"])
+def test_exponents_of_fortran_are_read(suffix, tmp_path):
+    points, cells = box(4)
+    plain, other = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        write_file(plain, meshio.Mesh(points * 1.1e-7, [("tetra", cells)]))
+    text = plain.read_text()
+    changed = re.sub(r"(?<=\d)e(?=-\d)", "D", text)
+    assert changed != text
+    other.write_text(changed)
+    assert np.array_equal(read_file(plain).points, read_file(other).points)
+
+
+def medit(path, points, cells, version=2, extra="", end="\n"):
+    lines = [f"MeshVersionFormatted {version}", "# by hand", "Dimension", "3", "", "Vertices",
+             str(len(points)), *("{!r} {!r} {!r} 7".format(*map(float, x)) for x in points),
+             "Tetrahedra", str(len(cells)), *("{} {} {} {} 1".format(*t + 1) for t in cells),
+             *extra.split("\n"), "End"]
+    path.write_text(end.join(lines) + end, newline="")
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+@pytest.mark.parametrize("version", [1, 2, 3, 4])
+def test_medit_keeps_what_is_required_and_all_that_is_not_known(version, end, tmp_path):
+    points, cells = box(5)
+    inner = np.flatnonzero(((points > points.min(0)) & (points < points.max(0))).all(axis=1))
+    extra = ("Corners\n2\n1\n2\nRequiredVertices\n4\n" + "\n".join(map(str, inner[:4] + 1))
+             + "\nRequiredTetrahedra\n0\nSomethingElse\n1\n3 4 5")
+    source, target = tmp_path / "a.mesh", tmp_path / "b.mesh"
+    medit(source, points, cells, version, extra, end)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        write_file(target, read_file(source))
+        assert target.read_bytes() == source.read_bytes()
+        report = optimize_file(source, target)
+    assert report.after.mean_quality > report.before.mean_quality
+    old, new = source.read_bytes(), target.read_bytes()
+    assert new.partition(b"Vertices")[0] == old.partition(b"Vertices")[0]
+    assert new.partition(b"Corners")[2] == old.partition(b"Corners")[2]
+    lines = [text.split(end.encode()) for text in (old, new)]
+    first = lines[0].index(b"Vertices") + 2
+    moved = [a != b for a, b in zip(*(part[first: first + len(points)] for part in lines),
+                                    strict=True)]
+    assert any(moved)
+    assert not np.array(moved)[inner[:4]].any()
+    assert lines[1][first + len(points) + 1] == str(report.after.n_cells).encode()
+
+
+def test_gmsh_reads_the_medit_file_that_was_written(tmp_path):
+    gmsh = pytest.importorskip("gmsh")
+    points, cells = box(5)
+    medit(tmp_path / "a.mesh", points, cells, extra="Corners\n1\n1")
+    report = optimize_file(tmp_path / "a.mesh", tmp_path / "b.mesh")
+    gmsh.initialize(interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.open(str(tmp_path / "b.mesh"))
+        found = len(gmsh.model.mesh.getElementsByType(4)[0])
+    finally:
+        gmsh.finalize()
+    assert found == report.after.n_cells
