@@ -19,6 +19,7 @@ from click.core import ParameterSource
 from odt_plugins.cli.named import resolve_arrays
 from odt_plugins.cli.terminal import (
     ShareOption,
+    beyond_limits,
     check_paths,
     command_line,
     one_line,
@@ -30,7 +31,7 @@ from odt_plugins.errors import InvalidOptionError, ODTError
 from odt_plugins.options import FIGURES, KEPT, OF_MESHES, OPTIONS, Options
 from odt_plugins.signals import handling
 
-DONE, COULD_NOT, WRONG_USE = 0, 1, 2
+DONE, COULD_NOT, WRONG_USE, BEYOND = 0, 1, 2, 3
 
 EDGE_LENGTH = click.option(
     "--edge-length", type=click.FloatRange(min=0.0, max=1.0, min_open=True, max_open=True),
@@ -416,8 +417,14 @@ def batch(
 @click.argument("sources", metavar="INPUT...", nargs=-1, required=True,
                 type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
-def quality(sources: tuple[Path, ...], as_json: bool) -> int:
-    """Print the quality figures of mesh files."""
+@click.option("--min-quality", type=float, help="Least radius ratio that a mesh may have.")
+@click.option("--min-angle", type=float, help="Least (dihedral) angle in degrees.")
+@click.option("--max-angle", type=float, help="Largest (dihedral) angle in degrees.")
+def quality(sources: tuple[Path, ...], as_json: bool, **limits: float | None) -> int:
+    """Print the quality figures of mesh files.
+
+    With limits the exit code is 3 where a mesh is beyond one of them.
+    """
     from odt_plugins.api import measure
     from odt_plugins.table import table_lines
 
@@ -434,6 +441,10 @@ def quality(sources: tuple[Path, ...], as_json: bool) -> int:
         click.echo(json.dumps(rows, indent=2, allow_nan=False))
     elif found:
         click.echo("\n".join(table_lines(found)))
+    for name, summary in found.items():
+        beyond = beyond_limits(summary, limits)
+        if beyond:
+            code = max(code, _fail(f"{name} has {', '.join(beyond)}", BEYOND))
     return code
 
 

@@ -139,3 +139,15 @@ def progress_bar(quiet: bool) -> Iterator[Progress | bool]:
 def one_line(message: object) -> str:
     """Put a message on one line."""
     return " ".join(str(message).split())
+
+
+def beyond_limits(summary: Any, limits: dict[str, float | None]) -> list[str]:
+    """Figures of a mesh that are beyond a limit, NaN among them, with the limit."""
+    out = []
+    for figure, limit in limits.items():
+        value = getattr(summary, figure)
+        least = figure.startswith("min")
+        if limit is not None and not (value >= limit if least else value <= limit):
+            word = "least" if least else "most"
+            out.append(f"{figure} {value:.4g}, expected at {word} {limit:g}")
+    return out

@@ -553,3 +553,16 @@ print(gc.get_threshold()[0] == __main__.RARELY, gc.get_freeze_count() > 1000)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "True True"
+
+
+def test_quality_is_a_gate(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    meshio.write("corner.vtu", meshio.Mesh(points, [("tetra", np.array([[0, 1, 2, 3]]))]))
+    assert cli.main(["quality", "corner.vtu", "--min-quality", "0.7", "--min-angle", "54",
+                     "--max-angle", "90.1"]) == 0
+    assert not capsys.readouterr().err
+    assert cli.main(["quality", "corner.vtu", "--min-quality", "0.8", "--max-angle", "89"]) == 3
+    told = capsys.readouterr().err
+    assert "corner.vtu has min_quality 0.7321, expected at least 0.8, max_angle 90" in told
+    assert cli.main(["quality", "corner.vtu", "none.vtu", "--min-angle", "60"]) == 3
