@@ -17,6 +17,9 @@ SIZES = {b"bit": 0, b"char": 1, b"signed_char": 1, b"unsigned_char": 1, b"short"
          b"vtktypeint8": 1, b"vtktypeuint8": 1}
 """Bytes of a number of each type; eight bits are one."""
 
+OWN = b"own"
+"""In place of a type: a line before the values has a word and their type."""
+
 LISTS = (b"CELLS", b"VERTICES", b"LINES", b"POLYGONS", b"TRIANGLE_STRIPS")
 
 COMPONENTS = {b"VECTORS": 3, b"NORMALS": 3, b"TENSORS": 9, b"TENSORS6": 6}
@@ -68,7 +71,7 @@ def _announced(words: list[bytes], rows: int, file: BinaryIO) -> list[tuple[int,
         file.seek(at)
         if follows[0].upper() != b"OFFSETS":
             return [(int(words[2]), b"int")]
-        return [(-1, b""), (int(words[1]), follows[1]), (-1, b""), (int(words[2]), follows[1])]
+        return [(int(words[1]), OWN), (int(words[2]), OWN)]
     if name == b"CELL_TYPES":
         return [(int(words[1]), b"int")]
     if name == b"SCALARS":
@@ -90,6 +93,10 @@ def _pass(file: BinaryIO, count: int, kind: bytes, text: bool, words: list[bytes
         while (line := file.readline()) and not line.strip():
             pass
         return
+    if kind == OWN:
+        while not (line := file.readline()).strip() and line:
+            pass
+        kind = line.split()[1]
     size = SIZES[kind.lower()]
     if text:
         while count > 0 and (line := file.readline()):

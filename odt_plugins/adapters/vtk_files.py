@@ -32,6 +32,17 @@ SECOND_NAMES = {"char": "int8", "signed_char": "int8", "unsigned_char": "uint8",
 """Words of legacy files that meshio does not know, or takes for another type."""
 
 
+OLD = (b"1", b"2", b"3", b"4")
+"""Versions before 5, which programs read that do not know later ones."""
+
+
+class Like(NamedTuple):
+    """Whether a legacy file is of an old version, and holds PolyData."""
+
+    old: bool = False
+    surface: bool = False
+
+
 class Grid(NamedTuple):
     """What VTK reads; ``cells`` are types (m,), offsets (m + 1,), and the nodes these refer to."""
 
@@ -97,14 +108,29 @@ def write_and_read(path: Path, mesh: Any, name: str, binary: bool = True) -> tup
     if not any(len(block.data) for block in mesh.cells):
         msg = "the mesh has no cells"
         raise UnsupportedMeshError(msg)
+    like = _like(mesh, name)
     sink = _writer(name, binary)
+    if like.old:
+        sink.SetFileVersion(sink.VTK_LEGACY_READER_VERSION_4_2)
     sink.SetFileName(str(path))
-    sink.SetInputData(_polydata(mesh) if name == "vtp" else _grid(mesh))
+    sink.SetInputData(_polydata(mesh) if name == "vtp" or like.surface else _grid(mesh))
     said = _run(sink)
     if said or not path.is_file():
         raise MeshFileError(said or "VTK wrote nothing")
     back, _ = as_mesh(read(path, name))
     return back, "" if name == "vtp" else _second_look(path, name, back)
+
+
+def _like(mesh: Any, name: str) -> Like:
+    """What the legacy file was, from which a mesh was read that is to be one again."""
+    origin = getattr(mesh, "read_from", None)
+    if name != "vtk" or origin is None or origin.format != name or not origin.unchanged:
+        return Like()
+    with origin.path.open("rb") as file:
+        head = [file.readline(300).split() for _ in range(20)]
+    version = head[0][-1] if head[0] else b""
+    words = [word.upper() for line in head[2:] for word in line[:2]]
+    return Like(version.split(b".")[0] in OLD, b"POLYDATA" in words)
 
 
 def _reader(name: str) -> Any:

@@ -154,8 +154,8 @@ def _resewn(
     sentences = []
     if len(old.degree) != len(new.degree):
         sentences.append(f"there are {len(new.degree)} edges, there were {len(old.degree)}")
-    keys = [_keys(e.vertices[_turned(e)], n) for e in (old, new)]
-    turned = np.flatnonzero(_turned(new))[~np.isin(keys[1], keys[0])]
+    was, now = (_keys(e.vertices[_turned(e)], n) for e in (old, new))
+    turned = np.flatnonzero(_turned(new))[~np.isin(now, was)]
     if len(turned):
         first = tuple(new.vertices[turned[0]].tolist())
         sentences.append(f"the triangles at edge {first} disagree about the outside, "
@@ -176,7 +176,7 @@ def _resewn(
 def _turned(edges: Edges) -> NDArray[np.bool_]:
     """Edges (e,) of two triangles that disagree about the outside."""
     ways = np.bincount(edges.of_cell.ravel(), edges.forward.ravel(), minlength=len(edges.degree))
-    return (edges.degree == 2) & (ways != 1)
+    return np.asarray((edges.degree == 2) & (ways != 1))
 
 
 def _first_members(rows: NDArray[Any], columns: NDArray[Any], size: int) -> NDArray[np.int32]:

@@ -7,6 +7,7 @@ import meshio
 import numpy as np
 import pytest
 import surface_meshes
+from scipy.spatial import Delaunay
 
 import odt_plugins
 from odt_plugins.adapters import apart, files, legacy, reading, vtk_files
@@ -200,3 +201,25 @@ def test_values_that_are_no_numbers_are_written(tmp_path, suffix):
     files.write_file(tmp_path / f"a{suffix}", mesh)
     back = files.read_file(tmp_path / f"a{suffix}").cell_data_dict["heat"]["tetra"]
     assert np.array_equal(back, heat, equal_nan=True)
+
+
+@pytest.mark.parametrize("binary", [True, False])
+def test_legacy_files_stay_polydata_and_of_their_version(binary, tmp_path):
+    from odt_plugins.api import optimize_file
+
+    ball = pyvista.Sphere(theta_resolution=14, phi_resolution=14)
+    points = ball.points + np.random.default_rng(3).normal(0, 0.004, ball.points.shape)
+    surface = pyvista.PolyData.from_regular_faces(points, ball.regular_faces)
+    surface.cell_data["part"] = np.zeros(surface.n_cells, dtype=np.int32)
+    surface.save(tmp_path / "a.vtk", binary=binary)
+    optimize_file(tmp_path / "a.vtk", tmp_path / "b.vtk")
+    back = pyvista.read(tmp_path / "b.vtk")
+    assert isinstance(back, pyvista.PolyData)
+    assert back.array_names == ["part"]
+    old = tmp_path / "old.vtk"
+    cells = Delaunay(np.random.default_rng(5).random((60, 3))).simplices
+    mesh = meshio.Mesh(np.random.default_rng(5).random((60, 3)), [("tetra", cells)])
+    meshio.write(old, mesh, file_format="vtk42", binary=binary)
+    optimize_file(old, tmp_path / "new.vtk")
+    assert (tmp_path / "new.vtk").read_bytes().startswith(b"# vtk DataFile Version 4.2")
+    assert len(meshio.read(tmp_path / "new.vtk").points) == 60

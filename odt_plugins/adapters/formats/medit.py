@@ -64,7 +64,8 @@ def read(path: Path) -> Any:
     dim = next((int(texts[s.start - 1]) for s in sections if s.name == "Dimension"), 0)
     points, refs = np.zeros((0, 3)), np.zeros(0, dtype=np.int64)
     blocks: list[Any] = []
-    cell_refs, rows = [], {}
+    cell_refs: list[Any] = []
+    rows: dict[str, Any] = {}
     for section in sections:
         if section.name == "Vertices":
             table = _table(texts, section, dim + 1)
@@ -81,7 +82,9 @@ def read(path: Path) -> Any:
         of = section.name.removeprefix("Required")
         if of != section.name and of in rows:
             required.append(rows[of][_table(texts, section, 1).astype(np.int64).ravel() - 1])
-    sets = {REQUIRED: np.unique(np.concatenate([r.ravel() for r in required]))} if required else {}
+    sets: dict[str, Any] = {}
+    if required:
+        sets[REQUIRED] = np.unique(np.concatenate([r.ravel() for r in required]))
     for _, cells in blocks:
         bad = cells[(cells < 0) | (cells >= len(points))]
         if bad.size:
