@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters import apart, gmsh_files, meshio_mesh, reading, vtk_files
 from odt_plugins.adapters.fitting import FORMS, fitted, group_names
-from odt_plugins.adapters.formats import REWRITERS, WRITERS
+from odt_plugins.adapters.formats import READERS, REWRITERS, WRITERS
 from odt_plugins.adapters.formats.change import Change, NotRewritable, Origin, origin_of
 from odt_plugins.adapters.host import HostMesh, Result
 from odt_plugins.adapters.stated import declares_no_cells
@@ -245,7 +245,7 @@ def _read_as(path: Path, formats: list[str]) -> tuple[Any, list[str], str]:
             reason = "it needs more memory than there is"
     elif isinstance(cause, KeyError):
         reason = f"it refers to {cause.args[0]}, which is not there"
-    cut = isinstance(cause, EOFError) or re.search(CUT, reason)
+    cut = isinstance(cause, EOFError) or re.search(CUT, reason) or not READERS.keys() & set(formats)
     hope = "expected a complete file" if cut else f"expected a file that is one of {kinds}"
     msg = f"cannot read {path} as {kinds}: {reason}; {hope}"
     raise MeshFileError(msg) from cause

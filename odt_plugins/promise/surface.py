@@ -260,7 +260,7 @@ def new_folds(
     out = np.zeros(len(folds), dtype=np.bool_)
     for edge in fresh.tolist():
         ends = points[new.vertices[edge]]
-        reach = 0.5 * float(np.linalg.norm(ends[1] - ends[0]))
+        reach = 0.5 * math.sqrt(float(((ends[1] - ends[0]) ** 2).sum()))
         away = [_distances(x, start, end).min(initial=np.inf) for x in ends]
         out[edge] = max(away) > reach
     return out

@@ -8,6 +8,7 @@ from pathlib import Path
 import contract
 import numpy as np
 import pytest
+from quadratic_meshes import churned
 
 import odt_plugins
 from odt_plugins.adapters import apart
@@ -32,7 +33,7 @@ def _scratch(tmp_path, monkeypatch):
 @pytest.fixture(params=["engine", "churn"])
 def _engine(request, monkeypatch):
     if request.param == "churn":
-        monkeypatch.setattr(driver, "run", contract.churn)
+        churned(monkeypatch)
 
 
 @pytest.mark.usefixtures("_engine")
@@ -75,7 +76,7 @@ def test_fixed_everything_gives_identical_bytes(name, indices):
 @pytest.mark.parametrize("name", contract.HOSTS)
 def test_cells_outside_the_selection_come_back_untouched(name, monkeypatch):
     contract.need(name)
-    monkeypatch.setattr(driver, "run", contract.churn)
+    churned(monkeypatch)
     host = contract.HOSTS[name]
     mesh = host.make()
     before = host.view(mesh)
@@ -104,7 +105,7 @@ def test_the_engine_leaves_cells_outside_the_selection(name):
 @pytest.mark.parametrize("name", contract.HOSTS)
 def test_cells_that_come_turned_round_go_turned_round(name, monkeypatch):
     contract.need(name)
-    monkeypatch.setattr(driver, "run", contract.churn)
+    churned(monkeypatch)
     host = contract.HOSTS[name]
     points, cells, labels = contract.grid(host.dim, 4)
     mesh = host.make((points, contract.negative(cells), labels))
@@ -188,7 +189,7 @@ def test_curved_surfaces_keep_their_envelope_and_all_data(name):
 @pytest.mark.parametrize(("side", "name"), [("CELL", "stress"), ("POINT", "temperature")])
 def test_active_arrays_and_user_dictionary_of_a_grid_survive(side, name, monkeypatch):
     pyvista = pytest.importorskip("pyvista")
-    monkeypatch.setattr(driver, "run", contract.churn)
+    churned(monkeypatch)
     mesh = contract.HOSTS["pyvista-tet"].make()
     mesh.set_active_scalars(name, preference=side.lower())
     mesh.user_dict["who"] = "me"
@@ -220,7 +221,7 @@ def test_markers_of_a_csg_mesh_and_their_interfaces_survive():
 @pytest.mark.parametrize("dtype", [np.int32, np.int64])
 def test_connectivity_of_a_grid_keeps_its_dtype(dtype, monkeypatch):
     pyvista = pytest.importorskip("pyvista")
-    monkeypatch.setattr(driver, "run", contract.churn)
+    churned(monkeypatch)
     points, cells, _ = contract.grid(3, 4)
     mesh = pyvista.UnstructuredGrid({pyvista.CellType.TETRA: cells}, points)
     size = np.full(len(cells), 4)
@@ -246,7 +247,7 @@ def _mixed_tets():
 
 def test_mixed_grid_keeps_what_is_not_optimised(monkeypatch):
     pyvista = pytest.importorskip("pyvista")
-    monkeypatch.setattr(driver, "run", contract.churn)
+    churned(monkeypatch)
     points, cells, outer, inner, pyramid = _mixed_tets()
     n = len(points)
     lines, loose = [list(f[:2]) for f in inner], [n - 3, n - 2, n - 1]
@@ -276,7 +277,7 @@ def test_mixed_grid_keeps_what_is_not_optimised(monkeypatch):
 def test_meshio_sets_tags_and_other_blocks(monkeypatch):
     import meshio
 
-    monkeypatch.setattr(driver, "run", contract.churn)
+    churned(monkeypatch)
     points, cells, outer, inner, _ = _mixed_tets()
     half = np.arange(len(cells)) < len(cells) // 2
     blocks = [
@@ -328,7 +329,7 @@ def test_regions_option_replaces_the_default(choice, monkeypatch):
 
 
 def test_cell_sets_may_be_masks_and_wrong_ones_are_named(monkeypatch):
-    monkeypatch.setattr(driver, "run", contract.churn)
+    churned(monkeypatch)
     mesh = contract.HOSTS["meshio-tri"].make()
     left = mesh.cell_data["marker"][0] == 7
     mesh.cell_data.clear()

@@ -444,7 +444,9 @@ def _surface(old: Mesh, new: Mesh, options: Options) -> list[str]:
             faults.append("other edges than before lie between labels")
     ways = Counter((t[i], t[(i + 1) % 3]) for t in new.cells.tolist() for i in range(3))
     degree = surface_meshes.edge_set(new.cells)
-    turned = [e for e, c in degree.items() if c == 2 and ways[e] != 1]
+    were = Counter((t[i], t[(i + 1) % 3]) for t in old.cells.tolist() for i in range(3))
+    turned = [e for e, c in degree.items()
+              if c == 2 and ways[e] != 1 and {were[e], were[e[::-1]]} != {0, 2}]
     if turned:
         faults.append(f"the triangles at edge {turned[0]} disagree about the outside, "
                       f"{len(turned)} in all")

@@ -97,12 +97,13 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     """Replace the places of vertices that moved, and the optimised cells with their references."""
     if source.suffix.lower() == ".meshb":
         raise NotRewritable
-    if change.renumbered:
-        msg = "vertices came or went"
-        raise NotRewritable(msg)
     data = source.read_bytes()
     words, sections = _parsed(data)
     names = {section.name for section in sections if section.size}
+    if change.renumbered:
+        more = names - {*CELLS, *SCALARS, "Vertices"}
+        msg = f"vertices came or went, and it has {', '.join(sorted(more))}" if more else ""
+        raise NotRewritable(msg)
     edits: list[tuple[int, int, bytes]] = []
     block = 0
     for section in sections:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -280,12 +281,12 @@ def _normals(
     around: dict[int, list[int]] = {}
     for v, i in zip(vertex.tolist(), owner.tolist(), strict=True):
         around.setdefault(v, []).append(i)
-    least = np.cos(np.radians(SMOOTH))
+    least = math.cos(math.radians(SMOOTH))
     known: dict[tuple[float, ...], int] = {}
     numbers = []
     for v, i in zip(vertex.tolist(), owner.tolist(), strict=True):
         near = np.array(around[v])
-        near = near[unit[near] @ unit[i] >= least]
+        near = near[(unit[near] * unit[i]).sum(axis=1) >= least]
         mean = _unit(areas[near].sum(axis=0)[None])[0].round(9) + 0.0
         numbers.append(known.setdefault(tuple(mean.tolist()), len(known)))
     return np.split(np.array(numbers, dtype=np.int64), np.cumsum(size)[:-1]), np.array(list(known))
