@@ -32,10 +32,9 @@ ALLOWED = {
     "engine/untangle/vertices.py": {"scipy.optimize"},
     "generate/stages.py": {"find_simplex"},
 }
-"""Bounds of Jacobians, which are certified; angles and energies that are reported; products of sparse
-matrices, which do not go through BLAS;
-the L-BFGS of scipy, which does; linear programs of HiGHS, which do not; and a search whose answer
-rounding hardly ever changes."""
+"""Bounds of Jacobians, which are certified; angles and energies that are reported; products of
+sparse matrices, which do not go through BLAS; the L-BFGS of scipy, which does; linear programs of
+HiGHS, which do not; and a search whose answer rounding hardly ever changes."""
 
 PRODUCTS = {"dot", "matmul", "vdot", "vecdot", "inner", "tensordot", "multi_dot", "kron", "cov",
             "corrcoef", "correlate", "convolve", "polyfit", "find_simplex"}
