@@ -63,8 +63,9 @@ def run(name: str) -> None:
         if made.kind != "surface" and vertices == SMALL:
             inside = ~boundary_vertices(cells, len(points))
             noise = np.random.default_rng(0).normal(scale=0.1, size=points.shape)
-            optimize((points + noise * inside[:, None], cells))
-            optimize((points * np.where(np.arange(points.shape[1]) > 0, 1.0, 0.2), cells))
+            optimize((points + noise * inside[:, None], cells), layers="improve")
+            squeezed = points * np.where(np.arange(points.shape[1]) > 0, 1.0, 0.2)
+            optimize((squeezed, cells), layers="improve")
 
 
 def compile_ahead(folder: Path, programs: Sequence[str] = PROGRAMS) -> None:

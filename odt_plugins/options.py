@@ -21,6 +21,7 @@ Solver = Literal["gauss-seidel", "jacobi", "richardson", "global", "lbfgs"]
 Connectivity = Literal["auto", "delaunay", "flips", "none"]
 Boundary = Literal["fixed", "slide"]
 Fields = Literal["auto", "interpolate", "keep"]
+Layers = Literal["keep", "improve"]
 Objective = Literal["radius_ratio", "min_dihedral", "amips", "time_step"]
 LinearSolver = Literal["auto", "direct", "amg"]
 
@@ -41,7 +42,7 @@ KEPT = ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle", "
 FIGURES = (*KEPT, "min_altitude")
 """What can be kept; the first of them are by default."""
 
-OF_MESHES = ("fixed", "selection", "regions", "fields", "orient", "untangle")
+OF_MESHES = ("fixed", "selection", "regions", "fields", "layers", "orient", "untangle")
 """Options for what a mesh has that is there already, none for a surface that is to be filled."""
 
 OF_UNTANGLING = ("insert", "fixed", "selection", "regions", "threads", "progress")
@@ -163,6 +164,12 @@ class Options:
         "interpolates for tetrahedra and meshes in the plane unless they come from pymeshlab or "
         "open3d, whose own filters keep. Other arrays, ids and normals stay in any case.",
         choices=get_args(Fields)))
+    layers: Layers = field(default="keep", metadata=_told(
+        "What happens to layers, which are many tetrahedra, or triangles in the plane, that are "
+        "stretched alike with their neighbours, as at walls, in thin plates and along shocks: keep "
+        "lets them stay as they are, improve treats them as any other cells. The report says how "
+        "many there are.",
+        choices=get_args(Layers)))
     keep: tuple[str, ...] = field(default=KEPT, metadata=_told(
         "Figures that must not get worse; share_below_20 is the part of the cells with an angle "
         "below 20 degrees, min_altitude the least altitude of a cell, which the objective "
@@ -317,6 +324,7 @@ class OptionKeywords(TypedDict, total=False):
     selection: ArrayLike | None
     regions: str | Sequence[str] | ArrayLike | None
     fields: Fields
+    layers: Layers
     keep: str | tuple[str, ...]
     orient: bool
     untangle: str | bool

@@ -30,6 +30,7 @@ from odt_plugins.errors import (
     warn,
 )
 from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.layers import keep_layers
 from odt_plugins.mesh.numbering import (
     in_old_numbers,
     most_vertices,
@@ -106,6 +107,10 @@ def run_engine(
         tell = progress if options.progress else None
         first = part(progress, 0.0, wanted.share)
         work, given = _prepare(mesh, replace(options, progress=tell and first), wanted)
+        layers = 0
+        if options.layers == "keep":
+            kept, layers = keep_layers(work.mesh, options.threads)
+            work = work._replace(mesh=kept)
         moves = work.host.geometry is not None and _surface_moves(work, options)
         leaving = partial(_as_it_leaves, work, options.threads, onto=moves)
         with words_of(work.host):
@@ -140,7 +145,7 @@ def run_engine(
         cells, source = with_others(given.cells, cells, source, work.own)
     told = {"regions_from": work.host.regions_from, "cell_origin": _cell_origin(work.host, source),
             "interpolated": () if vertices is None else fields, "notes": work.notes,
-            "tangle": work.tangle, "curved": curved.facts}
+            "tangle": work.tangle, "curved": curved.facts, "layers": layers}
     kind = work.host.cells.dtype
     if outcome.origin is not None and kind.kind != "f":
         kind = np.promote_types(kind, np.min_scalar_type(len(outcome.points) - 1))

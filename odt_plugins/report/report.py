@@ -65,6 +65,8 @@ class Report:
                                             :meth:`to_dict`
     interpolated : tuple of str             names of the point arrays whose values at vertices that
                                             moved are those that the field has there
+    layers : int                            cells of layers that stay as they are, see the option
+                                            `layers`
     notes : tuple of str                    what was done to the mesh on its way in, and what may be
                                             done about it
     untangled : dict or None                of a mesh with inverted or flat cells: the numbers of
@@ -102,6 +104,7 @@ class Report:
     cell_origin: NDArray[np.int64] | None = dataclasses.field(
         default=None, repr=False, compare=False)
     interpolated: tuple[str, ...] = ()
+    layers: int = 0
     notes: tuple[str, ...] = ()
     untangled: Mapping[str, Any] | None = None
     curved: Mapping[str, float] | None = None
@@ -137,6 +140,10 @@ class Report:
             lines.append(regions_line(self.regions_from))
         if self.interpolated:
             lines.append(fields_line(self.interpolated))
+        if self.layers:
+            lines.append(
+                f"layers {self.layers} cells that are stretched alike with their neighbours stay "
+                "as they are; layers='improve' (--layers improve) lets them change")
         lines += [f"note   {note}" for note in self.notes]
         if self.untangled:
             lines += _untangled_lines(self.untangled)

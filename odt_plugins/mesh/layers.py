@@ -1,0 +1,241 @@
+"""Cells that are stretched alike with their neighbours: boundary layers, plates, shocks.
+
+The implied metric of a cell is the one in which all its edges have length 1; its inverse is, but
+for a factor, the sum of e e^T over the edges e. The part without trace of the logarithm of that
+inverse is the shape of the cell: 0 where it is regular, with the stretching directions as its
+eigenvectors and the logarithms of the squared lengths as eigenvalues. Shapes of slivers point in
+many directions and cancel out in the mean around a vertex; those of a layer do not, since its cells
+are well shaped in that mean.
+"""
+
+from __future__ import annotations
+
+from itertools import combinations
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.chunks import chunks, spread
+from odt_plugins.mesh.components import components
+from odt_plugins.mesh.facets import row_keys
+from odt_plugins.mesh.simplex import SimplexMesh, determinant, freeze
+
+ALIKE = 0.75
+"""Largest distance of the shape of a cell from the mean, as a part of the size of that mean."""
+SEVERAL = {2: 40, 3: 150}
+"""Fewest cells of a layer, connected through facets, by dimension."""
+
+
+class Stretch(NamedTuple):
+    """What makes a vertex one of a layer.
+
+    Attributes
+    ----------
+    ratio : float    least of the longest by the shortest length of the mean metric around it
+    spread : float   largest root mean square of distances of the shapes from their mean, as a part
+                     of the size of the mean
+    """
+
+    ratio: float
+    spread: float
+
+
+CORE = Stretch(4.0, 0.5)
+"""What every layer has somewhere."""
+FADING = Stretch(2.5, 0.65)
+"""How far a layer goes from there."""
+
+
+def keep_layers(mesh: SimplexMesh, threads: int = 1) -> tuple[SimplexMesh, int]:
+    """Freeze the cells of coherent layers.
+
+    Parameters
+    ----------
+    mesh : SimplexMesh    a curved surface, whose needles may be alike too, comes back as it is
+    threads : int         how many share the work
+
+    Returns
+    -------
+    mesh : SimplexMesh    with more in `fixed` and `frozen`, or the same object
+    kept : int            how many cells were not frozen before
+    """
+    if mesh.is_surface:
+        return mesh, 0
+    found = layer_cells(mesh.points, mesh.cells, mesh.regions, threads) & ~mesh.frozen
+    return (freeze(mesh, found) if found.any() else mesh), int(found.sum())
+
+
+def layer_cells(
+    points: FloatArray, cells: IntArray, regions: IntArray | None = None, threads: int = 1
+) -> BoolArray:
+    """Find the cells of coherent layers.
+
+    A vertex is one of a layer where at least half of the cells around are stretched, their mean is,
+    and their shapes are near that mean. A cell belongs to a layer if its shape is near the mean at
+    one of its vertices, and many such cells hang together; so does a stretched cell between
+    vertices of such cells, as at corners of a wall.
+
+    Parameters
+    ----------
+    points : (n, d) float64, d = 2 or 3    in any unit
+    cells : (m, d + 1) int32               of positive volume
+    regions : (m,) int32                   labels; cells of one label have means of their own
+    threads : int                          how many share the work
+
+    Returns
+    -------
+    (m,) bool
+    """
+    found = np.zeros(len(cells), dtype=np.bool_)
+    parts = spread(lambda part: regularity(points, cells[part]), chunks(len(cells)), threads)
+    regular = np.concatenate(parts)
+    places, k = _places(len(points), cells, regions)
+    core = _alike(points, cells, places, k, regular, CORE)
+    core = core[_many(cells[core], len(points))]
+    if not core.size:
+        return found
+    whole = np.union1d(core, _alike(points, cells, places, k, regular, FADING))
+    label = _clusters(cells[whole], len(points))
+    found[whole[np.isin(label, label[np.searchsorted(whole, core)])]] = True
+    inside = np.zeros(len(points), dtype=np.bool_)
+    inside[cells[found]] = True
+    stretched = regular < most_regular(FADING.ratio, cells.shape[1] - 1)
+    return found | (stretched & inside[cells].all(axis=1))
+
+
+def regularity(points: FloatArray, cells: IntArray) -> FloatArray:
+    """Geometric by arithmetic mean of the eigenvalues of the inverse implied metric.
+
+    Parameters
+    ----------
+    points : (n, d) float64
+    cells : (m, d + 1) int32
+
+    Returns
+    -------
+    (m,) float64    1 for regular cells, 0 for flat ones
+    """
+    d = cells.shape[1] - 1
+    corners = [points.take(corner, axis=0) for corner in cells.T]
+    squares = np.zeros(len(cells))
+    for a, b in combinations(corners, 2):
+        squares += np.einsum("ij,ij->i", b - a, b - a)
+    content = np.abs(determinant([(corner - corners[0]).T for corner in corners[1:]]))
+    regular = np.sqrt((d + 1) / 2.0**d)
+    mean = squares / (0.5 * d * (d + 1))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        return np.nan_to_num((content / regular) ** (2.0 / d) / mean)
+
+
+def most_regular(ratio: float, d: int) -> float:
+    """Largest regularity of a cell in d dimensions whose longest by shortest length is `ratio`."""
+    high = ratio**2
+    values = np.array([1.0, *[0.5 * (1.0 + high)] * (d - 2), high])
+    return float(values.prod() ** (1.0 / d) / values.mean())
+
+
+def shapes(inverse: FloatArray) -> FloatArray:
+    """Parts without trace of the logarithms of symmetric matrices (m, d, d), of the same shape."""
+    values, axes = np.linalg.eigh(inverse)
+    least = np.finfo(np.float64).eps * values[:, -1:]
+    logs = np.log(np.maximum(values, least))
+    logs -= logs.mean(axis=1, keepdims=True)
+    return (axes * logs[:, None, :]) @ axes.swapaxes(1, 2)
+
+
+def inverse_metrics(points: FloatArray, cells: IntArray) -> FloatArray:
+    """Inverse implied metrics (m, d, d) of cells, each of trace 1."""
+    d = points.shape[1]
+    inverse = np.zeros((len(cells), d, d))
+    for a, b in combinations(cells.T, 2):
+        edge = points[b] - points[a]
+        inverse += edge[:, :, None] * edge[:, None, :]
+    inverse /= np.trace(inverse, axis1=1, axis2=2)[:, None, None]
+    return inverse
+
+
+def _places(n: int, cells: IntArray, regions: IntArray | None) -> tuple[NDArray[np.int64], int]:
+    """Number of the vertex of every corner (m, d + 1), one for every region there, and how many."""
+    places = cells.astype(np.int64)
+    if regions is None or not regions.any():
+        return places, n
+    label = np.zeros(n, dtype=regions.dtype)
+    label[cells] = regions[:, None]
+    several = np.zeros(n, dtype=np.bool_)
+    several[cells[label[cells] != regions[:, None]]] = True
+    mixed = several[cells]
+    keys = places + n * regions[:, None].astype(np.int64)
+    distinct, number = np.unique(keys[mixed], return_inverse=True)
+    places[mixed] = n + number.ravel()
+    return places, n + len(distinct)
+
+
+def _alike(
+    points: FloatArray, cells: IntArray, places: NDArray[np.int64], k: int, regular: FloatArray,
+    stretch: Stretch,
+) -> NDArray[np.intp]:
+    """Cells whose shape is that of one of their vertices, where that is one of a layer."""
+    d = points.shape[1]
+    bound = most_regular(stretch.ratio, d)
+    total = _sums(places, None, k)
+    active = 2 * _sums(places[regular < bound], None, k) >= np.maximum(total, 1)
+    near = np.flatnonzero(active[places].any(axis=1))
+    if not near.size:
+        return near
+    inverse = inverse_metrics(points, cells[near])
+    at = np.flatnonzero(active)
+    common = _means(places[near], inverse, at, k).reshape(-1, d, d)
+    content = np.maximum(determinant(np.moveaxis(common, 0, -1)), 0.0)
+    active[at] = d * content ** (1.0 / d) < 0.5 * (1.0 + bound)
+    inner = active[places[near]].any(axis=1)
+    if not inner.any():
+        return near[inner]
+    near, shape = near[inner], shapes(inverse[inner]).reshape(-1, d * d)
+    rows, at = places[near], np.flatnonzero(active)
+    means = np.zeros((k, d * d))
+    means[at] = _means(rows, shape, at, k)
+    size = (means**2).sum(axis=1)
+    off = _means(rows, (shape**2).sum(axis=1), at, k)[:, 0] - size[at]
+    values = np.linalg.eigvalsh(means[at].reshape(-1, d, d))
+    longest = values[:, -1] - values[:, 0] >= 2.0 * np.log(stretch.ratio)
+    active[at] = longest & (off <= stretch.spread**2 * size[at])
+    alike = np.zeros(len(near), dtype=np.bool_)
+    for corner in rows.T:
+        apart = ((shape - means[corner]) ** 2).sum(axis=1)
+        alike |= active[corner] & (apart <= ALIKE**2 * size[corner])
+    return near[alike]
+
+
+def _sums(rows: NDArray[np.int64], values: FloatArray | None, k: int) -> FloatArray:
+    """Sums of values (m,), or numbers, of the rows (m, c) that hold each of k places."""
+    return np.asarray(sum(np.bincount(column, values, k) for column in rows.T), dtype=np.float64)
+
+
+def _means(
+    rows: NDArray[np.int64], values: FloatArray, at: NDArray[np.intp], k: int
+) -> FloatArray:
+    """Means of values (m, ...) over the rows that hold the places `at`, (len(at), ...) flat."""
+    flat = values.reshape(len(values), -1)
+    sums = [_sums(rows, column, k)[at] for column in flat.T]
+    return np.stack(sums, axis=1) / _sums(rows, None, k)[at, None]
+
+
+def _clusters(cells: IntArray, n: int) -> NDArray[np.int32]:
+    """Number of the part, connected through facets, that every cell belongs to."""
+    width = cells.shape[1]
+    ordered = np.sort(cells, axis=1)
+    facets = np.stack([np.delete(ordered, i, axis=1) for i in range(width)], axis=1)
+    key = row_keys(facets.reshape(-1, width - 1), n)
+    order = np.argsort(key, kind="stable")
+    same = np.flatnonzero(np.diff(key[order]) == 0)
+    return components(order[same] // width, order[same + 1] // width, len(cells))
+
+
+def _many(cells: IntArray, n: int) -> BoolArray:
+    """Which cells hang together with many others."""
+    if len(cells) < SEVERAL[cells.shape[1] - 1]:
+        return np.zeros(len(cells), dtype=np.bool_)
+    label = _clusters(cells, n)
+    return np.asarray(np.bincount(label)[label] >= SEVERAL[cells.shape[1] - 1])
