@@ -109,7 +109,8 @@ def run_engine(
         work, given = _prepare(mesh, replace(options, progress=tell and first), wanted)
         layers = 0
         if options.layers == "keep":
-            kept, layers = keep_layers(work.mesh, options.threads)
+            was = () if work.tangle is None else (work.tangle.before, work.tangle.source)
+            kept, layers = keep_layers(work.mesh, options.threads, *was)
             work = work._replace(mesh=kept)
         moves = work.host.geometry is not None and _surface_moves(work, options)
         leaving = partial(_as_it_leaves, work, options.threads, onto=moves)

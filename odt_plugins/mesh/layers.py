@@ -10,6 +10,7 @@ are well shaped in that mean.
 
 from __future__ import annotations
 
+import math
 from itertools import combinations
 from typing import NamedTuple
 
@@ -20,12 +21,18 @@ from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.chunks import chunks, spread
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.facets import row_keys
-from odt_plugins.mesh.simplex import SimplexMesh, determinant, freeze
+from odt_plugins.mesh.simplex import SimplexMesh, cell_signs, determinant, freeze
+from odt_plugins.mesh.symmetric import eigen, logarithms
 
 ALIKE = 0.75
 """Largest distance of the shape of a cell from the mean, as a part of the size of that mean."""
 SEVERAL = {2: 40, 3: 150}
 """Fewest cells of a layer, connected through facets, by dimension."""
+FEW = 0.01
+"""Largest part of the cells of a mesh with layers that may be inverted or flat: more of them
+stretch many others."""
+TOUCHED = 0.1
+"""Largest part of the cells of a layer that may be beside inverted or flat ones."""
 
 
 class Stretch(NamedTuple):
@@ -48,13 +55,18 @@ FADING = Stretch(2.5, 0.65)
 """How far a layer goes from there."""
 
 
-def keep_layers(mesh: SimplexMesh, threads: int = 1) -> tuple[SimplexMesh, int]:
+def keep_layers(
+    mesh: SimplexMesh, threads: int = 1, start: SimplexMesh | None = None,
+    source: IntArray | None = None,
+) -> tuple[SimplexMesh, int]:
     """Freeze the cells of coherent layers.
 
     Parameters
     ----------
     mesh : SimplexMesh    a curved surface, whose needles may be alike too, comes back as it is
     threads : int         how many share the work
+    start : SimplexMesh   what the mesh was before it was untangled: only layers that it had count
+    source : (m,) int     cell of `start` that every cell comes from
 
     Returns
     -------
@@ -63,7 +75,11 @@ def keep_layers(mesh: SimplexMesh, threads: int = 1) -> tuple[SimplexMesh, int]:
     """
     if mesh.is_surface:
         return mesh, 0
-    found = layer_cells(mesh.points, mesh.cells, mesh.regions, threads) & ~mesh.frozen
+    if start is None or source is None:
+        found = layer_cells(mesh.points, mesh.cells, mesh.regions, threads)
+    else:
+        found = _left_of_layers(mesh, threads, start, source)
+    found &= ~mesh.frozen
     return (freeze(mesh, found) if found.any() else mesh), int(found.sum())
 
 
@@ -92,11 +108,11 @@ def layer_cells(
     parts = spread(lambda part: regularity(points, cells[part]), chunks(len(cells)), threads)
     regular = np.concatenate(parts)
     places, k = _places(len(points), cells, regions)
-    core = _alike(points, cells, places, k, regular, CORE)
+    core = _alike(points, cells, places, k, regular, CORE, threads)
     core = core[_many(cells[core], len(points))]
     if not core.size:
         return found
-    whole = np.union1d(core, _alike(points, cells, places, k, regular, FADING))
+    whole = np.union1d(core, _alike(points, cells, places, k, regular, FADING, threads))
     label = _clusters(cells[whole], len(points))
     found[whole[np.isin(label, label[np.searchsorted(whole, core)])]] = True
     inside = np.zeros(len(points), dtype=np.bool_)
@@ -106,7 +122,7 @@ def layer_cells(
 
 
 def regularity(points: FloatArray, cells: IntArray) -> FloatArray:
-    """Geometric by arithmetic mean of the eigenvalues of the inverse implied metric.
+    """Product of the eigenvalues of the inverse implied metric, of mean 1.
 
     Parameters
     ----------
@@ -123,26 +139,26 @@ def regularity(points: FloatArray, cells: IntArray) -> FloatArray:
     for a, b in combinations(corners, 2):
         squares += np.einsum("ij,ij->i", b - a, b - a)
     content = np.abs(determinant([(corner - corners[0]).T for corner in corners[1:]]))
-    regular = np.sqrt((d + 1) / 2.0**d)
     mean = squares / (0.5 * d * (d + 1))
-    with np.errstate(divide="ignore", invalid="ignore"):
-        return np.nan_to_num((content / regular) ** (2.0 / d) / mean)
+    share = content / mean
+    share *= content / mean * (2.0**d / (d + 1))
+    return np.asarray(share if d == 2 else share / mean)
 
 
 def most_regular(ratio: float, d: int) -> float:
     """Largest regularity of a cell in d dimensions whose longest by shortest length is `ratio`."""
     high = ratio**2
     values = np.array([1.0, *[0.5 * (1.0 + high)] * (d - 2), high])
-    return float(values.prod() ** (1.0 / d) / values.mean())
+    return float((values / values.mean()).prod())
 
 
 def shapes(inverse: FloatArray) -> FloatArray:
     """Parts without trace of the logarithms of symmetric matrices (m, d, d), of the same shape."""
-    values, axes = np.linalg.eigh(inverse)
-    least = np.finfo(np.float64).eps * values[:, -1:]
-    logs = np.log(np.maximum(values, least))
+    values, axes = eigen(inverse)
+    least = np.finfo(np.float64).eps * values.max(axis=1, keepdims=True)
+    logs = logarithms(np.maximum(values, least))
     logs -= logs.mean(axis=1, keepdims=True)
-    return (axes * logs[:, None, :]) @ axes.swapaxes(1, 2)
+    return np.asarray(np.einsum("mik,mjk->mij", axes * logs[:, None, :], axes))
 
 
 def inverse_metrics(points: FloatArray, cells: IntArray) -> FloatArray:
@@ -154,6 +170,28 @@ def inverse_metrics(points: FloatArray, cells: IntArray) -> FloatArray:
         inverse += edge[:, :, None] * edge[:, None, :]
     inverse /= np.trace(inverse, axis1=1, axis2=2)[:, None, None]
     return inverse
+
+
+def _left_of_layers(
+    mesh: SimplexMesh, threads: int, start: SimplexMesh, source: IntArray
+) -> BoolArray:
+    """Cells of a mesh that are just as they were in a layer of the tangled one."""
+    x, cells = start.points, start.cells
+    valid = cell_signs(x, cells, threads)[0] > 0
+    layer = np.zeros(len(cells), dtype=np.bool_)
+    if (~valid).sum() > FEW * len(cells):
+        return layer[source]
+    layer[valid] = layer_cells(x, cells[valid], start.regions[valid], threads)
+    bad = np.zeros(len(x), dtype=np.bool_)
+    bad[cells[~valid]] = True
+    rows = np.flatnonzero(layer)
+    label = _clusters(cells[rows], len(x))
+    touching = np.bincount(label, bad[cells[rows]].any(axis=1))
+    layer[rows] = (touching <= TOUCHED * np.bincount(label))[label]
+    stays = np.zeros(len(mesh.points), dtype=np.bool_)
+    stays[: len(x)] = (mesh.points[: len(x)] == x).all(axis=1)
+    same = (np.sort(mesh.cells, axis=1) == np.sort(cells[source], axis=1)).all(axis=1)
+    return np.asarray(layer[source] & same & stays[mesh.cells].all(axis=1))
 
 
 def _places(n: int, cells: IntArray, regions: IntArray | None) -> tuple[NDArray[np.int64], int]:
@@ -174,7 +212,7 @@ def _places(n: int, cells: IntArray, regions: IntArray | None) -> tuple[NDArray[
 
 def _alike(
     points: FloatArray, cells: IntArray, places: NDArray[np.int64], k: int, regular: FloatArray,
-    stretch: Stretch,
+    stretch: Stretch, threads: int,
 ) -> NDArray[np.intp]:
     """Cells whose shape is that of one of their vertices, where that is one of a layer."""
     d = points.shape[1]
@@ -187,19 +225,20 @@ def _alike(
     inverse = inverse_metrics(points, cells[near])
     at = np.flatnonzero(active)
     common = _means(places[near], inverse, at, k).reshape(-1, d, d)
-    content = np.maximum(determinant(np.moveaxis(common, 0, -1)), 0.0)
-    active[at] = d * content ** (1.0 / d) < 0.5 * (1.0 + bound)
+    active[at] = d**d * determinant(np.moveaxis(common, 0, -1)) < 0.5 * (1.0 + bound)
     inner = active[places[near]].any(axis=1)
     if not inner.any():
         return near[inner]
-    near, shape = near[inner], shapes(inverse[inner]).reshape(-1, d * d)
+    near, inverse = near[inner], inverse[inner]
+    parts = spread(lambda part: shapes(inverse[part]), chunks(len(near)), threads)
+    shape = np.concatenate(parts).reshape(-1, d * d)
     rows, at = places[near], np.flatnonzero(active)
     means = np.zeros((k, d * d))
     means[at] = _means(rows, shape, at, k)
     size = (means**2).sum(axis=1)
     off = _means(rows, (shape**2).sum(axis=1), at, k)[:, 0] - size[at]
-    values = np.linalg.eigvalsh(means[at].reshape(-1, d, d))
-    longest = values[:, -1] - values[:, 0] >= 2.0 * np.log(stretch.ratio)
+    values, _ = eigen(means[at].reshape(-1, d, d))
+    longest = np.ptp(values, axis=1) >= 2.0 * math.log(stretch.ratio)
     active[at] = longest & (off <= stretch.spread**2 * size[at])
     alike = np.zeros(len(near), dtype=np.bool_)
     for corner in rows.T:

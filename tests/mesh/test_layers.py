@@ -19,6 +19,7 @@ from odt_plugins.mesh.layers import (
     shapes,
 )
 from odt_plugins.mesh.simplex import simplex_mesh
+from odt_plugins.mesh.symmetric import eigen, logarithms
 
 HEIGHTS = 0.002 * (1.4 ** np.arange(9) - 1.0) / 0.4
 
@@ -208,9 +209,41 @@ def test_edges_have_length_one_in_the_metric_of_their_cell() -> None:
         shape = shapes(inverse[None])[0]
         assert abs(np.trace(shape)) < 1e-12
         values = np.exp(np.linalg.eigvalsh(shape))
-        assert np.isclose(regularity(points, cells)[0], values.prod() ** (1 / d) / values.mean())
+        assert np.isclose(regularity(points, cells)[0], (values / values.mean()).prod())
         assert regularity(points, cells)[0] <= most_regular(
             np.sqrt(values[-1] / values[0]), d) * (1 + 1e-12)
+
+
+def test_layers_of_a_tangled_mesh_stay_and_what_untangling_stretches_is_none() -> None:
+    points, cells, layer = around_ellipse()
+    boundary = Delaunay(points).convex_hull
+    free = np.setdiff1d(np.arange(len(points)), np.append(cells[layer], boundary))
+    star = next(v for v in free if np.isin(cells[(cells == v).any(axis=1)], free).all())
+    around = cells[(cells == star).any(axis=1)]
+    far = points[around].mean(axis=1) - points[star]
+    bent = points.copy()
+    bent[star] += 4.0 * far[np.argmax(np.linalg.norm(far, axis=1))]
+    vertices = np.unique(cells[layer])
+    (out, rows), report = odt_plugins.optimize_with_report((bent, cells))
+    assert report.untangled is not None
+    assert (out[vertices] == points[vertices]).all()
+    assert rows_of(cells[layer]) <= rows_of(rows)
+    assert report.layers < 1.2 * layer.sum()
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_eigenvalues_and_logarithms_are_those_of_numpy(d: int) -> None:
+    rng = np.random.default_rng(8)
+    matrices = rng.normal(size=(200, d, d))
+    matrices = np.concatenate([
+        matrices @ matrices.transpose(0, 2, 1), np.zeros((1, d, d)), np.eye(d)[None],
+        np.diag([1e-12, 1.0, 1e6][:d])[None]])
+    values, axes = eigen(matrices)
+    known = np.linalg.eigvalsh(matrices)
+    assert np.allclose(np.sort(values, axis=1), known, rtol=1e-13, atol=1e-14)
+    assert np.allclose(axes * values[:, None, :] @ axes.transpose(0, 2, 1), matrices, atol=1e-13)
+    numbers = np.exp(rng.uniform(-300.0, 300.0, 1000))
+    assert np.allclose(logarithms(numbers), np.log(numbers), rtol=1e-15, atol=1e-15)
 
 
 def test_an_unknown_way_is_refused() -> None:
