@@ -16,7 +16,7 @@ import numpy as np
 
 from odt_plugins.adapters.host import is_instance
 from odt_plugins.errors import InvalidOptionError
-from odt_plugins.options import DENSITIES, OPTIONS, Fields, Options
+from odt_plugins.options import DENSITIES, OPTIONS, Fields, Layers, Options
 
 Kind = Literal["int", "float", "bool", "enum", "length", "string"]
 
@@ -246,10 +246,15 @@ ROUNDS = replace(STEPS, default=Options.rounds)
 ITERATIONS = _of_option("cycles", "Iterations", "int", "Iterations", least=1)
 
 FIELDS = _of_option("fields", "Fields", "enum", "Vertex values", choices=get_args(Fields))
+LAYERS = _of_option(
+    "layers", "Layers", "enum", "Layers",
+    "What happens to many triangles of a planar mesh that are stretched alike with their "
+    "neighbours: keep lets them stay as they are, improve treats them as any other.",
+    choices=get_args(Layers))
 
 IDS = " Two ids of the MeshSet are used up."
 
-SMOOTHING = (STEPS, BOUNDARY, DENSITY, FIELDS, KEEP, ENVELOPE, ANGLE, REGIONS, SELECTED)
+SMOOTHING = (STEPS, BOUNDARY, DENSITY, FIELDS, LAYERS, KEEP, ENVELOPE, ANGLE, REGIONS, SELECTED)
 
 _ALL = (
     Filter(
@@ -277,8 +282,8 @@ _ALL = (
         "object (the old mesh stays in the set if it is that one), or another has several "
         "textures or one without wedge texture coordinates, or while there are rasters. Up to 18 "
         "ids of the MeshSet are used up.",
-        (ROUNDS, ITERATIONS, BOUNDARY, DENSITY, FIELDS, OBJECTIVE, KEEP, ENVELOPE, ANGLE, REGIONS,
-         SELECTED)),
+        (ROUNDS, ITERATIONS, BOUNDARY, DENSITY, FIELDS, LAYERS, OBJECTIVE, KEEP, ENVELOPE, ANGLE,
+         REGIONS, SELECTED)),
     Filter(
         "compute_scalar_by_radius_ratio_per_face", "Per Face Quality by Radius Ratio",
         "Store in the scalar of every face its radius ratio 2 r/R, 1 for an equilateral triangle "

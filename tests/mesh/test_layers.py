@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from scipy.spatial import Delaunay
+from scipy.spatial import Delaunay, cKDTree
 
 import odt_plugins
 from odt_plugins.mesh.layers import (
@@ -168,6 +168,39 @@ def test_a_thin_level_between_thick_ones_of_other_labels_is_a_layer() -> None:
     found = layer_cells(points, cells.astype(np.int32), label)
     assert found[level == 2].all()
     assert not found[level != 2].any()
+
+
+def test_the_boundary_layer_of_gmsh_around_an_ellipse_stays() -> None:
+    gmsh = pytest.importorskip("gmsh")
+    gmsh.initialize(interruptible=False)
+    gmsh.option.setNumber("General.Terminal", 0)
+    occ, mesh = gmsh.model.occ, gmsh.model.mesh
+    wall, far = occ.addEllipse(0, 0, 0, 1, 0.4), occ.addCircle(0, 0, 0, 4)
+    occ.addPlaneSurface([occ.addCurveLoop([far]), occ.addCurveLoop([wall])])
+    occ.synchronize()
+    mesh.setTransfiniteCurve(wall, 100)
+    gmsh.option.setNumber("Mesh.MeshSizeMax", 0.4)
+    field = mesh.field.add("BoundaryLayer")
+    mesh.field.setNumbers(field, "CurvesList", [wall])
+    for name, value in {"Size": 0.001, "Ratio": 1.3, "Thickness": 0.04, "Quads": 0}.items():
+        mesh.field.setNumber(field, name, value)
+    mesh.field.setAsBoundaryLayer(field)
+    mesh.generate(2)
+    tags, places, _ = mesh.getNodes()
+    corners = mesh.getElementsByType(2)[1].reshape(-1, 3)
+    gmsh.finalize()
+    number = np.zeros(int(tags.max()) + 1, dtype=np.int64)
+    number[tags] = np.arange(len(tags))
+    points, cells = places.reshape(-1, 3)[:, :2].copy(), number[corners]
+    angle = np.linspace(0.0, 2.0 * np.pi, 20001)
+    curve = np.stack([np.cos(angle), 0.4 * np.sin(angle)], axis=1)
+    layer = np.flatnonzero(cKDTree(curve).query(points)[0] < 0.038)
+    assert len(layer) > 200
+    out, rows = odt_plugins.optimize((points, cells))
+    assert (out[layer] == points[layer]).all()
+    assert rows_of(cells[np.isin(cells, layer).all(axis=1)]) <= rows_of(rows)
+    out, rows = odt_plugins.optimize((points, cells), layers="improve")
+    assert (out[layer] != points[layer]).any(axis=1).sum() > 50
 
 
 def test_few_stretched_cells_are_no_layer() -> None:
