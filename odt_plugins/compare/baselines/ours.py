@@ -13,7 +13,7 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
     """Take the arrays as they are. Settings: `options` of :func:`odt_plugins.optimize`."""
     from odt_plugins.api import optimize
 
-    options = {"layers": "improve", **settings["options"], "threads": settings["threads"]}
+    options = {**settings["options"], "threads": settings["threads"]}
 
     mesh = (start.points, start.cells, *(() if start.regions is None else (start.regions,)))
 
