@@ -39,7 +39,12 @@ from odt_plugins.adapters.pymeshlab_copy import (
     textures,
     without_pictures,
 )
-from odt_plugins.adapters.pymeshlab_faces import move_vertices, result_in_place, set_faces
+from odt_plugins.adapters.pymeshlab_faces import (
+    can_be_set,
+    move_vertices,
+    result_in_place,
+    set_faces,
+)
 from odt_plugins.adapters.pymeshlab_set import copy_of_set, exchange
 from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.wedges import charts
@@ -127,7 +132,7 @@ def write(result: Result, host: HostMesh) -> Any:
             move_vertices(source.meshes, result.points)
         elif result.vertices is None and (
             fitting := result_in_place(source.meshes, result)
-        ) is not None:
+        ) is not None and can_be_set(source.meshes, fitting):
             set_faces(source.meshes, fitting)
         else:
             exchange(source.meshes, rebuilt(source.meshes.current_mesh(), result))
