@@ -15,7 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.host import Adapter, Feet, HostMesh, NewVertices, Result
-from odt_plugins.adapters.kept import hold_charts, hold_places, protect, protect_surface
+from odt_plugins.adapters.kept import (
+    hold_charts,
+    hold_places,
+    note_inside,
+    protect,
+    protect_surface,
+)
 from odt_plugins.adapters.regions import AUTO, CHARTS, are_names
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.adapters.wedges import glued, without_seams
@@ -272,8 +278,10 @@ def _checked(
     if frame is not None and 2 * simplices.turned > len(simplices.cells):
         orientation = -1
         simplices = replace(simplices, turned=len(simplices.cells) - simplices.turned)
-    simplices = protect(simplices, host.kept, host.anchors)
-    notes = hold_places(simplices, host, surface=False) if options.boundary == "slide" else ()
+    bare, simplices = simplices, protect(simplices, host.kept, host.anchors)
+    notes = note_inside(bare, simplices, host)
+    if options.boundary == "slide":
+        notes += hold_places(simplices, host, surface=False)
     work = _Prepared(adapter, host, frame, simplices, orientation, notes=notes)
     return _untangled(work, options, wanted) if tangled or wanted.rest is not None else work
 
