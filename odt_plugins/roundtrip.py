@@ -35,6 +35,7 @@ from odt_plugins.errors import (
     TangledMeshError,
     warn,
 )
+from odt_plugins.integrals import changed_integrals
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.numbering import (
     in_old_numbers,
@@ -140,13 +141,16 @@ def run_engine(
     around = partial(_around, work, options.threads)
     written = replace(outcome, written=points, cells=cells)
     vertices = _new_vertices(work, written, around, moved=bool(fields))
+    changed = {} if work.tangle is not None else changed_integrals(
+        given.densities_of(work.own), (before.points, before.cells),
+        (outcome.points, outcome.cells), source)
     if work.orientation < 0:
         cells = reverse(cells, np.ones(len(cells), dtype=np.bool_))
     if work.own is not None:
         cells, source = with_others(given.cells, cells, source, work.own)
     told = {"regions_from": work.host.regions_from, "cell_origin": _cell_origin(work.host, source),
             "interpolated": () if vertices is None else fields, "notes": work.notes,
-            "tangle": work.tangle, "curved": curved.facts}
+            "tangle": work.tangle, "curved": curved.facts, "integrals": changed}
     kind = work.host.cells.dtype
     if outcome.origin is not None and kind.kind != "f":
         kind = np.promote_types(kind, np.min_scalar_type(len(outcome.points) - 1))

@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -63,6 +63,7 @@ class HostMesh:
                                       where there may be others; they stay in that order
     total : int                       number of all cells of the object, with `ids`
     fields : tuple of str             names of the point arrays that sample a field
+    densities : dict of (m, ...)      cell arrays of floating-point numbers, by their names
     follows : bool                    whether fields are interpolated unless the caller says so
     geometry : Geometry or None       that the vertices of the surface are on, and stay on
     nodes : (m, k) int or None        all nodes of the cells of higher order
@@ -88,12 +89,18 @@ class HostMesh:
     ids: NDArray[Any] | None = None
     total: int = 0
     fields: tuple[str, ...] = ()
+    densities: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     follows: bool = True
     texture: NDArray[Any] | None = None
     geometry: Geometry | None = None
     nodes: NDArray[Any] | None = None
     shape: NDArray[np.int64] | None = None
     settle: Callable[[Any, Any, NDArray[Any]], Any] | None = None
+
+    def densities_of(self, cells: NDArray[Any] | None) -> dict[str, NDArray[Any]]:
+        """Values of the densities in some of the cells, or in all."""
+        return {name: values if cells is None else values[cells]
+                for name, values in self.densities.items()}
 
     @property
     def textured(self) -> bool:

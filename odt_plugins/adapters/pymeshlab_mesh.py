@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.fields import field_names
+from odt_plugins.adapters.fields import densities, field_names
 from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
 from odt_plugins.adapters.pymeshlab_copy import (
     Attribute,
@@ -95,7 +95,8 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     copy = without_pictures(current)
     inner = copy.current_mesh()
     cells = np.array(inner.face_matrix())
-    labels = region_labels(_labels(inner, custom_attributes(copy)), regions, cells)
+    arrays = _labels(inner, custom_attributes(copy))
+    labels = region_labels(arrays, regions, cells)
     edges = np.array(inner.edge_matrix())
     kept = [KeptCells("edge", edges)]
     blocks = None
@@ -118,6 +119,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         words=lambda text: text.replace("merging vertices at the same place",
                                         "meshing_remove_duplicate_vertices()"),
         fields=field_names(_vertex_data(inner, copy)),
+        densities=densities(arrays),
         follows=False,
     )
 
