@@ -11,12 +11,12 @@ from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
 
 import numpy as np
 
-from odt_plugins.adapters import pyvista_blocks
 from odt_plugins.adapters.files import check_output, read_file, write_file
+from odt_plugins.adapters.host import words_of
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
 from odt_plugins.mesh.simplex import mesh_arrays, turned_alike
-from odt_plugins.multiblock import run_blocks
+from odt_plugins.multiblock import has_parts, run_parts
 from odt_plugins.options import (
     OF_UNTANGLING,
     OPTIONS,
@@ -24,7 +24,7 @@ from odt_plugins.options import (
     make_options,
     with_option_signature,
 )
-from odt_plugins.roundtrip import flat_points, run_engine, words_of
+from odt_plugins.roundtrip import flat_points, run_engine
 from odt_plugins.untangling import Wanted
 
 if TYPE_CHECKING:
@@ -51,10 +51,10 @@ def optimize(mesh: Any, **options: Unpack[OptionKeywords]) -> Any:
     ----------
     mesh : (points, cells) or (points, cells, regions), arrays or lists of rows,
         pyvista.UnstructuredGrid, PolyData or MultiBlock, vtkUnstructuredGrid, vtkPolyData,
-        meshio.Mesh, pymeshlab.MeshSet or Mesh, an open3d TriangleMesh or TetraMesh,
-        trimesh.Trimesh, a mesh of scikit-fem, Netgen or NGSolve, gmsh.model, or the path of a mesh
-        file; arrays may be of any library with DLPack. It is never changed, but for gmsh.model,
-        which is in place.
+        meshio.Mesh, pymeshlab.MeshSet or Mesh, a TriangleMesh, TetraMesh or
+        TriangleMeshModel of open3d, trimesh.Trimesh or Scene, a mesh of scikit-fem, Netgen or
+        NGSolve, gmsh.model, or the path of a mesh file; arrays may be of any library with DLPack.
+        It is never changed, but for gmsh.model, which is in place.
     **options
         The fields of :class:`odt_plugins.Options`, all by keyword.
 
@@ -92,7 +92,7 @@ def optimize(mesh: Any, **options: Unpack[OptionKeywords]) -> Any:
     True
     """
     chosen = make_options(**options)
-    if pyvista_blocks.matches(mesh):
+    if has_parts(mesh):
         return optimize_with_report(mesh, **options)[0]
     return run_engine(mesh, chosen)[0]
 
@@ -113,13 +113,14 @@ def optimize_with_report(mesh: Any, **options: Unpack[OptionKeywords]) -> tuple[
     -------
     mesh : same type as the input
     report : Report     figures before and after, energy, times, why it stopped, what binds; a list
-                        of them for the blocks of a pyvista.MultiBlock
+                        of them for the parts of a pyvista.MultiBlock, a trimesh.Scene or a
+                        TriangleMeshModel of open3d
     """
     from odt_plugins.report.report import make_report
 
     chosen = make_options(**options)
-    if pyvista_blocks.matches(mesh):
-        return run_blocks(mesh, options, optimize_with_report)
+    if has_parts(mesh):
+        return run_parts(mesh, options, optimize_with_report)
     result, before, outcome, told = run_engine(mesh, chosen)
     return result, make_report(before, outcome, chosen, **told)
 
@@ -209,7 +210,7 @@ def untangle(
     >>> bool((valid_points[:4] == points[:4]).all() and 0 < valid_points[4, 0] < 1)
     True
     """
-    if pyvista_blocks.matches(mesh):
+    if has_parts(mesh):
         return untangle_with_report(mesh, rest=rest, partial=partial, **options)[0]
     return _untangled(mesh, _untangling(options), rest, partial=partial)[0]
 
@@ -224,15 +225,15 @@ def untangle_with_report(
     -------
     mesh : same type as the input
     report : Report     figures before and after, and `untangled`: how many cells were inverted, how
-                        it went, and how many are left; a list of them for the blocks of a
+                        it went, and how many are left; a list of them for the parts of a
                         pyvista.MultiBlock
     """
     from odt_plugins.report.report import make_report
 
     chosen = _untangling(options)
-    if pyvista_blocks.matches(mesh):
+    if has_parts(mesh):
         one = functools.partial(untangle_with_report, rest=rest, partial=partial)
-        return run_blocks(mesh, options, one)
+        return run_parts(mesh, options, one)
     result, before, outcome, told = _untangled(mesh, chosen, rest, partial=partial)
     return result, make_report(before, outcome, chosen, **told)
 

@@ -1,52 +1,142 @@
-"""Optimise the blocks of a pyvista.MultiBlock one by one."""
+"""Optimise the parts of an object one by one: blocks, geometries of a scene, meshes of a model."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
+from typing import Any, NamedTuple
 
-from odt_plugins.adapters import pyvista_blocks
-from odt_plugins.errors import InvalidOptionError, ODTError
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.adapters import open3d_model, pyvista_blocks, trimesh_scene
+from odt_plugins.adapters.registry import find_adapter
+from odt_plugins.errors import InvalidOptionError, ODTError, counted
+from odt_plugins.mesh.simplex import vertex_mask
 from odt_plugins.progress import part, telling
 
+WHOLES: tuple[Any, ...] = (pyvista_blocks, trimesh_scene, open3d_model)
+"""Adapters of objects of several meshes."""
 
-def run_blocks(
+GRID = 1e-9
+"""Distance, as a part of the extent of all, below which vertices of two parts are at one place."""
+
+
+class _Shown(NamedTuple):
+    """A part where it is shown: its number, the places (n, 3) of its vertices, its cells."""
+
+    number: int
+    places: NDArray[np.float64]
+    cells: NDArray[np.int64]
+
+
+def has_parts(mesh: object) -> bool:
+    """Say whether an object consists of several meshes."""
+    return any(whole.matches(mesh) for whole in WHOLES)
+
+
+def run_parts(
     mesh: Any, options: Mapping[str, Any], one: Callable[..., tuple[Any, Any]]
 ) -> tuple[Any, list[Any]]:
-    """Optimise every block of a pyvista.MultiBlock by itself.
+    """Optimise every part of an object by itself.
 
     Parameters
     ----------
-    mesh : pyvista.MultiBlock
+    mesh : object      of which :func:`has_parts` is true
     options : dict
-    one : callable     optimises a block with options: its result and report
+    one : callable     optimises a part with options: its result and report
 
     Returns
     -------
-    result : pyvista.MultiBlock
-    reports : list     of every block that was optimised
+    result : same type as `mesh`
+    reports : list     of every part that was optimised
 
     Raises
     ------
-    InvalidOptionError    boundaries shall slide where blocks touch
-    ODTError              what one block raises, with its name
+    InvalidOptionError    boundaries shall slide where parts touch
+    ODTError              what one part raises, with its name
     """
-    names = pyvista_blocks.chosen(mesh)
-    blocks = [pyvista_blocks.block_at(mesh, path) for path in names]
-    if options.get("boundary") == "slide" and pyvista_blocks.touching(blocks):
-        msg = ("got boundary='slide' for blocks that touch, which would come apart; expected "
-               "'fixed', try mesh.combine(merge_points=True) with an array of labels")
+    whole = next(whole for whole in WHOLES if whole.matches(mesh))
+    names = whole.chosen(mesh)
+    parts = [whole.part_at(mesh, key) for key in names]
+    shown = []
+    for i, (key, name) in enumerate(names.items()):
+        host = _named(whole.PART, name, find_adapter(parts[i]).read, parts[i])
+        shown += [_Shown(i, places, np.asarray(host.cells, dtype=np.int64))
+                  for places in whole.placed(mesh, key, np.asarray(host.points, np.float64))]
+    touch, rims = _shared(shown)
+    if options.get("boundary") == "slide" and touch:
+        msg = (f"got boundary='slide' for {whole.PARTS} that touch, which would come apart; "
+               f"expected 'fixed', try {whole.TOGETHER}")
         raise InvalidOptionError(msg)
     results, reports = [], []
     with telling(options.get("progress"), "preparing") as progress:
-        for i, (name, block) in enumerate(zip(names.values(), blocks, strict=True)):
-            share = part(progress, i / len(blocks), (i + 1) / len(blocks))
-            told = {"progress": share} if options.get("progress") else {}
-            try:
-                result, report = one(block, **{**options, **told})
-            except ODTError as exc:
-                msg = f"block {name!r}: {exc}"
-                raise type(exc)(msg) from exc
+        for i, name in enumerate(names.values()):
+            told: dict[str, Any] = {}
+            if options.get("progress"):
+                told["progress"] = part(progress, i / len(parts), (i + 1) / len(parts))
+            held = rims.get(i)
+            if held is not None:
+                told["fixed"] = held | _named(whole.PART, name, vertex_mask, options.get("fixed"),
+                                              len(held), "fixed", "vertices")
+            result, report = _named(whole.PART, name, one, parts[i], **{**options, **told})
+            if held is not None:
+                count = counted(int(held.sum()), "vertex", "vertices")
+                note = f"{count} at the rim of another {whole.PART} stay, so that it stays there"
+                report = replace(report, notes=(*report.notes, note))
             results.append(result)
             reports.append(report)
-    return pyvista_blocks.replaced(mesh, dict(zip(names, results, strict=True))), reports
+    return whole.replaced(mesh, dict(zip(names, results, strict=True))), reports
+
+
+def _named(kind: str, name: str, call: Callable[..., Any], *given: Any, **options: Any) -> Any:
+    """What a call returns; errors of this package name the part that raised them."""
+    try:
+        return call(*given, **options)
+    except ODTError as exc:
+        msg = f"{kind} {name!r}: {exc}"
+        raise type(exc)(msg) from exc
+
+
+def _shared(shown: Sequence[_Shown]) -> tuple[bool, dict[int, NDArray[np.bool_]]]:
+    """Find the places that several parts share.
+
+    Parameters
+    ----------
+    shown : list of _Shown    parts may be there several times
+
+    Returns
+    -------
+    touch : bool              whether there are such places
+    rims : dict of (n,) bool  by the number of the part its vertices at such places where the
+                              surface of another part ends and its own does not, if it has any
+    """
+    if len(shown) < 2:
+        return False, {}
+    places = np.concatenate([some.places for some in shown])
+    low, high = places.min(axis=0), places.max(axis=0)
+    size = float(np.linalg.norm(high - low))
+    if not np.isfinite(size) or size == 0.0:
+        return False, {}
+    rows = np.rint((places - low) / (GRID * size)).astype(np.int64)
+    at = np.unique(rows, axis=0, return_inverse=True)[1].ravel()
+    ends = np.cumsum([len(some.places) for some in shown])
+    own = [np.asarray(piece) for piece in np.split(at, ends[:-1])]
+    seen = np.bincount(np.concatenate([np.unique(piece) for piece in own]), minlength=len(at))
+    rims = []
+    for some, piece in zip(shown, own, strict=True):
+        rim = np.zeros(len(seen), dtype=np.bool_)
+        cells = some.cells
+        if cells.shape[1] == 3 and cells.size and 0 <= cells.min() <= cells.max() < len(piece):
+            corners = piece[cells]
+            edges = np.sort(corners[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
+            edge, times = np.unique(edges, axis=0, return_counts=True)
+            rim[edge[times == 1]] = True
+        rims.append(rim)
+    ends_there = np.logical_or.reduce(rims) & (seen > 1)
+    held: dict[int, NDArray[np.bool_]] = {}
+    for some, piece, rim in zip(shown, own, rims, strict=True):
+        mask = (ends_there & ~rim)[piece] | held.get(some.number, np.zeros(len(piece), np.bool_))
+        if mask.any():
+            held[some.number] = mask
+    return bool((seen > 1).any()), held

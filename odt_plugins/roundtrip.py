@@ -5,8 +5,7 @@ This is the only place where adapters and engine meet.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, NamedTuple
@@ -14,8 +13,21 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import Adapter, Feet, HostMesh, NewVertices, Result
-from odt_plugins.adapters.kept import hold_charts, hold_places, protect, protect_surface
+from odt_plugins.adapters.host import (
+    Adapter,
+    Feet,
+    HostMesh,
+    NewVertices,
+    Result,
+    words_of,
+)
+from odt_plugins.adapters.kept import (
+    hold_charts,
+    hold_places,
+    note_inside,
+    protect,
+    protect_surface,
+)
 from odt_plugins.adapters.regions import AUTO, CHARTS, are_names
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.adapters.wedges import glued, without_seams
@@ -25,10 +37,10 @@ from odt_plugins.curved import Kept, keep_curved
 from odt_plugins.errors import (
     InvalidMeshError,
     InvalidOptionError,
-    ODTError,
     TangledMeshError,
     warn,
 )
+from odt_plugins.integrals import changed_integrals
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.layers import keep_layers
 from odt_plugins.mesh.numbering import (
@@ -140,13 +152,16 @@ def run_engine(
     around = partial(_around, work, options.threads)
     written = replace(outcome, written=points, cells=cells)
     vertices = _new_vertices(work, written, around, moved=bool(fields))
+    changed = {} if work.tangle is not None else changed_integrals(
+        given.densities_of(work.own), (before.points, before.cells),
+        (outcome.points, outcome.cells), source)
     if work.orientation < 0:
         cells = reverse(cells, np.ones(len(cells), dtype=np.bool_))
     if work.own is not None:
         cells, source = with_others(given.cells, cells, source, work.own)
     told = {"regions_from": work.host.regions_from, "cell_origin": _cell_origin(work.host, source),
             "interpolated": () if vertices is None else fields, "notes": work.notes,
-            "tangle": work.tangle, "curved": curved.facts, "layers": layers}
+            "tangle": work.tangle, "curved": curved.facts, "layers": layers, "integrals": changed}
     kind = work.host.cells.dtype
     if outcome.origin is not None and kind.kind != "f":
         kind = np.promote_types(kind, np.min_scalar_type(len(outcome.points) - 1))
@@ -278,8 +293,10 @@ def _checked(
     if frame is not None and 2 * simplices.turned > len(simplices.cells):
         orientation = -1
         simplices = replace(simplices, turned=len(simplices.cells) - simplices.turned)
-    simplices = protect(simplices, host.kept, host.anchors)
-    notes = hold_places(simplices, host, surface=False) if options.boundary == "slide" else ()
+    bare, simplices = simplices, protect(simplices, host.kept, host.anchors)
+    notes = note_inside(bare, simplices, host)
+    if options.boundary == "slide":
+        notes += hold_places(simplices, host, surface=False)
     work = _Prepared(adapter, host, frame, simplices, orientation, notes=notes)
     return _untangled(work, options, wanted) if tangled or wanted.rest is not None else work
 
@@ -342,20 +359,6 @@ def _of_soup(
         f"hardly any vertices may move, since the cells share hardly any{why}; {call}")
     warn(note)
     return found._replace(notes=(note,))
-
-
-@contextmanager
-def words_of(host: HostMesh) -> Iterator[None]:
-    """Put the errors of what is done here into the words of the caller's toolkit."""
-    try:
-        yield
-    except ODTError as exc:
-        text = host.words(str(exc))
-        if text == str(exc):
-            raise
-        said = type(exc)(text)
-        said.__dict__.update(exc.__dict__)
-        raise said from exc
 
 
 def flat_points(host: HostMesh) -> tuple[FloatArray, PlaneFrame | None]:

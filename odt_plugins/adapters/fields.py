@@ -1,4 +1,6 @@
-"""Which point arrays sample a field, whose values belong to places and not to vertices."""
+"""Which point arrays sample a field, whose values belong to places and not to vertices; which cell
+arrays are densities, whose integrals mean something.
+"""
 
 from __future__ import annotations
 
@@ -28,3 +30,16 @@ def field_names(
     return tuple(name for name, values in arrays.items()
                  if values.dtype.kind in "fc" and name not in besides
                  and not STAY.fullmatch(re.sub(r"[^a-z]", "", name.lower())))
+
+
+def densities(
+    arrays: Mapping[str, NDArray[Any]], besides: Collection[str | None] = ()
+) -> dict[str, NDArray[Any]]:
+    """Take the cell arrays of floating-point numbers that are no normals and tell no cell.
+
+    Parameters
+    ----------
+    arrays : dict of (m, ...)    cell arrays by their names
+    besides : names              of others that are none, such as texture coordinates
+    """
+    return {name: arrays[name] for name in field_names(arrays, besides)}

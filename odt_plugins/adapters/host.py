@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
+
+from odt_plugins.errors import ODTError
 
 
 class KeptCells(NamedTuple):
@@ -63,6 +66,7 @@ class HostMesh:
                                       where there may be others; they stay in that order
     total : int                       number of all cells of the object, with `ids`
     fields : tuple of str             names of the point arrays that sample a field
+    densities : dict of (m, ...)      cell arrays of floating-point numbers, by their names
     follows : bool                    whether fields are interpolated unless the caller says so
     geometry : Geometry or None       that the vertices of the surface are on, and stay on
     nodes : (m, k) int or None        all nodes of the cells of higher order
@@ -88,12 +92,18 @@ class HostMesh:
     ids: NDArray[Any] | None = None
     total: int = 0
     fields: tuple[str, ...] = ()
+    densities: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     follows: bool = True
     texture: NDArray[Any] | None = None
     geometry: Geometry | None = None
     nodes: NDArray[Any] | None = None
     shape: NDArray[np.int64] | None = None
     settle: Callable[[Any, Any, NDArray[Any]], Any] | None = None
+
+    def densities_of(self, cells: NDArray[Any] | None) -> dict[str, NDArray[Any]]:
+        """Values of the densities in some of the cells, or in all."""
+        return {name: values if cells is None else values[cells]
+                for name, values in self.densities.items()}
 
     @property
     def textured(self) -> bool:
@@ -228,3 +238,17 @@ def is_instance(mesh: object, module: str, name: str) -> bool:
         base.__name__ == name and base.__module__.partition(".")[0] == module
         for base in type(mesh).__mro__
     )
+
+
+@contextmanager
+def words_of(host: HostMesh) -> Iterator[None]:
+    """Put the errors of what is done here into the words of the caller's toolkit."""
+    try:
+        yield
+    except ODTError as exc:
+        text = host.words(str(exc))
+        if text == str(exc):
+            raise
+        said = type(exc)(text)
+        said.__dict__.update(exc.__dict__)
+        raise said from exc

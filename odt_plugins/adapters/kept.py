@@ -49,7 +49,7 @@ def protect(
         _check_range(kind, raw, n)
         rows = np.asarray(raw, dtype=np.int64)
         if rows.shape[1] > 1:
-            held = _hold(mesh, rows, frozen)
+            held, _ = _hold(mesh, rows, frozen)
             stays.append(_edges(rows[held]))
             if rows.shape[1] == 2:
                 lines.append(_edges(rows[held]))
@@ -132,14 +132,18 @@ def _check_range(kind: str, raw: NDArray[np.integer], n: int) -> None:
         raise InvalidMeshError(msg)
 
 
-def _hold(mesh: SimplexMesh, rows: NDArray[np.int64], frozen: BoolArray) -> BoolArray:
-    """Say which rows are faces of cells, and mark in `frozen` a cell for each that could vanish."""
+def _hold(
+    mesh: SimplexMesh, rows: NDArray[np.int64], frozen: BoolArray
+) -> tuple[BoolArray, BoolArray]:
+    """Say which rows are faces of cells, and which of them could vanish; `frozen` marks a cell for
+    each of the latter.
+    """
     n, r = len(mesh.points), rows.shape[1]
     marked = np.zeros(n, dtype=np.bool_)
     marked[rows] = True
     near = np.flatnonzero(marked[mesh.cells].sum(axis=1) >= r)
     if not near.size:
-        return np.zeros(len(rows), dtype=np.bool_)
+        return np.zeros(len(rows), dtype=np.bool_), np.zeros(len(rows), dtype=np.bool_)
     cells = mesh.cells[near]
     ordered = np.sort(cells, axis=1)
     columns = list(combinations(range(cells.shape[1]), r))
@@ -155,7 +159,7 @@ def _hold(mesh: SimplexMesh, rows: NDArray[np.int64], frozen: BoolArray) -> Bool
     exposed = held & ~np.isin(row_key, face_key[face_stays])
     distinct, first = np.unique(face_key, return_index=True)
     frozen[near[first[np.searchsorted(distinct, row_key[exposed])] // len(columns)]] = True
-    return held
+    return held, exposed
 
 
 def _staying_facets(mesh: SimplexMesh, near: NDArray[np.intp]) -> BoolArray:
@@ -173,6 +177,41 @@ def _staying_facets(mesh: SimplexMesh, near: NDArray[np.intp]) -> BoolArray:
     differ = np.minimum.reduceat(label, start) != np.maximum.reduceat(label, start)
     stays = (count == 1) | differ
     return np.asarray(stays[inverse].reshape(key.shape))
+
+
+def note_inside(before: SimplexMesh, after: SimplexMesh, host: HostMesh) -> tuple[str, ...]:
+    """Tell of facets beside the cells, inside of a region, which hold vertices.
+
+    Parameters
+    ----------
+    before, after : SimplexMesh    the mesh as :func:`protect` took and gave it
+    host : HostMesh                that it comes from
+
+    Returns
+    -------
+    tuple of str                   one note, or none where all are on boundary and interfaces
+    """
+    if not (after.frozen & ~before.frozen).any():
+        return ()
+    k = before.cells.shape[1]
+    count = 0
+    for _, raw in host.kept:
+        if raw.shape[1] == k - 1:
+            rows = np.unique(np.sort(np.asarray(raw, dtype=np.int64), axis=1), axis=0)
+            count += int(_hold(before, rows, np.zeros(len(before.cells), dtype=np.bool_))[1].sum())
+    stays = before.fixed.copy()
+    facets = _staying_facets(before, np.arange(len(before.cells)))
+    ordered = np.sort(before.cells, axis=1)
+    for i in range(k):
+        stays[np.delete(ordered[facets[:, i]], i, axis=1)] = True
+    vertices = int((after.fixed & ~stays).sum())
+    if not count or not vertices:
+        return ()
+    what, cells = ("triangle", "tetrahedra") if k == 4 else ("line", "triangles")
+    return (host.words(
+        f"{counted(count, what)} beside the {cells}, inside of a region, can stay only where "
+        f"{counted(vertices, 'vertex', 'vertices')} stay; a mesh without them is free there, try "
+        f"removing those that are no {'surface' if k == 4 else 'curve'} of yours"),)
 
 
 def hold_places(mesh: SimplexMesh, host: HostMesh, *, surface: bool) -> tuple[str, ...]:

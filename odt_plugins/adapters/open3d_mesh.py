@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.fields import field_names
+from odt_plugins.adapters.fields import densities, field_names
 from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
 from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.wedges import carried, charts
@@ -172,7 +172,8 @@ def _host(
         blocks, seams = charts(uv, cells)
         kept = (seams,) if len(seams.rows) else ()
     return HostMesh(points, cells, *labels, blocks, kept, source=mesh, layout=uv,
-                    follows=False, words=partial(in_words, mesh=mesh), texture=uv)
+                    follows=False, words=partial(in_words, mesh=mesh), texture=uv,
+                    densities=densities(arrays, ("texture_uvs",)))
 
 
 def _in_range(cells: NDArray[Any], n: int) -> bool:

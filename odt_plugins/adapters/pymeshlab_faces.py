@@ -66,6 +66,26 @@ def result_in_place(meshes: Any, result: Result) -> Result | None:
     return result._replace(cells=result.cells[order], source=result.source[order], feet=feet)
 
 
+def can_be_set(meshes: Any, result: Result) -> bool:
+    """Say whether :func:`set_faces` succeeds, by trying it with a copy of the current mesh.
+
+    A filter that fails amidst the others would leave a mesh that none of them brings back.
+    """
+    from pymeshlab import PyMeshLabException
+
+    trial = without_pictures(meshes.current_mesh())
+    if custom_attributes(trial):
+        trial.apply_filter("generate_copy_of_current_mesh")
+    try:
+        with muted():
+            set_faces(trial, result)
+    except PyMeshLabException:
+        return False
+    mesh = trial.current_mesh()
+    there = (np.array(mesh.vertex_matrix()), np.array(mesh.face_matrix()))
+    return np.array_equal(there[0], result.points) and np.array_equal(there[1], result.cells)
+
+
 def set_faces(meshes: Any, result: Result) -> None:
     """Give the current mesh the faces of a result of :func:`result_in_place`, and its points.
 
@@ -144,7 +164,8 @@ def _keep_middles(meshes: Any) -> None:
     mesh = meshes.current_mesh()
     old = np.array(mesh.vertex_matrix())
     meshes.apply_filter(
-        "meshing_surface_subdivision_midpoint", iterations=1, threshold=PureValue(0.0))
+        "meshing_surface_subdivision_midpoint", iterations=1, threshold=PureValue(0.0),
+        selected=False)
     count = mesh.vertex_number()
     far = 4.0 * (count + old.max())
     places = np.full((count, 3), far)

@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.fields import field_names
+from odt_plugins.adapters.fields import densities, field_names
 from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
 from odt_plugins.adapters.pymeshlab_copy import (
     Attribute,
@@ -39,7 +39,12 @@ from odt_plugins.adapters.pymeshlab_copy import (
     textures,
     without_pictures,
 )
-from odt_plugins.adapters.pymeshlab_faces import move_vertices, result_in_place, set_faces
+from odt_plugins.adapters.pymeshlab_faces import (
+    can_be_set,
+    move_vertices,
+    result_in_place,
+    set_faces,
+)
 from odt_plugins.adapters.pymeshlab_set import copy_of_set, exchange
 from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.wedges import charts
@@ -90,7 +95,8 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     copy = without_pictures(current)
     inner = copy.current_mesh()
     cells = np.array(inner.face_matrix())
-    labels = region_labels(_labels(inner, custom_attributes(copy)), regions, cells)
+    arrays = _labels(inner, custom_attributes(copy))
+    labels = region_labels(arrays, regions, cells)
     edges = np.array(inner.edge_matrix())
     kept = [KeptCells("edge", edges)]
     blocks = None
@@ -113,6 +119,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         words=lambda text: text.replace("merging vertices at the same place",
                                         "meshing_remove_duplicate_vertices()"),
         fields=field_names(_vertex_data(inner, copy)),
+        densities=densities(arrays),
         follows=False,
     )
 
@@ -127,7 +134,7 @@ def write(result: Result, host: HostMesh) -> Any:
             move_vertices(source.meshes, result.points)
         elif result.vertices is None and (
             fitting := result_in_place(source.meshes, result)
-        ) is not None:
+        ) is not None and can_be_set(source.meshes, fitting):
             set_faces(source.meshes, fitting)
         else:
             exchange(source.meshes, rebuilt(source.meshes.current_mesh(), result))

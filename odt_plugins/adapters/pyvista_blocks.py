@@ -12,10 +12,17 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 import numpy as np
+from numpy.typing import NDArray
 
 from odt_plugins.adapters import pyvista_mesh
 from odt_plugins.adapters.host import HostMesh, Result, is_instance
 from odt_plugins.errors import UnsupportedMeshError, counted
+
+PART, PARTS = "block", "blocks"
+"""What a part is called, and several of them."""
+
+TOGETHER = "mesh.combine(merge_points=True) with an array of labels"
+"""What makes one mesh of blocks that touch."""
 
 Path = tuple[int, ...]
 """Where a block stands: its index in every MultiBlock on the way to it."""
@@ -59,24 +66,23 @@ def chosen(mesh: Any) -> dict[Path, str]:
     return {path: name for path, (name, dim) in found.items() if dim == most}
 
 
-def block_at(mesh: Any, path: Path) -> Any:
+def part_at(mesh: Any, path: Path) -> Any:
     """The block at a place."""
     for i in path:
         mesh = mesh[i]
     return mesh
 
 
-def touching(blocks: Sequence[Any]) -> bool:
-    """Say whether blocks have vertices at the same places."""
-    places = [np.unique(np.asarray(block.points, dtype=np.float64), axis=0) for block in blocks]
-    return len(np.unique(np.concatenate(places), axis=0)) < sum(map(len, places))
+def placed(mesh: Any, path: Path, points: NDArray[Any]) -> list[NDArray[np.float64]]:
+    """Where points (n, 3) of a block lie in the whole."""
+    return [np.asarray(points, dtype=np.float64)]
 
 
 def replaced(mesh: Any, results: dict[Path, Any]) -> Any:
     """Copy the caller's object and put the results in the places of the blocks."""
     out = mesh.copy(deep=True)
     for path, block in results.items():
-        block_at(out, path[:-1]).replace(path[-1], block)
+        part_at(out, path[:-1]).replace(path[-1], block)
     return out
 
 

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.fields import field_names
+from odt_plugins.adapters.fields import densities, field_names
 from odt_plugins.adapters.higher_order import (
     carried_point_data,
     check_mid_nodes,
@@ -102,8 +102,8 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     if wide:
         check_mid_nodes(nodes, mesh.n_points, shape)
     corners = nodes[:, : shape.shape[1]]
-    labels = region_labels({name: np.atleast_1d(mesh.cell_data[name])[ids]
-                            for name in mesh.cell_data.keys()}, regions, corners)
+    arrays = {name: np.atleast_1d(mesh.cell_data[name])[ids] for name in mesh.cell_data.keys()}
+    labels = region_labels(arrays, regions, corners)
     name = mesh.point_data.active_texture_coordinates_name
     texture = None if name is None else np.asarray(mesh.point_data[name])
     return HostMesh(
@@ -119,6 +119,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         fields=field_names(
             {name: np.asarray(mesh.point_data[name]) for name in mesh.point_data.keys()},
             (mesh.point_data.active_normals_name, name)),
+        densities=densities(arrays, (mesh.cell_data.active_normals_name,)),
         anchors=_anchors(mesh) if grid else None,
         higher_order=wide,
         nodes=nodes if wide else None,

@@ -10,11 +10,13 @@ from odt_plugins.adapters import (
     meshio_mesh,
     netgen_mesh,
     open3d_mesh,
+    open3d_model,
     pymeshlab_mesh,
     pyvista_blocks,
     pyvista_mesh,
     skfem_mesh,
     trimesh_mesh,
+    trimesh_scene,
     vtk_mesh,
 )
 from odt_plugins.adapters.host import Adapter
@@ -30,8 +32,10 @@ ADAPTERS: tuple[Adapter, ...] = (
     vtk_mesh,
     pymeshlab_mesh,
     open3d_mesh,
+    open3d_model,
     gmsh_model,
     trimesh_mesh,
+    trimesh_scene,
     skfem_mesh,
     netgen_mesh,
 )
@@ -39,8 +43,8 @@ ADAPTERS: tuple[Adapter, ...] = (
 ACCEPTED = (
     "a (points, cells) tuple of arrays, a pyvista.UnstructuredGrid, PolyData or MultiBlock, a "
     "vtkUnstructuredGrid or vtkPolyData, a meshio.Mesh, a pymeshlab.MeshSet or Mesh, an open3d "
-    "TriangleMesh (legacy or tensor) or TetraMesh, gmsh.model, a trimesh.Trimesh, a mesh of "
-    "scikit-fem, Netgen or NGSolve, or the path of a mesh file"
+    "TriangleMesh (legacy or tensor), TetraMesh or TriangleMeshModel, gmsh.model, a "
+    "trimesh.Trimesh or Scene, a mesh of scikit-fem, Netgen or NGSolve, or the path of a mesh file"
 )
 
 HINTS = {
@@ -51,7 +55,6 @@ HINTS = {
     "pyvista.PointSet": "mesh.delaunay_3d()",
     "pyvista.DataSet": "mesh.cast_to_unstructured_grid().triangulate()",
     "vtkmodules": "pyvista.wrap(mesh)",
-    "trimesh.Scene": "mesh.to_mesh()",
     "trimesh": "(mesh.vertices, mesh.faces) as plain arrays",
     "scipy.Delaunay": "(mesh.points, mesh.simplices)",
     "matplotlib.Triangulation": "(numpy.column_stack([mesh.x, mesh.y]), mesh.triangles)",

@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.fields import field_names
+from odt_plugins.adapters.fields import densities, field_names
 from odt_plugins.adapters.host import HostMesh, Result, is_instance
 from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.wedges import slid
@@ -69,6 +69,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     return HostMesh(
         np.array(mesh.vertices), cells, *region_labels(arrays, regions, cells), source=mesh,
         fields=field_names(_of_length(mesh.vertex_attributes, n)), words=in_words,
+        densities=densities(arrays),
         texture=None if uv is None or len(uv) != n else np.array(uv),
     )
 

@@ -79,6 +79,9 @@ class Report:
                                             determinant by the largest one of a cell,
                                             "least_of_corners" and "mean_of_corners" by that of its
                                             corners; the number of "vertices_held" for them
+    integrals : dict name -> float          relative changes of the sums of value by volume of cell
+                                            of cell arrays, by the sum of the absolute values, where
+                                            larger than 1e-9; none of untangled meshes
     meshes : two of (points, cells)         before and after, for :meth:`worth`; not in
                                             :meth:`to_dict`
     """
@@ -108,6 +111,7 @@ class Report:
     notes: tuple[str, ...] = ()
     untangled: Mapping[str, Any] | None = None
     curved: Mapping[str, float] | None = None
+    integrals: Mapping[str, float] = dataclasses.field(default_factory=dict)
     meshes: tuple[tuple[NDArray[Any], NDArray[Any]], ...] = dataclasses.field(
         default=(), repr=False, compare=False)
 
@@ -144,6 +148,8 @@ class Report:
             lines.append(
                 f"layers {self.layers} cells that are stretched alike with their neighbours stay "
                 "as they are; layers='improve' (--layers improve) lets them change")
+        if self.integrals:
+            lines.append(integrals_line(self.integrals))
         lines += [f"note   {note}" for note in self.notes]
         if self.untangled:
             lines += _untangled_lines(self.untangled)
@@ -299,6 +305,12 @@ def regions_line(names: tuple[str, ...]) -> str:
 def fields_line(names: tuple[str, ...]) -> str:
     """Say which point arrays were interpolated."""
     return f"fields interpolated at the new places of vertices: {', '.join(map(repr, names))}"
+
+
+def integrals_line(changes: Mapping[str, float]) -> str:
+    """Say which cell arrays have other integrals than before."""
+    told = ", ".join(f"{name!r} by {change:.3g}" for name, change in changes.items())
+    return f"integrals of cell arrays changed, relative to those of absolute values: {told}"
 
 
 def _untangled_lines(facts: Mapping[str, Any]) -> list[str]:

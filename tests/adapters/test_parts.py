@@ -1,0 +1,172 @@
+"""Scenes of trimesh and models of open3d, part by part; parts that share a rim stay together."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import surface_meshes as sm
+
+import odt_plugins
+from odt_plugins.errors import InvalidMeshError, InvalidOptionError, UnsupportedMeshError
+
+trimesh = pytest.importorskip("trimesh")
+move = trimesh.transformations.translation_matrix
+
+
+def bowl(seed=0):
+    p, t = sm.bowl(13, noise=0.0)
+    rim = np.unique([v for e, d in sm.edge_set(t).items() if d == 1 for v in e])
+    free = np.setdiff1d(np.arange(len(p)), rim)
+    seam = np.abs(p[:, 0]) < 1e-12
+    p[free, :2] += 0.05 * np.random.default_rng(seed).uniform(-1, 1, (len(free), 2))
+    p[seam, 0] = 0.0
+    p[:, 2] = 0.3 * (p[:, 0] ** 2 - 0.5 * p[:, 1] ** 2)
+    return p, t
+
+
+def halves():
+    """The two sides of a bowl, cut along x = 0, each with vertices of its own."""
+    p, t = bowl()
+    left = p[t].mean(axis=1)[:, 0] < 0.0
+    out = []
+    for part in (t[left], t[~left]):
+        used, rows = np.unique(part, return_inverse=True)
+        out.append((p[used], rows.reshape(-1, 3)))
+    return out
+
+
+def shared(a, b):
+    return set(map(tuple, np.asarray(a).tolist())) & set(map(tuple, np.asarray(b).tolist()))
+
+
+def scene_of(parts):
+    scene = trimesh.Scene(metadata={"recipe": 7})
+    for i, (p, t) in enumerate(parts):
+        mesh = trimesh.Trimesh(p, t, process=False)
+        scene.add_geometry(mesh, node_name=f"node {i}", geom_name=f"part {i}")
+    return scene
+
+
+def test_a_scene_is_optimised_geometry_by_geometry():
+    class Mine(trimesh.Scene):
+        pass
+
+    scene = scene_of([bowl(1), bowl(2)])
+    scene.__class__ = Mine
+    scene.mine = [1, 2]
+    scene.graph.update("node 1", matrix=move([5.0, 0, 0]), geometry="part 1")
+    scene.graph.update("again", matrix=move([0, 9.0, 0]), geometry="part 1")
+    scene.add_geometry(trimesh.primitives.Box(), node_name="box", geom_name="box",
+                       transform=move([-9.0, 0, 0]))
+    scene.add_geometry(trimesh.PointCloud(np.eye(3)), node_name="cloud", geom_name="cloud")
+    scene.geometry["part 0"].visual.vertex_colors = np.arange(
+        4 * len(scene.geometry["part 0"].vertices)).reshape(-1, 4) % 256
+    before = {name: np.array(part.vertices) for name, part in scene.geometry.items()}
+    out, reports = odt_plugins.optimize_with_report(scene, envelope=0.02)
+    assert type(out) is Mine
+    assert out.mine == [1, 2]
+    assert out.metadata == scene.metadata
+    assert list(out.geometry) == list(scene.geometry)
+    assert set(out.graph.nodes) == set(scene.graph.nodes)
+    for node in scene.graph.nodes_geometry:
+        assert out.graph[node][1] == scene.graph[node][1]
+        assert np.array_equal(out.graph[node][0], scene.graph[node][0])
+    assert len(reports) == 2
+    for i, report in enumerate(reports):
+        alone = odt_plugins.optimize(scene.geometry[f"part {i}"], envelope=0.02)
+        there = out.geometry[f"part {i}"]
+        assert np.array_equal(alone.vertices, there.vertices)
+        assert np.array_equal(alone.faces, there.faces)
+        assert report.after.mean_quality > report.before.mean_quality
+        assert report.notes == ()
+    assert np.array_equal(out.geometry["part 0"].visual.vertex_colors,
+                          scene.geometry["part 0"].visual.vertex_colors)
+    assert isinstance(out.geometry["box"], trimesh.primitives.Box)
+    for name, points in before.items():
+        assert np.array_equal(scene.geometry[name].vertices, points)
+        assert out.geometry[name] is not scene.geometry[name]
+    assert odt_plugins.optimize(scene, envelope=0.02).to_mesh().faces.shape == (
+        out.to_mesh().faces.shape)
+
+
+@pytest.mark.parametrize("away", [0.0, 3.0])
+def test_parts_that_touch_do_not_come_apart(away):
+    """Two halves of a bowl, the second moved by its node, and a fin that stands on the first."""
+    (p, t), (q, u) = halves()
+    rim = {v for e, d in sm.edge_set(t).items() if d == 1 for v in e}
+    line = np.flatnonzero(np.isclose(p[:, 0], p[np.argmin(np.abs(p[:, 0] + 0.5)), 0], atol=0.07))
+    line = np.array([v for v in line[np.argsort(p[line, 1])] if v not in rim])
+    k = len(line)
+    assert k > 5
+    a, b = np.arange(k - 1), np.arange(1, k)
+    fin = (np.concatenate([p[line], p[line] + [0.0, 0.0, 0.3]]),
+           np.concatenate([np.c_[a, b, a + k], np.c_[b, b + k, a + k]]))
+    seam, shift = shared(p, q), np.array([away, 0.0, 0.0])
+    assert len(seam) > 10
+    scene = scene_of([(p, t), (q - shift, u), fin])
+    scene.graph.update("node 1", matrix=move(shift), geometry="part 1")
+    out, reports = odt_plugins.optimize_with_report(scene, envelope=0.05)
+    x, y, z = (out.geometry[f"part {i}"].vertices for i in range(3))
+    assert shared(x, p) >= seam
+    assert shared(x, z) == shared(p, fin[0])
+    assert len(shared(y, q - shift)) >= len(seam)
+    assert [len(report.notes) for report in reports] == [1, 0, 0]
+    assert reports[0].notes[0].startswith(f"{k} vertices at the rim of another geometry stay")
+    assert (x != p).any()
+    assert all(r.after.mean_quality > r.before.mean_quality for r in reports[:2])
+
+
+def test_what_is_fixed_stays_beside_what_is_shared():
+    (p, t), (q, u) = halves()
+    scene = scene_of([(p, t), (q, u)])
+    out = odt_plugins.optimize(scene, fixed=[0, 1, 2], envelope=0.05)
+    for i, points in enumerate((p, q)):
+        assert np.array_equal(out.geometry[f"part {i}"].vertices[:3], points[:3])
+
+
+def test_scenes_that_cannot_be_optimised_are_named():
+    with pytest.raises(UnsupportedMeshError, match=r"trimesh Scene of 0 geometries without"):
+        odt_plugins.optimize(trimesh.Scene())
+    with pytest.raises(UnsupportedMeshError, match=r"single mesh is needed, try mesh\.to_mesh\(\)"):
+        odt_plugins.measure(scene_of(halves()))
+    broken = scene_of(halves())
+    broken.geometry["part 1"].vertices[0] = np.nan
+    with pytest.raises(InvalidMeshError, match=r"^geometry 'part 1': .*finite"):
+        odt_plugins.optimize(broken)
+    with pytest.raises(InvalidOptionError, match="geometries that touch"):
+        odt_plugins.optimize(scene_of(halves()), boundary="slide")
+
+
+def test_a_model_of_open3d_is_optimised_mesh_by_mesh():
+    o3d = pytest.importorskip("open3d")
+    rendering = o3d.visualization.rendering
+    model = rendering.TriangleMeshModel()
+    material = rendering.MaterialRecord()
+    material.shader = "defaultUnlit"
+    model.materials = [material]
+    parts = []
+    for p, t in halves():
+        parts.append(o3d.geometry.TriangleMesh(
+            o3d.utility.Vector3dVector(p), o3d.utility.Vector3iVector(t.astype(np.int32))))
+        parts[-1].vertex_colors = o3d.utility.Vector3dVector(np.abs(p) / np.abs(p).max())
+    empty = o3d.geometry.TriangleMesh()
+    model.meshes = [rendering.TriangleMeshModel.MeshInfo(mesh, name, 0) for mesh, name in (
+        (parts[0], "left"), (empty, "nothing"), (parts[1], ""))]
+    before = [np.array(mesh.vertices) for mesh in parts]
+    out, reports = odt_plugins.optimize_with_report(model, envelope=0.05)
+    assert type(out) is type(model)
+    assert [info.mesh_name for info in out.meshes] == ["left", "nothing", ""]
+    assert [info.material_idx for info in out.meshes] == [0, 0, 0]
+    assert [m.shader for m in out.materials] == ["defaultUnlit"]
+    assert len(reports) == 2
+    after = [np.asarray(out.meshes[i].mesh.vertices) for i in (0, 2)]
+    assert shared(*after) == shared(*before)
+    assert all((new != old).any() for new, old in zip(after, before, strict=True))
+    assert all(np.array_equal(mesh.vertices, old) for mesh, old in zip(parts, before, strict=True))
+    assert np.array_equal(out.meshes[0].mesh.vertex_colors, parts[0].vertex_colors)
+    with pytest.raises(UnsupportedMeshError, match="TriangleMeshModel of 0 meshes"):
+        odt_plugins.optimize(rendering.TriangleMeshModel())
+    with pytest.raises(UnsupportedMeshError, match="try sum") as caught:
+        odt_plugins.measure(model)
+    one = eval(str(caught.value).rpartition("try ")[2], {"mesh": model, "open3d": o3d})
+    assert odt_plugins.measure(one).n_cells == sum(len(t) for _, t in halves())
