@@ -73,7 +73,8 @@ def faults(
     options : Options
     """
     broken = broken_surface_promises(
-        mesh, points, cells, regions, tuple(options.keep), lines=kept.lines, held=kept.locked
+        mesh, points, cells, regions, tuple(options.keep), lines=kept.lines, held=kept.locked,
+        envelope=kept.envelope,
     )
     distance = Distance(0.0, 0.0)
     if not broken:
@@ -109,7 +110,9 @@ def _newly_cut(mesh: SimplexMesh, points: FloatArray, cells: IntArray) -> IntArr
     return np.stack([cut, other[cut]], axis=1).astype(np.int32)
 
 
-def _newly_folded(mesh: SimplexMesh, points: FloatArray, cells: IntArray) -> BoolArray:
+def _newly_folded(
+    mesh: SimplexMesh, points: FloatArray, cells: IntArray, envelope: float
+) -> BoolArray:
     """Mark the vertices, (n,), of new flat triangles and beside new edges that fold back."""
     n = len(points)
     mask = np.zeros(n, dtype=np.bool_)
@@ -118,7 +121,7 @@ def _newly_folded(mesh: SimplexMesh, points: FloatArray, cells: IntArray) -> Boo
         (mesh.points, mesh.cells, old), (points, cells, new)))
     keys = row_keys(np.sort(np.concatenate([mesh.cells[was], cells[flat]]), axis=1), n)
     flat[flat] = ~np.isin(keys[was.sum():], keys[: was.sum()])
-    fresh = new_folds(mesh.points, mesh.cells, old, points, cells, new)
+    fresh = new_folds(mesh.points, mesh.cells, old, points, cells, new, envelope)
     mask[cells[flat | fresh[new.of_cell].any(axis=1)]] = True
     return mask
 
@@ -212,7 +215,7 @@ def outside(
     mask[cells[far]] = True
     mask[mesh.cells[near.triangles]] = True
     mask[cells[_newly_cut(mesh, points, cells).ravel()]] = True
-    mask |= _newly_folded(mesh, points, cells)
+    mask |= _newly_folded(mesh, points, cells, kept.envelope)
     if far.any():
         _, face, _ = old.closest(points[cells[far]].mean(axis=1))
         mask[mesh.cells[face]] = True
