@@ -189,6 +189,14 @@ class Policy:
     surface_attempts: int = _chosen(
         4, "Runs within one envelope; each leaves alone what broke the promise in those "
         "before, with one more ring of triangles around it every time.", HARD)
+    surface_mendings: int = _chosen(
+        8, "How often a surface goes back to the input around its bad places; every second time "
+        "with one more ring of triangles.", HARD)
+    surface_loss: float = _chosen(
+        0.02, "Mean quality that the promise may cost a surface before it is tried within half of "
+        "the envelope.", HARD)
+    surface_equal: float = _chosen(
+        0.005, "Mean quality by which surfaces may differ that are chosen by their score.", HARD)
     surface_spoiled: float = _chosen(
         0.3, "Part of the vertices that may be left alone because of triangles beyond the input's "
         "extremes.", HARD)

@@ -37,6 +37,7 @@ def broken_surface_promises(
     lines: NDArray[np.integer] | None = None,
     held: NDArray[np.bool_] | None = None,
     before_summary: QualitySummary | None = None,
+    envelope: float = math.inf,
 ) -> list[str]:
     """Say what of the promise does not hold for an optimised surface, its distance apart.
 
@@ -48,6 +49,7 @@ def broken_surface_promises(
     lines : (k, 2) int, optional        feature edges, which must still be edges
     held : (n,) bool, optional          corners and other vertices that must not have moved
     before_summary : QualitySummary     of ``before``, when it is at hand already
+    envelope : float                    length; folds lie no further from those of the input
 
     Returns
     -------
@@ -77,7 +79,7 @@ def broken_surface_promises(
     broken += _torn(before, old, cells, regions, new, lines)
     broken += _resewn(before.cells, old, cells, new, n)
     broken += _thawed(before, cells, regions)
-    broken += _folded(before.points, before.cells, old, points, cells, new)
+    broken += _folded(before.points, before.cells, old, points, cells, new, envelope)
     if keep:
         was = before_summary or summarize(before.points, before.cells)
         broken += worse_figures(was, summarize(points, cells), keep)
@@ -224,7 +226,8 @@ def _thawed(before: SimplexMesh, cells: NDArray[Any], regions: NDArray[Any]) -> 
 
 
 def _folded(
-    old_points: Any, old_cells: Any, old: Edges, points: Any, cells: Any, new: Edges
+    old_points: Any, old_cells: Any, old: Edges, points: Any, cells: Any, new: Edges,
+    envelope: float,
 ) -> list[str]:
     """Count flat triangles, which only get fewer, and look for folds where the input has none."""
     flat, flat_now = (int(bad_places(*args)[0].sum())
@@ -232,7 +235,7 @@ def _folded(
     sentences = []
     if flat_now > flat:
         sentences.append(f"{flat_now} triangles have no area, {flat} had none")
-    fresh = np.flatnonzero(new_folds(old_points, old_cells, old, points, cells, new))
+    fresh = np.flatnonzero(new_folds(old_points, old_cells, old, points, cells, new, envelope))
     if len(fresh):
         first = tuple(new.vertices[fresh[0]].tolist())
         sentences.append(f"the surface folds back at edge {first}, where the input does not, "
@@ -242,27 +245,27 @@ def _folded(
 
 def new_folds(
     old_points: NDArray[np.float64], old_cells: NDArray[np.int32], old: Edges,
-    points: NDArray[np.float64], cells: NDArray[np.int32], new: Edges,
+    points: NDArray[np.float64], cells: NDArray[np.int32], new: Edges, envelope: float = math.inf,
 ) -> NDArray[np.bool_]:
     """Mark the edges (e,) at which a surface folds back where the input does not.
 
-    The input does at an edge of the same vertices, or at one to which both ends are nearer than
-    half the length of the edge; rounding decides nothing, since ROUNDED degrees less suffice there.
+    The input does at edges to which both ends are nearer than half the length of the edge, and than
+    the envelope; rounding decides nothing, since ROUNDED degrees less suffice there.
     """
-    n = len(points)
     _, folds = bad_places(points, cells, new)
     if not folds.any():
         return folds
     _, known = bad_places(old_points, old_cells, old, FOLD - ROUNDED)
-    fresh = np.flatnonzero(folds)
-    fresh = fresh[~np.isin(_keys(new.vertices[fresh], n), _keys(old.vertices[known], n))]
+    ends = points[new.vertices]
+    reach = np.minimum(0.5 * np.sqrt(((ends[:, 1] - ends[:, 0]) ** 2).sum(axis=1)), envelope)
+    moved = np.sqrt(((points - old_points) ** 2).sum(axis=1))[new.vertices].max(axis=1)
+    n = len(points)
+    there = np.isin(_keys(new.vertices, n), _keys(old.vertices[known], n)) & (moved <= reach)
     start, end = (old_points[old.vertices[known, i]] for i in range(2))
-    out = np.zeros(len(folds), dtype=np.bool_)
-    for edge in fresh.tolist():
-        ends = points[new.vertices[edge]]
-        reach = 0.5 * math.sqrt(float(((ends[1] - ends[0]) ** 2).sum()))
-        away = [_distances(x, start, end).min(initial=np.inf) for x in ends]
-        out[edge] = max(away) > reach
+    out: NDArray[np.bool_] = folds & ~there
+    for edge in np.flatnonzero(out).tolist():
+        away = [_distances(x, start, end).min(initial=np.inf) for x in ends[edge]]
+        out[edge] = max(away) > reach[edge]
     return out
 
 

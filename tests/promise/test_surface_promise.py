@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+from fractions import Fraction
+
 import numpy as np
 import pytest
 import surface_meshes as sm
+from hypothesis import given
+from strategies import SEEDS
 
 from odt_plugins.engine.ground.crossings import crossing_triangles
 from odt_plugins.engine.surface.judge import Kept, faults, feet_on, outside
 from odt_plugins.mesh.surface import surface_mesh
 from odt_plugins.options import Options
+from odt_plugins.promise.crossings import crossing_pairs, new_crossings
 from odt_plugins.promise.surface import broken_surface_promises
 
 
@@ -236,3 +241,52 @@ def test_crossings_within_rounding_are_none():
     poles[0, 2] += 0.1
     poles[0, :2] -= 0.2 * ring[0, :2]
     assert crossing_triangles(np.concatenate([ring, poles]), cells).any()
+
+
+def cut(p, triangle, other):
+    """Whether an edge of one triangle goes through the inside of another, in rational numbers."""
+    def volume(*corners):
+        a, b, c, d = ([Fraction(v) for v in p[k].tolist()] for k in corners)
+        u, v, w = ([x - y for x, y in zip(k, d, strict=True)] for k in (a, b, c))
+        return (u[0] * (v[1] * w[2] - v[2] * w[1]) + u[1] * (v[2] * w[0] - v[0] * w[2])
+                + u[2] * (v[0] * w[1] - v[1] * w[0]))
+
+    a, b, c = other
+    for u, v in zip(triangle, np.roll(triangle, 1), strict=True):
+        turns = [volume(u, v, *pair) for pair in ((a, b), (b, c), (c, a))]
+        if volume(a, b, c, u) * volume(a, b, c, v) < 0 and (min(turns) > 0 or max(turns) < 0):
+            return True
+    return False
+
+
+@given(seed=SEEDS)
+def test_crossings_are_those_of_rational_numbers_in_engine_and_promise(seed):
+    rng = np.random.default_rng(seed)
+    n = int(rng.integers(5, 12))
+    points = rng.standard_normal((n, 3))
+    cells = np.array([sorted(rng.choice(n, 3, replace=False)) for _ in range(12)], dtype=np.int32)
+    cells = np.unique(cells, axis=0)
+    expected = [(i, j) for i in range(len(cells)) for j in range(i + 1, len(cells))
+                if cut(points, cells[i], cells[j]) or cut(points, cells[j], cells[i])]
+    pairs = crossing_pairs(points, cells)
+    assert [tuple(pair) for pair in pairs.tolist()] == expected
+    marked = np.isin(np.arange(len(cells)), pairs)
+    assert np.array_equal(crossing_triangles(points, cells), marked)
+
+
+def test_crossings_of_triangles_of_all_sizes_are_found_wherever_they_lie():
+    p, t = sm.sphere(3, 0.2)
+    blade = np.array([[-3.0, 0.01, 0.02], [3, 0.03, 0.01], [0, -3, 0.02]])
+    pins = 1e-3 * np.array([[0.0, 0, 5], [1, 0, -5], [0, 1, -5]]) + [[[0.0, -2.5, 0.0192]]]
+    points = np.concatenate([p, blade, pins.reshape(-1, 3)])
+    cells = np.concatenate([t, len(p) + np.array([[0, 1, 2], [3, 4, 5]])]).astype(np.int32)
+    for order in (np.arange(len(cells)), np.random.default_rng(1).permutation(len(cells))):
+        pairs = crossing_pairs(points, cells[order])
+        marked = np.isin(np.arange(len(cells)), pairs)
+        assert np.array_equal(crossing_triangles(points, cells[order]), marked)
+    shift = np.array([0, 0, 0.05])
+    assert not len(crossing_pairs(p, t))
+    assert len(new_crossings(points, cells, points, cells)) == 0
+    away = points.copy()
+    away[-3:] += 10 * shift
+    assert new_crossings(away, cells, points, cells).tolist() == [[len(t), len(t) + 1]]

@@ -11,7 +11,9 @@ What differs from meshes in the plane and in space stands here, the guards are t
   (`smooth_vertices`, `star_cost`) and flips that lower F_p; compound moves (`compound_pass`), a
   flip that costs something and a descent without guards, of which only the outcome is held
   against the ground;
-- the promise (`faults`): distances both ways (`measured`), folds and crossings (`outside`).
+- the promise (`faults`): distances both ways (`measured`), folds and crossings (`outside`); where
+  few places break it, what is around them goes back to the input and the rest stays (`mended`), or
+  is run again.
 
 `surface_density` makes a density from the sizes of the input; `curvature_density` makes one from
 sqrt(kappa_1^2 + kappa_2^2) (`vertex_curvature`).

@@ -7,6 +7,7 @@ import time
 from collections.abc import Container
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import NamedTuple
 
 import numpy as np
 
@@ -25,7 +26,7 @@ from odt_plugins.engine.ground.features import (
 from odt_plugins.engine.ground.sheet import LINE, LOCKED, Guards, Limits
 from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.policy import POLICY
-from odt_plugins.engine.record.figures import COS_SMALL, figures
+from odt_plugins.engine.record.figures import COS_SMALL, Figures, figures
 from odt_plugins.engine.record.memory import Memory, State
 from odt_plugins.engine.record.progress import in_turn
 from odt_plugins.engine.run.best import ALONE, best_state, input_returned
@@ -35,6 +36,7 @@ from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
 from odt_plugins.engine.run.start import Start, make_start
 from odt_plugins.engine.surface.density import SurfaceDensity, surface_density
 from odt_plugins.engine.surface.judge import Distance, Kept, faults, outside, values_on
+from odt_plugins.engine.surface.mending import mended_state
 from odt_plugins.engine.surface.passes import Surface, SurfaceDescent
 from odt_plugins.engine.surface.rounds import check_method, smooth_surface
 from odt_plugins.engine.topology.frame import Frame, callers_vertices
@@ -118,47 +120,89 @@ def _run_until_kept(
 ) -> SurfaceOutcome:
     """Runs from the input on until one keeps the promise, at last the input itself.
 
-    Where no run within the envelope does, runs within half of it follow, and so on: a larger
-    envelope gives no less than one of its halves.
+    Where the promise costs more than a little of what the best state had, runs within half of the
+    envelope follow, and so on: a larger envelope gives no less than one of its halves.
     """
     clock = time.perf_counter()
     start = _start(mesh)
     log = Log(times={"prepare": time.perf_counter() - clock}, without=without)
-    first: list[str] = []
-    asked: Kept | None = None
-    for halving in range(POLICY.surface_halvings + 1):
-        within = replace(options, envelope=options.envelope * 0.5**halving)
-        outcome, memory, kept, broken, reason = _attempts(start, within, leaving, log, halving)
-        first, asked = first or broken, asked or kept
-        if outcome is not None or not memory.states:
+    first = tried = _attempts(start, options, leaving, log, 0)
+    every = list(first.found)
+    for halving in range(1, POLICY.surface_halvings + 1):
+        if not tried.refused or _enough(every, first.refused):
             break
-    if outcome is not None and halving:
-        why = (f"the surface stays within {within.envelope:.3g} of the diagonal, since runs within "
-               f"{options.envelope:.3g} were given up: {'; '.join(first)}")
-        outcome = replace(outcome, fallback=why)
+        within = replace(options, envelope=options.envelope * 0.5**halving)
+        tried = _attempts(start, within, leaving, log, halving)
+        why = (f"the surface stays within {within.envelope:.3g} of the diagonal, since runs "
+               f"within {options.envelope:.3g} were given up: {'; '.join(first.broken)}")
+        every += [one._replace(outcome=replace(one.outcome, fallback=why)) for one in tried.found]
+    best = _best(every)
     (options.progress or silent)("finishing", 1.0)
-    if not isinstance(outcome, SurfaceOutcome):
-        outcome, kept = _as_given(input_returned(mesh, memory, first, reason)), asked or kept
+    if best is None:
+        returned = input_returned(mesh, tried.memory, first.broken, tried.reason)
+        outcome, kept = _as_given(returned), first.kept
+    else:
+        outcome, kept = best.outcome, best.kept
     return replace(
         outcome, times=log.times, energy=log.energy, counts=log.counts, kept=kept
     )
 
 
+class Found(NamedTuple):
+    """A surface that keeps the promise, what was kept of it and its figures."""
+
+    outcome: SurfaceOutcome
+    kept: Kept
+    worth: Figures
+
+
+class Attempts(NamedTuple):
+    """What runs within one envelope led to.
+
+    Attributes
+    ----------
+    found : list of Found        surfaces that keep the promise
+    refused : Figures or None    of the best state of the first run that did not, if any
+    broken : list of str         what of the promise it did not keep
+    kept : Kept, memory : Memory, reason : str    of the last run
+    """
+
+    found: list[Found]
+    refused: Figures | None
+    broken: list[str]
+    kept: Kept
+    memory: Memory
+    reason: str
+
+
+def _best(found: list[Found]) -> Found | None:
+    """The one of highest score, of those that have about the highest mean quality."""
+    if not found:
+        return None
+    least = max(one.worth.mean_quality for one in found) - POLICY.surface_equal
+    return max((one for one in found if one.worth.mean_quality >= least),
+               key=lambda one: one.worth.score)
+
+
+def _enough(found: list[Found], refused: Figures | None) -> bool:
+    """Whether the promise costs little of the mean quality of a state that did not keep it."""
+    if not found or refused is None:
+        return bool(found)
+    best = max(one.worth.mean_quality for one in found)
+    return best >= refused.mean_quality - POLICY.surface_loss
+
+
 def _attempts(
     start: SurfaceStart, options: Options, leaving: Leaving, log: Log, before: int
-) -> tuple[Outcome | None, Memory, Kept, list[str], str]:
+) -> Attempts:
     """Runs within one envelope: each leaves alone what broke the promise in those before.
 
-    Returns
-    -------
-    outcome : Outcome or None    that keeps the promise
-    memory, kept                 of the last run
-    broken : list of str         what of the promise did not hold at last
-    reason : str                 why stage 1 of the last run stopped
+    A state that breaks it goes back to the input there, too, without a run.
     """
     mesh = start.mesh
     alone = np.zeros(len(mesh.points), dtype=np.bool_)
     broken: list[str] = []
+    found, refused = list[Found](), None
     for attempt in range(POLICY.surface_attempts):
         last = attempt == POLICY.surface_attempts - 1
         turn = before * POLICY.surface_attempts + attempt
@@ -173,21 +217,37 @@ def _attempts(
                 continue
             _finishing_alone(start, options, alone, memory, log)
         clock = time.perf_counter()
-        outcome, found = best_state(
-            memory, partial(_judged, start, kept, options, leaving), log, reason
-        )
+        judge = partial(_judged, start, kept, options, leaving)
+        outcome, faulty = best_state(memory, judge, log, reason)
+        plain = outcome is not None and not outcome.fallback
+        if isinstance(outcome, SurfaceOutcome):
+            if broken and plain:
+                outcome = replace(outcome, fallback=_held(broken))
+            found.append(Found(outcome, kept, figures(outcome.points, outcome.cells)))
+        if not plain and memory.states:
+            first, faulty = judge(memory.states[0])
+            if faulty:
+                refused = refused or figures(first.points, first.cells)
+                state = mended_state(start, kept, options, leaving, memory)
+                mended, left = judge(state) if state is not None else (None, faulty)
+                if isinstance(mended, SurfaceOutcome) and not left:
+                    mended = replace(mended, stop_reason=reason, fallback=_held(faulty))
+                    found.append(Found(mended, kept, figures(mended.points, mended.cells)))
         log.add_time("check", time.perf_counter() - clock)
-        if outcome is not None:
-            if broken and not outcome.fallback:
-                why = ("some vertices stay where they are, since a run that moved them was given "
-                       f"up: {'; '.join(broken)}")
-                outcome = replace(outcome, fallback=why)
+        if faulty:
+            broken = faulty
+        if not faulty or not memory.states or last:
             break
-        broken = found
-        if not memory.states or last:
+        if outcome is not None and _enough(found, refused):
             break
         alone |= _left_alone(start, kept, memory, leaving, attempt + 1)
-    return outcome, memory, kept, broken, reason
+    return Attempts(found, refused, broken, kept, memory, reason)
+
+
+def _held(broken: list[str]) -> str:
+    """Why some vertices are where they were."""
+    return ("some vertices stay where they are, since a run that moved them was given up: "
+            f"{'; '.join(broken)}")
 
 
 def _as_given(outcome: Outcome) -> SurfaceOutcome:

@@ -6,12 +6,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from odt_plugins.engine.ground.crossings import crossing_triangles
+from odt_plugins.engine.ground.crossings import crossed_facets
 from odt_plugins.engine.ground.envelope import distances, uncovered, within
 from odt_plugins.engine.ground.reference import make_reference
 from odt_plugins.engine.topology.order import morton_keys
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.mesh.surface import surface_edges
 from odt_plugins.options import Options
@@ -72,7 +73,8 @@ def faults(
     options : Options
     """
     broken = broken_surface_promises(
-        mesh, points, cells, regions, tuple(options.keep), lines=kept.lines, held=kept.locked
+        mesh, points, cells, regions, tuple(options.keep), lines=kept.lines, held=kept.locked,
+        envelope=kept.envelope,
     )
     distance = Distance(0.0, 0.0)
     if not broken:
@@ -83,7 +85,7 @@ def faults(
                 f"the surface is up to {furthest:.3g} from the input, beyond the envelope of "
                 f"{kept.envelope:.3g}"
             )
-        cut = int(_newly_cut(mesh, points, cells).sum())
+        cut = len(_newly_cut(mesh, points, cells))
         if cut:
             verb = "goes" if cut == 1 else "go"
             broken.append(f"{counted(cut, 'triangle')} of the result {verb} through other "
@@ -91,28 +93,35 @@ def faults(
     return broken, distance
 
 
-def _newly_cut(mesh: SimplexMesh, points: FloatArray, cells: IntArray) -> BoolArray:
-    """Mark the triangles, (m,), that cross others, away from where the input crosses itself."""
-    cut = crossing_triangles(points, cells)
-    if not cut.any():
-        return cut
-    before = crossing_triangles(mesh.points, mesh.cells)
-    if before.any():
+def _newly_cut(mesh: SimplexMesh, points: FloatArray, cells: IntArray) -> IntArray:
+    """Triangles (k, 2) that cross others away from where the input crosses itself, with the others.
+
+    The other one may lie where the input crosses itself.
+    """
+    other = crossed_facets(points, cells)
+    cut = np.flatnonzero(other >= 0)
+    if cut.size:
+        before = crossed_facets(mesh.points, mesh.cells) >= 0
         near = np.zeros(len(points), dtype=np.bool_)
         near[mesh.cells[before]] = True
         centers = points[cells[cut]].mean(axis=1)
         _, face, _ = make_reference(mesh.points, mesh.cells).closest(centers)
-        cut[cut] = ~near[mesh.cells[face]].any(axis=1)
-    return cut
+        cut = cut[~near[mesh.cells[face]].any(axis=1)]
+    return np.stack([cut, other[cut]], axis=1).astype(np.int32)
 
 
-def _newly_folded(mesh: SimplexMesh, points: FloatArray, cells: IntArray) -> BoolArray:
+def _newly_folded(
+    mesh: SimplexMesh, points: FloatArray, cells: IntArray, envelope: float
+) -> BoolArray:
     """Mark the vertices, (n,), of new flat triangles and beside new edges that fold back."""
     n = len(points)
     mask = np.zeros(n, dtype=np.bool_)
     old, new = surface_edges(mesh.cells, n), surface_edges(cells, n)
-    flat, _ = bad_places(points, cells, new)
-    fresh = new_folds(mesh.points, mesh.cells, old, points, cells, new)
+    (was, _), (flat, _) = (bad_places(*args) for args in (
+        (mesh.points, mesh.cells, old), (points, cells, new)))
+    keys = row_keys(np.sort(np.concatenate([mesh.cells[was], cells[flat]]), axis=1), n)
+    flat[flat] = ~np.isin(keys[was.sum():], keys[: was.sum()])
+    fresh = new_folds(mesh.points, mesh.cells, old, points, cells, new, envelope)
     mask[cells[flat | fresh[new.of_cell].any(axis=1)]] = True
     return mask
 
@@ -205,8 +214,8 @@ def outside(
     mask = np.zeros(len(points), dtype=np.bool_)
     mask[cells[far]] = True
     mask[mesh.cells[near.triangles]] = True
-    mask[cells[_newly_cut(mesh, points, cells)]] = True
-    mask |= _newly_folded(mesh, points, cells)
+    mask[cells[_newly_cut(mesh, points, cells).ravel()]] = True
+    mask |= _newly_folded(mesh, points, cells, kept.envelope)
     if far.any():
         _, face, _ = old.closest(points[cells[far]].mean(axis=1))
         mask[mesh.cells[face]] = True

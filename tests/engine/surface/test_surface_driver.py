@@ -18,6 +18,7 @@ import odt_plugins
 from odt_plugins.engine.surface import driver
 from odt_plugins.errors import EndlessWalkError, InvalidMeshError, InvalidOptionError
 from odt_plugins.mesh.surface import surface_edges, surface_mesh
+from odt_plugins.promise.crossings import new_crossings
 from odt_plugins.quality import angles, radius_ratio, summarize
 
 MESHES = {
@@ -45,6 +46,7 @@ def improved(mesh, envelope=1e-3, keep=FIGURES, **options):
     assert max(facts["forward"], facts["backward"]) <= limit * (1 + 1e-12)
     assert facts["envelope"] == pytest.approx(limit)
     assert sm.topology(c) == sm.topology(t)
+    assert len(new_crossings(p, t, x, c)) == 0
     before, after = summarize(p, t), summarize(x, c)
     for name in keep:
         assert getattr(after, name) >= getattr(before, name) - 1e-12

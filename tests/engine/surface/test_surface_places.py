@@ -7,8 +7,8 @@ import pytest
 
 import odt_plugins
 from odt_plugins.engine.ground.crossings import crossing_triangles
-from odt_plugins.mesh.surface import surface_edges
-from odt_plugins.promise.surface import bad_places, new_folds
+from odt_plugins.mesh.surface import surface_edges, surface_mesh
+from odt_plugins.promise.surface import bad_places, broken_surface_promises, new_folds
 
 
 def strip(a, xa, c, xc):
@@ -118,6 +118,20 @@ def test_a_fold_that_goes_does_not_pay_for_one_that_comes_elsewhere():
     assert not new_folds(before, cells, edges, before, cells, edges).any()
     slid = before + np.array([0.01, 0, 0])
     assert not new_folds(before, cells, edges, slid, cells, edges).any()
+
+
+def test_a_fold_lies_within_the_envelope_of_one_of_the_input():
+    cells = np.array([[0, 1, 2], [1, 0, 3], [4, 5, 6], [5, 4, 7]], dtype=np.int32)
+    before = np.concatenate([roof(170, 0), roof(80, 0) + np.array([0.1, 0, 0.3])])
+    after = np.concatenate([roof(170, 0), roof(170, 0) + np.array([0.1, 0, 0.3])])
+    edges = surface_edges(cells, 8)
+    for envelope, count in ((0.2, 1), (0.33, 0), (0.05, 1), (1e-9, 1)):
+        fresh = new_folds(before, cells, edges, after, cells, edges, envelope)
+        assert edges.vertices[fresh].tolist() == [[4, 5]][:count]
+    mesh = surface_mesh(before, cells)
+    for envelope, count in ((0.2, 1), (0.33, 0)):
+        broken = broken_surface_promises(mesh, after, cells, mesh.regions, (), envelope=envelope)
+        assert len(broken) == count
 
 
 def test_a_fold_at_a_flat_triangle_counts():
