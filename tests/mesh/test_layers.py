@@ -174,6 +174,7 @@ def test_the_boundary_layer_of_gmsh_around_an_ellipse_stays() -> None:
     gmsh = pytest.importorskip("gmsh")
     gmsh.initialize(interruptible=False)
     gmsh.option.setNumber("General.Terminal", 0)
+    gmsh.clear()
     occ, mesh = gmsh.model.occ, gmsh.model.mesh
     wall, far = occ.addEllipse(0, 0, 0, 1, 0.4), occ.addCircle(0, 0, 0, 4)
     occ.addPlaneSurface([occ.addCurveLoop([far]), occ.addCurveLoop([wall])])
