@@ -43,7 +43,8 @@ def changed_integrals(
         rows = values.reshape(len(old), -1).astype(np.result_type(values, np.float64))
         if not np.isfinite(rows).all():
             continue
-        change, size = np.abs(gained @ rows), old @ np.abs(rows)
+        change = np.abs((gained[:, None] * rows).sum(axis=0))
+        size = (old[:, None] * np.abs(rows)).sum(axis=0)
         told = change > SAME * size
         if told.any():
             out[name] = float((change[told] / size[told]).max())

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -115,7 +116,7 @@ def _shared(shown: Sequence[_Shown]) -> tuple[bool, dict[int, NDArray[np.bool_]]
         return False, {}
     places = np.concatenate([some.places for some in shown])
     low, high = places.min(axis=0), places.max(axis=0)
-    size = float(np.linalg.norm(high - low))
+    size = math.sqrt(float(((high - low) ** 2).sum()))
     if not np.isfinite(size) or size == 0.0:
         return False, {}
     rows = np.rint((places - low) / (GRID * size)).astype(np.int64)

@@ -75,7 +75,8 @@ def placed(mesh: Any, key: str, points: NDArray[Any]) -> list[NDArray[np.float64
     for node in mesh.graph.nodes_geometry:
         matrix, name = mesh.graph[node]
         if name == key:
-            out.append(points @ np.asarray(matrix)[:3, :3].T + np.asarray(matrix)[:3, 3])
+            turn, shift = np.asarray(matrix)[:3, :3], np.asarray(matrix)[:3, 3]
+            out.append((points[:, None] * turn).sum(axis=2) + shift)
     return out
 
 
