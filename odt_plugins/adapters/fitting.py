@@ -42,7 +42,7 @@ FORMS = {
     "avsucd": Form("avsucd:material", cells=False),
     "cgns": Form(points=False, cells=False, beside=False),
     "dolfin-xml": Form(points=False, beside=False),
-    "exodus": Form(blocks=True),
+    "exodus": Form("exodus:block", blocks=True, sets=True),
     "flac3d": Form(points=False, cells=False, beside=False, text=True),
     "gmsh": Form(blocks=True, sets=True, text=True),
     "gmsh22": Form(blocks=True, text=True),
@@ -66,6 +66,9 @@ FORMS = {
     "xdmf": Form(),
 }
 """Formats by their name in meshio; of those that are not here meshio is given all there is."""
+
+LABELLED = ("exodus", "med")
+"""Formats with a label of cells that hold other arrays of cells beside it."""
 
 POINT_LABELS = ("medit:ref", "tetgen:ref", "point_tags")
 """Labels of points that formats hold beside their labels of cells."""
@@ -117,7 +120,7 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
         out.cell_sets.pop(array, None)
     if named and not form.sets:
         out.cell_sets = {}
-    elif form.cells:
+    elif form.cells and name not in LABELLED:
         out.cell_sets = {key: value for key, value in out.cell_sets.items() if key not in named}
     elif form.sets:
         out.cell_sets = named | out.cell_sets
@@ -126,7 +129,7 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
     if not form.blocks:
         _merge(out)
     labels = _labels(out, form.label)
-    if not form.cells or (form.label and name != "med"):
+    if not form.cells or (form.label and name not in LABELLED):
         out.cell_data = {}
     if form.label and labels is not None:
         if PHYSICAL in out.cell_data:
