@@ -276,6 +276,7 @@ def chosen_format(
     if name == "gmsh" and mesh is not None:
         tags = {gmsh_files.PHYSICAL, gmsh_files.ENTITY} & set(mesh.cell_data)
         whole = tags and gmsh_files.NODE_ENTITY in mesh.point_data
+        whole = whole or (gmsh_files.PHYSICAL not in mesh.cell_data and mesh.cell_sets)
         name = FILE_FORMATS[file_format or ("gmsh41" if whole else "gmsh22")]
         if binary is None:
             binary = not (isinstance(mesh.info, dict) and mesh.info.get("text"))
@@ -458,12 +459,18 @@ def _lost(mesh: Any, back: Any) -> list[str]:
         gone = set(old) - set(new) - set(gmsh_files.BOOKKEEPING)
         if kind in ("field_data", "cell_sets"):
             gone -= groups
+        # Numbers of the families of MED files, whose groups are sets.
+        if set(mesh.cell_sets) <= {*back.cell_sets, *back.cell_data}:
+            gone -= {"cell_tags", "point_tags"}
         if gmsh_files.PHYSICAL in mesh.cell_data:
             gone -= {gmsh_files.ENTITY}
             gone -= {gmsh_files.PHYSICAL} if groups and groups <= set(back.cell_sets) else set()
         for name in sorted(gone if kind in ("point_data", "cell_data") else ()):
             values = _by_type(mesh, old[name])
             others = {n: _by_type(back, new[n]) for n in sorted(set(new) - set(old))}
+            if "cell_tags" in others:
+                # Families of cells have the negative numbers of their labels.
+                others["cell_tags"] = {k: -v for k, v in others["cell_tags"].items()}
             other = next((n for n in others if _same(values, others[n]) == set(others[n])), None)
             best = other or max(others, key=lambda n: len(_same(values, others[n])), default="")
             kept = _same(values, others[best]) if best else set()
