@@ -225,8 +225,10 @@ def _renew_normals(out: Any, result: Result, host: HostMesh) -> None:
 
 
 def _coupled(mesh: Any) -> NDArray[np.int64] | None:
-    """Vertices of the faces that a file of Gmsh says to be periodic, if there are any."""
-    pairs = [np.asarray(entry[-1]).ravel() for entry in mesh.gmsh_periodic or ()]
+    """Vertices of the faces that a file of Gmsh or Netgen says to be periodic, if there are any."""
+    known = getattr(mesh, "identified", None)
+    pairs = [] if known is None else [known]
+    pairs += [np.asarray(entry[-1]).ravel() for entry in mesh.gmsh_periodic or ()]
     return np.unique(np.concatenate(pairs)).astype(np.int64) if pairs else None
 
 

@@ -31,6 +31,7 @@ from odt_plugins.adapters.formats import (
     off,
     ply,
     stl,
+    vol,
 )
 from odt_plugins.adapters.formats.change import Change
 
@@ -42,7 +43,8 @@ READERS: dict[str, Callable[[Path], Any]] = {
 
 REWRITERS: dict[str, Callable[[Path, Path, Change], list[str]]] = {
     "exodus": exodus_copy.rewrite, "med": med_copy.rewrite, "medit": medit.rewrite,
-    "obj": obj.rewrite, "off": off.rewrite, "ply": ply.rewrite, "stl": stl.rewrite,
+    "netgen": vol.rewrite, "obj": obj.rewrite, "off": off.rewrite, "ply": ply.rewrite,
+    "stl": stl.rewrite,
 }
 """Rewriters by the name of the format in meshio: source, target and change, to what is lost."""
 
