@@ -25,6 +25,7 @@ from odt_plugins.adapters.kept import (
     hold_charts,
     hold_places,
     note_inside,
+    notes_on_sets,
     protect,
     protect_surface,
 )
@@ -278,7 +279,7 @@ def _checked(
             surface.fixed[host.geometry.on_curves] = True
         if keep_seams:
             surface = hold_charts(surface, host.blocks)
-        notes = hold_places(surface, host, surface=True)
+        notes = (*hold_places(surface, host, surface=True), *notes_on_sets(host.kept))
         return _Prepared(adapter, host, None, surface, 1, notes=notes)
     tangled = False
     try:
@@ -297,6 +298,7 @@ def _checked(
     notes = note_inside(bare, simplices, host)
     if options.boundary == "slide":
         notes += hold_places(simplices, host, surface=False)
+    notes += notes_on_sets(host.kept)
     work = _Prepared(adapter, host, frame, simplices, orientation, notes=notes)
     return _untangled(work, options, wanted) if tangled or wanted.rest is not None else work
 

@@ -6,7 +6,7 @@ import os
 import re
 import shutil
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -276,6 +276,7 @@ def chosen_format(
     if name == "gmsh" and mesh is not None:
         tags = {gmsh_files.PHYSICAL, gmsh_files.ENTITY} & set(mesh.cell_data)
         whole = tags and gmsh_files.NODE_ENTITY in mesh.point_data
+        whole = whole or (gmsh_files.PHYSICAL not in mesh.cell_data and mesh.cell_sets)
         name = FILE_FORMATS[file_format or ("gmsh41" if whole else "gmsh22")]
         if binary is None:
             binary = not (isinstance(mesh.info, dict) and mesh.info.get("text"))
@@ -353,7 +354,7 @@ def _rewritten(
                 size for _, size in blocks] != [len(rows) for rows in origin.cells]:
             msg = "the mesh has other blocks of cells than the file that was read"
             raise NotRewritable(msg)
-        lost = REWRITERS[origin.format](
+        lost = _in_its_place(origin.format)(
             origin.path, path, Change(before, mesh, origin.points, origin.cells))
         back, _ = reading.read(path, origin.format)
     except NotRewritable as exc:
@@ -363,6 +364,11 @@ def _rewritten(
         msg = f"it does not hold {len(mesh.points)} points with cells {_sizes(mesh)}"
         raise _not_written(path, origin.format, msg)
     return lost + _lost(mesh, back), []
+
+
+def _in_its_place(name: str) -> Callable[..., list[str]]:
+    """The rewriter of a format, in a process of its own where HDF5 writes it."""
+    return partial(apart.call, REWRITERS[name]) if name in apart.HDF5 else REWRITERS[name]
 
 
 def _write_heard(path: Path, mesh: Any, name: str, binary: bool | None) -> list[str]:
@@ -453,12 +459,18 @@ def _lost(mesh: Any, back: Any) -> list[str]:
         gone = set(old) - set(new) - set(gmsh_files.BOOKKEEPING)
         if kind in ("field_data", "cell_sets"):
             gone -= groups
+        # Numbers of the families of MED files, whose groups are sets.
+        if set(mesh.cell_sets) <= {*back.cell_sets, *back.cell_data}:
+            gone -= {"cell_tags", "point_tags"}
         if gmsh_files.PHYSICAL in mesh.cell_data:
             gone -= {gmsh_files.ENTITY}
             gone -= {gmsh_files.PHYSICAL} if groups and groups <= set(back.cell_sets) else set()
         for name in sorted(gone if kind in ("point_data", "cell_data") else ()):
             values = _by_type(mesh, old[name])
             others = {n: _by_type(back, new[n]) for n in sorted(set(new) - set(old))}
+            if "cell_tags" in others:
+                # Families of cells have the negative numbers of their labels.
+                others["cell_tags"] = {k: -v for k, v in others["cell_tags"].items()}
             other = next((n for n in others if _same(values, others[n]) == set(others[n])), None)
             best = other or max(others, key=lambda n: len(_same(values, others[n])), default="")
             kept = _same(values, others[best]) if best else set()
@@ -468,8 +480,11 @@ def _lost(mesh: Any, back: Any) -> list[str]:
             if kept and not other:
                 rest = " and ".join(sorted(set(values) - kept))
                 lost.append(f"{what} {name!r} of {rest}")
+        # The formats of VTK have arrays in place of sets.
+        arrays = "_sets" in kind and gone <= set(getattr(back, kind.replace("_sets", "_data")))
         if gone:
-            lost.append(f"{what} {', '.join(map(repr, sorted(gone)))}")
+            lost.append(f"{what} {', '.join(map(repr, sorted(gone)))}"
+                        + " (arrays of 0 and 1 there)" * arrays)
     if not named:
         lost.append(f"the names of the groups {', '.join(map(repr, sorted(groups)))}")
     return lost + renamed

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters.formats.med_families import with_families
 from odt_plugins.adapters.gmsh_files import BOOKKEEPING, ENTITY, PHYSICAL, is_group
 from odt_plugins.adapters.higher_order import HIGHER, LAGRANGE, lattice, order_of
 from odt_plugins.adapters.regions import REGION_ARRAYS
@@ -42,14 +43,14 @@ FORMS = {
     "avsucd": Form("avsucd:material", cells=False),
     "cgns": Form(points=False, cells=False, beside=False),
     "dolfin-xml": Form(points=False, beside=False),
-    "exodus": Form(blocks=True),
+    "exodus": Form("exodus:block", blocks=True, sets=True),
     "flac3d": Form(points=False, cells=False, beside=False, text=True),
     "gmsh": Form(blocks=True, sets=True, text=True),
     "gmsh22": Form(blocks=True, text=True),
     "h5m": Form(cells=False),
     "hmf": Form(),
     "mdpa": Form(),
-    "med": Form("cell_tags"),
+    "med": Form("cell_tags", sets=True),
     "medit": Form("medit:ref", points=False, cells=False),
     "nastran": Form("nastran:ref", points=False, cells=False),
     "netgen": Form("netgen:index", points=False, cells=False),
@@ -66,6 +67,9 @@ FORMS = {
     "xdmf": Form(),
 }
 """Formats by their name in meshio; of those that are not here meshio is given all there is."""
+
+LABELLED = ("exodus", "med")
+"""Formats with a label of cells that hold other arrays of cells beside it."""
 
 POINT_LABELS = ("medit:ref", "tetgen:ref", "point_tags")
 """Labels of points that formats hold beside their labels of cells."""
@@ -117,7 +121,7 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
         out.cell_sets.pop(array, None)
     if named and not form.sets:
         out.cell_sets = {}
-    elif form.cells:
+    elif form.cells and name not in LABELLED:
         out.cell_sets = {key: value for key, value in out.cell_sets.items() if key not in named}
     elif form.sets:
         out.cell_sets = named | out.cell_sets
@@ -126,7 +130,7 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
     if not form.blocks:
         _merge(out)
     labels = _labels(out, form.label)
-    if not form.cells or (form.label and name != "med"):
+    if not form.cells or (form.label and name not in LABELLED):
         out.cell_data = {}
     if form.label and labels is not None:
         if PHYSICAL in out.cell_data:
@@ -139,7 +143,8 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
     if name == "med":
         out.cell_data = {key: value for key, value in out.cell_data.items()
                          if key == form.label or value[0].dtype.kind == "f"}
-        _name_families(out)
+        with_families(out)
+        out.field_data = {}
     if name == "hmf" and len(out.cells) > 1:
         out.cell_data = {}
     if name in ("su2", "ugrid"):
@@ -233,17 +238,6 @@ def _labels(mesh: Any, label: str | None) -> list[NDArray[Any]] | None:
     return mesh.cell_data[(differ or there)[0]] if there else None
 
 
-def _name_families(mesh: Any) -> None:
-    """Give the families of a MED file the names of Gmsh's groups."""
-    names: dict[int, list[str]] = {}
-    for name, value in mesh.field_data.items():
-        if is_group(value):
-            names.setdefault(int(value[0]), []).append(name)
-    if names and not hasattr(mesh, "cell_tags"):
-        mesh.cell_tags = names
-    mesh.field_data = {}
-
-
 class _Pair(tuple):  # type: ignore[type-arg]
     """Type and nodes of a block, as meshio's writer of .su2 files takes them apart."""
 
@@ -273,8 +267,53 @@ def group_names(mesh: Any) -> set[str]:
     return {name for name, members in _named_groups(mesh).items() if any(map(len, members))}
 
 
+def _group(mesh: Any) -> None:
+    """Let cell sets be physical groups, a set with cells of several dimensions one in each.
+
+    Cells of other choices of sets are of other entities, so that groups may overlap.
+    """
+    sets = {name: [_indices(rows) for rows in members] for name, members in mesh.cell_sets.items()
+            if name != BOOKKEEPING[1]}
+    tags = [np.zeros(len(block.data), dtype=np.int64) for block in mesh.cells]
+    entities = [np.ones(len(block.data), dtype=np.int64) for block in mesh.cells]
+    names: dict[str, Any] = {}
+    for dim in sorted({block.dim for block in mesh.cells}):
+        own = [i for i, block in enumerate(mesh.cells) if block.dim == dim]
+        there = [name for name, rows in sets.items() if any(len(rows[i]) for i in own)]
+        size = [len(mesh.cells[i].data) for i in own]
+        table = np.zeros((sum(size), len(there) + 1), dtype=np.int64)
+        table[:, 0] = np.repeat(own, size)
+        for j, name in enumerate(there, 1):
+            start = 0
+            for i, count in zip(own, size, strict=True):
+                table[start + sets[name][i], j] = 1
+                start += count
+            title = name if name not in names else f"{name} ({dim}D)"
+            names[title] = np.array([len(names) + 1, dim])
+            if title != name:
+                mesh.cell_sets[title] = mesh.cell_sets[name]
+        if not there:
+            continue
+        numbers = np.array([names[n][0] for n in names if names[n][1] == dim])
+        inside = table[:, 1:].astype(bool)
+        first = np.where(inside.any(axis=1), numbers[inside.argmax(axis=1)], 0)
+        _, choice = np.unique(table, axis=0, return_inverse=True)
+        ends = np.cumsum(size)[:-1]
+        for i, tag, entity in zip(own, np.split(first, ends), np.split(choice.ravel() + 1, ends),
+                                  strict=True):
+            tags[i], entities[i] = tag, entity
+    mesh.field_data = names
+    mesh.cell_data[PHYSICAL] = tags
+    mesh.cell_data.setdefault(ENTITY, entities)
+    for name in ("cell_tags", "point_tags"):
+        mesh.cell_data.pop(name, None)
+        mesh.point_data.pop(name, None)
+
+
 def _with_tags(mesh: Any, name: str) -> Any:
-    """Give a mesh for Gmsh the tags of groups and entities that it lacks."""
+    """Give a mesh for Gmsh the tags of groups and entities that it lacks; sets become groups."""
+    if PHYSICAL not in mesh.cell_data and mesh.cell_sets:
+        _group(mesh)
     for tag, value in ((PHYSICAL, 0), (ENTITY, 1)):
         if tag not in mesh.cell_data:
             mesh.cell_data[tag] = [np.full(len(block.data), value, dtype=np.int32)

@@ -12,6 +12,9 @@ from numpy.typing import NDArray
 
 from odt_plugins.errors import ODTError
 
+SET_VERTEX = "vertex of point set"
+"""Kind of kept cells of a vertex each, with the name of the set behind it."""
+
 
 class KeptCells(NamedTuple):
     """Cells beside the optimised ones that come back as they are.

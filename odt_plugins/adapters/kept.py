@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import HostMesh, KeptCells
+from odt_plugins.adapters.host import SET_VERTEX, HostMesh, KeptCells
 from odt_plugins.errors import InvalidMeshError, counted
 from odt_plugins.mesh.arrays import BoolArray, IntArray
 from odt_plugins.mesh.facets import directed_facets, row_keys
@@ -212,6 +212,12 @@ def note_inside(before: SimplexMesh, after: SimplexMesh, host: HostMesh) -> tupl
         f"{counted(count, what)} beside the {cells}, inside of a region, can stay only where "
         f"{counted(vertices, 'vertex', 'vertices')} stay; a mesh without them is free there, try "
         f"removing those that are no {'surface' if k == 4 else 'curve'} of yours"),)
+
+
+def notes_on_sets(kept: tuple[KeptCells, ...]) -> tuple[str, ...]:
+    """Say of which point sets the vertices stay."""
+    return tuple(f"{counted(len(rows), kind, kind.replace('vertex', 'vertices'))} stay where they "
+                 f"are" for kind, rows in kept if kind.startswith(SET_VERTEX))
 
 
 def hold_places(mesh: SimplexMesh, host: HostMesh, *, surface: bool) -> tuple[str, ...]:

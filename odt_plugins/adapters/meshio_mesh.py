@@ -31,6 +31,7 @@ from odt_plugins.adapters.higher_order import (
     with_mid_nodes,
 )
 from odt_plugins.adapters.host import (
+    SET_VERTEX,
     HostMesh,
     KeptCells,
     NewVertices,
@@ -138,7 +139,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         regions=labels.values,
         regions_from=labels.names,
         blocks=np.repeat(np.arange(len(chosen)), size) if len(chosen) > 1 else None,
-        kept=kept,
+        kept=(*kept, *_held_sets(mesh, nodes)),
         source=mesh,
         layout=dict(zip(chosen, np.cumsum([0, *size[:-1]]).tolist(), strict=True)),
         anchors=_anchors(mesh),
@@ -224,8 +225,10 @@ def _renew_normals(out: Any, result: Result, host: HostMesh) -> None:
 
 
 def _coupled(mesh: Any) -> NDArray[np.int64] | None:
-    """Vertices of the faces that a file of Gmsh says to be periodic, if there are any."""
-    pairs = [np.asarray(entry[-1]).ravel() for entry in mesh.gmsh_periodic or ()]
+    """Vertices of the faces that a file of Gmsh or Netgen says to be periodic, if there are any."""
+    known = getattr(mesh, "identified", None)
+    pairs = [] if known is None else [known]
+    pairs += [np.asarray(entry[-1]).ravel() for entry in mesh.gmsh_periodic or ()]
     return np.unique(np.concatenate(pairs)).astype(np.int64) if pairs else None
 
 
@@ -233,6 +236,20 @@ def _texture(arrays: dict[str, NDArray[Any]], kind: str) -> NDArray[Any] | None:
     """Texture coordinates (m, 3, 2) of the corners of triangles, if the cells have some."""
     uv = arrays.get(TEXTURE) if kind == "triangle" else None
     return None if uv is None or uv.shape[1:] != (6,) else uv.reshape(-1, 3, 2).astype(np.float64)
+
+
+def _held_sets(mesh: Any, cells: NDArray[Any]) -> tuple[KeptCells, ...]:
+    """Vertices of point sets that are no volumes: of which most are in no cell all of the set."""
+    out = []
+    for name, members in mesh.point_sets.items():
+        given = np.asarray(members)
+        given = np.flatnonzero(given) if given.dtype == np.bool_ else given.ravel()
+        given = given[(given >= 0) & (given < len(mesh.points))].astype(np.int64)
+        whole = cells[_inside(given, len(mesh.points))[cells].all(axis=1)]
+        filled = _inside(np.unique(whole), len(mesh.points))[given]
+        if len(given) and name != REQUIRED and 2 * filled.sum() <= len(given):
+            out.append(KeptCells(f"{SET_VERTEX} {name!r}", given.reshape(-1, 1)))
+    return tuple(out)
 
 
 def _anchors(mesh: Any) -> NDArray[Any]:

@@ -1,0 +1,339 @@
+"""Exodus files written into themselves: all but points and cells that changed is copied."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.adapters.formats.change import Change, NotRewritable
+from odt_plugins.adapters.formats.exodus import (
+    AXES,
+    Block,
+    Sides,
+    blocks_of,
+    raw,
+    side_sets_of,
+    size_of,
+)
+from odt_plugins.adapters.formats.exodus_tables import (
+    CORNERS,
+    ORDER,
+    components,
+    facets_in,
+    side_of,
+    step_names,
+    texts,
+)
+
+UNKNOWN = ("num_ed_blk", "num_fa_blk", "num_edge_sets", "num_face_sets", "num_edge", "num_face")
+"""Dimensions of parts that refer to elements in ways that are not known here."""
+
+
+def rewrite(source: Path, target: Path, change: Change) -> list[str]:
+    """Copy all dimensions, attributes and variables; those of what changed have other values."""
+    import netCDF4
+
+    with netCDF4.Dataset(str(source)) as old:
+        raw(old)
+        if old.groups or old.cmptypes or old.vltypes or old.enumtypes:
+            msg = "it has groups or types of its own"
+            raise NotRewritable(msg)
+        values, sizes = _changed(old, change)
+        with netCDF4.Dataset(str(target), "w", format=old.data_model) as new:
+            raw(new)
+            new.setncatts({name: old.getncattr(name) for name in old.ncattrs()})
+            for name, dim in old.dimensions.items():
+                new.createDimension(
+                    name, None if dim.isunlimited() else sizes.get(name, len(dim)))
+            for name, variable in old.variables.items():
+                _copy(new, name, variable, sizes, values)
+    return []
+
+
+def _copy(new: Any, name: str, variable: Any, sizes: Any, values: Any) -> None:
+    """Make a variable as it is, with other values where it has some, packed in the same way."""
+    attributes = {key: variable.getncattr(key) for key in variable.ncattrs()}
+    options: dict[str, Any] = {"fill_value": attributes.pop("_FillValue", None)}
+    packing = variable.filters()
+    if packing is not None and variable.dimensions:
+        chunks = variable.chunking()
+        same = not set(variable.dimensions) & set(sizes)
+        options |= {"compression": "zlib" if packing.get("zlib") else None,
+                    "complevel": packing.get("complevel") or 4,
+                    "shuffle": bool(packing.get("shuffle")),
+                    "fletcher32": bool(packing.get("fletcher32")), "endian": variable.endian(),
+                    "contiguous": chunks == "contiguous" and not packing.get("zlib")}
+        if same and chunks != "contiguous":
+            options["chunksizes"] = chunks
+    made = new.createVariable(name, variable.dtype, variable.dimensions, **options)
+    made.setncatts(attributes)
+    made.set_auto_maskandscale(False)
+    data = values.get(name)
+    data = variable[...] if data is None else data
+    if np.size(data):
+        made[...] = data
+
+
+def _changed(file: Any, change: Change) -> tuple[dict[str, Any], dict[str, int]]:
+    """Values of the variables that are to be other ones, and sizes of the dimensions.
+
+    Raises
+    ------
+    NotRewritable    something in the file refers to cells or points in ways that are not known
+    """
+    blocks = blocks_of(file)
+    points = np.asarray(change.after.points)
+    sides = side_sets_of(file, blocks, points.shape[1] == 3)
+    rows = {b.number: change.cells[i] for i, b in enumerate(blocks)}
+    count = size_of(file, "num_elem")
+    moved = [len(rows[b.number]) != len(b.rows) or bool(change.exchanged(i).any())
+             or not np.array_equal(rows[b.number], np.arange(len(b.rows)))
+             for i, b in enumerate(blocks)]
+    strange = [name for name in UNKNOWN if size_of(file, name)]
+    if strange and (any(moved) or change.renumbered):
+        msg = f"it has {', '.join(strange)}"
+        raise NotRewritable(msg)
+    source = np.concatenate([np.zeros(0, dtype=np.int64), *(
+        b.start + rows[b.number] for b in blocks)])
+    starts = np.cumsum([0, *(len(rows[b.number]) for b in blocks)])[:-1]
+    values: dict[str, Any] = {}
+    sizes: dict[str, int] = {}
+    for name, variable in file.variables.items():
+        taken = _taken(variable, name, change, rows, source, count)
+        if taken is not None:
+            values[name] = taken
+    _write_points(file, points, values)
+    for i, block in enumerate(blocks):
+        nodes = np.asarray(change.after.cells[i].data) + 1
+        nodes = nodes[:, ORDER[block.kind]] if block.kind in ORDER else nodes
+        values[f"connect{block.number + 1}"] = nodes
+        sizes[f"num_el_in_blk{block.number + 1}"] = len(nodes)
+    sizes |= {"num_elem": len(source), "num_nodes": len(points)}
+    _write_arrays(file, change, blocks, values, sizes)
+    _write_numbers(source, change, values)
+    _write_node_sets(file, change, values, sizes)
+    _write_sets(file, source, values, sizes)
+    _write_side_sets(file, change, (blocks, sides), starts, source, values, sizes)
+    return values, {name: size for name, size in sizes.items()
+                    if name in file.dimensions and size != size_of(file, name)}
+
+
+def _taken(
+    variable: Any, name: str, change: Change, rows: Any, source: Any, count: int
+) -> Any:
+    """Values of a variable that has a row for each element or node; None of others."""
+    axes = [(axis, dim) for axis, dim in enumerate(variable.dimensions)
+            if dim in ("num_elem", "num_nodes") or dim.startswith("num_el_in_blk")]
+    if not axes:
+        return None
+    data = np.asarray(variable[...])
+    for axis, dim in axes:
+        if dim == "num_nodes" and not change.renumbered:
+            continue
+        if dim == "num_nodes":
+            if (change.points < 0).any() and not re.match(
+                    "vals_nod_var|coord|node_num_map", name):
+                msg = f"points were added, and it has {name}"
+                raise NotRewritable(msg)
+            data = data.take(change.points, axis=axis)
+        elif dim == "num_elem":
+            data = data.take(source, axis=axis)
+        else:
+            b = int(dim.removeprefix("num_el_in_blk")) - 1
+            data = data.take(rows[b], axis=axis) if b in rows else data
+    return data
+
+
+def _write_points(file: Any, points: NDArray[Any], values: dict[str, Any]) -> None:
+    if "coord" in file.variables:
+        values["coord"] = points.T
+        return
+    for i in range(points.shape[1]):
+        values[f"coord{AXES[i].lower()}"] = points[:, i]
+
+
+def _write_arrays(
+    file: Any, change: Change, blocks: list[Block], values: dict[str, Any], sizes: dict[str, int]
+) -> None:
+    """Variables of nodes and elements at all steps."""
+    steps = size_of(file, "time_step")
+    names = texts(file.variables.get("name_nod_var"), size_of(file, "num_nod_var"))
+    for name, places in components(names).items() if steps else ():
+        titles = step_names(name, steps)
+        if any(title not in change.before.point_data or title not in change.after.point_data
+               for title in titles):
+            continue
+        whole = np.stack([np.asarray(change.after.point_data[title]) for title in titles])
+        for j, i in enumerate(places):
+            part = whole if len(places) == 1 else whole[:, :, j]
+            own = f"vals_nod_var{i + 1}"
+            if own in file.variables:
+                values[own] = part
+                sizes[file.variables[own].dimensions[1]] = part.shape[1]
+            else:
+                table = values.setdefault(
+                    "vals_nod_var", np.asarray(file.variables["vals_nod_var"][:]))
+                table[:, i] = part
+    names = texts(file.variables.get("name_elem_var"), size_of(file, "num_elem_var"))
+    for name, places in components(names).items():
+        titles = step_names(name, steps)
+        if any(title not in change.after.cell_data for title in titles):
+            continue
+        for k, block in enumerate(blocks):
+            tables = [np.asarray(change.after.cell_data[title][k]) for title in titles]
+            for j, i in enumerate(places):
+                own = f"vals_elem_var{i + 1}eb{block.number + 1}"
+                if own in values and titles:
+                    values[own] = np.stack([x if len(places) == 1 else x[:, j] for x in tables])
+
+
+def _write_numbers(source: NDArray[Any], change: Change, values: dict[str, Any]) -> None:
+    """Give cells and points that stand for none of before numbers that nobody else has."""
+    for name, of in (("elem_num_map", source), ("node_num_map", change.points)):
+        if name not in values:
+            continue
+        numbers = np.array(values[name])
+        _, first = np.unique(of, return_index=True)
+        fresh = np.ones(len(of), dtype=np.bool_)
+        fresh[first] = False
+        fresh |= of < 0
+        numbers[fresh] = numbers.max(initial=0) + 1 + np.arange(fresh.sum())
+        values[name] = numbers
+    if "elem_map" in values:
+        values["elem_map"] = np.arange(1, len(source) + 1)
+
+
+def _write_node_sets(
+    file: Any, change: Change, values: dict[str, Any], sizes: dict[str, int]
+) -> None:
+    """Renumber the nodes of sets; those that went are in none, with what the file tells of them."""
+    if not change.renumbered:
+        return
+    number = change.number
+    for k in range(size_of(file, "num_node_sets")):
+        nodes = file.variables.get(f"node_ns{k + 1}")
+        if nodes is None:
+            continue
+        new = number[np.asarray(nodes[:]).astype(np.int64) - 1]
+        kept = np.flatnonzero(new >= 0)
+        values[f"node_ns{k + 1}"] = new[kept] + 1
+        if len(kept) < len(new):
+            _thin(file, nodes.dimensions[0], (f"dist_fact_ns{k + 1}",), kept, values, sizes)
+
+
+def _write_sets(
+    file: Any, source: NDArray[Any], values: dict[str, Any], sizes: dict[str, int]
+) -> None:
+    """Let sets of elements have all the cells whose data come from their elements."""
+    for k in range(size_of(file, "num_elem_sets")):
+        name = f"elem_els{k + 1}"
+        elements = file.variables.get(name)
+        if elements is None:
+            continue
+        members = np.asarray(elements[:]).astype(np.int64) - 1
+        order = np.argsort(members, kind="stable")
+        inside = np.flatnonzero(np.isin(source, members))
+        from_row = order[np.searchsorted(members[order], source[inside])]
+        again = np.lexsort((inside, from_row))
+        values[name] = inside[again] + 1
+        _thin(file, elements.dimensions[0], (f"dist_fact_els{k + 1}",), from_row[again], values,
+              sizes)
+
+
+def _thin(
+    file: Any, dimension: str, others: tuple[str, ...], rows: NDArray[Any],
+    values: dict[str, Any], sizes: dict[str, int],
+) -> None:
+    """Take rows of all variables of a dimension, and of some of the same length."""
+    length = size_of(file, dimension)
+    sizes[dimension] = len(rows)
+    for name, variable in file.variables.items():
+        dims = variable.dimensions
+        own = name in others and len(dims) == 1 and len(variable) == length
+        if name in values or not (dimension in dims or own):
+            continue
+        axis = dims.index(dimension) if dimension in dims else 0
+        sizes[dims[axis]] = len(rows)
+        values[name] = np.asarray(variable[...]).take(rows, axis=axis)
+
+
+def _write_side_sets(
+    file: Any, change: Change, parts: tuple[list[Block], list[Sides]], starts: Any,
+    source: NDArray[Any], values: dict[str, Any], sizes: dict[str, int],
+) -> None:
+    """Name the same sides as before by the elements that have them now.
+
+    Faces of shells follow the cells whose data come from their elements.
+
+    Raises
+    ------
+    NotRewritable    a side is of no element any more, or factors of faces of shells differ
+    """
+    blocks, sides = parts
+    space = np.asarray(change.after.points).shape[1] == 3
+    for k in range(size_of(file, "num_side_sets")):
+        variable = file.variables.get(f"elem_ss{k + 1}")
+        if variable is None:
+            continue
+        elements = np.asarray(variable[:]).astype(np.int64) - 1
+        new_element = np.full_like(elements, -1)
+        new_side = np.asarray(file.variables[f"side_ss{k + 1}"][:]).astype(np.int64) - 1
+        orders: dict[int, Any] = {}
+        for j, part in enumerate(sides, len(blocks)):
+            now = np.asarray(change.after.cells[j].data).astype(np.int64)
+            old = elements[part.places] if part.number == k else now[:0, 0]
+            for i, block in enumerate(blocks):
+                mine = np.flatnonzero((old >= block.start)
+                                      & (old < block.start + len(block.rows)))
+                if not len(mine):
+                    continue
+                rows = np.asarray(change.after.cells[i].data).astype(np.int64)
+                cell, side = facets_in(now[mine][:, : CORNERS[part.kind]], rows, block.kind,
+                                       shell=space)
+                places = part.places[mine]
+                if (cell < 0).any():
+                    msg = f"side {places[cell < 0][0] + 1} of side set {k + 1} is none any more"
+                    raise NotRewritable(msg)
+                new_element[places], new_side[places] = cell + starts[i], side
+                orders |= {place: (now[q], rows[c], block.kind, s) for place, q, c, s in zip(
+                    places.tolist(), mine.tolist(), cell.tolist(), side.tolist(), strict=True)}
+        low, high = (np.searchsorted(source, elements, side=end)  # type: ignore[call-overload]
+                     for end in ("left", "right"))
+        times = np.where(new_element < 0, high - low, 1)
+        at = np.repeat(np.arange(len(elements)), times)
+        within = np.arange(len(at)) - np.repeat(np.cumsum(times) - times, times)
+        new = np.where(new_element[at] < 0, low[at] + within, new_element[at])
+        values[f"elem_ss{k + 1}"], values[f"side_ss{k + 1}"] = new + 1, new_side[at] + 1
+        factors = file.variables.get(f"dist_fact_ss{k + 1}")
+        if not np.array_equal(at, np.arange(len(elements))):
+            given = np.asarray([] if factors is None else factors[:])
+            if given.size and (len(given) % len(elements) or np.ptp(given)):
+                msg = f"factors of the faces of shells in side set {k + 1} differ"
+                raise NotRewritable(msg)
+            if factors is not None:
+                much = len(given) // len(elements) * len(at)
+                values[f"dist_fact_ss{k + 1}"] = np.full(much, given[0])
+                sizes[factors.dimensions[0]] = much
+            _thin(file, variable.dimensions[0], (), at, values, sizes)
+        elif factors is not None and len(orders) == len(elements):
+            values[f"dist_fact_ss{k + 1}"] = _turned_factors(
+                np.asarray(factors[:]), [orders[place] for place in range(len(elements))], space)
+
+
+def _turned_factors(factors: NDArray[Any], orders: list[Any], space: bool) -> NDArray[Any]:
+    """Factors of the nodes of sides, in the order in which the sides have their nodes now."""
+    if sum(len(before) for before, *_ in orders) != len(factors):
+        return factors
+    out, at = factors.copy(), 0
+    for before, cell, kind, side in orders:
+        known = side_of(kind, side, shell=space)
+        now = [] if known is None else np.asarray(cell)[known[1]].tolist()
+        place = {node: i for i, node in enumerate(before.tolist())}
+        if set(now) == set(place):
+            out[at: at + len(before)] = factors[at + np.array([place[node] for node in now])]
+        at += len(before)
+    return out

@@ -1,0 +1,320 @@
+"""Exodus files: all that a run does not change stays, as netCDF and VTK read it."""
+
+from __future__ import annotations
+
+import contract
+import meshio
+import netCDF4
+import numpy as np
+import pytest
+from format_table import mesh_of_everything
+
+from odt_plugins.adapters.files import read_file, write_file
+from odt_plugins.api import optimize_file
+from odt_plugins.errors import DataNotKeptWarning
+
+SIDES = ((0, 1, 3), (1, 2, 3), (0, 3, 2), (0, 2, 1))
+"""Corners of the sides of a tetrahedron, by the manual of Exodus."""
+
+
+def box(n=6, seed=4):
+    points, cells, labels = contract.grid(3, n)
+    points = points / points.max()
+    wall = np.zeros(len(points), dtype=bool)
+    for label in np.unique(labels):
+        other = np.unique(cells[labels != label])
+        wall[np.intersect1d(np.unique(cells[labels == label]), other)] = True
+    plane = np.isclose(points[:, 1], 0.5)
+    inner = ((points > 0) & (points < 1)).all(axis=1) & ~wall & ~plane
+    points[inner] += np.random.default_rng(seed).uniform(-0.1, 0.1, (inner.sum(), 3)) / n
+    return points, cells, labels, np.flatnonzero(plane)
+
+
+def put(file, title, kind, dims, values, **attributes):
+    variable = file.createVariable(title, kind, dims)
+    variable.setncatts(attributes)
+    variable[:] = values
+
+
+def letters(names, length=33):
+    table = np.zeros((len(names), length), "S1")
+    for i, name in enumerate(names):
+        table[i, : len(name)] = list(name)
+    return table
+
+
+def write(path, kind, points, blocks, plane, steps=3):
+    """Two blocks, a side set on the boundary and inside, two node sets, an element set, steps."""
+    cells = np.concatenate(blocks)
+    sides = np.concatenate([cells[:, c] for c in SIDES])
+    flat = np.abs(points[sides][:, :, 2]).max(axis=1) < 1e-12
+    floor = np.flatnonzero(flat)
+    at = np.concatenate([floor, [7]])
+    element, side = at % len(cells) + 1, at // len(cells) + 1
+    rng = np.random.default_rng(1)
+    with netCDF4.Dataset(path, "w", format=kind) as f:
+        f.setncatts({"api_version": np.float32(5.1), "version": np.float32(5.1),
+                     "floating_point_word_size": np.int32(8), "title": "box"})
+        for name, size in {
+            "len_string": 33, "len_line": 81, "four": 4, "num_dim": 3, "num_nodes": len(points),
+            "num_elem": len(cells), "num_el_blk": 2, "num_side_sets": 1, "num_side_ss1": len(at),
+            "num_df_ss1": 3 * len(at), "num_node_sets": 2, "num_nod_ns1": len(plane),
+            "num_nod_ns2": len(points), "num_elem_sets": 1, "num_ele_els1": 20, "num_qa_rec": 1,
+            "num_nod_var": 3, "num_elem_var": 2, "time_step": None, "num_el_in_blk1":
+            len(blocks[0]), "num_nod_per_el1": 4, "num_el_in_blk2": len(blocks[1]),
+            "num_nod_per_el2": 4, "num_att_in_blk1": 1,
+        }.items():
+            f.createDimension(name, size)
+        put(f, "time_whole", "f8", ("time_step",), np.arange(steps) / 2)
+        put(f, "qa_records", "S1", ("num_qa_rec", "four", "len_string"),
+            letters(["a", "b", "c", "d"])[None])
+        put(f, "eb_status", "i4", ("num_el_blk",), [1, 1])
+        put(f, "eb_prop1", "i4", ("num_el_blk",), [70, 8], name="ID")
+        put(f, "eb_names", "S1", ("num_el_blk", "len_string"), letters(["steel", "air"]))
+        put(f, "ss_prop1", "i4", ("num_side_sets",), [3], name="ID")
+        put(f, "ss_names", "S1", ("num_side_sets", "len_string"), letters(["floor"]))
+        put(f, "ns_prop1", "i4", ("num_node_sets",), [10, 5], name="ID")
+        put(f, "ns_names", "S1", ("num_node_sets", "len_string"), letters(["fault", ""]))
+        put(f, "els_prop1", "i4", ("num_elem_sets",), [4], name="ID")
+        put(f, "elem_els1", "i4", ("num_ele_els1",), np.arange(20, 0, -1))
+        put(f, "elem_num_map", "i4", ("num_elem",), np.arange(len(cells)) + 500)
+        put(f, "node_num_map", "i4", ("num_nodes",), np.arange(len(points)) * 2 + 1)
+        put(f, "attrib1", "f8", ("num_el_in_blk1", "num_att_in_blk1"), rng.random(
+            (len(blocks[0]), 1)))
+        for i, axis in enumerate("xyz"):
+            put(f, f"coord{axis}", "f8", ("num_nodes",), points[:, i])
+        for b in (1, 2):
+            put(f, f"connect{b}", "i4", (f"num_el_in_blk{b}", f"num_nod_per_el{b}"),
+                blocks[b - 1] + 1, elem_type="TETRA")
+        put(f, "elem_ss1", "i4", ("num_side_ss1",), element)
+        put(f, "side_ss1", "i4", ("num_side_ss1",), side)
+        put(f, "dist_fact_ss1", "f8", ("num_df_ss1",), points[sides[at]].sum(axis=2).ravel())
+        put(f, "node_ns1", "i4", ("num_nod_ns1",), plane + 1)
+        put(f, "node_ns2", "i4", ("num_nod_ns2",), np.arange(len(points)) + 1)
+        put(f, "name_nod_var", "S1", ("num_nod_var", "len_string"), letters(["vX", "vY", "vZ"]))
+        put(f, "name_elem_var", "S1", ("num_elem_var", "len_string"), letters(["p", "q"]))
+        put(f, "elem_var_tab", "i4", ("num_el_blk", "num_elem_var"), [[1, 1], [0, 1]])
+        for i in range(3):
+            put(f, f"vals_nod_var{i + 1}", "f8", ("time_step", "num_nodes"),
+                np.stack([t + points @ [1 + i, 2, -1] for t in range(steps)]))
+        for name in ("vals_elem_var1eb1", "vals_elem_var2eb1", "vals_elem_var2eb2"):
+            b = int(name[-1])
+            put(f, name, "f8", ("time_step", f"num_el_in_blk{b}"),
+                rng.random((steps, len(blocks[b - 1]))))
+
+
+def side_places(path):
+    """Corners of the sides of the side set, as places, and the factors of these."""
+    with netCDF4.Dataset(path) as f:
+        points = np.stack([f[f"coord{axis}"][:].data for axis in "xyz"], axis=1)
+        cells = np.concatenate([f["connect1"][:].data, f["connect2"][:].data]) - 1
+        element, side = f["elem_ss1"][:].data - 1, f["side_ss1"][:].data - 1
+        rows = np.array([cells[e][list(SIDES[s])] for e, s in zip(element, side, strict=True)])
+        factors = f["dist_fact_ss1"][:].data.reshape(-1, 3)
+    order = np.argsort(rows, axis=1)
+    return (np.take_along_axis(rows, order, axis=1), np.take_along_axis(factors, order, axis=1),
+            points, rows)
+
+
+@pytest.mark.parametrize("kind", ["NETCDF3_64BIT_OFFSET", "NETCDF4"])
+def test_all_that_is_not_optimised_stays(kind, tmp_path):
+    points, cells, labels, plane = box()
+    one, two = np.unique(labels)[:2]
+    blocks = [cells[labels == one], cells[labels == two]]
+    source, target = tmp_path / "a.e", tmp_path / "b.e"
+    write(source, kind, points, blocks, plane)
+    optimize_file(source, target)
+    with netCDF4.Dataset(source) as a, netCDF4.Dataset(target) as b:
+        assert a.data_model == b.data_model == kind
+        assert a.ncattrs() == b.ncattrs()
+        assert list(a.variables) == list(b.variables)
+        for name, variable in a.variables.items():
+            assert b[name].dtype == variable.dtype
+            assert b[name].dimensions == variable.dimensions
+            assert b[name].__dict__ == variable.__dict__
+        for name in ("time_whole", "qa_records", "eb_prop1", "eb_names", "eb_status", "ss_prop1",
+                     "ss_names", "ns_prop1", "ns_names", "els_prop1", "node_num_map", "node_ns1",
+                     "node_ns2", "elem_var_tab", "name_nod_var"):
+            assert np.array_equal(a[name][:], b[name][:]), name
+        now = np.stack([b[f"coord{axis}"][:].data for axis in "xyz"], axis=1)
+        assert not np.array_equal(now, points)
+        assert np.array_equal(now[plane], points[plane])
+        for i in range(3):
+            for t in range(3):
+                assert np.allclose(b[f"vals_nod_var{i + 1}"][t], t + now @ [1 + i, 2, -1],
+                                   atol=1e-12)
+        numbers = b["elem_num_map"][:].data
+        assert len(set(numbers.tolist())) == len(numbers) == len(b.dimensions["num_elem"])
+        start = 0
+        for k in (1, 2):
+            new = b[f"connect{k}"][:].data - 1
+            rows = np.searchsorted(np.sort(a[f"vals_elem_var2eb{k}"][0].data),
+                                   b[f"vals_elem_var2eb{k}"][0].data)
+            origin = np.argsort(a[f"vals_elem_var2eb{k}"][0].data)[rows]
+            assert np.array_equal(a[f"vals_elem_var2eb{k}"][2].data[origin],
+                                  b[f"vals_elem_var2eb{k}"][2].data)
+            old = numbers[start: start + len(new)] < 500 + len(cells)
+            first = len(blocks[0]) * (k - 1)
+            assert np.array_equal(numbers[start: start + len(new)][old],
+                                  500 + first + origin[old])
+            volume = np.linalg.det(now[new[:, 1:]] - now[new[:, :1]]).sum() / 6
+            before = np.linalg.det(points[blocks[k - 1][:, 1:]]
+                                   - points[blocks[k - 1][:, :1]]).sum() / 6
+            assert volume == pytest.approx(before, abs=1e-12)
+            start += len(new)
+        assert (b["elem_els1"][:] <= len(numbers)).all()
+        listed = numbers[b["elem_els1"][:].data - 1]
+        assert set(listed[listed < 500 + len(cells)]) <= set(range(500, 520))
+    old, old_factors, _, old_rows = side_places(source)
+    new, new_factors, _, new_rows = side_places(target)
+    assert np.array_equal(old, new)
+    assert np.array_equal(old_factors, new_factors)
+    turns = [np.roll(new_rows, k, axis=1) for k in range(3)]
+    assert np.any([(turn == old_rows).all(axis=1) for turn in turns], axis=0)[:-1].all()
+
+
+def test_vtk_reads_blocks_and_sets(tmp_path):
+    vtk = pytest.importorskip("vtkmodules.vtkIOExodus")
+    points, cells, labels, plane = box()
+    blocks = [cells[labels == label] for label in np.unique(labels)[:2]]
+    write(tmp_path / "a.e", "NETCDF4", points, blocks, plane)
+    optimize_file(tmp_path / "a.e", tmp_path / "b.e")
+    seen = []
+    for name in "ab":
+        reader = vtk.vtkExodusIIReader()
+        reader.SetFileName(str(tmp_path / f"{name}.e"))
+        reader.UpdateInformation()
+        kinds = (reader.ELEM_BLOCK, reader.SIDE_SET, reader.NODE_SET, reader.ELEM_SET)
+        for kind in kinds:
+            for i in range(reader.GetNumberOfObjects(kind)):
+                reader.SetObjectStatus(kind, i, 1)
+        reader.Update()
+        seen.append([(reader.GetObjectName(kind, i), reader.GetObjectId(kind, i))
+                     for kind in kinds for i in range(reader.GetNumberOfObjects(kind))])
+        parts = reader.GetOutput()
+        floor = parts.GetBlock(4).GetBlock(0)
+        assert floor.GetNumberOfCells() == len(side_places(tmp_path / "a.e")[0])
+    assert seen[0] == seen[1]
+    assert ("fault", 10) in seen[0]
+
+
+def test_in_the_plane_it_stays_in_the_plane(tmp_path):
+    points, cells, _ = contract.grid(2, 8)
+    points = points / points.max()
+    inner = ((points > 0) & (points < 1)).all(axis=1)
+    points[inner] += np.random.default_rng(3).uniform(-0.03, 0.03, (inner.sum(), 2))
+    rim = np.flatnonzero([(points[[row[0], row[1]], 1] == 0).all() for row in cells])
+    with netCDF4.Dataset(tmp_path / "a.e", "w", format="NETCDF3_CLASSIC") as f:
+        for name, size in {"num_dim": 2, "num_nodes": len(points), "num_elem": len(cells),
+                           "num_el_blk": 1, "num_el_in_blk1": len(cells), "num_nod_per_el1": 3,
+                           "num_side_sets": 1, "num_side_ss1": len(rim)}.items():
+            f.createDimension(name, size)
+        put(f, "coord", "f8", ("num_dim", "num_nodes"), points.T)
+        put(f, "connect1", "i4", ("num_el_in_blk1", "num_nod_per_el1"), cells + 1,
+            elem_type="TRI3")
+        put(f, "elem_ss1", "i4", ("num_side_ss1",), rim + 1)
+        put(f, "side_ss1", "i4", ("num_side_ss1",), np.ones(len(rim), int))
+    optimize_file(tmp_path / "a.e", tmp_path / "b.e")
+    with netCDF4.Dataset(tmp_path / "b.e") as f:
+        assert f["coord"].shape == (2, len(points))
+        now, rows = f["coord"][:].data.T, f["connect1"][:].data - 1
+        element, side = f["elem_ss1"][:].data - 1, f["side_ss1"][:].data - 1
+    assert not np.array_equal(now, points)
+    edges = np.stack([rows[element, side], rows[element, (side + 1) % 3]], axis=1)
+    assert np.array_equal(edges, cells[rim][:, :2])
+
+
+def test_faces_of_shells_follow_their_elements(tmp_path):
+    points, cells, _ = contract.grid(2, 8)
+    points = np.column_stack([points / points.max(), np.zeros(len(points))])
+    inner = ((points[:, :2] > 0) & (points[:, :2] < 1)).all(axis=1)
+    points[inner, :2] += np.random.default_rng(3).uniform(-0.04, 0.04, (inner.sum(), 2))
+    with netCDF4.Dataset(tmp_path / "a.e", "w", format="NETCDF3_CLASSIC") as f:
+        for name, size in {"num_dim": 3, "num_nodes": len(points), "num_elem": len(cells),
+                           "num_el_blk": 1, "num_el_in_blk1": len(cells), "num_nod_per_el1": 3,
+                           "num_side_sets": 1, "num_side_ss1": len(cells),
+                           "num_df_ss1": 3 * len(cells)}.items():
+            f.createDimension(name, size)
+        put(f, "coord", "f8", ("num_dim", "num_nodes"), points.T)
+        put(f, "connect1", "i4", ("num_el_in_blk1", "num_nod_per_el1"), cells + 1,
+            elem_type="TRISHELL")
+        put(f, "elem_ss1", "i4", ("num_side_ss1",), np.arange(len(cells)) + 1)
+        put(f, "side_ss1", "i4", ("num_side_ss1",), np.full(len(cells), 2))
+        put(f, "dist_fact_ss1", "f8", ("num_df_ss1",), np.ones(3 * len(cells)))
+    optimize_file(tmp_path / "a.e", tmp_path / "b.e")
+    with netCDF4.Dataset(tmp_path / "b.e") as f:
+        assert not np.array_equal(f["connect1"][:], cells + 1)
+        assert sorted(f["elem_ss1"][:].tolist()) == list(range(1, f["connect1"].shape[0] + 1))
+        assert (f["side_ss1"][:] == 2).all()
+
+
+def test_a_mesh_that_did_not_change_comes_back_value_by_value(tmp_path):
+    points, cells, labels, plane = box(4)
+    blocks = [cells[labels == label] for label in np.unique(labels)[:2]]
+    write(tmp_path / "a.e", "NETCDF4", points, blocks, plane)
+    mesh = read_file(tmp_path / "a.e")
+    write_file(tmp_path / "b.e", mesh)
+    with netCDF4.Dataset(tmp_path / "a.e") as a, netCDF4.Dataset(tmp_path / "b.e") as b:
+        for name, variable in a.variables.items():
+            assert np.array_equal(variable[:], b[name][:]), name
+
+
+def test_blocks_and_sets_have_a_home_in_other_formats(tmp_path):
+    pyvista = pytest.importorskip("pyvista")
+    points, cells, labels, plane = box()
+    blocks = [cells[labels == label] for label in np.unique(labels)[:2]]
+    write(tmp_path / "a.e", "NETCDF4", points, blocks, plane)
+    with pytest.warns(DataNotKeptWarning, match=r"'floor', 'steel' \(arrays of 0 and 1"):
+        optimize_file(tmp_path / "a.e", tmp_path / "b.vtu")
+    grid = pyvista.read(tmp_path / "b.vtu")
+    tets = grid.celltypes == 10
+    ids = grid.cell_data["exodus:block"]
+    assert np.array_equal(ids == 70, grid.cell_data["steel"] == 1)
+    assert set(ids[tets]) == {70, 8}
+    assert set(grid.cell_data["exodus:side_set"][~tets]) == {3}
+    assert np.array_equal(np.flatnonzero(grid.point_data["fault"]), plane)
+    assert {"v[0]", "v[1]", "v[2]", "fault"} <= set(grid.point_data)
+
+
+def test_groups_of_gmsh_become_blocks_and_side_sets(tmp_path):
+    vtk = pytest.importorskip("vtkmodules.vtkIOExodus")
+    mesh = mesh_of_everything()
+    mesh.cell_sets["some"] = [np.arange(3) if block.type == "tetra" else np.zeros(0, int)
+                              for block in mesh.cells]
+    mesh.point_sets["few"] = np.arange(4)
+    mesh.point_data["flow"] = mesh.points * [1, 2, 3]
+    write_file(tmp_path / "a.e", mesh)
+    reader = vtk.vtkExodusIIReader()
+    reader.SetFileName(str(tmp_path / "a.e"))
+    reader.UpdateInformation()
+    seen = {kind: {reader.GetObjectName(kind, i): reader.GetObjectId(kind, i)
+                   for i in range(reader.GetNumberOfObjects(kind))}
+            for kind in (reader.ELEM_BLOCK, reader.SIDE_SET, reader.NODE_SET, reader.ELEM_SET)}
+    assert seen[reader.ELEM_BLOCK] == {"steel": 7, "rubber": 9}
+    assert seen[reader.SIDE_SET] == {"inside": 3, "outside": 4}
+    assert set(seen[reader.NODE_SET]) == {"few"}
+    assert set(seen[reader.ELEM_SET]) == {"some"}
+    back = read_file(tmp_path / "a.e")
+    for name, of in {"stress": "cell_data", "height": "point_data", "flow": "point_data"}.items():
+        found = np.concatenate([np.ravel(part) for part in getattr(back, of)[name]])
+        assert np.array_equal(found, _ordered(mesh, back, name, of))
+
+
+def _ordered(mesh, back, name, of):
+    """Values of an array of a mesh in the order of another, whose blocks of a type it follows."""
+    if of == "point_data":
+        return np.ravel(mesh.point_data[name])
+    order = sorted(range(len(mesh.cells)), key=lambda i: mesh.cells[i].type != "tetra")
+    assert [len(mesh.cells[i].data) for i in order] == [len(b.data) for b in back.cells]
+    return np.concatenate([mesh.cell_data[name][i] for i in order])
+
+
+def test_files_of_meshio_are_read_as_before(tmp_path):
+    points, cells, _, _ = box(3)
+    meshio.write(tmp_path / "a.e", meshio.Mesh(points, [("tetra", cells)],
+                                               point_data={"u": points[:, 0]}))
+    mesh = read_file(tmp_path / "a.e")
+    assert np.array_equal(mesh.point_data["u"], points[:, 0])
+    optimize_file(tmp_path / "a.e", tmp_path / "b.e")
+    back = meshio.read(tmp_path / "b.e")
+    assert np.allclose(back.point_data["u"], back.points[:, 0], atol=1e-12)
