@@ -82,6 +82,9 @@ class Report:
     integrals : dict name -> float          relative changes of the sums of value by volume of cell
                                             of cell arrays, by the sum of the absolute values, where
                                             larger than 1e-9; none of untangled meshes
+    filled : Covered or None                how the surface that was filled and the boundary of the
+                                            tetrahedra lie to each other, see
+                                            :func:`odt_plugins.tetrahedralize_file`
     meshes : two of (points, cells)         before and after, for :meth:`worth`; not in
                                             :meth:`to_dict`
     """
@@ -112,6 +115,7 @@ class Report:
     untangled: Mapping[str, Any] | None = None
     curved: Mapping[str, float] | None = None
     integrals: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    filled: Any = None
     meshes: tuple[tuple[NDArray[Any], NDArray[Any]], ...] = dataclasses.field(
         default=(), repr=False, compare=False)
 
@@ -169,6 +173,8 @@ class Report:
             text = ("slid   {vertices} vertices; {forward:.3g} and {backward:.3g} from surface to "
                     "surface, at most {envelope:.3g}; volume {volume:+.3%}")
             lines.append(text.format(**self.slid))
+        if self.filled:
+            lines.append(f"filled {self.filled}")
         if self.stop_reason:
             lines.append(f"ended  {self.stop_reason}")
         if self.fallback:
@@ -184,7 +190,8 @@ class Report:
                                 if f.name not in ("cell_origin", "meshes")}
         data |= {"before": self.before.to_dict(), "after": self.after.to_dict(),
                  "binding": [dataclasses.asdict(cell) for cell in self.binding],
-                 "movable_share": self.movable_share}
+                 "movable_share": self.movable_share,
+                 "filled": self.filled and self.filled.to_dict()}
         return {name: _plain(value) for name, value in data.items()}
 
     def to_json(self) -> str:

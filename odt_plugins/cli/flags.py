@@ -1,0 +1,107 @@
+"""Flags of the commands: one for every option, and those that several commands share."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Sequence
+from typing import Any, get_args, get_type_hints
+
+import click
+from click.core import ParameterSource
+
+from odt_plugins.cli.terminal import ShareOption
+from odt_plugins.options import FIGURES, KEPT, OPTIONS, Options
+
+EDGE_LENGTH = click.option(
+    "--edge-length", type=click.FloatRange(min=0.0, max=1.0, min_open=True, max_open=True),
+    default=0.05, show_default=True, help="For TetWild, relative to the diagonal.")
+
+LEVELS = click.option(
+    "--levels", type=click.IntRange(min=0), default=0, show_default=True,
+    help="How often the mesh of TetWild is refined, moved to the surface and optimised; each "
+         "level has eight times as many tetrahedra.")
+
+
+def some_option_flags(*names: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Decorator that gives a command the flags of some options."""
+    return lambda command: option_flags(command, names)
+
+
+def option_flags(
+    command: Callable[..., Any], names: Sequence[str] = tuple(OPTIONS)
+) -> Callable[..., Any]:
+    """Give a command one flag for every option that has one; all that is said is read there."""
+    hints = get_type_hints(Options)
+    for name, about in reversed(OPTIONS.items()):
+        told, default = about.metadata, about.default
+        if told["flag"] is None or name not in names:
+            continue
+        flag = "--" + name.replace("_", "-")
+        settings: dict[str, Any] = {"default": default, "show_default": default is not None,
+                                    "help": f"{told['help']} {told['flag']}".strip()}
+        if told["choices"]:
+            settings["type"] = click.Choice(told["choices"])
+        elif isinstance(default, bool):
+            settings["cls"] = ShareOption if told["share"] else click.Option
+            flag = f"{flag}/--no-{name.replace('_', '-')}"
+        elif isinstance(default, int):
+            settings["type"] = click.IntRange(min=told["least"])
+        elif float in (hints[name], *get_args(hints[name])):
+            settings["type"] = float
+        elif name == "untangle":
+            flag = "--untangle/--no-untangle"
+            settings |= {"default": True, "callback": lambda _ctx, _param, on: on and "auto"}
+        elif name == "regions":
+            settings["callback"] = _region_names
+        elif name == "keep":
+            settings |= {"default": ",".join(KEPT), "callback": _figure_names}
+        else:
+            settings["type"] = str
+        command = click.option(flag, name, **settings)(command)
+    return command
+
+
+def chosen(options: dict[str, Any]) -> dict[str, Any]:
+    """Options that were given on the command line; the others have other defaults with levels."""
+    source = click.get_current_context().get_parameter_source
+    return {name: value for name, value in options.items()
+            if source(name) is ParameterSource.COMMANDLINE}
+
+
+def _region_names(_ctx: click.Context, _param: click.Parameter, text: str) -> str | None:
+    return None if text == "none" else text
+
+
+def _figure_names(_ctx: click.Context, _param: click.Parameter, text: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    if names == ("none",):
+        return ()
+    if not names:
+        msg = f"got no name; expected some of {', '.join(FIGURES)}, separated by commas, or none"
+        raise click.BadParameter(msg)
+    for name in names:
+        if name not in FIGURES:
+            msg = f"got {name!r}; expected some of {', '.join(FIGURES)}, separated by commas"
+            raise click.BadParameter(msg)
+    return names
+
+
+def cluster_flags(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command the flags that say where the work is done."""
+    command = click.option(
+        "--workers", type=click.IntRange(min=0), default=0, show_default=True,
+        help="Start a Dask cluster of so many processes on this machine.",
+    )(command)
+    return click.option("--scheduler", default=None, metavar="ADDRESS",
+                        help="Work on the Dask cluster of the scheduler at this address, such as "
+                             "tcp://host:8786.")(command)
+
+
+def in_flags(text: str) -> str:
+    """Name options by their flags: "try --orient" for "try orient=True"."""
+    def flag(found: re.Match[str]) -> str:
+        name, value = found[1].replace("_", "-"), found[2].strip("'")
+        return {"True": f"--{name}", "False": f"--no-{name}"}.get(value, f"--{name} {value}")
+
+    names = "|".join(OPTIONS)
+    return re.sub(rf"(?<![\w.-])({names})=('[^']*'|[-+.\w]+)", flag, text)
