@@ -97,6 +97,15 @@ def cluster_flags(command: Callable[..., Any]) -> Callable[..., Any]:
                              "tcp://host:8786.")(command)
 
 
+def limit_flags(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command the flags of limits that figures of its meshes may not pass."""
+    for flag, text in (("--max-angle", "Largest (dihedral) angle in degrees."),
+                       ("--min-angle", "Least (dihedral) angle in degrees."),
+                       ("--min-quality", "Least radius ratio that a mesh may have.")):
+        command = click.option(flag, type=float, default=None, help=text)(command)
+    return command
+
+
 def in_flags(text: str) -> str:
     """Name options by their flags: "try --orient" for "try orient=True"."""
     def flag(found: re.Match[str]) -> str:

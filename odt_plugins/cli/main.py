@@ -21,6 +21,7 @@ from odt_plugins.cli.flags import (
     chosen,
     cluster_flags,
     in_flags,
+    limit_flags,
     option_flags,
     some_option_flags,
 )
@@ -299,18 +300,22 @@ def untangle(source: Path, target: Path, rest: Path | None, partial: bool,
               help="Leave results that are there, of the same input, options and versions, and "
                    "failures that had the same limits as well.")
 @click.option("--retry", is_flag=True, help="With --resume: try again what failed.")
+@limit_flags
 @cluster_flags
 @option_flags
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 def batch(
     sources: tuple[str, ...], out: Path, suffix: str | None, memory_limit: float | None,
     scheduler: str | None, workers: int, quiet: bool, tetrahedralize: bool, edge_length: float,
-    levels: int, timeout: float | None, resume: bool, retry: bool, **options: Any,
+    levels: int, timeout: float | None, resume: bool, retry: bool, min_quality: float | None,
+    min_angle: float | None, max_angle: float | None, **options: Any,
 ) -> int:
-    """Improve many mesh files, each in a process of its own.
+    """Improve many mesh files, in processes of their own that small ones share.
 
     INPUT are files or quoted patterns such as 'models/**/*.stl'. An input that crashes, takes too
-    long or is no mesh is a row in the summary that --out gets beside the results.
+    long or is no mesh is a row in the summary that --out gets beside the results; each result has
+    its report beside it as JSON. With limits the exit code is 3 where a result is beyond one of
+    them.
     """
     from odt_plugins.distributed import batch as batches
     from odt_plugins.distributed import summary
@@ -346,16 +351,20 @@ def batch(
                    + ", ".join(str(out / name) for name in summary.FILES))
     if stopped:
         raise stopped
-    return DONE if all(row["status"] == "ok" for row in rows) else COULD_NOT
+    code = DONE if all(row["status"] == "ok" for row in rows) else COULD_NOT
+    limits = {"min_quality": min_quality, "min_angle": min_angle, "max_angle": max_angle}
+    for row in rows:
+        if row["status"] == "ok" and (beyond := beyond_limits(
+                {figure: row[f"after_{figure}"] for figure in limits}, limits)):
+            code = _fail(f"{row['result']} has {', '.join(beyond)}", BEYOND)
+    return code
 
 
 @cli.command()
 @click.argument("sources", metavar="INPUT...", nargs=-1, required=True,
                 type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
-@click.option("--min-quality", type=float, help="Least radius ratio that a mesh may have.")
-@click.option("--min-angle", type=float, help="Least (dihedral) angle in degrees.")
-@click.option("--max-angle", type=float, help="Largest (dihedral) angle in degrees.")
+@limit_flags
 def quality(sources: tuple[Path, ...], as_json: bool, **limits: float | None) -> int:
     """Print the quality figures of mesh files.
 
@@ -378,7 +387,7 @@ def quality(sources: tuple[Path, ...], as_json: bool, **limits: float | None) ->
     elif found:
         click.echo("\n".join(table_lines(found)))
     for name, summary in found.items():
-        beyond = beyond_limits(summary, limits)
+        beyond = beyond_limits(summary.to_dict(), limits)
         if beyond:
             code = max(code, _fail(f"{name} has {', '.join(beyond)}", BEYOND))
     return code

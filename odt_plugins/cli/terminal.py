@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import math
 import os
 import shlex
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -141,11 +142,14 @@ def one_line(message: object) -> str:
     return " ".join(str(message).split())
 
 
-def beyond_limits(summary: Any, limits: dict[str, float | None]) -> list[str]:
-    """Figures of a mesh that are beyond a limit, NaN among them, with the limit."""
+def beyond_limits(
+    figures: Mapping[str, float | None], limits: Mapping[str, float | None]
+) -> list[str]:
+    """Figures of a mesh that are beyond a limit, those that are not finite too, with the limit."""
     out = []
     for figure, limit in limits.items():
-        value = getattr(summary, figure)
+        known = figures[figure]
+        value = math.nan if known is None else known
         least = figure.startswith("min")
         if limit is not None and not (value >= limit if least else value <= limit):
             word = "least" if least else "most"
