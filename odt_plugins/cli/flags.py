@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from typing import Any, get_args, get_type_hints
 
@@ -104,13 +103,3 @@ def limit_flags(command: Callable[..., Any]) -> Callable[..., Any]:
                        ("--min-quality", "Least radius ratio that a mesh may have.")):
         command = click.option(flag, type=float, default=None, help=text)(command)
     return command
-
-
-def in_flags(text: str) -> str:
-    """Name options by their flags: "try --orient" for "try orient=True"."""
-    def flag(found: re.Match[str]) -> str:
-        name, value = found[1].replace("_", "-"), found[2].strip("'")
-        return {"True": f"--{name}", "False": f"--no-{name}"}.get(value, f"--{name} {value}")
-
-    names = "|".join(OPTIONS)
-    return re.sub(rf"(?<![\w.-])({names})=('[^']*'|[-+.\w]+)", flag, text)

@@ -20,7 +20,6 @@ from odt_plugins.cli.flags import (
     LEVELS,
     chosen,
     cluster_flags,
-    in_flags,
     limit_flags,
     option_flags,
     some_option_flags,
@@ -31,6 +30,7 @@ from odt_plugins.cli.terminal import (
     beyond_limits,
     check_paths,
     command_line,
+    in_flags,
     one_line,
     progress_bar,
     warnings_told,
@@ -183,7 +183,7 @@ def optimize(
             report = optimize_file_partitioned(source, target, blocks, block_rounds,
                                                client=client, **written, **options)
     if not quiet:
-        click.echo(str(report))
+        click.echo(in_flags(str(report)))
     if worth:
         click.echo(f"\n{report.worth()}")
     if report_file:
@@ -235,7 +235,7 @@ def tetrahedralize(
             file_format=file_format, binary=None if text is None else not text,
             progress=progress, **chosen(options))
     if not quiet:
-        click.echo(str(report))
+        click.echo(in_flags(str(report)))
     if report_file:
         write_beside(report_file, lambda path: path.write_text(report.to_json() + "\n"))
     if not report.filled.filled:
@@ -277,7 +277,7 @@ def untangle(source: Path, target: Path, rest: Path | None, partial: bool,
             progress=progress, **options)
         write_file(target, found)
     if not quiet:
-        click.echo(str(report))
+        click.echo(in_flags(str(report)))
     if report_file:
         write_beside(report_file, lambda path: path.write_text(report.to_json() + "\n"))
     return DONE

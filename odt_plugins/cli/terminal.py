@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import os
+import re
 import shlex
 import sys
 import tempfile
@@ -17,7 +18,7 @@ import click
 from click.core import ParameterSource
 
 from odt_plugins.errors import MeshFileError, ODTWarning, require
-from odt_plugins.options import Progress
+from odt_plugins.options import OPTIONS, Progress
 from odt_plugins.progress import shown
 
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
@@ -124,7 +125,8 @@ def warnings_told(quiet: bool) -> Iterator[None]:
         yield
     for warning in caught:
         if issubclass(warning.category, ODTWarning) and not quiet:
-            click.echo(f"odt-plugins: warning: {one_line(warning.message)}", err=True)
+            words = one_line(in_flags(str(warning.message)))
+            click.echo(f"odt-plugins: warning: {words}", err=True)
 
 
 @contextmanager
@@ -135,6 +137,19 @@ def progress_bar(quiet: bool) -> Iterator[Progress | bool]:
         return
     with shown() as progress:
         yield progress
+
+
+def in_flags(text: str) -> str:
+    """Name options by their flags: "try --orient" for "try orient=True"."""
+    def flag(found: re.Match[str]) -> str:
+        name = found[1].replace("_", "-")
+        value = ",".join(re.findall(r"[-+.\w]+", found[2]))
+        plain = {"True": f"--{name}", "False": f"--no-{name}", "None": f"--{name} none"}
+        return plain.get(value, f"--{name} {value or 'none'}")
+
+    names = "|".join(name for name, about in OPTIONS.items() if about.metadata["flag"] is not None)
+    value = r"""'[^']*'|"[^"]*"|\([^()]*\)|[-+.\w]*\w"""
+    return re.sub(rf"(?<![\w.-])({names})=({value})", flag, text)
 
 
 def one_line(message: object) -> str:

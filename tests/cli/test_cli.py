@@ -20,6 +20,7 @@ import meshio
 import numba
 import numpy as np
 import pytest
+import tet_meshes
 from tangled_meshes import schoenhardt
 
 from odt_plugins.cli import main as cli
@@ -553,6 +554,31 @@ print(gc.get_threshold()[0] == __main__.RARELY, gc.get_freeze_count() > 1000)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "True True"
+
+
+@pytest.mark.parametrize(("said", "flags"), [
+    ("try orient=True.", "try --orient."), ("finish=False, or", "--no-finish, or"),
+    ('boundary="slide" and insert=True', "--boundary slide and --insert"),
+    ("got solver='jacobi'; try x", "got --solver jacobi; try x"),
+    ("try keep=('min_quality', 'p1_quality')", "try --keep min_quality,p1_quality"),
+    ("try keep=('min_quality',)", "try --keep min_quality"), ("keep=()", "--keep none"),
+    ("regions=None", "--regions none"), ("envelope=0.002; q=3", "--envelope 0.002; q=3"),
+    ("progress=True, my.keep=(1)", "progress=True, my.keep=(1)"),
+])
+def test_options_are_named_by_their_flags(said, flags):
+    assert terminal.in_flags(said) == flags
+
+
+def test_a_printed_report_names_flags(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    points, cells = tet_meshes.ball(150, 3)
+    meshio.Mesh(points, [("tetra", cells)]).write("in.vtu")
+    assert cli.main(["optimize", "in.vtu", "out.vtu", "--rounds", "1", "--report", "r.json"]) == 0
+    said = capsys.readouterr().out
+    assert "try --boundary slide" in said
+    assert 'boundary="slide"' not in said
+    with open("r.json") as file:
+        assert 'boundary="slide"' in json.load(file)["binding"][0]["hint"]
 
 
 def test_quality_is_a_gate(tmp_path, monkeypatch, capsys):
