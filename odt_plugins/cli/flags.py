@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from pathlib import Path
 from typing import Any, get_args, get_type_hints
 
 import click
@@ -65,6 +66,51 @@ def chosen(options: dict[str, Any]) -> dict[str, Any]:
     source = click.get_current_context().get_parameter_source
     return {name: value for name, value in options.items()
             if source(name) is ParameterSource.COMMANDLINE}
+
+
+def given(*names: str) -> list[str]:
+    """Those of some parameters whose flags stand on the command line."""
+    source = click.get_current_context().get_parameter_source
+    return [name for name in names if source(name) is ParameterSource.COMMANDLINE]
+
+
+def refuse(name: str, what: str, instead: str) -> None:
+    """Refuse a flag that has no effect.
+
+    Raises
+    ------
+    click.UsageError
+    """
+    msg = f"got --{name.replace('_', '-')} {what}, where it has no effect; expected {instead}"
+    raise click.UsageError(msg)
+
+
+def refuse_for_kind(source: Path, boundary: str) -> None:
+    """Refuse flags that have no effect on the kind of mesh that a file holds.
+
+    Raises
+    ------
+    click.UsageError
+    ODTError            the file cannot be read
+    """
+    names = given("envelope", "feature_angle")
+    if not names:
+        return
+    from odt_plugins.adapters import files
+    from odt_plugins.mesh.plane import plane_frame
+    from odt_plugins.mesh.simplex import mesh_arrays
+
+    host = files.read(source)
+    points, cells = mesh_arrays(host.points, host.cells)
+    solid = cells.shape[1] == 4
+    if not solid and points.shape[1] == 3 and plane_frame(points, cells) is None:
+        return
+    kind = "tetrahedra" if solid else "triangles in the plane"
+    for name in names:
+        if not solid:
+            refuse(name, f"for {kind}", "a curved surface of triangles")
+        if boundary != "slide":
+            refuse(name, f"for {kind} whose boundary stays", "--boundary slide beside it")
 
 
 def _region_names(_ctx: click.Context, _param: click.Parameter, text: str) -> str | None:

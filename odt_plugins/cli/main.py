@@ -20,8 +20,11 @@ from odt_plugins.cli.flags import (
     LEVELS,
     chosen,
     cluster_flags,
+    given,
     limit_flags,
     option_flags,
+    refuse,
+    refuse_for_kind,
     some_option_flags,
 )
 from odt_plugins.cli.named import resolve_arrays
@@ -153,6 +156,10 @@ def optimize(
     check_paths(target, report_file, plot_file)
     options = resolve_arrays(source, options)
     pieces = target.suffix == ".pvtu"
+    if given("block_rounds") and blocks is None and not pieces:
+        refuse("block_rounds", "for a mesh that is one block", "--blocks beside it")
+    if not pieces:
+        refuse_for_kind(source, options["boundary"])
     if pieces and (file_format or text is not None):
         msg = "--file-format, --ascii and --binary are for meshes of one file, OUTPUT names pieces"
         raise click.UsageError(msg)
@@ -227,6 +234,8 @@ def tetrahedralize(
     """
     from odt_plugins.generate.fill import tetrahedralize_file
 
+    if given("feature_angle") and not levels and options["boundary"] != "slide":
+        refuse("feature_angle", "for a boundary that stays", "--boundary slide or --levels")
     check_paths(target, report_file, None)
     with warnings_told(quiet), progress_bar(quiet) as progress:
         warnings.simplefilter("ignore", NotFilledWarning)
@@ -323,10 +332,12 @@ def batch(
     if retry and not resume:
         msg = "--retry goes with --resume; without it all inputs are worked on"
         raise click.UsageError(msg)
+    if given("edge_length") and not tetrahedralize:
+        refuse("edge_length", "for meshes that are there", "--tetrahedralize beside it")
     summary.check_summary()
-    given = chosen(options) if levels else options
+    wanted = chosen(options) if levels else options
     jobs = batches.make_jobs(
-        batches.find_inputs(sources, out), out, given, suffix=suffix, retry=retry, resume=resume,
+        batches.find_inputs(sources, out), out, wanted, suffix=suffix, retry=retry, resume=resume,
         tetrahedralize=tetrahedralize, edge_length=edge_length, levels=levels, timeout=timeout,
         memory_limit=None if memory_limit is None else round(memory_limit * 1e9),
     )

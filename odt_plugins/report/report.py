@@ -155,7 +155,7 @@ class Report:
         if self.layers:
             lines.append(
                 f"layers {self.layers} cells that are stretched alike with their neighbours stay "
-                "as they are; layers='improve' (--layers improve) lets them change")
+                "as they are; layers='improve' lets them change")
         if self.integrals:
             lines.append(integrals_line(self.integrals))
         lines += [f"note   {note}" for note in self.notes]
@@ -312,7 +312,7 @@ def _freeing(before: SimplexMesh, outcome: Outcome, options: Options) -> Freeing
         'boundary="slide"': held["boundary"] & ~(held["fixed"] | held["frozen"]),
         "regions=None": held["interface"] & ~(held["boundary"] | held["fixed"] | held["frozen"]),
         "fewer vertices in fixed": held["fixed"] & ~held["frozen"],
-        "a larger selection": held["frozen"],
+        'layers="improve"' if options.selection is None else "a larger selection": held["frozen"],
     }
     wider = f"envelope={2.0 * options.envelope:g}" if solid or surface else ""
     if not (solid or surface) or options.boundary == "slide":

@@ -581,6 +581,44 @@ def test_a_printed_report_names_flags(tmp_path, monkeypatch, capsys):
         assert 'boundary="slide"' in json.load(file)["binding"][0]["hint"]
 
 
+@pytest.mark.parametrize(("words", "said"), [
+    ("optimize ball.vtu o.vtu --envelope 0.01", "--envelope for tetrahedra whose boundary stays"),
+    ("optimize ball.vtu o.vtu --feature-angle 30 --boundary fixed", "--boundary slide beside it"),
+    ("optimize in.vtu o.vtu --envelope 0.01", "--envelope for triangles in the plane, where"),
+    ("optimize ball.vtu o.vtu --block-rounds 2", "expected --blocks beside it"),
+    ("optimize ball.vtu o.vtu --omega 1.5 --solver global", "expected None unless the solver is a"),
+    ("optimize ball.vtu o.vtu --omega 1.5 --method cvt", "expected None unless the solver is a"),
+    ("tetrahedralize skin.vtu o.vtu --feature-angle 30", "--boundary slide or --levels"),
+    ("batch ball.vtu --out o --edge-length 0.1", "expected --tetrahedralize beside it"),
+])
+def test_flags_without_effect_are_refused(tmp_path, monkeypatch, capsys, words, said):
+    monkeypatch.chdir(tmp_path)
+    points, cells = tet_meshes.ball(60, 3)
+    meshio.Mesh(points, [("tetra", cells)]).write("ball.vtu")
+    square().write("in.vtu")
+    meshio.Mesh(points[:4], [("triangle", [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])]).write(
+        "skin.vtu")
+    assert cli.main(words.split()) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert said in lines[0]
+    assert not Path("o.vtu").exists()
+
+
+@pytest.mark.parametrize("words", [
+    "ball.vtu o.vtu --envelope 0.01 --feature-angle 30 --boundary slide",
+    "ball.vtu o.vtu --block-rounds 2 --blocks 2", "skin.vtu o.vtu --envelope 0.01 --orient",
+    "ball.vtu o.vtu --orient",
+])
+def test_flags_with_an_effect_are_not(tmp_path, monkeypatch, words):
+    monkeypatch.chdir(tmp_path)
+    points, cells = tet_meshes.ball(60, 3)
+    meshio.Mesh(points, [("tetra", cells)]).write("ball.vtu")
+    meshio.Mesh(points[:4], [("triangle", [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])]).write(
+        "skin.vtu")
+    assert cli.main(["optimize", *words.split(), "--rounds", "1", "--quiet"]) == 0
+
+
 def test_quality_is_a_gate(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
