@@ -45,6 +45,7 @@ if TYPE_CHECKING:
     from odt_plugins.errors import MeshFileError as MeshFileError
     from odt_plugins.errors import MissingDependencyError as MissingDependencyError
     from odt_plugins.errors import NotConvergedWarning as NotConvergedWarning
+    from odt_plugins.errors import NotFilledWarning as NotFilledWarning
     from odt_plugins.errors import ODTError as ODTError
     from odt_plugins.errors import ODTWarning as ODTWarning
     from odt_plugins.errors import TangledMeshError as TangledMeshError
@@ -72,6 +73,7 @@ _HOMES = {
     "MeshFileError": "errors",
     "MissingDependencyError": "errors",
     "NotConvergedWarning": "errors",
+    "NotFilledWarning": "errors",
     "ODTError": "errors",
     "ODTWarning": "errors",
     "Options": "options",

@@ -106,6 +106,10 @@ class NotConvergedWarning(ODTWarning):
     """An iterative solver stopped before it reached its tolerance."""
 
 
+class NotFilledWarning(ODTWarning):
+    """Part of a surface has no tetrahedra beside it, or their boundary is elsewhere."""
+
+
 def warn(message: str, category: type[ODTWarning] = ODTWarning) -> None:
     """Warn of a line of the caller's: the first one outside of the package."""
     level, frame = 2, sys._getframe(1)

@@ -93,7 +93,7 @@ class Options:
     connectivity: Connectivity = field(default="auto", metadata=_told(
         "How cells are reconnected in stage 1: by scipy every round (delaunay), by local flips "
         "(flips), by scipy in the first round of a small mesh, in space of one with poor cells "
-        "only, and by local flips later (auto), or not (none).",
+        "only, and by local flips later (auto), or not (none, nor by finishing then).",
         python="Sections 3.1 and 3.2.",
         choices=get_args(Connectivity)))
     density: Any = field(default="keep", metadata=_told(

@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import time
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -62,6 +62,7 @@ SHARES = {"Tetrahedralization performed": 0.1, "initializing": 0.2, "postprocess
 """How far TetWild is when it says so, besides its passes."""
 
 Mesh = tuple[NDArray[np.float64], NDArray[np.int32]]
+RegionsOf = Callable[[NDArray[np.float64], NDArray[np.int32]], NDArray[np.int32]]
 
 INSIDE = -1e-9
 """Least barycentric coordinate of a point that counts as inside a tetrahedron."""
@@ -134,17 +135,20 @@ def tetrahedralize(
 
 
 def tetrahedralize_with_report(
-    vertices: NDArray[np.floating], faces: NDArray[np.integer], **keywords: Any
-) -> tuple[Mesh, Report]:
+    vertices: NDArray[np.floating], faces: NDArray[np.integer],
+    regions_of: RegionsOf | None = None, **keywords: Any,
+) -> tuple[Any, Report]:
     """Fill a triangle surface as :func:`tetrahedralize` does and tell what was done.
 
     Parameters
     ----------
     vertices, faces, **keywords    of :func:`tetrahedralize`, all but the first two by keyword
+    regions_of : callable          is given points and cells of TetWild, and gives labels (m,) of
+                                   regions; the interfaces between them stay
 
     Returns
     -------
-    mesh : (points, cells)
+    mesh : (points, cells), with `regions_of` (points, cells, labels)
     report : Report     before is the mesh of TetWild, whose seconds stand among the times
 
     Raises
@@ -162,6 +166,8 @@ def tetrahedralize_with_report(
                "of options, try odt_plugins.tetrahedralize")
         raise InvalidOptionError(msg)
     with _made(given, chosen) as (mesh, seconds, improving):
+        if regions_of is not None:
+            improving["regions"] = regions_of(*mesh)
         out, report = optimize_with_report(mesh, **improving)
     return out, replace(report, times={"TetWild": seconds, **report.times})
 

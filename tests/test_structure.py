@@ -94,7 +94,8 @@ TOOLKITS = {
     "cupy": set(),
     "dask": {"distributed/cluster.py"},
     "distributed": {"distributed/cluster.py"},
-    "igl": {"engine/ground/reference.py", "engine/odt/cholesky.py"},
+    "igl": {"engine/ground/reference.py", "engine/odt/cholesky.py",
+            "generate/bodies.py"},
 }
 """Files that may import a toolkit, inside a function."""
 

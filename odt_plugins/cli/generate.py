@@ -9,7 +9,13 @@ from typing import Any
 
 import click
 
-from odt_plugins.cli.terminal import check_paths, progress_bar, warnings_told, write_beside
+from odt_plugins.cli.terminal import (
+    check_paths,
+    in_flags,
+    progress_bar,
+    warnings_told,
+    write_beside,
+)
 from odt_plugins.errors import InvalidOptionError
 
 SEED, MOST_POINTS = 2011, 10_000_000
@@ -126,6 +132,6 @@ def _refine(
             what, levels, threads=threads, progress=progress, **options)
         write_file(target, out)
     if not quiet:
-        click.echo(str(report))
+        click.echo(in_flags(str(report)))
     if report_file:
         write_beside(report_file, lambda path: path.write_text(report.to_json() + "\n"))

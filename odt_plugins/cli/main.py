@@ -4,44 +4,46 @@ from __future__ import annotations
 
 import json
 import os
-import re
 import signal
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
+import warnings
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any
 
 import click
-from click.core import ParameterSource
 
+from odt_plugins.cli.flags import (
+    EDGE_LENGTH,
+    LEVELS,
+    chosen,
+    cluster_flags,
+    given,
+    limit_flags,
+    option_flags,
+    refuse,
+    refuse_for_kind,
+    some_option_flags,
+)
 from odt_plugins.cli.named import resolve_arrays
 from odt_plugins.cli.terminal import (
     ShareOption,
     beyond_limits,
     check_paths,
     command_line,
+    in_flags,
     one_line,
     progress_bar,
     warnings_told,
     write_beside,
 )
-from odt_plugins.errors import InvalidOptionError, ODTError
-from odt_plugins.options import FIGURES, KEPT, OF_MESHES, OPTIONS, Options
+from odt_plugins.errors import InvalidOptionError, NotFilledWarning, ODTError
+from odt_plugins.options import OF_MESHES, OPTIONS
 from odt_plugins.signals import handling
 
 DONE, COULD_NOT, WRONG_USE, BEYOND = 0, 1, 2, 3
-
-EDGE_LENGTH = click.option(
-    "--edge-length", type=click.FloatRange(min=0.0, max=1.0, min_open=True, max_open=True),
-    default=0.05, show_default=True, help="For TetWild, relative to the diagonal.")
-
-LEVELS = click.option(
-    "--levels", type=click.IntRange(min=0), default=0, show_default=True,
-    help="How often the mesh of TetWild is refined, moved to the surface and optimised; each "
-         "level has eight times as many tetrahedra.")
-
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run the command line and return its exit code: 0 done, 1 could not, 2 wrong use.
@@ -107,85 +109,10 @@ def cli() -> None:
     """
 
 
-def _some_option_flags(*names: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
-    """Decorator that gives a command the flags of some options."""
-    return lambda command: _option_flags(command, names)
-
-
-def _option_flags(
-    command: Callable[..., Any], names: Sequence[str] = tuple(OPTIONS)
-) -> Callable[..., Any]:
-    """Give a command one flag for every option that has one; all that is said is read there."""
-    hints = get_type_hints(Options)
-    for name, about in reversed(OPTIONS.items()):
-        told, default = about.metadata, about.default
-        if told["flag"] is None or name not in names:
-            continue
-        flag = "--" + name.replace("_", "-")
-        settings: dict[str, Any] = {"default": default, "show_default": default is not None,
-                                    "help": f"{told['help']} {told['flag']}".strip()}
-        if told["choices"]:
-            settings["type"] = click.Choice(told["choices"])
-        elif isinstance(default, bool):
-            settings["cls"] = ShareOption if told["share"] else click.Option
-            flag = f"{flag}/--no-{name.replace('_', '-')}"
-        elif isinstance(default, int):
-            settings["type"] = click.IntRange(min=told["least"])
-        elif float in (hints[name], *get_args(hints[name])):
-            settings["type"] = float
-        elif name == "untangle":
-            flag = "--untangle/--no-untangle"
-            settings |= {"default": True, "callback": lambda _ctx, _param, on: on and "auto"}
-        elif name == "regions":
-            settings["callback"] = _region_names
-        elif name == "keep":
-            settings |= {"default": ",".join(KEPT), "callback": _figure_names}
-        else:
-            settings["type"] = str
-        command = click.option(flag, name, **settings)(command)
-    return command
-
-
-def _chosen(options: dict[str, Any]) -> dict[str, Any]:
-    """Options that were given on the command line; the others have other defaults with levels."""
-    source = click.get_current_context().get_parameter_source
-    return {name: value for name, value in options.items()
-            if source(name) is ParameterSource.COMMANDLINE}
-
-
-def _region_names(_ctx: click.Context, _param: click.Parameter, text: str) -> str | None:
-    return None if text == "none" else text
-
-
-def _figure_names(_ctx: click.Context, _param: click.Parameter, text: str) -> tuple[str, ...]:
-    names = tuple(name.strip() for name in text.split(",") if name.strip())
-    if names == ("none",):
-        return ()
-    if not names:
-        msg = f"got no name; expected some of {', '.join(FIGURES)}, separated by commas, or none"
-        raise click.BadParameter(msg)
-    for name in names:
-        if name not in FIGURES:
-            msg = f"got {name!r}; expected some of {', '.join(FIGURES)}, separated by commas"
-            raise click.BadParameter(msg)
-    return names
-
-
-def _cluster_flags(command: Callable[..., Any]) -> Callable[..., Any]:
-    """Give a command the flags that say where the work is done."""
-    command = click.option(
-        "--workers", type=click.IntRange(min=0), default=0, show_default=True,
-        help="Start a Dask cluster of so many processes on this machine.",
-    )(command)
-    return click.option("--scheduler", default=None, metavar="ADDRESS",
-                        help="Work on the Dask cluster of the scheduler at this address, such as "
-                             "tcp://host:8786.")(command)
-
-
 @cli.command(short_help="Improve a mesh file and write it with all its data.")
 @click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
 @click.argument("target", metavar="OUTPUT", type=click.Path(path_type=Path))
-@_option_flags
+@option_flags
 @click.option("--report", "report_file", type=click.Path(path_type=Path), metavar="FILE.json",
               help="Write the report there as JSON.")
 @click.option("--plot", "plot_file", type=click.Path(path_type=Path), metavar="FILE.png",
@@ -203,7 +130,7 @@ def _cluster_flags(command: Callable[..., Any]) -> Callable[..., Any]:
 @click.option("--ascii/--binary", "text", default=None,
               help="Write OUTPUT as text or binary, where its format has both; unless given a "
                    ".msh file is as INPUT was, others are binary.")
-@_cluster_flags
+@cluster_flags
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 def optimize(
     source: Path,
@@ -229,6 +156,10 @@ def optimize(
     check_paths(target, report_file, plot_file)
     options = resolve_arrays(source, options)
     pieces = target.suffix == ".pvtu"
+    if given("block_rounds") and blocks is None and not pieces:
+        refuse("block_rounds", "for a mesh that is one block", "--blocks beside it")
+    if not pieces:
+        refuse_for_kind(source, options["boundary"])
     if pieces and (file_format or text is not None):
         msg = "--file-format, --ascii and --binary are for meshes of one file, OUTPUT names pieces"
         raise click.UsageError(msg)
@@ -259,7 +190,7 @@ def optimize(
             report = optimize_file_partitioned(source, target, blocks, block_rounds,
                                                client=client, **written, **options)
     if not quiet:
-        click.echo(str(report))
+        click.echo(in_flags(str(report)))
     if worth:
         click.echo(f"\n{report.worth()}")
     if report_file:
@@ -274,7 +205,13 @@ def optimize(
 @click.argument("target", metavar="OUTPUT", type=click.Path(path_type=Path))
 @EDGE_LENGTH
 @LEVELS
-@_some_option_flags(*(name for name in OPTIONS if name not in OF_MESHES))
+@some_option_flags(*(name for name in OPTIONS if name not in OF_MESHES))
+@click.option("--orient/--no-orient", default=False,
+              help="Whether faces are turned first so that neighbours agree and closed components "
+                   "face outward; hollows within them stay hollow.")
+@click.option("--bodies", is_flag=True,
+              help="Number the closed components of SURFACE in a cell array \"body\", from 1, 0 "
+                   "for none.")
 @click.option("--report", "report_file", type=click.Path(path_type=Path), metavar="FILE.json",
               help="Write the report there as JSON.")
 @click.option("--file-format", type=click.Choice(["gmsh22", "gmsh41"]),
@@ -283,26 +220,35 @@ def optimize(
               help="Write OUTPUT as text or binary, where its format has both.")
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 def tetrahedralize(
-    source: Path, target: Path, edge_length: float, levels: int, report_file: Path | None,
-    file_format: str | None, text: bool | None, quiet: bool, **options: Any,
+    source: Path, target: Path, edge_length: float, levels: int, bodies: bool,
+    report_file: Path | None, file_format: str | None, text: bool | None, quiet: bool,
+    **options: Any,
 ) -> int:
     """Fill the surface of triangles SURFACE with tetrahedra and write them to OUTPUT.
 
     TetWild fills it, Optimal Delaunay Triangulation improves the tetrahedra. Labels and other
     arrays of the faces come to the triangles of the boundary, which stand beside the tetrahedra
-    then. --envelope is how far the boundary may be from SURFACE.
+    then. --envelope is how far the boundary may be from SURFACE. The exit code is 1 where more than
+    a hundredth of SURFACE has no boundary beside it, or of the boundary no SURFACE; OUTPUT is
+    written all the same.
     """
     from odt_plugins.generate.fill import tetrahedralize_file
 
+    if given("feature_angle") and not levels and options["boundary"] != "slide":
+        refuse("feature_angle", "for a boundary that stays", "--boundary slide or --levels")
     check_paths(target, report_file, None)
     with warnings_told(quiet), progress_bar(quiet) as progress:
-        report = tetrahedralize_file(
-            source, target, levels, edge_length=edge_length, file_format=file_format,
-            binary=None if text is None else not text, progress=progress, **_chosen(options))
+        warnings.simplefilter("ignore", NotFilledWarning)
+        report: Any = tetrahedralize_file(
+            source, target, levels, edge_length=edge_length, bodies=bodies,
+            file_format=file_format, binary=None if text is None else not text,
+            progress=progress, **chosen(options))
     if not quiet:
-        click.echo(str(report))
+        click.echo(in_flags(str(report)))
     if report_file:
         write_beside(report_file, lambda path: path.write_text(report.to_json() + "\n"))
+    if not report.filled.filled:
+        return _fail(f"{target} is written, but {report.filled.complaint()}", COULD_NOT)
     return DONE
 
 
@@ -318,7 +264,7 @@ def tetrahedralize(
               help="Whether vertices may be inserted where neither other places nor flips make all "
                    "tetrahedra valid: at most half as many as there are, or a number for at most "
                    "that part of them.")
-@_some_option_flags("fixed", "selection", "regions", "threads")
+@some_option_flags("fixed", "selection", "regions", "threads")
 @click.option("--report", "report_file", type=click.Path(path_type=Path), metavar="FILE.json",
               help="Write the report there as JSON.")
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
@@ -340,7 +286,7 @@ def untangle(source: Path, target: Path, rest: Path | None, partial: bool,
             progress=progress, **options)
         write_file(target, found)
     if not quiet:
-        click.echo(str(report))
+        click.echo(in_flags(str(report)))
     if report_file:
         write_beside(report_file, lambda path: path.write_text(report.to_json() + "\n"))
     return DONE
@@ -363,18 +309,22 @@ def untangle(source: Path, target: Path, rest: Path | None, partial: bool,
               help="Leave results that are there, of the same input, options and versions, and "
                    "failures that had the same limits as well.")
 @click.option("--retry", is_flag=True, help="With --resume: try again what failed.")
-@_cluster_flags
-@_option_flags
+@limit_flags
+@cluster_flags
+@option_flags
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 def batch(
     sources: tuple[str, ...], out: Path, suffix: str | None, memory_limit: float | None,
     scheduler: str | None, workers: int, quiet: bool, tetrahedralize: bool, edge_length: float,
-    levels: int, timeout: float | None, resume: bool, retry: bool, **options: Any,
+    levels: int, timeout: float | None, resume: bool, retry: bool, min_quality: float | None,
+    min_angle: float | None, max_angle: float | None, **options: Any,
 ) -> int:
-    """Improve many mesh files, each in a process of its own.
+    """Improve many mesh files, in processes of their own that small ones share.
 
     INPUT are files or quoted patterns such as 'models/**/*.stl'. An input that crashes, takes too
-    long or is no mesh is a row in the summary that --out gets beside the results.
+    long or is no mesh is a row in the summary that --out gets beside the results; each result has
+    its report beside it as JSON. With limits the exit code is 3 where a result is beyond one of
+    them.
     """
     from odt_plugins.distributed import batch as batches
     from odt_plugins.distributed import summary
@@ -382,10 +332,12 @@ def batch(
     if retry and not resume:
         msg = "--retry goes with --resume; without it all inputs are worked on"
         raise click.UsageError(msg)
+    if given("edge_length") and not tetrahedralize:
+        refuse("edge_length", "for meshes that are there", "--tetrahedralize beside it")
     summary.check_summary()
-    given = _chosen(options) if levels else options
+    wanted = chosen(options) if levels else options
     jobs = batches.make_jobs(
-        batches.find_inputs(sources, out), out, given, suffix=suffix, retry=retry, resume=resume,
+        batches.find_inputs(sources, out), out, wanted, suffix=suffix, retry=retry, resume=resume,
         tetrahedralize=tetrahedralize, edge_length=edge_length, levels=levels, timeout=timeout,
         memory_limit=None if memory_limit is None else round(memory_limit * 1e9),
     )
@@ -410,16 +362,20 @@ def batch(
                    + ", ".join(str(out / name) for name in summary.FILES))
     if stopped:
         raise stopped
-    return DONE if all(row["status"] == "ok" for row in rows) else COULD_NOT
+    code = DONE if all(row["status"] == "ok" for row in rows) else COULD_NOT
+    limits = {"min_quality": min_quality, "min_angle": min_angle, "max_angle": max_angle}
+    for row in rows:
+        if row["status"] == "ok" and (beyond := beyond_limits(
+                {figure: row[f"after_{figure}"] for figure in limits}, limits)):
+            code = _fail(f"{row['result']} has {', '.join(beyond)}", BEYOND)
+    return code
 
 
 @cli.command()
 @click.argument("sources", metavar="INPUT...", nargs=-1, required=True,
                 type=click.Path(path_type=Path))
 @click.option("--json", "as_json", is_flag=True, help="Print the figures as JSON.")
-@click.option("--min-quality", type=float, help="Least radius ratio that a mesh may have.")
-@click.option("--min-angle", type=float, help="Least (dihedral) angle in degrees.")
-@click.option("--max-angle", type=float, help="Largest (dihedral) angle in degrees.")
+@limit_flags
 def quality(sources: tuple[Path, ...], as_json: bool, **limits: float | None) -> int:
     """Print the quality figures of mesh files.
 
@@ -442,7 +398,7 @@ def quality(sources: tuple[Path, ...], as_json: bool, **limits: float | None) ->
     elif found:
         click.echo("\n".join(table_lines(found)))
     for name, summary in found.items():
-        beyond = beyond_limits(summary, limits)
+        beyond = beyond_limits(summary.to_dict(), limits)
         if beyond:
             code = max(code, _fail(f"{name} has {', '.join(beyond)}", BEYOND))
     return code
@@ -502,13 +458,3 @@ def _cluster(scheduler: str | None, workers: int, quiet: bool) -> Iterator[Any]:
 def _fail(message: object, code: int) -> int:
     click.echo(f"odt-plugins: {one_line(in_flags(str(message)))}", err=True)
     return code
-
-
-def in_flags(text: str) -> str:
-    """Name options by their flags: "try --orient" for "try orient=True"."""
-    def flag(found: re.Match[str]) -> str:
-        name, value = found[1].replace("_", "-"), found[2].strip("'")
-        return {"True": f"--{name}", "False": f"--no-{name}"}.get(value, f"--{name} {value}")
-
-    names = "|".join(OPTIONS)
-    return re.sub(rf"(?<![\w.-])({names})=('[^']*'|[-+.\w]+)", flag, text)

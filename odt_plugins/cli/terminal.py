@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import os
+import re
 import shlex
 import sys
 import tempfile
 import warnings
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
@@ -16,7 +18,7 @@ import click
 from click.core import ParameterSource
 
 from odt_plugins.errors import MeshFileError, ODTWarning, require
-from odt_plugins.options import Progress
+from odt_plugins.options import OPTIONS, Progress
 from odt_plugins.progress import shown
 
 PLOT_SUFFIXES = (".png", ".pdf", ".svg")
@@ -123,7 +125,8 @@ def warnings_told(quiet: bool) -> Iterator[None]:
         yield
     for warning in caught:
         if issubclass(warning.category, ODTWarning) and not quiet:
-            click.echo(f"odt-plugins: warning: {one_line(warning.message)}", err=True)
+            words = one_line(in_flags(str(warning.message)))
+            click.echo(f"odt-plugins: warning: {words}", err=True)
 
 
 @contextmanager
@@ -136,16 +139,32 @@ def progress_bar(quiet: bool) -> Iterator[Progress | bool]:
         yield progress
 
 
+def in_flags(text: str) -> str:
+    """Name options by their flags: "try --orient" for "try orient=True"."""
+    def flag(found: re.Match[str]) -> str:
+        name = found[1].replace("_", "-")
+        value = ",".join(re.findall(r"[-+.\w]+", found[2]))
+        plain = {"True": f"--{name}", "False": f"--no-{name}", "None": f"--{name} none"}
+        return plain.get(value, f"--{name} {value or 'none'}")
+
+    names = "|".join(name for name, about in OPTIONS.items() if about.metadata["flag"] is not None)
+    value = r"""'[^']*'|"[^"]*"|\([^()]*\)|[-+.\w]*\w"""
+    return re.sub(rf"(?<![\w.-])({names})=({value})", flag, text)
+
+
 def one_line(message: object) -> str:
     """Put a message on one line."""
     return " ".join(str(message).split())
 
 
-def beyond_limits(summary: Any, limits: dict[str, float | None]) -> list[str]:
-    """Figures of a mesh that are beyond a limit, NaN among them, with the limit."""
+def beyond_limits(
+    figures: Mapping[str, float | None], limits: Mapping[str, float | None]
+) -> list[str]:
+    """Figures of a mesh that are beyond a limit, those that are not finite too, with the limit."""
     out = []
     for figure, limit in limits.items():
-        value = getattr(summary, figure)
+        known = figures[figure]
+        value = math.nan if known is None else known
         least = figure.startswith("min")
         if limit is not None and not (value >= limit if least else value <= limit):
             word = "least" if least else "most"

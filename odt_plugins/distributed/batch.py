@@ -1,4 +1,7 @@
-"""A batch of meshes, every input in a process of its own: its end is a row in a table."""
+"""A batch of meshes: whatever becomes of an input is a row in a table.
+
+Small inputs share a process. Where one of them ends it, those that are left have each its own.
+"""
 
 from __future__ import annotations
 
@@ -22,6 +25,7 @@ from typing import Any
 from odt_plugins.adapters.files import check_output
 from odt_plugins.distributed.job import (
     FROM_OUTSIDE,
+    REPORT,
     RESULT,
     ROW,
     any_compiles,
@@ -38,6 +42,15 @@ from odt_plugins.tetwild import expect_pytetwild
 
 HIDDEN = ".batch"
 """Folder within the output: rows of what is done, and a work folder for every run."""
+
+SMALL, TOGETHER = 1 << 20, 32
+"""Most bytes of an input that shares a process, and most inputs that share one."""
+
+LOOKED = 0.02
+"""Seconds between two looks at whether a row is there."""
+
+TOLD, SAID = "told.json", "said"
+"""Files of the folder of a process: what it is to do, and what it says on stderr."""
 
 WATCHED = 0.5
 """Seconds between two looks at whether kernels are compiled."""
@@ -121,7 +134,9 @@ def find_inputs(patterns: Sequence[str], out: Path | None = None) -> list[str]:
 
 def _is_result(path: str, out: Path) -> bool:
     name = os.path.relpath(path, out)
-    return not name.startswith(os.pardir) and _row_file(out, name).is_file()
+    if name.startswith(os.pardir):
+        return False
+    return any(_row_file(out, one).is_file() for one in (name, name.removesuffix(REPORT)))
 
 
 def make_jobs(
@@ -186,6 +201,8 @@ def run_batch(
     progress: Callable[[str, float], None] | None = None,
 ) -> list[Row]:
     """Run all jobs, one after the other here, or on the workers of a cluster.
+
+    Here small inputs share a process.
 
     Parameters
     ----------
@@ -277,11 +294,42 @@ def _not_done(job: Job) -> Row:
 
 def _as_they_finish(jobs: Sequence[Job], client: Any) -> Iterator[tuple[int, Any]]:
     if client is None:
-        return ((index, run_job(job)) for index, job in enumerate(jobs))
+        return _one_by_one(jobs)
     from odt_plugins.distributed.cluster import as_they_finish, check_workers
 
     check_workers(client)
     return as_they_finish(client, run_job, jobs)
+
+
+def _one_by_one(jobs: Sequence[Job]) -> Iterator[tuple[int, Row]]:
+    """Rows of jobs on this machine, one after the other; small inputs share a process."""
+    for group in share_out(jobs):
+        if len(group) == 1:
+            yield group[0], run_job(jobs[group[0]])
+        else:
+            yield from _run_shared({index: jobs[index] for index in group})
+
+
+def share_out(jobs: Sequence[Job]) -> list[list[int]]:
+    """Divide jobs, by their places, into those whose inputs share a process, in their order.
+
+    Inputs of at most SMALL bytes share one, at most TOGETHER of them; none does whose memory is
+    limited, or that TetWild fills.
+    """
+    groups: list[list[int]] = []
+    open_group: list[int] = []
+    for index, job in enumerate(jobs):
+        size = SMALL + 1
+        with contextlib.suppress(OSError):
+            size = os.stat(job.source).st_size
+        if job.memory_limit is not None or job.tetrahedralize or size > SMALL:
+            groups.append([index])
+            continue
+        if not open_group or len(open_group) == TOGETHER:
+            open_group = []
+            groups.append(open_group)
+        open_group.append(index)
+    return groups
 
 
 def run_job(job: Job) -> Row:
@@ -295,20 +343,41 @@ def run_job(job: Job) -> Row:
     ------
     InvalidOptionError    the packages here are not those of the process that began the run
     """
+    started = _begun(job)
+    if isinstance(started, dict):
+        return started
+    key, folder = started
+    return _ended_row(job, key, folder, lambda: _process(job, folder))
+
+
+def _begun(job: Job) -> Row | tuple[str, Path]:
+    """The row of a job that needs no work, else its key and its work folder."""
     expect_versions(job.versions)
     try:
         key = job_key(job)
     except OSError as exc:
         message = f"cannot read {job.source}: {exc.strerror or exc}"
         return _row(job, {"status": "failed", "message": message})
-    place, target = _row_file(Path(job.out), job.name), Path(job.out) / job.name
     if job.resume and (old := _recorded(job, key)):
         return old | {"resumed": True}
-    folder = None
     try:
         folder = Path(tempfile.mkdtemp(dir=job.work))
         (folder / RESULT).mkdir()
-        facts = _process(job, folder)
+    except OSError as exc:
+        return _unwritten(job, exc)
+    return key, folder
+
+
+def _unwritten(job: Job, exc: OSError) -> Row:
+    message = f"cannot write {Path(job.out) / job.name}: {exc.strerror or exc}"
+    return _row(job, {"status": "failed", "message": message})
+
+
+def _ended_row(job: Job, key: str, folder: Path, facts_of: Callable[[], Row]) -> Row:
+    """Move the result of a work folder and its row to their places; the folder goes."""
+    place, target = _row_file(Path(job.out), job.name), Path(job.out) / job.name
+    try:
+        facts = facts_of()
         outside = facts.pop("outside", False)
         row = _row(job, {"key": key, "limits": [job.timeout, job.memory_limit]} | facts)
         if row["status"] != "ok" and target.exists():
@@ -324,12 +393,54 @@ def run_job(job: Job) -> Row:
         if not outside:
             os.replace(folder / ROW, place)
     except OSError as exc:
-        message = f"cannot write {target}: {exc.strerror or exc}"
-        return _row(job, {"status": "failed", "message": message})
+        return _unwritten(job, exc)
     finally:
-        if folder is not None:
-            shutil.rmtree(folder, ignore_errors=True)
+        shutil.rmtree(folder, ignore_errors=True)
     return row
+
+
+def _run_shared(jobs: Mapping[int, Job]) -> Iterator[tuple[int, Row]]:
+    """Rows of jobs that share a process; where it ends early each that is left has its own."""
+    waiting: list[tuple[int, str, Path]] = []
+    for index, job in jobs.items():
+        started = _begun(job)
+        if isinstance(started, dict):
+            yield index, started
+        else:
+            waiting.append((index, *started))
+    if not waiting:
+        return
+    first = jobs[waiting[0][0]]
+    with (
+        contextlib.suppress(OSError),
+        tempfile.TemporaryDirectory(dir=first.work, ignore_cleanup_errors=True) as name,
+    ):
+        process = _start(Path(name), [_task(jobs[index], folder) for index, _, folder in waiting])
+        since = time.monotonic()
+        try:
+            while waiting:
+                index, key, folder = waiting[0]
+                over = process.poll() is not None
+                facts = _written(folder)
+                if facts is None and not over:
+                    late = first.timeout is not None and (
+                        since + first.timeout + compiling(folder) <= time.monotonic())
+                    if not late:
+                        time.sleep(LOOKED)
+                        continue
+                    facts = _too_late(first.timeout, since)
+                if facts is None or facts["status"] == "memory":
+                    break
+                yield index, _ended_row(jobs[index], key, folder, facts.copy)
+                waiting.pop(0)
+                since = time.monotonic()
+                if facts["status"] == "timeout":
+                    break
+        finally:
+            _end(process)
+    for index, _, folder in waiting:
+        shutil.rmtree(folder, ignore_errors=True)
+        yield index, run_job(jobs[index])
 
 
 def _row_file(out: Path, name: str) -> Path:
@@ -370,35 +481,66 @@ def _row(job: Job, facts: Row) -> Row:
     return base | facts
 
 
-def _process(job: Job, folder: Path) -> Row:
-    """Run the process of a job to its end, or end it with everything it started."""
-    threads = str(job.options.get("threads", 1))
+def _task(job: Job, folder: Path) -> Row:
+    """What the process of a job is told of it."""
+    task = asdict(job) | {"folder": str(folder), "name": Path(job.name).name}
+    task["options"] = {"threads": 1} | job.options
+    return task
+
+
+def _start(folder: Path, tasks: list[Row]) -> subprocess.Popen[str]:
+    """Start the process of some jobs; what it says on stderr is a file of the folder."""
+    threads = str(tasks[0]["options"]["threads"])
     (folder / "temporary").mkdir()
     environment = dict(os.environ) | dict.fromkeys(
         ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), threads)
     # What a process that is ended leaves there goes with its folder.
     environment |= dict.fromkeys(("TMPDIR", "TEMP", "TMP"), str(folder / "temporary"))
-    task = asdict(job) | {"folder": str(folder), "name": Path(job.name).name,
-                          "parent": os.getpid()}
-    task["options"] = {"threads": 1} | job.options
-    clock = time.monotonic()
-    process = subprocess.Popen(
-        [sys.executable, "-m", "odt_plugins.distributed.job"], text=True, env=environment,
-        stdin=subprocess.PIPE, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE,
-        start_new_session=True,
-    )
-    try:
-        said = _ended(process, json.dumps(task), clock, job.timeout, folder)
-    except subprocess.TimeoutExpired:
-        return {"status": "timeout", "message": f"no result within {job.timeout:g} s",
-                "seconds": time.monotonic() - clock}
-    finally:
-        with contextlib.suppress(ProcessLookupError, PermissionError):
-            os.killpg(process.pid, signal.SIGKILL)
-        process.wait()
+    told = {"folder": str(folder), "parent": os.getpid(), "tasks": tasks}
+    (folder / TOLD).write_text(json.dumps(told), encoding="utf-8")
+    with (
+        (folder / TOLD).open(encoding="utf-8") as given,
+        (folder / SAID).open("w", encoding="utf-8") as said,
+    ):
+        return subprocess.Popen(
+            [sys.executable, "-m", "odt_plugins.distributed.job"], text=True, env=environment,
+            stdin=given, stdout=subprocess.DEVNULL, stderr=said, start_new_session=True,
+        )
+
+
+def _end(process: subprocess.Popen[str]) -> None:
+    """End a process with everything it started."""
+    with contextlib.suppress(ProcessLookupError, PermissionError):
+        os.killpg(process.pid, signal.SIGKILL)
+    process.wait()
+
+
+def _written(folder: Path) -> Row | None:
+    """The row that a process has written, None as long as it is not there as a whole."""
     with contextlib.suppress(OSError, ValueError):
         written: Row = json.loads((folder / ROW).read_text(encoding="utf-8"))
         return written
+    return None
+
+
+def _too_late(timeout: float | None, clock: float) -> Row:
+    return {"status": "timeout", "message": f"no result within {timeout:g} s",
+            "seconds": time.monotonic() - clock}
+
+
+def _process(job: Job, folder: Path) -> Row:
+    """Run the process of a job to its end, or end it with everything it started."""
+    clock = time.monotonic()
+    process = _start(folder, [_task(job, folder)])
+    try:
+        _wait(process, clock, job.timeout, folder)
+    except subprocess.TimeoutExpired:
+        return _too_late(job.timeout, clock)
+    finally:
+        _end(process)
+    if (written := _written(folder)) is not None:
+        return written
+    said = (folder / SAID).read_text(encoding="utf-8", errors="replace")
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     message = f"ended by {exit_name(process.returncode)}: {lines[-1] if lines else 'no word'}"
     row: Row = {"status": "crashed", "message": message, "seconds": time.monotonic() - clock,
@@ -408,23 +550,22 @@ def _process(job: Job, folder: Path) -> Row:
     return row
 
 
-def _ended(
-    process: subprocess.Popen[str], task: str, clock: float, timeout: float | None, folder: Path
-) -> str:
-    """Wait for the end of a process and give what it said on stderr.
+def _wait(
+    process: subprocess.Popen[str], clock: float, timeout: float | None, folder: Path
+) -> None:
+    """Wait for the end of a process.
 
     Raises
     ------
     subprocess.TimeoutExpired    it took longer, not counting what it spent on compiling kernels
     """
-    given: str | None = task
     while True:
         left = None
         if timeout is not None:
             left = max(0.0, clock + timeout + compiling(folder) - time.monotonic())
         try:
-            return process.communicate(given, timeout=left)[1]
+            process.wait(left)
+            return
         except subprocess.TimeoutExpired:
-            given = None
             if clock + (timeout or 0.0) + compiling(folder) <= time.monotonic():
                 raise

@@ -1,6 +1,6 @@
-"""The process of one input of a batch: ``python -m odt_plugins.distributed.job``.
+"""The process of inputs of a batch: ``python -m odt_plugins.distributed.job``.
 
-It reads its job as JSON from standard input and leaves the result and its row in the work folder;
+It reads its jobs as JSON from standard input and leaves each result and its row in a work folder;
 whoever started it moves them to their places.
 """
 
@@ -26,6 +26,9 @@ ROW, RESULT, COMPILING = "row.json", "result", "compiling"
 """What lies in the work folder: the row, the folder of the result, and when kernels were compiled:
 times of a monotonic clock at which that began and ended, by turns."""
 
+REPORT = ".json"
+"""What the name of a result gets for the name of its report."""
+
 FROM_OUTSIDE = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 """Signals that come from the user or from a system short of memory, not from the input."""
 
@@ -35,10 +38,16 @@ REFUSED = ("bad_alloc", "Cannot allocate memory", "Resource temporarily unavaila
 
 
 def main() -> None:
-    """Do the job and write its row; a failure that Python can catch is a row as well."""
-    job = json.load(sys.stdin)
-    threading.Thread(target=_end_with, args=(job["parent"], job["folder"]), daemon=True).start()
-    _limit_memory(job["memory_limit"])
+    """Do the jobs, one after the other."""
+    told = json.load(sys.stdin)
+    threading.Thread(target=_end_with, args=(told["parent"], told["folder"]), daemon=True).start()
+    _limit_memory(told["tasks"][0]["memory_limit"])
+    for job in told["tasks"]:
+        _do(job)
+
+
+def _do(job: dict[str, Any]) -> None:
+    """Do a job and write its row; a failure that Python can catch is a row as well."""
     row: dict[str, Any] = {"status": "failed", "message": ""}
     clock = time.perf_counter()
     try:
@@ -90,7 +99,7 @@ def any_compiles(work: Path) -> bool:
 
 
 def work(job: dict[str, Any]) -> dict[str, Any]:
-    """Read, fill with tetrahedra when asked to, improve, write into the work folder.
+    """Read, fill with tetrahedra when asked to, improve, write with a report into the work folder.
 
     Returns
     -------
@@ -100,17 +109,20 @@ def work(job: dict[str, Any]) -> dict[str, Any]:
     from odt_plugins.api import optimize_with_report
 
     source, target = Path(job["source"]), Path(job["folder"]) / RESULT / job["name"]
+    # JSON knows no tuples.
+    options: Any = {name: tuple(value) if isinstance(value, list) else value
+                    for name, value in job["options"].items()}
     row: dict[str, Any] = {}
     clock = time.perf_counter()
     if job["tetrahedralize"]:
         from odt_plugins.generate.fill import fill
 
-        result, report, seconds = fill(source, job["levels"], job["edge_length"], job["options"])
+        result, report, seconds = fill(source, job["levels"], job["edge_length"], options)
         row["tetwild_seconds"] = seconds
     else:
         mesh = read_file(source)
         clock = time.perf_counter()
-        result, report = optimize_with_report(mesh, **job["options"])
+        result, report = optimize_with_report(mesh, **options)
         row |= {"regions_from": ", ".join(report.regions_from),
                 "interpolated": ", ".join(report.interpolated)}
     compiled = compiling(Path(job["folder"]))
@@ -118,6 +130,7 @@ def work(job: dict[str, Any]) -> dict[str, Any]:
             "optimize_seconds": time.perf_counter() - clock - compiled
             - row.get("tetwild_seconds", 0.0)}
     write_file(target, result)
+    target.with_name(target.name + REPORT).write_text(report.to_json() + "\n", encoding="utf-8")
     for when, summary in (("before", report.before), ("after", report.after)):
         row |= {f"{when}_{name}": value for name, value in summary.to_dict().items()}
     return row

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+from dataclasses import replace
 from typing import TYPE_CHECKING, Any, Unpack
 
 import numpy as np
@@ -11,11 +12,20 @@ from numpy.typing import NDArray
 from odt_plugins.adapters import files, meshio_mesh
 from odt_plugins.engine.cells.geometry import boundary_facets
 from odt_plugins.engine.ground.reference import make_reference
-from odt_plugins.errors import InvalidMeshError, InvalidOptionError, ODTWarning, counted, warn
+from odt_plugins.errors import (
+    InvalidMeshError,
+    InvalidOptionError,
+    NotFilledWarning,
+    ODTWarning,
+    counted,
+    warn,
+)
+from odt_plugins.generate.bodies import body_labels, outward
 from odt_plugins.generate.coarse import TETWILD_PART
+from odt_plugins.generate.covered import compare
 from odt_plugins.generate.levels import check_levels, refine_and_optimize
 from odt_plugins.mesh.arrays import FloatArray, IntArray
-from odt_plugins.mesh.simplex import diagonal, mesh_arrays
+from odt_plugins.mesh.simplex import diagonal, mesh_arrays, reverse
 from odt_plugins.options import (
     OF_MESHES,
     OPTIONS,
@@ -33,17 +43,21 @@ if TYPE_CHECKING:
 REACH = 2.0
 """Envelopes within which a facet stands for a face: TetWild checks its own at samples only."""
 
+BODY = "body"
+"""Cell array with the numbers of closed components."""
+
 GROUPS = ("gmsh:physical", "gmsh:geometrical")
 """Labels of Gmsh, in which 0 is none; the tetrahedra are the volume 1."""
 
 
-@with_option_signature(*OF_MESHES)
+@with_option_signature(*(name for name in OF_MESHES if name != "orient"))
 def tetrahedralize_file(
     source: str | os.PathLike[str],
     target: str | os.PathLike[str],
     levels: int = 0,
     *,
     edge_length: float = 0.05,
+    bodies: bool = False,
     file_format: str | None = None,
     binary: bool | None = None,
     **options: Unpack[OptionKeywords],
@@ -59,15 +73,19 @@ def tetrahedralize_file(
     levels : int             0: TetWild and ODT; otherwise TetWild makes a coarse mesh, which is
                              refined so often, see :func:`odt_plugins.refine_and_optimize`
     edge_length : float      that TetWild aims at, as a part of the diagonal
+    bodies : bool            whether tetrahedra get a cell array "body": the number, from 1, of the
+                             closed component of the surface that they lie in, 0 for none;
+                             interfaces between bodies stay, without `levels`
     file_format, binary      as for :func:`odt_plugins.optimize_file`
     **options
         The fields of :class:`odt_plugins.Options` but for those of a mesh that is there already.
         `envelope` is how far the boundary may be from the surface; TetWild gets all of it, or
-        three quarters where the boundary moves afterwards.
+        three quarters where the boundary moves afterwards. With `orient` faces are turned first:
+        neighbours agree, closed components face outward, hollows within them stay hollow.
 
     Returns
     -------
-    Report, with `levels` LevelsReport
+    Report, with `levels` LevelsReport; its `filled` compares surface and boundary both ways
 
     Raises
     ------
@@ -77,11 +95,13 @@ def tetrahedralize_file(
 
     Warns
     -----
+    NotFilledWarning         more than a hundredth of the area of the surface has no boundary beside
+                             it, or of that of the boundary no surface
     ODTWarning               parts of the boundary stand for no face, as where holes were closed
     """
     check_fill(levels, edge_length, options)
     files.check_output(target, file_format, binary)
-    mesh, report, _ = fill(source, levels, edge_length, options)
+    mesh, report, _ = fill(source, levels, edge_length, options, bodies)
     files.write_file(target, mesh, file_format, binary)
     return report
 
@@ -96,6 +116,8 @@ def check_fill(levels: Any, edge_length: Any, options: Any) -> None:
     make_options(**options)
     check_levels(levels, edge_length, options if levels else {})
     for name in OF_MESHES:
+        if name == "orient":
+            continue
         usual = OPTIONS[name].default
         value = options.get(name, usual)
         if isinstance(value, str | bool | None) and value == usual:
@@ -105,7 +127,8 @@ def check_fill(levels: Any, edge_length: Any, options: Any) -> None:
 
 
 def fill(
-    source: str | os.PathLike[str], levels: int, edge_length: float, options: Any
+    source: str | os.PathLike[str], levels: int, edge_length: float, options: Any,
+    bodies: bool = False,
 ) -> tuple[Any, Report | LevelsReport, float]:
     """Give the mesh of :func:`tetrahedralize_file`, its report, and the seconds of TetWild."""
     host = files.read(source)
@@ -114,21 +137,48 @@ def fill(
         msg = (f"{os.path.basename(source)} holds {what}; expected a surface of triangles to be "
                "filled")
         raise InvalidMeshError(msg)
+    if bodies and BODY in host.source.cell_data:
+        msg = (f"got bodies=True for faces that have an array {BODY!r}; expected none of that "
+               f"name, try renaming it")
+        raise InvalidOptionError(msg)
+    options = dict(options)
+    orient = options.pop("orient", False)
+    ground = mesh_arrays(host.points, host.cells)
+    turned = outward(*ground) if orient else np.zeros(len(ground[1]), dtype=np.bool_)
+    surface = ground[0], reverse(ground[1], turned)
     envelope = options.get("envelope", make_options().envelope)
+    reach = REACH * envelope * diagonal(ground[0][np.unique(ground[1])])
+    label: IntArray | None = None
+
+    def labelled(points: FloatArray, cells: IntArray) -> IntArray:
+        return body_labels(points[cells].mean(axis=1), *surface, reach)
+
     report: Report | LevelsReport
     if levels:
         out, report = refine_and_optimize(
-            host.source, levels, edge_length=edge_length, **options)
-        points, cells, seconds = out.points, out.cells[0].data, report.meshing
+            surface if turned.any() else host.source, levels, edge_length=edge_length, **options)
+        points, cells = out if turned.any() else (out.points, out.cells[0].data)
+        seconds = report.meshing
+        if bodies:
+            label = labelled(points, cells)
     else:
         slides = options.get("boundary") == "slide"
         first, rest = (TETWILD_PART, 1.0 - TETWILD_PART) if slides else (1.0, 1.0)
-        (points, cells), report = tetrahedralize_with_report(
-            host.points, host.cells, edge_length_fac=edge_length, epsilon=first * envelope,
+        (points, cells, *labels), report = tetrahedralize_with_report(
+            host.points, reverse(host.cells, turned), labelled if bodies else None,
+            edge_length_fac=edge_length, epsilon=first * envelope,
             num_threads=options.get("threads", 1), vtk_ordering=True,
             **options | {"envelope": rest * envelope})
+        label = labels[0] if bodies else None
         seconds = report.times["TetWild"]
-    return _labelled(points, cells, host, envelope), report, seconds
+    filled = compare(surface, (points, cells), reach)
+    if not filled.filled:
+        warn(filled.complaint(), NotFilledWarning)
+    mesh = _labelled(points, cells, host, reach)
+    if label is not None:
+        mesh.cell_data[BODY] = [label] + [np.zeros(len(block.data), dtype=np.int32)
+                                          for block in mesh.cells[1:]]
+    return mesh, replace(report, filled=filled), seconds
 
 
 def closest_faces(
@@ -154,7 +204,7 @@ def closest_faces(
     return np.where(distance <= reach, face, np.int32(-1))
 
 
-def _labelled(points: FloatArray, cells: IntArray, host: HostMesh, envelope: float) -> Any:
+def _labelled(points: FloatArray, cells: IntArray, host: HostMesh, reach: float) -> Any:
     """The tetrahedra, beside them their boundary with the data of the faces, if there are any."""
     from meshio import Mesh
 
@@ -167,7 +217,6 @@ def _labelled(points: FloatArray, cells: IntArray, host: HostMesh, envelope: flo
         return meshio_mesh.tetrahedra(points, cells)
     facets = boundary_facets(cells)
     ground = mesh_arrays(host.points, host.cells)
-    reach = REACH * envelope * diagonal(ground[0][np.unique(ground[1])])
     face = closest_faces(points, facets, ground, reach)
     lost = int((face < 0).sum())
     if lost:

@@ -6,6 +6,7 @@ import json
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from odt_plugins.generate.covered import Covered
 from odt_plugins.quality import QualitySummary
 from odt_plugins.table import text_html
 
@@ -47,6 +48,8 @@ class LevelsReport:
     volume, surface_volume : float    of the mesh, and inside the surface
     meshing, checking : float         wall seconds of TetWild, and of measuring the distances
     before : QualitySummary           of the coarse mesh
+    filled : Covered or None          how the surface that was filled and the boundary lie to each
+                                      other, see :func:`odt_plugins.tetrahedralize_file`
     """
 
     levels: tuple[Level, ...]
@@ -58,6 +61,7 @@ class LevelsReport:
     meshing: float
     checking: float
     before: QualitySummary
+    filled: Covered | None = None
 
     @property
     def after(self) -> QualitySummary:
@@ -101,6 +105,8 @@ class LevelsReport:
             f"time     {self.seconds:.1f} s, of them TetWild {self.meshing:.1f} s; "
             f"{1e6 * self.seconds / last.quality.n_cells:.0f} us a cell",
         ]
+        if self.filled:
+            lines.append(f"filled   {self.filled}")
         return "\n".join(lines)
 
     def _repr_html_(self) -> str:
@@ -113,6 +119,7 @@ class LevelsReport:
         for level, at in zip(data["levels"], self.levels, strict=True):
             level["quality"] = at.quality.to_dict()
         data["before"] = self.before.to_dict()
+        data["filled"] = self.filled and self.filled.to_dict()
         return data | {"within": self.within, "seconds": self.seconds}
 
     def to_json(self) -> str:

@@ -35,7 +35,7 @@ def same_places(
     alone, facets = _open_facets(cells, n)
     if 2 * alone <= facets:
         return None
-    same = _first_there(points)
+    same = first_there(points)
     closed = alone - _open_facets(same[cells], n)[0]
     return same if 2 * closed > alone else None
 
@@ -46,7 +46,7 @@ def twins(points: NDArray[np.floating], cells: NDArray[np.integer]) -> NDArray[n
     Patches that meet there come apart where such vertices move each by itself.
     """
     used, rows = np.unique(cells, return_inverse=True)
-    first = _first_there(points[used])
+    first = first_there(points[used])
     count = np.bincount(first, minlength=len(used))
     place = first[rows.reshape(cells.shape)]
     for i, j in combinations(range(cells.shape[1]), 2):
@@ -54,7 +54,7 @@ def twins(points: NDArray[np.floating], cells: NDArray[np.integer]) -> NDArray[n
     return np.asarray(used[count[first] > 1], dtype=np.int64)
 
 
-def _first_there(points: NDArray[np.floating]) -> NDArray[np.int64]:
+def first_there(points: NDArray[np.floating]) -> NDArray[np.int64]:
     """First point (n,) with the coordinates of every one."""
     rows = np.ascontiguousarray(points + 0.0)
     raw = rows.view(np.dtype((np.void, rows.dtype.itemsize * rows.shape[1]))).ravel()

@@ -113,7 +113,7 @@ def surface_mesh(
     count = 0
     turned = _disagreeing(edges)
     if turned.size and orient:
-        against = _to_turn(t, edges)
+        against = to_turn(t, edges)
         if against is not None:
             t, count = reverse(t, against), int(against.sum())
             edges, turned = surface_edges(t, n), turned[:0]
@@ -188,7 +188,7 @@ def _disagreeing(edges: Edges) -> NDArray[np.intp]:
     return np.flatnonzero((edges.degree == 2) & (ways != 1))
 
 
-def _to_turn(t: IntArray, edges: Edges) -> BoolArray | None:
+def to_turn(t: IntArray, edges: Edges) -> BoolArray | None:
     """Triangles to turn so that neighbours agree: the smaller part of every connected piece.
 
     None where there is no such choice.

@@ -150,7 +150,15 @@ def worse_figures(
 
 def held_vertices(mesh: SimplexMesh) -> NDArray[np.bool_]:
     """Say which vertices must stay bit for bit: (n,) bool, unused vertices included."""
-    return np.asarray(np.logical_or.reduce(list(_held(mesh, _locked_before(mesh)).values())))
+    return np.asarray(np.logical_or.reduce(list(held_by(mesh).values())))
+
+
+def held_by(mesh: SimplexMesh) -> dict[str, NDArray[np.bool_]]:
+    """Say which vertices must stay, (n,) bool each, by the reason why.
+
+    The reasons are boundary, interface, fixed, frozen and unused; a vertex may have several.
+    """
+    return _held(mesh, _locked_before(mesh))
 
 
 def _locked_before(mesh: SimplexMesh) -> LockedFacets:

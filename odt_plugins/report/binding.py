@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,6 +32,7 @@ class BindingCell:
     quality, min_angle, max_angle        radius ratio; (dihedral) angles in degrees
     n_movable : int                      how many of its vertices may move
     reason : str                         why it stays
+    hint : str                           option that frees it, as a keyword, "" for none
     """
 
     cell: int
@@ -41,11 +43,47 @@ class BindingCell:
     max_angle: float
     n_movable: int
     reason: str
+    hint: str = ""
 
     def __str__(self) -> str:
         """One line."""
         return (f"cell {self.cell}: q {self.quality:.3f}, {self.min_angle:.1f}.."
-                f"{self.max_angle:.1f} deg, {self.reason}")
+                f"{self.max_angle:.1f} deg, {self.reason}" + (self.hint and f"; try {self.hint}"))
+
+
+class Freeing(NamedTuple):
+    """What frees vertices that stay, and cells whose vertices move.
+
+    Attributes
+    ----------
+    held : dict     option, as a keyword with its value -> vertices (n,) bool that it frees
+    insert : str    option that adds vertices inside, "" for none
+    moving : str    option that gives vertices that move more freedom, "" for none
+    """
+
+    held: Mapping[str, NDArray[np.bool_]]
+    insert: str = ""
+    moving: str = ""
+
+    def of(self, cell: NDArray[np.int32], movable: NDArray[np.bool_], corner: bool) -> str:
+        """Options that free a cell; of a corner of two facets only those that free vertices."""
+        stay = cell[~movable[cell]]
+        found = [option for option, mask in self.held.items() if mask[stay].any()]
+        if not corner:
+            found += [self.insert, *([] if len(stay) else [self.moving])]
+        return " and ".join(option for option in found if option)
+
+
+NOTHING = Freeing({})
+
+
+def joined_lines(cells: Sequence[BindingCell], most: int) -> list[str]:
+    """Lines of cells, one for all with the same reason and hint, and at most so many."""
+    alike: dict[tuple[str, str], list[BindingCell]] = {}
+    for cell in cells:
+        alike.setdefault((cell.reason, cell.hint), []).append(cell)
+    return [str(same[0]) + (f" (and {len(same) - 1} more)" if same[1:] else "")
+            for same in list(alike.values())[:most]]
 
 
 def binding_cells(
@@ -54,6 +92,7 @@ def binding_cells(
     regions: NDArray[np.int32],
     movable: NDArray[np.bool_],
     figures: CellFigures,
+    freeing: Freeing = NOTHING,
 ) -> tuple[BindingCell, ...]:
     """Name the cells that bind the worst figures of a mesh and say why.
 
@@ -62,6 +101,7 @@ def binding_cells(
     points, cells, regions : (n, d), (m, d + 1), (m,)
     movable : (n,) bool        vertices that may move
     figures : CellFigures      of this mesh
+    freeing : Freeing          the options that free cells
 
     Returns
     -------
@@ -88,6 +128,8 @@ def binding_cells(
             max_angle=float(figures.max_angle[c]),
             n_movable=int(movable[cells[c]].sum()),
             reason=_reason(points, cells[c], of_cell[c], movable, figures, c),
+            hint=freeing.of(cells[c], movable,
+                            _sharp_corner(points, cells[c], of_cell[c]) is not None),
         )
         for c in chosen.tolist()
     )

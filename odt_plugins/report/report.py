@@ -18,9 +18,9 @@ from odt_plugins.errors import counted
 from odt_plugins.mesh.numbering import in_old_numbers
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
-from odt_plugins.promise.volume import held_vertices
+from odt_plugins.promise.volume import held_by, held_vertices
 from odt_plugins.quality import QualitySummary, cell_figures, summarize
-from odt_plugins.report.binding import BindingCell, binding_cells
+from odt_plugins.report.binding import BindingCell, Freeing, binding_cells, joined_lines
 from odt_plugins.table import table_html, table_lines, text_html
 from odt_plugins.untangling import Tangle, worse_than_valid
 
@@ -82,6 +82,12 @@ class Report:
     integrals : dict name -> float          relative changes of the sums of value by volume of cell
                                             of cell arrays, by the sum of the absolute values, where
                                             larger than 1e-9; none of untangled meshes
+    filled : Covered or None                how the surface that was filled and the boundary of the
+                                            tetrahedra lie to each other, see
+                                            :func:`odt_plugins.tetrahedralize_file`
+    vetoed : dict or None                   of a refused state with a better mean: the figures that
+                                            were "worse", name -> (before, there), and its
+                                            "mean_quality" and "min_quality"
     meshes : two of (points, cells)         before and after, for :meth:`worth`; not in
                                             :meth:`to_dict`
     """
@@ -112,6 +118,8 @@ class Report:
     untangled: Mapping[str, Any] | None = None
     curved: Mapping[str, float] | None = None
     integrals: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    filled: Any = None
+    vetoed: Mapping[str, Any] | None = None
     meshes: tuple[tuple[NDArray[Any], NDArray[Any]], ...] = dataclasses.field(
         default=(), repr=False, compare=False)
 
@@ -147,7 +155,7 @@ class Report:
         if self.layers:
             lines.append(
                 f"layers {self.layers} cells that are stretched alike with their neighbours stay "
-                "as they are; layers='improve' (--layers improve) lets them change")
+                "as they are; layers='improve' lets them change")
         if self.integrals:
             lines.append(integrals_line(self.integrals))
         lines += [f"note   {note}" for note in self.notes]
@@ -169,13 +177,17 @@ class Report:
             text = ("slid   {vertices} vertices; {forward:.3g} and {backward:.3g} from surface to "
                     "surface, at most {envelope:.3g}; volume {volume:+.3%}")
             lines.append(text.format(**self.slid))
+        if self.filled:
+            lines.append(f"filled {self.filled}")
         if self.stop_reason:
             lines.append(f"ended  {self.stop_reason}")
         if self.fallback:
             lines.append(f"fell back: {self.fallback}")
+        if self.vetoed:
+            lines.append(_veto_line(self.vetoed, self.options))
         if self.binding:
             lines += ["", "what binds the minimum:"]
-            lines += [f"  {cell}" for cell in self.binding[:5]]
+            lines += [f"  {line}" for line in joined_lines(self.binding, 5)]
         return lines
 
     def to_dict(self) -> dict[str, Any]:
@@ -184,7 +196,8 @@ class Report:
                                 if f.name not in ("cell_origin", "meshes")}
         data |= {"before": self.before.to_dict(), "after": self.after.to_dict(),
                  "binding": [dataclasses.asdict(cell) for cell in self.binding],
-                 "movable_share": self.movable_share}
+                 "movable_share": self.movable_share,
+                 "filled": self.filled and self.filled.to_dict()}
         return {name: _plain(value) for name, value in data.items()}
 
     def to_json(self) -> str:
@@ -275,15 +288,53 @@ def make_report(
         counts=counts,
         n_used=int(used.sum()),
         n_movable=int(movable.sum()),
-        binding=binding_cells(outcome.points, outcome.cells, outcome.regions, movable_after, new),
+        binding=binding_cells(outcome.points, outcome.cells, outcome.regions, movable_after, new,
+                              _freeing(before, outcome, options)),
         options=_described(options),
         versions=_versions(),
         slid=None if outcome.slid is None else outcome.slid._asdict(),
         surface=_surface_facts(before, outcome, used),
         untangled=untangled,
+        vetoed=outcome.vetoed,
         meshes=((before.points, before.cells), (outcome.points, outcome.cells)),
         **told,
     )
+
+
+def _freeing(before: SimplexMesh, outcome: Outcome, options: Options) -> Freeing:
+    """The options that free cells of the result."""
+    solid, surface = before.dim == 3, before.is_surface
+    held = held_by(before)
+    features = getattr(outcome, "kept", None)
+    if features is not None:
+        held["boundary"] = held["boundary"] | features.locked
+    known = {
+        'boundary="slide"': held["boundary"] & ~(held["fixed"] | held["frozen"]),
+        "regions=None": held["interface"] & ~(held["boundary"] | held["fixed"] | held["frozen"]),
+        "fewer vertices in fixed": held["fixed"] & ~held["frozen"],
+        'layers="improve"' if options.selection is None else "a larger selection": held["frozen"],
+    }
+    wider = f"envelope={2.0 * options.envelope:g}" if solid or surface else ""
+    if not (solid or surface) or options.boundary == "slide":
+        slides = known.pop('boundary="slide"')
+        known |= {wider: slides} if wider else {}
+    if outcome.origin is not None:
+        kept = outcome.origin >= 0
+        old = outcome.origin[kept]
+        for name, mask in known.items():
+            known[name] = np.zeros(len(kept), bool)
+            known[name][kept] = mask[old]
+    insert = "insert=True" if solid and options.finish and not options.insert else ""
+    return Freeing(known, insert, wider if surface else "")
+
+
+def _veto_line(facts: Mapping[str, Any], options: Mapping[str, Any]) -> str:
+    """Say which figures refused a state, what it had, and how to have it."""
+    worse = ", ".join(f"{name} ({there:.4g}, before {old:.4g})"
+                      for name, (old, there) in facts["worse"].items())
+    left = tuple(name for name in options["keep"] if name not in facts["worse"])
+    return (f"veto   of {worse}: a state with mean q {facts['mean_quality']:.3f} and least q "
+            f"{facts['min_quality']:.3f} was refused; try keep={left!r}")
 
 
 def _curved_lines(facts: Mapping[str, float]) -> list[str]:

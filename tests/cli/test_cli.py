@@ -20,6 +20,7 @@ import meshio
 import numba
 import numpy as np
 import pytest
+import tet_meshes
 from tangled_meshes import schoenhardt
 
 from odt_plugins.cli import main as cli
@@ -553,6 +554,69 @@ print(gc.get_threshold()[0] == __main__.RARELY, gc.get_freeze_count() > 1000)
 """
     done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
     assert done.stdout.splitlines()[-1] == "True True"
+
+
+@pytest.mark.parametrize(("said", "flags"), [
+    ("try orient=True.", "try --orient."), ("finish=False, or", "--no-finish, or"),
+    ('boundary="slide" and insert=True', "--boundary slide and --insert"),
+    ("got solver='jacobi'; try x", "got --solver jacobi; try x"),
+    ("try keep=('min_quality', 'p1_quality')", "try --keep min_quality,p1_quality"),
+    ("try keep=('min_quality',)", "try --keep min_quality"), ("keep=()", "--keep none"),
+    ("regions=None", "--regions none"), ("envelope=0.002; q=3", "--envelope 0.002; q=3"),
+    ("progress=True, my.keep=(1)", "progress=True, my.keep=(1)"),
+])
+def test_options_are_named_by_their_flags(said, flags):
+    assert terminal.in_flags(said) == flags
+
+
+def test_a_printed_report_names_flags(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    points, cells = tet_meshes.ball(150, 3)
+    meshio.Mesh(points, [("tetra", cells)]).write("in.vtu")
+    assert cli.main(["optimize", "in.vtu", "out.vtu", "--rounds", "1", "--report", "r.json"]) == 0
+    said = capsys.readouterr().out
+    assert "try --boundary slide" in said
+    assert 'boundary="slide"' not in said
+    with open("r.json") as file:
+        assert 'boundary="slide"' in json.load(file)["binding"][0]["hint"]
+
+
+@pytest.mark.parametrize(("words", "said"), [
+    ("optimize ball.vtu o.vtu --envelope 0.01", "--envelope for tetrahedra whose boundary stays"),
+    ("optimize ball.vtu o.vtu --feature-angle 30 --boundary fixed", "--boundary slide beside it"),
+    ("optimize in.vtu o.vtu --envelope 0.01", "--envelope for triangles in the plane, where"),
+    ("optimize ball.vtu o.vtu --block-rounds 2", "expected --blocks beside it"),
+    ("optimize ball.vtu o.vtu --omega 1.5 --solver global", "expected None unless the solver is a"),
+    ("optimize ball.vtu o.vtu --omega 1.5 --method cvt", "expected None unless the solver is a"),
+    ("tetrahedralize skin.vtu o.vtu --feature-angle 30", "--boundary slide or --levels"),
+    ("batch ball.vtu --out o --edge-length 0.1", "expected --tetrahedralize beside it"),
+])
+def test_flags_without_effect_are_refused(tmp_path, monkeypatch, capsys, words, said):
+    monkeypatch.chdir(tmp_path)
+    points, cells = tet_meshes.ball(60, 3)
+    meshio.Mesh(points, [("tetra", cells)]).write("ball.vtu")
+    square().write("in.vtu")
+    meshio.Mesh(points[:4], [("triangle", [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])]).write(
+        "skin.vtu")
+    assert cli.main(words.split()) == 2
+    lines = capsys.readouterr().err.splitlines()
+    assert len(lines) == 1
+    assert said in lines[0]
+    assert not Path("o.vtu").exists()
+
+
+@pytest.mark.parametrize("words", [
+    "ball.vtu o.vtu --envelope 0.01 --feature-angle 30 --boundary slide",
+    "ball.vtu o.vtu --block-rounds 2 --blocks 2", "skin.vtu o.vtu --envelope 0.01 --orient",
+    "ball.vtu o.vtu --orient",
+])
+def test_flags_with_an_effect_are_not(tmp_path, monkeypatch, words):
+    monkeypatch.chdir(tmp_path)
+    points, cells = tet_meshes.ball(60, 3)
+    meshio.Mesh(points, [("tetra", cells)]).write("ball.vtu")
+    meshio.Mesh(points[:4], [("triangle", [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])]).write(
+        "skin.vtu")
+    assert cli.main(["optimize", *words.split(), "--rounds", "1", "--quiet"]) == 0
 
 
 def test_quality_is_a_gate(tmp_path, monkeypatch, capsys):

@@ -94,9 +94,9 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 
 def files(folder: Path) -> list[str]:
-    """Everything below a folder but for what a batch keeps for itself."""
+    """Everything below a folder but for reports and what a batch keeps for itself."""
     return sorted(str(p.relative_to(folder)) for p in folder.rglob("*")
-                  if p.is_file() and HIDDEN not in p.parts)
+                  if p.is_file() and HIDDEN not in p.parts and p.suffix != ".json")
 
 
 def test_whatever_an_input_does_is_a_row(place, capsys, monkeypatch):
@@ -133,6 +133,9 @@ def test_whatever_an_input_does_is_a_row(place, capsys, monkeypatch):
         row = rows["good.msh" if "inner" in name else name]
         assert after.mean() == pytest.approx(float(row["after_mean_quality"]), abs=1e-9)
         assert after.mean() > float(row["before_mean_quality"]) + 0.1
+        report = json.loads((place / "out" / f"{name}.json").read_text(encoding="utf-8"))
+        assert report["after"]["mean_quality"] == float(row["after_mean_quality"])
+        assert report["options"]["keep"] == ["min_quality", "mean_quality"]
     table = pq.read_table("out/summary.parquet")
     assert table["status"].to_pylist() == [
         rows[Path(source).name]["status"] for source in table["source"].to_pylist()]
@@ -161,6 +164,79 @@ def test_whatever_an_input_does_is_a_row(place, capsys, monkeypatch):
     assert "inputs a minute" not in said.out
     assert cli.main([*words, "--retry"]) == 2
     assert "--retry goes with --resume" in capsys.readouterr().err
+
+
+def test_small_inputs_share_a_process_and_one_that_ends_it_leaves_the_others_their_own(
+    place, monkeypatch
+):
+    started: list[int] = []
+    start = batch._start
+
+    def counted(folder: Path, tasks: list[Any]) -> Any:
+        started.append(len(tasks))
+        return start(folder, tasks)
+
+    monkeypatch.setattr(batch, "_start", counted)
+    paths = [str(write_ball(place / "models" / f"{n}.vtu", n)) for n in (60, 70, 80, 90)]
+    jobs = make_jobs(paths, place / "together", {"finish": False}, suffix=".vtu")
+    assert [row["status"] for row in run_batch(jobs)] == ["ok"] * 4
+    assert started == [4]
+    started.clear()
+    (place / "models" / "75.crash").write_text("")
+    (place / "models" / "76.txt").write_text("")
+    paths += [str(place / "models" / name) for name in ("75.crash", "76.txt")]
+    jobs = make_jobs(paths, place / "apart", {"finish": False}, suffix=".vtu")
+    rows = {Path(row["source"]).name: row for row in run_batch(jobs)}
+    assert {name: row["status"] for name, row in rows.items()} == {
+        "60.vtu": "ok", "70.vtu": "ok", "75.crash": "crashed", "76.txt": "failed", "80.vtu": "ok",
+        "90.vtu": "ok"}
+    assert "SIGSEGV" in rows["75.crash"]["message"]
+    assert started == [6, 1, 1, 1, 1]
+    for n in (60, 70, 80, 90):
+        one, other = (meshio.read(place / out / f"{n}.vtu") for out in ("together", "apart"))
+        assert one.points.tobytes() == other.points.tobytes()
+    assert [p.name for p in (place / "apart" / HIDDEN).iterdir()] == ["rows"]
+
+
+def test_an_input_without_end_costs_those_that_share_its_process_nothing(place):
+    paths = [str(write_ball(place / "models" / f"{n}.vtu", n)) for n in (60, 90)]
+    (place / "models" / "70.slow").write_text("1000")
+    jobs = make_jobs([*paths, "models/70.slow"], place / "out", {"finish": False}, suffix=".vtu",
+                     timeout=12.0)
+    rows = run_batch(jobs)
+    assert [row["status"] for row in rows] == ["ok", "timeout", "ok"], rows[1]["message"]
+
+
+def test_what_is_large_limited_or_for_tetwild_has_a_process_of_its_own(place, monkeypatch):
+    paths = [str(write_ball(place / "models" / f"{n}.vtu", n)) for n in (60, 70, 80)]
+
+    def groups(**settings: Any) -> list[list[int]]:
+        return batch.share_out(make_jobs(paths, place / "out", {}, **settings))
+
+    assert groups() == [[0, 1, 2]]
+    assert groups(memory_limit=10**9) == [[0], [1], [2]]
+    assert groups(tetrahedralize=True) == [[0], [1], [2]]
+    monkeypatch.setattr(batch, "TOGETHER", 2)
+    assert groups() == [[0, 1], [2]]
+    monkeypatch.setattr(batch, "SMALL", os.stat(paths[1]).st_size)
+    (place / "models" / "80.vtu").write_bytes(b" " * (batch.SMALL + 1))
+    assert groups() == [[0, 1], [2]]
+
+
+def test_a_batch_is_a_gate(place, capsys):
+    for n in (60, 200):
+        write_ball(place / "models" / f"{n}.vtu", n)
+    words = ["batch", "models/*.vtu", "--out", "out", "--quiet"]
+    assert cli.main([*words, "--min-quality", "0.01", "--max-angle", "179.9"]) == 0
+    assert not capsys.readouterr().err
+    with open("out/summary.csv", newline="") as file:
+        least = {row["result"]: float(row["after_min_angle"]) for row in csv.DictReader(file)}
+    limit = sum(least.values()) / 2
+    worse = min(least, key=lambda name: least[name])
+    assert cli.main([*words, "--resume", "--min-angle", str(limit)]) == 3
+    lines = capsys.readouterr().err.splitlines()
+    assert lines == [f"odt-plugins: {worse} has min_angle {least[worse]:.4g}, expected at least "
+                     f"{limit:g}"]
 
 
 @pytest.mark.parametrize("suffix", ["throw", "abort"])
@@ -222,18 +298,17 @@ def test_compiling_kernels_does_not_count_for_the_time_limit(place, monkeypatch)
     (place / COMPILING).write_text(f"{time.monotonic() - 1e6}\n")
     assert compiling(place) == PREPARING
 
-    def run(timeout: float) -> str:
-        with subprocess.Popen(
-            [sys.executable, "-c", "import sys, time; time.sleep(1); sys.stderr.write(input())"],
-            text=True, stdin=subprocess.PIPE, stderr=subprocess.PIPE,
-        ) as process:
+    def run(timeout: float) -> None:
+        with subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1)"],
+                              text=True) as process:
             try:
-                return batch._ended(process, "the job", time.monotonic(), timeout, place)
+                batch._wait(process, time.monotonic(), timeout, place)
+                assert process.returncode == 0
             finally:
                 process.kill()
 
     (place / COMPILING).write_text("0.0\n60.0\n")
-    assert run(0.1) == "the job"
+    run(0.1)
     (place / COMPILING).write_text("0.0\n0.2\n")
     with pytest.raises(subprocess.TimeoutExpired):
         run(0.1)
@@ -248,6 +323,7 @@ def test_a_bar_is_told_once_that_kernels_are_compiled(place, monkeypatch):
         wait_until(lambda: SAID in told)
         return copied(job, folder)
 
+    monkeypatch.setattr(batch, "TOGETHER", 1)
     monkeypatch.setattr(batch, "_process", process)
     run_batch(make_jobs(paths, place / "out", {}), progress=lambda stage, share: told.append(stage))
     assert told == ["0 of 2", SAID, "1 of 2", "2 of 2"]
@@ -270,6 +346,7 @@ def copied(job: Job, folder: Path) -> dict[str, Any]:
 def test_what_is_done_is_left_as_long_as_input_options_and_result_are_the_same(
     place, monkeypatch
 ):
+    monkeypatch.setattr(batch, "TOGETHER", 1)
     monkeypatch.setattr(batch, "_process", copied)
     a, b = (write_ball(place / "models" / f"{n}.vtu", n) for n in (100, 120))
     settings: dict[str, Any] = {"resume": True}
@@ -509,6 +586,7 @@ def test_the_summary_of_a_stopped_batch_is_completed_by_going_on(place, monkeypa
             raise KeyboardInterrupt
         return copied(job, folder) | FIGURES
 
+    monkeypatch.setattr(batch, "TOGETHER", 1)
     monkeypatch.setattr(batch, "_process", process)
     words = ["batch", "models/*.vtu", "--out", "out", "--resume"]
 
@@ -563,11 +641,12 @@ def test_a_process_ends_when_its_work_folder_is_gone(place):
     work = place / "work"
     (work / RESULT).mkdir(parents=True)
     task = {"source": str(place / "models" / "a.slow"), "folder": str(work), "name": "a.vtu",
-            "options": {}, "memory_limit": None, "tetrahedralize": False, "parent": os.getpid()}
+            "options": {}, "memory_limit": None, "tetrahedralize": False}
+    told = {"tasks": [task], "folder": str(work), "parent": os.getpid()}
     with subprocess.Popen([sys.executable, "-m", "odt_plugins.distributed.job"], text=True,
                           stdin=subprocess.PIPE, start_new_session=True) as process:
         assert process.stdin is not None
-        process.stdin.write(json.dumps(task))
+        process.stdin.write(json.dumps(told))
         process.stdin.close()
         with pytest.raises(subprocess.TimeoutExpired):
             process.wait(2)
@@ -611,6 +690,8 @@ def test_patterns_leave_out_folders_and_results(place, monkeypatch):
     out = place / "models" / "out"
     run_batch(make_jobs(find_inputs(["models/**/*.vtu"], out), out, {}))
     assert files(out) == ["a.vtu"]
+    (out / "a.vtu.json").write_text("{}")
+    assert find_inputs(["models/**/*.*"], out) == ["models/a.vtu"]
     write_ball(out / "b.vtu", 60)
     assert find_inputs(["models/**/*.vtu"], out) == ["models/a.vtu", "models/out/b.vtu"]
     assert find_inputs(["models/out/a.vtu"], out) == ["models/out/a.vtu"]

@@ -13,7 +13,7 @@ import odt_plugins
 from odt_plugins import tetwild
 from odt_plugins.adapters import files
 from odt_plugins.cli import main as cli
-from odt_plugins.errors import InvalidMeshError, InvalidOptionError, ODTWarning
+from odt_plugins.errors import InvalidMeshError, InvalidOptionError, NotFilledWarning, ODTWarning
 from odt_plugins.generate import coarse, fill
 
 CUBE = np.array([[x, y, z] for x in (0.0, 1) for y in (0.0, 1) for z in (0.0, 1)])
@@ -85,7 +85,10 @@ def test_what_stands_for_no_face_has_no_label(place):
     heat = SIDE + 0.5
     mesh = surface(slice(0, 10), side=SIDE, heat=heat, facet_normals=np.ones((12, 3)))
     mesh.write("open.vtu")
-    with pytest.warns(ODTWarning, match=r"18 of 108 triangles of the boundary stand for no face"):
+    with (
+        pytest.warns(NotFilledWarning, match=r"16.4% of the boundary of the result stands for no"),
+        pytest.warns(ODTWarning, match=r"18 of 108 triangles of the boundary stand for no face"),
+    ):
         odt_plugins.tetrahedralize_file("open.vtu", "out.vtu")
     out = files.read_file("out.vtu")
     truth = side_of(out.points, out.cells_dict["triangle"])
@@ -139,7 +142,7 @@ def test_tetwild_gets_its_part_of_the_envelope(place, boundary, share):
 
 @pytest.mark.parametrize(("options", "sentence"), [
     ({"fixed": [0]}, "got fixed for a surface"), ({"regions": None}, "got regions for a surface"),
-    ({"orient": True}, "got orient for a surface"), ({"levels": -1}, "got levels=-1"),
+    ({"levels": -1}, "got levels=-1"),
     ({"edge_length": 2.0}, "got edge_length=2.0"), ({"levels": 1, "insert": True}, "insert=True"),
     ({"round": 3}, "did you mean 'rounds'"),
 ])

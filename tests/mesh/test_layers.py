@@ -112,7 +112,7 @@ def test_layers_stay_bit_for_bit_by_default_and_not_with_improve(made: Any) -> N
     line = [line for line in str(report).splitlines() if line.startswith("layers ")]
     assert len(line) == 1
     assert str(report.layers) in line[0]
-    assert "--layers improve" in line[0]
+    assert "layers='improve'" in line[0]
     (out, rows), report = odt_plugins.optimize_with_report(
         (points, cells), layers="improve", keep=())
     changed = (out[vertices] != points[vertices]).any() or not (

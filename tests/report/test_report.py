@@ -5,10 +5,12 @@ from __future__ import annotations
 import json
 from dataclasses import fields, replace
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
+import tet_meshes
 
 import odt_plugins
 from odt_plugins.engine.run.outcome import Outcome
@@ -20,6 +22,8 @@ from odt_plugins.report import binding, plotting
 from odt_plugins.report.binding import best_quality_on, binding_cells
 from odt_plugins.report.report import BINS, Report, histogram, make_report
 from odt_plugins.table import ROWS, table_html, table_lines
+
+STORED = Path(__file__).parents[1] / "data" / "tetwild_bunny.vtu"
 
 
 def fan(height: float = 0.4) -> SimplexMesh:
@@ -185,6 +189,79 @@ def bind(mesh: SimplexMesh, movable: list[int]) -> dict[int, binding.BindingCell
 def test_binding_all_vertices_fixed() -> None:
     reasons = {b.reason for b in bind(fan(), []).values()}
     assert reasons == {"all its 4 vertices are fixed"}
+
+
+def test_what_binds_names_the_option_that_frees_it() -> None:
+    mesh = fan()
+    n = len(mesh.points)
+    mask = np.zeros(n, bool)
+    figures = cell_figures(mesh.points, mesh.cells)
+    first = np.zeros(n, bool)
+    first[mesh.cells[0]] = True
+    freeing = binding.Freeing({'boundary="slide"': np.ones(n, bool), "regions=None": first},
+                              "insert=True", "envelope=0.002")
+    given = (mesh.points, mesh.cells, mesh.regions)
+    found = {b.cell: b for b in binding_cells(*given, mask, figures, freeing)}
+    assert found[0].hint == 'boundary="slide" and regions=None and insert=True'
+    assert str(found[0]).endswith("are fixed; try " + found[0].hint)
+    moving = binding_cells(*given, ~mask, figures, freeing)
+    assert {b.hint for b in moving} == {"insert=True and envelope=0.002"}
+    assert {b.hint for b in binding_cells(*given, mask, figures)} == {""}
+
+
+def test_equal_reasons_are_one_line_with_a_count() -> None:
+    cells = list(bind(fan(), []).values())
+    assert len(cells) > 2
+    (line,) = binding.joined_lines(cells, 5)
+    assert line == f"{cells[0]} (and {len(cells) - 1} more)"
+    other = replace(cells[1], hint="insert=True")
+    lines = binding.joined_lines([cells[0], other, cells[2]], 5)
+    assert lines == [f"{cells[0]} (and 1 more)", str(other)]
+    assert len(binding.joined_lines([cells[0], other], 1)) == 1
+
+
+@pytest.mark.parametrize(("options", "said"), [
+    ({}, ('boundary="slide"', "insert=True")),
+    ({"insert": True}, ('boundary="slide"',)),
+    ({"boundary": "slide"}, ("envelope=0.002", "insert=True")),
+])
+def test_a_report_says_what_frees_the_worst_cells(options: dict[str, Any], said: Any) -> None:
+    _, report = odt_plugins.optimize_with_report(STORED, rounds=1, cycles=1, **options)
+    hints = {b.hint for b in report.binding if b.reason == "all its 4 vertices are fixed"}
+    assert hints == {" and ".join(said)}
+    text = str(report)
+    assert text.count("all its 4 vertices are fixed") <= 1
+    assert report.to_dict()["binding"][0]["hint"] == report.binding[0].hint
+
+
+def test_fixed_selected_and_labelled_vertices_have_hints_of_their_own() -> None:
+    points, cells = tet_meshes.ball(150, 3)
+    half = (points[cells].mean(axis=1)[:, 0] > 0).astype(np.int32)
+    inside = np.linalg.norm(points, axis=1) < 0.9 * np.linalg.norm(points, axis=1).max()
+    for options, word in (({"fixed": inside}, "fewer vertices in fixed"),
+                          ({"selection": np.arange(3)}, "a larger selection"),
+                          ({"regions": half}, "regions=None")):
+        _, report = odt_plugins.optimize_with_report((points, cells), rounds=1, **options)
+        assert any(word in b.hint for b in report.binding), options
+
+
+def test_a_veto_says_what_was_refused_and_how_to_have_it() -> None:
+    _, report = odt_plugins.optimize_with_report(STORED.with_name("tetwild_csg.vtu"), finish=False)
+    veto = report.vetoed
+    assert veto is not None
+    assert veto["mean_quality"] > report.after.mean_quality + 0.005
+    for name, (before, there) in veto["worse"].items():
+        assert before == pytest.approx(getattr(report.before, name, before), rel=1e-6)
+        assert (there > before) == (name in ("max_angle", "share_below_20"))
+    (line,) = [line for line in str(report).splitlines() if line.startswith("veto ")]
+    left = tuple(name for name in report.options["keep"] if name not in veto["worse"])
+    assert line.endswith(f"try keep={left!r}")
+    assert f"a state with mean q {veto['mean_quality']:.3f}" in line
+    _, freed = odt_plugins.optimize_with_report(
+        STORED.with_name("tetwild_csg.vtu"), finish=False, keep=left)
+    assert freed.after.mean_quality > report.after.mean_quality + 0.005
+    assert freed.vetoed is None or freed.vetoed["worse"].keys() != veto["worse"].keys()
+    assert json.loads(report.to_json())["vetoed"]["mean_quality"] == veto["mean_quality"]
 
 
 def test_binding_by_a_boundary_triangle() -> None:

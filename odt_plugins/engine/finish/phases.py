@@ -223,12 +223,17 @@ and the quantile for less of it.
 """
 
 
+def without_flips(phase: Phase) -> Phase:
+    """The same on the cells that there are: neither flips nor compound moves."""
+    return replace(phase, compound=0, flips=False)
+
+
 def moves_alone(phase: Phase) -> Phase:
     """The same by moves of vertices alone, which make no new small angle.
 
     The number of cells holds then: of one cell less every bad one is a larger share.
     """
-    return replace(phase, compound=0, flips=False, least=POLICY.small_angle)
+    return replace(without_flips(phase), least=POLICY.small_angle)
 
 
 def descents(dim: int, objective: Objective = "radius_ratio") -> tuple[Descent, ...]:

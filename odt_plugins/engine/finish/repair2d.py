@@ -36,7 +36,7 @@ COMPASS = ((1.0, 0.0), (0.7, 0.7), (0.0, 1.0), (-0.7, 0.7),
 
 
 def within_bounds(
-    mesh: Triangles, free: BoolArray, bounds: Extremes
+    mesh: Triangles, free: BoolArray, bounds: Extremes, *, flips: bool = True
 ) -> bool:
     """Move vertices and flip edges, in place, until no triangle is beyond the bounds.
 
@@ -45,6 +45,7 @@ def within_bounds(
     mesh : Triangles    changed
     free : (n,) bool    vertices that may move
     bounds : Extremes
+    flips : bool        whether edges may be flipped
 
     Returns
     -------
@@ -57,7 +58,7 @@ def within_bounds(
             lacking = _lacking(points, cells, bounds)
             if not lacking.any():
                 return True
-            for first, last in pieces(0, len(cells)):
+            for first, last in pieces(0, len(cells) if flips else 0):
                 _flips(mesh, edges, bounds, first, last)
             stars = vertex_stars(cells, len(points))
             lacking = _lacking(points, cells, bounds)

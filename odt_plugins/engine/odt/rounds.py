@@ -36,12 +36,14 @@ class Log:
     counts : dict name -> int
     times : dict stage -> seconds
     without : container of str    names of the phases of stage 2 that are left out
+    flips : bool                  whether stage 2 may change cells, or moves vertices alone
     """
 
     energy: list[tuple[str, float]] = field(default_factory=list)
     counts: dict[str, int] = field(default_factory=dict)
     times: dict[str, float] = field(default_factory=dict)
     without: Container[str] = frozenset()
+    flips: bool = True
 
     def add(self, name: str, amount: int) -> None:
         """Add to a count."""

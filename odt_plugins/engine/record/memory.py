@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Any, Protocol
 
 import numpy as np
 
@@ -30,6 +30,15 @@ class State:
     regions: IntArray
     figures: Figures
     name: str
+
+
+def named(found: Figures) -> dict[str, float]:
+    """Figures by the names of what may be kept; angles in degrees."""
+    low, high = (math.degrees(math.acos(min(1.0, max(-1.0, cosine))))
+                 for cosine in (found.cos_min_angle, found.cos_max_angle))
+    return {"min_quality": found.min_quality, "p1_quality": found.p1_quality,
+            "mean_quality": found.mean_quality, "min_angle": low, "max_angle": high,
+            "share_below_20": found.small_angles, "min_altitude": found.min_altitude}
 
 
 class Changing(Protocol):
@@ -71,6 +80,7 @@ class Memory:
         self.refused: State | None = None
         self.nearest: State | None = None
         self.missed = before.mean_quality
+        self.vetoed: tuple[Figures, list[str]] | None = None
 
     def offer(self, mesh: Changing, name: str) -> bool:
         """Take the state if it keeps the figures; only the two best are held."""
@@ -81,6 +91,8 @@ class Memory:
             self.worse = worse
             self.refused = State(mesh.points.copy(), cells, regions, now, name)
             self.missed = max(self.missed, now.mean_quality)
+            if self.vetoed is None or now.mean_quality > self.vetoed[0].mean_quality:
+                self.vetoed = now, worse
             nearest = self.nearest.figures.score if self.nearest else -math.inf
             if now.score > nearest and set(worse) <= EXTREMES:
                 self.nearest = self.refused
@@ -110,6 +122,21 @@ class Memory:
         if not self.worse or self.missed < best.mean_quality + POLICY.notable_price:
             return ""
         return f" at a mean quality of {self.missed:.3f}"
+
+    def veto(self) -> dict[str, Any] | None:
+        """What the refused state of the best mean had, and what refused it.
+
+        None where its mean is hardly above that of the best state.
+        """
+        best = self.states[0].figures if self.states else self.before
+        if self.vetoed is None:
+            return None
+        now, worse = self.vetoed
+        if now.mean_quality < best.mean_quality + POLICY.notable_price:
+            return None
+        before, there = named(self.before), named(now)
+        return {"worse": {name: (before[name], there[name]) for name in worse},
+                "mean_quality": there["mean_quality"], "min_quality": there["min_quality"]}
 
     def spoiled(self) -> IntArray:
         """Vertices of the cells that pass an extreme of the input in the last refused state.

@@ -45,7 +45,8 @@ def best_state(
             if rank or state.name == ALONE:
                 why = "; ".join(broken) or "no better than the input"
                 fallback = f"a later state was given up ({why}){memory.price()}"
-            return replace(outcome, stop_reason=reason, fallback=fallback), []
+            outcome = replace(outcome, stop_reason=reason, fallback=fallback)
+            return replace(outcome, vetoed=memory.veto()), []
         log.add("states refused", 1)
         broken = found
     return None, broken
@@ -56,6 +57,7 @@ def input_returned(
 ) -> Outcome:
     """The input as the outcome, and why nothing better is handed back."""
     if not broken:
-        return unchanged(mesh, f"nothing could be improved ({reason})")
+        outcome = unchanged(mesh, f"nothing could be improved ({reason})")
+        return replace(outcome, vetoed=memory.veto())
     why = f"{INPUT}nothing better kept the promise ({'; '.join(broken)}){memory.price()}"
-    return replace(unchanged(mesh, reason), fallback=why)
+    return replace(unchanged(mesh, reason), fallback=why, vetoed=memory.veto())

@@ -20,6 +20,7 @@ from odt_plugins.engine.finish.phases import (
     moves_alone,
     repair,
     tail,
+    without_flips,
 )
 from odt_plugins.engine.finish.polishing import Settle, polish_small_angles
 from odt_plugins.engine.finish.volume import finish, held_angles
@@ -180,7 +181,7 @@ def _worst_cells(
 
         log.add("repairs", 1)
         plane = Triangles(mesh.points, mesh.cells, mesh.neighbors, mesh.regions)
-        if within_bounds(plane, ~mesh.locked, bounds.cells):
+        if within_bounds(plane, ~mesh.locked, bounds.cells, flips=log.flips):
             memory.offer(mesh, "repaired")
             work_on(mesh, bulk(2), bounds)
             memory.offer(mesh, "finished")
@@ -257,6 +258,8 @@ def settle(
         replace(phase, guard=min(1.0, phase.guard / part)) if phase.guard else phase
         for phase in phases if phase.name not in log.without
     )
+    if not log.flips:
+        phases = tuple(map(without_flips, phases))
     flips, moves = finish(mesh, phases, bounds, pool, threads)
     log.add("quality flips", flips)
     log.add("vertex moves", moves)

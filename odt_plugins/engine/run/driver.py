@@ -158,7 +158,7 @@ def _run_in(
     pool: Pool | None, mesh: SimplexMesh, options: Options, leaving: Leaving, within: Within
 ) -> tuple[Outcome, IntArray]:
     clock = time.perf_counter()
-    log, whole = Log(without=within.without), within.whole
+    log, whole = Log(without=within.without, flips=options.connectivity != "none"), within.whole
     nowhere = np.zeros(0, dtype=np.int32)
     neighbors = cell_neighbors(mesh.cells, pool=pool)
     locked, boundary = locked_vertices(mesh, neighbors)

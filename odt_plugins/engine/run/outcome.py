@@ -35,6 +35,9 @@ class Outcome:
                                     None when the vertices are those of the input
     written : (n', D) or None       points in the caller's type and space, as they leave
     source : (m',) int32 or None    input cell of which every cell takes the data, as it leaves
+    vetoed : dict or None           of a state with a better mean that was refused: the figures that
+                                    were "worse", name -> (before, there), and its "mean_quality"
+                                    and "min_quality"
     """
 
     points: FloatArray
@@ -50,6 +53,7 @@ class Outcome:
     origin: NDArray[np.int64] | None = None
     written: NDArray[Any] | None = None
     source: IntArray | None = None
+    vetoed: dict[str, Any] | None = None
 
 
 Leaving = Callable[[Outcome], Outcome]

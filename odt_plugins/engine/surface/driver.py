@@ -14,7 +14,7 @@ import numpy as np
 from odt_plugins.engine.cells.extremes import FREELY, Extremes
 from odt_plugins.engine.compiled.threads import thread_pool
 from odt_plugins.engine.finish.descent import finish_phase
-from odt_plugins.engine.finish.phases import Phase, bulk
+from odt_plugins.engine.finish.phases import Phase, bulk, without_flips
 from odt_plugins.engine.ground.build import earlier_ground, laid_on, make_ground, make_sheet
 from odt_plugins.engine.ground.features import (
     EXACT,
@@ -125,7 +125,8 @@ def _run_until_kept(
     """
     clock = time.perf_counter()
     start = _start(mesh)
-    log = Log(times={"prepare": time.perf_counter() - clock}, without=without)
+    log = Log(times={"prepare": time.perf_counter() - clock}, without=without,
+              flips=options.connectivity != "none")
     first = tried = _attempts(start, options, leaving, log, 0)
     every = list(first.found)
     for halving in range(1, POLICY.surface_halvings + 1):
@@ -439,6 +440,7 @@ def _settle(
     for phase in phases:
         if phase.name in log.without:
             continue
+        phase = phase if log.flips else without_flips(phase)
         descent = SurfaceDescent(surface, phase, bounds)
         compound = descent.compound()
         flips, moves = finish_phase(descent, phase)

@@ -88,6 +88,20 @@ def test_connectivity(d, connectivity):
     assert ("delaunay calls" in outcome.counts) == (connectivity in ("delaunay", "auto"))
 
 
+@pytest.mark.parametrize("objective", ["radius_ratio", "min_dihedral", "time_step"])
+@pytest.mark.parametrize("boundary", ["fixed", "slide"])
+def test_without_connectivity_finishing_moves_vertices_alone(d, boundary, objective):
+    if d == 2 and boundary == "slide":
+        pytest.skip("no boundary slides in the plane")
+    mesh = start(d)
+    outcome = run(mesh, Options(connectivity="none", boundary=boundary, objective=objective))
+    assert {frozenset(c) for c in outcome.cells.tolist()} == {
+        frozenset(c) for c in mesh.cells.tolist()}
+    assert (outcome.points != mesh.points).any()
+    assert not outcome.counts.get("quality flips", 0)
+    assert outcome.counts["vertex moves"] > 0
+
+
 def test_row10_scipy_early_and_flips_late(d):
     mesh = start(d)
     outcome = run(mesh, Options(connectivity="auto", finish=False, rounds=8, keep=()))

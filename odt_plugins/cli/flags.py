@@ -1,0 +1,151 @@
+"""Flags of the commands: one for every option, and those that several commands share."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from pathlib import Path
+from typing import Any, get_args, get_type_hints
+
+import click
+from click.core import ParameterSource
+
+from odt_plugins.cli.terminal import ShareOption
+from odt_plugins.options import FIGURES, KEPT, OPTIONS, Options
+
+EDGE_LENGTH = click.option(
+    "--edge-length", type=click.FloatRange(min=0.0, max=1.0, min_open=True, max_open=True),
+    default=0.05, show_default=True, help="For TetWild, relative to the diagonal.")
+
+LEVELS = click.option(
+    "--levels", type=click.IntRange(min=0), default=0, show_default=True,
+    help="How often the mesh of TetWild is refined, moved to the surface and optimised; each "
+         "level has eight times as many tetrahedra.")
+
+
+def some_option_flags(*names: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Decorator that gives a command the flags of some options."""
+    return lambda command: option_flags(command, names)
+
+
+def option_flags(
+    command: Callable[..., Any], names: Sequence[str] = tuple(OPTIONS)
+) -> Callable[..., Any]:
+    """Give a command one flag for every option that has one; all that is said is read there."""
+    hints = get_type_hints(Options)
+    for name, about in reversed(OPTIONS.items()):
+        told, default = about.metadata, about.default
+        if told["flag"] is None or name not in names:
+            continue
+        flag = "--" + name.replace("_", "-")
+        settings: dict[str, Any] = {"default": default, "show_default": default is not None,
+                                    "help": f"{told['help']} {told['flag']}".strip()}
+        if told["choices"]:
+            settings["type"] = click.Choice(told["choices"])
+        elif isinstance(default, bool):
+            settings["cls"] = ShareOption if told["share"] else click.Option
+            flag = f"{flag}/--no-{name.replace('_', '-')}"
+        elif isinstance(default, int):
+            settings["type"] = click.IntRange(min=told["least"])
+        elif float in (hints[name], *get_args(hints[name])):
+            settings["type"] = float
+        elif name == "untangle":
+            flag = "--untangle/--no-untangle"
+            settings |= {"default": True, "callback": lambda _ctx, _param, on: on and "auto"}
+        elif name == "regions":
+            settings["callback"] = _region_names
+        elif name == "keep":
+            settings |= {"default": ",".join(KEPT), "callback": _figure_names}
+        else:
+            settings["type"] = str
+        command = click.option(flag, name, **settings)(command)
+    return command
+
+
+def chosen(options: dict[str, Any]) -> dict[str, Any]:
+    """Options that were given on the command line; the others have other defaults with levels."""
+    source = click.get_current_context().get_parameter_source
+    return {name: value for name, value in options.items()
+            if source(name) is ParameterSource.COMMANDLINE}
+
+
+def given(*names: str) -> list[str]:
+    """Those of some parameters whose flags stand on the command line."""
+    source = click.get_current_context().get_parameter_source
+    return [name for name in names if source(name) is ParameterSource.COMMANDLINE]
+
+
+def refuse(name: str, what: str, instead: str) -> None:
+    """Refuse a flag that has no effect.
+
+    Raises
+    ------
+    click.UsageError
+    """
+    msg = f"got --{name.replace('_', '-')} {what}, where it has no effect; expected {instead}"
+    raise click.UsageError(msg)
+
+
+def refuse_for_kind(source: Path, boundary: str) -> None:
+    """Refuse flags that have no effect on the kind of mesh that a file holds.
+
+    Raises
+    ------
+    click.UsageError
+    ODTError            the file cannot be read
+    """
+    names = given("envelope", "feature_angle")
+    if not names:
+        return
+    from odt_plugins.adapters import files
+    from odt_plugins.mesh.plane import plane_frame
+    from odt_plugins.mesh.simplex import mesh_arrays
+
+    host = files.read(source)
+    points, cells = mesh_arrays(host.points, host.cells)
+    solid = cells.shape[1] == 4
+    if not solid and points.shape[1] == 3 and plane_frame(points, cells) is None:
+        return
+    kind = "tetrahedra" if solid else "triangles in the plane"
+    for name in names:
+        if not solid:
+            refuse(name, f"for {kind}", "a curved surface of triangles")
+        if boundary != "slide":
+            refuse(name, f"for {kind} whose boundary stays", "--boundary slide beside it")
+
+
+def _region_names(_ctx: click.Context, _param: click.Parameter, text: str) -> str | None:
+    return None if text == "none" else text
+
+
+def _figure_names(_ctx: click.Context, _param: click.Parameter, text: str) -> tuple[str, ...]:
+    names = tuple(name.strip() for name in text.split(",") if name.strip())
+    if names == ("none",):
+        return ()
+    if not names:
+        msg = f"got no name; expected some of {', '.join(FIGURES)}, separated by commas, or none"
+        raise click.BadParameter(msg)
+    for name in names:
+        if name not in FIGURES:
+            msg = f"got {name!r}; expected some of {', '.join(FIGURES)}, separated by commas"
+            raise click.BadParameter(msg)
+    return names
+
+
+def cluster_flags(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command the flags that say where the work is done."""
+    command = click.option(
+        "--workers", type=click.IntRange(min=0), default=0, show_default=True,
+        help="Start a Dask cluster of so many processes on this machine.",
+    )(command)
+    return click.option("--scheduler", default=None, metavar="ADDRESS",
+                        help="Work on the Dask cluster of the scheduler at this address, such as "
+                             "tcp://host:8786.")(command)
+
+
+def limit_flags(command: Callable[..., Any]) -> Callable[..., Any]:
+    """Give a command the flags of limits that figures of its meshes may not pass."""
+    for flag, text in (("--max-angle", "Largest (dihedral) angle in degrees."),
+                       ("--min-angle", "Least (dihedral) angle in degrees."),
+                       ("--min-quality", "Least radius ratio that a mesh may have.")):
+        command = click.option(flag, type=float, default=None, help=text)(command)
+    return command
