@@ -155,7 +155,7 @@ def optimize_file(
     """
     make_options(**options)
     check_output(target, file_format, binary)
-    Thread(target=import_module, args=("odt_plugins.engine.run.driver",), daemon=True).start()
+    Thread(target=import_module, args=("odt_plugins.engine.run.plan",), daemon=True).start()
     mesh, report = optimize_with_report(read_file(source), **options)
     write_file(target, mesh, file_format, binary)
     return report

@@ -189,7 +189,7 @@ def optimized(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
         from odt_plugins.engine.surface.driver import run_surface
 
         return run_surface(mesh, options, leaving)
-    from odt_plugins.engine.run.driver import run
+    from odt_plugins.engine.run.plan import run
 
     return run(mesh, options, leaving)
 

@@ -21,7 +21,7 @@ import odt_plugins
 from odt_plugins import api, roundtrip
 from odt_plugins.carry import in_input_order
 from odt_plugins.engine.odt import rounds
-from odt_plugins.engine.run import driver
+from odt_plugins.engine.run import plan
 from odt_plugins.engine.surface import driver as surface_driver
 from odt_plugins.engine.surface import rounds as surface_rounds
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError
@@ -228,14 +228,14 @@ def test_progress_and_options_reach_the_engine(monkeypatch):
 
     def run(mesh, options, leaving):
         seen.append(options)
-        return driver.Outcome(mesh.points, mesh.cells, mesh.regions)
+        return plan.Outcome(mesh.points, mesh.cells, mesh.regions)
 
     told = []
 
     def progress(stage, fraction):
         told.append((stage, fraction))
 
-    monkeypatch.setattr(driver, "run", run)
+    monkeypatch.setattr(plan, "run", run)
     points, cells, _ = contract.grid(2, 2)
     given = {"method": "cpt", "rounds": 3, "threads": 2, "progress": progress, "exponent": 3.0}
     odt_plugins.optimize((points, cells), **given)
@@ -322,7 +322,7 @@ def judged_and_left(monkeypatch, place, mesh, **options):
 @pytest.mark.parametrize("shape", ["space", "plane", "tilted plane", "surface"])
 @pytest.mark.parametrize("kind", [np.float32, np.float64])
 def test_the_engine_judges_exactly_what_leaves(shape, kind, monkeypatch):
-    place, turn = driver, None
+    place, turn = plan, None
     if shape == "space":
         points, cells = tm.ball(150, 2)
     elif shape == "surface":

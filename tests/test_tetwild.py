@@ -13,7 +13,7 @@ import tet_meshes
 
 import odt_plugins
 from odt_plugins import tetwild
-from odt_plugins.engine.run import driver
+from odt_plugins.engine.run import plan
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError, MissingDependencyError
 from odt_plugins.options import OPTIONS
 
@@ -170,8 +170,8 @@ def test_a_sizing_field_is_the_density(stored, monkeypatch, exponent):
     grid, cells, values = background(size, n=3)
     field = {"bg_vertices": low + grid * (high - low).max(), "bg_tets": cells, "bg_values": values}
     seen = []
-    monkeypatch.setattr(driver, "run", lambda mesh, options, _: (
-        seen.append(options) or driver.Outcome(mesh.points, mesh.cells, mesh.regions)))
+    monkeypatch.setattr(plan, "run", lambda mesh, options, _: (
+        seen.append(options) or plan.Outcome(mesh.points, mesh.cells, mesh.regions)))
     group = {} if exponent is None else {"exponent": exponent}
     odt_plugins.tetrahedralize(CUBE, FACES, **group, **field)
     power, ideal = -(exponent or 5.0), 0.05 * np.sqrt(3.0)

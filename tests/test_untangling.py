@@ -17,7 +17,7 @@ import odt_plugins
 from odt_plugins import InvalidMeshError, InvalidOptionError, TangledMeshError, UnsupportedMeshError
 from odt_plugins.compare.start import read_start
 from odt_plugins.compare.tangled import tangles
-from odt_plugins.engine.run import driver
+from odt_plugins.engine.run import plan
 from odt_plugins.engine.run.outcome import unchanged
 from odt_plugins.mesh.simplex import simplex_mesh
 from odt_plugins.mesh.tangled import odd_cells, tangled_mesh
@@ -41,7 +41,7 @@ def knotted(dim):
 def test_every_host_gets_a_valid_mesh_with_its_data(name, monkeypatch, tmp_path):
     contract.need(name)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr(driver, "run", lambda mesh, *_: unchanged(mesh, "as it is"))
+    monkeypatch.setattr(plan, "run", lambda mesh, *_: unchanged(mesh, "as it is"))
     host = contract.HOSTS[name]
     mesh = host.make(knotted(host.dim))
     before = host.view(mesh)

@@ -21,7 +21,7 @@ import odt_plugins
 from odt_plugins import tetwild
 from odt_plugins.compare.start import ball
 from odt_plugins.engine.odt.multigrid import solve_amg
-from odt_plugins.engine.run import driver
+from odt_plugins.engine.run import plan
 from odt_plugins.errors import INSIDE, ODTWarning, warn
 from odt_plugins.generate import levels
 
@@ -55,7 +55,7 @@ def unknown(place, monkeypatch):
 
 
 def point_set(place, monkeypatch):
-    monkeypatch.setattr(driver, "run", contract.churn)
+    monkeypatch.setattr(plan, "run", contract.churn)
     points, cells, _ = contract.grid(2, 3)
     nodes, rows = quadratic_meshes.widened(points, cells)
     mesh = meshio.Mesh(nodes, [("triangle6", rows)], point_sets={"all": np.arange(len(nodes))})
@@ -74,7 +74,7 @@ def curvature(place, monkeypatch):
     meshes = pymeshlab.MeshSet()
     meshes.add_mesh(pymeshlab.Mesh(*square()))
     meshes.compute_curvature_principal_directions_per_vertex()
-    monkeypatch.setattr(driver, "run", contract.churn)
+    monkeypatch.setattr(plan, "run", contract.churn)
     odt_plugins.optimize(meshes)
 
 
@@ -84,7 +84,7 @@ def held(place, monkeypatch):
     meshes.add_mesh(pymeshlab.Mesh(points, cells))
     mesh = meshes.current_mesh()
     mesh.add_face_custom_scalar_attribute(np.arange(len(cells), dtype=float), "stress")
-    monkeypatch.setattr(driver, "run", contract.churn)
+    monkeypatch.setattr(plan, "run", contract.churn)
     meshes.meshing_odt_optimization()
     assert mesh.vertex_number()
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from odt_plugins.compare.start import StartMesh
 from odt_plugins.compare.table import Say, Table, Value
-from odt_plugins.engine.run.driver import run
 from odt_plugins.engine.run.outcome import Outcome
+from odt_plugins.engine.run.plan import run
 from odt_plugins.engine.run.within import Within
 from odt_plugins.engine.surface.driver import run_surface
 from odt_plugins.mesh.arrays import FloatArray

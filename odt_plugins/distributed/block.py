@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.distributed.versions import expect_versions
 from odt_plugins.engine.odt.density import NodalDensity
-from odt_plugins.engine.run.driver import run
+from odt_plugins.engine.run.plan import run
 from odt_plugins.engine.run.within import Within
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.numbering import in_old_numbers, old_numbers

@@ -10,7 +10,7 @@ A mesh walks through the rooms of this package in this order:
    surface that `engine.ground` keeps.
 4. `engine.record` remembers the best state (`Memory`).
 5. `engine.run` runs the stages in cycles and asks `odt_plugins.promise` about the result (`run`,
-   `run_cycles`).
+   `follow_plan`).
 
 `engine.surface` walks curved triangle meshes through its own form of the stages (`run_surface`).
 `engine.cells` measures one cell, and `engine.compiled` compiles the kernels; `engine.policy` holds

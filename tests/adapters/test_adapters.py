@@ -13,7 +13,7 @@ from quadratic_meshes import churned
 import odt_plugins
 from odt_plugins.adapters import apart
 from odt_plugins.carry import cell_source, in_input_order
-from odt_plugins.engine.run import driver
+from odt_plugins.engine.run import plan
 from odt_plugins.mesh.simplex import simplex_mesh
 
 
@@ -56,7 +56,7 @@ def test_nothing_may_move_gives_identical_bytes(name, monkeypatch):
     contract.need(name)
     host = contract.HOSTS[name]
     mesh = host.make()
-    monkeypatch.setattr(driver, "run", lambda mesh, options, _: driver.Outcome(
+    monkeypatch.setattr(plan, "run", lambda mesh, options, _: plan.Outcome(
         mesh.points, mesh.cells[::-1].copy(), mesh.regions[::-1].copy()))
     out = host.optimize(mesh)
     assert contract.same_bits(host.view(mesh), host.view(out))
@@ -316,7 +316,7 @@ def test_meshio_sets_tags_and_other_blocks(monkeypatch):
 @pytest.mark.parametrize("choice", ["name", "array"])
 def test_regions_option_replaces_the_default(choice, monkeypatch):
     seen = []
-    monkeypatch.setattr(driver, "run", lambda mesh, options, _: seen.append(mesh) or contract.churn(
+    monkeypatch.setattr(plan, "run", lambda mesh, options, _: seen.append(mesh) or contract.churn(
         mesh, options))
     mesh = contract.HOSTS["meshio-tri"].make()
     band = (mesh.points[mesh.cells[0].data].mean(axis=1)[:, 1] * 4).astype(np.uint8)
@@ -374,7 +374,7 @@ def test_what_pyvista_can_make_cells_of_is_said():
 @pytest.mark.parametrize("regions", ["auto", "marker", "array"])
 def test_blocks_and_regions_both_have_interfaces(regions, monkeypatch):
     seen = []
-    monkeypatch.setattr(driver, "run", lambda mesh, options, _: seen.append(mesh) or driver.Outcome(
+    monkeypatch.setattr(plan, "run", lambda mesh, options, _: seen.append(mesh) or plan.Outcome(
         mesh.points, mesh.cells, mesh.regions))
     mesh = contract.HOSTS["meshio-tri-blocks"].make()
     block = np.repeat([0, 1], [len(b) for b in mesh.cells])
@@ -391,9 +391,9 @@ def test_a_density_function_sees_the_caller_coordinates(monkeypatch):
 
     def run(mesh, options, leaving):
         seen.append(options.density(mesh.points))
-        return driver.Outcome(mesh.points, mesh.cells, mesh.regions)
+        return plan.Outcome(mesh.points, mesh.cells, mesh.regions)
 
-    monkeypatch.setattr(driver, "run", run)
+    monkeypatch.setattr(plan, "run", run)
     points, cells, _ = contract.grid(2, 4)
     turn = np.linalg.qr(np.random.default_rng(3).normal(size=(3, 3)))[0]
     space = points @ turn[:2] + [5.0, 6.0, 7.0]

@@ -16,7 +16,7 @@ from processes import full_disk
 
 import odt_plugins
 from odt_plugins.adapters import files
-from odt_plugins.engine.run import driver
+from odt_plugins.engine.run import plan
 from odt_plugins.errors import (
     DataNotKeptWarning,
     InvalidMeshError,
@@ -62,7 +62,7 @@ def test_a_path_gives_a_meshio_mesh_and_leaves_the_file(tmp_path):
 
 
 def test_a_file_may_be_replaced_by_its_result(tmp_path, monkeypatch):
-    monkeypatch.setattr(driver, "run", contract.churn)
+    monkeypatch.setattr(plan, "run", contract.churn)
     source = tmp_path / "mesh.vtu"
     contract.file_mesh(".vtu", 2).write(source)
     old = meshio.read(source)
@@ -209,7 +209,7 @@ def test_unreadable_files_are_named(tmp_path, capsys):
 
 
 def test_outputs_that_cannot_be_written_are_named_before_any_work(tmp_path, monkeypatch):
-    monkeypatch.setattr(driver, "run", lambda *_: pytest.fail("the engine ran"))
+    monkeypatch.setattr(plan, "run", lambda *_: pytest.fail("the engine ran"))
     (tmp_path / "file").write_text("")
     (tmp_path / "folder.vtu").mkdir()
     monkeypatch.setattr(files.os, "access", lambda path, mode: Path(path).name != "locked")

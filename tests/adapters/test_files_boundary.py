@@ -11,7 +11,7 @@ import pytest
 
 import odt_plugins
 from odt_plugins.adapters import files
-from odt_plugins.engine.run import driver
+from odt_plugins.engine.run import plan
 
 NAMES = {".msh": "gmsh:physical", ".mesh": "medit:ref", ".vtu": "marker", ".vtk": "marker",
          ".xdmf": "marker", ".med": "cell_tags", ".vol": "netgen:index", ".avs": "avsucd:material"}
@@ -43,7 +43,7 @@ def _consistent(mesh, labels, cells):
 @pytest.mark.parametrize("suffix", NAMES)
 def test_triangles_beside_tetrahedra_stay_in_the_file(suffix, churn, tmp_path, monkeypatch):
     if churn:
-        monkeypatch.setattr(driver, "run", contract.churn)
+        monkeypatch.setattr(plan, "run", contract.churn)
     points, cells, labels, triangles, reference = _parts()
     name = NAMES[suffix]
     data = {name: [reference, labels]}
@@ -72,7 +72,7 @@ def test_triangles_beside_tetrahedra_stay_in_the_file(suffix, churn, tmp_path, m
 
 def test_volumes_of_gmsh_count_where_there_are_no_physical_groups(monkeypatch):
     seen = []
-    monkeypatch.setattr(driver, "run", lambda mesh, options, _: seen.append(mesh) or contract.churn(
+    monkeypatch.setattr(plan, "run", lambda mesh, options, _: seen.append(mesh) or contract.churn(
         mesh, options))
     points, cells, labels, triangles, reference = _parts()
     data = {"gmsh:physical": [np.zeros(len(reference), int), np.zeros(len(cells), int)],
@@ -84,7 +84,7 @@ def test_volumes_of_gmsh_count_where_there_are_no_physical_groups(monkeypatch):
 
 
 def test_subregions_of_abaqus_files_keep_their_interface(tmp_path, monkeypatch):
-    monkeypatch.setattr(driver, "run", contract.churn)
+    monkeypatch.setattr(plan, "run", contract.churn)
     points, cells, labels, triangles, _ = _parts()
     none = np.zeros(0, dtype=int)
     sets = {"steel": [none, np.flatnonzero(labels == 1)],
@@ -106,7 +106,7 @@ def test_subregions_of_abaqus_files_keep_their_interface(tmp_path, monkeypatch):
 @pytest.mark.parametrize("regions", ["part", "marker", "auto"])
 def test_a_cell_set_can_be_named_as_the_region(regions, monkeypatch):
     seen = []
-    monkeypatch.setattr(driver, "run", lambda mesh, options, _: seen.append(mesh) or driver.Outcome(
+    monkeypatch.setattr(plan, "run", lambda mesh, options, _: seen.append(mesh) or plan.Outcome(
         mesh.points, mesh.cells, mesh.regions))
     points, cells, _, _, _ = _parts()
     third = np.arange(len(cells)) % 3

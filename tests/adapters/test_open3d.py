@@ -16,7 +16,7 @@ import odt_plugins
 from odt_plugins.adapters import open3d_mesh
 from odt_plugins.adapters.host import Result
 from odt_plugins.adapters.wedges import carried, charts
-from odt_plugins.engine.run import driver
+from odt_plugins.engine.run import plan
 from odt_plugins.errors import (
     InvalidMeshError,
     InvalidOptionError,
@@ -32,7 +32,7 @@ KINDS = ("triangle", "tetra", "tensor")
 
 @pytest.fixture
 def _churn(monkeypatch):
-    monkeypatch.setattr(driver, "run", contract.churn)
+    monkeypatch.setattr(plan, "run", contract.churn)
 
 
 def make(kind):

@@ -29,7 +29,7 @@ from odt_plugins.adapters.higher_order import (
     with_mid_nodes,
 )
 from odt_plugins.adapters.host import Result
-from odt_plugins.engine.run import driver
+from odt_plugins.engine.run import plan
 from odt_plugins.errors import (
     DataNotKeptWarning,
     InvalidMeshError,
@@ -200,7 +200,7 @@ def test_other_cells_follow_when_the_indices_close_up(host, monkeypatch):
     nodes, rows, mid = wide(THREE)
     line = [1, 2, mid[1, 2]]
     assert line[2] > mid[3, 4]
-    monkeypatch.setattr(driver, "run", lambda mesh, options, _: driver.Outcome(
+    monkeypatch.setattr(plan, "run", lambda mesh, options, _: plan.Outcome(
         mesh.points, np.array(TWO, dtype=np.int32), np.zeros(2, dtype=np.int32)))
     if host == "meshio":
         mesh = meshio.Mesh(nodes, [("tetra10", rows), ("line3", [line])])

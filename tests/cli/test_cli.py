@@ -25,7 +25,7 @@ from tangled_meshes import schoenhardt
 
 from odt_plugins.cli import main as cli
 from odt_plugins.cli import terminal
-from odt_plugins.engine.run import driver
+from odt_plugins.engine.run import plan
 from odt_plugins.options import COMPILING, KEPT, OPTIONS, Options
 from odt_plugins.progress import compiling_told
 
@@ -57,13 +57,13 @@ def still(monkeypatch: pytest.MonkeyPatch) -> list[Options]:
     """An engine that moves nothing and notes what it was asked for."""
     asked: list[Options] = []
 
-    def run(mesh: Any, options: Options, leaving: Any) -> driver.Outcome:
+    def run(mesh: Any, options: Options, leaving: Any) -> plan.Outcome:
         asked.append(options)
         if options.progress:
             options.progress("smoothing", 0.5)
-        return driver.Outcome(mesh.points.copy(), mesh.cells.copy(), mesh.regions.copy())
+        return plan.Outcome(mesh.points.copy(), mesh.cells.copy(), mesh.regions.copy())
 
-    monkeypatch.setattr(driver, "run", run)
+    monkeypatch.setattr(plan, "run", run)
     return asked
 
 
@@ -483,13 +483,13 @@ def test_a_stopped_run_leaves_no_file_and_says_so(place: Path, name: str) -> Non
     script = textwrap.dedent("""
         import pathlib, signal, sys, time
         from odt_plugins.cli import main as cli
-        from odt_plugins.engine.run import driver
+        from odt_plugins.engine.run import plan
         # a job of a shell's background inherits an ignored SIGINT
         signal.signal(signal.SIGINT, signal.default_int_handler)
         def run(mesh, options, leaving):
             pathlib.Path("started").touch()
             time.sleep(60)
-        driver.run = run
+        plan.run = run
         sys.exit(cli.main(["optimize", "in.vtu", "out.vtu", "--report", "r.json"]))
     """)
     with subprocess.Popen([sys.executable, "-c", script], stderr=subprocess.PIPE,

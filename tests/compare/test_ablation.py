@@ -8,7 +8,7 @@ import pytest
 from odt_plugins.cli.main import main
 from odt_plugins.compare.ablation import HEADS, SMOOTHING, ablation
 from odt_plugins.compare.start import ball, pebble, plate
-from odt_plugins.engine.run.driver import run
+from odt_plugins.engine.run.plan import run
 from odt_plugins.engine.run.within import Within
 from odt_plugins.engine.surface.driver import run_surface
 from odt_plugins.mesh.simplex import simplex_mesh

@@ -11,7 +11,7 @@ import numpy as np
 
 from odt_plugins import roundtrip
 from odt_plugins.curved import Kept
-from odt_plugins.engine.run import driver
+from odt_plugins.engine.run import plan
 
 EDGES = {2: [(0, 1), (1, 2), (2, 0)], 3: [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)]}
 VTK = {2: 22, 3: 24}
@@ -20,7 +20,7 @@ MESHIO = {2: "triangle6", 3: "tetra10"}
 
 def churned(monkeypatch):
     """Let the engine return any mesh of the same corners, however bent its cells are."""
-    monkeypatch.setattr(driver, "run", contract.churn)
+    monkeypatch.setattr(plan, "run", contract.churn)
     monkeypatch.setattr(roundtrip, "keep_curved",
                         lambda _, mesh, run, *__, **___: Kept(mesh, run(mesh, 0), None))
 

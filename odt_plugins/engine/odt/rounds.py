@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Container
+import time
+from collections.abc import Callable, Container, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import partial
 
@@ -52,6 +54,13 @@ class Log:
     def add_time(self, stage: str, seconds: float) -> None:
         """Add to the time of a stage."""
         self.times[stage] = self.times.get(stage, 0.0) + seconds
+
+    @contextmanager
+    def timed(self, stage: str) -> Iterator[None]:
+        """Add the time that is spent inside to that of a stage."""
+        clock = time.perf_counter()
+        yield
+        self.add_time(stage, time.perf_counter() - clock)
 
 
 def overrelaxes(options: Options, dim: int) -> bool:

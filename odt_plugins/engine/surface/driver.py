@@ -30,10 +30,10 @@ from odt_plugins.engine.record.figures import COS_SMALL, Figures, figures
 from odt_plugins.engine.record.memory import Memory, State
 from odt_plugins.engine.record.progress import in_turn
 from odt_plugins.engine.run.best import ALONE, best_state, input_returned
-from odt_plugins.engine.run.cycles import alternate, extremes, repaired
-from odt_plugins.engine.run.driver import inner_density
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
-from odt_plugins.engine.run.start import Start, make_start
+from odt_plugins.engine.run.sizes import inner_density
+from odt_plugins.engine.run.stages import alternate, repaired
+from odt_plugins.engine.run.work import Start, extremes, make_start
 from odt_plugins.engine.surface.density import SurfaceDensity, surface_density
 from odt_plugins.engine.surface.judge import Distance, Kept, faults, outside, values_on
 from odt_plugins.engine.surface.mending import mended_state

@@ -16,7 +16,7 @@ from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import cell_shapes, figures
 from odt_plugins.engine.record.memory import Memory, State
 from odt_plugins.engine.run.outcome import Leaving
-from odt_plugins.engine.run.start import Start
+from odt_plugins.engine.run.work import Start
 from odt_plugins.engine.surface.judge import Kept, outside
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.components import components

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from odt_plugins.engine.compiled.threads import thread_pool, worth
-from odt_plugins.engine.run.driver import locked_vertices
+from odt_plugins.engine.run.work import locked_vertices
 from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.untangle.flips import alternatives, reconnected
 from odt_plugins.engine.untangle.harmonic import harmonic

@@ -42,8 +42,8 @@ from odt_plugins.engine.moves.newton3d import smooth_vertices
 from odt_plugins.engine.moves.passes import flip_pending
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import amips_energies, figures
-from odt_plugins.engine.run import driver
-from odt_plugins.engine.run.driver import run
+from odt_plugins.engine.record.memory import Memory
+from odt_plugins.engine.run.plan import run
 from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.coloring import vertex_coloring
 from odt_plugins.engine.topology.star import vertex_stars
@@ -395,13 +395,13 @@ def test_the_general_tail_is_the_way_back(monkeypatch, d):
         pm.jittered_grid(8, 8, np.random.default_rng(3))[:2] if d == 2 else tm.ball(200, 5)
     )
     mesh = mesh_of(points, (pm if d == 2 else tm).oriented(points, cells))
-    real, seen = driver.Memory.offer, []
+    real, seen = Memory.offer, []
 
     def offer(self, complex_, name):
         seen.append(name)
         return real(self, complex_, name) if len(seen) > 1 else False
 
-    monkeypatch.setattr(driver.Memory, "offer", offer)
+    monkeypatch.setattr(Memory, "offer", offer)
     outcome = run(mesh, Options(objective="amips"))
     assert seen == ["finished", "finished"]
     assert_promise(mesh, outcome)

@@ -11,7 +11,7 @@ from promises import assert_promise, mesh_of, planar
 
 from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.finish.repair2d import within_bounds
-from odt_plugins.engine.run.driver import run
+from odt_plugins.engine.run.plan import run
 from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.triangles import Triangles
 from odt_plugins.options import Options

@@ -10,7 +10,7 @@ from scipy.spatial import Delaunay
 
 from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.finish.repair3d import lacking, within_bounds
-from odt_plugins.engine.run.driver import run
+from odt_plugins.engine.run.plan import run
 from odt_plugins.options import Options
 
 UP = np.array([1, -1, 1])

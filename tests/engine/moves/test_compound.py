@@ -17,7 +17,7 @@ from odt_plugins.engine.finish.volume import finish
 from odt_plugins.engine.moves import compound
 from odt_plugins.engine.moves.cavity import make_journal, make_ring, take_back
 from odt_plugins.engine.moves.flips3d import flip_facet, remove_edge
-from odt_plugins.engine.run.driver import run
+from odt_plugins.engine.run.plan import run
 from odt_plugins.engine.topology.tets import FREE
 from odt_plugins.options import Options
 

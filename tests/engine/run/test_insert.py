@@ -23,9 +23,9 @@ from odt_plugins.compare.hard import hard_meshes
 from odt_plugins.engine.finish import resampling
 from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.record.figures import figures
-from odt_plugins.engine.run import driver
-from odt_plugins.engine.run.driver import run
+from odt_plugins.engine.run import plan, stages
 from odt_plugins.engine.run.outcome import Outcome
+from odt_plugins.engine.run.plan import run
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.simplex import simplex_mesh
 from odt_plugins.options import Options
@@ -195,14 +195,15 @@ def test_angles_may_cost_radius_ratios_down_to_those_of_the_input(objective, hel
     before = figures(*start())
     before = replace(before, min_quality=0.1, cos_min_angle=0.9)
     now = replace(before, min_quality=0.2, cos_min_angle=0.8)
-    bounds = driver._held(Options(insert=True, objective=objective), before, now)
+    bounds = stages.held_by_insertion(Options(insert=True, objective=objective), before, now)
     assert bounds.cells.quality == held
     assert bounds.cells.large == 0.8
 
 
 def test_insertion_goes_on_from_the_input_when_nothing_else_helps(monkeypatch):
-    monkeypatch.setattr(driver, "run_cycles", lambda *_: "left out")
-    monkeypatch.setattr(driver, "finish_alone", lambda *_, **__: None)
+    monkeypatch.setattr(plan, "in_cycles", lambda mesh, _: (mesh, "left out"))
+    monkeypatch.setattr(plan, "worst_cells", lambda *_: None)
+    monkeypatch.setattr(plan, "finish_alone", lambda *_, **__: None)
     mesh = mesh_of(*start())
     outcome = run(mesh, Options(insert=True))
     assert outcome.origin is not None
@@ -287,7 +288,7 @@ def test_contract_of_every_host(name, monkeypatch, tmp_path):
     monkeypatch.chdir(tmp_path)
     host = contract.HOSTS[name]
     outcomes = []
-    monkeypatch.setattr(driver, "run", lambda *a: outcomes.append(resampled(*a)) or outcomes[0])
+    monkeypatch.setattr(plan, "run", lambda *a: outcomes.append(resampled(*a)) or outcomes[0])
     mesh = host.make()
     before = host.view(mesh)
     out = host.optimize(mesh, insert=True, keep=())
@@ -346,7 +347,7 @@ def test_points_far_from_every_barycentre_are_found():
 
 
 def test_labels_of_vertices_are_those_of_the_nearest_corner(monkeypatch):
-    monkeypatch.setattr(driver, "run", resampled)
+    monkeypatch.setattr(plan, "run", resampled)
     points, cells, _ = contract.grid(3, 4)
     label = np.arange(len(points)) * 10
     name = np.array([f"v{i}" for i in range(len(points))])
@@ -368,7 +369,7 @@ def test_sets_vertex_cells_and_entities_of_meshio_follow(monkeypatch):
     inner = np.flatnonzero(((points > 0) & (points < 1)).all(axis=1) & (points[:, 0] != 0.5))
     labels = np.where(labels == 7, 1, 2)
     shown = inner[:3]
-    monkeypatch.setattr(driver, "run", resampled)
+    monkeypatch.setattr(plan, "run", resampled)
     sides = np.array(sorted(contract.facets(cells, np.zeros(len(cells), int))))[:7]
     blocks = [("vertex", shown[:, None]), ("tetra", cells), ("triangle", sides)]
     tags = [np.zeros(3, int), labels, np.zeros(7, int)]
@@ -393,7 +394,7 @@ def test_lines_and_vertex_cells_of_pyvista_follow(monkeypatch):
     pyvista = pytest.importorskip("pyvista")
     points, cells, _ = contract.grid(3, 4)
     inner = np.flatnonzero(((points > 0) & (points < 1)).all(axis=1))
-    monkeypatch.setattr(driver, "run", resampled)
+    monkeypatch.setattr(plan, "run", resampled)
     side = contract.facets(cells, np.zeros(len(cells), int))
     line = np.array(sorted(side)[0][:2])
     flat = np.concatenate([[2], line, [2], inner[:2],
@@ -412,7 +413,7 @@ def test_lines_and_vertex_cells_of_pyvista_follow(monkeypatch):
 
 
 def test_small_index_types_grow(monkeypatch):
-    monkeypatch.setattr(driver, "run", resampled)
+    monkeypatch.setattr(plan, "run", resampled)
     points, cells, _ = contract.grid(3, 4)
     points = np.vstack([points, np.ones((254 - len(points), 3))])
     out = odt_plugins.optimize((points, cells.astype(np.uint8)), insert=True, keep=())
@@ -429,7 +430,7 @@ def test_other_meshes_are_refused_before_any_work(name, monkeypatch, tmp_path):
     contract.need(name)
     monkeypatch.chdir(tmp_path)
     host = contract.HOSTS[name]
-    monkeypatch.setattr(driver, "run", lambda *_: pytest.fail("work was done"))
+    monkeypatch.setattr(plan, "run", lambda *_: pytest.fail("work was done"))
     what = "triangles|faces" if host.dim == 2 else f"{host.word} of higher order"
     with pytest.raises(InvalidOptionError, match=f"insert=True for a mesh of ({what})"):
         host.optimize(host.make(), insert=True)

@@ -19,7 +19,7 @@ from odt_plugins.cli.main import cli
 from odt_plugins.compare import robustness
 from odt_plugins.compare.hard import CLOUDS, delaunay, hard_meshes
 from odt_plugins.compare.start import ball
-from odt_plugins.engine.run.driver import run
+from odt_plugins.engine.run.plan import run
 from odt_plugins.errors import MeshFileError
 from odt_plugins.mesh.simplex import simplex_mesh
 from odt_plugins.options import Options

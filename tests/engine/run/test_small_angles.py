@@ -12,8 +12,8 @@ from promises import mesh_of
 
 from odt_plugins.engine.finish import polishing
 from odt_plugins.engine.record.figures import figures
-from odt_plugins.engine.run import driver
-from odt_plugins.engine.run.driver import run
+from odt_plugins.engine.run import work
+from odt_plugins.engine.run.plan import run
 from odt_plugins.options import FIGURES, Options
 from odt_plugins.promise.volume import broken_promises
 
@@ -62,7 +62,7 @@ def test_small_angles_beyond_those_of_the_input_are_worked_off(part, monkeypatch
     def fewer(points, cells, objective, _):
         return replace(figures(points, cells, objective), small_angles=part * reached)
 
-    monkeypatch.setattr(driver, "figures", fewer)
+    monkeypatch.setattr(work, "figures", fewer)
     result = run(mesh, Options())
     assert result.counts["repairs"] >= 1
     assert share(result.points, result.cells) <= part * reached

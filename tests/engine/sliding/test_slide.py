@@ -29,8 +29,9 @@ from odt_plugins.engine.finish.volume import _flip_surface, finish
 from odt_plugins.engine.ground.crossings import count_crossings, crossing_triangles
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import figures
-from odt_plugins.engine.run import driver
-from odt_plugins.engine.run.driver import run
+from odt_plugins.engine.record.memory import Memory
+from odt_plugins.engine.run import plan, retreat
+from odt_plugins.engine.run.plan import run
 from odt_plugins.engine.run.within import Within
 from odt_plugins.engine.sliding.skin import flip_skin, make_skin
 from odt_plugins.engine.topology.complex import make_complex
@@ -457,7 +458,7 @@ def shelled(gap):
 
 
 def test_bodies_close_to_each_other_never_overlap(monkeypatch):
-    set_policy(monkeypatch, driver, slide_retreats=0)
+    set_policy(monkeypatch, retreat, slide_retreats=0)
     points, cells = shelled(2e-4)
     assert count_crossings(points, boundary(cells)) == 0
     (x, t), report = odt_plugins.optimize_with_report(
@@ -494,8 +495,8 @@ def test_a_surface_is_left_alone_only_where_it_would_cut_through_itself():
 def test_a_surface_is_left_alone_where_cells_would_pass_the_extremes(monkeypatch):
     mesh = simplex_mesh(*ball(500, 5))[0]
     rim = np.unique(boundary(mesh.cells))
-    once = driver._run
-    free, nowhere = once(mesh, Options(boundary="slide"), driver.as_it_is)
+    once = plan.run_once
+    free, nowhere = once(mesh, Options(boundary="slide"), plan.as_it_is)
     assert len(nowhere) == 0
     alone = rim[(free.points[rim] != mesh.points[rim]).any(axis=1)][:5]
 
@@ -504,7 +505,7 @@ def test_a_surface_is_left_alone_where_cells_would_pass_the_extremes(monkeypatch
             return replace(free, slid=None), alone
         return once(start, options, *given, **named)
 
-    monkeypatch.setattr(driver, "_run", spoiled_at_first)
+    monkeypatch.setattr(plan, "run_once", spoiled_at_first)
     outcome = run(mesh, Options(boundary="slide"))
     assert outcome.counts["surface vertices left alone"] == 5
     assert outcome.slid.vertices > 20
@@ -516,7 +517,7 @@ def test_a_surface_is_left_alone_where_cells_would_pass_the_extremes(monkeypatch
 @pytest.mark.parametrize(("poor", "few"), [
     (POLICY.poor_quality, 0), (0.0, POLICY.few_cells)])
 def test_a_surface_that_may_slide_is_no_worse_than_a_fixed_one(monkeypatch, poor, few):
-    set_policy(monkeypatch, driver, poor_quality=poor, few_cells=few)
+    set_policy(monkeypatch, retreat, poor_quality=poor, few_cells=few)
     left = {}
     for hard in hard_meshes(60, (3,)):
         mesh = simplex_mesh(hard.points, hard.cells, regions=hard.regions)[0]
@@ -539,14 +540,14 @@ def score(outcome):
 
 def test_a_surface_that_slides_is_alone_where_cells_are_many_and_good(monkeypatch):
     asked = []
-    once = driver._run
+    once = plan.run_once
 
     def counted(start, options, *given, **named):
         asked.append(options.boundary)
         return once(start, options, *given, **named)
 
-    monkeypatch.setattr(driver, "_run", counted)
-    set_policy(monkeypatch, driver, few_cells=0)
+    monkeypatch.setattr(plan, "run_once", counted)
+    set_policy(monkeypatch, retreat, few_cells=0)
     mesh = simplex_mesh(*ball(500, 5))[0]
     assert run(mesh, Options(boundary="slide")).slid is not None
     assert run(mesh, Options(boundary="slide", finish=False, keep=())).slid is not None
@@ -569,10 +570,10 @@ def test_a_refused_state_tells_the_cells_beyond_the_extremes():
         ({"cos_max_angle": np.cos(np.radians(np.sort(angles.max(axis=1))[-2] - 1e-6))},
          np.argsort(angles.max(axis=1))[-2:]),
     ):
-        memory = driver.Memory(replace(before, **change), keep, "radius_ratio", by_score=True)
+        memory = Memory(replace(before, **change), keep, "radius_ratio", by_score=True)
         assert not memory.offer(state, "x")
         assert np.array_equal(memory.spoiled(), np.unique(stored_cells[bad]))
-    memory = driver.Memory(replace(before, min_quality=1.0, mean_quality=1.0), keep,
+    memory = Memory(replace(before, min_quality=1.0, mean_quality=1.0), keep,
                            "radius_ratio", by_score=True)
     assert not memory.offer(state, "x")
     assert not len(memory.spoiled())

@@ -6,7 +6,7 @@ import numpy as np
 import tet_meshes
 
 from odt_plugins.compare.start import ball
-from odt_plugins.engine.run.driver import run
+from odt_plugins.engine.run.plan import run
 from odt_plugins.engine.run.within import Within
 from odt_plugins.engine.topology.complex import make_complex
 from odt_plugins.engine.topology.part import around, away_from, joined

@@ -24,10 +24,10 @@ from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.odt.total_energy import total_energy
 from odt_plugins.engine.record.figures import figures
 from odt_plugins.engine.record.memory import Memory
-from odt_plugins.engine.run import cycles, driver
-from odt_plugins.engine.run.driver import run
-from odt_plugins.engine.run.start import make_start
+from odt_plugins.engine.run import plan, stages, work
+from odt_plugins.engine.run.plan import run
 from odt_plugins.engine.run.within import Within
+from odt_plugins.engine.run.work import make_start
 from odt_plugins.engine.topology import order
 from odt_plugins.engine.topology.frame import Frame
 from odt_plugins.mesh.simplex import simplex_mesh
@@ -255,11 +255,11 @@ def equilateral_patch(n=6):
 
 
 def test_cycles_go_on_while_the_mean_gains():
-    assert cycles.settled([0.8]) == ""
-    assert cycles.settled([0.8, 0.8006]) == ""
-    assert "after 2 cycles" in cycles.settled([0.8, 0.8004])
-    assert "after 3 cycles" in cycles.settled([0.8, 0.81, 0.8104])
-    assert cycles.settled([0.8, 0.79, 0.8006]) == ""
+    assert stages.settled([0.8]) == ""
+    assert stages.settled([0.8, 0.8006]) == ""
+    assert "after 2 cycles" in stages.settled([0.8, 0.8004])
+    assert "after 3 cycles" in stages.settled([0.8, 0.81, 0.8104])
+    assert stages.settled([0.8, 0.79, 0.8006]) == ""
 
 
 def test_sizes_come_back_for_the_places_where_the_vertices_are_now(d):
@@ -280,7 +280,8 @@ def test_sizes_come_back_for_the_places_where_the_vertices_are_now(d):
 
 
 def test_a_run_that_gains_nothing_says_so_when_finishing_alone_gains(monkeypatch):
-    monkeypatch.setattr(driver, "run_cycles", lambda *_: "left out")
+    monkeypatch.setattr(plan, "in_cycles", lambda mesh, _: (mesh, "left out"))
+    monkeypatch.setattr(plan, "worst_cells", lambda *_: None)
     outcome = run(start(3), Options())
     assert outcome.fallback == "a later state was given up (no better than the input)"
 
@@ -293,7 +294,7 @@ def test_a_state_that_breaks_the_promise_is_never_returned(d, monkeypatch):
         complex_.points[free] = complex_.points[free].mean(axis=0)
         return 0, 0
 
-    monkeypatch.setattr(cycles, "finish", wreck)
+    monkeypatch.setattr(work, "finish", wreck)
     outcome = run(mesh, Options())
     assert outcome.points.tobytes() == mesh.points.tobytes()
     assert np.array_equal(outcome.cells, mesh.cells)
@@ -323,7 +324,7 @@ def test_a_few_cells_beyond_the_extremes_are_repaired(which, repairs, monkeypatc
     They are regained by the phases for the worst cells, and repaired without these.
     """
     if repairs:
-        monkeypatch.setattr(cycles, "descents", lambda dim, objective: (Descent(()),))
+        monkeypatch.setattr(stages, "descents", lambda dim, objective: (Descent(()),))
     with np.load(DATA / "graded.npz") as data:
         points, cells = data[f"points{which}"], data[f"cells{which}"]
     mesh = mesh_of(points, cells)
@@ -407,7 +408,7 @@ def test_finishing_alone_is_tried_too_where_it_may_do_better(make, gain, monkeyp
     mesh = make()
     result = run(mesh, Options())
     assert result.counts["runs of finishing alone"] == 1
-    set_policy(monkeypatch, driver, few_movable=0.0, poor_quality=0.0)
+    set_policy(monkeypatch, plan, few_movable=0.0, poor_quality=0.0)
     plain = run(mesh, Options())
     assert plain.fallback is None
     assert "runs of finishing alone" not in plain.counts
@@ -469,7 +470,7 @@ def test_vertices_move_alone_where_any_other_cell_breaks_the_promise(d, monkeypa
 def test_bounds_of_a_larger_mesh_take_the_place_of_those_of_its_part():
     points, cells = tm.ball(300, 4)
     mesh = mesh_of(points, cells)
-    own = driver.figures(mesh.points, mesh.cells)
+    own = figures(mesh.points, mesh.cells)
     better = replace(own, min_quality=0.2, cos_min_angle=np.cos(np.radians(12.0)),
                      cos_max_angle=np.cos(np.radians(160.0)))
     refused = run(mesh, Options(rounds=1, finish=False), within=Within(whole=better))
@@ -499,9 +500,9 @@ def test_stage_1_works_again_only_around_vertices_that_could_not_move():
 
 def test_guards_of_a_part_are_shares_of_the_cells_of_the_larger_mesh(monkeypatch):
     seen = []
-    monkeypatch.setattr(cycles, "finish", lambda mesh, phases, *_: seen.extend(phases) or (0, 0))
+    monkeypatch.setattr(work, "finish", lambda mesh, phases, *_: seen.extend(phases) or (0, 0))
     for part in (1.0, 0.25, 0.001):
-        cycles.settle(None, worst_cells(), None, Log(), None, 1, part)
+        work.settle(None, worst_cells(), None, Log(), None, 1, part)
     guards = [phase.guard for phase in worst_cells()]
     assert set(guards) == {None, 0.01}
     assert [phase.guard for phase in seen] == [
@@ -512,8 +513,8 @@ def test_cells_that_another_run_looks_after_may_pass_the_extremes_but_not_others
     points, cells = tm.ball(60, 4)
     mesh = mesh_of(points, cells)
     worst = int(np.argmin(tm.quality(points, cells)))
-    others = driver.figures(points, np.delete(cells, worst, axis=0))
-    whole = driver.figures(points, cells)
+    others = figures(points, np.delete(cells, worst, axis=0))
+    whole = figures(points, cells)
     bound = replace(others, p1_quality=0.0, mean_quality=0.0, small_angles=1.0, score=-1.0)
     keep = FIGURES
     assert whole.worse_than(bound, keep)
@@ -527,7 +528,7 @@ def test_cells_that_another_run_looks_after_may_pass_the_extremes_but_not_others
     at = np.zeros(len(points), dtype=bool)
     for aside, taken in ((None, False), (~at, False), (at | np.isin(
             np.arange(len(points)), cells[worst]), True)):
-        memory = driver.Memory(bound, keep, "radius_ratio", by_score=True, aside=aside)
+        memory = Memory(bound, keep, "radius_ratio", by_score=True, aside=aside)
         assert memory.offer(Still(), "x") == taken
 
 

@@ -1,0 +1,168 @@
+"""The run, from a valid mesh to one that keeps the promise: the algorithm in one file."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+
+import numpy as np
+
+from odt_plugins.engine.compiled.threads import thread_pool, worth
+from odt_plugins.engine.policy import POLICY
+from odt_plugins.engine.record.memory import State
+from odt_plugins.engine.record.progress import until_insertion
+from odt_plugins.engine.run.best import ALONE, BESIDES, best_state, input_returned
+from odt_plugins.engine.run.judge import cut_vertices, faults, slides
+from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
+from odt_plugins.engine.run.retreat import run_sliding
+from odt_plugins.engine.run.sizes import keeps_sizes, sizes_after
+from odt_plugins.engine.run.stages import finish_alone, in_cycles, insert, worst_cells
+from odt_plugins.engine.run.within import WHOLE, Within
+from odt_plugins.engine.run.work import Work, begin
+from odt_plugins.engine.topology.complex import Complex
+from odt_plugins.engine.topology.frame import callers_vertices
+from odt_plugins.errors import InvalidOptionError
+from odt_plugins.mesh.arrays import IntArray
+from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.options import Options
+from odt_plugins.progress import silent
+
+NO_DENSITY = "nothing that follows the density kept the promise, the sizes are those of the input"
+
+
+def run(
+    mesh: SimplexMesh, options: Options, leaving: Leaving = as_it_is, *,
+    within: Within = WHOLE,
+) -> Outcome:
+    """Optimise a valid mesh.
+
+    Parameters
+    ----------
+    mesh : SimplexMesh    tetrahedra, or triangles in the plane
+    options : Options
+    leaving : callable    applied to every state before it is judged
+    within : Within       how the mesh lies within a larger one
+
+    Returns
+    -------
+    Outcome    a mesh that keeps the promise as it leaves, at worst the input itself
+
+    Raises
+    ------
+    InvalidOptionError    a boundary in the plane is asked to slide
+    """
+    if options.boundary == "slide" and mesh.dim == 2:
+        msg = (
+            "got boundary='slide' for a mesh in the plane; expected 'fixed': only the surface of a "
+            "mesh of tetrahedra slides"
+        )
+        raise InvalidOptionError(msg)
+    if not slides(mesh, options):
+        return run_once(mesh, options, leaving, within)[0]
+    within = within._replace(without=frozenset(), fresh=None, part=1.0)
+    once = partial(run_once, leaving=leaving, within=within)
+    outcome = run_sliding(mesh, options, once) if within.whole is None else once(mesh, options)[0]
+    (options.progress or silent)("finishing", 1.0)
+    return outcome
+
+
+def run_once(
+    mesh: SimplexMesh, options: Options, leaving: Leaving, within: Within = WHOLE
+) -> tuple[Outcome, IntArray]:
+    """All stages, once; also the surface vertices at which a surface that slid is spoiled."""
+    if mesh.frozen.all() or len(mesh.cells) == 0:
+        return unchanged(mesh, "no cell may change"), np.zeros(0, dtype=np.int32)
+    if not options.finish:
+        within = within._replace(fresh=None)
+    options = replace(options, threads=worth(options.threads, len(mesh.cells)))
+    with thread_pool(options.threads) as pool, callers_vertices(mesh):
+        work, first = begin(mesh, options, within, pool)
+        reason = follow_plan(work, first)
+        return _end(work, leaving, reason)
+
+
+def follow_plan(work: Work, mesh: Complex) -> str:
+    """Improve a mesh; good states go to the memory of the run.
+
+    1. Cycles of stage 1, which lowers the ODT energy by moves of vertices (Section 4) and by
+       connectivity (Section 3), and stage 2, which raises the mean quality.
+    2. The worst cells: descents with ever higher powers, repair of what fell below the input.
+    3. Stage 2 alone on the input, where that kept nothing or the tail stays poor.
+    4. Vertices are added and removed, on request.
+
+    Parameters
+    ----------
+    work : Work
+    mesh : Complex    the input; changed
+
+    Returns
+    -------
+    str               why stage 1 stopped, and what followed
+    """
+    options, memory, log = work.options, work.memory, work.log
+    early = replace(work, options=until_insertion(options)) if options.insert else work
+    mesh, reason = in_cycles(mesh, early)
+    if options.finish:
+        with log.timed("finishing"):
+            worst_cells(mesh, early)
+    (early.options.progress or silent)("finishing", 1.0)
+
+    refused = not memory.states and not (work.slides and memory.spoiled().size)
+    if options.finish and (refused or _may_finish_alone(work)):
+        with log.timed(ALONE):
+            for flips in (True, False):
+                log.add(f"runs of {ALONE}", 1)
+                finish_alone(work.slots(), work, ALONE if refused else BESIDES, flips=flips)
+                if memory.states or (not work.slides and work.locked.all()):
+                    break
+        if refused and not keeps_sizes(options):
+            reason += f"; {NO_DENSITY}"
+
+    if options.insert and (memory.states or not work.slides):
+        with log.timed("inserting"):
+            insert(work)
+    return reason
+
+
+def _may_finish_alone(work: Work) -> bool:
+    """Whether stage 2 alone may do better than what was reached: where few vertices move, or cells
+    that nothing can improve make the 1 % quantile, and their neighbours pay for them.
+    """
+    states = work.memory.states
+    if work.slides or not (states and keeps_sizes(work.options)):
+        return False
+    poor = states[0].figures.p1_quality < POLICY.poor_quality
+    return poor or bool((~work.locked).mean() < POLICY.few_movable)
+
+
+def _end(work: Work, leaving: Leaving, reason: str) -> tuple[Outcome, IntArray]:
+    """The best state that keeps the promise as it leaves, at worst the input; what is spoiled."""
+    start, memory, log = work.start, work.memory, work.log
+    with log.timed("check"):
+        found, broken = best_state(memory, partial(_judged, work, leaving), log, reason)
+        outcome = found or input_returned(start.mesh, memory, broken, reason)
+        sizes = sizes_after(start.mesh, work.options, start.frame, work.density, outcome, work.pool)
+    outcome = replace(
+        outcome, times=log.times, energy=log.energy, counts=log.counts, sizes=sizes
+    )
+    if not work.slides or outcome.slid is not None:
+        return outcome, np.zeros(0, dtype=np.int32)
+    spoiled = memory.spoiled()
+    if memory.states:
+        best = memory.states[0]
+        spoiled = cut_vertices(start.points, start.cells, best.points, best.cells)
+    spoiled = spoiled[spoiled < len(work.boundary)]
+    return outcome, start.frame.vertices[spoiled[work.boundary[spoiled]]]
+
+
+def _judged(work: Work, leaving: Leaving, state: State) -> tuple[Outcome, list[str]]:
+    """A state as it leaves, and what it breaks of the promise; a part is left to its judge."""
+    start = work.start
+    outcome = start.placed(state)
+    if work.within.whole is not None:
+        return outcome, []
+    outcome = leaving(outcome)
+    broken, slid = faults(
+        start.mesh, outcome.points, outcome.cells, outcome.regions, work.options, outcome.origin
+    )
+    return replace(outcome, slid=slid), broken
