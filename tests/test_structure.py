@@ -66,6 +66,7 @@ TOOLKITS = {
                    "report/plotting.py"},
     "meshio": {"adapters/meshio_mesh.py", "adapters/files.py", "adapters/reading.py",
                "adapters/vtk_files.py", "adapters/fitting.py", "adapters/gmsh_files.py",
+               "adapters/gmsh_groups.py",
                "adapters/netgen_files.py", "adapters/formats/exodus.py",
                "adapters/formats/med.py", "adapters/formats/medit.py",
                "adapters/formats/obj.py", "adapters/formats/ply.py",

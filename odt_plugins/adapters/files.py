@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters import apart, gmsh_files, meshio_mesh, reading, vtk_files
+from odt_plugins.adapters import apart, gmsh_files, gmsh_groups, meshio_mesh, reading, vtk_files
 from odt_plugins.adapters.fitting import FORMS, fitted, group_names
 from odt_plugins.adapters.formats import READERS, REWRITERS, WRITERS
 from odt_plugins.adapters.formats.change import Change, NotRewritable, Origin, origin_of
@@ -383,6 +383,8 @@ def _write_heard(path: Path, mesh: Any, name: str, binary: bool | None) -> list[
     ):
         if name == "gmsh":
             gmsh_files.write(path, mesh, binary is not False)
+        elif name == "gmsh22":
+            meshio.write(path, gmsh_groups.with_copies(mesh), name, binary=binary is not False)
         elif name in WRITERS:
             WRITERS[name](path, mesh, binary)
         elif binary is None:

@@ -15,7 +15,7 @@ from typing import Any
 
 import numpy as np
 
-from odt_plugins.adapters import apart, gmsh_files, netgen_files, vtk_files
+from odt_plugins.adapters import apart, gmsh_files, gmsh_groups, netgen_files, vtk_files
 from odt_plugins.adapters.formats import READERS, vol
 from odt_plugins.adapters.legacy import expect_whole
 from odt_plugins.adapters.stated import expect_counts, expect_held, parts_of
@@ -185,7 +185,8 @@ def _read(path: Path, name: str) -> Any:
         np.errstate(all="raise", under="ignore", over="ignore" if name == "stl" else "raise"),
         _opened(path, name) as source,
     ):
-        return reader(source)
+        mesh = reader(source)
+    return gmsh_groups.without_copies(mesh) if name == "gmsh" else mesh
 
 
 @contextmanager
