@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.gmsh_files import ENTITY, PHYSICAL
+from odt_plugins.adapters.formats.gmsh_tables import ENTITY, PHYSICAL
 
 UNNAMED = "physical {}"
 """Name of the set of a group without a name."""
@@ -45,6 +45,14 @@ def without_copies(mesh: Any) -> Any:
         kept = np.zeros(len(rows), dtype=np.bool_)
         kept[first] = True
         ends = np.cumsum(sizes)[:-1]
+        for values in mesh.cell_data.values():
+            whole = np.concatenate([np.asarray(values[i]) for i in own])
+            if whole.dtype.kind == "f":
+                # A view has its values at any one of the copies.
+                told = np.flatnonzero(~np.isnan(whole.reshape(len(whole), -1)).any(axis=1))
+                whole[first[inverse[told]]] = whole[told]
+                for i, part in zip(own, np.split(whole, ends), strict=True):
+                    values[i] = part
         for i, part in zip(own, np.split(kept, ends), strict=True):
             keep[i] = part
         for tag in np.unique(group).tolist():
