@@ -67,6 +67,7 @@ TOOLKITS = {
     "meshio": {"adapters/meshio_mesh.py", "adapters/files.py", "adapters/reading.py",
                "adapters/vtk_files.py", "adapters/fitting.py", "adapters/gmsh_files.py",
                "adapters/netgen_files.py", "adapters/formats/exodus.py",
+               "adapters/formats/gmsh_groups.py", "adapters/formats/gmsh_read.py",
                "adapters/formats/med.py", "adapters/formats/medit.py",
                "adapters/formats/obj.py", "adapters/formats/ply.py",
                "adapters/formats/polygons.py", "adapters/formats/stl.py", "cli/demo.py",

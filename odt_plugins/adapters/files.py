@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters import apart, gmsh_files, meshio_mesh, reading, vtk_files
 from odt_plugins.adapters.fitting import FORMS, fitted, group_names
-from odt_plugins.adapters.formats import READERS, REWRITERS, WRITERS
+from odt_plugins.adapters.formats import READERS, REWRITERS, WRITERS, gmsh_groups, gmsh_tables
 from odt_plugins.adapters.formats.change import Change, NotRewritable, Origin, origin_of
 from odt_plugins.adapters.host import HostMesh, Result
 from odt_plugins.adapters.stated import declares_no_cells
@@ -167,6 +167,7 @@ def write_file(
             if lost is None:
                 lost, more = _write_and_compare(beside / path.name, mesh, name, binary)
                 remarks += more
+                lost += mesh.info.get("unread", []) if isinstance(mesh.info, dict) else []
             # Formats such as xdmf write companions; the file that refers to them comes last.
             for part in sorted(beside.iterdir(), key=lambda part: part.name == path.name):
                 os.replace(part, path.parent / part.name)
@@ -274,9 +275,9 @@ def chosen_format(
                f"files, one of {', '.join(FILE_FORMATS)}")
         raise InvalidOptionError(msg)
     if name == "gmsh" and mesh is not None:
-        tags = {gmsh_files.PHYSICAL, gmsh_files.ENTITY} & set(mesh.cell_data)
-        whole = tags and gmsh_files.NODE_ENTITY in mesh.point_data
-        whole = whole or (gmsh_files.PHYSICAL not in mesh.cell_data and mesh.cell_sets)
+        tags = {gmsh_tables.PHYSICAL, gmsh_tables.ENTITY} & set(mesh.cell_data)
+        whole = tags and gmsh_tables.NODE_ENTITY in mesh.point_data
+        whole = whole or (gmsh_tables.PHYSICAL not in mesh.cell_data and mesh.cell_sets)
         name = FILE_FORMATS[file_format or ("gmsh41" if whole else "gmsh22")]
         if binary is None:
             binary = not (isinstance(mesh.info, dict) and mesh.info.get("text"))
@@ -383,6 +384,8 @@ def _write_heard(path: Path, mesh: Any, name: str, binary: bool | None) -> list[
     ):
         if name == "gmsh":
             gmsh_files.write(path, mesh, binary is not False)
+        elif name == "gmsh22":
+            meshio.write(path, gmsh_groups.with_copies(mesh), name, binary=binary is not False)
         elif name in WRITERS:
             WRITERS[name](path, mesh, binary)
         elif binary is None:
@@ -456,15 +459,15 @@ def _lost(mesh: Any, back: Any) -> list[str]:
     for kind in ("point_data", "cell_data", "field_data", "point_sets", "cell_sets"):
         old, new = getattr(mesh, kind), getattr(back, kind)
         what = kind.replace("_", " ")
-        gone = set(old) - set(new) - set(gmsh_files.BOOKKEEPING)
+        gone = set(old) - set(new) - set(gmsh_tables.BOOKKEEPING)
         if kind in ("field_data", "cell_sets"):
             gone -= groups
         # Numbers of the families of MED files, whose groups are sets.
         if set(mesh.cell_sets) <= {*back.cell_sets, *back.cell_data}:
             gone -= {"cell_tags", "point_tags"}
-        if gmsh_files.PHYSICAL in mesh.cell_data:
-            gone -= {gmsh_files.ENTITY}
-            gone -= {gmsh_files.PHYSICAL} if groups and groups <= set(back.cell_sets) else set()
+        if gmsh_tables.PHYSICAL in mesh.cell_data:
+            gone -= {gmsh_tables.ENTITY}
+            gone -= {gmsh_tables.PHYSICAL} if groups and groups <= set(back.cell_sets) else set()
         for name in sorted(gone if kind in ("point_data", "cell_data") else ()):
             values = _by_type(mesh, old[name])
             others = {n: _by_type(back, new[n]) for n in sorted(set(new) - set(old))}

@@ -7,8 +7,9 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters.formats.gmsh_tables import BOOKKEEPING, ENTITY, PHYSICAL
 from odt_plugins.adapters.formats.med_families import with_families
-from odt_plugins.adapters.gmsh_files import BOOKKEEPING, ENTITY, PHYSICAL, is_group
+from odt_plugins.adapters.gmsh_files import is_group
 from odt_plugins.adapters.higher_order import HIGHER, LAGRANGE, lattice, order_of
 from odt_plugins.adapters.regions import REGION_ARRAYS
 from odt_plugins.errors import UnsupportedMeshError

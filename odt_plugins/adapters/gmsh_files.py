@@ -1,8 +1,6 @@
-"""Gmsh's files of version 4.1, and files that only Gmsh itself can read.
+"""Gmsh's files of version 4.1 as they are written, and files that only Gmsh itself can read.
 
-meshio reads neither partitioned files, nor some entities with a physical group and some without,
-nor data of some elements only, and writes entities without nodes of their own as if they were not
-there. Node and element tables are read here; https://gmsh.info/doc/texinfo/gmsh.html#MSH-file-format
+meshio writes entities without nodes of their own as if they were not there.
 """
 
 from __future__ import annotations
@@ -12,273 +10,18 @@ from functools import partial
 from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.errors import DataNotKeptWarning, MeshFileError, warn
-
-PHYSICAL, ENTITY, NODE_ENTITY = "gmsh:physical", "gmsh:geometrical", "gmsh:dim_tags"
-PARTITION, BOUNDS = "gmsh:partition", "gmsh:bounding_entities"
-
-BOOKKEEPING = (NODE_ENTITY, BOUNDS)
-"""Arrays and sets that mean something to Gmsh alone."""
-
-
-class Entity(NamedTuple):
-    """What the file says of an entity: its groups and bounds, and where it comes from."""
-
-    physical: list[int]
-    bounds: list[int]
-    parent: tuple[int, int] | None = None
-    partition: int = 0
-
-
-def read(file: BinaryIO) -> Any:
-    """Read a file of any version of Gmsh's; version 4.1 here, others by meshio.
-
-    Parameters
-    ----------
-    file : binary file
-
-    Returns
-    -------
-    meshio.Mesh    a block for each entity and type of cells; cell data ``gmsh:partition`` where
-                   the file is partitioned
-
-    Raises
-    ------
-    MeshFileError  nodes or elements are referred to that are not there
-    Exception      anything at all, on a file that is broken
-    """
-    common, header = _inner("common"), _inner("main")
-    line = file.readline().decode().strip()
-    while line == "$Comments":
-        common._fast_forward_to_end_block(file, "Comments")
-        line = file.readline().decode().strip()
-    if line != "$MeshFormat":
-        msg = "it does not begin with $MeshFormat"
-        raise MeshFileError(msg)
-    version, size, text = header._read_header(file)
-    if version in ("4", "4.1"):
-        mesh = _read_41(file, bool(text), int(size))
-    else:
-        file.seek(0)
-        mesh = header.read_buffer(file)
-    mesh.info = {"text": bool(text)}
-    return mesh
+from odt_plugins.adapters.formats import gmsh_read
+from odt_plugins.adapters.formats.gmsh_tables import BOUNDS, ENTITY, NODE_ENTITY, PHYSICAL
 
 
 def _inner(name: str) -> Any:
     """Module of meshio's reader and writer of Gmsh's files."""
     return import_module(f"meshio.gmsh.{name}")
-
-
-def _read_41(file: BinaryIO, text: bool, size: int) -> Any:
-    common, other = _inner("common"), _inner("_gmsh41")
-    index = np.dtype(f"u{size}")
-    take = partial(_take, file, text)
-    entities: dict[tuple[int, int], Entity] = {}
-    names: dict[str, Any] = {}
-    data: dict[str, list[Any]] = {"NodeData": [], "ElementData": []}
-    nodes, blocks, periodic = None, None, None
-    while True:
-        line, ended = common._fast_forward_over_blank_lines(file)
-        if ended:
-            break
-        section = line.strip().removeprefix("$")
-        if line[0] != "$":
-            msg = f"it has the line {line.strip()[:60]!r} between sections"
-            raise MeshFileError(msg)
-        if section == "PhysicalNames":
-            common._read_physical_names(file, names)
-            continue
-        if section == "Periodic":
-            periodic = other._read_periodic(file, text, size)
-            continue
-        if section in ("Entities", "PartitionedEntities"):
-            entities |= _entities(take, index, section != "Entities")
-        elif section == "Nodes":
-            nodes = _nodes(take, index)
-        elif section == "Elements":
-            blocks = _elements(take, index)
-        elif section in data:
-            data[section].append(_data(file, text))
-        elif section not in ("GhostElements", "Parametrizations", "InterpolationScheme",
-                             "Comments"):
-            warn(f"the section {section} is not read", DataNotKeptWarning)
-        common._fast_forward_to_end_block(file, section)
-    if nodes is None or blocks is None:
-        msg = "it has no nodes or no elements"
-        raise MeshFileError(msg)
-    mesh = _mesh(nodes, blocks, entities, names, data)
-    mesh.gmsh_periodic = periodic
-    return mesh
-
-
-def _take(file: BinaryIO, text: bool, dtype: Any, count: int) -> NDArray[Any]:
-    """Read numbers.
-
-    Raises
-    ------
-    EOFError    the file ends before
-    """
-    values = np.fromfile(file, dtype, count, sep=" " if text else "")  # type: ignore[call-overload]
-    if len(values) != count:
-        msg = "it ends too early"
-        raise EOFError(msg)
-    return np.asarray(values)
-
-
-def _entities(take: Any, index: Any, partitioned: bool) -> dict[tuple[int, int], Entity]:
-    out = {}
-    if partitioned:
-        _, ghosts = take(index, 2).tolist()
-        take("i4", 2 * ghosts)
-    for dim, count in enumerate(take(index, 4).tolist()):
-        for _ in range(count):
-            (tag,) = take("i4", 1).tolist()
-            parent, partition = None, 0
-            if partitioned:
-                parent = tuple(take("i4", 2).tolist())
-                partition = int(take("i4", take(index, 1)[0]).tolist()[0])
-            take("f8", 6 if dim else 3)
-            physical = take("i4", take(index, 1)[0]).tolist()
-            bounds = take("i4", take(index, 1)[0]).tolist() if dim else []
-            out[dim, tag] = Entity(physical, bounds, parent, partition)
-    return out
-
-
-def _nodes(take: Any, index: Any) -> tuple[NDArray[Any], NDArray[Any], NDArray[Any]]:
-    """Coordinates (n, 3), tags (n,) and entities (n, 2) of the nodes."""
-    points, tags, entities = [], [], []
-    for _ in range(take(index, 4)[0]):
-        dim, tag, parametric = take("i4", 3).tolist()
-        count = int(take(index, 1)[0])
-        width = 3 + (dim if parametric else 0)
-        tags.append(take(index, count))
-        points.append(take("f8", width * count).reshape(count, width)[:, :3])
-        entities.append(np.tile([dim, tag], (count, 1)))
-    return np.concatenate(points), np.concatenate(tags), np.concatenate(entities)
-
-
-def _elements(take: Any, index: Any) -> list[tuple[int, int, str, NDArray[Any]]]:
-    """Dimension, tag, type and rows (element, nodes ...) of every block."""
-    from meshio._common import num_nodes_per_cell
-    from meshio.gmsh.common import _gmsh_to_meshio_type
-
-    out = []
-    for _ in range(take(index, 4)[0]):
-        dim, tag, number = take("i4", 3).tolist()
-        kind = _gmsh_to_meshio_type[number]
-        width = 1 + num_nodes_per_cell[kind]
-        count = int(take(index, 1)[0])
-        out.append((dim, tag, kind, take(index, width * count).reshape(count, width)))
-    return out
-
-
-def _data(file: BinaryIO, text: bool) -> tuple[str, NDArray[Any], NDArray[Any]]:
-    """Name, tags (k,) and values (k, ...) of data of nodes or elements."""
-    def number() -> int:
-        return int(file.readline())
-
-    names = [file.readline().decode().strip().strip('"') for _ in range(number())]
-    for _ in range(number()):
-        file.readline()
-    integers = [number() for _ in range(number())]
-    width, count = integers[1], integers[2]
-    if text:
-        rows = _take(file, text, "f8", count * (1 + width)).reshape(count, 1 + width)
-        tags, values = rows[:, 0].astype(np.int64), rows[:, 1:]
-    else:
-        records = _take(file, text, np.dtype([("tag", "i4"), ("value", "f8", (width,))]), count)
-        tags, values = records["tag"].astype(np.int64), records["value"]
-    return names[0], tags, values[:, 0] if width == 1 else values
-
-
-def _places(tags: NDArray[Any], wanted: NDArray[Any], what: str) -> NDArray[np.int64]:
-    """Where the wanted tags stand among all.
-
-    Raises
-    ------
-    MeshFileError    one is not there
-    """
-    order = np.argsort(tags, kind="stable")
-    place = np.minimum(np.searchsorted(tags[order], wanted), len(tags) - 1)
-    found = order[place] if len(tags) else place
-    bad = ~(tags[found] == wanted) if len(tags) else np.ones(wanted.shape, dtype=np.bool_)
-    if bad.any():
-        msg = f"it refers to {what} {wanted[bad].ravel()[0]}, which is not there"
-        raise MeshFileError(msg)
-    return found
-
-
-def _mesh(nodes: Any, blocks: Any, entities: Any, names: Any, data: Any) -> Any:
-    from meshio import CellBlock, Mesh
-    from meshio.gmsh.common import _gmsh_to_meshio_order
-
-    points, tags, of_nodes = nodes
-    none = Entity([], [])
-    part = [np.full(len(rows), entities.get((dim, tag), none).partition)
-            for dim, tag, _, rows in blocks]
-    if any(values.any() for values in part):
-        blocks, part = _without_cuts(blocks, part, entities)
-    found = [entities.get((dim, tag), none) for dim, tag, _, _ in blocks]
-    cells: list[Any] = [
-        CellBlock(kind, _gmsh_to_meshio_order(kind, _places(tags, rows[:, 1:], "node")))
-        for _, _, kind, rows in blocks]
-    size = [len(rows) for _, _, _, rows in blocks]
-
-    def of_blocks(values: list[int]) -> list[NDArray[Any]]:
-        return [np.full(count, value) for count, value in zip(size, values, strict=True)]
-
-    parents = [_parent(entities, dim, tag)[1] for dim, tag, _, _ in blocks]
-    cell_data: Any = {ENTITY: of_blocks(parents)}
-    if any(entity.physical for entity in found):
-        groups = [entity.physical[0] if entity.physical else 0 for entity in found]
-        cell_data = {PHYSICAL: of_blocks(groups)} | cell_data
-    if any(values.any() for values in part):
-        cell_data[PARTITION] = part
-    own = np.array([entities.get(key, none).parent or key for key in map(tuple, of_nodes.tolist())])
-    sets: dict[str, list[Any]] = {
-        name: [np.arange(count if group in entity.physical and of == dim else 0)
-               for count, entity, (dim, _, _, _) in zip(size, found, blocks, strict=True)]
-        for name, (group, of) in names.items()}
-    if entities and PARTITION not in cell_data:
-        sets[BOUNDS] = [np.array(entity.bounds) for entity in found]
-    point_data: Any = {name: _spread(tags, given, values, "node")
-                       for name, given, values in data["NodeData"]}
-    ids = np.concatenate([rows[:, 0] for _, _, _, rows in blocks])
-    ends = np.cumsum(size)[:-1]
-    for name, given, values in data["ElementData"]:
-        cell_data[name] = np.split(_spread(ids, given, values, "element"), ends)
-    return Mesh(points, cells, point_data | {NODE_ENTITY: own}, cell_data, names, None, sets)
-
-
-def _parent(entities: Any, dim: int, tag: int) -> tuple[int, int]:
-    """Entity of the model of which a part is; between parts it is the part itself."""
-    entity = entities.get((dim, tag))
-    return entity.parent if entity and entity.parent and entity.parent[0] == dim else (dim, tag)
-
-
-def _without_cuts(blocks: Any, part: Any, entities: Any) -> tuple[list[Any], list[Any]]:
-    """Join the blocks that are parts of one entity."""
-    joined: dict[Any, list[int]] = {}
-    for k, (dim, tag, kind, _) in enumerate(blocks):
-        joined.setdefault((*_parent(entities, dim, tag), kind), []).append(k)
-    return ([(*blocks[ks[0]][:3], np.concatenate([blocks[k][3] for k in ks]))
-             for ks in joined.values()],
-            [np.concatenate([part[k] for k in ks]) for ks in joined.values()])
-
-
-def _spread(
-    tags: NDArray[Any], given: NDArray[Any], values: NDArray[Any], what: str
-) -> NDArray[Any]:
-    """Values of all nodes or elements; those of which the file tells none are not a number."""
-    out = np.full((len(tags), *values.shape[1:]), np.nan)
-    out[_places(tags, given, what)] = values
-    return out
 
 
 def write(path: Path, mesh: Any, binary: bool) -> None:
@@ -438,8 +181,7 @@ def translate(path: Path) -> Any:
                 gmsh.view.write(view, target, append=True)
         finally:
             gmsh.finalize()
-        with open(target, "rb") as file:
-            return read(file)
+        return gmsh_read.read(Path(target))
 
 
 def translate_bdf(path: Path) -> Any:

@@ -28,14 +28,14 @@ RATE = 50_000
 """Bytes for which it may take a second more. The slowest reader of meshio, that of PERMAS files,
 takes 2.7 MB in a second, and 1.4 MB of a packed Netgen file."""
 
-READ_ON = {"ansys": "rb", "gmsh": "rb", "mdpa": "rb", "nastran": "r", "off": "r", "ply": "rb",
+READ_ON = {"ansys": "rb", "mdpa": "rb", "nastran": "r", "off": "r", "ply": "rb",
            "tecplot": "r"}
 """Formats whose readers go on at the end of the file, and the mode in which they open it."""
 
 PATIENCE = 1000
 """How often a reader may come to the end of a file."""
 
-TEXT = ("abaqus", "avsucd", "flac3d", "gmsh", "mdpa", "nastran", "netgen", "permas", "su2",
+TEXT = ("abaqus", "avsucd", "flac3d", "mdpa", "nastran", "netgen", "permas", "su2",
         "tecplot", "tetgen")
 """Formats of text that meshio reads."""
 
@@ -132,8 +132,7 @@ def _read_vtk(path: Path, name: str, seconds: float) -> tuple[Any, list[str]]:
 
 
 MORE: dict[str, tuple[Callable[[], bool], Callable[..., Any], str]] = {
-    "gmsh": (gmsh_files.installed, gmsh_files.translate,
-             r"Incompatible cell data|len\(points\) = "),
+    "gmsh": (gmsh_files.installed, gmsh_files.translate, "$^"),
     "nastran": (gmsh_files.installed, gmsh_files.translate_bdf, '"BEGIN BULK" statement not found'),
     "netgen": (netgen_files.installed, netgen_files.read, "Unknown Netgen mesh token"),
 }
@@ -178,7 +177,7 @@ def _read(path: Path, name: str) -> Any:
 
     if name in READERS:
         return READERS[name](path)
-    reader = gmsh_files.read if name == "gmsh" else reader_map[name]
+    reader = reader_map[name]
     # A number that is none would become an index. The first bytes of an STL file of text, taken
     # for a number of triangles, overflow.
     with (

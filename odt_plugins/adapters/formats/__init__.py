@@ -7,6 +7,7 @@ of the result, and all else as the source has it.
 Sources
 -------
 Exodus: L. Schoof, V. Yarberry, EXODUS II: A Finite Element Data Model, SAND92-2137 (1994).
+Gmsh: https://gmsh.info/doc/texinfo/gmsh.html#MSH-file-format
 MED: MED file format 4.1, EDF and CEA, documentation of the Salome platform.
 MEDIT: P. Frey, Medit, an interactive mesh visualization software, INRIA RT-0253 (2001).
 OBJ: Wavefront, Appendix B1, Object Files (1995). OFF: Geomview manual, chapter on its formats.
@@ -24,6 +25,8 @@ from odt_plugins.adapters.formats import (
     exodus,
     exodus_copy,
     exodus_write,
+    gmsh,
+    gmsh_read,
     med,
     med_copy,
     medit,
@@ -36,15 +39,15 @@ from odt_plugins.adapters.formats import (
 from odt_plugins.adapters.formats.change import Change
 
 READERS: dict[str, Callable[[Path], Any]] = {
-    "exodus": exodus.read, "med": med.read, "medit": medit.read, "obj": obj.read,
-    "off": off.read, "ply": ply.read, "stl": stl.read,
+    "exodus": exodus.read, "gmsh": gmsh_read.read, "med": med.read, "medit": medit.read,
+    "obj": obj.read, "off": off.read, "ply": ply.read, "stl": stl.read,
 }
 """Readers that take the place of meshio's, by the name of the format in meshio."""
 
 REWRITERS: dict[str, Callable[[Path, Path, Change], list[str]]] = {
-    "exodus": exodus_copy.rewrite, "med": med_copy.rewrite, "medit": medit.rewrite,
-    "netgen": vol.rewrite, "obj": obj.rewrite, "off": off.rewrite, "ply": ply.rewrite,
-    "stl": stl.rewrite,
+    "exodus": exodus_copy.rewrite, "gmsh": gmsh.rewrite, "med": med_copy.rewrite,
+    "medit": medit.rewrite, "netgen": vol.rewrite, "obj": obj.rewrite, "off": off.rewrite,
+    "ply": ply.rewrite, "stl": stl.rewrite,
 }
 """Rewriters by the name of the format in meshio: source, target and change, to what is lost."""
 

@@ -1,0 +1,71 @@
+"""Files of Gmsh of version 2.2 with groups that overlap, as Gmsh reads them."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from odt_plugins.adapters.files import read_file, write_file
+from odt_plugins.api import optimize_file
+
+
+@pytest.fixture
+def gmsh():
+    module = pytest.importorskip("gmsh")
+    module.initialize(interruptible=False)
+    module.option.setNumber("General.Terminal", 0)
+    module.model.add("groups")
+    yield module
+    module.finalize()
+
+
+def model(gmsh, path, *, named, binary):
+    """Two boxes; both are in one group, each in one of its own, a face in two."""
+    occ = gmsh.model.occ
+    occ.fragment([(3, occ.addBox(0, 0, 0, 1, 1, 1))], [(3, occ.addBox(1, 0, 0, 1, 1, 1))])
+    occ.synchronize()
+    for dim, entities, tag, name in ((3, [1, 2], 7, "all"), (3, [1], 2, "one"), (3, [2], 3, "two"),
+                                     (2, [1, 2], 7, "skin"), (2, [2], 9, "part")):
+        gmsh.model.addPhysicalGroup(dim, entities, tag, name if named else "")
+    gmsh.option.setNumber("Mesh.MeshSizeMax", 0.35)
+    gmsh.option.setNumber("Mesh.Optimize", 0)
+    gmsh.model.mesh.generate(3)
+    gmsh.option.setNumber("Mesh.MshFileVersion", 2.2)
+    gmsh.option.setNumber("Mesh.Binary", binary)
+    gmsh.write(str(path))
+
+
+def volumes(gmsh, path):
+    """Size of every group: area or volume of its elements."""
+    gmsh.clear()
+    gmsh.open(str(path))
+    out = {}
+    for dim, tag in gmsh.model.getPhysicalGroups():
+        kind = {2: 2, 3: 4}[dim]
+        sizes = [gmsh.model.mesh.getElementQualities(
+            gmsh.model.mesh.getElementsByType(kind, entity)[0], "volume").sum()
+            for entity in gmsh.model.getEntitiesForPhysicalGroup(dim, tag)]
+        out[dim, tag, gmsh.model.getPhysicalName(dim, tag)] = round(float(sum(sizes)), 9)
+    return out
+
+
+@pytest.mark.parametrize("binary", [0, 1])
+@pytest.mark.parametrize("named", [True, False])
+def test_elements_of_several_groups_are_there_once(gmsh, named, binary, tmp_path):
+    source, target = tmp_path / "a.msh", tmp_path / "b.msh"
+    model(gmsh, source, named=named, binary=binary)
+    mesh = read_file(source)
+    cells = np.concatenate([block.data for block in mesh.cells if block.type == "tetra"])
+    assert len(np.unique(np.sort(cells, axis=1), axis=0)) == len(cells)
+    optimize_file(source, target)
+    assert target.read_bytes()[:20].split()[1:3] == [b"2.2", str(binary).encode()]
+    found = volumes(gmsh, target)
+    assert found == volumes(gmsh, source)
+    assert len(found) == 5
+
+
+def test_groups_that_overlap_go_to_version_4(gmsh, tmp_path):
+    model(gmsh, tmp_path / "a.msh", named=True, binary=0)
+    write_file(tmp_path / "b.msh", read_file(tmp_path / "a.msh"), file_format="gmsh41")
+    assert volumes(gmsh, tmp_path / "b.msh") == {
+        (3, 7, "all"): 2, (3, 2, "one"): 1, (3, 3, "two"): 1, (2, 7, "skin"): 2, (2, 9, "part"): 1}
