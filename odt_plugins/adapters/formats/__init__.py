@@ -6,6 +6,8 @@ of the result, and all else as the source has it.
 
 Sources
 -------
+Abaqus: Analysis User's Guide, Input syntax rules, Dassault Systemes; G. Dhondt, CalculiX
+CrunchiX User's Manual.
 Exodus: L. Schoof, V. Yarberry, EXODUS II: A Finite Element Data Model, SAND92-2137 (1994).
 MED: MED file format 4.1, EDF and CEA, documentation of the Salome platform.
 MEDIT: P. Frey, Medit, an interactive mesh visualization software, INRIA RT-0253 (2001).
@@ -21,6 +23,8 @@ from pathlib import Path
 from typing import Any
 
 from odt_plugins.adapters.formats import (
+    abaqus,
+    abaqus_copy,
     exodus,
     exodus_copy,
     exodus_write,
@@ -36,15 +40,15 @@ from odt_plugins.adapters.formats import (
 from odt_plugins.adapters.formats.change import Change
 
 READERS: dict[str, Callable[[Path], Any]] = {
-    "exodus": exodus.read, "med": med.read, "medit": medit.read, "obj": obj.read,
-    "off": off.read, "ply": ply.read, "stl": stl.read,
+    "abaqus": abaqus.read, "exodus": exodus.read, "med": med.read, "medit": medit.read,
+    "obj": obj.read, "off": off.read, "ply": ply.read, "stl": stl.read,
 }
 """Readers that take the place of meshio's, by the name of the format in meshio."""
 
 REWRITERS: dict[str, Callable[[Path, Path, Change], list[str]]] = {
-    "exodus": exodus_copy.rewrite, "med": med_copy.rewrite, "medit": medit.rewrite,
-    "netgen": vol.rewrite, "obj": obj.rewrite, "off": off.rewrite, "ply": ply.rewrite,
-    "stl": stl.rewrite,
+    "abaqus": abaqus_copy.rewrite, "exodus": exodus_copy.rewrite, "med": med_copy.rewrite,
+    "medit": medit.rewrite, "netgen": vol.rewrite, "obj": obj.rewrite, "off": off.rewrite,
+    "ply": ply.rewrite, "stl": stl.rewrite,
 }
 """Rewriters by the name of the format in meshio: source, target and change, to what is lost."""
 
