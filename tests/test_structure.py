@@ -69,7 +69,7 @@ TOOLKITS = {
                "adapters/netgen_files.py", "adapters/formats/abaqus.py",
                "adapters/formats/exodus.py",
                "adapters/formats/med.py", "adapters/formats/medit.py",
-               "adapters/formats/obj.py", "adapters/formats/ply.py",
+               "adapters/formats/nastran.py", "adapters/formats/obj.py", "adapters/formats/ply.py",
                "adapters/formats/polygons.py", "adapters/formats/stl.py", "cli/demo.py",
                "distributed/store.py", "generate/fill.py", "hosts/script.py"},
     "gmsh": {"adapters/gmsh_files.py", "adapters/gmsh_model.py", "hosts/gmsh_methods.py",

@@ -11,15 +11,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.formats.abaqus_tables import (
-    CORNERS,
-    FACES,
-    NODES,
-    SIDES,
-    is_shell,
-    type_of,
-)
-from odt_plugins.adapters.formats.decks import HELD, ORDERS, fits, order_of
+from odt_plugins.adapters.formats.abaqus_tables import NODES, SIDES, is_shell, type_of
+from odt_plugins.adapters.formats.decks import FACES, HELD, ORDERS, fits, order_of
 from odt_plugins.adapters.regions import region_names, spreads
 from odt_plugins.errors import MeshFileError
 
@@ -462,11 +455,6 @@ def side_rows(deck: Deck, side: Side) -> NDArray[np.int64]:
     """Nodes of faces, (k, nodes of one)."""
     block = deck.blocks[side.block]
     return np.asarray(block.rows[side.rows][:, FACES[block.kind][side.face]])
-
-
-def corners_of(kind: str, rows: NDArray[Any], face: int) -> NDArray[Any]:
-    """Corners of a face of cells (m, ...) of a type, (m, k)."""
-    return np.asarray(rows[:, FACES[kind][face][: CORNERS[kind]]])
 
 
 def titles(deck: Deck, word: str) -> dict[str, tuple[str, str]]:

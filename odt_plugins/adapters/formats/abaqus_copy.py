@@ -7,14 +7,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.abaqus import (
     Deck,
     Section,
     Side,
     cell_sets,
-    corners_of,
     face_of,
     faces_only,
     generated,
@@ -24,14 +22,16 @@ from odt_plugins.adapters.formats.abaqus import (
     resolved,
     words_of,
 )
-from odt_plugins.adapters.formats.abaqus_tables import FACES
 from odt_plugins.adapters.formats.change import Change, NotRewritable
 from odt_plugins.adapters.formats.decks import (
     Edit,
+    Names,
+    corners_of,
     edited,
-    places,
+    faces_of,
     real,
     substituted,
+    turned,
 )
 
 WIDEST = 20
@@ -42,66 +42,6 @@ A_LINE = 16
 
 VALUES = ("DISTRIBUTION", "INITIALCONDITIONS", "MODELCHANGE", "DLOAD", "DFLUX", "FILM", "RADIATE")
 """Keywords that may tell of elements by their numbers."""
-
-Name = tuple[str, int]
-"""Part and number of an element."""
-
-
-class _Names:
-    """Numbers of the nodes and elements of a result, of those that went, and of new ones.
-
-    Attributes
-    ----------
-    nodes : (n',) int            number of every node
-    parts : list of str          part of every node
-    lost : set of Name           nodes that went
-    around : dict                by part and number of a new node the old nodes of an element of it
-    of : list of list of int     for every block the number of every element
-    slots : list of lists        for every block and old row the new rows in its place
-    gone : set of Name
-    fresh : dict                 numbers of new elements by that of the one they come from
-    """
-
-    def __init__(self, deck: Deck, change: Change) -> None:
-        numbers = {v: name for name, v in deck.number.items()}
-        self.lost = {numbers[v] for v in np.flatnonzero(change.number < 0).tolist()}
-        old = [numbers.get(v, ("", -1)) for v in change.points.tolist()]
-        self.around: dict[Name, list[int]] = {}
-        most: dict[str, int] = {}
-        for part, number in deck.number:
-            most[part] = max(most.get(part, 0), number)
-        for b, block in enumerate(deck.blocks):
-            for row in np.asarray(change.after.cells[b].data)[
-                    (change.points[change.after.cells[b].data] < 0).any(axis=1)].tolist():
-                known = [old[v][1] for v in row if change.points[v] >= 0]
-                for v in row:
-                    if old[v] == ("", -1):
-                        most[block.part] += 1
-                        old[v] = (block.part, most[block.part])
-                        self.around[old[v]] = known
-        self.parts = [part for part, _ in old]
-        self.nodes = np.array([number for _, number in old], dtype=np.int64)
-        kinds = _kinds(deck)
-        last = _largest(deck)
-        self.of: list[list[int]] = []
-        self.slots: list[list[list[int]]] = []
-        self.gone: set[Name] = set()
-        self.fresh: dict[Name, list[int]] = {}
-        for b, block in enumerate(deck.blocks):
-            table = places(change.cells[b], change.exchanged(b), kinds[b])
-            names = [0] * len(change.cells[b])
-            for r, slot in enumerate(table):
-                for i, taken in slot:
-                    names[i] = block.ids[taken]
-                    if taken < 0:
-                        last[block.part] += 1
-                        names[i] = last[block.part]
-                        self.fresh.setdefault((block.part, block.ids[r]), []).append(names[i])
-            kept = set(names)
-            self.gone |= {(block.part, i) for i in block.ids if i not in kept}
-            self.of.append(names)
-            self.slots.append([[i for i, _ in slot] for slot in table])
-
 
 def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     """Replace the places of nodes that moved and the nodes of elements that were exchanged.
@@ -116,7 +56,9 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     """
     deck = parsed(source)
     data = source.read_bytes()
-    names = _Names(deck, change)
+    names = Names(
+        change, deck.number, [(block.part, block.ids) for block in deck.blocks], _kinds(deck),
+        _largest(deck))
     if {deck.number[name] for name in names.lost} & set(deck.held.tolist()):
         msg = "nodes went that it refers to"
         raise NotRewritable(msg)
@@ -170,7 +112,7 @@ def _spans(text: bytes) -> list[tuple[int, int]]:
     return out
 
 
-def _nodes(deck: Deck, names: _Names, change: Change) -> list[Edit]:
+def _nodes(deck: Deck, names: Names, change: Change) -> list[Edit]:
     """What replaces the lines of nodes that moved or went, and those of new ones."""
     lines = {deck.lines[deck.number[name]]: b"" for name in names.lost}
     last: dict[str, int] = {}
@@ -209,7 +151,7 @@ def _end(text: bytes) -> bytes:
     return text[len(text.rstrip(b"\r\n")):]
 
 
-def _elements(deck: Deck, data: bytes, b: int, names: _Names, change: Change) -> list[Edit]:
+def _elements(deck: Deck, data: bytes, b: int, names: Names, change: Change) -> list[Edit]:
     """What replaces the lines of the elements of a block."""
     block, after, fresh = deck.blocks[b], np.asarray(change.after.cells[b].data), (
         change.exchanged(b))
@@ -252,21 +194,17 @@ def _largest(deck: Deck) -> dict[str, int]:
     return out
 
 
-def _turned(row: list[int]) -> tuple[int, ...]:
-    """Corners of a face, the smallest first, in the same sense."""
-    k = row.index(min(row)) if len(row) > 2 else 0
-    return (*row[k:], *row[:k])
-
-
 def _faces(
-    deck: Deck, names: _Names, change: Change
+    deck: Deck, names: Names, change: Change
 ) -> tuple[dict[tuple[str, str], set[int]], list[Edit]]:
     """Sets that are of faces only, as they are to be, and what replaces lines with faces."""
     found = _found(deck, names, change)
     hidden = faces_only(deck)
     lines: dict[int, list[Side]] = {}
-    for side in deck.sides:
+    places: dict[int, list[tuple[int, int]]] = {}
+    for side, pairs in zip(deck.sides, found, strict=True):
         lines.setdefault(side.line, []).append(side)
+        places.setdefault(side.line, []).extend(pairs)
     uses: dict[tuple[str, str], set[int]] = {}
     for sides in lines.values():
         key = (deck.sections[sides[0].section].part, words_of(deck.texts[sides[0].line])[0].upper())
@@ -277,7 +215,7 @@ def _faces(
         part = deck.sections[sides[0].section].part
         word = words_of(deck.texts[i])[0]
         key, face = (part, word.upper()), sides[0].face
-        pairs = [pair for side in sides for pair in found[id(side)]]
+        pairs = places[i]
         others = {deck.blocks[b].ids[r] for b, r in members(deck, part, word)} - {
             deck.blocks[side.block].ids[r] for side in sides for r in side.rows}
         pairs += [(number, face) for number in sorted(others)]
@@ -293,7 +231,7 @@ def _faces(
     return sets, edits
 
 
-def _after(deck: Deck, names: _Names, part: str, word: str) -> set[int]:
+def _after(deck: Deck, names: Names, part: str, word: str) -> set[int]:
     """Numbers of the elements of a set afterwards, or the number of one."""
     if word.isdigit():
         return {int(word)} if (part, int(word)) not in names.gone else set()
@@ -303,32 +241,27 @@ def _after(deck: Deck, names: _Names, part: str, word: str) -> set[int]:
     return out
 
 
-def _found(deck: Deck, names: _Names, change: Change) -> dict[int, list[tuple[int, int]]]:
-    """Number of the element and face, of every face of every side, by the side.
+def _found(deck: Deck, names: Names, change: Change) -> list[list[tuple[int, int]]]:
+    """Number of the element and face, of every face of every side.
 
     Raises
     ------
     NotRewritable    a face is no more
     """
-    wanted: dict[int, list[tuple[int, ...]]] = {}
+    wanted = []
     for side in deck.sides:
         block = deck.blocks[side.block]
-        wanted[id(side)] = [_turned(row) for row in corners_of(
-            block.kind, block.rows[side.rows], side.face).tolist()]
-    near = np.zeros(len(change.before.points) + 1, dtype=np.bool_)
-    near[[v for rows in wanted.values() for row in rows for v in row]] = True
-    faces: dict[tuple[int, ...], tuple[int, int]] = {}
-    for b, block in enumerate(deck.blocks):
-        after = change.points[change.after.cells[b].data]
-        for face in range(len(FACES.get(block.kind, ()))):
-            rows: NDArray[Any] = corners_of(block.kind, after, face)
-            for i in np.flatnonzero(near[rows].all(axis=1)).tolist():
-                faces[_turned(rows[i].tolist())] = (names.of[b][i], face)
-    for side in deck.sides:
-        if any(row not in faces for row in wanted[id(side)]):
+        wanted.append([turned(row) for row in corners_of(
+            block.kind, block.rows[side.rows], side.face).tolist()])
+    faces = faces_of(change, [block.kind for block in deck.blocks],
+                     {v for rows in wanted for row in rows for v in row})
+    out = []
+    for side, rows in zip(deck.sides, wanted, strict=True):
+        if any(row not in faces for row in rows):
             msg = f"a face of *{deck.sections[side.section].name} is no more"
             raise NotRewritable(msg)
-    return {key: [faces[row] for row in rows] for key, rows in wanted.items()}
+        out.append([(names.of[b][i], face) for b, i, face in map(faces.__getitem__, rows)])
+    return out
 
 
 def _lines_of(
@@ -346,7 +279,7 @@ def _lines_of(
 
 
 def _set(
-    deck: Deck, section: Section, names: _Names, home: str, hidden: dict[tuple[str, str], set[int]]
+    deck: Deck, section: Section, names: Names, home: str, hidden: dict[tuple[str, str], set[int]]
 ) -> list[Edit]:
     """What replaces lines of a set of nodes or elements."""
     own: set[int] = set()

@@ -20,19 +20,8 @@ NODES = {"line": 2, "triangle": 3, "quad": 4, "triangle6": 6, "quad8": 8, "quad9
          "hexahedron20": 20}
 """Numbers of nodes of types of cells."""
 
-FACES = {
-    "tetra": [[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]],
-    "tetra10": [[0, 1, 2, 4, 5, 6], [0, 3, 1, 7, 8, 4], [1, 3, 2, 8, 9, 5], [2, 3, 0, 9, 7, 6]],
-    "triangle": [[0, 1], [1, 2], [2, 0]],
-    "triangle6": [[0, 1, 3], [1, 2, 4], [2, 0, 5]],
-}
-"""Places of the nodes of the faces, by their numbers from 1 on, in cells that may be optimised."""
-
 SIDES = {2: "line", 3: "triangle", 6: "triangle6"}
 """Types of faces by their numbers of nodes; three nodes are those of a curved line in the plane."""
-
-CORNERS = {"tetra": 3, "tetra10": 3, "triangle": 2, "triangle6": 2}
-"""Numbers of corners of the faces."""
 
 
 def type_of(name: str) -> str | None:
