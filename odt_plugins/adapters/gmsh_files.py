@@ -182,16 +182,3 @@ def translate(path: Path) -> Any:
         finally:
             gmsh.finalize()
         return gmsh_read.read(Path(target))
-
-
-def translate_bdf(path: Path) -> Any:
-    """Let Gmsh read a file of Nastran's, whose properties are labels of cells.
-
-    Raises
-    ------
-    Exception    anything at all, on a file that is broken
-    """
-    mesh = translate(path)
-    mesh.cell_data = {"nastran:ref": mesh.cell_data[ENTITY]}
-    mesh.point_data, mesh.cell_sets, mesh.info = {}, {}, None
-    return mesh

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.fields import densities, field_names
+from odt_plugins.adapters.formats.decks import HELD
 from odt_plugins.adapters.formats.medit import REQUIRED
 from odt_plugins.adapters.higher_order import (
     HIGHER,
@@ -124,6 +125,9 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     if REQUIRED in mesh.point_sets:
         kept = (*kept, KeptCells("required vertex",
                                  np.asarray(mesh.point_sets[REQUIRED]).reshape(-1, 1)))
+    if len(getattr(mesh, HELD, ())):
+        kept = (*kept, KeptCells("vertex named by its file",
+                                 np.asarray(getattr(mesh, HELD)).reshape(-1, 1)))
     rows = nodes = np.concatenate([mesh.cells[i].data for i in chosen])
     if shape is not None:
         check_mid_nodes(nodes, len(mesh.points), shape)

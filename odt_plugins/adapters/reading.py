@@ -133,7 +133,6 @@ def _read_vtk(path: Path, name: str, seconds: float) -> tuple[Any, list[str]]:
 
 MORE: dict[str, tuple[Callable[[], bool], Callable[..., Any], str]] = {
     "gmsh": (gmsh_files.installed, gmsh_files.translate, "$^"),
-    "nastran": (gmsh_files.installed, gmsh_files.translate_bdf, '"BEGIN BULK" statement not found'),
     "netgen": (netgen_files.installed, netgen_files.read, "Unknown Netgen mesh token"),
 }
 """Toolkits that read more files of a format than meshio: whether they are there, how they read, and

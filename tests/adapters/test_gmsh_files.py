@@ -190,7 +190,7 @@ def test_data_of_some_elements_are_read(name, model):
 
 
 @pytest.mark.parametrize("name", ["40.msh", "mesh.bdf"])
-def test_files_that_meshio_does_not_know_are_read_by_gmsh(name, model, monkeypatch):
+def test_files_that_meshio_does_not_know_are_read(name, model, monkeypatch):
     mesh, whole = files.read_file(model / name), files.read_file(model / "41.msh")
     assert np.array_equal(np.unique(np.round(mesh.points, 6), axis=0),
                           np.unique(np.round(whole.points, 6), axis=0))
@@ -199,8 +199,7 @@ def test_files_that_meshio_does_not_know_are_read_by_gmsh(name, model, monkeypat
     monkeypatch.setattr("odt_plugins.adapters.reading.MORE", {})
     monkeypatch.setattr(gmsh_files, "translate", lambda *_: pytest.fail("it was read by Gmsh"))
     if name == "mesh.bdf":
-        with pytest.raises(MeshFileError, match="BEGIN BULK"):
-            files.read_file(model / name)
+        assert len(files.read_file(model / name).points) == len(mesh.points)
 
 
 def test_files_of_netgen_are_read_by_netgen(tmp_path):

@@ -6,10 +6,13 @@ of the result, and all else as the source has it.
 
 Sources
 -------
+Abaqus: Analysis User's Guide, Input syntax rules, Dassault Systemes; G. Dhondt, CalculiX
+CrunchiX User's Manual.
 Exodus: L. Schoof, V. Yarberry, EXODUS II: A Finite Element Data Model, SAND92-2137 (1994).
 Gmsh: https://gmsh.info/doc/texinfo/gmsh.html#MSH-file-format
 MED: MED file format 4.1, EDF and CEA, documentation of the Salome platform.
 MEDIT: P. Frey, Medit, an interactive mesh visualization software, INRIA RT-0253 (2001).
+Nastran: MSC Nastran Quick Reference Guide, chapter on bulk data.
 OBJ: Wavefront, Appendix B1, Object Files (1995). OFF: Geomview manual, chapter on its formats.
 PLY: G. Turk, The PLY Polygon File Format (1994). STL: 3D Systems, StereoLithography Interface
 Specification (1989).
@@ -22,6 +25,8 @@ from pathlib import Path
 from typing import Any
 
 from odt_plugins.adapters.formats import (
+    abaqus,
+    abaqus_copy,
     exodus,
     exodus_copy,
     exodus_write,
@@ -30,6 +35,8 @@ from odt_plugins.adapters.formats import (
     med,
     med_copy,
     medit,
+    nastran,
+    nastran_copy,
     obj,
     off,
     ply,
@@ -39,15 +46,17 @@ from odt_plugins.adapters.formats import (
 from odt_plugins.adapters.formats.change import Change
 
 READERS: dict[str, Callable[[Path], Any]] = {
-    "exodus": exodus.read, "gmsh": gmsh_read.read, "med": med.read, "medit": medit.read,
-    "obj": obj.read, "off": off.read, "ply": ply.read, "stl": stl.read,
+    "abaqus": abaqus.read, "exodus": exodus.read, "gmsh": gmsh_read.read, "med": med.read,
+    "medit": medit.read, "nastran": nastran.read, "obj": obj.read, "off": off.read,
+    "ply": ply.read, "stl": stl.read,
 }
 """Readers that take the place of meshio's, by the name of the format in meshio."""
 
 REWRITERS: dict[str, Callable[[Path, Path, Change], list[str]]] = {
-    "exodus": exodus_copy.rewrite, "gmsh": gmsh.rewrite, "med": med_copy.rewrite,
-    "medit": medit.rewrite, "netgen": vol.rewrite, "obj": obj.rewrite, "off": off.rewrite,
-    "ply": ply.rewrite, "stl": stl.rewrite,
+    "abaqus": abaqus_copy.rewrite, "exodus": exodus_copy.rewrite, "gmsh": gmsh.rewrite,
+    "med": med_copy.rewrite, "medit": medit.rewrite, "nastran": nastran_copy.rewrite,
+    "netgen": vol.rewrite, "obj": obj.rewrite, "off": off.rewrite, "ply": ply.rewrite,
+    "stl": stl.rewrite,
 }
 """Rewriters by the name of the format in meshio: source, target and change, to what is lost."""
 

@@ -1,0 +1,337 @@
+"""Abaqus decks written into themselves: other places and nodes, and sets and faces that follow."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from odt_plugins.adapters.formats.abaqus import (
+    Deck,
+    Section,
+    Side,
+    cell_sets,
+    face_of,
+    faces_only,
+    generated,
+    home_of,
+    members,
+    parsed,
+    resolved,
+    words_of,
+)
+from odt_plugins.adapters.formats.change import Change, NotRewritable
+from odt_plugins.adapters.formats.decks import (
+    Edit,
+    Names,
+    corners_of,
+    edited,
+    faces_of,
+    real,
+    substituted,
+    turned,
+)
+
+WIDEST = 20
+"""Letters of a number that Abaqus and CalculiX read."""
+
+A_LINE = 16
+"""Most numbers on a line of a set."""
+
+VALUES = ("DISTRIBUTION", "INITIALCONDITIONS", "MODELCHANGE", "DLOAD", "DFLUX", "FILM", "RADIATE")
+"""Keywords that may tell of elements by their numbers."""
+
+def rewrite(source: Path, target: Path, change: Change) -> list[str]:
+    """Replace the places of nodes that moved and the nodes of elements that were exchanged.
+
+    Elements keep their numbers. New ones have numbers behind the largest, and are in the sets of
+    those that they come from; faces of surfaces and of loads are those of the elements that have
+    them now.
+
+    Raises
+    ------
+    NotRewritable    nodes went that are named, or what changes stands in a file that is included
+    """
+    deck = parsed(source)
+    data = source.read_bytes()
+    names = Names(
+        change, deck.number, [(block.part, block.ids) for block in deck.blocks], _kinds(deck),
+        _largest(deck))
+    if {deck.number[name] for name in names.lost} & set(deck.held.tolist()):
+        msg = "nodes went that it refers to"
+        raise NotRewritable(msg)
+    edits = _nodes(deck, names, change)
+    for b in range(len(deck.blocks)):
+        edits += _elements(deck, data, b, names, change)
+    hidden, lines = _faces(deck, names, change)
+    edits += lines
+    alias = resolved(deck.sections)
+    for section in deck.sections:
+        if section.name in ("ELSET", "NSET"):
+            edits += _set(deck, section, names, home_of(section, alias), hidden)
+        told = [i for i in section.lines if section.name in VALUES
+                and face_of(section, words_of(deck.texts[i])) is None]
+        numbers = {int(w) for w in (words_of(deck.texts[i])[0] for i in told) if w.isdigit()}
+        if {(section.part, number) for number in numbers} & names.gone:
+            msg = f"*{section.name} tells of elements that are no more"
+            raise NotRewritable(msg)
+    target.write_bytes(edited(data, edits))
+    return []
+
+
+def _line_edit(deck: Deck, i: int, text: bytes, last: int | None = None) -> Edit:
+    """Put text in the place of a line, or of several.
+
+    Raises
+    ------
+    NotRewritable    they stand in a file that is included
+    """
+    last = i if last is None else last
+    if deck.files[i] or deck.files[last]:
+        msg = "it includes files that hold what was changed"
+        raise NotRewritable(msg)
+    return deck.starts[i], deck.starts[last] + len(deck.texts[last]), text
+
+
+def _spans(text: bytes) -> list[tuple[int, int]]:
+    """Where the words between commas start and stop, in lines that are no comments."""
+    out = []
+    at = 0
+    for line in text.splitlines(keepends=True):
+        if line.strip() and not line.lstrip().startswith(b"**"):
+            body = line.rstrip()
+            here = at
+            words = body.split(b",")
+            for word in words[:-1] if body.endswith(b",") else words:
+                left = len(word) - len(word.lstrip()) if word.strip() else 0
+                out.append((here + left, here + len(word.rstrip()) if word.strip() else here))
+                here += len(word) + 1
+        at += len(line)
+    return out
+
+
+def _nodes(deck: Deck, names: Names, change: Change) -> list[Edit]:
+    """What replaces the lines of nodes that moved or went, and those of new ones."""
+    lines = {deck.lines[deck.number[name]]: b"" for name in names.lost}
+    last: dict[str, int] = {}
+    for part, number in deck.number:
+        i = deck.lines[deck.number[part, number]]
+        last[part] = max(last.get(part, 0), i)
+    spots = np.asarray(change.after.points).tolist()
+    for v in np.flatnonzero(change.moved & (change.points >= 0)).tolist():
+        i = deck.lines[change.points[v]]
+        lines[i] = _moved(deck.texts[i], spots[v])
+    for v in np.flatnonzero(change.points < 0).tolist():
+        i = last[names.parts[v]]
+        text = deck.texts[i]
+        text = substituted(text, _spans(text), {0: str(names.nodes[v]).encode()})
+        own = lines.get(i, deck.texts[i])
+        gap = b"" if not own or _end(own) else b"\n"
+        lines[i] = own + gap + _moved(text, spots[v])
+    return [_line_edit(deck, i, text) for i, text in lines.items()]
+
+
+def _moved(text: bytes, place: list[float]) -> bytes:
+    """A line of a node at another place."""
+    spans = _spans(text)
+    words = [real(x, WIDEST) for x in place]
+    missing = words[len(spans) - 1:]
+    if missing:
+        end = len(text.rstrip().rstrip(b","))
+        text = text[:end] + b"".join(b", " + word for word in missing) + text[
+            len(text.rstrip()):]
+        spans = _spans(text)
+    return substituted(text, spans, dict(enumerate(words, 1)))
+
+
+def _end(text: bytes) -> bytes:
+    """End of a line."""
+    return text[len(text.rstrip(b"\r\n")):]
+
+
+def _elements(deck: Deck, data: bytes, b: int, names: Names, change: Change) -> list[Edit]:
+    """What replaces the lines of the elements of a block."""
+    block, after, fresh = deck.blocks[b], np.asarray(change.after.cells[b].data), (
+        change.exchanged(b))
+    edits = []
+    for r, slot in enumerate(names.slots[b]):
+        if len(slot) == 1 and not fresh[slot[0]] and names.of[b][slot[0]] == block.ids[r]:
+            continue
+        first, last = block.lines[r]
+        start, stop, _ = _line_edit(deck, first, b"", last)
+        text = data[start:stop]
+        spans = _spans(text)
+        parts = []
+        for i in slot:
+            words = [names.of[b][i], *names.nodes[after[i]].tolist()]
+            part = substituted(text, spans, {k: str(w).encode() for k, w in enumerate(words)})
+            parts.append(part if _end(part) or i == slot[-1] else part + b"\n")
+        edits.append((start, stop, b"".join(parts)))
+    return edits
+
+
+def _kinds(deck: Deck) -> list[list[int]]:
+    """By block and element what tells apart those that are not in the same sets."""
+    kinds: list[Any] = [[() for _ in block.ids] for block in deck.blocks]
+    for k, rows in enumerate(cell_sets(deck).values()):
+        for b, own in rows.items():
+            for r in own:
+                kinds[b][r] = (*kinds[b][r], k)
+    return kinds
+
+
+def _largest(deck: Deck) -> dict[str, int]:
+    """Largest number of an element of every part."""
+    out = {block.part: max(block.ids) for block in deck.blocks}
+    for section in deck.sections:
+        if section.name == "ELEMENT" and section.part in out:
+            for i in section.lines:
+                word = deck.texts[i].split(b",")[0].strip()
+                if word.isdigit() and i not in deck.begun:
+                    out[section.part] = max(out[section.part], int(word))
+    return out
+
+
+def _faces(
+    deck: Deck, names: Names, change: Change
+) -> tuple[dict[tuple[str, str], set[int]], list[Edit]]:
+    """Sets that are of faces only, as they are to be, and what replaces lines with faces."""
+    found = _found(deck, names, change)
+    hidden = faces_only(deck)
+    lines: dict[int, list[Side]] = {}
+    places: dict[int, list[tuple[int, int]]] = {}
+    for side, pairs in zip(deck.sides, found, strict=True):
+        lines.setdefault(side.line, []).append(side)
+        places.setdefault(side.line, []).extend(pairs)
+    uses: dict[tuple[str, str], set[int]] = {}
+    for sides in lines.values():
+        key = (deck.sections[sides[0].section].part, words_of(deck.texts[sides[0].line])[0].upper())
+        uses.setdefault(key, set()).add(sides[0].face)
+    sets: dict[tuple[str, str], set[int]] = {}
+    edits = []
+    for i, sides in lines.items():
+        part = deck.sections[sides[0].section].part
+        word = words_of(deck.texts[i])[0]
+        key, face = (part, word.upper()), sides[0].face
+        pairs = places[i]
+        others = {deck.blocks[b].ids[r] for b, r in members(deck, part, word)} - {
+            deck.blocks[side.block].ids[r] for side in sides for r in side.rows}
+        pairs += [(number, face) for number in sorted(others)]
+        own = {number for number, at in pairs if at == face}
+        if key in hidden and uses[key] == {face} and own:
+            sets[key] = own
+            pairs = [pair for pair in pairs if pair[1] != face]
+            if pairs:
+                edits.append(_line_edit(deck, i, _lines_of(deck.texts[i], None, pairs)))
+            continue
+        if {(number, face) for number in _after(deck, names, part, word)} != set(pairs):
+            edits.append(_line_edit(deck, i, _lines_of(deck.texts[i], pairs, [])))
+    return sets, edits
+
+
+def _after(deck: Deck, names: Names, part: str, word: str) -> set[int]:
+    """Numbers of the elements of a set afterwards, or the number of one."""
+    if word.isdigit():
+        return {int(word)} if (part, int(word)) not in names.gone else set()
+    out: set[int] = set()
+    for b, r in members(deck, part, word):
+        out |= {names.of[b][i] for i in names.slots[b][r]}
+    return out
+
+
+def _found(deck: Deck, names: Names, change: Change) -> list[list[tuple[int, int]]]:
+    """Number of the element and face, of every face of every side.
+
+    Raises
+    ------
+    NotRewritable    a face is no more
+    """
+    wanted = []
+    for side in deck.sides:
+        block = deck.blocks[side.block]
+        wanted.append([turned(row) for row in corners_of(
+            block.kind, block.rows[side.rows], side.face).tolist()])
+    faces = faces_of(change, [block.kind for block in deck.blocks],
+                     {v for rows in wanted for row in rows for v in row})
+    out = []
+    for side, rows in zip(deck.sides, wanted, strict=True):
+        if any(row not in faces for row in rows):
+            msg = f"a face of *{deck.sections[side.section].name} is no more"
+            raise NotRewritable(msg)
+        out.append([(names.of[b][i], face) for b, i, face in map(faces.__getitem__, rows)])
+    return out
+
+
+def _lines_of(
+    text: bytes, instead: list[tuple[int, int]] | None, more: list[tuple[int, int]]
+) -> bytes:
+    """A line with a face, or lines of elements instead of it, and more of them behind."""
+    spans = _spans(text)
+    end = _end(text) or b"\n"
+    old = text[slice(*spans[1])]
+    body = [text.rstrip(b"\r\n")] if instead is None else []
+    for number, face in [*(instead or []), *more]:
+        word = b"".join(str(face + 1).encode() if 48 <= c < 58 else bytes([c]) for c in old)
+        body.append(substituted(text, spans, {0: str(number).encode(), 1: word}).rstrip(b"\r\n"))
+    return end.join(body) + (_end(text) if body else b"")
+
+
+def _set(
+    deck: Deck, section: Section, names: Names, home: str, hidden: dict[tuple[str, str], set[int]]
+) -> list[Edit]:
+    """What replaces lines of a set of nodes or elements."""
+    own: set[int] = set()
+    for i in section.lines:
+        words = words_of(deck.texts[i])
+        own |= set(generated(words)) if "GENERATE" in section.params else {
+            int(word) for word in words if word.isdigit()}
+    key = (section.part, section.params.get("ELSET", "").upper())
+    if section.name == "NSET":
+        drop = {number for number in own if (home, number) in names.lost}
+        add = {number for (part, number), known in names.around.items()
+               if part == home and own.issuperset(known)}
+    elif key in hidden:
+        last = [s for s in deck.sections if s.name == "ELSET" and s.part == section.part
+                and s.params.get("ELSET", "").upper() == key[1]][-1]
+        before = {deck.blocks[b].ids[r] for b, r in members(deck, *key)}
+        drop = own & (before - hidden[key])
+        add = hidden[key] - before if section is last else set()
+    else:
+        drop = {number for number in own if (home, number) in names.gone}
+        add = {new for number in own for new in names.fresh.get((home, number), ())}
+    if not (drop or add):
+        return []
+    edits = []
+    ranges = "GENERATE" in section.params
+    for i in section.lines:
+        text = deck.texts[i]
+        words = words_of(text)
+        new = text
+        if ranges:
+            numbers = [n for n in generated(words) if n not in drop]
+            if len(numbers) != len(generated(words)):
+                new = b"".join(_runs(numbers, _end(text) or b"\n"))
+        elif any(word.isdigit() and int(word) in drop for word in words):
+            kept = [word for word in words if word and not (
+                word.isdigit() and int(word) in drop)]
+            comma = b"," if text.rstrip().endswith(b",") else b""
+            new = ", ".join(kept).encode("latin-1") + comma + _end(text) if kept else b""
+        if add and i == section.lines[-1]:
+            end = _end(text) or b"\n"
+            numbers = sorted(add)
+            new += b"" if not new or _end(new) else end
+            new += b"".join(_runs(numbers, end)) if ranges else b"".join(
+                ", ".join(map(str, numbers[k: k + A_LINE])).encode() + end
+                for k in range(0, len(numbers), A_LINE))
+        if new is not text:
+            edits.append(_line_edit(deck, i, new))
+    return edits
+
+
+def _runs(numbers: list[int], end: bytes) -> list[bytes]:
+    """Lines of first, last and step."""
+    breaks = [0, *(k for k, (a, b) in enumerate(pairwise(numbers), 1) if b != a + 1), len(numbers)]
+    return [f"{numbers[a]}, {numbers[b - 1]}, 1".encode() + end for a, b in pairwise(breaks)
+            if b > a]

@@ -1,0 +1,221 @@
+"""Decks of text: records that are exchanged word by word, and who takes the place of whom."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.adapters.formats.change import Change, NotRewritable
+
+Name = tuple[str, int]
+"""Part and number of a node or an element."""
+
+Edit = tuple[int, int, bytes]
+"""Where a piece of a file starts and stops, and what takes its place."""
+
+
+HELD = "held"
+"""Attribute of a meshio.Mesh: vertices that have to stay, since its file refers to them."""
+
+ORDERS = {"tetra": 1, "tetra10": 2, "triangle": 1, "triangle6": 2}
+"""Orders of the types of cells that may be optimised, the first that is there is."""
+
+LINEAR = ("vertex", "line", "triangle", "quad", "tetra", "hexahedron", "wedge", "pyramid")
+
+FACES = {
+    "tetra": [[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]],
+    "tetra10": [[0, 1, 2, 4, 5, 6], [0, 3, 1, 7, 8, 4], [1, 3, 2, 8, 9, 5], [2, 3, 0, 9, 7, 6]],
+    "triangle": [[0, 1], [1, 2], [2, 0]],
+    "triangle6": [[0, 1, 3], [1, 2, 4], [2, 0, 5]],
+}
+"""Places of the nodes of the faces, by their numbers from 1 on, in cells that may be optimised."""
+
+CORNERS = {"tetra": 3, "tetra10": 3, "triangle": 2, "triangle6": 2}
+"""Numbers of corners of the faces."""
+
+QUADRATIC = ("line3", "triangle6", "tetra10")
+
+
+def edited(data: bytes, edits: Iterable[Edit]) -> bytes:
+    """Put other text in the place of pieces of a file, which do not overlap."""
+    out, at = [], 0
+    for start, stop, text in sorted(edits, key=lambda edit: edit[:2]):
+        out += [data[at:start], text]
+        at = stop
+    return b"".join([*out, data[at:]])
+
+
+def substituted(
+    text: bytes, spans: Sequence[tuple[int, int]], words: Mapping[int, bytes]
+) -> bytes:
+    """Exchange some words of a record, which are told by their places among all of its spans."""
+    return edited(text, [(*spans[i], word) for i, word in words.items()
+                         if text[spans[i][0]: spans[i][1]] != word])
+
+
+def real(x: float, width: int = 24) -> bytes:
+    """Text of at most `width` letters that reads as a number, or as the nearest that has one.
+
+    Raises
+    ------
+    NotRewritable    there is no room for any digit
+    """
+    for digits in range(17, 0, -1):
+        y = float(f"{x:.{digits}g}")
+        plain = repr(y)
+        forms = (plain, plain.replace("0.", ".", 1) if abs(y) < 1 else plain,
+                 np.format_float_scientific(y, trim="0", exp_digits=1))
+        best = next((form for form in forms if "." in form and len(form) <= width), None)
+        if best is not None:
+            return best.encode()
+    msg = f"{x!r} needs more than {width} letters"
+    raise NotRewritable(msg)
+
+
+def places(
+    rows: NDArray[np.int64], fresh: NDArray[np.bool_], kinds: Sequence[Any]
+) -> list[list[tuple[int, int]]]:
+    """Say which records new cells of a block take.
+
+    A cell stands where the cell stood from which its data come, and takes its name; the names of
+    cells that went pass to new ones of their kind.
+
+    Parameters
+    ----------
+    rows : (m',) int          cell of before of every cell of after
+    fresh : (m',) bool        those that are other cells
+    kinds : (m,)              what tells apart cells whose names must not be exchanged
+
+    Returns
+    -------
+    list of lists    for every row of before (cell of after, row whose name it takes or -1)
+    """
+    taken = np.full(len(rows), -1, dtype=np.int64)
+    used = np.zeros(len(kinds), dtype=np.bool_)
+    for i in [*np.flatnonzero(~fresh).tolist(), *np.flatnonzero(fresh).tolist()]:
+        if not used[rows[i]]:
+            used[rows[i]] = True
+            taken[i] = rows[i]
+    free: dict[Any, list[int]] = {}
+    for r in np.flatnonzero(~used).tolist()[::-1]:
+        free.setdefault(kinds[r], []).append(r)
+    out: list[list[tuple[int, int]]] = [[] for _ in kinds]
+    for i, r in enumerate(rows.tolist()):
+        if taken[i] < 0 and free.get(kinds[r]):
+            taken[i] = free[kinds[r]].pop()
+        out[r].append((i, int(taken[i])))
+    return out
+
+
+class Names:
+    """Numbers of the nodes and elements of a result, of those that went, and of new ones.
+
+    Parameters
+    ----------
+    number : dict                index of every node by part and number
+    blocks : list                part of every block, and numbers of its elements
+    kinds : list of lists        for every block what tells apart elements whose numbers must not be
+                                 exchanged
+    last : dict                  largest number of an element of every part
+
+    Attributes
+    ----------
+    nodes : (n',) int            number of every node
+    parts : list of str          part of every node
+    lost : set of Name           nodes that went
+    around : dict                by part and number of a new node the old nodes of an element of it
+    of : list of list of int     for every block the number of every element
+    slots : list of lists        for every block and old row the new rows in its place
+    gone : set of Name
+    fresh : dict                 numbers of new elements by that of the one they come from
+    """
+
+    def __init__(
+        self, change: Change, number: Mapping[Name, int],
+        blocks: Sequence[tuple[str, Sequence[int]]], kinds: Sequence[Sequence[Any]],
+        last: Mapping[str, int],
+    ) -> None:
+        of = {v: name for name, v in number.items()}
+        self.lost = {of[v] for v in np.flatnonzero(change.number < 0).tolist()}
+        old = [of.get(v, ("", -1)) for v in change.points.tolist()]
+        self.around: dict[Name, list[int]] = {}
+        most: dict[str, int] = {}
+        for part, n in number:
+            most[part] = max(most.get(part, 0), n)
+        for b, (part, _) in enumerate(blocks):
+            cells = np.asarray(change.after.cells[b].data)
+            for row in cells[(change.points[cells] < 0).any(axis=1)].tolist():
+                known = [old[v][1] for v in row if change.points[v] >= 0]
+                for v in row:
+                    if old[v] == ("", -1):
+                        most[part] += 1
+                        old[v] = (part, most[part])
+                        self.around[old[v]] = known
+        self.parts = [part for part, _ in old]
+        self.nodes = np.array([n for _, n in old], dtype=np.int64)
+        self.of: list[list[int]] = []
+        self.slots: list[list[list[int]]] = []
+        self.gone: set[Name] = set()
+        self.fresh: dict[Name, list[int]] = {}
+        highest = dict(last)
+        for b, (part, ids) in enumerate(blocks):
+            table = places(change.cells[b], change.exchanged(b), kinds[b])
+            names = [0] * len(change.cells[b])
+            for r, slot in enumerate(table):
+                for i, taken in slot:
+                    names[i] = ids[taken]
+                    if taken < 0:
+                        highest[part] += 1
+                        names[i] = highest[part]
+                        self.fresh.setdefault((part, ids[r]), []).append(names[i])
+            kept = set(names)
+            self.gone |= {(part, i) for i in ids if i not in kept}
+            self.of.append(names)
+            self.slots.append([[i for i, _ in slot] for slot in table])
+
+
+def corners_of(kind: str, rows: NDArray[Any], face: int) -> NDArray[Any]:
+    """Corners of a face of cells (m, ...) of a type, (m, k)."""
+    return np.asarray(rows[:, FACES[kind][face][: CORNERS[kind]]])
+
+
+def turned(row: list[int]) -> tuple[int, ...]:
+    """Corners of a face, the smallest first, in the same sense."""
+    k = row.index(min(row)) if len(row) > 2 else 0
+    return (*row[k:], *row[:k])
+
+
+def faces_of(
+    change: Change, kinds: Sequence[str], near: set[int]
+) -> dict[tuple[int, ...], tuple[int, int, int]]:
+    """Block, row and number of the face of cells of a result, by corners as :func:`turned`.
+
+    Parameters
+    ----------
+    kinds : types of the blocks of cells that are looked at, the first ones of the mesh
+    near : set of int           points of before; faces that have others are left out
+    """
+    known = np.zeros(len(change.before.points) + 1, dtype=np.bool_)
+    known[list(near)] = True
+    faces: dict[tuple[int, ...], tuple[int, int, int]] = {}
+    for b, kind in enumerate(kinds):
+        cells = change.points[change.after.cells[b].data]
+        for face in range(len(FACES.get(kind, ()))):
+            rows = corners_of(kind, cells, face)
+            for i in np.flatnonzero(known[rows].all(axis=1)).tolist():
+                faces[turned(rows[i].tolist())] = (b, i, face)
+    return faces
+
+
+def order_of(kinds: Iterable[str]) -> int:
+    """Order of the cells among some types that are optimised; 0 where there are none."""
+    found = set(kinds)
+    return next((order for kind, order in ORDERS.items() if kind in found), 0)
+
+
+def fits(kind: str, order: int) -> bool:
+    """Whether cells of a type may lie beside those of some order that are optimised."""
+    return order == 0 or kind in LINEAR or (order == 2 and kind in QUADRATIC)

@@ -1,0 +1,267 @@
+"""Nastran's decks: what does not change stays byte for byte, loads stay on their faces."""
+
+from __future__ import annotations
+
+import re
+import warnings
+
+import contract
+import meshio
+import numpy as np
+import pytest
+
+from odt_plugins.adapters.files import read_file, write_file
+from odt_plugins.api import optimize_file
+from odt_plugins.errors import DataNotKeptWarning, MeshFileError
+
+EDGES = [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)]
+FACES = [[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]]
+
+
+def box(dim, n, seed=4):
+    points, cells, _ = contract.grid(dim, n)
+    points = points / points.max()
+    inner = ((points > 0) & (points < 1)).all(axis=1)
+    rng = np.random.default_rng(seed)
+    points[inner] += rng.uniform(-0.2, 0.2, (inner.sum(), dim)) / n
+    return points, cells
+
+
+def quadratic(points, cells):
+    edges = np.sort(cells[:, EDGES], axis=2).reshape(-1, 2)
+    edges, place = np.unique(edges, axis=0, return_inverse=True)
+    return (np.concatenate([points, points[edges].mean(axis=1)]),
+            np.concatenate([cells, len(points) + place.reshape(-1, 6)], axis=1))
+
+
+def card(style, name, words):
+    """A card in one of the styles that Nastran knows."""
+    if style == "free":
+        lines = [words[k: k + 8] for k in range(0, len(words), 8)]
+        return [",".join([name if k == 0 else "+", *line]) for k, line in enumerate(lines)]
+    if style == "tabs":
+        lines = [words[k: k + 8] for k in range(0, len(words), 8)]
+        return ["\t".join([name if k == 0 else "+", *line]) for k, line in enumerate(lines)]
+    if style == "large":
+        lines = [words[k: k + 4] for k in range(0, len(words), 4)]
+        return [(f"{name}*" if k == 0 else "*").ljust(8) + "".join(f"{w:>16}" for w in line)
+                for k, line in enumerate(lines)]
+    side = "<" if style == "left" else ">"
+    lines = [words[k: k + 8] for k in range(0, len(words), 8)]
+    return [(f"{name:<8}" if k == 0 else f"+{k:<7}") + "".join(f"{w:{side}8}" for w in line)
+            + (f"+{k + 1:<7}" if k + 1 < len(lines) else "") for k, line in enumerate(lines)]
+
+
+def number(v, style):
+    if style == "tabs":
+        return f"{v:.4f}"
+    text = f"{v:.9f}" if style == "large" else f"{v:.5f}"
+    return text.replace("0.", ".", 1) if v < 0.3 else f"{v * 10:.3f}-1"
+
+
+def real(text):
+    return float(re.sub(r"(?<=[\d.])[dDeE]?(?=[+-]\d+$)", "e", text.strip()).replace("D", "e") or 0)
+
+
+def cards(path):
+    """Fields of all cards, by these few lines, and the lines of the file of each."""
+    text = path.read_bytes().decode().replace("\r", "")
+    out = []
+    for line in text.partition("BEGIN BULK\n")[2].split("\n"):
+        body = line.split("$")[0].rstrip()
+        if not body:
+            continue
+        if "," in body:
+            words = body.split(",")
+        else:
+            body = body.expandtabs(8)
+            ends = [0, 8, 24, 40, 56, 72] if "*" in body[:8] else range(0, 73, 8)
+            words = [body[a:b] for a, b in zip(ends, [*ends][1:], strict=False)]
+            words = [w for k, w in enumerate(words) if [*ends][k] < len(body)]
+        words = [w.strip() for w in words]
+        if words[0] in ("", "+", "*") or words[0][0] in "+*":
+            width = 4 if "*" in words[0] else 8
+            out[-1] += [""] * (-(len(out[-1]) - 1) % width) + words[1:]
+        else:
+            out.append([words[0].rstrip("*"), *words[1:]])
+    return out
+
+
+def told(path):
+    found = cards(path)
+    nodes = {int(c[1]): [real(x) for x in c[3:6]] for c in found if c[0] == "GRID"}
+    cells = {int(c[1]): (c[0], int(c[2]), [int(w) for w in c[3:] if w]) for c in found
+             if c[0] in ("CTETRA", "CTRIA3", "CQUAD4")}
+    loads = []
+    for c in found:
+        if c[0] == "PLOAD4":
+            nodes_ = cells[int(c[2])][2][:4]
+            assert int(c[7]) in nodes_
+            loads.append((tuple(sorted(set(nodes_) - {int(c[8])})), c[3]))
+    rest = [c for c in found if c[0] not in ("GRID", "CTETRA", "CTRIA3", "PLOAD4")]
+    return nodes, cells, sorted(loads), rest
+
+
+def deck(path, style, end="\n", order=1):
+    points, cells = box(3, 4)
+    points = np.round(points, 5)
+    steel = points[cells].mean(axis=1)[:, 0] < 0.5
+    x, nodes = (points, cells) if order == 1 else quadratic(points, cells)
+    x = np.round(x, 5)
+    lines = ["SOL 101", "CEND", "TITLE = a, box", "SET 1 = 1 THRU 5, 7", "LOAD = 3", "BEGIN BULK",
+             "PARAM,POST,-1", "$ nodes"]
+    for i, v in enumerate(x.tolist()):
+        words = [str(i + 1), "", *(number(c, style) for c in v)]
+        lines += card(style, "GRID", words + (["", "123"] if style == "right" and i < 3 else []))
+    lines += ["$ cells   with , a comma", ""]
+    for i, row in enumerate((nodes + 1).tolist()):
+        lines += card(style, "CTETRA", [str(i + 101), str(7 if steel[i] else 9), *map(str, row)])
+    seen = {}
+    for c, cell in enumerate(cells.tolist()):
+        for face in FACES:
+            key = tuple(sorted(cell[v] for v in face))
+            seen.setdefault(key, []).append((c, next(v for v in cell if v not in key)))
+    for key, found in seen.items():
+        if len(found) == 1 and (points[list(key)][:, 2] == 1).all():
+            c, away = found[0]
+            lines += card("right", "PLOAD4", ["3", str(c + 101), "1.5", "", "", "", str(key[0] + 1),
+                                              str(away + 1)])
+    quad = [np.flatnonzero((abs(x - p) < 1e-9).all(axis=1))[0] + 1
+            for p in ([0, 0, 0], [0.25, 0, 0], [0.25, 0.25, 0], [0, 0.25, 0])]
+    middle = int(np.flatnonzero(((points > 0.3) & (points < 0.7)).all(axis=1))[0]) + 1
+    lines += ["PSOLID  7       1       $ steel", "PSOLID  9       2",
+              "MAT1    1       2.1+11          .3", "MAT1,2,1.+6,,.45", "SPC1    1       123     1"
+              "       THRU    5", f"FORCE   3       {middle:<8}0       1.      1.      0.      0.",
+              "CQUAD4  5       3       " + "".join(f"{v:<8}" for v in quad),
+              "ENDDATA", "what follows is not read"]
+    path.write_bytes((end.join(lines) + end).encode())
+    return points, cells, middle
+
+
+def around(data):
+    """Lines that are of no card that may change."""
+    out, own = [], False
+    for line in data.splitlines(keepends=True):
+        if not re.match(rb"[+*, \t]", line):
+            own = line.startswith((b"GRID", b"CTETRA", b"PLOAD4"))
+        if not own:
+            out.append(line)
+    return out
+
+
+@pytest.mark.parametrize(("style", "end", "order"), [
+    ("right", "\n", 1), ("left", "\r\n", 2), ("free", "\n", 2), ("large", "\r\n", 2),
+    ("tabs", "\n", 1)])
+def test_all_else_stays_and_loads_stay_on_their_faces(style, end, order, tmp_path):
+    source, target = tmp_path / "a.bdf", tmp_path / "b.bdf"
+    _, _, middle = deck(source, style, end, order)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        write_file(target, read_file(source))
+    assert target.read_bytes() == source.read_bytes()
+    with pytest.warns(DataNotKeptWarning, match="last digits of the coordinates"):
+        report = optimize_file(source, target)
+    assert report.after.mean_quality > report.before.mean_quality
+    old, new = source.read_bytes(), target.read_bytes()
+    assert around(old) == around(new)
+    assert new.count(b"\r\n") == (new.count(b"\n") if end == "\r\n" else 0)
+    (nodes, cells, loads, rest), (nodes2, cells2, loads2, rest2) = told(source), told(target)
+    assert rest == rest2
+    assert loads == loads2
+    assert nodes2[middle] == nodes[middle]
+    assert cells != cells2
+    assert cells2[5] == cells[5]
+    assert {v for _, _, row in cells2.values() for v in row} == set(nodes2)
+    for label in (7, 9):
+        volumes = []
+        for x, found in ((nodes, cells), (nodes2, cells2)):
+            tets = np.array([[x[v] for v in row[:4]] for name, pid, row in found.values()
+                             if pid == label])
+            volumes.append(np.linalg.det(tets[:, 1:] - tets[:, :1]) / 6)
+            assert (volumes[-1] > 0).all()
+        assert volumes[0].sum() == pytest.approx(volumes[1].sum())
+    same = [line for line in new.splitlines() if line.startswith(b"GRID*")]
+    if style != "large":
+        assert 0 < len(same) < len(nodes2)
+    assert all(len(line.rstrip(b"\r\n")) <= 80 for line in new.splitlines() if b"GRID*" in line)
+
+
+@pytest.mark.parametrize("style", ["right", "large"])
+def test_other_readers_see_the_same_mesh(style, tmp_path):
+    gmsh = pytest.importorskip("gmsh")
+    source, target = tmp_path / "a.bdf", tmp_path / "b.bdf"
+    deck(source, style)
+    with pytest.warns(DataNotKeptWarning):
+        optimize_file(source, target)
+    nodes, cells, _, _ = told(target)
+    mine = read_file(target)
+    assert np.array_equal(mine.points, np.array(list(nodes.values())))
+    text = target.read_text().split("ENDDATA")[0]
+    text = re.sub(r"(?m)^(PLOAD4|FORCE|SPC1|CQUAD4|PSOLID|MAT1|PARAM).*\n", "", text) + "ENDDATA\n"
+    target.write_text(text)
+    if style == "right":
+        theirs = meshio.nastran.read(target)
+        assert np.allclose(theirs.points, mine.points, rtol=0, atol=1e-15)
+        assert np.array_equal(theirs.cells_dict["tetra"], mine.cells_dict["tetra"])
+    gmsh.initialize(interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.model.add("deck")
+        gmsh.open(str(target))
+        tags, _ = gmsh.model.mesh.getElementsByType(4)
+        _, coords, _ = gmsh.model.mesh.getNodes()
+    finally:
+        gmsh.finalize()
+    assert sorted(tags.tolist()) == sorted(i for i, c in cells.items() if c[0] == "CTETRA")
+    assert np.allclose(np.sort(coords), np.sort(np.ravel(list(nodes.values()))), atol=1e-9)
+
+
+def test_points_in_a_system_of_their_own_stay_where_it_puts_them(tmp_path):
+    points, cells = box(3, 4)
+    inner = int(np.flatnonzero(((points > 0.3) & (points < 0.7)).all(axis=1))[0])
+    lines = ["BEGIN BULK", "CORD2C,4,,0.5,0.,0.,.5,0.,1.", "+,1.5,0.,0."]
+    for i, v in enumerate(points.tolist()):
+        if i == inner:
+            r = np.hypot(v[0] - 0.5, v[1])
+            v = [r, np.degrees(np.arctan2(v[1], v[0] - 0.5)), v[2]]
+        lines += [f"GRID*   {i + 1:>16}{4 if i == inner else 0:>16}{v[0]:16.12f}{v[1]:16.12f}",
+                  f"*       {v[2]:16.12f}"]
+    lines += ["CTETRA," + ",".join(map(str, [i + 1, 1, *row])) for i, row in
+              enumerate((cells + 1).tolist())]
+    source, target = tmp_path / "a.nas", tmp_path / "b.nas"
+    source.write_text("\n".join([*lines, "ENDDATA", ""]))
+    assert np.allclose(read_file(source).points, points, atol=1e-10)
+    with pytest.warns(DataNotKeptWarning, match="last digits"):
+        optimize_file(source, target)
+    kept = next(i for i, line in enumerate(lines) if line.startswith(f"GRID*   {inner + 1:>16}"))
+    assert target.read_text().split("\n")[kept: kept + 2] == lines[kept: kept + 2]
+    assert target.read_text() != source.read_text()
+
+
+def test_shells_keep_their_angles_and_quadrilaterals_beside_stay(tmp_path):
+    points, cells = box(2, 6)
+    lines = ["BEGIN BULK"]
+    lines += [f"GRID    {i + 1:<8}        {v[0]:<8.5f}{v[1]:<8.5f}{0:<8.1f}" for i, v in
+              enumerate(points.tolist())]
+    lines += ["CTRIA3  " + "".join(f"{w:<8}" for w in [i + 1, 1, *row]) + "30." for i, row in
+              enumerate((cells + 1).tolist())]
+    source, target = tmp_path / "a.bdf", tmp_path / "b.bdf"
+    source.write_text("\n".join([*lines, "PSHELL,1,1,.1", "ENDDATA", ""]))
+    with pytest.warns(DataNotKeptWarning, match="last digits"):
+        report = optimize_file(source, target)
+    assert report.after.mean_quality > report.before.mean_quality
+    found = [line for line in target.read_text().split("\n") if line.startswith("CTRIA3")]
+    assert len(found) == len(cells)
+    assert all(line[48:] == "30." for line in found)
+    assert found != [line for line in lines if line.startswith("CTRIA3")]
+
+
+@pytest.mark.parametrize(("text", "said"), [
+    ("BEGIN BULK\nGRID,1,,0.,0.,0.\n", "ends before ENDDATA"),
+    ("BEGIN BULK\nGRID,1,,0.,0.,0.\nCTRIA3,1,1,1,2,3\nENDDATA\n", "refers to 2"),
+    ("BEGIN BULK\nGRID,1,5,0.,0.,0.\nGRID,2,,0.,0.,0.\nENDDATA\n", "coordinate system 5"),
+])
+def test_what_is_missing_is_told(text, said, tmp_path):
+    (tmp_path / "a.bdf").write_text(text)
+    with pytest.raises(MeshFileError, match=said):
+        read_file(tmp_path / "a.bdf")
