@@ -148,7 +148,8 @@ def read(path: Path) -> Any:
             cell_data[array.title] = _on_blocks(values, array.cells.where, layout.blocks)
     whole = {name: values_of(doc, items_of(doc, element)[0])
              for name, element in layout.whole.items()}
-    return Mesh(layout.points, layout.blocks, point_data, cell_data, _groups(doc) | whole)
+    blocks: list[Any] = [*layout.blocks]
+    return Mesh(layout.points, blocks, point_data, cell_data, _groups(doc) | whole)
 
 
 def layout_of(doc: Document) -> Layout:
