@@ -213,6 +213,18 @@ def test_lines_are_edges_of_a_ply(ball, tmp_path):
     assert back.cells_dict["line"].tolist() == cells[:5, :2].tolist()
 
 
+def test_a_ply_has_types_that_open3d_reads(ball, tmp_path):
+    open3d = pytest.importorskip("open3d")
+    points, faces, _ = ball
+    mesh = meshio.Mesh(points, [("triangle", faces), ("line", faces[:3, :2])],
+                       point_data={"few": np.arange(len(points))},
+                       cell_data={"label": [np.arange(len(faces)), np.arange(3)]})
+    write_file(tmp_path / "a.ply", mesh)
+    seen = open3d.io.read_triangle_mesh(str(tmp_path / "a.ply"))
+    assert np.array_equal(np.asarray(seen.triangles), faces)
+    assert np.array_equal(read_file(tmp_path / "a.ply").point_data["few"], np.arange(len(points)))
+
+
 @pytest.mark.parametrize("head", ["OFF # made by hand\n{} {} 0\n", "OFF {} {} 0\n",
                                   "OFF\n# comment\n\n{} {} 0\n", "OFF\r\n{}\t{} 0\r\n"])
 def test_off_with_comments_and_colours_of_faces(ball, tmp_path, head):

@@ -15,7 +15,7 @@ MEDIT: P. Frey, Medit, an interactive mesh visualization software, INRIA RT-0253
 Nastran: MSC Nastran Quick Reference Guide, chapter on bulk data.
 OBJ: Wavefront, Appendix B1, Object Files (1995). OFF: Geomview manual, chapter on its formats.
 PLY: G. Turk, The PLY Polygon File Format (1994). STL: 3D Systems, StereoLithography Interface
-Specification (1989).
+Specification (1989). XDMF: XDMF model and format, version 3, xdmf.org.
 """
 
 from __future__ import annotations
@@ -42,13 +42,15 @@ from odt_plugins.adapters.formats import (
     ply,
     stl,
     vol,
+    xdmf,
+    xdmf_copy,
 )
 from odt_plugins.adapters.formats.change import Change
 
 READERS: dict[str, Callable[[Path], Any]] = {
     "abaqus": abaqus.read, "exodus": exodus.read, "gmsh": gmsh_read.read, "med": med.read,
     "medit": medit.read, "nastran": nastran.read, "obj": obj.read, "off": off.read,
-    "ply": ply.read, "stl": stl.read,
+    "ply": ply.read, "stl": stl.read, "xdmf": xdmf.read,
 }
 """Readers that take the place of meshio's, by the name of the format in meshio."""
 
@@ -56,7 +58,7 @@ REWRITERS: dict[str, Callable[[Path, Path, Change], list[str]]] = {
     "abaqus": abaqus_copy.rewrite, "exodus": exodus_copy.rewrite, "gmsh": gmsh.rewrite,
     "med": med_copy.rewrite, "medit": medit.rewrite, "nastran": nastran_copy.rewrite,
     "netgen": vol.rewrite, "obj": obj.rewrite, "off": off.rewrite, "ply": ply.rewrite,
-    "stl": stl.rewrite,
+    "stl": stl.rewrite, "xdmf": xdmf_copy.rewrite,
 }
 """Rewriters by the name of the format in meshio: source, target and change, to what is lost."""
 

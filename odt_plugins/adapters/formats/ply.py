@@ -31,6 +31,9 @@ NORMALS = "Normals"
 
 COLOURS = ("red", "green", "blue", "alpha")
 
+WIDE = 2**31
+"""Least number that is no integer of four bytes, the widest that PLY has."""
+
 
 def read(path: Path) -> Any:
     """Read vertices, faces and edges with all their properties.
@@ -139,7 +142,7 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
     if ends:
         tables["edge"] = dict(zip(ENDS, np.concatenate(ends).T, strict=True))
     elements = [Element(name, len(next(iter(table.values()))), tuple(
-        Property(key, _type(np.asarray(values[:1] if isinstance(values, list) else values)),
+        Property(key, _type(np.concatenate(values) if isinstance(values, list) else values),
                  "uchar" if isinstance(values, list) or values.ndim > 1 else None)
         for key, values in table.items())) for name, table in tables.items()]
     kind = "ascii" if binary is False else "binary_little_endian"
@@ -182,8 +185,11 @@ def _columns(arrays: dict[str, Any], what: str, lost: list[str]) -> Table:
 
 
 def _type(values: NDArray[Any]) -> str:
-    """Name in PLY of the type that holds the values of an array."""
+    """Name in PLY of the type that holds the values of an array; most readers know no wider one."""
     kind, size = values.dtype.kind, values.dtype.itemsize
+    if kind in "iu" and size == 8 and values.size and (
+            -WIDE <= values.min() and values.max() < WIDE):
+        return "int"
     if kind == "f":
         return "float" if size <= 4 else "double"
     if kind == "b" or values.dtype == np.uint8:

@@ -1,0 +1,256 @@
+"""XDMF files: steps of time, tags and all else of the XML stay, as VTK, h5py and meshio read it."""
+
+from __future__ import annotations
+
+import os
+import re
+
+import h5py
+import meshio
+import numpy as np
+import pytest
+from contract import grid
+
+from odt_plugins.adapters.files import read_file, write_file
+from odt_plugins.api import optimize_file
+from odt_plugins.errors import MeshFileError
+
+HEAD = '<?xml version="1.0"?>\n<!-- by a solver -->\n<Xdmf Version="3.0" xmlns:xi="{}">\n'.format(
+    "http://www.w3.org/2001/XInclude")
+
+
+def item(form, values, name, stem, folder):
+    """A DataItem of values that are stored in one of the three ways."""
+    kind = {"f": "Float", "i": "Int", "u": "UInt"}[values.dtype.kind]
+    head = (f'<DataItem Dimensions="{" ".join(map(str, values.shape))}" NumberType="{kind}" '
+            f'Precision="{values.dtype.itemsize}" Format="{form}">')
+    if form == "HDF":
+        with h5py.File(folder / f"{stem}.h5", "a") as file:
+            data = file.create_dataset(name, data=values, compression="gzip", chunks=True)
+            data.attrs["unit"] = "m"
+        return f"{head}{stem}.h5:/{name}</DataItem>"
+    if form == "Binary":
+        (folder / f"{stem}_{name}.bin").write_bytes(values.tobytes())
+        return f"{head}{stem}_{name}.bin</DataItem>"
+    rows = "\n".join(" ".join(map(repr, row.tolist())) for row in values.reshape(len(values), -1))
+    return f"{head}\n{rows}\n</DataItem>"
+
+
+def series(folder, form="HDF", dim=2, stem="flow"):
+    """A series of FEniCS's kind: mesh, tags of cells and of facets, two steps of two arrays."""
+    points, cells, _ = grid(dim, 6 if dim == 2 else 4, 3)
+    middle = np.isclose(points[:, 0], 0.5)
+    lines = np.concatenate([np.delete(cells, k, axis=1) for k in range(dim + 1)])
+    lines = np.unique(np.sort(lines[middle[lines].all(axis=1)], axis=1), axis=0)
+    kind, facet = ("Triangle", "PolyLine") if dim == 2 else ("Tetrahedron", "Triangle")
+    tags = (points[cells].mean(axis=1)[:, 0] > 0.5).astype(np.int32) + 1
+    turned = np.random.default_rng(0).permutation(len(cells))
+
+    def data(values, name):
+        return item(form, values, name, stem, folder)
+
+    steps = []
+    for k, time in enumerate((0.0, 0.125)):
+        steps.append(f"""<Grid Name="u" GridType="Uniform">
+      <xi:include xpointer="xpointer(/Xdmf/Domain/Grid[@GridType='Uniform'][1]/*[self::Topology or self::Geometry])" />
+      <Time Value="{time}" />
+      <Attribute Name="u" AttributeType="Scalar" Center="Node">{data((points[:, :1] * (k + 1)), f"u{k}")}</Attribute>
+      <Attribute Name="p" AttributeType="Scalar" Center="Cell">{data(np.full(len(cells), k + .5, dtype=np.float32), f"p{k}")}</Attribute>
+    </Grid>""")  # noqa: E501
+    text = f"""{HEAD}<Domain>
+  <Grid Name="mesh" GridType="Uniform">
+    <Topology TopologyType="{kind}" NumberOfElements="{len(cells)}" NodesPerElement="{dim + 1}">{data(cells, "topology")}</Topology>
+    <Geometry GeometryType="{"XYZ"[:dim]}">{data(points, "geometry")}</Geometry>
+    <Information Name="unit" Value="metre"/>
+  </Grid>
+  <Grid Name="cell_tags" GridType="Uniform">
+    <xi:include xpointer="xpointer(/Xdmf/Domain/Grid/Geometry)" />
+    <Topology TopologyType="{kind}" NumberOfElements="{len(cells)}" NodesPerElement="{dim + 1}">{data(cells[turned], "tagged")}</Topology>
+    <Attribute Name="cell_tags" AttributeType="Scalar" Center="Cell">{data(tags[turned], "tags")}</Attribute>
+  </Grid>
+  <Grid Name="facet_tags" GridType="Uniform">
+    <xi:include xpointer="xpointer(/Xdmf/Domain/Grid/Geometry)" />
+    <Topology TopologyType="{facet}" NumberOfElements="{len(lines)}" NodesPerElement="{dim}">{data(lines, "facets")}</Topology>
+    <Attribute Name="facet_tags" AttributeType="Scalar" Center="Cell">{data(np.full(len(lines), 7, dtype=np.int32), "values")}</Attribute>
+  </Grid>
+  <Grid Name="u" GridType="Collection" CollectionType="Temporal">
+    {steps[0]}
+    {steps[1]}
+  </Grid>
+</Domain></Xdmf>
+"""  # noqa: E501
+    (folder / f"{stem}.xdmf").write_text(text)
+    return folder / f"{stem}.xdmf", points, cells, lines, tags
+
+
+def by_vtk(path, time):
+    """Points, and the arrays of points and cells, at a time as VTK reads them."""
+    from vtkmodules.util.numpy_support import vtk_to_numpy
+    from vtkmodules.vtkIOXdmf2 import vtkXdmfReader
+
+    reader = vtkXdmfReader()
+    reader.SetFileName(str(path))
+    reader.UpdateInformation()
+    reader.UpdateTimeStep(time)
+    out = reader.GetOutputDataObject(0)
+    grids = {}
+    for k in range(out.GetNumberOfBlocks()):
+        grid, name = out.GetBlock(k), out.GetMetaData(k).Get(out.NAME())
+        arrays = {}
+        for data in (grid.GetPointData(), grid.GetCellData()):
+            for i in range(data.GetNumberOfArrays()):
+                arrays[data.GetArrayName(i)] = vtk_to_numpy(data.GetArray(i))
+        grids[name] = vtk_to_numpy(grid.GetPoints().GetData()), grid.GetNumberOfCells(), arrays
+    return grids
+
+
+def skeleton(path):
+    """Text of the XML without the numbers in it and the names of its companions."""
+    text = re.sub(r">[^<]*</DataItem>", "></DataItem>", path.read_text())
+    return re.sub(r'(NumberOfElements|Dimensions)="[\d ]*"', "", text)
+
+
+@pytest.mark.parametrize("form", ["HDF", "XML", "Binary"])
+@pytest.mark.parametrize("dim", [2, 3])
+def test_steps_and_tags_come_back_and_the_rest_of_the_xml_stays(form, dim, tmp_path):
+    path, points, cells, facets, _ = series(tmp_path, form, dim)
+    target = tmp_path / "out" / "result.xdmf"
+    target.parent.mkdir()
+    optimize_file(path, target, insert=dim == 3)
+    assert skeleton(target) == skeleton(path).replace("flow", "result")
+    back = read_file(target)
+    main, facet = ("triangle", "line") if dim == 2 else ("tetra", "triangle")
+    assert set(back.point_data) == {"u[0]", "u[1]"}
+    assert set(back.cell_data) == {"p[0]", "p[1]", "cell_tags", "facet_tags"}
+    assert (len(back.points) != len(points)) == (dim == 3)
+    assert (len(back.cells[0].data) != len(cells)) == (dim == 3)
+    for k in (0, 1):
+        np.testing.assert_allclose(back.point_data[f"u[{k}]"][:, 0], back.points[:, 0] * (k + 1),
+                                   rtol=0, atol=1e-12)
+        assert (back.cell_data_dict[f"p[{k}]"][main] == np.float32(k + 0.5)).all()
+    tags = (back.points[back.cells_dict[main]].mean(axis=1)[:, 0] > 0.5) + 1
+    assert np.array_equal(back.cell_data_dict["cell_tags"][main], tags)
+    assert (back.points[back.cells_dict[facet]][:, :, 0] == 0.5).all()
+    assert np.array_equal(back.points[back.cells_dict[facet]], points[facets])
+    assert set(back.cell_data_dict["facet_tags"][facet]) == {7}
+    assert all(part.name.startswith("result") for part in target.parent.iterdir())
+
+
+def test_vtk_reads_the_same_grids_times_and_arrays(tmp_path):
+    pytest.importorskip("vtkmodules")
+    path, *_ = series(tmp_path)
+    optimize_file(path, tmp_path / "out.xdmf")
+    was, now = by_vtk(path, 0.125), by_vtk(tmp_path / "out.xdmf", 0.125)
+    assert list(was) == list(now) == ["mesh", "cell_tags", "facet_tags", "u"]
+    for name in was:
+        assert was[name][1] == now[name][1]
+        assert list(was[name][2]) == list(now[name][2])
+        assert {k: v.dtype for k, v in was[name][2].items()} == {
+            k: v.dtype for k, v in now[name][2].items()}
+        assert not np.array_equal(was[name][0], now[name][0])
+    np.testing.assert_allclose(now["u"][2]["u"].ravel(), 2 * now["u"][0][:, 0], atol=1e-12)
+
+
+def test_data_keep_types_filters_attributes_and_what_the_xml_does_not_name(tmp_path):
+    path, *_ = series(tmp_path, dim=3)
+    with h5py.File(tmp_path / "flow.h5", "a") as file:
+        file["left/alone"] = np.arange(4)
+        was = {name: (file[name].dtype, file[name].compression) for name in file if name != "left"}
+    optimize_file(path, tmp_path / "out.xdmf", insert=True)
+    with h5py.File(tmp_path / "out.h5") as file:
+        assert np.array_equal(file["left/alone"], np.arange(4))
+        assert {n: (file[n].dtype, file[n].compression) for n in file if n != "left"} == was
+        assert all(file[name].attrs["unit"] == "m" for name in was)
+
+
+@pytest.mark.parametrize("form", ["HDF", "XML", "Binary"])
+def test_what_did_not_change_is_the_same_byte_for_byte(form, tmp_path):
+    path, *_ = series(tmp_path, form)
+    (tmp_path / "out").mkdir()
+    write_file(tmp_path / "out" / path.name, read_file(path))
+    for part in (tmp_path / "out").iterdir():
+        assert part.read_bytes() == (tmp_path / part.name).read_bytes()
+    assert len(list((tmp_path / "out").iterdir())) == len(list(tmp_path.iterdir())) - 1
+
+
+def test_series_that_meshio_writes(tmp_path):
+    points, cells, _ = grid(3, 4, 1)
+    here = os.getcwd()
+    os.chdir(tmp_path)
+    try:
+        with meshio.xdmf.TimeSeriesWriter("a.xdmf") as writer:
+            writer.write_points_cells(points, [("tetra", cells)])
+            for k in range(3):
+                writer.write_data(0.1 * k, point_data={"h": points[:, 1] + k})
+    finally:
+        os.chdir(here)
+    optimize_file(tmp_path / "a.xdmf", tmp_path / "b.xdmf", insert=True)
+    os.chdir(tmp_path)
+    try:
+        with meshio.xdmf.TimeSeriesReader("b.xdmf") as reader:
+            places, blocks = reader.read_points_cells()
+            assert sum(len(block.data) for block in blocks) > 0
+            for k in range(reader.num_steps):
+                time, data, _ = reader.read_data(k)
+                assert time == pytest.approx(0.1 * k)
+                np.testing.assert_allclose(data["h"], places[:, 1] + k, atol=1e-12)
+    finally:
+        os.chdir(here)
+
+
+def test_mixed_cells_and_parts_of_arrays(tmp_path):
+    points, cells, _ = grid(2, 5, 2)
+    rim = np.array([[0, 1], [1, 2]])
+    mixed = np.concatenate([np.c_[np.full(2, 2), np.full(2, 2), rim].ravel(),
+                            np.c_[np.full(len(cells), 4), cells].ravel()])
+    both = np.stack([points[:, 0], points[:, 1]])
+    n = len(points)
+    (tmp_path / "a.xdmf").write_text(f"""{HEAD}<Domain><Grid Name="g">
+<Geometry GeometryType="XY">{item("XML", points, "x", "a", tmp_path)}</Geometry>
+<Topology TopologyType="Mixed" NumberOfElements="{len(cells) + 2}">
+{item("XML", mixed, "c", "a", tmp_path)}</Topology>
+<Attribute Name="y" Center="Node"><DataItem ItemType="HyperSlab" Dimensions="{n}">
+<DataItem Dimensions="3 2" NumberType="Int" Format="XML">1 0 1 1 1 {n}</DataItem>
+{item("HDF", both, "both", "a", tmp_path)}</DataItem></Attribute></Grid></Domain></Xdmf>""")
+    optimize_file(tmp_path / "a.xdmf", tmp_path / "b.xdmf")
+    back = read_file(tmp_path / "b.xdmf")
+    assert [(b.type, len(b.data)) for b in back.cells] == [("line", 2), ("triangle", len(cells))]
+    np.testing.assert_allclose(back.point_data["y"], back.points[:, 1], atol=1e-12)
+    assert not np.array_equal(back.points, points)
+    with h5py.File(tmp_path / "b.h5") as file:
+        assert np.array_equal(file["both"][0], points[:, 0])
+        assert not np.array_equal(file["both"][1], points[:, 1])
+
+
+def test_grids_of_other_meshes_are_refused_by_name(tmp_path):
+    path, points, cells, *_ = series(tmp_path, "XML")
+    text = path.read_text()
+    moved = item("XML", points + 1, "x", "a", tmp_path)
+    for old, new, said in (
+        ('<xi:include xpointer="xpointer(/Xdmf/Domain/Grid/Geometry)" />',
+         f'<Geometry GeometryType="XY">{moved}</Geometry>',
+         r"grids 'mesh' and 'cell_tags' have different points.*try a file for each"),
+        (item("XML", cells, "c", "a", tmp_path), item("XML", cells[:-1], "c", "a", tmp_path),
+         r"grids 'mesh' and 'cell_tags' have different cells.*try a file for each"),
+    ):
+        (tmp_path / "b.xdmf").write_text(text.replace(old, new, 1))
+        with pytest.raises(MeshFileError, match=said):
+            read_file(tmp_path / "b.xdmf")
+
+
+def test_parts_that_are_missing_or_short_are_named(tmp_path):
+    path, *_ = series(tmp_path)
+    with h5py.File(tmp_path / "flow.h5", "a") as file:
+        del file["u1"]
+    with pytest.raises(MeshFileError, match=r"flow\.h5 has no data at /u1"):
+        read_file(path)
+    data = (tmp_path / "flow.h5").read_bytes()
+    (tmp_path / "flow.h5").write_bytes(data[: len(data) // 2])
+    with pytest.raises(MeshFileError, match=r"flow\.h5 is incomplete.*expected a complete file"):
+        read_file(path)
+    (tmp_path / "flow.h5").unlink()
+    with pytest.raises(MeshFileError, match=r"flow\.h5, which is missing"):
+        read_file(path)
+    path.write_text(path.read_text()[:-40])
+    with pytest.raises(MeshFileError, match=r"its XML ends or breaks.*expected a complete file"):
+        read_file(path)
