@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.errors import counted
 from odt_plugins.mesh.numbering import in_old_numbers
-from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.mesh.simplex import SimplexMesh, vertex_mask
 from odt_plugins.options import Options
 from odt_plugins.promise.volume import held_by, held_vertices
 from odt_plugins.quality import QualitySummary, cell_figures, summarize
@@ -305,13 +305,15 @@ def _freeing(before: SimplexMesh, outcome: Outcome, options: Options) -> Freeing
     """The options that free cells of the result."""
     solid, surface = before.dim == 3, before.is_surface
     held = held_by(before)
+    given = vertex_mask(options.fixed, len(before.points), "fixed", "vertices")
     features = getattr(outcome, "kept", None)
     if features is not None:
         held["boundary"] = held["boundary"] | features.locked
     known = {
         'boundary="slide"': held["boundary"] & ~(held["fixed"] | held["frozen"]),
         "regions=None": held["interface"] & ~(held["boundary"] | held["fixed"] | held["frozen"]),
-        "fewer vertices in fixed": held["fixed"] & ~held["frozen"],
+        'periodic="free"': before.coupled & ~(held["frozen"] | given),
+        "fewer vertices in fixed": given & ~held["frozen"],
         'layers="improve"' if options.selection is None else "a larger selection": held["frozen"],
     }
     wider = f"envelope={2.0 * options.envelope:g}" if solid or surface else ""
