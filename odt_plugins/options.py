@@ -95,7 +95,7 @@ class Options:
     connectivity: Connectivity = field(default="auto", metadata=_told(
         "How cells are reconnected in stage 1: by scipy every round (delaunay), by local flips "
         "(flips), by scipy in the first round of a small mesh, in space of one with poor cells "
-        "only, and by local flips later (auto), or not (none, nor by finishing then).",
+        "only, and by local flips later (auto), or not (none, nor by finishing and untangling).",
         python="Sections 3.1 and 3.2.",
         choices=get_args(Connectivity)))
     density: Any = field(default="keep", metadata=_told(
@@ -250,6 +250,9 @@ class Options:
             _expect(good, "objective", self.objective, "'radius_ratio' without finishing")
             _expect(self.cycles == 1, "cycles", self.cycles, "1 without finishing")
         _expect(self.finish or not self.insert, "insert", self.insert, "False without finishing")
+        good = self.connectivity != "none" or not self.insert
+        _expect(good, "insert", self.insert, "False with connectivity='none', since vertices that "
+                "come change cells; try another connectivity")
         if isinstance(self.keep, str):
             _expect(self.keep in FIGURES, "keep", self.keep, f"some of {FIGURES}")
             object.__setattr__(self, "keep", (self.keep,))
