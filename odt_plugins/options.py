@@ -22,6 +22,7 @@ Connectivity = Literal["auto", "delaunay", "flips", "none"]
 Boundary = Literal["fixed", "slide"]
 Fields = Literal["auto", "interpolate", "keep"]
 Layers = Literal["keep", "improve"]
+Periodic = Literal["keep", "free"]
 Objective = Literal["radius_ratio", "min_dihedral", "amips", "time_step"]
 LinearSolver = Literal["auto", "direct", "amg"]
 
@@ -42,7 +43,8 @@ KEPT = ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle", "
 FIGURES = (*KEPT, "min_altitude")
 """What can be kept; the first of them are by default."""
 
-OF_MESHES = ("fixed", "selection", "regions", "fields", "layers", "orient", "untangle")
+OF_MESHES = (
+    "fixed", "selection", "regions", "fields", "layers", "periodic", "orient", "untangle")
 """Options for what a mesh has that is there already, none for a surface that is to be filled."""
 
 OF_UNTANGLING = ("insert", "fixed", "selection", "regions", "threads", "progress")
@@ -93,7 +95,7 @@ class Options:
     connectivity: Connectivity = field(default="auto", metadata=_told(
         "How cells are reconnected in stage 1: by scipy every round (delaunay), by local flips "
         "(flips), by scipy in the first round of a small mesh, in space of one with poor cells "
-        "only, and by local flips later (auto), or not (none, nor by finishing then).",
+        "only, and by local flips later (auto), or not (none, nor by finishing and untangling).",
         python="Sections 3.1 and 3.2.",
         choices=get_args(Connectivity)))
     density: Any = field(default="keep", metadata=_told(
@@ -170,6 +172,11 @@ class Options:
         "lets them stay as they are, improve treats them as any other cells. The report says how "
         "many there are.",
         choices=get_args(Layers)))
+    periodic: Periodic = field(default="keep", metadata=_told(
+        "What happens to faces that correspond to each other when the boundary slides: those that "
+        "the mesh calls so, and opposite plane ones of tetrahedra whose triangles match under one "
+        "translation. keep lets them stay as they are, free treats them as any other.",
+        choices=get_args(Periodic)))
     keep: tuple[str, ...] = field(default=KEPT, metadata=_told(
         "Figures that must not get worse; share_below_20 is the part of the cells with an angle "
         "below 20 degrees, min_altitude the least altitude of a cell, which the objective "
@@ -243,6 +250,9 @@ class Options:
             _expect(good, "objective", self.objective, "'radius_ratio' without finishing")
             _expect(self.cycles == 1, "cycles", self.cycles, "1 without finishing")
         _expect(self.finish or not self.insert, "insert", self.insert, "False without finishing")
+        good = self.connectivity != "none" or not self.insert
+        _expect(good, "insert", self.insert, "False with connectivity='none', since vertices that "
+                "come change cells; try another connectivity")
         if isinstance(self.keep, str):
             _expect(self.keep in FIGURES, "keep", self.keep, f"some of {FIGURES}")
             object.__setattr__(self, "keep", (self.keep,))
@@ -325,6 +335,7 @@ class OptionKeywords(TypedDict, total=False):
     regions: str | Sequence[str] | ArrayLike | None
     fields: Fields
     layers: Layers
+    periodic: Periodic
     keep: str | tuple[str, ...]
     orient: bool
     untangle: str | bool

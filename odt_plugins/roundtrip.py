@@ -279,8 +279,8 @@ def _checked(
             surface.fixed[host.geometry.on_curves] = True
         if keep_seams:
             surface = hold_charts(surface, host.blocks)
-        notes = (*hold_places(surface, host, surface=True), *notes_on_sets(host.kept))
-        return _Prepared(adapter, host, None, surface, 1, notes=notes)
+        surface, notes = hold_places(surface, host, periodic=options.periodic == "keep")
+        return _Prepared(adapter, host, None, surface, 1, notes=notes + notes_on_sets(host.kept))
     tangled = False
     try:
         simplices, orientation = simplex_mesh(
@@ -297,7 +297,8 @@ def _checked(
     bare, simplices = simplices, protect(simplices, host.kept, host.anchors)
     notes = note_inside(bare, simplices, host)
     if options.boundary == "slide":
-        notes += hold_places(simplices, host, surface=False)
+        simplices, more = hold_places(simplices, host, periodic=options.periodic == "keep")
+        notes += more
     notes += notes_on_sets(host.kept)
     work = _Prepared(adapter, host, frame, simplices, orientation, notes=notes)
     return _untangled(work, options, wanted) if tangled or wanted.rest is not None else work

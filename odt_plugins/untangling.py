@@ -108,17 +108,22 @@ def untangle_mesh(
     used = len(np.unique(mesh.cells))
     room = most_vertices(used, options.insert) - used if options.insert else 0
     tell = options.progress if callable(options.progress) else silent
-    found = untangled(mesh, options.threads, Wishes(wanted.rest, room, rounded, tell))
+    flips = options.connectivity != "none"
+    found = untangled(mesh, options.threads, Wishes(wanted.rest, room, rounded, tell, flips))
     moved = replace(mesh, points=found.points[:n])
     cells, regions, source = in_input_order(moved, found.points, found.cells, found.regions,
                                             options.threads)
     if found.bad.any() and not wanted.partial:
         left = cell_signs(found.points, cells)[0] <= 0
-        tried = "flips nor vertices more" if options.insert else "flips"
-        may = "" if options.insert or mesh.dim == 2 else "insert=True, "
+        tried = "no other places of their vertices were found, with connectivity='none'"
+        may = "connectivity='auto', "
+        if flips:
+            more = "flips nor vertices more" if options.insert else "flips"
+            tried = f"neither other places of their vertices nor {more} were found"
+            may = "" if options.insert or mesh.dim == 2 else "insert=True, "
         why, facets = _overlapping(mesh, cells[left])
         raise _left(mesh, moved.points, np.unique(source[left]),
-                    f"for which neither other places of their vertices nor {tried} were found{why}",
+                    f"for which {tried}{why}",
                     f"try {may}moving what holds them, or untangle(mesh, partial=True) for the "
                     f"best mesh there is", facets)
     facts = {

@@ -328,6 +328,19 @@ def test_the_promise_knows_the_exact_sign_of_a_thin_cell():
                for said in broken_promises(before, points, cells, before.regions, ()))
 
 
+def test_cells_stay_without_connectivity():
+    dart = np.array([[0.0, 0.0], [1.0, 0.4], [2.0, 0.0], [1.0, 2.0]]), [[0, 1, 2], [0, 2, 3]]
+    assert len(odt_plugins.optimize(dart)[1]) == 2
+    with pytest.raises(TangledMeshError, match=r"no other places .* connectivity='none'.*auto"):
+        odt_plugins.optimize(dart, connectivity="none")
+    points, cells = knotted(3)[:2]
+    out, rows = odt_plugins.optimize((points, cells), connectivity="none")
+    assert (out != points).any()
+    assert {frozenset(row) for row in rows.tolist()} == {frozenset(row) for row in cells.tolist()}
+    with pytest.raises(odt_plugins.InvalidOptionError, match="connectivity='none'"):
+        odt_plugins.optimize((points, cells), connectivity="none", insert=True)
+
+
 @pytest.mark.parametrize("more", [False, True])
 @pytest.mark.parametrize("work", ["untangle", "optimize"])
 def test_inserted_vertices_have_the_data_around_them(work, more):

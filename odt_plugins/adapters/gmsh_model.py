@@ -11,14 +11,14 @@ those above all others, inserted nodes only such. Elements of different entities
 Vertices of a face or curve that slide do so on the geometry itself, not on its triangles.
 Triangles and tetrahedra of higher order are optimised by their corners, see
 :mod:`odt_plugins.adapters.higher_order`. Views of
-post-processing stay as they are. Partitioned meshes, periodic surfaces whose nodes would move, and
-other elements of higher order are refused by name.
+post-processing stay as they are, and so do periodic curves and surfaces. Partitioned meshes and
+other elements of higher order are refused by name, and what would break periodic links.
 """
 
 from __future__ import annotations
 
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from functools import partial
 from typing import Any, NamedTuple
@@ -168,6 +168,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         kept=tuple(kept),
         source=mesh,
         layout=Layout(parts, number, kind, entity, tags, nodes),
+        coupled=_coupled(mesh, parts, places_of),
         higher_order=kind.order > 1,
         nodes=nodes if kind.order > 1 else None,
         shape=shape if kind.order > 1 else None,
@@ -439,23 +440,38 @@ def _parameters(
     return out
 
 
+def _links(model: Any, parts: dict[Entity, Part]) -> Iterator[tuple[int, int, int]]:
+    """Dimension, tag and tag of the master of periodic curves and surfaces."""
+    for dim in (1, 2):
+        tags = [tag for d, tag in parts if d == dim]
+        masters = model.mesh.getPeriodic(dim, tags) if tags else []
+        yield from ((dim, tag, int(master)) for tag, master in zip(tags, masters, strict=True)
+                    if tag != master)
+
+
+def _coupled(
+    model: Any, parts: dict[Entity, Part], places_of: Callable[[NDArray[Any]], IntArray]
+) -> IntArray | None:
+    """Nodes on periodic curves and surfaces, if there are any."""
+    nodes = [places_of(elements.nodes).ravel() for dim, tag, master in _links(model, parts)
+             for one in (tag, master) for elements in parts[dim, one].elements]
+    return np.unique(np.concatenate(nodes)) if nodes else None
+
+
 def _expect_links_kept(
     model: Any, old: dict[Entity, Part], new: dict[Entity, Part]
 ) -> None:
     """Refuse a result in which nodes of periodic curves or surfaces are elsewhere."""
-    for dim in (1, 2):
-        tags = [tag for d, tag in old if d == dim]
-        masters = model.mesh.getPeriodic(dim, tags) if tags else []
-        for tag, master in zip(tags, masters, strict=True):
-            for one in (tag, int(master)) if tag != master else ():
-                before, after = old[dim, one], new[dim, one]
-                if not (np.array_equal(before.tags, after.tags)
-                        and np.array_equal(before.places, after.places)):
-                    kind = ("curve", "surface")[dim - 1]
-                    msg = (f"got periodic {kind}s ({kind} {tag} and its master {master}) whose "
-                           f"nodes would no longer correspond; expected none that move, try "
-                           f"boundary='fixed' or a selection without them")
-                    raise UnsupportedMeshError(msg)
+    for dim, tag, master in _links(model, old):
+        for one in (tag, master):
+            before, after = old[dim, one], new[dim, one]
+            if not (np.array_equal(before.tags, after.tags)
+                    and np.array_equal(before.places, after.places)):
+                kind = ("curve", "surface")[dim - 1]
+                msg = (f"got periodic {kind}s ({kind} {tag} and its master {master}) whose "
+                       f"nodes would no longer correspond; expected none that move, try "
+                       f"periodic='keep'")
+                raise UnsupportedMeshError(msg)
 
 
 def _fill(model: Any, dim: int, old: dict[Entity, Part], new: dict[Entity, Part]) -> None:

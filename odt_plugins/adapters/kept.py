@@ -13,6 +13,7 @@ from odt_plugins.adapters.host import SET_VERTEX, HostMesh, KeptCells
 from odt_plugins.errors import InvalidMeshError, counted
 from odt_plugins.mesh.arrays import BoolArray, IntArray
 from odt_plugins.mesh.facets import directed_facets, row_keys
+from odt_plugins.mesh.periodic import periodic_triangles
 from odt_plugins.mesh.simplex import SimplexMesh, freeze, with_same_cells
 from odt_plugins.mesh.soup import twins
 from odt_plugins.mesh.surface import disagreeing_edges
@@ -220,23 +221,59 @@ def notes_on_sets(kept: tuple[KeptCells, ...]) -> tuple[str, ...]:
                  f"are" for kind, rows in kept if kind.startswith(SET_VERTEX))
 
 
-def hold_places(mesh: SimplexMesh, host: HostMesh, *, surface: bool) -> tuple[str, ...]:
-    """Hold, in place, what may not move each by itself, and say of what and why."""
+def hold_places(
+    mesh: SimplexMesh, host: HostMesh, *, periodic: bool
+) -> tuple[SimplexMesh, tuple[str, ...]]:
+    """Hold what may not move each by itself, and say of what and why.
+
+    Parameters
+    ----------
+    mesh : SimplexMesh     a curved surface, or tetrahedra whose boundary slides
+    host : HostMesh        that it comes from
+    periodic : bool        whether faces that correspond to each other are held
+
+    Returns
+    -------
+    mesh : SimplexMesh     with more in `fixed`, `frozen` and `stays`
+    notes : tuple of str
+    """
     notes = []
     same = twins(mesh.points, mesh.cells)
     if same.size:
-        mesh.fixed[same] = True
+        mesh = freeze(mesh, mesh.frozen, same)
         notes.append(f"{counted(len(same), 'vertex', 'vertices')} (first: {same[0]}) at the place "
                      f"of another one stay, so that patches do not come apart there; try merging "
                      f"vertices at the same place")
-    if host.coupled is not None and not surface:
-        mesh.fixed[host.coupled] = True
-        notes.append(f"{counted(len(host.coupled), 'vertex', 'vertices')} of periodic faces stay, "
-                     f"so that the faces still correspond")
-    if surface and mesh.frozen.any():
+    disagree = mesh.is_surface and mesh.frozen.any()
+    if periodic and mesh.points.shape[1] == 3:
+        mesh, count = _hold_periodic(mesh, host.coupled)
+        if count:
+            notes.append(f"{counted(count, 'vertex', 'vertices')} of periodic faces stay, so that "
+                         f"the faces still correspond; try periodic='free' to let them slide")
+    if disagree:
         edges = disagreeing_edges(mesh)
         if len(edges):
             first = tuple(edges[0].tolist())
             notes.append(f"cells disagree about the outside at {counted(len(edges), 'edge')} "
                          f"(first: {first}) and stay there; try orient=True, or removing them")
-    return tuple(host.words(note) for note in notes)
+    return mesh, tuple(host.words(note) for note in notes)
+
+
+def _hold_periodic(
+    mesh: SimplexMesh, coupled: NDArray[Any] | None
+) -> tuple[SimplexMesh, int]:
+    """Hold faces that correspond to each other, and say how many vertices they have."""
+    held, used = np.zeros((2, len(mesh.points)), dtype=np.bool_)
+    used[mesh.cells] = True
+    if coupled is not None:
+        held[coupled] = used[coupled]
+    if mesh.is_surface:
+        mesh = freeze(mesh, np.asarray(held[mesh.cells].all(axis=1)), np.flatnonzero(held))
+        return with_same_cells(mesh, coupled=held), int(held.sum())
+    facets = mesh.uneven.open
+    facets = np.concatenate([facets[held[facets].all(axis=1)],
+                             periodic_triangles(mesh.points, facets)])
+    held[facets] = True
+    mesh = freeze(mesh, mesh.frozen, np.flatnonzero(held))
+    stays = np.concatenate([mesh.stays, _edges(facets)])
+    return with_same_cells(mesh, stays=stays, coupled=held), int(held.sum())

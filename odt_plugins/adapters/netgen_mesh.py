@@ -83,6 +83,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         source=mesh, layout=labels, words=in_words,
         blocks=labels - labels.min() if labels.min() != labels.max() else None,
         geometry=_geometry(inner, points) if points.shape[1] == 3 else None,
+        coupled=_coupled(inner),
     )
 
 
@@ -116,6 +117,12 @@ def write(result: Result, host: HostMesh) -> Any:
 def in_words(text: str) -> str:
     """Put an error message into Netgen's words."""
     return re.sub(r"\bcell(s?)\b", r"element\1", text)
+
+
+def _coupled(mesh: Any) -> NDArray[np.int64] | None:
+    """Points that are identified with others, if there are any."""
+    pairs = [[one.nr - 1, other.nr - 1] for one, other, _ in mesh.GetIdentifications()]
+    return np.unique(np.array(pairs, dtype=np.int64)) if pairs else None
 
 
 def has_geometry(mesh: Any) -> bool:
@@ -257,7 +264,7 @@ def _identify(out: Any, source: Any, result: Result, host: HostMesh) -> None:
         old = np.array([one.nr - 1, other.nr - 1])
         if not np.array_equal(result.points[number[old]], host.points[old]):
             msg = (f"got identified points, such as {old[0]} and {old[1]}, that would no longer "
-                   f"correspond; expected none that move, try boundary='fixed'")
+                   f"correspond; expected none that move, try periodic='keep'")
             raise UnsupportedMeshError(msg)
         pair = (type(p)(int(number[p.nr - 1]) + 1) for p in (one, other))
         out.AddPointIdentification(*pair, which, source.GetIdentificationType(which))

@@ -27,7 +27,6 @@ from odt_plugins.errors import InvalidMeshError, ODTWarning, UnsupportedMeshErro
 REMEDIES = (
     (r"merging vertices at the same place",
      ("remove_duplicated_vertices()", "to_legacy().remove_duplicated_vertices()")),
-    (r"(?<=try )orient=True", ("orient_triangles()",)),
     (r"(?<=try )removing the cells that overlap", ("remove_non_manifold_edges()",)),
     (r"(?<=try )removing repeated cells",
      ("remove_duplicated_triangles()", "remove_duplicated_tetras()")),

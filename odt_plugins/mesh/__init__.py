@@ -10,7 +10,8 @@ numbering to the other. `same_places` finds the vertices that a soup has several
 `at_copies` gives the corners of new cells one of them. `CellGeometry` holds edges, normals and
 determinants in numpy, for the figures that leave the package. `quantile` computes what that of
 numpy does, faster. `layer_cells` finds the cells that are stretched alike with their neighbours,
-and `keep_layers` freezes them; `eigen` and `logarithms` are of small symmetric matrices.
+and `keep_layers` freezes them; `periodic_triangles` finds opposite faces that match; `eigen` and
+`logarithms` are of small symmetric matrices.
 
 Source: d-simplices in R^d as in Section 2 of Chen and Holst.
 

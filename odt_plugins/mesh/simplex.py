@@ -42,6 +42,8 @@ class SimplexMesh:
     lines : (l, 2) int32                     edges that count as feature edges
     anchored : (n,) bool                     vertices that may move but must not be removed, since
                                              something refers to them; none by default
+    coupled : (n,) bool                      those of the fixed vertices that are so since they lie
+                                             on periodic faces; none by default
     turned : int                             cells of mixed orientation that were turned on the way
                                              in
     valid_before : (points, cells) or None   of a mesh that was untangled, the valid cells it had: a
@@ -58,13 +60,15 @@ class SimplexMesh:
     stays: IntArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int32))
     lines: IntArray = field(default_factory=lambda: np.zeros((0, 2), dtype=np.int32))
     anchored: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
+    coupled: BoolArray = field(default_factory=lambda: np.zeros(0, dtype=np.bool_))
     turned: int = 0
     valid_before: tuple[FloatArray, IntArray] | None = None
     ground: SimplexMesh | None = None
 
     def __post_init__(self) -> None:
-        if self.anchored.size != len(self.points):
-            object.__setattr__(self, "anchored", np.zeros(len(self.points), dtype=np.bool_))
+        for name in ("anchored", "coupled"):
+            if getattr(self, name).size != len(self.points):
+                object.__setattr__(self, name, np.zeros(len(self.points), dtype=np.bool_))
         if self.frozen.size != len(self.cells):
             object.__setattr__(self, "frozen", np.zeros(len(self.cells), dtype=np.bool_))
 
@@ -200,7 +204,7 @@ def with_vertices(mesh: SimplexMesh, points: FloatArray) -> SimplexMesh:
     """The mesh with its vertices at other places, and perhaps more of them, which are free."""
     more = (0, len(points) - len(mesh.points))
     return replace(mesh, points=points, fixed=np.pad(mesh.fixed, more),
-                   anchored=np.pad(mesh.anchored, more))
+                   anchored=np.pad(mesh.anchored, more), coupled=np.pad(mesh.coupled, more))
 
 
 def reverse(cells: NDArray[Any], which: BoolArray) -> NDArray[Any]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import platform
+import re
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
@@ -15,8 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.errors import counted
-from odt_plugins.mesh.numbering import in_old_numbers
-from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.mesh.numbering import AS_MANY_AS_PAY, in_old_numbers, most_vertices
+from odt_plugins.mesh.simplex import SimplexMesh, vertex_mask
 from odt_plugins.options import Options
 from odt_plugins.promise.volume import held_by, held_vertices
 from odt_plugins.quality import QualitySummary, cell_figures, summarize
@@ -173,6 +174,8 @@ class Report:
             lines.append(f"time   {parts}")
         if self.counts:
             lines.append("counts " + ", ".join(f"{k} {v}" for k, v in self.counts.items()))
+        if full := _full(self):
+            lines.append(full)
         if self.slid:
             text = ("slid   {vertices} vertices; {forward:.3g} and {backward:.3g} from surface to "
                     "surface, at most {envelope:.3g}; volume {volume:+.3%}")
@@ -182,7 +185,7 @@ class Report:
         if self.stop_reason:
             lines.append(f"ended  {self.stop_reason}")
         if self.fallback:
-            lines.append(f"fell back: {self.fallback}")
+            lines.append(f"fell back: {self.fallback}{_past_crossings(self)}")
         if self.vetoed:
             lines.append(_veto_line(self.vetoed, self.options))
         if self.binding:
@@ -305,13 +308,15 @@ def _freeing(before: SimplexMesh, outcome: Outcome, options: Options) -> Freeing
     """The options that free cells of the result."""
     solid, surface = before.dim == 3, before.is_surface
     held = held_by(before)
+    given = vertex_mask(options.fixed, len(before.points), "fixed", "vertices")
     features = getattr(outcome, "kept", None)
     if features is not None:
         held["boundary"] = held["boundary"] | features.locked
     known = {
         'boundary="slide"': held["boundary"] & ~(held["fixed"] | held["frozen"]),
         "regions=None": held["interface"] & ~(held["boundary"] | held["fixed"] | held["frozen"]),
-        "fewer vertices in fixed": held["fixed"] & ~held["frozen"],
+        'periodic="free"': before.coupled & ~(held["frozen"] | given),
+        "fewer vertices in fixed": given & ~held["frozen"],
         'layers="improve"' if options.selection is None else "a larger selection": held["frozen"],
     }
     wider = f"envelope={2.0 * options.envelope:g}" if solid or surface else ""
@@ -335,6 +340,24 @@ def _veto_line(facts: Mapping[str, Any], options: Mapping[str, Any]) -> str:
     left = tuple(name for name in options["keep"] if name not in facts["worse"])
     return (f"veto   of {worse}: a state with mean q {facts['mean_quality']:.3f} and least q "
             f"{facts['min_quality']:.3f} was refused; try keep={left!r}")
+
+
+def _past_crossings(report: Report) -> str:
+    """End of a sentence: what to try where a surface that moved went through itself."""
+    if not re.search("through (itself|other triangles)", report.fallback or ""):
+        return ""
+    return f"; try envelope={0.5 * report.options['envelope']:g}"
+
+
+def _full(report: Report) -> str:
+    """Say that no more vertices could come, and how to let them."""
+    insert = report.options.get("insert")
+    added = report.counts.get("vertices added", 0)
+    if not insert or not 0 < most_vertices(report.n_used, insert) - report.n_used <= added:
+        return ""
+    share = 2.0 * (AS_MANY_AS_PAY if insert is True else insert)
+    return (f"size   {counted(added, 'vertex', 'vertices')} came, as many as may by insert="
+            f"{insert}; try insert={share:g}")
 
 
 def _curved_lines(facts: Mapping[str, float]) -> list[str]:

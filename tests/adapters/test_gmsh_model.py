@@ -285,13 +285,37 @@ def test_periodic_curves_stay_linked_and_periodic_surfaces_do_not_move():
     gmsh.option.setNumber("Mesh.MeshSizeMax", 0.5)
     model.mesh.generate(2)
     before = dump(model)
-    with pytest.raises(UnsupportedMeshError, match="surface 2 and its master 1"):
-        odt_plugins.optimize(model, envelope=0.1)
+    with pytest.raises(UnsupportedMeshError, match=r"surface 2 and its master 1.*periodic='keep'"):
+        odt_plugins.optimize(model, envelope=0.1, periodic="free")
+    _, report = odt_plugins.optimize_with_report(model, envelope=0.1)
+    assert f"{len(model.mesh.getNodes()[0])} vertices of periodic faces stay" in str(report)
     assert same(before, dump(model))
     model.mesh.generate(3)
     links = model.mesh.getPeriodicNodes(2, 2)
     odt_plugins.optimize(model)
     assert all(map(np.array_equal, links, model.mesh.getPeriodicNodes(2, 2)))
+    gmsh.option.restoreDefaults()
+    gmsh.option.setNumber("General.Terminal", 0)
+
+
+@pytest.mark.parametrize("order", [1, 2])
+def test_periodic_surfaces_stay_and_others_slide(order):
+    model = contract.GmshModel().current()
+    model.occ.addBox(0, 0, 0, 1, 1, 1)
+    model.occ.synchronize()
+    model.mesh.setPeriodic(2, [2], [1], [1, 0, 0, 1, 0, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1])
+    gmsh.option.setNumber("Mesh.MeshSizeMax", 0.25)
+    gmsh.option.setNumber("Mesh.ElementOrder", order)
+    model.mesh.generate(3)
+    links = model.mesh.getPeriodicNodes(2, 2)
+    before = {tag: model.mesh.getNodes(2, tag)[1] for tag in (1, 2, 3, 4, 5, 6)}
+    _, report = odt_plugins.optimize_with_report(model, boundary="slide", keep=())
+    assert "of periodic faces stay" in str(report)
+    assert all(map(np.array_equal, links, model.mesh.getPeriodicNodes(2, 2)))
+    for tag in (1, 2):
+        assert np.array_equal(before[tag], model.mesh.getNodes(2, tag)[1])
+    assert any(not np.array_equal(before[tag], model.mesh.getNodes(2, tag)[1])
+               for tag in (3, 4, 5, 6))
     gmsh.option.restoreDefaults()
     gmsh.option.setNumber("General.Terminal", 0)
 

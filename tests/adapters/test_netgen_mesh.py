@@ -150,8 +150,8 @@ def test_periodic_identifications_stay():
     box = Box((0, 0, 0), (1, 1, 1))
     box.faces.Min(X).Identify(box.faces.Max(X), "across", IdentificationType.PERIODIC)
     mesh = OCCGeometry(box).GenerateMesh(maxh=0.4, optsteps3d=0)
-    for insert in (False, True):
-        out = odt_plugins.optimize(mesh, insert=insert)
+    for options in ({}, {"insert": True}, {"boundary": "slide"}):
+        out = odt_plugins.optimize(mesh, **options)
         pairs = out.GetIdentifications()
         assert len(pairs) == len(mesh.GetIdentifications()) > 4
         places = np.array(out.Coordinates())
@@ -160,7 +160,7 @@ def test_periodic_identifications_stay():
             assert np.abs(apart) == pytest.approx([1, 0, 0], abs=1e-9)
             assert out.GetIdentificationType(number) == IdentificationType.PERIODIC
     with pytest.raises(UnsupportedMeshError, match="identified points"):
-        odt_plugins.optimize(mesh, boundary="slide")
+        odt_plugins.optimize(mesh, boundary="slide", periodic="free")
 
 
 def test_what_ngsolve_adds_is_lost_with_a_warning():

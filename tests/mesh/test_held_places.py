@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import permutations
+
 import meshio
 import numpy as np
 import pytest
@@ -9,6 +11,8 @@ import trimesh
 
 import odt_plugins
 from odt_plugins.errors import InvalidMeshError
+from odt_plugins.mesh.facets import uneven_facets
+from odt_plugins.mesh.periodic import periodic_triangles
 
 
 def patches(n=6):
@@ -83,3 +87,97 @@ def test_faces_that_a_file_calls_periodic_still_correspond_when_the_surface_slid
     away = np.linalg.norm(low[:, None] - high[None], axis=2).min(axis=1)
     assert len(low) == len(high)
     assert away.max() < 1e-9
+
+
+def box(n, seed=3):
+    """A cube of n^3 boxes of six tetrahedra, vertices inside of it and of its faces jittered.
+
+    Opposite faces have the same jitter.
+    """
+    index = np.arange((n + 1) ** 3).reshape([n + 1] * 3)
+    cells = []
+    for order in permutations(range(3)):
+        corner = np.zeros((4, 3), dtype=int)
+        for i, axis in enumerate(order):
+            corner[i + 1] = corner[i]
+            corner[i + 1, axis] += 1
+        tet = np.stack([index[a:n + a, b:n + b, c:n + c].ravel() for a, b, c in corner], axis=1)
+        even = np.linalg.det(np.eye(3)[list(order)]) > 0
+        cells.append(tet if even else tet[:, [0, 1, 3, 2]])
+    place = np.stack(np.meshgrid(*[np.arange(n + 1)] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    jitter = np.random.default_rng(seed).uniform(-0.25, 0.25, (n + 1, n + 1, n + 1, 3))
+    for axis in range(3):
+        for side in (0, n):
+            jitter[(*[slice(None)] * axis, side)][..., axis] = 0.0
+        first = [slice(None)] * 3
+        first[axis] = 0
+        last = [*first]
+        last[axis] = n
+        jitter[tuple(last)] = jitter[tuple(first)]
+    return (place + jitter.reshape(-1, 3)) / n, np.concatenate(cells)
+
+
+def partners(points, cells, axis):
+    """Triangles at both ends of an axis, the places of their corners without that axis, sorted."""
+    ordered = np.sort(cells, axis=1)
+    facets, count = np.unique(np.concatenate([np.delete(ordered, i, axis=1) for i in range(4)]),
+                              axis=0, return_counts=True)
+    facets = facets[count == 1]
+    out = []
+    for side in (points[:, axis].min(), points[:, axis].max()):
+        at = facets[(np.abs(points[facets][..., axis] - side) < 1e-9).all(axis=1)]
+        places = np.round(np.delete(points[at], axis, axis=2), 9) + 0.0
+        out.append(sorted(tuple(sorted(map(tuple, triangle))) for triangle in places.tolist()))
+    return out
+
+
+@pytest.mark.parametrize("turned", [False, True])
+def test_opposite_faces_that_match_in_any_mesh_still_do_when_the_surface_slides(turned):
+    points, cells = box(5)
+    turn = np.linalg.qr(np.random.default_rng(1).normal(size=(3, 3)))[0] if turned else np.eye(3)
+    turn[:, 0] *= np.sign(np.linalg.det(turn))
+    if not turned:
+        points = points * [1.0, 0.9, 0.8]
+    (out, rows), report = odt_plugins.optimize_with_report(
+        (points @ turn.T + 3.0 * turned, cells), boundary="slide", keep=())
+    back = (out - 3.0 * turned) @ turn
+    for axis in range(3):
+        low, high = partners(back, rows, axis)
+        assert low == high
+        assert len(low) == 50
+    assert "152 vertices of periodic faces stay" in str(report)
+    assert "periodic='free'" in str(report)
+    assert any('periodic="free"' in cell.hint for cell in report.binding)
+    assert not any("vertices in fixed" in cell.hint for cell in report.binding)
+    free, rows = odt_plugins.optimize(
+        (points @ turn.T, cells), boundary="slide", periodic="free", keep=())
+    assert (free != points @ turn.T).any(axis=1).sum() > 64
+
+
+def test_faces_that_hardly_match_slide():
+    points, cells = box(4)
+    faces = np.flatnonzero(np.isclose(points, 1).sum(axis=1) == 1)
+    first = periodic_triangles(points, uneven_facets(cells, len(points)).open)
+    assert len(first) == 6 * 32
+    for axis in range(3):
+        at = faces[np.isclose(points[faces, axis], 1)]
+        points[at[0], axis - 1] += 0.01
+    assert not len(periodic_triangles(points, uneven_facets(cells, len(points)).open))
+    _, report = odt_plugins.optimize_with_report((points, cells), boundary="slide")
+    assert "periodic" not in str(report)
+
+
+def test_a_translation_and_the_same_triangles_are_what_matches():
+    low = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], float)
+    points = np.concatenate([low, low + np.array([0.3, 0.2, 2.0])])
+    square = np.array([[0, 1, 2], [0, 2, 3]])
+    sides = np.array([[0, 1, 5], [0, 5, 4], [1, 2, 6], [1, 6, 5], [3, 2, 6], [3, 6, 7], [0, 3, 7],
+                      [0, 7, 4]])
+    whole = np.concatenate([square, square + 4, sides])
+    assert len(periodic_triangles(points, whole)) == 12
+    other = np.concatenate([square, [[4, 5, 7], [5, 6, 7]], sides])
+    assert {tuple(row) for row in periodic_triangles(points, other).tolist()} == {
+        tuple(row) for row in sides.tolist()}
+    mirrored = points.copy()
+    mirrored[4:, :2] *= [1.2, 1.1]
+    assert not len(periodic_triangles(mirrored, whole))

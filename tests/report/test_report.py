@@ -264,6 +264,19 @@ def test_a_veto_says_what_was_refused_and_how_to_have_it() -> None:
     assert json.loads(report.to_json())["vetoed"]["mean_quality"] == veto["mean_quality"]
 
 
+def test_a_report_says_where_no_more_vertices_may_come() -> None:
+    share, more = 0.02, {}
+    for _ in range(2):
+        _, report = odt_plugins.optimize_with_report(STORED, insert=share)
+        lines = [line for line in str(report).splitlines() if line.startswith("size ")]
+        more[share] = report.counts["vertices added"]
+        if lines:
+            assert more[share] == int(share * report.n_used)
+            assert lines[0].endswith(f"as many as may by insert={share}; try insert={2 * share:g}")
+        share *= 2
+    assert more[0.04] > more[0.02] == int(0.02 * report.n_used)
+
+
 def test_binding_by_a_boundary_triangle() -> None:
     """An apex at its best place over a flat boundary triangle: the triangle binds."""
     base = np.array([[0.0, 0, 0], [1, 0, 0], [0.3, 0.05, 0]])

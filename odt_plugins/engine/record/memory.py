@@ -41,6 +41,11 @@ def named(found: Figures) -> dict[str, float]:
             "share_below_20": found.small_angles, "min_altitude": found.min_altitude}
 
 
+def having(found: Figures) -> str:
+    """End of a sentence on a state that was refused: what it had."""
+    return f" at mean q {found.mean_quality:.3f} and least q {found.min_quality:.3f}"
+
+
 class Changing(Protocol):
     """A mesh while it is being changed."""
 

@@ -6,7 +6,7 @@ from collections.abc import Callable
 from dataclasses import replace
 
 from odt_plugins.engine.odt.rounds import Log
-from odt_plugins.engine.record.memory import Memory, State
+from odt_plugins.engine.record.memory import Memory, State, having
 from odt_plugins.engine.run.outcome import Outcome, unchanged
 from odt_plugins.mesh.simplex import SimplexMesh
 
@@ -44,7 +44,8 @@ def best_state(
             fallback = None
             if rank or state.name == ALONE:
                 why = "; ".join(broken) or "no better than the input"
-                fallback = f"a later state was given up ({why}){memory.price()}"
+                had = having(memory.states[0].figures) if rank else memory.price()
+                fallback = f"a later state was given up ({why}){had}"
             outcome = replace(outcome, stop_reason=reason, fallback=fallback)
             return replace(outcome, vetoed=memory.veto()), []
         log.add("states refused", 1)
@@ -59,5 +60,6 @@ def input_returned(
     if not broken:
         outcome = unchanged(mesh, f"nothing could be improved ({reason})")
         return replace(outcome, vetoed=memory.veto())
-    why = f"{INPUT}nothing better kept the promise ({'; '.join(broken)}){memory.price()}"
+    had = having(memory.states[0].figures) if memory.states else memory.price()
+    why = f"{INPUT}nothing better kept the promise ({'; '.join(broken)}){had}"
     return replace(unchanged(mesh, reason), fallback=why, vetoed=memory.veto())

@@ -27,7 +27,7 @@ from odt_plugins.engine.ground.sheet import LINE, LOCKED, Guards, Limits
 from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import COS_SMALL, Figures, figures
-from odt_plugins.engine.record.memory import Memory, State
+from odt_plugins.engine.record.memory import Memory, State, having
 from odt_plugins.engine.record.progress import in_turn
 from odt_plugins.engine.run.best import ALONE, best_state, input_returned
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
@@ -232,7 +232,8 @@ def _attempts(
                 state = mended_state(start, kept, options, leaving, memory)
                 mended, left = judge(state) if state is not None else (None, faulty)
                 if isinstance(mended, SurfaceOutcome) and not left:
-                    mended = replace(mended, stop_reason=reason, fallback=_held(faulty))
+                    why = _held(faulty) + having(memory.states[0].figures)
+                    mended = replace(mended, stop_reason=reason, fallback=why)
                     found.append(Found(mended, kept, figures(mended.points, mended.cells)))
         log.add_time("check", time.perf_counter() - clock)
         if faulty:

@@ -60,12 +60,14 @@ class Wishes(NamedTuple):
     insert : int                        most vertices that may be inserted
     rounded : callable                  points as they will leave; those that stay, bit for bit
     progress : callable                 is told the share of the inverted cells that is done
+    flips : bool                        whether cells may be reconnected, and vertices inserted
     """
 
     rest: FloatArray | None = None
     insert: int = 0
     rounded: Callable[[FloatArray], FloatArray] = np.copy
     progress: Progress = silent
+    flips: bool = True
 
 
 PLAIN = Wishes()
@@ -90,7 +92,7 @@ def untangled(mesh: SimplexMesh, threads: int = 1, wishes: Wishes = PLAIN) -> Un
     with thread_pool(worth(threads, len(mesh.cells))) as pool:
         points = _placed(mesh, movable, wishes, pool, wishes.rest)
         bad = bad_cells(points, mesh.cells)
-        for _ in range(ROUNDS):
+        for _ in range(ROUNDS if wishes.flips else 0):
             if not bad.any():
                 break
             for new, made in _changes(replace(mesh, points=points), bad, most - len(points)):

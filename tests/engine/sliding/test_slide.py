@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -466,6 +467,8 @@ def test_bodies_close_to_each_other_never_overlap(monkeypatch):
     )
     assert report.slid is None
     assert "cuts through itself" in report.fallback
+    (line,) = [line for line in str(report).splitlines() if line.startswith("fell back: ")]
+    assert re.search(r"at mean q 0\.\d{3} and least q 0\.\d{3}.*; try envelope=0\.01$", line)
     assert crossing_pairs(x, boundary(t)) == 0
     rim = np.unique(boundary(cells))
     assert np.array_equal(x[rim], points[rim])
