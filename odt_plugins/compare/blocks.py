@@ -68,7 +68,8 @@ def _run(
     start: StartMesh, blocks: int, workers: int, threads: int, say: Say
 ) -> tuple[Any, dict[str, float]]:
     settings = {"blocks": blocks, "workers": workers}
-    way = Contestant("blocks", "odt-plugins", ("tets",), "partitioned", settings, "odt-plugins")
+    way = Contestant("blocks", "odt-plugins", ("tets",), "partitioned", settings,
+                     package="odt-plugins")
     run = run_contestant(start, way, Limits(LIMIT, 1, LIMIT, threads))
     if run.status != "ok":
         say(f"{len(start.cells)} cells, {blocks} blocks: {run.status}, {run.message}")

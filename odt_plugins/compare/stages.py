@@ -78,7 +78,7 @@ def measure_stages(
     found: dict[str, list[tuple[int, float]]] = {}
     memory = []
     whole = Contestant("stages", "odt-plugins", ("tets", "surface"), "stages", {"options": {}},
-                       "odt-plugins")
+                       package="odt-plugins")
     for size in sizes:
         clock = time.perf_counter()
         start = make(size)

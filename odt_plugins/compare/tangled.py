@@ -32,13 +32,15 @@ SPREADS = (1, 3, 10)
 """Mean edge lengths by which inner vertices are moved at random."""
 
 CONTESTANTS = (
-    Contestant(OURS, "odt-plugins", (*SOLID, *FLAT), "ours", {"options": {}}, "odt-plugins", ""),
+    Contestant(OURS, "odt-plugins", (*SOLID, *FLAT), "ours", {"options": {}},
+               package="odt-plugins"),
     Contestant("Gmsh", "gmsh", (*SOLID, *FLAT), "gmsh_optimize",
-               {"sequence": [["UntangleMeshGeometry", 1]]}, "gmsh"),
+               {"sequence": [["UntangleMeshGeometry", 1]]}, package="gmsh"),
     Contestant("Laplacian", "laplacian", (*SOLID, *FLAT), "averaging",
                {"iterations": 100, "smart": False}),
     Contestant("MFEM TMOP", "mfem", (*SOLID, *FLAT), "mfem_tmop",
-               {"newton": 200, "linear": 50, "gain": 1e-6}, "mfem", extra="mfem"),
+               {"newton": 200, "linear": 50, "gain": 1e-6}, package="mfem",
+               extra="mfem"),
 )
 
 HEADS = ("mesh", "how", "inverted", "of locked", *(f"left by {c.name}" for c in CONTESTANTS),

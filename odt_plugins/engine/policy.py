@@ -41,7 +41,7 @@ class Policy:
         0.6, "Mean quality of tetrahedra from which on local flips do as well as scipy, in three "
         "quarters of the time.", STANDARD)
     exchange_move: float = _chosen(
-        0.1, "Longest move, in edge lengths, above which scipy is asked (Section 3.2, row 10).",
+        0.1, "Longest move, in edge lengths, above which scipy is asked (Section 3.2).",
         STANDARD)
     stirred: float = _chosen(
         2.1, "First alpha of ODT sweeps in space when finishing follows: the energy leaves "

@@ -102,7 +102,7 @@ def test_without_connectivity_finishing_moves_vertices_alone(d, boundary, object
     assert outcome.counts["vertex moves"] > 0
 
 
-def test_row10_scipy_early_and_flips_late(d):
+def test_scipy_early_and_flips_late(d):
     mesh = start(d)
     outcome = run(mesh, Options(connectivity="auto", finish=False, rounds=8, keep=()))
     assert outcome.counts["delaunay calls"] == 1
