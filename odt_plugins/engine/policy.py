@@ -12,10 +12,10 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 STANDARD = "odt-plugins compare --suite standard"
-HARD = "odt-plugins compare --suite hard"
+HARD = "python tests/measure hard"
 ANGLES = "python examples/figures.py MESH... -- --objective min_dihedral --insert"
-STAGES = "odt-plugins compare --scaling --part stages"
-SURFACE = "odt-plugins compare --scaling --part surface"
+STAGES = "python tests/measure stages"
+SURFACE = "python tests/measure surface"
 
 
 def _chosen(value: Any, meaning: str, command: str) -> Any:

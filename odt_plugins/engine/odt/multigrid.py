@@ -6,7 +6,7 @@ parameters, takes 1.7 to 2.9 times as long for a system in all and 1.6 to 1.8 ti
 keeps blocks and candidates of a near-nullspace, which is one constant here; with its default
 parameters it starts from random numbers. Its conjugate gradients, as those of scipy, go through
 BLAS, whose sums have another order on every kind of processor and for every number of threads.
-`odt-plugins compare --scaling --part multigrid` measures both.
+`python tests/measure multigrid` measures both.
 """
 
 from __future__ import annotations

@@ -11,11 +11,11 @@ import pytest
 import tet_meshes as tm
 from hypothesis import given
 from hypothesis import strategies as st
+from measure.meshes import kuhn_lattice
 from policies import set_policy
 from promises import assert_promise, measure, mesh_of, planar, volumes
 from scipy.spatial import Delaunay
 
-from odt_plugins.compare.start import kuhn_lattice
 from odt_plugins.engine.compiled import threads
 from odt_plugins.engine.finish.phases import Descent, worst_cells
 from odt_plugins.engine.odt.density import NodalDensity, cell_density
