@@ -64,7 +64,7 @@ def ours(envelope: float) -> Contestant:
     """Every default but the envelope."""
     options: dict[str, Any] = {"options": {"envelope": envelope}}
     return Contestant(f"odt-plugins, envelope {1e3 * envelope:g}e-3", OURS, ("surface",), "ours",
-                      options, "odt-plugins")
+                      options, package="odt-plugins")
 
 
 def picture(start: StartMesh, envelope: float, path: Path) -> None:

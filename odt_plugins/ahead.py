@@ -52,15 +52,14 @@ def run(name: str) -> None:
     import numpy as np
 
     from odt_plugins.api import optimize
-    from odt_plugins.compare import start
     from odt_plugins.engine.cells.geometry import boundary_vertices
+    from odt_plugins.generate import clouds
 
     for (mesh, vertices), options in RUNS[name].items():
-        made = getattr(start, mesh)(vertices)
-        points, cells = made.points, made.cells
+        points, cells = getattr(clouds, mesh)(vertices)
         for chosen in options:
             optimize((points, cells), **chosen)
-        if made.kind != "surface" and vertices == SMALL:
+        if mesh != "pebble" and vertices == SMALL:
             inside = ~boundary_vertices(cells, len(points))
             noise = np.random.default_rng(0).normal(scale=0.1, size=points.shape)
             optimize((points + noise * inside[:, None], cells), layers="improve")

@@ -32,11 +32,13 @@ if TYPE_CHECKING:
 
     from odt_plugins.engine.run.outcome import Leaving, Outcome
     from odt_plugins.mesh.simplex import SimplexMesh
+    from odt_plugins.multiblock import Blocks, Scene
     from odt_plugins.options import Options
     from odt_plugins.quality import QualitySummary
     from odt_plugins.report.report import Report
 
 MeshT = TypeVar("MeshT")
+PartsT = TypeVar("PartsT", bound="Blocks | Scene")
 
 
 @overload
@@ -93,7 +95,7 @@ def optimize(mesh: Any, **options: Unpack[OptionKeywords]) -> Any:
     """
     chosen = make_options(**options)
     if has_parts(mesh):
-        return optimize_with_report(mesh, **options)[0]
+        return run_parts(mesh, options, optimize_with_report)[0]
     return run_engine(mesh, chosen)[0]
 
 
@@ -102,11 +104,17 @@ def optimize_with_report(
     mesh: str | os.PathLike[str], **options: Unpack[OptionKeywords]
 ) -> tuple[Any, Report]: ...
 @overload
+def optimize_with_report(  # type: ignore[overload-overlap]  # a mesh has none of their names
+    mesh: PartsT, **options: Unpack[OptionKeywords]
+) -> tuple[PartsT, list[Report]]: ...
+@overload
 def optimize_with_report(
     mesh: MeshT, **options: Unpack[OptionKeywords]
 ) -> tuple[MeshT, Report]: ...
 @with_option_signature()
-def optimize_with_report(mesh: Any, **options: Unpack[OptionKeywords]) -> tuple[Any, Any]:
+def optimize_with_report(
+    mesh: Any, **options: Unpack[OptionKeywords]
+) -> tuple[Any, Report | list[Report]]:
     """Improve a mesh as :func:`optimize` does and tell what was done.
 
     Returns
@@ -156,6 +164,7 @@ def optimize_file(
     make_options(**options)
     check_output(target, file_format, binary)
     Thread(target=import_module, args=("odt_plugins.engine.run.plan",), daemon=True).start()
+    report: Report
     mesh, report = optimize_with_report(read_file(source), **options)
     write_file(target, mesh, file_format, binary)
     return report

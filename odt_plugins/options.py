@@ -108,7 +108,7 @@ class Options:
     exponent: float | None = field(default=None, metadata=_told(
         "r in rho = h^-r for the density keep; d + 2 unless given."))
     omega: float | None = field(default=None, metadata=_told(
-        "Relaxation of the local sweeps, between 0 and 2; unless given 2.1, later 2, for odt "
+        "Relaxation of the local sweeps, above 0, at most 3; unless given 2.1, later 2, for odt "
         "in space by gauss-seidel with finishing, which reaches lower energies, 0.8 for jacobi, "
         "else 1.",
         python="The first alpha that is tried (4.2.1)."))
@@ -234,8 +234,8 @@ class Options:
             good = isinstance(self.density, str) and self.density == "keep"
             _expect(good, "exponent", self.exponent, "None unless density is 'keep'")
         if self.omega is not None:
-            good = _is_number(self.omega) and 0 < self.omega < 2
-            _expect(good, "omega", self.omega, "a number between 0 and 2, or None")
+            good = _is_number(self.omega) and 0 < self.omega <= 3
+            _expect(good, "omega", self.omega, "a number above 0 and at most 3, or None")
             good = self.solver in ("gauss-seidel", "jacobi") and self.method != "cvt"
             _expect(good, "omega", self.omega, "None unless the solver is a local sweep")
         if self.linear_solver != "auto":

@@ -27,18 +27,11 @@ from pathlib import Path
 from unittest import mock
 
 import numpy as np
+from measure.hard import hard_meshes
+from measure.meshes import kuhn_lattice
 
 import odt_plugins
-from odt_plugins.compare.hard import hard_meshes
-from odt_plugins.compare.start import (
-    StartMesh,
-    ball,
-    kuhn_lattice,
-    pebble,
-    plate,
-    read_start,
-    suite,
-)
+from odt_plugins.compare.start import StartMesh, ball, pebble, plate, read_start, suite
 from odt_plugins.distributed import optimize as blockwise
 from odt_plugins.engine.compiled import threads
 from odt_plugins.generate import SAMPLES, distmesh2d, odtmesh2d, refine_and_optimize, uniform_refine

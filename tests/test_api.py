@@ -4,10 +4,11 @@ from __future__ import annotations
 
 import doctest
 import inspect
+import re
 from dataclasses import fields
 from itertools import pairwise, product
 from pathlib import Path
-from typing import Any, get_args, get_type_hints
+from typing import Any, get_args, get_overloads, get_type_hints
 
 import contract
 import meshio
@@ -21,6 +22,7 @@ import odt_plugins
 from odt_plugins import api, roundtrip
 from odt_plugins.carry import in_input_order
 from odt_plugins.engine.odt import rounds
+from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.run import plan
 from odt_plugins.engine.surface import driver as surface_driver
 from odt_plugins.engine.surface import rounds as surface_rounds
@@ -139,6 +141,33 @@ def test_every_pair_of_method_and_solver_that_there_is_has_its_step():
 def test_options_without_effect_are_refused(options, message):
     with pytest.raises(InvalidOptionError, match=message):
         Options(**options)
+
+
+def test_omega_may_be_what_it_is_unless_it_is_given():
+    for value in (POLICY.stirred, POLICY.overrelaxed, POLICY.damped):
+        assert Options(omega=value).omega == value
+    for value in (0.0, 3.01):
+        with pytest.raises(InvalidOptionError, match="above 0 and at most 3"):
+            Options(omega=value)
+
+
+def test_reports_of_parts_are_a_list_for_type_checkers_as_well():
+    returned = [inspect.signature(one).return_annotation
+                for one in get_overloads(odt_plugins.optimize_with_report)]
+    assert "tuple[PartsT, list[Report]]" in returned
+
+
+@pytest.mark.parametrize("name", [n for n in odt_plugins.__all__ if n != "__version__"])
+def test_every_parameter_is_documented(name):
+    """Where a docstring lists parameters, none is missing, neither one that help() leaves out."""
+    function = getattr(odt_plugins, name)
+    text = inspect.getdoc(function) or ""
+    if not inspect.isfunction(function) or "Parameters\n---" not in text:
+        return
+    listed = text.partition("Parameters\n")[2].partition("\n\n")[0]
+    code = function.__code__
+    for parameter in code.co_varnames[:code.co_argcount + code.co_kwonlyargcount]:
+        assert ", ..., " in listed or re.search(rf"\b{parameter}\b", listed), parameter
 
 
 def test_options_cannot_be_made_wrong_by_hand_either():

@@ -45,8 +45,8 @@ MAY_IMPORT = {
     "generate": {"adapters", "api", "carry", "engine", "progress", "report", "table", "tetwild",
                  *BASE},
     "compare": {"adapters", "api", "engine", "generate", "report", *BASE},
-    "ahead": {"api", "compare", "engine"},
-    "distributed": {"adapters", "api", "carry", "compare", "engine", "generate", "progress",
+    "ahead": {"api", "engine", "generate"},
+    "distributed": {"adapters", "api", "carry", "engine", "generate", "progress",
                     "report", "roundtrip", "signals", "table", "tetwild", "untangling", *BASE},
     "cli": {"adapters", "api", "compare", "distributed", "generate", "hosts", "progress", "report",
             "signals", "table", "tetwild", *BASE},
@@ -145,6 +145,13 @@ def test_rooms_import_only_what_the_table_allows(module):
             parts = name.split(".")
             if parts[0] == "odt_plugins" and len(parts) > 1 and parts[1] in MAY_IMPORT:
                 assert parts[1] in allowed, f"{path.name}:{node.lineno} imports {name}"
+
+
+def test_nobody_imports_the_comparison_but_its_command(module):
+    path, held = module
+    if path.relative_to(PACKAGE).as_posix() != "cli/compare.py" and room(path) != "compare":
+        for node in held:
+            assert not [name for name in imports(node) if name.startswith("odt_plugins.compare")]
 
 
 def test_toolkits_are_imported_in_their_place_and_inside_functions(module):

@@ -8,16 +8,22 @@ python examples/paper/fig07_08_global.py [FOLDER]
 
 from __future__ import annotations
 
+import sys
+from pathlib import Path
+
 import numpy as np
 from paper_common import beside, curves, draw_mesh, figures, picture, run, save, show
 
-from odt_plugins.compare.local_global import moved_triangle
-from odt_plugins.compare.start import SEED
 from odt_plugins.engine.odt.energy import energy
 from odt_plugins.engine.odt.global_step import global_step
 from odt_plugins.engine.odt.sweeps import gauss_seidel_sweep, jacobi_sweep
+from odt_plugins.generate.clouds import SEED
 from odt_plugins.paper.loop import delaunay_cells, iterate
 from odt_plugins.quality import radius_ratio
+
+sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
+
+from measure.local_global import moved_triangle
 
 LOCAL, GLOBAL = 42, 4
 """Steps that the paper shows."""

@@ -10,25 +10,24 @@ import click
 from odt_plugins.cli.terminal import command_line
 from odt_plugins.compare.cells import BETTER, best_figures, cells_of, marked, seconds
 from odt_plugins.compare.contestants import OURS, Contestant, choose
-from odt_plugins.compare.machine import describe
 from odt_plugins.compare.output import FILES, write_all
 from odt_plugins.compare.rows import MeshResult, Row, compare_on
 from odt_plugins.compare.runner import Limits
 from odt_plugins.compare.score import score_table, verdict
-from odt_plugins.compare.start import SEED, read_start, stored
+from odt_plugins.compare.start import read_start, stored
 from odt_plugins.compare.start import suite as suite_meshes
 from odt_plugins.compare.table import as_text
-from odt_plugins.compare.template import check_page
-from odt_plugins.options import Options
+from odt_plugins.generate.clouds import SEED
+from odt_plugins.report.machine import describe
+from odt_plugins.report.template import check_page
 
-CHOSEN_SUITES = ("standard", "large", "hard", "tangled")
+CHOSEN_SUITES = ("standard", "large", "tangled")
 
 
 @click.command(short_help="Measure other tools on the same meshes.")
 @click.argument("sources", metavar="[MESH]...", nargs=-1, type=click.Path(path_type=Path))
 @click.option("--suite", type=click.Choice(CHOSEN_SUITES),
-              help="Start meshes of the package: modest ones of every kind, millions of cells, or "
-                   "hard ones, on which odt-plugins alone is run and its promise checked; "
+              help="Start meshes of the package: modest ones of every kind, or millions of cells; "
                    "tangled: every MESH, or the package's, with vertices that turn cells over.")
 @click.option("--against", metavar="TOOL", multiple=True,
               help="Compare with this tool only (gmsh, netgen, mmg, cgal, stellar, tetwild, "
@@ -45,19 +44,6 @@ CHOSEN_SUITES = ("standard", "large", "hard", "tangled")
               help="Threads that a contestant may use.")
 @click.option("--poisson/--no-poisson", default=True, show_default=True,
               help="Solve the Poisson problem on every result.")
-@click.option("--scaling", is_flag=True,
-              help="Measure how time, memory and iterations grow instead.")
-@click.option("--ablation", is_flag=True,
-              help="Leave out one phase of the schedule at a time instead, and show what each "
-                   "gains on each MESH, or on the standard suite.")
-@click.option("--part", "parts", metavar="PART", multiple=True,
-              help="Only this part of --scaling (stages, surface, races, forty-sweeps, "
-                   "multigrid, bandwidth, threads, blocks, generation, ladder, small, cold); "
-                   "may be repeated.")
-@click.option("--smallest", type=click.IntRange(min=1000), default=10_000, show_default=True,
-              help="Cells of the smallest mesh of --scaling.")
-@click.option("--largest", type=click.IntRange(min=1000), default=1_000_000, show_default=True,
-              help="Cells of the largest mesh of --scaling.")
 def compare(
     sources: tuple[Path, ...],
     suite: str | None,
@@ -67,24 +53,13 @@ def compare(
     time_limit: float | None,
     threads: int,
     poisson: bool,
-    scaling: bool,
-    ablation: bool,
-    parts: tuple[str, ...],
-    smallest: int,
-    largest: int,
 ) -> int:
     """Run every installed tool on the same start MESH and measure all of them alike.
 
     Each tool runs in a process of its own; one that is not installed, crashes, hangs or breaks the
     boundary is a row that says so. Nothing is written outside --out and temporary folders.
     """
-    if ablation:
-        return _run_ablation(sources, suite, threads)
     check_page()
-    if scaling:
-        return _run_scaling(out, smallest, largest, threads, parts)
-    if suite == "hard":
-        return _run_hard(out, threads, alone=not (sources or against))
     if suite == "tangled":
         from odt_plugins.compare.tangled import FILE, run_tangled
 
@@ -193,39 +168,3 @@ def _shown(row: Row, figure: str, text: str, best: set[str]) -> str:
     mark = marked(row, figure, "")
     text = f"[bold]{text}[/bold]" if figure in best else text
     return f"[{'dark_orange3' if mark == BETTER else 'dim'}]{mark}[/]{text}" if mark else text
-
-
-def _run_scaling(
-    out: Path, smallest: int, largest: int, threads: int, parts: tuple[str, ...]
-) -> int:
-    from odt_plugins.compare.scaling import FILES, PARTS, run_scaling
-
-    for name in parts:
-        if name not in PARTS:
-            msg = f"got {name!r}; expected one of {', '.join(PARTS)}"
-            raise click.BadParameter(msg, param_hint="'--part'")
-    click.echo(run_scaling(out, largest, threads, say=click.echo, smallest=smallest,
-                           parts=parts or tuple(PARTS)))
-    click.echo("written: " + ", ".join(str(out / name) for name in FILES))
-    return 0
-
-
-def _run_ablation(sources: tuple[Path, ...], suite: str | None, threads: int) -> int:
-    from odt_plugins.compare.ablation import ablation
-
-    starts = [read_start(path) for path in sources]
-    starts += suite_meshes(suite or "standard") if suite or not sources else []
-    table = ablation(starts, Options(threads=threads), say=lambda name: click.echo(name, err=True))
-    click.echo("\n".join(as_text(table)[1:]))
-    return 0
-
-
-def _run_hard(out: Path, threads: int, *, alone: bool) -> int:
-    from odt_plugins.compare.robustness import FILE, run_hard
-
-    if not alone:
-        msg = "--suite hard runs odt-plugins on its own meshes; give no MESH and no --against"
-        raise click.UsageError(msg)
-    click.echo(run_hard(out, threads, say=lambda name: click.echo(name, err=True)))
-    click.echo(f"written: {out / FILE}")
-    return 0

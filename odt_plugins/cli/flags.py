@@ -135,7 +135,8 @@ def cluster_flags(command: Callable[..., Any]) -> Callable[..., Any]:
     """Give a command the flags that say where the work is done."""
     command = click.option(
         "--workers", type=click.IntRange(min=0), default=0, show_default=True,
-        help="Start a Dask cluster of so many processes on this machine.",
+        help="Start a Dask cluster of so many processes on this machine; needs odt-plugins[dask]. "
+             "(workers= in Python are processes without Dask.)",
     )(command)
     return click.option("--scheduler", default=None, metavar="ADDRESS",
                         help="Work on the Dask cluster of the scheduler at this address, such as "

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import KW_ONLY, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from shutil import which
 from typing import Any
@@ -38,6 +38,7 @@ class Contestant:
     kinds: tuple[Kind, ...]
     module: str
     settings: dict[str, Any] = field(default_factory=dict)
+    _: KW_ONLY
     package: str = ""
     program: str = ""
     extra: str = "compare"
@@ -80,36 +81,36 @@ def _ours() -> list[Contestant]:
         "CPT global": {"method": "cpt", "solver": "global"},
     }
     rows = [Contestant(OURS, "odt-plugins", (*SOLID, *FLAT, *CURVED), "ours", {"options": {}},
-                       "odt-plugins", "", "every default")]
+                       package="odt-plugins", remark="every default")]
     freer: dict[str, dict[str, Any]] = {
         "insertion": {"insert": True}, "sliding": {"boundary": "slide"},
         "sliding, insertion": {"boundary": "slide", "insert": True},
     }
     rows += [Contestant(f"{OURS}: {name}", "odt-plugins", SOLID, "ours", {"options": options},
-                        "odt-plugins", "", "as its name says, all else by default")
+                        package="odt-plugins", remark="as its name says, all else by default")
              for name, options in freer.items()]
     rows += [Contestant(f"{OURS}: {name}, no finish", "odt-plugins", (*SOLID, *FLAT), "ours",
-                        {"options": {**options, **alone}}, "odt-plugins", "",
-                        "the paper's method by itself, no figure guarded")
+                        {"options": {**options, **alone}}, package="odt-plugins",
+                        remark="the paper's method by itself, no figure guarded")
              for name, options in methods.items()]
     rows.append(Contestant(f"{OURS}: envelope 2e-3", "odt-plugins", CURVED, "ours",
-                           {"options": {"envelope": 2e-3}}, "odt-plugins", "",
-                           "twice as far from the start"))
+                           {"options": {"envelope": 2e-3}}, package="odt-plugins",
+                           remark="twice as far from the start"))
     return rows
 
 
 def _plain() -> list[Contestant]:
     both = (*SOLID, *FLAT)
     return [Contestant("Laplacian", "laplacian", both, "averaging",
-                       {"iterations": 10, "smart": False}, "", "", "10 passes in numpy"),
+                       {"iterations": 10, "smart": False}, remark="10 passes in numpy"),
             Contestant("smart Laplacian", "laplacian", both, "averaging",
-                       {"iterations": 10, "smart": True}, "", "", "10 passes in numpy")]
+                       {"iterations": 10, "smart": True}, remark="10 passes in numpy")]
 
 
 def _gmsh() -> list[Contestant]:
     def row(name: str, kinds: tuple[Kind, ...], remark: str = "", **settings: Any) -> Contestant:
-        return Contestant(f"Gmsh {name}", "gmsh", kinds, "gmsh_optimize", settings, "gmsh",
-                          remark=remark)
+        return Contestant(f"Gmsh {name}", "gmsh", kinds, "gmsh_optimize", settings,
+                          package="gmsh", remark=remark)
 
     return [row("default", SOLID, sequence=[["", 1]]),
             row("Netgen", SOLID, sequence=[["Netgen", 1]]),
@@ -123,21 +124,23 @@ def _gmsh() -> list[Contestant]:
 def _volume_tools() -> list[Contestant]:
     def netgen(steps: str, times: int) -> Contestant:
         return Contestant(f"Netgen {steps}", "netgen", SOLID, "netgen_optimize",
-                          {"optimize3d": steps, "steps": times}, "netgen-mesher",
-                          remark=f"{times} steps")
+                          {"optimize3d": steps, "steps": times},
+                          package="netgen-mesher", remark=f"{times} steps")
 
     def mmg(name: str, options: dict[str, bool], times: int = 1, remark: str = "") -> Contestant:
         return Contestant(f"mmg3d {name}", "mmg", SOLID, "mmg_optimize",
-                          {"options": options, "times": times}, "mmgpy", remark=remark)
+                          {"options": options, "times": times}, package="mmgpy",
+                          remark=remark)
 
     def cgal(*steps: str) -> Contestant:
         first = "; one pass of odt first" if "lloyd" in steps else ""
         return Contestant(f"CGAL {' + '.join(steps)}", "cgal", SOLID, "cgal_optimize",
-                          {"steps": list(steps), "iterations": 40}, "cgal",
-                          remark=f"Delaunay starts only; moves the surface{first}")
+                          {"steps": list(steps), "iterations": 40},
+                          package="cgal", remark=f"Delaunay starts only; moves the surface{first}")
 
     def tetwild(name: str, energy: float) -> Contestant:
-        return Contestant(name, "tetwild", SOLID, "tetwild", {"stop_energy": energy}, "pytetwild",
+        return Contestant(name, "tetwild", SOLID, "tetwild", {"stop_energy": energy},
+                          package="pytetwild",
                           remark="meshes the surface anew; does not repeat itself")
 
     return [netgen("m", 10), netgen("sm", 3), netgen("stm", 10),
@@ -154,12 +157,12 @@ def _surface_tools() -> list[Contestant]:
     def lab(name: str, kinds: tuple[Kind, ...], *filters: Any, remark: str = "",
             **settings: Any) -> Contestant:
         return Contestant(f"MeshLab {name}", "pymeshlab", kinds, "meshlab",
-                          {"filters": [list(f) for f in filters], **settings}, "pymeshlab",
-                          remark=remark)
+                          {"filters": [list(f) for f in filters], **settings},
+                          package="pymeshlab", remark=remark)
 
     def o3d(name: str, steps: int) -> Contestant:
         return Contestant(f"open3d {name}", "open3d", CURVED, "open3d_smooth",
-                          {"filter": name, "iterations": steps}, "open3d")
+                          {"filter": name, "iterations": steps}, package="open3d")
 
     ten = {"stepsmoothnum": 10, "boundary": False, "cotangentweight": False}
     inner: tuple[Any, ...] = (
@@ -169,7 +172,7 @@ def _surface_tools() -> list[Contestant]:
     free = ("compute_selection_by_condition_per_vertex", {"condselect": "q > 0"})
     def mmgs(name: str, envelope: float) -> Contestant:
         return Contestant(f"mmgs {name}", "mmg", CURVED, "mmgs_remesh", {"envelope": envelope},
-                          "mmgpy", remark="hausd as the envelope; changes the vertices")
+                          package="mmgpy", remark="hausd as the envelope; changes the vertices")
 
     remesh = "meshing_isotropic_explicit_remeshing"
     same_size: dict[str, Any] = {"iterations": 5, "targetlen": None}
@@ -189,7 +192,7 @@ def _surface_tools() -> list[Contestant]:
             remark="flips, smoothing and projection alone"),
         mmgs("hausd 1e-3", 1e-3), mmgs("hausd 2e-3", 2e-3),
         Contestant("CGAL isotropic remeshing", "cgal", CURVED, "cgal_remesh", {"iterations": 5},
-                   "cgal", remark="changes the vertices"),
+                   package="cgal", remark="changes the vertices"),
         o3d("simple", 5), o3d("laplacian", 5), o3d("taubin", 5),
     ]
 

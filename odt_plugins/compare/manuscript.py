@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Mapping, Sequence
+from pathlib import Path
 from typing import Any
 
 from odt_plugins.compare.cells import best_figures, cells_of, marked
@@ -14,8 +15,10 @@ from odt_plugins.compare.contestants import OURS
 from odt_plugins.compare.rows import RIVALRY, Measured, MeshResult, Row
 from odt_plugins.compare.score import score_table
 from odt_plugins.compare.table import Table, Value
-from odt_plugins.compare.template import fill_template, tex
 from odt_plugins.compare.tools import KINDS
+from odt_plugins.report.template import fill_template, tex
+
+TEMPLATES = Path(__file__).parent / "templates"
 
 HEADS = ("mesh", "vertices", "cells", "regions", "origin", "sha256")
 
@@ -56,7 +59,8 @@ def to_markdown(results: Sequence[MeshResult], facts: Mapping[str, Any], command
               if (chosen := [r for r in results if r.start.kind == kind])]
     score = score_table(results)
     tables += [*([score] if score else []), inputs_table(results), settings_table(results)]
-    return fill_template("comparison.md", tables=tables, command=command, facts=facts, marks=MARKS)
+    return fill_template(TEMPLATES / "comparison.md", tables=tables, command=command,
+                         facts=facts, marks=MARKS)
 
 
 def to_latex(results: Sequence[MeshResult], facts: Mapping[str, Any], command: str) -> str:
@@ -69,9 +73,10 @@ def to_latex(results: Sequence[MeshResult], facts: Mapping[str, Any], command: s
     meshes = [{"start": r.start, "kind": KINDS[r.start.kind],
                "rows": [["start", "", *_tex_figures(r.measured), ""],
                         *(_tex_row(row, r.rows) for row in r.rows)]} for r in results]
-    return fill_template("comparison.tex", meshes=meshes, columns=list(COLUMNS.values()),
-                         score=score_table(results), settings=settings_table(results),
-                         facts=facts, command=command, marks=MARKS)
+    return fill_template(TEMPLATES / "comparison.tex", meshes=meshes,
+                         columns=list(COLUMNS.values()), score=score_table(results),
+                         settings=settings_table(results), facts=facts, command=command,
+                         marks=MARKS)
 
 
 def to_bibtex(results: Sequence[MeshResult]) -> str:
@@ -82,7 +87,7 @@ def to_bibtex(results: Sequence[MeshResult]) -> str:
     MissingDependencyError    jinja2 is not installed
     """
     versions = {row.family: row.version or "" for r in results for row in r.rows}
-    return fill_template("comparison.bib", versions=versions)
+    return fill_template(TEMPLATES / "comparison.bib", versions=versions)
 
 
 def inputs_table(results: Sequence[MeshResult]) -> Table:

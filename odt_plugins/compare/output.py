@@ -14,6 +14,7 @@ from odt_plugins.compare.cells import best_figures, cells_of, seconds
 from odt_plugins.compare.charts import colour, histograms, quality_against_time
 from odt_plugins.compare.contestants import OURS
 from odt_plugins.compare.manuscript import (
+    TEMPLATES,
     inputs_table,
     settings_table,
     to_bibtex,
@@ -23,8 +24,8 @@ from odt_plugins.compare.manuscript import (
 from odt_plugins.compare.pictures import worst_cells
 from odt_plugins.compare.rows import Measured, MeshResult, Row
 from odt_plugins.compare.score import score_table, scores, verdict
-from odt_plugins.compare.template import fill_template
 from odt_plugins.errors import writing
+from odt_plugins.report.template import fill_template
 
 FILES = ("comparison.csv", "comparison.json", "comparison.html", "comparison.md",
          "comparison.tex", "comparison.bib")
@@ -95,7 +96,8 @@ def to_page(results: Sequence[MeshResult], facts: Facts, command: str) -> str:
         "histograms": histograms(r), "picture": worst_cells(r),
         "families": [(f, colour(f)) for f in dict.fromkeys(row.family for row in r.rows)],
     } for r in results]
-    return fill_template("comparison.html", sections=sections, facts=facts, command=command,
+    return fill_template(TEMPLATES / "comparison.html", sections=sections, facts=facts,
+                         command=command,
                          ours=OURS, score=score_table(results),
                          tables=[inputs_table(results), settings_table(results)])
 

@@ -15,9 +15,10 @@ from odt_plugins.compare.contestants import OURS, Contestant
 from odt_plugins.compare.hull import ROUNDING, BoundaryChange, compare_boundaries, labels_of
 from odt_plugins.compare.poisson import PoissonFigures, solve_poisson
 from odt_plugins.compare.runner import Limits, Run, run_contestant
-from odt_plugins.compare.start import SEED, StartMesh
+from odt_plugins.compare.start import StartMesh
 from odt_plugins.compare.tools import refusals
 from odt_plugins.errors import InvalidMeshError, MissingDependencyError
+from odt_plugins.generate.clouds import SEED
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import reverse
 from odt_plugins.promise.volume import LOWER_IS_BETTER

@@ -19,9 +19,10 @@ from numpy.typing import NDArray
 
 import odt_plugins
 from odt_plugins.compare.contestants import Contestant
-from odt_plugins.compare.start import SEED, StartMesh
+from odt_plugins.compare.start import StartMesh
 from odt_plugins.compare.worker import READY, RESULT, load_mesh, save_mesh
 from odt_plugins.errors import exit_name
+from odt_plugins.generate.clouds import SEED
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 IMPORTS = {

@@ -5,7 +5,6 @@ from __future__ import annotations
 import hashlib
 from dataclasses import dataclass, replace
 from importlib.resources import as_file, files
-from itertools import permutations
 from pathlib import Path
 from typing import Literal
 
@@ -13,18 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.errors import InvalidOptionError, counted
+from odt_plugins.generate import clouds
+from odt_plugins.generate.clouds import SEED
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.plane import plane_frame
 from odt_plugins.mesh.simplex import compact_labels, mesh_arrays, reverse, simplex_mesh
 from odt_plugins.quality import volumes
 
 Kind = Literal["tets", "planar", "surface"]
-
-SEED = 2011
-"""Seed of every mesh made on the fly and of every contestant that takes one."""
-
-CELLS_PER_VERTEX = 6.2
-"""Of a Delaunay mesh of random points in a ball, boundary included."""
 
 STORED = {
     "bunny": "TetWild's mesh of the Stanford bunny",
@@ -160,122 +155,24 @@ def suite(name: str) -> list[StartMesh]:
 
 
 def ball(n: int, seed: int = SEED) -> StartMesh:
-    """Random Delaunay mesh of a ball: jittered lattice inside, spiral on the sphere.
-
-    Parameters
-    ----------
-    n : int       about so many vertices
-    seed : int    of the jitter
-    """
-    from scipy.spatial import Delaunay
-
-    rng = np.random.default_rng(seed)
-    h = (4.0 / 3.0 * np.pi / n) ** (1.0 / 3.0)
-    axis = np.arange(-1.0, 1.0 + h, h)
-    lattice = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
-    lattice = lattice + rng.uniform(-0.45 * h, 0.45 * h, lattice.shape)
-    inside = lattice[(lattice**2).sum(axis=1) < (1.0 - 0.5 * h) ** 2]
-    points = np.concatenate([sphere_points(round(4.0 * np.pi / (0.9 * h * h))), inside])
-    cells = Delaunay(points).simplices
+    """Give :func:`odt_plugins.generate.clouds.ball` as a start mesh."""
+    points, cells = clouds.ball(n, seed)
     return make_start(f"ball-{_short(len(cells))}", points, cells,
                       f"Delaunay mesh of {len(points)} seeded random points in a ball")
 
 
-def ball_of(cells: int) -> StartMesh:
-    """Give a :func:`ball` of about so many tetrahedra."""
-    return ball(max(round(cells / CELLS_PER_VERTEX), 50))
-
-
 def pebble(n: int, seed: int = SEED) -> StartMesh:
-    """Delaunay mesh of random points on a sphere, pressed into a smooth shape with hollows.
-
-    Parameters
-    ----------
-    n : int       vertices
-    seed : int
-    """
-    from scipy.spatial import ConvexHull
-
-    x = np.random.default_rng(seed).standard_normal((n, 3))
-    x /= np.linalg.norm(x, axis=1)[:, None]
-    cells = ConvexHull(x).simplices
-    a, b, c = (x[cells[:, i]] for i in range(3))
-    inward = (np.cross(b - a, c - a) * (a + b + c)).sum(axis=1) < 0
-    wave = 0.15 * np.sin(3.0 * x[:, 0] + 1.0) * np.cos(4.0 * x[:, 1]) + 0.1 * np.sin(5.0 * x[:, 2])
-    return make_start(f"pebble-{_short(len(cells))}", x * (1.0 + wave)[:, None],
-                      reverse(cells, inward), f"{n} seeded random points on a smooth surface")
-
-
-def pebble_of(cells: int) -> StartMesh:
-    """Give a :func:`pebble` of about so many triangles: twice its vertices less four (Euler)."""
-    return pebble(max(cells // 2 + 2, 50))
-
-
-def sphere_points(n: int) -> FloatArray:
-    """Spread n points on the unit sphere along a spiral of golden angle, (n, 3)."""
-    i = np.arange(n) + 0.5
-    polar = np.arccos(1.0 - 2.0 * i / n)
-    turn = np.pi * (1.0 + 5.0**0.5) * i
-    return np.stack([np.cos(turn) * np.sin(polar), np.sin(turn) * np.sin(polar), np.cos(polar)],
-                    axis=1)
+    """Give :func:`odt_plugins.generate.clouds.pebble` as a start mesh."""
+    points, cells = clouds.pebble(n, seed)
+    return make_start(f"pebble-{_short(len(cells))}", points, cells,
+                      f"{n} seeded random points on a smooth surface")
 
 
 def plate(n: int, seed: int = SEED) -> StartMesh:
-    """Random Delaunay mesh of a square with a round hole, finer towards the hole.
-
-    Parameters
-    ----------
-    n : int       about so many vertices
-    seed : int
-    """
-    from scipy.spatial import Delaunay
-
-    rng = np.random.default_rng(seed)
-    radius = 0.3
-    # Cells of size c * r, so that the number of vertices is the integral of 1 / (c r)^2.
-    c = np.sqrt(2.0 * np.pi * np.log(1.0 / radius) * 1.2 / n)
-    rings = [radius * (1.0 + c) ** k for k in range(int(np.log(1.42 / radius) / np.log1p(c)) + 1)]
-    around = max(round(2.0 * np.pi / c), 8)
-    cloud = []
-    for k, r in enumerate(rings[1:]):
-        angle = 2.0 * np.pi * (np.arange(around) + 0.5 * (k % 2)) / around
-        angle = angle + rng.uniform(-0.4, 0.4, around) * 2.0 * np.pi / around
-        length = r * (1.0 + c * rng.uniform(-0.4, 0.4, around))
-        cloud.append(np.stack([length * np.cos(angle), length * np.sin(angle)], axis=1))
-    inner = np.concatenate(cloud)
-    distance = np.sqrt((inner**2).sum(axis=1))
-    keep = (np.abs(inner).max(axis=1) < 1.0 - 0.5 * c) & (distance > radius * (1.0 + 0.5 * c))
-    inner = inner[keep]
-    angle = 2.0 * np.pi * np.arange(around) / around
-    hole = radius * np.stack([np.cos(angle), np.sin(angle)], axis=1)
-    side = np.linspace(-1.0, 1.0, max(round(1.8 / c), 3))[:-1]
-    one = np.ones_like(side)
-    square = np.concatenate([np.stack(s, axis=1) for s in
-                             ((side, -one), (one, side), (-side, one), (-one, -side))])
-    points = np.concatenate([hole, square, inner])
-    cells = Delaunay(points).simplices
-    cells = cells[~(cells < around).all(axis=1)]
+    """Give :func:`odt_plugins.generate.clouds.plate` as a start mesh."""
+    points, cells = clouds.plate(n, seed)
     return make_start(f"plate-{_short(len(cells))}", points, cells,
                       "graded Delaunay mesh of seeded random points in a square with a hole")
-
-
-def kuhn_lattice(side: int) -> tuple[FloatArray, IntArray]:
-    """Lattice of side^3 unit cubes, each cut into six tetrahedra along its diagonal.
-
-    Returns
-    -------
-    points ((side + 1)^3, 3), cells (6 side^3, 4), positive
-    """
-    axis = np.arange(side + 1)
-    grid = np.stack(np.meshgrid(axis, axis, axis, indexing="ij"), axis=-1).reshape(-1, 3)
-    stride = np.array([(side + 1) ** 2, side + 1, 1])
-    corner = grid[(grid < side).all(axis=1)] @ stride
-    steps = [np.concatenate([[0], np.cumsum(stride[list(order)])])
-             for order in permutations(range(3))]
-    cells = np.concatenate([corner[:, None] + step for step in steps]).astype(np.int32)
-    points = grid.astype(np.float64)
-    turned: IntArray = reverse(cells, volumes(points, cells) < 0)
-    return points, np.ascontiguousarray(turned)
 
 
 def refine(points: FloatArray, cells: NDArray[np.integer]) -> tuple[FloatArray, IntArray]:

@@ -17,14 +17,15 @@ import numpy as np
 
 from odt_plugins.compare.contestants import FLAT, OURS, SOLID, Contestant
 from odt_plugins.compare.hull import held_vertices
-from odt_plugins.compare.machine import describe
 from odt_plugins.compare.runner import Limits, Run, run_contestant
-from odt_plugins.compare.start import SEED, StartMesh
+from odt_plugins.compare.start import StartMesh
 from odt_plugins.compare.table import Say, Table, as_text
 from odt_plugins.errors import writing
+from odt_plugins.generate.clouds import SEED
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.simplex import cell_signs
 from odt_plugins.quality import EDGES, summarize
+from odt_plugins.report.machine import describe
 
 FILE = "tangled.json"
 
@@ -32,13 +33,15 @@ SPREADS = (1, 3, 10)
 """Mean edge lengths by which inner vertices are moved at random."""
 
 CONTESTANTS = (
-    Contestant(OURS, "odt-plugins", (*SOLID, *FLAT), "ours", {"options": {}}, "odt-plugins", ""),
+    Contestant(OURS, "odt-plugins", (*SOLID, *FLAT), "ours", {"options": {}},
+               package="odt-plugins"),
     Contestant("Gmsh", "gmsh", (*SOLID, *FLAT), "gmsh_optimize",
-               {"sequence": [["UntangleMeshGeometry", 1]]}, "gmsh"),
+               {"sequence": [["UntangleMeshGeometry", 1]]}, package="gmsh"),
     Contestant("Laplacian", "laplacian", (*SOLID, *FLAT), "averaging",
                {"iterations": 100, "smart": False}),
     Contestant("MFEM TMOP", "mfem", (*SOLID, *FLAT), "mfem_tmop",
-               {"newton": 200, "linear": 50, "gain": 1e-6}, "mfem", extra="mfem"),
+               {"newton": 200, "linear": 50, "gain": 1e-6}, package="mfem",
+               extra="mfem"),
 )
 
 HEADS = ("mesh", "how", "inverted", "of locked", *(f"left by {c.name}" for c in CONTESTANTS),

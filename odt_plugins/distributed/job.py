@@ -18,13 +18,15 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from odt_plugins.compare.runner import PREPARING
 from odt_plugins.errors import CrashError, ODTError, ODTWarning
 from odt_plugins.progress import compiling_heard
 
 ROW, RESULT, COMPILING = "row.json", "result", "compiling"
 """What lies in the work folder: the row, the folder of the result, and when kernels were compiled:
 times of a monotonic clock at which that began and ended, by turns."""
+
+MOST = 300.0
+"""Seconds of compiling, at most, that do not count for a time limit."""
 
 REPORT = ".json"
 """What the name of a result gets for the name of its report."""
@@ -84,13 +86,13 @@ def note_compiling(folder: Path) -> Callable[[bool], None]:
 
 
 def compiling(folder: Path) -> float:
-    """Seconds in which the process of a work folder has compiled kernels, at most PREPARING."""
+    """Seconds in which the process of a work folder has compiled kernels, at most MOST."""
     times: list[float] = []
     with contextlib.suppress(OSError, ValueError):
         times = [float(line) for line in (folder / COMPILING).read_text().split()]
     if len(times) % 2:
         times.append(time.monotonic())
-    return min(PREPARING, sum(times[1::2]) - sum(times[::2]))
+    return min(MOST, sum(times[1::2]) - sum(times[::2]))
 
 
 def any_compiles(work: Path) -> bool:

@@ -102,6 +102,9 @@ def optimize_partitioned(
         Processes of this machine, without a server; 0 works in this process, as do meshes of fewer
         than 100,000 cells, for which processes take too long to start. Scripts that give more
         must be importable (``if __name__ == "__main__":``).
+    odt : dict, optional
+        Options as a dict, as :func:`odt_plugins.tetrahedralize` takes them; each here or by
+        keyword.
     **options
         The fields of :class:`odt_plugins.Options`.
 

@@ -138,7 +138,7 @@ def optimize_pieces(
     block_rounds : int
         See :func:`odt_plugins.optimize_partitioned`; in the last one a single process holds what
         lies around the curves where three pieces meet.
-    client, workers
+    client, workers, odt
         As there; workers of a cluster see the files under the same paths.
     **options
         The fields of :class:`odt_plugins.Options` that every piece can tell: no arrays, and of the

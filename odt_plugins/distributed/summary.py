@@ -10,12 +10,14 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
-from odt_plugins.compare.machine import describe
-from odt_plugins.compare.template import fill_template
 from odt_plugins.errors import require, writing
 from odt_plugins.quality import QualitySummary
+from odt_plugins.report.machine import describe
+from odt_plugins.report.template import fill_template
 
 FILES = ("summary.csv", "summary.parquet", "summary.html")
+
+TEMPLATE = Path(__file__).parent / "templates" / "batch.html"
 
 FIRST = ("source", "result", "status", "message", "seconds", "tetwild_seconds",
          "optimize_seconds", "compile_seconds", "resumed", "fallback", "regions_from",
@@ -115,7 +117,7 @@ def to_page(
               "cells": [(_shown(row.get(f"before_{name}"), form),
                          _shown(row.get(f"after_{name}"), form)) for name, _, form in SHOWN]}
              for row in sorted(rows, key=lambda row: row["status"] == "ok")]
-    return fill_template("batch.html", facts=facts, rows=lines, command=command,
+    return fill_template(TEMPLATE, facts=facts, rows=lines, command=command,
                          heads=[head for _, head, _ in SHOWN], counts=counts(rows),
                          totals=totals(rows, seconds))
 

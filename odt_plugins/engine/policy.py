@@ -12,10 +12,10 @@ from dataclasses import dataclass, field, fields
 from typing import Any
 
 STANDARD = "odt-plugins compare --suite standard"
-HARD = "odt-plugins compare --suite hard"
+HARD = "python tests/measure hard"
 ANGLES = "python examples/figures.py MESH... -- --objective min_dihedral --insert"
-STAGES = "odt-plugins compare --scaling --part stages"
-SURFACE = "odt-plugins compare --scaling --part surface"
+STAGES = "python tests/measure stages"
+SURFACE = "python tests/measure surface"
 
 
 def _chosen(value: Any, meaning: str, command: str) -> Any:
@@ -41,7 +41,7 @@ class Policy:
         0.6, "Mean quality of tetrahedra from which on local flips do as well as scipy, in three "
         "quarters of the time.", STANDARD)
     exchange_move: float = _chosen(
-        0.1, "Longest move, in edge lengths, above which scipy is asked (Section 3.2, row 10).",
+        0.1, "Longest move, in edge lengths, above which scipy is asked (Section 3.2).",
         STANDARD)
     stirred: float = _chosen(
         2.1, "First alpha of ODT sweeps in space when finishing follows: the energy leaves "

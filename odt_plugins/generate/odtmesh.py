@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from odt_plugins.engine.finish.phases import bulk
 from odt_plugins.errors import InvalidOptionError, counted
 from odt_plugins.generate.cleanup import clean_up
+from odt_plugins.generate.clouds import SEED
 from odt_plugins.generate.distance import Distance
 from odt_plugins.generate.domain import Domain, fixed_points, make_domain
 from odt_plugins.generate.sizes import Size
@@ -33,7 +34,6 @@ from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.options import Progress
 from odt_plugins.progress import telling
 
-SEED = 2011
 """Seed of the points that are left out where sizes are larger."""
 
 MOST_POINTS = 10_000_000

@@ -25,7 +25,8 @@ def odt(**options: Unpack[OptionKeywords]) -> Report:
     """
     import gmsh
 
-    return optimize_with_report(gmsh.model, **options)[1]
+    report: Report = optimize_with_report(gmsh.model, **options)[1]
+    return report
 
 
 def register() -> None:

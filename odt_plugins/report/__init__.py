@@ -5,7 +5,8 @@ the figures, histograms of the radius ratio in 50 bins (`histogram`), energy, ti
 why an earlier state was returned. `binding_cells` names the cells that bind the minimum and why
 each stays; `best_quality_on` computes the largest radius ratio that a tetrahedron on a given
 boundary triangle can have. `plot_report` draws histograms and energy, `plot_before_after` a mesh
-cut open (`paint_mesh`); matplotlib is imported only there.
+cut open (`paint_mesh`); matplotlib is imported only there. `describe` tells what a run was
+made on, and `fill_template` fills the templates of pages.
 
 Source: histograms and energies as in Figs 5, 6 and 10 of Chen and Holst.
 

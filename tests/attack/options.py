@@ -111,7 +111,7 @@ BY_NAME: dict[str, Callable[[Rng, Any, Any], Any]] = {
     "density": _density,
     "exponent": lambda rng, *_: float(10.0 ** rng.uniform(-2, 1)),
     "orient": lambda rng, *_: bool(rng.random() < 0.9),
-    "omega": lambda rng, *_: float(rng.uniform(0.05, 1.98)),
+    "omega": lambda rng, *_: float(rng.uniform(0.05, 3.0)),
     "rounds": lambda rng, *_: int(rng.choice([0, 1, 5, 100])),
     "envelope": lambda rng, *_: float(10.0 ** rng.uniform(-8, -0.1)),
     "feature_angle": lambda rng, *_: float(rng.uniform(1.0, 180.0)),

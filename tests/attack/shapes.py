@@ -7,9 +7,8 @@ from typing import NamedTuple
 import contract
 import numpy as np
 import surface_meshes
+from measure.hard import CLOUDS, delaunay
 from scipy.spatial import QhullError
-
-from odt_plugins.compare.hard import CLOUDS, delaunay
 
 Rng = np.random.Generator
 Arrays = tuple[np.ndarray, np.ndarray]

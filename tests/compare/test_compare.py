@@ -10,7 +10,9 @@ import math
 import os
 import subprocess
 import sys
+import tomllib
 from dataclasses import replace
+from pathlib import Path
 from unittest.mock import MagicMock
 
 import numpy as np
@@ -259,6 +261,13 @@ def test_a_package_that_is_not_installed_is_a_row_that_names_the_extra(monkeypat
 
 
 # ---- contestants
+
+
+def test_every_contestant_names_an_extra_of_the_package():
+    project = tomllib.loads((Path(__file__).parents[2] / "pyproject.toml").read_text())["project"]
+    for one in CONTESTANTS:
+        assert one.extra in project["optional-dependencies"], one.name
+
 
 SMALL = {"tets": ball(200), "planar": plate(200)}
 GOOD = ["Gmsh default", "Gmsh Netgen", "Gmsh combination", "Gmsh Relocate2D", "Netgen sm",

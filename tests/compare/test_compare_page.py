@@ -11,20 +11,20 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from measure import cold, small
+from measure.scaling import FILES as SCALING_FILES
+from measure.scaling import PARTS, run_scaling
 from PIL import Image
 
-from odt_plugins.compare import cold, small
 from odt_plugins.compare.charts import ACROSS, histograms
 from odt_plugins.compare.contestants import OURS, choose
-from odt_plugins.compare.machine import describe
 from odt_plugins.compare.output import FILES, write_all
 from odt_plugins.compare.rows import compare_on, mark
 from odt_plugins.compare.runner import Limits
-from odt_plugins.compare.scaling import FILES as SCALING_FILES
-from odt_plugins.compare.scaling import PARTS, run_scaling
 from odt_plugins.compare.start import ball, plate, stored
 from odt_plugins.distributed.summary import to_page
 from odt_plugins.quality import summarize
+from odt_plugins.report.machine import describe
 from odt_plugins.report.plotting import GREY
 
 BROWSER = next((b for b in map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))

@@ -13,7 +13,7 @@ from odt_plugins.compare.manuscript import settings_table, to_bibtex, to_latex, 
 from odt_plugins.compare.rows import compare_on, mark
 from odt_plugins.compare.runner import Limits
 from odt_plugins.compare.start import ball
-from odt_plugins.compare.template import tex
+from odt_plugins.report.template import tex
 
 FACTS = {"processor": "A&B 100%", "threads": 1, "seed": 2, "date": "today"}
 

@@ -22,11 +22,10 @@ from processes import alive, children, full_disk, wait_until
 
 from odt_plugins.adapters.files import read_file
 from odt_plugins.cli import main as cli
-from odt_plugins.compare.runner import PREPARING
 from odt_plugins.compare.start import ball
 from odt_plugins.distributed import batch
 from odt_plugins.distributed.batch import HIDDEN, Job, find_inputs, job_key, make_jobs, run_batch
-from odt_plugins.distributed.job import COMPILING, RESULT, compiling, outside
+from odt_plugins.distributed.job import COMPILING, MOST, RESULT, compiling, outside
 from odt_plugins.distributed.scratch import GONE, clear, make_scratch
 from odt_plugins.errors import InvalidOptionError, MeshFileError, MissingDependencyError
 from odt_plugins.options import COMPILING as SAID
@@ -296,7 +295,7 @@ def test_compiling_kernels_does_not_count_for_the_time_limit(place, monkeypatch)
     (place / COMPILING).write_text(f"{time.monotonic() - 5.0}\n")
     assert 5.0 <= compiling(place) < 10.0
     (place / COMPILING).write_text(f"{time.monotonic() - 1e6}\n")
-    assert compiling(place) == PREPARING
+    assert compiling(place) == MOST
 
     def run(timeout: float) -> None:
         with subprocess.Popen([sys.executable, "-c", "import time; time.sleep(1)"],

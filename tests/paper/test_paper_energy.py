@@ -1,4 +1,4 @@
-"""Energies of the paper: rows 1-4, 12, 17, 21, 22 of the checklist."""
+"""Energies of the paper: formulas, lower bounds, densities."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ def regular_simplex(d):
 
 
 @given(meshes(), SEEDS)
-def test_row1_energy_by_all_formulas(mesh, seed):
+def test_energy_by_all_formulas(mesh, seed):
     points, cells = mesh
     shift = np.random.default_rng(seed).uniform(-3, 3, points.shape[1])
     value = energy(points, cells)
@@ -49,13 +49,13 @@ def test_row1_energy_by_all_formulas(mesh, seed):
     assert ref.unsplit_energy(points, cells) == pytest.approx(value, rel=1e-12)
 
 
-def test_row1_energy_is_the_weighted_interpolation_error(d):
+def test_energy_is_the_weighted_interpolation_error(d):
     points, cells = jittered(d, 3, 11)
     assert energy(points, cells) == pytest.approx(ref.energy(points, cells), rel=1e-12)
 
 
 @given(meshes(), SEEDS, SCALES)
-def test_row1_energy_under_rotation_scale_and_relabelling(mesh, seed, scale):
+def test_energy_under_rotation_scale_and_relabelling(mesh, seed, scale):
     points, cells = mesh
     d = points.shape[1]
     value = energy(points, cells)
@@ -69,13 +69,13 @@ def test_row1_energy_under_rotation_scale_and_relabelling(mesh, seed, scale):
     assert energy(renamed, shuffled) == pytest.approx(value, rel=1e-12)
 
 
-def test_row2_right_simplex_by_hand(d):
+def test_right_simplex_by_hand(d):
     points, cells = right_simplex(d)
     assert energy(points, cells) == pytest.approx({2: 1 / 6, 3: 3 / 40}[d], rel=1e-15)
 
 
 @given(meshes())
-def test_row2_cell_formula_against_quadrature(mesh):
+def test_cell_formula_against_quadrature(mesh):
     points, cells = mesh
     for c in range(0, len(cells), 17):
         one = cells[c : c + 1]
@@ -84,12 +84,12 @@ def test_row2_cell_formula_against_quadrature(mesh):
 
 
 @given(meshes())
-def test_row3_lower_bounds_hold(mesh):
+def test_lower_bounds_hold(mesh):
     shape, size = lower_bounds(*mesh)
     assert energy(*mesh) >= shape >= size > 0.0
 
 
-def test_row3_equality_for_the_equilateral_simplex(d):
+def test_equality_for_the_equilateral_simplex(d):
     points, cells = regular_simplex(d)
     shape, size = lower_bounds(points, cells)
     value = energy(points, cells)
@@ -98,7 +98,7 @@ def test_row3_equality_for_the_equilateral_simplex(d):
     assert energy_constant(d) * ref.volume(points[cells[0]]) ** (1 + 2 / d) == pytest.approx(value)
 
 
-def test_row3_equality_for_an_equilateral_triangulation():
+def test_equality_for_an_equilateral_triangulation():
     points, cells = lattice(2, 6)
     sheared = points @ np.array([[1.0, 0.0], [-0.5, 3**0.5 / 2]])
     shape, size = lower_bounds(sheared, cells)
@@ -106,7 +106,7 @@ def test_row3_equality_for_an_equilateral_triangulation():
     assert size == pytest.approx(shape, rel=1e-13)
 
 
-def test_row3_second_bound_is_tight_for_equal_volumes_only(d):
+def test_second_bound_is_tight_for_equal_volumes_only(d):
     points, cells = lattice(d, 3)
     shape, size = lower_bounds(points, cells)
     assert size == pytest.approx(shape, rel=1e-13)
@@ -117,13 +117,13 @@ def test_row3_second_bound_is_tight_for_equal_volumes_only(d):
 
 
 @given(meshes(), SEEDS)
-def test_row4_weighted_bounds_hold(mesh, seed):
+def test_weighted_bounds_hold(mesh, seed):
     rho = np.random.default_rng(seed).uniform(0.1, 10, len(mesh[1]))
     shape, size = lower_bounds(*mesh, rho)
     assert energy(*mesh, rho) >= shape >= size > 0.0
 
 
-def test_row4_weighted_bounds_are_tight_for_equidistributed_equilateral_cells(d):
+def test_weighted_bounds_are_tight_for_equidistributed_equilateral_cells(d):
     points, cells = regular_simplex(d)
     two = np.concatenate([cells, cells + d + 1])
     both = np.concatenate([points, 3.0 * points])
@@ -156,7 +156,7 @@ def equidistribution_run(d, rounds):
 
 
 @pytest.mark.parametrize(("dimension", "spread"), [(2, 0.25), (3, 0.5)])
-def test_row4_weighted_volumes_become_equal(dimension, spread):
+def test_weighted_volumes_become_equal(dimension, spread):
     history = equidistribution_run(dimension, 25)
     weighted, plain = history[-1]
     assert weighted < spread
@@ -165,7 +165,7 @@ def test_row4_weighted_volumes_become_equal(dimension, spread):
 
 
 @given(meshes())
-def test_row12_star_formula(mesh):
+def test_star_formula(mesh):
     points, cells = mesh
     d = points.shape[1]
     nodal = sum(
@@ -177,7 +177,7 @@ def test_row12_star_formula(mesh):
     assert nodal - norm == pytest.approx(energy_by_stars(points, cells), abs=1e-12 * scale)
 
 
-def test_row17_density_reduces_to_the_plain_energy(d):
+def test_density_reduces_to_the_plain_energy(d):
     points, cells = jittered(d, 3, 5)
     value = energy(points, cells)
     ones = np.ones(len(points))
@@ -187,7 +187,7 @@ def test_row17_density_reduces_to_the_plain_energy(d):
     assert energy_by_stars(points, cells, np.full(len(cells), 2.5)) == pytest.approx(2.5 * value)
 
 
-def test_row17_linear_density_is_integrated_exactly(d):
+def test_linear_density_is_integrated_exactly(d):
     points, cells = jittered(d, 3, 6)
     slope = np.array([0.7, -0.4, 0.3])[:d]
 
@@ -209,7 +209,7 @@ def test_row17_linear_density_is_integrated_exactly(d):
 
 
 @given(meshes())
-def test_row21_second_form_needs_the_factor_of_its_own_integrals(mesh):
+def test_second_form_needs_the_factor_of_its_own_integrals(mesh):
     points, cells = mesh
     d = points.shape[1]
     moments = ref.energy_tilde(points, cells, lambda x: np.ones(len(x)), 1.0)
@@ -218,7 +218,7 @@ def test_row21_second_form_needs_the_factor_of_its_own_integrals(mesh):
 
 
 @given(meshes(), SEEDS)
-def test_row22_both_energies_agree_for_cellwise_density(mesh, seed):
+def test_both_energies_agree_for_cellwise_density(mesh, seed):
     rho = np.random.default_rng(seed).uniform(0.1, 10, len(mesh[1]))
     value = energy(*mesh, rho)
     assert energy_by_patches(*mesh, rho) == pytest.approx(value, rel=1e-12)
@@ -226,7 +226,7 @@ def test_row22_both_energies_agree_for_cellwise_density(mesh, seed):
 
 
 @given(SEEDS, st.sampled_from([2, 3]))
-def test_row22_patch_centroid_minimises_the_patch_energy(seed, d):
+def test_patch_centroid_minimises_the_patch_energy(seed, d):
     points, cells = jittered(d, 3, seed)
     inner = np.flatnonzero(~boundary_vertices(cells, len(points)))
     i = inner[seed % len(inner)]

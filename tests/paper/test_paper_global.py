@@ -1,4 +1,4 @@
-"""The global scheme, Section 4.3: rows 26-31 of the checklist."""
+"""The global scheme, Section 4.3: its matrix, its steps, its solvers."""
 
 from __future__ import annotations
 
@@ -47,7 +47,7 @@ def matrices(points, cells, rho_tau):
 
 
 @given(meshes(), SEEDS)
-def test_row26_matrix_equals_the_sum_of_element_matrices(mesh, seed):
+def test_matrix_equals_the_sum_of_element_matrices(mesh, seed):
     points, cells = mesh
     rho_tau = np.random.default_rng(seed).uniform(0.1, 10, len(cells))
     _, whole, _, _ = matrices(points, cells, rho_tau)
@@ -59,7 +59,7 @@ def test_row26_matrix_equals_the_sum_of_element_matrices(mesh, seed):
 
 
 @given(meshes())
-def test_row26_interior_matrix_is_a_positive_definite_m_matrix(mesh):
+def test_interior_matrix_is_a_positive_definite_m_matrix(mesh):
     points, cells = mesh
     topology, whole, inner, coupling = matrices(points, cells, np.ones(len(cells)))
     dense = inner.toarray()
@@ -80,7 +80,7 @@ def wavy(d, n):
     return exact + bump[:, None] * np.array([1.0, -0.5, 0.7])[:d], cells, exact
 
 
-def test_row27_four_global_steps_beat_forty_jacobi_steps(d):
+def test_four_global_steps_beat_forty_jacobi_steps(d):
     points, cells, exact = wavy(d, {2: 16, 3: 12}[d])
     topology = topology_of(points, cells)
     best = energy(exact, cells)
@@ -97,7 +97,7 @@ def test_row27_four_global_steps_beat_forty_jacobi_steps(d):
     assert energy(fast, cells) - best < 1e-2 * (energy(points, cells) - best)
 
 
-def test_row27_direction_solves_the_modified_newton_system(d):
+def test_direction_solves_the_modified_newton_system(d):
     points, cells = jittered(d, 4, 33, 0.2)
     rho_tau = np.random.default_rng(34).uniform(0.5, 2, len(cells))
     topology, _, inner, _ = matrices(points, cells, rho_tau)
@@ -109,7 +109,7 @@ def test_row27_direction_solves_the_modified_newton_system(d):
     assert (step * slope).sum() < 0.0
 
 
-def test_row27_boundary_rule_uses_barycenters_at_boundary_cells(d):
+def test_boundary_rule_uses_barycenters_at_boundary_cells(d):
     points, cells = jittered(d, 4, 35, 0.2)
     topology, _, inner, _ = matrices(points, cells, np.ones(len(cells)))
     step = global_direction(points, topology, np.ones(len(cells)), solve_direct)
@@ -123,7 +123,7 @@ def test_row27_boundary_rule_uses_barycenters_at_boundary_cells(d):
 
 
 @given(meshes(), SEEDS)
-def test_row28_gradient_is_the_scaled_diffusion_residual(mesh, seed):
+def test_gradient_is_the_scaled_diffusion_residual(mesh, seed):
     points, cells = mesh
     d = points.shape[1]
     rho_tau = np.random.default_rng(seed).uniform(0.1, 10, len(cells))
@@ -135,7 +135,7 @@ def test_row28_gradient_is_the_scaled_diffusion_residual(mesh, seed):
 
 
 @pytest.mark.parametrize("alpha", [1.0, 0.5])
-def test_row29_damped_fixed_point_gives_the_same_iterates(d, alpha):
+def test_damped_fixed_point_gives_the_same_iterates(d, alpha):
     points, cells = jittered(d, 4, 36, 0.2)
     ones = np.ones(len(cells))
     newton, fixed_point = points, points
@@ -153,7 +153,7 @@ def test_row29_damped_fixed_point_gives_the_same_iterates(d, alpha):
     assert np.abs(newton - points).max() > 1e-3
 
 
-def test_row28_global_cpt_reaches_the_diffusion_equation(d):
+def test_global_cpt_reaches_the_diffusion_equation(d):
     points, cells = jittered(d, 4, 37, 0.2)
     ones = np.ones(len(cells))
     for _ in range(60):
@@ -162,7 +162,7 @@ def test_row28_global_cpt_reaches_the_diffusion_equation(d):
     assert np.abs(approximate_gradient(points, cells)[topology.movable]).max() < 1e-13
 
 
-def test_row30_multigrid_equals_the_direct_solver(d):
+def test_multigrid_equals_the_direct_solver(d):
     points, cells = random_delaunay(d, 150, 38)
     rho_tau = np.random.default_rng(39).uniform(0.1, 10, len(cells))
     _, _, inner, _ = matrices(points, cells, rho_tau)
@@ -183,7 +183,7 @@ def random_system(d, n, seed):
     return inner, right, multigrid(inner)
 
 
-def test_row30_multigrid_iterations_do_not_grow(d):
+def test_multigrid_iterations_do_not_grow(d):
     counts = []
     for n in (1500, 6000, 24000):
         inner, right, hierarchy = random_system(d, n, 41)
@@ -196,7 +196,7 @@ def test_row30_multigrid_iterations_do_not_grow(d):
     assert max(counts) <= 18
 
 
-def test_row30_hierarchy_is_galerkin_and_keeps_constants_inside(d):
+def test_hierarchy_is_galerkin_and_keeps_constants_inside(d):
     points, cells = lattice(d, {2: 40, 3: 14}[d])
     _, _, inner, _ = matrices(points, cells, np.ones(len(cells)))
     hierarchy = multigrid(inner / inner.diagonal().mean())
@@ -211,7 +211,7 @@ def test_row30_hierarchy_is_galerkin_and_keeps_constants_inside(d):
     assert sums[inside] == pytest.approx(np.ones(inside.sum()), abs=1e-12)
 
 
-def test_row30_cycles_are_symmetric_and_positive():
+def test_cycles_are_symmetric_and_positive():
     inner, _, hierarchy = random_system(2, 1500, 48)
     b = np.random.default_rng(49).normal(size=(5, inner.shape[0]))
     cycle = hierarchy.aspreconditioner()
@@ -221,7 +221,7 @@ def test_row30_cycles_are_symmetric_and_positive():
 
 
 @pytest.mark.parametrize("columns", [2, 3, 5])
-def test_row30_every_column_is_solved_as_if_it_were_alone(columns):
+def test_every_column_is_solved_as_if_it_were_alone(columns):
     inner, _, hierarchy = random_system(2, 1500, 48)
     b = np.random.default_rng(49).normal(size=(inner.shape[0], columns))
     together, counts = solve_columns(hierarchy, b, 1e-9, 100)
@@ -235,13 +235,13 @@ def test_row30_every_column_is_solved_as_if_it_were_alone(columns):
         assert solve_direct(inner, b[:, c : c + 1])[:, 0].tobytes() == direct[:, c].tobytes()
 
 
-def test_row30_a_matrix_that_is_not_positive_definite_is_refused():
+def test_a_matrix_that_is_not_positive_definite_is_refused():
     inner, _, _ = random_system(2, 100, 51)
     with pytest.raises(RuntimeError):
         factorize(-inner)
 
 
-def test_row30_a_column_of_zeros_is_solved_by_zeros():
+def test_a_column_of_zeros_is_solved_by_zeros():
     inner, right, hierarchy = random_system(2, 1500, 50)
     right[:, 1] = 0.0
     solution, counts = solve_columns(hierarchy, right, 1e-9, 100)
@@ -250,7 +250,7 @@ def test_row30_a_column_of_zeros_is_solved_by_zeros():
     assert inner @ solution == pytest.approx(right, abs=1e-8 * np.abs(right).max())
 
 
-def test_row30_hierarchy_draws_no_random_numbers(d):
+def test_hierarchy_draws_no_random_numbers(d):
     inner, right, hierarchy = random_system(d, 3000, 46)
     state = np.random.get_state()[1].tobytes()  # noqa: NPY002
     again = multigrid(inner)
@@ -259,15 +259,15 @@ def test_row30_hierarchy_draws_no_random_numbers(d):
     assert np.random.get_state()[1].tobytes() == state  # noqa: NPY002
 
 
-def test_row30_too_few_iterations_are_reported(d):
+def test_too_few_iterations_are_reported(d):
     points, cells = lattice(d, {2: 40, 3: 14}[d])
     _, _, inner, _ = matrices(points, cells, np.ones(len(cells)))
     right = np.random.default_rng(42).normal(size=(inner.shape[0], 1))
-    with pytest.warns(NotConvergedWarning, match="relative residual"):
+    with pytest.warns(NotConvergedWarning, match="relative residual.* expected at most 1.0e-11"):
         solve_amg(inner, right, 1e-12, iterations=1)
 
 
-def test_row30_a_tenth_of_a_step_needs_no_exact_solution(d):
+def test_a_tenth_of_a_step_needs_no_exact_solution(d):
     points, cells, exact = wavy(d, {2: 48, 3: 14}[d])
     topology = topology_of(points, cells)
     least = energy(exact, cells)
@@ -280,7 +280,7 @@ def test_row30_a_tenth_of_a_step_needs_no_exact_solution(d):
     assert gaps[1] == pytest.approx(gaps[0], rel=0.05)
 
 
-def test_row30_solver_by_name_and_size():
+def test_solver_by_name_and_size():
     assert choose_solve("auto", 10) is solve_direct
     assert choose_solve("auto", 10**6) is solve_amg
     assert choose_solve("amg", 10) is solve_amg
@@ -289,7 +289,7 @@ def test_row30_solver_by_name_and_size():
         choose_solve("cholesky", 10)
 
 
-def test_row27_both_solvers_take_the_same_step(d):
+def test_both_solvers_take_the_same_step(d):
     points, cells = jittered(d, 5, 43)
     topology = topology_of(points, cells)
     direct, one = global_step(points, topology, linear_solver="direct")
@@ -298,7 +298,7 @@ def test_row27_both_solvers_take_the_same_step(d):
     assert one.alpha == pytest.approx(two.alpha, rel=1e-9)
 
 
-def test_row38_line_search_halves_until_the_energy_falls(d):
+def test_line_search_halves_until_the_energy_falls(d):
     points, cells = jittered(d, 4, 44, 0.2)
     topology = topology_of(points, cells)
     ones = np.ones(len(cells))
@@ -319,7 +319,7 @@ def test_row38_line_search_halves_until_the_energy_falls(d):
 
 
 @given(meshes(), SEEDS, st.sampled_from(["odt", "cpt"]), st.booleans())
-def test_row27_step_gradient_is_the_pull_of_the_centers(mesh, seed, method, rule):
+def test_step_gradient_is_the_pull_of_the_centers(mesh, seed, method, rule):
     points, cells = mesh
     rho_tau = np.random.default_rng(seed).uniform(0.1, 10, len(cells))
     topology = topology_of(points, cells)
@@ -334,14 +334,14 @@ def test_row27_step_gradient_is_the_pull_of_the_centers(mesh, seed, method, rule
 
 
 @given(meshes(), SEEDS)
-def test_row27_frozen_energy_is_the_energy(mesh, seed):
+def test_frozen_energy_is_the_energy(mesh, seed):
     points, cells = mesh
     rho_tau = np.random.default_rng(seed).uniform(0.1, 10, len(cells))
     assert frozen_energy(points, cells, rho_tau) == pytest.approx(energy(points, cells, rho_tau))
 
 
 @pytest.mark.parametrize("least", [0.3, 1.0, 1.9])
-def test_row38_first_alpha_is_where_a_parabola_is_least(d, least):
+def test_first_alpha_is_where_a_parabola_is_least(d, least):
     points = np.random.default_rng(47).random((20, d))
     direction = np.ones_like(points)
 
@@ -353,7 +353,7 @@ def test_row38_first_alpha_is_where_a_parabola_is_least(d, least):
     assert least_alpha(points, direction / 9, value) == LONGEST
 
 
-def test_row38_the_first_alpha_gains_most_of_what_a_step_can(d):
+def test_the_first_alpha_gains_most_of_what_a_step_can(d):
     points, cells, _ = wavy(d, {2: 16, 3: 10}[d])
     topology = topology_of(points, cells)
     start = energy(points, cells)
@@ -384,7 +384,7 @@ def converge(points, cells, steps):
     return points, energy(points, cells)
 
 
-def test_row31_coarse_solve_then_a_few_fine_steps(d):
+def test_coarse_solve_then_a_few_fine_steps(d):
     n = {2: 6, 3: 3}[d]
     coarse, coarse_cells = lattice(d, n)
     fine, fine_cells = lattice(d, 2 * n)

@@ -1,4 +1,4 @@
-"""Gradients, Hessian diagonal, circumcenters: rows 13-18 of the checklist."""
+"""Gradients, the diagonal of the Hessian, circumcenters."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ def interior(points, cells):
 
 
 @given(meshes(), SEEDS)
-def test_row13_three_forms_agree(mesh, seed):
+def test_three_forms_agree(mesh, seed):
     points, cells = mesh
     points = points + np.random.default_rng(seed).uniform(-1, 1, points.shape[1])
     inner = interior(points, cells)
@@ -45,7 +45,7 @@ def test_row13_three_forms_agree(mesh, seed):
 
 
 @given(meshes())
-def test_row13_gradient_against_differences(mesh):
+def test_gradient_against_differences(mesh):
     points, cells = mesh
     slope = gradient(points, cells)
     scale = np.abs(slope).max()
@@ -56,7 +56,7 @@ def test_row13_gradient_against_differences(mesh):
 
 
 @given(meshes(), SEEDS)
-def test_row13_exact_derivative_of_the_cellwise_sum_at_every_vertex(mesh, seed):
+def test_exact_derivative_of_the_cellwise_sum_at_every_vertex(mesh, seed):
     points, cells = mesh
     rho = np.random.default_rng(seed).uniform(0.1, 10, len(cells))
     slope = energy_gradient(points, cells, rho)
@@ -70,7 +70,7 @@ def test_row13_exact_derivative_of_the_cellwise_sum_at_every_vertex(mesh, seed):
 
 
 @given(meshes())
-def test_row13_volume_gradients_against_differences(mesh):
+def test_volume_gradients_against_differences(mesh):
     points, cells = mesh
     assert signed_volumes(points, cells) == pytest.approx(ref.volumes(points, cells), rel=1e-9)
     slopes = volume_gradients(points, cells)
@@ -81,7 +81,7 @@ def test_row13_volume_gradients_against_differences(mesh):
 
 
 @given(meshes(), SEEDS, SCALES)
-def test_row13_gradient_turns_and_scales_with_the_mesh(mesh, seed, scale):
+def test_gradient_turns_and_scales_with_the_mesh(mesh, seed, scale):
     points, cells = mesh
     d = points.shape[1]
     turn = rotation(d, seed)
@@ -93,7 +93,7 @@ def test_row13_gradient_turns_and_scales_with_the_mesh(mesh, seed, scale):
 
 
 @given(meshes())
-def test_row14_circumcenters_of_meshes(mesh):
+def test_circumcenters_of_meshes(mesh):
     points, cells = mesh
     for c, (center, radius) in enumerate(
         zip(circumcenters(points, cells), circumradii(points, cells), strict=True)
@@ -104,7 +104,7 @@ def test_row14_circumcenters_of_meshes(mesh):
 
 
 @given(simplices())
-def test_row14_circumcenter_of_slivers(x):
+def test_circumcenter_of_slivers(x):
     cell = np.arange(len(x), dtype=np.int32)[None]
     exact = ref.exact_circumcenter(x)
     radius = np.linalg.norm(exact - x[0])
@@ -113,7 +113,7 @@ def test_row14_circumcenter_of_slivers(x):
 
 
 @given(simplices())
-def test_row14_circumcenter_from_the_forces(x):
+def test_circumcenter_from_the_forces(x):
     d = x.shape[1]
     cell = np.arange(d + 1, dtype=np.int32)[None]
     slopes = volume_gradients(x, cell)[0]
@@ -124,14 +124,14 @@ def test_row14_circumcenter_from_the_forces(x):
     assert 2 * volume * center == pytest.approx(-forces, abs=1e-12)
 
 
-def test_row14_flat_cells_give_their_barycenter(d):
+def test_flat_cells_give_their_barycenter(d):
     x = np.concatenate([np.eye(d), np.full((1, d), 1.0 / d)])
     x[:, -1] = 0.0
     cell = np.arange(d + 1, dtype=np.int32)[None]
     assert circumcenters(x, cell)[0] == pytest.approx(x.mean(axis=0))
 
 
-def test_row15_residual_goes_to_zero(d):
+def test_residual_goes_to_zero(d):
     points, cells = jittered(d, 4, 8, 0.15)
     near = boundary_vertices(cells, len(points))
     topology = make_topology(cells, ~near, near)
@@ -143,7 +143,7 @@ def test_row15_residual_goes_to_zero(d):
     assert np.abs(gradient(points, cells)[~near]).max() < 1e-14
 
 
-def test_row15_residual_by_hand(d):
+def test_residual_by_hand(d):
     points, cells = jittered(d, 3, 9)
     near = boundary_vertices(cells, len(points))
     worst = 0.0
@@ -158,7 +158,7 @@ def test_row15_residual_by_hand(d):
 
 
 @given(meshes())
-def test_row16_diagonal_of_the_hessian(mesh):
+def test_diagonal_of_the_hessian(mesh):
     points, cells = mesh
     d = points.shape[1]
     diagonal = hessian_diagonal(points, cells)
@@ -202,13 +202,13 @@ def gradient_errors(d, n):
     return np.linalg.norm(one_point - exact) / scale, np.linalg.norm(linear - exact) / scale
 
 
-def test_row17_density_gradient_is_first_order(d):
+def test_density_gradient_is_first_order(d):
     coarse, fine = gradient_errors(d, 3)[0], gradient_errors(d, 6)[0]
     assert coarse < 0.12
     assert fine < 0.65 * coarse
 
 
-def test_row17_factor_is_that_of_the_uniform_gradient(d):
+def test_factor_is_that_of_the_uniform_gradient(d):
     points, cells = jittered(d, 3, 12)
     ones = np.ones(len(cells))
     assert np.array_equal(gradient(points, cells, ones), gradient(points, cells))
@@ -217,12 +217,12 @@ def test_row17_factor_is_that_of_the_uniform_gradient(d):
     assert gradient(points, cells, 3.0 * ones)[inner] == pytest.approx(3.0 * form4, abs=1e-15)
 
 
-def test_row18_linear_density_gives_the_better_gradient(d):
+def test_linear_density_gives_the_better_gradient(d):
     one_point, linear = gradient_errors(d, 4)
     assert linear < 0.35 * one_point
 
 
-def test_row18_gradient_is_exact_for_linear_density(d):
+def test_gradient_is_exact_for_linear_density(d):
     points, cells = jittered(d, 3, 13)
     slope = np.array([0.7, -0.4, 0.3])[:d]
     inner = interior(points, cells)
@@ -231,14 +231,14 @@ def test_row18_gradient_is_exact_for_linear_density(d):
     assert result == pytest.approx(exact, abs=1e-8 * np.abs(exact).max())
 
 
-def test_row18_uniform_density_gives_the_plain_gradient(d):
+def test_uniform_density_gives_the_plain_gradient(d):
     points, cells = jittered(d, 3, 13)
     inner = interior(points, cells)
     linear = gradient_p1(points, cells, np.ones(len(points)))[inner]
     assert linear == pytest.approx(gradient(points, cells)[inner], abs=1e-15)
 
 
-def test_row18_quadrature_of_the_hat_functions(d):
+def test_quadrature_of_the_hat_functions(d):
     points, cells = random_delaunay(d, 12, 3)
     rho = np.random.default_rng(14).uniform(1, 5, len(points))
     hats = hat_weighted_volumes(points, cells, rho)

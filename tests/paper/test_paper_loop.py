@@ -1,4 +1,4 @@
-"""The loops of Section 5: rows 7, 10, 44 and 48 of the checklist."""
+"""The loops of Section 5: smoothing and reconnection in turns."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ def reconnections(d):
     return (flip_once, delaunay_cells) if d == 2 else (delaunay_cells,)
 
 
-def test_row7_energy_falls_in_every_step_of_the_loop(d):
+def test_energy_falls_in_every_step_of_the_loop(d):
     points, cells = random_delaunay(d, 80, 3)
     for reconnect in (None, *reconnections(d)):
         run = list(iterate(points, cells, plain, reconnect, 6))
@@ -38,7 +38,7 @@ def test_row7_energy_falls_in_every_step_of_the_loop(d):
         assert all(reference_flips.volume(x, c) > 0 for x, t in run for c in t)
 
 
-def test_row7_one_pass_of_flips_is_less_than_delaunay():
+def test_one_pass_of_flips_is_less_than_delaunay():
     points, cells, _ = planar.jittered_grid(9, 9, np.random.default_rng(5))
     cells = reference_flips.random_flips(points, cells, np.random.default_rng(6), 60)
     once, passes = flip_once(points, cells), 0
@@ -51,13 +51,13 @@ def test_row7_one_pass_of_flips_is_less_than_delaunay():
     assert rows(delaunay_cells(points, cells)) == delaunay
 
 
-def test_row9_delaunay_cells_are_those_of_qhull(d):
+def test_delaunay_cells_are_those_of_qhull(d):
     points, cells = random_delaunay(d, 60, 7)
     moved, last = list(iterate(points, cells, plain, None, 3))[-1]
     assert rows(delaunay_cells(moved, last)) == rows(Delaunay(moved).simplices)
 
 
-def test_row44_connectivity_changes_after_every_second_step_only(d):
+def test_connectivity_changes_after_every_second_step_only(d):
     points, cells = random_delaunay(d, 80, 9)
     run = list(iterate(points, cells, plain, delaunay_cells, 4, every=2))
     assert np.array_equal(run[0][1], run[1][1])

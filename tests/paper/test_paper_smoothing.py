@@ -1,4 +1,4 @@
-"""Local smoothing: rows 11, 19, 20, 23-25 of the checklist."""
+"""Local smoothing: fixed points, guarded moves, rules at the boundary."""
 
 from __future__ import annotations
 
@@ -70,7 +70,7 @@ def plain_global(points, topology):
     ("step", "times"),
     [(plain_jacobi, 400), (richardson_step, 400), (plain_global, 100), (lbfgs_step, 12)],
 )
-def test_row11_all_solvers_have_one_fixed_point(step, times, d):
+def test_all_solvers_have_one_fixed_point(step, times, d):
     points, cells = jittered(d, 3 if d == 3 else 5, 3, 0.15)
     topology = topology_of(points, cells)
     best, _ = run(plain_gauss_seidel, points, topology, 300)
@@ -81,7 +81,7 @@ def test_row11_all_solvers_have_one_fixed_point(step, times, d):
 
 
 @given(meshes())
-def test_row11_energy_falls_in_every_gauss_seidel_sweep(mesh):
+def test_energy_falls_in_every_gauss_seidel_sweep(mesh):
     points, cells = mesh
     _, values = run(plain_gauss_seidel, points, topology_of(points, cells), 6)
     assert np.all(np.diff(values) <= 1e-14 * values[0])
@@ -89,7 +89,7 @@ def test_row11_energy_falls_in_every_gauss_seidel_sweep(mesh):
 
 
 @pytest.mark.parametrize("step", [richardson_step, global_step, lbfgs_step])
-def test_row11_energy_falls_in_every_whole_mesh_step(step, d):
+def test_energy_falls_in_every_whole_mesh_step(step, d):
     points, cells = random_delaunay(d, 40, 7)
     _, values = run(step, points, topology_of(points, cells), 4)
     assert np.all(np.diff(values) <= 0.0)
@@ -97,7 +97,7 @@ def test_row11_energy_falls_in_every_whole_mesh_step(step, d):
 
 
 @given(meshes(), METHODS, st.booleans(), st.booleans(), SEEDS)
-def test_row19_sweep_equals_the_loop(mesh, method, inverse_volume, rule, seed):
+def test_sweep_equals_the_loop(mesh, method, inverse_volume, rule, seed):
     points, cells = mesh
     topology = topology_of(points, cells)
     rho = np.random.default_rng(seed).uniform(0.5, 2.0, len(points))
@@ -117,7 +117,7 @@ def test_row19_sweep_equals_the_loop(mesh, method, inverse_volume, rule, seed):
 
 
 @given(meshes(), METHODS, st.booleans(), SEEDS, SCALES)
-def test_row19_nothing_ever_inverts(mesh, method, inverse_volume, seed, scale):
+def test_nothing_ever_inverts(mesh, method, inverse_volume, seed, scale):
     points, cells = mesh
     points = points * scale
     topology = topology_of(points, cells)
@@ -128,7 +128,7 @@ def test_row19_nothing_ever_inverts(mesh, method, inverse_volume, seed, scale):
         assert np.array_equal(new[~topology.movable], points[~topology.movable])
 
 
-def test_row19_a_star_that_needs_a_shorter_step(d):
+def test_a_star_that_needs_a_shorter_step(d):
     points, cells = random_delaunay(d, 60, 5)
     topology = topology_of(points, cells)
     wild = np.random.default_rng(6).uniform(1e-6, 1e6, len(points))
@@ -138,7 +138,7 @@ def test_row19_a_star_that_needs_a_shorter_step(d):
 
 
 @pytest.mark.parametrize(("rest", "alpha"), [(0.1 * THIN, 0.5), (10.0 * THIN, 1.0)])
-def test_row19_no_cell_is_pressed_flat(d, rest, alpha):
+def test_no_cell_is_pressed_flat(d, rest, alpha):
     """A vertex amid +-e_k, sent towards the facet sum x = 1, of which the share rest is left."""
     facets = np.array(list(product(*[(2 * k, 2 * k + 1) for k in range(d)])))
     points = np.zeros((2 * d + 1, d))
@@ -153,7 +153,7 @@ def test_row19_no_cell_is_pressed_flat(d, rest, alpha):
     assert stats.reduced == (alpha < 1.0)
 
 
-def test_row19_guarded_move_keeps_every_cell(d):
+def test_guarded_move_keeps_every_cell(d):
     points, cells = jittered(d, 4, 17)
     topology = topology_of(points, cells)
     wild = np.random.default_rng(18).normal(size=points.shape) * 0.4
@@ -168,7 +168,7 @@ def test_row19_guarded_move_keeps_every_cell(d):
 
 
 @given(meshes(), METHODS, SEEDS)
-def test_row19_sweep_turns_and_scales_with_the_mesh(mesh, method, seed):
+def test_sweep_turns_and_scales_with_the_mesh(mesh, method, seed):
     points, cells = mesh
     d = points.shape[1]
     turn, shift = rotation(d, seed), np.arange(1.0, d + 1.0)
@@ -178,7 +178,7 @@ def test_row19_sweep_turns_and_scales_with_the_mesh(mesh, method, seed):
     assert turned == pytest.approx(4.0 * new @ turn.T + shift, abs=1e-7)
 
 
-def test_row19_threads_do_not_change_a_bit(d, monkeypatch, many_blocks):
+def test_threads_do_not_change_a_bit(d, monkeypatch, many_blocks):
     monkeypatch.setattr(coloring, "SMALLEST_BITS", 2)
     points, cells = jittered(d, {2: 20, 3: 8}[d], 19)
     topology = topology_of(points, cells)
@@ -191,7 +191,7 @@ def test_row19_threads_do_not_change_a_bit(d, monkeypatch, many_blocks):
             assert same == stats
 
 
-def test_row19_callers_arrays_stay(d):
+def test_callers_arrays_stay(d):
     points, cells = jittered(d, 3, 20)
     before = points.copy()
     topology = topology_of(points, cells)
@@ -202,7 +202,7 @@ def test_row19_callers_arrays_stay(d):
         assert not np.shares_memory(new, points)
 
 
-def test_row19_nothing_movable_gives_the_points_back(d):
+def test_nothing_movable_gives_the_points_back(d):
     points, cells = jittered(d, 3, 20)
     near = boundary_vertices(cells, len(points))
     topology = make_topology(cells, np.zeros_like(near), near)
@@ -213,7 +213,7 @@ def test_row19_nothing_movable_gives_the_points_back(d):
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_row20_barycenters_keep_a_vertex_off_the_boundary(d, seed):
+def test_barycenters_keep_a_vertex_off_the_boundary(d, seed):
     points, cells = circular_star(d, seed)
     movable = np.zeros(len(points), dtype=bool)
     movable[-1] = True
@@ -229,7 +229,7 @@ def test_row20_barycenters_keep_a_vertex_off_the_boundary(d, seed):
     assert height - with_rule[-1, -1] > 2.0 * (height - without[-1, -1])
 
 
-def test_row20_boundary_cells_hold_a_boundary_vertex(d):
+def test_boundary_cells_hold_a_boundary_vertex(d):
     points, cells = jittered(d, 4, 23)
     topology = topology_of(points, cells)
     expected = [any(topology.is_boundary[i] for i in cell) for cell in cells]
@@ -238,7 +238,7 @@ def test_row20_boundary_cells_hold_a_boundary_vertex(d):
 
 
 @given(meshes())
-def test_row23_cpt_stops_at_patch_centroids(mesh):
+def test_cpt_stops_at_patch_centroids(mesh):
     points, cells = mesh
     topology = topology_of(points, cells)
     ones, none = np.ones(len(points)), np.zeros(len(cells))
@@ -248,7 +248,7 @@ def test_row23_cpt_stops_at_patch_centroids(mesh):
         assert new[i] - points[i] == pytest.approx(1e-3 * (centroid - points[i]), abs=1e-15)
 
 
-def test_row23_centroidal_patches_do_not_move(d):
+def test_centroidal_patches_do_not_move(d):
     points, cells = jittered(d, 4, 24, 0.2)
     topology = topology_of(points, cells)
     for _ in range(300):
@@ -261,13 +261,13 @@ def test_row23_centroidal_patches_do_not_move(d):
 
 
 @given(st.sampled_from([2, 3]), SEEDS)
-def test_row23_barycenters_need_no_shorter_step_in_convex_stars(d, seed):
+def test_barycenters_need_no_shorter_step_in_convex_stars(d, seed):
     points, cells = jittered(d, 4, seed, 0.15)
     _, stats = gauss_seidel_sweep(points, topology_of(points, cells), method="cpt")
     assert stats.reduced == 0
 
 
-def test_row24_laplacian_is_over_relaxed_cpt_in_the_plane_only(d):
+def test_laplacian_is_over_relaxed_cpt_in_the_plane_only(d):
     points, cells = jittered(d, 4, 25, 0.1)
     topology = topology_of(points, cells)
     laplace, one = jacobi_sweep(points, topology, method="laplacian", omega=1.0)
@@ -287,7 +287,7 @@ def graded(d):
 
 
 @pytest.mark.parametrize("method", ["odt", "cpt"])
-def test_row25_density_keeping_keeps_sizes(d, method):
+def test_density_keeping_keeps_sizes(d, method):
     points, cells = graded(d)
     topology = topology_of(points, cells)
     start = np.log(size_field(points, cells))
@@ -307,7 +307,7 @@ def test_row25_density_keeping_keeps_sizes(d, method):
     assert change["keep"] < 0.6 * change["uniform"]
 
 
-def test_row25_every_cell_counts_the_same(d):
+def test_every_cell_counts_the_same(d):
     points, cells = jittered(d, 3, 27)
     topology = topology_of(points, cells)
     a, _ = gauss_seidel_sweep(points, topology, inverse_volume=True)

@@ -150,7 +150,8 @@ def cells_of(step: Any, points: NDArray[Any]) -> list[Cells]:
     tets = np.concatenate(corners)
     tets = tets[((tets >= 0) & (tets < len(points))).all(axis=1)]
     sides = points[tets[:, 1:]] - points[tets[:, :1]]
-    if 2 * (np.linalg.det(sides) < 0).sum() <= len(tets):
+    volumes = (np.cross(sides[:, 0], sides[:, 1]) * sides[:, 2]).sum(axis=1)
+    if 2 * (volumes < 0).sum() <= len(tets):
         return blocks
     return [block if block.kind not in TURNED else
             block._replace(rows=block.rows[:, TURNED[block.kind]], turned=True)

@@ -52,7 +52,8 @@ def _mostly_positive(mesh: Any) -> bool:
         return True
     tets = np.concatenate(corners)
     sides = np.asarray(mesh.points, dtype=np.float64)[tets[:, 1:]] - mesh.points[tets[:, :1]]
-    return bool(2 * (np.linalg.det(sides) > 0).sum() > len(tets))
+    volumes = (np.cross(sides[:, 0], sides[:, 1]) * sides[:, 2]).sum(axis=1)
+    return bool(2 * (volumes > 0).sum() > len(tets))
 
 
 def _mask(members: Any, size: int) -> NDArray[np.bool_]:

@@ -23,7 +23,7 @@ from odt_plugins.engine.compiled import cache as kernel_cache
 from odt_plugins.engine.compiled import kernel
 from odt_plugins.engine.compiled.compiler import compile_whole
 from odt_plugins.engine.compiled.library import Library, Part
-from odt_plugins.engine.compiled.machine import MachineCode, fits
+from odt_plugins.engine.compiled.machine import TRIED, MachineCode, fits
 from odt_plugins.engine.moves import cavity
 from odt_plugins.engine.topology.lookup import place_in
 from odt_plugins.engine.topology.tets import Tets
@@ -269,6 +269,13 @@ def outer(x: float) -> float:
 
 print(outer(1.5), both(3.0), machine.tried())
 """
+
+
+def test_the_newest_numba_that_may_be_installed_was_tried():
+    """Kernels use names that are private to numba."""
+    project = (Path(__file__).parents[3] / "pyproject.toml").read_text(encoding="utf-8")
+    tried = int(TRIED.split(".")[-2])
+    assert re.findall(r'"numba>=[\d.]+([^"]*)"', project) == [f",<0.{tried + 1}"] * 2
 
 
 def test_a_numba_that_was_not_tried_compiles_by_itself(tmp_path):

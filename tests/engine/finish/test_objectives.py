@@ -14,13 +14,13 @@ import planar_meshes as pm
 import pytest
 import tet_meshes as tm
 from complexes import FREELY, OPEN, assert_sound, complex_of, contents, run_pass
+from measure.hard import CLOUDS, delaunay
 from planar_meshes import MEASURES, grid
 from promises import assert_promise, mesh_of
 from tet_meshes import TWINS, interior
 
 import odt_plugins
 from odt_plugins.cli import main as cli
-from odt_plugins.compare.hard import CLOUDS, delaunay
 from odt_plugins.engine.cells.extremes import Bounds, Extremes
 from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY, STEP, Cost
 from odt_plugins.engine.finish import polishing, volume

@@ -52,7 +52,7 @@ def check_mesh(points, start, cells, neighbors, regions):
 
 @settings(max_examples=30, deadline=None)
 @given(seed=SEEDS, two=st.booleans(), flips=st.sampled_from([0, 60]))
-def test_row06_edge_flipping_ends_with_the_constrained_delaunay_mesh(seed, two, flips):
+def test_edge_flipping_ends_with_the_constrained_delaunay_mesh(seed, two, flips):
     points, start = grid(seed, flips=flips)
     regions = two_regions(points, start) * two
     cells, neighbors = start.copy(), ref.brute_neighbors(start)
@@ -71,7 +71,7 @@ def test_row06_edge_flipping_ends_with_the_constrained_delaunay_mesh(seed, two, 
 
 @pytest.mark.parametrize("seed", [5, 6])
 @pytest.mark.parametrize("two", [False, True])
-def test_row06_equals_slow_twin_whose_energy_falls_at_every_flip(seed, two):
+def test_equals_slow_twin_whose_energy_falls_at_every_flip(seed, two):
     points, start = grid(seed, n=5, holes={(2, 2)}, flips=20)
     regions = two_regions(points, start) * two
     twin, energies, drops = ref.lawson(points, start, regions)
@@ -83,7 +83,7 @@ def test_row06_equals_slow_twin_whose_energy_falls_at_every_flip(seed, two):
     assert planar.energy(points, cells) == pytest.approx(energies[-1], rel=1e-12)
 
 
-def test_row06_energy_falls_at_every_single_flip_of_the_kernel():
+def test_energy_falls_at_every_single_flip_of_the_kernel():
     points, start = grid(12, flips=40)
     regions = np.zeros(len(start), dtype=np.int32)
     flipped = 0
@@ -104,7 +104,7 @@ def test_row06_energy_falls_at_every_single_flip_of_the_kernel():
 
 
 @pytest.mark.parametrize("seed", [1, 2, 3])
-def test_row06_equals_scipy_on_a_convex_domain(seed):
+def test_equals_scipy_on_a_convex_domain(seed):
     rng = np.random.default_rng(seed)
     points = rng.normal(size=(60, 2))
     best = planar.oriented(points, Delaunay(points).simplices)
@@ -115,7 +115,7 @@ def test_row06_equals_scipy_on_a_convex_domain(seed):
     assert edges(cells) == edges(best)
 
 
-def test_row06_cocircular_ties_and_needles_end():
+def test_cocircular_ties_and_needles_end():
     rng = np.random.default_rng(4)
     points, cells, _ = planar.jittered_grid(6, 6, rng, 0.0)
     neighbors = ref.brute_neighbors(cells)
@@ -125,7 +125,7 @@ def test_row06_cocircular_ties_and_needles_end():
     assert (planar.areas(thin, cells) > 0).all()
 
 
-def test_row07_one_sweep_visits_every_edge_once():
+def test_one_sweep_visits_every_edge_once():
     total, repeated = 0, 0
     for seed in range(8):
         points, start = grid(seed, flips=80)
@@ -147,7 +147,7 @@ def test_row07_one_sweep_visits_every_edge_once():
     assert repeated > 0
 
 
-def test_row07_one_sweep_flips_each_edge_at_most_once():
+def test_one_sweep_flips_each_edge_at_most_once():
     # in a fan around vertex 0 the sweep leaves work that only a second look finds
     angle = np.linspace(0.1, np.pi - 0.1, 12)
     ring = np.stack([np.cos(angle), 0.15 * np.sin(angle)], axis=1)

@@ -28,7 +28,7 @@ from odt_plugins.engine.topology.complex import renumbered
 
 
 @pytest.mark.parametrize("seed", [3, 4, 5])
-def test_row08_energy_falls_at_every_flip_in_space_and_stuck_cells_remain(seed):
+def test_energy_falls_at_every_flip_in_space_and_stuck_cells_remain(seed):
     points, cells = tm.grid(4, seed)
     mesh = complex_of(points, cells)
     volume = tm.signed_volumes(points, cells).sum()

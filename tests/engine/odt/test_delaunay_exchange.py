@@ -73,7 +73,7 @@ def check_kept(points, cells, regions, new_cells, new_regions):
 
 @pytest.mark.parametrize("dim", [2, 3])
 @pytest.mark.parametrize("seed", [3, 4, 5])
-def test_row05_delaunay_minimises_the_energy_over_connectivities(dim, seed):
+def test_delaunay_minimises_the_energy_over_connectivities(dim, seed):
     points, best, other = convex_mesh(dim, seed)
     assert rows(best) != rows(other)
     assert ref.total_energy(points, best) < ref.total_energy(points, other)
@@ -91,7 +91,7 @@ def test_row05_delaunay_minimises_the_energy_over_connectivities(dim, seed):
 
 
 @pytest.mark.parametrize("dim", [2, 3])
-def test_row09_lifting_gives_delaunay(dim):
+def test_lifting_gives_delaunay(dim):
     points, _, other = convex_mesh(dim, 8)
     lifted = np.c_[points, (points**2).sum(axis=1)]
     hull = ConvexHull(lifted)

@@ -91,7 +91,7 @@ def test_what_goes_through_blas_is_seen(text):
 RUNS = """
 import hashlib
 import odt_plugins
-from odt_plugins.compare.hard import shaken
+from measure.hard import shaken
 import numpy as np
 digest = hashlib.sha256()
 rng = np.random.default_rng(5)

@@ -14,12 +14,12 @@ import tet_meshes as tm
 from click.testing import CliRunner
 from hypothesis import given
 from hypothesis import strategies as st
+from measure.hard import hard_meshes
 from promises import assert_promise, facet_set, measure, mesh_of
 
 import odt_plugins
 from odt_plugins.carry import surrounding_cells
 from odt_plugins.cli.main import cli
-from odt_plugins.compare.hard import hard_meshes
 from odt_plugins.engine.finish import resampling
 from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.record.figures import figures

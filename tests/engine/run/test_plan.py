@@ -11,11 +11,11 @@ import pytest
 import tet_meshes as tm
 from hypothesis import given
 from hypothesis import strategies as st
+from measure.meshes import kuhn_lattice
 from policies import set_policy
 from promises import assert_promise, measure, mesh_of, planar, volumes
 from scipy.spatial import Delaunay
 
-from odt_plugins.compare.start import kuhn_lattice
 from odt_plugins.engine.compiled import threads
 from odt_plugins.engine.finish.phases import Descent, worst_cells
 from odt_plugins.engine.odt.density import NodalDensity, cell_density
@@ -102,7 +102,7 @@ def test_without_connectivity_finishing_moves_vertices_alone(d, boundary, object
     assert outcome.counts["vertex moves"] > 0
 
 
-def test_row10_scipy_early_and_flips_late(d):
+def test_scipy_early_and_flips_late(d):
     mesh = start(d)
     outcome = run(mesh, Options(connectivity="auto", finish=False, rounds=8, keep=()))
     assert outcome.counts["delaunay calls"] == 1

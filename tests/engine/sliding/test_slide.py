@@ -9,6 +9,7 @@ from pathlib import Path
 import meshio
 import numpy as np
 import pytest
+from measure.hard import hard_meshes
 from policies import set_policy
 from surface_meshes import two_sided
 from tet_meshes import (
@@ -22,7 +23,6 @@ from tet_meshes import (
 )
 
 import odt_plugins
-from odt_plugins.compare.hard import hard_meshes
 from odt_plugins.engine.cells.extremes import Bounds, Extremes
 from odt_plugins.engine.cells.tetrahedron import QUALITY, Cost
 from odt_plugins.engine.finish.phases import Phase, bulk, tail

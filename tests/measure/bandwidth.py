@@ -8,8 +8,8 @@ from typing import Any
 
 import numpy as np
 
-from odt_plugins.compare.multigrid import random_lattice
-from odt_plugins.compare.numbered import along_curve, inside_free
+from measure.meshes import along_curve, inside_free
+from measure.multigrid import random_lattice
 from odt_plugins.compare.table import Part, Say, Table, Value
 from odt_plugins.mesh.arrays import FloatArray
 

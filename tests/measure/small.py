@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from odt_plugins.compare.start import ball_of
+from measure.meshes import ball_of
 from odt_plugins.compare.table import Part, Say, Table, Value
 
 SMALL = (500, 1500, 5000, 6200)

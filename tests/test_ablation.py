@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
+from measure.ablation import HEADS, SMOOTHING, ablation
+from measure.command import main
 
-from odt_plugins.cli.main import main
-from odt_plugins.compare.ablation import HEADS, SMOOTHING, ablation
 from odt_plugins.compare.start import ball, pebble, plate
 from odt_plugins.engine.run.plan import run
 from odt_plugins.engine.run.within import Within
@@ -71,16 +72,21 @@ def test_a_phase_that_is_left_out_is_not_run_and_other_names_change_nothing():
     assert whole.counts["quality flips"] > 0
 
 
-def test_the_command_prints_the_table(tmp_path, capsys):
+def test_the_command_prints_the_table(tmp_path):
     import meshio
 
     start = plate(60)
     path = tmp_path / "plate.vtu"
     meshio.write_points_cells(path, np.pad(start.points, ((0, 0), (0, 1))),
                               {"triangle": start.cells})
-    assert main(["compare", "--ablation", str(path)]) == 0
-    out = capsys.readouterr()
-    assert out.err.strip() == "plate"
-    assert all(head in out.out for head in HEADS)
-    assert "tail 1" in out.out
-    assert not (tmp_path / "comparison").exists()
+    done = CliRunner().invoke(main, ["ablation", str(path)])
+    assert done.exit_code == 0, done.output
+    assert done.stderr.strip() == "plate"
+    assert all(head in done.stdout for head in HEADS)
+    assert "tail 1" in done.stdout
+
+
+def test_what_is_no_measurement_is_refused():
+    done = CliRunner().invoke(main, ["thread"])
+    assert done.exit_code == 2
+    assert "got 'thread'; expected some of stages" in done.stderr

@@ -7,14 +7,15 @@ from math import comb
 import numpy as np
 import pytest
 import tet_meshes as tm
+from measure import blocks, cold, ladder, small, threads
+from measure.bandwidth import sweep_bytes, triad_bandwidth
+from measure.generation import generation_part
+from measure.local_global import forty_sweeps_part, moved_rhombohedron, moved_triangle
+from measure.meshes import kuhn_lattice
+from measure.multigrid import multigrid_part
+from measure.stages import fit, surface_part
 
-from odt_plugins.compare import blocks, cold, ladder, small, threads
-from odt_plugins.compare.bandwidth import sweep_bytes, triad_bandwidth
-from odt_plugins.compare.generation import generation_part
-from odt_plugins.compare.local_global import forty_sweeps_part, moved_rhombohedron, moved_triangle
-from odt_plugins.compare.multigrid import multigrid_part
-from odt_plugins.compare.stages import fit, surface_part
-from odt_plugins.compare.start import kuhn_lattice, pebble
+from odt_plugins.compare.start import pebble
 from odt_plugins.compare.table import Table, as_text, shown
 from odt_plugins.engine.odt.gradient import gradient
 from odt_plugins.engine.topology.stencil import make_topology

@@ -8,10 +8,11 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
+from measure.meshes import ball_of, pebble_of
 from odt_plugins.compare.charts import power_laws
 from odt_plugins.compare.contestants import Contestant
 from odt_plugins.compare.runner import Limits, run_contestant
-from odt_plugins.compare.start import StartMesh, ball_of, pebble_of
+from odt_plugins.compare.start import StartMesh
 from odt_plugins.compare.table import Part, Say, Table, Value
 
 LIMIT = 3600.0
@@ -77,8 +78,9 @@ def measure_stages(
     """
     found: dict[str, list[tuple[int, float]]] = {}
     memory = []
-    whole = Contestant("stages", "odt-plugins", ("tets", "surface"), "stages", {"options": {}},
-                       "odt-plugins")
+    whole = Contestant("stages", "odt-plugins", ("tets", "surface"), "measure.timed",
+                       {"options": {}},
+                       package="odt-plugins")
     for size in sizes:
         clock = time.perf_counter()
         start = make(size)

@@ -7,21 +7,21 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
-from odt_plugins.compare.bandwidth import bandwidth_part
-from odt_plugins.compare.blocks import blocks_part
-from odt_plugins.compare.cold import cold_part
-from odt_plugins.compare.generation import generation_part
-from odt_plugins.compare.ladder import ladder_part
-from odt_plugins.compare.local_global import forty_sweeps_part, races_part
-from odt_plugins.compare.machine import describe
-from odt_plugins.compare.multigrid import multigrid_part
-from odt_plugins.compare.small import small_part
-from odt_plugins.compare.stages import stages_part, surface_part
-from odt_plugins.compare.start import SEED
+from measure.bandwidth import bandwidth_part
+from measure.blocks import blocks_part
+from measure.cold import cold_part
+from measure.generation import generation_part
+from measure.ladder import ladder_part
+from measure.local_global import forty_sweeps_part, races_part
+from measure.multigrid import multigrid_part
+from measure.small import small_part
+from measure.stages import stages_part, surface_part
+from measure.threads import threads_part
 from odt_plugins.compare.table import Part, Say, as_text, shown
-from odt_plugins.compare.template import fill_template
-from odt_plugins.compare.threads import threads_part
 from odt_plugins.errors import writing
+from odt_plugins.generate.clouds import SEED
+from odt_plugins.report.machine import describe
+from odt_plugins.report.template import fill_template
 
 FILES = ("scaling.json", "scaling.html")
 
@@ -74,7 +74,8 @@ def run_scaling(
     values = {"machine": facts, "tables": [asdict(table) for table in tables]}
     for part in done.values():
         values |= part.values
-    page = fill_template("scaling.html", facts=facts, tables=tables, shown=shown,
+    page = fill_template(Path(__file__).with_suffix(".html"), facts=facts, tables=tables,
+                         shown=shown,
                          charts=[chart for part in done.values() for chart in part.charts])
     with writing(f"into {out}", "another --out"):
         out.mkdir(parents=True, exist_ok=True)

@@ -7,10 +7,11 @@ from typing import Any
 
 import numpy as np
 
+from measure.meshes import ball_of
+from measure.stages import LIMIT
 from odt_plugins.compare.contestants import Contestant
 from odt_plugins.compare.runner import Limits, run_contestant
-from odt_plugins.compare.stages import LIMIT
-from odt_plugins.compare.start import StartMesh, ball_of
+from odt_plugins.compare.start import StartMesh
 from odt_plugins.compare.table import Part, Say, Table, Value
 from odt_plugins.quality import summarize
 
@@ -68,7 +69,8 @@ def _run(
     start: StartMesh, blocks: int, workers: int, threads: int, say: Say
 ) -> tuple[Any, dict[str, float]]:
     settings = {"blocks": blocks, "workers": workers}
-    way = Contestant("blocks", "odt-plugins", ("tets",), "partitioned", settings, "odt-plugins")
+    way = Contestant("blocks", "odt-plugins", ("tets",), "measure.partitioned", settings,
+                     package="odt-plugins")
     run = run_contestant(start, way, Limits(LIMIT, 1, LIMIT, threads))
     if run.status != "ok":
         say(f"{len(start.cells)} cells, {blocks} blocks: {run.status}, {run.message}")

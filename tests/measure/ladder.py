@@ -5,11 +5,11 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from math import log10
 
+from measure.meshes import ball_of
 from odt_plugins.compare.charts import power_laws
 from odt_plugins.compare.contestants import choose
 from odt_plugins.compare.rows import Row, compare_on
 from odt_plugins.compare.runner import Limits
-from odt_plugins.compare.start import ball_of
 from odt_plugins.compare.table import Part, Say, Table, Value
 
 AGAINST = ("Netgen stm", "Gmsh Netgen")

@@ -1,11 +1,15 @@
-"""The package's templates, filled by jinja2: pages, Markdown, LaTeX and BibTeX."""
+"""Templates filled by jinja2: pages, Markdown, LaTeX and BibTeX."""
 
 from __future__ import annotations
 
 import re
+from pathlib import Path
 from typing import Any
 
 from odt_plugins.errors import require
+
+BASE = Path(__file__).parent / "templates"
+"""What all pages have in common."""
 
 TEX = {
     "\\": r"\textbackslash{}", "{": r"\{", "}": r"\}", "~": r"\textasciitilde{}",
@@ -25,22 +29,27 @@ def check_page() -> None:
     require("the page of the comparison", "compare", "jinja2")
 
 
-def fill_template(name: str, **values: Any) -> str:
-    """Fill one of the package's templates; what is filled in is escaped in HTML only.
+def fill_template(template: Path, **values: Any) -> str:
+    """Fill a template; what is filled in is escaped in HTML only.
+
+    Parameters
+    ----------
+    template : path      may extend the ``base.html`` of this room and what stands beside it
+    **values             of its names
 
     Raises
     ------
     MissingDependencyError    jinja2 is not installed
     """
     check_page()
-    from jinja2 import Environment, PackageLoader, StrictUndefined, select_autoescape
+    from jinja2 import Environment, FileSystemLoader, StrictUndefined, select_autoescape
 
-    loader = PackageLoader("odt_plugins.compare")
+    loader = FileSystemLoader([template.parent, BASE])
     environment = Environment(loader=loader, autoescape=select_autoescape(["html"]),
                               undefined=StrictUndefined, trim_blocks=True, lstrip_blocks=True,
                               keep_trailing_newline=True)
     environment.filters |= {"tex": tex, "markdown": markdown}
-    return environment.get_template(name).render(**values)
+    return environment.get_template(template.name).render(**values)
 
 
 def tex(value: object) -> str:

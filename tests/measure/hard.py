@@ -8,7 +8,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.compare.start import SEED, kuhn_lattice
+from measure.meshes import kuhn_lattice
+from odt_plugins.generate.clouds import SEED
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import reverse
 from odt_plugins.quality import volumes

@@ -10,15 +10,16 @@ from typing import Any
 
 import numpy as np
 
+from measure.hard import HardMesh, hard_meshes
 from odt_plugins.api import optimize_with_report
-from odt_plugins.compare.hard import HardMesh, hard_meshes
-from odt_plugins.compare.machine import describe
-from odt_plugins.compare.start import SEED, stored
+from odt_plugins.compare.start import stored
 from odt_plugins.compare.table import Say, Table, as_text, shown
 from odt_plugins.errors import writing
+from odt_plugins.generate.clouds import SEED
 from odt_plugins.mesh.simplex import simplex_mesh
 from odt_plugins.promise.volume import broken_promises
 from odt_plugins.quality import summarize
+from odt_plugins.report.machine import describe
 
 FILE = "hard.json"
 

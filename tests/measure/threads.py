@@ -12,8 +12,8 @@ from typing import Any
 
 import numpy as np
 
-from odt_plugins.compare.numbered import along_curve, inside_free
-from odt_plugins.compare.start import StartMesh, ball_of
+from measure.meshes import along_curve, ball_of, inside_free
+from odt_plugins.compare.start import StartMesh
 from odt_plugins.compare.table import Part, Say, Table, Value
 from odt_plugins.mesh.chunks import Pool
 

@@ -11,8 +11,8 @@ from tempfile import TemporaryDirectory
 
 import llvmlite.binding as llvm
 
-from odt_plugins.compare.start import SEED
 from odt_plugins.compare.table import Part, Say, Table, Value
+from odt_plugins.generate.clouds import SEED
 
 OPTIMIZE = """
 from odt_plugins import optimize

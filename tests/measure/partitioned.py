@@ -19,16 +19,17 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
     from odt_plugins import optimize_partitioned_with_report, optimize_with_report
 
     mesh, blocks = (start.points, start.cells), settings["blocks"]
-    threads = {"threads": settings["threads"]}
+    threads = settings["threads"]
 
     def call() -> Any:
+        report: Any
         clock, busy = time.perf_counter(), time.process_time()
         if blocks:
             result, report = optimize_partitioned_with_report(
-                mesh, blocks, workers=settings["workers"], **threads
+                mesh, blocks, workers=settings["workers"], threads=threads
             )
         else:
-            result, report = optimize_with_report(mesh, **threads)
+            result, report = optimize_with_report(mesh, threads=threads)
         children = resource.getrusage(resource.RUSAGE_CHILDREN)
         facts = {name: float(value) for name, value in report.counts.items()
                  if name.startswith("round ")}

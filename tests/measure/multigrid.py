@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
-from odt_plugins.compare.numbered import along_curve, inside_free
-from odt_plugins.compare.start import SEED, kuhn_lattice
+from measure.meshes import along_curve, inside_free, kuhn_lattice
 from odt_plugins.compare.table import Part, Say, Table, Value
+from odt_plugins.generate.clouds import SEED
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import reverse
 from odt_plugins.quality import volumes

@@ -1,0 +1,59 @@
+"""Measure the package: ``python tests/measure threads cold --largest 100000``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from measure.ablation import ablation
+from measure.robustness import FILE, run_hard
+from measure.scaling import FILES, PARTS, run_scaling
+from odt_plugins.compare.start import read_start, suite
+from odt_plugins.compare.table import as_text
+from odt_plugins.options import Options
+
+NAMES = (*PARTS, "hard", "ablation")
+
+
+def _known(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) -> tuple[str, ...]:
+    for word in words:
+        if word not in NAMES and not Path(word).suffix:
+            msg = f"got {word!r}; expected some of {', '.join(NAMES)}, or the path of a mesh"
+            raise click.BadParameter(msg)
+    if not set(words) & set(NAMES):
+        raise click.BadParameter(f"expected some of {', '.join(NAMES)}")
+    return words
+
+
+@click.command(context_settings={"help_option_names": ["-h", "--help"]})
+@click.argument("words", metavar="NAME... [MESH]...", nargs=-1, required=True, callback=_known)
+@click.option("--out", type=click.Path(path_type=Path), default=Path("measured"),
+              show_default=True, help="Directory for JSON and the page.")
+@click.option("--smallest", type=click.IntRange(min=1000), default=10_000, show_default=True,
+              help="Cells of the smallest mesh.")
+@click.option("--largest", type=click.IntRange(min=1000), default=1_000_000, show_default=True,
+              help="Cells of the largest mesh.")
+@click.option("--threads", type=click.IntRange(min=1), default=1, show_default=True)
+def main(words: tuple[str, ...], out: Path, smallest: int, largest: int, threads: int) -> None:
+    """Measure what is named, print tables, and write JSON and one page.
+
+    How time, memory and iterations grow: stages, surface, races, forty-sweeps, multigrid,
+    bandwidth, threads, blocks, generation, ladder, small, cold. Default runs on hard meshes, and
+    whether the promise holds on each: hard. What each phase of the schedule gains on each MESH, or
+    on the standard suite: ablation.
+    """
+    def say(line: str) -> None:
+        click.echo(line, err=True)
+
+    parts = [name for name in words if name in PARTS]
+    if parts:
+        click.echo(run_scaling(out, largest, threads, say, smallest=smallest, parts=parts))
+        click.echo("written: " + ", ".join(str(out / name) for name in FILES))
+    if "hard" in words:
+        click.echo(run_hard(out, threads, say))
+        click.echo(f"written: {out / FILE}")
+    if "ablation" in words:
+        meshes = [read_start(Path(word)) for word in words if word not in NAMES]
+        table = ablation(meshes or suite("standard"), Options(threads=threads), say)
+        click.echo("\n".join(as_text(table)[1:]))
