@@ -147,40 +147,6 @@ def radius_ratio(points: ArrayLike, cells: ArrayLike) -> FloatArray:
     return out
 
 
-def amips_energy(points: ArrayLike, cells: ArrayLike) -> FloatArray:
-    """AMIPS energy of every simplex, as TetWild reports it; d for the regular one.
-
-    Parameters
-    ----------
-    points : (n, d) float    coordinates, d = 2 or 3, any unit
-    cells : (m, k) int       triangles (k = 3, in the plane or in space) or tetrahedra (k = 4)
-
-    Returns
-    -------
-    (m,) float64             infinite where the signed volume is not positive
-
-    Raises
-    ------
-    InvalidMeshError         shapes or indices that make no simplices
-
-    Notes
-    -----
-    tr(J^T J) / det(J)^(2/d) with J the Jacobian of the map from the regular simplex, d = k - 1.
-    With l the edges, E = sum l^2 / (2 (sqrt(2) 6 V)^(2/3)) for a tetrahedron and
-    E = sum l^2 / (2 sqrt(3) A) for a triangle.
-
-    References
-    ----------
-    Y. Hu, Q. Zhou, X. Gao, A. Jacobson, D. Zorin, D. Panozzo, Tetrahedral meshing in the wild,
-    ACM Trans. Graph. 37 (2018) 60.
-    """
-    p, t = _checked(points, cells)
-    out = np.empty(len(t))
-    for part, geometry in _geometries(p, t):
-        out[part] = geometry.amips()
-    return out
-
-
 def angles(points: ArrayLike, cells: ArrayLike) -> FloatArray:
     """Angles of every triangle, or dihedral angles of every tetrahedron, in degrees.
 

@@ -11,11 +11,10 @@ from pathlib import Path
 from typing import Any
 
 from odt_plugins.compare.cells import best_figures, cells_of, marked
-from odt_plugins.compare.contestants import OURS
+from odt_plugins.compare.contestants import KINDS, OURS
 from odt_plugins.compare.rows import RIVALRY, Measured, MeshResult, Row
 from odt_plugins.compare.score import score_table
 from odt_plugins.compare.table import Table, Value
-from odt_plugins.compare.tools import KINDS
 from odt_plugins.report.template import fill_template, tex
 
 TEMPLATES = Path(__file__).parent / "templates"

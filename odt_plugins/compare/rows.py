@@ -11,12 +11,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.compare.contestants import OURS, Contestant
+from odt_plugins.compare.contestants import OURS, Contestant, refusals
 from odt_plugins.compare.hull import ROUNDING, BoundaryChange, compare_boundaries, labels_of
 from odt_plugins.compare.poisson import PoissonFigures, solve_poisson
 from odt_plugins.compare.runner import Limits, Run, run_contestant
 from odt_plugins.compare.start import StartMesh
-from odt_plugins.compare.tools import refusals
 from odt_plugins.errors import InvalidMeshError, MissingDependencyError
 from odt_plugins.generate.clouds import SEED
 from odt_plugins.mesh.arrays import FloatArray, IntArray

@@ -7,8 +7,7 @@ three. rich would also read units in brackets as its markup.
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 Value = str | int | float
 
@@ -34,22 +33,6 @@ class Table:
     heads: tuple[str, ...]
     rows: list[tuple[Value, ...]]
     notes: Sequence[str] = ()
-
-
-@dataclass(frozen=True)
-class Part:
-    """One part of the scaling report.
-
-    Attributes
-    ----------
-    tables : list of Table
-    charts : list of str        inline SVG
-    values : dict               what else belongs into JSON
-    """
-
-    tables: list[Table]
-    charts: list[str] = field(default_factory=list)
-    values: dict[str, Any] = field(default_factory=dict)
 
 
 def shown(value: Value) -> str:

@@ -121,7 +121,19 @@ class CellGeometry:
         return np.asarray(least * self.scale)
 
     def amips(self) -> FloatArray:
-        """AMIPS energy, 1 for a regular cell, infinite for one without positive volume."""
+        """AMIPS energy as TetWild reports it, infinite for a cell without positive volume.
+
+        Notes
+        -----
+        tr(J^T J) / det(J)^(2/d) with J the Jacobian of the map from the regular simplex, d = k - 1,
+        which is d for that one. With l the edges, E = sum l^2 / (2 (sqrt(2) 6 V)^(2/3)) for a
+        tetrahedron and E = sum l^2 / (2 sqrt(3) A) for a triangle.
+
+        References
+        ----------
+        Y. Hu, Q. Zhou, X. Gao, A. Jacobson, D. Zorin, D. Panozzo, Tetrahedral meshing in the wild,
+        ACM Trans. Graph. 37 (2018) 60.
+        """
         squares = sum(self.squares)
         with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
             if self.k == 4:

@@ -6,8 +6,7 @@ bit (`held_vertices`), boundary and interface facets with their labels (`locked_
 conforming mesh (`facet_census`), the volume of every region, and the figures in `keep`
 (`worse_figures`). `broken_surface_promises` does the same for curved surfaces: topology, rims,
 feature lines, folds (`new_folds`); the distances are measured by `engine.ground`. Crossings that
-the input does not have are found by `engine.surface.judge` in every run, and by `new_crossings`,
-which takes several times as long, in tests.
+the input does not have are found by `engine.surface.judge` in every run.
 
 This room shares no code with the engine: its determinants and its facets are its own, so that a
 fault there cannot hide itself here.

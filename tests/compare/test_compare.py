@@ -22,7 +22,7 @@ from scipy.sparse import diags
 from odt_plugins.cli.main import main
 from odt_plugins.compare import contestants as table
 from odt_plugins.compare.baselines import netgen_optimize
-from odt_plugins.compare.contestants import CONTESTANTS, OURS, Contestant, choose
+from odt_plugins.compare.contestants import CONTESTANTS, KINDS, OURS, TOOLS, Contestant, choose
 from odt_plugins.compare.hull import (
     BoundaryChange,
     compare_boundaries,
@@ -46,7 +46,6 @@ from odt_plugins.compare.start import (
     stored,
     suite,
 )
-from odt_plugins.compare.tools import KINDS, TOOLS
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.quality import radius_ratio, volumes
 

@@ -10,7 +10,8 @@ import numpy as np
 
 from measure.meshes import along_curve, inside_free
 from measure.multigrid import random_lattice
-from odt_plugins.compare.table import Part, Say, Table, Value
+from measure.part import Part
+from odt_plugins.compare.table import Say, Table, Value
 from odt_plugins.mesh.arrays import FloatArray
 
 REPEATS = 7

@@ -8,11 +8,12 @@ from typing import Any
 import numpy as np
 
 from measure.meshes import ball_of
+from measure.part import Part
 from measure.stages import LIMIT
 from odt_plugins.compare.contestants import Contestant
 from odt_plugins.compare.runner import Limits, run_contestant
 from odt_plugins.compare.start import StartMesh
-from odt_plugins.compare.table import Part, Say, Table, Value
+from odt_plugins.compare.table import Say, Table, Value
 from odt_plugins.quality import summarize
 
 BLOCKS, ROUNDS = 4, 3

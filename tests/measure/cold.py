@@ -11,7 +11,8 @@ from tempfile import TemporaryDirectory
 
 import llvmlite.binding as llvm
 
-from odt_plugins.compare.table import Part, Say, Table, Value
+from measure.part import Part
+from odt_plugins.compare.table import Say, Table, Value
 from odt_plugins.generate.clouds import SEED
 
 OPTIMIZE = """

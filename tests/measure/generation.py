@@ -7,9 +7,9 @@ import time
 from collections.abc import Callable, Sequence
 from typing import Any
 
+from measure.part import Part, power_laws
 from measure.stages import fit
-from odt_plugins.compare.charts import power_laws
-from odt_plugins.compare.table import Part, Say, Table, Value
+from odt_plugins.compare.table import Say, Table, Value
 from odt_plugins.quality import radius_ratio, uniformity
 
 TRUSS_STEPS = 100

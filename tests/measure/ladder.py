@@ -6,11 +6,11 @@ from collections.abc import Callable, Sequence
 from math import log10
 
 from measure.meshes import ball_of
-from odt_plugins.compare.charts import power_laws
+from measure.part import Part, power_laws
 from odt_plugins.compare.contestants import choose
 from odt_plugins.compare.rows import Row, compare_on
 from odt_plugins.compare.runner import Limits
-from odt_plugins.compare.table import Part, Say, Table, Value
+from odt_plugins.compare.table import Say, Table, Value
 
 AGAINST = ("Netgen stm", "Gmsh Netgen")
 """The strongest that optimise meshes of every size here."""

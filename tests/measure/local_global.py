@@ -12,9 +12,9 @@ from typing import Any
 import numpy as np
 
 from measure.meshes import along_curve, inside_free, kuhn_lattice
-from odt_plugins.compare.charts import power_laws
+from measure.part import Part, power_laws
 from odt_plugins.compare.start import refine
-from odt_plugins.compare.table import Part, Say, Table, Value
+from odt_plugins.compare.table import Say, Table, Value
 from odt_plugins.generate.clouds import SEED
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import reverse

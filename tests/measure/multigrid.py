@@ -10,7 +10,8 @@ from typing import Any
 import numpy as np
 
 from measure.meshes import along_curve, inside_free, kuhn_lattice
-from odt_plugins.compare.table import Part, Say, Table, Value
+from measure.part import Part
+from odt_plugins.compare.table import Say, Table, Value
 from odt_plugins.generate.clouds import SEED
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import reverse
@@ -64,14 +65,13 @@ def random_lattice(unknowns: int, seed: int = SEED) -> tuple[FloatArray, IntArra
 
 def _row(name: str, points: FloatArray, cells: IntArray) -> tuple[Value, ...]:
     from odt_plugins.engine.cells.geometry import signed_volumes
-    from odt_plugins.engine.odt.global_step import graph_laplacian, interior_matrix
+    from odt_plugins.engine.odt.global_step import graph_laplacian, interior_matrix, step_gradient
     from odt_plugins.engine.odt.multigrid import (
         ITERATIONS,
         STEP_TOLERANCE,
         multigrid,
         solve_columns,
     )
-    from odt_plugins.engine.odt.step_gradient import step_gradient
 
     vertices, cells = along_curve(points, cells)
     points, topology = points[vertices], inside_free(cells, len(vertices))

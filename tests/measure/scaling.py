@@ -14,10 +14,11 @@ from measure.generation import generation_part
 from measure.ladder import ladder_part
 from measure.local_global import forty_sweeps_part, races_part
 from measure.multigrid import multigrid_part
+from measure.part import Part
 from measure.small import small_part
 from measure.stages import stages_part, surface_part
 from measure.threads import threads_part
-from odt_plugins.compare.table import Part, Say, as_text, shown
+from odt_plugins.compare.table import Say, as_text, shown
 from odt_plugins.errors import writing
 from odt_plugins.generate.clouds import SEED
 from odt_plugins.report.machine import describe

@@ -11,7 +11,8 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from measure.meshes import ball_of
-from odt_plugins.compare.table import Part, Say, Table, Value
+from measure.part import Part
+from odt_plugins.compare.table import Say, Table, Value
 
 SMALL = (500, 1500, 5000, 6200)
 """Cells, about, of small meshes, each by itself; the last has 6832."""

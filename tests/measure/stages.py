@@ -9,11 +9,11 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from measure.meshes import ball_of, pebble_of
-from odt_plugins.compare.charts import power_laws
+from measure.part import Part, power_laws
 from odt_plugins.compare.contestants import Contestant
 from odt_plugins.compare.runner import Limits, run_contestant
 from odt_plugins.compare.start import StartMesh
-from odt_plugins.compare.table import Part, Say, Table, Value
+from odt_plugins.compare.table import Say, Table, Value
 
 LIMIT = 3600.0
 """Seconds for one run."""

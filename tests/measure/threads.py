@@ -13,8 +13,9 @@ from typing import Any
 import numpy as np
 
 from measure.meshes import along_curve, ball_of, inside_free
+from measure.part import Part
 from odt_plugins.compare.start import StartMesh
-from odt_plugins.compare.table import Part, Say, Table, Value
+from odt_plugins.compare.table import Say, Table, Value
 from odt_plugins.mesh.chunks import Pool
 
 SWEEPS, RUNS = 15, 3

@@ -24,10 +24,10 @@ from odt_plugins.engine.odt.global_step import (
     interior_matrix,
     least_alpha,
     line_search,
+    step_gradient,
 )
 from odt_plugins.engine.odt.gradient import gradient, hessian_diagonal
 from odt_plugins.engine.odt.multigrid import multigrid, solve_amg, solve_columns
-from odt_plugins.engine.odt.step_gradient import step_gradient
 from odt_plugins.engine.odt.sweeps import jacobi_sweep
 from odt_plugins.engine.odt.total_energy import frozen_energy
 from odt_plugins.engine.topology.stencil import make_topology

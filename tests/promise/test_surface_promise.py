@@ -7,6 +7,7 @@ from fractions import Fraction
 import numpy as np
 import pytest
 import surface_meshes as sm
+from crossings import crossing_pairs, new_crossings
 from hypothesis import given
 from strategies import SEEDS
 
@@ -14,7 +15,6 @@ from odt_plugins.engine.ground.crossings import crossing_triangles
 from odt_plugins.engine.surface.judge import Kept, faults, feet_on, outside
 from odt_plugins.mesh.surface import surface_mesh
 from odt_plugins.options import Options
-from odt_plugins.promise.crossings import crossing_pairs, new_crossings
 from odt_plugins.promise.surface import broken_surface_promises
 
 

@@ -9,8 +9,13 @@ from complexes import FREELY, OPEN, assert_sound, complex_of, contents, extremes
 
 from odt_plugins.engine.cells.extremes import Bounds, Extremes
 from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, QUALITY, Cost
-from odt_plugins.engine.finish.resampling import make_ledger, resample, with_spare_vertices
-from odt_plugins.engine.finish.resampling_schedule import Resampling, weights
+from odt_plugins.engine.finish.resampling import (
+    Resampling,
+    make_ledger,
+    resample,
+    weights,
+    with_spare_vertices,
+)
 from odt_plugins.engine.moves import insertion, star_cavity
 from odt_plugins.engine.moves.cavity import replace_cavity
 from odt_plugins.engine.moves.compound import descend_around, make_scratch, settle

@@ -37,7 +37,7 @@ VOLUME = COMMON | {
 }
 SURFACE = FLAT | {
     "surface.odt.move_vertices": ("start", "stop"), "surface.flips._flip_some": "most",
-    "surface.newton.smooth_vertices": ("start", "stop"), "ground.crossings._sweep":
+    "surface.passes.smooth_vertices": ("start", "stop"), "ground.crossings._sweep":
     ("start", "stop"), "ground.envelope._upper": "triangles", "ground.reference._across":
     ("start", "stop"), "surface.compound.compound_pass": "order",
     "moves.compound2d._add_excess": "cells",

@@ -8,6 +8,7 @@ from itertools import combinations, pairwise
 import numpy as np
 import pytest
 import surface_meshes as sm
+from crossings import new_crossings
 from hypothesis import given
 from hypothesis import strategies as st
 from policies import set_policy
@@ -18,7 +19,6 @@ import odt_plugins
 from odt_plugins.engine.surface import driver
 from odt_plugins.errors import EndlessWalkError, InvalidMeshError, InvalidOptionError
 from odt_plugins.mesh.surface import surface_edges, surface_mesh
-from odt_plugins.promise.crossings import new_crossings
 from odt_plugins.quality import angles, radius_ratio, summarize
 
 MESHES = {

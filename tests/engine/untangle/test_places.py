@@ -8,8 +8,7 @@ from contract import volumes
 from tangled_meshes import tangled
 
 from odt_plugins.engine.untangle.harmonic import harmonic
-from odt_plugins.engine.untangle.lbfgs import lbfgs
-from odt_plugins.engine.untangle.places import untangled_places
+from odt_plugins.engine.untangle.places import lbfgs, untangled_places
 
 
 @pytest.mark.parametrize("dim", [2, 3])

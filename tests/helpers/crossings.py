@@ -1,4 +1,4 @@
-"""Where a surface cuts through itself, in numpy alone; written apart from the engine's kernel.
+"""Where a surface cuts through itself, in numpy alone: a slow twin of the engine's kernel.
 
 Boxes of triangles along a curve through space are put together in pairs; pairs of boxes that
 meet are opened until pairs of triangles are left.
