@@ -93,9 +93,10 @@ class Options:
     linear_solver: LinearSolver = field(default="auto", metadata=_told(
         "Solver of the global step; auto chooses by size.", choices=get_args(LinearSolver)))
     connectivity: Connectivity = field(default="auto", metadata=_told(
-        "How cells are reconnected in stage 1: by scipy every round (delaunay), by local flips "
-        "(flips), by scipy in the first round of a small mesh, in space of one with poor cells "
-        "only, and by local flips later (auto), or not (none, nor by finishing and untangling).",
+        "How cells are reconnected in stage 1. delaunay: by Qhull each round. flips: by local "
+        "flips. none: cells stay, in finishing and untangling, too. auto: flips, after one round "
+        "of Qhull for meshes of at most 20,000 cells (tetrahedra: only if their mean q is below "
+        "0.6).",
         python="Sections 3.1 and 3.2.",
         choices=get_args(Connectivity)))
     density: Any = field(default="keep", metadata=_told(

@@ -101,10 +101,10 @@ def labels(
 ) -> IntArray:
     """Block of every cell in one round, -1 for cells that rest.
 
-    The first round takes all cells that may change, in bricks. Every later one takes the cells
-    around the vertices that have been on rims only: a block from what lies around each patch of
-    the seam between two former blocks, and in the last round, so that nothing is cut again, whole
-    clusters around what is left, and around the vertices ``worst`` (n,).
+    First round: all cells that may change, in bricks. Later rounds: one block for each patch of the
+    seam between two former blocks, of the cells around vertices that have been on rims only. Last
+    round: connected clusters around all such vertices, so that nothing is cut again, and around
+    the vertices ``worst`` (n,).
     """
     mesh = whole.mesh
     label = np.full(len(mesh.cells), -1, dtype=np.int32)

@@ -160,7 +160,8 @@ class Policy:
     slide_reserve: float = _chosen(
         0.4, "Part of that change which is kept for the worst cells.", STANDARD)
     slide_cancel: float = _chosen(
-        4.0, "Largest multiple of that change which the vertices share where changes cancel.",
+        4.0, "Most that |change of volume|, summed over all vertices, may be, as a multiple of "
+        "that change: gains and losses cancel.",
         STANDARD)
     slide_unused: float = _chosen(
         1.2, "A further factor, since not every vertex uses up what it has.", STANDARD)

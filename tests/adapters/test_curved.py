@@ -61,7 +61,7 @@ def test_valid_cells_at_round_rims_stay_valid(host, order, around, seed, turned)
     out, report = odt_plugins.optimize_with_report(made(host, given, rows, order))
     new, cells = read(out, order)
     no_worse((nodes, rows), (new * [1, -1] if turned else new, cells), 2, order)
-    assert order == 2 or not np.array_equal(new, given)
+    assert np.array_equal(new, given) == ((order, around, seed) == (2, 7, 4))
     facts = report.curved
     low, high, _ = qualities(nodes, rows, 2, order)
     assert facts["least_before"] == pytest.approx((low / high).min(), abs=2e-3)

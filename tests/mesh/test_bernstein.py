@@ -39,7 +39,7 @@ def test_all_values_lie_between_the_bounds(order, d):
     assert (bounds.upper >= det.max(axis=1) - 1e-12 * size).all()
     assert (bounds.least <= det.min(axis=1) + 2e-2 * size)[~undecided].all()
     assert (bounds.lower >= bounds.least - 1e-3 * size)[~undecided].all()
-    assert order == 1 or 0 < bounds.valid.sum() < len(x)
+    assert (0 < bounds.valid.sum() < len(x)) == (order > 1)
     assert (bounds.least[~bounds.valid] <= 0.0).all()
 
 

@@ -1,9 +1,9 @@
 """Code of a kernel and of all kernels that it calls, optimised once.
 
 numba optimises every kernel with copies of all that it calls, writes machine code of its own for
-it, and does so again in every kernel that calls it.  Here the code of a kernel that another one
-calls stays as it is until one is complete that Python calls; that one takes in each of them once,
-and they are optimised together.
+it, and does so again in every kernel that calls it.  Here callees
+are kept as code that is not optimised; the kernel that Python calls links each once, and LLVM
+optimises the whole.
 """
 
 from __future__ import annotations

@@ -37,9 +37,9 @@ class Phase:
     count : int
         so many cells, worst first, in the place of the share; 0: the share (d = 3)
     hold : float
-        no new cell passes this part of the best extremes, the least radius ratio, the smallest
-        angle and what the largest lacks of 180 degrees, that all cells had when one of the phases
-        that hold started, unless they are worse when this one starts; 0: those of the input (d = 3)
+        factor on the best extremes (least radius ratio, smallest angle, 180 degrees less the
+        largest) of all starts of phases that hold; a new cell may not be worse than factor x best,
+        or than the worst cell present; 0: extremes of the input (d = 3)
     fills : bool
         whether the compound moves come with polyhedra that are filled anew (d = 3)
     flips : bool
@@ -216,10 +216,10 @@ def cautious(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ..
 
 
 WORST = Phase(4.0, 0.015, 2, 3, 3, fills=False, name="worst")
-"""For a mesh with a better mean but a worse tail: about the cells that make the 1 % quantile.
+"""Targets the cells below the 1 % quantile, where the mean rose and that figure fell.
 
-Where these are flat their costs have levelled off, and a polyhedron filled anew gives a good cell
-and the quantile for less of it.
+Nothing is refilled: for flat cells the cost is nearly constant, so that a refilling would give a
+good cell and the quantile for less of it.
 """
 
 

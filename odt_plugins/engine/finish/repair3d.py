@@ -25,8 +25,8 @@ TRIALS, PLACES = 200, 24
 """Trials of a search, at half of the step where none gains, and places in each."""
 
 ROOTS = np.array([0.8191725133961645, 0.6710436067037893, 0.5497004779019703])
-"""What their multiples exceed whole numbers by fills the unit cube evenly: 1/x, 1/x^2 and 1/x^3
-with x^4 = x + 1."""
+"""1/x, 1/x^2 and 1/x^3 with x^4 = x + 1. The Kronecker sequence k x ROOTS mod 1 is equidistributed
+in the unit cube."""
 
 
 def within_bounds(

@@ -33,9 +33,8 @@ from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
 MOST_TOUCHED = 64
 """Cells that a descent may touch."""
 DEEP = (3.0, 1.0, 0.35, 0.25, 0.1, 0.0)
-"""A descent is given up that is still so many times the bad triangle's own cost down after its
-first, its second and every further sweep, p as at the start or its own; every other sweep reaches
-one ring of cells further."""
+"""After sweep k a descent is abandoned if its loss exceeds DEEP[k] x the cost of the bad triangle,
+with p as in that sweep; every other sweep reaches one ring of cells further."""
 START = 4.0
 """Largest p of the first two sweeps of a descent, which doubles every other sweep up to its own."""
 LARGEST_STAR = 32

@@ -407,7 +407,7 @@ def _vertex_field(values: FloatArray, points: FloatArray, cells: IntArray) -> Fl
     if values.shape not in ((n,), (m,)) or (n == m and values.ndim == 1):
         found = f"got a density of shape {values.shape} on {n} vertices and {m} cells"
         if n == m and values.shape == (n,):
-            msg = f"{found}, expected no doubt which of both is meant, try a function rho(points)"
+            msg = f"{found}, expected what is not ambiguous, try a function rho(points)"
         else:
             msg = f"{found}, expected ({n},) or ({m},), try one rho a vertex or one a cell"
         raise InvalidOptionError(msg)

@@ -62,7 +62,7 @@ class Changing(Protocol):
 class Memory:
     """Remembers the best state that keeps every named figure, and the last that did not.
 
-    Of those that did not it also remembers the one of highest score that lost extremes only.
+    Keeps as well the refused state of highest score whose only fault is an extreme.
 
     Cells at the vertices ``aside`` may pass the extremes: another run will look after them.
 

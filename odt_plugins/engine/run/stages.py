@@ -36,7 +36,7 @@ from odt_plugins.progress import part, silent
 
 
 def settled(means: Sequence[float]) -> str:
-    """Why no cycle follows those that ended with these mean qualities; empty when one may."""
+    """Reason to stop after cycles with these mean qualities; "" to go on."""
     if len(means) < 2 or means[-1] - max(means[:-1]) >= POLICY.cycle_worth:
         return ""
     return f"the mean quality settled after {len(means)} cycles"

@@ -280,7 +280,7 @@ def test_arrays_that_could_mean_both_are_refused():
     points = np.concatenate([np.zeros((1, 2)), [[1, 0], [0, 1], [-1, 0], [0, -1]], [[9.0, 9.0]]])
     cells = np.array([[0, 1, 2], [0, 2, 3], [0, 3, 4], [0, 4, 1]], dtype=np.int32)
     make_density(np.ones(6), None, points, cells)
-    with pytest.raises(InvalidOptionError, match="no doubt"):
+    with pytest.raises(InvalidOptionError, match="not ambiguous"):
         make_density(np.ones(4), None, points[:4], cells)
 
 
