@@ -40,7 +40,7 @@ MAY_IMPORT = {
     "roundtrip": {"adapters", "aside", "carry", "curved", "engine", "integrals", "progress",
                   "untangling", *BASE},
     "api": {"adapters", "engine", "multiblock", "report", "roundtrip", "untangling", *BASE},
-    "tetwild": {"api", "errors", "mesh", "options", "progress", "report"},
+    "tetwild": {"api", "errors", "generate", "mesh", "options", "progress", "report"},
     "hosts": {"adapters", "api", "report", "tetwild", *BASE},
     "generate": {"adapters", "api", "carry", "engine", "progress", "report", "table", "tetwild",
                  *BASE},
