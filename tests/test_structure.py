@@ -34,7 +34,7 @@ MAY_IMPORT = {
     "untangling": {"carry", "engine", "progress", *BASE},
     "report": {"engine", "table", "untangling", *BASE},
     "aside": {"adapters", "errors", "mesh", "options"},
-    "curved": {"adapters", "engine", "errors", "mesh", "promise"},
+    "curved": {"adapters", "engine", "errors", "mesh", "promise", "untangling"},
     "integrals": {"mesh", "quality"},
     "multiblock": {"adapters", "progress", *BASE},
     "roundtrip": {"adapters", "aside", "carry", "curved", "engine", "integrals", "progress",
