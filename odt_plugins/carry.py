@@ -233,3 +233,21 @@ def _groups(labels: IntArray) -> dict[int, NDArray[np.intp]]:
     order = np.argsort(labels, kind="stable")
     distinct, start = np.unique(labels[order], return_index=True)
     return dict(zip(distinct.tolist(), np.split(order, start[1:]), strict=True))
+
+
+def cell_origin(
+    ids: NDArray[Any] | None, total: int, source: IntArray
+) -> NDArray[np.int64]:
+    """Cell of an object of which every cell of the result takes the data.
+
+    Parameters
+    ----------
+    ids : (m,) int, optional    place of every optimised cell among so many of the object, ascending
+    total : int
+    source : (m',) int          optimised cell that each new one comes from
+    """
+    if ids is None:
+        return source.astype(np.int64)
+    other = np.ones(total, dtype=np.bool_)
+    other[ids] = False
+    return np.sort(np.concatenate([ids[source], np.flatnonzero(other)]))

@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 from odt_plugins.adapters.higher_order import HigherOrder, with_mid_nodes
 from odt_plugins.adapters.host import HostMesh, Result
 from odt_plugins.engine.run.outcome import Outcome, unchanged
-from odt_plugins.mesh.arrays import BoolArray, FloatArray
+from odt_plugins.errors import TangledMeshError
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.bernstein import jacobian_bounds
 from odt_plugins.mesh.simplex import SimplexMesh, freeze, reverse
 from odt_plugins.promise.volume import held_vertices
+from odt_plugins.untangling import Tangle
 
 STRAIGHT = 1e-12
 """Nodes that are off their place by less of the extent of a cell leave the cell straight."""
@@ -115,6 +117,7 @@ def keep_curved(
     *,
     figures: bool,
     slides: bool,
+    source: IntArray | None = None,
 ) -> Kept:
     """Run the engine until curved cells are as valid and as good as in the input.
 
@@ -127,15 +130,23 @@ def keep_curved(
     orientation : int    -1 where all cells of the caller are negative
     figures : bool       whether the scaled Jacobian is kept, too
     slides : bool        whether vertices of the boundary may move
+    source : (m,) int    where `mesh` was untangled, the cell of `host` that each comes from: cells
+                         are compared with those of the untangled mesh
     """
     rows, shape = host.nodes, host.shape
-    before = None if rows is None or shape is None else measured(host.points, rows, shape)
-    if before is None or before.scaled.min(initial=1.0) == 1.0:
+    given = before = None if rows is None or shape is None else measured(host.points, rows, shape)
+    if source is not None and before is not None:
+        before = _all_measured(host, leave(unchanged(mesh, "")), orientation, source)
+    if given is None or before is None or before.scaled.min(initial=1.0) == 1.0:
         return Kept(mesh, run(mesh, 0), None)
     now, was = mesh, before.figures()
     for attempt in range(ATTEMPTS + 2):
         outcome = run(now, attempt)
-        after, spoiled = _compared(host, before, outcome, orientation)
+        if source is None:
+            after, spoiled = _compared(host, before, outcome, orientation)
+        else:
+            after = _all_measured(host, outcome, orientation, source)
+            spoiled = ~after.valid & before.valid[outcome.source]
         is_now = after.figures()
         worse = (is_now < was - SLACK) & figures
         if not spoiled.any() and not worse.any():
@@ -148,12 +159,15 @@ def keep_curved(
         else:
             why = "curved cells would be folded, or their scaled Jacobian worse"
             outcome = leave(replace(unchanged(mesh, why), fallback=f"the input is returned: {why}"))
-            is_now, now = was, freeze(mesh, np.ones(len(mesh.cells), dtype=np.bool_))
+            after, is_now, now = before, was, freeze(mesh, np.ones(len(mesh.cells), dtype=np.bool_))
             break
     stays = mesh.fixed if slides or now is mesh else held_vertices(mesh)
     names = ("least", "least_of_corners", "mean", "mean_of_corners")
     facts: dict[str, float] = {"cells": int(before.counts.sum()),
                                "vertices_held": int((now.fixed & ~stays).sum())}
+    if source is not None:
+        folded = ~after.valid & given.valid[source[outcome.source]]
+        facts["folded"] = int(folded.sum())
     facts |= {f"{name}_before": float(v) for name, v in zip(names, was, strict=True)}
     facts |= {f"{name}_after": float(v) for name, v in zip(names, is_now, strict=True)}
     return Kept(now, outcome, facts)
@@ -175,6 +189,43 @@ def _compared(
     for values, found in zip(after, measured(q.points, q.cells[new], q.shape), strict=True):
         values[new] = found
     return after, ~after.valid & ~same & before.valid[source]
+
+
+def untangled_around(
+    host: HostMesh, mesh: SimplexMesh,
+    untangle: Callable[[SimplexMesh], tuple[SimplexMesh, Tangle]],
+) -> tuple[SimplexMesh, Tangle]:
+    """Untangle a mesh with its valid curved cells as they are, or without that where it fails.
+
+    Parameters
+    ----------
+    host : HostMesh        the caller's mesh
+    mesh : SimplexMesh     the same for the engine
+    untangle : callable    gives a mesh without inverted or flat cells, and what was done
+    """
+    if host.nodes is None or host.shape is None:
+        return untangle(mesh)
+    found = measured(host.points, host.nodes, host.shape)
+    bent = found.valid & found.counts
+    if not bent.any():
+        return untangle(mesh)
+    try:
+        after, tangle = untangle(freeze(mesh, bent))
+    except TangledMeshError:
+        return untangle(mesh)
+    if tangle.facts["left"]:
+        return untangle(mesh)
+    after = replace(after, fixed=np.pad(mesh.fixed, (0, tangle.added)),
+                    frozen=mesh.frozen[tangle.source])
+    return after, tangle._replace(before=mesh, after=after)
+
+
+def _all_measured(
+    host: HostMesh, outcome: Outcome, orientation: int, source: IntArray
+) -> Curved:
+    """The cells of an outcome of an untangled mesh, whose cells have a source in the caller's."""
+    q = placed(host, replace(outcome, source=source[outcome.source]), orientation)
+    return measured(q.points, q.cells, q.shape)
 
 
 def placed(host: HostMesh, outcome: Outcome, orientation: int) -> HigherOrder:

@@ -33,8 +33,8 @@ from odt_plugins.adapters.regions import AUTO, CHARTS, are_names
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.adapters.wedges import glued, without_seams
 from odt_plugins.aside import note, of_cells, seen, with_others, without_others
-from odt_plugins.carry import in_input_order, in_order_of, surrounding_cells
-from odt_plugins.curved import Kept, keep_curved
+from odt_plugins.carry import cell_origin, in_input_order, in_order_of, surrounding_cells
+from odt_plugins.curved import Kept, keep_curved, untangled_around
 from odt_plugins.errors import (
     InvalidMeshError,
     InvalidOptionError,
@@ -133,7 +133,7 @@ def run_engine(
             chosen = _with_sag(chosen, work) if moves else chosen
             then = progress if work.tangle is None else part(progress, wanted.share, 1.0)
             chosen = replace(chosen, progress=tell and then)
-            curved = _run_kept(work, engine or optimized, chosen, leaving)
+            curved = _run_kept(work, given, engine or optimized, chosen, leaving)
     work, outcome = work._replace(mesh=curved.mesh), curved.outcome
     points: Any = outcome.written
     source: Any = outcome.source
@@ -160,8 +160,9 @@ def run_engine(
         cells = reverse(cells, np.ones(len(cells), dtype=np.bool_))
     if work.own is not None:
         cells, source = with_others(given.cells, cells, source, work.own)
-    told = {"regions_from": work.host.regions_from, "cell_origin": _cell_origin(work.host, source),
-            "interpolated": () if vertices is None else fields, "notes": work.notes,
+    told = {"regions_from": work.host.regions_from, "notes": work.notes,
+            "cell_origin": cell_origin(work.host.ids, work.host.total, source),
+            "interpolated": () if vertices is None else fields,
             "tangle": work.tangle, "curved": curved.facts, "layers": layers, "integrals": changed}
     kind = work.host.cells.dtype
     if outcome.origin is not None and kind.kind != "f":
@@ -172,15 +173,6 @@ def run_engine(
         locate=_locating(work, around) if fields else None, same=same,
     )
     return work.adapter.write(result, given), before, outcome, told
-
-
-def _cell_origin(host: HostMesh, source: IntArray) -> NDArray[np.int64]:
-    """Cell of the caller's object of which every cell of the result takes the data."""
-    if host.ids is None:
-        return source.astype(np.int64)
-    other = np.ones(host.total, dtype=np.bool_)
-    other[host.ids] = False
-    return np.sort(np.concatenate([host.ids[source], np.flatnonzero(other)]))
 
 
 def optimized(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
@@ -195,7 +187,8 @@ def optimized(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
 
 
 def _run_kept(
-    work: _Prepared, engine: Callable[..., Outcome], options: Options, leaving: Leaving
+    work: _Prepared, given: HostMesh, engine: Callable[..., Outcome], options: Options,
+    leaving: Leaving,
 ) -> Kept:
     """What the engine makes of the mesh, as it leaves, with curved cells as good as before."""
     progress = options.progress
@@ -205,13 +198,18 @@ def _run_kept(
         outcome = engine(mesh, replace(options, progress=tell), leaving)
         return outcome if outcome.written is not None else leaving(outcome)
 
-    if work.host.nodes is None or work.tangle is not None:
+    host, tangle = work.host, work.tangle
+    if given.nodes is not None and tangle is not None:
+        own = slice(None) if work.own is None else work.own
+        host = replace(given, cells=given.cells[own], nodes=given.nodes[own])
+    if host.nodes is None:
         outcome = engine(work.mesh, options, leaving)
         return Kept(work.mesh, outcome if outcome.written is not None else leaving(outcome), None)
     figures = bool(options.keep) and not work.mesh.is_surface
     return keep_curved(
-        work.host, work.mesh, run, leaving, work.orientation, figures=figures,
-        slides=options.boundary == "slide" or work.mesh.is_surface)
+        host, work.mesh, run, leaving, work.orientation, figures=figures,
+        slides=options.boundary == "slide" or work.mesh.is_surface,
+        source=None if tangle is None else tangle.source)
 
 
 def _feet(work: _Prepared, points: FloatArray, cells: IntArray) -> Feet | None:
@@ -320,7 +318,8 @@ def _untangled(work: _Prepared, options: Options, wanted: Wanted) -> _Prepared:
     if wanted.rest is not None:
         rest = rest_places(wanted.rest, host.points, before.cells, frame)
         wanted = wanted._replace(rest=rest)
-    mesh, tangle = untangle_mesh(before, options, lambda points: places(points)[1], wanted)
+    mesh, tangle = untangled_around(host, before, lambda mesh: untangle_mesh(
+        mesh, options, lambda points: places(points)[1], wanted))
     cells = reverse(mesh.cells, np.full(len(mesh.cells), work.orientation < 0))
     host = replace(host, points=places(mesh.points)[0], cells=cells.astype(host.cells.dtype))
     return work._replace(host=host, mesh=mesh, tangle=tangle)

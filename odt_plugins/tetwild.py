@@ -25,8 +25,16 @@ from numpy.typing import NDArray
 
 from odt_plugins.api import optimize as optimize_mesh
 from odt_plugins.api import optimize_with_report
-from odt_plugins.errors import CrashError, InvalidMeshError, InvalidOptionError, exit_name, require
-from odt_plugins.mesh.simplex import barycentric, mesh_arrays
+from odt_plugins.errors import (
+    CrashError,
+    InvalidMeshError,
+    InvalidOptionError,
+    NotFilledWarning,
+    exit_name,
+    require,
+    warn,
+)
+from odt_plugins.mesh.simplex import barycentric, diagonal, mesh_arrays, reverse
 from odt_plugins.options import (
     OPTIONS,
     OptionKeywords,
@@ -37,6 +45,7 @@ from odt_plugins.options import (
 from odt_plugins.progress import part, telling
 
 if TYPE_CHECKING:
+    from odt_plugins.generate.covered import Covered
     from odt_plugins.report.report import Report
 
 PROGRAM = """
@@ -103,11 +112,12 @@ def tetrahedralize(
         False for TetWild alone; a dict of options, should one of pytetwild's keywords ever have
         the name of an option.
     **options
-        The fields of :class:`odt_plugins.Options`. With a sizing field (bg_vertices, bg_tets,
-        bg_values) its edge length h is the size that the density rho = h^-r keeps, unless a
-        `density` is given; `exponent` is r, 5 by default. Outside the background mesh h is the
-        ideal edge length, as for TetWild. TetWild follows a field that asks for larger cells than
-        it starts from only with `coarsen`.
+        The fields of :class:`odt_plugins.Options`. With `orient` faces are turned first: neighbours
+        agree, closed components face outward, hollows within them stay hollow. With a sizing field
+        (bg_vertices, bg_tets, bg_values) its edge length h is the size that the density rho = h^-r
+        keeps, unless a `density` is given; `exponent` is r, 5 by default. Outside the background
+        mesh h is the ideal edge length, as for TetWild. TetWild follows a field that asks for
+        larger cells than it starts from only with `coarsen`.
 
     Returns
     -------
@@ -122,6 +132,12 @@ def tetrahedralize(
     InvalidOptionError           an option is unknown or out of range, or TetWild is to run alone
     TypeError, ValueError, ...   what pytetwild raises
 
+    Warns
+    -----
+    NotFilledWarning             more than a hundredth of the area of the surface has no boundary
+                                 beside it, or of that of the boundary no surface; not where TetWild
+                                 runs alone, nor with disable_filtering, which fills a box
+
     References
     ----------
     L. Chen, M. Holst, CMAME 200 (2011) 967-984, doi:10.1016/j.cma.2010.11.007, Theorem 2.8.
@@ -131,7 +147,9 @@ def tetrahedralize(
     if chosen is None:
         return run_tetwild(given)
     with _made(given, chosen) as (mesh, _, improving):
-        return optimize_mesh(mesh, **improving)
+        out = optimize_mesh(mesh, **improving)
+        _compared(given, chosen, out)
+        return out
 
 
 def tetrahedralize_with_report(
@@ -149,7 +167,8 @@ def tetrahedralize_with_report(
     Returns
     -------
     mesh : (points, cells), with `regions_of` (points, cells, labels)
-    report : Report     before is the mesh of TetWild, whose seconds stand among the times
+    report : Report     before is the mesh of TetWild, whose seconds stand among the times; `filled`
+                        compares surface and boundary both ways
 
     Raises
     ------
@@ -169,16 +188,43 @@ def tetrahedralize_with_report(
         if regions_of is not None:
             improving["regions"] = regions_of(*mesh)
         out, report = optimize_with_report(mesh, **improving)
-    return out, replace(report, times={"TetWild": seconds, **report.times})
+        filled = _compared(given, chosen, out)
+    return out, replace(report, times={"TetWild": seconds, **report.times}, filled=filled)
+
+
+def _compared(given: Mapping[str, Any], chosen: Mapping[str, Any], mesh: Any) -> Covered | None:
+    """How the surface and the boundary of tetrahedra lie to each other; a warning where apart."""
+    if given["disable_filtering"]:
+        return None
+    from odt_plugins.generate.covered import REACH, compare
+
+    surface = mesh_arrays(given["vertices"], given["faces"])
+    points, cells = mesh_arrays(*mesh[:2])
+    moved = make_options(**chosen) if chosen.get("boundary") == "slide" else None
+    part = given["epsilon"] + (moved.envelope if moved else 0.0)
+    reach = REACH * part * diagonal(surface[0][np.unique(surface[1])])
+    inward = np.full(len(cells), not given["vtk_ordering"])
+    filled = compare(surface, (points, reverse(cells, inward)), reach)
+    if not filled.filled:
+        warn(filled.complaint(), NotFilledWarning)
+    return filled
 
 
 def _checked(
-    given: Mapping[str, Any], odt: Mapping[str, Any] | bool, options: Mapping[str, Any]
+    given: dict[str, Any], odt: Mapping[str, Any] | bool, options: Mapping[str, Any]
 ) -> dict[str, Any] | None:
-    """The options of ODT, None for TetWild alone; all that can be refused at once is."""
+    """The options of ODT, None for TetWild alone; all that can be refused at once is.
+
+    The faces among the arguments are turned if asked to.
+    """
     _expect_known(options, given)
     chosen = odt_options(odt, **options)
     _check_surface(given["vertices"], given["faces"])
+    if chosen and chosen.pop("orient", False):
+        from odt_plugins.generate.bodies import outward
+
+        faces = given["faces"]
+        given["faces"] = reverse(faces, outward(*mesh_arrays(given["vertices"], faces)))
     return chosen
 
 

@@ -14,7 +14,12 @@ import tet_meshes
 import odt_plugins
 from odt_plugins import tetwild
 from odt_plugins.engine.run import plan
-from odt_plugins.errors import InvalidMeshError, InvalidOptionError, MissingDependencyError
+from odt_plugins.errors import (
+    InvalidMeshError,
+    InvalidOptionError,
+    MissingDependencyError,
+    NotFilledWarning,
+)
 from odt_plugins.options import OPTIONS
 
 STORED = Path(__file__).parent / "data" / "tetwild_bunny.vtu"
@@ -30,6 +35,7 @@ def stored(monkeypatch):
     made = (mesh.points, mesh.cells[0].data.astype(np.int32))
     calls = []
     monkeypatch.setattr(tetwild, "run_tetwild", lambda given: calls.append(given) or made)
+    monkeypatch.setattr(tetwild, "_compared", lambda *_: None)
     return made, calls
 
 
@@ -196,6 +202,7 @@ def test_cells_take_the_sizes_that_a_field_asks_for(monkeypatch):
     """
     points, cells = tet_meshes.ball(1200, seed=3)
     monkeypatch.setattr(tetwild, "run_tetwild", lambda given: (points, cells))
+    monkeypatch.setattr(tetwild, "_compared", lambda *_: None)
 
     def size(x):
         return 1.0 + 0.5 * x[:, 0]
@@ -220,6 +227,7 @@ def test_a_mesh_with_as_many_vertices_as_cells_gets_a_function(monkeypatch):
     cells = np.vstack([cells, cells[:2]])
     monkeypatch.setattr(tetwild, "run_tetwild", lambda given: (points, cells))
     seen = []
+    monkeypatch.setattr(tetwild, "_compared", lambda *_: None)
     monkeypatch.setattr(tetwild, "optimize_mesh", lambda mesh, **options: seen.append(options))
     grid, tets, values = background(lambda x: 1.0 + x[:, 2])
     odt_plugins.tetrahedralize(CUBE, FACES, bg_vertices=grid, bg_tets=tets, bg_values=values)
@@ -229,3 +237,31 @@ def test_a_mesh_with_as_many_vertices_as_cells_gets_a_function(monkeypatch):
                                bg_values=1e-30 * values, edge_length_abs=1e-30,
                                odt={"exponent": 40.0})
     assert seen[1]["density"](points) == pytest.approx((1.0 + points[:, 2]) ** -40.0)
+
+
+@pytest.mark.parametrize("ordering", [False, True])
+def test_the_surface_is_compared_with_the_boundary_and_turned_on_request(monkeypatch, ordering):
+    aside = np.array([3.0, 0.0, 0.0])
+    surface = np.concatenate([CUBE, CUBE + aside]), np.concatenate([FACES, FACES[:, ::-1] + 8])
+    points, cells, _ = contract.grid(3, 3)
+    cells = cells if ordering else cells[:, [0, 1, 3, 2]]
+    both = (np.concatenate([points, points + aside]),
+            np.concatenate([cells, cells + len(points)]))
+
+    def run_tetwild(given):
+        inside = np.linalg.det(given["vertices"][given["faces"]]).sum() / 6
+        return both if inside > 1.5 else (points, cells)
+
+    monkeypatch.setattr(tetwild, "run_tetwild", run_tetwild)
+    options = {"vtk_ordering": ordering, "rounds": 1}
+    with pytest.warns(NotFilledWarning, match=r"50.0% of the area of the surface.*try orient=True"):
+        _, report = odt_plugins.tetrahedralize_with_report(*surface, **options)
+    assert report.filled.missing == pytest.approx(0.5)
+    assert report.filled.elsewhere == 0.0
+    assert report.filled.missing_at[0].low == pytest.approx((3, 0, 0))
+    with pytest.warns(NotFilledWarning, match="50.0%"):
+        odt_plugins.tetrahedralize(*surface, **options)
+    out = odt_plugins.tetrahedralize(*surface, orient=True, **options)
+    assert np.abs(contract.volumes(*out)).sum() / 6 == pytest.approx(2)
+    assert np.array_equal(surface[1][12:], FACES[:, ::-1] + 8)
+    odt_plugins.tetrahedralize(*surface, odt=False)

@@ -12,11 +12,15 @@ from numpy.typing import NDArray
 from odt_plugins.adapters.host import SET_VERTEX, HostMesh, KeptCells
 from odt_plugins.errors import InvalidMeshError, counted
 from odt_plugins.mesh.arrays import BoolArray, IntArray
+from odt_plugins.mesh.components import components
 from odt_plugins.mesh.facets import directed_facets, row_keys
 from odt_plugins.mesh.periodic import periodic_triangles
 from odt_plugins.mesh.simplex import SimplexMesh, freeze, with_same_cells
 from odt_plugins.mesh.soup import twins
 from odt_plugins.mesh.surface import disagreeing_edges
+
+NAMED = 5
+"""Most places that a note names."""
 
 
 def protect(
@@ -253,10 +257,21 @@ def hold_places(
     if disagree:
         edges = disagreeing_edges(mesh)
         if len(edges):
-            first = tuple(edges[0].tolist())
             notes.append(f"cells disagree about the outside at {counted(len(edges), 'edge')} "
-                         f"(first: {first}) and stay there; try orient=True, or removing them")
+                         f"({_places(mesh, edges)}) and stay there; try orient=True, or removing "
+                         f"them")
     return mesh, tuple(host.words(note) for note in notes)
+
+
+def _places(mesh: SimplexMesh, edges: IntArray) -> str:
+    """Vertices of the first few edges, one of each place where several hang together."""
+    label = components(edges[:, 0], edges[:, 1], len(mesh.points))[edges[:, 0]]
+    first = np.sort(np.unique(label, return_index=True)[1])
+    told = [f"{tuple(edges[i].tolist())} around ("
+            + ", ".join(f"{x:.4g}" for x in mesh.points[edges[i]].mean(axis=0)) + ")"
+            for i in first[:NAMED]]
+    return (f"{counted(len(first), 'place')}: " + ", ".join(told)
+            + (", ..." if len(first) > NAMED else ""))
 
 
 def _hold_periodic(

@@ -328,6 +328,7 @@ def batch(
     """
     from odt_plugins.distributed import batch as batches
     from odt_plugins.distributed import summary
+    from odt_plugins.distributed.job import WRITTEN
 
     if retry and not resume:
         msg = "--retry goes with --resume; without it all inputs are worked on"
@@ -354,7 +355,7 @@ def batch(
         summary.write_summary(out, rows, words, options["threads"], seconds)
     if not quiet:
         click.echo(summary.counts(rows))
-        if any(row["resumed"] and row["status"] != "ok" for row in rows):
+        if any(row["resumed"] and row["status"] not in WRITTEN for row in rows):
             click.echo("what failed before was left as it is; --resume --retry tries it again")
         for name, value in summary.totals(rows, seconds):
             click.echo(f"  {name:<26}{value}")
@@ -365,7 +366,7 @@ def batch(
     code = DONE if all(row["status"] == "ok" for row in rows) else COULD_NOT
     limits = {"min_quality": min_quality, "min_angle": min_angle, "max_angle": max_angle}
     for row in rows:
-        if row["status"] == "ok" and (beyond := beyond_limits(
+        if row["status"] in WRITTEN and (beyond := beyond_limits(
                 {figure: row[f"after_{figure}"] for figure in limits}, limits)):
             code = _fail(f"{row['result']} has {', '.join(beyond)}", BEYOND)
     return code

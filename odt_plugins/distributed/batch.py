@@ -28,6 +28,7 @@ from odt_plugins.distributed.job import (
     REPORT,
     RESULT,
     ROW,
+    WRITTEN,
     any_compiles,
     beyond_limit,
     compiling,
@@ -45,6 +46,9 @@ HIDDEN = ".batch"
 
 SMALL, TOGETHER = 1 << 20, 32
 """Most bytes of an input that shares a process, and most inputs that share one."""
+
+EACH = 4
+"""Processes for each worker, at least, among which small inputs are divided."""
 
 LOOKED = 0.02
 """Seconds between two looks at whether a row is there."""
@@ -215,8 +219,9 @@ def run_batch(
     Returns
     -------
     list of dict               one row for every job, in their order: source, result, status
-                               ("ok", "failed", "crashed", "timeout", "memory", "lost",
-                               "stopped"), message, seconds, figures before and after
+                               ("ok", "partly filled", "failed", "crashed", "timeout",
+                               "memory", "lost", "stopped"), message, seconds, figures before
+                               and after
 
     Raises
     ------
@@ -293,28 +298,37 @@ def _not_done(job: Job) -> Row:
 
 
 def _as_they_finish(jobs: Sequence[Job], client: Any) -> Iterator[tuple[int, Any]]:
+    """Rows of jobs, on the workers or on this machine; small inputs share a process."""
     if client is None:
-        return _one_by_one(jobs)
+        for group in share_out(jobs):
+            yield from _run_group({index: jobs[index] for index in group})
+        return
     from odt_plugins.distributed.cluster import as_they_finish, check_workers
 
-    check_workers(client)
-    return as_they_finish(client, run_job, jobs)
+    most = max(1, len(jobs) // (EACH * check_workers(client)))
+    groups = [{index: jobs[index] for index in group} for group in share_out(jobs, most)]
+    for place, rows in as_they_finish(client, _list_group, groups):
+        yield from ([(index, rows) for index in groups[place]]
+                    if isinstance(rows, BaseException) else rows)
 
 
-def _one_by_one(jobs: Sequence[Job]) -> Iterator[tuple[int, Row]]:
-    """Rows of jobs on this machine, one after the other; small inputs share a process."""
-    for group in share_out(jobs):
-        if len(group) == 1:
-            yield group[0], run_job(jobs[group[0]])
-        else:
-            yield from _run_shared({index: jobs[index] for index in group})
+def _list_group(jobs: Mapping[int, Job]) -> list[tuple[int, Row]]:
+    return list(_run_group(jobs))
 
 
-def share_out(jobs: Sequence[Job]) -> list[list[int]]:
+def _run_group(jobs: Mapping[int, Job]) -> Iterator[tuple[int, Row]]:
+    if len(jobs) > 1:
+        yield from _run_shared(jobs)
+        return
+    for index, job in jobs.items():
+        yield index, run_job(job)
+
+
+def share_out(jobs: Sequence[Job], most: int = TOGETHER) -> list[list[int]]:
     """Divide jobs, by their places, into those whose inputs share a process, in their order.
 
-    Inputs of at most SMALL bytes share one, at most TOGETHER of them; none does whose memory is
-    limited, or that TetWild fills.
+    Inputs of at most SMALL bytes share one, at most TOGETHER of them, and no more than `most`; none
+    does whose memory is limited, or that TetWild fills.
     """
     groups: list[list[int]] = []
     open_group: list[int] = []
@@ -325,7 +339,7 @@ def share_out(jobs: Sequence[Job]) -> list[list[int]]:
         if job.memory_limit is not None or job.tetrahedralize or size > SMALL:
             groups.append([index])
             continue
-        if not open_group or len(open_group) == TOGETHER:
+        if not open_group or len(open_group) == min(most, TOGETHER):
             open_group = []
             groups.append(open_group)
         open_group.append(index)
@@ -380,12 +394,12 @@ def _ended_row(job: Job, key: str, folder: Path, facts_of: Callable[[], Row]) ->
         facts = facts_of()
         outside = facts.pop("outside", False)
         row = _row(job, {"key": key, "limits": [job.timeout, job.memory_limit]} | facts)
-        if row["status"] != "ok" and target.exists():
+        if row["status"] not in WRITTEN and target.exists():
             row["message"] += f"; {job.name} is there from an earlier run"
         (folder / ROW).write_text(json.dumps(row), encoding="utf-8")
         place.parent.mkdir(parents=True, exist_ok=True)
         place.unlink(missing_ok=True)
-        if row["status"] == "ok":
+        if row["status"] in WRITTEN:
             target.parent.mkdir(parents=True, exist_ok=True)
             # Formats such as xdmf write companions; the file that refers to them comes last.
             for part in sorted((folder / RESULT).iterdir(), key=lambda p: p.name == target.name):
@@ -451,7 +465,7 @@ def _recorded(job: Job, key: str) -> Row | None:
     """The row of an earlier run, when nothing would be otherwise now."""
     with contextlib.suppress(OSError, ValueError):
         old: Row = json.loads(_row_file(Path(job.out), job.name).read_text(encoding="utf-8"))
-        if old["status"] == "ok":
+        if old["status"] in WRITTEN:
             same = (Path(job.out) / job.name).is_file()
         else:
             same = not job.retry and old["limits"] == [job.timeout, job.memory_limit]

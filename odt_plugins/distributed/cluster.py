@@ -74,8 +74,12 @@ def _quiet() -> Iterator[None]:
         logger.setLevel(level)
 
 
-def check_workers(client: Any) -> None:
+def check_workers(client: Any) -> int:
     """Compare the packages of all workers with those of this process, before any work.
+
+    Returns
+    -------
+    int                   how many workers there are
 
     Raises
     ------
@@ -98,6 +102,7 @@ def check_workers(client: Any) -> None:
             )
     for worker in sorted(found):
         expect_versions(wanted, found[worker], f"the worker {worker}")
+    return len(found)
 
 
 def on_cluster(client: Any) -> Apply:

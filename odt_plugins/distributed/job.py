@@ -18,7 +18,7 @@ from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
-from odt_plugins.errors import CrashError, ODTError, ODTWarning
+from odt_plugins.errors import CrashError, NotFilledWarning, ODTError, ODTWarning
 from odt_plugins.progress import compiling_heard
 
 ROW, RESULT, COMPILING = "row.json", "result", "compiling"
@@ -33,6 +33,12 @@ REPORT = ".json"
 
 FROM_OUTSIDE = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
 """Signals that come from the user or from a system short of memory, not from the input."""
+
+PARTLY = "partly filled"
+"""Status of a surface whose tetrahedra are written but leave out more than a stated share."""
+
+WRITTEN = ("ok", PARTLY)
+"""Status of inputs that have a result."""
 
 REFUSED = ("bad_alloc", "Cannot allocate memory", "Resource temporarily unavailable",
            "out of memory")
@@ -59,7 +65,8 @@ def _do(job: dict[str, Any]) -> None:
         ):
             warnings.simplefilter("always")
             row |= work(job)
-        row |= {"status": "ok", "message": "; ".join(
+        partly = any(issubclass(w.category, NotFilledWarning) for w in caught)
+        row |= {"status": PARTLY if partly else "ok", "message": "; ".join(
             str(w.message) for w in caught if issubclass(w.category, ODTWarning))}
     # A toolkit may raise anything at all on a broken input.
     except Exception as exc:

@@ -10,6 +10,7 @@ from io import StringIO
 from pathlib import Path
 from typing import Any
 
+from odt_plugins.distributed.job import WRITTEN
 from odt_plugins.errors import require, writing
 from odt_plugins.quality import QualitySummary
 from odt_plugins.report.machine import describe
@@ -152,7 +153,7 @@ def totals(rows: Sequence[dict[str, Any]], seconds: float) -> list[tuple[str, st
                             ("compile_seconds", "of these compiling")):
             value = sum(row.get(name) or 0.0 for row in fresh)
             found += [(words, f"{value:.1f}")] if value else []
-    good = [row for row in rows if row["status"] == "ok"]
+    good = [row for row in rows if row["status"] in WRITTEN]
     for name, head, form in SHOWN[1:6] if good else ():
         before, after = (sum(row[f"{when}_{name}"] for row in good) / len(good)
                          for when in ("before", "after"))

@@ -21,7 +21,7 @@ ASKED = 100
 
 
 class Bodies(NamedTuple):
-    """Components of a surface, connected across the edges of exactly two faces.
+    """Components of a surface, connected across the edges of two faces of a solid.
 
     Attributes
     ----------
@@ -138,13 +138,13 @@ def winding(points: FloatArray, faces: IntArray, x: FloatArray) -> FloatArray:
 
 def _parts(points: FloatArray, faces: IntArray) -> Bodies:
     proper = np.flatnonzero(~_pinched(faces))
-    edges = surface_edges(faces[proper], len(points))
-    face, corner = np.nonzero(edges.neighbors >= 0)
-    of_face = components(proper[face], proper[edges.neighbors[face, corner]], len(faces))
+    neighbors = _neighbors(points, faces[proper])
+    face, corner = np.nonzero(neighbors >= 0)
+    of_face = components(proper[face], proper[neighbors[face, corner]], len(faces))
     k = int(of_face.max()) + 1
     closed = np.zeros(k, dtype=np.bool_)
     closed[of_face[proper]] = True
-    closed[of_face[proper[(edges.neighbors < 0).any(axis=1)]]] = False
+    closed[of_face[proper[(neighbors < 0).any(axis=1)]]] = False
     low, high = np.full((k, 3), np.inf), np.full((k, 3), -np.inf)
     corners = points[faces]
     np.minimum.at(low, of_face, corners.min(axis=1))
@@ -152,6 +152,40 @@ def _parts(points: FloatArray, faces: IntArray) -> Bodies:
     a, b, c = (corners - low[of_face][:, None]).swapaxes(0, 1)
     volume = np.bincount(of_face, (a * np.cross(b, c)).sum(axis=1) / 6.0, minlength=k)
     return Bodies(faces, of_face, closed, np.where(closed, volume, 0.0), low, high)
+
+
+def _neighbors(points: FloatArray, faces: IntArray) -> IntArray:
+    """Face across every edge (m, 3), opposite to a corner; -1 for none, or several.
+
+    Where solids touch along an edge, each of its faces has the one across the same solid.
+    """
+    edges = surface_edges(faces, len(points))
+    cell, corner = np.nonzero(edges.degree[edges.of_cell] > 2)
+    if not len(cell):
+        return edges.neighbors
+    # around an edge from its smaller vertex on, a solid ends at a face that runs the same way
+    ends = edges.forward[cell, corner]
+    edge, first, of = np.unique(
+        edges.of_cell[cell, corner], return_index=True, return_inverse=True)
+    low, high = points[edges.vertices[edge]].swapaxes(0, 1)
+    along, u = (high - low)[of], points[faces[cell, corner]] - low[of]
+    upright = np.cross(along, u)
+    cosine = (upright * upright[first][of]).sum(axis=1)
+    sine = (u * upright[first][of]).sum(axis=1) * np.sqrt((along**2).sum(axis=1))
+    part = cosine / np.maximum(np.abs(cosine) + np.abs(sine), np.finfo(float).tiny)
+    turn = np.round(np.where(sine < 0.0, 3.0 + part, 1.0 - part), 6) % 4.0
+    order = np.lexsort((~ends, turn, of))
+    cell, corner, ends, of = cell[order], corner[order], ends[order], of[order]
+    start = np.searchsorted(of, np.arange(len(edge)))
+    size = np.diff(np.append(start, len(of)))
+    follows = np.arange(len(of)) + 1
+    follows[start + size - 1] = start
+    odd = np.bincount(of[ends == ends[follows]], minlength=len(edge)) > 0
+    begins = np.flatnonzero(~ends & ~odd[of])
+    out = edges.neighbors.copy()
+    for one, other in ((begins, follows[begins]), (follows[begins], begins)):
+        out[cell[one], corner[one]] = cell[other]
+    return out
 
 
 def _pinched(faces: IntArray) -> BoolArray:

@@ -19,6 +19,9 @@ from odt_plugins.quality import volumes
 MOST_GONE = 0.01
 """Largest share of an area that may have nothing beside it where a surface counts as filled."""
 
+REACH = 2.0
+"""Envelopes within which a facet stands for a face: TetWild checks its own at samples only."""
+
 SAMPLES = 40_000
 """Points at which an area is looked at, about; at least one in every triangle."""
 

@@ -22,7 +22,7 @@ from odt_plugins.errors import (
 )
 from odt_plugins.generate.bodies import body_labels, outward
 from odt_plugins.generate.coarse import TETWILD_PART
-from odt_plugins.generate.covered import compare
+from odt_plugins.generate.covered import REACH, compare
 from odt_plugins.generate.levels import check_levels, refine_and_optimize
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import diagonal, mesh_arrays, reverse
@@ -39,9 +39,6 @@ if TYPE_CHECKING:
     from odt_plugins.adapters.host import HostMesh
     from odt_plugins.generate.levels_report import LevelsReport
     from odt_plugins.report.report import Report
-
-REACH = 2.0
-"""Envelopes within which a facet stands for a face: TetWild checks its own at samples only."""
 
 BODY = "body"
 """Cell array with the numbers of closed components."""
@@ -171,9 +168,11 @@ def fill(
             **options | {"envelope": rest * envelope})
         label = labels[0] if bodies else None
         seconds = report.times["TetWild"]
-    filled = compare(surface, (points, cells), reach)
-    if not filled.filled:
-        warn(filled.complaint(), NotFilledWarning)
+    filled = report.filled
+    if filled is None:
+        filled = compare(surface, (points, cells), reach)
+        if not filled.filled:
+            warn(filled.complaint(), NotFilledWarning)
     mesh = _labelled(points, cells, host, reach)
     if label is not None:
         mesh.cell_data[BODY] = [label] + [np.zeros(len(block.data), dtype=np.int32)

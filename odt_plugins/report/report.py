@@ -365,6 +365,9 @@ def _curved_lines(facts: Mapping[str, float]) -> list[str]:
     text = ("curved {cells} cells; least scaled Jacobian {least_before:.4f} -> {least_after:.4f}, "
             "mean {mean_before:.4f} -> {mean_after:.4f}")
     lines = [text.format(**facts)]
+    if facts.get("folded"):
+        lines.append(f"note   {facts['folded']} curved cells that were valid are folded, since the "
+                     f"mesh was untangled; try untangle=False, or moving what is inverted")
     if facts["vertices_held"]:
         lines.append(f"note   {facts['vertices_held']} vertices stay, since curved cells beside "
                      f"them would be folded or have a smaller scaled Jacobian")

@@ -201,3 +201,38 @@ def test_valid_cells_with_inverted_or_flat_corners_stay(host, order, flat, turne
     assert report.cell_origin is not None
     assert report.cell_origin[there[0]] == 5
     assert len(report.cell_origin) == len(cells)
+
+
+def knotted(order, around, seed):
+    """An annulus with an inner corner moved until cells are inverted; its edges are straight."""
+    shape = lattice(2, order, "gmsh")
+    nodes, rows = annulus(shape, around, seed)
+    corners = np.unique(rows[:, :3])
+    radius = np.linalg.norm(nodes[corners], axis=1)
+    inner = corners[np.argmin(np.abs(radius - 1.45))]
+    way = np.array([-nodes[inner][1], nodes[inner][0]]) / np.linalg.norm(nodes[inner])
+    for step in np.arange(0.2, 3.0, 0.2):
+        out = nodes.copy()
+        out[inner] += step * way
+        for row in rows[(rows[:, :3] == inner).any(axis=1)]:
+            weights = shape / order
+            at = weights[:, row[:3].tolist().index(inner)] > 0
+            out[row[at]] = weights[at] @ out[row[:3]]
+        x = out[rows[:, :3]]
+        if (np.linalg.det(x[:, 1:] - x[:, :1]) <= 0).any():
+            return out, rows
+    raise AssertionError
+
+
+@pytest.mark.parametrize(("order", "around", "seed"), [(2, 5, 2), (2, 7, 4), (3, 9, 1)])
+def test_valid_cells_stay_valid_where_others_are_untangled(order, around, seed):
+    pytest.importorskip("gmsh")
+    nodes, rows = knotted(order, around, seed)
+    assert (qualities(nodes, rows, 2, order)[0] > 0).all()
+    mesh = meshio.Mesh(nodes, [(NAMES[2, order], rows)])
+    out, report = odt_plugins.optimize_with_report(mesh)
+    assert report.untangled["inverted"] > 0
+    assert report.curved["folded"] == 0
+    assert (qualities(out.points, out.cells[0].data, 2, order)[0] > 0).all()
+    for name in ("least", "mean"):
+        assert report.curved[f"{name}_after"] >= report.curved[f"{name}_before"] - 1e-9

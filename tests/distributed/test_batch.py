@@ -12,18 +12,20 @@ import sys
 import threading
 import time
 from pathlib import Path
+from types import SimpleNamespace
 from typing import Any
 
 import meshio
 import numpy as np
 import pytest
 import tet_meshes
+import trimesh
 from processes import alive, children, full_disk, wait_until
 
 from odt_plugins.adapters.files import read_file
 from odt_plugins.cli import main as cli
 from odt_plugins.compare.start import ball
-from odt_plugins.distributed import batch
+from odt_plugins.distributed import batch, cluster
 from odt_plugins.distributed.batch import HIDDEN, Job, find_inputs, job_key, make_jobs, run_batch
 from odt_plugins.distributed.job import COMPILING, MOST, RESULT, compiling, outside
 from odt_plugins.distributed.scratch import GONE, clear, make_scratch
@@ -195,6 +197,22 @@ def test_small_inputs_share_a_process_and_one_that_ends_it_leaves_the_others_the
         one, other = (meshio.read(place / out / f"{n}.vtu") for out in ("together", "apart"))
         assert one.points.tobytes() == other.points.tobytes()
     assert [p.name for p in (place / "apart" / HIDDEN).iterdir()] == ["rows"]
+
+
+def test_small_inputs_share_a_process_on_workers_too(place, monkeypatch):
+    started: list[int] = []
+    start = batch._start
+    monkeypatch.setattr(batch, "_start",
+                        lambda folder, tasks: started.append(len(tasks)) or start(folder, tasks))
+    monkeypatch.setattr(cluster, "check_workers", lambda client: 1)
+    monkeypatch.setattr(cluster, "as_they_finish", lambda client, function, items: enumerate(
+        OSError("gone") if 7 in item else function(item) for item in items))
+    paths = [str(write_ball(place / "models" / f"{n}.vtu", n)) for n in range(60, 68)]
+    jobs = make_jobs(paths, place / "out", {"finish": False, "rounds": 1})
+    rows = run_batch(jobs, client=SimpleNamespace(cluster=None))
+    assert [row["status"] for row in rows] == ["ok"] * 6 + ["lost"] * 2
+    assert [row["source"] for row in rows] == paths
+    assert started == [2, 2, 2]
 
 
 def test_an_input_without_end_costs_those_that_share_its_process_nothing(place):
@@ -717,6 +735,27 @@ def test_surfaces_that_cannot_be_filled_are_rows(place):
         "tets.vtu holds tetrahedra; expected a surface of triangles to be filled")
     assert "TetWild found no tetrahedra inside the surface" in messages["open.stl"]
     assert files(place / "out") == []
+
+
+def test_surfaces_that_are_filled_in_part_have_a_status_of_their_own(place):
+    pytest.importorskip("pytetwild")
+    sphere = trimesh.creation.icosphere(2)
+    bowl = trimesh.Trimesh(sphere.vertices, sphere.faces[sphere.triangles_center[:, 2] < 0])
+    bowl.export(place / "models" / "bowl.off")
+    sphere.export(place / "models" / "ball.off")
+    words = ["batch", "models/bowl.off", "models/ball.off", "--out", "out", "--tetrahedralize",
+             "--edge-length", "0.2", "--quiet"]
+    for again in ([], ["--resume"]):
+        assert cli.main([*words, *again]) == 1
+        with open(place / "out" / "summary.csv", newline="") as file:
+            rows = {Path(row["source"]).name: row for row in csv.DictReader(file)}
+        assert rows["bowl.off"]["status"] == "partly filled"
+        assert "of the boundary of the result stands for no face" in rows["bowl.off"]["message"]
+        assert rows["ball.off"]["status"] == "ok"
+        for row in rows.values():
+            assert row["resumed"] == str(bool(again))
+            assert float(row["after_mean_quality"]) > 0.5
+            assert (place / "out" / row["result"]).is_file()
 
 
 @pytest.mark.parametrize(("name", "again"), [("SIGSEGV", False), ("SIGKILL", True)])

@@ -8,6 +8,7 @@ import json
 import meshio
 import numpy as np
 import pytest
+import trimesh
 
 import odt_plugins
 from odt_plugins import tetwild
@@ -227,3 +228,20 @@ def test_tetwild_fills_a_body_that_was_inside_out(tmp_path, monkeypatch):
     corner = out.points[out.cells_dict["tetra"]]
     size = np.abs(np.linalg.det(corner[:, 1:] - corner[:, :1])).sum() / 6
     assert size == pytest.approx(2, rel=0.02)
+
+
+@pytest.mark.parametrize("shift", [(1, 0, 0), (1, 0.5, 0), (1, 1, 0), (1, 1, 1)])
+def test_solids_that_touch_are_bodies_of_their_own(shift):
+    one = trimesh.creation.box((1, 1, 1)).subdivide()
+    other = one.copy()
+    other.apply_translation(shift)
+    both = trimesh.util.concatenate([one, other])
+    both.merge_vertices()
+    turn = np.linalg.qr(np.random.default_rng(2).normal(size=(3, 3)))[0]
+    turn[:, 0] *= np.linalg.det(turn)
+    points, faces = np.array(both.vertices), np.array(both.faces, dtype=np.int32)
+    found = bodies.find_bodies(points @ turn.T, faces)
+    assert found.closed.tolist() == [True, True]
+    assert found.volume == pytest.approx([1, 1])
+    x = np.array([[0.1, 0.1, 0.1], shift, [2.9, 0, 0]])
+    assert bodies.body_labels(x, points, faces, 1e-3).tolist() == [1, 2, 0]

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from itertools import permutations
+import re
+from itertools import combinations, permutations
 
 import meshio
 import numpy as np
@@ -56,7 +57,18 @@ def test_a_few_places_where_neighbours_disagree_are_worked_around_and_named():
     cells[100] = cells[100, ::-1]
     better, report = odt_plugins.optimize_with_report((points, cells))
     assert report.after.mean_quality > report.before.mean_quality
-    assert "disagree about the outside at 3 edges" in str(report)
+    said = re.search(r"about the outside at 3 edges \(1 place: (.*)\) and stay", str(report))
+    assert said is not None
+    pairs = {tuple(sorted((int(a), int(b)))) for a, b in combinations(cells[100], 2)}
+    assert any(said[1].startswith(f"{pair} around (") for pair in pairs)
+    flipped = cells.copy()
+    apart = np.arange(0, 1200, 150)
+    flipped[apart] = flipped[apart, ::-1]
+    _, more = odt_plugins.optimize_with_report((points, flipped))
+    (line,) = [line for line in str(more).splitlines() if "disagree" in line]
+    assert f"at {3 * len(apart) + 3} edges ({len(apart) + 1} places: " in line
+    assert line.count(" around (") == 5
+    assert ", ...) and stay there" in line
     rows = {tuple(np.roll(c, -int(np.argmin(c))).tolist()) for c in better[1]}
     assert tuple(np.roll(cells[100], -int(np.argmin(cells[100]))).tolist()) in rows
     assert (better[0][cells[100]] == points[cells[100]]).all()
