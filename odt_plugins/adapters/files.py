@@ -15,7 +15,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters import apart, gmsh_files, meshio_mesh, reading, vtk_files
-from odt_plugins.adapters.fitting import FORMS, fitted, group_names
+from odt_plugins.adapters.comparing import not_kept, other_types
+from odt_plugins.adapters.fitting import FORMS, fitted
 from odt_plugins.adapters.formats import READERS, REWRITERS, WRITERS, gmsh_groups, gmsh_tables
 from odt_plugins.adapters.formats.change import Change, NotRewritable, Origin, origin_of
 from odt_plugins.adapters.host import HostMesh, Result
@@ -174,7 +175,8 @@ def write_file(
     finally:
         shutil.rmtree(beside, ignore_errors=True)
     if lost:
-        msg = f"{path} does not keep {', '.join(lost)}; try a .vtu file or another format"
+        other = "another format" if name in apart.VTK else "a .vtu file or another format"
+        msg = f"{path} does not keep {', '.join(lost)}; try {other}"
         warn(msg, DataNotKeptWarning)
         return
     for remark in remarks:
@@ -323,9 +325,9 @@ def _write_and_compare(
     if _sizes(back) != _sizes(fit) or len(back.points) != len(fit.points):
         reason = f"it does not hold {len(fit.points)} points with cells {_sizes(fit)}"
         raise _not_written(path, name, reason)
-    lost += _lost(mesh, back)
+    lost += not_kept(mesh, back)
     if name in apart.VTK:
-        lost += _other_types(mesh, back)
+        lost += other_types(mesh, back)
     return lost, said
 
 
@@ -364,7 +366,7 @@ def _rewritten(
     if _sizes(back) != _sizes(mesh) or len(back.points) != len(mesh.points):
         msg = f"it does not hold {len(mesh.points)} points with cells {_sizes(mesh)}"
         raise _not_written(path, origin.format, msg)
-    return lost + _lost(mesh, back), []
+    return lost + not_kept(mesh, back), []
 
 
 def _in_its_place(name: str) -> Callable[..., list[str]]:
@@ -438,94 +440,3 @@ def _sizes(mesh: Any) -> dict[str, int]:
         if len(block.data):
             sizes[block.type] = sizes.get(block.type, 0) + len(block.data)
     return dict(sorted(sizes.items()))
-
-
-def _lost(mesh: Any, back: Any) -> list[str]:
-    """Name the data that did not come back, and those that did under another name.
-
-    Formats may put the points in another order: .msh has those of one entity together.
-    """
-    lost = []
-    renamed = []
-    d = min(mesh.points.shape[1], back.points.shape[1])
-    old, new = mesh.points[:, :d], back.points[:, :d]
-    if not np.array_equal(old, new) and not np.array_equal(
-        np.unique(old, axis=0), np.unique(new, axis=0)
-    ):
-        lost.append("the last digits of the coordinates")
-    groups = group_names(mesh)
-    homes = (back.cell_sets, back.field_data, _families(back))
-    named = any(groups <= set(home) for home in homes)
-    for kind in ("point_data", "cell_data", "field_data", "point_sets", "cell_sets"):
-        old, new = getattr(mesh, kind), getattr(back, kind)
-        what = kind.replace("_", " ")
-        gone = set(old) - set(new) - set(gmsh_tables.BOOKKEEPING)
-        if kind in ("field_data", "cell_sets"):
-            gone -= groups
-        # Numbers of the families of MED files, whose groups are sets.
-        if set(mesh.cell_sets) <= {*back.cell_sets, *back.cell_data}:
-            gone -= {"cell_tags", "point_tags"}
-        if gmsh_tables.PHYSICAL in mesh.cell_data:
-            gone -= {gmsh_tables.ENTITY}
-            gone -= {gmsh_tables.PHYSICAL} if groups and groups <= set(back.cell_sets) else set()
-        for name in sorted(gone if kind in ("point_data", "cell_data") else ()):
-            values = _by_type(mesh, old[name])
-            others = {n: _by_type(back, new[n]) for n in sorted(set(new) - set(old))}
-            if "cell_tags" in others:
-                # Families of cells have the negative numbers of their labels.
-                others["cell_tags"] = {k: -v for k, v in others["cell_tags"].items()}
-            other = next((n for n in others if _same(values, others[n]) == set(others[n])), None)
-            best = other or max(others, key=lambda n: len(_same(values, others[n])), default="")
-            kept = _same(values, others[best]) if best else set()
-            if kept:
-                gone.discard(name)
-                renamed.append(f"the name of {what} {name!r} (there {best!r})")
-            if kept and not other:
-                rest = " and ".join(sorted(set(values) - kept))
-                lost.append(f"{what} {name!r} of {rest}")
-        # The formats of VTK have arrays in place of sets.
-        arrays = "_sets" in kind and gone <= set(getattr(back, kind.replace("_sets", "_data")))
-        if gone:
-            lost.append(f"{what} {', '.join(map(repr, sorted(gone)))}"
-                        + " (arrays of 0 and 1 there)" * arrays)
-    if not named:
-        lost.append(f"the names of the groups {', '.join(map(repr, sorted(groups)))}")
-    return lost + renamed
-
-
-def _families(mesh: Any) -> set[str]:
-    """Names of the families of a MED file."""
-    return {name for names in getattr(mesh, "cell_tags", {}).values() for name in names}
-
-
-def _by_type(mesh: Any, values: Any) -> dict[str, NDArray[Any]]:
-    """Cell data of the blocks of each type, one after another; point data as they are."""
-    if not isinstance(values, list):
-        return {"": np.asarray(values)}
-    kinds = sorted({block.type for block in mesh.cells})
-    return {kind: np.concatenate([np.asarray(part) for block, part in
-                                  zip(mesh.cells, values, strict=True) if block.type == kind])
-            for kind in kinds}
-
-
-def _same(one: dict[str, NDArray[Any]], two: dict[str, NDArray[Any]]) -> set[str]:
-    """Types of cells with the same values, that are not all alike."""
-    return {kind for kind in set(one) & set(two) if np.array_equal(one[kind], two[kind])}
-
-
-def _other_types(mesh: Any, back: Any) -> list[str]:
-    """Name the arrays that came back with values of another type."""
-    other = []
-    for kind in ("point_data", "cell_data"):
-        old, new = getattr(mesh, kind), getattr(back, kind)
-        for name in sorted(set(old) & set(new)):
-            was, now = _one_array(old[name]).dtype, _one_array(new[name]).dtype
-            if now.newbyteorder("=") != was.newbyteorder("=") and was.kind not in "US":
-                what = kind.replace("_", " ")
-                other.append(f"the type of {what} {name!r} ({was}, there {now})")
-    return other
-
-
-def _one_array(values: Any) -> NDArray[Any]:
-    """Point data, or the cell data of all blocks one after another."""
-    return np.concatenate(values) if isinstance(values, list) and values else np.asarray(values)
