@@ -14,7 +14,15 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters import apart, gmsh_files, meshio_mesh, reading, vtk_files
+from odt_plugins.adapters import (
+    apart,
+    gmsh_files,
+    meshio_mesh,
+    reading,
+    scene_files,
+    trimesh_scene,
+    vtk_files,
+)
 from odt_plugins.adapters.comparing import not_kept, other_types
 from odt_plugins.adapters.fitting import FORMS, fitted
 from odt_plugins.adapters.formats import READERS, REWRITERS, WRITERS, gmsh_groups, gmsh_tables
@@ -54,7 +62,10 @@ def matches(mesh: object) -> bool:
 
 def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     """Read the file and take the arrays out as of any meshio.Mesh."""
-    return meshio_mesh.read(read_file(mesh), regions)
+    found = read_file(mesh)
+    if trimesh_scene.matches(found):
+        return trimesh_scene.read(found, regions)
+    return meshio_mesh.read(found, regions)
 
 
 def write(result: Result, host: HostMesh) -> Any:
@@ -67,7 +78,7 @@ def read_file(path: str | os.PathLike[str]) -> Any:
 
     Returns
     -------
-    meshio.Mesh
+    meshio.Mesh      or trimesh.Scene of files of glTF
 
     Raises
     ------
@@ -94,6 +105,8 @@ def read_file(path: str | os.PathLike[str]) -> Any:
         kind = "a directory" if path.is_dir() else "missing"
         msg = f"cannot read {path}: it is {kind}; expected a mesh file"
         raise MeshFileError(msg)
+    if path.suffix.lower() in scene_files.SUFFIXES:
+        return _read_scene(path)
     mesh, remarks, name = _read_as(path, formats)
     setattr(mesh, meshio_mesh.ORIGIN, origin_of(path, name, mesh))
     told = list(dict.fromkeys(remarks))
@@ -102,6 +115,35 @@ def read_file(path: str | os.PathLike[str]) -> Any:
     for remark in told:
         warn(f"{path}: {remark}", DataNotKeptWarning)
     return mesh
+
+
+def _read_scene(path: Path) -> Any:
+    """Read a file of glTF by trimesh."""
+    try:
+        with reading.remarks():
+            return scene_files.read(path)
+    # A parser may raise anything at all on a broken file.
+    except Exception as exc:
+        reason = _reason(exc)
+        if reason == type(exc).__name__ or isinstance(exc, KeyError):
+            reason = "it is incomplete or no glTF file"
+        msg = f"cannot read {path} as glTF: {reason}; expected a complete file"
+        raise MeshFileError(msg) from exc
+
+
+def expect_same_kind(mesh: Any, target: str | os.PathLike[str]) -> None:
+    """See whether a scene, or a path of one, goes into a file of scenes and a mesh into another.
+
+    Raises
+    ------
+    MeshFileError    it is the other way round
+    """
+    scene = (Path(mesh).suffix.lower() in scene_files.SUFFIXES if matches(mesh)
+             else trimesh_scene.matches(mesh))
+    if scene != (Path(target).suffix.lower() in scene_files.SUFFIXES):
+        what, other = ("a scene", ".glb") if scene else ("a single mesh", ".ply")
+        msg = f"cannot write {what} to {target}; try a {other} file"
+        raise MeshFileError(msg)
 
 
 def check_output(
@@ -158,6 +200,7 @@ def write_file(
     """
     path = Path(path)
     check_output(path)
+    expect_same_kind(mesh, path)
     source = _source(path, mesh) if file_format is None and binary is None else None
     name, binary = chosen_format(path, mesh, file_format, binary)
     with writing(path, "another directory"):
@@ -165,7 +208,9 @@ def write_file(
     try:
         with writing(path, "another path"):
             lost, remarks = _rewritten(beside / path.name, mesh, source)
-            if lost is None:
+            if trimesh_scene.matches(mesh):
+                lost = scene_files.write(beside / path.name, mesh)
+            elif lost is None:
                 lost, more = _write_and_compare(beside / path.name, mesh, name, binary)
                 remarks += more
                 lost += mesh.info.get("unread", []) if isinstance(mesh.info, dict) else []
@@ -176,7 +221,8 @@ def write_file(
         shutil.rmtree(beside, ignore_errors=True)
     if lost:
         other = "another format" if name in apart.VTK else "a .vtu file or another format"
-        msg = f"{path} does not keep {', '.join(lost)}; try {other}"
+        hint = "" if trimesh_scene.matches(mesh) else f"; try {other}"
+        msg = f"{path} does not keep {', '.join(lost)}{hint}"
         warn(msg, DataNotKeptWarning)
         return
     for remark in remarks:
@@ -190,13 +236,18 @@ def _formats(path: Path) -> list[str]:
     known = dict(extension_to_filetypes)
     if apart.vtk_installed():
         known[".vtp"] = ["vtp"]
+    if scene_files.installed():
+        known |= {suffix: [name] for suffix, name in scene_files.SUFFIXES.items()}
     for count in range(len(path.suffixes)):
         suffix = "".join(path.suffixes[count:]).lower()
         if suffix in known:
             first = PREFERRED.get(suffix)
             return sorted(known[suffix], key=lambda name: name != first)
-    if path.suffix.lower() == ".vtp":
-        msg = f'{path} needs the package pyvista, which is not installed; try "pip install pyvista"'
+    needed = {".vtp": "pyvista"} | dict.fromkeys(scene_files.SUFFIXES, "trimesh")
+    package = needed.get(path.suffix.lower())
+    if package is not None:
+        msg = (f'{path} needs the package {package}, which is not installed; try '
+               f'"pip install {package}"')
         raise MissingDependencyError(msg)
     msg = f"{path} has no suffix of a mesh file; expected one of {' '.join(sorted(known))}"
     raise MeshFileError(msg)
