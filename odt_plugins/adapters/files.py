@@ -48,8 +48,19 @@ PREFERRED = {".msh": "gmsh"}
 REMARKS = 3
 """Most remarks of a reader that are passed on one by one."""
 
-CUT = r"\bends?\b|declares|announces|incomplete|to its end|\d+ bytes|lines for|\bholds\b"
+CUT = (r"\bends?\b|declares|announces|incomplete|to its end|\d+ bytes|lines for|\bholds\b|"
+       r"truncated|HDF error")
 """What the reason has in it where a file is not whole."""
+
+SAID = (
+    (r"(?:could not convert string(?: to float:)?|invalid literal for int\(\) with base \d+:)"
+     r" (?:np\.bytes_\()?b?(['\"])(.*?)\1.*", r"it has \2 in place of a number"),
+    (r".*(?:inhomogeneous|the number of columns changed|cannot reshape array|zip\(\) argument|"
+     r"index out of range|out of bounds|must match exactly|broadcast).*",
+     "its lines do not fit together, or some are missing"),
+    (r"\[Errno -\d+\] (NetCDF: [^']*?): '.*", r"\1"),
+)
+"""What Python and its libraries say of broken files, and what it means."""
 
 PROBE = 1 << 16
 """Bytes added to a file that was not written, to see whether the system lets it grow."""
@@ -124,7 +135,7 @@ def _read_scene(path: Path) -> Any:
             return scene_files.read(path)
     # A parser may raise anything at all on a broken file.
     except Exception as exc:
-        reason = _reason(exc)
+        reason = _meaning(_reason(exc))
         if reason == type(exc).__name__ or isinstance(exc, KeyError):
             reason = "it is incomplete or no glTF file"
         msg = f"cannot read {path} as glTF: {reason}; expected a complete file"
@@ -292,7 +303,7 @@ def _read_as(path: Path, formats: list[str]) -> tuple[Any, list[str], str]:
         msg = f"the mesh has no cells in {path}; expected tetra or triangle"
         raise InvalidMeshError(msg) from cause
     kinds = " or ".join(formats)
-    reason = "meshio only writes it" if cause is None else _reason(cause)
+    reason = "meshio only writes it" if cause is None else _meaning(_reason(cause))
     if cause is not None and reason == type(cause).__name__:
         reason = f"it is incomplete or no {kinds} file"
         if isinstance(cause, MemoryError):
@@ -482,6 +493,15 @@ def _not_written(path: Path, name: str, reason: str) -> MeshFileError:
 def _reason(exc: BaseException | None) -> str:
     """One line that says what went wrong in a parser or writer."""
     return " ".join(str(exc).split())[:200] or type(exc).__name__
+
+
+def _meaning(reason: str) -> str:
+    """What a parser says, in words about the file."""
+    for said, meaning in SAID:
+        found = re.fullmatch(said, reason)
+        if found:
+            return found.expand(meaning)
+    return reason
 
 
 def _sizes(mesh: Any) -> dict[str, int]:
