@@ -11,7 +11,12 @@ from typing import TYPE_CHECKING, Any, TypeVar, Unpack, overload
 
 import numpy as np
 
-from odt_plugins.adapters.files import check_output, read_file, write_file
+from odt_plugins.adapters.files import (
+    check_output,
+    expect_same_kind,
+    read_file,
+    write_file,
+)
 from odt_plugins.adapters.host import words_of
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
@@ -155,7 +160,7 @@ def optimize_file(
 
     Returns
     -------
-    Report
+    Report    or a list of them for the geometries of a scene
 
     Raises
     ------
@@ -163,6 +168,7 @@ def optimize_file(
     """
     make_options(**options)
     check_output(target, file_format, binary)
+    expect_same_kind(source, target)
     Thread(target=import_module, args=("odt_plugins.engine.run.plan",), daemon=True).start()
     report: Report
     mesh, report = optimize_with_report(read_file(source), **options)

@@ -91,7 +91,7 @@ TOOLKITS = {
                   "hosts/pymeshlab_work.py", "hosts/script.py", "compare/baselines/meshlab.py"},
     "open3d": {"adapters/open3d_mesh.py", "hosts/open3d_filters.py",
                "compare/baselines/open3d_smooth.py"},
-    "trimesh": set(),
+    "trimesh": {"adapters/scene_files.py"},
     "skfem": {"compare/poisson.py", "report/worth.py"},
     "ngsolve": set(),
     "torch": set(),

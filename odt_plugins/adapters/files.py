@@ -14,8 +14,17 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters import apart, gmsh_files, meshio_mesh, reading, vtk_files
-from odt_plugins.adapters.fitting import FORMS, fitted, group_names
+from odt_plugins.adapters import (
+    apart,
+    gmsh_files,
+    meshio_mesh,
+    reading,
+    scene_files,
+    trimesh_scene,
+    vtk_files,
+)
+from odt_plugins.adapters.comparing import not_kept, other_types
+from odt_plugins.adapters.fitting import FORMS, fitted
 from odt_plugins.adapters.formats import READERS, REWRITERS, WRITERS, gmsh_groups, gmsh_tables
 from odt_plugins.adapters.formats.change import Change, NotRewritable, Origin, origin_of
 from odt_plugins.adapters.host import HostMesh, Result
@@ -39,8 +48,19 @@ PREFERRED = {".msh": "gmsh"}
 REMARKS = 3
 """Most remarks of a reader that are passed on one by one."""
 
-CUT = r"\bends?\b|declares|announces|incomplete|to its end|\d+ bytes|lines for|\bholds\b"
+CUT = (r"\bends?\b|declares|announces|incomplete|to its end|\d+ bytes|lines for|\bholds\b|"
+       r"truncated|HDF error")
 """What the reason has in it where a file is not whole."""
+
+SAID = (
+    (r"(?:could not convert string(?: to float:)?|invalid literal for int\(\) with base \d+:)"
+     r" (?:np\.bytes_\()?b?(['\"])(.*?)\1.*", r"it has \2 in place of a number"),
+    (r".*(?:inhomogeneous|the number of columns changed|cannot reshape array|zip\(\) argument|"
+     r"index out of range|out of bounds|must match exactly|broadcast).*",
+     "its lines do not fit together, or some are missing"),
+    (r"\[Errno -\d+\] (NetCDF: [^']*?): '.*", r"\1"),
+)
+"""What Python and its libraries say of broken files, and what it means."""
 
 PROBE = 1 << 16
 """Bytes added to a file that was not written, to see whether the system lets it grow."""
@@ -53,7 +73,10 @@ def matches(mesh: object) -> bool:
 
 def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     """Read the file and take the arrays out as of any meshio.Mesh."""
-    return meshio_mesh.read(read_file(mesh), regions)
+    found = read_file(mesh)
+    if trimesh_scene.matches(found):
+        return trimesh_scene.read(found, regions)
+    return meshio_mesh.read(found, regions)
 
 
 def write(result: Result, host: HostMesh) -> Any:
@@ -66,7 +89,7 @@ def read_file(path: str | os.PathLike[str]) -> Any:
 
     Returns
     -------
-    meshio.Mesh
+    meshio.Mesh      or trimesh.Scene of files of glTF
 
     Raises
     ------
@@ -93,6 +116,8 @@ def read_file(path: str | os.PathLike[str]) -> Any:
         kind = "a directory" if path.is_dir() else "missing"
         msg = f"cannot read {path}: it is {kind}; expected a mesh file"
         raise MeshFileError(msg)
+    if path.suffix.lower() in scene_files.SUFFIXES:
+        return _read_scene(path)
     mesh, remarks, name = _read_as(path, formats)
     setattr(mesh, meshio_mesh.ORIGIN, origin_of(path, name, mesh))
     told = list(dict.fromkeys(remarks))
@@ -101,6 +126,35 @@ def read_file(path: str | os.PathLike[str]) -> Any:
     for remark in told:
         warn(f"{path}: {remark}", DataNotKeptWarning)
     return mesh
+
+
+def _read_scene(path: Path) -> Any:
+    """Read a file of glTF by trimesh."""
+    try:
+        with reading.remarks():
+            return scene_files.read(path)
+    # A parser may raise anything at all on a broken file.
+    except Exception as exc:
+        reason = _meaning(_reason(exc))
+        if reason == type(exc).__name__ or isinstance(exc, KeyError):
+            reason = "it is incomplete or no glTF file"
+        msg = f"cannot read {path} as glTF: {reason}; expected a complete file"
+        raise MeshFileError(msg) from exc
+
+
+def expect_same_kind(mesh: Any, target: str | os.PathLike[str]) -> None:
+    """See whether a scene, or a path of one, goes into a file of scenes and a mesh into another.
+
+    Raises
+    ------
+    MeshFileError    it is the other way round
+    """
+    scene = (Path(mesh).suffix.lower() in scene_files.SUFFIXES if matches(mesh)
+             else trimesh_scene.matches(mesh))
+    if scene != (Path(target).suffix.lower() in scene_files.SUFFIXES):
+        what, other = ("a scene", ".glb") if scene else ("a single mesh", ".ply")
+        msg = f"cannot write {what} to {target}; try a {other} file"
+        raise MeshFileError(msg)
 
 
 def check_output(
@@ -157,6 +211,7 @@ def write_file(
     """
     path = Path(path)
     check_output(path)
+    expect_same_kind(mesh, path)
     source = _source(path, mesh) if file_format is None and binary is None else None
     name, binary = chosen_format(path, mesh, file_format, binary)
     with writing(path, "another directory"):
@@ -164,7 +219,9 @@ def write_file(
     try:
         with writing(path, "another path"):
             lost, remarks = _rewritten(beside / path.name, mesh, source)
-            if lost is None:
+            if trimesh_scene.matches(mesh):
+                lost = scene_files.write(beside / path.name, mesh)
+            elif lost is None:
                 lost, more = _write_and_compare(beside / path.name, mesh, name, binary)
                 remarks += more
                 lost += mesh.info.get("unread", []) if isinstance(mesh.info, dict) else []
@@ -174,7 +231,9 @@ def write_file(
     finally:
         shutil.rmtree(beside, ignore_errors=True)
     if lost:
-        msg = f"{path} does not keep {', '.join(lost)}; try a .vtu file or another format"
+        other = "another format" if name in apart.VTK else "a .vtu file or another format"
+        hint = "" if trimesh_scene.matches(mesh) else f"; try {other}"
+        msg = f"{path} does not keep {', '.join(lost)}{hint}"
         warn(msg, DataNotKeptWarning)
         return
     for remark in remarks:
@@ -188,13 +247,18 @@ def _formats(path: Path) -> list[str]:
     known = dict(extension_to_filetypes)
     if apart.vtk_installed():
         known[".vtp"] = ["vtp"]
+    if scene_files.installed():
+        known |= {suffix: [name] for suffix, name in scene_files.SUFFIXES.items()}
     for count in range(len(path.suffixes)):
         suffix = "".join(path.suffixes[count:]).lower()
         if suffix in known:
             first = PREFERRED.get(suffix)
             return sorted(known[suffix], key=lambda name: name != first)
-    if path.suffix.lower() == ".vtp":
-        msg = f'{path} needs the package pyvista, which is not installed; try "pip install pyvista"'
+    needed = {".vtp": "pyvista"} | dict.fromkeys(scene_files.SUFFIXES, "trimesh")
+    package = needed.get(path.suffix.lower())
+    if package is not None:
+        msg = (f'{path} needs the package {package}, which is not installed; try '
+               f'"pip install {package}"')
         raise MissingDependencyError(msg)
     msg = f"{path} has no suffix of a mesh file; expected one of {' '.join(sorted(known))}"
     raise MeshFileError(msg)
@@ -239,7 +303,7 @@ def _read_as(path: Path, formats: list[str]) -> tuple[Any, list[str], str]:
         msg = f"the mesh has no cells in {path}; expected tetra or triangle"
         raise InvalidMeshError(msg) from cause
     kinds = " or ".join(formats)
-    reason = "meshio only writes it" if cause is None else _reason(cause)
+    reason = "meshio only writes it" if cause is None else _meaning(_reason(cause))
     if cause is not None and reason == type(cause).__name__:
         reason = f"it is incomplete or no {kinds} file"
         if isinstance(cause, MemoryError):
@@ -323,9 +387,9 @@ def _write_and_compare(
     if _sizes(back) != _sizes(fit) or len(back.points) != len(fit.points):
         reason = f"it does not hold {len(fit.points)} points with cells {_sizes(fit)}"
         raise _not_written(path, name, reason)
-    lost += _lost(mesh, back)
+    lost += not_kept(mesh, back)
     if name in apart.VTK:
-        lost += _other_types(mesh, back)
+        lost += other_types(mesh, back)
     return lost, said
 
 
@@ -364,7 +428,7 @@ def _rewritten(
     if _sizes(back) != _sizes(mesh) or len(back.points) != len(mesh.points):
         msg = f"it does not hold {len(mesh.points)} points with cells {_sizes(mesh)}"
         raise _not_written(path, origin.format, msg)
-    return lost + _lost(mesh, back), []
+    return lost + not_kept(mesh, back), []
 
 
 def _in_its_place(name: str) -> Callable[..., list[str]]:
@@ -431,6 +495,15 @@ def _reason(exc: BaseException | None) -> str:
     return " ".join(str(exc).split())[:200] or type(exc).__name__
 
 
+def _meaning(reason: str) -> str:
+    """What a parser says, in words about the file."""
+    for said, meaning in SAID:
+        found = re.fullmatch(said, reason)
+        if found:
+            return found.expand(meaning)
+    return reason
+
+
 def _sizes(mesh: Any) -> dict[str, int]:
     """Number of cells by type."""
     sizes: dict[str, int] = {}
@@ -438,94 +511,3 @@ def _sizes(mesh: Any) -> dict[str, int]:
         if len(block.data):
             sizes[block.type] = sizes.get(block.type, 0) + len(block.data)
     return dict(sorted(sizes.items()))
-
-
-def _lost(mesh: Any, back: Any) -> list[str]:
-    """Name the data that did not come back, and those that did under another name.
-
-    Formats may put the points in another order: .msh has those of one entity together.
-    """
-    lost = []
-    renamed = []
-    d = min(mesh.points.shape[1], back.points.shape[1])
-    old, new = mesh.points[:, :d], back.points[:, :d]
-    if not np.array_equal(old, new) and not np.array_equal(
-        np.unique(old, axis=0), np.unique(new, axis=0)
-    ):
-        lost.append("the last digits of the coordinates")
-    groups = group_names(mesh)
-    homes = (back.cell_sets, back.field_data, _families(back))
-    named = any(groups <= set(home) for home in homes)
-    for kind in ("point_data", "cell_data", "field_data", "point_sets", "cell_sets"):
-        old, new = getattr(mesh, kind), getattr(back, kind)
-        what = kind.replace("_", " ")
-        gone = set(old) - set(new) - set(gmsh_tables.BOOKKEEPING)
-        if kind in ("field_data", "cell_sets"):
-            gone -= groups
-        # Numbers of the families of MED files, whose groups are sets.
-        if set(mesh.cell_sets) <= {*back.cell_sets, *back.cell_data}:
-            gone -= {"cell_tags", "point_tags"}
-        if gmsh_tables.PHYSICAL in mesh.cell_data:
-            gone -= {gmsh_tables.ENTITY}
-            gone -= {gmsh_tables.PHYSICAL} if groups and groups <= set(back.cell_sets) else set()
-        for name in sorted(gone if kind in ("point_data", "cell_data") else ()):
-            values = _by_type(mesh, old[name])
-            others = {n: _by_type(back, new[n]) for n in sorted(set(new) - set(old))}
-            if "cell_tags" in others:
-                # Families of cells have the negative numbers of their labels.
-                others["cell_tags"] = {k: -v for k, v in others["cell_tags"].items()}
-            other = next((n for n in others if _same(values, others[n]) == set(others[n])), None)
-            best = other or max(others, key=lambda n: len(_same(values, others[n])), default="")
-            kept = _same(values, others[best]) if best else set()
-            if kept:
-                gone.discard(name)
-                renamed.append(f"the name of {what} {name!r} (there {best!r})")
-            if kept and not other:
-                rest = " and ".join(sorted(set(values) - kept))
-                lost.append(f"{what} {name!r} of {rest}")
-        # The formats of VTK have arrays in place of sets.
-        arrays = "_sets" in kind and gone <= set(getattr(back, kind.replace("_sets", "_data")))
-        if gone:
-            lost.append(f"{what} {', '.join(map(repr, sorted(gone)))}"
-                        + " (arrays of 0 and 1 there)" * arrays)
-    if not named:
-        lost.append(f"the names of the groups {', '.join(map(repr, sorted(groups)))}")
-    return lost + renamed
-
-
-def _families(mesh: Any) -> set[str]:
-    """Names of the families of a MED file."""
-    return {name for names in getattr(mesh, "cell_tags", {}).values() for name in names}
-
-
-def _by_type(mesh: Any, values: Any) -> dict[str, NDArray[Any]]:
-    """Cell data of the blocks of each type, one after another; point data as they are."""
-    if not isinstance(values, list):
-        return {"": np.asarray(values)}
-    kinds = sorted({block.type for block in mesh.cells})
-    return {kind: np.concatenate([np.asarray(part) for block, part in
-                                  zip(mesh.cells, values, strict=True) if block.type == kind])
-            for kind in kinds}
-
-
-def _same(one: dict[str, NDArray[Any]], two: dict[str, NDArray[Any]]) -> set[str]:
-    """Types of cells with the same values, that are not all alike."""
-    return {kind for kind in set(one) & set(two) if np.array_equal(one[kind], two[kind])}
-
-
-def _other_types(mesh: Any, back: Any) -> list[str]:
-    """Name the arrays that came back with values of another type."""
-    other = []
-    for kind in ("point_data", "cell_data"):
-        old, new = getattr(mesh, kind), getattr(back, kind)
-        for name in sorted(set(old) & set(new)):
-            was, now = _one_array(old[name]).dtype, _one_array(new[name]).dtype
-            if now.newbyteorder("=") != was.newbyteorder("=") and was.kind not in "US":
-                what = kind.replace("_", " ")
-                other.append(f"the type of {what} {name!r} ({was}, there {now})")
-    return other
-
-
-def _one_array(values: Any) -> NDArray[Any]:
-    """Point data, or the cell data of all blocks one after another."""
-    return np.concatenate(values) if isinstance(values, list) and values else np.asarray(values)

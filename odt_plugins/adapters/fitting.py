@@ -55,9 +55,11 @@ FORMS = {
     "medit": Form("medit:ref", points=False, cells=False),
     "nastran": Form("nastran:ref", points=False, cells=False),
     "netgen": Form("netgen:index", points=False, cells=False),
+    "obj": Form(beside=False, blocks=True),
+    "off": Form(points=False, cells=False, beside=False, blocks=True),
     "ply": Form(blocks=True, text=True),
     "permas": Form(points=False, cells=False, blocks=True),
-    "stl": Form(points=False, blocks=True, sets=True, text=True),
+    "stl": Form(points=False, beside=False, blocks=True, sets=True, text=True),
     "su2": Form("su2:tag", points=False, cells=False),
     "tecplot": Form(beside=False),
     "tetgen": Form("tetgen:ref", points=False, cells=False, beside=False),
@@ -150,6 +152,8 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
         out.cell_data = {}
     if name in ("su2", "ugrid"):
         _as_written(out, name)
+    if name in ("obj", "off") and out.points.shape[1] == 2:
+        out.points = np.pad(out.points, ((0, 0), (0, 1)))
     return out, lost
 
 
@@ -315,11 +319,24 @@ def _with_tags(mesh: Any, name: str) -> Any:
     """Give a mesh for Gmsh the tags of groups and entities that it lacks; sets become groups."""
     if PHYSICAL not in mesh.cell_data and mesh.cell_sets:
         _group(mesh)
-    for tag, value in ((PHYSICAL, 0), (ENTITY, 1)):
-        if tag not in mesh.cell_data:
-            mesh.cell_data[tag] = [np.full(len(block.data), value, dtype=np.int32)
-                                   for block in mesh.cells]
+    if PHYSICAL not in mesh.cell_data:
+        mesh.cell_data[PHYSICAL] = [np.zeros(len(block.data), dtype=np.int32)
+                                    for block in mesh.cells]
+    if ENTITY not in mesh.cell_data:
+        mesh.cell_data[ENTITY] = _entities(mesh)
     if name == "gmsh22":
         mesh.point_data.pop(BOOKKEEPING[0], None)
     mesh.field_data = {key: value for key, value in mesh.field_data.items() if is_group(value)}
     return mesh
+
+
+def _entities(mesh: Any) -> list[NDArray[np.int32]]:
+    """An entity for each group of cells of each dimension, since Gmsh groups whole entities."""
+    groups = [np.asarray(values).ravel() for values in mesh.cell_data[PHYSICAL]]
+    out = [np.ones(len(values), dtype=np.int32) for values in groups]
+    for dim in {block.dim for block in mesh.cells}:
+        own = [i for i, block in enumerate(mesh.cells) if block.dim == dim]
+        known = np.unique(np.concatenate([groups[i] for i in own]))
+        for i in own:
+            out[i] = np.searchsorted(known, groups[i]).astype(np.int32) + 1
+    return out

@@ -95,6 +95,8 @@ def read(path: Path, name: str) -> tuple[Any, list[str]]:
     size = expect_counts(path, name)
     if name == "vtk":
         expect_whole(path)
+    if name == "netgen":
+        vol.expect_end(path)
     seconds = LEAST + size / RATE
     try:
         if name in apart.VTK and apart.vtk_installed():

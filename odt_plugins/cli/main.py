@@ -166,6 +166,9 @@ def optimize(
     if blocks is None and (scheduler or workers) and not pieces:
         msg = "--scheduler and --workers need --blocks, the number of blocks to cut the mesh into"
         raise click.UsageError(msg)
+    if source.suffix.lower() in (".glb", ".gltf") and (plot_file or worth):
+        msg = "--plot and --worth are for one mesh, INPUT is a scene"
+        raise click.UsageError(msg)
     if pieces and (report_file or plot_file or worth):
         msg = "--report, --plot and --worth are for one file each, OUTPUT names pieces"
         raise click.UsageError(msg)
@@ -189,14 +192,17 @@ def optimize(
 
             report = optimize_file_partitioned(source, target, blocks, block_rounds,
                                                client=client, **written, **options)
+    reports = report if isinstance(report, list) else [report]
     if not quiet:
-        click.echo(in_flags(str(report)))
+        click.echo("\n\n".join(in_flags(str(one)) for one in reports))
     if worth:
-        click.echo(f"\n{report.worth()}")
+        click.echo(f"\n{reports[0].worth()}")
     if report_file:
-        write_beside(report_file, lambda path: path.write_text(report.to_json() + "\n"))
+        told = ",\n".join(one.to_json() for one in reports)
+        told = f"[{told}]" if isinstance(report, list) else told
+        write_beside(report_file, lambda path: path.write_text(told + "\n"))
     if plot_file:
-        write_beside(plot_file, report.plot)
+        write_beside(plot_file, reports[0].plot)
     return DONE
 
 

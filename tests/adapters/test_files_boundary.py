@@ -60,11 +60,13 @@ def test_triangles_beside_tetrahedra_stay_in_the_file(suffix, churn, tmp_path, m
     new, new_labels = after.cells[tets].data, after.cell_data[name][tets]
     assert not np.array_equal(before.cells[tets].data, new)
     assert np.array_equal(_consistent(after, new_labels, new), triangles)
-    assert np.array_equal(after.cell_data[name][1 - tets], reference)
+    # Families of cells have negative numbers in MED files.
+    sign = -1 if suffix == ".med" else 1
+    assert np.array_equal(sign * after.cell_data[name][1 - tets], reference)
     held = np.unique(triangles)
     assert after.points[held].tobytes() == before.points[held].tobytes()
     for label in (1, 2):
-        whole = contract.volumes(after.points, new[new_labels == label]).sum()
+        whole = contract.volumes(after.points, new[sign * new_labels == label]).sum()
         assert abs(whole) == pytest.approx(3.0, rel=1e-6)
     for key, value in before.field_data.items():
         assert np.array_equal(after.field_data[key], value)

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.change import Change, NotRewritable
+from odt_plugins.errors import MeshFileError
 
 NODES = {"triangle": 3, "triangle6": 6, "quad": 4, "tetra": 4, "tetra10": 10}
 """Numbers of nodes of types of cells that may be optimised, and of quadrilaterals."""
@@ -33,6 +34,18 @@ class _Row(NamedTuple):
     stop: int
     words: list[bytes]
     spans: list[tuple[int, int]]
+
+
+def expect_end(path: Path) -> None:
+    """See whether a file has its last word; what follows is the geometry.
+
+    Raises
+    ------
+    MeshFileError    it has not
+    """
+    if not re.search(rb"(?m)^endmesh\s*$", _content(path)):
+        msg = "it ends before its last line, endmesh"
+        raise MeshFileError(msg)
 
 
 def identified(path: Path) -> NDArray[np.int64] | None:

@@ -1,0 +1,184 @@
+"""A mesh as it was to be written and as its file holds it: what is gone, by name."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.adapters.fitting import group_names
+from odt_plugins.adapters.formats import gmsh_tables
+
+FAMILIES = ("cell_tags", "point_tags")
+"""Numbers of the families of MED files, which are others in another file of the same groups."""
+
+DERIVED = ("Normals", "texcoord")
+"""Arrays that are computed anew for the surface, in the digits of its file."""
+
+ALMOST = 1e-4
+"""Relative difference up to which a number was rounded."""
+
+
+def not_kept(mesh: Any, back: Any) -> list[str]:
+    """Name the data that did not come back, and those that did under another name.
+
+    Formats may put the points in another order: .msh has those of one entity together.
+    """
+    lost = []
+    renamed = []
+    d = min(mesh.points.shape[1], back.points.shape[1])
+    old, new = mesh.points[:, :d], back.points[:, :d]
+    if not np.array_equal(old, new) and not np.array_equal(
+        np.unique(old, axis=0), np.unique(new, axis=0)
+    ):
+        lost.append("the last digits of the coordinates")
+    groups = group_names(mesh)
+    homes = (back.cell_sets, back.field_data, _families(back))
+    named = any(groups <= set(home) for home in homes)
+    for kind in ("point_data", "cell_data", "field_data", "point_sets", "cell_sets"):
+        old, new = getattr(mesh, kind), getattr(back, kind)
+        what = kind.replace("_", " ")
+        gone = set(old) - set(new) - set(gmsh_tables.BOOKKEEPING)
+        if kind in ("field_data", "cell_sets"):
+            gone -= groups
+        if set(mesh.cell_sets) <= {*back.cell_sets, *back.cell_data}:
+            gone -= {*FAMILIES}
+        if gmsh_tables.PHYSICAL in mesh.cell_data:
+            gone -= {gmsh_tables.ENTITY}
+            gone -= {gmsh_tables.PHYSICAL} if groups and groups <= set(back.cell_sets) else set()
+        for name in sorted(gone if kind in ("point_data", "cell_data") else ()):
+            values = _by_type(mesh, old[name])
+            others = {n: _by_type(back, new[n]) for n in sorted(set(new) - set(old))}
+            if "cell_tags" in others:
+                # Families of cells have the negative numbers of their labels.
+                others["cell_tags"] = {k: -v for k, v in others["cell_tags"].items()}
+            other = next((n for n in others if _same(values, others[n]) == set(others[n])), None)
+            best = other or max(others, key=lambda n: len(_same(values, others[n])), default="")
+            kept = _same(values, others[best]) if best else set()
+            if kept:
+                gone.discard(name)
+                renamed.append(f"the name of {what} {name!r} (there {best!r})")
+            if kept and not other:
+                rest = " and ".join(sorted(set(values) - kept))
+                lost.append(f"{what} {name!r} of {rest}")
+        lost += _others(mesh, back, kind, what)
+        # The formats of VTK have arrays in place of sets.
+        arrays = "_sets" in kind and gone <= set(getattr(back, kind.replace("_sets", "_data")))
+        if gone:
+            lost.append(f"{what} {', '.join(map(repr, sorted(gone)))}"
+                        + " (arrays of 0 and 1 there)" * arrays)
+    if _periodic(mesh) and not _periodic(back):
+        lost.append("which points of periodic faces correspond")
+    if not named:
+        lost.append(f"the names of the groups {', '.join(map(repr, sorted(groups)))}")
+    return lost + renamed
+
+
+def _periodic(mesh: Any) -> bool:
+    """Whether a mesh tells of points that correspond, as files of Gmsh and Netgen do."""
+    return bool(getattr(mesh, "gmsh_periodic", None)) or bool(
+        np.size(getattr(mesh, "identified", ())))
+
+
+def _others(mesh: Any, back: Any, kind: str, what: str) -> list[str]:
+    """Name what came back under its name with other values or members."""
+    old, new = getattr(mesh, kind), getattr(back, kind)
+    out = []
+    ordered = _in_order(mesh, back, cells=kind == "cell_data")
+    for name in sorted((set(old) & set(new)) - {*gmsh_tables.BOOKKEEPING, *FAMILIES}):
+        if kind.endswith("_sets"):
+            sizes = [sum(map(_count, part) if kind == "cell_sets" else [_count(part)])
+                     for part in (old[name], new[name])]
+            if sizes[0] != sizes[1]:
+                out.append(f"{sizes[0]} members of {what[:-1]} {name!r} (there {sizes[1]})")
+            continue
+        if kind == "field_data":
+            was, now = {"": np.asarray(old[name])}, {"": np.asarray(new[name])}
+        else:
+            was, now = _by_type(mesh, old[name]), _by_type(back, new[name])
+        found = {key: _difference(was[key], now[key], ordered=ordered or kind == "field_data")
+                 for key in sorted(set(was) & set(now))}
+        for worst in sorted(set(found.values()) - {0} - ({1} if name in DERIVED else set())):
+            kinds = [key for key in found if found[key] == worst]
+            rest = f" of {' and '.join(kinds)}" if len(kinds) < len(found) else ""
+            out.append(f"{('the last digits', 'the values')[worst - 1]} of {what} {name!r}{rest}")
+    return out
+
+
+def _in_order(mesh: Any, back: Any, *, cells: bool) -> bool:
+    """Whether points, or the cells of each type, are in the same order."""
+    if not np.array_equal(_in_space(mesh), _in_space(back)):
+        return False
+    both = [_by_type(one, [np.sort(block.data, axis=1) for block in one.cells])
+            for one in (mesh, back)] if cells else [{}, {}]
+    return all(np.array_equal(both[0][kind], both[1][kind]) for kind in set(both[0]) & set(both[1]))
+
+
+def _count(members: Any) -> int:
+    given = np.asarray([] if members is None else members)
+    return int(given.sum()) if given.dtype == np.bool_ else given.size
+
+
+def _in_space(mesh: Any) -> NDArray[Any]:
+    """Places with as many coordinates as differ from 0."""
+    points = np.asarray(mesh.points)
+    return points[:, :2] if points.shape[1] == 3 and not points[:, 2].any() else points
+
+
+def _difference(old: NDArray[Any], new: NDArray[Any], *, ordered: bool) -> int:
+    """How much values differ: 0 not at all, 1 by rounding, 2 otherwise; in any order if need be."""
+    if old.size != new.size or old.dtype.kind not in "biufc" or new.dtype.kind not in "biufc":
+        return 2 * (old.size != new.size or not np.array_equal(old.astype(str).ravel(),
+                                                               new.astype(str).ravel()))
+    rows = len(old) if old.ndim else 1
+    one, two = old.reshape(rows, -1), new.reshape(rows, -1)
+    if not ordered:
+        one, two = np.sort(one, axis=0), np.sort(two, axis=0)
+    if np.array_equal(one, two, equal_nan="f" in one.dtype.kind + two.dtype.kind):
+        return 0
+    if one.dtype.kind not in "fc" and two.dtype.kind not in "fc":
+        return 2
+    with np.errstate(all="ignore"):
+        size = np.abs(np.nan_to_num(one.astype(np.float64))).max(initial=0)
+        close = np.allclose(one.astype(np.float64), two.astype(np.float64), rtol=ALMOST,
+                            atol=ALMOST * size, equal_nan=True)
+    return 1 if close else 2
+
+
+def _families(mesh: Any) -> set[str]:
+    """Names of the families of a MED file."""
+    return {name for names in getattr(mesh, "cell_tags", {}).values() for name in names}
+
+
+def _by_type(mesh: Any, values: Any) -> dict[str, NDArray[Any]]:
+    """Cell data of the blocks of each type, one after another; point data as they are."""
+    if not isinstance(values, list):
+        return {"": np.asarray(values)}
+    kinds = sorted({block.type for block in mesh.cells})
+    return {kind: np.concatenate([np.asarray(part) for block, part in
+                                  zip(mesh.cells, values, strict=True) if block.type == kind])
+            for kind in kinds}
+
+
+def _same(one: dict[str, NDArray[Any]], two: dict[str, NDArray[Any]]) -> set[str]:
+    """Types of cells with the same values, that are not all alike."""
+    return {kind for kind in set(one) & set(two) if np.array_equal(one[kind], two[kind])}
+
+
+def other_types(mesh: Any, back: Any) -> list[str]:
+    """Name the arrays that came back with values of another type."""
+    other = []
+    for kind in ("point_data", "cell_data"):
+        old, new = getattr(mesh, kind), getattr(back, kind)
+        for name in sorted(set(old) & set(new)):
+            was, now = _one_array(old[name]).dtype, _one_array(new[name]).dtype
+            if now.newbyteorder("=") != was.newbyteorder("=") and was.kind not in "US":
+                what = kind.replace("_", " ")
+                other.append(f"the type of {what} {name!r} ({was}, there {now})")
+    return other
+
+
+def _one_array(values: Any) -> NDArray[Any]:
+    """Point data, or the cell data of all blocks one after another."""
+    return np.concatenate(values) if isinstance(values, list) and values else np.asarray(values)

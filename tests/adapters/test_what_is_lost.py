@@ -1,0 +1,158 @@
+"""Between formats: what other readers do not see is in one warning, by its name, and no more."""
+
+from __future__ import annotations
+
+import re
+import warnings
+
+import meshio
+import numpy as np
+import pytest
+import trimesh
+from contract import grid
+
+from odt_plugins.adapters.files import read_file, write_file
+from odt_plugins.errors import DataNotKeptWarning, MeshFileError
+
+SUFFIXES = (".vtu", ".vtk", ".vtp", ".msh", ".e", ".med", ".vol", ".mesh", ".obj", ".ply", ".off",
+            ".stl", ".su2", ".xdmf", ".inp")
+SOLID = (".vtp", ".obj", ".ply", ".off", ".stl")
+"""Formats without tetrahedra."""
+
+UNKNOWN = (".e", ".med")
+"""Formats of which meshio knows no names of groups; tests of their own read these otherwise."""
+
+
+def mesh_with_everything(dim):
+    """Labels, named groups, sets and arrays of several types, facets beside the cells."""
+    points, cells, labels = grid(dim, 4, 1)
+    middle = points[:, 0] == 0.5
+    facets = np.concatenate([np.delete(cells, k, axis=1) for k in range(dim + 1)])
+    facets = np.unique(np.sort(facets[middle[facets].all(axis=1)], axis=1), axis=0)
+    space = np.zeros((len(points), 3))
+    space[:, :dim] = points
+    m, q = len(cells), len(facets)
+    rng = np.random.default_rng(0)
+    none = np.zeros(0, dtype=np.int64)
+    return meshio.Mesh(
+        space, [("triangle", cells), ("line", facets)] if dim == 2 else
+        [("tetra", cells), ("triangle", facets)],
+        point_data={"heat": 2 * points[:, 0], "flow": space + 0.5,
+                    "small": rng.random(len(points)).astype(np.float32),
+                    "node number": np.arange(len(points), dtype=np.int32) + 5,
+                    "flag": (np.arange(len(points)) % 3).astype(np.uint8)},
+        cell_data={"gmsh:physical": [(labels > 0) + 1, np.full(q, 3)],
+                   "density": [rng.random(m), rng.random(q)],
+                   "serial": [np.arange(m) + 100, np.arange(q) + 9000],
+                   "stress": [rng.random((m, 3)), rng.random((q, 3))],
+                   "byte": [(np.arange(m) % 5).astype(np.int8), np.ones(q, dtype=np.int8)]},
+        cell_sets={"half": [np.flatnonzero(labels > 0), none], "wall": [none, np.arange(q)]},
+        point_sets={"corner": np.array([0, 1]), "plane": np.flatnonzero(middle)},
+        field_data={"steel": np.array([1, dim]), "air": np.array([2, dim]),
+                    "skin": np.array([3, dim - 1]), "times": np.array([1.5, 2.5, 3.5])})
+
+
+def by_name(mesh):
+    """Values of all arrays, sorted, and numbers of members of all sets, by kind and name."""
+    def ordered(parts):
+        parts = [np.asarray(part).astype(float) for part in parts]
+        whole = np.concatenate([p.reshape(len(p), -1) for p in parts if p.size])
+        return np.sort(whole, axis=0)
+
+    def size(parts):
+        return np.array([sum(np.size(part) for part in parts if part is not None)])
+
+    groups = {name for name, value in mesh.field_data.items()
+              if np.shape(value) == (2,) and np.asarray(value).dtype.kind in "iu"}
+    out = {("point_data", n): ordered([v]) for n, v in mesh.point_data.items()}
+    out |= {("cell_data", n): ordered(v) for n, v in mesh.cell_data.items()}
+    out |= {("field_data", n): ordered([np.ravel(v)]) for n, v in mesh.field_data.items()
+            if n not in groups}
+    out |= {("group", n): np.zeros(0) for n in groups}
+    out |= {("point_sets", n): size([v]) for n, v in mesh.point_sets.items()}
+    return out | {("cell_sets", n): size(v) for n, v in mesh.cell_sets.items()}
+
+
+def by_pyvista(path):
+    """What pyvista reads, in meshio's form without sets."""
+    pyvista = pytest.importorskip("pyvista")
+    grid = pyvista.read(path)
+    field = {name: np.asarray(grid.field_data[name]) for name in grid.field_data.keys()}
+    made = meshio.Mesh(np.asarray(grid.points), [], dict(grid.point_data.items()),
+                       field_data=field)
+    made.cell_data = {name: [np.asarray(v)] for name, v in grid.cell_data.items()}
+    return made
+
+
+def seen_by_others(path):
+    """The mesh as another reader has it, if one reads such a file."""
+    if path.suffix in (".vtu", ".vtk", ".vtp"):
+        return by_pyvista(path)
+    if path.suffix in UNKNOWN:
+        return read_file(path)
+    try:
+        return meshio.read(path)
+    except (Exception, SystemExit):
+        return read_file(path)
+
+
+@pytest.mark.parametrize("suffix", SUFFIXES)
+@pytest.mark.parametrize("dim", [2, 3])
+def test_each_loss_is_in_one_warning_by_its_name_and_nothing_else(dim, suffix, tmp_path):
+    mesh, path = mesh_with_everything(dim), tmp_path / f"out{suffix}"
+    if dim == 3 and suffix in SOLID:
+        with pytest.raises(MeshFileError, match="try another format such as"):
+            write_file(path, mesh)
+        assert not list(tmp_path.iterdir())
+        return
+    with warnings.catch_warnings(record=True) as caught:
+        warnings.simplefilter("always")
+        write_file(path, mesh)
+    said = [str(w.message) for w in caught if w.category is DataNotKeptWarning]
+    assert len(said) == 1
+    for name in ("steel", "corner", "half", "density", "times", "node number"):
+        assert len(re.findall(f"'{name}'", said[0])) <= 1
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        back = by_name(seen_by_others(path))
+    everything = {name: values for (_, name), values in back.items()}
+    for (kind, name), values in by_name(mesh).items():
+        found = back.get((kind, name))
+        if f"the name of {kind.replace('_', ' ')} {name!r} (there" in said[0]:
+            assert found is None
+            continue
+        if kind == "group":
+            kept = name in everything
+        elif found is None and kind == "cell_data" and name == "gmsh:physical":
+            kept = {"steel", "air", "skin"} <= set(everything)
+        else:
+            kept = found is not None and np.array_equal(found, values)
+        assert kept == (f"'{name}'" not in said[0]), (kind, name, said[0])
+
+
+@pytest.mark.parametrize("suffix", [".obj", ".off", ".ply", ".stl"])
+def test_a_mesh_of_two_coordinates_goes_into_formats_of_surfaces(suffix, tmp_path):
+    points, cells, _ = grid(2, 4, 1)
+    write_file(tmp_path / f"a{suffix}", meshio.Mesh(points, [("triangle", cells)]))
+    seen = trimesh.load(tmp_path / f"a{suffix}", process=False)
+    assert np.array_equal(np.unique(seen.triangles, axis=0).shape, (len(cells), 3, 3))
+    np.testing.assert_allclose(seen.area, 1, atol=1e-6)
+
+
+def test_labels_without_entities_are_groups_as_gmsh_sees_them(tmp_path):
+    gmsh = pytest.importorskip("gmsh")
+    mesh = mesh_with_everything(3)
+    mesh.cell_sets, mesh.point_sets = {}, {}
+    with pytest.warns(DataNotKeptWarning, match="'times'"):
+        write_file(tmp_path / "a.msh", mesh)
+    gmsh.initialize(interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.open(str(tmp_path / "a.msh"))
+        sizes = {gmsh.model.getPhysicalName(*group): sum(
+            len(rows) for entity in gmsh.model.getEntitiesForPhysicalGroup(*group)
+            for rows in gmsh.model.mesh.getElements(group[0], entity)[1])
+            for group in gmsh.model.getPhysicalGroups()}
+    finally:
+        gmsh.finalize()
+    assert sizes == {"steel": 192, "air": 192, "skin": 32}
