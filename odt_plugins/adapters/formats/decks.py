@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,6 +17,9 @@ Name = tuple[str, int]
 Edit = tuple[int, int, bytes]
 """Where a piece of a file starts and stops, and what takes its place."""
 
+
+REMARKS = "remarks"
+"""Attribute of a meshio.Mesh: what its reader has to say, one sentence an entry."""
 
 HELD = "held"
 """Attribute of a meshio.Mesh: vertices that have to stay, since its file refers to them."""
@@ -54,6 +58,66 @@ def substituted(
     """Exchange some words of a record, which are told by their places among all of its spans."""
     return edited(text, [(*spans[i], word) for i, word in words.items()
                          if text[spans[i][0]: spans[i][1]] != word])
+
+
+class Row(NamedTuple):
+    """A line of words between blanks: the words, and where the line starts and stops."""
+
+    words: list[bytes]
+    start: int
+    stop: int
+
+
+def rows_of(data: bytes, comment: bytes) -> Iterator[Row]:
+    """Lines of a file that have more than a comment, which begins as is told."""
+    at = 0
+    for line in data.splitlines(keepends=True):
+        start, at = at, at + len(line)
+        words = line.partition(comment)[0].split()
+        if words:
+            yield Row(words, start, at)
+
+
+def as_lines(data: bytes, row: Row, parts: Sequence[Mapping[int, Any]]) -> Edit:
+    """Put a line for each of some parts in the place of a line, with other words at some places."""
+    text = data[row.start: row.stop]
+    end = text[len(text.rstrip(b"\r\n")):] or b"\n"
+    spans = [word.span() for word in re.finditer(rb"\S+", text)]
+    lines = [substituted(text, spans, {
+        i: word if isinstance(word, bytes) else str(word).encode() for i, word in part.items()
+    }) for part in parts]
+    return row.start, row.stop, b"".join(
+        line if line.endswith((b"\n", b"\r")) or k == len(lines) - 1 else line + end
+        for k, line in enumerate(lines))
+
+
+def numbers(words: Sequence[bytes]) -> list[float]:
+    """Numbers, whose exponents may be as Fortran writes them."""
+    return [float(word.replace(b"D", b"e").replace(b"d", b"e")) for word in words]
+
+
+def expect_points(rows: NDArray[np.int64], count: int, first: int = 0) -> None:
+    """See whether cells refer to points that are there.
+
+    Raises
+    ------
+    KeyError    one is not
+    """
+    bad = rows[(rows < 0) | (rows >= count)]
+    if bad.size:
+        raise KeyError(int(bad[0]) + first)
+
+
+def expect_same_points(change: Change) -> None:
+    """See whether no point came or went.
+
+    Raises
+    ------
+    NotRewritable    one did
+    """
+    if change.renumbered:
+        msg = "points came or went, which are numbered by their places"
+        raise NotRewritable(msg)
 
 
 def real(x: float, width: int = 24) -> bytes:

@@ -1,0 +1,194 @@
+"""SU2, TetGen and Kratos: what a run does not change stays byte for byte."""
+
+from __future__ import annotations
+
+import re
+import warnings
+
+import contract
+import meshio
+import numpy as np
+import pytest
+
+from odt_plugins.adapters.files import read_file, write_file
+from odt_plugins.api import optimize_file
+from odt_plugins.errors import DataNotKeptWarning, MeshFileError
+
+FACES = [[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]]
+
+
+def box(dim, n, seed=4):
+    points, cells, _ = contract.grid(dim, n)
+    points = points / points.max()
+    inner = ((points > 0) & (points < 1)).all(axis=1)
+    rng = np.random.default_rng(seed)
+    points[inner] += rng.uniform(-0.2, 0.2, (inner.sum(), dim)) / n
+    return points, cells
+
+
+def rim(cells):
+    """Faces of one cell only."""
+    faces = FACES if cells.shape[1] == 4 else [[0, 1], [1, 2], [2, 0]]
+    rows = cells[:, faces].reshape(-1, len(faces[0]))
+    _, place, count = np.unique(np.sort(rows, axis=1), axis=0, return_inverse=True,
+                                return_counts=True)
+    return rows[count[place.ravel()] == 1]
+
+
+def volumes(points, cells):
+    x = np.asarray(points)[np.asarray(cells)]
+    return np.linalg.det(x[:, 1:] - x[:, :1])
+
+
+def real(x):
+    return f"{x:.12E}".replace("E-", "D-") if abs(x) < 0.3 else repr(float(x))
+
+
+def su2(path, dim, end="\n", index=True, last=False):
+    points, cells = box(dim, 5)
+    kind = 5 if dim == 2 else 10
+    edges = rim(cells)
+    low = (points[edges][:, :, 0] == 0).all(axis=1)
+    body = [f"NELEM= {len(cells)}   % cells", *(
+        f"{kind}\t" + " ".join(map(str, row)) + f"  {i}" * index
+        for i, row in enumerate(cells.tolist()))]
+    nodes = [f"NPOIN= {len(points)} {len(points)}", *(
+        "  ".join(map(real, x)) + f" {i}" * index for i, x in enumerate(points.tolist()))]
+    lines = ["% a comment", f"NDIME= {dim}", "NCHUNK= 1", *(body + nodes if last else nodes + body),
+             "", "NMARK= 3"]
+    for name, own in (("inlet", edges[low]), ("wall", edges[~low])):
+        lines += [f"MARKER_TAG= {name}", f"MARKER_ELEMS= {len(own)}",
+                  *(f"{3 if dim == 2 else 5} " + " ".join(map(str, row)) for row in own.tolist())]
+    lines += ["MARKER_TAG= SEND_RECEIVE", "MARKER_ELEMS= 1", "SEND_RECV= 1", "1 0 0",
+              "NPERIODIC= 1", "PERIODIC_INDEX= 0", "0.0 0.0 0.0", "% the end"]
+    path.write_bytes((end.join(lines) + end).encode())
+    return points, cells
+
+
+def su2_told(path):
+    """The file as these few lines read it."""
+    lines = [line.partition("%")[0].split() for line in path.read_text().split("\n")]
+    lines = [line for line in lines if line]
+    found, i, marker = {}, 0, ""
+    while i < len(lines):
+        key = lines[i][0].rstrip("=")
+        if key == "MARKER_TAG":
+            marker = lines[i][1]
+        if key in ("NPOIN", "NELEM", "MARKER_ELEMS"):
+            count = int(lines[i][1])
+            skip = lines[i + 1][0].startswith("SEND")
+            found[key + marker] = lines[i + 1 + skip: i + 1 + skip + count]
+            i += count + skip
+        i += 1
+    return found
+
+
+@pytest.mark.parametrize(("dim", "end", "index"), [
+    (2, "\n", True), (3, "\r\n", True), (3, "\n", False)])
+def test_su2_keeps_markers_and_all_that_is_not_known(dim, end, index, tmp_path):
+    source, target = tmp_path / "a.su2", tmp_path / "b.su2"
+    points, cells = su2(source, dim, end, index)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mesh = read_file(source)
+        write_file(target, mesh)
+        assert target.read_bytes() == source.read_bytes()
+        report = optimize_file(source, target)
+    assert set(mesh.cell_sets) == {"inlet", "wall", "SEND_RECEIVE"}
+    assert report.after.mean_quality > report.before.mean_quality
+    old, new = source.read_bytes(), target.read_bytes()
+    assert old.partition(b"NMARK")[2] == new.partition(b"NMARK")[2]
+    assert old.partition(b"NPOIN")[0] == new.partition(b"NPOIN")[0]
+    one, two = su2_told(source), su2_told(target)
+    assert one["MARKER_ELEMSinlet"] == two["MARKER_ELEMSinlet"]
+    assert len(two["NELEM"]) == report.after.n_cells
+    x = np.array([[float(w.replace("D", "e")) for w in row[:dim]] for row in two["NPOIN"]])
+    t = np.array([[int(w) for w in row[1: dim + 2]] for row in two["NELEM"]])
+    assert (volumes(x, t) > 0).all()
+    assert volumes(x, t).sum() == pytest.approx(volumes(points, cells).sum())
+    stays = np.flatnonzero(((points <= 0) | (points >= 1)).any(axis=1)).tolist()
+    assert [two["NPOIN"][i] for i in stays] == [one["NPOIN"][i] for i in stays]
+    if index:
+        assert [int(row[-1]) for row in two["NELEM"]] == list(range(len(t)))
+
+
+def test_su2_that_meshio_would_misread_gets_plain_ends_of_lines(tmp_path):
+    source, target = tmp_path / "a.su2", tmp_path / "b.su2"
+    points, _ = su2(source, 3, "\r\n", last=True)
+    text = source.read_bytes().replace(b"D-", b"E-")
+    text = re.sub(rb"MARKER_TAG= SEND[\s\S]*", b"", text).replace(b"NMARK= 3", b"NMARK= 2")
+    source.write_bytes(text.replace(b"   % cells", b"").replace(b" 216 216", b" 216"))
+    with pytest.warns(DataNotKeptWarning, match="ends of lines"):
+        optimize_file(source, target)
+    assert b"\r" not in target.read_bytes()
+    theirs = meshio.read(target)
+    assert np.array_equal(theirs.points, read_file(target).points)
+    stays = ((points <= 0) | (points >= 1)).any(axis=1)
+    assert np.allclose(theirs.points[stays], points[stays], rtol=0, atol=1e-11)
+
+
+@pytest.mark.parametrize(("dim", "first", "end"), [(3, 1, "\n"), (3, 0, "\r\n"), (2, 1, "\n")])
+def test_tetgen_keeps_attributes_and_the_files_beside(dim, first, end, tmp_path):
+    points, cells = box(dim, 5)
+    label = 1.0 + (points[cells].mean(axis=1)[:, 0] > 0.5)
+    lines = ["# points", f"{len(points)}  {dim} 1 1"]
+    lines += [f"  {i + first}\t" + " ".join(map(real, x)) + f"  0.{i} {i % 2}"
+              for i, x in enumerate(points.tolist())]
+    (tmp_path / "a.node").write_bytes((end.join([*lines, "# the end"]) + end).encode())
+    lines = [f"{len(cells)} {dim + 1} 1", *(
+        f"{i + first}  " + "  ".join(str(v + first) for v in row) + f"  {label[i]}"
+        for i, row in enumerate(cells.tolist()))]
+    (tmp_path / "a.ele").write_bytes((end.join([*lines, "# by hand"]) + end).encode())
+    every = np.unique(np.sort(cells[:, FACES], axis=2).reshape(-1, 3), axis=0) if dim == 3 else []
+    outer = {tuple(row) for row in np.sort(rim(cells), axis=1).tolist()}
+    if dim == 3:
+        rows = [f"{i + first} " + " ".join(str(v + first) for v in row)
+                + f" {7 if tuple(row) in outer else 0}" for i, row in enumerate(every.tolist())]
+        (tmp_path / "a.face").write_bytes((end.join([f"{len(rows)} 1", *rows]) + end).encode())
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        write_file(tmp_path / "b.ele", read_file(tmp_path / "a.node"))
+    for suffix in ("node", "ele", "face")[: dim]:
+        assert (tmp_path / f"b.{suffix}").read_bytes() == (tmp_path / f"a.{suffix}").read_bytes()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataNotKeptWarning)
+        report = optimize_file(tmp_path / "a.ele", tmp_path / "b.ele")
+    assert report.after.mean_quality > report.before.mean_quality
+    old, new = ((tmp_path / f"{name}.node").read_bytes().split(b"\n") for name in "ab")
+    assert [line.split()[-2:] for line in old] == [line.split()[-2:] for line in new]
+    assert sum(a != b for a, b in zip(old, new, strict=True)) <= (
+        (points > 0) & (points < 1)).all(axis=1).sum()
+    text = (tmp_path / "b.ele").read_text()
+    table = [line.partition("#")[0].split() for line in text.split("\n")]
+    head, *rows = [row for row in table if row]
+    assert head == [str(len(rows)), str(dim + 1), "1"]
+    assert [int(row[0]) for row in rows] == list(range(first, first + len(rows)))
+    x = np.array([[float(w.replace(b"D", b"e")) for w in line.split()[1: dim + 1]]
+                  for line in new if line.split() and not line.startswith(b"#")][1:])
+    t = np.array([[int(w) for w in row[1: dim + 2]] for row in rows]) - first
+    assert (volumes(x, t) > 0).all()
+    for value in (1.0, 2.0):
+        mine = np.array([float(row[-1]) for row in rows]) == value
+        assert volumes(x, t[mine]).sum() == pytest.approx(
+            volumes(points, cells[label == value]).sum())
+    if dim == 3:
+        text = (tmp_path / "b.face").read_text()
+        head, *rows = [line.split() for line in text.split("\n") if line]
+        assert int(head[0]) == len(rows)
+        marked = {tuple(sorted(int(w) - first for w in row[1:4])) for row in rows if row[4] == "7"}
+        assert marked == outer
+        there = {tuple(face) for face in np.sort(t[:, FACES], axis=2).reshape(-1, 3).tolist()}
+        assert all(tuple(sorted(int(w) - first for w in row[1:4])) in there for row in rows)
+
+
+@pytest.mark.parametrize(("name", "text", "said"), [
+    ("a.su2", "NZONE= 2\nNDIME= 2\n", "2 zones"),
+    ("a.su2", "NDIME= 2\nNPOIN= 3\n0 0\n0 1\n1 0\nNELEM= 1\n5 0 1 3\n", "refers to 3"),
+    ("a.su2", "NDIME= 2\nNPOIN= 3\n0 0\n0 1\n1 0\nNELEM= 1\n77 0 1 3\n", "cells of type 77"),
+    ("a.node", "3 3 0 0\n1 0 0 0\n2 0 0 0\n4 0 0 0\n", "not numbered one after another"),
+])
+def test_what_is_not_whole_is_refused(name, text, said, tmp_path):
+    (tmp_path / "a.ele").write_text("1 4 0\n1 1 2 3 3\n")
+    (tmp_path / name).write_text(text)
+    with pytest.raises(MeshFileError, match=said):
+        read_file(tmp_path / name)
