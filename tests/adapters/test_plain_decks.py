@@ -192,3 +192,111 @@ def test_what_is_not_whole_is_refused(name, text, said, tmp_path):
     (tmp_path / name).write_text(text)
     with pytest.raises(MeshFileError, match=said):
         read_file(tmp_path / name)
+
+
+EDGES = [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)]
+
+
+def quadratic(points, cells):
+    edges = np.sort(cells[:, EDGES], axis=2).reshape(-1, 2)
+    edges, place = np.unique(edges, axis=0, return_inverse=True)
+    return (np.concatenate([points, points[edges].mean(axis=1)]),
+            np.concatenate([cells, len(points) + place.reshape(-1, 6)], axis=1))
+
+
+def mdpa(path, order, end="\n"):
+    points, cells = box(3, 5 if order == 1 else 4)
+    steel = points[cells].mean(axis=1)[:, 0] < 0.5
+    x, nodes = (points, cells) if order == 1 else quadratic(points, cells)
+    outer = rim(cells)
+    low = (points[outer][:, :, 2] == 0).all(axis=1)
+    bottom = np.flatnonzero(x[:, 2] == 0)
+    lines = ["Begin ModelPartData", "//  VARIABLE_NAME value", "End ModelPartData", "",
+             "Begin Properties 1", "  DENSITY 7850.0", "End Properties", "Begin Properties 2",
+             "End Properties", "", "Begin Nodes"]
+    lines += [f"\t{2 * i + 1}  " + "  ".join(map(real, v)) for i, v in enumerate(x.tolist())]
+    name = f"SmallDisplacementElement3D{nodes.shape[1]}N"
+    lines += ["End Nodes", "", f"Begin Elements {name}// group"]
+    lines += [f"  {i + 5}  {1 if steel[i] else 2}  " + " ".join(str(2 * v + 1) for v in row)
+              for i, row in enumerate(nodes.tolist())]
+    lines += ["End Elements", "Begin Conditions SurfaceLoadCondition3D3N"]
+    lines += [f" {i + 1} 0 " + " ".join(str(2 * v + 1) for v in row)
+              for i, row in enumerate(outer[low].tolist())]
+    lines += ["End Conditions", "Begin NodalData TEMPERATURE // id fixed value"]
+    lines += [f"{2 * i + 1} 0 {v[0] + 2 * v[1]!r}" for i, v in enumerate(x.tolist())]
+    lines += ["End NodalData", "Begin NodalData DISPLACEMENT_X"]
+    lines += [f"{2 * i + 1} 1 0.0" for i in bottom.tolist()]
+    lines += ["End NodalData", "Begin ElementalData ORIGIN_ID"]
+    lines += [f"{i + 5} {10 if steel[i] else 20}" for i in range(len(cells))]
+    lines += ["End ElementalData", "Begin SubModelPart Steel"]
+    for name, own in (("Nodes", 2 * np.unique(nodes[steel]) + 1),
+                      ("Elements", np.flatnonzero(steel) + 5)):
+        lines += [f"  Begin SubModelPart{name}", *(f"    {i}" for i in own.tolist()),
+                  f"  End SubModelPart{name}"]
+    lines += ["  Begin SubModelPart Foot", "    Begin SubModelPartConditions", "      1", "      2",
+              "    End SubModelPartConditions", "  End SubModelPart", "End SubModelPart", "// end"]
+    path.write_bytes((end.join(lines) + end).encode())
+    return points, cells, steel
+
+
+def mdpa_told(path):
+    found, stack = {}, []
+    for line in path.read_text().split("\n"):
+        words = line.partition("//")[0].split()
+        if words[:1] == ["Begin"]:
+            stack.append(" ".join(words[1:]))
+        elif words[:1] == ["End"]:
+            stack.pop()
+        elif words:
+            found.setdefault("/".join(stack), []).append(words)
+    return found
+
+
+@pytest.mark.parametrize(("order", "end"), [(1, "\n"), (2, "\r\n")])
+def test_kratos_keeps_properties_conditions_parts_and_data(order, end, tmp_path):
+    source, target = tmp_path / "a.mdpa", tmp_path / "b.mdpa"
+    points, cells, steel = mdpa(source, order, end)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mesh = read_file(source)
+        write_file(target, mesh)
+    assert target.read_bytes() == source.read_bytes()
+    main = "tetra" if order == 1 else "tetra10"
+    assert [block.type for block in mesh.cells] == [main, "triangle"]
+    assert set(mesh.cell_sets) == {"Steel", "Steel.Foot"}
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataNotKeptWarning)
+        report = optimize_file(source, target)
+    assert report.after.mean_quality > report.before.mean_quality
+    one, two = mdpa_told(source), mdpa_told(target)
+    old, new = source.read_bytes(), target.read_bytes()
+    assert old.partition(b"Begin Nodes")[0] == new.partition(b"Begin Nodes")[0]
+    body = [part[part.index(b"Begin Conditions"): part.index(b"End Conditions")]
+            for part in (old, new)]
+    assert body[0] == body[1]
+    assert [key for key in one] == [key for key in two]
+    key = next(key for key in one if key.startswith("Elements"))
+    assert one[key] != two[key]
+    x = {row[0]: [float(w.replace("D", "e")) for w in row[1:4]] for row in two["Nodes"]}
+    assert len({row[0] for row in two[key]}) == len(two[key]) == report.after.n_cells
+    data = dict(two["ElementalData ORIGIN_ID"])
+    part = {row[0] for row in two["SubModelPart Steel/SubModelPartElements"]}
+    assert set(data) == {row[0] for row in two[key]}
+    for own, ref, mark in ((steel, "1", "10"), (~steel, "2", "20")):
+        rows = [row for row in two[key] if row[1] == ref]
+        assert {data[row[0]] for row in rows} == {mark}
+        assert all((row[0] in part) == (ref == "1") for row in rows)
+        corners = np.array([[x[v] for v in row[2:6]] for row in rows])
+        every = np.linalg.det(corners[:, 1:] - corners[:, :1])
+        assert (every > 0).all()
+        assert every.sum() == pytest.approx(volumes(points, cells[own]).sum())
+    used = {v for row in two[key] for v in row[2:]}
+    assert used == set(x)
+    assert {row[0] for row in two["SubModelPart Steel/SubModelPartNodes"]} == {
+        v for row in two[key] if row[1] == "1" for v in row[2:]}
+    for name in ("NodalData DISPLACEMENT_X",
+                 "SubModelPart Steel/SubModelPart Foot/SubModelPartConditions"):
+        assert one[name] == two[name]
+    for v, _, value in two["NodalData TEMPERATURE"]:
+        assert float(value) == pytest.approx(x[v][0] + 2 * x[v][1])
+    assert {row[0] for row in two["NodalData TEMPERATURE"]} == set(x)

@@ -10,6 +10,7 @@ Abaqus: Analysis User's Guide, Input syntax rules, Dassault Systemes; G. Dhondt,
 CrunchiX User's Manual.
 Exodus: L. Schoof, V. Yarberry, EXODUS II: A Finite Element Data Model, SAND92-2137 (1994).
 Gmsh: https://gmsh.info/doc/texinfo/gmsh.html#MSH-file-format
+Kratos: https://kratosmultiphysics.github.io/Kratos, input data, .mdpa files.
 MED: MED file format 4.1, EDF and CEA, documentation of the Salome platform.
 MEDIT: P. Frey, Medit, an interactive mesh visualization software, INRIA RT-0253 (2001).
 Nastran: MSC Nastran Quick Reference Guide, chapter on bulk data.
@@ -34,6 +35,7 @@ from odt_plugins.adapters.formats import (
     exodus_write,
     gmsh,
     gmsh_read,
+    mdpa,
     med,
     med_copy,
     medit,
@@ -52,18 +54,18 @@ from odt_plugins.adapters.formats import (
 from odt_plugins.adapters.formats.change import Change
 
 READERS: dict[str, Callable[[Path], Any]] = {
-    "abaqus": abaqus.read, "exodus": exodus.read, "gmsh": gmsh_read.read, "med": med.read,
-    "medit": medit.read, "nastran": nastran.read, "obj": obj.read, "off": off.read,
-    "ply": ply.read, "stl": stl.read, "su2": su2.read,
-    "tetgen": tetgen.read, "xdmf": xdmf.read,
+    "abaqus": abaqus.read, "exodus": exodus.read, "gmsh": gmsh_read.read, "mdpa": mdpa.read,
+    "med": med.read, "medit": medit.read, "nastran": nastran.read, "obj": obj.read,
+    "off": off.read, "ply": ply.read, "stl": stl.read, "su2": su2.read, "tetgen": tetgen.read,
+    "xdmf": xdmf.read,
 }
 """Readers that take the place of meshio's, by the name of the format in meshio."""
 
 REWRITERS: dict[str, Callable[[Path, Path, Change], list[str]]] = {
     "abaqus": abaqus_copy.rewrite, "exodus": exodus_copy.rewrite, "gmsh": gmsh.rewrite,
-    "med": med_copy.rewrite, "medit": medit.rewrite, "nastran": nastran_copy.rewrite,
-    "netgen": vol.rewrite, "obj": obj.rewrite, "off": off.rewrite, "ply": ply.rewrite,
-    "stl": stl.rewrite, "su2": su2.rewrite, "tetgen": tetgen.rewrite,
+    "mdpa": mdpa.rewrite, "med": med_copy.rewrite, "medit": medit.rewrite,
+    "nastran": nastran_copy.rewrite, "netgen": vol.rewrite, "obj": obj.rewrite, "off": off.rewrite,
+    "ply": ply.rewrite, "stl": stl.rewrite, "su2": su2.rewrite, "tetgen": tetgen.rewrite,
     "xdmf": xdmf_copy.rewrite,
 }
 """Rewriters by the name of the format in meshio: source, target and change, to what is lost."""

@@ -10,6 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.change import Change, NotRewritable
+from odt_plugins.adapters.regions import region_names, spreads
 
 Name = tuple[str, int]
 """Part and number of a node or an element."""
@@ -213,10 +214,11 @@ class Names:
             cells = np.asarray(change.after.cells[b].data)
             for row in cells[(change.points[cells] < 0).any(axis=1)].tolist():
                 known = [old[v][1] for v in row if change.points[v] >= 0]
+                home = part if part in most else ""
                 for v in row:
                     if old[v] == ("", -1):
-                        most[part] += 1
-                        old[v] = (part, most[part])
+                        most[home] += 1
+                        old[v] = (home, most[home])
                         self.around[old[v]] = known
         self.parts = [part for part, _ in old]
         self.nodes = np.array([n for _, n in old], dtype=np.int64)
@@ -272,6 +274,22 @@ def faces_of(
             for i in np.flatnonzero(known[rows].all(axis=1)).tolist():
                 faces[turned(rows[i].tolist())] = (b, i, face)
     return faces
+
+
+def joint_labels(
+    columns: Sequence[NDArray[Any]], sets: Mapping[str, NDArray[np.bool_]], cells: NDArray[Any]
+) -> NDArray[np.int64] | None:
+    """Labels (m,) from 1 on, equal where all columns and all sets that part the mesh are equal.
+
+    Returns
+    -------
+    None    all cells would have the same
+    """
+    taken = [*columns, *(sets[name] for name in region_names([spreads(sets, cells)]))]
+    if not taken:
+        return None
+    label = np.unique(np.stack(taken, axis=1), axis=0, return_inverse=True)[1].ravel()
+    return label + 1 if label.any() else None
 
 
 def order_of(kinds: Iterable[str]) -> int:
