@@ -186,6 +186,7 @@ def _formats(path: Path) -> list[str]:
     from meshio import extension_to_filetypes
 
     known = dict(extension_to_filetypes)
+    known[".dat"] = [*known.get(".dat", ()), "nastran"]
     if apart.vtk_installed():
         known[".vtp"] = ["vtp"]
     for count in range(len(path.suffixes)):

@@ -30,6 +30,7 @@ from typing import Any
 from odt_plugins.adapters.formats import (
     abaqus,
     abaqus_copy,
+    abaqus_write,
     exodus,
     exodus_copy,
     exodus_write,
@@ -71,6 +72,6 @@ REWRITERS: dict[str, Callable[[Path, Path, Change], list[str]]] = {
 """Rewriters by the name of the format in meshio: source, target and change, to what is lost."""
 
 WRITERS: dict[str, Callable[[Path, Any, bool | None], list[str]]] = {
-    "exodus": exodus_write.write, "ply": ply.write, "stl": stl.write,
+    "abaqus": abaqus_write.write, "exodus": exodus_write.write, "ply": ply.write, "stl": stl.write,
 }
 """Writers that take the place of meshio's: path, mesh and whether binary, to what is lost."""
