@@ -245,6 +245,7 @@ def _formats(path: Path) -> list[str]:
     from meshio import extension_to_filetypes
 
     known = dict(extension_to_filetypes)
+    known[".dat"] = [*known.get(".dat", ()), "nastran"]
     if apart.vtk_installed():
         known[".vtp"] = ["vtp"]
     if scene_files.installed():

@@ -17,6 +17,7 @@ import numpy as np
 
 from odt_plugins.adapters import apart, gmsh_files, netgen_files, vtk_files
 from odt_plugins.adapters.formats import READERS, vol
+from odt_plugins.adapters.formats.decks import REMARKS
 from odt_plugins.adapters.legacy import expect_whole
 from odt_plugins.adapters.stated import expect_counts, expect_held, parts_of
 from odt_plugins.errors import InvalidMeshError, MeshFileError
@@ -109,7 +110,7 @@ def read(path: Path, name: str) -> tuple[Any, list[str]]:
     if name == "netgen":
         mesh.identified = vol.identified(path)
     expect_held(path, name, mesh)
-    return mesh, said
+    return mesh, [*said, *getattr(mesh, REMARKS, ())]
 
 
 def _read_vtk(path: Path, name: str, seconds: float) -> tuple[Any, list[str]]:

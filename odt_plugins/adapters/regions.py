@@ -22,7 +22,7 @@ CHARTS = "charts"
 
 REGION_ARRAYS = ("marker", "gmsh:physical", "gmsh:geometrical", "medit:ref", "cell_tags",
                  "nastran:ref", "netgen:index", "tetgen:ref", "ugrid:ref", "avsucd:material",
-                 "abaqus:elset")
+                 "abaqus:elset", "mdpa:part")
 """Names that pytetwild.tetrahedralize_csg and the formats of meshio give to the material of a
 cell. The first one that has several values is taken."""
 

@@ -333,3 +333,24 @@ def test_other_readers_see_the_same_mesh(tmp_path):
     assert np.array_equal(two.points, mine.points)
     assert np.array_equal(np.concatenate([c.data for c in two.cells]), mine.cells_dict["tetra"])
     assert sorted(one.cell_sets) == sorted(two.cell_sets)
+
+
+@pytest.mark.parametrize(("dim", "order", "word"), [
+    (3, 1, "C3D4"), (3, 2, "C3D10"), (2, 1, "CPS3"), (0, 1, "S3")])
+def test_decks_written_anew_have_elements_that_solvers_compute_with(dim, order, word, tmp_path):
+    points, cells = box(dim or 2, 3)
+    points = points if dim else np.c_[points, points[:, 0]]
+    x, nodes = (points, cells) if order == 1 else quadratic(points, cells)
+    kind = {3: "triangle", 4: "tetra", 10: "tetra10"}[nodes.shape[1]]
+    mesh = meshio.Mesh(x, [(kind, nodes)], cell_sets={"half": [np.arange(20)]},
+                       point_sets={"rim": np.arange(5)})
+    write_file(tmp_path / "a.inp", mesh)
+    told, theirs = Told(tmp_path / "a.inp"), meshio.abaqus.read(tmp_path / "a.inp")
+    assert {e[0] for e in told.elements.values()} == {word}
+    assert np.array_equal(theirs.points, x)
+    assert np.array_equal(theirs.cells[0].data, nodes)
+    assert told.sets["ELSET"]["HALF"] == list(range(1, 21))
+    assert told.sets["NSET"]["RIM"] == list(range(1, 6))
+    mesh.cell_sets = {"upper, left": [np.arange(len(cells)) < 7]}
+    write_file(tmp_path / "b.inp", mesh)
+    assert read_file(tmp_path / "b.inp").cell_sets["upper, left"][0].tolist() == list(range(7))

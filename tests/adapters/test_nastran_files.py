@@ -245,7 +245,7 @@ def test_shells_keep_their_angles_and_quadrilaterals_beside_stay(tmp_path):
               enumerate(points.tolist())]
     lines += ["CTRIA3  " + "".join(f"{w:<8}" for w in [i + 1, 1, *row]) + "30." for i, row in
               enumerate((cells + 1).tolist())]
-    source, target = tmp_path / "a.bdf", tmp_path / "b.bdf"
+    source, target = tmp_path / "a.dat", tmp_path / "b.dat"
     source.write_text("\n".join([*lines, "PSHELL,1,1,.1", "ENDDATA", ""]))
     with pytest.warns(DataNotKeptWarning, match="last digits"):
         report = optimize_file(source, target)

@@ -10,12 +10,15 @@ Abaqus: Analysis User's Guide, Input syntax rules, Dassault Systemes; G. Dhondt,
 CrunchiX User's Manual.
 Exodus: L. Schoof, V. Yarberry, EXODUS II: A Finite Element Data Model, SAND92-2137 (1994).
 Gmsh: https://gmsh.info/doc/texinfo/gmsh.html#MSH-file-format
+Kratos: https://kratosmultiphysics.github.io/Kratos, input data, .mdpa files.
 MED: MED file format 4.1, EDF and CEA, documentation of the Salome platform.
 MEDIT: P. Frey, Medit, an interactive mesh visualization software, INRIA RT-0253 (2001).
 Nastran: MSC Nastran Quick Reference Guide, chapter on bulk data.
 OBJ: Wavefront, Appendix B1, Object Files (1995). OFF: Geomview manual, chapter on its formats.
 PLY: G. Turk, The PLY Polygon File Format (1994). STL: 3D Systems, StereoLithography Interface
-Specification (1989). XDMF: XDMF model and format, version 3, xdmf.org.
+Specification (1989). SU2: documentation of SU2 7, mesh files. TetGen: H. Si, TetGen user's manual,
+chapter on file formats.
+XDMF: XDMF model and format, version 3, xdmf.org.
 """
 
 from __future__ import annotations
@@ -27,11 +30,13 @@ from typing import Any
 from odt_plugins.adapters.formats import (
     abaqus,
     abaqus_copy,
+    abaqus_write,
     exodus,
     exodus_copy,
     exodus_write,
     gmsh,
     gmsh_read,
+    mdpa,
     med,
     med_copy,
     medit,
@@ -41,6 +46,8 @@ from odt_plugins.adapters.formats import (
     off,
     ply,
     stl,
+    su2,
+    tetgen,
     vol,
     xdmf,
     xdmf_copy,
@@ -48,21 +55,23 @@ from odt_plugins.adapters.formats import (
 from odt_plugins.adapters.formats.change import Change
 
 READERS: dict[str, Callable[[Path], Any]] = {
-    "abaqus": abaqus.read, "exodus": exodus.read, "gmsh": gmsh_read.read, "med": med.read,
-    "medit": medit.read, "nastran": nastran.read, "obj": obj.read, "off": off.read,
-    "ply": ply.read, "stl": stl.read, "xdmf": xdmf.read,
+    "abaqus": abaqus.read, "exodus": exodus.read, "gmsh": gmsh_read.read, "mdpa": mdpa.read,
+    "med": med.read, "medit": medit.read, "nastran": nastran.read, "obj": obj.read,
+    "off": off.read, "ply": ply.read, "stl": stl.read, "su2": su2.read, "tetgen": tetgen.read,
+    "xdmf": xdmf.read,
 }
 """Readers that take the place of meshio's, by the name of the format in meshio."""
 
 REWRITERS: dict[str, Callable[[Path, Path, Change], list[str]]] = {
     "abaqus": abaqus_copy.rewrite, "exodus": exodus_copy.rewrite, "gmsh": gmsh.rewrite,
-    "med": med_copy.rewrite, "medit": medit.rewrite, "nastran": nastran_copy.rewrite,
-    "netgen": vol.rewrite, "obj": obj.rewrite, "off": off.rewrite, "ply": ply.rewrite,
-    "stl": stl.rewrite, "xdmf": xdmf_copy.rewrite,
+    "mdpa": mdpa.rewrite, "med": med_copy.rewrite, "medit": medit.rewrite,
+    "nastran": nastran_copy.rewrite, "netgen": vol.rewrite, "obj": obj.rewrite, "off": off.rewrite,
+    "ply": ply.rewrite, "stl": stl.rewrite, "su2": su2.rewrite, "tetgen": tetgen.rewrite,
+    "xdmf": xdmf_copy.rewrite,
 }
 """Rewriters by the name of the format in meshio: source, target and change, to what is lost."""
 
 WRITERS: dict[str, Callable[[Path, Any, bool | None], list[str]]] = {
-    "exodus": exodus_write.write, "ply": ply.write, "stl": stl.write,
+    "abaqus": abaqus_write.write, "exodus": exodus_write.write, "ply": ply.write, "stl": stl.write,
 }
 """Writers that take the place of meshio's: path, mesh and whether binary, to what is lost."""

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -12,8 +11,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.abaqus_tables import NODES, SIDES, is_shell, type_of
-from odt_plugins.adapters.formats.decks import FACES, HELD, ORDERS, fits, order_of
-from odt_plugins.adapters.regions import region_names, spreads
+from odt_plugins.adapters.formats.decks import (
+    FACES,
+    HELD,
+    ORDERS,
+    REMARKS,
+    fits,
+    joint_labels,
+    order_of,
+)
 from odt_plugins.errors import MeshFileError
 
 MADE = ("NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "SYSTEM")
@@ -111,15 +117,12 @@ def read(path: Path) -> Any:
     Returns
     -------
     meshio.Mesh      a block for each type and set of elements, then one for each surface and load
-                     of faces, which are lines or triangles; `held` are nodes that have to stay
+                     of faces, which are lines or triangles; `held` are nodes that have to stay,
+                     `remarks` tell of elements of other types
 
     Raises
     ------
     MeshFileError    its parts do not fit together, or it makes nodes or elements out of others
-
-    Warns
-    -----
-    UserWarning      it has elements of other types
     """
     from meshio import Mesh
 
@@ -147,8 +150,8 @@ def read(path: Path) -> Any:
     mesh = Mesh(deck.points, cells, cell_data=data, cell_sets=whole, point_sets=point_sets(deck))
     setattr(mesh, HELD, deck.held)
     if deck.others:
-        warnings.warn(f"elements of type {', '.join(deck.others)} stay as they are with their "
-                      f"nodes", UserWarning, stacklevel=2)
+        setattr(mesh, REMARKS, [
+            f"elements of type {', '.join(deck.others)} stay as they are with their nodes"])
     return mesh
 
 
@@ -171,15 +174,11 @@ def _labels(
     given = {(s.part, s.params["ELSET"].upper()) for s in deck.sections
              if s.name.endswith("SECTION") and "ELSET" in s.params}
     known = titles(deck, "ELSET")
-    taken = [title for title in inside if known[title] in given]
-    taken += [title for title in region_names([spreads(inside, rows)]) if title not in taken]
-    if not taken:
+    taken = [inside.pop(title) for title in [*inside] if known[title] in given]
+    label = joint_labels(taken, inside, rows)
+    if label is None:
         return {}
-    table = np.stack([inside[title] for title in taken], axis=1)
-    label = np.unique(table, axis=0, return_inverse=True)[1].ravel()
-    if not label.any():
-        return {}
-    return {LABEL: [label[starts[b]: starts[b] + size] + 1 if b in starts
+    return {LABEL: [label[starts[b]: starts[b] + size] if b in starts
                     else np.zeros(size, dtype=np.int64) for b, size in enumerate(sizes)]}
 
 

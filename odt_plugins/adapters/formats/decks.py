@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
-from typing import Any
+import re
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.change import Change, NotRewritable
+from odt_plugins.adapters.regions import region_names, spreads
 
 Name = tuple[str, int]
 """Part and number of a node or an element."""
@@ -16,6 +18,9 @@ Name = tuple[str, int]
 Edit = tuple[int, int, bytes]
 """Where a piece of a file starts and stops, and what takes its place."""
 
+
+REMARKS = "remarks"
+"""Attribute of a meshio.Mesh: what its reader has to say, one sentence an entry."""
 
 HELD = "held"
 """Attribute of a meshio.Mesh: vertices that have to stay, since its file refers to them."""
@@ -54,6 +59,66 @@ def substituted(
     """Exchange some words of a record, which are told by their places among all of its spans."""
     return edited(text, [(*spans[i], word) for i, word in words.items()
                          if text[spans[i][0]: spans[i][1]] != word])
+
+
+class Row(NamedTuple):
+    """A line of words between blanks: the words, and where the line starts and stops."""
+
+    words: list[bytes]
+    start: int
+    stop: int
+
+
+def rows_of(data: bytes, comment: bytes) -> Iterator[Row]:
+    """Lines of a file that have more than a comment, which begins as is told."""
+    at = 0
+    for line in data.splitlines(keepends=True):
+        start, at = at, at + len(line)
+        words = line.partition(comment)[0].split()
+        if words:
+            yield Row(words, start, at)
+
+
+def as_lines(data: bytes, row: Row, parts: Sequence[Mapping[int, Any]]) -> Edit:
+    """Put a line for each of some parts in the place of a line, with other words at some places."""
+    text = data[row.start: row.stop]
+    end = text[len(text.rstrip(b"\r\n")):] or b"\n"
+    spans = [word.span() for word in re.finditer(rb"\S+", text)]
+    lines = [substituted(text, spans, {
+        i: word if isinstance(word, bytes) else str(word).encode() for i, word in part.items()
+    }) for part in parts]
+    return row.start, row.stop, b"".join(
+        line if line.endswith((b"\n", b"\r")) or k == len(lines) - 1 else line + end
+        for k, line in enumerate(lines))
+
+
+def numbers(words: Sequence[bytes]) -> list[float]:
+    """Numbers, whose exponents may be as Fortran writes them."""
+    return [float(word.replace(b"D", b"e").replace(b"d", b"e")) for word in words]
+
+
+def expect_points(rows: NDArray[np.int64], count: int, first: int = 0) -> None:
+    """See whether cells refer to points that are there.
+
+    Raises
+    ------
+    KeyError    one is not
+    """
+    bad = rows[(rows < 0) | (rows >= count)]
+    if bad.size:
+        raise KeyError(int(bad[0]) + first)
+
+
+def expect_same_points(change: Change) -> None:
+    """See whether no point came or went.
+
+    Raises
+    ------
+    NotRewritable    one did
+    """
+    if change.renumbered:
+        msg = "points came or went, which are numbered by their places"
+        raise NotRewritable(msg)
 
 
 def real(x: float, width: int = 24) -> bytes:
@@ -149,10 +214,11 @@ class Names:
             cells = np.asarray(change.after.cells[b].data)
             for row in cells[(change.points[cells] < 0).any(axis=1)].tolist():
                 known = [old[v][1] for v in row if change.points[v] >= 0]
+                home = part if part in most else ""
                 for v in row:
                     if old[v] == ("", -1):
-                        most[part] += 1
-                        old[v] = (part, most[part])
+                        most[home] += 1
+                        old[v] = (home, most[home])
                         self.around[old[v]] = known
         self.parts = [part for part, _ in old]
         self.nodes = np.array([n for _, n in old], dtype=np.int64)
@@ -208,6 +274,22 @@ def faces_of(
             for i in np.flatnonzero(known[rows].all(axis=1)).tolist():
                 faces[turned(rows[i].tolist())] = (b, i, face)
     return faces
+
+
+def joint_labels(
+    columns: Sequence[NDArray[Any]], sets: Mapping[str, NDArray[np.bool_]], cells: NDArray[Any]
+) -> NDArray[np.int64] | None:
+    """Labels (m,) from 1 on, equal where all columns and all sets that part the mesh are equal.
+
+    Returns
+    -------
+    None    all cells would have the same
+    """
+    taken = [*columns, *(sets[name] for name in region_names([spreads(sets, cells)]))]
+    if not taken:
+        return None
+    label = np.unique(np.stack(taken, axis=1), axis=0, return_inverse=True)[1].ravel()
+    return label + 1 if label.any() else None
 
 
 def order_of(kinds: Iterable[str]) -> int:

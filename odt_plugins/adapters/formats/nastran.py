@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import math
 import re
-import warnings
 from collections.abc import Iterator
 from itertools import pairwise
 from pathlib import Path
@@ -13,7 +12,14 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.formats.decks import CORNERS, FACES, HELD, fits, order_of
+from odt_plugins.adapters.formats.decks import (
+    CORNERS,
+    FACES,
+    HELD,
+    REMARKS,
+    fits,
+    order_of,
+)
 from odt_plugins.errors import MeshFileError
 
 KINDS = {
@@ -119,10 +125,6 @@ def read(path: Path) -> Any:
     Raises
     ------
     MeshFileError    it ends before ENDDATA, or refers to what is not there
-
-    Warns
-    -----
-    UserWarning      it has elements of other types
     """
     from meshio import Mesh
 
@@ -137,8 +139,8 @@ def read(path: Path) -> Any:
     mesh = Mesh(deck.points, cells, cell_data={LABEL: labels}, point_sets=sets)
     setattr(mesh, HELD, deck.held)
     if deck.others:
-        warnings.warn(f"elements of type {', '.join(deck.others)} stay as they are with their "
-                      f"nodes", UserWarning, stacklevel=2)
+        setattr(mesh, REMARKS, [
+            f"elements of type {', '.join(deck.others)} stay as they are with their nodes"])
     return mesh
 
 

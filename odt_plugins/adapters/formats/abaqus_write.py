@@ -1,0 +1,77 @@
+"""Abaqus decks written anew: nodes, elements that solvers compute with, and sets."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from odt_plugins.adapters.formats.decks import real
+from odt_plugins.errors import UnsupportedMeshError
+
+WORDS = {"tetra": "C3D4", "tetra10": "C3D10", "hexahedron": "C3D8", "hexahedron20": "C3D20",
+         "wedge": "C3D6", "wedge15": "C3D15", "pyramid": "C3D5"}
+"""Elements in space by types of cells."""
+
+IN_SPACE = {"triangle": "S3", "triangle6": "STRI65", "quad": "S4", "quad8": "S8R", "line": "T3D2"}
+IN_PLANE = {"triangle": "CPS3", "triangle6": "CPS6", "quad": "CPS4", "quad8": "CPS8",
+            "line": "T2D2"}
+"""Those of surfaces, and of meshes in the plane."""
+
+WIDEST, A_LINE = 20, 16
+"""Letters of a number and numbers on a line that Abaqus reads."""
+
+
+def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
+    """Write nodes, a section of elements a block, and all sets.
+
+    Raises
+    ------
+    UnsupportedMeshError    there are cells that no element is known for
+    """
+    points: Any = np.asarray(mesh.points).tolist()
+    words = WORDS | (IN_PLANE if mesh.points.shape[1] == 2 else IN_SPACE)
+    unknown = sorted({block.type for block in mesh.cells if len(block.data)} - words.keys())
+    if unknown:
+        msg = f"it holds no cells of type {', '.join(unknown)}"
+        raise UnsupportedMeshError(msg)
+    lines = ["*HEADING", "*NODE"]
+    lines += [", ".join([str(v + 1), *(real(float(x), WIDEST).decode() for x in place)])
+              for v, place in enumerate(points)]
+    starts = np.cumsum([1, *(len(block.data) for block in mesh.cells)]).tolist()
+    for block, start in zip(mesh.cells, starts, strict=False):
+        if not len(block.data):
+            continue
+        lines.append(f"*ELEMENT, TYPE={words[block.type]}")
+        for i, row in enumerate((np.asarray(block.data) + 1).tolist(), start):
+            lines += _lines([i, *row], ",")
+    for name, rows in mesh.cell_sets.items():
+        own = [number for part, start in zip(rows, starts, strict=False) if part is not None
+               for number in _members(part, start)]
+        if own:
+            lines += [f"*ELSET, ELSET={_name(name)}", *_lines(own, "")]
+    for name, nodes in mesh.point_sets.items():
+        if len(nodes):
+            lines += [f"*NSET, NSET={_name(name)}", *_lines(_members(nodes, 1), "")]
+    path.write_text("\n".join(lines) + "\n", encoding="utf-8")
+    return []
+
+
+def _members(members: Any, first: int) -> list[int]:
+    """Numbers of members of a set, given as a mask or as indices."""
+    given = np.asarray(members)
+    given = np.flatnonzero(given) if given.dtype == np.bool_ else given.ravel()
+    return [int(i) + first for i in given]
+
+
+def _name(name: str) -> str:
+    """Name of a set, in quotes where it has letters that end one."""
+    return name if re.fullmatch(r"[\w.-]+", name) else f'"{name}"'
+
+
+def _lines(numbers: list[int], comma: str) -> list[str]:
+    """Lines of numbers, those that go on with a comma behind them."""
+    parts = [", ".join(map(str, numbers[k: k + A_LINE])) for k in range(0, len(numbers), A_LINE)]
+    return [*(part + comma for part in parts[:-1]), parts[-1]]

@@ -1,0 +1,211 @@
+"""SU2's meshes: markers with their names, and all else of the file, stay as they are."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from odt_plugins.adapters.formats.change import Change
+from odt_plugins.adapters.formats.decks import (
+    REMARKS,
+    Edit,
+    Row,
+    as_lines,
+    edited,
+    expect_points,
+    expect_same_points,
+    numbers,
+    real,
+    rows_of,
+)
+from odt_plugins.errors import MeshFileError
+
+TYPES = {1: ("vertex", 1), 3: ("line", 2), 5: ("triangle", 3), 9: ("quad", 4), 10: ("tetra", 4),
+         12: ("hexahedron", 8), 13: ("wedge", 6), 14: ("pyramid", 5)}
+"""Types of cells and their numbers of points, by those that files have."""
+
+TAG = "su2:tag"
+"""Array of the numbers of markers, 0 of cells."""
+
+
+CHUNK = 8192
+"""Bytes behind which meshio takes points from a wrong place, in files with other ends of lines."""
+
+
+class Section(NamedTuple):
+    """Rows behind a keyword: its name, its line, the marker before it, and the rows."""
+
+    name: str
+    head: Row
+    marker: str
+    rows: list[Row]
+
+
+class Parts(NamedTuple):
+    """A file, read: dimension, sections of points and cells, and the place of every row.
+
+    Attributes
+    ----------
+    dim : int
+    points : Section
+    cells : list of Section
+    blocks : list                type of every block, and its rows as (section, row)
+    remarks : list of str
+    """
+
+    dim: int
+    points: Section
+    cells: list[Section]
+    blocks: list[tuple[str, list[tuple[int, int]]]]
+    remarks: list[str]
+
+
+def read(path: Path) -> Any:
+    """Read a file of one zone.
+
+    Returns
+    -------
+    meshio.Mesh      a block a type of cells, then one a type of those of markers, whose names are
+                     cell sets and whose numbers are `su2:tag`
+
+    Raises
+    ------
+    MeshFileError    it has several zones, or fewer rows than it says
+    """
+    from meshio import Mesh
+
+    parts = _parsed(path.read_bytes())
+    points = np.array([numbers(row.words[: parts.dim]) for row in parts.points.rows])
+    points = points.reshape(-1, parts.dim)
+    cells: list[Any] = []
+    tags: list[Any] = []
+    names = list(dict.fromkeys(s.marker for s in parts.cells if s.name == "MARKER_ELEMS"))
+    number = _numbers(names)
+    sets: dict[str, list[Any]] = {name: [] for name in names}
+    for kind, own in parts.blocks:
+        width = next(size for name, size in TYPES.values() if name == kind)
+        rows = np.array([[int(w) for w in parts.cells[s].rows[r].words[1: width + 1]]
+                         for s, r in own], dtype=np.int64).reshape(-1, width)
+        expect_points(rows, len(points))
+        markers = np.array([parts.cells[s].marker for s, _ in own])
+        cells.append((kind, rows))
+        tags.append(np.array([number.get(name, 0) for name in markers.tolist()], dtype=np.int64))
+        for name in names:
+            sets[name].append(np.flatnonzero(markers == name))
+    mesh = Mesh(points, cells, cell_data={TAG: tags}, cell_sets=sets)
+    setattr(mesh, REMARKS, parts.remarks)
+    return mesh
+
+
+def rewrite(source: Path, target: Path, change: Change) -> list[str]:
+    """Replace the places of points that moved, and the rows of cells that were exchanged.
+
+    Raises
+    ------
+    NotRewritable    points came or went
+    """
+    expect_same_points(change)
+    data = source.read_bytes()
+    parts = _parsed(data)
+    places: Any = np.asarray(change.after.points).tolist()
+    edits: list[Edit] = [
+        as_lines(data, parts.points.rows[v], [dict(enumerate(map(real, places[v])))])
+        for v in np.flatnonzero(change.moved).tolist()]
+    words: dict[tuple[int, int], list[dict[int, Any]]] = {}
+    for b, (_, own) in enumerate(parts.blocks):
+        fresh, rows = change.exchanged(b), change.cells[b]
+        if not fresh.any() and np.array_equal(rows, np.arange(len(own))):
+            continue
+        words |= {place: [] for place in own}
+        after: Any = np.asarray(change.after.cells[b].data).tolist()
+        for i, r in enumerate(rows.tolist()):
+            words[own[r]].append(dict(enumerate(after[i], 1)))
+    for s, section in enumerate(parts.cells):
+        count = 0
+        for r, row in enumerate(section.rows):
+            lines = words.get((s, r), [{}])
+            size = TYPES[int(row.words[0])][1]
+            for line in lines:
+                if len(row.words) > size + 1 and count != r:
+                    line[size + 1] = count
+                count += 1
+            edit = as_lines(data, row, lines)
+            if edit[2] != data[row.start: row.stop]:
+                edits.append(edit)
+        if count != len(section.rows):
+            head = section.head
+            text = data[head.start: head.stop]
+            key, _, rest = text.partition(b"=")
+            old = rest.split()[0]
+            edits.append((head.start, head.stop,
+                          key + b"=" + rest.replace(old, str(count).encode(), 1)))
+    out = edited(data, edits)
+    lost = []
+    if b"\r" in out and parts.points.head.stop > CHUNK:
+        out = out.replace(b"\r\n", b"\n").replace(b"\r", b"\n")
+        lost.append("ends of lines other than plain ones, with which meshio misreads points that "
+                    "stand behind cells")
+    target.write_bytes(out)
+    return lost
+
+
+def _numbers(names: list[str]) -> dict[str, int]:
+    """Numbers of markers: their names where these are such, others in their order behind."""
+    out: dict[str, int] = {}
+    last = 0
+    for name in names:
+        last = int(name) if name.lstrip("-").isdigit() else last + 1
+        out[name] = last
+    return out
+
+
+def _parsed(data: bytes) -> Parts:
+    dim, marker = 0, ""
+    sections: list[Section] = []
+    remarks: list[str] = []
+    stated: list[int] = []
+    for row in rows_of(data, b"%"):
+        text = data[row.start: row.stop].partition(b"%")[0].decode("latin-1")
+        if "=" not in text:
+            if sections and len(sections[-1].rows) < stated[-1]:
+                sections[-1].rows.append(row)
+            elif not (row.words[0].lstrip(b"-").isdigit() or len(row.words) > 1):
+                remarks.append(f"could not parse line {' '.join(text.split())}")
+            continue
+        name, _, value = text.partition("=")
+        name, value = name.strip().upper(), value.strip()
+        if name in ("NPOIN", "NELEM", "MARKER_ELEMS"):
+            sections.append(Section(name, row, marker if name[0] == "M" else "", []))
+            stated.append(int(value.split()[0]))
+        elif name == "NDIME":
+            dim = int(value)
+        elif name == "MARKER_TAG":
+            marker = value
+        elif name == "NZONE" and int(value) > 1:
+            msg = f"it has {value} zones, expected one"
+            raise MeshFileError(msg)
+    points = [s for s in sections if s.name == "NPOIN"]
+    if dim not in (2, 3) or len(points) != 1:
+        msg = f"it ends before its points, or has NDIME= {dim}"
+        raise MeshFileError(msg)
+    for section, count in zip(sections, stated, strict=True):
+        if len(section.rows) != count or any(len(r.words) < dim for r in points[0].rows):
+            msg = f"it declares {count} rows of {section.name} and holds {len(section.rows)}"
+            raise MeshFileError(msg)
+    cells = [s for s in sections if s.name != "NPOIN"]
+    found: dict[tuple[bool, str], list[tuple[int, int]]] = {}
+    for s, section in enumerate(cells):
+        for r, row in enumerate(section.rows):
+            kind, size = TYPES.get(int(row.words[0]), ("", -1))
+            if size < 0:
+                msg = f"it has cells of type {int(row.words[0])}, which is not known"
+                raise MeshFileError(msg)
+            if len(row.words) <= size:
+                msg = f"a row of {section.name} ends before its {size} points"
+                raise MeshFileError(msg)
+            found.setdefault((section.name != "NELEM", kind), []).append((s, r))
+    order = {kind: k for k, (kind, _) in enumerate(TYPES.values())}
+    blocks = sorted(found.items(), key=lambda item: (item[0][0], order[item[0][1]]))
+    return Parts(dim, points[0], cells, [(kind, own) for (_, kind), own in blocks], remarks)
