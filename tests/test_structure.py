@@ -72,6 +72,7 @@ TOOLKITS = {
                "adapters/formats/med.py", "adapters/formats/medit.py",
                "adapters/formats/nastran.py", "adapters/formats/obj.py", "adapters/formats/ply.py",
                "adapters/formats/polygons.py", "adapters/formats/stl.py",
+               "adapters/formats/su2.py",
                "adapters/formats/xdmf.py", "cli/demo.py",
                "distributed/store.py", "generate/fill.py", "hosts/script.py"},
     "gmsh": {"adapters/gmsh_files.py", "adapters/gmsh_model.py", "hosts/gmsh_methods.py",

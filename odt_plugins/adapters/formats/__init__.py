@@ -41,6 +41,7 @@ from odt_plugins.adapters.formats import (
     off,
     ply,
     stl,
+    su2,
     vol,
     xdmf,
     xdmf_copy,
@@ -50,7 +51,7 @@ from odt_plugins.adapters.formats.change import Change
 READERS: dict[str, Callable[[Path], Any]] = {
     "abaqus": abaqus.read, "exodus": exodus.read, "gmsh": gmsh_read.read, "med": med.read,
     "medit": medit.read, "nastran": nastran.read, "obj": obj.read, "off": off.read,
-    "ply": ply.read, "stl": stl.read, "xdmf": xdmf.read,
+    "ply": ply.read, "stl": stl.read, "su2": su2.read, "xdmf": xdmf.read,
 }
 """Readers that take the place of meshio's, by the name of the format in meshio."""
 
@@ -58,7 +59,7 @@ REWRITERS: dict[str, Callable[[Path, Path, Change], list[str]]] = {
     "abaqus": abaqus_copy.rewrite, "exodus": exodus_copy.rewrite, "gmsh": gmsh.rewrite,
     "med": med_copy.rewrite, "medit": medit.rewrite, "nastran": nastran_copy.rewrite,
     "netgen": vol.rewrite, "obj": obj.rewrite, "off": off.rewrite, "ply": ply.rewrite,
-    "stl": stl.rewrite, "xdmf": xdmf_copy.rewrite,
+    "stl": stl.rewrite, "su2": su2.rewrite, "xdmf": xdmf_copy.rewrite,
 }
 """Rewriters by the name of the format in meshio: source, target and change, to what is lost."""
 
