@@ -6,8 +6,7 @@ import warnings
 
 import numpy as np
 import pytest
-from test_what_is_lost import mesh_with_everything
-from test_xdmf_files import series
+from full_meshes import mesh_with_everything
 
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.cli.main import main
@@ -59,16 +58,3 @@ def test_a_letter_in_place_of_a_digit_is_told_in_words_about_the_file(suffix, tm
             said.append(str(exc))
     assert said
     assert not [text for text in said for word in RAW if word in text]
-
-
-@pytest.mark.parametrize("suffix", [".xdmf", ".h5"])
-def test_an_xdmf_file_or_its_data_that_are_cut_write_nothing(suffix, tmp_path, capsys):
-    path, *_ = series(tmp_path)
-    part = path.with_suffix(suffix)
-    data = part.read_bytes()
-    part.write_bytes(data[: len(data) // 2])
-    assert main(["optimize", str(path), str(tmp_path / "out.xdmf")]) == 1
-    said = capsys.readouterr().err
-    assert said.rstrip().endswith("expected a complete file")
-    assert len(said.splitlines()) == 1
-    assert sorted(part.name for part in tmp_path.iterdir()) == ["flow.h5", "flow.xdmf"]

@@ -13,6 +13,7 @@ from contract import grid
 
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
+from odt_plugins.cli.main import main
 from odt_plugins.errors import MeshFileError
 
 HEAD = '<?xml version="1.0"?>\n<!-- by a solver -->\n<Xdmf Version="3.0" xmlns:xi="{}">\n'.format(
@@ -254,3 +255,16 @@ def test_parts_that_are_missing_or_short_are_named(tmp_path):
     path.write_text(path.read_text()[:-40])
     with pytest.raises(MeshFileError, match=r"its XML ends or breaks.*expected a complete file"):
         read_file(path)
+
+
+@pytest.mark.parametrize("suffix", [".xdmf", ".h5"])
+def test_an_xdmf_file_or_its_data_that_are_cut_write_nothing(suffix, tmp_path, capsys):
+    path, *_ = series(tmp_path)
+    part = path.with_suffix(suffix)
+    data = part.read_bytes()
+    part.write_bytes(data[: len(data) // 2])
+    assert main(["optimize", str(path), str(tmp_path / "out.xdmf")]) == 1
+    said = capsys.readouterr().err
+    assert said.rstrip().endswith("expected a complete file")
+    assert len(said.splitlines()) == 1
+    assert sorted(part.name for part in tmp_path.iterdir()) == ["flow.h5", "flow.xdmf"]
