@@ -26,6 +26,7 @@ class Form(NamedTuple):
     blocks : bool          whether several blocks may have cells of one type
     sets : bool            whether it holds sets
     text : bool            whether it is written as text or binary, as asked
+    vertices : bool        whether it holds vertices as cells
     """
 
     label: str | None = None
@@ -35,12 +36,13 @@ class Form(NamedTuple):
     blocks: bool = False
     sets: bool = False
     text: bool = False
+    vertices: bool = True
 
 
 EVERYTHING = Form(sets=True, text=True)
 
 FORMS = {
-    "abaqus": Form(points=False, cells=False, blocks=True, sets=True),
+    "abaqus": Form(points=False, cells=False, blocks=True, sets=True, vertices=False),
     "avsucd": Form("avsucd:material", cells=False),
     "cgns": Form(points=False, cells=False, beside=False),
     "dolfin-xml": Form(points=False, beside=False),
@@ -52,15 +54,15 @@ FORMS = {
     "hmf": Form(),
     "mdpa": Form(),
     "med": Form("cell_tags", sets=True),
-    "medit": Form("medit:ref", points=False, cells=False),
+    "medit": Form("medit:ref", points=False, cells=False, vertices=False),
     "nastran": Form("nastran:ref", points=False, cells=False),
     "netgen": Form("netgen:index", points=False, cells=False),
     "obj": Form(beside=False, blocks=True),
     "off": Form(points=False, cells=False, beside=False, blocks=True),
-    "ply": Form(blocks=True, text=True),
+    "ply": Form(blocks=True, text=True, vertices=False),
     "permas": Form(points=False, cells=False, blocks=True),
     "stl": Form(points=False, beside=False, blocks=True, sets=True, text=True),
-    "su2": Form("su2:tag", points=False, cells=False),
+    "su2": Form("su2:tag", points=False, cells=False, vertices=False),
     "tecplot": Form(beside=False),
     "tetgen": Form("tetgen:ref", points=False, cells=False, beside=False),
     "ugrid": Form("ugrid:ref", points=False, cells=False),
@@ -78,6 +80,12 @@ POINT_LABELS = ("medit:ref", "tetgen:ref", "point_tags")
 """Labels of points that formats hold beside their labels of cells."""
 
 MAIN = ("tetra", "triangle")
+
+WIDTHS = (1, 3, 9)
+"""Numbers that Gmsh's arrays may have for each point or cell."""
+
+NETGEN = "netgen:index"
+"""Labels of cells of Netgen's files, which have the names of materials."""
 
 TETRAHEDRA = ("cgns", "flac3d", "tetgen")
 """Formats in which meshio writes cells in space only."""
@@ -105,6 +113,8 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
         return mesh.copy(), []
     out = mesh.copy()
     lost = []
+    out.point_data = {key: _column(values) for key, values in out.point_data.items()}
+    out.cell_data = {key: [*map(_column, values)] for key, values in out.cell_data.items()}
     if name in TETRAHEDRA and not any(block.type == "tetra" for block in out.cells):
         msg = f"it holds no cells of type {', '.join(sorted({b.type for b in out.cells}))}"
         raise UnsupportedMeshError(msg)
@@ -114,6 +124,10 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
         lost = [f"{sum(len(b.data) for b in out.cells if b.type == kind)} cells of type {kind}"
                 for kind in sorted(kinds)]
         _choose(out, [i for i, b in enumerate(out.cells) if main in (None, b.type)])
+    count = sum(len(b.data) for b in out.cells if b.type == "vertex")
+    if count and not form.vertices:
+        lost.append(f"{count} cells of type vertex")
+        _choose(out, [i for i, b in enumerate(out.cells) if b.type != "vertex"])
     _reorder(out, form)
     if name in ("gmsh", "gmsh22"):
         return _with_tags(out, name), lost
@@ -155,6 +169,12 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
     if name in ("obj", "off") and out.points.shape[1] == 2:
         out.points = np.pad(out.points, ((0, 0), (0, 1)))
     return out, lost
+
+
+def _column(values: Any) -> NDArray[Any]:
+    """Values (n,) of an array (n, 1), any other one as it is."""
+    array = np.asarray(values)
+    return array[:, 0] if array.ndim == 2 and array.shape[1] == 1 else array
 
 
 def _choose(mesh: Any, chosen: list[int]) -> None:
@@ -257,6 +277,10 @@ def _as_written(mesh: Any, name: str) -> None:
     """Give blocks and labels the form in which meshio's writers of .su2 and .ugrid use them."""
     if name == "su2":
         flat = mesh.points.shape[1] == 3 and not mesh.points[:, 2].any()
+        solid = any(block.dim == 3 for block in mesh.cells)
+        if mesh.points.shape[1] == 3 and not flat and not solid:
+            msg = "it holds no triangles in space, only those of the plane z = 0"
+            raise UnsupportedMeshError(msg)
         if flat and not any(block.dim == 3 for block in mesh.cells):
             mesh.points = mesh.points[:, :2]
         mesh.cells = [_Pair((block.type, block.data)) for block in mesh.cells]
@@ -319,15 +343,27 @@ def _with_tags(mesh: Any, name: str) -> Any:
     """Give a mesh for Gmsh the tags of groups and entities that it lacks; sets become groups."""
     if PHYSICAL not in mesh.cell_data and mesh.cell_sets:
         _group(mesh)
+    if PHYSICAL not in mesh.cell_data and NETGEN in mesh.cell_data and any(
+            map(is_group, mesh.field_data.values())):
+        mesh.cell_data[PHYSICAL] = mesh.cell_data.pop(NETGEN)
     if PHYSICAL not in mesh.cell_data:
         mesh.cell_data[PHYSICAL] = [np.zeros(len(block.data), dtype=np.int32)
                                     for block in mesh.cells]
     if ENTITY not in mesh.cell_data:
         mesh.cell_data[ENTITY] = _entities(mesh)
+    mesh.point_data = {key: values for key, values in mesh.point_data.items()
+                       if key in BOOKKEEPING or _width(values) in WIDTHS}
+    mesh.cell_data = {key: values for key, values in mesh.cell_data.items()
+                      if {*map(_width, values)} <= {*WIDTHS}}
     if name == "gmsh22":
         mesh.point_data.pop(BOOKKEEPING[0], None)
     mesh.field_data = {key: value for key, value in mesh.field_data.items() if is_group(value)}
     return mesh
+
+
+def _width(values: Any) -> int:
+    """Numbers of each point or cell."""
+    return int(np.prod(np.shape(values)[1:]))
 
 
 def _entities(mesh: Any) -> list[NDArray[np.int32]]:

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 import trimesh
 from contract import grid
-from full_meshes import mesh_with_everything
+from labelled_meshes import mesh_with_everything
 
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.errors import DataNotKeptWarning, MeshFileError
@@ -128,3 +128,55 @@ def test_labels_without_entities_are_groups_as_gmsh_sees_them(tmp_path):
     finally:
         gmsh.finalize()
     assert sizes == {"steel": 192, "air": 192, "skin": 32}
+
+
+def lost(path, mesh):
+    """What the one warning says that a file does not keep."""
+    with pytest.warns(DataNotKeptWarning, match="does not keep") as caught:
+        write_file(path, mesh)
+    assert len(caught) == 1
+    return str(caught[0].message).partition("does not keep ")[2]
+
+
+@pytest.mark.parametrize("suffix", [".mesh", ".su2", ".inp"])
+def test_vertices_as_cells_are_left_out_by_name(suffix, tmp_path):
+    points, cells, _ = grid(3, 2, 1)
+    mesh = meshio.Mesh(points, [("vertex", [[0], [1]]), ("tetra", cells)])
+    assert lost(tmp_path / f"a{suffix}", mesh).startswith("2 cells of type vertex; try")
+    assert [b.type for b in read_file(tmp_path / f"a{suffix}").cells] == ["tetra"]
+
+
+def test_arrays_that_gmsh_does_not_know_are_left_out_by_name(tmp_path):
+    points, cells, _ = grid(2, 2, 1)
+    mesh = meshio.Mesh(points, [("triangle", cells)], {"pair": points, "flow": points[:, :1]},
+                       {"texcoord": [np.zeros((len(cells), 6))]})
+    assert lost(tmp_path / "a.msh", mesh).startswith(
+        "point data 'pair', cell data 'texcoord'; try")
+    assert np.array_equal(read_file(tmp_path / "a.msh").point_data["flow"], points[:, 0])
+
+
+@pytest.mark.parametrize("suffix", [".e", ".ply", ".med", ".vtu"])
+def test_arrays_of_one_column_keep_their_names(suffix, tmp_path):
+    points, cells, _ = grid(2, 2, 1)
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        write_file(tmp_path / f"a{suffix}", meshio.Mesh(
+            np.c_[points, 0 * points[:, 0]], [("triangle", cells)], {"u[0]": points[:, :1]}))
+    assert np.array_equal(read_file(tmp_path / f"a{suffix}").point_data["u[0]"], points[:, 0])
+
+
+def test_materials_of_netgen_are_groups_of_gmsh(tmp_path):
+    points, cells, labels = grid(3, 2, 1)
+    mesh = meshio.Mesh(points, [("tetra", cells)],
+                       cell_data={"netgen:index": [(labels > 0) + 1]},
+                       field_data={"steel": np.array([1, 3]), "air": np.array([2, 3])})
+    assert "the name of cell data 'netgen:index'" in lost(tmp_path / "a.msh", mesh)
+    back = read_file(tmp_path / "a.msh")
+    assert np.array_equal(np.sort(back.cell_data["gmsh:physical"][0]), np.sort((labels > 0) + 1))
+    assert {*back.field_data} == {"steel", "air"}
+
+
+def test_triangles_in_space_are_refused_by_su2_in_words(tmp_path):
+    ball = trimesh.creation.icosphere(1)
+    with pytest.raises(MeshFileError, match="no triangles in space, only those of the plane"):
+        write_file(tmp_path / "a.su2", meshio.Mesh(ball.vertices, [("triangle", ball.faces)]))

@@ -1,4 +1,4 @@
-"""Meshes of meshio with data of every kind."""
+"""Meshes with all that a format may or may not hold."""
 
 from __future__ import annotations
 
