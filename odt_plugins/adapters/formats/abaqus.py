@@ -36,6 +36,10 @@ LABEL = "abaqus:elset"
 """Array of labels of cells, by the sets that they are in."""
 
 
+MOST = 20_000_000
+"""Numbers that a line of a set may generate."""
+
+
 class Section(NamedTuple):
     """A keyword with what belongs to it.
 
@@ -414,9 +418,18 @@ def home_of(section: Section, alias: dict[str, str]) -> str:
 
 
 def generated(words: list[str]) -> range:
-    """Numbers that a line of first, last and step makes."""
+    """Numbers that a line of first, last and step makes.
+
+    Raises
+    ------
+    MeshFileError    they are more than any mesh has that is read here
+    """
     first, last, *step = [int(word) for word in words if word]
-    return range(first, last + 1, max(1, *step) if step else 1)
+    found = range(first, last + 1, max(1, *step) if step else 1)
+    if len(found) > MOST:
+        msg = f"a set is generated from {first} to {last}, expected {MOST} numbers at most"
+        raise MeshFileError(msg)
+    return found
 
 
 def _sides(deck: Deck) -> Iterator[Side]:

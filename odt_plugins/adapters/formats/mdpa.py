@@ -323,6 +323,10 @@ def _carried(
     data: bytes, section: Section, origin: dict[tuple[str, int], int], known: set[int]
 ) -> list[Edit]:
     """What replaces the rows of data of elements: every element has those of that it comes from."""
+    strange = next((row for row in section.rows if not row.words[0].isdigit()), None)
+    if strange is not None:
+        msg = f"{section.kind} {section.name} has {strange.words[0]!r} in place of a number"
+        raise NotRewritable(msg)
     rows = {int(row.words[0]): row for row in section.rows}
     of: dict[int, list[int]] = {}
     for (entity, number), old in origin.items():

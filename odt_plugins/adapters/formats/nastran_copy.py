@@ -157,9 +157,9 @@ def _loads(deck: Deck, names: Names, change: Change) -> list[Edit]:
             continue
         texts = [field.text for field in card.fields]
         listed = {int(text) for text in texts[1:] if text.isdigit()}
-        if "THRU" in texts and changed and len(listed) > 1:
+        if "THRU" in texts[1:-1]:
             k = texts.index("THRU")
-            listed |= set(range(int(texts[k - 1]), int(texts[k + 1]) + 1))
+            listed |= {i for i in changed if int(texts[k - 1]) <= i <= int(texts[k + 1])}
         if listed & changed:
             msg = f"{card.name} lists elements that went or to which others came"
             raise NotRewritable(msg)
