@@ -129,14 +129,6 @@ def slow(place, monkeypatch):
     solve_amg(matrix, np.ones((n, 1)), 1e-30, iterations=1)
 
 
-def section(place, monkeypatch):
-    points, cells = square()
-    meshio.write(place / "in.msh", meshio.Mesh(points, [("triangle", cells)]), "gmsh")
-    text = (place / "in.msh").read_bytes() + b"$Strange\n1\n$EndStrange\n"
-    (place / "in.msh").write_bytes(text)
-    odt_plugins.measure(place / "in.msh")
-
-
 def soup(place, monkeypatch):
     start = ball(60)
     cells = np.arange(start.cells.size).reshape(-1, 4)
@@ -154,7 +146,6 @@ def levels_of_refinement(place, monkeypatch):
 
 CASES = {
     "adapters/netgen_mesh.py": (levels_of_refinement,),
-    "adapters/gmsh_files.py": (section,),
     "roundtrip.py": (soup,),
     "adapters/files.py": (dropped, unknown),
     "adapters/higher_order.py": (point_set,),

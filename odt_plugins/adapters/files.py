@@ -196,7 +196,8 @@ def write_file(
     mesh : meshio.Mesh     not changed
     file_format : str      one of FILE_FORMATS, where the suffix leaves a choice; None takes
                            version 4.1 for meshes that were read from such files
-    binary : bool          or as text; None takes text for .msh where the mesh was read from that
+    binary : bool          or as text; None takes what the file is that the mesh was read from, if
+                           it is of the same format, or else binary
 
     Raises
     ------
@@ -363,7 +364,7 @@ def _write_and_compare(
         fit, lost = fitted(mesh, name)
         if name in apart.VTK and apart.vtk_installed():
             back, differs = apart.call_again(
-                vtk_files.write_and_read, path.absolute(), fit, name, binary is not False)
+                vtk_files.write_and_read, path.absolute(), fit, name, binary)
         else:
             heard = partial(apart.call, _write_heard) if name in apart.HDF5 else _write_heard
             said = heard(path, fit, name, binary)

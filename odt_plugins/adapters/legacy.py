@@ -1,12 +1,17 @@
-"""Legacy files of VTK: whether all data are there that the file announces.
+"""Legacy files of VTK: whether all data are there that the file announces, with all their digits.
 
-Neither VTK nor meshio notices when the last arrays of a file are cut off.
+Neither VTK nor meshio notices when the last arrays of a file are cut off, and VTK writes 6 and 11
+digits of numbers of 32 and 64 bits as text.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import BinaryIO
+from typing import Any, BinaryIO, NamedTuple
+from urllib.parse import unquote
+
+from numpy.typing import NDArray
 
 from odt_plugins.errors import MeshFileError
 
@@ -22,6 +27,13 @@ OWN = b"own"
 
 LISTS = (b"CELLS", b"VERTICES", b"LINES", b"POLYGONS", b"TRIANGLE_STRIPS")
 
+NAMED = (b"SCALARS", b"VECTORS", b"NORMALS", b"TENSORS", b"TENSORS6", b"TEXTURE_COORDINATES",
+         b"GLOBAL_IDS", b"PEDIGREE_IDS")
+"""Words before the name of an array; fields have the name in front."""
+
+PER_LINE = 9
+"""Numbers on a line."""
+
 COMPONENTS = {b"VECTORS": 3, b"NORMALS": 3, b"TENSORS": 9, b"TENSORS6": 6}
 
 
@@ -33,26 +45,80 @@ def expect_whole(path: Path) -> None:
     MeshFileError    the file ends within what it announces
     """
     with path.open("rb") as file:
-        file.readline()
-        file.readline()
-        text = file.readline().strip().upper() == b"ASCII"
-        rows = 0
-        try:
-            while line := file.readline():
-                words = line.split()
-                if not words:
-                    continue
-                if words[0].upper() in (b"POINT_DATA", b"CELL_DATA"):
-                    rows = int(words[1])
-                elif words[0].upper() == b"METADATA":
-                    while file.readline().strip():
-                        pass
-                elif words[0].upper() not in (b"DATASET", b"FIELD"):
-                    for count, kind in _announced(words, rows, file):
-                        _pass(file, count, kind, text, words)
-        # A word that VTK may know; the readers judge the rest.
-        except (KeyError, IndexError, ValueError):
-            return
+        for _ in _blocks(file):
+            continue
+
+
+def write_exactly(path: Path, values: Callable[[str, str], NDArray[Any] | None]) -> None:
+    """Write the floating-point numbers of a file of text anew, with all of their digits.
+
+    Parameters
+    ----------
+    path : path          of what VTK wrote, which has fewer digits
+    values : callable    from the section (POINTS, POINT_DATA, CELL_DATA or FIELD) and a name to
+                         an array, or to None
+    """
+    data = path.read_bytes()
+    if data.split(b"\n", 3)[2].strip().upper() != b"ASCII":
+        return
+    out, done = [], 0
+    with path.open("rb") as file:
+        for block in _blocks(file):
+            if block.kind.lower() not in (b"float", b"double"):
+                continue
+            array = values(block.home, block.name)
+            if array is None or array.size != block.size:
+                continue
+            words = array.ravel().astype(str).tolist()
+            lines = (" ".join(words[i: i + PER_LINE]) for i in range(0, len(words), PER_LINE))
+            out += [data[done: block.start], "\n".join(lines).encode(), b"\n"]
+            done = block.stop
+    path.write_bytes(b"".join([*out, data[done:]]))
+
+
+class _Block(NamedTuple):
+    """Values in a file: of which section and name, how many of what type, and where they stand."""
+
+    home: str
+    name: str
+    size: int
+    kind: bytes
+    start: int
+    stop: int
+
+
+def _blocks(file: BinaryIO) -> Iterator[_Block]:
+    """All values of a file that it announces.
+
+    Raises
+    ------
+    MeshFileError    the file ends within what it announces
+    """
+    file.readline()
+    file.readline()
+    text = file.readline().strip().upper() == b"ASCII"
+    rows, home = 0, "FIELD"
+    try:
+        while line := file.readline():
+            words = line.split()
+            if not words:
+                continue
+            first = words[0].upper()
+            if first in (b"POINT_DATA", b"CELL_DATA"):
+                rows, home = int(words[1]), first.decode()
+            elif first == b"METADATA":
+                while file.readline().strip():
+                    pass
+            elif first not in (b"DATASET", b"FIELD"):
+                named = words[1 if first in NAMED else 0].decode("utf-8", "replace")
+                for count, kind in _announced(words, rows, file):
+                    start = file.tell()
+                    _pass(file, count, kind, text, words)
+                    yield _Block("POINTS" if first == b"POINTS" else home, unquote(named), count,
+                                 kind, start, file.tell())
+    # A word that VTK may know; the readers judge the rest.
+    except (KeyError, IndexError, ValueError):
+        return
 
 
 def _announced(words: list[bytes], rows: int, file: BinaryIO) -> list[tuple[int, bytes]]:
@@ -72,6 +138,8 @@ def _announced(words: list[bytes], rows: int, file: BinaryIO) -> list[tuple[int,
         if follows[0].upper() != b"OFFSETS":
             return [(int(words[2]), b"int")]
         return [(int(words[1]), OWN), (int(words[2]), OWN)]
+    if name in (b"GLOBAL_IDS", b"PEDIGREE_IDS"):
+        return [(rows, words[2])]
     if name == b"CELL_TYPES":
         return [(int(words[1]), b"int")]
     if name == b"SCALARS":
@@ -97,8 +165,12 @@ def _pass(file: BinaryIO, count: int, kind: bytes, text: bool, words: list[bytes
         while not (line := file.readline()).strip() and line:
             pass
         kind = line.split()[1]
-    size = SIZES[kind.lower()]
-    if text:
+    size = SIZES[kind.lower()] if kind.lower() != b"string" or not text else 0
+    if text and kind.lower() == b"string":
+        while count > 0 and file.readline():
+            count -= 1
+        there = count <= 0
+    elif text:
         while count > 0 and (line := file.readline()):
             count -= len(line.split())
         there = count <= 0

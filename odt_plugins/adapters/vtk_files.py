@@ -6,6 +6,8 @@ VTK's readers are C++: they run in a process of their own (:mod:`odt_plugins.ada
 
 from __future__ import annotations
 
+import re
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.apart import VTK
+from odt_plugins.adapters.legacy import write_exactly
 from odt_plugins.errors import InvalidMeshError, MeshFileError, UnsupportedMeshError
 
 SPLIT = {2: ("vertex", 1), 4: ("line", 2)}
@@ -36,11 +39,35 @@ OLD = (b"1", b"2", b"3", b"4")
 """Versions before 5, which programs read that do not know later ones."""
 
 
-class Like(NamedTuple):
-    """Whether a legacy file is of an old version, and holds PolyData."""
+COMPRESSORS = ("ZLib", "LZ4", "LZMA")
+"""Of which XML files say that they are packed by them."""
 
+
+class Like(NamedTuple):
+    """What the file is, from which a mesh was read that is to be written in the same format.
+
+    Attributes
+    ----------
+    path : path                   None where there is no such file
+    old : bool                    whether a legacy file is of an old version
+    surface : bool                whether it holds PolyData
+    title : str                   of a legacy file
+    mode : str                    "Ascii", "Binary" or "Appended"
+    encoded : bool                whether appended arrays are in base 64
+    compressor : str              one of COMPRESSORS, empty for none
+    wide : bool                   whether sizes have eight bytes
+    big : bool                    whether the last byte of a number comes last
+    """
+
+    path: Path | None = None
     old: bool = False
     surface: bool = False
+    title: str = ""
+    mode: str = "Binary"
+    encoded: bool = True
+    compressor: str = COMPRESSORS[0]
+    wide: bool = False
+    big: bool = False
 
 
 class Grid(NamedTuple):
@@ -84,15 +111,20 @@ def read(path: Path, name: str) -> Grid:
                 _arrays(dataset.GetFieldData()))
 
 
-def write_and_read(path: Path, mesh: Any, name: str, binary: bool = True) -> tuple[Any, str]:
+def write_and_read(
+    path: Path, mesh: Any, name: str, binary: bool | None = None
+) -> tuple[Any, str]:
     """Write a mesh by VTK, and read the file again: by VTK, and by meshio.
+
+    A mesh that was read from a file of that format is written as this is: arrays keep their types,
+    names of components, units and roles, such as that of active scalars, and the file its encoding.
 
     Parameters
     ----------
     path : path
     mesh : meshio.Mesh    point and cell sets are written as arrays of 0 and 1
     name : str            one of apart.VTK
-    binary : bool         or as text
+    binary : bool         or as text; None as the file is that it was read from, or else binary
 
     Returns
     -------
@@ -109,28 +141,101 @@ def write_and_read(path: Path, mesh: Any, name: str, binary: bool = True) -> tup
         msg = "the mesh has no cells"
         raise UnsupportedMeshError(msg)
     like = _like(mesh, name)
-    sink = _writer(name, binary)
-    if like.old:
-        sink.SetFileVersion(sink.VTK_LEGACY_READER_VERSION_4_2)
+    if binary is not None:
+        like = like._replace(mode="Binary" if binary else "Ascii")
+    sink = _writer(name, like)
     sink.SetFileName(str(path))
-    sink.SetInputData(_polydata(mesh) if name == "vtp" or like.surface else _grid(mesh))
+    dataset = _polydata(mesh) if name == "vtp" or like.surface else _grid(mesh)
+    if like.path is not None:
+        source = _reader(name)
+        source.SetFileName(str(like.path))
+        if not _run(source):
+            _as_before(dataset, source.GetOutput())
+    sink.SetInputData(dataset)
     said = _run(sink)
     if said or not path.is_file():
         raise MeshFileError(said or "VTK wrote nothing")
+    if name == "vtk":
+        write_exactly(path, partial(_values, dataset))
     back, _ = as_mesh(read(path, name))
     return back, "" if name == "vtp" else _second_look(path, name, back)
 
 
+def _values(dataset: Any, home: str, name: str) -> NDArray[Any] | None:
+    """Points, or the array of a name, of what a legacy file tells of."""
+    if home == "POINTS":
+        return as_numpy(dataset.GetPoints().GetData())
+    data = {"POINT_DATA": dataset.GetPointData, "CELL_DATA": dataset.GetCellData}.get(
+        home, dataset.GetFieldData)()
+    array = data.GetArray(name)
+    return None if array is None else as_numpy(array)
+
+
 def _like(mesh: Any, name: str) -> Like:
-    """What the legacy file was, from which a mesh was read that is to be one again."""
+    """What the file is, from which a mesh was read that is to be one again."""
     origin = getattr(mesh, "read_from", None)
-    if name != "vtk" or origin is None or origin.format != name or not origin.unchanged:
+    if origin is None or origin.format != name or not origin.unchanged:
         return Like()
-    with origin.path.open("rb") as file:
-        head = [file.readline(300).split() for _ in range(20)]
-    version = head[0][-1] if head[0] else b""
-    words = [word.upper() for line in head[2:] for word in line[:2]]
-    return Like(version.split(b".")[0] in OLD, b"POLYDATA" in words)
+    if name == "vtk":
+        with origin.path.open("rb") as file:
+            lines = [file.readline(300) for _ in range(20)]
+        head = [line.split() for line in lines]
+        version = head[0][-1] if head[0] else b""
+        words = [word.upper() for line in head[2:] for word in line[:2]]
+        return Like(origin.path, version.split(b".")[0] in OLD, b"POLYDATA" in words,
+                    lines[1].strip().decode("utf-8", "replace"),
+                    "Ascii" if b"ASCII" in words[:2] else "Binary")
+    data = origin.path.read_bytes()
+    found = re.search(rb"<VTKFile\b[^>]*>", data)
+    told = found[0] if found else b""
+    formats = re.findall(rb"<DataArray\b[^>]*?format=\"(\w+)\"", data)
+    modes = {word.title().decode() for word in formats}
+    mode = next((mode for mode in ("Appended", "Binary", "Ascii") if mode in modes), "Binary")
+    raw = re.search(rb"<AppendedData\s+encoding=\"raw\"", data)
+    return Like(
+        origin.path, mode=mode, encoded=raw is None,
+        compressor=next((one for one in COMPRESSORS if f"vtk{one}Data".encode() in told), ""),
+        wide=b"UInt64" in told, big=b"BigEndian" in told)
+
+
+def _as_before(out: Any, source: Any) -> None:
+    """Give arrays the types, names of components, information and roles of those of a dataset."""
+    from vtkmodules.vtkCommonDataModel import vtkDataSetAttributes
+
+    for data, old in ((out.GetPointData(), source.GetPointData()),
+                      (out.GetCellData(), source.GetCellData()),
+                      (out.GetFieldData(), source.GetFieldData())):
+        for i in range(old.GetNumberOfArrays()):
+            was = old.GetAbstractArray(i)
+            now = data.GetAbstractArray(was.GetName() or f"array {i}")
+            if now is None or now.GetNumberOfComponents() != was.GetNumberOfComponents():
+                continue
+            if now.GetClassName() != was.GetClassName() and _same_type(now, was):
+                made = was.NewInstance()
+                made.DeepCopy(now)
+                data.AddArray(made)
+                now = made
+            now.CopyInformation(was.GetInformation())
+            for k in range(was.GetNumberOfComponents() if was.HasAComponentName() else 0):
+                if was.GetComponentName(k):
+                    now.SetComponentName(k, was.GetComponentName(k))
+            if getattr(was, "GetLookupTable", lambda: None)() is not None:
+                now.SetLookupTable(was.GetLookupTable())
+        for role in range(vtkDataSetAttributes.NUM_ATTRIBUTES) if old.IsA(
+                "vtkDataSetAttributes") else ():
+            active = old.GetAbstractAttribute(role)
+            if active is None or not data.HasArray(active.GetName() or ""):
+                continue
+            ids = as_numpy(data.GetAbstractArray(active.GetName()))
+            if role != vtkDataSetAttributes.GLOBALIDS or len(np.unique(ids)) == len(ids):
+                data.SetActiveAttribute(active.GetName(), role)
+
+
+def _same_type(now: Any, was: Any) -> bool:
+    """Whether an array may become one of the class of another: of ids, or of bits."""
+    if was.IsA("vtkBitArray"):
+        return not now.IsA("vtkStringArray") and set(np.unique(as_numpy(now)).tolist()) <= {0, 1}
+    return bool(as_numpy(now).dtype == as_numpy(was).dtype)
 
 
 def _reader(name: str) -> Any:
@@ -147,17 +252,28 @@ def _reader(name: str) -> Any:
     return getattr(vtkIOXML, f"vtkXML{VTK[name]}Reader")()
 
 
-def _writer(name: str, binary: bool) -> Any:
+def _writer(name: str, like: Like) -> Any:
     if name == "vtk":
         from vtkmodules.vtkIOLegacy import vtkDataSetWriter
 
         writer = vtkDataSetWriter()
-        (writer.SetFileTypeToBinary if binary else writer.SetFileTypeToASCII)()
+        (writer.SetFileTypeToASCII if like.mode == "Ascii" else writer.SetFileTypeToBinary)()
+        if like.old:
+            writer.SetFileVersion(writer.VTK_LEGACY_READER_VERSION_4_2)
+        if like.title:
+            writer.SetHeader(like.title)
         return writer
     from vtkmodules import vtkIOXML
 
     writer = getattr(vtkIOXML, f"vtkXML{VTK[name]}Writer")()
-    (writer.SetDataModeToBinary if binary else writer.SetDataModeToAscii)()
+    getattr(writer, f"SetDataModeTo{like.mode}")()
+    writer.SetEncodeAppendedData(like.encoded)
+    if like.compressor:
+        getattr(writer, f"SetCompressorTypeTo{like.compressor}")()
+    else:
+        writer.SetCompressor(None)
+    writer.SetHeaderTypeToUInt64() if like.wide else writer.SetHeaderTypeToUInt32()
+    writer.SetByteOrderToBigEndian() if like.big else writer.SetByteOrderToLittleEndian()
     return writer
 
 
