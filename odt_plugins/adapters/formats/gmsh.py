@@ -214,6 +214,7 @@ def _elements(
         (start, stop, text)
         for value, (start, stop) in zip(told, gmsh_tables.heads(file, section), strict=False)
         if (text := _number(file, value)) != file.data[start:stop]]
+    every = gmsh_nodes.tags(nodes, change)
     for run, row in zip(runs, rows, strict=True):
         if not row.fresh.any() and len(row.numbers) == len(run.numbers):
             continue
@@ -224,7 +225,7 @@ def _elements(
                                for i in np.unique(row.block).tolist()] or [np.zeros(0, int)])
         cells = np.zeros_like(made)
         cells[back] = made
-        cells = gmsh_nodes.tags(nodes, change)[cells[:, _order(run, row, nodes, change)]]
+        cells = every[cells[:, _order(run, row, cells, nodes, change)]]
         if run.at[1]:
             edits.append((*run.at, coded(
                 file, len(row.numbers), file.long if file.version[0] == "4" else "i4")))
@@ -237,8 +238,10 @@ def _number(file: File, value: int) -> bytes:
     return str(value).encode() if file.version[0] != "4" else coded(file, value, file.long)
 
 
-def _order(run: Run, row: _Rows, nodes: Nodes, change: Change) -> list[int]:
-    """Places in the mesh of the nodes of an element of the file.
+def _order(
+    run: Run, row: _Rows, cells: NDArray[Any], nodes: Nodes, change: Change
+) -> list[int]:
+    """Places in the mesh, whose cells take that of the run, of the nodes of an element of the file.
 
     Raises
     ------
@@ -249,8 +252,7 @@ def _order(run: Run, row: _Rows, nodes: Nodes, change: Change) -> list[int]:
         name = change.after.cells[int(row.block[0])].type if len(row.block) else ""
         return gmsh_read.order_of(name, run.nodes.shape[1])
     given = change.number[gmsh_read.places(nodes.tags, run.nodes[row.source[kept]], "node")]
-    mesh = np.stack([change.after.cells[i].data[c] for i, c in
-                     zip(row.block[kept].tolist(), row.cell[kept].tolist(), strict=True)])
+    mesh = cells[kept]
     order = [mesh[0].tolist().index(v) for v in given[0].tolist()]
     if not np.array_equal(mesh[:, order], given):
         msg = "elements of an entity have their nodes in other orders than were read"
