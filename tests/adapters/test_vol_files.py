@@ -9,22 +9,13 @@ import contract
 import meshio
 import numpy as np
 import pytest
+from made_files import two_boxes
 
 from odt_plugins.adapters.files import read_file
 from odt_plugins.api import optimize_file
 from odt_plugins.errors import DataNotKeptWarning
 
 ng = pytest.importorskip("netgen.meshing")
-
-
-def two_boxes(path):
-    """Boxes of two materials with periodic faces, as Netgen makes them of a CAD model."""
-    from netgen.occ import Box, Glue, IdentificationType, OCCGeometry, X
-
-    left, right = Box((0, 0, 0), (1, 1, 1)).mat("air"), Box((1, 0, 0), (2, 1, 1)).mat("steel")
-    left.faces.Min(X).name = "inlet"
-    left.faces.Min(X).Identify(right.faces.Max(X), "per", IdentificationType.PERIODIC)
-    OCCGeometry(Glue([left, right])).GenerateMesh(maxh=0.3, optsteps3d=0).Save(str(path))
 
 
 def loaded(path):
