@@ -114,6 +114,12 @@ def by_h5py(path):
     return found
 
 
+def by_su2(path):
+    lines = path.read_text().splitlines()
+    first = next(i for i, line in enumerate(lines) if line.startswith("NMARK"))
+    return {"dimension": lines[0], "markers": lines[first:]}
+
+
 def by_netgen(path):
     ng = pytest.importorskip("netgen.meshing")
     mesh = ng.Mesh()
@@ -280,6 +286,7 @@ ROWS = {
     "a41.msh": (solid, by_gmsh, by_meshio, by_skfem),
     "a.med": (solid, by_gmsh, by_meshio, by_h5py),
     "a.mesh": (solid, by_gmsh, by_meshio),
+    "a.su2": (solid, by_meshio, by_su2),
     "a.vtk": (grid, by_vtk, by_meshio),
     "a.vtu": (grid, by_vtk, by_meshio),
     "a.vtp": (grid, by_vtk),

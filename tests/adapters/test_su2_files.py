@@ -1,0 +1,61 @@
+"""SU2 files: names of markers and all else but places and exchanged cells stay."""
+
+from __future__ import annotations
+
+import re
+import warnings
+
+import contract
+import numpy as np
+import pytest
+
+from odt_plugins.adapters.files import read_file
+from odt_plugins.api import optimize_file
+
+
+def rim(cells):
+    """Edges of one triangle."""
+    edges = np.sort(np.concatenate([cells[:, [0, 1]], cells[:, [1, 2]], cells[:, [2, 0]]]), axis=1)
+    found, count = np.unique(edges, axis=0, return_counts=True)
+    return found[count == 1]
+
+
+@pytest.mark.parametrize("end", ["\n", "\r\n"])
+@pytest.mark.parametrize("numbered", [True, False])
+def test_all_but_places_and_cells_stays(numbered, end, tmp_path):
+    points, cells, _ = contract.grid(2, 7)
+    edges = rim(cells)
+    left = np.isclose(points[edges][:, :, 0], points[:, 0].min()).all(axis=1)
+    lines = ["% made by hand", "NDIME= 2", f"NELEM= {len(cells)}"]
+    lines += [f"5\t{a} {b} {c}{f' {k}' if numbered else ''}"
+              for k, (a, b, c) in enumerate(cells.tolist())]
+    lines += [f"NPOIN= {len(points)}"]
+    lines += [f"{x:.12f}  {y!r}{f' {k}' if numbered else ''}"
+              for k, (x, y) in enumerate(points.tolist())]
+    lines += ["NMARK= 3", "% walls"]
+    for name, rows in (("inlet", edges[left]), ("7", edges[~left]), ("empty", edges[:0])):
+        lines += [f"MARKER_TAG= {name}", f"MARKER_ELEMS= {len(rows)}"]
+        lines += [f"3 {a} {b}" for a, b in rows.tolist()]
+    source, target = tmp_path / "a.su2", tmp_path / "b.su2"
+    source.write_text(end.join([*lines, ""]), newline="")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        mesh = read_file(source)
+        optimize_file(source, target)
+    assert [len(part) for part in mesh.cell_sets["inlet"]] == [0, left.sum()]
+    assert set(np.unique(mesh.cell_data["su2:tag"][1]).tolist()) == {1, 7}
+    before, after = (path.read_bytes() for path in (source, target))
+    place = before.index(b"NMARK")
+    assert after.endswith(before[place:])
+    assert after.startswith(before[:before.index(b"NELEM")])
+    assert after.count(b"\r\n") == (after.count(b"\n") if end == "\r\n" else 0)
+    out = read_file(target)
+    assert contract.volumes(out.points, out.cells[0].data).sum() == pytest.approx(
+        contract.volumes(mesh.points, mesh.cells[0].data).sum())
+    assert not np.array_equal(out.points, mesh.points)
+    rows = re.findall(rb"^5[ \t].*?(\d+)\r?$", after, re.MULTILINE)
+    assert not numbered or [int(k) for k in rows] == list(range(len(out.cells[0].data)))
+    kept = (out.points == mesh.points).all(axis=1)
+    texts = [re.split(rb"\r?\n", data[data.index(b"NPOIN"):])[1: 1 + len(points)]
+             for data in (before, after)]
+    assert [a == b for a, b in zip(*texts, strict=True)] == kept.tolist()
