@@ -182,6 +182,30 @@ def test_values_belong_to_the_nodes_that_they_name(tmp_path):
     assert np.allclose(mesh.point_data["u"], mesh.points @ FIELD)
 
 
+@pytest.mark.parametrize(("version", "binary"), [(2.2, 0), (4.1, 1)])
+def test_values_of_what_is_in_no_group_stay(version, binary, gmsh, tmp_path):
+    """Gmsh stores a view on the whole model beside the elements and nodes of a group."""
+    source, target = tmp_path / "a.msh", tmp_path / "b.msh"
+    store(gmsh, source, version, binary)
+    data = source.read_bytes()
+    strange = [b"" if binary else b"999001 7.5 8.5 9.5\n", b"" if binary else b"999002 4.25\n"]
+    if binary:
+        strange = [np.array([(999001, [7.5, 8.5, 9.5])], "i4, (3,)f8").tobytes(),
+                   np.array([(999002, 4.25)], "i4, f8").tobytes()]
+    for name, row in zip((b"ElementData", b"NodeData"), strange, strict=True):
+        head = re.search(rb"\$" + name + rb"\n(?:[^\n]*\n){5,9}?(\d\d+)\n", data)
+        stop = data.index(b"\n" * binary + b"$End" + name, head.end())
+        data = (data[:head.start(1)] + str(int(head[1]) + 1).encode() + data[head.end(1):stop]
+                + row + data[stop:])
+    source.write_bytes(data)
+    mesh = read_file(source)
+    assert np.array_equal(np.isnan(mesh.point_data["heat[0]"]), np.zeros(len(mesh.points), bool))
+    with pytest.warns(DataNotKeptWarning, match="'corners"):
+        optimize_file(source, target)
+    text = target.read_bytes()
+    assert all(text.count(row) == 1 for row in strange)
+
+
 def test_what_only_gmsh_knows_is_named_where_it_is_lost(gmsh, tmp_path):
     store(gmsh, tmp_path / "a.msh", 4.1, 0)
     with pytest.warns(DataNotKeptWarning) as caught:

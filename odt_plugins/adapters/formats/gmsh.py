@@ -313,7 +313,9 @@ def _element_values(
             own[here] = np.asarray(values[i])[cell[at[here]]].reshape(-1, width)
         own = np.where(np.isnan(own), part.values[source], own)
         differs = ((own != part.values[source]) & ~np.isnan(own)).any(axis=1)
-    if len(source) == len(count) and not differs.any() and np.array_equal(new[at], part.tags):
+    strange = np.flatnonzero(~np.isin(part.tags, np.concatenate([run.numbers for run in runs])))
+    if len(source) + len(strange) == len(count) and not differs.any() and np.array_equal(
+            new[at], part.tags[source]):
         return [], gone
     lines = []
     for k, number, other, found in zip(source.tolist(), new[at].tolist(), differs.tolist(),
@@ -326,6 +328,7 @@ def _element_values(
         else:
             line = head + (b"".join(coded(file, x, "f8") for x in found) if other else line[4:])
         lines.append(line)
+    lines += [file.data[start:stop] for start, stop in part.rows[strange].tolist()]
     start_, stop = (int(part.rows[0, 0]), int(part.rows[-1, 1])) if len(part.rows) else (0, 0)
     end = b"" if not file.text else b"\r\n" if file.data[stop: stop + 2] == b"\r\n" else b"\n"
     return [(*part.at, str(len(lines)).encode()), (start_, stop, end.join(lines))], gone

@@ -162,12 +162,14 @@ def values(
     file: File, nodes: Nodes, part: Values, change: Change, array: NDArray[Any]
 ) -> list[Edit]:
     """What replaces the values of nodes that are others; all that were and are somewhere else."""
-    before = gmsh_read.places(nodes.tags, part.tags, "node")
+    known = np.isin(part.tags, nodes.tags)
+    before = np.full(len(known), -1, dtype=np.int64)
+    before[known] = gmsh_read.places(nodes.tags, part.tags[known], "node")
     number, every = change.number, tags(nodes, change)
     width = part.values.shape[1]
     table = array.reshape(len(array), width)
-    kept = number[before] >= 0
-    own = np.where(kept[:, None], table[number[before]], part.values)
+    kept = ~known | (number[before] >= 0)
+    own = np.where((known & kept)[:, None], table[number[before]], part.values)
     own = np.where(np.isnan(own), part.values, own)
     changed = (own != part.values) & ~np.isnan(own)
     new = np.flatnonzero(change.points < 0)

@@ -227,19 +227,19 @@ def _old_mesh(found: gmsh_tables.Nodes, runs: list[Run], names: Any, data: Any) 
                 run.tags[:, column] if run.tags.shape[1] > column else np.zeros(len(run.nodes))
                 for run in block]).astype(np.int32) for block in blocks]
     ids = [np.concatenate([run.numbers for run in block]) for block in blocks]
-    point_data: Any = _joined(data["NodeData"], found.tags, "node")
+    point_data: Any = _joined(data["NodeData"], found.tags)
     every = np.concatenate(ids) if ids else np.zeros(0, dtype=np.int64)
     ends = np.cumsum([len(numbers) for numbers in ids])[:-1]
-    for name, spread in _joined(data["ElementData"], every, "element").items():
+    for name, spread in _joined(data["ElementData"], every).items():
         cell_data[name] = np.split(spread, ends)
     return Mesh(found.points, cells, point_data, cell_data, names)
 
 
-def _joined(data: list[Any], tags: NDArray[np.int64], what: str) -> dict[str, NDArray[Any]]:
+def _joined(data: list[Any], tags: NDArray[np.int64]) -> dict[str, NDArray[Any]]:
     """Arrays of all nodes or elements, some of them told by several sections."""
     out: dict[str, NDArray[Any]] = {}
     for name, given, values in data:
-        spread = _spread(tags, given, values, what)
+        spread = _spread(tags, given, values)
         if name in out and out[name].shape == spread.shape:
             spread = np.where(np.isnan(spread), out[name], spread)
         out[name] = spread
@@ -296,10 +296,10 @@ def _mesh(nodes: Any, blocks: Any, entities: Any, names: Any, data: Any) -> Any:
         for name, (group, of) in names.items()}
     if entities and PARTITION not in cell_data:
         sets[BOUNDS] = [np.array(entity.bounds) for entity in found]
-    point_data: Any = _joined(data["NodeData"], tags, "node")
+    point_data: Any = _joined(data["NodeData"], tags)
     ids = np.concatenate([rows[:, 0] for _, _, _, rows in blocks])
     ends = np.cumsum(size)[:-1]
-    for name, spread in _joined(data["ElementData"], ids, "element").items():
+    for name, spread in _joined(data["ElementData"], ids).items():
         cell_data[name] = np.split(spread, ends)
     return Mesh(points, cells, point_data | {NODE_ENTITY: own}, cell_data, names, None, sets)
 
@@ -321,9 +321,13 @@ def _without_cuts(blocks: Any, part: Any, entities: Any) -> tuple[list[Any], lis
 
 
 def _spread(
-    tags: NDArray[Any], given: NDArray[Any], values: NDArray[Any], what: str
+    tags: NDArray[Any], given: NDArray[Any], values: NDArray[Any]
 ) -> NDArray[Any]:
-    """Values of all nodes or elements; those of which the file tells none are not a number."""
+    """Values of all nodes or elements; those of which the file tells none are not a number.
+
+    Gmsh stores values of elements and nodes that are in no group, too, and not these themselves.
+    """
     out = np.full((len(tags), *values.shape[1:]), np.nan)
-    out[places(tags, given, what)] = values
+    known = np.isin(given, tags)
+    out[places(tags, given[known], "node or element")] = values[known]
     return out
