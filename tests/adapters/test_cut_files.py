@@ -7,7 +7,6 @@ import warnings
 import numpy as np
 import pytest
 from labelled_meshes import mesh_with_everything
-from xdmf_series import series
 
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.cli.main import main
