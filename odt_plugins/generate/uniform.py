@@ -114,7 +114,8 @@ def read_linear(mesh: Any) -> tuple[Adapter, HostMesh]:
     if host.higher_order:
         msg = "got a mesh of cells of higher order; expected linear ones, try the corners alone"
         raise UnsupportedMeshError(msg)
-    other = next((kept.kind for kept in host.kept if kept.kind not in SPLIT), None)
+    other = next((kept.kind for kept in host.kept
+                  if kept.kind not in SPLIT and kept.rows.shape[1] > 1), None)
     if other is not None:
         msg = (
             f"got {other} cells beside those to refine; expected only vertices, lines and "
