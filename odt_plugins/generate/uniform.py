@@ -8,7 +8,14 @@ from typing import Any, TypeVar
 import numpy as np
 
 from odt_plugins.adapters import arrays, files, meshio_mesh, pyvista_mesh
-from odt_plugins.adapters.host import Adapter, HostMesh, NewVertices, Result, is_instance
+from odt_plugins.adapters.host import (
+    SET_VERTEX,
+    Adapter,
+    HostMesh,
+    NewVertices,
+    Result,
+    is_instance,
+)
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.errors import UnsupportedMeshError
 from odt_plugins.generate.refine3d import check_size, red_refinement, refined_rows
@@ -115,7 +122,7 @@ def read_linear(mesh: Any) -> tuple[Adapter, HostMesh]:
         msg = "got a mesh of cells of higher order; expected linear ones, try the corners alone"
         raise UnsupportedMeshError(msg)
     other = next((kept.kind for kept in host.kept
-                  if kept.kind not in SPLIT and kept.rows.shape[1] > 1), None)
+                  if kept.kind not in SPLIT and not kept.kind.startswith(SET_VERTEX)), None)
     if other is not None:
         msg = (
             f"got {other} cells beside those to refine; expected only vertices, lines and "
