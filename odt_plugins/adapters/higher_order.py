@@ -471,7 +471,7 @@ def shape_values(shape: Lattice, weights: NDArray[np.float64]) -> NDArray[np.flo
 
 
 def renumbered(mapping: Mapping[str, Any], q: HigherOrder) -> dict[str, Any]:
-    """Sets of nodes by name in the new numbering.
+    """Sets of nodes by name in the new numbering; a set of all nodes is one of all again.
 
     Warns
     -----
@@ -480,6 +480,9 @@ def renumbered(mapping: Mapping[str, Any], q: HigherOrder) -> dict[str, Any]:
     out = {}
     for name, members in mapping.items():
         raw = np.asarray(members)
+        if len(np.unique(raw)) == len(q.number):
+            out[name] = np.arange(len(q.points)).astype(raw.dtype)
+            continue
         new = q.number[raw]
         out[name] = new[new >= 0].astype(raw.dtype)
         if (new < 0).any():
