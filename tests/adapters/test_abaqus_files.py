@@ -291,6 +291,47 @@ def test_parts_have_numbers_of_their_own(tmp_path):
         assert told.volumes().sum() == pytest.approx(1)
 
 
+def test_surfaces_of_an_assembly_name_elements_of_its_instances(tmp_path):
+    points, cells = box(3, 5)
+    body = "*NODE\n" + rows([[i + 1, *x] for i, x in enumerate(points.tolist())], "\n")
+    body += "*ELEMENT, TYPE=C3D4, ELSET=E\n" + rows(
+        [[i + 1, *row] for i, row in enumerate((cells + 1).tolist())], "\n")
+    text = "".join(f"*PART, NAME={name}\n{body}*END PART\n" for name in "AB")
+    text += "*ASSEMBLY, NAME=X\n" + "".join(
+        f"*INSTANCE, NAME=I{name}, PART={name}\n*END INSTANCE\n" for name in "AB")
+    faces = {home: boundary(cells, lambda face, k=k: (points[face][:, k] == 1).all())
+             for k, home in enumerate("AB")}
+    lines = []
+    for face in range(4):
+        own = {home: [c + 1 for c, f in found if f == face] for home, found in faces.items()}
+        text += "".join(f"*ELSET, ELSET=_S{face + 1}, INTERNAL, INSTANCE=I{home}\n" + rows(
+            [[c] for c in ids], "\n") for home, ids in own.items() if ids)
+        lines += [f"_S{face + 1}, S{face + 1}\n"] if any(own.values()) else []
+    text += "*SURFACE, NAME=S, TYPE=ELEMENT\n" + "".join(lines) + "*END ASSEMBLY\n"
+    source, target = tmp_path / "a.inp", tmp_path / "b.inp"
+    source.write_text(text)
+    optimize_file(source, target)
+    told = {}
+    for path in (source, target):
+        first, parts, ids = path.read_text(), {}, {}
+        for home in "AB":
+            (tmp_path / "part").write_text(re.search(
+                rf"(?s)\*PART, NAME={home}\n(.*?)\*END PART", first)[1])
+            parts[home] = Told(tmp_path / "part")
+        for name, home, lines in re.findall(
+                r"\*ELSET, ELSET=(\w+), INTERNAL, INSTANCE=I(\w)\n([\d, \n]*)", first):
+            ids.setdefault(name, []).extend((home, int(w)) for w in re.findall(r"\d+", lines))
+        surface = re.search(r"(?s)\*SURFACE.*?\n(.*?)\*END", first)[1]
+        told[path] = sorted(
+            (home, *sorted(parts[home].elements[i][1][v] for v in FACES[int(face) - 1]))
+            for name, face in re.findall(r"(\S+), S(\d)", surface)
+            for home, i in ids.get(name) or [(name[1], int(name.partition(".")[2]))])
+    assert target.read_text().count("*ELEMENT") == 2
+    assert "IA." in target.read_text()
+    assert told[source] == told[target]
+    assert len(told[source]) == sum(map(len, faces.values()))
+
+
 @pytest.mark.parametrize(("text", "said"), [
     ("*NODE\n1, 0., 0.\n*NGEN\n1, 5, 1\n", "it has \\*NGEN"),
     ("*NODE, SYSTEM=C\n1, 0., 0.\n", "it has \\*NODE"),

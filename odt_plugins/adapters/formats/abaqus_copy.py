@@ -25,6 +25,7 @@ from odt_plugins.adapters.formats.abaqus import (
 from odt_plugins.adapters.formats.change import Change, NotRewritable
 from odt_plugins.adapters.formats.decks import (
     Edit,
+    Name,
     Names,
     corners_of,
     edited,
@@ -196,12 +197,12 @@ def _largest(deck: Deck) -> dict[str, int]:
 
 def _faces(
     deck: Deck, names: Names, change: Change
-) -> tuple[dict[tuple[str, str], set[int]], list[Edit]]:
+) -> tuple[dict[tuple[str, str], set[Name]], list[Edit]]:
     """Sets that are of faces only, as they are to be, and what replaces lines with faces."""
     found = _found(deck, names, change)
     hidden = faces_only(deck)
     lines: dict[int, list[Side]] = {}
-    places: dict[int, list[tuple[int, int]]] = {}
+    places: dict[int, list[tuple[Name, int]]] = {}
     for side, pairs in zip(deck.sides, found, strict=True):
         lines.setdefault(side.line, []).append(side)
         places.setdefault(side.line, []).extend(pairs)
@@ -209,40 +210,68 @@ def _faces(
     for sides in lines.values():
         key = (deck.sections[sides[0].section].part, words_of(deck.texts[sides[0].line])[0].upper())
         uses.setdefault(key, set()).add(sides[0].face)
-    sets: dict[tuple[str, str], set[int]] = {}
+    sets: dict[tuple[str, str], set[Name]] = {}
     edits = []
     for i, sides in lines.items():
         part = deck.sections[sides[0].section].part
         word = words_of(deck.texts[i])[0]
         key, face = (part, word.upper()), sides[0].face
         pairs = places[i]
-        others = {deck.blocks[b].ids[r] for b, r in members(deck, part, word)} - {
-            deck.blocks[side.block].ids[r] for side in sides for r in side.rows}
-        pairs += [(number, face) for number in sorted(others)]
-        own = {number for number, at in pairs if at == face}
+        others = {_name(deck, b, r) for b, r in members(deck, part, word)} - {
+            _name(deck, side.block, r) for side in sides for r in side.rows}
+        pairs += [(name, face) for name in sorted(others)]
+        own = {name for name, at in pairs if at == face}
+        before = _prefixes(deck, part, word)
         if key in hidden and uses[key] == {face} and own:
             sets[key] = own
             pairs = [pair for pair in pairs if pair[1] != face]
             if pairs:
-                edits.append(_line_edit(deck, i, _lines_of(deck.texts[i], None, pairs)))
+                edits.append(_line_edit(deck, i, _lines_of(
+                    deck.texts[i], None, pairs, before)))
             continue
-        if {(number, face) for number in _after(deck, names, part, word)} != set(pairs):
-            edits.append(_line_edit(deck, i, _lines_of(deck.texts[i], pairs, [])))
+        if {(name, face) for name in _after(deck, names, part, word)} != set(pairs):
+            edits.append(_line_edit(deck, i, _lines_of(deck.texts[i], pairs, [], before)))
     return sets, edits
 
 
-def _after(deck: Deck, names: Names, part: str, word: str) -> set[int]:
-    """Numbers of the elements of a set afterwards, or the number of one."""
-    if word.isdigit():
-        return {int(word)} if (part, int(word)) not in names.gone else set()
-    out: set[int] = set()
-    for b, r in members(deck, part, word):
-        out |= {names.of[b][i] for i in names.slots[b][r]}
+def _name(deck: Deck, b: int, row: int) -> Name:
+    return deck.blocks[b].part, deck.blocks[b].ids[row]
+
+
+def _prefixes(deck: Deck, part: str, word: str) -> dict[str, bytes]:
+    """What stands before the numbers of elements of a set, by their parts.
+
+    Raises
+    ------
+    NotRewritable    the set has elements of several instances of one part
+    """
+    alias = resolved(deck.sections)
+    given = [s.params["INSTANCE"] for s in deck.sections
+             if s.name == "ELSET" and s.part == part and "INSTANCE" in s.params
+             and s.params.get("ELSET", "").upper() == word.upper()]
+    given += [word.partition(".")[0]] if "." in word else []
+    out: dict[str, bytes] = {}
+    for instance in given:
+        prefix = f"{instance}.".encode("latin-1")
+        home = alias.get(instance.upper(), "") or instance.upper()
+        if out.setdefault(home, prefix).upper() != prefix.upper():
+            msg = f"set {word} has elements of several instances of part {home}"
+            raise NotRewritable(msg)
     return out
 
 
-def _found(deck: Deck, names: Names, change: Change) -> list[list[tuple[int, int]]]:
-    """Number of the element and face, of every face of every side.
+def _after(deck: Deck, names: Names, part: str, word: str) -> set[Name]:
+    """Names of the elements of a set afterwards, or that of one."""
+    if word.isdigit():
+        return {(part, int(word))} - names.gone
+    out: set[Name] = set()
+    for b, r in members(deck, part, word):
+        out |= {(deck.blocks[b].part, names.of[b][i]) for i in names.slots[b][r]}
+    return out
+
+
+def _found(deck: Deck, names: Names, change: Change) -> list[list[tuple[Name, int]]]:
+    """Name of the element and face, of every face of every side.
 
     Raises
     ------
@@ -260,26 +289,29 @@ def _found(deck: Deck, names: Names, change: Change) -> list[list[tuple[int, int
         if any(row not in faces for row in rows):
             msg = f"a face of *{deck.sections[side.section].name} is no more"
             raise NotRewritable(msg)
-        out.append([(names.of[b][i], face) for b, i, face in map(faces.__getitem__, rows)])
+        out.append([((deck.blocks[b].part, names.of[b][i]), face)
+                    for b, i, face in map(faces.__getitem__, rows)])
     return out
 
 
 def _lines_of(
-    text: bytes, instead: list[tuple[int, int]] | None, more: list[tuple[int, int]]
+    text: bytes, instead: list[tuple[Name, int]] | None, more: list[tuple[Name, int]],
+    before: dict[str, bytes],
 ) -> bytes:
     """A line with a face, or lines of elements instead of it, and more of them behind."""
     spans = _spans(text)
     end = _end(text) or b"\n"
     old = text[slice(*spans[1])]
     body = [text.rstrip(b"\r\n")] if instead is None else []
-    for number, face in [*(instead or []), *more]:
+    for (part, number), face in [*(instead or []), *more]:
         word = b"".join(str(face + 1).encode() if 48 <= c < 58 else bytes([c]) for c in old)
-        body.append(substituted(text, spans, {0: str(number).encode(), 1: word}).rstrip(b"\r\n"))
+        body.append(substituted(text, spans, {
+            0: before.get(part, b"") + str(number).encode(), 1: word}).rstrip(b"\r\n"))
     return end.join(body) + (_end(text) if body else b"")
 
 
 def _set(
-    deck: Deck, section: Section, names: Names, home: str, hidden: dict[tuple[str, str], set[int]]
+    deck: Deck, section: Section, names: Names, home: str, hidden: dict[tuple[str, str], set[Name]]
 ) -> list[Edit]:
     """What replaces lines of a set of nodes or elements."""
     own: set[int] = set()
@@ -293,11 +325,14 @@ def _set(
         add = {number for (part, number), known in names.around.items()
                if part == home and own.issuperset(known)}
     elif key in hidden:
+        alias = resolved(deck.sections)
         last = [s for s in deck.sections if s.name == "ELSET" and s.part == section.part
-                and s.params.get("ELSET", "").upper() == key[1]][-1]
-        before = {deck.blocks[b].ids[r] for b, r in members(deck, *key)}
-        drop = own & (before - hidden[key])
-        add = hidden[key] - before if section is last else set()
+                and s.params.get("ELSET", "").upper() == key[1] and home_of(s, alias) == home][-1]
+        before = {deck.blocks[b].ids[r] for b, r in members(deck, *key)
+                  if deck.blocks[b].part == home}
+        after = {number for part, number in hidden[key] if part == home}
+        drop = own & (before - after)
+        add = after - before if section is last else set()
     else:
         drop = {number for number in own if (home, number) in names.gone}
         add = {new for number in own for new in names.fresh.get((home, number), ())}
