@@ -90,7 +90,7 @@ def test_tetwild_has_most_of_the_bar_and_odt_the_rest(monkeypatch):
         return tets()
 
     monkeypatch.setattr(tetwild, "run_tetwild", made)
-    odt_plugins.tetrahedralize(*surface_meshes.sphere(1),
+    odt_plugins.tetrahedralize(*surface_meshes.sphere(1), disable_filtering=True,
                                progress=lambda stage, share: seen.append((stage, share)))
     assert seen[1] == ("TetWild", 0.5 * tetwild.BY_TETWILD)
     assert seen[2] == ("preparing", tetwild.BY_TETWILD)

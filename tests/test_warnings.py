@@ -54,11 +54,31 @@ def unknown(place, monkeypatch):
     odt_plugins.measure(place / "in.su2")
 
 
+def edges(place, monkeypatch):
+    points, cells, _ = contract.grid(2, 2)
+    items = [f'<DataItem Format="XML" Dimensions="{len(rows)} {rows.shape[1]}" NumberType="{kind}">'
+             f"{' '.join(map(repr, rows.ravel().tolist()))}</DataItem>"
+             for rows, kind in ((cells, "Int"), (points, "Float"), (points[:1], "Float"))]
+    (place / "in.xdmf").write_text(
+        f'<Xdmf Version="3.0"><Domain><Grid><Topology TopologyType="Triangle" '
+        f'NumberOfElements="{len(cells)}">{items[0]}</Topology><Geometry GeometryType="XY">'
+        f'{items[1]}</Geometry><Attribute Name="flux" Center="Edge">{items[2]}</Attribute>'
+        f"</Grid></Domain></Xdmf>")
+    odt_plugins.measure(place / "in.xdmf")
+
+
+def elsewhere(place, monkeypatch):
+    points, cells, _ = contract.grid(3, 1)
+    monkeypatch.setattr(tetwild, "run_tetwild", lambda *_: (points, cells.astype(np.int32)))
+    faces = np.array(sorted(contract.facets(cells, np.zeros(len(cells), int))))
+    odt_plugins.tetrahedralize(points + 9.0, faces)
+
+
 def point_set(place, monkeypatch):
     monkeypatch.setattr(plan, "run", contract.churn)
     points, cells, _ = contract.grid(2, 3)
     nodes, rows = quadratic_meshes.widened(points, cells)
-    mesh = meshio.Mesh(nodes, [("triangle6", rows)], point_sets={"all": np.arange(len(nodes))})
+    mesh = meshio.Mesh(nodes, [("triangle6", rows)], point_sets={"all": np.arange(1, len(nodes))})
     odt_plugins.optimize(mesh)
 
 
@@ -147,7 +167,9 @@ def levels_of_refinement(place, monkeypatch):
 CASES = {
     "adapters/netgen_mesh.py": (levels_of_refinement,),
     "roundtrip.py": (soup,),
+    "tetwild.py": (elsewhere,),
     "adapters/files.py": (dropped, unknown),
+    "adapters/formats/xdmf.py": (edges,),
     "adapters/higher_order.py": (point_set,),
     "adapters/wedges.py": (seams,),
     "adapters/pymeshlab_copy.py": (curvature,),

@@ -22,7 +22,8 @@ class _Rows(NamedTuple):
     source : (m,) int64     row of the run from which each comes
     block, cell : (m,)      block and cell of the result
     numbers : (m,) int64
-    fresh : (m,) bool       whether the element has other nodes or another number
+    fresh : (m,) bool       whether the element has other nodes, or is not the first that comes from
+                            its source
     """
 
     source: NDArray[np.int64]
@@ -36,7 +37,8 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     """Replace places of nodes that moved, elements that were exchanged, and values of both.
 
     An element takes the place, the number and the tags of the one from which its data come; the
-    others that come from the same one follow it, with new numbers.
+    others that come from the same one follow it, with new numbers. Where elements are numbered from
+    1 on in their order, those of the result are, too: some readers know nothing else.
 
     Raises
     ------
@@ -198,7 +200,12 @@ def _emitted(runs: list[Run], homes: Any, nodes: Nodes, change: Change) -> list[
         numbers[~heir] = last + 1 + np.arange((~heir).sum())
         last += int((~heir).sum())
         out.append(_Rows(source, of, cell, numbers, fresh | ~heir))
-    return out
+    every = np.concatenate([run.numbers for run in runs])
+    if not np.array_equal(every, np.arange(1, len(every) + 1)):
+        return out
+    first = 1 + np.cumsum([0, *(len(row.numbers) for row in out)])
+    return [row._replace(numbers=start + np.arange(len(row.numbers)))
+            for start, row in zip(first.tolist(), out, strict=False)]
 
 
 def _elements(
@@ -216,7 +223,7 @@ def _elements(
         if (text := _number(file, value)) != file.data[start:stop]]
     every = gmsh_nodes.tags(nodes, change)
     for run, row in zip(runs, rows, strict=True):
-        if not row.fresh.any() and len(row.numbers) == len(run.numbers):
+        if not row.fresh.any() and np.array_equal(row.numbers, run.numbers):
             continue
         made = np.concatenate([
             np.asarray(change.after.cells[i].data)[row.cell[row.block == i]]
@@ -276,7 +283,8 @@ def _run(file: File, run: Run, row: _Rows, cells: NDArray[Any]) -> Edit:
         " ".join(map(str, [number, *before, *tags[k], *behind, *nodes])).encode() if new
         else file.data[run.rows[k, 0]: run.rows[k, 1]]
         for k, number, new, nodes in zip(
-            row.source.tolist(), row.numbers.tolist(), row.fresh.tolist(), cells.tolist(),
+            row.source.tolist(), row.numbers.tolist(),
+            (row.fresh | (row.numbers != run.numbers[row.source])).tolist(), cells.tolist(),
             strict=True)]
     if not lines:
         while file.data[stop: stop + 1] in (b"\r", b"\n"):
