@@ -10,6 +10,8 @@ from typing import Any
 
 import numpy as np
 
+from odt_plugins.adapters.formats.vol import ORDERS
+
 
 def installed() -> bool:
     """Say whether Netgen is there."""
@@ -53,7 +55,14 @@ def read(path: Path) -> Any:
         if any(len(row) != corners for row in nodes):
             msg = f"it has elements other than {kind}"
             raise ValueError(msg)
-        cells.append((kind, table["nodes"][:, :corners].astype(np.int64) - 1))
+        sizes = {len(element.points) for element in elements}
+        size = max(sizes)
+        if len(sizes) > 1 or size not in (corners, {3: 6, 4: 10}[corners]):
+            msg = "it has elements of several orders, or of more than the second"
+            raise ValueError(msg)
+        name = kind if size == corners else f"{kind}{size}"
+        order = np.argsort(ORDERS[name]) if size > corners else np.arange(size)
+        cells.append((name, (table["nodes"].astype(np.int64) - 1)[:, order]))
         index = table["index"].astype(np.int64)
         labels.append(condition[index] if corners == 3 else index)
     names: dict[str, Any] = {}

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import gzip
 import re
+import warnings
 
 import contract
 import meshio
@@ -107,3 +108,30 @@ def test_files_of_meshio_keep_the_direction_of_cells(tmp_path):
     assert not np.array_equal(back.points, points)
     assert (np.linalg.det(back.points[rows[:, 1:]] - back.points[rows[:, :1]]) > 0).all()
     assert np.array_equal(np.unique(back.cell_data["netgen:index"][0]), np.unique(labels))
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_elements_of_second_order_keep_what_they_fill(d, tmp_path):
+    from netgen.csg import CSGeometry, Pnt, Sphere
+    from netgen.geom2d import SplineGeometry
+    from ngsolve import CF, Integrate, Mesh
+
+    if d == 2:
+        geometry = SplineGeometry()
+        geometry.AddCircle((0, 0), 1, leftdomain=1, bc="rim")
+    else:
+        geometry = CSGeometry()
+        geometry.Add(Sphere(Pnt(0, 0, 0), 1))
+    mesh = geometry.GenerateMesh(maxh=0.4)
+    mesh.SecondOrder()
+    source, target = tmp_path / "a.vol", tmp_path / "b.vol"
+    mesh.Save(str(source))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataNotKeptWarning)
+        optimize_file(source, target)
+    before, after = (Mesh(loaded(path)) for path in (source, target))
+    assert Integrate(CF(1), after, order=6) == pytest.approx(
+        Integrate(CF(1), before, order=6), rel=1e-12)
+    if d == 2:
+        assert after.GetMaterials() == before.GetMaterials()
+        assert after.GetBoundaries() == before.GetBoundaries()

@@ -17,8 +17,8 @@ from odt_plugins.errors import MeshFileError
 NODES = {"triangle": 3, "triangle6": 6, "quad": 4, "tetra": 4, "tetra10": 10}
 """Numbers of nodes of types of cells that may be optimised, and of quadrilaterals."""
 
-ORDERS = {"tetra": [0, 2, 1, 3], "triangle6": [0, 1, 2, 5, 3, 4],
-          "tetra10": [0, 2, 1, 3, 5, 7, 4, 6, 9, 8]}
+ORDERS = {"tetra": [0, 2, 1, 3], "triangle6": [0, 1, 2, 4, 5, 3],
+          "tetra10": [0, 2, 1, 3, 6, 4, 7, 5, 9, 8]}
 """Places of the nodes of cells in files, where a reader gives them in another order."""
 
 SURFACE, VOLUME = rb"surfaceelements(?:gi|uv)?", rb"volumeelements"
