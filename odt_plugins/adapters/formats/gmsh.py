@@ -37,8 +37,9 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     """Replace places of nodes that moved, elements that were exchanged, and values of both.
 
     An element takes the place, the number and the tags of the one from which its data come; the
-    others that come from the same one follow it, with new numbers. Where elements are numbered from
-    1 on in their order, those of the result are, too: some readers know nothing else.
+    others that come from the same one follow it, with new numbers. Where elements and all values of
+    elements are numbered from 1 on in their order, those of the result are, too: some readers know
+    no other values.
 
     Raises
     ------
@@ -48,7 +49,9 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     file = gmsh_tables.parsed(source.read_bytes())
     nodes, runs, entities = gmsh_read.tables(file)
     _expect_known(file, nodes, change)
+    parts = gmsh_read.values_of(file)
     rows = _emitted(runs, _homes(runs, nodes, entities, change), nodes, change)
+    rows = _in_order(rows) if _ordered(runs, parts) else rows
     exchanged = any(row.fresh.any() or len(row.fresh) != len(run.numbers)
                     for run, row in zip(runs, rows, strict=True))
     if exchanged and file.all("GhostElements"):
@@ -58,7 +61,6 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
         file.all("PartitionedEntities")))
     if exchanged:
         edits += _elements(file, runs, rows, nodes, change)
-    parts = gmsh_read.values_of(file)
     for name, part in zip(gmsh_read.array_names(parts), parts, strict=True):
         if part.kind == "NodeData":
             edits += gmsh_nodes.values(file, nodes, part, change,
@@ -200,12 +202,22 @@ def _emitted(runs: list[Run], homes: Any, nodes: Nodes, change: Change) -> list[
         numbers[~heir] = last + 1 + np.arange((~heir).sum())
         last += int((~heir).sum())
         out.append(_Rows(source, of, cell, numbers, fresh | ~heir))
+    return out
+
+
+def _ordered(runs: list[Run], parts: list[Values]) -> bool:
+    """Whether there are values of elements, all with those and the elements from 1 on in order."""
+    tags = [part.tags for part in parts if part.kind == "ElementData"]
     every = np.concatenate([run.numbers for run in runs])
-    if not np.array_equal(every, np.arange(1, len(every) + 1)):
-        return out
-    first = 1 + np.cumsum([0, *(len(row.numbers) for row in out)])
+    first = np.arange(1, len(every) + 1)
+    return bool(tags) and all(np.array_equal(found, first) for found in (every, *tags))
+
+
+def _in_order(rows: list[_Rows]) -> list[_Rows]:
+    """The same rows, with numbers from 1 on."""
+    first = 1 + np.cumsum([0, *(len(row.numbers) for row in rows)])
     return [row._replace(numbers=start + np.arange(len(row.numbers)))
-            for start, row in zip(first.tolist(), out, strict=False)]
+            for start, row in zip(first.tolist(), rows, strict=False)]
 
 
 def _elements(
