@@ -13,6 +13,9 @@ from odt_plugins.adapters.formats.change import Change, NotRewritable
 from odt_plugins.adapters.formats.gmsh_nodes import Edit, coded
 from odt_plugins.adapters.formats.gmsh_tables import BOUNDS, ENTITY, File, Nodes, Run, Values
 
+PLAIN = {"MeshFormat", "PhysicalNames", "Nodes", "Elements", "NodeData", "ElementData"}
+"""Sections that a file has when it is written anew, too."""
+
 
 class _Rows(NamedTuple):
     """Elements that take the place of those of a run.
@@ -49,6 +52,8 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     file = gmsh_tables.parsed(source.read_bytes())
     nodes, runs, entities = gmsh_read.tables(file)
     _expect_known(file, nodes, change)
+    if _plain(file, nodes) and (change.number < 0).any():
+        raise NotRewritable
     parts = gmsh_read.values_of(file)
     rows = _emitted(runs, _homes(runs, nodes, entities, change), nodes, change)
     rows = _in_order(rows) if _ordered(runs, parts) else rows
@@ -76,6 +81,15 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
         at = stop
     target.write_bytes(b"".join([*out, file.data[at:]]))
     return lost
+
+
+def _plain(file: File, nodes: Nodes) -> bool:
+    """Whether a binary file of version 2 has nothing but a mesh with nodes from 1 on, and values.
+
+    meshio reads no others of that kind: gaps between numbers are closed by writing it anew.
+    """
+    return (file.version == "2" and not file.text and {s.name for s in file.sections} <= PLAIN
+            and np.array_equal(nodes.tags, np.arange(1, len(nodes.tags) + 1)))
 
 
 def _expect_known(file: File, nodes: Nodes, change: Change) -> None:
