@@ -5,33 +5,14 @@ from __future__ import annotations
 import re
 import warnings
 
-import contract
 import meshio
 import numpy as np
 import pytest
+from boxes import EDGES, FACES, box, quadratic
 
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
 from odt_plugins.errors import DataNotKeptWarning, MeshFileError
-
-FACES = [[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]]
-EDGES = [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)]
-
-
-def box(dim, n, seed=4):
-    points, cells, _ = contract.grid(dim, n)
-    points = points / points.max()
-    inner = ((points > 0) & (points < 1)).all(axis=1) & (abs(points[:, 0] - 0.5) > 1e-9)
-    rng = np.random.default_rng(seed)
-    points[inner] += rng.uniform(-0.2, 0.2, (inner.sum(), dim)) / n
-    return points, cells
-
-
-def quadratic(points, cells):
-    edges = np.sort(cells[:, EDGES], axis=2).reshape(-1, 2)
-    edges, place = np.unique(edges, axis=0, return_inverse=True)
-    return (np.concatenate([points, points[edges].mean(axis=1)]),
-            np.concatenate([cells, len(points) + place.reshape(-1, 6)], axis=1))
 
 
 def rows(table, end, comma=", "):
@@ -112,7 +93,7 @@ def boundary(cells, keep):
 
 def deck(path, kind="C3D4", end="\n", part=False):
     """A box of two materials with all that a deck has."""
-    points, cells = box(3, 5 if kind == "C3D4" else 4)
+    points, cells = box(3, 5 if kind == "C3D4" else 4, plane=0.5)
     points = np.where(abs(points - 0.5) < 1e-12, 0.5, points)
     steel = points[cells].mean(axis=1)[:, 0] < 0.5
     cells = np.concatenate([cells[steel], cells[~steel]])
@@ -227,7 +208,7 @@ def test_all_else_stays_and_sets_and_faces_follow(kind, end, part, tmp_path):
 
 @pytest.mark.parametrize("kind", ["CPS3", "CPE3", "CAX3", "S3", "S3R", "STRI3", "M3D3", "DC2D3"])
 def test_types_in_the_plane_and_of_shells_stay(kind, tmp_path):
-    points, cells = box(2, 6)
+    points, cells = box(2, 6, plane=0.5)
     points = points if kind[0] in "CD" else np.c_[points, 0 * points[:, 0]]
     edges = [(c, f) for c, cell in enumerate(cells) for f in range(3)
              if (points[cell[[f, (f + 1) % 3]]][:, 1] == 0).all()]
@@ -251,7 +232,7 @@ def test_types_in_the_plane_and_of_shells_stay(kind, tmp_path):
 
 
 def test_numbers_fit_into_the_twenty_letters_that_solvers_read(tmp_path):
-    points, cells = box(3, 4)
+    points, cells = box(3, 4, plane=0.5)
     points = points * 3e-5 - 1.7e-5
     source, target = tmp_path / "a.inp", tmp_path / "b.inp"
     source.write_text("*NODE\n" + rows([[i + 1, *x] for i, x in enumerate(points.tolist())], "\n")
@@ -266,7 +247,7 @@ def test_numbers_fit_into_the_twenty_letters_that_solvers_read(tmp_path):
 
 
 def test_parts_have_numbers_of_their_own(tmp_path):
-    points, cells = box(3, 4)
+    points, cells = box(3, 4, plane=0.5)
     body = "*NODE\n" + rows([[i + 1, *x] for i, x in enumerate(points.tolist())], "\n")
     body += "*ELEMENT, TYPE=C3D4, ELSET=E\n" + rows(
         [[i + 1, *row] for i, row in enumerate((cells + 1).tolist())], "\n")
@@ -292,7 +273,7 @@ def test_parts_have_numbers_of_their_own(tmp_path):
 
 
 def test_surfaces_of_an_assembly_name_elements_of_its_instances(tmp_path):
-    points, cells = box(3, 5)
+    points, cells = box(3, 5, plane=0.5)
     body = "*NODE\n" + rows([[i + 1, *x] for i, x in enumerate(points.tolist())], "\n")
     body += "*ELEMENT, TYPE=C3D4, ELSET=E\n" + rows(
         [[i + 1, *row] for i, row in enumerate((cells + 1).tolist())], "\n")
@@ -345,7 +326,7 @@ def test_what_is_not_written_out_is_refused(text, said, tmp_path):
 
 
 def test_a_deck_whose_mesh_is_in_another_file_is_written_anew(tmp_path):
-    points, cells = box(3, 4)
+    points, cells = box(3, 4, plane=0.5)
     (tmp_path / "mesh.inp").write_text(
         "*NODE\n" + rows([[i + 1, *x] for i, x in enumerate(points.tolist())], "\n")
         + "*ELEMENT, TYPE=C3D4, ELSET=E\n" + rows(

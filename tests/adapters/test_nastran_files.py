@@ -5,33 +5,14 @@ from __future__ import annotations
 import re
 import warnings
 
-import contract
 import meshio
 import numpy as np
 import pytest
+from boxes import FACES, box, quadratic
 
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
 from odt_plugins.errors import DataNotKeptWarning, MeshFileError
-
-EDGES = [(0, 1), (1, 2), (2, 0), (0, 3), (1, 3), (2, 3)]
-FACES = [[0, 1, 2], [0, 3, 1], [1, 3, 2], [2, 3, 0]]
-
-
-def box(dim, n, seed=4):
-    points, cells, _ = contract.grid(dim, n)
-    points = points / points.max()
-    inner = ((points > 0) & (points < 1)).all(axis=1)
-    rng = np.random.default_rng(seed)
-    points[inner] += rng.uniform(-0.2, 0.2, (inner.sum(), dim)) / n
-    return points, cells
-
-
-def quadratic(points, cells):
-    edges = np.sort(cells[:, EDGES], axis=2).reshape(-1, 2)
-    edges, place = np.unique(edges, axis=0, return_inverse=True)
-    return (np.concatenate([points, points[edges].mean(axis=1)]),
-            np.concatenate([cells, len(points) + place.reshape(-1, 6)], axis=1))
 
 
 def card(style, name, words):
