@@ -281,3 +281,17 @@ def test_kratos_keeps_properties_conditions_parts_and_data(order, end, tmp_path)
     for v, _, value in two["NodalData TEMPERATURE"]:
         assert float(value) == pytest.approx(x[v][0] + 2 * x[v][1])
     assert {row[0] for row in two["NodalData TEMPERATURE"]} == set(x)
+
+
+@pytest.mark.filterwarnings("error")
+def test_markers_of_points_that_stay_are_not_called_lost(tmp_path):
+    points, cells = box(3, 3)
+    marks = ((points == 0) | (points == 1)).any(axis=1).astype(int).tolist()
+    node = "".join(f"{k} {x!r} {y!r} {z!r} {marks[k]}\n" for k, (x, y, z) in
+                   enumerate(points.tolist()))
+    (tmp_path / "a.node").write_text(f"{len(points)} 3 0 1\n{node}")
+    (tmp_path / "a.ele").write_text(f"{len(cells)} 4 0\n" + "".join(
+        f"{k} {' '.join(map(str, row))}\n" for k, row in enumerate(cells.tolist())))
+    optimize_file(tmp_path / "a.node", tmp_path / "b.node")
+    lines = (tmp_path / "b.node").read_text().splitlines()[1: 1 + len(points)]
+    assert [int(line.split()[4]) for line in lines] == marks

@@ -70,7 +70,7 @@ def read(path: Path) -> Any:
     rows = _cells(cells, size, first, len(nodes.rows))
     point_data: dict[str, Any] = {f"tetgen:attr{k + 1}": table[:, dim + k]
                                   for k in range(attributes)}
-    point_data |= {_ref(k): table[:, dim + attributes + k] for k in range(marks)}
+    point_data |= {_ref(k): _whole(table[:, dim + attributes + k]) for k in range(marks)}
     own = [numbers(row.words[1 + size: 1 + size + more]) for row in cells.rows]
     values = np.array(own, dtype=np.float64).reshape(len(cells.rows), more)
     blocks: list[Any] = [("tetra" if dim == 3 else "triangle", rows)]
