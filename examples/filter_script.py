@@ -30,7 +30,7 @@ def main() -> tuple[float, float]:
     """Return the mean radius ratio of the faces before and after."""
     meshes = pymeshlab.MeshSet()
     meshes.add_mesh(plate(), "plate")
-    before = odt_plugins.measure(meshes).mean_quality
+    before = odt_plugins.quality(meshes).mean_quality
     script = Path(__file__).with_suffix(".mlx")
     *_, last = odt_plugins.run_filter_script(meshes, script)
     return before, last["mean_radius_ratio"]

@@ -32,7 +32,7 @@ from odt_plugins.compare.runner import Limits
 from odt_plugins.compare.start import stored
 from odt_plugins.distributed import optimize as blockwise
 from odt_plugins.distributed.partition import bricks
-from odt_plugins.quality import angles, radius_ratio
+from odt_plugins.figures import angles, radius_ratio
 from odt_plugins.report.plotting import SCALE, paint_mesh
 
 AIRFOIL = Path(__file__).parent / "meshes" / "airfoil.vtu"
@@ -58,7 +58,7 @@ def write(figure: Any, path: Path) -> None:
 
 def caption(mesh: Arrays) -> str:
     """Three figures of a mesh, for its title."""
-    q = odt_plugins.measure(mesh)
+    q = odt_plugins.quality(mesh)
     return (f"q {q.min_quality:.2f} / {q.p1_quality:.2f} / {q.mean_quality:.3f}, "
             f"angles {q.min_angle:.0f}..{q.max_angle:.0f}")
 

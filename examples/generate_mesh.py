@@ -36,7 +36,7 @@ def main(picture: str | None = None) -> dict[str, odt_plugins.QualitySummary]:
         meshes[name] = odtmesh2d(s.fd, s.fh, s.h0, s.bbox, s.pfix)
     if picture:
         draw(meshes, picture)
-    return {name: odt_plugins.measure(mesh) for name, mesh in meshes.items()}
+    return {name: odt_plugins.quality(mesh) for name, mesh in meshes.items()}
 
 
 def draw(meshes: dict[str, tuple[np.ndarray, np.ndarray]], path: str) -> None:
@@ -45,7 +45,7 @@ def draw(meshes: dict[str, tuple[np.ndarray, np.ndarray]], path: str) -> None:
     from matplotlib.figure import Figure
     from PIL import Image
 
-    from odt_plugins.quality import radius_ratio
+    from odt_plugins.figures import radius_ratio
 
     spans = [np.ptp(points, axis=0) for points, _ in meshes.values()]
     figure = Figure(figsize=(12, 2.5))

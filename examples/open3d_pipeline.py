@@ -12,7 +12,7 @@ import numpy as np
 import open3d as o3d
 
 import odt_plugins
-from odt_plugins.hosts.open3d_filters import compute_radius_ratios, optimize_odt
+from odt_plugins.hosts.open3d_filters import optimize_odt
 from odt_plugins.report.plotting import plot_before_after
 
 
@@ -37,7 +37,7 @@ def main(picture: Path | None = None) -> tuple[float, float]:
         before, after = ((np.asarray(m.vertices), np.asarray(m.tetras)) for m in (tets, better))
         _, report = odt_plugins.optimize_with_report(tets)
         plot_before_after(before, after, report, picture, title="open3d's tetrahedra in a ball")
-    return float(compute_radius_ratios(tets).mean()), float(compute_radius_ratios(better).mean())
+    return odt_plugins.quality(tets).mean_quality, odt_plugins.quality(better).mean_quality
 
 
 if __name__ == "__main__":

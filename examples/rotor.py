@@ -52,7 +52,7 @@ def run(mesh: Mesh, steps: int, turn: float) -> list[Mesh]:
         points[rotor] = turned(start[rotor], turn * step / steps)
         better, report = odt_plugins.optimize_with_report(
             (points, cells), density="uniform")
-        left = odt_plugins.measure(better).inverted
+        left = odt_plugins.quality(better).inverted
         print(f"step {step:3d}: {report.before.inverted:3d} cells inverted before, {left} after; "
               f"mean q {report.after.mean_quality:.3f}, least {report.after.min_quality:.2f}")
         if left or not np.array_equal(better[0][rotor], points[rotor]):

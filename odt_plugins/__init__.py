@@ -26,10 +26,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from odt_plugins.api import measure as measure
     from odt_plugins.api import optimize as optimize
     from odt_plugins.api import optimize_file as optimize_file
     from odt_plugins.api import optimize_with_report as optimize_with_report
+    from odt_plugins.api import quality as quality
     from odt_plugins.api import untangle as untangle
     from odt_plugins.api import untangle_with_report as untangle_with_report
     from odt_plugins.distributed.optimize import optimize_partitioned as optimize_partitioned
@@ -51,13 +51,13 @@ if TYPE_CHECKING:
     from odt_plugins.errors import TangledMeshError as TangledMeshError
     from odt_plugins.errors import UnsupportedMeshError as UnsupportedMeshError
     from odt_plugins.errors import WorkerError as WorkerError
+    from odt_plugins.figures import QualitySummary as QualitySummary
     from odt_plugins.generate import refine_and_optimize as refine_and_optimize
     from odt_plugins.generate import uniform_refine as uniform_refine
     from odt_plugins.generate.fill import tetrahedralize_file as tetrahedralize_file
     from odt_plugins.hosts import register as register
     from odt_plugins.hosts.script import run_filter_script as run_filter_script
     from odt_plugins.options import Options as Options
-    from odt_plugins.quality import QualitySummary as QualitySummary
     from odt_plugins.report.report import Report as Report
     from odt_plugins.tetwild import tetrahedralize as tetrahedralize
     from odt_plugins.tetwild import tetrahedralize_with_report as tetrahedralize_with_report
@@ -77,18 +77,18 @@ _HOMES = {
     "ODTError": "errors",
     "ODTWarning": "errors",
     "Options": "options",
-    "QualitySummary": "quality",
+    "QualitySummary": "figures",
     "Report": "report.report",
     "TangledMeshError": "errors",
     "UnsupportedMeshError": "errors",
     "WorkerError": "errors",
-    "measure": "api",
     "optimize": "api",
     "optimize_file": "api",
     "optimize_partitioned": "distributed.optimize",
     "optimize_partitioned_with_report": "distributed.optimize",
     "optimize_pieces": "distributed.pieces",
     "optimize_with_report": "api",
+    "quality": "api",
     "refine_and_optimize": "generate",
     "register": "hosts",
     "run_filter_script": "hosts.script",

@@ -36,10 +36,10 @@ if TYPE_CHECKING:
     from collections.abc import Mapping
 
     from odt_plugins.engine.run.outcome import Leaving, Outcome
+    from odt_plugins.figures import QualitySummary
     from odt_plugins.mesh.simplex import SimplexMesh
     from odt_plugins.multiblock import Blocks, Scene
     from odt_plugins.options import Options
-    from odt_plugins.quality import QualitySummary
     from odt_plugins.report.report import Report
 
 MeshT = TypeVar("MeshT")
@@ -283,8 +283,10 @@ def _as_it_is(mesh: SimplexMesh, _options: Options, _leaving: Leaving) -> Outcom
     return unchanged(mesh, "untangled")
 
 
-def measure(mesh: Any) -> QualitySummary:
+def quality(mesh: Any) -> QualitySummary:
     """Sum up the quality of a mesh of any kind that :func:`optimize` takes.
+
+    Its attribute `cells` has the figures of every cell.
 
     Flat and inverted cells are counted, not refused. Cells of mixed orientation are turned where
     the mesh then fits together, and counted; otherwise a mesh most of whose cells have negative
@@ -295,10 +297,10 @@ def measure(mesh: Any) -> QualitySummary:
     >>> import numpy as np
     >>> import odt_plugins
     >>> points = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, 0.75**0.5]])
-    >>> round(odt_plugins.measure((points, np.array([[0, 1, 2]]))).min_quality, 12)
+    >>> round(odt_plugins.quality((points, np.array([[0, 1, 2]]))).min_quality, 12)
     1.0
     """
-    from odt_plugins.quality import summarize
+    from odt_plugins.figures import cell_figures, summarize
 
     host = find_adapter(mesh).read(mesh)
     with words_of(host):
@@ -308,4 +310,5 @@ def measure(mesh: Any) -> QualitySummary:
     if p.shape[1] < t.shape[1]:
         t, turned = turned_alike(p, t)
         turned = turned if frame is None else min(turned, len(t) - turned)
-    return replace(summarize(p, t), turned=turned)
+    found = cell_figures(p, t)
+    return replace(summarize(p, t, found), turned=turned, cells=found)

@@ -8,8 +8,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.figures import volumes
 from odt_plugins.mesh.arrays import FloatArray, IntArray
-from odt_plugins.quality import volumes
 
 SAME = 1e-9
 """Relative change of an integral from which on it is told."""

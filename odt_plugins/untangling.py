@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.carry import in_input_order
 from odt_plugins.errors import FacetPair, InvalidMeshError, TangledMeshError, counted
+from odt_plugins.figures import QualitySummary, summarize
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 from odt_plugins.mesh.numbering import most_vertices
 from odt_plugins.mesh.plane import PlaneFrame
@@ -18,7 +19,6 @@ from odt_plugins.mesh.simplex import SimplexMesh, cell_signs, with_vertices
 from odt_plugins.options import FIGURES, Options
 from odt_plugins.progress import silent
 from odt_plugins.promise.volume import worse_figures
-from odt_plugins.quality import QualitySummary, summarize
 
 
 class Tangle(NamedTuple):

@@ -190,8 +190,8 @@ def test_optimize_and_the_report_give_the_same_mesh():
     both, report = odt_plugins.optimize_with_report(mesh)
     assert contract.same_bits(view(alone), view(both))
     assert isinstance(report, odt_plugins.Report)
-    assert report.after == odt_plugins.measure(both)
-    assert report.before == odt_plugins.measure(mesh)
+    assert report.after == odt_plugins.quality(both)
+    assert report.before == odt_plugins.quality(mesh)
     for name in FIGURES:
         sign = -1.0 if name == "max_angle" else 1.0
         assert sign * getattr(report.after, name) >= sign * getattr(report.before, name) - 1e-12
@@ -238,10 +238,10 @@ def test_a_plane_in_space_gives_what_the_plane_gives():
 
 def test_measure_counts_flat_and_inverted_cells():
     points = np.array([[0.0, 0], [1, 0], [0, 1], [1, 1], [0.5, 0.0]])
-    summary = odt_plugins.measure((points, np.array([[0, 1, 2], [1, 2, 3], [0, 1, 4], [1, 3, 2]])))
+    summary = odt_plugins.quality((points, np.array([[0, 1, 2], [1, 2, 3], [0, 1, 4], [1, 3, 2]])))
     assert summary.inverted == 2
     assert summary.n_cells == 4
-    turned = odt_plugins.measure((points, np.array([[0, 2, 1], [1, 2, 3]])))
+    turned = odt_plugins.quality((points, np.array([[0, 2, 1], [1, 2, 3]])))
     assert turned.inverted == 0
     assert turned.volume == pytest.approx(1.0)
     inradius, circumradius = 1.0 - np.sqrt(0.5), np.sqrt(0.5)
@@ -250,7 +250,7 @@ def test_measure_counts_flat_and_inverted_cells():
 
 def test_measure_refuses_what_is_no_mesh():
     with pytest.raises(InvalidMeshError, match="no cells"):
-        odt_plugins.measure((np.zeros((3, 2)), np.zeros((0, 3), dtype=int)))
+        odt_plugins.quality((np.zeros((3, 2)), np.zeros((0, 3), dtype=int)))
 
 
 def test_progress_and_options_reach_the_engine(monkeypatch):
@@ -291,19 +291,19 @@ def test_lists_of_rows_are_arrays_too_and_come_back_as_lists(kind, tmp_path):
     rows = kind([points.tolist(), [tuple(cell) for cell in cells.tolist()], labels.tolist()])
     before = repr(rows)
     for k in (2, 3):
-        assert odt_plugins.measure(rows[:k]) == odt_plugins.measure(arrays[:k])
+        assert odt_plugins.quality(rows[:k]) == odt_plugins.quality(arrays[:k])
         out = odt_plugins.optimize(rows[:k])
         assert type(out) is kind
         assert list(out) == [part.tolist() for part in odt_plugins.optimize(arrays[:k])]
     assert repr(rows) == before
     mixed = odt_plugins.optimize((points, cells.tolist()))
     assert (type(mixed[0]), type(mixed[1])) == (np.ndarray, list)
-    assert odt_plugins.measure([[[0, 0], [2, 0], [0, 1]], [[0, 1, 2]]]).area == 1.0
+    assert odt_plugins.quality([[[0, 0], [2, 0], [0, 1]], [[0, 1, 2]]]).area == 1.0
     meshio.Mesh(points, [("triangle", cells)]).write(tmp_path / "in.vtu")
-    assert odt_plugins.measure(tmp_path / "in.vtu").n_cells == len(cells)
+    assert odt_plugins.quality(tmp_path / "in.vtu").n_cells == len(cells)
     for bad in ([[0.0], [1.0, 2.0]], [["a", "b"]]):
         with pytest.raises(odt_plugins.InvalidMeshError, match="points that are no rows of num"):
-            odt_plugins.measure((bad, [[0, 1, 2]]))
+            odt_plugins.quality((bad, [[0, 1, 2]]))
 
 
 @pytest.mark.parametrize("k", [3, 4])

@@ -18,7 +18,7 @@ from attack.options import all_known
 from attack.worker import FAILED, OK, REFUSED, Verdict, Worker, judge
 from click.testing import CliRunner
 
-from odt_plugins import quality
+from odt_plugins import figures
 from odt_plugins.options import FIGURES, Options
 
 CASES = [("meshes", seed) for seed in range(60, 90)] + [("files", seed) for seed in range(20)]
@@ -220,7 +220,7 @@ def test_the_judge_names_no_fault_of_a_surface_that_keeps_everything():
                                   surface_meshes.torus(12, 8, 0.5)])
 def test_figures_of_the_judge_are_those_of_the_page(mesh):
     """Two independent programs of the same definitions."""
-    found, known = reference.figures(*mesh), quality.summarize(*mesh)
+    found, known = reference.figures(*mesh), figures.summarize(*mesh)
     for name in FIGURES:
         assert float(found[name]) == pytest.approx(getattr(known, name), rel=1e-13)
     q, least, largest = reference.cell_figures(np.vstack([np.zeros(3), np.eye(3), np.ones(3)]),

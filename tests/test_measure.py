@@ -19,7 +19,7 @@ from odt_plugins.compare.start import pebble
 from odt_plugins.compare.table import Table, as_text, shown
 from odt_plugins.engine.odt.gradient import gradient
 from odt_plugins.engine.topology.stencil import make_topology
-from odt_plugins.quality import radius_ratio
+from odt_plugins.figures import radius_ratio
 
 
 def silent(_):

@@ -14,8 +14,8 @@ from strategies import DIMENSIONS, SEEDS, jittered, positive, random_delaunay
 import odt_plugins
 from odt_plugins.engine.topology.frame import make_frame
 from odt_plugins.errors import InvalidMeshError
+from odt_plugins.figures import uniformity
 from odt_plugins.mesh.simplex import SimplexMesh
-from odt_plugins.quality import uniformity
 
 LOCAL = [("odt", "gauss-seidel"), ("odt", "jacobi"), ("cpt", "gauss-seidel"), ("cpt", "jacobi"),
          ("laplacian", "gauss-seidel"), ("cvt", "gauss-seidel")]
@@ -48,12 +48,12 @@ def test_no_coordinate_is_rounded_on_its_way_into_the_engine(seed, shift, unit):
 @pytest.mark.parametrize(("method", "solver"), METHODS)
 def test_cells_far_smaller_than_the_mesh_are_no_flat_ones(d, method, solver):
     points, cells = random_delaunay(d, 15, 3) if d == 2 else jittered(3, 2, 3)
-    small = odt_plugins.measure((points, cells)).mean_quality
+    small = odt_plugins.quality((points, cells)).mean_quality
     for size in (1e-13, 1e-16, 1e-17, 1e-30):
         both = beside_a_large_cell(points, cells, size)
         result, report = odt_plugins.optimize_with_report(both, method=method, solver=solver)
         mine = result[1][(result[1] < len(points)).all(axis=1)]
-        mean = odt_plugins.measure((result[0] / size, mine)).mean_quality
+        mean = odt_plugins.quality((result[0] / size, mine)).mean_quality
         assert mean > small + 0.01, report.fallback
 
 
@@ -92,7 +92,7 @@ def test_another_unit_changes_no_bit(kind, seed, power, method, density, finish,
 def test_units_beyond_reason_are_refused_in_one_sentence(kind, size):
     points, cells = KINDS[kind](1)
     points = points / np.abs(points).max() * size
-    for function in (odt_plugins.optimize, odt_plugins.measure):
+    for function in (odt_plugins.optimize, odt_plugins.quality):
         with pytest.raises(InvalidMeshError, match=r"long; expected between 1e-40 and 1e\+40"):
             function((points, cells))
 
@@ -102,7 +102,7 @@ def test_units_beyond_reason_are_refused_in_one_sentence(kind, size):
 def test_planes_in_space_beyond_reason_are_refused_as_well(tilt, size):
     points, cells = random_delaunay(2, 12, 5)
     space = np.column_stack([points, tilt * points[:, 0]]) * size
-    for function in (odt_plugins.optimize, odt_plugins.measure):
+    for function in (odt_plugins.optimize, odt_plugins.quality):
         with pytest.raises(InvalidMeshError, match="long; expected between"):
             function((space, cells))
 
@@ -112,9 +112,9 @@ def test_planes_in_space_beyond_reason_are_refused_as_well(tilt, size):
 def test_units_at_the_limits_are_as_good_as_any(kind, size):
     points, cells = KINDS[kind](2)
     points = points / np.ptp(points, axis=0).max()
-    plain = odt_plugins.measure(odt_plugins.optimize((points, cells)))
-    scaled = odt_plugins.measure(odt_plugins.optimize((points * size, cells)))
-    before = odt_plugins.measure((points, cells))
+    plain = odt_plugins.quality(odt_plugins.optimize((points, cells)))
+    scaled = odt_plugins.quality(odt_plugins.optimize((points * size, cells)))
+    before = odt_plugins.quality((points, cells))
     assert scaled.mean_quality > before.mean_quality + 0.8 * (
         plain.mean_quality - before.mean_quality)
     assert scaled.uniformity == pytest.approx(plain.uniformity, rel=0.2)
@@ -144,7 +144,7 @@ def test_cells_of_sizes_beyond_reason_are_refused(d):
 @pytest.mark.parametrize("height", [1e-100, 1e-155, 1e-180, 1e-300, 1e-310])
 def test_nearly_flat_cells_are_measured(height):
     triangles = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, height], [0.6, -height]])
-    found = odt_plugins.measure((triangles, np.array([[0, 1, 2], [1, 0, 3]])))
+    found = odt_plugins.quality((triangles, np.array([[0, 1, 2], [1, 0, 3]])))
     assert 0.0 <= found.min_quality <= found.mean_quality < 1e-90
     assert found.max_amips > 1e90
     assert (found.uniformity < 1.0) == (height >= 1e-300)
@@ -166,6 +166,6 @@ def test_stretched_meshes_are_never_worse(d, stretch, density, seed):
     rho = np.random.default_rng(seed).uniform(1, 9, len(points))
     spec = rho if density == "array" else density
     result = odt_plugins.optimize((points, cells), density=spec, rounds=5)
-    before, after = (odt_plugins.measure(m) for m in ((points, cells), result))
+    before, after = (odt_plugins.quality(m) for m in ((points, cells), result))
     for name in ("min_quality", "p1_quality", "mean_quality", "min_angle"):
         assert getattr(after, name) >= getattr(before, name) * (1 - 1e-12)

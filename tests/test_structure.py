@@ -17,7 +17,7 @@ from odt_plugins import errors
 PACKAGE = Path(odt_plugins.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
-BASE = {"errors", "mesh", "options", "promise", "quality"}
+BASE = {"errors", "mesh", "options", "promise", "figures"}
 MAY_IMPORT = {
     "errors": set(),
     "signals": set(),
@@ -25,8 +25,8 @@ MAY_IMPORT = {
     "progress": {"options"},
     "table": set(),
     "mesh": {"errors"},
-    "quality": {"errors", "mesh", "table"},
-    "promise": {"errors", "mesh", "options", "quality"},
+    "figures": {"errors", "mesh", "table"},
+    "promise": {"errors", "mesh", "options", "figures"},
     "engine": {"progress", *BASE},
     "paper": {"engine", "mesh"},
     "adapters": {"errors", "mesh"},
@@ -35,7 +35,7 @@ MAY_IMPORT = {
     "report": {"engine", "table", "untangling", *BASE},
     "aside": {"adapters", "errors", "mesh", "options"},
     "curved": {"adapters", "engine", "errors", "mesh", "promise", "untangling"},
-    "integrals": {"mesh", "quality"},
+    "integrals": {"mesh", "figures"},
     "multiblock": {"adapters", "progress", *BASE},
     "roundtrip": {"adapters", "aside", "carry", "curved", "engine", "integrals", "progress",
                   "untangling", *BASE},
@@ -254,7 +254,7 @@ start = time.perf_counter()
 import odt_plugins
 took = time.perf_counter() - start
 first = [name for name in {SLOW!r} if name in sys.modules]
-odt_plugins.optimize, odt_plugins.Options, odt_plugins.measure
+odt_plugins.optimize, odt_plugins.Options, odt_plugins.quality
 second = [name for name in {SLOW!r} if name in sys.modules]
 print(took, first, second)
 """

@@ -65,7 +65,7 @@ def test_optimize_untangles_and_the_report_tells(dim):
     assert f"untangled {inverted} inverted and 0 flat cells" in str(report)
     assert report.to_dict()["untangled"]["inverted"] == inverted
     assert (contract.volumes(*out[:2]) > 0).all()
-    assert report.after == odt_plugins.measure(out)
+    assert report.after == odt_plugins.quality(out)
     assert contract.facets(out[1], out[2]) == contract.facets(cells, labels)
     plain = odt_plugins.optimize_with_report(contract.grid(dim, 4)[:2])[1]
     assert plain.untangled is None
@@ -76,7 +76,7 @@ def test_optimize_untangles_and_the_report_tells(dim):
 def test_the_report_says_which_figures_are_worse_than_those_of_the_valid_cells(dim):
     points, cells, _ = knotted(dim)
     valid = contract.volumes(points, cells) > 0
-    best = odt_plugins.measure((points, cells[valid]))
+    best = odt_plugins.quality((points, cells[valid]))
     _, report = odt_plugins.optimize_with_report((points, cells), rounds=1, finish=False)
     fell = report.after.mean_quality < best.mean_quality
     assert any("mean_quality fell" in text for text in report.untangled["worse"]) == fell
@@ -89,7 +89,7 @@ def test_figures_may_be_as_bad_as_those_of_the_valid_cells(dim):
     """All cells of a lattice are alike when untangled: any change spoils the least quality."""
     points, cells, _ = tangled(dim, 5, "random")
     out, report = odt_plugins.optimize_with_report((points, cells))
-    lattice = odt_plugins.measure(odt_plugins.untangle((points, cells)))
+    lattice = odt_plugins.quality(odt_plugins.untangle((points, cells)))
     assert report.after.mean_quality > lattice.mean_quality + (0.02 if dim == 3 else -1e-9)
     assert (contract.volumes(*out) > 0).all()
     before, _ = simplex_mesh(*contract.grid(dim, 4)[:2])
@@ -217,7 +217,7 @@ def test_nothing_is_said_of_facets_where_none_overlap():
 def test_on_request_the_best_mesh_comes_back():
     points, cells = hopeless()
     out, rows = odt_plugins.untangle((points, cells), partial=True)
-    was, now = (odt_plugins.measure(mesh).inverted for mesh in ((points, cells), (out, rows)))
+    was, now = (odt_plugins.quality(mesh).inverted for mesh in ((points, cells), (out, rows)))
     assert 0 < now < was
     boundary = ((points == 0) | (points == 1)).any(axis=1)
     assert np.array_equal(out[boundary], points[boundary])
@@ -316,7 +316,7 @@ def test_the_promise_knows_the_exact_sign_of_a_thin_cell():
         points[:3] = (rng.random(3)[:, None] + 1e-17) * [1.0, 1.0 + rng.random()]
         a, b, c = ([Fraction(x) for x in p] for p in points[:3].tolist())
         true = (b[0] - a[0]) * (c[1] - a[1]) - (b[1] - a[1]) * (c[0] - a[0])
-        if true <= 0 < odt_plugins.quality.volumes(points, np.array([[0, 1, 2]]))[0]:
+        if true <= 0 < odt_plugins.figures.volumes(points, np.array([[0, 1, 2]]))[0]:
             break
     else:
         pytest.fail("no such cell was found")
@@ -396,7 +396,7 @@ def test_densities_of_vertices_reach_inserted_ones():
     points, cells = schoenhardt()
     for density in (np.arange(1.0, 7.0), np.ones(4), "keep"):
         out = odt_plugins.optimize((points, cells), insert=True, density=density)
-        assert odt_plugins.measure(out).inverted == 0
+        assert odt_plugins.quality(out).inverted == 0
 
 
 def test_vertices_are_inserted_into_tetrahedra_alone():
@@ -417,8 +417,8 @@ def test_untangling_reports_and_tells_how_far_it_is(dim):
     assert (shares[0], shares[-1]) == (0.0, 1.0)
     assert shares == sorted(shares)
     assert len({share for stage, share in told if stage == "untangling" and share < 1.0}) > 1
-    assert report.before == odt_plugins.measure((points, cells))
-    assert report.after == odt_plugins.measure(out)
+    assert report.before == odt_plugins.quality((points, cells))
+    assert report.after == odt_plugins.quality(out)
     assert report.untangled["inverted"] == report.before.inverted > 0
     assert report.stop_reason == "untangled"
     told.clear()

@@ -51,7 +51,7 @@ def dropped(place, monkeypatch):
 def unknown(place, monkeypatch):
     text = "NDIME= 2\nsomething\nNELEM= 1\n5 0 1 2 0\nNPOIN= 3\n0 0 0\n1 0 1\n0 1 2\nNMARK= 0\n"
     (place / "in.su2").write_text(text)
-    odt_plugins.measure(place / "in.su2")
+    odt_plugins.quality(place / "in.su2")
 
 
 def edges(place, monkeypatch):
@@ -64,7 +64,7 @@ def edges(place, monkeypatch):
         f'NumberOfElements="{len(cells)}">{items[0]}</Topology><Geometry GeometryType="XY">'
         f'{items[1]}</Geometry><Attribute Name="flux" Center="Edge">{items[2]}</Attribute>'
         f"</Grid></Domain></Xdmf>")
-    odt_plugins.measure(place / "in.xdmf")
+    odt_plugins.quality(place / "in.xdmf")
 
 
 def elsewhere(place, monkeypatch):

@@ -24,8 +24,8 @@ from paper_common import (
 from scipy.spatial import Delaunay, cKDTree
 
 from odt_plugins.engine.odt.energy import energy
+from odt_plugins.figures import radius_ratio, volumes
 from odt_plugins.paper.loop import delaunay_cells
-from odt_plugins.quality import radius_ratio, volumes
 
 LENGTH, HEIGHT, WAVE, WAVES = 62.0, 11.0, 1.2, 4
 AMOUNT, LEAST = 0.47, 0.141

@@ -10,7 +10,7 @@ from paper_common import beside, draw_mesh, histogram, local_steps, picture, rea
 
 from odt_plugins import optimize_with_report
 from odt_plugins.engine.odt.density import size_field
-from odt_plugins.quality import radius_ratio
+from odt_plugins.figures import radius_ratio
 
 PAPER = {"original": (0.25, 0.90, "", ""), "ODT, 3 steps": (0.57, 0.95, "kept", "none"),
          "odt_plugins.optimize": ("", "", "", "")}

@@ -17,9 +17,9 @@ from paper_common import beside, curves, draw_mesh, figures, picture, run, save,
 from odt_plugins.engine.odt.energy import energy
 from odt_plugins.engine.odt.global_step import global_step
 from odt_plugins.engine.odt.sweeps import gauss_seidel_sweep, jacobi_sweep
+from odt_plugins.figures import radius_ratio
 from odt_plugins.generate.clouds import SEED
 from odt_plugins.paper.loop import delaunay_cells, iterate
-from odt_plugins.quality import radius_ratio
 
 sys.path.append(str(Path(__file__).resolve().parents[2] / "tests"))
 

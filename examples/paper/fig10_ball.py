@@ -13,8 +13,8 @@ from paper_common import beside, default, figures, histogram, picture, run, save
 from scipy.spatial import Delaunay
 
 from odt_plugins.engine.odt.sweeps import gauss_seidel_sweep
+from odt_plugins.figures import radius_ratio, volumes
 from odt_plugins.paper.loop import delaunay_cells, iterate
-from odt_plugins.quality import radius_ratio, volumes
 from odt_plugins.report.plotting import paint_mesh
 
 H0, TRUSS_STEPS, STEPS, EVERY = 0.2, 50, 40, 2

@@ -19,8 +19,8 @@ from odt_plugins.engine.cells.geometry import circumcenters
 from odt_plugins.engine.odt.cvt import cvt_step
 from odt_plugins.engine.odt.density import make_density
 from odt_plugins.engine.odt.sweeps import gauss_seidel_sweep
+from odt_plugins.figures import angles, radius_ratio, volumes
 from odt_plugins.paper.loop import delaunay_cells, iterate
-from odt_plugins.quality import angles, radius_ratio, volumes
 from odt_plugins.report.plotting import paint_mesh
 
 STEPS = 10

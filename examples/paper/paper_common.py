@@ -15,8 +15,8 @@ from PIL import Image
 
 from odt_plugins import optimize
 from odt_plugins.engine.odt.sweeps import gauss_seidel_sweep
+from odt_plugins.figures import radius_ratio, uniformity
 from odt_plugins.paper.loop import flip_once, iterate
-from odt_plugins.quality import radius_ratio, uniformity
 
 MESHES = Path(__file__).parents[1] / "meshes"
 LINE, FACE, BAR = "#22313f", "#eaf1f8", "#2f6fb0"

@@ -68,10 +68,10 @@ def mesh(
     optimised.
     """
     from odt_plugins.adapters.files import check_output, write_arrays
+    from odt_plugins.figures import summarize, uniformity
     from odt_plugins.generate.odtmesh import odtmesh2d
     from odt_plugins.generate.samples import SAMPLES
     from odt_plugins.generate.userfile import read_domain
-    from odt_plugins.quality import summarize, uniformity
     from odt_plugins.table import table_lines
 
     check_paths(target, report_file, None)

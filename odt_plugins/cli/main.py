@@ -388,7 +388,7 @@ def quality(sources: tuple[Path, ...], as_json: bool, **limits: float | None) ->
 
     With limits the exit code is 3 where a mesh is beyond one of them.
     """
-    from odt_plugins.api import measure
+    from odt_plugins.api import quality as measured
     from odt_plugins.table import table_lines
 
     code = DONE
@@ -396,7 +396,7 @@ def quality(sources: tuple[Path, ...], as_json: bool, **limits: float | None) ->
     for source in sources:
         try:
             with warnings_told(quiet=False):
-                found[str(source)] = measure(source)
+                found[str(source)] = measured(source)
         except ODTError as exc:
             code = _fail(exc, COULD_NOT)
     if as_json:

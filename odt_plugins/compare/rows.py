@@ -17,11 +17,11 @@ from odt_plugins.compare.poisson import PoissonFigures, solve_poisson
 from odt_plugins.compare.runner import Limits, Run, run_contestant
 from odt_plugins.compare.start import StartMesh
 from odt_plugins.errors import InvalidMeshError, MissingDependencyError
+from odt_plugins.figures import QualitySummary, cell_figures, summarize
 from odt_plugins.generate.clouds import SEED
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import reverse
 from odt_plugins.promise.volume import LOWER_IS_BETTER
-from odt_plugins.quality import QualitySummary, cell_figures, summarize
 
 BINS = 50
 """Bins of the quality histograms, from 0 to 1."""

@@ -12,12 +12,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.errors import InvalidOptionError, counted
+from odt_plugins.figures import volumes
 from odt_plugins.generate import clouds
 from odt_plugins.generate.clouds import SEED
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.plane import plane_frame
 from odt_plugins.mesh.simplex import compact_labels, mesh_arrays, reverse, simplex_mesh
-from odt_plugins.quality import volumes
 
 Kind = Literal["tets", "planar", "surface"]
 

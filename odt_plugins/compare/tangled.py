@@ -21,10 +21,10 @@ from odt_plugins.compare.runner import Limits, Run, run_contestant
 from odt_plugins.compare.start import StartMesh
 from odt_plugins.compare.table import Say, Table, as_text
 from odt_plugins.errors import writing
+from odt_plugins.figures import EDGES, summarize
 from odt_plugins.generate.clouds import SEED
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.simplex import cell_signs
-from odt_plugins.quality import EDGES, summarize
 from odt_plugins.report.machine import describe
 
 FILE = "tangled.json"

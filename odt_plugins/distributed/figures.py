@@ -8,10 +8,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from odt_plugins.figures import cell_figures
 from odt_plugins.mesh import quantiles
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 from odt_plugins.promise.volume import LOWER_IS_BETTER
-from odt_plugins.quality import cell_figures
 
 PIVOTS = 1 << 10
 """Values that are counted in one pass over the radius ratios of all parts."""

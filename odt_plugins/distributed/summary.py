@@ -12,7 +12,7 @@ from typing import Any
 
 from odt_plugins.distributed.job import WRITTEN
 from odt_plugins.errors import require, writing
-from odt_plugins.quality import QualitySummary
+from odt_plugins.figures import QualitySummary
 from odt_plugins.report.machine import describe
 from odt_plugins.report.template import fill_template
 

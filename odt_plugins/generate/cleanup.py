@@ -6,8 +6,8 @@ import numpy as np
 
 from odt_plugins.engine.cells.geometry import boundary_vertices, signed_volumes
 from odt_plugins.engine.topology.star import vertex_stars
+from odt_plugins.figures import radius_ratio
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
-from odt_plugins.quality import radius_ratio
 
 GOOD = 0.65
 """New triangles replace better ones never, equal ones when they are as good as this."""

@@ -10,11 +10,11 @@ import numpy as np
 from odt_plugins.engine.cells.geometry import boundary_facets
 from odt_plugins.engine.ground.reference import Reference, make_reference
 from odt_plugins.errors import counted
+from odt_plugins.figures import volumes
 from odt_plugins.generate.bodies import HALF, Bodies, find_bodies, winding
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.soup import first_there
-from odt_plugins.quality import volumes
 
 MOST_GONE = 0.01
 """Largest share of an area that may have nothing beside it where a surface counts as filled."""

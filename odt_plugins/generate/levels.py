@@ -22,6 +22,7 @@ from odt_plugins.carry import surrounding_cells
 from odt_plugins.engine.cells.geometry import boundary_facets, interface_vertices
 from odt_plugins.engine.ground.envelope import distances
 from odt_plugins.errors import InvalidOptionError, ODTWarning, warn
+from odt_plugins.figures import volumes
 from odt_plugins.generate.coarse import coarse_mesh
 from odt_plugins.generate.levels_report import Level, LevelsReport
 from odt_plugins.generate.project import Target, project
@@ -44,7 +45,6 @@ from odt_plugins.options import (
     with_option_signature,
 )
 from odt_plugins.progress import part, telling
-from odt_plugins.quality import volumes
 
 SLIDES: tuple[dict[str, Any], ...] = (
     {"envelope": 0.25, "objective": "radius_ratio"},

@@ -6,8 +6,8 @@ import json
 from dataclasses import asdict, dataclass
 from typing import Any
 
+from odt_plugins.figures import QualitySummary
 from odt_plugins.generate.covered import Covered
-from odt_plugins.quality import QualitySummary
 from odt_plugins.table import text_html
 
 

@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.errors import InvalidMeshError, counted
+from odt_plugins.figures import radius_ratio
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
-from odt_plugins.quality import radius_ratio
 
 EDGES = {
     2: np.array([[0, 1]]),

@@ -22,12 +22,12 @@ from odt_plugins.engine.topology.order import curve_order
 from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.engine.topology.stencil import make_topology
 from odt_plugins.engine.topology.triangles import Triangles
+from odt_plugins.figures import radius_ratio
 from odt_plugins.generate.domain import Domain
 from odt_plugins.generate.refine2d import refine_triangles
 from odt_plugins.generate.rim import Rim, make_rim, move_rim, respaced, spaced
 from odt_plugins.generate.truss import edges_of, triangulate
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
-from odt_plugins.quality import radius_ratio
 
 EXPONENT = 3.0
 """r in rho = h^-r. In the plane 3 gives more even meshes than 2 and better shapes than d + 2 = 4,

@@ -11,15 +11,11 @@ import inspect
 import re
 from typing import Any, TypeVar, Unpack, cast
 
-import numpy as np
-from numpy.typing import NDArray
-
 from odt_plugins.adapters import open3d_mesh
 from odt_plugins.adapters.host import is_instance
 from odt_plugins.api import optimize as optimize_mesh
 from odt_plugins.errors import InvalidOptionError, ODTError, UnsupportedMeshError
 from odt_plugins.options import OPTIONS, OptionKeywords, with_option_signature
-from odt_plugins.quality import radius_ratio
 
 MeshT = TypeVar("MeshT")
 
@@ -118,20 +114,7 @@ def optimize_odt(mesh: MeshT, **options: Unpack[OptionKeywords]) -> MeshT:
     return optimize_mesh(mesh, **options)
 
 
-def compute_radius_ratios(mesh: Any) -> NDArray[np.float64]:
-    """Radius ratio d r / R (5.1) of every triangle or tetra: 1 when regular, 0 when flat.
-
-    Returns
-    -------
-    (m,) float64
-    """
-    _expect_mesh(mesh)
-    host = open3d_mesh.read(mesh)
-    return np.abs(radius_ratio(host.points, host.cells))
-
-
-METHODS = (filter_smooth_odt, filter_smooth_cpt, filter_smooth_odt_global, optimize_odt,
-           compute_radius_ratios)
+METHODS = (filter_smooth_odt, filter_smooth_cpt, filter_smooth_odt_global, optimize_odt)
 """What register() adds to the mesh classes of open3d."""
 
 

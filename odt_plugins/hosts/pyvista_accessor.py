@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 
 from odt_plugins.adapters import pyvista_mesh
-from odt_plugins.api import measure, optimize, optimize_with_report
+from odt_plugins.api import optimize, optimize_with_report, quality
 from odt_plugins.errors import UnsupportedMeshError
+from odt_plugins.figures import QualitySummary, radius_ratio
 from odt_plugins.options import OptionKeywords, with_option_signature
-from odt_plugins.quality import QualitySummary, radius_ratio
 from odt_plugins.tetwild import tetrahedralize
 
 if TYPE_CHECKING:
@@ -51,7 +51,7 @@ class OdtAccessor:
 
     def quality(self) -> QualitySummary:
         """Sum up the quality: radius ratios, (dihedral) angles in degrees, counts."""
-        return measure(self._mesh)
+        return quality(self._mesh)
 
     def cell_quality(self) -> Any:
         """Copy the mesh and add the cell array "odt_radius_ratio".

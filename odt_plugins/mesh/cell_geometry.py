@@ -58,7 +58,7 @@ class CellGeometry:
 
     @cached_property
     def edges(self) -> list[FloatArray]:
-        """Lengths of the edges, in the order of :data:`odt_plugins.quality.EDGES`."""
+        """Lengths of the edges, in the order of :data:`odt_plugins.figures.EDGES`."""
         with np.errstate(invalid="ignore"):
             return [np.sqrt(square) for square in self.squares]
 

@@ -12,13 +12,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.figures import QualitySummary, summarize
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.mesh.surface import Edges, surface_edges
 from odt_plugins.options import KEPT
 from odt_plugins.promise.volume import worse_figures
-from odt_plugins.quality import QualitySummary, summarize
 
 FOLD = 120.0
 """Degrees by which the surface turns at an edge where it folds back on itself."""

@@ -13,13 +13,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.figures import CellFigures, QualitySummary, cell_figures, summarize
 from odt_plugins.mesh.chunks import chunks, spread
 from odt_plugins.mesh.facets import row_keys, sorted_columns, uneven_facets
 from odt_plugins.mesh.numbering import in_old_numbers, most_vertices, old_numbers, removed_vertices
 from odt_plugins.mesh.simplex import SimplexMesh, determinant
 from odt_plugins.options import KEPT
 from odt_plugins.promise.locked_facets import LockedFacets, facet_census
-from odt_plugins.quality import CellFigures, QualitySummary, cell_figures, summarize
 
 SLACK = 1e-12
 """Relative slack for a figure that must not get worse: the rounding of a mean, no more."""

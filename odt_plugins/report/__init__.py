@@ -1,6 +1,6 @@
 """What is told about a run: figures before and after, what binds, pictures.
 
-`make_report` measures input and result from outside (`odt_plugins.quality`) and makes a `Report`:
+`make_report` measures input and result from outside (`odt_plugins.figures`) and makes a `Report`:
 the figures, histograms of the radius ratio in 50 bins (`histogram`), energy, times, counts, and
 why an earlier state was returned. `binding_cells` names the cells that bind the minimum and why
 each stays; `best_quality_on` computes the largest radius ratio that a tetrahedron on a given

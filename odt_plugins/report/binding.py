@@ -10,8 +10,8 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.figures import EDGES, CellFigures, angles, radius_ratio
 from odt_plugins.promise.locked_facets import locked_facets
-from odt_plugins.quality import EDGES, CellFigures, angles, radius_ratio
 
 N_WORST = 10
 """Cells named for each figure: radius ratio, smallest and largest angle."""

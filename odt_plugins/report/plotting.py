@@ -14,8 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.errors import MeshFileError, MissingDependencyError
+from odt_plugins.figures import QualitySummary, radius_ratio
 from odt_plugins.promise.locked_facets import locked_facets
-from odt_plugins.quality import QualitySummary, radius_ratio
 
 INK = "#22313f"
 GREY = "#9aa5b1"

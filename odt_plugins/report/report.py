@@ -16,11 +16,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.errors import counted
+from odt_plugins.figures import QualitySummary, cell_figures, summarize
 from odt_plugins.mesh.numbering import AS_MANY_AS_PAY, in_old_numbers, most_vertices
 from odt_plugins.mesh.simplex import SimplexMesh, vertex_mask
 from odt_plugins.options import Options
 from odt_plugins.promise.volume import held_by, held_vertices
-from odt_plugins.quality import QualitySummary, cell_figures, summarize
 from odt_plugins.report.binding import BindingCell, Freeing, binding_cells, joined_lines
 from odt_plugins.table import table_html, table_lines, text_html
 from odt_plugins.untangling import Tangle, worse_than_valid

@@ -10,8 +10,8 @@ from typing import Any
 import numpy as np
 
 from odt_plugins.errors import UnsupportedMeshError, require
+from odt_plugins.figures import cell_figures
 from odt_plugins.mesh.arrays import FloatArray, IntArray
-from odt_plugins.quality import cell_figures
 from odt_plugins.table import text_html
 
 TOLERANCE = 1e-8

@@ -148,7 +148,7 @@ def test_a_mesh_without_cells_is_named_in_words_of_the_host(name):
     with pytest.raises(odt_plugins.ODTError, match=rf"(no|without) {host.word}"):
         host.optimize(mesh)
     with pytest.raises(odt_plugins.ODTError, match=rf"(no|without) {host.word}"):
-        odt_plugins.measure(host.mesh(mesh))
+        odt_plugins.quality(host.mesh(mesh))
 
 
 SPEAK = [name for name in contract.HOSTS if not name.startswith("pymeshlab")]
@@ -181,7 +181,7 @@ def test_curved_surfaces_keep_their_envelope_and_all_data(name):
     host = contract.HOSTS[name]
     mesh = host.make(contract.bowl())
     before = host.view(mesh)
-    assert odt_plugins.measure(host.mesh(mesh)).inverted == 0
+    assert odt_plugins.quality(host.mesh(mesh)).inverted == 0
     contract.check_curved(host, before, host.view(host.optimize(mesh, envelope=5e-3)), 5e-3)
     assert contract.same_bits(before, host.view(mesh))
 

@@ -64,7 +64,7 @@ def test_arrays_of_the_same_kind_come_back(make):
         assert found.dtype == want.dtype
         assert np.array_equal(found, want)
     assert np.array_equal(np.from_dlpack(given.places), points.astype(np.float32))
-    assert odt_plugins.measure(out) == report.after
+    assert odt_plugins.quality(out) == report.after
     out = odt_plugins.optimize([make(points), make(cells)], regions=labels)
     assert [type(part) for part in out] == [type(given.places)] * 3
     mixed = odt_plugins.optimize((make(points), cells))

@@ -13,7 +13,7 @@ import pytest
 import odt_plugins
 from odt_plugins.adapters import gmsh_model
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError, UnsupportedMeshError
-from odt_plugins.quality import radius_ratio
+from odt_plugins.figures import radius_ratio
 
 gmsh = pytest.importorskip("gmsh")
 
@@ -94,11 +94,11 @@ def test_a_part_keeps_all_but_its_volumes(tmp_path):
         node = int(before[3, 2][0][0])
         assert np.array_equal(model.mesh.getNode(node)[0], p[node])
         assert model.mesh.getNode(node)[2:] == (3, 2)
-        assert odt_plugins.measure(model) == report.after
+        assert odt_plugins.quality(model) == report.after
         gmsh.option.setNumber("Mesh.SaveAll", 1)
         gmsh.option.setNumber("Mesh.Binary", 1)
         gmsh.write(str(tmp_path / "part.msh"))
-        assert odt_plugins.measure(tmp_path / "part.msh") == report.after
+        assert odt_plugins.quality(tmp_path / "part.msh") == report.after
 
 
 @pytest.mark.parametrize(("dim", "order"), [(3, 2), (2, 2), (3, 3)])
@@ -201,7 +201,7 @@ def test_vertices_of_a_cad_face_slide_on_it(kind, order, tmp_path):
         assert theirs.min() == pytest.approx(report.after.min_quality)
     gmsh.option.setNumber("Mesh.Binary", 1)
     gmsh.write(str(tmp_path / "part.msh"))
-    told = odt_plugins.measure(tmp_path / "part.msh")
+    told = odt_plugins.quality(tmp_path / "part.msh")
     assert replace(told, n_points=0) == replace(report.after, n_points=0)
     volume = model.occ.getMass(3, 1)
     x = places(model)[cells[:, :4]]
@@ -356,7 +356,7 @@ def test_what_cannot_be_kept_is_named():
     with pytest.raises(UnsupportedMeshError, match="type Hexahedron 8; expected tetra"):
         odt_plugins.optimize(model)
     model.mesh.addElementsByType(1, 4, [2], [1, 2, 3, 5])
-    assert odt_plugins.measure(model).n_cells == 1
+    assert odt_plugins.quality(model).n_cells == 1
     model.addDiscreteEntity(3, 2)
     model.mesh.addNodes(3, 2, range(9, 19), np.arange(30.0))
     model.mesh.addElementsByType(2, 11, [3], range(9, 19))
@@ -379,7 +379,7 @@ def test_the_method_of_gmsh_does_what_the_function_does():
             report = how(rounds=3)
             meshes.append(dump(model))
             if len(meshes) == 1:
-                assert report.after == odt_plugins.measure(model)
+                assert report.after == odt_plugins.quality(model)
     assert same(*meshes)
     with pytest.raises(InvalidOptionError, match="did you mean 'rounds'"):
         gmsh.model.mesh.odt(round=3)

@@ -61,7 +61,7 @@ def test_domains_boundaries_and_curved_elements_come_back(order):
         assert new == pytest.approx(old, rel=1e-9 if order == 1 or len(old) > 2 else 1e-3)
     assert np.array_equal(np.array(mesh.ngmesh.Coordinates()), places)
     assert figures(mesh) == before
-    assert odt_plugins.measure(out) == report.after
+    assert odt_plugins.quality(out) == report.after
     space = ngsolve.H1(out, order=2, dirichlet="top")
     u, v = space.TnT()
     form = ngsolve.BilinearForm(ngsolve.grad(u) * ngsolve.grad(v) * ngsolve.dx).Assemble()
@@ -79,7 +79,7 @@ def test_vertices_are_inserted_into_a_curved_mesh():
     assert added
     assert len(out.Points()) == len(mesh.Points()) + added - removed
     assert out.GetCurveOrder() == 2
-    assert odt_plugins.measure(out) == report.after
+    assert odt_plugins.quality(out) == report.after
     (volumes, areas), new = figures(ngsolve.Mesh(mesh)), figures(ngsolve.Mesh(out))
     assert new[0] == pytest.approx(volumes, rel=1e-3)
     assert new[1] == pytest.approx(areas, rel=1e-9)
@@ -113,7 +113,7 @@ def test_points_of_a_face_slide_on_the_geometry(kind):
     assert (old[skin] != new[skin]).any(axis=1).sum() > 50
     assert off_the_ball(out) < 1e-6
     assert report.after.mean_quality > report.before.mean_quality
-    assert odt_plugins.measure(out) == report.after
+    assert odt_plugins.quality(out) == report.after
     volume = ngsolve.Integrate(ngsolve.CF(1), ngsolve.Mesh(out), order=9)
     assert volume == pytest.approx(4 / 3 * np.pi, rel=1e-3)
     shell = geometry.GenerateMesh(maxh=0.4, optsteps2d=0, perfstepsend=3)
@@ -141,7 +141,7 @@ def test_a_mesh_in_the_plane_keeps_its_edges(tmp_path):
         assert new == pytest.approx(old, rel=1e-9)
     assert out.GetCurveOrder() == 3
     out.ngmesh.Save(str(tmp_path / "plane.vol"))
-    assert odt_plugins.measure(tmp_path / "plane.vol").n_cells == report.after.n_cells
+    assert odt_plugins.quality(tmp_path / "plane.vol").n_cells == report.after.n_cells
 
 
 def test_periodic_identifications_stay():
@@ -196,4 +196,4 @@ def test_what_cannot_be_kept_is_named():
     with pytest.raises(UnsupportedMeshError, match=r"1 point in no element .*mesh\.Compress\(\)"):
         odt_plugins.optimize(mesh)
     mesh.Compress()
-    assert odt_plugins.measure(mesh).n_cells > 0
+    assert odt_plugins.quality(mesh).n_cells > 0

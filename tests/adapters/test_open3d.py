@@ -404,13 +404,12 @@ def test_optimize_odt_and_radius_ratios_are_those_of_the_package():
         out = open3d_filters.optimize_odt(mesh, rounds=4)
         truth = odt_plugins.optimize(mesh, rounds=4)
         assert contract.same_bits(view(kind, out), view(kind, truth))
-        ratios = open3d_filters.compute_radius_ratios(out)
-        summary = odt_plugins.measure(out)
-        assert ratios.min() == pytest.approx(summary.min_quality, rel=1e-6)
-        assert ratios.mean() == pytest.approx(summary.mean_quality, rel=1e-6)
+        summary = odt_plugins.quality(out)
+        assert summary.cells.quality.min() == summary.min_quality
+        assert summary.cells.quality.mean() == summary.mean_quality
     equilateral = open3d.geometry.TriangleMesh(
         open3d.utility.Vector3dVector(np.eye(3)), open3d.utility.Vector3iVector([[0, 1, 2]]))
-    assert open3d_filters.compute_radius_ratios(equilateral) == pytest.approx([1.0])
+    assert odt_plugins.quality(equilateral).cells.quality == pytest.approx([1.0])
 
 
 CORNERS = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1], [2, 0, 0], [2, 1, 0],
@@ -468,7 +467,7 @@ def test_errors_speak_of_triangles_and_tetras_and_advise_what_helps(kind, rows, 
         elif advice == "orient=True":
             function(mesh, orient=True)
         else:
-            names = {"mesh": mesh, "open3d": open3d, "open3d_filters": open3d_filters}
+            names = {"mesh": mesh, "open3d": open3d, "odt_plugins": odt_plugins}
             out = eval(advice, names)
             function(out if isinstance(out, type(mesh)) else mesh)
 
@@ -480,11 +479,11 @@ def test_tetrahedra_of_a_point_cloud_are_taken_as_they_are():
     points, cells = np.asarray(mesh.vertices), np.asarray(mesh.tetras)
     negative = (contract.volumes(points, cells) < 0).sum()
     assert 0 < negative < len(cells)
-    assert odt_plugins.measure(mesh).turned == negative
+    assert odt_plugins.quality(mesh).turned == negative
     better, report = odt_plugins.optimize_with_report(mesh)
     assert report.before.turned == negative
     assert (contract.volumes(np.asarray(better.vertices), np.asarray(better.tetras)) > 0).all()
-    assert (open3d_filters.compute_radius_ratios(mesh) > 0).all()
+    assert (odt_plugins.quality(mesh).cells.quality > 0).all()
 
 
 def test_wrong_arguments_are_named():
@@ -496,7 +495,7 @@ def test_wrong_arguments_are_named():
     with pytest.raises(UnsupportedMeshError, match="expected an open3d TriangleMesh"):
         open3d_filters.filter_smooth_odt((CORNERS, np.array([[0, 1, 2]])))
     with pytest.raises(UnsupportedMeshError, match="without triangles"):
-        open3d_filters.compute_radius_ratios(open3d.geometry.TriangleMesh())
+        odt_plugins.quality(open3d.geometry.TriangleMesh())
 
 
 @pytest.mark.parametrize(("name", "options", "message"), [
@@ -547,7 +546,8 @@ mesh = open3d.geometry.TriangleMesh(open3d.utility.Vector3dVector(points),
 tensor = open3d.t.geometry.TriangleMesh.from_legacy(mesh)
 for m in (mesh, tensor):
     out = m.filter_smooth_odt(number_of_iterations=5)
-    print(type(out) is type(m), out.compute_radius_ratios().min() > m.compute_radius_ratios().min())
+    print(type(out) is type(m), odt_plugins.quality(out).min_quality >
+          odt_plugins.quality(m).min_quality)
 print(hasattr(open3d.geometry.TetraMesh, "optimize_odt"))
 """
 

@@ -128,7 +128,7 @@ def test_scenes_that_cannot_be_optimised_are_named():
     with pytest.raises(UnsupportedMeshError, match=r"trimesh Scene of 0 geometries without"):
         odt_plugins.optimize(trimesh.Scene())
     with pytest.raises(UnsupportedMeshError, match=r"single mesh is needed, try mesh\.to_mesh\(\)"):
-        odt_plugins.measure(scene_of(halves()))
+        odt_plugins.quality(scene_of(halves()))
     broken = scene_of(halves())
     broken.geometry["part 1"].vertices[0] = np.nan
     with pytest.raises(InvalidMeshError, match=r"^geometry 'part 1': .*finite"):
@@ -167,6 +167,6 @@ def test_a_model_of_open3d_is_optimised_mesh_by_mesh():
     with pytest.raises(UnsupportedMeshError, match="TriangleMeshModel of 0 meshes"):
         odt_plugins.optimize(rendering.TriangleMeshModel())
     with pytest.raises(UnsupportedMeshError, match="try sum") as caught:
-        odt_plugins.measure(model)
+        odt_plugins.quality(model)
     one = eval(str(caught.value).rpartition("try ")[2], {"mesh": model, "open3d": o3d})
-    assert odt_plugins.measure(one).n_cells == sum(len(t) for _, t in halves())
+    assert odt_plugins.quality(one).n_cells == sum(len(t) for _, t in halves())

@@ -186,8 +186,8 @@ def test_something_happens_at_all(name):
     assert (before.vertex_matrix() != after.vertex_matrix()).any()
     flipped = not np.array_equal(before.face_matrix(), after.face_matrix())
     assert flipped == (name not in MOVING)
-    old = odt_plugins.measure(before)
-    assert odt_plugins.measure(after).mean_quality > old.mean_quality + 0.01
+    old = odt_plugins.quality(before)
+    assert odt_plugins.quality(after).mean_quality > old.mean_quality + 0.01
 
 
 @pytest.mark.parametrize("what", PER_VERTEX)

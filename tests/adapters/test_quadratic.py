@@ -356,7 +356,7 @@ def test_files_of_quadratic_cells(suffix, tmp_path, d):
     assert out.cells[0].type == MESHIO[d]
     edges_of(out.cells[0].data, d)
     assert report.after.mean_quality > report.before.mean_quality
-    assert odt_plugins.measure(out).mean_quality == pytest.approx(report.after.mean_quality)
+    assert odt_plugins.quality(out).mean_quality == pytest.approx(report.after.mean_quality)
 
 
 def _two_nodes_on_one_edge(rows, spare):

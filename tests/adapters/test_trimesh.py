@@ -75,15 +75,15 @@ def test_a_class_of_the_users_comes_back_and_normals_that_were_set_do_where_noth
 def test_what_cannot_be_optimised_is_named():
     with pytest.raises(UnsupportedMeshError, match=r"primitive, Box, .*try mesh\.to_mesh\(\)"):
         odt_plugins.optimize(trimesh.primitives.Box())
-    assert odt_plugins.measure(trimesh.primitives.Box().to_mesh()).n_cells == 12
+    assert odt_plugins.quality(trimesh.primitives.Box().to_mesh()).n_cells == 12
     scene = trimesh.Scene([ball()])
     with pytest.raises(UnsupportedMeshError, match=r"trimesh.*try mesh\.to_mesh\(\)") as caught:
-        odt_plugins.measure(scene)
+        odt_plugins.quality(scene)
     way = str(caught.value).rpartition("try ")[2]
-    assert odt_plugins.measure(eval(way, {"mesh": scene})).n_cells == len(ball().faces)
+    assert odt_plugins.quality(eval(way, {"mesh": scene})).n_cells == len(ball().faces)
     mesh = ball()
     mesh.faces[::2] = mesh.faces[::2, ::-1]
     with pytest.raises(InvalidMeshError, match=r"try mesh\.fix_normals\(\)"):
         odt_plugins.optimize(mesh)
     mesh.fix_normals()
-    assert odt_plugins.measure(mesh).n_cells == len(mesh.faces)
+    assert odt_plugins.quality(mesh).n_cells == len(mesh.faces)

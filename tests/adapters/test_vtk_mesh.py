@@ -42,8 +42,8 @@ for mesh, dim in ((Grid(), 3), (vtkPolyData(), 2)):
     mesh = filled(mesh, points, cells)
     out, report = odt_plugins.optimize_with_report(mesh)
     assert type(out) is type(mesh)
-    assert report.after == odt_plugins.measure(out)
-    assert report.after.mean_quality > odt_plugins.measure((points, cells)).mean_quality
+    assert report.after == odt_plugins.quality(out)
+    assert report.after.mean_quality > odt_plugins.quality((points, cells)).mean_quality
     arrays = odt_plugins.optimize((points, cells))
     places = vtk_to_numpy(out.GetPoints().GetData())
     assert np.allclose(places[:, :dim], arrays[0], rtol=0, atol=1e-15)

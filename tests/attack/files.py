@@ -52,7 +52,7 @@ def attack(rng: Rng, folder: Path) -> None:
                 raise Broken([f"{left} were left behind"]) from None
             raise
         return
-    odt_plugins.measure(path)
+    odt_plugins.quality(path)
 
 
 def _mesh(name: str, rng: Rng) -> meshio.Mesh:

@@ -47,7 +47,7 @@ from odt_plugins.compare.start import (
     suite,
 )
 from odt_plugins.errors import InvalidOptionError
-from odt_plugins.quality import radius_ratio, volumes
+from odt_plugins.figures import radius_ratio, volumes
 
 QUICK = Limits(seconds=60.0, repeats=2, enough=0.0)
 ONCE = Limits(seconds=60.0, repeats=1)

@@ -23,7 +23,7 @@ from odt_plugins.compare.rows import compare_on, mark
 from odt_plugins.compare.runner import Limits
 from odt_plugins.compare.start import ball, plate, stored
 from odt_plugins.distributed.summary import to_page
-from odt_plugins.quality import summarize
+from odt_plugins.figures import summarize
 from odt_plugins.report.machine import describe
 from odt_plugins.report.plotting import GREY
 

@@ -30,8 +30,8 @@ from odt_plugins.distributed.batch import HIDDEN, Job, find_inputs, job_key, mak
 from odt_plugins.distributed.job import COMPILING, MOST, RESULT, compiling, outside
 from odt_plugins.distributed.scratch import GONE, clear, make_scratch
 from odt_plugins.errors import InvalidOptionError, MeshFileError, MissingDependencyError
+from odt_plugins.figures import QualitySummary
 from odt_plugins.options import COMPILING as SAID
-from odt_plugins.quality import QualitySummary
 
 pytestmark = [
     pytest.mark.timeout(120),

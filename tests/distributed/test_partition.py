@@ -448,7 +448,7 @@ def test_finishing_is_tried_alone_where_sizes_are_kept_and_little_may_move(densi
 
 def test_planar_meshes_and_small_ones_work_too(small_blocks):
     start = plate(2000)
-    before, after = (odt_plugins.measure(m) for m in (
+    before, after = (odt_plugins.quality(m) for m in (
         (start.points, start.cells),
         odt_plugins.optimize_partitioned((start.points, start.cells), 3),
     ))

@@ -131,7 +131,7 @@ def test_no_move_tangles_or_spoils_a_cell(seed):
     held = rng.random(len(points)) < 0.1
     new, asked, short = project.project(points, cells, held, target, 1e-2, DOUBLE)
     assert (volumes(new, cells) > 0).all()
-    before, after = (odt_plugins.quality.radius_ratio(p, cells) for p in (points, new))
+    before, after = (odt_plugins.figures.radius_ratio(p, cells) for p in (points, new))
     assert (after >= np.minimum(before, project.LEAST_QUALITY) - 1e-12).all()
     angle = [np.degrees(tet_angles(p, cells)) for p in (points, new)]
     assert (angle[1] >= np.minimum(angle[0], project.LEAST_ANGLE) - 1e-6).all()

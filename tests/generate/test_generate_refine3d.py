@@ -129,8 +129,8 @@ def test_the_best_of_the_three_diagonals_is_taken():
         ring = [v for v in range(4, 10) if v not in (a, b)]
         adjacent = [(i, j) for i, j in combinations(ring, 2) if (i, j) not in diagonals]
         tets = positive(new, np.array([[a, b, i, j] for i, j in adjacent], dtype=np.int32))
-        worst.append(odt_plugins.measure((new, tets)).min_quality)
-    assert odt_plugins.measure((new, parts[4:])).min_quality == pytest.approx(max(worst))
+        worst.append(odt_plugins.quality((new, tets)).min_quality)
+    assert odt_plugins.quality((new, parts[4:])).min_quality == pytest.approx(max(worst))
 
 
 def test_cells_of_negative_volume_stay_so_and_types_are_kept():

@@ -20,7 +20,7 @@ import surface_meshes
 import odt_plugins
 from odt_plugins.adapters import files
 from odt_plugins.engine.run.outcome import Outcome
-from odt_plugins.quality import radius_ratio
+from odt_plugins.figures import radius_ratio
 
 THIRD = 1.0 / 3.0
 

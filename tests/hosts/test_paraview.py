@@ -17,8 +17,8 @@ import surface_meshes
 import odt_plugins
 from odt_plugins.cli import main as cli
 from odt_plugins.cli import paraview
+from odt_plugins.figures import radius_ratio
 from odt_plugins.options import OPTIONS
-from odt_plugins.quality import radius_ratio
 
 pyvista = pytest.importorskip("pyvista")
 

@@ -115,8 +115,8 @@ def test_method_and_apply_filter_do_the_same_for_the_options_they_stand_for(name
     assert np.array_equal(third.vertex_matrix(), one.current_mesh().vertex_matrix())
     moved = (flat().vertex_matrix() != third.vertex_matrix()).any(axis=1)
     assert result["moved_vertices"] == moved.sum() > 0
-    assert result["mean_radius_ratio"] == odt_plugins.measure(third).mean_quality
-    assert result["mean_radius_ratio_before"] == odt_plugins.measure(flat()).mean_quality
+    assert result["mean_radius_ratio"] == odt_plugins.quality(third).mean_quality
+    assert result["mean_radius_ratio_before"] == odt_plugins.quality(flat()).mean_quality
 
 
 def test_optimization_flips_edges_and_says_how_many_faces_are_new():
@@ -301,10 +301,10 @@ def test_filters_work_on_curved_surfaces(name):
     p, t = surface_meshes.torus(40, 16, noise=0.5)
     meshes = pymeshlab.MeshSet()
     meshes.add_mesh(pymeshlab.Mesh(p, t), "ring")
-    before = odt_plugins.measure(meshes)
+    before = odt_plugins.quality(meshes)
     meshes.apply_filter(name, envelope=pymeshlab.PercentageValue(0.5))
     x, c = meshes.current_mesh().vertex_matrix(), meshes.current_mesh().face_matrix()
-    after = odt_plugins.measure(meshes)
+    after = odt_plugins.quality(meshes)
     assert after.mean_quality > before.mean_quality + (0.004 if "global" in name else 0.02)
     assert max(surface_meshes.two_sided(p, t, x, c, 2)) <= 5e-3 * surface_meshes.diagonal(p)
     assert (name == "meshing_odt_optimization") != np.array_equal(c, t)
@@ -352,7 +352,7 @@ def test_tetrahedra_fill_the_surface_and_their_boundary_is_a_new_mesh(filled):
 
 def test_tetrahedra_are_better_than_those_of_tetwild(filled):
     *_, result = filled
-    figures = odt_plugins.measure((result["tet_vertex_matrix"], result["tet_matrix"]))
+    figures = odt_plugins.quality((result["tet_vertex_matrix"], result["tet_matrix"]))
     assert figures.mean_quality == result["mean_radius_ratio"]
     assert figures.min_quality == result["min_radius_ratio"] >= result["min_radius_ratio_before"]
     assert result["mean_radius_ratio"] > result["mean_radius_ratio_before"]
@@ -549,7 +549,7 @@ def test_tetrahedra_of_a_script_go_into_a_file(tmp_path):
     file = script(tmp_path, ENTRY.format("ODT Tetrahedralization", length + error))
     target = tmp_path / "ball.vtu"
     assert cli.main(["script", str(file), str(tmp_path / "ball.ply"), str(target), "--quiet"]) == 0
-    figures = odt_plugins.measure(target)
+    figures = odt_plugins.quality(target)
     assert figures.volume == pytest.approx(4 / 3 * np.pi * 8, rel=0.25)
     assert figures.inverted == 0
 

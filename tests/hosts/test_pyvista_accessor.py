@@ -39,7 +39,7 @@ def test_the_accessor_does_what_the_functions_do(name):
     again, report = mesh.odt.optimize_with_report(rounds=3, cycles=1)
     assert contract.same_bits(host.view(out), host.view(again))
     assert report.after == told.after
-    assert out.odt.quality() == odt_plugins.measure(out)
+    assert out.odt.quality() == odt_plugins.quality(out)
     assert mesh.odt.quality() == report.before
     assert contract.same_bits(before, host.view(mesh))
 

@@ -13,7 +13,7 @@ import surface_meshes as sm
 import odt_plugins
 from odt_plugins.cli import main as cli
 from odt_plugins.errors import DataNotKeptWarning, InvalidOptionError
-from odt_plugins.quality import radius_ratio
+from odt_plugins.figures import radius_ratio
 
 ENVELOPE = 3e-3
 
@@ -132,7 +132,7 @@ def test_the_accessor_of_pyvista_takes_curved_surfaces():
     p, t = sm.torus(40, 16, noise=0.5)
     surface = pyvista.PolyData.from_regular_faces(p, t)
     out = surface.odt.optimize(envelope=5e-3)
-    assert odt_plugins.measure(out).mean_quality > odt_plugins.measure(surface).mean_quality + 0.05
+    assert odt_plugins.quality(out).mean_quality > odt_plugins.quality(surface).mean_quality + 0.05
     assert max(sm.two_sided(p, t, np.asarray(out.points), out.regular_faces, 2)) <= (
         5e-3 * sm.diagonal(p))
 
@@ -171,14 +171,14 @@ def test_the_filters_of_open3d_take_curved_surfaces(kind):
                                             open3d.utility.Vector3iVector(t))
     else:
         mesh = open3d.t.geometry.TriangleMesh(p, t.astype(np.int64))
-    before = odt_plugins.measure(mesh).mean_quality
+    before = odt_plugins.quality(mesh).mean_quality
     for name, gain in (("filter_smooth_odt", 0.01), ("filter_smooth_cpt", 0.01),
                        ("filter_smooth_odt_global", 0.0)):
         out = getattr(open3d_filters, name)(mesh, number_of_iterations=5, envelope=5e-3)
         assert type(out) is type(mesh)
-        assert odt_plugins.measure(out).mean_quality > before + gain
+        assert odt_plugins.quality(out).mean_quality > before + gain
     out = open3d_filters.optimize_odt(mesh, envelope=5e-3)
-    assert odt_plugins.measure(out).mean_quality > before + 0.1
+    assert odt_plugins.quality(out).mean_quality > before + 0.1
 
 
 def test_a_texture_whose_charts_leave_nothing_to_move_is_kept():

@@ -48,9 +48,9 @@ def test_a_part_of_gmsh_goes_through_all_tools():
     cells = cells.reshape(-1, 4)
 
     tets = skfem.MeshTet(points.T.copy(), cells.T.copy())
-    assert odt_plugins.measure(tets).min_quality == pytest.approx(told.min_quality)
+    assert odt_plugins.quality(tets).min_quality == pytest.approx(told.min_quality)
     better = odt_plugins.optimize(tets)
-    first = odt_plugins.measure(better)
+    first = odt_plugins.quality(better)
     assert first.mean_quality >= told.mean_quality
 
     skin = better.facets[:, better.boundary_facets()].T
@@ -72,5 +72,5 @@ def test_a_part_of_gmsh_goes_through_all_tools():
     grid = pyvista.UnstructuredGrid({10: np.array(
         last.ngmesh.Elements3D().NumPy()["nodes"], dtype=np.int64) - 1},
         np.array(last.ngmesh.Coordinates()))
-    assert odt_plugins.measure(grid) == odt_plugins.measure(last)
+    assert odt_plugins.quality(grid) == odt_plugins.quality(last)
     assert abs(grid.volume) == pytest.approx(volume, rel=1e-9)

@@ -15,11 +15,11 @@ from odt_plugins.engine.run.outcome import Outcome
 from odt_plugins.engine.run.plan import run
 from odt_plugins.engine.run.within import Within
 from odt_plugins.engine.surface.driver import run_surface
+from odt_plugins.figures import summarize
 from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.mesh.simplex import simplex_mesh
 from odt_plugins.mesh.surface import surface_mesh
 from odt_plugins.options import Options
-from odt_plugins.quality import summarize
 
 SMOOTHING = "smoothing"
 """Stage 1, which is left out as a phase is."""

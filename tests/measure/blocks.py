@@ -14,7 +14,7 @@ from odt_plugins.compare.contestants import Contestant
 from odt_plugins.compare.runner import Limits, run_contestant
 from odt_plugins.compare.start import StartMesh
 from odt_plugins.compare.table import Say, Table, Value
-from odt_plugins.quality import summarize
+from odt_plugins.figures import summarize
 
 BLOCKS, ROUNDS = 4, 3
 

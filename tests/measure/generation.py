@@ -10,7 +10,7 @@ from typing import Any
 from measure.part import Part, power_laws
 from measure.stages import fit
 from odt_plugins.compare.table import Say, Table, Value
-from odt_plugins.quality import radius_ratio, uniformity
+from odt_plugins.figures import radius_ratio, uniformity
 
 TRUSS_STEPS = 100
 """Steps of the truss alone; it seldom comes to rest within a thousand."""

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from measure.meshes import kuhn_lattice
+from odt_plugins.figures import volumes
 from odt_plugins.generate.clouds import SEED
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import reverse
-from odt_plugins.quality import volumes
 
 FLAT = 1e-9
 """Delaunay cells below this part of the mean volume are left out: rounding of flat ones."""

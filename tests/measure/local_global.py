@@ -15,10 +15,10 @@ from measure.meshes import along_curve, inside_free, kuhn_lattice
 from measure.part import Part, power_laws
 from odt_plugins.compare.start import refine
 from odt_plugins.compare.table import Say, Table, Value
+from odt_plugins.figures import radius_ratio, volumes
 from odt_plugins.generate.clouds import SEED
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import reverse
-from odt_plugins.quality import radius_ratio, volumes
 
 ENOUGH = 1e-3
 """Part of the starting gap to the least energy at which a method has arrived."""

@@ -8,9 +8,9 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from odt_plugins.compare.start import StartMesh, ball, pebble
+from odt_plugins.figures import volumes
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import reverse
-from odt_plugins.quality import volumes
 
 if TYPE_CHECKING:
     from odt_plugins.engine.topology.stencil import Topology

@@ -12,10 +12,10 @@ import numpy as np
 from measure.meshes import along_curve, inside_free, kuhn_lattice
 from measure.part import Part
 from odt_plugins.compare.table import Say, Table, Value
+from odt_plugins.figures import volumes
 from odt_plugins.generate.clouds import SEED
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import reverse
-from odt_plugins.quality import volumes
 
 TIGHT = 1e-8
 """Relative residual far below that of a step, to show how iterations grow."""

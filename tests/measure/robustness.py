@@ -15,10 +15,10 @@ from odt_plugins.api import optimize_with_report
 from odt_plugins.compare.start import stored
 from odt_plugins.compare.table import Say, Table, as_text, shown
 from odt_plugins.errors import writing
+from odt_plugins.figures import summarize
 from odt_plugins.generate.clouds import SEED
 from odt_plugins.mesh.simplex import simplex_mesh
 from odt_plugins.promise.volume import broken_promises
-from odt_plugins.quality import summarize
 from odt_plugins.report.machine import describe
 
 FILE = "hard.json"

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from odt_plugins import quality as q
+from odt_plugins import figures as q
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError
 from odt_plugins.mesh import chunks
 

@@ -223,7 +223,7 @@ def test_unknown_objects_are_named(mesh):
     ((np.eye(3), 3), r"got a tuple of 2 parts \(ndarray, int\).* try numpy.asarray on each"),
 ])
 def test_a_sequence_is_named_by_its_parts(mesh, said):
-    for function in (odt_plugins.optimize, odt_plugins.measure):
+    for function in (odt_plugins.optimize, odt_plugins.quality):
         with pytest.raises(UnsupportedMeshError, match=said):
             function(mesh)
 
@@ -250,7 +250,7 @@ def test_hints_for_objects_of_other_toolkits_lead_to_a_mesh():
         with pytest.raises(UnsupportedMeshError) as caught:
             odt_plugins.optimize(mesh)
         way = str(caught.value).rpartition(", try ")[2]
-        assert odt_plugins.measure(eval(way, {"mesh": mesh, "numpy": np})).n_cells > 1, name
+        assert odt_plugins.quality(eval(way, {"mesh": mesh, "numpy": np})).n_cells > 1, name
 
 
 @pytest.mark.parametrize("module", ["open3d.pybind.geometry", "vtkmodules", "trimesh"])
@@ -269,7 +269,7 @@ def test_hints_for_other_objects_of_pyvista_lead_to_a_mesh():
         way = str(caught.value).rpartition("try mesh.")[2]
         assert way.endswith("().triangulate()")
         grid = getattr(mesh, way.partition("(")[0])().triangulate()
-        assert odt_plugins.measure(grid).n_cells >= 40
+        assert odt_plugins.quality(grid).n_cells >= 40
 
 
 @pytest.mark.parametrize("kind", ["tetra10", "triangle6", "line3", "hexahedron20"])
@@ -332,7 +332,7 @@ def test_cells_of_mixed_orientation_are_turned(d, most):
     assert (report.before.turned, report.after.turned) == (some.sum(), 0)
     assert re.search(rf"(?m)^cells turned +{some.sum()} +0$", str(report))
     assert "cells turned" not in str(plain)
-    assert odt_plugins.measure((points, mixed)) == report.before
+    assert odt_plugins.quality((points, mixed)) == report.before
     assert replace(report.before, turned=0) == plain.before
 
 
@@ -340,7 +340,7 @@ def test_delaunay_cells_of_scipy_are_taken_as_they_are(d):
     points = np.random.default_rng(6).random((60, d))
     cells = Delaunay(points).simplices
     volumes = contract.volumes(points, cells) / math.factorial(d)
-    figures = odt_plugins.measure((points, cells))
+    figures = odt_plugins.quality((points, cells))
     assert (figures.inverted, figures.turned) == (0, (volumes < 0).sum())
     assert np.isclose(figures.volume, np.abs(volumes).sum())
     assert (contract.volumes(*odt_plugins.optimize((points, cells))) > 0).all()
@@ -357,19 +357,19 @@ def test_triangles_in_a_plane_in_space_keep_the_side_of_most(place, share):
     side = contract.volumes(flat, out)
     assert (side < 0).all() if share > 0.5 else (side > 0).all()
     against = min(some.sum(), (~some).sum())
-    assert report.before.turned == odt_plugins.measure((points, mixed)).turned == against
+    assert report.before.turned == odt_plugins.quality((points, mixed)).turned == against
 
 
 def test_figures_of_a_tangled_mesh_count_its_inverted_cells(d):
     for turn in (np.asarray, contract.negative):
-        figures = odt_plugins.measure(_tangled(d, turn))
+        figures = odt_plugins.quality(_tangled(d, turn))
         assert (figures.inverted, figures.turned) == (1, 0)
 
 
 def test_flat_cells_do_not_keep_a_mesh_from_being_measured_as_turned(d):
     points, cells = _flat_cell(*MESHES[d]())
     rows = np.vstack([contract.negative(cells[:2]), cells[2:]])
-    figures = odt_plugins.measure((points, rows))
+    figures = odt_plugins.quality((points, rows))
     assert (figures.turned, figures.min_quality < 1e-12) == (2, True)
     with pytest.raises(InvalidMeshError, match=r"1 cell .* with zero (area|volume)"):
         odt_plugins.optimize((points, rows), untangle=False)
@@ -405,8 +405,8 @@ def test_unused_vertices_may_be_anywhere(place, d):
     assert out_points[1:-1].tobytes() == near[0].tobytes()
     assert np.array_equal(out_cells - 1, near[1])
     assert out_points[[0, -1]].tobytes() == far[[0, -1]].tobytes()
-    expected = replace(odt_plugins.measure((points, cells)), n_points=len(far))
-    assert odt_plugins.measure((far, cells + 1)) == expected
+    expected = replace(odt_plugins.quality((points, cells)), n_points=len(far))
+    assert odt_plugins.quality((far, cells + 1)) == expected
 
 
 def test_many_crowded_facets_are_counted():

@@ -8,7 +8,7 @@ import reference as ref
 from hypothesis import given
 from strategies import SCALES, SEEDS, lattice, meshes, rotation
 
-from odt_plugins.quality import radius_ratio, uniformity
+from odt_plugins.figures import radius_ratio, uniformity
 
 
 def regular(d):

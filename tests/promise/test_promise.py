@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 from scipy.spatial import Delaunay
 
+from odt_plugins.figures import summarize
 from odt_plugins.mesh import facets as facets_module
 from odt_plugins.mesh.facets import uneven_facets
 from odt_plugins.mesh.simplex import SimplexMesh, simplex_mesh
 from odt_plugins.promise import volume as promise
 from odt_plugins.promise.locked_facets import LOCAL_FACETS, facet_census, locked_facets
 from odt_plugins.promise.volume import broken_promises, held_vertices
-from odt_plugins.quality import summarize
 
 SIZE = {2: "area", 3: "volume"}
 

@@ -15,9 +15,9 @@ import tet_meshes
 import odt_plugins
 from odt_plugins.engine.run.outcome import Outcome
 from odt_plugins.errors import MeshFileError, MissingDependencyError
+from odt_plugins.figures import CellFigures, cell_figures, radius_ratio
 from odt_plugins.mesh.simplex import SimplexMesh, simplex_mesh
 from odt_plugins.options import Options
-from odt_plugins.quality import CellFigures, cell_figures, radius_ratio
 from odt_plugins.report import binding, plotting
 from odt_plugins.report.binding import best_quality_on, binding_cells
 from odt_plugins.report.report import BINS, Report, histogram, make_report
@@ -91,7 +91,7 @@ def test_figures_and_reports_print_as_tables_and_have_html_for_notebooks(report:
 
 
 def test_the_volume_of_triangles_is_called_their_area(report: Report) -> None:
-    flat = odt_plugins.measure((np.array([[0.0, 0], [2, 0], [0, 1]]), np.array([[0, 1, 2]])))
+    flat = odt_plugins.quality((np.array([[0.0, 0], [2, 0], [0, 1]]), np.array([[0, 1, 2]])))
     assert flat.area == flat.volume == flat.to_dict()["area"] == 1.0
     assert "volume" not in flat.to_dict()
     assert "area" in str(flat)

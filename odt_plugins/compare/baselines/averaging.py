@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from odt_plugins.compare.baselines.task import Settings, Task
 from odt_plugins.compare.hull import held_vertices
 from odt_plugins.compare.start import StartMesh
+from odt_plugins.figures import EDGES, radius_ratio
 from odt_plugins.mesh.arrays import FloatArray
-from odt_plugins.quality import EDGES, radius_ratio
 
 
 def prepare(start: StartMesh, settings: Settings) -> Task:

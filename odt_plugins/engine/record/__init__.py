@@ -5,7 +5,7 @@ the extreme angles as cosines (`Figures`; `cell_shapes` for every cell). `Memory
 state whose figures in `keep` are no worse than those of the input, and the last state that lost
 one, for the report. `until_insertion` and `in_turn` give the stages of a run, and runs that follow
 each other, their part of the caller's `progress`. The figures that leave the package come from
-`odt_plugins.quality` instead, which shares no code with this room.
+`odt_plugins.figures` instead, which shares no code with this room.
 
 Source: the radius ratio is (5.1) of Chen and Holst.
 

@@ -22,7 +22,7 @@ from odt_plugins.engine.cells.tetrahedron import (
 )
 from odt_plugins.engine.moves.newton3d import add_cost_terms, make_derivatives
 from odt_plugins.engine.record.figures import amips_energies, tet_extremes
-from odt_plugins.quality import angles, radius_ratio
+from odt_plugins.figures import angles, radius_ratio
 
 REGULAR = np.array([[1, -1, -1], [1, 1, 1], [-1, 1, -1], [-1, -1, 1.0]])
 CORNER = np.vstack([np.zeros(3), np.eye(3)])

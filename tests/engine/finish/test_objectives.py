@@ -49,8 +49,8 @@ from odt_plugins.engine.topology.coloring import vertex_coloring
 from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.engine.topology.triangles import Triangles
 from odt_plugins.errors import InvalidOptionError
+from odt_plugins.figures import cell_figures, summarize
 from odt_plugins.options import Options
-from odt_plugins.quality import cell_figures, summarize
 
 DATA = Path(__file__).parents[2] / "data"
 AIRFOIL = Path(__file__).parents[3] / "examples" / "meshes" / "airfoil.vtu"

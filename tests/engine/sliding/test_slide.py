@@ -37,10 +37,10 @@ from odt_plugins.engine.run.within import Within
 from odt_plugins.engine.sliding.skin import flip_skin, make_skin
 from odt_plugins.engine.topology.complex import make_complex
 from odt_plugins.errors import InvalidOptionError
+from odt_plugins.figures import summarize
 from odt_plugins.mesh.simplex import simplex_mesh
 from odt_plugins.options import Options
 from odt_plugins.promise.volume import broken_promises
-from odt_plugins.quality import summarize
 
 DATA = Path(odt_plugins.__file__).parent / "compare" / "data"
 LIMITS = Bounds(Extremes(0.0, 1.0, -1.0), Extremes(0.3, 0.97, -0.92))

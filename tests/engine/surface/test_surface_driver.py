@@ -18,8 +18,8 @@ from strategies import SEEDS
 import odt_plugins
 from odt_plugins.engine.surface import driver
 from odt_plugins.errors import EndlessWalkError, InvalidMeshError, InvalidOptionError
+from odt_plugins.figures import angles, radius_ratio, summarize
 from odt_plugins.mesh.surface import surface_edges, surface_mesh
-from odt_plugins.quality import angles, radius_ratio, summarize
 
 MESHES = {
     "sphere": lambda: sm.sphere(4, 0.2),
@@ -483,7 +483,7 @@ def test_the_report_tells_of_features_distances_and_what_binds():
 
 def test_measure_takes_curved_surfaces():
     p, t = sm.sphere(3, 0.2)
-    found = odt_plugins.measure((p, t))
+    found = odt_plugins.quality((p, t))
     assert found.mean_quality == pytest.approx(radius_ratio(p, t).mean())
     assert found.min_angle == pytest.approx(angles(p, t).min())
     assert found.dim == 2

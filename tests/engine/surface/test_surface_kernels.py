@@ -34,9 +34,9 @@ from odt_plugins.engine.surface.passes import Surface, SurfaceDescent, flip_all
 from odt_plugins.engine.surface.rounds import surface_energy
 from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.errors import EndlessWalkError
+from odt_plugins.figures import angles, radius_ratio
 from odt_plugins.mesh.chunks import Pool
 from odt_plugins.mesh.surface import surface_edges
-from odt_plugins.quality import angles, radius_ratio
 
 ENERGY_ONLY = Cost(ENERGY, 1.0)
 

@@ -67,12 +67,12 @@ CASES = {"space": (FLAT, FLAT_CELLS), "plane": (ARROW, ARROW_CELLS[:, [0, 1, 2]]
 @pytest.mark.parametrize("case", CASES)
 def test_a_mesh_whose_vertices_are_all_on_the_boundary_is_mended(case):
     points, cells = CASES[case]
-    found = odt_plugins.measure((points, cells))
+    found = odt_plugins.quality((points, cells))
     assert found.inverted > 0
     out, rows = odt_plugins.untangle((points, cells))
     assert np.array_equal(out, points)
-    assert odt_plugins.measure((out, rows)).inverted == 0
-    assert odt_plugins.measure((out, rows)).volume == pytest.approx(found.volume)
+    assert odt_plugins.quality((out, rows)).inverted == 0
+    assert odt_plugins.quality((out, rows)).volume == pytest.approx(found.volume)
     labels = np.arange(len(cells))
     with pytest.raises(odt_plugins.TangledMeshError):
         odt_plugins.untangle((points, cells), regions=labels)
@@ -92,7 +92,7 @@ def test_cell_data_come_from_the_input_and_flips_are_counted():
 def test_densities_of_cells_follow_the_flips():
     for density in ([1.0, 1.0, 2.0], np.ones(len(FLAT))):
         out = odt_plugins.optimize((FLAT, FLAT_CELLS), density=density)
-        assert odt_plugins.measure(out).inverted == 0
+        assert odt_plugins.quality(out).inverted == 0
 
 
 @pytest.mark.parametrize("case", CASES)

@@ -9,9 +9,9 @@ from tangled_meshes import schoenhardt
 
 from odt_plugins.engine.untangle.run import Wishes, untangled
 from odt_plugins.engine.untangle.vertices import inserted
+from odt_plugins.figures import volumes
 from odt_plugins.mesh.facets import uneven_facets
 from odt_plugins.mesh.simplex import SimplexMesh, cell_signs
-from odt_plugins.quality import volumes
 
 
 def mesh_of(points, cells, regions=None, frozen=None):

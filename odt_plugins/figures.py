@@ -8,7 +8,7 @@ users ask for. Nothing here is shared with the optimiser's own kernels.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, fields
+from dataclasses import dataclass, field, fields
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -61,6 +61,7 @@ class QualitySummary:
                                                     dynamics
     turned : int                                    cells of mixed orientation that were turned
                                                     before they were measured
+    cells : CellFigures or None                     of every cell, from :func:`odt_plugins.quality`
     """
 
     dim: int
@@ -81,6 +82,7 @@ class QualitySummary:
     volume: float
     min_altitude: float
     turned: int = 0
+    cells: CellFigures | None = field(default=None, compare=False, repr=False)
 
     @property
     def share_below_20(self) -> float:
@@ -108,7 +110,7 @@ class QualitySummary:
 
         The volume of triangles has the name "area".
         """
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        values = {f.name: getattr(self, f.name) for f in fields(self) if f.name != "cells"}
         if self.dim == 2:
             values["area"] = values.pop("volume")
         return {k: v if np.isfinite(v) else None for k, v in values.items()}
