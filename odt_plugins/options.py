@@ -23,6 +23,7 @@ Boundary = Literal["fixed", "slide"]
 Fields = Literal["auto", "interpolate", "keep"]
 Layers = Literal["keep", "improve"]
 Periodic = Literal["keep", "free"]
+Repair = Literal["auto", "orient", "none"]
 Objective = Literal["radius_ratio", "min_dihedral", "amips", "time_step"]
 LinearSolver = Literal["auto", "direct", "amg"]
 
@@ -43,8 +44,7 @@ KEPT = ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle", "
 FIGURES = (*KEPT, "min_altitude")
 """What can be kept; the first of them are by default."""
 
-OF_MESHES = (
-    "fixed", "selection", "regions", "fields", "layers", "periodic", "orient", "untangle")
+OF_MESHES = ("fixed", "selection", "regions", "fields", "layers", "periodic")
 """Options for what a mesh has that is there already, none for a surface that is to be filled."""
 
 OF_UNTANGLING = ("insert", "fixed", "selection", "regions", "threads", "progress")
@@ -184,13 +184,12 @@ class Options:
         "time_step keeps with the others.",
         python="A single one may be given as a word.",
         flag="Separated by commas; none to keep no figure."))
-    orient: bool = field(default=False, metadata=_told(
-        "Whether triangles of a curved surface whose neighbours disagree about the outside are "
-        "turned instead of refused; all other cells of mixed orientation always are turned."))
-    untangle: str | bool = field(default="auto", metadata=_told(
-        "Whether a mesh some of whose cells are inverted or flat is untangled first, with the "
-        "boundary where it is; figures in keep are then compared with its valid cells only.",
-        python="'auto' or False, which refuses such meshes."))
+    repair: Repair = field(default="auto", metadata=_told(
+        "What happens first to a broken mesh. auto untangles one some of whose cells are inverted "
+        "or flat, with the boundary where it is; figures in keep are then compared with its valid "
+        "cells only. orient also turns triangles of a curved surface whose neighbours disagree "
+        "about the outside. none refuses both. All other cells of mixed orientation always are "
+        "turned.", choices=get_args(Repair)))
     threads: int = field(default=1, metadata=_told(
         "Worker threads; the result does not depend on it. The stages of fewer than "
         "40,000 tetrahedra, or triangles in the plane, take one.", least=1))
@@ -259,8 +258,6 @@ class Options:
             object.__setattr__(self, "keep", (self.keep,))
         good = isinstance(self.keep, tuple | list) and all(k in FIGURES for k in self.keep)
         _expect(good, "keep", self.keep, f"some of {FIGURES}")
-        good = self.untangle == "auto" or self.untangle is False
-        _expect(good, "untangle", self.untangle, "'auto' or False")
         if self.objective == "time_step" and self.keep and "min_altitude" not in self.keep:
             object.__setattr__(self, "keep", (*self.keep, "min_altitude"))
         good = callable(self.progress) or isinstance(self.progress, bool | None)
@@ -338,8 +335,7 @@ class OptionKeywords(TypedDict, total=False):
     layers: Layers
     periodic: Periodic
     keep: str | tuple[str, ...]
-    orient: bool
-    untangle: str | bool
+    repair: Repair
     threads: int
     progress: Progress | bool | None
 

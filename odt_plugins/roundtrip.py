@@ -271,7 +271,7 @@ def _checked(
         labels = labels * (int(host.blocks.max()) + 1) + host.blocks
     given: Any = {"regions": labels, "fixed": options.fixed, "selection": options.selection}
     if on_surface:
-        surface = surface_mesh(points, host.cells, orient=options.orient, **given)
+        surface = surface_mesh(points, host.cells, orient=options.repair == "orient", **given)
         surface = protect_surface(surface, host.kept)
         if host.geometry is not None and options.boundary == "fixed":
             surface.fixed[host.geometry.on_curves] = True
@@ -285,7 +285,7 @@ def _checked(
             points, host.cells, **given, threads=options.threads
         )
     except TangledMeshError:
-        if options.untangle is False:
+        if options.repair == "none":
             raise
         simplices, orientation = tangled_mesh(points, host.cells, **given)
         tangled = True

@@ -112,12 +112,12 @@ def tetrahedralize(
         False for TetWild alone; a dict of options, should one of pytetwild's keywords ever have
         the name of an option.
     **options
-        The fields of :class:`odt_plugins.Options`. With `orient` faces are turned first: neighbours
-        agree, closed components face outward, hollows within them stay hollow. With a sizing field
-        (bg_vertices, bg_tets, bg_values) its edge length h is the size that the density rho = h^-r
-        keeps, unless a `density` is given; `exponent` is r, 5 by default. Outside the background
-        mesh h is the ideal edge length, as for TetWild. TetWild follows a field that asks for
-        larger cells than it starts from only with `coarsen`.
+        The fields of :class:`odt_plugins.Options`. With `repair="orient"` faces are turned first:
+        neighbours agree, closed components face outward, hollows within them stay hollow. With a
+        sizing field (bg_vertices, bg_tets, bg_values) its edge length h is the size that the
+        density rho = h^-r keeps, unless a `density` is given; `exponent` is r, 5 by default.
+        Outside the background mesh h is the ideal edge length, as for TetWild. TetWild follows a
+        field that asks for larger cells than it starts from only with `coarsen`.
 
     Returns
     -------
@@ -220,7 +220,7 @@ def _checked(
     _expect_known(options, given)
     chosen = odt_options(odt, **options)
     _check_surface(given["vertices"], given["faces"])
-    if chosen and chosen.pop("orient", False):
+    if chosen and chosen.get("repair") == "orient":
         from odt_plugins.generate.bodies import outward
 
         faces = given["faces"]

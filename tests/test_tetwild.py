@@ -254,14 +254,14 @@ def test_the_surface_is_compared_with_the_boundary_and_turned_on_request(monkeyp
 
     monkeypatch.setattr(tetwild, "run_tetwild", run_tetwild)
     options = {"vtk_ordering": ordering, "rounds": 1}
-    with pytest.warns(NotFilledWarning, match=r"50.0% of the area of the surface.*try orient=True"):
+    with pytest.warns(NotFilledWarning, match=r"50.0% of the area of.*try repair='orient'"):
         _, report = odt_plugins.tetrahedralize_with_report(*surface, **options)
     assert report.filled.missing == pytest.approx(0.5)
     assert report.filled.elsewhere == 0.0
     assert report.filled.missing_at[0].low == pytest.approx((3, 0, 0))
     with pytest.warns(NotFilledWarning, match="50.0%"):
         odt_plugins.tetrahedralize(*surface, **options)
-    out = odt_plugins.tetrahedralize(*surface, orient=True, **options)
+    out = odt_plugins.tetrahedralize(*surface, repair="orient", **options)
     assert np.abs(contract.volumes(*out)).sum() / 6 == pytest.approx(2)
     assert np.array_equal(surface[1][12:], FACES[:, ::-1] + 8)
     odt_plugins.tetrahedralize(*surface, odt=False)

@@ -103,7 +103,7 @@ def test_figures_may_be_as_bad_as_those_of_the_valid_cells(dim):
 def test_untangling_can_be_refused():
     points, cells, _ = knotted(2)
     with pytest.raises(TangledMeshError, match="overlapping a neighbour") as caught:
-        odt_plugins.optimize((points, cells), untangle=False)
+        odt_plugins.optimize((points, cells), repair="none")
     assert set(np.flatnonzero(contract.volumes(points, cells) < 0)) <= set(caught.value.cells)
 
 
@@ -278,8 +278,8 @@ def test_curved_surfaces_and_wrong_options_are_refused():
     points, cells, _ = contract.bowl(4)
     with pytest.raises(UnsupportedMeshError, match="curved surface"):
         odt_plugins.untangle((points, cells))
-    with pytest.raises(InvalidOptionError, match="untangle='always'"):
-        odt_plugins.optimize((points, cells), untangle="always")
+    with pytest.raises(InvalidOptionError, match="repair='always'"):
+        odt_plugins.optimize((points, cells), repair="always")
 
 
 def test_cells_that_cannot_agree_are_refused_as_before():

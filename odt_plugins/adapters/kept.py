@@ -258,8 +258,8 @@ def hold_places(
         edges = disagreeing_edges(mesh)
         if len(edges):
             notes.append(f"cells disagree about the outside at {counted(len(edges), 'edge')} "
-                         f"({_places(mesh, edges)}) and stay there; try orient=True, or removing "
-                         f"them")
+                         f"({_places(mesh, edges)}) and stay there; try repair='orient', or "
+                         f"removing them")
     return mesh, tuple(host.words(note) for note in notes)
 
 

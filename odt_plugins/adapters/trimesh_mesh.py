@@ -27,7 +27,7 @@ MATERIALS = "face_materials"
 
 REMEDIES = (
     (r"merging vertices at the same place", "mesh.merge_vertices()"),
-    (r"(?<=try )orient=True", "mesh.fix_normals()"),
+    (r"(?<=try )repair='orient'", "mesh.fix_normals()"),
     (r"(?<=try )removing repeated cells", "mesh.update_faces(mesh.unique_faces())"),
     (r"(?<=try )removing such cells", "mesh.update_faces(mesh.nondegenerate_faces())"),
 )

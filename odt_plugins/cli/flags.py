@@ -48,9 +48,6 @@ def option_flags(
             settings["type"] = click.IntRange(min=told["least"])
         elif float in (hints[name], *get_args(hints[name])):
             settings["type"] = float
-        elif name == "untangle":
-            flag = "--untangle/--no-untangle"
-            settings |= {"default": True, "callback": lambda _ctx, _param, on: on and "auto"}
         elif name == "regions":
             settings["callback"] = _region_names
         elif name == "keep":

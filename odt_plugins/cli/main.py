@@ -212,9 +212,6 @@ def optimize(
 @EDGE_LENGTH
 @LEVELS
 @some_option_flags(*(name for name in OPTIONS if name not in OF_MESHES))
-@click.option("--orient/--no-orient", default=False,
-              help="Whether faces are turned first so that neighbours agree and closed components "
-                   "face outward; hollows within them stay hollow.")
 @click.option("--bodies", is_flag=True,
               help="Number the closed components of SURFACE in a cell array \"body\", from 1, 0 "
                    "for none.")
@@ -234,9 +231,10 @@ def tetrahedralize(
 
     TetWild fills it, Optimal Delaunay Triangulation improves the tetrahedra. Labels and other
     arrays of the faces come to the triangles of the boundary, which stand beside the tetrahedra
-    then. --envelope is how far the boundary may be from SURFACE. The exit code is 1 where more than
-    a hundredth of SURFACE has no boundary beside it, or of the boundary no SURFACE; OUTPUT is
-    written all the same.
+    then. --envelope is how far the boundary may be from SURFACE. With --repair orient faces are
+    turned first: neighbours agree, closed components face outward, hollows stay hollow. The exit
+    code is 1 where more than a hundredth of SURFACE has no boundary beside it, or of the boundary
+    no SURFACE; OUTPUT is written all the same.
     """
     from odt_plugins.generate.fill import tetrahedralize_file
 

@@ -140,7 +140,7 @@ def progress_bar(quiet: bool) -> Iterator[Progress | bool]:
 
 
 def in_flags(text: str) -> str:
-    """Name options by their flags: "try --orient" for "try orient=True"."""
+    """Name options by their flags: "try --insert" for "try insert=True"."""
     def flag(found: re.Match[str]) -> str:
         name = found[1].replace("_", "-")
         value = ",".join(re.findall(r"[-+.\w]+", found[2]))

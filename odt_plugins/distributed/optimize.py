@@ -360,7 +360,7 @@ def _start(mesh: SimplexMesh, options: Options) -> tuple[Whole, Options, float]:
         values, power = density.field, density.power
         spec = "keep" if named else "uniform"
     plain = replace(options, density=spec, exponent=None, progress=None, fixed=None,
-                    selection=None, regions=None, orient=False)
+                    selection=None, regions=None)
     waiting = np.zeros(len(mesh.points), dtype=np.bool_)
     waiting[mesh.cells[active]] = True
     patch = np.full(len(mesh.points), -1, dtype=np.int32)

@@ -214,7 +214,7 @@ def _run(
         return told(apply, part_of(report, turn / stages, (turn + 1) / stages), name, count)
 
     read = stage("reading", len(sources))
-    found = list(read(partial(take_in, regions=given, untangle=options.untangle == "auto"), [
+    found = list(read(partial(take_in, regions=given, untangle=options.repair != "none"), [
         (path, str(folder / f"0-{k}.npz")) for k, path in enumerate(sources)]))
     taken: list[Taken] = [part for part in found if part is not None]
     _check_taken(taken, ghosts=ghosts)

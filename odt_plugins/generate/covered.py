@@ -89,7 +89,7 @@ class Covered:
         if self.missing > MOST_GONE:
             said.append(f"{self.missing:.1%} of the area of the surface has nothing of the result "
                         f"beside it, {_where(self.missing_at)}")
-            hints.append("orient=True, since closed components face inward" if self.inverted
+            hints.append("repair='orient', since closed components face inward" if self.inverted
                          else "a smaller envelope")
         if self.elsewhere > MOST_GONE:
             said.append(f"{self.elsewhere:.1%} of the boundary of the result stands for no face, "

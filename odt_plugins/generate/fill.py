@@ -47,7 +47,7 @@ GROUPS = ("gmsh:physical", "gmsh:geometrical")
 """Labels of Gmsh, in which 0 is none; the tetrahedra are the volume 1."""
 
 
-@with_option_signature(*(name for name in OF_MESHES if name != "orient"))
+@with_option_signature(*OF_MESHES)
 def tetrahedralize_file(
     source: str | os.PathLike[str],
     target: str | os.PathLike[str],
@@ -76,8 +76,8 @@ def tetrahedralize_file(
     file_format, binary      as for :func:`odt_plugins.optimize_file`
     **options
         The fields of :class:`odt_plugins.Options` but for those of a mesh that is there already.
-        `envelope` is how far the boundary may be from the surface; TetWild gets all of it, or
-        three quarters where the boundary moves afterwards. With `orient` faces are turned first:
+        `envelope` is how far the boundary may be from the surface; TetWild gets all of it, or three
+        quarters where the boundary moves afterwards. With `repair="orient"` faces are turned first:
         neighbours agree, closed components face outward, hollows within them stay hollow.
 
     Returns
@@ -113,8 +113,6 @@ def check_fill(levels: Any, edge_length: Any, options: Any) -> None:
     make_options(**options)
     check_levels(levels, edge_length, options if levels else {})
     for name in OF_MESHES:
-        if name == "orient":
-            continue
         usual = OPTIONS[name].default
         value = options.get(name, usual)
         if isinstance(value, str | bool | None) and value == usual:
@@ -139,7 +137,9 @@ def fill(
                f"name, try renaming it")
         raise InvalidOptionError(msg)
     options = dict(options)
-    orient = options.pop("orient", False)
+    orient = options.get("repair") == "orient"
+    if orient:
+        del options["repair"]
     ground = mesh_arrays(host.points, host.cells)
     turned = outward(*ground) if orient else np.zeros(len(ground[1]), dtype=np.bool_)
     surface = ground[0], reverse(ground[1], turned)

@@ -20,7 +20,7 @@ from odt_plugins.hosts.pymeshlab_work import WORK, Effect, diagonal
 WORDS = (
     (r"pytetwild\.tetrahedralize", "generate_odt_tetrahedralization"),
     (r"closing its holes", "meshing_close_holes()"),
-    (r"orient=True", "meshing_re_orient_faces_coherently()"),
+    (r"repair='orient'", "meshing_re_orient_faces_coherently()"),
     (r"removing the cells that overlap", "meshing_repair_non_manifold_edges()"),
     (r"removing repeated cells", "meshing_remove_duplicate_faces()"),
     (r"removing such cells", "meshing_remove_null_faces()"),

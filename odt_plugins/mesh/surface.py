@@ -120,7 +120,7 @@ def surface_mesh(
     few = turned.size <= FEW * len(edges.degree)
     if turned.size and not few:
         a, b = edges.vertices[turned[0]].tolist()
-        what, hope = ("disagree about the outside", "one orientation, try orient=True")
+        what, hope = ("disagree about the outside", "one orientation, try repair='orient'")
         if orient:
             what, hope = ("disagree however they are turned, as on a Moebius strip, non-orientable",
                           "two sides, try cutting it open")

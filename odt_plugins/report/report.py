@@ -367,7 +367,7 @@ def _curved_lines(facts: Mapping[str, float]) -> list[str]:
     lines = [text.format(**facts)]
     if facts.get("folded"):
         lines.append(f"note   {facts['folded']} curved cells that were valid are folded, since the "
-                     f"mesh was untangled; try untangle=False, or moving what is inverted")
+                     f"mesh was untangled; try repair='none', or moving what is inverted")
     if facts["vertices_held"]:
         lines.append(f"note   {facts['vertices_held']} vertices stay, since curved cells beside "
                      f"them would be folded or have a smaller scaled Jacobian")

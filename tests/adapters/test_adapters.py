@@ -166,7 +166,7 @@ def test_errors_speak_the_words_of_the_host(name):
     flat[cells[0, -1]] = flat[cells[0, 0]]
     for run, mesh in ((host.optimize, lambda mesh: mesh), (odt_plugins.optimize, host.mesh)):
         with pytest.raises(odt_plugins.ODTError, match=said):
-            run(mesh(host.make((flat, cells, labels))), untangle=False)
+            run(mesh(host.make((flat, cells, labels))), repair="none")
     good = host.make((points, cells, labels))
     with pytest.raises(odt_plugins.ODTError, match=rf"a mask .* as many as {host.word}$"):
         host.optimize(good, selection=np.ones(3, dtype=bool))

@@ -456,16 +456,16 @@ def test_errors_speak_of_triangles_and_tetras_and_advise_what_helps(kind, rows, 
             function(mesh)
         assert "cell" not in str(caught.value)
         with pytest.raises(InvalidMeshError, match=message) as caught:
-            function(mesh, untangle=False)
+            function(mesh, repair="none")
         said = str(caught.value)
         assert "cell" not in said
         advice = said.partition("try ")[2]
-        assert advice.startswith(("mesh.", "orient=")) == code
+        assert advice.startswith(("mesh.", "repair=")) == code
         if not code:
             assert advice in ("removing such tetrahedra", "removing such triangles",
                               "removing repeated triangles")
-        elif advice == "orient=True":
-            function(mesh, orient=True)
+        elif advice == "repair='orient'":
+            function(mesh, repair="orient")
         else:
             names = {"mesh": mesh, "open3d": open3d, "odt_plugins": odt_plugins}
             out = eval(advice, names)

@@ -227,9 +227,9 @@ def test_soups_that_cannot_be_merged_come_back_with_a_sentence(kind):
 def test_soups_that_disagree_about_the_outside_are_merged_on_demand():
     points, cells = apart(*SURFACE)
     cells[::5] = cells[::5, ::-1]
-    with pytest.warns(ODTWarning, match="disagree about the outside.*orient=True"):
+    with pytest.warns(ODTWarning, match="disagree about the outside.*repair='orient'"):
         odt_plugins.optimize((points, cells))
-    _, report = odt_plugins.optimize_with_report((points, cells), orient=True)
+    _, report = odt_plugins.optimize_with_report((points, cells), repair="orient")
     turned = len(cells[::5])
     assert (report.n_movable, report.before.turned) == (len(SURFACE[0]), turned)
 

@@ -62,7 +62,7 @@ def broken(before: Mesh, after: Mesh, options: Options, *, curved: bool = False)
     before, after : Mesh    labels of the result may be unknown (None): then only the places of
                             the interfaces are looked at
     options : Options       of the run; ``fixed``, ``selection``, ``keep``, ``boundary``,
-                            ``envelope``, ``insert`` and ``orient`` count
+                            ``envelope``, ``insert`` and ``repair`` count
     curved : bool           whether these are triangles in space that lie in no plane
 
     Returns

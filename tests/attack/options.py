@@ -19,7 +19,7 @@ Rng = np.random.Generator
 GIVEN = 0.25
 """Probability that an option is given."""
 
-OFTEN = {"orient": 0.6}
+OFTEN = {"repair": 0.6}
 """The same of some: a mesh that needs no turning is not changed by it."""
 
 
@@ -110,7 +110,6 @@ def _share(rng: Rng) -> float:
 BY_NAME: dict[str, Callable[[Rng, Any, Any], Any]] = {
     "density": _density,
     "exponent": lambda rng, *_: float(10.0 ** rng.uniform(-2, 1)),
-    "orient": lambda rng, *_: bool(rng.random() < 0.9),
     "omega": lambda rng, *_: float(rng.uniform(0.05, 3.0)),
     "rounds": lambda rng, *_: int(rng.choice([0, 1, 5, 100])),
     "envelope": lambda rng, *_: float(10.0 ** rng.uniform(-8, -0.1)),
@@ -120,7 +119,7 @@ BY_NAME: dict[str, Callable[[Rng, Any, Any], Any]] = {
     "regions": _regions,
     "keep": _keep,
     "insert": lambda rng, *_: bool(rng.random() < 0.5) if rng.random() < 0.5 else _share(rng),
-    "untangle": lambda rng, *_: "auto" if rng.random() < 0.5 else False,
+    "repair": lambda rng, *_: str(rng.choice(["orient", "auto", "none"], p=[0.6, 0.1, 0.3])),
     "threads": lambda rng, *_: int(rng.integers(1, 4)),
     "progress": lambda *_: lambda _stage, _fraction: None,
 }

@@ -82,7 +82,7 @@ def test_flags_are_the_fields_of_options_with_their_defaults() -> None:
             continue
         flag = found[field.name]
         assert flag.opts == ["--" + field.name.replace("_", "-")]
-        other = {"keep": ",".join(KEPT), "untangle": True}
+        other = {"keep": ",".join(KEPT)}
         assert flag.default == other.get(field.name, field.default)
         assert flag.help
 
@@ -91,7 +91,7 @@ def test_choices_are_those_of_options() -> None:
     hints = get_type_hints(Options)
     choices = {name for name, hint in hints.items() if get_origin(hint) is Literal}
     assert choices == {"method", "solver", "linear_solver", "connectivity", "objective",
-                       "boundary", "fields", "layers", "periodic"}
+                       "boundary", "fields", "layers", "periodic", "repair"}
     for name in choices:
         assert tuple(flags()[name].type.choices) == get_args(hints[name])
     assert choices == {name for name, about in OPTIONS.items() if about.metadata["choices"]}
@@ -114,13 +114,13 @@ def test_no_flag_given_means_the_defaults_of_options(place: Path, still: list[Op
 def test_every_flag_reaches_the_engine(place: Path, still: list[Options]) -> None:
     words = ("--method cpt --solver global --linear-solver direct --connectivity flips "
              "--density keep --exponent 3.5 --rounds 7 --no-finish --boundary fixed "
-             "--regions part --keep min_quality,max_angle --orient --threads 2")
+             "--regions part --keep min_quality,max_angle --repair orient --threads 2")
     assert cli.main(["optimize", "in.vtu", "out.vtu", *words.split()]) == 0
     asked = still[0]
     assert asked == Options(
         method="cpt", solver="global", linear_solver="direct", connectivity="flips",
         exponent=3.5, rounds=7, finish=False, regions="part",
-        keep=("min_quality", "max_angle"), orient=True, threads=2)
+        keep=("min_quality", "max_angle"), repair="orient", threads=2)
     assert cli.main(["optimize", "in.vtu", "out.vtu", "--keep", "none", "--regions", "none"]) == 0
     assert still[1].keep == ()
     assert still[1].regions is None
@@ -260,7 +260,7 @@ def test_inverted_cells_are_untangled_alone_or_first_or_refused(
         assert 0 < out.points[4, 0] < 1
         assert np.array_equal(out.cell_data["size"][0], np.arange(4.0))
     Path("out.vtu").unlink()
-    assert cli.main("optimize bad.vtu out.vtu --no-untangle".split()) == 1
+    assert cli.main("optimize bad.vtu out.vtu --repair none".split()) == 1
     assert "overlapping a neighbour" in capsys.readouterr().err
     points[[0, 1]] = points[[1, 0]]
     meshio.Mesh(points, [("triangle", FAN)]).write("bad.vtu")
@@ -345,7 +345,7 @@ def contents(place: Path) -> dict[str, bytes]:
 
 
 @pytest.mark.parametrize(("text", "words"), [
-    ("got 1 cell turned; try orient=True", "got 1 cell turned; try --orient"),
+    ("got 1 cell turned; try repair='orient'", "got 1 cell turned; try --repair orient"),
     ("got insert=False, finish=True", "got --no-insert, --finish"),
     ("got feature_angle=200.0; expected less", "got --feature-angle 200.0; expected less"),
     ("got boundary='slide' in the plane", "got --boundary slide in the plane"),
@@ -400,7 +400,7 @@ BAD = [
     ("optimize folder.vtu out.vtu", 1, "cannot read folder.vtu"),
     ("optimize cut.vtu out.vtu", 1, "cannot read cut.vtu"),
     ("optimize text.vtu out.vtu", 1, "cannot read text.vtu"),
-    ("optimize mixed.vtu out.vtu", 1, "try --orient$"),
+    ("optimize mixed.vtu out.vtu", 1, "try --repair orient$"),
     ("optimize twice.vtu out.vtu", 1, "cell 4"),
     ("optimize double.vtu out.vtu", 1, "cell"),
     ("optimize nan.vtu out.vtu", 1, "NaN"),
@@ -559,7 +559,7 @@ print(gc.get_threshold()[0] == __main__.RARELY, gc.get_freeze_count() > 1000)
 
 
 @pytest.mark.parametrize(("said", "flags"), [
-    ("try orient=True.", "try --orient."), ("finish=False, or", "--no-finish, or"),
+    ("try repair='orient'.", "try --repair orient."), ("finish=False, or", "--no-finish, or"),
     ('boundary="slide" and insert=True', "--boundary slide and --insert"),
     ("got solver='jacobi'; try x", "got --solver jacobi; try x"),
     ("try keep=('min_quality', 'p1_quality')", "try --keep min_quality,p1_quality"),
@@ -609,8 +609,9 @@ def test_flags_without_effect_are_refused(tmp_path, monkeypatch, capsys, words, 
 
 @pytest.mark.parametrize("words", [
     "ball.vtu o.vtu --envelope 0.01 --feature-angle 30 --boundary slide",
-    "ball.vtu o.vtu --block-rounds 2 --blocks 2", "skin.vtu o.vtu --envelope 0.01 --orient",
-    "ball.vtu o.vtu --orient",
+    "ball.vtu o.vtu --block-rounds 2 --blocks 2",
+    "skin.vtu o.vtu --envelope 0.01 --repair orient",
+    "ball.vtu o.vtu --repair orient",
 ])
 def test_flags_with_an_effect_are_not(tmp_path, monkeypatch, words):
     monkeypatch.chdir(tmp_path)

@@ -67,7 +67,7 @@ def test_inverted_cells_are_untangled_where_they_are(where, ids, tmp_path, monke
 def test_what_no_pieces_around_mend_is_told_with_its_place_and_leaves_nothing(tmp_path, capsys):
     index, *_ = tangled_pieces(tmp_path / "in", "inside")
     with pytest.raises(TangledMeshError, match="overlapping a neighbour"):
-        optimize_pieces(index, tmp_path / "out.pvtu", untangle=False)
+        optimize_pieces(index, tmp_path / "out.pvtu", repair="none")
     file = tmp_path / "in" / "piece-2.vtu"
     mesh = meshio.read(file)
     corners = [int(np.flatnonzero((mesh.points == x).all(axis=1))[0])

@@ -126,7 +126,7 @@ def test_a_body_that_is_gone_is_told_with_its_place():
     assert found.missing_at[0].high == pytest.approx([5, 2, 2], abs=0.1)
     assert found.missing_at[0].share == pytest.approx(4 / 5)
     assert "80.0% of the area of the surface" in found.complaint()
-    assert "orient=True" in found.complaint()
+    assert "repair='orient'" in found.complaint()
     assert json.loads(json.dumps(found.to_dict()))["missing_at"][0]["share"] == pytest.approx(0.8)
 
 
@@ -162,13 +162,13 @@ def test_the_command_says_what_is_gone_and_ends_with_1(place, capsys):
     assert said.out == ""
     assert len(said.err.splitlines()) == 1
     assert "o.vtu is written, but 50.0% of the area of the surface" in said.err
-    assert "try --orient" in said.err
+    assert "try --repair orient" in said.err
     assert set(files.read_file("o.vtu").cells_dict) == {"tetra"}
     with open("o.json") as file:
         told = json.load(file)["filled"]
     assert told["missing"] == pytest.approx(0.5)
     assert told["filled"] is False
-    with pytest.warns(NotFilledWarning, match="orient=True"):
+    with pytest.warns(NotFilledWarning, match="repair='orient'"):
         report = odt_plugins.tetrahedralize_file("two.vtu", "o.vtu")
     assert "filled 50.00% of the surface gone" in str(report)
 
@@ -180,8 +180,8 @@ def test_orient_turns_the_surface_and_bodies_are_numbered(place, capsys, levels)
     surface = boxes(((3, 0, 0), 1, False), ((0, 0, 0), 1, True))
     meshio.Mesh(surface[0], [("triangle", surface[1])],
                 cell_data={"side": [np.arange(24)]}).write("two.vtu")
-    assert cli.main(["tetrahedralize", "two.vtu", "o.vtu", "--orient", "--bodies", "--quiet",
-                     "--levels", levels, "--boundary", "fixed"]) == 0
+    assert cli.main(["tetrahedralize", "two.vtu", "o.vtu", "--repair", "orient", "--bodies",
+                     "--quiet", "--levels", levels, "--boundary", "fixed"]) == 0
     assert capsys.readouterr().err == ""
     assert enclosed(calls[0]["vertices"], calls[0]["faces"]) == pytest.approx(2)
     out = files.read_file("o.vtu")
@@ -223,7 +223,7 @@ def test_tetwild_fills_a_body_that_was_inside_out(tmp_path, monkeypatch):
     meshio.Mesh(surface[0], [("triangle", surface[1])]).write("two.off")
     plain = ["tetrahedralize", "two.off", "o.vtu", "--edge-length", "0.3", "--quiet"]
     assert cli.main(plain) == 1
-    assert cli.main([*plain, "--orient"]) == 0
+    assert cli.main([*plain, "--repair", "orient"]) == 0
     out = files.read_file("o.vtu")
     corner = out.points[out.cells_dict["tetra"]]
     size = np.abs(np.linalg.det(corner[:, 1:] - corner[:, :1])).sum() / 6

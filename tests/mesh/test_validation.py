@@ -124,7 +124,7 @@ def test_bad_mesh_is_refused_in_one_sentence(case, d):
     points, cells = change(*MESHES[d]())
     before = points.tobytes(), cells.tobytes()
     with pytest.raises(InvalidMeshError, match=message) as caught:
-        odt_plugins.optimize((points, cells), untangle=False)
+        odt_plugins.optimize((points, cells), repair="none")
     assert "\n" not in str(caught.value)
     assert (points.tobytes(), cells.tobytes()) == before
 
@@ -145,7 +145,7 @@ def test_bad_mesh_in_an_object_is_refused_as_well(case, kind, d):
         flat = np.insert(cells, 0, d + 1, axis=1).ravel()
         mesh = pyvista.UnstructuredGrid(flat, np.full(len(cells), 5 if d == 2 else 10), space)
     with pytest.raises(InvalidMeshError, match=message):
-        odt_plugins.optimize(mesh, untangle=False)
+        odt_plugins.optimize(mesh, repair="none")
 
 
 BAD_OPTIONS = {
@@ -154,7 +154,7 @@ BAD_OPTIONS = {
     "method type": ({"method": np.arange(3)}, r"got method=.*expected one of"),
     "solver": ({"solver": "sor"}, r"got solver='sor'; expected one of"),
     "connectivity": ({"connectivity": None}, r"got connectivity=None; expected one of"),
-    "untangle": ({"untangle": True}, r"got untangle=True; expected 'auto' or False"),
+    "repair": ({"repair": True}, r"got repair=True; expected one of \('auto', 'orient', 'none'\)"),
     "boundary": ({"boundary": "free"}, r"expected one of \('fixed', 'slide'\)"),
     "density name": ({"density": "fine"}, r"got density='fine'; expected one of \('keep'"),
     "density zero": ({"density": np.array([1.0, 0, 1, 1, 1, 1, 1, 1])}, r"densit"),
@@ -372,7 +372,7 @@ def test_flat_cells_do_not_keep_a_mesh_from_being_measured_as_turned(d):
     figures = odt_plugins.quality((points, rows))
     assert (figures.turned, figures.min_quality < 1e-12) == (2, True)
     with pytest.raises(InvalidMeshError, match=r"1 cell .* with zero (area|volume)"):
-        odt_plugins.optimize((points, rows), untangle=False)
+        odt_plugins.optimize((points, rows), repair="none")
 
 
 def test_uniformly_negative_cells_are_valid(d):

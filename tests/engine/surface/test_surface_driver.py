@@ -361,16 +361,16 @@ def test_orientation_is_put_right_on_demand_only():
     p, t = sm.torus(30, 12, noise=0.4)
     mixed = t.copy()
     mixed[::7] = t[::7][:, [0, 2, 1]]
-    with pytest.raises(InvalidMeshError, match=r"disagree about the outside.*orient=True"):
+    with pytest.raises(InvalidMeshError, match=r"disagree about the outside.*repair='orient'"):
         odt_plugins.optimize((p, mixed))
-    (_, c), _ = odt_plugins.optimize_with_report((p, mixed), orient=True)
+    (_, c), _ = odt_plugins.optimize_with_report((p, mixed), repair="orient")
     assert sm.topology(c) == sm.topology(t)
     points, strip = sm.moebius()
-    _, report = odt_plugins.optimize_with_report((points, strip), orient=True)
+    _, report = odt_plugins.optimize_with_report((points, strip), repair="orient")
     assert "disagree about the outside" in str(report)
     strip[::7] = strip[::7, [0, 2, 1]]
     with pytest.raises(InvalidMeshError, match="Moebius strip, non-orientable; expected two sides"):
-        odt_plugins.optimize((points, strip), orient=True)
+        odt_plugins.optimize((points, strip), repair="orient")
 
 
 @pytest.mark.parametrize(("options", "message"), [
