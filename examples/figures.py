@@ -57,7 +57,7 @@ def main(arguments: list[str]) -> None:
     print(HEADER)
     gains = []
     for path in paths:
-        measure(path, [*options, "--rounds", "1", "--cycles", "1"])
+        measure(path, [*options, "--smoothing", "rounds=1"])
         report, seconds = measure(path, options)
         before, after = report["before"], report["after"]
         gains.append(after["min_altitude"] / before["min_altitude"])

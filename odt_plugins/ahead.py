@@ -29,7 +29,7 @@ RUNS: dict[str, dict[tuple[str, int], tuple[dict[str, Any], ...]]] = {
         ("ball", SMALL): ({}, {"insert": True}, {"objective": "time_step", "insert": True},
                           {"objective": "min_dihedral", "insert": True, "boundary": "slide"},
                           {"density": "inverse-volume"}),
-        ("ball", LARGE): ({"rounds": 1, "finish": False, "threads": 2},),
+        ("ball", LARGE): ({"smoothing": {"rounds": 1}, "finish": False, "threads": 2},),
     },
     "triangles": {
         ("plate", SMALL): ({}, {"objective": "min_dihedral"}, {"density": "inverse-volume"}),

@@ -6,6 +6,7 @@ import dataclasses
 import difflib
 import inspect
 from collections.abc import Callable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, field
 from numbers import Integral, Real
 from textwrap import wrap
@@ -75,6 +76,71 @@ def _told(
             "share": share}
 
 
+def _check_fields(options: Options | Smoothing) -> None:
+    """Refuse what a field may never be."""
+    for about in dataclasses.fields(options):
+        name, value = about.name, getattr(options, about.name)
+        choices, least = about.metadata["choices"], about.metadata["least"]
+        if choices:
+            good = isinstance(value, str) and value in choices
+            _expect(good, name, value, f"one of {choices}")
+        if about.metadata["share"] and not isinstance(value, bool):
+            good = _is_number(value) and 0 < value < float("inf")
+            _expect(good, name, value, "a bool, or a number above 0")
+        elif isinstance(about.default, bool):
+            _expect(isinstance(value, bool), name, value, "a bool")
+        elif isinstance(about.default, int):
+            good = isinstance(value, Integral) and not isinstance(value, bool)
+            good = good and int(value) >= least
+            _expect(good, name, value, f"an integer of at least {least}")
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def _expect(good: bool, name: str, value: object, expected: str) -> None:
+    if not good:
+        msg = f"got {name}={value!r}; expected {expected}"
+        raise InvalidOptionError(msg)
+
+
+@dataclass(frozen=True)
+class Smoothing:
+    """Values of the option `smoothing`; printed are those that are not as usual."""
+
+    linear_solver: LinearSolver = field(default="auto", metadata=_told(
+        "Solver of the global step; auto chooses by size.", choices=get_args(LinearSolver)))
+    exponent: float | None = field(default=None, metadata=_told(
+        "r in rho = h^-r for the density keep; d + 2 unless given."))
+    omega: float | None = field(default=None, metadata=_told(
+        "Relaxation of the local sweeps, above 0, at most 3; unless given 2.1, later 2, for odt "
+        "in space by gauss-seidel with finishing, which reaches lower energies, 0.8 for jacobi, "
+        "else 1.",
+        python="The first alpha that is tried (4.2.1)."))
+    rounds: int = field(default=40, metadata=_told(
+        "Most rounds of smoothing and reconnection in one cycle."))
+    cycles: int = field(default=1, metadata=_told(
+        "How often the two stages follow each other; 1 without finishing."))
+
+    def __post_init__(self) -> None:
+        """Refuse values outside their range."""
+        _check_fields(self)
+        good = self.exponent is None or (
+            _is_number(self.exponent) and 0 < self.exponent < float("inf"))
+        _expect(good, "exponent", self.exponent, "a positive number or None")
+        good = self.omega is None or (_is_number(self.omega) and 0 < self.omega <= 3)
+        _expect(good, "omega", self.omega, "a number above 0 and at most 3, or None")
+
+    def __repr__(self) -> str:
+        return repr({name: getattr(self, name) for name, about in SMOOTHING.items()
+                     if getattr(self, name) != about.default})
+
+
+SMOOTHING = {about.name: about for about in dataclasses.fields(Smoothing)}
+"""Every value of the option `smoothing` by its name, with its metadata, see :func:`_told`."""
+
+
 @dataclass(frozen=True)
 class Options:
     """Options of one run."""
@@ -90,8 +156,6 @@ class Options:
         "the default.",
         python="Sections 4.1 and 4.3, formulas (4.27) and (4.28); lbfgs runs through scipy.",
         choices=get_args(Solver)))
-    linear_solver: LinearSolver = field(default="auto", metadata=_told(
-        "Solver of the global step; auto chooses by size.", choices=get_args(LinearSolver)))
     connectivity: Connectivity = field(default="auto", metadata=_told(
         "How cells are reconnected in stage 1. delaunay: by Qhull each round. flips: by local "
         "flips. none: cells stay, in finishing and untangling, too. auto: flips, after one round "
@@ -106,17 +170,11 @@ class Options:
         python="Or values of rho: (m,) for the cells, (n,) for the vertices, or a callable "
         "rho(points). inverse-volume is (4.22).",
         flag="Or the name of a point or cell array of INPUT with the values of rho."))
-    exponent: float | None = field(default=None, metadata=_told(
-        "r in rho = h^-r for the density keep; d + 2 unless given."))
-    omega: float | None = field(default=None, metadata=_told(
-        "Relaxation of the local sweeps, above 0, at most 3; unless given 2.1, later 2, for odt "
-        "in space by gauss-seidel with finishing, which reaches lower energies, 0.8 for jacobi, "
-        "else 1.",
-        python="The first alpha that is tried (4.2.1)."))
-    rounds: int = field(default=40, metadata=_told(
-        "Most rounds of smoothing and reconnection in one cycle."))
-    cycles: int = field(default=1, metadata=_told(
-        "How often the two stages follow each other; 1 without finishing."))
+    smoothing: Any = field(default=Smoothing(), metadata=_told(
+        "Values for the laboratory of stage 1. "
+        + " ".join(f"{name}: {about.metadata['help']}" for name, about in SMOOTHING.items()),
+        python="A dict of them, such as {'rounds': 80}.",
+        flag="NAME=VALUE, such as rounds=80, once for each value."))
     finish: bool = field(default=True, metadata=_told(
         "Whether bad cells are finished by their quality, stage 2.",
         flag="Without it a TetWild mesh usually comes back unchanged, since smoothing alone makes "
@@ -200,21 +258,13 @@ class Options:
 
     def __post_init__(self) -> None:
         """Refuse values outside their range, and options that would have no effect."""
-        for name, about in OPTIONS.items():
-            value, choices, least = (getattr(self, name), about.metadata["choices"],
-                                     about.metadata["least"])
-            if choices:
-                good = isinstance(value, str) and value in choices
-                _expect(good, name, value, f"one of {choices}")
-            if about.metadata["share"] and not isinstance(value, bool):
-                good = _is_number(value) and 0 < value < float("inf")
-                _expect(good, name, value, "a bool, or a number above 0")
-            elif isinstance(about.default, bool):
-                _expect(isinstance(value, bool), name, value, "a bool")
-            elif isinstance(about.default, int):
-                good = isinstance(value, Integral) and not isinstance(value, bool)
-                good = good and int(value) >= least
-                _expect(good, name, value, f"an integer of at least {least}")
+        if isinstance(self.smoothing, Mapping):
+            _expect_known(self.smoothing, SMOOTHING, "values of smoothing")
+            object.__setattr__(self, "smoothing", Smoothing(**self.smoothing))
+        good = isinstance(self.smoothing, Smoothing)
+        _expect(good, "smoothing", self.smoothing, f"a dict with some of {list(SMOOTHING)}")
+        lab = self.smoothing
+        _check_fields(self)
         known = SOLVERS[self.method]
         if self.solver not in known:
             msg = (
@@ -228,19 +278,14 @@ class Options:
             good = self.density != "inverse-volume" or self.method != "laplacian"
             what = "'uniform' for the method 'laplacian', which weighs no cells"
             _expect(good, "density", self.density, what)
-        if self.exponent is not None:
-            good = _is_number(self.exponent) and 0 < self.exponent < float("inf")
-            _expect(good, "exponent", self.exponent, "a positive number or None")
-            good = isinstance(self.density, str) and self.density == "keep"
-            _expect(good, "exponent", self.exponent, "None unless density is 'keep'")
-        if self.omega is not None:
-            good = _is_number(self.omega) and 0 < self.omega <= 3
-            _expect(good, "omega", self.omega, "a number above 0 and at most 3, or None")
-            good = self.solver in ("gauss-seidel", "jacobi") and self.method != "cvt"
-            _expect(good, "omega", self.omega, "None unless the solver is a local sweep")
-        if self.linear_solver != "auto":
-            good = self.solver == "global"
-            _expect(good, "linear_solver", self.linear_solver, "'auto' unless solver is 'global'")
+        keeps = isinstance(self.density, str) and self.density == "keep"
+        good = lab.exponent is None or keeps
+        _expect(good, "exponent", lab.exponent, "None unless density is 'keep'")
+        local = self.solver in ("gauss-seidel", "jacobi") and self.method != "cvt"
+        good = lab.omega is None or local
+        _expect(good, "omega", lab.omega, "None unless the solver is a local sweep")
+        good = lab.linear_solver == "auto" or self.solver == "global"
+        _expect(good, "linear_solver", lab.linear_solver, "'auto' unless solver is 'global'")
         good = _is_number(self.envelope) and 0 < self.envelope < 1
         _expect(good, "envelope", self.envelope, "a part of the diagonal, between 0 and 1")
         good = _is_number(self.feature_angle) and 0 < self.feature_angle <= 180
@@ -248,7 +293,7 @@ class Options:
         if not self.finish:
             good = self.objective == "radius_ratio"
             _expect(good, "objective", self.objective, "'radius_ratio' without finishing")
-            _expect(self.cycles == 1, "cycles", self.cycles, "1 without finishing")
+            _expect(lab.cycles == 1, "cycles", lab.cycles, "1 without finishing")
         _expect(self.finish or not self.insert, "insert", self.insert, "False without finishing")
         good = self.connectivity != "none" or not self.insert
         _expect(good, "insert", self.insert, "False with connectivity='none', since vertices that "
@@ -263,16 +308,6 @@ class Options:
         good = callable(self.progress) or isinstance(self.progress, bool | None)
         what = "None, True or a callable progress(stage, fraction)"
         _expect(good, "progress", self.progress, what)
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool)
-
-
-def _expect(good: bool, name: str, value: object, expected: str) -> None:
-    if not good:
-        msg = f"got {name}={value!r}; expected {expected}"
-        raise InvalidOptionError(msg)
 
 
 OPTIONS = {about.name: about for about in dataclasses.fields(Options)}
@@ -315,13 +350,9 @@ class OptionKeywords(TypedDict, total=False):
 
     method: Method
     solver: Solver
-    linear_solver: LinearSolver
     connectivity: Connectivity
     density: str | ArrayLike | Callable[[NDArray[np.float64]], ArrayLike]
-    exponent: float | None
-    omega: float | None
-    rounds: int
-    cycles: int
+    smoothing: Mapping[str, Any]
     finish: bool
     objective: Objective
     insert: bool | float
@@ -371,13 +402,32 @@ def make_options(odt: Mapping[str, Any] | None = None, /, **options: Any) -> Opt
         msg = f"got {twice} as keywords and in odt={{...}}; expected each option once"
         raise InvalidOptionError(msg)
     given = {**(odt or {}), **options}
-    unknown = [name for name in given if name not in OPTIONS]
-    if unknown:
-        near = difflib.get_close_matches(unknown[0], OPTIONS, n=1)
-        hint = f", did you mean {near[0]!r}?" if near else ""
-        msg = f"got unknown options {unknown}; expected some of {list(OPTIONS)}{hint}"
-        raise InvalidOptionError(msg)
+    _expect_known(given, OPTIONS, "options")
     return Options(**{name: _plain(value) for name, value in given.items()})
+
+
+def _expect_known(given: Mapping[str, Any], known: Mapping[str, Any], what: str) -> None:
+    unknown = [name for name in given if name not in known]
+    if unknown:
+        near = difflib.get_close_matches(unknown[0], known, n=1)
+        hint = f", did you mean {near[0]!r}?" if near else ""
+        if unknown[0] in SMOOTHING:
+            hint = f", try smoothing={{{unknown[0]!r}: ...}}"
+        msg = f"got unknown {what} {unknown}; expected some of {list(known)}{hint}"
+        raise InvalidOptionError(msg)
+
+
+def smoothing_of(words: Sequence[str]) -> dict[str, Any]:
+    """Values of the option `smoothing` from words such as rounds=80."""
+    values: dict[str, Any] = {}
+    for word in words:
+        name, _, text = word.partition("=")
+        values[name] = text
+        for kind in (int, float):
+            with suppress(ValueError):
+                values[name] = kind(text)
+                break
+    return values
 
 
 def _plain(value: Any) -> Any:

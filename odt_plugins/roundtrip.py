@@ -125,7 +125,8 @@ def run_engine(
             was = () if work.tangle is None else (work.tangle.before, work.tangle.source)
             kept, layers = keep_layers(work.mesh, options.threads, *was)
             work = work._replace(mesh=kept)
-        moves = work.host.geometry is not None and _surface_moves(work, options)
+        slides = options.boundary == "slide" and work.frame is None
+        moves = work.host.geometry is not None and (work.mesh.is_surface or slides)
         leaving = partial(_as_it_leaves, work, options.threads, onto=moves)
         with words_of(work.host):
             options = of_cells(options, work.own, len(given.cells))
@@ -380,11 +381,6 @@ def _in_frame(options: Options, frame: PlaneFrame | None) -> Options:
     return replace(options, density=lambda x: density(frame.to_space(x)))
 
 
-def _surface_moves(work: _Prepared, options: Options) -> bool:
-    """Whether vertices of a surface in space may move along it."""
-    return work.mesh.is_surface or (options.boundary == "slide" and work.frame is None)
-
-
 def _with_sag(options: Options, work: _Prepared) -> Options:
     """Let the envelope be that around the geometry, from which the surface of the input sags."""
     if work.host.geometry is None:
@@ -395,8 +391,7 @@ def _with_sag(options: Options, work: _Prepared) -> Options:
 
 
 def _of_mesh(options: Options, tangle: Tangle | None) -> Options:
-    """Say for a mesh that was untangled what was said for the one before: densities and how many
-    vertices may come.
+    """Say for a mesh that was untangled what was said before: densities, how many vertices come.
 
     Its cells have the densities of those they come from, inserted vertices those around them; the
     sizes of what stayed are kept.
@@ -411,8 +406,10 @@ def _of_mesh(options: Options, tangle: Tangle | None) -> Options:
     if isinstance(options.density, str) and options.density == "keep":
         from odt_plugins.engine.untangle.sizes import kept_sizes
 
-        kept = kept_sizes(tangle.after, tangle.before.points, options.exponent)
-        return options if kept is None else replace(options, density=kept, exponent=None)
+        lab = options.smoothing
+        if (kept := kept_sizes(tangle.after, tangle.before.points, lab.exponent)) is None:
+            return options
+        return replace(options, density=kept, smoothing=replace(lab, exponent=None))
     if isinstance(options.density, str) or callable(options.density):
         return options
     values = np.asarray(options.density)

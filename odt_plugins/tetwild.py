@@ -115,7 +115,8 @@ def tetrahedralize(
         The fields of :class:`odt_plugins.Options`. With `repair="orient"` faces are turned first:
         neighbours agree, closed components face outward, hollows within them stay hollow. With a
         sizing field (bg_vertices, bg_tets, bg_values) its edge length h is the size that the
-        density rho = h^-r keeps, unless a `density` is given; `exponent` is r, 5 by default.
+        density rho = h^-r keeps, unless a `density` is given; `exponent` of `smoothing` is r,
+        5 by default.
         Outside the background mesh h is the ideal edge length, as for TetWild. TetWild follows a
         field that asks for larger cells than it starts from only with `coarsen`.
 
@@ -248,11 +249,12 @@ def _with_field(
 ) -> dict[str, Any]:
     """The options, with the density that keeps the sizing field of the arguments, if any."""
     field = (given["bg_vertices"], given["bg_tets"], given["bg_values"])
-    exponent = chosen.pop("exponent", None) if "density" not in chosen else None
     if given["bg_values"] is not None and "density" not in chosen:
         ideal = (given["edge_length_abs"]
                  or given["edge_length_fac"] * _diagonal(np.asarray(given["vertices"])))
-        power = -float(points.shape[1] + 2 if exponent is None else exponent)
+        lab = make_options(smoothing=chosen.get("smoothing", {})).smoothing
+        power = -float(points.shape[1] + 2 if lab.exponent is None else lab.exponent)
+        chosen["smoothing"] = replace(lab, exponent=None)
 
         def density(x: NDArray[np.float64]) -> NDArray[np.float64]:
             size = background_sizes(x, *field, outside=ideal) / ideal
@@ -261,8 +263,6 @@ def _with_field(
 
         # An array is quicker, but of no use when it could be one of cells as well.
         chosen["density"] = density if len(points) == len(cells) else density(points)
-    elif exponent is not None:
-        chosen["exponent"] = exponent
     return chosen
 
 

@@ -50,18 +50,19 @@ FILES = sorted([*HERE.glob("data/*.vtu"), *HERE.glob("../examples/meshes/*.vtu")
 
 VOLUME = {
     "slide": {"boundary": "slide"},
-    "slide far": {"boundary": "slide", "envelope": 0.02, "feature_angle": 60.0, "cycles": 2},
+    "slide far": {"boundary": "slide", "envelope": 0.02, "feature_angle": 60.0,
+                  "smoothing": {"cycles": 2}},
     "insert": {"insert": True},
     "insert, slide, dihedral": {"insert": True, "boundary": "slide", "objective": "min_dihedral"},
-    "three cycles": {"cycles": 3},
+    "three cycles": {"smoothing": {"cycles": 3}},
 }
 """Options for tetrahedra."""
 
 SOLID = {
-    "global, amg": {"solver": "global", "linear_solver": "amg"},
-    "global, direct": {"solver": "global", "linear_solver": "direct"},
+    "global, amg": {"solver": "global", "smoothing": {"linear_solver": "amg"}},
+    "global, direct": {"solver": "global", "smoothing": {"linear_solver": "direct"}},
     "global cpt": {"solver": "global", "method": "cpt"},
-    "lbfgs": {"solver": "lbfgs", "rounds": 5},
+    "lbfgs": {"solver": "lbfgs", "smoothing": {"rounds": 5}},
     "jacobi": {"solver": "jacobi"},
     "richardson": {"solver": "richardson"},
     "cpt": {"method": "cpt"},
@@ -225,7 +226,7 @@ def runs() -> dict[str, Run]:
     found["bunny: slide"] = partial(optimized, partial(standard, "bunny"), boundary="slide")
     found["bunny: global"] = partial(optimized, partial(standard, "bunny"), solver="global")
     found["plate-7k: global"] = partial(optimized, partial(standard, "plate-7k"), solver="global",
-                                        linear_solver="amg")
+                                        smoothing={"linear_solver": "amg"})
     found["bunny: two threads"] = partial(optimized, partial(standard, "bunny"), threads=2)
     found["labelled ball"] = partial(optimized, labelled)
     found["labelled ball: slide"] = partial(optimized, labelled, boundary="slide")

@@ -34,10 +34,12 @@ from odt_plugins.options import (
     DENSITIES,
     FIGURES,
     OPTIONS,
+    SMOOTHING,
     SOLVERS,
     Method,
     OptionKeywords,
     Options,
+    Smoothing,
     Solver,
     make_options,
 )
@@ -69,7 +71,7 @@ def test_hosts_show_the_keywords_that_they_take():
     for function, without in (
         (open3d_filters.optimize_odt, set()),
         (open3d_filters.filter_smooth_cpt,
-         {"rounds", "method", "cycles", "connectivity", "finish", "objective", "insert"}),
+         {"method", "connectivity", "finish", "objective", "insert"}),
         (pyvista_accessor.OdtAccessor.optimize, set()),
         (odt_plugins.refine_and_optimize, set()),
         (odt_plugins.optimize_partitioned, set()),
@@ -87,7 +89,7 @@ def test_the_parameters_for_meshlab_are_those_of_options():
     table = filter_table
     for parameter, name in ((table.ROUNDS, "rounds"), (table.ITERATIONS, "cycles"),
                             (table.DENSITY, "density"), (table.ANGLE, "feature_angle")):
-        assert parameter.default == OPTIONS[name].default
+        assert parameter.default == (OPTIONS | SMOOTHING)[name].default
     assert table.ENVELOPE.default == pytest.approx(100.0 * Options.envelope)
     assert table.DENSITY.choices == DENSITIES
     assert table.DENSITY.help == OPTIONS["density"].metadata["help"]
@@ -108,11 +110,10 @@ def test_the_table_of_options_on_the_page_is_that_of_the_package():
         "run python tests/helpers/option_table.py")
 
 
-@pytest.mark.parametrize("name", ["method", "solver", "linear_solver", "connectivity", "boundary"])
+@pytest.mark.parametrize("name", ["method", "solver", "connectivity", "boundary"])
 def test_every_named_choice_is_accepted(name):
     for choice in OPTIONS[name].metadata["choices"]:
-        extra = {"solver": "global"} if name == "linear_solver" else {}
-        assert getattr(make_options(**{name: choice}, **extra), name) == choice
+        assert getattr(make_options(**{name: choice}), name) == choice
 
 
 PAIRS = list(product(get_args(Method), get_args(Solver)))
@@ -133,8 +134,8 @@ def test_every_pair_of_method_and_solver_that_there_is_has_its_step():
 
 
 @pytest.mark.parametrize(("options", "message"), [
-    ({"cycles": 2, "finish": False}, "got cycles=2; expected 1 without finishing"),
-    ({"cycles": 0, "finish": False}, "got cycles=0; expected 1 without finishing"),
+    ({"smoothing": {"cycles": 2}, "finish": False}, "got cycles=2; expected 1 without finishing"),
+    ({"smoothing": {"cycles": 0}, "finish": False}, "got cycles=0; expected 1 without finishing"),
     ({"method": "laplacian", "density": "inverse-volume"},
      "got density='inverse-volume'; expected 'uniform' for the method 'laplacian'"),
 ])
@@ -145,10 +146,10 @@ def test_options_without_effect_are_refused(options, message):
 
 def test_omega_may_be_what_it_is_unless_it_is_given():
     for value in (POLICY.stirred, POLICY.overrelaxed, POLICY.damped):
-        assert Options(omega=value).omega == value
+        assert Options(smoothing={"omega": value}).smoothing.omega == value
     for value in (0.0, 3.01):
         with pytest.raises(InvalidOptionError, match="above 0 and at most 3"):
-            Options(omega=value)
+            Options(smoothing={"omega": value})
 
 
 def test_reports_of_parts_are_a_list_for_type_checkers_as_well():
@@ -173,7 +174,7 @@ def test_every_parameter_is_documented(name):
 
 def test_options_cannot_be_made_wrong_by_hand_either():
     with pytest.raises(InvalidOptionError, match="got rounds=-3"):
-        Options(rounds=-3)
+        Options(smoothing={"rounds": -3})
 
 
 def test_the_doctests_hold():
@@ -202,7 +203,7 @@ def test_the_wrapping_does_not_decide_the_result():
     mesh = meshio.read(DATA / "tetwild_bunny.vtu")
     points, cells = mesh.points, mesh.cells[0].data
     assert (contract.volumes(points, cells) < 0).all()
-    short = {"rounds": 2, "cycles": 1}
+    short = {"smoothing": {"rounds": 2, "cycles": 1}}
     a, b = odt_plugins.optimize((points, cells.astype(np.int32)), **short)
     assert (contract.volumes(a, b) < 0).all()
     turned = cells[:, [0, 1, 3, 2]]
@@ -267,11 +268,13 @@ def test_progress_and_options_reach_the_engine(monkeypatch):
 
     monkeypatch.setattr(plan, "run", run)
     points, cells, _ = contract.grid(2, 2)
-    given = {"method": "cpt", "rounds": 3, "threads": 2, "progress": progress, "exponent": 3.0}
+    given = {"method": "cpt", "smoothing": {"rounds": 3, "exponent": 3.0}, "threads": 2,
+             "progress": progress}
     odt_plugins.optimize((points, cells), **given)
     seen[0].progress("smoothing", 0.5)
     assert told[-1] == ("smoothing", 1.0), "what came to its end does not go back"
-    assert {**{name: getattr(seen[0], name) for name in given}, "progress": progress} == given
+    assert {**{name: getattr(seen[0], name) for name in given},
+            "progress": progress} == given | {"smoothing": Smoothing(rounds=3, exponent=3.0)}
 
 
 def test_a_single_figure_to_keep_is_a_word():
@@ -380,5 +383,5 @@ def test_the_engine_judges_exactly_what_leaves(shape, kind, monkeypatch):
 @pytest.mark.parametrize("seed", range(6))
 def test_no_cell_of_the_result_is_turned_over(seed):
     points, cells = tm.ball(400, seed)
-    new_points, new_cells = odt_plugins.optimize((points, cells), cycles=1)
+    new_points, new_cells = odt_plugins.optimize((points, cells), smoothing={"cycles": 1})
     assert (tm.signed_volumes(new_points, new_cells) > 0).all()

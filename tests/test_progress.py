@@ -38,7 +38,7 @@ def pieces(place, **given):
 
 RUNS = {
     "tetrahedra": lambda place, **given: odt_plugins.optimize(tets(), **given),
-    "plane": lambda place, **given: odt_plugins.optimize(plane(), cycles=2, **given),
+    "plane": lambda place, **given: odt_plugins.optimize(plane(), smoothing={"cycles": 2}, **given),
     "surface": lambda place, **given: odt_plugins.optimize(
         surface_meshes.sphere(2, 0.2), boundary="slide", **given),
     "insert": lambda place, **given: odt_plugins.optimize(

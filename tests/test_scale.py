@@ -71,7 +71,8 @@ DENSITIES = ["keep", "uniform", "inverse-volume", "array"]
 )
 def test_another_unit_changes_no_bit(kind, seed, power, method, density, finish, slide):
     points, cells = KINDS[kind](seed)
-    options = {"method": method[0], "solver": method[1], "rounds": 4, "finish": finish}
+    options = {"method": method[0], "solver": method[1], "smoothing": {"rounds": 4},
+               "finish": finish}
     options["density"] = density
     if density == "array":
         options["density"] = np.random.default_rng(seed).uniform(1, 9, len(points))
@@ -165,7 +166,7 @@ def test_stretched_meshes_are_never_worse(d, stretch, density, seed):
     points[:, -1] *= 10.0 ** min(stretch, 9 if d == 2 else 6)
     rho = np.random.default_rng(seed).uniform(1, 9, len(points))
     spec = rho if density == "array" else density
-    result = odt_plugins.optimize((points, cells), density=spec, rounds=5)
+    result = odt_plugins.optimize((points, cells), density=spec, smoothing={"rounds": 5})
     before, after = (odt_plugins.quality(m) for m in ((points, cells), result))
     for name in ("min_quality", "p1_quality", "mean_quality", "min_angle"):
         assert getattr(after, name) >= getattr(before, name) * (1 - 1e-12)

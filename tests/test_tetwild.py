@@ -73,24 +73,28 @@ def test_odt_is_what_optimize_does_and_can_be_left_out(stored):
     (points, cells), calls = stored
     alone = odt_plugins.tetrahedralize(CUBE, FACES, odt=False)
     assert alone[0] is points
-    first, second = {"rounds": 2, "exponent": 3.0}, {"density": "uniform", "cycles": 1}
+    first = {"smoothing": {"rounds": 2, "exponent": 3.0}}
+    second = {"density": "uniform", "smoothing": {"cycles": 1}}
     for given, options in (({}, {}), ({"odt": {}}, {}), (first, first), ({"odt": first}, first),
-                           ({"odt": {"density": "uniform"}, "cycles": 1}, second)):
+                           ({"odt": {"density": "uniform"}, "smoothing": {"cycles": 1}}, second)):
         out = odt_plugins.tetrahedralize(CUBE, FACES, **given)
         truth = odt_plugins.optimize((points, cells), **options)
         assert out[0].tobytes() == truth[0].tobytes()
         assert np.array_equal(out[1], truth[1])
     assert np.array_equal(calls[0]["faces"], FACES)
-    assert not {"odt", "options", "rounds"} & set().union(*calls)
+    assert not {"odt", "options", "smoothing"} & set().union(*calls)
 
 
 def test_options_are_checked_before_tetwild_runs(monkeypatch):
     monkeypatch.setattr(tetwild, "run_tetwild", lambda given: pytest.fail("TetWild ran"))
     for given, message in (
-        ({"odt": {"round": 3}}, "did you mean 'rounds'"), ({"rounds": -1}, "rounds=-1"),
-        ({"round": 3}, "did you mean 'rounds'"), ({"odt": "yes"}, "got odt='yes'; expected a dict"),
-        ({"odt": False, "rounds": 3}, r"TetWild alone, and options \['rounds'\]"),
-        ({"odt": {"rounds": 2}, "rounds": 3}, r"\['rounds'\] as keywords and in odt="),
+        ({"odt": {"repai": 3}}, "did you mean 'repair'"),
+        ({"smoothing": {"rounds": -1}}, "rounds=-1"),
+        ({"regios": 3}, "did you mean 'regions'"),
+        ({"odt": "yes"}, "got odt='yes'; expected a dict"),
+        ({"odt": False, "smoothing": {"rounds": 3}}, r"TetWild alone, and options \['smoothing'\]"),
+        ({"odt": {"smoothing": {"rounds": 2}}, "smoothing": {"rounds": 3}},
+         r"\['smoothing'\] as keywords and in odt="),
     ):
         with pytest.raises(InvalidOptionError, match=message):
             odt_plugins.tetrahedralize(CUBE, FACES, **given)
@@ -178,7 +182,7 @@ def test_a_sizing_field_is_the_density(stored, monkeypatch, exponent):
     seen = []
     monkeypatch.setattr(plan, "run", lambda mesh, options, _: (
         seen.append(options) or plan.Outcome(mesh.points, mesh.cells, mesh.regions)))
-    group = {} if exponent is None else {"exponent": exponent}
+    group = {} if exponent is None else {"smoothing": {"exponent": exponent}}
     odt_plugins.tetrahedralize(CUBE, FACES, **group, **field)
     power, ideal = -(exponent or 5.0), 0.05 * np.sqrt(3.0)
     assert seen[0].density == pytest.approx((size(unit) / ideal) ** power, rel=1e-9)
@@ -211,7 +215,7 @@ def test_cells_take_the_sizes_that_a_field_asks_for(monkeypatch):
     grid = 2.0 * grid - 1.0
     slope = {}
     for r in (5.0, 3.0, None):
-        odt = {"density": "uniform"} if r is None else {"exponent": r}
+        odt = {"density": "uniform"} if r is None else {"smoothing": {"exponent": r}}
         p, t = odt_plugins.tetrahedralize(CUBE, FACES, bg_vertices=grid, bg_tets=tets,
                                           bg_values=size(grid), odt=odt)
         volume = np.abs(contract.volumes(p, t)) / 6
@@ -235,7 +239,7 @@ def test_a_mesh_with_as_many_vertices_as_cells_gets_a_function(monkeypatch):
     assert seen[0]["density"](points) == pytest.approx(((1.0 + points[:, 2]) / ideal) ** -5.0)
     odt_plugins.tetrahedralize(CUBE, FACES, bg_vertices=grid, bg_tets=tets,
                                bg_values=1e-30 * values, edge_length_abs=1e-30,
-                               odt={"exponent": 40.0})
+                               odt={"smoothing": {"exponent": 40.0}})
     assert seen[1]["density"](points) == pytest.approx((1.0 + points[:, 2]) ** -40.0)
 
 
@@ -253,7 +257,7 @@ def test_the_surface_is_compared_with_the_boundary_and_turned_on_request(monkeyp
         return both if inside > 1.5 else (points, cells)
 
     monkeypatch.setattr(tetwild, "run_tetwild", run_tetwild)
-    options = {"vtk_ordering": ordering, "rounds": 1}
+    options = {"vtk_ordering": ordering, "smoothing": {"rounds": 1}}
     with pytest.warns(NotFilledWarning, match=r"50.0% of the area of.*try repair='orient'"):
         _, report = odt_plugins.tetrahedralize_with_report(*surface, **options)
     assert report.filled.missing == pytest.approx(0.5)

@@ -77,7 +77,8 @@ def test_the_report_says_which_figures_are_worse_than_those_of_the_valid_cells(d
     points, cells, _ = knotted(dim)
     valid = contract.volumes(points, cells) > 0
     best = odt_plugins.quality((points, cells[valid]))
-    _, report = odt_plugins.optimize_with_report((points, cells), rounds=1, finish=False)
+    _, report = odt_plugins.optimize_with_report((points, cells), smoothing={"rounds": 1},
+                                                 finish=False)
     fell = report.after.mean_quality < best.mean_quality
     assert any("mean_quality fell" in text for text in report.untangled["worse"]) == fell
     low = report.after.min_quality < best.min_quality
@@ -434,8 +435,9 @@ def test_untangling_reports_and_tells_how_far_it_is(dim):
 def test_options_without_effect_on_untangling_are_refused():
     mesh = contract.grid(2, 2)[:2]
     for function in (odt_plugins.untangle, odt_plugins.untangle_with_report):
-        with pytest.raises(InvalidOptionError, match="got cycles= for untangling; expected some"):
-            function(mesh, cycles=2)
+        with pytest.raises(InvalidOptionError,
+                           match="got smoothing= for untangling; expected some"):
+            function(mesh, smoothing={"cycles": 2})
         with pytest.raises(InvalidOptionError, match="did you mean 'threads'"):
             function(mesh, thread=2)
 

@@ -10,7 +10,7 @@ import click
 from click.core import ParameterSource
 
 from odt_plugins.cli.terminal import ShareOption
-from odt_plugins.options import FIGURES, KEPT, OPTIONS, Options
+from odt_plugins.options import FIGURES, KEPT, OPTIONS, Options, smoothing_of
 
 EDGE_LENGTH = click.option(
     "--edge-length", type=click.FloatRange(min=0.0, max=1.0, min_open=True, max_open=True),
@@ -48,6 +48,9 @@ def option_flags(
             settings["type"] = click.IntRange(min=told["least"])
         elif float in (hints[name], *get_args(hints[name])):
             settings["type"] = float
+        elif name == "smoothing":
+            settings |= {"default": (), "show_default": False, "multiple": True,
+                         "metavar": "NAME=VALUE", "callback": lambda _c, _p, w: smoothing_of(w)}
         elif name == "regions":
             settings["callback"] = _region_names
         elif name == "keep":

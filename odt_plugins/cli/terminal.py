@@ -149,6 +149,7 @@ def in_flags(text: str) -> str:
 
     names = "|".join(name for name, about in OPTIONS.items() if about.metadata["flag"] is not None)
     value = r"""'[^']*'|"[^"]*"|\([^()]*\)|[-+.\w]*\w"""
+    text = re.sub(r"smoothing=\{'(\w+)': '?([-+.\w]+)'?\}", r"--smoothing \1=\2", text)
     return re.sub(rf"(?<![\w.-])({names})=({value})", flag, text)
 
 

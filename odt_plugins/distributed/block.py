@@ -146,7 +146,8 @@ def improve(block: Block) -> Improved:
     mesh, options = block.mesh, block.options
     if block.density is not None:
         density = NodalDensity(block.density, block.power, keeps=options.density == "keep")
-        options = replace(options, density=density, exponent=None)
+        lab = replace(options.smoothing, exponent=None)
+        options = replace(options, density=density, smoothing=lab)
     if mesh.is_surface:
         return _improved_surface(block, options)
     outcome = run(mesh, options, within=block.within)

@@ -356,11 +356,11 @@ def _start(mesh: SimplexMesh, options: Options) -> tuple[Whole, Options, float]:
             spec = np.asarray(spec, dtype=np.float64)
             spec = spec[active] if len(spec) != len(mesh.points) else spec
         cells = mesh.cells[active]
-        density = make_density(spec, options.exponent, mesh.points, cells, unused)
+        density = make_density(spec, options.smoothing.exponent, mesh.points, cells, unused)
         values, power = density.field, density.power
         spec = "keep" if named else "uniform"
-    plain = replace(options, density=spec, exponent=None, progress=None, fixed=None,
-                    selection=None, regions=None)
+    plain = replace(options, density=spec, progress=None, fixed=None, selection=None,
+                    regions=None, smoothing=replace(options.smoothing, exponent=None))
     waiting = np.zeros(len(mesh.points), dtype=np.bool_)
     waiting[mesh.cells[active]] = True
     patch = np.full(len(mesh.points), -1, dtype=np.int32)

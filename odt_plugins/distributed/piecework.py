@@ -299,7 +299,8 @@ def _improved(
     labels, regions = np.unique(piece.regions), compact_labels(piece.regions, len(piece.cells))
     mesh = SimplexMesh(piece.points, piece.cells, regions, held)
     expect_apart(mesh)
-    power = -float(mesh.dim + 2 if options.exponent is None else options.exponent)
+    exponent = options.smoothing.exponent
+    power = -float(mesh.dim + 2 if exponent is None else exponent)
     sizes = piece.sizes if options.density == "keep" else None
     result = improve(Block(mesh, sizes, options, power, versions_here(), Within(cut=later)))
     source = cell_source(mesh.points, mesh.cells, regions, result.points, result.cells,

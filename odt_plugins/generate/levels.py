@@ -48,7 +48,7 @@ from odt_plugins.progress import part, telling
 
 SLIDES: tuple[dict[str, Any], ...] = (
     {"envelope": 0.25, "objective": "radius_ratio"},
-    {"envelope": 0.25, "objective": "min_dihedral", "rounds": 0},
+    {"envelope": 0.25, "objective": "min_dihedral", "smoothing": {"rounds": 0}},
 )
 """Runs on the coarse mesh whose boundary slides, with parts of the envelope: what is sharp there
 stays so at every level. Fine boundaries move to the surface again."""
@@ -177,7 +177,9 @@ def _refined(
         runs = SLIDES if slides == "slide" and not level and chosen.finish else ({},)
         for run in runs:
             if run:
-                given |= run | {"envelope": run["envelope"] * chosen.envelope}
+                given |= run | {
+                    "envelope": run["envelope"] * chosen.envelope,
+                    "smoothing": replace(chosen.smoothing, **run.get("smoothing", {}))}
             host = find_adapter(current).read(current, named)
             rows = host.cells[frozen]
             given["selection"] = ~frozen if frozen.any() else None

@@ -16,7 +16,7 @@ import numpy as np
 
 from odt_plugins.adapters.host import is_instance
 from odt_plugins.errors import InvalidOptionError
-from odt_plugins.options import DENSITIES, OPTIONS, Fields, Layers, Options
+from odt_plugins.options import DENSITIES, OPTIONS, SMOOTHING, Fields, Layers, Options, Smoothing
 
 Kind = Literal["int", "float", "bool", "enum", "length", "string"]
 
@@ -200,12 +200,12 @@ def _of_option(
 
     Parameters
     ----------
-    option : str        of :func:`odt_plugins.optimize`
+    option : str        of :func:`odt_plugins.optimize`, or of its `smoothing`
     gui, kind, title    see :class:`Parameter`
     text : str          what MeshLab's users are told instead
     **more              further fields of :class:`Parameter`
     """
-    about = OPTIONS[option]
+    about = (OPTIONS | SMOOTHING)[option]
     common = {"default": about.default, "least": about.metadata["least"]}
     return Parameter(gui, kind, title=title, help=text or about.metadata["help"],
                      **{**common, **more})
@@ -242,7 +242,7 @@ OBJECTIVE = _of_option(
 INSERT = _of_option(
     "insert", "Insert", "bool", "Add and remove vertices",
     "Whether vertices may be added and removed inside: as many as pay, at most half as many again.")
-ROUNDS = replace(STEPS, default=Options.rounds)
+ROUNDS = replace(STEPS, default=Smoothing.rounds)
 ITERATIONS = _of_option("cycles", "Iterations", "int", "Iterations", least=1)
 
 FIELDS = _of_option("fields", "Fields", "enum", "Vertex values", choices=get_args(Fields))
@@ -254,7 +254,7 @@ LAYERS = _of_option(
 
 IDS = " Two ids of the MeshSet are used up."
 
-SMOOTHING = (STEPS, BOUNDARY, DENSITY, FIELDS, LAYERS, KEEP, ENVELOPE, ANGLE, REGIONS, SELECTED)
+MOVING = (STEPS, BOUNDARY, DENSITY, FIELDS, LAYERS, KEEP, ENVELOPE, ANGLE, REGIONS, SELECTED)
 
 _ALL = (
     Filter(
@@ -262,16 +262,16 @@ _ALL = (
         "Smooth a mesh by Optimal Delaunay Triangulation: every vertex moves towards the weighted "
         "mean of the circumcenters of its faces, on a curved surface along it. Edges are not "
         "flipped; the boundary, also that of polylines and labelled regions, stays." + IDS,
-        SMOOTHING),
+        MOVING),
     Filter(
         "apply_coord_cpt_smoothing", "CPT Smoothing",
         "Smooth a mesh by Centroidal Patch Triangulation: every vertex moves towards the weighted "
         "mean of the barycenters of its faces, on a curved surface along it. Edges are not "
-        "flipped." + IDS, SMOOTHING),
+        "flipped." + IDS, MOVING),
     Filter(
         "apply_coord_odt_global_smoothing", "ODT Global Smoothing",
         "Smooth a mesh by Optimal Delaunay Triangulation, all vertices at once by a linear system "
-        "in every step. Edges are not flipped." + IDS, SMOOTHING),
+        "in every step. Edges are not flipped." + IDS, MOVING),
     Filter(
         "meshing_odt_optimization", "ODT Optimization",
         "Improve a planar or curved mesh by Optimal Delaunay Triangulation: moves vertices and "

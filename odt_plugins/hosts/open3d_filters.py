@@ -19,11 +19,11 @@ from odt_plugins.options import OPTIONS, OptionKeywords, with_option_signature
 
 MeshT = TypeVar("MeshT")
 
-SMOOTHING = {"cycles": 1, "connectivity": "none", "finish": False}
+STILL = {"connectivity": "none", "finish": False}
 """Options that make smoothing of the optimisation."""
 
-OWN = ("rounds", "method", *SMOOTHING)
-"""Options that the smoothing filters set; `rounds` is their number_of_iterations."""
+OWN = ("method", *STILL)
+"""Options that the smoothing filters set; number_of_iterations is `rounds` of `smoothing`."""
 
 
 @with_option_signature(*OWN, "objective", "insert")
@@ -47,7 +47,7 @@ def filter_smooth_odt(
         Those of a TetraMesh stay either way: only on its boundary, which does not move, do they
         mean something. Colours are never averaged.
     **options                      of :func:`odt_plugins.optimize`; without those that make this
-                                   filter what it is: rounds, cycles, connectivity, finish, method
+                                   filter what it is: connectivity, finish, method
 
     Returns
     -------
@@ -82,7 +82,7 @@ def filter_smooth_cpt(
                                  {"method": "cpt"}, options))
 
 
-@with_option_signature(*OWN, "objective", "insert", "solver", "omega")
+@with_option_signature(*OWN, "objective", "insert", "solver")
 def filter_smooth_odt_global(
     mesh: MeshT,
     number_of_iterations: int = 1,
@@ -139,19 +139,22 @@ def _smooth(
             f"follow the vertices, and colours stay with them"
         )
         raise InvalidOptionError(msg)
-    own = {"rounds": iterations, **SMOOTHING, **kind}
-    wrong = next((name for name in own if options.get(name, own[name]) != own[name]), None)
+    own = {**STILL, **kind}
+    lab = {"rounds": iterations, "cycles": 1}
+    given, fixed = {**options, **options.get("smoothing", {})}, own | lab
+    wrong = next((name for name in fixed if given.get(name, fixed[name]) != fixed[name]), None)
     if wrong is not None:
         instead = "optimize_odt()" if wrong != "rounds" else (
-            f"number_of_iterations={options[wrong]!r}")
+            f"number_of_iterations={given[wrong]!r}")
         msg = (
-            f"got {wrong}={options[wrong]!r}, which this filter sets to {own[wrong]!r}; expected "
+            f"got {wrong}={given[wrong]!r}, which this filter sets to {fixed[wrong]!r}; expected "
             f"other options only, try {instead}"
         )
         raise InvalidOptionError(msg)
     _expect_known(options, own, list(inspect.signature(function).parameters)[1:])
     try:
-        out = optimize_mesh(mesh, **{**options, **own})
+        lab = {**options.get("smoothing", {}), **lab}
+        out = optimize_mesh(mesh, **{**options, **own, "smoothing": lab})
     except ODTError as exc:
         words = re.sub(r"\brounds=", "number_of_iterations=", str(exc))
         raise type(exc)(words) from exc

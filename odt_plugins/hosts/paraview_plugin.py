@@ -80,6 +80,8 @@ def property_of(name: str, default: Any, told: Mapping[str, Any], plain: bool) -
         kind = "Double"
     elif isinstance(default, tuple):
         value = ",".join(default)
+    elif name == "smoothing":
+        value = ""
     words = f"{told['help']} {told['flag'] or ''}".strip()
     return (
         f'<{kind}VectorProperty name="{camel(name)}" command="Set{camel(name)}" '
@@ -135,6 +137,8 @@ def chosen(given: Mapping[str, Any]) -> dict[str, Any]:
             value = bool(value)
         elif isinstance(default, tuple):
             value = tuple(word.strip() for word in value.split(",") if word.strip() != "none")
+        elif name == "smoothing":
+            value, default = of_package("options").smoothing_of(value.split()), {}
         elif value == "":
             value = None
         elif default is None and "float" in str(OPTIONS[name].type):

@@ -41,7 +41,7 @@ def _smooth(meshes: Any, values: Mapping[str, Any], method: str, solver: str) ->
     old = np.array(meshes.current_mesh().vertex_matrix())
     options = _options(values, diagonal(meshes)) | {"method": method, "solver": solver}
     _, report = optimize_with_report(
-        InPlace(meshes), connectivity="none", finish=False, cycles=1, **options,
+        InPlace(meshes), connectivity="none", finish=False, **options,
         **_scope(meshes, values["selected"]),
     )
     return _effect(old, meshes.current_mesh().vertex_matrix(), report, "Smoothed {} vertices")
@@ -50,8 +50,7 @@ def _smooth(meshes: Any, values: Mapping[str, Any], method: str, solver: str) ->
 def _optimize(meshes: Any, values: Mapping[str, Any]) -> Effect:
     old, faces = _arrays(meshes)
     _, report = optimize_with_report(
-        InPlace(meshes), cycles=values["iterations"],
-        **_options(values, diagonal(meshes)),
+        InPlace(meshes), **_options(values, diagonal(meshes)),
         **_scope(meshes, values["selected"]),
     )
     points, new = _arrays(meshes)
@@ -95,7 +94,7 @@ def _tetrahedralize(meshes: Any, values: Mapping[str, Any]) -> Effect:
         msg = f"TetWild failed: {exc}; expected a closed surface, try meshing_close_holes()"
         raise InvalidMeshError(msg) from exc
     (points, cells), report = optimize_with_report(
-        tets, cycles=values["iterations"], **_options(values, length))
+        tets, **_options(values, length))
     used, faces = boundary_surface(cells)
     matrix = np.array(surface.transform_matrix())
     from pymeshlab import Mesh
@@ -136,7 +135,8 @@ def boundary_surface(
 
 def _options(values: Mapping[str, Any], length: float) -> dict[str, Any]:
     """Options of :func:`odt_plugins.optimize` that MeshLab's words stand for; length: diagonal."""
-    options = {"rounds": values["stepsmoothnum"], "density": values["density"],
+    lab = {"rounds": values["stepsmoothnum"], "cycles": values.get("iterations", 1)}
+    options = {"smoothing": lab, "density": values["density"],
                "keep": KEPT if values["keepquality"] else ()}
     for name in ("fields", "objective", "insert"):
         if name in values:

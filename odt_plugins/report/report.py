@@ -19,7 +19,7 @@ from odt_plugins.errors import counted
 from odt_plugins.figures import QualitySummary, cell_figures, summarize
 from odt_plugins.mesh.numbering import AS_MANY_AS_PAY, in_old_numbers, most_vertices
 from odt_plugins.mesh.simplex import SimplexMesh, vertex_mask
-from odt_plugins.options import Options
+from odt_plugins.options import Options, Smoothing
 from odt_plugins.promise.volume import held_by, held_vertices
 from odt_plugins.report.binding import BindingCell, Freeing, binding_cells, joined_lines
 from odt_plugins.table import table_html, table_lines, text_html
@@ -449,6 +449,8 @@ def _described(options: Options) -> dict[str, Any]:
 def _describe(value: Any) -> Any:
     if value is None or isinstance(value, (str, bool, int, float)):
         return value
+    if isinstance(value, Smoothing):
+        return dataclasses.asdict(value)
     if callable(value):
         return f"function {getattr(value, '__name__', type(value).__name__)}"
     if isinstance(value, tuple) and all(isinstance(v, str) for v in value):

@@ -55,7 +55,7 @@ def test_a_path_gives_a_meshio_mesh_and_leaves_the_file(tmp_path):
     source = shutil.copy(DATA / "tetwild_bunny.vtu", tmp_path / "mesh.vtu")
     old = Path(source).read_bytes()
     for path in (str(source), Path(source)):
-        out = odt_plugins.optimize(path, rounds=1, cycles=1)
+        out = odt_plugins.optimize(path, smoothing={"rounds": 1, "cycles": 1})
         assert type(out) is meshio.Mesh
     assert Path(source).read_bytes() == old
     assert [p.name for p in tmp_path.iterdir()] == ["mesh.vtu"]
@@ -122,7 +122,7 @@ def test_su2_files_that_hold_less_than_they_declare_are_refused(dim, tmp_path, c
     for end in set(range(3, len(lines))) - {lines.index("NMARK= 2\n")}:
         source.write_text("".join(lines[:end]))
         with pytest.raises((MeshFileError, InvalidMeshError)) as caught:
-            odt_plugins.optimize(source, rounds=0, finish=False)
+            odt_plugins.optimize(source, smoothing={"rounds": 0}, finish=False)
         refused += " declares " in str(caught.value)
     assert refused > len(cells)
     assert "could not parse" not in capfd.readouterr().err

@@ -100,7 +100,7 @@ def test_files_of_several_volumes_keep_their_groups(name, changed, model, tmp_pa
         warnings.simplefilter("error")
         if changed:
             odt_plugins.optimize_file(model / name, target, connectivity="none", finish=False,
-                                      rounds=1)
+                                      smoothing={"rounds": 1})
         else:
             files.write_file(target, files.read_file(model / name))
     assert _groups(target) == _groups(model / name)
@@ -121,7 +121,7 @@ def test_parts_of_a_partition_are_joined(model):
 
 
 def test_the_version_and_the_kind_of_a_file_can_be_asked_for(model, tmp_path):
-    quick = ["--rounds", "1", "--no-finish", "--quiet"]
+    quick = ["--smoothing", "rounds=1", "--no-finish", "--quiet"]
     for flags, line in (([], b"4.1 0 8"), (["--binary"], b"4.1 1 8"),
                         (["--file-format", "gmsh22"], b"2.2 0 8"),
                         (["--file-format", "gmsh22", "--binary"], b"2.2 1 8")):
@@ -130,11 +130,13 @@ def test_the_version_and_the_kind_of_a_file_can_be_asked_for(model, tmp_path):
                                         *flags])
         assert done.exit_code == 0, done.output
         assert target.read_bytes().split(b"\n")[1] == line
-    odt_plugins.optimize_file(model / "22.msh", tmp_path / "out.msh", rounds=1, finish=False,
+    odt_plugins.optimize_file(model / "22.msh", tmp_path / "out.msh", smoothing={"rounds": 1},
+                              finish=False,
                               file_format="gmsh41", binary=True)
     assert (tmp_path / "out.msh").read_bytes().split(b"\n")[1] == b"4.1 1 8"
     assert {key for key in _groups(tmp_path / "out.msh") if key[0] == 2} == {(2, 3, "bottom")}
-    odt_plugins.optimize_file(model / "22.msh", tmp_path / "out.vtu", rounds=1, finish=False,
+    odt_plugins.optimize_file(model / "22.msh", tmp_path / "out.vtu", smoothing={"rounds": 1},
+                              finish=False,
                               binary=False)
     assert b'format="ascii"' in (tmp_path / "out.vtu").read_bytes()
     for name, given, message in (

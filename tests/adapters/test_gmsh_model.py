@@ -376,7 +376,7 @@ def test_the_method_of_gmsh_does_what_the_function_does():
     meshes = []
     for how in (gmsh.model.mesh.odt, lambda **options: odt_plugins.optimize(gmsh.model, **options)):
         with part() as model:
-            report = how(rounds=3)
+            report = how(smoothing={"rounds": 3})
             meshes.append(dump(model))
             if len(meshes) == 1:
                 assert report.after == odt_plugins.quality(model)

@@ -354,7 +354,8 @@ def test_filters_smooth_as_the_options_say_and_flip_nothing(kind, name):
     mesh = make(kind)
     before = view(kind, mesh)
     out = getattr(open3d_filters, name)(mesh, number_of_iterations=3)
-    truth = odt_plugins.optimize(mesh, rounds=3, cycles=1, finish=False, connectivity="none",
+    truth = odt_plugins.optimize(mesh, smoothing={"rounds": 3, "cycles": 1}, finish=False,
+                                 connectivity="none",
                                  **options)
     assert type(out) is type(mesh)
     assert contract.same_bits(view(kind, out), view(kind, truth))
@@ -401,8 +402,8 @@ def test_scopes(kind):
 def test_optimize_odt_and_radius_ratios_are_those_of_the_package():
     for kind in KINDS:
         mesh = make(kind)
-        out = open3d_filters.optimize_odt(mesh, rounds=4)
-        truth = odt_plugins.optimize(mesh, rounds=4)
+        out = open3d_filters.optimize_odt(mesh, smoothing={"rounds": 4})
+        truth = odt_plugins.optimize(mesh, smoothing={"rounds": 4})
         assert contract.same_bits(view(kind, out), view(kind, truth))
         summary = odt_plugins.quality(out)
         assert summary.cells.quality.min() == summary.min_quality
@@ -491,7 +492,7 @@ def test_wrong_arguments_are_named():
         with pytest.raises(InvalidOptionError, match="got number_of_iterations=-1"):
             getattr(open3d_filters, name)(make("triangle"), -1)
     with pytest.raises(InvalidOptionError, match="got rounds=-1"):
-        open3d_filters.optimize_odt(make("triangle"), rounds=-1)
+        open3d_filters.optimize_odt(make("triangle"), smoothing={"rounds": -1})
     with pytest.raises(UnsupportedMeshError, match="expected an open3d TriangleMesh"):
         open3d_filters.filter_smooth_odt((CORNERS, np.array([[0, 1, 2]])))
     with pytest.raises(UnsupportedMeshError, match="without triangles"):
@@ -499,17 +500,19 @@ def test_wrong_arguments_are_named():
 
 
 @pytest.mark.parametrize(("name", "options", "message"), [
-    ("filter_smooth_odt", {"rounds": 7}, r"got rounds=7, .* to 3; .*number_of_iterations=7"),
+    ("filter_smooth_odt", {"smoothing": {"rounds": 7}},
+     r"got rounds=7, .* to 3; .*number_of_iterations=7"),
     ("filter_smooth_cpt", {"method": "odt"}, r"got method='odt', .* to 'cpt'; .*optimize_odt\(\)"),
     ("filter_smooth_odt", {"finish": True}, "got finish=True"),
     ("filter_smooth_odt", {"connectivity": "flips"}, "got connectivity='flips'"),
-    ("filter_smooth_odt", {"cycles": 2}, "got cycles=2"),
+    ("filter_smooth_odt", {"smoothing": {"cycles": 2}}, "got cycles=2"),
     ("filter_smooth_odt_global", {"solver": "lbfgs"}, "got solver='lbfgs'"),
     ("filter_smooth_odt_global", {"method": "cpt"}, "got method='cpt'"),
     ("filter_smooth_odt", {"iterations": 3}, r"did you mean 'number_of_iterations'\?"),
     ("filter_smooth_cpt", {"objective": "amips"}, r"got objective='amips'.*, try optimize_odt\(\)"),
     ("filter_smooth_odt", {"insert": True}, r"got insert=True.*, try optimize_odt\(\)"),
-    ("filter_smooth_odt_global", {"omega": 1.0}, r"got omega=1\.0.*, try optimize_odt\(\)"),
+    ("filter_smooth_odt_global", {"smoothing": {"omega": 1.0}},
+     r"got omega=1\.0.*unless the solver"),
 ])
 def test_options_that_contradict_a_filter_are_refused(name, options, message):
     function, mesh = getattr(open3d_filters, name), make("triangle")
@@ -520,7 +523,7 @@ def test_options_that_contradict_a_filter_are_refused(name, options, message):
             function(mesh, **unknown)
         listed = eval(re.search(r"\[.*\]", str(caught.value))[0])
         assert listed == list(inspect.signature(function).parameters)[1:]
-    same = function(mesh, 3, rounds=3, finish=False, insert=False)
+    same = function(mesh, 3, smoothing={"rounds": 3}, finish=False, insert=False)
     assert contract.same_bits(view("triangle", same), view("triangle", function(mesh, 3)))
 
 

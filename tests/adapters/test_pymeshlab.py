@@ -338,7 +338,7 @@ def test_a_mesh_object_stays_valid_when_edges_are_flipped(keep):
     start = plates()
     meshes = without_face_attributes(start.current_mesh())
     mesh, matrix = meshes.current_mesh(), plate().face_matrix()
-    copy = odt_plugins.optimize(meshes, cycles=1, keep=FIGURES if keep else ())
+    copy = odt_plugins.optimize(meshes, smoothing={"cycles": 1}, keep=FIGURES if keep else ())
     other = copy.current_mesh()
     meshes.meshing_odt_optimization(selected=False, keepquality=keep)
     assert meshes.current_mesh() is mesh
@@ -415,7 +415,7 @@ def test_filters_give_the_coordinates_of_plain_arrays(name):
     meshes.add_mesh(pymeshlab.Mesh(space, faces))
     meshes.apply_filter(name)
     options = {} if name.startswith("meshing") else {
-        "connectivity": "none", "finish": False, "rounds": 10,
+        "connectivity": "none", "finish": False, "smoothing": {"rounds": 10},
         "method": "cpt" if "cpt" in name else "odt",
         "solver": "global" if "global" in name else "gauss-seidel"}
     expected, cells = odt_plugins.optimize((space, faces), **options)

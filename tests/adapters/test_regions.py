@@ -48,7 +48,8 @@ def volume(mesh, labels, points=None, cells=None):
 def test_an_inclusion_keeps_its_volume_whatever_its_array_is_called(name):
     points, cells, inside = ball()
     mesh = meshio.Mesh(points, [("tetra", cells)], cell_data={name: [inside.astype(np.int32)]})
-    out, report = odt_plugins.optimize_with_report(mesh, rounds=2, finish=False, keep=())
+    out, report = odt_plugins.optimize_with_report(mesh, smoothing={"rounds": 2}, finish=False,
+                                                   keep=())
     before, now = volume(mesh, inside), volume(out, out.cell_data[name][0])
     assert report.after.mean_quality > report.before.mean_quality
     assert now == pytest.approx(before, rel=1e-12)
@@ -56,7 +57,7 @@ def test_an_inclusion_keeps_its_volume_whatever_its_array_is_called(name):
     assert f"regions are those of {name!r}" in str(report)
     assert report.to_dict()["regions_from"] == [name]
     off, told = odt_plugins.optimize_with_report(
-        mesh, rounds=2, finish=False, keep=(), regions=None)
+        mesh, smoothing={"rounds": 2}, finish=False, keep=(), regions=None)
     assert told.regions_from == ()
     assert "regions are" not in str(told)
     assert volume(off, off.cell_data[name][0]) != pytest.approx(before, rel=1e-6)

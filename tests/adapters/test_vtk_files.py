@@ -42,7 +42,8 @@ def _grid():
 def test_all_arrays_of_a_grid_come_back_in_their_types(suffix, binary, tmp_path):
     mesh = _grid()
     mesh.save(tmp_path / f"in{suffix}", binary=binary)
-    odt_plugins.optimize_file(tmp_path / f"in{suffix}", tmp_path / f"out{suffix}", rounds=1,
+    odt_plugins.optimize_file(tmp_path / f"in{suffix}", tmp_path / f"out{suffix}",
+                              smoothing={"rounds": 1},
                               connectivity="none", finish=False)
     out = pyvista.read(tmp_path / f"out{suffix}")
     # Cells of one type come together.

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_h
 import numpy as np
 
 from odt_plugins.errors import InvalidOptionError
-from odt_plugins.options import DENSITIES, FIGURES, Options
+from odt_plugins.options import DENSITIES, FIGURES, LinearSolver, Options
 
 if TYPE_CHECKING:
     from attack.shapes import RandomMesh
@@ -107,11 +107,18 @@ def _share(rng: Rng) -> float:
     return float(10.0 ** rng.uniform(-3, 0.2))
 
 
+SMOOTHING: dict[str, Callable[[Rng], Any]] = {
+    "linear_solver": lambda rng: str(rng.choice(get_args(LinearSolver))),
+    "exponent": lambda rng: float(10.0 ** rng.uniform(-2, 1)),
+    "omega": lambda rng: float(rng.uniform(0.05, 3.0)),
+    "rounds": lambda rng: int(rng.choice([0, 1, 5, 100])),
+    "cycles": lambda rng: int(rng.integers(0, 4)),
+}
+
 BY_NAME: dict[str, Callable[[Rng, Any, Any], Any]] = {
     "density": _density,
-    "exponent": lambda rng, *_: float(10.0 ** rng.uniform(-2, 1)),
-    "omega": lambda rng, *_: float(rng.uniform(0.05, 3.0)),
-    "rounds": lambda rng, *_: int(rng.choice([0, 1, 5, 100])),
+    "smoothing": lambda rng, *_: {
+        name: draw(rng) for name, draw in SMOOTHING.items() if rng.random() < GIVEN},
     "envelope": lambda rng, *_: float(10.0 ** rng.uniform(-8, -0.1)),
     "feature_angle": lambda rng, *_: float(rng.uniform(1.0, 180.0)),
     "fixed": lambda rng, mesh, _: _some_of(len(mesh.points), rng),

@@ -82,7 +82,7 @@ def test_flags_are_the_fields_of_options_with_their_defaults() -> None:
             continue
         flag = found[field.name]
         assert flag.opts == ["--" + field.name.replace("_", "-")]
-        other = {"keep": ",".join(KEPT)}
+        other = {"keep": ",".join(KEPT), "smoothing": ()}
         assert flag.default == other.get(field.name, field.default)
         assert flag.help
 
@@ -90,7 +90,7 @@ def test_flags_are_the_fields_of_options_with_their_defaults() -> None:
 def test_choices_are_those_of_options() -> None:
     hints = get_type_hints(Options)
     choices = {name for name, hint in hints.items() if get_origin(hint) is Literal}
-    assert choices == {"method", "solver", "linear_solver", "connectivity", "objective",
+    assert choices == {"method", "solver", "connectivity", "objective",
                        "boundary", "fields", "layers", "periodic", "repair"}
     for name in choices:
         assert tuple(flags()[name].type.choices) == get_args(hints[name])
@@ -112,14 +112,15 @@ def test_no_flag_given_means_the_defaults_of_options(place: Path, still: list[Op
 
 
 def test_every_flag_reaches_the_engine(place: Path, still: list[Options]) -> None:
-    words = ("--method cpt --solver global --linear-solver direct --connectivity flips "
-             "--density keep --exponent 3.5 --rounds 7 --no-finish --boundary fixed "
-             "--regions part --keep min_quality,max_angle --repair orient --threads 2")
+    words = ("--method cpt --solver global --smoothing linear_solver=direct --connectivity flips "
+             "--density keep --smoothing exponent=3.5 --smoothing rounds=7 --no-finish "
+             "--boundary fixed --regions part --keep min_quality,max_angle --repair orient "
+             "--threads 2")
     assert cli.main(["optimize", "in.vtu", "out.vtu", *words.split()]) == 0
     asked = still[0]
     assert asked == Options(
-        method="cpt", solver="global", linear_solver="direct", connectivity="flips",
-        exponent=3.5, rounds=7, finish=False, regions="part",
+        method="cpt", solver="global", connectivity="flips", finish=False, regions="part",
+        smoothing={"linear_solver": "direct", "exponent": 3.5, "rounds": 7},
         keep=("min_quality", "max_angle"), repair="orient", threads=2)
     assert cli.main(["optimize", "in.vtu", "out.vtu", "--keep", "none", "--regions", "none"]) == 0
     assert still[1].keep == ()
@@ -371,11 +372,11 @@ BAD = [
     ("optimize in.vtu", 2, "Missing argument 'OUTPUT'"),
     ("optimize in.vtu out.vtu --frob", 2, "No such option"),
     ("optimize in.vtu out.vtu --method best", 2, "'best' is not one of 'odt', 'cpt'"),
-    ("optimize in.vtu out.vtu --rounds many", 2, "'many' is not a valid integer"),
-    ("optimize in.vtu out.vtu --rounds -1", 2, "-1 is not in the range x>=0"),
+    ("optimize in.vtu out.vtu --smoothing rounds=many", 2, "got rounds='many'; expected an int"),
+    ("optimize in.vtu out.vtu --smoothing rounds=-1", 2, "got rounds=-1; expected an integer of"),
     ("optimize in.vtu out.vtu --threads 0", 2, "0 is not in the range x>=1"),
-    ("optimize in.vtu out.vtu --exponent -2", 2, "got --exponent -2.0; expected a pos"),
-    ("optimize in.vtu out.vtu --exponent nan", 2, "got --exponent nan; expected a posi"),
+    ("optimize in.vtu out.vtu --smoothing exponent=-2", 2, "got exponent=-2; expected a pos"),
+    ("optimize in.vtu out.vtu --smoothing exponent=nan", 2, "got exponent=nan; expected a p"),
     ("optimize in.vtu out.vtu --keep beauty", 2, "got 'beauty'; expected some of min_quality"),
     ("optimize in.vtu out.vtu --keep=", 2, "got no name; expected some of min_quality"),
     ("optimize in.vtu out.vtu --fixed empty.txt", 2, "empty.txt holds no index; expected at"),
@@ -528,7 +529,7 @@ def test_help_is_quick_and_loads_neither_engine_nor_toolkits() -> None:
     done = subprocess.run([sys.executable, "-c", script], capture_output=True, text=True,
                           check=False)
     assert (done.returncode, done.stderr) == (0, "")
-    assert "--linear-solver" in done.stdout
+    assert "--smoothing" in done.stdout
 
 
 def test_a_usual_run_loads_no_room_for_other_meshes_and_options() -> None:
@@ -575,7 +576,8 @@ def test_a_printed_report_names_flags(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     points, cells = tet_meshes.ball(150, 3)
     meshio.Mesh(points, [("tetra", cells)]).write("in.vtu")
-    assert cli.main(["optimize", "in.vtu", "out.vtu", "--rounds", "1", "--report", "r.json"]) == 0
+    assert cli.main(["optimize", "in.vtu", "out.vtu", "--smoothing", "rounds=1", "--report",
+                     "r.json"]) == 0
     said = capsys.readouterr().out
     assert "try --boundary slide" in said
     assert 'boundary="slide"' not in said
@@ -588,8 +590,10 @@ def test_a_printed_report_names_flags(tmp_path, monkeypatch, capsys):
     ("optimize ball.vtu o.vtu --feature-angle 30 --boundary fixed", "--boundary slide beside it"),
     ("optimize in.vtu o.vtu --envelope 0.01", "--envelope for triangles in the plane, where"),
     ("optimize ball.vtu o.vtu --block-rounds 2", "expected --blocks beside it"),
-    ("optimize ball.vtu o.vtu --omega 1.5 --solver global", "expected None unless the solver is a"),
-    ("optimize ball.vtu o.vtu --omega 1.5 --method cvt", "expected None unless the solver is a"),
+    ("optimize ball.vtu o.vtu --smoothing omega=1.5 --solver global",
+     "expected None unless the solver is a"),
+    ("optimize ball.vtu o.vtu --smoothing omega=1.5 --method cvt",
+     "expected None unless the solver is a"),
     ("tetrahedralize skin.vtu o.vtu --feature-angle 30", "--boundary slide or --levels"),
     ("batch ball.vtu --out o --edge-length 0.1", "expected --tetrahedralize beside it"),
 ])
@@ -619,7 +623,7 @@ def test_flags_with_an_effect_are_not(tmp_path, monkeypatch, words):
     meshio.Mesh(points, [("tetra", cells)]).write("ball.vtu")
     meshio.Mesh(points[:4], [("triangle", [[0, 1, 2], [0, 3, 1], [0, 2, 3], [1, 3, 2]])]).write(
         "skin.vtu")
-    assert cli.main(["optimize", *words.split(), "--rounds", "1", "--quiet"]) == 0
+    assert cli.main(["optimize", *words.split(), "--smoothing", "rounds=1", "--quiet"]) == 0
 
 
 def test_quality_is_a_gate(tmp_path, monkeypatch, capsys):

@@ -208,7 +208,7 @@ def test_small_inputs_share_a_process_on_workers_too(place, monkeypatch):
     monkeypatch.setattr(cluster, "as_they_finish", lambda client, function, items: enumerate(
         OSError("gone") if 7 in item else function(item) for item in items))
     paths = [str(write_ball(place / "models" / f"{n}.vtu", n)) for n in range(60, 68)]
-    jobs = make_jobs(paths, place / "out", {"finish": False, "rounds": 1})
+    jobs = make_jobs(paths, place / "out", {"finish": False, "smoothing": {"rounds": 1}})
     rows = run_batch(jobs, client=SimpleNamespace(cluster=None))
     assert [row["status"] for row in rows] == ["ok"] * 6 + ["lost"] * 2
     assert [row["source"] for row in rows] == paths
@@ -380,9 +380,9 @@ def test_what_is_done_is_left_as_long_as_input_options_and_result_are_the_same(
     assert run() == [False, True]
     (place / "out" / "120.vtu").unlink()
     assert run(threads=2) == [True, False]
-    assert run(rounds=3) == [False, False]
+    assert run(smoothing={"rounds": 3}) == [False, False]
     settings["resume"] = False
-    assert run(rounds=3) == [False, False]
+    assert run(smoothing={"rounds": 3}) == [False, False]
 
 
 def test_failures_are_left_until_something_changes_or_they_are_to_be_tried_again(
@@ -405,7 +405,7 @@ def test_failures_are_left_until_something_changes_or_they_are_to_be_tried_again
         assert not resumed(timeout=5.0)
         assert resumed(timeout=5.0)
         assert not resumed(timeout=5.0, memory_limit=10**9)
-        assert not resumed(options={"rounds": 1})
+        assert not resumed(options={"smoothing": {"rounds": 1}})
         assert not resumed(retry=True)
     write_ball(Path(path), 70)
     assert not resumed()

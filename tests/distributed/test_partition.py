@@ -464,7 +464,8 @@ def test_what_does_not_go_with_blocks_is_refused():
     mesh = (start.points, start.cells)
     for wrong in ({"blocks": 0}, {"blocks": 2.0}, {"blocks": 2, "block_rounds": 0},
                   {"blocks": 2, "workers": -1}, {"blocks": 2, "odt": {"rings": 1}},
-                  {"blocks": 2, "rings": 1}, {"blocks": 2, "rounds": 1, "odt": {"rounds": 1}},
+                  {"blocks": 2, "rings": 1}, {"blocks": 2, "smoothing": {"rounds": 1},
+                                              "odt": {"smoothing": {"rounds": 1}}},
                   {"blocks": 2, "workers": 2, "density": lambda x: x[:, 0]}):
         with pytest.raises(InvalidOptionError, match="expected"):
             odt_plugins.optimize_partitioned(mesh, **wrong)

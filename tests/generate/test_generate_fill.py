@@ -114,9 +114,10 @@ def test_sets_of_faces_become_sets_of_facets(place, monkeypatch):
 
 def test_a_surface_without_labels_gives_tetrahedra_alone(place):
     surface().write("part.stl")
-    report = odt_plugins.tetrahedralize_file("part.stl", "out.vtu", rounds=2, threads=1)
+    report = odt_plugins.tetrahedralize_file("part.stl", "out.vtu", smoothing={"rounds": 2},
+                                             threads=1)
     assert set(files.read_file("out.vtu").cells_dict) == {"tetra"}
-    assert report.options["rounds"] == 2
+    assert report.options["smoothing"]["rounds"] == 2
     assert place[0]["num_threads"] == 1
 
 
@@ -135,7 +136,7 @@ def test_each_part_of_a_thin_wall_takes_the_label_of_its_side():
 def test_tetwild_gets_its_part_of_the_envelope(place, boundary, share):
     surface().write("part.vtu")
     report = odt_plugins.tetrahedralize_file(
-        "part.vtu", "out.vtu", boundary=boundary, envelope=0.02, rounds=1)
+        "part.vtu", "out.vtu", boundary=boundary, envelope=0.02, smoothing={"rounds": 1})
     assert place[0]["epsilon"] == pytest.approx(share * 0.02)
     assert report.options["envelope"] == pytest.approx(0.02 if share == 1.0 else 0.005)
 
@@ -169,9 +170,9 @@ def test_tetrahedra_are_refused_and_nothing_is_written(place, capsys):
 
 def test_the_report_of_arrays_tells_of_tetwild(place):
     mesh, report = odt_plugins.tetrahedralize_with_report(
-        CUBE, FACES, edge_length_fac=0.3, vtk_ordering=True, rounds=2)
+        CUBE, FACES, edge_length_fac=0.3, vtk_ordering=True, smoothing={"rounds": 2})
     truth = odt_plugins.tetrahedralize(CUBE, FACES, edge_length_fac=0.3, vtk_ordering=True,
-                                       rounds=2)
+                                       smoothing={"rounds": 2})
     assert mesh[0].tobytes() == truth[0].tobytes()
     assert np.array_equal(mesh[1], truth[1])
     assert next(iter(report.times)) == "TetWild"

@@ -58,21 +58,21 @@ found["choices"] = list(optimize.GetProperty("Objective").Available)
 told = []
 optimize.SMProxy.GetClientSideObject().AddObserver(
     "ProgressEvent", lambda source, event: told.append(source.GetProgress()))
-optimize.Exponent = "4"
-optimize.Rounds = 10
+optimize.Smoothing = "exponent=4 rounds=10"
 after = simple.ODTQuality(Input=optimize)
 found["before"], found["after"] = facts(before), facts(after)
 found["progress"] = told
 draw([before, after], "shot.png")
 
-optimize.Exponent = "-4"
+optimize.Smoothing = "exponent=-4"
 found["refused"] = facts(optimize)["cells"]
 
 surface = simple.XMLPolyDataReader(FileName=[os.path.join(folder, "surface.vtp")])
-found["surface"] = facts(simple.ODTQuality(Input=simple.ODTOptimize(Input=surface, Rounds=3)))
+found["surface"] = facts(simple.ODTQuality(Input=simple.ODTOptimize(Input=surface,
+                                                                    Smoothing="rounds=3")))
 filled = simple.ODTTetrahedralize(Input=surface)
 filled.EdgeLength = 0.5
-filled.Rounds = 5
+filled.Smoothing = "rounds=5"
 found["filled"] = facts(filled)
 with open(os.path.join(folder, "found.json"), "w") as file:
     json.dump(found, file)

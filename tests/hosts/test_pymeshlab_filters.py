@@ -111,7 +111,7 @@ def test_method_and_apply_filter_do_the_same_for_the_options_they_stand_for(name
     method = "cpt" if "cpt" in name else "odt"
     solver = "global" if "global" in name else "gauss-seidel"
     third = odt_plugins.optimize(flat(), method=method, solver=solver, connectivity="none",
-                                 finish=False, rounds=4, density="uniform", keep=())
+                                 finish=False, smoothing={"rounds": 4}, density="uniform", keep=())
     assert np.array_equal(third.vertex_matrix(), one.current_mesh().vertex_matrix())
     moved = (flat().vertex_matrix() != third.vertex_matrix()).any(axis=1)
     assert result["moved_vertices"] == moved.sum() > 0

@@ -32,11 +32,11 @@ def test_the_accessor_does_what_the_functions_do(name):
     host = contract.HOSTS[name]
     mesh = host.make()
     before = host.view(mesh)
-    out = mesh.odt.optimize(rounds=3, cycles=1)
-    truth, told = odt_plugins.optimize_with_report(mesh, rounds=3, cycles=1)
+    out = mesh.odt.optimize(smoothing={"rounds": 3, "cycles": 1})
+    truth, told = odt_plugins.optimize_with_report(mesh, smoothing={"rounds": 3, "cycles": 1})
     assert type(out) is type(mesh)
     assert contract.same_bits(host.view(out), host.view(truth))
-    again, report = mesh.odt.optimize_with_report(rounds=3, cycles=1)
+    again, report = mesh.odt.optimize_with_report(smoothing={"rounds": 3, "cycles": 1})
     assert contract.same_bits(host.view(out), host.view(again))
     assert report.after == told.after
     assert out.odt.quality() == odt_plugins.quality(out)
@@ -106,10 +106,11 @@ def test_tetrahedralize_passes_everything_on(monkeypatch):
         assert given["faces"].shape == (12, 3)
     grid = cube.odt.tetrahedralize(odt=False)
     assert grid.points.tobytes() == points.tobytes()
-    better = cube.odt.tetrahedralize(rounds=2, stop_energy=9.0, disable_filtering=True)
+    better = cube.odt.tetrahedralize(smoothing={"rounds": 2}, stop_energy=9.0,
+                                     disable_filtering=True)
     assert better.odt.quality().mean_quality > grid.odt.quality().mean_quality
     with pytest.raises(InvalidOptionError, match="rounds=-1"):
-        cube.odt.tetrahedralize(rounds=-1)
+        cube.odt.tetrahedralize(smoothing={"rounds": -1})
     with pytest.raises(InvalidOptionError, match="mean 'edge_length_"):
         cube.odt.tetrahedralize(edge_length=3.0)
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import time
 from collections.abc import Callable, Container, Sequence
+from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -69,7 +70,8 @@ def ablation(starts: Sequence[StartMesh], options: Options, say: Say) -> Table:
         asked = _Asked()
         optimise(options, asked)
         for name in asked.names:
-            fewer = Options(**{**vars(options), "rounds": 0}) if name == SMOOTHING else options
+            fewer = options if name != SMOOTHING else replace(
+                options, smoothing=replace(options.smoothing, rounds=0))
             whole, without = _in_turns(
                 partial(optimise, options, ()), partial(optimise, fewer, (name,)))
             gain = (whole - without) * np.append(FALLING, 1.0)

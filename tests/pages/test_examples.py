@@ -210,14 +210,15 @@ def test_figures_show_the_help_of_the_command(capsys, arguments):
 
 
 def test_figures_need_a_mesh():
-    for arguments in ([], ["--help"], ["--", "--cycles", "2"]):
+    for arguments in ([], ["--help"], ["--", "--smoothing", "cycles=2"]):
         with pytest.raises(SystemExit, match=r"usage: python examples/figures.py MESH"):
             example("figures").main(arguments)
 
 
 def test_figures_of_a_mesh_are_a_table(capsys, tmp_path_factory):
     own = tmp_path_factory.mktemp("own") / "report.json"
-    example("figures").main([str(EXAMPLES / "meshes" / "airfoil.vtu"), "--", "--cycles", "0",
+    example("figures").main([str(EXAMPLES / "meshes" / "airfoil.vtu"), "--", "--smoothing",
+                             "cycles=0",
                              "--report", str(own)])
     rows = [[w.strip() for w in line.split("|")] for line in capsys.readouterr().out.splitlines()]
     assert rows[2][1:4] == ["airfoil", "before", "0.8941"]

@@ -77,7 +77,7 @@ def test_the_script_prints_what_the_command_reports(capsys):
     script = importlib.util.module_from_spec(spec)
     sys.modules["figures"] = script
     spec.loader.exec_module(script)
-    script.main([str(BONE), "--", "--rounds", "2", "--cycles", "1"])
+    script.main([str(BONE), "--", "--smoothing", "rounds=2"])
     lines = capsys.readouterr().out.splitlines()
     assert len(lines) == 6
     assert lines[2].startswith("| bone05 | before | 0.6795 | 0.370 | 0.106 | 10.3..164.4 |")

@@ -226,7 +226,8 @@ def test_equal_reasons_are_one_line_with_a_count() -> None:
     ({"boundary": "slide"}, ("envelope=0.002", "insert=True")),
 ])
 def test_a_report_says_what_frees_the_worst_cells(options: dict[str, Any], said: Any) -> None:
-    _, report = odt_plugins.optimize_with_report(STORED, rounds=1, cycles=1, **options)
+    _, report = odt_plugins.optimize_with_report(STORED, smoothing={"rounds": 1, "cycles": 1},
+                                                 **options)
     hints = {b.hint for b in report.binding if b.reason == "all its 4 vertices are fixed"}
     assert hints == {" and ".join(said)}
     text = str(report)
@@ -241,7 +242,8 @@ def test_fixed_selected_and_labelled_vertices_have_hints_of_their_own() -> None:
     for options, word in (({"fixed": inside}, "fewer vertices in fixed"),
                           ({"selection": np.arange(3)}, "a larger selection"),
                           ({"regions": half}, "regions=None")):
-        _, report = odt_plugins.optimize_with_report((points, cells), rounds=1, **options)
+        _, report = odt_plugins.optimize_with_report((points, cells), smoothing={"rounds": 1},
+                                                     **options)
         assert any(word in b.hint for b in report.binding), options
 
 

@@ -80,7 +80,7 @@ def test_a_report_tells_both_and_the_command_prints_it(tmp_path, monkeypatch, ca
     points, cells = tm.ball(200, 1)
     cells = tm.oriented(points, cells)
     (after, parts), report = odt_plugins.optimize_with_report(
-        (points, cells), objective="time_step", rounds=5)
+        (points, cells), objective="time_step", smoothing={"rounds": 5})
     worth = report.worth()
     assert worth.before == solved(points, cells)
     assert worth.after == solved(after, parts)
@@ -91,7 +91,8 @@ def test_a_report_tells_both_and_the_command_prints_it(tmp_path, monkeypatch, ca
     assert "meshes" not in report.to_dict()
     json.loads(report.to_json())
     meshio.Mesh(points, [("tetra", cells)]).write("in.vtu")
-    assert cli.main(["optimize", "in.vtu", "out.vtu", "--objective", "time_step", "--rounds", "5",
+    assert cli.main(["optimize", "in.vtu", "out.vtu", "--objective", "time_step", "--smoothing",
+                     "rounds=5",
                      "--worth"]) == 0
     assert str(worth) in capsys.readouterr().out
     assert cli.main(["optimize", "in", "out.pvtu", "--worth"]) == 2

@@ -203,7 +203,7 @@ def solve_amg(
         msg = (
             f"got a relative residual of {worst:.1e} after {iterations} "
             f"multigrid iterations, expected at most {LATE * tolerance:.1e}, "
-            "try linear_solver='direct'"
+            "try smoothing={'linear_solver': 'direct'}"
         )
         warn(msg, NotConvergedWarning)
     return solution

@@ -70,7 +70,7 @@ def overrelaxes(options: Options, dim: int) -> bool:
     of more shallow minima than it costs.
     """
     return (
-        options.omega is None and dim == 3 and options.finish
+        options.smoothing.omega is None and dim == 3 and options.finish
         and (options.method, options.solver) == ("odt", "gauss-seidel")
     )
 
@@ -79,8 +79,8 @@ def relaxation(options: Options, dim: int, k: int) -> float:
     """First alpha of a local sweep in round k = 0, 1, ..."""
     if overrelaxes(options, dim):
         return POLICY.stirred if k < POLICY.stirred_rounds else POLICY.overrelaxed
-    if options.omega is not None:
-        return options.omega
+    if options.smoothing.omega is not None:
+        return options.smoothing.omega
     return POLICY.damped if options.solver == "jacobi" else 1.0
 
 
@@ -109,7 +109,7 @@ def _global(
 
     return global_step(
         points, topology, rho, method="cpt" if options.method == "cpt" else "odt",
-        inverse_volume=inverse_volume, linear_solver=options.linear_solver,
+        inverse_volume=inverse_volume, linear_solver=options.smoothing.linear_solver,
     )
 
 
@@ -283,7 +283,7 @@ def smooth(
     reason : str                why it stopped
     """
     least: list[float] = []
-    reason = f"the {options.rounds} rounds were used up"
+    reason = f"the {options.smoothing.rounds} rounds were used up"
     movable = ~mesh.locked
     cells = _cells(mesh, options)
     topology = make_topology(cells, movable, mesh.boundary, pool=pool)
@@ -293,7 +293,7 @@ def smooth(
     scattered = 0
     pays = options.connectivity == "auto" and exchange_pays(mesh)
     walk = density.walk_start(len(mesh.points))
-    for k in range(options.rounds):
+    for k in range(options.smoothing.rounds):
         rho = density.at(mesh.points, pool, walk)
         points, stats = position_step(
             mesh.points, topology, rho, options, density.inverse_volume,
@@ -323,7 +323,7 @@ def smooth(
             topology = make_topology(cells, movable, mesh.boundary, pool=pool)
         current = total_energy(mesh.points, cells, rho, pool)
         log.energy.append((options.method, current))
-        tick((k + 1) / options.rounds)
+        tick((k + 1) / options.smoothing.rounds)
         if watch is not None:
             watch(mesh)
         least.append(min(current, least[-1]) if least else current)

@@ -38,7 +38,7 @@ def inner_density(mesh: SimplexMesh, options: Options, frame: Frame) -> Any:
         return spec
     if isinstance(spec, NodalDensity):
         return replace(spec, values=spec.values[frame.vertices])
-    make_density(spec, options.exponent, mesh.points, mesh.cells, mesh.cells)
+    make_density(spec, options.smoothing.exponent, mesh.points, mesh.cells, mesh.cells)
     values = np.asarray(spec, dtype=np.float64)
     per_cell = len(values) == len(mesh.cells) and len(values) != len(mesh.points)
     return values[frame.active] if per_cell else values[frame.vertices]

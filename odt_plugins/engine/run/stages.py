@@ -62,7 +62,7 @@ def alternate(
     str                        why it stopped
     """
     report = options.progress if options.progress is not None else silent
-    cycles = options.cycles if options.finish else 1
+    cycles = options.smoothing.cycles if options.finish else 1
     reason = "nothing was asked for"
     means: list[float] = []
     for cycle in range(cycles):

@@ -164,7 +164,8 @@ def begin(
     memory = Memory(before, tuple(options.keep), options.objective, by_score=options.finish,
                     aside=None if within.whole is None else within.cut, pool=pool)
     m = first.used
-    density = make_density(inner_density(mesh, options, frame), options.exponent, first.points,
+    density = make_density(inner_density(mesh, options, frame), options.smoothing.exponent,
+                           first.points,
                            first.cells[:m], first.neighbors[:m].copy())
     log.times["prepare"] = time.perf_counter() - clock
     bounds = extremes(before, tuple(options.keep))

@@ -268,7 +268,8 @@ def surface_sizes(mesh: SimplexMesh, options: Options) -> FloatArray:
     start = _start(mesh)
     _, features, _ = _build(start, options, np.zeros(len(mesh.points), dtype=np.bool_))
     density = surface_density(
-        options.density, options.exponent, start.points, start.cells, start.edges, features
+        options.density, options.smoothing.exponent, start.points, start.cells, start.edges,
+        features
     )
     values = np.ones(len(mesh.points))
     values[start.frame.vertices] = density.values
@@ -311,7 +312,7 @@ def _run(
     clock = time.perf_counter()
     surface, features, kept = _build(start, options, alone)
     density = surface_density(
-        inner_density(start.mesh, options, start.frame), options.exponent, start.points,
+        inner_density(start.mesh, options, start.frame), options.smoothing.exponent, start.points,
         start.cells, start.edges, features,
     )
     if start.mesh.ground is not None and density.values is not None:

@@ -94,19 +94,19 @@ def smooth_surface(
     """
     _flip(surface, options, bounds, log)
     last = np.inf
-    for k in range(options.rounds):
+    for k in range(options.smoothing.rounds):
         rho = density.at(surface.sheet, surface.guards.ground)
         step(surface, rho, options, bounds, log, equal_weights=density.equal_weights)
         _flip(surface, options, bounds, log)
         now = surface_energy(surface, rho)
         log.energy.append((options.method, now))
-        tick((k + 1) / options.rounds)
+        tick((k + 1) / options.smoothing.rounds)
         if watch is not None:
             watch(surface)
         if last - now <= POLICY.surface_settled * now:
             return f"the energy settled after {k + 1} rounds"
         last = now
-    return f"the {options.rounds} rounds were used up"
+    return f"the {options.smoothing.rounds} rounds were used up"
 
 
 def step(
@@ -123,7 +123,7 @@ def _sweep(
     equal_weights: bool,
 ) -> int:
     """Move the vertices one after another to the centres of their stars."""
-    omega = 1.0 if options.omega is None else options.omega
+    omega = 1.0 if options.smoothing.omega is None else options.smoothing.omega
     return move_all(surface, Target(centre, rho, equal_weights, omega, NOWHERE), bounds)[0]
 
 
@@ -133,7 +133,7 @@ def _jacobi(
 ) -> int:
     """Move all vertices towards the centres that their stars have before any of them moves."""
     vectors = np.zeros_like(surface.points)
-    omega = POLICY.damped if options.omega is None else options.omega
+    omega = POLICY.damped if options.smoothing.omega is None else options.smoothing.omega
     target = Target(centre, rho, equal_weights, omega, vectors)
     star_centres(surface.sheet, surface.stars(), target, vectors)
     return move_all(surface, target._replace(centre=GIVEN), bounds)[0]
@@ -198,7 +198,7 @@ def _direction(
     scale = float(matrix.diagonal().mean())
     if not scale > 0.0:
         return direction
-    solve = choose_solve(options.linear_solver, int(movable.sum()))
+    solve = choose_solve(options.smoothing.linear_solver, int(movable.sum()))
     regular = matrix / scale + LEAST_PULL * identity(matrix.shape[0], format="csr")
     direction[movable] = -solve(regular, slope[movable] / scale)
     return direction

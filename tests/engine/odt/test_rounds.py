@@ -50,4 +50,4 @@ def test_vertices_without_a_cell_do_not_keep_stage_1_from_its_end():
         mesh, _ = smooth(mesh, density, Options(), Bounds(every, every), log, lambda _: None)
         ended.append((len(log.energy), mesh.points[: len(points)].tobytes()))
     assert ended[0] == ended[1]
-    assert ended[0][0] < Options().rounds
+    assert ended[0][0] < Options().smoothing.rounds

@@ -56,7 +56,7 @@ def test_default_is_much_better(d):
 @pytest.mark.parametrize("finish", [True, False])
 def test_methods(d, method, finish):
     mesh = start(d)
-    outcome = run(mesh, Options(method=method, finish=finish, rounds=4))
+    outcome = run(mesh, Options(method=method, finish=finish, smoothing={"rounds": 4}))
     assert_promise(mesh, outcome)
     assert finish == (measure(outcome.points, outcome.cells)[2] >
                       measure(mesh.points, mesh.cells)[2] + 0.1) or not finish
@@ -69,7 +69,8 @@ def test_methods(d, method, finish):
 )
 def test_solvers(d, solver, linear_solver):
     mesh = start(d)
-    outcome = run(mesh, Options(solver=solver, linear_solver=linear_solver, rounds=3, cycles=1))
+    outcome = run(mesh, Options(solver=solver, smoothing={"linear_solver": linear_solver,
+                                                          "rounds": 3, "cycles": 1}))
     assert_promise(mesh, outcome)
     assert outcome.fallback is None
 
@@ -77,7 +78,8 @@ def test_solvers(d, solver, linear_solver):
 @pytest.mark.parametrize("connectivity", ["delaunay", "flips", "none", "auto"])
 def test_connectivity(d, connectivity):
     mesh = start(d)
-    outcome = run(mesh, Options(connectivity=connectivity, finish=False, rounds=5, keep=()))
+    outcome = run(mesh, Options(connectivity=connectivity, finish=False, smoothing={"rounds": 5},
+                                keep=()))
     assert_promise(mesh, outcome, keep=False)
     same = {frozenset(c) for c in outcome.cells.tolist()} == {
         frozenset(c) for c in mesh.cells.tolist()
@@ -87,7 +89,8 @@ def test_connectivity(d, connectivity):
 
 
 def test_the_energy_falls_in_every_round_where_cells_stay(d):
-    outcome = run(start(d), Options(connectivity="none", finish=False, rounds=5, keep=()))
+    outcome = run(start(d), Options(connectivity="none", finish=False, smoothing={"rounds": 5},
+                                    keep=()))
     energies = [value for _, value in outcome.energy]
     assert len(energies) == 5
     assert energies == sorted(energies, reverse=True)
@@ -107,7 +110,8 @@ def test_without_connectivity_finishing_moves_vertices_alone(d, boundary, object
 
 def test_scipy_early_and_flips_late(d):
     mesh = start(d)
-    outcome = run(mesh, Options(connectivity="auto", finish=False, rounds=8, keep=()))
+    outcome = run(mesh, Options(connectivity="auto", finish=False, smoothing={"rounds": 8},
+                                keep=()))
     assert outcome.counts["delaunay calls"] == 1
     assert outcome.counts["energy flips"] > 0
 
@@ -116,7 +120,7 @@ def test_scipy_is_asked_where_cells_are_poor():
     points, cells = kuhn_lattice(11)
     inner = ((points > 0) & (points < 11)).all(axis=1)
     points = points + 0.15 * inner[:, None] * np.sin(7.0 * points + np.arange(3) * points[:, :1])
-    options = Options(finish=False, rounds=1, keep=())
+    options = Options(finish=False, smoothing={"rounds": 1}, keep=())
     for height, asked in ((1.0, False), (0.4, True)):
         mesh = simplex_mesh(points * [1.0, 1.0, height], cells)[0]
         assert ("delaunay calls" in run(mesh, options).counts) == asked
@@ -132,7 +136,7 @@ def test_densities(d, density):
         "cells": 1.0 + mesh.points[mesh.cells].mean(axis=1)[:, 0] ** 2,
         "function": lambda x: 1.0 + x[:, 0] ** 2,
     }.get(density, density)
-    outcome = run(mesh, Options(density=spec, rounds=5))
+    outcome = run(mesh, Options(density=spec, smoothing={"rounds": 5}))
     assert_promise(mesh, outcome)
     assert outcome.fallback is None
 
@@ -146,7 +150,7 @@ def test_a_density_function_sees_the_callers_coordinates(d):
         seen.append((x.min(axis=0), x.max(axis=0)))
         return np.ones(len(x))
 
-    run(shifted, Options(density=density, rounds=2, cycles=1))
+    run(shifted, Options(density=density, smoothing={"rounds": 2, "cycles": 1}))
     low = np.min([a for a, _ in seen], axis=0)
     high = np.max([b for _, b in seen], axis=0)
     assert low == pytest.approx(shifted.points.min(axis=0), rel=1e-12)
@@ -187,9 +191,9 @@ def test_same_bits_for_any_number_of_threads(d, monkeypatch, many_blocks):
     monkeypatch.setattr(order, "LAYERS", 3)
     points, cells = planar(6, 60) if d == 2 else tm.ball(1200, 6)
     mesh = mesh_of(points, cells)
-    first = run(mesh, Options(rounds=3, cycles=1))
+    first = run(mesh, Options(smoothing={"rounds": 3, "cycles": 1}))
     for count in (2, 3):
-        other = run(mesh, Options(rounds=3, cycles=1, threads=count))
+        other = run(mesh, Options(smoothing={"rounds": 3, "cycles": 1}, threads=count))
         assert other.points.tobytes() == first.points.tobytes()
         assert other.cells.tobytes() == first.cells.tobytes()
 
@@ -197,8 +201,9 @@ def test_same_bits_for_any_number_of_threads(d, monkeypatch, many_blocks):
 @pytest.mark.parametrize("scale", [2.0**-30, 2.0**30])
 def test_scale_by_a_power_of_two_changes_no_bit(d, scale):
     mesh = start(d)
-    first = run(mesh, Options(rounds=3, cycles=1))
-    second = run(replace(mesh, points=mesh.points * scale), Options(rounds=3, cycles=1))
+    options = Options(smoothing={"rounds": 3, "cycles": 1})
+    first = run(mesh, options)
+    second = run(replace(mesh, points=mesh.points * scale), options)
     assert (second.points / scale).tobytes() == first.points.tobytes()
     assert second.cells.tobytes() == first.cells.tobytes()
 
@@ -209,7 +214,7 @@ def test_scaled_and_shifted_meshes_keep_the_promise(d, scale, shift):
     moved = replace(mesh, points=mesh.points * scale + shift)
     if (volumes(moved.points, moved.cells) <= 0).any():
         pytest.fail("the shift destroyed the start mesh")
-    outcome = run(moved, Options(rounds=5))
+    outcome = run(moved, Options(smoothing={"rounds": 5}))
     assert_promise(moved, outcome)
     assert outcome.fallback is None
     gain = measure(outcome.points, outcome.cells)[2] - measure(moved.points, moved.cells)[2]
@@ -343,14 +348,14 @@ def test_a_few_cells_beyond_the_extremes_are_repaired(which, repairs, monkeypatc
 def test_literal_method_falls_back_when_it_spoils_the_mesh(d):
     good = run(start(d), Options())
     mesh = mesh_of(good.points, good.cells)
-    outcome = run(mesh, Options(finish=False, rounds=6, density="uniform"))
+    outcome = run(mesh, Options(finish=False, smoothing={"rounds": 6}, density="uniform"))
     assert_promise(mesh, outcome)
 
 
 @pytest.mark.parametrize("method", ["odt", "cpt", "laplacian"])
 def test_smoothing_alone_moves_what_it_may(d, method):
     mesh = start(d)
-    options = Options(method=method, finish=False, connectivity="none", rounds=3,
+    options = Options(method=method, finish=False, connectivity="none", smoothing={"rounds": 3},
                       keep=("min_quality", "min_angle", "max_angle"))
     outcome = run(mesh, options)
     before, after = measure(mesh.points, mesh.cells), measure(outcome.points, outcome.cells)
@@ -362,14 +367,15 @@ def test_smoothing_alone_moves_what_it_may(d, method):
 def test_the_input_is_not_touched(d):
     mesh = start(d)
     copies = mesh.points.copy(), mesh.cells.copy()
-    run(mesh, Options(rounds=3, cycles=1))
+    run(mesh, Options(smoothing={"rounds": 3, "cycles": 1}))
     assert np.array_equal(mesh.points, copies[0])
     assert np.array_equal(mesh.cells, copies[1])
 
 
 def test_progress_runs_from_zero_to_one(d):
     seen = []
-    run(start(d), Options(rounds=4, progress=lambda stage, share: seen.append((stage, share))))
+    run(start(d), Options(smoothing={"rounds": 4}, progress=lambda stage,
+                          share: seen.append((stage, share))))
     shares = [share for _, share in seen]
     assert shares == sorted(shares)
     assert 0 <= shares[0]
@@ -386,7 +392,7 @@ def test_promise_on_random_meshes(dim, seed, squeeze, labels):
     mesh = mesh_of(points, cells, regions)
     if not (volumes(points, cells) > 0).all():
         return
-    assert_promise(mesh, run(mesh, Options(rounds=6, cycles=2)))
+    assert_promise(mesh, run(mesh, Options(smoothing={"rounds": 6, "cycles": 2})))
 
 
 def score(points, cells):
@@ -476,11 +482,11 @@ def test_bounds_of_a_larger_mesh_take_the_place_of_those_of_its_part():
     own = figures(mesh.points, mesh.cells)
     better = replace(own, min_quality=0.2, cos_min_angle=np.cos(np.radians(12.0)),
                      cos_max_angle=np.cos(np.radians(160.0)))
-    refused = run(mesh, Options(rounds=1, finish=False), within=Within(whole=better))
+    refused = run(mesh, Options(smoothing={"rounds": 1}, finish=False), within=Within(whole=better))
     assert refused.fallback
     assert np.array_equal(refused.points, mesh.points)
     worse = replace(own, min_quality=0.0, cos_min_angle=1.0, cos_max_angle=-1.0)
-    taken = run(mesh, Options(rounds=8, finish=False), within=Within(whole=worse))
+    taken = run(mesh, Options(smoothing={"rounds": 8}, finish=False), within=Within(whole=worse))
     assert taken.fallback is None
     assert tm.quality(taken.points, taken.cells).mean() > own.mean_quality + 0.1
 
@@ -537,13 +543,13 @@ def test_cells_that_another_run_looks_after_may_pass_the_extremes_but_not_others
 
 def test_finishing_counts_its_flips_and_moves(d):
     mesh = start(d)
-    counts = run(mesh, Options(rounds=0, cycles=1)).counts
+    counts = run(mesh, Options(smoothing={"rounds": 0, "cycles": 1})).counts
     assert counts["quality flips"] > 0
     assert counts["vertex moves"] > 0
     assert "energy flips" not in counts
 
 
-SMOOTHING = Options(finish=False, rounds=4, keep=())
+SMOOTHING = Options(finish=False, smoothing={"rounds": 4}, keep=())
 """A run that remembers two states."""
 
 

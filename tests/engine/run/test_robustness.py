@@ -160,12 +160,12 @@ def test_result_does_not_depend_on_unit_and_place(name):
 def test_stage_one_does_not_depend_on_unit_and_place(d, scale, shift):
     points, cells = delaunay(np.random.default_rng(3).random((200, d)))
     points = points.astype(np.float32).astype(float)
-    here = run(mesh_of(points, cells), Options(rounds=3, finish=False))
+    here = run(mesh_of(points, cells), Options(smoothing={"rounds": 3}, finish=False))
     placed = points + shift
     if shift:
         points = placed - shift
-        here = run(mesh_of(points, cells), Options(rounds=3, finish=False))
-    there = run(mesh_of(placed * scale, cells), Options(rounds=3, finish=False))
+        here = run(mesh_of(points, cells), Options(smoothing={"rounds": 3}, finish=False))
+    there = run(mesh_of(placed * scale, cells), Options(smoothing={"rounds": 3}, finish=False))
     assert (volumes(there.points, there.cells) > 0).all()
     assert there.cells.tobytes() == here.cells.tobytes()
     assert there.points / scale - shift == pytest.approx(here.points, abs=1e-6 if shift else 1e-9)

@@ -153,9 +153,11 @@ def test_flat_triangles_are_improved():
 
 @pytest.mark.parametrize("options", [
     {"method": "cpt"}, {"method": "laplacian"}, {"solver": "jacobi"}, {"solver": "global"},
-    {"solver": "global", "method": "cpt", "linear_solver": "amg"}, {"density": "uniform"},
-    {"density": "curvature"}, {"density": "inverse-volume"}, {"exponent": 2.0}, {"omega": 1.5},
-    {"density": lambda x: np.exp(x[:, 2])}, {"cycles": 2}, {"finish": False},
+    {"solver": "global", "method": "cpt", "smoothing": {"linear_solver": "amg"}},
+    {"density": "uniform"},
+    {"density": "curvature"}, {"density": "inverse-volume"}, {"smoothing": {"exponent": 2.0}},
+    {"smoothing": {"omega": 1.5}},
+    {"density": lambda x: np.exp(x[:, 2])}, {"smoothing": {"cycles": 2}}, {"finish": False},
     {"connectivity": "none"}, {"threads": 3}, {"keep": ()}, {"boundary": "slide"},
 ], ids=lambda o: "-".join(map(str, o)) or "nothing")
 def test_options(options):
@@ -168,7 +170,8 @@ def test_options(options):
 
 def test_smoothing_alone_lowers_the_energy_and_keeps_every_triangle():
     p, t = sm.torus(60, 24, noise=0.5)
-    _, c, report = improved((p, t), 3e-3, finish=False, connectivity="none", rounds=5)
+    _, c, report = improved((p, t), 3e-3, finish=False, connectivity="none",
+                            smoothing={"rounds": 5})
     energy = [e for _, e in report.energy]
     assert len(energy) == 5
     assert energy == sorted(energy, reverse=True)
@@ -194,7 +197,7 @@ def test_the_global_step_bears_a_vertex_among_flat_triangles(linear_solver):
     around = np.setdiff1d(t[(t == v).any(axis=1)], v)
     p[around] = p[around[0]]
     _, _, report = improved(
-        (p, t), solver="global", linear_solver=linear_solver, boundary="fixed")
+        (p, t), solver="global", smoothing={"linear_solver": linear_solver}, boundary="fixed")
     assert report.after.mean_quality > report.before.mean_quality + 0.01
 
 
@@ -203,7 +206,7 @@ def test_a_density_of_any_form_grades_the_surface(kind):
     p, t = sm.sphere(4)
     rho = {"vertices": np.exp(3 * p[:, 2]), "cells": np.exp(3 * p[t].mean(axis=1)[:, 2]),
            "function": lambda x: np.exp(3 * x[:, 2])}[kind]
-    x, c, _ = improved((p, t), 5e-3, density=rho, rounds=60, keep=())
+    x, c, _ = improved((p, t), 5e-3, density=rho, smoothing={"rounds": 60}, keep=())
     area = np.linalg.norm(np.cross(x[c[:, 1]] - x[c[:, 0]], x[c[:, 2]] - x[c[:, 0]]), axis=1)
     high = x[c].mean(axis=1)[:, 2] > 0.6
     low = x[c].mean(axis=1)[:, 2] < -0.6
@@ -212,7 +215,7 @@ def test_a_density_of_any_form_grades_the_surface(kind):
 
 def test_curvature_puts_triangles_where_the_surface_bends():
     p, t = sm.torus(80, 32)
-    x, c, _ = improved((p, t), 5e-3, density="curvature", rounds=60, keep=())
+    x, c, _ = improved((p, t), 5e-3, density="curvature", smoothing={"rounds": 60}, keep=())
     area = np.linalg.norm(np.cross(x[c[:, 1]] - x[c[:, 0]], x[c[:, 2]] - x[c[:, 0]]), axis=1)
     flat = np.abs(x[c].mean(axis=1)[:, 2]) > 0.37
     assert area[~flat].mean() < area[flat].mean()
