@@ -27,6 +27,7 @@ from odt_plugins.adapters.comparing import not_kept, other_types
 from odt_plugins.adapters.fitting import FORMS, fitted
 from odt_plugins.adapters.formats import READERS, REWRITERS, WRITERS, gmsh_groups, gmsh_tables
 from odt_plugins.adapters.formats.change import Change, NotRewritable, Origin, origin_of
+from odt_plugins.adapters.formats.decks import DECK
 from odt_plugins.adapters.host import HostMesh, Result
 from odt_plugins.adapters.stated import declares_no_cells
 from odt_plugins.errors import (
@@ -119,6 +120,7 @@ def read_file(path: str | os.PathLike[str]) -> Any:
     if path.suffix.lower() in scene_files.SUFFIXES:
         return _read_scene(path)
     mesh, remarks, name = _read_as(path, formats)
+    vars(mesh).pop(DECK, None)
     setattr(mesh, meshio_mesh.ORIGIN, origin_of(path, name, mesh))
     told = list(dict.fromkeys(remarks))
     if len(told) > REMARKS:

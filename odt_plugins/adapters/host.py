@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.errors import ODTError
 
-SET_VERTEX = "vertex of point set"
+SET_VERTEX, NAMED_VERTEX = "vertex of point set", "vertex named by its file"
 """Kind of kept cells of a vertex each, with the name of the set behind it."""
 
 

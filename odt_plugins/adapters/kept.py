@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import SET_VERTEX, HostMesh, KeptCells
+from odt_plugins.adapters.host import NAMED_VERTEX, SET_VERTEX, HostMesh, KeptCells
 from odt_plugins.errors import InvalidMeshError, counted
 from odt_plugins.mesh.arrays import BoolArray, IntArray
 from odt_plugins.mesh.components import components
@@ -220,9 +220,9 @@ def note_inside(before: SimplexMesh, after: SimplexMesh, host: HostMesh) -> tupl
 
 
 def notes_on_sets(kept: tuple[KeptCells, ...]) -> tuple[str, ...]:
-    """Say of which point sets the vertices stay."""
+    """Say which vertices stay that a point set or something else of the file names."""
     return tuple(f"{counted(len(rows), kind, kind.replace('vertex', 'vertices'))} stay where they "
-                 f"are" for kind, rows in kept if kind.startswith(SET_VERTEX))
+                 f"are" for kind, rows in kept if kind.startswith((SET_VERTEX, NAMED_VERTEX)))
 
 
 def hold_places(

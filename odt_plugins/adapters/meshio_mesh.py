@@ -32,6 +32,7 @@ from odt_plugins.adapters.higher_order import (
     with_mid_nodes,
 )
 from odt_plugins.adapters.host import (
+    NAMED_VERTEX,
     SET_VERTEX,
     HostMesh,
     KeptCells,
@@ -126,7 +127,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         kept = (*kept, KeptCells("required vertex",
                                  np.asarray(mesh.point_sets[REQUIRED]).reshape(-1, 1)))
     if len(getattr(mesh, HELD, ())):
-        kept = (*kept, KeptCells("vertex named by its file",
+        kept = (*kept, KeptCells(NAMED_VERTEX,
                                  np.asarray(getattr(mesh, HELD)).reshape(-1, 1)))
     rows = nodes = np.concatenate([mesh.cells[i].data for i in chosen])
     if shape is not None:

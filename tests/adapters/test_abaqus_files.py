@@ -56,7 +56,7 @@ class Told:
             elif keys[0] in ("*SURFACE", "*DLOAD"):
                 own = self.faces.setdefault(params.get("NAME", keys[0]), [])
                 for row in table:
-                    found = re.fullmatch(r"[SP](\d)", row[1])
+                    found = re.fullmatch(r"[SP](\d)", [*row, ""][1])
                     if found:
                         ids = [int(row[0])] if row[0].isdigit() else self.sets["ELSET"][
                             row[0].upper()]
@@ -376,3 +376,40 @@ def test_decks_written_anew_have_elements_that_solvers_compute_with(dim, order, 
     mesh.cell_sets = {"upper, left": [np.arange(len(cells)) < 7]}
     write_file(tmp_path / "b.inp", mesh)
     assert read_file(tmp_path / "b.inp").cell_sets["upper, left"][0].tolist() == list(range(7))
+
+
+def test_nodes_that_are_named_stay(tmp_path):
+    points, cells = box(3, 6)
+    inner = (np.flatnonzero(((points > 0) & (points < 1)).all(axis=1)) + 1).tolist()
+    patterns = [
+        "*TEMPERATURE\n@, 20.\n@, 30.", "*INITIAL CONDITIONS, TYPE=TEMPERATURE\n@, 2.\n@, 3.",
+        "*RIGID BODY, ELSET=E, REF NODE=@, ROT NODE=@", "*COUPLING, REF NODE=@\n*KINEMATIC",
+        "*CLOAD\n@, 1, 5.\n I-1.@, 2, 1.", "*BOUNDARY\n@, 1, 3", "*EQUATION\n2\n@, 1, 1., @, 1, 2.",
+        "*MPC\nBEAM, @, @", "*FIELD, VARIABLE=1\n@, 2.", "*SURFACE, TYPE=NODE, NAME=N\n@, 1.\n@",
+        "*KINEMATIC COUPLING, REF NODE=@\n@, 1, 3", "*NODAL THICKNESS\n@, .5", "*CFLUX\n@, 11, 2.",
+        "*PRE-TENSION SECTION, SURFACE=S, NODE=@", "*NORMAL\n5, @, 0., 0., 1.",
+        "*ORIENTATION, NAME=O, DEFINITION=NODES\n@, @, @", "*MONITOR, NODE=@, DOF=1",
+        "*IMPERFECTION\n@, .1, .1, .1"]
+    free, named, extra = iter(inner[::2]), [], []
+    for pattern in patterns:
+        parts = pattern.split("@")
+        own = [next(free) for _ in parts[1:]]
+        extra.append(parts[0] + "".join(f"{i}{part}" for i, part in zip(own, parts[1:],
+                                                                        strict=True)))
+        named += own
+    source, target = tmp_path / "a.inp", tmp_path / "b.inp"
+    body = "*NODE\n" + rows([[i + 1, *x] for i, x in enumerate(points.tolist())], "\n")
+    body += "*ELEMENT, TYPE=C3D4, ELSET=E\n" + rows(
+        [[i + 1, *row] for i, row in enumerate((cells + 1).tolist())], "\n")
+    text = "\n".join([*extra, "*INITIAL CONDITIONS, TYPE=STRESS", f"{inner[1]}, 1., 2."]) + "\n"
+    source.write_text(body + text.replace("I-1.", ""))
+    assert sorted((read_file(source).held + 1).tolist()) == sorted(named)
+    report = optimize_file(source, target)
+    assert f"{len(named)} vertices named by its file stay where they are" in " ".join(report.notes)
+    old, new = Told(source).nodes, Told(target).nodes
+    assert {i for i in named if old[i] != new.get(i)} == set()
+    assert sum(old[i] != new.get(i) for i in inner) > len(inner) // 4
+    parts = re.sub(r"(?m)(?<![\d.-])(?=\d+, (1, 5|1, 3|20|30))", "I-1.", "\n".join(extra[:6]))
+    source.write_text(f"*PART, NAME=P\n{body}*END PART\n*ASSEMBLY, NAME=A\n*INSTANCE, NAME=I-1, "
+                      f"PART=P\n*END INSTANCE\n*END ASSEMBLY\n{parts}")
+    assert len(read_file(source).held) == 5

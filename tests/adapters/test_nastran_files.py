@@ -246,3 +246,39 @@ def test_what_is_missing_is_told(text, said, tmp_path):
     (tmp_path / "a.bdf").write_text(text)
     with pytest.raises(MeshFileError, match=said):
         read_file(tmp_path / "a.bdf")
+
+
+def test_what_a_card_names_stays(tmp_path):
+    points, cells = box(3, 6)
+    inner = (np.flatnonzero(((points > 0) & (points < 1)).all(axis=1)) + 1).tolist()
+    patterns = [
+        "TEMP,1,@,20.,@,30.,@,4.", "SLOAD,1,@,5.,@,6.", "DAREA,1,@,3,1.,@,3,1.", "ASET,@,123,@,3",
+        "OMIT,@,123,@,3,@,1", "SUPORT,@,123", "SUPORT1,1,@,123,@,3", "QSET1,123,@,@,@",
+        "CSET1,123,@,THRU,@", "MPC,1,@,9,1.,@,9,-1.,,\n+,,@,9,2.", "RBE2,1,@,9,@,@,@",
+        "CONM2,9001,@,0,1.", "PLOTEL,9002,@,@", "CBUSH,9003,1,@,@", "CELAS2,9004,1.5,@,9,@,9",
+        "CMASS2,9005,1.5,@,9", "CBAR,9006,1,1,2,@", "FORCE1,1,@,1.,@,@", "SPCD,1,@,9,1.,@,9,1.",
+        "RFORCE,1,@,,1.,0.,0.,1.", "DMIG,K,@,9,,@,9,1.", "CWHAT,9007,1,@,@", "RBAR,9008,@,@",
+        "SET1,4,@,@", "CORD1R,8,@,@,@", "EIGR,1,MGIV,0.,1.,,2,,,\n+,POINT,@,9",
+        "TIC,1,@,9,1.", "MOMENT,1,@,0,1.,0.,0.,1.", "BSET,@,9", "NOLIN1,1,@,9,1.,@,9,3"]
+    free, named, extra = iter(inner[::2]), [], []
+    for pattern in patterns:
+        parts = pattern.split("@")
+        own = [next(free) for _ in parts[1:]]
+        extra.append(parts[0] + "".join(f"{i}{part}" for i, part in zip(own, parts[1:],
+                                                                        strict=True)))
+        named += range(own[0], own[1] + 1) if "THRU" in pattern else own
+    lines = ["BEGIN BULK", *(f"GRID,{i + 1},,{v[0]:.6f},{v[1]:.6f},{v[2]:.6f}"
+                             for i, v in enumerate(points.tolist()))]
+    lines += ["CTETRA," + ",".join(map(str, [i + 1, 1, *row])) for i, row in
+              enumerate((cells + 1).tolist())]
+    source, target = tmp_path / "a.bdf", tmp_path / "b.bdf"
+    source.write_text("\n".join([*lines, *extra, "ENDDATA", ""]))
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataNotKeptWarning)
+        mesh = read_file(source)
+        report = optimize_file(source, target)
+    assert (mesh.held + 1).tolist() == sorted(named)
+    assert f"{len(named)} vertices named by its file stay where they" in " ".join(report.notes)
+    old, new = told(source)[0], told(target)[0]
+    assert {i for i in named if old[i] != new.get(i)} == set()
+    assert sum(old[i] != new.get(i) for i in inner) > len(inner) // 4

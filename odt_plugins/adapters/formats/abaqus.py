@@ -10,8 +10,16 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.formats.abaqus_tables import NODES, SIDES, is_shell, type_of
+from odt_plugins.adapters.formats.abaqus_tables import (
+    NAMING,
+    NODES,
+    OF_ELEMENTS,
+    SIDES,
+    is_shell,
+    type_of,
+)
 from odt_plugins.adapters.formats.decks import (
+    DECK,
     FACES,
     HELD,
     ORDERS,
@@ -27,10 +35,6 @@ MADE = ("NGEN", "NFILL", "NCOPY", "NMAP", "ELGEN", "ELCOPY", "SYSTEM")
 
 FACED = {"SURFACE": "SE", "DLOAD": "P", "DFLUX": "S", "FILM": "F", "RADIATE": "R"}
 """Keywords with lines of an element, or a set of some, and a face, and the letters of that."""
-
-NAMING = ("BOUNDARY", "CLOAD", "CFLUX", "EQUATION", "MPC")
-"""Keywords with numbers of nodes that their lines are about."""
-
 
 LABEL = "abaqus:elset"
 """Array of labels of cells, by the sets that they are in."""
@@ -153,6 +157,7 @@ def read(path: Path) -> Any:
     data = _labels(deck, sets, [len(rows) for _, rows in cells])
     mesh = Mesh(deck.points, cells, cell_data=data, cell_sets=whole, point_sets=point_sets(deck))
     setattr(mesh, HELD, deck.held)
+    setattr(mesh, DECK, deck)
     if deck.others:
         setattr(mesh, REMARKS, [
             f"elements of type {', '.join(deck.others)} stay as they are with their nodes"])
@@ -242,9 +247,10 @@ def _lines(
         starts.append(at)
         files.append(number)
         at += len(line)
-        found = re.match(rb"(?i)\s*\*\s*(?:INCLUDE|NODE|ELEMENT)\b[^\r\n]*?,\s*INPUT\s*=\s*"
-                         rb"(\"[^\"]*\"|[^\s,]+)", line)
-        if found is None:
+        found = b"=" in line and re.match(
+            rb"(?i)\s*\*\s*(?:INCLUDE|NODE|ELEMENT)\b[^\r\n]*?,\s*INPUT\s*=\s*"
+            rb"(\"[^\"]*\"|[^\s,]+)", line)
+        if not found:
             continue
         name = found[1].strip(b'"').decode("utf-8", "replace")
         other = path.parent / name
@@ -266,6 +272,10 @@ def _sections(texts: list[bytes]) -> Iterator[Section]:
     found: Section | None = None
     i = 0
     while i < len(texts):
+        if found is not None and texts[i][:1].isdigit():
+            found.lines.append(i)
+            i += 1
+            continue
         line = texts[i].lstrip()
         if not line.strip() or line.startswith(b"**"):
             i += 1
@@ -310,11 +320,16 @@ def _with_elements(
     held: list[int] = []
     order = order_of(type_of(s.params.get("TYPE", "").upper()) or "" for s in sections
                      if s.name == "ELEMENT" and s.lines)
+    alias = resolved(sections)
+    by_part: dict[str, dict[int, int]] = {section.part: {} for section in sections}
+    for (part, i), v in number.items():
+        by_part[part][i] = v
     for section in sections:
-        if section.name in NAMING or (
-                section.name == "SURFACE" and section.params.get("TYPE", "").upper() == "NODE"):
-            held += [number[section.part, n] for n in _named(texts, section)
-                     if (section.part, n) in number]
+        for word in _named(texts, section):
+            instance, _, text = word.upper().rpartition(".")
+            home = alias.get(instance, "") or instance or section.part
+            if text.isdigit() and (home, int(text)) in number:
+                held.append(number[home, int(text)])
         if section.name != "ELEMENT":
             continue
         word = section.params.get("TYPE", "").upper()
@@ -326,7 +341,8 @@ def _with_elements(
                           if w.strip().isdigit() and (section.part, int(w)) in number]
             continue
         key = (section.part, word, section.params.get("ELSET", "").upper(), kind)
-        _take(texts, section, NODES[kind], number, found.setdefault(key, ([], [], [])))
+        _take(texts, section, NODES[kind], by_part[section.part],
+              found.setdefault(key, ([], [], [])))
     blocks = [Block(key[3], key[0], key[1], np.array(rows, dtype=np.int64).reshape(
         -1, NODES[key[3]]), ids, spans) for key, (ids, rows, spans) in found.items() if ids]
     elements = {(block.part, i): (b, row) for b, block in enumerate(blocks)
@@ -340,42 +356,51 @@ def _with_elements(
     return deck
 
 
-def _named(texts: list[bytes], section: Section) -> Iterator[int]:
-    """Numbers of nodes that the lines of a section are about."""
+def _named(texts: list[bytes], section: Section) -> Iterator[str]:
+    """Nodes that a keyword and its lines name, among other words."""
+    yield from (value for key, value in section.params.items() if key.endswith("NODE"))
+    where = NAMING.get(section.name)
+    kind = re.sub(r"\s", "", section.params.get("TYPE", section.params.get("DEFINITION", "")))
+    if section.name == "SURFACE" and kind.upper() != "NODE":
+        where = None
+    if section.name == "ORIENTATION" and "NODES" not in kind.upper():
+        where = None
+    if where is None or kind.upper() in OF_ELEMENTS:
+        return
     for i in section.lines:
         words = words_of(texts[i])
-        step = {"EQUATION": 3, "MPC": 1}.get(section.name, len(words))
-        if section.name == "EQUATION" and len(words) < 3:
-            continue
-        yield from (int(word) for word in words[::step] if word.isdigit())
+        if section.name != "EQUATION" or len(words) > 2:
+            yield from words[where]
 
 
 def _take(
-    texts: list[bytes], section: Section, size: int, number: dict[tuple[str, int], int],
+    texts: list[bytes], section: Section, size: int, at: dict[int, int],
     into: tuple[list[int], list[list[int]], list[tuple[int, int]]],
 ) -> None:
     """Read the elements of a section, each of as many lines as it needs."""
     ids, rows, spans = into
-    words: list[int] = []
+    lines = [texts[i] for i in section.lines]
+    words = list(map(int, b" ".join(lines).replace(b",", b" ").split()))
+    if {line.count(b",") for line in lines} == {size} and len(words) == len(lines) * (size + 1):
+        ids += words[:: size + 1]
+        rows += [[at[n] for n in words[k + 1: k + size + 1]]
+                 for k in range(0, len(words), size + 1)]
+        spans += [(i, i) for i in section.lines]
+        return
+    words = []
     first = -1
-    part = section.part
-    for i in section.lines:
+    for i, line in zip(section.lines, lines, strict=True):
         first = i if not words else first
-        words += [int(w) for w in texts[i].split(b",") if not w.isspace() and w]
+        words += [int(w) for w in line.split(b",") if not w.isspace() and w]
         if len(words) <= size:
             continue
         ids.append(words[0])
-        rows.append([number[part, n] if (part, n) in number else _missing(n)
-                     for n in words[1: size + 1]])
+        rows.append([at[n] for n in words[1: size + 1]])
         spans.append((first, i))
         words = []
     if words:
         msg = f"it ends within element {words[0]}, which has {len(words) - 1} nodes of {size}"
         raise MeshFileError(msg)
-
-
-def _missing(node: int) -> int:
-    raise KeyError(node)
 
 
 def members(deck: Deck, part: str, name: str, seen: frozenset[Any] = frozenset()) -> set[Any]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -28,6 +29,7 @@ from odt_plugins.adapters.formats.decks import (
     Name,
     Names,
     corners_of,
+    deck_of,
     edited,
     faces_of,
     real,
@@ -55,7 +57,7 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     ------
     NotRewritable    nodes went that are named, or what changes stands in a file that is included
     """
-    deck = parsed(source)
+    deck = deck_of(change, source, parsed)
     data = source.read_bytes()
     names = Names(
         change, deck.number, [(block.part, block.ids) for block in deck.blocks], _kinds(deck),
@@ -127,7 +129,7 @@ def _nodes(deck: Deck, names: Names, change: Change) -> list[Edit]:
     for v in np.flatnonzero(change.points < 0).tolist():
         i = last[names.parts[v]]
         text = deck.texts[i]
-        text = substituted(text, _spans(text), {0: str(names.nodes[v]).encode()})
+        text = _exchanged(text, [b"%d" % names.nodes[v]])
         own = lines.get(i, deck.texts[i])
         gap = b"" if not own or _end(own) else b"\n"
         lines[i] = own + gap + _moved(text, spots[v])
@@ -136,15 +138,26 @@ def _nodes(deck: Deck, names: Names, change: Change) -> list[Edit]:
 
 def _moved(text: bytes, place: list[float]) -> bytes:
     """A line of a node at another place."""
-    spans = _spans(text)
     words = [real(x, WIDEST) for x in place]
-    missing = words[len(spans) - 1:]
+    missing = words[text.rstrip().rstrip(b",").count(b","):]
     if missing:
         end = len(text.rstrip().rstrip(b","))
         text = text[:end] + b"".join(b", " + word for word in missing) + text[
             len(text.rstrip()):]
-        spans = _spans(text)
-    return substituted(text, spans, dict(enumerate(words, 1)))
+    return _exchanged(text, [None, *words])
+
+
+def _exchanged(text: bytes, words: Sequence[bytes | None]) -> bytes:
+    """The lines of an entry with other words between its commas, where they are not None."""
+    if text.count(b"\n") > 1 or text.count(b"\r") > 1 or text.lstrip()[:2] == b"**":
+        return substituted(text, _spans(text), {
+            k: word for k, word in enumerate(words) if word is not None})
+    parts = text.split(b",")
+    for k, word in enumerate(words):
+        old = parts[k].strip()
+        if word is not None and old != word:
+            parts[k] = parts[k].replace(old, word, 1) if old else word
+    return b",".join(parts)
 
 
 def _end(text: bytes) -> bytes:
@@ -154,8 +167,8 @@ def _end(text: bytes) -> bytes:
 
 def _elements(deck: Deck, data: bytes, b: int, names: Names, change: Change) -> list[Edit]:
     """What replaces the lines of the elements of a block."""
-    block, after, fresh = deck.blocks[b], np.asarray(change.after.cells[b].data), (
-        change.exchanged(b))
+    block, fresh = deck.blocks[b], change.exchanged(b).tolist()
+    nodes = names.nodes[np.asarray(change.after.cells[b].data)].tolist()
     edits = []
     for r, slot in enumerate(names.slots[b]):
         if len(slot) == 1 and not fresh[slot[0]] and names.of[b][slot[0]] == block.ids[r]:
@@ -163,11 +176,9 @@ def _elements(deck: Deck, data: bytes, b: int, names: Names, change: Change) -> 
         first, last = block.lines[r]
         start, stop, _ = _line_edit(deck, first, b"", last)
         text = data[start:stop]
-        spans = _spans(text)
         parts = []
         for i in slot:
-            words = [names.of[b][i], *names.nodes[after[i]].tolist()]
-            part = substituted(text, spans, {k: str(w).encode() for k, w in enumerate(words)})
+            part = _exchanged(text, [b"%d" % k for k in (names.of[b][i], *nodes[i])])
             parts.append(part if _end(part) or i == slot[-1] else part + b"\n")
         edits.append((start, stop, b"".join(parts)))
     return edits

@@ -24,6 +24,23 @@ SIDES = {2: "line", 3: "triangle", 6: "triangle6"}
 """Types of faces by their numbers of nodes; three nodes are those of a curved line in the plane."""
 
 
+NAMING = dict.fromkeys((
+    "BOUNDARY", "CLOAD", "CFLUX", "CFLOW", "CECHARGE", "CECURRENT", "CONCENTRATIONFLUX",
+    "CVELOCITY", "TEMPERATURE", "FIELD", "PRESSURESTRESS", "MASSFLOWRATE", "NODALTHICKNESS",
+    "NODALENERGYRATE", "INITIALCONDITIONS", "KINEMATICCOUPLING", "DISTRIBUTINGCOUPLING",
+    "DISTRIBUTING", "KINEMATIC", "IMPERFECTION", "RETAINEDNODALDOFS", "SUBMODEL", "MOTION",
+    "TRANSPORTVELOCITY", "SURFACE", "INCIDENTWAVEPROPERTY", "ACOUSTICWAVEFORMULATION",
+    "RIGIDBODY", "PRETENSIONSECTION", "TRACERPARTICLE", "DESIGNRESPONSE", "CONNECTORMOTION",
+    "MASSADJUST", "FASTENER"), slice(0, 1)) | dict.fromkeys(
+    ("MPC", "SLIDELINE", "CONTOURINTEGRAL", "ORIENTATION"), slice(0, None)) | {
+    "NORMAL": slice(1, 2), "EQUATION": slice(0, None, 3)}
+"""Keywords whose lines name nodes, and the words that do."""
+
+OF_ELEMENTS = ("STRESS", "HARDENING", "SOLUTION", "PLASTICSTRAIN", "POROSITY", "RELATIVEDENSITY",
+               "SPECIFICENERGY", "REBAR", "DAMAGEINITIATION", "ENRICHMENT")
+"""Types of initial conditions of elements."""
+
+
 def type_of(name: str) -> str | None:
     """Type of the cells that an element is; None where it is none, or not known."""
     found = re.fullmatch(SOLID, name)

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -24,6 +25,9 @@ REMARKS = "remarks"
 
 HELD = "held"
 """Attribute of a meshio.Mesh: vertices that have to stay, since its file refers to them."""
+
+DECK = "deck"
+"""Attribute of a meshio.Mesh that was just read: its file, taken apart."""
 
 ORDERS = {"tetra": 1, "tetra10": 2, "triangle": 1, "triangle6": 2}
 """Orders of the types of cells that may be optimised, the first that is there is."""
@@ -97,6 +101,11 @@ def numbers(words: Sequence[bytes]) -> list[float]:
     return [float(word.replace(b"D", b"e").replace(b"d", b"e")) for word in words]
 
 
+def deck_of(change: Change, source: Path, parsed: Callable[[Path], Any]) -> Any:
+    """The source of a change, taken apart: as it was when it was read, or by its reader."""
+    return getattr(change.before, DECK, None) or parsed(source)
+
+
 def expect_points(rows: NDArray[np.int64], count: int, first: int = 0) -> None:
     """See whether cells refer to points that are there.
 
@@ -128,14 +137,17 @@ def real(x: float, width: int = 24) -> bytes:
     ------
     NotRewritable    there is no room for any digit
     """
-    for digits in range(17, 0, -1):
+    for digits in range(min(17, width - 1 - (x < 0)), 0, -1):
         y = float(f"{x:.{digits}g}")
         plain = repr(y)
-        forms = (plain, plain.replace("0.", ".", 1) if abs(y) < 1 else plain,
-                 np.format_float_scientific(y, trim="0", exp_digits=1))
-        best = next((form for form in forms if "." in form and len(form) <= width), None)
-        if best is not None:
-            return best.encode()
+        if "." in plain and len(plain) <= width:
+            return plain.encode()
+        short = plain.replace("0.", ".", 1) if abs(y) < 1 else plain
+        if "." in short and len(short) <= width:
+            return short.encode()
+        form = np.format_float_scientific(y, trim="0", exp_digits=1)
+        if len(form) <= width:
+            return form.encode()
     msg = f"{x!r} needs more than {width} letters"
     raise NotRewritable(msg)
 
@@ -158,20 +170,22 @@ def places(
     -------
     list of lists    for every row of before (cell of after, row whose name it takes or -1)
     """
+    order = np.argsort(fresh, kind="stable")
+    used, first = np.unique(rows[order], return_index=True)
     taken = np.full(len(rows), -1, dtype=np.int64)
-    used = np.zeros(len(kinds), dtype=np.bool_)
-    for i in [*np.flatnonzero(~fresh).tolist(), *np.flatnonzero(fresh).tolist()]:
-        if not used[rows[i]]:
-            used[rows[i]] = True
-            taken[i] = rows[i]
+    taken[order[first]] = used
+    names = taken.tolist()
+    unused = np.ones(len(kinds), dtype=np.bool_)
+    unused[used] = False
     free: dict[Any, list[int]] = {}
-    for r in np.flatnonzero(~used).tolist()[::-1]:
+    for r in np.flatnonzero(unused).tolist()[::-1]:
         free.setdefault(kinds[r], []).append(r)
     out: list[list[tuple[int, int]]] = [[] for _ in kinds]
     for i, r in enumerate(rows.tolist()):
-        if taken[i] < 0 and free.get(kinds[r]):
-            taken[i] = free[kinds[r]].pop()
-        out[r].append((i, int(taken[i])))
+        name = names[i]
+        if name < 0 and free.get(kinds[r]):
+            name = free[kinds[r]].pop()
+        out[r].append((i, name))
     return out
 
 

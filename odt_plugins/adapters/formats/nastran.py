@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 import re
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -14,39 +14,30 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.decks import (
     CORNERS,
+    DECK,
     FACES,
     HELD,
     REMARKS,
     fits,
     order_of,
 )
+from odt_plugins.adapters.formats.nastran_tables import (
+    BEAMS,
+    ELEMENT,
+    KINDS,
+    MOST,
+    NAMED,
+    NODES,
+    ORIENTED,
+    RIGID,
+)
 from odt_plugins.errors import MeshFileError
-
-KINDS = {
-    "CTETRA": {10: "tetra10", 4: "tetra"}, "CTRIA3": {3: "triangle"}, "CTRIAR": {3: "triangle"},
-    "CTRIA6": {6: "triangle6"}, "CQUAD4": {4: "quad"}, "CQUADR": {4: "quad"},
-    "CSHEAR": {4: "quad"}, "CHEXA": {8: "hexahedron"}, "CPENTA": {6: "wedge"},
-    "CPYRAM": {5: "pyramid"}, "CPYRA": {5: "pyramid"}, "CROD": {2: "line"}, "CBAR": {2: "line"},
-    "CBEAM": {2: "line"}, "CTUBE": {2: "line"},
-}
-"""Types of cells by the names of elements and their numbers of nodes, the largest first."""
-
-MOST = {"CTETRA": 10, "CHEXA": 20, "CPENTA": 15, "CPYRAM": 13, "CPYRA": 13}
-"""Numbers of fields for nodes of elements that may have some between their corners."""
-
-NAMED = {"FORCE": (1,), "MOMENT": (1,), "SPC": (1, 4), "SPCD": (1, 4), "CONM2": (1,),
-         "CONM1": (1,), "CBUSH": (2, 3), "CELAS1": (2, 4), "CELAS2": (2, 4), "CDAMP1": (2, 4),
-         "CDAMP2": (2, 4), "CONROD": (1, 2), "CGAP": (2, 3), "PLOTEL": (1, 2), "RBAR": (1, 2),
-         "RROD": (1, 2), "CORD1R": (1, 2, 3), "CORD1C": (1, 2, 3), "CORD1S": (1, 2, 3)}
-"""Cards that name grid points, and the fields that do."""
-
-LISTS = {"RBE2": 1, "RBE1": 1, "RBE3": 2, "MPC": 1, "SUPORT": 0, "CHEXA": 2, "CPENTA": 2,
-         "CPYRAM": 2, "CPYRA": 2, "CTRIA6": 2, "CQUAD8": 2, "CTETRA": 2, "CTRIAX6": 2,
-         "CQUAD": 2, "CTRIAX": 2, "CSOLID": 2}
-"""Cards in which whole numbers from some field on may be grid points."""
 
 LABEL = "nastran:ref"
 """Array of the properties of elements."""
+
+UNEVEN = re.compile(rb"[,\t*$]|[\r\n][^\r\n]")
+"""What lines do not have whose fields have eight letters each."""
 
 
 class Field(NamedTuple):
@@ -58,32 +49,78 @@ class Field(NamedTuple):
     width: int
 
 
-class Card(NamedTuple):
-    """An entry of bulk data with its continuations: name, fields from 0 on, start and stop."""
+class Card:
+    """An entry of bulk data with its continuations: name, start and stop; its fields on demand."""
 
-    name: str
-    fields: list[Field]
-    start: int
-    stop: int
+    __slots__ = ("data", "name", "start", "stop")
 
-    def number(self, i: int) -> int:
-        """Whole number in a field, 0 where it is blank.
+    def __init__(self, name: str, data: bytes, start: int, stop: int) -> None:
+        self.name, self.data, self.start, self.stop = name, data, start, stop
+
+    @property
+    def words(self) -> list[str]:
+        """Texts of the fields from 0 on."""
+        text = self.data[self.start: self.stop]
+        if UNEVEN.search(text):
+            return [field.text for field in self.fields]
+        plain = text.decode("latin-1").rstrip().upper()
+        return [plain[i: i + 8].strip() for i in range(8, min(len(plain), 72), 8)]
+
+    @property
+    def fields(self) -> list[Field]:
+        """Fields from 0 on."""
+        out: list[Field] = []
+        most = 8
+        at = self.start
+        for line in self.data[self.start: self.stop].splitlines(keepends=True):
+            start, at = at, at + len(line)
+            body = _body(line)
+            if body:
+                found = _fields(body, start)
+                out += [Field("", 0, 0, 0)] * (-len(out) % most)
+                out += found[1:]
+                most = 4 if "*" in found[0].text else 8
+        return out
+
+    def whole(self, words: list[str]) -> list[int]:
+        """Whole numbers in some of its words, 0 where they are blank.
 
         Raises
         ------
         MeshFileError    there is something else
         """
-        text = self.fields[i].text if i < len(self.fields) else ""
         try:
-            return int(text or 0)
+            return [int(word or 0) for word in words]
         except ValueError as exc:
-            msg = f"{self.name} {self.fields[0].text} has {text!r} in place of a number"
+            bad = next(word for word in words if word and not re.fullmatch(r"[+-]?\d+", word))
+            msg = f"{self.name} {self.words[0]} has {bad!r} in place of a number"
             raise MeshFileError(msg) from exc
 
-    def real(self, i: int) -> float:
-        """Number in a field, however Nastran writes it, 0 where it is blank."""
-        text = self.fields[i].text if i < len(self.fields) else ""
-        return float(re.sub(r"(?<=[\d.])(?:[dDeE]|(?=[+-]))(?=[+-]?\d+$)", "e", text) or 0)
+    def number(self, i: int) -> int:
+        """Whole number in a field, 0 where it is blank."""
+        return self.whole(self.words[i: i + 1] or [""])[0]
+
+    def reals(self, first: int, last: int) -> list[float]:
+        """Numbers in some fields, however Nastran writes them, 0 where they are blank."""
+        words = self.words[first: last + 1]
+        return [_real(word) for word in words] + [0.0] * (last + 1 - first - len(words))
+
+
+def _real(text: str) -> float:
+    try:
+        return float(text or 0)
+    except ValueError:
+        return float(re.sub(r"(?<=[\d.])(?:[dDeE]|(?=[+-]))(?=[+-]?\d+$)", "e", text))
+
+
+class Block(NamedTuple):
+    """Elements of a type: rows of points, cards, numbers and properties."""
+
+    kind: str
+    rows: Any
+    cards: list[Card]
+    ids: list[int]
+    labels: list[int]
 
 
 class Deck(NamedTuple):
@@ -96,11 +133,13 @@ class Deck(NamedTuple):
     grids : list of Card             of every point
     number : dict                    index of a point by "" and its number
     points : (n, 3)
-    blocks : list                    type, rows of points and cards of every block of elements
+    blocks : list of Block
     held : (k,) int                  points that are named, or lie in a system of their own
     sets : dict of (k,) int          points of every card SPC1
     sides : list of (card, row, rows of corners)    faces that loads are on
     others : list of str             names of elements of other types
+    last : int                       largest number of an element
+    system : str                     coordinate system of new points, as the cards have it
     """
 
     data: bytes
@@ -108,11 +147,13 @@ class Deck(NamedTuple):
     grids: list[Card]
     number: dict[tuple[str, int], int]
     points: NDArray[np.float64]
-    blocks: list[tuple[str, NDArray[np.int64], list[Card]]]
+    blocks: list[Block]
     held: NDArray[np.int64]
     sets: dict[str, NDArray[np.int64]]
     sides: list[tuple[Card, list[int]]]
     others: list[str]
+    last: int
+    system: str
 
 
 def read(path: Path) -> Any:
@@ -129,15 +170,15 @@ def read(path: Path) -> Any:
     from meshio import Mesh
 
     deck = parsed(path)
-    cells: list[Any] = [(kind, rows) for kind, rows, _ in deck.blocks]
-    labels: list[Any] = [np.array([card.number(1) for card in cards], dtype=np.int64)
-              for *_, cards in deck.blocks]
+    cells: list[Any] = [(block.kind, block.rows) for block in deck.blocks]
+    labels: list[Any] = [np.array(block.labels, dtype=np.int64) for block in deck.blocks]
     if deck.sides:
         cells.append(("triangle", np.array([rows for _, rows in deck.sides], dtype=np.int64)))
         labels.append(np.zeros(len(deck.sides), dtype=np.int64))
     sets: Any = deck.sets
     mesh = Mesh(deck.points, cells, cell_data={LABEL: labels}, point_sets=sets)
     setattr(mesh, HELD, deck.held)
+    setattr(mesh, DECK, deck)
     if deck.others:
         setattr(mesh, REMARKS, [
             f"elements of type {', '.join(deck.others)} stay as they are with their nodes"])
@@ -151,43 +192,59 @@ def parsed(path: Path) -> Deck:
     if not cards or cards[-1].name != "ENDDATA":
         msg = "it ends before ENDDATA"
         raise MeshFileError(msg)
-    grids = [card for card in cards if card.name == "GRID"]
-    number = {("", card.number(0)): v for v, card in enumerate(grids)}
-    points = np.array([[card.real(2), card.real(3), card.real(4)] for card in grids]).reshape(-1, 3)
-    points, held = _placed(cards, grids, points)
-    found: dict[str, tuple[list[list[int]], list[Card]]] = {}
+    grids, number, points, held, system = _placed(cards)
+    at = {i: v for (_, i), v in number.items()}
+    found: dict[str, Block] = {}
     others: set[str] = set()
+    last = 0
     for card in cards:
-        known = KINDS.get(card.name)
-        if known is not None:
-            most = MOST.get(card.name, max(known))
-            nodes = [card.number(i) for i in range(2, 2 + most)]
-            kind = known.get(sum(node > 0 for node in nodes))
-            if kind is not None and all(nodes[: len(nodes) - nodes.count(0)]):
-                rows = [number["", node] if ("", node) in number else _missing(node)
-                        for node in nodes if node]
-                into = found.setdefault(kind, ([], []))
-                into[0].append(rows)
-                into[1].append(card)
-                continue
-        if re.match(r"C[A-Z]+\d?$", card.name) and not card.name.startswith("CORD"):
-            others.add(card.name)
-        held += _named(card, number)
+        element = ELEMENT.fullmatch(card.name)
+        where = NAMED.get(card.name, RIGID if card.name[:2] == "RB" else ())
+        if element:
+            words = card.words
+            last = max(last, int(words[0]) if words and words[0].isdigit() else 0)
+            if _taken(card, words, at, found):
+                where = ORIENTED if card.name in BEAMS else ()
+            else:
+                where = NAMED.get(card.name, NODES)
+                others.add(card.name)
+        held += _named(card, at, where) if where else []
     order = order_of(found)
     for kind in [kind for kind in found if not fits(kind, order)]:
-        rows_, cards_ = found.pop(kind)
-        held += [v for row in rows_ for v in row]
-        others |= {card.name for card in cards_}
-    blocks = [(kind, np.array(rows, dtype=np.int64), own) for kind, (rows, own) in found.items()]
-    sets = _sets(cards, number)
+        block = found.pop(kind)
+        held += [v for row in block.rows for v in row]
+        others |= {card.name for card in block.cards}
+    blocks = [block._replace(rows=np.array(block.rows, dtype=np.int64))
+              for block in found.values()]
     deck = Deck(data, cards, grids, number, points, blocks,
-                np.unique(np.array(held, dtype=np.int64)), sets, [], sorted(others))
+                np.unique(np.array(held, dtype=np.int64)), _sets(cards, at), [], sorted(others),
+                last, system)
     deck.sides.extend(_sides(deck))
     return deck
 
 
-def _missing(node: int) -> int:
-    raise KeyError(node)
+def _taken(card: Card, words: list[str], at: dict[int, int], found: dict[str, Any]) -> bool:
+    """Put an element among those of its type, if that is known.
+
+    Raises
+    ------
+    KeyError    it has a point that is not there
+    """
+    known = KINDS.get(card.name)
+    if known is None:
+        return False
+    number, label, *nodes = card.whole(words[: 2 + MOST.get(card.name, max(known))]) or (0, 0)
+    while nodes and not nodes[-1]:
+        nodes.pop()
+    kind = known.get(len(nodes))
+    if kind is None or min(nodes) <= 0:
+        return False
+    into = found.setdefault(kind, Block(kind, [], [], [], []))
+    into.rows.append([at[node] for node in nodes])
+    into.cards.append(card)
+    into.ids.append(number)
+    into.labels.append(label)
+    return True
 
 
 def _cards(data: bytes) -> Iterator[Card]:
@@ -195,28 +252,35 @@ def _cards(data: bytes) -> Iterator[Card]:
     begin = re.search(rb"(?im)^[ \t]*BEGIN[ \t]+(?:BULK|SUPER).*$", data)
     at = begin.end() if begin else 0
     card: Card | None = None
-    most = 8
+    known: dict[bytes, str] = {}
     for line in data[at:].splitlines(keepends=True):
         start, at = at, at + len(line)
-        body = line.partition(b"$")[0].rstrip()
-        if not body or body.startswith((b"//", b"#")):
-            continue
-        fields = _fields(body, start)
-        head = fields[0].text
-        if card is not None and (head == "" or head[0] in "+*"):
-            card.fields.extend([Field("", 0, 0, 0)] * (-len(card.fields) % most))
-            card.fields.extend(fields[1:])
-            most = 4 if "*" in head else 8
-            card = card._replace(stop=at)
+        key = line[:8]
+        name = None if b"," in line else known.get(key)
+        if name is None:
+            body = _body(line)
+            if not body:
+                continue
+            head = body.partition(b",")[0] if b"," in body else body.expandtabs(8)[:8]
+            name = head.decode("latin-1").strip().upper()
+            if key.isalnum() or re.fullmatch(rb"\w+ +", key):
+                known[key] = name
+        if card is not None and (name == "" or name[0] in "+*"):
+            card.stop = at
             continue
         if card is not None:
             yield card
-        most = 4 if "*" in head else 8
-        card = Card(head.rstrip("*").strip(), fields[1:], start, at)
+        card = Card(name.rstrip("*").strip(), data, start, at)
         if card.name == "ENDDATA":
             break
     if card is not None:
         yield card
+
+
+def _body(line: bytes) -> bytes:
+    """A line without comment, empty where it is nothing else."""
+    body = line.partition(b"$")[0].rstrip()
+    return b"" if body.startswith((b"//", b"#")) else body
 
 
 def _fields(body: bytes, start: int) -> list[Field]:
@@ -248,36 +312,44 @@ def _fields(body: bytes, start: int) -> list[Field]:
     return out
 
 
-def _named(card: Card, number: dict[tuple[str, int], int]) -> list[int]:
-    """Points that a card names, other than those of elements that are optimised."""
-    places = [i for i in NAMED.get(card.name, ()) if i < len(card.fields)]
-    places += range(LISTS.get(card.name, len(card.fields)), len(card.fields))
-    texts = [card.fields[i].text for i in places]
-    return [number["", int(text)] for text in texts
-            if text.isdigit() and ("", int(text)) in number]
+def _named(card: Card, at: dict[int, int], where: Iterable[slice]) -> list[int]:
+    """Points that a card names in some of its fields, each or from one THRU another."""
+    words = card.words
+    if card.name == "DMIG" and words[1:2] == ["0"]:
+        return []
+    out = []
+    for part in where:
+        texts = [text for text in words[part] if text.isdigit() or text == "THRU"]
+        out += [at[int(text)] for text in texts if text != "THRU" and int(text) in at]
+        for first, text, last in zip(texts, texts[1:], texts[2:], strict=False):
+            if text == "THRU" != first and last != "THRU":
+                out += [v for i, v in at.items() if int(first) <= i <= int(last)]
+    return out
 
 
-def _sets(cards: list[Card], number: dict[tuple[str, int], int]) -> dict[str, NDArray[np.int64]]:
+def _sets(cards: list[Card], at: dict[int, int]) -> dict[str, NDArray[np.int64]]:
     """Points of the cards SPC1, by their number and components."""
     found: dict[str, list[int]] = {}
     for card in cards:
-        if card.name != "SPC1":
-            continue
-        texts = [field.text for field in card.fields[2:] if field.text]
-        out = found.setdefault(f"SPC1_{card.number(0)}_{card.fields[1].text}", [])
-        if texts[1:2] == ["THRU"]:
-            out += [v for (_, i), v in number.items() if int(texts[0]) <= i <= int(texts[2])]
-        else:
-            out += [number["", int(text)] for text in texts if ("", int(text)) in number]
+        if card.name == "SPC1":
+            words = card.words
+            found.setdefault(f"SPC1_{card.number(0)}_{words[1]}", []).extend(
+                _named(card, at, (slice(2, None),)))
     return {name: np.unique(np.array(nodes, dtype=np.int64)) for name, nodes in found.items()}
 
 
 def _sides(deck: Deck) -> Iterator[tuple[Card, list[int]]]:
-    """Cards of loads on faces of tetrahedra, and the corners of these."""
-    rows = {card.number(0): nodes for kind, table, cards in deck.blocks if kind[:5] == "tetra"
-            for card, nodes in zip(cards, table.tolist(), strict=True)}
-    for card in deck.cards:
-        if card.name != "PLOAD4" or card.number(1) not in rows or not card.number(7):
+    """Cards of loads on triangles, and the corners of these."""
+    loads = [card for card in deck.cards if card.name in ("PLOAD", "PLOAD4")]
+    rows = {i: nodes for block in deck.blocks if loads and block.kind[:5] == "tetra"
+            for i, nodes in zip(block.ids, block.rows.tolist(), strict=True)}
+    for card in loads:
+        if card.name == "PLOAD":
+            corners = [deck.number.get(("", i), -1) for i in card.whole(card.words[2:6]) if i]
+            if len(corners) == CORNERS["tetra"] and min(corners) >= 0:
+                yield card, corners
+            continue
+        if card.number(1) not in rows or not card.number(7):
             continue
         away = deck.number.get(("", card.number(7)))
         nodes = rows[card.number(1)][:4]
@@ -289,9 +361,9 @@ def _sides(deck: Deck) -> Iterator[tuple[Card, list[int]]]:
 
 
 def _placed(
-    cards: list[Card], grids: list[Card], points: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], list[int]]:
-    """Places in the basic system, and points that are given in another one.
+    cards: list[Card]
+) -> tuple[list[Card], dict[tuple[str, int], int], NDArray[np.float64], list[int], str]:
+    """Cards, indices and places of points, those that lie in another system, and that of new ones.
 
     Where all points are in one that is rectangular or not there, it serves as the basic one.
 
@@ -299,18 +371,26 @@ def _placed(
     ------
     MeshFileError    a system is not known
     """
+    grids = [card for card in cards if card.name == "GRID"]
     default = next((card.number(1) for card in cards if card.name == "GRDSET"), 0)
-    given = np.array([card.number(1) or default for card in grids], dtype=np.int64)
+    number, places, systems_of = {}, [], []
+    for v, card in enumerate(grids):
+        words = [*card.words[:5], "", "", "", "", ""]
+        i, system = card.whole(words[:2])
+        number["", i] = v
+        systems_of.append(system if words[1] else default)
+        places.append([_real(word) for word in words[2:5]])
+    points, given = np.array(places).reshape(-1, 3), np.array(systems_of, dtype=np.int64)
     systems = {card.number(0): card for card in cards if re.fullmatch("CORD2[RCS]", card.name)}
     used = np.unique(given[given != 0])
     plain = [i for i in used.tolist() if i not in systems or systems[i].name == "CORD2R"]
     if len(used) == 0 or (len(plain) == 1 and (given == plain[0]).all()):
-        return points, []
+        return grids, number, points, [], words[1] if grids else ""
     out = points.copy()
     for i in used.tolist():
         own = given == i
         out[own] = _in_basic(points[own], i, systems)
-    return out, np.flatnonzero(given != 0).tolist()
+    return grids, number, out, np.flatnonzero(given != 0).tolist(), "0"
 
 
 def _in_basic(
@@ -323,7 +403,7 @@ def _in_basic(
         msg = f"it has grid points in the coordinate system {i}, expected 0 or one of CORD2R/C/S"
         raise MeshFileError(msg)
     card = systems[i]
-    frame = np.array([card.real(k) for k in range(2, 11)]).reshape(3, 3)
+    frame = np.array(card.reals(2, 10)).reshape(3, 3)
     frame = _in_basic(frame, card.number(1), systems, depth + 1)
     third = frame[1] - frame[0]
     second = np.cross(third, frame[2] - frame[0])

@@ -8,13 +8,21 @@ from typing import Any
 import numpy as np
 
 from odt_plugins.adapters.formats.change import Change, NotRewritable
-from odt_plugins.adapters.formats.decks import Edit, Names, edited, faces_of, real, turned
-from odt_plugins.adapters.formats.nastran import Card, Deck, Field, parsed
+from odt_plugins.adapters.formats.decks import (
+    Edit,
+    Names,
+    deck_of,
+    edited,
+    faces_of,
+    real,
+    turned,
+)
+from odt_plugins.adapters.formats.nastran import Block, Deck, Field, parsed
 
 TELLING = {"BSURFS": "tetra", "CHBDYE": "t", "QHBDY": "t", "CHACBR": "t"}
 """Cards that tell of sides of elements in ways that do not follow, and of which types."""
 
-LISTING = ("PLOAD", "PLOAD2", "PLOAD4", "BSURF", "SET3", "TEMPP1", "TEMPRB", "TEMPP3")
+LISTING = ("PLOAD2", "PLOAD4", "BSURF", "SET3", "TEMPP1", "TEMPRB", "TEMPP3")
 """Cards with numbers of elements."""
 
 LETTERS = 16
@@ -30,12 +38,9 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     ------
     NotRewritable    points went that are named, or cards tell of elements that changed
     """
-    deck = parsed(source)
-    names = Names(change, deck.number,
-                  [("", [card.number(0) for card in cards]) for *_, cards in deck.blocks],
-                  [[card.number(1) for card in cards] for *_, cards in deck.blocks],
-                  {"": max((card.number(0) for card in deck.cards if card.name[:1] == "C"
-                            and card.fields and card.fields[0].text.isdigit()), default=0)})
+    deck = deck_of(change, source, parsed)
+    names = Names(change, deck.number, [("", block.ids) for block in deck.blocks],
+                  [block.labels for block in deck.blocks], {"": deck.last})
     named = set(deck.held.tolist())
     for members in deck.sets.values():
         named |= set(members.tolist())
@@ -43,11 +48,11 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
         msg = "grid points went that it refers to"
         raise NotRewritable(msg)
     edits = _grids(deck, names, change)
-    for b, (kind, _, cards) in enumerate(deck.blocks):
-        own = _elements(deck.data, cards, b, names, change)
+    for b, block in enumerate(deck.blocks):
+        own = _elements(deck.data, block, b, names, change)
         edits += own
         bad = next((card.name for card in deck.cards
-                    if kind.startswith(TELLING.get(card.name, "-"))), None)
+                    if block.kind.startswith(TELLING.get(card.name, "-"))), None)
         if own and bad:
             msg = f"it has {bad}, which tells of sides of elements that were exchanged"
             raise NotRewritable(msg)
@@ -82,12 +87,11 @@ def _ends(data: bytes) -> bytes:
     return b"\r\n" if b"\r\n" in data else b"\n"
 
 
-def _grid(card: Card, number: int, place: list[float], end: bytes) -> bytes:
-    """A card GRID* with the systems and constraints of another one."""
-    texts = [card.fields[i].text if i < len(card.fields) else "" for i in (1, 5, 6, 7)]
+def _grid(number: int, place: list[float], words: list[str], end: bytes) -> bytes:
+    """A card GRID* with system of places, of displacements, constraints and superelement."""
     x = [real(v, LETTERS).decode().replace("e", "E") for v in place]
-    first = f"GRID*   {number:>16}{texts[0]:>16}{x[0]:>16}{x[1]:>16}*".encode()
-    return first + end + f"*       {x[2]:>16}{texts[1]:>16}{texts[2]:>16}{texts[3]:>16}".rstrip(
+    first = f"GRID*   {number:>16}{words[0]:>16}{x[0]:>16}{x[1]:>16}*".encode()
+    return first + end + f"*       {x[2]:>16}{words[1]:>16}{words[2]:>16}{words[3]:>16}".rstrip(
         ).encode() + end
 
 
@@ -98,35 +102,35 @@ def _grids(deck: Deck, names: Names, change: Change) -> list[Edit]:
     cards = {deck.number[name]: b"" for name in names.lost}
     for v in np.flatnonzero(change.moved & (change.points >= 0)).tolist():
         old = int(change.points[v])
-        cards[old] = _grid(deck.grids[old], int(names.nodes[v]), places[v], end)
+        words = [*deck.grids[old].words, *(8 * [""])]
+        cards[old] = _grid(int(names.nodes[v]), places[v], [words[i] for i in (1, 5, 6, 7)], end)
     last = len(deck.grids) - 1
-    for v in np.flatnonzero(change.points < 0).tolist():
+    fresh = np.flatnonzero(change.points < 0).tolist()
+    if fresh:
         card = deck.grids[last]
-        before = cards.get(last, deck.data[card.start: card.stop])
-        cards[last] = before + _grid(card._replace(fields=card.fields[:2]), int(names.nodes[v]),
-                                     places[v], end)
+        cards[last] = cards.get(last, deck.data[card.start: card.stop]) + b"".join(
+            _grid(int(names.nodes[v]), places[v], [deck.system, "", "", ""], end) for v in fresh)
     return [(deck.grids[v].start, deck.grids[v].stop, text) for v, text in cards.items()]
 
 
-def _elements(
-    data: bytes, cards: list[Card], b: int, names: Names, change: Change
-) -> list[Edit]:
+def _elements(data: bytes, block: Block, b: int, names: Names, change: Change) -> list[Edit]:
     """What replaces the cards of the elements of a block."""
-    after, fresh = np.asarray(change.after.cells[b].data), change.exchanged(b)
+    after, fresh = np.asarray(change.after.cells[b].data), change.exchanged(b).tolist()
+    nodes = names.nodes[after].tolist()
     out: list[Edit] = []
-    for r, (card, slot) in enumerate(zip(cards, names.slots[b], strict=True)):
-        if len(slot) == 1 and not fresh[slot[0]] and names.of[b][slot[0]] == card.number(0):
+    for card, number, slot in zip(block.cards, block.ids, names.slots[b], strict=True):
+        if len(slot) == 1 and not fresh[slot[0]] and names.of[b][slot[0]] == number:
             continue
-        places = [i for i, field in enumerate(card.fields[2:], 2) if field.text][: after.shape[1]]
+        fields = card.fields
+        places = [0, *(i for i, field in enumerate(fields[2:], 2) if field.text)]
         text = b""
         for i in slot:
-            words = [names.of[b][i], *names.nodes[after[i]].tolist()]
-            edits = [_put(data, card.fields[k], str(word).encode())
-                     for k, word in zip([0, *places], words, strict=True)
-                     if card.number(k) != word]
+            edits = [_put(data, fields[k], str(word).encode())
+                     for k, word in zip(places, [names.of[b][i], *nodes[i]], strict=False)
+                     if int(fields[k].text) != word]
             text += edited(data[card.start: card.stop], [
                 (start - card.start, stop - card.start, new) for start, stop, new in edits])
-        out.append((cards[r].start, card.stop, text))
+        out.append((card.start, card.stop, text))
     return out
 
 
@@ -137,13 +141,15 @@ def _loads(deck: Deck, names: Names, change: Change) -> list[Edit]:
     ------
     NotRewritable    a face is no more, or a card lists elements that went or to which others came
     """
-    faces = faces_of(change, [kind for kind, *_ in deck.blocks],
+    faces = faces_of(change, [block.kind for block in deck.blocks],
                      {v for _, rows in deck.sides for v in rows})
     edits: list[Edit] = []
     for card, rows in deck.sides:
         if turned(rows) not in faces:
-            msg = "a face of PLOAD4 is no more"
+            msg = f"a face of {card.name} is no more"
             raise NotRewritable(msg)
+        if card.name == "PLOAD":
+            continue
         b, i, _ = faces[turned(rows)]
         cells = np.asarray(change.after.cells[b].data)[i, :4]
         away = next(v for v in cells.tolist() if int(change.points[v]) not in rows)
@@ -155,7 +161,7 @@ def _loads(deck: Deck, names: Names, change: Change) -> list[Edit]:
     for card in deck.cards:
         if card.name not in LISTING or id(card) in known:
             continue
-        texts = [field.text for field in card.fields]
+        texts = card.words
         listed = {int(text) for text in texts[1:] if text.isdigit()}
         if "THRU" in texts[1:-1]:
             k = texts.index("THRU")
