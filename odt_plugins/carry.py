@@ -140,7 +140,7 @@ def surrounding_cells(
         centres = corner_mean(mesh.points, mesh.cells, threads)
         start = _nearest(centres, regions, x, np.zeros(len(x), dtype=np.int32), 1, threads)[:, 0]
     else:
-        regions = mesh.regions
+        regions = mesh.bodies()
         neighbors[regions[:, None] != regions[neighbors]] = -1
     cell = np.array(start, dtype=np.int32)
     weights = np.empty((len(x), mesh.cells.shape[1]))

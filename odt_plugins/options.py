@@ -24,6 +24,7 @@ Boundary = Literal["fixed", "slide"]
 Fields = Literal["auto", "interpolate", "keep"]
 Layers = Literal["keep", "improve"]
 Periodic = Literal["keep", "free"]
+Inside = Literal["keep", "free"]
 Repair = Literal["auto", "orient", "none"]
 Objective = Literal["radius_ratio", "min_dihedral", "amips", "time_step"]
 LinearSolver = Literal["auto", "direct", "amg"]
@@ -45,7 +46,7 @@ KEPT = ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle", "
 FIGURES = (*KEPT, "min_altitude")
 """What can be kept; the first of them are by default."""
 
-OF_MESHES = ("fixed", "selection", "regions", "fields", "layers", "periodic")
+OF_MESHES = ("fixed", "selection", "regions", "fields", "layers", "periodic", "inside")
 """Options for what a mesh has that is there already, none for a surface that is to be filled."""
 
 OF_UNTANGLING = ("insert", "fixed", "selection", "regions", "threads", "progress")
@@ -236,6 +237,12 @@ class Options:
         "the mesh calls so, and opposite plane ones of tetrahedra whose triangles match under one "
         "translation. keep lets them stay as they are, free treats them as any other.",
         choices=get_args(Periodic)))
+    inside: Inside = field(default="keep", metadata=_told(
+        "What happens to triangles beside tetrahedra, and lines beside triangles in the plane, "
+        "inside of a region, such as baffles, cracks and membranes. Each remains a face of a cell. "
+        "keep lets their vertices stay where they are, free lets them move as any other, which "
+        "bends what they make up.",
+        choices=get_args(Inside)))
     keep: tuple[str, ...] = field(default=KEPT, metadata=_told(
         "Figures that must not get worse; share_below_20 is the part of the cells with an angle "
         "below 20 degrees, min_altitude the least altitude of a cell, which the objective "
@@ -365,6 +372,7 @@ class OptionKeywords(TypedDict, total=False):
     fields: Fields
     layers: Layers
     periodic: Periodic
+    inside: Inside
     keep: str | tuple[str, ...]
     repair: Repair
     threads: int

@@ -23,10 +23,9 @@ from odt_plugins.adapters.host import (
 )
 from odt_plugins.adapters.kept import (
     hold_charts,
+    hold_kept,
     hold_places,
-    note_inside,
     notes_on_sets,
-    protect,
     protect_surface,
 )
 from odt_plugins.adapters.regions import AUTO, CHARTS, are_names
@@ -293,8 +292,7 @@ def _checked(
     if frame is not None and 2 * simplices.turned > len(simplices.cells):
         orientation = -1
         simplices = replace(simplices, turned=len(simplices.cells) - simplices.turned)
-    bare, simplices = simplices, protect(simplices, host.kept, host.anchors)
-    notes = note_inside(bare, simplices, host)
+    simplices, notes = hold_kept(simplices, host, options.inside)
     if options.boundary == "slide":
         simplices, more = hold_places(simplices, host, periodic=options.periodic == "keep")
         notes += more

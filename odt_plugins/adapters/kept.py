@@ -23,38 +23,58 @@ NAMED = 5
 """Most places that a note names."""
 
 
+def hold_kept(
+    mesh: SimplexMesh, host: HostMesh, inside: str = "keep"
+) -> tuple[SimplexMesh, tuple[str, ...]]:
+    """:func:`protect` what a mesh has beside its cells, and tell of facets inside of a region.
+
+    Parameters
+    ----------
+    mesh : SimplexMesh
+    host : HostMesh       that it comes from
+    inside : str          the option of that name
+    """
+    free = inside == "free"
+    safe = protect(mesh, host.kept, host.anchors, free=free)
+    return safe, _note_inside(mesh, safe, host, free=free)
+
+
 def protect(
-    mesh: SimplexMesh, kept: tuple[KeptCells, ...], anchors: NDArray[Any] | None = None
+    mesh: SimplexMesh, kept: tuple[KeptCells, ...], anchors: NDArray[Any] | None = None,
+    *, free: bool = False,
 ) -> SimplexMesh:
-    """Fix vertices and freeze cells so that the kept cells fit the optimised mesh as before.
+    """Fix vertices and part regions so that the kept cells fit the optimised mesh as before.
 
     Parameters
     ----------
     mesh : SimplexMesh
     kept : tuple of KeptCells    a line or triangle on the boundary or on an interface stays
-                                 anyway; for one inside, one cell that holds it is frozen;
-                                 of anything else the vertices are fixed
+                                 anyway; for one inside the cells around are parted into more
+                                 regions, of the same body; of anything else the vertices are fixed
     anchors : (k,) int           vertices that must not be removed; none out of range counts
+    free : bool                  whether the vertices of lines and triangles inside may move
 
     Returns
     -------
-    SimplexMesh                  the same mesh with more in `fixed` and `frozen`; edges of lines
-                                 and triangles that stay are in `stays`, lines in `lines` too
+    SimplexMesh                  the same mesh with more in `fixed`, `regions` and `anchored`; edges
+                                 of lines and triangles that stay are in `stays`, lines in `lines`
+                                 too
 
     Raises
     ------
     InvalidMeshError             a kept cell refers to a vertex that does not exist
     """
     n = len(mesh.points)
-    frozen = np.zeros(len(mesh.cells), dtype=np.bool_)
     loose: list[NDArray[np.int64]] = [np.zeros(0, dtype=np.int64)]
+    inner: list[NDArray[np.int64]] = []
     stays = [mesh.stays]
     lines = [mesh.lines]
     for kind, raw in kept:
         _check_range(kind, raw, n)
         rows = np.asarray(raw, dtype=np.int64)
         if rows.shape[1] > 1:
-            held, _ = _hold(mesh, rows, frozen)
+            held, exposed, _ = _hold(mesh, rows)
+            inner += [rows[exposed]] if exposed.any() else []
             stays.append(_edges(rows[held]))
             if rows.shape[1] == 2:
                 lines.append(_edges(rows[held]))
@@ -63,10 +83,45 @@ def protect(
     anchored = np.zeros(n, dtype=np.bool_)
     if anchors is not None:
         anchored[anchors[(anchors >= 0) & (anchors < n)]] = True
-    safe = freeze(mesh, frozen, np.concatenate(loose))
-    return with_same_cells(
-        safe, stays=np.concatenate(stays), lines=np.concatenate(lines), anchored=anchored
-    )
+    if not free:
+        loose += [rows.ravel() for rows in inner]
+    fixed = mesh.fixed.copy()
+    fixed[np.concatenate(loose)] = True
+    safe = with_same_cells(mesh, fixed=fixed, stays=np.concatenate(stays),
+                           lines=np.concatenate(lines), anchored=anchored)
+    return _parted(safe, inner) if inner else safe
+
+
+def _parted(mesh: SimplexMesh, faces: list[NDArray[np.int64]]) -> SimplexMesh:
+    """Part the regions of a mesh so that each of these faces is one of a facet between two.
+
+    The facets among them part a region where they part its cells; elsewhere one cell that holds
+    such a face is a region of its own.
+    """
+    n, k = len(mesh.points), mesh.cells.shape[1]
+    walls = np.concatenate([np.zeros((0, k - 1), dtype=np.int64),
+                            *(rows for rows in faces if rows.shape[1] == k - 1)])
+    ordered = np.sort(mesh.cells, axis=1)
+    facets = np.concatenate([np.sort(walls, axis=1),
+                             *(np.delete(ordered, i, axis=1) for i in range(k))])
+    key = row_keys(facets, n)
+    wall, key = key[: len(walls)], key[len(walls):]
+    order = np.argsort(key, kind="stable")
+    twin = np.flatnonzero(key[order][1:] == key[order][:-1])
+    twin = twin[~np.isin(key[order[twin]], wall)]
+    one, other = order[twin] % len(ordered), order[twin + 1] % len(ordered)
+    alike = mesh.regions[one] == mesh.regions[other]
+    label = components(one[alike], other[alike], len(ordered))
+    parts = with_same_cells(mesh, regions=label)
+    own = np.unique(np.concatenate([_hold(parts, rows)[2] for rows in faces]))
+    label[own] = label.max() + 1 + np.arange(len(own), dtype=np.int32)
+    body = np.zeros(int(label.max()) + 1, dtype=np.int32)
+    body[label] = mesh.bodies()
+    some = np.zeros(n, dtype=np.int32)
+    some[mesh.cells] = label[:, None]
+    anchored = mesh.anchored.copy()
+    anchored[mesh.cells[some[mesh.cells] != label[:, None]]] = True
+    return with_same_cells(mesh, regions=label, body=body, anchored=anchored)
 
 
 def _edges(rows: NDArray[np.int64]) -> IntArray:
@@ -138,17 +193,18 @@ def _check_range(kind: str, raw: NDArray[np.integer], n: int) -> None:
 
 
 def _hold(
-    mesh: SimplexMesh, rows: NDArray[np.int64], frozen: BoolArray
-) -> tuple[BoolArray, BoolArray]:
-    """Say which rows are faces of cells, and which of them could vanish; `frozen` marks a cell for
-    each of the latter.
+    mesh: SimplexMesh, rows: NDArray[np.int64]
+) -> tuple[BoolArray, BoolArray, NDArray[np.intp]]:
+    """Say which rows are faces of cells, which of them could vanish, and a cell for each of the
+    latter.
     """
     n, r = len(mesh.points), rows.shape[1]
     marked = np.zeros(n, dtype=np.bool_)
     marked[rows] = True
     near = np.flatnonzero(marked[mesh.cells].sum(axis=1) >= r)
     if not near.size:
-        return np.zeros(len(rows), dtype=np.bool_), np.zeros(len(rows), dtype=np.bool_)
+        nothing = np.zeros(len(rows), dtype=np.bool_)
+        return nothing, nothing, near
     cells = mesh.cells[near]
     ordered = np.sort(cells, axis=1)
     columns = list(combinations(range(cells.shape[1]), r))
@@ -163,8 +219,7 @@ def _hold(
     held = np.isin(row_key, face_key)
     exposed = held & ~np.isin(row_key, face_key[face_stays])
     distinct, first = np.unique(face_key, return_index=True)
-    frozen[near[first[np.searchsorted(distinct, row_key[exposed])] // len(columns)]] = True
-    return held, exposed
+    return held, exposed, near[first[np.searchsorted(distinct, row_key[exposed])] // len(columns)]
 
 
 def _staying_facets(mesh: SimplexMesh, near: NDArray[np.intp]) -> BoolArray:
@@ -184,39 +239,42 @@ def _staying_facets(mesh: SimplexMesh, near: NDArray[np.intp]) -> BoolArray:
     return np.asarray(stays[inverse].reshape(key.shape))
 
 
-def note_inside(before: SimplexMesh, after: SimplexMesh, host: HostMesh) -> tuple[str, ...]:
-    """Tell of facets beside the cells, inside of a region, which hold vertices.
+def _note_inside(
+    before: SimplexMesh, after: SimplexMesh, host: HostMesh, *, free: bool
+) -> tuple[str, ...]:
+    """Tell of facets beside the cells, inside of a region, which hold vertices, or move with them.
 
     Parameters
     ----------
     before, after : SimplexMesh    the mesh as :func:`protect` took and gave it
     host : HostMesh                that it comes from
+    free : bool                    whether they move
 
     Returns
     -------
     tuple of str                   one note, or none where all are on boundary and interfaces
     """
-    if not (after.frozen & ~before.frozen).any():
+    if not after.body.size:
         return ()
     k = before.cells.shape[1]
     count = 0
     for _, raw in host.kept:
         if raw.shape[1] == k - 1:
             rows = np.unique(np.sort(np.asarray(raw, dtype=np.int64), axis=1), axis=0)
-            count += int(_hold(before, rows, np.zeros(len(before.cells), dtype=np.bool_))[1].sum())
+            count += int(_hold(before, rows)[1].sum())
     stays = before.fixed.copy()
     facets = _staying_facets(before, np.arange(len(before.cells)))
     ordered = np.sort(before.cells, axis=1)
     for i in range(k):
         stays[np.delete(ordered[facets[:, i]], i, axis=1)] = True
     vertices = int((after.fixed & ~stays).sum())
-    if not count or not vertices:
+    if not count or not (vertices or free):
         return ()
     what, cells = ("triangle", "tetrahedra") if k == 4 else ("line", "triangles")
-    return (host.words(
-        f"{counted(count, what)} beside the {cells}, inside of a region, can stay only where "
-        f"{counted(vertices, 'vertex', 'vertices')} stay; a mesh without them is free there, try "
-        f"removing those that are no {'surface' if k == 4 else 'curve'} of yours"),)
+    told = ("remain faces of cells and move with their vertices" if free else
+            f"stay with {counted(vertices, 'vertex', 'vertices')}; try inside='free' to let these "
+            f"move where they are no {'surface' if k == 4 else 'curve'} of yours")
+    return (host.words(f"{counted(count, what)} beside the {cells}, inside of a region, {told}"),)
 
 
 def notes_on_sets(kept: tuple[KeptCells, ...]) -> tuple[str, ...]:

@@ -50,7 +50,7 @@ class Block:
         """Bytes of its arrays."""
         mesh, ground = self.mesh, self.mesh.ground
         arrays: list[NDArray[Any]] = [mesh.points, mesh.cells, mesh.regions, mesh.fixed,
-                                      mesh.stays, mesh.lines]
+                                      mesh.stays, mesh.lines, mesh.body]
         arrays += [a for a in (self.within.cut, self.within.fresh) if a is not None]
         if ground is not None:
             arrays += [ground.points, ground.cells, ground.lines]
@@ -114,6 +114,7 @@ def cut_out(
         stays=_inner(mesh.stays, number, inside),
         lines=_inner(mesh.lines, number, inside),
         anchored=mesh.anchored[vertices],
+        body=mesh.body,
         ground=mesh.ground and _under(mesh.ground, mesh.points[vertices]),
     )
     return block, vertices

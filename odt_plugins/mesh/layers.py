@@ -76,7 +76,7 @@ def keep_layers(
     if mesh.is_surface:
         return mesh, 0
     if start is None or source is None:
-        found = layer_cells(mesh.points, mesh.cells, mesh.regions, threads)
+        found = layer_cells(mesh.points, mesh.cells, mesh.bodies(), threads)
     else:
         found = _left_of_layers(mesh, threads, start, source)
     found &= ~mesh.frozen
@@ -181,7 +181,7 @@ def _left_of_layers(
     layer = np.zeros(len(cells), dtype=np.bool_)
     if (~valid).sum() > FEW * len(cells):
         return layer[source]
-    layer[valid] = layer_cells(x, cells[valid], start.regions[valid], threads)
+    layer[valid] = layer_cells(x, cells[valid], start.bodies()[valid], threads)
     bad = np.zeros(len(x), dtype=np.bool_)
     bad[cells[~valid]] = True
     rows = np.flatnonzero(layer)

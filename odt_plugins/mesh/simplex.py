@@ -50,6 +50,9 @@ class SimplexMesh:
                                              figure may be as bad as with these, too
     ground : SimplexMesh or None             of a mesh whose surface has slid before, the surface
                                              that it slides on, with its feature lines
+    body : (l,) int32                        body of every region; facets between regions of one
+                                             body stay too, but their vertices may move. Empty where
+                                             every region is a body
     """
 
     points: FloatArray
@@ -64,6 +67,7 @@ class SimplexMesh:
     turned: int = 0
     valid_before: tuple[FloatArray, IntArray] | None = None
     ground: SimplexMesh | None = None
+    body: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
 
     def __post_init__(self) -> None:
         for name in ("anchored", "coupled"):
@@ -81,6 +85,11 @@ class SimplexMesh:
     def is_surface(self) -> bool:
         """Whether these are triangles in space."""
         return bool(self.points.shape[1] > self.dim)
+
+    def bodies(self, regions: IntArray | None = None) -> IntArray:
+        """Body of every cell, or of given regions (k,)."""
+        regions = self.regions if regions is None else regions
+        return self.body[regions] if self.body.size else regions
 
     @cached_property
     def uneven(self) -> UnevenFacets:

@@ -77,8 +77,8 @@ def broken_promises(
     if broken:
         return broken
     figures = cell_figures(points, cells, threads)
-    locked = _locked_before(before)
-    held = _held(before, locked)
+    locked = _locked_before(before, before.regions)
+    held = held_by(before, locked)
     removed = np.zeros(0, dtype=np.int64)
     if origin is not None:
         removed = removed_vertices(origin, len(before.points))
@@ -153,22 +153,17 @@ def held_vertices(mesh: SimplexMesh) -> NDArray[np.bool_]:
     return np.asarray(np.logical_or.reduce(list(held_by(mesh).values())))
 
 
-def held_by(mesh: SimplexMesh) -> dict[str, NDArray[np.bool_]]:
+def held_by(
+    mesh: SimplexMesh, locked: LockedFacets | None = None
+) -> dict[str, NDArray[np.bool_]]:
     """Say which vertices must stay, (n,) bool each, by the reason why.
 
-    The reasons are boundary, interface, fixed, frozen and unused; a vertex may have several.
+    The reasons are boundary, interface (between bodies), fixed, frozen and unused; a vertex may
+    have several. ``locked`` are the facets between regions, when they are at hand.
     """
-    return _held(mesh, _locked_before(mesh))
-
-
-def _locked_before(mesh: SimplexMesh) -> LockedFacets:
-    """Locked facets of a valid mesh, whose uneven facets are known."""
-    return facet_census(mesh.cells, mesh.regions, len(mesh.points), mesh.uneven)[0]
-
-
-def _held(mesh: SimplexMesh, locked: LockedFacets) -> dict[str, NDArray[np.bool_]]:
-    """Give the vertices that must stay, by the reason why."""
     n = len(mesh.points)
+    if locked is None or mesh.body.size:
+        locked = _locked_before(mesh, mesh.bodies())
     held = {"boundary": np.zeros(n, bool), "interface": np.zeros(n, bool),
             "fixed": mesh.fixed, "frozen": np.zeros(n, bool), "unused": np.ones(n, bool)}
     held["boundary"][locked.facets[locked.boundary]] = True
@@ -176,6 +171,11 @@ def _held(mesh: SimplexMesh, locked: LockedFacets) -> dict[str, NDArray[np.bool_
     held["frozen"][mesh.cells[mesh.frozen]] = True
     held["unused"][mesh.cells] = False
     return held
+
+
+def _locked_before(mesh: SimplexMesh, labels: NDArray[np.int32]) -> LockedFacets:
+    """Locked facets of a valid mesh, whose uneven facets are known, for labels (m,)."""
+    return facet_census(mesh.cells, labels, len(mesh.points), mesh.uneven)[0]
 
 
 def _malformed(
@@ -327,14 +327,15 @@ def _edge_census(facets: NDArray[Any], n: int) -> tuple[NDArray[Any], NDArray[An
 def _volume_changed(
     before: SimplexMesh, points: Any, cells: Any, regions: Any, *, slides: bool, threads: int
 ) -> list[str]:
-    """Compare the volume of every region within the rounding of its own sum.
+    """Compare the volume of every body within the rounding of its own sum.
 
     When the boundary slides, the volume of all of them within VOLUME of it.
     """
-    labels = before.regions[:1]
-    if (before.regions != labels).any() or (regions != labels).any():
-        labels = np.union1d(before.regions, regions)
-    old, size = _volume_per_label(before.points, before.cells, before.regions, labels, threads)
+    was, regions = before.bodies(), before.bodies(regions)
+    labels = was[:1]
+    if (was != labels).any() or (regions != labels).any():
+        labels = np.union1d(was, regions)
+    old, size = _volume_per_label(before.points, before.cells, was, labels, threads)
     new, other = _volume_per_label(points, cells, regions, labels, threads)
     if slides:
         a, b = old.sum(), new.sum()

@@ -291,8 +291,8 @@ def make_report(
         counts=counts,
         n_used=int(used.sum()),
         n_movable=int(movable.sum()),
-        binding=binding_cells(outcome.points, outcome.cells, outcome.regions, movable_after, new,
-                              _freeing(before, outcome, options)),
+        binding=binding_cells(outcome.points, outcome.cells, before.bodies(outcome.regions),
+                              movable_after, new, _freeing(before, outcome, options)),
         options=_described(options),
         versions=_versions(),
         slid=None if outcome.slid is None else outcome.slid._asdict(),
@@ -316,6 +316,8 @@ def _freeing(before: SimplexMesh, outcome: Outcome, options: Options) -> Freeing
         'boundary="slide"': held["boundary"] & ~(held["fixed"] | held["frozen"]),
         "regions=None": held["interface"] & ~(held["boundary"] | held["fixed"] | held["frozen"]),
         'periodic="free"': before.coupled & ~(held["frozen"] | given),
+        'inside="free"': before.fixed & before.anchored & (before.body.size > 0) & ~(
+            held["boundary"] | held["interface"] | held["frozen"] | given),
         "fewer vertices in fixed": given & ~held["frozen"],
         'layers="improve"' if options.selection is None else "a larger selection": held["frozen"],
     }

@@ -30,16 +30,21 @@ def test_facets_inside_tell_what_they_hold_and_how_to_free_it(d):
     points, cells, _ = contract.grid(d, 4, 3)
     rows, count = facets_of(cells)
     inside = ((points > 0) & (points < 1)).all(axis=1)
-    _, report = odt_plugins.optimize_with_report(beside(points, cells, rows))
+    mesh = beside(points, cells, rows)
+    _, report = odt_plugins.optimize_with_report(mesh)
     assert report.n_movable == 0
     [note] = report.notes
     words = {2: "lines beside the triangles", 3: "triangles beside the tetrahedra"}[d]
     assert note.startswith(f"{(count == 2).sum()} {words}, inside of a region")
-    assert f" {inside.sum()} vertices stay" in note
-    assert "try removing those that are no" in note
-    _, freed = odt_plugins.optimize_with_report(beside(points, cells, rows[count == 1]))
+    assert f"stay with {inside.sum()} vertices; try inside='free'" in note
+    assert all('inside="free"' in cell.hint for cell in report.binding if cell.hint)
+    result, freed = odt_plugins.optimize_with_report(mesh, inside="free")
     assert freed.n_movable == inside.sum()
-    assert freed.notes == ()
+    assert freed.after.mean_quality > freed.before.mean_quality
+    assert "remain faces of cells" in freed.notes[0]
+    assert set(map(tuple, np.sort(result.cells[1].data, axis=1).tolist())) == faces_of(result)
+    _, bare = odt_plugins.optimize_with_report(beside(points, cells, rows[count == 1]))
+    assert bare.notes == ()
 
 
 def test_a_surface_between_labels_holds_nothing_more():
@@ -52,13 +57,55 @@ def test_a_surface_between_labels_holds_nothing_more():
     assert report.regions_from == ("material",)
 
 
-def test_one_triangle_inside_holds_its_cell():
+def faces_of(mesh):
+    return set(map(tuple, facets_of(mesh.cells[0].data)[0].tolist()))
+
+
+@pytest.mark.parametrize("where", ["middle", "across"])
+@pytest.mark.parametrize("options", [{}, {"insert": True}, {"boundary": "slide"}])
+@pytest.mark.parametrize("inside", ["keep", "free"])
+def test_a_sheet_inside_holds_its_own_vertices_alone(inside, options, where):
     points, cells, _ = contract.grid(3, 4, 3)
-    rows, count = facets_of(cells)
-    inside = ((points > 0) & (points < 1)).all(axis=1)
-    row = next(row for row in rows[count == 2] if inside[row].all())
-    result, report = odt_plugins.optimize_with_report(beside(points, cells, row[None]))
-    assert [note.partition(",")[0] for note in report.notes] == ["1 triangle beside the tetrahedra"]
-    held = inside & (result.points == points).all(axis=1)
-    assert f" {inside.sum() - report.n_movable} vertices stay" in report.notes[0]
-    assert held[row].all()
+    rows, _ = facets_of(cells)
+    layer = rows[(rows % 5 == 2).all(axis=1)]
+    centre = abs(points[layer].mean(axis=1)[:, :2] - 0.5).max(axis=1)
+    sheet = layer[centre < (0.25 if where == "middle" else 1.0)]
+    mesh = beside(points, cells, sheet)
+    result, report = odt_plugins.optimize_with_report(mesh, inside=inside, **options)
+    new = result.cells[1].data
+    assert len(new) == len(sheet)
+    assert set(map(tuple, np.sort(new, axis=1).tolist())) <= faces_of(result)
+    held = np.unique(sheet)
+    moved = (result.points[np.unique(new)] != points[held]).any(axis=1)
+    inner = ((points > 0) & (points < 1)).all(axis=1)
+    assert moved.any() == (inside == "free")
+    assert not moved[~inner[held]].any() or options.get("boundary") == "slide"
+    free = inner.copy()
+    if inside == "keep":
+        free[held] = False
+    if not options.get("boundary"):
+        assert report.n_movable == free.sum()
+    assert report.after.min_quality >= report.before.min_quality
+
+
+def test_values_of_a_field_come_across_triangles_that_moved():
+    points, cells, _ = contract.grid(3, 4, 3)
+    mesh = beside(points, cells, facets_of(cells)[0])
+    mesh.point_data["u"] = points @ [1.0, -2.0, 0.5]
+    result = odt_plugins.optimize(mesh, inside="free")
+    assert (result.points != points).any()
+    assert np.allclose(result.point_data["u"], result.points @ [1.0, -2.0, 0.5], atol=1e-12)
+
+
+def test_a_mesh_of_cells_untangled_with_a_sheet_keeps_its_triangles():
+    points, cells, _ = contract.grid(3, 4, 3)
+    rows, _ = facets_of(cells)
+    inner = ((points > 0.0) & (points < 1.0)).all(axis=1)
+    sheet = rows[(rows % 5 == 2).all(axis=1)]
+    free = np.setdiff1d(np.flatnonzero(inner), sheet)
+    points[free[0]] = points[free[1]]
+    result, report = odt_plugins.optimize_with_report(beside(points, cells, sheet))
+    assert report.untangled["left"] == 0
+    held = np.unique(sheet)
+    assert np.array_equal(result.points[held], points[held])
+    assert set(map(tuple, np.sort(result.cells[1].data, axis=1).tolist())) <= faces_of(result)

@@ -493,20 +493,25 @@ def test_the_two_sides_of_a_facet_differ(d):
     assert all(sorted(s) == [0, 1] for s in found.values() if len(s) == 2)
 
 
-def test_kept_faces_freeze_one_cell_only_inside(d):
+def test_kept_faces_part_regions_only_inside(d):
     points, cells, labels = contract.grid(d, 4)
     mesh, _ = simplex_mesh(points, cells, regions=labels)
     every = contract.facets(cells, np.arange(len(cells)))
     staying = contract.facets(cells, labels)
     inner = sorted(every - staying)[5:8]
     free = protect(mesh, (KeptCells("triangle", np.array(sorted(staying))),))
-    assert not free.frozen.any()
+    assert np.array_equal(free.regions, mesh.regions)
     assert not free.fixed.any()
     held = protect(mesh, (KeptCells("triangle", np.array(inner)),))
-    frozen = {tuple(sorted(c)) for c in mesh.cells[held.frozen].tolist()}
-    assert 0 < len(frozen) <= 3
-    assert all(any(set(f) <= set(c) for c in frozen) for f in inner)
-    assert held.fixed[mesh.cells[held.frozen]].all()
+    assert set(inner) <= contract.facets(mesh.cells, held.regions)
+    assert staying <= contract.facets(mesh.cells, held.regions)
+    assert contract.facets(mesh.cells, held.bodies()) == staying
+    assert not held.frozen.any()
+    assert set(np.flatnonzero(held.fixed)) == set(np.ravel(inner))
+    loose = protect(mesh, (KeptCells("triangle", np.array(inner)),), free=True)
+    assert np.array_equal(loose.regions, held.regions)
+    assert not loose.fixed.any()
+    assert loose.anchored[np.array(inner)].all()
     with pytest.raises(InvalidMeshError, match=r"got 1 line cell with vertex indices out of"):
         protect(mesh, (KeptCells("line", np.array([[0, 1], [2, 5000]])),))
 

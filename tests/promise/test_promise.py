@@ -87,6 +87,18 @@ def test_held_vertices_by_a_slow_twin(mesh: SimplexMesh) -> None:
     assert set(np.flatnonzero(held_vertices(mesh))) == held
 
 
+def test_vertices_between_regions_of_one_body_may_move_but_the_facets_stay(
+    mesh: SimplexMesh
+) -> None:
+    one = replace(mesh, body=np.zeros(2, dtype=np.int32))
+    v = np.flatnonzero(held_vertices(mesh) & ~held_vertices(one))[0]
+    points = mesh.points.copy()
+    points[v] += 1e-4
+    assert said(sentences(mesh, points), "interface vertex")
+    assert sentences(one, points) == []
+    assert said(sentences(one, regions=np.zeros_like(mesh.regions)), "interface facet .* is gone")
+
+
 @pytest.mark.parametrize("words", [1 << 64, 1000, 200])
 @pytest.mark.parametrize("d", [2, 3])
 def test_the_census_of_any_heap_of_cells_by_a_slow_twin(

@@ -204,7 +204,7 @@ def locked_vertices(mesh: SimplexMesh, neighbors: IntArray) -> tuple[BoolArray, 
 
     A vertex of a frozen cell may not move either.
     """
-    boundary = boundary_vertices(mesh.cells, len(mesh.points), mesh.regions, neighbors)
+    boundary = boundary_vertices(mesh.cells, len(mesh.points), mesh.bodies(), neighbors)
     locked = boundary | mesh.fixed
     locked[mesh.cells[mesh.frozen]] = True
     return locked, boundary
@@ -255,7 +255,7 @@ def _skin(start: Start, options: Options, points: FloatArray, share: float) -> S
     from odt_plugins.engine.sliding.skin import make_skin, on_earlier_ground
 
     mesh, frame = start.mesh, start.frame
-    locked = mesh.fixed | interface_vertices(mesh.cells, len(mesh.points), mesh.regions)
+    locked = mesh.fixed | interface_vertices(mesh.cells, len(mesh.points), mesh.bodies())
     locked[mesh.cells[mesh.frozen]] = True
     skin = make_skin(
         points, start.cells, locked=locked[frame.vertices],

@@ -39,7 +39,7 @@ def overlaps(mesh: SimplexMesh, near: BoolArray) -> Overlaps:
                           elsewhere are no overlap
     """
     points, n = mesh.points, len(mesh.points)
-    facets = locked_facets(mesh.cells, mesh.regions, n).facets
+    facets = locked_facets(mesh.cells, mesh.bodies(), n).facets
     facets = np.unique(np.sort(facets, axis=1), axis=0).astype(np.int32)
     other = crossed_facets(points, facets)
     first, second = _folded(points, facets, near)

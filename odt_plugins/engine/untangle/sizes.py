@@ -37,7 +37,7 @@ def kept_sizes(
     held = np.zeros(n, dtype=np.bool_)
     held[:len(before)] = (points[:len(before)] == before).all(axis=1)
     stayed = cells[held[cells].all(axis=1)]
-    facets = locked_facets(cells, mesh.regions, n).facets
+    facets = locked_facets(cells, mesh.bodies(), n).facets
     around, there = _at_vertices(_regular_sizes(points[facets]), facets, n)
     if there[stayed].all():
         return None
