@@ -58,6 +58,8 @@ if TYPE_CHECKING:
     from odt_plugins.hosts import register as register
     from odt_plugins.hosts.script import run_filter_script as run_filter_script
     from odt_plugins.options import Options as Options
+    from odt_plugins.remeshing import remesh as remesh
+    from odt_plugins.remeshing import remesh_with_report as remesh_with_report
     from odt_plugins.report.report import Report as Report
     from odt_plugins.tetwild import tetrahedralize as tetrahedralize
     from odt_plugins.tetwild import tetrahedralize_with_report as tetrahedralize_with_report
@@ -91,6 +93,8 @@ _HOMES = {
     "quality": "api",
     "refine_and_optimize": "generate",
     "register": "hosts",
+    "remesh": "remeshing",
+    "remesh_with_report": "remeshing",
     "run_filter_script": "hosts.script",
     "tetrahedralize": "tetwild",
     "tetrahedralize_file": "generate.fill",

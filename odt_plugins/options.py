@@ -379,8 +379,10 @@ class OptionKeywords(TypedDict, total=False):
     progress: Progress | bool | None
 
 
-def with_option_signature(*without: str) -> Callable[[FunctionT], FunctionT]:
-    """Let help() and inspect show every option instead of `**options`, without some names."""
+def with_option_signature(*without: str, **others: Any) -> Callable[[FunctionT], FunctionT]:
+    """Let help() and inspect show every option instead of `**options`, without some names, and
+    with other defaults of some.
+    """
 
     def decorate(function: FunctionT) -> FunctionT:
         signature = inspect.signature(function)
@@ -388,7 +390,8 @@ def with_option_signature(*without: str) -> Callable[[FunctionT], FunctionT]:
                if p.kind is not p.VAR_KEYWORD and p.name not in without]
         keywords = [
             inspect.Parameter(
-                name, inspect.Parameter.KEYWORD_ONLY, default=about.default, annotation=about.type
+                name, inspect.Parameter.KEYWORD_ONLY, default=others.get(name, about.default),
+                annotation=about.type
             )
             for name, about in OPTIONS.items() if name not in without
         ]

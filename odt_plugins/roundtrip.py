@@ -160,7 +160,7 @@ def run_engine(
         cells = reverse(cells, np.ones(len(cells), dtype=np.bool_))
     if work.own is not None:
         cells, source = with_others(given.cells, cells, source, work.own)
-    told = {"regions_from": work.host.regions_from, "notes": work.notes,
+    told = {"regions_from": work.host.regions_from, "notes": work.notes + outcome.notes,
             "cell_origin": cell_origin(work.host.ids, work.host.total, source),
             "interpolated": () if vertices is None else fields,
             "tangle": work.tangle, "curved": curved.facts, "layers": layers, "integrals": changed}

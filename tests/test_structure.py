@@ -40,6 +40,7 @@ MAY_IMPORT = {
     "roundtrip": {"adapters", "aside", "carry", "curved", "engine", "integrals", "progress",
                   "untangling", *BASE},
     "api": {"adapters", "engine", "multiblock", "report", "roundtrip", "untangling", *BASE},
+    "remeshing": {"engine", "errors", "mesh", "multiblock", "options", "report", "roundtrip"},
     "tetwild": {"api", "errors", "generate", "mesh", "options", "progress", "report"},
     "hosts": {"adapters", "api", "report", "tetwild", *BASE},
     "generate": {"adapters", "api", "carry", "engine", "progress", "report", "table", "tetwild",
@@ -48,14 +49,15 @@ MAY_IMPORT = {
     "ahead": {"api", "engine", "generate"},
     "distributed": {"adapters", "api", "carry", "engine", "generate", "progress",
                     "report", "roundtrip", "signals", "table", "tetwild", "untangling", *BASE},
-    "cli": {"adapters", "api", "compare", "distributed", "generate", "hosts", "progress", "report",
-            "signals", "table", "tetwild", *BASE},
-    "__init__": {"api", "distributed", "generate", "hosts", "report", "tetwild", *BASE},
+    "cli": {"adapters", "api", "compare", "distributed", "generate", "hosts", "progress",
+            "remeshing", "report", "signals", "table", "tetwild", *BASE},
+    "__init__": {"api", "distributed", "generate", "hosts", "remeshing", "report", "tetwild",
+                 *BASE},
 }
 """Rooms that a room may import."""
 
 ENGINE = ("compiled", "topology", "cells", "record", "moves", "ground", "odt", "sliding", "finish",
-          "run", "surface", "untangle")
+          "run", "surface", "untangle", "remesh")
 """Rooms of the engine; each imports only itself and those before it."""
 
 TOOLKITS = {

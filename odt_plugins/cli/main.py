@@ -80,7 +80,7 @@ class _Commands(click.Group):
     """The subcommands; those with a room of their own are loaded when they are asked for."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return sorted([*super().list_commands(ctx), "compare", "mesh", "paraview"])
+        return sorted([*super().list_commands(ctx), "compare", "mesh", "paraview", "remesh"])
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
         if cmd_name == "compare":
@@ -91,6 +91,10 @@ class _Commands(click.Group):
             from odt_plugins.cli.generate import mesh
 
             return mesh
+        if cmd_name == "remesh":
+            from odt_plugins.cli.remesh import remesh
+
+            return remesh
         if cmd_name == "paraview":
             from odt_plugins.cli.paraview import paraview
 

@@ -38,6 +38,7 @@ class Outcome:
     vetoed : dict or None           of a state with a better mean that was refused: the figures that
                                     were "worse", name -> (before, there), and its "mean_quality"
                                     and "min_quality"
+    notes : tuple of str            what the report says besides
     """
 
     points: FloatArray
@@ -54,6 +55,7 @@ class Outcome:
     written: NDArray[Any] | None = None
     source: IntArray | None = None
     vetoed: dict[str, Any] | None = None
+    notes: tuple[str, ...] = ()
 
 
 Leaving = Callable[[Outcome], Outcome]

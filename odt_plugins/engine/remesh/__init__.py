@@ -1,0 +1,14 @@
+"""Other sizes: vertices are added and removed until edges are as long as they are wanted.
+
+A mesh here is its simplices of every dimension: tetrahedra with the label of their region, the
+triangles of its boundary and interfaces with that of their patch, and the segments of its feature
+lines. `split_edges` cuts all that hold a long edge, `collapse_edges` takes a vertex out of all that
+hold it, `relax_surface` moves the vertices of patches and lines. The last two ask one guard,
+`fits`. Rounds of these and of ODT with rho = h^-(d + 2) follow each other, and the run of
+``engine.run`` finishes.
+
+References
+----------
+M. Botsch, L. Kobbelt, A remeshing approach to multiresolution modeling, SGP 2004.
+T. K. Dey et al., Topology preserving edge contraction, Publ. Inst. Math. 66 (1999) 23-45.
+"""

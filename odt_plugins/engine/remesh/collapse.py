@@ -1,0 +1,224 @@
+"""Collapse: a vertex of a short edge goes to the other end, and all that hold both vanish.
+
+A vertex inside may go to any neighbour, one of a patch along the patch, one of a line along the
+line. Links decide that the topology stays: what hangs together with both ends hangs together with
+the edge, in the mesh, on its surface and on its lines.
+
+T. K. Dey et al., Topology preserving edge contraction, Publ. Inst. Math. 66 (1999), Theorem 3.
+"""
+
+from __future__ import annotations
+
+from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.remesh.body import CORNER, FREELY, INSIDE, LINE, Body, Guard, Scratch
+from odt_plugins.engine.remesh.guard import carry, fits
+from odt_plugins.engine.remesh.simplices import (
+    Simplices,
+    around,
+    holds,
+    remove,
+    replace_corner,
+    star,
+)
+from odt_plugins.engine.remesh.split import ratio
+from odt_plugins.mesh.arrays import IntArray
+
+
+@kernel
+def collapse_edges(
+    body: Body, guard: Guard, edges: IntArray, lengths: tuple[float, float], scratch: Scratch
+) -> int:
+    """Collapse edges (e, 2), one after the other, that are shorter than so many times their size.
+
+    Parameters
+    ----------
+    lengths : two of float    largest length of an edge that vanishes, and of one that comes
+
+    Returns
+    -------
+    int                       how many vanished
+    """
+    done = 0
+    shortest, longest = lengths[0] * lengths[0], lengths[1] * lengths[1]
+    for e in range(edges.shape[0]):
+        a, b = edges[e, 0], edges[e, 1]
+        if body.tets.head[a] < 0 or body.tets.head[b] < 0 or not ratio(body, a, b) < shortest:
+            continue
+        if around(body.tets, a, b, scratch.first) <= 0:
+            continue
+        if body.kind[a] > body.kind[b]:
+            a, b = b, a
+        if _collapse(body, guard, a, b, longest, scratch):
+            done += 1
+        elif body.kind[a] == body.kind[b] and _collapse(body, guard, b, a, longest, scratch):
+            done += 1
+    return done
+
+
+@kernel
+def _collapse(
+    body: Body, guard: Guard, u: int, v: int, longest: float, scratch: Scratch
+) -> bool:
+    """Let vertex u go to v if that may be; says whether."""
+    kind = body.kind[u]
+    if body.hold[u] != FREELY or kind == CORNER:
+        return False
+    if kind != INSIDE and around(body.triangles, u, v, scratch.second) <= 0:
+        return False
+    if kind == LINE and around(body.segments, u, v, scratch.third) != 1:
+        return False
+    if not _no_longer(body, u, v, longest, scratch):
+        return False
+    if not _links_meet(body.tets, u, v, scratch):
+        return False
+    if kind != INSIDE and not _surface_links_meet(body.triangles, u, v, scratch):
+        return False
+    if kind == LINE and not _line_stays(body.segments, u, v, scratch):
+        return False
+    if not fits(body, guard, u, v, scratch):
+        return False
+    carry(body, guard, u, v, scratch)
+    _take_out(body.tets, u, v, scratch.first)
+    if kind != INSIDE:
+        _take_out(body.triangles, u, v, scratch.first)
+    if kind == LINE:
+        _take_out(body.segments, u, v, scratch.first)
+    return True
+
+
+@kernel
+def _take_out(simplices: Simplices, u: int, v: int, out: IntArray) -> None:
+    """Remove the simplices of u and v, and give those of u alone to v."""
+    count = star(simplices, u, out)
+    for s in range(count):
+        if holds(simplices, out[s], v):
+            remove(simplices, out[s])
+        else:
+            replace_corner(simplices, out[s], u, v)
+
+
+@kernel
+def _no_longer(body: Body, u: int, v: int, longest: float, scratch: Scratch) -> bool:
+    """Whether no edge comes that is too long, or longer than those that went."""
+    cells = star(body.tets, u, scratch.first)
+    if cells < 0:
+        return False
+    for s in range(cells):
+        for i in range(4):
+            w = body.tets.rows[scratch.first[s], i]
+            if w != u and w != v:
+                new = ratio(body, v, w)
+                if new > longest and new > ratio(body, u, w):
+                    return False
+    return True
+
+
+@kernel
+def _links_meet(tets: Simplices, u: int, v: int, scratch: Scratch) -> bool:
+    """Whether the links of u and v meet in that of the edge uv alone: vertices and edges of them.
+
+    Triangles in both links give tetrahedra of negative volume.
+    """
+    mark = scratch.mark
+    near, both = scratch.clock[0] + 1, scratch.clock[0] + 2
+    scratch.clock[0] += 2
+    cells = star(tets, u, scratch.first)
+    others = star(tets, v, scratch.second)
+    if cells < 0 or others < 0:
+        return False
+    for s in range(cells):
+        for i in range(4):
+            mark[tets.rows[scratch.first[s], i]] = near
+    for s in range(cells):
+        c = scratch.first[s]
+        if holds(tets, c, v):
+            for i in range(4):
+                mark[tets.rows[c, i]] = both
+    for s in range(others):
+        for i in range(4):
+            if mark[tets.rows[scratch.second[s], i]] == near:
+                return False
+    for s in range(cells):
+        c = scratch.first[s]
+        if holds(tets, c, v):
+            continue
+        for i in range(4):
+            for j in range(i):
+                w, x = tets.rows[c, i], tets.rows[c, j]
+                if w == u or x == u or mark[w] != both or mark[x] != both:
+                    continue
+                if _held_with(tets, v, w, x, scratch.second, others) and not _with_edge(
+                        tets, v, w, x, scratch.first, cells):
+                    return False
+    return True
+
+
+@kernel
+def _held_with(s: Simplices, v: int, w: int, x: int, slots: IntArray, count: int) -> bool:
+    """Whether one of some simplices around v holds w and x."""
+    for i in range(count):
+        if holds(s, slots[i], w) and holds(s, slots[i], x):
+            return True
+    return False
+
+
+@kernel
+def _with_edge(s: Simplices, v: int, w: int, x: int, slots: IntArray, count: int) -> bool:
+    """Whether one of some simplices holds v, w and x."""
+    for i in range(count):
+        c = slots[i]
+        if holds(s, c, v) and holds(s, c, w) and holds(s, c, x):
+            return True
+    return False
+
+
+@kernel
+def _surface_links_meet(triangles: Simplices, u: int, v: int, scratch: Scratch) -> bool:
+    """The same on the surface, of which no triangle may come to lie on another one."""
+    mark = scratch.mark
+    near, both = scratch.clock[0] + 1, scratch.clock[0] + 2
+    scratch.clock[0] += 2
+    cells = star(triangles, u, scratch.first)
+    others = star(triangles, v, scratch.second)
+    if cells < 0 or others < 0:
+        return False
+    for s in range(cells):
+        for i in range(3):
+            mark[triangles.rows[scratch.first[s], i]] = near
+    for s in range(cells):
+        c = scratch.first[s]
+        if holds(triangles, c, v):
+            for i in range(3):
+                mark[triangles.rows[c, i]] = both
+    for s in range(others):
+        for i in range(3):
+            if mark[triangles.rows[scratch.second[s], i]] == near:
+                return False
+    for s in range(cells):
+        c = scratch.first[s]
+        if holds(triangles, c, v):
+            continue
+        w, x = triangles.rows[c, 0], triangles.rows[c, 1]
+        if w == u:
+            w = triangles.rows[c, 2]
+        elif x == u:
+            x = triangles.rows[c, 2]
+        if _held_with(triangles, v, w, x, scratch.second, others):
+            return False
+    return True
+
+
+@kernel
+def _line_stays(segments: Simplices, u: int, v: int, scratch: Scratch) -> bool:
+    """Whether u has two segments and no other joins its neighbours."""
+    count = star(segments, u, scratch.first)
+    if count != 2:
+        return False
+    for s in range(2):
+        c = scratch.first[s]
+        if holds(segments, c, v):
+            continue
+        x = segments.rows[c, 0]
+        x = segments.rows[c, 1] if x == u else x
+        return around(segments, v, x, scratch.third) == 0
+    return False

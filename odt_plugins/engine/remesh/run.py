@@ -1,0 +1,302 @@
+"""Remeshing from a valid mesh to one that keeps the promise, for every kind of mesh."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
+from odt_plugins.engine.compiled.threads import thread_pool, worth
+from odt_plugins.engine.ground.crossings import count_crossings, crossing_triangles
+from odt_plugins.engine.ground.envelope import distances
+from odt_plugins.engine.odt.density import NodalDensity, make_density
+from odt_plugins.engine.odt.rounds import Log
+from odt_plugins.engine.record.figures import cell_shapes, figures
+from odt_plugins.engine.record.memory import State
+from odt_plugins.engine.remesh.body import FREELY, STAYS, STIFF
+from odt_plugins.engine.remesh.lay_out import lay_out, surface_of
+from odt_plugins.engine.remesh.sizes import Sizes, lengths_of, unique_edges, wanted_sizes
+from odt_plugins.engine.remesh.volume import Resizing, arrays_of, resize
+from odt_plugins.engine.remesh.wish import Wish
+from odt_plugins.engine.run.judge import TOLERANCE, Slid, envelope_length
+from odt_plugins.engine.run.outcome import Leaving, Outcome, unchanged
+from odt_plugins.engine.run.plan import run
+from odt_plugins.engine.run.within import Within
+from odt_plugins.engine.run.work import make_start
+from odt_plugins.errors import UnsupportedMeshError, counted
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
+from odt_plugins.mesh.simplex import SimplexMesh, diagonal, freeze
+from odt_plugins.options import Options
+from odt_plugins.progress import part, silent
+from odt_plugins.promise.remeshed import broken_by_remeshing
+
+SHARES = (0.5, 0.25)
+"""Parts of the envelope within which surfaces are resized, one after the other until the promise
+holds; sliding has the rest."""
+
+ATTEMPTS = 4
+"""Most times within one part; each holds the input around what those before spoiled."""
+
+MOST_HELD = 0.3
+"""Part of the cells of the input from which on no more are held."""
+
+REACH = 0.7
+"""Vertices of the input are held that are nearer to a spoiled place, in units of the size."""
+
+LONGER = 1.07
+"""Sizes are worked with so many times as long, so that edges have them on average."""
+
+SLIDING = 0.4
+"""Part of the allowed change of the volume that sliding may use."""
+
+IN = (0.5**0.5, 2.0**0.5)
+"""Edges whose length is within these multiples of their size have it."""
+
+
+def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) -> Outcome:
+    """Give a mesh other sizes.
+
+    Parameters
+    ----------
+    mesh : SimplexMesh    of any kind
+    options : Options     ``density`` holds the lengths if ``wish.given``
+    leaving : callable    applied to every mesh before it is judged
+    wish : Wish
+
+    Returns
+    -------
+    Outcome               a mesh that keeps the promise as it leaves, at worst the input itself
+    """
+    sizes = wanted_sizes(mesh, wish, options.density)
+    options = replace(
+        options, density="keep", smoothing=replace(options.smoothing, exponent=None), insert=False)
+    if mesh.is_surface or mesh.dim == 2:
+        msg = "got triangles; expected tetrahedra"
+        raise UnsupportedMeshError(msg)
+    if mesh.frozen.all() or not len(mesh.cells):
+        return unchanged(mesh, "no cell may change")
+    slides = options.boundary == "slide"
+    outcome = _tries(mesh, sizes, options, leaving, slides=slides)
+    goal = wish.cells if wish.vertices is None else wish.vertices
+    if goal is not None and outcome.origin is not None:
+        count = len(outcome.points) if wish.cells is None else len(outcome.cells)
+        if abs(count - goal) > NEAR * goal:
+            again = sizes.scaled((count / goal) ** (1.0 / mesh.dim))
+            outcome = _tries(mesh, again, options, leaving, slides=slides)
+    return replace(outcome, notes=sizes.notes + outcome.notes)
+
+
+NEAR = 0.03
+"""Sizes are corrected once when the number of cells or vertices is off by more than this part."""
+
+
+def _tries(
+    mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving, *, slides: bool
+) -> Outcome:
+    """Resize until the promise holds.
+
+    Cells of the input stay where cells that it does not allow came; within smaller and smaller
+    parts of the envelope, at last with a boundary that stays.
+    """
+    whys: list[str] = []
+    for share in (*(SHARES if slides else ()), 0.0):
+        held = mesh
+        for _ in range(ATTEMPTS):
+            outcome, broken = _once(held, sizes, options, leaving, share)
+            if not broken:
+                return _explained(mesh, held, outcome, whys, slides and share == 0.0)
+            whys.append(broken[0])
+            spoiled = _spoiled(mesh, outcome, sizes, options) & ~held.frozen
+            if not spoiled.any() or held.frozen.mean() > MOST_HELD:
+                break
+            held = freeze(held, held.frozen | spoiled)
+    outcome = leaving(unchanged(mesh, "no other sizes kept the promise"))
+    return replace(outcome, fallback=f"the input is returned, since {whys[-1]}")
+
+
+def _explained(
+    mesh: SimplexMesh, held: SimplexMesh, outcome: Outcome, whys: list[str], stays: bool
+) -> Outcome:
+    """An outcome that says what was left as it is, and why."""
+    count = int((held.frozen & ~mesh.frozen).sum())
+    if count:
+        note = f"{counted(count, 'cell')} of the input stay as they are, since {whys[-1]}"
+        outcome = replace(outcome, notes=(*outcome.notes, note))
+    if stays:
+        outcome = replace(outcome, fallback=f"the boundary is left as it is, since {whys[-1]}")
+    return outcome
+
+
+def _spoiled(
+    mesh: SimplexMesh, outcome: Outcome, sizes: Sizes, options: Options
+) -> BoolArray:
+    """Cells (m,) of the input near cells that pass its extremes, or near triangles that cross."""
+    from scipy.spatial import cKDTree
+
+    before = figures(mesh.points, mesh.cells)
+    bad = before.passed_by(cell_shapes(outcome.points, outcome.cells), tuple(options.keep))
+    places = outcome.points[outcome.cells[bad]].reshape(-1, 3)
+    facets = boundary_facets(outcome.cells)
+    crossed = facets[crossing_triangles(outcome.points, facets)]
+    places = np.concatenate([places, outcome.points[crossed].reshape(-1, 3)])
+    if not len(places):
+        return np.zeros(len(mesh.cells), dtype=np.bool_)
+    far = cKDTree(places).query(mesh.points[np.unique(mesh.cells)])[0]
+    near = np.zeros(len(mesh.points), dtype=np.bool_)
+    near[np.unique(mesh.cells)] = far <= REACH * sizes.values[np.unique(mesh.cells)]
+    return np.asarray(near[mesh.cells].any(axis=1))
+
+
+def _once(
+    mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving, share: float
+) -> tuple[Outcome, list[str]]:
+    """Resize within a part of the envelope, optimise within the rest, and judge."""
+    report = options.progress or silent
+    clock = time.perf_counter()
+    resized, lengths, log = _resized(
+        mesh, sizes, options, share, partial(part(report, 0.0, 0.4), "resizing"))
+    origin: LongArray = resized.origin if resized.origin is not None else np.arange(0)
+    envelope = envelope_length(mesh, options)
+    left = envelope
+    if share > 0.0:
+        far = _furthest(mesh, resized, envelope)
+        left = envelope - max(far[0], far[1])
+        if not left > 0.0:
+            return resized, [f"the resized surface is {max(far):.3g} from the input's, beyond the "
+                             f"envelope of {envelope:.3g}"]
+    frozen = np.zeros(len(resized.cells), dtype=np.bool_)
+    frozen[: int(mesh.frozen.sum())] = True
+    new = origin < 0
+    middle = SimplexMesh(
+        resized.points, resized.cells, resized.regions,
+        fixed=np.where(new, False, mesh.fixed[origin]), frozen=frozen,
+        anchored=np.where(new, False, mesh.anchored[origin]), body=mesh.body,
+    )
+    times = {"resizing": time.perf_counter() - clock}
+    inner = replace(
+        options, boundary="slide" if share > 0.0 else "fixed",
+        envelope=min(0.5, left / diagonal(middle.points[np.unique(middle.cells)])),
+        density=NodalDensity(lengths / lengths.mean(), -float(mesh.dim + 2)),
+        progress=part(report, 0.4, 1.0),
+    )
+
+    def as_it_leaves(outcome: Outcome) -> Outcome:
+        left = leaving(replace(outcome, origin=_composed(origin, outcome.origin)))
+        return replace(left, origin=outcome.origin)
+
+    best = run(middle, inner, as_it_leaves, within=Within(share=SLIDING))
+    if best.written is None:
+        best = as_it_leaves(best)
+    outcome = replace(best, origin=_composed(origin, best.origin), times=times | best.times,
+                      counts=log.counts | best.counts, fallback=None, slid=None)
+    broken = broken_by_remeshing(
+        mesh, outcome.points, outcome.cells, outcome.regions, _composed(origin, best.origin),
+        tuple(options.keep), slides=share > 0.0, threads=options.threads)
+    if broken:
+        return outcome, broken
+    if share > 0.0:
+        broken, slid = _beyond(mesh, outcome, envelope)
+        outcome = replace(outcome, slid=slid)
+    return replace(outcome, notes=_told(outcome, lengths.mean() / LONGER)), broken
+
+
+def _resized(
+    mesh: SimplexMesh, sizes: Sizes, options: Options, share: float, tick: Any
+) -> tuple[Outcome, FloatArray, Log]:
+    """The mesh with edges as long as they should be, the lengths at its vertices, and counts."""
+    start = make_start(mesh)
+    frame = start.frame
+    log = Log()
+    values = LONGER * sizes.values[frame.vertices] * frame.scale
+    hold = np.where(mesh.fixed | mesh.anchored, STAYS, FREELY).astype(np.uint8)
+    hold[mesh.cells[mesh.frozen]] = STIFF
+    hold[mesh.stays] = STIFF
+    threads = worth(options.threads, max(len(mesh.cells), int(sizes.cells)))
+    with thread_pool(threads) as pool:
+        field = make_density(
+            NodalDensity(values, 1.0), None, start.points, start.cells, None)
+        body, guard, scratch = lay_out(
+            start.points, start.cells, start.regions, hold[frame.vertices],
+            start.pairs(mesh.lines), share * envelope_length(mesh, options) * frame.scale,
+            options.feature_angle)
+        work = Resizing(body, guard, scratch, field, field.walk_start(len(start.points)), log,
+                        np.zeros(len(guard.area)))
+        resize(work, share > 0.0, pool, tick, threads)
+    points, cells, tags = arrays_of(work.body)
+    regions = np.unique(start.regions)[tags].astype(np.int32)
+    state = State(points, cells, regions, figures(points, cells), "resized")
+    outcome = start.placed(state)
+    if outcome.origin is None:
+        outcome = replace(outcome, origin=np.arange(len(outcome.points)))
+    n = len(frame.vertices)
+    old = LONGER * sizes.values
+    old[frame.vertices] = work.body.size[:n] / frame.scale
+    new = n + np.flatnonzero(np.bincount(cells.ravel(), minlength=len(points))[n:])
+    origin: Any = outcome.origin
+    lengths = np.concatenate([old[origin[origin >= 0]], work.body.size[new] / frame.scale])
+    return outcome, lengths, log
+
+
+def _composed(first: LongArray, second: LongArray | None) -> LongArray:
+    """Vertex of the first mesh of every vertex of the third, by way of the second."""
+    return first if second is None else np.where(second < 0, -1, first[second])
+
+
+def _furthest(mesh: SimplexMesh, outcome: Outcome, envelope: float) -> tuple[float, float]:
+    """How far the surfaces are apart at most, both ways: the furthest pair of pieces of them."""
+    forward = backward = 0.0
+    old, new = (_surfaces(cells, regions) for cells, regions in (
+        (mesh.cells, mesh.regions), (outcome.cells, outcome.regions)))
+    for pair, rows in new.items():
+        if pair not in old:
+            return np.inf, np.inf
+        both = distances((outcome.points, rows), (mesh.points, old[pair]), TOLERANCE * envelope)
+        forward, backward = max(forward, both.forward_upper), max(backward, both.backward_upper)
+    return forward, backward
+
+
+def _surfaces(cells: IntArray, regions: IntArray) -> dict[tuple[int, int], IntArray]:
+    """Triangles of every piece of surface by the regions on its sides."""
+    triangles, patch, sides = surface_of(cells, regions)
+    return {(int(a), int(b)): triangles[patch == i] for i, (a, b) in enumerate(sides.tolist())}
+
+
+def _beyond(
+    mesh: SimplexMesh, outcome: Outcome, envelope: float
+) -> tuple[list[str], Slid]:
+    """What surfaces that were resized break: the envelope, or that they do not cross."""
+    forward, backward = _furthest(mesh, outcome, envelope)
+    origin: Any = outcome.origin
+    kept = origin >= 0
+    moved = (outcome.points[kept] != mesh.points[origin[kept]]).any(axis=1)
+    was, now = (float(signed_volumes(x.points, x.cells).sum()) for x in (mesh, outcome))
+    slid = Slid(envelope, forward, backward, now / was - 1.0, int(moved.sum()))
+    if not max(forward, backward) <= envelope:
+        return [f"the boundary is up to {max(forward, backward):.3g} from the input's, beyond the "
+                f"envelope of {envelope:.3g}"], slid
+    before, after = boundary_facets(mesh.cells), boundary_facets(outcome.cells)
+    crossings = count_crossings(outcome.points, after)
+    if crossings and crossings > count_crossings(mesh.points, before):
+        return ["the boundary cuts through itself"], slid
+    return [], slid
+
+
+def _told(outcome: Outcome, unit: float) -> tuple[str, ...]:
+    """How many edges are as long as they should be, and where those are that are not."""
+    if outcome.sizes is None:
+        return ()
+    edges = unique_edges(outcome.cells)
+    wanted = 0.5 * unit * outcome.sizes[edges].sum(axis=1)
+    ratio = lengths_of(outcome.points, edges) / wanted
+    short, long = ratio < IN[0], ratio > IN[1]
+    surface = np.zeros(len(outcome.points), dtype=np.bool_)
+    surface[surface_of(outcome.cells, outcome.regions)[0]] = True
+    there = surface[edges].all(axis=1)
+    return (f"{(~short & ~long).mean():.1%} of the edges are {IN[0]:.2f} to {IN[1]:.2f} times as "
+            f"long as asked for, {ratio.mean():.2f} on average; {short.mean():.1%} are shorter, "
+            f"{(short & there).mean():.1%} between vertices of the surface, and {long.mean():.1%} "
+            f"longer",)

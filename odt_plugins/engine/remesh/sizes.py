@@ -1,0 +1,196 @@
+"""The size field: lengths that edges should have at the vertices of the input."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+
+from odt_plugins.engine.cells.elementary import exp, log, power
+from odt_plugins.engine.cells.geometry import signed_volumes
+from odt_plugins.engine.odt.density import smooth_over_stars
+from odt_plugins.engine.remesh.wish import Wish
+from odt_plugins.engine.topology.star import star_sum
+from odt_plugins.errors import InvalidOptionError
+from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.facets import row_keys
+from odt_plugins.mesh.simplex import SimplexMesh, corner_mean, diagonal
+
+CONTENT = {3: 0.44, 4: 0.113}
+"""Area of a triangle, volume of a tetrahedron of a good mesh with edges of mean length 1."""
+
+LEAST = 1e-6
+"""Smallest size, as a part of the diagonal."""
+
+PASSES = 2
+"""Averaging passes over the logarithm of the sizes that the input has."""
+
+
+@dataclass(frozen=True)
+class Sizes:
+    """A size field on the input.
+
+    Attributes
+    ----------
+    values : (n,) float64       lengths at the vertices; 1 at those without cells
+    cells : float               about how many cells they make
+    notes : tuple of str        what was changed of what was asked for
+    """
+
+    values: FloatArray
+    cells: float
+    notes: tuple[str, ...]
+
+    def scaled(self, factor: float) -> Sizes:
+        """All lengths so many times as long."""
+        return Sizes(factor * self.values, self.cells, self.notes)
+
+
+def wanted_sizes(mesh: SimplexMesh, wish: Wish, given: Any = None) -> Sizes:
+    """Sizes at the vertices of a mesh of any kind.
+
+    Parameters
+    ----------
+    mesh : SimplexMesh
+    wish : Wish
+    given : array (n,) or (m,), or callable    lengths, if ``wish.given``
+
+    Raises
+    ------
+    InvalidOptionError    lengths that are not finite and positive, or of wrong number; sizes below
+                          LEAST of the diagonal; more cells than ``wish.most_cells``
+    """
+    used = np.unique(mesh.cells)
+    extent = diagonal(mesh.points[used])
+    notes = []
+    values = np.ones(len(mesh.points))
+    if wish.length is not None:
+        values[:] = float(wish.length)
+    elif wish.given:
+        values = _as_given(mesh, given, used)
+    else:
+        values = local_sizes(mesh) * (wish.scale or 1.0)
+    goal = wish.cells
+    if wish.vertices is not None:
+        goal = max(1, round(wish.vertices * len(mesh.cells) / len(used)))
+    if goal is not None:
+        d = mesh.dim
+        values *= (expected_cells(mesh, values) / goal) ** (1.0 / d)
+    else:
+        low = used[np.argmin(values[used])]
+        if values[low] < LEAST * extent:
+            msg = (f"got size {values[low]:.3g} at vertex {low}, below {LEAST:g} of the diagonal "
+                   f"of {extent:.3g}; expected lengths in the unit of the points, try scale=1 for "
+                   f"those of the mesh")
+            raise InvalidOptionError(msg)
+        if values[used].min() > extent:
+            notes.append(f"size {values[used].min():.3g} is larger than the domain of {extent:.3g}:"
+                         f" the result is as coarse as its topology and the envelope allow")
+    values = np.minimum(values, 2.0 * extent)
+    limited = grown(mesh.points, unique_edges(mesh.cells), values, wish.growth)
+    if (limited[used] < 0.99 * values[used]).any():
+        share = (limited[used] < 0.99 * values[used]).mean()
+        notes.append(f"sizes grow by more than {wish.growth:g} from vertex to vertex; they are "
+                     f"smaller at {100 * share:.0f} % of the vertices, see growth=")
+    count = expected_cells(mesh, limited)
+    if count > wish.most_cells:
+        msg = (f"got sizes for about {count:.3g} cells; expected at most most_cells="
+               f"{wish.most_cells}, try larger sizes or a larger most_cells=")
+        raise InvalidOptionError(msg)
+    return Sizes(limited, count, tuple(notes))
+
+
+def expected_cells(mesh: SimplexMesh, values: FloatArray) -> float:
+    """About how many cells of some sizes fill the mesh."""
+    d = mesh.dim
+    content = np.abs(signed_volumes(mesh.points, mesh.cells))
+    dense = corner_mean(power(values, -float(d)), mesh.cells)
+    return float((content * dense).sum()) / CONTENT[d + 1]
+
+
+def unique_edges(cells: IntArray) -> IntArray:
+    """Edges (e, 2) of cells, each once."""
+    corners = combinations(range(cells.shape[1]), 2)
+    pairs = np.concatenate([cells[:, list(pair)] for pair in corners])
+    pairs.sort(axis=1)
+    key = row_keys(pairs, int(cells.max()) + 1)
+    _, first = np.unique(key, return_index=True)
+    edges: IntArray = pairs[first]
+    return edges
+
+
+def lengths_of(points: FloatArray, edges: IntArray) -> FloatArray:
+    """Lengths (e,) of edges."""
+    step = points[edges[:, 1]] - points[edges[:, 0]]
+    out: FloatArray = np.sqrt((step * step).sum(axis=1))
+    return out
+
+
+def local_sizes(mesh: SimplexMesh) -> FloatArray:
+    """Mean length of the edges at every vertex, smoothed; 1 at those without cells."""
+    edges = unique_edges(mesh.cells)
+    length = lengths_of(mesh.points, edges)
+    n = len(mesh.points)
+    count = np.bincount(edges.ravel(), minlength=n)
+    total = np.bincount(edges.ravel(), np.repeat(length, 2), minlength=n)
+    mean = np.divide(total, count, out=np.ones(n), where=count > 0)
+    return exp(smooth_over_stars(log(mean), mesh.cells, PASSES))
+
+
+def grown(
+    points: FloatArray, edges: IntArray, values: FloatArray, growth: float
+) -> FloatArray:
+    """The largest sizes below some that grow by less than (growth - 1) times the way.
+
+    The size at a vertex is the least, over all vertices, of the size there and that growth along
+    the edges: shortest ways from a node that is as far from every vertex as its size.
+    """
+    if values.min() == values.max():
+        return values
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import dijkstra
+
+    n = len(values)
+    far = (growth - 1.0) * lengths_of(points, edges)
+    # a way of length 0 would be no way
+    far = np.maximum(far, 1e-12 * values.min())
+    start = np.concatenate([edges[:, 0], edges[:, 1], np.full(n, n)])
+    end = np.concatenate([edges[:, 1], edges[:, 0], np.arange(n)])
+    graph = coo_array((np.concatenate([far, far, values]), (start, end)), shape=(n + 1, n + 1))
+    shortest: Any = dijkstra
+    found: FloatArray = shortest(graph.tocsr(), indices=n)[:n]
+    return np.minimum(found, values)
+
+
+def _as_given(mesh: SimplexMesh, given: Any, used: IntArray) -> FloatArray:
+    """Lengths at the vertices from an array or a callable."""
+    n, m = len(mesh.points), len(mesh.cells)
+    raw = given(mesh.points.copy()) if callable(given) else given
+    try:
+        values = np.array(raw, dtype=np.float64)
+    except (TypeError, ValueError) as exc:
+        msg = f"got a size of type {type(raw).__name__}; expected lengths, try a number"
+        raise InvalidOptionError(msg) from exc
+    if values.shape == (m,) and m != n and not callable(given):
+        _check_positive(values)
+        count = star_sum(np.ones(m), mesh.cells, n)
+        total = star_sum(values, mesh.cells, n)
+        values = np.divide(total, count, out=np.ones(n), where=count > 0)
+    if values.shape != (n,):
+        msg = f"got sizes of shape {values.shape}; expected ({n},), one for each vertex"
+        raise InvalidOptionError(msg)
+    out = np.ones(n)
+    _check_positive(values[used], used)
+    out[used] = values[used]
+    return out
+
+
+def _check_positive(values: FloatArray, index: IntArray | None = None) -> None:
+    bad = np.flatnonzero(~(np.isfinite(values) & (values > 0.0)))
+    if bad.size:
+        at = bad[0] if index is None else index[bad[0]]
+        msg = (f"got size {values[bad[0]]} at index {at} ({bad.size} of them); expected finite "
+               f"lengths above 0, try a number")
+        raise InvalidOptionError(msg)

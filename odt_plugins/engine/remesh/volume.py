@@ -1,0 +1,175 @@
+"""Tetrahedra of other sizes: rounds of split, collapse, flips and moves."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from odt_plugins.engine.cells.extremes import FREELY as ANY
+from odt_plugins.engine.cells.extremes import Bounds
+from odt_plugins.engine.compiled.threads import pieces
+from odt_plugins.engine.odt.density import Density
+from odt_plugins.engine.odt.rounds import Log, smooth
+from odt_plugins.engine.remesh.body import (
+    FREELY,
+    INSIDE,
+    LINE,
+    PATCH,
+    Body,
+    Guard,
+    Scratch,
+    with_room,
+)
+from odt_plugins.engine.remesh.collapse import collapse_edges
+from odt_plugins.engine.remesh.lay_out import SPARE, edges_beyond
+from odt_plugins.engine.remesh.relax import relax_surface
+from odt_plugins.engine.remesh.simplices import make_simplices
+from odt_plugins.engine.remesh.split import split_edges
+from odt_plugins.engine.topology.complex import make_complex
+from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.chunks import Pool
+from odt_plugins.options import Options
+
+ROUNDS = 6
+"""Rounds of all operations."""
+
+PASSES = 6
+"""Most passes of splits, and of collapses, in a round."""
+
+LONG, SHORT = 4.0 / 3.0, 4.0 / 5.0
+"""Edges longer, or shorter, than so many times their size are cut or vanish."""
+
+SWEEPS = 3
+"""Sweeps over the surface in a round, and rounds of ODT inside."""
+
+FEW = 2e-3
+"""Passes end with one that changed less than this part of the edges that were looked at."""
+
+OFF = 0.4
+"""Part of the envelope up to which they do."""
+
+FREE_BOUNDS = Bounds(ANY, ANY)
+
+
+@dataclass
+class Resizing:
+    """A body on its way.
+
+    Attributes
+    ----------
+    body : Body, guard : Guard, scratch : Scratch
+    field : Density                lengths on the input
+    walk : (n,) int32              cell of the input at every vertex
+    log : Log
+    offset : (patches,) float64    how far from the ground the vertices of a patch go, so that the
+                                   volumes of the regions come back
+    """
+
+    body: Body
+    guard: Guard
+    scratch: Scratch
+    field: Density
+    walk: IntArray
+    log: Log
+    offset: FloatArray
+
+    def sizes(self, pool: Pool | None) -> None:
+        """Take the sizes of the field at the places where vertices are now."""
+        n = int(self.body.used[0])
+        known = len(self.walk)
+        walk = np.concatenate([self.walk, np.zeros(n - known, dtype=np.int32)])
+        for v in range(known, n):
+            walk[v] = walk[self.body.parent[v]]
+        points = np.ascontiguousarray(self.body.points[:n])
+        self.body.size[:n] = self.field.at(points, pool, walk)
+        self.walk = walk
+
+
+def resize(work: Resizing, slides: bool, pool: Pool | None, tick: Callable[[float], None],
+           threads: int) -> None:
+    """Split and collapse edges until they have their sizes, and move vertices in between."""
+    work.sizes(pool)
+    for k in range(ROUNDS):
+        splits = _split(work, pool)
+        gone = _collapse(work)
+        work.log.add("splits", splits)
+        work.log.add("collapses", gone)
+        tick((k + 0.4) / ROUNDS)
+        if slides:
+            for _ in range(SWEEPS):
+                _relax(work)
+        _smooth(work, pool, threads)
+        work.sizes(pool)
+        tick((k + 1.0) / ROUNDS)
+    _collapse(work)
+
+
+def _split(work: Resizing, pool: Pool | None) -> int:
+    total = 0
+    for _ in range(PASSES):
+        edges = edges_beyond(work.body, LONG, longer=True)
+        done = np.zeros(1, dtype=np.int32)
+        for first, last in pieces(0, len(edges)):
+            while first < last:
+                first += int(split_edges(
+                    work.body, work.guard, edges[first:last], LONG, work.scratch, done))
+                if first < last:
+                    left = last - first
+                    work.body, work.scratch, work.guard = with_room(
+                        work.body, work.scratch, work.guard, left, 8 * left + 4096)
+        work.sizes(pool)
+        total += int(done[0])
+        if done[0] <= FEW * len(edges):
+            break
+    return total
+
+
+def _collapse(work: Resizing) -> int:
+    total = 0
+    for _ in range(PASSES):
+        edges = edges_beyond(work.body, SHORT, longer=False)
+        done = sum(
+            int(collapse_edges(work.body, work.guard, edges[first:last], (SHORT, LONG),
+                               work.scratch))
+            for first, last in pieces(0, len(edges)))
+        total += done
+        if done <= FEW * len(edges):
+            break
+    return total
+
+
+def _relax(work: Resizing) -> int:
+    n = int(work.body.used[0])
+    kind = work.body.kind[:n]
+    order = np.flatnonzero((kind == PATCH) | (kind == LINE)).astype(np.int32)
+    work.offset += work.guard.offsets()
+    np.clip(work.offset, -OFF * work.guard.limits[0], OFF * work.guard.limits[0], out=work.offset)
+    return sum(
+        int(relax_surface(work.body, work.guard, order[first:last], work.offset, work.scratch))
+               for first, last in pieces(0, len(order)))
+
+
+def arrays_of(body: Body) -> tuple[FloatArray, IntArray, IntArray]:
+    """Points (n, 3), gone vertices among them, cells and the numbers of their regions."""
+    n = int(body.used[0])
+    live = body.tets.live()
+    return body.points[:n].copy(), body.tets.rows[live], body.tets.tag[live]
+
+
+def _smooth(work: Resizing, pool: Pool | None, threads: int) -> None:
+    """Rounds of ODT and flips inside."""
+    points, cells, regions = arrays_of(work.body)
+    n = len(points)
+    kind = work.body.kind[:n]
+    locked = (kind != INSIDE) | (work.body.hold[:n] != FREELY)
+    mesh = make_complex(points, cells, regions, locked, kind != INSIDE)
+    density = replace(work.field, power=-5.0, start=work.walk)
+    options = Options(smoothing={"rounds": SWEEPS}, connectivity="flips", threads=threads)
+    mesh, _ = smooth(mesh, density, options, FREE_BOUNDS, Log(), lambda _: None, None, pool)
+    work.body.points[:n] = mesh.points
+    cells, regions = mesh.mesh_arrays()
+    work.body = work.body._replace(tets=make_simplices(
+        cells, regions, np.zeros(len(cells), np.bool_), len(work.body.points),
+        int(SPARE * len(cells)) + 64))

@@ -1,0 +1,69 @@
+"""What sizes are asked for, and what is refused before anything is made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from numbers import Integral, Real
+
+from odt_plugins.errors import InvalidOptionError
+
+GROWTH = 1.3
+"""Largest ratio of the sizes at the ends of an edge as long as the smaller one, by default."""
+
+MOST_CELLS = 20_000_000
+"""Most cells that are made unless more are asked for."""
+
+
+@dataclass(frozen=True)
+class Wish:
+    """Sizes as they are asked for: one of the first five.
+
+    Attributes
+    ----------
+    length : float or None      length of edges
+    scale : float or None       multiple of the local size that the input has
+    cells, vertices : int or None    how many there are to be, about
+    given : bool                whether ``options.density`` holds lengths: an array or a callable
+    growth : float              largest ratio of the sizes at the ends of an edge as long as the
+                                smaller one
+    most_cells : int            a mesh of more is refused
+    """
+
+    length: float | None = None
+    scale: float | None = None
+    cells: int | None = None
+    vertices: int | None = None
+    given: bool = False
+    growth: float = GROWTH
+    most_cells: int = MOST_CELLS
+
+    def __post_init__(self) -> None:
+        """Refuse values out of range, and anything but one wish."""
+        words = ("size", "scale", "cells", "vertices")
+        held = (self.length is not None or self.given, *(
+            getattr(self, name) is not None for name in words[1:]))
+        if sum(held) != 1:
+            said = [name for name, there in zip(words, held, strict=True) if there] or "none"
+            msg = f"got {said}; expected one of size, scale, cells and vertices, try scale=1"
+            raise InvalidOptionError(msg)
+        for name, value in (("size", self.length), ("scale", self.scale)):
+            if value is not None:
+                good = _is_real(value) and 0.0 < value < float("inf")
+                _expect(good, name, value, "a number above 0")
+        for name, least in (("cells", 1), ("vertices", 4), ("most_cells", 1)):
+            value = getattr(self, name)
+            if value is not None:
+                good = isinstance(value, Integral) and not isinstance(value, bool)
+                _expect(good and value >= least, name, value, f"an integer of at least {least}")
+        good = _is_real(self.growth) and 1.0 < self.growth < float("inf")
+        _expect(good, "growth", self.growth, "a number above 1, such as 1.3")
+
+
+def _is_real(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def _expect(good: bool, name: str, value: object, expected: str) -> None:
+    if not good:
+        msg = f"got {name}={value!r}; expected {expected}"
+        raise InvalidOptionError(msg)

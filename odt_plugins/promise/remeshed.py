@@ -1,0 +1,183 @@
+"""The promise of tetrahedra that were remeshed: what must hold where surfaces have other vertices.
+
+Distances are not looked at here, nor whether a surface cuts through itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.figures import cell_figures, summarize, volumes
+from odt_plugins.mesh.components import components
+from odt_plugins.mesh.facets import row_keys, uneven_facets
+from odt_plugins.mesh.numbering import in_old_numbers, old_numbers, removed_vertices
+from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.promise.locked_facets import LockedFacets, facet_census
+from odt_plugins.promise.volume import (
+    VOLUME,
+    _came_and_went,
+    _dropped,
+    _malformed,
+    _moved,
+    _not_positive,
+    _overlapping,
+    _thawed,
+    broken_promises,
+    held_by,
+    worse_figures,
+)
+
+
+def broken_by_remeshing(
+    before: SimplexMesh,
+    points: NDArray[np.float64],
+    cells: NDArray[np.int32],
+    regions: NDArray[np.int32],
+    origin: NDArray[np.int64],
+    keep: Sequence[str],
+    *,
+    slides: bool,
+    threads: int = 1,
+) -> list[str]:
+    """Say what of the promise does not hold for a mesh with other vertices.
+
+    Parameters
+    ----------
+    before : SimplexMesh                of tetrahedra
+    points, cells, regions : arrays     (n, 3), (m', 4), (m',): the mesh to be judged
+    origin : (n,) int                   old vertex of every vertex, increasing, then -1
+    keep : names of figures             none may be worse than before
+    slides : bool                       whether surfaces may have other vertices; else they are as
+                                        before, bit for bit
+    threads : int
+
+    Returns
+    -------
+    list of str                         one sentence per broken promise; empty when all hold
+
+    Notes
+    -----
+    Every piece of surface, between two regions or one and the outside, and every region has the
+    same number of components and the same Euler characteristic as before, and the rim of a piece
+    the same number of loops: so genus, rims and the adjacency of regions are the same.
+    """
+    share = max(0.0, len(points) / len(np.unique(before.cells)) - 1.0) + 1.0
+    if not slides:
+        return broken_promises(before, points, cells, regions, keep, origin=origin, insert=share,
+                               threads=threads)
+    broken = _malformed(before, points, cells, regions, origin)
+    if broken:
+        return broken
+    figures = cell_figures(points, cells, threads)
+    numbered, together = old_numbers(origin, len(before.points))[cells], in_old_numbers(
+        before.points, points, origin)
+    removed = removed_vertices(origin, len(before.points))
+    held = {name: mask for name, mask in held_by(before).items()
+            if name not in ("boundary", "interface")}
+    new, overlaps = facet_census(cells, regions, len(points), uneven_facets(cells, len(points)))
+    bad = _not_positive(points, cells, figures)
+    if len(bad):
+        broken.append(f"cell {bad[0]} has volume {figures.volume[bad[0]]:.3g}, not positive "
+                      f"({len(bad)} in all)")
+    broken += _came_and_went(before, numbered, removed, held, len(together))
+    broken += _moved(before, together, held, slides=True)
+    broken += _dropped(held["unused"], numbered, removed, len(together))
+    broken += _overlapping(overlaps)
+    broken += _thawed(before, numbered, regions, len(together))
+    if keep:
+        broken += worse_figures(summarize(before.points, before.cells),
+                                summarize(points, cells, figures), keep)
+    old = facet_census(before.cells, before.regions, len(before.points), before.uneven)[0]
+    was, now = _pieces(old), _pieces(new)
+    for pair in sorted(was.keys() | now.keys()):
+        if was.get(pair) != now.get(pair):
+            broken.append(f"the surface of {_named(pair)} has {_told(now.get(pair))}; it had "
+                          f"{_told(was.get(pair))}")
+    for label in np.unique(before.regions).tolist():
+        a, b = (_solid(t[r == label]) for t, r in (
+            (before.cells, before.regions), (cells, regions)))
+        if a != b:
+            broken.append(f"region {label} has {b[0]} components and Euler characteristic {b[1]}; "
+                          f"it had {a[0]} and {a[1]}")
+        first, last = (float(volumes(x, t[r == label]).sum()) for x, t, r in (
+            (before.points, before.cells, before.regions), (points, cells, regions)))
+        if not abs(last - first) <= VOLUME * first:
+            broken.append(f"the volume of region {label} went from {first:.6g} to {last:.6g}")
+    return broken
+
+
+Piece = tuple[int, int, int]
+"""Components, Euler characteristic, and loops of the rim of a piece of surface."""
+
+
+def _pieces(facets: LockedFacets) -> dict[tuple[int, int], Piece]:
+    """What tells the pieces of surface by the labels on their sides, the outside being -1."""
+    ordered = np.sort(facets.facets, axis=1)
+    n = int(ordered.max(initial=0)) + 1
+    _, first, inverse = np.unique(row_keys(ordered, n), return_index=True, return_inverse=True)
+    low, high = np.full(len(first), np.iinfo(np.int64).max), np.full(len(first), -1)
+    np.minimum.at(low, inverse.ravel(), facets.labels)
+    np.maximum.at(high, inverse.ravel(), facets.labels)
+    alone = np.zeros(len(first), bool)
+    alone[inverse.ravel()[facets.boundary]] = True
+    low[alone], high[alone] = -1, low[alone]
+    rows = ordered[first]
+    pairs, number = np.unique(np.stack([low, high], axis=1), axis=0, return_inverse=True)
+    return {(int(a), int(b)): _piece(rows[number.ravel() == i])
+            for i, (a, b) in enumerate(pairs.tolist())}
+
+
+def _piece(rows: NDArray[Any]) -> Piece:
+    used, rows = np.unique(rows, return_inverse=True)
+    rows = rows.reshape(-1, 3)
+    edges, count = _faces(rows, 2)
+    rim = edges[count % 2 == 1]
+    loops = 0
+    if len(rim):
+        vertices, rim = np.unique(rim, return_inverse=True)
+        rim = rim.reshape(-1, 2)
+        loops = int(components(rim[:, 0], rim[:, 1], len(vertices)).max()) + 1
+    return (int(components(edges[:, 0], edges[:, 1], len(used)).max()) + 1,
+            len(used) - len(edges) + len(rows), loops)
+
+
+def _solid(rows: NDArray[Any]) -> tuple[int, int]:
+    """Components, by facets, and Euler characteristic of tetrahedra."""
+    if not len(rows):
+        return 0, 0
+    used, rows = np.unique(rows, return_inverse=True)
+    rows = rows.reshape(-1, 4)
+    ordered = np.sort(rows, axis=1)
+    facets = np.concatenate([np.delete(ordered, i, axis=1) for i in range(4)])
+    _, inverse = np.unique(row_keys(facets, len(used)), return_inverse=True)
+    inverse = inverse.ravel()
+    owner = np.tile(np.arange(len(rows)), 4)
+    label = components(owner, len(rows) + inverse, len(rows) + int(inverse.max()) + 1)
+    edges, _ = _faces(rows, 2)
+    euler = len(used) - len(edges) + int(inverse.max()) + 1 - len(rows)
+    return len(np.unique(label[: len(rows)])), euler
+
+
+def _faces(rows: NDArray[Any], size: int) -> tuple[NDArray[Any], NDArray[Any]]:
+    """Faces of so many vertices, each once, and how many rows hold each."""
+    columns = list(combinations(range(rows.shape[1]), size))
+    faces = np.sort(rows, axis=1)[:, columns].reshape(-1, size)
+    _, first, count = np.unique(row_keys(faces, int(rows.max()) + 1), return_index=True,
+                                return_counts=True)
+    return faces[first], count
+
+
+def _named(pair: tuple[int, int]) -> str:
+    return f"region {pair[1]}" if pair[0] < 0 else f"regions {pair[0]} and {pair[1]}"
+
+
+def _told(piece: Piece | None) -> str:
+    if piece is None:
+        return "no facets"
+    return (f"{piece[0]} components, Euler characteristic {piece[1]} and {piece[2]} loops in its "
+            f"rim")

@@ -1,0 +1,138 @@
+"""Remeshing: the same shape with other sizes of cells, and vertices that come and go."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import TYPE_CHECKING, Any, Unpack
+
+import numpy as np
+
+from odt_plugins.errors import InvalidOptionError
+from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.multiblock import has_parts, run_parts
+from odt_plugins.options import OptionKeywords, Options, make_options, with_option_signature
+from odt_plugins.roundtrip import run_engine
+
+if TYPE_CHECKING:
+    from odt_plugins.engine.run.outcome import Leaving, Outcome
+    from odt_plugins.report.report import Report
+
+NOT_HERE = ("insert", "density")
+"""Options of :func:`odt_plugins.optimize` whose part sizes take here."""
+
+
+@with_option_signature(*NOT_HERE, boundary="slide")
+def remesh(
+    mesh: Any, size: Any = None, *, scale: float | None = None, cells: int | None = None,
+    vertices: int | None = None, growth: float = 1.3, most_cells: int = 20_000_000,
+    **options: Unpack[OptionKeywords],
+) -> Any:
+    """Give a mesh other sizes: edges are split and collapsed, and the mesh is then optimised.
+
+    Parameters
+    ----------
+    mesh : object             what :func:`odt_plugins.optimize` takes; it is never changed
+    size : float, array or callable
+                              length that edges should have: everywhere, one for each vertex (n,) or
+                              cell (m,), or a function size(points) -> (k,)
+    scale : float             instead, a multiple of the local size that the mesh has: 2 is twice as
+                              coarse everywhere
+    cells, vertices : int     instead, how many there are to be, as near as possible, where sizes
+                              are in proportion as they are
+    growth : float            largest ratio of the sizes at the ends of an edge as long as the
+                              smaller one; what grows faster is made smaller
+    most_cells : int          a mesh of more is refused before it is made
+    **options                 fields of :class:`odt_plugins.Options`, but `insert` and
+                              `density`. The default of `boundary` is "slide" here: vertices of the
+                              boundary, of interfaces between regions and of feature lines are
+                              moved, added and removed within `envelope`, corners stay; with "fixed"
+                              all of these stay bit for bit
+
+    Returns
+    -------
+    same type as `mesh`       Vertices that are left keep their order, new ones come last. Fields
+                              are interpolated, cell data are those of the nearest input cell of the
+                              same region. What cannot be reached is not done, and the report says
+                              so
+
+    Raises
+    ------
+    InvalidOptionError        sizes that are not positive lengths, too small, or for too many cells
+    UnsupportedMeshError      cells of higher order
+
+    References
+    ----------
+    J.-F. Remacle et al., Tetrahedral mesh adaptation; M. Botsch, L. Kobbelt, A remeshing approach
+    to multiresolution modeling, SGP 2004: rounds of splits, collapses, flips and moves. The moves
+    are those of :func:`odt_plugins.optimize` with rho = h^-(d + 2).
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import odt_plugins
+    >>> points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    >>> finer, _ = odt_plugins.remesh((points, np.array([[0, 1, 2, 3]])), 0.4)  # doctest: +SKIP
+    """
+    wishes: dict[str, Any] = {"scale": scale, "cells": cells, "vertices": vertices,
+                              "growth": growth, "most_cells": most_cells}
+    if has_parts(mesh):
+        return run_parts(mesh, options, partial(remesh_with_report, size=size, **wishes))[0]
+    return _run(mesh, size, wishes, _checked(options))[0]
+
+
+@with_option_signature(*NOT_HERE, boundary="slide")
+def remesh_with_report(
+    mesh: Any, size: Any = None, *, scale: float | None = None, cells: int | None = None,
+    vertices: int | None = None, growth: float = 1.3, most_cells: int = 20_000_000,
+    **options: Unpack[OptionKeywords],
+) -> tuple[Any, Report | list[Report]]:
+    """Give a mesh other sizes as :func:`remesh` does and tell what was done.
+
+    Returns
+    -------
+    mesh : same type as the input
+    report : Report     its notes say how many edges have their size, and where they do not; a list
+                        of them for the parts of a pyvista.MultiBlock or a scene
+    """
+    from odt_plugins.report.report import make_report
+
+    wishes: dict[str, Any] = {"scale": scale, "cells": cells, "vertices": vertices,
+                              "growth": growth, "most_cells": most_cells}
+    if has_parts(mesh):
+        return run_parts(mesh, options, partial(remesh_with_report, size=size, **wishes))
+    chosen = _checked(options)
+    result, before, outcome, told = _run(mesh, size, wishes, chosen)
+    return result, make_report(before, outcome, replace(chosen, density="keep"), **told)
+
+
+def _checked(options: Any) -> Options:
+    """Options of a run without those that sizes take the place of."""
+    given = [name for name in NOT_HERE if name in options]
+    if given:
+        msg = f"got {given[0]}= for remeshing; expected sizes by size, scale, cells or vertices"
+        raise InvalidOptionError(msg)
+    return make_options(**{"boundary": "slide", **options})
+
+
+def _run(mesh: Any, size: Any, wishes: dict[str, Any], options: Options) -> tuple[Any, ...]:
+    """What :func:`odt_plugins.roundtrip.run_engine` gives."""
+    from odt_plugins.engine.remesh.wish import Wish
+
+    plain = size is None or (np.ndim(size) == 0 and not callable(size))
+    if plain and size is not None:
+        try:
+            size = float(size)
+        except (TypeError, ValueError) as exc:
+            msg = f"got size={size!r}; expected a length, an array of lengths or a function"
+            raise InvalidOptionError(msg) from exc
+    wish = Wish(length=size if plain else None, given=not plain, **wishes)
+    if not plain:
+        options = replace(options, density=size if callable(size) else np.asarray(size))
+
+    def engine(simplices: SimplexMesh, chosen: Options, leaving: Leaving) -> Outcome:
+        from odt_plugins.engine.remesh.run import remesh as resized
+
+        return resized(simplices, chosen, leaving, wish)
+
+    return run_engine(mesh, options, engine)

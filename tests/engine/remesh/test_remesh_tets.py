@@ -1,0 +1,152 @@
+"""Tetrahedra of other sizes: the shape stays, the sizes come, and what is held is held."""
+
+from itertools import combinations
+
+import boxes
+import igl
+import numpy as np
+import pytest
+from tet_meshes import ball
+
+import odt_plugins
+from odt_plugins.errors import InvalidOptionError
+
+
+def volumes(points, cells):
+    x = points[cells]
+    return np.linalg.det(x[:, 1:] - x[:, :1]) / 6
+
+
+def facets_once(cells):
+    """Facets of one cell alone, sorted; no facet may have more than two cells."""
+    faces = np.sort(np.concatenate([np.delete(cells, i, axis=1) for i in range(4)]), axis=1)
+    unique, count = np.unique(faces, axis=0, return_counts=True)
+    assert count.max() <= 2
+    return unique[count == 1]
+
+
+def edge_lengths(points, cells):
+    edges = np.concatenate([cells[:, pair] for pair in map(list, combinations(range(4), 2))])
+    edges = np.unique(np.sort(edges, axis=1), axis=0)
+    return np.linalg.norm(points[edges[:, 0]] - points[edges[:, 1]], axis=1)
+
+
+def share_in(lengths, size):
+    return ((lengths > size / 2**0.5) & (lengths < size * 2**0.5)).mean()
+
+
+def furthest(points, cells, others, other_cells):
+    """Largest distance of samples of one boundary from another, by libigl."""
+    rows = facets_once(cells)
+    weights = np.random.default_rng(0).dirichlet([1, 1, 1], 40)
+    x = np.einsum("kc,mcd->mkd", np.concatenate([weights, np.eye(3)]), points[rows]).reshape(-1, 3)
+    square, _, _ = igl.point_mesh_squared_distance(x, others, facets_once(other_cells))
+    return np.sqrt(square.max())
+
+
+@pytest.fixture(scope="module")
+def box():
+    return boxes.box(3, 5)
+
+
+@pytest.fixture(scope="module", params=[0.12, 0.4], ids=["finer", "coarser"])
+def resized(request, box):
+    return request.param, odt_plugins.remesh(box, request.param, envelope=0.01, periodic="free")
+
+
+def test_a_box_with_other_sizes_is_the_same_box(box, resized):
+    _, (points, cells) = resized
+    assert volumes(points, cells).min() > 0
+    assert volumes(points, cells).sum() == pytest.approx(1, abs=3e-3)
+    assert furthest(points, cells, *box) < 0.01 * 3**0.5
+    assert furthest(*box, points, cells) < 0.01 * 3**0.5
+    corners = np.stack(np.meshgrid([0, 1], [0, 1], [0, 1]), axis=-1).reshape(-1, 3)
+    assert all((points == corner).all(axis=1).any() for corner in corners)
+
+
+def test_edges_have_the_length_that_is_asked_for(resized):
+    size, (points, cells) = resized
+    assert share_in(edge_lengths(points, cells), size) > 0.9
+
+
+def test_a_fixed_boundary_stays_bit_for_bit(box):
+    points, cells = odt_plugins.remesh(box, 0.12, boundary="fixed")
+    rows, before = facets_once(cells), facets_once(box[1])
+    assert {tuple(map(tuple, points[row])) for row in rows} == {
+        tuple(map(tuple, box[0][row])) for row in before}
+    assert volumes(points, cells).sum() == pytest.approx(1, rel=1e-12)
+    assert len(points) > len(box[0])
+
+
+def test_regions_keep_their_volumes_and_their_interface():
+    points, cells = boxes.box(3, 4, plane=0.5)
+    labels = (points[cells][:, :, 0].mean(axis=1) > 0.5).astype(int)
+    new, rows, regions = odt_plugins.remesh(
+        (points, cells, labels), 0.13, envelope=0.01, periodic="free")
+    for label, volume in ((0, 0.5), (1, 0.5)):
+        part = rows[regions == label]
+        assert volumes(new, part).sum() == pytest.approx(volume, rel=3e-3)
+    sides = [set(map(tuple, facets_once(rows[regions == label]))) for label in (0, 1)]
+    interface = np.array(sorted(sides[0] & sides[1]))
+    assert np.abs(new[interface][:, :, 0] - 0.5).max() < 0.01 * 3**0.5
+
+
+def test_fixed_vertices_and_cells_outside_the_selection_stay(box):
+    points, cells = box
+    held = np.flatnonzero(points[:, 2] > 0.7)
+    part = points[cells][:, :, 0].mean(axis=1) > 0.5
+    new, rows = odt_plugins.remesh(box, 0.12, fixed=held, selection=part)
+    places = set(map(tuple, new))
+    assert all(tuple(points[v]) in places for v in held)
+    kept = {frozenset(map(tuple, new[row])) for row in rows}
+    assert all(frozenset(map(tuple, points[row])) in kept for row in cells[~part])
+
+
+def test_the_result_does_not_depend_on_the_threads(box):
+    one, two = (odt_plugins.remesh(box, 0.1, threads=threads, periodic="free")
+                for threads in (1, 2))
+    for a, b in zip(one, two, strict=True):
+        assert np.array_equal(a, b)
+
+
+def test_as_many_cells_as_asked_for(box):
+    _, cells = odt_plugins.remesh(box, cells=3000, envelope=0.01, periodic="free")
+    assert len(cells) == pytest.approx(3000, rel=0.1)
+
+
+def test_a_field_grows_no_faster_than_allowed():
+    points, cells = ball(1500, 3)
+    sizes = np.where(np.linalg.norm(points, axis=1) < 0.2, 0.08, 5.0)
+    (new, rows), report = odt_plugins.remesh_with_report((points, cells), sizes, growth=1.5)
+    lengths = edge_lengths(new, rows)
+    assert lengths.min() < 0.1
+    assert lengths.max() < 0.9
+    assert any("grow by more than 1.5" in note for note in report.notes)
+
+
+@pytest.mark.parametrize(("wish", "said"), [
+    ({"size": 0.0}, "size=0.0"),
+    ({"size": -1.0}, "size=-1.0"),
+    ({"size": float("nan")}, "size=nan"),
+    ({"size": "fine"}, "size='fine'"),
+    ({"size": [0.1, 0.2]}, r"shape \(2,\)"),
+    ({"size": lambda x: -np.ones(len(x))}, "index 0"),
+    ({"size": 1e-8}, "below 1e-06 of the diagonal"),
+    ({"size": 0.001}, "most_cells"),
+    ({"scale": 0}, "scale=0"),
+    ({"cells": 2.5}, "cells=2.5"),
+    ({"size": 0.1, "scale": 2}, "one of size, scale, cells and vertices"),
+    ({}, "one of size, scale, cells and vertices"),
+    ({"scale": 1, "growth": 1.0}, "growth=1.0"),
+    ({"scale": 1, "density": "uniform"}, "density="),
+])
+def test_sizes_that_mean_nothing_are_refused(box, wish, said):
+    with pytest.raises(InvalidOptionError, match=said):
+        odt_plugins.remesh(box, **wish)
+
+
+def test_a_size_larger_than_the_domain_is_said(box):
+    (points, cells), report = odt_plugins.remesh_with_report(
+        box, 50.0, envelope=0.01, periodic="free")
+    assert volumes(points, cells).sum() == pytest.approx(1, abs=3e-3)
+    assert any("larger than the domain" in note for note in report.notes)
