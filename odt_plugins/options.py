@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from odt_plugins.errors import InvalidOptionError
+from odt_plugins.objectives import AIMS, Objective
 
 Method = Literal["odt", "cpt", "laplacian", "cvt"]
 Solver = Literal["gauss-seidel", "jacobi", "richardson", "global", "lbfgs"]
@@ -26,7 +27,6 @@ Layers = Literal["keep", "improve"]
 Periodic = Literal["keep", "free"]
 Inside = Literal["keep", "free"]
 Repair = Literal["auto", "orient", "none"]
-Objective = Literal["radius_ratio", "min_dihedral", "amips", "time_step"]
 LinearSolver = Literal["auto", "direct", "amg"]
 
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
@@ -142,6 +142,11 @@ SMOOTHING = {about.name: about for about in dataclasses.fields(Smoothing)}
 """Every value of the option `smoothing` by its name, with its metadata, see :func:`_told`."""
 
 
+def listed(words: Sequence[str]) -> str:
+    """Words as "a, b, or c"."""
+    return ", ".join([*words[:-1], f"or {words[-1]}"])
+
+
 @dataclass(frozen=True)
 class Options:
     """Options of one run."""
@@ -182,11 +187,9 @@ class Options:
         "its worst cells worse and --keep refuses that; to have the smoothed mesh all the "
         "same: --no-finish --keep none."))
     objective: Objective = field(default="radius_ratio", metadata=_told(
-        "What finishing improves: radius ratios, the smallest (dihedral) angles, the energy that "
-        "TetWild minimises (amips), or the least altitude of a cell, which decides the time step "
-        "of explicit dynamics (time_step).",
+        f"What finishing improves: {listed([aim.text for aim in AIMS.values()])}.",
         python="radius_ratio is (5.1).",
-        choices=get_args(Objective)))
+        choices=tuple(AIMS)))
     insert: bool | float = field(default=False, metadata=_told(
         "Whether finishing of tetrahedra may add and remove vertices inside: as many as pay, at "
         "most half as many again as there were, or a number, such as 0.2, for at most that part "
@@ -298,7 +301,7 @@ class Options:
         good = _is_number(self.feature_angle) and 0 < self.feature_angle <= 180
         _expect(good, "feature_angle", self.feature_angle, "degrees above 0, at most 180")
         if not self.finish:
-            good = self.objective == "radius_ratio"
+            good = AIMS[self.objective].by_ratios
             _expect(good, "objective", self.objective, "'radius_ratio' without finishing")
             _expect(lab.cycles == 1, "cycles", lab.cycles, "1 without finishing")
         _expect(self.finish or not self.insert, "insert", self.insert, "False without finishing")
@@ -310,7 +313,7 @@ class Options:
             object.__setattr__(self, "keep", (self.keep,))
         good = isinstance(self.keep, tuple | list) and all(k in FIGURES for k in self.keep)
         _expect(good, "keep", self.keep, f"some of {FIGURES}")
-        if self.objective == "time_step" and self.keep and "min_altitude" not in self.keep:
+        if AIMS[self.objective].by_altitude and self.keep and "min_altitude" not in self.keep:
             object.__setattr__(self, "keep", (*self.keep, "min_altitude"))
         good = callable(self.progress) or isinstance(self.progress, bool | None)
         what = "None, True or a callable progress(stage, fraction)"

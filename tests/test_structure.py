@@ -17,11 +17,12 @@ from odt_plugins import errors
 PACKAGE = Path(odt_plugins.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
-BASE = {"errors", "mesh", "options", "promise", "figures"}
+BASE = {"errors", "mesh", "objectives", "options", "promise", "figures"}
 MAY_IMPORT = {
     "errors": set(),
     "signals": set(),
-    "options": {"errors"},
+    "objectives": set(),
+    "options": {"errors", "objectives"},
     "progress": {"options"},
     "table": set(),
     "mesh": {"errors"},

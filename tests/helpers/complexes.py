@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 import tet_meshes as tm
 
+from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import FREELY, Bounds, Extremes
-from odt_plugins.engine.cells.tetrahedron import QUALITY, Cost
+from odt_plugins.engine.cells.measures import QUALITY
 from odt_plugins.engine.moves import compound
 from odt_plugins.engine.moves.passes import measures
 from odt_plugins.engine.topology.complex import make_complex

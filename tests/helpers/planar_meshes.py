@@ -6,7 +6,7 @@ import numpy as np
 import reference_flips as ref
 from scipy.spatial import Delaunay, cKDTree
 
-from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY, STEP
+from odt_plugins.engine.cells.measures import DIHEDRAL, MEAN_RATIO, QUALITY, STEP
 
 
 def shape(points, cells):

@@ -5,12 +5,7 @@ from __future__ import annotations
 import numpy as np
 from scipy.spatial import Delaunay
 
-from odt_plugins.engine.cells.tetrahedron import (
-    DIHEDRAL,
-    MEAN_RATIO,
-    QUALITY,
-    STEP,
-)
+from odt_plugins.engine.cells.measures import DIHEDRAL, MEAN_RATIO, QUALITY, STEP
 
 
 def signed_volumes(points, cells):

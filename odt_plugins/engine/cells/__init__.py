@@ -1,23 +1,22 @@
 """One simplex: its measures, their derivatives, and arrays of them.
 
 A measure m is 1 for the regular simplex and 0 for a flat one; its cost in the sum F_p is about
-m^-p (`quality_cost`). Three measures of a tetrahedron (`tet_measure`, `tet_cost`):
+m^-p (`quality_cost`). Value, gradient and Hessian of all stand in one table, ``measures``, which
+everybody calls: `tet_measure`, `tet_cost`, `star_terms` of tetrahedra, `triangle_measure`,
+`star_terms_2d` of triangles in the plane and in tangent planes. Its measures are
 
-- the radius ratio q = 3 r / R (5.1) of inscribed and circumscribed sphere, `tet_quality`;
-- the softened smallest squared sine of its dihedral angles, `tet_dihedral`, with gradient and
-  Hessian of its logarithm, `dihedral_terms`;
-- the cube of the mean ratio, which falls as the AMIPS energy of TetWild grows, `tet_mean_ratio`
-  and `mean_ratio_terms`.
+- the radius ratio q = d r / R (5.1) of inscribed and circumscribed sphere, `tet_quality`;
+- the softened smallest squared sine of the (dihedral) angles, `tet_dihedral`;
+- a power of the mean ratio, which falls as the AMIPS energy of TetWild grows, `tet_mean_ratio`;
+- a power of the time step for which explicit dynamics is stable on the cell, `tet_step`, which
+  has no best cell.
 
-A fourth, `tet_step` with `step_terms`, is a power of the time step for which explicit dynamics is
-stable on the cell; it has no best cell.
-
-`tet_energy` is the ODT energy (2.2) of one tetrahedron, `triangle_shape` and `triangle_measure`
-are the measures of a triangle. `circumcenters` (4.6), `barycenters` and `signed_volumes` treat
-all cells of a mesh at once; `inside_sphere` asks whether a facet is locally Delaunay (Definition
-2.1). `quality_rows`, `shape_rows` and `add_star_terms` take several tetrahedra side by side.
-`Extremes` and `Bounds` are what new cells may not pass unless those they replace do
-(`worse`, `keeps`).
+They are functions of the edges of a cell (`corner_edges`, `squares`, `moving_triangle`, and
+`gather_corners`, `gather_edges` for several cells side by side): what a mesh is seen through, such
+as a metric, has its door there. `tet_energy` is the ODT energy (2.2) of one tetrahedron.
+`circumcenters` (4.6), `barycenters` and `signed_volumes` treat all cells of a mesh at once;
+`inside_sphere` asks whether a facet is locally Delaunay (Definition 2.1). `Extremes` and `Bounds`
+are what new cells may not pass unless those they replace do (`worse`, `keeps`).
 
 References
 ----------

@@ -1,15 +1,22 @@
-"""The three edges a, b, c at a corner of a tetrahedron, and their products."""
+"""The three edges a, b, c at a corner of a tetrahedron, and their products.
+
+All measures of a tetrahedron are functions of these edges: what they are seen through goes into
+`corner_edges`, and into the rows of ``rows``.
+"""
 
 from __future__ import annotations
 
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.mesh.arrays import FloatArray
 
+Edges = tuple[float, float, float, float, float, float, float, float, float]
+"""(a, b, c), one coordinate after another."""
+
 
 @kernel
 def corner_edges(
     points: FloatArray, i: int, j: int, k: int, l: int
-) -> tuple[float, float, float, float, float, float, float, float, float]:
+) -> Edges:
     """Edges a = x_j - x_i, b = x_k - x_i and c = x_l - x_i, one coordinate after another."""
     x = points[i, 0]
     y = points[i, 1]

@@ -17,8 +17,9 @@ import math
 
 import numpy as np
 
-from odt_plugins.engine.cells.corner import corner_edges, corner_normals, opposite_edges
+from odt_plugins.engine.cells.corner import Edges, corner_normals, opposite_edges
 from odt_plugins.engine.cells.packed import add_identity, add_square
+from odt_plugins.engine.cells.triangle import MovingTriangle
 from odt_plugins.engine.compiled.kernel import inlined_kernel, kernel
 from odt_plugins.mesh.arrays import FloatArray
 
@@ -26,23 +27,13 @@ SHARP = 4.0
 """k: the larger, the more the smallest angle counts alone."""
 
 
-@kernel
-def six_cosines(
-    points: FloatArray, i: int, j: int, k: int, l: int
-) -> tuple[float, float, float, float, float, float, float]:
+@inlined_kernel
+def six_cosines(edges: Edges) -> tuple[float, float, float, float, float, float, float]:
     """Six times the volume, and the cosines between the faces opposite the vertices a and b.
 
-    Of the pairs ab = 01, 02, 03, 12, 13, 23 of (i, j, k, l); the two faces meet at the other edge.
+    Of the pairs ab = 01, 02, 03, 12, 13, 23 of the vertices; the two faces meet at the other edge.
     """
-    return corner_cosines(*corner_edges(points, i, j, k, l))
-
-
-@inlined_kernel
-def corner_cosines(
-    ax: float, ay: float, az: float, bx: float, by: float, bz: float, cx: float, cy: float,
-    cz: float,
-) -> tuple[float, float, float, float, float, float, float]:
-    """As :func:`six_cosines`, from the edges at the first vertex."""
+    ax, ay, az, bx, by, bz, cx, cy, cz = edges
     x1, y1, z1, x2, y2, z2, x3, y3, z3 = corner_normals(
         ax, ay, az, bx, by, bz, cx, cy, cz
     )
@@ -87,9 +78,9 @@ def measure_of(
 
 
 @kernel
-def tet_dihedral(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
-    """Softened smallest squared sine of tetrahedron (i, j, k, l); -1 if it is not positive."""
-    det, c01, c02, c03, c12, c13, c23 = six_cosines(points, i, j, k, l)
+def tet_dihedral(edges: Edges) -> float:
+    """Softened smallest squared sine of a tetrahedron; -1 if it is not positive."""
+    det, c01, c02, c03, c12, c13, c23 = six_cosines(edges)
     if not det > 0.0:
         return -1.0
     return measure_of(c01, c02, c03, c12, c13, c23)
@@ -113,14 +104,12 @@ def _add_edge(out: FloatArray, u: float, x: float, y: float, z: float) -> None:
 
 
 @kernel
-def dihedral_terms(
-    points: FloatArray, v: int, i: int, j: int, k: int, out: FloatArray
-) -> bool:
-    """Write m = :func:`tet_dihedral` of (v, i, j, k), gradient and Hessian of log m in x_v.
+def dihedral_terms(edges: Edges, out: FloatArray) -> bool:
+    """Write m = :func:`tet_dihedral`, gradient and Hessian of log m in the corner of the edges.
 
     ``out`` is packed as in ``packed``.  False when the cell is not positive.
     """
-    ax, ay, az, bx, by, bz, cx, cy, cz = corner_edges(points, v, i, j, k)
+    ax, ay, az, bx, by, bz, cx, cy, cz = edges
     nax, nay, naz, nbx, nby, nbz, ncx, ncy, ncz = corner_normals(
         ax, ay, az, bx, by, bz, cx, cy, cz
     )
@@ -195,3 +184,70 @@ def dihedral_terms(
     add_square(out, SHARP, out[1], out[2], out[3])
     return True
 
+
+@kernel
+def _angle_cost(sides: float, square: float) -> float:
+    """sin^-8 of the angle between two edges, from their squared lengths' product and D^2."""
+    x = sides / square
+    x *= x
+    return x * x
+
+
+@kernel
+def _angle_measure(total: float) -> float:
+    """Measure of the smallest angle from the sum of the three costs."""
+    return 4.0 / 3.0 / math.sqrt(math.sqrt(total / 3.0))
+
+
+@kernel
+def triangle_angle(uu: float, vv: float, ww: float, square: float) -> float:
+    """Softened smallest squared sine (4/3) (1/3 sum_i sin^-8 theta_i)^(-1/4) of a triangle.
+
+    Arguments as of ``triangle.squares``, positive.
+    """
+    total = _angle_cost(vv * ww, square)
+    total += _angle_cost(ww * uu, square)
+    total += _angle_cost(uu * vv, square)
+    return _angle_measure(total)
+
+
+@kernel
+def triangle_angle_terms(
+    t: MovingTriangle,
+) -> tuple[float, float, float, float, float, float]:
+    """Measure m of a triangle, gradient of log m and minus its Hessian in the moving corner."""
+    s1, s2, s3 = t.uu, t.vv, t.w * t.w
+    w1 = _angle_cost(s1 * s2, t.square)
+    w2 = _angle_cost(s1 * s3, t.square)
+    w3 = _angle_cost(s2 * s3, t.square)
+    total = w1 + w2 + w3
+    w1 /= total
+    w2 /= total
+    w3 /= total
+    # gradients of log uu and log vv, then of the three log sin^2
+    px = 2.0 * t.u1 / s1
+    py = 2.0 * t.u2 / s1
+    rx = 2.0 * t.v1 / s2
+    ry = 2.0 * t.v2 / s2
+    x1 = t.b1 - px - rx
+    y1 = t.b2 - py - ry
+    x2 = t.b1 - px
+    y2 = t.b2 - py
+    x3 = t.b1 - rx
+    y3 = t.b2 - ry
+    gx = w1 * x1 + w2 * x2 + w3 * x3
+    gy = w1 * y1 + w2 * y2 + w3 * y3
+    b = w1 + w2
+    c = w1 + w3
+    iso = 2.0 * (b / s1 + c / s2)
+    return (
+        _angle_measure(total),
+        gx,
+        gy,
+        t.b11 + iso - b * px * px - c * rx * rx
+        + 4.0 * (w1 * x1 * x1 + w2 * x2 * x2 + w3 * x3 * x3 - gx * gx),
+        t.b12 - b * px * py - c * rx * ry
+        + 4.0 * (w1 * x1 * y1 + w2 * x2 * y2 + w3 * x3 * y3 - gx * gy),
+        t.b22 + iso - b * py * py - c * ry * ry
+        + 4.0 * (w1 * y1 * y1 + w2 * y2 * y2 + w3 * y3 * y3 - gy * gy),
+    )

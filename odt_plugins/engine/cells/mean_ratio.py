@@ -9,18 +9,17 @@ radius ratio it falls with the square of the volume, and it needs no root.
 
 from __future__ import annotations
 
-from odt_plugins.engine.cells.corner import corner_edges, six_volumes
+from odt_plugins.engine.cells.corner import Edges, six_volumes
 from odt_plugins.engine.cells.packed import add_identity, add_square
+from odt_plugins.engine.cells.triangle import MovingTriangle
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.mesh.arrays import FloatArray
 
 
 @kernel
-def _det_and_edges(
-    ax: float, ay: float, az: float, bx: float, by: float, bz: float, cx: float, cy: float,
-    cz: float,
-) -> tuple[float, float]:
+def _det_and_edges(edges: Edges) -> tuple[float, float]:
     """Six times the volume, and the sum of the six squared edges, from the edges at a vertex."""
+    ax, ay, az, bx, by, bz, cx, cy, cz = edges
     det = six_volumes(ax, ay, az, bx, by, bz, cx, cy, cz)
     sx = ax + bx + cx
     sy = ay + by + cy
@@ -32,10 +31,9 @@ def _det_and_edges(
 
 
 @kernel
-def tet_mean_ratio(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
-    """Cube of the mean ratio of tetrahedron (i, j, k, l); -1 if it is not positive."""
-    ax, ay, az, bx, by, bz, cx, cy, cz = corner_edges(points, i, j, k, l)
-    det, t = _det_and_edges(ax, ay, az, bx, by, bz, cx, cy, cz)
+def tet_mean_ratio(edges: Edges) -> float:
+    """Cube of the mean ratio of a tetrahedron; -1 if it is not positive."""
+    det, t = _det_and_edges(edges)
     cube = t * t * t
     if not (det > 0.0 and cube > 0.0):
         return -1.0
@@ -43,15 +41,13 @@ def tet_mean_ratio(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
 
 
 @kernel
-def mean_ratio_terms(
-    points: FloatArray, v: int, i: int, j: int, k: int, out: FloatArray
-) -> bool:
-    """Write m = :func:`tet_mean_ratio` of (v, i, j, k), gradient and Hessian of log m in x_v.
+def mean_ratio_terms(edges: Edges, out: FloatArray) -> bool:
+    """Write m = :func:`tet_mean_ratio`, gradient and Hessian of log m in the corner of the edges.
 
     ``out`` is packed as in ``packed``.  False when the cell is not positive.
     """
-    ax, ay, az, bx, by, bz, cx, cy, cz = corner_edges(points, v, i, j, k)
-    det, t = _det_and_edges(ax, ay, az, bx, by, bz, cx, cy, cz)
+    ax, ay, az, bx, by, bz, cx, cy, cz = edges
+    det, t = _det_and_edges(edges)
     cube = t * t * t
     if not (det > 0.0 and cube > 0.0):
         return False
@@ -71,3 +67,31 @@ def mean_ratio_terms(
     add_square(out, -2.0, dx, dy, dz)
     add_square(out, 3.0, tx, ty, tz)
     return True
+
+
+@kernel
+def triangle_mean_ratio(uu: float, vv: float, ww: float, square: float) -> float:
+    """Squared mean ratio (2 sqrt(3) D / t)^2 = (2/E)^2 of a triangle, t the sum of squared edges.
+
+    Arguments as of ``triangle.squares``, positive; E = tr(J^T J) / det(J).
+    """
+    t = uu + vv + ww
+    return 12.0 * square / (t * t)
+
+
+@kernel
+def triangle_mean_ratio_terms(
+    t: MovingTriangle,
+) -> tuple[float, float, float, float, float, float]:
+    """Measure m of a triangle, gradient of log m and minus its Hessian in the moving corner."""
+    total = t.uu + t.vv + t.w * t.w
+    tx = 2.0 * (t.u1 + t.v1) / total
+    ty = 2.0 * (t.u2 + t.v2) / total
+    return (
+        12.0 * t.square / (total * total),
+        t.b1 - 2.0 * tx,
+        t.b2 - 2.0 * ty,
+        t.b11 - 2.0 * tx * tx + 8.0 / total,
+        t.b12 - 2.0 * tx * ty,
+        t.b22 - 2.0 * ty * ty + 8.0 / total,
+    )

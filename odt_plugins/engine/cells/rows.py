@@ -10,8 +10,9 @@ import math
 
 import numpy as np
 
-from odt_plugins.engine.cells.dihedral import corner_cosines, measure_of
-from odt_plugins.engine.cells.tetrahedron import SHIFT, opposite_vertices, quality_cost
+from odt_plugins.engine.cells.cost import SHIFT, quality_cost
+from odt_plugins.engine.cells.dihedral import measure_of, six_cosines
+from odt_plugins.engine.cells.tetrahedron import opposite_vertices
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
@@ -139,10 +140,10 @@ def shape_rows(count: int, rows: FloatArray) -> None:
 def dihedral_rows(count: int, rows: FloatArray) -> None:
     """Write the measures ``dihedral.tet_dihedral`` from the rows of :func:`gather_edges`."""
     for s in range(count):
-        det, c01, c02, c03, c12, c13, c23 = corner_cosines(
+        det, c01, c02, c03, c12, c13, c23 = six_cosines((
             rows[AX + s], rows[AY + s], rows[AZ + s], rows[BX + s], rows[BY + s], rows[BZ + s],
             rows[CX + s], rows[CY + s], rows[CZ + s],
-        )
+        ))
         measure = measure_of(c01, c02, c03, c12, c13, c23)
         rows[Q + s] = measure if det > 0.0 else -1.0
 
@@ -248,7 +249,8 @@ def add_star_terms(
     False when a cell is not positive.
     """
     derivative_rows(x, y, z, count, rows)
-    f0 = gx = gy = gz = xx = xy = xz = yy = yz = zz = 0.0
+    f0, gx, gy, gz = out[0], out[1], out[2], out[3]
+    xx, xy, xz, yy, yz, zz = out[4], out[5], out[6], out[7], out[8], out[9]
     least = np.inf
     for s in range(count):
         least = min(least, rows[SOUND + s])
@@ -268,14 +270,6 @@ def add_star_terms(
         yy += pp * ly * ly + pf * rows[YY + s]
         yz += pp * ly * lz + pf * rows[YZ + s]
         zz += pp * lz * lz + pf * rows[ZZ + s]
-    out[0] += f0
-    out[1] += gx
-    out[2] += gy
-    out[3] += gz
-    out[4] += xx
-    out[5] += xy
-    out[6] += xz
-    out[7] += yy
-    out[8] += yz
-    out[9] += zz
+    out[0], out[1], out[2], out[3] = f0, gx, gy, gz
+    out[4], out[5], out[6], out[7], out[8], out[9] = xx, xy, xz, yy, yz, zz
     return least > 0.0

@@ -1,12 +1,15 @@
-"""Measures of one triangle, as compiled scalar code; see ``tetrahedron`` for those in space."""
+"""One triangle in the plane or in space: its edges, what is made of them, and its radius ratio.
+
+All measures of a triangle are functions of its squared edges and area, their derivatives of a
+`MovingTriangle`: what the edges are seen through goes into `squares` and `moving_triangle`.
+"""
 
 from __future__ import annotations
 
 import math
+from typing import NamedTuple
 
 from odt_plugins.engine.cells.extremes import Extremes
-from odt_plugins.engine.cells.step import eighth_root
-from odt_plugins.engine.cells.tetrahedron import MEAN_RATIO, QUALITY, STEP
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.topology.lookup import place_in
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -125,45 +128,152 @@ def triangle_altitude(points: FloatArray, a: int, b: int, c: int) -> float:
 
 
 @kernel
-def triangle_measure(points: FloatArray, a: int, b: int, c: int, objective: int) -> float:
-    """Measure of one triangle, 1 for the regular one; 0 or negative when not counterclockwise.
-
-    With D twice the area and l the lengths of the edges, the mean ratio is
-    m = (2 sqrt(3) D / sum l^2)^2 = (2/E)^2, E = tr(J^T J) / det(J) the AMIPS energy; the measure
-    of the smallest angle is m = (4/3) (1/3 sum_i sin^-8 theta_i)^(-1/4); that of the time step,
-    m = (D^2 / sum l^2)^(1/8), is 1 for no triangle, see ``step``. Of a triangle in space there is
-    the radius ratio alone.
-    """
+def squares(points: FloatArray, a: int, b: int, c: int) -> tuple[float, float, float, float]:
+    """Squares of the edges bc, ca and ab and of twice the area D, in the plane with its sign."""
     if points.shape[1] == 3:
-        return triangle_in_space(points, a, b, c)[0]
-    if objective == QUALITY:
-        return triangle_shape(points, a, b, c)[0]
+        ux, uy, uz = offset(points, b, c)
+        vx, vy, vz = offset(points, c, a)
+        wx, wy, wz = offset(points, a, b)
+        nx, ny, nz = vy * wz - vz * wy, vz * wx - vx * wz, vx * wy - vy * wx
+        return (
+            ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz,
+            wx * wx + wy * wy + wz * wz, nx * nx + ny * ny + nz * nz,
+        )
     ux, uy, vx, vy, wx, wy = _edges(points, a, b, c)
-    uu = ux * ux + uy * uy
-    vv = vx * vx + vy * vy
-    ww = wx * wx + wy * wy
     double_area = vx * wy - vy * wx
-    d2 = double_area * double_area
-    if not (double_area > 0.0 and d2 > 0.0):
-        return -1.0
-    if objective == MEAN_RATIO:
-        t = uu + vv + ww
-        return 12.0 * d2 / (t * t)
-    if objective == STEP:
-        return eighth_root(d2 / (uu + vv + ww))
-    total = angle_cost(vv * ww, d2) + angle_cost(ww * uu, d2) + angle_cost(uu * vv, d2)
-    return angle_measure(total)
+    return (
+        ux * ux + uy * uy, vx * vx + vy * vy, wx * wx + wy * wy,
+        double_area * abs(double_area),
+    )
+
+
+class MovingTriangle(NamedTuple):
+    """A triangle whose corner x moves along two orthonormal directions; opposite is the edge bc.
+
+    Attributes
+    ----------
+    uu, vv : float             squares of u = x - b and v = x - c
+    w : float                  length of bc
+    square : float             B = D^2, D twice the area; not positive for a triangle that is not
+    u1, u2, v1, v2 : float     u and v along the directions
+    b1, b2 : float             gradient of log B
+    b11, b12, b22 : float      minus the Hessian of log B
+    """
+
+    uu: float
+    vv: float
+    w: float
+    square: float
+    u1: float
+    u2: float
+    v1: float
+    v2: float
+    b1: float
+    b2: float
+    b11: float
+    b12: float
+    b22: float
+
+
+NOT_POSITIVE = MovingTriangle(
+    0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+"""Of a triangle that is inverted or flat."""
 
 
 @kernel
-def angle_cost(sides: float, d2: float) -> float:
-    """sin^-8 of the angle between two edges, from their squared lengths' product and D^2."""
-    x = sides / d2
-    x *= x
-    return x * x
+def moving_triangle(
+    points: FloatArray, x: int, b: int, c: int, axes: FloatArray
+) -> MovingTriangle:
+    """The triangle (x, b, c) with what the derivatives of all measures are made of.
+
+    In the plane, where the axes are those of the coordinates, D is linear; in space B is
+    |w|^2 |u|^2 - (u w)^2, a quadratic of the vertex.
+
+    Parameters
+    ----------
+    points : (n, d) float64
+    x, b, c : int
+    axes : (2, d) float64      orthonormal directions; not read where d = 2
+    """
+    if points.shape[1] == 2:
+        ux, uy = points[x, 0] - points[b, 0], points[x, 1] - points[b, 1]
+        vx, vy = points[x, 0] - points[c, 0], points[x, 1] - points[c, 1]
+        wx, wy = points[c, 0] - points[b, 0], points[c, 1] - points[b, 1]
+        double_area = ux * vy - uy * vx
+        if not double_area > 0.0:
+            return NOT_POSITIVE
+        ax, ay = -wy / double_area, wx / double_area
+        return MovingTriangle(
+            ux * ux + uy * uy, vx * vx + vy * vy, math.sqrt(wx * wx + wy * wy),
+            double_area * double_area, ux, uy, vx, vy, 2.0 * ax, 2.0 * ay, 2.0 * ax * ax,
+            2.0 * ax * ay, 2.0 * ay * ay,
+        )
+    uu = vv = ww = uw = 0.0
+    u1 = u2 = v1 = v2 = w1 = w2 = 0.0
+    for k in range(3):
+        u = points[x, k] - points[b, k]
+        v = points[x, k] - points[c, k]
+        w = points[c, k] - points[b, k]
+        uu += u * u
+        vv += v * v
+        ww += w * w
+        uw += u * w
+        u1 += u * axes[0, k]
+        u2 += u * axes[1, k]
+        v1 += v * axes[0, k]
+        v2 += v * axes[1, k]
+        w1 += w * axes[0, k]
+        w2 += w * axes[1, k]
+    square = ww * uu - uw * uw
+    if not square > 0.0:
+        return NOT_POSITIVE
+    ib = 2.0 / square
+    b1, b2 = (ww * u1 - uw * w1) * ib, (ww * u2 - uw * w2) * ib
+    return MovingTriangle(
+        uu, vv, math.sqrt(ww), square, u1, u2, v1, v2, b1, b2, b1 * b1 - (ww - w1 * w1) * ib,
+        b1 * b2 + w1 * w2 * ib, b2 * b2 - (ww - w2 * w2) * ib,
+    )
 
 
 @kernel
-def angle_measure(total: float) -> float:
-    """Measure of the smallest angle from the sum of the three costs."""
-    return 4.0 / 3.0 / math.sqrt(math.sqrt(total / 3.0))
+def triangle_quality(uu: float, vv: float, ww: float, square: float) -> float:
+    """Radius ratio 2 r / R = 4 D^2 / (perimeter |u| |v| |w|) from what :func:`squares` gives."""
+    lu, lv, lw = math.sqrt(uu), math.sqrt(vv), math.sqrt(ww)
+    if not (lu > 0.0 and lv > 0.0 and lw > 0.0):
+        return 0.0
+    return 4.0 * square / ((lu + lv + lw) * lu * lv * lw)
+
+
+@kernel
+def triangle_quality_terms(
+    t: MovingTriangle,
+) -> tuple[float, float, float, float, float, float]:
+    """Radius ratio q of a triangle, gradient of log q and minus its Hessian in the moving corner.
+
+    log q = log B - log l1 - log l2 - log(l1 + l2 + |w|) + constant, l1 = |u|, l2 = |v|;
+    Hess l = (I - u u^T) / l, Hess log l = (I - 2 u u^T) / l^2 for the unit vector u.
+    """
+    l1, l2 = math.sqrt(t.uu), math.sqrt(t.vv)
+    perimeter = l1 + l2 + t.w
+    i1 = 1.0 / l1
+    i2 = 1.0 / l2
+    ip = 1.0 / perimeter
+    u1, u2, v1, v2 = t.u1 * i1, t.u2 * i1, t.v1 * i2, t.v2 * i2
+    # gradient of log perimeter
+    p1 = (u1 + v1) * ip
+    p2 = (u2 + v2) * ip
+    r1 = i1 * ip
+    r2 = i2 * ip
+    s1 = i1 * i1
+    s2 = i2 * i2
+    iso = r1 + r2 + s1 + s2
+    t1 = r1 + 2.0 * s1
+    t2 = r2 + 2.0 * s2
+    return (
+        4.0 * t.square / (perimeter * l1 * l2 * t.w),
+        t.b1 - p1 - u1 * i1 - v1 * i2,
+        t.b2 - p2 - u2 * i1 - v2 * i2,
+        t.b11 - p1 * p1 + iso - t1 * u1 * u1 - t2 * v1 * v1,
+        t.b12 - p1 * p2 - t1 * u1 * u2 - t2 * v1 * v2,
+        t.b22 - p2 * p2 + iso - t1 * u2 * u2 - t2 * v2 * v2,
+    )

@@ -5,10 +5,11 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
-from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY, STEP, Cost
+from odt_plugins.engine.cells.cost import Cost
+from odt_plugins.engine.cells.measures import DIHEDRAL, MEASURES, QUALITY, STEP
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import EXTREMES
-from odt_plugins.options import Objective
+from odt_plugins.objectives import AIMS, Objective
 
 
 @dataclass(frozen=True)
@@ -23,7 +24,7 @@ class Phase:
     sweeps : int     sweeps of smoothing in a round
     compound : int   passes of compound moves over the same share: before of triangles, afterwards
                      of tetrahedra, where polyhedra around it are filled anew before and after
-    objective : int  the cell measure in the cost, see ``tetrahedron.tet_cost``
+    objective : int  the cell measure in the cost, see ``measures``
     guard : float or None
         no new cell gets a worse radius ratio than this share of the cells has when the phase
         starts; None: than the input (d = 3)
@@ -84,21 +85,6 @@ class Descent:
     hold: float | None = None
 
 
-MEASURES = {"radius_ratio": QUALITY, "amips": MEAN_RATIO, "min_dihedral": DIHEDRAL,
-            "time_step": STEP}
-
-TAILS = {
-    ("radius_ratio", 2): ((4.0, 0.1, 4, 2, 3), (8.0, 0.01, 4, 2, 2), (32.0, 0.003, 6, 2, 3)),
-    ("radius_ratio", 3): ((2.0, 0.1, 2, 3, 0), (4.0, 0.03, 2, 3, 3), (8.0, 0.002, 2, 3, 0)),
-    ("amips", 2): ((2.0, 0.1, 4, 2, 3), (8.0, 0.01, 4, 2, 2), (32.0, 0.003, 6, 2, 3)),
-    ("amips", 3): ((0.5, 0.1, 2, 3, 3), (2.0, 0.01, 2, 3, 3), (8.0, 0.002, 2, 3, 3)),
-    ("min_dihedral", 2): ((4.0, 0.1, 4, 2, 3), (8.0, 0.003, 4, 2, 2), (16.0, 0.001, 6, 2, 3)),
-    ("min_dihedral", 3): ((1.0, 0.03, 2, 3, 3), (2.0, 0.01, 2, 3, 3), (8.0, 0.002, 2, 3, 3)),
-    ("time_step", 2): ((16.0, 0.05, 10, 2, 0), (32.0, 0.01, 10, 2, 0), (64.0, 0.003, 10, 2, 0)),
-    ("time_step", 3): ((16.0, 0.03, 2, 3, 3), (32.0, 0.01, 2, 3, 3), (64.0, 0.002, 2, 3, 3)),
-}
-"""Power, share, rounds, sweeps and compound passes of the phases for the worst cells."""
-
 GOOD_TRIANGLE = 0.93
 """Measure of a triangle in the plane around which hardly a compound move pays."""
 
@@ -120,21 +106,21 @@ others gain by.
 
 
 def bulk(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
-    """Phases for the mean: every cell, a small p; with "amips" the sum of the energies."""
-    if objective == "amips":
-        if dim == 2:
-            return (Phase(1 / 2, 1.0, 20, 2, objective=MEAN_RATIO, name="bulk"),)
-        return (Phase(1 / 3, 1.0, 6, 3, objective=MEAN_RATIO, name="bulk"),)
+    """Phases for the mean: every cell, a small p; by the measure of "amips" the sum of energies."""
     power, rounds, sweeps = (2.0, 20, 2) if dim == 2 else (0.5, 6, 3)
-    return (Phase(power, 1.0, rounds, sweeps, name="bulk"),)
+    measure, mean = QUALITY, AIMS[objective].mean
+    if mean is not None:
+        power, measure = mean[dim - 2], MEASURES[objective]
+    return (Phase(power, 1.0, rounds, sweeps, objective=measure, name="bulk"),)
 
 
 def tail(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
     """Phases for the worst cells: fewer and fewer of them, a larger and larger p."""
-    enough = GOOD_TRIANGLE if dim == 2 else 1.0
+    aim = AIMS[objective]
+    enough, rows = (GOOD_TRIANGLE, aim.triangles) if dim == 2 else (1.0, aim.cells)
     return tuple(
         Phase(*row, MEASURES[objective], enough=enough, name=f"tail {k}")
-        for k, row in enumerate(TAILS[objective, dim], 1)
+        for k, row in enumerate(rows, 1)
     )
 
 
@@ -212,7 +198,7 @@ def cautious(dim: int, objective: Objective = "radius_ratio") -> tuple[Phase, ..
         Phase(1.0, 0.1, 2, 3, 1, name="cautious"),
         Phase(2.0, 0.05, 2, 3, 3, name="cautious"),
     )
-    return general if objective == "radius_ratio" else general + tail(dim, objective)
+    return general if AIMS[objective].by_ratios else general + tail(dim, objective)
 
 
 WORST = Phase(4.0, 0.015, 2, 3, 3, fills=False, name="worst")
@@ -242,13 +228,14 @@ def descents(dim: int, objective: Objective = "radius_ratio") -> tuple[Descent, 
     Angles and altitudes cost radius ratios: the last descent of "min_dihedral" wins back what it
     can of them while the worst angles hold, that of "time_step" around all cells it touched.
     """
-    if objective == "radius_ratio":
+    aim = AIMS[objective]
+    if aim.by_ratios:
         return (Descent(tail(2) if dim == 2 else worst_cells()),)
-    if objective == "amips":
+    if aim.mean is not None:
         (back,) = bulk(dim, objective)
         back = replace(back, rounds=1, hold=1.0, guard=0.01, name="regain")
         return (Descent(tail(dim, objective) + (dim == 3) * (back,)),)
-    hold = objective == "min_dihedral"
+    hold = aim.by_angles
     general, own = Descent(tail(dim)), Descent(tail(dim, objective), hold=0.0 if hold else None)
     if dim == 2:
         return general, own

@@ -10,9 +10,6 @@ from collections.abc import Callable
 import numpy as np
 
 from odt_plugins.engine.cells.extremes import Extremes
-from odt_plugins.engine.cells.triangle import triangle_measure
-from odt_plugins.engine.compiled.kernel import kernel
-from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.finish.descent import finish_phase
 from odt_plugins.engine.finish.phases import Phase, bulk, tail
 from odt_plugins.engine.finish.triangles import TriangleDescent
@@ -86,13 +83,6 @@ class _PlaneDescent(TriangleDescent):
         every: BoolArray = np.ones(len(mesh.cells), dtype=np.bool_)
         self.movable_cells = every if movable_cells is None else movable_cells
 
-    def measures(self) -> FloatArray:
-        """Measure of every triangle, (m,)."""
-        m = np.empty(len(self.cells))
-        for first, last in pieces(0, len(self.cells)):
-            _measures(self.points, self.cells[first:last], self.phase.objective, m[first:last])
-        return m
-
     def flip_some(self, seeds: BoolArray, changed: BoolArray) -> int:
         """Flip from the seeds on."""
         return quality_flips(self.mesh, self.phase.cost, self.bounds,
@@ -115,11 +105,3 @@ class _PlaneDescent(TriangleDescent):
                                           stop, self.phase.cost, self.bounds, moved))
 
         return sum(run_chunks(self.pool, self.threads, coloring, work))
-
-
-@kernel
-def _measures(points: FloatArray, cells: IntArray, objective: int, m: FloatArray) -> None:
-    """Measure of every triangle."""
-    for t in range(cells.shape[0]):
-        m[t] = triangle_measure(points, cells[t, 0], cells[t, 1], cells[t, 2], objective)
-

@@ -17,6 +17,7 @@ from odt_plugins.engine.topology.complex import Complex
 from odt_plugins.engine.topology.part import Part, around, inside
 from odt_plugins.mesh.arrays import BoolArray, IntArray
 from odt_plugins.mesh.chunks import Pool
+from odt_plugins.objectives import AIMS
 
 Settle = Callable[[Complex, tuple[Phase, ...], Bounds], None]
 """Runs phases of the finishing stage on a complex within bounds."""
@@ -42,7 +43,7 @@ def polish_small_angles(
     cut : (n,) bool, optional  vertices whose cells wait for another run
     """
     work = inside(mesh)
-    if not memory.states or work.dim == 2 or memory.objective != "radius_ratio":
+    if not memory.states or work.dim == 2 or not AIMS[memory.objective].by_ratios:
         return
     small = _small(work, cut, pool)
     passes = polish(len(small) / max(work.count(), 1))

@@ -12,13 +12,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import Bounds
-from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, QUALITY, STEP, Cost
+from odt_plugins.engine.cells.measures import DIHEDRAL, NO_CELL, QUALITY, STEP
 from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.finish.phases import Phase, tail
 from odt_plugins.engine.moves import insertion
 from odt_plugins.engine.moves.insertion import Step
-from odt_plugins.engine.moves.passes import NO_CELL, grow, measures
+from odt_plugins.engine.moves.passes import grow, measures
 from odt_plugins.engine.moves.worth import Weights, worth_of_cells
 from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.policy import POLICY
@@ -27,7 +28,7 @@ from odt_plugins.engine.topology.complex import Complex, make_complex
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
 from odt_plugins.mesh.numbering import most_vertices
 from odt_plugins.mesh.quantiles import quantile
-from odt_plugins.options import Objective
+from odt_plugins.objectives import AIMS, Objective
 
 
 @dataclass(frozen=True)
@@ -74,9 +75,9 @@ ALTITUDES = Resampling(16.0, 0.003, 15, STEP, STEP, best=True)
 
 def resampling(objective: Objective = "radius_ratio") -> tuple[Resampling, ...]:
     """Passes of one round of insertion: for the mean, the quality, the angles."""
-    if objective == "min_dihedral":
+    if AIMS[objective].by_angles:
         return ANGLES
-    own = (ALTITUDES,) if objective == "time_step" else ()
+    own = (ALTITUDES,) if AIMS[objective].by_altitude else ()
     return (
         *own,
         Resampling(2.0, 0.5, 2, price=1.0),
@@ -103,7 +104,7 @@ def weights(
     tail = min(POLICY.score_p1 * (high - low) / (shares[1] - shares[0]), POLICY.insertion_tail)
     few, worst = POLICY.insertion_few, POLICY.insertion_worst
     least, sharp = few * float(q.min()), few * float(sine.min())
-    height = few * float(shapes[:, 3].min()) if objective == "time_step" else 0.0
+    height = few * float(shapes[:, 3].min()) if AIMS[objective].by_altitude else 0.0
     if reach > 0.0:
         least, sharp = 0.0, min(float(sine.min()) + reach, HIGHEST)
         worst = POLICY.insertion_angles
@@ -115,8 +116,9 @@ def weights(
 
 def after_resampling(objective: Objective = "radius_ratio") -> tuple[Phase, ...]:
     """Phases around the worst cells after a round of insertion: the mean, then the tail."""
-    general = () if objective == "amips" else (Phase(2.0, 0.1, 2, 3), Phase(4.0, 0.03, 2, 3, 1))
-    own = () if objective == "radius_ratio" else tail(3, objective)
+    aim = AIMS[objective]
+    general = (Phase(2.0, 0.1, 2, 3), Phase(4.0, 0.03, 2, 3, 1)) if aim.mean is None else ()
+    own = () if aim.by_ratios else tail(3, objective)
     return (Phase(0.5, 0.1, 3, 3), *general, *own)
 
 
@@ -245,7 +247,7 @@ def resample_in_rounds(
     report : callable           is told the share that is done
     log : Log
     """
-    angles = objective == "min_dihedral"
+    angles = AIMS[objective].by_angles
     share = POLICY.insertion_angles_effort if angles else POLICY.insertion_effort
     effort = POLICY.insertion_least_effort + int(share * mesh.count())
     for done in range(POLICY.insertion_rounds):

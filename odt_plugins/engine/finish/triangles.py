@@ -8,6 +8,7 @@ from collections.abc import Callable
 
 import numpy as np
 
+from odt_plugins.engine.cells.measures import cell_measures
 from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.finish.phases import Phase
 from odt_plugins.engine.moves.compound2d import excess_degrees
@@ -32,9 +33,14 @@ class TriangleDescent(ABC):
         self.points, self.cells = mesh.points, mesh.cells
         self.status = np.zeros(len(mesh.cells), dtype=np.uint8)
 
-    @abstractmethod
     def measures(self) -> FloatArray:
         """Measure of every triangle, (m,)."""
+        m = np.empty(len(self.cells))
+        for first, last in pieces(0, len(self.cells)):
+            cell_measures(
+                self.points, self.cells[first:last], self.phase.objective, m[first:last]
+            )
+        return m
 
     @abstractmethod
     def flip_some(self, seeds: BoolArray, changed: BoolArray) -> int:

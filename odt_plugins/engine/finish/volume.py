@@ -20,13 +20,13 @@ from odt_plugins.engine.cells.extremes import (
     part_of,
     together,
 )
-from odt_plugins.engine.cells.tetrahedron import QUALITY
+from odt_plugins.engine.cells.measures import NO_CELL, QUALITY
 from odt_plugins.engine.compiled.threads import run_ranges
 from odt_plugins.engine.finish.descent import finish_phase
 from odt_plugins.engine.finish.phases import Phase
 from odt_plugins.engine.moves.compound import compound_pass
 from odt_plugins.engine.moves.newton3d import smooth_vertices
-from odt_plugins.engine.moves.passes import NO_CELL, flip_pending, grow, measures
+from odt_plugins.engine.moves.passes import flip_pending, grow, measures
 from odt_plugins.engine.moves.reconnection import reconnection_pass
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import cell_shapes, tet_extremes

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
+from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
-from odt_plugins.engine.cells.triangle import triangle_in_space
+from odt_plugins.engine.cells.measures import QUALITY, star_state_2d
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import Ground, walk
 from odt_plugins.engine.ground.lines import Lines, line_direction, line_is_near, on_line
@@ -31,8 +31,8 @@ DECREASE = 1e-6
 ARMIJO = 1e-4
 """Part of the decrease that the slope predicts which a step must reach."""
 
-NO_COST = 0.0
-"""In the place of the power of F_p: a move need not lower it."""
+NO_COST = Cost(QUALITY, 0.0)
+"""A move need not lower F_p."""
 
 APART = 0.05
 """Part of the way between its neighbours on the line that a vertex keeps from each."""
@@ -55,22 +55,6 @@ class Step(NamedTuple):
     along: float
     before: float
     slope: float
-
-
-@kernel
-def star_shape(
-    sheet: Sheet, stars: Stars, vertex: int, power: float
-) -> tuple[float, Extremes]:
-    """F_p of a star, and its extremes."""
-    total = 0.0
-    found = Extremes(1.0, -1.0, 1.0)
-    t = sheet.triangles
-    for s in range(stars.indptr[vertex], stars.indptr[vertex + 1]):
-        c = stars.indices[s]
-        q, large, small, _, _, _ = triangle_in_space(sheet.points, t[c, 0], t[c, 1], t[c, 2])
-        total += q**-power if q > 0.0 else math.inf
-        found = worse(found, Extremes(q, large, small))
-    return total, found
 
 
 @kernel
@@ -123,7 +107,7 @@ def least_cosine(
 
 @kernel
 def try_move(
-    sheet: Sheet, guards: Guards, stars: Stars, vertex: int, step: Step, power: float,
+    sheet: Sheet, guards: Guards, stars: Stars, vertex: int, step: Step, cost: Cost,
     bounds: Extremes, work: Work,
 ) -> float:
     """Move a vertex by alpha times a step, alpha = 1, 1/2, ..., until every guard agrees.
@@ -132,7 +116,7 @@ def try_move(
     ----------
     stars : Stars        of the sheet
     step : Step
-    power : float        p of the sum F_p that must fall, or NO_COST
+    cost : Cost          of the sum F_p that must fall, or NO_COST
     bounds : Extremes    that the star may not pass unless it does already
 
     Returns
@@ -144,7 +128,8 @@ def try_move(
     x, y, z, foot = p[vertex, 0], p[vertex, 1], p[vertex, 2], sheet.foot[vertex]
     slot = lines.slot[vertex]
     place = lines.place[slot] if slot >= 0 else 0.0
-    _, here = star_shape(sheet, stars, vertex, 1.0)
+    star = stars.indices[stars.indptr[vertex] : stars.indptr[vertex + 1]]
+    _, here = star_state_2d(p, sheet.triangles, star, NO_COST)
     limit = worse(bounds, here)
     floor = 2.0
     alpha = 1.0
@@ -154,9 +139,9 @@ def try_move(
             z + alpha * step.z, alpha * step.along, limits.line,
         )
         if good:
-            there, found = star_shape(sheet, stars, vertex, power)
+            there, found = star_state_2d(p, sheet.triangles, star, cost)
             good = keeps(found, limit)
-            if power != NO_COST:
+            if cost.power > 0.0:
                 good = good and (
                     there <= step.before + ARMIJO * alpha * step.slope
                     and there < (1.0 - DECREASE) * step.before

@@ -12,8 +12,8 @@ run.
   bound over all fillings between their vertices: `reconnection_pass`, `grow_polyhedron`,
   `fill_polyhedron`.
 - Newton steps: x -= (H + s I)^-1 g for one vertex, halved until F_p falls: `newton_vertex` and
-  `smooth_vertices` in space, `star_cost_2d` and `smooth_vertices_2d` in the plane, `star_cost` in a
-  tangent plane, `plane_step`.
+  `smooth_vertices` in space, `newton_step_2d` and `smooth_vertices_2d` in the plane or a tangent
+  plane, `plane_step`.
 - Compound moves: a flip that costs something, a descent around it, and all taken back if it did
   not pay: `compound_pass`, `descend_around` in space, `compound_pass_2d` in the plane; on a surface
   `force` and `take_back` without guards.

@@ -10,8 +10,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from odt_plugins.engine.cells.cost import Cost, least_cost
+from odt_plugins.engine.cells.measures import cell_cost, tet_cost
 from odt_plugins.engine.cells.sphere import apex_across
-from odt_plugins.engine.cells.tetrahedron import ENERGY, Cost, cell_cost, tet_cost
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.topology.active import DONE, IDLE, PENDING
 from odt_plugins.engine.topology.lookup import place_in
@@ -180,7 +181,7 @@ def triangulate_ring(
     No triangle costs less than two perfect cells, which cuts most of the table short.
     """
     vertices, best, split = ring.vertices, ring.best, ring.split
-    least = 0.0 if cost.objective == ENERGY else 2.0
+    least = 2.0 * least_cost(cost.objective)
     for i in range(n - 1):
         best[i, i + 1] = 0.0
     for span in range(2, n):

@@ -11,12 +11,18 @@ from typing import NamedTuple
 
 import numpy as np
 
+from odt_plugins.engine.cells.cost import Cost, quality_cost
 from odt_plugins.engine.cells.extremes import Bounds, Extremes, keeps, rounded, worse
-from odt_plugins.engine.cells.tetrahedron import Cost, cell_extremes, quality_cost, tet_measure
+from odt_plugins.engine.cells.measures import (
+    Room,
+    cell_extremes,
+    make_room,
+    tet_measure,
+)
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.moves.cavity import Journal, Ring, make_journal, make_ring, take_back
 from odt_plugins.engine.moves.flips3d import flip_facet, improve_cell, remove_edge
-from odt_plugins.engine.moves.newton3d import Derivatives, make_derivatives, newton_vertex
+from odt_plugins.engine.moves.newton3d import newton_vertex
 from odt_plugins.engine.topology.active import DONE, IDLE, PENDING
 from odt_plugins.engine.topology.lookup import is_in
 from odt_plugins.engine.topology.tets import Tets
@@ -41,7 +47,7 @@ class Scratch(NamedTuple):
 
     Attributes
     ----------
-    ring : Ring, journal : Journal, derivatives : Derivatives
+    ring : Ring, journal : Journal, derivatives : Room
     touched : (MOST_TOUCHED,) int32     cells that a descent wrote or may write
     star : (LARGEST_STAR,) int32        cells around a vertex
     seen : (MOST_TOUCHED,) int32        vertices that were visited in a round
@@ -52,7 +58,7 @@ class Scratch(NamedTuple):
 
     ring: Ring
     journal: Journal
-    derivatives: Derivatives
+    derivatives: Room
     touched: IntArray
     star: IntArray
     seen: IntArray
@@ -100,7 +106,7 @@ def make_scratch(entries: int) -> Scratch:
     return Scratch(
         make_ring(np.empty(0), np.bool_(False)),
         make_journal(np.bool_(True), entries),
-        make_derivatives(),
+        make_room(),
         np.empty(MOST_TOUCHED, np.int32),
         np.empty(LARGEST_STAR, np.int32),
         np.empty(MOST_TOUCHED, np.int32),

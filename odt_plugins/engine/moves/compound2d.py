@@ -14,9 +14,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
-from odt_plugins.engine.cells.tetrahedron import Cost
-from odt_plugins.engine.cells.triangle import triangle_extremes, triangle_measure
+from odt_plugins.engine.cells.measures import triangle_measure
+from odt_plugins.engine.cells.triangle import triangle_extremes
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.moves.flips2d import (

@@ -11,9 +11,10 @@ from typing import NamedTuple
 
 import numpy as np
 
+from odt_plugins.engine.cells.cost import ENERGY, Cost, is_energy
 from odt_plugins.engine.cells.extremes import FREELY, Extremes, keeps, worse
-from odt_plugins.engine.cells.tetrahedron import ENERGY, QUALITY, Cost
-from odt_plugins.engine.cells.triangle import triangle_extremes, triangle_measure, triangle_shape
+from odt_plugins.engine.cells.measures import triangle_state
+from odt_plugins.engine.cells.triangle import triangle_shape
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import PIECE
 from odt_plugins.engine.topology.lookup import place_in
@@ -89,7 +90,7 @@ def quality_flips(
     Parameters
     ----------
     mesh : Triangles            changed
-    cost : Cost                 measure m, see ``triangle_measure``, and p > 0
+    cost : Cost                 measure m, see ``measures.triangle_measure``, and p > 0
     bounds : Extremes           a flip that passes one of them and is worse there than the pair it
                                 replaces is refused
     movable_cells : (m,) bool   an edge is flipped only between two such cells; None means all
@@ -231,7 +232,7 @@ def _flip_edges(
         d = cells[s, j]
         if not (is_wide(points, a, b, d) and is_wide(points, a, d, c)):
             continue
-        if rule.cost.objective != ENERGY:
+        if not is_energy(rule.cost.objective):
             if not shapes_improve(points, a, b, c, d, rule.cost, rule.limit):
                 continue
         elif not _in_circle(points, a, b, c, d) or not _guard_agrees(
@@ -420,19 +421,15 @@ def shapes_improve(
     points: FloatArray, a: int, b: int, c: int, d: int, cost: Cost, limit: Extremes
 ) -> bool:
     """Whether the flip lowers the sum of m^-p and respects the bounds."""
-    first, second = triangle_extremes(points, a, b, c), triangle_extremes(points, d, c, b)
-    third, fourth = triangle_extremes(points, a, b, d), triangle_extremes(points, a, d, c)
+    m = cost.objective
+    m1, first = triangle_state(points, a, b, c, m)
+    m2, second = triangle_state(points, d, c, b, m)
+    m3, third = triangle_state(points, a, b, d, m)
+    m4, fourth = triangle_state(points, a, d, c, m)
     before, after = worse(first, second), worse(third, fourth)
     if not after.quality > 0.0 or not keeps(after, worse(limit, before)):
         return False
     if not before.quality > 0.0:
         return True
     p = cost.power
-    if cost.objective == QUALITY:
-        now = first.quality**-p + second.quality**-p
-        then = third.quality**-p + fourth.quality**-p
-        return bool(then < (1.0 - GAIN) * now)
-    m = cost.objective
-    now = triangle_measure(points, a, b, c, m) ** -p + triangle_measure(points, d, c, b, m) ** -p
-    then = triangle_measure(points, a, b, d, m) ** -p + triangle_measure(points, a, d, c, m) ** -p
-    return bool(then < (1.0 - GAIN) * now)
+    return bool(m3**-p + m4**-p < (1.0 - GAIN) * (m1**-p + m2**-p))

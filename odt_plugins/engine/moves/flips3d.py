@@ -8,15 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from odt_plugins.engine.cells.cost import Cost, is_energy, least_cost
 from odt_plugins.engine.cells.extremes import BEST, Bounds, Extremes, keeps, worse
+from odt_plugins.engine.cells.measures import cell_extremes, tet_cost
 from odt_plugins.engine.cells.sphere import apex_across, circumsphere, inside_sphere
-from odt_plugins.engine.cells.tetrahedron import (
-    ENERGY,
-    Cost,
-    cell_extremes,
-    opposite_vertices,
-    tet_cost,
-)
+from odt_plugins.engine.cells.tetrahedron import opposite_vertices
 from odt_plugins.engine.compiled.kernel import allocating_kernel, inlined_kernel, kernel
 from odt_plugins.engine.moves.cavity import (
     Journal,
@@ -72,7 +68,7 @@ def admissible(
     free = locked = BEST
     for m in range(n_new):
         is_locked = all_locked(tets, new[m, 0], new[m, 1], new[m, 2], new[m, 3])
-        if objective == ENERGY and not is_locked:
+        if is_energy(objective) and not is_locked:
             continue
         # as the numbers of cells are: for another type it would be compiled once more
         own = cell_extremes(points, new, np.int32(m))
@@ -121,15 +117,14 @@ def ring_worth(
     n : int          length of the ring; 0 where no filling of it can lower the cost enough
     before : float   cost of the cells around the edge
     """
-    objective = cost.objective
-    forced = allowance > WITHIN_BOUNDS
-    a, b, n = walk_ring(tets, c, e, max_ring, objective != ENERGY and not forced, ring)
+    once = not is_energy(cost.objective) and not allowance > WITHIN_BOUNDS
+    a, b, n = walk_ring(tets, c, e, max_ring, once, ring)
     if n < 3:
         return a, b, 0, 0.0
     before = 0.0
     for m in range(n):
         before += known_cost(tets, ring.cells[m], cost, ring)
-    if objective != ENERGY and _cost_below(before, allowance) <= 2.0 * (n - 2):
+    if _cost_below(before, allowance) <= 2.0 * (n - 2) * least_cost(cost.objective):
         n = 0
     return a, b, n, before
 
@@ -182,10 +177,11 @@ def facet_worth(
     across = np.int64(tets.neighbors[c, f])
     if across < 0 or tets.regions[across] != tets.regions[c]:
         return 0.0, np.int64(-1)
-    if objective != ENERGY and allowance <= WITHIN_BOUNDS and tets.status[across] == DONE:
+    once = not is_energy(objective) and allowance <= WITHIN_BOUNDS
+    if once and tets.status[across] == DONE:
         return 0.0, np.int64(-1)
     before = known_cost(tets, c, cost, ring) + known_cost(tets, across, cost, ring)
-    if objective != ENERGY and _cost_below(before, allowance) <= 3.0:
+    if _cost_below(before, allowance) <= 3.0 * least_cost(objective):
         across = np.int64(-1)
     return before, across
 
@@ -242,7 +238,7 @@ def _improve_cell(
     once: not again from a cell across that was visited and is still the same.
     """
     facets = 15
-    if cost.objective == ENERGY:
+    if is_energy(cost.objective):
         points, cells, regions = tets.points, tets.cells, tets.regions
         facets = 0
         det, gx, gy, gz, size = circumsphere(

@@ -11,8 +11,9 @@ from typing import NamedTuple
 
 import numpy as np
 
+from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import Bounds, Extremes, keeps
-from odt_plugins.engine.cells.tetrahedron import Cost, cell_extremes
+from odt_plugins.engine.cells.measures import cell_extremes
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.moves.cavity import STATUS, local_edge, replace_cavity
 from odt_plugins.engine.moves.compound import (

@@ -7,17 +7,9 @@ from functools import partial
 
 import numpy as np
 
+from odt_plugins.engine.cells.cost import Cost, is_energy
 from odt_plugins.engine.cells.extremes import Bounds
-from odt_plugins.engine.cells.rows import (
-    CHUNK,
-    ROWS,
-    Q,
-    dihedral_rows,
-    gather_edges,
-    quality_rows,
-)
-from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, ENERGY, QUALITY, Cost, tet_measure
-from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
+from odt_plugins.engine.cells.measures import slot_measures
 from odt_plugins.engine.compiled.threads import run_ranges
 from odt_plugins.engine.moves import flips3d
 from odt_plugins.engine.topology.active import pending_slots
@@ -27,52 +19,15 @@ from odt_plugins.engine.topology.tets import FULL, Tets
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.chunks import Pool
 
-NO_CELL = 2.0
-"""Measure of a free slot, beyond that of any cell."""
-
 BLOCK_BITS = 14
 """The worst cells come first within 2^BLOCK_BITS slots, which lie together in memory."""
-
-
-@allocating_kernel
-def _row_measures(
-    points: FloatArray, cells: IntArray, slots: IntArray, objective: int, m: FloatArray,
-    start: int, stop: int,
-) -> None:
-    """As :func:`_slot_measures` for the measures QUALITY and DIHEDRAL, cells side by side."""
-    rows = np.empty(ROWS)
-    for first in range(start, stop, CHUNK):
-        count = min(CHUNK, stop - first)
-        gather_edges(points, cells, slots, first, count, rows)
-        if objective == QUALITY:
-            quality_rows(0.0, 0.0, 0.0, count, rows)
-        else:
-            dihedral_rows(count, rows)
-        for s in range(count):
-            m[first + s] = NO_CELL if cells[slots[first + s], 0] < 0 else rows[Q + s]
-
-
-@kernel
-def _slot_measures(
-    points: FloatArray, cells: IntArray, slots: IntArray, objective: int, m: FloatArray,
-    start: int, stop: int,
-) -> None:
-    """Write the measures of the cells in slots[start:stop], NO_CELL for a free slot."""
-    for s in range(start, stop):
-        c = slots[s]
-        if cells[c, 0] < 0:
-            m[s] = NO_CELL
-        else:
-            m[s] = tet_measure(
-                points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3], objective
-            )
 
 
 def measures(
     mesh: Complex, objective: int, pool: Pool | None = None,
     slots: IntArray | None = None,
 ) -> FloatArray:
-    """Measures of cells, see ``tetrahedron.tet_measure``, NO_CELL for a free slot.
+    """Measures of cells, see ``measures.tet_measure``, NO_CELL for a free slot.
 
     Parameters
     ----------
@@ -88,8 +43,7 @@ def measures(
     if slots is None:
         slots = np.arange(mesh.used, dtype=np.int32)
     m = np.empty(len(slots))
-    measure = _row_measures if objective in (QUALITY, DIHEDRAL) else _slot_measures
-    work = partial(measure, mesh.points, mesh.cells, slots, objective, m)
+    work = partial(slot_measures, mesh.points, mesh.cells, slots, objective, m)
     run_ranges(pool, len(m), work)
     return m
 
@@ -120,7 +74,7 @@ def flip_pending(
         pending = _pending(mesh, pool)
         if not pending.size:
             break
-        if cost.objective != ENERGY:
+        if not is_energy.py_func(cost.objective):
             measured = partial(measures, mesh, cost.objective, None)
             worst_first(pending, measured, pool)
         flips = side_by_side(

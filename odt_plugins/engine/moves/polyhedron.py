@@ -11,7 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.engine.cells.tetrahedron import Cost, cell_cost
+from odt_plugins.engine.cells.cost import Cost
+from odt_plugins.engine.cells.measures import cell_cost
 from odt_plugins.engine.compiled.kernel import allocating_kernel, inlined_kernel, kernel
 from odt_plugins.engine.topology.lookup import is_in
 from odt_plugins.engine.topology.tets import Tets

@@ -19,15 +19,10 @@ import math
 import numpy as np
 
 from odt_plugins.engine.cells.corner import corner_edges, six_volumes
+from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import BEST, Bounds, Extremes, keeps, rounded, worse
-from odt_plugins.engine.cells.tetrahedron import (
-    Cost,
-    cell_cost,
-    opposite_vertices,
-    tet_cosines,
-    tet_cost,
-    tet_quality,
-)
+from odt_plugins.engine.cells.measures import cell_cost, tet_cost, tet_shape
+from odt_plugins.engine.cells.tetrahedron import opposite_vertices
 from odt_plugins.engine.compiled.kernel import allocating_kernel, inlined_kernel, kernel
 from odt_plugins.engine.moves.cavity import Journal, make_journal, replace_cavity
 from odt_plugins.engine.moves.flips3d import REAL, worst_of
@@ -132,9 +127,7 @@ def _allowed(
     n = cell_number(a, b, c, d)
     room.turned[n] -= UNPROVEN
     i, j, k, l = _positive(n, a, b, c, d, room)
-    large, small = tet_cosines(tets.points, i, j, k, l)
-    shape = Extremes(tet_quality(tets.points, i, j, k, l), large, small)
-    if keeps(shape, locked if all_locked(tets, i, j, k, l) else limit):
+    if keeps(tet_shape(tets.points, i, j, k, l), locked if all_locked(tets, i, j, k, l) else limit):
         return True
     room.costs[n] = np.inf
     return False

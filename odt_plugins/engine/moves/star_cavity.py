@@ -13,7 +13,9 @@ import math
 import numpy as np
 
 from odt_plugins.engine.cells.corner import corner_edges, corner_normals
-from odt_plugins.engine.cells.tetrahedron import Cost, cell_cost, opposite_vertices, tet_cost
+from odt_plugins.engine.cells.cost import Cost
+from odt_plugins.engine.cells.measures import cell_cost, tet_cost
+from odt_plugins.engine.cells.tetrahedron import opposite_vertices
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.moves.cavity import Ring, walk_ring
 from odt_plugins.engine.topology.lookup import is_in, place_in

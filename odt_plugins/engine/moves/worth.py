@@ -11,8 +11,7 @@ import math
 from typing import NamedTuple
 
 from odt_plugins.engine.cells.extremes import Extremes
-from odt_plugins.engine.cells.step import tet_altitude
-from odt_plugins.engine.cells.tetrahedron import cell_extremes
+from odt_plugins.engine.cells.measures import cell_altitude, cell_extremes
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.topology.tets import Tets
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -84,7 +83,7 @@ def worth_of_cell(
     """Worth of cell c, with the extremes that were found."""
     total = worth_of(found, weights)
     if weights.height > 0.0:
-        altitude = tet_altitude(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
+        altitude = cell_altitude(points, cells, c)
         total -= weights.worst * _excess(altitude, weights.height)
     return total
 

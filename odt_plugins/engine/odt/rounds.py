@@ -10,11 +10,12 @@ from functools import partial
 
 import numpy as np
 
+from odt_plugins.engine.cells.cost import ENERGY, Cost
 from odt_plugins.engine.cells.extremes import Bounds
+from odt_plugins.engine.cells.measures import NO_CELL, QUALITY
 from odt_plugins.engine.cells.sphere import mark_non_delaunay
-from odt_plugins.engine.cells.tetrahedron import ENERGY, QUALITY, Cost
 from odt_plugins.engine.compiled.threads import run_ranges
-from odt_plugins.engine.moves.passes import NO_CELL, flip_pending, measures
+from odt_plugins.engine.moves.passes import flip_pending, measures
 from odt_plugins.engine.odt.delaunay import delaunay_exchange
 from odt_plugins.engine.odt.density import Density
 from odt_plugins.engine.odt.sweeps import StepStats, gauss_seidel_sweep, jacobi_sweep

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.engine.cells.elementary import arccos, power
 from odt_plugins.engine.cells.extremes import BEST, Extremes, worse
-from odt_plugins.engine.cells.mean_ratio import tet_mean_ratio
+from odt_plugins.engine.cells.measures import MEAN_RATIO, cell_measures
 from odt_plugins.engine.cells.rows import (
     ALTITUDE,
     CHUNK,
@@ -22,11 +22,9 @@ from odt_plugins.engine.cells.rows import (
     quality_rows,
     shape_rows,
 )
-from odt_plugins.engine.cells.tetrahedron import MEAN_RATIO
 from odt_plugins.engine.cells.triangle import (
     triangle_altitude,
     triangle_in_space,
-    triangle_measure,
     triangle_shape,
 )
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
@@ -35,7 +33,7 @@ from odt_plugins.engine.policy import POLICY
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.chunks import Pool
 from odt_plugins.mesh.quantiles import quantile
-from odt_plugins.options import Objective
+from odt_plugins.objectives import AIMS, Objective
 
 COS_SMALL = math.cos(math.radians(POLICY.small_angle))
 
@@ -202,14 +200,15 @@ def figures(
         - POLICY.small_angle_price * counted
     )
     altitude = float(shapes[:, 3].min())
-    if objective == "time_step" and altitude > 0.0:
+    aim = AIMS[objective]
+    if aim.by_altitude and altitude > 0.0:
         score += POLICY.score_altitude * math.log(altitude)
-    elif objective == "min_dihedral":
+    elif aim.by_angles:
         regular = math.acos(1.0 / (cells.shape[1] - 1))
         angles = arccos(np.clip(shapes[:, 1], -1.0, 1.0)) / regular
         smallest, few, average = _spread(angles)
         score = mean + average + few + 0.5 * smallest
-    elif objective == "amips":
+    elif aim.mean is not None:
         greatest, few, average = _spread(-amips_energies(points, cells, pool))
         score = average + 0.5 * few + 0.25 * greatest
     return Figures(least, p1, mean, float(shapes[:, 1].max()), float(shapes[:, 2].min()), small,
@@ -221,16 +220,6 @@ def _spread(values: NDArray[np.float64]) -> tuple[float, float, float]:
     return float(values.min()), quantile(values, 0.01), float(values.mean())
 
 
-@kernel
-def _mean_ratios(points: FloatArray, cells: IntArray, m: FloatArray) -> None:
-    """Measure of every cell that is a power of its mean ratio."""
-    for c in range(cells.shape[0]):
-        if cells.shape[1] == 3:
-            m[c] = triangle_measure(points, cells[c, 0], cells[c, 1], cells[c, 2], MEAN_RATIO)
-        else:
-            m[c] = tet_mean_ratio(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
-
-
 def amips_energies(
     points: FloatArray, cells: IntArray, pool: Pool | None = None
 ) -> FloatArray:
@@ -238,7 +227,7 @@ def amips_energies(
     m = np.empty(len(cells))
 
     def work(first: int, last: int) -> None:
-        _mean_ratios(points, cells[first:last], m[first:last])
+        cell_measures(points, cells[first:last], MEAN_RATIO, m[first:last])
 
     run_pieces(pool, len(cells), work)
     dim = cells.shape[1] - 1

@@ -18,7 +18,7 @@ from odt_plugins.engine.record.figures import (
 )
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.chunks import Pool
-from odt_plugins.options import Objective
+from odt_plugins.objectives import Objective
 
 
 @dataclass(frozen=True)

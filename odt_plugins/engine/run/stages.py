@@ -31,6 +31,7 @@ from odt_plugins.engine.run.work import Work, extremes
 from odt_plugins.engine.topology.complex import Complex, make_complex
 from odt_plugins.engine.topology.part import Part, around, away_from, inside, joined
 from odt_plugins.engine.topology.triangles import Triangles
+from odt_plugins.objectives import AIMS
 from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
 
@@ -151,7 +152,7 @@ def worst_cells(mesh: Complex, work: Work) -> None:
             _repair(state, limits, work)
     polish_small_angles(state, bounds, memory, "finished", work.settle, pool, near)
     mesh = mesh if memory.states else joined(state)
-    if not memory.states and objective != "radius_ratio":
+    if not memory.states and not AIMS[objective].by_ratios:
         work.settle(mesh, tail(mesh.dim), bounds)
         memory.offer(mesh, "finished")
     if not memory.states and mesh.dim == 2:
@@ -244,7 +245,7 @@ def insert(work: Work) -> None:
 def held_by_insertion(options: Options, before: Figures, now: Figures) -> Bounds:
     """Bounds of insertion: the extremes of now, but for angles' sake the input's quality."""
     bounds = extremes(now, tuple(options.keep))
-    if options.objective != "min_dihedral":
+    if not AIMS[options.objective].by_angles:
         return bounds
     return bounds.with_quality(extremes(before, tuple(options.keep)).cells.quality)
 

@@ -10,8 +10,9 @@ from __future__ import annotations
 import numpy as np
 
 from odt_plugins.engine.cells.corner import corner_edges, six_volumes
+from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import Bounds
-from odt_plugins.engine.cells.tetrahedron import Cost, cell_cost
+from odt_plugins.engine.cells.measures import cell_cost
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.ground.pair import edge_is_free, flip_back, keeps_normals
 from odt_plugins.engine.ground.sheet import Sheet, Work, claim, cover, joined

@@ -8,8 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
+from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
-from odt_plugins.engine.cells.tetrahedron import Cost, opposite_vertices
+from odt_plugins.engine.cells.measures import make_room, star_state, star_terms
 from odt_plugins.engine.cells.triangle import opposite_edge
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.ground.lines import line_direction
@@ -22,7 +23,6 @@ from odt_plugins.engine.ground.position import (
     put_vertex,
 )
 from odt_plugins.engine.ground.sheet import LINE, LOCKED, Sheet, Work, cover, star_fits
-from odt_plugins.engine.moves.newton3d import add_cost_terms, make_derivatives, star_state
 from odt_plugins.engine.moves.plane_step import plane_step
 from odt_plugins.engine.moves.tangent import axis_across, star_normal
 from odt_plugins.engine.sliding.boundary import Skin, affordable, spend
@@ -56,7 +56,7 @@ def slide_vertices(
     sheet, lines = skin.sheet, skin.lines
     points = sheet.points
     indptr, indices = stars
-    room = make_derivatives()
+    room = make_room()
     out = room.star
     count = 0
     for o in range(len(order)):
@@ -64,14 +64,7 @@ def slide_vertices(
         moved[v] = 0.0
         if sheet.kind[v] == LOCKED or own.indptr[v] == own.indptr[v + 1]:
             continue
-        out[:] = 0.0
-        positive = True
-        for s in range(indptr[v], indptr[v + 1]):
-            i, j, k = opposite_vertices(cells, indices[s], v)
-            if not add_cost_terms(points, v, i, j, k, cost, room):
-                positive = False
-                break
-        if not positive:
+        if not star_terms(points, cells, indices, indptr[v], indptr[v + 1], v, cost, room):
             continue
         on_a_line = sheet.kind[v] == LINE
         around = own.indices[own.indptr[v] : own.indptr[v + 1]]

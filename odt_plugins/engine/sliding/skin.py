@@ -6,9 +6,9 @@ import math
 
 import numpy as np
 
+from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import Bounds, Extremes
 from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
-from odt_plugins.engine.cells.tetrahedron import Cost
 from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.ground.build import earlier_ground, laid_on, make_ground, make_sheet
 from odt_plugins.engine.ground.features import find_features, marked_edges

@@ -14,7 +14,7 @@ import numpy as np
 from odt_plugins.engine.cells.extremes import FREELY, Extremes
 from odt_plugins.engine.compiled.threads import thread_pool
 from odt_plugins.engine.finish.descent import finish_phase
-from odt_plugins.engine.finish.phases import Phase, bulk, without_flips
+from odt_plugins.engine.finish.phases import Phase, bulk, tail, without_flips
 from odt_plugins.engine.ground.build import earlier_ground, laid_on, make_ground, make_sheet
 from odt_plugins.engine.ground.features import (
     EXACT,
@@ -44,6 +44,7 @@ from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal
 from odt_plugins.mesh.surface import Edges, surface_edges
+from odt_plugins.objectives import AIMS, Objective
 from odt_plugins.options import Options
 from odt_plugins.progress import silent
 
@@ -52,6 +53,12 @@ COMPOUND = Phase(2.0, 1.0, 20, 2, 2, enough=0.97, name="compound")
 
 TAIL = (Phase(4.0, 0.05, 10, 2, name="tail 1"), Phase(8.0, 0.01, 10, 2, name="tail 2"))
 """Phases for the worst triangles; beyond p = 8 the envelope leaves them nothing to gain."""
+
+def descents(objective: Objective) -> tuple[tuple[Phase, ...], ...]:
+    """Phases that follow the bulk, one descent after another; the best of the results is taken."""
+    own = () if AIMS[objective].by_ratios else (tail(2, objective),)
+    return ((COMPOUND, *TAIL), *own)
+
 
 REPAIR = tuple((Phase(power, 0.3, 20, 3, name="repair"),) for power in (16.0, 32.0, 64.0))
 """Phases for a surface that is good but for a few triangles beyond the input's extremes."""
@@ -137,7 +144,7 @@ def _run_until_kept(
         why = (f"the surface stays within {within.envelope:.3g} of the diagonal, since runs "
                f"within {options.envelope:.3g} were given up: {'; '.join(first.broken)}")
         every += [one._replace(outcome=replace(one.outcome, fallback=why)) for one in tried.found]
-    best = _best(every)
+    best = _best(every, options.objective)
     (options.progress or silent)("finishing", 1.0)
     if best is None:
         returned = input_returned(mesh, tried.memory, first.broken, tried.reason)
@@ -176,11 +183,13 @@ class Attempts(NamedTuple):
     reason: str
 
 
-def _best(found: list[Found]) -> Found | None:
-    """The one of highest score, of those that have about the highest mean quality."""
+def _best(found: list[Found], objective: Objective) -> Found | None:
+    """The one of highest score; for radius ratios of those with about the highest mean."""
     if not found:
         return None
     least = max(one.worth.mean_quality for one in found) - POLICY.surface_equal
+    if not AIMS[objective].by_ratios:
+        least = 0.0
     return max((one for one in found if one.worth.mean_quality >= least),
                key=lambda one: one.worth.score)
 
@@ -204,6 +213,10 @@ def _attempts(
     alone = np.zeros(len(mesh.points), dtype=np.bool_)
     broken: list[str] = []
     found, refused = list[Found](), None
+
+    def worth(outcome: Outcome) -> Figures:
+        return figures(outcome.points, outcome.cells, options.objective)
+
     for attempt in range(POLICY.surface_attempts):
         last = attempt == POLICY.surface_attempts - 1
         turn = before * POLICY.surface_attempts + attempt
@@ -224,17 +237,17 @@ def _attempts(
         if isinstance(outcome, SurfaceOutcome):
             if broken and plain:
                 outcome = replace(outcome, fallback=_held(broken))
-            found.append(Found(outcome, kept, figures(outcome.points, outcome.cells)))
+            found.append(Found(outcome, kept, worth(outcome)))
         if not plain and memory.states:
             first, faulty = judge(memory.states[0])
             if faulty:
-                refused = refused or figures(first.points, first.cells)
+                refused = refused or worth(first)
                 state = mended_state(start, kept, options, leaving, memory)
                 mended, left = judge(state) if state is not None else (None, faulty)
                 if isinstance(mended, SurfaceOutcome) and not left:
                     why = _held(faulty) + having(memory.states[0].figures)
                     mended = replace(mended, stop_reason=reason, fallback=why)
-                    found.append(Found(mended, kept, figures(mended.points, mended.cells)))
+                    found.append(Found(mended, kept, worth(mended)))
         log.add_time("check", time.perf_counter() - clock)
         if faulty:
             broken = faulty
@@ -318,7 +331,7 @@ def _run(
     if start.mesh.ground is not None and density.values is not None:
         density = replace(density, values=values_on(
             start.points, start.cells, density.values, surface.guards.ground.points))
-    before = figures(start.points, start.cells)
+    before = figures(start.points, start.cells, options.objective)
     memory = Memory(before, tuple(options.keep), options.objective, by_score=options.finish)
     log.add_time("prepare", time.perf_counter() - clock)
     with thread_pool(options.threads) as pool:
@@ -335,7 +348,7 @@ def _finishing_alone(
     clock = time.perf_counter()
     surface, _, _ = _build(start, options, alone)
     strict = extremes(memory.before, tuple(options.keep)).cells
-    for phases in (bulk(2), (COMPOUND, *TAIL)):
+    for phases in (bulk(2, options.objective), *descents(options.objective)):
         _settle(surface, phases, strict, log)
         memory.offer(surface, ALONE)
     log.add_time("finishing", time.perf_counter() - clock)
@@ -394,7 +407,7 @@ def _cycles(
     watch = None if options.finish else partial(memory.offer, name="smoothing")
     reason = alternate(
         lambda tick: smooth_surface(surface, density, options, bounds, log, tick, watch),
-        lambda: _settle(surface, bulk(2), strict, log),
+        lambda: _settle(surface, bulk(2, options.objective), strict, log),
         lambda: figures(surface.points, surface.triangles).mean_quality, options, log,
     )
     if options.finish:
@@ -413,14 +426,16 @@ def _worst_triangles(surface: Surface, strict: Extremes, memory: Memory, log: Lo
     """
     memory.offer(surface, "bulk")
     plain = surface.twin()
-    _settle(surface, (COMPOUND, *TAIL), strict, log)
-    memory.offer(surface, "finished")
+    for phases in descents(memory.objective):
+        _settle(surface, phases, strict, log)
+        memory.offer(surface, "finished")
     if memory.states or _repaired(surface, strict, memory, log):
         return
     _settle(plain, TAIL, strict, log)
     if memory.offer(plain, "finished") or _repaired(plain, strict, memory, log):
-        _settle(plain, (COMPOUND, *TAIL), strict, log)
-        memory.offer(plain, "finished")
+        for phases in descents(memory.objective):
+            _settle(plain, phases, strict, log)
+            memory.offer(plain, "finished")
 
 
 def _repaired(surface: Surface, strict: Extremes, memory: Memory, log: Log) -> bool:

@@ -9,8 +9,8 @@ import math
 
 import numpy as np
 
+from odt_plugins.engine.cells.cost import Cost, is_energy
 from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
-from odt_plugins.engine.cells.tetrahedron import ENERGY, Cost
 from odt_plugins.engine.cells.triangle import offset, triangle_in_space
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import PIECE
@@ -32,6 +32,7 @@ from odt_plugins.engine.moves.flips2d import (
     flip,
     make_queue,
     queue_around,
+    shapes_improve,
     work_off,
 )
 from odt_plugins.engine.topology.lookup import place_in
@@ -51,7 +52,7 @@ def flip_edges(
     ----------
     sheet : Sheet, guards : Guards
     cost : Cost              the energy flips where opposite angles exceed 180 degrees and the ODT
-                             energy of the pair falls; the quality where the sum of q^-p falls
+                             energy of the pair falls; the measures where the sum of m^-p falls
     bounds : Extremes        a flip that passes one of them and is worse there than the pair it
                              replaces is refused
     seeds : (m,) bool        the first edges looked at are those of these triangles
@@ -123,7 +124,9 @@ def _pays(
 ) -> bool:
     """Whether (a, b, d) and (a, d, c) are to be preferred to (a, b, c) and (d, c, b)."""
     p = sheet.points
-    if cost.objective == ENERGY and not _wide(p, a, b, c, d):
+    if not is_energy(cost.objective):
+        return shapes_improve(p, a, b, c, d, cost, bounds)
+    if not _wide(p, a, b, c, d):
         return False
     q1, large1, small1, x1, y1, z1 = triangle_in_space(p, a, b, c)
     q2, large2, small2, x2, y2, z2 = triangle_in_space(p, d, c, b)
@@ -133,11 +136,6 @@ def _pays(
     after = worse(Extremes(q3, large3, small3), Extremes(q4, large4, small4))
     if not after.quality > 0.0 or not keeps(after, worse(bounds, before)):
         return False
-    power = cost.power
-    if cost.objective != ENERGY:
-        if not before.quality > 0.0:
-            return True
-        return q3**-power + q4**-power < (1.0 - GAIN) * (q1**-power + q2**-power)
     kind = sheet.kind
     if kind[a] != SMOOTH and kind[d] != SMOOTH and (kind[b] != SMOOTH or kind[c] != SMOOTH):
         worst = 1.0

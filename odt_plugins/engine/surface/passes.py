@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass, replace
@@ -12,8 +11,9 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import Extremes
-from odt_plugins.engine.cells.tetrahedron import Cost
+from odt_plugins.engine.cells.measures import star_state_2d
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.finish.phases import Phase
 from odt_plugins.engine.finish.triangles import TriangleDescent
@@ -22,16 +22,14 @@ from odt_plugins.engine.ground.position import (
     DECREASE,
     Step,
     along_line,
-    star_shape,
     try_move,
 )
 from odt_plugins.engine.ground.sheet import LINE, LOCKED, SMOOTH, Guards, Sheet, Work, make_work
 from odt_plugins.engine.moves.compound2d import MOST_TOUCHED
 from odt_plugins.engine.moves.flips2d import Rule
-from odt_plugins.engine.moves.plane_step import plane_step
-from odt_plugins.engine.moves.tangent import complete_axes, set_axes, star_cost, star_normal
+from odt_plugins.engine.moves.newton2d import newton_step_2d
+from odt_plugins.engine.moves.tangent import complete_axes, set_axes, star_normal
 from odt_plugins.engine.policy import POLICY
-from odt_plugins.engine.record.figures import cell_shapes
 from odt_plugins.engine.surface.compound import compound_pass
 from odt_plugins.engine.surface.flips import flip_edges
 from odt_plugins.engine.surface.odt import Target, move_vertices
@@ -45,12 +43,12 @@ from odt_plugins.mesh.chunks import Pool
 @kernel
 def smooth_vertices(
     sheet: Sheet, guards: Guards, stars: Stars, order: IntArray, start: int, stop: int,
-    power: float, bounds: Extremes, work: Work, moved: FloatArray,
+    cost: Cost, bounds: Extremes, work: Work, moved: FloatArray,
 ) -> int:
     """One guarded Newton step on F_p for every vertex of order[start:stop], in place.
 
-    Parameters as for :func:`move_vertices`; ``power`` is p, and ``moved`` becomes the relative
-    decrease of F_p over the star.
+    Parameters as for :func:`move_vertices`; ``cost`` tells the terms of F_p, and ``moved``
+    becomes the relative decrease of F_p over the star.
 
     Returns
     -------
@@ -78,22 +76,15 @@ def smooth_vertices(
             continue
         else:
             set_axes(nx, ny, nz, e)
-        cost = star_cost(sheet.points, sheet.triangles, star, v, power, e, derivatives)
-        if not cost < math.inf:
+        before, slope, dx, dy, dz = newton_step_2d(
+            sheet.points, sheet.triangles, star, v, cost, e, on_a_line, derivatives
+        )
+        if not -slope > DECREASE * before:
             continue
-        g1, g2 = derivatives[0], derivatives[1]
-        h11, h12, h22 = derivatives[2], derivatives[3], derivatives[4]
-        d1, d2 = plane_step(g1, g2, h11, h12, h22, on_a_line)
-        slope = g1 * d1 + g2 * d2
-        if not -slope > DECREASE * cost:
-            continue
-        dx = d1 * e[0, 0] + d2 * e[1, 0]
-        dy = d1 * e[0, 1] + d2 * e[1, 1]
-        dz = d1 * e[0, 2] + d2 * e[1, 2]
-        step = Step(dx, dy, dz, along_line(sheet, lines, v, dx, dy, dz), cost, slope)
-        if try_move(sheet, guards, stars, v, step, power, bounds, work) > 0.0:
-            there, _ = star_shape(sheet, stars, v, power)
-            moved[v] = 1.0 - there / cost
+        step = Step(dx, dy, dz, along_line(sheet, lines, v, dx, dy, dz), before, slope)
+        if try_move(sheet, guards, stars, v, step, cost, bounds, work) > 0.0:
+            there, _ = star_state_2d(sheet.points, sheet.triangles, star, cost)
+            moved[v] = 1.0 - there / before
             count += 1
     return count
 
@@ -202,10 +193,6 @@ class SurfaceDescent(TriangleDescent):
         )
         self.surface, self.bounds = surface, bounds
 
-    def measures(self) -> FloatArray:
-        """Radius ratio of every triangle, (m,)."""
-        return cell_shapes(self.points, self.cells)[:, 0]
-
     def flip_some(self, seeds: BoolArray, changed: BoolArray) -> int:
         """Flip from the seeds on."""
         return flip_all(self.surface, self.phase.cost, self.bounds, seeds, changed)
@@ -232,7 +219,7 @@ class SurfaceDescent(TriangleDescent):
 
         def work(order: IntArray, start: int, stop: int) -> int:
             return int(smooth_vertices(
-                surface.sheet, surface.guards, stars, order, start, stop, self.phase.power,
+                surface.sheet, surface.guards, stars, order, start, stop, self.phase.cost,
                 self.bounds, surface.room(stars), moved,
             ))
 

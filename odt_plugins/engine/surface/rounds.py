@@ -7,9 +7,9 @@ from functools import partial
 
 import numpy as np
 
+from odt_plugins.engine.cells.cost import ENERGY, Cost
 from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.geometry import barycenters, circumcenters, signed_volumes
-from odt_plugins.engine.cells.tetrahedron import ENERGY, Cost
 from odt_plugins.engine.ground.sheet import LOCKED, SMOOTH
 from odt_plugins.engine.odt.energy import energy
 from odt_plugins.engine.odt.global_step import (
@@ -54,14 +54,13 @@ def check_method(options: Options) -> None:
 
     Raises
     ------
-    InvalidOptionError    method, solver, connectivity or objective
+    InvalidOptionError    method, solver or connectivity
     """
     methods = tuple(dict.fromkeys(method for method, _ in STEPS))
     solvers = tuple(solver for method, solver in STEPS if method == options.method)
     for name, value, known in (("method", options.method, methods),
                                ("solver", options.solver, solvers),
-                               ("connectivity", options.connectivity, CONNECTIVITY),
-                               ("objective", options.objective, ("radius_ratio",))):
+                               ("connectivity", options.connectivity, CONNECTIVITY)):
         if value not in known:
             msg = f"got {name}={value!r} for a curved surface; expected one of {known} there"
             raise InvalidOptionError(msg)

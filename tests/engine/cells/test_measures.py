@@ -11,16 +11,17 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from tet_meshes import TWINS
 
+from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import Extremes
-from odt_plugins.engine.cells.tetrahedron import (
+from odt_plugins.engine.cells.measures import (
     DIHEDRAL,
     MEAN_RATIO,
     STEP,
-    Cost,
+    make_room,
+    star_terms,
     tet_cost,
     tet_measure,
 )
-from odt_plugins.engine.moves.newton3d import add_cost_terms, make_derivatives
 from odt_plugins.engine.record.figures import amips_energies, tet_extremes
 from odt_plugins.figures import angles, radius_ratio
 
@@ -33,11 +34,12 @@ ALL = pytest.mark.parametrize("objective", TWINS, ids=["radius ratio", "mean rat
 SHAPES = pytest.mark.parametrize("objective", [name for name in TWINS if name != STEP])
 
 
-def sums():
-    """Room for the derivatives of a star, all 0."""
-    room = make_derivatives()
-    room.star[:] = 0.0
-    return room
+def terms(points, cells, cost):
+    """Cost, gradient and Hessian in vertex 0 of its star, None where a cell is not positive."""
+    room, cells = make_room(), np.array(cells, np.int32)
+    indices = np.arange(len(cells), dtype=np.int32)
+    good = star_terms(points, cells, indices, 0, len(cells), 0, cost, room)
+    return room.star.copy() if good else None
 
 
 def positive(seed, spread=0.4):
@@ -81,7 +83,7 @@ def test_cells_that_are_not_positive_are_told(objective):
     assert tet_cost(REGULAR, 1, 0, 2, 3, Cost(objective, 2.0)) == np.inf
     for points, order in ((REGULAR, (1, 0, 2, 3)), (flat, (0, 1, 2, 3)),
                           (np.zeros((4, 3)), (0, 1, 2, 3))):
-        assert not add_cost_terms(points, *order, Cost(objective, 2.0), sums())
+        assert terms(points, [order], Cost(objective, 2.0)) is None
 
 
 def test_right_angled_corner():
@@ -123,9 +125,7 @@ def test_gradient_and_hessian_of_the_cost_agree_with_differences(objective, powe
         m = TWINS[objective](np.vstack([x, points[1:]]), cell)[0]
         return (1.005 / (m + 0.005)) ** power
 
-    room = sums()
-    assert add_cost_terms(points, 0, 1, 2, 3, Cost(objective, power), room)
-    out = room.star
+    out = terms(points, [[0, 1, 2, 3]], Cost(objective, power))
     x = points[0]
     h = 2e-4
     unit = np.eye(3) * h
@@ -142,10 +142,7 @@ def test_gradient_and_hessian_of_the_cost_agree_with_differences(objective, powe
 def test_costs_of_a_star_add_up(objective):
     points, other = positive(1), positive(2)
     other[0] = points[0]
-    both = np.vstack([points, other[1:]])
-    together, alone, cost = sums(), [sums(), sums()], Cost(objective, 2.0)
-    for i, j, k in ((1, 2, 3), (4, 5, 6)):
-        assert add_cost_terms(both, 0, i, j, k, cost, together)
-    assert add_cost_terms(points, 0, 1, 2, 3, cost, alone[0])
-    assert add_cost_terms(other, 0, 1, 2, 3, cost, alone[1])
-    assert together.star == pytest.approx(alone[0].star + alone[1].star, rel=1e-12)
+    both, cost = np.vstack([points, other[1:]]), Cost(objective, 2.0)
+    alone = [terms(x, [[0, 1, 2, 3]], cost) for x in (points, other)]
+    together = terms(both, [[0, 1, 2, 3], [0, 4, 5, 6]], cost)
+    assert together == pytest.approx(sum(alone), rel=1e-12)

@@ -6,10 +6,12 @@ import numpy as np
 import pytest
 
 from odt_plugins.engine.cells import rows as r
+from odt_plugins.engine.cells.corner import corner_edges
+from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.dihedral import tet_dihedral
+from odt_plugins.engine.cells.measures import QUALITY, make_room, star_terms
 from odt_plugins.engine.cells.step import tet_altitude
 from odt_plugins.engine.cells.tetrahedron import tet_cosines, tet_quality
-from odt_plugins.engine.moves.newton3d import add_quality_terms
 
 
 def some_cells(count=r.CHUNK):
@@ -36,35 +38,31 @@ def test_shapes_in_rows_are_those_of_the_single_cells_bit_for_bit():
     for c, cell in enumerate(cells):
         if cell[0] < 0:
             continue
-        own = (tet_dihedral(points, *cell), tet_quality(points, *cell),
-               *tet_cosines(points, *cell), tet_altitude(points, *cell))
+        edges = corner_edges(points, *cell)
+        own = (tet_dihedral(edges), tet_quality(points, *cell), *tet_cosines(edges),
+               tet_altitude(edges))
         signs.add(np.sign(own[1]))
         assert [row[c] for row in found] == list(own)
     assert {-1.0, 1.0} <= signs <= {-1.0, 0.0, 1.0}
 
 
+@pytest.mark.parametrize("count", [20, 2 * r.CHUNK + 3])
 @pytest.mark.parametrize("power", [0.5, 2.0, 3.0])
-def test_a_star_in_rows_has_the_cost_and_derivatives_of_its_cells(power):
+def test_a_star_has_the_cost_and_derivatives_of_its_cells(power, count):
     rng = np.random.default_rng(5)
-    points = np.concatenate([[[0.1, 0.2, 0.1]], rng.standard_normal((60, 3))])
-    cells = rng.permutation(np.arange(1, 61)).reshape(20, 3).astype(np.int32)
-    cells = np.column_stack([np.zeros(20, dtype=np.int32), cells])
-    negative = np.array([tet_quality(points, *cell) < 0 for cell in cells])
+    points = np.concatenate([[[0.1, 0.2, 0.1]], rng.standard_normal((3 * count, 3))])
+    cells = rng.permutation(np.arange(1, 3 * count + 1)).reshape(count, 3).astype(np.int32)
+    cells = np.column_stack([np.zeros(count, dtype=np.int32), cells])
+    negative = np.linalg.det(points[cells[:, 1:]] - points[0]) < 0
     cells[negative, 2:] = cells[negative, :1:-1]
     for turn in range(4):
         cells[turn::4] = cells[turn::4][:, [[0, 1, 2, 3], [1, 0, 3, 2], [2, 3, 0, 1],
                                             [3, 2, 1, 0]][turn]]
-    room, together, alone = np.empty(r.ROWS), np.zeros(10), np.zeros(10)
-    indices = np.arange(20, dtype=np.int32)
-    r.gather_corners(points, cells, indices, 0, 20, 0, room)
-    assert r.add_star_terms(*points[0], 20, power, room, together)
-    for cell in cells:
-        at = int(np.flatnonzero(cell == 0)[0])
-        others = np.delete(cell, at)
-        if at % 2:
-            others[1:] = others[:0:-1]
-        assert add_quality_terms(points, 0, *others, power, alone)
-    assert together == pytest.approx(alone, rel=1e-11)
-    cells[3, [1, 2]] = cells[3, [2, 1]]
-    r.gather_corners(points, cells, indices, 0, 20, 0, room)
-    assert not r.add_star_terms(*points[0], 20, power, room, np.zeros(10))
+    room, indices, alone = make_room(), np.arange(count, dtype=np.int32), np.zeros(10)
+    for s in range(count):
+        assert star_terms(points, cells, indices, s, s + 1, 0, Cost(QUALITY, power), room)
+        alone += room.star
+    assert star_terms(points, cells, indices, 0, count, 0, Cost(QUALITY, power), room)
+    assert room.star == pytest.approx(alone, rel=1e-11)
+    cells[-1, [1, 2]] = cells[-1, [2, 1]]
+    assert not star_terms(points, cells, indices, 0, count, 0, Cost(QUALITY, power), room)

@@ -21,10 +21,11 @@ from tet_meshes import TWINS, interior
 
 import odt_plugins
 from odt_plugins.cli import main as cli
+from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import Bounds, Extremes
-from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY, STEP, Cost
+from odt_plugins.engine.cells.measures import DIHEDRAL, MEAN_RATIO, QUALITY, STEP
+from odt_plugins.engine.cells.measures import MEASURES as CODES
 from odt_plugins.engine.finish import polishing, volume
-from odt_plugins.engine.finish.phases import MEASURES as CODES
 from odt_plugins.engine.finish.phases import (
     Descent,
     Phase,

@@ -11,7 +11,8 @@ from hypothesis import strategies as st
 from promises import assert_promise, mesh_of
 from strategies import SEEDS
 
-from odt_plugins.engine.cells.tetrahedron import QUALITY, Cost
+from odt_plugins.engine.cells.cost import Cost
+from odt_plugins.engine.cells.measures import QUALITY
 from odt_plugins.engine.finish.phases import Phase
 from odt_plugins.engine.finish.volume import finish
 from odt_plugins.engine.moves import compound

@@ -10,8 +10,9 @@ import pytest
 from planar_meshes import MEASURES
 
 from odt_plugins.compare.start import plate
+from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import FREELY, Extremes
-from odt_plugins.engine.cells.tetrahedron import QUALITY, Cost
+from odt_plugins.engine.cells.measures import QUALITY
 from odt_plugins.engine.finish.phases import bulk, tail
 from odt_plugins.engine.finish.plane import finish2d
 from odt_plugins.engine.moves.compound2d import compound_pass_2d, excess_degrees

@@ -11,8 +11,9 @@ from hypothesis import strategies as st
 from planar_meshes import grid
 from scipy.spatial import Delaunay
 
+from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import FREELY, Extremes
-from odt_plugins.engine.cells.tetrahedron import QUALITY, Cost
+from odt_plugins.engine.cells.measures import QUALITY
 from odt_plugins.engine.moves.flips2d import (
     FLIPS,
     lawson_flips,

@@ -7,8 +7,9 @@ import pytest
 import tet_meshes as tm
 from complexes import FREELY, OPEN, assert_sound, complex_of, contents, extremes_of
 
+from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import Bounds, Extremes
-from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, QUALITY, Cost
+from odt_plugins.engine.cells.measures import DIHEDRAL, QUALITY
 from odt_plugins.engine.finish.resampling import (
     Resampling,
     make_ledger,

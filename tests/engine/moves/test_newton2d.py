@@ -9,11 +9,18 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from planar_meshes import MEASURES
 
+from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import Extremes
-from odt_plugins.engine.cells.tetrahedron import DIHEDRAL, MEAN_RATIO, QUALITY, STEP, Cost
-from odt_plugins.engine.cells.triangle import triangle_measure
+from odt_plugins.engine.cells.measures import (
+    DIHEDRAL,
+    MEAN_RATIO,
+    QUALITY,
+    STEP,
+    star_terms_2d,
+    triangle_measure,
+)
 from odt_plugins.engine.finish.plane import finish2d
-from odt_plugins.engine.moves.newton2d import smooth_vertices_2d, star_cost_2d
+from odt_plugins.engine.moves.newton2d import smooth_vertices_2d
 from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.engine.topology.triangles import Triangles
@@ -31,7 +38,7 @@ def airfoil():
 def cost_and_derivatives(points, cells, vertex, power, objective=QUALITY):
     star = np.flatnonzero((cells == vertex).any(axis=1)).astype(np.int32)
     out = np.empty(5)
-    cost = star_cost_2d(points, cells, star, vertex, Cost(objective, power), out)
+    cost = star_terms_2d(points, cells, star, vertex, Cost(objective, power), np.eye(2), out)
     return cost, out[:2].copy(), np.array([[out[2], out[3]], [out[3], out[4]]])
 
 

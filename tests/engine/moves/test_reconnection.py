@@ -10,8 +10,9 @@ import tet_meshes as tm
 from complexes import OPEN, assert_sound, complex_of, contents
 from scipy.spatial import Delaunay
 
+from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import Bounds, Extremes
-from odt_plugins.engine.cells.tetrahedron import QUALITY, Cost
+from odt_plugins.engine.cells.measures import QUALITY
 from odt_plugins.engine.finish.phases import Phase
 from odt_plugins.engine.finish.volume import finish
 from odt_plugins.engine.moves.reconnection import reconnection_pass

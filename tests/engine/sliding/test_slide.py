@@ -23,8 +23,9 @@ from tet_meshes import (
 )
 
 import odt_plugins
+from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import Bounds, Extremes
-from odt_plugins.engine.cells.tetrahedron import QUALITY, Cost
+from odt_plugins.engine.cells.measures import QUALITY
 from odt_plugins.engine.finish.phases import Phase, bulk, tail
 from odt_plugins.engine.finish.volume import _flip_surface, finish
 from odt_plugins.engine.ground.crossings import count_crossings, crossing_triangles

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 from dataclasses import replace
 from itertools import combinations, pairwise
+from typing import get_args
 
+import meshio
 import numpy as np
 import pytest
 import surface_meshes as sm
@@ -16,10 +18,14 @@ from scipy.spatial import cKDTree
 from strategies import SEEDS
 
 import odt_plugins
+from odt_plugins.cli import main as cli
+from odt_plugins.engine.record.figures import amips_energies, figures
 from odt_plugins.engine.surface import driver
 from odt_plugins.errors import EndlessWalkError, InvalidMeshError, InvalidOptionError
 from odt_plugins.figures import angles, radius_ratio, summarize
+from odt_plugins.hosts.filter_table import OBJECTIVE
 from odt_plugins.mesh.surface import surface_edges, surface_mesh
+from odt_plugins.objectives import AIMS, Objective
 
 MESHES = {
     "sphere": lambda: sm.sphere(4, 0.2),
@@ -59,6 +65,40 @@ def test_surfaces_get_better_within_their_envelope(name):
     x, c, report = improved((sm.turned(p), t))
     assert radius_ratio(x, c).mean() > radius_ratio(p, t).mean() + 0.05
     assert report.fallback is None
+
+
+NAMED = {
+    "min_dihedral": lambda p, t: angles(p, t).min(),
+    "amips": lambda p, t: -amips_energies(p, t).mean(),
+    "time_step": lambda p, t: figures(p, t).min_altitude,
+}
+"""What every other objective raises."""
+
+
+@pytest.mark.parametrize("name", ["torus", "bowl"])
+def test_surfaces_take_every_objective(name):
+    p, t = MESHES[name]()
+    p = sm.turned(p)
+    plain = improved((p, t))[:2]
+    for objective, figure in NAMED.items():
+        x, c, report = improved((p, t), objective=objective)
+        assert report.fallback is None
+        assert figure(x, c) > figure(p, t)
+        scores = [figures(*mesh, objective).score for mesh in (plain, (x, c))]
+        assert scores[1] >= scores[0]
+        assert (x != plain[0]).any()
+
+
+def test_objectives_of_surfaces_on_the_command_line_and_in_hosts(tmp_path):
+    p, t = MESHES["bowl"]()
+    assert tuple(AIMS) == get_args(Objective) == OBJECTIVE.choices
+    meshio.write(tmp_path / "in.vtu", meshio.Mesh(p, [("triangle", t)]))
+    files = [str(tmp_path / name) for name in ("in.vtu", "out.vtu")]
+    assert cli.main(["optimize", *files, "--objective", "min_dihedral"]) == 0
+    out = meshio.read(files[1])
+    x, c = odt_plugins.optimize((p, t), objective="min_dihedral")
+    assert np.array_equal(out.points, x)
+    assert np.array_equal(out.cells[0].data, c)
 
 
 def saddle(n, height):
@@ -384,7 +424,6 @@ def test_orientation_is_put_right_on_demand_only():
     ({"solver": "lbfgs"}, r"solver='lbfgs' for a curved surface; expected one of"),
     ({"method": "cvt"}, r"method='cvt' for a curved surface"),
     ({"connectivity": "delaunay"}, r"connectivity='delaunay' for a curved surface"),
-    ({"objective": "amips"}, r"objective='amips' for a curved surface"),
     ({"density": "curved"}, "density='curved'"),
     ({"density": np.ones(7)}, r"density of shape \(7,\)"),
     ({"density": -1.0 * np.ones(642)}, r"density -1\.0 at index 0"),

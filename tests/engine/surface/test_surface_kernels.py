@@ -8,9 +8,11 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import surface_meshes as sm
+from planar_meshes import MEASURES as PLANAR
 
+from odt_plugins.engine.cells.cost import ENERGY, Cost
 from odt_plugins.engine.cells.extremes import FREELY
-from odt_plugins.engine.cells.tetrahedron import ENERGY, QUALITY, Cost
+from odt_plugins.engine.cells.measures import QUALITY, star_terms_2d
 from odt_plugins.engine.finish import descent
 from odt_plugins.engine.finish.phases import Phase
 from odt_plugins.engine.ground.build import ground_values, make_ground, make_sheet
@@ -18,7 +20,6 @@ from odt_plugins.engine.ground.features import find_features
 from odt_plugins.engine.ground.pair import edge_is_free
 from odt_plugins.engine.ground.sheet import LOCKED, Guards, Limits, claim, make_work
 from odt_plugins.engine.ground.trace import End, edge_is_near
-from odt_plugins.engine.moves.tangent import star_cost
 from odt_plugins.engine.sliding.flips import sheet_triangle
 from odt_plugins.engine.surface import passes
 from odt_plugins.engine.surface.odt import (
@@ -256,8 +257,22 @@ def test_a_walk_that_did_not_end_ends_the_pass():
         move_all(surface, ODT)
 
 
+def unfolded(p, t):
+    """Triangles of space laid out side by side in the plane: points and cells."""
+    a, b, c = (p[t[:, k]] for k in range(3))
+    length = np.linalg.norm(b - a, axis=1)
+    along = ((b - a) * (c - a)).sum(axis=1) / length
+    height = np.linalg.norm(np.cross(b - a, c - a), axis=1) / length
+    zero = np.zeros(len(t))
+    flat = np.stack([np.stack(x, axis=1) for x in ((zero, zero), (length, zero), (along, height))],
+                    axis=1)
+    return flat.reshape(-1, 2), np.arange(3 * len(t)).reshape(-1, 3)
+
+
+@pytest.mark.parametrize("objective", PLANAR,
+                         ids=["radius ratio", "mean ratio", "angle", "step"])
 @pytest.mark.parametrize("power", [0.5, 2.0, 8.0])
-def test_derivatives_of_the_cost_are_those_of_finite_differences(power):
+def test_derivatives_of_the_cost_are_those_of_finite_differences(power, objective):
     p, t = sm.torus(noise=0.6)
     t = t.astype(np.int32)
     stars = vertex_stars(t, len(p))
@@ -271,10 +286,10 @@ def test_derivatives_of_the_cost_are_those_of_finite_differences(power):
             q = p.copy()
             q[v] += a * e[0] + b * e[1]
             star = t[stars.indices[stars.indptr[v] : stars.indptr[v + 1]]]
-            return (radius_ratio(q, star) ** -power).sum()
+            return (PLANAR[objective](*unfolded(q, star)) ** -power).sum()
 
         around = stars.indices[stars.indptr[v] : stars.indptr[v + 1]]
-        value = star_cost(p, t, around, v, power, e, out)
+        value = star_terms_2d(p, t, around, v, Cost(objective, power), e, out)
         assert value == pytest.approx(cost(0, 0), rel=1e-12)
         h = 3e-5
         first = [(cost(h, 0) - cost(-h, 0)) / 2 / h, (cost(0, h) - cost(0, -h)) / 2 / h]

@@ -9,7 +9,8 @@ import pytest
 import tet_meshes as tm
 from complexes import OPEN, assert_sound, complex_of, free_slots
 
-from odt_plugins.engine.cells.tetrahedron import ENERGY, QUALITY, Cost
+from odt_plugins.engine.cells.cost import ENERGY, Cost
+from odt_plugins.engine.cells.measures import QUALITY
 from odt_plugins.engine.compiled import threads
 from odt_plugins.engine.finish.phases import Phase
 from odt_plugins.engine.finish.volume import compound_moves
