@@ -90,7 +90,9 @@ def _others(mesh: Any, back: Any, kind: str, what: str) -> list[str]:
         if kind.endswith("_sets"):
             sizes = [sum(map(_count, part) if kind == "cell_sets" else [_count(part)])
                      for part in (old[name], new[name])]
-            if sizes[0] != sizes[1]:
+            if sizes[0] > sizes[1] or not (
+                    sizes[0] == sizes[1] or _keys(mesh, back, kind, old[name]) < _keys(
+                        back, mesh, kind, new[name])):
                 out.append(f"{sizes[0]} members of {what[:-1]} {name!r} (there {sizes[1]})")
             continue
         if kind == "field_data":
@@ -104,6 +106,23 @@ def _others(mesh: Any, back: Any, kind: str, what: str) -> list[str]:
             rest = f" of {' and '.join(kinds)}" if len(kinds) < len(found) else ""
             out.append(f"{('the last digits', 'the values')[worst - 1]} of {what} {name!r}{rest}")
     return out
+
+
+def _keys(mesh: Any, other: Any, kind: str, members: Any) -> set[Any]:
+    """Members of a set, by their numbers where points are in one order, or else by their places."""
+    same = mesh.points.shape == other.points.shape and np.allclose(mesh.points, other.points)
+    spots = np.arange(len(mesh.points)).reshape(-1, 1) if same else np.asarray(mesh.points)
+    if kind == "point_sets":
+        return set(map(tuple, spots[_chosen(members)].tolist()))
+    return {tuple(sorted(map(tuple, corners)))
+            for block, part in zip(mesh.cells, members, strict=True)
+            for corners in spots[np.asarray(block.data)[_chosen(part)]].tolist()}
+
+
+def _chosen(members: Any) -> NDArray[Any]:
+    """Members of a set as a mask or as indices."""
+    given = np.asarray([] if members is None else members).ravel()
+    return given if given.dtype == np.bool_ else given.astype(np.int64)
 
 
 def _in_order(mesh: Any, back: Any, *, cells: bool) -> bool:

@@ -27,7 +27,7 @@ from odt_plugins.adapters.comparing import not_kept, other_types
 from odt_plugins.adapters.fitting import FORMS, fitted
 from odt_plugins.adapters.formats import READERS, REWRITERS, WRITERS, gmsh_groups, gmsh_tables
 from odt_plugins.adapters.formats.change import Change, NotRewritable, Origin, origin_of
-from odt_plugins.adapters.formats.decks import DECK
+from odt_plugins.adapters.formats.decks import DECK, UNREAD
 from odt_plugins.adapters.host import HostMesh, Result
 from odt_plugins.adapters.stated import declares_no_cells
 from odt_plugins.errors import (
@@ -227,7 +227,7 @@ def write_file(
             elif lost is None:
                 lost, more = _write_and_compare(beside / path.name, mesh, name, binary)
                 remarks += more
-                lost += mesh.info.get("unread", []) if isinstance(mesh.info, dict) else []
+                lost += mesh.info.get(UNREAD, []) if isinstance(mesh.info, dict) else []
             # Formats such as xdmf write companions; the file that refers to them comes last.
             for part in sorted(beside.iterdir(), key=lambda part: part.name == path.name):
                 os.replace(part, path.parent / part.name)

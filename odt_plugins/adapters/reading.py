@@ -109,6 +109,7 @@ def read(path: Path, name: str) -> tuple[Any, list[str]]:
         raise TimeoutError(msg) from exc
     if name == "netgen":
         mesh.identified = vol.identified(path)
+        mesh.info = vol.besides(path)
     expect_held(path, name, mesh)
     return mesh, [*said, *getattr(mesh, REMARKS, ())]
 

@@ -12,6 +12,7 @@ import trimesh
 from contract import grid
 from labelled_meshes import mesh_with_everything
 
+from odt_plugins import uniform_refine
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.errors import DataNotKeptWarning, MeshFileError
 
@@ -180,3 +181,50 @@ def test_triangles_in_space_are_refused_by_su2_in_words(tmp_path):
     ball = trimesh.creation.icosphere(1)
     with pytest.raises(MeshFileError, match="no triangles in space, only those of the plane"):
         write_file(tmp_path / "a.su2", meshio.Mesh(ball.vertices, [("triangle", ball.faces)]))
+
+
+def test_a_set_that_grew_has_lost_nothing():
+    from odt_plugins.adapters.comparing import not_kept
+
+    points, cells, _ = grid(2, 3)
+    def mesh(nodes, rows, order):
+        back = np.argsort(order)
+        return meshio.Mesh(points[order], [("triangle", back[cells])], cell_sets={"c": [rows]},
+                           point_sets={"p": nodes})
+
+    for order in (np.arange(16), np.random.default_rng(2).permutation(16)):
+        at = np.argsort(order)
+        before = mesh(np.arange(5), np.arange(3), np.arange(16))
+        assert not not_kept(before, mesh(at[[0, 4, 3, 2, 1, 9]], np.arange(4), order))
+        lost = not_kept(before, mesh(at[[0, 4, 3, 2, 9, 8]], np.arange(1, 7), order))
+        assert lost == ["5 members of point set 'p' (there 6)",
+                        "3 members of cell set 'c' (there 6)"]
+
+
+SAYING = {
+    "a.inp": ("*NODE\n1,0.,0.\n2,1.,0.\n3,0.,1.\n4,1.,1.\n*ELEMENT,TYPE=CPE3,ELSET=E\n1,1,2,3\n"
+              "2,2,4,3\n*ELEMENT,TYPE=MASS\n5,1\n*SOLID SECTION,ELSET=E\n*STEP\n*CLOAD\n4,1,1.\n"
+              "*END STEP\n", ["*CLOAD", "*ELEMENT of type CPE3", "*ELEMENT of type MASS",
+                              "*SOLIDSECTION", "*STEP"]),
+    "a.bdf": ("SOL 101\nBEGIN BULK\nGRID,1,,0.,0.,0.\nGRID,2,,1.,0.,0.\nGRID,3,,0.,1.,0.\n"
+              "CTRIA3,1,1,1,2,3\nPSHELL,1,1,.1\nFORCE,1,3,0,1.,1.\nCELAS2,9,1.,1,1\nENDDATA\n",
+              ["CASE CONTROL", "CELAS2", "FORCE", "PSHELL"]),
+    "a.mdpa": ("Begin Properties 1\n RHO 7.\nEnd Properties\nBegin Nodes\n1 0. 0. 0.\n2 1. 0. 0."
+               "\n3 0. 1. 0.\nEnd Nodes\nBegin Elements Element2D3N\n1 1 1 2 3\nEnd Elements\n",
+               ["Properties"]),
+    "a.mesh": ("MeshVersionFormatted 2\nDimension 2\nVertices 3\n0 0 1\n1 0 1\n0 1 1\nTriangles 1\n"
+               "1 2 3 4\nCorners 1\n2\nEnd\n", ["Corners"]),
+}
+"""Files, and what they say that no mesh holds."""
+
+
+@pytest.mark.parametrize("name", SAYING)
+def test_what_a_file_says_besides_its_mesh_is_named_where_another_is_written(name, tmp_path):
+    text, said = SAYING[name]
+    (tmp_path / name).write_text(text)
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataNotKeptWarning)
+        mesh = read_file(tmp_path / name)
+    for target, given in ((f"b.{name.split('.')[1]}", uniform_refine(mesh)), ("b.vtu", mesh)):
+        with pytest.warns(DataNotKeptWarning, match=re.escape(", ".join(said))):
+            write_file(tmp_path / target, given)

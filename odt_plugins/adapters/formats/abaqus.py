@@ -14,6 +14,8 @@ from odt_plugins.adapters.formats.abaqus_tables import (
     NAMING,
     NODES,
     OF_ELEMENTS,
+    OF_MESHES,
+    PLAIN,
     SIDES,
     is_shell,
     type_of,
@@ -27,6 +29,7 @@ from odt_plugins.adapters.formats.decks import (
     fits,
     joint_labels,
     order_of,
+    unread,
 )
 from odt_plugins.errors import MeshFileError
 
@@ -158,6 +161,10 @@ def read(path: Path) -> Any:
     mesh = Mesh(deck.points, cells, cell_data=data, cell_sets=whole, point_sets=point_sets(deck))
     setattr(mesh, HELD, deck.held)
     setattr(mesh, DECK, deck)
+    mesh.info = unread("what is said by", [
+        *(f"*{s.name}" for s in deck.sections if s.name not in OF_MESHES),
+        *(f"*ELEMENT of type {word}" for word in [*deck.others, *(b.word for b in deck.blocks)]
+          if word not in PLAIN)])
     if deck.others:
         setattr(mesh, REMARKS, [
             f"elements of type {', '.join(deck.others)} stay as they are with their nodes"])

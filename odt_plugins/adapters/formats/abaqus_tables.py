@@ -41,6 +41,23 @@ OF_ELEMENTS = ("STRESS", "HARDENING", "SOLUTION", "PLASTICSTRAIN", "POROSITY", "
 """Types of initial conditions of elements."""
 
 
+OF_MESHES = ("HEADING", "PREPRINT", "NODE", "ELEMENT", "NSET", "ELSET", "SURFACE", "INCLUDE",
+             "PART", "ENDPART", "ASSEMBLY", "ENDASSEMBLY", "INSTANCE", "ENDINSTANCE", "ENDSTEP")
+"""Keywords that say no more than what a mesh holds."""
+
+WORDS = {"tetra": "C3D4", "tetra10": "C3D10", "hexahedron": "C3D8", "hexahedron20": "C3D20",
+         "wedge": "C3D6", "wedge15": "C3D15", "pyramid": "C3D5"}
+"""Elements in space by types of cells."""
+
+IN_SPACE = {"triangle": "S3", "triangle6": "STRI65", "quad": "S4", "quad8": "S8R", "line": "T3D2"}
+IN_PLANE = {"triangle": "CPS3", "triangle6": "CPS6", "quad": "CPS4", "quad8": "CPS8",
+            "line": "T2D2"}
+"""Those of surfaces, and of meshes in the plane."""
+
+PLAIN = {*WORDS.values(), *IN_SPACE.values(), *IN_PLANE.values()}
+"""Elements that say no more than the type of a cell."""
+
+
 def type_of(name: str) -> str | None:
     """Type of the cells that an element is; None where it is none, or not known."""
     found = re.fullmatch(SOLID, name)

@@ -8,17 +8,9 @@ from typing import Any
 
 import numpy as np
 
+from odt_plugins.adapters.formats.abaqus_tables import IN_PLANE, IN_SPACE, WORDS
 from odt_plugins.adapters.formats.decks import real
 from odt_plugins.errors import UnsupportedMeshError
-
-WORDS = {"tetra": "C3D4", "tetra10": "C3D10", "hexahedron": "C3D8", "hexahedron20": "C3D20",
-         "wedge": "C3D6", "wedge15": "C3D15", "pyramid": "C3D5"}
-"""Elements in space by types of cells."""
-
-IN_SPACE = {"triangle": "S3", "triangle6": "STRI65", "quad": "S4", "quad8": "S8R", "line": "T3D2"}
-IN_PLANE = {"triangle": "CPS3", "triangle6": "CPS6", "quad": "CPS4", "quad8": "CPS8",
-            "line": "T2D2"}
-"""Those of surfaces, and of meshes in the plane."""
 
 WIDEST, A_LINE = 20, 16
 """Letters of a number and numbers on a line that Abaqus reads."""

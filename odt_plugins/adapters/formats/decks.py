@@ -29,6 +29,9 @@ HELD = "held"
 DECK = "deck"
 """Attribute of a meshio.Mesh that was just read: its file, taken apart."""
 
+UNREAD = "unread"
+"""Key of what a file says that its mesh does not hold, in `info` of a meshio.Mesh."""
+
 ORDERS = {"tetra": 1, "tetra10": 2, "triangle": 1, "triangle6": 2}
 """Orders of the types of cells that may be optimised, the first that is there is."""
 
@@ -104,6 +107,12 @@ def numbers(words: Sequence[bytes]) -> list[float]:
 def deck_of(change: Change, source: Path, parsed: Callable[[Path], Any]) -> Any:
     """The source of a change, taken apart: as it was when it was read, or by its reader."""
     return getattr(change.before, DECK, None) or parsed(source)
+
+
+def unread(what: str, names: Iterable[str]) -> dict[str, list[str]]:
+    """What a file says besides its mesh, as `info` of that: some sections, each named once."""
+    found = sorted(set(names))
+    return {UNREAD: [f"{what} {', '.join(found)}"] if found else []}
 
 
 def expect_points(rows: NDArray[np.int64], count: int, first: int = 0) -> None:

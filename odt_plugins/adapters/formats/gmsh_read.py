@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats import gmsh_tables
+from odt_plugins.adapters.formats.decks import UNREAD
 from odt_plugins.adapters.formats.gmsh_groups import without_copies
 from odt_plugins.adapters.formats.gmsh_tables import (
     BOUNDS,
@@ -77,7 +78,7 @@ def read(path: Path) -> Any:
               if s.name not in KNOWN and s.name != "ElementNodeData"]
     unread += [f"data of the corners of elements {name!r}" for name, part in
                zip(array_names(own), own, strict=True) if part.kind == "ElementNodeData"]
-    mesh.info = {"text": file.text, "unread": list(dict.fromkeys(unread))}
+    mesh.info = {"text": file.text, UNREAD: list(dict.fromkeys(unread))}
     return without_copies(mesh)
 
 

@@ -25,6 +25,7 @@ from odt_plugins.adapters.formats.decks import (
     order_of,
     real,
     rows_of,
+    unread,
 )
 from odt_plugins.errors import MeshFileError
 
@@ -118,6 +119,9 @@ def read(path: Path) -> Any:
     cells: list[Any] = [(block.kind, block.cells) for block in parts.blocks]
     mesh = Mesh(points, cells, point_data, _labels(parts, sets), cell_sets=sets,
                 point_sets=point_sets)
+    mesh.info = unread("the sections", (
+        s.kind for s in parts.sections if s.rows and not _listed(s) and s.kind != "Nodes"
+        and s.kind not in ENTITIES and s.name not in point_data))
     setattr(mesh, HELD, np.array(sorted(held), dtype=np.int64))
     if parts.others:
         setattr(mesh, REMARKS, [

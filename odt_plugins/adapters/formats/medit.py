@@ -9,6 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from odt_plugins.adapters.formats.change import Change, NotRewritable
+from odt_plugins.adapters.formats.decks import unread
 from odt_plugins.errors import MeshFileError
 
 CELLS = {"Edges": ("line", 2), "Triangles": ("triangle", 3), "Quadrilaterals": ("quad", 4),
@@ -90,7 +91,9 @@ def read(path: Path) -> Any:
         if bad.size:
             msg = f"a cell refers to vertex {bad[0] + 1} of {len(points)}"
             raise MeshFileError(msg)
-    return meshio.Mesh(points, blocks, {REF: refs}, {REF: cell_refs}, point_sets=sets)
+    return meshio.Mesh(points, blocks, {REF: refs}, {REF: cell_refs}, point_sets=sets, info=unread(
+        "the sections", (s.name for s in sections if s.size > 0 and s.name not in (
+            *CELLS, "Vertices"))))
 
 
 def rewrite(source: Path, target: Path, change: Change) -> list[str]:

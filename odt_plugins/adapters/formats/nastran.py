@@ -20,6 +20,7 @@ from odt_plugins.adapters.formats.decks import (
     REMARKS,
     fits,
     order_of,
+    unread,
 )
 from odt_plugins.adapters.formats.nastran_tables import (
     BEAMS,
@@ -179,6 +180,10 @@ def read(path: Path) -> Any:
     mesh = Mesh(deck.points, cells, cell_data={LABEL: labels}, point_sets=sets)
     setattr(mesh, HELD, deck.held)
     setattr(mesh, DECK, deck)
+    mesh.info = unread("what is said by", {
+        card.name for card in deck.cards} - {"GRID", "SPC1", "ENDDATA"} - (
+            KINDS.keys() - set(deck.others)) | (
+                {"CASE CONTROL"} if re.match(rb"(?is)(?!\s*BEGIN).*?BEGIN", deck.data) else set()))
     if deck.others:
         setattr(mesh, REMARKS, [
             f"elements of type {', '.join(deck.others)} stay as they are with their nodes"])

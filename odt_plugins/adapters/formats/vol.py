@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.change import Change, NotRewritable
+from odt_plugins.adapters.formats.decks import unread
 from odt_plugins.errors import MeshFileError
 
 NODES = {"triangle": 3, "triangle6": 6, "quad": 4, "tetra": 4, "tetra10": 10}
@@ -22,6 +23,10 @@ ORDERS = {"tetra": [0, 2, 1, 3], "triangle6": [0, 1, 2, 4, 5, 3],
 """Places of the nodes of cells in files, where a reader gives them in another order."""
 
 SURFACE, VOLUME = rb"surfaceelements(?:gi|uv)?", rb"volumeelements"
+
+KNOWN = (rb"dimension|geomtype|points|facedescriptors|materials|bcnames|identifications|" + SURFACE
+         + b"|" + VOLUME)
+"""Sections of which a mesh holds what they say."""
 
 HEAD = {SURFACE: 5, VOLUME: 2}
 """Words of a row before its nodes; the last one is the number of these."""
@@ -57,6 +62,14 @@ def identified(path: Path) -> NDArray[np.int64] | None:
     words = re.compile(rb"\S+").finditer(data, at)
     numbers = [int(next(words)[0]) for _ in range(3 * count)]
     return np.unique(np.array(numbers, dtype=np.int64).reshape(-1, 3)[:, :2]) - 1
+
+
+def besides(path: Path) -> dict[str, list[str]]:
+    """What a file says that its mesh does not hold, as :func:`decks.unread` tells it."""
+    text, _, more = _content(path).partition(b"endmesh")
+    found = re.findall(rb"(?m)^[ \t]*([a-z_]\w*)[ \t]*\r?\n\s*[1-9]\d*\s", text)
+    names = {name.decode() for name in found if not re.fullmatch(KNOWN, name)}
+    return unread("the sections", names | ({"of the geometry"} if more.strip() else set()))
 
 
 def rewrite(source: Path, target: Path, change: Change) -> list[str]:
