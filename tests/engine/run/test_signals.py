@@ -40,7 +40,7 @@ SURFACE = FLAT | {
     "surface.passes.smooth_vertices": ("start", "stop"), "ground.crossings._sweep":
     ("start", "stop"), "ground.envelope._upper": "triangles", "ground.reference._across":
     ("start", "stop"), "surface.compound.compound_pass": "order",
-    "moves.compound2d._add_excess": "cells",
+    "moves.compound2d._add_excess": "cells", "cells.measures.cell_measures": "cells",
 }
 SHORT = ("compound_pass", "compound_pass_2d", "insertion_pass", "_upper", "ground.crossings._sweep")
 
@@ -61,7 +61,8 @@ RUNS = {
     "plane": (planar, {}, FLAT | {
         "topology.adjacency._match_facets": ("first", "last"),
         "odt.sweeps._move_vertices": ("start", "stop"), "moves.flips2d._flip_edges": "most",
-        "moves.newton2d.smooth_vertices_2d": ("start", "stop"), "finish.plane._measures": "cells",
+        "moves.newton2d.smooth_vertices_2d": ("start", "stop"),
+        "cells.measures.cell_measures": "cells",
         "moves.compound2d.compound_pass_2d": "order", "moves.compound2d._add_excess": "cells"}),
     "surface": (lambda: sm.torus(40, 20, noise=0.7), {}, SURFACE),
 }
