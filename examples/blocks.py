@@ -29,7 +29,7 @@ def row(name: str, blocks: int, orders: int) -> str:
     for given in (start, *(reordered(start, seed) for seed in range(orders))):
         mesh = given.points, given.cells
         one = odt_plugins.quality(odt_plugins.optimize(mesh))
-        cut = odt_plugins.quality(odt_plugins.optimize_partitioned(mesh, blocks))
+        cut = odt_plugins.quality(odt_plugins.optimize(mesh, blocks=blocks))
         found.append((one.mean_quality, cut.mean_quality - one.mean_quality,
                       cut.p1_quality - one.p1_quality))
     mean, by, p1 = ((min(column), max(column)) for column in zip(*found, strict=True))

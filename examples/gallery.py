@@ -181,7 +181,7 @@ def blocks(path: Path) -> None:
         apart.append(points[vertices] + shift)
     # So small a mesh would be done in one piece.
     with mock.patch.object(blockwise, "LEAST_CELLS", len(cells) // 2):
-        glued = odt_plugins.optimize_partitioned((points, cells), 2)
+        glued = odt_plugins.optimize((points, cells), blocks=2)
     side_by_side({
         "before, cut into 2 blocks": (np.concatenate(apart), np.concatenate(own)),
         "after, glued": glued,

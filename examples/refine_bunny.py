@@ -67,7 +67,7 @@ def main(
         points, faces, edge_length_fac=edge_length, epsilon=0.75 * envelope, odt=False,
         vtk_ordering=True)
     tetwild = time.perf_counter() - start
-    fine, report = odt_plugins.refine_and_optimize(
+    fine, report = odt_plugins.refine_with_report(
         coarse, levels, surface=(points, faces), envelope=envelope, threads=os.cpu_count() or 1)
     seconds = time.perf_counter() - start
     if path:

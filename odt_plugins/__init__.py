@@ -27,16 +27,10 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from odt_plugins.api import optimize as optimize
-    from odt_plugins.api import optimize_file as optimize_file
     from odt_plugins.api import optimize_with_report as optimize_with_report
     from odt_plugins.api import quality as quality
     from odt_plugins.api import untangle as untangle
     from odt_plugins.api import untangle_with_report as untangle_with_report
-    from odt_plugins.distributed.optimize import optimize_partitioned as optimize_partitioned
-    from odt_plugins.distributed.optimize import (
-        optimize_partitioned_with_report as optimize_partitioned_with_report,
-    )
-    from odt_plugins.distributed.pieces import optimize_pieces as optimize_pieces
     from odt_plugins.errors import CrashError as CrashError
     from odt_plugins.errors import DataNotKeptWarning as DataNotKeptWarning
     from odt_plugins.errors import EndlessWalkError as EndlessWalkError
@@ -52,17 +46,18 @@ if TYPE_CHECKING:
     from odt_plugins.errors import UnsupportedMeshError as UnsupportedMeshError
     from odt_plugins.errors import WorkerError as WorkerError
     from odt_plugins.figures import QualitySummary as QualitySummary
-    from odt_plugins.generate import refine_and_optimize as refine_and_optimize
-    from odt_plugins.generate import uniform_refine as uniform_refine
-    from odt_plugins.generate.fill import tetrahedralize_file as tetrahedralize_file
+    from odt_plugins.generate import refine as refine
+    from odt_plugins.generate import refine_with_report as refine_with_report
+    from odt_plugins.generate.fill import tetrahedralize as tetrahedralize
+    from odt_plugins.generate.fill import (
+        tetrahedralize_with_report as tetrahedralize_with_report,
+    )
     from odt_plugins.hosts import register as register
     from odt_plugins.hosts.script import run_filter_script as run_filter_script
     from odt_plugins.options import Options as Options
     from odt_plugins.remeshing import remesh as remesh
     from odt_plugins.remeshing import remesh_with_report as remesh_with_report
     from odt_plugins.report.report import Report as Report
-    from odt_plugins.tetwild import tetrahedralize as tetrahedralize
-    from odt_plugins.tetwild import tetrahedralize_with_report as tetrahedralize_with_report
 
     __version__: str
 
@@ -85,23 +80,18 @@ _HOMES = {
     "UnsupportedMeshError": "errors",
     "WorkerError": "errors",
     "optimize": "api",
-    "optimize_file": "api",
-    "optimize_partitioned": "distributed.optimize",
-    "optimize_partitioned_with_report": "distributed.optimize",
-    "optimize_pieces": "distributed.pieces",
     "optimize_with_report": "api",
     "quality": "api",
-    "refine_and_optimize": "generate",
+    "refine": "generate",
+    "refine_with_report": "generate",
     "register": "hosts",
     "remesh": "remeshing",
     "remesh_with_report": "remeshing",
     "run_filter_script": "hosts.script",
-    "tetrahedralize": "tetwild",
-    "tetrahedralize_file": "generate.fill",
-    "tetrahedralize_with_report": "tetwild",
+    "tetrahedralize": "generate.fill",
+    "tetrahedralize_with_report": "generate.fill",
     "untangle": "api",
     "untangle_with_report": "api",
-    "uniform_refine": "generate",
 }
 """Module of every public name. Type checkers read the imports above, which a test holds equal."""
 

@@ -25,7 +25,9 @@ from odt_plugins.multiblock import has_parts, run_parts
 from odt_plugins.options import (
     OF_UNTANGLING,
     OPTIONS,
+    RUN,
     OptionKeywords,
+    RunKeywords,
     make_options,
     with_option_signature,
 )
@@ -33,25 +35,26 @@ from odt_plugins.roundtrip import flat_points, run_engine
 from odt_plugins.untangling import Wanted
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping
+    from collections.abc import Callable, Mapping
 
     from odt_plugins.engine.run.outcome import Leaving, Outcome
     from odt_plugins.figures import QualitySummary
     from odt_plugins.mesh.simplex import SimplexMesh
-    from odt_plugins.multiblock import Blocks, Scene
     from odt_plugins.options import Options
     from odt_plugins.report.report import Report
 
 MeshT = TypeVar("MeshT")
-PartsT = TypeVar("PartsT", bound="Blocks | Scene")
+
+PLACE = ("blocks", "block_rounds", "client", "workers")
+"""Arguments of :func:`optimize` that say where the work is done."""
 
 
 @overload
-def optimize(mesh: str | os.PathLike[str], **options: Unpack[OptionKeywords]) -> Any: ...
+def optimize(mesh: str | os.PathLike[str], **how: Unpack[RunKeywords]) -> Any: ...
 @overload
-def optimize(mesh: MeshT, **options: Unpack[OptionKeywords]) -> MeshT: ...
-@with_option_signature()
-def optimize(mesh: Any, **options: Unpack[OptionKeywords]) -> Any:
+def optimize(mesh: MeshT, **how: Unpack[RunKeywords]) -> MeshT: ...
+@with_option_signature(run=True)
+def optimize(mesh: Any, **how: Unpack[RunKeywords]) -> Any:
     """Improve a mesh of tetrahedra or of triangles by Optimal Delaunay Triangulation.
 
     Parameters
@@ -62,12 +65,28 @@ def optimize(mesh: Any, **options: Unpack[OptionKeywords]) -> Any:
         TriangleMeshModel of open3d, trimesh.Trimesh or Scene, a mesh of scikit-fem, Netgen or
         NGSolve, gmsh.model, or the path of a mesh file; arrays may be of any library with DLPack.
         It is never changed, but for gmsh.model, which is in place.
-    **options
+    target : path, optional
+        File for the result where `mesh` is a path: any format of meshio, and of VTK where it is
+        installed, by suffix. With a .pvtu file, `mesh` is another or a directory of .vtu files:
+        pieces of one mesh, of which a process holds one at a time.
+    file_format : str       "gmsh22" or "gmsh41" for a .msh file; None takes that of `mesh`
+    binary : bool           or as text, where the format has both; None takes that of `mesh` for
+                            .msh files, else binary
+    blocks : int            blocks of about equal size into which the mesh is cut, fewer when they
+                            had less than 40,000 cells; the bits do not depend on `workers`
+    block_rounds : int      most rounds of blocks or pieces; later ones are cut elsewhere, around
+                            the vertices that stood still
+    workers : int           processes of this machine for blocks and pieces; 0 works in this one, as
+                            do blocks of meshes of fewer than 100,000 cells. Scripts that give more
+                            must be importable (``if __name__ == "__main__":``).
+    client : distributed.Client
+                            of a Dask cluster, whose workers take the place of processes
+    **how
         The fields of :class:`odt_plugins.Options`, all by keyword.
 
     Returns
     -------
-    same type as `mesh`
+    same type as `mesh`, or `target`
         A meshio.Mesh for a path. Vertices keep their index, with insert=True their order, new
         ones last and with interpolated data; dtype, orientation, point, cell and
         field data come back. Fields are interpolated where vertices moved, see `fields`. A cell
@@ -80,7 +99,8 @@ def optimize(mesh: Any, **options: Unpack[OptionKeywords]) -> Any:
     TangledMeshError        cells are inverted or flat, and could not or were not to be untangled
     UnsupportedMeshError    the object, or one of its cell types, is nothing that can be optimised
     InvalidOptionError      an option is unknown or out of range
-    MeshFileError           the file cannot be read
+    MeshFileError           a file cannot be read or written; `target` is then as it was before
+    WorkerError             workers were lost
 
     What a callable of the caller's, such as a density, raises comes through as it is.
 
@@ -98,82 +118,99 @@ def optimize(mesh: Any, **options: Unpack[OptionKeywords]) -> Any:
     >>> bool((better_points[:4] == points[:4]).all())
     True
     """
-    chosen = make_options(**options)
-    if has_parts(mesh):
-        return run_parts(mesh, options, optimize_with_report)[0]
-    return run_engine(mesh, chosen)[0]
+    return _optimized(mesh, dict(how), tell=False)[0]
 
 
 @overload
 def optimize_with_report(
-    mesh: str | os.PathLike[str], **options: Unpack[OptionKeywords]
+    mesh: str | os.PathLike[str], **how: Unpack[RunKeywords]
 ) -> tuple[Any, Report]: ...
 @overload
-def optimize_with_report(  # type: ignore[overload-overlap]  # a mesh has none of their names
-    mesh: PartsT, **options: Unpack[OptionKeywords]
-) -> tuple[PartsT, list[Report]]: ...
-@overload
-def optimize_with_report(
-    mesh: MeshT, **options: Unpack[OptionKeywords]
-) -> tuple[MeshT, Report]: ...
-@with_option_signature()
-def optimize_with_report(
-    mesh: Any, **options: Unpack[OptionKeywords]
-) -> tuple[Any, Report | list[Report]]:
+def optimize_with_report(mesh: MeshT, **how: Unpack[RunKeywords]) -> tuple[MeshT, Report]: ...
+@with_option_signature(run=True)
+def optimize_with_report(mesh: Any, **how: Unpack[RunKeywords]) -> tuple[Any, Report]:
     """Improve a mesh as :func:`optimize` does and tell what was done.
 
     Returns
     -------
-    mesh : same type as the input
-    report : Report     figures before and after, energy, times, why it stopped, what binds; a list
-                        of them for the parts of a pyvista.MultiBlock, a trimesh.Scene or a
-                        TriangleMeshModel of open3d
+    mesh : same type as the input, or `target`
+    report : Report     figures before and after, energy, times, why it stopped, what binds; of an
+                        object of several meshes its `parts` are those of each
     """
+    return _optimized(mesh, dict(how), tell=True)
+
+
+def _optimized(mesh: Any, how: dict[str, Any], *, tell: bool) -> tuple[Any, Any]:
+    """The mesh or the file, and the report if it is asked for."""
+    from odt_plugins.report.joined import report_of_parts
     from odt_plugins.report.report import make_report
 
+    if how.get("target") is not None:
+        return how["target"], optimize_file(mesh, **how)
+    options = {name: value for name, value in how.items() if name not in RUN}
+    run = RUN | {name: value for name, value in how.items() if name in RUN}
+    lost = next((name for name in ("file_format", "binary") if run[name] is not None), None)
+    if lost is not None:
+        msg = f"got {lost}={run[lost]!r} without a file; expected target= beside it"
+        raise InvalidOptionError(msg)
     chosen = make_options(**options)
+    engine = _engine(chosen, run)
     if has_parts(mesh):
-        return run_parts(mesh, options, optimize_with_report)
-    result, before, outcome, told = run_engine(mesh, chosen)
-    return result, make_report(before, outcome, chosen, **told)
+        where = {name: run[name] for name in PLACE}
+        whole, reports = run_parts(
+            mesh, options, functools.partial(optimize_with_report, **where))
+        return whole, report_of_parts(reports)
+    result, before, outcome, told = run_engine(mesh, chosen, engine)
+    return result, make_report(before, outcome, chosen, **told) if tell else None
 
 
-@with_option_signature()
 def optimize_file(
     source: str | os.PathLike[str],
     target: str | os.PathLike[str],
     *,
     file_format: str | None = None,
     binary: bool | None = None,
-    **options: Unpack[OptionKeywords],
+    **how: Any,
 ) -> Report:
-    """Improve the mesh of one file and write it to another, or to the same.
-
-    Parameters
-    ----------
-    source, target : path    any format of meshio, and of VTK where it is installed, by suffix
-    file_format : str        "gmsh22" or "gmsh41" for a .msh file; None takes that of `source`
-    binary : bool            or as text, where the format has both; None takes that of `source`
-                             for .msh files, else binary
-    **options
-        The fields of :class:`odt_plugins.Options`.
-
-    Returns
-    -------
-    Report    or a list of them for the geometries of a scene
+    """Improve the mesh of one file and write it to another, or to the same; see :func:`optimize`.
 
     Raises
     ------
     MeshFileError            a file cannot be read or written; `target` is then as it was before
     """
-    make_options(**options)
+    if not isinstance(source, str | os.PathLike):
+        msg = f"got target={os.fspath(target)!r} for a mesh that is no file; expected a path"
+        raise InvalidOptionError(msg)
+    chosen = make_options(**{name: value for name, value in how.items() if name not in RUN})
+    if os.fspath(target).endswith(".pvtu"):
+        from odt_plugins.distributed.pieces import optimize_pieces
+
+        given = {"file_format": file_format, "binary": binary, "blocks": how.get("blocks")}
+        other = next((name for name, value in given.items() if value is not None), None)
+        if other is not None:
+            msg = f"got {other}={given[other]!r} for a mesh in pieces; expected it for whole meshes"
+            raise InvalidOptionError(msg)
+        return optimize_pieces(source, target, chosen, how.get("block_rounds", 3),
+                               how.get("client"), how.get("workers", 0))
     check_output(target, file_format, binary)
     expect_same_kind(source, target)
     Thread(target=import_module, args=("odt_plugins.engine.run.plan",), daemon=True).start()
-    report: Report
-    mesh, report = optimize_with_report(read_file(source), **options)
+    mesh, report = optimize_with_report(read_file(source), **how)
     write_file(target, mesh, file_format, binary)
     return report
+
+
+def _engine(options: Options, run: Mapping[str, Any]) -> Callable[..., Outcome] | None:
+    """The engine for blocks, if there are any."""
+    if run["blocks"] is None:
+        other = next((name for name in ("workers", "client") if run[name]), None)
+        if other is not None:
+            msg = f"got {other}= without blocks; expected blocks=, how many the mesh is cut into"
+            raise InvalidOptionError(msg)
+        return None
+    from odt_plugins.distributed.optimize import block_engine
+
+    return block_engine(options, *(run[name] for name in PLACE))
 
 
 @with_option_signature(*(name for name in OPTIONS if name not in OF_UNTANGLING))
@@ -233,22 +270,24 @@ def untangle(
 @with_option_signature(*(name for name in OPTIONS if name not in OF_UNTANGLING))
 def untangle_with_report(
     mesh: Any, *, rest: Any = None, partial: bool = False, **options: Unpack[OptionKeywords]
-) -> tuple[Any, Any]:
+) -> tuple[Any, Report]:
     """Make every cell valid as :func:`untangle` does and tell what was done.
 
     Returns
     -------
     mesh : same type as the input
     report : Report     figures before and after, and `untangled`: how many cells were inverted, how
-                        it went, and how many are left; a list of them for the parts of a
-                        pyvista.MultiBlock
+                        it went, and how many are left; of an object of several meshes its
+                        `parts` are those of each
     """
+    from odt_plugins.report.joined import report_of_parts
     from odt_plugins.report.report import make_report
 
     chosen = _untangling(options)
     if has_parts(mesh):
         one = functools.partial(untangle_with_report, rest=rest, partial=partial)
-        return run_parts(mesh, options, one)
+        whole, reports = run_parts(mesh, options, one)
+        return whole, report_of_parts(reports)
     result, before, outcome, told = _untangled(mesh, chosen, rest, partial=partial)
     return result, make_report(before, outcome, chosen, **told)
 

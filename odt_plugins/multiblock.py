@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,21 +21,6 @@ WHOLES: tuple[Any, ...] = (pyvista_blocks, trimesh_scene, open3d_model)
 
 GRID = 1e-9
 """Distance, as a part of the extent of all, below which vertices of two parts are at one place."""
-
-
-class Blocks(Protocol):
-    """What type checkers see of a pyvista.MultiBlock."""
-
-    @property
-    def n_blocks(self) -> int:
-        """Number of its parts."""
-        ...
-
-
-class Scene(Protocol):
-    """What type checkers see of a trimesh.Scene."""
-
-    geometry: Any
 
 
 class _Shown(NamedTuple):

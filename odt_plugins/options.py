@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import inspect
+import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -45,6 +46,9 @@ KEPT = ("min_quality", "p1_quality", "mean_quality", "min_angle", "max_angle", "
 
 FIGURES = (*KEPT, "min_altitude")
 """What can be kept; the first of them are by default."""
+
+EDGE_LENGTH = 0.05
+"""Part of the diagonal of a surface: edges that TetWild aims at, unless another is given."""
 
 OF_MESHES = ("fixed", "selection", "regions", "fields", "layers", "periodic", "inside")
 """Options for what a mesh has that is there already, none for a surface that is to be filled."""
@@ -382,15 +386,39 @@ class OptionKeywords(TypedDict, total=False):
     progress: Progress | bool | None
 
 
-def with_option_signature(*without: str, **others: Any) -> Callable[[FunctionT], FunctionT]:
+class RunKeywords(OptionKeywords, total=False):
+    """The same with what says where the work is done and where the result goes."""
+
+    target: str | os.PathLike[str] | None
+    file_format: str | None
+    binary: bool | None
+    blocks: int | None
+    block_rounds: int
+    workers: int
+    client: Any
+
+
+RUN: dict[str, Any] = {"target": None, "file_format": None, "binary": None, "blocks": None,
+                       "block_rounds": 3, "workers": 0, "client": None}
+"""The latter arguments of :func:`odt_plugins.optimize`, which are no options of a run."""
+
+
+def with_option_signature(
+    *without: str, run: bool = False, **others: Any
+) -> Callable[[FunctionT], FunctionT]:
     """Let help() and inspect show every option instead of `**options`, without some names, and
     with other defaults of some.
+
+    With `run` the arguments in RUN stand before them.
     """
 
     def decorate(function: FunctionT) -> FunctionT:
         signature = inspect.signature(function)
         own = [p for p in signature.parameters.values()
                if p.kind is not p.VAR_KEYWORD and p.name not in without]
+        own += [inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=value,
+                                  annotation=RunKeywords.__annotations__[name].__forward_arg__)
+                for name, value in RUN.items() if run]
         keywords = [
             inspect.Parameter(
                 name, inspect.Parameter.KEYWORD_ONLY, default=others.get(name, about.default),
@@ -423,10 +451,10 @@ def make_options(odt: Mapping[str, Any] | None = None, /, **options: Any) -> Opt
 def _expect_known(given: Mapping[str, Any], known: Mapping[str, Any], what: str) -> None:
     unknown = [name for name in given if name not in known]
     if unknown:
-        near = difflib.get_close_matches(unknown[0], known, n=1)
+        near = difflib.get_close_matches(unknown[0], [*known, *SMOOTHING], n=1)
         hint = f", did you mean {near[0]!r}?" if near else ""
-        if unknown[0] in SMOOTHING:
-            hint = f", try smoothing={{{unknown[0]!r}: ...}}"
+        if near and near[0] not in known:
+            hint = f", try smoothing={{{near[0]!r}: ...}}"
         msg = f"got unknown {what} {unknown}; expected some of {list(known)}{hint}"
         raise InvalidOptionError(msg)
 

@@ -86,21 +86,24 @@ def remesh_with_report(
     mesh: Any, size: Any = None, *, scale: float | None = None, cells: int | None = None,
     vertices: int | None = None, growth: float = 1.3, most_cells: int = 20_000_000,
     **options: Unpack[OptionKeywords],
-) -> tuple[Any, Report | list[Report]]:
+) -> tuple[Any, Report]:
     """Give a mesh other sizes as :func:`remesh` does and tell what was done.
 
     Returns
     -------
     mesh : same type as the input
-    report : Report     its notes say how many edges have their size, and where they do not; a list
-                        of them for the parts of a pyvista.MultiBlock or a scene
+    report : Report     its notes say how many edges have their size, and where they do not; of an
+                        object of several meshes its `parts` are those of each
     """
+    from odt_plugins.report.joined import report_of_parts
     from odt_plugins.report.report import make_report
 
     wishes: dict[str, Any] = {"scale": scale, "cells": cells, "vertices": vertices,
                               "growth": growth, "most_cells": most_cells}
     if has_parts(mesh):
-        return run_parts(mesh, options, partial(remesh_with_report, size=size, **wishes))
+        whole, reports = run_parts(
+            mesh, options, partial(remesh_with_report, size=size, **wishes))
+        return whole, report_of_parts(reports)
     chosen = _checked(options)
     result, before, outcome, told = _run(mesh, size, wishes, chosen)
     return result, make_report(before, outcome, replace(chosen, density="keep"), **told)

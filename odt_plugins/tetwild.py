@@ -36,6 +36,7 @@ from odt_plugins.errors import (
 )
 from odt_plugins.mesh.simplex import barycentric, diagonal, mesh_arrays, reverse
 from odt_plugins.options import (
+    EDGE_LENGTH,
     OPTIONS,
     OptionKeywords,
     Progress,
@@ -81,7 +82,7 @@ INSIDE = -1e-9
 def tetrahedralize(
     vertices: NDArray[np.floating],
     faces: NDArray[np.integer],
-    edge_length_fac: float = 0.05,
+    edge_length_fac: float = EDGE_LENGTH,
     edge_length_abs: float | None = None,
     optimize: bool = True,
     simplify: bool = True,
@@ -101,54 +102,13 @@ def tetrahedralize(
     odt: Mapping[str, Any] | bool = True,
     **options: Unpack[OptionKeywords],
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
-    """Fill a triangle surface with tetrahedra by TetWild and improve them.
-
-    Parameters
-    ----------
-    vertices, faces, ..., bg_values
-        What `pytetwild.tetrahedralize` takes, with its defaults; edge_length_fac and epsilon are
-        relative to the bounding-box diagonal, the other lengths are in the caller's unit.
-    odt : bool or dict
-        False for TetWild alone; a dict of options, should one of pytetwild's keywords ever have
-        the name of an option.
-    **options
-        The fields of :class:`odt_plugins.Options`. With `repair="orient"` faces are turned first:
-        neighbours agree, closed components face outward, hollows within them stay hollow. With a
-        sizing field (bg_vertices, bg_tets, bg_values) its edge length h is the size that the
-        density rho = h^-r keeps, unless a `density` is given; `exponent` of `smoothing` is r,
-        5 by default.
-        Outside the background mesh h is the ideal edge length, as for TetWild. TetWild follows a
-        field that asks for larger cells than it starts from only with `coarsen`.
-
-    Returns
-    -------
-    points : (n, 3) float64
-    cells : (m, 4) int32         of negative volume, or of positive with vtk_ordering
-
-    Raises
-    ------
-    MissingDependencyError       pytetwild is not installed
-    InvalidMeshError             the surface is broken, or TetWild found no tetrahedra
-    CrashError                   the same, since the process of TetWild crashed
-    InvalidOptionError           an option is unknown or out of range, or TetWild is to run alone
-    TypeError, ValueError, ...   what pytetwild raises
-
-    Warns
-    -----
-    NotFilledWarning             more than a hundredth of the area of the surface has no boundary
-                                 beside it, or of that of the boundary no surface; not where TetWild
-                                 runs alone, nor with disable_filtering, which fills a box
-
-    References
-    ----------
-    L. Chen, M. Holst, CMAME 200 (2011) 967-984, doi:10.1016/j.cma.2010.11.007, Theorem 2.8.
-    """
+    """Fill a triangle surface of arrays; see :func:`odt_plugins.tetrahedralize`."""
     given = {name: value for name, value in locals().items() if name not in ("odt", "options")}
     chosen = _checked(given, odt, options)
     if chosen is None:
         return run_tetwild(given)
     with _made(given, chosen) as (mesh, _, improving):
-        out = optimize_mesh(mesh, **improving)
+        out: Mesh = optimize_mesh(mesh, **improving)
         _compared(given, chosen, out)
         return out
 
@@ -157,24 +117,7 @@ def tetrahedralize_with_report(
     vertices: NDArray[np.floating], faces: NDArray[np.integer],
     regions_of: RegionsOf | None = None, **keywords: Any,
 ) -> tuple[Any, Report]:
-    """Fill a triangle surface as :func:`tetrahedralize` does and tell what was done.
-
-    Parameters
-    ----------
-    vertices, faces, **keywords    of :func:`tetrahedralize`, all but the first two by keyword
-    regions_of : callable          is given points and cells of TetWild, and gives labels (m,) of
-                                   regions; the interfaces between them stay
-
-    Returns
-    -------
-    mesh : (points, cells), with `regions_of` (points, cells, labels)
-    report : Report     before is the mesh of TetWild, whose seconds stand among the times; `filled`
-                        compares surface and boundary both ways
-
-    Raises
-    ------
-    InvalidOptionError  odt=False, and what :func:`tetrahedralize` raises
-    """
+    """The same with a report; `regions_of` is given points and cells, and gives labels (m,)."""
     own = inspect.signature(tetrahedralize).parameters
     usual = {name: about.default for name, about in own.items()
              if name not in ("vertices", "faces", "odt", *OPTIONS)}

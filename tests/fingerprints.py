@@ -34,7 +34,7 @@ import odt_plugins
 from odt_plugins.compare.start import StartMesh, ball, pebble, plate, read_start, suite
 from odt_plugins.distributed import optimize as blockwise
 from odt_plugins.engine.compiled import threads
-from odt_plugins.generate import SAMPLES, distmesh2d, odtmesh2d, refine_and_optimize, uniform_refine
+from odt_plugins.generate import SAMPLES, distmesh2d, odtmesh2d, refine_with_report, uniform_refine
 
 Arrays = tuple[np.ndarray, ...]
 Run = Callable[[], tuple[Arrays, Arrays]]
@@ -173,20 +173,20 @@ def selected(**options: object) -> tuple[Arrays, Arrays]:
 def in_blocks(start: Callable[[], Arrays], blocks: int) -> tuple[Arrays, Arrays]:
     mesh = start()
     with mock.patch.object(blockwise, "LEAST_CELLS", 5000):
-        return mesh, odt_plugins.optimize_partitioned(mesh, blocks)
+        return mesh, odt_plugins.optimize(mesh, blocks=blocks)
 
 
 def in_pieces() -> tuple[Arrays, Arrays]:
     from pieces import glued, write_pieces
 
+    from odt_plugins.api import optimize_file
     from odt_plugins.distributed.partition import bricks
-    from odt_plugins.distributed.pieces import optimize_pieces
 
     points, cells = standard("ball-14k")
     label = bricks(points, cells, 3)
     with tempfile.TemporaryDirectory() as folder:
         index = write_pieces(Path(folder, "in"), points, cells, label)
-        optimize_pieces(index, Path(folder, "out.pvtu"))
+        optimize_file(index, Path(folder, "out.pvtu"))
         return (points, cells), glued(Path(folder, "out.pvtu"), len(points))
 
 
@@ -197,7 +197,7 @@ def generated(name: str, mesher: Callable[..., Arrays]) -> tuple[Arrays, Arrays]
 
 def refined(levels: int) -> tuple[Arrays, Arrays]:
     mesh = made(ball, 300)
-    return mesh, refine_and_optimize(mesh, levels, envelope=0.01)[0]
+    return mesh, refine_with_report(mesh, levels, envelope=0.01)[0]
 
 
 def halved() -> tuple[Arrays, Arrays]:

@@ -8,7 +8,7 @@ import re
 from dataclasses import fields
 from itertools import pairwise, product
 from pathlib import Path
-from typing import Any, get_args, get_overloads, get_type_hints
+from typing import Any, get_args, get_type_hints
 
 import contract
 import meshio
@@ -49,14 +49,23 @@ DATA = Path(__file__).parent / "data"
 
 def test_options_are_the_keywords_of_every_public_function():
     options = {f.name: f.default for f in fields(Options)}
-    for function in (odt_plugins.optimize, odt_plugins.optimize_with_report,
-                     odt_plugins.optimize_file):
+    for function in (odt_plugins.optimize, odt_plugins.optimize_with_report):
         parameters = inspect.signature(function).parameters.values()
         keywords = {p.name: p.default for p in parameters if p.kind is p.KEYWORD_ONLY}
-        if function is odt_plugins.optimize_file:
-            assert [keywords.pop(name) for name in ("file_format", "binary")] == [None, None]
+        own = ("target", "file_format", "binary", "blocks", "block_rounds", "workers", "client")
+        assert [keywords.pop(name) for name in own] == [None, None, None, None, 3, 0, None]
         assert keywords == options
         assert list(keywords) == list(options)
+
+
+def test_the_verbs_are_few_and_those_that_give_a_mesh_have_a_twin_with_a_report():
+    functions = {name for name in odt_plugins.__all__
+                 if inspect.isfunction(getattr(odt_plugins, name))}
+    verbs = {name for name in functions if not name.endswith("_with_report")}
+    assert len(verbs) <= 8
+    assert len([about for about in OPTIONS.values() if about.metadata["flag"] is not None]) <= 21
+    plain = {"quality", "register", "run_filter_script"}
+    assert functions - verbs == {f"{name}_with_report" for name in verbs - plain}
 
 
 def test_the_types_of_keywords_are_those_of_options():
@@ -73,10 +82,7 @@ def test_hosts_show_the_keywords_that_they_take():
         (open3d_filters.filter_smooth_cpt,
          {"method", "connectivity", "finish", "objective", "insert"}),
         (pyvista_accessor.OdtAccessor.optimize, set()),
-        (odt_plugins.refine_and_optimize, set()),
-        (odt_plugins.optimize_partitioned, set()),
-        (odt_plugins.optimize_partitioned_with_report, set()),
-        (odt_plugins.optimize_pieces, set()),
+        (odt_plugins.refine_with_report, set()),
         (odt_plugins.tetrahedralize, set()),
     ):
         parameters = inspect.signature(function).parameters
@@ -150,12 +156,6 @@ def test_omega_may_be_what_it_is_unless_it_is_given():
     for value in (0.0, 3.01):
         with pytest.raises(InvalidOptionError, match="above 0 and at most 3"):
             Options(smoothing={"omega": value})
-
-
-def test_reports_of_parts_are_a_list_for_type_checkers_as_well():
-    returned = [inspect.signature(one).return_annotation
-                for one in get_overloads(odt_plugins.optimize_with_report)]
-    assert "tuple[PartsT, list[Report]]" in returned
 
 
 @pytest.mark.parametrize("name", [n for n in odt_plugins.__all__ if n != "__version__"])

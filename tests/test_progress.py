@@ -33,7 +33,8 @@ def plane():
 def pieces(place, **given):
     start = ball(300)
     write_pieces(place / "in", start.points, start.cells, np.arange(len(start.cells)) % 2)
-    odt_plugins.optimize_pieces(place / "in.pvtu", place / "out.pvtu", 2, **given)
+    odt_plugins.optimize(
+        place / "in.pvtu", target=place / "out.pvtu", block_rounds=2, **given)
 
 
 RUNS = {
@@ -45,10 +46,10 @@ RUNS = {
         tets(), insert=True, boundary="slide", **given),
     "nothing to do": lambda place, **given: odt_plugins.optimize(
         tets(), selection=np.zeros(0, dtype=int), **given),
-    "blocks": lambda place, **given: odt_plugins.optimize_partitioned(
-        (ball(500).points, ball(500).cells), 2, 2, **given),
+    "blocks": lambda place, **given: odt_plugins.optimize(
+        (ball(500).points, ball(500).cells), blocks=2, block_rounds=2, **given),
     "pieces": pieces,
-    "levels": lambda place, **given: odt_plugins.refine_and_optimize(
+    "levels": lambda place, **given: odt_plugins.refine_with_report(
         surface_meshes.sphere(1), 1, edge_length=0.4, envelope=0.1, **given),
     "TetWild": lambda place, **given: odt_plugins.tetrahedralize(
         *surface_meshes.sphere(1), edge_length_fac=0.4, **given),

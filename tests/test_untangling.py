@@ -243,9 +243,7 @@ def test_the_sizes_of_cells_that_stayed_are_kept(partitioned):
     points[:, 0] **= 2
     vertex = int(np.flatnonzero(np.abs(points - [0.33, 0.5]).max(axis=1) < 0.06)[0])
     points[vertex] = [0.9, 0.9]
-    call = odt_plugins.optimize_partitioned if partitioned else odt_plugins.optimize
-    options = {"blocks": 2} if partitioned else {}
-    out = call((points, cells), keep=(), **options)
+    out = odt_plugins.optimize((points, cells), keep=(), blocks=2 if partitioned else None)
     areas = contract.volumes(*out)
     middle = out[0][out[1]].mean(axis=1)[:, 0]
     assert (areas > 0).all()
@@ -447,7 +445,7 @@ def test_blocks_of_a_pyvista_mesh_are_untangled_one_by_one():
     points, cells, _ = knotted(3)
     grid = pv.UnstructuredGrid({pv.CellType.TETRA: cells}, points)
     blocks = pv.MultiBlock({"a": grid, "b": grid})
-    out, reports = odt_plugins.untangle_with_report(blocks)
-    assert [r.untangled["left"] for r in reports] == [0, 0]
+    out, report = odt_plugins.untangle_with_report(blocks)
+    assert [r.untangled["left"] for r in report.parts] == [0, 0]
     same = odt_plugins.untangle(blocks)
     assert np.array_equal(same["b"].points, out["b"].points)

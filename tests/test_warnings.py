@@ -45,7 +45,7 @@ def dropped(place, monkeypatch):
     points, cells = square()
     mesh = meshio.Mesh(points, [("triangle", cells)], point_data={"x": points[:, 0]})
     meshio.write(place / "in.vtu", mesh)
-    odt_plugins.optimize_file(place / "in.vtu", place / "out.off")
+    odt_plugins.optimize(place / "in.vtu", target=place / "out.off")
 
 
 def unknown(place, monkeypatch):
@@ -122,7 +122,7 @@ def polygons(place, monkeypatch):
 def beyond(place, monkeypatch):
     points, cells, _ = contract.grid(3, 3)
     monkeypatch.setattr(levels, "_measured", lambda *_: ((1.0, 1.0), 1.0))
-    odt_plugins.refine_and_optimize((points, cells), 1)
+    odt_plugins.refine_with_report((points, cells), 1)
 
 
 def closed(place, monkeypatch):
@@ -131,7 +131,7 @@ def closed(place, monkeypatch):
     faces = np.array(sorted(contract.facets(cells, np.zeros(len(cells), int))))[1:]
     meshio.write(place / "in.vtu", meshio.Mesh(points, [("triangle", faces)],
                                                cell_data={"side": [np.arange(len(faces))]}))
-    odt_plugins.tetrahedralize_file(place / "in.vtu", place / "out.vtu")
+    odt_plugins.tetrahedralize(place / "in.vtu", target=place / "out.vtu")
 
 
 def apart(place, monkeypatch):
@@ -140,7 +140,7 @@ def apart(place, monkeypatch):
     mesh = meshio.read(place / "in" / "piece-0.vtu")
     mesh.point_data["extra"] = np.zeros(len(mesh.points))
     mesh.write(place / "in" / "piece-0.vtu")
-    odt_plugins.optimize_pieces(index, place / "out.pvtu", 1)
+    odt_plugins.optimize(index, target=place / "out.pvtu", block_rounds=1)
 
 
 def slow(place, monkeypatch):

@@ -10,11 +10,12 @@ import click
 from click.core import ParameterSource
 
 from odt_plugins.cli.terminal import ShareOption
+from odt_plugins.options import EDGE_LENGTH as DEFAULT_EDGE_LENGTH
 from odt_plugins.options import FIGURES, KEPT, OPTIONS, Options, smoothing_of
 
 EDGE_LENGTH = click.option(
     "--edge-length", type=click.FloatRange(min=0.0, max=1.0, min_open=True, max_open=True),
-    default=0.05, show_default=True, help="For TetWild, relative to the diagonal.")
+    default=DEFAULT_EDGE_LENGTH, show_default=True, help="For TetWild, relative to the diagonal.")
 
 LEVELS = click.option(
     "--levels", type=click.IntRange(min=0), default=0, show_default=True,
@@ -135,12 +136,12 @@ def cluster_flags(command: Callable[..., Any]) -> Callable[..., Any]:
     """Give a command the flags that say where the work is done."""
     command = click.option(
         "--workers", type=click.IntRange(min=0), default=0, show_default=True,
-        help="Start a Dask cluster of so many processes on this machine; needs odt-plugins[dask]. "
-             "(workers= in Python are processes without Dask.)",
+        help="Work in so many processes of this machine; 0 works in this one.",
     )(command)
     return click.option("--scheduler", default=None, metavar="ADDRESS",
                         help="Work on the Dask cluster of the scheduler at this address, such as "
-                             "tcp://host:8786.")(command)
+                             "tcp://host:8786, in the place of processes; needs "
+                             "odt-plugins[dask].")(command)
 
 
 def limit_flags(command: Callable[..., Any]) -> Callable[..., Any]:

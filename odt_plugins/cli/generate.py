@@ -17,6 +17,7 @@ from odt_plugins.cli.terminal import (
     write_beside,
 )
 from odt_plugins.errors import InvalidOptionError
+from odt_plugins.options import EDGE_LENGTH
 
 SEED, MOST_POINTS = 2011, 10_000_000
 
@@ -34,7 +35,8 @@ SEED, MOST_POINTS = 2011, 10_000_000
 @click.option("--most-points", type=click.IntRange(min=3), default=None,
               help=f"Refuse sizes that would give more vertices.  [default: {MOST_POINTS}]")
 @click.option("--edge-length", type=float, default=None, metavar="PART",
-              help="Of TetWild's coarse mesh, as a part of the diagonal.  [default: 0.1]")
+              help="Of TetWild's coarse mesh, as a part of the diagonal.  "
+              f"[default: {EDGE_LENGTH}]")
 @click.option("--envelope", type=float, default=None, metavar="PART",
               help="How far the boundary may be from the surface, as a part of the diagonal.  "
               "[default: 0.001]")
@@ -123,12 +125,12 @@ def _refine(
 ) -> None:
     """Make tetrahedra of a surface, or more of coarse ones."""
     from odt_plugins.adapters.files import write_file
-    from odt_plugins.generate.levels import refine_and_optimize
+    from odt_plugins.generate.levels import refine_with_report
 
     options: Any = {"edge_length": edge_length, "envelope": envelope}
     options = {name: value for name, value in options.items() if value is not None}
     with warnings_told(quiet), progress_bar(quiet) as progress:
-        out, report = refine_and_optimize(
+        out, report = refine_with_report(
             what, levels, threads=threads, progress=progress, **options)
         write_file(target, out)
     if not quiet:

@@ -178,35 +178,24 @@ def optimize(
         raise click.UsageError(msg)
     from odt_plugins.api import optimize_file
 
+    how: Any = {"block_rounds": block_rounds, "workers": workers}
+    if not pieces:
+        how |= {"blocks": blocks, "file_format": file_format,
+                "binary": None if text is None else not text}
     with (
-        warnings_told(quiet), _cluster(scheduler, workers, quiet) as client,
+        warnings_told(quiet), _cluster(scheduler, quiet) as client,
         progress_bar(quiet) as progress,
     ):
         options["progress"] = progress
-        written: Any = {"file_format": file_format, "binary": None if text is None else not text}
-        report: Any
-        if pieces:
-            from odt_plugins.distributed.pieces import optimize_pieces
-
-            report = optimize_pieces(source, target, block_rounds, client=client, **options)
-        elif blocks is None:
-            report = optimize_file(source, target, **written, **options)
-        else:
-            from odt_plugins.distributed.optimize import optimize_file_partitioned
-
-            report = optimize_file_partitioned(source, target, blocks, block_rounds,
-                                               client=client, **written, **options)
-    reports = report if isinstance(report, list) else [report]
+        report = optimize_file(source, target, client=client, **how, **options)
     if not quiet:
-        click.echo("\n\n".join(in_flags(str(one)) for one in reports))
+        click.echo(in_flags(str(report)))
     if worth:
-        click.echo(f"\n{reports[0].worth()}")
+        click.echo(f"\n{report.worth()}")
     if report_file:
-        told = ",\n".join(one.to_json() for one in reports)
-        told = f"[{told}]" if isinstance(report, list) else told
-        write_beside(report_file, lambda path: path.write_text(told + "\n"))
+        write_beside(report_file, lambda path: path.write_text(report.to_json() + "\n"))
     if plot_file:
-        write_beside(plot_file, reports[0].plot)
+        write_beside(plot_file, report.plot)
     return DONE
 
 
@@ -240,15 +229,16 @@ def tetrahedralize(
     code is 1 where more than a hundredth of SURFACE has no boundary beside it, or of the boundary
     no SURFACE; OUTPUT is written all the same.
     """
-    from odt_plugins.generate.fill import tetrahedralize_file
+    from odt_plugins.generate.fill import tetrahedralize_with_report
 
     if given("feature_angle") and not levels and options["boundary"] != "slide":
         refuse("feature_angle", "for a boundary that stays", "--boundary slide or --levels")
     check_paths(target, report_file, None)
     with warnings_told(quiet), progress_bar(quiet) as progress:
         warnings.simplefilter("ignore", NotFilledWarning)
-        report: Any = tetrahedralize_file(
-            source, target, levels, edge_length=edge_length, bodies=bodies,
+        report: Any
+        _, report = tetrahedralize_with_report(
+            source, target=target, levels=levels, edge_length=edge_length, bodies=bodies,
             file_format=file_format, binary=None if text is None else not text,
             progress=progress, **chosen(options))
     if not quiet:
@@ -350,12 +340,12 @@ def batch(
         tetrahedralize=tetrahedralize, edge_length=edge_length, levels=levels, timeout=timeout,
         memory_limit=None if memory_limit is None else round(memory_limit * 1e9),
     )
-    with _cluster(scheduler, workers, quiet) as client, progress_bar(quiet) as progress:
+    with _cluster(scheduler, quiet) as client, progress_bar(quiet) as progress:
         clock = time.perf_counter()
         stopped = None
         try:
             told = progress if callable(progress) else None
-            rows = batches.run_batch(jobs, client=client, progress=told)
+            rows = batches.run_batch(jobs, client=client, workers=workers, progress=told)
         except batches.Stopped as exc:
             rows, stopped = exc.rows, exc
         seconds = time.perf_counter() - clock
@@ -451,14 +441,14 @@ def demo(out: Path, edge_length: float | None, threads: int) -> int:
 
 
 @contextmanager
-def _cluster(scheduler: str | None, workers: int, quiet: bool) -> Iterator[Any]:
+def _cluster(scheduler: str | None, quiet: bool) -> Iterator[Any]:
     """Connect to Dask when asked to, and tell where its dashboard is; None otherwise."""
-    if scheduler is None and not workers:
+    if scheduler is None:
         yield None
         return
     from odt_plugins.distributed.cluster import connected
 
-    with connected(scheduler, workers) as client:
+    with connected(scheduler) as client:
         if not quiet:
             click.echo(f"Dask dashboard: {client.dashboard_link}", err=True)
         yield client

@@ -61,11 +61,11 @@ def work(job: dict[str, Any], progress: Any) -> None:
     """
     from odt_plugins.api import optimize_file
     from odt_plugins.cli.named import resolve_arrays
-    from odt_plugins.generate.fill import tetrahedralize_file
+    from odt_plugins.generate.fill import tetrahedralize
 
     source, options = Path(job["source"]), job["options"] | {"progress": progress}
     if job["task"] == "tetrahedralize":
-        tetrahedralize_file(source, job["target"], **options)
+        tetrahedralize(source, target=job["target"], **options)
         return
     named = {"density": "keep", "fixed": None, "selection": None} | options
     optimize_file(source, job["target"], **resolve_arrays(source, named))

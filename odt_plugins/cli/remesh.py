@@ -63,11 +63,8 @@ def remesh(
             read_file(source), scale=scale, cells=cells, vertices=vertices, growth=growth,
             most_cells=most_cells, **options | {"progress": progress})
         write_file(target, found)
-    reports = report if isinstance(report, list) else [report]
     if not quiet:
-        click.echo("\n\n".join(in_flags(str(one)) for one in reports))
+        click.echo(in_flags(str(report)))
     if report_file:
-        told = ",\n".join(one.to_json() for one in reports)
-        write_beside(report_file, lambda path: path.write_text(
-            (f"[{told}]" if isinstance(report, list) else told) + "\n"))
+        write_beside(report_file, lambda path: path.write_text(report.to_json() + "\n"))
     return 0

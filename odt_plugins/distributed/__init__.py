@@ -1,6 +1,6 @@
 """Beyond one machine: blocks of one mesh, and batches of many meshes, here or on a Dask cluster.
 
-- `optimize_partitioned` cuts a mesh into blocks of equal numbers of cells (`bricks`), fixes the
+- `block_engine` cuts a mesh into blocks of equal numbers of cells (`bricks`), fixes the
   rim of each (`cut_out`), improves each block with the engine (`improve`), and glues
   (`one_round`). The next rounds cut elsewhere: around the vertices that were held in every round
   yet (`seams`, `grown`). The figures of the whole come from those of its parts (`total`,

@@ -8,6 +8,7 @@ from __future__ import annotations
 import contextlib
 import hashlib
 import json
+import multiprocessing
 import os
 import shutil
 import signal
@@ -34,11 +35,13 @@ from odt_plugins.distributed.job import (
     compiling,
     too_little,
 )
+from odt_plugins.distributed.local import end_with
 from odt_plugins.distributed.scratch import clear, make_scratch
 from odt_plugins.distributed.versions import expect_versions, installed_version, versions_here
 from odt_plugins.errors import InvalidOptionError, MeshFileError, exit_name
-from odt_plugins.options import COMPILING, make_options
+from odt_plugins.options import COMPILING, EDGE_LENGTH, make_options
 from odt_plugins.progress import silent
+from odt_plugins.signals import handling
 from odt_plugins.tetwild import expect_pytetwild
 
 HIDDEN = ".batch"
@@ -98,7 +101,7 @@ class Job:
     name: str
     options: dict[str, Any]
     tetrahedralize: bool = False
-    edge_length: float = 0.05
+    edge_length: float = EDGE_LENGTH
     levels: int = 0
     timeout: float | None = None
     memory_limit: int | None = None
@@ -168,12 +171,12 @@ def make_jobs(
     if settings.get("tetrahedralize"):
         from odt_plugins.generate.fill import check_fill
 
-        check_fill(settings.get("levels", 0), settings.get("edge_length", 0.05), options)
+        check_fill(settings.get("levels", 0), settings.get("edge_length", EDGE_LENGTH), options)
     elif settings.get("levels"):
         msg = "got levels for meshes that are there; expected them with tetrahedralize only"
         raise InvalidOptionError(msg)
     for option, value in options.items():
-        if not isinstance(value, str | int | float | tuple | None):
+        if not isinstance(value, str | int | float | tuple | dict | None):
             msg = f"got {option} of type {type(value).__name__}; expected a plain value for a batch"
             raise InvalidOptionError(msg)
     paths = sorted({os.path.abspath(source) for source in sources})
@@ -202,11 +205,12 @@ def run_batch(
     jobs: Sequence[Job],
     *,
     client: Any = None,
+    workers: int = 0,
     progress: Callable[[str, float], None] | None = None,
 ) -> list[Row]:
-    """Run all jobs, one after the other here, or on the workers of a cluster.
+    """Run all jobs: one after the other, by processes of this machine, or on a cluster.
 
-    Here small inputs share a process.
+    Small inputs share a process.
 
     Parameters
     ----------
@@ -252,7 +256,7 @@ def run_batch(
     tell(f"0 of {len(jobs)}", 0.0)
     try:
         with _compiling_told(work, tell):
-            for done, (index, row) in enumerate(_as_they_finish(jobs, client), 1):
+            for done, (index, row) in enumerate(_as_they_finish(jobs, client, workers), 1):
                 if isinstance(row, InvalidOptionError):
                     raise row
                 if isinstance(row, BaseException):
@@ -297,11 +301,22 @@ def _not_done(job: Job) -> Row:
     return _row(job, {"status": "stopped", "message": "the batch was stopped before its end"})
 
 
-def _as_they_finish(jobs: Sequence[Job], client: Any) -> Iterator[tuple[int, Any]]:
+def _as_they_finish(jobs: Sequence[Job], client: Any, workers: int) -> Iterator[tuple[int, Any]]:
     """Rows of jobs, on the workers or on this machine; small inputs share a process."""
-    if client is None:
+    if client is None and not workers:
         for group in share_out(jobs):
             yield from _run_group({index: jobs[index] for index in group})
+        return
+    if client is None:
+        groups = [{index: jobs[index] for index in group}
+                  for group in share_out(jobs, max(1, len(jobs) // (EACH * workers)))]
+        with handling(signal.SIGINT, signal.SIG_IGN):
+            pool = multiprocessing.get_context("spawn").Pool(
+                workers, end_with, (os.getpid(),))
+        # on Ctrl-C the processes of the pool end, and with them those that they started
+        with pool:
+            for done in pool.imap_unordered(_list_group, groups):
+                yield from done
         return
     from odt_plugins.distributed.cluster import as_they_finish, check_workers
 

@@ -6,7 +6,6 @@ Scheduling, transport, and what happens when a worker is lost are Dask's own.
 from __future__ import annotations
 
 import logging
-import signal
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from importlib.metadata import version
@@ -15,43 +14,30 @@ from typing import Any
 from odt_plugins.distributed.apply import Apply
 from odt_plugins.distributed.versions import PACKAGES, expect_versions, versions_here
 from odt_plugins.errors import WorkerError, require
-from odt_plugins.signals import handling
 
 PATIENCE = 30.0
 """Seconds to wait for a scheduler, and for its first worker."""
 
 
 @contextmanager
-def connected(scheduler: str | None = None, workers: int = 0) -> Iterator[Any]:
-    """Connect to a scheduler, or start a cluster of processes on this machine.
+def connected(scheduler: str) -> Iterator[Any]:
+    """Connect to a scheduler.
 
     Parameters
     ----------
-    scheduler : str or None    address, such as tcp://host:8786
-    workers : int              without an address: processes to start; 0 gives no client
+    scheduler : str    address, such as tcp://host:8786
 
     Yields
     ------
-    distributed.Client or None
+    distributed.Client
 
     Raises
     ------
-    WorkerError                nobody answers at that address
+    WorkerError        nobody answers at that address
     """
-    if scheduler is None and not workers:
-        yield None
-        return
     require("a cluster", "dask", "dask", "distributed")
-    from distributed import Client, LocalCluster
+    from distributed import Client
 
-    if scheduler is None:
-        # on Ctrl-C workers would each print a traceback; this process ends them
-        with handling(signal.SIGINT, signal.SIG_IGN):
-            own = LocalCluster(n_workers=workers, threads_per_worker=1, dashboard_address=":0",
-                               silence_logs=logging.CRITICAL)
-        with own, Client(own) as client:
-            yield client
-        return
     try:
         client = Client(scheduler, timeout=PATIENCE)
     except (OSError, TimeoutError, ValueError) as exc:

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 import os
 from collections.abc import Sequence
-from typing import NamedTuple
+from dataclasses import replace
+from typing import Any, NamedTuple
 
 import numpy as np
 
-from odt_plugins.figures import cell_figures
+from odt_plugins.figures import QualitySummary, cell_figures, summarize
 from odt_plugins.mesh import quantiles
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 from odt_plugins.promise.volume import LOWER_IS_BETTER
+from odt_plugins.report.report import histogram
 
 PIVOTS = 1 << 10
 """Values that are counted in one pass over the radius ratios of all parts."""
@@ -21,37 +24,18 @@ VOLUME = 1e-12
 
 
 class Figures(NamedTuple):
-    """What has to be known of a part, or of the whole.
+    """Figures of a part, and what those of the whole are made of.
 
     Attributes
     ----------
-    cells : int
-    quality : float                sum of the radius ratios (5.1)
-    volume : float
-    min_quality, p1_quality, min_angle, max_angle : float
-    below_20 : int                 cells with an angle below 20 degrees
-    min_altitude : float
+    summary : QualitySummary
+    sums : (4,) float64          of radius ratios, AMIPS energies, circumradii, and their squares
+    histogram : tuple of int     counts of the radius ratio in 50 bins
     """
 
-    cells: int
-    quality: float
-    volume: float
-    min_quality: float
-    p1_quality: float
-    min_angle: float
-    max_angle: float
-    below_20: int
-    min_altitude: float
-
-    @property
-    def mean_quality(self) -> float:
-        """Mean radius ratio."""
-        return self.quality / self.cells
-
-    @property
-    def share_below_20(self) -> float:
-        """Part of the cells with an angle below 20 degrees."""
-        return self.below_20 / self.cells
+    summary: QualitySummary
+    sums: FloatArray
+    histogram: tuple[int, ...]
 
 
 def measure_part(points: FloatArray, cells: IntArray, path: str) -> Figures:
@@ -60,31 +44,33 @@ def measure_part(points: FloatArray, cells: IntArray, path: str) -> Figures:
     beside = f"{path}.ratios.part"
     np.sort(f.quality).tofile(beside)
     os.replace(beside, _ratios(path))
-    return Figures(len(cells), float(f.quality.sum()), float(f.volume.sum()),
-                   float(f.quality.min()), quantiles.quantile(f.quality, 0.01),
-                   float(f.min_angle.min()), float(f.max_angle.max()),
-                   int(np.count_nonzero(f.min_angle < 20.0)), float(f.altitude.min()))
+    columns = (f.quality, f.amips, f.circumradius, f.circumradius * f.circumradius)
+    return Figures(summarize(points, cells, f), np.array([x.sum() for x in columns]),
+                   histogram(f.quality))
 
 
 def _ratios(path: str) -> str:
     return f"{path}.ratios"
 
 
-def total(parts: Sequence[tuple[str, Figures]]) -> Figures:
-    """Figures of all parts together, each with the path where it is kept."""
-    figures = [f for _, f in parts]
-    cells = sum(f.cells for f in figures)
-    return Figures(
-        cells,
-        sum(f.quality for f in figures),
-        sum(f.volume for f in figures),
-        min(f.min_quality for f in figures),
-        quantile([_ratios(path) for path, _ in parts], cells, 0.01),
-        min(f.min_angle for f in figures),
-        max(f.max_angle for f in figures),
-        sum(f.below_20 for f in figures),
-        min(f.min_altitude for f in figures),
-    )
+def total(parts: Sequence[tuple[str, Figures]]) -> QualitySummary:
+    """Figures of all parts together, each with the path where it is kept.
+
+    Vertices of several parts count in each of them.
+    """
+    each = [f.summary for _, f in parts]
+    cells = sum(s.n_cells for s in each)
+    ratios, energies, radii, squares = np.sum([f.sums for _, f in parts], axis=0).tolist()
+    spread = max(0.0, squares - radii * radii / cells) / max(1, cells - 1)
+    found: dict[str, Any] = {
+        name: join(getattr(s, name) for s in each) for join, names in (
+            (sum, ("n_points", "n_cells", "below_5", "below_10", "below_20", "inverted", "volume")),
+            (min, ("min_quality", "min_angle", "min_altitude")), (max, ("max_angle", "max_amips")))
+        for name in names}
+    return replace(
+        each[0], **found, mean_quality=ratios / cells, mean_amips=energies / cells,
+        p1_quality=quantile([_ratios(path) for path, _ in parts], cells, 0.01),
+        uniformity=math.sqrt(spread) * cells / radii if math.isfinite(radii) else math.inf)
 
 
 def quantile(files: Sequence[str], count: int, share: float) -> float:
@@ -120,7 +106,9 @@ def _counts(files: Sequence[str], pivots: LongArray) -> LongArray:
     return counts
 
 
-def worse(before: Figures, after: Figures, keep: Sequence[str]) -> list[str]:
+def worse(
+    before: QualitySummary, after: QualitySummary, keep: Sequence[str]
+) -> list[str]:
     """Say which figures of the whole got worse, one sentence each; the volume is always kept."""
     found = []
     for name in keep:

@@ -23,7 +23,6 @@ from odt_plugins.errors import (
     NotFilledWarning,
     ODTError,
     ODTWarning,
-    UnsupportedMeshError,
 )
 from odt_plugins.progress import compiling_heard
 
@@ -138,10 +137,6 @@ def work(job: dict[str, Any]) -> dict[str, Any]:
         mesh = read_file(source)
         clock = time.perf_counter()
         result, report = optimize_with_report(mesh, **options)
-        if isinstance(report, list):
-            msg = (f"got {source.name}, a scene of several meshes; expected a file of one mesh, "
-                   f"try odt-plugins optimize")
-            raise UnsupportedMeshError(msg)
         row |= {"regions_from": ", ".join(report.regions_from),
                 "interpolated": ", ".join(report.interpolated)}
     compiled = compiling(Path(job["folder"]))

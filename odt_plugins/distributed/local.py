@@ -3,6 +3,9 @@
 from __future__ import annotations
 
 import multiprocessing
+import os
+import threading
+import time
 from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from concurrent.futures.process import BrokenProcessPool
@@ -11,6 +14,19 @@ from typing import Any
 
 from odt_plugins.distributed.apply import Apply
 from odt_plugins.errors import WorkerError
+
+LOOKED = 0.2
+"""Seconds between two looks at whether the parent of a process is there."""
+
+
+def end_with(parent: int) -> None:
+    """Let this process end once its parent is gone, whatever it does then."""
+    def watch() -> None:
+        while os.getppid() == parent:
+            time.sleep(LOOKED)
+        os._exit(1)
+
+    threading.Thread(target=watch, daemon=True).start()
 
 
 @contextmanager
@@ -32,7 +48,8 @@ def executor(client: Any = None, workers: int = 0) -> Iterator[Apply]:
 
         yield on_cluster(client)
     elif workers:
-        pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"))
+        pool = ProcessPoolExecutor(workers, multiprocessing.get_context("spawn"),
+                                   end_with, (os.getpid(),))
         try:
             yield pool.map
         except BrokenProcessPool as exc:

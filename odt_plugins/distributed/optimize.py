@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import os
 import time
-from collections.abc import Mapping
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import Any
 
 import numpy as np
 
-from odt_plugins.adapters.files import check_output, read_file, write_file
 from odt_plugins.distributed.apply import told
 from odt_plugins.distributed.glue import Map, Task, Traffic, Whole, labels, near_cuts, one_round
 from odt_plugins.distributed.local import executor
@@ -32,12 +30,9 @@ from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import BoolArray, IntArray
 from odt_plugins.mesh.numbering import most_vertices, without_removed
 from odt_plugins.mesh.simplex import SimplexMesh
-from odt_plugins.options import OptionKeywords, Options, make_options, with_option_signature
+from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
-from odt_plugins.roundtrip import optimized, run_engine
-
-if TYPE_CHECKING:
-    from odt_plugins.report.report import Report
+from odt_plugins.roundtrip import optimized
 
 LEAST_CELLS = 40_000
 """Meshes are cut into no smaller blocks: half of such a block would be done twice."""
@@ -68,91 +63,26 @@ EXTREMES = ("min_quality", "min_angle", "max_angle", "min_altitude")
 """Figures of one part that say something of the whole: kept by every block in later rounds."""
 
 
-@with_option_signature("odt")
-def optimize_partitioned(
-    mesh: Any,
-    blocks: int,
-    block_rounds: int = 3,
-    *,
-    client: Any = None,
-    workers: int = 0,
-    odt: Mapping[str, Any] | None = None,
-    **options: Unpack[OptionKeywords],
-) -> Any:
-    """Improve a mesh block by block, in this process or on a Dask cluster.
+def block_engine(
+    options: Options, blocks: int, rounds: int, client: Any, workers: int
+) -> Callable[[SimplexMesh, Options, Leaving], Outcome]:
+    """Give the engine that optimises block by block, after a check of its arguments.
 
     The first round optimises the whole mesh in blocks whose rims are fixed; each later one, what
-    lies around those vertices that have been on rims only. The result is about as good as that of
-    :func:`odt_plugins.optimize`, and the same bits for any number of workers and any order in which
-    they finish.
+    lies around those vertices that have been on rims only. In the last one nothing is cut again, so
+    that from two on every cell has been inside a block in some round. The second is the last where
+    at most 50,000 cells lie around the cuts. The bits are the same for any number of workers and
+    any order in which they finish.
 
     Parameters
     ----------
-    mesh : object
-        What :func:`odt_plugins.optimize` takes.
-    blocks : int
-        Blocks of about equal size in the first round; fewer when they had less than 40,000 cells.
-    block_rounds : int
-        Most rounds of blocks. In the last one nothing is cut again, so that from two on every cell
-        has been inside a block in some round. The second is the last where at most 50,000 cells
-        lie around the cuts.
-    client : distributed.Client, optional
-        Blocks go to the workers of this cluster; Dask gives those of a lost worker to another.
-    workers : int
-        Processes of this machine, without a server; 0 works in this process, as do meshes of fewer
-        than 100,000 cells, for which processes take too long to start. Scripts that give more
-        must be importable (``if __name__ == "__main__":``).
-    odt : dict, optional
-        Options as a dict, as :func:`odt_plugins.tetrahedralize` takes them; each here or by
-        keyword.
-    **options
-        The fields of :class:`odt_plugins.Options`.
-
-    Returns
-    -------
-    same type as `mesh`
+    options : Options
+    blocks, rounds, client, workers    as of :func:`odt_plugins.optimize`
 
     Raises
     ------
-    InvalidOptionError      an option is out of range, does not go with blocks, or a worker has
-                            other packages than this process
-    WorkerError             workers were lost again and again
-    and what :func:`odt_plugins.optimize` raises
+    InvalidOptionError      an option is out of range, or does not go with blocks
     """
-    chosen = make_options(odt, **options)
-    return _partitioned(mesh, blocks, block_rounds, client, workers, chosen)[0]
-
-
-@with_option_signature("odt")
-def optimize_partitioned_with_report(
-    mesh: Any,
-    blocks: int,
-    block_rounds: int = 3,
-    *,
-    client: Any = None,
-    workers: int = 0,
-    odt: Mapping[str, Any] | None = None,
-    **options: Unpack[OptionKeywords],
-) -> tuple[Any, Report]:
-    """Improve a mesh as :func:`optimize_partitioned` does and tell what was done.
-
-    Returns
-    -------
-    mesh : same type as the input
-    report : Report     its times and counts are those of the rounds, bytes sent and received
-    """
-    from odt_plugins.report.report import make_report
-
-    chosen = make_options(odt, **options)
-    result, before, outcome, told = _partitioned(
-        mesh, blocks, block_rounds, client, workers, chosen)
-    return result, make_report(before, outcome, chosen, **told)
-
-
-def _partitioned(
-    mesh: Any, blocks: int, rounds: int, client: Any, workers: int, options: Options
-) -> tuple[Any, SimplexMesh, Outcome, dict[str, Any]]:
-    """What :func:`run_engine` returns."""
     check(blocks, rounds, workers, options, several=client is not None or workers > 0)
 
     def engine(simplices: SimplexMesh, chosen: Options, leaving: Leaving) -> Outcome:
@@ -160,32 +90,7 @@ def _partitioned(
         with executor(client, 0 if few else workers) as apply:
             return run_blocks(simplices, chosen, blocks, rounds, apply, leaving)
 
-    return run_engine(mesh, options, engine)
-
-
-@with_option_signature("odt")
-def optimize_file_partitioned(
-    source: str | os.PathLike[str],
-    target: str | os.PathLike[str],
-    blocks: int,
-    block_rounds: int = 3,
-    *,
-    client: Any = None,
-    odt: Mapping[str, Any] | None = None,
-    file_format: str | None = None,
-    binary: bool | None = None,
-    **options: Unpack[OptionKeywords],
-) -> Report:
-    """Improve the mesh of one file in blocks and write it to another, or to the same.
-
-    As :func:`odt_plugins.optimize_file`: `target` is complete, or as it was before.
-    """
-    check_output(target, file_format, binary)
-    mesh, report = optimize_partitioned_with_report(
-        read_file(source), blocks, block_rounds, client=client, odt=odt, **options
-    )
-    write_file(target, mesh, file_format, binary)
-    return report
+    return engine
 
 
 def run_blocks(
@@ -198,7 +103,7 @@ def run_blocks(
     ----------
     mesh : SimplexMesh
     options : Options
-    blocks, rounds : int     as `blocks` and `block_rounds` of :func:`optimize_partitioned`
+    blocks, rounds : int     as `blocks` and `block_rounds` of :func:`odt_plugins.optimize`
     apply : callable         applies a function to blocks, results in their order
     leaving : callable       applied to the mesh after a round before it is judged
 

@@ -4,11 +4,11 @@ from __future__ import annotations
 
 import itertools
 import os
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple, Unpack
+from typing import Any
 
 import numpy as np
 
@@ -45,81 +45,17 @@ from odt_plugins.errors import (
     writing,
 )
 from odt_plugins.mesh.arrays import FloatArray, IntArray
-from odt_plugins.options import (
-    KEPT,
-    OptionKeywords,
-    Options,
-    make_options,
-    with_option_signature,
-)
+from odt_plugins.options import Options
 from odt_plugins.progress import part as part_of
 from odt_plugins.progress import telling
-from odt_plugins.report.report import fields_line, regions_line
-from odt_plugins.table import text_html
+from odt_plugins.report.joined import bare_report
+from odt_plugins.report.report import Report
 
 
-class PiecesReport(NamedTuple):
-    """What was done to a mesh in pieces.
-
-    Attributes
-    ----------
-    before, after : Figures     of the whole
-    pieces : int                files of the result
-    interface : int             vertices of the interfaces of the input: what the driver holds
-    fallback : str or None      why the result of an earlier round is returned, when it is
-    regions_from : tuple of str names of the cell arrays taken as labels of regions
-    interpolated : tuple of str names of the point arrays that are fields: in every round they take
-                                their values at the new places of vertices
-    turned : int                cells of mixed orientation that were turned
-    untangled : int             cells that were inverted or flat; the figures before are those of
-                                the others
-    """
-
-    before: Figures
-    after: Figures
-    pieces: int
-    interface: int
-    fallback: str | None
-    regions_from: tuple[str, ...] = ()
-    interpolated: tuple[str, ...] = ()
-    turned: int = 0
-    untangled: int = 0
-
-    def __str__(self) -> str:
-        """A few lines: the figures before and after."""
-        lines = [f"{'':20}{'before':>10}{'after':>10}"]
-        for name in KEPT:
-            a, b = getattr(self.before, name), getattr(self.after, name)
-            lines.append(f"{name:20}{a:10.4f}{b:10.4f}")
-        lines.append(f"{'cells':20}{self.before.cells:10d}{self.after.cells:10d}")
-        lines.append(f"{self.pieces} pieces; {self.interface} vertices on interfaces of the input")
-        if self.regions_from:
-            lines.append(regions_line(self.regions_from))
-        if self.interpolated:
-            lines.append(fields_line(self.interpolated))
-        if self.turned:
-            lines.append(f"{counted(self.turned, 'cell')} turned to positive volume")
-        if self.untangled:
-            lines.append(f"{counted(self.untangled, 'inverted or flat cell')} untangled; the "
-                         f"figures before are those of the others")
-        return "\n".join(lines + ([f"fell back: {self.fallback}"] if self.fallback else []))
-
-    def _repr_html_(self) -> str:
-        """The same for a notebook."""
-        return text_html(str(self))
-
-
-@with_option_signature("odt")
 def optimize_pieces(
-    source: str | os.PathLike[str],
-    target: str | os.PathLike[str],
-    block_rounds: int = 3,
-    *,
-    client: Any = None,
-    workers: int = 0,
-    odt: Mapping[str, Any] | None = None,
-    **options: Unpack[OptionKeywords],
-) -> PiecesReport:
+    source: str | os.PathLike[str], target: str | os.PathLike[str], options: Options,
+    block_rounds: int = 3, client: Any = None, workers: int = 0,
+) -> Report:
     """Improve a mesh of tetrahedra whose pieces are files, without ever holding it as a whole.
 
     A process holds one piece at a time, or what lies around the seams of some. Pieces have those
@@ -135,19 +71,20 @@ def optimize_pieces(
         A .pvtu file; its pieces go into a new directory of its name beside it. What lies around the
         interfaces of the input comes as pieces of its own. Vertices of several pieces have the
         same number in the point array GlobalPointIds; coordinates are float64.
+    options : Options
+        Those that every piece can tell: no arrays, and of the densities "keep" and "uniform". Its
+        `progress` is told the stage ("reading", "round 1", "round 2: cutting", "round 2", ...,
+        "writing") and the share of the work that is done.
     block_rounds : int
-        See :func:`odt_plugins.optimize_partitioned`; in the last one a single process holds what
-        lies around the curves where three pieces meet.
-    client, workers, odt
-        As there; workers of a cluster see the files under the same paths.
-    **options
-        The fields of :class:`odt_plugins.Options` that every piece can tell: no arrays, and of the
-        densities "keep" and "uniform". Its `progress` is told the stage ("reading", "round 1",
-        "round 2: cutting", "round 2", ..., "writing") and the share of the work that is done.
+        In the last one a single process holds what lies around the curves where three pieces meet.
+    client, workers
+        As of :func:`odt_plugins.optimize`; workers of a cluster see the files under the same paths.
 
     Returns
     -------
-    PiecesReport
+    Report    its counts are those of the "pieces" of the result, of the vertices "on interfaces" of
+              the input, which the driver holds, and of cells that were inverted or flat
+              ("untangled"): the figures before are those of the others then
 
     Raises
     ------
@@ -160,9 +97,8 @@ def optimize_pieces(
     -----
     DataNotKeptWarning        arrays that the pieces do not have alike do not come through
     """
-    chosen = make_options(odt, **options)
-    check(1, block_rounds, workers, chosen, several=False)
-    _check_for_pieces(chosen)
+    check(1, block_rounds, workers, options, several=False)
+    _check_for_pieces(options)
     (sources, ghosts), index = piece_files(source), Path(target).absolute()
     if index.is_dir():
         msg = f"cannot write {target}: it is a directory; expected a path for a file"
@@ -174,9 +110,9 @@ def optimize_pieces(
     try:
         with writing(target, "another directory"):
             folder = make_scratch(index.parent, f".{index.stem}")
-            with executor(client, workers) as apply, telling(chosen.progress, "reading") as tell:
-                chosen = replace(chosen, progress=tell)
-                return _run(sources, index, folder, block_rounds, chosen, apply, ghosts=ghosts)
+            with executor(client, workers) as apply, telling(options.progress, "reading") as tell:
+                told_of = replace(options, progress=tell)
+                return _run(sources, index, folder, block_rounds, told_of, apply, ghosts=ghosts)
     finally:
         if folder is not None:
             clear(folder)
@@ -186,7 +122,7 @@ def _check_for_pieces(options: Options) -> None:
     if options.boundary == "slide" or options.insert:
         name = "insert=True" if options.insert else "boundary='slide'"
         msg = (f"got {name} for a mesh in pieces; expected a boundary and vertices that stay, "
-               "try optimize_partitioned")
+               "try blocks=, in memory")
         raise InvalidOptionError(msg)
     for name in ("fixed", "selection"):
         if getattr(options, name) is not None:
@@ -203,7 +139,8 @@ def _check_for_pieces(options: Options) -> None:
 def _run(
     sources: Sequence[str], index: Path, folder: Path, rounds: int, options: Options,
     apply: Apply, *, ghosts: bool,
-) -> PiecesReport:
+) -> Report:
+    chosen = options
     given: Any = options.regions
     report, options = options.progress, replace(options, regions=None, progress=None)
 
@@ -233,9 +170,9 @@ def _run(
     numbers, waiting = _number(taken, kept, labels)
     states = [_state(taken)]
     start = total(states[0])
-    before = total(valid)._replace(volume=start.volume) if untangled and valid else start
+    before = replace(total(valid), volume=start.volume) if untangled and valid else start
     improve = stage("round 1", len(taken))
-    work = partial(first_round, options=first(options, start.cells))
+    work = partial(first_round, options=first(options, start.n_cells))
     done: list[Done] = list(improve(work, [
         (part.path, str(folder / f"1-{k}.npz"), number)
         for k, (part, number) in enumerate(zip(taken, numbers, strict=True))]))
@@ -255,12 +192,20 @@ def _run(
     given = numbers if len(states) == 1 else [None] * len(paths)
     orientation = max(part.orientation for part in taken)
     turned = sum(part.turned if part.orientation == orientation or part.figures is None
-                 else part.figures.cells for part in taken)
+                 else part.figures.summary.n_cells for part in taken)
     _publish(list(zip(paths, given, strict=True)), index, folder, partial(
         publish, orientation=orientation), stage("writing", len(paths)))
-    fallback = f"a later round was given up ({'; '.join(broken)})" if broken else None
-    return PiecesReport(before, after, len(paths), interface, fallback, labels,
-                        fields if options.fields != "keep" else (), turned, untangled)
+    vertices = (sum(part.vertices for part in taken) + interface
+                - sum(len(number.rim) for number in numbers))
+    ends = valid if untangled and valid else states[0], states[-1]
+    counts = {"pieces": len(paths), "vertices on interfaces": interface}
+    return bare_report(
+        replace(before, n_points=vertices, turned=turned), replace(after, n_points=vertices),
+        [tuple(map(sum, zip(*(f.histogram for _, f in end), strict=True))) for end in ends],
+        chosen, stop_reason=f"{rounds} rounds of pieces",
+        fallback=f"a later round was given up ({'; '.join(broken)})" if broken else None,
+        counts=counts | ({"cells untangled": untangled} if untangled else {}),
+        regions_from=labels, interpolated=fields if options.fields != "keep" else ())
 
 
 def _state(parts: Sequence[Taken | Done]) -> list[tuple[str, Figures]]:

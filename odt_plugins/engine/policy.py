@@ -28,179 +28,190 @@ class Policy:
     """Numbers of the stages."""
 
     # stage 1
-    settled_rounds: int = _chosen(8, "Stage 1 ends when so many rounds", STAGES)
+    settled_rounds: int = _chosen(
+        8, "Rounds over which the fall of the least energy decides whether stage 1 "
+        "ends.", STAGES)
     settled_energy: float = _chosen(
-        1.6e-3, "have lowered the least energy by less than this part of it,", STAGES)
+        1.6e-3, "Largest fall of the least energy over settled_rounds, as a part of it, at "
+        "which stage 1 ends.", STAGES)
     stirred_settled: float = _chosen(
-        8e-3, "or this part times the share of vertices that may move, where sweeps go beyond "
-        "the centres of the stars.", STAGES)
+        8e-3, "Factor on the share of movable vertices, in the place of settled_energy, "
+        "for sweeps with overrelaxation.", STAGES)
     exchange_cells: int = _chosen(
-        20_000, "Most cells for which connectivity 'auto' asks scipy in the first round; beyond, "
-        "local flips are cheaper.", STAGES)
+        20_000, "Largest number of cells for which connectivity 'auto' asks Qhull in the "
+        "first round.", STAGES)
     flips_quality: float = _chosen(
-        0.6, "Mean quality of tetrahedra from which on local flips do as well as scipy, in three "
-        "quarters of the time.", STANDARD)
+        0.6, "Least mean quality of tetrahedra for which connectivity 'auto' takes flips "
+        "from the first round on.", STANDARD)
     exchange_move: float = _chosen(
-        0.1, "Longest move, in edge lengths, above which scipy is asked (Section 3.2).",
-        STANDARD)
+        0.1, "Largest move, in edge lengths, after which a round needs no Qhull (Section "
+        "3.2).", STANDARD)
     stirred: float = _chosen(
-        2.1, "First alpha of ODT sweeps in space when finishing follows: the energy leaves "
-        "shallow minima;", STANDARD)
-    stirred_rounds: int = _chosen(8, "for so many rounds.", STANDARD)
-    overrelaxed: float = _chosen(2.0, "The same in later rounds.", STANDARD)
+        2.1, "First alpha of ODT sweeps in space in the first stirred_rounds, where "
+        "finishing follows.", STANDARD)
+    stirred_rounds: int = _chosen(8, "Rounds with the alpha stirred.", STANDARD)
+    overrelaxed: float = _chosen(
+        2.0, "First alpha of ODT sweeps in space after stirred_rounds, where finishing "
+        "follows.", STANDARD)
     damped: float = _chosen(
-        0.8, "First alpha of Jacobi sweeps, whose limit of stability is 1.", STANDARD)
+        0.8, "First alpha of Jacobi sweeps; 1 is the limit of stability.", STANDARD)
     energy_ring: int = _chosen(
-        5, "Longest ring of an edge that is removed for the sake of the energy.", STAGES)
+        5, "Largest number of cells around an edge that is removed to lower the "
+        "energy.", STAGES)
     energy_passes: int = _chosen(
-        1, "Passes of energy flips in a round; what is left pending waits for the next round.",
-        STAGES)
+        1, "Passes of energy flips in a round; flips still pending wait for the next "
+        "round.", STAGES)
     scattered: float = _chosen(
-        0.2, "Cells are sorted again after more flips than this part of their number.", STAGES)
+        0.2, "Share of the cells: after more flips than that the cells are sorted again.", STAGES)
 
     # stage 2
     volume_gain: float = _chosen(
-        3e-3, "A vertex of tetrahedra whose star gained less than this part of F_p wakes no "
-        "neighbour.", STAGES)
-    plane_gain: float = _chosen(1e-3, "The same in the plane.", STANDARD)
-    surface_gain: float = _chosen(3e-3, "The same on a curved surface.", SURFACE)
+        3e-3, "Least gain of a star of tetrahedra, as a part of F_p, for which its vertex "
+        "wakes the neighbours.", STAGES)
+    plane_gain: float = _chosen(
+        1e-3, "Least gain of a star of triangles in the plane, as a part of F_p, for "
+        "which its vertex wakes the neighbours.", STANDARD)
+    surface_gain: float = _chosen(
+        3e-3, "Least gain of a star on a curved surface, as a part of F_p, for which its "
+        "vertex wakes the neighbours.", SURFACE)
     quality_ring: int = _chosen(
-        10, "Longest ring of an edge that is removed for the sake of the quality.", STANDARD)
+        10, "Largest number of cells around an edge that is removed to raise the "
+        "quality.", STANDARD)
     quality_passes: int = _chosen(4, "Passes of quality flips in a round.", STAGES)
     reconnected: float = _chosen(
         0.01, "Largest share of the cells around which a phase fills polyhedra anew.", STANDARD)
     compound_rare: float = _chosen(
-        5e-3, "Compound moves end where they pay at less than this part of the cells.", STANDARD)
+        5e-3, "Least share of the tried cells at which compound moves must pay to go on.", STANDARD)
     many_small_angles: float = _chosen(
-        0.08, "Share of cells with a small angle up to which phases look after them: where there "
-        "are more they do not decide.", HARD)
+        0.08, "Largest share of cells with a small angle for which phases for small "
+        "angles run.", HARD)
     polished: float = _chosen(
-        0.02, "Largest share of the cells from which a phase for small angles alone starts.",
-        STANDARD)
+        0.02, "Largest share of the cells from which a phase for small angles alone "
+        "starts.", STANDARD)
     polished_rings: int = _chosen(
-        4, "Rings of cells around small angles that are changed for their sake.", STANDARD)
+        4, "Rings of cells around small angles that such a phase changes.", STANDARD)
 
     # insertion
     insertion_rounds: int = _chosen(
-        10, "Most rounds of insertion, each followed by finishing.", STANDARD)
+        10, "Largest number of rounds of insertion, each followed by finishing.", STANDARD)
     insertion_worth: float = _chosen(
-        1e-3, "Gain of the score for which a round is followed by another.", STANDARD)
+        1e-3, "Least gain of the score for which another round of insertion follows.", STANDARD)
     insertion_effort: float = _chosen(
-        0.5, "Insertion ends when it has tried so many operations for every cell of the input,",
-        STANDARD)
+        0.5, "Operations for each cell of the input after which insertion ends.", STANDARD)
     insertion_angles_effort: float = _chosen(
-        1.0, "(so many for the objective min_dihedral)", ANGLES)
-    insertion_least_effort: int = _chosen(2000, "and so many besides.", STANDARD)
+        1.0, "Operations for each cell of the input after which insertion ends, for "
+        "min_dihedral.", ANGLES)
+    insertion_least_effort: int = _chosen(
+        2000, "Operations added to insertion_effort x cells.", STANDARD)
     insertion_enough: float = _chosen(
-        0.03, "A pass over the cells, worst first, ends where less than this part of them gained.",
-        STANDARD)
+        0.03, "Least share of the seen cells that must gain for a pass to go on.", STANDARD)
     insertion_p1: tuple[float, float] = _chosen(
-        (0.01, 0.04), "Shares of the cells between which a cell counts for the 1 % quantile, less "
-        "and less.", STANDARD)
+        (0.01, 0.04), "Shares of the cells, sorted by radius ratio, between which the price for "
+        "the 1 % quantile falls to 0.", STANDARD)
     insertion_tail: float = _chosen(
-        3.0, "Most that one of those costs, in units of a regular cell.", STANDARD)
+        3.0, "Largest price for the 1 % quantile, in units of a regular cell.", STANDARD)
     insertion_flat: float = _chosen(
-        2.0, "What a flat cell costs besides.", STANDARD)
+        2.0, "Price of a flat cell beside insertion_tail, in units of a regular cell.", STANDARD)
     insertion_worst: float = _chosen(
-        20.0, "A fifteenth of what a cell costs besides that has half of the radius ratio, or of "
-        "the sine of an angle, at which the very worst begin:", STANDARD)
+        20.0, "Weight a of the price a ((x0 / x)^4 - 1) of a cell with x < x0 = "
+        "insertion_few x the least x; x is its radius ratio or sine.", STANDARD)
     insertion_few: float = _chosen(
-        1.5, "so many times the least that there is.", STANDARD)
+        1.5, "Factor on the least radius ratio, sine or altitude: a cell below the "
+        "product counts as one of the worst.", STANDARD)
     insertion_angles: float = _chosen(
-        100.0, "The same in passes for angles alone, where it outweighs all else.", ANGLES)
+        100.0, "Weight as insertion_worst, in passes for angles alone.", ANGLES)
 
     # figures of a state
     small_angle: float = _chosen(
-        20.0, "Dihedral angle in degrees below which a cell is looked after on its own.", STANDARD)
+        20.0, "Degrees below which a dihedral angle counts as small.", STANDARD)
     counted_small_angles: float = _chosen(
-        0.1, "Share of small angles beyond which the score counts no more of them.", STANDARD)
+        0.1, "Largest share of small angles that lowers the score.", STANDARD)
     small_angle_price: float = _chosen(
-        3.0, "Of a tetrahedron with a small angle in the score: what three regular ones add to it.",
-        STANDARD)
+        3.0, "Weight of the share of small angles in the score, which it lowers.", STANDARD)
     score_p1: float = _chosen(
-        0.5, "Weight of the 1 % quantile of the radius ratio in the score; that of the mean is 1.",
-        STANDARD)
-    score_least: float = _chosen(0.25, "Weight of the least radius ratio.", STANDARD)
+        0.5, "Weight of the 1 % quantile of the radius ratio in the score; the mean has "
+        "weight 1.", STANDARD)
+    score_least: float = _chosen(0.25, "Weight of the least radius ratio in the score.", STANDARD)
     score_altitude: float = _chosen(
-        4.0, "Weight of the logarithm of the least altitude for the objective time_step.",
+        4.0, "Weight of log(least altitude) in the score, for time_step.",
         "python examples/figures.py MESH... -- --objective time_step --boundary slide")
 
     # cycles and runs
     cycle_worth: float = _chosen(
-        5e-4, "Gain of the mean quality for which a cycle is worth its time.", STANDARD)
+        5e-4, "Least gain of the mean quality for which another cycle follows.", STANDARD)
     locked_quality: float = _chosen(
-        0.3, "Radius ratio that a cell without a movable vertex must reach when there was no "
-        "worse one before,", STANDARD)
+        0.3, "Least radius ratio of a new cell without a movable vertex, unless a worse "
+        "one was there before.", STANDARD)
     locked_angles: tuple[float, float] = _chosen(
-        (14.0, 157.0), "and its smallest and largest angle, in degrees.", STANDARD)
+        (14.0, 157.0), "Degrees: least and largest angle of a new cell without a movable vertex, "
+        "unless a worse one was there before.", STANDARD)
     poor_quality: float = _chosen(
-        0.15, "1 % quantile of the radius ratio below which finishing alone, or a fixed boundary, "
-        "is tried besides.", HARD)
+        0.15, "Largest 1 % quantile of the radius ratio for which finishing alone, or a "
+        "fixed boundary, is tried besides.", HARD)
     few_cells: int = _chosen(
-        3000, "Number of cells below which a fixed boundary is tried beside one that slid.", HARD)
+        3000, "Largest number of cells for which a fixed boundary is tried beside one "
+        "that slid.", HARD)
     few_movable: float = _chosen(
-        0.02, "Share of the vertices that may move below which finishing alone is tried besides.",
-        HARD)
+        0.02, "Largest share of movable vertices for which finishing alone is tried "
+        "besides.", HARD)
     beyond: int = _chosen(
-        100, "Most cells beyond the extremes of the input that are brought back on their own", HARD)
-    beyond_turns: int = _chosen(20, "in so many turns at most,", HARD)
-    beyond_rings: int = _chosen(3, "so many rings of cells around them smoothed in between.", HARD)
+        100, "Largest number of cells beyond the extremes of the input for which a "
+        "repair is tried.", HARD)
+    beyond_turns: int = _chosen(20, "Largest number of turns of such a repair.", HARD)
+    beyond_rings: int = _chosen(3, "Rings of cells around them that such a repair smooths.", HARD)
     notable_price: float = _chosen(
-        5e-3, "Mean quality that was given up to keep the figures and is worth a word.", HARD)
+        5e-3, "Least mean quality given up to keep the figures that the report names.", HARD)
     slide_retreats: int = _chosen(
-        4, "How often a boundary slides again, with those vertices left alone at which it was "
-        "spoiled.", HARD)
+        4, "Largest number of runs in which a boundary slides again without the "
+        "vertices that spoiled it.", HARD)
 
     # the boundary of tetrahedra that slides
     slide_guard: float = _chosen(
-        0.97, "Part of the envelope that the guards allow; the rest is for the rounding of the way "
-        "back.", HARD)
+        0.97, "Factor on the envelope inside the guards; the rest is for rounding on the "
+        "way back.", HARD)
     slide_volume: float = _chosen(
-        2.9e-3, "Largest change of the volume, as a part of it.", STANDARD)
-    slide_reserve: float = _chosen(
-        0.4, "Part of that change which is kept for the worst cells.", STANDARD)
+        2.9e-3, "Largest change of the volume, as a part of the volume.", STANDARD)
+    slide_reserve: float = _chosen(0.4, "Part of slide_volume kept for the worst cells.", STANDARD)
     slide_cancel: float = _chosen(
-        4.0, "Most that |change of volume|, summed over all vertices, may be, as a multiple of "
-        "that change: gains and losses cancel.",
-        STANDARD)
+        4.0, "Largest sum of abs(volume change) over all vertices, as a multiple of "
+        "slide_volume; gains and losses cancel.", STANDARD)
     slide_unused: float = _chosen(
-        1.2, "A further factor, since not every vertex uses up what it has.", STANDARD)
+        1.2, "Factor on the budget of each vertex; some vertices leave theirs unused.", STANDARD)
     slide_turn: float = _chosen(
-        30.0, "Degrees by which a boundary triangle may be turned against the input surface.",
-        STANDARD)
+        30.0, "Degrees: largest angle between a boundary triangle and the input surface.", STANDARD)
 
     # curved surfaces
     surface_guard: float = _chosen(
-        0.975, "Part of the envelope that the guards use; the rest is for the bounds of the judge.",
-        HARD)
+        0.975, "Factor on the envelope inside the guards; the rest is for the bounds of "
+        "the judge.", HARD)
     surface_lines: float = _chosen(
-        0.5, "Part of the envelope by which feature lines may change when the boundary slides.",
-        STANDARD)
+        0.5, "Part of the envelope within which feature lines may change when the "
+        "boundary slides.", STANDARD)
     surface_turn: float = _chosen(
-        60.0, "Degrees by which the normal of a new triangle may differ from that of the ground "
-        "under it.", STANDARD)
+        60.0, "Degrees: largest angle between a new triangle and the ground under it.", STANDARD)
     surface_thin: float = _chosen(
-        0.02, "Radius ratio below which stage 1 makes no triangle worse.", STANDARD)
+        0.02, "Least radius ratio of a triangle that stage 1 may make worse.", STANDARD)
     surface_settled: float = _chosen(
-        2e-3, "Stage 1 ends with a round that lowers the energy by less than this part of it.",
-        SURFACE)
+        2e-3, "Largest fall of the energy in a round, as a part of it, at which stage 1 "
+        "ends.", SURFACE)
     surface_halvings: int = _chosen(
-        3, "Halvings of the envelope, each with runs of its own, until the input is returned.",
-        HARD)
+        3, "Largest number of halvings of the envelope, each with runs of its own, "
+        "before the input is returned.", HARD)
     surface_attempts: int = _chosen(
-        4, "Runs within one envelope; each leaves alone what broke the promise in those "
-        "before, with one more ring of triangles around it every time.", HARD)
+        4, "Largest number of runs within one envelope; each spares what broke the "
+        "promise before, with one more ring.", HARD)
     surface_mendings: int = _chosen(
-        8, "How often a surface goes back to the input around its bad places; every second time "
-        "with one more ring of triangles.", HARD)
+        8, "Largest number of times that bad places go back to the input; every second "
+        "time with one more ring.", HARD)
     surface_loss: float = _chosen(
-        0.02, "Mean quality that the promise may cost a surface before it is tried within half of "
-        "the envelope.", HARD)
+        0.02, "Largest mean quality given up for the promise before half of the envelope "
+        "is tried.", HARD)
     surface_equal: float = _chosen(
-        0.005, "Mean quality by which surfaces may differ that are chosen by their score.", HARD)
+        0.005, "Largest difference in mean quality for which the score chooses between "
+        "surfaces.", HARD)
     surface_spoiled: float = _chosen(
-        0.3, "Part of the vertices that may be left alone because of triangles beyond the input's "
-        "extremes.", HARD)
+        0.3, "Largest share of the vertices spared for triangles beyond the extremes of "
+        "the input.", HARD)
 
 
 def _documentation() -> str:

@@ -5,7 +5,7 @@
   with rho = h^-3 on every level, `clean_up` and `repair` end it. `distmesh2d` is the truss alone.
 - Distance functions: `dcircle`, `drectangle`, `dpoly`, ..., joined by `dunion`, `ddiff` and
   `dintersect`; sizes: `huniform`, `hgraded`, `hmin`. `SAMPLES` are the six domains of Table 1.
-- `refine_and_optimize` makes large meshes of tetrahedra from coarse ones: `red_refinement` cuts
+- `refine` makes large meshes of tetrahedra from coarse ones: `red_refinement` cuts
   every tetrahedron into eight, around the diagonal that is best (`best_diagonals`), `project`
   moves the boundary to the surface, and the engine follows.
 - `uniform_refine` is the refinement alone, on any mesh that the adapters read.
@@ -31,7 +31,7 @@ from odt_plugins.generate.distance import (
     protate,
     pshift,
 )
-from odt_plugins.generate.levels import refine_and_optimize
+from odt_plugins.generate.levels import refine, refine_with_report
 from odt_plugins.generate.levels_report import LevelsReport
 from odt_plugins.generate.odtmesh import odtmesh2d
 from odt_plugins.generate.refine2d import refine_triangles
@@ -61,7 +61,8 @@ __all__ = [
     "odtmesh2d",
     "protate",
     "pshift",
-    "refine_and_optimize",
+    "refine",
     "refine_triangles",
+    "refine_with_report",
     "uniform_refine",
 ]

@@ -45,7 +45,7 @@ class Coarse(NamedTuple):
 def coarse_mesh(
     mesh: Any, surface: Any, edge_length: float, options: Options, *reports: Progress
 ) -> Coarse:
-    """Read a coarse mesh, or make one of a surface; parameters as of `refine_and_optimize`.
+    """Read a coarse mesh, or make one of a surface; parameters as of `refine`.
 
     A callable besides them is told the share of TetWild that is done.
 

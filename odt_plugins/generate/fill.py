@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
+import inspect
 import os
 from dataclasses import replace
-from typing import TYPE_CHECKING, Any, Unpack
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins import tetwild
 from odt_plugins.adapters import files, meshio_mesh
 from odt_plugins.engine.cells.geometry import boundary_facets
 from odt_plugins.engine.ground.reference import make_reference
@@ -23,17 +25,10 @@ from odt_plugins.errors import (
 from odt_plugins.generate.bodies import body_labels, outward
 from odt_plugins.generate.coarse import TETWILD_PART
 from odt_plugins.generate.covered import REACH, compare
-from odt_plugins.generate.levels import check_levels, refine_and_optimize
+from odt_plugins.generate.levels import check_levels, refine_with_report
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import diagonal, mesh_arrays, reverse
-from odt_plugins.options import (
-    OF_MESHES,
-    OPTIONS,
-    OptionKeywords,
-    make_options,
-    with_option_signature,
-)
-from odt_plugins.tetwild import tetrahedralize_with_report
+from odt_plugins.options import EDGE_LENGTH, OF_MESHES, OPTIONS, make_options
 
 if TYPE_CHECKING:
     from odt_plugins.adapters.host import HostMesh
@@ -47,60 +42,135 @@ GROUPS = ("gmsh:physical", "gmsh:geometrical")
 """Labels of Gmsh, in which 0 is none; the tetrahedra are the volume 1."""
 
 
-@with_option_signature(*OF_MESHES)
-def tetrahedralize_file(
-    source: str | os.PathLike[str],
-    target: str | os.PathLike[str],
-    levels: int = 0,
-    *,
-    edge_length: float = 0.05,
-    bodies: bool = False,
-    file_format: str | None = None,
-    binary: bool | None = None,
-    **options: Unpack[OptionKeywords],
-) -> Report | LevelsReport:
-    """Fill the surface of one file with tetrahedra, improve them, and write them to another.
-
-    Every array of the faces but normals, such as a label, and every set of them comes to the
-    triangles of the boundary beside the tetrahedra: each takes the values of the closest face.
+def tetrahedralize(vertices: Any, faces: Any = None, *more: Any, **how: Any) -> Any:
+    """Fill a surface of triangles with tetrahedra by TetWild and improve them.
 
     Parameters
     ----------
-    source, target : path    any format of meshio, and of VTK where it is installed, by suffix
-    levels : int             0: TetWild and ODT; otherwise TetWild makes a coarse mesh, which is
-                             refined so often, see :func:`odt_plugins.refine_and_optimize`
-    edge_length : float      that TetWild aims at, as a part of the diagonal
-    bodies : bool            whether tetrahedra get a cell array "body": the number, from 1, of the
-                             closed component of the surface that they lie in, 0 for none;
-                             interfaces between bodies stay, without `levels`
-    file_format, binary      as for :func:`odt_plugins.optimize_file`
+    vertices, faces, ..., bg_values
+        What `pytetwild.tetrahedralize` takes, with its defaults; edge_length_fac and epsilon are
+        relative to the bounding-box diagonal, the other lengths are in the caller's unit.
+        `vertices` may also be the path of a file, without `faces` and the others.
+    odt : bool or dict
+        False for TetWild alone; a dict of options, should one of pytetwild's keywords ever have
+        the name of an option. For arrays.
+    target : path, optional
+        File for the tetrahedra of a file; `file_format` and `binary` as for
+        :func:`odt_plugins.optimize`.
+    levels : int
+        Of a file. 0: TetWild and ODT; otherwise TetWild makes a coarse mesh, which is refined so
+        often, see :func:`odt_plugins.refine`.
+    edge_length : float
+        Of a file: edges that TetWild aims at, as a part of the diagonal.
+    bodies : bool
+        Of a file: whether tetrahedra get a cell array "body": the number, from 1, of the closed
+        component of the surface that they lie in, 0 for none; interfaces between bodies stay,
+        without `levels`.
     **options
-        The fields of :class:`odt_plugins.Options` but for those of a mesh that is there already.
-        `envelope` is how far the boundary may be from the surface; TetWild gets all of it, or three
-        quarters where the boundary moves afterwards. With `repair="orient"` faces are turned first:
-        neighbours agree, closed components face outward, hollows within them stay hollow.
+        The fields of :class:`odt_plugins.Options`. With `repair="orient"` faces are turned first:
+        neighbours agree, closed components face outward, hollows within them stay hollow. With a
+        sizing field (bg_vertices, bg_tets, bg_values) its edge length h is the size that the
+        density rho = h^-r keeps, unless a `density` is given; `exponent` of `smoothing` is r, 5 by
+        default. Outside the background mesh h is the ideal edge length, as for TetWild. TetWild
+        follows a field that asks for larger cells than it starts from only with `coarsen`. For a
+        file none of those of a mesh that is there already; `envelope` is how far the boundary may
+        be from the surface then: TetWild gets all of it, or three quarters where the boundary moves
+        afterwards.
 
     Returns
     -------
-    Report, with `levels` LevelsReport; its `filled` compares surface and boundary both ways
+    points : (n, 3) float64
+    cells : (m, 4) int32         of negative volume, or of positive with vtk_ordering
+    or of a file meshio.Mesh or `target`
+        Every array of the faces but normals, such as a label, and every set of them comes to the
+        triangles of the boundary beside the tetrahedra: each takes the values of the closest face.
 
     Raises
     ------
-    InvalidMeshError         no surface, or TetWild found no tetrahedra
-    MissingDependencyError   pytetwild is not installed
-    MeshFileError            a file cannot be read or written; `target` is then as it was before
+    MissingDependencyError       pytetwild is not installed
+    InvalidMeshError             the surface is broken, or TetWild found no tetrahedra
+    CrashError                   the same, since the process of TetWild crashed
+    InvalidOptionError           an option is unknown or out of range, or TetWild is to run alone
+    MeshFileError                a file cannot be read or written; `target` is then as it was before
+    TypeError, ValueError, ...   what pytetwild raises
 
     Warns
     -----
-    NotFilledWarning         more than a hundredth of the area of the surface has no boundary beside
-                             it, or of that of the boundary no surface
-    ODTWarning               parts of the boundary stand for no face, as where holes were closed
+    NotFilledWarning             more than a hundredth of the area of the surface has no boundary
+                                 beside it, or of that of the boundary no surface; not where TetWild
+                                 runs alone, nor with disable_filtering, which fills a box
+    ODTWarning                   parts of the boundary stand for no face, as where holes were closed
+
+    References
+    ----------
+    Y. Hu, Q. Zhou, X. Gao, A. Jacobson, D. Zorin, D. Panozzo, Tetrahedral meshing in the wild, ACM
+    Trans. Graph. 37 (2018), doi:10.1145/3197517.3201353.
     """
+    if isinstance(vertices, str | os.PathLike):
+        return _from_file(vertices, faces, *more, **how)[0]
+    return tetwild.tetrahedralize(vertices, faces, *more, **how)
+
+
+def tetrahedralize_with_report(
+    vertices: Any, faces: Any = None, *more: Any, **how: Any
+) -> tuple[Any, Report | LevelsReport]:
+    """Fill a surface as :func:`tetrahedralize` does and tell what was done.
+
+    Parameters
+    ----------
+    vertices, faces, ..., bg_values, **how
+        Of :func:`tetrahedralize`, of arrays all but the first two by keyword.
+    regions_of : callable
+        Of arrays: is given points and cells of TetWild, and gives labels (m,) of regions; the
+        interfaces between them stay.
+
+    Returns
+    -------
+    mesh : (points, cells), with `regions_of` (points, cells, labels); or of a file meshio.Mesh or
+        `target`
+    report : Report     before is the mesh of TetWild, whose seconds stand among the times; `filled`
+                        compares surface and boundary both ways; with `levels` a LevelsReport
+
+    Raises
+    ------
+    InvalidOptionError  odt=False, and what :func:`tetrahedralize` raises
+    """
+    if isinstance(vertices, str | os.PathLike):
+        return _from_file(vertices, faces, *more, **how)
+    return tetwild.tetrahedralize_with_report(vertices, faces, *more, **how)
+
+
+def _from_file(
+    source: str | os.PathLike[str], faces: None = None, *, target: Any = None, levels: int = 0,
+    edge_length: float = EDGE_LENGTH, bodies: bool = False, file_format: str | None = None,
+    binary: bool | None = None, **options: Any,
+) -> tuple[Any, Report | LevelsReport]:
+    if faces is not None:
+        msg = f"got faces beside the path {os.fspath(source)!r}; expected None"
+        raise InvalidOptionError(msg)
     check_fill(levels, edge_length, options)
-    files.check_output(target, file_format, binary)
+    if target is not None:
+        files.check_output(target, file_format, binary)
     mesh, report, _ = fill(source, levels, edge_length, options, bodies)
+    if target is None:
+        return mesh, report
     files.write_file(target, mesh, file_format, binary)
-    return report
+    return target, report
+
+
+def _show_signature() -> None:
+    """Let help() show what is for arrays, then what is for files, then the options."""
+    shown = dict(inspect.signature(tetwild.tetrahedralize).parameters)
+    own = [about for name, about in inspect.signature(_from_file).parameters.items()
+           if name not in ("source", "faces", "options")]
+    options = [shown.pop(name) for name in OPTIONS]
+    shown["faces"] = shown["faces"].replace(default=None)
+    tetrahedralize.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
+        [shown["vertices"], *list(shown.values())[1:], *own, *options],
+        return_annotation="Any")
+
+
+_show_signature()
 
 
 def check_fill(levels: Any, edge_length: Any, options: Any) -> None:
@@ -125,7 +195,7 @@ def fill(
     source: str | os.PathLike[str], levels: int, edge_length: float, options: Any,
     bodies: bool = False,
 ) -> tuple[Any, Report | LevelsReport, float]:
-    """Give the mesh of :func:`tetrahedralize_file`, its report, and the seconds of TetWild."""
+    """Give the mesh of :func:`tetrahedralize` of a file, its report, and TetWild's seconds."""
     host = files.read(source)
     if host.cells.shape[1] != 3 or host.points.shape[1] != 3:
         what = "tetrahedra" if host.cells.shape[1] == 4 else "triangles in the plane"
@@ -152,7 +222,7 @@ def fill(
 
     report: Report | LevelsReport
     if levels:
-        out, report = refine_and_optimize(
+        out, report = refine_with_report(
             surface if turned.any() else host.source, levels, edge_length=edge_length, **options)
         points, cells = out if turned.any() else (out.points, out.cells[0].data)
         seconds = report.meshing
@@ -161,7 +231,7 @@ def fill(
     else:
         slides = options.get("boundary") == "slide"
         first, rest = (TETWILD_PART, 1.0 - TETWILD_PART) if slides else (1.0, 1.0)
-        (points, cells, *labels), report = tetrahedralize_with_report(
+        (points, cells, *labels), report = tetwild.tetrahedralize_with_report(
             host.points, reverse(host.cells, turned), labelled if bodies else None,
             edge_length_fac=edge_length, epsilon=first * envelope,
             num_threads=options.get("threads", 1), vtk_ordering=True,

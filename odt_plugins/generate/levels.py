@@ -38,6 +38,7 @@ from odt_plugins.mesh.simplex import (
     vertex_mask,
 )
 from odt_plugins.options import (
+    EDGE_LENGTH,
     OptionKeywords,
     Options,
     Progress,
@@ -65,18 +66,20 @@ CARRIED = ("selection", "fixed", "regions", "insert", "boundary", "progress", "e
 
 
 @with_option_signature()
-def refine_and_optimize(
+def refine(
     mesh: Any,
     levels: int = 1,
     *,
+    optimize: bool = True,
     surface: Any = None,
-    edge_length: float = 0.1,
+    edge_length: float = EDGE_LENGTH,
     **options: Unpack[OptionKeywords],
-) -> tuple[Any, LevelsReport]:
+) -> Any:
     """Make a large mesh of tetrahedra from a closed surface or a coarse mesh.
 
-    At every level all edges are halved, boundary vertices move to the surface, and Optimal
-    Delaunay Triangulation follows. A surface is meshed coarsely by TetWild before.
+    At every level all edges are halved: a triangle becomes four, a tetrahedron eight. Boundary
+    vertices of tetrahedra move to the surface, and Optimal Delaunay Triangulation follows. A
+    surface is meshed coarsely by TetWild before.
 
     Parameters
     ----------
@@ -85,6 +88,9 @@ def refine_and_optimize(
     levels : int
         How often to refine; each gives about eight times as many tetrahedra. 0 only optimises
         the coarse mesh.
+    optimize : bool
+        False halves edges and does no more, see :func:`odt_plugins.generate.uniform_refine`: of
+        triangles, too, whose surfaces stay what they are.
     surface : mesh of triangles, optional
         Closed surface that coarse tetrahedra stand for; None: their own boundary.
     edge_length : float
@@ -99,12 +105,10 @@ def refine_and_optimize(
 
     Returns
     -------
-    mesh : same type as `mesh`
-        With labels and data carried as by :func:`odt_plugins.uniform_refine` and
+    same type as `mesh`
+        With labels and data carried as by :func:`odt_plugins.generate.uniform_refine` and
         :func:`odt_plugins.optimize`. For a surface: arrays (points, cells), a
         pyvista.UnstructuredGrid for PolyData and grids, a meshio.Mesh for meshio and paths.
-    report : LevelsReport
-        Quality, times and vertices of every level, distances both ways, volumes.
 
     Raises
     ------
@@ -126,6 +130,36 @@ def refine_and_optimize(
     References
     ----------
     L. Chen, M. Holst, CMAME 200 (2011) 967-984, doi:10.1016/j.cma.2010.11.007, Section 5.3.
+    """
+    if optimize:
+        return refine_with_report(
+            mesh, levels, surface=surface, edge_length=edge_length, **options)[0]
+    check_levels(levels, edge_length, {})
+    other = "surface" if surface is not None else next(iter(options), None)
+    if other is not None:
+        msg = f"got {other}= with optimize=False, where it has no effect; expected optimize=True"
+        raise InvalidOptionError(msg)
+    for _ in range(levels):
+        mesh = uniform_refine(mesh)
+    return mesh
+
+
+@with_option_signature()
+def refine_with_report(
+    mesh: Any,
+    levels: int = 1,
+    *,
+    surface: Any = None,
+    edge_length: float = EDGE_LENGTH,
+    **options: Unpack[OptionKeywords],
+) -> tuple[Any, LevelsReport]:
+    """Refine and optimise a mesh as :func:`refine` does and tell what was done.
+
+    Returns
+    -------
+    mesh : same type as `mesh`
+    report : LevelsReport     quality, times and vertices of every level, distances both ways,
+                              volumes
     """
     chosen = make_options(**options)
     check_levels(levels, edge_length, options)

@@ -37,7 +37,7 @@ class Level:
 
 @dataclass(frozen=True)
 class LevelsReport:
-    """What :func:`refine_and_optimize` did.
+    """What :func:`refine` did.
 
     Attributes
     ----------
@@ -49,7 +49,7 @@ class LevelsReport:
     meshing, checking : float         wall seconds of TetWild, and of measuring the distances
     before : QualitySummary           of the coarse mesh
     filled : Covered or None          how the surface that was filled and the boundary lie to each
-                                      other, see :func:`odt_plugins.tetrahedralize_file`
+                                      other, see :func:`odt_plugins.tetrahedralize`
     """
 
     levels: tuple[Level, ...]

@@ -66,9 +66,9 @@ def uniform_refine(mesh: MeshT) -> MeshT:
     Examples
     --------
     >>> import numpy as np
-    >>> import odt_plugins
+    >>> from odt_plugins import generate
     >>> points = np.array([[0.0, 0.0], [1.0, 0.0], [0.0, 1.0]])
-    >>> points, cells = odt_plugins.uniform_refine((points, np.array([[0, 1, 2]])))
+    >>> points, cells = generate.uniform_refine((points, np.array([[0, 1, 2]])))
     >>> cells.tolist()
     [[0, 3, 4], [3, 1, 5], [4, 5, 2], [5, 4, 3]]
     """

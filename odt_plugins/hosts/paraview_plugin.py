@@ -96,7 +96,8 @@ def camel(name: str) -> str:
     return "".join(word.capitalize() for word in name.split("_"))
 
 
-OWN = {"edge_length": (0.05, "For TetWild, relative to the diagonal of the surface."),
+OWN = {"edge_length": (of_package("options").EDGE_LENGTH,
+                       "For TetWild, relative to the diagonal of the surface."),
        "levels": (0, "How often the mesh of TetWild is refined, moved to the surface and "
                      "optimised.")}
 """Properties of ODT Tetrahedralize beside the options: default and meaning."""

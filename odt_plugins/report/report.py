@@ -85,12 +85,14 @@ class Report:
                                             larger than 1e-9; none of untangled meshes
     filled : Covered or None                how the surface that was filled and the boundary of the
                                             tetrahedra lie to each other, see
-                                            :func:`odt_plugins.tetrahedralize_file`
+                                            :func:`odt_plugins.tetrahedralize`
     vetoed : dict or None                   of a refused state with a better mean: the figures that
                                             were "worse", name -> (before, there), and its
                                             "mean_quality" and "min_quality"
     meshes : two of (points, cells)         before and after, for :meth:`worth`; not in
                                             :meth:`to_dict`
+    parts : tuple of Report                 of an object of several meshes, those of each; the
+                                            figures are those of all together then
     """
 
     dim: int
@@ -123,6 +125,7 @@ class Report:
     vetoed: Mapping[str, Any] | None = None
     meshes: tuple[tuple[NDArray[Any], NDArray[Any]], ...] = dataclasses.field(
         default=(), repr=False, compare=False)
+    parts: tuple[Report, ...] = ()
 
     @property
     def movable_share(self) -> float:
@@ -148,7 +151,7 @@ class Report:
     def _story(self) -> list[str]:
         """How it went, line by line."""
         lines = [f"{self.n_movable} of {self.n_used} vertices may move "
-                 f"({100 * self.movable_share:.0f} %)"]
+                 f"({100 * self.movable_share:.0f} %)"] if self.n_used else []
         if self.regions_from:
             lines.append(regions_line(self.regions_from))
         if self.interpolated:
@@ -191,6 +194,8 @@ class Report:
         if self.binding:
             lines += ["", "what binds the minimum:"]
             lines += [f"  {line}" for line in joined_lines(self.binding, 5)]
+        for number, part in enumerate(self.parts):
+            lines += ["", f"part {number}", *str(part).split("\n")]
         return lines
 
     def to_dict(self) -> dict[str, Any]:
@@ -200,7 +205,8 @@ class Report:
         data |= {"before": self.before.to_dict(), "after": self.after.to_dict(),
                  "binding": [dataclasses.asdict(cell) for cell in self.binding],
                  "movable_share": self.movable_share,
-                 "filled": self.filled and self.filled.to_dict()}
+                 "filled": self.filled and self.filled.to_dict(),
+                 "parts": [part.to_dict() for part in self.parts]}
         return {name: _plain(value) for name, value in data.items()}
 
     def to_json(self) -> str:
@@ -293,8 +299,8 @@ def make_report(
         n_movable=int(movable.sum()),
         binding=binding_cells(outcome.points, outcome.cells, before.bodies(outcome.regions),
                               movable_after, new, _freeing(before, outcome, options)),
-        options=_described(options),
-        versions=_versions(),
+        options=described(options),
+        versions=versions(),
         slid=None if outcome.slid is None else outcome.slid._asdict(),
         surface=_surface_facts(before, outcome, used),
         untangled=untangled,
@@ -441,7 +447,7 @@ def histogram(quality: NDArray[np.float64]) -> tuple[int, ...]:
     return tuple(int(c) for c in counts)
 
 
-def _described(options: Options) -> dict[str, Any]:
+def described(options: Options) -> dict[str, Any]:
     """Give every option as a plain value; arrays and callables by what they are."""
     values = {f.name: getattr(options, f.name) for f in dataclasses.fields(options)}
     del values["progress"]
@@ -471,7 +477,8 @@ def _plain(value: Any) -> Any:
     return value
 
 
-def _versions() -> dict[str, str]:
+def versions() -> dict[str, str]:
+    """Versions of what computes."""
     found = {"python": platform.python_version()}
     for name in ("odt-plugins", "numpy", "scipy", "numba", "pyamg"):
         try:

@@ -45,7 +45,7 @@ def test_a_file_and_its_result_are_all_there_is(suffix, d, tmp_path):
     source, target = tmp_path / f"in{suffix}", tmp_path / f"out{suffix}"
     _stored(source, d)
     old = source.read_bytes()
-    report = odt_plugins.optimize_file(source, target, keep=())
+    _, report = odt_plugins.optimize_with_report(source, target=target, keep=())
     assert sorted(tmp_path.iterdir()) == [source, target]
     assert source.read_bytes() == old
     assert report.after.n_cells == len(files.read_file(target).cells[0].data)
@@ -66,7 +66,7 @@ def test_a_file_may_be_replaced_by_its_result(tmp_path, monkeypatch):
     source = tmp_path / "mesh.vtu"
     contract.file_mesh(".vtu", 2).write(source)
     old = meshio.read(source)
-    odt_plugins.optimize_file(source, source)
+    odt_plugins.optimize(source, target=source)
     assert not np.array_equal(meshio.read(source).points, old.points)
     assert [p.name for p in tmp_path.iterdir()] == ["mesh.vtu"]
 
@@ -80,7 +80,7 @@ def test_gmsh_files_of_both_versions_come_back(version, tmp_path):
         mesh.cell_data["gmsh:geometrical"] = [np.ones(m, dtype=np.int32)]
         mesh.cell_data["gmsh:physical"] = [np.full(m, 4)]
     meshio.write(tmp_path / "in.msh", mesh, file_format=version)
-    odt_plugins.optimize_file(tmp_path / "in.msh", tmp_path / "out.msh")
+    odt_plugins.optimize(tmp_path / "in.msh", target=tmp_path / "out.msh")
     head = [(tmp_path / name).read_bytes().split(b"\n")[1].split()[0]
             for name in ("in.msh", "out.msh")]
     assert head == [b"4.1" if version == "gmsh" else b"2.2"] * 2
@@ -95,7 +95,7 @@ def test_truncated_files_are_refused(suffix, share, tmp_path):
     source.write_bytes(whole[: int(share * len(whole))])
     names = sorted(p.name for p in tmp_path.iterdir())
     with pytest.raises((MeshFileError, InvalidMeshError)) as caught:
-        odt_plugins.optimize_file(source, target)
+        odt_plugins.optimize(source, target=target)
     assert "\n" not in str(caught.value)
     assert sorted(p.name for p in tmp_path.iterdir()) == names
 
@@ -219,7 +219,7 @@ def test_outputs_that_cannot_be_written_are_named_before_any_work(tmp_path, monk
     names = sorted(tmp_path.rglob("*"))
     for name, message in cases.items():
         with pytest.raises(MeshFileError, match=message):
-            odt_plugins.optimize_file(DATA / "tetwild_bunny.vtu", tmp_path / name)
+            odt_plugins.optimize(DATA / "tetwild_bunny.vtu", target=tmp_path / name)
         with pytest.raises(MeshFileError, match=message):
             files.write_file(tmp_path / name, contract.file_mesh(".vtu", 2))
     assert sorted(tmp_path.rglob("*")) == names

@@ -122,7 +122,7 @@ def test_a_torus_of_quadratic_tetrahedra_stays_valid(suffix, tmp_path):
         source = tmp_path / "torus.msh"
     else:
         meshio.Mesh(mesh.points, {"tetra10": mesh.cells_dict["tetra10"]}).write(source)
-    odt_plugins.optimize_file(source, target)
+    odt_plugins.optimize(source, target=target)
     # Gmsh exchanges the last two nodes of meshio's.
     found = [(m.points, m.cells_dict["tetra10"][:, [*range(8), 9, 8]])
              for m in (mesh, meshio.read(target))]

@@ -53,7 +53,7 @@ def test_triangles_beside_tetrahedra_stay_in_the_file(suffix, churn, tmp_path, m
     if suffix == ".msh":
         mesh.field_data = {"steel": np.array([1, 3]), "wall": np.array([12, 2])}
     files.write_file(tmp_path / f"in{suffix}", mesh)
-    odt_plugins.optimize_file(tmp_path / f"in{suffix}", tmp_path / f"out{suffix}", keep=())
+    odt_plugins.optimize(tmp_path / f"in{suffix}", target=tmp_path / f"out{suffix}", keep=())
     before, after = (files.read_file(tmp_path / f"{end}{suffix}") for end in ("in", "out"))
     assert [b.type for b in after.cells] == [b.type for b in before.cells]
     tets = next(i for i, b in enumerate(after.cells) if b.type == "tetra")
@@ -93,7 +93,7 @@ def test_subregions_of_abaqus_files_keep_their_interface(tmp_path, monkeypatch):
             "rubber": [none, np.flatnonzero(labels == 2)], "wall": [np.arange(9), none]}
     mesh = meshio.Mesh(points, [("triangle", triangles), ("tetra", cells)], cell_sets=sets)
     meshio.write(tmp_path / "in.inp", mesh)
-    odt_plugins.optimize_file(tmp_path / "in.inp", tmp_path / "out.inp")
+    odt_plugins.optimize(tmp_path / "in.inp", target=tmp_path / "out.inp")
     out = files.read_file(tmp_path / "out.inp")
     new = out.cells[1].data
     assert len(new) > len(cells)

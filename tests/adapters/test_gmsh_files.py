@@ -99,7 +99,7 @@ def test_files_of_several_volumes_keep_their_groups(name, changed, model, tmp_pa
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         if changed:
-            odt_plugins.optimize_file(model / name, target, connectivity="none", finish=False,
+            odt_plugins.optimize(model / name, target=target, connectivity="none", finish=False,
                                       smoothing={"rounds": 1})
         else:
             files.write_file(target, files.read_file(model / name))
@@ -130,12 +130,12 @@ def test_the_version_and_the_kind_of_a_file_can_be_asked_for(model, tmp_path):
                                         *flags])
         assert done.exit_code == 0, done.output
         assert target.read_bytes().split(b"\n")[1] == line
-    odt_plugins.optimize_file(model / "22.msh", tmp_path / "out.msh", smoothing={"rounds": 1},
+    odt_plugins.optimize(model / "22.msh", target=tmp_path / "out.msh", smoothing={"rounds": 1},
                               finish=False,
                               file_format="gmsh41", binary=True)
     assert (tmp_path / "out.msh").read_bytes().split(b"\n")[1] == b"4.1 1 8"
     assert {key for key in _groups(tmp_path / "out.msh") if key[0] == 2} == {(2, 3, "bottom")}
-    odt_plugins.optimize_file(model / "22.msh", tmp_path / "out.vtu", smoothing={"rounds": 1},
+    odt_plugins.optimize(model / "22.msh", target=tmp_path / "out.vtu", smoothing={"rounds": 1},
                               finish=False,
                               binary=False)
     assert b'format="ascii"' in (tmp_path / "out.vtu").read_bytes()
@@ -144,7 +144,7 @@ def test_the_version_and_the_kind_of_a_file_can_be_asked_for(model, tmp_path):
             ("out.msh", {"file_format": "gmsh"}, r"one of gmsh22, gmsh41"),
             ("out.mesh", {"binary": True}, r"got binary files for out\.mesh; expected None")):
         with pytest.raises(InvalidOptionError, match=message):
-            odt_plugins.optimize_file(model / "22.msh", tmp_path / name, **given)
+            odt_plugins.optimize(model / "22.msh", target=tmp_path / name, **given)
 
 
 @pytest.mark.parametrize("suffix", [*SUFFIXES, ".ugrid"])
@@ -223,7 +223,7 @@ def test_files_of_netgen_are_read_by_netgen(tmp_path):
     assert read.field_data["rubber"].tolist() == [2, 3]
     volume = np.abs(contract.volumes(read.points, read.cells[1].data)).sum() / 6
     assert volume == pytest.approx(2.0)
-    odt_plugins.optimize_file(tmp_path / "in.vol", tmp_path / "out.vol")
+    odt_plugins.optimize(tmp_path / "in.vol", target=tmp_path / "out.vol")
     assert netgen_files.installed()
 
 

@@ -62,7 +62,7 @@ def test_a_scene_is_optimised_geometry_by_geometry():
     scene.geometry["part 0"].visual.vertex_colors = np.arange(
         4 * len(scene.geometry["part 0"].vertices)).reshape(-1, 4) % 256
     before = {name: np.array(part.vertices) for name, part in scene.geometry.items()}
-    out, reports = odt_plugins.optimize_with_report(scene, envelope=0.02)
+    out, whole = odt_plugins.optimize_with_report(scene, envelope=0.02)
     assert type(out) is Mine
     assert out.mine == [1, 2]
     assert out.metadata == scene.metadata
@@ -71,8 +71,8 @@ def test_a_scene_is_optimised_geometry_by_geometry():
     for node in scene.graph.nodes_geometry:
         assert out.graph[node][1] == scene.graph[node][1]
         assert np.array_equal(out.graph[node][0], scene.graph[node][0])
-    assert len(reports) == 2
-    for i, report in enumerate(reports):
+    assert len(whole.parts) == 2
+    for i, report in enumerate(whole.parts):
         alone = odt_plugins.optimize(scene.geometry[f"part {i}"], envelope=0.02)
         there = out.geometry[f"part {i}"]
         assert np.array_equal(alone.vertices, there.vertices)
@@ -105,15 +105,15 @@ def test_parts_that_touch_do_not_come_apart(away):
     assert len(seam) > 10
     scene = scene_of([(p, t), (q - shift, u), fin])
     scene.graph.update("node 1", matrix=move(shift), geometry="part 1")
-    out, reports = odt_plugins.optimize_with_report(scene, envelope=0.05)
+    out, whole = odt_plugins.optimize_with_report(scene, envelope=0.05)
     x, y, z = (out.geometry[f"part {i}"].vertices for i in range(3))
     assert shared(x, p) >= seam
     assert shared(x, z) == shared(p, fin[0])
     assert len(shared(y, q - shift)) >= len(seam)
-    assert [len(report.notes) for report in reports] == [1, 0, 0]
-    assert reports[0].notes[0].startswith(f"{k} vertices at the rim of another geometry stay")
+    assert [len(report.notes) for report in whole.parts] == [1, 0, 0]
+    assert whole.parts[0].notes[0].startswith(f"{k} vertices at the rim of another geometry stay")
     assert (x != p).any()
-    assert all(r.after.mean_quality > r.before.mean_quality for r in reports[:2])
+    assert all(r.after.mean_quality > r.before.mean_quality for r in whole.parts[:2])
 
 
 def test_what_is_fixed_stays_beside_what_is_shared():
@@ -153,12 +153,12 @@ def test_a_model_of_open3d_is_optimised_mesh_by_mesh():
     model.meshes = [rendering.TriangleMeshModel.MeshInfo(mesh, name, 0) for mesh, name in (
         (parts[0], "left"), (empty, "nothing"), (parts[1], ""))]
     before = [np.array(mesh.vertices) for mesh in parts]
-    out, reports = odt_plugins.optimize_with_report(model, envelope=0.05)
+    out, whole = odt_plugins.optimize_with_report(model, envelope=0.05)
     assert type(out) is type(model)
     assert [info.mesh_name for info in out.meshes] == ["left", "nothing", ""]
     assert [info.material_idx for info in out.meshes] == [0, 0, 0]
     assert [m.shader for m in out.materials] == ["defaultUnlit"]
-    assert len(reports) == 2
+    assert len(whole.parts) == 2
     after = [np.asarray(out.meshes[i].mesh.vertices) for i in (0, 2)]
     assert shared(*after) == shared(*before)
     assert all((new != old).any() for new, old in zip(after, before, strict=True))

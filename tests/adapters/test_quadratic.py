@@ -351,7 +351,8 @@ def test_files_of_quadratic_cells(suffix, tmp_path, d):
         cell["gmsh:geometrical"] = cell[name]
     files.write_file(tmp_path / f"in{suffix}", meshio.Mesh(space, [(MESHIO[d], rows)],
                                                           cell_data=cell))
-    report = odt_plugins.optimize_file(tmp_path / f"in{suffix}", tmp_path / f"out{suffix}")
+    _, report = odt_plugins.optimize_with_report(tmp_path / f"in{suffix}",
+                                                 target=tmp_path / f"out{suffix}")
     out = files.read_file(tmp_path / f"out{suffix}")
     assert out.cells[0].type == MESHIO[d]
     edges_of(out.cells[0].data, d)

@@ -158,7 +158,7 @@ def test_blocks_take_the_same_regions_and_fields():
     points, cells, x = plane()
     mesh = meshio.Mesh(points, [("triangle", cells)], point_data={"T": points[:, 0].copy()},
                        cell_data={"half": [(x[:, 0] > 0.5).astype(int)]})
-    out, report = odt_plugins.optimize_partitioned_with_report(mesh, 2)
+    out, report = odt_plugins.optimize_with_report(mesh, blocks=2)
     assert (report.regions_from, report.interpolated) == (("half",), ("T",))
     assert np.array_equal(out.cell_data["half"][0], mesh.cell_data["half"][0][report.cell_origin])
     assert np.abs(out.point_data["T"] - out.points[:, 0]).max() < 1e-12

@@ -58,10 +58,10 @@ def changed_json(path, change):
 def test_names_graph_materials_and_textures_stay(suffix, scene, tmp_path):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
-        reports = optimize_file(scene, tmp_path / f"b{suffix}")
+        report = optimize_file(scene, tmp_path / f"b{suffix}")
     was = trimesh.load_scene(scene, process=False)
     now = trimesh.load_scene(tmp_path / f"b{suffix}", process=False)
-    assert len(reports) == 2
+    assert len(report.parts) == 2
     assert list(was.geometry) == list(now.geometry)
     assert set(was.graph.nodes_geometry) == set(now.graph.nodes_geometry)
     for node in was.graph.nodes_geometry:

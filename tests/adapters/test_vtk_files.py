@@ -42,7 +42,7 @@ def _grid():
 def test_all_arrays_of_a_grid_come_back_in_their_types(suffix, binary, tmp_path):
     mesh = _grid()
     mesh.save(tmp_path / f"in{suffix}", binary=binary)
-    odt_plugins.optimize_file(tmp_path / f"in{suffix}", tmp_path / f"out{suffix}",
+    odt_plugins.optimize(tmp_path / f"in{suffix}", target=tmp_path / f"out{suffix}",
                               smoothing={"rounds": 1},
                               connectivity="none", finish=False)
     out = pyvista.read(tmp_path / f"out{suffix}")
@@ -67,7 +67,7 @@ def test_polydata_come_back_with_new_normals(tmp_path):
         data["Normals"] = np.tile([0.0, 0.8, 0.6], (len(data["Normals"]), 1))
     mesh["part"] = (np.arange(len(cells)) % 2).astype(np.uint8)
     mesh.save(tmp_path / "in.vtp")
-    odt_plugins.optimize_file(tmp_path / "in.vtp", tmp_path / "out.vtp", regions=None)
+    odt_plugins.optimize(tmp_path / "in.vtp", target=tmp_path / "out.vtp", regions=None)
     out = pyvista.read(tmp_path / "out.vtp")
     assert type(out) is pyvista.PolyData
     assert out["part"].dtype == np.uint8

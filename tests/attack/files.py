@@ -45,7 +45,7 @@ def attack(rng: Rng, folder: Path) -> None:
     if rng.random() < 0.3:
         target = folder / f"better{path.suffix if rng.random() < 0.5 else '.vtu'}"
         try:
-            odt_plugins.optimize_file(path, target, smoothing={"rounds": 1, "cycles": 1})
+            odt_plugins.optimize(path, target=target, smoothing={"rounds": 1, "cycles": 1})
         except ODTError:
             left = sorted(p.name for p in folder.iterdir() if p.name not in names)
             if left:

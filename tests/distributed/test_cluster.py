@@ -8,6 +8,7 @@ import signal
 import subprocess
 import sys
 import threading
+import time
 from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
@@ -62,7 +63,7 @@ def expected() -> tuple[Any, Any]:
     """The result in this process."""
     least, blocks_module.LEAST_CELLS = blocks_module.LEAST_CELLS, 1000
     try:
-        result: tuple[Any, Any] = odt_plugins.optimize_partitioned(MESH, BLOCKS)
+        result: tuple[Any, Any] = odt_plugins.optimize(MESH, blocks=BLOCKS)
     finally:
         blocks_module.LEAST_CELLS = least
     return result
@@ -74,8 +75,8 @@ def assert_same(a: Any, b: Any) -> None:
 
 def test_processes_and_a_cluster_give_the_bits_of_one_process(client, expected):
     assert not np.array_equal(expected[0], START.points)
-    assert_same(odt_plugins.optimize_partitioned(MESH, BLOCKS, workers=2), expected)
-    assert_same(odt_plugins.optimize_partitioned(MESH, BLOCKS, client=client), expected)
+    assert_same(odt_plugins.optimize(MESH, blocks=BLOCKS, workers=2), expected)
+    assert_same(odt_plugins.optimize(MESH, blocks=BLOCKS, client=client), expected)
 
 
 @pytest.mark.parametrize(("more", "processes"), [(0, 2), (1, 0)])
@@ -88,7 +89,7 @@ def test_processes_are_started_for_large_meshes_only(monkeypatch, more, processe
 
     monkeypatch.setattr(blocks_module, "WORTH_CELLS", len(START.cells) + more)
     monkeypatch.setattr(blocks_module, "executor", seen)
-    odt_plugins.optimize_partitioned(MESH, BLOCKS, workers=2)
+    odt_plugins.optimize(MESH, blocks=BLOCKS, workers=2)
     assert asked == [processes]
 
 
@@ -99,8 +100,8 @@ def test_pieces_on_a_cluster_give_the_bits_of_one_process(client, tmp_path):
         mesh = meshio.Mesh(START.points[used], [("tetra", number.reshape(-1, 4))])
         (tmp_path / "in").mkdir(exist_ok=True)
         mesh.write(tmp_path / "in" / f"{name}.vtu")
-    odt_plugins.optimize_pieces(tmp_path / "in", tmp_path / "here.pvtu")
-    odt_plugins.optimize_pieces(tmp_path / "in", tmp_path / "there.pvtu", client=client)
+    odt_plugins.optimize(tmp_path / "in", target=tmp_path / "here.pvtu")
+    odt_plugins.optimize(tmp_path / "in", target=tmp_path / "there.pvtu", client=client)
     for k in range(3):
         a, b = (meshio.read(tmp_path / name / f"{name}-{k}.vtu") for name in ("here", "there"))
         assert np.array_equal(a.points, b.points)
@@ -110,7 +111,7 @@ def test_pieces_on_a_cluster_give_the_bits_of_one_process(client, tmp_path):
 def test_a_worker_killed_in_the_middle_of_a_block_is_made_up_for(client, expected):
     result: list[Any] = []
     thread = threading.Thread(target=lambda: result.append(
-        odt_plugins.optimize_partitioned(MESH, BLOCKS, client=client)))
+        odt_plugins.optimize(MESH, blocks=BLOCKS, client=client)))
     pids = client.run(os.getpid)
     thread.start()
     busy: list[str] = []
@@ -142,7 +143,7 @@ def test_a_worker_with_another_version_is_refused_before_any_work(client, tmp_pa
     try:
         wait_until(lambda: len(client.scheduler_info(n_workers=-1)["workers"]) == 3)
         with pytest.raises(InvalidOptionError, match=r"worker tcp://.* has odt-plugins 9\.9"):
-            odt_plugins.optimize_partitioned(MESH, BLOCKS, client=client)
+            odt_plugins.optimize(MESH, blocks=BLOCKS, client=client)
         assert not any(client.processing().values())
     finally:
         worker.terminate()
@@ -265,25 +266,41 @@ def run_cli(folder: Path, *words: str, **settings: Any) -> subprocess.Popen[str]
                             **settings)
 
 
+WAITING = """
+import time
+from odt_plugins.distributed.local import executor
+with executor(workers=1) as apply:
+    list(apply(time.sleep, [1000.0]))
+"""
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="looks at /proc")
+def test_processes_end_with_the_one_that_started_them():
+    first = subprocess.Popen([sys.executable, "-c", WAITING])
+    wait_until(lambda: len(children(first.pid)) > 1)
+    started = children(first.pid)
+    time.sleep(1.0)
+    first.kill()
+    first.wait()
+    wait_until(lambda: not any(alive(pid) for pid in started))
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="looks at /proc")
 def test_a_killed_client_leaves_nothing_and_the_next_run_is_whole(client, tmp_path, expected):
     meshio.Mesh(LARGER.points, [("tetra", LARGER.cells)]).write(tmp_path / "in.vtu")
     words = ["optimize", "in.vtu", "out.vtu", "--blocks", "2"]
-    first = run_cli(tmp_path, *words, "--workers", "1")
+    first = run_cli(tmp_path, *words, "--scheduler", client.scheduler.address)
     assert first.stderr is not None
     assert "dashboard" in first.stderr.readline()
-    started = children(first.pid)
-    assert started
     first.kill()
     first.wait()
     first.stderr.close()
     assert os.listdir(tmp_path) == ["in.vtu"]
-    wait_until(lambda: not any(alive(pid) for pid in started), 60.0)
     second = run_cli(tmp_path, *words, "--scheduler", client.scheduler.address)
     _, said = second.communicate(timeout=90)
     assert second.returncode == 0, said
     out = meshio.read(tmp_path / "out.vtu")
-    whole = odt_plugins.optimize_partitioned((LARGER.points, LARGER.cells), 2)
+    whole = odt_plugins.optimize((LARGER.points, LARGER.cells), blocks=2)
     assert np.array_equal(out.points, whole[0])
     assert sorted(os.listdir(tmp_path)) == ["in.vtu", "out.vtu"]
 

@@ -6,7 +6,8 @@ import numpy as np
 import pytest
 from pieces import glued, write_pieces
 
-from odt_plugins import TangledMeshError, optimize_pieces
+from odt_plugins import TangledMeshError
+from odt_plugins.api import optimize_file
 from odt_plugins.cli import main as cli
 from odt_plugins.distributed import mending
 from odt_plugins.distributed.mending import mend
@@ -45,7 +46,7 @@ def test_inverted_cells_are_untangled_where_they_are(where, ids, tmp_path, monke
     monkeypatch.setattr(mending, "mend", sees)
     index, points, wrong, cells = tangled_pieces(tmp_path / "in", where, ids)
     told = []
-    report = optimize_pieces(index, tmp_path / "out.pvtu", block_rounds=2,
+    report = optimize_file(index, tmp_path / "out.pvtu", block_rounds=2,
                              progress=lambda stage, share: told.append((stage, share)))
     assert set(together) == ({1} if where == "inside" else {1, 2})
     out, rows, _, _ = glued(tmp_path / "out.pvtu", len(points))
@@ -53,11 +54,11 @@ def test_inverted_cells_are_untangled_where_they_are(where, ids, tmp_path, monke
     assert contract.volumes(out, rows).sum() == pytest.approx(6.0)
     boundary = ((points == 0) | (points == 1)).any(axis=1)
     assert np.array_equal(out[boundary], points[boundary])
-    assert len(rows) == report.after.cells
+    assert len(rows) == report.after.n_cells
     inverted = int((contract.volumes(wrong, cells) <= 0).sum())
-    assert report.untangled == inverted
-    assert f"{inverted} inverted or flat cells untangled" in str(report)
-    assert report.before.cells == len(cells) - inverted
+    assert report.counts["cells untangled"] == inverted
+    assert f"cells untangled {inverted}" in str(report)
+    assert report.before.n_cells == len(cells) - inverted
     assert report.before.min_quality > 0
     shares = [share for _, share in told]
     assert "untangling" in [stage for stage, _ in told]
@@ -67,7 +68,7 @@ def test_inverted_cells_are_untangled_where_they_are(where, ids, tmp_path, monke
 def test_what_no_pieces_around_mend_is_told_with_its_place_and_leaves_nothing(tmp_path, capsys):
     index, *_ = tangled_pieces(tmp_path / "in", "inside")
     with pytest.raises(TangledMeshError, match="overlapping a neighbour"):
-        optimize_pieces(index, tmp_path / "out.pvtu", repair="none")
+        optimize_file(index, tmp_path / "out.pvtu", repair="none")
     file = tmp_path / "in" / "piece-2.vtu"
     mesh = meshio.read(file)
     corners = [int(np.flatnonzero((mesh.points == x).all(axis=1))[0])
@@ -75,7 +76,7 @@ def test_what_no_pieces_around_mend_is_told_with_its_place_and_leaves_nothing(tm
     mesh.points[corners] = mesh.points[corners[::-1]]
     mesh.write(file)
     with pytest.raises(TangledMeshError, match=r"first: around \(.*\) in piece-2.vtu, in 1 piece "):
-        optimize_pieces(index, tmp_path / "out.pvtu")
+        optimize_file(index, tmp_path / "out.pvtu")
     assert not (tmp_path / "out.pvtu").exists()
     assert cli.main(["optimize", str(index), str(tmp_path / "out.pvtu"), "--quiet"]) == 1
     assert "in piece-2.vtu" in capsys.readouterr().err
@@ -90,7 +91,7 @@ def test_interfaces_of_regions_stay_while_pieces_are_untangled(tmp_path):
     wrong[moved] = [0.1, 0.2, 0.3]
     index = write_pieces(tmp_path / "in", wrong, cells, label, np.arange(len(points)),
                          marker=marker)
-    optimize_pieces(index, tmp_path / "out.pvtu", block_rounds=2)
+    optimize_file(index, tmp_path / "out.pvtu", block_rounds=2)
     out, rows, regions, _ = glued(tmp_path / "out.pvtu", len(points))
     assert (contract.volumes(out, rows) > 0).all()
     between = points[:, 0] == 0.5

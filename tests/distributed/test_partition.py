@@ -263,7 +263,7 @@ def test_blocks_are_about_as_good_as_one_piece(name, seed, monkeypatch):
     mesh = start.points, start.cells
     one, blocks = (
         figures(*result) for result in (
-            odt_plugins.optimize(mesh), odt_plugins.optimize_partitioned(mesh, 4),
+            odt_plugins.optimize(mesh), odt_plugins.optimize(mesh, blocks=4),
         )
     )
     assert abs(one["mean"] - blocks["mean"]) <= 0.003
@@ -393,8 +393,8 @@ def test_data_of_the_caller_come_through(small_blocks):
                        point_data={"id": np.arange(len(start.points))},
                        cell_data={"marker": [part], "x": [np.arange(m, dtype=float)]})
     seen: list[tuple[str, float]] = []
-    result, report = odt_plugins.optimize_partitioned_with_report(
-        mesh, 3, progress=lambda stage, share: seen.append((stage, share))
+    result, report = odt_plugins.optimize_with_report(
+        mesh, blocks=3, progress=lambda stage, share: seen.append((stage, share))
     )
     assert type(result) is meshio.Mesh
     assert result.points.dtype == np.float32
@@ -415,8 +415,8 @@ def test_densities_come_through(small_blocks, density):
                   "function": lambda x: 1.0 + x[:, 1] ** 2}.get(density, density)
     selection = np.arange(len(start.cells) - 50)
     before = figures(start.points, start.cells)
-    result = odt_plugins.optimize_partitioned(
-        (start.points, start.cells), 3, density=given, selection=selection
+    result = odt_plugins.optimize(
+        (start.points, start.cells), blocks=3, density=given, selection=selection
     )
     assert figures(*result)["mean"] > before["mean"] + 0.1
 
@@ -450,11 +450,11 @@ def test_planar_meshes_and_small_ones_work_too(small_blocks):
     start = plate(2000)
     before, after = (odt_plugins.quality(m) for m in (
         (start.points, start.cells),
-        odt_plugins.optimize_partitioned((start.points, start.cells), 3),
+        odt_plugins.optimize((start.points, start.cells), blocks=3),
     ))
     assert after.mean_quality > before.mean_quality + 0.02
     tiny = ball(60)
-    a = odt_plugins.optimize_partitioned((tiny.points, tiny.cells), 4)
+    a = odt_plugins.optimize((tiny.points, tiny.cells), blocks=4)
     b = odt_plugins.optimize((tiny.points, tiny.cells))
     assert all(np.array_equal(x, y) for x, y in zip(a, b, strict=True))
 
@@ -463,12 +463,11 @@ def test_what_does_not_go_with_blocks_is_refused():
     start = ball(60)
     mesh = (start.points, start.cells)
     for wrong in ({"blocks": 0}, {"blocks": 2.0}, {"blocks": 2, "block_rounds": 0},
-                  {"blocks": 2, "workers": -1}, {"blocks": 2, "odt": {"rings": 1}},
-                  {"blocks": 2, "rings": 1}, {"blocks": 2, "smoothing": {"rounds": 1},
-                                              "odt": {"smoothing": {"rounds": 1}}},
+                  {"blocks": 2, "workers": -1}, {"workers": 2}, {"client": 1},
+                  {"blocks": 2, "rings": 1}, {"target": "out.vtu"},
                   {"blocks": 2, "workers": 2, "density": lambda x: x[:, 0]}):
         with pytest.raises(InvalidOptionError, match="expected"):
-            odt_plugins.optimize_partitioned(mesh, **wrong)
+            odt_plugins.optimize(mesh, **wrong)
 
 
 def same_in_any_order(mesh: SimplexMesh, options: Options, blocks: int) -> Any:
@@ -526,7 +525,7 @@ def test_a_curved_surface_is_as_good_in_blocks_within_the_same_envelope(small_bl
     mesh = start.points, start.cells
     one, blocks = (call(mesh, density="curvature") for call in (
         odt_plugins.optimize_with_report,
-        partial(odt_plugins.optimize_partitioned_with_report, blocks=4)))
+        partial(odt_plugins.optimize_with_report, blocks=4)))
     report = blocks[1]
     assert report.fallback is None
     assert report.counts["round 2 blocks"] > 0

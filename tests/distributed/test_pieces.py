@@ -26,13 +26,13 @@ from processes import full_disk
 from scipy.spatial import Delaunay
 
 import odt_plugins
+from odt_plugins.api import optimize_file
 from odt_plugins.cli import main as cli
 from odt_plugins.compare.start import ball
 from odt_plugins.distributed import optimize as blocks_module
 from odt_plugins.distributed import pieces, placing
 from odt_plugins.distributed.figures import measure_part, quantile, total, worse
 from odt_plugins.distributed.partition import bricks
-from odt_plugins.distributed.pieces import optimize_pieces
 from odt_plugins.distributed.store import Piece, join, piece_files
 from odt_plugins.errors import (
     DataNotKeptWarning,
@@ -51,7 +51,7 @@ def test_pieces_are_about_as_good_as_one_piece_and_fit_together(tmp_path):
     marker = (start.points[start.cells].mean(axis=1)[:, 0] > 0.1).astype(np.int64) + 3
     index = write_pieces(tmp_path / "in", start.points, start.cells,
                          bricks(start.points, start.cells, 4), marker=marker)
-    report = optimize_pieces(index, tmp_path / "out.pvtu")
+    report = optimize_file(index, tmp_path / "out.pvtu")
     assert report.fallback is None
     n = len(start.points)
     points, cells, regions, _ = glued(tmp_path / "out.pvtu", n)
@@ -66,7 +66,9 @@ def test_pieces_are_about_as_good_as_one_piece_and_fit_together(tmp_path):
     for figures, q in ((report.before, tet_meshes.quality(start.points, start.cells)),
                        (report.after, b)):
         assert figures.p1_quality == pytest.approx(np.quantile(q, 0.01), abs=1e-13)
-    assert report.interface < 0.3 * n
+    assert report.counts["vertices on interfaces"] < 0.3 * n
+    whole = odt_plugins.quality((start.points, start.cells)).to_dict()
+    assert report.before.to_dict() == pytest.approx(whole, rel=1e-12)
     assert "mean_quality" in str(report)
     assert sorted(os.listdir(tmp_path)) == ["in", "in.pvtu", "out", "out.pvtu"]
 
@@ -85,7 +87,7 @@ def test_regions_are_found_in_all_pieces_together(tmp_path):
              ({"regions": ["inner"]}, ("inner",)), ({"regions": None}, ()))
     for options, names in cases:
         out = tmp_path / "out.pvtu"
-        report = optimize_pieces(index, out, **options)
+        report = optimize_file(index, out, **options)
         assert report.regions_from == names
         assert ("regions are those of" in str(report)) == bool(names)
         place = np.full((len(points), 3), np.nan)
@@ -99,7 +101,7 @@ def test_regions_are_found_in_all_pieces_together(tmp_path):
                                  np.concatenate(found).astype(np.int32))
         assert bool(broken) == (len(names) < 2), (names, broken)
     with pytest.raises(InvalidOptionError, match="regions='nosuch' names no cell array"):
-        optimize_pieces(index, out, regions="nosuch")
+        optimize_file(index, out, regions="nosuch")
 
 
 def test_fields_are_interpolated_in_every_piece(tmp_path):
@@ -112,7 +114,7 @@ def test_fields_are_interpolated_in_every_piece(tmp_path):
         mesh.point_data |= {"T": mesh.points @ slope, "GlobalNodeId": mesh.point_data["was"] * 1.0}
         mesh.write(path)
     for fields in ("auto", "keep"):
-        report = optimize_pieces(index, tmp_path / "out.pvtu", fields=fields)
+        report = optimize_file(index, tmp_path / "out.pvtu", fields=fields)
         assert report.interpolated == (("T",) if fields == "auto" else ())
         assert ("fields interpolated" in str(report)) == (fields == "auto")
         moved = 0
@@ -135,7 +137,7 @@ def test_the_command_takes_pieces(tmp_path, capsys, monkeypatch):
     assert "one file each" in capsys.readouterr().err
     assert cli.main(["optimize", "in.pvtu", "out.pvtu", "--finish"]) == 0
     said = capsys.readouterr()
-    assert "3 pieces" in said.out
+    assert "pieces 3" in said.out
     assert said.err == ""
     points, cells, _, _ = glued(tmp_path / "out.pvtu", len(start.points))
     assert tet_meshes.quality(points, cells).mean() > 0.85
@@ -156,7 +158,7 @@ def test_pieces_choose_flips_as_the_whole_would(tmp_path, monkeypatch):
     m = len(start.cells)
     for moderate in (m, m - 1):
         set_policy(monkeypatch, blocks_module, exchange_cells=moderate)
-        optimize_pieces(index, tmp_path / "out.pvtu", block_rounds=2)
+        optimize_file(index, tmp_path / "out.pvtu", block_rounds=2)
     assert flips == ["auto", "auto", "flips", "flips"]
 
 
@@ -167,7 +169,7 @@ def test_a_directory_and_a_second_run_onto_the_same_place(tmp_path):
                  size=np.ones(len(turned)))
     bits = []
     for _ in range(3):
-        optimize_pieces(tmp_path / "in", tmp_path / "out.pvtu", density="uniform")
+        optimize_file(tmp_path / "in", tmp_path / "out.pvtu", density="uniform")
         points, cells, _, _ = glued(tmp_path / "out.pvtu", len(start.points))
         assert tet_meshes.signed_volumes(points, cells).max() < 0
         assert len(os.listdir(tmp_path)) == 4
@@ -181,7 +183,7 @@ def test_progress_is_told_for_every_piece_of_every_stage(tmp_path, monkeypatch, 
     write_pieces(tmp_path / "in", start.points, start.cells,
                  bricks(start.points, start.cells, 4))
     seen: list[tuple[str, float]] = []
-    told = optimize_pieces(tmp_path / "in.pvtu", tmp_path / "out.pvtu",
+    told = optimize_file(tmp_path / "in.pvtu", tmp_path / "out.pvtu",
                            progress=lambda stage, share: seen.append((stage, share)))
     stages = list(dict.fromkeys(stage for stage, _ in seen))
     assert stages == ["reading", "round 1", "round 2: cutting", "round 2", "round 3: cutting",
@@ -194,7 +196,7 @@ def test_progress_is_told_for_every_piece_of_every_stage(tmp_path, monkeypatch, 
         assert shares[stage][0] == pytest.approx(ends[turn]), stage
         assert shares[stage][-1] == pytest.approx(ends[turn + 1]), stage
     assert shares["round 1"] == pytest.approx(np.linspace(1, 2, 5) / 7)
-    assert len(shares["writing"]) == told.pieces + 1
+    assert len(shares["writing"]) == told.counts["pieces"] + 1
     assert [stage for stage, _ in seen] == sorted((stage for stage, _ in seen), key=stages.index)
 
     monkeypatch.setattr(sys.stderr, "isatty", lambda: True, raising=False)
@@ -209,14 +211,14 @@ import resource, sys
 used = next(int(line.split()[1]) for line in open("/proc/self/status") if "VmData" in line)
 from odt_plugins.api import optimize_file
 from odt_plugins.compare.start import ball
-from odt_plugins.distributed.pieces import optimize_pieces
+from odt_plugins.api import optimize_file
 from odt_plugins import optimize
 small = ball(60)
 optimize((small.points, small.cells))
 used = next(int(line.split()[1]) for line in open("/proc/self/status") if "VmData" in line)
 limit = used * 1024 + int(sys.argv[1])
 resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
-(optimize_file if sys.argv[2].endswith(".vtu") else optimize_pieces)(*sys.argv[2:])
+optimize_file(*sys.argv[2:])
 """
 
 
@@ -259,13 +261,13 @@ def test_figures_of_the_whole_are_those_of_its_parts(tmp_path):
     assert again.min_quality == whole.min_quality
     assert again.p1_quality == whole.p1_quality == pytest.approx(np.quantile(q, 0.01), abs=1e-13)
     assert worse(whole, again, FIGURES) == []
-    for name in ("quality", "min_quality", "p1_quality", "min_angle", "volume"):
-        spoiled = whole._replace(**{name: 0.9 * getattr(whole, name)})
+    for name in ("mean_quality", "min_quality", "p1_quality", "min_angle", "volume"):
+        spoiled = replace(whole, **{name: 0.9 * getattr(whole, name)})
         assert len(worse(whole, spoiled, FIGURES)) == 1
-    assert worse(whole, whole._replace(max_angle=whole.max_angle + 1e-6), FIGURES)
+    assert worse(whole, replace(whole, max_angle=whole.max_angle + 1e-6), FIGURES)
     small = (tet_meshes.dihedral_angles(start.points, start.cells).min(axis=1) < 20.0).sum()
     assert again.below_20 == small
-    assert worse(whole, whole._replace(below_20=whole.below_20 + 1), FIGURES)
+    assert worse(whole, replace(whole, below_20=whole.below_20 + 1), FIGURES)
 
 
 def test_no_loss_of_the_quantile_is_too_small_to_be_seen(tmp_path):
@@ -283,7 +285,7 @@ def test_no_loss_of_the_quantile_is_too_small_to_be_seen(tmp_path):
             n = np.cross(x[1] - x[0], x[2] - x[0])
             n /= np.linalg.norm(n)
             points[cells[c, 3]] -= loss * ((x[3] - x[0]) @ n) * n
-        now = in_parts(tmp_path, points, cells, 3)._replace(volume=before.volume)
+        now = replace(in_parts(tmp_path, points, cells, 3), volume=before.volume)
         p1 = np.quantile(tet_meshes.quality(points, cells), 0.01)
         assert 0 < before.p1_quality - p1 < 3 * loss
         assert now.p1_quality == pytest.approx(p1, abs=1e-13)
@@ -297,7 +299,7 @@ def test_thin_meshes_in_pieces_lose_nothing_of_the_quantile(tmp_path, seed):
     cells = Delaunay(points).simplices
     cells = tet_meshes.oriented(points, cells[np.abs(tet_meshes.quality(points, cells)) > 1e-9])
     index = write_pieces(tmp_path / "in", points, cells, bricks(points, cells, 3))
-    optimize_pieces(index, tmp_path / "out.pvtu")
+    optimize_file(index, tmp_path / "out.pvtu")
     now = tet_meshes.quality(*glued(tmp_path / "out.pvtu", len(points))[:2])
     before = np.quantile(tet_meshes.quality(points, cells), 0.01)
     assert np.quantile(now, 0.01) >= before * (1 - 1e-12)
@@ -322,18 +324,19 @@ def test_what_does_not_go_with_pieces_is_refused(tmp_path):
     for options in ({"fixed": [1]}, {"regions": np.zeros(3, int)}, {"density": "inverse-volume"},
                 {"density": np.ones(3)}, {"insert": True}):
         with pytest.raises(InvalidOptionError, match="expected"):
-            optimize_pieces(index, tmp_path / "out.pvtu", **options)
-    with pytest.raises(MeshFileError, match=r"ending in \.pvtu"):
-        optimize_pieces(index, tmp_path / "out.vtu")
+            optimize_file(index, tmp_path / "out.pvtu", **options)
+    for wrong in ({"blocks": 2}, {"binary": True}, {"file_format": "gmsh22"}):
+        with pytest.raises(InvalidOptionError, match=f"got {next(iter(wrong))}=.* in pieces"):
+            optimize_file(index, tmp_path / "out.pvtu", **wrong)
     with pytest.raises(MeshFileError, match="try another directory"):
-        optimize_pieces(index, tmp_path / "nowhere" / "out.pvtu")
+        optimize_file(index, tmp_path / "nowhere" / "out.pvtu")
     (tmp_path / "in" / "piece-1.vtu").unlink()
     with pytest.raises(MeshFileError, match=r"piece-1\.vtu is missing"):
-        optimize_pieces(index, tmp_path / "out.pvtu")
+        optimize_file(index, tmp_path / "out.pvtu")
     meshio.Mesh(start.points, [("triangle", start.cells[:, :3])]).write(
         tmp_path / "in" / "piece-0.vtu")
     with pytest.raises(UnsupportedMeshError, match="linear tetrahedra"):
-        optimize_pieces(tmp_path / "in", tmp_path / "out.pvtu")
+        optimize_file(tmp_path / "in", tmp_path / "out.pvtu")
     assert sorted(os.listdir(tmp_path)) == ["in", "in.pvtu"]
 
 
@@ -349,12 +352,12 @@ def test_folders_of_others_stay_and_those_of_killed_runs_go(tmp_path):
     (tmp_path / ".out-elsewhere-1-x").mkdir()
     before = {path: path.read_bytes() for path in (tmp_path / "out").iterdir()}
     for name in ("out-3", "out-4", "out-3"):
-        optimize_pieces(tmp_path / "out", tmp_path / "out.pvtu")
+        optimize_file(tmp_path / "out", tmp_path / "out.pvtu")
         glued(tmp_path / "out.pvtu", len(start.points))
         assert sorted(os.listdir(tmp_path)) == [".out-elsewhere-1-x", "out", "out-2", name,
                                                 "out.pvtu"]
     assert {path: path.read_bytes() for path in (tmp_path / "out").iterdir()} == before
-    optimize_pieces(tmp_path / "out.pvtu", tmp_path / "out.pvtu")
+    optimize_file(tmp_path / "out.pvtu", tmp_path / "out.pvtu")
     assert os.path.isdir(tmp_path / "out-4")
     assert not os.path.isdir(tmp_path / "out-3")
 
@@ -363,7 +366,7 @@ def test_an_index_that_cannot_be_written_leaves_the_old_result(tmp_path, monkeyp
     start = ball(100)
     index = write_pieces(tmp_path / "in", start.points, start.cells,
                          bricks(start.points, start.cells, 2))
-    optimize_pieces(index, tmp_path / "out.pvtu")
+    optimize_file(index, tmp_path / "out.pvtu")
     old = sorted(tmp_path.rglob("*"))
 
     def refuse(*_: Any) -> None:
@@ -371,7 +374,7 @@ def test_an_index_that_cannot_be_written_leaves_the_old_result(tmp_path, monkeyp
 
     monkeypatch.setattr(placing, "write_index", refuse)
     with pytest.raises(MeshFileError, match="No space left"):
-        optimize_pieces(index, tmp_path / "out.pvtu")
+        optimize_file(index, tmp_path / "out.pvtu")
     assert sorted(tmp_path.rglob("*")) == old
     glued(tmp_path / "out.pvtu", len(start.points))
 
@@ -389,9 +392,9 @@ def test_numbers_that_come_with_the_pieces_tell_which_vertices_are_one(tmp_path)
     points, cells, ids = points[used], number.reshape(-1, 4), ids[used]
     write_pieces(tmp_path / "in", points, cells, label)
     with pytest.raises(InvalidMeshError, match=r"where one of them has several.*GlobalPointIds"):
-        optimize_pieces(tmp_path / "in", tmp_path / "out.pvtu")
+        optimize_file(tmp_path / "in", tmp_path / "out.pvtu")
     write_pieces(tmp_path / "told", points, cells, label, ids)
-    report = optimize_pieces(tmp_path / "told", tmp_path / "out.pvtu")
+    report = optimize_file(tmp_path / "told", tmp_path / "out.pvtu")
     after, result, _, found = glued(tmp_path / "out.pvtu", len(points))
     mesh = simplex_mesh(points, cells)[0]
     assert not broken_promises(mesh, after, result.astype(np.int32),
@@ -399,7 +402,7 @@ def test_numbers_that_come_with_the_pieces_tell_which_vertices_are_one(tmp_path)
     assert np.array_equal(found, ids)
     assert report.after.mean_quality > report.before.mean_quality + 0.1
     shared = np.intersect1d(*(cells[label == k] for k in (0, 1)))
-    assert report.interface == len(shared)
+    assert report.counts["vertices on interfaces"] == len(shared)
     assert (after[shared] != points[shared]).any()
 
 
@@ -420,7 +423,7 @@ def test_numbers_that_cannot_be_are_refused(tmp_path, spoil, match):
     mesh.point_data["GlobalPointIds"] = spoil(mesh.point_data["GlobalPointIds"], shared)
     mesh.write(path)
     with pytest.raises(InvalidMeshError, match=match):
-        optimize_pieces(index, tmp_path / "out.pvtu")
+        optimize_file(index, tmp_path / "out.pvtu")
     assert sorted(os.listdir(tmp_path)) == ["in", "in.pvtu"]
 
 
@@ -459,7 +462,7 @@ def test_ghost_cells_and_empty_pieces_are_left_out(tmp_path, recwarn):
         'NumberOfCells="0"></Piece></UnstructuredGrid></VTKFile>')
     results = []
     for name in ("plain", "ghosts"):
-        optimize_pieces(tmp_path / name, tmp_path / "out.pvtu")
+        optimize_file(tmp_path / name, tmp_path / "out.pvtu")
         results.append(glued(tmp_path / "out.pvtu", len(start.points)))
         mesh = meshio.read(next((tmp_path / "out").glob("*.vtu")) if name == "plain" else
                            next((tmp_path / "out-2").glob("*.vtu")))
@@ -469,11 +472,11 @@ def test_ghost_cells_and_empty_pieces_are_left_out(tmp_path, recwarn):
     index = (tmp_path / "ghosts.pvtu")
     index.write_text((tmp_path / "plain.pvtu").read_text().replace('Level="0"', 'Level="1"')
                      .replace("plain/", "ghosts/"))
-    optimize_pieces(index, tmp_path / "out.pvtu")
+    optimize_file(index, tmp_path / "out.pvtu")
     assert np.array_equal(glued(tmp_path / "out.pvtu", len(start.points))[0], results[0][0])
     index.write_text(index.read_text().replace("ghosts/", "plain/"))
     with pytest.raises(InvalidMeshError, match="the cell array vtkGhostType"):
-        optimize_pieces(index, tmp_path / "out.pvtu")
+        optimize_file(index, tmp_path / "out.pvtu")
 
 
 def test_pieces_that_overlap_and_pieces_without_cells_are_refused(tmp_path):
@@ -487,13 +490,13 @@ def test_pieces_that_overlap_and_pieces_without_cells_are_refused(tmp_path):
                 point_data={"was": used}).write(tmp_path / "in" / "piece-1.vtu")
     assert len(one.cells[0]) < len(both)
     with pytest.raises(InvalidMeshError, match="pieces overlap at"):
-        optimize_pieces(tmp_path / "in", tmp_path / "out.pvtu")
+        optimize_file(tmp_path / "in", tmp_path / "out.pvtu")
     for k in (0, 1):
         (tmp_path / "in" / f"piece-{k}.vtu").write_text(
             '<VTKFile type="UnstructuredGrid"><UnstructuredGrid><Piece NumberOfPoints="0" '
             'NumberOfCells="0"></Piece></UnstructuredGrid></VTKFile>')
     with pytest.raises(InvalidMeshError, match="the pieces have no cells"):
-        optimize_pieces(tmp_path / "in", tmp_path / "out.pvtu")
+        optimize_file(tmp_path / "in", tmp_path / "out.pvtu")
     assert sorted(os.listdir(tmp_path)) == ["in", "in.pvtu"]
 
 
@@ -506,7 +509,7 @@ def test_arrays_that_some_pieces_lack_are_named(tmp_path):
     mesh.cell_data["layer"] = [np.zeros(len(mesh.cells[0].data))]
     mesh.write(tmp_path / "in" / "piece-0.vtu")
     with pytest.warns(DataNotKeptWarning, match="alike do not come through: extra, layer"):
-        optimize_pieces(index, tmp_path / "out.pvtu")
+        optimize_file(index, tmp_path / "out.pvtu")
     glued(tmp_path / "out.pvtu", len(start.points))
 
 
@@ -517,7 +520,7 @@ def test_cell_arrays_come_through_as_they_do_in_one_piece(tmp_path, recwarn):
     index = write_pieces(tmp_path / "in", start.points, start.cells,
                          bricks(start.points, start.cells, 3), marker=marker,
                          row=np.arange(len(start.cells)), place=centres.astype(np.float32))
-    optimize_pieces(index, tmp_path / "out.pvtu")
+    optimize_file(index, tmp_path / "out.pvtu")
     assert not recwarn.list
     old = {tuple(sorted(cell)): row for row, cell in enumerate(start.cells.tolist())}
     found = kept = 0
@@ -546,7 +549,7 @@ def test_cells_of_mixed_orientation_are_turned(tmp_path):
     cells[::5] = cells[::5, [1, 0, 2, 3]]
     index = write_pieces(tmp_path / "in", start.points, cells,
                          bricks(start.points, start.cells, 2))
-    report = optimize_pieces(index, tmp_path / "out.pvtu")
+    report = optimize_file(index, tmp_path / "out.pvtu")
     assert f"{len(cells[::5])} cells turned to positive volume" in str(report)
     points, result, _, _ = glued(tmp_path / "out.pvtu", len(start.points))
     assert tet_meshes.signed_volumes(points, result).min() > 0.0
@@ -558,7 +561,7 @@ def test_a_piece_that_is_turned_as_a_whole_counts(turned, tmp_path):
     label = bricks(start.points, start.cells, 2)
     cells = np.where((label == turned)[:, None], start.cells[:, [1, 0, 2, 3]], start.cells)
     index = write_pieces(tmp_path / "in", start.points, cells, label)
-    assert optimize_pieces(index, tmp_path / "out.pvtu").turned == (label == turned).sum()
+    assert optimize_file(index, tmp_path / "out.pvtu").before.turned == (label == turned).sum()
     points, result, _, _ = glued(tmp_path / "out.pvtu", len(start.points))
     assert tet_meshes.signed_volumes(points, result).min() > 0.0
 
@@ -570,7 +573,7 @@ def test_an_input_that_nothing_betters_comes_back_with_its_vertices_numbered(
     index = write_pieces(tmp_path / "in", start.points, start.cells,
                          bricks(start.points, start.cells, 2))
     monkeypatch.setattr(pieces, "worse", lambda *_: ["too bad"])
-    report = optimize_pieces(index, tmp_path / "out.pvtu")
+    report = optimize_file(index, tmp_path / "out.pvtu")
     assert report.fallback == "a later round was given up (too bad)"
     points, cells, _, _ = glued(tmp_path / "out.pvtu", len(start.points))
     assert np.array_equal(points, start.points)
@@ -583,8 +586,8 @@ def test_a_full_disk_leaves_the_old_result(tmp_path):
     index = write_pieces(tmp_path / "in", start.points, start.cells,
                          bricks(start.points, start.cells, 2))
     (tmp_path / "out.pvtu").write_text("old")
-    code = ("import sys; from odt_plugins.distributed.pieces import optimize_pieces; "
-            "optimize_pieces(*sys.argv[1:])")
+    code = ("import sys; from odt_plugins.api import optimize_file; "
+            "optimize_file(*sys.argv[1:])")
     done = subprocess.run(
         [sys.executable, "-c", code, str(index), str(tmp_path / "out.pvtu")],
         capture_output=True, text=True, check=False, env=full_disk(),

@@ -27,6 +27,18 @@ def test_a_number_is_read_by_a_stage_and_says_what_it_means(number):
     assert f"``{number.metadata['command']}``" in documented
 
 
+UNITS = ("Largest", "Least", "Weight", "Factor", "Degrees", "First", "Operations", "Rounds",
+         "Passes", "Rings", "Part", "Share", "Shares", "Price")
+
+
+@pytest.mark.parametrize("number", fields(Policy), ids=lambda number: number.name)
+def test_what_a_number_means_is_one_sentence_that_begins_with_its_unit(number):
+    said = number.metadata["meaning"]
+    assert said.split()[0].rstrip(":") in UNITS
+    assert said.endswith(".")
+    assert ". " not in said
+
+
 @pytest.mark.parametrize("command", sorted({n.metadata["command"] for n in fields(Policy)}))
 def test_the_command_that_measures_a_number_exists(command):
     program, name, *arguments = shlex.split(command)

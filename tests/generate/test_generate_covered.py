@@ -169,7 +169,7 @@ def test_the_command_says_what_is_gone_and_ends_with_1(place, capsys):
     assert told["missing"] == pytest.approx(0.5)
     assert told["filled"] is False
     with pytest.warns(NotFilledWarning, match="repair='orient'"):
-        report = odt_plugins.tetrahedralize_file("two.vtu", "o.vtu")
+        _, report = odt_plugins.tetrahedralize_with_report("two.vtu", target="o.vtu")
     assert "filled 50.00% of the surface gone" in str(report)
 
 
@@ -198,7 +198,7 @@ def test_bodies_within_each_other_keep_what_lies_between(place):
     made.append(solid((0, 0, 0), n=4))
     surface = boxes(((0, 0, 0), 1, True), ((0.25, 0.25, 0.25), 0.5, True))
     meshio.Mesh(surface[0], [("triangle", surface[1])]).write("core.vtu")
-    odt_plugins.tetrahedralize_file("core.vtu", "o.vtu", bodies=True)
+    odt_plugins.tetrahedralize("core.vtu", target="o.vtu", bodies=True)
     out = files.read_file("o.vtu")
     inner = out.cells_dict["tetra"][out.cell_data_dict["body"]["tetra"] == 2]
     corner = out.points[inner]
@@ -212,7 +212,7 @@ def test_an_array_of_that_name_is_not_replaced(place):
     calls, _ = place
     meshio.Mesh(CUBE, [("triangle", FACES)], cell_data={"body": [np.arange(12)]}).write("a.vtu")
     with pytest.raises(InvalidOptionError, match="got bodies=True for faces that have an array"):
-        odt_plugins.tetrahedralize_file("a.vtu", "o.vtu", bodies=True)
+        odt_plugins.tetrahedralize("a.vtu", target="o.vtu", bodies=True)
     assert calls == []
 
 

@@ -89,7 +89,7 @@ def test_what_stands_for_no_face_has_no_label(place):
         pytest.warns(NotFilledWarning, match=r"16.4% of the boundary of the result stands for no"),
         pytest.warns(ODTWarning, match=r"18 of 108 triangles of the boundary stand for no face"),
     ):
-        odt_plugins.tetrahedralize_file("open.vtu", "out.vtu")
+        odt_plugins.tetrahedralize("open.vtu", target="out.vtu")
     out = files.read_file("out.vtu")
     truth = side_of(out.points, out.cells_dict["triangle"])
     truth[truth == 6] = 0
@@ -114,7 +114,8 @@ def test_sets_of_faces_become_sets_of_facets(place, monkeypatch):
 
 def test_a_surface_without_labels_gives_tetrahedra_alone(place):
     surface().write("part.stl")
-    report = odt_plugins.tetrahedralize_file("part.stl", "out.vtu", smoothing={"rounds": 2},
+    _, report = odt_plugins.tetrahedralize_with_report("part.stl", target="out.vtu",
+                                                       smoothing={"rounds": 2},
                                              threads=1)
     assert set(files.read_file("out.vtu").cells_dict) == {"tetra"}
     assert report.options["smoothing"]["rounds"] == 2
@@ -135,8 +136,9 @@ def test_each_part_of_a_thin_wall_takes_the_label_of_its_side():
 @pytest.mark.parametrize(("boundary", "share"), [("fixed", 1.0), ("slide", 0.75)])
 def test_tetwild_gets_its_part_of_the_envelope(place, boundary, share):
     surface().write("part.vtu")
-    report = odt_plugins.tetrahedralize_file(
-        "part.vtu", "out.vtu", boundary=boundary, envelope=0.02, smoothing={"rounds": 1})
+    _, report = odt_plugins.tetrahedralize_with_report("part.vtu", target="out.vtu",
+                                                       boundary=boundary, envelope=0.02,
+                                                       smoothing={"rounds": 1})
     assert place[0]["epsilon"] == pytest.approx(share * 0.02)
     assert report.options["envelope"] == pytest.approx(0.02 if share == 1.0 else 0.005)
 
@@ -145,12 +147,12 @@ def test_tetwild_gets_its_part_of_the_envelope(place, boundary, share):
     ({"fixed": [0]}, "got fixed for a surface"), ({"regions": None}, "got regions for a surface"),
     ({"levels": -1}, "got levels=-1"),
     ({"edge_length": 2.0}, "got edge_length=2.0"), ({"levels": 1, "insert": True}, "insert=True"),
-    ({"round": 3}, "did you mean 'rounds'"),
+    ({"round": 3}, "try smoothing={'rounds'"),
 ])
 def test_what_has_no_meaning_for_a_surface_is_refused_at_once(place, options, sentence):
     surface().write("part.vtu")
     with pytest.raises(InvalidOptionError, match=sentence):
-        odt_plugins.tetrahedralize_file("part.vtu", "out.vtu", **options)
+        odt_plugins.tetrahedralize("part.vtu", target="out.vtu", **options)
     assert place == []
 
 
@@ -158,7 +160,7 @@ def test_tetrahedra_are_refused_and_nothing_is_written(place, capsys):
     points, cells, _ = contract.grid(3, 1)
     meshio.Mesh(points, [("tetra", cells)]).write("tets.vtu")
     with pytest.raises(InvalidMeshError, match=r"^tets.vtu holds tetrahedra; expected a surface"):
-        odt_plugins.tetrahedralize_file("tets.vtu", "out.vtu")
+        odt_plugins.tetrahedralize("tets.vtu", target="out.vtu")
     assert cli.main(["tetrahedralize", "tets.vtu", "out.vtu", "--fixed", "a"]) == 2
     assert "No such option" in capsys.readouterr().err
     assert cli.main(["tetrahedralize", "tets.vtu", "none/out.vtu"]) == 1

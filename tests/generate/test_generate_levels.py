@@ -65,7 +65,7 @@ def box(points, cells, side=2.0):
 def test_a_coarse_ball_becomes_a_fine_one_on_the_sphere():
     points, cells = coarse_ball()
     sphere = surface_meshes.sphere(4)
-    (new, parts), report = odt_plugins.refine_and_optimize(
+    (new, parts), report = odt_plugins.refine_with_report(
         (points, cells), 2, surface=sphere, envelope=2e-2)
     assert (volumes(new, parts) > 0).all()
     faces = np.array(sorted(boundary_of(parts)))
@@ -92,7 +92,7 @@ def test_a_coarse_ball_becomes_a_fine_one_on_the_sphere():
 def test_labelled_sides_and_sharp_edges_of_a_cube_stay():
     points, cells = tet_meshes.grid(2, 3)
     mesh = box(points, cells)
-    out, report = odt_plugins.refine_and_optimize(mesh, 1)
+    out, report = odt_plugins.refine_with_report(mesh, 1)
     tets, faces = out.cells[0].data, out.cells[1].data
     assert {tuple(sorted(row)) for row in faces.tolist()} == boundary_of(tets)
     assert len(faces) == 4 * len(mesh.cells[1].data)
@@ -197,7 +197,7 @@ def test_fixed_vertices_and_frozen_cells_stay():
     fixed = np.zeros(len(points), dtype=bool)
     fixed[:5] = fixed[-5:] = True
     selection = np.arange(len(cells)) >= 12
-    (new, parts), _ = odt_plugins.refine_and_optimize(
+    (new, parts), _ = odt_plugins.refine_with_report(
         (points, cells), 1, surface=sphere, fixed=fixed, selection=selection)
     assert np.array_equal(new[:5], points[:5])
     assert np.array_equal(new[len(points) - 5 : len(points)], points[-5:])
@@ -210,7 +210,7 @@ def test_fixed_vertices_and_frozen_cells_stay():
 def test_a_region_keeps_its_interface():
     points, cells = tet_meshes.grid(2, 3, jitter=0.0)
     regions = (points[cells].mean(axis=1)[:, 0] > 1).astype(np.uint8) + 3
-    (new, parts, labels), _ = odt_plugins.refine_and_optimize((points, cells, regions), 1)
+    (new, parts, labels), _ = odt_plugins.refine_with_report((points, cells, regions), 1)
     assert labels.dtype == np.uint8
     for label in (3, 4):
         assert volumes(new, parts)[labels == label].sum() == pytest.approx(4.0, rel=1e-12)
@@ -222,10 +222,10 @@ def test_linear_fields_are_exact_on_every_level():
     slope = np.array([1.0, -2.0, 0.5])
     mesh = meshio.Mesh(points, [("tetra", cells)], point_data={"T": points @ slope})
     surface = surface_meshes.sphere(3)
-    out, _ = odt_plugins.refine_and_optimize(mesh, 1, surface=surface)
+    out, _ = odt_plugins.refine_with_report(mesh, 1, surface=surface)
     assert np.linalg.norm(out.points, axis=1).max() > np.linalg.norm(points, axis=1).max() - 1e-9
     assert np.abs(out.point_data["T"] - out.points @ slope).max() < 1e-12
-    kept, _ = odt_plugins.refine_and_optimize(mesh, 1, surface=surface, fields="keep")
+    kept, _ = odt_plugins.refine_with_report(mesh, 1, surface=surface, fields="keep")
     assert np.array_equal(kept.points, out.points)
     assert np.abs(kept.point_data["T"] - out.points @ slope).max() > 1e-3
 
@@ -236,7 +236,7 @@ def test_regions_that_are_found_keep_their_interface(name):
     half = (points[cells].mean(axis=1)[:, 0] > 1).astype(np.int32)
     mesh = meshio.Mesh(points, [("tetra", cells)], cell_data={
         name: [half], "partition": [(points[cells].mean(axis=1)[:, 1] > 1).astype(np.int32)]})
-    out, _ = odt_plugins.refine_and_optimize(mesh, 1)
+    out, _ = odt_plugins.refine_with_report(mesh, 1)
     assert volumes(out.points, out.cells[0].data)[out.cell_data[name][0] == 1].sum() == (
         pytest.approx(4.0, rel=1e-12))
 
@@ -245,7 +245,7 @@ def test_regions_that_are_found_keep_their_interface(name):
 def test_single_precision_and_negative_cells_come_back_so():
     points, cells = coarse_ball()
     given_ = points.astype(np.float32), cells[:, [1, 0, 2, 3]].astype(np.int64)
-    (new, parts), _ = odt_plugins.refine_and_optimize(given_, 1, surface=surface_meshes.sphere(3))
+    (new, parts), _ = odt_plugins.refine_with_report(given_, 1, surface=surface_meshes.sphere(3))
     assert (new.dtype, parts.dtype) == (np.float32, np.int64)
     assert (volumes(new, parts) < 0).all()
 
@@ -254,7 +254,7 @@ def test_single_precision_and_negative_cells_come_back_so():
 def test_the_same_input_gives_the_same_bits_with_any_threads():
     mesh = coarse_ball()
     sphere = surface_meshes.sphere(3)
-    one, two = (odt_plugins.refine_and_optimize(mesh, 1, surface=sphere, threads=n)[0]
+    one, two = (odt_plugins.refine_with_report(mesh, 1, surface=sphere, threads=n)[0]
                 for n in (1, 2))
     assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))
 
@@ -278,7 +278,7 @@ def test_surfaces_of_every_kind_are_meshed_coarsely_first(meshed, tmp_path):
     shares = []
     for surface in ((points, faces), pyvista.PolyData.from_regular_faces(points, faces), soup,
                     tmp_path / "sphere.vtu"):
-        out, report = odt_plugins.refine_and_optimize(
+        out, report = odt_plugins.refine_with_report(
             surface, 1, edge_length=0.3, envelope=1e-2,
             progress=lambda stage, share: shares.append(share))
         seen.append(type(out))
@@ -293,13 +293,13 @@ def test_surfaces_of_every_kind_are_meshed_coarsely_first(meshed, tmp_path):
 
 def test_no_level_optimises_the_coarse_mesh(meshed):
     points, cells = coarse_ball()
-    (p, t), report = odt_plugins.refine_and_optimize((points, cells), 0)
+    (p, t), report = odt_plugins.refine_with_report((points, cells), 0)
     assert [at.level for at in report.levels] == [0]
     assert len(p) == len(points)
     expected = odt_plugins.optimize((points, cells))
     assert np.array_equal(p, expected[0])
     assert np.array_equal(t, expected[1])
-    _, report = odt_plugins.refine_and_optimize(
+    _, report = odt_plugins.refine_with_report(
         surface_meshes.sphere(3), 0, edge_length=0.3, envelope=1e-1)
     assert report.levels[-1].quality.n_points == len(points)
 
@@ -315,7 +315,7 @@ def test_no_level_on_the_command_line(tmp_path, capsys):
 
 def test_a_boundary_out_of_the_envelope_is_told():
     with pytest.warns(ODTWarning, match=r"up to 0\.\d+ from the surface .* try one more level"):
-        _, report = odt_plugins.refine_and_optimize(
+        _, report = odt_plugins.refine_with_report(
             coarse_ball(), 1, surface=surface_meshes.sphere(3), envelope=1e-4)
     assert not report.within
     assert "not within the envelope" in str(report)
@@ -338,7 +338,7 @@ def test_what_has_no_meaning_is_refused_with_one_sentence(meshed, monkeypatch):
     )
     for given_, options, words in cases:
         with pytest.raises(InvalidOptionError, match=words):
-            odt_plugins.refine_and_optimize(given_, **options)
+            odt_plugins.refine_with_report(given_, **options)
     open_ = sphere[0], sphere[1][1:]
     for given_, options, words in (
         (open_, {}, r"not closed: 3 edges \(first: between vertices .*\) belong to an odd"),
@@ -348,5 +348,5 @@ def test_what_has_no_meaning_is_refused_with_one_sentence(meshed, monkeypatch):
         (mesh, {"levels": 9}, r"9 levels of refinement would make \d{11} tetrahedra of \d+"),
     ):
         with pytest.raises(InvalidMeshError, match=words):
-            odt_plugins.refine_and_optimize(given_, **options)
+            odt_plugins.refine_with_report(given_, **options)
     assert not meshed

@@ -8,12 +8,14 @@ import meshio
 import numpy as np
 import pytest
 import pyvista
+import surface_meshes
 from hypothesis import given, settings
 from strategies import SEEDS, meshes, positive
 from tet_meshes import grid
 
 import odt_plugins
-from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError
+from odt_plugins import generate
+from odt_plugins.errors import InvalidMeshError, InvalidOptionError, UnsupportedMeshError
 from odt_plugins.generate import refine3d
 
 
@@ -65,7 +67,7 @@ def worst_shape(points, cells):
 def test_refined_meshes_conform_and_fill_every_cell_exactly(mesh):
     points, cells = mesh
     n, k = len(points), cells.shape[1]
-    new, parts = odt_plugins.uniform_refine((points, cells))
+    new, parts = generate.uniform_refine((points, cells))
     children = 2 ** (k - 1)
     assert np.array_equal(new[:n], points)
     assert parts.shape == (children * len(cells), k)
@@ -97,7 +99,7 @@ def test_shapes_are_bounded_over_levels(seed):
     cells = positive(points, np.array([[0, 1, 2, 3]], dtype=np.int32))
     worst = []
     for _ in range(4):
-        points, cells = odt_plugins.uniform_refine((points, cells))
+        points, cells = generate.uniform_refine((points, cells))
         worst.append(worst_shape(points, cells))
     assert worst[-1] > (1 - 1e-9) * worst[0]
 
@@ -122,7 +124,7 @@ def test_the_best_of_the_three_diagonals_is_taken():
     rng = np.random.default_rng(3)
     points = rng.normal(size=(4, 3))
     cells = positive(points, np.array([[0, 1, 2, 3]], dtype=np.int32))
-    new, parts = odt_plugins.uniform_refine((points, cells))
+    new, parts = generate.uniform_refine((points, cells))
     diagonals = [(4, 9), (5, 8), (6, 7)]
     worst = []
     for a, b in diagonals:
@@ -136,7 +138,7 @@ def test_the_best_of_the_three_diagonals_is_taken():
 def test_cells_of_negative_volume_stay_so_and_types_are_kept():
     points, cells = grid(2, 1)
     turned = cells[:, [1, 0, 2, 3]].astype(np.uint16)
-    new, parts = odt_plugins.uniform_refine((points.astype(np.float32), turned))
+    new, parts = generate.uniform_refine((points.astype(np.float32), turned))
     assert new.dtype == np.float32
     assert parts.dtype == np.uint16
     assert (simplex_volumes(new.astype(float), parts.astype(int)) < 0).all()
@@ -144,7 +146,7 @@ def test_cells_of_negative_volume_stay_so_and_types_are_kept():
 
 def test_a_small_integer_type_grows_when_the_vertices_need_it():
     points, cells = grid(3, 1)
-    new, parts = odt_plugins.uniform_refine((points, cells.astype(np.int8)))
+    new, parts = generate.uniform_refine((points, cells.astype(np.int8)))
     assert parts.dtype == np.int32
     assert parts.max() == len(new) - 1
 
@@ -152,7 +154,7 @@ def test_a_small_integer_type_grows_when_the_vertices_need_it():
 def test_regions_keep_their_volume_and_data_follow_their_cells():
     points, cells = grid(2, 2)
     regions = (points[cells].mean(axis=1)[:, 0] > 1).astype(np.int64) * 7
-    new, parts, labels = odt_plugins.uniform_refine((points, cells, regions))
+    new, parts, labels = generate.uniform_refine((points, cells, regions))
     assert np.array_equal(labels, np.repeat(regions, 8))
     for label in (0, 7):
         before = simplex_volumes(points, cells)[regions == label].sum()
@@ -181,7 +183,7 @@ def test_everything_of_a_meshio_mesh_follows(tmp_path):
     points, cells = grid(2, 3)
     mesh = labelled(points, cells)
     meshio.write(tmp_path / "mesh.vtu", meshio.Mesh(points, mesh.cells[:3]))
-    out = odt_plugins.uniform_refine(mesh)
+    out = generate.uniform_refine(mesh)
     sizes = [len(block.data) for block in out.cells]
     assert sizes == [8 * len(cells), 4 * len(mesh.cells[1].data), 4, 1]
     assert np.allclose(out.point_data["height"], out.points[:, 2])
@@ -196,7 +198,7 @@ def test_everything_of_a_meshio_mesh_follows(tmp_path):
     assert np.array_equal(out.points[out.cells[2].data[:2]], [[a, (a + b) / 2], [(a + b) / 2, b]])
     assert set(out.point_sets["bottom"]) == set(np.flatnonzero(out.points[:, 2] == 0.0))
     assert len(mesh.points) == len(points)
-    read = odt_plugins.uniform_refine(tmp_path / "mesh.vtu")
+    read = generate.uniform_refine(tmp_path / "mesh.vtu")
     assert np.array_equal(read.cells[1].data, faces)
 
 
@@ -211,7 +213,7 @@ def test_everything_of_a_grid_follows_in_its_place():
     mesh = pyvista.UnstructuredGrid(flat, kinds, points)
     mesh.cell_data["row"] = np.arange(mesh.n_cells)
     mesh.point_data["at"] = points
-    out = odt_plugins.uniform_refine(mesh)
+    out = generate.uniform_refine(mesh)
     parts = {5: 4, 10: 8, 3: 2, 1: 1}
     assert out.cell_data["row"].tolist() == [
         row for row, kind in enumerate(kinds) for _ in range(parts[kind])]
@@ -232,14 +234,14 @@ def test_everything_of_a_grid_follows_in_its_place():
 def test_a_surface_in_space_is_refined():
     points = np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
     faces = np.array([[0, 2, 1], [0, 1, 3], [1, 2, 3], [0, 3, 2]])
-    new, parts = odt_plugins.uniform_refine((points, faces))
+    new, parts = generate.uniform_refine((points, faces))
     assert set(facet_counts(parts).values()) == {2}
     assert (len(new), len(parts)) == (10, 16)
 
 
 def test_two_runs_give_the_same_bits():
     mesh = grid(3, 5)
-    one, two = (odt_plugins.uniform_refine(mesh) for _ in range(2))
+    one, two = (odt_plugins.refine(mesh, optimize=False) for _ in range(2))
     assert all(np.array_equal(a, b) for a, b in zip(one, two, strict=True))
 
 
@@ -247,17 +249,27 @@ def test_what_cannot_be_refined_is_refused_with_one_sentence(monkeypatch):
     points, cells = grid(2, 3)
     far = [("tetra", cells), ("triangle", np.array([[0, 13, 26]]))]
     with pytest.raises(InvalidMeshError, match=r"1 triangle \(first: \[0, 13, 26\]\) with an edge"):
-        odt_plugins.uniform_refine(meshio.Mesh(points, far))
+        generate.uniform_refine(meshio.Mesh(points, far))
     with pytest.raises(UnsupportedMeshError, match="quad cells beside"):
-        odt_plugins.uniform_refine(
+        generate.uniform_refine(
             meshio.Mesh(points, [("tetra", cells), ("quad", np.array([[0, 1, 4, 3]]))]))
     with pytest.raises(UnsupportedMeshError, match="PolyData; expected arrays"):
-        odt_plugins.uniform_refine(pyvista.Sphere())
+        generate.uniform_refine(pyvista.Sphere())
     strange = pyvista.UnstructuredGrid(
         np.concatenate([np.insert(cells, 0, 4, axis=1).ravel(), [2, 0, 1]]),
         [10] * len(cells) + [2], points)
     with pytest.raises(UnsupportedMeshError, match="poly-vertex"):
-        odt_plugins.uniform_refine(strange)
+        generate.uniform_refine(strange)
     monkeypatch.setattr(refine3d, "MOST_CELLS", 100)
     with pytest.raises(InvalidMeshError, match=r"1 level of refinement would make 384 tetrahedra"):
-        odt_plugins.uniform_refine((points, cells))
+        generate.uniform_refine((points, cells))
+
+
+def test_refinement_alone_is_as_often_as_asked_and_takes_no_options():
+    mesh = surface_meshes.sphere(1)
+    twice = generate.uniform_refine(generate.uniform_refine(mesh))
+    found = odt_plugins.refine(mesh, 2, optimize=False)
+    assert all(np.array_equal(a, b) for a, b in zip(found, twice, strict=True))
+    for other in ({"surface": mesh}, {"threads": 2}):
+        with pytest.raises(InvalidOptionError, match=f"got {next(iter(other))}= with optimize=Fal"):
+            odt_plugins.refine(mesh, optimize=False, **other)

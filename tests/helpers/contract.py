@@ -688,7 +688,7 @@ def _file(suffix, dim):
 
     def optimize(path, **options):
         target = path.with_stem(f"{path.stem}-better")
-        odt_plugins.optimize_file(path, target, **options)
+        odt_plugins.optimize(path, target=target, **options)
         return target
 
     return Host(make, view, dim, region, optimize=optimize, fields=True)

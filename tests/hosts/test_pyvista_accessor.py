@@ -218,7 +218,7 @@ def _blocks():
 def test_blocks_are_optimised_one_by_one():
     blocks, same = _blocks(), _blocks()
     told = []
-    out, reports = odt_plugins.optimize_with_report(
+    out, whole = odt_plugins.optimize_with_report(
         blocks, progress=lambda _, share: told.append(share))
     assert type(out) is pyvista.MultiBlock
     assert out.keys() == blocks.keys()
@@ -235,7 +235,7 @@ def test_blocks_are_optimised_one_by_one():
         assert out[key] == blocks[key]
         assert out[key] is not blocks[key]
     assert out["inner"]["none"] is None
-    assert [report.after.mean_quality > report.before.mean_quality for report in reports] == [
+    assert [report.after.mean_quality > report.before.mean_quality for report in whole.parts] == [
         True, True]
     assert told == sorted(told)
     assert (told[0], told[-1]) == (0.0, 1.0)
@@ -245,10 +245,10 @@ def test_blocks_are_optimised_one_by_one():
 def test_blocks_of_triangles_alone_are_optimised():
     plane = contract.HOSTS["pyvista-polydata"].make()
     blocks = pyvista.MultiBlock([plane, pyvista.Line()])
-    out, reports = blocks.odt.optimize_with_report()
+    out, whole = blocks.odt.optimize_with_report()
     assert out[0] == odt_plugins.optimize(plane)
     assert out[1] == blocks[1]
-    assert len(reports) == 1
+    assert len(whole.parts) == 1
 
 
 def test_blocks_that_cannot_be_optimised_are_named():

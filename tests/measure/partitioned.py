@@ -16,7 +16,7 @@ UNIT = 1024
 
 def prepare(start: StartMesh, settings: Settings) -> Task:
     """Take the arrays as they are. Settings: `blocks` and `workers`; blocks 0 is one piece."""
-    from odt_plugins import optimize_partitioned_with_report, optimize_with_report
+    from odt_plugins import optimize_with_report
 
     mesh, blocks = (start.points, start.cells), settings["blocks"]
     threads = settings["threads"]
@@ -24,12 +24,8 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
     def call() -> Any:
         report: Any
         clock, busy = time.perf_counter(), time.process_time()
-        if blocks:
-            result, report = optimize_partitioned_with_report(
-                mesh, blocks, workers=settings["workers"], threads=threads
-            )
-        else:
-            result, report = optimize_with_report(mesh, threads=threads)
+        how = {"blocks": blocks, "workers": settings["workers"]} if blocks else {}
+        result, report = optimize_with_report(mesh, threads=threads, **how)
         children = resource.getrusage(resource.RUSAGE_CHILDREN)
         facts = {name: float(value) for name, value in report.counts.items()
                  if name.startswith("round ")}

@@ -52,11 +52,11 @@ def slow_dihedral(x: np.ndarray, i: int, j: int) -> float:
 
 
 @pytest.mark.parametrize("d", [2, 3])
-def test_row_32_regular_simplex_has_ratio_one(d: int) -> None:
+def test_regular_simplex_has_ratio_one(d: int) -> None:
     assert q.radius_ratio(REGULAR[d], simplex(d))[0] == pytest.approx(1.0, abs=1e-15)
 
 
-def test_row_32_hand_cases_of_radius_ratio() -> None:
+def test_hand_cases_of_radius_ratio() -> None:
     a, b, c = 1.0, 1.0, math.sqrt(2)
     paper = (b + c - a) * (c + a - b) * (a + b - c) / (a * b * c)
     assert q.radius_ratio(CORNER[2], simplex(2))[0] == pytest.approx(paper, rel=1e-14)
@@ -149,7 +149,7 @@ def test_triangles_in_space_are_measured_in_their_plane(d: int) -> None:
 
 
 @pytest.mark.parametrize("d", [2, 3])
-def test_row_33_uniformity_is_zero_for_equal_cells_and_for_the_right_size(d: int) -> None:
+def test_uniformity_is_zero_for_equal_cells_and_for_the_right_size(d: int) -> None:
     copies = np.concatenate([REGULAR[d] + 3 * i for i in range(4)])
     cells = np.arange(len(copies)).reshape(4, d + 1)
     assert q.uniformity(copies, cells) == pytest.approx(0.0, abs=1e-14)
@@ -161,7 +161,7 @@ def test_row_33_uniformity_is_zero_for_equal_cells_and_for_the_right_size(d: int
 
 
 @pytest.mark.parametrize("d", [2, 3])
-def test_row_33_uniformity_by_its_formula_and_at_circumcentres(d: int) -> None:
+def test_uniformity_by_its_formula_and_at_circumcentres(d: int) -> None:
     points, cells = random_simplices(d, 12, 773)
     radius, centre = [], []
     for t in cells:

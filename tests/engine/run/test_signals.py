@@ -127,7 +127,7 @@ def test_ctrl_c_in_the_middle_of_a_run_ends_it_and_leaves_no_file(tmp_path, work
         def progress(stage, share):
             if stage == "smoothing":
                 pathlib.Path("started").touch()
-        odt_plugins.optimize_file("in.vtu", "out.vtu", threads={workers}, progress=progress)
+        odt_plugins.optimize("in.vtu", target="out.vtu", threads={workers}, progress=progress)
         pathlib.Path("ended").touch()
     """)
     with subprocess.Popen([sys.executable, "-c", script], cwd=tmp_path, stderr=subprocess.PIPE,
