@@ -59,7 +59,7 @@ MAY_IMPORT = {
 """Rooms that a room may import."""
 
 ENGINE = ("compiled", "topology", "cells", "record", "moves", "ground", "odt", "sliding", "finish",
-          "run", "surface", "untangle", "remesh")
+          "run", "surface", "untangle", "retile", "remesh")
 """Rooms of the engine; each imports only itself and those before it."""
 
 TOOLKITS = {

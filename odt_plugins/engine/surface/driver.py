@@ -131,7 +131,7 @@ def _run_until_kept(
     envelope follow, and so on: a larger envelope gives no less than one of its halves.
     """
     clock = time.perf_counter()
-    start = _start(mesh)
+    start = surface_start(mesh)
     log = Log(times={"prepare": time.perf_counter() - clock}, without=without,
               flips=options.connectivity != "none")
     first = tried = _attempts(start, options, leaving, log, 0)
@@ -273,12 +273,12 @@ def _as_given(outcome: Outcome) -> SurfaceOutcome:
 def surface_kept(mesh: SimplexMesh, options: Options) -> Kept:
     """What a run would keep of a surface."""
     check_method(options)
-    return _build(_start(mesh), options, np.zeros(len(mesh.points), dtype=np.bool_))[2]
+    return _build(surface_start(mesh), options, np.zeros(len(mesh.points), dtype=np.bool_))[2]
 
 
 def surface_sizes(mesh: SimplexMesh, options: Options) -> FloatArray:
     """The density "curvature" of a surface at its vertices, (n,)."""
-    start = _start(mesh)
+    start = surface_start(mesh)
     _, features, _ = _build(start, options, np.zeros(len(mesh.points), dtype=np.bool_))
     density = surface_density(
         options.density, options.smoothing.exponent, start.points, start.cells, start.edges,
@@ -294,7 +294,8 @@ def surface_outcome(outcome: Outcome, kept: Kept, distance: Distance) -> Surface
     return SurfaceOutcome(**vars(outcome), kept=kept, distance=distance)
 
 
-def _start(mesh: SimplexMesh) -> SurfaceStart:
+def surface_start(mesh: SimplexMesh) -> SurfaceStart:
+    """Number the triangles that may change along a curve, and list their edges."""
     start = make_start(mesh)
     fixed = mesh.fixed.copy()
     fixed[mesh.cells[mesh.frozen]] = True

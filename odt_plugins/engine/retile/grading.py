@@ -1,0 +1,71 @@
+"""Sizes that change little from vertex to vertex, and fit what stays as it is."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from odt_plugins.engine.ground.features import Features
+from odt_plugins.engine.retile.tracks import Tracks
+from odt_plugins.mesh.arrays import FloatArray, IntArray
+
+GROWTH = 0.3
+"""Most by which the size changes over a length of 1."""
+
+
+def spread(
+    points: FloatArray, edges: IntArray, values: FloatArray, growth: float = GROWTH
+) -> FloatArray:
+    """The largest values (n,) below some, above 0, that grow by at most ``growth`` times the way.
+
+    The shortest ways along edges (e, 2) from a node that is as far from every vertex as its value.
+    """
+    from scipy.sparse import coo_array
+    from scipy.sparse.csgraph import dijkstra
+
+    n = len(values)
+    step = points[edges[:, 1]] - points[edges[:, 0]]
+    # a way of length 0 would be no way
+    far = np.maximum(growth * np.sqrt((step * step).sum(axis=1)), 1e-12 * values.min())
+    start = np.concatenate([edges[:, 0], edges[:, 1], np.full(n, n)])
+    end = np.concatenate([edges[:, 1], edges[:, 0], np.arange(n)])
+    graph = coo_array((np.concatenate([far, far, values]), (start, end)), shape=(n + 1, n + 1))
+    found: FloatArray = dijkstra(graph.tocsr(), indices=n)[:n]
+    return np.minimum(found, values)
+
+
+def fitting(
+    points: FloatArray, edges: IntArray, sizes: FloatArray, features: Features, tracks: Tracks
+) -> FloatArray:
+    """Sizes (n,) near what stays: as long as edges that are held, no longer than a track.
+
+    Parameters
+    ----------
+    points : (n, 3) float64, edges : (e, 2) int32
+    sizes : (n,) float64
+    features : Features, tracks : Tracks
+    """
+    nodes = features.lines.nodes
+    out = sizes.astype(np.float64)
+    total, count = np.zeros(len(out)), np.zeros(len(out))
+    for start, stop, held in zip(tracks.start, tracks.stop, tracks.held, strict=True):
+        ends = nodes[[start, stop]]
+        if held:
+            step = np.diff(tracks.arc[start : stop + 1])
+            for k in (nodes[start:stop], nodes[start + 1 : stop + 1]):
+                np.add.at(total, k, step)
+                np.add.at(count, k, 1.0)
+        elif ends[0] != ends[1]:
+            out[ends] = np.minimum(out[ends], tracks.arc[stop] - tracks.arc[start])
+    on = count > 0
+    out[on] = total[on] / count[on]
+    if (out == sizes).all():
+        return out
+    longer = on & (out > sizes)
+    out = spread(points, edges, np.maximum(out, 1e-6 * sizes))
+    if longer.any():
+        # the largest sizes spread down from where they are held
+        top = 2.0 * out.max()
+        below = np.full(len(out), top)
+        below[longer] = top - (total[longer] / count[longer])
+        out = np.maximum(out, top - spread(points, edges, below))
+    return out

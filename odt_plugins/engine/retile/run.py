@@ -1,0 +1,208 @@
+"""Other sizes for triangles: resized until the promise holds, within the envelope, and judged."""
+
+from __future__ import annotations
+
+import time
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from odt_plugins.engine.ground.crossings import crossed_facets
+from odt_plugins.engine.ground.envelope import distances, uncovered, within
+from odt_plugins.engine.ground.reference import make_reference
+from odt_plugins.engine.policy import POLICY
+from odt_plugins.engine.record.figures import cell_shapes, figures
+from odt_plugins.engine.record.memory import State
+from odt_plugins.engine.retile.surface import Base, resize
+from odt_plugins.engine.run.outcome import Leaving, Outcome, unchanged
+from odt_plugins.engine.surface.driver import SurfaceStart, surface_start
+from odt_plugins.engine.surface.judge import TOLERANCE, Distance
+from odt_plugins.errors import counted
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.simplex import SimplexMesh, diagonal, freeze
+from odt_plugins.mesh.surface import Edges, surface_edges
+from odt_plugins.options import Options
+from odt_plugins.progress import silent
+from odt_plugins.promise.retiled import broken_by_retiling
+from odt_plugins.promise.surface import bad_places
+
+ATTEMPTS = 4
+"""Runs. The second has less of the envelope around the places where the first broke the promise; in
+those that follow the triangles of the input stay there."""
+
+NARROWER = 0.3
+"""Part of the envelope that is left there."""
+
+
+class Judged(NamedTuple):
+    """What a mesh breaks of the promise, near which of its vertices, and how far it is."""
+
+    broken: list[str]
+    bad: FloatArray
+    distance: Distance
+
+
+def retile(
+    mesh: SimplexMesh, sizes: FloatArray, options: Options, leaving: Leaving
+) -> Outcome:
+    """Give triangles in the plane or in space other sizes.
+
+    Parameters
+    ----------
+    mesh : SimplexMesh
+    sizes : (n,) float64     length that edges are to have at the vertices
+    options : Options        `envelope`, `feature_angle`, `boundary` and `keep` count
+    leaving : callable       applied to every mesh before it is judged
+
+    Returns
+    -------
+    Outcome                  a mesh that keeps the promise as it leaves, at worst the input itself
+    """
+    if mesh.frozen.all():
+        return leaving(unchanged(mesh, "no triangle may change"))
+    clock = time.perf_counter()
+    length = options.envelope * diagonal(mesh.points[np.unique(mesh.cells)])
+    part = np.ones(len(mesh.cells))
+    held = mesh
+    old = make_reference(_in_space(mesh.points), mesh.cells)
+    before: list[str] = []
+    report = options.progress or silent
+    for attempt in range(ATTEMPTS):
+        report("resizing", attempt / ATTEMPTS)
+        start = surface_start(held)
+        frame = start.frame
+        reach = POLICY.surface_guard * length * frame.scale * part[frame.active]
+        net = resize(_base(start, options), sizes[frame.vertices] * frame.scale, reach,
+                     feature_angle=options.feature_angle)
+        n, m = net.count[0], net.count[1]
+        points = np.ascontiguousarray(net.points[:n, : mesh.points.shape[1]])
+        cells, labels = net.triangles[:m].copy(), net.labels[:m].copy()
+        state = State(points, cells, labels, figures(points, cells), "resized")
+        placed = start.placed(state)
+        if placed.origin is None:
+            placed = replace(placed, origin=np.arange(len(placed.points)))
+        outcome = leaving(placed)
+        judged = _judged(mesh, outcome, placed.origin, length, options)
+        if not judged.broken:
+            return _told(outcome, placed.origin, judged, before, clock)
+        before = before or judged.broken
+        if not len(judged.bad):
+            break
+        near = np.zeros(len(mesh.points), dtype=np.bool_)
+        near[mesh.cells[old.closest(_in_space(judged.bad))[1]]] = True
+        near[mesh.cells[near[mesh.cells].any(axis=1)]] = True
+        spoiled = near[mesh.cells].any(axis=1)
+        if attempt == 0 and mesh.is_surface:
+            part[spoiled] = NARROWER
+            continue
+        held = freeze(held, held.frozen | spoiled)
+        if held.frozen.all():
+            break
+    report("finishing", 1.0)
+    outcome = leaving(unchanged(mesh, "no other sizes kept the promise"))
+    return replace(outcome, fallback=f"the input is returned, since {'; '.join(before)}")
+
+
+def _told(
+    outcome: Outcome, origin: FloatArray, judged: Judged, before: list[str], clock: float
+) -> Outcome:
+    """An outcome with what is said of it."""
+    why = None
+    if before:
+        why = f"some places stay nearer to the input or as they were, since {'; '.join(before)}"
+    return replace(outcome, origin=origin, times={"resizing": time.perf_counter() - clock},
+                   stop_reason="edges are as long as the envelope and the features allow",
+                   fallback=why)
+
+
+def _base(start: SurfaceStart, options: Options) -> Base:
+    """The triangles that may change, in space."""
+    mesh, edges = start.mesh, start.edges
+    fixed = start.fixed | mesh.anchored[start.frame.vertices]
+    frozen = surface_edges(mesh.cells[mesh.frozen], len(mesh.points)).vertices
+    n = len(start.points)
+    key = edges.vertices[:, 0].astype(np.int64) * n + edges.vertices[:, 1]
+    stays = np.sort(np.concatenate([start.pairs(frozen), start.pairs(mesh.stays)]), axis=1)
+    held = np.isin(key, stays[:, 0].astype(np.int64) * n + stays[:, 1])
+    kept = start.kept | held
+    if options.boundary == "fixed":
+        held = np.ones(len(key), dtype=np.bool_)
+    return Base(_in_space(start.points), start.cells, start.regions, edges, fixed, kept, held)
+
+
+def _in_space(points: FloatArray) -> FloatArray:
+    """Points (n, 3): those of the plane with z = 0."""
+    return np.ascontiguousarray(np.pad(points, ((0, 0), (0, 3 - points.shape[1]))))
+
+
+def _judged(
+    mesh: SimplexMesh, outcome: Outcome, origin: IntArray, length: float, options: Options
+) -> Judged:
+    """Hold a mesh against the promise."""
+    points, cells = outcome.points, outcome.cells
+    keep = tuple(options.keep)
+    broken = broken_by_retiling(mesh, points, cells, outcome.regions, origin, keep)
+    bad = np.zeros(len(points), dtype=np.bool_)
+    if broken:
+        passed = figures(mesh.points, mesh.cells).passed_by(cell_shapes(points, cells), keep)
+        bad[cells[passed]] = True
+    x, y = _in_space(mesh.points), _in_space(points)
+    old, new = surface_edges(mesh.cells, len(x)), surface_edges(cells, len(y))
+    folds = [bad_places(*args)[1] for args in ((x, mesh.cells, old), (y, cells, new))]
+    if folds[1].sum() > folds[0].sum():
+        broken.append(f"the surface folds back at {counted(int(folds[1].sum()), 'edge')}")
+        bad[new.vertices[folds[1]]] = True
+    far, near = [0.0, 0.0], points[:0]
+    pairs = _lines(mesh.cells, mesh.regions, old), _lines(cells, outcome.regions, new)
+    surfaces = [(pairs[0][name], pairs[1].get(name, cells[:0])) for name in pairs[0]]
+    if mesh.is_surface:
+        surfaces.append((mesh.cells, cells))
+    for was, now in surfaces:
+        if not len(now):
+            continue
+        one, two = make_reference(x, was), make_reference(y, now)
+        both = distances(two, one, TOLERANCE * length)
+        forward, backward = both.forward_upper, both.backward_upper
+        if forward > length:
+            sure = within(one, y, now, length)
+            bad[now[~sure]] = True
+            forward = length if sure.all() else forward
+        if backward > length:
+            left = uncovered(one, y, now, length, two).triangles
+            near = np.concatenate([near, mesh.points[np.unique(was[left])]])
+            backward = length if not left.size else backward
+        far = [max(far[0], forward), max(far[1], backward)]
+    if max(far) > length:
+        broken.append(f"the result is up to {max(far):.3g} from the input, beyond the envelope of "
+                      f"{length:.3g}")
+    cut = _crossed(y, cells, new, planar=not mesh.is_surface)
+    if cut.any() and cut.sum() > _crossed(x, mesh.cells, old, planar=not mesh.is_surface).sum():
+        broken.append(f"the result cuts through itself at {counted(int(cut.sum()), 'vertex')}")
+        bad |= cut
+    return Judged(broken, np.concatenate([points[bad], near]), Distance(*far))
+
+
+def _lines(cells: IntArray, regions: IntArray, edges: Edges) -> dict[tuple[int, ...], IntArray]:
+    """Rims, seams and borders as triangles without area, by the labels at them and their degree."""
+    low = np.full(len(edges.degree), len(cells), dtype=np.int64)
+    high = np.full(len(edges.degree), -1, dtype=np.int64)
+    np.minimum.at(low, edges.of_cell.ravel(), np.repeat(regions, 3))
+    np.maximum.at(high, edges.of_cell.ravel(), np.repeat(regions, 3))
+    border = np.flatnonzero((edges.degree != 2) | (low != high))
+    rows = np.stack([np.minimum(edges.degree, 3), low, high], axis=1)[border]
+    names, number = np.unique(rows, axis=0, return_inverse=True)
+    return {tuple(name): edges.vertices[border[number.ravel() == i]][:, [0, 1, 1]]
+            for i, name in enumerate(names.tolist())}
+
+
+def _crossed(
+    points: FloatArray, cells: IntArray, edges: Edges, *, planar: bool
+) -> BoolArray:
+    """Vertices (n,) of triangles that cross others, in the plane of edges of the rim."""
+    facets = edges.vertices[edges.degree == 1] if planar else cells
+    mask = np.zeros(len(points), dtype=np.bool_)
+    if len(facets):
+        flat = points[:, :2] if planar else points
+        mask[facets[crossed_facets(np.ascontiguousarray(flat), facets) >= 0]] = True
+    return mask

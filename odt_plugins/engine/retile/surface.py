@@ -1,0 +1,258 @@
+"""Rounds of splits, collapses, flips and moves that bring a surface to sizes on its ground."""
+
+from __future__ import annotations
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from odt_plugins.engine.ground.build import ground_values, make_ground, make_sheet
+from odt_plugins.engine.ground.closest import Ground
+from odt_plugins.engine.ground.features import Features, find_features
+from odt_plugins.engine.ground.sheet import LINE
+from odt_plugins.engine.policy import POLICY
+from odt_plugins.engine.retile.collapse import collapse_edges
+from odt_plugins.engine.retile.flip import swap_edges
+from odt_plugins.engine.retile.grading import fitting
+from odt_plugins.engine.retile.net import Net, Rules, link_all, make_room
+from odt_plugins.engine.retile.shift import shift_vertices
+from odt_plugins.engine.retile.split import split_edges
+from odt_plugins.engine.retile.tracks import Tracks
+from odt_plugins.engine.topology.star import vertex_stars
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.surface import Edges
+
+ROUNDS = 5
+"""Rounds of splits, collapses, flips and moves."""
+
+LONGEST, SHORTEST = 4.0 / 3.0, 4.0 / 5.0
+"""Multiples of its size at which an edge is split, and at which it collapses: halves of the one and
+doubles of the other are nearer to the size."""
+
+MOVES = 3
+"""Flips and moves of all vertices in a round."""
+
+FINISH = ((2.0, 10), (4.0, 10), (8.0, 10))
+"""Powers p and sweeps of flips and Newton steps on F_p that follow."""
+
+PASSES = 24
+"""Most passes of one operation in a round; a pass of splits halves the longest edges."""
+
+
+class Base(NamedTuple):
+    """A surface that is to be resized, in inner numbering and coordinates.
+
+    Attributes
+    ----------
+    points : (n, 3) float64, triangles : (m, 3) int32, labels : (m,) int32
+    edges : Edges
+    fixed : (n,) bool      vertices that stay
+    kept : (e,) bool       edges that are feature edges whatever their angle
+    held : (e,) bool       edges that stay as they are
+    """
+
+    points: FloatArray
+    triangles: IntArray
+    labels: IntArray
+    edges: Edges
+    fixed: BoolArray
+    kept: BoolArray
+    held: BoolArray
+
+
+def resize(
+    base: Base, sizes: FloatArray, reach: FloatArray, *, feature_angle: float
+) -> Net:
+    """Bring the edges of a surface to sizes, within an envelope around it.
+
+    Parameters
+    ----------
+    base : Base
+    sizes : (n,) float64        length that edges are to have at each vertex
+    reach : (m,) float64        length of the envelope around each triangle; inf in the plane z = 0,
+                                where ``finite`` of the smallest counts along rims and borders
+    feature_angle : float       degrees
+
+    Returns
+    -------
+    Net                         vertices of the base keep their number, those that are gone too; new
+                                ones follow. Slots may be free
+    """
+    points, triangles, edges = base.points, base.triangles, base.edges
+    stars = vertex_stars(triangles, len(points))
+    features = find_features(
+        points, triangles, edges, stars, angle=feature_angle, fixed=base.fixed, kept=base.kept,
+        slack=math.inf,
+    )
+    ground = make_ground(points, triangles, edges, stars, features.edges)
+    tracks, marks = _tracks(base, features, reach)
+    cosine = math.cos(math.radians(POLICY.surface_turn))
+    flat = not points[:, 2].any()
+    sizes = fitting(points, edges.vertices, sizes, features, tracks)
+    around = np.full(len(triangles), np.inf) if flat else reach
+    rules = Rules(ground, tracks, around, cosine, LONGEST, SHORTEST)
+    net = _net(base, features, marks, sizes, ground)
+    passes = Passes(rules, sizes)
+    for _ in range(ROUNDS):
+        net = passes.split(net)
+        passes.collapse(net)
+        for _ in range(MOVES):
+            passes.flip(net, 1.0)
+            passes.shift(net, 0.0)
+        net = _compact(net)
+    for power, sweeps in FINISH:
+        for _ in range(sweeps):
+            passes.flip(net, power)
+            passes.shift(net, power)
+    net = _compact(net)
+    return net
+
+
+def _tracks(base: Base, features: Features, reach: FloatArray) -> tuple[Tracks, IntArray]:
+    """The feature lines as they are, and the one that every edge is on, (e,), -1 for none."""
+    lines, edges, n = features.lines, base.edges, len(base.points)
+    nodes = lines.nodes
+    ends = np.flatnonzero(features.kind[nodes] != LINE).astype(np.int32)
+    start, stop = ends[::2].copy(), ends[1::2].copy()
+    chain = np.repeat(np.arange(len(start), dtype=np.int32), stop - start)
+    slot = np.concatenate(
+        [np.zeros(0, np.int32), *(np.arange(a, b) for a, b in zip(start, stop, strict=True))]
+    ).astype(np.int64)
+    key = edges.vertices[:, 0].astype(np.int64) * n + edges.vertices[:, 1]
+    one, two = nodes[slot].astype(np.int64), nodes[slot + 1].astype(np.int64)
+    number = np.searchsorted(key, np.minimum(one, two) * n + np.maximum(one, two))
+    marks = np.full(len(key), -1, dtype=np.int32)
+    marks[number] = chain
+    held = np.zeros(len(start), dtype=np.bool_)
+    held[chain[base.held[number]]] = True
+    near = np.full(len(start), np.inf)
+    np.minimum.at(near, chain, reach[lines.face[slot]])
+    return Tracks(
+        np.ascontiguousarray(base.points[nodes]), lines.arc, lines.face, start, stop, held, near
+    ), marks
+
+
+def _net(
+    base: Base, features: Features, marks: IntArray, sizes: FloatArray, ground: Ground
+) -> Net:
+    """The surface before anything is changed."""
+    n, m = len(base.points), len(base.triangles)
+    sheet = make_sheet(base.points, base.triangles, base.edges, features)
+    lines = features.lines
+    place, after = np.zeros(n), np.full(n, -1, dtype=np.int32)
+    on = np.flatnonzero(lines.slot >= 0)
+    place[on] = lines.arc[lines.slot[on]]
+    after[on] = lines.nodes[lines.slot[on] + 1]
+    net = Net(
+        sheet.points, sheet.foot, features.kind.copy(), place, after, sizes.astype(np.float64),
+        np.full(n, -1, dtype=np.int32), sheet.triangles, marks[base.edges.of_cell],
+        base.labels.copy(), np.full(3 * m, -1, dtype=np.int32), sheet.first, sheet.following,
+        np.zeros(n, dtype=np.int64), np.array([n, m, 0], dtype=np.int64),
+    )
+    link_all(net)
+    return net
+
+
+class Passes:
+    """Passes over what has changed since the last pass of the same kind."""
+
+    def __init__(self, rules: Rules, sizes: FloatArray) -> None:
+        self.rules, self.sizes, self.room = rules, sizes, make_room()
+        self.since: dict[object, int] = {}
+
+    def _since(self, net: Net, kind: object) -> int:
+        """The exchange before which nothing need be looked at."""
+        last = self.since.get(kind, -1)
+        self.since[kind] = int(net.count[2])
+        return last
+
+    def split(self, net: Net) -> Net:
+        """Split edges, the longest first, until none is too long."""
+        for _ in range(PASSES):
+            pairs, ratio, degree = _edges(net, self._since(net, "split"))
+            chosen = np.flatnonzero(ratio > LONGEST)
+            chosen = chosen[np.argsort(-ratio[chosen], kind="stable")]
+            net = _grown(net, len(chosen), 2 * int(degree[chosen].sum()))
+            done = split_edges(net, self.rules, pairs[chosen], self.room)
+            self._measure(net)
+            if not done:
+                break
+        return net
+
+    def collapse(self, net: Net) -> None:
+        """Collapse edges, the shortest first, until none that is too short may."""
+        for _ in range(PASSES):
+            pairs, ratio, _ = _edges(net, self._since(net, "collapse"))
+            chosen = np.flatnonzero(ratio < SHORTEST)
+            chosen = chosen[np.argsort(ratio[chosen], kind="stable")]
+            done = collapse_edges(net, self.rules, pairs[chosen], self.room)
+            self._measure(net)
+            if not done:
+                break
+
+    def flip(self, net: Net, power: float) -> None:
+        """Flip edges until few pay."""
+        for _ in range(PASSES):
+            pairs, _, _ = _edges(net, self._since(net, ("flip", power)))
+            if not swap_edges(net, self.rules, pairs, power, self.room):
+                break
+
+    def shift(self, net: Net, power: float) -> None:
+        """Move vertices once."""
+        since = self._since(net, ("shift", power))
+        shift_vertices(net, self.rules, since, power, self.room)
+        self._measure(net)
+
+    def _measure(self, net: Net) -> None:
+        """Interpolate the sizes at the feet of all vertices, in place."""
+        n = int(net.count[0])
+        ground_values(self.rules.ground, self.sizes, net.points[:n], net.foot[:n], net.size[:n])
+
+
+def _edges(net: Net, since: int) -> tuple[IntArray, FloatArray, IntArray]:
+    """Edges (e, 2) with an end whose star has changed since an exchange.
+
+    Also their lengths as parts of their sizes, and how many triangles they have.
+    """
+    triangles = net.triangles[: net.count[1]]
+    triangles = triangles[triangles[:, 0] >= 0]
+    a, b = triangles[:, [1, 2, 0]].ravel(), triangles[:, [2, 0, 1]].ravel()
+    key = np.minimum(a, b).astype(np.int64) * len(net.points) + np.maximum(a, b)
+    key, degree = np.unique(key, return_counts=True)
+    pairs = np.stack([key // len(net.points), key % len(net.points)], axis=1).astype(np.int32)
+    fresh = (net.stamp[pairs] > since).any(axis=1)
+    pairs, degree = pairs[fresh], degree[fresh]
+    p, h = net.points[pairs], net.size[pairs]
+    length = np.sqrt(((p[:, 0] - p[:, 1]) ** 2).sum(axis=1))
+    return pairs, length / (0.5 * (h[:, 0] + h[:, 1])), degree.astype(np.int32)
+
+
+def _grown(net: Net, vertices: int, triangles: int) -> Net:
+    """The net with room for so many more."""
+    n, m = int(net.count[0]) + vertices, int(net.count[1]) + triangles
+    if n <= len(net.points) and m <= len(net.triangles):
+        return net
+    n, m = max(n, int(1.2 * len(net.points))), max(m, int(1.2 * len(net.triangles)))
+
+    def more(array: FloatArray, rows: int) -> FloatArray:
+        shape = (rows - len(array), *array.shape[1:])
+        return np.concatenate([array, np.full(shape, -1, dtype=array.dtype)])
+
+    by_vertex = {name: more(getattr(net, name), n)
+                 for name in ("points", "foot", "place", "after", "size", "head", "stamp")}
+    by_triangle = {name: more(getattr(net, name), m)
+                   for name in ("triangles", "marks", "labels", "first")}
+    kind = np.concatenate([net.kind, np.zeros(n - len(net.kind), dtype=np.uint8)])
+    return net._replace(kind=kind, chained=more(net.chained, 3 * m), **by_vertex, **by_triangle)
+
+
+def _compact(net: Net) -> Net:
+    """The net without free slots among its triangles."""
+    used = np.flatnonzero(net.triangles[: net.count[1], 0] >= 0)
+    k = len(used)
+    for array in (net.triangles, net.marks, net.labels, net.first):
+        array[:k] = array[used]
+    net.count[1] = k
+    link_all(net)
+    return net

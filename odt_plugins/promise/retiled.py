@@ -1,0 +1,190 @@
+"""The promise of triangles that were remeshed: what must hold where their vertices are others.
+
+Distances are not looked at here, nor whether a surface cuts through itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.mesh.components import components
+from odt_plugins.mesh.facets import row_keys
+from odt_plugins.mesh.numbering import old_numbers
+from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.mesh.surface import Edges, surface_edges
+from odt_plugins.promise.volume import LOWER_IS_BETTER, VOLUME, _not_positive, worse_figures
+from odt_plugins.quality import cell_figures, summarize, volumes
+
+GOOD = {"min_quality": 0.3, "p1_quality": 0.6, "mean_quality": 0.85, "min_angle": 25.0,
+        "max_angle": 125.0, "share_below_20": 0.0}
+"""Figures that are good enough for other sizes, also where those of the input are better."""
+
+Shape = tuple[int, int]
+"""Components and Euler characteristic."""
+
+
+def broken_by_retiling(
+    before: SimplexMesh,
+    points: NDArray[np.float64],
+    cells: NDArray[np.int32],
+    regions: NDArray[np.int32],
+    origin: NDArray[np.int64],
+    keep: Sequence[str],
+) -> list[str]:
+    """Say what of the promise does not hold for triangles with other vertices.
+
+    Parameters
+    ----------
+    before : SimplexMesh                triangles in the plane or in space
+    points, cells, regions : arrays     (n, d), (m', 3), (m',): the mesh to be judged
+    origin : (n,) int                   old vertex of every vertex, increasing, then -1
+    keep : names of figures             none may be worse than before and than GOOD
+
+    Returns
+    -------
+    list of str                         one sentence per broken promise; empty when all hold
+
+    Notes
+    -----
+    The triangles of every label, the edges on the rim, those between two labels and those of more
+    than two triangles have as many components and the same Euler characteristic as before.
+    """
+    broken = _malformed(before, points, cells, regions, origin)
+    if broken:
+        return broken
+    number = old_numbers(origin, len(before.points))
+    broken += _moved(before, points, cells, regions, origin, number)
+    planar = points.shape[1] == 2
+    if planar:
+        bad = _not_positive(points, cells, cell_figures(points, cells))
+        if len(bad):
+            broken.append(f"triangle {bad[0]} has no positive area, {len(bad)} in all")
+    old, new = (surface_edges(t, len(x)) for t, x in (
+        (before.cells, before.points), (cells, points)))
+    turned = [int(_turned(e).sum()) for e in (old, new)]
+    if turned[1] > turned[0]:
+        broken.append(f"the triangles at {turned[1]} edges disagree about the outside, those at "
+                      f"{turned[0]} did")
+    was, now = _shapes(before.cells, before.regions, old), _shapes(cells, regions, new)
+    for name in sorted(was.keys() | now.keys()):
+        if was.get(name) != now.get(name):
+            broken.append(f"{name} has the components and Euler characteristic {now.get(name)}; it "
+                          f"had {was.get(name)}")
+    if planar:
+        for label in np.unique(before.regions).tolist():
+            first, last = (float(volumes(x, t[r == label]).sum()) for x, t, r in (
+                (before.points, before.cells, before.regions), (points, cells, regions)))
+            if not abs(last - first) <= VOLUME * first:
+                broken.append(f"the area of region {label} went from {first:.6g} to {last:.6g}")
+    if keep:
+        summary = summarize(points, cells)
+        poor = [name for name in keep if not _good(name, float(getattr(summary, name)))]
+        broken += worse_figures(summarize(before.points, before.cells), summary, poor)
+    return broken
+
+
+def _good(name: str, value: float) -> bool:
+    """Whether a figure is good enough for other sizes."""
+    if name not in GOOD:
+        return False
+    return value <= GOOD[name] if name in LOWER_IS_BETTER else value >= GOOD[name]
+
+
+def _malformed(
+    before: SimplexMesh, points: Any, cells: Any, regions: Any, origin: Any
+) -> list[str]:
+    n = len(points)
+    if not (points.ndim == 2 and points.shape[1] == before.points.shape[1]
+            and cells.shape == (len(cells), 3) and regions.shape == (len(cells),)
+            and origin.shape == (n,)):
+        return [f"arrays have shapes {points.shape}, {cells.shape}, {regions.shape}, "
+                f"{origin.shape}"]
+    if not np.isfinite(points).all():
+        return ["some vertices are not finite"]
+    if len(cells) == 0 or cells.min() < 0 or cells.max() >= n:
+        return [f"triangles name vertices beyond {n}"]
+    if (cells == cells[:, [1, 2, 0]]).any():
+        return ["some triangles have a vertex twice"]
+    keys = row_keys(np.sort(cells, axis=1), n)
+    if len(np.unique(keys)) < len(keys):
+        return ["some triangles are there twice"]
+    kept = origin >= 0
+    if (np.diff(origin[kept]) <= 0).any() or kept[np.count_nonzero(kept):].any():
+        return ["vertices lost their order"]
+    return []
+
+
+def _moved(
+    before: SimplexMesh, points: Any, cells: Any, regions: Any, origin: Any, number: Any
+) -> list[str]:
+    """Look for vertices and triangles that had to stay."""
+    n = len(before.points)
+    used = np.zeros(n, dtype=np.bool_)
+    used[before.cells] = True
+    held = before.fixed | before.anchored | ~used
+    held[before.cells[before.frozen]] = True
+    new = np.full(n, -1, dtype=np.int64)
+    kept = np.flatnonzero(origin >= 0)
+    new[origin[kept]] = kept
+    lost = np.flatnonzero(held & (new < 0))
+    if len(lost):
+        return [f"vertex {lost[0]} is gone, which is held, {len(lost)} in all"]
+    stays = np.flatnonzero(held & ~before.anchored | held & before.fixed)
+    a, b = (np.ascontiguousarray(x, np.float64).view(np.int64)
+            for x in (before.points[stays], points[new[stays]]))
+    bad = stays[(a != b).any(axis=1)]
+    sentences = [f"vertex {bad[0]} moved, which is held, {len(bad)} in all"] if len(bad) else []
+    if before.frozen.any():
+        # new vertices have numbers beyond those of the input
+        rows = [np.column_stack([np.sort(c, axis=1), r]) for c, r in (
+            (before.cells[before.frozen], before.regions[before.frozen]), (number[cells], regions))]
+        size = int(max(number.max() + 1, n, regions.max() + 1, before.regions.max() + 1))
+        keys = row_keys(np.concatenate(rows), size)
+        gone = ~np.isin(keys[: len(rows[0])], keys[len(rows[0]) :])
+        if gone.any():
+            sentences.append(f"{int(gone.sum())} frozen triangles are gone")
+    return sentences
+
+
+def _turned(edges: Edges) -> NDArray[np.bool_]:
+    """Edges (e,) of two triangles that disagree about the outside."""
+    ways = np.bincount(edges.of_cell.ravel(), edges.forward.ravel(), minlength=len(edges.degree))
+    return np.asarray((edges.degree == 2) & (ways != 1))
+
+
+def _shapes(cells: Any, regions: Any, edges: Edges) -> dict[str, Shape]:
+    """Components and Euler characteristic of what makes the topology of labelled triangles."""
+    shapes = {}
+    for label in np.unique(regions).tolist():
+        rows = cells[regions == label]
+        pairs = surface_edges(rows, int(rows.max()) + 1).vertices
+        graph = _graph(pairs)
+        shapes[f"label {label}"] = graph[0], graph[1] + len(rows)
+    low = np.full(len(edges.degree), np.iinfo(np.int64).max)
+    high = np.full(len(edges.degree), -1, dtype=np.int64)
+    labels = np.repeat(np.asarray(regions, dtype=np.int64), 3)
+    np.minimum.at(low, edges.of_cell.ravel(), labels)
+    np.maximum.at(high, edges.of_cell.ravel(), labels)
+    key = row_keys(np.stack([np.minimum(edges.degree, 3), low, high], axis=1),
+                   int(max(high.max(), 3)) + 1)
+    border = (edges.degree != 2) | (low != high)
+    for value in np.unique(key[border]).tolist():
+        rows = np.flatnonzero(border & (key == value))
+        degree, a, b = int(edges.degree[rows[0]]), int(low[rows[0]]), int(high[rows[0]])
+        name = f"the rim of label {a}" if degree == 1 else f"the border of labels {a} and {b}"
+        if degree > 2:
+            name = f"the seam of labels {a} to {b}"
+        shapes[name] = _graph(edges.vertices[rows])
+    return shapes
+
+
+def _graph(pairs: Any) -> Shape:
+    """Components, and vertices less edges."""
+    used, rows = np.unique(pairs, return_inverse=True)
+    rows = rows.reshape(-1, 2)
+    count = int(components(rows[:, 0], rows[:, 1], len(used)).max()) + 1
+    return count, len(used) - len(rows)
