@@ -129,6 +129,8 @@ def _run(mesh: Any, size: Any, wishes: dict[str, Any], options: Options) -> tupl
         except (TypeError, ValueError) as exc:
             msg = f"got size={size!r}; expected a length, an array of lengths or a function"
             raise InvalidOptionError(msg) from exc
+    if options.fields == "auto":
+        options = replace(options, fields="interpolate")
     wish = Wish(length=size if plain else None, given=not plain, **wishes)
     if not plain:
         options = replace(options, density=size if callable(size) else np.asarray(size))

@@ -17,7 +17,7 @@ from odt_plugins.mesh.numbering import old_numbers
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.mesh.surface import Edges, surface_edges
 from odt_plugins.promise.volume import LOWER_IS_BETTER, VOLUME, _not_positive, worse_figures
-from odt_plugins.quality import cell_figures, summarize, volumes
+from odt_plugins.figures import cell_figures, summarize, volumes
 
 GOOD = {"min_quality": 0.3, "p1_quality": 0.6, "mean_quality": 0.85, "min_angle": 25.0,
         "max_angle": 125.0, "share_below_20": 0.0}

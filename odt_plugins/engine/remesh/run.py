@@ -22,12 +22,13 @@ from odt_plugins.engine.remesh.lay_out import lay_out, surface_of
 from odt_plugins.engine.remesh.sizes import Sizes, lengths_of, unique_edges, wanted_sizes
 from odt_plugins.engine.remesh.volume import Resizing, arrays_of, resize
 from odt_plugins.engine.remesh.wish import Wish
+from odt_plugins.engine.retile.run import retile
 from odt_plugins.engine.run.judge import TOLERANCE, Slid, envelope_length
 from odt_plugins.engine.run.outcome import Leaving, Outcome, unchanged
 from odt_plugins.engine.run.plan import run
 from odt_plugins.engine.run.within import Within
 from odt_plugins.engine.run.work import make_start
-from odt_plugins.errors import UnsupportedMeshError, counted
+from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal, freeze
 from odt_plugins.options import Options
@@ -74,19 +75,21 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
     sizes = wanted_sizes(mesh, wish, options.density)
     options = replace(
         options, density="keep", smoothing=replace(options.smoothing, exponent=None), insert=False)
-    if mesh.is_surface or mesh.dim == 2:
-        msg = "got triangles; expected tetrahedra"
-        raise UnsupportedMeshError(msg)
     if mesh.frozen.all() or not len(mesh.cells):
         return unchanged(mesh, "no cell may change")
-    slides = options.boundary == "slide"
-    outcome = _tries(mesh, sizes, options, leaving, slides=slides)
+
+    def tries(sizes: Sizes) -> Outcome:
+        if mesh.dim == 2:
+            return retile(mesh, sizes.values, options, leaving)
+        return _tries(mesh, sizes, options, leaving, slides=options.boundary == "slide")
+
+    outcome = tries(sizes)
     goal = wish.cells if wish.vertices is None else wish.vertices
     if goal is not None and outcome.origin is not None:
         count = len(outcome.points) if wish.cells is None else len(outcome.cells)
         if abs(count - goal) > NEAR * goal:
             again = sizes.scaled((count / goal) ** (1.0 / mesh.dim))
-            outcome = _tries(mesh, again, options, leaving, slides=slides)
+            outcome = tries(again)
     return replace(outcome, notes=sizes.notes + outcome.notes)
 
 
