@@ -43,7 +43,7 @@ PROGRAMS = tuple(f"from odt_plugins.ahead import run; run({name!r})" for name in
 
 
 def run(name: str) -> None:
-    """Do the runs of one process, and improve the same small cells tangled, and pressed flat.
+    """Do the runs of one process, improve the same small cells tangled, and pressed flat; remesh.
 
     Parameters
     ----------
@@ -54,11 +54,14 @@ def run(name: str) -> None:
     from odt_plugins.api import optimize
     from odt_plugins.engine.cells.geometry import boundary_vertices
     from odt_plugins.generate import clouds
+    from odt_plugins.remeshing import remesh
 
     for (mesh, vertices), options in RUNS[name].items():
         points, cells = getattr(clouds, mesh)(vertices)
         for chosen in options:
             optimize((points, cells), **chosen)
+        if cells.shape[1] == 3:
+            remesh((points, cells), scale=0.9)
         if mesh != "pebble" and vertices == SMALL:
             inside = ~boundary_vertices(cells, len(points))
             noise = np.random.default_rng(0).normal(scale=0.1, size=points.shape)

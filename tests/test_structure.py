@@ -48,7 +48,7 @@ MAY_IMPORT = {
     "generate": {"adapters", "api", "carry", "engine", "progress", "report", "table", "tetwild",
                  *BASE},
     "compare": {"adapters", "api", "engine", "generate", "report", *BASE},
-    "ahead": {"api", "engine", "generate"},
+    "ahead": {"api", "engine", "generate", "remeshing"},
     "distributed": {"adapters", "api", "carry", "engine", "generate", "progress",
                     "report", "roundtrip", "signals", "table", "tetwild", "untangling", *BASE},
     "cli": {"adapters", "api", "compare", "distributed", "generate", "hosts", "progress",

@@ -11,13 +11,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.figures import cell_figures, summarize, volumes
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.numbering import old_numbers
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.mesh.surface import Edges, surface_edges
 from odt_plugins.promise.volume import LOWER_IS_BETTER, VOLUME, _not_positive, worse_figures
-from odt_plugins.figures import cell_figures, summarize, volumes
 
 GOOD = {"min_quality": 0.3, "p1_quality": 0.6, "mean_quality": 0.85, "min_angle": 25.0,
         "max_angle": 125.0, "share_below_20": 0.0}

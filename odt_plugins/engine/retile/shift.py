@@ -8,13 +8,15 @@ from __future__ import annotations
 
 import math
 
+from odt_plugins.engine.cells.cost import Cost
+from odt_plugins.engine.cells.measures import QUALITY
 from odt_plugins.engine.cells.triangle import offset, triangle_in_space
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import walk
 from odt_plugins.engine.ground.replace import ROOM
 from odt_plugins.engine.ground.sheet import LINE, LOCKED
-from odt_plugins.engine.moves.plane_step import plane_step
-from odt_plugins.engine.moves.tangent import axis_across, set_axes, star_cost, star_normal
+from odt_plugins.engine.moves.newton2d import newton_step_2d
+from odt_plugins.engine.moves.tangent import axis_across, set_axes, star_normal
 from odt_plugins.engine.retile.lines import chain_of, neighbor_on
 from odt_plugins.engine.retile.net import Net, Room, Rules, exchange, fits, put
 from odt_plugins.engine.retile.tracks import on_track, track_is_near
@@ -130,19 +132,15 @@ def _polish(net: Net, rules: Rules, v: int, power: float, room: Room) -> bool:
     if nx * nx + ny * ny + nz * nz == 0.0:
         return False
     set_axes(nx, ny, nz, e)
-    cost = star_cost(p, new, star, v, power, e, d)
-    if not cost < math.inf:
-        return False
-    d1, d2 = plane_step(d[0], d[1], d[2], d[3], d[4], False)
-    slope = d[0] * d1 + d[1] * d2
+    cost, slope, dx, dy, dz = newton_step_2d(
+        p, new, star, v, Cost(QUALITY, power), e, False, d)
     if not -slope > DECREASE * cost:
         return False
     x, y, z, foot = p[v, 0], p[v, 1], p[v, 2], net.foot[v]
     step = 1.0
     for _ in range(HALVINGS):
         _, face, gx, gy, gz = walk(
-            x + step * (d1 * e[0, 0] + d2 * e[1, 0]), y + step * (d1 * e[0, 1] + d2 * e[1, 1]),
-            z + step * (d1 * e[0, 2] + d2 * e[1, 2]), foot, rules.ground, False)
+            x + step * dx, y + step * dy, z + step * dz, foot, rules.ground, False)
         p[v, 0], p[v, 1], p[v, 2], net.foot[v] = gx, gy, gz, face
         if _moved(net, rules, v, count, power, cost + ARMIJO * step * slope, room):
             return True
@@ -238,6 +236,6 @@ def _along(
         return 0.0
     e[0, 0], e[0, 1], e[0, 2] = x / length, y / length, z / length
     e[1, 0], e[1, 1], e[1, 2] = axis_across(e[0, 0], e[0, 1], e[0, 2])
-    if not star_cost(p, new, room.rows[:count], v, power, e, d) < math.inf:
-        return 0.0
-    return plane_step(d[0], d[1], d[2], d[3], d[4], True)[0]
+    _, _, dx, dy, dz = newton_step_2d(
+        p, new, room.rows[:count], v, Cost(QUALITY, power), e, True, d)
+    return (dx * x + dy * y + dz * z) / length
