@@ -7,7 +7,6 @@ mesh it came from and says in plain sentences what does not hold.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -15,9 +14,10 @@ from numpy.typing import NDArray
 
 from odt_plugins.figures import CellFigures, QualitySummary, cell_figures, summarize
 from odt_plugins.mesh.chunks import chunks, spread
+from odt_plugins.mesh.exact import exact_sign, whole_numbers
 from odt_plugins.mesh.facets import row_keys, sorted_columns, uneven_facets
 from odt_plugins.mesh.numbering import in_old_numbers, most_vertices, old_numbers, removed_vertices
-from odt_plugins.mesh.simplex import SimplexMesh, determinant
+from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import KEPT
 from odt_plugins.promise.locked_facets import LockedFacets, facet_census
 
@@ -116,19 +116,13 @@ def broken_promises(
 def _not_positive(
     points: NDArray[np.float64], cells: NDArray[np.int32], figures: CellFigures
 ) -> NDArray[np.intp]:
-    """Cells without positive volume, in rational numbers where rounding may have made the sign."""
+    """Cells without positive volume, exactly where rounding may have made the sign."""
     d = points.shape[1]
     with np.errstate(invalid="ignore"):
         doubtful = ~(figures.volume > ROUNDING * figures.circumradius**d)
-    bad = [i for i in np.flatnonzero(doubtful) if not _exact_determinant(points[cells[i]]) > 0]
+    bad = [i for i in np.flatnonzero(doubtful)
+           if exact_sign(*whole_numbers(points[cells[i]])) <= 0]
     return np.array(bad, dtype=np.intp)
-
-
-def _exact_determinant(corners: NDArray[np.float64]) -> Fraction:
-    """Volume of one cell times d!, without rounding."""
-    first, *others = ([Fraction(x) for x in corner] for corner in corners.tolist())
-    rows = [[x - y for x, y in zip(corner, first, strict=True)] for corner in others]
-    return Fraction(determinant(rows).item())  # type: ignore[arg-type]
 
 
 def worse_figures(

@@ -1,4 +1,4 @@
-"""Where a surface cuts through itself, in numpy alone: a slow twin of the engine's kernel.
+"""Where a surface cuts through itself, in rational numbers: a slow twin of the engine's kernel.
 
 Boxes of triangles along a curve through space are put together in pairs; pairs of boxes that
 meet are opened until pairs of triangles are left.
@@ -6,13 +6,14 @@ meet are opened until pairs of triangles are left.
 
 from __future__ import annotations
 
+from fractions import Fraction
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 ROUNDING = 1e-12
-"""Volume below which four vertices lie in a plane, as a part of the cube of the longest edge."""
+"""Rounding of a volume, at most, as a part of the cube of the extent."""
 
 NEAR = 2.0
 """How far crossings of a surface may be from those of the input, in edges of their triangles."""
@@ -36,8 +37,7 @@ def crossing_pairs(
 
     Returns
     -------
-    (k, 2) int64               smaller number first, in lexical order; what crosses by less than
-                               rounding does not count
+    (k, 2) int64               smaller number first, in lexical order
     """
     if not len(cells):
         return np.zeros((0, 2), dtype=np.int64)
@@ -136,31 +136,44 @@ def _curve(x: NDArray[np.float64]) -> NDArray[np.int64]:
     return key
 
 
+def cut(points: NDArray[Any], triangle: Any, other: Any) -> bool:
+    """Whether an edge of a triangle goes through the inside of another, in rational numbers."""
+    a, b, c = other
+    sides = [_exact_volume(points, a, b, c, v) for v in triangle]
+    for i, j in ((0, 1), (1, 2), (2, 0)):
+        if sides[i] * sides[j] < 0:
+            u, v = triangle[i], triangle[j]
+            turns = [_exact_volume(points, u, v, *pair) for pair in ((a, b), (b, c), (c, a))]
+            if min(turns) > 0 or max(turns) < 0:
+                return True
+    return False
+
+
+def _exact_volume(points: NDArray[Any], *corners: Any) -> Fraction:
+    """Six times the signed volume of a tetrahedron."""
+    a, b, c, d = ([Fraction(x) for x in points[k].tolist()] for k in corners)
+    u, v, w = ([x - y for x, y in zip(k, d, strict=True)] for k in (a, b, c))
+    return (u[0] * (v[1] * w[2] - v[2] * w[1]) + u[1] * (v[2] * w[0] - v[0] * w[2])
+            + u[2] * (v[0] * w[1] - v[1] * w[0]))
+
+
 def _crossing(
     points: NDArray[Any], cells: NDArray[Any], pairs: NDArray[Any]
 ) -> NDArray[np.int64]:
-    """Those of the pairs (k, 2) that cross."""
+    """Those of the pairs (k, 2) that cross, by rational numbers where neither is on one side."""
     x = np.ascontiguousarray(points.T)
     corners = np.ascontiguousarray(cells.T)
     for one, two in ((0, 1), (1, 0)):
-        sides = _sides(x, corners, pairs[:, one], pairs[:, two])
-        pairs = pairs[(np.max(sides, axis=0) > 0.0) & (np.min(sides, axis=0) < 0.0)]
-    hit = np.zeros(len(pairs), dtype=np.bool_)
-    for one, two in ((0, 1), (1, 0)):
-        other, plane = corners[:, pairs[:, one]], corners[:, pairs[:, two]]
-        sides = _sides(x, corners, pairs[:, one], pairs[:, two])
-        for i, j in ((0, 1), (1, 2), (2, 0)):
-            row = np.flatnonzero(sides[i] * sides[j] < 0.0)
-            u, v = (x[:, other[k, row]] for k in (i, j))
-            a, b, c = (x[:, plane[k, row]] for k in range(3))
-            turns = np.stack([_volume(u, v, a, b), _volume(u, v, b, c), _volume(u, v, c, a)])
-            inside = (turns > 0.0).all(axis=0) | (turns < 0.0).all(axis=0)
-            least = np.minimum(np.abs(turns).min(axis=0),
-                               np.minimum(np.abs(sides[i][row]), np.abs(sides[j][row])))
-            longest = np.max([((y - z) ** 2).sum(axis=0)
-                              for y, z in ((u, v), (a, b), (b, c), (c, a))], axis=0)
-            hit[row[inside & (least > ROUNDING * longest * np.sqrt(longest))]] = True
-    return np.asarray(pairs[hit], dtype=np.int64)
+        sides = np.stack(_sides(x, corners, pairs[:, one], pairs[:, two]))
+        own, other = cells[pairs[:, one]].T, cells[pairs[:, two]]
+        apart = ~(own[:, :, None] == other).any(axis=2)
+        corner = points[cells[pairs]].reshape(-1, 6, 3)
+        near = ROUNDING * np.ptp(corner, axis=1).max(axis=1) ** 3
+        above, below = ((apart & (s > -near)).any(axis=0) for s in (sides, -sides))
+        pairs = pairs[above & below]
+    hit = [cut(points, cells[i], cells[j]) or cut(points, cells[j], cells[i])
+           for i, j in pairs.tolist()]
+    return np.asarray(pairs[np.array(hit, dtype=np.bool_)], dtype=np.int64)
 
 
 def _sides(

@@ -14,7 +14,8 @@ lies on the ground, vertex by vertex, while it changes (`Sheet`, `make_sheet`). 
 
 `within`, `uncovered` and `distances` bound the distances of a whole surface both ways: a bound of
 a triangle is certified by the triangles of the ground around it, and the triangle is cut until
-the bound is sharp enough. `count_crossings` counts where a surface cuts through itself.
+the bound is sharp enough. `count_crossings` counts where a surface cuts through itself,
+without rounding.
 
 Source: the one-sided Hausdorff distance d(A, B) = max over a in A of min over b in B of |a - b|,
 bounded by subdivision; nearest points by libigl, https://libigl.github.io.

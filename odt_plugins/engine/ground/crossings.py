@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -10,13 +9,31 @@ import numpy as np
 from odt_plugins.engine.cells.corner import corner_edges, six_volumes
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import pieces
-from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
+from odt_plugins.mesh.exact import exact_sign, whole_numbers
+from odt_plugins.mesh.simplex import FLAT
 
-ROUNDING = 1e-12
-"""Volume below which four vertices lie in a plane, as a part of the cube of the longest edge."""
+TINY = 1e-200
+"""Volume and area below which products may underflow [length^3, length^2]."""
+
+DOUBTFUL = -1
+"""Answer where rounding decides."""
 
 STRIP = 4
 """Triangles of mean size across a strip, about."""
+
+
+class Doubts(NamedTuple):
+    """Pairs of triangles that rounding decides on.
+
+    Attributes
+    ----------
+    pairs : (k, 2) int32      the first of them, as many as there is room for
+    total : (1,) int64        how many there are
+    """
+
+    pairs: IntArray
+    total: LongArray
 
 
 class Boxes(NamedTuple):
@@ -47,12 +64,12 @@ def count_crossings(points: FloatArray, triangles: IntArray) -> int:
 
     Returns
     -------
-    int                         an edge of two triangles counts twice; touching does not count, nor
-                                does what is within rounding
+    int                         an edge of two triangles counts twice; touching does not count
 
     Notes
     -----
-    Sweep and prune along the longest axis of the bounding box, in strips across it.
+    Sweep and prune along the longest axis of the bounding box, in strips across it. Where a volume
+    is within the bound of its rounding, whole numbers decide.
     """
     return _crossings(points, triangles, np.full(len(triangles), -1, dtype=np.int32))
 
@@ -103,23 +120,59 @@ def _crossings(
     begin = np.searchsorted(strip[order], np.arange(count + 1))
     member = member[order]
     boxes = Boxes(low, high, along, first, joined)
-    return sum(
-        int(_sweep(points, triangles, boxes, member, start, stop, end, s, other))
-        for s, end in enumerate(begin[1:].tolist())
-        for start, stop in pieces(int(begin[s]), end, costly=True)
-    )
+    doubts = Doubts(np.empty((len(triangles), 2), dtype=np.int32), np.zeros(1, dtype=np.int64))
+
+    def swept(doubts: Doubts) -> int:
+        return sum(
+            int(_sweep(points, triangles, boxes, member, start, stop, end, s, other, doubts))
+            for s, end in enumerate(begin[1:].tolist())
+            for start, stop in pieces(int(begin[s]), end, costly=True)
+        )
+
+    count = swept(doubts)
+    found = int(doubts.total[0])
+    if found > len(doubts.pairs):
+        doubts = Doubts(np.empty((found, 2), dtype=np.int32), np.zeros(1, dtype=np.int64))
+        swept(doubts)
+    for i, j in doubts.pairs[:found].tolist():
+        cuts = _exact_crossings(points[triangles[[i, j]].ravel()])
+        if cuts:
+            other[i], other[j] = j, i
+        count += cuts
+    return count
+
+
+def _exact_crossings(corners: FloatArray) -> int:
+    """How many edges of two triangles, their corners (6, 3), go through the other one.
+
+    Of edges in the plane, (4, 3) with z = 0: whether they cross each other.
+    """
+    if len(corners) == 4:
+        a, b, c, d = whole_numbers(corners[:, :2])
+        return int(exact_sign(a, b, c) * exact_sign(a, b, d) < 0
+                   and exact_sign(c, d, a) * exact_sign(c, d, b) < 0)
+    count = 0
+    whole = whole_numbers(corners)
+    for edges, plane in ((whole[:3], whole[3:]), (whole[3:], whole[:3])):
+        side = [exact_sign(*plane, corner) for corner in edges]
+        for e in range(3):
+            if side[e] * side[e - 1] < 0:
+                turns = {exact_sign(edges[e], edges[e - 1], plane[k], plane[k - 1])
+                         for k in range(3)}
+                count += turns in ({1}, {-1})
+    return count
 
 
 @kernel
 def _sweep(
     points: FloatArray, triangles: IntArray, boxes: Boxes, member: IntArray, start: int,
-    stop: int, end: int, strip: int, other: IntArray,
+    stop: int, end: int, strip: int, other: IntArray, doubts: Doubts,
 ) -> int:
     """Compare triangles of a strip with those behind them that begin before they end.
 
     ``member[start:stop]`` are compared with those behind them up to ``end``, sorted by ``low``; a
     pair counts in the first strip that both lie in. ``other`` gets the last triangle that each
-    crosses.
+    crosses. Pairs on which rounding decides are put down in ``doubts`` and do not count.
     """
     low, high, axis, first, joined = boxes
     second, third = (axis + 1) % 3, (axis + 2) % 3
@@ -139,18 +192,42 @@ def _sweep(
                 or (not joined and _meet(triangles, i, j))
             ):
                 continue
-            before = count
+            found = 0
+            doubtful = False
             if triangles.shape[1] == 2:
-                count += _edges_cross(points, triangles, i, j)
+                area = FLAT * _extent(boxes, i, j, 0) * _extent(boxes, i, j, 1)
+                found = _edges_cross(points, triangles, i, j, max(area, TINY))
+                doubtful = found == DOUBTFUL
             else:
+                x, y = _extent(boxes, i, j, 0), _extent(boxes, i, j, 1)
+                z = _extent(boxes, i, j, 2)
+                if x == 0.0 or y == 0.0 or z == 0.0:
+                    continue
+                bound = max(FLAT * x * y * z, TINY)
                 for e in range(3):
-                    if _crosses(points, triangles, i, e, j):
-                        count += 1
-                    if _crosses(points, triangles, j, e, i):
-                        count += 1
-            if count > before:
+                    here = _crosses(points, triangles, i, e, j, bound)
+                    there = _crosses(points, triangles, j, e, i, bound)
+                    if here == DOUBTFUL or there == DOUBTFUL:
+                        found = 0
+                        doubtful = not _apart(points, triangles, boxes, i, j)
+                        break
+                    found += here + there
+            if doubtful:
+                if doubts.total[0] < doubts.pairs.shape[0]:
+                    doubts.pairs[doubts.total[0], 0] = i
+                    doubts.pairs[doubts.total[0], 1] = j
+                doubts.total[0] += 1
+            elif found > 0:
+                count += found
                 other[i], other[j] = j, i
     return count
+
+
+@kernel
+def _extent(boxes: Boxes, i: int, j: int, axis: int) -> float:
+    """Extent of two triangles along an axis."""
+    return (max(boxes.high[i, axis], boxes.high[j, axis])
+            - min(boxes.low[i, axis], boxes.low[j, axis]))
 
 
 @kernel
@@ -170,44 +247,85 @@ def _side(p: FloatArray, i: int, j: int, k: int, l: int) -> float:
 
 
 @kernel
-def _crosses(p: FloatArray, triangles: IntArray, i: int, e: int, j: int) -> bool:
-    """Whether edge e of triangle i goes through the inside of triangle j, by more than rounding."""
+def _crosses(
+    p: FloatArray, triangles: IntArray, i: int, e: int, j: int, bound: float
+) -> int:
+    """1 where edge e of triangle i goes through the inside of triangle j, else 0, or DOUBTFUL.
+
+    Volumes up to ``bound`` may have the wrong sign.
+    """
     u, v = triangles[i, e], triangles[i, (e + 1) % 3]
     a, b, c = triangles[j, 0], triangles[j, 1], triangles[j, 2]
+    if u == a or u == b or u == c or v == a or v == b or v == c:
+        return 0
     above, below = _side(p, a, b, c, u), _side(p, a, b, c, v)
-    if above * below >= 0.0:
-        return False
+    if min(above, below) > bound or max(above, below) < -bound:
+        return 0
     first, second, third = _side(p, u, v, a, b), _side(p, u, v, b, c), _side(p, u, v, c, a)
-    if not (
-        (first > 0.0 and second > 0.0 and third > 0.0)
-        or (first < 0.0 and second < 0.0 and third < 0.0)
-    ):
-        return False
-    least = min(abs(above), abs(below), abs(first), abs(second), abs(third))
-    length = max(_squared(p, u, v), _squared(p, a, b), _squared(p, b, c), _squared(p, c, a))
-    return least > ROUNDING * length * math.sqrt(length)
+    least, most = min(first, second, third), max(first, second, third)
+    if least < -bound and most > bound:
+        return 0
+    sure = min(abs(above), abs(below)) > bound and (least > bound or most < -bound)
+    return 1 if sure else DOUBTFUL
 
 
 @kernel
-def _edges_cross(p: FloatArray, edges: IntArray, i: int, j: int) -> bool:
-    """Whether two edges in the plane z = 0 cross each other, by more than rounding."""
+def _apart(p: FloatArray, triangles: IntArray, boxes: Boxes, i: int, j: int) -> bool:
+    """Whether two triangles lie on two sides of an edge, seen along an axis; corners may be common.
+
+    Along the axis that is nearest to the normal of triangle i.
+    """
+    axis = 0
+    largest = -1.0
+    for x in range(3):
+        size = abs(_area(p, triangles[i, 0], triangles[i, 1], triangles[i, 2], x))
+        if size > largest:
+            largest, axis = size, x
+    y, z = (axis + 1) % 3, (axis + 2) % 3
+    bound = max(FLAT * _extent(boxes, i, j, y) * _extent(boxes, i, j, z), TINY)
+    return _on_two_sides(p, triangles, i, j, axis, bound) or _on_two_sides(
+        p, triangles, j, i, axis, bound)
+
+
+@kernel
+def _on_two_sides(
+    p: FloatArray, triangles: IntArray, i: int, j: int, axis: int, bound: float
+) -> bool:
+    """Whether an edge of triangle i parts it from triangle j, seen along an axis."""
+    y, z = (axis + 1) % 3, (axis + 2) % 3
+    for e in range(3):
+        s, t, w = triangles[i, e], triangles[i, (e + 1) % 3], triangles[i, (e + 2) % 3]
+        own = _area(p, s, t, w, axis)
+        parts = abs(own) > bound
+        for m in range(3):
+            v = triangles[j, m]
+            common = (p[v, y] == p[s, y] and p[v, z] == p[s, z]) or (
+                p[v, y] == p[t, y] and p[v, z] == p[t, z])
+            side = _area(p, s, t, v, axis)
+            parts = parts and (common or (abs(side) > bound and (side > 0.0) != (own > 0.0)))
+        if parts:
+            return True
+    return False
+
+
+@kernel
+def _edges_cross(p: FloatArray, edges: IntArray, i: int, j: int, bound: float) -> int:
+    """1 where two edges in the plane z = 0 cross each other, else 0, or DOUBTFUL."""
     u, v, a, b = edges[i, 0], edges[i, 1], edges[j, 0], edges[j, 1]
-    above, below = _area(p, u, v, a), _area(p, u, v, b)
-    left, right = _area(p, a, b, u), _area(p, a, b, v)
-    if above * below >= 0.0 or left * right >= 0.0:
-        return False
-    least = min(abs(above), abs(below), abs(left), abs(right))
-    return least > ROUNDING * max(_squared(p, u, v), _squared(p, a, b))
+    if u == a or u == b or v == a or v == b:
+        return 0
+    above, below = _area(p, u, v, a, 2), _area(p, u, v, b, 2)
+    left, right = _area(p, a, b, u, 2), _area(p, a, b, v, 2)
+    if (min(above, below) > bound or max(above, below) < -bound
+            or min(left, right) > bound or max(left, right) < -bound):
+        return 0
+    sure = min(abs(above), abs(below), abs(left), abs(right)) > bound
+    return 1 if sure else DOUBTFUL
 
 
 @kernel
-def _area(p: FloatArray, i: int, j: int, k: int) -> float:
-    """Twice the signed area of (i, j, k) in the plane."""
-    return ((p[j, 0] - p[i, 0]) * (p[k, 1] - p[i, 1])
-            - (p[j, 1] - p[i, 1]) * (p[k, 0] - p[i, 0]))
-
-
-@kernel
-def _squared(p: FloatArray, i: int, j: int) -> float:
-    """Squared distance of two vertices."""
-    return (p[i, 0] - p[j, 0]) ** 2 + (p[i, 1] - p[j, 1]) ** 2 + (p[i, 2] - p[j, 2]) ** 2
+def _area(p: FloatArray, i: int, j: int, k: int, axis: int) -> float:
+    """Twice the signed area of (i, j, k), seen along an axis."""
+    y, z = (axis + 1) % 3, (axis + 2) % 3
+    return ((p[j, y] - p[i, y]) * (p[k, z] - p[i, z])
+            - (p[j, z] - p[i, z]) * (p[k, y] - p[i, y]))

@@ -7,11 +7,14 @@ from typing import NamedTuple
 
 import numpy as np
 
-from odt_plugins.engine.ground.crossings import ROUNDING, crossed_facets
+from odt_plugins.engine.ground.crossings import crossed_facets
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.simplex import SimplexMesh, barycentric, determinant
 from odt_plugins.promise.locked_facets import locked_facets
+
+ROUNDING = 1e-12
+"""Volume below which vertices lie in a plane, as a part of a power of the longest edge."""
 
 
 class Overlaps(NamedTuple):
