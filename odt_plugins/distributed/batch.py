@@ -23,7 +23,7 @@ from glob import glob
 from pathlib import Path
 from typing import Any
 
-from odt_plugins.adapters.files import check_output
+from odt_plugins.adapters.files import check_output, expect_same_kind
 from odt_plugins.distributed.job import (
     FROM_OUTSIDE,
     REPORT,
@@ -165,7 +165,8 @@ def make_jobs(
     ------
     InvalidOptionError           an option is wrong, or holds an array, which fits one mesh only;
                                  or a result would take the place of an input
-    MeshFileError                the suffix is none of a mesh file
+    MeshFileError                the suffix is none of a mesh file, or one of single meshes for
+                                 a scene
     """
     make_options(**options)
     if settings.get("tetrahedralize"):
@@ -194,6 +195,8 @@ def make_jobs(
             msg = (f"got {out} for the results, where {name} would take the place of an input; "
                    "expected another folder")
             raise InvalidOptionError(msg)
+        if not settings.get("tetrahedralize"):
+            expect_same_kind(path, name)
         taken.add(str(name))
         jobs.append(Job(path, os.path.abspath(out), str(name), dict(options), **settings))
     if suffix:

@@ -12,9 +12,9 @@ import trimesh
 from contract import grid
 from labelled_meshes import mesh_with_everything
 
-from odt_plugins import uniform_refine
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.errors import DataNotKeptWarning, MeshFileError
+from odt_plugins.generate import uniform_refine
 
 SUFFIXES = (".vtu", ".vtk", ".vtp", ".msh", ".e", ".med", ".vol", ".mesh", ".obj", ".ply", ".off",
             ".stl", ".su2", ".xdmf", ".inp")

@@ -767,3 +767,11 @@ def test_a_tetwild_that_crashes_is_a_crash(place, monkeypatch, name, again):
     assert f"it was ended by {name}; expected a closed surface" in row["message"]
     # What the user or a system short of memory ended is tried again.
     assert rows_of(place / "out") == ([] if again else ["a.vtu.json"])
+
+
+def test_a_scene_is_refused_before_any_work_where_its_result_is_to_be_a_mesh(tmp_path):
+    trimesh.Scene([trimesh.creation.icosphere(1)]).export(tmp_path / "a.glb")
+    paths = [str(tmp_path / "a.glb")]
+    assert make_jobs(paths, tmp_path / "out", {})[0].name == "a.glb"
+    with pytest.raises(MeshFileError, match="cannot write a scene to a.vtu; try a .glb file"):
+        make_jobs(paths, tmp_path / "out", {}, suffix=".vtu")
