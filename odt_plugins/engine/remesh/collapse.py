@@ -10,8 +10,17 @@ T. K. Dey et al., Topology preserving edge contraction, Publ. Inst. Math. 66 (19
 from __future__ import annotations
 
 from odt_plugins.engine.compiled.kernel import kernel
-from odt_plugins.engine.remesh.body import CORNER, FREELY, INSIDE, LINE, Body, Guard, Scratch
-from odt_plugins.engine.remesh.guard import carry, fits
+from odt_plugins.engine.remesh.body import (
+    CORNER,
+    FREELY,
+    INSIDE,
+    LINE,
+    PATCH,
+    Body,
+    Guard,
+    Scratch,
+)
+from odt_plugins.engine.remesh.guard import carry, fits, move, normal_of_star
 from odt_plugins.engine.remesh.simplices import (
     Simplices,
     around,
@@ -59,7 +68,10 @@ def collapse_edges(
 def _collapse(
     body: Body, guard: Guard, u: int, v: int, longest: float, scratch: Scratch
 ) -> bool:
-    """Let vertex u go to v if that may be; says whether."""
+    """Let vertex u go to v if that may be; says whether.
+
+    On a patch v then goes along the normal such that the volume is as before, if that may be.
+    """
     kind = body.kind[u]
     if body.hold[u] != FREELY or kind == CORNER:
         return False
@@ -75,6 +87,10 @@ def _collapse(
         return False
     if kind == LINE and not _line_stays(body.segments, u, v, scratch):
         return False
+    region = 0
+    if kind == PATCH:
+        region = guard.sides[body.triangles.tag[body.triangles.head[u] // 3], 0]
+    change = guard.volume[region, 0]
     if not fits(body, guard, u, v, scratch):
         return False
     carry(body, guard, u, v, scratch)
@@ -83,6 +99,14 @@ def _collapse(
         _take_out(body.triangles, u, v, scratch.first)
     if kind == LINE:
         _take_out(body.segments, u, v, scratch.first)
+    change -= guard.volume[region, 0]
+    if kind == PATCH and body.kind[v] == PATCH and body.hold[v] == FREELY:
+        x, y, z, size = normal_of_star(body, v, scratch)
+        if size > 0.0:
+            out = 6.0 * change / size
+            x, y, z = (body.points[v, 0] + out * x, body.points[v, 1] + out * y,
+                       body.points[v, 2] + out * z)
+            move(body, guard, v, (x, y, z), scratch)
     return True
 
 

@@ -242,6 +242,37 @@ def carry(body: Body, guard: Guard, u: int, v: int, scratch: Scratch) -> None:
 
 
 @kernel
+def move(
+    body: Body, guard: Guard, u: int, place: tuple[float, float, float], scratch: Scratch
+) -> bool:
+    """Move vertex u if it may go there; says whether."""
+    p = body.points
+    last = p.shape[0] - 1
+    p[last, 0], p[last, 1], p[last, 2] = place
+    if not fits(body, guard, u, last, scratch):
+        return False
+    carry(body, guard, u, last, scratch)
+    p[u, 0], p[u, 1], p[u, 2] = place
+    return True
+
+
+@kernel
+def normal_of_star(
+    body: Body, u: int, scratch: Scratch
+) -> tuple[float, float, float, float]:
+    """Direction of the vector area of the triangles around u, and twice its length."""
+    t = body.triangles.rows
+    count = star(body.triangles, u, scratch.second)
+    x = y = z = 0.0
+    for s in range(count):
+        c = scratch.second[s]
+        _, _, _, nx, ny, nz = triangle_in_space(body.points, t[c, 0], t[c, 1], t[c, 2])
+        x, y, z = x + nx, y + ny, z + nz
+    size = math.sqrt(x * x + y * y + z * z)
+    return (x / size, y / size, z / size, size) if size > 0.0 else (0.0, 0.0, 0.0, 0.0)
+
+
+@kernel
 def share_triangle(body: Body, guard: Guard, c: int, d: int) -> None:
     """Give what triangle c carried to the nearer one of c and d, its halves."""
     t, p, g = body.triangles.rows, body.points, guard.ground.points

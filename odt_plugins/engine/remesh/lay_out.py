@@ -42,7 +42,7 @@ FLOOR = 0.12
 """Radius ratio of tetrahedra below which none becomes worse."""
 
 
-VOLUME = 2e-3
+VOLUME = 1.7e-3
 """Largest change of the volume of a region, as a part of it; sliding has the rest."""
 
 

@@ -8,7 +8,7 @@ from odt_plugins.engine.cells.triangle import triangle_in_space
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.remesh.body import FREELY, LINE, PATCH, Body, Guard, Scratch
 from odt_plugins.engine.remesh.boxes import closest_of
-from odt_plugins.engine.remesh.guard import carry, fits
+from odt_plugins.engine.remesh.guard import move, normal_of_star
 from odt_plugins.engine.remesh.simplices import star
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
@@ -17,46 +17,44 @@ from odt_plugins.mesh.arrays import FloatArray, IntArray
 def relax_surface(
     body: Body, guard: Guard, order: IntArray, offset: FloatArray, scratch: Scratch
 ) -> int:
-    """Move vertices of patches and lines once, along the ground; returns how many moved.
+    """Move vertices of patches and lines once; returns how many moved.
 
-    A vertex of a patch goes to the mean of the barycentres of its triangles by their areas over
-    the squared sizes, one of a line to the middle of its neighbours in units of the size. Where the
+    A vertex of a patch goes towards the mean of the barycentres of its triangles, by their areas
+    over the squared sizes, at a right angle to the vector area of its star: so no volume changes.
+    One of a line goes to the middle of its neighbours in units of the size, on the line. Where the
     guard refuses, it goes half as far.
 
     Parameters
     ----------
     order : (k,) int32           vertices
-    offset : (patches,) float64  how far from the ground, along its normal, those of a patch go
+    offset : (patches,) float64  how far those of a patch go out of its first region besides
     """
     moved = 0
     p = body.points
-    place = p.shape[0] - 1
     for k in range(order.shape[0]):
         u = order[k]
         if body.hold[u] != FREELY or body.tets.head[u] < 0:
             continue
         if body.kind[u] == PATCH:
             x, y, z = _middle_of_patch(body, u, scratch)
-            boxes, tag = guard.boxes, body.triangles.tag[body.triangles.head[u] // 3]
+            nx, ny, nz, size = normal_of_star(body, u, scratch)
+            if not size > 0.0:
+                continue
+            dx, dy, dz = x - p[u, 0], y - p[u, 1], z - p[u, 2]
+            out = offset[body.triangles.tag[body.triangles.head[u] // 3]]
+            out -= dx * nx + dy * ny + dz * nz
+            dx, dy, dz = dx + out * nx, dy + out * ny, dz + out * nz
         elif body.kind[u] == LINE:
             x, y, z = _middle_of_line(body, u, scratch)
-            boxes, tag = guard.curves, body.segments.tag[body.segments.head[u] // 2]
+            dx, dy, dz = x - p[u, 0], y - p[u, 1], z - p[u, 2]
         else:
             continue
-        dx, dy, dz = x - p[u, 0], y - p[u, 1], z - p[u, 2]
         for _ in range(3):
-            _, found, x, y, z = closest_of(
-                boxes, tag, p[u, 0] + dx, p[u, 1] + dy, p[u, 2] + dz, math.inf)
-            if found < 0:
-                break
-            if body.kind[u] == PATCH:
-                x += offset[tag] * guard.ground.normals[found, 0]
-                y += offset[tag] * guard.ground.normals[found, 1]
-                z += offset[tag] * guard.ground.normals[found, 2]
-            p[place, 0], p[place, 1], p[place, 2] = x, y, z
-            if fits(body, guard, u, place, scratch):
-                carry(body, guard, u, place, scratch)
-                p[u, 0], p[u, 1], p[u, 2] = x, y, z
+            x, y, z = p[u, 0] + dx, p[u, 1] + dy, p[u, 2] + dz
+            if body.kind[u] == LINE:
+                line = body.segments.tag[body.segments.head[u] // 2]
+                _, _, x, y, z = closest_of(guard.curves, line, x, y, z, math.inf)
+            if move(body, guard, u, (x, y, z), scratch):
                 moved += 1
                 break
             dx, dy, dz = 0.5 * dx, 0.5 * dy, 0.5 * dz

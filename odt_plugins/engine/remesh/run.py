@@ -226,8 +226,7 @@ def _resized(
             start.points, start.cells, start.regions, hold[frame.vertices],
             start.pairs(mesh.lines), share * envelope_length(mesh, options) * frame.scale,
             options.feature_angle)
-        work = Resizing(body, guard, scratch, field, field.walk_start(len(start.points)), log,
-                        np.zeros(len(guard.area)))
+        work = Resizing(body, guard, scratch, field, field.walk_start(len(start.points)), log)
         resize(work, share > 0.0, pool, tick, threads)
     points, cells, tags = arrays_of(work.body)
     regions = np.unique(start.regions)[tags].astype(np.int32)

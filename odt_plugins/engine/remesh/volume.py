@@ -47,8 +47,8 @@ SWEEPS = 3
 FEW = 2e-3
 """Passes end with one that changed less than this part of the edges that were looked at."""
 
-OFF = 0.4
-"""Part of the envelope up to which they do."""
+OFF = 0.2
+"""Part of the envelope by which a patch goes out at most in one sweep, to bring volumes back."""
 
 FREE_BOUNDS = Bounds(ANY, ANY)
 
@@ -63,8 +63,6 @@ class Resizing:
     field : Density                lengths on the input
     walk : (n,) int32              cell of the input at every vertex
     log : Log
-    offset : (patches,) float64    how far from the ground the vertices of a patch go, so that the
-                                   volumes of the regions come back
     """
 
     body: Body
@@ -73,7 +71,6 @@ class Resizing:
     field: Density
     walk: IntArray
     log: Log
-    offset: FloatArray
 
     def sizes(self, pool: Pool | None) -> None:
         """Take the sizes of the field at the places where vertices are now."""
@@ -144,10 +141,10 @@ def _relax(work: Resizing) -> int:
     n = int(work.body.used[0])
     kind = work.body.kind[:n]
     order = np.flatnonzero((kind == PATCH) | (kind == LINE)).astype(np.int32)
-    work.offset += work.guard.offsets()
-    np.clip(work.offset, -OFF * work.guard.limits[0], OFF * work.guard.limits[0], out=work.offset)
+    most = OFF * float(work.guard.limits[0])
+    offset = np.clip(work.guard.offsets(), -most, most)
     return sum(
-        int(relax_surface(work.body, work.guard, order[first:last], work.offset, work.scratch))
+        int(relax_surface(work.body, work.guard, order[first:last], offset, work.scratch))
                for first, last in pieces(0, len(order)))
 
 
