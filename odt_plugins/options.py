@@ -202,6 +202,7 @@ class Options:
     boundary: Boundary = field(default="fixed", metadata=_told(
         "What happens to the boundary: fixed keeps it bit for bit, slide lets the surface of a "
         "mesh of tetrahedra move along itself within the envelope; features and interfaces stay. "
+        "In the plane slide lets rims and borders of regions change within half of the envelope. "
         "A curved mesh of triangles always does; there fixed keeps its rims and feature lines, "
         "and slide lets them change within half of the envelope.",
         choices=get_args(Boundary)))

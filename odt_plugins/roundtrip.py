@@ -181,6 +181,10 @@ def optimized(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
         from odt_plugins.engine.surface.driver import run_surface
 
         return run_surface(mesh, options, leaving)
+    if mesh.dim == 2 and options.boundary == "slide":
+        from odt_plugins.engine.surface.in_plane import run_in_plane
+
+        return run_in_plane(mesh, options, leaving)
     from odt_plugins.engine.run.plan import run
 
     return run(mesh, options, leaving)

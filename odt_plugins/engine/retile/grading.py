@@ -64,7 +64,7 @@ def fitting(
     out = spread(points, edges, np.maximum(out, 1e-6 * sizes))
     if longer.any():
         # the largest sizes spread down from where they are held
-        top = 2.0 * out.max()
+        top = 2.0 * max(out.max(), (total[longer] / count[longer]).max())
         below = np.full(len(out), top)
         below[longer] = top - (total[longer] / count[longer])
         out = np.maximum(out, top - spread(points, edges, below))

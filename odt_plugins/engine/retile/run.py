@@ -17,6 +17,7 @@ from odt_plugins.engine.record.memory import State
 from odt_plugins.engine.retile.surface import Base, resize
 from odt_plugins.engine.run.outcome import Leaving, Outcome, unchanged
 from odt_plugins.engine.surface.driver import SurfaceStart, surface_start
+from odt_plugins.engine.surface.in_plane import in_space
 from odt_plugins.engine.surface.judge import TOLERANCE, Distance
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
@@ -65,7 +66,7 @@ def retile(
     length = options.envelope * diagonal(mesh.points[np.unique(mesh.cells)])
     part = np.ones(len(mesh.cells))
     held = mesh
-    old = make_reference(_in_space(mesh.points), mesh.cells)
+    old = make_reference(in_space(mesh.points), mesh.cells)
     before: list[str] = []
     report = options.progress or silent
     for attempt in range(ATTEMPTS):
@@ -90,7 +91,7 @@ def retile(
         if not len(judged.bad):
             break
         near = np.zeros(len(mesh.points), dtype=np.bool_)
-        near[mesh.cells[old.closest(_in_space(judged.bad))[1]]] = True
+        near[mesh.cells[old.closest(in_space(judged.bad))[1]]] = True
         near[mesh.cells[near[mesh.cells].any(axis=1)]] = True
         spoiled = near[mesh.cells].any(axis=1)
         if attempt == 0 and mesh.is_surface:
@@ -128,12 +129,7 @@ def _base(start: SurfaceStart, options: Options) -> Base:
     kept = start.kept | held
     if options.boundary == "fixed":
         held = np.ones(len(key), dtype=np.bool_)
-    return Base(_in_space(start.points), start.cells, start.regions, edges, fixed, kept, held)
-
-
-def _in_space(points: FloatArray) -> FloatArray:
-    """Points (n, 3): those of the plane with z = 0."""
-    return np.ascontiguousarray(np.pad(points, ((0, 0), (0, 3 - points.shape[1]))))
+    return Base(in_space(start.points), start.cells, start.regions, edges, fixed, kept, held)
 
 
 def _judged(
@@ -147,7 +143,7 @@ def _judged(
     if broken:
         passed = figures(mesh.points, mesh.cells).passed_by(cell_shapes(points, cells), keep)
         bad[cells[passed]] = True
-    x, y = _in_space(mesh.points), _in_space(points)
+    x, y = in_space(mesh.points), in_space(points)
     old, new = surface_edges(mesh.cells, len(x)), surface_edges(cells, len(y))
     folds = [bad_places(*args)[1] for args in ((x, mesh.cells, old), (y, cells, new))]
     if folds[1].sum() > folds[0].sum():

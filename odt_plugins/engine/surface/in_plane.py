@@ -1,0 +1,59 @@
+"""Triangles in the plane whose rims and region borders slide: a surface with z = 0."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+
+from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
+from odt_plugins.engine.ground.crossings import crossed_facets
+from odt_plugins.engine.run.outcome import Leaving, Outcome, unchanged
+from odt_plugins.engine.surface.driver import run_surface
+from odt_plugins.mesh.arrays import FloatArray
+from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.options import Options
+
+
+def run_in_plane(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
+    """Optimise triangles in the plane, their rims and borders within the envelope.
+
+    Parameters
+    ----------
+    mesh : SimplexMesh    triangles in the plane
+    options : Options
+    leaving : callable    applied to every state before it is judged
+
+    Returns
+    -------
+    Outcome               triangles of positive area whose rims do not cross, at worst the input
+    """
+    lifted = replace(
+        mesh, points=in_space(mesh.points), valid_before=mesh.valid_before and (
+            in_space(mesh.valid_before[0]), mesh.valid_before[1]))
+    density: Any = options.density
+    if callable(density):
+        options = replace(options, density=lambda x: density(x[:, :2]))
+
+    def left(outcome: Outcome) -> Outcome:
+        flat = leaving(replace(outcome, points=_flat(outcome.points)))
+        return replace(flat, points=in_space(flat.points))
+
+    outcome: Outcome = run_surface(lifted, options, left)
+    points = _flat(outcome.points)
+    spoiled = not (signed_volumes(points, outcome.cells) > 0.0).all()
+    rims = boundary_facets(outcome.cells)
+    if spoiled or (crossed_facets(points, rims) >= 0).any():
+        why = "the input is returned, since its rims would cut through themselves"
+        return replace(leaving(unchanged(mesh, outcome.stop_reason)), fallback=why)
+    return replace(outcome, points=points)
+
+
+def in_space(points: FloatArray) -> FloatArray:
+    """Points (n, 3): those of the plane with z = 0."""
+    return np.ascontiguousarray(np.pad(points, ((0, 0), (0, 3 - points.shape[1]))))
+
+
+def _flat(points: FloatArray) -> FloatArray:
+    return np.ascontiguousarray(points[:, :2])

@@ -1,0 +1,71 @@
+"""Triangles through the front: remesh on hosts, and rims in the plane that slide."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+import pyvista
+from surface_meshes import bowl, sphere
+
+import odt_plugins
+
+
+def shaken_square():
+    """A square with uneven vertices on its straight rims, too."""
+    k = 13
+    points, cells = bowl(k, 0.4)
+    rng = np.random.default_rng(0)
+    i, j = np.divmod(np.arange(k * k), k)
+    for rim, along in (((i == 0) | (i == k - 1), 1), ((j == 0) | (j == k - 1), 0)):
+        inner = (i, j)[along]
+        moves = rim & (inner > 0) & (inner < k - 1)
+        points[moves, along] += rng.uniform(-0.03, 0.03, moves.sum())
+    return points[:, :2].copy(), cells
+
+
+def area(points, cells):
+    u, v = (points[cells[:, i]] - points[cells[:, 0]] for i in (1, 2))
+    return (u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum() / 2
+
+
+def test_rims_in_the_plane_slide_along_themselves():
+    mesh = shaken_square()
+    points, cells = odt_plugins.optimize(mesh, boundary="slide")
+    rim = np.abs(mesh[0]).max(axis=1) == 1.0
+    assert (np.abs(points[rim]).max(axis=1) == 1.0).all()
+    assert (points[rim] != mesh[0][rim]).any()
+    corners = (np.abs(mesh[0]) == 1.0).all(axis=1)
+    assert np.array_equal(points[corners], mesh[0][corners])
+    assert area(points, cells) == pytest.approx(4.0, rel=1e-12)
+    fixed = odt_plugins.quality(odt_plugins.optimize(mesh))
+    assert odt_plugins.quality((points, cells)).min_quality > fixed.min_quality
+
+
+@pytest.mark.parametrize("planar", [True, False])
+def test_fields_and_labels_come_back(planar):
+    points, cells = bowl(25, 0.3)
+    points[:, 2] *= 0.0 if planar else 1.0
+    grid = pyvista.PolyData.from_regular_faces(points, cells)
+    grid["linear"] = 1.0 + points[:, 0] - 2.0 * points[:, 1]
+    grid.cell_data["part"] = (points[cells].mean(axis=1)[:, 0] > 0).astype(int)
+    result, report = odt_plugins.remesh_with_report(grid, 0.12, envelope=1e-2, regions="part")
+    assert type(result) is pyvista.PolyData
+    x = result.points
+    slack = 1e-6 if planar else 2e-3
+    assert np.abs(result["linear"] - (1.0 + x[:, 0] - 2.0 * x[:, 1])).max() < slack
+    middle = x[result.regular_faces].mean(axis=1)
+    assert ((middle[:, 0] > 0) == (result.cell_data["part"] == 1)).mean() > 0.97
+    assert result.n_points < grid.n_points
+    assert report.fallback is None
+
+
+def test_about_as_many_cells_as_asked_for():
+    points, cells = sphere(3, 0.1)
+    _, fewer = odt_plugins.remesh((points, cells), cells=700, envelope=1e-2)
+    assert len(fewer) == pytest.approx(700, rel=0.06)
+
+
+def test_as_coarse_as_the_topology_allows():
+    points, cells = sphere(2)
+    few, _ = odt_plugins.remesh((points, cells), 5.0, envelope=0.2, keep=())
+    assert 4 <= len(few) < 40
