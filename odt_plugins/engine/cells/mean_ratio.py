@@ -84,7 +84,7 @@ def triangle_mean_ratio_terms(
     t: MovingTriangle,
 ) -> tuple[float, float, float, float, float, float]:
     """Measure m of a triangle, gradient of log m and minus its Hessian in the moving corner."""
-    total = t.uu + t.vv + t.w * t.w
+    total = t.total
     tx = 2.0 * (t.u1 + t.v1) / total
     ty = 2.0 * (t.u2 + t.v2) / total
     return (

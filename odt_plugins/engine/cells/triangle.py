@@ -38,37 +38,27 @@ def opposite_edge(triangles: IntArray, t: int, v: int) -> tuple[int, int]:
 
 
 @kernel
-def triangle_shape(points: FloatArray, a: int, b: int, c: int) -> tuple[float, float, float]:
+def triangle_extremes(points: FloatArray, a: int, b: int, c: int) -> Extremes:
     """Radius ratio 2 r / R (5.1), cosine of the smallest and of the largest angle.
 
-    The radius ratio is 0 or negative when (a, b, c) is not counterclockwise.
+    In the plane the radius ratio is 0 or negative when (a, b, c) is not counterclockwise.
     """
+    if points.shape[1] == 3:
+        q, large, small, _, _, _ = triangle_in_space(points, a, b, c)
+        return Extremes(q, large, small)
     ux, uy, vx, vy, wx, wy = _edges(points, a, b, c)
-    uu = ux * ux + uy * uy
-    vv = vx * vx + vy * vy
-    ww = wx * wx + wy * wy
-    lu = math.sqrt(uu)
-    lv = math.sqrt(vv)
-    lw = math.sqrt(ww)
+    lu = math.sqrt(ux * ux + uy * uy)
+    lv = math.sqrt(vx * vx + vy * vy)
+    lw = math.sqrt(wx * wx + wy * wy)
     if not (lu > 0.0 and lv > 0.0 and lw > 0.0):
-        return 0.0, 1.0, -1.0
+        return Extremes(0.0, 1.0, -1.0)
     double_area = vx * wy - vy * wx
     # 16 A^2 / (perimeter a b c), with the sign of the area
     q = 4.0 * double_area * abs(double_area) / ((lu + lv + lw) * lu * lv * lw)
     cu = -(vx * wx + vy * wy) / (lv * lw)
     cv = -(wx * ux + wy * uy) / (lw * lu)
     cw = -(ux * vx + uy * vy) / (lu * lv)
-    return q, max(cu, cv, cw), min(cu, cv, cw)
-
-
-@kernel
-def triangle_extremes(points: FloatArray, a: int, b: int, c: int) -> Extremes:
-    """What :func:`triangle_shape` gives in the plane, or :func:`triangle_in_space`, as extremes."""
-    if points.shape[1] == 3:
-        q, large, small, _, _, _ = triangle_in_space(points, a, b, c)
-    else:
-        q, large, small = triangle_shape(points, a, b, c)
-    return Extremes(q, large, small)
+    return Extremes(q, max(cu, cv, cw), min(cu, cv, cw))
 
 
 @kernel
@@ -154,6 +144,7 @@ class MovingTriangle(NamedTuple):
     ----------
     uu, vv : float             squares of u = x - b and v = x - c
     w : float                  length of bc
+    total : float              sum of the three squared edges
     square : float             B = D^2, D twice the area; not positive for a triangle that is not
     u1, u2, v1, v2 : float     u and v along the directions
     b1, b2 : float             gradient of log B
@@ -163,6 +154,7 @@ class MovingTriangle(NamedTuple):
     uu: float
     vv: float
     w: float
+    total: float
     square: float
     u1: float
     u2: float
@@ -176,7 +168,7 @@ class MovingTriangle(NamedTuple):
 
 
 NOT_POSITIVE = MovingTriangle(
-    0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
 """Of a triangle that is inverted or flat."""
 
 
@@ -202,11 +194,11 @@ def moving_triangle(
         double_area = ux * vy - uy * vx
         if not double_area > 0.0:
             return NOT_POSITIVE
-        ax, ay = -wy / double_area, wx / double_area
+        ax, ay, w = -wy / double_area, wx / double_area, math.sqrt(wx * wx + wy * wy)
         return MovingTriangle(
-            ux * ux + uy * uy, vx * vx + vy * vy, math.sqrt(wx * wx + wy * wy),
-            double_area * double_area, ux, uy, vx, vy, 2.0 * ax, 2.0 * ay, 2.0 * ax * ax,
-            2.0 * ax * ay, 2.0 * ay * ay,
+            ux * ux + uy * uy, vx * vx + vy * vy, w,
+            ux * ux + uy * uy + vx * vx + vy * vy + w * w, double_area * double_area,
+            ux, uy, vx, vy, 2.0 * ax, 2.0 * ay, 2.0 * ax * ax, 2.0 * ax * ay, 2.0 * ay * ay,
         )
     uu = vv = ww = uw = 0.0
     u1 = u2 = v1 = v2 = w1 = w2 = 0.0
@@ -230,8 +222,8 @@ def moving_triangle(
     ib = 2.0 / square
     b1, b2 = (ww * u1 - uw * w1) * ib, (ww * u2 - uw * w2) * ib
     return MovingTriangle(
-        uu, vv, math.sqrt(ww), square, u1, u2, v1, v2, b1, b2, b1 * b1 - (ww - w1 * w1) * ib,
-        b1 * b2 + w1 * w2 * ib, b2 * b2 - (ww - w2 * w2) * ib,
+        uu, vv, math.sqrt(ww), uu + vv + ww, square, u1, u2, v1, v2, b1, b2,
+        b1 * b1 - (ww - w1 * w1) * ib, b1 * b2 + w1 * w2 * ib, b2 * b2 - (ww - w2 * w2) * ib,
     )
 
 

@@ -12,7 +12,7 @@ import math
 import numpy as np
 
 from odt_plugins.engine.cells.extremes import Extremes
-from odt_plugins.engine.cells.triangle import triangle_shape
+from odt_plugins.engine.cells.triangle import triangle_extremes
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.moves.flips2d import GAIN, flip, number_edges
@@ -81,7 +81,7 @@ def _lack(
     points: FloatArray, a: int, b: int, c: int, bounds: Extremes, margin: float
 ) -> float:
     """What a triangle pays."""
-    q, large, small = triangle_shape(points, a, b, c)
+    q, large, small = triangle_extremes(points, a, b, c)
     if not q > 0.0:
         return math.inf
     x = max(0.0, bounds.quality + margin - q)

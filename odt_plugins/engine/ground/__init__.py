@@ -3,8 +3,9 @@
 The ground is the surface of the input (`Ground`, `make_ground`); the sheet is the surface that
 lies on the ground, vertex by vertex, while it changes (`Sheet`, `make_sheet`). A move of a vertex
 (`try_move`) goes x + alpha d, alpha = 1, 1/2, ..., back to the ground (`walk`,
-`closest_on_triangle`), until every guard agrees; a flip asks the same guards (`edge_is_free`,
-`keeps_normals`):
+`closest_on_triangle`), until every guard agrees; `smooth_on_ground` takes Newton steps so, by the
+cells of a `Body`, whose volume has a budget (`swept_volume`, `spend`). A flip asks the same guards
+(`edge_is_free`, `keeps_normals`):
 
 - normals: the cosine between a triangle and the ground under it (`normal_cosine`);
 - distance: every point of an edge or triangle within the envelope of the ground, and the ground

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
-from odt_plugins.engine.cells.measures import QUALITY, star_state_2d
+from odt_plugins.engine.cells.measures import QUALITY, star_state, star_state_2d
 from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.ground.budget import affordable, spend, swept_volume
 from odt_plugins.engine.ground.closest import Ground, walk
 from odt_plugins.engine.ground.lines import Lines, line_direction, line_is_near, on_line
 from odt_plugins.engine.ground.sheet import (
@@ -21,6 +23,7 @@ from odt_plugins.engine.ground.sheet import (
     star_fits,
 )
 from odt_plugins.engine.topology.star import Stars
+from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 HALVINGS = 6
 """Step lengths alpha = 1, 1/2, 1/4, ... tried for one vertex."""
@@ -105,31 +108,60 @@ def least_cosine(
     return least
 
 
+class Body(NamedTuple):
+    """The cells whose costs count: the triangles of a surface, or tetrahedra behind it.
+
+    Attributes
+    ----------
+    cells : (m, d + 1) int32
+    stars : Stars                 of these cells
+    volume : (n + 1, 2) float64   budgets of the change of the volume, see ``sliding.boundary``; of
+                                  length 0 where there is none
+    """
+
+    cells: IntArray
+    stars: Stars
+    volume: FloatArray
+
+
+@kernel
+def _state(
+    points: FloatArray, body: Body, v: int, cost: Cost, limit: float
+) -> tuple[float, Extremes]:
+    """F_p of the star of v in the body, and its extremes; of tetrahedra infinite above a limit."""
+    indptr, indices = body.stars
+    start, stop = indptr[v], indptr[v + 1]
+    if body.cells.shape[1] == 4:
+        return star_state(points, body.cells, indices, start, stop, cost, limit, 2.0)
+    return star_state_2d(points, body.cells, indices[start:stop], cost)
+
+
 @kernel
 def try_move(
-    sheet: Sheet, guards: Guards, stars: Stars, vertex: int, step: Step, cost: Cost,
+    sheet: Sheet, guards: Guards, own: Stars, body: Body, vertex: int, step: Step, cost: Cost,
     bounds: Extremes, work: Work,
-) -> float:
+) -> tuple[bool, float]:
     """Move a vertex by alpha times a step, alpha = 1, 1/2, ..., until every guard agrees.
 
     Parameters
     ----------
-    stars : Stars        of the sheet
+    own : Stars          of the sheet
+    body : Body
     step : Step
     cost : Cost          of the sum F_p that must fall, or NO_COST
     bounds : Extremes    that the star may not pass unless it does already
 
     Returns
     -------
-    float      alpha, 0 when the vertex stayed
+    moves : bool         whether the vertex did not stay
+    there : float        F_p then
     """
     ground, lines, limits = guards
     p = sheet.points
     x, y, z, foot = p[vertex, 0], p[vertex, 1], p[vertex, 2], sheet.foot[vertex]
     slot = lines.slot[vertex]
     place = lines.place[slot] if slot >= 0 else 0.0
-    star = stars.indices[stars.indptr[vertex] : stars.indptr[vertex + 1]]
-    _, here = star_state_2d(p, sheet.triangles, star, NO_COST)
+    _, here = _state(p, body, vertex, cost, math.inf)
     limit = worse(bounds, here)
     floor = 2.0
     alpha = 1.0
@@ -138,27 +170,33 @@ def try_move(
             sheet, ground, lines, vertex, x + alpha * step.x, y + alpha * step.y,
             z + alpha * step.z, alpha * step.along, limits.line,
         )
+        there = swept = 0.0
         if good:
-            there, found = star_state_2d(p, sheet.triangles, star, cost)
+            there, found = _state(p, body, vertex, cost, step.before)
             good = keeps(found, limit)
             if cost.power > 0.0:
                 good = good and (
                     there <= step.before + ARMIJO * alpha * step.slope
                     and there < (1.0 - DECREASE) * step.before
                 )
+        if good and body.volume.shape[0] > 0:
+            swept = swept_volume(sheet, own, vertex, x, y, z)
+            good = affordable(body.volume, swept, vertex)
         if good:
             number = star_fits(
-                sheet, ground, stars, vertex, limits, min(floor, limits.cosine), work
+                sheet, ground, own, vertex, limits, min(floor, limits.cosine), work
             )
             if number >= 0:
-                cover(sheet, stars.indptr[vertex + 1] - stars.indptr[vertex], number, work)
-                return alpha
+                cover(sheet, own.indptr[vertex + 1] - own.indptr[vertex], number, work)
+                if body.volume.shape[0] > 0:
+                    spend(body.volume, swept, vertex)
+                return True, there
         if slot >= 0:
             lines.place[slot] = place
         sheet.foot[vertex] = foot
         if good and floor > 1.0:
             p[vertex, 0], p[vertex, 1], p[vertex, 2] = x, y, z
-            floor = least_cosine(sheet, ground, stars, vertex, limits)
+            floor = least_cosine(sheet, ground, own, vertex, limits)
         alpha *= 0.5
     p[vertex, 0], p[vertex, 1], p[vertex, 2] = x, y, z
-    return 0.0
+    return False, step.before

@@ -14,7 +14,7 @@ import numpy as np
 from odt_plugins.engine.cells.cost import ENERGY, Cost, is_energy
 from odt_plugins.engine.cells.extremes import FREELY, Extremes, keeps, worse
 from odt_plugins.engine.cells.measures import triangle_state
-from odt_plugins.engine.cells.triangle import triangle_shape
+from odt_plugins.engine.cells.triangle import triangle_extremes
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import PIECE
 from odt_plugins.engine.topology.lookup import place_in
@@ -403,17 +403,13 @@ def _guard_agrees(
         return True
     new = 2.0
     if fixed[b]:
-        new = min(new, triangle_shape(points, a, b, d)[0])
+        new = min(new, triangle_extremes(points, a, b, d).quality)
     if fixed[c]:
-        new = min(new, triangle_shape(points, a, d, c)[0])
-    if fixed[b] and fixed[c]:
-        old = min(triangle_shape(points, a, b, c)[0], triangle_shape(points, d, c, b)[0])
-    else:
-        old = max(
-            floor,
-            min(triangle_shape(points, a, b, c)[0], triangle_shape(points, d, c, b)[0]),
-        )
-    return new >= old
+        new = min(new, triangle_extremes(points, a, d, c).quality)
+    old = min(
+        triangle_extremes(points, a, b, c).quality, triangle_extremes(points, d, c, b).quality
+    )
+    return new >= (old if fixed[b] and fixed[c] else max(floor, old))
 
 
 @kernel

@@ -22,11 +22,7 @@ from odt_plugins.engine.cells.rows import (
     quality_rows,
     shape_rows,
 )
-from odt_plugins.engine.cells.triangle import (
-    triangle_altitude,
-    triangle_in_space,
-    triangle_shape,
-)
+from odt_plugins.engine.cells.triangle import triangle_altitude, triangle_extremes
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.compiled.threads import run_pieces
 from odt_plugins.engine.policy import POLICY
@@ -49,10 +45,7 @@ def _triangle_shapes(points: FloatArray, cells: IntArray, shapes: FloatArray) ->
     """Radius ratio, cosines of smallest and largest angle, altitude of every triangle."""
     for c in range(cells.shape[0]):
         i, j, k = cells[c, 0], cells[c, 1], cells[c, 2]
-        if points.shape[1] == 3:
-            q, large, small, _, _, _ = triangle_in_space(points, i, j, k)
-        else:
-            q, large, small = triangle_shape(points, i, j, k)
+        q, large, small = triangle_extremes(points, i, j, k)
         shapes[c, 0], shapes[c, 1], shapes[c, 2] = q, large, small
         shapes[c, 3] = triangle_altitude(points, i, j, k)
 

@@ -6,7 +6,6 @@ from typing import NamedTuple
 
 import numpy as np
 
-from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import Ground
 from odt_plugins.engine.ground.lines import Lines
 from odt_plugins.engine.ground.sheet import LOCKED, Limits, Sheet
@@ -46,20 +45,3 @@ class Skin(NamedTuple):
     def allow(self, everything: bool) -> None:
         """Set the largest change of the volume: all of it, or all but the reserve."""
         self.volume[0, 1] = self.most if everything else (1.0 - POLICY.slide_reserve) * self.most
-
-
-@kernel
-def affordable(volume: FloatArray, change: float, v: int) -> bool:
-    """Whether vertex v may change the volume: within all budgets, or if debts are paid back."""
-    after = abs(volume[0, 0] + change)
-    if after > volume[0, 1] and after > abs(volume[0, 0]):
-        return False
-    after = abs(volume[v + 1, 0] + change)
-    return after <= volume[v + 1, 1] * volume[0, 1] or after <= abs(volume[v + 1, 0])
-
-
-@kernel
-def spend(volume: FloatArray, change: float, v: int) -> None:
-    """Write down that vertex v changed the volume."""
-    volume[0, 0] += change
-    volume[v + 1, 0] += change

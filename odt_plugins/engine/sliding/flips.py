@@ -14,6 +14,7 @@ from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import Bounds
 from odt_plugins.engine.cells.measures import cell_cost
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
+from odt_plugins.engine.ground.budget import affordable, spend
 from odt_plugins.engine.ground.pair import edge_is_free, flip_back, keeps_normals
 from odt_plugins.engine.ground.sheet import Sheet, Work, claim, cover, joined
 from odt_plugins.engine.moves.cavity import (
@@ -28,7 +29,7 @@ from odt_plugins.engine.moves.cavity import (
 )
 from odt_plugins.engine.moves.flips2d import flip
 from odt_plugins.engine.moves.flips3d import REAL, admissible
-from odt_plugins.engine.sliding.boundary import Skin, affordable, spend
+from odt_plugins.engine.sliding.boundary import Skin
 from odt_plugins.engine.topology.active import IDLE, PENDING
 from odt_plugins.engine.topology.lookup import place_in
 from odt_plugins.engine.topology.tets import Tets, give_slot, has_room

@@ -12,11 +12,12 @@ from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
 from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.ground.build import earlier_ground, laid_on, make_ground, make_sheet
 from odt_plugins.engine.ground.features import find_features, marked_edges
-from odt_plugins.engine.ground.sheet import LOCKED, SMOOTH, Limits, make_work
+from odt_plugins.engine.ground.newton import smooth_on_ground
+from odt_plugins.engine.ground.position import Body
+from odt_plugins.engine.ground.sheet import LOCKED, SMOOTH, Guards, Limits, make_work
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.sliding.boundary import Skin
 from odt_plugins.engine.sliding.flips import flip_boundary
-from odt_plugins.engine.sliding.newton import slide_vertices
 from odt_plugins.engine.topology.complex import Complex
 from odt_plugins.engine.topology.star import Stars, star_sum, vertex_stars
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
@@ -125,14 +126,16 @@ def slide(
     stars : Stars            of the slots
     active : (n,) bool
     cost : Cost, limit : Extremes
-    moved : (n,) float64     see ``newton.slide_vertices``
+    moved : (n,) float64     see ``smooth_on_ground``
     """
     order = np.flatnonzero(active & skin.free).astype(np.int32)
     own = vertex_stars(skin.sheet.triangles, len(mesh.points))
     work = make_work(skin.ground, own.largest())
+    guards = Guards(skin.ground, skin.lines, skin.limits)
+    body = Body(mesh.cells, stars, skin.volume)
     moves = sum(
-        int(slide_vertices(
-            mesh.cells, stars, order[first:last], cost, limit, skin, own, work, moved
+        int(smooth_on_ground(
+            skin.sheet, guards, own, body, order[first:last], cost, limit, work, moved
         ))
         for first, last in pieces(0, len(order))
     )

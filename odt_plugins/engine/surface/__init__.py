@@ -8,7 +8,7 @@ What differs from meshes in the plane and in space stands here, the guards are t
   the ground; `flip_edges` flips to intrinsic Delaunay: the angles opposite to an edge sum up to
   at most pi;
 - stage 2 (`SurfaceDescent` in `finish_phase`): Newton steps on F_p = sum m^-p in the tangent plane
-  (`smooth_vertices`) and flips that lower F_p; compound moves (`compound_pass`), a
+  (`smooth_on_ground`) and flips that lower F_p; compound moves (`compound_pass`), a
   flip that costs something and a descent without guards, of which only the outcome is held
   against the ground;
 - the promise (`faults`): distances both ways (`measured`), folds and crossings (`outside`); where

@@ -10,7 +10,7 @@ import numpy as np
 from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.triangle import opposite_edge
 from odt_plugins.engine.compiled.kernel import kernel
-from odt_plugins.engine.ground.position import NO_COST, Step, along_line, try_move
+from odt_plugins.engine.ground.position import NO_COST, Body, Step, along_line, try_move
 from odt_plugins.engine.ground.sheet import LOCKED, Guards, Sheet, Work
 from odt_plugins.engine.moves.tangent import star_normal
 from odt_plugins.engine.topology.star import Stars
@@ -91,7 +91,7 @@ def star_centre(
 
 @kernel
 def move_vertices(
-    sheet: Sheet, guards: Guards, stars: Stars, order: IntArray, start: int, stop: int,
+    sheet: Sheet, guards: Guards, body: Body, order: IntArray, start: int, stop: int,
     target: Target, bounds: Extremes, work: Work, moved: FloatArray,
 ) -> int:
     """Move every vertex of order[start:stop] to the mean centre of its star, in place.
@@ -99,7 +99,7 @@ def move_vertices(
     Parameters
     ----------
     sheet : Sheet, guards : Guards
-    stars : Stars             of the sheet
+    body : Body               the sheet
     order : (k,) int32        vertices; those of one call share no triangle
     start, stop : int
     target : Target
@@ -112,7 +112,7 @@ def move_vertices(
     -------
     int                       number of vertices moved
     """
-    p, omega, vectors = sheet.points, target.omega, target.vectors
+    p, omega, vectors, stars = sheet.points, target.omega, target.vectors, body.stars
     count = 0
     for o in range(start, stop):
         v = order[o]
@@ -131,7 +131,7 @@ def move_vertices(
             continue
         x, y, z = p[v, 0], p[v, 1], p[v, 2]
         step = Step(dx, dy, dz, along_line(sheet, guards.lines, v, dx, dy, dz), 0.0, 0.0)
-        if try_move(sheet, guards, stars, v, step, NO_COST, bounds, work) > 0.0:
+        if try_move(sheet, guards, stars, body, v, step, NO_COST, bounds, work)[0]:
             moved[v] = math.sqrt((p[v, 0] - x) ** 2 + (p[v, 1] - y) ** 2 + (p[v, 2] - z) ** 2)
             count += 1
     return count

@@ -13,22 +13,13 @@ from numpy.typing import NDArray
 
 from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import Extremes
-from odt_plugins.engine.cells.measures import star_state_2d
-from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.finish.phases import Phase
 from odt_plugins.engine.finish.triangles import TriangleDescent
-from odt_plugins.engine.ground.lines import line_direction
-from odt_plugins.engine.ground.position import (
-    DECREASE,
-    Step,
-    along_line,
-    try_move,
-)
-from odt_plugins.engine.ground.sheet import LINE, LOCKED, SMOOTH, Guards, Sheet, Work, make_work
+from odt_plugins.engine.ground.newton import smooth_on_ground
+from odt_plugins.engine.ground.position import Body
+from odt_plugins.engine.ground.sheet import LOCKED, SMOOTH, Guards, Sheet, Work, make_work
 from odt_plugins.engine.moves.compound2d import MOST_TOUCHED
 from odt_plugins.engine.moves.flips2d import Rule
-from odt_plugins.engine.moves.newton2d import newton_step_2d
-from odt_plugins.engine.moves.tangent import complete_axes, set_axes, star_normal
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.surface.compound import compound_pass
 from odt_plugins.engine.surface.flips import flip_edges
@@ -38,55 +29,6 @@ from odt_plugins.engine.topology.star import Stars, vertex_stars
 from odt_plugins.engine.topology.triangles import Triangles
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.chunks import Pool
-
-
-@kernel
-def smooth_vertices(
-    sheet: Sheet, guards: Guards, stars: Stars, order: IntArray, start: int, stop: int,
-    cost: Cost, bounds: Extremes, work: Work, moved: FloatArray,
-) -> int:
-    """One guarded Newton step on F_p for every vertex of order[start:stop], in place.
-
-    Parameters as for :func:`move_vertices`; ``cost`` tells the terms of F_p, and ``moved``
-    becomes the relative decrease of F_p over the star.
-
-    Returns
-    -------
-    int          number of vertices moved
-
-    Notes
-    -----
-    The Hessian is made positive definite by a shift; a vertex on a line has one direction only.
-    """
-    lines = guards.lines
-    e, derivatives = work.axes, work.derivatives
-    count = 0
-    for o in range(start, stop):
-        v = order[o]
-        moved[v] = 0.0
-        if sheet.kind[v] == LOCKED or stars.indptr[v] == stars.indptr[v + 1]:
-            continue
-        on_a_line = sheet.kind[v] == LINE
-        star = stars.indices[stars.indptr[v] : stars.indptr[v + 1]]
-        nx, ny, nz = star_normal(sheet.points, sheet.triangles, star)
-        if on_a_line:
-            e[0, 0], e[0, 1], e[0, 2] = line_direction(lines, sheet.points, lines.slot[v])
-            complete_axes(nx, ny, nz, e)
-        elif nx * nx + ny * ny + nz * nz == 0.0:
-            continue
-        else:
-            set_axes(nx, ny, nz, e)
-        before, slope, dx, dy, dz = newton_step_2d(
-            sheet.points, sheet.triangles, star, v, cost, e, on_a_line, derivatives
-        )
-        if not -slope > DECREASE * before:
-            continue
-        step = Step(dx, dy, dz, along_line(sheet, lines, v, dx, dy, dz), before, slope)
-        if try_move(sheet, guards, stars, v, step, cost, bounds, work) > 0.0:
-            there, _ = star_state_2d(sheet.points, sheet.triangles, star, cost)
-            moved[v] = 1.0 - there / before
-            count += 1
-    return count
 
 
 @dataclass(frozen=True)
@@ -142,6 +84,9 @@ class Surface:
         """Triangles around every vertex, as they are now."""
         return vertex_stars(self.sheet.triangles, len(self.sheet.points))
 
+    def body(self, stars: Stars) -> Body:
+        """The surface as what its moves lower the cost of."""
+        return Body(self.sheet.triangles, stars, np.zeros((0, 2)))
 
     def room(self, stars: Stars) -> Work:
         """Room for the star of any vertex."""
@@ -170,11 +115,12 @@ def sweep(
 def move_all(surface: Surface, target: Target, bounds: Extremes) -> tuple[int, FloatArray]:
     """Move every vertex once; returns how many moved and how far, (n,)."""
     stars = surface.stars()
+    body = surface.body(stars)
     moved = np.zeros(len(surface.points))
 
     def work(order: IntArray, start: int, stop: int) -> int:
         return int(move_vertices(
-            surface.sheet, surface.guards, stars, order, start, stop, target, bounds,
+            surface.sheet, surface.guards, body, order, start, stop, target, bounds,
             surface.room(stars), moved,
         ))
 
@@ -218,9 +164,9 @@ class SurfaceDescent(TriangleDescent):
         surface = self.surface
 
         def work(order: IntArray, start: int, stop: int) -> int:
-            return int(smooth_vertices(
-                surface.sheet, surface.guards, stars, order, start, stop, self.phase.cost,
-                self.bounds, surface.room(stars), moved,
+            return int(smooth_on_ground(
+                surface.sheet, surface.guards, stars, surface.body(stars), order[start:stop],
+                self.phase.cost, self.bounds, surface.room(stars), moved,
             ))
 
         return sweep(surface, active, work)

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ast
 from itertools import permutations
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -11,11 +13,13 @@ from hypothesis import strategies as st
 from scipy.spatial.transform import Rotation
 from tet_meshes import TWINS
 
+from odt_plugins import engine
 from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.measures import (
     DIHEDRAL,
     MEAN_RATIO,
+    MEASURES,
     STEP,
     make_room,
     star_terms,
@@ -24,6 +28,7 @@ from odt_plugins.engine.cells.measures import (
 )
 from odt_plugins.engine.record.figures import amips_energies, tet_extremes
 from odt_plugins.figures import angles, radius_ratio
+from odt_plugins.objectives import AIMS
 
 REGULAR = np.array([[1, -1, -1], [1, 1, 1], [-1, 1, -1], [-1, -1, 1.0]])
 CORNER = np.vstack([np.zeros(3), np.eye(3)])
@@ -146,3 +151,21 @@ def test_costs_of_a_star_add_up(objective):
     alone = [terms(x, [[0, 1, 2, 3]], cost) for x in (points, other)]
     together = terms(both, [[0, 1, 2, 3], [0, 4, 5, 6]], cost)
     assert together == pytest.approx(sum(alone), rel=1e-12)
+
+
+def compared(path):
+    """Lines of a file that compare something with the number of a measure."""
+    numbers = {"ENERGY", "QUALITY", "MEAN_RATIO", "DIHEDRAL", "STEP"}
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Compare):
+            names = {n.id for n in ast.walk(node) if isinstance(n, ast.Name)}
+            if names & numbers:
+                yield node.lineno
+
+
+def test_nobody_but_the_table_asks_which_measure_it_is():
+    table = {"cost.py", "measures.py"}
+    asking = {path.name for path in Path(engine.__file__).parent.rglob("*.py") if [*compared(path)]}
+    assert asking == table
+    assert MEASURES.keys() == AIMS.keys()
+    assert set(MEASURES.values()) == set(TWINS)

@@ -37,7 +37,7 @@ VOLUME = COMMON | {
 }
 SURFACE = FLAT | {
     "surface.odt.move_vertices": ("start", "stop"), "surface.flips._flip_some": "most",
-    "surface.passes.smooth_vertices": ("start", "stop"), "ground.crossings._sweep":
+    "ground.newton.smooth_on_ground": "order", "ground.crossings._sweep":
     ("start", "stop"), "ground.envelope._upper": "triangles", "ground.reference._across":
     ("start", "stop"), "surface.compound.compound_pass": "order",
     "moves.compound2d._add_excess": "cells", "cells.measures.cell_measures": "cells",
@@ -54,7 +54,7 @@ RUNS = {
     "volume": (lambda: tm.ball(150, 3), {}, VOLUME),
     "threads": (lambda: tm.ball(150, 3), {"threads": 2}, VOLUME),
     "slide": (lambda: tm.ball(150, 3), {"boundary": "slide", "envelope": 0.02}, VOLUME | {
-        "sliding.newton.slide_vertices": "order", "sliding.flips.flip_boundary": "order",
+        "ground.newton.smooth_on_ground": "order", "sliding.flips.flip_boundary": "order",
         "ground.envelope._upper": "triangles"}),
     "insert": (lambda: tm.ball(150, 3), {"insert": True}, VOLUME | {
         "moves.insertion.insertion_pass": "order"}),
