@@ -13,6 +13,7 @@ from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.multiblock import has_parts, run_parts
 from odt_plugins.options import OptionKeywords, Options, make_options, with_option_signature
 from odt_plugins.roundtrip import run_engine
+from odt_plugins.untangling import Wanted
 
 if TYPE_CHECKING:
     from odt_plugins.engine.run.outcome import Leaving, Outcome
@@ -140,4 +141,4 @@ def _run(mesh: Any, size: Any, wishes: dict[str, Any], options: Options) -> tupl
 
         return resized(simplices, chosen, leaving, wish)
 
-    return run_engine(mesh, options, engine)
+    return run_engine(mesh, options, engine, Wanted(linear=True))

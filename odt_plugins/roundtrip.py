@@ -38,6 +38,7 @@ from odt_plugins.errors import (
     InvalidMeshError,
     InvalidOptionError,
     TangledMeshError,
+    UnsupportedMeshError,
     warn,
 )
 from odt_plugins.integrals import changed_integrals
@@ -246,6 +247,9 @@ def _prepare(mesh: Any, options: Options, wanted: Wanted) -> tuple[_Prepared, Ho
     with words_of(host):
         if options.insert:
             _expect_linear_tetrahedra(host)
+        if wanted.linear and host.higher_order:
+            msg = "got cells of higher order; expected linear ones, whose vertices come and go"
+            raise UnsupportedMeshError(msg)
         flat = flat_points(host)
         own, seen_host = seen(host, flat[0]), host
         if own is not None:

@@ -66,18 +66,20 @@ class Tangle(NamedTuple):
 
 
 class Wanted(NamedTuple):
-    """What a caller of :func:`odt_plugins.untangle` asks for besides a valid mesh.
+    """What a caller of :func:`odt_plugins.untangle` or :func:`odt_plugins.remesh` asks for.
 
     Attributes
     ----------
     rest : (n, d) float64 or None    places at which all cells have the shapes they should have
     partial : bool                   whether a mesh with fewer inverted cells will do
     share : float                    part of the run that this is, for its progress
+    linear : bool                    whether cells of higher order are refused
     """
 
     rest: FloatArray | None = None
     partial: bool = False
     share: float = 0.3
+    linear: bool = False
 
 
 def untangle_mesh(

@@ -11,6 +11,7 @@ from odt_plugins.api import optimize, optimize_with_report, quality
 from odt_plugins.errors import UnsupportedMeshError
 from odt_plugins.figures import QualitySummary, radius_ratio
 from odt_plugins.options import OptionKeywords, with_option_signature
+from odt_plugins.remeshing import remesh
 from odt_plugins.tetwild import tetrahedralize
 
 if TYPE_CHECKING:
@@ -66,6 +67,22 @@ class OdtAccessor:
         values[ids] = np.abs(radius_ratio(host.points, host.cells))
         out.cell_data[RATIO] = values
         return out
+
+
+    def remesh(self, size: Any = None, **options: Any) -> Any:
+        """Give the mesh other sizes, see :func:`odt_plugins.remesh`.
+
+        Parameters
+        ----------
+        size : float, str, array or callable    length that edges should have, or the name of a
+                                                point or cell array of lengths
+        **options                               `scale`, `cells`, ... of :func:`odt_plugins.remesh`
+
+        Returns
+        -------
+        same type as the mesh    a new one
+        """
+        return remesh(self._mesh, self._mesh[size] if isinstance(size, str) else size, **options)
 
 
 class OdtBlocksAccessor:

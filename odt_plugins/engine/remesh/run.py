@@ -30,6 +30,7 @@ from odt_plugins.engine.run.within import Within
 from odt_plugins.engine.run.work import make_start
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
+from odt_plugins.mesh.numbering import new_numbers
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal, freeze
 from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
@@ -160,7 +161,7 @@ def _once(
     """Resize within a part of the envelope, optimise within the rest, and judge."""
     report = options.progress or silent
     clock = time.perf_counter()
-    resized, lengths, log = _resized(
+    resized, lengths, lines, log = _resized(
         mesh, sizes, options, share, partial(part(report, 0.0, 0.4), "resizing"))
     origin: LongArray = resized.origin if resized.origin is not None else np.arange(0)
     envelope = envelope_length(mesh, options)
@@ -178,6 +179,7 @@ def _once(
         resized.points, resized.cells, resized.regions,
         fixed=np.where(new, False, mesh.fixed[origin]), frozen=frozen,
         anchored=np.where(new, False, mesh.anchored[origin]), body=mesh.body,
+        stays=new_numbers(origin, len(mesh.points))[mesh.stays], lines=lines,
     )
     times = {"resizing": time.perf_counter() - clock}
     inner = replace(
@@ -209,8 +211,10 @@ def _once(
 
 def _resized(
     mesh: SimplexMesh, sizes: Sizes, options: Options, share: float, tick: Any
-) -> tuple[Outcome, FloatArray, Log]:
-    """The mesh with edges as long as they should be, the lengths at its vertices, and counts."""
+) -> tuple[Outcome, FloatArray, IntArray, Log]:
+    """The mesh with edges as long as they should be, the lengths at its vertices, its feature lines
+    (k, 2), and counts.
+    """
     start = make_start(mesh)
     frame = start.frame
     log = Log()
@@ -240,7 +244,11 @@ def _resized(
     new = n + np.flatnonzero(np.bincount(cells.ravel(), minlength=len(points))[n:])
     origin: Any = outcome.origin
     lengths = np.concatenate([old[origin[origin >= 0]], work.body.size[new] / frame.scale])
-    return outcome, lengths, log
+    number = np.empty(len(points), dtype=np.int32)
+    number[:n] = new_numbers(origin, len(mesh.points))[frame.vertices]
+    number[new] = len(origin) - len(new) + np.arange(len(new), dtype=np.int32)
+    lines = number[work.body.segments.rows[work.body.segments.live()]].reshape(-1, 2)
+    return outcome, lengths, lines, log
 
 
 def _composed(first: LongArray, second: LongArray | None) -> LongArray:

@@ -4,12 +4,14 @@ from itertools import combinations
 
 import boxes
 import igl
+import meshio
 import numpy as np
 import pytest
+import pyvista
 from tet_meshes import ball
 
 import odt_plugins
-from odt_plugins.errors import InvalidOptionError
+from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
 
 
 def volumes(points, cells):
@@ -150,3 +152,35 @@ def test_a_size_larger_than_the_domain_is_said(box):
         box, 50.0, envelope=0.01, periodic="free")
     assert volumes(points, cells).sum() == pytest.approx(1, abs=3e-3)
     assert any("larger than the domain" in note for note in report.notes)
+
+
+def test_cells_of_higher_order_are_refused(box):
+    points, cells = boxes.quadratic(*box)
+    with pytest.raises(UnsupportedMeshError, match="higher order"):
+        odt_plugins.remesh(meshio.Mesh(points, [("tetra10", cells)]), scale=1)
+
+
+def test_triangles_with_labels_stay_facets_and_a_linear_field_stays_itself(box):
+    points, cells = box
+    facets = facets_once(cells)
+    low = facets[(points[facets][:, :, 0] == 0).all(axis=1)]
+    sides = np.arange(len(low)) % 3
+    field = points @ [1.0, 2.0, -1.0]
+    mesh = meshio.Mesh(points, [("tetra", cells), ("triangle", low)], {"f": field},
+                       {"side": [np.zeros(len(cells), int), sides]})
+    new = odt_plugins.remesh(mesh, 0.13, envelope=0.01, periodic="free")
+    rows = facets_once(new.cells_dict["tetra"])
+    there = new.cells_dict["triangle"]
+    assert set(map(tuple, np.sort(there, axis=1))) <= set(map(tuple, rows))
+    assert np.array_equal(np.bincount(new.cell_data_dict["side"]["triangle"]), np.bincount(sides))
+    assert len(new.points) > len(points)
+    assert np.abs(new.point_data["f"] - new.points @ [1.0, 2.0, -1.0]).max() < 1e-9
+    assert new.points[:, 0].min() > -0.01 * 3**0.5
+
+
+def test_the_accessor_of_pyvista_takes_a_size(box):
+    points, cells = box
+    odt_plugins.register("pyvista")
+    grid = pyvista.UnstructuredGrid({pyvista.CellType.TETRA: cells}, points)
+    grid.point_data["h"] = np.full(len(points), 0.15)
+    assert grid.odt.remesh("h").n_cells > len(cells)
