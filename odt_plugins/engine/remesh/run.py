@@ -49,7 +49,7 @@ MOST_HELD = 0.3
 REACH = 0.7
 """Vertices of the input are held that are nearer to a spoiled place, in units of the size."""
 
-LONGER = 1.07
+LONGER = 1.11
 """Sizes are worked with so many times as long, so that edges have them on average."""
 
 SLIDING = 0.4

@@ -18,7 +18,7 @@ from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.simplex import SimplexMesh, corner_mean, diagonal
 
-CONTENT = {3: 0.44, 4: 0.113}
+CONTENT = {3: 0.44, 4: 0.105}
 """Area of a triangle, volume of a tetrahedron of a good mesh with edges of mean length 1."""
 
 LEAST = 1e-6
