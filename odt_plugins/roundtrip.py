@@ -178,14 +178,10 @@ def run_engine(
 
 def optimized(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
     """Let the engine for this kind of mesh do the work."""
-    if mesh.is_surface:
-        from odt_plugins.engine.surface.driver import run_surface
+    if mesh.is_surface or (mesh.dim == 2 and options.boundary == "slide"):
+        from odt_plugins.engine.surface.in_plane import run_triangles
 
-        return run_surface(mesh, options, leaving)
-    if mesh.dim == 2 and options.boundary == "slide":
-        from odt_plugins.engine.surface.in_plane import run_in_plane
-
-        return run_in_plane(mesh, options, leaving)
+        return run_triangles(mesh, options, leaving)
     from odt_plugins.engine.run.plan import run
 
     return run(mesh, options, leaving)

@@ -16,6 +16,12 @@ from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
 
 
+def run_triangles(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
+    """Optimise triangles that slide: those of a surface, or in the plane with their rims."""
+    run = run_surface if mesh.is_surface else run_in_plane
+    return run(mesh, options, leaving)
+
+
 def run_in_plane(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
     """Optimise triangles in the plane, their rims and borders within the envelope.
 
