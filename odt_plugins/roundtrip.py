@@ -178,13 +178,9 @@ def run_engine(
 
 def optimized(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
     """Let the engine for this kind of mesh do the work."""
-    if mesh.is_surface or (mesh.dim == 2 and options.boundary == "slide"):
-        from odt_plugins.engine.surface.in_plane import run_triangles
+    from odt_plugins.engine.surface.in_plane import run_any
 
-        return run_triangles(mesh, options, leaving)
-    from odt_plugins.engine.run.plan import run
-
-    return run(mesh, options, leaving)
+    return run_any(mesh, options, leaving)
 
 
 def _run_kept(

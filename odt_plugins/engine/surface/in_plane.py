@@ -10,15 +10,19 @@ import numpy as np
 from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
 from odt_plugins.engine.ground.crossings import crossed_facets
 from odt_plugins.engine.run.outcome import Leaving, Outcome, unchanged
+from odt_plugins.engine.run.plan import run
 from odt_plugins.engine.surface.driver import run_surface
 from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
 
 
-def run_triangles(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
-    """Optimise triangles that slide: those of a surface, or in the plane with their rims."""
-    run = run_surface if mesh.is_surface else run_in_plane
+def run_any(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
+    """Optimise a mesh of any kind by the engine for it; parameters as for the others."""
+    if mesh.is_surface:
+        return run_surface(mesh, options, leaving)
+    if mesh.dim == 2 and options.boundary == "slide":
+        return run_in_plane(mesh, options, leaving)
     return run(mesh, options, leaving)
 
 
