@@ -24,9 +24,6 @@ Solver = Literal["gauss-seidel", "jacobi", "richardson", "global", "lbfgs"]
 Connectivity = Literal["auto", "delaunay", "flips", "none"]
 Boundary = Literal["fixed", "slide"]
 Fields = Literal["auto", "interpolate", "keep"]
-Layers = Literal["keep", "improve"]
-Periodic = Literal["keep", "free"]
-Inside = Literal["keep", "free"]
 Repair = Literal["auto", "orient", "none"]
 LinearSolver = Literal["auto", "direct", "amg"]
 
@@ -50,7 +47,10 @@ FIGURES = (*KEPT, "min_altitude")
 EDGE_LENGTH = 0.05
 """Part of the diagonal of a surface: edges that TetWild aims at, unless another is given."""
 
-OF_MESHES = ("fixed", "selection", "regions", "fields", "layers", "periodic", "inside")
+STAYS = ("layers", "periodic", "inside")
+"""What stays unless the option `free` names it."""
+
+OF_MESHES = ("fixed", "selection", "regions", "fields", "free")
 """Options for what a mesh has that is there already, none for a surface that is to be filled."""
 
 OF_UNTANGLING = ("insert", "fixed", "selection", "regions", "threads", "progress")
@@ -234,23 +234,17 @@ class Options:
         "interpolates for tetrahedra and meshes in the plane unless they come from pymeshlab or "
         "open3d, whose own filters keep. Other arrays, ids and normals stay in any case.",
         choices=get_args(Fields)))
-    layers: Layers = field(default="keep", metadata=_told(
-        "What happens to layers, which are many tetrahedra, or triangles in the plane, that are "
-        "stretched alike with their neighbours, as at walls, in thin plates and along shocks: keep "
-        "lets them stay as they are, improve treats them as any other cells. The report says how "
-        "many there are.",
-        choices=get_args(Layers)))
-    periodic: Periodic = field(default="keep", metadata=_told(
-        "What happens to faces that correspond to each other when the boundary slides: those that "
-        "the mesh calls so, and opposite plane ones of tetrahedra whose triangles match under one "
-        "translation. keep lets them stay as they are, free treats them as any other.",
-        choices=get_args(Periodic)))
-    inside: Inside = field(default="keep", metadata=_told(
-        "What happens to triangles beside tetrahedra, and lines beside triangles in the plane, "
-        "inside of a region, such as baffles, cracks and membranes. Each remains a face of a cell. "
-        "keep lets their vertices stay where they are, free lets them move as any other, which "
-        "bends what they make up.",
-        choices=get_args(Inside)))
+    free: tuple[str, ...] = field(default=(), metadata=_told(
+        "What is treated as any other, though it stays as it is unless it is named. layers: many "
+        "tetrahedra, or triangles in the plane, that are stretched alike with their neighbours, as "
+        "at walls, in thin plates and along shocks; the report says how many there are. periodic: "
+        "faces that correspond to each other when the boundary slides, which are those that the "
+        "mesh calls so, and opposite plane ones of tetrahedra whose triangles match under one "
+        "translation. inside: vertices of triangles beside tetrahedra, and of lines beside "
+        "triangles in the plane, inside of a region, such as baffles, cracks and membranes; each "
+        "remains a face of a cell, and what they make up bends.",
+        python="A single one may be given as a word.",
+        flag="Separated by commas."))
     keep: tuple[str, ...] = field(default=KEPT, metadata=_told(
         "Figures that must not get worse; share_below_20 is the part of the cells with an angle "
         "below 20 degrees, min_altitude the least altitude of a cell, which the objective "
@@ -313,11 +307,12 @@ class Options:
         good = self.connectivity != "none" or not self.insert
         _expect(good, "insert", self.insert, "False with connectivity='none', since vertices that "
                 "come change cells; try another connectivity")
-        if isinstance(self.keep, str):
-            _expect(self.keep in FIGURES, "keep", self.keep, f"some of {FIGURES}")
-            object.__setattr__(self, "keep", (self.keep,))
-        good = isinstance(self.keep, tuple | list) and all(k in FIGURES for k in self.keep)
-        _expect(good, "keep", self.keep, f"some of {FIGURES}")
+        for name, known in (("keep", FIGURES), ("free", STAYS)):
+            value = getattr(self, name)
+            words = (value,) if isinstance(value, str) else value
+            good = isinstance(words, tuple | list) and all(word in known for word in words)
+            _expect(good, name, value, f"some of {known}")
+            object.__setattr__(self, name, tuple(words))
         if AIMS[self.objective].by_altitude and self.keep and "min_altitude" not in self.keep:
             object.__setattr__(self, "keep", (*self.keep, "min_altitude"))
         good = callable(self.progress) or isinstance(self.progress, bool | None)
@@ -378,9 +373,7 @@ class OptionKeywords(TypedDict, total=False):
     selection: ArrayLike | None
     regions: str | Sequence[str] | ArrayLike | None
     fields: Fields
-    layers: Layers
-    periodic: Periodic
-    inside: Inside
+    free: str | tuple[str, ...]
     keep: str | tuple[str, ...]
     repair: Repair
     threads: int

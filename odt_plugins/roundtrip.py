@@ -19,6 +19,7 @@ from odt_plugins.adapters.host import (
     HostMesh,
     NewVertices,
     Result,
+    expect_linear_tetrahedra,
     words_of,
 )
 from odt_plugins.adapters.kept import (
@@ -36,7 +37,6 @@ from odt_plugins.carry import cell_origin, in_input_order, in_order_of, surround
 from odt_plugins.curved import Kept, keep_curved, untangled_around
 from odt_plugins.errors import (
     InvalidMeshError,
-    InvalidOptionError,
     TangledMeshError,
     UnsupportedMeshError,
     warn,
@@ -121,7 +121,7 @@ def run_engine(
         first = part(progress, 0.0, wanted.share)
         work, given = _prepare(mesh, replace(options, progress=tell and first), wanted)
         layers = 0
-        if options.layers == "keep":
+        if "layers" not in options.free:
             was = () if work.tangle is None else (work.tangle.before, work.tangle.source)
             kept, layers = keep_layers(work.mesh, options.threads, *was)
             work = work._replace(mesh=kept)
@@ -238,7 +238,7 @@ def _prepare(mesh: Any, options: Options, wanted: Wanted) -> tuple[_Prepared, Ho
         host = replace(host, regions=np.asarray(options.regions))
     with words_of(host):
         if options.insert:
-            _expect_linear_tetrahedra(host)
+            expect_linear_tetrahedra(host)
         if wanted.linear and host.higher_order:
             msg = "got cells of higher order; expected linear ones, whose vertices come and go"
             raise UnsupportedMeshError(msg)
@@ -277,7 +277,7 @@ def _checked(
             surface.fixed[host.geometry.on_curves] = True
         if keep_seams:
             surface = hold_charts(surface, host.blocks)
-        surface, notes = hold_places(surface, host, periodic=options.periodic == "keep")
+        surface, notes = hold_places(surface, host, periodic="periodic" not in options.free)
         return _Prepared(adapter, host, None, surface, 1, notes=notes + notes_on_sets(host.kept))
     tangled = False
     try:
@@ -292,9 +292,9 @@ def _checked(
     if frame is not None and 2 * simplices.turned > len(simplices.cells):
         orientation = -1
         simplices = replace(simplices, turned=len(simplices.cells) - simplices.turned)
-    simplices, notes = hold_kept(simplices, host, options.inside)
+    simplices, notes = hold_kept(simplices, host, free="inside" in options.free)
     if options.boundary == "slide":
-        simplices, more = hold_places(simplices, host, periodic=options.periodic == "keep")
+        simplices, more = hold_places(simplices, host, periodic="periodic" not in options.free)
         notes += more
     notes += notes_on_sets(host.kept)
     work = _Prepared(adapter, host, frame, simplices, orientation, notes=notes)
@@ -441,14 +441,6 @@ def _as_it_leaves(
     outcome = replace(outcome, points=points, written=written)
     cells, regions, source = _sorted_cells(work.mesh, outcome, threads)
     return replace(outcome, cells=cells, regions=regions, source=source)
-
-
-def _expect_linear_tetrahedra(host: HostMesh) -> None:
-    """Refuse meshes into which no vertices can be inserted."""
-    what = "triangles" if host.cells.shape[1:] == (3,) else "cells of higher order"
-    if host.higher_order or what == "triangles":
-        msg = f"got insert=True for a mesh of {what}; expected one of linear tetrahedra"
-        raise InvalidOptionError(msg)
 
 
 def _sorted_cells(

@@ -330,3 +330,10 @@ def test_public_names_are_documented_and_typed(name):
         assert signature.return_annotation is not inspect.Signature.empty
         for parameter in signature.parameters.values():
             assert parameter.annotation is not inspect.Parameter.empty
+
+
+def test_the_glossary_has_at_most_thirty_words_each_once():
+    page = (PACKAGE / "README.md").read_text(encoding="utf-8")
+    rows = page.partition("| word | meaning |\n")[2].partition("\n\n")[0].splitlines()[1:]
+    words = [row.split("|")[1].strip() for row in rows]
+    assert 10 < len(words) == len(set(words)) <= 30

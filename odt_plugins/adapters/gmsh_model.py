@@ -470,7 +470,7 @@ def _expect_links_kept(
                 kind = ("curve", "surface")[dim - 1]
                 msg = (f"got periodic {kind}s ({kind} {tag} and its master {master}) whose "
                        f"nodes would no longer correspond; expected none that move, try "
-                       f"periodic='keep'")
+                       f"leaving 'periodic' out of free")
                 raise UnsupportedMeshError(msg)
 
 

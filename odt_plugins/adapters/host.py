@@ -10,7 +10,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.errors import ODTError
+from odt_plugins.errors import InvalidOptionError, ODTError
 
 SET_VERTEX, NAMED_VERTEX = "vertex of point set", "vertex named by its file"
 """Kind of kept cells of a vertex each, with the name of the set behind it."""
@@ -255,3 +255,16 @@ def words_of(host: HostMesh) -> Iterator[None]:
         said = type(exc)(text)
         said.__dict__.update(exc.__dict__)
         raise said from exc
+
+
+def expect_linear_tetrahedra(host: HostMesh) -> None:
+    """Refuse meshes into which no vertices can be inserted.
+
+    Raises
+    ------
+    InvalidOptionError
+    """
+    what = "triangles" if host.cells.shape[1:] == (3,) else "cells of higher order"
+    if host.higher_order or what == "triangles":
+        msg = f"got insert=True for a mesh of {what}; expected one of linear tetrahedra"
+        raise InvalidOptionError(msg)

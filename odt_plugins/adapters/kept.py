@@ -24,7 +24,7 @@ NAMED = 5
 
 
 def hold_kept(
-    mesh: SimplexMesh, host: HostMesh, inside: str = "keep"
+    mesh: SimplexMesh, host: HostMesh, *, free: bool = False
 ) -> tuple[SimplexMesh, tuple[str, ...]]:
     """:func:`protect` what a mesh has beside its cells, and tell of facets inside of a region.
 
@@ -32,9 +32,8 @@ def hold_kept(
     ----------
     mesh : SimplexMesh
     host : HostMesh       that it comes from
-    inside : str          the option of that name
+    free : bool           whether the vertices of facets inside may move
     """
-    free = inside == "free"
     safe = protect(mesh, host.kept, host.anchors, free=free)
     return safe, _note_inside(mesh, safe, host, free=free)
 
@@ -272,7 +271,7 @@ def _note_inside(
         return ()
     what, cells = ("triangle", "tetrahedra") if k == 4 else ("line", "triangles")
     told = ("remain faces of cells and move with their vertices" if free else
-            f"stay with {counted(vertices, 'vertex', 'vertices')}; try inside='free' to let these "
+            f"stay with {counted(vertices, 'vertex', 'vertices')}; try free='inside' to let these "
             f"move where they are no {'surface' if k == 4 else 'curve'} of yours")
     return (host.words(f"{counted(count, what)} beside the {cells}, inside of a region, {told}"),)
 
@@ -311,7 +310,7 @@ def hold_places(
         mesh, count = _hold_periodic(mesh, host.coupled)
         if count:
             notes.append(f"{counted(count, 'vertex', 'vertices')} of periodic faces stay, so that "
-                         f"the faces still correspond; try periodic='free' to let them slide")
+                         f"the faces still correspond; try free='periodic' to let them slide")
     if disagree:
         edges = disagreeing_edges(mesh)
         if len(edges):

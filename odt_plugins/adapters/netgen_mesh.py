@@ -264,7 +264,7 @@ def _identify(out: Any, source: Any, result: Result, host: HostMesh) -> None:
         old = np.array([one.nr - 1, other.nr - 1])
         if not np.array_equal(result.points[number[old]], host.points[old]):
             msg = (f"got identified points, such as {old[0]} and {old[1]}, that would no longer "
-                   f"correspond; expected none that move, try periodic='keep'")
+                   f"correspond; expected none that move, try leaving 'periodic' out of free")
             raise UnsupportedMeshError(msg)
         pair = (type(p)(int(number[p.nr - 1]) + 1) for p in (one, other))
         out.AddPointIdentification(*pair, which, source.GetIdentificationType(which))

@@ -11,7 +11,7 @@ from click.core import ParameterSource
 
 from odt_plugins.cli.terminal import ShareOption
 from odt_plugins.options import EDGE_LENGTH as DEFAULT_EDGE_LENGTH
-from odt_plugins.options import FIGURES, KEPT, OPTIONS, Options, smoothing_of
+from odt_plugins.options import FIGURES, OPTIONS, STAYS, Options, smoothing_of
 
 EDGE_LENGTH = click.option(
     "--edge-length", type=click.FloatRange(min=0.0, max=1.0, min_open=True, max_open=True),
@@ -54,8 +54,8 @@ def option_flags(
                          "metavar": "NAME=VALUE", "callback": lambda _c, _p, w: smoothing_of(w)}
         elif name == "regions":
             settings["callback"] = _region_names
-        elif name == "keep":
-            settings |= {"default": ",".join(KEPT), "callback": _figure_names}
+        elif name in ("keep", "free"):
+            settings |= {"default": ",".join(default), "callback": _names}
         else:
             settings["type"] = str
         command = click.option(flag, name, **settings)(command)
@@ -118,16 +118,17 @@ def _region_names(_ctx: click.Context, _param: click.Parameter, text: str) -> st
     return None if text == "none" else text
 
 
-def _figure_names(_ctx: click.Context, _param: click.Parameter, text: str) -> tuple[str, ...]:
+def _names(_ctx: click.Context, param: click.Parameter, text: str) -> tuple[str, ...]:
+    known = FIGURES if param.name == "keep" else STAYS
     names = tuple(name.strip() for name in text.split(",") if name.strip())
-    if names == ("none",):
+    if names == ("none",) or (not text and param.name == "free"):
         return ()
     if not names:
-        msg = f"got no name; expected some of {', '.join(FIGURES)}, separated by commas, or none"
+        msg = f"got no name; expected some of {', '.join(known)}, separated by commas, or none"
         raise click.BadParameter(msg)
     for name in names:
-        if name not in FIGURES:
-            msg = f"got {name!r}; expected some of {', '.join(FIGURES)}, separated by commas"
+        if name not in known:
+            msg = f"got {name!r}; expected some of {', '.join(known)}, separated by commas"
             raise click.BadParameter(msg)
     return names
 

@@ -137,7 +137,8 @@ def chosen(given: Mapping[str, Any]) -> dict[str, Any]:
         if isinstance(default, bool):
             value = bool(value)
         elif isinstance(default, tuple):
-            value = tuple(word.strip() for word in value.split(",") if word.strip() != "none")
+            words = (word.strip() for word in value.split(","))
+            value = tuple(word for word in words if word not in ("", "none"))
         elif name == "smoothing":
             value, default = of_package("options").smoothing_of(value.split()), {}
         elif value == "":

@@ -141,6 +141,8 @@ def _options(values: Mapping[str, Any], length: float) -> dict[str, Any]:
     for name in ("fields", "objective", "insert"):
         if name in values:
             options[name] = values[name]
+    if values.get("layers") == "improve":
+        options["free"] = "layers"
     if values.get("regions"):
         options["regions"] = values["regions"]
     if values.get("boundary"):

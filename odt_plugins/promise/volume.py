@@ -216,7 +216,7 @@ def _came_and_went(
     before: SimplexMesh, cells: NDArray[np.int32], removed: NDArray[np.int64],
     held: dict[str, NDArray[np.bool_]], most: int,
 ) -> list[str]:
-    """Check that only free vertices were removed, and that not too many were added."""
+    """Check that only movable vertices were removed, and that not too many were added."""
     sentences = []
     for name, mask in [*held.items(), ("anchored", before.anchored)]:
         bad = removed[mask[removed]]

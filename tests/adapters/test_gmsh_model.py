@@ -285,8 +285,8 @@ def test_periodic_curves_stay_linked_and_periodic_surfaces_do_not_move():
     gmsh.option.setNumber("Mesh.MeshSizeMax", 0.5)
     model.mesh.generate(2)
     before = dump(model)
-    with pytest.raises(UnsupportedMeshError, match=r"surface 2 and its master 1.*periodic='keep'"):
-        odt_plugins.optimize(model, envelope=0.1, periodic="free")
+    with pytest.raises(UnsupportedMeshError, match=r"surface 2 and its master 1.*out of free"):
+        odt_plugins.optimize(model, envelope=0.1, free="periodic")
     _, report = odt_plugins.optimize_with_report(model, envelope=0.1)
     assert f"{len(model.mesh.getNodes()[0])} vertices of periodic faces stay" in str(report)
     assert same(before, dump(model))

@@ -36,9 +36,9 @@ def test_facets_inside_tell_what_they_hold_and_how_to_free_it(d):
     [note] = report.notes
     words = {2: "lines beside the triangles", 3: "triangles beside the tetrahedra"}[d]
     assert note.startswith(f"{(count == 2).sum()} {words}, inside of a region")
-    assert f"stay with {inside.sum()} vertices; try inside='free'" in note
-    assert all('inside="free"' in cell.hint for cell in report.binding if cell.hint)
-    result, freed = odt_plugins.optimize_with_report(mesh, inside="free")
+    assert f"stay with {inside.sum()} vertices; try free='inside'" in note
+    assert all('free="inside"' in cell.hint for cell in report.binding if cell.hint)
+    result, freed = odt_plugins.optimize_with_report(mesh, free="inside")
     assert freed.n_movable == inside.sum()
     assert freed.after.mean_quality > freed.before.mean_quality
     assert "remain faces of cells" in freed.notes[0]
@@ -63,7 +63,7 @@ def faces_of(mesh):
 
 @pytest.mark.parametrize("where", ["middle", "across"])
 @pytest.mark.parametrize("options", [{}, {"insert": True}, {"boundary": "slide"}])
-@pytest.mark.parametrize("inside", ["keep", "free"])
+@pytest.mark.parametrize("inside", [(), "inside"])
 def test_a_sheet_inside_holds_its_own_vertices_alone(inside, options, where):
     points, cells, _ = contract.grid(3, 4, 3)
     rows, _ = facets_of(cells)
@@ -71,17 +71,17 @@ def test_a_sheet_inside_holds_its_own_vertices_alone(inside, options, where):
     centre = abs(points[layer].mean(axis=1)[:, :2] - 0.5).max(axis=1)
     sheet = layer[centre < (0.25 if where == "middle" else 1.0)]
     mesh = beside(points, cells, sheet)
-    result, report = odt_plugins.optimize_with_report(mesh, inside=inside, **options)
+    result, report = odt_plugins.optimize_with_report(mesh, free=inside, **options)
     new = result.cells[1].data
     assert len(new) == len(sheet)
     assert set(map(tuple, np.sort(new, axis=1).tolist())) <= faces_of(result)
     held = np.unique(sheet)
     moved = (result.points[np.unique(new)] != points[held]).any(axis=1)
     inner = ((points > 0) & (points < 1)).all(axis=1)
-    assert moved.any() == (inside == "free")
+    assert moved.any() == bool(inside)
     assert not moved[~inner[held]].any() or options.get("boundary") == "slide"
     free = inner.copy()
-    if inside == "keep":
+    if not inside:
         free[held] = False
     if not options.get("boundary"):
         assert report.n_movable == free.sum()
@@ -92,7 +92,7 @@ def test_values_of_a_field_come_across_triangles_that_moved():
     points, cells, _ = contract.grid(3, 4, 3)
     mesh = beside(points, cells, facets_of(cells)[0])
     mesh.point_data["u"] = points @ [1.0, -2.0, 0.5]
-    result = odt_plugins.optimize(mesh, inside="free")
+    result = odt_plugins.optimize(mesh, free="inside")
     assert (result.points != points).any()
     assert np.allclose(result.point_data["u"], result.points @ [1.0, -2.0, 0.5], atol=1e-12)
 

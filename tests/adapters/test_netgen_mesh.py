@@ -160,7 +160,7 @@ def test_periodic_identifications_stay():
             assert np.abs(apart) == pytest.approx([1, 0, 0], abs=1e-9)
             assert out.GetIdentificationType(number) == IdentificationType.PERIODIC
     with pytest.raises(UnsupportedMeshError, match="identified points"):
-        odt_plugins.optimize(mesh, boundary="slide", periodic="free")
+        odt_plugins.optimize(mesh, boundary="slide", free="periodic")
 
 
 def test_what_ngsolve_adds_is_lost_with_a_warning():

@@ -74,7 +74,7 @@ def test_all_sections_stay(form, tmp_path):
 def test_identified_faces_still_match_when_the_surface_slides(tmp_path):
     two_boxes(tmp_path / "a.vol")
     with pytest.warns(DataNotKeptWarning, match="parameters of corners of triangles that moved"):
-        optimize_file(tmp_path / "a.vol", tmp_path / "b.vol", boundary="slide", periodic="free")
+        optimize_file(tmp_path / "a.vol", tmp_path / "b.vol", boundary="slide", free="periodic")
     report = optimize_file(tmp_path / "a.vol", tmp_path / "b.vol", boundary="slide")
     assert any("periodic" in note for note in report.notes)
     mesh = loaded(tmp_path / "b.vol")

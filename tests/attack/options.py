@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_h
 import numpy as np
 
 from odt_plugins.errors import InvalidOptionError
-from odt_plugins.options import DENSITIES, FIGURES, LinearSolver, Options
+from odt_plugins.options import DENSITIES, FIGURES, STAYS, LinearSolver, Options
 
 if TYPE_CHECKING:
     from attack.shapes import RandomMesh
@@ -125,6 +125,7 @@ BY_NAME: dict[str, Callable[[Rng, Any, Any], Any]] = {
     "selection": lambda rng, mesh, _: _some_of(len(mesh.cells), rng),
     "regions": _regions,
     "keep": _keep,
+    "free": lambda rng, *_: tuple(name for name in STAYS if rng.random() < 0.5),
     "insert": lambda rng, *_: bool(rng.random() < 0.5) if rng.random() < 0.5 else _share(rng),
     "repair": lambda rng, *_: str(rng.choice(["orient", "auto", "none"], p=[0.6, 0.1, 0.3])),
     "threads": lambda rng, *_: int(rng.integers(1, 4)),

@@ -82,7 +82,7 @@ def test_flags_are_the_fields_of_options_with_their_defaults() -> None:
             continue
         flag = found[field.name]
         assert flag.opts == ["--" + field.name.replace("_", "-")]
-        other = {"keep": ",".join(KEPT), "smoothing": ()}
+        other = {"keep": ",".join(KEPT), "free": "", "smoothing": ()}
         assert flag.default == other.get(field.name, field.default)
         assert flag.help
 
@@ -91,7 +91,7 @@ def test_choices_are_those_of_options() -> None:
     hints = get_type_hints(Options)
     choices = {name for name, hint in hints.items() if get_origin(hint) is Literal}
     assert choices == {"method", "solver", "connectivity", "objective",
-                       "boundary", "fields", "layers", "periodic", "repair"}
+                       "boundary", "fields", "repair"}
     for name in choices:
         assert tuple(flags()[name].type.choices) == get_args(hints[name])
     assert choices == {name for name, about in OPTIONS.items() if about.metadata["choices"]}

@@ -576,3 +576,9 @@ def test_scripts_without_pymeshlab(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr("odt_plugins.errors.find_spec", lambda name: None)
     with pytest.raises(MissingDependencyError, match=r"odt-plugins\[pytetwild\]"):
         sphere().generate_odt_tetrahedralization()
+
+
+def test_layers_that_a_filter_shall_improve_are_free():
+    base = {"stepsmoothnum": 1, "density": "keep", "keepquality": True}
+    assert "free" not in pymeshlab_work._options(base | {"layers": "keep"}, 1.0)
+    assert pymeshlab_work._options(base | {"layers": "improve"}, 1.0)["free"] == "layers"

@@ -27,7 +27,7 @@ from odt_plugins.mesh.chunks import Pool
 
 def finish2d(
     mesh: Triangles,
-    free: BoolArray,
+    movable: BoolArray,
     *,
     movable_cells: BoolArray | None = None,
     bounds: Extremes | None = None,
@@ -40,7 +40,7 @@ def finish2d(
     Parameters
     ----------
     mesh : Triangles              changed
-    free : (n,) bool              vertices that may move; none on the boundary or an interface
+    movable : (n,) bool           vertices that may move; none on the boundary or an interface
     movable_cells : (m,) bool     an edge is flipped only between two such cells; None means all
     bounds : Extremes             that may not appear where they were not before; None takes those
                                   of the mesh
@@ -60,7 +60,7 @@ def finish2d(
         )
     flips = moves = 0
     for phase in bulk(2) + tail(2) if phases is None else phases:
-        descent = _PlaneDescent(mesh, phase, bounds, free, movable_cells, pool, threads)
+        descent = _PlaneDescent(mesh, phase, bounds, movable, movable_cells, pool, threads)
         flips += descent.compound()
         done = finish_phase(descent, phase)
         flips += done[0]
@@ -74,11 +74,11 @@ class _PlaneDescent(TriangleDescent):
     gain = POLICY.plane_gain
 
     def __init__(
-        self, mesh: Triangles, phase: Phase, bounds: Extremes, free: BoolArray,
+        self, mesh: Triangles, phase: Phase, bounds: Extremes, movable: BoolArray,
         movable_cells: BoolArray | None, pool: Pool | None, threads: int,
     ) -> None:
         super().__init__(mesh, phase)
-        self.bounds, self.free = bounds, free
+        self.bounds, self.movable = bounds, movable
         self.pool, self.threads = pool, threads
         every: BoolArray = np.ones(len(mesh.cells), dtype=np.bool_)
         self.movable_cells = every if movable_cells is None else movable_cells
@@ -92,13 +92,13 @@ class _PlaneDescent(TriangleDescent):
         self, tried: BoolArray, excess: FloatArray
     ) -> Callable[[IntArray], int]:
         """What tries compound moves at some cells."""
-        rule = Rule(self.phase.cost, self.bounds, self.movable_cells, ~self.free, True)
+        rule = Rule(self.phase.cost, self.bounds, self.movable_cells, ~self.movable, True)
         edges = number_edges(self.mesh.neighbors)
         return lambda order: compound_pass_2d(self.mesh, edges, order, rule, tried, excess)
 
     def sweep(self, stars: Stars, active: BoolArray, moved: FloatArray) -> int:
         """Smooth every active vertex once, block after block; returns how many moved."""
-        coloring = vertex_coloring(self.cells, active & self.free)
+        coloring = vertex_coloring(self.cells, active & self.movable)
 
         def work(start: int, stop: int) -> int:
             return int(smooth_vertices_2d(self.points, self.cells, stars, coloring.order, start,

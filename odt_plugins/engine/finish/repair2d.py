@@ -36,14 +36,14 @@ COMPASS = ((1.0, 0.0), (0.7, 0.7), (0.0, 1.0), (-0.7, 0.7),
 
 
 def within_bounds(
-    mesh: Triangles, free: BoolArray, bounds: Extremes, *, flips: bool = True
+    mesh: Triangles, movable: BoolArray, bounds: Extremes, *, flips: bool = True
 ) -> bool:
     """Move vertices and flip edges, in place, until no triangle is beyond the bounds.
 
     Parameters
     ----------
     mesh : Triangles    changed
-    free : (n,) bool    vertices that may move
+    movable : (n,) bool vertices that may move
     bounds : Extremes
     flips : bool        whether edges may be flipped
 
@@ -66,7 +66,7 @@ def within_bounds(
             near[cells[lacking > 0.0]] = True
             for _ in range(RINGS):
                 near[cells[near[cells].any(axis=1)]] = True
-            order = np.flatnonzero(near & free).astype(np.int32)
+            order = np.flatnonzero(near & movable).astype(np.int32)
             for _ in range(SWEEPS):
                 for first, last in pieces(0, len(order), costly=True):
                     _search(points, cells, stars, order[first:last], bounds, margin)

@@ -30,7 +30,7 @@ in the unit cube."""
 
 
 def within_bounds(
-    points: FloatArray, cells: IntArray, free: BoolArray, bounds: Extremes
+    points: FloatArray, cells: IntArray, movable: BoolArray, bounds: Extremes
 ) -> float:
     """Move vertices of cells beyond the bounds, in place, such that less is lacking.
 
@@ -38,7 +38,7 @@ def within_bounds(
     ----------
     points : (n, 3) float64    changed
     cells : (m, 4) int32
-    free : (n,) bool           vertices that may move
+    movable : (n,) bool        vertices that may move
     bounds : Extremes
 
     Returns
@@ -48,7 +48,7 @@ def within_bounds(
     stars = vertex_stars(cells, len(points))
     for margin in MARGINS:
         for v in np.unique(cells[lacking(points, cells, bounds) > 0.0]):
-            if free[v]:
+            if movable[v]:
                 star = cells[stars.indices[stars.indptr[v] : stars.indptr[v + 1]]]
                 _search(points, star, v, bounds, margin)
     return float(lacking(points, cells, bounds).sum())

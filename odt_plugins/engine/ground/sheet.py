@@ -19,7 +19,7 @@ from odt_plugins.errors import endless_walk
 from odt_plugins.mesh.arrays import BoolArray, ByteArray, FloatArray, IntArray
 
 SMOOTH, LINE, LOCKED = 0, 1, 2
-"""Kinds of vertices: free on the surface, free on a feature line, locked."""
+"""Kinds of vertices: movable on the surface, movable on a feature line, locked."""
 
 
 class Sheet(NamedTuple):

@@ -20,7 +20,7 @@ def plane_step(
     ----------
     g1, g2 : float            gradient along two orthonormal directions
     h11, h12, h22 : float     Hessian
-    on_a_line : bool          only the first direction is free
+    on_a_line : bool          it moves along the first direction alone
 
     Returns
     -------

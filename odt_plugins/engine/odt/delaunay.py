@@ -108,7 +108,7 @@ def delaunay_exchange(
     The guard: smoothing can never repair a cell whose vertices are all fixed.  The radius ratio of
     the worst such cell of the new piece must be at least that of the worst such cell of the old
     piece; where the old piece has none, at least that of its worst cell and of ``limit``, because
-    a bad cell with a free vertex is temporary and the new one is not.  Angles of such new cells
+    a bad cell with a movable vertex is temporary and the new one is not.  Angles of such new cells
     pass ``limit`` no further than those of such cells of the old piece do.
 
     References

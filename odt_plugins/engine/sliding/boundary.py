@@ -38,7 +38,7 @@ class Skin(NamedTuple):
     fan: IntArray
 
     @property
-    def free(self) -> BoolArray:
+    def movable(self) -> BoolArray:
         """Vertices (n,) that may slide."""
         return np.asarray(self.sheet.kind != LOCKED)
 

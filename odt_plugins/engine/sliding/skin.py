@@ -128,7 +128,7 @@ def slide(
     cost : Cost, limit : Extremes
     moved : (n,) float64     see ``smooth_on_ground``
     """
-    order = np.flatnonzero(active & skin.free).astype(np.int32)
+    order = np.flatnonzero(active & skin.movable).astype(np.int32)
     own = vertex_stars(skin.sheet.triangles, len(mesh.points))
     work = make_work(skin.ground, own.largest())
     guards = Guards(skin.ground, skin.lines, skin.limits)

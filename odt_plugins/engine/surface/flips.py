@@ -39,7 +39,7 @@ from odt_plugins.engine.topology.lookup import place_in
 from odt_plugins.mesh.arrays import BoolArray, FloatArray
 
 LOCKED_FLOOR = 0.3
-"""Radius ratio that a new triangle without a free vertex must reach: smoothing cannot help it."""
+"""Least radius ratio of a new triangle without a movable vertex, which smoothing cannot help."""
 
 
 def flip_edges(

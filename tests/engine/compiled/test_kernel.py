@@ -468,7 +468,7 @@ before = known()
 for name in ("bunny", "bunny-surface"):
     optimize((stored(name).points, stored(name).cells))
 optimize((plate(1000).points, plate(1000).cells))
-optimize((ball(15_000).points, ball(15_000).cells), threads=2, rounds=2)
+optimize((ball(15_000).points, ball(15_000).cells), threads=2, smoothing={"rounds": 2})
 optimize((stored("bone").points, stored("bone").cells), boundary="slide", insert=True, threads=2)
 print(len(before), sorted(known() - before))
 """

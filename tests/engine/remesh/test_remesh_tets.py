@@ -53,7 +53,7 @@ def box():
 
 @pytest.fixture(scope="module", params=[0.12, 0.4], ids=["finer", "coarser"])
 def resized(request, box):
-    return request.param, odt_plugins.remesh(box, request.param, envelope=0.01, periodic="free")
+    return request.param, odt_plugins.remesh(box, request.param, envelope=0.01, free="periodic")
 
 
 def test_a_box_with_other_sizes_is_the_same_box(box, resized):
@@ -84,7 +84,7 @@ def test_regions_keep_their_volumes_and_their_interface():
     points, cells = boxes.box(3, 4, plane=0.5)
     labels = (points[cells][:, :, 0].mean(axis=1) > 0.5).astype(int)
     new, rows, regions = odt_plugins.remesh(
-        (points, cells, labels), 0.13, envelope=0.01, periodic="free")
+        (points, cells, labels), 0.13, envelope=0.01, free="periodic")
     for label, volume in ((0, 0.5), (1, 0.5)):
         part = rows[regions == label]
         assert volumes(new, part).sum() == pytest.approx(volume, rel=3e-3)
@@ -105,14 +105,14 @@ def test_fixed_vertices_and_cells_outside_the_selection_stay(box):
 
 
 def test_the_result_does_not_depend_on_the_threads(box):
-    one, two = (odt_plugins.remesh(box, 0.1, threads=threads, periodic="free")
+    one, two = (odt_plugins.remesh(box, 0.1, threads=threads, free="periodic")
                 for threads in (1, 2))
     for a, b in zip(one, two, strict=True):
         assert np.array_equal(a, b)
 
 
 def test_as_many_cells_as_asked_for(box):
-    _, cells = odt_plugins.remesh(box, cells=3000, envelope=0.01, periodic="free")
+    _, cells = odt_plugins.remesh(box, cells=3000, envelope=0.01, free="periodic")
     assert len(cells) == pytest.approx(3000, rel=0.1)
 
 
@@ -149,7 +149,7 @@ def test_sizes_that_mean_nothing_are_refused(box, wish, said):
 
 def test_a_size_larger_than_the_domain_is_said(box):
     (points, cells), report = odt_plugins.remesh_with_report(
-        box, 50.0, envelope=0.01, periodic="free")
+        box, 50.0, envelope=0.01, free="periodic")
     assert volumes(points, cells).sum() == pytest.approx(1, abs=3e-3)
     assert any("larger than the domain" in note for note in report.notes)
 
@@ -168,7 +168,7 @@ def test_triangles_with_labels_stay_facets_and_a_linear_field_stays_itself(box):
     field = points @ [1.0, 2.0, -1.0]
     mesh = meshio.Mesh(points, [("tetra", cells), ("triangle", low)], {"f": field},
                        {"side": [np.zeros(len(cells), int), sides]})
-    new = odt_plugins.remesh(mesh, 0.13, envelope=0.01, periodic="free")
+    new = odt_plugins.remesh(mesh, 0.13, envelope=0.01, free="periodic")
     rows = facets_once(new.cells_dict["tetra"])
     there = new.cells_dict["triangle"]
     assert set(map(tuple, np.sort(there, axis=1))) <= set(map(tuple, rows))
