@@ -34,7 +34,8 @@ def option_flags(
     """Give a command one flag for every option that has one; all that is said is read there."""
     hints = get_type_hints(Options)
     for name, about in reversed(OPTIONS.items()):
-        told, default = about.metadata, about.default
+        told: Any = about.metadata
+        default: Any = about.default
         if told["flag"] is None or name not in names:
             continue
         flag = "--" + name.replace("_", "-")
