@@ -9,8 +9,8 @@ import numpy as np
 
 from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
 from odt_plugins.engine.ground.crossings import crossed_facets
+from odt_plugins.engine.run import plan
 from odt_plugins.engine.run.outcome import Leaving, Outcome, unchanged
-from odt_plugins.engine.run.plan import run
 from odt_plugins.engine.surface.driver import run_surface
 from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.mesh.simplex import SimplexMesh
@@ -23,7 +23,7 @@ def run_any(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
         return run_surface(mesh, options, leaving)
     if mesh.dim == 2 and options.boundary == "slide":
         return run_in_plane(mesh, options, leaving)
-    return run(mesh, options, leaving)
+    return plan.run(mesh, options, leaving)
 
 
 def run_in_plane(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
