@@ -19,8 +19,8 @@ from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.mesh.surface import Edges, surface_edges
 from odt_plugins.promise.volume import LOWER_IS_BETTER, VOLUME, _not_positive, worse_figures
 
-GOOD = {"min_quality": 0.3, "p1_quality": 0.6, "mean_quality": 0.85, "min_angle": 25.0,
-        "max_angle": 125.0, "share_below_20": 0.0}
+GOOD = {"min_quality": 0.3, "p1_quality": 0.5, "mean_quality": 0.8, "min_angle": 20.0,
+        "max_angle": 130.0, "share_below_20": 0.02}
 """Figures that are good enough for other sizes, also where those of the input are better."""
 
 Shape = tuple[int, int]

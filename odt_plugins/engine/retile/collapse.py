@@ -22,7 +22,7 @@ from odt_plugins.engine.retile.net import (
 from odt_plugins.engine.retile.tracks import Tracks, on_track, track_is_near
 from odt_plugins.mesh.arrays import IntArray
 
-THIN = 0.25
+THIN = 0.4
 """Radius ratio below which a collapse makes no triangle worse than the worst it removes."""
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from odt_plugins.engine.ground.features import Features
@@ -28,8 +30,9 @@ def spread(
     far = np.maximum(growth * np.sqrt((step * step).sum(axis=1)), 1e-12 * values.min())
     start = np.concatenate([edges[:, 0], edges[:, 1], np.full(n, n)])
     end = np.concatenate([edges[:, 1], edges[:, 0], np.arange(n)])
-    graph = coo_array((np.concatenate([far, far, values]), (start, end)), shape=(n + 1, n + 1))
-    found: FloatArray = dijkstra(graph.tocsr(), indices=n)[:n]
+    graph: Any = coo_array((np.concatenate([far, far, values]), (start, end)), shape=(n + 1, n + 1))
+    search: Any = dijkstra
+    found: FloatArray = search(graph.tocsr(), indices=n)[:n]
     return np.minimum(found, values)
 
 

@@ -7,10 +7,12 @@ the guards, and `exchange` does it.
 
 from __future__ import annotations
 
+import math
 from typing import NamedTuple
 
 import numpy as np
 
+from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
 from odt_plugins.engine.cells.triangle import triangle_in_space
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import Ground
@@ -27,6 +29,9 @@ from odt_plugins.engine.ground.sheet import SMOOTH
 from odt_plugins.engine.ground.trace import End, edge_is_near
 from odt_plugins.engine.retile.tracks import Tracks
 from odt_plugins.mesh.arrays import ByteArray, FloatArray, IntArray, LongArray
+
+FOLD = -0.45
+"""Cosine of the largest turn at an edge that is made; the judge allows 120 degrees."""
 
 
 class Net(NamedTuple):
@@ -65,7 +70,7 @@ class Net(NamedTuple):
     first: IntArray
     following: IntArray
     stamp: LongArray
-    count: LongArray
+    count: LongArray  # type: ignore[assignment]
 
 
 class Rules(NamedTuple):
@@ -78,6 +83,7 @@ class Rules(NamedTuple):
     reach : (g,) float64    envelope around a triangle of the ground, as a length; inf on a plane
                             one, on which the tracks alone keep the shape
     cosine : float          least cosine between the normals of a triangle and of the ground
+    bounds : Extremes       what no new triangle may pass, unless one that it replaces does
     longest : float         edges longer than this multiple of their size are split, and none is
                             made by a collapse
     shortest : float        edges shorter than this multiple of their size collapse
@@ -87,6 +93,7 @@ class Rules(NamedTuple):
     tracks: Tracks
     reach: FloatArray
     cosine: float
+    bounds: Extremes
     longest: float
     shortest: float
 
@@ -217,6 +224,11 @@ def fits(net: Net, rules: Rules, room: Room, centre: int, old: int, new: int) ->
     ground, foot = rules.ground, net.foot
     t = net.triangles
     least = rules.cosine
+    found = _extremes(net.points, exchange.new, room.rows, new)
+    if not keeps(found, rules.bounds):
+        before = _extremes(net.points, t, exchange.old, old)
+        if not keeps(found, worse(rules.bounds, before)):
+            return -1
     reach = np.inf
     for i in range(new):
         for k in range(3):
@@ -227,6 +239,8 @@ def fits(net: Net, rules: Rules, room: Room, centre: int, old: int, new: int) ->
             if not triangle_in_space(net.points, cell[0], cell[1], cell[2])[5] > 0.0:
                 return -1
         return 0
+    if _folded(net, room, old, new):
+        return -1
     for i in range(old):
         s = exchange.old[i]
         if least <= -1.0:
@@ -245,6 +259,59 @@ def fits(net: Net, rules: Rules, room: Room, centre: int, old: int, new: int) ->
     ):
         return -1
     return number
+
+
+@kernel
+def _extremes(p: FloatArray, cells: IntArray, rows: IntArray, count: int) -> Extremes:
+    """Extremes of the triangles cells[rows[:count]]."""
+    found = Extremes(2.0, -1.0, 1.0)
+    for i in range(count):
+        c = cells[rows[i]]
+        q, large, small, _, _, _ = triangle_in_space(p, c[0], c[1], c[2])
+        found = worse(found, Extremes(q, large, small))
+    return found
+
+
+@kernel
+def _folded(net: Net, room: Room, old: int, new: int) -> bool:
+    """Whether the surface would turn by more than FOLD at an edge of a new triangle on no track."""
+    rows, gone, p = room.exchange.new, room.exchange.old, net.points
+    for i in range(new):
+        _, _, _, x, y, z = triangle_in_space(p, rows[i, 0], rows[i, 1], rows[i, 2])
+        for k in range(3):
+            if room.marks[i, k] >= 0:
+                continue
+            a, b = rows[i, (k + 1) % 3], rows[i, (k + 2) % 3]
+            for j in range(i + 1, new):
+                if _has(rows[j], a) and _has(rows[j], b) and _turns(p, x, y, z, rows[j]):
+                    return True
+            corner = net.head[a]
+            while corner >= 0:
+                t = corner // 3
+                corner = net.chained[corner]
+                if third(net, t, a, b) < 0:
+                    continue
+                stays = True
+                for j in range(old):
+                    if gone[j] == t:
+                        stays = False
+                        break
+                if stays and _turns(p, x, y, z, net.triangles[t]):
+                    return True
+    return False
+
+
+@kernel
+def _has(cell: IntArray, v: int) -> bool:
+    return bool(cell[0] == v or cell[1] == v or cell[2] == v)
+
+
+@kernel
+def _turns(p: FloatArray, x: float, y: float, z: float, cell: IntArray) -> bool:
+    """Whether a triangle turns by more than FOLD from one with the normal (x, y, z)."""
+    _, _, _, u, v, w = triangle_in_space(p, cell[0], cell[1], cell[2])
+    size = math.sqrt((x * x + y * y + z * z) * (u * u + v * v + w * w))
+    return bool(x * u + y * v + z * w < FOLD * size)
 
 
 @kernel
@@ -291,3 +358,17 @@ def relative_square(net: Net, a: int, b: int) -> float:
     """Squared length of an edge, as a part of that of its size."""
     size = 0.5 * (net.size[a] + net.size[b])
     return squared_length(net.points, a, b) / (size * size)
+
+
+@kernel
+def on_ground(net: Net, values: FloatArray, out: FloatArray) -> None:
+    """Mean of values at the corners of a triangle for every ground vertex in its list."""
+    for t in range(net.count[1]):
+        if net.triangles[t, 0] < 0:
+            continue
+        i, j, k = net.triangles[t, 0], net.triangles[t, 1], net.triangles[t, 2]
+        mean = (values[i] + values[j] + values[k]) / 3.0
+        v = net.first[t]
+        while v >= 0:
+            out[v] = mean
+            v = net.following[v]

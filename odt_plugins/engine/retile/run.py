@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.ground.crossings import crossed_facets
 from odt_plugins.engine.ground.envelope import distances, uncovered, within
 from odt_plugins.engine.ground.reference import make_reference
@@ -16,16 +18,17 @@ from odt_plugins.engine.record.figures import cell_shapes, figures
 from odt_plugins.engine.record.memory import State
 from odt_plugins.engine.retile.surface import Base, resize
 from odt_plugins.engine.run.outcome import Leaving, Outcome, unchanged
+from odt_plugins.engine.run.work import extremes
 from odt_plugins.engine.surface.driver import SurfaceStart, surface_start
 from odt_plugins.engine.surface.in_plane import in_space
 from odt_plugins.engine.surface.judge import TOLERANCE, Distance
 from odt_plugins.errors import counted
-from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal, freeze
 from odt_plugins.mesh.surface import Edges, surface_edges
 from odt_plugins.options import Options
 from odt_plugins.progress import silent
-from odt_plugins.promise.retiled import broken_by_retiling
+from odt_plugins.promise.retiled import GOOD, broken_by_retiling
 from odt_plugins.promise.surface import bad_places
 
 ATTEMPTS = 4
@@ -67,6 +70,7 @@ def retile(
     part = np.ones(len(mesh.cells))
     held = mesh
     old = make_reference(in_space(mesh.points), mesh.cells)
+    bounds = _bounds(mesh, tuple(options.keep))
     before: list[str] = []
     report = options.progress or silent
     for attempt in range(ATTEMPTS):
@@ -74,7 +78,7 @@ def retile(
         start = surface_start(held)
         frame = start.frame
         reach = POLICY.surface_guard * length * frame.scale * part[frame.active]
-        net = resize(_base(start, options), sizes[frame.vertices] * frame.scale, reach,
+        net = resize(_base(start, options), sizes[frame.vertices] * frame.scale, reach, bounds,
                      feature_angle=options.feature_angle)
         n, m = net.count[0], net.count[1]
         points = np.ascontiguousarray(net.points[:n, : mesh.points.shape[1]])
@@ -83,10 +87,11 @@ def retile(
         placed = start.placed(state)
         if placed.origin is None:
             placed = replace(placed, origin=np.arange(len(placed.points)))
+        origin: Any = placed.origin
         outcome = leaving(placed)
-        judged = _judged(mesh, outcome, placed.origin, length, options)
+        judged = _judged(mesh, outcome, origin, length, options)
         if not judged.broken:
-            return _told(outcome, placed.origin, judged, before, clock)
+            return _told(outcome, origin, judged, before, clock)
         before = before or judged.broken
         if not len(judged.bad):
             break
@@ -106,7 +111,7 @@ def retile(
 
 
 def _told(
-    outcome: Outcome, origin: FloatArray, judged: Judged, before: list[str], clock: float
+    outcome: Outcome, origin: LongArray, judged: Judged, before: list[str], clock: float
 ) -> Outcome:
     """An outcome with what is said of it."""
     why = None
@@ -115,6 +120,14 @@ def _told(
     return replace(outcome, origin=origin, times={"resizing": time.perf_counter() - clock},
                    stop_reason="edges are as long as the envelope and the features allow",
                    fallback=why)
+
+
+def _bounds(mesh: SimplexMesh, keep: tuple[str, ...]) -> Extremes:
+    """Extremes that triangles must keep: those of the input, or what is good enough."""
+    found = extremes(figures(mesh.points, mesh.cells), keep).cells
+    low, high = (math.cos(math.radians(GOOD[name])) for name in ("min_angle", "max_angle"))
+    return Extremes(min(found.quality, GOOD["min_quality"]), max(found.large, low),
+                    min(found.small, high))
 
 
 def _base(start: SurfaceStart, options: Options) -> Base:
@@ -133,7 +146,7 @@ def _base(start: SurfaceStart, options: Options) -> Base:
 
 
 def _judged(
-    mesh: SimplexMesh, outcome: Outcome, origin: IntArray, length: float, options: Options
+    mesh: SimplexMesh, outcome: Outcome, origin: LongArray, length: float, options: Options
 ) -> Judged:
     """Hold a mesh against the promise."""
     points, cells = outcome.points, outcome.cells
@@ -145,10 +158,17 @@ def _judged(
         bad[cells[passed]] = True
     x, y = in_space(mesh.points), in_space(points)
     old, new = surface_edges(mesh.cells, len(x)), surface_edges(cells, len(y))
-    folds = [bad_places(*args)[1] for args in ((x, mesh.cells, old), (y, cells, new))]
-    if folds[1].sum() > folds[0].sum():
-        broken.append(f"the surface folds back at {counted(int(folds[1].sum()), 'edge')}")
-        bad[new.vertices[folds[1]]] = True
+    was, now = (e.vertices[bad_places(*args, e)[1]] for e, args in (
+        (old, (x, mesh.cells)), (new, (y, cells))))
+    if len(now):
+        fresh = now
+        if len(was):
+            known = make_reference(x, was[:, [0, 1, 1]])
+            away = [known.closest(y[now[:, i]])[0] for i in range(2)]
+            fresh = now[~(np.maximum(*away) <= length)]
+        if len(fresh):
+            broken.append(f"the surface folds back at {counted(len(fresh), 'edge')}")
+            bad[fresh] = True
     far, near = [0.0, 0.0], points[:0]
     pairs = _lines(mesh.cells, mesh.regions, old), _lines(cells, outcome.regions, new)
     surfaces = [(pairs[0][name], pairs[1].get(name, cells[:0])) for name in pairs[0]]
@@ -174,7 +194,8 @@ def _judged(
                       f"{length:.3g}")
     cut = _crossed(y, cells, new, planar=not mesh.is_surface)
     if cut.any() and cut.sum() > _crossed(x, mesh.cells, old, planar=not mesh.is_surface).sum():
-        broken.append(f"the result cuts through itself at {counted(int(cut.sum()), 'vertex')}")
+        count = counted(int(cut.sum()), "vertex", "vertices")
+        broken.append(f"the result cuts through itself at {count}")
         bad |= cut
     return Judged(broken, np.concatenate([points[bad], near]), Distance(*far))
 

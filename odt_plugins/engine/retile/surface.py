@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import math
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
+from odt_plugins.engine.cells.extremes import FREELY, Extremes
 from odt_plugins.engine.ground.build import ground_values, make_ground, make_sheet
 from odt_plugins.engine.ground.closest import Ground
 from odt_plugins.engine.ground.features import Features, find_features
@@ -14,8 +15,8 @@ from odt_plugins.engine.ground.sheet import LINE
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.retile.collapse import collapse_edges
 from odt_plugins.engine.retile.flip import swap_edges
-from odt_plugins.engine.retile.grading import fitting
-from odt_plugins.engine.retile.net import Net, Rules, link_all, make_room
+from odt_plugins.engine.retile.grading import fitting, spread
+from odt_plugins.engine.retile.net import Net, Rules, link_all, make_room, on_ground
 from odt_plugins.engine.retile.shift import shift_vertices
 from odt_plugins.engine.retile.split import split_edges
 from odt_plugins.engine.retile.tracks import Tracks
@@ -32,6 +33,9 @@ doubles of the other are nearer to the size."""
 
 MOVES = 3
 """Flips and moves of all vertices in a round."""
+
+RELENT = 1.5
+"""Multiple of the harmonic mean of the edges at a vertex above which its size is not kept."""
 
 FINISH = ((2.0, 10), (4.0, 10), (8.0, 10))
 """Powers p and sweeps of flips and Newton steps on F_p that follow."""
@@ -62,7 +66,7 @@ class Base(NamedTuple):
 
 
 def resize(
-    base: Base, sizes: FloatArray, reach: FloatArray, *, feature_angle: float
+    base: Base, sizes: FloatArray, reach: FloatArray, bounds: Extremes, *, feature_angle: float
 ) -> Net:
     """Bring the edges of a surface to sizes, within an envelope around it.
 
@@ -71,7 +75,8 @@ def resize(
     base : Base
     sizes : (n,) float64        length that edges are to have at each vertex
     reach : (m,) float64        length of the envelope around each triangle; inf in the plane z = 0,
-                                where ``finite`` of the smallest counts along rims and borders
+                                where it counts along rims and borders alone
+    bounds : Extremes           what no triangle may pass at last, unless those of the base do
     feature_angle : float       degrees
 
     Returns
@@ -91,16 +96,18 @@ def resize(
     flat = not points[:, 2].any()
     sizes = fitting(points, edges.vertices, sizes, features, tracks)
     around = np.full(len(triangles), np.inf) if flat else reach
-    rules = Rules(ground, tracks, around, cosine, LONGEST, SHORTEST)
+    rules = Rules(ground, tracks, around, cosine, bounds, LONGEST, SHORTEST)
     net = _net(base, features, marks, sizes, ground)
     passes = Passes(rules, sizes)
-    for _ in range(ROUNDS):
-        net = passes.split(net)
+    for turn in range(ROUNDS):
+        net = passes.split(net, bounds if turn else FREELY)
         passes.collapse(net)
         for _ in range(MOVES):
             passes.flip(net, 1.0)
             passes.shift(net, 0.0)
         net = _compact(net)
+        if not flat and turn >= 1:
+            passes.relent(net, edges.vertices)
     for power, sweeps in FINISH:
         for _ in range(sweeps):
             passes.flip(net, power)
@@ -167,14 +174,32 @@ class Passes:
         self.since[kind] = int(net.count[2])
         return last
 
-    def split(self, net: Net) -> Net:
-        """Split edges, the longest first, until none is too long."""
+    def relent(self, net: Net, edges: IntArray) -> None:
+        """Make sizes smaller where edges are much shorter, which collapse nowhere near their size.
+
+        Lengths that vary from edge to edge make worse triangles than smaller ones.
+        """
+        pairs, ratio, _ = _edges(net, -1)
+        n = len(net.points)
+        length = ratio * 0.5 * net.size[pairs].sum(axis=1)
+        count = np.bincount(pairs.ravel(), minlength=n)
+        inverse = np.bincount(pairs.ravel(), np.repeat(1.0 / length, 2), minlength=n)
+        found = np.full(len(self.sizes), np.inf)
+        on_ground(net, RELENT * count / np.where(count > 0, inverse, 1.0), found)
+        if (found < self.sizes).any():
+            ground = self.rules.ground.points
+            self.sizes = spread(ground, edges, np.minimum(self.sizes, found))
+            self._measure(net)
+
+    def split(self, net: Net, bounds: Extremes) -> Net:
+        """Split edges, the longest first, until none is too long that keeps the bounds."""
+        rules = self.rules._replace(bounds=bounds)
         for _ in range(PASSES):
             pairs, ratio, degree = _edges(net, self._since(net, "split"))
             chosen = np.flatnonzero(ratio > LONGEST)
             chosen = chosen[np.argsort(-ratio[chosen], kind="stable")]
             net = _grown(net, len(chosen), 2 * int(degree[chosen].sum()))
-            done = split_edges(net, self.rules, pairs[chosen], self.room)
+            done = split_edges(net, rules, pairs[chosen], self.room)
             self._measure(net)
             if not done:
                 break
@@ -235,13 +260,13 @@ def _grown(net: Net, vertices: int, triangles: int) -> Net:
         return net
     n, m = max(n, int(1.2 * len(net.points))), max(m, int(1.2 * len(net.triangles)))
 
-    def more(array: FloatArray, rows: int) -> FloatArray:
+    def more(array: Any, rows: int) -> Any:
         shape = (rows - len(array), *array.shape[1:])
         return np.concatenate([array, np.full(shape, -1, dtype=array.dtype)])
 
-    by_vertex = {name: more(getattr(net, name), n)
+    by_vertex: dict[str, Any] = {name: more(getattr(net, name), n)
                  for name in ("points", "foot", "place", "after", "size", "head", "stamp")}
-    by_triangle = {name: more(getattr(net, name), m)
+    by_triangle: dict[str, Any] = {name: more(getattr(net, name), m)
                    for name in ("triangles", "marks", "labels", "first")}
     kind = np.concatenate([net.kind, np.zeros(n - len(net.kind), dtype=np.uint8)])
     return net._replace(kind=kind, chained=more(net.chained, 3 * m), **by_vertex, **by_triangle)
