@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.fitting import group_names
 from odt_plugins.adapters.formats import gmsh_tables
+from odt_plugins.adapters.formats.decks import indices
 
 FAMILIES = ("cell_tags", "point_tags")
 """Numbers of the families of MED files, which are others in another file of the same groups."""
@@ -88,7 +89,7 @@ def _others(mesh: Any, back: Any, kind: str, what: str) -> list[str]:
     ordered = _in_order(mesh, back, cells=kind == "cell_data")
     for name in sorted((set(old) & set(new)) - {*gmsh_tables.BOOKKEEPING, *FAMILIES}):
         if kind.endswith("_sets"):
-            sizes = [sum(map(_count, part) if kind == "cell_sets" else [_count(part)])
+            sizes = [sum(len(indices(rows)) for rows in (part if kind == "cell_sets" else [part]))
                      for part in (old[name], new[name])]
             if sizes[0] > sizes[1] or not (
                     sizes[0] == sizes[1] or _keys(mesh, back, kind, old[name]) < _keys(
@@ -113,16 +114,10 @@ def _keys(mesh: Any, other: Any, kind: str, members: Any) -> set[Any]:
     same = mesh.points.shape == other.points.shape and np.allclose(mesh.points, other.points)
     spots = np.arange(len(mesh.points)).reshape(-1, 1) if same else np.asarray(mesh.points)
     if kind == "point_sets":
-        return set(map(tuple, spots[_chosen(members)].tolist()))
+        return set(map(tuple, spots[indices(members)].tolist()))
     return {tuple(sorted(map(tuple, corners)))
             for block, part in zip(mesh.cells, members, strict=True)
-            for corners in spots[np.asarray(block.data)[_chosen(part)]].tolist()}
-
-
-def _chosen(members: Any) -> NDArray[Any]:
-    """Members of a set as a mask or as indices."""
-    given = np.asarray([] if members is None else members).ravel()
-    return given if given.dtype == np.bool_ else given.astype(np.int64)
+            for corners in spots[np.asarray(block.data)[indices(part)]].tolist()}
 
 
 def _in_order(mesh: Any, back: Any, *, cells: bool) -> bool:
@@ -132,11 +127,6 @@ def _in_order(mesh: Any, back: Any, *, cells: bool) -> bool:
     both = [_by_type(one, [np.sort(block.data, axis=1) for block in one.cells])
             for one in (mesh, back)] if cells else [{}, {}]
     return all(np.array_equal(both[0][kind], both[1][kind]) for kind in set(both[0]) & set(both[1]))
-
-
-def _count(members: Any) -> int:
-    given = np.asarray([] if members is None else members)
-    return int(given.sum()) if given.dtype == np.bool_ else given.size
 
 
 def _in_space(mesh: Any) -> NDArray[Any]:

@@ -7,6 +7,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters.formats.decks import indices
 from odt_plugins.adapters.formats.gmsh_tables import BOOKKEEPING, ENTITY, PHYSICAL
 from odt_plugins.adapters.formats.med_families import with_families
 from odt_plugins.adapters.gmsh_files import is_group
@@ -219,7 +220,7 @@ def _merge(mesh: Any) -> None:
         return
     sizes = [len(block.data) for block in mesh.cells]
     mesh.cell_sets = {
-        name: [np.concatenate([_indices(members[i]) + sum(sizes[j] for j in group if j < i)
+        name: [np.concatenate([indices(members[i]) + sum(sizes[j] for j in group if j < i)
                                for i in group]) for group in groups.values()]
         for name, members in mesh.cell_sets.items()}
     mesh.cell_data = {name: [np.concatenate([np.asarray(values[i]) for i in group])
@@ -227,14 +228,6 @@ def _merge(mesh: Any) -> None:
                       for name, values in mesh.cell_data.items()}
     mesh.cells = [CellBlock(kind, np.concatenate([mesh.cells[i].data for i in group]))
                   for (kind, _), group in groups.items()]
-
-
-def _indices(members: Any) -> NDArray[np.int64]:
-    """Indices of the members of a set in a block, given as such or as a mask."""
-    given = np.asarray([] if members is None else members)
-    found: NDArray[np.int64] = (np.flatnonzero(given) if given.dtype == np.bool_
-                                else given.astype(np.int64))
-    return found
 
 
 def _named_groups(mesh: Any) -> dict[str, list[Any]]:
@@ -301,7 +294,7 @@ def _group(mesh: Any) -> None:
 
     Cells of other choices of sets are of other entities, so that groups may overlap.
     """
-    sets = {name: [_indices(rows) for rows in members] for name, members in mesh.cell_sets.items()
+    sets = {name: [indices(rows) for rows in members] for name, members in mesh.cell_sets.items()
             if name != BOOKKEEPING[1]}
     tags = [np.zeros(len(block.data), dtype=np.int64) for block in mesh.cells]
     entities = [np.ones(len(block.data), dtype=np.int64) for block in mesh.cells]

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.fields import densities, field_names
-from odt_plugins.adapters.formats.decks import HELD
+from odt_plugins.adapters.formats.decks import HELD, indices
 from odt_plugins.adapters.formats.medit import REQUIRED
 from odt_plugins.adapters.higher_order import (
     HIGHER,
@@ -247,9 +247,8 @@ def _held_sets(mesh: Any, cells: NDArray[Any]) -> tuple[KeptCells, ...]:
     """Vertices of point sets that are no volumes: of which most are in no cell all of the set."""
     out = []
     for name, members in mesh.point_sets.items():
-        given = np.asarray(members)
-        given = np.flatnonzero(given) if given.dtype == np.bool_ else given.ravel()
-        given = given[(given >= 0) & (given < len(mesh.points))].astype(np.int64)
+        given = indices(members)
+        given = given[(given >= 0) & (given < len(mesh.points))]
         whole = cells[_inside(given, len(mesh.points))[cells].all(axis=1)]
         filled = _inside(np.unique(whole), len(mesh.points))[given]
         if len(given) and name != REQUIRED and 2 * filled.sum() <= len(given):

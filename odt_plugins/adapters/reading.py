@@ -19,7 +19,7 @@ from odt_plugins.adapters import apart, gmsh_files, netgen_files, vtk_files
 from odt_plugins.adapters.formats import READERS, vol
 from odt_plugins.adapters.formats.decks import REMARKS
 from odt_plugins.adapters.legacy import expect_whole
-from odt_plugins.adapters.stated import expect_counts, expect_held, parts_of
+from odt_plugins.adapters.stated import expect_counts
 from odt_plugins.errors import InvalidMeshError, MeshFileError
 
 LEAST = 20.0
@@ -29,15 +29,13 @@ RATE = 50_000
 """Bytes for which it may take a second more. The slowest reader of meshio, that of PERMAS files,
 takes 2.7 MB in a second, and 1.4 MB of a packed Netgen file."""
 
-READ_ON = {"ansys": "rb", "mdpa": "rb", "nastran": "r", "off": "r", "ply": "rb",
-           "tecplot": "r"}
+READ_ON = {"ansys": "rb", "tecplot": "r"}
 """Formats whose readers go on at the end of the file, and the mode in which they open it."""
 
 PATIENCE = 1000
 """How often a reader may come to the end of a file."""
 
-TEXT = ("abaqus", "avsucd", "flac3d", "mdpa", "nastran", "netgen", "permas", "su2",
-        "tecplot", "tetgen")
+TEXT = ("avsucd", "flac3d", "netgen", "permas", "tecplot")
 """Formats of text that meshio reads."""
 
 FORTRAN = rb"(?<![\w.])([+-]?(?:\d+\.\d*|\.\d+))[dD]([+-]?\d+)(?!\w)"
@@ -110,7 +108,6 @@ def read(path: Path, name: str) -> tuple[Any, list[str]]:
     if name == "netgen":
         mesh.identified = vol.identified(path)
         mesh.info = vol.besides(path)
-    expect_held(path, name, mesh)
     return mesh, [*said, *getattr(mesh, REMARKS, ())]
 
 
@@ -181,12 +178,8 @@ def _read(path: Path, name: str) -> Any:
     if name in READERS:
         return READERS[name](path)
     reader = reader_map[name]
-    # A number that is none would become an index. The first bytes of an STL file of text, taken
-    # for a number of triangles, overflow.
-    with (
-        np.errstate(all="raise", under="ignore", over="ignore" if name == "stl" else "raise"),
-        _opened(path, name) as source,
-    ):
+    # A number that is none would become an index.
+    with np.errstate(all="raise", under="ignore"), _opened(path, name) as source:
         return reader(source)
 
 
@@ -197,9 +190,9 @@ def _opened(path: Path, name: str) -> Iterator[Any]:
         yield io.StringIO(_without_exponents(path.read_text()))
     elif _written_otherwise(path, name):
         with tempfile.TemporaryDirectory() as folder:
-            for part in parts_of(path, name):
-                (Path(folder) / part.name).write_bytes(_as_read(part.read_bytes()))
-            with _opened(Path(folder) / path.name, name) as source:
+            plain = Path(folder) / path.name
+            plain.write_bytes(_as_read(path.read_bytes()))
+            with _opened(plain, name) as source:
                 yield source
     elif name in READ_ON:
         with io.BufferedReader(Ending(path)) as file:
@@ -210,9 +203,8 @@ def _opened(path: Path, name: str) -> Iterator[Any]:
 
 def _written_otherwise(path: Path, name: str) -> bool:
     """Whether a file of text has ends of lines or exponents that meshio's readers do not know."""
-    return name in TEXT and any(
-        b"\0" not in data and _as_read(data) != data
-        for data in (part.read_bytes() for part in parts_of(path, name)))
+    data = path.read_bytes() if name in TEXT else b""
+    return b"\0" not in data and _as_read(data) != data
 
 
 def _as_read(data: bytes) -> bytes:

@@ -5,7 +5,6 @@ from __future__ import annotations
 import re
 from collections.abc import Sequence
 from pathlib import Path
-from typing import Any
 
 from odt_plugins.errors import MeshFileError
 
@@ -21,12 +20,9 @@ COUNTS = {
     "avsucd": rb"\A" + COMMENTS + rb"(\d+)\s+(\d+)",
     "dolfin-xml": rb"<(?:vertices|cells)\s+size\s*=\s*[\"'](\d+)",
     "gmsh": rb"\$(?:Nodes|Elements)\s+(\d+)(?:[ \t]+(\d+)(?:[ \t]+\d+)*)?[ \t]*\r?\n",
-    "medit": rb"\n[ \t]*[A-Z][A-Za-z]+\s+(\d+)",
     "netgen": rb"\n[ \t]*[a-z][a-z_0-9]+\s+(\d+)",
     "off": rb"\AOFF[^\n]*\n" + COMMENTS + rb"(\d+)\s+(\d+)",
     "ply": rb"\nelement\s+\w+\s+(\d+)",
-    "su2": rb"\n[ \t]*(?:NPOIN|NELEM|MARKER_ELEMS)\s*=\s*(\d+)",
-    "tetgen": rb"\A" + COMMENTS + rb"(\d+)",
     "ugrid": rb"\A\s*(\d+)" + 6 * rb"\s+(\d+)",
     "vtp": VTK_XML,
     "vtk": rb"\n(?:POINTS|CELLS|CELL_TYPES|POINT_DATA|CELL_DATA)\s+(\d+)",
@@ -55,7 +51,7 @@ def expect_counts(path: Path, name: str) -> int:
 
     Raises
     ------
-    MeshFileError  it states more items than it has bytes, or TetGen's files state none
+    MeshFileError  it states more items than it has bytes
     """
     total = 0
     for part in parts_of(path, name):
@@ -64,7 +60,6 @@ def expect_counts(path: Path, name: str) -> int:
         # Counts within a packed file say nothing about the size that it is packed to.
         if name not in COUNTS or part.suffix == ".gz":
             continue
-        found = None
         for found in re.finditer(COUNTS[name], part.read_bytes()):
             base = 16 if name == "ansys" else 10
             most = size * PACKED if COUNTS[name] == VTK_XML else size
@@ -72,9 +67,6 @@ def expect_counts(path: Path, name: str) -> int:
                 said = " ".join(found[0].decode("ascii", "replace").split())
                 msg = f"{part.name} says {said[-60:]!r} and has {size} bytes"
                 raise MeshFileError(msg)
-        if found is None and name == "tetgen":
-            msg = f"{part.name} does not say how much it holds"
-            raise MeshFileError(msg)
     return total
 
 
@@ -91,42 +83,6 @@ def parts_of(path: Path, name: str) -> list[Path]:
                 if named not in parts and named.is_file():
                     parts.append(named)
     return parts
-
-
-def expect_held(path: Path, name: str, mesh: Any) -> None:
-    """Compare a mesh with what its file states, where meshio takes as much as there is.
-
-    Raises
-    ------
-    MeshFileError    it holds other numbers of points, cells or markers
-    """
-    held = {"points": len(mesh.points), "cells": sum(len(block.data) for block in mesh.cells)}
-    stated: dict[str, int] = {}
-    if name == "su2":
-        stated, held["markers"] = _stated_su2(path)
-    for what, expected in stated.items():
-        if held[what] != expected:
-            msg = f"it declares {expected} {what} and holds {held[what]}"
-            raise MeshFileError(msg)
-
-
-def _stated_su2(path: Path) -> tuple[dict[str, int], int]:
-    """Numbers that an su2 file states, and how many markers it has."""
-    declared = {"NPOIN": 0, "NELEM": 0, "MARKER_ELEMS": 0}
-    markers, expected_markers = 0, None
-    for line in path.read_text(encoding="utf-8", errors="replace").splitlines():
-        name, _, value = line.partition("=")
-        name = name.strip()
-        if name in declared:
-            declared[name] += int(value.split()[0])
-        if name == "NMARK":
-            expected_markers = int(value)
-        markers += name == "MARKER_ELEMS"
-    return {
-        "points": declared["NPOIN"],
-        "cells": declared["NELEM"] + declared["MARKER_ELEMS"],
-        "markers": markers if expected_markers is None else expected_markers,
-    }, markers
 
 
 def declares_no_cells(path: Path, formats: Sequence[str]) -> bool:

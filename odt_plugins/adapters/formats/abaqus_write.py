@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from odt_plugins.adapters.formats.abaqus_tables import IN_PLANE, IN_SPACE, WORDS
-from odt_plugins.adapters.formats.decks import real
+from odt_plugins.adapters.formats.decks import indices, real
 from odt_plugins.errors import UnsupportedMeshError
 
 WIDEST, A_LINE = 20, 16
@@ -41,21 +41,14 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
             lines += _lines([i, *row], ",")
     for name, rows in mesh.cell_sets.items():
         own = [number for part, start in zip(rows, starts, strict=False) if part is not None
-               for number in _members(part, start)]
+               for number in (indices(part) + start).tolist()]
         if own:
             lines += [f"*ELSET, ELSET={_name(name)}", *_lines(own, "")]
     for name, nodes in mesh.point_sets.items():
         if len(nodes):
-            lines += [f"*NSET, NSET={_name(name)}", *_lines(_members(nodes, 1), "")]
+            lines += [f"*NSET, NSET={_name(name)}", *_lines((indices(nodes) + 1).tolist(), "")]
     path.write_text("\n".join(lines) + "\n", encoding="utf-8")
     return []
-
-
-def _members(members: Any, first: int) -> list[int]:
-    """Numbers of members of a set, given as a mask or as indices."""
-    given = np.asarray(members)
-    given = np.flatnonzero(given) if given.dtype == np.bool_ else given.ravel()
-    return [int(i) + first for i in given]
 
 
 def _name(name: str) -> str:

@@ -115,6 +115,12 @@ def unread(what: str, names: Iterable[str]) -> dict[str, list[str]]:
     return {UNREAD: [f"{what} {', '.join(found)}"] if found else []}
 
 
+def indices(members: Any) -> NDArray[np.int64]:
+    """Members of a set, which are given as such, as a mask, or as None where there are none."""
+    given = np.asarray([] if members is None else members).ravel()
+    return np.flatnonzero(given) if given.dtype == np.bool_ else given.astype(np.int64)
+
+
 def expect_points(rows: NDArray[np.int64], count: int, first: int = 0) -> None:
     """See whether cells refer to points that are there.
 

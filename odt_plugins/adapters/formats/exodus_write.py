@@ -8,6 +8,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters.formats.decks import indices
 from odt_plugins.adapters.formats.exodus import BLOCK, SIDE
 from odt_plugins.adapters.formats.exodus_tables import CORNERS, ORDER, WORDS, facets_in
 from odt_plugins.errors import UnsupportedMeshError
@@ -170,17 +171,11 @@ def _ids(labels: list[int]) -> list[int]:
     return out
 
 
-def _members(mesh: Any, name: str, i: int) -> NDArray[np.int64]:
-    rows = mesh.cell_sets[name][i]
-    given = np.asarray([] if rows is None else rows)
-    return np.flatnonzero(given) if given.dtype == np.bool_ else given.astype(np.int64)
-
-
 def _name(mesh: Any, parts: list[_Part]) -> str:
     """First set that has just these cells, or has them all."""
     whole = []
     for name in mesh.cell_sets:
-        own = [_members(mesh, name, i) for i in range(len(mesh.cells))]
+        own = [indices(mesh.cell_sets[name][i]) for i in range(len(mesh.cells))]
         if all(np.isin(part.rows, own[part.block]).all() for part in parts):
             if sum(map(len, own)) == sum(len(part.rows) for part in parts):
                 return str(name)
@@ -239,7 +234,8 @@ def _element_sets(
     """Write the other cell sets as sets of elements."""
     sets = {}
     for name in mesh.cell_sets:
-        own = [np.flatnonzero(np.isin(part.rows, _members(mesh, name, part.block))) + start + 1
+        inside = [indices(rows) for rows in mesh.cell_sets[name]]
+        own = [np.flatnonzero(np.isin(part.rows, inside[part.block])) + start + 1
                for part, start in zip(parts, starts, strict=False)]
         if name not in named and any(map(len, own)):
             sets[name] = np.concatenate(own)

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats import gmsh_nodes, gmsh_read, gmsh_tables
 from odt_plugins.adapters.formats.change import Change, NotRewritable
+from odt_plugins.adapters.formats.decks import edited
 from odt_plugins.adapters.formats.gmsh_nodes import Edit, coded
 from odt_plugins.adapters.formats.gmsh_tables import BOUNDS, ENTITY, File, Nodes, Run, Values
 
@@ -75,11 +76,7 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
         edits += more
         if gone:
             lost.append(f"values of {name!r} at the corners of {gone} elements that were exchanged")
-    out, at = [], 0
-    for start, stop, text in sorted(edits):
-        out += [file.data[at:start], text]
-        at = stop
-    target.write_bytes(b"".join([*out, file.data[at:]]))
+    target.write_bytes(edited(file.data, edits))
     return lost
 
 

@@ -224,20 +224,16 @@ def _parsed(data: bytes) -> Parts:
         others.append(section.name)
         first = ENTITIES[section.kind]
         held += [number["", int(w)] for row in section.rows for w in row.words[first:]]
+    at = {i: v for (_, i), v in number.items()}
     blocks = []
     for (entity, _, kind), rows in found.items():
         first = ENTITIES[entity]
-        cells = [[number["", int(w)] if ("", int(w)) in number else _missing(int(w))
-                  for w in row.words[first:]] for row in rows]
+        cells = [[at[int(w)] for w in row.words[first:]] for row in rows]
         if len(set(map(len, cells))) != 1 or len(cells[0]) != _width(kind):
             msg = f"a row of {entity} does not have {_width(kind)} nodes"
             raise MeshFileError(msg)
         blocks.append(Block(entity, kind, np.array(cells, dtype=np.int64), rows))
     return Parts(data, sections, nodes, number, blocks, held, list(dict.fromkeys(others)))
-
-
-def _missing(node: int) -> int:
-    raise KeyError(node)
 
 
 def _width(kind: str) -> int:

@@ -9,7 +9,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from odt_plugins.adapters.formats.change import Change, NotRewritable
-from odt_plugins.adapters.formats.decks import unread
+from odt_plugins.adapters.formats.decks import edited, unread
 from odt_plugins.errors import MeshFileError
 
 CELLS = {"Edges": ("line", 2), "Triangles": ("triangle", 3), "Quadrilaterals": ("quad", 4),
@@ -129,11 +129,7 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
             edits += _cells(data, words, section, cells, np.asarray(
                 change.after.cell_data[REF][block]), keep=same)
         block += 1
-    out, at = [], 0
-    for start, stop, text in sorted(edits):
-        out += [data[at:start], text]
-        at = stop
-    target.write_bytes(b"".join([*out, data[at:]]))
+    target.write_bytes(edited(data, edits))
     stale = "Normals" in names and bool(change.moved.any())
     return ["the normals, which are those of before"] if stale else []
 

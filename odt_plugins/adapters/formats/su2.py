@@ -162,7 +162,7 @@ def _numbers(names: list[str]) -> dict[str, int]:
 
 
 def _parsed(data: bytes) -> Parts:
-    dim, marker = 0, ""
+    dim, marker, most = 0, "", -1
     sections: list[Section] = []
     remarks: list[str] = []
     stated: list[int] = []
@@ -181,12 +181,18 @@ def _parsed(data: bytes) -> Parts:
             stated.append(int(value.split()[0]))
         elif name == "NDIME":
             dim = int(value)
+        elif name == "NMARK":
+            most = int(value)
         elif name == "MARKER_TAG":
             marker = value
         elif name == "NZONE" and int(value) > 1:
             msg = f"it has {value} zones, expected one"
             raise MeshFileError(msg)
     points = [s for s in sections if s.name == "NPOIN"]
+    markers = sum(s.name == "MARKER_ELEMS" for s in sections)
+    if most not in (-1, markers):
+        msg = f"it declares {most} markers and holds {markers}"
+        raise MeshFileError(msg)
     if dim not in (2, 3) or len(points) != 1:
         msg = f"it ends before its points, or has NDIME= {dim}"
         raise MeshFileError(msg)

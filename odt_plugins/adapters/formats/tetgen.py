@@ -97,10 +97,14 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     expect_same_points(change)
     nodes, cells = _table(source.with_suffix(".node"), 4), _table(source.with_suffix(".ele"), 3)
     first = int(nodes.rows[0].words[0]) if nodes.rows else 0
-    places: Any = np.asarray(change.after.points).tolist()
+    names = [f"tetgen:attr{k + 1}" for k in range(nodes.counts[2])]
+    before, now = (np.column_stack([mesh.points, *(mesh.point_data[name] for name in names)])
+                      for mesh in (change.before, change.after))
+    words: Any = now.tolist()
     target.with_suffix(".node").write_bytes(edited(nodes.data, [
-        as_lines(nodes.data, nodes.rows[v], [dict(enumerate(map(real, places[v]), 1))])
-        for v in np.flatnonzero(change.moved).tolist()]))
+        as_lines(nodes.data, nodes.rows[v], [
+            {k: real(x) for k, x in enumerate(words[v], 1) if x != before[v, k - 1]}])
+        for v in np.flatnonzero((before != now).any(axis=1)).tolist()]))
     lines: list[list[dict[int, Any]]] = [[] for _ in cells.rows]
     after: Any = np.asarray(change.after.cells[0].data).tolist()
     for i, r in enumerate(change.cells[0].tolist()):

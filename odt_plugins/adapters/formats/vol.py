@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.change import Change, NotRewritable
-from odt_plugins.adapters.formats.decks import unread
+from odt_plugins.adapters.formats.decks import edited, unread
 from odt_plugins.errors import MeshFileError
 
 NODES = {"triangle": 3, "triangle6": 6, "quad": 4, "tetra": 4, "tetra10": 10}
@@ -100,11 +100,7 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
         flat = [block.data for block in change.after.cells if block.type in ("triangle", "quad")]
         if flat and change.moved[np.concatenate([np.ravel(rows) for rows in flat])].any():
             lost.append("the parameters of corners of triangles that moved (those of before there)")
-    out, at = [], 0
-    for start, stop, text in sorted(edits):
-        out += [data[at:start], text]
-        at = stop
-    whole = b"".join([*out, data[at:]])
+    whole = edited(data, edits)
     target.write_bytes(gzip.compress(whole) if target.suffix.lower() == ".gz" else whole)
     return lost
 
