@@ -9,7 +9,8 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 
 from odt_plugins.errors import InvalidOptionError
-from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.mesh.facets import directed_facets
+from odt_plugins.mesh.simplex import SimplexMesh, freeze, with_same_cells
 from odt_plugins.multiblock import has_parts, run_parts
 from odt_plugins.options import OptionKeywords, Options, make_options, with_option_signature
 from odt_plugins.roundtrip import run_engine
@@ -116,7 +117,27 @@ def _checked(options: Any) -> Options:
     if given:
         msg = f"got {given[0]}= for remeshing; expected sizes by size, scale, cells or vertices"
         raise InvalidOptionError(msg)
-    return make_options(**{"boundary": "slide", **options})
+    chosen = make_options(**{"boundary": "slide", **options})
+    if "inside" in chosen.free:
+        msg = "got free='inside' for remeshing, where facets inside of a region stay"
+        raise InvalidOptionError(msg)
+    return chosen
+
+
+def _with_still_walls(mesh: SimplexMesh) -> SimplexMesh:
+    """The mesh whose regions are its bodies: a cell at every facet between regions of one stays."""
+    if not mesh.body.size:
+        return mesh
+    key = directed_facets(mesh.cells, len(mesh.points))[0].ravel()
+    order = np.argsort(key, kind="stable")
+    twin = np.flatnonzero(key[order][1:] == key[order][:-1])
+    one, other = order[twin] // mesh.cells.shape[1], order[twin + 1] // mesh.cells.shape[1]
+    inside = (mesh.regions[one] != mesh.regions[other]) & (
+        mesh.bodies()[one] == mesh.bodies()[other])
+    frozen = np.zeros(len(mesh.cells), dtype=np.bool_)
+    frozen[np.where(mesh.regions[one] > mesh.regions[other], one, other)[inside]] = True
+    bodies = with_same_cells(mesh, regions=mesh.bodies(), body=mesh.body[:0])
+    return freeze(bodies, frozen)
 
 
 def _run(mesh: Any, size: Any, wishes: dict[str, Any], options: Options) -> tuple[Any, ...]:
@@ -139,6 +160,6 @@ def _run(mesh: Any, size: Any, wishes: dict[str, Any], options: Options) -> tupl
     def engine(simplices: SimplexMesh, chosen: Options, leaving: Leaving) -> Outcome:
         from odt_plugins.engine.remesh.run import remesh as resized
 
-        return resized(simplices, chosen, leaving, wish)
+        return resized(_with_still_walls(simplices), chosen, leaving, wish)
 
     return run_engine(mesh, options, engine, Wanted(linear=True))

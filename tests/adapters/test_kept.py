@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import odt_plugins
+from odt_plugins.errors import InvalidOptionError
 
 FACETS = {2: ("triangle", "line"), 3: ("tetra", "triangle")}
 
@@ -109,3 +110,17 @@ def test_a_mesh_of_cells_untangled_with_a_sheet_keeps_its_triangles():
     held = np.unique(sheet)
     assert np.array_equal(result.points[held], points[held])
     assert set(map(tuple, np.sort(result.cells[1].data, axis=1).tolist())) <= faces_of(result)
+
+
+def test_remeshing_keeps_the_triangles_of_a_sheet_inside():
+    points, cells, _ = contract.grid(3, 4, 3)
+    rows, _ = facets_of(cells)
+    layer = rows[(rows % 5 == 2).all(axis=1)]
+    centre = abs(points[layer].mean(axis=1)[:, :2] - 0.5).max(axis=1)
+    mesh = beside(points, cells, layer[centre < 0.25])
+    result = odt_plugins.remesh(mesh, 0.12)
+    new = np.sort(result.cells[1].data, axis=1)
+    assert len(new) == len(mesh.cells[1].data)
+    assert set(map(tuple, new.tolist())) <= faces_of(result)
+    with pytest.raises(InvalidOptionError, match="free='inside' for remeshing"):
+        odt_plugins.remesh(mesh, 0.12, free="inside")

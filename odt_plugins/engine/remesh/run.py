@@ -115,7 +115,8 @@ def _tries(
                 return _explained(mesh, held, outcome, whys, slides and share == 0.0)
             whys.append(broken[0])
             spoiled = _spoiled(mesh, outcome, sizes, options) & ~held.frozen
-            if not spoiled.any() or held.frozen.mean() > MOST_HELD:
+            if not spoiled.any() or held.frozen.mean() > MOST_HELD or (
+                    spoiled | held.frozen).all():
                 break
             held = freeze(held, held.frozen | spoiled)
     outcome = leaving(unchanged(mesh, "no other sizes kept the promise"))
