@@ -64,7 +64,7 @@ def run_remesh(paths: list[Path], say: Callable[[str], None]) -> str:
     for (name, mesh), envelope, factor in product(starts, ENVELOPES, FACTORS):
         size = factor * float(edge_lengths(*mesh).mean())
         extent = float(np.linalg.norm(np.ptp(mesh[0], axis=0)))
-        makers = {"ours": partial(remesh, mesh, size, envelope=envelope, periodic="free"),
+        makers = {"ours": partial(remesh, mesh, size, envelope=envelope, free="periodic"),
                   "mmg3d": partial(mmg3d, mesh, size, envelope * extent)}
         for who, make in makers.items():
             clock = time.perf_counter()
