@@ -36,7 +36,7 @@ from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
 from odt_plugins.promise.remeshed import broken_by_remeshing
 
-SHARES = (0.5, 0.25)
+SHARES = (0.7, 0.4)
 """Parts of the envelope within which surfaces are resized, one after the other until the promise
 holds; sliding has the rest."""
 
