@@ -65,9 +65,9 @@ def run(name: str) -> None:
         if mesh != "pebble" and vertices == SMALL:
             inside = ~boundary_vertices(cells, len(points))
             noise = np.random.default_rng(0).normal(scale=0.1, size=points.shape)
-            optimize((points + noise * inside[:, None], cells), free="layers")
+            optimize((points + noise * inside[:, None], cells), layers="improve")
             squeezed = points * np.where(np.arange(points.shape[1]) > 0, 1.0, 0.2)
-            optimize((squeezed, cells), free="layers")
+            optimize((squeezed, cells), layers="improve")
 
 
 def compile_ahead(folder: Path, programs: Sequence[str] = PROGRAMS) -> None:

@@ -298,7 +298,7 @@ def _untangling(options: Mapping[str, Any]) -> Options:
     if others:
         msg = f"got {others[0]}= for untangling; expected some of {list(OF_UNTANGLING)}"
         raise InvalidOptionError(msg)
-    return make_options(**options, free="layers")
+    return make_options(**options, layers="improve")
 
 
 def _untangled(mesh: Any, options: Options, rest: Any, *, partial: bool) -> tuple[Any, ...]:

@@ -47,10 +47,11 @@ FIGURES = (*KEPT, "min_altitude")
 EDGE_LENGTH = 0.05
 """Part of the diagonal of a surface: edges that TetWild aims at, unless another is given."""
 
-STAYS = ("layers", "periodic", "inside")
+Layers = Literal["keep", "improve"]
+STAYS = ("periodic", "inside")
 """What stays unless the option `free` names it."""
 
-OF_MESHES = ("fixed", "selection", "regions", "fields", "free")
+OF_MESHES = ("fixed", "selection", "regions", "fields", "layers", "free")
 """Options for what a mesh has that is there already, none for a surface that is to be filled."""
 
 OF_UNTANGLING = ("insert", "fixed", "selection", "regions", "threads", "progress")
@@ -234,10 +235,14 @@ class Options:
         "interpolates for tetrahedra and meshes in the plane unless they come from pymeshlab or "
         "open3d, whose own filters keep. Other arrays, ids and normals stay in any case.",
         choices=get_args(Fields)))
+    layers: Layers = field(default="keep", metadata=_told(
+        "What happens to layers, which are many tetrahedra, or triangles in the plane, that are "
+        "stretched alike with their neighbours, as at walls, in thin plates and along shocks: keep "
+        "lets them stay as they are, improve treats them as any other cells. The report says how "
+        "many there are.",
+        choices=get_args(Layers)))
     free: tuple[str, ...] = field(default=(), metadata=_told(
-        "What is treated as any other, though it stays as it is unless it is named. layers: many "
-        "tetrahedra, or triangles in the plane, that are stretched alike with their neighbours, as "
-        "at walls, in thin plates and along shocks; the report says how many there are. periodic: "
+        "What is treated as any other, though it stays as it is unless it is named. periodic: "
         "faces that correspond to each other when the boundary slides, which are those that the "
         "mesh calls so, and opposite plane ones of tetrahedra whose triangles match under one "
         "translation. inside: vertices of triangles beside tetrahedra, and of lines beside "
@@ -373,6 +378,7 @@ class OptionKeywords(TypedDict, total=False):
     selection: ArrayLike | None
     regions: str | Sequence[str] | ArrayLike | None
     fields: Fields
+    layers: Layers
     free: str | tuple[str, ...]
     keep: str | tuple[str, ...]
     repair: Repair

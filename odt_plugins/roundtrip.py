@@ -121,7 +121,7 @@ def run_engine(
         first = part(progress, 0.0, wanted.share)
         work, given = _prepare(mesh, replace(options, progress=tell and first), wanted)
         layers = 0
-        if "layers" not in options.free:
+        if options.layers == "keep":
             was = () if work.tangle is None else (work.tangle.before, work.tangle.source)
             kept, layers = keep_layers(work.mesh, options.threads, *was)
             work = work._replace(mesh=kept)

@@ -182,7 +182,7 @@ def _made(given: Mapping[str, Any], chosen: dict[str, Any]) -> Iterator[tuple[Me
         points, cells = run_tetwild(given, *first)
         seconds = time.perf_counter() - clock
         chosen["progress"] = part(tell, BY_TETWILD, 1.0)
-        improving = {"free": "layers"} | _with_field(chosen, points, cells, given)
+        improving = {"layers": "improve"} | _with_field(chosen, points, cells, given)
         yield (points, cells), seconds, improving
 
 

@@ -63,7 +63,7 @@ def test_the_verbs_are_few_and_those_that_give_a_mesh_have_a_twin_with_a_report(
                  if inspect.isfunction(getattr(odt_plugins, name))}
     verbs = {name for name in functions if not name.endswith("_with_report")}
     assert len(verbs) <= 8
-    assert len(OPTIONS) <= 20
+    assert len(OPTIONS) <= 21
     plain = {"quality", "register", "run_filter_script"}
     assert functions - verbs == {f"{name}_with_report" for name in verbs - plain}
 

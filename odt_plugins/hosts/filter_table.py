@@ -16,7 +16,7 @@ import numpy as np
 
 from odt_plugins.adapters.host import is_instance
 from odt_plugins.errors import InvalidOptionError
-from odt_plugins.options import DENSITIES, OPTIONS, SMOOTHING, Fields, Options, Smoothing
+from odt_plugins.options import DENSITIES, OPTIONS, SMOOTHING, Fields, Layers, Options, Smoothing
 
 Kind = Literal["int", "float", "bool", "enum", "length", "string"]
 
@@ -246,11 +246,11 @@ ROUNDS = replace(STEPS, default=Smoothing.rounds)
 ITERATIONS = _of_option("cycles", "Iterations", "int", "Iterations", least=1)
 
 FIELDS = _of_option("fields", "Fields", "enum", "Vertex values", choices=get_args(Fields))
-LAYERS = Parameter(
-    "Layers", "enum", "keep", "Layers",
+LAYERS = _of_option(
+    "layers", "Layers", "enum", "Layers",
     "What happens to many triangles of a planar mesh that are stretched alike with their "
     "neighbours: keep lets them stay as they are, improve treats them as any other.",
-    choices=("keep", "improve"))
+    choices=get_args(Layers))
 
 IDS = " Two ids of the MeshSet are used up."
 

@@ -138,11 +138,9 @@ def _options(values: Mapping[str, Any], length: float) -> dict[str, Any]:
     lab = {"rounds": values["stepsmoothnum"], "cycles": values.get("iterations", 1)}
     options = {"smoothing": lab, "density": values["density"],
                "keep": KEPT if values["keepquality"] else ()}
-    for name in ("fields", "objective", "insert"):
+    for name in ("fields", "layers", "objective", "insert"):
         if name in values:
             options[name] = values[name]
-    if values.get("layers") == "improve":
-        options["free"] = "layers"
     if values.get("regions"):
         options["regions"] = values["regions"]
     if values.get("boundary"):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from odt_plugins.mesh.arrays import FloatArray
@@ -21,5 +23,5 @@ def whole_numbers(points: FloatArray) -> list[Whole]:
 def exact_sign(first: Whole, *others: Whole) -> int:
     """Sign, -1, 0 or 1, of the signed volume of a simplex by its corners."""
     rows = [[x - y for x, y in zip(corner, first, strict=True)] for corner in others]
-    volume: int = np.asarray(determinant(rows)).item()  # type: ignore[arg-type]
-    return (volume > 0) - (volume < 0)
+    volume: Any = np.asarray(determinant(rows)).item()  # type: ignore[arg-type]
+    return int(volume > 0) - int(volume < 0)

@@ -67,7 +67,7 @@ class Report:
     interpolated : tuple of str             names of the point arrays whose values at vertices that
                                             moved are those that the field has there
     layers : int                            cells of layers that stay as they are, see the option
-                                            `free`
+                                            `layers`
     notes : tuple of str                    what was done to the mesh on its way in, and what may be
                                             done about it
     untangled : dict or None                of a mesh with inverted or flat cells: the numbers of
@@ -159,7 +159,7 @@ class Report:
         if self.layers:
             lines.append(
                 f"layers {self.layers} cells that are stretched alike with their neighbours stay "
-                "as they are; free='layers' lets them change")
+                "as they are; layers='improve' lets them change")
         if self.integrals:
             lines.append(integrals_line(self.integrals))
         lines += [f"note   {note}" for note in self.notes]
@@ -325,7 +325,7 @@ def _freeing(before: SimplexMesh, outcome: Outcome, options: Options) -> Freeing
         'free="inside"': before.fixed & before.anchored & (before.body.size > 0) & ~(
             held["boundary"] | held["interface"] | held["frozen"] | given),
         "fewer vertices in fixed": given & ~held["frozen"],
-        'free="layers"' if options.selection is None else "a larger selection": held["frozen"],
+        'layers="improve"' if options.selection is None else "a larger selection": held["frozen"],
     }
     wider = f"envelope={2.0 * options.envelope:g}" if solid or surface else ""
     if not (solid or surface) or options.boundary == "slide":

@@ -91,7 +91,7 @@ def test_choices_are_those_of_options() -> None:
     hints = get_type_hints(Options)
     choices = {name for name, hint in hints.items() if get_origin(hint) is Literal}
     assert choices == {"method", "solver", "connectivity", "objective",
-                       "boundary", "fields", "repair"}
+                       "boundary", "fields", "layers", "repair"}
     for name in choices:
         assert tuple(flags()[name].type.choices) == get_args(hints[name])
     assert choices == {name for name, about in OPTIONS.items() if about.metadata["choices"]}
