@@ -66,7 +66,7 @@ def test_a_phase_that_is_left_out_is_not_run_and_other_names_change_nothing():
     same = run(mesh, Options(), within=Within(without=("no such phase",)))
     assert whole.points.tobytes() == same.points.tobytes()
     names = ("bulk", "tail 1", "tail 2", "tail 3", "angles", "extremes", "regain", "polish",
-             "after polish", "repair", "cautious", "worst")
+             "after polish", "repair", "after repair", "cautious", "worst")
     nothing = run(mesh, Options(smoothing={"rounds": 0}), within=Within(without=names))
     assert nothing.counts.get("quality flips", 0) == 0
     assert whole.counts["quality flips"] > 0

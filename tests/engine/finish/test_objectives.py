@@ -387,7 +387,7 @@ def test_schedules(d):
 def test_small_angles_are_repaired_from_few_cells():
     for small in (0.01, 0.5):
         steps = repair(["share_below_20"], small)
-        assert {phase.share for (phase,) in steps} == {min(small, POLICY.many_small_angles)}
+        assert {first.share for first, _ in steps} == {min(small, POLICY.many_small_angles)}
 
 
 def test_the_general_tail_is_the_way_back(monkeypatch, d):
