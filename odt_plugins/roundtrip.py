@@ -178,9 +178,13 @@ def run_engine(
 
 def optimized(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
     """Let the engine for this kind of mesh do the work."""
-    from odt_plugins.engine.surface.in_plane import run_any
+    if mesh.is_surface or (mesh.dim == 2 and options.boundary == "slide"):
+        from odt_plugins.engine.surface.in_plane import run_any
 
-    return run_any(mesh, options, leaving)
+        return run_any(mesh, options, leaving)
+    from odt_plugins.engine.run import plan
+
+    return plan.run(mesh, options, leaving)
 
 
 def _run_kept(

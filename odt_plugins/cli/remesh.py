@@ -20,7 +20,7 @@ from odt_plugins.options import OPTIONS
 from odt_plugins.remeshing import NOT_HERE
 
 
-@click.command(short_help="Make a mesh file coarser or finer and write it with all its data.")
+@click.command(short_help="Make a mesh file coarser or finer, with all its data.")
 @click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
 @click.argument("target", metavar="OUTPUT", type=click.Path(path_type=Path))
 @click.option("--size", default=None, metavar="LENGTH",

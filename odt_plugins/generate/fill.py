@@ -185,7 +185,7 @@ def check_fill(levels: Any, edge_length: Any, options: Any) -> None:
     for name in OF_MESHES:
         usual = OPTIONS[name].default
         value = options.get(name, usual)
-        if isinstance(value, str | bool | None) and value == usual:
+        if isinstance(value, str | bool | tuple | None) and value == usual:
             continue
         msg = f"got {name} for a surface; expected it for meshes, try odt_plugins.optimize"
         raise InvalidOptionError(msg)

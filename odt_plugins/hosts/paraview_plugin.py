@@ -276,7 +276,7 @@ class ODTQuality(_Same):
         out.ShallowCopy(data)
         points = vtk_to_numpy(data.GetPoints().GetData()).astype(np.float64)
         for place, cells in _cells(data):
-            figures = of_package("quality").cell_figures(points, cells)
+            figures = of_package("figures").cell_figures(points, cells)
             for name, figure in RATIO.items():
                 values = np.full(data.GetNumberOfCells(), np.nan)
                 values[place] = np.abs(getattr(figures, figure))

@@ -115,8 +115,8 @@ def test_well_known_text_may_have_exponents(tmp_path):
 
 
 @pytest.mark.parametrize("name", ["ansys", "avs", "dolfin", "gmsh 2.2", "gmsh 2.2 text",
-                                  "gmsh 4.1 text", "medit text", "netgen", "off", "ply",
-                                  "ply text", "su2", "tetgen cells", "tetgen points", "ugrid text",
+                                  "gmsh 4.1 text", "netgen", "off", "ply",
+                                  "ply text", "ugrid text",
                                   "vtk 4.2", "vtk 5.1 text"])
 def test_counts_beyond_the_size_of_the_file_are_refused_before_it_is_read(
     name, tmp_path, monkeypatch

@@ -381,8 +381,8 @@ def test_the_method_of_gmsh_does_what_the_function_does():
             if len(meshes) == 1:
                 assert report.after == odt_plugins.quality(model)
     assert same(*meshes)
-    with pytest.raises(InvalidOptionError, match="did you mean 'rounds'"):
-        gmsh.model.mesh.odt(round=3)
+    with pytest.raises(InvalidOptionError, match="did you mean 'threads'"):
+        gmsh.model.mesh.odt(thread=3)
     assert gmsh_model.matches(gmsh.model)
     assert not gmsh_model.matches(gmsh.model.mesh)
 

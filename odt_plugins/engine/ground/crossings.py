@@ -11,7 +11,9 @@ from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
 from odt_plugins.mesh.exact import exact_sign, whole_numbers
-from odt_plugins.mesh.simplex import FLAT
+
+FLAT = 1e-14
+"""Bound of the rounding error of a volume or an area, as a part of the product of its extents."""
 
 TINY = 1e-200
 """Volume and area below which products may underflow [length^3, length^2]."""

@@ -98,7 +98,9 @@ def closest_of(
     best, found, fx, fy, fz = limit, -1, x, y, z
     stack[0] = 1
     top = 1
-    while top > 0:
+    for _ in range(2 * box.shape[0]):
+        if top == 0:
+            break
         top -= 1
         node = stack[top]
         if labels[node, 0] > label or labels[node, 1] < label or _gap(box, node, x, y, z) > best:

@@ -189,7 +189,9 @@ def _line_fits(body: Body, guard: Guard, u: int, v: int, segments: IntArray) -> 
         if body.segments.held[segments[s]]:
             return False
         w = guard.on_line[segments[s]]
-        while w >= 0:
+        for _ in range(guard.next_on_line.shape[0]):
+            if w < 0:
+                break
             best = math.inf
             for r in range(2):
                 c = segments[r]
@@ -223,7 +225,9 @@ def carry(body: Body, guard: Guard, u: int, v: int, scratch: Scratch) -> None:
     for s in range(2):
         w = guard.on_line[segments[s]]
         guard.on_line[segments[s]] = -1
-        while w >= 0 and count < COVERED:
+        for _ in range(COVERED):
+            if w < 0:
+                break
             best, at = math.inf, 0
             for r in range(2):
                 c = segments[r]
@@ -278,7 +282,9 @@ def share_triangle(body: Body, guard: Guard, c: int, d: int) -> None:
     t, p, g = body.triangles.rows, body.points, guard.ground.points
     w = guard.first[c]
     guard.first[c] = guard.first[d] = -1
-    while w >= 0:
+    for _ in range(guard.following.shape[0]):
+        if w < 0:
+            break
         after = guard.following[w]
         x, y, z = g[w, 0], g[w, 1], g[w, 2]
         here = closest_on_triangle(x, y, z, p, t[c, 0], t[c, 1], t[c, 2])[0]
@@ -295,7 +301,9 @@ def share_segment(body: Body, guard: Guard, c: int, d: int) -> None:
     rows, lines = body.segments.rows, guard.curves.points
     w = guard.on_line[c]
     guard.on_line[c] = guard.on_line[d] = -1
-    while w >= 0:
+    for _ in range(guard.next_on_line.shape[0]):
+        if w < 0:
+            break
         after = guard.next_on_line[w]
         here = _from_segment(lines, w, body.points, rows[c, 0], rows[c, 1])
         there = _from_segment(lines, w, body.points, rows[d, 0], rows[d, 1])

@@ -216,7 +216,9 @@ def _edges_beyond(
     count = 0
     for v in range(mark.shape[0]):
         at = tets.head[v]
-        while at >= 0:
+        for _ in range(tets.next.size):
+            if at < 0:
+                break
             c = at // 4
             for i in range(4):
                 w = tets.rows[c, i]

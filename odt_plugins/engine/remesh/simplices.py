@@ -171,7 +171,9 @@ def star(s: Simplices, v: int, out: IntArray) -> int:
     k = s.rows.shape[1]
     count = 0
     at = s.head[v]
-    while at >= 0:
+    for _ in range(s.next.size):
+        if at < 0:
+            break
         if count == out.shape[0]:
             return -1
         out[count] = at // k
@@ -186,7 +188,9 @@ def around(s: Simplices, a: int, b: int, out: IntArray) -> int:
     k = s.rows.shape[1]
     count = 0
     at = s.head[a]
-    while at >= 0:
+    for _ in range(s.next.size):
+        if at < 0:
+            break
         c = at // k
         if holds(s, c, b):
             if count == out.shape[0]:

@@ -74,7 +74,9 @@ def _link_condition(net: Net, a: int, b: int, chain: int) -> bool:
             if x < 0 or chain_of(net, w, x) >= 0:
                 return False
     corner = net.head[b]
-    while corner >= 0:
+    for _ in range(net.chained.shape[0]):
+        if corner < 0:
+            break
         t, i = corner // 3, corner % 3
         x, y = net.triangles[t, (i + 1) % 3], net.triangles[t, (i + 2) % 3]
         if x == a or y == a:
@@ -95,7 +97,9 @@ def _link_condition(net: Net, a: int, b: int, chain: int) -> bool:
 def _is_triangle(net: Net, a: int, b: int, c: int) -> bool:
     """Whether three vertices are those of a triangle."""
     corner = net.head[a]
-    while corner >= 0:
+    for _ in range(net.chained.shape[0]):
+        if corner < 0:
+            break
         t = corner // 3
         i = third(net, t, a, b)
         if i >= 0 and net.triangles[t, i] == c:
@@ -176,7 +180,9 @@ def _star(
     before = after = 1.0
     for turn in range(2 if middle else 1):
         corner = net.head[b if turn == 0 else a]
-        while corner >= 0:
+        for _ in range(net.chained.shape[0]):
+            if corner < 0:
+                break
             t = corner // 3
             corner = net.chained[corner]
             both = third(net, t, a, b) >= 0

@@ -12,7 +12,9 @@ from odt_plugins.engine.retile.tracks import Tracks
 def chain_of(net: Net, a: int, b: int) -> int:
     """Track on which an edge lies, -1 for none."""
     corner = net.head[a]
-    while corner >= 0:
+    for _ in range(net.chained.shape[0]):
+        if corner < 0:
+            break
         t = corner // 3
         i = third(net, t, a, b)
         if i >= 0:
@@ -60,7 +62,9 @@ def neighbor_on(net: Net, chain: int, v: int, other: int) -> int:
     With -1 for ``other`` any of both.
     """
     corner = net.head[v]
-    while corner >= 0:
+    for _ in range(net.chained.shape[0]):
+        if corner < 0:
+            break
         t, i = corner // 3, corner % 3
         for k in range(1, 3):
             w = net.triangles[t, (i + 3 - k) % 3]
@@ -74,7 +78,9 @@ def neighbor_on(net: Net, chain: int, v: int, other: int) -> int:
 def mark_edge(net: Net, a: int, b: int, chain: int) -> None:
     """Say on which track an edge lies."""
     corner = net.head[a]
-    while corner >= 0:
+    for _ in range(net.chained.shape[0]):
+        if corner < 0:
+            break
         t = corner // 3
         i = third(net, t, a, b)
         if i >= 0:

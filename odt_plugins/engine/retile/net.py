@@ -153,7 +153,9 @@ def _unlink(net: Net, t: int) -> None:
             net.head[v] = net.chained[corner]
             continue
         at = net.head[v]
-        while at >= 0:
+        for _ in range(net.chained.shape[0]):
+            if at < 0:
+                break
             if net.chained[at] == corner:
                 net.chained[at] = net.chained[corner]
                 break
@@ -178,7 +180,9 @@ def edge_triangles(net: Net, a: int, b: int, room: Room) -> int:
     """Write the triangles at an edge into room.exchange.old: how many, -1 without room for all."""
     count = 0
     corner = net.head[a]
-    while corner >= 0:
+    for _ in range(net.chained.shape[0]):
+        if corner < 0:
+            break
         t = corner // 3
         if third(net, t, a, b) >= 0:
             if 2 * count + 2 > ROOM:
@@ -193,7 +197,9 @@ def edge_triangles(net: Net, a: int, b: int, room: Room) -> int:
 def is_edge(net: Net, a: int, b: int) -> bool:
     """Whether some triangle holds both vertices."""
     corner = net.head[a]
-    while corner >= 0:
+    for _ in range(net.chained.shape[0]):
+        if corner < 0:
+            break
         if third(net, corner // 3, a, b) >= 0:
             return True
         corner = net.chained[corner]
@@ -286,7 +292,9 @@ def _folded(net: Net, room: Room, old: int, new: int) -> bool:
                 if _has(rows[j], a) and _has(rows[j], b) and _turns(p, x, y, z, rows[j]):
                     return True
             corner = net.head[a]
-            while corner >= 0:
+            for _ in range(net.chained.shape[0]):
+                if corner < 0:
+                    break
                 t = corner // 3
                 corner = net.chained[corner]
                 if third(net, t, a, b) < 0:
@@ -369,6 +377,8 @@ def on_ground(net: Net, values: FloatArray, out: FloatArray) -> None:
         i, j, k = net.triangles[t, 0], net.triangles[t, 1], net.triangles[t, 2]
         mean = (values[i] + values[j] + values[k]) / 3.0
         v = net.first[t]
-        while v >= 0:
+        for _ in range(net.following.shape[0]):
+            if v < 0:
+                break
             out[v] = mean
             v = net.following[v]

@@ -69,7 +69,9 @@ def _star(net: Net, v: int, room: Room) -> tuple[int, float]:
     count = 0
     worst = 1.0
     corner = net.head[v]
-    while corner >= 0:
+    for _ in range(net.chained.shape[0]):
+        if corner < 0:
+            break
         t = corner // 3
         corner = net.chained[corner]
         if count == ROOM:

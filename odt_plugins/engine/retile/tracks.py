@@ -41,7 +41,9 @@ class Tracks(NamedTuple):
 def _slot(tracks: Tracks, chain: int, place: float) -> int:
     """The last vertex of a chain, but its end, that is not behind a place."""
     low, high = tracks.start[chain], tracks.stop[chain] - 1
-    while low < high:
+    for _ in range(64):
+        if low >= high:
+            break
         middle = (low + high + 1) // 2
         if tracks.arc[middle] <= place:
             low = middle

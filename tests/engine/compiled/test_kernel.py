@@ -346,7 +346,7 @@ def test_kernels_are_found_where_the_package_is_installed_not_only_where_it_was_
         engine = tmp_path / place / "odt_plugins" / "engine"
         shutil.copytree(ENGINE / "compiled", engine / "compiled",
                         ignore=shutil.ignore_patterns("__*", "ahead"))
-        for name in ("errors.py", "options.py", "progress.py"):
+        for name in ("errors.py", "objectives.py", "options.py", "progress.py"):
             shutil.copy(ENGINE.parent / name, engine.parent)
         (engine / "inner.py").write_text(INNER.format(step=1.0), encoding="utf-8")
         (engine / "outer.py").write_text(OUTER, encoding="utf-8")
@@ -361,7 +361,7 @@ def test_a_change_in_a_kernel_that_another_file_calls_is_seen(tmp_path):
     engine = tmp_path / "odt_plugins" / "engine"
     shutil.copytree(ENGINE / "compiled", engine / "compiled",
                     ignore=shutil.ignore_patterns("__*", "ahead"))
-    for name in ("errors.py", "options.py", "progress.py"):
+    for name in ("errors.py", "objectives.py", "options.py", "progress.py"):
         shutil.copy(ENGINE.parent / name, engine.parent)
     (engine / "outer.py").write_text(OUTER, encoding="utf-8")
     env = {key: value for key, value in os.environ.items() if key != "NUMBA_CACHE_DIR"}

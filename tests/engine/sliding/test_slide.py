@@ -411,13 +411,6 @@ def test_sliding_does_not_see_scale_or_place(scale, shift):
     assert np.abs((y - shift) / scale - x).max() <= 1e-12
 
 
-def test_a_planar_mesh_is_refused():
-    points = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.9, 0.8]])
-    cells = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
-    with pytest.raises(InvalidOptionError, match="in the plane"):
-        odt_plugins.optimize((points, cells), boundary="slide")
-
-
 def test_mid_nodes_follow_the_edges_of_a_surface_that_slides():
     points, cells = ball(250, 12)
     sides = [(0, 1), (1, 2), (0, 2), (0, 3), (1, 3), (2, 3)]
