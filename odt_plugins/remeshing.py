@@ -49,7 +49,8 @@ def remesh(
                               `density`. The default of `boundary` is "slide" here: vertices of the
                               boundary, of interfaces between regions and of feature lines are
                               moved, added and removed within `envelope`, corners stay; with "fixed"
-                              all of these stay bit for bit
+                              all of these stay bit for bit. Figures named in `keep` do not fall;
+                              unless some are named, good ones may fall as far as to good ones
 
     Returns
     -------

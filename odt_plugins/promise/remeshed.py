@@ -17,6 +17,7 @@ from odt_plugins.mesh.components import components
 from odt_plugins.mesh.facets import row_keys, uneven_facets
 from odt_plugins.mesh.numbering import in_old_numbers, old_numbers, removed_vertices
 from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.promise.good import fallen_figures
 from odt_plugins.promise.locked_facets import LockedFacets, facet_census
 from odt_plugins.promise.volume import (
     VOLUME,
@@ -29,7 +30,6 @@ from odt_plugins.promise.volume import (
     _thawed,
     broken_promises,
     held_by,
-    worse_figures,
 )
 
 
@@ -51,7 +51,7 @@ def broken_by_remeshing(
     before : SimplexMesh                of tetrahedra
     points, cells, regions : arrays     (n, 3), (m', 4), (m',): the mesh to be judged
     origin : (n,) int                   old vertex of every vertex, increasing, then -1
-    keep : names of figures             none may be worse than before
+    keep : names of figures             none may be worse than before, see ``promise.good``
     slides : bool                       whether surfaces may have other vertices; else they are as
                                         before, bit for bit
     threads : int
@@ -68,8 +68,12 @@ def broken_by_remeshing(
     """
     share = max(0.0, len(points) / len(np.unique(before.cells)) - 1.0) + 1.0
     if not slides:
-        return broken_promises(before, points, cells, regions, keep, origin=origin, insert=share,
-                               threads=threads)
+        broken = broken_promises(before, points, cells, regions, (), origin=origin, insert=share,
+                                 threads=threads)
+        if keep and not broken:
+            broken = fallen_figures(summarize(before.points, before.cells),
+                                    summarize(points, cells), keep, 4)
+        return broken
     broken = _malformed(before, points, cells, regions, origin)
     if broken:
         return broken
@@ -90,8 +94,8 @@ def broken_by_remeshing(
     broken += _overlapping(overlaps)
     broken += _thawed(before, numbered, regions, len(together))
     if keep:
-        broken += worse_figures(summarize(before.points, before.cells),
-                                summarize(points, cells, figures), keep)
+        broken += fallen_figures(summarize(before.points, before.cells),
+                                 summarize(points, cells, figures), keep, 4)
     old = facet_census(before.cells, before.regions, len(before.points), before.uneven)[0]
     was, now = _pieces(old), _pieces(new)
     for pair in sorted(was.keys() | now.keys()):

@@ -17,11 +17,8 @@ from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.numbering import old_numbers
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.mesh.surface import Edges, surface_edges
-from odt_plugins.promise.volume import LOWER_IS_BETTER, VOLUME, _not_positive, worse_figures
-
-GOOD = {"min_quality": 0.3, "p1_quality": 0.5, "mean_quality": 0.8, "min_angle": 20.0,
-        "max_angle": 130.0, "share_below_20": 0.02}
-"""Figures that are good enough for other sizes, also where those of the input are better."""
+from odt_plugins.promise.good import fallen_figures
+from odt_plugins.promise.volume import VOLUME, _not_positive
 
 Shape = tuple[int, int]
 """Components and Euler characteristic."""
@@ -42,7 +39,7 @@ def broken_by_retiling(
     before : SimplexMesh                triangles in the plane or in space
     points, cells, regions : arrays     (n, d), (m', 3), (m',): the mesh to be judged
     origin : (n,) int                   old vertex of every vertex, increasing, then -1
-    keep : names of figures             none may be worse than before and than GOOD
+    keep : names of figures             none may be worse than before, see ``promise.good``
 
     Returns
     -------
@@ -81,17 +78,9 @@ def broken_by_retiling(
             if not abs(last - first) <= VOLUME * first:
                 broken.append(f"the area of region {label} went from {first:.6g} to {last:.6g}")
     if keep:
-        summary = summarize(points, cells)
-        poor = [name for name in keep if not _good(name, float(getattr(summary, name)))]
-        broken += worse_figures(summarize(before.points, before.cells), summary, poor)
+        broken += fallen_figures(
+            summarize(before.points, before.cells), summarize(points, cells), keep, 3)
     return broken
-
-
-def _good(name: str, value: float) -> bool:
-    """Whether a figure is good enough for other sizes."""
-    if name not in GOOD:
-        return False
-    return value <= GOOD[name] if name in LOWER_IS_BETTER else value >= GOOD[name]
 
 
 def _malformed(

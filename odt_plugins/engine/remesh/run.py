@@ -17,6 +17,7 @@ from odt_plugins.engine.odt.density import NodalDensity, make_density
 from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.record.figures import cell_shapes, figures
 from odt_plugins.engine.record.memory import State
+from odt_plugins.engine.record.relaxed import relaxed
 from odt_plugins.engine.remesh.body import FREELY, STAYS, STIFF
 from odt_plugins.engine.remesh.lay_out import lay_out, surface_of
 from odt_plugins.engine.remesh.sizes import Sizes, lengths_of, unique_edges, wanted_sizes
@@ -142,8 +143,12 @@ def _spoiled(
     """Cells (m,) of the input near cells that pass its extremes, or near triangles that cross."""
     from scipy.spatial import cKDTree
 
-    before = figures(mesh.points, mesh.cells)
-    bad = before.passed_by(cell_shapes(outcome.points, outcome.cells), tuple(options.keep))
+    keep = tuple(options.keep)
+    before = relaxed(figures(mesh.points, mesh.cells), keep, 4)
+    shapes = cell_shapes(outcome.points, outcome.cells)
+    bad = before.passed_by(shapes, keep)
+    if "p1_quality" in figures(outcome.points, outcome.cells).worse_than(before, keep):
+        bad |= shapes[:, 0] < before.p1_quality
     places = outcome.points[outcome.cells[bad]].reshape(-1, 3)
     facets = boundary_facets(outcome.cells)
     crossed = facets[crossing_triangles(outcome.points, facets)]

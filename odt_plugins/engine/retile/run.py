@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 import time
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -16,6 +15,7 @@ from odt_plugins.engine.ground.reference import make_reference
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import cell_shapes, figures
 from odt_plugins.engine.record.memory import State
+from odt_plugins.engine.record.relaxed import relaxed
 from odt_plugins.engine.retile.surface import Base, resize
 from odt_plugins.engine.run.outcome import Leaving, Outcome, unchanged
 from odt_plugins.engine.run.work import extremes
@@ -28,7 +28,7 @@ from odt_plugins.mesh.simplex import SimplexMesh, diagonal, freeze
 from odt_plugins.mesh.surface import Edges, surface_edges
 from odt_plugins.options import Options
 from odt_plugins.progress import silent
-from odt_plugins.promise.retiled import GOOD, broken_by_retiling
+from odt_plugins.promise.retiled import broken_by_retiling
 from odt_plugins.promise.surface import bad_places
 
 ATTEMPTS = 4
@@ -124,10 +124,7 @@ def _told(
 
 def _bounds(mesh: SimplexMesh, keep: tuple[str, ...]) -> Extremes:
     """Extremes that triangles must keep: those of the input, or what is good enough."""
-    found = extremes(figures(mesh.points, mesh.cells), keep).cells
-    low, high = (math.cos(math.radians(GOOD[name])) for name in ("min_angle", "max_angle"))
-    return Extremes(min(found.quality, GOOD["min_quality"]), max(found.large, low),
-                    min(found.small, high))
+    return extremes(relaxed(figures(mesh.points, mesh.cells), keep, 3), keep).cells
 
 
 def _base(start: SurfaceStart, options: Options) -> Base:
@@ -154,7 +151,8 @@ def _judged(
     broken = broken_by_retiling(mesh, points, cells, outcome.regions, origin, keep)
     bad = np.zeros(len(points), dtype=np.bool_)
     if broken:
-        passed = figures(mesh.points, mesh.cells).passed_by(cell_shapes(points, cells), keep)
+        bounds = relaxed(figures(mesh.points, mesh.cells), keep, 3)
+        passed = bounds.passed_by(cell_shapes(points, cells), keep)
         bad[cells[passed]] = True
     x, y = in_space(mesh.points), in_space(points)
     old, new = surface_edges(mesh.cells, len(x)), surface_edges(cells, len(y))

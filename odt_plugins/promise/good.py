@@ -1,0 +1,41 @@
+"""Figures of a mesh with other sizes: those that are named never fall, others not below GOOD.
+
+Cells of other sizes have other shapes: of a mesh that is nearly perfect no coarser one is as good.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+from odt_plugins.figures import QualitySummary
+from odt_plugins.options import KEPT
+from odt_plugins.promise.volume import LOWER_IS_BETTER, worse_figures
+
+GOOD = {
+    3: {"min_quality": 0.3, "p1_quality": 0.5, "mean_quality": 0.8, "min_angle": 20.0,
+        "max_angle": 130.0, "share_below_20": 0.02},
+    4: {"min_quality": 0.3, "p1_quality": 0.5, "mean_quality": 0.8, "min_angle": 15.0,
+        "max_angle": 150.0, "share_below_20": 0.02},
+}
+"""Figures of triangles, of 3 corners, and of tetrahedra that are good enough for other sizes, also
+where those of the input are better; angles in degrees."""
+
+
+def good_enough(keep: Sequence[str], corners: int) -> dict[str, float]:
+    """Figures down to which those of ``keep`` may fall: none where others than KEPT are named."""
+    return GOOD[corners] if tuple(keep) == KEPT else {}
+
+
+def fallen_figures(
+    old: QualitySummary, new: QualitySummary, keep: Sequence[str], corners: int
+) -> list[str]:
+    """Say which of the figures ``keep`` got worse, and are not good enough for other sizes."""
+    good = good_enough(keep, corners)
+    poor = []
+    for name in keep:
+        value = float(getattr(new, name))
+        enough = name in good and (
+            value <= good[name] if name in LOWER_IS_BETTER else value >= good[name])
+        if not enough:
+            poor.append(name)
+    return worse_figures(old, new, poor)
