@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import Ground
 from odt_plugins.engine.ground.replace import Exchange
 from odt_plugins.engine.remesh.boxes import Boxes
@@ -109,6 +110,15 @@ class Guard(NamedTuple):
         part = np.divide(change, around, out=np.zeros(count), where=around > 0.0)
         out: FloatArray = np.where(high >= 0, part[high] - part[low], -part[low])
         return out
+
+
+@kernel
+def ratio(body: Body, a: int, b: int) -> float:
+    """Squared length of an edge by that which it should have."""
+    p = body.points
+    x, y, z = p[a, 0] - p[b, 0], p[a, 1] - p[b, 1], p[a, 2] - p[b, 2]
+    size = 0.5 * (body.size[a] + body.size[b])
+    return (x * x + y * y + z * z) / (size * size)
 
 
 def with_room(body: Body, scratch: Scratch, guard: Guard, vertices: int, cells: int) -> tuple[

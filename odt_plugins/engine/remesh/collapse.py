@@ -19,6 +19,7 @@ from odt_plugins.engine.remesh.body import (
     Body,
     Guard,
     Scratch,
+    ratio,
 )
 from odt_plugins.engine.remesh.guard import carry, fits, move, normal_of_star
 from odt_plugins.engine.remesh.simplices import (
@@ -29,7 +30,6 @@ from odt_plugins.engine.remesh.simplices import (
     replace_corner,
     star,
 )
-from odt_plugins.engine.remesh.split import ratio
 from odt_plugins.mesh.arrays import IntArray
 
 

@@ -22,10 +22,10 @@ from odt_plugins.engine.remesh.body import (
     Body,
     Guard,
     Scratch,
+    ratio,
 )
 from odt_plugins.engine.remesh.boxes import make_boxes
 from odt_plugins.engine.remesh.simplices import make_simplices
-from odt_plugins.engine.remesh.split import ratio
 from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.mesh.arrays import BoolArray, ByteArray, FloatArray, IntArray

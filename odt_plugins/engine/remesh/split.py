@@ -12,6 +12,7 @@ from odt_plugins.engine.remesh.body import (
     Body,
     Guard,
     Scratch,
+    ratio,
 )
 from odt_plugins.engine.remesh.guard import FLAT, share_segment, share_triangle
 from odt_plugins.engine.remesh.simplices import (
@@ -21,15 +22,6 @@ from odt_plugins.engine.remesh.simplices import (
     replace_corner,
 )
 from odt_plugins.mesh.arrays import FloatArray, IntArray
-
-
-@kernel
-def ratio(body: Body, a: int, b: int) -> float:
-    """Squared length of an edge by that which it should have."""
-    p = body.points
-    x, y, z = p[a, 0] - p[b, 0], p[a, 1] - p[b, 1], p[a, 2] - p[b, 2]
-    size = 0.5 * (body.size[a] + body.size[b])
-    return (x * x + y * y + z * z) / (size * size)
 
 
 @kernel
