@@ -199,6 +199,7 @@ def _run(
                 - sum(len(number.rim) for number in numbers))
     ends = valid if untangled and valid else states[0], states[-1]
     counts = {"pieces": len(paths), "vertices on interfaces": interface}
+    counts |= {"cells turned": turned} if turned else {}
     return bare_report(
         replace(before, n_points=vertices, turned=turned), replace(after, n_points=vertices),
         [tuple(map(sum, zip(*(f.histogram for _, f in end), strict=True))) for end in ends],

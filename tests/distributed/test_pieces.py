@@ -550,7 +550,7 @@ def test_cells_of_mixed_orientation_are_turned(tmp_path):
     index = write_pieces(tmp_path / "in", start.points, cells,
                          bricks(start.points, start.cells, 2))
     report = optimize_file(index, tmp_path / "out.pvtu")
-    assert f"{len(cells[::5])} cells turned to positive volume" in str(report)
+    assert f"cells turned {len(cells[::5])}" in str(report)
     points, result, _, _ = glued(tmp_path / "out.pvtu", len(start.points))
     assert tet_meshes.signed_volumes(points, result).min() > 0.0
 
