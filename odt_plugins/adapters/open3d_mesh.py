@@ -32,10 +32,6 @@ REMEDIES = (
      ("remove_duplicated_triangles()", "remove_duplicated_tetras()")),
     (r"(?<=different vertices, try )removing such cells",
      ("remove_degenerate_triangles()", "remove_degenerate_tetras()")),
-    (r"(?<=different from zero, try )removing such cells",
-     ("remove_triangles_by_mask(odt_plugins.quality(mesh).cells.quality < 1e-12)",
-      "select_faces_by_mask("
-      "open3d.core.Tensor(odt_plugins.quality(mesh).cells.quality > 1e-12))")),
 )
 """What error messages advise, and the methods of open3d that do it, on one class or another."""
 

@@ -24,6 +24,7 @@ from odt_plugins.errors import (
     UnsupportedMeshError,
 )
 from odt_plugins.hosts import open3d_filters
+from odt_plugins.options import OPTIONS
 
 open3d = pytest.importorskip("open3d")
 
@@ -370,8 +371,7 @@ def test_filter_signatures_are_those_of_open3d():
         parameters = inspect.signature(function).parameters
         assert list(parameters)[:3] == ["mesh", "number_of_iterations", "filter_scope"]
         assert parameters["number_of_iterations"].default == 1
-    assert inspect.signature(open3d_filters.optimize_odt).parameters.keys() == (
-        inspect.signature(odt_plugins.optimize).parameters.keys())
+    assert list(inspect.signature(open3d_filters.optimize_odt).parameters)[1:] == list(OPTIONS)
     mesh = make("triangle")
     native = mesh.filter_smooth_simple(number_of_iterations=2,
                                        filter_scope=open3d.geometry.FilterScope.All)
@@ -433,7 +433,7 @@ FLAT, TWICE = [[0, 1, 2], [0, 1, 4]], [[0, 1, 2], [1, 4, 4]]
 REPEATED, TURNED = [[0, 1, 2], [1, 2, 0]], [[0, 1, 2], [1, 2, 3]]
 FAN = [[0, 1, 2], [1, 5, 2], [1, 6, 2]]
 FAULTS = [
-    *((kind, FLAT, "1 triangle .*zero area", True) for kind in ("triangle", "tensor")),
+    *((kind, FLAT, "1 triangle .*zero area", False) for kind in ("triangle", "tensor")),
     *((kind, TURNED, "1 edge .*disagree about the outside", True)
       for kind in ("triangle", "tensor")),
     *((kind, FAN, "more than two triangles", True) for kind in ("triangle", "tensor")),
