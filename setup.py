@@ -1,15 +1,44 @@
 """Compiles the kernels while the package is built, so that its first run begins at once.
 
-Everything else is said in pyproject.toml. A package without them works as well: it compiles what
-a run needs when it needs it.
+The first page of the package is README.md with its picture in it, and tests and examples go into
+the source archive. Everything else is said in pyproject.toml. A package without machine code works
+as well: it compiles what a run needs when it needs it.
 """
 
+import re
 import subprocess
 import sys
+import tomllib
+from base64 import b64encode
 from pathlib import Path
 
 from setuptools import Distribution, setup
 from setuptools.command.build_py import build_py
+from setuptools.command.sdist import sdist
+
+TOP = Path(__file__).parent
+
+
+def first_page() -> str:
+    """README.md where nothing lies beside it: links lead to the address that is called Source in
+    pyproject.toml; as long as there is none, they are plain words and pictures stand in the page.
+    """
+    project = tomllib.loads((TOP / "pyproject.toml").read_text(encoding="utf-8"))["project"]
+    address = project.get("urls", {}).get("Source")
+
+    def link(found: re.Match[str]) -> str:
+        mark, words, target = found.groups()
+        if target.startswith("https:"):
+            return found[0]
+        if address:
+            return f"{mark}[{words}]({address}/{'raw' if mark else 'blob'}/main/{target})"
+        if not mark:
+            return words
+        picture = b64encode((TOP / target).read_bytes()).decode()
+        return f"![{words}](data:image/png;base64,{picture})"
+
+    text = (TOP / "README.md").read_text(encoding="utf-8")
+    return re.sub(r"(!?)\[([^\]]*)\]\(([^)]+)\)", link, text)
 
 
 class WithKernels(build_py):
@@ -25,6 +54,18 @@ class WithKernels(build_py):
             self.warn(f"no kernels compiled ahead ({error}); the first run will compile them")
 
 
+class WithTests(sdist):
+    """Packs tests, examples and what continuous integration runs as well."""
+
+    def make_distribution(self) -> None:
+        for folder in ("tests", "examples", ".ci"):
+            self.filelist.extend(
+                str(path) for path in sorted(Path(folder).rglob("*"))
+                if path.is_file() and "__pycache__" not in path.parts)
+        self.filelist.append(".gitignore")
+        super().make_distribution()
+
+
 class ForOneSystem(Distribution):
     """A package with machine code."""
 
@@ -32,4 +73,5 @@ class ForOneSystem(Distribution):
         return True
 
 
-setup(cmdclass={"build_py": WithKernels}, distclass=ForOneSystem)
+setup(cmdclass={"build_py": WithKernels, "sdist": WithTests}, distclass=ForOneSystem,
+      long_description=first_page(), long_description_content_type="text/markdown")

@@ -99,6 +99,14 @@ def compile_ahead(folder: Path, programs: Sequence[str] = PROGRAMS) -> None:
             new.replace(folder / new.name)
 
 
+def kept_kernels() -> tuple[Path | None, list[Path]]:
+    """Folder and files of machine code that this user has compiled; None without a home."""
+    from odt_plugins.engine.compiled.cache import SUFFIX, place
+
+    folder = place()
+    return folder, [] if folder is None else sorted(folder.glob(f"*{SUFFIX}"))
+
+
 if __name__ == "__main__":
     parser = ArgumentParser("python -m odt_plugins.ahead", description="Compile the kernels.")
     parser.add_argument("folder", type=Path, help="takes the machine code; is made where missing")

@@ -41,7 +41,7 @@ from odt_plugins.cli.terminal import (
 )
 from odt_plugins.errors import InvalidOptionError, NotFilledWarning, ODTError
 from odt_plugins.options import OF_MESHES, OPTIONS
-from odt_plugins.signals import handling
+from odt_plugins.processes import handling
 
 DONE, COULD_NOT, WRONG_USE, BEYOND = 0, 1, 2, 3
 
@@ -80,9 +80,14 @@ class _Commands(click.Group):
     """The subcommands; those with a room of their own are loaded when they are asked for."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        return sorted([*super().list_commands(ctx), "compare", "mesh", "paraview", "remesh"])
+        return sorted([*super().list_commands(ctx), "cache", "compare", "mesh", "paraview",
+                       "remesh"])
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        if cmd_name == "cache":
+            from odt_plugins.cli.cache import cache
+
+            return cache
         if cmd_name == "compare":
             from odt_plugins.cli.compare import compare
 

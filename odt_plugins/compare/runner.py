@@ -2,10 +2,8 @@
 
 from __future__ import annotations
 
-import contextlib
 import json
 import os
-import signal
 import subprocess
 import sys
 import tempfile
@@ -24,6 +22,7 @@ from odt_plugins.compare.worker import READY, RESULT, load_mesh, save_mesh
 from odt_plugins.errors import exit_name
 from odt_plugins.generate.clouds import SEED
 from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.processes import GROUP, end_group
 
 IMPORTS = {
     "gmsh_optimize": ["gmsh"], "netgen_optimize": ["netgen.meshing"], "mmg_optimize": ["mmgpy"],
@@ -109,15 +108,13 @@ def _process(folder: Path, limits: Limits) -> tuple[int | None, str]:
         process = subprocess.Popen(
             [sys.executable, "-m", "odt_plugins.compare.worker", str(folder)],
             stdout=file, stderr=subprocess.STDOUT, stdin=subprocess.DEVNULL, cwd=folder,
-            env=environment, start_new_session=True,
+            env=environment, **GROUP,
         )
         try:
             ending = _wait(process, folder / READY, limits.seconds)
         finally:
             # The worker's whole session, so that no helper of a tool stays behind.
-            with contextlib.suppress(ProcessLookupError, PermissionError):
-                os.killpg(process.pid, signal.SIGKILL)
-            process.wait()
+            end_group(process)
     lines = log.read_text(encoding="utf-8", errors="replace").split("\n")
     return ending, next((line.strip() for line in reversed(lines) if line.strip()), "")
 

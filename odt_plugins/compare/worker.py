@@ -9,13 +9,14 @@ from __future__ import annotations
 import importlib
 import json
 import os
-import resource
 import sys
 import time
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from odt_plugins.processes import cpu_seconds, peak_memory
 
 RESULT = "result.json"
 
@@ -91,12 +92,6 @@ def _repeat(job: dict[str, Any], folder: Path, result: dict[str, Any]) -> None:
             break
 
 
-def cpu_seconds() -> float:
-    """Processor time of this process and of the programs that it ran to their end."""
-    children = resource.getrusage(resource.RUSAGE_CHILDREN)
-    return time.process_time() + children.ru_utime + children.ru_stime
-
-
 def save_mesh(path: Path, points: Any, cells: Any, regions: Any = None) -> None:
     """Write arrays to a file of numpy; no regions are an empty array."""
     np.savez(path, points=np.ascontiguousarray(points, dtype=np.float64),
@@ -115,19 +110,6 @@ def _write(folder: Path, result: dict[str, Any]) -> None:
     part = folder / f"{RESULT}.part"
     part.write_text(json.dumps(result), encoding="utf-8")
     os.replace(part, folder / RESULT)
-
-
-def peak_memory() -> int:
-    """Largest resident size of this process so far, in bytes.
-
-    Linux's ru_maxrss begins with the size of the process that started this one; VmHWM does not.
-    """
-    if sys.platform == "linux":
-        for line in Path("/proc/self/status").read_text(encoding="ascii").splitlines():
-            if line.startswith("VmHWM:"):
-                return int(line.split()[1]) * 1024
-    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    return peak if sys.platform == "darwin" else peak * 1024
 
 
 if __name__ == "__main__":

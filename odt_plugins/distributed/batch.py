@@ -25,7 +25,6 @@ from typing import Any
 
 from odt_plugins.adapters.files import check_output, expect_same_kind
 from odt_plugins.distributed.job import (
-    FROM_OUTSIDE,
     REPORT,
     RESULT,
     ROW,
@@ -40,8 +39,8 @@ from odt_plugins.distributed.scratch import clear, make_scratch
 from odt_plugins.distributed.versions import expect_versions, installed_version, versions_here
 from odt_plugins.errors import InvalidOptionError, MeshFileError, exit_name
 from odt_plugins.options import COMPILING, EDGE_LENGTH, make_options
+from odt_plugins.processes import ENDED, GROUP, end_group, expect_limits, handling
 from odt_plugins.progress import silent
-from odt_plugins.signals import handling
 from odt_plugins.tetwild import expect_pytetwild
 
 HIDDEN = ".batch"
@@ -233,7 +232,8 @@ def run_batch(
     Raises
     ------
     MeshFileError              the output folder cannot be made
-    InvalidOptionError         a worker has other packages than this process
+    InvalidOptionError         a worker has other packages than this process; a limit of memory on
+                               a system without such limits
     MissingDependencyError     pytetwild is needed on this machine and not installed
     Stopped                    from a KeyboardInterrupt, with the rows of what was finished
     """
@@ -242,6 +242,8 @@ def run_batch(
     here = client is None or client.cluster is not None
     if here and any(job.tetrahedralize for job in jobs):
         expect_pytetwild()
+    if here and any(job.memory_limit is not None for job in jobs):
+        expect_limits()
     hidden = Path(jobs[0].out) / HIDDEN
     try:
         hidden.mkdir(parents=True, exist_ok=True)
@@ -469,7 +471,7 @@ def _run_shared(jobs: Mapping[int, Job]) -> Iterator[tuple[int, Row]]:
                 if facts["status"] == "timeout":
                     break
         finally:
-            _end(process)
+            end_group(process)
     for index, _, folder in waiting:
         shutil.rmtree(folder, ignore_errors=True)
         yield index, run_job(jobs[index])
@@ -536,15 +538,8 @@ def _start(folder: Path, tasks: list[Row]) -> subprocess.Popen[str]:
     ):
         return subprocess.Popen(
             [sys.executable, "-m", "odt_plugins.distributed.job"], text=True, env=environment,
-            stdin=given, stdout=subprocess.DEVNULL, stderr=said, start_new_session=True,
+            stdin=given, stdout=subprocess.DEVNULL, stderr=said, **GROUP,
         )
-
-
-def _end(process: subprocess.Popen[str]) -> None:
-    """End a process with everything it started."""
-    with contextlib.suppress(ProcessLookupError, PermissionError):
-        os.killpg(process.pid, signal.SIGKILL)
-    process.wait()
 
 
 def _written(folder: Path) -> Row | None:
@@ -569,14 +564,14 @@ def _process(job: Job, folder: Path) -> Row:
     except subprocess.TimeoutExpired:
         return _too_late(job.timeout, clock)
     finally:
-        _end(process)
+        end_group(process)
     if (written := _written(folder)) is not None:
         return written
     said = (folder / SAID).read_text(encoding="utf-8", errors="replace")
     lines = [line.strip() for line in said.splitlines() if line.strip()]
     message = f"ended by {exit_name(process.returncode)}: {lines[-1] if lines else 'no word'}"
     row: Row = {"status": "crashed", "message": message, "seconds": time.monotonic() - clock,
-           "outside": -process.returncode in FROM_OUTSIDE}
+           "outside": -process.returncode in ENDED}
     if beyond_limit(said, job.memory_limit):
         row |= {"status": "memory", "message": too_little(job.memory_limit)}
     return row

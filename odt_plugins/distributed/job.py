@@ -9,7 +9,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import signal
 import sys
 import threading
 import time
@@ -24,6 +23,7 @@ from odt_plugins.errors import (
     ODTError,
     ODTWarning,
 )
+from odt_plugins.processes import ENDED, end_own_group, limit_memory
 from odt_plugins.progress import compiling_heard
 
 ROW, RESULT, COMPILING = "row.json", "result", "compiling"
@@ -35,9 +35,6 @@ MOST = 300.0
 
 REPORT = ".json"
 """What the name of a result gets for the name of its report."""
-
-FROM_OUTSIDE = (signal.SIGINT, signal.SIGTERM, signal.SIGKILL)
-"""Signals that come from the user or from a system short of memory, not from the input."""
 
 PARTLY = "partly filled"
 """Status of a surface whose tetrahedra are written but leave out more than a stated share."""
@@ -54,7 +51,8 @@ def main() -> None:
     """Do the jobs, one after the other."""
     told = json.load(sys.stdin)
     threading.Thread(target=_end_with, args=(told["parent"], told["folder"]), daemon=True).start()
-    _limit_memory(told["tasks"][0]["memory_limit"])
+    if (most := told["tasks"][0]["memory_limit"]) is not None:
+        limit_memory(most)
     for job in told["tasks"]:
         _do(job)
 
@@ -150,20 +148,11 @@ def work(job: dict[str, Any]) -> dict[str, Any]:
     return row
 
 
-def _limit_memory(limit: int | None) -> None:
-    """Let the system refuse this process more private memory than that."""
-    if limit is None:
-        return
-    import resource
-
-    resource.setrlimit(resource.RLIMIT_DATA, (limit, limit))
-
-
 def _end_with(parent: int, folder: str) -> None:
     """End this process and what it started once its parent is gone, or its work folder."""
     while os.getppid() == parent and os.path.isdir(folder):
         time.sleep(0.2)
-    os.killpg(0, signal.SIGKILL)
+    end_own_group()
 
 
 def outside(exc: BaseException) -> bool:
@@ -173,7 +162,7 @@ def outside(exc: BaseException) -> bool:
     if str(exc).startswith("cannot write"):
         return True
     return any(isinstance(cause, ImportError) or getattr(cause, "errno", None) is not None
-               or (isinstance(cause, CrashError) and -cause.code in FROM_OUTSIDE)
+               or (isinstance(cause, CrashError) and -cause.code in ENDED)
                for cause in _causes(exc))
 
 

@@ -9,6 +9,8 @@ import socket
 import tempfile
 from pathlib import Path
 
+from odt_plugins.processes import is_gone
+
 GONE = "-gone"
 """End of the names of folders that are being removed."""
 
@@ -36,9 +38,7 @@ def make_scratch(parent: Path, start: str) -> Path:
 
 
 def _clear_if_dead(folder: Path, pid: int) -> None:
-    try:
-        os.kill(pid, 0)
-    except ProcessLookupError:
+    if is_gone(pid):
         clear(folder)
 
 

@@ -17,7 +17,7 @@ import click
 from attack.table import record, table
 from attack.worker import FAILED, OK, REFUSED, Worker
 from odt_plugins.cli.terminal import progress_bar
-from odt_plugins.signals import handling
+from odt_plugins.processes import handling
 
 SHARES = {"meshes": 0.5, "files": 0.2, "signals": 0.1, "disks": 0.1, "cores": 0.1}
 """Modules of this folder with a function ``attack(rng, folder)`` and its time limit ``SECONDS``,

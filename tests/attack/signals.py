@@ -71,7 +71,7 @@ def attack(rng: Rng, folder: Path) -> None:
 
 def command(source: Path, target: Path) -> list[str]:
     """Words of the command that optimises a file."""
-    return [sys.executable, "-m", "odt_plugins.cli", "optimize", str(source), str(target)]
+    return [sys.executable, "-m", "odt_plugins", "optimize", str(source), str(target)]
 
 
 def start_mesh(*, flat: bool) -> meshio.Mesh:

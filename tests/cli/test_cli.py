@@ -514,7 +514,7 @@ def test_a_stopped_run_leaves_no_file_and_says_so(place: Path, name: str) -> Non
 def test_a_reader_that_closes_the_pipe_gets_no_traceback(place: Path) -> None:
     read, write = os.pipe()
     os.close(read)
-    done = subprocess.run([sys.executable, "-m", "odt_plugins.cli", "quality", "in.vtu"],
+    done = subprocess.run([sys.executable, "-m", "odt_plugins", "quality", "in.vtu"],
                           stdout=write, stderr=subprocess.PIPE, text=True, check=False)
     os.close(write)
     assert done.returncode == 1
@@ -550,7 +550,7 @@ def test_a_usual_run_loads_no_room_for_other_meshes_and_options() -> None:
 def test_garbage_is_looked_for_rarely_and_not_at_the_end():
     code = """
 import gc, sys
-from odt_plugins.cli import __main__
+from odt_plugins import __main__
 sys.argv = ["odt-plugins", "--version"]
 __main__.start()
 print(gc.get_threshold()[0] == __main__.RARELY, gc.get_freeze_count() > 1000)

@@ -487,7 +487,7 @@ def test_a_full_disk_is_a_row_and_leaves_nothing_half_written(place):
     write_ball(place / "models" / "large.vtu", 1500)
     write_ball(place / "models" / "small.vtu", 60)
     done = subprocess.run(
-        [sys.executable, "-m", "odt_plugins.cli", "batch", "models/*.vtu", "--out", "out"],
+        [sys.executable, "-m", "odt_plugins", "batch", "models/*.vtu", "--out", "out"],
         capture_output=True, text=True, check=False, timeout=100, env=full_disk(),
         preexec_fn=lambda: (resource.setrlimit(resource.RLIMIT_FSIZE, (60_000, 60_000)),
                             signal.signal(signal.SIGXFSZ, signal.SIG_IGN)),
@@ -534,7 +534,7 @@ def test_a_killed_batch_goes_on_where_it_stopped(place):
         write_ball(place / "models" / f"{n}.vtu", n)
     write_ball(place / "models" / "90.vtu", 90)
     (place / "models" / "90.slow").write_text("1000")
-    words = [sys.executable, "-m", "odt_plugins.cli", "batch", "models/6*.vtu", "models/7*.vtu",
+    words = [sys.executable, "-m", "odt_plugins", "batch", "models/6*.vtu", "models/7*.vtu",
              "models/90.slow", "--out", "out", "--suffix", ".vtu", "--workers", "2"]
     first = subprocess.Popen(words, stderr=subprocess.PIPE, text=True)
     assert first.stderr is not None
@@ -559,7 +559,7 @@ def test_a_killed_batch_goes_on_where_it_stopped(place):
 def test_a_stopped_batch_ends_with_one_line_and_the_summary_of_what_was_done(place, name, flags):
     write_ball(place / "models" / "60.vtu", 60)
     (place / "models" / "90.slow").write_text("1000")
-    words = [sys.executable, "-m", "odt_plugins.cli", "batch", "models/60.vtu", "models/90.slow",
+    words = [sys.executable, "-m", "odt_plugins", "batch", "models/60.vtu", "models/90.slow",
              "--out", "out", "--suffix", ".vtu", *flags]
     with subprocess.Popen(words, stderr=subprocess.PIPE, text=True,
                           start_new_session=True) as process:

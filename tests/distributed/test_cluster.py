@@ -261,7 +261,7 @@ def test_nobody_at_the_address_is_one_sentence(monkeypatch, tmp_path, capsys):
 
 
 def run_cli(folder: Path, *words: str, **settings: Any) -> subprocess.Popen[str]:
-    return subprocess.Popen([sys.executable, "-m", "odt_plugins.cli", *words], cwd=folder,
+    return subprocess.Popen([sys.executable, "-m", "odt_plugins", *words], cwd=folder,
                             stderr=subprocess.PIPE, stdout=subprocess.DEVNULL, text=True,
                             **settings)
 

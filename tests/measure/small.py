@@ -97,7 +97,7 @@ def _command(size: int, say: Say) -> tuple[float, float]:
     with tempfile.TemporaryDirectory() as folder:
         source, target = (Path(folder) / name for name in ("in.vtu", "out.vtu"))
         write_arrays(source, start.points, start.cells)
-        line = [sys.executable, "-P", "-m", "odt_plugins.cli", "optimize", str(source), str(target),
+        line = [sys.executable, "-P", "-m", "odt_plugins", "optimize", str(source), str(target),
                 "--quiet"]
         paths = os.pathsep.join(map(os.path.abspath, sys.path))
         # Python's own code is compiled at the first call, as an installation does.

@@ -106,14 +106,26 @@ def file_stamp(name: str) -> bytes:
 @cache
 def kept() -> Path | None:
     """Where this user's processes keep what they compile; None where nothing can be written."""
-    chosen = os.environ.get("NUMBA_CACHE_DIR")
-    own, common = Path(__file__).parent / "__pycache__", os.path.expanduser("~/.cache/odt_plugins")
-    for folder in (Path(chosen),) if chosen else (own, Path(common)):
-        with contextlib.suppress(OSError):
-            folder.mkdir(parents=True, exist_ok=True)
-            if os.access(folder, os.W_OK | os.X_OK):
-                return folder
+    folder = place()
+    if folder is None:
+        return None
+    with contextlib.suppress(OSError):
+        folder.mkdir(parents=True, exist_ok=True)
+        if os.access(folder, os.W_OK | os.X_OK):
+            return folder
     return None
+
+
+def place() -> Path | None:
+    """Where kernels of this user lie: NUMBA_CACHE_DIR, or a folder where the system keeps caches.
+
+    None for a user without a home.
+    """
+    if chosen := os.environ.get("NUMBA_CACHE_DIR"):
+        return Path(chosen)
+    caches = os.environ.get("XDG_CACHE_HOME") or os.environ.get("LOCALAPPDATA")
+    caches = caches or os.path.expanduser("~/.cache")
+    return None if caches.startswith("~") else Path(caches) / "odt_plugins"
 
 
 def load(function: Callable[..., Any], types: Any) -> MachineCode | None:

@@ -569,11 +569,15 @@ def test_kernels_run_as_python_where_numba_is_told_not_to_compile():
 
 def test_a_user_without_a_home_may_have_kernels(monkeypatch, tmp_path):
     monkeypatch.delenv("HOME", raising=False)
-    monkeypatch.delenv("NUMBA_CACHE_DIR", raising=False)
+    for name in ("NUMBA_CACHE_DIR", "XDG_CACHE_HOME", "LOCALAPPDATA"):
+        monkeypatch.delenv(name, raising=False)
     monkeypatch.setattr(os.path, "expanduser", lambda path: path)
     kernel_cache.kept.cache_clear()
     try:
-        assert kernel_cache.kept() == ENGINE / "compiled" / "__pycache__"
+        assert kernel_cache.kept() is None
+        monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+        kernel_cache.kept.cache_clear()
+        assert kernel_cache.kept() == tmp_path / "odt_plugins"
     finally:
         kernel_cache.kept.cache_clear()
 

@@ -1,4 +1,4 @@
-"""The start of ``odt-plugins``, and of ``python -m odt_plugins.cli``."""
+"""The start of ``odt-plugins``, and of ``python -m odt_plugins``."""
 
 import gc
 import sys

@@ -1,0 +1,88 @@
+"""What a package index shows of the package, and what its source archive holds."""
+
+import re
+import subprocess
+import sys
+import tarfile
+from email.parser import Parser
+from pathlib import Path
+
+import pytest
+
+import odt_plugins
+from odt_plugins.cli import main as cli
+
+TOP = Path(__file__).parents[2]
+BUILD = ("import sys, setuptools.build_meta as build;"
+         "print(getattr(build, sys.argv[1])(sys.argv[2]))")
+
+
+def built(hook, folder, project):
+    """The name of what a hook of the build backend makes of the project."""
+    done = subprocess.run([sys.executable, "-c", BUILD, hook, str(folder)], cwd=project, text=True,
+                          capture_output=True, check=True)
+    return folder / done.stdout.splitlines()[-1]
+
+
+@pytest.fixture(scope="module")
+def archive(tmp_path_factory):
+    """Names in the source archive, and its metadata."""
+    folder = tmp_path_factory.mktemp("built")
+    made = built("build_sdist", folder, TOP)
+    with tarfile.open(made) as packed:
+        names = {name.partition("/")[2] for name in packed.getnames()}
+        top = packed.getnames()[0].partition("/")[0]
+        metadata = packed.extractfile(f"{top}/PKG-INFO").read().decode()
+    return names, Parser().parsestr(metadata)
+
+
+def test_the_archive_holds_what_the_project_does(archive):
+    names, _ = archive
+    mine = {path.relative_to(TOP).as_posix() for path in TOP.rglob("*") if path.is_file()}
+    made = re.compile(r"^(\.git|\.venv|build|dist|\.\w+_cache|\.hypothesis|[^/]*\.egg-info)/"
+                      r"|__pycache__|compiled/ahead/|^(PKG-INFO|setup\.cfg|__tracked_surface\.stl)$")
+    assert {name for name in mine if not made.search(name)} - names == set()
+    assert not [name for name in names if "__pycache__" in name or "compiled/ahead" in name]
+
+
+def test_the_index_is_told_what_it_asks_for(archive):
+    _, metadata = archive
+    assert metadata["Author"] or metadata["Author-email"]
+    assert "mesh optimization" in metadata["Keywords"]
+    assert any(line.startswith("Topic ::") for line in metadata.get_all("Classifier"))
+    assert metadata["Version"] == odt_plugins.__version__
+
+
+def test_the_first_page_needs_nothing_beside_it(archive):
+    _, metadata = archive
+    page = metadata.get_payload()
+    targets = re.findall(r"\]\(([^)]+)\)", page)
+    assert targets
+    for target in targets:
+        assert target.startswith(("https:", "data:image/png;base64,")), target[:80]
+
+
+def test_the_citation_has_the_version_and_the_paper():
+    text = (TOP / "odt_plugins" / "CITATION.cff").read_text(encoding="utf-8")
+    assert f"\nversion: {odt_plugins.__version__}\n" in text
+    doi = re.search(r"doi = \{(.+?)\}", (TOP / "README.md").read_text(encoding="utf-8"))[1]
+    assert f"doi: {doi}" in text
+
+
+def test_a_shell_completes_the_commands(monkeypatch, capsys):
+    monkeypatch.setenv("_ODT_PLUGINS_COMPLETE", "bash_complete")
+    monkeypatch.setenv("COMP_WORDS", "odt-plugins opt")
+    monkeypatch.setenv("COMP_CWORD", "1")
+    with pytest.raises(SystemExit):
+        cli.main([])
+    assert "optimize" in capsys.readouterr().out
+
+
+def test_what_runs_have_compiled_is_removed_and_nothing_else(tmp_path, monkeypatch, capsys):
+    monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
+    (tmp_path / "a.b.kernel").write_bytes(b"12345")
+    (tmp_path / "other").write_bytes(b"1")
+    assert cli.main(["cache"]) == 0
+    assert "1 kernel, 0.0 MB, in " in capsys.readouterr().out
+    assert cli.main(["cache", "--clear"]) == 0
+    assert [path.name for path in tmp_path.iterdir()] == ["other"]
