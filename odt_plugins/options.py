@@ -54,6 +54,9 @@ STAYS = ("periodic", "inside")
 OF_MESHES = ("fixed", "selection", "regions", "fields", "layers", "free")
 """Options for what a mesh has that is there already, none for a surface that is to be filled."""
 
+NOT_SIZED = ("insert", "density")
+"""Options whose part sizes take in :func:`odt_plugins.remesh`."""
+
 OF_UNTANGLING = ("insert", "fixed", "selection", "regions", "threads", "progress")
 """Options of :func:`odt_plugins.untangle`."""
 

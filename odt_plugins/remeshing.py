@@ -12,19 +12,29 @@ from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.facets import directed_facets
 from odt_plugins.mesh.simplex import SimplexMesh, freeze, with_same_cells
 from odt_plugins.multiblock import has_parts, run_parts
-from odt_plugins.options import OptionKeywords, Options, make_options, with_option_signature
+from odt_plugins.options import (
+    NOT_SIZED,
+    OptionKeywords,
+    Options,
+    make_options,
+    with_option_signature,
+)
 from odt_plugins.roundtrip import run_engine
 from odt_plugins.untangling import Wanted
 
 if TYPE_CHECKING:
+    from odt_plugins.engine.remesh.wish import Wish
     from odt_plugins.engine.run.outcome import Leaving, Outcome
     from odt_plugins.report.report import Report
 
-NOT_HERE = ("insert", "density")
-"""Options of :func:`odt_plugins.optimize` whose part sizes take here."""
+WISHES = ("scale", "cells", "vertices", "growth", "most_cells")
+"""Arguments of :func:`remesh` that say what sizes there are to be, beside `size`."""
+
+CURVATURE = "curvature"
+"""Size that follows the curvature, and no array of that name."""
 
 
-@with_option_signature(*NOT_HERE, boundary="slide")
+@with_option_signature(*NOT_SIZED, boundary="slide")
 def remesh(
     mesh: Any, size: Any = None, *, scale: float | None = None, cells: int | None = None,
     vertices: int | None = None, growth: float = 1.3, most_cells: int = 20_000_000,
@@ -35,9 +45,12 @@ def remesh(
     Parameters
     ----------
     mesh : object             what :func:`odt_plugins.optimize` takes; it is never changed
-    size : float, array or callable
+    size : float, array, str or callable
                               length that edges should have: everywhere, one for each vertex (n,) or
-                              cell (m,), or a function size(points) -> (k,)
+                              cell (m,), the name of a point or cell array of them, or a function
+                              size(points) -> (k,). "curvature": as coarse as `envelope` allows
+                              where a surface, an interface or a feature line is curved, and growing
+                              from there
     scale : float             instead, a multiple of the local size that the mesh has: 2 is twice as
                               coarse everywhere
     cells, vertices : int     instead, how many there are to be, as near as possible, where sizes
@@ -80,11 +93,12 @@ def remesh(
     wishes: dict[str, Any] = {"scale": scale, "cells": cells, "vertices": vertices,
                               "growth": growth, "most_cells": most_cells}
     if has_parts(mesh):
-        return run_parts(mesh, options, partial(remesh_with_report, size=size, **wishes))[0]
+        one = partial(remesh_with_report, size=size, **wishes)
+        return run_parts(mesh, {"boundary": "slide", **options}, one)[0]
     return _run(mesh, size, wishes, _checked(options))[0]
 
 
-@with_option_signature(*NOT_HERE, boundary="slide")
+@with_option_signature(*NOT_SIZED, boundary="slide")
 def remesh_with_report(
     mesh: Any, size: Any = None, *, scale: float | None = None, cells: int | None = None,
     vertices: int | None = None, growth: float = 1.3, most_cells: int = 20_000_000,
@@ -104,8 +118,8 @@ def remesh_with_report(
     wishes: dict[str, Any] = {"scale": scale, "cells": cells, "vertices": vertices,
                               "growth": growth, "most_cells": most_cells}
     if has_parts(mesh):
-        whole, reports = run_parts(
-            mesh, options, partial(remesh_with_report, size=size, **wishes))
+        one = partial(remesh_with_report, size=size, **wishes)
+        whole, reports = run_parts(mesh, {"boundary": "slide", **options}, one)
         return whole, report_of_parts(reports)
     chosen = _checked(options)
     result, before, outcome, told = _run(mesh, size, wishes, chosen)
@@ -114,7 +128,7 @@ def remesh_with_report(
 
 def _checked(options: Any) -> Options:
     """Options of a run without those that sizes take the place of."""
-    given = [name for name in NOT_HERE if name in options]
+    given = [name for name in NOT_SIZED if name in options]
     if given:
         msg = f"got {given[0]}= for remeshing; expected sizes by size, scale, cells or vertices"
         raise InvalidOptionError(msg)
@@ -141,26 +155,47 @@ def _with_still_walls(mesh: SimplexMesh) -> SimplexMesh:
     return freeze(bodies, frozen)
 
 
-def _run(mesh: Any, size: Any, wishes: dict[str, Any], options: Options) -> tuple[Any, ...]:
-    """What :func:`odt_plugins.roundtrip.run_engine` gives."""
+def check_sizes(size: Any = None, **given: Any) -> None:
+    """Refuse sizes and options of :func:`remesh` before any work is done.
+
+    Raises
+    ------
+    InvalidOptionError
+    """
+    wishes = {name: value for name, value in given.items() if name in WISHES}
+    _wish(size, wishes)
+    _checked({name: value for name, value in given.items() if name not in WISHES})
+
+
+def _wish(size: Any, wishes: dict[str, Any]) -> Wish:
+    """What the arguments ask for."""
     from odt_plugins.engine.remesh.wish import Wish
 
-    plain = size is None or (np.ndim(size) == 0 and not callable(size))
-    if plain and size is not None:
+    length = None
+    given = isinstance(size, str) or callable(size) or np.ndim(size) > 0
+    if size is not None and not given:
         try:
-            size = float(size)
+            length = float("" if isinstance(size, bool | np.bool_) else size)
         except (TypeError, ValueError) as exc:
-            msg = f"got size={size!r}; expected a length, an array of lengths or a function"
+            msg = (f"got size={size!r}; expected a length, an array of lengths or its name, a "
+                   f"function or {CURVATURE!r}")
             raise InvalidOptionError(msg) from exc
+    curved = isinstance(size, str) and size == CURVATURE
+    return Wish(length=length, curved=curved, given=given and not curved, **wishes)
+
+
+def _run(mesh: Any, size: Any, wishes: dict[str, Any], options: Options) -> tuple[Any, ...]:
+    """What :func:`odt_plugins.roundtrip.run_engine` gives."""
+    wish = _wish(size, wishes)
+    name = size if wish.given and isinstance(size, str) else ""
     if options.fields == "auto":
         options = replace(options, fields="interpolate")
-    wish = Wish(length=size if plain else None, given=not plain, **wishes)
-    if not plain:
-        options = replace(options, density=size if callable(size) else np.asarray(size))
+    if wish.given and not name:
+        options = replace(options, density=make_options(density=size).density)
 
     def engine(simplices: SimplexMesh, chosen: Options, leaving: Leaving) -> Outcome:
         from odt_plugins.engine.remesh.run import remesh as resized
 
         return resized(_with_still_walls(simplices), chosen, leaving, wish)
 
-    return run_engine(mesh, options, engine, Wanted(linear=True))
+    return run_engine(mesh, options, engine, Wanted(linear=True, sizes=name))

@@ -13,9 +13,9 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters.fields import named_array
 from odt_plugins.adapters.host import (
     Adapter,
-    Feet,
     HostMesh,
     NewVertices,
     Result,
@@ -64,6 +64,7 @@ from odt_plugins.mesh.surface import surface_mesh
 from odt_plugins.mesh.tangled import tangled_mesh
 from odt_plugins.options import Options
 from odt_plugins.progress import kernels_shown, part, telling
+from odt_plugins.textures import feet_of
 from odt_plugins.untangling import Tangle, Wanted, rest_places, untangle_mesh
 
 if TYPE_CHECKING:
@@ -129,6 +130,8 @@ def run_engine(
         moves = work.host.geometry is not None and (work.mesh.is_surface or slides)
         leaving = partial(_as_it_leaves, work, options.threads, onto=moves)
         with words_of(work.host):
+            if wanted.sizes:
+                options = replace(options, density=named_array(given, wanted.sizes))
             options = of_cells(options, work.own, len(given.cells))
             chosen = _of_mesh(_in_frame(options, work.frame), work.tangle)
             chosen = _with_sag(chosen, work) if moves else chosen
@@ -140,6 +143,12 @@ def run_engine(
     source: Any = outcome.source
     cells, places = outcome.cells, outcome.points
     same = work.same
+    if same is not None and outcome.origin is not None:
+        keep = np.flatnonzero((outcome.origin < 0) | (same[outcome.origin] == outcome.origin))
+        points, places = points[keep], places[keep]
+        cells = new_numbers(keep, len(outcome.origin))[cells]
+        outcome = replace(outcome, points=places, cells=cells, origin=outcome.origin[keep])
+        same = None
     if same is not None:
         stays = (places == work.mesh.points).all(axis=1)[same]
         points, places = points[same], places[same]
@@ -170,7 +179,8 @@ def run_engine(
         kind = np.promote_types(kind, np.min_scalar_type(len(outcome.points) - 1))
     result = Result(
         points, cells.astype(kind), source, work.mesh.is_surface,
-        _feet(work, places, cells), vertices if not work.host.higher_order else None,
+        feet_of(work.host, work.mesh, places, cells, outcome.origin),
+        vertices if not work.host.higher_order else None,
         locate=_locating(work, around) if fields else None, same=same,
     )
     return work.adapter.write(result, given), before, outcome, told
@@ -213,24 +223,6 @@ def _run_kept(
         source=None if tangle is None else tangle.source)
 
 
-def _feet(work: _Prepared, points: FloatArray, cells: IntArray) -> Feet | None:
-    """Where a textured surface whose vertices moved lies on the input."""
-    if not (work.mesh.is_surface and work.host.textured):
-        return None
-    old = work.mesh.points
-    moved = np.flatnonzero((points != old).any(axis=1))
-    if not moved.size:
-        return None
-    from odt_plugins.engine.surface.judge import barycentric, feet_on
-
-    rows = work.host.cells.astype(np.int32)
-    face, weights = feet_on(old, rows, np.concatenate([points[moved], points[cells].mean(axis=1)]))
-    k = len(moved)
-    under = rows[face[k:]]
-    corners = [barycentric(old, under, points[cells[:, i]]) for i in range(3)]
-    return Feet(moved, face[:k], weights[:k], face[k:], np.stack(corners, axis=1))
-
-
 def _prepare(mesh: Any, options: Options, wanted: Wanted) -> tuple[_Prepared, HostMesh]:
     """The mesh for the engine, and as it came."""
     adapter = find_adapter(mesh)
@@ -258,7 +250,10 @@ def _prepare(mesh: Any, options: Options, wanted: Wanted) -> tuple[_Prepared, Ho
         if found.tangle is not None:
             return found, host
         same = None if host.higher_order else same_places(host.points, host.cells.astype(np.int64))
-        return (found if same is None else _of_soup(found, work, host, same, keep_seams)), host
+        if same is None:
+            return found, host
+        gone = wanted.linear
+        return _of_soup(found, work, host, same, keep_seams, gone), host
 
 
 def _checked(
@@ -330,7 +325,7 @@ def _untangled(work: _Prepared, options: Options, wanted: Wanted) -> _Prepared:
 
 def _of_soup(
     found: _Prepared, work: Callable[..., _Prepared], host: HostMesh, same: NDArray[np.int64],
-    keep_seams: bool,
+    keep_seams: bool, gone: bool,
 ) -> _Prepared:
     """The curved surface of a soup, vertices at the same place as one; others as they were found.
 
@@ -352,10 +347,11 @@ def _of_soup(
             fixed = np.zeros(len(same), dtype=np.bool_)
             fixed[same[merged.mesh.fixed]] = True
             used, places = len(np.unique(host.cells)), len(np.unique(merged.mesh.cells))
+            there = "gone" if gone else "apart again, at the same place"
             note = host.words(
                 f"{used - places} of {used} vertices were at the place of another one and merged "
-                f"with it for the work; in the result they are apart again, at the same place; "
-                f"{call} for a mesh without them")
+                f"with it for the work; in the result they are {there}; {call} for a mesh without "
+                f"them")
             return merged._replace(
                 mesh=replace(merged.mesh, fixed=fixed), same=same,
                 notes=(note, *merged.notes),
@@ -466,7 +462,7 @@ def _interpolated(work: _Prepared, options: Options) -> tuple[str, ...]:
     """Names of the point arrays that are interpolated at vertices that moved."""
     by_default = work.host.follows and not work.mesh.is_surface
     chosen = options.fields == "interpolate" or (options.fields == "auto" and by_default)
-    return work.host.fields if chosen else ()
+    return tuple(work.host.fields) if chosen else ()
 
 
 def _around(

@@ -44,6 +44,7 @@ from odt_plugins.options import (
     with_option_signature,
 )
 from odt_plugins.progress import part, telling
+from odt_plugins.remeshing import check_sizes, remesh, remesh_with_report
 
 if TYPE_CHECKING:
     from odt_plugins.generate.covered import Covered
@@ -78,6 +79,15 @@ INSIDE = -1e-9
 """Least barycentric coordinate of a point that counts as inside a tetrahedron."""
 
 
+SIZES = ("size", "scale", "cells", "growth")
+"""Arguments of :func:`odt_plugins.remesh` that follow TetWild."""
+
+
+def asked(**sizes: Any) -> dict[str, Any]:
+    """Those sizes that are given."""
+    return {name: value for name, value in sizes.items() if value is not None}
+
+
 @with_option_signature()
 def tetrahedralize(
     vertices: NDArray[np.floating],
@@ -100,15 +110,21 @@ def tetrahedralize(
     bg_values: NDArray[np.float64] | None = None,
     *,
     odt: Mapping[str, Any] | bool = True,
+    size: Any = None,
+    scale: float | None = None,
+    cells: int | None = None,
+    growth: float | None = None,
     **options: Unpack[OptionKeywords],
 ) -> tuple[NDArray[np.float64], NDArray[np.int32]]:
     """Fill a triangle surface of arrays; see :func:`odt_plugins.tetrahedralize`."""
-    given = {name: value for name, value in locals().items() if name not in ("odt", "options")}
-    chosen = _checked(given, odt, options)
+    given = {name: value for name, value in locals().items()
+             if name not in ("odt", "options", *SIZES)}
+    sizes = asked(size=size, scale=scale, cells=cells, growth=growth)
+    chosen = _checked(given, odt, options, sizes)
     if chosen is None:
         return run_tetwild(given)
     with _made(given, chosen) as (mesh, _, improving):
-        out: Mesh = optimize_mesh(mesh, **improving)
+        out: Mesh = (remesh if sizes else optimize_mesh)(mesh, **sizes, **improving)
         _compared(given, chosen, out)
         return out
 
@@ -120,10 +136,11 @@ def tetrahedralize_with_report(
     """The same with a report; `regions_of` is given points and cells, and gives labels (m,)."""
     own = inspect.signature(tetrahedralize).parameters
     usual = {name: about.default for name, about in own.items()
-             if name not in ("vertices", "faces", "odt", *OPTIONS)}
+             if name not in ("vertices", "faces", "odt", *SIZES, *OPTIONS)}
     given = {"vertices": vertices, "faces": faces} | {
         name: keywords.pop(name, value) for name, value in usual.items()}
-    chosen = _checked(given, keywords.pop("odt", True), keywords)
+    sizes = asked(**{name: keywords.pop(name, None) for name in SIZES})
+    chosen = _checked(given, keywords.pop("odt", True), keywords, sizes)
     if chosen is None:
         msg = ("got odt=False, TetWild alone, of which there is no report; expected True or a dict "
                "of options, try odt_plugins.tetrahedralize")
@@ -131,7 +148,8 @@ def tetrahedralize_with_report(
     with _made(given, chosen) as (mesh, seconds, improving):
         if regions_of is not None:
             improving["regions"] = regions_of(*mesh)
-        out, report = optimize_with_report(mesh, **improving)
+        improve = remesh_with_report if sizes else optimize_with_report
+        out, report = improve(mesh, **sizes, **improving)
         filled = _compared(given, chosen, out)
     return out, replace(report, times={"TetWild": seconds, **report.times}, filled=filled)
 
@@ -155,7 +173,8 @@ def _compared(given: Mapping[str, Any], chosen: Mapping[str, Any], mesh: Any) ->
 
 
 def _checked(
-    given: dict[str, Any], odt: Mapping[str, Any] | bool, options: Mapping[str, Any]
+    given: dict[str, Any], odt: Mapping[str, Any] | bool, options: Mapping[str, Any],
+    sizes: Mapping[str, Any],
 ) -> dict[str, Any] | None:
     """The options of ODT, None for TetWild alone; all that can be refused at once is.
 
@@ -163,6 +182,13 @@ def _checked(
     """
     _expect_known(options, given)
     chosen = odt_options(odt, **options)
+    if sizes:
+        if chosen is None or given["bg_values"] is not None:
+            what = "odt=False, TetWild alone" if chosen is None else "a sizing field of TetWild"
+            msg = f"got {', '.join(sizes)} beside {what}; expected either"
+            raise InvalidOptionError(msg)
+        chosen.setdefault("boundary", "slide")
+        check_sizes(**sizes, **chosen)
     _check_surface(given["vertices"], given["faces"])
     if chosen and chosen.get("repair") == "orient":
         from odt_plugins.generate.bodies import outward

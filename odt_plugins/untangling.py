@@ -74,12 +74,14 @@ class Wanted(NamedTuple):
     partial : bool                   whether a mesh with fewer inverted cells will do
     share : float                    part of the run that this is, for its progress
     linear : bool                    whether cells of higher order are refused
+    sizes : str                      name of the array that holds the densities, if one does
     """
 
     rest: FloatArray | None = None
     partial: bool = False
     share: float = 0.3
     linear: bool = False
+    sizes: str = ""
 
 
 def untangle_mesh(

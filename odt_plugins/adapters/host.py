@@ -68,7 +68,7 @@ class HostMesh:
     ids : (m,) int or None            place of every cell among all cells of the object, ascending,
                                       where there may be others; they stay in that order
     total : int                       number of all cells of the object, with `ids`
-    fields : tuple of str             names of the point arrays that sample a field
+    fields : dict of (n, ...)         point arrays that sample a field, by their names
     densities : dict of (m, ...)      cell arrays of floating-point numbers, by their names
     follows : bool                    whether fields are interpolated unless the caller says so
     geometry : Geometry or None       that the vertices of the surface are on, and stay on
@@ -94,7 +94,7 @@ class HostMesh:
     higher_order: bool = False
     ids: NDArray[Any] | None = None
     total: int = 0
-    fields: tuple[str, ...] = ()
+    fields: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     densities: Mapping[str, NDArray[Any]] = field(default_factory=dict)
     follows: bool = True
     texture: NDArray[Any] | None = None
@@ -179,6 +179,8 @@ class Feet(NamedTuple):
     under : (m',) int             input triangle under the barycentre of every new one
     corners : (m', 3, 3) float64  barycentric coordinates of the corners of the new triangles
                                   with respect to the one under them, negative outside of it
+    origin : (n',) int or None    input vertex of every vertex where some came or went, -1 for those
+                                  that came, which moved
     """
 
     vertex: NDArray[Any]
@@ -186,6 +188,7 @@ class Feet(NamedTuple):
     weights: NDArray[np.float64]
     under: NDArray[Any]
     corners: NDArray[np.float64]
+    origin: NDArray[np.int64] | None = None
 
 
 class Result(NamedTuple):

@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.fields import densities, field_names
+from odt_plugins.adapters.fields import sampled
 from odt_plugins.adapters.formats.decks import HELD, indices
 from odt_plugins.adapters.formats.medit import REQUIRED
 from odt_plugins.adapters.higher_order import (
@@ -155,8 +155,8 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         ids=np.flatnonzero(np.repeat([block.type == kind for block in mesh.cells], sizes)),
         texture=_texture(arrays, kind),
         total=sum(sizes),
-        fields=field_names({name: np.asarray(v) for name, v in mesh.point_data.items()}),
-        densities=densities(arrays, (TEXTURE,)),
+        fields=sampled({name: np.asarray(v) for name, v in mesh.point_data.items()}),
+        densities=sampled(arrays, (TEXTURE,)),
     )
 
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.fields import densities, field_names
+from odt_plugins.adapters.fields import sampled
 from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
 from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.wedges import carried, charts
@@ -69,7 +69,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
             cells=np.array(mesh.tetras),
             regions=region_labels({}, regions, np.array(mesh.tetras)).values,
             source=mesh,
-            fields=field_names({"vertex_colors": np.asarray(mesh.vertex_colors)}),
+            fields=sampled({"vertex_colors": np.asarray(mesh.vertex_colors)}),
             follows=False,
             words=partial(in_words, mesh=mesh),
         )
@@ -123,7 +123,7 @@ def _read_legacy(mesh: Any, regions: str | Sequence[str] | None) -> HostMesh:
         arrays[name] = _per_triangle(np.array(mesh.triangle_material_ids), m, name)
     colors = {"vertex_colors": np.array(mesh.vertex_colors)} if mesh.has_vertex_colors() else {}
     host = _host(mesh, np.array(mesh.vertices), cells, uv, arrays, regions)
-    return replace(host, fields=field_names(colors))
+    return replace(host, fields=sampled(colors))
 
 
 def _read_tensor(mesh: Any, regions: str | Sequence[str] | None) -> HostMesh:
@@ -148,7 +148,7 @@ def _read_tensor(mesh: Any, regions: str | Sequence[str] | None) -> HostMesh:
     uv = arrays.get("texture_uvs")
     uv = None if uv is None else _wedges(uv.reshape(-1, 2), m, "triangle.texture_uvs")
     host = _host(mesh, points, cells, uv, arrays, regions)
-    return replace(host, fields=field_names(_point_data(mesh)))
+    return replace(host, fields=sampled(_point_data(mesh), ("texture_uvs",)))
 
 
 def _host(
@@ -168,7 +168,7 @@ def _host(
         kept = (seams,) if len(seams.rows) else ()
     return HostMesh(points, cells, *labels, blocks, kept, source=mesh, layout=uv,
                     follows=False, words=partial(in_words, mesh=mesh), texture=uv,
-                    densities=densities(arrays, ("texture_uvs",)))
+                    densities=sampled(arrays, ("texture_uvs",)))
 
 
 def _in_range(cells: NDArray[Any], n: int) -> bool:
@@ -211,9 +211,11 @@ def _write_tensor(result: Result, host: HostMesh, same: bool) -> Any:
     out.material = mesh.material
     if same:
         return out
-    data = {} if result.vertices is None else {
-        name: result.vertices.carried(values) for name, values in _point_data(mesh).items()
-        if name in host.fields}
+    moved = result.vertices
+    data = {} if moved is None else {
+        name: moved.carried(values, field=name in host.fields)
+        for name, values in _point_data(mesh).items()
+        if name in host.fields or moved.renumbered}
     for values, arrays in ((out.vertex, data | {"positions": result.points}),
                            (out.triangle, _triangle_data(result, host))):
         for name, array in arrays.items():
@@ -224,9 +226,9 @@ def _write_tensor(result: Result, host: HostMesh, same: bool) -> Any:
 
 
 def _point_data(mesh: Any) -> dict[str, NDArray[Any]]:
-    """Attributes of the vertices of a tensor mesh, without their places and texture coordinates."""
+    """Attributes of the vertices of a tensor mesh but their places."""
     return {name: np.array(values.cpu().numpy()) for name, values in mesh.vertex.items()
-            if name not in ("positions", "texture_uvs")}
+            if name != "positions"}
 
 
 def _triangle_data(result: Result, host: HostMesh) -> dict[str, NDArray[Any]]:

@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.fields import densities, field_names
+from odt_plugins.adapters.fields import sampled
 from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
 from odt_plugins.adapters.pymeshlab_copy import (
     Attribute,
@@ -118,8 +118,8 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         texture=texture,
         words=lambda text: text.replace("merging vertices at the same place",
                                         "meshing_remove_duplicate_vertices()"),
-        fields=field_names(_vertex_data(inner, copy)),
-        densities=densities(arrays),
+        fields=sampled(_vertex_data(inner, copy)),
+        densities=sampled(arrays),
         follows=False,
     )
 

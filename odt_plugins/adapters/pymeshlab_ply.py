@@ -41,12 +41,16 @@ def encode(
         (f"double {axis}", "<f8", column)
         for axis, column in zip("xyz", result.points.T, strict=True)
     ]
-    vertex.append(("int flags", "<i4", SELECTED * mesh.vertex_selection_array()))
+    def of_vertices(values: NDArray[Any], *, field: bool = False) -> NDArray[Any]:
+        moved = result.vertices
+        return values if moved is None else moved.carried(values, field=field)
+
+    selected = of_vertices(np.asarray(mesh.vertex_selection_array()))
+    vertex.append(("int flags", "<i4", SELECTED * selected))
     if mesh.has_vertex_color():
-        vertex += _colours(mesh.vertex_color_matrix())
+        vertex += _colours(of_vertices(mesh.vertex_color_matrix()))
     if mesh.has_vertex_scalar():
-        scalars = mesh.vertex_scalar_array()
-        scalars = scalars if result.vertices is None else result.vertices.carried(scalars)
+        scalars = of_vertices(mesh.vertex_scalar_array(), field=True)
         vertex.append(("double quality", "<f8", scalars))
     if mesh.has_vertex_tex_coord():
         uv = slid(mesh.vertex_tex_coord_matrix(), mesh.face_matrix(), result.feet)
@@ -72,6 +76,8 @@ def encode(
     body += _element(header, "face", m, face)
 
     edges = mesh.edge_matrix()
+    if result.vertices is not None and result.vertices.renumbered:
+        edges = result.vertices.number[edges]
     if len(edges):
         ends = [(f"int vertex{i + 1}", "<i4", edges[:, i]) for i in (0, 1)]
         body += _element(header, "edge", len(edges), ends)

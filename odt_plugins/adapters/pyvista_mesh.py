@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.fields import densities, field_names
+from odt_plugins.adapters.fields import sampled
 from odt_plugins.adapters.higher_order import (
     carried_point_data,
     check_mid_nodes,
@@ -116,10 +116,10 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         layout=(ids, nodes if wide else None, shape),
         ids=ids,
         total=mesh.n_cells,
-        fields=field_names(
+        fields=sampled(
             {name: np.asarray(mesh.point_data[name]) for name in mesh.point_data.keys()},
             (mesh.point_data.active_normals_name, name)),
-        densities=densities(arrays, (mesh.cell_data.active_normals_name,)),
+        densities=sampled(arrays, (mesh.cell_data.active_normals_name,)),
         anchors=_anchors(mesh) if grid else None,
         higher_order=wide,
         nodes=nodes if wide else None,
@@ -151,7 +151,7 @@ def write(result: Result, host: HostMesh) -> Any:
         rows = _write_higher_order(out, result, host)
     if vertices is not None and nodes is None:
         _carry_point_data(out, host.source, lambda name, values: vertices.carried(
-            values, field=name in host.fields), host.fields if number is None else None)
+            values, field=name in host.fields), tuple(host.fields) if number is None else None)
     _carry_cell_data(out, host.source, rows)
     if result.curved and nodes is None:
         _follow_surface(out, result, host, rows)
@@ -165,7 +165,8 @@ def _follow_surface(out: Any, result: Result, host: HostMesh, rows: IndexArray) 
     """
     name = out.point_data.active_texture_coordinates_name
     if name is not None:
-        out.point_data[name] = slid(np.asarray(out.point_data[name]), host.cells, result.feet)
+        out.point_data[name] = slid(
+            np.asarray(host.source.point_data[name]), host.cells, result.feet)
     name = out.point_data.active_normals_name
     if name is not None:
         out.point_data[name] = renewed(

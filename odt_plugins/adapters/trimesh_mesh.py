@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.fields import densities, field_names
+from odt_plugins.adapters.fields import sampled
 from odt_plugins.adapters.host import HostMesh, Result, is_instance
 from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.wedges import slid
@@ -68,8 +68,8 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     uv = getattr(mesh.visual, "uv", None)
     return HostMesh(
         np.array(mesh.vertices), cells, *region_labels(arrays, regions, cells), source=mesh,
-        fields=field_names(_of_length(mesh.vertex_attributes, n)), words=in_words,
-        densities=densities(arrays),
+        fields=sampled(_of_length(mesh.vertex_attributes, n)), words=in_words,
+        densities=sampled(arrays),
         texture=None if uv is None or len(uv) != n else np.array(uv),
     )
 
@@ -86,6 +86,10 @@ def write(result: Result, host: HostMesh) -> Any:
         return out
     colours = np.array(mesh.visual.face_colors) if mesh.visual.kind == "face" else None
     of_vertices = np.array(mesh.visual.vertex_colors) if mesh.visual.kind == "vertex" else None
+    moved = result.vertices
+    anew = moved is not None and moved.renumbered
+    if moved is not None and anew and of_vertices is not None:
+        of_vertices = moved.carried(of_vertices, field=False)
     out.vertices, out.faces = result.points, result.cells
     if colours is not None:
         out.visual.face_colors = colours[result.source]
@@ -93,14 +97,15 @@ def write(result: Result, host: HostMesh) -> Any:
         out.visual.vertex_colors = of_vertices
     if _materials(mesh) is not None:
         out.visual.face_materials = np.asarray(_materials(mesh))[result.source]
-    if host.texture is not None and result.curved:
+    if host.texture is not None and result.feet is not None:
         out.visual.uv = slid(host.texture, host.cells, result.feet)
     for name, values in _of_length(mesh.face_attributes, len(host.cells)).items():
         out.face_attributes[name] = values[result.source]
-    if result.vertices is not None:
-        for name in host.fields:
+    if moved is not None:
+        known = _of_length(mesh.vertex_attributes, len(host.points)) if anew else host.fields
+        for name in known:
             values = np.asarray(mesh.vertex_attributes[name])
-            out.vertex_attributes[name] = result.vertices.carried(values)
+            out.vertex_attributes[name] = moved.carried(values, field=name in host.fields)
     return out
 
 

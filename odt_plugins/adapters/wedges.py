@@ -77,7 +77,9 @@ def carried(
                        along which vertices moved, see :func:`_on_surface`
     """
     if result.same is not None:
-        cells, result = result.same[cells], result._replace(cells=result.same[result.cells])
+        cells = result.same[cells]
+        if result.feet is None or result.feet.origin is None:
+            result = result._replace(cells=result.same[result.cells])
     if result.feet is not None:
         return _on_surface(uv, cells, result.cells, result.feet)
     return _of_sources(uv, cells, result)
@@ -101,10 +103,11 @@ def _on_surface(
     count = int(chart.max()) + 1
     key = cells.ravel().astype(np.int64) * count + np.repeat(chart, 3)
     order = np.argsort(key, kind="stable")
-    wanted = new.astype(np.int64) * count + own[:, None]
+    known = new if feet.origin is None else feet.origin[new]
+    wanted = known.astype(np.int64) * count + own[:, None]
     at = np.minimum(np.searchsorted(key[order], wanted), len(key) - 1)
     wedge = order[at]
-    row = np.full(int(max(cells.max(), feet.vertex.max())) + 1, -1)
+    row = np.full(int(max(new.max(), feet.vertex.max(initial=0))) + 1, -1)
     row[feet.vertex] = np.arange(len(feet.vertex))
     place = row[new]
 
@@ -135,9 +138,10 @@ def slid(
     cells : (m, 3)      triangles before
     feet : Feet or None
     """
-    out = np.array(values)
-    if feet is not None:
-        out[feet.vertex] = _interpolated(out[cells[feet.face]], feet)
+    if feet is None:
+        return np.array(values)
+    out = np.array(values if feet.origin is None else values[feet.origin])
+    out[feet.vertex] = _interpolated(values[cells[feet.face]], feet)
     return out
 
 

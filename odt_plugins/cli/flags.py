@@ -17,10 +17,55 @@ EDGE_LENGTH = click.option(
     "--edge-length", type=click.FloatRange(min=0.0, max=1.0, min_open=True, max_open=True),
     default=DEFAULT_EDGE_LENGTH, show_default=True, help="For TetWild, relative to the diagonal.")
 
+SIZES: dict[str, dict[str, Any]] = {
+    "size": {"metavar": "LENGTH", "callback": lambda _c, _p, text: length_or_name(text),
+             "help": "Length that edges should have, the name of a point or cell array of lengths "
+                     "of INPUT, or curvature: as coarse as the envelope allows."},
+    "scale": {"type": float, "help": "Instead: multiple of the local size that INPUT has; 2 is "
+                                     "twice as coarse."},
+    "cells": {"type": int, "help": "Instead: how many cells, about."},
+    "vertices": {"type": int, "help": "Instead: how many vertices, about."},
+    "growth": {"type": float, "default": 1.3, "show_default": True,
+               "help": "Largest ratio of the sizes at the ends of an edge as long as the smaller "
+                       "one."},
+    "most_cells": {"type": int, "default": 20_000_000, "show_default": True,
+                   "help": "Refuse to make more cells."},
+}
+"""Flags that say how fine a mesh is to be."""
+
 LEVELS = click.option(
     "--levels", type=click.IntRange(min=0), default=0, show_default=True,
     help="How often the mesh of TetWild is refined, moved to the surface and optimised; each "
          "level has eight times as many tetrahedra.")
+
+
+def size_flags(
+    start: str = "", *without: str
+) -> Callable[[Callable[..., Any]], Callable[..., Any]]:
+    """Decorator that gives a command the flags in SIZES, `start` before what is told of them."""
+
+    def decorate(command: Callable[..., Any]) -> Callable[..., Any]:
+        for name, settings in reversed(SIZES.items()):
+            if name not in without:
+                told = settings | {"help": f"{start}{settings['help']}"}
+                command = click.option("--" + name.replace("_", "-"), name, **told)(command)
+        return command
+
+    return decorate
+
+
+def take_sizes(options: dict[str, Any]) -> dict[str, Any]:
+    """Take the sizes that were given on the command line out of the values of a command."""
+    found = chosen({name: options.pop(name) for name in SIZES if name in options})
+    return found
+
+
+def length_or_name(text: str | None) -> float | str | None:
+    """A length, or a name."""
+    try:
+        return text and float(text)
+    except ValueError:
+        return text
 
 
 def some_option_flags(*names: str) -> Callable[[Callable[..., Any]], Callable[..., Any]]:

@@ -25,7 +25,9 @@ from odt_plugins.cli.flags import (
     option_flags,
     refuse,
     refuse_for_kind,
+    size_flags,
     some_option_flags,
+    take_sizes,
 )
 from odt_plugins.cli.named import resolve_arrays
 from odt_plugins.cli.terminal import (
@@ -209,6 +211,7 @@ def optimize(
 @click.argument("target", metavar="OUTPUT", type=click.Path(path_type=Path))
 @EDGE_LENGTH
 @LEVELS
+@size_flags("After TetWild, see remesh: ", "vertices", "most_cells")
 @some_option_flags(*(name for name in OPTIONS if name not in OF_MESHES))
 @click.option("--bodies", is_flag=True,
               help="Number the closed components of SURFACE in a cell array \"body\", from 1, 0 "
@@ -236,7 +239,9 @@ def tetrahedralize(
     """
     from odt_plugins.generate.fill import tetrahedralize_with_report
 
-    if given("feature_angle") and not levels and options["boundary"] != "slide":
+    sizes = take_sizes(options)
+    slides = options["boundary"] == "slide" or (sizes and not given("boundary"))
+    if given("feature_angle") and not levels and not slides:
         refuse("feature_angle", "for a boundary that stays", "--boundary slide or --levels")
     check_paths(target, report_file, None)
     with warnings_told(quiet), progress_bar(quiet) as progress:
@@ -245,7 +250,7 @@ def tetrahedralize(
         _, report = tetrahedralize_with_report(
             source, target=target, levels=levels, edge_length=edge_length, bodies=bodies,
             file_format=file_format, binary=None if text is None else not text,
-            progress=progress, **chosen(options))
+            progress=progress, **sizes, **chosen(options))
     if not quiet:
         click.echo(in_flags(str(report)))
     if report_file:
@@ -314,6 +319,7 @@ def untangle(source: Path, target: Path, rest: Path | None, partial: bool,
 @click.option("--retry", is_flag=True, help="With --resume: try again what failed.")
 @limit_flags
 @cluster_flags
+@size_flags("Remesh: ")
 @option_flags
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 def batch(
@@ -324,6 +330,7 @@ def batch(
 ) -> int:
     """Improve many mesh files, in processes of their own that small ones share.
 
+    With --size, --scale, --cells or --vertices each is remeshed, see the command remesh.
     INPUT are files or quoted patterns such as 'models/**/*.stl'. An input that crashes, takes too
     long or is no mesh is a row in the summary that --out gets beside the results; each result has
     its report beside it as JSON. With limits the exit code is 3 where a result is beyond one of
@@ -339,11 +346,12 @@ def batch(
     if given("edge_length") and not tetrahedralize:
         refuse("edge_length", "for meshes that are there", "--tetrahedralize beside it")
     summary.check_summary()
-    wanted = chosen(options) if levels else options
+    sizes = take_sizes(options)
+    wanted = chosen(options) if levels or sizes else options
     jobs = batches.make_jobs(
         batches.find_inputs(sources, out), out, wanted, suffix=suffix, retry=retry, resume=resume,
         tetrahedralize=tetrahedralize, edge_length=edge_length, levels=levels, timeout=timeout,
-        memory_limit=None if memory_limit is None else round(memory_limit * 1e9),
+        memory_limit=None if memory_limit is None else round(memory_limit * 1e9), sizes=sizes,
     )
     with _cluster(scheduler, quiet) as client, progress_bar(quiet) as progress:
         clock = time.perf_counter()

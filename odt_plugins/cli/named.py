@@ -21,12 +21,6 @@ def resolve_arrays(source: Path, options: dict[str, Any]) -> dict[str, Any]:
     if options.get("density", DENSITIES[0]) not in DENSITIES:
         host = files.read(source)
         options["density"] = _file_array(host, options["density"], "density", "point", "cell")
-    if isinstance(options.get("size"), str):
-        try:
-            options["size"] = float(options["size"])
-        except ValueError:
-            host = host or files.read(source)
-            options["size"] = _file_array(host, options["size"], "size", "point", "cell")
     for name, place in (("fixed", "point"), ("selection", "cell")):
         given = options[name]
         if given is None:
@@ -54,7 +48,7 @@ def _file_array(host: Any, name: str, option: str, *places: str) -> Any:
             raise click.BadParameter(msg, param_hint=f"--{option}")
         return np.asarray(values)
     what = " or ".join(places)
-    file = "" if option in ("density", "size") else " or a file of indices"
+    file = "" if option == "density" else " or a file of indices"
     msg = (f"got {name!r}; expected the name of a {what} array of INPUT{file}, it has "
            f"{', '.join(known) or 'none'}")
     raise click.BadParameter(msg, param_hint=f"--{option}")

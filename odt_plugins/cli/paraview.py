@@ -21,7 +21,7 @@ PLUGIN = Path(hosts.__file__).with_name("paraview_plugin.py")
 def paraview() -> int:
     """Print the path of ParaView's plugin and how to load it.
 
-    The filters are ODT Optimize, ODT Quality and ODT Tetrahedralize.
+    The filters are ODT Optimize, ODT Remesh, ODT Quality and ODT Tetrahedralize.
     """
     click.echo(f"""plugin: {PLUGIN}
 
@@ -51,23 +51,33 @@ def main() -> None:
 
 
 def work(job: dict[str, Any], progress: Any) -> None:
-    """Optimise or tetrahedralise a file into another.
+    """Optimise, remesh or tetrahedralise a file into another.
 
     Parameters
     ----------
-    job : dict            task ("optimize" or "tetrahedralize"), source, target, and options that
-                          differ from the defaults
+    job : dict            task ("optimize", "remesh" or "tetrahedralize"), source, target, and
+                          options that differ from the defaults
     progress : callable   is told stage and share
     """
+    from odt_plugins.adapters.files import read_file, write_file
     from odt_plugins.api import optimize_file
+    from odt_plugins.cli.flags import length_or_name
     from odt_plugins.cli.named import resolve_arrays
     from odt_plugins.generate.fill import tetrahedralize
+    from odt_plugins.remeshing import remesh
 
     source, options = Path(job["source"]), job["options"] | {"progress": progress}
     if job["task"] == "tetrahedralize":
         tetrahedralize(source, target=job["target"], **options)
         return
     named = {"density": "keep", "fixed": None, "selection": None} | options
+    if job["task"] == "remesh":
+        named = resolve_arrays(source, named) | {"size": length_or_name(options.get("size"))}
+        del named["density"]
+        if not {"cells", "size"} & set(options):
+            named.setdefault("scale", 1.0)
+        write_file(job["target"], remesh(read_file(source), **named))
+        return
     optimize_file(source, job["target"], **resolve_arrays(source, named))
 
 

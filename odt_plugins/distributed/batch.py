@@ -81,16 +81,17 @@ class Job:
     source : str                 absolute path of the input
     out : str                    absolute path of the output folder
     name : str                   path of the result within it
-    options : dict               of :func:`odt_plugins.optimize`, plain values
+    options : dict               of `odt_plugins.optimize`, plain values
     tetrahedralize : bool        whether TetWild fills the surface first
     edge_length : float          for TetWild, relative to the diagonal
     levels : int                 how often the mesh of TetWild is refined
+    sizes : dict                 of `odt_plugins.remesh`
     timeout : float or None      seconds after which it is ended, not counting those in which the
                                  kernels were compiled
     memory_limit : int or None   bytes that its process may take
     resume : bool                whether what is done already is left as it is, failures of the
                                  same time and memory limit as well
-    retry : bool                 whether failures are tried again all the same
+    retry : bool                 whether failures are tried again
     work : str                   absolute path of the work folder of its run
     versions : dict              of the packages that compute, as they are where the run began
     """
@@ -102,6 +103,7 @@ class Job:
     tetrahedralize: bool = False
     edge_length: float = EDGE_LENGTH
     levels: int = 0
+    sizes: dict[str, Any] = field(default_factory=dict)
     timeout: float | None = None
     memory_limit: int | None = None
     resume: bool = False
@@ -168,16 +170,22 @@ def make_jobs(
                                  a scene
     """
     make_options(**options)
+    sizes = settings.get("sizes", {})
     if settings.get("tetrahedralize"):
         from odt_plugins.generate.fill import check_fill
 
-        check_fill(settings.get("levels", 0), settings.get("edge_length", EDGE_LENGTH), options)
+        check_fill(settings.get("levels", 0), settings.get("edge_length", EDGE_LENGTH), options,
+                   sizes)
     elif settings.get("levels"):
         msg = "got levels for meshes that are there; expected them with tetrahedralize only"
         raise InvalidOptionError(msg)
-    for option, value in options.items():
+    elif sizes:
+        from odt_plugins.remeshing import check_sizes
+
+        check_sizes(**sizes, **options)
+    for option, value in {**options, **sizes}.items():
         if not isinstance(value, str | int | float | tuple | dict | None):
-            msg = f"got {option} of type {type(value).__name__}; expected a plain value for a batch"
+            msg = f"got {option} of type {type(value).__name__}; expected a plain value"
             raise InvalidOptionError(msg)
     paths = sorted({os.path.abspath(source) for source in sources})
     top = os.path.commonpath([os.path.dirname(path) for path in paths])
@@ -504,7 +512,7 @@ def job_key(job: Job) -> str:
     versions = versions_here()
     if job.tetrahedralize:
         versions["pytetwild"] = installed_version("pytetwild")
-    rest = [options, job.name, job.tetrahedralize, job.edge_length, job.levels, versions]
+    rest = [options, job.name, job.tetrahedralize, job.edge_length, job.levels, job.sizes, versions]
     digest.update(json.dumps(rest, sort_keys=True).encode())
     return digest.hexdigest()
 

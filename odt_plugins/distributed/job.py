@@ -119,6 +119,7 @@ def work(job: dict[str, Any]) -> dict[str, Any]:
     """
     from odt_plugins.adapters.files import read_file, write_file
     from odt_plugins.api import optimize_with_report
+    from odt_plugins.remeshing import remesh_with_report
 
     source, target = Path(job["source"]), Path(job["folder"]) / RESULT / job["name"]
     # JSON knows no tuples.
@@ -129,12 +130,14 @@ def work(job: dict[str, Any]) -> dict[str, Any]:
     if job["tetrahedralize"]:
         from odt_plugins.generate.fill import fill
 
-        result, report, seconds = fill(source, job["levels"], job["edge_length"], options)
+        result, report, seconds = fill(
+            source, job["levels"], job["edge_length"], options, sizes=job["sizes"])
         row["tetwild_seconds"] = seconds
     else:
         mesh = read_file(source)
         clock = time.perf_counter()
-        result, report = optimize_with_report(mesh, **options)
+        improve = remesh_with_report if job["sizes"] else optimize_with_report
+        result, report = improve(mesh, **job["sizes"], **options)
         row |= {"regions_from": ", ".join(report.regions_from),
                 "interpolated": ", ".join(report.interpolated)}
     compiled = compiling(Path(job["folder"]))

@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import inspect
 import os
+from collections.abc import Mapping
 from dataclasses import replace
+from types import MappingProxyType
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -29,11 +31,17 @@ from odt_plugins.generate.levels import check_levels, refine_with_report
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import diagonal, mesh_arrays, reverse
 from odt_plugins.options import EDGE_LENGTH, OF_MESHES, OPTIONS, make_options
+from odt_plugins.remeshing import check_sizes
 
 if TYPE_CHECKING:
     from odt_plugins.adapters.host import HostMesh
     from odt_plugins.generate.levels_report import LevelsReport
     from odt_plugins.report.report import Report
+
+SIZED_PART = 0.5
+"""Part of the envelope for TetWild where sizes follow, which have the rest."""
+
+NO_SIZES: Mapping[str, Any] = MappingProxyType({})
 
 BODY = "body"
 """Cell array with the numbers of closed components."""
@@ -66,6 +74,9 @@ def tetrahedralize(vertices: Any, faces: Any = None, *more: Any, **how: Any) -> 
         Of a file: whether tetrahedra get a cell array "body": the number, from 1, of the closed
         component of the surface that they lie in, 0 for none; interfaces between bodies stay,
         without `levels`.
+    size, scale, cells, growth
+        Of :func:`odt_plugins.remesh`, which takes the tetrahedra of TetWild then instead of
+        :func:`odt_plugins.optimize`; without `levels`.
     **options
         The fields of :class:`odt_plugins.Options`. With `repair="orient"` faces are turned first:
         neighbours agree, closed components face outward, hollows within them stay hollow. With a
@@ -75,7 +86,7 @@ def tetrahedralize(vertices: Any, faces: Any = None, *more: Any, **how: Any) -> 
         follows a field that asks for larger cells than it starts from only with `coarsen`. For a
         file none of those of a mesh that is there already; `envelope` is how far the boundary may
         be from the surface then: TetWild gets all of it, or three quarters where the boundary moves
-        afterwards.
+        afterwards, or half where it is resized.
 
     Returns
     -------
@@ -143,15 +154,17 @@ def tetrahedralize_with_report(
 def _from_file(
     source: str | os.PathLike[str], faces: None = None, *, target: Any = None, levels: int = 0,
     edge_length: float = EDGE_LENGTH, bodies: bool = False, file_format: str | None = None,
-    binary: bool | None = None, **options: Any,
+    binary: bool | None = None, size: Any = None, scale: float | None = None,
+    cells: int | None = None, growth: float | None = None, **options: Any,
 ) -> tuple[Any, Report | LevelsReport]:
+    sizes = tetwild.asked(size=size, scale=scale, cells=cells, growth=growth)
     if faces is not None:
         msg = f"got faces beside the path {os.fspath(source)!r}; expected None"
         raise InvalidOptionError(msg)
-    check_fill(levels, edge_length, options)
+    check_fill(levels, edge_length, options, sizes)
     if target is not None:
         files.check_output(target, file_format, binary)
-    mesh, report, _ = fill(source, levels, edge_length, options, bodies)
+    mesh, report, _ = fill(source, levels, edge_length, options, bodies, sizes)
     if target is None:
         return mesh, report
     files.write_file(target, mesh, file_format, binary)
@@ -162,7 +175,7 @@ def _show_signature() -> None:
     """Let help() show what is for arrays, then what is for files, then the options."""
     shown = dict(inspect.signature(tetwild.tetrahedralize).parameters)
     own = [about for name, about in inspect.signature(_from_file).parameters.items()
-           if name not in ("source", "faces", "options")]
+           if name not in ("source", "options", *shown)]
     options = [shown.pop(name) for name in OPTIONS]
     shown["faces"] = shown["faces"].replace(default=None)
     tetrahedralize.__signature__ = inspect.Signature(  # type: ignore[attr-defined]
@@ -173,7 +186,9 @@ def _show_signature() -> None:
 _show_signature()
 
 
-def check_fill(levels: Any, edge_length: Any, options: Any) -> None:
+def check_fill(
+    levels: Any, edge_length: Any, options: Any, sizes: Mapping[str, Any] = NO_SIZES
+) -> None:
     """Refuse what has no meaning for a surface, before any work is done.
 
     Raises
@@ -182,6 +197,11 @@ def check_fill(levels: Any, edge_length: Any, options: Any) -> None:
     """
     make_options(**options)
     check_levels(levels, edge_length, options if levels else {})
+    if sizes and levels:
+        msg = f"got {', '.join(sizes)} beside levels={levels}; expected either"
+        raise InvalidOptionError(msg)
+    if sizes:
+        check_sizes(**sizes, **options)
     for name in OF_MESHES:
         usual = OPTIONS[name].default
         value = options.get(name, usual)
@@ -193,7 +213,7 @@ def check_fill(levels: Any, edge_length: Any, options: Any) -> None:
 
 def fill(
     source: str | os.PathLike[str], levels: int, edge_length: float, options: Any,
-    bodies: bool = False,
+    bodies: bool = False, sizes: Mapping[str, Any] = NO_SIZES,
 ) -> tuple[Any, Report | LevelsReport, float]:
     """Give the mesh of :func:`tetrahedralize` of a file, its report, and TetWild's seconds."""
     host = files.read(source)
@@ -229,13 +249,14 @@ def fill(
         if bodies:
             label = labelled(points, cells)
     else:
-        slides = options.get("boundary") == "slide"
-        first, rest = (TETWILD_PART, 1.0 - TETWILD_PART) if slides else (1.0, 1.0)
+        slides = options.get("boundary", "slide" if sizes else "fixed") == "slide"
+        first = SIZED_PART if sizes else TETWILD_PART
+        first, rest = (first, 1.0 - first) if slides else (1.0, 1.0)
         (points, cells, *labels), report = tetwild.tetrahedralize_with_report(
             host.points, reverse(host.cells, turned), labelled if bodies else None,
             edge_length_fac=edge_length, epsilon=first * envelope,
             num_threads=options.get("threads", 1), vtk_ordering=True,
-            **options | {"envelope": rest * envelope})
+            **sizes, **options | {"envelope": rest * envelope})
         label = labels[0] if bodies else None
         seconds = report.times["TetWild"]
     filled = report.filled

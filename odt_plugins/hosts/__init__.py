@@ -7,9 +7,9 @@
   `run_filter_script` a script that mixes them with MeshLab's own;
 - "pyvista" (`hosts.pyvista_accessor`): `OdtAccessor` and `OdtSurfaceAccessor` as ``mesh.odt``;
   pyvista 0.48 and newer find them by themselves (`hosts.pyvista_plugin`);
-- "gmsh" (`hosts.gmsh_methods`): `odt` as ``gmsh.model.mesh.odt``;
+- "gmsh" (`hosts.gmsh_methods`): `odt` and `odt_remesh` as methods of ``gmsh.model.mesh``;
 - "open3d" (`hosts.open3d_filters`): functions shaped like open3d's filters, such as
-  `filter_smooth_odt` and `optimize_odt`, become methods of its meshes.
+  `filter_smooth_odt`, `optimize_odt` and `remesh_odt`, become methods of its meshes.
 
 Source: names, parameters and log lines follow the filters of each toolkit.
 """

@@ -252,6 +252,15 @@ LAYERS = _of_option(
     "neighbours: keep lets them stay as they are, improve treats them as any other.",
     choices=get_args(Layers))
 
+TARGET = Parameter("TargetLen", "length", 1.0, "Target Length",
+                   "Length that edges are to have; with Adaptive they have none in common.")
+ADAPTIVE = Parameter("Adaptive", "bool", False, "Adaptive remeshing",
+                     "Edges are as long as the surface distance allows where it is curved, and "
+                     "grow from there.")
+SELECTED_ONLY = Parameter(
+    "SelectedOnly", "bool", False, "Remesh only selected faces",
+    "Other faces stay; without selected faces, vertices that are not selected.")
+
 IDS = " Two ids of the MeshSet are used up."
 
 MOVING = (STEPS, BOUNDARY, DENSITY, FIELDS, LAYERS, KEEP, ENVELOPE, ANGLE, REGIONS, SELECTED)
@@ -284,6 +293,14 @@ _ALL = (
         "ids of the MeshSet are used up.",
         (ROUNDS, ITERATIONS, BOUNDARY, DENSITY, FIELDS, LAYERS, OBJECTIVE, KEEP, ENVELOPE, ANGLE,
          REGIONS, SELECTED)),
+    Filter(
+        "meshing_odt_remeshing", "ODT Remeshing",
+        "Give a planar or curved mesh edges of a length: splits, collapses and flips edges, moves "
+        "vertices, and optimizes what it gets. The surface stays within a distance of what it was "
+        "and that within it of the surface, both ways. The mesh is built anew, see "
+        "meshing_odt_optimization.",
+        (TARGET, ADAPTIVE, ANGLE, replace(ENVELOPE, gui="MaxSurfDist", title="Max. Surface "
+         "Distance"), FIELDS, REGIONS, SELECTED_ONLY)),
     Filter(
         "compute_scalar_by_radius_ratio_per_face", "Per Face Quality by Radius Ratio",
         "Store in the scalar of every face its radius ratio 2 r/R, 1 for an equilateral triangle "

@@ -16,6 +16,7 @@ from odt_plugins.adapters.host import is_instance
 from odt_plugins.api import optimize as optimize_mesh
 from odt_plugins.errors import InvalidOptionError, ODTError, UnsupportedMeshError
 from odt_plugins.options import OPTIONS, OptionKeywords, with_option_signature
+from odt_plugins.remeshing import remesh
 
 MeshT = TypeVar("MeshT")
 
@@ -114,7 +115,24 @@ def optimize_odt(mesh: MeshT, **options: Unpack[OptionKeywords]) -> MeshT:
     return optimize_mesh(mesh, **options)
 
 
-METHODS = (filter_smooth_odt, filter_smooth_cpt, filter_smooth_odt_global, optimize_odt)
+def remesh_odt(mesh: MeshT, size: Any = None, **options: Any) -> MeshT:
+    """Give a mesh other sizes, see :func:`odt_plugins.remesh`.
+
+    Parameters
+    ----------
+    mesh : TriangleMesh, TetraMesh or t.geometry.TriangleMesh
+    size : float, array, str or callable    length that edges should have
+    **options                               of :func:`odt_plugins.remesh`, such as `scale`
+
+    Returns
+    -------
+    same class as `mesh`
+    """
+    _expect_mesh(mesh)
+    return cast("MeshT", remesh(mesh, size, **options))
+
+
+METHODS = (filter_smooth_odt, filter_smooth_cpt, filter_smooth_odt_global, optimize_odt, remesh_odt)
 """What register() adds to the mesh classes of open3d."""
 
 

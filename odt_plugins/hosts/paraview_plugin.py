@@ -1,4 +1,4 @@
-"""Plugin of ParaView: the filters ODT Optimize, ODT Quality and ODT Tetrahedralize.
+"""Plugin of ParaView: the filters ODT Optimize, Remesh, Quality and Tetrahedralize.
 
 ParaView loads this file by its path, which `odt-plugins paraview` prints. Its Python has packages
 of its own, so the work is done by the interpreter of the environment in which this package lies, or
@@ -99,8 +99,17 @@ def camel(name: str) -> str:
 OWN = {"edge_length": (of_package("options").EDGE_LENGTH,
                        "For TetWild, relative to the diagonal of the surface."),
        "levels": (0, "How often the mesh of TetWild is refined, moved to the surface and "
-                     "optimised.")}
-"""Properties of ODT Tetrahedralize beside the options: default and meaning."""
+                     "optimised."),
+       "size": ("", "Length that edges should have, the name of a point or cell array of lengths, "
+                    "or curvature: as coarse as the envelope allows."),
+       "scale": (1.0, "Without Size and Cells: multiple of the local size that the input has."),
+       "cells": (0, "Instead of Size: how many cells, about; 0 for none."),
+       "growth": (1.3, "Largest ratio of the sizes at the ends of an edge as long as the smaller "
+                       "one.")}
+"""Properties beside the options: default and meaning."""
+
+FILLING, SIZES = ("edge_length", "levels"), ("size", "scale", "cells", "growth")
+"""Those of ODT Tetrahedralize and of ODT Remesh."""
 
 
 def with_properties(names: Sequence[str]) -> Callable[[Any], Any]:
@@ -260,6 +269,17 @@ class ODTOptimize(_Same):
     task = "optimize"
 
 
+@smproxy.filter(name="ODTRemesh", label="ODT Remesh")
+@smproperty.input(name="Input", port_index=0)
+@smdomain.datatype(dataTypes=["vtkUnstructuredGrid", "vtkPolyData"], composite_data_supported=False)
+@with_properties((*SIZES, *(name for name in OPTIONS
+                            if name not in ("boundary", *of_package("options").NOT_SIZED))))
+class ODTRemesh(_Same):
+    """Make tetrahedra or triangles coarser or finer within the envelope; all data are carried."""
+
+    task = "remesh"
+
+
 @smproxy.filter(name="ODTQuality", label="ODT Quality")
 @smproperty.input(name="Input", port_index=0)
 @smdomain.datatype(dataTypes=["vtkUnstructuredGrid", "vtkPolyData"], composite_data_supported=False)
@@ -311,7 +331,8 @@ def _cells(data: Any) -> list[tuple[Any, Any]]:
 @smproxy.filter(name="ODTTetrahedralize", label="ODT Tetrahedralize")
 @smproperty.input(name="Input", port_index=0)
 @smdomain.datatype(dataTypes=["vtkPolyData"], composite_data_supported=False)
-@with_properties((*OWN, *(name for name in OPTIONS if name not in of_package("options").OF_MESHES)))
+@with_properties((*FILLING, *(name for name in OPTIONS
+                              if name not in of_package("options").OF_MESHES)))
 class ODTTetrahedralize(_Working):
     """Fill a closed surface with tetrahedra by TetWild and improve them; labels are carried."""
 

@@ -14,6 +14,7 @@ from odt_plugins.adapters.pymeshlab_set import exchange
 from odt_plugins.api import optimize_with_report
 from odt_plugins.errors import InvalidMeshError, ODTError
 from odt_plugins.options import KEPT
+from odt_plugins.remeshing import remesh_with_report
 from odt_plugins.tetwild import run_tetwild
 
 if TYPE_CHECKING:
@@ -58,6 +59,23 @@ def _optimize(meshes: Any, values: Mapping[str, Any]) -> Effect:
     effect = _effect(old, points, report, "Moved {} vertices")
     effect.values["new_faces"] = fresh
     effect.lines.insert(1, f"Flipped edges, {fresh} faces are new")
+    return effect
+
+
+def _remesh(meshes: Any, values: Mapping[str, Any]) -> Effect:
+    old, _ = _arrays(meshes)
+    length = diagonal(meshes)
+    _, report = remesh_with_report(
+        InPlace(meshes), "curvature" if values["adaptive"] else values["targetlen"],
+        envelope=values["maxsurfdist"] / length, feature_angle=values["featuredeg"],
+        fields=values["fields"], **{"regions": values["regions"]} if values["regions"] else {},
+        **_scope(meshes, values["selectedonly"]),
+    )
+    points, faces = _arrays(meshes)
+    effect = _effect(old, points, report, "{} vertices moved or are new")
+    effect.values.update(vertices=len(points), faces=len(faces))
+    effect.lines[:1] = [f"{len(points)} vertices, {len(faces)} faces", effect.lines[0],
+                        *report.notes]
     return effect
 
 
@@ -203,6 +221,7 @@ WORK: dict[str, Callable[[Any, Mapping[str, Any]], Effect]] = {
     "apply_coord_cpt_smoothing": lambda m, v: _smooth(m, v, "cpt", "gauss-seidel"),
     "apply_coord_odt_global_smoothing": lambda m, v: _smooth(m, v, "odt", "global"),
     "meshing_odt_optimization": _optimize,
+    "meshing_odt_remeshing": _remesh,
     "compute_scalar_by_radius_ratio_per_face": _radius_ratio,
     "generate_odt_tetrahedralization": _tetrahedralize,
 }

@@ -68,7 +68,6 @@ class OdtAccessor:
         out.cell_data[RATIO] = values
         return out
 
-
     def remesh(self, size: Any = None, **options: Any) -> Any:
         """Give the mesh other sizes, see :func:`odt_plugins.remesh`.
 
@@ -82,7 +81,7 @@ class OdtAccessor:
         -------
         same type as the mesh    a new one
         """
-        return remesh(self._mesh, self._mesh[size] if isinstance(size, str) else size, **options)
+        return remesh(self._mesh, size, **options)
 
 
 class OdtBlocksAccessor:
@@ -100,6 +99,10 @@ class OdtBlocksAccessor:
         pyvista.MultiBlock    a new one; all other blocks are copied
         """
         return optimize(self._mesh, **options)
+
+    def remesh(self, size: Any = None, **options: Any) -> Any:
+        """Give the blocks other sizes, each as :meth:`OdtAccessor.remesh` does."""
+        return remesh(self._mesh, size, **options)
 
     @with_option_signature()
     def optimize_with_report(self, **options: Unpack[OptionKeywords]) -> tuple[Any, Any]:

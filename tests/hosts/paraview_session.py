@@ -70,6 +70,9 @@ found["refused"] = facts(optimize)["cells"]
 surface = simple.XMLPolyDataReader(FileName=[os.path.join(folder, "surface.vtp")])
 found["surface"] = facts(simple.ODTQuality(Input=simple.ODTOptimize(Input=surface,
                                                                     Smoothing="rounds=3")))
+coarse = simple.ODTRemesh(Input=surface)
+coarse.Size, coarse.Envelope = "1.2", 0.1
+found["coarse"] = facts(coarse)
 filled = simple.ODTTetrahedralize(Input=surface)
 filled.EdgeLength = 0.5
 filled.Smoothing = "rounds=5"

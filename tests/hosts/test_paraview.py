@@ -99,6 +99,9 @@ def surfaces_are_optimised_and_filled(session):
     assert found["surface"]["class"] == "vtkPolyData"
     assert found["surface"]["cells"] == 80
     assert sorted(set(found["surface"]["arrays"]["side"])) == [1, 2]
+    assert found["coarse"]["class"] == "vtkPolyData"
+    assert 0 < found["coarse"]["cells"] < 80
+    assert sorted(set(found["coarse"]["arrays"]["side"])) == [1, 2]
     assert found["filled"]["class"] == "vtkUnstructuredGrid"
     # Tetrahedra have no label, the triangles of the boundary have those of the faces.
     assert sorted(set(found["filled"]["arrays"]["side"])) == [0, 1, 2]

@@ -19,6 +19,7 @@ from odt_plugins.engine.record.figures import cell_shapes, figures
 from odt_plugins.engine.record.memory import State
 from odt_plugins.engine.record.relaxed import relaxed
 from odt_plugins.engine.remesh.body import FREELY, STAYS, STIFF
+from odt_plugins.engine.remesh.chords import curvature_sizes
 from odt_plugins.engine.remesh.lay_out import lay_out, surface_of
 from odt_plugins.engine.remesh.sizes import Sizes, lengths_of, unique_edges, wanted_sizes
 from odt_plugins.engine.remesh.volume import Resizing, arrays_of, resize
@@ -74,7 +75,10 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
     -------
     Outcome               a mesh that keeps the promise as it leaves, at worst the input itself
     """
-    sizes = wanted_sizes(mesh, wish, options.density)
+    given = options.density
+    if wish.curved:
+        given = curvature_sizes(mesh, envelope_length(mesh, options), options.feature_angle)
+    sizes = wanted_sizes(mesh, wish, given)
     options = replace(
         options, density="keep", smoothing=replace(options.smoothing, exponent=None), insert=False)
     if mesh.frozen.all() or not len(mesh.cells):

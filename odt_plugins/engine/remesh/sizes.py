@@ -55,7 +55,7 @@ def wanted_sizes(mesh: SimplexMesh, wish: Wish, given: Any = None) -> Sizes:
     ----------
     mesh : SimplexMesh
     wish : Wish
-    given : array (n,) or (m,), or callable    lengths, if ``wish.given``
+    given : array (n,) or (m,), or callable    lengths, if ``wish.given`` or ``wish.curved``
 
     Raises
     ------
@@ -68,7 +68,7 @@ def wanted_sizes(mesh: SimplexMesh, wish: Wish, given: Any = None) -> Sizes:
     values = np.ones(len(mesh.points))
     if wish.length is not None:
         values[:] = float(wish.length)
-    elif wish.given:
+    elif wish.given or wish.curved:
         values = _as_given(mesh, given, used)
     else:
         values = local_sizes(mesh) * (wish.scale or 1.0)
@@ -169,9 +169,13 @@ def _as_given(mesh: SimplexMesh, given: Any, used: IntArray) -> FloatArray:
     n, m = len(mesh.points), len(mesh.cells)
     raw = given(mesh.points.copy()) if callable(given) else given
     try:
-        values = np.array(raw, dtype=np.float64)
+        found = np.asarray(raw)
+        if found.dtype.kind in "bcmM":
+            msg = f"they are of type {found.dtype}"
+            raise TypeError(msg)
+        values = found.astype(np.float64)
     except (TypeError, ValueError) as exc:
-        msg = f"got a size of type {type(raw).__name__}; expected lengths, try a number"
+        msg = f"got sizes that are no real numbers: {exc}; expected lengths, try a number"
         raise InvalidOptionError(msg) from exc
     if values.shape == (m,) and m != n and not callable(given):
         _check_positive(values)
@@ -179,7 +183,8 @@ def _as_given(mesh: SimplexMesh, given: Any, used: IntArray) -> FloatArray:
         total = star_sum(values, mesh.cells, n)
         values = np.divide(total, count, out=np.ones(n), where=count > 0)
     if values.shape != (n,):
-        msg = f"got sizes of shape {values.shape}; expected ({n},), one for each vertex"
+        more = "" if callable(given) else f", or ({m},), one for each cell"
+        msg = f"got sizes of shape {values.shape}; expected ({n},), one for each vertex{more}"
         raise InvalidOptionError(msg)
     out = np.ones(n)
     _check_positive(values[used], used)

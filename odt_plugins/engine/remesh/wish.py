@@ -16,7 +16,7 @@ MOST_CELLS = 20_000_000
 
 @dataclass(frozen=True)
 class Wish:
-    """Sizes as they are asked for: one of the first five.
+    """Sizes as they are asked for: one of the first six.
 
     Attributes
     ----------
@@ -24,6 +24,7 @@ class Wish:
     scale : float or None       multiple of the local size that the input has
     cells, vertices : int or None    how many there are to be, about
     given : bool                whether ``options.density`` holds lengths: an array or a callable
+    curved : bool               whether sizes follow the curvature
     growth : float              largest ratio of the sizes at the ends of an edge as long as the
                                 smaller one
     most_cells : int            a mesh of more is refused
@@ -34,13 +35,14 @@ class Wish:
     cells: int | None = None
     vertices: int | None = None
     given: bool = False
+    curved: bool = False
     growth: float = GROWTH
     most_cells: int = MOST_CELLS
 
     def __post_init__(self) -> None:
         """Refuse values out of range, and anything but one wish."""
         words = ("size", "scale", "cells", "vertices")
-        held = (self.length is not None or self.given, *(
+        held = (self.length is not None or self.given or self.curved, *(
             getattr(self, name) is not None for name in words[1:]))
         if sum(held) != 1:
             said = [name for name, there in zip(words, held, strict=True) if there] or "none"

@@ -1,0 +1,93 @@
+"""Sizes by curvature: chords as far from the surface as the envelope allows."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from odt_plugins.engine.ground.features import (
+    Features,
+    find_features,
+    label_borders,
+    marked_edges,
+)
+from odt_plugins.engine.ground.sheet import LINE
+from odt_plugins.engine.remesh.lay_out import surface_of
+from odt_plugins.engine.remesh.sizes import local_sizes
+from odt_plugins.engine.surface.curvature import AVERAGES, vertex_curvature
+from odt_plugins.engine.topology.star import vertex_stars
+from odt_plugins.mesh.arrays import FloatArray
+from odt_plugins.mesh.simplex import SimplexMesh, diagonal
+from odt_plugins.mesh.surface import surface_edges
+
+PART = 0.5
+"""Part of the envelope for the height of an edge of its size; longer edges and the finishing have
+the rest."""
+
+LONGEST = 0.1
+"""Largest size, as a part of the diagonal, where nothing is curved."""
+
+
+def curvature_sizes(mesh: SimplexMesh, envelope: float, angle: float) -> FloatArray:
+    """Sizes (n,) as long as an envelope allows, but no smaller than those of the input.
+
+    Parameters
+    ----------
+    mesh : SimplexMesh    of any kind
+    envelope : float      length
+    angle : float         degrees by which a surface turns at a feature edge
+
+    Notes
+    -----
+    A chord of length h is kappa h^2 / 8 from an arc of curvature kappa, which is that of the
+    boundary, of interfaces, and of feature lines; for surfaces sqrt(kappa_1^2 + kappa_2^2), with
+    which triangles of a sphere are as near to it as the chords of a cylinder.
+    """
+    n = len(mesh.points)
+    points = np.ascontiguousarray(np.pad(mesh.points, ((0, 0), (0, 3 - mesh.points.shape[1]))))
+    triangles, patch = mesh.cells, mesh.regions
+    if mesh.dim == 3:
+        triangles, patch, _ = surface_of(mesh.cells, mesh.regions)
+    edges = surface_edges(triangles, n)
+    features = find_features(
+        points, triangles, edges, vertex_stars(triangles, n), angle=angle,
+        fixed=np.zeros(n, dtype=np.bool_), slack=math.inf,
+        kept=marked_edges(edges, mesh.stays, n) | label_borders(edges, patch))
+    apart = features.edges[edges.of_cell]
+    curvature = np.maximum(
+        vertex_curvature(points, triangles, np.where(apart, -1, edges.neighbors)),
+        line_curvature(points, features))
+    sizes = np.full(n, LONGEST * diagonal(mesh.points[np.unique(mesh.cells)]))
+    curved = curvature > 0.0
+    sizes[curved] = np.minimum(sizes[curved], np.sqrt(8.0 * PART * envelope / curvature[curved]))
+    return np.maximum(sizes, local_sizes(mesh))
+
+
+def line_curvature(points: FloatArray, features: Features) -> FloatArray:
+    """Curvature (n,) of feature lines at their vertices, averaged along them; 0 elsewhere.
+
+    The unit tangents of the edges at a vertex differ by the curvature times the mean of their
+    lengths: equal for the vertices of a circle.
+    """
+    nodes = features.lines.nodes
+    out = np.zeros(len(points))
+    if len(nodes) < 3:
+        return out
+    step = points[nodes[1:]] - points[nodes[:-1]]
+    length = np.sqrt((step * step).sum(axis=1))
+    tangent = np.divide(step, length[:, None], out=np.zeros_like(step),
+                        where=length[:, None] > 0.0)
+    inner = features.kind[nodes[1:-1]] == LINE
+    turn, share = np.zeros((len(nodes), 3)), np.zeros(len(nodes))
+    turn[1:-1][inner] = (tangent[1:] - tangent[:-1])[inner]
+    share[1:-1][inner] = 0.5 * (length[1:] + length[:-1])[inner]
+    for _ in range(AVERAGES):
+        for values in (turn, share):
+            values[1:-1] = np.where(
+                inner.reshape(-1, *[1] * (values.ndim - 1)),
+                values[:-2] + values[1:-1] + values[2:], 0.0)
+    size = np.sqrt((turn * turn).sum(axis=1))
+    found = np.divide(size, share, out=np.zeros(len(nodes)), where=share > 0.0)
+    np.maximum.at(out, nodes, found)
+    return out

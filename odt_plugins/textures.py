@@ -1,0 +1,46 @@
+"""Where the triangles of a result lie on those of the input, for their texture."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.adapters.host import Feet, HostMesh
+from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.simplex import SimplexMesh
+
+
+def feet_of(
+    host: HostMesh, mesh: SimplexMesh, points: FloatArray, cells: IntArray,
+    origin: NDArray[np.int64] | None,
+) -> Feet | None:
+    """Feet of the vertices that moved along a textured surface, or came.
+
+    Parameters
+    ----------
+    host, mesh : HostMesh, SimplexMesh    the input as it came and as the engine reads it
+    points : (n', d) float64, cells : (m', 3) int
+    origin : (n',) int or None            input vertex of every vertex where some came or went
+
+    Returns
+    -------
+    Feet                                  None where no texture coordinates are others
+    """
+    flat = not mesh.is_surface
+    if not host.textured or host.cells.shape[1] != 3 or (flat and origin is None):
+        return None
+    from odt_plugins.engine.surface.in_plane import in_space
+    from odt_plugins.engine.surface.judge import barycentric, feet_on
+
+    old, points = in_space(mesh.points), in_space(points)
+    known = old if origin is None else old[origin]
+    mask = (points != known).any(axis=1)
+    moved = np.flatnonzero(mask if origin is None else mask | (origin < 0))
+    if not moved.size and origin is None:
+        return None
+    rows = host.cells.astype(np.int32)
+    face, weights = feet_on(old, rows, np.concatenate([points[moved], points[cells].mean(axis=1)]))
+    k = len(moved)
+    under = rows[face[k:]]
+    corners = [barycentric(old, under, points[cells[:, i]]) for i in range(3)]
+    return Feet(moved, face[:k], weights[:k], face[k:], np.stack(corners, axis=1), origin)

@@ -1,0 +1,69 @@
+"""Sizes on the command line: remesh, batch, and after TetWild."""
+
+from __future__ import annotations
+
+import json
+
+import meshio
+import numpy as np
+import pytest
+from surface_meshes import sphere
+
+import odt_plugins
+from odt_plugins.cli import main as cli
+from odt_plugins.errors import InvalidOptionError
+
+
+@pytest.fixture
+def ball(tmp_path):
+    points, cells = sphere(2, 0.1)
+    path = tmp_path / "ball.vtu"
+    meshio.Mesh(points, [("triangle", cells)], {"h": np.full(len(points), 0.5)}).write(path)
+    return path, len(cells)
+
+
+@pytest.mark.parametrize("size", ["0.5", "h", "curvature"])
+def test_a_length_a_name_and_the_curvature(ball, tmp_path, size):
+    out = tmp_path / "out.vtu"
+    words = ["remesh", str(ball[0]), str(out), "--size", size, "--envelope", "0.02", "--quiet"]
+    assert cli.main(words) == 0
+    assert 0 < len(meshio.read(out).cells[0].data) < ball[1]
+
+
+def test_a_wrong_name_is_refused_with_those_there_are(ball, tmp_path, capsys):
+    assert cli.main(["remesh", str(ball[0]), str(tmp_path / "out.vtu"), "--size", "g"]) == 2
+    assert "it has h (point)" in capsys.readouterr().err
+
+
+def test_a_batch_remeshes_small_files_in_one_process(ball, tmp_path):
+    other = tmp_path / "other.vtu"
+    other.write_bytes(ball[0].read_bytes())
+    out = tmp_path / "out"
+    assert cli.main(["batch", str(ball[0]), str(other), "--out", str(out), "--scale", "1.5",
+                     "--envelope", "0.02", "--quiet"]) == 0
+    for name in ("ball.vtu", "other.vtu"):
+        assert len(meshio.read(out / name).cells[0].data) < ball[1]
+        told = json.loads((out / f"{name}.json").read_text())
+        assert told["options"]["boundary"] == "slide"
+    assert cli.main(["batch", str(other), "--out", str(out), "--scale", "-1"]) == 2
+
+
+def test_tetwild_and_then_sizes(ball, tmp_path):
+    out = tmp_path / "out.vtu"
+    points, cells = sphere(2, 0.1)
+    coarse = odt_plugins.tetrahedralize(points, cells, edge_length_fac=0.1, scale=1.6,
+                                        envelope=0.02, vtk_ordering=True)
+    plain = odt_plugins.tetrahedralize(points, cells, edge_length_fac=0.1, odt=False)
+    assert len(coarse[1]) < 0.7 * len(plain[1])
+    assert cli.main(["tetrahedralize", str(ball[0]), str(out), "--edge-length", "0.1",
+                     "--size", "0.5", "--envelope", "0.05", "--quiet"]) == 0
+    made = meshio.read(out)
+    assert np.linalg.norm(made.points, axis=1).max() < 1.1
+    pairs = made.cells_dict["tetra"][:, [[0, 1], [1, 2], [2, 3], [0, 3], [0, 2], [1, 3]]]
+    ends = made.points[pairs.reshape(-1, 2)]
+    assert np.linalg.norm(ends[:, 0] - ends[:, 1], axis=1).mean() == pytest.approx(0.5, rel=0.15)
+    for more, said in (({"odt": False}, "odt=False"), ({"insert": True}, "got insert=")):
+        with pytest.raises(InvalidOptionError, match=said):
+            odt_plugins.tetrahedralize(points, cells, scale=2, **more)
+    with pytest.raises(InvalidOptionError, match="levels=1"):
+        odt_plugins.tetrahedralize(ball[0], levels=1, scale=2)
