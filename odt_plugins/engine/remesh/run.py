@@ -21,7 +21,13 @@ from odt_plugins.engine.record.relaxed import relaxed
 from odt_plugins.engine.remesh.body import FREELY, STAYS, STIFF
 from odt_plugins.engine.remesh.chords import curvature_sizes
 from odt_plugins.engine.remesh.lay_out import lay_out, surface_of
-from odt_plugins.engine.remesh.sizes import Sizes, lengths_of, unique_edges, wanted_sizes
+from odt_plugins.engine.remesh.sizes import (
+    Sizes,
+    lengths_of,
+    local_sizes,
+    unique_edges,
+    wanted_sizes,
+)
 from odt_plugins.engine.remesh.volume import Resizing, arrays_of, resize
 from odt_plugins.engine.remesh.wish import Wish
 from odt_plugins.engine.retile.run import retile
@@ -51,11 +57,17 @@ MOST_HELD = 0.3
 REACH = 0.7
 """Vertices of the input are held that are nearer to a spoiled place, in units of the size."""
 
+CLOSE = 1.1
+"""Multiple of the sizes of the input up to which sizes are no longer than those."""
+
 LONGER = 1.11
 """Sizes are worked with so many times as long, so that edges have them on average."""
 
 SLIDING = 0.4
 """Part of the allowed change of the volume that sliding may use."""
+
+FINER = 1.1
+"""Multiple of its size that must have been asked for at a vertex which is told to be finer."""
 
 IN = (0.5**0.5, 2.0**0.5)
 """Edges whose length is within these multiples of their size have it."""
@@ -108,24 +120,59 @@ def _tries(
 ) -> Outcome:
     """Resize until the promise holds.
 
-    Cells of the input stay where cells that it does not allow came; within smaller and smaller
-    parts of the envelope, at last with a boundary that stays.
+    Where figures fall, sizes give way to those that the surface has reached, and then to those of
+    the input. Cells of the input stay where cells that it does not allow came nevertheless; within
+    smaller and smaller parts of the envelope, at last with a boundary that stays.
     """
     whys: list[str] = []
+    wanted, relents = sizes, False
     for share in (*(SHARES if slides else ()), 0.0):
         held = mesh
         for _ in range(ATTEMPTS):
-            outcome, broken = _once(held, sizes, options, leaving, share)
+            outcome, broken = _once(
+                held, wanted, sizes.values, options, leaving, share, relents=relents)
             if not broken:
                 return _explained(mesh, held, outcome, whys, slides and share == 0.0)
             whys.append(broken[0])
-            spoiled = _spoiled(mesh, outcome, sizes, options) & ~held.frozen
+            falls = _fallen(mesh, outcome, options)
+            if falls and share > 0.0 and not relents:
+                relents = True
+                continue
+            spoiled = _spoiled(mesh, outcome, wanted, options)
+            nearer = _nearer(mesh, wanted, spoiled) if falls else None
+            if nearer is not None:
+                wanted = nearer
+                continue
+            spoiled &= ~held.frozen
             if not spoiled.any() or held.frozen.mean() > MOST_HELD or (
                     spoiled | held.frozen).all():
                 break
             held = freeze(held, held.frozen | spoiled)
     outcome = leaving(unchanged(mesh, "no other sizes kept the promise"))
     return replace(outcome, fallback=f"the input is returned, since {whys[-1]}")
+
+
+def _fallen(mesh: SimplexMesh, outcome: Outcome, options: Options) -> bool:
+    """Whether figures to be kept are worse than those of the input, and not good enough."""
+    keep = tuple(options.keep)
+    before = relaxed(figures(mesh.points, mesh.cells), keep, 4)
+    return bool(figures(outcome.points, outcome.cells).worse_than(before, keep))
+
+
+def _nearer(mesh: SimplexMesh, sizes: Sizes, spoiled: BoolArray) -> Sizes | None:
+    """Sizes nearer to those of the input where cells are spoiled, else everywhere; None where they
+    are no longer than these.
+    """
+    own = local_sizes(mesh)
+    longer = sizes.values > CLOSE * own
+    if spoiled.any():
+        there = np.zeros(len(own), dtype=np.bool_)
+        there[mesh.cells[spoiled]] = True
+        longer &= there
+        most = np.where(longer, own, np.inf)
+    else:
+        most = np.where(longer, np.sqrt(own * sizes.values), np.inf)
+    return sizes.below(mesh, most) if longer.any() else None
 
 
 def _explained(
@@ -166,13 +213,15 @@ def _spoiled(
 
 
 def _once(
-    mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving, share: float
+    mesh: SimplexMesh, sizes: Sizes, asked: FloatArray, options: Options, leaving: Leaving,
+    share: float, *, relents: bool,
 ) -> tuple[Outcome, list[str]]:
     """Resize within a part of the envelope, optimise within the rest, and judge."""
     report = options.progress or silent
     clock = time.perf_counter()
-    resized, lengths, lines, log = _resized(
-        mesh, sizes, options, share, partial(part(report, 0.0, 0.4), "resizing"))
+    resized, lengths, multiple, lines, log = _resized(
+        mesh, sizes, asked, options, share, partial(part(report, 0.0, 0.4), "resizing"),
+        relents=relents)
     origin: LongArray = resized.origin if resized.origin is not None else np.arange(0)
     envelope = envelope_length(mesh, options)
     left = envelope
@@ -216,14 +265,17 @@ def _once(
     if share > 0.0:
         broken, slid = _beyond(mesh, outcome, envelope)
         outcome = replace(outcome, slid=slid)
-    return replace(outcome, notes=_told(outcome, lengths.mean() / LONGER)), broken
+    if best.origin is not None:
+        multiple = multiple[best.origin]
+    return replace(outcome, notes=_told(outcome, lengths.mean() / LONGER, multiple)), broken
 
 
 def _resized(
-    mesh: SimplexMesh, sizes: Sizes, options: Options, share: float, tick: Any
-) -> tuple[Outcome, FloatArray, IntArray, Log]:
-    """The mesh with edges as long as they should be, the lengths at its vertices, its feature lines
-    (k, 2), and counts.
+    mesh: SimplexMesh, sizes: Sizes, asked: FloatArray, options: Options, share: float, tick: Any,
+    *, relents: bool,
+) -> tuple[Outcome, FloatArray, FloatArray, IntArray, Log]:
+    """The mesh with edges as long as they should be, the lengths at its vertices, the multiples of
+    them that were asked for, its feature lines (k, 2), and counts.
     """
     start = make_start(mesh)
     frame = start.frame
@@ -240,8 +292,15 @@ def _resized(
             start.points, start.cells, start.regions, hold[frame.vertices],
             start.pairs(mesh.lines), share * envelope_length(mesh, options) * frame.scale,
             options.feature_angle)
-        work = Resizing(body, guard, scratch, field, field.walk_start(len(start.points)), log)
+        work = Resizing(body, guard, scratch, field, field.walk_start(len(start.points)), log,
+                        LONGER * local_sizes(mesh)[frame.vertices] * frame.scale, sizes.growth,
+                        relents)
         resize(work, share > 0.0, pool, tick, threads)
+        whole = make_density(NodalDensity(LONGER * asked[frame.vertices] * frame.scale, 1.0), None,
+                             start.points, start.cells, None)
+        size = work.body.size[: len(work.walk)]
+        multiple = whole.at(np.ascontiguousarray(work.body.points[: len(size)]), pool,
+                            work.walk.copy()) / size
     points, cells, tags = arrays_of(work.body)
     regions = np.unique(start.regions)[tags].astype(np.int32)
     state = State(points, cells, regions, figures(points, cells), "resized")
@@ -249,16 +308,21 @@ def _resized(
     if outcome.origin is None:
         outcome = replace(outcome, origin=np.arange(len(outcome.points)))
     n = len(frame.vertices)
-    old = LONGER * sizes.values
-    old[frame.vertices] = work.body.size[:n] / frame.scale
     new = n + np.flatnonzero(np.bincount(cells.ravel(), minlength=len(points))[n:])
     origin: Any = outcome.origin
-    lengths = np.concatenate([old[origin[origin >= 0]], work.body.size[new] / frame.scale])
+
+    def outside(values: FloatArray, elsewhere: FloatArray) -> FloatArray:
+        """Values at the vertices of the outcome, of those ``elsewhere`` (n,) that are not here."""
+        old = elsewhere.copy()
+        old[frame.vertices] = values[:n]
+        return np.concatenate([old[origin[origin >= 0]], values[new]])
+
+    lengths = outside(size / frame.scale, LONGER * sizes.values)
     number = np.empty(len(points), dtype=np.int32)
     number[:n] = new_numbers(origin, len(mesh.points))[frame.vertices]
     number[new] = len(origin) - len(new) + np.arange(len(new), dtype=np.int32)
     lines = number[work.body.segments.rows[work.body.segments.live()]].reshape(-1, 2)
-    return outcome, lengths, lines, log
+    return outcome, lengths, outside(multiple, asked / sizes.values), lines, log
 
 
 def _composed(first: LongArray, second: LongArray | None) -> LongArray:
@@ -305,18 +369,31 @@ def _beyond(
     return [], slid
 
 
-def _told(outcome: Outcome, unit: float) -> tuple[str, ...]:
-    """How many edges are as long as they should be, and where those are that are not."""
+def _told(outcome: Outcome, unit: float, multiple: FloatArray) -> tuple[str, ...]:
+    """How many edges are as long as they should be, and where those are that are not.
+
+    ``multiple`` (n,) are the sizes that were asked for, as parts of those that were worked with.
+    """
     if outcome.sizes is None:
         return ()
     edges = unique_edges(outcome.cells)
-    wanted = 0.5 * unit * outcome.sizes[edges].sum(axis=1)
-    ratio = lengths_of(outcome.points, edges) / wanted
+    asked = unit * outcome.sizes * multiple
+    ratio = lengths_of(outcome.points, edges) / (0.5 * asked[edges].sum(axis=1))
     short, long = ratio < IN[0], ratio > IN[1]
     surface = np.zeros(len(outcome.points), dtype=np.bool_)
     surface[surface_of(outcome.cells, outcome.regions)[0]] = True
     there = surface[edges].all(axis=1)
-    return (f"{(~short & ~long).mean():.1%} of the edges are {IN[0]:.2f} to {IN[1]:.2f} times as "
-            f"long as asked for, {ratio.mean():.2f} on average; {short.mean():.1%} are shorter, "
-            f"{(short & there).mean():.1%} between vertices of the surface, and {long.mean():.1%} "
-            f"longer",)
+    notes: tuple[str, ...] = (
+        f"{(~short & ~long).mean():.1%} of the edges are {IN[0]:.2f} to {IN[1]:.2f} times as "
+        f"long as asked for, {ratio.mean():.2f} on average; {short.mean():.1%} are shorter, "
+        f"{(short & there).mean():.1%} between vertices of the surface, and {long.mean():.1%} "
+        f"longer",)
+    finer = np.flatnonzero(multiple > FINER)
+    if len(finer):
+        most = finer[np.argmax(multiple[finer])]
+        place = ", ".join(f"{x:.4g}" for x in outcome.points[most])
+        notes += (
+            f"sizes are smaller than asked for at {counted(len(finer), 'vertex', 'vertices')}, "
+            f"{np.median(multiple[finer]):.2g} times in the middle and {multiple[most]:.2g} times "
+            f"at most, near ({place}): the envelope, features or thin parts allow no longer edges",)
+    return notes

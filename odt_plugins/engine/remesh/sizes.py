@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import Any
 
@@ -11,7 +11,7 @@ import numpy as np
 from odt_plugins.engine.cells.elementary import exp, log, power
 from odt_plugins.engine.cells.geometry import signed_volumes
 from odt_plugins.engine.odt.density import smooth_over_stars
-from odt_plugins.engine.remesh.wish import Wish
+from odt_plugins.engine.remesh.wish import GROWTH, Wish
 from odt_plugins.engine.topology.star import star_sum
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -37,15 +37,23 @@ class Sizes:
     values : (n,) float64       lengths at the vertices; 1 at those without cells
     cells : float               about how many cells they make
     notes : tuple of str        what was changed of what was asked for
+    growth : float              see Wish
     """
 
     values: FloatArray
     cells: float
     notes: tuple[str, ...]
+    growth: float = GROWTH
 
     def scaled(self, factor: float) -> Sizes:
         """All lengths so many times as long."""
-        return Sizes(factor * self.values, self.cells, self.notes)
+        return replace(self, values=factor * self.values)
+
+    def below(self, mesh: SimplexMesh, most: FloatArray) -> Sizes:
+        """The largest sizes that are no longer than ``most`` (n,) and grow as they may."""
+        values = np.minimum(self.values, most)
+        return replace(self, values=grown(mesh.points, unique_edges(mesh.cells), values,
+                                          self.growth))
 
 
 def wanted_sizes(mesh: SimplexMesh, wish: Wish, given: Any = None) -> Sizes:
@@ -99,7 +107,7 @@ def wanted_sizes(mesh: SimplexMesh, wish: Wish, given: Any = None) -> Sizes:
         msg = (f"got sizes for about {count:.3g} cells; expected at most most_cells="
                f"{wish.most_cells}, try larger sizes or a larger most_cells=")
         raise InvalidOptionError(msg)
-    return Sizes(limited, count, tuple(notes))
+    return Sizes(limited, count, tuple(notes), wish.growth)
 
 
 def expected_cells(mesh: SimplexMesh, values: FloatArray) -> float:

@@ -25,6 +25,7 @@ from odt_plugins.engine.remesh.body import (
 from odt_plugins.engine.remesh.collapse import collapse_edges
 from odt_plugins.engine.remesh.lay_out import SPARE, edges_beyond
 from odt_plugins.engine.remesh.relax import relax_surface
+from odt_plugins.engine.remesh.relent import reached_sizes, relented
 from odt_plugins.engine.remesh.simplices import make_simplices
 from odt_plugins.engine.remesh.split import split_edges
 from odt_plugins.engine.topology.complex import make_complex
@@ -50,6 +51,12 @@ FEW = 2e-3
 OFF = 0.2
 """Part of the envelope by which a patch goes out at most in one sweep, to bring volumes back."""
 
+RELENTING = 2
+"""Round after which sizes may give way."""
+
+MOST_STUCK = 0.5
+"""Part of the vertices of the surface beyond which sizes give way without being asked to."""
+
 FREE_BOUNDS = Bounds(ANY, ANY)
 
 
@@ -63,6 +70,9 @@ class Resizing:
     field : Density                lengths on the input
     walk : (n,) int32              cell of the input at every vertex
     log : Log
+    own : (k,) float64             sizes that the input has
+    growth : float                 see Wish
+    relents : bool                 whether sizes give way where the surface stays finer
     """
 
     body: Body
@@ -71,6 +81,9 @@ class Resizing:
     field: Density
     walk: IntArray
     log: Log
+    own: FloatArray
+    growth: float
+    relents: bool
 
     def sizes(self, pool: Pool | None) -> None:
         """Take the sizes of the field at the places where vertices are now."""
@@ -82,6 +95,15 @@ class Resizing:
         points = np.ascontiguousarray(self.body.points[:n])
         self.body.size[:n] = self.field.at(points, pool, walk)
         self.walk = walk
+
+    def relent(self) -> None:
+        """Make sizes smaller where the surface stays finer, if asked to or if most of it does."""
+        reached = reached_sizes(self.body)
+        stuck = np.count_nonzero(np.isfinite(reached))
+        surface = np.unique(self.body.triangles.rows[self.body.triangles.live()])
+        if stuck > (0.0 if self.relents else MOST_STUCK) * len(surface):
+            self.relents = True
+            self.field = relented(self.field, self.body, reached, self.own, self.growth)
 
 
 def resize(work: Resizing, slides: bool, pool: Pool | None, tick: Callable[[float], None],
@@ -98,6 +120,8 @@ def resize(work: Resizing, slides: bool, pool: Pool | None, tick: Callable[[floa
             for _ in range(SWEEPS):
                 _relax(work)
         _smooth(work, pool, threads)
+        if k == RELENTING:
+            work.relent()
         work.sizes(pool)
         tick((k + 1.0) / ROUNDS)
     _collapse(work)

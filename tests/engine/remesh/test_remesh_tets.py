@@ -154,6 +154,15 @@ def test_a_size_larger_than_the_domain_is_said(box):
     assert any("larger than the domain" in note for note in report.notes)
 
 
+def test_where_the_envelope_forbids_the_size_the_nearest_one_comes_and_is_told():
+    points, cells = odt_plugins.optimize(ball(200, 3))
+    (_, rows), report = odt_plugins.remesh_with_report((points, cells), scale=2, envelope=1e-3)
+    assert report.fallback is None
+    assert len(rows) != len(cells)
+    assert report.after.mean_quality > report.before.mean_quality + 0.02
+    assert any("sizes are smaller than asked for" in note for note in report.notes)
+
+
 def test_cells_of_higher_order_are_refused(box):
     points, cells = boxes.quadratic(*box)
     with pytest.raises(UnsupportedMeshError, match="higher order"):
