@@ -60,7 +60,7 @@ def run(name: str) -> None:
         points, cells = getattr(clouds, mesh)(vertices)
         for chosen in options:
             optimize((points, cells), **chosen)
-        if cells.shape[1] == 3:
+        if vertices == SMALL:
             remesh((points, cells), scale=0.9)
         if mesh != "pebble" and vertices == SMALL:
             inside = ~boundary_vertices(cells, len(points))
