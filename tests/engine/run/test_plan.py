@@ -189,7 +189,7 @@ def test_everything_frozen_or_fixed_comes_back_byte_identical(d):
 def test_same_bits_for_any_number_of_threads(d, monkeypatch, many_blocks):
     monkeypatch.setattr(threads, "PART", 100)
     monkeypatch.setattr(order, "LAYERS", 3)
-    points, cells = planar(6, 60) if d == 2 else tm.ball(1200, 6)
+    points, cells = planar(6, 40) if d == 2 else tm.ball(500, 6)
     mesh = mesh_of(points, cells)
     first = run(mesh, Options(smoothing={"rounds": 3, "cycles": 1}))
     for count in (2, 3):
