@@ -452,8 +452,10 @@ def _write_heard(path: Path, mesh: Any, name: str, binary: bool | None) -> list[
     ):
         if name == "gmsh":
             gmsh_files.write(path, mesh, binary is not False)
+            gmsh_files.restore_names(path, mesh.field_data)
         elif name == "gmsh22":
             meshio.write(path, gmsh_groups.with_copies(mesh), name, binary=binary is not False)
+            gmsh_files.restore_names(path, mesh.field_data)
         elif name in WRITERS:
             WRITERS[name](path, mesh, binary)
         elif binary is None:

@@ -16,6 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats import gmsh_read
+from odt_plugins.adapters.formats.gmsh_groups import tag_of
 from odt_plugins.adapters.formats.gmsh_tables import BOUNDS, ENTITY, NODE_ENTITY, PHYSICAL
 
 
@@ -101,10 +102,31 @@ def is_group(value: Any) -> bool:
 def _groups(names: Any, groups: Any, sets: Any, dim: int, k: int) -> list[int]:
     """Tags of the physical groups of a block: its own one, and those with all of its cells."""
     out = [] if groups is None or not len(groups[k]) or not groups[k][0] else [int(groups[k][0])]
-    for name, (tag, of) in names.items():
-        if of == dim and name in sets and tag not in out and sets[name][k]:
+    for name in sets:
+        tag, of = names.get(name, (tag_of(name), dim))
+        if of == dim and name != BOUNDS and tag not in (None, *out) and sets[name][k]:
             out.append(int(tag))
     return out
+
+
+def restore_names(path: Path, names: Any) -> None:
+    """Give groups of a file that have the same name but for their dimension or tag this one name.
+
+    Parameters
+    ----------
+    path : path
+    names : dict    tag and dimension of groups by the names that :func:`gmsh_tables.names` gives
+    """
+    data = path.read_bytes()
+    head, end, rest = data.partition(b"$EndPhysicalNames")
+    for title, value in names.items():
+        for behind in (f" ({value[1]}D)", f" ({value[1]}D, {value[0]})") if is_group(value) else ():
+            name = title.removesuffix(behind)
+            if title.endswith(behind) and name in names:
+                old, new = (f'"{text}"'.encode() for text in (title, name))
+                head = head.replace(old, new)
+    if data[: len(head)] != head:
+        path.write_bytes(head + end + rest)
 
 
 def _lowest(n: int, blocks: Any, of_cells: Any) -> NDArray[np.int64]:

@@ -1,4 +1,4 @@
-"""Files of Gmsh of version 2.2 with groups that overlap, as Gmsh reads them."""
+"""Files of Gmsh with groups that overlap, or have the same name, as Gmsh reads them."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import pytest
 
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
+from odt_plugins.errors import DataNotKeptWarning
 
 
 @pytest.fixture
@@ -19,7 +20,7 @@ def gmsh():
     module.finalize()
 
 
-def model(gmsh, path, *, named, binary):
+def model(gmsh, path, *, named, binary, version=2.2):
     """Two boxes; both are in one group, each in one of its own, a face in two."""
     occ = gmsh.model.occ
     occ.fragment([(3, occ.addBox(0, 0, 0, 1, 1, 1))], [(3, occ.addBox(1, 0, 0, 1, 1, 1))])
@@ -30,7 +31,7 @@ def model(gmsh, path, *, named, binary):
     gmsh.option.setNumber("Mesh.MeshSizeMax", 0.35)
     gmsh.option.setNumber("Mesh.Optimize", 0)
     gmsh.model.mesh.generate(3)
-    gmsh.option.setNumber("Mesh.MshFileVersion", 2.2)
+    gmsh.option.setNumber("Mesh.MshFileVersion", version)
     gmsh.option.setNumber("Mesh.Binary", binary)
     gmsh.write(str(path))
 
@@ -69,3 +70,49 @@ def test_groups_that_overlap_go_to_version_4(gmsh, tmp_path):
     write_file(tmp_path / "b.msh", read_file(tmp_path / "a.msh"), file_format="gmsh41")
     assert volumes(gmsh, tmp_path / "b.msh") == {
         (3, 7, "all"): 2, (3, 2, "one"): 1, (3, 3, "two"): 1, (2, 7, "skin"): 2, (2, 9, "part"): 1}
+
+
+@pytest.mark.parametrize("binary", [0, 1])
+def test_groups_without_names_that_overlap_are_sets(gmsh, binary, tmp_path):
+    source, target = tmp_path / "a.msh", tmp_path / "b.msh"
+    model(gmsh, source, named=False, binary=binary, version=4.1)
+    expected = volumes(gmsh, source)
+    mesh = read_file(source)
+    sizes = {name: sum(map(len, rows)) for name, rows in mesh.cell_sets.items()}
+    per_type = {kind: sum(len(b.data) for b in mesh.cells if b.type == kind)
+                for kind in ("triangle", "tetra")}
+    assert sizes["physical 2"] + sizes["physical 3"] == per_type["tetra"]
+    assert 2 * sizes["physical 9"] == per_type["triangle"]
+    write_file(target, mesh, file_format="gmsh41")
+    assert volumes(gmsh, target) == expected
+    optimize_file(source, target)
+    assert volumes(gmsh, target) == expected
+    with pytest.warns(DataNotKeptWarning, match="cell sets 'physical 2', 'physical 3', 'physical"):
+        write_file(tmp_path / "b.mesh", mesh)
+    with pytest.warns(DataNotKeptWarning):
+        write_file(tmp_path / "b.inp", mesh)
+    assert {"physical 2", "physical 3", "physical 9"} <= {*read_file(tmp_path / "b.inp").cell_sets}
+
+
+@pytest.mark.parametrize("version", [2.2, 4.1])
+@pytest.mark.parametrize("binary", [0, 1])
+def test_groups_of_the_same_name_stay_apart(gmsh, binary, version, tmp_path):
+    source, target = tmp_path / "a.msh", tmp_path / "b.msh"
+    gmsh.model.occ.addBox(0, 0, 0, 1, 1, 1)
+    gmsh.model.occ.synchronize()
+    for dim, entity, tag in ((3, 1, 1), (2, 1, 5)):
+        gmsh.model.addPhysicalGroup(dim, [entity], tag, "wall")
+    for name, value in (("MeshSizeMax", 0.5), ("MshFileVersion", version), ("Binary", binary)):
+        gmsh.option.setNumber(f"Mesh.{name}", value)
+    gmsh.model.mesh.generate(3)
+    gmsh.write(str(source))
+    expected = volumes(gmsh, source)
+    assert {name for _, _, name in expected} == {"wall"}
+    mesh = read_file(source)
+    assert {name: value.tolist() for name, value in mesh.field_data.items()} == {
+        "wall": [5, 2], "wall (3D)": [1, 3]}
+    for form in ("gmsh22", "gmsh41"):
+        write_file(target, mesh, file_format=form)
+        assert volumes(gmsh, target) == expected
+    write_file(tmp_path / "b.inp", mesh)
+    assert {"wall", "wall (3D)"} <= {*read_file(tmp_path / "b.inp").cell_sets}

@@ -12,7 +12,7 @@ import pytest
 
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
-from odt_plugins.errors import DataNotKeptWarning
+from odt_plugins.errors import DataNotKeptWarning, MeshFileError
 
 KINDS = [(2.2, 0), (2.2, 1), (4.0, 0), (4.1, 0), (4.1, 1)]
 FIELD = np.array([1.0, 2.0, 3.0])
@@ -204,6 +204,46 @@ def test_values_of_what_is_in_no_group_stay(version, binary, gmsh, tmp_path):
         optimize_file(source, target)
     text = target.read_bytes()
     assert all(text.count(row) == 1 for row in strange)
+
+
+@pytest.mark.parametrize(("version", "binary"), [(2.2, 0), (2.2, 1), (4.1, 0), (4.1, 1)])
+def test_a_mesh_that_is_there_with_every_view_is_one(version, binary, gmsh, tmp_path):
+    """Gmsh appends the whole mesh with a view, unless it is told not to."""
+    source, target = tmp_path / "a.msh", tmp_path / "b.msh"
+    gmsh.model.occ.addBox(0, 0, 0, 1, 1, 1)
+    gmsh.model.occ.synchronize()
+    gmsh.model.addPhysicalGroup(3, [1], 1, "body")
+    for name, value in (("MeshSizeMax", 0.4), ("Optimize", 0), ("MshFileVersion", version),
+                        ("Binary", binary), ("SaveAll", 1)):
+        gmsh.option.setNumber(f"Mesh.{name}", value)
+    gmsh.option.setNumber("PostProcessing.SaveMesh", 1)
+    gmsh.model.mesh.generate(3)
+    # With elements that are in no group, which Gmsh leaves out beside a view.
+    gmsh.write(str(source))
+    nodes, places, _ = gmsh.model.mesh.getNodes()
+    for name in ("one", "two"):
+        view = gmsh.view.add(name)
+        gmsh.view.addHomogeneousModelData(view, 0, gmsh.model.getCurrent(), "NodeData", nodes,
+                                          places.reshape(-1, 3) @ FIELD)
+        gmsh.view.write(view, str(source), append=True)
+    assert source.read_bytes().count(b"$Nodes") == 3
+    mesh = read_file(source)
+    assert len(mesh.points) == len(nodes)
+    optimize_file(source, target)
+    assert target.read_bytes().count(b"$Nodes") == 1
+    gmsh.clear()
+    gmsh.open(str(target))
+    tags, places, _ = gmsh.model.mesh.getNodes()
+    assert len(tags) == len(nodes)
+    there = dict(zip(tags.tolist(), places.reshape(-1, 3) @ FIELD, strict=True))
+    views = gmsh.view.getTags()[-2:]
+    assert [gmsh.view.option.getString(view, "Name") for view in views] == ["one", "two"]
+    for view in views:
+        _, own, values, _, _ = gmsh.view.getModelData(view, 0)
+        assert np.allclose(np.ravel(values), [there[int(tag)] for tag in own])
+    (tmp_path / "c.msh").write_bytes(source.read_bytes() + target.read_bytes())
+    with pytest.raises(MeshFileError, match="of several different meshes, try a file for each"):
+        read_file(tmp_path / "c.msh")
 
 
 def test_what_only_gmsh_knows_is_named_where_it_is_lost(gmsh, tmp_path):

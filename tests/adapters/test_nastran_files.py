@@ -282,3 +282,20 @@ def test_what_a_card_names_stays(tmp_path):
     old, new = told(source)[0], told(target)[0]
     assert {i for i in named if old[i] != new.get(i)} == set()
     assert sum(old[i] != new.get(i) for i in inner) > len(inner) // 4
+
+
+@pytest.mark.parametrize("x", [
+    -0.123456789012345, -1e-200, -1.2345678901234e-10, -1e300 / 3, 5e-324, 123456789.0123456])
+def test_any_number_has_room_in_a_field(x, tmp_path):
+    points = np.array([[x, 0, 0], [1, 0, 0], [0, 1, 0], [0, 0, 1]])
+    mesh = meshio.Mesh(points, [("tetra", [[0, 1, 2, 3]]), ("triangle", [[0, 1, 2]])],
+                       cell_data={"nastran:ref": [[123456789], [3]]})
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore", DataNotKeptWarning)
+        write_file(tmp_path / "a.bdf", mesh)
+    assert meshio.read(tmp_path / "a.bdf").points[0, 0] == pytest.approx(x, rel=1e-8)
+    seen = cards(tmp_path / "a.bdf")
+    assert real(seen[0][3]) == pytest.approx(x, rel=1e-8)
+    assert max(map(len, (tmp_path / "a.bdf").read_text().splitlines())) <= 72
+    assert seen[4:6] == [["CTETRA", "1", "123456789", "1", "2", "3", "4"],
+                         ["CTRIA3", "2", "3", "1", "2", "3"]]

@@ -50,7 +50,7 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     NotRewritable    the arrays are other ones, there are ghost elements, or nodes came to parts,
                      or went that correspond to others
     """
-    file = gmsh_tables.parsed(source.read_bytes())
+    file = gmsh_read.parsed(source.read_bytes())
     nodes, runs, entities = gmsh_read.tables(file)
     _expect_known(file, nodes, change)
     if _plain(file, nodes) and (change.number < 0).any():

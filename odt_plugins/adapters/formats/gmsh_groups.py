@@ -14,6 +14,12 @@ UNNAMED = "physical {}"
 """Name of the set of a group without a name."""
 
 
+def tag_of(name: str) -> int | None:
+    """Tag of the group without a name that a set is; None of another one."""
+    found = re.fullmatch(UNNAMED.format(r"(\d+)"), name)
+    return int(found[1]) if found else None
+
+
 def without_copies(mesh: Any) -> Any:
     """Join elements of one entity with the same nodes that are of several groups, now cell sets.
 
@@ -106,8 +112,8 @@ def with_copies(mesh: Any) -> Any:
 
     cells, arrays = [*mesh.cells], {name: [*values] for name, values in mesh.cell_data.items()}
     for name, members in mesh.cell_sets.items():
-        unnamed = re.fullmatch(UNNAMED.format(r"(\d+)"), name)
-        group = [int(unnamed[1]), -1] if unnamed else mesh.field_data.get(name)
+        tag = tag_of(name)
+        group = mesh.field_data.get(name) if tag is None else [tag, -1]
         for i, block in enumerate(mesh.cells):
             if group is None or members[i] is None or group[1] not in (-1, block.dim):
                 continue

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats import gmsh_tables
 from odt_plugins.adapters.formats.decks import UNREAD
-from odt_plugins.adapters.formats.gmsh_groups import without_copies
+from odt_plugins.adapters.formats.gmsh_groups import UNNAMED, without_copies
 from odt_plugins.adapters.formats.gmsh_tables import (
     BOUNDS,
     DATA,
@@ -21,6 +21,7 @@ from odt_plugins.adapters.formats.gmsh_tables import (
     File,
     Numbers,
     Run,
+    Section,
     Values,
 )
 from odt_plugins.errors import MeshFileError
@@ -58,7 +59,7 @@ def read(path: Path) -> Any:
     MeshFileError  nodes or elements are referred to that are not there
     Exception      anything at all, on a file that is broken
     """
-    file = gmsh_tables.parsed(path.read_bytes())
+    file = parsed(path.read_bytes())
     # A number that is none would become an index.
     with np.errstate(invalid="raise"):
         found, runs, entities = tables(file)
@@ -82,15 +83,54 @@ def read(path: Path) -> Any:
     return without_copies(mesh)
 
 
+def parsed(data: bytes) -> File:
+    """Find the sections of a file; a mesh that is there again with every view is one.
+
+    Gmsh appends it so, with all elements or with those in groups.
+    """
+    file = gmsh_tables.parsed(data)
+    meshes: list[list[Section]] = []
+    for section in file.sections:
+        if section.name == "MeshFormat":
+            meshes.append([])
+        if meshes and section.name in gmsh_tables.MESH:
+            meshes[-1].append(section)
+    meshes = [own for own in meshes if {"Nodes", "Elements"} <= {s.name for s in own}]
+    if len(meshes) < 2:
+        return file
+    read = [_numbered(file, own) for own in meshes]
+    most = max(range(len(read)), key=lambda k: sum(map(len, read[k])))
+    if not all(one[key] == two.get(key) for part in read for one, two in
+               zip(part, read[most], strict=True) for key in one):
+        return file
+    values = [section for section in file.sections if section.name not in gmsh_tables.MESH]
+    return gmsh_tables.parsed(gmsh_tables.put_first(file, meshes[most], values))
+
+
+def _numbered(file: File, sections: list[Section]) -> tuple[dict[Any, Any], dict[Any, Any]]:
+    """Places of nodes by their tags, and nodes of elements, by their numbers if values have these.
+
+    Gmsh numbers the elements of version 2 anew where it leaves some out.
+    """
+    own = {section.name: section for section in sections}
+    found = gmsh_tables.nodes(file, own["Nodes"])
+    by_number = bool(file.all("ElementData") or file.all("ElementNodeData"))
+    cells = {number if by_number else tuple(nodes): nodes for run in gmsh_tables.elements(file, own["Elements"], _sizes())
+             for number, nodes in zip(run.numbers.tolist(), run.nodes.tolist(), strict=True)}
+    return dict(zip(found.tags.tolist(), found.points.tolist(), strict=True)), cells
+
+
 def tables(file: File) -> tuple[gmsh_tables.Nodes, list[Run], dict[tuple[int, int], Entity]]:
     """Nodes, elements and entities of a file.
 
     Raises
     ------
-    MeshFileError    it has no nodes or no elements, or several sections of them
+    MeshFileError    it has no nodes or no elements, or those of several meshes
     """
-    if not len(file.all("Nodes")) == len(file.all("Elements")) == 1:
-        msg = "it has no nodes or no elements, or several sections of them"
+    count = [len(file.all(name)) for name in ("Nodes", "Elements")]
+    if count != [1, 1]:
+        msg = ("it has no nodes or no elements" if 0 in count else
+               "it is of several different meshes, try a file for each")
         raise MeshFileError(msg)
     entities: dict[tuple[int, int], Entity] = {}
     for section in file.sections:
@@ -291,10 +331,16 @@ def _mesh(nodes: Any, blocks: Any, entities: Any, names: Any, data: Any) -> Any:
     if any(values.any() for values in part):
         cell_data[PARTITION] = part
     own = np.array([entities.get(key, none).parent or key for key in map(tuple, of_nodes.tolist())])
+    named = {(int(of), int(group)) for group, of in names.values()}
+    beside = {(dim, group) for entity, (dim, _, _, _) in zip(found, blocks, strict=True)
+              for group in entity.physical[1:]} - named
+    every = [(name, {(int(of), int(group))}) for name, (group, of) in names.items()]
+    every += [(UNNAMED.format(tag), {key for key in beside if key[1] == tag})
+              for tag in sorted({tag for _, tag in beside})]
     sets: dict[str, list[Any]] = {
-        name: [np.arange(count if group in entity.physical and of == dim else 0)
+        name: [np.arange(count if groups & {(dim, tag) for tag in entity.physical} else 0)
                for count, entity, (dim, _, _, _) in zip(size, found, blocks, strict=True)]
-        for name, (group, of) in names.items()}
+        for name, groups in every}
     if entities and PARTITION not in cell_data:
         sets[BOUNDS] = [np.array(entity.bounds) for entity in found]
     point_data: Any = _joined(data["NodeData"], tags)

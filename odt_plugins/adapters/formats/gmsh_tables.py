@@ -28,6 +28,10 @@ OLD = {"NOD": "Nodes", "ELM": "Elements"}
 DATA = ("NodeData", "ElementData", "ElementNodeData")
 """Sections of values, each of one view at one of its steps."""
 
+MESH = ("MeshFormat", "PhysicalNames", "Entities", "PartitionedEntities", "Nodes", "Elements",
+        "Periodic", "GhostElements", "Parametrizations", "InterpolationScheme")
+"""Sections that Gmsh writes again with every view that it appends to a file."""
+
 FORTRAN = rb"(?<=[\d.])[dD](?=[+-]?\d)"
 """The letter of an exponent as Fortran writes it."""
 
@@ -200,6 +204,16 @@ def parsed(data: bytes) -> File:
     swapped = binary and data[start: start + 4] != b"\1\0\0\0"
     order: Literal["<", ">"] = ">" if swapped else "<"
     return File(data, version, not binary, order, f"u{size}", found)
+
+
+def put_first(file: File, first: list[Section], others: list[Section]) -> bytes:
+    """The file with some sections, then some others, and none besides."""
+    out = []
+    for section in first + others:
+        close = re.compile(rb"[^\r\n]*(?:\r?\n|\r|$)").match(file.data, section.stop)
+        start = file.data.rindex(b"$", 0, section.start)
+        out.append(file.data[start: close.end() if close else section.stop])
+    return b"".join(out)
 
 
 class Numbers:
@@ -507,10 +521,15 @@ def values(file: File, section: Section) -> Values:
 
 
 def names(file: File) -> dict[str, NDArray[np.int64]]:
-    """Tag and dimension of every named physical group."""
-    out = {}
+    """Tag and dimension of every named physical group.
+
+    Of groups with the same name the second one has its dimension, or that and its tag, behind it.
+    """
+    out: dict[str, NDArray[np.int64]] = {}
     for section in file.all("PhysicalNames"):
         body = file.data[section.start: section.stop].decode("utf-8", "replace")
         for dim, tag, name in re.findall(r'(\d+)\s+(-?\d+)\s+"([^"\r\n]*)"', body):
-            out[name] = np.array([int(tag), int(dim)])
+            last = f"{name} ({dim}D, {tag})"
+            title = next((t for t in (name, f"{name} ({dim}D)") if t not in out), last)
+            out[title] = np.array([int(tag), int(dim)])
     return out
