@@ -308,7 +308,8 @@ def _untangled(mesh: Any, options: Options, rest: Any, *, partial: bool) -> tupl
         places = np.asarray(rest)
     elif rest is not None and not isinstance(rest, np.ndarray):
         places = np.asarray(find_adapter(rest).read(rest).points)
-    return run_engine(mesh, options, _as_it_is, Wanted(places, partial, share=1.0))
+    return run_engine(mesh, options, _as_it_is, Wanted(
+        places, partial, share=1.0, refused=tuple(set(OPTIONS) - {*OF_UNTANGLING})))
 
 
 def _as_it_is(mesh: SimplexMesh, _options: Options, _leaving: Leaving) -> Outcome:

@@ -198,4 +198,5 @@ def _run(mesh: Any, size: Any, wishes: dict[str, Any], options: Options) -> tupl
 
         return resized(_with_still_walls(simplices), chosen, leaving, wish)
 
-    return run_engine(mesh, options, engine, Wanted(linear=True, sizes=name))
+    wanted = Wanted(linear=True, sizes=name, refused=(*NOT_HERE, "free='inside'"))
+    return run_engine(mesh, options, engine, wanted)

@@ -173,6 +173,7 @@ def run_engine(
     told = {"regions_from": work.host.regions_from, "notes": work.notes + outcome.notes,
             "cell_origin": cell_origin(work.host.ids, work.host.total, source),
             "interpolated": () if vertices is None else fields,
+            "refused": wanted.refused + ("insert",) * given.higher_order,
             "tangle": work.tangle, "curved": curved.facts, "layers": layers, "integrals": changed}
     kind = work.host.cells.dtype
     if outcome.origin is not None and kind.kind != "f":
@@ -291,7 +292,8 @@ def _checked(
     if frame is not None and 2 * simplices.turned > len(simplices.cells):
         orientation = -1
         simplices = replace(simplices, turned=len(simplices.cells) - simplices.turned)
-    simplices, notes = hold_kept(simplices, host, free="inside" in options.free)
+    simplices, notes = hold_kept(simplices, host, free="inside" in options.free,
+                                 advise=not {"free", "free='inside'"} & {*wanted.refused})
     if options.boundary == "slide":
         simplices, more = hold_places(simplices, host, periodic="periodic" not in options.free)
         notes += more

@@ -75,6 +75,8 @@ class Wanted(NamedTuple):
     share : float                    part of the run that this is, for its progress
     linear : bool                    whether cells of higher order are refused
     sizes : str                      name of the array that holds the densities, if one does
+    refused : tuple of str           options, some with a value, that the call does not take, of
+                                     which nothing is to be said therefore
     """
 
     rest: FloatArray | None = None
@@ -82,6 +84,7 @@ class Wanted(NamedTuple):
     share: float = 0.3
     linear: bool = False
     sizes: str = ""
+    refused: tuple[str, ...] = ()
 
 
 def untangle_mesh(
@@ -124,7 +127,8 @@ def untangle_mesh(
         if flips:
             more = "flips nor vertices more" if options.insert else "flips"
             tried = f"neither other places of their vertices nor {more} were found"
-            may = "" if options.insert or mesh.dim == 2 else "insert=True, "
+            may = "" if options.insert or mesh.dim == 2 or (
+                "insert" in wanted.refused) else "insert=True, "
         why, facets = _overlapping(mesh, cells[left])
         raise _left(mesh, moved.points, np.unique(source[left]),
                     f"for which {tried}{why}",

@@ -78,8 +78,8 @@ def not_kept(mesh: Any, back: Any) -> list[str]:
 
 def _periodic(mesh: Any) -> bool:
     """Whether a mesh tells of points that correspond, as files of Gmsh and Netgen do."""
-    return bool(getattr(mesh, "gmsh_periodic", None)) or bool(
-        np.size(getattr(mesh, "identified", ())))
+    known = getattr(mesh, "identified", None)
+    return bool(getattr(mesh, "gmsh_periodic", None)) or (known is not None and len(known) > 0)
 
 
 def _others(mesh: Any, back: Any, kind: str, what: str) -> list[str]:

@@ -231,8 +231,8 @@ def _merge(mesh: Any) -> None:
 
 
 def _named_groups(mesh: Any) -> dict[str, list[Any]]:
-    """Cell sets of the named physical groups of Gmsh, as their labels tell them."""
-    groups = mesh.cell_data.get(PHYSICAL)
+    """Cell sets of the named groups of Gmsh and Netgen, as their labels tell them."""
+    groups = mesh.cell_data.get(PHYSICAL, mesh.cell_data.get(NETGEN))
     if groups is None:
         return {}
     out = {}

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from odt_plugins.adapters.formats import gmsh_read
 from odt_plugins.adapters.formats.gmsh_groups import tag_of
 from odt_plugins.adapters.formats.gmsh_tables import BOUNDS, ENTITY, NODE_ENTITY, PHYSICAL
+from odt_plugins.adapters.formats.titles import plain
 
 
 def _inner(name: str) -> Any:
@@ -109,22 +110,13 @@ def _groups(names: Any, groups: Any, sets: Any, dim: int, k: int) -> list[int]:
     return out
 
 
-def restore_names(path: Path, names: Any) -> None:
-    """Give groups of a file that have the same name but for their dimension or tag this one name.
-
-    Parameters
-    ----------
-    path : path
-    names : dict    tag and dimension of groups by the names that :func:`gmsh_tables.names` gives
-    """
+def restore_names(path: Path, field_data: Any) -> None:
+    """Give groups of a file the names that they have in files, where several may have the same."""
+    names = {name: value for name, value in field_data.items() if is_group(value)}
     data = path.read_bytes()
     head, end, rest = data.partition(b"$EndPhysicalNames")
-    for title, value in names.items():
-        for behind in (f" ({value[1]}D)", f" ({value[1]}D, {value[0]})") if is_group(value) else ():
-            name = title.removesuffix(behind)
-            if title.endswith(behind) and name in names:
-                old, new = (f'"{text}"'.encode() for text in (title, name))
-                head = head.replace(old, new)
+    for title in names:
+        head = head.replace(f'"{title}"'.encode(), f'"{plain(title, names)}"'.encode())
     if data[: len(head)] != head:
         path.write_bytes(head + end + rest)
 

@@ -24,7 +24,7 @@ NAMED = 5
 
 
 def hold_kept(
-    mesh: SimplexMesh, host: HostMesh, *, free: bool = False
+    mesh: SimplexMesh, host: HostMesh, *, free: bool = False, advise: bool = True
 ) -> tuple[SimplexMesh, tuple[str, ...]]:
     """:func:`protect` what a mesh has beside its cells, and tell of facets inside of a region.
 
@@ -33,9 +33,10 @@ def hold_kept(
     mesh : SimplexMesh
     host : HostMesh       that it comes from
     free : bool           whether the vertices of facets inside may move
+    advise : bool         whether to tell how they may
     """
     safe = protect(mesh, host.kept, host.anchors, free=free)
-    return safe, _note_inside(mesh, safe, host, free=free)
+    return safe, _note_inside(mesh, safe, host, free=free, advise=advise)
 
 
 def protect(
@@ -239,7 +240,7 @@ def _staying_facets(mesh: SimplexMesh, near: NDArray[np.intp]) -> BoolArray:
 
 
 def _note_inside(
-    before: SimplexMesh, after: SimplexMesh, host: HostMesh, *, free: bool
+    before: SimplexMesh, after: SimplexMesh, host: HostMesh, *, free: bool, advise: bool
 ) -> tuple[str, ...]:
     """Tell of facets beside the cells, inside of a region, which hold vertices, or move with them.
 
@@ -248,6 +249,7 @@ def _note_inside(
     before, after : SimplexMesh    the mesh as :func:`protect` took and gave it
     host : HostMesh                that it comes from
     free : bool                    whether they move
+    advise : bool                  whether to tell how they may
 
     Returns
     -------
@@ -271,8 +273,9 @@ def _note_inside(
         return ()
     what, cells = ("triangle", "tetrahedra") if k == 4 else ("line", "triangles")
     told = ("remain faces of cells and move with their vertices" if free else
-            f"stay with {counted(vertices, 'vertex', 'vertices')}; try free='inside' to let these "
-            f"move where they are no {'surface' if k == 4 else 'curve'} of yours")
+            f"stay with {counted(vertices, 'vertex', 'vertices')}" + advise * (
+                f"; try free='inside' to let these move where they are no "
+                f"{'surface' if k == 4 else 'curve'} of yours"))
     return (host.words(f"{counted(count, what)} beside the {cells}, inside of a region, {told}"),)
 
 

@@ -24,8 +24,7 @@ def read(path: Path) -> Any:
     Returns
     -------
     meshio.Mesh    lines, triangles and tetrahedra of one order, with the cell data
-                   ``netgen:index``: materials of tetrahedra, boundary conditions of triangles;
-                   their first names are field data
+                   ``netgen:index``: materials of tetrahedra, boundary conditions of triangles
 
     Raises
     ------
@@ -65,10 +64,4 @@ def read(path: Path) -> Any:
         cells.append((name, (table["nodes"].astype(np.int64) - 1)[:, order]))
         index = table["index"].astype(np.int64)
         labels.append(condition[index] if corners == 3 else index)
-    names: dict[str, Any] = {}
-    for i in range(1, int(max(map(np.max, labels), default=0)) + 1):
-        names.setdefault(mesh.GetMaterial(i), np.array([i, 3]))
-    for i, number in enumerate(condition[1:].tolist()):
-        names.setdefault(mesh.GetBCName(i), np.array([number, 2]))
-    names = {name: tag for name, tag in names.items() if name and name != "default"}
-    return Mesh(points, cells, None, {"netgen:index": labels}, names)
+    return Mesh(points, cells, None, {"netgen:index": labels})

@@ -6,7 +6,7 @@ import dataclasses
 import json
 import platform
 import re
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from os import PathLike
@@ -244,7 +244,7 @@ class Report:
 
 def make_report(
     before: SimplexMesh, outcome: Outcome, options: Options, *, tangle: Tangle | None = None,
-    **told: Any,
+    refused: Sequence[str] = (), **told: Any,
 ) -> Report:
     """Measure a run from outside.
 
@@ -254,6 +254,7 @@ def make_report(
     outcome : Outcome       what it handed back
     options : Options       what it was asked for
     tangle : Tangle         what was done to a mesh with inverted or flat cells
+    refused : sequence      options, some with a value, that the call does not take
     **told                  fields of the report that only the adapters know
 
     Returns
@@ -298,7 +299,7 @@ def make_report(
         n_used=int(used.sum()),
         n_movable=int(movable.sum()),
         binding=binding_cells(outcome.points, outcome.cells, before.bodies(outcome.regions),
-                              movable_after, new, _freeing(before, outcome, options)),
+                              movable_after, new, _freeing(before, outcome, options, refused)),
         options=described(options),
         versions=versions(),
         slid=None if outcome.slid is None else outcome.slid._asdict(),
@@ -310,8 +311,10 @@ def make_report(
     )
 
 
-def _freeing(before: SimplexMesh, outcome: Outcome, options: Options) -> Freeing:
-    """The options that free cells of the result."""
+def _freeing(
+    before: SimplexMesh, outcome: Outcome, options: Options, refused: Sequence[str]
+) -> Freeing:
+    """The options that free cells of the result, but for those that the call does not take."""
     solid, surface = before.dim == 3, before.is_surface
     held = held_by(before)
     given = vertex_mask(options.fixed, len(before.points), "fixed", "vertices")
@@ -338,7 +341,10 @@ def _freeing(before: SimplexMesh, outcome: Outcome, options: Options) -> Freeing
             known[name] = np.zeros(len(kept), bool)
             known[name][kept] = mask[old]
     insert = "insert=True" if solid and options.finish and not options.insert else ""
-    return Freeing(known, insert, wider if surface else "")
+    known = {name: mask for name, mask in known.items()
+             if not {name.partition("=")[0], name.replace('"', "'")} & {*refused}}
+    return Freeing(known, insert * ("insert" not in refused),
+                   wider if surface and "envelope" not in refused else "")
 
 
 def _veto_line(facts: Mapping[str, Any], options: Mapping[str, Any]) -> str:

@@ -12,7 +12,7 @@ import numpy as np
 import pytest
 from made_files import two_boxes
 
-from odt_plugins.adapters.files import read_file
+from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
 from odt_plugins.errors import DataNotKeptWarning
 
@@ -135,3 +135,42 @@ def test_elements_of_second_order_keep_what_they_fill(d, tmp_path):
     if d == 2:
         assert after.GetMaterials() == before.GetMaterials()
         assert after.GetBoundaries() == before.GetBoundaries()
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_names_stay_in_files_of_second_order_that_are_written_anew(d, tmp_path):
+    """Names of materials with blanks, and the same ones of sides; several sides have one name."""
+    from netgen.geom2d import SplineGeometry
+    from netgen.occ import Box, Glue, OCCGeometry, X
+
+    if d == 2:
+        geometry = SplineGeometry()
+        geometry.AddRectangle((0, 0), (1, 1), bcs=["a", "b", "air", "b"], leftdomain=1)
+        geometry.SetMaterial(1, "air")
+        mesh = geometry.GenerateMesh(maxh=0.15, optsteps2d=0)
+    else:
+        left, right = Box((0, 0, 0), (1, 1, 1)).mat("air"), Box((1, 0, 0), (2, 1, 1)).mat("my box")
+        left.faces.Min(X).name, right.faces.Max(X).name = "b", "air"
+        left.faces.Max(X).name = "b"
+        mesh = OCCGeometry(Glue([left, right])).GenerateMesh(maxh=0.4, optsteps3d=0)
+    mesh.SecondOrder()
+    source, target = tmp_path / "a.vol", tmp_path / "b.vol"
+    mesh.Save(str(source))
+    with pytest.warns(DataNotKeptWarning) as caught:
+        optimize_file(source, target)
+    assert not re.search("field data|periodic|bcnames|materials", str(caught[0].message))
+
+    def names(path):
+        text = path.read_text()
+        return [[line.split(None, 1) for line in re.search(
+            rf"\n{what}\n\d+\n((?:\d.*\n)*)", text)[1].splitlines()]
+            for what in ("materials", "bcnames")]
+
+    assert [[name for name in part if name[1] != "default"] for part in names(target)] == [
+        [name for name in part if name[1] != "default"] for part in names(source)]
+    back = loaded(target)
+    assert [back.GetMaterial(1), back.GetBCName(1)] == [mesh.GetMaterial(1), mesh.GetBCName(1)]
+    with pytest.warns(DataNotKeptWarning):
+        write_file(tmp_path / "b.inp", read_file(source))
+    found = {*read_file(tmp_path / "b.inp").cell_sets}
+    assert {"air (2D)"} <= found if d == 2 else {"air", "air (3D)", "my box", "b"} <= found

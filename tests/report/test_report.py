@@ -235,6 +235,37 @@ def test_a_report_says_what_frees_the_worst_cells(options: dict[str, Any], said:
     assert report.to_dict()["binding"][0]["hint"] == report.binding[0].hint
 
 
+@pytest.mark.parametrize(("refused", "said"), [
+    ((), 'boundary="slide" and insert=True'), (("insert",), 'boundary="slide"'),
+    (("boundary",), "insert=True"), (("free='inside'", "insert", "boundary"), ""),
+])
+def test_no_option_is_advised_that_the_call_refuses(refused: Any, said: str) -> None:
+    mesh = fan()
+    report = make_report(mesh, outcome(mesh), Options(), refused=refused)
+    assert {b.hint for b in report.binding} == {said}
+
+
+def test_each_call_tells_what_it_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
+    from odt_plugins import api, remeshing
+
+    told: list[Any] = []
+
+    def instead(mesh: Any, options: Any, engine: Any, wanted: Any) -> Any:
+        told.append(wanted.refused)
+        raise MeshFileError
+
+    for module in (api, remeshing):
+        monkeypatch.setattr(module, "run_engine", instead)
+    tet = (np.zeros((4, 3)), np.array([[0, 1, 2, 3]]))
+    with pytest.raises(MeshFileError):
+        odt_plugins.remesh(tet, 1.0)
+    with pytest.raises(MeshFileError):
+        odt_plugins.untangle(tet)
+    assert {"insert", "free='inside'"} <= {*told[0]}
+    assert {"boundary", "envelope", "layers", "free"} <= {*told[1]}
+    assert "insert" not in told[1]
+
+
 def test_fixed_selected_and_labelled_vertices_have_hints_of_their_own() -> None:
     points, cells = tet_meshes.ball(150, 3)
     half = (points[cells].mean(axis=1)[:, 0] > 0).astype(np.int32)

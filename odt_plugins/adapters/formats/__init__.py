@@ -74,6 +74,6 @@ REWRITERS: dict[str, Callable[[Path, Path, Change], list[str]]] = {
 
 WRITERS: dict[str, Callable[[Path, Any, bool | None], list[str]]] = {
     "abaqus": abaqus_write.write, "exodus": exodus_write.write, "nastran": nastran_write.write,
-    "ply": ply.write, "stl": stl.write,
+    "netgen": vol.write, "ply": ply.write, "stl": stl.write,
 }
 """Writers that take the place of meshio's: path, mesh and whether binary, to what is lost."""

@@ -115,7 +115,8 @@ def _numbered(file: File, sections: list[Section]) -> tuple[dict[Any, Any], dict
     own = {section.name: section for section in sections}
     found = gmsh_tables.nodes(file, own["Nodes"])
     by_number = bool(file.all("ElementData") or file.all("ElementNodeData"))
-    cells = {number if by_number else tuple(nodes): nodes for run in gmsh_tables.elements(file, own["Elements"], _sizes())
+    runs = gmsh_tables.elements(file, own["Elements"], _sizes())
+    cells = {number if by_number else tuple(nodes): nodes for run in runs
              for number, nodes in zip(run.numbers.tolist(), run.nodes.tolist(), strict=True)}
     return dict(zip(found.tags.tolist(), found.points.tolist(), strict=True)), cells
 

@@ -11,6 +11,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters.formats.titles import titled
 from odt_plugins.errors import MeshFileError
 
 PHYSICAL, ENTITY, NODE_ENTITY = "gmsh:physical", "gmsh:geometrical", "gmsh:dim_tags"
@@ -521,15 +522,9 @@ def values(file: File, section: Section) -> Values:
 
 
 def names(file: File) -> dict[str, NDArray[np.int64]]:
-    """Tag and dimension of every named physical group.
-
-    Of groups with the same name the second one has its dimension, or that and its tag, behind it.
-    """
-    out: dict[str, NDArray[np.int64]] = {}
+    """Tag and dimension of every named physical group."""
+    found = []
     for section in file.all("PhysicalNames"):
         body = file.data[section.start: section.stop].decode("utf-8", "replace")
-        for dim, tag, name in re.findall(r'(\d+)\s+(-?\d+)\s+"([^"\r\n]*)"', body):
-            last = f"{name} ({dim}D, {tag})"
-            title = next((t for t in (name, f"{name} ({dim}D)") if t not in out), last)
-            out[title] = np.array([int(tag), int(dim)])
-    return out
+        found += re.findall(r'(\d+)\s+(-?\d+)\s+"([^"\r\n]*)"', body)
+    return titled((name, int(dim), int(tag)) for dim, tag, name in found)

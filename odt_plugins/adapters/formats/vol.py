@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.change import Change, NotRewritable
 from odt_plugins.adapters.formats.decks import edited, unread
+from odt_plugins.adapters.formats.titles import plain, titled
 from odt_plugins.errors import MeshFileError
 
 NODES = {"triangle": 3, "triangle6": 6, "quad": 4, "tetra": 4, "tetra10": 10}
@@ -24,9 +25,16 @@ ORDERS = {"tetra": [0, 2, 1, 3], "triangle6": [0, 1, 2, 4, 5, 3],
 
 SURFACE, VOLUME = rb"surfaceelements(?:gi|uv)?", rb"volumeelements"
 
-KNOWN = (rb"dimension|geomtype|points|facedescriptors|materials|bcnames|identifications|" + SURFACE
+KNOWN = (rb"dimension|geomtype|points|facedescriptors|materials|bcnames|cd[23]names|"
+         rb"identifications|" + SURFACE
          + b"|" + VOLUME)
 """Sections of which a mesh holds what they say."""
+
+NAMES = (b"materials", b"bcnames", b"cd2names", b"cd3names")
+"""Sections of names of cells, their sides, and the sides of these."""
+
+UNNAMED = "default"
+"""Name of what has none."""
 
 HEAD = {SURFACE: 5, VOLUME: 2}
 """Words of a row before its nodes; the last one is the number of these."""
@@ -62,6 +70,41 @@ def identified(path: Path) -> NDArray[np.int64] | None:
     words = re.compile(rb"\S+").finditer(data, at)
     numbers = [int(next(words)[0]) for _ in range(3 * count)]
     return np.unique(np.array(numbers, dtype=np.int64).reshape(-1, 3)[:, :2]) - 1
+
+
+def names(path: Path) -> dict[str, NDArray[np.int64]]:
+    """Numbers and dimensions of materials and boundary conditions that have names."""
+    data = _content(path)
+    head = re.search(rb"(?m)^[ \t]*dimension\s+(\d)", data)
+    found = []
+    for behind, name in enumerate(NAMES):
+        section = _section(data, name)
+        lines = data[section[1]:].splitlines()[: section[2]] if section else []
+        for line in lines:
+            number, *text = line.decode("utf-8", "replace").split(None, 1) or [""]
+            if text and text[0].strip() != UNNAMED and number.isdigit():
+                found.append((text[0].strip(), int(head[1] if head else 3) - behind, int(number)))
+    return titled(found)
+
+
+def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
+    """Write a mesh by meshio, with the names that it has and no others."""
+    import meshio
+
+    meshio.write(path, mesh, file_format="netgen")
+    data, end, rest = _content(path).rpartition(b"endmesh")
+    for name in NAMES:
+        data = re.sub(rb"\n" + name + rb"\n\d+\n(?:\d+[^\n]*\n)*", b"", data)
+    dim = mesh.points.shape[1]
+    for behind, name in enumerate(NAMES):
+        own = {int(value[0]): plain(title, mesh.field_data)
+               for title, value in mesh.field_data.items() if value[1] == dim - behind}
+        lines = [f"{k} {own.get(k, UNNAMED)}\n" for k in range(1, max(own, default=0) + 1)]
+        if lines:
+            data += b"\n%s\n%d\n%s" % (name, len(lines), "".join(lines).encode())
+    whole = data + b"\n" + end + rest
+    path.write_bytes(gzip.compress(whole) if path.suffix.lower() == ".gz" else whole)
+    return []
 
 
 def besides(path: Path) -> dict[str, list[str]]:

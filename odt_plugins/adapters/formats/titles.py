@@ -1,0 +1,37 @@
+"""Names of groups, which files may give to several of them, as keys of one dictionary."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+
+def titled(groups: Iterable[tuple[str, int, int]]) -> dict[str, NDArray[np.int64]]:
+    """Tag and dimension of groups by their names.
+
+    Of groups with the same name the second one, by dimension and tag, has its dimension behind it,
+    others that and their tags.
+
+    Parameters
+    ----------
+    groups : name, dimension and tag of each
+    """
+    out: dict[str, NDArray[np.int64]] = {}
+    for dim, tag, name in sorted((dim, tag, name) for name, dim, tag in groups):
+        last = f"{name} ({dim}D, {tag})"
+        title = next((t for t in (name, f"{name} ({dim}D)") if t not in out), last)
+        out[title] = np.array([tag, dim])
+    return out
+
+
+def plain(title: str, names: Mapping[str, Any]) -> str:
+    """Name of a group of :func:`titled` in its file."""
+    tag, dim = names[title]
+    for behind in (f" ({dim}D)", f" ({dim}D, {tag})"):
+        name = title.removesuffix(behind)
+        if title.endswith(behind) and name in names:
+            return name
+    return title
