@@ -80,7 +80,7 @@ TOOLKITS = {
                "adapters/formats/nastran.py", "adapters/formats/obj.py", "adapters/formats/ply.py",
                "adapters/formats/polygons.py", "adapters/formats/stl.py",
                "adapters/formats/su2.py", "adapters/formats/tetgen.py",
-               "adapters/formats/mdpa.py", "adapters/formats/xdmf.py", "cli/demo.py",
+               "adapters/formats/mdpa.py", "adapters/formats/vol.py", "adapters/formats/xdmf.py", "cli/demo.py",
                "distributed/store.py", "generate/fill.py", "hosts/script.py"},
     "gmsh": {"adapters/gmsh_files.py", "adapters/gmsh_model.py", "hosts/gmsh_methods.py",
              "compare/baselines/gmsh_optimize.py"},

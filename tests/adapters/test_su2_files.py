@@ -6,6 +6,7 @@ import re
 import warnings
 
 import contract
+import meshio
 import numpy as np
 import pytest
 
@@ -59,3 +60,37 @@ def test_all_but_places_and_cells_stays(numbered, end, tmp_path):
     texts = [re.split(rb"\r?\n", data[data.index(b"NPOIN"):])[1: 1 + len(points)]
              for data in (before, after)]
     assert [a == b for a, b in zip(*texts, strict=True)] == kept.tolist()
+
+
+@pytest.mark.parametrize("numbered", [True, False])
+def test_markers_stay_where_vertices_are_inserted(numbered, tmp_path):
+    points, cells, _ = contract.grid(3, 3)
+    inner = ((points > points.min(0)) & (points < points.max(0))).all(axis=1)
+    points[inner] += np.random.default_rng(1).uniform(-0.1, 0.1, (inner.sum(), 3)) * points.max()
+    faces = np.sort(np.concatenate([np.delete(cells, i, axis=1) for i in range(4)]), axis=1)
+    faces, count = np.unique(faces, axis=0, return_counts=True)
+    faces = faces[count == 1]
+    left = (points[faces][:, :, 0] == points[:, 0].min()).all(axis=1)
+
+    def rows(kind, table):
+        return [f"{kind} {' '.join(map(str, row))}{f' {k}' if numbered else ''}"
+                for k, row in enumerate(table.tolist())]
+
+    source, target = tmp_path / "a.su2", tmp_path / "b.su2"
+    source.write_text("\n".join([
+        "NDIME= 3", f"NELEM= {len(cells)}", *rows(10, cells), "% here", f"NPOIN= {len(points)}",
+        *(row[1:].lstrip() for row in rows("", points)), "NMARK= 2", "MARKER_TAG= inlet",
+        f"MARKER_ELEMS= {left.sum()}", *rows(5, faces[left]), "MARKER_TAG= wall",
+        f"MARKER_ELEMS= {(~left).sum()}", *rows(5, faces[~left]), ""]))
+    with warnings.catch_warnings():
+        warnings.simplefilter("error")
+        optimize_file(source, target, insert=True)
+    text, back = target.read_text(), meshio.read(target)
+    assert text[text.index("NMARK"):] == source.read_text()[source.read_text().index("NMARK"):]
+    assert "% here" in text
+    assert len(back.points) > len(points)
+    assert np.array_equal(back.points[: len(points)][~inner], points[~inner])
+    assert contract.volumes(back.points, back.cells[0].data).sum() == pytest.approx(
+        contract.volumes(points, cells).sum())
+    places = text[text.index("NPOIN"): text.index("NMARK")].split("\n")[1:-1]
+    assert not numbered or [int(line.split()[3]) for line in places] == list(range(len(places)))

@@ -7,7 +7,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from odt_plugins.adapters.formats.change import Change
+from odt_plugins.adapters.formats.change import Change, NotRewritable
 from odt_plugins.adapters.formats.decks import (
     REMARKS,
     Edit,
@@ -15,7 +15,6 @@ from odt_plugins.adapters.formats.decks import (
     as_lines,
     edited,
     expect_points,
-    expect_same_points,
     numbers,
     real,
     rows_of,
@@ -100,23 +99,24 @@ def read(path: Path) -> Any:
 
 
 def rewrite(source: Path, target: Path, change: Change) -> list[str]:
-    """Replace the places of points that moved, and the rows of cells that were exchanged.
+    """Replace points that moved, came or went, and the rows of cells that have other points.
 
     Raises
     ------
-    NotRewritable    points came or went
+    NotRewritable    points came or went, and the file tells that some belong to other parts
     """
-    expect_same_points(change)
     data = source.read_bytes()
     parts = _parsed(data)
     places: Any = np.asarray(change.after.points).tolist()
     edits: list[Edit] = [
         as_lines(data, parts.points.rows[v], [dict(enumerate(map(real, places[v])))])
-        for v in np.flatnonzero(change.moved).tolist()]
+        for v in np.flatnonzero(change.moved).tolist()] if not change.renumbered else _points(
+            data, parts, change)
     words: dict[tuple[int, int], list[dict[int, Any]]] = {}
     for b, (_, own) in enumerate(parts.blocks):
         fresh, rows = change.exchanged(b), change.cells[b]
-        if not fresh.any() and np.array_equal(rows, np.arange(len(own))):
+        same = np.array_equal(rows, np.arange(len(own)))
+        if not (change.renumbered or fresh.any()) and same:
             continue
         words |= {place: [] for place in own}
         after: Any = np.asarray(change.after.cells[b].data).tolist()
@@ -135,12 +135,7 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
             if edit[2] != data[row.start: row.stop]:
                 edits.append(edit)
         if count != len(section.rows):
-            head = section.head
-            text = data[head.start: head.stop]
-            key, _, rest = text.partition(b"=")
-            old = rest.split()[0]
-            edits.append((head.start, head.stop,
-                          key + b"=" + rest.replace(old, str(count).encode(), 1)))
+            edits.append(_counted(data, section.head, count))
     out = edited(data, edits)
     lost = []
     if b"\r" in out and parts.points.head.stop > CHUNK:
@@ -149,6 +144,32 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
                     "stand behind cells")
     target.write_bytes(out)
     return lost
+
+
+def _points(data: bytes, parts: Parts, change: Change) -> list[Edit]:
+    """What replaces points of which some came or went."""
+    section = parts.points
+    if len(data[section.head.start: section.head.stop].partition(b"=")[2].split()) > 1:
+        msg = "points came or went, and it tells how many are of other parts"
+        raise NotRewritable(msg)
+    places: Any = np.asarray(change.after.points).tolist()
+    moved, lines = change.moved, []
+    for v, (r, place) in enumerate(zip(change.points.tolist(), places, strict=True)):
+        row = section.rows[r]
+        words: dict[int, Any] = dict(enumerate(map(real, place))) if moved[v] else {}
+        if len(row.words) > parts.dim:
+            words[parts.dim] = v
+        line = as_lines(data, row, [words])[2]
+        lines.append(line if line.endswith((b"\n", b"\r")) else line + b"\n")
+    return [(section.rows[0].start, section.rows[-1].stop, b"".join(lines)),
+            _counted(data, section.head, len(lines))]
+
+
+def _counted(data: bytes, head: Row, count: int) -> Edit:
+    """The line of a keyword with another number of rows."""
+    key, _, rest = data[head.start: head.stop].partition(b"=")
+    return head.start, head.stop, key + b"=" + rest.replace(
+        rest.split()[0], str(count).encode(), 1)
 
 
 def _numbers(names: list[str]) -> dict[str, int]:
