@@ -198,5 +198,5 @@ def _run(mesh: Any, size: Any, wishes: dict[str, Any], options: Options) -> tupl
 
         return resized(_with_still_walls(simplices), chosen, leaving, wish)
 
-    wanted = Wanted(linear=True, sizes=name, refused=(*NOT_HERE, "free='inside'"))
+    wanted = Wanted(linear=True, sizes=name, refused=(*NOT_SIZED, "free='inside'"))
     return run_engine(mesh, options, engine, wanted)
