@@ -1,5 +1,7 @@
 """Meshes in pieces with inverted cells: untangled in their piece, or with those around it."""
 
+import re
+
 import contract
 import meshio
 import numpy as np
@@ -75,11 +77,10 @@ def test_what_no_pieces_around_mend_is_told_with_its_place_and_leaves_nothing(tm
                for x in ([1, 0, 0], [1, 1, 1])]
     mesh.points[corners] = mesh.points[corners[::-1]]
     mesh.write(file)
-    with pytest.raises(TangledMeshError, match=r"first: around \(.*\) in piece-2.vtu, in 1 piece "):
-        optimize_file(index, tmp_path / "out.pvtu")
-    assert not (tmp_path / "out.pvtu").exists()
     assert cli.main(["optimize", str(index), str(tmp_path / "out.pvtu"), "--quiet"]) == 1
-    assert "in piece-2.vtu" in capsys.readouterr().err
+    said = capsys.readouterr().err
+    assert re.search(r"first: around \(.*\) in piece-2.vtu, in 1 piece ", said), said
+    assert not (tmp_path / "out.pvtu").exists()
 
 
 def test_interfaces_of_regions_stay_while_pieces_are_untangled(tmp_path):

@@ -47,7 +47,7 @@ from odt_plugins.promise.volume import broken_promises
 
 
 def test_pieces_are_about_as_good_as_one_piece_and_fit_together(tmp_path):
-    start = ball(5000)
+    start = ball(3000)
     marker = (start.points[start.cells].mean(axis=1)[:, 0] > 0.1).astype(np.int64) + 3
     index = write_pieces(tmp_path / "in", start.points, start.cells,
                          bricks(start.points, start.cells, 4), marker=marker)
