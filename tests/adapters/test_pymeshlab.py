@@ -6,8 +6,6 @@ import functools
 import gc
 import os
 import re
-import subprocess
-import sys
 import tempfile
 
 import contract
@@ -683,33 +681,3 @@ def test_register_knows_its_toolkits(monkeypatch):
     monkeypatch.setattr("odt_plugins.errors.find_spec", lambda name: None)
     with pytest.raises(MissingDependencyError, match=r'pip install "odt-plugins\[pymeshlab\]"'):
         odt_plugins.register("pymeshlab")
-
-
-ORDERS = """
-import importlib, sys
-for name in sys.argv[1].split(","):
-    importlib.import_module(name)
-import numpy as np, open3d, pymeshlab, pyvista
-import odt_plugins
-odt_plugins.register("pymeshlab")
-meshes = pymeshlab.MeshSet()
-meshes.create_grid(numvertx=5, numverty=5)
-meshes.meshing_poly_to_tri()
-meshes.apply_filter("apply_coord_odt_smoothing")
-meshes.apply_coord_taubin_smoothing(stepsmoothnum=1)
-tets = pyvista.ImageData(dimensions=(3, 3, 3)).to_tetrahedra()
-better = odt_plugins.optimize(tets)
-sphere = open3d.geometry.TriangleMesh.create_sphere(resolution=5)
-sphere.compute_vertex_normals()
-print(type(better).__name__, meshes.current_mesh().face_number())
-"""
-
-
-@pytest.mark.parametrize("order", ["pymeshlab,open3d,pyvista", "pyvista,open3d,pymeshlab"])
-def test_toolkits_live_together_in_one_process(order):
-    pytest.importorskip("pyvista")
-    pytest.importorskip("open3d")
-    done = subprocess.run([sys.executable, "-c", ORDERS, order], capture_output=True, text=True,
-                          check=False)
-    assert done.returncode == 0, done.stderr[-800:]
-    assert done.stdout.split()[-2:] == ["UnstructuredGrid", "32"]
