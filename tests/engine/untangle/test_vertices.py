@@ -62,9 +62,7 @@ def test_cavities_neither_cross_interfaces_nor_take_frozen_cells():
     assert inserted(points, mesh_of(points, cells, regions=range(4)), bad, 1) is None
     for one in range(4):
         frozen = np.arange(4) == one
-        found = inserted(points, mesh_of(points, cells, frozen=frozen), bad, 1)
-        assert found is None or cells[one].tolist() in found.cells.tolist()
-    assert inserted(points, mesh_of(points, cells, frozen=bad), bad, 1) is None
+        assert inserted(points, mesh_of(points, cells, frozen=frozen), bad, 1) is None
 
 
 @given(d=st.sampled_from([2, 3]), seed=st.integers(0, 200), share=st.sampled_from([0.05, 0.3]))
