@@ -52,8 +52,10 @@ def run(name: str) -> None:
     import numpy as np
 
     from odt_plugins.api import optimize
+    from odt_plugins.conserve import After, conserved
     from odt_plugins.engine.cells.geometry import boundary_vertices
     from odt_plugins.generate import clouds
+    from odt_plugins.mesh.simplex import simplex_mesh
     from odt_plugins.remeshing import remesh
 
     for (mesh, vertices), options in RUNS[name].items():
@@ -66,6 +68,9 @@ def run(name: str) -> None:
             inside = ~boundary_vertices(cells, len(points))
             noise = np.random.default_rng(0).normal(scale=0.1, size=points.shape)
             optimize((points + noise * inside[:, None], cells), layers="improve")
+            before, same = simplex_mesh(points, cells)[0], np.arange(max(len(points), len(cells)))
+            after = After(0.9 * points, before.cells, same[:len(cells)], same[:len(points)])
+            conserved(before, after, {"": before.cells[:, 0] * 1.0}, {"": (points, after.points)})
             squeezed = points * np.where(np.arange(points.shape[1]) > 0, 1.0, 0.2)
             optimize((squeezed, cells), layers="improve")
 

@@ -228,6 +228,14 @@ def _nearest(
     return out
 
 
+def nearest_of(mesh: SimplexMesh, x: FloatArray, bodies: IntArray, threads: int = 1) -> IntArray:
+    """Those NEAR cells (k, NEAR) of a mesh, or all, whose barycentres are nearest to places (k, d)
+    in some of its bodies (k,).
+    """
+    centres = corner_mean(mesh.points, mesh.cells, threads)
+    return _nearest(centres, mesh.bodies(), x, bodies, NEAR, threads)
+
+
 def _groups(labels: IntArray) -> dict[int, NDArray[np.intp]]:
     """Indices of the cells of every label, increasing."""
     order = np.argsort(labels, kind="stable")

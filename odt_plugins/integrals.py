@@ -1,4 +1,4 @@
-"""By how much the integrals of cell arrays changed, since new cells take the data of old ones."""
+"""By how much the integrals of arrays changed, since a new mesh samples what the old one holds."""
 
 from __future__ import annotations
 
@@ -14,38 +14,45 @@ from odt_plugins.mesh.arrays import FloatArray, IntArray
 SAME = 1e-9
 """Relative change of an integral from which on it is told."""
 
+Pairs = Mapping[str, tuple[NDArray[Any], NDArray[Any]]]
+Mesh = tuple[FloatArray, IntArray]
 
-def changed_integrals(
-    arrays: Mapping[str, NDArray[Any]],
-    before: tuple[FloatArray, IntArray],
-    after: tuple[FloatArray, IntArray],
-    source: IntArray,
-) -> dict[str, float]:
+
+def changed_integrals(arrays: Pairs, before: Mesh, after: Mesh) -> dict[str, float]:
     """Relative changes of the sums of value by volume of cell that are larger than SAME.
 
     Parameters
     ----------
-    arrays : dict of (m, ...)         floating-point numbers, one or several for every cell before
-    before, after : points, cells     (n, d) float64 and (m, k) int32, both times
-    source : (m',) int                cell before from which each one has its values
+    arrays : dict of (m, ...), (m', ...)    floating-point numbers, one or several for every cell
+                                            before, and for every one after
+    before, after : points, cells           (n, d) float64 and (m, k) int32, both times
 
     Returns
     -------
-    dict of float                     by the integral of the absolute value before, and of several
-                                      numbers the largest; arrays that are not finite are left out
+    dict of float                           by the integral of the absolute value before, and of
+                                            several numbers the largest; arrays that are not finite
+                                            are left out
     """
     if not arrays:
         return {}
-    old, new = np.abs(volumes(*before)), np.abs(volumes(*after))
-    gained = np.bincount(source, new, len(old)) - old
+    sizes = np.abs(volumes(*before)), np.abs(volumes(*after))
     out = {}
-    for name, values in arrays.items():
-        rows = values.reshape(len(old), -1).astype(np.result_type(values, np.float64))
-        if not np.isfinite(rows).all():
+    for name, pair in arrays.items():
+        old, new = (values.reshape(len(size), -1).astype(np.result_type(values, np.float64))
+                    for values, size in zip(pair, sizes, strict=True))
+        if not (np.isfinite(old).all() and np.isfinite(new).all()):
             continue
-        change = np.abs((gained[:, None] * rows).sum(axis=0))
-        size = (old[:, None] * np.abs(rows)).sum(axis=0)
+        total = (sizes[0][:, None] * old).sum(axis=0)
+        change = np.abs((sizes[1][:, None] * new).sum(axis=0) - total)
+        size = (sizes[0][:, None] * np.abs(old)).sum(axis=0)
         told = change > SAME * size
         if told.any():
-            out[name] = float((change[told] / size[told]).max())
+            with np.errstate(divide="ignore"):
+                out[name] = float((change[told] / size[told]).max())
     return out
+
+
+def of_points(arrays: Pairs, before: Mesh, after: Mesh) -> Pairs:
+    """Means over the corners of every cell of values (n, ...), (n', ...) at the vertices."""
+    return {name: (old[before[1]].mean(axis=1), new[after[1]].mean(axis=1))
+            for name, (old, new) in arrays.items()}

@@ -23,7 +23,7 @@ Method = Literal["odt", "cpt", "laplacian", "cvt"]
 Solver = Literal["gauss-seidel", "jacobi", "richardson", "global", "lbfgs"]
 Connectivity = Literal["auto", "delaunay", "flips", "none"]
 Boundary = Literal["fixed", "slide"]
-Fields = Literal["auto", "interpolate", "keep"]
+Fields = Literal["auto", "interpolate", "conserve", "keep"]
 Repair = Literal["auto", "orient", "none"]
 LinearSolver = Literal["auto", "direct", "amg"]
 
@@ -236,7 +236,8 @@ class Options:
         "Point arrays of floating-point numbers: interpolate gives vertices that moved the value "
         "that the field of the input has there, keep lets values stay with their vertices, auto "
         "interpolates for tetrahedra and meshes in the plane unless they come from pymeshlab or "
-        "open3d, whose own filters keep. Other arrays, ids and normals stay in any case.",
+        "open3d, whose own filters keep. conserve keeps integrals over "
+        "regions, of such cell arrays too. Other arrays, ids and normals stay in any case.",
         choices=get_args(Fields)))
     layers: Layers = field(default="keep", metadata=_told(
         "What happens to layers, which are many tetrahedra, or triangles in the plane, that are "

@@ -8,7 +8,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,7 +17,6 @@ from odt_plugins.adapters.fields import named_array
 from odt_plugins.adapters.host import (
     Adapter,
     HostMesh,
-    NewVertices,
     Result,
     expect_linear_tetrahedra,
     words_of,
@@ -33,7 +32,7 @@ from odt_plugins.adapters.regions import AUTO, CHARTS, are_names
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.adapters.wedges import glued, without_seams
 from odt_plugins.aside import note, of_cells, seen, with_others, without_others
-from odt_plugins.carry import cell_origin, in_input_order, in_order_of, surrounding_cells
+from odt_plugins.carry import cell_origin, in_input_order, surrounding_cells
 from odt_plugins.curved import Kept, keep_curved, untangled_around
 from odt_plugins.errors import (
     InvalidMeshError,
@@ -41,7 +40,16 @@ from odt_plugins.errors import (
     UnsupportedMeshError,
     warn,
 )
-from odt_plugins.integrals import changed_integrals
+from odt_plugins.following import (
+    CONSERVE,
+    Prepared,
+    around,
+    expect_overlaps,
+    follow,
+    interpolated,
+    locating,
+    new_vertices,
+)
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.layers import keep_layers
 from odt_plugins.mesh.numbering import (
@@ -75,24 +83,6 @@ PLAIN = Wanted()
 """What is asked of a mesh with inverted or flat cells unless something else is."""
 LARGEST = 0.5
 """Envelope, as a part of the diagonal, up to which the sag of a surface is added to it."""
-
-
-class _Prepared(NamedTuple):
-    """A caller's mesh in the engine's form, and the way back.
-
-    `own` are the cells that it has of the caller's, if not all. Where it was untangled, `host` has
-    its new places and cells, and `tangle` says what it was.
-    """
-
-    adapter: Adapter
-    host: HostMesh
-    frame: PlaneFrame | None
-    mesh: SimplexMesh
-    orientation: int
-    same: NDArray[np.int64] | None = None
-    notes: tuple[str, ...] = ()
-    tangle: Tangle | None = None
-    own: NDArray[np.int64] | None = None
 
 
 def run_engine(
@@ -130,6 +120,7 @@ def run_engine(
         moves = work.host.geometry is not None and (work.mesh.is_surface or slides)
         leaving = partial(_as_it_leaves, work, options.threads, onto=moves)
         with words_of(work.host):
+            expect_overlaps(work, options)
             if wanted.sizes:
                 options = replace(options, density=named_array(given, wanted.sizes))
             options = of_cells(options, work.own, len(given.cells))
@@ -159,13 +150,12 @@ def run_engine(
     if work.tangle is not None:
         before, source = work.tangle.before, work.tangle.source[source]
         outcome = replace(outcome, origin=work.tangle.origin(outcome.origin))
-    fields = _interpolated(work, options)
-    around = partial(_around, work, options.threads)
+    fields = interpolated(work, options)
+    near = partial(around, work, options.threads)
     written = replace(outcome, written=points, cells=cells)
-    vertices = _new_vertices(work, written, around, moved=bool(fields))
-    changed = {} if work.tangle is not None else changed_integrals(
-        given.densities_of(work.own), (before.points, before.cells),
-        (outcome.points, outcome.cells), source)
+    vertices = new_vertices(work, written, near, moved=bool(fields),
+                            always=bool(fields) and options.fields == CONSERVE)
+    data = follow(work, given, outcome, vertices, options)
     if work.orientation < 0:
         cells = reverse(cells, np.ones(len(cells), dtype=np.bool_))
     if work.own is not None:
@@ -174,15 +164,16 @@ def run_engine(
             "cell_origin": cell_origin(work.host.ids, work.host.total, source),
             "interpolated": () if vertices is None else fields,
             "refused": wanted.refused + ("insert",) * given.higher_order,
-            "tangle": work.tangle, "curved": curved.facts, "layers": layers, "integrals": changed}
+            "tangle": work.tangle, "curved": curved.facts, "layers": layers,
+            "integrals": data.cell_integrals, "point_integrals": data.point_integrals}
     kind = work.host.cells.dtype
     if outcome.origin is not None and kind.kind != "f":
         kind = np.promote_types(kind, np.min_scalar_type(len(outcome.points) - 1))
     result = Result(
         points, cells.astype(kind), source, work.mesh.is_surface,
         feet_of(work.host, work.mesh, places, cells, outcome.origin),
-        vertices if not work.host.higher_order else None,
-        locate=_locating(work, around) if fields else None, same=same,
+        data.vertices if not work.host.higher_order else None,
+        locate=locating(work, near) if fields else None, same=same, of_cells=data.of_cells,
     )
     return work.adapter.write(result, given), before, outcome, told
 
@@ -199,7 +190,7 @@ def optimized(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
 
 
 def _run_kept(
-    work: _Prepared, given: HostMesh, engine: Callable[..., Outcome], options: Options,
+    work: Prepared, given: HostMesh, engine: Callable[..., Outcome], options: Options,
     leaving: Leaving,
 ) -> Kept:
     """What the engine makes of the mesh, as it leaves, with curved cells as good as before."""
@@ -224,7 +215,7 @@ def _run_kept(
         source=None if tangle is None else tangle.source)
 
 
-def _prepare(mesh: Any, options: Options, wanted: Wanted) -> tuple[_Prepared, HostMesh]:
+def _prepare(mesh: Any, options: Options, wanted: Wanted) -> tuple[Prepared, HostMesh]:
     """The mesh for the engine, and as it came."""
     adapter = find_adapter(mesh)
     names = options.regions if are_names(options.regions) else None
@@ -260,7 +251,7 @@ def _prepare(mesh: Any, options: Options, wanted: Wanted) -> tuple[_Prepared, Ho
 def _checked(
     adapter: Adapter, flat: tuple[FloatArray, PlaneFrame | None], options: Options,
     wanted: Wanted, host: HostMesh, *, keep_seams: bool,
-) -> _Prepared:
+) -> Prepared:
     """Check a mesh and fix what is to stay of it, the seams of its texture if asked to."""
     points, frame = flat
     labels: Any = host.regions
@@ -278,7 +269,7 @@ def _checked(
         if keep_seams:
             surface = hold_charts(surface, host.blocks)
         surface, notes = hold_places(surface, host, periodic="periodic" not in options.free)
-        return _Prepared(adapter, host, None, surface, 1, notes=notes + notes_on_sets(host.kept))
+        return Prepared(adapter, host, None, surface, 1, notes=notes + notes_on_sets(host.kept))
     tangled = False
     try:
         simplices, orientation = simplex_mesh(
@@ -298,11 +289,11 @@ def _checked(
         simplices, more = hold_places(simplices, host, periodic="periodic" not in options.free)
         notes += more
     notes += notes_on_sets(host.kept)
-    work = _Prepared(adapter, host, frame, simplices, orientation, notes=notes)
+    work = Prepared(adapter, host, frame, simplices, orientation, notes=notes)
     return _untangled(work, options, wanted) if tangled or wanted.rest is not None else work
 
 
-def _untangled(work: _Prepared, options: Options, wanted: Wanted) -> _Prepared:
+def _untangled(work: Prepared, options: Options, wanted: Wanted) -> Prepared:
     """The same mesh without inverted or flat cells, in the type of the caller."""
     host, frame, before = work.host, work.frame, work.mesh
 
@@ -326,9 +317,9 @@ def _untangled(work: _Prepared, options: Options, wanted: Wanted) -> _Prepared:
 
 
 def _of_soup(
-    found: _Prepared, work: Callable[..., _Prepared], host: HostMesh, same: NDArray[np.int64],
+    found: Prepared, work: Callable[..., Prepared], host: HostMesh, same: NDArray[np.int64],
     keep_seams: bool, gone: bool,
-) -> _Prepared:
+) -> Prepared:
     """The curved surface of a soup, vertices at the same place as one; others as they were found.
 
     Where vertices have texture coordinates those that have several stay.
@@ -381,7 +372,7 @@ def _in_frame(options: Options, frame: PlaneFrame | None) -> Options:
     return replace(options, density=lambda x: density(frame.to_space(x)))
 
 
-def _with_sag(options: Options, work: _Prepared) -> Options:
+def _with_sag(options: Options, work: Prepared) -> Options:
     """Let the envelope be that around the geometry, from which the surface of the input sags."""
     if work.host.geometry is None:
         return options
@@ -423,7 +414,7 @@ def _of_mesh(options: Options, tangle: Tangle | None) -> Options:
 
 
 def _as_it_leaves(
-    work: _Prepared, threads: int, outcome: Outcome, *, onto: bool = False
+    work: Prepared, threads: int, outcome: Outcome, *, onto: bool = False
 ) -> Outcome:
     """The outcome with the points that the caller will read, and cells in the order of the input's.
 
@@ -458,63 +449,3 @@ def _sorted_cells(
         before, points, old_numbers(origin, n)[cells], outcome.regions, threads
     )
     return new_numbers(origin, n)[cells], regions, source
-
-
-def _interpolated(work: _Prepared, options: Options) -> tuple[str, ...]:
-    """Names of the point arrays that are interpolated at vertices that moved."""
-    by_default = work.host.follows and not work.mesh.is_surface
-    chosen = options.fields == "interpolate" or (options.fields == "auto" and by_default)
-    return tuple(work.host.fields) if chosen else ()
-
-
-def _around(
-    work: _Prepared, threads: int, x: NDArray[Any], near: IntArray
-) -> tuple[IntArray, FloatArray]:
-    """Input cells in which places (k, D) lie or, on a curved surface, under them; coordinates."""
-    before = work.mesh if work.tangle is None else work.tangle.around
-    x = x if work.frame is None else work.frame.to_plane(x)
-    if not before.is_surface:
-        return surrounding_cells(before, x, near, threads)
-    from odt_plugins.engine.surface.judge import feet_on
-
-    return feet_on(before.points, before.cells, x)
-
-
-def _locating(work: _Prepared, around: Callable[..., Any]) -> Callable[..., Any]:
-    """What :func:`_around` does, with coordinates in the order of the caller's corners."""
-    rows = (work.mesh if work.tangle is None else work.tangle.around).cells
-    own: Any = work.own
-
-    def locate(x: NDArray[Any], near: IntArray) -> tuple[NDArray[Any], FloatArray]:
-        near = near if own is None else np.searchsorted(own[:-1], near).astype(near.dtype)
-        cell, weights = in_order_of(work.host.cells, rows, *around(x, near))
-        return cell if own is None else own[cell], weights
-
-    return locate
-
-
-def _new_vertices(
-    work: _Prepared, outcome: Outcome, around: Callable[..., Any], *, moved: bool
-) -> NewVertices | None:
-    """Where point data come from, when vertices came or went, or have others where they moved."""
-    before = work.mesh if work.tangle is None else work.tangle.around
-    n = len(before.points)
-    written: Any = outcome.written
-    origin = np.arange(n) if outcome.origin is None else outcome.origin
-    placed = origin < 0
-    if moved:
-        placed |= (written != work.host.points[origin]).any(axis=1)
-    if outcome.origin is None and not placed.any():
-        return None
-    star = np.zeros(n, dtype=np.int32)
-    star[before.cells] = np.arange(len(before.cells), dtype=np.int32)[:, None]
-    near = star[origin]
-    if outcome.origin is not None:
-        beside = np.zeros(len(written), dtype=np.int32)
-        source: Any = outcome.source
-        source = source if work.tangle is None else work.tangle.source_around[source]
-        beside[outcome.cells] = source[:, None]
-        near = np.where(origin < 0, beside, near)
-    cell, weights = around(written[placed].astype(np.float64), near[placed])
-    number = new_numbers(origin, n)[:n].astype(np.int64)
-    return NewVertices(origin, number, np.flatnonzero(placed), before.cells[cell], weights)

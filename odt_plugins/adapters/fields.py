@@ -26,11 +26,11 @@ that are computed anew, and which stay whatever their type."""
 def field_names(
     arrays: Mapping[str, NDArray[Any]], besides: Collection[str | None] = ()
 ) -> tuple[str, ...]:
-    """Names of the point arrays of floating-point numbers that sample a field.
+    """Names of the arrays of floating-point numbers that sample a field, or are densities.
 
     Parameters
     ----------
-    arrays : dict of (n, ...)    point arrays by their names
+    arrays : dict of (n, ...)    point or cell arrays by their names
     besides : names              of arrays that do not, such as normals and texture coordinates
     """
     return tuple(name for name, values in arrays.items()

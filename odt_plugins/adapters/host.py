@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
 import numpy as np
@@ -125,6 +126,7 @@ class NewVertices(NamedTuple):
                                 fields have other values
     corners : (k, d + 1) int32  input vertices around each of them
     weights : (k, d + 1)        with these barycentric coordinates, of sum 1
+    conserved : dict of (n', ...)   fields whose integrals stay, by their names
     """
 
     origin: NDArray[np.int64]
@@ -132,19 +134,25 @@ class NewVertices(NamedTuple):
     placed: NDArray[np.int64]
     corners: NDArray[np.int32]
     weights: NDArray[np.float64]
+    conserved: Mapping[str, NDArray[Any]] = MappingProxyType({})
 
     @property
     def renumbered(self) -> bool:
         """Whether vertices came or went."""
         return not np.array_equal(self.origin, np.arange(len(self.number)))
 
-    def carried(self, values: NDArray[Any], *, field: bool = True) -> NDArray[Any]:
+    def carried(
+        self, values: NDArray[Any], name: str = "", *, field: bool = True
+    ) -> NDArray[Any]:
         """Point data (n, ...) of the input for the vertices of the result, (n', ...).
 
         A vertex that is still there keeps its value, unless it moved and the values are those of a
         `field`. For one that was added, floating-point numbers are interpolated linearly, of
-        anything else the value of the nearest corner is taken.
+        anything else the value of the nearest corner is taken. Those whose integrals stay are
+        there already.
         """
+        if name in self.conserved:
+            return self.conserved[name].reshape(-1, *values.shape[1:])
         out = values[self.origin]
         added = self.origin[self.placed] < 0
         at_corners = values[self.corners]
@@ -209,6 +217,7 @@ class Result(NamedTuple):
                                cells (k,) around places (k, D) near some input cells (k,), and
                                their barycentric coordinates there
     same : (n,) int or None    of a soup, the first vertex at the place of every vertex
+    of_cells : dict of (m', ...)   densities whose integrals stay, by their names
     """
 
     points: NDArray[Any]
@@ -220,6 +229,13 @@ class Result(NamedTuple):
     split: Callable[[NDArray[Any]], NDArray[np.int64]] | None = None
     locate: Callable[[NDArray[Any], NDArray[Any]], tuple[NDArray[Any], NDArray[Any]]] | None = None
     same: NDArray[np.int64] | None = None
+    of_cells: Mapping[str, NDArray[Any]] = MappingProxyType({})
+
+    def carried(self, values: NDArray[Any], name: str) -> NDArray[Any]:
+        """Cell data (m', ...) of the result from those (m, ...) of the input."""
+        if name in self.of_cells:
+            return self.of_cells[name].reshape(-1, *values.shape[1:])
+        return values[self.source]
 
 
 class Adapter(Protocol):

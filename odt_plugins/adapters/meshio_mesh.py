@@ -192,7 +192,7 @@ def write(result: Result, host: HostMesh) -> Any:
         _renumber(out, result, result.vertices, host)
     elif result.vertices is not None:
         for name in host.fields:
-            out.point_data[name] = result.vertices.carried(np.asarray(out.point_data[name]))
+            out.point_data[name] = result.vertices.carried(np.asarray(out.point_data[name]), name)
     out.points = result.points
     if result.split is not None:
         _refine_others(out, result, host)
@@ -205,6 +205,8 @@ def write(result: Result, host: HostMesh) -> Any:
         _take(out, i, local, end - start)
         if origin is not None:
             origin.cells[i] = origin.cells[i][local]
+        for name, values in result.of_cells.items():
+            out.cell_data[name][i] = values[here]
     if result.curved and not host.higher_order:
         _renew_normals(out, result, host)
     if host.texture is not None:
@@ -300,7 +302,8 @@ def _renumber(out: Any, result: Result, vertices: NewVertices, host: HostMesh) -
             block.data = vertices.number[block.data].astype(block.data.dtype)
     entities = out.cell_data.get(CELL_ENTITIES)
     for name, values in out.point_data.items():
-        out.point_data[name] = vertices.carried(np.asarray(values), field=name in host.fields)
+        out.point_data[name] = vertices.carried(
+            np.asarray(values), name, field=name in host.fields)
         if name == NODE_ENTITIES and entities is not None:
             of_cells = np.concatenate([entities[i] for i in host.layout])[result.source]
             _set_entities(out.point_data[name], 3, result.cells, vertices.origin < 0, of_cells)

@@ -69,7 +69,8 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
             cells=np.array(mesh.tetras),
             regions=region_labels({}, regions, np.array(mesh.tetras)).values,
             source=mesh,
-            fields=sampled({"vertex_colors": np.asarray(mesh.vertex_colors)}),
+            fields=sampled({"vertex_colors": np.array(mesh.vertex_colors)}
+                           if mesh.has_vertex_colors() else {}),
             follows=False,
             words=partial(in_words, mesh=mesh),
         )
@@ -96,7 +97,7 @@ def write(result: Result, host: HostMesh) -> Any:
                 if len(values):
                     field = name in host.fields
                     setattr(out, name, Vector3dVector(
-                        result.vertices.carried(values, field=field)))
+                        result.vertices.carried(values, name, field=field)))
         return out
     return _write_triangles(out, result, host)
 
@@ -189,7 +190,7 @@ def _write_triangles(out: Any, result: Result, host: HostMesh) -> Any:
             np.array(mesh.triangle_material_ids)[result.source])
     if host.fields and result.vertices is not None:
         out.vertex_colors = Vector3dVector(
-            result.vertices.carried(np.array(mesh.vertex_colors)))
+            result.vertices.carried(np.array(mesh.vertex_colors), "vertex_colors"))
     out.triangle_normals, out.vertex_normals = nowhere, nowhere
     if mesh.has_triangle_normals():
         out.compute_triangle_normals()
@@ -213,7 +214,7 @@ def _write_tensor(result: Result, host: HostMesh, same: bool) -> Any:
         return out
     moved = result.vertices
     data = {} if moved is None else {
-        name: moved.carried(values, field=name in host.fields)
+        name: moved.carried(values, name, field=name in host.fields)
         for name, values in _point_data(mesh).items()
         if name in host.fields or moved.renumbered}
     for values, arrays in ((out.vertex, data | {"positions": result.points}),
@@ -237,7 +238,7 @@ def _triangle_data(result: Result, host: HostMesh) -> dict[str, NDArray[Any]]:
         if name == "texture_uvs":
             data[name] = carried(host.layout, host.cells, result)
         elif name not in ("indices", "normals"):
-            data[name] = np.array(values.cpu().numpy())[result.source]
+            data[name] = result.carried(np.array(values.cpu().numpy()), name)
     return data
 
 

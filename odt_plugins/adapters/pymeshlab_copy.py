@@ -209,10 +209,10 @@ def _add_from_file(meshes: Any, mesh: Any, result: Result) -> None:
     for attribute in attributes:
         values = attribute.values(mesh)
         if "face" in attribute.reader:
-            values = values[result.source]
+            values = result.carried(values, attribute.name)
         elif result.vertices is not None:
             field = bool(field_names({attribute.name: values}))
-            values = result.vertices.carried(values, field=field)
+            values = result.vertices.carried(values, attribute.name, field=field)
         attribute.add(inner, values)
 
 

@@ -22,6 +22,7 @@ from odt_plugins.adapters.pymeshlab_copy import (
     textures,
     without_pictures,
 )
+from odt_plugins.adapters.pymeshlab_ply import FACE_SCALAR
 from odt_plugins.adapters.wedges import carried, slid
 from odt_plugins.errors import DataNotKeptWarning, warn
 
@@ -63,7 +64,9 @@ def result_in_place(meshes: Any, result: Result) -> Result | None:
     order[here] = there
     if feet is not None:
         feet = feet._replace(under=feet.under[order], corners=feet.corners[order])
-    return result._replace(cells=result.cells[order], source=result.source[order], feet=feet)
+    of_cells = {name: values[order] for name, values in result.of_cells.items()}
+    return result._replace(cells=result.cells[order], source=result.source[order], feet=feet,
+                           of_cells=of_cells)
 
 
 def can_be_set(meshes: Any, result: Result) -> bool:
@@ -96,7 +99,8 @@ def set_faces(meshes: Any, result: Result) -> None:
     mesh = meshes.current_mesh()
     n, old, cells = mesh.vertex_number(), mesh.face_matrix(), result.cells
     selected = mesh.face_selection_array()[result.source]
-    scalars = mesh.face_scalar_array()[result.source] if mesh.has_face_scalar() else None
+    scalars = mesh.face_scalar_array() if mesh.has_face_scalar() else None
+    scalars = None if scalars is None else result.carried(scalars, FACE_SCALAR)
     colours = mesh.face_color_matrix()[result.source] if mesh.has_face_color() else None
     wedges = uv = None
     if mesh.has_wedge_tex_coord():

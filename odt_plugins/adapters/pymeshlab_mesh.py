@@ -45,6 +45,7 @@ from odt_plugins.adapters.pymeshlab_faces import (
     result_in_place,
     set_faces,
 )
+from odt_plugins.adapters.pymeshlab_ply import FACE_SCALAR, VERTEX_SCALAR
 from odt_plugins.adapters.pymeshlab_set import copy_of_set, exchange
 from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.wedges import charts
@@ -119,7 +120,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         words=lambda text: text.replace("merging vertices at the same place",
                                         "meshing_remove_duplicate_vertices()"),
         fields=sampled(_vertex_data(inner, copy)),
-        densities=sampled(arrays),
+        densities=sampled(arrays | _face_scalar(inner)),
         follows=False,
     )
 
@@ -161,7 +162,13 @@ def _vertex_data(mesh: Any, meshes: Any) -> dict[str, NDArray[Any]]:
     out = {attribute.name: attribute.values(mesh) for attribute in custom_attributes(meshes)
            if attribute.reader.startswith("vertex")}
     scalars = np.array(mesh.vertex_scalar_array())
-    return out | ({"vertex scalar": scalars} if scalars.any() else {})
+    return out | ({VERTEX_SCALAR: scalars} if scalars.any() else {})
+
+
+def _face_scalar(mesh: Any) -> dict[str, NDArray[Any]]:
+    """Scalars of the faces, where there are others than 0."""
+    scalars = np.array(mesh.face_scalar_array()) if mesh.has_face_scalar() else np.zeros(0)
+    return {FACE_SCALAR: scalars} if scalars.any() else {}
 
 
 def _labels(mesh: Any, names: list[Attribute]) -> dict[str, NDArray[Any]]:

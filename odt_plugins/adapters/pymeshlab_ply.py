@@ -14,6 +14,9 @@ from odt_plugins.adapters.wedges import carried, slid
 SELECTED = 0x20
 """Bit of a selected vertex or face in the property `flags` of MeshLab's PLY files."""
 
+VERTEX_SCALAR, FACE_SCALAR = "vertex scalar", "face scalar"
+"""Names of MeshLab's own scalars among custom attributes."""
+
 Columns = list[tuple[str, str, Any]]
 """Title in the header (none for the length of a list), numpy dtype and values of each column."""
 
@@ -41,16 +44,18 @@ def encode(
         (f"double {axis}", "<f8", column)
         for axis, column in zip("xyz", result.points.T, strict=True)
     ]
-    def of_vertices(values: NDArray[Any], *, field: bool = False) -> NDArray[Any]:
+    def of_vertices(
+        values: NDArray[Any], name: str = "", *, field: bool = False
+    ) -> NDArray[Any]:
         moved = result.vertices
-        return values if moved is None else moved.carried(values, field=field)
+        return values if moved is None else moved.carried(values, name, field=field)
 
     selected = of_vertices(np.asarray(mesh.vertex_selection_array()))
     vertex.append(("int flags", "<i4", SELECTED * selected))
     if mesh.has_vertex_color():
         vertex += _colours(of_vertices(mesh.vertex_color_matrix()))
     if mesh.has_vertex_scalar():
-        scalars = of_vertices(mesh.vertex_scalar_array(), field=True)
+        scalars = of_vertices(mesh.vertex_scalar_array(), VERTEX_SCALAR, field=True)
         vertex.append(("double quality", "<f8", scalars))
     if mesh.has_vertex_tex_coord():
         uv = slid(mesh.vertex_tex_coord_matrix(), mesh.face_matrix(), result.feet)
@@ -72,7 +77,8 @@ def encode(
     if mesh.has_face_color():
         face += _colours(mesh.face_color_matrix()[source])
     if mesh.has_face_scalar():
-        face.append(("double quality", "<f8", mesh.face_scalar_array()[source]))
+        scalars = result.carried(mesh.face_scalar_array(), FACE_SCALAR)
+        face.append(("double quality", "<f8", scalars))
     body += _element(header, "face", m, face)
 
     edges = mesh.edge_matrix()

@@ -151,8 +151,8 @@ def write(result: Result, host: HostMesh) -> Any:
         rows = _write_higher_order(out, result, host)
     if vertices is not None and nodes is None:
         _carry_point_data(out, host.source, lambda name, values: vertices.carried(
-            values, field=name in host.fields), tuple(host.fields) if number is None else None)
-    _carry_cell_data(out, host.source, rows)
+            values, name, field=name in host.fields), list(host.fields) if number is None else None)
+    _carry_cell_data(out, host.source, rows, result, ids)
     if result.curved and nodes is None:
         _follow_surface(out, result, host, rows)
     return out
@@ -405,14 +405,22 @@ def _write_polydata(out: Any, result: Result, ids: IndexArray) -> IndexArray:
     return np.concatenate([np.arange(ids[0]), ids[result.source]])
 
 
-def _carry_cell_data(out: Any, source: Any, rows: IndexArray) -> None:
+def _carry_cell_data(
+    out: Any, source: Any, rows: IndexArray, result: Result, ids: IndexArray
+) -> None:
     """Give every cell the data of the cell it came from, and make the same arrays active.
+
+    Densities whose integrals stay are those of the result, in the place of cells with these `ids`.
 
     A single complex number comes from pyvista without its axis.
     """
     old, new = source.cell_data, out.cell_data
     for name in old.keys():
-        new.set_array(np.atleast_1d(old[name])[rows], name)
+        values = np.atleast_1d(old[name])[rows]
+        if name in result.of_cells:
+            own = result.of_cells[name]
+            values[np.isin(rows, ids)] = own.reshape(len(own), *values.shape[1:])
+        new.set_array(values, name)
     _make_active(new, old)
 
 

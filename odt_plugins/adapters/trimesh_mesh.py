@@ -100,12 +100,12 @@ def write(result: Result, host: HostMesh) -> Any:
     if host.texture is not None and result.feet is not None:
         out.visual.uv = slid(host.texture, host.cells, result.feet)
     for name, values in _of_length(mesh.face_attributes, len(host.cells)).items():
-        out.face_attributes[name] = values[result.source]
+        out.face_attributes[name] = result.carried(values, name)
     if moved is not None:
         known = _of_length(mesh.vertex_attributes, len(host.points)) if anew else host.fields
         for name in known:
             values = np.asarray(mesh.vertex_attributes[name])
-            out.vertex_attributes[name] = moved.carried(values, field=name in host.fields)
+            out.vertex_attributes[name] = moved.carried(values, name, field=name in host.fields)
     return out
 
 

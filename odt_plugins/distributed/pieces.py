@@ -124,6 +124,10 @@ def _check_for_pieces(options: Options) -> None:
         msg = (f"got {name} for a mesh in pieces; expected a boundary and vertices that stay, "
                "try blocks=, in memory")
         raise InvalidOptionError(msg)
+    if options.fields == "conserve":
+        msg = ("got fields='conserve' for a mesh in pieces; expected 'auto', 'interpolate' or "
+               "'keep', try blocks=, in memory")
+        raise InvalidOptionError(msg)
     for name in ("fixed", "selection"):
         if getattr(options, name) is not None:
             msg = f"got {name} for a mesh in pieces; expected options that every piece can tell"

@@ -162,6 +162,10 @@ def refine_with_report(
                               volumes
     """
     chosen = make_options(**options)
+    if chosen.fields == "conserve":
+        msg = ("got fields='conserve' for refinement, whose levels interpolate; expected 'auto', "
+               "'interpolate' or 'keep'")
+        raise InvalidOptionError(msg)
     check_levels(levels, edge_length, options)
     with telling(chosen.progress, "coarse mesh") as tell:
         return _refined(mesh, levels, surface, edge_length, options, replace(chosen, progress=tell))

@@ -59,5 +59,5 @@ def report_of_parts(parts: Sequence[Report]) -> Report:
         parts[0], before=replace(before, turned=sum(part.before.turned for part in parts)),
         after=after, histogram_before=histograms[0], histogram_after=histograms[1], energy=(),
         stop_reason="", fallback="; ".join(fallbacks) or None, binding=(), slid=None, surface=None,
-        cell_origin=None, notes=(), untangled=None, curved=None, integrals={}, vetoed=None,
-        meshes=tuple(meshes), parts=tuple(parts), **told)
+        cell_origin=None, notes=(), untangled=None, curved=None, integrals={},
+        point_integrals={}, vetoed=None, meshes=tuple(meshes), parts=tuple(parts), **told)

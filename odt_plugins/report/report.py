@@ -83,6 +83,7 @@ class Report:
     integrals : dict name -> float          relative changes of the sums of value by volume of cell
                                             of cell arrays, by the sum of the absolute values, where
                                             larger than 1e-9; none of untangled meshes
+    point_integrals : dict name -> float    the same of point arrays
     filled : Covered or None                how the surface that was filled and the boundary of the
                                             tetrahedra lie to each other, see
                                             :func:`odt_plugins.tetrahedralize`
@@ -121,6 +122,7 @@ class Report:
     untangled: Mapping[str, Any] | None = None
     curved: Mapping[str, float] | None = None
     integrals: Mapping[str, float] = dataclasses.field(default_factory=dict)
+    point_integrals: Mapping[str, float] = dataclasses.field(default_factory=dict)
     filled: Any = None
     vetoed: Mapping[str, Any] | None = None
     meshes: tuple[tuple[NDArray[Any], NDArray[Any]], ...] = dataclasses.field(
@@ -160,8 +162,9 @@ class Report:
             lines.append(
                 f"layers {self.layers} cells that are stretched alike with their neighbours stay "
                 "as they are; layers='improve' lets them change")
-        if self.integrals:
-            lines.append(integrals_line(self.integrals))
+        for kind, changes in (("cell", self.integrals), ("point", self.point_integrals)):
+            if changes:
+                lines.append(integrals_line(kind, changes))
         lines += [f"note   {note}" for note in self.notes]
         if self.untangled:
             lines += _untangled_lines(self.untangled)
@@ -398,10 +401,10 @@ def fields_line(names: tuple[str, ...]) -> str:
     return f"fields interpolated at the new places of vertices: {', '.join(map(repr, names))}"
 
 
-def integrals_line(changes: Mapping[str, float]) -> str:
-    """Say which cell arrays have other integrals than before."""
+def integrals_line(kind: str, changes: Mapping[str, float]) -> str:
+    """Say which arrays have other integrals."""
     told = ", ".join(f"{name!r} by {change:.3g}" for name, change in changes.items())
-    return f"integrals of cell arrays changed, relative to those of absolute values: {told}"
+    return f"integrals of {kind} arrays changed, relative to those of absolute values: {told}"
 
 
 def _untangled_lines(facts: Mapping[str, Any]) -> list[str]:

@@ -1,0 +1,174 @@
+"""The way back of data: from which cells and vertices the caller's arrays follow the mesh."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.adapters.host import Adapter, HostMesh, NewVertices
+from odt_plugins.carry import in_order_of, surrounding_cells
+from odt_plugins.conserve import After, conserved
+from odt_plugins.errors import TangledMeshError, UnsupportedMeshError
+from odt_plugins.integrals import changed_integrals, of_points
+from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.numbering import new_numbers
+from odt_plugins.mesh.plane import PlaneFrame
+from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.options import Options
+from odt_plugins.untangling import Tangle
+
+if TYPE_CHECKING:
+    from odt_plugins.engine.run.outcome import Outcome
+
+CONSERVE = "conserve"
+"""Value of the option `fields` with which integrals stay."""
+
+
+class Prepared(NamedTuple):
+    """A caller's mesh in the engine's form, and the way back.
+
+    `own` are the cells that it has of the caller's, if not all. Where it was untangled, `host` has
+    its new places and cells, and `tangle` says what it was.
+    """
+
+    adapter: Adapter
+    host: HostMesh
+    frame: PlaneFrame | None
+    mesh: SimplexMesh
+    orientation: int
+    same: NDArray[np.int64] | None = None
+    notes: tuple[str, ...] = ()
+    tangle: Tangle | None = None
+    own: NDArray[np.int64] | None = None
+
+
+class Followed(NamedTuple):
+    """Data on the new mesh.
+
+    Attributes
+    ----------
+    vertices : NewVertices or None
+    of_cells : dict of (m', ...)                     cell arrays whose integrals stay
+    cell_integrals, point_integrals : dict of float  how much others changed, by their names
+    """
+
+    vertices: NewVertices | None
+    of_cells: Mapping[str, NDArray[Any]]
+    cell_integrals: Mapping[str, float]
+    point_integrals: Mapping[str, float]
+
+
+def follow(
+    work: Prepared, given: HostMesh, outcome: Outcome, vertices: NewVertices | None,
+    options: Options,
+) -> Followed:
+    """Let arrays keep their integrals if that is asked for, and say where these are others."""
+    if work.tangle is not None:
+        return Followed(vertices, {}, {}, {})
+    before, source = work.mesh, np.asarray(outcome.source)
+    cells = given.densities_of(work.own)
+    old_points = {} if work.same is not None or given.higher_order else dict(given.fields)
+    points = {name: (values, values if vertices is None else vertices.carried(
+        values, field=name in interpolated(work, options))) for name, values in old_points.items()}
+    kept: dict[str, NDArray[Any]] = {}
+    if options.fields == CONSERVE and outcome.cells is not before.cells:
+        origin = np.arange(len(before.points)) if outcome.origin is None else outcome.origin
+        labels = work.host.regions_from
+        kept, at_vertices = conserved(
+            before, After(outcome.points, outcome.cells, source, origin),
+            {name: values for name, values in cells.items() if name not in labels}, points,
+            options.threads)
+        points |= {name: (points[name][0], values) for name, values in at_vertices.items()}
+        vertices = vertices and vertices._replace(conserved=at_vertices)
+    meshes = (before.points, before.cells), (outcome.points, outcome.cells)
+    told = changed_integrals({name: (values, kept.get(name, values[source]))
+                              for name, values in cells.items()}, *meshes)
+    return Followed(vertices, kept, told, changed_integrals(of_points(points, *meshes), *meshes))
+
+
+def expect_overlaps(work: Prepared, options: Options) -> None:
+    """Refuse meshes whose cells have no exact overlaps with others, if these are asked for.
+
+    Raises
+    ------
+    UnsupportedMeshError    cells of higher order
+    TangledMeshError        inverted or flat cells
+    """
+    if options.fields != CONSERVE:
+        return
+    if work.host.higher_order:
+        msg = ("got fields='conserve' for cells of higher order; expected linear cells, which are "
+               "clipped exactly, try fields='interpolate'")
+        raise UnsupportedMeshError(msg)
+    if work.tangle is not None:
+        msg = ("got fields='conserve' for a mesh with inverted or flat cells, over which integrals "
+               "mean nothing; try fields='interpolate', or untangling it first")
+        raise TangledMeshError(msg)
+
+
+def interpolated(work: Prepared, options: Options) -> tuple[str, ...]:
+    """Names of the point arrays that are interpolated at vertices that moved."""
+    by_default = work.host.follows and not work.mesh.is_surface
+    chosen = options.fields in ("interpolate", CONSERVE)
+    chosen = chosen or (options.fields == "auto" and by_default)
+    return tuple(work.host.fields) if chosen else ()
+
+
+def around(
+    work: Prepared, threads: int, x: NDArray[Any], near: IntArray
+) -> tuple[IntArray, FloatArray]:
+    """Input cells in which places (k, D) lie or, on a curved surface, under them; coordinates."""
+    before = work.mesh if work.tangle is None else work.tangle.around
+    x = x if work.frame is None else work.frame.to_plane(x)
+    if not before.is_surface:
+        return surrounding_cells(before, x, near, threads)
+    from odt_plugins.engine.surface.judge import feet_on
+
+    return feet_on(before.points, before.cells, x)
+
+
+def locating(work: Prepared, around: Callable[..., Any]) -> Callable[..., Any]:
+    """What :func:`around` does, with coordinates in the order of the caller's corners."""
+    rows = (work.mesh if work.tangle is None else work.tangle.around).cells
+    own: Any = work.own
+
+    def locate(x: NDArray[Any], near: IntArray) -> tuple[NDArray[Any], FloatArray]:
+        near = near if own is None else np.searchsorted(own[:-1], near).astype(near.dtype)
+        cell, weights = in_order_of(work.host.cells, rows, *around(x, near))
+        return cell if own is None else own[cell], weights
+
+    return locate
+
+
+def new_vertices(
+    work: Prepared, outcome: Outcome, around: Callable[..., Any], *, moved: bool,
+    always: bool = False,
+) -> NewVertices | None:
+    """Where point data come from, when vertices came or went, or have others where they moved.
+
+    If cells that change alone give vertices other data, it is asked for `always`.
+    """
+    before = work.mesh if work.tangle is None else work.tangle.around
+    n = len(before.points)
+    written: Any = outcome.written
+    origin = np.arange(n) if outcome.origin is None else outcome.origin
+    placed = origin < 0
+    if moved:
+        placed |= (written != work.host.points[origin]).any(axis=1)
+    if outcome.origin is None and not placed.any() and not always:
+        return None
+    star = np.zeros(n, dtype=np.int32)
+    star[before.cells] = np.arange(len(before.cells), dtype=np.int32)[:, None]
+    near = star[origin]
+    if outcome.origin is not None:
+        beside = np.zeros(len(written), dtype=np.int32)
+        source: Any = outcome.source
+        source = source if work.tangle is None else work.tangle.source_around[source]
+        beside[outcome.cells] = source[:, None]
+        near = np.where(origin < 0, beside, near)
+    cell, weights = around(written[placed].astype(np.float64), near[placed])
+    number = new_numbers(origin, n)[:n].astype(np.int64)
+    return NewVertices(origin, number, np.flatnonzero(placed), before.cells[cell], weights)
