@@ -397,7 +397,7 @@ def regions_line(names: tuple[str, ...]) -> str:
 
 
 def fields_line(names: tuple[str, ...]) -> str:
-    """Say which point arrays were interpolated."""
+    """Say which were interpolated."""
     return f"fields interpolated at the new places of vertices: {', '.join(map(repr, names))}"
 
 
