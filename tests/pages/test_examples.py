@@ -122,6 +122,24 @@ def test_a_sizing_field_is_kept():
     assert kept < spread + 0.01
 
 
+def test_adaptive_elements_reach_the_optimal_rate(here, capsys):
+    for name in ("skfem", "matplotlib"):
+        pytest.importorskip(name)
+    adaptive = example("adaptive")
+    adaptive.WAYS.pop("mmg")
+    found = adaptive.main(["plane", "--cells", "1200", "--picture", str(here / "adaptive.png")])[2]
+    best, plain = found["remesh"][-1], found["halved"][-1]
+    assert adaptive.rate(found["remesh"]) > 0.48
+    assert adaptive.rate(found["halved"], 2) < 0.36
+    assert best.unknowns < plain.unknowns
+    assert best.error < 0.6 * plain.error
+    cold = adaptive.solve(best.mesh)
+    assert cold.error == pytest.approx(best.error, rel=1e-5)
+    assert best.steps < cold.steps
+    assert "| plane | remesh |" in capsys.readouterr().out
+    assert min(colours(here / "adaptive.png")) > 5
+
+
 def test_pyvista_renders_without_a_window(here):
     """In a process of its own: a graphics driver that is missing ends it."""
     for name in ("pyvista", "matplotlib"):
