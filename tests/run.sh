@@ -1,9 +1,9 @@
 #!/usr/bin/env bash
 # Sets up what the tests need, then runs ruff, mypy and pytest. Quick the second time.
 #   bash tests/run.sh [arguments of pytest]
-# Without arguments the numerical tests run again for other processors: a newer one's BLAS, then an
-# older one's, with kernels without the instructions that came after SSE4.2; and the runs for which
-# kernels are compiled at installation, with kernels that check every index.
+# Without arguments the numerical tests run again with the BLAS of a newer processor, then with that
+# of an older one and kernels that have no instruction that came after SSE4.2 and check every index;
+# these are compiled once, by the runs for which kernels are compiled at installation.
 # Uses the active virtual environment, or makes .venv beside pyproject.toml.
 set -euo pipefail
 cd "$(dirname "$0")/.."
@@ -17,14 +17,18 @@ WHOLE="tests/engine/run/test_bits.py"
 PARTS="tests/paper/test_paper_energy.py tests/paper/test_paper_global.py
        tests/paper/test_paper_gradient.py tests/paper/test_paper_smoothing.py"
 
-newer() { OPENBLAS_CORETYPE=Haswell python -m pytest -p no:cacheprovider "$@"; }
+newer() { OPENBLAS_CORETYPE=Haswell python "$@"; }
 
 # The name alone leaves numba the features of this machine.
 older() {
     OPENBLAS_CORETYPE=Prescott NUMBA_CPU_NAME=x86-64-v2 \
+    NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR="$kept" \
     NUMBA_CPU_FEATURES="+64bit,+cmov,+cx16,+cx8,+fxsr,+mmx,+popcnt,+sahf,+sse,+sse2,+sse3,+ssse3,+sse4.1,+sse4.2" \
-        python -m pytest -p no:cacheprovider "$@"
+        python "$@"
 }
+
+compiled() { older -c "from odt_plugins.ahead import run; run('$1')"; }
+tested() { "$1" -m pytest -p no:cacheprovider "${@:2}"; }
 
 enter_environment
 # Side by side, as each keeps one core busy; whatever fails, packages are never left half installed.
@@ -34,33 +38,39 @@ if can_install; then system_packages & system=$!; else system_packages; fi
 install_package "all,test"
 
 echo "== ruff";   python -m ruff check .
-echo "== mypy";   python -m mypy
 if [ -n "$system" ]; then wait "$system"; fi
-echo "== pytest"
 if [ $# -gt 0 ]; then
-    python -m pytest "$@"
+    echo "== mypy";   python -m mypy
+    echo "== pytest"; python -m pytest "$@"
     exit
 fi
-# Tests that stand together run in the same process, which imports their toolkits once.
-python -m pytest -n 2 --dist worksteal
-[ "$(uname -m)" = x86_64 ] || exit 0
-# Whole runs compile all their kernels for the older processor: the rest goes on beside them.
-echo "== pytest, numerical tests, BLAS of Prescott and kernels for x86-64-v2, whole runs"
-told="$(mktemp)" failed=0
+kept="$(mktemp -d)" told="$(mktemp)" failed=0
+trap 'rm -r "$kept" "$told"' EXIT
+# Types are checked beside the tests, some of which wait for others.  Tests that stand together run
+# in the same process, which imports their toolkits once.
+python -m mypy >"$told" 2>&1 &
+beside=$!
+echo "== pytest"
+python -m pytest -n 2 --dist worksteal || failed=1
+echo "== mypy"
+wait $beside || failed=1
+cat "$told"
+[ $failed = 0 ] && [ "$(uname -m)" = x86_64 ] || exit $failed
+echo "== runs of the installation, kernels for x86-64-v2, every index checked"
 {
+    compiled triangles || failed=1
     echo "== pytest, numerical tests, BLAS of Haswell"
-    newer $WHOLE $PARTS || failed=1
-    echo "== pytest, numerical tests, BLAS of Prescott and kernels for x86-64-v2, the rest"
-    older $PARTS || failed=1
-    echo "== runs of the installation, every index checked"
-    checked="$(mktemp -d)"
-    NUMBA_BOUNDSCHECK=1 python -m odt_plugins.ahead "$checked" || failed=1
-    rm -r "$checked"
+    tested newer $PARTS || failed=1
     exit $failed
 } >"$told" 2>&1 &
 beside=$!
-older $WHOLE || failed=1
+compiled cells || failed=1
 wait $beside || failed=1
 cat "$told"
-rm "$told"
+echo "== pytest, numerical tests, BLAS of Prescott, kernels for x86-64-v2, every index checked"
+tested older $PARTS >"$told" 2>&1 &
+beside=$!
+tested older $WHOLE || failed=1
+wait $beside || failed=1
+cat "$told"
 exit $failed
