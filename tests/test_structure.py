@@ -69,7 +69,7 @@ ENGINE = ("compiled", "topology", "cells", "record", "moves", "ground", "odt", "
 
 TOOLKITS = {
     "pyvista": {"adapters/pyvista_mesh.py", "hosts/pyvista_accessor.py", "report/plotting.py",
-                "cli/demo.py", "compare/hull.py"},
+                "cli/demo.py", "compare/hull.py", "compare/baselines/pyacvd_cluster.py"},
     "vtkmodules": {"adapters/pyvista_mesh.py", "adapters/vtk_files.py", "adapters/vtk_mesh.py",
                    "hosts/paraview_plugin.py",
                    "report/plotting.py"},
@@ -86,7 +86,7 @@ TOOLKITS = {
                "adapters/formats/xdmf.py", "cli/demo.py",
                "distributed/store.py", "generate/fill.py", "hosts/script.py"},
     "gmsh": {"adapters/gmsh_files.py", "adapters/gmsh_model.py", "hosts/gmsh_methods.py",
-             "compare/baselines/gmsh_optimize.py"},
+             "compare/baselines/gmsh_optimize.py", "compare/baselines/gmsh_remesh.py"},
     "netCDF4": {"adapters/formats/exodus.py", "adapters/formats/exodus_copy.py",
                 "adapters/formats/exodus_write.py"},
     "h5py": {"adapters/formats/med.py", "adapters/formats/med_copy.py",
@@ -109,7 +109,7 @@ TOOLKITS = {
     "cupy": set(),
     "dask": {"distributed/cluster.py"},
     "distributed": {"distributed/cluster.py"},
-    "igl": {"engine/ground/reference.py", "engine/odt/cholesky.py",
+    "igl": {"compare/sized.py", "engine/ground/reference.py", "engine/odt/cholesky.py",
             "generate/bodies.py"},
 }
 """Files that may import a toolkit, inside a function."""

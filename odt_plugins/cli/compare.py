@@ -21,18 +21,19 @@ from odt_plugins.generate.clouds import SEED
 from odt_plugins.report.machine import describe
 from odt_plugins.report.template import check_page
 
-CHOSEN_SUITES = ("standard", "large", "tangled")
+CHOSEN_SUITES = ("standard", "large", "tangled", "remesh")
 
 
 @click.command(short_help="Measure other tools on the same meshes.")
 @click.argument("sources", metavar="[MESH]...", nargs=-1, type=click.Path(path_type=Path))
 @click.option("--suite", type=click.Choice(CHOSEN_SUITES),
               help="Start meshes of the package: modest ones of every kind, or millions of cells; "
-                   "tangled: every MESH, or the package's, with vertices that turn cells over.")
+                   "tangled: every MESH, or the package's, with vertices that turn cells over; "
+                   "remesh: each made anew with edges of other lengths.")
 @click.option("--against", metavar="TOOL", multiple=True,
-              help="Compare with this tool only (gmsh, netgen, mmg, cgal, stellar, tetwild, "
-                   "laplacian, pymeshlab, open3d, odt-plugins, or the name of a row); may be "
-                   "repeated. Everybody unless given.")
+              help="Compare with this tool only (gmsh, netgen, mmg, cgal, stellar, tetgen, "
+                   "tetwild, laplacian, pymeshlab, open3d, odt-plugins, or the name of a row); may "
+                   "be repeated. Everybody unless given.")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("comparison"),
               show_default=True, help="Directory for CSV, JSON, the page, Markdown, LaTeX, BibTeX.")
 @click.option("--repeats", type=click.IntRange(min=1), default=3, show_default=True,
@@ -67,6 +68,14 @@ def compare(
         click.echo(run_tangled(out, meshes, against, Limits(time_limit or 60.0, repeats, 2.0,
                                threads), say=lambda name: click.echo(name, err=True)))
         click.echo(f"written: {out / FILE}")
+        return 0
+    if suite == "remesh":
+        from odt_plugins.compare.sized import FILE as SIZED
+        from odt_plugins.compare.sized import run_sized
+
+        click.echo(run_sized(out, [read_start(path) for path in sources], against, Limits(
+            time_limit or 60.0, repeats, 2.0, threads), lambda name: click.echo(name, err=True)))
+        click.echo(f"written: {out / SIZED}")
         return 0
     if not sources and suite is None:
         msg = "nothing to compare on; give a mesh file, or --suite standard"

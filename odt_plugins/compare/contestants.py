@@ -152,6 +152,8 @@ def _volume_tools() -> list[Contestant]:
             cgal("odt", "perturb", "exude"),
             Contestant("Stellar", "stellar", SOLID, "stellar", {"measure": 0}, program="Stellar",
                        remark="surface fixed, smallest sine; adds vertices"),
+            Contestant("TetGen -rYO10/7", "tetgen", SOLID, "tetgen_refine",
+                       {"flags": "rYO10/7"}, program="tetgen", remark="surface fixed"),
             tetwild("TetWild again", 10.0), tetwild("TetWild again, energy 5", 5.0)]
 
 
@@ -173,7 +175,7 @@ def _surface_tools() -> list[Contestant]:
     )
     free = ("compute_selection_by_condition_per_vertex", {"condselect": "q > 0"})
     def mmgs(name: str, envelope: float) -> Contestant:
-        return Contestant(f"mmgs {name}", "mmg", CURVED, "mmgs_remesh", {"envelope": envelope},
+        return Contestant(f"mmgs {name}", "mmg", CURVED, "mmg_remesh", {"envelope": envelope},
                           package="mmgpy", remark="hausd as the envelope; changes the vertices")
 
     remesh = "meshing_isotropic_explicit_remeshing"
@@ -249,6 +251,7 @@ class Tool(NamedTuple):
 MMG = "mmg3d and mmgs, the parts of Mmg that are compared, take no mesh in the plane"
 CGAL = "CGAL's optimisers of Mesh_3 and its remeshing of surfaces take no mesh in the plane"
 STELLAR = "Stellar takes tetrahedra only"
+TETGEN = "TetGen takes tetrahedra only"
 TETWILD = "TetWild fills a surface with tetrahedra; the mesh has none"
 
 TOOLS: dict[str, Tool] = {
@@ -264,6 +267,7 @@ TOOLS: dict[str, Tool] = {
     "mmg": Tool("Mmg", {"planar": MMG}),
     "cgal": Tool("CGAL", {"planar": CGAL}),
     "stellar": Tool("Stellar", {"planar": STELLAR, "surface": STELLAR}),
+    "tetgen": Tool("TetGen", {"planar": TETGEN, "surface": TETGEN}),
     "tetwild": Tool("TetWild", {"planar": TETWILD, "surface": TETWILD}),
     "pymeshlab": Tool("MeshLab", {"tets": "MeshLab has no tetrahedra"}),
     "open3d": Tool("Open3D", {

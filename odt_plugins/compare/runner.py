@@ -26,7 +26,8 @@ from odt_plugins.processes import GROUP, end_group
 
 IMPORTS = {
     "gmsh_optimize": ["gmsh"], "netgen_optimize": ["netgen.meshing"], "mmg_optimize": ["mmgpy"],
-    "cgal_optimize": ["CGAL.CGAL_Mesh_3"], "tetwild": ["pytetwild"], "meshlab": ["pymeshlab"],
+    "cgal_optimize": ["CGAL.CGAL_Mesh_3"], "gmsh_remesh": ["gmsh"], "mmg_remesh": ["mmgpy"],
+    "pyacvd_cluster": ["pyacvd"], "tetwild": ["pytetwild"], "meshlab": ["pymeshlab"],
     "open3d_smooth": ["open3d"], "averaging": ["scipy.sparse"], "ours": ["odt_plugins.api"],
     "mfem_tmop": ["mfem.ser"],
 }

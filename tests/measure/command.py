@@ -13,7 +13,7 @@ from odt_plugins.compare.start import read_start, suite
 from odt_plugins.compare.table import as_text
 from odt_plugins.options import Options
 
-NAMES = (*PARTS, "hard", "ablation", "remesh", "retile")
+NAMES = (*PARTS, "hard", "ablation")
 
 
 def _known(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) -> tuple[str, ...]:
@@ -41,8 +41,7 @@ def main(words: tuple[str, ...], out: Path, smallest: int, largest: int, threads
     How time, memory and iterations grow: stages, surface, races, forty-sweeps, multigrid,
     bandwidth, threads, blocks, generation, ladder, small, cold. Default runs on hard meshes, and
     whether the promise holds on each: hard. What each phase of the schedule gains on each MESH, or
-    on the standard suite: ablation. Each MESH of tetrahedra remeshed, beside mmg3d: remesh; of
-    triangles, beside MeshLab, mmg and Gmsh: retile.
+    on the standard suite: ablation.
     """
     def say(line: str) -> None:
         click.echo(line, err=True)
@@ -54,15 +53,7 @@ def main(words: tuple[str, ...], out: Path, smallest: int, largest: int, threads
     if "hard" in words:
         click.echo(run_hard(out, threads, say))
         click.echo(f"written: {out / FILE}")
-    if "remesh" in words:
-        from measure.remesh import run_remesh
-
-        run_remesh([Path(word) for word in words if word not in NAMES], click.echo)
     if "ablation" in words:
         meshes = [read_start(Path(word)) for word in words if word not in NAMES]
         table = ablation(meshes or suite("standard"), Options(threads=threads), say)
         click.echo("\n".join(as_text(table)[1:]))
-    if "retile" in words:
-        from measure.retile import run_retiling
-
-        click.echo(run_retiling([Path(word) for word in words if word not in NAMES], say))

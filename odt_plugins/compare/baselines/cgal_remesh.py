@@ -8,19 +8,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.compare.baselines.cgal_optimize import place, polyhedron_of
-from odt_plugins.compare.baselines.task import Settings, Task, mean_edge
+from odt_plugins.compare.baselines.task import Settings, Task, wanted_size
 from odt_plugins.compare.start import StartMesh
 
 
 def prepare(start: StartMesh, settings: Settings) -> Task:
-    """Give the surface to CGAL, with the mean length of its edges as the wanted one.
+    """Give the surface to CGAL, with the mean length of its edges unless there is a `size`.
 
-    Settings: `iterations`.
+    Settings: `iterations`, `size`.
     """
     from CGAL import CGAL_Polygon_mesh_processing as cgal
 
     polyhedron = polyhedron_of(start.points, start.cells)
-    facets, length = list(polyhedron.facets()), mean_edge(start)
+    facets, length = list(polyhedron.facets()), wanted_size(start, settings)
 
     def call() -> None:
         cgal.isotropic_remeshing(facets, length, polyhedron, settings["iterations"])

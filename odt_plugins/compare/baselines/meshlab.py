@@ -6,17 +6,18 @@ from typing import Any
 
 from numpy.typing import NDArray
 
-from odt_plugins.compare.baselines.task import Settings, Task, in_space
+from odt_plugins.compare.baselines.task import Settings, Task, in_space, wanted_size
 from odt_plugins.compare.hull import held_vertices
 from odt_plugins.compare.start import StartMesh
+from odt_plugins.mesh.simplex import diagonal
 
 
 def prepare(start: StartMesh, settings: Settings) -> Task:
     """Give the start to a MeshSet, with the vertex quality 0 where a vertex must stay, 1 elsewhere.
 
     Settings: `filters`, a list of (name, parameters); a parameter `targetlen` that is None
-    becomes the mean edge length of the start. `regions`, whether the filters keep the cells and
-    what must stay.
+    becomes the `size` or the mean edge length of the start, a `maxsurfdist` the `envelope`.
+    `regions`, whether the filters keep the cells and what must stay.
     """
     import pymeshlab
 
@@ -27,8 +28,10 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
     for name, parameters in settings["filters"]:
         given = dict(parameters)
         if given.get("targetlen", 0) is None:
-            length = meshes.get_geometric_measures()["avg_edge_length"]
-            given["targetlen"] = pymeshlab.PureValue(length)
+            given["targetlen"] = pymeshlab.PureValue(wanted_size(start, settings))
+        if given.get("maxsurfdist", 0) is None:
+            length = settings["envelope"] * diagonal(start.points)
+            given["maxsurfdist"] = pymeshlab.PureValue(length)
         filters.append((name, given))
 
     def call() -> None:

@@ -28,8 +28,8 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
     options = {"verbosity": 0, "qualmeasure": settings["measure"], **dict.fromkeys(FIXED, 0)}
     Path(CONFIG).write_text(
         "".join(f"{name} {value}\n" for name, value in options.items()), encoding="ascii")
-    _write(f"{MESH}.node", (3, 0, 0), start.points, "%.17g")
-    _write(f"{MESH}.ele", (4, 0), flipped(start.cells) + 1, "%d")
+    write_rows(f"{MESH}.node", (3, 0, 0), start.points, "%.17g")
+    write_rows(f"{MESH}.ele", (4, 0), flipped(start.cells) + 1, "%d")
 
     def call() -> None:
         done = subprocess.run([PROGRAM, "-s", CONFIG, MESH], stdin=subprocess.DEVNULL,
@@ -40,18 +40,21 @@ def prepare(start: StartMesh, settings: Settings) -> Task:
             raise RuntimeError(msg)
 
     def collect(_: Any) -> tuple[NDArray[Any], NDArray[Any]]:
-        points, cells = _read(f"{MESH}.1.node"), _read(f"{MESH}.1.ele").astype(np.int32)
+        points, cells = read_rows(f"{MESH}.1.node"), read_rows(f"{MESH}.1.ele").astype(np.int32)
         return points[:, 1:4], flipped(cells[:, 1:5] - np.int32(points[0, 0]))
 
     return Task(call, collect)
 
 
-def _write(name: str, columns: tuple[int, ...], rows: NDArray[Any], number: str) -> None:
+def write_rows(
+    name: str, columns: tuple[int, ...], rows: NDArray[Any], number: str
+) -> None:
+    """Write a file of Triangle's and TetGen's kind: numbered rows behind one that counts them."""
     numbers = np.arange(1, len(rows) + 1)
     np.savetxt(name, np.column_stack([numbers, rows]), fmt=["%d"] + [number] * rows.shape[1],
                header=" ".join(map(str, (len(rows), *columns))), comments="")
 
 
-def _read(name: str) -> NDArray[Any]:
+def read_rows(name: str) -> NDArray[Any]:
     """Rows of a file of Triangle's and TetGen's kind, without the first, which counts them."""
     return np.loadtxt(name, skiprows=1, ndmin=2)

@@ -44,10 +44,20 @@ def flipped(cells: IntArray) -> IntArray:
 
 def mean_edge(start: StartMesh) -> float:
     """Mean length of the edges of a start mesh."""
-    corners = combinations(range(start.cells.shape[1]), 2)
-    pairs = np.concatenate([start.cells[:, pair] for pair in corners])
-    ends = start.points[np.unique(np.sort(pairs, axis=1), axis=0)]
-    return float(np.sqrt(((ends[:, 0] - ends[:, 1]) ** 2).sum(axis=1)).mean())
+    return float(edge_lengths(start.points, start.cells).mean())
+
+
+def edge_lengths(points: FloatArray, cells: IntArray) -> FloatArray:
+    """Lengths (e,) of all edges, each once."""
+    corners = combinations(range(cells.shape[1]), 2)
+    pairs = np.concatenate([cells[:, pair] for pair in corners])
+    ends = points[np.unique(np.sort(pairs, axis=1), axis=0)]
+    return np.asarray(np.sqrt(((ends[:, 0] - ends[:, 1]) ** 2).sum(axis=1)))
+
+
+def wanted_size(start: StartMesh, settings: Settings) -> float:
+    """Length that edges are to have: the setting `size`, or their mean in the start."""
+    return float(settings["size"]) if "size" in settings else mean_edge(start)
 
 
 def in_space(points: FloatArray) -> FloatArray:
