@@ -54,6 +54,13 @@ ATTEMPTS = 4
 MOST_HELD = 0.3
 """Part of the cells of the input from which on no more are held."""
 
+FEW_SPOILED = 0.05
+"""Part of the cells of the input up to which they stay, where the worst cells alone are spoiled,
+before sizes give way."""
+
+EXTREMES = frozenset({"min_quality", "min_angle", "max_angle", "min_altitude"})
+"""Figures of the worst cell."""
+
 REACH = 0.7
 """Vertices of the input are held that are nearer to a spoiled place, in units of the size."""
 
@@ -134,11 +141,11 @@ def _tries(
             if not broken:
                 return _explained(mesh, held, outcome, whys, slides and share == 0.0)
             whys.append(broken[0])
-            falls = _fallen(mesh, outcome, options)
+            spoiled = _spoiled(mesh, outcome, wanted, options)
+            falls = _fallen(mesh, outcome, options, few=0.0 < spoiled.mean() <= FEW_SPOILED)
             if falls and share > 0.0 and not relents:
                 relents = True
                 continue
-            spoiled = _spoiled(mesh, outcome, wanted, options)
             nearer = _nearer(mesh, wanted, spoiled) if falls else None
             if nearer is not None:
                 wanted = nearer
@@ -152,11 +159,15 @@ def _tries(
     return replace(outcome, fallback=f"the input is returned, since {whys[-1]}")
 
 
-def _fallen(mesh: SimplexMesh, outcome: Outcome, options: Options) -> bool:
-    """Whether figures to be kept are worse than those of the input, and not good enough."""
+def _fallen(mesh: SimplexMesh, outcome: Outcome, options: Options, *, few: bool) -> bool:
+    """Whether figures to be kept are worse than those of the input, and not good enough.
+
+    Those of the worst cells do not count where these are few, near which the input may stay.
+    """
     keep = tuple(options.keep)
     before = relaxed(figures(mesh.points, mesh.cells), keep, 4)
-    return bool(figures(outcome.points, outcome.cells).worse_than(before, keep))
+    fallen = set(figures(outcome.points, outcome.cells).worse_than(before, keep))
+    return bool(fallen - EXTREMES if few else fallen)
 
 
 def _nearer(mesh: SimplexMesh, sizes: Sizes, spoiled: BoolArray) -> Sizes | None:

@@ -161,6 +161,8 @@ def test_where_the_envelope_forbids_the_size_the_nearest_one_comes_and_is_told()
     assert len(rows) != len(cells)
     assert report.after.mean_quality > report.before.mean_quality + 0.02
     assert any("sizes are smaller than asked for" in note for note in report.notes)
+    assert report.binding
+    assert not any("insert" in cell.hint for cell in report.binding)
 
 
 def test_cells_of_higher_order_are_refused(box):
