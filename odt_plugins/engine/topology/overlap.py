@@ -83,6 +83,7 @@ class Room(NamedTuple):
     Attributes
     ----------
     now, then : (PARTS, d + 1, 2 d + 2) float64   corners of simplices, in coordinates of both cells
+    products : (d + 1, 2 d + 2) float64           integrals of products of coordinates
     own, matrix : (2, d, d) float64               edges of the new and of an old cell, the inverse
     level : (2, d + 1, d + 1) float64             coordinates of the corners of either cell
     order : (d + 1,) int32                        corners of a simplex, those inside first
@@ -92,6 +93,7 @@ class Room(NamedTuple):
 
     now: FloatArray
     then: FloatArray
+    products: FloatArray
     own: FloatArray
     matrix: FloatArray
     level: FloatArray
@@ -103,8 +105,9 @@ class Room(NamedTuple):
 def make_room(m: int, d: int) -> Room:
     """Room for one thread, for an old mesh of m cells in d dimensions."""
     k = d + 1
-    return Room(np.empty((PARTS, k, 2 * k)), np.empty((PARTS, k, 2 * k)), np.empty((2, d, d)),
-                np.empty((2, d, d)), np.empty((2, k, k)), np.empty(k, dtype=np.int32),
+    return Room(np.empty((PARTS, k, 2 * k)), np.empty((PARTS, k, 2 * k)),
+                np.empty((k, 2 * k)), np.empty((2, d, d)), np.empty((2, d, d)),
+                np.empty((2, k, k)), np.empty(k, dtype=np.int32),
                 np.full(m, -1, dtype=np.int32), np.empty(m, dtype=np.int32))
 
 
@@ -208,13 +211,13 @@ def _share(part: FloatArray, d: int) -> float:
 
 
 @inlined_kernel
-def _clip(room: Room) -> int:
-    """Number of the simplices, in `now`, that the new cell and the old one have in common."""
-    k = room.now.shape[1]
+def _clip(room: Room) -> tuple[int, FloatArray]:
+    """The simplices that the new cell and the old one have in common, and their number."""
+    k, now, then = room.now.shape[1], room.now, room.then
     for v in range(k):
         for i in range(k):
-            room.now[0, v, i] = 1.0 if v == i else 0.0
-            room.now[0, v, k + i] = room.level[1, v, i]
+            now[0, v, i] = 1.0 if v == i else 0.0
+            now[0, v, k + i] = room.level[1, v, i]
     count = 1
     for plane in range(k, 2 * k):
         least = 0.0
@@ -222,27 +225,26 @@ def _clip(room: Room) -> int:
             least = min(least, room.level[1, v, plane - k])
         if least == 0.0:
             continue
-        count = _cut(room.now, count, room.then, plane, room.order)
-        for s in range(count):
-            for v in range(k):
-                for x in range(2 * k):
-                    room.now[s, v, x] = room.then[s, v, x]
-    return count
+        count = _cut(now, count, then, plane, room.order)
+        now, then = then, now
+    return count, now
 
 
 @inlined_kernel
-def _products(room: Room, count: int, linear: bool) -> float:
+def _products(
+    simplices: FloatArray, count: int, products: FloatArray, linear: bool
+) -> float:
     """Volume of some simplices by that of the new cell; if asked to, integrals of products.
 
-    Those of each coordinate in the new cell by every coordinate in both go to `then[0]`.
+    Those of each coordinate in the new cell by every coordinate in both go to `products`.
     """
-    k = room.now.shape[1]
-    whole, scale, products = 0.0, 1.0 / (k * (k + 1)), room.then[0]
+    k = products.shape[0]
+    whole, scale = 0.0, 1.0 / (k * (k + 1))
     for i in range(k):
         for x in range(2 * k):
             products[i, x] = 0.0
     for s in range(count):
-        part = room.now[s]
+        part = simplices[s]
         share = _share(part, k - 1)
         whole += share
         if not linear:
@@ -267,7 +269,7 @@ def _add(
 ) -> None:
     """Add the integrals over a share of a new cell: its row and place, the old cell, the first."""
     at, j, c, first = pair
-    k, products = room.now.shape[1], room.then[0]
+    k, products = room.now.shape[1], room.products
     for a in range(old.of_cells.shape[1]):
         sums.of_cells[at, a] += share * (old.of_cells[c, a] - old.of_cells[first, a])
     for b in range(old.of_points.shape[1]):
@@ -324,8 +326,8 @@ def overlaps(
                 _invert(old.points, old.cells[c], room.matrix)
                 if _levels(old.points, old.cells[c], room.matrix[1], new.points, new.cells[j],
                            room.level[1]):
-                    count = _clip(room)
-                    share = _products(room, count, linear)
+                    count, simplices = _clip(room)
+                    share = _products(simplices, count, room.products, linear)
                     sums.covered[at] += share
                     _add(old, new, (at, j, c, seeds[at, 0]), room, share, sums)
             if share > 0.0 or at_queue < given:
