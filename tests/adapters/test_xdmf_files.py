@@ -15,7 +15,7 @@ from xdmf_series import HEAD, item, series
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
 from odt_plugins.cli.main import main
-from odt_plugins.errors import MeshFileError
+from odt_plugins.errors import DataNotKeptWarning, MeshFileError
 
 
 def by_vtk(path, time):
@@ -202,3 +202,55 @@ def test_an_xdmf_file_or_its_data_that_are_cut_write_nothing(suffix, tmp_path, c
     assert said.rstrip().endswith("expected a complete file")
     assert len(said.splitlines()) == 1
     assert sorted(part.name for part in tmp_path.iterdir()) == ["flow.h5", "flow.xdmf"]
+
+
+def with_sets(folder, form, dim):
+    """A series whose mesh has a set of points, one of cells, and what else is asked for."""
+    path, points, cells, *_ = series(folder, form, dim)
+    middle = np.flatnonzero(points[:, 0] == 0.5)[::-1].copy()
+    right = np.flatnonzero(points[cells].mean(axis=1)[:, 0] > 0.5)[::-1].copy()
+    sets = [f'<Set Name="{name}" SetType="{kind}">\n{item(form, rows, name, "flow", folder)}</Set>'
+            for name, kind, rows in (("middle", "Node", middle), ("right", "Cell", right))]
+    path.write_text(path.read_text().replace('<Information Name="unit"', "\n".join(
+        [*sets, '<Information Name="unit"']), 1))
+    return path, points, middle, right
+
+
+@pytest.mark.parametrize(("form", "dim"), [("HDF", 3), ("XML", 2), ("XML", 3)])
+def test_sets_of_points_and_cells_come_along(form, dim, tmp_path):
+    path, points, middle, right = with_sets(tmp_path, form, dim)
+    mesh = read_file(path)
+    assert np.array_equal(mesh.point_sets["middle"], middle)
+    assert np.array_equal(mesh.cell_sets["right"][0], np.sort(right))
+    target = tmp_path / "out" / "result.xdmf"
+    target.parent.mkdir()
+    optimize_file(path, target, insert=dim == 3)
+    assert skeleton(target) == skeleton(path).replace("flow", "result")
+    back = read_file(target)
+    rows = back.cells[0].data
+    assert (len(rows) != len(mesh.cells[0].data)) == (dim == 3)
+    there = np.flatnonzero(back.points[rows].mean(axis=1)[:, 0] > 0.5)
+    assert np.array_equal(back.cell_sets["right"][0], there)
+    assert np.array_equal(back.points[back.point_sets["middle"]], points[middle])
+    with pytest.warns(DataNotKeptWarning, match=r"the information unit, the times of its steps"):
+        write_file(tmp_path / "b.inp", mesh)
+    assert {"right"} <= {*read_file(tmp_path / "b.inp").cell_sets}
+
+
+def test_other_sets_and_data_without_a_place_in_the_xml_are_named(tmp_path):
+    path, *_ = series(tmp_path)
+    pair = "".join(item("XML", np.array([0, 3]), "", "", tmp_path) for _ in range(2))
+    path.write_text(path.read_text().replace(
+        '<Information Name="unit"', f'<Set Name="rim" SetType="Face">{pair}</Set>\n'
+        '<Information Name="unit"', 1))
+    with h5py.File(tmp_path / "flow.h5", "a") as file:
+        file["left/alone"] = np.arange(4)
+    with pytest.warns(DataNotKeptWarning, match="'rim', set of each face, is not read"):
+        mesh = read_file(path)
+    with pytest.warns(DataNotKeptWarning, match="the data left/alone of flow.h5, which its XML"):
+        write_file(tmp_path / "a.vtu", mesh)
+    path.write_text(path.read_text().replace("Face", "Cell").replace(pair, pair[: len(pair) // 2]))
+    text = path.read_text()
+    path.write_text(text.replace("\n0\n3\n", "\n0\n999\n"))
+    with pytest.raises(MeshFileError, match="its set 'rim' refers to cell 999 of"):
+        read_file(path)

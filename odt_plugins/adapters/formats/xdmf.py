@@ -9,6 +9,7 @@ from xml.etree import ElementTree
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters.formats.decks import UNREAD
 from odt_plugins.adapters.formats.exodus_tables import step_names
 from odt_plugins.adapters.formats.xdmf_items import (
     Document,
@@ -19,6 +20,7 @@ from odt_plugins.adapters.formats.xdmf_items import (
     parse,
     resolved,
     stored,
+    unnamed,
     values_of,
 )
 from odt_plugins.errors import DataNotKeptWarning, MeshFileError, warn
@@ -47,18 +49,22 @@ NUMBERED = {number: kind for kind, (_, _, number, _) in TYPES.items()}
 COUNTED = {1: "vertex", 2: "line", 3: "polygon"}
 """Types of mixed cells that have their number of nodes behind them."""
 
+NAMED_DATA = 5
+"""Most data without a place in the XML that are named."""
+
 AXES = {"xyz": 1, "xy": 1, "x_y_z": 3, "x_y": 2}
 """Forms of coordinates, and their number of items."""
 
 
 class Grid(NamedTuple):
-    """A grid: its name, that of its series, where it has cells and points, and its arrays."""
+    """A grid: its name, that of its series, where it has cells and points, its arrays and sets."""
 
     name: str
     series: str
     topology: Any
     geometry: Any
     attributes: list[Any]
+    sets: list[Any]
 
 
 class Cells(NamedTuple):
@@ -86,6 +92,14 @@ class Array(NamedTuple):
     cells: Cells | None
 
 
+class Members(NamedTuple):
+    """A set: its title, the element that holds it, and its cells, or None of points."""
+
+    title: str
+    element: Any
+    cells: Cells | None
+
+
 class Layout(NamedTuple):
     """What a file holds.
 
@@ -95,6 +109,7 @@ class Layout(NamedTuple):
     geometries : list                elements that hold them
     blocks : list of (str, array)    type and rows of nodes of all cells
     cells : list of Cells            cells of the grids, each element that holds some once
+    sets : list of Members           of points and of cells
     arrays : list of Array           of points and of cells
     whole : dict                     elements of the arrays of whole grids, by their names
     unknown : list of str            what is none of these
@@ -104,6 +119,7 @@ class Layout(NamedTuple):
     geometries: list[Any]
     blocks: list[tuple[str, NDArray[np.int64]]]
     cells: list[Cells]
+    sets: list[Members]
     arrays: list[Array]
     whole: dict[str, Any]
     unknown: list[str]
@@ -126,7 +142,8 @@ def read(path: Path) -> Any:
 
     Warns
     -----
-    DataNotKeptWarning    arrays on edges or faces, and finite-element functions, are not read
+    DataNotKeptWarning    arrays and sets of edges or faces, and finite-element functions, are not
+                          read
     """
     from meshio import Mesh
 
@@ -149,7 +166,19 @@ def read(path: Path) -> Any:
     whole = {name: values_of(doc, items_of(doc, element)[0])
              for name, element in layout.whole.items()}
     blocks: list[Any] = [*layout.blocks]
-    return Mesh(layout.points, blocks, point_data, cell_data, _groups(doc) | whole)
+    point_sets: dict[str, Any] = {}
+    cell_sets: dict[str, Any] = {}
+    for own in layout.sets:
+        members = members_of(doc, own)
+        if own.cells is None:
+            point_sets[own.title] = members
+            continue
+        where = own.cells.where[members]
+        cell_sets[own.title] = [np.sort(where[where[:, 0] == b, 1]) for b in range(len(blocks))]
+    mesh = Mesh(layout.points, blocks, point_data, cell_data, _groups(doc) | whole, point_sets,
+                cell_sets)
+    mesh.info = {UNREAD: _besides(doc)}
+    return mesh
 
 
 def layout_of(doc: Document) -> Layout:
@@ -174,7 +203,9 @@ def layout_of(doc: Document) -> Layout:
     dim = max(map(_dim, first.parts), default=0)
     blocks = list(first.parts)
     cells = [_located(own, blocks, dim, first, len(points)) for own in cells]
-    return Layout(points, geometries, blocks, cells, *_arrays(doc, grids, cells))
+    arrays, whole, unknown = _arrays(doc, grids, cells)
+    sets, more = _sets(doc, grids, cells, len(points))
+    return Layout(points, geometries, blocks, cells, sets, arrays, whole, unknown + more)
 
 
 def _collect(doc: Document, element: Any, series: str, grids: list[Grid]) -> None:
@@ -208,7 +239,8 @@ def _collect(doc: Document, element: Any, series: str, grids: list[Grid]) -> Non
         return next((child for child in children if local(child) == what), None)
 
     grids.append(Grid(name, series or name, first("Topology"), first("Geometry"),
-                      [child for child in children if local(child) == "Attribute"]))
+                      [child for child in children if local(child) == "Attribute"],
+                      [child for child in children if local(child) == "Set"]))
 
 
 def _same_place(doc: Document, one: Any, two: Any) -> bool:
@@ -418,6 +450,76 @@ def _arrays(
         out += [Array(step, element, own) for step, (element, own) in
                 zip(step_names(title, len(steps)), steps, strict=True)]
     return out, whole, list(unknown)
+
+
+def members_of(doc: Document, own: Members) -> NDArray[np.int64]:
+    """Points, or places of cells in their grid, of a set.
+
+    Raises
+    ------
+    MeshFileError    it has several items
+    """
+    items = items_of(doc, own.element)
+    if len(items) != 1:
+        msg = f"its set {own.title!r} holds {len(items)} items, not one"
+        raise MeshFileError(msg)
+    return np.asarray(values_of(doc, items[0]).ravel().astype(np.int64))
+
+
+def _sets(
+    doc: Document, grids: list[Grid], cells: list[Cells], points: int
+) -> tuple[list[Members], list[str]]:
+    """Sets of points and cells of all grids, those of steps that differ with numbers; and others.
+
+    Raises
+    ------
+    MeshFileError    one has members that are not there
+    """
+    found: dict[tuple[bool, str], list[tuple[Members, NDArray[np.int64]]]] = {}
+    unknown: dict[str, None] = {}
+    seen: set[Any] = set()
+    for grid in grids:
+        own = next(c for c in cells if _same_place(doc, grid.topology, c.grid.topology))
+        for element in grid.sets:
+            name = element.get("Name", "set")
+            kind = element.get("SetType", element.get("Type", "Node")).lower()
+            if element in seen:
+                continue
+            seen.add(element)
+            unknown |= {f"{child.get('Name', 'data')!r}, array of the set {name!r},": None
+                        for child in element if local(child) == "Attribute"}
+            if kind not in ("node", "cell"):
+                unknown[f"{name!r}, set of each {kind},"] = None
+                continue
+            one = Members(name, element, own if kind == "cell" else None)
+            members = members_of(doc, one)
+            count = len(own.where) if kind == "cell" else points
+            bad = members[(members < 0) | (members >= count)]
+            if bad.size:
+                msg = f"its set {name!r} refers to {kind} {bad[0]} of {count}"
+                raise MeshFileError(msg)
+            found.setdefault((kind == "cell", name), []).append((one, members))
+    out = []
+    for (_, name), entries in found.items():
+        same = all(np.array_equal(entries[0][1], members) for _, members in entries)
+        titles = [name] * len(entries) if same else step_names(name, len(entries))
+        out += [own._replace(title=title)
+                for title, (own, _) in zip(titles, entries, strict=True)]
+    return out, list(unknown)
+
+
+def _besides(doc: Document) -> list[str]:
+    """What a file says that its mesh does not hold."""
+    told = {element.get("Name", "") for element in doc.root.iter() if local(
+        element) == "Information" and not (element.text or "").strip().startswith("<")}
+    out = [f"the information {', '.join(sorted(told))}"] if told else []
+    if any(local(element) == "Time" for element in doc.root.iter()):
+        out.append("the times of its steps")
+    for file, names in unnamed(doc).items():
+        more = f" and {len(names) - NAMED_DATA} more" if len(names) > NAMED_DATA else ""
+        out.append(f"the data {', '.join(names[:NAMED_DATA])}{more} of {file}, which its XML does "
+                   f"not name")
+    return out
 
 
 def _on_blocks(

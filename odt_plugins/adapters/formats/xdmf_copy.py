@@ -11,7 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.formats.change import Change, NotRewritable
-from odt_plugins.adapters.formats.xdmf import Cells, cells_of, layout_of, offset_of
+from odt_plugins.adapters.formats.decks import indices
+from odt_plugins.adapters.formats.xdmf import Cells, cells_of, layout_of, members_of, offset_of
 from odt_plugins.adapters.formats.xdmf_items import (
     Document,
     dimensions,
@@ -76,6 +77,21 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
                 here = rows[:, 0] == b
                 values[here] = part[rows[here, 1]]
         _put(doc, items_of(doc, array.element)[0], values, names, edits)
+    for one in layout.sets:
+        old = members_of(doc, one)
+        home = change.after.point_sets if one.cells is None else change.after.cell_sets
+        if one.title not in home:
+            msg = f"the set {one.title!r} is gone"
+            raise NotRewritable(msg)
+        new = indices(home[one.title] if one.cells is None else [])
+        if one.cells is not None:
+            rows = followed[id(one.cells)]
+            inside = np.zeros(len(rows), dtype=np.bool_)
+            for b, members in enumerate(home[one.title]):
+                inside |= (rows[:, 0] == b) & np.isin(rows[:, 1], indices(members))
+            new = np.flatnonzero(inside)
+        if set(new.tolist()) != set(old.tolist()):
+            _put(doc, items_of(doc, one.element)[0], new, names, edits)
     data = bytearray(doc.data)
     for start, end, text in sorted(dict.fromkeys(edits), reverse=True):
         data[start:end] = text

@@ -247,6 +247,28 @@ def _from_hdf(item: Any, place: Stored) -> NDArray[Any]:
         raise MeshFileError(msg) from exc
 
 
+def unnamed(doc: Document) -> dict[str, list[str]]:
+    """Data in files of HDF5 that no item names, by the names of these files."""
+    import h5py
+
+    named: dict[Path, set[str]] = {}
+    for item in doc.root.iter():
+        if local(item) == "DataItem" and form_of(item) == "hdf" and not item.get(
+                "Reference") and not len(item) and (item.text or "").strip():
+            place = stored(doc, item)
+            named.setdefault(place.file, set()).add(place.inside.strip("/"))
+    out = {}
+    for file, known in named.items():
+        there: list[str] = []
+        with h5py.File(file, "r") as opened:
+            opened.visititems(lambda name, data, there=there: there.append(name) if isinstance(
+                data, h5py.Dataset) else None)
+        left = sorted(set(there) - known)
+        if left:
+            out[file.name] = left
+    return out
+
+
 def dimensions(item: Any) -> list[int]:
     """Shape that an item states."""
     return [int(word) for word in item.get("Dimensions", "").split()]
