@@ -120,6 +120,13 @@ def test_parts_of_a_partition_are_joined(model):
     assert set(parts.tolist()) == {1, 2, 3}
 
 
+def test_a_partition_that_is_no_longer_told_by_entities_is_named(model, tmp_path):
+    mesh = files.read_file(model / "parts.msh")
+    with pytest.warns(DataNotKeptWarning, match="the section PartitionedEntities, of which cells"):
+        files.write_file(tmp_path / "parts.vtu", mesh)
+    assert "gmsh:partition" in meshio.read(tmp_path / "parts.vtu").cell_data
+
+
 def test_the_version_and_the_kind_of_a_file_can_be_asked_for(model, tmp_path):
     quick = ["--smoothing", "rounds=1", "--no-finish", "--quiet"]
     for flags, line in (([], b"4.1 0 8"), (["--binary"], b"4.1 1 8"),

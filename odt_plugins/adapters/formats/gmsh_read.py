@@ -77,6 +77,8 @@ def read(path: Path) -> Any:
     mesh.gmsh_periodic = _periodic(file, found.tags)
     unread = [f"the section {s.name}" for s in file.sections
               if s.name not in KNOWN and s.name != "ElementNodeData"]
+    if file.all("PartitionedEntities"):
+        unread.append(f"the section PartitionedEntities, of which cells have {PARTITION!r}")
     unread += [f"data of the corners of elements {name!r}" for name, part in
                zip(array_names(own), own, strict=True) if part.kind == "ElementNodeData"]
     mesh.info = {"text": file.text, UNREAD: list(dict.fromkeys(unread))}
