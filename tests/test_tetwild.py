@@ -51,7 +51,8 @@ def test_the_signature_is_that_of_pytetwild():
     theirs = inspect.signature(pytetwild.tetrahedralize).parameters
     ours = inspect.signature(odt_plugins.tetrahedralize).parameters
     of_files = ("target", "levels", "edge_length", "bodies", "file_format", "binary")
-    assert list(ours) == [*theirs, "odt", *of_files, *OPTIONS]
+    sizes = ("size", "scale", "cells", "growth")
+    assert list(ours) == [*theirs, "odt", *sizes, *of_files, *OPTIONS]
     usual = {n: p.default for n, p in theirs.items()} | {"faces": None}
     assert usual == {n: ours[n].default for n in theirs}
 

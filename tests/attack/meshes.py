@@ -37,7 +37,8 @@ def attack(rng: Rng, folder: Path) -> None:
     after = caller.view(result)
     bent = curved(before)
     faults = broken(before, after, Options(**options), curved=bent)
-    changing = ("uv",) * bent + ("vertices",) * bool(options.get("insert"))
+    changing = (("uv",) * bent + ("vertices",) * bool(options.get("insert"))
+                + ("fields",) * (options.get("fields") == "conserve"))
     faults += caller.data_faults(caller.mesh, result, changing)
     if original != _bytes(caller.mesh):
         faults.append("the caller's mesh was changed")
