@@ -429,6 +429,9 @@ def _rewritten(
     except NotRewritable as exc:
         said = f"written anew, with what the format's writer keeps: {exc}"
         return None, [said] if str(exc) else []
+    # That is what netCDF4 and h5py say of a disk that is full.
+    except RuntimeError as exc:
+        raise _not_written(path, origin.format, _reason(exc)) from exc
     if _sizes(back) != _sizes(mesh) or len(back.points) != len(mesh.points):
         msg = f"it does not hold {len(mesh.points)} points with cells {_sizes(mesh)}"
         raise _not_written(path, origin.format, msg)

@@ -259,7 +259,15 @@ for name in sys.argv[2:]:
     resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
     print(sorted(os.listdir()), open(name).read())
     files.write_file(name, mesh)
-    print(len(files.read_file(name).points))
+    again = files.read_file(name)
+    print(len(again.points))
+    again.points[0] += 1e-3
+    resource.setrlimit(resource.RLIMIT_FSIZE, (20_000, resource.RLIM_INFINITY))
+    try:
+        files.write_file("again" + name, again)
+    except MeshFileError as exc:
+        print(str(exc).split(":")[0].split(" as ")[0], os.path.exists("again" + name))
+    resource.setrlimit(resource.RLIMIT_FSIZE, (resource.RLIM_INFINITY,) * 2)
     for path in (name, "out.h5"):
         if os.path.exists(path):
             os.remove(path)
@@ -282,7 +290,8 @@ def test_a_full_disk_leaves_the_old_file_and_no_open_handle(tmp_path, tmp_path_f
     for k, name in enumerate(names):
         said = f"cannot write {name}: File too large; try another path"
         there = sorted(names[k:])
-        assert told[4 * k:4 * k + 4] == [said, said, f"{there} old", "1000"]
+        assert told[5 * k:5 * k + 5] == [
+            said, said, f"{there} old", "1000", f"cannot write again{name} False"]
 
 
 def test_a_writer_that_dies_is_an_error(tmp_path, monkeypatch):
