@@ -105,21 +105,53 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
 
     def tries(sizes: Sizes) -> Outcome:
         if mesh.dim == 2:
-            return retile(mesh, sizes.values, options, leaving)
+            return _triangles(mesh, sizes, options, leaving)
         return _tries(mesh, sizes, options, leaving, slides=options.boundary == "slide")
 
     outcome = tries(sizes)
     goal = wish.cells if wish.vertices is None else wish.vertices
-    if goal is not None and outcome.origin is not None:
-        count = len(outcome.points) if wish.cells is None else len(outcome.cells)
+    if goal is not None:
+        if outcome.origin is not None and abs(_count(outcome, wish) - goal) > NEAR * goal:
+            outcome = tries(sizes.scaled((_count(outcome, wish) / goal) ** (1.0 / mesh.dim)))
+        count = _count(outcome, wish)
         if abs(count - goal) > NEAR * goal:
-            again = sizes.scaled((count / goal) ** (1.0 / mesh.dim))
-            outcome = tries(again)
+            what = "vertices" if wish.cells is None else "cells"
+            note = f"{count} {what} are as near to the {goal} asked for as the promise allows"
+            outcome = replace(outcome, notes=(note, *outcome.notes))
     return replace(outcome, notes=sizes.notes + outcome.notes)
 
 
 NEAR = 0.03
 """Sizes are corrected once when the number of cells or vertices is off by more than this part."""
+
+
+def _count(outcome: Outcome, wish: Wish) -> int:
+    """Number of cells or vertices, whichever is asked for."""
+    return len(outcome.points if wish.cells is None else outcome.cells)
+
+
+def _triangles(mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving) -> Outcome:
+    """Resize triangles; where the promise does not allow that everywhere, also to sizes nearer to
+    those of the input: the coarsest result.
+    """
+    wanted: Sizes | None = sizes
+    best, why = unchanged(mesh, "no other sizes kept the promise"), None
+    for _ in range(ATTEMPTS):
+        if wanted is None:
+            break
+        outcome = retile(mesh, wanted.values, options, leaving)
+        if why is None and outcome.fallback is None:
+            return outcome
+        if why is None or (outcome.origin is not None and (
+                best.origin is None or len(outcome.points) < len(best.points))):
+            note = ("sizes are nearer to those of the input than asked for, since "
+                    + (why or "").partition("since ")[2])
+            best = outcome if why is None else replace(outcome, notes=(note, *outcome.notes))
+        why = why or outcome.fallback
+        if outcome.fallback is None:
+            break
+        wanted = _nearer(mesh, wanted, np.zeros(len(mesh.cells), dtype=np.bool_))
+    return best
 
 
 def _tries(

@@ -8,6 +8,7 @@ import pyvista
 from surface_meshes import bowl, sphere
 
 import odt_plugins
+from odt_plugins.generate import clouds
 
 
 def shaken_square():
@@ -69,3 +70,20 @@ def test_as_coarse_as_the_topology_allows():
     points, cells = sphere(2)
     few, _ = odt_plugins.remesh((points, cells), 5.0, envelope=0.2, keep=())
     assert 4 <= len(few) < 40
+
+
+def test_sizes_that_figures_forbid_are_the_nearest_that_hold():
+    mesh = clouds.plate(200)
+    (points, cells), report = odt_plugins.remesh_with_report(mesh, 1.0)
+    assert report.fallback is None
+    assert any("nearer to those of the input than asked for, since" in n for n in report.notes)
+    assert len(points) < 0.6 * len(mesh[0])
+    assert report.after.mean_quality > report.before.mean_quality
+    assert report.after.min_quality >= report.before.min_quality
+    sides = np.linalg.det(points[cells][:, 1:] - points[cells][:, :1])
+    assert sides.min() > 0.0
+
+
+def test_a_count_that_is_missed_is_told():
+    _, report = odt_plugins.remesh_with_report(clouds.plate(200), cells=3)
+    assert any("cells are as near to the 3 asked for" in note for note in report.notes)
