@@ -140,17 +140,22 @@ def progress_bar(quiet: bool) -> Iterator[Progress | bool]:
 
 
 def in_flags(text: str) -> str:
-    """Name options by their flags: "try --insert" for "try insert=True"."""
+    """Name options by their flags: "try --insert" for "try insert=True", "--keep" for "keep="."""
+    from odt_plugins.remeshing import WISHES
+
     def flag(found: re.Match[str]) -> str:
         name = found[1].replace("_", "-")
         value = ",".join(re.findall(r"[-+.\w]+", found[2]))
         plain = {"True": f"--{name}", "False": f"--no-{name}", "None": f"--{name} none"}
         return plain.get(value, f"--{name} {value or 'none'}")
 
-    names = "|".join(name for name, about in OPTIONS.items() if about.metadata["flag"] is not None)
+    own = (name for name, about in OPTIONS.items() if about.metadata["flag"] is not None)
+    names = "|".join(("size", *WISHES, *own))
     value = r"""'[^']*'|"[^"]*"|\([^()]*\)|[-+.\w]*\w"""
     text = re.sub(r"smoothing=\{'(\w+)': '?([-+.\w]+)'?\}", r"--smoothing \1=\2", text)
-    return re.sub(rf"(?<![\w.-])({names})=({value})", flag, text)
+    text = re.sub(rf"(?<![\w.-])({names})=({value})", flag, text)
+    return re.sub(rf"(?<![\w.-])({names})=(?=[\s,.;)]|$)",
+                  lambda found: "--" + found[1].replace("_", "-"), text)
 
 
 def one_line(message: object) -> str:

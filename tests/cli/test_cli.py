@@ -560,6 +560,9 @@ print(gc.get_threshold()[0] == __main__.RARELY, gc.get_freeze_count() > 1000)
 
 
 @pytest.mark.parametrize(("said", "flags"), [
+    ("got size=-1.0; try scale=1", "got --size -1.0; try --scale 1"),
+    ("smaller, see growth=; expected at most most_cells=20, try a larger most_cells=",
+     "smaller, see --growth; expected at most --most-cells 20, try a larger --most-cells"),
     ("try repair='orient'.", "try --repair orient."), ("finish=False, or", "--no-finish, or"),
     ('boundary="slide" and insert=True', "--boundary slide and --insert"),
     ("got solver='jacobi'; try x", "got --solver jacobi; try x"),
