@@ -111,10 +111,14 @@ def expect_overlaps(work: Prepared, options: Options) -> None:
 
 def interpolated(work: Prepared, options: Options) -> tuple[str, ...]:
     """Names of the point arrays that are interpolated at vertices that moved."""
+    return tuple(work.host.fields) if interpolates(work, options) else ()
+
+
+def interpolates(work: Prepared, options: Options) -> bool:
+    """Whether vertices that moved have the values that fields have at their new places."""
     by_default = work.host.follows and not work.mesh.is_surface
-    chosen = options.fields in ("interpolate", CONSERVE)
-    chosen = chosen or (options.fields == "auto" and by_default)
-    return tuple(work.host.fields) if chosen else ()
+    return options.fields in ("interpolate", CONSERVE) or (
+        options.fields == "auto" and by_default)
 
 
 def around(

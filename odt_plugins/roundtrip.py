@@ -73,6 +73,7 @@ from odt_plugins.mesh.tangled import tangled_mesh
 from odt_plugins.options import Options
 from odt_plugins.progress import kernels_shown, part, telling
 from odt_plugins.textures import feet_of
+from odt_plugins.transfer import transfer_of
 from odt_plugins.untangling import Tangle, Wanted, rest_places, untangle_mesh
 
 if TYPE_CHECKING:
@@ -160,8 +161,10 @@ def run_engine(
         cells = reverse(cells, np.ones(len(cells), dtype=np.bool_))
     if work.own is not None:
         cells, source = with_others(given.cells, cells, source, work.own)
+    whence = cell_origin(work.host.ids, work.host.total, source)
     told = {"regions_from": work.host.regions_from, "notes": work.notes + outcome.notes,
-            "cell_origin": cell_origin(work.host.ids, work.host.total, source),
+            "cell_origin": whence,
+            "carrying": transfer_of(work, given, outcome, written, options, whence),
             "interpolated": () if vertices is None else fields,
             "refused": wanted.refused + ("insert",) * given.higher_order,
             "tangle": work.tangle, "curved": curved.facts, "layers": layers,

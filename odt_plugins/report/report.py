@@ -5,23 +5,23 @@ from __future__ import annotations
 import dataclasses
 import json
 import platform
-import re
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from os import PathLike
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Literal
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from odt_plugins.errors import counted
+from odt_plugins.errors import UnsupportedMeshError
 from odt_plugins.figures import QualitySummary, cell_figures, summarize
-from odt_plugins.mesh.numbering import AS_MANY_AS_PAY, in_old_numbers, most_vertices
+from odt_plugins.mesh.numbering import in_old_numbers
 from odt_plugins.mesh.simplex import SimplexMesh, vertex_mask
 from odt_plugins.options import Options, Smoothing
 from odt_plugins.promise.volume import held_by, held_vertices
-from odt_plugins.report.binding import BindingCell, Freeing, binding_cells, joined_lines
+from odt_plugins.report.binding import BindingCell, Freeing, binding_cells
+from odt_plugins.report.story import story
 from odt_plugins.table import table_html, table_lines, text_html
 from odt_plugins.untangling import Tangle, worse_than_valid
 
@@ -92,6 +92,8 @@ class Report:
                                             "mean_quality" and "min_quality"
     meshes : two of (points, cells)         before and after, for :meth:`worth`; not in
                                             :meth:`to_dict`
+    carrying : callable or None             what carries arrays, for :meth:`transfer`; not in
+                                            :meth:`to_dict`
     parts : tuple of Report                 of an object of several meshes, those of each; the
                                             figures are those of all together then
     """
@@ -127,6 +129,7 @@ class Report:
     vetoed: Mapping[str, Any] | None = None
     meshes: tuple[tuple[NDArray[Any], NDArray[Any]], ...] = dataclasses.field(
         default=(), repr=False, compare=False)
+    carrying: Any = dataclasses.field(default=None, repr=False, compare=False)
     parts: tuple[Report, ...] = ()
 
     @property
@@ -143,68 +146,17 @@ class Report:
     def __str__(self) -> str:
         """Text of a page: the table of figures, then how it went."""
         table = table_lines({"before": self.before, "after": self.after})
-        return "\n".join([*table, "", *self._story()])
+        return "\n".join([*table, "", *story(self)])
 
     def _repr_html_(self) -> str:
         """The same for a notebook."""
         table = table_html({"before": self.before, "after": self.after})
-        return table + text_html("\n".join(self._story()))
-
-    def _story(self) -> list[str]:
-        """How it went, line by line."""
-        lines = [f"{self.n_movable} of {self.n_used} vertices may move "
-                 f"({100 * self.movable_share:.0f} %)"] if self.n_used else []
-        if self.regions_from:
-            lines.append(regions_line(self.regions_from))
-        if self.interpolated:
-            lines.append(fields_line(self.interpolated))
-        if self.layers:
-            lines.append(
-                f"layers {self.layers} cells that are stretched alike with their neighbours stay "
-                "as they are; layers='improve' lets them change")
-        for kind, changes in (("cell", self.integrals), ("point", self.point_integrals)):
-            if changes:
-                lines.append(integrals_line(kind, changes))
-        lines += [f"note   {note}" for note in self.notes]
-        if self.untangled:
-            lines += _untangled_lines(self.untangled)
-        if self.curved:
-            lines += _curved_lines(self.curved)
-        if self.surface:
-            lines += _surface_lines(self.surface)
-        if self.energy:
-            first, last = self.energy[0][1], self.energy[-1][1]
-            lines.append(f"energy {first:.6g} -> {last:.6g}")
-        if self.times:
-            parts = ", ".join(f"{name} {seconds:.2f} s" for name, seconds in self.times.items())
-            lines.append(f"time   {parts}")
-        if self.counts:
-            lines.append("counts " + ", ".join(f"{k} {v}" for k, v in self.counts.items()))
-        if full := _full(self):
-            lines.append(full)
-        if self.slid:
-            text = ("slid   {vertices} vertices; {forward:.3g} and {backward:.3g} from surface to "
-                    "surface, at most {envelope:.3g}; volume {volume:+.3%}")
-            lines.append(text.format(**self.slid))
-        if self.filled:
-            lines.append(f"filled {self.filled}")
-        if self.stop_reason:
-            lines.append(f"ended  {self.stop_reason}")
-        if self.fallback:
-            lines.append(f"fell back: {self.fallback}{_past_crossings(self)}")
-        if self.vetoed:
-            lines.append(_veto_line(self.vetoed, self.options))
-        if self.binding:
-            lines += ["", "what binds the minimum:"]
-            lines += [f"  {line}" for line in joined_lines(self.binding, 5)]
-        for number, part in enumerate(self.parts):
-            lines += ["", f"part {number}", *str(part).split("\n")]
-        return lines
+        return table + text_html("\n".join(story(self)))
 
     def to_dict(self) -> dict[str, Any]:
-        """Give all but `cell_origin` and `meshes` as values that JSON knows; None if not finite."""
+        """Give all but what is of the meshes as values that JSON knows; None if not finite."""
         data: dict[str, Any] = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)
-                                if f.name not in ("cell_origin", "meshes")}
+                                if f.name not in ("cell_origin", "meshes", "carrying")}
         data |= {"before": self.before.to_dict(), "after": self.after.to_dict(),
                  "binding": [dataclasses.asdict(cell) for cell in self.binding],
                  "movable_share": self.movable_share,
@@ -227,6 +179,48 @@ class Report:
         from odt_plugins.report.worth import Worth, solved
 
         return Worth(*(solved(points, cells) for points, cells in self.meshes))
+
+    def transfer(
+        self, values: ArrayLike, at: Literal["points", "cells"] | None = None
+    ) -> NDArray[Any]:
+        """Carry an array of your own to the result, as those on the mesh are carried.
+
+        Parameters
+        ----------
+        values : (n, ...) or (m, ...)    of the vertices of the input, or of all cells of the object
+        at : {"points", "cells"}         which of both, where there are as many
+
+        Returns
+        -------
+        (n', ...) or (m', ...)           of the result, in the same type. Floating-point numbers at
+                                         vertices that moved or came are interpolated linearly if
+                                         the option `fields` of the run interpolates, others stay
+                                         with their vertices; cells have the values of the cell
+                                         that `cell_origin` names. With fields="conserve" integrals
+                                         stay
+
+        Raises
+        ------
+        InvalidOptionError               an array of another length, or of as many vertices as cells
+        UnsupportedMeshError             values at the points of cells of higher order; a report of
+                                         several meshes, of which each of `parts` has this method
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import odt_plugins
+        >>> points = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.9, 0.8]])
+        >>> cells = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+        >>> (better, _), report = odt_plugins.optimize_with_report((points, cells))
+        >>> bool(np.allclose(report.transfer(points[:, 0]), better[:, 0]))
+        True
+        """
+        if self.carrying is None:
+            msg = ("got a report of several meshes or of a file in pieces; expected that of one "
+                   "mesh, try the method of one of its parts")
+            raise UnsupportedMeshError(msg)
+        carried: NDArray[Any] = self.carrying(values, at)
+        return carried
 
     def plot(self, path: str | PathLike[str]) -> None:
         """Write a figure: histograms before and after (cf. Figs 6 and 10) and the energy.
@@ -350,73 +344,6 @@ def _freeing(
                    wider if surface and "envelope" not in refused else "")
 
 
-def _veto_line(facts: Mapping[str, Any], options: Mapping[str, Any]) -> str:
-    """Say which figures refused a state, what it had, and how to have it."""
-    worse = ", ".join(f"{name} ({there:.4g}, before {old:.4g})"
-                      for name, (old, there) in facts["worse"].items())
-    left = tuple(name for name in options["keep"] if name not in facts["worse"])
-    return (f"veto   of {worse}: a state with mean q {facts['mean_quality']:.3f} and least q "
-            f"{facts['min_quality']:.3f} was refused; try keep={left!r}")
-
-
-def _past_crossings(report: Report) -> str:
-    """End of a sentence: what to try where a surface that moved went through itself."""
-    if not re.search("through (itself|other triangles)", report.fallback or ""):
-        return ""
-    return f"; try envelope={0.5 * report.options['envelope']:g}"
-
-
-def _full(report: Report) -> str:
-    """Say that no more vertices could come, and how to let them."""
-    insert = report.options.get("insert")
-    added = report.counts.get("vertices added", 0)
-    if not insert or not 0 < most_vertices(report.n_used, insert) - report.n_used <= added:
-        return ""
-    share = 2.0 * (AS_MANY_AS_PAY if insert is True else insert)
-    return (f"size   {counted(added, 'vertex', 'vertices')} came, as many as may by insert="
-            f"{insert}; try insert={share:g}")
-
-
-def _curved_lines(facts: Mapping[str, float]) -> list[str]:
-    """How good curved cells are, and what was held for them."""
-    text = ("curved {cells} cells; least scaled Jacobian {least_before:.4f} -> {least_after:.4f}, "
-            "mean {mean_before:.4f} -> {mean_after:.4f}")
-    lines = [text.format(**facts)]
-    if facts.get("folded"):
-        lines.append(f"note   {facts['folded']} curved cells that were valid are folded, since the "
-                     f"mesh was untangled; try repair='none', or moving what is inverted")
-    if facts["vertices_held"]:
-        lines.append(f"note   {facts['vertices_held']} vertices stay, since curved cells beside "
-                     f"them would be folded or have a smaller scaled Jacobian")
-    return lines
-
-
-def regions_line(names: tuple[str, ...]) -> str:
-    """Say which arrays were taken as labels of regions."""
-    return f"regions are those of {', '.join(map(repr, names))}, interfaces between them stay"
-
-
-def fields_line(names: tuple[str, ...]) -> str:
-    """Say which were interpolated."""
-    return f"fields interpolated at the new places of vertices: {', '.join(map(repr, names))}"
-
-
-def integrals_line(kind: str, changes: Mapping[str, float]) -> str:
-    """Say which arrays have other integrals."""
-    told = ", ".join(f"{name!r} by {change:.3g}" for name, change in changes.items())
-    return f"integrals of {kind} arrays changed, relative to those of absolute values: {told}"
-
-
-def _untangled_lines(facts: Mapping[str, Any]) -> list[str]:
-    """Say what was done to a mesh with inverted or flat cells."""
-    lines = [f"untangled {facts['inverted']} inverted and {facts['flat']} flat cells: "
-             f"{counted(facts['moved'], 'vertex', 'vertices')} moved, {facts['added']} added, "
-             f"{counted(facts['flips'], 'flip')}; {facts['left']} left"]
-    if facts["worse"]:
-        lines.append(f"of the valid cells of the input {', '.join(facts['worse'])}")
-    return lines
-
-
 def _surface_facts(
     before: SimplexMesh, outcome: Any, used: NDArray[np.bool_]
 ) -> dict[str, float] | None:
@@ -437,17 +364,6 @@ def _surface_facts(
         "on_lines": kept.on_lines,
         "held": int((kept.locked & used).sum()),
     }
-
-
-def _surface_lines(facts: Mapping[str, float]) -> list[str]:
-    size = facts["diagonal"]
-    return [
-        f"features {facts['feature_edges']} edges with {facts['corners']} corners; "
-        f"{facts['on_lines']} vertices slide along them, {facts['held']} are held",
-        f"distance {facts['forward']:.4g} to the input, {facts['backward']:.4g} from it, at "
-        f"most {facts['envelope']:.4g} allowed ({facts['forward'] / size:.3g}, "
-        f"{facts['backward'] / size:.3g}, {facts['envelope'] / size:.3g} of the diagonal)",
-    ]
 
 
 def histogram(quality: NDArray[np.float64]) -> tuple[int, ...]:
