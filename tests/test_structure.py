@@ -37,6 +37,7 @@ MAY_IMPORT = {
     "aside": {"adapters", "errors", "mesh", "options"},
     "curved": {"adapters", "engine", "errors", "mesh", "promise", "untangling"},
     "integrals": {"mesh", "figures"},
+    "metric": {"adapters", "engine", "errors", "mesh", "roundtrip"},
     "textures": {"adapters", "engine", "mesh"},
     "conserve": {"carry", "engine", "mesh", "figures"},
     "following": {"adapters", "carry", "conserve", "engine", "integrals", "untangling", *BASE},

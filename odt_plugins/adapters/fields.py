@@ -51,6 +51,21 @@ def sampled(
     return {name: arrays[name] for name in field_names(arrays, besides)}
 
 
+def named_metric(host: HostMesh, name: str) -> NDArray[Any]:
+    """Find the point array (n, ...) of a mesh that has a name and several numbers a vertex.
+
+    Raises
+    ------
+    InvalidOptionError    there is none
+    """
+    if name in host.fields and host.fields[name].ndim > 1:
+        return host.fields[name]
+    known = [key for key, values in host.fields.items() if values.ndim > 1]
+    msg = (f"got metric={name!r}; expected 'input', or the name of a point array of symmetric "
+           f"tensors of this mesh, it has {', '.join(known) or 'none'}")
+    raise InvalidOptionError(msg)
+
+
 def named_array(host: HostMesh, name: str) -> NDArray[Any]:
     """Find the point array (n,) or cell array (m,) of a mesh that has a name.
 
