@@ -7,4 +7,8 @@ where their arithmetic stands.
 
 `metric_at_vertices` reads what a caller gives and refuses what is no metric; `implied_metric` is
 the one that a mesh has; `grown_metric` and `bounded_metric` limit growth and anisotropy.
+
+References: A. Loseille, F. Alauzet, Continuous mesh framework, SIAM J. Numer. Anal. 49 (2011)
+38-86; F. Alauzet, Size gradation control of anisotropic meshes, Finite Elem. Anal. Des. 46 (2010)
+181-202.
 """
