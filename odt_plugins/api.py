@@ -20,17 +20,10 @@ from odt_plugins.adapters.files import (
 from odt_plugins.adapters.host import words_of
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
+from odt_plugins.keywords import RUN, OptionKeywords, RunKeywords, with_option_signature
 from odt_plugins.mesh.simplex import mesh_arrays, turned_alike
 from odt_plugins.multiblock import has_parts, run_parts
-from odt_plugins.options import (
-    OF_UNTANGLING,
-    OPTIONS,
-    RUN,
-    OptionKeywords,
-    RunKeywords,
-    make_options,
-    with_option_signature,
-)
+from odt_plugins.options import OF_UNTANGLING, OPTIONS, make_options
 from odt_plugins.roundtrip import flat_points, run_engine
 from odt_plugins.untangling import Wanted
 

@@ -58,6 +58,10 @@ def run_parts(
     ODTError              what one part raises, with its name
     """
     whole = next(whole for whole in WHOLES if whole.matches(mesh))
+    if options.get("reference") is not None:
+        msg = (f"got reference= for an object of several {whole.PARTS}; expected one mesh, try its "
+               f"{whole.PARTS} one by one")
+        raise InvalidOptionError(msg)
     names = whole.chosen(mesh)
     parts = [whole.part_at(mesh, key) for key in names]
     shown = []

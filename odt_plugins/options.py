@@ -4,17 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-import inspect
-import os
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from numbers import Integral, Real
 from textwrap import wrap
-from typing import Any, Literal, TypedDict, TypeVar, get_args
+from typing import Any, Literal, get_args
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
 
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.objectives import AIMS, Objective
@@ -26,8 +23,6 @@ Boundary = Literal["fixed", "slide"]
 Fields = Literal["auto", "interpolate", "conserve", "keep"]
 Repair = Literal["auto", "orient", "none"]
 LinearSolver = Literal["auto", "direct", "amg"]
-
-FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
 
 SOLVERS: dict[str, tuple[str, ...]] = {
     "odt": ("gauss-seidel", "jacobi", "richardson", "global", "lbfgs"),
@@ -51,7 +46,7 @@ Layers = Literal["keep", "improve"]
 STAYS = ("periodic", "inside")
 """What stays unless the option `free` names it."""
 
-OF_MESHES = ("fixed", "selection", "regions", "fields", "layers", "free")
+OF_MESHES = ("reference", "fixed", "selection", "regions", "fields", "layers", "free")
 """Options for what a mesh has that is there already, none for a surface that is to be filled."""
 
 NOT_SIZED = ("insert", "density")
@@ -213,6 +208,11 @@ class Options:
     envelope: float = field(default=1e-3, metadata=_told(
         "How far a surface that moves may be from the input's, both ways, as a part of the "
         "diagonal of the bounding box."))
+    reference: Any = field(default=None, metadata=_told(
+        "A mesh of the same kind from whose surface, rims and borders the envelope is measured, "
+        "and of whose diagonal it is a part: what the mesh is away from it counts, so that "
+        "repeated calls do not add up. Unless given, the mesh itself.",
+        python="Any mesh that optimize takes, or the path of one.", flag="A mesh file."))
     feature_angle: float = field(default=40.0, metadata=_told(
         "Degrees by which a surface turns at an edge that is kept. Chains of fewer than five such "
         "edges with a loose end count as noise."))
@@ -359,81 +359,6 @@ def meaning(name: str) -> str:
 
 
 Options.__doc__ = _documentation()
-
-
-class OptionKeywords(TypedDict, total=False):
-    """Keyword arguments of :func:`odt_plugins.optimize`: the fields of :class:`Options`.
-
-    A type checker cannot derive these from :class:`Options`; a test holds both equal.
-    """
-
-    method: Method
-    solver: Solver
-    connectivity: Connectivity
-    density: str | ArrayLike | Callable[[NDArray[np.float64]], ArrayLike]
-    smoothing: Mapping[str, Any]
-    finish: bool
-    objective: Objective
-    insert: bool | float
-    boundary: Boundary
-    envelope: float
-    feature_angle: float
-    fixed: ArrayLike | None
-    selection: ArrayLike | None
-    regions: str | Sequence[str] | ArrayLike | None
-    fields: Fields
-    layers: Layers
-    free: str | tuple[str, ...]
-    keep: str | tuple[str, ...]
-    repair: Repair
-    threads: int
-    progress: Progress | bool | None
-
-
-class RunKeywords(OptionKeywords, total=False):
-    """The same with what says where the work is done and where the result goes."""
-
-    target: str | os.PathLike[str] | None
-    file_format: str | None
-    binary: bool | None
-    blocks: int | None
-    block_rounds: int
-    workers: int
-    client: Any
-
-
-RUN: dict[str, Any] = {"target": None, "file_format": None, "binary": None, "blocks": None,
-                       "block_rounds": 3, "workers": 0, "client": None}
-"""The latter arguments of :func:`odt_plugins.optimize`, which are no options of a run."""
-
-
-def with_option_signature(
-    *without: str, run: bool = False, **others: Any
-) -> Callable[[FunctionT], FunctionT]:
-    """Let help() and inspect show every option instead of `**options`, without some names, and
-    with other defaults of some.
-
-    With `run` the arguments in RUN stand before them.
-    """
-
-    def decorate(function: FunctionT) -> FunctionT:
-        signature = inspect.signature(function)
-        own = [p for p in signature.parameters.values()
-               if p.kind is not p.VAR_KEYWORD and p.name not in without]
-        own += [inspect.Parameter(name, inspect.Parameter.KEYWORD_ONLY, default=value,
-                                  annotation=RunKeywords.__annotations__[name].__forward_arg__)
-                for name, value in RUN.items() if run]
-        keywords = [
-            inspect.Parameter(
-                name, inspect.Parameter.KEYWORD_ONLY, default=others.get(name, about.default),
-                annotation=about.type
-            )
-            for name, about in OPTIONS.items() if name not in without
-        ]
-        function.__signature__ = signature.replace(parameters=[*own, *keywords])  # type: ignore[attr-defined]
-        return function
-
-    return decorate
 
 
 def make_options(odt: Mapping[str, Any] | None = None, /, **options: Any) -> Options:

@@ -9,16 +9,11 @@ from typing import TYPE_CHECKING, Any, Unpack
 import numpy as np
 
 from odt_plugins.errors import InvalidOptionError
+from odt_plugins.keywords import OptionKeywords, with_option_signature
 from odt_plugins.mesh.facets import directed_facets
 from odt_plugins.mesh.simplex import SimplexMesh, freeze, with_same_cells
 from odt_plugins.multiblock import has_parts, run_parts
-from odt_plugins.options import (
-    NOT_SIZED,
-    OptionKeywords,
-    Options,
-    make_options,
-    with_option_signature,
-)
+from odt_plugins.options import NOT_SIZED, Options, make_options
 from odt_plugins.roundtrip import run_engine
 from odt_plugins.untangling import Wanted
 

@@ -72,6 +72,7 @@ from odt_plugins.mesh.surface import surface_mesh
 from odt_plugins.mesh.tangled import tangled_mesh
 from odt_plugins.options import Options
 from odt_plugins.progress import kernels_shown, part, telling
+from odt_plugins.reference import within_reference
 from odt_plugins.textures import feet_of
 from odt_plugins.transfer import transfer_of
 from odt_plugins.untangling import Tangle, Wanted, rest_places, untangle_mesh
@@ -126,6 +127,8 @@ def run_engine(
                 options = replace(options, density=named_array(given, wanted.sizes))
             options = of_cells(options, work.own, len(given.cells))
             chosen = _of_mesh(_in_frame(options, work.frame), work.tangle)
+            chosen, left = within_reference(chosen, work.host)
+            work = work._replace(notes=work.notes + left)
             chosen = _with_sag(chosen, work) if moves else chosen
             then = progress if work.tangle is None else part(progress, wanted.share, 1.0)
             chosen = replace(chosen, progress=tell and then)

@@ -34,15 +34,9 @@ from odt_plugins.errors import (
     require,
     warn,
 )
+from odt_plugins.keywords import OptionKeywords, with_option_signature
 from odt_plugins.mesh.simplex import barycentric, diagonal, mesh_arrays, reverse
-from odt_plugins.options import (
-    EDGE_LENGTH,
-    OPTIONS,
-    OptionKeywords,
-    Progress,
-    make_options,
-    with_option_signature,
-)
+from odt_plugins.options import EDGE_LENGTH, OPTIONS, Progress, make_options
 from odt_plugins.progress import part, telling
 from odt_plugins.remeshing import check_sizes, remesh, remesh_with_report
 

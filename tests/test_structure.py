@@ -17,10 +17,11 @@ from odt_plugins import errors
 PACKAGE = Path(odt_plugins.__file__).parent
 MODULES = sorted(PACKAGE.rglob("*.py"))
 
-BASE = {"errors", "mesh", "objectives", "options", "promise", "figures"}
+BASE = {"errors", "keywords", "mesh", "objectives", "options", "promise", "figures"}
 MAY_IMPORT = {
     "errors": set(),
     "objectives": set(),
+    "keywords": {"objectives", "options"},
     "options": {"errors", "objectives"},
     "processes": {"errors"},
     "progress": {"options"},
@@ -43,13 +44,13 @@ MAY_IMPORT = {
     "following": {"adapters", "carry", "conserve", "engine", "integrals", "untangling", *BASE},
     "transfer": {"adapters", "engine", "following", *BASE},
     "multiblock": {"adapters", "progress", *BASE},
+    "reference": {"adapters", "engine", *BASE},
     "roundtrip": {"adapters", "aside", "carry", "curved", "engine", "following", "progress",
-                  "textures", "transfer", "untangling", *BASE},
+                  "reference", "textures", "transfer", "untangling", *BASE},
     "api": {"adapters", "distributed", "engine", "multiblock", "report", "roundtrip", "untangling",
             *BASE},
-    "remeshing": {"engine", "errors", "mesh", "multiblock", "options", "report", "roundtrip",
-                  "untangling"},
-    "tetwild": {"api", "errors", "generate", "mesh", "options", "progress", "remeshing", "report"},
+    "remeshing": {"engine", "multiblock", "report", "roundtrip", "untangling", *BASE},
+    "tetwild": {"api", "generate", "progress", "remeshing", "report", *BASE},
     "hosts": {"adapters", "api", "remeshing", "report", "tetwild", *BASE},
     "generate": {"adapters", "api", "carry", "engine", "progress", "remeshing", "report", "table",
                  "tetwild", *BASE},

@@ -140,7 +140,7 @@ def refuse_for_kind(source: Path, boundary: str) -> None:
     click.UsageError
     ODTError            the file cannot be read
     """
-    names = given("envelope", "feature_angle")
+    names = given("envelope", "feature_angle", "reference")
     if not names:
         return
     from odt_plugins.adapters import files
@@ -154,8 +154,6 @@ def refuse_for_kind(source: Path, boundary: str) -> None:
         return
     kind = "tetrahedra" if solid else "triangles in the plane"
     for name in names:
-        if not solid:
-            refuse(name, f"for {kind}", "a curved surface of triangles")
         if boundary != "slide":
             refuse(name, f"for {kind} whose boundary stays", "--boundary slide beside it")
 

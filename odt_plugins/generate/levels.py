@@ -28,6 +28,7 @@ from odt_plugins.generate.levels_report import Level, LevelsReport
 from odt_plugins.generate.project import Target, project
 from odt_plugins.generate.refine3d import check_size, numbered_edges
 from odt_plugins.generate.uniform import uniform_refine
+from odt_plugins.keywords import OptionKeywords, with_option_signature
 from odt_plugins.mesh.arrays import BoolArray
 from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.simplex import (
@@ -37,14 +38,7 @@ from odt_plugins.mesh.simplex import (
     mesh_arrays,
     vertex_mask,
 )
-from odt_plugins.options import (
-    EDGE_LENGTH,
-    OptionKeywords,
-    Options,
-    Progress,
-    make_options,
-    with_option_signature,
-)
+from odt_plugins.options import EDGE_LENGTH, Options, Progress, make_options
 from odt_plugins.progress import part, telling
 
 SLIDES: tuple[dict[str, Any], ...] = (
@@ -247,6 +241,9 @@ def _refined(
 
 def check_levels(levels: Any, edge_length: Any, options: Mapping[str, Any]) -> None:
     """Refuse what has no meaning for several levels."""
+    if options.get("reference") is not None:
+        msg = "got reference= for levels, whose envelope is that of the surface; try surface="
+        raise InvalidOptionError(msg)
     whole = isinstance(levels, Integral) and not isinstance(levels, bool)
     if not (whole and int(levels) >= 0):
         msg = f"got levels={levels!r}; expected an integer of at least 0"

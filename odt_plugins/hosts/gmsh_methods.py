@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import TYPE_CHECKING, Any, Unpack
 
 from odt_plugins.api import optimize_with_report
-from odt_plugins.options import OptionKeywords, with_option_signature
+from odt_plugins.keywords import OptionKeywords, with_option_signature
 from odt_plugins.remeshing import remesh_with_report
 
 if TYPE_CHECKING:

@@ -15,7 +15,8 @@ from odt_plugins.adapters import open3d_mesh
 from odt_plugins.adapters.host import is_instance
 from odt_plugins.api import optimize as optimize_mesh
 from odt_plugins.errors import InvalidOptionError, ODTError, UnsupportedMeshError
-from odt_plugins.options import OPTIONS, OptionKeywords, with_option_signature
+from odt_plugins.keywords import OptionKeywords, with_option_signature
+from odt_plugins.options import OPTIONS
 from odt_plugins.remeshing import remesh
 
 MeshT = TypeVar("MeshT")

@@ -10,7 +10,7 @@ from odt_plugins.adapters import pyvista_mesh
 from odt_plugins.api import optimize, optimize_with_report, quality
 from odt_plugins.errors import UnsupportedMeshError
 from odt_plugins.figures import QualitySummary, radius_ratio
-from odt_plugins.options import OptionKeywords, with_option_signature
+from odt_plugins.keywords import OptionKeywords, with_option_signature
 from odt_plugins.remeshing import remesh
 from odt_plugins.tetwild import tetrahedralize
 

@@ -376,12 +376,16 @@ def described(options: Options) -> dict[str, Any]:
     """Give every option as a plain value; arrays and callables by what they are."""
     values = {f.name: getattr(options, f.name) for f in dataclasses.fields(options)}
     del values["progress"]
+    if not isinstance(values["reference"], str | PathLike | None):
+        values["reference"] = f"a {type(values['reference']).__name__}"
     return {name: _describe(value) for name, value in values.items()}
 
 
 def _describe(value: Any) -> Any:
     if value is None or isinstance(value, (str, bool, int, float)):
         return value
+    if isinstance(value, PathLike):
+        return str(value)
     if isinstance(value, Smoothing):
         return dataclasses.asdict(value)
     if callable(value):

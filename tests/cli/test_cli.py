@@ -591,7 +591,8 @@ def test_a_printed_report_names_flags(tmp_path, monkeypatch, capsys):
 @pytest.mark.parametrize(("words", "said"), [
     ("optimize ball.vtu o.vtu --envelope 0.01", "--envelope for tetrahedra whose boundary stays"),
     ("optimize ball.vtu o.vtu --feature-angle 30 --boundary fixed", "--boundary slide beside it"),
-    ("optimize in.vtu o.vtu --envelope 0.01", "--envelope for triangles in the plane, where"),
+    ("optimize in.vtu o.vtu --envelope 0.01",
+     "--envelope for triangles in the plane whose boundary stays"),
     ("optimize ball.vtu o.vtu --block-rounds 2", "expected --blocks beside it"),
     ("optimize ball.vtu o.vtu --smoothing omega=1.5 --solver global",
      "expected None unless the solver is a"),
