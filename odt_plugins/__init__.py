@@ -54,6 +54,7 @@ if TYPE_CHECKING:
     )
     from odt_plugins.hosts import register as register
     from odt_plugins.hosts.script import run_filter_script as run_filter_script
+    from odt_plugins.metric.field import metric_from_field as metric_from_field
     from odt_plugins.options import Options as Options
     from odt_plugins.remeshing import remesh as remesh
     from odt_plugins.remeshing import remesh_with_report as remesh_with_report
@@ -79,6 +80,7 @@ _HOMES = {
     "TangledMeshError": "errors",
     "UnsupportedMeshError": "errors",
     "WorkerError": "errors",
+    "metric_from_field": "metric.field",
     "optimize": "api",
     "optimize_with_report": "api",
     "quality": "api",

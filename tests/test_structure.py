@@ -61,8 +61,8 @@ MAY_IMPORT = {
     "cli": {"adapters", "ahead", "api", "compare", "distributed", "generate", "hosts", "processes",
             "progress", "remeshing", "report", "table", "tetwild", *BASE},
     "__main__": {"adapters", "cli"},
-    "__init__": {"api", "distributed", "generate", "hosts", "remeshing", "report", "tetwild",
-                 *BASE},
+    "__init__": {"api", "distributed", "generate", "hosts", "metric", "remeshing", "report",
+                 "tetwild", *BASE},
 }
 """Rooms that a room may import."""
 

@@ -6,7 +6,8 @@ Arrays are (n, d, d), or packed in the order of MEDIT, see :mod:`odt_plugins.eng
 where their arithmetic stands.
 
 `metric_at_vertices` reads what a caller gives and refuses what is no metric; `implied_metric` is
-the one that a mesh has; `grown_metric` and `bounded_metric` limit growth and anisotropy.
+the one that a mesh has; `grown_metric` and `bounded_metric` limit growth and anisotropy;
+`recovered_hessians` are the second derivatives of a field, of which `hessians_to_metric` makes one.
 
 References: A. Loseille, F. Alauzet, Continuous mesh framework, SIAM J. Numer. Anal. 49 (2011)
 38-86; F. Alauzet, Size gradation control of anisotropic meshes, Finite Elem. Anal. Des. 46 (2010)

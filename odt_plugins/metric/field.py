@@ -1,0 +1,266 @@
+"""A metric in which a mesh of so many cells interpolates a field best."""
+
+from __future__ import annotations
+
+import math
+from numbers import Integral, Real
+from typing import Any
+
+import numpy as np
+
+from odt_plugins.adapters.host import HostMesh, words_of
+from odt_plugins.adapters.registry import find_adapter
+from odt_plugins.engine.cells.elementary import power
+from odt_plugins.engine.cells.geometry import signed_volumes
+from odt_plugins.engine.cells.tensors import (
+    determinants,
+    eigenvalues,
+    intersection,
+    of_eigenvalues,
+)
+from odt_plugins.engine.remesh.sizes import CONTENT
+from odt_plugins.errors import InvalidOptionError
+from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.simplex import corner_mean, diagonal
+from odt_plugins.metric.given import MOST_RATIO
+from odt_plugins.metric.hessian import Tangents, recovered_hessians, tangents
+from odt_plugins.metric.limits import bounded_metric, grown_metric
+from odt_plugins.roundtrip import flat_points
+
+NOTHING = 1e-8
+"""Second derivative times the squared diagonal, as a part of the range of the field, below which
+there is none."""
+
+LENGTHS = (1e-5, 0.5)
+"""Shortest and longest length, as parts of the diagonal."""
+
+TRIES = 12
+"""Most scales that are tried until the metric has its number of cells."""
+
+NEAR = 0.005
+"""Part by which that number may be missed."""
+
+
+def metric_from_field(
+    mesh: Any, values: Any, cells: int, *, norm: float = 2.0, growth: float = 1.5,
+    ratio: float = 1e3,
+) -> FloatArray:
+    """Make a metric in which a mesh of so many cells interpolates a field with the least error.
+
+    Parameters
+    ----------
+    mesh : object                what :func:`odt_plugins.optimize` takes
+    values : array, str, list of str or callable
+                                 of a field at the vertices: (n,), or (n, c) of one with c
+                                 components, whose metrics are intersected; the name of a point
+                                 array of the mesh, or the names of several, each of which is scaled
+                                 to `cells` before they are intersected; or a function
+                                 values(points)
+    cells : int                  about how many cells there are to be
+    norm : float                 p of the L^p norm of the error that is to be least; inf for the
+                                 largest error. The larger it is the more cells go to where the
+                                 field is steepest
+    growth : float               largest ratio of lengths at the ends of an edge of length 1
+    ratio : float                largest ratio of the lengths of a cell in two directions
+
+    Returns
+    -------
+    (n, d, d) float64            d the dimension of the points; for `metric` of
+                                 :func:`odt_plugins.remesh`. Where the mesh is a surface in space,
+                                 second derivatives are those along it, and lengths normal to it are
+                                 the shorter ones along it
+
+    Raises
+    ------
+    InvalidOptionError           values that are not finite real numbers of every vertex, or options
+                                 out of range
+
+    Notes
+    -----
+    M = c det|H|^(-1 / (2 p + d)) |H|, where |H| is the Hessian with the absolute values of its
+    eigenvalues and c such that the integral of sqrt(det M) is that of `cells` good cells.
+
+    References
+    ----------
+    L. Chen, P. Sun, J. Xu, Optimal anisotropic meshes for minimizing interpolation errors in L^p
+    norm, Math. Comp. 76 (2007) 179-204; A. Loseille, F. Alauzet, Continuous mesh framework, SIAM J.
+    Numer. Anal. 49 (2011) 38-86.
+
+    Examples
+    --------
+    >>> import numpy as np
+    >>> import odt_plugins
+    >>> x, y = np.meshgrid(np.linspace(0, 1, 6), np.linspace(0, 1, 6))
+    >>> points = np.stack([x.ravel(), y.ravel()], axis=1)
+    >>> from scipy.spatial import Delaunay
+    >>> mesh = points, Delaunay(points).simplices
+    >>> metric = odt_plugins.metric_from_field(mesh, 9 * points[:, 0]**2 + points[:, 1]**2, 1000)
+    >>> stretch = np.sqrt(metric[:, 0, 0] / metric[:, 1, 1])
+    >>> bool(np.allclose(stretch, 3.0, rtol=1e-3))
+    True
+    """
+    _expect(isinstance(cells, Integral) and not isinstance(cells, bool) and cells >= 1, "cells",
+            cells, "an integer of at least 1")
+    _expect(_is_real(norm) and norm >= 1.0, "norm", norm, "a number of at least 1, or inf")
+    _expect(_is_real(growth) and 1.0 < growth < math.inf, "growth", growth,
+            "a number above 1, such as 1.5")
+    _expect(_is_real(ratio) and 1.0 <= ratio <= MOST_RATIO, "ratio", ratio,
+            f"a number from 1 to {MOST_RATIO:g}")
+    host = find_adapter(mesh).read(mesh)
+    with words_of(host):
+        points, frame = flat_points(host)
+        corners = np.ascontiguousarray(host.cells, dtype=np.int32)
+        fields = [_values(host, part) for part in _parts(values)]
+    along = tangents(points, corners) if points.shape[1] == corners.shape[1] else None
+    limits = growth, ratio
+    found = [hessians_to_metric(points, corners, recovered_hessians(points, corners, field, along),
+                                _least(points, corners, field), cells, norm, limits, along)
+             for field in fields]
+    metric = found[0]
+    if len(found) > 1:
+        for other in found[1:]:
+            metric = intersection(metric, other)
+        metric = scaled_to(points, corners, metric, cells, limits, along)
+    if frame is None:
+        return metric
+    normal = np.cross(frame.axes[0], frame.axes[1])
+    plane = Tangents(np.broadcast_to(frame.axes, (len(points), 2, 3)),
+                     np.broadcast_to(normal, (len(points), 3)))
+    return plane.lifted(metric)
+
+
+def hessians_to_metric(
+    points: FloatArray, cells: IntArray, hessians: FloatArray, least: float, count: float,
+    norm: float, limits: tuple[float, float], along: Tangents | None = None,
+) -> FloatArray:
+    """The metric of fields of one unit whose Hessians are known, by eight parameters.
+
+    Parameters
+    ----------
+    points, cells : arrays       see :func:`odt_plugins.metric.hessian.recovered_hessians`
+    hessians : (c, n, d, d)
+    least : float                absolute value below which a second derivative is taken for this
+    count, norm : float          see :func:`metric_from_field`
+    limits : growth and ratio    see :func:`metric_from_field`
+    along : Tangents             of triangles in space
+
+    Returns
+    -------
+    (n, D, D) float64
+    """
+    d = hessians.shape[-1]
+    parts = []
+    for hessian in hessians:
+        values, axes = eigenvalues(hessian)
+        parts.append(of_eigenvalues(np.maximum(np.abs(values), least), axes))
+    metric = parts[0]
+    for other in parts[1:]:
+        metric = intersection(metric, other)
+    if norm < math.inf:
+        metric = power(determinants(metric), -1.0 / (2.0 * norm + d))[:, None, None] * metric
+    if along is not None:
+        metric = along.lifted(metric)
+    return scaled_to(points, cells, metric, count, limits, along)
+
+
+def scaled_to(
+    points: FloatArray, cells: IntArray, metric: FloatArray, count: float,
+    limits: tuple[float, float], along: Tangents | None = None,
+) -> FloatArray:
+    """The multiple of a metric that, once it is limited, has a number of cells.
+
+    Growth and bounds add cells, by how many depends on the scale, which is found by steps that
+    divide the error in log(cells) by its slope between the last two scales.
+    """
+    d = cells.shape[1] - 1
+    growth, ratio = limits
+    size = diagonal(points[np.unique(cells)])
+    least, most = LENGTHS[0] * size, LENGTHS[1] * size
+
+    def limited(scale: float) -> tuple[FloatArray, float]:
+        out = bounded_metric(scale * metric, ratio, least, most)
+        out = bounded_metric(grown_metric(points, cells, out, growth), ratio)
+        if along is not None:
+            out = along.lifted(along.along(out))
+        return out, math.log(cells_of_metric(points, cells, out, along) / count)
+
+    now = math.log(count / cells_of_metric(points, cells, metric, along)) * 2.0 / d
+    slope = 0.5 * d
+    out, over = limited(math.exp(now))
+    for _ in range(TRIES):
+        if abs(over) <= NEAR:
+            break
+        before, was = now, over
+        now -= max(-8.0, min(8.0, over / slope))
+        out, over = limited(math.exp(now))
+        if now != before:
+            slope = max(0.05 * d, min(0.5 * d, (over - was) / (now - before)))
+    return out
+
+
+def cells_of_metric(
+    points: FloatArray, cells: IntArray, metric: FloatArray, along: Tangents | None = None
+) -> float:
+    """About how many cells with edges of length 1 in a metric fill a mesh."""
+    content = np.abs(signed_volumes(points, cells))
+    dense = np.sqrt(determinants(metric if along is None else along.along(metric)))
+    return float((content * corner_mean(dense, cells)).sum()) / CONTENT[cells.shape[1]]
+
+
+def _least(points: FloatArray, cells: IntArray, field: FloatArray) -> float:
+    """The second derivative that counts as none."""
+    used = np.unique(cells)
+    spread = float(np.ptp(field[used], axis=0).max()) or 1.0
+    return NOTHING * spread / diagonal(points[used]) ** 2
+
+
+def _parts(values: Any) -> list[Any]:
+    """Fields of different units: those whose names are listed, or one."""
+    names = isinstance(values, list | tuple) and values and isinstance(values[0], str)
+    return list(values) if names else [values]
+
+
+def _values(host: HostMesh, given: Any) -> FloatArray:
+    """Components (n, c) of one field."""
+    n = len(host.points)
+    if isinstance(given, str):
+        if given not in host.fields:
+            known = ", ".join(host.fields) or "none"
+            msg = (f"got field {given!r}; expected the name of a point array of floating-point "
+                   f"numbers of this mesh, it has {known}")
+            raise InvalidOptionError(msg)
+        given = host.fields[given]
+    raw = given(np.array(host.points, dtype=np.float64)) if callable(given) else given
+    try:
+        found = np.asarray(raw)
+        if found.dtype.kind in "cmMSU":
+            msg = f"they are of type {found.dtype}"
+            raise TypeError(msg)
+        field = found.astype(np.float64)
+    except (TypeError, ValueError) as exc:
+        msg = f"got values of a field that are no real numbers: {exc}; expected ({n},) or ({n}, c)"
+        raise InvalidOptionError(msg) from exc
+    if field.shape[:1] != (n,) or not field.size:
+        msg = f"got values of a field of shape {field.shape}; expected ({n},) or ({n}, c)"
+        raise InvalidOptionError(msg)
+    field = field.reshape(n, -1)
+    used = np.unique(np.asarray(host.cells, dtype=np.int64))
+    bad = used[~np.isfinite(field[used]).all(axis=1)]
+    if bad.size:
+        msg = (f"got a field with NaN or infinite values at vertex {bad[0]} ({bad.size} of them); "
+               f"expected finite ones")
+        raise InvalidOptionError(msg)
+    rest = np.setdiff1d(np.arange(n), used)
+    if rest.size:
+        field[rest] = 0.0
+    return field
+
+
+def _is_real(value: object) -> bool:
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def _expect(good: bool, name: str, value: object, expected: str) -> None:
+    if not good:
+        msg = f"got {name}={value!r}; expected {expected}"
+        raise InvalidOptionError(msg)
