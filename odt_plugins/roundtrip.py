@@ -166,7 +166,7 @@ def run_engine(
         cells, source = with_others(given.cells, cells, source, work.own)
     whence = cell_origin(work.host.ids, work.host.total, source)
     told = {"regions_from": work.host.regions_from, "notes": work.notes + outcome.notes,
-            "cell_origin": whence,
+            "cell_origin": whence, "plane": work.frame,
             "carrying": transfer_of(work, given, outcome, written, options, whence),
             "interpolated": () if vertices is None else fields,
             "refused": wanted.refused + ("insert",) * given.higher_order,

@@ -60,5 +60,5 @@ def report_of_parts(parts: Sequence[Report]) -> Report:
         after=after, histogram_before=histograms[0], histogram_after=histograms[1], energy=(),
         stop_reason="", fallback="; ".join(fallbacks) or None, binding=(), slid=None, surface=None,
         cell_origin=None, notes=(), untangled=None, curved=None, integrals={},
-        point_integrals={}, vetoed=None, carrying=None, meshes=tuple(meshes), parts=tuple(parts),
-        **told)
+        point_integrals={}, vetoed=None, carrying=None, plane=None, meshes=tuple(meshes),
+        parts=tuple(parts), **told)

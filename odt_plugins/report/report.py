@@ -5,7 +5,7 @@ from __future__ import annotations
 import dataclasses
 import json
 import platform
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from importlib.metadata import PackageNotFoundError, version
 from os import PathLike
@@ -27,6 +27,7 @@ from odt_plugins.untangling import Tangle, worse_than_valid
 
 if TYPE_CHECKING:
     from odt_plugins.engine.run.outcome import Outcome
+    from odt_plugins.report.interpolation import InterpolationErrors
     from odt_plugins.report.worth import Worth
 
 BINS = np.linspace(0.0, 1.0, 51)
@@ -94,6 +95,8 @@ class Report:
                                             :meth:`to_dict`
     carrying : callable or None             what carries arrays, for :meth:`transfer`; not in
                                             :meth:`to_dict`
+    plane : PlaneFrame or None              plane of triangles in space, in whose coordinates
+                                            `meshes` are; not in :meth:`to_dict`
     parts : tuple of Report                 of an object of several meshes, those of each; the
                                             figures are those of all together then
     """
@@ -130,6 +133,7 @@ class Report:
     meshes: tuple[tuple[NDArray[Any], NDArray[Any]], ...] = dataclasses.field(
         default=(), repr=False, compare=False)
     carrying: Any = dataclasses.field(default=None, repr=False, compare=False)
+    plane: Any = dataclasses.field(default=None, repr=False, compare=False)
     parts: tuple[Report, ...] = ()
 
     @property
@@ -156,7 +160,7 @@ class Report:
     def to_dict(self) -> dict[str, Any]:
         """Give all but what is of the meshes as values that JSON knows; None if not finite."""
         data: dict[str, Any] = {f.name: getattr(self, f.name) for f in dataclasses.fields(self)
-                                if f.name not in ("cell_origin", "meshes", "carrying")}
+                                if f.name not in ("cell_origin", "meshes", "carrying", "plane")}
         data |= {"before": self.before.to_dict(), "after": self.after.to_dict(),
                  "binding": [dataclasses.asdict(cell) for cell in self.binding],
                  "movable_share": self.movable_share,
@@ -179,6 +183,38 @@ class Report:
         from odt_plugins.report.worth import Worth, solved
 
         return Worth(*(solved(points, cells) for points, cells in self.meshes))
+
+    def interpolation_error(
+        self, f: Callable[[NDArray[np.float64]], ArrayLike]
+    ) -> InterpolationErrors:
+        """Measure how well linear functions on the cells interpolate a function, before and after.
+
+        Parameters
+        ----------
+        f : callable                  f(x) -> (k,) for places x (k, d) as the mesh has its points
+
+        Returns
+        -------
+        InterpolationErrors           `before` and `after`, each with `l1`, `l2` and `largest`
+
+        Raises
+        ------
+        InvalidOptionError            f gives anything but one finite real number for every place
+
+        Examples
+        --------
+        >>> import numpy as np
+        >>> import odt_plugins
+        >>> points = np.array([[0.0, 0.0], [1.0, 0.0], [1.0, 1.0], [0.0, 1.0], [0.9, 0.8]])
+        >>> cells = np.array([[0, 1, 4], [1, 2, 4], [2, 3, 4], [3, 0, 4]])
+        >>> _, report = odt_plugins.optimize_with_report((points, cells))
+        >>> found = report.interpolation_error(lambda x: x[:, 0] ** 2)
+        >>> bool(found.after.l2 < found.before.l2)
+        True
+        """
+        from odt_plugins.report.interpolation import errors_of_report
+
+        return errors_of_report(self, f)
 
     def transfer(
         self, values: ArrayLike, at: Literal["points", "cells"] | None = None
