@@ -43,6 +43,9 @@ from odt_plugins.errors import (
 FILE_FORMATS = {"gmsh22": "gmsh22", "gmsh41": "gmsh"}
 """Versions of Gmsh's format that can be asked for, and their names in meshio."""
 
+PLAIN: Any = {"legacy": "1.25"} if int(np.__version__.split(".")[0]) > 1 else {}
+"""Options by which numbers are printed as plain ones, which they always are before NumPy 2."""
+
 PREFERRED = {".msh": "gmsh"}
 """Format to take first where several share a suffix."""
 
@@ -268,7 +271,10 @@ def _formats(path: Path) -> list[str]:
     raise MeshFileError(msg)
 
 
-def write_arrays(path: str | os.PathLike[str], points: NDArray[Any], cells: NDArray[Any]) -> None:
+def write_arrays(
+    path: str | os.PathLike[str], points: NDArray[Any], cells: NDArray[Any],
+    regions: NDArray[Any] | None = None,
+) -> None:
     """Write triangles or tetrahedra given as arrays; points in the plane get a third coordinate 0.
 
     Parameters
@@ -276,13 +282,15 @@ def write_arrays(path: str | os.PathLike[str], points: NDArray[Any], cells: NDAr
     path : path                       as for :func:`write_file`, which says what may be raised
     points : (n, 2) or (n, 3) float
     cells : (m, 3) or (m, 4) int
+    regions : (m,) int, optional      labels, as the cell array "region"
     """
     import meshio
 
     space = np.zeros((len(points), 3))
     space[:, : points.shape[1]] = points
     kind = "triangle" if cells.shape[1] == 3 else "tetra"
-    write_file(path, meshio.Mesh(space, [(kind, cells)]))
+    data: Any = {} if regions is None else {"region": [regions]}
+    write_file(path, meshio.Mesh(space, [(kind, cells)], cell_data=data))
 
 
 def _read_as(path: Path, formats: list[str]) -> tuple[Any, list[str], str]:
@@ -449,9 +457,9 @@ def _write_heard(path: Path, mesh: Any, name: str, binary: bool | None) -> list[
     if name == "vtk":
         _widen(mesh)
     # Flat triangles of STL files have no normals. Some writers print numbers as they are written
-    # in Python, which were plain ones before NumPy 2.
+    # in Python.
     with (
-        reading.remarks() as said, np.errstate(all="ignore"), np.printoptions(legacy="1.25"),
+        reading.remarks() as said, np.errstate(all="ignore"), np.printoptions(**PLAIN),
     ):
         if name == "gmsh":
             gmsh_files.write(path, mesh, binary is not False)

@@ -32,8 +32,14 @@ CHOSEN_SUITES = ("standard", "large", "tangled", "remesh")
                    "remesh: each made anew with edges of other lengths.")
 @click.option("--against", metavar="TOOL", multiple=True,
               help="Compare with this tool only (gmsh, netgen, mmg, cgal, stellar, tetgen, "
-                   "tetwild, laplacian, pymeshlab, open3d, odt-plugins, or the name of a row); may "
-                   "be repeated. Everybody unless given.")
+                   "tetwild, laplacian, pymeshlab, open3d, odt-plugins, the name of a row, or "
+                   "module:name of a function of yours); may be repeated. Everybody unless given.")
+@click.option("--result", "results", metavar="FILE", multiple=True,
+              type=click.Path(path_type=Path),
+              help="Measure this mesh file, too, as what another program made of the one MESH; may "
+                   "be repeated.")
+@click.option("--keep", type=click.Path(path_type=Path), metavar="DIR",
+              help="Keep the start and what every contestant made of it in this directory.")
 @click.option("--out", type=click.Path(path_type=Path), default=Path("comparison"),
               show_default=True, help="Directory for CSV, JSON, the page, Markdown, LaTeX, BibTeX.")
 @click.option("--repeats", type=click.IntRange(min=1), default=3, show_default=True,
@@ -49,6 +55,8 @@ def compare(
     sources: tuple[Path, ...],
     suite: str | None,
     against: tuple[str, ...],
+    results: tuple[Path, ...],
+    keep: Path | None,
     out: Path,
     repeats: int,
     time_limit: float | None,
@@ -58,9 +66,15 @@ def compare(
     """Run every installed tool on the same start MESH and measure all of them alike.
 
     Each tool runs in a process of its own; one that is not installed, crashes, hangs or breaks the
-    boundary is a row that says so. Nothing is written outside --out and temporary folders.
+    boundary is a row that says so. Nothing is written outside --out, --keep and temporary folders.
     """
     check_page()
+    if results and (suite or len(sources) != 1):
+        msg = "got --result for several meshes; expected one MESH and no --suite beside it"
+        raise click.UsageError(msg)
+    if keep and suite in ("tangled", "remesh"):
+        msg = f"got --keep for --suite {suite}, which keeps no meshes; expected another suite"
+        raise click.UsageError(msg)
     if suite == "tangled":
         from odt_plugins.compare.tangled import FILE, run_tangled
 
@@ -88,14 +102,15 @@ def compare(
     limits = Limits(limit, repeats, min(1.5, limit / 4), threads)
     words = command_line(click.get_current_context(), out=out, repeats=repeats,
                          time_limit=limit, threads=threads)
-    results: list[MeshResult] = []
+    found: list[MeshResult] = []
     for start in starts:
         view = _Table(start.name)
-        result = compare_on(start, contestants, limits, poisson=poisson, begin=view.begin)
+        result = compare_on(start, contestants, limits, poisson=poisson, begin=view.begin,
+                            results=results, keep=keep)
         view.show(result)
-        results.append(result)
-        write_all(out, results, describe(threads, SEED), words)
-    score = score_table(results)
+        found.append(result)
+        write_all(out, found, describe(threads, SEED), words)
+    score = score_table(found)
     if score:
         click.echo("\n".join([*as_text(score)[1:], ""]))
     click.echo("written: " + ", ".join(str(out / name) for name in FILES))
@@ -153,11 +168,12 @@ def make_table(result: MeshResult) -> Any:
     table.add_row("start", "", *(start[f] for f in SHOWN), "", start["cg"], style="dim")
     for row in result.rows:
         style = "bold" if row.contestant == OURS else ""
-        if row.measured is None or row.timing is None:
+        if row.measured is None:
             table.add_row(row.contestant, *[""] * 10, row.status, "", style=style or "dim")
             continue
         cells, best = cells_of(row.measured), best_figures(row, result.rows)
-        took = _shown(row, "seconds", seconds(row.timing.median), best)
+        took = seconds(row.timing.median) if row.timing else ""
+        took = _shown(row, "seconds", took, best)
         figures = [_shown(row, f, cells[f], best) for f in SHOWN]
         table.add_row(row.contestant, took, *figures, cells["farthest"], cells["cg"],
                       style=style)

@@ -32,6 +32,7 @@ def cells_of(measured: Measured) -> dict[str, str]:
         "condition": f"{p.condition:.3g}" if p else "", "cg": str(p.cg_steps) if p else "",
         "amg": str(p.amg_steps) if p else "", "l2": f"{p.l2_error:.2e}" if p else "",
         "h1": f"{p.h1_error:.4f}" if p else "",
+        **{name: f"{value:.3f}" for name, value in measured.further.items()},
     }
 
 

@@ -4,6 +4,7 @@ and which meshes no contestant of a tool takes, and why.
 
 from __future__ import annotations
 
+import re
 from collections.abc import Sequence
 from dataclasses import KW_ONLY, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
@@ -12,9 +13,16 @@ from typing import Any, NamedTuple
 
 from odt_plugins.compare.start import Kind
 from odt_plugins.errors import InvalidOptionError
+from odt_plugins.objectives import AIMS
 
 OURS = "odt-plugins"
 """Name of the contestant that the others are held against: every default of ours."""
+
+OWN = "own"
+"""Family of contestants that are no part of the package."""
+
+FUNCTION = re.compile(r"[A-Za-z_][\w.]*:[A-Za-z_]\w*")
+"""Names of functions, as in "module:name"."""
 
 
 @dataclass(frozen=True)
@@ -95,6 +103,10 @@ def _ours() -> list[Contestant]:
                         {"options": {**options, **alone}}, package="odt-plugins",
                         remark="the paper's method by itself, no figure guarded")
              for name, options in methods.items()]
+    rows += [Contestant(f"{OURS}: {name}", "odt-plugins", (*SOLID, *FLAT, *CURVED), "ours",
+                        {"options": {"objective": name}}, package="odt-plugins",
+                        remark=f"the objective {name}: {aim.text}")
+             for name, aim in AIMS.items() if not aim.by_ratios]
     rows.append(Contestant(f"{OURS}: envelope 2e-3", "odt-plugins", CURVED, "ours",
                            {"options": {"envelope": 2e-3}}, package="odt-plugins",
                            remark="twice as far from the start"))
@@ -209,7 +221,8 @@ def choose(against: Sequence[str]) -> list[Contestant]:
 
     Parameters
     ----------
-    against : names or families    none means everybody
+    against : names or families    none means everybody; "module:name" is a function of the
+                                   caller's, see :mod:`odt_plugins.compare.baselines.given`
 
     Raises
     ------
@@ -220,13 +233,16 @@ def choose(against: Sequence[str]) -> list[Contestant]:
     families = sorted({c.family for c in CONTESTANTS})
     known = {c.name for c in CONTESTANTS} | set(families)
     for name in against:
-        if name not in known:
-            msg = f"got {name!r} to compare with; expected one of {', '.join(families)}, or a name"
+        if name not in known and not FUNCTION.fullmatch(name):
+            msg = (f"got {name!r} to compare with; expected one of {', '.join(families)}, a name, "
+                   f"or module:name of a function of yours")
             raise InvalidOptionError(msg)
     whole = OURS in against
-    return [c for c in CONTESTANTS
-            if c.name == OURS or c.name in against
-            or (c.family in against and (c.family != OURS or whole))]
+    return [*(c for c in CONTESTANTS
+              if c.name == OURS or c.name in against
+              or (c.family in against and (c.family != OURS or whole))),
+            *(Contestant(name, OWN, (*SOLID, *FLAT, *CURVED), "given", {"function": name})
+              for name in dict.fromkeys(against) if name not in known)]
 
 
 KINDS: dict[Kind, str] = {

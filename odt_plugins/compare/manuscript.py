@@ -11,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 from odt_plugins.compare.cells import best_figures, cells_of, marked
-from odt_plugins.compare.contestants import KINDS, OURS
+from odt_plugins.compare.contestants import KINDS, OURS, OWN
 from odt_plugins.compare.rows import RIVALRY, Measured, MeshResult, Row
 from odt_plugins.compare.score import score_table
 from odt_plugins.compare.table import Table, Value
@@ -121,11 +121,13 @@ def _by_kind(title: str, results: Sequence[MeshResult]) -> Table:
 def _cell(row: Row | None, result: MeshResult) -> str:
     if row is None:
         return ""
-    if row.measured is None or row.timing is None:
+    if row.measured is None:
         return row.status
-    seconds = row.timing.median
-    time = f"{seconds:.1f} s" if seconds >= 0.1 else f"{seconds:.1g} s"
-    return ", ".join([_figures(row.measured, row), time, *_notes(row, result)])
+    time = []
+    if row.timing is not None:
+        seconds = row.timing.median
+        time = [f"{seconds:.1f} s" if seconds >= 0.1 else f"{seconds:.1g} s"]
+    return ", ".join([_figures(row.measured, row), *time, *_notes(row, result)])
 
 
 def _figures(measured: Measured, row: Row | None = None) -> str:
@@ -160,13 +162,14 @@ def _notes(row: Row, result: MeshResult) -> list[str]:
 def _tex_row(row: Row, rows: Sequence[Row]) -> list[str]:
     name = tex(row.contestant)
     keys = CITED.get(row.family, row.family)
-    name = (rf"\textbf{{{name}}}" if row.contestant == OURS else name) + rf"~\cite{{{keys}}}"
-    if row.measured is None or row.timing is None:
+    cited = "" if row.family == OWN else rf"~\cite{{{keys}}}"
+    name = (rf"\textbf{{{name}}}" if row.contestant == OURS else name) + cited
+    if row.measured is None:
         return [name, tex(f"{row.status}: {row.message}")]
     figures = _tex_figures(row.measured, row, best_figures(row, rows))
     inverted = row.measured.summary.inverted
     notes = cells_of(row.measured)["farthest"] + (f", {inverted} inverted" if inverted else "")
-    return [name, f"{row.timing.median:.3g}", *figures, tex(notes)]
+    return [name, f"{row.timing.median:.3g}" if row.timing else "", *figures, tex(notes)]
 
 
 def _tex_figures(measured: Measured, row: Row | None = None, best: set[str] | None = None

@@ -21,6 +21,7 @@ from odt_plugins.compare.manuscript import (
     to_latex,
     to_markdown,
 )
+from odt_plugins.compare.measures import FURTHER
 from odt_plugins.compare.pictures import worst_cells
 from odt_plugins.compare.rows import Measured, MeshResult, Row
 from odt_plugins.compare.score import score_table, scores, verdict
@@ -98,7 +99,7 @@ def to_page(results: Sequence[MeshResult], facts: Facts, command: str) -> str:
     } for r in results]
     return fill_template(TEMPLATES / "comparison.html", sections=sections, facts=facts,
                          command=command,
-                         ours=OURS, score=score_table(results),
+                         ours=OURS, further=FURTHER, score=score_table(results),
                          tables=[inputs_table(results), settings_table(results)])
 
 
@@ -114,7 +115,8 @@ def _page_row(number: int, row: Row, rows: Sequence[Row]) -> dict[str, Any]:
         "lost": "freer" if row.freer else "lost",
         "notes": "; ".join(n for n in notes if n), "cells": None,
         "repeats": row.timing.runs if row.timing else 0,
-    }
+    } | dict.fromkeys(("median", "cpu", "spread", "memory", "growth", "convert", "imports",
+                       "compile"), "")
     if row.timing is not None:
         t = row.timing
         out |= {"median": seconds(t.median), "cpu": seconds(t.cpu),
@@ -131,6 +133,7 @@ def _page_row(number: int, row: Row, rows: Sequence[Row]) -> dict[str, Any]:
 def _measured_dict(measured: Measured) -> dict[str, Any]:
     p = measured.poisson
     return {"summary": measured.summary.to_dict(), "histogram": measured.histogram,
+            "further": measured.further,
             "poisson": vars(p) if p else None}
 
 
@@ -141,6 +144,7 @@ def _columns(measured: Measured) -> dict[str, Any]:
             "boundary_outward": measured.boundary.outward,
             "boundary_inward": measured.boundary.inward,
             "volume_change": measured.volume_change,
+            **measured.further,
             **({f"poisson_{k}": v for k, v in vars(p).items()} if p else {})}
 
 

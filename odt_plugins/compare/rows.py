@@ -4,8 +4,10 @@ from __future__ import annotations
 
 import hashlib
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import asdict, dataclass, field, replace
+from itertools import chain
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -13,6 +15,8 @@ from numpy.typing import NDArray
 
 from odt_plugins.compare.contestants import OURS, Contestant, refusals
 from odt_plugins.compare.hull import ROUNDING, BoundaryChange, compare_boundaries, labels_of
+from odt_plugins.compare.measures import further
+from odt_plugins.compare.own import keep_mesh, of_file
 from odt_plugins.compare.poisson import PoissonFigures, solve_poisson
 from odt_plugins.compare.runner import Limits, Run, run_contestant
 from odt_plugins.compare.start import StartMesh
@@ -49,6 +53,7 @@ class Measured:
     volume_change : float             relative to the volume of the start, of the region where it
                                       changed most; None on a surface
     poisson : PoissonFigures or None
+    further : dict                    see :func:`odt_plugins.compare.measures.further`
     regions_ignored : bool            the start has regions, and this mesh came back without
     """
 
@@ -58,6 +63,7 @@ class Measured:
     boundary: BoundaryChange
     volume_change: float | None
     poisson: PoissonFigures | None
+    further: dict[str, float] = field(default_factory=dict)
     regions_ignored: bool = False
 
 
@@ -147,6 +153,8 @@ def compare_on(
     limits: Limits,
     *,
     poisson: bool = True,
+    results: Sequence[Path] = (),
+    keep: Path | None = None,
     tell: Callable[[Row], None] = lambda row: None,
     begin: Callable[[Contestant], None] = lambda contestant: None,
 ) -> MeshResult:
@@ -159,6 +167,8 @@ def compare_on(
                                 says why
     limits : Limits
     poisson : bool              whether the Poisson problem is solved on every result
+    results : sequence of Path  mesh files that are measured as what others made of the start
+    keep : Path                 folder for the start and every result, as .vtu files
     tell : callable             is given every row as soon as it is measured
     begin : callable            is given every contestant before it runs
 
@@ -167,20 +177,31 @@ def compare_on(
     MeshResult
     """
     before = measure_mesh(start, start.points, start.cells, start.regions, poisson=poisson)
-    refused = refusals(start.kind, contestants)
+    files = [of_file(path, start) for path in results]
+    if keep is not None:
+        keep_mesh(keep, start, "start", start.points, start.cells, start.regions)
     rows = []
+    for contestant, run in chain(_runs(start, contestants, limits, begin), files):
+        rows.append(make_row(start, contestant, run, limits, poisson=poisson))
+        tell(rows[-1])
+        if keep is not None and run.status == "ok":
+            keep_mesh(keep, start, contestant.name, *run.meshes[0])
+    return MeshResult(start, before, mark(rows))
+
+
+def _runs(
+    start: StartMesh, contestants: Sequence[Contestant], limits: Limits,
+    begin: Callable[[Contestant], None],
+) -> Iterator[tuple[Contestant, Run]]:
+    """Run those that take the mesh, one after the other, and tell why a tool takes none."""
+    refused = refusals(start.kind, contestants)
     for contestant in contestants:
         if start.kind in contestant.kinds:
             begin(contestant)
-            run = run_contestant(start, contestant, limits)
+            yield contestant, run_contestant(start, contestant, limits)
         elif contestant.family in refused:
             name, why = refused.pop(contestant.family)
-            contestant, run = replace(contestant, name=name, settings={}), Run("unsupported", why)
-        else:
-            continue
-        rows.append(make_row(start, contestant, run, limits, poisson=poisson))
-        tell(rows[-1])
-    return MeshResult(start, before, mark(rows))
+            yield replace(contestant, name=name, settings={}), Run("unsupported", why)
 
 
 def make_row(
@@ -200,6 +221,8 @@ def make_row(
     means = [measured.summary.mean_quality]
     if len(prints) > 1:
         means += [oriented(start, *mesh)[1].mean_quality for mesh in run.meshes[1:]]
+    if not run.facts:
+        return replace(row, measured=measured)
     facts = run.facts
     seconds = facts["seconds"]
     timing = Timing(len(seconds), float(np.median(seconds)), min(seconds), max(seconds),
@@ -228,7 +251,8 @@ def measure_mesh(
         change = max((after.get(label, 0.0) / before[label] - 1.0 for label in before), key=abs)
     sound = poisson and summary.inverted == 0
     return Measured(summary, histogram.tolist(), worst, compare_boundaries(same, mesh), change,
-                    _poisson(mesh, start) if sound else None, ignored)
+                    _poisson(mesh, start) if sound else None,
+                    further(mesh.points, mesh.cells), ignored)
 
 
 def _volumes(mesh: StartMesh, volume: FloatArray) -> dict[int, float]:

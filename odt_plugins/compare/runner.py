@@ -85,25 +85,31 @@ def run_contestant(start: StartMesh, contestant: Contestant, limits: Limits) -> 
         return Run("missing", contestant.missing)
     with tempfile.TemporaryDirectory(prefix="odt-compare-") as name:
         folder = Path(name)
+        function = str(contestant.settings.get("function", ""))
+        imports = [function.partition(":")[0]] if function else []
         job = {"mesh": start.name, "kind": start.kind, "module": contestant.module,
-               "settings": contestant.settings, "imports": IMPORTS.get(contestant.module, []),
+               "settings": contestant.settings,
+               "imports": IMPORTS.get(contestant.module, imports),
                "threads": limits.threads, "repeats": limits.repeats, "enough": limits.enough,
                "seed": SEED}
         (folder / "job.json").write_text(json.dumps(job), encoding="utf-8")
         save_mesh(folder / "start.npz", start.points, start.cells, start.regions)
-        ending, said = _process(folder, limits)
+        ending, said = _process(folder, limits, os.getcwd() if function else "")
         return _read(folder, ending, said, limits)
 
 
-def _process(folder: Path, limits: Limits) -> tuple[int | None, str]:
-    """Run the worker; its exit code (None after the time limit) and the last line it wrote."""
+def _process(folder: Path, limits: Limits, place: str) -> tuple[int | None, str]:
+    """Run the worker; its exit code (None after the time limit) and the last line it wrote.
+
+    Modules are looked for in `place`, too.
+    """
     environment = dict(os.environ)
     environment |= dict.fromkeys(
         ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "IGL_NUM_THREADS"),
         str(limits.threads))
     here = str(Path(odt_plugins.__file__).parents[1])
     environment["PYTHONPATH"] = os.pathsep.join(
-        p for p in (here, environment.get("PYTHONPATH", "")) if p)
+        p for p in (here, environment.get("PYTHONPATH", ""), place) if p)
     log = folder / "log"
     with log.open("wb") as file:
         process = subprocess.Popen(

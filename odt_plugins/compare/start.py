@@ -16,7 +16,7 @@ from odt_plugins.figures import volumes
 from odt_plugins.generate import clouds
 from odt_plugins.generate.clouds import SEED
 from odt_plugins.mesh.arrays import FloatArray, IntArray
-from odt_plugins.mesh.plane import plane_frame
+from odt_plugins.mesh.plane import PlaneFrame, plane_frame
 from odt_plugins.mesh.simplex import compact_labels, mesh_arrays, reverse, simplex_mesh
 
 Kind = Literal["tets", "planar", "surface"]
@@ -43,6 +43,7 @@ class StartMesh:
     origin : str                   where it comes from, for the report
     regions : (m,) int32 or None   labels 0, 1, ...; None where all cells are of one region
     sha256 : str                   of the file, or of the arrays of a mesh made on the fly
+    frame : PlaneFrame or None     of triangles in a plane in space
     """
 
     name: str
@@ -52,6 +53,7 @@ class StartMesh:
     origin: str = ""
     regions: IntArray | None = None
     sha256: str = ""
+    frame: PlaneFrame | None = None
 
     @property
     def n_regions(self) -> int:
@@ -79,6 +81,7 @@ def make_start(
     p, t = mesh_arrays(points, cells)
     labels = compact_labels(regions, len(t))
     kind: Kind = "tets" if t.shape[1] == 4 else "planar"
+    frame = None
     if p.shape[1] == 3 and t.shape[1] == 3:
         frame = plane_frame(p, t)
         if frame is None:
@@ -93,7 +96,8 @@ def make_start(
     compact = np.ascontiguousarray(inverse.reshape(t.shape), dtype=np.int32)
     p = np.ascontiguousarray(p[used])
     digest = hashlib.sha256(p.tobytes() + compact.tobytes()).hexdigest()
-    return StartMesh(name, kind, p, compact, origin, labels if labels.any() else None, digest)
+    return StartMesh(name, kind, p, compact, origin, labels if labels.any() else None, digest,
+                     frame)
 
 
 def read_start(path: Path) -> StartMesh:

@@ -5,12 +5,11 @@ from __future__ import annotations
 import html
 import json
 import re
-import shutil
-import subprocess
 from dataclasses import replace
 
 import numpy as np
 import pytest
+from browser import WIDTH, browse
 from measure import cold, small
 from measure.scaling import FILES as SCALING_FILES
 from measure.scaling import PARTS, run_scaling
@@ -26,15 +25,6 @@ from odt_plugins.distributed.summary import to_page
 from odt_plugins.figures import summarize
 from odt_plugins.report.machine import describe
 from odt_plugins.report.plotting import GREY
-
-BROWSER = next((b for b in map(shutil.which, ("chromium", "chromium-browser", "google-chrome"))
-                if b), None)
-
-FLAGS = ("--headless", "--no-sandbox", "--disable-gpu", "--disable-quic", "--no-first-run",
-         "--disable-background-networking", "--disable-component-update", "--disable-sync",
-         "--hide-scrollbars", "--enable-logging=stderr", "--v=0")
-
-WIDTH, HEIGHT = 1320, 1500
 
 PROBE = """<script>
 addEventListener("load", () => {
@@ -56,23 +46,11 @@ addEventListener("load", () => {
 </script>"""
 
 
-def browse(page, tmp_path, *flags):
-    """Open a page; what the browser printed and what it told about the console."""
-    if BROWSER is None:
-        pytest.skip("no Chromium here")
-    profile = tmp_path / "profile"
-    done = subprocess.run(
-        [BROWSER, *FLAGS, f"--user-data-dir={profile}", f"--window-size={WIDTH},{HEIGHT}", *flags,
-         page.as_uri()], capture_output=True, text=True, timeout=120, check=True)
-    shutil.rmtree(profile, ignore_errors=True)
-    return done.stdout, [line for line in done.stderr.splitlines() if "CONSOLE" in line]
-
-
 def probe(page, tmp_path):
     """What the browser made of the page once it was laid out."""
     copy = tmp_path / "probed.html"
     copy.write_text(page.read_text(encoding="utf-8") + PROBE, encoding="utf-8")
-    dom, console = browse(copy, tmp_path, "--dump-dom")
+    dom, console = browse(copy.as_uri(), tmp_path, "--dump-dom")
     assert console == []
     found = re.search(r'data-probe="([^"]*)"', dom)
     return json.loads(html.unescape(found.group(1)))
@@ -151,7 +129,7 @@ def test_page_is_laid_out_by_a_browser_without_complaint(page, tmp_path, results
 
 def test_page_is_not_blank_on_the_screen(page, tmp_path):
     shot = tmp_path / "shot.png"
-    browse(page, tmp_path, f"--screenshot={shot}")
+    browse(page.as_uri(), tmp_path, f"--screenshot={shot}")
     picture = np.asarray(Image.open(shot).convert("RGB")).reshape(-1, 3).astype(int)
     assert len(np.unique(picture, axis=0)) > 500
     ours = np.array([0x1F, 0x5F, 0xA8])
