@@ -55,10 +55,10 @@ class WithKernels(build_py):
 
 
 class WithTests(sdist):
-    """Packs tests, examples and what continuous integration runs as well."""
+    """Packs what is no part of a wheel as well: the site, tests, examples, what CI runs."""
 
     def make_distribution(self) -> None:
-        for folder in ("tests", "examples", ".ci"):
+        for folder in ("odt_plugins/pages", "tests", "examples", ".ci"):
             self.filelist.extend(
                 str(path) for path in sorted(Path(folder).rglob("*"))
                 if path.is_file() and "__pycache__" not in path.parts)

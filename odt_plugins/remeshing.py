@@ -53,7 +53,8 @@ def remesh(
     growth : float            largest ratio of the sizes at the ends of an edge as long as the
                               smaller one; what grows faster is made smaller
     most_cells : int          a mesh of more is refused before it is made
-    **options                 fields of :class:`odt_plugins.Options`, but `insert` and
+    **options
+                              The fields of :class:`odt_plugins.Options`, but `insert` and
                               `density`. The default of `boundary` is "slide" here: vertices of the
                               boundary, of interfaces between regions and of feature lines are
                               moved, added and removed within `envelope`, corners stay; with "fixed"

@@ -35,7 +35,7 @@ enter_environment
 system=""
 trap '[ -z "$system" ] || wait "$system"' EXIT
 if can_install; then system_packages & system=$!; else system_packages; fi
-install_package "all,test"
+install_package "all,site,test"
 
 echo "== ruff";   python -m ruff check .
 if [ -n "$system" ]; then wait "$system"; fi

@@ -60,6 +60,7 @@ MAY_IMPORT = {
                     "remeshing", "report", "roundtrip", "table", "tetwild", "untangling", *BASE},
     "cli": {"adapters", "ahead", "api", "compare", "distributed", "generate", "hosts", "processes",
             "progress", "remeshing", "report", "table", "tetwild", *BASE},
+    "pages": {"cli", *BASE},
     "__main__": {"adapters", "cli"},
     "__init__": {"api", "distributed", "generate", "hosts", "metric", "remeshing", "report",
                  "tetwild", *BASE},
