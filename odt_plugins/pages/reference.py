@@ -10,12 +10,13 @@ import odt_plugins
 
 SECTIONS: dict[str, tuple[str, ...]] = {
     "Improve": ("optimize", "optimize_with_report", "untangle", "untangle_with_report", "quality"),
-    "Give other sizes": ("remesh", "remesh_with_report", "refine", "refine_with_report"),
+    "Give other sizes": ("remesh", "remesh_with_report", "refine", "refine_with_report",
+                         "metric_from_field"),
     "Fill a surface": ("tetrahedralize", "tetrahedralize_with_report"),
     "Inside of toolkits": ("register", "run_filter_script"),
     "What is told": ("Report", "QualitySummary", "Options"),
 }
-"""Public names in the order of the page; errors and warnings follow."""
+"""Public names in the order of the page; others, errors and warnings follow."""
 
 
 def python_page() -> str:
@@ -26,9 +27,11 @@ def python_page() -> str:
         for name in names:
             lines += _entry(name)
     known = {name for names in SECTIONS.values() for name in names}
-    lines += _heading("Errors and warnings", "-")
-    for name in odt_plugins.__all__:
-        if name not in known and inspect.isclass(getattr(odt_plugins, name)):
+    left = [name for name in odt_plugins.__all__ if name not in known and name != "__version__"]
+    for title, raised in (("Besides", False), ("Errors and warnings", True)):
+        names = [name for name in left if _is_raised(getattr(odt_plugins, name)) == raised]
+        lines += _heading(title, "-") if names else []
+        for name in names:
             lines += _entry(name)
     return "\n".join(lines)
 
@@ -46,6 +49,10 @@ def commands_page(root: click.Group) -> str:
         lines += [f"   {line}" if line else "" for line in command.get_help(context).split("\n")]
         lines.append("")
     return "\n".join(lines)
+
+
+def _is_raised(found: object) -> bool:
+    return inspect.isclass(found) and issubclass(found, BaseException)
 
 
 def _heading(title: str, line: str) -> list[str]:

@@ -122,6 +122,25 @@ def test_a_sizing_field_is_kept():
     assert kept < spread + 0.01
 
 
+def test_moved_vertices_alone_make_the_error_smaller(capsys, monkeypatch):
+    pytest.importorskip("skfem")
+    monkeypatch.syspath_prepend(str(EXAMPLES))
+    done = example("r_adaptive").main(["--cells", "800", "--steps", "2"])
+    assert len({solved.unknowns for solved in done}) == 1
+    assert done[-1].error < 0.65 * done[0].error
+    assert "with as many vertices" in capsys.readouterr().out
+
+
+def test_odt_improves_what_meshlab_remeshed(capsys):
+    pytest.importorskip("pymeshlab")
+    scan, remeshed, best = example("meshlab_remesh").main(3.0)
+    assert scan.n_cells > 3 * remeshed.n_cells
+    assert best.n_cells == remeshed.n_cells
+    for name in ("min_quality", "p1_quality", "mean_quality"):
+        assert getattr(best, name) > getattr(remeshed, name)
+    assert "| ODT behind it |" in capsys.readouterr().out
+
+
 def test_adaptive_elements_reach_the_optimal_rate(here, capsys):
     for name in ("skfem", "matplotlib"):
         pytest.importorskip(name)
