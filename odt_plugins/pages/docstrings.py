@@ -8,11 +8,14 @@ from typing import Any
 TABLES = ("Parameters", "Attributes", "Returns", "Raises", "Warns")
 """Sections whose entries begin at the left, with the meaning behind two or more spaces."""
 
+MARKED = re.compile(r"``|^\s*(>>>|\.\.\.)")
+"""Lines with words that stay as they are."""
+
 ENTRY = re.compile(r"(\S.*?)\s{2,}(\S.*)")
 
 
 def apart(lines: list[str]) -> list[str]:
-    """Put the meaning of an entry below its name and type.
+    """Put the meaning of an entry below its name and type; bars of absolute values are no markup.
 
     Parameters
     ----------
@@ -20,7 +23,8 @@ def apart(lines: list[str]) -> list[str]:
     """
     out: list[str] = []
     section, split = "", False
-    for i, line in enumerate(lines):
+    for i, given in enumerate(lines):
+        line = given if MARKED.search(given) else given.replace("|", r"\|")
         below = lines[i + 1] if i + 1 < len(lines) else ""
         if below and set(below) == {"-"} and not line.startswith(" "):
             section, split = line.strip(), False

@@ -29,9 +29,9 @@ def python_page() -> str:
     known = {name for names in SECTIONS.values() for name in names}
     left = [name for name in odt_plugins.__all__ if name not in known and name != "__version__"]
     for title, raised in (("Besides", False), ("Errors and warnings", True)):
-        names = [name for name in left if _is_raised(getattr(odt_plugins, name)) == raised]
-        lines += _heading(title, "-") if names else []
-        for name in names:
+        some = [name for name in left if _is_raised(getattr(odt_plugins, name)) == raised]
+        lines += _heading(title, "-") if some else []
+        for name in some:
             lines += _entry(name)
     return "\n".join(lines)
 

@@ -140,6 +140,8 @@ def test_meanings_of_entries_stand_below_them():
         "Parameters", "----------", "mesh : object", "    what is", "    taken", "x : float",
         "    as it is", "", "Raises", "------", "ValueError", "    never", "",
         "Words stay", "    as they are."]
+    assert apart(["|H| of ``a|b``", "d |tau|", ">>> a | b"]) == [
+        "|H| of ``a|b``", r"d \|tau\|", ">>> a | b"]
     assert apart(["Words stay     as they are."]) == ["Words stay     as they are."]
 
 
