@@ -54,6 +54,14 @@ def unknown(place, monkeypatch):
     odt_plugins.quality(place / "in.su2")
 
 
+def of_another_mesh(place, monkeypatch):
+    points, cells = square()
+    meshio.write(place / "in.mesh", meshio.Mesh(points, [("triangle", cells)]))
+    text = "MeshVersionFormatted 2\nDimension 3\nSolAtVertices\n1\n1 1\n7\nEnd\n"
+    (place / "in.sol").write_text(text)
+    odt_plugins.quality(place / "in.mesh")
+
+
 def edges(place, monkeypatch):
     points, cells, _ = contract.grid(2, 2)
     items = [f'<DataItem Format="XML" Dimensions="{len(rows)} {rows.shape[1]}" NumberType="{kind}">'
@@ -169,6 +177,7 @@ CASES = {
     "roundtrip.py": (soup,),
     "tetwild.py": (elsewhere,),
     "adapters/files.py": (dropped, unknown),
+    "adapters/formats/medit_solution.py": (of_another_mesh,),
     "adapters/formats/xdmf.py": (edges,),
     "adapters/higher_order.py": (point_set,),
     "adapters/wedges.py": (seams,),

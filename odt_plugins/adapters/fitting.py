@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from odt_plugins.adapters.formats.decks import indices
 from odt_plugins.adapters.formats.gmsh_tables import BOOKKEEPING, ENTITY, PHYSICAL
 from odt_plugins.adapters.formats.med_families import with_families
+from odt_plugins.adapters.formats.medit_solution import is_solution
 from odt_plugins.adapters.gmsh_files import is_group
 from odt_plugins.adapters.higher_order import HIGHER, LAGRANGE, lattice, order_of
 from odt_plugins.adapters.regions import REGION_ARRAYS
@@ -156,8 +157,10 @@ def fitted(mesh: Any, name: str) -> tuple[Any, list[str]]:
             out.cell_data.pop(ENTITY, None)
         out.cell_data[form.label] = labels
     if not form.points:
+        dim = out.points.shape[1]
         out.point_data = {key: value for key, value in out.point_data.items()
-                          if key in POINT_LABELS and key == form.label}
+                          if (key in POINT_LABELS and key == form.label)
+                          or (name == "medit" and is_solution(key, value, dim))}
     if name == "med":
         out.cell_data = {key: value for key, value in out.cell_data.items()
                          if key == form.label or value[0].dtype.kind == "f"}

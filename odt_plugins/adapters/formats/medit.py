@@ -1,4 +1,7 @@
-"""MEDIT files of text, .mesh: what is required stays, and so do sections that nobody knows."""
+"""MEDIT files of text, .mesh: what is required stays, and so do sections that nobody knows.
+
+Solutions beside them, which may be metrics, are point arrays.
+"""
 
 from __future__ import annotations
 
@@ -8,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from odt_plugins.adapters.formats import medit_solution
 from odt_plugins.adapters.formats.change import Change, NotRewritable
 from odt_plugins.adapters.formats.decks import edited, unread
 from odt_plugins.errors import MeshFileError
@@ -56,7 +60,7 @@ def read(path: Path) -> Any:
     import meshio
 
     if path.suffix.lower() == ".meshb":
-        return meshio.read(path, file_format="medit")
+        return _with_solutions(path, meshio.read(path, file_format="medit"))
     words, sections = _parsed(path.read_bytes())
     texts = [word[0] for word in words]
     if not any(section.name == "Vertices" for section in sections):
@@ -91,9 +95,27 @@ def read(path: Path) -> Any:
         if bad.size:
             msg = f"a cell refers to vertex {bad[0] + 1} of {len(points)}"
             raise MeshFileError(msg)
-    return meshio.Mesh(points, blocks, {REF: refs}, {REF: cell_refs}, point_sets=sets, info=unread(
+    mesh = meshio.Mesh(points, blocks, {REF: refs}, {REF: cell_refs}, point_sets=sets, info=unread(
         "the sections", (s.name for s in sections if s.size > 0 and s.name not in (
             *CELLS, "Vertices"))))
+    return _with_solutions(path, mesh)
+
+
+def _with_solutions(path: Path, mesh: Any) -> Any:
+    """The mesh with the solutions beside its file as point arrays."""
+    mesh.point_data |= medit_solution.read(path, len(mesh.points))
+    return mesh
+
+
+def write(path: Path, mesh: Any, binary: bool | None = None) -> list[str]:
+    """Write a mesh by meshio, and its solutions beside it."""
+    import meshio
+
+    bare = mesh.copy()
+    bare.point_data = {name: values for name, values in mesh.point_data.items() if name == REF}
+    meshio.write(path, bare, file_format="medit")
+    medit_solution.write(path, mesh.points.shape[1], mesh.point_data)
+    return []
 
 
 def rewrite(source: Path, target: Path, change: Change) -> list[str]:
@@ -130,6 +152,7 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
                 change.after.cell_data[REF][block]), keep=same)
         block += 1
     target.write_bytes(edited(data, edits))
+    medit_solution.write(target, np.shape(change.after.points)[1], change.after.point_data)
     stale = "Normals" in names and bool(change.moved.any())
     return ["the normals, which are those of before"] if stale else []
 

@@ -1,0 +1,118 @@
+"""MEDIT's solutions, .sol and .solb: both ways, and as mmg reads them."""
+
+from __future__ import annotations
+
+import shutil
+import struct
+import subprocess
+
+import meshio
+import numpy as np
+import pytest
+from strategies import jittered
+
+import odt_plugins
+from odt_plugins.adapters.files import read_file, write_file
+from odt_plugins.engine.cells import tensors as ts
+from odt_plugins.errors import DataNotKeptWarning, MeshFileError
+
+
+def made(d, folder, suffix=".mesh", **arrays):
+    points, cells = jittered(d, 3, 0)
+    mesh = meshio.Mesh(points, [("triangle" if d == 2 else "tetra", cells)], arrays)
+    write_file(folder / f"a{suffix}", mesh)
+    return mesh
+
+
+def values(n, *width):
+    return np.random.default_rng(0).normal(size=(n, *width))
+
+
+@pytest.mark.parametrize("suffix", [".mesh", ".meshb"])
+def test_solutions_come_back_to_the_last_bit(d, suffix, tmp_path):
+    n, wide = 4**d, d * (d + 1) // 2
+    mesh = made(d, tmp_path, suffix, sol1=values(n), sol2=values(n, d), sol3=values(n, wide))
+    assert (tmp_path / f"a.sol{suffix[5:]}").is_file()
+    back = read_file(tmp_path / f"a{suffix}")
+    for name in ("sol1", "sol2", "sol3"):
+        assert np.array_equal(back.point_data[name], mesh.point_data[name])
+    # written into a copy of the file, or anew, and without arrays that were not asked for
+    better = odt_plugins.optimize(back)
+    target = tmp_path / f"b{suffix}"
+    write_file(target, better)
+    again = read_file(target)
+    assert np.allclose(again.points, better.points)
+    for name in ("sol1", "sol2", "sol3"):
+        assert np.array_equal(again.point_data[name], better.point_data[name])
+    assert sorted(p.name for p in tmp_path.iterdir()) == sorted(
+        f"{stem}.{kind}{suffix[5:]}" for stem in "ab" for kind in ("mesh", "sol"))
+
+
+def test_one_solution_is_called_sol_and_other_arrays_are_lost_as_before(tmp_path):
+    with pytest.warns(DataNotKeptWarning, match="does not keep point data 'u'"):
+        made(2, tmp_path, sol=values(16, 3), u=values(16))
+    assert set(read_file(tmp_path / "a.mesh").point_data) == {"medit:ref", "sol"}
+    (tmp_path / "a.sol").unlink()
+    assert set(read_file(tmp_path / "a.mesh").point_data) == {"medit:ref"}
+
+
+def test_what_others_write_is_read(tmp_path):
+    made(3, tmp_path)
+    (tmp_path / "a.sol").write_text(
+        "# a comment\nMeshVersionFormatted\n2\nDimension\n3\nSolAtVertices\n64\n2 3 1\n"
+        + "1 2D0 3 4 5 6 7\n" * 64 + "End\n", encoding="ascii")
+    found = read_file(tmp_path / "a.mesh").point_data
+    assert np.array_equal(found["sol1"][5], [1, 2, 3, 4, 5, 6])
+    assert np.array_equal(found["sol2"], np.full(64, 7.0))
+    (tmp_path / "a.sol").unlink()
+    for order, version, real, place in ((">", 1, "f4", "i"), ("<", 3, "f8", "q"),
+                                        (">", 4, "f8", "q")):
+        at = 8 + 8 + struct.calcsize("<" + place)
+        data = struct.pack(order + "iii" + place + "i", 1, version, 3, at, 3)
+        count = "q" if version > 3 else "i"
+        data += struct.pack(order + "i" + place + count + "ii", 62, 10**6, 64, 1, 2)
+        data += np.arange(192.0).astype(order + real).tobytes()
+        (tmp_path / "a.solb").write_bytes(data)
+        assert np.array_equal(read_file(tmp_path / "a.mesh").point_data["sol"],
+                              np.arange(192.0).reshape(64, 3)), version
+
+
+def test_a_file_of_another_mesh_is_not_read_and_named(tmp_path):
+    made(2, tmp_path, sol=values(16))
+    text = (tmp_path / "a.sol").read_text(encoding="ascii")
+    (tmp_path / "a.sol").write_text(text.replace("\n16\n", "\n15\n"), encoding="ascii")
+    with pytest.warns(DataNotKeptWarning, match=r"a\.sol is not read, it has values for 15 "):
+        mesh = read_file(tmp_path / "a.mesh")
+    assert set(mesh.point_data) == {"medit:ref"}
+    (tmp_path / "a.sol").write_text(text.replace("SolAtVertices", "SolAtTriangles"),
+                                    encoding="ascii")
+    with pytest.warns(DataNotKeptWarning, match=r"a\.sol is not read, it has none at vertices"):
+        read_file(tmp_path / "a.mesh")
+    for broken in (text[:200], text.replace("Dimension 2", ""), "",
+                   text.replace("\n1 1\n", "\n1 9\n")):
+        (tmp_path / "a.sol").write_text(broken, encoding="ascii")
+        with pytest.raises(MeshFileError, match=r"a\.sol ends before the values that it says"):
+            read_file(tmp_path / "a.mesh")
+
+
+def test_mmg_reads_the_metric_that_was_written(d, tmp_path):
+    """Cells are long in the direction (1, 1) or (1, 0, 1), four times as long as across."""
+    pytest.importorskip("mmgpy")
+    points, cells = jittered(d, 6 if d == 2 else 3, 0)
+    long = np.array([1.0, 1.0] if d == 2 else [1.0, 0.0, 1.0]) / np.sqrt(2.0)
+    fine = {2: 0.06, 3: 0.12}[d] ** -2.0
+    metric = fine * (np.eye(d) - (15 / 16) * long[:, None] * long)
+    tensors = ts.packed(np.broadcast_to(metric, (len(points), d, d)))
+    kind = {2: "triangle", 3: "tetra"}[d]
+    write_file(tmp_path / "a.mesh", meshio.Mesh(points, [(kind, cells)], {"sol": tensors}))
+    files = [str(tmp_path / name) for name in ("a.mesh", "c.mesh")]
+    subprocess.run([shutil.which(f"mmg{d}d_O3") or f"mmg{d}d", "-v", "0", "-hgrad", "-1",
+                    "-hausd", "1", *files],
+                   check=True, capture_output=True, timeout=60)
+    found = read_file(tmp_path / "c.mesh")
+    wide = d * (d + 1) // 2
+    assert found.point_data["sol"].shape == (len(found.points), wide)
+    rows = found.points[:, :d][found.cells_dict[kind]]
+    edges = (rows - np.roll(rows, 1, axis=1)).reshape(-1, d)
+    along = (edges @ long) ** 2
+    assert along.mean() > 2.0 * ((edges**2).sum(axis=1) - along).mean() / (d - 1)
