@@ -1,5 +1,6 @@
 """What a package index shows of the package, and what its source archive holds."""
 
+import os
 import re
 import subprocess
 import sys
@@ -13,6 +14,13 @@ import odt_plugins
 from odt_plugins.cli import main as cli
 
 TOP = Path(__file__).parents[2]
+SAMPLE = (
+    "tests/mesh/test_chunks.py::test_of_several_errors_the_first_is_raised_and_nothing_else_is_begun",
+    "tests/pages/test_readme.py::test_the_first_page_is_short_and_begins_with_the_two_commands",
+    "tests/test_structure.py::test_the_top_level_holds_what_it_shall_and_nothing_else",
+)
+"""Tests that need no kernels and hold those that need all of the project."""
+
 BUILD = ("import sys, setuptools.build_meta as build;"
          "print(getattr(build, sys.argv[1])(sys.argv[2]))")
 
@@ -25,10 +33,14 @@ def built(hook, folder, project):
 
 
 @pytest.fixture(scope="module")
-def archive(tmp_path_factory):
+def made(tmp_path_factory):
+    """The source archive."""
+    return built("build_sdist", tmp_path_factory.mktemp("built"), TOP)
+
+
+@pytest.fixture(scope="module")
+def archive(made):
     """Names in the source archive, and its metadata."""
-    folder = tmp_path_factory.mktemp("built")
-    made = built("build_sdist", folder, TOP)
     with tarfile.open(made) as packed:
         names = {name.partition("/")[2] for name in packed.getnames()}
         top = packed.getnames()[0].partition("/")[0]
@@ -45,6 +57,16 @@ def test_the_archive_holds_what_the_project_does(archive):
                  and not {"__pycache__", "ahead"} & {*path.relative_to(TOP).parts}}
     assert mine - names == set()
     assert not [name for name in names if "__pycache__" in name or "compiled/ahead" in name]
+
+
+def test_tests_pass_from_the_unpacked_archive(made, tmp_path):
+    with tarfile.open(made) as packed:
+        packed.extractall(tmp_path, filter="data")
+    top, = tmp_path.iterdir()
+    done = subprocess.run(
+        [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *SAMPLE], cwd=top,
+        env={**os.environ, "PYTHONPATH": str(top)}, text=True, capture_output=True, check=False)
+    assert done.returncode == 0, done.stdout
 
 
 def test_the_index_is_told_what_it_asks_for(archive):
