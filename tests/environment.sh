@@ -68,6 +68,19 @@ make_environment() {
     return 1
 }
 
+# make_lowest: .venv-lowest, with the lowest versions of the direct dependencies.
+make_lowest() {
+    local python bin=.venv-lowest/bin
+    python="$(command -v python3.11 || find_python)" || return 1
+    if [ ! -x $bin/uv ]; then
+        "$python" -m venv .venv-lowest && $bin/python -m pip install --quiet uv || return 1
+    fi
+    $bin/uv pip compile --quiet --python $bin/python --resolution lowest-direct \
+        --extra plot --extra pymeshlab --extra pyvista --extra skfem --extra test \
+        --extra trimesh pyproject.toml -o .venv-lowest/lowest.txt >/dev/null &&
+        $bin/uv pip install --quiet --python $bin/python -r .venv-lowest/lowest.txt
+}
+
 # enter_environment: activates the environment, made or found.
 enter_environment() {
     if [ -z "${VIRTUAL_ENV:-}" ]; then

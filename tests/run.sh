@@ -1,6 +1,9 @@
 #!/usr/bin/env bash
 # Sets up what the tests need, then runs ruff, mypy and pytest. Quick the second time.
 #   bash tests/run.sh [arguments of pytest]
+#   bash tests/run.sh --lowest [arguments of pytest]
+# The second runs those tests in .venv-lowest, which has the lowest versions of all direct
+# dependencies that pyproject.toml allows; numba compiles the kernels that they need, once.
 # Without arguments the numerical tests run again with the BLAS of a newer processor, then with that
 # of an older one and kernels that have no instruction that came after SSE4.2 and check every index;
 # these are compiled once, by the runs for which kernels are compiled at installation.
@@ -17,6 +20,10 @@ WHOLE="tests/engine/run/test_bits.py"
 PARTS="tests/paper/test_paper_energy.py tests/paper/test_paper_global.py
        tests/paper/test_paper_gradient.py tests/paper/test_paper_smoothing.py"
 
+LOWEST="tests/test_api.py tests/test_reference.py tests/test_transfer.py tests/test_conserve.py
+        tests/cli/test_cli.py tests/adapters/test_adapters_files.py tests/adapters/test_fields.py
+        tests/engine/untangle tests/mesh tests/promise tests/report"
+
 newer() { OPENBLAS_CORETYPE=Haswell python "$@"; }
 
 # The name alone leaves numba the features of this machine.
@@ -30,6 +37,13 @@ older() {
 compiled() { older -c "from odt_plugins.ahead import run; run('$1')"; }
 tested() { "$1" -m pytest -p no:cacheprovider "${@:2}"; }
 
+if [ "${1:-}" = --lowest ]; then
+    shift
+    [ $# -gt 0 ] || set -- $LOWEST
+    make_lowest
+    echo "== pytest, lowest versions"
+    PYTHONPATH="$PWD" exec .venv-lowest/bin/python -m pytest -p no:cacheprovider -o timeout=1200 "$@"
+fi
 enter_environment
 # Side by side, as each keeps one core busy; whatever fails, packages are never left half installed.
 system=""

@@ -5,10 +5,12 @@ import re
 import subprocess
 import sys
 import tarfile
+import tomllib
 from email.parser import Parser
 from pathlib import Path
 
 import pytest
+from setuptools import find_packages
 
 import odt_plugins
 from odt_plugins.cli import main as cli
@@ -67,6 +69,15 @@ def test_tests_pass_from_the_unpacked_archive(made, tmp_path):
         [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", *SAMPLE], cwd=top,
         env={**os.environ, "PYTHONPATH": str(top)}, text=True, capture_output=True, check=False)
     assert done.returncode == 0, done.stdout
+
+
+def test_the_site_is_no_part_of_the_wheel():
+    told = tomllib.loads((TOP / "pyproject.toml").read_text(encoding="utf-8"))["tool"]["setuptools"]
+    packages = find_packages(TOP, **told["packages"]["find"])
+    assert "odt_plugins.cli" in packages
+    assert not [name for name in packages if name.startswith("odt_plugins.pages")]
+    # Otherwise what the source archive holds would come along as data.
+    assert told["include-package-data"] is False
 
 
 def test_the_index_is_told_what_it_asks_for(archive):
