@@ -23,6 +23,8 @@ def components(start: NDArray[Any], end: NDArray[Any], n: int) -> NDArray[np.int
     from scipy.sparse import coo_array
     from scipy.sparse.csgraph import connected_components
 
-    graph = coo_array((np.ones(len(start), dtype=np.int8), (start, end)), shape=(n, n))
+    # SciPy before 1.13 takes no longer indices.
+    ends = (start.astype(np.int32, copy=False), end.astype(np.int32, copy=False))
+    graph = coo_array((np.ones(len(start), dtype=np.int8), ends), shape=(n, n))
     label: NDArray[np.int32] = connected_components(graph, directed=False)[1]
     return label

@@ -164,8 +164,9 @@ def grown(
     far = (growth - 1.0) * lengths_of(points, edges)
     # a way of length 0 would be no way
     far = np.maximum(far, 1e-12 * values.min())
-    start = np.concatenate([edges[:, 0], edges[:, 1], np.full(n, n)])
-    end = np.concatenate([edges[:, 1], edges[:, 0], np.arange(n)])
+    own = np.arange(n, dtype=np.int32)
+    start = np.concatenate([edges[:, 0], edges[:, 1], np.full_like(own, n)])
+    end = np.concatenate([edges[:, 1], edges[:, 0], own])
     graph = coo_array((np.concatenate([far, far, values]), (start, end)), shape=(n + 1, n + 1))
     shortest: Any = dijkstra
     found: FloatArray = shortest(graph.tocsr(), indices=n)[:n]

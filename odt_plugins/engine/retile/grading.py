@@ -28,8 +28,9 @@ def spread(
     step = points[edges[:, 1]] - points[edges[:, 0]]
     # a way of length 0 would be no way
     far = np.maximum(growth * np.sqrt((step * step).sum(axis=1)), 1e-12 * values.min())
-    start = np.concatenate([edges[:, 0], edges[:, 1], np.full(n, n)])
-    end = np.concatenate([edges[:, 1], edges[:, 0], np.arange(n)])
+    own = np.arange(n, dtype=np.int32)
+    start = np.concatenate([edges[:, 0], edges[:, 1], np.full_like(own, n)])
+    end = np.concatenate([edges[:, 1], edges[:, 0], own])
     graph: Any = coo_array((np.concatenate([far, far, values]), (start, end)), shape=(n + 1, n + 1))
     search: Any = dijkstra
     found: FloatArray = search(graph.tocsr(), indices=n)[:n]
