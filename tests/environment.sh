@@ -68,17 +68,20 @@ make_environment() {
     return 1
 }
 
-# make_lowest: .venv-lowest, with the lowest versions of the direct dependencies.
+# make_lowest: .venv-lowest, with the lowest versions of all that the package cannot do without, and
+# the newest of toolkits and tests that go with these.
 make_lowest() {
     local python bin=.venv-lowest/bin
     python="$(command -v python3.11 || find_python)" || return 1
     if [ ! -x $bin/uv ]; then
         "$python" -m venv .venv-lowest && $bin/python -m pip install --quiet uv || return 1
     fi
-    $bin/uv pip compile --quiet --python $bin/python --resolution lowest-direct \
-        --extra plot --extra pymeshlab --extra pyvista --extra skfem --extra test \
-        --extra trimesh pyproject.toml -o .venv-lowest/lowest.txt >/dev/null &&
-        $bin/uv pip install --quiet --python $bin/python -r .venv-lowest/lowest.txt
+    $bin/uv pip compile --quiet --python $bin/python --no-deps --resolution lowest-direct \
+        pyproject.toml -o .venv-lowest/lowest.txt >/dev/null &&
+        $bin/uv pip compile --quiet --python $bin/python -c .venv-lowest/lowest.txt \
+            --extra plot --extra pymeshlab --extra pyvista --extra skfem --extra test \
+            --extra trimesh pyproject.toml -o .venv-lowest/all.txt >/dev/null &&
+        $bin/uv pip install --quiet --python $bin/python -r .venv-lowest/all.txt
 }
 
 # enter_environment: activates the environment, made or found.

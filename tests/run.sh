@@ -2,8 +2,8 @@
 # Sets up what the tests need, then runs ruff, mypy and pytest. Quick the second time.
 #   bash tests/run.sh [arguments of pytest]
 #   bash tests/run.sh --lowest [arguments of pytest]
-# The second runs those tests in .venv-lowest, which has the lowest versions of all direct
-# dependencies that pyproject.toml allows; numba compiles the kernels that they need, once.
+# The second runs some tests in .venv-lowest, which has the lowest versions of all dependencies that
+# pyproject.toml allows, toolkits excepted; numba compiles the kernels that they need, once.
 # Without arguments the numerical tests run again with the BLAS of a newer processor, then with that
 # of an older one and kernels that have no instruction that came after SSE4.2 and check every index;
 # these are compiled once, by the runs for which kernels are compiled at installation.
