@@ -1,7 +1,6 @@
 """The three edges a, b, c at a corner of a tetrahedron, and their products.
 
-All measures of a tetrahedron are functions of these edges: what they are seen through goes into
-`corner_edges`, and into the rows of ``rows``.
+All measures of a tetrahedron are functions of these edges, or of what ``metric`` makes of them.
 """
 
 from __future__ import annotations

@@ -26,6 +26,13 @@ from odt_plugins.engine.cells.mean_ratio import (
     triangle_mean_ratio,
     triangle_mean_ratio_terms,
 )
+from odt_plugins.engine.cells.metric import (
+    add_seen_terms,
+    edges_through,
+    has_metric,
+    seen_edges,
+    tet_root,
+)
 from odt_plugins.engine.cells.packed import add_square
 from odt_plugins.engine.cells.rows import (
     CHUNK,
@@ -82,7 +89,7 @@ def tet_measure(points: FloatArray, i: int, j: int, k: int, l: int, objective: i
     """Measure of tetrahedron (i, j, k, l); not positive if inverted."""
     if objective == QUALITY:
         return tet_quality(points, i, j, k, l)
-    edges = corner_edges(points, i, j, k, l)
+    edges = seen_edges(points, i, j, k, l)
     if objective == MEAN_RATIO:
         return tet_mean_ratio(edges)
     if objective == STEP:
@@ -149,7 +156,7 @@ def tet_cost(points: FloatArray, i: int, j: int, k: int, l: int, cost: Cost) -> 
     if cost.objective == QUALITY:
         m = tet_quality(points, i, j, k, l)
     elif is_energy(cost.objective):
-        return tet_energy(corner_edges(points, i, j, k, l))
+        return tet_energy(seen_edges(points, i, j, k, l))
     else:
         m = tet_measure(points, i, j, k, l, cost.objective)
     if m <= 1e-9:
@@ -166,7 +173,7 @@ def cell_cost(points: FloatArray, cells: IntArray, c: int, cost: Cost) -> float:
 @kernel
 def tet_shape(points: FloatArray, i: int, j: int, k: int, l: int) -> Extremes:
     """Radius ratio of a tetrahedron, largest and smallest cosine of its dihedral angles."""
-    edges = corner_edges(points, i, j, k, l)
+    edges = seen_edges(points, i, j, k, l)
     large, small = tet_cosines(edges)
     return Extremes(edges_quality(edges), large, small)
 
@@ -181,7 +188,7 @@ def cell_extremes(points: FloatArray, cells: IntArray, c: int) -> Extremes:
 def cell_altitude(points: FloatArray, cells: IntArray, c: int) -> float:
     """Least altitude of tetrahedron c; negative if inverted."""
     return tet_altitude(
-        corner_edges(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
+        seen_edges(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
     )
 
 
@@ -230,18 +237,20 @@ class Room(NamedTuple):
     ----------
     star : (10,) float64    sum over the cells of a star, packed as in ``packed``
     cell : (10,) float64    measure of one of them, packed in the same way
+    seen : (10,) float64    cost of one of them in the edges as they are seen, packed in the same way
     rows : (ROWS,) float64  the cells of a star side by side, see ``rows``
     """
 
     star: FloatArray
     cell: FloatArray
+    seen: FloatArray
     rows: FloatArray
 
 
 @allocating_kernel
 def make_room() -> Room:
     """Room for one thread."""
-    return Room(np.empty(10), np.empty(10), np.empty(ROWS))
+    return Room(np.empty(10), np.empty(10), np.empty(10), np.empty(ROWS))
 
 
 @kernel
@@ -254,9 +263,9 @@ def star_terms(
     Of the radius ratio the cells stay in ``room.rows`` if there are no more than CHUNK.  False when
     a cell is not positive.
     """
-    out, terms, power = room.star, room.cell, cost.power
+    out, power = room.star, cost.power
     out[:] = 0.0
-    if cost.objective == QUALITY:
+    if cost.objective == QUALITY and not has_metric(points):
         for first in range(start, stop, CHUNK):
             last = min(stop, first + CHUNK)
             gather_corners(points, cells, indices, first, last, v, room.rows)
@@ -267,17 +276,38 @@ def star_terms(
         return True
     for s in range(start, stop):
         i, j, k = opposite_vertices(cells, indices[s], v)
-        if not _tet_terms(corner_edges(points, v, i, j, k), cost.objective, terms):
+        edges = corner_edges(points, v, i, j, k)
+        if not has_metric(points):
+            if not _add_cell_terms(edges, cost, room, out):
+                return False
+            continue
+        root = tet_root(points, v, i, j, k)
+        room.seen[:] = 0.0
+        if not _add_cell_terms(edges_through(root, edges), cost, room, room.seen):
             return False
-        m = terms[0]
-        f = quality_cost(m, power)
-        share = m / (m + SHIFT)
-        pf = power * f * share
-        pp = pf * ((power + 1.0) * share - 1.0)
-        out[0] += f
-        for a in range(1, 10):
-            out[a] -= pf * terms[a]
-        add_square(out, pp, terms[1], terms[2], terms[3])
+        add_seen_terms(room.seen, root, out)
+    return True
+
+
+@kernel
+def _add_cell_terms(edges: Edges, cost: Cost, room: Room, out: FloatArray) -> bool:
+    """Add the cost of a cell by its edges at a corner, gradient and Hessian in that corner."""
+    terms, power = room.cell, cost.power
+    if cost.objective == QUALITY:
+        for k in range(9):
+            room.rows[CHUNK * k] = edges[k]
+        return add_star_terms(0.0, 0.0, 0.0, 1, power, room.rows, out)
+    if not _tet_terms(edges, cost.objective, terms):
+        return False
+    m = terms[0]
+    f = quality_cost(m, power)
+    share = m / (m + SHIFT)
+    pf = power * f * share
+    pp = pf * ((power + 1.0) * share - 1.0)
+    out[0] += f
+    for a in range(1, 10):
+        out[a] -= pf * terms[a]
+    add_square(out, pp, terms[1], terms[2], terms[3])
     return True
 
 
@@ -302,7 +332,7 @@ def star_state(
     found = Extremes(1.0, -1.0, 1.0)
     for s in range(start, stop):
         c = indices[s]
-        edges = corner_edges(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
+        edges = seen_edges(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
         q = edges_quality(edges)
         if q <= 1e-9:
             return np.inf, found
@@ -326,7 +356,7 @@ def moved_state(
 ) -> tuple[float, Extremes]:
     """As :func:`star_state` after :func:`star_terms`, since when only v has moved."""
     count = stop - start
-    if cost.objective != QUALITY or count > CHUNK:
+    if cost.objective != QUALITY or count > CHUNK or has_metric(points):
         return star_state(points, cells, indices, start, stop, cost, limit, sure)
     quality_rows(points[v, 0], points[v, 1], points[v, 2], count, rows)
     total = 0.0
@@ -344,7 +374,7 @@ def moved_state(
         if q < sure:
             c = indices[start + s]
             large, small = tet_cosines(
-                corner_edges(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
+                seen_edges(points, cells[c, 0], cells[c, 1], cells[c, 2], cells[c, 3])
             )
         found = worse(found, Extremes(q, large, small))
     return total, found
@@ -375,11 +405,17 @@ def star_terms_2d(
     derivatives[:] = 0.0
     total = 0.0
     for s in range(star.shape[0]):
-        b, c = opposite_edge(cells, star[s], vertex)
-        t = moving_triangle(points, vertex, b, c, axes)
+        i, j = opposite_edge(cells, star[s], vertex)
+        t = moving_triangle(points, vertex, i, j, axes)
         if not (t.square > 0.0 and t.uu > 0.0 and t.vv > 0.0):
             return np.inf
         m, g1, g2, h11, h12, h22 = _triangle_terms(t, cost.objective)
+        if has_metric(points):
+            a, b, c, d = t.r11, t.r12, t.r21, t.r22
+            g1, g2 = a * g1 + b * g2, c * g1 + d * g2
+            k11, k12, k21, k22 = (
+                a * h11 + b * h12, a * h12 + b * h22, c * h11 + d * h12, c * h12 + d * h22)
+            h11, h12, h22 = a * k11 + b * k12, a * k21 + b * k22, c * k21 + d * k22
         f = m**-power
         pf = power * f
         total += f

@@ -12,6 +12,7 @@ import numpy as np
 
 from odt_plugins.engine.cells.cost import SHIFT, quality_cost
 from odt_plugins.engine.cells.dihedral import measure_of, six_cosines
+from odt_plugins.engine.cells.metric import has_metric, tet_root, through
 from odt_plugins.engine.cells.tetrahedron import opposite_vertices
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -49,7 +50,7 @@ def gather_corners(
 def gather_edges(
     points: FloatArray, cells: IntArray, slots: IntArray, first: int, count: int, rows: FloatArray
 ) -> None:
-    """Write the edges at the first corner of the cells slots[first:first + count].
+    """Write the edges, as seen, at the first corner of the cells slots[first:first + count].
 
     With that corner in the origin they are the other corners; a free slot gets those of no cell.
     """
@@ -67,6 +68,14 @@ def gather_edges(
         rows[BZ + s] = points[j, 2] - z
         rows[CX + s], rows[CY + s] = points[k, 0] - x, points[k, 1] - y
         rows[CZ + s] = points[k, 2] - z
+        if has_metric(points):
+            root = tet_root(points, l, i, j, k)
+            rows[AX + s], rows[AY + s], rows[AZ + s] = through(
+                root, rows[AX + s], rows[AY + s], rows[AZ + s])
+            rows[BX + s], rows[BY + s], rows[BZ + s] = through(
+                root, rows[BX + s], rows[BY + s], rows[BZ + s])
+            rows[CX + s], rows[CY + s], rows[CZ + s] = through(
+                root, rows[CX + s], rows[CY + s], rows[CZ + s])
 
 
 @kernel

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from odt_plugins.engine.cells.corner import corner_edges, corner_normals
+from odt_plugins.engine.cells.corner import corner_normals
+from odt_plugins.engine.cells.metric import has_metric, seen_edges, tet_root, through
 from odt_plugins.engine.cells.rows import (
     AX,
     AY,
@@ -44,7 +45,7 @@ def circumsphere(
     gx, gy, gz : float     2 det (centre - x_i)
     size : float           longest squared edge at x_i
     """
-    return sphere_of_edges(*corner_edges(points, i, j, k, l))
+    return sphere_of_edges(*seen_edges(points, i, j, k, l))
 
 
 @inlined_kernel
@@ -67,15 +68,20 @@ def sphere_of_edges(
 
 @kernel
 def inside_sphere(
-    points: FloatArray, i: int, v: int, det: float, gx: float, gy: float, gz: float, size: float
+    points: FloatArray, cells: IntArray, c: int, v: int, det: float, gx: float, gy: float,
+    gz: float, size: float,
 ) -> bool:
-    """Whether point v is inside the sphere from :func:`circumsphere`, by more than rounding.
+    """Whether point v is inside the :func:`circumsphere` of cell c, by more than rounding.
 
     With y = x_v - x_i that is |y|^2 < 2 y . (centre - x_i).
     """
+    i = cells[c, 0]
     x = points[v, 0] - points[i, 0]
     y = points[v, 1] - points[i, 1]
     z = points[v, 2] - points[i, 2]
+    if has_metric(points):
+        root = tet_root(points, i, cells[c, 1], cells[c, 2], cells[c, 3])
+        x, y, z = through(root, x, y, z)
     square = x * x + y * y + z * z
     test = det * square - (gx * x + gy * y + gz * z)
     if not test < 0.0:
@@ -141,7 +147,7 @@ def mark_non_delaunay(
             v = apex_across(cells, c, f, across)
             u = c - first
             if inside_sphere(
-                points, cells[c, 0], v, rows[Q + u], rows[GX + u], rows[GY + u],
+                points, cells, c, v, rows[Q + u], rows[GX + u], rows[GY + u],
                 rows[GZ + u], rows[XX + u],
             ):
                 status[c] = PENDING

@@ -8,12 +8,12 @@ import numpy as np
 
 from odt_plugins.engine.cells.corner import (
     Edges,
-    corner_edges,
     corner_normals,
     opposite_edges,
     six_volumes,
 )
 from odt_plugins.engine.cells.dihedral import six_cosines
+from odt_plugins.engine.cells.metric import seen_edges
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
@@ -90,4 +90,4 @@ def tet_cosines(edges: Edges) -> tuple[float, float]:
 @kernel
 def tet_quality(points: FloatArray, i: int, j: int, k: int, l: int) -> float:
     """:func:`edges_quality` of tetrahedron (i, j, k, l)."""
-    return edges_quality(corner_edges(points, i, j, k, l))
+    return edges_quality(seen_edges(points, i, j, k, l))

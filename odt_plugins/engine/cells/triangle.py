@@ -1,7 +1,7 @@
 """One triangle in the plane or in space: its edges, what is made of them, and its radius ratio.
 
 All measures of a triangle are functions of its squared edges and area, their derivatives of a
-`MovingTriangle`: what the edges are seen through goes into `squares` and `moving_triangle`.
+`MovingTriangle`. Edges are as they are seen, see ``metric``; area vectors are as they are.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import math
 from typing import NamedTuple
 
 from odt_plugins.engine.cells.extremes import Extremes
+from odt_plugins.engine.cells.metric import has_metric, in_space, through, triangle_root
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.topology.lookup import place_in
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -19,15 +20,16 @@ from odt_plugins.mesh.arrays import FloatArray, IntArray
 def _edges(
     points: FloatArray, a: int, b: int, c: int
 ) -> tuple[float, float, float, float, float, float]:
-    """Edges bc, ca and ab of a planar triangle."""
-    return (
-        points[c, 0] - points[b, 0],
-        points[c, 1] - points[b, 1],
-        points[a, 0] - points[c, 0],
-        points[a, 1] - points[c, 1],
-        points[b, 0] - points[a, 0],
-        points[b, 1] - points[a, 1],
-    )
+    """Edges bc, ca and ab of a planar triangle, as seen."""
+    ux, uy = points[c, 0] - points[b, 0], points[c, 1] - points[b, 1]
+    vx, vy = points[a, 0] - points[c, 0], points[a, 1] - points[c, 1]
+    wx, wy = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
+    if has_metric(points):
+        root = triangle_root(points, a, b, c)
+        ux, uy, _ = through(root, ux, uy, 0.0)
+        vx, vy, _ = through(root, vx, vy, 0.0)
+        wx, wy, _ = through(root, wx, wy, 0.0)
+    return ux, uy, vx, vy, wx, wy
 
 
 @kernel
@@ -43,7 +45,7 @@ def triangle_extremes(points: FloatArray, a: int, b: int, c: int) -> Extremes:
 
     In the plane the radius ratio is 0 or negative when (a, b, c) is not counterclockwise.
     """
-    if points.shape[1] == 3:
+    if in_space(points):
         q, large, small, _, _, _ = triangle_in_space(points, a, b, c)
         return Extremes(q, large, small)
     ux, uy, vx, vy, wx, wy = _edges(points, a, b, c)
@@ -82,17 +84,33 @@ def triangle_in_space(
     vx, vy, vz = offset(points, c, a)
     wx, wy, wz = offset(points, a, b)
     nx, ny, nz = vy * wz - vz * wy, vz * wx - vx * wz, vx * wy - vy * wx
+    if has_metric(points):
+        ux, uy, uz, vx, vy, vz, wx, wy, wz = _seen_edges(points, a, b, c)
+        sx, sy, sz = vy * wz - vz * wy, vz * wx - vx * wz, vx * wy - vy * wx
+        q, large, small = _shape(
+            ux, uy, uz, vx, vy, vz, wx, wy, wz, sx * sx + sy * sy + sz * sz)
+        return q, large, small, nx, ny, nz
+    q, large, small = _shape(ux, uy, uz, vx, vy, vz, wx, wy, wz, nx * nx + ny * ny + nz * nz)
+    return q, large, small, nx, ny, nz
+
+
+@kernel
+def _shape(
+    ux: float, uy: float, uz: float, vx: float, vy: float, vz: float, wx: float, wy: float,
+    wz: float, square: float,
+) -> tuple[float, float, float]:
+    """Radius ratio, cosines of smallest and largest angle of edges and twice the area squared."""
     lu = math.sqrt(ux * ux + uy * uy + uz * uz)
     lv = math.sqrt(vx * vx + vy * vy + vz * vz)
     lw = math.sqrt(wx * wx + wy * wy + wz * wz)
     if not (lu > 0.0 and lv > 0.0 and lw > 0.0):
-        return 0.0, 1.0, -1.0, nx, ny, nz
+        return 0.0, 1.0, -1.0
     # 16 A^2 / (perimeter a b c)
-    q = 4.0 * (nx * nx + ny * ny + nz * nz) / ((lu + lv + lw) * lu * lv * lw)
+    q = 4.0 * square / ((lu + lv + lw) * lu * lv * lw)
     cu = -(vx * wx + vy * wy + vz * wz) / (lv * lw)
     cv = -(wx * ux + wy * uy + wz * uz) / (lw * lu)
     cw = -(ux * vx + uy * vy + uz * vz) / (lu * lv)
-    return q, max(cu, cv, cw), min(cu, cv, cw), nx, ny, nz
+    return q, max(cu, cv, cw), min(cu, cv, cw)
 
 
 @kernel
@@ -102,28 +120,37 @@ def triangle_altitude(points: FloatArray, a: int, b: int, c: int) -> float:
     Twice the area is the product of two edges less their projections on each other, by Lagrange's
     identity: D^2 = sum_(i < j) (v_i w_j - v_j w_i)^2.
     """
-    uu = vv = ww = d2 = 0.0
-    for i in range(points.shape[1]):
-        u = points[c, i] - points[b, i]
-        v = points[a, i] - points[c, i]
-        w = points[b, i] - points[a, i]
-        uu += u * u
-        vv += v * v
-        ww += w * w
-        for j in range(i):
-            part = v * (points[b, j] - points[a, j]) - w * (points[a, j] - points[c, j])
-            d2 += part * part
-    most = max(uu, max(vv, ww))
-    return math.sqrt(d2 / most) if most > 0.0 else 0.0
+    ux, uy, uz, vx, vy, vz, wx, wy, wz = _seen_edges(points, a, b, c)
+    nz, ny, nx = vy * wx - wy * vx, vz * wx - wz * vx, vz * wy - wz * vy
+    most = max(ux * ux + uy * uy + uz * uz, max(
+        vx * vx + vy * vy + vz * vz, wx * wx + wy * wy + wz * wz))
+    return math.sqrt((nz * nz + ny * ny + nx * nx) / most) if most > 0.0 else 0.0
+
+
+@kernel
+def _seen_edges(
+    points: FloatArray, a: int, b: int, c: int
+) -> tuple[float, float, float, float, float, float, float, float, float]:
+    """Edges bc, ca and ab in the plane or in space, as seen."""
+    if not in_space(points):
+        ux, uy, vx, vy, wx, wy = _edges(points, a, b, c)
+        return ux, uy, 0.0, vx, vy, 0.0, wx, wy, 0.0
+    ux, uy, uz = offset(points, b, c)
+    vx, vy, vz = offset(points, c, a)
+    wx, wy, wz = offset(points, a, b)
+    if has_metric(points):
+        root = triangle_root(points, a, b, c)
+        ux, uy, uz = through(root, ux, uy, uz)
+        vx, vy, vz = through(root, vx, vy, vz)
+        wx, wy, wz = through(root, wx, wy, wz)
+    return ux, uy, uz, vx, vy, vz, wx, wy, wz
 
 
 @kernel
 def squares(points: FloatArray, a: int, b: int, c: int) -> tuple[float, float, float, float]:
     """Squares of the edges bc, ca and ab and of twice the area D, in the plane with its sign."""
-    if points.shape[1] == 3:
-        ux, uy, uz = offset(points, b, c)
-        vx, vy, vz = offset(points, c, a)
-        wx, wy, wz = offset(points, a, b)
+    if in_space(points):
+        ux, uy, uz, vx, vy, vz, wx, wy, wz = _seen_edges(points, a, b, c)
         nx, ny, nz = vy * wz - vz * wy, vz * wx - vx * wz, vx * wy - vy * wx
         return (
             ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz,
@@ -149,6 +176,9 @@ class MovingTriangle(NamedTuple):
     u1, u2, v1, v2 : float     u and v along the directions
     b1, b2 : float             gradient of log B
     b11, b12, b22 : float      minus the Hessian of log B
+    r11, r12, r21, r22 : float
+        row i is how the corner is seen to move, along the directions above, where it moves along
+        direction i of the caller; the identity without a metric
     """
 
     uu: float
@@ -165,10 +195,14 @@ class MovingTriangle(NamedTuple):
     b11: float
     b12: float
     b22: float
+    r11: float
+    r12: float
+    r21: float
+    r22: float
 
 
 NOT_POSITIVE = MovingTriangle(
-    0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0)
+    0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
 """Of a triangle that is inverted or flat."""
 
 
@@ -187,10 +221,17 @@ def moving_triangle(
     x, b, c : int
     axes : (2, d) float64      orthonormal directions; not read where d = 2
     """
-    if points.shape[1] == 2:
+    wx, wy = points[c, 0] - points[b, 0], points[c, 1] - points[b, 1]
+    r11, r12, r21, r22 = 1.0, 0.0, 0.0, 1.0
+    if not in_space(points):
         ux, uy = points[x, 0] - points[b, 0], points[x, 1] - points[b, 1]
         vx, vy = points[x, 0] - points[c, 0], points[x, 1] - points[c, 1]
-        wx, wy = points[c, 0] - points[b, 0], points[c, 1] - points[b, 1]
+        if has_metric(points):
+            root = triangle_root(points, x, b, c)
+            ux, uy, _ = through(root, ux, uy, 0.0)
+            vx, vy, _ = through(root, vx, vy, 0.0)
+            wx, wy, _ = through(root, wx, wy, 0.0)
+            r11, r12, r21, r22 = root[0], root[1], root[1], root[3]
         double_area = ux * vy - uy * vx
         if not double_area > 0.0:
             return NOT_POSITIVE
@@ -199,23 +240,33 @@ def moving_triangle(
             ux * ux + uy * uy, vx * vx + vy * vy, w,
             ux * ux + uy * uy + vx * vx + vy * vy + w * w, double_area * double_area,
             ux, uy, vx, vy, 2.0 * ax, 2.0 * ay, 2.0 * ax * ax, 2.0 * ax * ay, 2.0 * ay * ay,
+            r11, r12, r21, r22,
         )
-    uu = vv = ww = uw = 0.0
-    u1 = u2 = v1 = v2 = w1 = w2 = 0.0
-    for k in range(3):
-        u = points[x, k] - points[b, k]
-        v = points[x, k] - points[c, k]
-        w = points[c, k] - points[b, k]
-        uu += u * u
-        vv += v * v
-        ww += w * w
-        uw += u * w
-        u1 += u * axes[0, k]
-        u2 += u * axes[1, k]
-        v1 += v * axes[0, k]
-        v2 += v * axes[1, k]
-        w1 += w * axes[0, k]
-        w2 += w * axes[1, k]
+    ux, uy, uz = offset(points, b, x)
+    vx, vy, vz = offset(points, c, x)
+    wx, wy, wz = offset(points, b, c)
+    ex, ey, ez = axes[0, 0], axes[0, 1], axes[0, 2]
+    fx, fy, fz = axes[1, 0], axes[1, 1], axes[1, 2]
+    if has_metric(points):
+        root = triangle_root(points, x, b, c)
+        ux, uy, uz = through(root, ux, uy, uz)
+        vx, vy, vz = through(root, vx, vy, vz)
+        wx, wy, wz = through(root, wx, wy, wz)
+        ex, ey, ez = through(root, ex, ey, ez)
+        fx, fy, fz = through(root, fx, fy, fz)
+        r11 = math.sqrt(ex * ex + ey * ey + ez * ez)
+        ex, ey, ez = ex / r11, ey / r11, ez / r11
+        r21 = fx * ex + fy * ey + fz * ez
+        fx, fy, fz = fx - r21 * ex, fy - r21 * ey, fz - r21 * ez
+        r22 = math.sqrt(fx * fx + fy * fy + fz * fz)
+        fx, fy, fz = fx / r22, fy / r22, fz / r22
+    uu = ux * ux + uy * uy + uz * uz
+    vv = vx * vx + vy * vy + vz * vz
+    ww = wx * wx + wy * wy + wz * wz
+    uw = ux * wx + uy * wy + uz * wz
+    u1, u2 = ux * ex + uy * ey + uz * ez, ux * fx + uy * fy + uz * fz
+    v1, v2 = vx * ex + vy * ey + vz * ez, vx * fx + vy * fy + vz * fz
+    w1, w2 = wx * ex + wy * ey + wz * ez, wx * fx + wy * fy + wz * fz
     square = ww * uu - uw * uw
     if not square > 0.0:
         return NOT_POSITIVE
@@ -224,6 +275,7 @@ def moving_triangle(
     return MovingTriangle(
         uu, vv, math.sqrt(ww), uu + vv + ww, square, u1, u2, v1, v2, b1, b2,
         b1 * b1 - (ww - w1 * w1) * ib, b1 * b2 + w1 * w2 * ib, b2 * b2 - (ww - w2 * w2) * ib,
+        r11, r12, r21, r22,
     )
 
 

@@ -249,7 +249,7 @@ def _improve_cell(
             if across < 0 or regions[across] != regions[c] or tets.status[across] == DONE:
                 continue
             apex = apex_across(cells, c, f, across)
-            if inside_sphere(points, cells[c, 0], apex, det, gx, gy, gz, size):
+            if inside_sphere(points, cells, c, apex, det, gx, gy, gz, size):
                 facets |= 1 << f
         if facets == 0:
             return 0.0, 0

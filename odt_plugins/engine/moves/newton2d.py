@@ -42,7 +42,7 @@ def newton_step_2d(
     before, slope : float    F_p, and its derivative along the step; the slope is 0 without a step
     dx, dy, dz : float       the step; dz is dy in the plane
     """
-    last = points.shape[1] - 1
+    last = axes.shape[1] - 1
     before = star_terms_2d(points, cells, star, v, cost, axes, derivatives)
     if not before < np.inf:
         return before, 0.0, 0.0, 0.0, 0.0
@@ -76,7 +76,7 @@ def newton_vertex_2d(
     The Hessian is made positive definite by a shift; alpha = 1, 1/2, 1/4, ... until F_p decreases
     strictly with every area positive.
     """
-    dim = points.shape[1]
+    dim = axes.shape[1]
     if dim == 3:
         set_axes(*star_normal(points, cells, star), axes)
     cost, slope, dx, dy, dz = newton_step_2d(
@@ -87,25 +87,25 @@ def newton_vertex_2d(
     x, y, z = points[v, 0], points[v, 1], points[v, dim - 1]
     alpha = 1.0
     for _ in range(HALVINGS):
-        _put(points, v, x + alpha * dx, y + alpha * dy, z + alpha * dz)
+        _put(points, dim, v, x + alpha * dx, y + alpha * dy, z + alpha * dz)
         there, found = star_state_2d(points, cells, star, kind)
         if there <= cost + ARMIJO * alpha * slope and there < (1.0 - DECREASE) * cost:
             if keeps(found, bounds):
                 return cost, there
-            _put(points, v, x, y, z)
+            _put(points, dim, v, x, y, z)
             _, here = star_state_2d(points, cells, star, kind)
             if keeps(found, worse(bounds, here)):
-                _put(points, v, x + alpha * dx, y + alpha * dy, z + alpha * dz)
+                _put(points, dim, v, x + alpha * dx, y + alpha * dy, z + alpha * dz)
                 return cost, there
         alpha *= 0.5
-    _put(points, v, x, y, z)
+    _put(points, dim, v, x, y, z)
     return cost, cost
 
 
 @kernel
-def _put(points: FloatArray, v: int, x: float, y: float, z: float) -> None:
+def _put(points: FloatArray, dim: int, v: int, x: float, y: float, z: float) -> None:
     """Put vertex v at (x, y), or (x, y, z) in space; y and z are the same in the plane."""
-    points[v, points.shape[1] - 1] = z
+    points[v, dim - 1] = z
     points[v, 0] = x
     points[v, 1] = y
 
