@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
+from odt_plugins.engine.cells.metric import seen_square
 from odt_plugins.engine.cells.triangle import triangle_in_space
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import Ground
@@ -39,7 +40,7 @@ class Net(NamedTuple):
 
     Attributes
     ----------
-    points : (n, 3) float64      in the unit of the ground
+    points : (n, 3) float64      in the unit of the ground; more columns as in ``cells.metric``
     foot : (n,) int32            triangle of the ground near each
     kind : (n,) uint8            SMOOTH, LINE or LOCKED
     place : (n,) float64         where a LINE vertex is on the tracks
@@ -356,16 +357,18 @@ def exchange(net: Net, room: Room, old: int, new: int, number: int) -> None:
 
 
 @kernel
-def squared_length(p: FloatArray, a: int, b: int) -> float:
-    """Squared length of an edge."""
-    return (p[a, 0] - p[b, 0]) ** 2 + (p[a, 1] - p[b, 1]) ** 2 + (p[a, 2] - p[b, 2]) ** 2
+def relative_square(net: Net, a: int, b: int) -> float:
+    """Squared length of an edge as it is seen, as a part of that of its size."""
+    size = 0.5 * (net.size[a] + net.size[b])
+    return seen_square(net.points, a, b) / (size * size)
 
 
 @kernel
-def relative_square(net: Net, a: int, b: int) -> float:
-    """Squared length of an edge, as a part of that of its size."""
-    size = 0.5 * (net.size[a] + net.size[b])
-    return squared_length(net.points, a, b) / (size * size)
+def relative_lengths(net: Net, pairs: IntArray, out: FloatArray) -> None:
+    """Lengths of edges (k, 2) as they are seen, as parts of those of their sizes."""
+    for k in range(pairs.shape[0]):
+        a, b = pairs[k, 0], pairs[k, 1]
+        out[k] = math.sqrt(seen_square(net.points, a, b)) / (0.5 * (net.size[a] + net.size[b]))
 
 
 @kernel

@@ -24,6 +24,7 @@ from odt_plugins.engine.surface.in_plane import in_space
 from odt_plugins.engine.surface.judge import TOLERANCE, Distance
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
+from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal, freeze
 from odt_plugins.mesh.surface import Edges, surface_edges
 from odt_plugins.options import Options
@@ -78,10 +79,11 @@ def retile(
         start = surface_start(held)
         frame = start.frame
         reach = POLICY.surface_guard * length * frame.scale * part[frame.active]
-        net = resize(_base(start, options), sizes[frame.vertices] * frame.scale, reach, bounds,
+        unit = 1.0 if len(mesh.roots) else frame.scale
+        net = resize(_base(start, options), sizes[frame.vertices] * unit, reach, bounds,
                      feature_angle=options.feature_angle)
         n, m = net.count[0], net.count[1]
-        points = np.ascontiguousarray(net.points[:n, : mesh.points.shape[1]])
+        points = np.ascontiguousarray(net.points[:n, _columns(mesh)])
         cells, labels = net.triangles[:m].copy(), net.labels[:m].copy()
         state = State(points, cells, labels, figures(points, cells), "resized")
         placed = start.placed(state)
@@ -124,7 +126,15 @@ def _told(
 
 def _bounds(mesh: SimplexMesh, keep: tuple[str, ...]) -> Extremes:
     """Extremes that triangles must keep: those of the input, or what is good enough."""
-    return extremes(relaxed(figures(mesh.points, mesh.cells), keep, 3), keep).cells
+    before = figures(*as_seen(mesh.points, mesh.cells, mesh.roots))
+    return extremes(relaxed(before, keep, 3), keep).cells
+
+
+def _columns(mesh: SimplexMesh) -> list[int]:
+    """Columns of the points of a net that are those of a mesh, those of its metric behind them."""
+    if mesh.is_surface:
+        return list(range(9 if len(mesh.roots) else 3))
+    return [0, 1, *((3, 4, 6) if len(mesh.roots) else ())]
 
 
 def _base(start: SurfaceStart, options: Options) -> Base:
@@ -139,7 +149,17 @@ def _base(start: SurfaceStart, options: Options) -> Base:
     kept = start.kept | held
     if options.boundary == "fixed":
         held = np.ones(len(key), dtype=np.bool_)
-    return Base(in_space(start.points), start.cells, start.regions, edges, fixed, kept, held)
+    return Base(in_space(start.points), start.cells, start.regions, edges, fixed, kept, held,
+                _roots_in_space(start.roots))
+
+
+def _roots_in_space(roots: FloatArray) -> FloatArray:
+    """Roots (n, 6): those of the plane, which see the third direction as it is."""
+    if roots.shape[1] != 3:
+        return roots
+    out = np.zeros((len(roots), 6))
+    out[:, [0, 1, 3]], out[:, 5] = roots, 1.0
+    return out
 
 
 def _judged(
@@ -148,11 +168,12 @@ def _judged(
     """Hold a mesh against the promise."""
     points, cells = outcome.points, outcome.cells
     keep = tuple(options.keep)
-    broken = broken_by_retiling(mesh, points, cells, outcome.regions, origin, keep)
+    roots = outcome.roots
+    broken = broken_by_retiling(mesh, points, cells, outcome.regions, origin, keep, roots)
     bad = np.zeros(len(points), dtype=np.bool_)
     if broken:
-        bounds = relaxed(figures(mesh.points, mesh.cells), keep, 3)
-        passed = bounds.passed_by(cell_shapes(points, cells), keep)
+        bounds = relaxed(figures(*as_seen(mesh.points, mesh.cells, mesh.roots)), keep, 3)
+        passed = bounds.passed_by(cell_shapes(*as_seen(points, cells, roots)), keep)
         bad[cells[passed]] = True
     x, y = in_space(mesh.points), in_space(points)
     old, new = surface_edges(mesh.cells, len(x)), surface_edges(cells, len(y))

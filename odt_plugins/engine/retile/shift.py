@@ -10,7 +10,8 @@ import math
 
 from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.measures import QUALITY
-from odt_plugins.engine.cells.triangle import offset, triangle_in_space
+from odt_plugins.engine.cells.metric import has_metric, through, vertex_root
+from odt_plugins.engine.cells.triangle import offset, squares, triangle_in_space
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import walk
 from odt_plugins.engine.ground.replace import ROOM
@@ -18,7 +19,7 @@ from odt_plugins.engine.ground.sheet import LINE, LOCKED
 from odt_plugins.engine.moves.newton2d import newton_step_2d
 from odt_plugins.engine.moves.tangent import axis_across, set_axes, star_normal
 from odt_plugins.engine.retile.lines import chain_of, neighbor_on
-from odt_plugins.engine.retile.net import Net, Room, Rules, exchange, fits, put
+from odt_plugins.engine.retile.net import Net, Room, Rules, exchange, fits, put, relative_square
 from odt_plugins.engine.retile.tracks import on_track, track_is_near
 
 FINE = 0.5
@@ -165,7 +166,12 @@ def _shift(net: Net, rules: Rules, v: int, room: Room) -> bool:
         for k in range(3):
             h = net.size[c[k]]
             share += 1.0 / (h * h * h * h)
-        share *= math.sqrt(nx * nx + ny * ny + nz * nz)
+        area = math.sqrt(nx * nx + ny * ny + nz * nz)
+        if has_metric(p):
+            # rho = det(M)^2 along the triangle
+            share = squares(p, c[0], c[1], c[2])[3] / area if area > 0.0 else 0.0
+        else:
+            share *= area
         weight += share
         dx += share * ((p[c[0], 0] + p[c[1], 0] + p[c[2], 0]) / 3.0 - x)
         dy += share * ((p[c[0], 1] + p[c[1], 1] + p[c[2], 1]) / 3.0 - y)
@@ -174,7 +180,7 @@ def _shift(net: Net, rules: Rules, v: int, room: Room) -> bool:
         return False
     foot = net.foot[v]
     step = 1.0 / weight
-    if dx * dx + dy * dy + dz * dz < (LITTLE * net.size[v] * weight) ** 2:
+    if _seen_step(net, v, dx, dy, dz) < (LITTLE * net.size[v] * weight) ** 2:
         return False
     for _ in range(HALVINGS):
         _, face, gx, gy, gz = walk(
@@ -185,6 +191,24 @@ def _shift(net: Net, rules: Rules, v: int, room: Room) -> bool:
         step *= 0.5
     p[v, 0], p[v, 1], p[v, 2], net.foot[v] = x, y, z, foot
     return False
+
+
+@kernel
+def _seen_step(net: Net, v: int, x: float, y: float, z: float) -> float:
+    """Squared length of a step of a vertex, as it is seen."""
+    if has_metric(net.points):
+        x, y, z = through(vertex_root(net.points, v), x, y, z)
+    return x * x + y * y + z * z
+
+
+@kernel
+def _size_along(net: Net, v: int, w: int) -> float:
+    """Twice the size along the edge vw: the length, as that of the coordinates, of a good edge."""
+    if not has_metric(net.points):
+        return net.size[v] + net.size[w]
+    seen = relative_square(net, v, w)
+    x, y, z = offset(net.points, v, w)
+    return 2.0 * math.sqrt((x * x + y * y + z * z) / seen) if seen > 0.0 else 0.0
 
 
 @kernel
@@ -200,7 +224,9 @@ def _slide(net: Net, rules: Rules, v: int, power: float, room: Room) -> bool:
     high = net.place[last] if net.kind[last] == LINE else tracks.arc[tracks.stop[chain]]
     count, before = _star(net, v, room)
     x, y, z, foot, place = p[v, 0], p[v, 1], p[v, 2], net.foot[v], net.place[v]
-    left, right = net.size[first] + net.size[v], net.size[v] + net.size[last]
+    left, right = _size_along(net, first, v), _size_along(net, v, last)
+    if not left + right > 0.0:
+        return False
     target = low + (high - low) * left / (left + right)
     if power > 0.0:
         target = place + _along(net, v, first, last, count, power, room)
@@ -208,7 +234,8 @@ def _slide(net: Net, rules: Rules, v: int, power: float, room: Room) -> bool:
         before = (1.0 - DECREASE) * _cost(net, count, power, room)
     else:
         before = min(before, FINE)
-    if not abs(target - place) > LITTLE * net.size[v]:
+    if not abs(target - place) > LITTLE * (
+            0.25 * (left + right) if has_metric(p) else net.size[v]):
         return False
     step = 1.0
     for _ in range(HALVINGS):

@@ -58,6 +58,8 @@ def _split(net: Net, rules: Rules, a: int, b: int, room: Room) -> bool:
     foot = net.foot[a] if net.kind[a] == SMOOTH else net.foot[b]
     net.kind[v] = SMOOTH
     net.size[v] = 0.5 * (net.size[a] + net.size[b])
+    for k in range(3, net.points.shape[1]):
+        net.points[v, k] = 0.5 * (net.points[a, k] + net.points[b, k])
     for turn in range(2):
         x = 0.5 * (p[a, 0] + p[b, 0])
         y = 0.5 * (p[a, 1] + p[b, 1])

@@ -16,7 +16,14 @@ from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.retile.collapse import collapse_edges
 from odt_plugins.engine.retile.flip import swap_edges
 from odt_plugins.engine.retile.grading import fitting, spread
-from odt_plugins.engine.retile.net import Net, Rules, link_all, make_room, on_ground
+from odt_plugins.engine.retile.net import (
+    Net,
+    Rules,
+    link_all,
+    make_room,
+    on_ground,
+    relative_lengths,
+)
 from odt_plugins.engine.retile.shift import shift_vertices
 from odt_plugins.engine.retile.split import split_edges
 from odt_plugins.engine.retile.tracks import Tracks
@@ -54,6 +61,7 @@ class Base(NamedTuple):
     fixed : (n,) bool      vertices that stay
     kept : (e,) bool       edges that are feature edges whatever their angle
     held : (e,) bool       edges that stay as they are
+    roots : (n, 6) float64 of the metric at the vertices; (n, 0) without one
     """
 
     points: FloatArray
@@ -63,6 +71,7 @@ class Base(NamedTuple):
     fixed: BoolArray
     kept: BoolArray
     held: BoolArray
+    roots: FloatArray
 
 
 def resize(
@@ -94,11 +103,12 @@ def resize(
     tracks, marks = _tracks(base, features, reach)
     cosine = math.cos(math.radians(POLICY.surface_turn))
     flat = not points[:, 2].any()
-    sizes = fitting(points, edges.vertices, sizes, features, tracks)
+    if not base.roots.size:
+        sizes = fitting(points, edges.vertices, sizes, features, tracks)
     around = np.full(len(triangles), np.inf) if flat else reach
     rules = Rules(ground, tracks, around, cosine, bounds, LONGEST, SHORTEST)
     net = _net(base, features, marks, sizes, ground)
-    passes = Passes(rules, sizes)
+    passes = Passes(rules, sizes, base.roots)
     for turn in range(ROUNDS):
         net = passes.split(net, bounds if turn else FREELY)
         passes.collapse(net)
@@ -152,7 +162,7 @@ def _net(
     place[on] = lines.arc[lines.slot[on]]
     after[on] = lines.nodes[lines.slot[on] + 1]
     net = Net(
-        sheet.points, sheet.foot, features.kind.copy(), place, after, sizes.astype(np.float64),
+        np.column_stack([sheet.points, base.roots]), sheet.foot, features.kind.copy(), place, after, sizes.astype(np.float64),
         np.full(n, -1, dtype=np.int32), sheet.triangles, marks[base.edges.of_cell],
         base.labels.copy(), np.full(3 * m, -1, dtype=np.int32), sheet.first, sheet.following,
         np.zeros(n, dtype=np.int64), np.array([n, m, 0], dtype=np.int64),
@@ -164,8 +174,9 @@ def _net(
 class Passes:
     """Passes over what has changed since the last pass of the same kind."""
 
-    def __init__(self, rules: Rules, sizes: FloatArray) -> None:
+    def __init__(self, rules: Rules, sizes: FloatArray, roots: FloatArray) -> None:
         self.rules, self.sizes, self.room = rules, sizes, make_room()
+        self.roots = np.ascontiguousarray(roots.T)
         self.since: dict[object, int] = {}
 
     def _since(self, net: Net, kind: object) -> int:
@@ -188,7 +199,9 @@ class Passes:
         on_ground(net, RELENT * count / np.where(count > 0, inverse, 1.0), found)
         if (found < self.sizes).any():
             ground = self.rules.ground.points
-            self.sizes = spread(ground, edges, np.minimum(self.sizes, found))
+            self.sizes = np.minimum(self.sizes, found)
+            if not self.roots.size:
+                self.sizes = spread(ground, edges, self.sizes)
             self._measure(net)
 
     def split(self, net: Net, bounds: Extremes) -> Net:
@@ -230,9 +243,14 @@ class Passes:
         self._measure(net)
 
     def _measure(self, net: Net) -> None:
-        """Interpolate the sizes at the feet of all vertices, in place."""
+        """Interpolate sizes and metric at the feet of all vertices, in place."""
         n = int(net.count[0])
-        ground_values(self.rules.ground, self.sizes, net.points[:n], net.foot[:n], net.size[:n])
+        ground, points, foot = self.rules.ground, net.points[:n], net.foot[:n]
+        ground_values(ground, self.sizes, points, foot, net.size[:n])
+        for k, root in enumerate(self.roots):
+            found = points[:, 3 + k].copy()
+            ground_values(ground, root, points, foot, found)
+            points[:, 3 + k] = found
 
 
 def _edges(net: Net, since: int) -> tuple[IntArray, FloatArray, IntArray]:
@@ -248,9 +266,9 @@ def _edges(net: Net, since: int) -> tuple[IntArray, FloatArray, IntArray]:
     pairs = np.stack([key // len(net.points), key % len(net.points)], axis=1).astype(np.int32)
     fresh = (net.stamp[pairs] > since).any(axis=1)
     pairs, degree = pairs[fresh], degree[fresh]
-    p, h = net.points[pairs], net.size[pairs]
-    length = np.sqrt(((p[:, 0] - p[:, 1]) ** 2).sum(axis=1))
-    return pairs, length / (0.5 * (h[:, 0] + h[:, 1])), degree.astype(np.int32)
+    length = np.empty(len(pairs))
+    relative_lengths(net, pairs, length)
+    return pairs, length, degree.astype(np.int32)
 
 
 def _grown(net: Net, vertices: int, triangles: int) -> Net:

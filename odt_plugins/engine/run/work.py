@@ -46,6 +46,7 @@ class Start:
     frame : Frame
     points : (k, D) float64
     cells : (m1, d + 1) int32, regions : (m1,) int32
+    roots : (k, D (D + 1) / 2) float64    of the metric, for inner coordinates; (k, 0) without one
     """
 
     mesh: SimplexMesh
@@ -53,6 +54,12 @@ class Start:
     points: FloatArray
     cells: IntArray
     regions: IntArray
+    roots: FloatArray
+
+    @property
+    def seen(self) -> FloatArray:
+        """Points with the roots behind the coordinates, as kernels take them; a copy."""
+        return np.column_stack([self.points, self.roots])
 
     def pairs(self, edges: IntArray) -> IntArray:
         """Inner numbers of the caller's edges (q, 2); without those that are not inside."""
@@ -69,16 +76,19 @@ class Start:
         """
         mesh, frame = self.mesh, self.frame
         points = mesh.points.copy()
-        n = len(self.points)
-        moved = (state.points[:n] != self.points).any(axis=1)
-        points[frame.vertices[moved]] = frame.outside(state.points[:n][moved])
+        n, d = self.points.shape
+        there, roots = state.points[:, :d], mesh.roots.copy()
+        moved = (there[:n] != self.points).any(axis=1)
+        points[frame.vertices[moved]] = frame.outside(there[:n][moved])
+        if len(roots):
+            roots[frame.vertices[moved]] = state.points[:n, d:][moved] * frame.scale
         regions = np.concatenate([mesh.regions[mesh.frozen], state.regions])
         used = np.zeros(len(state.points), dtype=np.bool_)
         used[state.cells] = True
         new = n + np.flatnonzero(used[n:])
         if used[:n].all() and not len(new):
             cells = np.concatenate([mesh.cells[mesh.frozen], frame.vertices[state.cells]])
-            return Outcome(points, np.ascontiguousarray(cells), regions)
+            return Outcome(points, np.ascontiguousarray(cells), regions, roots=roots)
         left = np.ones(len(points), dtype=np.bool_)
         left[frame.vertices[~used[:n]]] = False
         kept = np.flatnonzero(left)
@@ -88,16 +98,19 @@ class Start:
         inner[:n] = outer[frame.vertices]
         inner[new] = len(kept) + np.arange(len(new))
         cells = np.concatenate([outer[mesh.cells[mesh.frozen]], inner[state.cells]])
-        points = np.concatenate([points[kept], frame.outside(state.points[new])])
-        return Outcome(points, np.ascontiguousarray(cells), regions, origin=origin)
+        points = np.concatenate([points[kept], frame.outside(there[new])])
+        if len(roots):
+            roots = np.concatenate([roots[kept], state.points[new, d:] * frame.scale])
+        return Outcome(points, np.ascontiguousarray(cells), regions, origin=origin, roots=roots)
 
 
 def make_start(mesh: SimplexMesh) -> Start:
     """Number the cells that may change along a curve, and scale them."""
     frame, cells = make_frame(mesh)
+    roots = mesh.roots if len(mesh.roots) else np.zeros((len(mesh.points), 0))
     return Start(
         mesh, frame, frame.inside(mesh.points[frame.vertices]), cells,
-        np.ascontiguousarray(mesh.regions[frame.active]),
+        np.ascontiguousarray(mesh.regions[frame.active]), roots[frame.vertices] / frame.scale,
     )
 
 
