@@ -9,6 +9,10 @@ import numpy as np
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 
+NO_ROOTS: FloatArray = np.zeros((0, 0))
+"""Roots of no metric."""
+
+
 def as_seen(
     points: FloatArray, cells: IntArray, roots: FloatArray
 ) -> tuple[FloatArray, IntArray]:

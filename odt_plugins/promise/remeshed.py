@@ -16,6 +16,7 @@ from odt_plugins.figures import cell_figures, summarize, volumes
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.facets import row_keys, uneven_facets
 from odt_plugins.mesh.numbering import in_old_numbers, old_numbers, removed_vertices
+from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.promise.good import fallen_figures
 from odt_plugins.promise.locked_facets import LockedFacets, facet_census
@@ -40,6 +41,7 @@ def broken_by_remeshing(
     regions: NDArray[np.int32],
     origin: NDArray[np.int64],
     keep: Sequence[str],
+    roots: NDArray[np.float64],
     *,
     slides: bool,
     threads: int = 1,
@@ -52,6 +54,8 @@ def broken_by_remeshing(
     points, cells, regions : arrays     (n, 3), (m', 4), (m',): the mesh to be judged
     origin : (n,) int                   old vertex of every vertex, increasing, then -1
     keep : names of figures             none may be worse than before, see ``promise.good``
+    roots : (n, k) float64              of the metric in which figures are measured, no rows where
+                                        there is none
     slides : bool                       whether surfaces may have other vertices; else they are as
                                         before, bit for bit
     threads : int
@@ -71,8 +75,9 @@ def broken_by_remeshing(
         broken = broken_promises(before, points, cells, regions, (), origin=origin, insert=share,
                                  threads=threads)
         if keep and not broken:
-            broken = fallen_figures(summarize(before.points, before.cells),
-                                    summarize(points, cells), keep, 4)
+            broken = fallen_figures(
+                summarize(*as_seen(before.points, before.cells, before.roots)),
+                summarize(*as_seen(points, cells, roots)), keep, 4)
         return broken
     broken = _malformed(before, points, cells, regions, origin)
     if broken:
@@ -94,8 +99,9 @@ def broken_by_remeshing(
     broken += _overlapping(overlaps)
     broken += _thawed(before, numbered, regions, len(together))
     if keep:
-        broken += fallen_figures(summarize(before.points, before.cells),
-                                 summarize(points, cells, figures), keep, 4)
+        broken += fallen_figures(
+            summarize(*as_seen(before.points, before.cells, before.roots)),
+            summarize(*as_seen(points, cells, roots), None if len(roots) else figures), keep, 4)
     old = facet_census(before.cells, before.regions, len(before.points), before.uneven)[0]
     was, now = _pieces(old), _pieces(new)
     for pair in sorted(was.keys() | now.keys()):

@@ -17,6 +17,7 @@ from odt_plugins.mesh.chunks import chunks, spread
 from odt_plugins.mesh.exact import exact_sign, whole_numbers
 from odt_plugins.mesh.facets import row_keys, sorted_columns, uneven_facets
 from odt_plugins.mesh.numbering import in_old_numbers, most_vertices, old_numbers, removed_vertices
+from odt_plugins.mesh.seen import NO_ROOTS, as_seen
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import KEPT
 from odt_plugins.promise.locked_facets import LockedFacets, facet_census
@@ -45,6 +46,7 @@ def broken_promises(
     origin: NDArray[np.int64] | None = None,
     insert: bool | float = True,
     threads: int = 1,
+    roots: NDArray[np.float64] = NO_ROOTS,
 ) -> list[str]:
     """Say what of the promise does not hold for an optimised mesh.
 
@@ -62,6 +64,8 @@ def broken_promises(
                                         new one, increasing, then -1 for those that were added
     insert : bool or float              how many may come then, see ``numbering.most_vertices``
     threads : int                       how many share the work
+    roots : (n, k) float64              of the metric in which figures are measured, no rows where
+                                        there is none
 
     Returns
     -------
@@ -77,6 +81,7 @@ def broken_promises(
     if broken:
         return broken
     figures = cell_figures(points, cells, threads)
+    seen = as_seen(points, cells, roots)
     locked = _locked_before(before, before.regions)
     held = held_by(before, locked)
     removed = np.zeros(0, dtype=np.int64)
@@ -102,10 +107,9 @@ def broken_promises(
     broken += _volume_changed(before, points, cells, regions, slides=slides, threads=threads)
     broken += _thawed(before, cells, regions, len(points))
     if keep:
-        old = before_summary or summarize(
-            before.points, before.cells, cell_figures(before.points, before.cells, threads)
-        )
-        now = summarize(points, cells, figures)
+        was = as_seen(before.points, before.cells, before.roots)
+        old = before_summary or summarize(*was, cell_figures(*was, threads))
+        now = summarize(*seen, None if len(roots) else figures)
         if before.valid_before is not None:
             valid = summarize(*before.valid_before)
             keep = [name for name in keep if worse_figures(valid, now, (name,))]

@@ -40,10 +40,76 @@ WALK_LIMIT = 500
 
 
 @kernel
+def _cell_at(
+    queries: FloatArray, q: int, start: IntArray, nodes: FloatArray, cells: IntArray,
+    neighbors: IntArray, limit: int,
+) -> tuple[int, float, float, float, float]:
+    """Cell at a point, by walking from start[q] over the facet with the lowest coordinate.
+
+    Outside the mesh it is the best cell seen, to which the coordinates are clamped.
+
+    Returns
+    -------
+    cell : int
+    b0, b1, b2, b3 : float    barycentric coordinates, none negative; b3 = 0 in the plane
+    """
+    d = cells.shape[1] - 1
+    c = start[q]
+    before = -1
+    best_low = -np.inf
+    best_cell = c
+    b0 = b1 = b2 = b3 = 0.0
+    for _ in range(limit):
+        o, i, j = cells[c, 0], cells[c, 1], cells[c, 2]
+        x, y = queries[q, 0] - nodes[o, 0], queries[q, 1] - nodes[o, 1]
+        ax, ay = nodes[i, 0] - nodes[o, 0], nodes[i, 1] - nodes[o, 1]
+        bx, by = nodes[j, 0] - nodes[o, 0], nodes[j, 1] - nodes[o, 1]
+        if d == 2:
+            det = ax * by - ay * bx
+            w1 = (x * by - y * bx) / det
+            w2 = (ax * y - ay * x) / det
+            w3 = 0.0
+        else:
+            e = cells[c, 3]
+            z = queries[q, 2] - nodes[o, 2]
+            az, bz = nodes[i, 2] - nodes[o, 2], nodes[j, 2] - nodes[o, 2]
+            ex, ey = nodes[e, 0] - nodes[o, 0], nodes[e, 1] - nodes[o, 1]
+            ez = nodes[e, 2] - nodes[o, 2]
+            px, py, pz = by * ez - bz * ey, bz * ex - bx * ez, bx * ey - by * ex
+            det = ax * px + ay * py + az * pz
+            w1 = (x * px + y * py + z * pz) / det
+            px, py, pz = ey * az - ez * ay, ez * ax - ex * az, ex * ay - ey * ax
+            w2 = (x * px + y * py + z * pz) / det
+            px, py, pz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
+            w3 = (x * px + y * py + z * pz) / det
+        w0 = 1.0 - w1 - w2 - w3
+        low = min(min(min(w0, w1), w2), w3)
+        if low > best_low:
+            best_low, best_cell = low, c
+            b0, b1, b2, b3 = w0, w1, w2, w3
+        if low >= 0.0:
+            break
+        next_cell = -1
+        lowest = 0.0
+        for a in range(d + 1):
+            across = neighbors[c, a]
+            w = w0 if a == 0 else w1 if a == 1 else w2 if a == 2 else w3
+            if w < lowest and across != -1 and across != before:
+                lowest = w
+                next_cell = across
+        if next_cell == -1:
+            break
+        before = c
+        c = next_cell
+    b0, b1, b2, b3 = max(b0, 0.0), max(b1, 0.0), max(b2, 0.0), max(b3, 0.0)
+    return best_cell, b0, b1, b2, b3
+
+
+@kernel
 def _interpolate(
     queries: FloatArray,
     start: IntArray,
-    points: FloatArray,
+    nodes: FloatArray,
     cells: IntArray,
     neighbors: IntArray,
     limit: int,
@@ -51,71 +117,41 @@ def _interpolate(
     bound: float,
     out: FloatArray,
 ) -> None:
-    """P1 interpolation by walking from start[q] over the facet with the lowest coordinate.
+    """P1 interpolation at points.
 
-    The values stand behind the coordinates in points (n, d + 1).  The cell where the walk ends is
+    The values stand behind the coordinates in nodes (n, d + 1).  The cell where the walk ends is
     left in start[q].  What is found is kept within 1 / bound and bound and raised to the exponent,
     as by :func:`bounded_power`.
-
-    Outside the mesh the coordinates of the best cell are clamped to it.
     """
-    d = queries.shape[1]
+    d = cells.shape[1] - 1
     for q in range(queries.shape[0]):
-        c = start[q]
-        before = -1
-        best_low = -np.inf
-        best_cell = c
-        b0 = b1 = b2 = b3 = 0.0
-        for _ in range(limit):
-            o, i, j = cells[c, 0], cells[c, 1], cells[c, 2]
-            x, y = queries[q, 0] - points[o, 0], queries[q, 1] - points[o, 1]
-            ax, ay = points[i, 0] - points[o, 0], points[i, 1] - points[o, 1]
-            bx, by = points[j, 0] - points[o, 0], points[j, 1] - points[o, 1]
-            if d == 2:
-                det = ax * by - ay * bx
-                w1 = (x * by - y * bx) / det
-                w2 = (ax * y - ay * x) / det
-                w3 = 0.0
-            else:
-                e = cells[c, 3]
-                z = queries[q, 2] - points[o, 2]
-                az, bz = points[i, 2] - points[o, 2], points[j, 2] - points[o, 2]
-                ex, ey = points[e, 0] - points[o, 0], points[e, 1] - points[o, 1]
-                ez = points[e, 2] - points[o, 2]
-                px, py, pz = by * ez - bz * ey, bz * ex - bx * ez, bx * ey - by * ex
-                det = ax * px + ay * py + az * pz
-                w1 = (x * px + y * py + z * pz) / det
-                px, py, pz = ey * az - ez * ay, ez * ax - ex * az, ex * ay - ey * ax
-                w2 = (x * px + y * py + z * pz) / det
-                px, py, pz = ay * bz - az * by, az * bx - ax * bz, ax * by - ay * bx
-                w3 = (x * px + y * py + z * pz) / det
-            w0 = 1.0 - w1 - w2 - w3
-            low = min(min(min(w0, w1), w2), w3)
-            if low > best_low:
-                best_low, best_cell = low, c
-                b0, b1, b2, b3 = w0, w1, w2, w3
-            if low >= 0.0:
-                break
-            next_cell = -1
-            lowest = 0.0
-            for a in range(d + 1):
-                across = neighbors[c, a]
-                w = w0 if a == 0 else w1 if a == 1 else w2 if a == 2 else w3
-                if w < lowest and across != -1 and across != before:
-                    lowest = w
-                    next_cell = across
-            if next_cell == -1:
-                break
-            before = c
-            c = next_cell
-        b0, b1, b2, b3 = max(b0, 0.0), max(b1, 0.0), max(b2, 0.0), max(b3, 0.0)
-        result = b0 * points[cells[best_cell, 0], d] + b1 * points[cells[best_cell, 1], d]
-        result += b2 * points[cells[best_cell, 2], d]
+        c, b0, b1, b2, b3 = _cell_at(queries, q, start, nodes, cells, neighbors, limit)
+        result = b0 * nodes[cells[c, 0], d] + b1 * nodes[cells[c, 1], d]
+        result += b2 * nodes[cells[c, 2], d]
         if d == 3:
-            result += b3 * points[cells[best_cell, 3], d]
+            result += b3 * nodes[cells[c, 3], d]
         value = min(max(result / (b0 + b1 + b2 + b3), 1.0 / bound), bound)
         out[q] = value if exponent == 1.0 else value**exponent
-        start[q] = best_cell
+        start[q] = c
+
+
+@kernel
+def _interpolate_roots(
+    points: FloatArray, start: IntArray, nodes: FloatArray, roots: FloatArray, cells: IntArray,
+    neighbors: IntArray, limit: int,
+) -> None:
+    """P1 interpolation of rows (n, k) at points, written behind the coordinates of these."""
+    d = cells.shape[1] - 1
+    for q in range(points.shape[0]):
+        c, b0, b1, b2, b3 = _cell_at(points, q, start, nodes, cells, neighbors, limit)
+        total = b0 + b1 + b2 + b3
+        for k in range(roots.shape[1]):
+            value = b0 * roots[cells[c, 0], k] + b1 * roots[cells[c, 1], k]
+            value += b2 * roots[cells[c, 2], k]
+            if d == 3:
+                value += b3 * roots[cells[c, 3], k]
+            points[q, d + k] = value / total
+        start[q] = c
 
 
 @dataclass(frozen=True)
@@ -148,6 +184,7 @@ class Density:
                                  lies in one line of the cache; empty for rho = 1
     cells, neighbors             the input mesh, where the field lives
     start : (n,) int32           a cell of the input mesh at every vertex
+    roots : (n, k) float64       of the metric at the vertices of the input mesh; k = 0 without one
     """
 
     inverse_volume: bool
@@ -158,6 +195,7 @@ class Density:
     cells: IntArray
     neighbors: IntArray
     start: IntArray
+    roots: FloatArray
 
     @property
     def field(self) -> FloatArray:
@@ -181,7 +219,8 @@ class Density:
 
         Parameters
         ----------
-        points : (k, d) float64    the vertices of the input mesh, moved; further points may follow
+        points : (k, d) float64    the vertices of the input mesh, moved; further points may follow,
+                                   further columns are not read
         pool                       whose threads share the work
         walk : (k,) int32, optional
             from :meth:`walk_start` or the last call, for points that moved little since; the
@@ -195,13 +234,13 @@ class Density:
         ------
         InvalidOptionError         the user's function gives a wrong length or a bad value
         """
+        points = np.ascontiguousarray(points[:, : self.cells.shape[1] - 1], dtype=np.float64)
         if self.function is not None:
             return bounded_power(np.ldexp(_asked(self.function, points), -self.unit), 1.0)
         if not self.nodes.size:
             return np.ones(len(points))
         start = self.walk_start(len(points)) if walk is None else walk
         values = np.empty(len(points))
-        points = np.ascontiguousarray(points, dtype=np.float64)
 
         def work(part: slice) -> None:
             _interpolate(
@@ -211,6 +250,24 @@ class Density:
 
         list((map if pool is None else pool.map)(work, chunks(len(points))))
         return values
+
+
+    def resample(
+        self, points: FloatArray, pool: Pool | None = None, walk: IntArray | None = None
+    ) -> None:
+        """Write the roots of the metric behind the coordinates of points, as they are there.
+
+        Parameters as of :meth:`at`.
+        """
+        if not self.roots.size:
+            return
+        start = self.walk_start(len(points)) if walk is None else walk
+
+        def work(part: slice) -> None:
+            _interpolate_roots(points[part], start[part], self.nodes, self.roots, self.cells,
+                               self.neighbors, WALK_LIMIT)
+
+        list((map if pool is None else pool.map)(work, chunks(len(points))))
 
 
 def _asked(function: Callable[[FloatArray], Any], points: FloatArray) -> FloatArray:
@@ -333,7 +390,7 @@ def make_density(
         "keep" sizes of the input mesh; "uniform"; "inverse-volume" (4.22); (n,) rho at vertices;
         (m,) rho of cells; rho(points) -> (k,); a :class:`NodalDensity`
     exponent : float or None                    r in rho = h^-r of "keep", None for d + 2
-    points : (n, d) float64                     input mesh
+    points : (n, d) float64                     input mesh; with a metric its roots behind them
     cells : (m, d + 1) int32                    input mesh, positive
     neighbors : (m, d + 1) int32, optional      from :func:`cell_neighbors`, when already known
 
@@ -351,6 +408,7 @@ def make_density(
     CMAME 200 (2011) 967-984, Section 5.3: rho = 1/h^r with r = 2 or 3; d + 2 is from Theorem 2.8.
     """
     n, m, d = len(points), len(cells), cells.shape[1] - 1
+    points, roots = points[:, :d], points[:, d:]
     keep = isinstance(spec, str) and spec == "keep"
     if exponent is not None and not keep:
         msg = (
@@ -389,6 +447,8 @@ def make_density(
     else:
         field = _vertex_field(_as_floats(spec), points, cells)
     start = np.zeros(n, dtype=np.int32)
+    if roots.size and not field.size:
+        field = np.ones(n)
     if field.size:
         nodes = np.column_stack([points, field])
         cells = np.array(cells, dtype=np.int32, order="C")
@@ -398,7 +458,7 @@ def make_density(
         nodes, cells = np.empty((0, d + 1)), np.empty((0, d + 1), dtype=np.int32)
         neighbors = cells
     inverse = isinstance(spec, str) and spec == "inverse-volume"
-    return Density(inverse, function, unit, power, nodes, cells, neighbors, start)
+    return Density(inverse, function, unit, power, nodes, cells, neighbors, start, roots.copy())
 
 
 def _vertex_field(values: FloatArray, points: FloatArray, cells: IntArray) -> FloatArray:

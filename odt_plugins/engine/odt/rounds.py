@@ -215,9 +215,9 @@ def exchange(mesh: Complex, bounds: Bounds, log: Log) -> Complex:
 def exchange_pays(mesh: Complex) -> bool:
     """Whether connectivity 'auto' asks scipy in the first round: of few cells, in space poor ones.
 
-    See ``POLICY.exchange_cells`` and ``POLICY.flips_quality``.
+    See ``POLICY.exchange_cells`` and ``POLICY.flips_quality``. Qhull knows no metric.
     """
-    if mesh.count() > POLICY.exchange_cells:
+    if mesh.count() > POLICY.exchange_cells or mesh.points.shape[1] > mesh.dim:
         return False
     if mesh.dim == 2:
         return True
@@ -303,6 +303,7 @@ def smooth(
         if not options.finish:
             points = held_to_bounds(mesh.points, points, cells, bounds)
         mesh.points[:] = points
+        density.resample(mesh.points, pool, walk)
         log.add("vertex moves", stats.moved)
         log.add("shortened moves", stats.reduced)
         count = mesh.count()

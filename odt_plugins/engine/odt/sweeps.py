@@ -11,8 +11,10 @@ from typing import Any, Literal, NamedTuple
 
 import numpy as np
 
+from odt_plugins.engine.cells.corner import Edges, corner_normals, six_volumes
 from odt_plugins.engine.cells.elementary import power
 from odt_plugins.engine.cells.geometry import signed_volumes
+from odt_plugins.engine.cells.metric import edges_through, root_volume
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.compiled.threads import run_ranges, thread_pool
 from odt_plugins.engine.topology.coloring import run_chunks
@@ -132,6 +134,68 @@ def _space_chunk(
         rows[OZ + s] = 0.25 * (az + bz + ez) if central else aa * pz + bb * qz + ee * rz
 
 
+@kernel
+def _seen_chunk(
+    nodes: FloatArray, cells: IntArray, indices: IntArray, first: int, count: int, i: int,
+    rows: FloatArray,
+) -> None:
+    """Let cells have the circumcenters and the density that a metric gives them.
+
+    With S seen, the centre is that of the image, back through S^-1, and rho = det(S)^(1 + 2 / d)
+    times the density of the vertices, which is h^-(d + 2) for M = h^-2 I.
+    """
+    d = cells.shape[1] - 1
+    for s in range(count):
+        c = indices[first + s]
+        j, k = np.int64(-1), np.int64(-1)
+        l = np.int64(-1)
+        a = b = e = f = g = h = 0.0
+        for r in range(d + 1):
+            v = cells[c, r]
+            if v != i:
+                j, k, l = v, j, k
+            if d == 2:
+                a, b, f, h = a + nodes[v, 4], b + nodes[v, 5], f + nodes[v, 6], h + 1.0
+            else:
+                a, b, e = a + nodes[v, 4], b + nodes[v, 5], e + nodes[v, 6]
+                f, g, h = f + nodes[v, 7], g + nodes[v, 8], h + nodes[v, 9]
+        w = 1.0 / (d + 1)
+        root = (w * a, w * b, w * e, w * f, w * g, w * h)
+        size = root_volume(root)
+        rows[RHO + s] *= size ** (1.0 + 2.0 / d)
+        if rows[RHO + s] < 0.0:
+            continue
+        x, y, z = nodes[i, 0], nodes[i, 1], nodes[i, 2]
+        edges = edges_through(root, (
+            nodes[j, 0] - x, nodes[j, 1] - y, nodes[j, 2] - z,
+            nodes[k, 0] - x, nodes[k, 1] - y, nodes[k, 2] - z,
+            nodes[l, 0] - x, nodes[l, 1] - y, nodes[l, 2] - z) if d == 3 else (
+            nodes[j, 0] - x, nodes[j, 1] - y, 0.0, nodes[k, 0] - x, nodes[k, 1] - y, 0.0,
+            0.0, 0.0, 1.0))
+        ox, oy, oz = _twice_moment(edges, d)
+        det = six_volumes(*edges)
+        # back through S^-1, the moment of a positive cell
+        sign = 1.0 if det * rows[DET + s] > 0.0 else -1.0
+        scale = sign / (size * size)
+        a, b, e, f, g, h = root
+        rows[OX + s] = scale * ((f * h - g * g) * ox + (e * g - b * h) * oy + (b * g - e * f) * oz)
+        rows[OY + s] = scale * ((e * g - b * h) * ox + (a * h - e * e) * oy + (b * e - a * g) * oz)
+        rows[OZ + s] = scale * ((b * g - e * f) * ox + (b * e - a * g) * oy + (a * f - b * b) * oz)
+
+
+@kernel
+def _twice_moment(edges: Edges, d: int) -> tuple[float, float, float]:
+    """2 det (centre - x_i) of a simplex with these edges at x_i; in the plane of the first two."""
+    ax, ay, az, bx, by, bz, ex, ey, ez = edges
+    aa = ax * ax + ay * ay + az * az
+    bb = bx * bx + by * by + bz * bz
+    if d == 2:
+        return aa * by - bb * ay, bb * ax - aa * bx, 0.0
+    ee = ex * ex + ey * ey + ez * ez
+    px, py, pz, qx, qy, qz, rx, ry, rz = corner_normals(ax, ay, az, bx, by, bz, ex, ey, ez)
+    return (aa * px + bb * qx + ee * rx, aa * py + bb * qy + ee * ry, aa * pz + bb * qz + ee * rz)
+
+
 class Pull(NamedTuple):
     """What vertices are drawn by.
 
@@ -160,7 +224,7 @@ def _move_vertices(
     """Move order[start:stop] from nodes to out, which may be the same array.
 
     A row of ``nodes`` (n, 4) holds a vertex and its density, negative where a cell with that
-    vertex is represented by its barycenter.  Returns the vertices moved, the longest relative move
+    vertex is represented by its barycenter; then the root of the metric, if there is one.  Returns the vertices moved, the longest relative move
     and the vertices of reduced alpha.
 
     Offsets are taken from x_i. With a = x_1 - x_i, ... the other corners in positive order,
@@ -193,6 +257,8 @@ def _move_vertices(
                 _plane_chunk(nodes, cells, indices, first + done, length, i, rows)
             else:
                 _space_chunk(nodes, cells, indices, first + done, length, i, rows)
+            if nodes.shape[1] > 4:
+                _seen_chunk(nodes, cells, indices, first + done, length, i, rows)
             for s in range(length):
                 det, rho = rows[DET + s], rows[RHO + s]
                 share = 1.0 if equal_weights else det * abs(rho)
@@ -259,15 +325,15 @@ def _sweep(
     barycentric : (n,) bool, or one for all    vertices whose cells count by their barycenters
     together : bool                            no vertex sees the move of another
     """
-    n, d = points.shape
-    nodes, new = np.zeros((n, 4)), np.empty((n, d))
+    n, d = len(points), topology.cells.shape[1] - 1
+    nodes, new = np.zeros((n, 4 + points.shape[1] - d)), points.copy()
     density = np.ones(n) if rho is None else rho
     by_barycenters = np.full(n, barycentric) if isinstance(barycentric, bool) else barycentric
     coloring = topology.coloring.of_one_colour() if together else topology.coloring
 
     def fill(start: int, stop: int) -> None:
         part = nodes[start:stop]
-        part[:, :d] = points[start:stop]
+        part[:, :d], part[:, 4:] = points[start:stop, :d], points[start:stop, d:]
         part[:, 3] = density[start:stop]
         np.negative(part[:, 3], out=part[:, 3], where=by_barycenters[start:stop])
 
@@ -277,7 +343,7 @@ def _sweep(
         )
 
     def take(start: int, stop: int) -> None:
-        new[start:stop] = out[start:stop, :d]
+        new[start:stop, :d] = out[start:stop, :d]
 
     with nullcontext(topology.pool) if topology.pool else thread_pool(threads) as pool:
         run_ranges(pool, n, fill)
@@ -416,6 +482,6 @@ def move_stats(
     moved = np.flatnonzero(np.any(new != points, axis=1))
     if not moved.size:
         return StepStats(0, 0.0, reduced, 0.0)
-    size = power(_mean_star_volumes(points, topology)[moved], 1 / points.shape[1])
+    size = power(_mean_star_volumes(points, topology)[moved], 1 / (topology.cells.shape[1] - 1))
     longest = float((np.linalg.norm(new[moved] - points[moved], axis=1) / size).max())
     return StepStats(int(moved.size), longest, reduced, alpha)

@@ -2,7 +2,11 @@
 
 from __future__ import annotations
 
-from odt_plugins.engine.cells.corner import corner_edges, six_volumes
+import numpy as np
+
+from odt_plugins.engine.cells.corner import six_volumes
+from odt_plugins.engine.cells.metric import has_metric, seen_edges
+from odt_plugins.engine.cells.triangle import squares as edge_squares
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import run_ranges
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -26,14 +30,18 @@ def _sum_energy(points: FloatArray, cells: IntArray, rho: FloatArray, of_cells: 
             for a in range(k):
                 weight += rho[cells[c, a]]
         o, i, j = cells[c, 0], cells[c, 1], cells[c, 2]
-        if d == 2:
+        if d == 2 and has_metric(points):
+            uu, vv, ww, square = edge_squares(points, o, i, j)
+            volume = 0.5 * np.sqrt(abs(square))
+            squares = uu + vv + ww
+        elif d == 2:
             ax, ay = points[i, 0] - points[o, 0], points[i, 1] - points[o, 1]
             bx, by = points[j, 0] - points[o, 0], points[j, 1] - points[o, 1]
             volume = 0.5 * (ax * by - ay * bx)
             squares = 3.0 * (ax * ax + ay * ay + bx * bx + by * by)
             squares -= (ax + bx) ** 2 + (ay + by) ** 2
         else:
-            ax, ay, az, bx, by, bz, ex, ey, ez = corner_edges(points, o, i, j, cells[c, 3])
+            ax, ay, az, bx, by, bz, ex, ey, ez = seen_edges(points, o, i, j, cells[c, 3])
             volume = six_volumes(ax, ay, az, bx, by, bz, ex, ey, ez) / 6.0
             squares = 4.0 * (
                 ax * ax + ay * ay + az * az + bx * bx + by * by + bz * bz

@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from odt_plugins.engine.cells.metric import seen_square
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import Ground
 from odt_plugins.engine.ground.replace import Exchange
@@ -29,7 +30,8 @@ class Body(NamedTuple):
 
     Attributes
     ----------
-    points : (n, 3) float64     room for more vertices than there are
+    points : (n, 3) float64     room for more vertices than there are; more columns as in
+                                ``cells.metric``
     size : (n,) float64         length that edges should have there
     kind, hold : (n,) uint8     INSIDE to CORNER; FREELY, STAYS or STIFF
     parent : (n,) int32         a vertex beside which a new one was made
@@ -114,11 +116,9 @@ class Guard(NamedTuple):
 
 @kernel
 def ratio(body: Body, a: int, b: int) -> float:
-    """Squared length of an edge by that which it should have."""
-    p = body.points
-    x, y, z = p[a, 0] - p[b, 0], p[a, 1] - p[b, 1], p[a, 2] - p[b, 2]
+    """Squared length of an edge, as it is seen, by that which it should have."""
     size = 0.5 * (body.size[a] + body.size[b])
-    return (x * x + y * y + z * z) / (size * size)
+    return seen_square(body.points, a, b) / (size * size)
 
 
 def with_room(body: Body, scratch: Scratch, guard: Guard, vertices: int, cells: int) -> tuple[

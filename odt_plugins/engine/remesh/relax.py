@@ -4,7 +4,8 @@ from __future__ import annotations
 
 import math
 
-from odt_plugins.engine.cells.triangle import triangle_in_space
+from odt_plugins.engine.cells.metric import has_metric, seen_square
+from odt_plugins.engine.cells.triangle import squares, triangle_in_space
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.remesh.body import FREELY, LINE, PATCH, Body, Guard, Scratch
 from odt_plugins.engine.remesh.boxes import closest_of
@@ -70,7 +71,10 @@ def _middle_of_patch(body: Body, u: int, scratch: Scratch) -> tuple[float, float
         a, b, c = t[scratch.first[s], 0], t[scratch.first[s], 1], t[scratch.first[s], 2]
         _, _, _, nx, ny, nz = triangle_in_space(p, a, b, c)
         size = (h[a] + h[b] + h[c]) / 3.0
-        weight = math.sqrt(nx * nx + ny * ny + nz * nz) / (size * size)
+        area = nx * nx + ny * ny + nz * nz
+        if has_metric(p):
+            area = squares(p, a, b, c)[3]
+        weight = math.sqrt(area) / (size * size)
         x += weight * (p[a, 0] + p[b, 0] + p[c, 0]) / 3.0
         y += weight * (p[a, 1] + p[b, 1] + p[c, 1]) / 3.0
         z += weight * (p[a, 2] + p[b, 2] + p[c, 2]) / 3.0
@@ -89,7 +93,8 @@ def _middle_of_line(body: Body, u: int, scratch: Scratch) -> tuple[float, float,
     c, d = scratch.first[0], scratch.first[1]
     a = rows[c, 0] + rows[c, 1] - u
     b = rows[d, 0] + rows[d, 1] - u
-    first, second = _length(body, a, u) / (h[a] + h[u]), _length(body, b, u) / (h[b] + h[u])
+    first = math.sqrt(seen_square(p, a, u)) / (h[a] + h[u])
+    second = math.sqrt(seen_square(p, b, u)) / (h[b] + h[u])
     # both parts are alike where u is moved by half of their difference along the longer one
     far = a if first > second else b
     longer, shorter = max(first, second), min(first, second)
@@ -97,9 +102,3 @@ def _middle_of_line(body: Body, u: int, scratch: Scratch) -> tuple[float, float,
     return (p[u, 0] + w * (p[far, 0] - p[u, 0]), p[u, 1] + w * (p[far, 1] - p[u, 1]),
             p[u, 2] + w * (p[far, 2] - p[u, 2]))
 
-
-@kernel
-def _length(body: Body, a: int, b: int) -> float:
-    p = body.points
-    return math.sqrt((p[a, 0] - p[b, 0]) ** 2 + (p[a, 1] - p[b, 1]) ** 2
-                     + (p[a, 2] - p[b, 2]) ** 2)

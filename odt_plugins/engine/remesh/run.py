@@ -15,7 +15,7 @@ from odt_plugins.engine.ground.crossings import count_crossings, crossing_triang
 from odt_plugins.engine.ground.envelope import distances
 from odt_plugins.engine.odt.density import NodalDensity, make_density
 from odt_plugins.engine.odt.rounds import Log
-from odt_plugins.engine.record.figures import cell_shapes, figures
+from odt_plugins.engine.record.figures import Figures, cell_shapes, figures
 from odt_plugins.engine.record.memory import State
 from odt_plugins.engine.record.relaxed import relaxed
 from odt_plugins.engine.remesh.body import FREELY, STAYS, STIFF
@@ -39,6 +39,7 @@ from odt_plugins.engine.run.work import make_start
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
 from odt_plugins.mesh.numbering import new_numbers
+from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal, freeze
 from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
@@ -197,8 +198,8 @@ def _fallen(mesh: SimplexMesh, outcome: Outcome, options: Options, *, few: bool)
     Those of the worst cells do not count where these are few, near which the input may stay.
     """
     keep = tuple(options.keep)
-    before = relaxed(figures(mesh.points, mesh.cells), keep, 4)
-    fallen = set(figures(outcome.points, outcome.cells).worse_than(before, keep))
+    before = relaxed(_figures(mesh), keep, 4)
+    fallen = set(_figures(outcome).worse_than(before, keep))
     return bool(fallen - EXTREMES if few else fallen)
 
 
@@ -231,6 +232,11 @@ def _explained(
     return outcome
 
 
+def _figures(mesh: SimplexMesh | Outcome) -> Figures:
+    """Figures of a mesh, as it is seen."""
+    return figures(*as_seen(mesh.points, mesh.cells, mesh.roots))
+
+
 def _spoiled(
     mesh: SimplexMesh, outcome: Outcome, sizes: Sizes, options: Options
 ) -> BoolArray:
@@ -238,10 +244,10 @@ def _spoiled(
     from scipy.spatial import cKDTree
 
     keep = tuple(options.keep)
-    before = relaxed(figures(mesh.points, mesh.cells), keep, 4)
-    shapes = cell_shapes(outcome.points, outcome.cells)
+    before = relaxed(_figures(mesh), keep, 4)
+    shapes = cell_shapes(*as_seen(outcome.points, outcome.cells, outcome.roots))
     bad = before.passed_by(shapes, keep)
-    if "p1_quality" in figures(outcome.points, outcome.cells).worse_than(before, keep):
+    if "p1_quality" in _figures(outcome).worse_than(before, keep):
         bad |= shapes[:, 0] < before.p1_quality
     places = outcome.points[outcome.cells[bad]].reshape(-1, 3)
     facets = boundary_facets(outcome.cells)
@@ -281,7 +287,7 @@ def _once(
         resized.points, resized.cells, resized.regions,
         fixed=np.where(new, False, mesh.fixed[origin]), frozen=frozen,
         anchored=np.where(new, False, mesh.anchored[origin]), body=mesh.body,
-        stays=new_numbers(origin, len(mesh.points))[mesh.stays], lines=lines,
+        stays=new_numbers(origin, len(mesh.points))[mesh.stays], lines=lines, roots=resized.roots,
     )
     times = {"resizing": time.perf_counter() - clock}
     inner = replace(
@@ -302,7 +308,7 @@ def _once(
                       counts=log.counts | best.counts, fallback=None, slid=None)
     broken = broken_by_remeshing(
         mesh, outcome.points, outcome.cells, outcome.regions, _composed(origin, best.origin),
-        tuple(options.keep), slides=share > 0.0, threads=options.threads)
+        tuple(options.keep), outcome.roots, slides=share > 0.0, threads=options.threads)
     if broken:
         return outcome, broken
     if share > 0.0:
@@ -323,23 +329,25 @@ def _resized(
     start = make_start(mesh)
     frame = start.frame
     log = Log()
-    values = LONGER * sizes.values[frame.vertices] * frame.scale
+    # lengths in a metric have no unit
+    unit = 1.0 if len(mesh.roots) else frame.scale
+    values = LONGER * sizes.values[frame.vertices] * unit
     hold = np.where(mesh.fixed | mesh.anchored, STAYS, FREELY).astype(np.uint8)
     hold[mesh.cells[mesh.frozen]] = STIFF
     hold[mesh.stays] = STIFF
     threads = worth(options.threads, max(len(mesh.cells), int(sizes.cells)))
     with thread_pool(threads) as pool:
         field = make_density(
-            NodalDensity(values, 1.0), None, start.points, start.cells, None)
+            NodalDensity(values, 1.0), None, start.seen, start.cells, None)
         body, guard, scratch = lay_out(
-            start.points, start.cells, start.regions, hold[frame.vertices],
+            start.points, start.roots, start.cells, start.regions, hold[frame.vertices],
             start.pairs(mesh.lines), share * envelope_length(mesh, options) * frame.scale,
             options.feature_angle)
         work = Resizing(body, guard, scratch, field, field.walk_start(len(start.points)), log,
-                        LONGER * local_sizes(mesh)[frame.vertices] * frame.scale, sizes.growth,
+                        LONGER * local_sizes(mesh)[frame.vertices] * unit, sizes.growth,
                         relents)
         resize(work, share > 0.0, pool, tick, threads)
-        whole = make_density(NodalDensity(LONGER * asked[frame.vertices] * frame.scale, 1.0), None,
+        whole = make_density(NodalDensity(LONGER * asked[frame.vertices] * unit, 1.0), None,
                              start.points, start.cells, None)
         size = work.body.size[: len(work.walk)]
         multiple = whole.at(np.ascontiguousarray(work.body.points[: len(size)]), pool,
@@ -360,7 +368,7 @@ def _resized(
         old[frame.vertices] = values[:n]
         return np.concatenate([old[origin[origin >= 0]], values[new]])
 
-    lengths = outside(size / frame.scale, LONGER * sizes.values)
+    lengths = outside(size / unit, LONGER * sizes.values)
     number = np.empty(len(points), dtype=np.int32)
     number[:n] = new_numbers(origin, len(mesh.points))[frame.vertices]
     number[new] = len(origin) - len(new) + np.arange(len(new), dtype=np.int32)
@@ -421,7 +429,7 @@ def _told(outcome: Outcome, unit: float, multiple: FloatArray) -> tuple[str, ...
         return ()
     edges = unique_edges(outcome.cells)
     asked = unit * outcome.sizes * multiple
-    ratio = lengths_of(outcome.points, edges) / (0.5 * asked[edges].sum(axis=1))
+    ratio = lengths_of(outcome.points, edges, outcome.roots) / (0.5 * asked[edges].sum(axis=1))
     short, long = ratio < IN[0], ratio > IN[1]
     surface = np.zeros(len(outcome.points), dtype=np.bool_)
     surface[surface_of(outcome.cells, outcome.regions)[0]] = True

@@ -16,6 +16,7 @@ from odt_plugins.engine.topology.star import star_sum
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.facets import row_keys
+from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh, corner_mean, diagonal
 
 CONTENT = {3: 0.44, 4: 0.105}
@@ -52,6 +53,8 @@ class Sizes:
     def below(self, mesh: SimplexMesh, most: FloatArray) -> Sizes:
         """The largest sizes that are no longer than ``most`` (n,) and grow as they may."""
         values = np.minimum(self.values, most)
+        if len(mesh.roots):
+            return replace(self, values=values)
         return replace(self, values=grown(mesh.points, unique_edges(mesh.cells), values,
                                           self.growth))
 
@@ -74,7 +77,9 @@ def wanted_sizes(mesh: SimplexMesh, wish: Wish, given: Any = None) -> Sizes:
     extent = diagonal(mesh.points[used])
     notes = []
     values = np.ones(len(mesh.points))
-    if wish.length is not None:
+    if len(mesh.roots):
+        values[:] = wish.scale or 1.0
+    elif wish.length is not None:
         values[:] = float(wish.length)
     elif wish.given or wish.curved:
         values = _as_given(mesh, given, used)
@@ -86,7 +91,7 @@ def wanted_sizes(mesh: SimplexMesh, wish: Wish, given: Any = None) -> Sizes:
     if goal is not None:
         d = mesh.dim
         values *= (expected_cells(mesh, values) / goal) ** (1.0 / d)
-    else:
+    elif not len(mesh.roots):
         low = used[np.argmin(values[used])]
         if values[low] < LEAST * extent:
             msg = (f"got size {values[low]:.3g} at vertex {low}, below {LEAST:g} of the diagonal "
@@ -96,8 +101,10 @@ def wanted_sizes(mesh: SimplexMesh, wish: Wish, given: Any = None) -> Sizes:
         if values[used].min() > extent:
             notes.append(f"size {values[used].min():.3g} is larger than the domain of {extent:.3g}:"
                          f" the result is as coarse as its topology and the envelope allow")
-    values = np.minimum(values, 2.0 * extent)
-    limited = grown(mesh.points, unique_edges(mesh.cells), values, wish.growth)
+    limited = values
+    if not len(mesh.roots):
+        values = np.minimum(values, 2.0 * extent)
+        limited = grown(mesh.points, unique_edges(mesh.cells), values, wish.growth)
     if (limited[used] < 0.99 * values[used]).any():
         share = (limited[used] < 0.99 * values[used]).mean()
         notes.append(f"sizes grow by more than {wish.growth:g} from vertex to vertex; they are "
@@ -113,7 +120,7 @@ def wanted_sizes(mesh: SimplexMesh, wish: Wish, given: Any = None) -> Sizes:
 def expected_cells(mesh: SimplexMesh, values: FloatArray) -> float:
     """About how many cells of some sizes fill the mesh."""
     d = mesh.dim
-    content = np.abs(signed_volumes(mesh.points, mesh.cells))
+    content = np.abs(signed_volumes(*as_seen(mesh.points, mesh.cells, mesh.roots)))
     dense = corner_mean(power(values, -float(d)), mesh.cells)
     return float((content * dense).sum()) / CONTENT[d + 1]
 
@@ -129,9 +136,14 @@ def unique_edges(cells: IntArray) -> IntArray:
     return edges
 
 
-def lengths_of(points: FloatArray, edges: IntArray) -> FloatArray:
-    """Lengths (e,) of edges."""
-    step = points[edges[:, 1]] - points[edges[:, 0]]
+def lengths_of(
+    points: FloatArray, edges: IntArray, roots: FloatArray | None = None
+) -> FloatArray:
+    """Lengths (e,) of edges, through the mean of the roots (n, k) of a metric at their ends."""
+    pairs = edges
+    if roots is not None and len(roots):
+        points, pairs = as_seen(points, edges, roots)
+    step = points[pairs[:, 1]] - points[pairs[:, 0]]
     out: FloatArray = np.sqrt((step * step).sum(axis=1))
     return out
 
@@ -139,7 +151,7 @@ def lengths_of(points: FloatArray, edges: IntArray) -> FloatArray:
 def local_sizes(mesh: SimplexMesh) -> FloatArray:
     """Mean length of the edges at every vertex, smoothed; 1 at those without cells."""
     edges = unique_edges(mesh.cells)
-    length = lengths_of(mesh.points, edges)
+    length = lengths_of(mesh.points, edges, mesh.roots)
     n = len(mesh.points)
     count = np.bincount(edges.ravel(), minlength=n)
     total = np.bincount(edges.ravel(), np.repeat(length, 2), minlength=n)

@@ -55,7 +55,7 @@ def split_edges(
         if m + 1 >= body.points.shape[0] or not has_room_for(body.tets, cells) or not (
                 has_room_for(body.triangles, triangles) and has_room_for(body.segments, segments)):
             return e
-        for k in range(3):
+        for k in range(body.points.shape[1]):
             body.points[m, k] = 0.5 * (body.points[a, k] + body.points[b, k])
         if not _stays_valid(body, a, b, m, cells, triangles, segments, scratch):
             continue

@@ -94,10 +94,17 @@ class Resizing:
             walk[v] = walk[self.body.parent[v]]
         points = np.ascontiguousarray(self.body.points[:n])
         self.body.size[:n] = self.field.at(points, pool, walk)
+        self.field.resample(points, pool, walk)
+        self.body.points[:n] = points
         self.walk = walk
 
     def relent(self) -> None:
-        """Make sizes smaller where the surface stays finer, if asked to or if most of it does."""
+        """Make sizes smaller where the surface stays finer, if asked to or if most of it does.
+
+        Those of a metric stay.
+        """
+        if self.field.roots.size:
+            return
         reached = reached_sizes(self.body)
         stuck = np.count_nonzero(np.isfinite(reached))
         surface = np.unique(self.body.triangles.rows[self.body.triangles.live()])

@@ -163,6 +163,7 @@ def _judged(work: Work, leaving: Leaving, state: State) -> tuple[Outcome, list[s
         return outcome, []
     outcome = leaving(outcome)
     broken, slid = faults(
-        start.mesh, outcome.points, outcome.cells, outcome.regions, work.options, outcome.origin
+        start.mesh, outcome.points, outcome.cells, outcome.regions, work.options, outcome.origin,
+        outcome.roots,
     )
     return replace(outcome, slid=slid), broken

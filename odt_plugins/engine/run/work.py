@@ -156,6 +156,7 @@ class Work:
     def settle(self, mesh: Complex, phases: tuple[Phase, ...], bounds: Bounds) -> None:
         """Run phases of stage 2 on a complex within bounds."""
         settle(mesh, phases, bounds, self.log, self.pool, self.options.threads, self.within.part)
+        self.density.resample(mesh.points, self.pool)
 
 
 def begin(
@@ -167,7 +168,7 @@ def begin(
     neighbors = cell_neighbors(mesh.cells, pool=pool)
     locked, boundary = locked_vertices(mesh, neighbors)
     start = make_start(mesh)
-    frame, points, cells = start.frame, start.points, start.cells
+    frame, points, cells = start.frame, start.seen, start.cells
     locked = np.ascontiguousarray(locked[frame.vertices])
     boundary = np.ascontiguousarray(boundary[frame.vertices])
     first = _slots(start, options, locked, boundary, within, frame.inner_neighbors(neighbors))
@@ -194,7 +195,7 @@ def _slots(
     start: Start, options: Options, locked: BoolArray, boundary: BoolArray, within: Within,
     neighbors: IntArray | None,
 ) -> Complex:
-    points = start.points.copy()
+    points = start.seen
     skin = _skin(start, options, points, within.share) if slides(start.mesh, options) else None
     return make_complex(points, start.cells, start.regions, locked, boundary, skin, neighbors)
 
@@ -204,7 +205,7 @@ def _figures_before(
 ) -> Figures:
     """Figures that no state may fall below: of the input, of the larger mesh, of what was valid."""
     mesh, whole = start.mesh, within.whole
-    before = figures(start.points, start.cells, options.objective, pool)
+    before = figures(start.seen, start.cells, options.objective, pool)
     before = before if whole is None else before.with_extremes_of(whole)
     if mesh.valid_before is None:
         return before

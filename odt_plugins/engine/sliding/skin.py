@@ -34,7 +34,7 @@ def make_skin(
 
     Parameters
     ----------
-    points : (n, 3) float64     shared with the mesh
+    points : (n, 3) float64     shared with the mesh; more columns as in ``cells.metric``
     cells : (m, 4) int32        positive
     locked : (n,) bool          vertices that must not move; no edge between two of them is flipped
     envelope : float            length
@@ -43,6 +43,7 @@ def make_skin(
     lines : (l, 2) int32        edges that count as feature edges
     share : float               part of the allowed change of the volume that may be used
     """
+    shared, points = points, np.ascontiguousarray(points[:, :3])
     n = len(points)
     triangles = boundary_facets(cells)
     edges = surface_edges(triangles, n)
@@ -53,7 +54,7 @@ def make_skin(
     ground = make_ground(
         points, triangles, edges, vertex_stars(triangles, n), features.edges
     )
-    sheet = make_sheet(points, triangles, edges, features)._replace(points=points)
+    sheet = make_sheet(points, triangles, edges, features)._replace(points=shared)
     limit = (POLICY.slide_guard * envelope) ** 2
     fan = np.full(n, -1, dtype=np.int32)
     fan[triangles] = np.arange(len(triangles), dtype=np.int32)[:, None]

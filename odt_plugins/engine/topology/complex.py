@@ -33,7 +33,8 @@ class Complex:
 
     Attributes
     ----------
-    points : (n, d) float64           moved in place by the kernels
+    points : (n, d) float64           moved in place by the kernels; more columns as in
+                                      ``cells.metric``
     locked : (n,) bool                vertices that may not move
     boundary : (n,) bool                   vertices on the boundary or an interface
     cells : (room, d + 1) int32       -1 in column 0 of a free slot
@@ -61,12 +62,12 @@ class Complex:
     @property
     def dim(self) -> int:
         """Dimension d of the space."""
-        return int(self.points.shape[1])
+        return int(self.cells.shape[1]) - 1
 
     def slabs(self) -> NDArray[np.uint8]:
         """Slabs of the vertices, see ``order.make_slabs``, by where they were at the first call."""
         if self.shares is None or self.shares.shape[1] != len(self.points):
-            self.shares = make_slabs(self.points)
+            self.shares = make_slabs(self.points[:, : self.dim])
         return self.shares
 
     @property
