@@ -36,6 +36,7 @@ class OptionKeywords(TypedDict, total=False):
     solver: Solver
     connectivity: Connectivity
     density: str | ArrayLike | Callable[[NDArray[np.float64]], ArrayLike]
+    metric: str | ArrayLike | Callable[[NDArray[np.float64]], ArrayLike] | None
     smoothing: Mapping[str, Any]
     finish: bool
     objective: Objective

@@ -179,6 +179,15 @@ class Options:
         python="Or values of rho: (m,) for the cells, (n,) for the vertices, or a callable "
         "rho(points). inverse-volume is (4.22).",
         flag="Or the name of a point or cell array of INPUT with the values of rho."))
+    metric: Any = field(default=None, metadata=_told(
+        "How lengths are measured at every vertex, by a symmetric positive definite tensor: cells "
+        "become regular as it sees them, so stretched along the eigenvectors, and figures are "
+        "measured in it; input is the metric that the mesh itself has, so that a mesh that was "
+        "stretched on purpose is improved and stays so. Unless given, cells become isotropic.",
+        python="(n, d, d), or (n, d (d + 1) / 2) in the order m11 m12 m22 m13 m23 m33, a callable "
+        "metric(points), or the name of a point array. h^-2 I is the size h.",
+        flag="Or the name of a point array of INPUT with 3 or 6 components, m11 m12 m22 m13 m23 "
+        "m33."))
     smoothing: Any = field(default=Smoothing(), metadata=_told(
         "Values for the laboratory of stage 1. "
         + " ".join(f"{name}: {about.metadata['help']}" for name, about in SMOOTHING.items()),
@@ -312,6 +321,8 @@ class Options:
             good = AIMS[self.objective].by_ratios
             _expect(good, "objective", self.objective, "'radius_ratio' without finishing")
             _expect(lab.cycles == 1, "cycles", lab.cycles, "1 without finishing")
+        if self.metric is not None:
+            self._expect_of_metric()
         _expect(self.finish or not self.insert, "insert", self.insert, "False without finishing")
         good = self.connectivity != "none" or not self.insert
         _expect(good, "insert", self.insert, "False with connectivity='none', since vertices that "
@@ -327,6 +338,16 @@ class Options:
         good = callable(self.progress) or isinstance(self.progress, bool | None)
         what = "None, True or a callable progress(stage, fraction)"
         _expect(good, "progress", self.progress, what)
+
+
+    def _expect_of_metric(self) -> None:
+        """Refuse what knows no metric."""
+        for name, known in (("density", ("keep", "uniform")), ("method", ("odt", "cpt")),
+                            ("solver", ("gauss-seidel", "jacobi")),
+                            ("connectivity", ("auto", "flips", "none")), ("insert", (False,))):
+            value = getattr(self, name)
+            good = isinstance(value, str | bool) and value in known
+            _expect(good, name, value, f"one of {known} with a metric")
 
 
 OPTIONS = {about.name: about for about in dataclasses.fields(Options)}

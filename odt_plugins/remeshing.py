@@ -47,7 +47,8 @@ def remesh(
                               where a surface, an interface or a feature line is curved, and growing
                               from there
     scale : float             instead, a multiple of the local size that the mesh has: 2 is twice as
-                              coarse everywhere
+                              coarse everywhere; with a `metric`, of the lengths that it gives,
+                              which are what is wanted where nothing else is said
     cells, vertices : int     instead, how many there are to be, as near as possible, where sizes
                               are in proportion as they are
     growth : float            largest ratio of the sizes at the ends of an edge as long as the
@@ -159,11 +160,11 @@ def check_sizes(size: Any = None, **given: Any) -> None:
     InvalidOptionError
     """
     wishes = {name: value for name, value in given.items() if name in WISHES}
-    _wish(size, wishes)
+    _wish(size, wishes, metric=given.get("metric") is not None)
     _checked({name: value for name, value in given.items() if name not in WISHES})
 
 
-def _wish(size: Any, wishes: dict[str, Any]) -> Wish:
+def _wish(size: Any, wishes: dict[str, Any], *, metric: bool) -> Wish:
     """What the arguments ask for."""
     from odt_plugins.engine.remesh.wish import Wish
 
@@ -176,13 +177,18 @@ def _wish(size: Any, wishes: dict[str, Any]) -> Wish:
             msg = (f"got size={size!r}; expected a length, an array of lengths or its name, a "
                    f"function or {CURVATURE!r}")
             raise InvalidOptionError(msg) from exc
+    if metric and size is not None:
+        msg = "got size= and metric=; expected one of them, try scale= for a multiple of the metric"
+        raise InvalidOptionError(msg)
+    if metric and all(wishes.get(name) is None for name in ("scale", "cells", "vertices")):
+        wishes = wishes | {"scale": 1.0}
     curved = isinstance(size, str) and size == CURVATURE
     return Wish(length=length, curved=curved, given=given and not curved, **wishes)
 
 
 def _run(mesh: Any, size: Any, wishes: dict[str, Any], options: Options) -> tuple[Any, ...]:
     """What :func:`odt_plugins.roundtrip.run_engine` gives."""
-    wish = _wish(size, wishes)
+    wish = _wish(size, wishes, metric=options.metric is not None)
     name = size if wish.given and isinstance(size, str) else ""
     if options.fields == "auto":
         options = replace(options, fields="interpolate")
@@ -194,5 +200,5 @@ def _run(mesh: Any, size: Any, wishes: dict[str, Any], options: Options) -> tupl
 
         return resized(_with_still_walls(simplices), chosen, leaving, wish)
 
-    wanted = Wanted(linear=True, sizes=name, refused=(*NOT_SIZED, "free='inside'"))
+    wanted = Wanted(linear=True, sizes=name, growth=wish.growth, refused=(*NOT_SIZED, "free='inside'"))
     return run_engine(mesh, options, engine, wanted)

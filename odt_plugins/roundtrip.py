@@ -70,6 +70,7 @@ from odt_plugins.mesh.simplex import (
 from odt_plugins.mesh.soup import at_copies, same_places
 from odt_plugins.mesh.surface import surface_mesh
 from odt_plugins.mesh.tangled import tangled_mesh
+from odt_plugins.metric.through import with_metric
 from odt_plugins.options import Options
 from odt_plugins.progress import kernels_shown, part, telling
 from odt_plugins.reference import within_reference
@@ -114,7 +115,7 @@ def run_engine(
         first = part(progress, 0.0, wanted.share)
         work, given = _prepare(mesh, replace(options, progress=tell and first), wanted)
         layers = 0
-        if options.layers == "keep":
+        if options.layers == "keep" and options.metric is None:
             was = () if work.tangle is None else (work.tangle.before, work.tangle.source)
             kept, layers = keep_layers(work.mesh, options.threads, *was)
             work = work._replace(mesh=kept)
@@ -127,6 +128,8 @@ def run_engine(
                 options = replace(options, density=named_array(given, wanted.sizes))
             options = of_cells(options, work.own, len(given.cells))
             chosen = _of_mesh(_in_frame(options, work.frame), work.tangle)
+            metric, chosen = with_metric(work.mesh, chosen, work.host, work.frame, wanted.growth)
+            work = work._replace(mesh=metric)
             chosen, left = within_reference(chosen, work.host)
             work = work._replace(notes=work.notes + left)
             chosen = _with_sag(chosen, work) if moves else chosen

@@ -75,6 +75,7 @@ class Wanted(NamedTuple):
     share : float                    part of the run that this is, for its progress
     linear : bool                    whether cells of higher order are refused
     sizes : str                      name of the array that holds the densities, if one does
+    growth : float or None           largest growth of a metric along an edge of length 1
     refused : tuple of str           options, some with a value, that the call does not take, of
                                      which nothing is to be said therefore
     """
@@ -84,6 +85,7 @@ class Wanted(NamedTuple):
     share: float = 0.3
     linear: bool = False
     sizes: str = ""
+    growth: float | None = None
     refused: tuple[str, ...] = ()
 
 

@@ -128,7 +128,7 @@ def _check_for_pieces(options: Options) -> None:
         msg = ("got fields='conserve' for a mesh in pieces; expected 'auto', 'interpolate' or "
                "'keep', try blocks=, in memory")
         raise InvalidOptionError(msg)
-    for name in ("fixed", "selection", "reference"):
+    for name in ("fixed", "selection", "reference", "metric"):
         if getattr(options, name) is not None:
             msg = f"got {name} for a mesh in pieces; expected options that every piece can tell"
             raise InvalidOptionError(msg)

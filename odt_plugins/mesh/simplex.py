@@ -53,9 +53,9 @@ class SimplexMesh:
     body : (l,) int32                        body of every region; facets between regions of one
                                              body stay too, but their vertices may move. Empty where
                                              every region is a body
-    roots : (n, d (d + 1) / 2) float64       upper triangle, row by row, of S = M^(1/2), the root of
-                                             the metric at every vertex; (n, 6) on a surface; no
-                                             rows where lengths are those of the coordinates
+    metric : (n, d (d + 1) / 2) float64       upper triangle, row by row, of log(M) / 2, M the metric
+                                             at every vertex; (n, 6) on a surface; no rows where
+                                             lengths are those of the coordinates
     """
 
     points: FloatArray
@@ -71,7 +71,7 @@ class SimplexMesh:
     valid_before: tuple[FloatArray, IntArray] | None = None
     ground: SimplexMesh | None = None
     body: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
-    roots: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    metric: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:
         for name in ("anchored", "coupled"):

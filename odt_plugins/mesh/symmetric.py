@@ -69,3 +69,27 @@ def logarithms(values: FloatArray) -> FloatArray:
     for k in reversed(range(TERMS)):
         total = total * square + 1.0 / (2 * k + 1)
     return np.asarray(e * math.log(2.0) + 2.0 * s * total)
+
+
+def exponentials(matrices: FloatArray) -> FloatArray:
+    """Exponentials (m, d, d) of symmetric matrices: (exp(A / 2^k))^(2^k), by its Taylor series.
+
+    Notes
+    -----
+    One k serves all, so the error is about 2^k roundings of the largest eigenvalue's exponential.
+    """
+    size = float(np.abs(matrices).sum(axis=2).max(initial=0.0))
+    halvings = max(0, math.frexp(size)[1] + 2)
+    small = matrices * 0.5**halvings
+    identity = np.broadcast_to(np.eye(matrices.shape[1]), matrices.shape)
+    out = identity.copy()
+    for k in range(TERMS, 0, -1):
+        out = identity + _products(small, out) / k
+    for _ in range(halvings):
+        out = _products(out, out)
+    return out
+
+
+def _products(a: FloatArray, b: FloatArray) -> FloatArray:
+    product: FloatArray = (a[:, :, :, None] * b[:, None, :, :]).sum(axis=2)
+    return product

@@ -41,7 +41,7 @@ def broken_by_remeshing(
     regions: NDArray[np.int32],
     origin: NDArray[np.int64],
     keep: Sequence[str],
-    roots: NDArray[np.float64],
+    metric: NDArray[np.float64],
     *,
     slides: bool,
     threads: int = 1,
@@ -54,7 +54,7 @@ def broken_by_remeshing(
     points, cells, regions : arrays     (n, 3), (m', 4), (m',): the mesh to be judged
     origin : (n,) int                   old vertex of every vertex, increasing, then -1
     keep : names of figures             none may be worse than before, see ``promise.good``
-    roots : (n, k) float64              of the metric in which figures are measured, no rows where
+    metric : (n, k) float64              of the metric in which figures are measured, no rows where
                                         there is none
     slides : bool                       whether surfaces may have other vertices; else they are as
                                         before, bit for bit
@@ -76,8 +76,8 @@ def broken_by_remeshing(
                                  threads=threads)
         if keep and not broken:
             broken = fallen_figures(
-                summarize(*as_seen(before.points, before.cells, before.roots)),
-                summarize(*as_seen(points, cells, roots)), keep, 4)
+                summarize(*as_seen(before.points, before.cells, before.metric)),
+                summarize(*as_seen(points, cells, metric)), keep, 4)
         return broken
     broken = _malformed(before, points, cells, regions, origin)
     if broken:
@@ -100,8 +100,8 @@ def broken_by_remeshing(
     broken += _thawed(before, numbered, regions, len(together))
     if keep:
         broken += fallen_figures(
-            summarize(*as_seen(before.points, before.cells, before.roots)),
-            summarize(*as_seen(points, cells, roots), None if len(roots) else figures), keep, 4)
+            summarize(*as_seen(before.points, before.cells, before.metric)),
+            summarize(*as_seen(points, cells, metric), None if len(metric) else figures), keep, 4)
     old = facet_census(before.cells, before.regions, len(before.points), before.uneven)[0]
     was, now = _pieces(old), _pieces(new)
     for pair in sorted(was.keys() | now.keys()):

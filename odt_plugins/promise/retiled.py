@@ -32,7 +32,7 @@ def broken_by_retiling(
     regions: NDArray[np.int32],
     origin: NDArray[np.int64],
     keep: Sequence[str],
-    roots: NDArray[np.float64],
+    metric: NDArray[np.float64],
 ) -> list[str]:
     """Say what of the promise does not hold for triangles with other vertices.
 
@@ -42,7 +42,7 @@ def broken_by_retiling(
     points, cells, regions : arrays     (n, d), (m', 3), (m',): the mesh to be judged
     origin : (n,) int                   old vertex of every vertex, increasing, then -1
     keep : names of figures             none may be worse than before, see ``promise.good``
-    roots : (n, k) float64              of the metric in which figures are measured, no rows where
+    metric : (n, k) float64              of the metric in which figures are measured, no rows where
                                         there is none
 
     Returns
@@ -83,8 +83,8 @@ def broken_by_retiling(
                 broken.append(f"the area of region {label} went from {first:.6g} to {last:.6g}")
     if keep:
         broken += fallen_figures(
-            summarize(*as_seen(before.points, before.cells, before.roots)),
-            summarize(*as_seen(points, cells, roots)), keep, 3)
+            summarize(*as_seen(before.points, before.cells, before.metric)),
+            summarize(*as_seen(points, cells, metric)), keep, 3)
     return broken
 
 

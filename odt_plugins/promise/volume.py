@@ -17,7 +17,7 @@ from odt_plugins.mesh.chunks import chunks, spread
 from odt_plugins.mesh.exact import exact_sign, whole_numbers
 from odt_plugins.mesh.facets import row_keys, sorted_columns, uneven_facets
 from odt_plugins.mesh.numbering import in_old_numbers, most_vertices, old_numbers, removed_vertices
-from odt_plugins.mesh.seen import NO_ROOTS, as_seen
+from odt_plugins.mesh.seen import NO_METRIC, as_seen
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import KEPT
 from odt_plugins.promise.locked_facets import LockedFacets, facet_census
@@ -46,7 +46,7 @@ def broken_promises(
     origin: NDArray[np.int64] | None = None,
     insert: bool | float = True,
     threads: int = 1,
-    roots: NDArray[np.float64] = NO_ROOTS,
+    metric: NDArray[np.float64] = NO_METRIC,
 ) -> list[str]:
     """Say what of the promise does not hold for an optimised mesh.
 
@@ -64,7 +64,7 @@ def broken_promises(
                                         new one, increasing, then -1 for those that were added
     insert : bool or float              how many may come then, see ``numbering.most_vertices``
     threads : int                       how many share the work
-    roots : (n, k) float64              of the metric in which figures are measured, no rows where
+    metric : (n, k) float64              of the metric in which figures are measured, no rows where
                                         there is none
 
     Returns
@@ -81,7 +81,7 @@ def broken_promises(
     if broken:
         return broken
     figures = cell_figures(points, cells, threads)
-    seen = as_seen(points, cells, roots)
+    seen = as_seen(points, cells, metric)
     locked = _locked_before(before, before.regions)
     held = held_by(before, locked)
     removed = np.zeros(0, dtype=np.int64)
@@ -107,9 +107,9 @@ def broken_promises(
     broken += _volume_changed(before, points, cells, regions, slides=slides, threads=threads)
     broken += _thawed(before, cells, regions, len(points))
     if keep:
-        was = as_seen(before.points, before.cells, before.roots)
+        was = as_seen(before.points, before.cells, before.metric)
         old = before_summary or summarize(*was, cell_figures(*was, threads))
-        now = summarize(*seen, None if len(roots) else figures)
+        now = summarize(*seen, None if len(metric) else figures)
         if before.valid_before is not None:
             valid = summarize(*before.valid_before)
             keep = [name for name in keep if worse_figures(valid, now, (name,))]

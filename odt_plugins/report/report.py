@@ -15,8 +15,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from odt_plugins.errors import UnsupportedMeshError
-from odt_plugins.figures import QualitySummary, cell_figures, summarize
+from odt_plugins.figures import QualitySummary, cell_figures, summarize, volumes
 from odt_plugins.mesh.numbering import in_old_numbers
+from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh, vertex_mask
 from odt_plugins.options import Options, Smoothing
 from odt_plugins.promise.volume import held_by, held_vertices
@@ -294,8 +295,9 @@ def make_report(
     -------
     Report
     """
-    old = cell_figures(before.points, before.cells, options.threads)
-    new = cell_figures(outcome.points, outcome.cells, options.threads)
+    was = as_seen(before.points, before.cells, before.metric)
+    there = as_seen(outcome.points, outcome.cells, outcome.metric)
+    old, new = (cell_figures(*mesh, options.threads) for mesh in (was, there))
     used = np.zeros(len(before.points), bool)
     used[before.cells] = True
     n = len(before.points)
@@ -314,13 +316,15 @@ def make_report(
     if options.insert:
         counts["vertices added"] = int(added.sum())
         counts["vertices removed"] = n + int(added.sum()) - len(added)
-    after = summarize(outcome.points, outcome.cells, new)
+    after = replace(summarize(*there, new), n_points=len(outcome.points),
+                    volume=float(volumes(outcome.points, outcome.cells).sum()))
     untangled = None
     if tangle is not None:
         untangled = {**tangle.facts, "worse": worse_than_valid(tangle, after, tuple(options.keep))}
     return Report(
         dim=before.dim,
-        before=replace(summarize(before.points, before.cells, old), turned=before.turned),
+        before=replace(summarize(*was, old), turned=before.turned, n_points=n,
+                       volume=float(volumes(before.points, before.cells).sum())),
         after=after,
         histogram_before=histogram(old.quality),
         histogram_after=histogram(new.quality),

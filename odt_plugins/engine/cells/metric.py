@@ -1,12 +1,18 @@
 """The metric's door: edges of a cell as they are seen through it.
 
 Rows of points are the coordinates alone, or the coordinates and behind them the upper triangle of
-S = M^(1/2), the root of the metric at the vertex. M is half the Hessian of the convex function u of
-the energy (after Definition 2.5): for u = |x|^2, the isotropic case, there are no further columns
-and edges are what they are. Otherwise an edge e of a cell is seen as S e with the mean of S at the
-vertices of the cell; where M is constant, its length is sqrt(e . M e), and every measure is that of
-the affine image. In the plane the columns are S_xx, S_xy, S_yy, in space S_xx, S_xy, S_xz, S_yy,
-S_yz, S_zz. The mean of S is that of inverse lengths along every direction.
+L = log(M) / 2, of the metric at the vertex. M is half the Hessian of the convex function u of the
+energy (after Definition 2.5): for u = |x|^2, the isotropic case, there are no further columns and
+edges are what they are. Otherwise an edge e of a cell is seen as S e, S the exponential of the mean
+of L at the vertices of the cell, which is the root of the log-Euclidean mean of M. Where M is
+constant the length is sqrt(e . M e), and every measure is that of the affine image. In the plane
+the columns are L_xx, L_xy, L_yy, in space L_xx, L_xy, L_xz, L_yy, L_yz, L_zz.
+
+References
+----------
+V. Arsigny et al., Log-Euclidean metrics, Magn. Reson. Med. 56 (2006) 411-421.
+C. Moler, C. Van Loan, Nineteen dubious ways to compute the exponential of a matrix, SIAM Rev. 45
+(2003) 3-49: scaling and squaring.
 """
 
 from __future__ import annotations
@@ -14,6 +20,12 @@ from __future__ import annotations
 from odt_plugins.engine.cells.corner import Edges, corner_edges
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.mesh.arrays import FloatArray
+
+SMALL = 0.125
+"""Size of a matrix up to which eight terms of the series give its exponential to rounding."""
+
+HALVINGS = 12
+"""Most halvings on the way there."""
 
 Root = tuple[float, float, float, float, float, float]
 """S_xx, S_xy, S_xz, S_yy, S_yz, S_zz; in the plane those with z are 0."""
@@ -32,8 +44,8 @@ def in_space(points: FloatArray) -> bool:
 
 
 @kernel
-def vertex_root(points: FloatArray, i: int) -> Root:
-    """S at a vertex."""
+def _row(points: FloatArray, i: int) -> Root:
+    """log S at a vertex."""
     if points.shape[1] == 5:
         return points[i, 2], points[i, 3], 0.0, points[i, 4], 0.0, 0.0
     return (points[i, 3], points[i, 4], points[i, 5], points[i, 6], points[i, 7], points[i, 8])
@@ -47,19 +59,68 @@ def _sum(one: Root, two: Root) -> Root:
 
 
 @kernel
+def _times(w: float, one: Root) -> Root:
+    a, b, c, d, e, f = one
+    return w * a, w * b, w * c, w * d, w * e, w * f
+
+
+@kernel
+def _product(one: Root, two: Root) -> Root:
+    """Product of symmetric matrices that commute."""
+    a, b, c, d, e, f = one
+    p, q, r, s, t, u = two
+    return (a * p + b * q + c * r, a * q + b * s + c * t, a * r + b * t + c * u,
+            b * q + d * s + e * t, b * r + d * t + e * u, c * r + e * t + f * u)
+
+
+@kernel
+def exponential(log: Root) -> Root:
+    """Exponential of a symmetric matrix, by (exp(L / 2^k))^(2^k) and eight terms of the series."""
+    a, b, c, d, e, f = log
+    size = max(max(abs(a), abs(d)), abs(f)) + abs(b) + abs(c) + abs(e)
+    halvings, scale = 0, 1.0
+    for _ in range(HALVINGS):
+        if size * scale > SMALL:
+            scale *= 0.5
+            halvings += 1
+    x = _times(scale, log)
+    xx = _product(x, x)
+    xxx = _product(xx, x)
+    high = _sum(_sum(_times(1.0 / 120.0, x), _times(1.0 / 720.0, xx)),
+                _sum(_times(1.0 / 5040.0, xxx), _times(1.0 / 40320.0, _product(xx, xx))))
+    p, q, r, s, t, u = high
+    high = _product(_product(xx, xx), (p + 1.0 / 24.0, q, r, s + 1.0 / 24.0, t, u + 1.0 / 24.0))
+    p, q, r, s, t, u = _sum(_sum(x, _times(0.5, xx)), _sum(_times(1.0 / 6.0, xxx), high))
+    out = (p + 1.0, q, r, s + 1.0, t, u + 1.0)
+    for _ in range(halvings):
+        out = _product(out, out)
+    return out
+
+
+@kernel
+def vertex_root(points: FloatArray, i: int) -> Root:
+    """S at a vertex."""
+    return exponential(_row(points, i))
+
+
+@kernel
+def edge_root(points: FloatArray, i: int, j: int) -> Root:
+    """S of an edge."""
+    return exponential(_times(0.5, _sum(_row(points, i), _row(points, j))))
+
+
+@kernel
 def tet_root(points: FloatArray, i: int, j: int, k: int, l: int) -> Root:
-    """Mean of S at the vertices of a tetrahedron."""
-    one, two = _sum(vertex_root(points, i), vertex_root(points, j)), vertex_root(points, k)
-    a, b, c, d, e, f = _sum(_sum(one, two), vertex_root(points, l))
-    return 0.25 * a, 0.25 * b, 0.25 * c, 0.25 * d, 0.25 * e, 0.25 * f
+    """S of a tetrahedron."""
+    one, two = _sum(_row(points, i), _row(points, j)), _sum(_row(points, k), _row(points, l))
+    return exponential(_times(0.25, _sum(one, two)))
 
 
 @kernel
 def triangle_root(points: FloatArray, i: int, j: int, k: int) -> Root:
-    """Mean of S at the vertices of a triangle."""
-    one = _sum(vertex_root(points, i), vertex_root(points, j))
-    a, b, c, d, e, f = _sum(one, vertex_root(points, k))
-    return a / 3.0, b / 3.0, c / 3.0, d / 3.0, e / 3.0, f / 3.0
+    """S of a triangle."""
+    one = _sum(_sum(_row(points, i), _row(points, j)), _row(points, k))
+    return exponential(_times(1.0 / 3.0, one))
 
 
 @kernel
@@ -123,12 +184,10 @@ def add_seen_terms(terms: FloatArray, root: Root, out: FloatArray) -> None:
 
 @kernel
 def seen_square(points: FloatArray, i: int, j: int) -> float:
-    """Squared length of an edge in space, seen through the mean of S at its ends."""
+    """Squared length of an edge in space, as it is seen."""
     x = points[j, 0] - points[i, 0]
     y = points[j, 1] - points[i, 1]
     z = points[j, 2] - points[i, 2]
     if has_metric(points):
-        ax, ay, az = through(vertex_root(points, i), x, y, z)
-        bx, by, bz = through(vertex_root(points, j), x, y, z)
-        x, y, z = 0.5 * (ax + bx), 0.5 * (ay + by), 0.5 * (az + bz)
+        x, y, z = through(edge_root(points, i, j), x, y, z)
     return x * x + y * y + z * z

@@ -136,8 +136,8 @@ def _interpolate(
 
 
 @kernel
-def _interpolate_roots(
-    points: FloatArray, start: IntArray, nodes: FloatArray, roots: FloatArray, cells: IntArray,
+def _interpolate_metric(
+    points: FloatArray, start: IntArray, nodes: FloatArray, metric: FloatArray, cells: IntArray,
     neighbors: IntArray, limit: int,
 ) -> None:
     """P1 interpolation of rows (n, k) at points, written behind the coordinates of these."""
@@ -145,11 +145,11 @@ def _interpolate_roots(
     for q in range(points.shape[0]):
         c, b0, b1, b2, b3 = _cell_at(points, q, start, nodes, cells, neighbors, limit)
         total = b0 + b1 + b2 + b3
-        for k in range(roots.shape[1]):
-            value = b0 * roots[cells[c, 0], k] + b1 * roots[cells[c, 1], k]
-            value += b2 * roots[cells[c, 2], k]
+        for k in range(metric.shape[1]):
+            value = b0 * metric[cells[c, 0], k] + b1 * metric[cells[c, 1], k]
+            value += b2 * metric[cells[c, 2], k]
             if d == 3:
-                value += b3 * roots[cells[c, 3], k]
+                value += b3 * metric[cells[c, 3], k]
             points[q, d + k] = value / total
         start[q] = c
 
@@ -184,7 +184,7 @@ class Density:
                                  lies in one line of the cache; empty for rho = 1
     cells, neighbors             the input mesh, where the field lives
     start : (n,) int32           a cell of the input mesh at every vertex
-    roots : (n, k) float64       of the metric at the vertices of the input mesh; k = 0 without one
+    metric : (n, k) float64       of the metric at the vertices of the input mesh; k = 0 without one
     """
 
     inverse_volume: bool
@@ -195,7 +195,7 @@ class Density:
     cells: IntArray
     neighbors: IntArray
     start: IntArray
-    roots: FloatArray
+    metric: FloatArray
 
     @property
     def field(self) -> FloatArray:
@@ -255,16 +255,16 @@ class Density:
     def resample(
         self, points: FloatArray, pool: Pool | None = None, walk: IntArray | None = None
     ) -> None:
-        """Write the roots of the metric behind the coordinates of points, as they are there.
+        """Write the metric behind the coordinates of points, as they are there.
 
         Parameters as of :meth:`at`.
         """
-        if not self.roots.size:
+        if not self.metric.size:
             return
         start = self.walk_start(len(points)) if walk is None else walk
 
         def work(part: slice) -> None:
-            _interpolate_roots(points[part], start[part], self.nodes, self.roots, self.cells,
+            _interpolate_metric(points[part], start[part], self.nodes, self.metric, self.cells,
                                self.neighbors, WALK_LIMIT)
 
         list((map if pool is None else pool.map)(work, chunks(len(points))))
@@ -390,7 +390,7 @@ def make_density(
         "keep" sizes of the input mesh; "uniform"; "inverse-volume" (4.22); (n,) rho at vertices;
         (m,) rho of cells; rho(points) -> (k,); a :class:`NodalDensity`
     exponent : float or None                    r in rho = h^-r of "keep", None for d + 2
-    points : (n, d) float64                     input mesh; with a metric its roots behind them
+    points : (n, d) float64                     input mesh; with a metric behind them
     cells : (m, d + 1) int32                    input mesh, positive
     neighbors : (m, d + 1) int32, optional      from :func:`cell_neighbors`, when already known
 
@@ -408,7 +408,7 @@ def make_density(
     CMAME 200 (2011) 967-984, Section 5.3: rho = 1/h^r with r = 2 or 3; d + 2 is from Theorem 2.8.
     """
     n, m, d = len(points), len(cells), cells.shape[1] - 1
-    points, roots = points[:, :d], points[:, d:]
+    points, metric = points[:, :d], points[:, d:]
     keep = isinstance(spec, str) and spec == "keep"
     if exponent is not None and not keep:
         msg = (
@@ -447,7 +447,7 @@ def make_density(
     else:
         field = _vertex_field(_as_floats(spec), points, cells)
     start = np.zeros(n, dtype=np.int32)
-    if roots.size and not field.size:
+    if metric.size and not field.size:
         field = np.ones(n)
     if field.size:
         nodes = np.column_stack([points, field])
@@ -458,7 +458,7 @@ def make_density(
         nodes, cells = np.empty((0, d + 1)), np.empty((0, d + 1), dtype=np.int32)
         neighbors = cells
     inverse = isinstance(spec, str) and spec == "inverse-volume"
-    return Density(inverse, function, unit, power, nodes, cells, neighbors, start, roots.copy())
+    return Density(inverse, function, unit, power, nodes, cells, neighbors, start, metric.copy())
 
 
 def _vertex_field(values: FloatArray, points: FloatArray, cells: IntArray) -> FloatArray:

@@ -14,7 +14,7 @@ import numpy as np
 from odt_plugins.engine.cells.corner import Edges, corner_normals, six_volumes
 from odt_plugins.engine.cells.elementary import power
 from odt_plugins.engine.cells.geometry import signed_volumes
-from odt_plugins.engine.cells.metric import edges_through, root_volume
+from odt_plugins.engine.cells.metric import edges_through, exponential, root_volume
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.compiled.threads import run_ranges, thread_pool
 from odt_plugins.engine.topology.coloring import run_chunks
@@ -155,12 +155,12 @@ def _seen_chunk(
             if v != i:
                 j, k, l = v, j, k
             if d == 2:
-                a, b, f, h = a + nodes[v, 4], b + nodes[v, 5], f + nodes[v, 6], h + 1.0
+                a, b, f = a + nodes[v, 4], b + nodes[v, 5], f + nodes[v, 6]
             else:
                 a, b, e = a + nodes[v, 4], b + nodes[v, 5], e + nodes[v, 6]
                 f, g, h = f + nodes[v, 7], g + nodes[v, 8], h + nodes[v, 9]
         w = 1.0 / (d + 1)
-        root = (w * a, w * b, w * e, w * f, w * g, w * h)
+        root = exponential((w * a, w * b, w * e, w * f, w * g, w * h))
         size = root_volume(root)
         rows[RHO + s] *= size ** (1.0 + 2.0 / d)
         if rows[RHO + s] < 0.0:
@@ -224,7 +224,8 @@ def _move_vertices(
     """Move order[start:stop] from nodes to out, which may be the same array.
 
     A row of ``nodes`` (n, 4) holds a vertex and its density, negative where a cell with that
-    vertex is represented by its barycenter; then the root of the metric, if there is one.  Returns the vertices moved, the longest relative move
+    vertex is represented by its barycenter; then the metric, see ``cells.metric``, if there is one.
+    Returns the vertices moved, the longest relative move
     and the vertices of reduced alpha.
 
     Offsets are taken from x_i. With a = x_1 - x_i, ... the other corners in positive order,

@@ -104,14 +104,14 @@ def line_numbers(segments: IntArray, kind: ByteArray) -> IntArray:
 
 
 def lay_out(
-    points: FloatArray, roots: FloatArray, cells: IntArray, regions: IntArray, hold: ByteArray,
+    points: FloatArray, metric: FloatArray, cells: IntArray, regions: IntArray, hold: ByteArray,
     marked: IntArray, envelope: float, angle: float,
 ) -> tuple[Body, Guard, Scratch]:
     """Lay a mesh out.
 
     Parameters
     ----------
-    points : (n, 3) float64, roots : (n, k) float64    k = 0 without a metric
+    points : (n, 3) float64, metric : (n, k) float64    k = 0 without a metric
     cells : (m, 4) int32, regions : (m,) int32         positive
     hold : (n,) uint8        FREELY, STAYS or STIFF
     marked : (k, 2) int32    edges that count as feature edges
@@ -147,7 +147,7 @@ def lay_out(
     room = int(SPARE * n) + 16
     held = np.full(len(triangles), not envelope > 0.0)
     body = Body(
-        np.zeros((room, 3 + roots.shape[1])), np.zeros(room), np.zeros(room, np.uint8), np.zeros(room, np.uint8),
+        np.zeros((room, 3 + metric.shape[1])), np.zeros(room), np.zeros(room, np.uint8), np.zeros(room, np.uint8),
         np.full(room, -1, np.int32),
         make_simplices(cells, tag, np.zeros(len(cells), np.bool_), room,
                        int(SPARE * len(cells)) + 64),
@@ -156,7 +156,7 @@ def lay_out(
                        int(SPARE * len(segments)) + 64),
         np.array([n], dtype=np.int64),
     )
-    body.points[:n, :3], body.points[:n, 3:] = points, roots
+    body.points[:n, :3], body.points[:n, 3:] = points, metric
     body.kind[:n], body.hold[:n] = kind, hold
     volume = np.zeros((len(labels), 3))
     whole = np.bincount(tag, signed_volumes(points, cells))

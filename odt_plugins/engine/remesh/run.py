@@ -234,7 +234,7 @@ def _explained(
 
 def _figures(mesh: SimplexMesh | Outcome) -> Figures:
     """Figures of a mesh, as it is seen."""
-    return figures(*as_seen(mesh.points, mesh.cells, mesh.roots))
+    return figures(*as_seen(mesh.points, mesh.cells, mesh.metric))
 
 
 def _spoiled(
@@ -245,7 +245,7 @@ def _spoiled(
 
     keep = tuple(options.keep)
     before = relaxed(_figures(mesh), keep, 4)
-    shapes = cell_shapes(*as_seen(outcome.points, outcome.cells, outcome.roots))
+    shapes = cell_shapes(*as_seen(outcome.points, outcome.cells, outcome.metric))
     bad = before.passed_by(shapes, keep)
     if "p1_quality" in _figures(outcome).worse_than(before, keep):
         bad |= shapes[:, 0] < before.p1_quality
@@ -287,7 +287,7 @@ def _once(
         resized.points, resized.cells, resized.regions,
         fixed=np.where(new, False, mesh.fixed[origin]), frozen=frozen,
         anchored=np.where(new, False, mesh.anchored[origin]), body=mesh.body,
-        stays=new_numbers(origin, len(mesh.points))[mesh.stays], lines=lines, roots=resized.roots,
+        stays=new_numbers(origin, len(mesh.points))[mesh.stays], lines=lines, metric=resized.metric,
     )
     times = {"resizing": time.perf_counter() - clock}
     inner = replace(
@@ -308,7 +308,7 @@ def _once(
                       counts=log.counts | best.counts, fallback=None, slid=None)
     broken = broken_by_remeshing(
         mesh, outcome.points, outcome.cells, outcome.regions, _composed(origin, best.origin),
-        tuple(options.keep), outcome.roots, slides=share > 0.0, threads=options.threads)
+        tuple(options.keep), outcome.metric, slides=share > 0.0, threads=options.threads)
     if broken:
         return outcome, broken
     if share > 0.0:
@@ -330,7 +330,7 @@ def _resized(
     frame = start.frame
     log = Log()
     # lengths in a metric have no unit
-    unit = 1.0 if len(mesh.roots) else frame.scale
+    unit = 1.0 if len(mesh.metric) else frame.scale
     values = LONGER * sizes.values[frame.vertices] * unit
     hold = np.where(mesh.fixed | mesh.anchored, STAYS, FREELY).astype(np.uint8)
     hold[mesh.cells[mesh.frozen]] = STIFF
@@ -340,7 +340,7 @@ def _resized(
         field = make_density(
             NodalDensity(values, 1.0), None, start.seen, start.cells, None)
         body, guard, scratch = lay_out(
-            start.points, start.roots, start.cells, start.regions, hold[frame.vertices],
+            start.points, start.metric, start.cells, start.regions, hold[frame.vertices],
             start.pairs(mesh.lines), share * envelope_length(mesh, options) * frame.scale,
             options.feature_angle)
         work = Resizing(body, guard, scratch, field, field.walk_start(len(start.points)), log,
@@ -429,7 +429,7 @@ def _told(outcome: Outcome, unit: float, multiple: FloatArray) -> tuple[str, ...
         return ()
     edges = unique_edges(outcome.cells)
     asked = unit * outcome.sizes * multiple
-    ratio = lengths_of(outcome.points, edges, outcome.roots) / (0.5 * asked[edges].sum(axis=1))
+    ratio = lengths_of(outcome.points, edges, outcome.metric) / (0.5 * asked[edges].sum(axis=1))
     short, long = ratio < IN[0], ratio > IN[1]
     surface = np.zeros(len(outcome.points), dtype=np.bool_)
     surface[surface_of(outcome.cells, outcome.regions)[0]] = True

@@ -53,7 +53,7 @@ class Sizes:
     def below(self, mesh: SimplexMesh, most: FloatArray) -> Sizes:
         """The largest sizes that are no longer than ``most`` (n,) and grow as they may."""
         values = np.minimum(self.values, most)
-        if len(mesh.roots):
+        if len(mesh.metric):
             return replace(self, values=values)
         return replace(self, values=grown(mesh.points, unique_edges(mesh.cells), values,
                                           self.growth))
@@ -77,7 +77,7 @@ def wanted_sizes(mesh: SimplexMesh, wish: Wish, given: Any = None) -> Sizes:
     extent = diagonal(mesh.points[used])
     notes = []
     values = np.ones(len(mesh.points))
-    if len(mesh.roots):
+    if len(mesh.metric):
         values[:] = wish.scale or 1.0
     elif wish.length is not None:
         values[:] = float(wish.length)
@@ -91,7 +91,7 @@ def wanted_sizes(mesh: SimplexMesh, wish: Wish, given: Any = None) -> Sizes:
     if goal is not None:
         d = mesh.dim
         values *= (expected_cells(mesh, values) / goal) ** (1.0 / d)
-    elif not len(mesh.roots):
+    elif not len(mesh.metric):
         low = used[np.argmin(values[used])]
         if values[low] < LEAST * extent:
             msg = (f"got size {values[low]:.3g} at vertex {low}, below {LEAST:g} of the diagonal "
@@ -102,7 +102,7 @@ def wanted_sizes(mesh: SimplexMesh, wish: Wish, given: Any = None) -> Sizes:
             notes.append(f"size {values[used].min():.3g} is larger than the domain of {extent:.3g}:"
                          f" the result is as coarse as its topology and the envelope allow")
     limited = values
-    if not len(mesh.roots):
+    if not len(mesh.metric):
         values = np.minimum(values, 2.0 * extent)
         limited = grown(mesh.points, unique_edges(mesh.cells), values, wish.growth)
     if (limited[used] < 0.99 * values[used]).any():
@@ -120,7 +120,7 @@ def wanted_sizes(mesh: SimplexMesh, wish: Wish, given: Any = None) -> Sizes:
 def expected_cells(mesh: SimplexMesh, values: FloatArray) -> float:
     """About how many cells of some sizes fill the mesh."""
     d = mesh.dim
-    content = np.abs(signed_volumes(*as_seen(mesh.points, mesh.cells, mesh.roots)))
+    content = np.abs(signed_volumes(*as_seen(mesh.points, mesh.cells, mesh.metric)))
     dense = corner_mean(power(values, -float(d)), mesh.cells)
     return float((content * dense).sum()) / CONTENT[d + 1]
 
@@ -137,12 +137,12 @@ def unique_edges(cells: IntArray) -> IntArray:
 
 
 def lengths_of(
-    points: FloatArray, edges: IntArray, roots: FloatArray | None = None
+    points: FloatArray, edges: IntArray, metric: FloatArray | None = None
 ) -> FloatArray:
-    """Lengths (e,) of edges, through the mean of the roots (n, k) of a metric at their ends."""
+    """Lengths (e,) of edges, through the mean of the metric (n, k) of a metric at their ends."""
     pairs = edges
-    if roots is not None and len(roots):
-        points, pairs = as_seen(points, edges, roots)
+    if metric is not None and len(metric):
+        points, pairs = as_seen(points, edges, metric)
     step = points[pairs[:, 1]] - points[pairs[:, 0]]
     out: FloatArray = np.sqrt((step * step).sum(axis=1))
     return out
@@ -151,7 +151,7 @@ def lengths_of(
 def local_sizes(mesh: SimplexMesh) -> FloatArray:
     """Mean length of the edges at every vertex, smoothed; 1 at those without cells."""
     edges = unique_edges(mesh.cells)
-    length = lengths_of(mesh.points, edges, mesh.roots)
+    length = lengths_of(mesh.points, edges, mesh.metric)
     n = len(mesh.points)
     count = np.bincount(edges.ravel(), minlength=n)
     total = np.bincount(edges.ravel(), np.repeat(length, 2), minlength=n)

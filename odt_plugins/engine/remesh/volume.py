@@ -103,7 +103,7 @@ class Resizing:
 
         Those of a metric stay.
         """
-        if self.field.roots.size:
+        if self.field.metric.size:
             return
         reached = reached_sizes(self.body)
         stuck = np.count_nonzero(np.isfinite(reached))

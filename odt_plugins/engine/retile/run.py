@@ -79,7 +79,7 @@ def retile(
         start = surface_start(held)
         frame = start.frame
         reach = POLICY.surface_guard * length * frame.scale * part[frame.active]
-        unit = 1.0 if len(mesh.roots) else frame.scale
+        unit = 1.0 if len(mesh.metric) else frame.scale
         net = resize(_base(start, options), sizes[frame.vertices] * unit, reach, bounds,
                      feature_angle=options.feature_angle)
         n, m = net.count[0], net.count[1]
@@ -126,15 +126,15 @@ def _told(
 
 def _bounds(mesh: SimplexMesh, keep: tuple[str, ...]) -> Extremes:
     """Extremes that triangles must keep: those of the input, or what is good enough."""
-    before = figures(*as_seen(mesh.points, mesh.cells, mesh.roots))
+    before = figures(*as_seen(mesh.points, mesh.cells, mesh.metric))
     return extremes(relaxed(before, keep, 3), keep).cells
 
 
 def _columns(mesh: SimplexMesh) -> list[int]:
     """Columns of the points of a net that are those of a mesh, those of its metric behind them."""
     if mesh.is_surface:
-        return list(range(9 if len(mesh.roots) else 3))
-    return [0, 1, *((3, 4, 6) if len(mesh.roots) else ())]
+        return list(range(9 if len(mesh.metric) else 3))
+    return [0, 1, *((3, 4, 6) if len(mesh.metric) else ())]
 
 
 def _base(start: SurfaceStart, options: Options) -> Base:
@@ -150,15 +150,15 @@ def _base(start: SurfaceStart, options: Options) -> Base:
     if options.boundary == "fixed":
         held = np.ones(len(key), dtype=np.bool_)
     return Base(in_space(start.points), start.cells, start.regions, edges, fixed, kept, held,
-                _roots_in_space(start.roots))
+                _metric_in_space(start.metric))
 
 
-def _roots_in_space(roots: FloatArray) -> FloatArray:
-    """Roots (n, 6): those of the plane, which see the third direction as it is."""
-    if roots.shape[1] != 3:
-        return roots
-    out = np.zeros((len(roots), 6))
-    out[:, [0, 1, 3]], out[:, 5] = roots, 1.0
+def _metric_in_space(metric: FloatArray) -> FloatArray:
+    """Rows (n, 6): those of the plane, which see the third direction as it is."""
+    if metric.shape[1] != 3:
+        return metric
+    out = np.zeros((len(metric), 6))
+    out[:, [0, 1, 3]] = metric
     return out
 
 
@@ -168,12 +168,12 @@ def _judged(
     """Hold a mesh against the promise."""
     points, cells = outcome.points, outcome.cells
     keep = tuple(options.keep)
-    roots = outcome.roots
-    broken = broken_by_retiling(mesh, points, cells, outcome.regions, origin, keep, roots)
+    metric = outcome.metric
+    broken = broken_by_retiling(mesh, points, cells, outcome.regions, origin, keep, metric)
     bad = np.zeros(len(points), dtype=np.bool_)
     if broken:
-        bounds = relaxed(figures(*as_seen(mesh.points, mesh.cells, mesh.roots)), keep, 3)
-        passed = bounds.passed_by(cell_shapes(*as_seen(points, cells, roots)), keep)
+        bounds = relaxed(figures(*as_seen(mesh.points, mesh.cells, mesh.metric)), keep, 3)
+        passed = bounds.passed_by(cell_shapes(*as_seen(points, cells, metric)), keep)
         bad[cells[passed]] = True
     x, y = in_space(mesh.points), in_space(points)
     old, new = surface_edges(mesh.cells, len(x)), surface_edges(cells, len(y))

@@ -61,7 +61,7 @@ class Base(NamedTuple):
     fixed : (n,) bool      vertices that stay
     kept : (e,) bool       edges that are feature edges whatever their angle
     held : (e,) bool       edges that stay as they are
-    roots : (n, 6) float64 of the metric at the vertices; (n, 0) without one
+    metric : (n, 6) float64 of the metric at the vertices; (n, 0) without one
     """
 
     points: FloatArray
@@ -71,7 +71,7 @@ class Base(NamedTuple):
     fixed: BoolArray
     kept: BoolArray
     held: BoolArray
-    roots: FloatArray
+    metric: FloatArray
 
 
 def resize(
@@ -103,12 +103,12 @@ def resize(
     tracks, marks = _tracks(base, features, reach)
     cosine = math.cos(math.radians(POLICY.surface_turn))
     flat = not points[:, 2].any()
-    if not base.roots.size:
+    if not base.metric.size:
         sizes = fitting(points, edges.vertices, sizes, features, tracks)
     around = np.full(len(triangles), np.inf) if flat else reach
     rules = Rules(ground, tracks, around, cosine, bounds, LONGEST, SHORTEST)
     net = _net(base, features, marks, sizes, ground)
-    passes = Passes(rules, sizes, base.roots)
+    passes = Passes(rules, sizes, base.metric)
     for turn in range(ROUNDS):
         net = passes.split(net, bounds if turn else FREELY)
         passes.collapse(net)
@@ -162,7 +162,7 @@ def _net(
     place[on] = lines.arc[lines.slot[on]]
     after[on] = lines.nodes[lines.slot[on] + 1]
     net = Net(
-        np.column_stack([sheet.points, base.roots]), sheet.foot, features.kind.copy(), place, after, sizes.astype(np.float64),
+        np.column_stack([sheet.points, base.metric]), sheet.foot, features.kind.copy(), place, after, sizes.astype(np.float64),
         np.full(n, -1, dtype=np.int32), sheet.triangles, marks[base.edges.of_cell],
         base.labels.copy(), np.full(3 * m, -1, dtype=np.int32), sheet.first, sheet.following,
         np.zeros(n, dtype=np.int64), np.array([n, m, 0], dtype=np.int64),
@@ -174,9 +174,9 @@ def _net(
 class Passes:
     """Passes over what has changed since the last pass of the same kind."""
 
-    def __init__(self, rules: Rules, sizes: FloatArray, roots: FloatArray) -> None:
+    def __init__(self, rules: Rules, sizes: FloatArray, metric: FloatArray) -> None:
         self.rules, self.sizes, self.room = rules, sizes, make_room()
-        self.roots = np.ascontiguousarray(roots.T)
+        self.metric = np.ascontiguousarray(metric.T)
         self.since: dict[object, int] = {}
 
     def _since(self, net: Net, kind: object) -> int:
@@ -200,7 +200,7 @@ class Passes:
         if (found < self.sizes).any():
             ground = self.rules.ground.points
             self.sizes = np.minimum(self.sizes, found)
-            if not self.roots.size:
+            if not self.metric.size:
                 self.sizes = spread(ground, edges, self.sizes)
             self._measure(net)
 
@@ -247,9 +247,9 @@ class Passes:
         n = int(net.count[0])
         ground, points, foot = self.rules.ground, net.points[:n], net.foot[:n]
         ground_values(ground, self.sizes, points, foot, net.size[:n])
-        for k, root in enumerate(self.roots):
+        for k, column in enumerate(self.metric):
             found = points[:, 3 + k].copy()
-            ground_values(ground, root, points, foot, found)
+            ground_values(ground, column, points, foot, found)
             points[:, 3 + k] = found
 
 

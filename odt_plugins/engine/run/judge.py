@@ -10,7 +10,7 @@ from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 from odt_plugins.mesh.numbering import in_old_numbers, old_numbers
-from odt_plugins.mesh.seen import NO_ROOTS
+from odt_plugins.mesh.seen import NO_METRIC
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal
 from odt_plugins.options import Options
 from odt_plugins.promise.volume import broken_promises
@@ -80,7 +80,7 @@ def measure_slide(
 
 def faults(
     mesh: SimplexMesh, points: FloatArray, cells: IntArray, regions: IntArray, options: Options,
-    origin: LongArray | None = None, roots: FloatArray = NO_ROOTS,
+    origin: LongArray | None = None, metric: FloatArray = NO_METRIC,
 ) -> tuple[list[str], Slid | None]:
     """Say what of the promise does not hold, and how far the boundary slid if it may.
 
@@ -88,7 +88,7 @@ def faults(
     """
     sliding = slides(mesh, options)
     broken = broken_promises(mesh, points, cells, regions, tuple(options.keep), slides=sliding,
-                             origin=origin, insert=options.insert, threads=options.threads, roots=roots)
+                             origin=origin, insert=options.insert, threads=options.threads, metric=metric)
     if broken or not sliding:
         return broken, None
     from odt_plugins.engine.ground.crossings import count_crossings

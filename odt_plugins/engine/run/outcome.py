@@ -39,7 +39,7 @@ class Outcome:
                                     were "worse", name -> (before, there), and its "mean_quality"
                                     and "min_quality"
     notes : tuple of str            what the report says besides
-    roots : (n', k) float64         of the metric where the vertices are now, see ``SimplexMesh``
+    metric : (n', k) float64         of the metric where the vertices are now, see ``SimplexMesh``
     """
 
     points: FloatArray
@@ -57,7 +57,7 @@ class Outcome:
     source: IntArray | None = None
     vetoed: dict[str, Any] | None = None
     notes: tuple[str, ...] = ()
-    roots: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    metric: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
 
 Leaving = Callable[[Outcome], Outcome]
@@ -73,4 +73,4 @@ def as_it_is(outcome: Outcome) -> Outcome:
 def unchanged(mesh: SimplexMesh, reason: str) -> Outcome:
     """The input as the outcome."""
     return Outcome(mesh.points.copy(), mesh.cells.copy(), mesh.regions.copy(), stop_reason=reason,
-                   roots=mesh.roots)
+                   metric=mesh.metric)

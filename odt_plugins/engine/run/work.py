@@ -28,6 +28,7 @@ from odt_plugins.engine.topology.frame import Frame, make_frame
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.chunks import Pool
 from odt_plugins.mesh.numbering import new_numbers
+from odt_plugins.mesh.seen import in_unit
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
 
@@ -46,7 +47,7 @@ class Start:
     frame : Frame
     points : (k, D) float64
     cells : (m1, d + 1) int32, regions : (m1,) int32
-    roots : (k, D (D + 1) / 2) float64    of the metric, for inner coordinates; (k, 0) without one
+    metric : (k, D (D + 1) / 2) float64    see SimplexMesh, for inner coordinates; (k, 0) without
     """
 
     mesh: SimplexMesh
@@ -54,12 +55,12 @@ class Start:
     points: FloatArray
     cells: IntArray
     regions: IntArray
-    roots: FloatArray
+    metric: FloatArray
 
     @property
     def seen(self) -> FloatArray:
-        """Points with the roots behind the coordinates, as kernels take them; a copy."""
-        return np.column_stack([self.points, self.roots])
+        """Points with the metric behind the coordinates, as kernels take them; a copy."""
+        return np.column_stack([self.points, self.metric])
 
     def pairs(self, edges: IntArray) -> IntArray:
         """Inner numbers of the caller's edges (q, 2); without those that are not inside."""
@@ -77,18 +78,18 @@ class Start:
         mesh, frame = self.mesh, self.frame
         points = mesh.points.copy()
         n, d = self.points.shape
-        there, roots = state.points[:, :d], mesh.roots.copy()
+        there, metric = state.points[:, :d], mesh.metric.copy()
         moved = (there[:n] != self.points).any(axis=1)
         points[frame.vertices[moved]] = frame.outside(there[:n][moved])
-        if len(roots):
-            roots[frame.vertices[moved]] = state.points[:n, d:][moved] * frame.scale
+        if len(metric):
+            metric[frame.vertices[moved]] = in_unit(state.points[:n, d:][moved], 1.0 / frame.scale)
         regions = np.concatenate([mesh.regions[mesh.frozen], state.regions])
         used = np.zeros(len(state.points), dtype=np.bool_)
         used[state.cells] = True
         new = n + np.flatnonzero(used[n:])
         if used[:n].all() and not len(new):
             cells = np.concatenate([mesh.cells[mesh.frozen], frame.vertices[state.cells]])
-            return Outcome(points, np.ascontiguousarray(cells), regions, roots=roots)
+            return Outcome(points, np.ascontiguousarray(cells), regions, metric=metric)
         left = np.ones(len(points), dtype=np.bool_)
         left[frame.vertices[~used[:n]]] = False
         kept = np.flatnonzero(left)
@@ -99,18 +100,20 @@ class Start:
         inner[new] = len(kept) + np.arange(len(new))
         cells = np.concatenate([outer[mesh.cells[mesh.frozen]], inner[state.cells]])
         points = np.concatenate([points[kept], frame.outside(there[new])])
-        if len(roots):
-            roots = np.concatenate([roots[kept], state.points[new, d:] * frame.scale])
-        return Outcome(points, np.ascontiguousarray(cells), regions, origin=origin, roots=roots)
+        if len(metric):
+            more = in_unit(state.points[new, d:], 1.0 / frame.scale)
+            metric = np.concatenate([metric[kept], more])
+        return Outcome(points, np.ascontiguousarray(cells), regions, origin=origin, metric=metric)
 
 
 def make_start(mesh: SimplexMesh) -> Start:
     """Number the cells that may change along a curve, and scale them."""
     frame, cells = make_frame(mesh)
-    roots = mesh.roots if len(mesh.roots) else np.zeros((len(mesh.points), 0))
+    metric = mesh.metric if len(mesh.metric) else np.zeros((len(mesh.points), 0))
     return Start(
         mesh, frame, frame.inside(mesh.points[frame.vertices]), cells,
-        np.ascontiguousarray(mesh.regions[frame.active]), roots[frame.vertices] / frame.scale,
+        np.ascontiguousarray(mesh.regions[frame.active]),
+        in_unit(metric[frame.vertices], frame.scale),
     )
 
 
