@@ -200,5 +200,6 @@ def _run(mesh: Any, size: Any, wishes: dict[str, Any], options: Options) -> tupl
 
         return resized(_with_still_walls(simplices), chosen, leaving, wish)
 
-    wanted = Wanted(linear=True, sizes=name, growth=wish.growth, refused=(*NOT_SIZED, "free='inside'"))
+    wanted = Wanted(linear=True, sizes=name, growth=wish.growth,
+                    refused=(*NOT_SIZED, "free='inside'"))
     return run_engine(mesh, options, engine, wanted)

@@ -64,7 +64,7 @@ def test_the_verbs_are_few_and_those_that_give_a_mesh_have_a_twin_with_a_report(
     verbs = {name for name in functions if not name.endswith("_with_report")}
     arrays = {"metric_from_field"}
     assert len(verbs - arrays) <= 8
-    assert len(OPTIONS) <= 22
+    assert len(OPTIONS) <= 23
     plain = {"quality", "register", "run_filter_script", *arrays}
     assert functions - verbs == {f"{name}_with_report" for name in verbs - plain}
 

@@ -53,9 +53,9 @@ class SimplexMesh:
     body : (l,) int32                        body of every region; facets between regions of one
                                              body stay too, but their vertices may move. Empty where
                                              every region is a body
-    metric : (n, d (d + 1) / 2) float64       upper triangle, row by row, of log(M) / 2, M the metric
-                                             at every vertex; (n, 6) on a surface; no rows where
-                                             lengths are those of the coordinates
+    metric : (n, d (d + 1) / 2) float64      upper triangle, row by row, of log(M) / 2, M the
+                                             metric at every vertex; (n, 6) on a surface; no rows
+                                             where lengths are those of the coordinates
     """
 
     points: FloatArray

@@ -237,7 +237,7 @@ class Room(NamedTuple):
     ----------
     star : (10,) float64    sum over the cells of a star, packed as in ``packed``
     cell : (10,) float64    measure of one of them, packed in the same way
-    seen : (10,) float64    cost of one of them in the edges as they are seen, packed in the same way
+    seen : (10,) float64    cost of one of them as it is seen, packed in the same way
     rows : (ROWS,) float64  the cells of a star side by side, see ``rows``
     """
 

@@ -45,7 +45,7 @@ def in_space(points: FloatArray) -> bool:
 
 @kernel
 def _row(points: FloatArray, i: int) -> Root:
-    """log S at a vertex."""
+    """Log S at a vertex."""
     if points.shape[1] == 5:
         return points[i, 2], points[i, 3], 0.0, points[i, 4], 0.0, 0.0
     return (points[i, 3], points[i, 4], points[i, 5], points[i, 6], points[i, 7], points[i, 8])

@@ -147,8 +147,8 @@ def lay_out(
     room = int(SPARE * n) + 16
     held = np.full(len(triangles), not envelope > 0.0)
     body = Body(
-        np.zeros((room, 3 + metric.shape[1])), np.zeros(room), np.zeros(room, np.uint8), np.zeros(room, np.uint8),
-        np.full(room, -1, np.int32),
+        np.zeros((room, 3 + metric.shape[1])), np.zeros(room), np.zeros(room, np.uint8),
+        np.zeros(room, np.uint8), np.full(room, -1, np.int32),
         make_simplices(cells, tag, np.zeros(len(cells), np.bool_), room,
                        int(SPARE * len(cells)) + 64),
         make_simplices(triangles, patch, held, room, int(SPARE * len(triangles)) + 64),

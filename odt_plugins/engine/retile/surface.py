@@ -162,8 +162,9 @@ def _net(
     place[on] = lines.arc[lines.slot[on]]
     after[on] = lines.nodes[lines.slot[on] + 1]
     net = Net(
-        np.column_stack([sheet.points, base.metric]), sheet.foot, features.kind.copy(), place, after, sizes.astype(np.float64),
-        np.full(n, -1, dtype=np.int32), sheet.triangles, marks[base.edges.of_cell],
+        np.column_stack([sheet.points, base.metric]), sheet.foot, features.kind.copy(), place,
+        after, sizes.astype(np.float64), np.full(n, -1, dtype=np.int32), sheet.triangles,
+        marks[base.edges.of_cell],
         base.labels.copy(), np.full(3 * m, -1, dtype=np.int32), sheet.first, sheet.following,
         np.zeros(n, dtype=np.int64), np.array([n, m, 0], dtype=np.int64),
     )

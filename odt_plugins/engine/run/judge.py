@@ -88,7 +88,8 @@ def faults(
     """
     sliding = slides(mesh, options)
     broken = broken_promises(mesh, points, cells, regions, tuple(options.keep), slides=sliding,
-                             origin=origin, insert=options.insert, threads=options.threads, metric=metric)
+                             origin=origin, insert=options.insert, threads=options.threads,
+                             metric=metric)
     if broken or not sliding:
         return broken, None
     from odt_plugins.engine.ground.crossings import count_crossings

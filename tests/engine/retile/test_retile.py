@@ -176,7 +176,7 @@ def test_the_same_bits_twice():
 
 def broken(mesh, outcome):
     return " ".join(broken_by_retiling(
-        mesh, outcome.points, outcome.cells, outcome.regions, outcome.origin, ()))
+        mesh, outcome.points, outcome.cells, outcome.regions, outcome.origin, (), outcome.metric))
 
 
 def test_the_judge_sees_what_is_broken():

@@ -1,0 +1,148 @@
+"""Measures in a metric: those of the affine image, with derivatives by finite differences."""
+
+import numpy as np
+import pytest
+
+from odt_plugins.engine.cells.cost import Cost
+from odt_plugins.engine.cells.measures import MEASURES, make_room, star_terms, star_terms_2d
+from odt_plugins.engine.cells.sphere import circumsphere, inside_sphere
+from odt_plugins.engine.odt.sweeps import gauss_seidel_sweep
+from odt_plugins.engine.odt.total_energy import total_energy
+from odt_plugins.engine.record.figures import cell_shapes
+from odt_plugins.engine.topology.stencil import make_topology
+from odt_plugins.mesh.seen import as_seen, in_unit
+from odt_plugins.metric.through import halved_logarithms
+
+TETS = np.array([[0, 1, 2, 3], [0, 2, 1, 4]], dtype=np.int32)
+TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
+
+
+def root(rng, d):
+    """A random symmetric positive definite matrix, stretched by up to e^3."""
+    axes = np.linalg.qr(rng.normal(size=(d, d)))[0]
+    return axes @ np.diag(np.exp(rng.uniform(-1.5, 1.5, d))) @ axes.T
+
+
+def rows_of(s, n):
+    return np.tile(halved_logarithms((s @ s)[None]), (n, 1))
+
+
+def tets(rng):
+    points = rng.normal(size=(5, 3))
+    cells = TETS.copy()
+    for c in cells:
+        if np.linalg.det(points[c[1:]] - points[c[0]]) < 0:
+            c[[1, 3]] = c[[3, 1]]
+    return points, cells
+
+
+def triangles(d):
+    points = np.zeros((4, d))
+    points[:, :2] = [[0.1, -0.1], [2, 0.2], [0.3, 2.2], [-1.4, -0.1]]
+    points[1:, 2:] = [[0.3], [-0.2], [0.1]][: 3 if d == 3 else 3] if d == 3 else points[1:, 2:]
+    return points, TRIANGLES
+
+
+def central(f, x, directions, h=1e-5):
+    return np.array([(f(x + h * e) - f(x - h * e)) / (2 * h) for e in directions])
+
+
+@pytest.mark.parametrize("kind", ["tets", "plane", "surface"])
+def test_shapes_in_a_constant_metric_are_those_of_the_image(kind):
+    rng = np.random.default_rng(3)
+    points, cells = tets(rng) if kind == "tets" else triangles(2 if kind == "plane" else 3)
+    s = root(rng, points.shape[1])
+    seen = np.column_stack([points, rows_of(s, len(points))])
+    image = np.ascontiguousarray(points @ s)
+    np.testing.assert_allclose(cell_shapes(seen, cells), cell_shapes(image, cells), atol=1e-12)
+    exploded = as_seen(points, cells, rows_of(s, len(points)))
+    np.testing.assert_allclose(cell_shapes(*exploded), cell_shapes(image, cells), atol=1e-12)
+
+
+@pytest.mark.parametrize("objective", MEASURES.values())
+def test_derivatives_of_a_star_of_tetrahedra(objective):
+    rng = np.random.default_rng(5)
+    points, cells = tets(rng)
+    rows = rows_of(root(rng, 3), 5) * (1 + 0.3 * rng.normal(size=(5, 1)))
+    room, star = make_room(), np.array([0, 1], dtype=np.int32)
+
+    def terms(x):
+        moved = np.column_stack([points, rows])
+        moved[0, :3] = x
+        assert star_terms(moved, cells, star, 0, 2, 0, Cost(objective, 2.0), room)
+        return room.star.copy()
+
+    found = terms(points[0])
+    slope = central(lambda x: terms(x)[0], points[0], np.eye(3))
+    bend = central(lambda x: terms(x)[1:4], points[0], np.eye(3))
+    xx, xy, xz, yy, yz, zz = found[4:]
+    np.testing.assert_allclose(found[1:4], slope, rtol=1e-6, atol=1e-6 * np.abs(slope).max())
+    np.testing.assert_allclose([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]], bend,
+                               atol=1e-6 * np.abs(bend).max())
+
+
+@pytest.mark.parametrize("objective", MEASURES.values())
+@pytest.mark.parametrize("d", [2, 3])
+def test_derivatives_of_a_star_of_triangles(objective, d):
+    rng = np.random.default_rng(7)
+    points, cells = triangles(d)
+    rows = rows_of(root(rng, d), 4) * (1 + 0.3 * rng.normal(size=(4, 1)))
+    axes = np.eye(2) if d == 2 else np.ascontiguousarray(np.linalg.qr(rng.normal(size=(3, 2)))[0].T)
+    star, out = np.array([0, 1], dtype=np.int32), np.empty(5)
+
+    def terms(x):
+        moved = np.column_stack([points, rows])
+        moved[0, :d] = x
+        value = star_terms_2d(moved, cells, star, 0, Cost(objective, 2.0), axes, out)
+        return np.array([value, *out])
+
+    found = terms(points[0])
+    slope = central(lambda x: terms(x)[0], points[0], axes)
+    bend = central(lambda x: terms(x)[1:3], points[0], axes)
+    np.testing.assert_allclose(found[1:3], slope, atol=1e-6 * np.abs(slope).max())
+    np.testing.assert_allclose([[found[3], found[4]], [found[4], found[5]]], bend,
+                               atol=1e-6 * np.abs(bend).max())
+
+
+def test_the_sphere_is_that_of_the_image():
+    rng = np.random.default_rng(9)
+    points, cells = tets(rng)
+    s = root(rng, 3)
+    seen = np.column_stack([points, rows_of(s, 5)])
+    image = np.ascontiguousarray(points @ s)
+    for x in rng.normal(size=(40, 3)):
+        seen[4, :3], image[4] = x, x @ s
+        told = [inside_sphere(p, cells, 0, 4, *circumsphere(p, *cells[0])) for p in (seen, image)]
+        assert told[0] == told[1]
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_sweep_and_its_energy_are_those_of_the_image(d):
+    from scipy.spatial import Delaunay
+
+    rng = np.random.default_rng(11)
+    points = rng.random((60, d))
+    s = root(rng, d)
+    image = np.ascontiguousarray(points @ s)
+    cells = Delaunay(image).simplices.astype(np.int32)
+    e = image[cells[:, 1:]] - image[cells[:, :1]]
+    volume = np.linalg.det(e)
+    cells = cells[np.abs(volume) > 1e-6 * np.abs(volume).max()]
+    swap = np.linalg.det(image[cells[:, 1:]] - image[cells[:, :1]]) < 0
+    cells[swap] = cells[swap][:, [1, 0, *range(2, d + 1)]]
+    movable = np.zeros(60, dtype=bool)
+    movable[: 20] = True
+    boundary = ~movable
+    seen = np.column_stack([points, rows_of(s, 60)])
+    topology = make_topology(cells, movable, boundary)
+    moved, _ = gauss_seidel_sweep(seen, topology)
+    there, _ = gauss_seidel_sweep(image, topology)
+    np.testing.assert_allclose(moved[:, :d] @ s, there, atol=1e-10)
+    assert (moved[:, d:] == seen[:, d:]).all()
+    rho = np.ones(60)
+    assert np.isclose(total_energy(seen, cells, rho), total_energy(image, cells, rho), rtol=1e-12)
+
+
+def test_units_of_a_metric():
+    rows = rows_of(np.diag([2.0, 3.0, 5.0]), 1)
+    np.testing.assert_allclose(in_unit(rows, 4.0), rows_of(np.diag([0.5, 0.75, 1.25]), 1))

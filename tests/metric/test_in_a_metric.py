@@ -1,0 +1,125 @@
+"""Meshes that are optimised and remeshed in a metric."""
+
+import itertools
+
+import numpy as np
+import pytest
+from scipy.spatial import Delaunay
+
+import odt_plugins
+from odt_plugins.errors import InvalidOptionError
+
+STRETCHED = np.array([400.0, 0.0, 25.0])
+
+
+def square(n=12, seed=0):
+    """Points of a jittered grid on the unit square, and their triangles."""
+    g = np.stack(np.meshgrid(*[np.linspace(0, 1, n)] * 2, indexing="ij"), -1).reshape(-1, 2)
+    inner = ((g > 0) & (g < 1)).all(axis=1)
+    g[inner] += np.random.default_rng(seed).uniform(-0.3 / n, 0.3 / n, (inner.sum(), 2))
+    return g, Delaunay(g).simplices
+
+
+def cube(n=6):
+    """Points of a jittered grid on the unit cube, and its tetrahedra, six a box."""
+    at = np.arange(n**3).reshape(n, n, n)
+    rows = []
+    for order in itertools.permutations(range(3)):
+        path = [np.zeros(3, int)]
+        for axis in order:
+            path.append(path[-1] + np.eye(3, dtype=int)[axis])
+        rows.append(np.stack(
+            [at[o[0]:n - 1 + o[0], o[1]:n - 1 + o[1], o[2]:n - 1 + o[2]].ravel() for o in path], 1))
+    t = np.concatenate(rows)
+    g = np.stack(np.meshgrid(*[np.linspace(0, 1, n)] * 3, indexing="ij"), -1).reshape(-1, 3)
+    inner = ((g > 0) & (g < 1)).all(axis=1)
+    g[inner] += np.random.default_rng(1).uniform(-0.1 / n, 0.1 / n, (inner.sum(), 3))
+    flip = np.linalg.det(g[t[:, 1:]] - g[t[:, :1]]) < 0
+    t[flip] = t[flip][:, [1, 0, 2, 3]]
+    return g, t
+
+
+def seen_edges(points, cells, tensor):
+    corners = itertools.combinations(range(cells.shape[1]), 2)
+    pairs = np.concatenate([cells[:, list(c)] for c in corners])
+    pairs = np.unique(np.sort(pairs, axis=1), axis=0)
+    e = points[pairs[:, 1]] - points[pairs[:, 0]]
+    return np.sqrt(np.einsum("ni,ij,nj->n", e, tensor, e))
+
+
+def test_triangles_get_the_lengths_of_a_metric():
+    points, cells = square()
+    tensor = np.array([[400.0, 0.0], [0.0, 25.0]])
+    (p, t), report = odt_plugins.remesh_with_report(
+        (points, cells), metric=np.tile(STRETCHED, (144, 1)))
+    length = seen_edges(p, t, tensor)
+    assert ((length > 0.7) & (length < 1.42)).mean() > 0.97
+    image = odt_plugins.quality((p @ np.diag([20.0, 5.0]), t))
+    assert image.mean_quality > 0.93
+    assert np.isclose(report.after.mean_quality, image.mean_quality, atol=1e-9)
+    assert np.isclose(report.after.volume, 1.0)
+    assert np.isclose(odt_plugins.quality((p, t)).volume, 1.0)
+
+
+def test_tetrahedra_get_the_lengths_of_a_metric():
+    points, cells = cube()
+    tensor = np.diag([1 / 0.12**2, 1 / 0.3**2, 1 / 0.3**2])
+    (p, t), report = odt_plugins.remesh_with_report(
+        (points, cells), metric=lambda x: np.broadcast_to(tensor, (len(x), 3, 3)), free="periodic")
+    length = seen_edges(p, t, tensor)
+    assert ((length > 0.7) & (length < 1.42)).mean() > 0.9
+    image = odt_plugins.quality((p @ np.sqrt(tensor), t))
+    assert image.mean_quality > 0.85
+    assert np.isclose(report.after.min_quality, image.min_quality, atol=1e-9)
+    assert np.isclose(odt_plugins.quality((p, t)).volume, 1.0, atol=3e-3)
+
+
+@pytest.mark.parametrize("make", [square, cube])
+def test_a_stretched_mesh_is_improved_in_its_own_metric_and_stays_stretched(make):
+    points, cells = make()
+    d = points.shape[1]
+    shape = np.diag([1.0, 0.1, 0.1][:d])
+    stretched = points @ shape
+    better, t = odt_plugins.optimize((stretched, cells), metric="input", layers="improve")
+    before, after = (odt_plugins.quality((x @ np.linalg.inv(shape), c)) for x, c in (
+        (stretched, cells), (better, t)))
+    assert after.mean_quality > before.mean_quality + 0.005
+    assert after.min_quality >= before.min_quality - 0.05
+    isotropic = odt_plugins.quality((better, t))
+    assert isotropic.mean_quality < 0.6
+    boundary = ((points == 0) | (points == 1)).any(axis=1)
+    assert (better[boundary] == stretched[boundary]).all()
+
+
+def test_a_constant_multiple_of_the_identity_counts_cells():
+    points, cells = square()
+    _, t = odt_plugins.remesh((points, cells), metric=np.tile([1.0, 0, 1.0], (144, 1)), cells=300)
+    assert abs(len(t) - 300) < 40
+
+
+def test_the_same_bits_for_any_number_of_threads():
+    points, cells = cube(5)
+    tensor = np.diag([40.0, 10.0, 10.0])
+    found = [odt_plugins.remesh((points, cells), metric=np.tile(tensor, (125, 1, 1)), threads=k,
+                                free="periodic") for k in (1, 3)]
+    assert np.array_equal(found[0][0], found[1][0])
+    assert np.array_equal(found[0][1], found[1][1])
+
+
+@pytest.mark.parametrize(("options", "said"), [
+    ({"metric": np.eye(2)}, "metric of shape"),
+    ({"metric": np.tile([1.0, 0, -1.0], (144, 1))}, "at vertex 0"),
+    ({"metric": "nothing"}, "expected 'input' or the name"),
+    ({"metric": "input", "solver": "global"}, "solver"),
+    ({"metric": "input", "density": np.ones(144)}, "density"),
+    ({"metric": "input", "connectivity": "delaunay"}, "connectivity"),
+    ({"metric": "input", "blocks": 2}, "blocks"),
+])
+def test_what_goes_with_no_metric_is_refused_in_a_sentence(options, said):
+    with pytest.raises(InvalidOptionError, match=said):
+        odt_plugins.optimize(square(), **options)
+
+
+def test_a_size_beside_a_metric_is_refused():
+    with pytest.raises(InvalidOptionError, match="one of them"):
+        odt_plugins.remesh(square(), 0.1, metric="input")
