@@ -190,6 +190,10 @@ def run_engine(
 def optimized(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
     """Let the engine for this kind of mesh do the work."""
     if mesh.is_surface or (mesh.dim == 2 and options.boundary == "slide"):
+        if len(mesh.metric):
+            msg = ("got metric= for triangles whose surface or boundary slides; expected "
+                   "tetrahedra, or triangles in the plane with boundary='fixed', try remesh")
+            raise UnsupportedMeshError(msg)
         from odt_plugins.engine.surface.in_plane import run_any
 
         return run_any(mesh, options, leaving)

@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import Delaunay
 
 import odt_plugins
-from odt_plugins.errors import InvalidOptionError
+from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
 
 STRETCHED = np.array([400.0, 0.0, 25.0])
 
@@ -123,3 +123,8 @@ def test_what_goes_with_no_metric_is_refused_in_a_sentence(options, said):
 def test_a_size_beside_a_metric_is_refused():
     with pytest.raises(InvalidOptionError, match="one of them"):
         odt_plugins.remesh(square(), 0.1, metric="input")
+
+
+def test_a_sliding_boundary_in_the_plane_is_refused_in_a_sentence():
+    with pytest.raises(UnsupportedMeshError, match="try remesh"):
+        odt_plugins.optimize(square(), metric="input", boundary="slide")

@@ -11,9 +11,9 @@ everybody calls: `tet_measure`, `tet_cost`, `star_terms` of tetrahedra, `triangl
 - a power of the time step for which explicit dynamics is stable on the cell, `tet_step`, which
   has no best cell.
 
-They are functions of the edges of a cell (`corner_edges`, `squares`, `moving_triangle`, and
-`gather_corners`, `gather_edges` for several cells side by side): what a mesh is seen through, such
-as a metric, has its door there. `tet_energy` is the ODT energy (2.2) of one tetrahedron.
+They are functions of the edges of a cell as they are seen through a metric, if there is one
+(`seen_edges`, `squares`, `moving_triangle`, and `gather_edges` for several cells side by side; see
+``metric``). `tet_energy` is the ODT energy (2.2) of one tetrahedron.
 `circumcenters` (4.6), `barycenters` and `signed_volumes` treat all cells of a mesh at once;
 `inside_sphere` asks whether a facet is locally Delaunay (Definition 2.1). `Extremes` and `Bounds`
 are what new cells may not pass unless those they replace do (`worse`, `keeps`).

@@ -39,7 +39,8 @@ def tets(rng):
 def triangles(d):
     points = np.zeros((4, d))
     points[:, :2] = [[0.1, -0.1], [2, 0.2], [0.3, 2.2], [-1.4, -0.1]]
-    points[1:, 2:] = [[0.3], [-0.2], [0.1]][: 3 if d == 3 else 3] if d == 3 else points[1:, 2:]
+    if d == 3:
+        points[1:, 2] = [0.3, -0.2, 0.1]
     return points, TRIANGLES
 
 
