@@ -20,9 +20,8 @@ WHOLE="tests/engine/run/test_bits.py"
 PARTS="tests/paper/test_paper_energy.py tests/paper/test_paper_global.py
        tests/paper/test_paper_gradient.py tests/paper/test_paper_smoothing.py"
 
-LOWEST="tests/test_api.py tests/test_reference.py tests/test_transfer.py tests/test_conserve.py
-        tests/cli/test_cli.py tests/adapters/test_adapters_files.py tests/adapters/test_fields.py
-        tests/engine/untangle tests/mesh tests/promise tests/report"
+LOWEST="tests/adapters/test_adapters_files.py tests/cli/test_cli.py tests/mesh tests/promise
+        tests/report tests/test_reference.py tests/test_transfer.py"
 
 newer() { OPENBLAS_CORETYPE=Haswell python "$@"; }
 

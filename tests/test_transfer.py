@@ -27,6 +27,7 @@ def linear(points):
     "pyvista-tet", "pyvista-tri", "vtk-polydata", "meshio-tet-blocks", "trimesh", "pymeshlab-mesh",
     "open3d-triangle", "pyvista-quadratic-tet", "skfem-tet"])
 def test_arrays_of_the_mesh_are_carried_to_the_bits_that_the_host_has(name):
+    contract.need(name)
     host = contract.HOSTS[name]
     mesh = host.make()
     before = host.view(mesh)
