@@ -39,7 +39,7 @@ class Transfer:
     work : Prepared            without adapter and toolkit
     outcome : Outcome          what the engine handed back
     written : Outcome          the same with the caller's coordinates and cells
-    options : Options          of which `fields` and `threads` count
+    options : Options          with `fields` and `threads` of the run
     origin : (m',) int64       cell of the object from which each cell of the result has its data
     """
 
@@ -113,7 +113,7 @@ def transfer_of(
     host = HostMesh(
         np.array(work.host.points[: len(given.points)]), np.array(given.cells), ids=given.ids,
         total=given.total, follows=given.follows, higher_order=given.higher_order)
-    plain = replace(options, progress=None, density="keep", smoothing=type(options.smoothing)())
+    plain = Options(fields=options.fields, threads=options.threads)
     no_adapter: Any = None
     slim = work._replace(adapter=no_adapter, host=host)
     return Transfer(slim, outcome, written, plain, origin)
