@@ -133,10 +133,10 @@ def _assembled(points: FloatArray, cells: IntArray) -> tuple[Any, FloatArray, Fl
 
 
 def _critical_step(stiffness: Any, masses: FloatArray) -> float:
-    from scipy.sparse import diags_array
+    from scipy.sparse import dia_array
     from scipy.sparse.linalg import eigsh
 
-    scale = diags_array(1.0 / np.sqrt(masses))
+    scale: Any = dia_array((1.0 / np.sqrt(masses)[None], [0]), shape=(len(masses), len(masses)))
     start = np.random.default_rng(0).normal(size=len(masses))
     matrix = scale @ stiffness @ scale
     greatest = (np.linalg.eigvalsh(matrix.toarray()).max() if len(masses) < 20 else
