@@ -1,11 +1,14 @@
-"""Compiles the kernels while the package is built, so that its first run begins at once.
+"""Builds the library of kernels with the package, so that its first run begins at once.
 
 The first page of the package is README.md with its picture in it, and tests and examples go into
-the source archive. Everything else is said in pyproject.toml. A package without machine code works
-as well: it compiles what a run needs when it needs it.
+the source archive. Where there is no linker the package has no library and needs numba, which
+compiles what a run needs when it needs it. Everything else is said in pyproject.toml.
 """
 
+import os
 import re
+import shlex
+import shutil
 import subprocess
 import sys
 import tomllib
@@ -13,10 +16,18 @@ from base64 import b64encode
 from pathlib import Path
 
 from setuptools import Distribution, setup
+from setuptools.command.bdist_wheel import bdist_wheel
 from setuptools.command.build_py import build_py
 from setuptools.command.sdist import sdist
 
 TOP = Path(__file__).parent
+
+LINKS = shutil.which(shlex.split(os.environ.get("CC", "cc"))[0]) is not None
+"""Whether there is a linker."""
+
+NEEDS = ["numpy>=1.26", "scipy>=1.11", "pyamg>=5.1", "meshio>=5.3.5", "click>=8.2", "rich>=13.7",
+         "h5py>=3.10", "netCDF4>=1.6.5", "libigl>=2.6"]
+"""What running needs beside a library of kernels."""
 
 
 def first_page() -> str:
@@ -42,16 +53,26 @@ def first_page() -> str:
 
 
 class WithKernels(build_py):
-    """Copies the package, and adds machine code."""
+    """Copies the package, and adds the library."""
 
     def run(self) -> None:
         super().run()
+        if not LINKS:
+            self.warn("no linker (CC or cc): numba will compile the kernels when they first run")
+            return
         target = Path("." if self.editable_mode else self.build_lib)
-        folder = target / "odt_plugins" / "engine" / "compiled" / "ahead"
+        library = target / "odt_plugins" / "engine" / "compiled" / "kernels.so"
         try:
-            subprocess.run([sys.executable, "-m", "odt_plugins.ahead", str(folder)], check=True)
+            subprocess.run([sys.executable, "-m", "odt_plugins.ahead", str(library)], check=True)
         except (OSError, subprocess.CalledProcessError) as error:
-            self.warn(f"no kernels compiled ahead ({error}); the first run will compile them")
+            self.warn(f"no library of kernels ({error}); install odt-plugins[numba] as well")
+
+
+class ForAnyPython(bdist_wheel):
+    """Names the wheel: the library is for one system, and uses nothing of Python's."""
+
+    def get_tag(self) -> tuple[str, str, str]:
+        return "py3", "none", super().get_tag()[2]
 
 
 class WithTests(sdist):
@@ -67,11 +88,12 @@ class WithTests(sdist):
 
 
 class ForOneSystem(Distribution):
-    """A package with machine code."""
+    """A package with machine code, where that can be linked."""
 
     def has_ext_modules(self) -> bool:
-        return True
+        return LINKS
 
 
-setup(cmdclass={"build_py": WithKernels, "sdist": WithTests}, distclass=ForOneSystem,
+setup(cmdclass={"bdist_wheel": ForAnyPython, "build_py": WithKernels, "sdist": WithTests},
+      distclass=ForOneSystem, install_requires=NEEDS if LINKS else [*NEEDS, "numba>=0.60"],
       long_description=first_page(), long_description_content_type="text/markdown")

@@ -1,49 +1,133 @@
 """Kernels compiled ahead: what an installation does, so that no first run has to.
 
-    python -m odt_plugins.ahead FOLDER
+    python -m odt_plugins.ahead FILE         builds the library of kernels
+    python -m odt_plugins.ahead --record     writes down which kernels Python calls, with what types
 
-puts machine code into a folder, for the best of the processors in common use that this one can
-stand in for (`common_machine`).  Runs of one kind of mesh share kernels and one process; the
-processes run side by side.
+Parts of the library are made side by side.  What the runs below call is written down in
+``engine/compiled/signatures.txt``, from which the library is built without them.
 """
 
 from __future__ import annotations
 
 import os
+import shlex
 import subprocess
 import sys
 from argparse import ArgumentParser
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
+
+SIGNATURES = Path(__file__).parent / "engine" / "compiled" / "signatures.txt"
+"""Kernels that Python calls, with the types of their arguments."""
+
+WORKERS = 4
+"""Most processes side by side: each compiles what its kernels have in common with others anew."""
+
+PART = "from odt_plugins.ahead import build_part; build_part({lines!r}, {first}, {folder!r})"
 
 SMALL = 300
 """Vertices of most meshes, about."""
 
 LARGE = 14_000
 """Vertices of one that is cut into slabs."""
-
 RUNS: dict[str, dict[tuple[str, int], tuple[dict[str, Any], ...]]] = {
     "cells": {
         ("ball", SMALL): ({}, {"insert": True}, {"objective": "time_step", "insert": True},
                           {"objective": "min_dihedral", "insert": True, "boundary": "slide"},
-                          {"density": "inverse-volume"}),
+                          {"density": "inverse-volume"}, {"metric": "input"},
+                          {"solver": "global", "finish": False},
+                          {"method": "cpt", "solver": "jacobi", "finish": False}),
         ("ball", LARGE): ({"smoothing": {"rounds": 1}, "finish": False, "threads": 2},),
     },
     "triangles": {
-        ("plate", SMALL): ({}, {"objective": "min_dihedral"}, {"density": "inverse-volume"}),
-        ("pebble", SMALL): ({}, {"boundary": "fixed"}, {"density": "curvature"}),
+        ("plate", SMALL): ({}, {"objective": "min_dihedral"}, {"density": "inverse-volume"},
+                           {"metric": "input"}),
+        ("pebble", SMALL): ({}, {"boundary": "fixed"}, {"density": "curvature"},
+                            {"solver": "jacobi", "finish": False}),
     },
 }
 """For every process the start meshes, their vertices, and the options of their runs."""
 
-PROGRAMS = tuple(f"from odt_plugins.ahead import run; run({name!r})" for name in RUNS)
-"""What is run side by side."""
+
+def build(file: Path, lines: Sequence[str] = ()) -> None:
+    """Compile and link a library of kernels, by the linker of the system or of ``CC``.
+
+    Parameters
+    ----------
+    file : path         takes the library
+    lines : of str      its kernels; those of the file of signatures unless given
+
+    Raises
+    ------
+    OSError, CalledProcessError    there is no linker, or a program ended with an error
+    """
+    from odt_plugins.engine.compiled.building import table
+    from odt_plugins.engine.compiled.library import stamp
+
+    chosen = {name: "" for name in os.environ if name.startswith("NUMBA_")}
+    work = os.environ | chosen | {
+        "NUMBA_OPT": "0", "NUMBA_LLVM_REFPRUNE_PASS": "0", "PYTHONHASHSEED": "0"}
+    with TemporaryDirectory() as made:
+        lines = lines or SIGNATURES.read_text(encoding="utf-8").splitlines()
+        parts = [PART.format(lines=lines[first:stop], first=first, folder=made)
+                 for first, stop in _shares(lines)]
+        processes = [subprocess.Popen([sys.executable, "-c", part], env=work) for part in parts]
+        for process in [process for process in processes if process.wait()]:
+            raise subprocess.CalledProcessError(process.returncode, process.args)
+        contents = [line for path in sorted(Path(made).glob("*.txt"))
+                    for line in path.read_text(encoding="utf-8").splitlines()]
+        (Path(made) / "table.o").write_bytes(table([stamp(), *contents]))
+        objects = sorted(map(str, Path(made).glob("*.o")))
+        linker = shlex.split(os.environ.get("CC", "cc"))
+        file.parent.mkdir(parents=True, exist_ok=True)
+        subprocess.run([*linker, "-shared", "-s", "-o", str(file), *objects, "-lm"], check=True)
+
+
+def _shares(lines: Sequence[str]) -> Iterator[tuple[int, int]]:
+    """Cut the lines into as many ranges as there are processors, about as long to compile."""
+    lengths = [len(line) for line in lines]
+    count = min(os.cpu_count() or 1, WORKERS)
+    first = 0
+    for share in range(1, count + 1):
+        stop = first
+        while stop < len(lengths) and sum(lengths[:stop]) < sum(lengths) * share / count:
+            stop += 1
+        if stop > first:
+            yield first, stop
+        first = stop
+
+
+def build_part(lines: Sequence[str], first: int, folder: str) -> None:
+    """Compile kernels into object files, numbered from ``first``; write down what they return."""
+    from odt_plugins.engine.compiled.building import Units, levels
+
+    units = Units()
+    with (Path(folder) / f"{first:04}.txt").open("w", encoding="utf-8") as contents:
+        for number, line in enumerate(lines, first):
+            entry, results = units.entry(line)
+            contents.write(f"{line} -> {results}\n")
+            for level, processor in enumerate(levels(), 1):
+                name = f"odt_{level}_{number}"
+                code = units.machine_code(entry, name, processor)
+                (Path(folder) / f"{name}.o").write_bytes(code)
+
+
+def record() -> None:
+    """Do the runs, and write down which kernels they call from Python with what types."""
+    from odt_plugins.engine.compiled.kernel import Kernel
+
+    for name in RUNS:
+        run(name)
+    kernels = {value for name, module in list(sys.modules.items()) if "odt_plugins" in name
+               for value in vars(module).values() if isinstance(value, Kernel)}
+    lines = sorted(line for kernel in kernels for line in kernel.loaded)
+    SIGNATURES.write_text("\n".join(lines) + "\n", encoding="utf-8")
 
 
 def run(name: str) -> None:
-    """Do the runs of one process, improve the same small cells tangled, and pressed flat; remesh.
+    """Do the runs of a kind of mesh, improve small cells tangled, and pressed flat; remesh.
 
     Parameters
     ----------
@@ -53,8 +137,15 @@ def run(name: str) -> None:
 
     from odt_plugins.api import optimize
     from odt_plugins.conserve import After, conserved
+    from odt_plugins.engine.cells.extremes import Extremes
     from odt_plugins.engine.cells.geometry import boundary_vertices
+    from odt_plugins.engine.finish.repair2d import within_bounds
+    from odt_plugins.engine.ground.envelope import uncovered
+    from odt_plugins.engine.ground.reference import make_reference
+    from odt_plugins.engine.topology.adjacency import cell_neighbors
+    from odt_plugins.engine.topology.triangles import Triangles
     from odt_plugins.generate import clouds
+    from odt_plugins.generate.refine2d import refine_triangles
     from odt_plugins.mesh.simplex import simplex_mesh
     from odt_plugins.remeshing import remesh
 
@@ -73,46 +164,29 @@ def run(name: str) -> None:
             conserved(before, after, {"": before.cells[:, 0] * 1.0}, {"": (points, after.points)})
             squeezed = points * np.where(np.arange(points.shape[1]) > 0, 1.0, 0.2)
             optimize((squeezed, cells), layers="improve")
-
-
-def compile_ahead(folder: Path, programs: Sequence[str] = PROGRAMS) -> None:
-    """Compile the kernels that programs use into a folder.
-
-    Parameters
-    ----------
-    folder : path         is made where it is missing; what was there goes
-    programs : of str     are run side by side
-
-    Raises
-    ------
-    CalledProcessError    a run ended with an error
-    """
-    from odt_plugins.engine.compiled.cache import SUFFIX, common_machine
-
-    _, processor, features = common_machine()
-    folder.mkdir(parents=True, exist_ok=True)
-    with TemporaryDirectory(dir=folder) as made:
-        work = os.environ | {"NUMBA_CACHE_DIR": made, "NUMBA_CPU_NAME": processor,
-                             "NUMBA_CPU_FEATURES": features}
-        processes = [subprocess.Popen([sys.executable, "-c", program], env=work)
-                     for program in programs]
-        for process in [process for process in processes if process.wait()]:
-            raise subprocess.CalledProcessError(process.returncode, process.args)
-        for old in folder.glob(f"*{SUFFIX}"):
-            old.unlink()
-        for new in Path(made).rglob(f"*{SUFFIX}"):
-            new.replace(folder / new.name)
+        if mesh == "plate":
+            refine_triangles(points, cells)
+            plane = Triangles(points.copy(), cells.copy(), cell_neighbors(cells), 0 * cells[:, 0])
+            within_bounds(plane, inside, Extremes(1.0, 0.5, 0.5))
+        if mesh == "pebble":
+            uncovered(make_reference(points, cells), 1.01 * points, cells, 1e-6)
 
 
 def kept_kernels() -> tuple[Path | None, list[Path]]:
-    """Folder and files of machine code that this user has compiled; None without a home."""
-    from odt_plugins.engine.compiled.cache import SUFFIX, place
+    """Folder and files of machine code that this user's runs compiled; None without a home."""
+    from odt_plugins.engine.compiled.library import place
 
     folder = place()
-    return folder, [] if folder is None else sorted(folder.glob(f"*{SUFFIX}"))
+    return folder, [] if folder is None else sorted(folder.rglob("*.nbc"))
 
 
 if __name__ == "__main__":
     parser = ArgumentParser("python -m odt_plugins.ahead", description="Compile the kernels.")
-    parser.add_argument("folder", type=Path, help="takes the machine code; is made where missing")
-    compile_ahead(parser.parse_args().folder)
+    parser.add_argument("file", type=Path, nargs="?", help="takes the library")
+    parser.add_argument("--record", action="store_true",
+                        help="do runs, and write down what kernels the library is to have")
+    chosen = parser.parse_args()
+    if chosen.record:
+        record()
+    if chosen.file is not None:
+        build(chosen.file)

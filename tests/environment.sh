@@ -98,7 +98,7 @@ enter_environment() {
 install_package() {
     local extras="$1" marker stamp
     marker="$VIRTUAL_ENV/.odt-plugins-installed"
-    stamp="$PWD [$extras] $(cksum < pyproject.toml)"
+    stamp="$PWD [$extras] $(cat pyproject.toml setup.py | cksum)"
     if grep -qxF "$stamp" "$marker" 2>/dev/null; then return 0; fi
     say "installing odt-plugins[$extras] into $VIRTUAL_ENV (a few minutes, once)"
     python -m pip --version >/dev/null 2>&1 || {

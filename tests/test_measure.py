@@ -181,9 +181,9 @@ def test_triad_is_a_plausible_speed():
 def test_first_results_are_measured_with_and_without_kernels(monkeypatch):
     write = """import os, pathlib
 kept = pathlib.Path(os.environ["NUMBA_CACHE_DIR"])
-named = "NUMBA_CPU_NAME" in os.environ
+named = "NUMBA_OPT" in os.environ
 """
-    monkeypatch.delenv("NUMBA_CPU_NAME", raising=False)
+    monkeypatch.delenv("NUMBA_OPT", raising=False)
     monkeypatch.setattr(cold, "JOBS", (
         ("ahead", write + "assert not kept.exists() and not named", cold.INSTALLED),
         ("first", write + "assert named; kept.mkdir(); sum(range(10**7))", cold.NONE),

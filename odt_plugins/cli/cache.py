@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-import contextlib
+import shutil
 
 import click
 
@@ -19,12 +19,8 @@ def cache(clear: bool) -> None:
     """
     folder, found = kept_kernels()
     size = sum(path.stat().st_size for path in found)
-    if clear:
-        for path in found:
-            path.unlink(missing_ok=True)
-        with contextlib.suppress(OSError):
-            if folder is not None:
-                folder.rmdir()
+    if clear and folder is not None:
+        shutil.rmtree(folder, ignore_errors=True)
     where = folder or "no folder, since there is no home"
     click.echo(f"{counted(len(found), 'kernel')}, {size / 1e6:.1f} MB, "
                f"{'removed from' if clear else 'in'} {where}")

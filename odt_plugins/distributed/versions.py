@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 
 from odt_plugins.errors import InvalidOptionError
 
-PACKAGES = ("odt-plugins", "numpy", "scipy", "numba", "pyamg")
+PACKAGES = ("odt-plugins", "numpy", "scipy", "pyamg")
 
 
 @cache

@@ -9,8 +9,6 @@ import time
 from collections.abc import Sequence
 from tempfile import TemporaryDirectory
 
-import llvmlite.binding as llvm
-
 from measure.part import Part
 from odt_plugins.compare.table import Say, Table, Value
 from odt_plugins.generate.clouds import SEED
@@ -64,14 +62,13 @@ def cold_part(sizes: Sequence[int], threads: int, say: Say) -> Part:
     say : callable    is told what is measured
     """
     rows: list[tuple[Value, ...]] = []
-    named = str(llvm.get_host_cpu_name())  # type: ignore[no-untyped-call]
     with TemporaryDirectory() as folder:
         kept = folder
         for number, (name, program, kernels) in enumerate(JOBS):
             if kernels != KEPT:
                 kept = os.path.join(folder, str(number))
-            # Nothing is compiled ahead for a processor that is named.
-            work = {} if kernels == INSTALLED else {"NUMBA_CPU_NAME": named}
+            # The library stays closed where something is chosen of numba, here what it does anyway.
+            work = {} if kernels == INSTALLED else {"NUMBA_OPT": "3"}
             wall, busy = _seconds(program, {**work, "NUMBA_CACHE_DIR": kept})
             rows.append((name, kernels, wall, busy))
             say(f"{name}, kernels {kernels}: {wall:.2f} s, {busy:.2f} s of processors")

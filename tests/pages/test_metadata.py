@@ -56,9 +56,9 @@ def test_the_archive_holds_what_the_project_does(archive):
     for folder in (".ci", "examples", "odt_plugins", "tests"):
         mine |= {path.relative_to(TOP).as_posix() for path in (TOP / folder).rglob("*")
                  if path.is_file()
-                 and not {"__pycache__", "ahead"} & {*path.relative_to(TOP).parts}}
+                 and not {"__pycache__", "kernels.so"} & {*path.relative_to(TOP).parts}}
     assert mine - names == set()
-    assert not [name for name in names if "__pycache__" in name or "compiled/ahead" in name]
+    assert not [name for name in names if "__pycache__" in name or "kernels.so" in name]
 
 
 def test_tests_pass_from_the_unpacked_archive(made, tmp_path):
@@ -115,7 +115,8 @@ def test_a_shell_completes_the_commands(monkeypatch, capsys):
 
 def test_what_runs_have_compiled_is_removed_and_nothing_else(tmp_path, monkeypatch, capsys):
     monkeypatch.setenv("NUMBA_CACHE_DIR", str(tmp_path))
-    (tmp_path / "a.b.kernel").write_bytes(b"12345")
+    (tmp_path / "odt_plugins" / "stamp").mkdir(parents=True)
+    (tmp_path / "odt_plugins" / "stamp" / "a.b.1.nbc").write_bytes(b"12345")
     (tmp_path / "other").write_bytes(b"1")
     assert cli.main(["cache"]) == 0
     assert "1 kernel, 0.0 MB, in " in capsys.readouterr().out

@@ -1,22 +1,27 @@
-"""How kernels are compiled, kept on disk and spread over threads.
+"""How kernels become machine code, and how they are spread over threads.
 
-A kernel is a function of scalars and arrays that numba compiles (`Kernel`): it holds no lock of
-Python, allocates nothing in inner loops, and its result does not depend on the number of threads.
-A call goes by the types of its arguments to machine code (`function_of`), which needs neither
-numba's modules nor the third of a second that they take to import.  It is kept on disk
-(`load`, `save`) under a name with the hash of the sources of all kernels (`source_stamp`), so that
-no kernel runs with the code of an older one that it calls. What usual runs need is compiled while
-the package is installed (`AHEAD`, `common_machine`; `odt_plugins.ahead` says what that is): a run
-only loads it. Everything else is compiled by the first run that needs it (`compile_whole`) and kept
-for the next.
-`thread_pool` and `run_ranges` give parts of a range to threads, cut alike for any number
-of them; `worth` leaves small meshes to one.
+A kernel is a function of scalars and arrays (`Kernel`): it allocates nothing in inner loops, and
+its result does not depend on the number of threads. Python calls it as machine code of one shared
+library, ``kernels.so``, which is built with the package and needs neither numba nor any Python
+header (``library``): ctypes gives a function numbers and the addresses of NumPy's arrays. The
+library holds every kernel of ``signatures.txt`` for each level of the processor in common use, and
+goes with the sources of all kernels (`stamp`).
 
-numba's front end runs without the passes that no kernel needs (`compiler_for`).  A kernel that
-another one calls is typed once and has no machine code there: the code of all that a kernel needs
-is put together and optimised once, where Python calls it (`Library`).  An index that is no literal
-counts from the start of its array (`from_start`): a kernel asks whether a number is negative before
-it takes it for one.  With NUMBA_BOUNDSCHECK=1 every index is checked, by kernels compiled for that.
+``building`` makes it, by public interfaces of numba and llvmlite: a kernel is compiled once for
+the types it is called with, by itself; what it calls are functions that are somewhere else. What a
+kernel of the library needs is put together and optimised as a whole. ``odt_plugins.ahead`` does so
+in processes side by side and links the library.
 
-Source: numba, https://numba.readthedocs.io.
+Where there is no such library, for types that it has not, and where a user has chosen how numba
+compiles (`CHOSEN`), ``plain`` gives the same kernels to ``numba.njit``, which keeps them in a
+folder of the user. With NUMBA_BOUNDSCHECK=1 every index is checked that way. Results have the same
+bits.
+
+An index counts from the start of its array: a kernel asks whether a number is negative before it
+takes it for one, and no index is written as a negative number.
+
+`thread_pool` and `run_ranges` give parts of a range to threads, cut alike for any number of them;
+`worth` leaves small meshes to one.
+
+Source: numba, https://numba.readthedocs.io; LLVM, https://llvm.org/docs/LangRef.html.
 """

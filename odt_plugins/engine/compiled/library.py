@@ -1,112 +1,137 @@
-"""Code of a kernel and of all kernels that it calls, optimised once.
+"""The library of kernels that comes with an installation, loaded without numba.
 
-numba optimises every kernel with copies of all that it calls, writes machine code of its own for
-it, and does so again in every kernel that calls it.  Here callees
-are kept as code that is not optimised; the kernel that Python calls links each once, and LLVM
-optimises the whole.
+A library has for every kernel and every level of the processor a function ``void f(i64 *slots)``.
+Slots hold the size of the head of Python's objects, then numbers and addresses of arrays, of which
+the function reads place and shape as NumPy's C interface lays them out (`PyArrayObject`). It leaves
+the results in the first slots. ``odt_kernels`` is the table of contents, ``odt_level`` tells which
+of the levels of a processor this one has.
 """
 
 from __future__ import annotations
 
+import contextlib
+import ctypes
+import hashlib
+import os
+import re
+import sys
+from collections.abc import Callable
+from functools import cache
+from pathlib import Path
+from struct import Struct
 from typing import Any
 
-import llvmlite.binding as llvm
-from numba.core.codegen import JITCodeLibrary
+import numpy as np
+
+PACKAGE = Path(__file__).parents[2]
+"""The folder of all kernels."""
+
+MARK = b"compiled.kernel import"
+"""In the files in which kernels stand."""
+
+FILE = Path(__file__).parent / "kernels.so"
+"""The library."""
+
+CHOSEN = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_ENABLE_AVX", "NUMBA_BOUNDSCHECK",
+          "NUMBA_OPT")
+"""Variables of the environment by which a user chooses what numba compiles for, and how."""
+
+HEAD = object.__basicsize__
+"""Bytes before the address of the data of an array."""
+
+CODES = {"int64": "q", "float64": "d", "bool": "?7x"}
+"""Letters of :mod:`struct` for numbers in slots; arrays have an address."""
+
+LEAF = re.compile(r"[\w.]+(?=[\[,)]|$)")
+"""Types of numbers and arrays among those of a kernel."""
+
+Entry = Callable[[tuple[Any, ...], list[Any]], Any]
 
 
-def link_once(library: Any) -> Any:
-    """Give the module of a library that may be linked into several others."""
-    part = isinstance(library, Part)
-    return library._linked_once() if part else library._get_module_for_linking()
+def source_stamp(folder: Path) -> str:
+    """Short hash of the files in a folder, and below, in which kernels stand."""
+    digest = hashlib.sha256()
+    for top, inner, names in os.walk(folder):
+        inner[:] = sorted(set(inner) - {"__pycache__"})
+        for name in sorted(name for name in names if name.endswith(".py")):
+            # An editor may leave links that lead nowhere.
+            with contextlib.suppress(OSError):
+                text = Path(top, name).read_bytes()
+                if MARK in text:
+                    digest.update(hashlib.sha256(text).digest())
+    return digest.hexdigest()[:12]
 
 
-class Library(JITCodeLibrary):  # type: ignore[misc]
-    """Code of a kernel that Python calls: takes in all that it needs, each part once."""
-
-    def __init__(self, codegen: Any, name: str) -> None:
-        super().__init__(codegen, name)
-        self.enable_object_caching()
-
-    def _optimize_functions(self, ll_module: Any) -> None:
-        """Leave it to the passes over the module."""
-        ll_module.data_layout = self._codegen._data_layout
-
-    def finalize(self) -> None:
-        """Take in what is called, optimise all of it, and write machine code.
-
-        What was taken in has no other callers: LLVM leaves out the arguments that it does not use.
-        """
-        self._raise_if_finalized()
-        for library in self.needed():
-            self._final_module.link_in(link_once(library), preserve=True)
-        for function in self._final_module.functions:
-            if function.linkage == llvm.Linkage.linkonce_odr and not function.is_declaration:
-                function.linkage = "internal"
-        self._optimize_final_module()
-        self._finalize_final_module()
-
-    def _optimize_final_module(self) -> None:
-        """Run LLVM's passes once.
-
-        numba has others before them, which bring together what it counts of references: few kernels
-        count any.  It leaves out vectors of a few numbers side by side, such as coordinates.
-        """
-        passes, builder = self._codegen._module_pass_manager(slp_vectorize=True)
-        passes.run(self._final_module, builder)
-
-    def needed(self) -> list[Any]:
-        """List the libraries of all that is called, directly or not, callers before callees.
-
-        LLVM takes in only what is called by then.
-        """
-        found: dict[int, Any] = {}
-        waiting: list[tuple[Any, bool]] = [(library, False) for library in self._linking_libraries]
-        entered = set()
-        while waiting:
-            library, done = waiting.pop()
-            if done:
-                found[id(library)] = library
-            elif id(library) not in entered:
-                entered.add(id(library))
-                waiting.append((library, True))
-                if isinstance(library, Part):
-                    waiting.extend((callee, False) for callee in library._linking_libraries)
-        return list(found.values())[::-1]
+@cache
+def stamp() -> str:
+    """Tells states of the sources apart, as they are at the first call."""
+    return source_stamp(PACKAGE)
 
 
-class Part(Library):
-    """Code of a kernel that another one calls, neither optimised nor translated by itself."""
+def place() -> Path | None:
+    """Where kernels of this user lie that numba compiled; None for a user without a home.
 
-    @property
-    def codegen(self) -> Any:
-        """What would be told the place of the constants, which has no address yet."""
-        return self
+    In NUMBA_CACHE_DIR, or where the system keeps caches.
+    """
+    caches = os.environ.get("NUMBA_CACHE_DIR") or os.environ.get("XDG_CACHE_HOME")
+    caches = caches or os.environ.get("LOCALAPPDATA") or os.path.expanduser("~/.cache")
+    return None if caches.startswith("~") else Path(caches) / "odt_plugins"
 
-    def set_env(self, name: str, environment: Any) -> None:
-        """Leave it to the kernels that take this code in."""
 
-    def finalize(self) -> None:
-        """Leave the code as it is."""
-        self._raise_if_finalized()
-        self._finalized = True
+@cache
+def library() -> dict[str, Entry]:
+    """Load the library: its functions by the kernels' names and types.
 
-    def get_pointer_to_function(self, name: str) -> int:
-        """Tell that there is nothing that Python can call."""
-        self._ensure_finalized()
-        return 0
+    Nothing where there is none for these sources and this processor, or where the user has chosen
+    how numba compiles.
+    """
+    return {} if any(map(os.environ.get, CHOSEN)) else load(FILE)
 
-    def _linked_once(self) -> Any:
-        if self._shared_module is None:
-            self._shared_module = self._final_module.clone()
-            for function in self._shared_module.functions:
-                if not function.is_declaration and function.linkage == llvm.Linkage.external:
-                    function.linkage = "linkonce_odr"
-        return self._shared_module
 
-    def _get_module_for_linking(self) -> Any:
-        """Give this code and all that it needs, for code that numba compiles by itself."""
-        self._ensure_finalized()
-        whole = self._linked_once().clone()
-        for library in self.needed():
-            whole.link_in(link_once(library), preserve=True)
-        return whole
+def load(file: Path) -> dict[str, Entry]:
+    """As :func:`library`, from a file."""
+    try:
+        loaded = ctypes.CDLL(str(file))
+    except OSError:
+        return {}
+    table = ctypes.string_at(ctypes.addressof(ctypes.c_char.in_dll(loaded, "odt_kernels")))
+    of, *lines = table.decode().splitlines()
+    level = loaded.odt_level()
+    if not level or of != stamp() or not _arrays_are_as_known():
+        return {}
+    return {line.partition(" -> ")[0]: _entry(getattr(loaded, f"odt_{level}_{number}"), line)
+            for number, line in enumerate(lines)}
+
+
+def _arrays_are_as_known() -> bool:
+    """Whether place and shape of an array lie where machine code looks for them."""
+    if sys.implementation.name != "cpython":
+        return False
+    array, words = np.empty((2, 3)), ctypes.c_ssize_t * 3
+    data, _, shape = words.from_address(id(array) + HEAD)
+    return data == array.ctypes.data and words.from_address(shape)[:2] == [2, 3]
+
+
+def _entry(function: Any, line: str) -> Entry:
+    """Make a function of a library one of Python.
+
+    Parameters
+    ----------
+    function : of ctypes
+    line : str              of the table of contents, ``module.kernel(types) -> results``
+    """
+    types, _, results = line.partition(" -> ")
+    given = Struct("q" + "".join(CODES.get(kind, "q") for kind in LEAF.findall(types)))
+    made = Struct("".join(map(CODES.__getitem__, LEAF.findall(results))))
+    slots_of = ctypes.c_char * max(given.size, made.size)
+    pack, unpack, single = given.pack_into, made.unpack_from, results in CODES
+
+    def run(args: tuple[Any, ...], slots: list[Any]) -> Any:
+        held = slots_of()
+        pack(held, 0, HEAD, *slots)
+        function(held)
+        if single:
+            return unpack(held)[0]
+        return unpack(held) if made.size else None
+
+    return run

@@ -1,0 +1,380 @@
+"""From the sources of kernels to the code of a library: what happens where the package is built.
+
+Every kernel becomes code of LLVM by itself (`Units.unit`), and calls others as functions that are
+somewhere else.  What a kernel needs that Python calls is put together and optimised as a whole, for
+each level of the processor (`Units.machine_code`).
+"""
+
+from __future__ import annotations
+
+import ast
+import inspect
+import re
+import sys
+from collections.abc import Iterable, Sequence
+from importlib import import_module
+from typing import Any
+
+import llvmlite.binding as llvm
+import numpy as np
+from llvmlite import ir
+from numba import carray, cfunc, njit, types  # type: ignore[attr-defined]
+from numba.extending import intrinsic, lower_builtin, type_callable
+
+from odt_plugins.engine.compiled.kernel import Kernel
+
+LEVELS = {"x86_64": ("x86-64-v2", "x86-64-v3")}
+"""Processors that many share, by LLVM's name, the better last; elsewhere "generic" alone."""
+
+NUMBERS = {"int64": types.int64, "float64": types.float64, "bool": types.boolean}
+"""Types of numbers as a library spells them."""
+
+RESULTS = (types.Boolean, "bool"), (types.Integer, "int64"), (types.Float, "float64")
+"""As what a library returns numbers."""
+
+READ = {"int64": "words[{}]", "float64": "reals[{}]", "bool": "words[{}] != 0"}
+"""How an entry reads a number from a slot."""
+
+ENTRY = """
+def entry(slots):
+    words, reals = carray(slots, {slots}, int64), carray(slots, {slots}, float64)
+    out = kernel({given})
+    {kept}
+"""
+"""What Python calls of a kernel."""
+
+COUNTED = re.compile(r"^ *(?:tail )?call void @NRT_(?:in|de)cref\(.*\n", re.MULTILINE)
+"""Where IR counts references to an array."""
+
+WRAPPER = re.compile(r'^define [^@]*@"?(cfunc\.[^"(]+)"?\(', re.MULTILINE)
+"""Where IR has the function that takes a kernel's arguments as they are."""
+
+CALLED = re.compile(r'^declare [^@]*@"?(cfunc\.[^"(]+)"?\(', re.MULTILINE)
+"""Where IR refers to such a function that is somewhere else."""
+
+APART = re.compile(r"^(attributes #\d+ = \{[^}]*)\bnoinline\b", re.MULTILINE)
+"""Where IR forbids that a function becomes part of its caller."""
+
+FROM_END = re.compile(
+    r"^ *(%\S+) = icmp slt i64 (%\S+), 0\n"
+    r" *(%\S+) = add i64 \2, \S+\n"
+    r" *(%\S+) = select i1 \1, i64 \3, i64 \2\n", re.MULTILINE)
+"""Where IR takes a negative index for one that counts from the end of an array."""
+
+RAISING = re.compile(
+    r'^declare (.*?)(ptr|void|i\d+) @"?((?:numba_|Py|NRT_Free)\w*)"?(\(.*\)).*$', re.MULTILINE)
+"""Where IR declares a function by which numba raises exceptions in Python."""
+
+RUNTIME = """
+@full = private constant [40 x i8] c"odt_plugins: no memory left for kernels\\00"
+declare ptr @malloc(i64)
+declare void @free(ptr)
+declare void @perror(ptr)
+declare void @abort()
+define ptr @NRT_MemInfo_alloc_aligned(i64 %size, i32 %align) {
+  %all = add i64 %size, 128
+  %held = call ptr @malloc(i64 %all)
+  %none = icmp eq ptr %held, null
+  br i1 %none, label %failed, label %got
+failed:
+  call void @perror(ptr @full)
+  call void @abort()
+  unreachable
+got:
+  store i64 1, ptr %held
+  %number = ptrtoint ptr %held to i64
+  %beyond = add i64 %number, 127
+  %even = and i64 %beyond, -64
+  %data = inttoptr i64 %even to ptr
+  %place = getelementptr {i64, ptr, ptr, ptr, i64}, ptr %held, i32 0, i32 3
+  store ptr %data, ptr %place
+  %length = getelementptr {i64, ptr, ptr, ptr, i64}, ptr %held, i32 0, i32 4
+  store i64 %size, ptr %length
+  ret ptr %held
+}
+define void @NRT_MemInfo_call_dtor(ptr %held) {
+  call void @free(ptr %held)
+  ret void
+}
+"""
+"""Arrays that a kernel makes, as numba's code expects them: how often they are referred to, where
+they lie and how long they are, then the array itself, on a line of the cache.  They are scratch of
+a few thousand numbers; a process that has no memory for them ends."""
+
+ASKS = """
+define i32 @odt_level() {
+  %one = call {i32, i32, i32, i32} asm "cpuid", "={ax},={bx},={cx},={dx},{ax},{cx}"(i32 1, i32 0)
+  %c1 = extractvalue {i32, i32, i32, i32} %one, 2
+  %older = and i32 %c1, 9970177
+  %is_v2 = icmp eq i32 %older, 9970177
+  br i1 %is_v2, label %v2, label %v1
+v1:
+  ret i32 0
+v2:
+  %newer = and i32 %c1, 943722496
+  %may_be_v3 = icmp eq i32 %newer, 943722496
+  br i1 %may_be_v3, label %ask, label %only_v2
+only_v2:
+  ret i32 1
+ask:
+  %seven = call {i32, i32, i32, i32} asm "cpuid", "={ax},={bx},={cx},={dx},{ax},{cx}"(i32 7, i32 0)
+  %b7 = extractvalue {i32, i32, i32, i32} %seven, 1
+  %far = call {i32, i32, i32, i32} asm "cpuid", "={ax},={bx},={cx},={dx},{ax},{cx}"(
+    i32 -2147483647, i32 0)
+  %c8 = extractvalue {i32, i32, i32, i32} %far, 2
+  %system = call {i32, i32} asm "xgetbv", "={ax},={dx},{cx}"(i32 0)
+  %saved = extractvalue {i32, i32} %system, 0
+  %b7_has = and i32 %b7, 296
+  %c8_has = and i32 %c8, 32
+  %keeps = and i32 %saved, 6
+  %b7_fits = icmp eq i32 %b7_has, 296
+  %c8_fits = icmp eq i32 %c8_has, 32
+  %keeps_all = icmp eq i32 %keeps, 6
+  %both = and i1 %b7_fits, %c8_fits
+  %is_v3 = and i1 %both, %keeps_all
+  %more = zext i1 %is_v3 to i32
+  %level = add i32 %more, 1
+  ret i32 %level
+}
+"""
+"""Best level of this processor: SSE3, SSSE3, CX16, SSE4.1, SSE4.2 and POPCNT make v2, and FMA,
+MOVBE, OSXSAVE, AVX, F16C, BMI, AVX2, BMI2, LZCNT and a system that saves their registers v3.
+
+Source: Intel 64 and IA-32 Architectures Software Developer's Manual, volume 2, CPUID."""
+
+
+def _address(typing: Any, number: Any) -> Any:
+    """Take a number for a place in memory."""
+    def code(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+        return builder.inttoptr(args[0], context.get_value_type(types.voidptr))
+
+    return types.voidptr(types.int64), code
+
+
+address: Any = intrinsic(_address)
+"""Place in memory that has a number."""
+
+
+def named(name: ast.expr) -> Any:
+    """Give what a dotted name stands for."""
+    module, _, last = ast.unparse(name).rpartition(".")
+    return getattr(import_module(module), last)
+
+
+@njit  # type: ignore[misc]
+def array1(head: Any, kind: Any) -> Any:
+    """Array by the place where the head of NumPy's object ends: place, number of axes, shape."""
+    held = carray(address(head), 3, np.int64)
+    return carray(address(held[0]), carray(address(held[2]), 1, np.int64)[0], kind)
+
+
+@njit  # type: ignore[misc]
+def array2(head: Any, kind: Any) -> Any:
+    """As :func:`array1`, of two axes."""
+    held = carray(address(head), 3, np.int64)
+    shape = carray(address(held[2]), 2, np.int64)
+    return carray(address(held[0]), (shape[0], shape[1]), kind)
+
+
+@njit  # type: ignore[misc]
+def array3(head: Any, kind: Any) -> Any:
+    """As :func:`array1`, of three axes."""
+    held = carray(address(head), 3, np.int64)
+    shape = carray(address(held[2]), 3, np.int64)
+    return carray(address(held[0]), (shape[0], shape[1], shape[2]), kind)
+
+
+class Slots:
+    """How an entry reads its arguments: types for numba, and code."""
+
+    def __init__(self) -> None:
+        self.names: dict[str, Any] = {
+            "carray": carray, "int64": np.int64, "float64": np.float64,
+            "array1": array1, "array2": array2, "array3": array3}
+        self.count = 1
+        """The first slot holds the length of the head of an object."""
+
+    def read(self, spelled: ast.expr) -> tuple[Any, str]:
+        """Type of an argument, and the code that reads it."""
+        slot = self.count
+        if isinstance(spelled, ast.Call):
+            kinds, codes = zip(*map(self.read, spelled.args), strict=True)
+            inner = ", ".join(codes)
+            if ast.unparse(spelled.func) == "tuple":
+                return types.Tuple(kinds), f"({inner},)"
+            made, name = named(spelled.func), f"tuple{len(self.names)}"
+            self.names[name] = made
+            return types.BaseTuple.from_types(kinds, made), f"{name}({inner})"
+        self.count += 1
+        if not isinstance(spelled, ast.Subscript):
+            name = ast.unparse(spelled)
+            return NUMBERS[name], READ[name].format(slot)
+        kind, axes = np.dtype(ast.unparse(spelled.value)).type, int(ast.unparse(spelled.slice))
+        self.names[kind.__name__] = kind
+        array = types.Array(NUMBERS.get(kind.__name__) or getattr(types, kind.__name__), axes, "C")
+        return array, f"array{axes}(words[{slot}] + words[0], {kind.__name__})"
+
+
+class Units:
+    """Kernels as IR, each compiled once for some types of arguments."""
+
+    def __init__(self) -> None:
+        self._parts: dict[str, tuple[bytes, set[str]]] = {}
+        self._known: dict[Any, tuple[str, Any]] = {}
+        self._told: set[Kernel] = set()
+
+    def tell(self) -> None:
+        """Tell numba how kernels call the kernels of all modules that are imported."""
+        for module in tuple(sys.modules.values()):
+            for value in tuple(getattr(module, "__dict__", {}).values()):
+                if isinstance(value, Kernel) and value not in self._told:
+                    self._told.add(value)
+                    self._tell(value)
+
+    def _tell(self, kernel: Kernel) -> None:
+        bare = inspect.signature(kernel.py_func).replace(return_annotation=inspect.Signature.empty)
+
+        @type_callable(kernel)
+        def typed(context: Any) -> Any:
+            def typer(*args: Any) -> Any:
+                return self.unit(kernel, args)[1](*map(types.unliteral, args))
+
+            typer.__signature__ = bare  # type: ignore[attr-defined]
+            return typer
+
+        @lower_builtin(kernel, types.VarArg(types.Any))
+        def lowered(context: Any, builder: Any, signature: Any, args: Any) -> Any:
+            name, result = self.unit(kernel, signature.args)
+            kind = ir.FunctionType(
+                context.get_value_type(result), [context.get_value_type(t) for t in signature.args])
+            known = builder.module.globals.get(name)
+            return builder.call(known or ir.Function(builder.module, kind, name), args)
+
+    def unit(self, kernel: Kernel, args: Sequence[Any]) -> tuple[str, Any]:
+        """Compile a kernel for some types; gives its name in IR and the type of its result."""
+        key = kernel, tuple(map(types.unliteral, args))
+        if key not in self._known:
+            made = njit(  # type: ignore[call-overload]
+                error_model="numpy", forceinline=kernel.inlined, no_cpython_wrapper=True,
+            )(kernel.py_func)
+            made.compile(key[1])
+            text = made.inspect_llvm(key[1])
+            (name,) = WRAPPER.findall(text)
+            # numba asks for all addresses, though nothing is run here.
+            llvm.add_symbol(name, 1)
+            self._keep(name, text if kernel.allocates else COUNTED.sub("", text))
+            self._known[key] = name, made.nopython_signatures[0].return_type
+        return self._known[key]
+
+    def entry(self, line: str) -> tuple[str, str]:
+        """Compile what Python calls of a kernel: reads slots, and leaves results there.
+
+        Parameters
+        ----------
+        line : str    ``module.kernel(types)``, types as :func:`..kernel.spelled` has them
+
+        Returns
+        -------
+        its name in IR, and the types of the results
+        """
+        call: Any = ast.parse(line, mode="eval").body
+        kernel, slots = named(call.func), Slots()
+        self.tell()
+        given = [slots.read(arg) for arg in call.args]
+        result = self.unit(kernel, [kind for kind, _ in given])[1]
+        several = isinstance(result, types.BaseTuple)
+        results = result if several else () if result is types.none else (result,)
+        made = [next(name for kind, name in RESULTS if isinstance(each, kind)) for each in results]
+        kept = [f"{'reals' if kind == 'float64' else 'words'}[{place}] = "
+                f"out{f'[{place}]' if several else ''}" for place, kind in enumerate(made)]
+        names = slots.names | {"kernel": kernel}
+        exec(ENTRY.format(slots=max(slots.count, len(made)), kept="; ".join(kept),
+                          given=", ".join(code for _, code in given)), names)
+        whole = cfunc(types.void(types.voidptr), error_model="numpy")(names["entry"])
+        self._keep(whole.native_name, whole.inspect_llvm())
+        return whole.native_name, f"({', '.join(made)})" if several else ", ".join(made)
+
+    def _keep(self, name: str, text: str) -> None:
+        self._parts[name] = linkable(text), {*CALLED.findall(text)}
+
+    def machine_code(self, entry: str, name: str, processor: str) -> bytes:
+        """Optimise an entry with all that it needs, for one processor; gives an object file.
+
+        Parameters
+        ----------
+        entry : str        its name in IR
+        name : str         what it is called in the object file
+        processor : str    LLVM's name
+        """
+        whole, waiting, taken = llvm.parse_assembly(RUNTIME), [entry], {entry}
+        for part in waiting:
+            code, called = self._parts[part]
+            whole.link_in(llvm.parse_bitcode(code))
+            waiting += sorted(called - taken)
+            taken |= called
+        for function in whole.functions:
+            if function.name == entry:
+                function.name = name
+            elif not function.is_declaration:
+                function.linkage = "internal"
+                if function.name.startswith("cfunc."):
+                    function.add_function_attribute("alwaysinline")
+        for variable in whole.global_variables:
+            if not variable.is_declaration:
+                variable.linkage = "internal"
+        target = machine(processor, 3)
+        return _compiled(optimised(whole, target, 3), target)
+
+
+def table(lines: Iterable[str]) -> bytes:
+    """Object file of a library's table of contents, and of what asks for the processor."""
+    text = "\n".join(lines).encode() + b"\0"
+    letters = "".join(f"\\{byte:02x}" for byte in text)
+    asks = ASKS if len(levels()) > 1 else "define i32 @odt_level() { ret i32 1 }"
+    return _compiled(llvm.parse_assembly(
+        f'@odt_kernels = constant [{len(text)} x i8] c"{letters}"\n{asks}'), machine("", 0))
+
+
+def levels() -> tuple[str, ...]:
+    """Processors of this family for which a library has kernels, LLVM's names."""
+    return LEVELS.get(llvm.get_process_triple().partition("-")[0], ("generic",))
+
+
+def machine(processor: str, effort: int) -> Any:
+    """What LLVM compiles for."""
+    llvm.initialize_native_target()
+    llvm.initialize_native_asmprinter()
+    llvm.initialize_native_asmparser()
+    return llvm.Target.from_default_triple().create_target_machine(
+        cpu=processor, opt=effort, reloc="pic", codemodel="default")
+
+
+def optimised(module: Any, target: Any, effort: int) -> Any:
+    """Run LLVM's passes over a module."""
+    choice = llvm.create_pipeline_tuning_options(speed_level=effort)
+    choice.loop_vectorization = choice.slp_vectorization = effort > 1
+    builder = llvm.create_pass_builder(target, choice)
+    builder.getModulePassManager().run(module, builder)
+    return module
+
+
+def linkable(text: str) -> bytes:
+    """Code in LLVM's bits that needs nothing of Python: nothing raises, arrays are of RUNTIME.
+
+    It is made shorter at once: numba takes tuples of many arrays apart and together at every use.
+    """
+    def empty(found: re.Match[str]) -> str:
+        kind = found[2]
+        value = "" if kind == "void" else "null" if kind == "ptr" else "0"
+        head = f"define linkonce_odr {found[1]}{kind} @{found[3]}{found[4]}"
+        return f"{head} {{ ret {kind} {value} }}"
+
+    text = FROM_END.sub(r"  \4 = add i64 \2, 0\n", APART.sub(r"\1nounwind", text))
+    module = llvm.parse_assembly(RAISING.sub(empty, text))
+    code: bytes = optimised(module, machine("", 1), 1).as_bitcode()
+    return code
+
+
+def _compiled(module: Any, target: Any) -> bytes:
+    code: bytes = target.emit_object(module)
+    return code
