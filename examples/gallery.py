@@ -17,6 +17,7 @@ from typing import Any
 from unittest import mock
 
 import numpy as np
+import skfem
 from matplotlib.collections import PolyCollection
 from matplotlib.figure import Figure
 from PIL import Image
@@ -33,6 +34,7 @@ from odt_plugins.compare.start import stored
 from odt_plugins.distributed import optimize as blockwise
 from odt_plugins.distributed.partition import bricks
 from odt_plugins.figures import angles, radius_ratio
+from odt_plugins.report.interpolation import interpolation_errors
 from odt_plugins.report.plotting import SCALE, paint_mesh
 
 AIRFOIL = Path(__file__).parent / "meshes" / "airfoil.vtu"
@@ -149,6 +151,37 @@ def plane(path: Path) -> None:
     before = read_file(AIRFOIL)
     mesh = before.points[:, :2], before.cells_dict["triangle"]
     in_the_plane({"before": mesh, "after": odt_plugins.optimize(mesh)}, path)
+
+
+def front(x: np.ndarray) -> np.ndarray:
+    """A layer along the circle or the sphere of radius .7 around the origin."""
+    return np.asarray(np.tanh(30 * (np.linalg.norm(x, axis=1) - 0.7)))
+
+
+def adapted_to_front(d: int, cells: int, rounds: int = 4) -> Arrays:
+    """The unit square or cube, remeshed in the metric of that layer."""
+    axis = np.linspace(0.0, 1.0, 30 if d == 2 else 9)
+    grid = (skfem.MeshTri if d == 2 else skfem.MeshTet).init_tensor(*[axis] * d)
+    mesh: Arrays = grid.p.T.copy(), grid.t.T.copy()
+    for _ in range(rounds):
+        metric = odt_plugins.metric_from_field(mesh, front, cells)
+        mesh = odt_plugins.remesh(mesh, metric=metric, free="periodic")
+    return mesh
+
+
+def adapted(path: Path) -> None:
+    """Meshes adapted to a layer, in the plane and cut open in space."""
+    figure, panels = row_of(2)
+    (p, t), solid = adapted_to_front(2, 2500), adapted_to_front(3, 20_000)
+    panels[0].add_collection(PolyCollection(p[t], facecolors="#eef3f7", edgecolors="#26323a",
+                                            linewidths=0.3))
+    panels[0].set(aspect="equal", xlim=(0, 1), ylim=(0, 1))
+    panels[0].set_axis_off()
+    painted = paint_mesh(panels[1], *solid)
+    for axes, (points, cells) in zip(panels, ((p, t), solid), strict=True):
+        error = interpolation_errors(points, cells, front)
+        axes.set_title(f"{len(cells)} cells\nL2 error {error.l2:.1e}", fontsize=10)
+    with_scale(figure, painted, path)
 
 
 def objectives(path: Path) -> None:
@@ -273,7 +306,7 @@ def many(path: Path) -> None:
 PICTURES: dict[str, Callable[[Path], None]] = {
     "slide": slide, "insert": insert, "curvature": curvature, "plane": plane,
     "objectives": objectives, "blocks": blocks, "script": script, "scan": scan, "sizes": sizes,
-    "others": others, "many": many,
+    "others": others, "many": many, "adapted": adapted,
 }
 
 

@@ -32,7 +32,7 @@ CURVATURE = "curvature"
 @with_option_signature(*NOT_SIZED, boundary="slide")
 def remesh(
     mesh: Any, size: Any = None, *, scale: float | None = None, cells: int | None = None,
-    vertices: int | None = None, growth: float = 1.3, most_cells: int = 20_000_000,
+    vertices: int | None = None, growth: float | None = None, most_cells: int = 20_000_000,
     **options: Unpack[OptionKeywords],
 ) -> Any:
     """Give a mesh other sizes: edges are split and collapsed, and the mesh is then optimised.
@@ -52,7 +52,8 @@ def remesh(
     cells, vertices : int     instead, how many there are to be, as near as possible, where sizes
                               are in proportion as they are
     growth : float            largest ratio of the sizes at the ends of an edge as long as the
-                              smaller one; what grows faster is made smaller
+                              smaller one; what grows faster is made smaller. 1.3 unless given, 3
+                              with a `metric`, of lengths in any direction
     most_cells : int          a mesh of more is refused before it is made
     **options
                               The fields of :class:`odt_plugins.Options`, but `insert` and
@@ -98,7 +99,7 @@ def remesh(
 @with_option_signature(*NOT_SIZED, boundary="slide")
 def remesh_with_report(
     mesh: Any, size: Any = None, *, scale: float | None = None, cells: int | None = None,
-    vertices: int | None = None, growth: float = 1.3, most_cells: int = 20_000_000,
+    vertices: int | None = None, growth: float | None = None, most_cells: int = 20_000_000,
     **options: Unpack[OptionKeywords],
 ) -> tuple[Any, Report]:
     """Give a mesh other sizes as :func:`remesh` does and tell what was done.
@@ -166,7 +167,9 @@ def check_sizes(size: Any = None, **given: Any) -> None:
 
 def _wish(size: Any, wishes: dict[str, Any], *, metric: bool) -> Wish:
     """What the arguments ask for."""
+    from odt_plugins.engine.remesh.wish import GROWTH as OF_SIZES
     from odt_plugins.engine.remesh.wish import Wish
+    from odt_plugins.metric.limits import GROWTH as OF_METRICS
 
     length = None
     given = isinstance(size, str) or callable(size) or np.ndim(size) > 0
@@ -182,6 +185,8 @@ def _wish(size: Any, wishes: dict[str, Any], *, metric: bool) -> Wish:
         raise InvalidOptionError(msg)
     if metric and all(wishes.get(name) is None for name in ("scale", "cells", "vertices")):
         wishes = wishes | {"scale": 1.0}
+    if wishes.get("growth") is None:
+        wishes = wishes | {"growth": max(OF_METRICS.values()) if metric else OF_SIZES}
     curved = isinstance(size, str) and size == CURVATURE
     return Wish(length=length, curved=curved, given=given and not curved, **wishes)
 

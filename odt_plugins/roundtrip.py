@@ -70,6 +70,7 @@ from odt_plugins.mesh.simplex import (
 from odt_plugins.mesh.soup import at_copies, same_places
 from odt_plugins.mesh.surface import surface_mesh
 from odt_plugins.mesh.tangled import tangled_mesh
+from odt_plugins.metric.looks import ADVICE, MOST, looks_anisotropic
 from odt_plugins.metric.through import with_metric
 from odt_plugins.options import Options
 from odt_plugins.progress import kernels_shown, part, telling
@@ -119,6 +120,11 @@ def run_engine(
             was = () if work.tangle is None else (work.tangle.before, work.tangle.source)
             kept, layers = keep_layers(work.mesh, options.threads, *was)
             work = work._replace(mesh=kept)
+        stretched = layers > MOST * len(work.mesh.cells) or (
+            options.layers == "improve" and "metric" not in wanted.refused
+            and looks_anisotropic(work.mesh, options.threads))
+        if stretched and options.metric is None:
+            work = work._replace(notes=(*work.notes, ADVICE))
         slides = options.boundary == "slide" and work.frame is None
         moves = work.host.geometry is not None and (work.mesh.is_surface or slides)
         leaving = partial(_as_it_leaves, work, options.threads, onto=moves)

@@ -25,9 +25,9 @@ SIZES: dict[str, dict[str, Any]] = {
                                      "twice as coarse."},
     "cells": {"type": int, "help": "Instead: how many cells, about."},
     "vertices": {"type": int, "help": "Instead: how many vertices, about."},
-    "growth": {"type": float, "default": 1.3, "show_default": True,
+    "growth": {"type": float,
                "help": "Largest ratio of the sizes at the ends of an edge as long as the smaller "
-                       "one."},
+                       "one; 1.3 unless given, 3 of lengths in a metric."},
     "most_cells": {"type": int, "default": 20_000_000, "show_default": True,
                    "help": "Refuse to make more cells."},
 }

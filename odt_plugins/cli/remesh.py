@@ -23,6 +23,9 @@ from odt_plugins.options import NOT_SIZED, OPTIONS
 @click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
 @click.argument("target", metavar="OUTPUT", type=click.Path(path_type=Path))
 @size_flags()
+@click.option("--adapt", multiple=True, metavar="NAME",
+              help="Point array to whose second derivatives sizes and shapes of cells are adapted, "
+                   "so that --cells or --vertices interpolate it best. May be given several times.")
 @click.option("--boundary", type=click.Choice(OPTIONS["boundary"].metadata["choices"]),
               default="slide", show_default=True,
               help="slide moves, adds and removes vertices of the boundary, of interfaces and of "
@@ -32,13 +35,17 @@ from odt_plugins.options import NOT_SIZED, OPTIONS
               help="Write the report there as JSON.")
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 def remesh(
-    source: Path, target: Path, report_file: Path | None, quiet: bool, **options: Any,
+    source: Path, target: Path, report_file: Path | None, quiet: bool, adapt: tuple[str, ...],
+    **options: Any,
 ) -> int:
     """Give the mesh INPUT other sizes and write it to OUTPUT with all its data.
 
     One of --size, --scale, --cells and --vertices says how fine it is to be. Surfaces stay within
     --envelope of those of INPUT, both ways.
     """
+    if adapt and options["cells"] is None and options["vertices"] is None:
+        msg = "got --adapt without a number of cells; expected --cells or --vertices beside it"
+        raise click.UsageError(msg)
     check_paths(target, report_file, None)
     sizes = take_sizes(options)
     options = resolve_arrays(source, options)
@@ -47,11 +54,24 @@ def remesh(
 
     check_output(target)
     with warnings_told(quiet), progress_bar(quiet) as progress:
-        found, report = remesh_with_report(
-            read_file(source), **sizes | options | {"progress": progress})
+        mesh = read_file(source)
+        if adapt:
+            options["metric"] = adapted(mesh, adapt, **sizes)
+        found, report = remesh_with_report(mesh, **sizes | options | {"progress": progress})
         write_file(target, found)
     if not quiet:
         click.echo(in_flags(str(report)))
     if report_file:
         write_beside(report_file, lambda path: path.write_text(report.to_json() + "\n"))
     return 0
+
+
+def adapted(
+    mesh: Any, names: tuple[str, ...], *, cells: int | None = None, vertices: int | None = None,
+    growth: float | None = None, **_: Any,
+) -> Any:
+    """The metric of some point arrays of a mesh; numbers of vertices are near enough."""
+    from odt_plugins.metric.field import metric_from_field
+
+    count = cells or 5 * (vertices or 1)
+    return metric_from_field(mesh, list(names), count, growth=growth)

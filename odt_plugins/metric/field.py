@@ -24,7 +24,7 @@ from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import corner_mean, diagonal
 from odt_plugins.metric.given import MOST_RATIO
 from odt_plugins.metric.hessian import Tangents, recovered_hessians, tangents
-from odt_plugins.metric.limits import bounded_metric, grown_metric
+from odt_plugins.metric.limits import GROWTH, bounded_metric, grown_metric
 from odt_plugins.roundtrip import flat_points
 
 NOTHING = 1e-8
@@ -42,7 +42,7 @@ NEAR = 0.005
 
 
 def metric_from_field(
-    mesh: Any, values: Any, cells: int, *, norm: float = 2.0, growth: float = 1.5,
+    mesh: Any, values: Any, cells: int, *, norm: float = 2.0, growth: float | None = None,
     ratio: float = 1e3,
 ) -> FloatArray:
     """Make a metric in which a mesh of so many cells interpolates a field with the least error.
@@ -60,7 +60,8 @@ def metric_from_field(
     norm : float                 p of the L^p norm of the error that is to be least; inf for the
                                  largest error. The larger it is the more cells go to where the
                                  field is steepest
-    growth : float               largest ratio of lengths at the ends of an edge of length 1
+    growth : float               largest ratio of lengths at the ends of an edge of length 1; 3 for
+                                 triangles and 1.6 for tetrahedra unless given
     ratio : float                largest ratio of the lengths of a cell in two directions
 
     Returns
@@ -102,8 +103,8 @@ def metric_from_field(
     _expect(isinstance(cells, Integral) and not isinstance(cells, bool) and cells >= 1, "cells",
             cells, "an integer of at least 1")
     _expect(_is_real(norm) and norm >= 1.0, "norm", norm, "a number of at least 1, or inf")
-    _expect(_is_real(growth) and 1.0 < growth < math.inf, "growth", growth,
-            "a number above 1, such as 1.5")
+    good = growth is None or (_is_real(growth) and 1.0 < growth < math.inf)
+    _expect(good, "growth", growth, "a number above 1, such as 1.6")
     _expect(_is_real(ratio) and 1.0 <= ratio <= MOST_RATIO, "ratio", ratio,
             f"a number from 1 to {MOST_RATIO:g}")
     host = find_adapter(mesh).read(mesh)
@@ -112,7 +113,7 @@ def metric_from_field(
         corners = np.ascontiguousarray(host.cells, dtype=np.int32)
         fields = [_values(host, part) for part in _parts(values)]
     along = tangents(points, corners) if points.shape[1] == corners.shape[1] else None
-    limits = growth, ratio
+    limits = growth or GROWTH[corners.shape[1] - 1], ratio
     found = [hessians_to_metric(points, corners, recovered_hessians(points, corners, field, along),
                                 _least(points, corners, field), cells, norm, limits, along)
              for field in fields]

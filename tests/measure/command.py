@@ -7,13 +7,14 @@ from pathlib import Path
 import click
 
 from measure.ablation import ablation
+from measure.aniso import aniso_tables
 from measure.robustness import FILE, run_hard
 from measure.scaling import FILES, PARTS, run_scaling
 from odt_plugins.compare.start import read_start, suite
 from odt_plugins.compare.table import as_text
 from odt_plugins.options import Options
 
-NAMES = (*PARTS, "hard", "ablation")
+NAMES = (*PARTS, "hard", "ablation", "aniso")
 
 
 def _known(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) -> tuple[str, ...]:
@@ -41,7 +42,7 @@ def main(words: tuple[str, ...], out: Path, smallest: int, largest: int, threads
     How time, memory and iterations grow: stages, surface, races, forty-sweeps, multigrid,
     bandwidth, threads, blocks, generation, ladder, small, cold. Default runs on hard meshes, and
     whether the promise holds on each: hard. What each phase of the schedule gains on each MESH, or
-    on the standard suite: ablation.
+    on the standard suite: ablation. Errors of meshes that are adapted to functions: aniso.
     """
     def say(line: str) -> None:
         click.echo(line, err=True)
@@ -57,3 +58,6 @@ def main(words: tuple[str, ...], out: Path, smallest: int, largest: int, threads
         meshes = [read_start(Path(word)) for word in words if word not in NAMES]
         table = ablation(meshes or suite("standard"), Options(threads=threads), say)
         click.echo("\n".join(as_text(table)[1:]))
+    if "aniso" in words:
+        for table in aniso_tables(say):
+            click.echo("\n".join(as_text(table)))

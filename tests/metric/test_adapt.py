@@ -1,0 +1,72 @@
+"""Meshes that are adapted to a field, from Python and from the command line."""
+
+from __future__ import annotations
+
+import meshio
+import numpy as np
+import pytest
+from measure import aniso
+from strategies import jittered
+
+import odt_plugins
+from odt_plugins.cli import main as cli
+from odt_plugins.report.interpolation import interpolation_errors
+
+
+def front(x):
+    return np.tanh(20.0 * (x[:, 0] - 0.5 + 0.1 * np.sin(6.0 * x[:, 1])))
+
+
+def stored(place):
+    points, cells = jittered(2, 16, 0)
+    data = {"temperature": front(points), "flat": points[:, 0]}
+    mesh = meshio.Mesh(np.pad(points, ((0, 0), (0, 1))), [("triangle", cells)], data)
+    mesh.write(place / "in.vtu")
+    return mesh
+
+
+def test_the_command_adapts_to_an_array(tmp_path):
+    mesh = stored(tmp_path)
+    files = [str(tmp_path / name) for name in ("in.vtu", "out.vtu")]
+    words = ["remesh", *files, "--adapt", "temperature", "--cells", "1500", "--quiet"]
+    assert cli.main(words) == 0
+    out = meshio.read(files[1])
+    rows = out.cells_dict["triangle"]
+    assert 1200 < len(rows) < 1800
+    uniform = odt_plugins.remesh(mesh, cells=1500)
+    errors = [interpolation_errors(m.points[:, :2], m.cells_dict["triangle"], front).l2
+              for m in (out, uniform)]
+    assert errors[0] < 0.4 * errors[1]
+
+
+@pytest.mark.parametrize(("flags", "message"), [
+    (["--adapt", "temperature"], "got --adapt without a number of cells; expected --cells or"),
+    (["--adapt", "heat", "--cells", "100"], "got field 'heat'; expected the name of a point array"),
+])
+def test_what_cannot_be_adapted_to_is_refused(flags, message, tmp_path, capsys):
+    stored(tmp_path)
+    assert cli.main(["remesh", *(str(tmp_path / name) for name in ("in.vtu", "out.vtu")), *flags])
+    assert message in " ".join(capsys.readouterr().err.split())
+    assert not (tmp_path / "out.vtu").exists()
+
+
+def test_second_derivatives_and_errors_of_the_benchmark(monkeypatch):
+    x = np.random.default_rng(0).random((50, 2))
+    monkeypatch.setitem(aniso.TESTS, "sphere", lambda x: x[..., 0] ** 3 + x[..., 0] * x[..., 1])
+    exact = np.zeros((50, 2, 2))
+    exact[:, 0, 0], exact[:, 0, 1], exact[:, 1, 0] = 6.0 * x[:, 0], 1.0, 1.0
+    assert np.allclose(aniso.hessians(aniso.TESTS["sphere"], x), exact, atol=1e-6)
+    found = [aniso.Adapted((np.zeros((n, 2)), np.arange(n)[:, None]),
+                           aniso.Errors(0.0, 5.0 / n, 0.0), 0.0) for n in (100, 200, 400)]
+    assert aniso.order(2, found) == pytest.approx(2.0)
+
+
+def test_the_benchmark_has_a_row_for_each(monkeypatch):
+    monkeypatch.setattr(aniso, "LARGEST", {2: 300})
+    monkeypatch.setattr(aniso, "HALVINGS", 0)
+    monkeypatch.setattr(aniso, "ROUNDS", 2)
+    monkeypatch.setattr(aniso, "TESTS", {"sphere": aniso.sphere})
+    table = aniso.aniso_tables(lambda _: None, (2,))[0]
+    assert table.heads == aniso.HEADS
+    assert {row[1] for row in table.rows} <= {"odt-plugins", "mmg"}
+    assert float(table.rows[0][8]) < 3.0
