@@ -104,6 +104,12 @@ def vertex_root(points: FloatArray, i: int) -> Root:
 
 
 @kernel
+def inverse_root(points: FloatArray, i: int) -> Root:
+    """S^-1 at a vertex."""
+    return exponential(_times(-1.0, _row(points, i)))
+
+
+@kernel
 def edge_root(points: FloatArray, i: int, j: int) -> Root:
     """S of an edge."""
     return exponential(_times(0.5, _sum(_row(points, i), _row(points, j))))

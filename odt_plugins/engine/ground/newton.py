@@ -14,7 +14,7 @@ from odt_plugins.engine.ground.lines import Lines, line_direction
 from odt_plugins.engine.ground.position import DECREASE, Body, Step, along_line, try_move
 from odt_plugins.engine.ground.sheet import LINE, LOCKED, Guards, Sheet, Work
 from odt_plugins.engine.moves.newton2d import newton_step_2d
-from odt_plugins.engine.moves.plane_step import plane_step
+from odt_plugins.engine.moves.plane_step import seen_plane_step
 from odt_plugins.engine.moves.tangent import complete_axes, set_axes, star_normal
 from odt_plugins.engine.topology.star import Stars
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -107,7 +107,8 @@ def _body_step(
     h11 = _form(out, ax, ay, az, ax, ay, az)
     h12 = _form(out, ax, ay, az, bx, by, bz)
     h22 = _form(out, bx, by, bz, bx, by, bz)
-    d1, d2 = plane_step(g1, g2, h11, h12, h22, sheet.kind[v] == LINE)
+    d1, d2 = seen_plane_step(
+        sheet.points, v, e, g1, g2, h11, h12, h22, sheet.kind[v] == LINE)
     return Step(
         d1 * ax + d2 * bx, d1 * ay + d2 * by, d1 * az + d2 * bz, d1, out[0], g1 * d1 + g2 * d2
     )

@@ -11,7 +11,7 @@ from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
 from odt_plugins.engine.cells.measures import star_state_2d, star_terms_2d
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
-from odt_plugins.engine.moves.plane_step import plane_step
+from odt_plugins.engine.moves.plane_step import seen_plane_step
 from odt_plugins.engine.moves.tangent import set_axes, star_normal
 from odt_plugins.engine.topology.star import Stars
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -47,7 +47,8 @@ def newton_step_2d(
     if not before < np.inf:
         return before, 0.0, 0.0, 0.0, 0.0
     g1, g2 = derivatives[0], derivatives[1]
-    d1, d2 = plane_step(g1, g2, derivatives[2], derivatives[3], derivatives[4], on_a_line)
+    d1, d2 = seen_plane_step(
+        points, v, axes, g1, g2, derivatives[2], derivatives[3], derivatives[4], on_a_line)
     return (
         before, g1 * d1 + g2 * d2, d1 * axes[0, 0] + d2 * axes[1, 0],
         d1 * axes[0, 1] + d2 * axes[1, 1], d1 * axes[0, last] + d2 * axes[1, last],

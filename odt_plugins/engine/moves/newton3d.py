@@ -13,6 +13,7 @@ import numpy as np
 from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
 from odt_plugins.engine.cells.measures import Room, make_room, moved_state, star_state, star_terms
+from odt_plugins.engine.cells.metric import add_seen_terms, has_metric, inverse_root, through
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.topology.star import Stars
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -80,7 +81,15 @@ def newton_vertex(
     z = points[v, 2]
     if not star_terms(points, cells, indices, start, stop, v, cost, room):
         return 0.0
-    found, dx, dy, dz = _newton_direction(out)
+    if has_metric(points):
+        # orthonormal directions are those that the vertex sees so: y = S x
+        inverse = inverse_root(points, v)
+        room.seen[:] = 0.0
+        add_seen_terms(out, inverse, room.seen)
+        found, dx, dy, dz = _newton_direction(room.seen)
+        dx, dy, dz = through(inverse, dx, dy, dz)
+    else:
+        found, dx, dy, dz = _newton_direction(out)
     if not found:
         return 0.0
     slope = out[1] * dx + out[2] * dy + out[3] * dz

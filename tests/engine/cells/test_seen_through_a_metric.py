@@ -4,8 +4,11 @@ import numpy as np
 import pytest
 
 from odt_plugins.engine.cells.cost import Cost
+from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.measures import MEASURES, make_room, star_terms, star_terms_2d
 from odt_plugins.engine.cells.sphere import circumsphere, inside_sphere
+from odt_plugins.engine.moves.newton2d import newton_vertex_2d
+from odt_plugins.engine.moves.newton3d import newton_vertex
 from odt_plugins.engine.odt.sweeps import gauss_seidel_sweep
 from odt_plugins.engine.odt.total_energy import total_energy
 from odt_plugins.engine.record.figures import cell_shapes
@@ -147,3 +150,27 @@ def test_a_sweep_and_its_energy_are_those_of_the_image(d):
 def test_units_of_a_metric():
     rows = rows_of(np.diag([2.0, 3.0, 5.0]), 1)
     np.testing.assert_allclose(in_unit(rows, 4.0), rows_of(np.diag([0.5, 0.75, 1.25]), 1))
+
+
+@pytest.mark.parametrize("kind", ["tets", "plane", "surface"])
+def test_a_newton_step_is_that_of_the_image(kind):
+    rng = np.random.default_rng(13)
+    points, cells = tets(rng) if kind == "tets" else triangles(2 if kind == "plane" else 3)
+    d, n = points.shape[1], len(points)
+    points[0] += 0.05
+    axes = np.linalg.qr(rng.normal(size=(d, d)))[0]
+    s = axes @ np.diag([30.0, 1.0, 0.5][:d]) @ axes.T
+    if kind == "surface":
+        points[:, 2] = 0.0
+        s[2, :2] = s[:2, 2] = 0.0
+        s[:2, :2], s[2, 2] = np.diag([30.0, 1.0]), 1.0
+    seen, image = np.column_stack([points, rows_of(s, n)]), np.ascontiguousarray(points @ s)
+    star = np.array([0, 1], dtype=np.int32)
+    free, cost = Extremes(-1.0, 1.0, -1.0), Cost(1, 2.0)
+    for p in (seen, image):
+        if kind == "tets":
+            newton_vertex(p, cells, star, 0, 2, 0, cost, free, make_room())
+        else:
+            newton_vertex_2d(p, cells, star, 0, cost, free, np.empty(5), np.eye(2, d))
+    assert not np.allclose(seen[0, :d], points[0])
+    np.testing.assert_allclose(seen[0, :d] @ s, image[0], atol=1e-9)
