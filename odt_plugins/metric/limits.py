@@ -16,10 +16,8 @@ from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 
 GROWTH = {2: 3.0, 3: 1.6}
 """Largest ratio of lengths at the ends of an edge of length 1 unless another is given, by the
-dimension of cells. Less of it takes cells away from where the metric is fine: in the plane the L^2
-errors of adapted meshes were 1.4 and 1.8 times as large with 1.5, for crossing and for boundary
-layers. More of it than the cells follow makes them worse: in space, for a spherical layer, 1.15
-times as large with 3 as with 1.6."""
+dimension of cells. Less of it takes cells away from where the metric is fine; more of it than the
+cells follow makes them worse, in space sooner than in the plane."""
 
 SWEEPS = 40
 """Most sweeps over the edges; a sweep takes a bound as far as neighbours of neighbours."""

@@ -7,9 +7,10 @@ from itertools import combinations_with_replacement
 
 import numpy as np
 
+from odt_plugins.adapters.fields import named_metric
 from odt_plugins.adapters.host import HostMesh
 from odt_plugins.engine.cells.tensors import logarithm
-from odt_plugins.errors import InvalidOptionError, TangledMeshError
+from odt_plugins.errors import TangledMeshError
 from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.mesh.plane import PlaneFrame
 from odt_plugins.mesh.simplex import SimplexMesh
@@ -49,7 +50,7 @@ def with_metric(
         msg = "got metric= for a mesh with inverted cells; expected valid ones, try untangle first"
         raise TangledMeshError(msg)
     if isinstance(given, str) and given != INPUT:
-        given = _named(host, given)
+        given = named_metric(host, given)
     metric = metric_at_vertices(mesh, given, frame)
     if growth is not None:
         metric = grown_metric(mesh.points, mesh.cells, metric, growth)
@@ -62,14 +63,3 @@ def halved_logarithms(metric: FloatArray) -> FloatArray:
     full = 0.5 * logarithm(metric)
     rows, columns = zip(*combinations_with_replacement(range(metric.shape[1]), 2), strict=True)
     return np.ascontiguousarray(full[:, rows, columns])
-
-
-def _named(host: HostMesh, name: str) -> FloatArray:
-    """The point array of a mesh that has a name."""
-    if name not in host.fields:
-        known = ", ".join(host.fields) or "none"
-        msg = (f"got metric={name!r}; expected 'input' or the name of a point array of "
-               f"floating-point numbers of this mesh, it has {known}")
-        raise InvalidOptionError(msg)
-    found: FloatArray = host.fields[name]
-    return found

@@ -109,7 +109,7 @@ def test_the_same_bits_for_any_number_of_threads():
 @pytest.mark.parametrize(("options", "said"), [
     ({"metric": np.eye(2)}, "metric of shape"),
     ({"metric": np.tile([1.0, 0, -1.0], (144, 1))}, "at vertex 0"),
-    ({"metric": "nothing"}, "expected 'input' or the name"),
+    ({"metric": "nothing"}, "expected 'input', or the name"),
     ({"metric": "input", "solver": "global"}, "solver"),
     ({"metric": "input", "density": np.ones(144)}, "density"),
     ({"metric": "input", "connectivity": "delaunay"}, "connectivity"),
