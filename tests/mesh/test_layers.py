@@ -119,7 +119,7 @@ def test_layers_stay_bit_for_bit_by_default_and_not_with_improve(made: Any) -> N
         rows_of(cells[layer]) <= rows_of(rows))
     assert changed
     assert report.layers == 0
-    assert "stretched alike" not in str(report)
+    assert "layers='improve'" not in str(report)
 
 
 def test_what_lies_beyond_a_layer_is_improved_as_ever() -> None:

@@ -234,7 +234,7 @@ class Density:
         ------
         InvalidOptionError         the user's function gives a wrong length or a bad value
         """
-        points = np.ascontiguousarray(points[:, : self.cells.shape[1] - 1], dtype=np.float64)
+        points = np.ascontiguousarray(points[:, : dimension(points)], dtype=np.float64)
         if self.function is not None:
             return bounded_power(np.ldexp(_asked(self.function, points), -self.unit), 1.0)
         if not self.nodes.size:
@@ -268,6 +268,11 @@ class Density:
                                self.neighbors, WALK_LIMIT)
 
         list((map if pool is None else pool.map)(work, chunks(len(points))))
+
+
+def dimension(points: FloatArray) -> int:
+    """Coordinates in a row of points, behind which a metric may stand, see ``cells.metric``."""
+    return {5: 2, 9: 3}.get(points.shape[1], points.shape[1])
 
 
 def _asked(function: Callable[[FloatArray], Any], points: FloatArray) -> FloatArray:
@@ -408,7 +413,8 @@ def make_density(
     CMAME 200 (2011) 967-984, Section 5.3: rho = 1/h^r with r = 2 or 3; d + 2 is from Theorem 2.8.
     """
     n, m, d = len(points), len(cells), cells.shape[1] - 1
-    points, metric = points[:, :d], points[:, d:]
+    width = dimension(points)
+    points, metric = points[:, :width], points[:, width:]
     keep = isinstance(spec, str) and spec == "keep"
     if exponent is not None and not keep:
         msg = (
