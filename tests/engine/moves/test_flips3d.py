@@ -46,7 +46,7 @@ def test_energy_falls_at_every_flip_in_space_and_stuck_cells_remain(seed):
     after = mesh.mesh_arrays()[0]
     assert boundary == {f for f, owners in tm.facets_of(after).items() if len(owners) == 1}
     stuck = sum(
-        sphere.inside_sphere(points, after[a][0], int(np.setdiff1d(after[b], after[a])[0]),
+        sphere.inside_sphere(points, after, a, int(np.setdiff1d(after[b], after[a])[0]),
                              *sphere.circumsphere(points, *after[a]))
         for f, (a, b) in ((f, o) for f, o in tm.facets_of(after).items() if len(o) == 2)
     )
@@ -183,7 +183,8 @@ def test_in_sphere_agrees_with_the_circumcenter():
         center = points[0] + np.linalg.solve(2 * edges, (edges**2).sum(axis=1))
         outside = np.linalg.norm(points[4] - center) > np.linalg.norm(points[0] - center)
         assert sphere.inside_sphere(
-            points, 0, 4, *sphere.circumsphere(points, 0, 1, 2, 3)
+            points, np.arange(4, dtype=np.int32)[None], 0, 4,
+            *sphere.circumsphere(points, 0, 1, 2, 3)
         ) == (not outside)
 
 
