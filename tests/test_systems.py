@@ -19,8 +19,8 @@ import odt_plugins
 assert not hasattr(os, "killpg") and not hasattr(signal, "SIGKILL")
 for module in pkgutil.walk_packages(odt_plugins.__path__, "odt_plugins."):
     last = module.name.rpartition(".")[2]
-    # Toolkits' own programs load these files, where their modules are.
-    if last not in ("__main__", "paraview_plugin"):
+    # Toolkits' own programs load these files, where their modules are; kernels.so is a library.
+    if last not in ("__main__", "paraview_plugin", "kernels"):
         importlib.import_module(module.name)
 """
 COMMANDS = {
