@@ -13,6 +13,7 @@ import sys
 import warnings
 from contextlib import contextmanager
 from importlib.util import find_spec
+from numbers import Real
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -116,6 +117,23 @@ def warn(message: str, category: type[ODTWarning] = ODTWarning) -> None:
     while frame.f_back is not None and frame.f_code.co_filename.startswith(INSIDE):
         level, frame = level + 1, frame.f_back
     warnings.warn(message, category, stacklevel=level)
+
+
+def is_number(value: object) -> bool:
+    """Whether something is a real number, which True and False are not."""
+    return isinstance(value, Real) and not isinstance(value, bool)
+
+
+def expect(good: bool, name: str, value: object, expected: str) -> None:
+    """Refuse the value of an option that is not good.
+
+    Raises
+    ------
+    InvalidOptionError
+    """
+    if not good:
+        msg = f"got {name}={value!r}; expected {expected}"
+        raise InvalidOptionError(msg)
 
 
 def counted(count: int, noun: str, plural: str | None = None) -> str:

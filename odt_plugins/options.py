@@ -7,13 +7,13 @@ import difflib
 from collections.abc import Callable, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
-from numbers import Integral, Real
+from numbers import Integral
 from textwrap import wrap
 from typing import Any, Literal, get_args
 
 import numpy as np
 
-from odt_plugins.errors import InvalidOptionError
+from odt_plugins.errors import InvalidOptionError, expect, is_number
 from odt_plugins.objectives import AIMS, Objective
 
 Method = Literal["odt", "cpt", "laplacian", "cvt"]
@@ -87,26 +87,16 @@ def _check_fields(options: Options | Smoothing) -> None:
         choices, least = about.metadata["choices"], about.metadata["least"]
         if choices:
             good = isinstance(value, str) and value in choices
-            _expect(good, name, value, f"one of {choices}")
+            expect(good, name, value, f"one of {choices}")
         if about.metadata["share"] and not isinstance(value, bool):
-            good = _is_number(value) and 0 < value < float("inf")
-            _expect(good, name, value, "a bool, or a number above 0")
+            good = is_number(value) and 0 < value < float("inf")
+            expect(good, name, value, "a bool, or a number above 0")
         elif isinstance(about.default, bool):
-            _expect(isinstance(value, bool), name, value, "a bool")
+            expect(isinstance(value, bool), name, value, "a bool")
         elif isinstance(about.default, int):
             good = isinstance(value, Integral) and not isinstance(value, bool)
             good = good and int(value) >= least
-            _expect(good, name, value, f"an integer of at least {least}")
-
-
-def _is_number(value: object) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool)
-
-
-def _expect(good: bool, name: str, value: object, expected: str) -> None:
-    if not good:
-        msg = f"got {name}={value!r}; expected {expected}"
-        raise InvalidOptionError(msg)
+            expect(good, name, value, f"an integer of at least {least}")
 
 
 @dataclass(frozen=True)
@@ -131,10 +121,10 @@ class Smoothing:
         """Refuse values outside their range."""
         _check_fields(self)
         good = self.exponent is None or (
-            _is_number(self.exponent) and 0 < self.exponent < float("inf"))
-        _expect(good, "exponent", self.exponent, "a positive number or None")
-        good = self.omega is None or (_is_number(self.omega) and 0 < self.omega <= 3)
-        _expect(good, "omega", self.omega, "a number above 0 and at most 3, or None")
+            is_number(self.exponent) and 0 < self.exponent < float("inf"))
+        expect(good, "exponent", self.exponent, "a positive number or None")
+        good = self.omega is None or (is_number(self.omega) and 0 < self.omega <= 3)
+        expect(good, "omega", self.omega, "a number above 0 and at most 3, or None")
 
     def __repr__(self) -> str:
         return repr({name: getattr(self, name) for name, about in SMOOTHING.items()
@@ -289,7 +279,7 @@ class Options:
             _expect_known(self.smoothing, SMOOTHING, "values of smoothing")
             object.__setattr__(self, "smoothing", Smoothing(**self.smoothing))
         good = isinstance(self.smoothing, Smoothing)
-        _expect(good, "smoothing", self.smoothing, f"a dict with some of {list(SMOOTHING)}")
+        expect(good, "smoothing", self.smoothing, f"a dict with some of {list(SMOOTHING)}")
         lab = self.smoothing
         _check_fields(self)
         known = SOLVERS[self.method]
@@ -301,43 +291,43 @@ class Options:
             raise InvalidOptionError(msg)
         if isinstance(self.density, str):
             what = f"one of {DENSITIES}, an array or a callable"
-            _expect(self.density in DENSITIES, "density", self.density, what)
+            expect(self.density in DENSITIES, "density", self.density, what)
             good = self.density != "inverse-volume" or self.method != "laplacian"
             what = "'uniform' for the method 'laplacian', which weighs no cells"
-            _expect(good, "density", self.density, what)
+            expect(good, "density", self.density, what)
         keeps = isinstance(self.density, str) and self.density == "keep"
         good = lab.exponent is None or keeps
-        _expect(good, "exponent", lab.exponent, "None unless density is 'keep'")
+        expect(good, "exponent", lab.exponent, "None unless density is 'keep'")
         local = self.solver in ("gauss-seidel", "jacobi") and self.method != "cvt"
         good = lab.omega is None or local
-        _expect(good, "omega", lab.omega, "None unless the solver is a local sweep")
+        expect(good, "omega", lab.omega, "None unless the solver is a local sweep")
         good = lab.linear_solver == "auto" or self.solver == "global"
-        _expect(good, "linear_solver", lab.linear_solver, "'auto' unless solver is 'global'")
-        good = _is_number(self.envelope) and 0 < self.envelope < 1
-        _expect(good, "envelope", self.envelope, "a part of the diagonal, between 0 and 1")
-        good = _is_number(self.feature_angle) and 0 < self.feature_angle <= 180
-        _expect(good, "feature_angle", self.feature_angle, "degrees above 0, at most 180")
+        expect(good, "linear_solver", lab.linear_solver, "'auto' unless solver is 'global'")
+        good = is_number(self.envelope) and 0 < self.envelope < 1
+        expect(good, "envelope", self.envelope, "a part of the diagonal, between 0 and 1")
+        good = is_number(self.feature_angle) and 0 < self.feature_angle <= 180
+        expect(good, "feature_angle", self.feature_angle, "degrees above 0, at most 180")
         if not self.finish:
             good = AIMS[self.objective].by_ratios
-            _expect(good, "objective", self.objective, "'radius_ratio' without finishing")
-            _expect(lab.cycles == 1, "cycles", lab.cycles, "1 without finishing")
+            expect(good, "objective", self.objective, "'radius_ratio' without finishing")
+            expect(lab.cycles == 1, "cycles", lab.cycles, "1 without finishing")
         if self.metric is not None:
             self._expect_of_metric()
-        _expect(self.finish or not self.insert, "insert", self.insert, "False without finishing")
+        expect(self.finish or not self.insert, "insert", self.insert, "False without finishing")
         good = self.connectivity != "none" or not self.insert
-        _expect(good, "insert", self.insert, "False with connectivity='none', since vertices that "
+        expect(good, "insert", self.insert, "False with connectivity='none', since vertices that "
                 "come change cells; try another connectivity")
         for name, known in (("keep", FIGURES), ("free", STAYS)):
             value = getattr(self, name)
             words = (value,) if isinstance(value, str) else value
             good = isinstance(words, tuple | list) and all(word in known for word in words)
-            _expect(good, name, value, f"some of {known}")
+            expect(good, name, value, f"some of {known}")
             object.__setattr__(self, name, tuple(words))
         if AIMS[self.objective].by_altitude and self.keep and "min_altitude" not in self.keep:
             object.__setattr__(self, "keep", (*self.keep, "min_altitude"))
         good = callable(self.progress) or isinstance(self.progress, bool | None)
         what = "None, True or a callable progress(stage, fraction)"
-        _expect(good, "progress", self.progress, what)
+        expect(good, "progress", self.progress, what)
 
 
     def _expect_of_metric(self) -> None:
@@ -347,7 +337,7 @@ class Options:
                             ("connectivity", ("auto", "flips", "none")), ("insert", (False,))):
             value = getattr(self, name)
             good = isinstance(value, str | bool) and value in known
-            _expect(good, name, value, f"one of {known} with a metric")
+            expect(good, name, value, f"one of {known} with a metric")
 
 
 OPTIONS = {about.name: about for about in dataclasses.fields(Options)}

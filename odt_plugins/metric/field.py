@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from numbers import Integral, Real
+from numbers import Integral
 from typing import Any
 
 import numpy as np
@@ -19,7 +19,7 @@ from odt_plugins.engine.cells.tensors import (
     of_eigenvalues,
 )
 from odt_plugins.engine.remesh.sizes import CONTENT
-from odt_plugins.errors import InvalidOptionError
+from odt_plugins.errors import InvalidOptionError, expect, is_number
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import corner_mean, diagonal
 from odt_plugins.metric.given import MOST_RATIO
@@ -100,12 +100,12 @@ def metric_from_field(
     >>> bool(np.allclose(stretch, 3.0, rtol=1e-3))
     True
     """
-    _expect(isinstance(cells, Integral) and not isinstance(cells, bool) and cells >= 1, "cells",
+    expect(isinstance(cells, Integral) and not isinstance(cells, bool) and cells >= 1, "cells",
             cells, "an integer of at least 1")
-    _expect(_is_real(norm) and norm >= 1.0, "norm", norm, "a number of at least 1, or inf")
-    good = growth is None or (_is_real(growth) and 1.0 < growth < math.inf)
-    _expect(good, "growth", growth, "a number above 1, such as 1.6")
-    _expect(_is_real(ratio) and 1.0 <= ratio <= MOST_RATIO, "ratio", ratio,
+    expect(is_number(norm) and norm >= 1.0, "norm", norm, "a number of at least 1, or inf")
+    good = growth is None or (is_number(growth) and 1.0 < growth < math.inf)
+    expect(good, "growth", growth, "a number above 1, such as 1.6")
+    expect(is_number(ratio) and 1.0 <= ratio <= MOST_RATIO, "ratio", ratio,
             f"a number from 1 to {MOST_RATIO:g}")
     host = find_adapter(mesh).read(mesh)
     with words_of(host):
@@ -255,13 +255,3 @@ def _values(host: HostMesh, given: Any) -> FloatArray:
     if rest.size:
         field[rest] = 0.0
     return field
-
-
-def _is_real(value: object) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool)
-
-
-def _expect(good: bool, name: str, value: object, expected: str) -> None:
-    if not good:
-        msg = f"got {name}={value!r}; expected {expected}"
-        raise InvalidOptionError(msg)

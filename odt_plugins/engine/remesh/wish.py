@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from numbers import Integral, Real
+from numbers import Integral
 
-from odt_plugins.errors import InvalidOptionError
+from odt_plugins.errors import InvalidOptionError, expect, is_number
 
 GROWTH = 1.3
 """Largest ratio of the sizes at the ends of an edge as long as the smaller one, by default."""
@@ -50,22 +50,12 @@ class Wish:
             raise InvalidOptionError(msg)
         for name, value in (("size", self.length), ("scale", self.scale)):
             if value is not None:
-                good = _is_real(value) and 0.0 < value < float("inf")
-                _expect(good, name, value, "a number above 0")
+                good = is_number(value) and 0.0 < value < float("inf")
+                expect(good, name, value, "a number above 0")
         for name, least in (("cells", 1), ("vertices", 4), ("most_cells", 1)):
             value = getattr(self, name)
             if value is not None:
                 good = isinstance(value, Integral) and not isinstance(value, bool)
-                _expect(good and value >= least, name, value, f"an integer of at least {least}")
-        good = _is_real(self.growth) and 1.0 < self.growth < float("inf")
-        _expect(good, "growth", self.growth, "a number above 1, such as 1.3")
-
-
-def _is_real(value: object) -> bool:
-    return isinstance(value, Real) and not isinstance(value, bool)
-
-
-def _expect(good: bool, name: str, value: object, expected: str) -> None:
-    if not good:
-        msg = f"got {name}={value!r}; expected {expected}"
-        raise InvalidOptionError(msg)
+                expect(good and value >= least, name, value, f"an integer of at least {least}")
+        good = is_number(self.growth) and 1.0 < self.growth < float("inf")
+        expect(good, "growth", self.growth, "a number above 1, such as 1.3")
