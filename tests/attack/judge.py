@@ -62,7 +62,7 @@ def broken(before: Mesh, after: Mesh, options: Options, *, curved: bool = False)
     before, after : Mesh    labels of the result may be unknown (None): then only the places of
                             the interfaces are looked at
     options : Options       of the run; ``fixed``, ``selection``, ``keep``, ``boundary``,
-                            ``envelope``, ``insert`` and ``repair`` count
+                            ``envelope``, ``reference``, ``metric``, ``insert`` and ``repair`` count
     curved : bool           whether these are triangles in space that lie in no plane
 
     Returns
@@ -244,8 +244,17 @@ def _frozen(old: Mesh, new: Mesh, options: Options) -> list[str]:
 
 
 def _figures(before: Mesh, after: Mesh, options: Options) -> list[str]:
-    """Compare the figures to keep; what double precision cannot tell is no fault."""
-    faults = []
+    """Compare the figures to keep; what double precision cannot tell is no fault.
+
+    In a metric that is the same everywhere they are those of an affine image; in others unknown.
+    """
+    faults: list[str] = []
+    if options.metric is not None:
+        metric = np.asarray(options.metric)
+        if metric.ndim != 3 or (metric != metric[:1]).any():
+            return faults
+        root = np.linalg.cholesky(metric[0])
+        before, after = (m._replace(points=m.points @ root) for m in (before, after))
     (a, b), (rough_a, rough_b) = (
         [reference.figures(m.points, m.cells, kind) for m in (before, after)]
         for kind in (np.longdouble, np.float64))
@@ -404,8 +413,10 @@ def _slid(before: Mesh, after: Mesh, options: Options) -> list[str]:
     odd = [Counter(c for c in e.values() if c != 2) for e in (x, y)]
     if odd[0] != odd[1]:
         faults.append("other numbers of triangles meet in edges of the boundary")
-    return faults + _far(before.points, np.array(a), after.points, np.array(b), options,
-                         before.cells)
+    ground = before if options.reference is None else Mesh(*options.reference)
+    skin = [f for f, labels in _owners(ground).items() if len(labels) == 1]
+    return faults + _far(ground.points, np.array(skin), after.points, np.array(b), options,
+                         ground.cells)
 
 
 def _far(
@@ -456,4 +467,5 @@ def _surface(old: Mesh, new: Mesh, options: Options) -> list[str]:
             for m in (old, new)]
     if flat[1] > flat[0]:
         faults.append(f"{flat[1]} triangles have no area, {flat[0]} had none")
-    return faults + _far(old.points, old.cells, new.points, new.cells, options, old.cells)
+    ground = old if options.reference is None else Mesh(*options.reference)
+    return faults + _far(ground.points, ground.cells, new.points, new.cells, options, ground.cells)

@@ -83,6 +83,20 @@ def _density(rng: Rng, mesh: RandomMesh, _labels: Any) -> Any:
     return values
 
 
+def _metric(rng: Rng, mesh: RandomMesh, _labels: Any) -> Any:
+    """That of the mesh, or tensors with ratios of lengths up to 100, the same everywhere or not."""
+    if rng.random() < 0.3:
+        return "input"
+    n, d = mesh.points.shape
+    axes = np.linalg.qr(rng.normal(size=(d, d)))[0]
+    values = np.exp(rng.uniform(-4.6, 4.6, (1 if rng.random() < 0.5 else n, d)))
+    tensors = np.broadcast_to((axes * values[:, None]) @ axes.T, (n, d, d))
+    if rng.random() < 0.03 and n:
+        tensors = tensors.copy()
+        tensors[rng.integers(n), 0, 0] = rng.choice([0.0, -1.0, np.nan, np.inf])
+    return tensors if rng.random() < 0.8 else tensors[:, *np.tril_indices(d)]
+
+
 def _some_of(count: int, rng: Rng) -> Any:
     """A mask, or indices as an array or a list."""
     mask = rng.random(count) < rng.choice([0.05, 0.5, 0.9, 1.0])
@@ -117,6 +131,8 @@ SMOOTHING: dict[str, Callable[[Rng], Any]] = {
 
 BY_NAME: dict[str, Callable[[Rng, Any, Any], Any]] = {
     "density": _density,
+    "metric": _metric,
+    "reference": lambda _rng, mesh, _: (mesh.points, mesh.cells),
     "smoothing": lambda rng, *_: {
         name: draw(rng) for name, draw in SMOOTHING.items() if rng.random() < GIVEN},
     "envelope": lambda rng, *_: float(10.0 ** rng.uniform(-8, -0.1)),

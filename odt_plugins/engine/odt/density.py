@@ -272,7 +272,8 @@ class Density:
 
 def dimension(points: FloatArray) -> int:
     """Coordinates in a row of points, behind which a metric may stand, see ``cells.metric``."""
-    return {5: 2, 9: 3}.get(points.shape[1], points.shape[1])
+    columns: int = points.shape[1]
+    return {5: 2, 9: 3}.get(columns, columns)
 
 
 def _asked(function: Callable[[FloatArray], Any], points: FloatArray) -> FloatArray:
