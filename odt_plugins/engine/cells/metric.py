@@ -18,7 +18,7 @@ C. Moler, C. Van Loan, Nineteen dubious ways to compute the exponential of a mat
 from __future__ import annotations
 
 from odt_plugins.engine.cells.corner import Edges, corner_edges
-from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.compiled.kernel import apart_kernel, kernel
 from odt_plugins.mesh.arrays import FloatArray
 
 SMALL = 0.125
@@ -28,7 +28,7 @@ HALVINGS = 12
 """Most halvings on the way there."""
 
 Root = tuple[float, float, float, float, float, float]
-"""S_xx, S_xy, S_xz, S_yy, S_yz, S_zz; in the plane those with z are 0."""
+"""S_xx, S_xy, S_xz, S_yy, S_yz, S_zz; in the plane S_zz is 1, for a z that is 0."""
 
 
 @kernel
@@ -73,7 +73,7 @@ def _product(one: Root, two: Root) -> Root:
             b * q + d * s + e * t, b * r + d * t + e * u, c * r + e * t + f * u)
 
 
-@kernel
+@apart_kernel
 def exponential(log: Root) -> Root:
     """Exponential of a symmetric matrix, by (exp(L / 2^k))^(2^k) and eight terms of the series."""
     a, b, c, d, e, f = log
@@ -97,32 +97,32 @@ def exponential(log: Root) -> Root:
     return out
 
 
-@kernel
+@apart_kernel
 def vertex_root(points: FloatArray, i: int) -> Root:
     """S at a vertex."""
     return exponential(_row(points, i))
 
 
-@kernel
+@apart_kernel
 def inverse_root(points: FloatArray, i: int) -> Root:
     """S^-1 at a vertex."""
     return exponential(_times(-1.0, _row(points, i)))
 
 
-@kernel
+@apart_kernel
 def edge_root(points: FloatArray, i: int, j: int) -> Root:
     """S of an edge."""
     return exponential(_times(0.5, _sum(_row(points, i), _row(points, j))))
 
 
-@kernel
+@apart_kernel
 def tet_root(points: FloatArray, i: int, j: int, k: int, l: int) -> Root:
     """S of a tetrahedron."""
     one, two = _sum(_row(points, i), _row(points, j)), _sum(_row(points, k), _row(points, l))
     return exponential(_times(0.25, _sum(one, two)))
 
 
-@kernel
+@apart_kernel
 def triangle_root(points: FloatArray, i: int, j: int, k: int) -> Root:
     """S of a triangle."""
     one = _sum(_sum(_row(points, i), _row(points, j)), _row(points, k))
@@ -152,7 +152,7 @@ def seen_edges(points: FloatArray, i: int, j: int, k: int, l: int) -> Edges:
     return edges_through(tet_root(points, i, j, k, l), edges)
 
 
-@kernel
+@apart_kernel
 def edges_through(root: Root, edges: Edges) -> Edges:
     """S a, S b and S c."""
     ax, ay, az, bx, by, bz, cx, cy, cz = edges
@@ -162,7 +162,7 @@ def edges_through(root: Root, edges: Edges) -> Edges:
     return ax, ay, az, bx, by, bz, cx, cy, cz
 
 
-@kernel
+@apart_kernel
 def add_seen_terms(terms: FloatArray, root: Root, out: FloatArray) -> None:
     """Add a function of S x with its derivatives, packed as in ``packed``, as one of x.
 

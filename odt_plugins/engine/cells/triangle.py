@@ -9,27 +9,45 @@ from __future__ import annotations
 import math
 from typing import NamedTuple
 
+from odt_plugins.engine.cells.corner import Edges
 from odt_plugins.engine.cells.extremes import Extremes
-from odt_plugins.engine.cells.metric import has_metric, in_space, through, triangle_root
+from odt_plugins.engine.cells.metric import (
+    edges_through,
+    has_metric,
+    in_space,
+    through,
+    triangle_root,
+)
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.topology.lookup import place_in
 from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 
 @kernel
-def _edges(
-    points: FloatArray, a: int, b: int, c: int
-) -> tuple[float, float, float, float, float, float]:
-    """Edges bc, ca and ab of a planar triangle, as seen."""
-    ux, uy = points[c, 0] - points[b, 0], points[c, 1] - points[b, 1]
-    vx, vy = points[a, 0] - points[c, 0], points[a, 1] - points[c, 1]
-    wx, wy = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
-    if has_metric(points):
-        root = triangle_root(points, a, b, c)
-        ux, uy, _ = through(root, ux, uy, 0.0)
-        vx, vy, _ = through(root, vx, vy, 0.0)
-        wx, wy, _ = through(root, wx, wy, 0.0)
-    return ux, uy, vx, vy, wx, wy
+def offset(points: FloatArray, a: int, b: int) -> tuple[float, float, float]:
+    """Vector from point a to point b in space."""
+    return points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
+
+
+@kernel
+def _edges(points: FloatArray, a: int, b: int, c: int) -> Edges:
+    """Edges bc, ca and ab, one coordinate after another; in the plane with z = 0."""
+    if in_space(points):
+        return offset(points, b, c) + offset(points, c, a) + offset(points, a, b)
+    return (
+        points[c, 0] - points[b, 0], points[c, 1] - points[b, 1], 0.0,
+        points[a, 0] - points[c, 0], points[a, 1] - points[c, 1], 0.0,
+        points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], 0.0,
+    )
+
+
+@kernel
+def _seen_edges(points: FloatArray, a: int, b: int, c: int) -> Edges:
+    """The same edges as they are seen."""
+    edges = _edges(points, a, b, c)
+    if not has_metric(points):
+        return edges
+    return edges_through(triangle_root(points, a, b, c), edges)
 
 
 @kernel
@@ -48,7 +66,7 @@ def triangle_extremes(points: FloatArray, a: int, b: int, c: int) -> Extremes:
     if in_space(points):
         q, large, small, _, _, _ = triangle_in_space(points, a, b, c)
         return Extremes(q, large, small)
-    ux, uy, vx, vy, wx, wy = _edges(points, a, b, c)
+    ux, uy, _, vx, vy, _, wx, wy, _ = _seen_edges(points, a, b, c)
     lu = math.sqrt(ux * ux + uy * uy)
     lv = math.sqrt(vx * vx + vy * vy)
     lw = math.sqrt(wx * wx + wy * wy)
@@ -64,12 +82,6 @@ def triangle_extremes(points: FloatArray, a: int, b: int, c: int) -> Extremes:
 
 
 @kernel
-def offset(points: FloatArray, a: int, b: int) -> tuple[float, float, float]:
-    """Vector from point a to point b in space."""
-    return points[b, 0] - points[a, 0], points[b, 1] - points[a, 1], points[b, 2] - points[a, 2]
-
-
-@kernel
 def triangle_in_space(
     points: FloatArray, a: int, b: int, c: int
 ) -> tuple[float, float, float, float, float, float]:
@@ -80,9 +92,7 @@ def triangle_in_space(
     points : (n, 3) float64
     a, b, c : int              corners; a flat triangle has q = 0 and cosines 1 and -1
     """
-    ux, uy, uz = offset(points, b, c)
-    vx, vy, vz = offset(points, c, a)
-    wx, wy, wz = offset(points, a, b)
+    ux, uy, uz, vx, vy, vz, wx, wy, wz = _edges(points, a, b, c)
     nx, ny, nz = vy * wz - vz * wy, vz * wx - vx * wz, vx * wy - vy * wx
     if has_metric(points):
         ux, uy, uz, vx, vy, vz, wx, wy, wz = _seen_edges(points, a, b, c)
@@ -128,25 +138,6 @@ def triangle_altitude(points: FloatArray, a: int, b: int, c: int) -> float:
 
 
 @kernel
-def _seen_edges(
-    points: FloatArray, a: int, b: int, c: int
-) -> tuple[float, float, float, float, float, float, float, float, float]:
-    """Edges bc, ca and ab in the plane or in space, as seen."""
-    if not in_space(points):
-        ux, uy, vx, vy, wx, wy = _edges(points, a, b, c)
-        return ux, uy, 0.0, vx, vy, 0.0, wx, wy, 0.0
-    ux, uy, uz = offset(points, b, c)
-    vx, vy, vz = offset(points, c, a)
-    wx, wy, wz = offset(points, a, b)
-    if has_metric(points):
-        root = triangle_root(points, a, b, c)
-        ux, uy, uz = through(root, ux, uy, uz)
-        vx, vy, vz = through(root, vx, vy, vz)
-        wx, wy, wz = through(root, wx, wy, wz)
-    return ux, uy, uz, vx, vy, vz, wx, wy, wz
-
-
-@kernel
 def squares(points: FloatArray, a: int, b: int, c: int) -> tuple[float, float, float, float]:
     """Squares of the edges bc, ca and ab and of twice the area D, in the plane with its sign."""
     if in_space(points):
@@ -156,7 +147,7 @@ def squares(points: FloatArray, a: int, b: int, c: int) -> tuple[float, float, f
             ux * ux + uy * uy + uz * uz, vx * vx + vy * vy + vz * vz,
             wx * wx + wy * wy + wz * wz, nx * nx + ny * ny + nz * nz,
         )
-    ux, uy, vx, vy, wx, wy = _edges(points, a, b, c)
+    ux, uy, _, vx, vy, _, wx, wy, _ = _seen_edges(points, a, b, c)
     double_area = vx * wy - vy * wx
     return (
         ux * ux + uy * uy, vx * vx + vy * vy, wx * wx + wy * wy,
@@ -201,6 +192,9 @@ class MovingTriangle(NamedTuple):
     r22: float
 
 
+NO_ROOT = (1.0, 0.0, 0.0, 1.0, 0.0, 1.0)
+"""S of what is seen as it is."""
+
 NOT_POSITIVE = MovingTriangle(
     0.0, 0.0, 0.0, 0.0, -1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 1.0)
 """Of a triangle that is inverted or flat."""
@@ -221,17 +215,14 @@ def moving_triangle(
     x, b, c : int
     axes : (2, d) float64      orthonormal directions; not read where d = 2
     """
-    wx, wy = points[c, 0] - points[b, 0], points[c, 1] - points[b, 1]
-    r11, r12, r21, r22 = 1.0, 0.0, 0.0, 1.0
+    edges = _edges(points, x, b, c)
+    root = NO_ROOT
+    if has_metric(points):
+        root = triangle_root(points, x, b, c)
+        edges = edges_through(root, edges)
+    wx, wy, wz, vx, vy, vz, ux, uy, uz = edges
+    ux, uy, uz = -ux, -uy, -uz
     if not in_space(points):
-        ux, uy = points[x, 0] - points[b, 0], points[x, 1] - points[b, 1]
-        vx, vy = points[x, 0] - points[c, 0], points[x, 1] - points[c, 1]
-        if has_metric(points):
-            root = triangle_root(points, x, b, c)
-            ux, uy, _ = through(root, ux, uy, 0.0)
-            vx, vy, _ = through(root, vx, vy, 0.0)
-            wx, wy, _ = through(root, wx, wy, 0.0)
-            r11, r12, r21, r22 = root[0], root[1], root[1], root[3]
         double_area = ux * vy - uy * vx
         if not double_area > 0.0:
             return NOT_POSITIVE
@@ -240,18 +231,12 @@ def moving_triangle(
             ux * ux + uy * uy, vx * vx + vy * vy, w,
             ux * ux + uy * uy + vx * vx + vy * vy + w * w, double_area * double_area,
             ux, uy, vx, vy, 2.0 * ax, 2.0 * ay, 2.0 * ax * ax, 2.0 * ax * ay, 2.0 * ay * ay,
-            r11, r12, r21, r22,
+            root[0], root[1], root[1], root[3],
         )
-    ux, uy, uz = offset(points, b, x)
-    vx, vy, vz = offset(points, c, x)
-    wx, wy, wz = offset(points, b, c)
+    r11, r21, r22 = 1.0, 0.0, 1.0
     ex, ey, ez = axes[0, 0], axes[0, 1], axes[0, 2]
     fx, fy, fz = axes[1, 0], axes[1, 1], axes[1, 2]
     if has_metric(points):
-        root = triangle_root(points, x, b, c)
-        ux, uy, uz = through(root, ux, uy, uz)
-        vx, vy, vz = through(root, vx, vy, vz)
-        wx, wy, wz = through(root, wx, wy, wz)
         ex, ey, ez = through(root, ex, ey, ez)
         fx, fy, fz = through(root, fx, fy, fz)
         r11 = math.sqrt(ex * ex + ey * ey + ez * ez)
@@ -275,7 +260,7 @@ def moving_triangle(
     return MovingTriangle(
         uu, vv, math.sqrt(ww), uu + vv + ww, square, u1, u2, v1, v2, b1, b2,
         b1 * b1 - (ww - w1 * w1) * ib, b1 * b2 + w1 * w2 * ib, b2 * b2 - (ww - w2 * w2) * ib,
-        r11, r12, r21, r22,
+        r11, 0.0, r21, r22,
     )
 
 

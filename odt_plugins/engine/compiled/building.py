@@ -222,6 +222,7 @@ class Units:
         self._parts: dict[str, tuple[bytes, set[str]]] = {}
         self._known: dict[Any, tuple[str, Any]] = {}
         self._told: set[Kernel] = set()
+        self._apart: set[str] = set()
 
     def tell(self) -> None:
         """Tell numba how kernels call the kernels of all modules that are imported."""
@@ -264,6 +265,8 @@ class Units:
             llvm.add_symbol(name, 1)
             self._keep(name, text if kernel.allocates else COUNTED.sub("", text))
             self._known[key] = name, made.nopython_signatures[0].return_type
+            if kernel.apart:
+                self._apart.add(name)
         return self._known[key]
 
     def entry(self, line: str) -> tuple[str, str]:
@@ -317,7 +320,9 @@ class Units:
                 function.name = name
             elif not function.is_declaration:
                 function.linkage = "internal"
-                if function.name.startswith("cfunc."):
+                if function.name in self._apart:
+                    function.add_function_attribute("noinline")
+                elif function.name.startswith("cfunc."):
                     function.add_function_attribute("alwaysinline")
         for variable in whole.global_variables:
             if not variable.is_declaration:

@@ -109,13 +109,14 @@ class Kernel:
     function : callable
     allocates : bool        whether it makes arrays of its own
     inlined : bool          whether it becomes part of the kernels that call it
+    apart : bool            whether a library has it as a function that its callers call
     """
 
     def __init__(self, function: Callable[..., Any], *, allocates: bool = True,
-                 inlined: bool = False) -> None:
+                 inlined: bool = False, apart: bool = False) -> None:
         update_wrapper(self, function)
         self.py_func = function
-        self.allocates, self.inlined = allocates, inlined
+        self.allocates, self.inlined, self.apart = allocates, inlined, apart
         self.loaded: dict[str, Run] = {}
         self.runs: dict[Any, Run] = {}
 
@@ -163,6 +164,10 @@ kernel = partial(Kernel, allocates=False)
 
 numba counts the references to every array that a call hands on, by atomic operations that take
 longer than most of our calls.  In a library such a kernel counts none."""
+
+apart_kernel = partial(Kernel, allocates=False, apart=True)
+"""Decorator of a kernel as :data:`kernel` that stays a function: for long ones with many callers,
+few of whose runs need any."""
 
 inlined_kernel = partial(Kernel, allocates=False, inlined=True)
 """Decorator of a kernel as :data:`kernel` that becomes part of its callers: for those called so

@@ -21,7 +21,7 @@ from odt_plugins.progress import compiling_heard
 
 ENGINE = Path(odt_plugins.__file__).parent / "engine"
 
-DECORATORS = {"kernel", "inlined_kernel", "allocating_kernel"}
+DECORATORS = {"kernel", "apart_kernel", "inlined_kernel", "allocating_kernel"}
 
 
 def test_all_kernels_go_through_one_decorator():

@@ -20,7 +20,7 @@ from odt_plugins.engine.compiled import library
 
 PACKAGE = Path(odt_plugins.__file__).parent
 
-DECORATORS = {"kernel", "inlined_kernel", "allocating_kernel"}
+DECORATORS = {"kernel", "apart_kernel", "inlined_kernel", "allocating_kernel"}
 
 KERNELS = """
 from typing import NamedTuple
