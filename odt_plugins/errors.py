@@ -7,13 +7,13 @@ expected and what to try.
 from __future__ import annotations
 
 import contextlib
+import numbers
 import os
 import signal
 import sys
 import warnings
 from contextlib import contextmanager
 from importlib.util import find_spec
-from numbers import Real
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -121,7 +121,7 @@ def warn(message: str, category: type[ODTWarning] = ODTWarning) -> None:
 
 def is_number(value: object) -> bool:
     """Whether something is a real number, which True and False are not."""
-    return isinstance(value, Real) and not isinstance(value, bool)
+    return isinstance(value, numbers.Real) and not isinstance(value, bool)
 
 
 def expect(good: bool, name: str, value: object, expected: str) -> None:
