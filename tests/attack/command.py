@@ -19,7 +19,7 @@ from attack.worker import FAILED, OK, REFUSED, Worker
 from odt_plugins.cli.terminal import progress_bar
 from odt_plugins.processes import handling
 
-SHARES = {"meshes": 0.5, "files": 0.2, "signals": 0.1, "disks": 0.1, "cores": 0.1}
+SHARES = {"meshes": 0.4, "metrics": 0.1, "files": 0.2, "signals": 0.1, "disks": 0.1, "cores": 0.1}
 """Modules of this folder with a function ``attack(rng, folder)`` and its time limit ``SECONDS``,
 and the part of the time that each gets."""
 

@@ -36,6 +36,9 @@ are thinner, their side is not judged.  The package's bound is a third."""
 GROWTH = 0.5
 """Share of vertices that may be added where none is given."""
 
+ANY = 1e9
+"""Share of vertices that may be added where there may be any number."""
+
 Facet = tuple[int, ...]
 
 
@@ -99,6 +102,52 @@ def broken(before: Mesh, after: Mesh, options: Options, *, curved: bool = False)
     if slides:
         faults += _slid(before, after, options)
     return faults
+
+
+def broken_by_sizes(before: Mesh, after: Mesh, options: Options, *, curved: bool) -> list[str]:
+    """Say what a mesh of other sizes does not keep of what is promised, see :func:`broken`.
+
+    Of the figures those are looked at that ``keep`` names, and no edge is of more triangles.
+    """
+    before, after = (m._replace(cells=m.cells.astype(np.int64)) for m in (before, after))
+    free = replace(options, metric=None, insert=ANY, keep=())
+    if options.boundary == "fixed" and not curved:
+        faults = broken(before, after, free)
+        return faults or _figures(before, after, options)
+    faults = _malformed(before, after, free)
+    if faults:
+        return faults
+    faults += _figures(before, after, options)
+    rims = [np.array([f for f, labels in _owners(m).items() if len(labels) == 1])
+            for m in (before, after)]
+    skins = [m.cells if curved else rim for m, rim in zip((before, after), rims, strict=True)]
+    if curved:
+        worst = [max(map(len, _owners(m).values())) for m in (before, after)]
+        if worst[1] > worst[0]:
+            faults.append(f"an edge is of {worst[1]} triangles, none was of more than {worst[0]}")
+        if not (reference.areas(after.points, after.cells) > 0).all():
+            faults.append("a triangle has no area")
+    else:
+        faults += _orientation(before, after, free)
+        same_way = _overlaps(after.cells)
+        if same_way:
+            faults.append(f"facet {same_way[0]} has two cells on one side, {len(same_way)} in all")
+        faults += _volume(before, after, slides=True)
+    for what, (was, now) in {"mesh": (before.cells, after.cells), "boundary": rims}.items():
+        if euler(was) != euler(now):
+            faults.append(f"the Euler number of the {what} is {euler(now)}, it was {euler(was)}")
+    x, y = (np.pad(m.points, ((0, 0), (0, 3 - m.points.shape[1]))) for m in (before, after))
+    # An edge is a triangle that has one end twice.
+    a, b = (skin[:, np.arange(3) % skin.shape[1]] for skin in skins)
+    return faults + _far(x, a, y, b, free, before.cells)
+
+
+def euler(rows: np.ndarray) -> int:
+    """Vertices less edges and so on of simplices."""
+    size = rows.shape[-1] if len(rows) else 0
+    return sum((-1) ** (k + 1) * len({face for row in np.sort(rows, axis=-1).tolist()
+                                      for face in combinations(row, k)})
+               for k in range(1, size + 1))
 
 
 def places(points: np.ndarray) -> np.ndarray:
@@ -267,13 +316,17 @@ def _figures(before: Mesh, after: Mesh, options: Options) -> list[str]:
     return faults
 
 
-def _flat(mesh: Mesh) -> np.ndarray:
-    """Points as the volumes need them: of triangles in a plane in space two coordinates."""
+def _flat(mesh: Mesh, like: Mesh | None = None) -> np.ndarray:
+    """Points as the volumes need them: of triangles in a plane in space two coordinates.
+
+    These are the same ones as of the mesh ``like``.
+    """
     points = np.asarray(mesh.points)
     d = mesh.cells.shape[1] - 1
     if points.shape[1] == d:
         return points
-    x = points[mesh.cells].astype(np.longdouble)
+    like = mesh if like is None else like
+    x = like.points[like.cells].astype(np.longdouble)
     size = np.abs(np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0])).sum(axis=0)
     return points[:, np.delete(np.arange(3), int(np.argmax(size)))]
 
@@ -281,7 +334,7 @@ def _flat(mesh: Mesh) -> np.ndarray:
 def _orientation(before: Mesh, after: Mesh, options: Options) -> list[str]:
     """All cells have positive volume, or all negative where all of the input have."""
     signs = reference.exact_signs(_flat(before), before.cells)
-    flat = _flat(before._replace(points=after.points))
+    flat = _flat(after, before)
     now = reference.exact_signs(flat, after.cells)
     sure = _lie_in_the_plane(after)
     if before.points.shape[1] > before.cells.shape[1] - 1 or tangled(before):
@@ -378,8 +431,7 @@ def _volume(before: Mesh, after: Mesh, *, slides: bool) -> list[str]:
     if tangled(before):
         return []
     sums = []
-    axes = _flat(before), _flat(before._replace(points=after.points))
-    # Of planar cells in space the same two coordinates.
+    axes = _flat(before), _flat(after, before)
     for mesh, points in zip((before, after), axes, strict=True):
         size = np.abs(reference.determinants(points, mesh.cells))
         known = before.labels is not None and after.labels is not None and not slides

@@ -44,7 +44,7 @@ def attack(rng: Rng, folder: Path) -> None:
         faults.append("the caller's mesh was changed")
     if rng.random() < 0.1:
         again = options | {"threads": 1 + options.get("threads", 1) % 3}
-        if not _same(after, caller.view(odt_plugins.optimize(caller.mesh, **again))):
+        if not same(after, caller.view(odt_plugins.optimize(caller.mesh, **again))):
             faults.append(f"the result is another one for {again['threads']} threads")
     str(report), report.to_json()
     if faults:
@@ -65,6 +65,7 @@ def _bytes(caller: Any) -> Any:
     return [(part.dtype, part.shape, part.tobytes()) for part in caller]
 
 
-def _same(a: Mesh, b: Mesh) -> bool:
+def same(a: Mesh, b: Mesh) -> bool:
+    """Whether two meshes have the same bits."""
     return all((x is None and y is None) or np.array_equal(x, y, equal_nan=True)
                for x, y in itertools.zip_longest(a, b))

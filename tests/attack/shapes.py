@@ -32,7 +32,7 @@ def random_mesh(rng: Rng) -> RandomMesh:
         if rng.random() < probability:
             points, cells = change(points, cells, rng)
     labels = _labels(points, cells, rng) if rng.random() < 0.4 else None
-    points = _placed(points, rng)
+    points = placed(points, rng)
     if rng.random() < 0.3:
         points, cells = _unused(points, cells, rng)
     if rng.random() < 0.5:
@@ -43,7 +43,7 @@ def random_mesh(rng: Rng) -> RandomMesh:
     elif chance < 0.35:
         cells = _turned(cells, rng.random(len(cells)) < 0.3)
     if kind == "plane" and rng.random() < 0.2:
-        points = _tilted(points, rng)
+        points = tilted(points, rng)
     if rng.random() < 0.04:
         points, cells, labels = _spoilt(points, cells, labels, rng)
     return RandomMesh(points, cells, labels, kind)
@@ -51,9 +51,9 @@ def random_mesh(rng: Rng) -> RandomMesh:
 
 def _pieces(kind: str, rng: Rng) -> Arrays:
     """One or several pieces beside, in or at each other."""
-    points, cells = _piece(kind, rng)
+    points, cells = piece(kind, rng)
     while rng.random() < 0.2:
-        more, rows = _piece(kind, rng)
+        more, rows = piece(kind, rng)
         size = np.ptp(points, axis=0)
         away = rng.choice([-1.0, 0.0, 1.0], size=points.shape[1]) * (1 + rng.random())
         rows = rows + len(points)
@@ -67,7 +67,8 @@ def _pieces(kind: str, rng: Rng) -> Arrays:
     return points, cells
 
 
-def _piece(kind: str, rng: Rng) -> Arrays:
+def piece(kind: str, rng: Rng) -> Arrays:
+    """One sound mesh in the "plane", in "space" or of a "surface"."""
     n = int(np.exp(rng.uniform(np.log(4), np.log(100))))
     if kind == "surface":
         return _surface(rng, n)
@@ -114,7 +115,7 @@ def _surface(rng: Rng, n: int) -> Arrays:
         return surface_meshes.moebius(k)
     if style == 6:
         return surface_meshes.plate(*surface_meshes.ring(), rng.choice([1e-3, 0.1]))
-    points, cells = _piece("space", rng) if style == 7 else _piece("plane", rng)
+    points, cells = piece("space", rng) if style == 7 else piece("plane", rng)
     if points.shape[1] == 2:
         height = (points**2).sum(axis=1) / np.ptp(points) + 0.05 * rng.random(len(points))
         return np.column_stack([points, height]), cells
@@ -203,7 +204,7 @@ def _labels(points: np.ndarray, cells: np.ndarray, rng: Rng) -> np.ndarray:
     return found * rng.choice([1, 7]) - rng.choice([0, 3])
 
 
-def _placed(points: np.ndarray, rng: Rng) -> np.ndarray:
+def placed(points: np.ndarray, rng: Rng) -> np.ndarray:
     """Stretch, scale, shift, round."""
     if rng.random() < 0.3:
         points = points * 10.0 ** rng.uniform(-2, 2, points.shape[1])
@@ -248,7 +249,8 @@ def _turned(cells: np.ndarray, mask: np.ndarray) -> np.ndarray:
     return cells
 
 
-def _tilted(points: np.ndarray, rng: Rng) -> np.ndarray:
+def tilted(points: np.ndarray, rng: Rng) -> np.ndarray:
+    """Points of a plane in space."""
     space = np.column_stack([points, np.full(len(points), rng.choice([0.0, 1.0]))])
     if rng.random() < 0.5:
         q, _ = np.linalg.qr(rng.normal(size=(3, 3)))

@@ -36,7 +36,7 @@ def within_bounds(
 
     Parameters
     ----------
-    points : (n, 3) float64    changed
+    points : (n, 3) float64    changed; or (n, 9), with the metric of every vertex, which stays
     cells : (m, 4) int32
     movable : (n,) bool        vertices that may move
     bounds : Extremes
@@ -80,19 +80,20 @@ def _search(
     added = np.arange(len(own), len(own) + PLACES)[:, None, None]
     there: IntArray = np.where(own[here] == v, added, here).reshape(-1, 4).astype(np.int32)
     x = points[v].copy()
-    longest = float(np.abs(points[own] - x).max())
-    step, way = FIRST * longest, np.zeros(3)
+    longest = float(np.abs(points[own, :3] - x[:3]).max())
+    step, way = FIRST * longest, np.zeros(len(x))
     now = float(lacking(points, star, bounds, margin).sum())
     for trial in range(TRIALS):
         if now == 0.0 or step < LEAST * longest:
             break
         turn = np.arange(trial * PLACES, (trial + 1) * PLACES)[:, None] * ROOTS
-        places = x + step * (2.0 * (turn % 1.0) - 1.0)
+        places = np.tile(x, (PLACES, 1))
+        places[:, :3] += step * (2.0 * (turn % 1.0) - 1.0)
         places[0] = x + 2.0 * way
         paid = lacking(np.concatenate([points[own], places]), there, bounds, margin)
         paid = paid.reshape(PLACES, -1).sum(axis=1)
         best = int(paid.argmin())
         better = bool(paid[best] < now)
-        step, way = (step, places[best] - x) if better else (0.5 * step, np.zeros(3))
+        step, way = (step, places[best] - x) if better else (0.5 * step, np.zeros(len(x)))
         x, now = (places[best], float(paid[best])) if better else (x, now)
     points[v] = x

@@ -62,6 +62,10 @@ before sizes give way."""
 EXTREMES = frozenset({"min_quality", "min_angle", "max_angle", "min_altitude"})
 """Figures of the worst cell."""
 
+CROWDED = 20
+"""Multiple of the triangles that are expected in a metric, or of those of the input, from which on
+none are split: triangles between feature lines that are needles in it take many more."""
+
 REACH = 0.7
 """Vertices of the input are held that are nearer to a spoiled place, in units of the size."""
 
@@ -140,7 +144,8 @@ def _triangles(mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leavi
     for _ in range(ATTEMPTS):
         if wanted is None:
             break
-        outcome = retile(mesh, wanted.values, options, leaving)
+        most = CROWDED * max(wanted.cells, len(mesh.cells)) if len(mesh.metric) else np.inf
+        outcome = retile(mesh, wanted.values, options, leaving, most)
         if why is None and outcome.fallback is None:
             return outcome
         if why is None or (outcome.origin is not None and (

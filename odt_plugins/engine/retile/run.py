@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import time
 from dataclasses import replace
 from typing import Any, NamedTuple
@@ -49,7 +50,8 @@ class Judged(NamedTuple):
 
 
 def retile(
-    mesh: SimplexMesh, sizes: FloatArray, options: Options, leaving: Leaving
+    mesh: SimplexMesh, sizes: FloatArray, options: Options, leaving: Leaving,
+    most: float = math.inf,
 ) -> Outcome:
     """Give triangles in the plane or in space other sizes.
 
@@ -59,6 +61,7 @@ def retile(
     sizes : (n,) float64     length that edges are to have at the vertices
     options : Options        `envelope`, `feature_angle`, `boundary` and `keep` count
     leaving : callable       applied to every mesh before it is judged
+    most : float             triangles from which on no edges are split
 
     Returns
     -------
@@ -81,7 +84,7 @@ def retile(
         reach = POLICY.surface_guard * length * frame.scale * part[frame.active]
         unit = 1.0 if len(mesh.metric) else frame.scale
         net = resize(_base(start, options), sizes[frame.vertices] * unit, reach, bounds,
-                     feature_angle=options.feature_angle)
+                     feature_angle=options.feature_angle, most=most)
         n, m = net.count[0], net.count[1]
         points = np.ascontiguousarray(net.points[:n, _columns(mesh)])
         cells, labels = net.triangles[:m].copy(), net.labels[:m].copy()

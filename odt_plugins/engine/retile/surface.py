@@ -75,7 +75,8 @@ class Base(NamedTuple):
 
 
 def resize(
-    base: Base, sizes: FloatArray, reach: FloatArray, bounds: Extremes, *, feature_angle: float
+    base: Base, sizes: FloatArray, reach: FloatArray, bounds: Extremes, *, feature_angle: float,
+    most: float = math.inf,
 ) -> Net:
     """Bring the edges of a surface to sizes, within an envelope around it.
 
@@ -87,6 +88,7 @@ def resize(
                                 where it counts along rims and borders alone
     bounds : Extremes           what no triangle may pass at last, unless those of the base do
     feature_angle : float       degrees
+    most : float                triangles from which on no edges are split
 
     Returns
     -------
@@ -108,7 +110,7 @@ def resize(
     around = np.full(len(triangles), np.inf) if flat else reach
     rules = Rules(ground, tracks, around, cosine, bounds, LONGEST, SHORTEST)
     net = _net(base, features, marks, sizes, ground)
-    passes = Passes(rules, sizes, base.metric)
+    passes = Passes(rules, sizes, base.metric, most)
     for turn in range(ROUNDS):
         net = passes.split(net, bounds if turn else FREELY)
         passes.collapse(net)
@@ -175,8 +177,8 @@ def _net(
 class Passes:
     """Passes over what has changed since the last pass of the same kind."""
 
-    def __init__(self, rules: Rules, sizes: FloatArray, metric: FloatArray) -> None:
-        self.rules, self.sizes, self.room = rules, sizes, make_room()
+    def __init__(self, rules: Rules, sizes: FloatArray, metric: FloatArray, most: float) -> None:
+        self.rules, self.sizes, self.most, self.room = rules, sizes, most, make_room()
         self.metric = np.ascontiguousarray(metric.T)
         self.since: dict[object, int] = {}
 
@@ -209,6 +211,8 @@ class Passes:
         """Split edges, the longest first, until none is too long that keeps the bounds."""
         rules = self.rules._replace(bounds=bounds)
         for _ in range(PASSES):
+            if net.count[1] > self.most:
+                break
             pairs, ratio, degree = _edges(net, self._since(net, "split"))
             chosen = np.flatnonzero(ratio > LONGEST)
             chosen = chosen[np.argsort(-ratio[chosen], kind="stable")]

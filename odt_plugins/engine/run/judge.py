@@ -118,5 +118,6 @@ def cut_vertices(
     from odt_plugins.engine.ground.crossings import crossing_triangles
 
     old, new = boundary_facets(cells_before), boundary_facets(cells)
-    cut = np.unique(new[crossing_triangles(points, new)])
-    return np.setdiff1d(cut, old[crossing_triangles(before, old)]).astype(np.int32)
+    places, were = (np.ascontiguousarray(x[:, :3]) for x in (points, before))
+    cut = np.unique(new[crossing_triangles(places, new)])
+    return np.setdiff1d(cut, old[crossing_triangles(were, old)]).astype(np.int32)

@@ -91,6 +91,10 @@ def test_bounds_out_of_reach_are_given_up(good):
     left = within_bounds(moved, cells, free, bounds)
     assert 0.0 < left < lacking(points, cells, bounds).sum()
     assert (tm.signed_volumes(moved, cells) > 0).all()
+    # the logarithm of the identity behind them
+    seen = np.column_stack([points, np.zeros((len(points), 6))])
+    assert within_bounds(seen, cells, free, bounds) == left
+    assert np.array_equal(seen, np.column_stack([moved, np.zeros((len(points), 6))]))
 
 
 def test_what_is_lacking_is_a_part_of_each_bound(good):
