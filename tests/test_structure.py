@@ -51,7 +51,7 @@ MAY_IMPORT = {
             *BASE},
     "remeshing": {"engine", "metric", "multiblock", "report", "roundtrip", "untangling", *BASE},
     "tetwild": {"api", "generate", "progress", "remeshing", "report", *BASE},
-    "hosts": {"adapters", "api", "remeshing", "report", "tetwild", *BASE},
+    "hosts": {"adapters", "api", "metric", "remeshing", "report", "tetwild", *BASE},
     "generate": {"adapters", "api", "carry", "engine", "progress", "remeshing", "report", "table",
                  "tetwild", *BASE},
     "compare": {"adapters", "api", "engine", "generate", "processes", "remeshing", "report", *BASE},

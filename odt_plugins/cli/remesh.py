@@ -50,13 +50,14 @@ def remesh(
     sizes = take_sizes(options)
     options = resolve_arrays(source, options)
     from odt_plugins.adapters.files import check_output, read_file, write_file
+    from odt_plugins.metric.field import adapted_metric
     from odt_plugins.remeshing import remesh_with_report
 
     check_output(target)
     with warnings_told(quiet), progress_bar(quiet) as progress:
         mesh = read_file(source)
         if adapt:
-            options["metric"] = adapted(mesh, adapt, **sizes)
+            options["metric"] = adapted_metric(mesh, adapt, **sizes)
         found, report = remesh_with_report(mesh, **sizes | options | {"progress": progress})
         write_file(target, found)
     if not quiet:
@@ -64,14 +65,3 @@ def remesh(
     if report_file:
         write_beside(report_file, lambda path: path.write_text(report.to_json() + "\n"))
     return 0
-
-
-def adapted(
-    mesh: Any, names: tuple[str, ...], *, cells: int | None = None, vertices: int | None = None,
-    growth: float | None = None, **_: Any,
-) -> Any:
-    """The metric of some point arrays of a mesh; numbers of vertices are near enough."""
-    from odt_plugins.metric.field import metric_from_field
-
-    count = cells or 5 * (vertices or 1)
-    return metric_from_field(mesh, list(names), count, growth=growth)

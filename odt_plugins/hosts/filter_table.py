@@ -257,6 +257,12 @@ TARGET = Parameter("TargetLen", "length", 1.0, "Target Length",
 ADAPTIVE = Parameter("Adaptive", "bool", False, "Adaptive remeshing",
                      "Edges are as long as the surface distance allows where it is curved, and "
                      "grow from there.")
+COUNT = Parameter("TargetFaceNum", "int", 0, "Target number of faces",
+                  "About how many faces there are to be, whatever the target length; 0: any.")
+ADAPT = Parameter(
+    "AdaptTo", "string", "", "Adapt to",
+    "Custom scalar attribute of the vertices, or vertex scalar, which is their quality, to whose "
+    "second derivatives lengths and shapes of faces are adapted; with a target number of faces.")
 SELECTED_ONLY = Parameter(
     "SelectedOnly", "bool", False, "Remesh only selected faces",
     "Other faces stay; without selected faces, vertices that are not selected.")
@@ -299,8 +305,9 @@ _ALL = (
         "vertices, and optimizes what it gets. The surface stays within a distance of what it was "
         "and that within it of the surface, both ways. The mesh is built anew, see "
         "meshing_odt_optimization.",
-        (TARGET, ADAPTIVE, ANGLE, replace(ENVELOPE, gui="MaxSurfDist", title="Max. Surface "
-         "Distance"), FIELDS, REGIONS, SELECTED_ONLY)),
+        (TARGET, ADAPTIVE, COUNT, ADAPT, ANGLE,
+         replace(ENVELOPE, gui="MaxSurfDist", title="Max. Surface Distance"), FIELDS, REGIONS,
+         SELECTED_ONLY)),
     Filter(
         "compute_scalar_by_radius_ratio_per_face", "Per Face Quality by Radius Ratio",
         "Store in the scalar of every face its radius ratio 2 r/R, 1 for an equilateral triangle "

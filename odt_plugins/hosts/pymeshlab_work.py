@@ -13,6 +13,8 @@ from odt_plugins.adapters.pymeshlab_mesh import InPlace
 from odt_plugins.adapters.pymeshlab_set import exchange
 from odt_plugins.api import optimize_with_report
 from odt_plugins.errors import InvalidMeshError, ODTError
+from odt_plugins.hosts.filter_table import ParameterError
+from odt_plugins.metric.field import adapted_metric
 from odt_plugins.options import KEPT
 from odt_plugins.remeshing import remesh_with_report
 from odt_plugins.tetwild import run_tetwild
@@ -65,10 +67,19 @@ def _optimize(meshes: Any, values: Mapping[str, Any]) -> Effect:
 def _remesh(meshes: Any, values: Mapping[str, Any]) -> Effect:
     old, _ = _arrays(meshes)
     length = diagonal(meshes)
+    count, name = values["targetfacenum"], values["adaptto"]
+    sizes: dict[str, Any] = {"size": "curvature" if values["adaptive"] else values["targetlen"]}
+    if count:
+        sizes = {"cells": count}
+    if name:
+        if not count:
+            msg = f"Parameter adaptto: got {name!r}; expected targetfacenum above 0 beside it"
+            raise ParameterError(msg)
+        sizes["metric"] = adapted_metric(InPlace(meshes), name, cells=count)
     _, report = remesh_with_report(
-        InPlace(meshes), "curvature" if values["adaptive"] else values["targetlen"],
-        envelope=values["maxsurfdist"] / length, feature_angle=values["featuredeg"],
-        fields=values["fields"], **{"regions": values["regions"]} if values["regions"] else {},
+        InPlace(meshes), **sizes, envelope=values["maxsurfdist"] / length,
+        feature_angle=values["featuredeg"], fields=values["fields"],
+        **{"regions": values["regions"]} if values["regions"] else {},
         **_scope(meshes, values["selectedonly"]),
     )
     points, faces = _arrays(meshes)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from numbers import Integral
 from typing import Any
 
@@ -128,6 +129,24 @@ def metric_from_field(
     plane = Tangents(np.broadcast_to(frame.axes, (len(points), 2, 3)),
                      np.broadcast_to(normal, (len(points), 3)))
     return plane.lifted(metric)
+
+
+def adapted_metric(
+    mesh: Any, names: str | Sequence[str], *, cells: int | None = None, vertices: int | None = None,
+    growth: float | None = None, **_: Any,
+) -> FloatArray:
+    """The metric of point arrays for the sizes of :func:`odt_plugins.remesh`, which has the last
+    word about numbers of vertices.
+
+    Raises
+    ------
+    InvalidOptionError    there is no such array, or no number of cells or vertices
+    """
+    if cells is None and vertices is None:
+        msg = "got adapt= without a number of cells; expected cells= or vertices= beside it"
+        raise InvalidOptionError(msg)
+    listed = [names] if isinstance(names, str) else list(names)
+    return metric_from_field(mesh, listed, cells or 5 * (vertices or 1), growth=growth)
 
 
 def hessians_to_metric(
