@@ -14,6 +14,7 @@ import numpy as np
 from skfem import MeshTet, MeshTri
 
 import odt_plugins
+from measure.matched import matched
 from odt_plugins.compare.table import Say, Table, Value
 from odt_plugins.engine.cells.tensors import packed
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -173,7 +174,8 @@ def aniso_tables(say: Say, dims: Sequence[int] = (2, 3)) -> list[Table]:
                              for value in rows[-1]))
     heads = ("test", *(f"1 / {2**k}" if k else "all" for k in range(HALVINGS, -1, -1)), "order")
     return [Table("aniso", f"Errors after {ROUNDS} rounds", HEADS, rows),
-            Table("order", "L2 errors with fewer vertices", heads, orders)]
+            Table("order", "L2 errors with fewer vertices", heads, orders),
+            *([matched(say)] if 3 in dims else [])]
 
 
 def _row(name: str, way: str, d: int, last: Adapted) -> tuple[Value, ...]:

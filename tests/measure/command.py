@@ -42,7 +42,8 @@ def main(words: tuple[str, ...], out: Path, smallest: int, largest: int, threads
     How time, memory and iterations grow: stages, surface, races, forty-sweeps, multigrid,
     bandwidth, threads, blocks, generation, ladder, small, cold. Default runs on hard meshes, and
     whether the promise holds on each: hard. What each phase of the schedule gains on each MESH, or
-    on the standard suite: ablation. Errors of meshes that are adapted to functions: aniso.
+    on the standard suite: ablation. Errors of meshes that are adapted to functions, and how
+    well others match metrics: aniso.
     """
     def say(line: str) -> None:
         click.echo(line, err=True)

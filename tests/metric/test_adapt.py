@@ -5,7 +5,7 @@ from __future__ import annotations
 import meshio
 import numpy as np
 import pytest
-from measure import aniso
+from measure import aniso, matched
 from strategies import jittered
 
 import odt_plugins
@@ -70,3 +70,20 @@ def test_the_benchmark_has_a_row_for_each(monkeypatch):
     assert table.heads == aniso.HEADS
     assert {row[1] for row in table.rows} <= {"odt-plugins", "mmg"}
     assert float(table.rows[0][8]) < 3.0
+
+
+def test_metrics_of_the_working_group_have_their_lengths_across_and_along_the_cylinder(monkeypatch):
+    monkeypatch.setattr(matched, "ROUNDS", 0)
+    monkeypatch.setattr(matched, "FINEST", 0.05)
+    angle = np.array([0.1, 0.8, 1.5])
+    out, along = (np.stack([*pair, 0.0 * angle], axis=1) for pair in (
+        (np.cos(angle), np.sin(angle)), (-np.sin(angle), np.cos(angle))))
+    for radius, across, arc in ((0.5, 0.05, 0.025), (0.55, 0.055, 0.0625), (0.75, 0.075, 0.1)):
+        for fine in (False, True):
+            metric = matched.polar(radius * out, fine=fine)
+            for way, h in ((out, across), (along, arc if fine else 0.1)):
+                assert np.einsum("ni,nij,nj->n", way, metric, way) == pytest.approx(h**-2)
+    table = matched.matched(lambda _: None)
+    assert [row[0] for row in table.rows] == list(matched.CASES)
+    points, cells = matched.cut_cube()
+    assert abs(odt_plugins.quality((points, cells)).volume - 1.0 + np.pi / 16.0) < 5e-4
