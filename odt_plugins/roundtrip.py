@@ -161,7 +161,8 @@ def run_engine(
         cells = at_copies(cells, source, old, same, work.host.blocks)
     before = work.mesh
     if work.tangle is not None:
-        before, source = work.tangle.before, work.tangle.source[source]
+        before = replace(work.tangle.before, metric=work.mesh.metric)
+        source = work.tangle.source[source]
         outcome = replace(outcome, origin=work.tangle.origin(outcome.origin))
     fields = interpolated(work, options)
     near = partial(around, work, options.threads)
@@ -196,10 +197,6 @@ def run_engine(
 def optimized(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
     """Let the engine for this kind of mesh do the work."""
     if mesh.is_surface or (mesh.dim == 2 and options.boundary == "slide"):
-        if len(mesh.metric):
-            msg = ("got metric= for triangles whose surface or boundary slides; expected "
-                   "tetrahedra, or triangles in the plane with boundary='fixed', try remesh")
-            raise UnsupportedMeshError(msg)
         from odt_plugins.engine.surface.in_plane import run_any
 
         return run_any(mesh, options, leaving)
@@ -404,9 +401,9 @@ def _of_mesh(options: Options, tangle: Tangle | None) -> Options:
     """Say for a mesh that was untangled what was said before: densities, how many vertices come.
 
     Its cells have the densities of those they come from, inserted vertices those around them; the
-    sizes of what stayed are kept.
+    sizes of what stayed are kept. A metric takes the place of a density.
     """
-    if tangle is None:
+    if tangle is None or options.metric is not None:
         return options
     m, n = len(tangle.before.cells), len(tangle.before.points)
     if options.insert and tangle.added:

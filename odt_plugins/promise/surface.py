@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from odt_plugins.figures import QualitySummary, summarize
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.facets import row_keys
+from odt_plugins.mesh.seen import NO_METRIC, as_seen
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.mesh.surface import Edges, surface_edges
 from odt_plugins.options import KEPT
@@ -38,6 +39,7 @@ def broken_surface_promises(
     held: NDArray[np.bool_] | None = None,
     before_summary: QualitySummary | None = None,
     envelope: float = math.inf,
+    metric: NDArray[np.float64] = NO_METRIC,
 ) -> list[str]:
     """Say what of the promise does not hold for an optimised surface, its distance apart.
 
@@ -50,6 +52,8 @@ def broken_surface_promises(
     held : (n,) bool, optional          corners and other vertices that must not have moved
     before_summary : QualitySummary     of ``before``, when it is at hand already
     envelope : float                    length; folds lie no further from those of the input
+    metric : (n, k) float64             of the metric in which figures are measured, no rows where
+                                        there is none
 
     Returns
     -------
@@ -81,8 +85,8 @@ def broken_surface_promises(
     broken += _thawed(before, cells, regions)
     broken += _folded(before.points, before.cells, old, points, cells, new, envelope)
     if keep:
-        was = before_summary or summarize(before.points, before.cells)
-        broken += worse_figures(was, summarize(points, cells), keep)
+        was = before_summary or summarize(*as_seen(before.points, before.cells, before.metric))
+        broken += worse_figures(was, summarize(*as_seen(points, cells, metric)), keep)
     return broken
 
 

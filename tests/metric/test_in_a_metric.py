@@ -7,7 +7,7 @@ import pytest
 from scipy.spatial import Delaunay
 
 import odt_plugins
-from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
+from odt_plugins.errors import InvalidOptionError
 
 STRETCHED = np.array([400.0, 0.0, 25.0])
 
@@ -125,6 +125,37 @@ def test_a_size_beside_a_metric_is_refused():
         odt_plugins.remesh(square(), 0.1, metric="input")
 
 
-def test_a_sliding_boundary_in_the_plane_is_refused_in_a_sentence():
-    with pytest.raises(UnsupportedMeshError, match="try remesh"):
-        odt_plugins.optimize(square(), metric="input", boundary="slide")
+@pytest.mark.parametrize("make", [square, cube])
+def test_a_boundary_that_slides_is_seen_as_all_else(make):
+    points, cells = make()
+    d, step = points.shape[1], 0.4 / len(points) ** (1 / points.shape[1])
+    on = (points == 0) | (points == 1)
+    shift = np.random.default_rng(2).uniform(-step, step, points.shape) * ~on
+    points = np.where(on.any(axis=1)[:, None], points + shift, points)
+    root = np.array([[5.0, 1.0, 0.2], [1.0, 1.0, 0.1], [0.2, 0.1, 1.2]])[:d, :d]
+    (p, t), report = odt_plugins.optimize_with_report(
+        (points @ np.linalg.inv(root), cells), metric=np.tile(root @ root, (len(points), 1, 1)),
+        boundary="slide", layers="improve", free="periodic")
+    before, image = odt_plugins.quality((points, cells)), odt_plugins.quality((p @ root, t))
+    for name in ("mean_quality", "min_quality", "min_angle", "max_angle"):
+        assert np.isclose(getattr(report.before, name), getattr(before, name), atol=1e-9)
+        assert np.isclose(getattr(report.after, name), getattr(image, name), atol=1e-9)
+    assert image.mean_quality > before.mean_quality + 0.02
+    assert image.min_quality >= before.min_quality
+    moved = (p != points @ np.linalg.inv(root)).any(axis=1)
+    assert moved[on.any(axis=1)].any()
+    corners = on.sum(axis=1) == d
+    assert not moved[corners].any()
+    assert np.isclose(image.volume, 1.0, rtol=2e-3)
+
+
+def test_an_inverted_mesh_is_seen_before_and_after():
+    points, cells = square()
+    points[5 * 12 + 5] = points[7 * 12 + 7] + 0.01
+    root = np.diag([6.0, 1.0])
+    (p, t), report = odt_plugins.optimize_with_report(
+        (points @ np.linalg.inv(root), cells), metric=np.tile(root @ root, (144, 1, 1)))
+    before, image = odt_plugins.quality((points, cells)), odt_plugins.quality((p @ root, t))
+    assert before.min_quality < 0 < image.min_quality
+    assert np.isclose(report.before.min_quality, before.min_quality, atol=1e-9)
+    assert np.isclose(report.after.min_quality, image.min_quality, atol=1e-9)

@@ -146,3 +146,22 @@ def ground_values(
             out[v] = (1.0 - s - r) * values[a] + s * values[b] + r * values[c]
         else:
             out[v] = (values[a] + values[b] + values[c]) / 3.0
+
+
+def resample_metric(
+    ground: Ground, metric: FloatArray, points: FloatArray, foot: IntArray
+) -> None:
+    """Write a metric behind the coordinates of points as it is at their feet.
+
+    Parameters
+    ----------
+    ground : Ground
+    metric : (k, g) float64        at the vertices of the ground, one column of ``cells.metric``
+                                   after another; k = 0 without one
+    points : (n, 3 + k) float64    changed
+    foot : (n,) int32              triangles of the ground
+    """
+    for k, column in enumerate(metric):
+        found = points[:, 3 + k].copy()
+        ground_values(ground, column, points, foot, found)
+        points[:, 3 + k] = found

@@ -8,6 +8,7 @@ from typing import NamedTuple
 from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
 from odt_plugins.engine.cells.measures import QUALITY, star_state, star_state_2d
+from odt_plugins.engine.cells.metric import has_metric, through, vertex_root
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.budget import affordable, spend, swept_volume
 from odt_plugins.engine.ground.closest import Ground, walk
@@ -64,12 +65,21 @@ class Step(NamedTuple):
 def along_line(
     sheet: Sheet, lines: Lines, vertex: int, dx: float, dy: float, dz: float
 ) -> float:
-    """Length of a step along the feature line of a vertex, 0 for one that is on none."""
+    """Length of a step along the feature line of a vertex, 0 for one that is on none.
+
+    It leads to the place on the line that is nearest as the vertex sees it.
+    """
     slot = lines.slot[vertex]
     if slot < 0:
         return 0.0
     ex, ey, ez = line_direction(lines, sheet.points, slot)
-    return dx * ex + dy * ey + dz * ez
+    if not has_metric(sheet.points):
+        return dx * ex + dy * ey + dz * ez
+    root = vertex_root(sheet.points, vertex)
+    ex, ey, ez = through(root, ex, ey, ez)
+    dx, dy, dz = through(root, dx, dy, dz)
+    square = ex * ex + ey * ey + ez * ez
+    return (dx * ex + dy * ey + dz * ez) / square if square > 0.0 else 0.0
 
 
 @kernel

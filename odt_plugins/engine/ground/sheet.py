@@ -27,7 +27,8 @@ class Sheet(NamedTuple):
 
     Attributes
     ----------
-    points : (n, 3) float64         moved in place; each on the ground
+    points : (n, 3) float64         moved in place, each on the ground; more columns as in
+                                    ``cells.metric``
     triangles : (m, 3) int32        oriented alike across every edge of two triangles
     neighbors : (m, 3) int32        triangle across the edge opposite to a corner, -1 where there is
                                     none and at edges of more than two triangles

@@ -17,6 +17,7 @@ import numpy as np
 from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
 from odt_plugins.engine.cells.measures import triangle_measure
+from odt_plugins.engine.cells.metric import has_metric, in_space, through, triangle_root
 from odt_plugins.engine.cells.triangle import triangle_extremes
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.compiled.threads import pieces
@@ -152,12 +153,18 @@ def _add_excess(points: FloatArray, cells: IntArray, excess: FloatArray) -> None
 
 @kernel
 def _angle(points: FloatArray, a: int, b: int, c: int) -> float:
-    """Angle at a; negative in the plane where (a, b, c) is not counterclockwise."""
+    """Angle at a, as it is seen; negative in the plane where (a, b, c) is not counterclockwise."""
+    space = in_space(points)
     ux, uy = points[b, 0] - points[a, 0], points[b, 1] - points[a, 1]
     vx, vy = points[c, 0] - points[a, 0], points[c, 1] - points[a, 1]
+    uz = points[b, 2] - points[a, 2] if space else 0.0
+    vz = points[c, 2] - points[a, 2] if space else 0.0
+    if has_metric(points):
+        root = triangle_root(points, a, b, c)
+        ux, uy, uz = through(root, ux, uy, uz)
+        vx, vy, vz = through(root, vx, vy, vz)
     along, across = ux * vx + uy * vy, ux * vy - uy * vx
-    if points.shape[1] == 3:
-        uz, vz = points[b, 2] - points[a, 2], points[c, 2] - points[a, 2]
+    if space:
         x, y = uy * vz - uz * vy, uz * vx - ux * vz
         along += uz * vz
         across = math.sqrt(x * x + y * y + across * across)
@@ -202,7 +209,7 @@ def forced_flip(
         j = place_in(edges.of_cell, s, edges.of_cell[t, i])
         a, b, c, d = cells[t, i], cells[t, (i + 1) % 3], cells[t, (i + 2) % 3], cells[s, j]
         if excess[a] + excess[d] - excess[b] - excess[c] + 2.0 <= LEVEL and (
-            points.shape[1] == 3 or (is_wide(points, a, b, d) and is_wide(points, a, d, c))
+            in_space(points) or (is_wide(points, a, b, d) and is_wide(points, a, d, c))
         ):
             cost = _at_turn(rule.cost, 0)
             x, y, z = cells[bad, 0], cells[bad, 1], cells[bad, 2]
@@ -234,7 +241,7 @@ def _sweep(
             size = gather_star_2d(cells, neighbors, t, v, scratch.star)
             n = scratch.counts[MOVED]
             scratch.moved[n] = v
-            for d in range(points.shape[1]):
+            for d in range(scratch.origin.shape[1]):
                 scratch.origin[n, d] = points[v, d]
             n_touched = scratch.counts[TOUCHED]
             for s in range(size):
@@ -318,7 +325,7 @@ def take_back(
 ) -> None:
     """Undo what :func:`force` did last."""
     for m in range(scratch.counts[MOVED] - 1, -1, -1):
-        for d in range(mesh.points.shape[1]):
+        for d in range(scratch.origin.shape[1]):
             mesh.points[scratch.moved[m], d] = scratch.origin[m, d]
     t, i, s, j, _ = forced
     take_back_flip(mesh.cells, mesh.neighbors, edges, t, i, s, j)

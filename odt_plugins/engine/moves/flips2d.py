@@ -14,6 +14,7 @@ import numpy as np
 from odt_plugins.engine.cells.cost import ENERGY, Cost, is_energy
 from odt_plugins.engine.cells.extremes import FREELY, Extremes, keeps, worse
 from odt_plugins.engine.cells.measures import triangle_state
+from odt_plugins.engine.cells.metric import has_metric, tet_root, through
 from odt_plugins.engine.cells.triangle import triangle_extremes
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import PIECE
@@ -375,13 +376,21 @@ def is_wide(points: FloatArray, a: int, b: int, c: int) -> bool:
 
 @kernel
 def _in_circle(points: FloatArray, a: int, b: int, c: int, d: int) -> bool:
-    """Whether d lies in the circumcircle of the counterclockwise (a, b, c), beyond rounding."""
+    """Whether d lies in the circumcircle of the counterclockwise (a, b, c), beyond rounding.
+
+    In a metric all four are seen through their mean.
+    """
     ax = points[a, 0] - points[d, 0]
     ay = points[a, 1] - points[d, 1]
     bx = points[b, 0] - points[d, 0]
     by = points[b, 1] - points[d, 1]
     cx = points[c, 0] - points[d, 0]
     cy = points[c, 1] - points[d, 1]
+    if has_metric(points):
+        root = tet_root(points, a, b, c, d)
+        ax, ay, _ = through(root, ax, ay, 0.0)
+        bx, by, _ = through(root, bx, by, 0.0)
+        cx, cy, _ = through(root, cx, cy, 0.0)
     aa = ax * ax + ay * ay
     bb = bx * bx + by * by
     cc = cx * cx + cy * cy

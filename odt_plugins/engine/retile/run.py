@@ -21,7 +21,7 @@ from odt_plugins.engine.retile.surface import Base, resize
 from odt_plugins.engine.run.outcome import Leaving, Outcome, unchanged
 from odt_plugins.engine.run.work import extremes
 from odt_plugins.engine.surface.driver import SurfaceStart, surface_start
-from odt_plugins.engine.surface.in_plane import in_space
+from odt_plugins.engine.surface.in_plane import IN_PLANE, in_space, metric_in_space
 from odt_plugins.engine.surface.judge import TOLERANCE, Distance
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
@@ -137,7 +137,7 @@ def _columns(mesh: SimplexMesh) -> list[int]:
     """Columns of the points of a net that are those of a mesh, those of its metric behind them."""
     if mesh.is_surface:
         return list(range(9 if len(mesh.metric) else 3))
-    return [0, 1, *((3, 4, 6) if len(mesh.metric) else ())]
+    return [0, 1, *(3 + k for k in IN_PLANE if len(mesh.metric))]
 
 
 def _base(start: SurfaceStart, options: Options) -> Base:
@@ -153,16 +153,7 @@ def _base(start: SurfaceStart, options: Options) -> Base:
     if options.boundary == "fixed":
         held = np.ones(len(key), dtype=np.bool_)
     return Base(in_space(start.points), start.cells, start.regions, edges, fixed, kept, held,
-                _metric_in_space(start.metric))
-
-
-def _metric_in_space(metric: FloatArray) -> FloatArray:
-    """Rows (n, 6): those of the plane, which see the third direction as it is."""
-    if metric.shape[1] != 3:
-        return metric
-    out = np.zeros((len(metric), 6))
-    out[:, [0, 1, 3]] = metric
-    return out
+                metric_in_space(start.metric))
 
 
 def _judged(

@@ -168,7 +168,7 @@ def _shift(net: Net, rules: Rules, v: int, room: Room) -> bool:
             share += 1.0 / (h * h * h * h)
         area = math.sqrt(nx * nx + ny * ny + nz * nz)
         if has_metric(p):
-            # rho = det(M)^2 along the triangle
+            # rho = det(S)^2 along the triangle
             share = squares(p, c[0], c[1], c[2])[3] / area if area > 0.0 else 0.0
         else:
             share *= area

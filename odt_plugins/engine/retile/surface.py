@@ -8,7 +8,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from odt_plugins.engine.cells.extremes import FREELY, Extremes
-from odt_plugins.engine.ground.build import ground_values, make_ground, make_sheet
+from odt_plugins.engine.ground.build import (
+    ground_values,
+    make_ground,
+    make_sheet,
+    resample_metric,
+)
 from odt_plugins.engine.ground.closest import Ground
 from odt_plugins.engine.ground.features import Features, find_features
 from odt_plugins.engine.ground.sheet import LINE
@@ -252,10 +257,7 @@ class Passes:
         n = int(net.count[0])
         ground, points, foot = self.rules.ground, net.points[:n], net.foot[:n]
         ground_values(ground, self.sizes, points, foot, net.size[:n])
-        for k, column in enumerate(self.metric):
-            found = points[:, 3 + k].copy()
-            ground_values(ground, column, points, foot, found)
-            points[:, 3 + k] = found
+        resample_metric(ground, self.metric, points, foot)
 
 
 def _edges(net: Net, since: int) -> tuple[IntArray, FloatArray, IntArray]:

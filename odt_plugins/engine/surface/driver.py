@@ -42,6 +42,7 @@ from odt_plugins.engine.surface.rounds import check_method, smooth_surface
 from odt_plugins.engine.topology.frame import Frame, callers_vertices
 from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal
 from odt_plugins.mesh.surface import Edges, surface_edges
 from odt_plugins.objectives import AIMS, Objective
@@ -215,7 +216,8 @@ def _attempts(
     found, refused = list[Found](), None
 
     def worth(outcome: Outcome) -> Figures:
-        return figures(outcome.points, outcome.cells, options.objective)
+        seen = as_seen(outcome.points, outcome.cells, outcome.metric)
+        return figures(*seen, options.objective)
 
     for attempt in range(POLICY.surface_attempts):
         last = attempt == POLICY.surface_attempts - 1
@@ -332,7 +334,7 @@ def _run(
     if start.mesh.ground is not None and density.values is not None:
         density = replace(density, values=values_on(
             start.points, start.cells, density.values, surface.guards.ground.points))
-    before = figures(start.points, start.cells, options.objective)
+    before = figures(start.seen, start.cells, options.objective)
     memory = Memory(before, tuple(options.keep), options.objective, by_score=options.finish)
     log.add_time("prepare", time.perf_counter() - clock)
     with thread_pool(options.threads) as pool:
@@ -390,7 +392,11 @@ def _build(
         frame.vertices[edges.vertices[features.edges]], locked, features.corners,
         int((features.kind == LINE).sum()),
     )
-    return Surface(sheet, Guards(ground, features.lines, limits), start.regions), features, kept
+    surface = Surface(
+        sheet._replace(points=start.seen), Guards(ground, features.lines, limits), start.regions,
+        np.ascontiguousarray(start.metric.T),
+    )
+    return surface, features, kept
 
 
 def _cycles(
@@ -462,6 +468,7 @@ def _settle(
         descent = SurfaceDescent(surface, phase, bounds)
         compound = descent.compound()
         flips, moves = finish_phase(descent, phase)
+        surface.resample()
         log.add("quality flips", flips + compound)
         log.add("vertex moves", moves)
 
@@ -472,7 +479,7 @@ def _judged(
     """A state as it leaves, and what it breaks of the promise."""
     outcome = leaving(start.placed(state))
     broken, distance = faults(
-        start.mesh, kept, outcome.points, outcome.cells, outcome.regions, options
+        start.mesh, kept, outcome.points, outcome.cells, outcome.regions, options, outcome.metric
     )
     return SurfaceOutcome(**vars(outcome), distance=distance), broken
 

@@ -11,7 +11,8 @@ import numpy as np
 
 from odt_plugins.engine.cells.cost import Cost, is_energy
 from odt_plugins.engine.cells.extremes import Extremes, keeps, worse
-from odt_plugins.engine.cells.triangle import offset, triangle_in_space
+from odt_plugins.engine.cells.metric import Root, has_metric, tet_root, through
+from odt_plugins.engine.cells.triangle import NO_ROOT, offset, triangle_in_space
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.compiled.threads import PIECE
 from odt_plugins.engine.ground.pair import edge_is_free, flip_back, keeps_normals
@@ -126,7 +127,9 @@ def _pays(
     p = sheet.points
     if not is_energy(cost.objective):
         return shapes_improve(p, a, b, c, d, cost, bounds)
-    if not _wide(p, a, b, c, d):
+    # both pairs are seen alike, through the mean of the four vertices
+    root = tet_root(p, a, b, c, d) if has_metric(p) else NO_ROOT
+    if not _wide(p, a, b, c, d, root):
         return False
     q1, large1, small1, x1, y1, z1 = triangle_in_space(p, a, b, c)
     q2, large2, small2, x2, y2, z2 = triangle_in_space(p, d, c, b)
@@ -146,28 +149,47 @@ def _pays(
         if worst < LOCKED_FLOOR and worst < before.quality:
             return False
     # energy (2.2): area times the sum of squared edges
-    bc, ad = _squared(p, b, c), _squared(p, a, d)
-    energy = _norm(x1, y1, z1) * (_squared(p, a, b) + _squared(p, c, a) + bc) + _norm(
-        x2, y2, z2) * (_squared(p, b, d) + _squared(p, d, c) + bc)
-    then = _norm(x3, y3, z3) * (_squared(p, a, b) + _squared(p, b, d) + ad) + _norm(
-        x4, y4, z4) * (_squared(p, d, c) + _squared(p, c, a) + ad)
+    if has_metric(p):
+        x1, y1, z1 = _seen_area(p, a, b, c, root)
+        x2, y2, z2 = _seen_area(p, d, c, b, root)
+        x3, y3, z3 = _seen_area(p, a, b, d, root)
+        x4, y4, z4 = _seen_area(p, a, d, c, root)
+    ab, ca = _squared(p, a, b, root), _squared(p, c, a, root)
+    bd, dc = _squared(p, b, d, root), _squared(p, d, c, root)
+    bc, ad = _squared(p, b, c, root), _squared(p, a, d, root)
+    energy = _norm(x1, y1, z1) * (ab + ca + bc) + _norm(x2, y2, z2) * (bd + dc + bc)
+    then = _norm(x3, y3, z3) * (ab + bd + ad) + _norm(x4, y4, z4) * (dc + ca + ad)
     return then < (1.0 - GAIN) * energy
 
 
 @kernel
-def _wide(p: FloatArray, a: int, b: int, c: int, d: int) -> bool:
+def _wide(p: FloatArray, a: int, b: int, c: int, d: int, root: Root) -> bool:
     """Whether the angles at a and d, opposite to the edge bc, exceed 180 degrees together."""
-    ab, ac, bc = _squared(p, a, b), _squared(p, a, c), _squared(p, b, c)
-    db, dc = _squared(p, d, b), _squared(p, d, c)
+    ab, ac, bc = _squared(p, a, b, root), _squared(p, a, c, root), _squared(p, b, c, root)
+    db, dc = _squared(p, d, b, root), _squared(p, d, c, root)
     at_a = (ab + ac - bc) / math.sqrt(ab * ac) if ab > 0.0 and ac > 0.0 else 0.0
     at_d = (db + dc - bc) / math.sqrt(db * dc) if db > 0.0 and dc > 0.0 else 0.0
     return at_a + at_d < -GAIN
 
 
 @kernel
-def _squared(p: FloatArray, a: int, b: int) -> float:
+def _squared(p: FloatArray, a: int, b: int, root: Root) -> float:
     x, y, z = offset(p, a, b)
+    if has_metric(p):
+        x, y, z = through(root, x, y, z)
     return x * x + y * y + z * z
+
+
+@kernel
+def _seen_area(
+    p: FloatArray, a: int, b: int, c: int, root: Root
+) -> tuple[float, float, float]:
+    """Twice the area vector of a triangle that is seen through S."""
+    ux, uy, uz = offset(p, a, b)
+    vx, vy, vz = offset(p, a, c)
+    ux, uy, uz = through(root, ux, uy, uz)
+    vx, vy, vz = through(root, vx, vy, vz)
+    return uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
 
 
 @kernel

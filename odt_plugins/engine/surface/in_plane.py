@@ -16,6 +16,9 @@ from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
 
+IN_PLANE = [0, 1, 3]
+"""Columns of xx, xy and yy among those of a metric in space."""
+
 
 def run_any(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outcome:
     """Optimise a mesh of any kind by the engine for it; parameters as for the others."""
@@ -39,9 +42,9 @@ def run_in_plane(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outco
     -------
     Outcome               triangles of positive area whose rims do not cross, at worst the input
     """
-    lifted = replace(
-        mesh, points=in_space(mesh.points), valid_before=mesh.valid_before and (
-            in_space(mesh.valid_before[0]), mesh.valid_before[1]))
+    valid = mesh.valid_before and (in_space(mesh.valid_before[0]), mesh.valid_before[1])
+    lifted = replace(mesh, points=in_space(mesh.points), metric=metric_in_space(mesh.metric),
+                     valid_before=valid)
     density: Any = options.density
     if callable(density):
         options = replace(options, density=lambda x: density(x[:, :2]))
@@ -57,12 +60,22 @@ def run_in_plane(mesh: SimplexMesh, options: Options, leaving: Leaving) -> Outco
     if spoiled or (crossed_facets(points, rims) >= 0).any():
         why = "the input is returned, since its rims would cut through themselves"
         return replace(leaving(unchanged(mesh, outcome.stop_reason)), fallback=why)
-    return replace(outcome, points=points)
+    metric = outcome.metric[:, IN_PLANE[: mesh.metric.shape[1]]]
+    return replace(outcome, points=points, metric=metric)
 
 
 def in_space(points: FloatArray) -> FloatArray:
     """Points (n, 3): those of the plane with z = 0."""
     return np.ascontiguousarray(np.pad(points, ((0, 0), (0, 3 - points.shape[1]))))
+
+
+def metric_in_space(metric: FloatArray) -> FloatArray:
+    """Rows (n, 6): those of the plane, which see the third direction as it is."""
+    if metric.shape[1] != 3:
+        return metric
+    out = np.zeros((len(metric), 6))
+    out[:, IN_PLANE] = metric
+    return out
 
 
 def _flat(points: FloatArray) -> FloatArray:

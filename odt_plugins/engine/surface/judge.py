@@ -13,6 +13,7 @@ from odt_plugins.engine.topology.order import morton_keys
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.facets import row_keys
+from odt_plugins.mesh.seen import NO_METRIC
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.mesh.surface import surface_edges
 from odt_plugins.options import Options
@@ -61,7 +62,7 @@ class Distance(NamedTuple):
 
 def faults(
     mesh: SimplexMesh, kept: Kept, points: FloatArray, cells: IntArray, regions: IntArray,
-    options: Options,
+    options: Options, metric: FloatArray = NO_METRIC,
 ) -> tuple[list[str], Distance]:
     """Say what of the promise does not hold for a surface, and how far it is from the input.
 
@@ -71,10 +72,11 @@ def faults(
     kept : Kept
     points, cells, regions     the surface to be judged
     options : Options
+    metric : (n, k) float64    of the metric in which figures are measured, no rows without one
     """
     broken = broken_surface_promises(
         mesh, points, cells, regions, tuple(options.keep), lines=kept.lines, held=kept.locked,
-        envelope=kept.envelope,
+        envelope=kept.envelope, metric=metric,
     )
     distance = Distance(0.0, 0.0)
     if not broken:

@@ -29,7 +29,7 @@ class Pieces(NamedTuple):
 
     Attributes
     ----------
-    points : (n, 3) float64
+    points : (n, 3) float64     more columns as in ``cells.metric``
     cells : (m, 3) int32
     regions : (m,) int32
     """
@@ -147,7 +147,7 @@ def mended_state(
         return found
 
     surface = mended(
-        Pieces(start.points, start.cells, start.regions),
+        Pieces(start.seen, start.cells, start.regions),
         Pieces(best.points, best.cells, best.regions), bad, POLICY.surface_mendings,
     )
     if surface is None:

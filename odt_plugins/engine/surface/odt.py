@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from odt_plugins.engine.cells.extremes import Extremes
+from odt_plugins.engine.cells.metric import has_metric, through, triangle_root
 from odt_plugins.engine.cells.triangle import opposite_edge
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.position import NO_COST, Body, Step, along_line, try_move
@@ -52,7 +53,11 @@ NOWHERE = np.zeros((0, 3))
 def star_centre(
     sheet: Sheet, stars: Stars, vertex: int, target: Target
 ) -> tuple[float, float, float]:
-    """Vector to the weighted mean of the centres of a star (4.13), (4.20) or (4.21)."""
+    """Vector to the weighted mean of the centres of a star (4.13), (4.20) or (4.21).
+
+    In a metric circumcentres are those of the triangles as they are seen, and rho is det(S)^2, the
+    square of the ratio of the areas.
+    """
     p, t = sheet.points, sheet.triangles
     indptr, indices = stars
     rho = target.rho
@@ -68,6 +73,16 @@ def star_centre(
         uv = ux * vx + uy * vy + uz * vz
         # square of twice the area
         square = uu * vv - uv * uv
+        size = 1.0
+        if has_metric(p):
+            root = triangle_root(p, vertex, b, d)
+            ax, ay, az = through(root, ux, uy, uz)
+            bx, by, bz = through(root, vx, vy, vz)
+            uu = ax * ax + ay * ay + az * az
+            vv = bx * bx + by * by + bz * bz
+            uv = ax * bx + ay * by + az * bz
+            area, square = square, uu * vv - uv * uv
+            size = square / area if area > 0.0 else 0.0
         if target.centre == LAPLACIAN:
             share, left, right = 1.0, 0.5, 0.5
         elif not square > SLENDER * uu * vv:
@@ -75,7 +90,7 @@ def star_centre(
         else:
             share = 1.0
             if not target.equal_weights:
-                share = math.sqrt(square) * (rho[vertex] + rho[b] + rho[d])
+                share = math.sqrt(square * size) * (rho[vertex] + rho[b] + rho[d])
             left = right = 1.0 / 3.0
             if target.centre == ODT and sheet.kind[vertex] + sheet.kind[b] + sheet.kind[d] == 0:
                 left = 0.5 * vv * (uu - uv) / square

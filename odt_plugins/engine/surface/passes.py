@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from copy import deepcopy
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -15,6 +15,7 @@ from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.finish.phases import Phase
 from odt_plugins.engine.finish.triangles import TriangleDescent
+from odt_plugins.engine.ground.build import resample_metric
 from odt_plugins.engine.ground.newton import smooth_on_ground
 from odt_plugins.engine.ground.position import Body
 from odt_plugins.engine.ground.sheet import LOCKED, SMOOTH, Guards, Sheet, Work, make_work
@@ -39,18 +40,20 @@ class Surface:
     ----------
     sheet : Sheet, guards : Guards
     regions : (m,) int32                                 labels; no flip crosses their borders
+    metric : (k, g) float64                              see ``ground.build.resample_metric``
     pool : Pool or None, threads : int     see :func:`run_chunks`
     """
 
     sheet: Sheet
     guards: Guards
     regions: IntArray
+    metric: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
     pool: Pool | None = None
     threads: int = 1
 
     @property
     def points(self) -> FloatArray:
-        """Coordinates (n, 3), as they are now."""
+        """Coordinates (n, 3) as they are now, a metric behind them if there is one."""
         return self.sheet.points
 
     @property
@@ -79,6 +82,10 @@ class Surface:
     def _moving(self) -> tuple[NDArray[Any], ...]:
         sheet = self.sheet
         return sheet.points, sheet.foot, sheet.first, sheet.following, self.guards.lines.place
+
+    def resample(self) -> None:
+        """Let every vertex have the metric of the place where it is."""
+        resample_metric(self.guards.ground, self.metric, self.sheet.points, self.sheet.foot)
 
     def stars(self) -> Stars:
         """Triangles around every vertex, as they are now."""

@@ -20,6 +20,7 @@ from odt_plugins.engine.odt.global_step import (
 )
 from odt_plugins.engine.odt.gradient import centers_gradient
 from odt_plugins.engine.odt.rounds import Log
+from odt_plugins.engine.odt.total_energy import total_energy
 from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.surface.density import SurfaceDensity
 from odt_plugins.engine.surface.odt import (
@@ -96,6 +97,7 @@ def smooth_surface(
     for k in range(options.smoothing.rounds):
         rho = density.at(surface.sheet, surface.guards.ground)
         step(surface, rho, options, bounds, log, equal_weights=density.equal_weights)
+        surface.resample()
         _flip(surface, options, bounds, log)
         now = surface_energy(surface, rho)
         log.energy.append((options.method, now))
@@ -236,4 +238,6 @@ def _flip(surface: Surface, options: Options, bounds: Extremes, log: Log) -> Non
 
 def surface_energy(surface: Surface, rho: FloatArray) -> float:
     """ODT energy (2.2) of the flat triangles, density at the vertices."""
+    if len(surface.metric):
+        return total_energy(surface.points, surface.triangles, rho)
     return energy(surface.points, surface.triangles, rho[surface.triangles].mean(axis=1))

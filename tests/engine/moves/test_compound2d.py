@@ -20,6 +20,7 @@ from odt_plugins.engine.moves.flips2d import Rule, flip, number_edges, take_back
 from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.lookup import place_in
 from odt_plugins.engine.topology.triangles import Triangles
+from odt_plugins.metric.through import halved_logarithms
 
 
 def mesh_of(points, cells, regions=None):
@@ -146,3 +147,18 @@ def test_the_schedule_of_the_plane_leaves_local_minima(settled):
     assert now.min() > was.min() + 0.05
     assert now.mean() > was.mean() + 0.01
     assert np.quantile(now, 0.01) > np.quantile(was, 0.01) + 0.03
+
+
+def test_in_a_metric_degrees_are_those_of_the_image_and_the_metric_stays():
+    start = plate(250, 7)
+    root = np.array([[4.0, 1.5], [1.5, 1.0]])
+    rows = np.tile(halved_logarithms((root @ root)[None]), (len(start.points), 1))
+    mesh = mesh_of(np.column_stack([start.points @ np.linalg.inv(root), rows]), start.cells)
+    image = mesh_of(start.points, start.cells)
+    np.testing.assert_allclose(excess_degrees(mesh), excess_degrees(image), atol=1e-9)
+    for one in (mesh, image):
+        finish2d(one, ~boundary_of(one), phases=bulk(2) + tail(2))
+    assert (mesh.points[:, 2:] == rows).all()
+    seen, there = (planar.shape(np.ascontiguousarray(p), c)[0] for p, c in (
+        (mesh.points[:, :2] @ root, mesh.cells), (image.points, image.cells)))
+    assert seen.mean() == pytest.approx(there.mean(), abs=0.01)

@@ -22,6 +22,7 @@ from odt_plugins.engine.moves.flips2d import (
     work_off,
 )
 from odt_plugins.engine.topology.triangles import Triangles
+from odt_plugins.metric.through import halved_logarithms
 
 SEEDS = st.integers(0, 10**6)
 GENTLY, SQUARES = Cost(QUALITY, 0.1), Cost(QUALITY, 2.0)
@@ -306,3 +307,17 @@ def test_a_queue_that_never_empties_is_left_after_so_many_flips_an_edge():
     assert 10 * FLIPS <= work_off(queue, flip_some) < 10 * FLIPS + 7
     assert seen[0] == [0, 3]
     assert queue.ring[:3].tolist() == [1, 5, 9]
+
+
+@pytest.mark.parametrize("seed", [3, 4])
+def test_in_a_metric_flips_are_those_of_the_image(seed):
+    points, start = grid(seed, flips=60)
+    root = np.array([[4.0, 1.5], [1.5, 1.0]])
+    rows = np.tile(halved_logarithms((root @ root)[None]), (len(points), 1))
+    found = []
+    for p in (np.column_stack([points, rows]), points @ root):
+        cells = start.copy()
+        regions = np.zeros(len(cells), dtype=np.int32)
+        assert lawson_flips(p, cells, ref.brute_neighbors(cells), regions)
+        found.append(cells)
+    np.testing.assert_array_equal(*found)
