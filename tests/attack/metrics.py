@@ -45,13 +45,12 @@ def attack(rng: Rng, folder: Path) -> None:
             "boundary": str(rng.choice(["slide", "fixed"])),
             "envelope": float(10.0 ** rng.uniform(-4, -1))}
         wish = {"cells": int(10.0 ** rng.uniform(0, 2.3)), "most_cells": 20_000}
-        bent = curved(before)
     else:
-        run, wish, bent = odt_plugins.optimize_with_report, {}, False
+        run, wish = odt_plugins.optimize_with_report, {}
     found, report = run(mesh, **wish, **options)
     after = Mesh(*found)
     judge = broken_by_sizes if resized else broken
-    faults = judge(before, after, Options(**options), curved=bent)
+    faults = judge(before, after, Options(**options), curved=curved(before))
     sound = not resized and report.before.inverted == 0
     for name in Options(**options).keep if sound else ():
         was, now = getattr(report.before, name), getattr(report.after, name)
