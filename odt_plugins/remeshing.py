@@ -186,7 +186,7 @@ def _wish(size: Any, wishes: dict[str, Any], *, metric: bool) -> Wish:
     if metric and all(wishes.get(name) is None for name in ("scale", "cells", "vertices")):
         wishes = wishes | {"scale": 1.0}
     if wishes.get("growth") is None:
-        wishes = wishes | {"growth": max(OF_METRICS.values()) if metric else OF_SIZES}
+        wishes = wishes | {"growth": OF_METRICS if metric else OF_SIZES}
     curved = isinstance(size, str) and size == CURVATURE
     return Wish(length=length, curved=curved, given=given and not curved, **wishes)
 

@@ -25,6 +25,7 @@ from odt_plugins.mesh.arrays import FloatArray, IntArray
 from odt_plugins.mesh.simplex import corner_mean, diagonal
 from odt_plugins.metric.given import MOST_RATIO
 from odt_plugins.metric.hessian import Tangents, recovered_hessians, tangents
+from odt_plugins.metric.implied import star_means
 from odt_plugins.metric.limits import GROWTH, bounded_metric, grown_metric
 from odt_plugins.roundtrip import flat_points
 
@@ -61,8 +62,8 @@ def metric_from_field(
     norm : float                 p of the L^p norm of the error that is to be least; inf for the
                                  largest error. The larger it is the more cells go to where the
                                  field is steepest
-    growth : float               largest ratio of lengths at the ends of an edge of length 1; 3 for
-                                 triangles and 1.6 for tetrahedra unless given
+    growth : float               largest ratio of lengths at the ends of an edge of length 1, unless
+                                 given 3
     ratio : float                largest ratio of the lengths of a cell in two directions
 
     Returns
@@ -79,8 +80,9 @@ def metric_from_field(
 
     Notes
     -----
-    M = c det|H|^(-1 / (2 p + d)) |H|, where |H| is the Hessian with the absolute values of its
-    eigenvalues and c such that the integral of sqrt(det M) is that of `cells` good cells.
+    M = c det|H|^(-1 / (2 p + d)) |H|, where |H| is the mean over the cells around of the Hessian
+    with the absolute values of its eigenvalues, and c such that the integral of sqrt(det M) is that
+    of `cells` good cells.
 
     References
     ----------
@@ -105,7 +107,7 @@ def metric_from_field(
             cells, "an integer of at least 1")
     expect(is_number(norm) and norm >= 1.0, "norm", norm, "a number of at least 1, or inf")
     good = growth is None or (is_number(growth) and 1.0 < growth < math.inf)
-    expect(good, "growth", growth, "a number above 1, such as 1.6")
+    expect(good, "growth", growth, "a number above 1, such as 3")
     expect(is_number(ratio) and 1.0 <= ratio <= MOST_RATIO, "ratio", ratio,
             f"a number from 1 to {MOST_RATIO:g}")
     host = find_adapter(mesh).read(mesh)
@@ -114,7 +116,7 @@ def metric_from_field(
         corners = np.ascontiguousarray(host.cells, dtype=np.int32)
         fields = [_values(host, part) for part in _parts(values)]
     along = tangents(points, corners) if points.shape[1] == corners.shape[1] else None
-    limits = growth or GROWTH[corners.shape[1] - 1], ratio
+    limits = growth or GROWTH, ratio
     found = [hessians_to_metric(points, corners, recovered_hessians(points, corners, field, along),
                                 _least(points, corners, field), cells, norm, limits, along)
              for field in fields]
@@ -172,7 +174,8 @@ def hessians_to_metric(
     parts = []
     for hessian in hessians:
         values, axes = eigenvalues(hessian)
-        parts.append(of_eigenvalues(np.maximum(np.abs(values), least), axes))
+        part = of_eigenvalues(np.maximum(np.abs(values), least), axes)
+        parts.append(_around(points, cells, part, along))
     metric = parts[0]
     for other in parts[1:]:
         metric = intersection(metric, other)
@@ -181,6 +184,21 @@ def hessians_to_metric(
     if along is not None:
         metric = along.lifted(metric)
     return scaled_to(points, cells, metric, count, limits, along)
+
+
+def _around(
+    points: FloatArray, cells: IntArray, tensors: FloatArray, along: Tangents | None
+) -> FloatArray:
+    """Means of tensors over the cells around vertices.
+
+    The error of a cell is that of |H| all over it, which may be 0 at a vertex.
+    """
+    if along is not None:
+        tensors = along.lifted(tensors)
+    mean = star_means(points, cells, tensors[cells].mean(axis=1))
+    unused = np.bincount(cells.ravel(), minlength=len(points)) == 0
+    mean[unused] = tensors[unused]
+    return mean if along is None else along.along(mean)
 
 
 def scaled_to(

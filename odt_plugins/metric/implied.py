@@ -31,13 +31,20 @@ def implied_metric(points: FloatArray, cells: IntArray) -> FloatArray:
     (n, d, d) float64    the identity where there are no cells. Normal to a triangle in space, it
                          has the larger of the two eigenvalues along the triangle
     """
-    n, d = points.shape
-    volumes = np.abs(signed_volumes(points, cells))
+    return exponential(star_means(points, cells, cell_logarithms(points, cells)))
+
+
+def star_means(points: FloatArray, cells: IntArray, tensors: FloatArray) -> FloatArray:
+    """Means (n, d, d) of tensors (m, d, d) of the cells around vertices, weighted by volume.
+
+    They are 0 where there are no cells.
+    """
+    n, m, d = len(points), len(cells), tensors.shape[1]
+    volumes = np.abs(signed_volumes(points, cells))[:, None]
     weight = star_sum(volumes, cells, n)
-    logs = cell_logarithms(points, cells).reshape(-1, d * d)
-    total = star_sum(volumes[:, None] * logs, cells, n)
-    mean = np.divide(total, weight[:, None], out=np.zeros_like(total), where=weight[:, None] > 0.0)
-    return exponential(mean.reshape(n, d, d))
+    total = star_sum(volumes * tensors.reshape(m, d * d), cells, n)
+    mean = np.divide(total, weight, out=np.zeros_like(total), where=weight > 0.0)
+    return mean.reshape(n, d, d)
 
 
 def cell_logarithms(points: FloatArray, cells: IntArray) -> FloatArray:

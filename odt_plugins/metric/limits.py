@@ -14,10 +14,9 @@ from odt_plugins.engine.cells.tensors import (
 from odt_plugins.engine.remesh.sizes import unique_edges
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 
-GROWTH = {2: 3.0, 3: 1.6}
-"""Largest ratio of lengths at the ends of an edge of length 1 unless another is given, by the
-dimension of cells. Less of it takes cells away from where the metric is fine; more of it than the
-cells follow makes them worse, in space sooner than in the plane."""
+GROWTH = 3.0
+"""Largest ratio of lengths at the ends of an edge of length 1 unless another is given. Less of it
+takes cells away from where the metric is fine; more of it makes the worst cells worse."""
 
 SWEEPS = 40
 """Most sweeps over the edges; a sweep takes a bound as far as neighbours of neighbours."""

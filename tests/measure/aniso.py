@@ -127,7 +127,7 @@ WAYS: dict[str, Callable[[Mesh, FloatArray], Mesh]] = {"odt-plugins": by_us, "mm
 def adapted(test: str, d: int, vertices: int, way: str) -> Adapted:
     """Adapt a mesh of about so many vertices to a function."""
     f, mesh, clock = TESTS[test], start(d), time.perf_counter()
-    limits = GROWTH[d] if way == "odt-plugins" else 1e3, STRETCH
+    limits = GROWTH if way == "odt-plugins" else 1e3, STRETCH
     for _ in range(ROUNDS):
         metric = hessians_to_metric(
             *mesh, hessians(f, mesh[0])[None], LEAST, PER_VERTEX[d] * vertices, 2.0, limits)

@@ -65,7 +65,7 @@ def _times(w: float, one: Root) -> Root:
 
 
 @kernel
-def _product(one: Root, two: Root) -> Root:
+def product(one: Root, two: Root) -> Root:
     """Product of symmetric matrices that commute."""
     a, b, c, d, e, f = one
     p, q, r, s, t, u = two
@@ -84,16 +84,16 @@ def exponential(log: Root) -> Root:
             scale *= 0.5
             halvings += 1
     x = _times(scale, log)
-    xx = _product(x, x)
-    xxx = _product(xx, x)
+    xx = product(x, x)
+    xxx = product(xx, x)
     high = _sum(_sum(_times(1.0 / 120.0, x), _times(1.0 / 720.0, xx)),
-                _sum(_times(1.0 / 5040.0, xxx), _times(1.0 / 40320.0, _product(xx, xx))))
+                _sum(_times(1.0 / 5040.0, xxx), _times(1.0 / 40320.0, product(xx, xx))))
     p, q, r, s, t, u = high
-    high = _product(_product(xx, xx), (p + 1.0 / 24.0, q, r, s + 1.0 / 24.0, t, u + 1.0 / 24.0))
+    high = product(product(xx, xx), (p + 1.0 / 24.0, q, r, s + 1.0 / 24.0, t, u + 1.0 / 24.0))
     p, q, r, s, t, u = _sum(_sum(x, _times(0.5, xx)), _sum(_times(1.0 / 6.0, xxx), high))
     out = (p + 1.0, q, r, s + 1.0, t, u + 1.0)
     for _ in range(halvings):
-        out = _product(out, out)
+        out = product(out, out)
     return out
 
 

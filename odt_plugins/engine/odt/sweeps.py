@@ -14,7 +14,14 @@ import numpy as np
 from odt_plugins.engine.cells.corner import Edges, corner_normals, six_volumes
 from odt_plugins.engine.cells.elementary import power
 from odt_plugins.engine.cells.geometry import signed_volumes
-from odt_plugins.engine.cells.metric import edges_through, exponential, root_volume
+from odt_plugins.engine.cells.metric import (
+    Root,
+    edges_through,
+    exponential,
+    product,
+    root_volume,
+    through,
+)
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.compiled.threads import run_ranges, thread_pool
 from odt_plugins.engine.topology.coloring import run_chunks
@@ -60,6 +67,9 @@ AX, AY, AZ, BX, BY, BZ, EX, EY, EZ, RHO, DET, GX, GY, GZ, OX, OY, OZ, LONG = (
 )
 """Where the rows begin: corners a, b, e of the cells and density; det, its gradient, moment and
 squared longest edge."""
+
+XX, XY, XZ, YY, YZ, ZZ = AX, AY, AZ, BX, BY, BZ
+"""Rows of the metric, which take the place of corners that are read."""
 
 
 @kernel
@@ -141,8 +151,8 @@ def _seen_chunk(
 ) -> None:
     """Let cells have the circumcenters and the density that a metric gives them.
 
-    With S seen, the centre is that of the image, back through S^-1, and rho = det(S)^(1 + 2 / d)
-    times the density of the vertices, which is h^-(d + 2) for M = h^-2 I.
+    With S seen and M = S^2, the moment is 2 det M (c - x_i), c the centre of the image back through
+    S^-1, or M (c - x_i) of a barycenter; M goes into the rows of corners.
     """
     d = cells.shape[1] - 1
     for s in range(count):
@@ -162,8 +172,15 @@ def _seen_chunk(
         w = 1.0 / (d + 1)
         root = exponential((w * a, w * b, w * e, w * f, w * g, w * h))
         size = root_volume(root)
-        rows[RHO + s] *= size ** (1.0 + 2.0 / d)
+        rows[RHO + s] *= size
+        xx, xy, xz, yy, yz, zz = product(root, root)
+        rows[XX + s], rows[XY + s], rows[XZ + s] = xx, xy, xz
+        rows[YY + s], rows[YZ + s], rows[ZZ + s] = yy, yz, zz
         if rows[RHO + s] < 0.0:
+            ox, oy, oz = rows[OX + s], rows[OY + s], rows[OZ + s]
+            rows[OX + s] = xx * ox + xy * oy + xz * oz
+            rows[OY + s] = xy * ox + yy * oy + yz * oz
+            rows[OZ + s] = xz * ox + yz * oy + zz * oz
             continue
         x, y, z = nodes[i, 0], nodes[i, 1], nodes[i, 2]
         edges = edges_through(root, (
@@ -173,14 +190,21 @@ def _seen_chunk(
             nodes[j, 0] - x, nodes[j, 1] - y, 0.0, nodes[k, 0] - x, nodes[k, 1] - y, 0.0,
             0.0, 0.0, 1.0))
         ox, oy, oz = _twice_moment(edges, d)
-        det = six_volumes(*edges)
-        # back through S^-1, the moment of a positive cell
-        sign = 1.0 if det * rows[DET + s] > 0.0 else -1.0
-        scale = sign / (size * size)
-        a, b, e, f, g, h = root
-        rows[OX + s] = scale * ((f * h - g * g) * ox + (e * g - b * h) * oy + (b * g - e * f) * oz)
-        rows[OY + s] = scale * ((e * g - b * h) * ox + (a * h - e * e) * oy + (b * e - a * g) * oz)
-        rows[OZ + s] = scale * ((b * g - e * f) * ox + (b * e - a * g) * oy + (a * f - b * b) * oz)
+        # of a positive cell
+        scale = (1.0 if six_volumes(*edges) * rows[DET + s] > 0.0 else -1.0) / size
+        ox, oy, oz = through(root, ox, oy, oz)
+        rows[OX + s], rows[OY + s], rows[OZ + s] = scale * ox, scale * oy, scale * oz
+
+
+@kernel
+def _solved(metric: Root, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """Solution of M v = (x, y, z), by cofactors; M is positive definite."""
+    a, b, c, d, e, f = metric
+    xx, xy, xz = d * f - e * e, c * e - b * f, b * e - c * d
+    yy, yz, zz = a * f - c * c, b * c - a * e, a * d - b * b
+    det = a * xx + b * xy + c * xz
+    return ((xx * x + xy * y + xz * z) / det, (xy * x + yy * y + yz * z) / det,
+            (xz * x + yz * y + zz * z) / det)
 
 
 @kernel
@@ -249,6 +273,7 @@ def _move_vertices(
         first = indptr[i]
         count = indptr[i + 1] - first
         tx = ty = tz = weight = 0.0
+        xx = xy = xz = yy = yz = zz = 0.0
         total = 0.0
         lowest = np.inf
         edge_max = 0.0
@@ -271,12 +296,20 @@ def _move_vertices(
                 ty += scale * rows[OY + s]
                 tz += scale * rows[OZ + s]
                 weight += share
+                if nodes.shape[1] > 4:
+                    xx, xy, xz = (xx + share * rows[XX + s], xy + share * rows[XY + s],
+                                  xz + share * rows[XZ + s])
+                    yy, yz, zz = (yy + share * rows[YY + s], yz + share * rows[YZ + s],
+                                  zz + share * rows[ZZ + s])
                 total += det
                 lowest = min(lowest, det)
                 edge_max = max(edge_max, rows[LONG + s])
                 at = done + s
                 cell[0, at], cell[1, at] = det, rows[GX + s]
                 cell[2, at], cell[3, at] = rows[GY + s], rows[GZ + s]
+        if nodes.shape[1] > 4:
+            tx, ty, tz = _solved((xx, xy, xz, yy, yz, zz), tx, ty, tz)
+            weight = 1.0
         if laplacian:
             tx = ty = tz = 0.0
             weight = float(row_start[i + 1] - row_start[i])

@@ -147,6 +147,35 @@ def test_a_sweep_and_its_energy_are_those_of_the_image(d):
     assert np.isclose(total_energy(seen, cells, rho), total_energy(image, cells, rho), rtol=1e-12)
 
 
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_vertex_moves_to_the_mean_of_centres_weighted_by_matrices(d):
+    """Of a star whose vertices have metrics of their own; centres by linear equations."""
+    from scipy.linalg import expm, logm
+
+    rng = np.random.default_rng(17)
+    points = np.vstack([np.full(d, 0.04), np.eye(d), -np.eye(d)])
+    other = [np.arange(1, d + 1) + d * np.array(side) for side in np.ndindex((2,) * d)]
+    cells = np.array([[0, *row] for row in other], dtype=np.int32)
+    swap = np.linalg.det(points[cells[:, 1:]] - points[0]) < 0
+    cells[swap] = cells[swap][:, [1, 0, *range(2, d + 1)]]
+    roots = [root(rng, d) for _ in points]
+    rows = np.vstack([rows_of(s, 1) for s in roots])
+    logs = [logm(s) for s in roots]
+    total, pull = np.zeros((d, d)), np.zeros(d)
+    for cell in cells:
+        s = expm(np.mean([logs[v] for v in cell], axis=0))
+        e = (points[cell[1:]] - points[cell[0]]) @ s
+        centre = points[cell[0]] + np.linalg.solve(s, np.linalg.solve(2 * e, (e * e).sum(axis=1)))
+        weight = abs(np.linalg.det(e)) * s @ s
+        total, pull = total + weight, pull + weight @ (centre - points[0])
+    movable = np.arange(len(points)) == 0
+    topology = make_topology(cells, movable, np.zeros(len(points), dtype=bool))
+    moved, stats = gauss_seidel_sweep(np.column_stack([points, rows]), topology, omega=0.01)
+    assert stats.reduced == 0
+    step = moved[0, :d] - points[0]
+    np.testing.assert_allclose(step, 0.01 * np.linalg.solve(total, pull), rtol=1e-9)
+
+
 def test_units_of_a_metric():
     rows = rows_of(np.diag([2.0, 3.0, 5.0]), 1)
     np.testing.assert_allclose(in_unit(rows, 4.0), rows_of(np.diag([0.5, 0.75, 1.25]), 1))
