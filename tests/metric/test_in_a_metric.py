@@ -159,3 +159,23 @@ def test_an_inverted_mesh_is_seen_before_and_after():
     assert before.min_quality < 0 < image.min_quality
     assert np.isclose(report.before.min_quality, before.min_quality, atol=1e-9)
     assert np.isclose(report.after.min_quality, image.min_quality, atol=1e-9)
+
+
+@pytest.mark.parametrize("d", [2, 3])
+def test_a_run_in_a_constant_metric_is_that_of_the_image(d):
+    """The same cells, and vertices that differ by what rounding becomes in some hundred steps."""
+    rng = np.random.default_rng(2)
+    image = rng.normal(size=(300, d))
+    image /= np.maximum(1.0, np.linalg.norm(image, axis=1))[:, None]
+    cells = Delaunay(image).simplices
+    volume = np.linalg.det(image[cells[:, 1:]] - image[cells[:, :1]])
+    cells[volume < 0, :2] = cells[volume < 0, 1::-1]
+    cells = cells[np.abs(volume) > 1e-6]
+    axes = np.linalg.qr(rng.normal(size=(d, d)))[0]
+    s = axes @ np.diag([0.3, 2.0, 1.0][:d]) @ axes.T
+    points, found = odt_plugins.optimize(
+        (image @ np.linalg.inv(s), cells), metric=np.tile(s @ s, (300, 1, 1)))
+    wanted = odt_plugins.optimize((image, cells), density="uniform", connectivity="flips")
+    assert len({*map(frozenset, found.tolist())} ^ {*map(frozenset, wanted[1].tolist())}) == 0
+    np.testing.assert_allclose(points @ s, wanted[0], atol=1e-9)
+    assert np.abs(wanted[0] - image).max() > 0.1

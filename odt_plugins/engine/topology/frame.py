@@ -13,7 +13,9 @@ from numpy.typing import NDArray
 from odt_plugins.engine.topology.order import curve_order
 from odt_plugins.errors import EndlessWalkError, endless_walk
 from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.seen import full
 from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.mesh.symmetric import exponentials
 
 
 @contextmanager
@@ -69,7 +71,8 @@ def make_frame(mesh: SimplexMesh) -> tuple[Frame, IntArray]:
 
     Notes
     -----
-    Nothing is rounded, so that cells of any size have the volumes that they have outside.
+    Nothing is rounded, so that cells of any size have the volumes that they have outside. The curve
+    is one through the vertices as a metric sees them on average.
     """
     active = np.flatnonzero(~mesh.frozen)
     cells = mesh.cells[active]
@@ -78,7 +81,11 @@ def make_frame(mesh: SimplexMesh) -> tuple[Frame, IntArray]:
     used = np.flatnonzero(mask).astype(np.int32)
     inner = (np.cumsum(mask, dtype=np.int32) - 1)[cells]
     points = mesh.points[used]
-    vertices, order = curve_order(points, inner)
+    places = points
+    if len(mesh.metric):
+        mean = mesh.metric[used].mean(axis=0, keepdims=True)
+        places = (points[:, None, :] * exponentials(full(mean))).sum(axis=2)
+    vertices, order = curve_order(places, inner)
     rank = np.empty(len(used), dtype=np.int32)
     rank[vertices] = np.arange(len(used), dtype=np.int32)
     span = float(np.ptp(points, axis=0).max())
