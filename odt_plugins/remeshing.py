@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Any, Unpack
@@ -22,7 +23,7 @@ if TYPE_CHECKING:
     from odt_plugins.engine.run.outcome import Leaving, Outcome
     from odt_plugins.report.report import Report
 
-WISHES = ("scale", "cells", "vertices", "growth", "most_cells")
+WISHES = ("scale", "cells", "vertices", "growth", "most_cells", "adapt")
 """Arguments of :func:`remesh` that say what sizes there are to be, beside `size`."""
 
 CURVATURE = "curvature"
@@ -33,7 +34,7 @@ CURVATURE = "curvature"
 def remesh(
     mesh: Any, size: Any = None, *, scale: float | None = None, cells: int | None = None,
     vertices: int | None = None, growth: float | None = None, most_cells: int = 20_000_000,
-    **options: Unpack[OptionKeywords],
+    adapt: str | Sequence[str] = (), **options: Unpack[OptionKeywords],
 ) -> Any:
     """Give a mesh other sizes: edges are split and collapsed, and the mesh is then optimised.
 
@@ -55,6 +56,10 @@ def remesh(
                               smaller one; what grows faster is made smaller. 1.3 unless given, 3
                               with a `metric`, of lengths in any direction
     most_cells : int          a mesh of more is refused before it is made
+    adapt : str or list of str
+                              point arrays to whose second derivatives sizes and shapes of cells are
+                              adapted, see :func:`odt_plugins.metric_from_field`; beside `cells` or
+                              `vertices`
     **options
                               The fields of :class:`odt_plugins.Options`, but `insert` and
                               `density`. The default of `boundary` is "slide" here: vertices of the
@@ -89,7 +94,7 @@ def remesh(
     >>> finer, _ = odt_plugins.remesh((points, np.array([[0, 1, 2, 3]])), 0.4)  # doctest: +SKIP
     """
     wishes: dict[str, Any] = {"scale": scale, "cells": cells, "vertices": vertices,
-                              "growth": growth, "most_cells": most_cells}
+                              "growth": growth, "most_cells": most_cells, "adapt": adapt}
     if has_parts(mesh):
         one = partial(remesh_with_report, size=size, **wishes)
         return run_parts(mesh, {"boundary": "slide", **options}, one)[0]
@@ -100,7 +105,7 @@ def remesh(
 def remesh_with_report(
     mesh: Any, size: Any = None, *, scale: float | None = None, cells: int | None = None,
     vertices: int | None = None, growth: float | None = None, most_cells: int = 20_000_000,
-    **options: Unpack[OptionKeywords],
+    adapt: str | Sequence[str] = (), **options: Unpack[OptionKeywords],
 ) -> tuple[Any, Report]:
     """Give a mesh other sizes as :func:`remesh` does and tell what was done.
 
@@ -114,7 +119,7 @@ def remesh_with_report(
     from odt_plugins.report.report import make_report
 
     wishes: dict[str, Any] = {"scale": scale, "cells": cells, "vertices": vertices,
-                              "growth": growth, "most_cells": most_cells}
+                              "growth": growth, "most_cells": most_cells, "adapt": adapt}
     if has_parts(mesh):
         one = partial(remesh_with_report, size=size, **wishes)
         whole, reports = run_parts(mesh, {"boundary": "slide", **options}, one)
@@ -171,7 +176,14 @@ def _wish(size: Any, wishes: dict[str, Any], *, metric: bool) -> Wish:
     from odt_plugins.engine.remesh.wish import Wish
     from odt_plugins.metric.limits import GROWTH as OF_METRICS
 
-    length = None
+    adapt, length = wishes.get("adapt"), None
+    if adapt and metric:
+        msg = "got adapt= and metric=; expected one of them"
+        raise InvalidOptionError(msg)
+    if adapt and wishes.get("cells") is None and wishes.get("vertices") is None:
+        msg = "got adapt= without a number of cells; expected cells= or vertices= beside it"
+        raise InvalidOptionError(msg)
+    metric = metric or bool(adapt)
     given = isinstance(size, str) or callable(size) or np.ndim(size) > 0
     if size is not None and not given:
         try:
@@ -181,20 +193,27 @@ def _wish(size: Any, wishes: dict[str, Any], *, metric: bool) -> Wish:
                    f"function or {CURVATURE!r}")
             raise InvalidOptionError(msg) from exc
     if metric and size is not None:
-        msg = "got size= and metric=; expected one of them, try scale= for a multiple of the metric"
+        msg = (f"got size= and {'adapt' if adapt else 'metric'}=; expected one of them, try scale= "
+               "for a multiple of a metric")
         raise InvalidOptionError(msg)
     if metric and all(wishes.get(name) is None for name in ("scale", "cells", "vertices")):
         wishes = wishes | {"scale": 1.0}
     if wishes.get("growth") is None:
         wishes = wishes | {"growth": OF_METRICS if metric else OF_SIZES}
     curved = isinstance(size, str) and size == CURVATURE
-    return Wish(length=length, curved=curved, given=given and not curved, **wishes)
+    numbers = {name: value for name, value in wishes.items() if name != "adapt"}
+    return Wish(length=length, curved=curved, given=given and not curved, **numbers)
 
 
 def _run(mesh: Any, size: Any, wishes: dict[str, Any], options: Options) -> tuple[Any, ...]:
     """What :func:`odt_plugins.roundtrip.run_engine` gives."""
     wish = _wish(size, wishes, metric=options.metric is not None)
     name = size if wish.given and isinstance(size, str) else ""
+    if wishes.get("adapt"):
+        from odt_plugins.metric.field import adapted_metric
+
+        metric = adapted_metric(mesh, wishes["adapt"], wish.cells, wish.vertices, wishes["growth"])
+        options = replace(options, metric=metric)
     if options.fields == "auto":
         options = replace(options, fields="interpolate")
     if wish.given and not name:

@@ -30,6 +30,10 @@ SIZES: dict[str, dict[str, Any]] = {
                        "one; 1.3 unless given, 3 of lengths in a metric."},
     "most_cells": {"type": int, "default": 20_000_000, "show_default": True,
                    "help": "Refuse to make more cells."},
+    "adapt": {"multiple": True, "metavar": "NAME",
+              "help": "Point array to whose second derivatives sizes and shapes of cells are "
+                      "adapted, so that --cells or --vertices interpolate it best. May be given "
+                      "several times."},
 }
 """Flags that say how fine a mesh is to be."""
 

@@ -211,7 +211,7 @@ def optimize(
 @click.argument("target", metavar="OUTPUT", type=click.Path(path_type=Path))
 @EDGE_LENGTH
 @LEVELS
-@size_flags("After TetWild, see remesh: ", "vertices", "most_cells")
+@size_flags("After TetWild, see remesh: ", "vertices", "most_cells", "adapt")
 @some_option_flags(*(name for name in OPTIONS if name not in OF_MESHES))
 @click.option("--bodies", is_flag=True,
               help="Number the closed components of SURFACE in a cell array \"body\", from 1, 0 "

@@ -23,9 +23,6 @@ from odt_plugins.options import NOT_SIZED, OPTIONS
 @click.argument("source", metavar="INPUT", type=click.Path(path_type=Path))
 @click.argument("target", metavar="OUTPUT", type=click.Path(path_type=Path))
 @size_flags()
-@click.option("--adapt", multiple=True, metavar="NAME",
-              help="Point array to whose second derivatives sizes and shapes of cells are adapted, "
-                   "so that --cells or --vertices interpolate it best. May be given several times.")
 @click.option("--boundary", type=click.Choice(OPTIONS["boundary"].metadata["choices"]),
               default="slide", show_default=True,
               help="slide moves, adds and removes vertices of the boundary, of interfaces and of "
@@ -35,29 +32,22 @@ from odt_plugins.options import NOT_SIZED, OPTIONS
               help="Write the report there as JSON.")
 @click.option("--quiet", is_flag=True, help="Print nothing but errors.")
 def remesh(
-    source: Path, target: Path, report_file: Path | None, quiet: bool, adapt: tuple[str, ...],
-    **options: Any,
+    source: Path, target: Path, report_file: Path | None, quiet: bool, **options: Any
 ) -> int:
     """Give the mesh INPUT other sizes and write it to OUTPUT with all its data.
 
     One of --size, --scale, --cells and --vertices says how fine it is to be. Surfaces stay within
     --envelope of those of INPUT, both ways.
     """
-    if adapt and options["cells"] is None and options["vertices"] is None:
-        msg = "got --adapt without a number of cells; expected --cells or --vertices beside it"
-        raise click.UsageError(msg)
     check_paths(target, report_file, None)
     sizes = take_sizes(options)
     options = resolve_arrays(source, options)
     from odt_plugins.adapters.files import check_output, read_file, write_file
-    from odt_plugins.metric.field import adapted_metric
     from odt_plugins.remeshing import remesh_with_report
 
     check_output(target)
     with warnings_told(quiet), progress_bar(quiet) as progress:
         mesh = read_file(source)
-        if adapt:
-            options["metric"] = adapted_metric(mesh, adapt, **sizes)
         found, report = remesh_with_report(mesh, **sizes | options | {"progress": progress})
         write_file(target, found)
     if not quiet:

@@ -202,6 +202,9 @@ def check_fill(
         raise InvalidOptionError(msg)
     if sizes:
         check_sizes(**sizes, **options)
+    if sizes.get("adapt"):
+        msg = "got adapt for a surface; expected it for meshes, try odt_plugins.remesh"
+        raise InvalidOptionError(msg)
     for name in OF_MESHES:
         usual = OPTIONS[name].default
         value = options.get(name, usual)

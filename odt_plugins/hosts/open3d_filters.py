@@ -9,7 +9,6 @@ from __future__ import annotations
 import difflib
 import inspect
 import re
-from collections.abc import Sequence
 from typing import Any, TypeVar, Unpack, cast
 
 from odt_plugins.adapters import open3d_mesh
@@ -17,7 +16,6 @@ from odt_plugins.adapters.host import is_instance
 from odt_plugins.api import optimize as optimize_mesh
 from odt_plugins.errors import InvalidOptionError, ODTError, UnsupportedMeshError
 from odt_plugins.keywords import OptionKeywords, with_option_signature
-from odt_plugins.metric.field import adapted_metric
 from odt_plugins.options import OPTIONS
 from odt_plugins.remeshing import remesh
 
@@ -118,18 +116,13 @@ def optimize_odt(mesh: MeshT, **options: Unpack[OptionKeywords]) -> MeshT:
     return optimize_mesh(mesh, **options)
 
 
-def remesh_odt(
-    mesh: MeshT, size: Any = None, *, adapt: str | Sequence[str] = (), **options: Any
-) -> MeshT:
+def remesh_odt(mesh: MeshT, size: Any = None, **options: Any) -> MeshT:
     """Give a mesh other sizes, see :func:`odt_plugins.remesh`.
 
     Parameters
     ----------
     mesh : TriangleMesh, TetraMesh or t.geometry.TriangleMesh
     size : float, array, str or callable    length that edges should have
-    adapt : str or list of str              vertex attributes of tensor meshes to whose second
-                                            derivatives sizes and shapes are adapted, for so many
-                                            `cells`, see :func:`odt_plugins.metric_from_field`
     **options                               of :func:`odt_plugins.remesh`, such as `scale`
 
     Returns
@@ -137,8 +130,6 @@ def remesh_odt(
     same class as `mesh`
     """
     _expect_mesh(mesh)
-    if adapt:
-        options["metric"] = adapted_metric(mesh, adapt, **options)
     return cast("MeshT", remesh(mesh, size, **options))
 
 

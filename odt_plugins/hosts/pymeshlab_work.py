@@ -14,7 +14,6 @@ from odt_plugins.adapters.pymeshlab_set import exchange
 from odt_plugins.api import optimize_with_report
 from odt_plugins.errors import InvalidMeshError, ODTError
 from odt_plugins.hosts.filter_table import ParameterError
-from odt_plugins.metric.field import adapted_metric
 from odt_plugins.options import KEPT
 from odt_plugins.remeshing import remesh_with_report
 from odt_plugins.tetwild import run_tetwild
@@ -75,7 +74,7 @@ def _remesh(meshes: Any, values: Mapping[str, Any]) -> Effect:
         if not count:
             msg = f"Parameter adaptto: got {name!r}; expected targetfacenum above 0 beside it"
             raise ParameterError(msg)
-        sizes["metric"] = adapted_metric(InPlace(meshes), name, cells=count)
+        sizes["adapt"] = name
     _, report = remesh_with_report(
         InPlace(meshes), **sizes, envelope=values["maxsurfdist"] / length,
         feature_angle=values["featuredeg"], fields=values["fields"],

@@ -11,12 +11,11 @@ from odt_plugins.api import optimize, optimize_with_report, quality
 from odt_plugins.errors import UnsupportedMeshError
 from odt_plugins.figures import QualitySummary, radius_ratio
 from odt_plugins.keywords import OptionKeywords, with_option_signature
-from odt_plugins.metric.field import adapted_metric
 from odt_plugins.remeshing import remesh
 from odt_plugins.tetwild import tetrahedralize
 
 if TYPE_CHECKING:
-    from collections.abc import Mapping, Sequence
+    from collections.abc import Mapping
 
     from odt_plugins.report.report import Report
 
@@ -69,26 +68,19 @@ class OdtAccessor:
         out.cell_data[RATIO] = values
         return out
 
-    def remesh(
-        self, size: Any = None, *, adapt: str | Sequence[str] = (), **options: Any
-    ) -> Any:
+    def remesh(self, size: Any = None, **options: Any) -> Any:
         """Give the mesh other sizes, see :func:`odt_plugins.remesh`.
 
         Parameters
         ----------
         size : float, str, array or callable    length that edges should have, or the name of a
                                                 point or cell array of lengths
-        adapt : str or list of str              point arrays to whose second derivatives sizes and
-                                                shapes are adapted, for so many `cells`, see
-                                                :func:`odt_plugins.metric_from_field`
         **options                               `scale`, `cells`, ... of :func:`odt_plugins.remesh`
 
         Returns
         -------
         same type as the mesh    a new one
         """
-        if adapt:
-            options["metric"] = adapted_metric(self._mesh, adapt, **options)
         return remesh(self._mesh, size, **options)
 
 

@@ -134,19 +134,10 @@ def metric_from_field(
 
 
 def adapted_metric(
-    mesh: Any, names: str | Sequence[str], *, cells: int | None = None, vertices: int | None = None,
-    growth: float | None = None, **_: Any,
+    mesh: Any, names: str | Sequence[str], cells: int | None, vertices: int | None,
+    growth: float | None,
 ) -> FloatArray:
-    """The metric of point arrays for the sizes of :func:`odt_plugins.remesh`, which has the last
-    word about numbers of vertices.
-
-    Raises
-    ------
-    InvalidOptionError    there is no such array, or no number of cells or vertices
-    """
-    if cells is None and vertices is None:
-        msg = "got adapt= without a number of cells; expected cells= or vertices= beside it"
-        raise InvalidOptionError(msg)
+    """The metric of point arrays for so many cells, or about so many vertices."""
     listed = [names] if isinstance(names, str) else list(names)
     return metric_from_field(mesh, listed, cells or 5 * (vertices or 1), growth=growth)
 

@@ -39,7 +39,16 @@ def test_the_command_adapts_to_an_array(tmp_path):
     assert errors[0] < 0.4 * errors[1]
 
 
+def test_a_batch_is_adapted(tmp_path):
+    stored(tmp_path)
+    words = ["batch", str(tmp_path / "in.vtu"), "--out", str(tmp_path / "out"), "--quiet"]
+    assert cli.main([*words, "--adapt", "temperature", "--cells", "400"]) == 0
+    rows = meshio.read(tmp_path / "out" / "in.vtu").cells_dict["triangle"]
+    assert 300 < len(rows) < 500
+
+
 @pytest.mark.parametrize(("flags", "message"), [
+    (["--adapt", "temperature", "--cells", "100", "--metric", "input"], "got --adapt and --metric"),
     (["--adapt", "temperature"], "got --adapt without a number of cells; expected --cells or"),
     (["--adapt", "heat", "--cells", "100"], "got field 'heat'; expected the name of a point array"),
 ])
