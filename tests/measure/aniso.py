@@ -15,6 +15,7 @@ from skfem import MeshTet, MeshTri
 
 import odt_plugins
 from measure.matched import matched
+from measure.stretched import stretched
 from odt_plugins.compare.table import Say, Table, Value
 from odt_plugins.engine.cells.tensors import packed
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -175,7 +176,7 @@ def aniso_tables(say: Say, dims: Sequence[int] = (2, 3)) -> list[Table]:
     heads = ("test", *(f"1 / {2**k}" if k else "all" for k in range(HALVINGS, -1, -1)), "order")
     return [Table("aniso", f"Errors after {ROUNDS} rounds", HEADS, rows),
             Table("order", "L2 errors with fewer vertices", heads, orders),
-            *([matched(say)] if 3 in dims else [])]
+            *([matched(say)] if 3 in dims else []), stretched(say, dims)]
 
 
 def _row(name: str, way: str, d: int, last: Adapted) -> tuple[Value, ...]:

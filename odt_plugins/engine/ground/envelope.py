@@ -265,13 +265,16 @@ def one_sided(
 
 
 def _quarters(points: FloatArray, triangles: IntArray) -> tuple[FloatArray, IntArray]:
-    """Cut every triangle into four, with points of its own."""
+    """Cut every triangle into four, with points of its own, and lines (a, b, b) into two."""
     m = len(triangles)
     a, b, c = (points[triangles[:, i]] for i in range(3))
     split = np.stack([a, b, c, 0.5 * (b + c), 0.5 * (c + a), 0.5 * (a + b)], axis=1)
     rows = np.array([[0, 5, 4], [1, 3, 5], [2, 4, 3], [3, 4, 5]], dtype=np.int32)
-    cells = 6 * np.arange(m, dtype=np.int32)[:, None, None] + rows
-    return split.reshape(-1, 3), cells.reshape(-1, 3)
+    first = 6 * np.arange(m, dtype=np.int32)[:, None, None]
+    line = (b == c).all(axis=1)
+    halves = first[line] + np.array([[0, 5, 5], [1, 5, 5]], dtype=np.int32)
+    cells = (first[~line] + rows).reshape(-1, 3)
+    return split.reshape(-1, 3), np.concatenate([cells, halves.reshape(-1, 3)])
 
 
 def distances(

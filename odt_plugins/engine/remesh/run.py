@@ -62,7 +62,7 @@ before sizes give way."""
 EXTREMES = frozenset({"min_quality", "min_angle", "max_angle", "min_altitude"})
 """Figures of the worst cell."""
 
-CROWDED = 20
+CROWDED = 200
 """Multiple of the triangles that are expected in a metric, or of those of the input, from which on
 none are split: triangles between feature lines that are needles in it take many more."""
 

@@ -233,3 +233,14 @@ def test_closed_plate_is_closed():
     assert (surface.neighbors >= 0).all()
     a, b, c = (points[cells[:, i]] for i in range(3))
     assert (np.cross(a, b) * c).sum() / 6 == pytest.approx(0.1)
+
+
+def test_long_and_short_edges_on_one_line_are_no_distance_apart():
+    """Halves of lines double their number, quarters would do so twice and use up the parts."""
+    def line(x):
+        rows = np.arange(len(x) - 1, dtype=np.int32)
+        return np.stack([x, 0 * x, 0 * x], axis=1), np.stack([rows, rows + 1, rows + 1], axis=1)
+
+    fine = np.concatenate([[0.0], np.sort(np.random.default_rng(4).random(400)), [1.0]])
+    both = distances(line(np.array([0.0, 0.7, 1.0])), line(fine), 2e-6)
+    assert max(both.forward_upper, both.backward_upper) < 2.1e-6
