@@ -2,8 +2,8 @@
 
 HDF5 needs that: a file that it could not write to its end, because the disk is full, stays half
 open, and crashes the process when its handle is collected, or at its exit; and it reads some
-damaged files for ever, while no other thread runs. VTK needs most of a second to start: its process
-stays for the next file.
+damaged files for ever, while no other thread runs. VTK and HDF5 need most of a second to start:
+what reads stays for the next file, that of HDF5 until a file is damaged.
 """
 
 from __future__ import annotations
@@ -162,10 +162,19 @@ def call(function: Callable[..., Any], *arguments: Any, seconds: float | None = 
 
 
 @functools.cache
-def _staying() -> _Process:
-    """The process that stays, until the end of this one."""
-    process = _Process(*BEFOREHAND)
-    atexit.register(process.end)
+def _staying() -> dict[tuple[str, ...], _Process]:
+    """The processes that stay, until the end of this one, by what they import beforehand."""
+    return {}
+
+
+def _ready(modules: tuple[str, ...]) -> _Process:
+    """Give the process that stays with these modules, made if there is none."""
+    process = _staying().get(modules)
+    if process is None or not process.usable:
+        if process is not None:
+            atexit.unregister(process.end)
+        process = _staying()[modules] = _Process(*modules)
+        atexit.register(process.end)
     return process
 
 
@@ -182,19 +191,24 @@ def make_ready_for(paths: Iterable[str]) -> None:
     suffixes = tuple(f".{name}" for name in VTK)
     if any(path.lower().endswith(suffixes) for path in paths) and vtk_installed():
         with contextlib.suppress(OSError), KEPT:
-            _staying()
+            _ready(BEFOREHAND)
 
 
-def call_again(function: Callable[..., Any], *arguments: Any, seconds: float | None = None) -> Any:
+def call_again(function: Callable[..., Any], *arguments: Any, seconds: float | None = None,
+               modules: tuple[str, ...] = BEFOREHAND) -> Any:
     """As :func:`call`, in a process that stays for the next such call, until this one ends.
 
-    It stays in the folder in which it began: the arguments name files from the root.
+    It stays in the folder in which it began: the arguments name files from the root. Without
+    modules to import beforehand it ends when the function fails, too.
     """
     with KEPT:
-        if not _staying().usable:
-            atexit.unregister(_staying().end)
-            _staying.cache_clear()
-        return _staying().ask(function, arguments, seconds)
+        process = _ready(modules)
+        try:
+            return process.ask(function, arguments, seconds)
+        except BaseException:
+            if not modules:
+                process.end()
+            raise
 
 
 def _import(modules: list[str], answered: threading.Event) -> None:

@@ -154,7 +154,8 @@ def _read_meshio(path: Path, name: str, seconds: float) -> tuple[Any, list[str]]
 
 def _read_alone(path: Path, name: str, seconds: float) -> tuple[Any, list[str]]:
     if name in apart.HDF5:
-        mesh, said = apart.call(_read_heard, path, name, seconds=seconds)
+        mesh, said = apart.call_again(
+            _read_heard, path.absolute(), name, seconds=seconds, modules=())
     else:
         with remarks() as said:
             mesh = within(seconds, lambda: _read(path, name))

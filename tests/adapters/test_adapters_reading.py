@@ -201,9 +201,17 @@ def test_a_process_that_stays_is_the_same_until_it_crashes():
     assert apart.call(os.getpid) != apart.call_again(os.getpid)
 
 
+def test_a_process_for_hdf5_is_another_one_and_ends_when_a_task_fails():
+    first = apart.call_again(os.getpid, modules=())
+    assert apart.call_again(os.getpid, modules=()) == first != apart.call_again(os.getpid)
+    with pytest.raises(ZeroDivisionError):
+        apart.call_again(divmod, 7, 0, modules=())
+    assert apart.call_again(os.getpid, modules=()) != first
+
+
 def test_vtk_is_loaded_beforehand_where_a_file_will_need_it(monkeypatch):
     started = []
-    monkeypatch.setattr(apart, "_staying", lambda: started.append(1))
+    monkeypatch.setattr(apart, "_ready", started.append)
     apart.make_ready_for(["optimize", "in.msh", "vtu", "vtu.msh"])
     assert not started
     apart.make_ready_for(["optimize", "IN.VTU", "out.msh"])
