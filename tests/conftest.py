@@ -17,15 +17,16 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-@pytest.fixture(autouse=True, scope="session")
-def _meshes_of_any_size_are_worth_several_threads():
+@pytest.fixture
+def many_threads(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Meshes of any size are worth several threads."""
     from odt_plugins.engine.compiled import threads
 
-    threads.THREADED_CELLS = 0
+    monkeypatch.setattr(threads, "THREADED_CELLS", 0)
 
 
 @pytest.fixture
-def many_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+def many_blocks(monkeypatch: pytest.MonkeyPatch, many_threads: None) -> None:
     """Small meshes have blocks of vertices in colours, chunks of which threads do side by side."""
     from odt_plugins.engine.topology import coloring
 

@@ -120,7 +120,7 @@ def test_tetrahedra_of_a_cube_take_what_lies_left_of_its_middle():
 
 
 @pytest.mark.parametrize("d", [2, 3])
-def test_meshes_that_share_nothing(d):
+def test_meshes_that_share_nothing(d, many_threads):
     before, after = scattered(d, 60, 4), scattered(d, 40, 5)
     slope = np.arange(1.0, d + 1.0)
     x, y = before.points, after.points

@@ -92,7 +92,8 @@ def test_linear_fields_are_exact_and_everything_else_stays(kind, dim):
 
 
 @pytest.mark.parametrize("options", [{"boundary": "slide", "envelope": 1e-2}, {"insert": True}])
-def test_linear_fields_are_exact_where_the_surface_slides_and_at_new_vertices(options):
+def test_linear_fields_are_exact_where_the_surface_slides_and_at_new_vertices(
+        options, many_threads):
     mesh = make("grid", 3)
     out, report = odt_plugins.optimize_with_report(mesh, threads=2, **options)
     if "insert" in options:

@@ -122,7 +122,7 @@ def test_bounds_out_of_reach_are_given_up():
     assert (pm.areas(points, cells) > 0).all()
 
 
-def test_unit_and_threads_do_not_matter():
+def test_unit_and_threads_do_not_matter(many_threads):
     points, cells = structured(10, 10, ring)
     one = run(mesh_of(points, cells), Options())
     two = run(mesh_of(1024 * points, cells), Options(threads=2))

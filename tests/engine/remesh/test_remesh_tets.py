@@ -104,7 +104,7 @@ def test_fixed_vertices_and_cells_outside_the_selection_stay(box):
     assert all(frozenset(map(tuple, points[row])) in kept for row in cells[~part])
 
 
-def test_the_result_does_not_depend_on_the_threads(box):
+def test_the_result_does_not_depend_on_the_threads(box, many_threads):
     one, two = (odt_plugins.remesh(box, 0.1, threads=threads, free="periodic")
                 for threads in (1, 2))
     for a, b in zip(one, two, strict=True):

@@ -69,7 +69,8 @@ RUNS = {
 
 
 @pytest.mark.parametrize("run", RUNS)
-def test_calls_of_kernels_are_short_and_their_length_changes_no_bit(run, monkeypatch):
+def test_calls_of_kernels_are_short_and_their_length_changes_no_bit(
+        run, monkeypatch, many_threads):
     make, options, kernels = RUNS[run]
     mesh = make()
     whole = odt_plugins.optimize(mesh, **options)

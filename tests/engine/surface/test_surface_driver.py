@@ -198,7 +198,7 @@ def test_flat_triangles_are_improved():
     {"density": lambda x: np.exp(x[:, 2])}, {"smoothing": {"cycles": 2}}, {"finish": False},
     {"connectivity": "none"}, {"threads": 3}, {"keep": ()}, {"boundary": "slide"},
 ], ids=lambda o: "-".join(map(str, o)) or "nothing")
-def test_options(options):
+def test_options(options, many_threads):
     p, t = sm.torus(40, 16, noise=0.5)
     _, c, report = improved((p, t), 3e-3, **options)
     assert report.after.mean_quality > report.before.mean_quality + 0.03
@@ -301,7 +301,7 @@ def test_single_precision_coordinates_keep_the_promise():
     assert report.after.mean_quality > report.before.mean_quality + 0.05
 
 
-def test_scale_place_and_threads_do_not_matter():
+def test_scale_place_and_threads_do_not_matter(many_threads):
     p, t = sm.torus(60, 24, noise=0.6)
     x, c = odt_plugins.optimize((p, t))
     y, d = odt_plugins.optimize((p * 1024.0, t), threads=4)

@@ -11,7 +11,7 @@ from odt_plugins.mesh.simplex import corner_mean
 
 
 @pytest.mark.parametrize("threads", [1, 2])
-def test_a_walk_across_the_mesh_ends_at_the_nearest_cell_of_the_region(threads):
+def test_a_walk_across_the_mesh_ends_at_the_nearest_cell_of_the_region(threads, many_threads):
     points, cells = tm.grid(9, 3)
     centres = corner_mean(points, cells)
     regions = (centres[:, 1] > 4.0).astype(np.int32)
