@@ -8,12 +8,13 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import Adapter, HostMesh, NewVertices
+from odt_plugins.adapters.host import Adapter, HostMesh, NewFaces, NewVertices
 from odt_plugins.carry import in_order_of, surrounding_cells
 from odt_plugins.conserve import After, conserved
 from odt_plugins.errors import TangledMeshError, UnsupportedMeshError
 from odt_plugins.integrals import changed_integrals, of_points
-from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.faces import labels_at, outward_facets, turns_of
 from odt_plugins.mesh.numbering import new_numbers
 from odt_plugins.mesh.plane import PlaneFrame
 from odt_plugins.mesh.simplex import SimplexMesh
@@ -176,3 +177,62 @@ def new_vertices(
     cell, weights = around(written[placed].astype(np.float64), near[placed])
     number = new_numbers(origin, n)[:n].astype(np.int64)
     return NewVertices(origin, number, np.flatnonzero(placed), before.cells[cell], weights)
+
+
+def new_faces(
+    work: Prepared, given: HostMesh, outcome: Outcome
+) -> tuple[NewFaces | None, ...]:
+    """What the lines and triangles beside the cells have become; nothing where all stayed."""
+    from scipy.spatial import cKDTree
+
+    before, origin = work.mesh, outcome.origin
+    if origin is None or not any(len(faces.rows) for faces in before.faces):
+        return ()
+    number = new_numbers(origin, len(before.points))
+    out: list[NewFaces | None] = []
+    for _, raw, classes in given.kept:
+        rows = np.asarray(raw, dtype=np.int64)
+        size = rows.shape[1]
+        labels = np.full(len(rows), -1, dtype=np.int32)
+        if classes is not None and size > 1:
+            labels = labels_at(rows, before.faces[size - 2])
+        if (labels < 0).all():
+            out.append(None)
+            continue
+        now = outcome.faces[size - 2]
+        fresh = np.isin(now.labels, labels[labels >= 0])
+        made, of = now.rows[fresh], now.labels[fresh]
+        source = np.empty(len(made), dtype=np.int64)
+        for label in np.unique(of).tolist():
+            own = np.flatnonzero(labels == label)
+            places = before.points[rows[own]].mean(axis=1)
+            here = of == label
+            nearest = cKDTree(places).query(outcome.points[made[here]].mean(axis=1))[1]
+            source[here] = own[nearest]
+        turned = _turned(before, rows[source], outcome, made)
+        made[turned, -2:] = made[turned, :-3:-1]
+        stays = np.flatnonzero(labels < 0)
+        both = np.concatenate([number[rows[stays]], made]).astype(np.int64)
+        source = np.concatenate([stays, source])
+        order = np.argsort(source, kind="stable")
+        out.append(NewFaces(both[order], source[order]))
+    return tuple(out)
+
+
+def _turned(
+    before: SimplexMesh, rows: NDArray[np.int64], after: Outcome, made: IntArray
+) -> BoolArray:
+    """Which faces made (k, r) are the other way round than those (k, r) they come from.
+
+    Facets are looked at from the cell of the lower region, lines along those they come from.
+    """
+    out = np.zeros(len(made), dtype=np.bool_)
+    if made.shape[1] == 2:
+        along, was = (x.points[pair[:, 1]] - x.points[pair[:, 0]] for x, pair in (
+            (after, made), (before, rows)))
+        out = (along * was).sum(axis=1) < 0.0
+    if made.shape[1] == before.cells.shape[1] - 1:
+        (one, old), (two, new) = (turns_of(faces, outward_facets(x.cells, x.regions))
+                                  for x, faces in ((before, rows), (after, made)))
+        out = np.where(one & two, old != new, out)
+    return out

@@ -16,6 +16,7 @@ from odt_plugins.adapters.regions import AUTO, are_names
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.faces import no_faces
 from odt_plugins.mesh.plane import plane_frame
 from odt_plugins.mesh.simplex import compact_labels, diagonal, mesh_arrays
 from odt_plugins.mesh.soup import same_places
@@ -89,7 +90,7 @@ def _surfaces(
     size = diagonal(points[np.unique(cells)])
     space = np.pad(points, [(0, 0), (0, 3 - points.shape[1])])
     if cells.shape[1] == 4:
-        return "tetrahedra", size, [(space, surface_of(cells, labels)[0])]
+        return "tetrahedra", size, [(space, surface_of(cells, labels, no_faces()[1])[0])]
     same = same_places(host.points, cells.astype(np.int64))
     cells = cells if same is None else same[cells].astype(np.int32)
     edges = surface_edges(cells, len(points))

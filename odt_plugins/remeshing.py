@@ -72,8 +72,9 @@ def remesh(
     -------
     same type as `mesh`       Vertices that are left keep their order, new ones come last. Fields
                               are interpolated, cell data are those of the nearest input cell of the
-                              same region. What cannot be reached is not done, and the report says
-                              so
+                              same region. Lines and triangles beside the cells become others of
+                              the same labels where the boundary is resized. What cannot be
+                              reached is not done, and the report says so
 
     Raises
     ------

@@ -48,6 +48,7 @@ from odt_plugins.following import (
     follow,
     interpolated,
     locating,
+    new_faces,
     new_vertices,
 )
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -190,6 +191,7 @@ def run_engine(
         feet_of(work.host, work.mesh, places, cells, outcome.origin),
         data.vertices if not work.host.higher_order else None,
         locate=locating(work, near) if fields else None, same=same, of_cells=data.of_cells,
+        faces=new_faces(work, given, outcome),
     )
     return work.adapter.write(result, given), before, outcome, told
 
@@ -276,10 +278,12 @@ def _checked(
     if host.blocks is not None:
         labels = compact_labels(labels, len(host.cells)).astype(np.int64)
         labels = labels * (int(host.blocks.max()) + 1) + host.blocks
+    resized = wanted.linear and options.boundary == "slide"
     given: Any = {"regions": labels, "fixed": options.fixed, "selection": options.selection}
     if on_surface:
         surface = surface_mesh(points, host.cells, orient=options.repair == "orient", **given)
-        surface = protect_surface(surface, host.kept)
+        surface = protect_surface(surface, host.kept, host.anchors, resized=resized,
+                                  others=wanted.linear)
         if host.geometry is not None and options.boundary == "fixed":
             surface.fixed[host.geometry.on_curves] = True
         if keep_seams:
@@ -300,7 +304,8 @@ def _checked(
         orientation = -1
         simplices = replace(simplices, turned=len(simplices.cells) - simplices.turned)
     simplices, notes = hold_kept(simplices, host, free="inside" in options.free,
-                                 advise=not {"free", "free='inside'"} & {*wanted.refused})
+                                 advise=not {"free", "free='inside'"} & {*wanted.refused},
+                                 resized=resized)
     if options.boundary == "slide":
         simplices, more = hold_places(simplices, host, periodic="periodic" not in options.free)
         notes += more

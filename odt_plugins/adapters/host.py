@@ -25,10 +25,29 @@ class KeptCells(NamedTuple):
     kind : str             name of their cell type, for messages
     rows : (q, r) int      r = 1: vertices that must not move; r = 2, 3: lines or triangles
                            that must stay faces of the mesh
+    classes : (q,) int or None    where the adapter takes others in their place, see ``NewFaces``:
+                                  equal of those that may become each other
     """
 
     kind: str
     rows: NDArray[Any]
+    classes: NDArray[Any] | None = None
+
+
+def classes_of(columns: Sequence[NDArray[Any]], count: int) -> NDArray[np.int64] | None:
+    """Classes (count,) of rows that are alike in all columns of whole numbers.
+
+    None where most numbers of a column are there once: they are no labels.
+    """
+    out = np.zeros(count, dtype=np.int64)
+    for values in columns:
+        if values.dtype.kind not in "biu" or values.shape != (count,):
+            continue
+        distinct, label = np.unique(values, return_inverse=True)
+        if 2 * len(distinct) > max(count, 2):
+            return None
+        out = np.unique(out * len(distinct) + label.ravel(), return_inverse=True)[1].ravel()
+    return out
 
 
 class Geometry(NamedTuple):
@@ -199,6 +218,19 @@ class Feet(NamedTuple):
     origin: NDArray[np.int64] | None = None
 
 
+class NewFaces(NamedTuple):
+    """What kept lines or triangles have become where vertices of the boundary came and went.
+
+    Attributes
+    ----------
+    rows : (q', r) int      vertices of the result, turned as those they come from
+    source : (q',) int      the kept cell from which the data of each come, ascending
+    """
+
+    rows: NDArray[np.int64]
+    source: NDArray[np.int64]
+
+
 class Result(NamedTuple):
     """An optimised mesh in the caller's terms.
 
@@ -218,6 +250,8 @@ class Result(NamedTuple):
                                their barycentric coordinates there
     same : (n,) int or None    of a soup, the first vertex at the place of every vertex
     of_cells : dict of (m', ...)   densities whose integrals stay, by their names
+    faces : tuple              what each of the kept cells of the host have become, if they are no
+                               longer themselves; as long as these, or empty
     """
 
     points: NDArray[Any]
@@ -230,6 +264,15 @@ class Result(NamedTuple):
     locate: Callable[[NDArray[Any], NDArray[Any]], tuple[NDArray[Any], NDArray[Any]]] | None = None
     same: NDArray[np.int64] | None = None
     of_cells: Mapping[str, NDArray[Any]] = MappingProxyType({})
+    faces: tuple[NewFaces | None, ...] = ()
+
+    def faces_of(self, kept: int, rows: NDArray[Any]) -> NewFaces:
+        """What these rows (q, r) of the kept cells of a number have become."""
+        new = self.faces[kept] if self.faces else None
+        if new is not None:
+            return new
+        number = np.arange(len(self.points)) if self.vertices is None else self.vertices.number
+        return NewFaces(number[rows], np.arange(len(rows)))
 
     def carried(self, values: NDArray[Any], name: str) -> NDArray[Any]:
         """Cell data (m', ...) of the result from those (m, ...) of the input."""

@@ -13,6 +13,7 @@ from odt_plugins.adapters.host import NAMED_VERTEX, SET_VERTEX, HostMesh, KeptCe
 from odt_plugins.errors import InvalidMeshError, counted
 from odt_plugins.mesh.arrays import BoolArray, IntArray
 from odt_plugins.mesh.components import components
+from odt_plugins.mesh.faces import Faces, ends_of, no_faces
 from odt_plugins.mesh.facets import directed_facets, row_keys
 from odt_plugins.mesh.periodic import periodic_triangles
 from odt_plugins.mesh.simplex import SimplexMesh, freeze, with_same_cells
@@ -24,7 +25,8 @@ NAMED = 5
 
 
 def hold_kept(
-    mesh: SimplexMesh, host: HostMesh, *, free: bool = False, advise: bool = True
+    mesh: SimplexMesh, host: HostMesh, *, free: bool = False, advise: bool = True,
+    resized: bool = False,
 ) -> tuple[SimplexMesh, tuple[str, ...]]:
     """:func:`protect` what a mesh has beside its cells, and tell of facets inside of a region.
 
@@ -34,14 +36,15 @@ def hold_kept(
     host : HostMesh       that it comes from
     free : bool           whether the vertices of facets inside may move
     advise : bool         whether to tell how they may
+    resized : bool        see :func:`protect`
     """
-    safe = protect(mesh, host.kept, host.anchors, free=free)
+    safe = protect(mesh, host.kept, host.anchors, free=free, resized=resized)
     return safe, _note_inside(mesh, safe, host, free=free, advise=advise)
 
 
 def protect(
     mesh: SimplexMesh, kept: tuple[KeptCells, ...], anchors: NDArray[Any] | None = None,
-    *, free: bool = False,
+    *, free: bool = False, resized: bool = False,
 ) -> SimplexMesh:
     """Fix vertices and part regions so that the kept cells fit the optimised mesh as before.
 
@@ -53,12 +56,13 @@ def protect(
                                  regions, of the same body; of anything else the vertices are fixed
     anchors : (k,) int           vertices that must not be removed; none out of range counts
     free : bool                  whether the vertices of lines and triangles inside may move
+    resized : bool               whether those with classes may become others
 
     Returns
     -------
     SimplexMesh                  the same mesh with more in `fixed`, `regions` and `anchored`; edges
                                  of lines and triangles that stay are in `stays`, lines in `lines`
-                                 too
+                                 too, and those that may become others in `faces`
 
     Raises
     ------
@@ -69,27 +73,61 @@ def protect(
     inner: list[NDArray[np.int64]] = []
     stays = [mesh.stays]
     lines = [mesh.lines]
-    for kind, raw in kept:
+    named: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
+    for kind, raw, classes in kept:
         _check_range(kind, raw, n)
         rows = np.asarray(raw, dtype=np.int64)
         if rows.shape[1] > 1:
             held, exposed, _ = _hold(mesh, rows)
             inner += [rows[exposed]] if exposed.any() else []
-            stays.append(_edges(rows[held]))
+            if resized and classes is not None and _once(rows):
+                named.append((rows[held & ~exposed], classes[held & ~exposed]))
+            else:
+                stays.append(_edges(rows[held]))
             if rows.shape[1] == 2:
                 lines.append(_edges(rows[held]))
             rows = rows[~held]
         loose.append(rows.ravel())
-    anchored = np.zeros(n, dtype=np.bool_)
-    if anchors is not None:
-        anchored[anchors[(anchors >= 0) & (anchors < n)]] = True
+    anchored = _anchored(anchors, n)
     if not free:
         loose += [rows.ravel() for rows in inner]
-    fixed = mesh.fixed.copy()
+    faces = _named(named, 2), _named(named, 3)
+    fixed = mesh.fixed | ends_of(faces[0], n)
     fixed[np.concatenate(loose)] = True
-    safe = with_same_cells(mesh, fixed=fixed, stays=np.concatenate(stays),
+    safe = with_same_cells(mesh, fixed=fixed, stays=np.concatenate(stays), faces=faces,
                            lines=np.concatenate(lines), anchored=anchored)
     return _parted(safe, inner) if inner else safe
+
+
+def _anchored(anchors: NDArray[Any] | None, n: int) -> BoolArray:
+    """Mask (n,) of vertices that must not be removed."""
+    out = np.zeros(n, dtype=np.bool_)
+    if anchors is not None:
+        out[anchors[(anchors >= 0) & (anchors < n)]] = True
+    return out
+
+
+def _once(rows: NDArray[np.int64]) -> bool:
+    """Whether none of the rows is there twice."""
+    return len(np.unique(np.sort(rows, axis=1), axis=0)) == len(rows)
+
+
+def _named(given: list[tuple[NDArray[np.int64], NDArray[Any]]], size: int) -> Faces:
+    """Faces of so many vertices, one label for those that are of the same classes wherever they
+    are.
+    """
+    groups = [(np.sort(rows, axis=1), classes) for rows, classes in given if rows.shape[1] == size]
+    if not sum(len(rows) for rows, _ in groups):
+        return no_faces()[size - 2]
+    every, number = np.unique(np.concatenate([rows for rows, _ in groups]), axis=0,
+                              return_inverse=True)
+    table = np.full((len(every), len(groups)), -1, dtype=np.int64)
+    first = 0
+    for i, (rows, classes) in enumerate(groups):
+        table[number.ravel()[first: first + len(rows)], i] = classes
+        first += len(rows)
+    labels = np.unique(table, axis=0, return_inverse=True)[1].ravel()
+    return Faces(every.astype(np.int32), labels.astype(np.int32))
 
 
 def _parted(mesh: SimplexMesh, faces: list[NDArray[np.int64]]) -> SimplexMesh:
@@ -130,7 +168,10 @@ def _edges(rows: NDArray[np.int64]) -> IntArray:
     return rows[:, pairs].reshape(-1, 2).astype(np.int32)
 
 
-def protect_surface(mesh: SimplexMesh, kept: tuple[KeptCells, ...]) -> SimplexMesh:
+def protect_surface(
+    mesh: SimplexMesh, kept: tuple[KeptCells, ...], anchors: NDArray[Any] | None = None,
+    *, resized: bool = False, others: bool = False
+) -> SimplexMesh:
     """Let the lines beside a curved surface be feature edges, and fix all other kept vertices.
 
     Parameters
@@ -139,6 +180,9 @@ def protect_surface(mesh: SimplexMesh, kept: tuple[KeptCells, ...]) -> SimplexMe
     kept : tuple of KeptCells    a line that is an edge of the surface is kept as such, but its
                                  vertices may slide along it; of anything else the vertices are
                                  fixed
+    anchors : (k,) int           vertices that must not be removed; none out of range counts
+    resized : bool               whether those with classes may become others
+    others : bool                whether vertices come and go
 
     Raises
     ------
@@ -146,19 +190,26 @@ def protect_surface(mesh: SimplexMesh, kept: tuple[KeptCells, ...]) -> SimplexMe
     """
     n = len(mesh.points)
     pairs = np.sort(mesh.cells[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2), axis=1)
-    lines, loose = [mesh.lines], [np.zeros(0, dtype=np.int64)]
-    for kind, raw in kept:
+    lines, loose, stays = [mesh.lines], [np.zeros(0, dtype=np.int64)], [mesh.stays]
+    named: list[tuple[NDArray[np.int64], NDArray[Any]]] = []
+    for kind, raw, classes in kept:
         _check_range(kind, raw, n)
         rows = np.asarray(raw, dtype=np.int64)
         if rows.shape[1] == 2 and len(rows):
             keys = row_keys(np.concatenate([np.sort(rows, axis=1), pairs]), n)
             held = np.isin(keys[: len(rows)], keys[len(rows) :])
             lines.append(rows[held].astype(np.int32))
+            if resized and classes is not None and _once(rows):
+                named.append((rows[held], classes[held]))
+            elif others:
+                stays.append(lines[-1])
             rows = rows[~held]
         loose.append(rows.ravel())
-    fixed = mesh.fixed.copy()
+    faces = _named(named, 2), no_faces()[1]
+    fixed = mesh.fixed | ends_of(faces[0], n)
     fixed[np.concatenate(loose)] = True
-    return replace(mesh, fixed=fixed, lines=np.concatenate(lines))
+    return replace(mesh, fixed=fixed, lines=np.concatenate(lines), stays=np.concatenate(stays),
+                   faces=faces, anchored=_anchored(anchors, n))
 
 
 def hold_charts(mesh: SimplexMesh, charts: NDArray[np.integer] | None) -> SimplexMesh:
@@ -259,7 +310,7 @@ def _note_inside(
         return ()
     k = before.cells.shape[1]
     count = 0
-    for _, raw in host.kept:
+    for _, raw, _ in host.kept:
         if raw.shape[1] == k - 1:
             rows = np.unique(np.sort(np.asarray(raw, dtype=np.int64), axis=1), axis=0)
             count += int(_hold(before, rows)[1].sum())
@@ -282,7 +333,7 @@ def _note_inside(
 def notes_on_sets(kept: tuple[KeptCells, ...]) -> tuple[str, ...]:
     """Say which vertices stay that a point set or something else of the file names."""
     return tuple(f"{counted(len(rows), kind, kind.replace('vertex', 'vertices'))} stay where they "
-                 f"are" for kind, rows in kept if kind.startswith((SET_VERTEX, NAMED_VERTEX)))
+                 f"are" for kind, rows, _ in kept if kind.startswith((SET_VERTEX, NAMED_VERTEX)))
 
 
 def hold_places(

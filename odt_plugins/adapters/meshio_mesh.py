@@ -9,13 +9,14 @@ ones, and polyhedra are refused by name.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Container, Sequence
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.fields import sampled
+from odt_plugins.adapters.formats.change import Origin
 from odt_plugins.adapters.formats.decks import HELD, indices
 from odt_plugins.adapters.formats.medit import REQUIRED
 from odt_plugins.adapters.higher_order import (
@@ -38,6 +39,7 @@ from odt_plugins.adapters.host import (
     KeptCells,
     NewVertices,
     Result,
+    classes_of,
     is_instance,
 )
 from odt_plugins.adapters.normals import renewed
@@ -118,11 +120,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     arrays = {name: _joined(name, values, mesh, chosen)
               for name, values in mesh.cell_data.items()}
     sets = _memberships(mesh, chosen, size)
-    kept = tuple(
-        _kept(block.type, np.asarray(block.data))
-        for i, block in enumerate(mesh.cells)
-        if i not in chosen and block.type != "vertex" and len(block.data)
-    )
+    kept = tuple(_kept(mesh, i) for i in _others(mesh, chosen))
     if REQUIRED in mesh.point_sets:
         kept = (*kept, KeptCells("required vertex",
                                  np.asarray(mesh.point_sets[REQUIRED]).reshape(-1, 1)))
@@ -189,7 +187,7 @@ def write(result: Result, host: HostMesh) -> Any:
     if host.higher_order:
         result, nodes = _with_mid_nodes(out, result, host)
     elif result.vertices is not None and result.vertices.renumbered:
-        _renumber(out, result, result.vertices, host)
+        _renumber(out, result, result.vertices, host, origin)
     elif result.vertices is not None:
         for name in host.fields:
             out.point_data[name] = result.vertices.carried(np.asarray(out.point_data[name]), name)
@@ -295,10 +293,21 @@ def _take(out: Any, i: int, local: NDArray[Any], size: int) -> None:
             members[i] = _members(np.asarray(members[i]), local, size)
 
 
-def _renumber(out: Any, result: Result, vertices: NewVertices, host: HostMesh) -> None:
+def _renumber(
+    out: Any, result: Result, vertices: NewVertices, host: HostMesh, origin: Origin | None
+) -> None:
     """Let point data, point sets and other blocks follow vertices that came and went."""
+    others = _others(out, host.layout)
     for i, block in enumerate(out.cells):
-        if i not in host.layout:
+        if i in others:
+            size = len(block.data)
+            now = result.faces_of(others.index(i), np.asarray(block.data))
+            block.data = now.rows.astype(block.data.dtype)
+            if not np.array_equal(now.source, np.arange(size)):
+                _take(out, i, now.source, size)
+                if origin is not None:
+                    origin.cells[i] = origin.cells[i][now.source]
+        elif i not in host.layout:
             block.data = vertices.number[block.data].astype(block.data.dtype)
     entities = out.cell_data.get(CELL_ENTITIES)
     for name, values in out.point_data.items():
@@ -306,7 +315,12 @@ def _renumber(out: Any, result: Result, vertices: NewVertices, host: HostMesh) -
             np.asarray(values), name, field=name in host.fields)
         if name == NODE_ENTITIES and entities is not None:
             of_cells = np.concatenate([entities[i] for i in host.layout])[result.source]
-            _set_entities(out.point_data[name], 3, result.cells, vertices.origin < 0, of_cells)
+            fresh = vertices.origin < 0
+            _set_entities(out.point_data[name], result.cells.shape[1] - 1, result.cells, fresh,
+                          of_cells)
+            for i in sorted(others, key=lambda i: -out.cells[i].data.shape[1]):
+                _set_entities(out.point_data[name], out.cells[i].data.shape[1] - 1,
+                              out.cells[i].data, fresh, np.asarray(entities[i]))
     for name, members in out.point_sets.items():
         old = np.asarray(members)
         out.point_sets[name] = vertices.number[old].astype(old.dtype)
@@ -388,8 +402,26 @@ def _joined(name: str, values: list[Any], mesh: Any, chosen: list[int]) -> NDArr
     return np.concatenate([np.asarray(values[i]) for i in chosen])
 
 
-def _kept(kind: str, data: NDArray[Any]) -> KeptCells:
-    return KeptCells(kind, data[:, : FACES[kind]] if kind in FACES else data.reshape(-1, 1))
+def _others(mesh: Any, chosen: Container[int]) -> list[int]:
+    """Blocks beside the optimised ones, but those of vertices."""
+    return [i for i, block in enumerate(mesh.cells)
+            if i not in chosen and block.type != "vertex" and len(block.data)]
+
+
+def _kept(mesh: Any, i: int) -> KeptCells:
+    """A block that is not optimised; linear faces may become others of the same data and sets."""
+    kind, data = mesh.cells[i].type, np.asarray(mesh.cells[i].data)
+    if kind not in FACES:
+        return KeptCells(kind, data.reshape(-1, 1))
+    classes = None
+    if kind in LINEAR:
+        columns = [np.asarray(values[i]) for values in mesh.cell_data.values()]
+        for name, members in mesh.cell_sets.items():
+            if name not in NOT_CELL_INDICES and members[i] is not None:
+                _check_members(name, np.asarray(members[i]), i, len(data))
+                columns.append(_inside(np.asarray(members[i]), len(data)))
+        classes = classes_of(columns, len(data))
+    return KeptCells(kind, data[:, : FACES[kind]], classes)
 
 
 def _members(members: NDArray[Any], local: NDArray[np.int32], size: int) -> NDArray[Any]:

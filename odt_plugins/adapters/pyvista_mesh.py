@@ -26,7 +26,7 @@ from odt_plugins.adapters.higher_order import (
     placed_nodes,
     with_mid_nodes,
 )
-from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
+from odt_plugins.adapters.host import HostMesh, KeptCells, Result, classes_of, is_instance
 from odt_plugins.adapters.normals import renewed
 from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.wedges import slid
@@ -120,7 +120,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
             {name: np.asarray(mesh.point_data[name]) for name in mesh.point_data.keys()},
             (mesh.point_data.active_normals_name, name)),
         densities=sampled(arrays, (mesh.cell_data.active_normals_name,)),
-        anchors=_anchors(mesh) if grid else None,
+        anchors=_anchors(mesh, grid),
         higher_order=wide,
         nodes=nodes if wide else None,
         shape=shape if wide else None,
@@ -137,7 +137,9 @@ def write(result: Result, host: HostMesh) -> Any:
     vertices = result.vertices
     number = vertices.number if vertices is not None and vertices.renumbered else None
     if not host.source.IsA("vtkUnstructuredGrid"):
-        rows = _write_polydata(out, result, ids)
+        rows = _write_polydata(out, result, host)
+        if number is not None:
+            out.point_data.clear()
         out.points = result.points
     elif nodes is None:
         if result.split is not None:
@@ -188,8 +190,11 @@ def optimised_cells(host: HostMesh) -> IndexArray:
     return ids
 
 
-def _anchors(mesh: Any) -> IndexArray:
+def _anchors(mesh: Any, grid: bool) -> IndexArray:
     """Vertices of vertex cells."""
+    if not grid:
+        cells = np.asarray(mesh.verts)
+        return cells[_are_vertices(cells)]
     types = np.asarray(mesh.celltypes)
     offset, flat = _connectivity(mesh)
     which = np.flatnonzero(np.isin(types, (VERTEX, POLY_VERTEX)))
@@ -218,10 +223,7 @@ def _read_grid(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]
     cells = flat[offset[ids][:, None] + np.arange(width)]
 
     kept = []
-    for other in np.unique(types).tolist():
-        if other in (kind, VERTEX, POLY_VERTEX):
-            continue
-        which = np.flatnonzero(types == other)
+    for other, which in _beside(types, kind):
         start, size = offset[which], np.diff(offset)[which]
         if other in (LINE, POLY_LINE):
             first = _positions(start, size - 1)
@@ -230,8 +232,21 @@ def _read_grid(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, ...]
             rows = flat[start[:, None] + np.arange(FACES[other])]
         else:
             rows = flat[_positions(start, size)][:, None]
-        kept.append(KeptCells(names[other], rows))
+        classes = _classes(mesh, which) if other in (LINE, TRIANGLE) else None
+        kept.append(KeptCells(names[other], rows, classes))
     return cells, ids, tuple(kept)
+
+
+def _beside(types: NDArray[Any], kind: int) -> list[tuple[int, IndexArray]]:
+    """Types of the cells beside those that are optimised, but vertices, and which they are."""
+    return [(other, np.flatnonzero(types == other)) for other in np.unique(types).tolist()
+            if other not in (kind, VERTEX, POLY_VERTEX)]
+
+
+def _classes(mesh: Any, which: IndexArray) -> NDArray[np.int64] | None:
+    """Classes of cells that have the same numbers in all arrays."""
+    arrays = [np.atleast_1d(mesh.cell_data[name])[which] for name in mesh.cell_data.keys()]
+    return classes_of(arrays, len(which))
 
 
 def _expect_one_order(types: NDArray[Any], size: IndexArray, kind: int) -> None:
@@ -302,20 +317,26 @@ def _write_grid(
 ) -> IndexArray:
     """Set the cells of a grid, each near the cell it came from; return where their data lie.
 
-    The other cells take new indices of points, if `number` has them.
+    The other cells take new indices of points, if `number` has them, or become other faces.
     """
     types = np.asarray(source.celltypes)
     offset, flat = _connectivity(source)
     dtype = flat.dtype
     flat = flat if number is None else number[flat]
-    k = result.cells.shape[1]
     others = np.setdiff1d(np.arange(len(types)), ids)
-    rows = np.concatenate([ids[result.source], others])
+    parts = [(result.cells, ids[result.source])]
+    for (_, which), faces in zip(_beside(types, int(types[ids[0]])), result.faces, strict=False):
+        if faces is not None:
+            parts.append((faces.rows, which[faces.source]))
+            others = np.setdiff1d(others, which)
+    rows = np.concatenate([*(origin for _, origin in parts), others])
     order = np.argsort(rows, kind="stable")
 
-    pool = np.concatenate([result.cells.ravel(), flat])
-    start = np.concatenate([np.arange(len(result.cells)) * k, result.cells.size + offset[others]])
-    size = np.concatenate([np.full(len(result.cells), k), np.diff(offset)[others]])
+    pool = np.concatenate([*(cells.ravel() for cells, _ in parts), flat])
+    size = np.concatenate([*(np.full(len(cells), cells.shape[1]) for cells, _ in parts),
+                           np.diff(offset)[others]])
+    new = np.cumsum(size)[: len(size) - len(others)]
+    start = np.concatenate([np.append(0, new)[:-1], new[-1] + offset[others]])
     rows, start, size = rows[order], start[order], size[order]
     connectivity = pool[_positions(start, size)].astype(dtype)
     _set_cells(out, types[rows], size, connectivity)
@@ -385,7 +406,12 @@ def _read_polydata(mesh: Any) -> tuple[IndexArray, IndexArray, tuple[KeptCells, 
         )
         raise UnsupportedMeshError(msg)
     ids = np.arange(mesh.n_cells - n_faces, mesh.n_cells)
-    kept = (KeptCells("line", _segments(np.asarray(mesh.lines))),) if mesh.n_lines else ()
+    kept: tuple[KeptCells, ...] = ()
+    if mesh.n_lines:
+        rows = _segments(np.asarray(mesh.lines))
+        which = mesh.n_verts + np.arange(mesh.n_lines)
+        classes = _classes(mesh, which) if len(rows) == len(which) else None
+        kept = (KeptCells("line", rows, classes),)
     return faces.reshape(-1, 4)[:, 1:].copy(), ids, kept
 
 
@@ -399,10 +425,39 @@ def _segments(lines: IndexArray) -> IndexArray:
     return np.concatenate(rows)
 
 
-def _write_polydata(out: Any, result: Result, ids: IndexArray) -> IndexArray:
+def _write_polydata(out: Any, result: Result, host: HostMesh) -> IndexArray:
+    """Set the cells of a surface, triangles behind vertices and lines; as :func:`_write_grid`."""
+    ids, source = host.layout[0], host.source
+    beside = np.arange(ids[0])
+    if result.vertices is not None and result.vertices.renumbered:
+        number = result.vertices.number
+        if source.n_verts:
+            out.verts = _with_numbers(np.asarray(source.verts), number)
+        if result.faces and result.faces[0] is not None:
+            lines = result.faces[0]
+            out.lines = np.insert(lines.rows, 0, 2, axis=1).ravel()
+            beside = np.append(np.arange(source.n_verts), source.n_verts + lines.source)
+        elif source.n_lines:
+            out.lines = _with_numbers(np.asarray(source.lines), number)
     count = np.full((len(result.cells), 1), 3, dtype=result.cells.dtype)
     out.faces = np.concatenate([count, result.cells], axis=1).ravel()
-    return np.concatenate([np.arange(ids[0]), ids[result.source]])
+    return np.concatenate([beside, ids[result.source]])
+
+
+def _with_numbers(cells: IndexArray, number: NDArray[np.int64]) -> IndexArray:
+    """Cells as count, indices, count, indices, ... of vertices with other numbers."""
+    out, inside = cells.copy(), _are_vertices(cells)
+    out[inside] = number[cells[inside]]
+    return out
+
+
+def _are_vertices(cells: IndexArray) -> NDArray[np.bool_]:
+    """Which of count, indices, count, indices, ... are indices."""
+    out, at = np.ones(len(cells), dtype=np.bool_), 0
+    while at < len(cells):
+        out[at] = False
+        at += 1 + int(cells[at])
+    return out
 
 
 def _carry_cell_data(

@@ -1,7 +1,8 @@
 """Meshes of scikit-fem: MeshTri and MeshTet, MeshTri2 and MeshTet2.
 
 Everything survives: class, named subdomains, whose interfaces stay, and named boundaries, whose
-facets stay and which follow them into the new numbering, with their orientation if they have one.
+facets stay and which follow them into the new numbering, with their orientation if they have one;
+where a boundary is resized they are its new facets.
 Meshes of second order are optimised by their corners, see
 :mod:`odt_plugins.adapters.higher_order`. Meshes of other cells, and those whose elements do not
 share their vertices, such as MeshTri1DG, are refused by name.
@@ -22,10 +23,10 @@ from odt_plugins.adapters.higher_order import (
     lattice,
     with_mid_nodes,
 )
-from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
+from odt_plugins.adapters.host import HostMesh, KeptCells, NewFaces, Result, is_instance
 from odt_plugins.adapters.regions import AUTO, Labels, region_labels
 from odt_plugins.errors import UnsupportedMeshError
-from odt_plugins.mesh.facets import row_keys
+from odt_plugins.mesh.faces import Faces, labels_at
 
 ORDERS = {"MeshTri1": 1, "MeshTet1": 1, "MeshTri2": 2, "MeshTet2": 2}
 
@@ -65,8 +66,9 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     if order == 2:
         nodes = np.ascontiguousarray(mesh.dofs.element_dofs.T)
         check_mid_nodes(nodes, len(points), lattice(corners.shape[1] - 1, 2))
-    kept = [KeptCells("boundary facet", mesh.facets[:, np.asarray(facets)].T)
-            for facets in (mesh.boundaries or {}).values() if len(facets)]
+    kept = [KeptCells("boundary facet", mesh.facets[:, np.asarray(facets)].T,
+                      np.zeros(len(facets), dtype=np.int64))
+            for facets in (mesh.boundaries or {}).values()]
     labels = _labels(mesh, regions, corners)
     return HostMesh(points, corners, *labels, kept=tuple(kept), source=mesh, layout=nodes,
                     higher_order=order == 2, words=in_words,
@@ -76,9 +78,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
 
 def write(result: Result, host: HostMesh) -> Any:
     """Make a mesh of the same class."""
-    mesh, number = host.source, np.arange(len(host.points))
-    if result.vertices is not None:
-        number = result.vertices.number
+    mesh = host.source
     places, cells = result.points, result.cells
     if host.higher_order:
         shape = lattice(cells.shape[1] - 1, 2)
@@ -98,8 +98,9 @@ def write(result: Result, host: HostMesh) -> Any:
         subdomains = {name: np.flatnonzero(mask[result.source]).astype(subdomains[name].dtype)
                       for name, mask in inside.items()}
     if boundaries is not None:
-        boundaries = {name: _moved_facets(mesh, out, facets, number)
-                      for name, facets in boundaries.items()}
+        boundaries = {
+            name: _moved_facets(mesh, out, facets, result.faces_of(i, host.kept[i].rows))
+            for i, (name, facets) in enumerate(boundaries.items())}
     return replace(out, _subdomains=subdomains, _boundaries=boundaries)
 
 
@@ -124,47 +125,35 @@ def _labels(mesh: Any, regions: str | Sequence[str] | None, cells: NDArray[Any])
     return region_labels(arrays, regions, cells)
 
 
-def _moved_facets(
-    old: Any, new: Any, facets: NDArray[Any], number: NDArray[Any]
-) -> NDArray[Any]:
-    """The same facets in the numbering of another mesh, with their orientation if they have one.
+def _moved_facets(old: Any, new: Any, facets: NDArray[Any], now: NewFaces) -> NDArray[Any]:
+    """Facets in the numbering of another mesh, with their orientation if they have one.
 
     Parameters
     ----------
     old, new : skfem.Mesh
-    facets : (q,) int      of the old mesh, all of which are still there
-    number : (n,) int      vertex of the new mesh for every old one
+    facets : (q,) int    of the old mesh
+    now : NewFaces       what they have become
     """
-    rows = np.sort(number[old.facets[:, np.asarray(facets)].T], axis=1)
-    there = np.sort(new.facets.T, axis=1).astype(np.int64)
-    key = row_keys(np.concatenate([rows, there]), int(there.max()) + 1)
-    order = np.argsort(key[len(rows):], kind="stable")
-    found = order[np.searchsorted(key[len(rows):], key[:len(rows)], sorter=order)]
+    there = np.sort(new.facets.T, axis=1).astype(np.int32)
+    found = labels_at(now.rows, Faces(there, np.arange(len(there), dtype=np.int32)))
     found = found.astype(np.asarray(facets).dtype)
     sides = getattr(facets, "ori", None)
     if sides is None:
         return found
-    before, after = _sides(old, np.asarray(facets)), _sides(new, found)
-    turned = before[np.asarray(sides), np.arange(len(found))] != after[0]
-    return type(facets)(found, turned.astype(np.asarray(sides).dtype))
+    was = _outward(old, np.asarray(facets), np.asarray(sides).astype(np.int64))[:, now.source]
+    here = _outward(new, found, np.zeros(len(found), dtype=np.int64))
+    return type(facets)(found, ((was * here).sum(axis=0) < 0.0).astype(np.asarray(sides).dtype))
 
 
-def _sides(mesh: Any, facets: NDArray[Any]) -> NDArray[np.bool_]:
-    """On which side (2, q) of its facet each of the two elements there lies, or would lie."""
-    corners = mesh.facets[:, facets]
-    elements = mesh.f2t[:, facets]
-    outer = elements[1] < 0
-    opposite = mesh.t[:, elements].sum(axis=0) - corners.sum(axis=0)
-    opposite[1, outer] = opposite[0, outer]
-    order = np.argsort(corners, axis=0)
-    corners = np.take_along_axis(corners, order, axis=0)
+def _outward(mesh: Any, facets: NDArray[Any], sides: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Normals (d, q) of facets out of the element on one of their sides, or that would be there."""
+    corners, elements = mesh.facets[:, facets], mesh.f2t[:, facets]
+    tip = mesh.t[:, elements[0]].sum(axis=0) - corners.sum(axis=0)
     x = mesh.doflocs
     along = x[:, corners[1]] - x[:, corners[0]]
     if len(corners) == 2:
         normal = np.stack([along[1], -along[0]])
     else:
         normal = np.cross(along, x[:, corners[2]] - x[:, corners[0]], axis=0)
-    side = np.stack([(normal * (x[:, tip] - x[:, corners[0]])).sum(axis=0) > 0.0
-                     for tip in opposite])
-    side[1, outer] = ~side[0, outer]
-    return np.asarray(side)
+    inward = (normal * (x[:, tip] - x[:, corners[0]])).sum(axis=0) > 0.0
+    return np.asarray(np.where(inward == (sides == 0), -normal, normal))

@@ -13,6 +13,8 @@ numpy does, faster. `layer_cells` finds the cells that are stretched alike with 
 and `keep_layers` freezes them; `periodic_triangles` finds opposite faces that match; `eigen` and
 `logarithms` are of small symmetric matrices.
 
+`Faces` are lines and triangles with labels, which `followed` finds again after flips.
+
 Source: d-simplices in R^d as in Section 2 of Chen and Holst.
 
 References

@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike, NDArray
 from odt_plugins.errors import InvalidMeshError, InvalidOptionError, TangledMeshError, counted
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.chunks import chunks, spread
+from odt_plugins.mesh.faces import Faces, no_faces
 from odt_plugins.mesh.facets import UnevenFacets, directed_facets, row_keys, uneven_facets
 
 FLAT = 1e-14
@@ -53,6 +54,8 @@ class SimplexMesh:
     body : (l,) int32                        body of every region; facets between regions of one
                                              body stay too, but their vertices may move. Empty where
                                              every region is a body
+    faces : (Faces, Faces)                   lines and triangles on the boundary and on interfaces
+                                             that may become others of their labels
     metric : (n, d (d + 1) / 2) float64      upper triangle, row by row, of log(M) / 2, M the
                                              metric at every vertex; (n, 6) on a surface; no rows
                                              where lengths are those of the coordinates
@@ -71,6 +74,7 @@ class SimplexMesh:
     valid_before: tuple[FloatArray, IntArray] | None = None
     ground: SimplexMesh | None = None
     body: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
+    faces: tuple[Faces, Faces] = field(default_factory=no_faces)
     metric: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
     def __post_init__(self) -> None:

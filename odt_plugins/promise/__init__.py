@@ -5,8 +5,10 @@ promise that does not hold: positive volumes, finite coordinates, vertices that 
 bit (`held_vertices`), boundary and interface facets with their labels (`locked_facets`), a
 conforming mesh (`facet_census`), the volume of every region, and the figures in `keep`
 (`worse_figures`). `broken_surface_promises` does the same for curved surfaces: topology, rims,
-feature lines, folds (`new_folds`); the distances are measured by `engine.ground`. Crossings that
-the input does not have are found by `engine.surface.judge` in every run.
+feature lines, folds (`new_folds`); the distances are measured by `engine.ground`.
+`broken_by_remeshing` and `broken_by_retiling` look at meshes whose boundary has other vertices, and
+`broken_lines` at lines with labels. Crossings that the input does not have are found by
+`engine.surface.judge` in every run.
 
 This room shares no code with the engine: its determinants and its facets are its own, so that a
 fault there cannot hide itself here.

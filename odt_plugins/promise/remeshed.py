@@ -14,10 +14,12 @@ from numpy.typing import NDArray
 
 from odt_plugins.figures import cell_figures, summarize, volumes
 from odt_plugins.mesh.components import components
+from odt_plugins.mesh.faces import Faces, labels_at
 from odt_plugins.mesh.facets import row_keys, uneven_facets
 from odt_plugins.mesh.numbering import in_old_numbers, old_numbers, removed_vertices
 from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.promise.faces import broken_lines
 from odt_plugins.promise.good import fallen_figures
 from odt_plugins.promise.locked_facets import LockedFacets, facet_census
 from odt_plugins.promise.volume import (
@@ -42,6 +44,7 @@ def broken_by_remeshing(
     origin: NDArray[np.int64],
     keep: Sequence[str],
     metric: NDArray[np.float64],
+    faces: tuple[Faces, Faces],
     *,
     slides: bool,
     threads: int = 1,
@@ -56,6 +59,7 @@ def broken_by_remeshing(
     keep : names of figures             none may be worse than before, see ``promise.good``
     metric : (n, k) float64              of the metric in which figures are measured, no rows where
                                         there is none
+    faces : (Faces, Faces)              those that lines and triangles with labels have become
     slides : bool                       whether surfaces may have other vertices; else they are as
                                         before, bit for bit
     threads : int
@@ -66,9 +70,10 @@ def broken_by_remeshing(
 
     Notes
     -----
-    Every piece of surface, between two regions or one and the outside, and every region has the
-    same number of components and the same Euler characteristic as before, and the rim of a piece
-    the same number of loops: so genus, rims and the adjacency of regions are the same.
+    Every piece of surface, between two regions or one and the outside, of each label, and every
+    region has the same number of components and the same Euler characteristic as before, and the
+    rim of a piece the same number of loops: so genus, rims and the adjacency of regions are the
+    same.
     """
     share = max(0.0, len(points) / len(np.unique(before.cells)) - 1.0) + 1.0
     if not slides:
@@ -103,7 +108,8 @@ def broken_by_remeshing(
             summarize(*as_seen(before.points, before.cells, before.metric)),
             summarize(*as_seen(points, cells, metric), None if len(metric) else figures), keep, 4)
     old = facet_census(before.cells, before.regions, len(before.points), before.uneven)[0]
-    was, now = _pieces(old), _pieces(new)
+    was, now = _pieces(old, before.faces[1]), _pieces(new, faces[1])
+    broken += broken_lines(before.faces[0], faces[0], cells)
     for pair in sorted(was.keys() | now.keys()):
         if was.get(pair) != now.get(pair):
             broken.append(f"the surface of {_named(pair)} has {_told(now.get(pair))}; it had "
@@ -125,8 +131,10 @@ Piece = tuple[int, int, int]
 """Components, Euler characteristic, and loops of the rim of a piece of surface."""
 
 
-def _pieces(facets: LockedFacets) -> dict[tuple[int, int], Piece]:
-    """What tells the pieces of surface by the labels on their sides, the outside being -1."""
+def _pieces(facets: LockedFacets, named: Faces) -> dict[tuple[int, int, int], Piece]:
+    """What tells the pieces of surface by the regions on their sides and their labels, the outside
+    and none being -1.
+    """
     ordered = np.sort(facets.facets, axis=1)
     n = int(ordered.max(initial=0)) + 1
     _, first, inverse = np.unique(row_keys(ordered, n), return_index=True, return_inverse=True)
@@ -137,9 +145,10 @@ def _pieces(facets: LockedFacets) -> dict[tuple[int, int], Piece]:
     alone[inverse.ravel()[facets.boundary]] = True
     low[alone], high[alone] = -1, low[alone]
     rows = ordered[first]
-    pairs, number = np.unique(np.stack([low, high], axis=1), axis=0, return_inverse=True)
-    return {(int(a), int(b)): _piece(rows[number.ravel() == i])
-            for i, (a, b) in enumerate(pairs.tolist())}
+    label = np.column_stack([low, high, labels_at(rows, named)])
+    names, number = np.unique(label, axis=0, return_inverse=True)
+    return {(int(a), int(b), int(c)): _piece(rows[number.ravel() == i])
+            for i, (a, b, c) in enumerate(names.tolist())}
 
 
 def _piece(rows: NDArray[Any]) -> Piece:
@@ -182,8 +191,9 @@ def _faces(rows: NDArray[Any], size: int) -> tuple[NDArray[Any], NDArray[Any]]:
     return faces[first], count
 
 
-def _named(pair: tuple[int, int]) -> str:
-    return f"region {pair[1]}" if pair[0] < 0 else f"regions {pair[0]} and {pair[1]}"
+def _named(pair: tuple[int, int, int]) -> str:
+    return (f"region {pair[1]}" if pair[0] < 0 else f"regions {pair[0]} and {pair[1]}") + (
+        f" with label {pair[2]}" if pair[2] >= 0 else "")
 
 
 def _told(piece: Piece | None) -> str:

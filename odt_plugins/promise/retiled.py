@@ -13,11 +13,13 @@ from numpy.typing import NDArray
 
 from odt_plugins.figures import cell_figures, summarize, volumes
 from odt_plugins.mesh.components import components
+from odt_plugins.mesh.faces import Faces
 from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.numbering import old_numbers
 from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.mesh.surface import Edges, surface_edges
+from odt_plugins.promise.faces import broken_lines
 from odt_plugins.promise.good import fallen_figures
 from odt_plugins.promise.volume import VOLUME, _not_positive
 
@@ -33,6 +35,7 @@ def broken_by_retiling(
     origin: NDArray[np.int64],
     keep: Sequence[str],
     metric: NDArray[np.float64],
+    lines: Faces,
 ) -> list[str]:
     """Say what of the promise does not hold for triangles with other vertices.
 
@@ -44,6 +47,7 @@ def broken_by_retiling(
     keep : names of figures             none may be worse than before, see ``promise.good``
     metric : (n, k) float64              of the metric in which figures are measured, no rows where
                                         there is none
+    lines : Faces                       those that lines with labels have become
 
     Returns
     -------
@@ -75,6 +79,7 @@ def broken_by_retiling(
         if was.get(name) != now.get(name):
             broken.append(f"{name} has the components and Euler characteristic {now.get(name)}; it "
                           f"had {was.get(name)}")
+    broken += broken_lines(before.faces[0], lines, cells)
     if planar:
         for label in np.unique(before.regions).tolist():
             first, last = (float(volumes(x, t[r == label]).sum()) for x, t, r in (

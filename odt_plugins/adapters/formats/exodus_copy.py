@@ -265,13 +265,13 @@ def _write_side_sets(
     file: Any, change: Change, parts: tuple[list[Block], list[Sides]], starts: Any,
     source: NDArray[Any], values: dict[str, Any], sizes: dict[str, int],
 ) -> None:
-    """Name the same sides as before by the elements that have them now.
+    """Name the same sides as before by the elements that have them now, or what they have become.
 
     Faces of shells follow the cells whose data come from their elements.
 
     Raises
     ------
-    NotRewritable    a side is of no element any more, or factors of faces of shells differ
+    NotRewritable    a side is of no element any more, or factors of sides that became others differ
     """
     blocks, sides = parts
     space = np.asarray(change.after.points).shape[1] == 3
@@ -280,12 +280,18 @@ def _write_side_sets(
         if variable is None:
             continue
         elements = np.asarray(variable[:]).astype(np.int64) - 1
-        new_element = np.full_like(elements, -1)
-        new_side = np.asarray(file.variables[f"side_ss{k + 1}"][:]).astype(np.int64) - 1
+        own = [(j, part) for j, part in enumerate(sides, len(blocks)) if part.number == k]
+        named = np.concatenate([np.zeros(0, np.int64), *(part.places for _, part in own)])
+        place = np.concatenate([np.setdiff1d(np.arange(len(elements)), named),
+                                *(part.places[change.cells[j]] for j, part in own)])
+        new_element = np.full(len(place), -1)
+        new_side = np.asarray(file.variables[f"side_ss{k + 1}"][:]).astype(np.int64)[place] - 1
         orders: dict[int, Any] = {}
-        for j, part in enumerate(sides, len(blocks)):
+        first = len(elements) - len(named)
+        for j, part in own:
             now = np.asarray(change.after.cells[j].data).astype(np.int64)
-            old = elements[part.places] if part.number == k else now[:0, 0]
+            old = elements[place[first: first + len(now)]]
+            first += len(now)
             for i, block in enumerate(blocks):
                 mine = np.flatnonzero((old >= block.start)
                                       & (old < block.start + len(block.rows)))
@@ -294,25 +300,30 @@ def _write_side_sets(
                 rows = np.asarray(change.after.cells[i].data).astype(np.int64)
                 cell, side = facets_in(now[mine][:, : CORNERS[part.kind]], rows, block.kind,
                                        shell=space)
-                places = part.places[mine]
+                here = first - len(now) + mine
                 if (cell < 0).any():
-                    msg = f"side {places[cell < 0][0] + 1} of side set {k + 1} is none any more"
+                    lost = place[here[cell < 0][0]] + 1
+                    msg = f"side {lost} of side set {k + 1} is none any more"
                     raise NotRewritable(msg)
-                new_element[places], new_side[places] = cell + starts[i], side
-                orders |= {place: (now[q], rows[c], block.kind, s) for place, q, c, s in zip(
-                    places.tolist(), mine.tolist(), cell.tolist(), side.tolist(), strict=True)}
-        low, high = (np.searchsorted(source, elements, side=end)  # type: ignore[call-overload]
+                new_element[here], new_side[here] = cell + starts[i], side
+                orders |= {e: (now[q], rows[c], block.kind, s) for e, q, c, s in zip(
+                    here.tolist(), mine.tolist(), cell.tolist(), side.tolist(), strict=True)}
+        order = np.argsort(place, kind="stable")
+        place, new_element, new_side = place[order], new_element[order], new_side[order]
+        orders = {e: orders[old] for e, old in enumerate(order.tolist()) if old in orders}
+        low, high = (np.searchsorted(source, elements[place], side=end)  # type: ignore[call-overload]
                      for end in ("left", "right"))
         times = np.where(new_element < 0, high - low, 1)
-        at = np.repeat(np.arange(len(elements)), times)
-        within = np.arange(len(at)) - np.repeat(np.cumsum(times) - times, times)
-        new = np.where(new_element[at] < 0, low[at] + within, new_element[at])
-        values[f"elem_ss{k + 1}"], values[f"side_ss{k + 1}"] = new + 1, new_side[at] + 1
+        entry = np.repeat(np.arange(len(place)), times)
+        within = np.arange(len(entry)) - np.repeat(np.cumsum(times) - times, times)
+        new = np.where(new_element[entry] < 0, low[entry] + within, new_element[entry])
+        values[f"elem_ss{k + 1}"], values[f"side_ss{k + 1}"] = new + 1, new_side[entry] + 1
+        at = place[entry]
         factors = file.variables.get(f"dist_fact_ss{k + 1}")
         if not np.array_equal(at, np.arange(len(elements))):
             given = np.asarray([] if factors is None else factors[:])
             if given.size and (len(given) % len(elements) or np.ptp(given)):
-                msg = f"factors of the faces of shells in side set {k + 1} differ"
+                msg = f"factors in side set {k + 1} differ, and its sides became others"
                 raise NotRewritable(msg)
             if factors is not None:
                 much = len(given) // len(elements) * len(at)
@@ -321,7 +332,7 @@ def _write_side_sets(
             _thin(file, variable.dimensions[0], (), at, values, sizes)
         elif factors is not None and len(orders) == len(elements):
             values[f"dist_fact_ss{k + 1}"] = _turned_factors(
-                np.asarray(factors[:]), [orders[place] for place in range(len(elements))], space)
+                np.asarray(factors[:]), [orders[e] for e in range(len(elements))], space)
 
 
 def _turned_factors(factors: NDArray[Any], orders: list[Any], space: bool) -> NDArray[Any]:

@@ -303,9 +303,12 @@ def _nodes(parts: Parts, names: Names, change: Change) -> list[Edit]:
 def _values(
     data: bytes, section: Section, drop: set[int], names: Names, change: Change, values: Any
 ) -> list[Edit]:
-    """What replaces the rows of nodal data: values that differ, and those of new nodes."""
+    """What replaces the rows of nodal data: values that differ, and those of new nodes.
+
+    Of data that are no array of points only the rows of nodes that went are left out.
+    """
     if values is None:
-        return []
+        return [as_lines(data, row, []) for row in section.rows if int(row.words[0]) in drop]
     old = np.asarray(change.before.point_data[section.name])
     at = {int(names.nodes[v]): v for v in range(len(change.points))}
     lines: list[list[dict[int, Any]]] = []

@@ -48,12 +48,13 @@ def curvature_sizes(mesh: SimplexMesh, envelope: float, angle: float) -> FloatAr
     points = np.ascontiguousarray(np.pad(mesh.points, ((0, 0), (0, 3 - mesh.points.shape[1]))))
     triangles, patch = mesh.cells, mesh.regions
     if mesh.dim == 3:
-        triangles, patch, _ = surface_of(mesh.cells, mesh.regions)
+        triangles, patch, _ = surface_of(mesh.cells, mesh.regions, mesh.faces[1])
     edges = surface_edges(triangles, n)
     features = find_features(
         points, triangles, edges, vertex_stars(triangles, n), angle=angle,
         fixed=np.zeros(n, dtype=np.bool_), slack=math.inf,
-        kept=marked_edges(edges, mesh.stays, n) | label_borders(edges, patch))
+        kept=label_borders(edges, patch) | marked_edges(
+            edges, np.concatenate([mesh.stays, mesh.lines]), n))
     apart = features.edges[edges.of_cell]
     curvature = np.maximum(
         vertex_curvature(points, triangles, np.where(apart, -1, edges.neighbors)),

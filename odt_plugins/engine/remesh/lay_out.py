@@ -26,10 +26,12 @@ from odt_plugins.engine.remesh.body import (
 )
 from odt_plugins.engine.remesh.boxes import make_boxes
 from odt_plugins.engine.remesh.simplices import make_simplices
+from odt_plugins.engine.run.work import Start
 from odt_plugins.engine.topology.adjacency import cell_neighbors
 from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.mesh.arrays import BoolArray, ByteArray, FloatArray, IntArray
 from odt_plugins.mesh.components import components
+from odt_plugins.mesh.faces import Faces, ends_of, labels_at, renumbered
 from odt_plugins.mesh.surface import Edges, surface_edges
 
 SPARE = 1.3
@@ -46,11 +48,13 @@ VOLUME = 1.7e-3
 """Largest change of the volume of a region, as a part of it; sliding has the rest."""
 
 
-def surface_of(cells: IntArray, regions: IntArray) -> tuple[IntArray, IntArray, IntArray]:
+def surface_of(
+    cells: IntArray, regions: IntArray, faces: Faces
+) -> tuple[IntArray, IntArray, IntArray]:
     """Triangles (k, 3) of the boundary and of interfaces, out of the lower region, their patches.
 
-    Facets of one patch have the same region, or the same two regions, on their sides: (p, 2), the
-    second -1 on the boundary.
+    Facets of one patch have the same region, or the same two regions, on their sides, and the same
+    label among ``faces``: (p, 3), the second -1 on the boundary, the last without a label.
     """
     neighbors = cell_neighbors(cells)
     triangles, sides = [], []
@@ -60,9 +64,10 @@ def surface_of(cells: IntArray, regions: IntArray) -> tuple[IntArray, IntArray, 
         here = np.flatnonzero((across < 0) | (regions < other))
         triangles.append(cells[here][:, FACETS[4][i]])
         sides.append(np.stack([regions[here], other[here]], axis=1))
-    both, patch = np.unique(np.concatenate(sides), axis=0, return_inverse=True)
-    return (np.concatenate(triangles).astype(np.int32), patch.ravel().astype(np.int32),
-            both.astype(np.int32))
+    rows = np.concatenate(triangles).astype(np.int32)
+    both, patch = np.unique(np.column_stack([np.concatenate(sides), labels_at(rows, faces)]),
+                            axis=0, return_inverse=True)
+    return rows, patch.ravel().astype(np.int32), both.astype(np.int32)
 
 
 def apart(
@@ -104,43 +109,50 @@ def line_numbers(segments: IntArray, kind: ByteArray) -> IntArray:
 
 
 def lay_out(
-    points: FloatArray, metric: FloatArray, cells: IntArray, regions: IntArray, hold: ByteArray,
-    marked: IntArray, envelope: float, angle: float,
-) -> tuple[Body, Guard, Scratch]:
+    start: Start, hold: ByteArray, envelope: float, angle: float
+) -> tuple[Body, Guard, Scratch, tuple[IntArray, IntArray]]:
     """Lay a mesh out.
 
     Parameters
     ----------
-    points : (n, 3) float64, metric : (n, k) float64    k = 0 without a metric
-    cells : (m, 4) int32, regions : (m,) int32         positive
+    start : Start            its lines count as feature edges, those with labels among them
     hold : (n,) uint8        FREELY, STAYS or STIFF
-    marked : (k, 2) int32    edges that count as feature edges
     envelope : float         length; 0: the surface stays as it is
     angle : float            degrees by which the surface turns at a feature edge
+
+    Returns
+    -------
+    Body, Guard, Scratch, and the labels of lines and of patches, -1 without one
     """
+    points, metric, cells, regions = start.points, start.metric, start.cells, start.regions
     n = len(points)
+    lines, named = (renumbered(faces, start.number) for faces in start.mesh.faces)
     labels, inverse = np.unique(regions, return_inverse=True)
     tag: IntArray = inverse.ravel().astype(np.int32)
-    triangles, patch, sides = surface_of(cells, tag)
+    triangles, patch, sides = surface_of(cells, tag, named)
     edges = surface_edges(triangles, n)
     on_surface = np.zeros(n, dtype=np.bool_)
     on_surface[triangles] = True
     kind = np.where(on_surface, PATCH, INSIDE).astype(np.uint8)
     segments = np.zeros((0, 2), dtype=np.int32)
-    line = np.zeros(0, dtype=np.int32)
+    line = names = np.zeros(0, dtype=np.int32)
     own, ground_rows = apart(points, triangles, patch)
     if envelope > 0.0:
         features = find_features(
             points, triangles, edges, vertex_stars(triangles, n), angle=angle,
             fixed=hold != FREELY,
-            kept=marked_edges(edges, marked, n) | label_borders(edges, patch),
+            kept=label_borders(edges, patch) | marked_edges(
+                edges, start.pairs(start.mesh.lines), n),
         )
         segments, on_lines = lines_of(points, edges, features.edges, angle, n)
         kind = np.maximum(kind, on_lines)
         several = np.zeros(n, dtype=np.bool_)
         several[edges.vertices[edges.degree > 2]] = True
         kind[features.pinched & on_surface & ~(several & (on_lines == LINE))] = CORNER
+        kind[ends_of(lines, n)] = CORNER
         line = line_numbers(segments, kind)
+        names = np.full(int(line.max(initial=-1)) + 1, -1, dtype=np.int32)
+        names[line] = labels_at(segments, lines)
     else:
         kind[on_surface] = CORNER
         hold = np.where(on_surface, np.maximum(hold, STAYS), hold).astype(np.uint8)
@@ -168,14 +180,15 @@ def lay_out(
     on_line, next_on_line = _lists(segments, n, len(body.segments.rows))
     guard = Guard(
         ground, make_boxes(own, ground_rows, patch), curves, first, following, on_line,
-        next_on_line, np.array([envelope, TURN, NEW_TURN, FLOOR]), volume, sides, area,
+        next_on_line, np.array([envelope, TURN, NEW_TURN, FLOOR]), volume,
+        np.ascontiguousarray(sides[:, :2]), area,
     )
     scratch = Scratch(
         np.empty(STAR, np.int32), np.empty(STAR, np.int32), np.empty(STAR, np.int32),
         np.zeros(room, np.int64),
         np.zeros(1, np.int64), make_exchange(), np.zeros(room, np.int32), np.empty(STAR, np.int32),
     )
-    return body, guard, scratch
+    return body, guard, scratch, (names, sides[:, 2])
 
 
 def _lists(rows: IntArray, n: int, room: int) -> tuple[IntArray, IntArray]:

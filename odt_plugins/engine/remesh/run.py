@@ -38,6 +38,15 @@ from odt_plugins.engine.run.within import Within
 from odt_plugins.engine.run.work import make_start
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
+from odt_plugins.mesh.faces import (
+    Faces,
+    Pieces,
+    followed,
+    joined,
+    labels_at,
+    no_faces,
+    renumbered,
+)
 from odt_plugins.mesh.numbering import new_numbers
 from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal, freeze
@@ -311,9 +320,14 @@ def _once(
         best = as_it_leaves(best)
     outcome = replace(best, origin=_composed(origin, best.origin), times=times | best.times,
                       counts=log.counts | best.counts, fallback=None, slid=None)
+    faces = _followed(resized, lines, outcome, best.origin, slides=share > 0.0)
+    if faces is None:
+        return outcome, ["labels of the surface cannot be told apart"]
+    outcome = replace(outcome, faces=faces)
     broken = broken_by_remeshing(
         mesh, outcome.points, outcome.cells, outcome.regions, _composed(origin, best.origin),
-        tuple(options.keep), outcome.metric, slides=share > 0.0, threads=options.threads)
+        tuple(options.keep), outcome.metric, outcome.faces, slides=share > 0.0,
+        threads=options.threads)
     if broken:
         return outcome, broken
     if share > 0.0:
@@ -344,10 +358,10 @@ def _resized(
     with thread_pool(threads) as pool:
         field = make_density(
             NodalDensity(values, 1.0), None, start.seen, start.cells, None)
-        body, guard, scratch = lay_out(
-            start.points, start.metric, start.cells, start.regions, hold[frame.vertices],
-            start.pairs(mesh.lines), share * envelope_length(mesh, options) * frame.scale,
+        body, guard, scratch, names = lay_out(
+            start, hold[frame.vertices], share * envelope_length(mesh, options) * frame.scale,
             options.feature_angle)
+        were = [frame.vertices[s.rows[s.live()]] for s in (body.segments, body.triangles)]
         work = Resizing(body, guard, scratch, field, field.walk_start(len(start.points)), log,
                         LONGER * local_sizes(mesh)[frame.vertices] * unit, sizes.growth,
                         relents)
@@ -377,8 +391,46 @@ def _resized(
     number = np.empty(len(points), dtype=np.int32)
     number[:n] = new_numbers(origin, len(mesh.points))[frame.vertices]
     number[new] = len(origin) - len(new) + np.arange(len(new), dtype=np.int32)
+    faces = []
+    for old, rows, label, s in zip(
+            mesh.faces, were, names, (work.body.segments, work.body.triangles), strict=True):
+        beside = labels_at(old.rows, Faces(rows, np.zeros(len(rows), dtype=np.int32))) < 0
+        live = s.live()
+        live = live[label[s.tag[live]] >= 0]
+        faces.append(joined(
+            Faces(new_numbers(origin, len(mesh.points))[old.rows[beside]], old.labels[beside]),
+            Faces(number[s.rows[live]], label[s.tag[live]])))
+    outcome = replace(outcome, faces=(faces[0], faces[1]))
     lines = number[work.body.segments.rows[work.body.segments.live()]].reshape(-1, 2)
     return outcome, lengths, outside(multiple, asked / sizes.values), lines, log
+
+
+def _followed(
+    resized: Outcome, lines: IntArray, outcome: Outcome, origin: LongArray | None, *, slides: bool
+) -> tuple[Faces, Faces] | None:
+    """Faces of a mesh that was optimised after it was resized, None where labels are in doubt.
+
+    ``lines`` (l, 2) are feature edges of the resized mesh, which stay, and ``origin`` the vertices
+    of it.
+    """
+    n = len(resized.points)
+    number = np.arange(n, dtype=np.int32) if origin is None else new_numbers(origin, n)
+    old, triangles = renumbered(resized.faces[0], number), renumbered(resized.faces[1], number)
+    if not slides or not len(triangles.rows):
+        return old, triangles
+    was, now = (Pieces(*_pieces(cells, x.regions)) for x, cells in (
+        (resized, number[resized.cells]), (outcome, outcome.cells)))
+    labels = followed(was, labels_at(was.rows, triangles), now, number[lines], len(outcome.points))
+    if labels is None:
+        return None
+    named = labels >= 0
+    return old, Faces(now.rows[named], labels[named])
+
+
+def _pieces(cells: IntArray, regions: IntArray) -> tuple[IntArray, IntArray]:
+    """Triangles of surfaces (k, 3), and the pieces of them by the regions on their sides."""
+    triangles, patch, _ = surface_of(cells, regions, no_faces()[1])
+    return triangles, patch
 
 
 def _composed(first: LongArray, second: LongArray | None) -> LongArray:
@@ -387,10 +439,9 @@ def _composed(first: LongArray, second: LongArray | None) -> LongArray:
 
 
 def _furthest(mesh: SimplexMesh, outcome: Outcome, envelope: float) -> tuple[float, float]:
-    """How far the surfaces are apart at most, both ways: the furthest pair of pieces of them."""
+    """How far surfaces and lines with labels are apart at most, both ways: the furthest pair."""
     forward = backward = 0.0
-    old, new = (_surfaces(cells, regions) for cells, regions in (
-        (mesh.cells, mesh.regions), (outcome.cells, outcome.regions)))
+    old, new = _surfaces(mesh), _surfaces(outcome)
     for pair, rows in new.items():
         if pair not in old:
             return np.inf, np.inf
@@ -399,10 +450,14 @@ def _furthest(mesh: SimplexMesh, outcome: Outcome, envelope: float) -> tuple[flo
     return forward, backward
 
 
-def _surfaces(cells: IntArray, regions: IntArray) -> dict[tuple[int, int], IntArray]:
-    """Triangles of every piece of surface by the regions on its sides."""
-    triangles, patch, sides = surface_of(cells, regions)
-    return {(int(a), int(b)): triangles[patch == i] for i, (a, b) in enumerate(sides.tolist())}
+def _surfaces(mesh: SimplexMesh | Outcome) -> dict[tuple[int, ...], IntArray]:
+    """Triangles of every piece of surface by the regions on its sides and its label, and lines as
+    triangles without area by theirs.
+    """
+    triangles, patch, names = surface_of(mesh.cells, mesh.regions, mesh.faces[1])
+    rows, labels = mesh.faces[0]
+    return {tuple(name): triangles[patch == i] for i, name in enumerate(names.tolist())} | {
+        (label,): rows[labels == label][:, [0, 1, 1]] for label in np.unique(labels).tolist()}
 
 
 def _beyond(
@@ -437,7 +492,7 @@ def _told(outcome: Outcome, unit: float, multiple: FloatArray) -> tuple[str, ...
     ratio = lengths_of(outcome.points, edges, outcome.metric) / (0.5 * asked[edges].sum(axis=1))
     short, long = ratio < IN[0], ratio > IN[1]
     surface = np.zeros(len(outcome.points), dtype=np.bool_)
-    surface[surface_of(outcome.cells, outcome.regions)[0]] = True
+    surface[surface_of(outcome.cells, outcome.regions, outcome.faces[1])[0]] = True
     there = surface[edges].all(axis=1)
     notes: tuple[str, ...] = (
         f"{(~short & ~long).mean():.1%} of the edges are {IN[0]:.2f} to {IN[1]:.2f} times as "

@@ -17,6 +17,7 @@ from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import cell_shapes, figures
 from odt_plugins.engine.record.memory import State
 from odt_plugins.engine.record.relaxed import relaxed
+from odt_plugins.engine.retile.net import Net
 from odt_plugins.engine.retile.surface import Base, resize
 from odt_plugins.engine.run.outcome import Leaving, Outcome, unchanged
 from odt_plugins.engine.run.work import extremes
@@ -25,6 +26,8 @@ from odt_plugins.engine.surface.in_plane import IN_PLANE, in_space, metric_in_sp
 from odt_plugins.engine.surface.judge import TOLERANCE, Distance
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
+from odt_plugins.mesh.faces import Faces, joined, labels_at
+from odt_plugins.mesh.numbering import new_numbers
 from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal, freeze
 from odt_plugins.mesh.surface import Edges, surface_edges
@@ -83,7 +86,8 @@ def retile(
         frame = start.frame
         reach = POLICY.surface_guard * length * frame.scale * part[frame.active]
         unit = 1.0 if len(mesh.metric) else frame.scale
-        net = resize(_base(start, options), sizes[frame.vertices] * unit, reach, bounds,
+        base = _base(start, options)
+        net, marks = resize(base, sizes[frame.vertices] * unit, reach, bounds,
                      feature_angle=options.feature_angle, most=most)
         n, m = net.count[0], net.count[1]
         points = np.ascontiguousarray(net.points[:n, _columns(mesh)])
@@ -93,6 +97,7 @@ def retile(
         if placed.origin is None:
             placed = replace(placed, origin=np.arange(len(placed.points)))
         origin: Any = placed.origin
+        placed = replace(placed, faces=(_lines_of(mesh, start, marks, net, origin), mesh.faces[1]))
         outcome = leaving(placed)
         judged = _judged(mesh, outcome, origin, length, options)
         if not judged.broken:
@@ -113,6 +118,29 @@ def retile(
     report("finishing", 1.0)
     outcome = leaving(unchanged(mesh, "no other sizes kept the promise"))
     return replace(outcome, fallback=f"the input is returned, since {'; '.join(before)}")
+
+
+def _lines_of(
+    mesh: SimplexMesh, start: SurfaceStart, marks: IntArray, net: Net, origin: LongArray
+) -> Faces:
+    """Lines with labels that those of a mesh have become: edges on the same tracks."""
+    old, n = mesh.faces[0], len(start.points)
+    edges = start.frame.vertices[start.edges.vertices]
+    own = marks >= 0
+    label = np.full(int(marks.max(initial=-1)) + 2, -1, dtype=np.int32)
+    label[marks[own]] = labels_at(edges[own], old)
+    beside = labels_at(old.rows, Faces(edges, np.zeros(len(edges), dtype=np.int32))) < 0
+    number = np.empty(int(net.count[0]), dtype=np.int32)
+    outer = new_numbers(origin, len(mesh.points))
+    number[:n] = outer[start.frame.vertices]
+    triangles = net.triangles[: net.count[1]]
+    new = n + np.flatnonzero(np.bincount(triangles.ravel(), minlength=len(number))[n:])
+    number[new] = len(origin) - len(new) + np.arange(len(new), dtype=np.int32)
+    ends = number[triangles[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2)]
+    found = label[net.marks[: net.count[1]].ravel()]
+    rows, first = np.unique(np.sort(ends[found >= 0], axis=1), axis=0, return_index=True)
+    return joined(Faces(outer[old.rows[beside]], old.labels[beside]),
+                  Faces(rows, found[found >= 0][first]))
 
 
 def _told(
@@ -163,7 +191,8 @@ def _judged(
     points, cells = outcome.points, outcome.cells
     keep = tuple(options.keep)
     metric = outcome.metric
-    broken = broken_by_retiling(mesh, points, cells, outcome.regions, origin, keep, metric)
+    broken = broken_by_retiling(mesh, points, cells, outcome.regions, origin, keep, metric,
+                                outcome.faces[0])
     bad = np.zeros(len(points), dtype=np.bool_)
     if broken:
         bounds = relaxed(figures(*as_seen(mesh.points, mesh.cells, mesh.metric)), keep, 3)
@@ -185,6 +214,10 @@ def _judged(
     far, near = [0.0, 0.0], points[:0]
     pairs = _lines(mesh.cells, mesh.regions, old), _lines(cells, outcome.regions, new)
     surfaces = [(pairs[0][name], pairs[1].get(name, cells[:0])) for name in pairs[0]]
+    surfaces += [(lines.rows[lines.labels == label][:, [0, 1, 1]],
+                  now.rows[now.labels == label][:, [0, 1, 1]])
+                 for lines, now in [(mesh.faces[0], outcome.faces[0])]
+                 for label in np.unique(lines.labels).tolist()]
     if mesh.is_surface:
         surfaces.append((mesh.cells, cells))
     for was, now in surfaces:

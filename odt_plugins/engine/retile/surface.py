@@ -82,7 +82,7 @@ class Base(NamedTuple):
 def resize(
     base: Base, sizes: FloatArray, reach: FloatArray, bounds: Extremes, *, feature_angle: float,
     most: float = math.inf,
-) -> Net:
+) -> tuple[Net, IntArray]:
     """Bring the edges of a surface to sizes, within an envelope around it.
 
     Parameters
@@ -99,6 +99,8 @@ def resize(
     -------
     Net                         vertices of the base keep their number, those that are gone too; new
                                 ones follow. Slots may be free
+    (e,) int32                  number among its ``marks`` of the line that each edge of the base is
+                                on, -1 for none
     """
     points, triangles, edges = base.points, base.triangles, base.edges
     stars = vertex_stars(triangles, len(points))
@@ -129,8 +131,7 @@ def resize(
         for _ in range(sweeps):
             passes.flip(net, power)
             passes.shift(net, power)
-    net = _compact(net)
-    return net
+    return _compact(net), marks
 
 
 def _tracks(base: Base, features: Features, reach: FloatArray) -> tuple[Tracks, IntArray]:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.engine.run.judge import Slid
 from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.faces import Faces, no_faces
 from odt_plugins.mesh.simplex import SimplexMesh
 
 
@@ -39,6 +40,7 @@ class Outcome:
                                     were "worse", name -> (before, there), and its "mean_quality"
                                     and "min_quality"
     notes : tuple of str            what the report says besides
+    faces : (Faces, Faces)          those that the faces of the input have become
     metric : (n', k) float64         of the metric where the vertices are now, see ``SimplexMesh``
     """
 
@@ -57,6 +59,7 @@ class Outcome:
     source: IntArray | None = None
     vetoed: dict[str, Any] | None = None
     notes: tuple[str, ...] = ()
+    faces: tuple[Faces, Faces] = field(default_factory=no_faces)
     metric: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
 
 
@@ -73,4 +76,4 @@ def as_it_is(outcome: Outcome) -> Outcome:
 def unchanged(mesh: SimplexMesh, reason: str) -> Outcome:
     """The input as the outcome."""
     return Outcome(mesh.points.copy(), mesh.cells.copy(), mesh.regions.copy(), stop_reason=reason,
-                   metric=mesh.metric)
+                   faces=mesh.faces, metric=mesh.metric)

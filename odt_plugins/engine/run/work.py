@@ -62,11 +62,16 @@ class Start:
         """Points with the metric behind the coordinates, as kernels take them; a copy."""
         return np.column_stack([self.points, self.metric])
 
-    def pairs(self, edges: IntArray) -> IntArray:
-        """Inner numbers of the caller's edges (q, 2); without those that are not inside."""
+    @property
+    def number(self) -> IntArray:
+        """Inner number of every vertex of the caller's, (n,); -1 of those that are not inside."""
         number = np.full(len(self.mesh.points), -1, dtype=np.int32)
         number[self.frame.vertices] = np.arange(len(self.points), dtype=np.int32)
-        inner = number[edges]
+        return number
+
+    def pairs(self, edges: IntArray) -> IntArray:
+        """Inner numbers of the caller's edges (q, 2); without those that are not inside."""
+        inner = self.number[edges]
         return inner[(inner >= 0).all(axis=1)]
 
     def placed(self, state: State) -> Outcome:

@@ -176,7 +176,8 @@ def test_the_same_bits_twice():
 
 def broken(mesh, outcome):
     return " ".join(broken_by_retiling(
-        mesh, outcome.points, outcome.cells, outcome.regions, outcome.origin, (), outcome.metric))
+        mesh, outcome.points, outcome.cells, outcome.regions, outcome.origin, (), outcome.metric,
+            outcome.faces[0]))
 
 
 def test_the_judge_sees_what_is_broken():

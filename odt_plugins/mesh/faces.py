@@ -1,0 +1,179 @@
+"""Lines and triangles beside the cells that are known by labels, and follow where these are others.
+
+A face with a label may become others of the same label, on the same line or piece of surface.
+"""
+
+from __future__ import annotations
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.mesh.arrays import BoolArray, IntArray
+from odt_plugins.mesh.components import components
+from odt_plugins.mesh.facets import row_keys, sorted_columns
+
+
+class Faces(NamedTuple):
+    """Faces with labels, each once.
+
+    Attributes
+    ----------
+    rows : (k, r) int32      vertices; r = 2 of lines, 3 of triangles
+    labels : (k,) int32      0, 1, ...
+    """
+
+    rows: IntArray
+    labels: IntArray
+
+
+def no_faces() -> tuple[Faces, Faces]:
+    """Neither lines nor triangles."""
+    one, other = (Faces(np.zeros((0, size), dtype=np.int32), np.zeros(0, dtype=np.int32))
+                  for size in (2, 3))
+    return one, other
+
+
+def renumbered(faces: Faces, number: NDArray[np.integer]) -> Faces:
+    """Faces of vertices with other numbers, without those that have a vertex of number -1."""
+    rows = number[faces.rows].astype(np.int32)
+    there = (rows >= 0).all(axis=1)
+    return Faces(rows[there], faces.labels[there])
+
+
+def joined(one: Faces, other: Faces) -> Faces:
+    """Both."""
+    return Faces(*(np.concatenate(pair) for pair in zip(one, other, strict=True)))
+
+
+def labels_at(rows: NDArray[np.integer], faces: Faces) -> IntArray:
+    """Label (k,) of the face that each row (k, r) is, in any order of its vertices; -1 of none."""
+    out = np.full(len(rows), -1, dtype=np.int32)
+    if len(rows) and len(faces.rows):
+        both = np.sort(np.concatenate([faces.rows, rows]), axis=1)
+        key = row_keys(both, int(both.max()) + 1)
+        known, key = key[: len(faces.rows)], key[len(faces.rows):]
+        order = np.argsort(known, kind="stable")
+        place = np.minimum(np.searchsorted(known, key, sorter=order), len(known) - 1)
+        found = known[order[place]] == key
+        out[found] = faces.labels[order[place]][found]
+    return out
+
+
+def ends_of(lines: Faces, n: int) -> BoolArray:
+    """Vertices (n,) at which lines end, branch, or have another label on the other side."""
+    out = np.zeros(n, dtype=np.bool_)
+    if len(lines.rows):
+        label, vertex = np.repeat(lines.labels, 2), lines.rows.ravel()
+        pairs, count = np.unique(np.stack([label, vertex], axis=1), axis=0, return_counts=True)
+        out[pairs[count != 2, 1]] = True
+        vertices, labels = np.unique(pairs[:, 1], return_counts=True)
+        out[vertices[labels > 1]] = True
+    return out
+
+
+def outward_facets(cells: IntArray, regions: IntArray) -> IntArray:
+    """Facets (k, d) of the boundary and of interfaces, turned out of the cell of the lower region.
+
+    Parameters
+    ----------
+    cells : (m, d + 1) int32, positive
+    regions : (m,) int32
+    """
+    count = cells.shape[1]
+    parts = [np.delete(cells, i, axis=1) for i in range(count)]
+    for part in parts[1::2]:
+        part[:, -2:] = part[:, :-3:-1].copy()
+    rows: IntArray = np.concatenate(parts)
+    region: IntArray = np.tile(regions, count)
+    key = row_keys(np.sort(rows, axis=1), int(cells.max(initial=0)) + 1)
+    order = np.lexsort((region, key))
+    first = np.flatnonzero(np.append(True, key[order][1:] != key[order][:-1])[: len(order)])
+    last = np.append(first[1:], len(order)) - 1
+    stays = (first == last) | (region[order[first]] != region[order[last]])
+    out: IntArray = rows[order[first[stays]]]
+    return out
+
+
+def turns_of(
+    rows: NDArray[np.integer], facets: IntArray
+) -> tuple[BoolArray, BoolArray]:
+    """Which rows (k, d) are among such facets (q, d), and which of those the other way round."""
+    number = labels_at(rows, Faces(facets, np.arange(len(facets), dtype=np.int32)))
+    odd = sorted_columns(facets)[1]
+    found = number >= 0
+    turned = np.zeros(len(rows), dtype=np.bool_)
+    turned[found] = sorted_columns(rows)[1][found] ^ odd[number[found]]
+    return found, turned
+
+
+class Pieces(NamedTuple):
+    """Triangles of surfaces.
+
+    Attributes
+    ----------
+    rows : (k, 3) int32      turned alike within a piece
+    piece : (k,) int32       piece of surface of each, such as that between two regions
+    """
+
+    rows: IntArray
+    piece: IntArray
+
+
+def followed(
+    before: Pieces, labels: IntArray, after: Pieces, lines: IntArray, n: int
+) -> IntArray | None:
+    """Label of every triangle of a surface whose edges were flipped between lines that stayed.
+
+    Parameters
+    ----------
+    before, after : Pieces      of the same pieces, with the same vertices
+    labels : (k,) int32         of the triangles before, which are others across lines only
+    lines : (l, 2) int32        edges of both
+    n : int                     vertices
+
+    Returns
+    -------
+    (k',) int32, or None        where these contradict each other
+
+    Notes
+    -----
+    Triangles that hang together over edges that are no lines have one label: that on the same side
+    of a line, or where there is none that of a vertex.
+    """
+    m = len(after.rows)
+    edges = np.sort(after.rows[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
+    owner = np.repeat(np.arange(m, dtype=np.int32), 3)
+    size = max(n, int(after.piece.max(initial=0)) + 1, int(before.piece.max(initial=0)) + 1)
+    free = labels_at(edges, Faces(lines, np.zeros(len(lines), dtype=np.int32))) < 0
+    key = row_keys(np.column_stack([after.piece[owner], edges])[free], size)
+    node = np.unique(key, return_inverse=True)[1].ravel()
+    part = components(owner[free], m + node, m + int(node.max(initial=-1)) + 1)[:m]
+    on_line = np.zeros(n, dtype=np.bool_)
+    on_line[lines] = True
+
+    def marks(pieces: Pieces) -> tuple[NDArray[np.int64], IntArray]:
+        """Sides of lines and other vertices, as rows, and the triangles that they are of."""
+        count = len(pieces.rows)
+        ends = pieces.rows[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2)
+        both = np.repeat(np.arange(count, dtype=np.int32), 3)
+        sides = labels_at(ends, Faces(lines, np.zeros(len(lines), dtype=np.int32))) >= 0
+        vertex = pieces.rows.ravel()
+        alone = ~on_line[vertex]
+        rows = np.concatenate([
+            np.column_stack([pieces.piece[both], ends])[sides],
+            np.column_stack([pieces.piece[both], vertex, vertex])[alone]])
+        return rows.astype(np.int64), np.concatenate([both[sides], both[alone]])
+
+    (old, of_old), (new, of_new) = marks(before), marks(after)
+    names = np.unique(row_keys(np.concatenate([old, new]), size), return_inverse=True)[1].ravel()
+    label_of = np.full(int(names.max(initial=-1)) + 1, -2, dtype=np.int32)
+    label_of[names[: len(old)]] = labels[of_old]
+    told = label_of[names[len(old):]]
+    known = told > -2
+    least = np.full(int(part.max(initial=-1)) + 1, np.iinfo(np.int32).max, dtype=np.int32)
+    most = np.full(len(least), -2, dtype=np.int32)
+    np.minimum.at(least, part[of_new[known]], told[known])
+    np.maximum.at(most, part[of_new[known]], told[known])
+    return None if (least != most).any() else most[part]

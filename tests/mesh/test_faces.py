@@ -1,0 +1,110 @@
+"""Faces with labels: found in any order, ended, turned, and followed through flips."""
+
+import boxes
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from odt_plugins.mesh.faces import (
+    Faces,
+    Pieces,
+    ends_of,
+    followed,
+    labels_at,
+    no_faces,
+    outward_facets,
+    renumbered,
+    turns_of,
+)
+
+rows = st.lists(st.sets(st.integers(0, 8), min_size=3, max_size=3).map(sorted), max_size=12)
+
+
+def faces(given, labels=None):
+    out = np.array(given, dtype=np.int32).reshape(-1, 3)
+    return Faces(out, np.arange(len(out), dtype=np.int32) if labels is None else labels)
+
+
+@given(known=rows, asked=rows, seed=st.integers(0, 9))
+def test_labels_by_a_slow_twin(known, asked, seed):
+    known = [list(row) for row in {tuple(row) for row in known}]
+    table = {frozenset(row): i for i, row in enumerate(known)}
+    random = np.random.default_rng(seed)
+    mixed = [random.permutation(row).tolist() for row in asked]
+    found = labels_at(faces(mixed).rows, faces(known))
+    assert found.tolist() == [table.get(frozenset(row), -1) for row in asked]
+
+
+def test_lines_end_branch_and_change():
+    #  0 - 1 - 2 - 3 with another label from 2 on; a ring 4 5 6; a branch at 8
+    lines = np.array([[0, 1], [1, 2], [2, 3], [4, 5], [5, 6], [6, 4], [7, 8], [8, 9], [8, 10]])
+    labels = np.array([0, 0, 1, 0, 0, 0, 2, 2, 2])
+    ends = ends_of(Faces(lines.astype(np.int32), labels.astype(np.int32)), 12)
+    assert np.flatnonzero(ends).tolist() == [0, 2, 3, 7, 8, 9, 10]
+    assert not ends_of(no_faces()[0], 3).any()
+
+
+def test_faces_of_vertices_that_went_are_none():
+    number = np.array([2, -1, 0, 1])
+    out = renumbered(faces([[0, 2, 3], [0, 1, 2]]), number)
+    assert out.rows.tolist() == [[2, 0, 1]]
+    assert out.labels.tolist() == [0]
+
+
+@pytest.mark.parametrize("dim", [2, 3])
+def test_outward_facets_of_a_box_enclose_it(dim):
+    points, cells = boxes.box(dim, 3)
+    points, cells = np.asarray(points, float), np.asarray(cells, np.int32)
+    edges = points[cells[:, 1:]] - points[cells[:, :1]]
+    turned = np.linalg.det(edges) < 0
+    cells[turned, -2], cells[turned, -1] = cells[turned, -1], cells[turned, -2].copy()
+    regions = (points[cells].mean(axis=1)[:, 0] > points.max() / 2).astype(np.int32)
+    facets = outward_facets(cells, regions)
+    x = points[facets]
+    e = x[:, 1:] - x[:, :1]
+    normal = np.cross(e[:, 0], e[:, 1]) / 2 if dim == 3 else np.stack(
+        [e[:, 0, 1], -e[:, 0, 0]], axis=1)
+    skin = (np.isclose(x.min(axis=1), x.max(axis=1))
+            & (np.isclose(x[:, 0], 0) | np.isclose(x[:, 0], points.max()))).any(axis=1)
+    flux = (normal * x.mean(axis=1)).sum(axis=1)
+    assert flux[skin].sum() == pytest.approx(dim * points.max() ** dim)
+    # Between the regions they look from the lower one, which is on the left.
+    assert normal[~skin][:, 0].sum() == pytest.approx(points.max() ** (dim - 1))
+    found, other = turns_of(facets[:, ::-1], facets)
+    assert found.all()
+    assert other.all()
+    assert not turns_of(facets[:, [1, 0]] if dim == 2 else facets[:, [1, 2, 0]],
+                        facets)[1].any() or dim == 2
+
+
+def square(n):
+    """Two triangles in every square of a grid, its diagonal either way."""
+    x, y = (v.ravel() for v in np.meshgrid(np.arange(n), np.arange(n), indexing="ij"))
+    a = x * (n + 1) + y
+    b, c, d = a + n + 1, a + n + 2, a + 1
+    one = np.concatenate([np.stack([a, b, c], 1), np.stack([a, c, d], 1)])
+    other = np.concatenate([np.stack([a, b, d], 1), np.stack([b, c, d], 1)])
+    left = np.concatenate([x, x]) < n // 2
+    return one.astype(np.int32), other.astype(np.int32), left.astype(np.int32)
+
+
+def test_labels_follow_flips_between_lines():
+    n = 4
+    one, other, left = square(n)
+    on = (n // 2) * (n + 1) + np.arange(n + 1)
+    lines = np.stack([on[:-1], on[1:]], axis=1).astype(np.int32)
+    same = np.zeros(len(one), dtype=np.int32)
+    out = followed(Pieces(one, same), left, Pieces(other, same), lines, (n + 1) ** 2)
+    np.testing.assert_array_equal(out, left)
+    # A surface without lines has one label, found by its vertices.
+    none = np.zeros((0, 2), dtype=np.int32)
+    out = followed(Pieces(one, same), same + 3, Pieces(other, same), none, (n + 1) ** 2)
+    assert set(out.tolist()) == {3}
+
+
+def test_labels_that_contradict_each_other_are_not_followed():
+    one, other, left = square(4)
+    same = np.zeros(len(one), dtype=np.int32)
+    none = np.zeros((0, 2), dtype=np.int32)
+    assert followed(Pieces(one, same), left, Pieces(other, same), none, 25) is None
