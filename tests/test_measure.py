@@ -7,11 +7,11 @@ from math import comb
 import numpy as np
 import pytest
 import tet_meshes as tm
-from measure import blocks, cold, ladder, small, threads
+from measure import against, blocks, cold, ladder, small, threads
 from measure.bandwidth import sweep_bytes, triad_bandwidth
 from measure.generation import generation_part
 from measure.local_global import forty_sweeps_part, moved_rhombohedron, moved_triangle
-from measure.meshes import kuhn_lattice
+from measure.meshes import ball_of, kuhn_lattice
 from measure.multigrid import multigrid_part
 from measure.stages import fit, surface_part
 
@@ -66,6 +66,14 @@ def test_small_meshes_and_the_command_are_measured(monkeypatch):
     assert meshes.rows[-1][-1] == "1.00"
     assert min(row[3] for row in meshes.rows) > 0
     assert command.rows[0][2] > 0.1
+
+
+def test_a_source_tree_is_as_quick_as_itself():
+    table = against.against_table(against.HERE, silent, 2, ((ball_of, 300),))
+    assert [row[2] for row in table.rows] == [1, 2]
+    assert {row[-1] for row in table.rows} == {"the same"}
+    assert all(0.2 < float(row[5]) < 5.0 for row in table.rows)
+    assert 0.0 < table.rows[0][7] < table.rows[0][4]
 
 
 def test_the_serial_share_is_that_of_amdahls_law():

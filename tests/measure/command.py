@@ -7,6 +7,7 @@ from pathlib import Path
 import click
 
 from measure.ablation import ablation
+from measure.against import against_table
 from measure.aniso import aniso_tables
 from measure.robustness import FILE, run_hard
 from measure.scaling import FILES, PARTS, run_scaling
@@ -14,16 +15,19 @@ from odt_plugins.compare.start import read_start, suite
 from odt_plugins.compare.table import as_text
 from odt_plugins.options import Options
 
-NAMES = (*PARTS, "hard", "ablation", "aniso")
+NAMES = (*PARTS, "hard", "ablation", "aniso", "against")
 
 
 def _known(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) -> tuple[str, ...]:
     for word in words:
-        if word not in NAMES and not Path(word).suffix:
-            msg = f"got {word!r}; expected some of {', '.join(NAMES)}, or the path of a mesh"
+        if word not in NAMES and not Path(word).suffix and not Path(word).is_dir():
+            msg = (f"got {word!r}; expected some of {', '.join(NAMES)}, or the path of a mesh or a "
+                   "source tree")
             raise click.BadParameter(msg)
     if not set(words) & set(NAMES):
         raise click.BadParameter(f"expected some of {', '.join(NAMES)}")
+    if "against" in words and not any(Path(word).is_dir() for word in words):
+        raise click.BadParameter("got against alone; expected the path of a source tree besides")
     return words
 
 
@@ -43,7 +47,8 @@ def main(words: tuple[str, ...], out: Path, smallest: int, largest: int, threads
     bandwidth, threads, blocks, generation, ladder, small, cold. Default runs on hard meshes, and
     whether the promise holds on each: hard. What each phase of the schedule gains on each MESH, or
     on the standard suite: ablation. Errors of meshes that are adapted to functions, and how
-    well others match metrics: aniso.
+    well others match metrics: aniso. Processor time beside the source tree in a folder, which is
+    given as MESH: against.
     """
     def say(line: str) -> None:
         click.echo(line, err=True)
@@ -62,3 +67,6 @@ def main(words: tuple[str, ...], out: Path, smallest: int, largest: int, threads
     if "aniso" in words:
         for table in aniso_tables(say):
             click.echo("\n".join(as_text(table)))
+    if "against" in words:
+        for tree in [Path(word) for word in words if word not in NAMES and Path(word).is_dir()]:
+            click.echo("\n".join(as_text(against_table(tree, say))))
