@@ -149,7 +149,8 @@ def _read_meshio(path: Path, name: str, seconds: float) -> tuple[Any, list[str]]
         old = name == "gmsh" and re.match(rb"\$MeshFormat\s+4(\.0)?\s", path.read_bytes()[:40])
         if not (old or re.search(unknown, str(exc))) or not there():
             raise
-        return apart.call(reader, path, seconds=seconds), []
+        return apart.call_again(reader, path.absolute(), seconds=seconds,
+                                modules=(reader.__module__,)), []
 
 
 def _read_alone(path: Path, name: str, seconds: float) -> tuple[Any, list[str]]:

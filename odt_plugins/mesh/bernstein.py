@@ -193,6 +193,7 @@ def _least(
         if not wide.any():
             break
         halves = _halves(dim, degree)
-        parts = np.einsum("hab,mb->mha", halves, parts[wide]).reshape(-1, parts.shape[1])
+        every = halves.reshape(-1, parts.shape[1])
+        parts = (parts[wide] @ every.T).reshape(-1, parts.shape[1])
         cell = np.repeat(cell[wide], len(halves))
     return lower, least

@@ -192,7 +192,7 @@ def test_files_of_gmsh_of_higher_order(suffix, order, tmp_path):
         gmsh.option.setNumber("General.Terminal", 0)
         gmsh.model.occ.addSphere(0, 0, 0, 1)
         gmsh.model.occ.synchronize()
-        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.6)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.9)
         gmsh.model.mesh.generate(3)
         gmsh.model.mesh.setOrder(order)
         gmsh.write(str(tmp_path / "in.msh"))
