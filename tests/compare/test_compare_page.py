@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from browser import WIDTH, browse
-from measure import cold, small
+from measure import bandwidth, blocks, cold, ladder, local_global, small, threads
 from measure.scaling import FILES as SCALING_FILES
 from measure.scaling import PARTS, run_scaling
 from PIL import Image
@@ -151,9 +151,14 @@ def test_scaling_report_opens_and_holds_every_part(tmp_path, monkeypatch):
     monkeypatch.setattr(cold, "JOBS", (("nothing", "", cold.NONE), ("nothing", "", cold.KEPT)))
     monkeypatch.setattr(small, "SMALL", (300,))
     monkeypatch.setattr(small, "MANY", (300, 500, 3))
-    monkeypatch.setattr(small, "REPEATS", 1)
+    for module in (small, local_global, bandwidth):
+        monkeypatch.setattr(module, "REPEATS", 1)
+    for name in ("SWEEPS", "RUNS", "RUNNING"):
+        monkeypatch.setattr(threads, name, 1)
+    monkeypatch.setattr(blocks, "WAYS", blocks.WAYS[:2])
+    monkeypatch.setattr(ladder, "AGAINST", ladder.AGAINST[:1])
     said = []
-    summary = run_scaling(tmp_path, 2600, 1, said.append)
+    summary = run_scaling(tmp_path, 1000, 1, said.append)
     values = json.loads((tmp_path / SCALING_FILES[0]).read_text())
     assert {"whole call", "smoothing", "finishing"} <= {s["name"] for s in values["stages"]}
     tables = {t["name"]: t for t in values["tables"]}
