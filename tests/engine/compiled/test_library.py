@@ -181,7 +181,7 @@ def test_every_kernel_that_python_calls_is_written_down():
             if isinstance(node, ast.ImportFrom):
                 here |= {alias.asname or alias.name: (node.module, alias.name)
                          for alias in node.names if (node.module, alias.name) in kernels}
-        for node in ast.walk(tree):
+        for node in ast.walk(tree) if here else ():
             if isinstance(node, ast.FunctionDef) and not is_kernel(node):
                 # Of a kernel's ``py_func`` there is no machine code.
                 others = {id(part.value) for part in ast.walk(node)
