@@ -251,7 +251,7 @@ def test_single_precision_and_negative_cells_come_back_so():
 
 
 @pytest.mark.filterwarnings("ignore:the boundary is up to")
-def test_the_same_input_gives_the_same_bits_with_any_threads():
+def test_the_same_input_gives_the_same_bits_with_any_threads(many_threads):
     mesh = coarse_ball()
     sphere = surface_meshes.sphere(3)
     one, two = (odt_plugins.refine_with_report(mesh, 1, surface=sphere, threads=n)[0]

@@ -97,7 +97,7 @@ def test_a_constant_multiple_of_the_identity_counts_cells():
     assert abs(len(t) - 300) < 40
 
 
-def test_the_same_bits_for_any_number_of_threads():
+def test_the_same_bits_for_any_number_of_threads(many_threads):
     points, cells = cube(5)
     tensor = np.diag([40.0, 10.0, 10.0])
     found = [odt_plugins.remesh((points, cells), metric=np.tile(tensor, (125, 1, 1)), threads=k,

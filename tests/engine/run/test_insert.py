@@ -130,7 +130,7 @@ def labelled_start():
     return mesh_of(points, cells, regions, fixed, frozen)
 
 
-def test_promise_with_regions_fixed_and_frozen_on_any_number_of_threads():
+def test_promise_with_regions_fixed_and_frozen_on_any_number_of_threads(many_threads):
     mesh = labelled_start()
     outcome, again = (
         run(mesh, Options(insert=True, threads=k, objective="min_dihedral")) for k in (1, 2)

@@ -138,7 +138,7 @@ def test_a_stretched_surface_becomes_as_good_as_its_twin_was(points, cells):
     assert max(report.surface["forward"], report.surface["backward"]) <= report.surface["envelope"]
 
 
-def test_a_surface_that_is_stretched_stays_so_in_its_own_metric():
+def test_a_surface_that_is_stretched_stays_so_in_its_own_metric(many_threads):
     points, cells = sm.sphere(2, 0.2)
     stretch = np.array([8.0, 1.0, 1.0])
     found = [odt_plugins.optimize((points * stretch, cells), metric="input", envelope=5e-3,
