@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.mesh.arrays import BoolArray, IntArray
+from odt_plugins.mesh.arrays import BoolArray, IntArray, LongArray
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.facets import row_keys, sorted_columns
 
@@ -121,16 +121,13 @@ class Pieces(NamedTuple):
     piece: IntArray
 
 
-def followed(
-    before: Pieces, labels: IntArray, after: Pieces, lines: IntArray, n: int
-) -> IntArray | None:
-    """Label of every triangle of a surface whose edges were flipped between lines that stayed.
+def followed(before: Pieces, labels: IntArray, after: Pieces, n: int) -> IntArray | None:
+    """Label of every triangle of a surface whose edges were flipped, but none between two labels.
 
     Parameters
     ----------
     before, after : Pieces      of the same pieces, with the same vertices
-    labels : (k,) int32         of the triangles before, which are others across lines only
-    lines : (l, 2) int32        edges of both
+    labels : (k,) int32         of the triangles before
     n : int                     vertices
 
     Returns
@@ -139,41 +136,54 @@ def followed(
 
     Notes
     -----
-    Triangles that hang together over edges that are no lines have one label: that on the same side
-    of a line, or where there is none that of a vertex.
+    Triangles that hang together over edges that are no border have one label: that on the same side
+    of a border, or where there is none that of a vertex.
     """
     m = len(after.rows)
-    edges = np.sort(after.rows[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2), axis=1)
-    owner = np.repeat(np.arange(m, dtype=np.int32), 3)
     size = max(n, int(after.piece.max(initial=0)) + 1, int(before.piece.max(initial=0)) + 1)
-    free = labels_at(edges, Faces(lines, np.zeros(len(lines), dtype=np.int32))) < 0
-    key = row_keys(np.column_stack([after.piece[owner], edges])[free], size)
-    node = np.unique(key, return_inverse=True)[1].ravel()
-    part = components(owner[free], m + node, m + int(node.max(initial=-1)) + 1)[:m]
-    on_line = np.zeros(n, dtype=np.bool_)
-    on_line[lines] = True
+    (old_sides, of_old), (new_sides, of_new) = _sides(before), _sides(after)
+    edges = np.concatenate([old_sides, new_sides])
+    edges[:, 1:].sort(axis=1)
+    edge = np.unique(row_keys(edges, size), return_inverse=True)[1].ravel()
+    old, new = edge[: len(old_sides)], edge[len(old_sides):]
+    count = int(edge.max(initial=-1)) + 1
+    least, most = _range(labels[of_old], old, count)
+    border = least < most
+    free = ~border[new]
+    part = components(of_new[free], m + new[free], m + count)[:m]
+    on_border = np.zeros(n, dtype=np.bool_)
+    on_border[old_sides[border[old], 1:]] = True
 
-    def marks(pieces: Pieces) -> tuple[NDArray[np.int64], IntArray]:
-        """Sides of lines and other vertices, as rows, and the triangles that they are of."""
-        count = len(pieces.rows)
-        ends = pieces.rows[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2)
-        both = np.repeat(np.arange(count, dtype=np.int32), 3)
-        sides = labels_at(ends, Faces(lines, np.zeros(len(lines), dtype=np.int32))) >= 0
+    def marks(pieces: Pieces, sides: LongArray, kept: BoolArray) -> tuple[LongArray, LongArray]:
+        """Sides of borders and other vertices, as rows, and the triangles that they are of."""
+        owner = np.repeat(np.arange(len(pieces.rows)), 3)
         vertex = pieces.rows.ravel()
-        alone = ~on_line[vertex]
-        rows = np.concatenate([
-            np.column_stack([pieces.piece[both], ends])[sides],
-            np.column_stack([pieces.piece[both], vertex, vertex])[alone]])
-        return rows.astype(np.int64), np.concatenate([both[sides], both[alone]])
+        alone = ~on_border[vertex]
+        rows = np.column_stack([pieces.piece[owner], vertex, vertex])[alone]
+        return np.concatenate([sides[kept], rows]), np.concatenate([owner[kept], owner[alone]])
 
-    (old, of_old), (new, of_new) = marks(before), marks(after)
-    names = np.unique(row_keys(np.concatenate([old, new]), size), return_inverse=True)[1].ravel()
-    label_of = np.full(int(names.max(initial=-1)) + 1, -2, dtype=np.int32)
-    label_of[names[: len(old)]] = labels[of_old]
-    told = label_of[names[len(old):]]
+    was, of_was = marks(before, old_sides, border[old])
+    now, of_now = marks(after, new_sides, border[new])
+    name = np.unique(row_keys(np.concatenate([was, now]), size), return_inverse=True)[1].ravel()
+    label = np.full(int(name.max(initial=-1)) + 1, -2, dtype=np.int32)
+    label[name[: len(was)]] = labels[of_was]
+    told = label[name[len(was):]]
     known = told > -2
-    least = np.full(int(part.max(initial=-1)) + 1, np.iinfo(np.int32).max, dtype=np.int32)
-    most = np.full(len(least), -2, dtype=np.int32)
-    np.minimum.at(least, part[of_new[known]], told[known])
-    np.maximum.at(most, part[of_new[known]], told[known])
+    least, most = _range(told[known], part[of_now[known]], int(part.max(initial=-1)) + 1)
     return None if (least != most).any() else most[part]
+
+
+def _sides(pieces: Pieces) -> tuple[LongArray, LongArray]:
+    """Piece, start and end of the edges of all triangles, in their sense, and the triangles."""
+    owner = np.repeat(np.arange(len(pieces.rows)), 3)
+    ends = pieces.rows[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2)
+    return np.column_stack([pieces.piece[owner], ends]).astype(np.int64), owner
+
+
+def _range(values: IntArray, where: LongArray, count: int) -> tuple[IntArray, IntArray]:
+    """Least and largest of the values at each of so many places, crossed where none is."""
+    least = np.full(count, np.iinfo(np.int32).max, dtype=np.int32)
+    most = np.full(count, np.iinfo(np.int32).min, dtype=np.int32)
+    np.minimum.at(least, where, values)
+    np.maximum.at(most, where, values)
+    return least, most

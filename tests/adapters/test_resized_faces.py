@@ -311,3 +311,19 @@ def test_lines_and_vertices_of_polydata_stay_on_the_surface():
             ends = y.lines.reshape(-1, 3)[:, 1:][y["tag"][1: 1 + y.n_lines] == tag]
             lengths.append(sizes(y.points, ends).sum())
         assert lengths[1] == pytest.approx(lengths[0], rel=1e-6)
+
+
+def test_cells_that_stay_keep_their_faces_and_borders_run_through_them():
+    before = labelled_box()
+    middle = before.points[before.cells[0].data].mean(axis=1)
+    after = remesh(before, scale=1.7, envelope=0.01, free="periodic", selection=middle[:, 0] < 0.6)
+    was, now = of_labels(before, "tag"), of_labels(after, "tag")
+    assert was.keys() == now.keys()
+    for name, (size, sums, _) in was.items():
+        assert now[name][0] == pytest.approx(size, rel=1e-9)
+        np.testing.assert_allclose(now[name][1], sums, atol=1e-9)
+    assert now["triangle", 3][2] > 4
+    assert now["triangle", 4][2] < 0.7 * was["triangle", 4][2]
+    places = [{tuple(sorted(map(tuple, x.points[row]))) for row in x.cells[1].data}
+              for x in (before, after)]
+    assert {place for place in places[0] if min(x for x, _, _ in place) > 0.81} <= places[1]

@@ -89,22 +89,26 @@ def square(n):
     return one.astype(np.int32), other.astype(np.int32), left.astype(np.int32)
 
 
-def test_labels_follow_flips_between_lines():
+def test_labels_follow_flips_between_borders():
     n = 4
     one, other, left = square(n)
-    on = (n // 2) * (n + 1) + np.arange(n + 1)
-    lines = np.stack([on[:-1], on[1:]], axis=1).astype(np.int32)
     same = np.zeros(len(one), dtype=np.int32)
-    out = followed(Pieces(one, same), left, Pieces(other, same), lines, (n + 1) ** 2)
+    out = followed(Pieces(one, same), left, Pieces(other, same), (n + 1) ** 2)
     np.testing.assert_array_equal(out, left)
-    # A surface without lines has one label, found by its vertices.
-    none = np.zeros((0, 2), dtype=np.int32)
-    out = followed(Pieces(one, same), same + 3, Pieces(other, same), none, (n + 1) ** 2)
+    # A surface without borders has one label, found by its vertices.
+    out = followed(Pieces(one, same), same + 3, Pieces(other, same), (n + 1) ** 2)
     assert set(out.tolist()) == {3}
+    # Pieces have labels of their own, though they share vertices and edges.
+    both, flipped = np.concatenate([one, one]), np.concatenate([one, other])
+    piece = np.repeat(np.arange(2, dtype=np.int32), len(one))
+    labels = np.concatenate([left + 5, left])
+    out = followed(Pieces(both, piece), labels, Pieces(flipped, piece), (n + 1) ** 2)
+    np.testing.assert_array_equal(out, labels)
 
 
 def test_labels_that_contradict_each_other_are_not_followed():
-    one, other, left = square(4)
+    one, other, _ = square(4)
+    # Labels that change within squares: their diagonals, which are borders, are flipped.
+    labels = np.repeat(np.arange(2, dtype=np.int32), len(one) // 2)
     same = np.zeros(len(one), dtype=np.int32)
-    none = np.zeros((0, 2), dtype=np.int32)
-    assert followed(Pieces(one, same), left, Pieces(other, same), none, 25) is None
+    assert followed(Pieces(one, same), labels, Pieces(other, same), 25) is None

@@ -320,7 +320,7 @@ def _once(
         best = as_it_leaves(best)
     outcome = replace(best, origin=_composed(origin, best.origin), times=times | best.times,
                       counts=log.counts | best.counts, fallback=None, slid=None)
-    faces = _followed(resized, lines, outcome, best.origin, slides=share > 0.0)
+    faces = _followed(resized, outcome, best.origin, slides=share > 0.0)
     if faces is None:
         return outcome, ["labels of the surface cannot be told apart"]
     outcome = replace(outcome, faces=faces)
@@ -406,12 +406,11 @@ def _resized(
 
 
 def _followed(
-    resized: Outcome, lines: IntArray, outcome: Outcome, origin: LongArray | None, *, slides: bool
+    resized: Outcome, outcome: Outcome, origin: LongArray | None, *, slides: bool
 ) -> tuple[Faces, Faces] | None:
     """Faces of a mesh that was optimised after it was resized, None where labels are in doubt.
 
-    ``lines`` (l, 2) are feature edges of the resized mesh, which stay, and ``origin`` the vertices
-    of it.
+    ``origin`` are its vertices of the resized mesh, of which borders between labels stay.
     """
     n = len(resized.points)
     number = np.arange(n, dtype=np.int32) if origin is None else new_numbers(origin, n)
@@ -420,7 +419,7 @@ def _followed(
         return old, triangles
     was, now = (Pieces(*_pieces(cells, x.regions)) for x, cells in (
         (resized, number[resized.cells]), (outcome, outcome.cells)))
-    labels = followed(was, labels_at(was.rows, triangles), now, number[lines], len(outcome.points))
+    labels = followed(was, labels_at(was.rows, triangles), now, len(outcome.points))
     if labels is None:
         return None
     named = labels >= 0
