@@ -180,7 +180,7 @@ def _sides(pieces: Pieces) -> tuple[LongArray, LongArray]:
     return np.column_stack([pieces.piece[owner], ends]).astype(np.int64), owner
 
 
-def _range(values: IntArray, where: LongArray, count: int) -> tuple[IntArray, IntArray]:
+def _range(values: IntArray, where: NDArray[np.integer], count: int) -> tuple[IntArray, IntArray]:
     """Least and largest of the values at each of so many places, crossed where none is."""
     least = np.full(count, np.iinfo(np.int32).max, dtype=np.int32)
     most = np.full(count, np.iinfo(np.int32).min, dtype=np.int32)
