@@ -194,7 +194,7 @@ def _anchors(mesh: Any, grid: bool) -> IndexArray:
     """Vertices of vertex cells."""
     if not grid:
         cells = np.asarray(mesh.verts)
-        return cells[_are_vertices(cells)]
+        return cells[are_vertices(cells)]
     types = np.asarray(mesh.celltypes)
     offset, flat = _connectivity(mesh)
     which = np.flatnonzero(np.isin(types, (VERTEX, POLY_VERTEX)))
@@ -446,14 +446,19 @@ def _write_polydata(out: Any, result: Result, host: HostMesh) -> IndexArray:
 
 def _with_numbers(cells: IndexArray, number: NDArray[np.int64]) -> IndexArray:
     """Cells as count, indices, count, indices, ... of vertices with other numbers."""
-    out, inside = cells.copy(), _are_vertices(cells)
+    out, inside = cells.copy(), are_vertices(cells)
     out[inside] = number[cells[inside]]
     return out
 
 
-def _are_vertices(cells: IndexArray) -> NDArray[np.bool_]:
+def are_vertices(cells: IndexArray) -> NDArray[np.bool_]:
     """Which of count, indices, count, indices, ... are indices."""
     out, at = np.ones(len(cells), dtype=np.bool_), 0
+    if len(cells):
+        every = int(cells[0]) + 1
+        if len(cells) % every == 0 and (cells[::every] == every - 1).all():
+            out[::every] = False
+            return out
     while at < len(cells):
         out[at] = False
         at += 1 + int(cells[at])

@@ -101,9 +101,22 @@ class Dataset:
         return as_numpy(self.data.GetCells().GetConnectivityArray())
 
     @property
+    def verts(self) -> NDArray[Any]:
+        """Vertex cells of PolyData as count, nodes, count, nodes, ..."""
+        return _counted(self.data.GetVerts())
+
+    @verts.setter
+    def verts(self, values: NDArray[Any]) -> None:
+        self.data.SetVerts(_cell_array(values))
+
+    @property
     def lines(self) -> NDArray[Any]:
-        """Poly-lines of PolyData as count, nodes, count, nodes, ..."""
+        """Poly-lines of PolyData in the same way."""
         return _counted(self.data.GetLines())
+
+    @lines.setter
+    def lines(self, values: NDArray[Any]) -> None:
+        self.data.SetLines(_cell_array(values))
 
     @property
     def faces(self) -> NDArray[Any]:
@@ -112,8 +125,7 @@ class Dataset:
 
     @faces.setter
     def faces(self, values: NDArray[Any]) -> None:
-        size = np.full(len(values) // 4, 3)
-        self.data.SetPolys(pyvista_mesh.cell_array(size, values.reshape(-1, 4)[:, 1:].ravel()))
+        self.data.SetPolys(_cell_array(values))
 
 
 class Arrays:
@@ -163,6 +175,11 @@ class Arrays:
         new.SetName(name)
         new.CopyComponentNames(old)
         self.data.AddArray(new)
+
+
+def _cell_array(values: NDArray[Any]) -> Any:
+    inside = pyvista_mesh.are_vertices(values)
+    return pyvista_mesh.cell_array(values[~inside], values[inside])
 
 
 def _counted(cells: Any) -> NDArray[Any]:

@@ -285,7 +285,8 @@ def test_a_grid_of_vtk_has_new_triangles_with_their_data():
     assert (after.celltypes == 5).sum() < (grid.celltypes == 5).sum()
 
 
-def test_lines_and_vertices_of_polydata_stay_on_the_surface():
+@pytest.mark.parametrize("wrapped", [True, False], ids=["pyvista", "vtk"])
+def test_lines_and_vertices_of_polydata_stay_on_the_surface(wrapped):
     pyvista = pytest.importorskip("pyvista")
     cube = pyvista.Cube().triangulate().subdivide(3).clean()
     rows = cube.regular_faces
@@ -301,7 +302,14 @@ def test_lines_and_vertices_of_polydata_stay_on_the_surface():
     mesh.verts = [1, corner]
     mesh.cell_data["tag"] = np.concatenate([
         [9], (mesh.points[crease].mean(axis=1)[:, 2] > 0.4).astype(int), np.full(len(rows), 5)])
-    after = remesh(mesh, scale=2.0)
+    if wrapped:
+        after = remesh(mesh, scale=2.0)
+    else:
+        from vtkmodules.vtkCommonDataModel import vtkPolyData
+
+        bare = vtkPolyData()
+        bare.DeepCopy(mesh)
+        after = pyvista.wrap(remesh(bare, scale=2.0))
     assert after.n_cells < mesh.n_cells / 2
     assert after.n_lines < mesh.n_lines
     assert after.points[after.verts[1]].tobytes() == mesh.points[corner].tobytes()
