@@ -92,7 +92,7 @@ def test_one_thread_and_two_are_compared_by_stage(monkeypatch):
     whole, stages = threads.threads_part([3000], 1, silent).tables
     row = dict(zip(whole.heads, whole.rows[0], strict=True))
     assert row["bits"] == "the same"
-    assert 0.0 < row["by processor time"] <= 1.0
+    assert 0.0 < row["by processor time"] < 1.5
     assert row["16 threads would take [s]"] <= row["run, 1 [s]"] * max(row["serial share"], 1.0)
     assert {"prepare", "smoothing", "finishing", "check"} <= {row[1] for row in stages.rows}
     assert min(row[2] for row in stages.rows) > 0

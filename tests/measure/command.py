@@ -20,13 +20,14 @@ NAMES = (*PARTS, "hard", "ablation", "aniso", "against")
 
 def _known(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) -> tuple[str, ...]:
     for word in words:
-        if word not in NAMES and not Path(word).suffix and not Path(word).is_dir():
+        if word not in NAMES and not Path(word).suffix and "/" not in word and not Path(
+                word).is_dir():
             msg = (f"got {word!r}; expected some of {', '.join(NAMES)}, or the path of a mesh or a "
                    "source tree")
             raise click.BadParameter(msg)
     if not set(words) & set(NAMES):
         raise click.BadParameter(f"expected some of {', '.join(NAMES)}")
-    if "against" in words and not any(Path(word).is_dir() for word in words):
+    if "against" in words and set(words) <= set(NAMES):
         raise click.BadParameter("got against alone; expected the path of a source tree besides")
     return words
 
@@ -68,5 +69,8 @@ def main(words: tuple[str, ...], out: Path, smallest: int, largest: int, threads
         for table in aniso_tables(say):
             click.echo("\n".join(as_text(table)))
     if "against" in words:
-        for tree in [Path(word) for word in words if word not in NAMES and Path(word).is_dir()]:
+        for tree in [Path(word) for word in words if word not in NAMES]:
+            if not (tree / "odt_plugins").is_dir():
+                msg = f"got {tree}; expected the path of a source tree, with odt_plugins in it"
+                raise click.BadParameter(msg)
             click.echo("\n".join(as_text(against_table(tree, say))))
