@@ -14,11 +14,12 @@ from odt_plugins.conserve import After, conserved
 from odt_plugins.errors import TangledMeshError, UnsupportedMeshError
 from odt_plugins.integrals import changed_integrals, of_points
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
-from odt_plugins.mesh.faces import labels_at, outward_facets, turns_of
+from odt_plugins.mesh.faces import labels_at, turns_of
 from odt_plugins.mesh.numbering import new_numbers
 from odt_plugins.mesh.plane import PlaneFrame
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
+from odt_plugins.promise.locked_facets import locked_facets
 from odt_plugins.untangling import Tangle
 
 if TYPE_CHECKING:
@@ -232,7 +233,14 @@ def _turned(
             (after, made), (before, rows)))
         out = (along * was).sum(axis=1) < 0.0
     if made.shape[1] == before.cells.shape[1] - 1:
-        (one, old), (two, new) = (turns_of(faces, outward_facets(x.cells, x.regions))
+        (one, old), (two, new) = (turns_of(faces, _outward(x))
                                   for x, faces in ((before, rows), (after, made)))
         out = np.where(one & two, old != new, out)
     return out
+
+
+def _outward(mesh: SimplexMesh | Outcome) -> IntArray:
+    """Facets (q, d) of boundary and interfaces, out of the cell of the lower region first."""
+    found = locked_facets(mesh.cells, mesh.regions, len(mesh.points))
+    facets: IntArray = found.facets[np.argsort(found.labels, kind="stable")].astype(np.int32)
+    return facets

@@ -42,6 +42,12 @@ def renumbered(faces: Faces, number: NDArray[np.integer]) -> Faces:
     return Faces(rows[there], faces.labels[there])
 
 
+def without(faces: Faces, rows: IntArray) -> Faces:
+    """Those of the faces that none of the rows (k, r) are."""
+    left = labels_at(faces.rows, Faces(rows, np.zeros(len(rows), dtype=np.int32))) < 0
+    return Faces(faces.rows[left], faces.labels[left])
+
+
 def joined(one: Faces, other: Faces) -> Faces:
     """Both."""
     return Faces(*(np.concatenate(pair) for pair in zip(one, other, strict=True)))
@@ -70,29 +76,6 @@ def ends_of(lines: Faces, n: int) -> BoolArray:
         out[pairs[count != 2, 1]] = True
         vertices, labels = np.unique(pairs[:, 1], return_counts=True)
         out[vertices[labels > 1]] = True
-    return out
-
-
-def outward_facets(cells: IntArray, regions: IntArray) -> IntArray:
-    """Facets (k, d) of the boundary and of interfaces, turned out of the cell of the lower region.
-
-    Parameters
-    ----------
-    cells : (m, d + 1) int32, positive
-    regions : (m,) int32
-    """
-    count = cells.shape[1]
-    parts = [np.delete(cells, i, axis=1) for i in range(count)]
-    for part in parts[1::2]:
-        part[:, -2:] = part[:, :-3:-1].copy()
-    rows: IntArray = np.concatenate(parts)
-    region: IntArray = np.tile(regions, count)
-    key = row_keys(np.sort(rows, axis=1), int(cells.max(initial=0)) + 1)
-    order = np.lexsort((region, key))
-    first = np.flatnonzero(np.append(True, key[order][1:] != key[order][:-1])[: len(order)])
-    last = np.append(first[1:], len(order)) - 1
-    stays = (first == last) | (region[order[first]] != region[order[last]])
-    out: IntArray = rows[order[first[stays]]]
     return out
 
 

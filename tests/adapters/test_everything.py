@@ -13,6 +13,7 @@ import meshio
 import netCDF4
 import numpy as np
 import pytest
+from gmsh_sessions import group_sizes, session, two_solids
 from made_files import box, two_boxes
 from made_files import exodus as write_exodus
 
@@ -55,22 +56,12 @@ def by_meshio(path):
 
 
 def by_gmsh(path):
-    gmsh = pytest.importorskip("gmsh")
-    gmsh.initialize(interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
+    with session() as gmsh:
         gmsh.open(str(path))
-        model, out = gmsh.model, {"entities": gmsh.model.getEntities()}
-        for dim, tag in model.getPhysicalGroups():
-            found = [model.mesh.getElements(dim, entity)[1]
-                     for entity in model.getEntitiesForPhysicalGroup(dim, tag).tolist()]
-            out[dim, tag, model.getPhysicalName(dim, tag)] = round(sum(
-                float(model.mesh.getElementQualities(numbers, "volume").sum())
-                for parts in found for numbers in parts), DIGITS)
+        out = {"entities": gmsh.model.getEntities()}
+        out |= {name: round(size, DIGITS) for name, size in group_sizes(gmsh).items()}
         out["views"] = [gmsh.view.option.getString(view, "Name") for view in gmsh.view.getTags()]
         return out
-    finally:
-        gmsh.finalize()
 
 
 def by_vtk(path):
@@ -175,33 +166,20 @@ def by_meshlab(path):
 
 def solid(path):
     """Two boxes in named groups, by Gmsh, with a view in its own format."""
-    gmsh = pytest.importorskip("gmsh")
-    gmsh.initialize(interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        model = gmsh.model
-        model.add("solid")
-        model.occ.fragment([(3, model.occ.addBox(0, 0, 0, 1, 1, 1))],
-                           [(3, model.occ.addBox(1, 0, 0, 1, 1, 1))])
-        model.occ.synchronize()
-        skin = [tag for _, tag in model.getBoundary([(3, 1), (3, 2)], oriented=False)]
-        for dim, tags, tag, name in ((3, [1], 7, "steel"), (3, [2], 9, "air"),
-                                     (2, skin[:2], 3, "inlet"), (2, skin[2:], 4, "wall")):
-            model.addPhysicalGroup(dim, tags, tag, name)
+    with session() as gmsh:
+        two_solids(gmsh.model)
         for name, value in (("MeshSizeMax", 0.4), ("Optimize", 0), ("Binary", 0),
                             ("MshFileVersion", 2.2 if path.stem.endswith("22") else 4.1)):
             gmsh.option.setNumber(f"Mesh.{name}", value)
-        model.mesh.generate(3)
+        gmsh.model.mesh.generate(3)
         gmsh.write(str(path))
         if path.suffix == ".msh":
             view = gmsh.view.add("heat")
-            nodes = model.mesh.getNodes()[0]
-            gmsh.view.addHomogeneousModelData(view, 0, model.getCurrent(), "NodeData", nodes,
+            nodes = gmsh.model.mesh.getNodes()[0]
+            gmsh.view.addHomogeneousModelData(view, 0, gmsh.model.getCurrent(), "NodeData", nodes,
                                               np.arange(len(nodes), dtype=float))
             gmsh.option.setNumber("PostProcessing.SaveMesh", 0)
             gmsh.view.write(view, str(path), append=True)
-    finally:
-        gmsh.finalize()
 
 
 def grid(path):

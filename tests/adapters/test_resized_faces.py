@@ -11,6 +11,7 @@ import boxes
 import meshio
 import numpy as np
 import pytest
+from gmsh_sessions import group_sizes, session, two_solids
 
 from odt_plugins import remesh
 from odt_plugins.adapters.files import read_file, write_file
@@ -150,44 +151,21 @@ def test_the_rim_of_a_plane_mesh_keeps_the_labels_of_its_lines():
 
 
 def gmsh_file(path, *, version):
-    """Two boxes in named groups, by Gmsh."""
-    gmsh = pytest.importorskip("gmsh")
-    gmsh.initialize(interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
-        model = gmsh.model
-        model.occ.fragment([(3, model.occ.addBox(0, 0, 0, 1, 1, 1))],
-                           [(3, model.occ.addBox(1, 0, 0, 1, 1, 1))])
-        model.occ.synchronize()
-        skin = [tag for _, tag in model.getBoundary([(3, 1), (3, 2)], oriented=False)]
-        curve = model.getBoundary([(2, skin[0])], oriented=False)[0][1]
-        for dim, tags, tag, name in (
-                (3, [1], 7, "steel"), (3, [2], 9, "air"), (2, skin[:2], 3, "inlet"),
-                (2, skin[2:], 4, "wall"), (1, [curve], 5, "edge")):
-            model.addPhysicalGroup(dim, tags, tag, name)
+    """Two boxes in named groups, by Gmsh, with one curve of their skin."""
+    with session() as gmsh:
+        skin = two_solids(gmsh.model)
+        curve = gmsh.model.getBoundary([(2, skin[0])], oriented=False)[0][1]
+        gmsh.model.addPhysicalGroup(1, [curve], 5, "edge")
         gmsh.option.setNumber("Mesh.MeshSizeMax", 0.3)
         gmsh.option.setNumber("Mesh.MshFileVersion", version)
-        model.mesh.generate(3)
+        gmsh.model.mesh.generate(3)
         gmsh.write(str(path))
-    finally:
-        gmsh.finalize()
 
 
 def by_gmsh(path):
-    """Sizes of the groups by their names, and the least and largest dimension of nodes."""
-    gmsh = pytest.importorskip("gmsh")
-    gmsh.initialize(interruptible=False)
-    try:
-        gmsh.option.setNumber("General.Terminal", 0)
+    with session() as gmsh:
         gmsh.open(str(path))
-        mesh = gmsh.model.mesh
-        return {gmsh.model.getPhysicalName(dim, tag): sum(
-            float(mesh.getElementQualities(numbers, "volume").sum())
-            for entity in gmsh.model.getEntitiesForPhysicalGroup(dim, tag).tolist()
-            for numbers in mesh.getElements(dim, entity)[1])
-            for dim, tag in gmsh.model.getPhysicalGroups()}
-    finally:
-        gmsh.finalize()
+        return {name: size for (_, _, name), size in group_sizes(gmsh).items()}
 
 
 @pytest.mark.parametrize("version", [2.2, 4.1])

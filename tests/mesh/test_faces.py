@@ -1,8 +1,6 @@
 """Faces with labels: found in any order, ended, turned, and followed through flips."""
 
-import boxes
 import numpy as np
-import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
@@ -13,7 +11,6 @@ from odt_plugins.mesh.faces import (
     followed,
     labels_at,
     no_faces,
-    outward_facets,
     renumbered,
     turns_of,
 )
@@ -52,30 +49,15 @@ def test_faces_of_vertices_that_went_are_none():
     assert out.labels.tolist() == [0]
 
 
-@pytest.mark.parametrize("dim", [2, 3])
-def test_outward_facets_of_a_box_enclose_it(dim):
-    points, cells = boxes.box(dim, 3)
-    points, cells = np.asarray(points, float), np.asarray(cells, np.int32)
-    edges = points[cells[:, 1:]] - points[cells[:, :1]]
-    turned = np.linalg.det(edges) < 0
-    cells[turned, -2], cells[turned, -1] = cells[turned, -1], cells[turned, -2].copy()
-    regions = (points[cells].mean(axis=1)[:, 0] > points.max() / 2).astype(np.int32)
-    facets = outward_facets(cells, regions)
-    x = points[facets]
-    e = x[:, 1:] - x[:, :1]
-    normal = np.cross(e[:, 0], e[:, 1]) / 2 if dim == 3 else np.stack(
-        [e[:, 0, 1], -e[:, 0, 0]], axis=1)
-    skin = (np.isclose(x.min(axis=1), x.max(axis=1))
-            & (np.isclose(x[:, 0], 0) | np.isclose(x[:, 0], points.max()))).any(axis=1)
-    flux = (normal * x.mean(axis=1)).sum(axis=1)
-    assert flux[skin].sum() == pytest.approx(dim * points.max() ** dim)
-    # Between the regions they look from the lower one, which is on the left.
-    assert normal[~skin][:, 0].sum() == pytest.approx(points.max() ** (dim - 1))
-    found, other = turns_of(facets[:, ::-1], facets)
-    assert found.all()
-    assert other.all()
-    assert not turns_of(facets[:, [1, 0]] if dim == 2 else facets[:, [1, 2, 0]],
-                        facets)[1].any() or dim == 2
+def test_rows_are_found_and_told_which_way_round_they_are():
+    facets = np.array([[4, 2, 9], [1, 2, 3]], dtype=np.int32)
+    rows = np.array([[2, 9, 4], [9, 2, 4], [1, 2, 4], [1, 3, 2]])
+    found, turned = turns_of(rows, facets)
+    assert found.tolist() == [True, True, False, True]
+    assert turned.tolist() == [False, True, False, True]
+    # Of two facets with the same vertices, which look to both sides, the first one counts.
+    assert turns_of(rows[:1], np.concatenate([facets, facets[:1, ::-1]]))[1].tolist() == [False]
+    assert turns_of(rows[:1], np.concatenate([facets[:1, ::-1], facets]))[1].tolist() == [True]
 
 
 def square(n):

@@ -6,9 +6,10 @@ import boxes
 import numpy as np
 import pytest
 
-from odt_plugins.mesh.faces import Faces, no_faces, outward_facets
+from odt_plugins.mesh.faces import Faces, no_faces
 from odt_plugins.mesh.simplex import simplex_mesh
 from odt_plugins.promise.faces import broken_lines
+from odt_plugins.promise.locked_facets import locked_facets
 from odt_plugins.promise.remeshed import broken_by_remeshing
 
 ROWS = np.array([[0, 1], [1, 2], [2, 3], [3, 4]], dtype=np.int32)
@@ -36,7 +37,7 @@ def test_lines_hang_together_as_before(rows, labels, word):
 def test_a_label_that_spreads_over_the_surface_is_seen():
     points, cells = boxes.box(3, 2)
     mesh, _ = simplex_mesh(np.asarray(points, float), cells)
-    skin = outward_facets(mesh.cells, mesh.regions)
+    skin = locked_facets(mesh.cells, mesh.regions, len(mesh.points)).facets
     top = np.isclose(mesh.points[skin][:, :, 2], mesh.points[:, 2].max()).all(axis=1)
     faces = no_faces()[0], Faces(skin[top], np.zeros(int(top.sum()), dtype=np.int32))
     mesh = replace(mesh, faces=faces)

@@ -46,6 +46,7 @@ from odt_plugins.mesh.faces import (
     labels_at,
     no_faces,
     renumbered,
+    without,
 )
 from odt_plugins.mesh.numbering import new_numbers
 from odt_plugins.mesh.seen import as_seen
@@ -394,11 +395,10 @@ def _resized(
     faces = []
     for old, rows, label, s in zip(
             mesh.faces, were, names, (work.body.segments, work.body.triangles), strict=True):
-        beside = labels_at(old.rows, Faces(rows, np.zeros(len(rows), dtype=np.int32))) < 0
         live = s.live()
         live = live[label[s.tag[live]] >= 0]
         faces.append(joined(
-            Faces(new_numbers(origin, len(mesh.points))[old.rows[beside]], old.labels[beside]),
+            renumbered(without(old, rows), new_numbers(origin, len(mesh.points))),
             Faces(number[s.rows[live]], label[s.tag[live]])))
     outcome = replace(outcome, faces=(faces[0], faces[1]))
     lines = number[work.body.segments.rows[work.body.segments.live()]].reshape(-1, 2)

@@ -26,7 +26,7 @@ from odt_plugins.engine.surface.in_plane import IN_PLANE, in_space, metric_in_sp
 from odt_plugins.engine.surface.judge import TOLERANCE, Distance
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
-from odt_plugins.mesh.faces import Faces, joined, labels_at
+from odt_plugins.mesh.faces import Faces, joined, labels_at, renumbered, without
 from odt_plugins.mesh.numbering import new_numbers
 from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal, freeze
@@ -129,7 +129,6 @@ def _lines_of(
     own = marks >= 0
     label = np.full(int(marks.max(initial=-1)) + 2, -1, dtype=np.int32)
     label[marks[own]] = labels_at(edges[own], old)
-    beside = labels_at(old.rows, Faces(edges, np.zeros(len(edges), dtype=np.int32))) < 0
     number = np.empty(int(net.count[0]), dtype=np.int32)
     outer = new_numbers(origin, len(mesh.points))
     number[:n] = outer[start.frame.vertices]
@@ -139,8 +138,7 @@ def _lines_of(
     ends = number[triangles[:, [[1, 2], [2, 0], [0, 1]]].reshape(-1, 2)]
     found = label[net.marks[: net.count[1]].ravel()]
     rows, first = np.unique(np.sort(ends[found >= 0], axis=1), axis=0, return_index=True)
-    return joined(Faces(outer[old.rows[beside]], old.labels[beside]),
-                  Faces(rows, found[found >= 0][first]))
+    return joined(renumbered(without(old, edges), outer), Faces(rows, found[found >= 0][first]))
 
 
 def _told(
