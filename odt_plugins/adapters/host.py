@@ -25,8 +25,8 @@ class KeptCells(NamedTuple):
     kind : str             name of their cell type, for messages
     rows : (q, r) int      r = 1: vertices that must not move; r = 2, 3: lines or triangles
                            that must stay faces of the mesh
-    classes : (q,) int or None    where the adapter takes others in their place, see ``NewFaces``:
-                                  equal of those that may become each other
+    classes : (q,) int or None    class of each row where the adapter writes ``NewFaces``: rows of
+                                  one class may become each other
     """
 
     kind: str
