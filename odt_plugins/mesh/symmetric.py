@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from itertools import combinations
+from itertools import combinations, combinations_with_replacement
 
 import numpy as np
 
@@ -13,6 +13,8 @@ SWEEPS = {2: 1, 3: 5}
 """Rounds of rotations after which matrices are diagonal to the last bits, by dimension."""
 TERMS = 12
 """Terms of the series of the logarithm between 1 / sqrt(2) and sqrt(2)."""
+AT_ONCE = 2048
+"""Matrices whose exponentials are worked out together, as many as stay in the cache."""
 
 
 def eigen(matrices: FloatArray) -> tuple[FloatArray, FloatArray]:
@@ -78,18 +80,39 @@ def exponentials(matrices: FloatArray) -> FloatArray:
     -----
     One k serves all, so the error is about 2^k roundings of the largest eigenvalue's exponential.
     """
+    d = matrices.shape[1]
     size = float(np.abs(matrices).sum(axis=2).max(initial=0.0))
     halvings = max(0, math.frexp(size)[1] + 2)
-    small = matrices * 0.5**halvings
-    identity = np.broadcast_to(np.eye(matrices.shape[1]), matrices.shape)
-    out = identity.copy()
-    for k in range(TERMS, 0, -1):
-        out = identity + _products(small, out) / k
-    for _ in range(halvings):
-        out = _products(out, out)
+    result = np.empty(matrices.shape)
+    for first in range(0, len(matrices), AT_ONCE):
+        part = matrices[first : first + AT_ONCE]
+        small = [0.5**halvings * part[:, i, j] for i, j in _upper(d)]
+        out = [np.full(len(part), float(i == j)) for i, j in _upper(d)]
+        for k in range(TERMS, 0, -1):
+            out = [x / k for x in _product(small, out, d)]
+            for n, (i, j) in enumerate(_upper(d)):
+                if i == j:
+                    out[n] += 1.0
+        for _ in range(halvings):
+            out = _product(out, out, d)
+        for n, (i, j) in enumerate(_upper(d)):
+            result[first : first + AT_ONCE, i, j] = result[first : first + AT_ONCE, j, i] = out[n]
+    return result
+
+
+def _upper(d: int) -> list[tuple[int, int]]:
+    """Rows and columns of an upper triangle, row by row."""
+    return list(combinations_with_replacement(range(d), 2))
+
+
+def _product(a: list[FloatArray], b: list[FloatArray], d: int) -> list[FloatArray]:
+    """Upper triangles of products of symmetric matrices that commute."""
+    at = {pair: n for n, pair in enumerate(_upper(d))}
+    at |= {(j, i): n for (i, j), n in at.items()}
+    out = []
+    for i, j in _upper(d):
+        total = a[at[i, 0]] * b[at[0, j]]
+        for k in range(1, d):
+            total += a[at[i, k]] * b[at[k, j]]
+        out.append(total)
     return out
-
-
-def _products(a: FloatArray, b: FloatArray) -> FloatArray:
-    product: FloatArray = (a[:, :, :, None] * b[:, None, :, :]).sum(axis=2)
-    return product

@@ -2,20 +2,23 @@
 
 from __future__ import annotations
 
+import itertools
 import math
 
 import meshio
 import numpy as np
 import pytest
 import surface_meshes as sm
+from scipy.spatial.transform import Rotation
 from strategies import jittered, random_delaunay
 
 import odt_plugins
 from odt_plugins.engine.cells import tensors as ts
 from odt_plugins.engine.cells.geometry import boundary_facets
 from odt_plugins.errors import InvalidOptionError
-from odt_plugins.metric.field import cells_of_metric
+from odt_plugins.metric.field import cells_of_metric, error_by_signs, hessians_to_metric
 from odt_plugins.metric.hessian import recovered_hessians, tangents
+from odt_plugins.report.interpolation import interpolation_errors
 
 
 def wave(x):
@@ -118,6 +121,44 @@ def test_the_metric_of_a_quadratic_function_is_its_form(d):
     again = odt_plugins.metric_from_field((7.0 * points, cells), lambda x: 3 * values + 5, 5000,
                                           norm=math.inf)
     assert np.allclose(49.0 * again, metric, rtol=1e-6, atol=1e-6)
+
+
+def test_errors_by_signs_are_means_over_rotations(d):
+    """Rotations of the pentagon and the icosahedron average polynomials of degree 4 exactly."""
+    regular = regular_corners(d)
+    turns = np.array([[[np.cos(a), -np.sin(a)], [np.sin(a), np.cos(a)]]
+                      for a in np.arange(5) * 0.4 * np.pi])
+    if d == 3:
+        turns = Rotation.create_group("I").as_matrix()
+    cells = np.arange(d + 1, dtype=np.int32)[None]
+
+    def squared(signs):
+        form = np.diag(signs)
+        return np.mean([interpolation_errors(
+            regular @ turn, cells, lambda x: np.einsum("ni,ij,nj->n", x, form, x)).l2 ** 2
+            for turn in turns])
+
+    for signs in itertools.product((-1.0, 1.0), repeat=d):
+        ratio = squared(np.array(signs)) / squared(np.ones(d))
+        assert error_by_signs(np.array([signs]))[0] == pytest.approx(np.sqrt(ratio), rel=1e-12)
+
+
+def regular_corners(d):
+    """Corners of a regular simplex."""
+    corners = np.eye(d + 1) - 1.0 / (d + 1)
+    return corners @ np.linalg.svd(corners)[2][:d].T
+
+
+@pytest.mark.parametrize("norm", [1.0, 2.0, math.inf])
+def test_cells_of_a_saddle_are_larger(norm):
+    """Where the sign of u_yy changes, the squared error of one cell falls to an eighth."""
+    points, cells = jittered(2, 12, 0, jitter=0.1)
+    hessians = np.tile(np.eye(2), (len(points), 1, 1))
+    hessians[points[:, 0] < 0.5, 1, 1] = -1.0
+    metric = hessians_to_metric(points, cells, hessians[None], 1e-8, 900, norm, (1e3, 1e3))
+    low, high = (metric[near, 0, 0].mean() for near in (points[:, 0] < 0.3, points[:, 0] > 0.7))
+    part = 1.0 if norm == math.inf else 2.0 * norm / (2.0 * norm + 2.0)
+    assert low / high == pytest.approx(8.0 ** (-0.25 * part), rel=1e-6)
 
 
 @pytest.mark.parametrize("norm", [1.0, 2.0, 4.0, math.inf])

@@ -137,6 +137,17 @@ def through(root: Root, x: float, y: float, z: float) -> tuple[float, float, flo
 
 
 @kernel
+def solved(root: Root, x: float, y: float, z: float) -> tuple[float, float, float]:
+    """S^-1 (x, y, z), by cofactors; S is positive definite."""
+    a, b, c, d, e, f = root
+    xx, xy, xz = d * f - e * e, c * e - b * f, b * e - c * d
+    yy, yz, zz = a * f - c * c, b * c - a * e, a * d - b * b
+    det = a * xx + b * xy + c * xz
+    return ((xx * x + xy * y + xz * z) / det, (xy * x + yy * y + yz * z) / det,
+            (xz * x + yz * y + zz * z) / det)
+
+
+@kernel
 def root_volume(root: Root) -> float:
     """Determinant of S in space: how many times as large volumes are seen."""
     a, b, c, d, e, f = root

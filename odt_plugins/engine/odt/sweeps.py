@@ -15,11 +15,10 @@ from odt_plugins.engine.cells.corner import Edges, corner_normals, six_volumes
 from odt_plugins.engine.cells.elementary import power
 from odt_plugins.engine.cells.geometry import signed_volumes
 from odt_plugins.engine.cells.metric import (
-    Root,
     edges_through,
     exponential,
-    product,
     root_volume,
+    solved,
     through,
 )
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
@@ -69,7 +68,7 @@ AX, AY, AZ, BX, BY, BZ, EX, EY, EZ, RHO, DET, GX, GY, GZ, OX, OY, OZ, LONG = (
 squared longest edge."""
 
 XX, XY, XZ, YY, YZ, ZZ = AX, AY, AZ, BX, BY, BZ
-"""Rows of the metric, which take the place of corners that are read."""
+"""Rows of S, which take the place of corners that are read."""
 
 
 @kernel
@@ -151,8 +150,8 @@ def _seen_chunk(
 ) -> None:
     """Let cells have the circumcenters and the density that a metric gives them.
 
-    With S seen and M = S^2, the moment is 2 det M (c - x_i), c the centre of the image back through
-    S^-1, or M (c - x_i) of a barycenter; M goes into the rows of corners.
+    The moment is 2 det S (c - x_i), c the centre of the image back through S^-1, or S (c - x_i) of
+    a barycenter; S goes into the rows of corners.
     """
     d = cells.shape[1] - 1
     for s in range(count):
@@ -173,14 +172,12 @@ def _seen_chunk(
         root = exponential((w * a, w * b, w * e, w * f, w * g, w * h))
         size = root_volume(root)
         rows[RHO + s] *= size
-        xx, xy, xz, yy, yz, zz = product(root, root)
+        xx, xy, xz, yy, yz, zz = root
         rows[XX + s], rows[XY + s], rows[XZ + s] = xx, xy, xz
         rows[YY + s], rows[YZ + s], rows[ZZ + s] = yy, yz, zz
         if rows[RHO + s] < 0.0:
             ox, oy, oz = rows[OX + s], rows[OY + s], rows[OZ + s]
-            rows[OX + s] = xx * ox + xy * oy + xz * oz
-            rows[OY + s] = xy * ox + yy * oy + yz * oz
-            rows[OZ + s] = xz * ox + yz * oy + zz * oz
+            rows[OX + s], rows[OY + s], rows[OZ + s] = through(root, ox, oy, oz)
             continue
         x, y, z = nodes[i, 0], nodes[i, 1], nodes[i, 2]
         edges = edges_through(root, (
@@ -192,19 +189,7 @@ def _seen_chunk(
         ox, oy, oz = _twice_moment(edges, d)
         # of a positive cell
         scale = (1.0 if six_volumes(*edges) * rows[DET + s] > 0.0 else -1.0) / size
-        ox, oy, oz = through(root, ox, oy, oz)
         rows[OX + s], rows[OY + s], rows[OZ + s] = scale * ox, scale * oy, scale * oz
-
-
-@kernel
-def _solved(metric: Root, x: float, y: float, z: float) -> tuple[float, float, float]:
-    """Solution of M v = (x, y, z), by cofactors; M is positive definite."""
-    a, b, c, d, e, f = metric
-    xx, xy, xz = d * f - e * e, c * e - b * f, b * e - c * d
-    yy, yz, zz = a * f - c * c, b * c - a * e, a * d - b * b
-    det = a * xx + b * xy + c * xz
-    return ((xx * x + xy * y + xz * z) / det, (xy * x + yy * y + yz * z) / det,
-            (xz * x + yz * y + zz * z) / det)
 
 
 @kernel
@@ -308,7 +293,7 @@ def _move_vertices(
                 cell[0, at], cell[1, at] = det, rows[GX + s]
                 cell[2, at], cell[3, at] = rows[GY + s], rows[GZ + s]
         if nodes.shape[1] > 4:
-            tx, ty, tz = _solved((xx, xy, xz, yy, yz, zz), tx, ty, tz)
+            tx, ty, tz = solved((xx, xy, xz, yy, yz, zz), tx, ty, tz)
             weight = 1.0
         if laplacian:
             tx = ty = tz = 0.0

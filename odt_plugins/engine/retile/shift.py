@@ -1,7 +1,9 @@
 """A vertex moves to the mean barycentre of its star, weighted by sizes, and back to the ground.
 
-Triangles weigh area times rho, rho = h^-4 (4.20): then neighbours share the error alike. On a track
-a vertex moves to where both its edges are as long, measured by their sizes.
+Triangles weigh area times rho, rho = h^-4 (4.20): then neighbours share the error alike. In a
+metric they weigh W, the root S of the metric times the area as it is seen: then the pulls of
+triangles that have their lengths are alike. On a track a vertex moves to where both its edges are
+as long, measured by their sizes.
 """
 
 from __future__ import annotations
@@ -10,9 +12,15 @@ import math
 
 from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.measures import QUALITY
-from odt_plugins.engine.cells.metric import has_metric, through, vertex_root
+from odt_plugins.engine.cells.metric import (
+    has_metric,
+    solved,
+    through,
+    triangle_root,
+    vertex_root,
+)
 from odt_plugins.engine.cells.triangle import offset, squares, triangle_in_space
-from odt_plugins.engine.compiled.kernel import kernel
+from odt_plugins.engine.compiled.kernel import apart_kernel, kernel
 from odt_plugins.engine.ground.closest import walk
 from odt_plugins.engine.ground.replace import ROOM
 from odt_plugins.engine.ground.sheet import LINE, LOCKED
@@ -167,15 +175,13 @@ def _shift(net: Net, rules: Rules, v: int, room: Room) -> bool:
             h = net.size[c[k]]
             share += 1.0 / (h * h * h * h)
         area = math.sqrt(nx * nx + ny * ny + nz * nz)
-        if has_metric(p):
-            # rho = det(S)^2 along the triangle
-            share = squares(p, c[0], c[1], c[2])[3] / area if area > 0.0 else 0.0
-        else:
-            share *= area
+        share *= area
         weight += share
         dx += share * ((p[c[0], 0] + p[c[1], 0] + p[c[2], 0]) / 3.0 - x)
         dy += share * ((p[c[0], 1] + p[c[1], 1] + p[c[2], 1]) / 3.0 - y)
         dz += share * ((p[c[0], 2] + p[c[1], 2] + p[c[2], 2]) / 3.0 - z)
+    if has_metric(p):
+        weight, dx, dy, dz = _pulled(net, v, count, room)
     if not weight > 0.0:
         return False
     foot = net.foot[v]
@@ -191,6 +197,29 @@ def _shift(net: Net, rules: Rules, v: int, room: Room) -> bool:
         step *= 0.5
     p[v, 0], p[v, 1], p[v, 2], net.foot[v] = x, y, z, foot
     return False
+
+
+@apart_kernel
+def _pulled(net: Net, v: int, count: int, room: Room) -> tuple[float, float, float, float]:
+    """Weight and pull of a star in a metric: 1 and (sum W)^-1 sum W (b - x), or 0."""
+    p = net.points
+    xx = xy = xz = yy = yz = zz = dx = dy = dz = 0.0
+    for i in range(count):
+        c = room.exchange.new[i]
+        root = triangle_root(p, c[0], c[1], c[2])
+        share = math.sqrt(max(squares(p, c[0], c[1], c[2])[3], 0.0))
+        x, y, z = through(
+            root, (p[c[0], 0] + p[c[1], 0] + p[c[2], 0]) / 3.0 - p[v, 0],
+            (p[c[0], 1] + p[c[1], 1] + p[c[2], 1]) / 3.0 - p[v, 1],
+            (p[c[0], 2] + p[c[1], 2] + p[c[2], 2]) / 3.0 - p[v, 2])
+        dx, dy, dz = dx + share * x, dy + share * y, dz + share * z
+        a, b, e, d, f, g = root
+        xx, xy, xz = xx + share * a, xy + share * b, xz + share * e
+        yy, yz, zz = yy + share * d, yz + share * f, zz + share * g
+    if not xx > 0.0:
+        return 0.0, 0.0, 0.0, 0.0
+    dx, dy, dz = solved((xx, xy, xz, yy, yz, zz), dx, dy, dz)
+    return 1.0, dx, dy, dz
 
 
 @kernel

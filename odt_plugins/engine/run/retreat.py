@@ -12,6 +12,7 @@ from odt_plugins.engine.record.progress import in_turn
 from odt_plugins.engine.run.best import ALONE, INPUT
 from odt_plugins.engine.run.outcome import Outcome
 from odt_plugins.mesh.arrays import IntArray
+from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
 
@@ -59,8 +60,10 @@ def _may_be_beaten(outcome: Outcome, options: Options) -> bool:
     if not options.finish:
         return False
     few, alone = len(outcome.cells) < POLICY.few_cells, f"runs of {ALONE}" in outcome.counts
-    return few or alone or figures(outcome.points, outcome.cells).p1_quality < POLICY.poor_quality
+    seen = as_seen(outcome.points, outcome.cells, outcome.metric)
+    return few or alone or figures(*seen).p1_quality < POLICY.poor_quality
 
 
 def _score(outcome: Outcome, options: Options) -> float:
-    return figures(outcome.points, outcome.cells, options.objective).score
+    seen = as_seen(outcome.points, outcome.cells, outcome.metric)
+    return figures(*seen, options.objective).score

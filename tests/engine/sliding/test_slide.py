@@ -557,6 +557,11 @@ def test_a_surface_that_slides_is_alone_where_cells_are_many_and_good(monkeypatc
     assert run(mesh, Options(boundary="slide")).slid is not None
     assert run(mesh, Options(boundary="slide", finish=False, keep=())).slid is not None
     assert asked == ["slide", "slide"]
+    stretched = replace(
+        mesh, points=mesh.points * [1.0, 1.0, 64.0],
+        metric=np.tile([0.0, 0.0, 0.0, 0.0, 0.0, -np.log(64.0)], (len(mesh.points), 1)))
+    assert run(stretched, Options(boundary="slide", envelope=1e-5)).slid is not None
+    assert asked == ["slide"] * 3
 
 
 def test_a_refused_state_tells_the_cells_beyond_the_extremes():
