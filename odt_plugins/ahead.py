@@ -63,7 +63,7 @@ def build(file: Path, lines: Sequence[str] = ()) -> None:
     ------
     OSError, CalledProcessError    there is no linker, or a program ended with an error
     """
-    from odt_plugins.engine.compiled.building import table
+    from odt_plugins.engine.compiled.building import levels, table
     from odt_plugins.engine.compiled.library import stamp
 
     chosen = {name: "" for name in os.environ if name.startswith("NUMBA_")}
@@ -78,7 +78,7 @@ def build(file: Path, lines: Sequence[str] = ()) -> None:
             raise subprocess.CalledProcessError(process.returncode, process.args)
         contents = [line for path in sorted(Path(made).glob("*.txt"))
                     for line in path.read_text(encoding="utf-8").splitlines()]
-        (Path(made) / "table.o").write_bytes(table([stamp(), *contents]))
+        (Path(made) / "table.o").write_bytes(table([" ".join([stamp(), *levels()]), *contents]))
         objects = sorted(map(str, Path(made).glob("*.o")))
         linker = shlex.split(os.environ.get("CC", "cc"))
         file.parent.mkdir(parents=True, exist_ok=True)

@@ -4,8 +4,8 @@ A kernel is a function of scalars and arrays (`Kernel`): it allocates nothing in
 its result does not depend on the number of threads. Python calls it as machine code of one shared
 library, ``kernels.so``, which is built with the package and needs neither numba nor any Python
 header (``library``): ctypes gives a function numbers and the addresses of NumPy's arrays. The
-library holds every kernel of ``signatures.txt`` for each level of the processor in common use, and
-goes with the sources of all kernels (`stamp`).
+library holds every kernel of ``signatures.txt`` for each level of the processor in common use, of
+which NUMBA_CPU_NAME may name a lower one, and goes with the sources of all kernels (`stamp`).
 
 ``building`` makes it, by public interfaces of numba and llvmlite: a kernel is compiled once for
 the types it is called with, by itself; what it calls are functions that are somewhere else. What a

@@ -332,7 +332,10 @@ class Units:
 
 
 def table(lines: Iterable[str]) -> bytes:
-    """Object file of a library's table of contents, and of what asks for the processor."""
+    """Object file of a library's table of contents, and of what asks for the processor.
+
+    The first line has the stamp of the sources and the names of the levels.
+    """
     text = "\n".join(lines).encode() + b"\0"
     letters = "".join(f"\\{byte:02x}" for byte in text)
     asks = ASKS if len(levels()) > 1 else "define i32 @odt_level() { ret i32 1 }"

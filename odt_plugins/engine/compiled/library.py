@@ -32,9 +32,11 @@ MARK = b"compiled.kernel import"
 FILE = Path(__file__).parent / "kernels.so"
 """The library."""
 
-CHOSEN = ("NUMBA_CPU_NAME", "NUMBA_CPU_FEATURES", "NUMBA_ENABLE_AVX", "NUMBA_BOUNDSCHECK",
-          "NUMBA_OPT")
-"""Variables of the environment by which a user chooses what numba compiles for, and how."""
+PROCESSOR = "NUMBA_CPU_NAME"
+"""Variable of the environment that names a processor, which a library may have as a level."""
+
+CHOSEN = ("NUMBA_CPU_FEATURES", "NUMBA_ENABLE_AVX", "NUMBA_BOUNDSCHECK", "NUMBA_OPT")
+"""Further variables by which a user chooses what numba compiles for, and how."""
 
 HEAD = object.__basicsize__
 """Bytes before the address of the data of an array."""
@@ -82,8 +84,8 @@ def place() -> Path | None:
 def library() -> dict[str, Entry]:
     """Load the library: its functions by the kernels' names and types.
 
-    Nothing where there is none for these sources and this processor, or where the user has chosen
-    how numba compiles.
+    Nothing where there is none for these sources and this processor or the one of
+    :data:`PROCESSOR`, or where the user has chosen how numba compiles.
     """
     return {} if any(map(os.environ.get, CHOSEN)) else load(FILE)
 
@@ -95,9 +97,11 @@ def load(file: Path) -> dict[str, Entry]:
     except OSError:
         return {}
     table = ctypes.string_at(ctypes.addressof(ctypes.c_char.in_dll(loaded, "odt_kernels")))
-    of, *lines = table.decode().splitlines()
-    level = loaded.odt_level()
-    if not level or of != stamp() or not _arrays_are_as_known():
+    head, *lines = table.decode().splitlines()
+    of, *levels = head.split()
+    best, wanted = loaded.odt_level(), os.environ.get(PROCESSOR)
+    level = best if not wanted else levels.index(wanted) + 1 if wanted in levels else 0
+    if not 0 < level <= best or of != stamp() or not _arrays_are_as_known():
         return {}
     return {line.partition(" -> ")[0]: _entry(getattr(loaded, f"odt_{level}_{number}"), line)
             for number, line in enumerate(lines)}

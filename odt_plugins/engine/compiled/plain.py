@@ -20,7 +20,7 @@ import numba
 from numba import njit, typeof
 from numba.extending import typeof_impl
 
-from odt_plugins.engine.compiled.library import CHOSEN, place, stamp
+from odt_plugins.engine.compiled.library import CHOSEN, PROCESSOR, place, stamp
 from odt_plugins.progress import HEARING, compiling_told
 
 COMPILING = RLock()
@@ -56,7 +56,7 @@ def whole(kernel: Any) -> Any:
 @cache
 def kept() -> Path | None:
     """Where this user's processes keep what they compile; None, and a word, where they cannot."""
-    chosen = [f"{name}={os.environ.get(name)}" for name in CHOSEN]
+    chosen = [f"{name}={os.environ.get(name)}" for name in (PROCESSOR, *CHOSEN)]
     folder = place()
     if folder is not None:
         folder = folder / sha256("".join([stamp(), *chosen]).encode()).hexdigest()[:16]

@@ -242,7 +242,7 @@ def _show(tets: Tets, n: int, n_vertices: int, t: int, room: Room) -> int:
         room.side[n, f] = INSIDE if is_in(tets.neighbors[t, f], room.cells, n) else SHUT
         for a in range(4):
             if a != f:
-                room.shown[room.local[n, a]] += 2 * room.side[n, f] - 1
+                room.shown[room.local[n, a]] += 2 * int(room.side[n, f]) - 1
     return n_vertices
 
 
@@ -252,7 +252,7 @@ def _hide(n: int, room: Room) -> None:
     for f in range(4):
         for a in range(4):
             if a != f:
-                room.shown[room.local[n, a]] -= 2 * room.side[n, f] - 1
+                room.shown[room.local[n, a]] -= 2 * int(room.side[n, f]) - 1
 
 
 @inlined_kernel

@@ -17,6 +17,7 @@ import pytest
 import odt_plugins
 from odt_plugins import ahead
 from odt_plugins.engine.compiled import library
+from odt_plugins.engine.compiled.building import levels
 
 PACKAGE = Path(odt_plugins.__file__).parent
 
@@ -148,6 +149,22 @@ def test_a_library_of_other_sources_or_none_is_left_alone(built, monkeypatch, tm
     assert library.load(file) == {}
 
 
+def test_a_named_processor_gets_its_level_of_a_library(built, monkeypatch):
+    file, _ = built
+    asked = []
+    monkeypatch.setattr(library, "_entry", lambda function, line: asked.append(function.__name__))
+    monkeypatch.delenv(library.PROCESSOR, raising=False)
+    library.load(file)
+    best = int(asked[-1].split("_")[1])
+    for level, name in enumerate(levels(), 1):
+        asked.clear()
+        monkeypatch.setenv(library.PROCESSOR, name)
+        library.load(file)
+        assert asked == [f"odt_{level}_{k}" for k in range(len(LINES)) if level <= best]
+    monkeypatch.setenv(library.PROCESSOR, "another")
+    assert library.load(file) == {}
+
+
 @pytest.mark.parametrize("name", library.CHOSEN)
 def test_whoever_chooses_how_numba_compiles_gets_kernels_of_numba(name, monkeypatch):
     for other in library.CHOSEN:
@@ -221,15 +238,11 @@ RUN = """
 import sys
 sys.modules["numba"] = sys.modules["llvmlite"] = None
 from odt_plugins import ahead, optimize
-from odt_plugins.compare.start import ball, plate, stored
+from odt_plugins.compare.start import stored
 from odt_plugins.engine.compiled import threads
 threads.THREADED_CELLS = 0
 for name in ahead.RUNS:
     ahead.run(name)
-for name in ("bunny", "bunny-surface"):
-    optimize((stored(name).points, stored(name).cells))
-optimize((plate(1000).points, plate(1000).cells))
-optimize((ball(15_000).points, ball(15_000).cells), threads=2, smoothing={"rounds": 2})
 optimize((stored("bone").points, stored("bone").cells), boundary="slide", insert=True, threads=2)
 """
 
