@@ -7,6 +7,7 @@ import pytest
 from scipy.spatial import Delaunay
 
 import odt_plugins
+from odt_plugins.engine.remesh import volume
 from odt_plugins.errors import InvalidOptionError
 
 STRETCHED = np.array([400.0, 0.0, 25.0])
@@ -37,6 +38,19 @@ def cube(n=6):
     flip = np.linalg.det(g[t[:, 1:]] - g[t[:, :1]]) < 0
     t[flip] = t[flip][:, [1, 0, 2, 3]]
     return g, t
+
+
+def test_resizing_in_a_metric_ends_where_collapses_undo_what_splits_did(monkeypatch):
+    turns = []
+    smooth = volume._smooth
+    monkeypatch.setattr(volume, "_smooth", lambda *given: turns.append(smooth(*given)))
+    mesh = cube(4)
+    options = {"free": "periodic", "keep": (), "finish": False}
+    odt_plugins.remesh(mesh, metric=np.tile(np.eye(3) / 0.3**2, (64, 1, 1)), **options)
+    assert 2 <= len(turns) < volume.ROUNDS
+    turns.clear()
+    odt_plugins.remesh(mesh, 0.3, **options)
+    assert len(turns) == volume.ROUNDS
 
 
 def seen_edges(points, cells, tensor):

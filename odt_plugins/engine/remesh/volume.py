@@ -39,6 +39,10 @@ ROUNDS = 6
 PASSES = 6
 """Most passes of splits, and of collapses, in a round."""
 
+STEADY = 0.5
+"""Rounds in a metric end with one that changed more than this part of what the one before did: what
+splits make collapses take away again."""
+
 LONG, SHORT = 4.0 / 3.0, 4.0 / 5.0
 """Edges longer, or shorter, than so many times their size are cut or vanish."""
 
@@ -117,6 +121,7 @@ def resize(work: Resizing, slides: bool, pool: Pool | None, tick: Callable[[floa
            threads: int) -> None:
     """Split and collapse edges until they have their sizes, and move vertices in between."""
     work.sizes(pool)
+    before = np.inf
     for k in range(ROUNDS):
         splits = _split(work, pool)
         gone = _collapse(work)
@@ -131,6 +136,9 @@ def resize(work: Resizing, slides: bool, pool: Pool | None, tick: Callable[[floa
             work.relent()
         work.sizes(pool)
         tick((k + 1.0) / ROUNDS)
+        if work.field.metric.size and splits + gone > STEADY * before:
+            break
+        before = splits + gone
     _collapse(work)
 
 
