@@ -53,6 +53,22 @@ def test_resizing_in_a_metric_ends_where_collapses_undo_what_splits_did(monkeypa
     assert len(turns) == volume.ROUNDS
 
 
+def test_cells_that_stay_are_not_made_by_way_of_many_more(monkeypatch):
+    counts = []
+    collapse = volume._collapse
+
+    def counted(work, *limits):
+        counts.append(len(work.body.tets.live()))
+        return collapse(work, *limits)
+
+    monkeypatch.setattr(volume, "_collapse", counted)
+    mesh = cube(4)
+    tensor = np.diag([100.0**2, 2.0**2, 2.0**2])
+    _, cells = odt_plugins.remesh(
+        mesh, metric=np.tile(tensor, (64, 1, 1)), free="periodic", keep=(), finish=False)
+    assert max(counts) < 8 * len(cells)
+
+
 def seen_edges(points, cells, tensor):
     corners = itertools.combinations(range(cells.shape[1]), 2)
     pairs = np.concatenate([cells[:, list(c)] for c in corners])

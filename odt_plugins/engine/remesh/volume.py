@@ -144,30 +144,45 @@ def resize(work: Resizing, slides: bool, pool: Pool | None, tick: Callable[[floa
 
 def _split(work: Resizing, pool: Pool | None) -> int:
     total = 0
-    for _ in range(PASSES):
-        edges = edges_beyond(work.body, LONG, longer=True)
+    for limit in [*_halved(work), *PASSES * [LONG]]:
+        edges = edges_beyond(work.body, limit, longer=True)
         done = np.zeros(1, dtype=np.int32)
         for first, last in pieces(0, len(edges)):
             while first < last:
                 first += int(split_edges(
-                    work.body, work.guard, edges[first:last], LONG, work.scratch, done))
+                    work.body, work.guard, edges[first:last], limit, work.scratch, done))
                 if first < last:
                     left = last - first
                     work.body, work.scratch, work.guard = with_room(
                         work.body, work.scratch, work.guard, left, 8 * left + 4096)
         work.sizes(pool)
         total += int(done[0])
-        if done[0] <= FEW * len(edges):
+        if limit > LONG:
+            work.log.add("collapses", _collapse(work, limit))
+        elif done[0] <= FEW * len(edges):
             break
     return total
 
 
-def _collapse(work: Resizing) -> int:
+def _halved(work: Resizing) -> list[float]:
+    """Limits that come before LONG, each half the one before; none where there is no metric.
+
+    Halves of the edges across a layer are shorter along the layer as well. So edges that became too
+    short there vanish before the next halving, while those across may still be long.
+    """
+    limits = [LONG]
+    if work.field.metric.size:
+        while len(edges_beyond(work.body, 2.0 * limits[0], longer=True)):
+            limits.insert(0, 2.0 * limits[0])
+    return limits[:-1]
+
+
+def _collapse(work: Resizing, longest: float = LONG) -> int:
     total = 0
     for _ in range(PASSES):
         edges = edges_beyond(work.body, SHORT, longer=False)
         done = sum(
-            int(collapse_edges(work.body, work.guard, edges[first:last], (SHORT, LONG),
+            int(collapse_edges(work.body, work.guard, edges[first:last], (SHORT, longest),
                                work.scratch))
             for first, last in pieces(0, len(edges)))
         total += done
