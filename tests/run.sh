@@ -2,8 +2,11 @@
 # Sets up what the tests need, then runs ruff, mypy and pytest. Quick the second time.
 #   bash tests/run.sh [arguments of pytest]
 #   bash tests/run.sh --lowest [arguments of pytest]
+#   bash tests/run.sh --indices
 # The second runs some tests in .venv-lowest, which has the lowest versions of all dependencies that
 # pyproject.toml allows, toolkits excepted; numba compiles the kernels that they need, once.
+# The third does the runs of odt_plugins/ahead.py with kernels that numba compiles for x86-64-v2 and
+# that check every index.
 # Without arguments the numerical tests run again with the BLAS of a newer processor, then with that
 # of an older one and the kernels that the library has for it.
 # Uses the active virtual environment, or makes .venv beside pyproject.toml.
@@ -44,6 +47,15 @@ system=""
 trap '[ -z "$system" ] || wait "$system"' EXIT
 if can_install; then system_packages & system=$!; else system_packages; fi
 install_package "all,site,test"
+
+if [ "${1:-}" = --indices ]; then
+    [ -z "$system" ] || wait "$system"
+    for name in cells triangles; do
+        echo "== runs of the installation, $name, every index checked"
+        NUMBA_BOUNDSCHECK=1 older -c "from odt_plugins.ahead import run; run('$name')"
+    done
+    exit
+fi
 
 echo "== ruff";   python -m ruff check .
 if [ -n "$system" ]; then wait "$system"; fi

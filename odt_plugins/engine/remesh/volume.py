@@ -143,6 +143,7 @@ def resize(work: Resizing, slides: bool, pool: Pool | None, tick: Callable[[floa
 
 
 def _split(work: Resizing, pool: Pool | None) -> int:
+    """Split long edges; where limits fall, edges that became short vanish before the next limit."""
     total = 0
     for limit in [*_halved(work), *PASSES * [LONG]]:
         edges = edges_beyond(work.body, limit, longer=True)
