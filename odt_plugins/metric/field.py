@@ -86,7 +86,8 @@ def metric_from_field(
     M = c det|H|^(-1 / (2 p + d)) |H|, where |H| is the mean over the cells around of the Hessian
     with the absolute values of its eigenvalues, where it is a saddle times the root of
     :func:`error_by_signs`, and c such that the integral of sqrt(det M) is that of `cells` good
-    cells.
+    cells. No length is beyond half the diagonal of the mesh; where one is at it, the others are
+    those with the least error then.
 
     References
     ----------
@@ -170,6 +171,7 @@ def hessians_to_metric(
     for hessian in hessians:
         values, axes = eigenvalues(hessian)
         sizes = np.maximum(np.abs(values), least)
+        sizes = np.maximum(sizes, sizes.max(axis=1, keepdims=True) / limits[1] ** 2)
         level = np.sqrt(error_by_signs(values / sizes))
         part = of_eigenvalues(level[:, None] * sizes, axes)
         parts.append(_around(points, cells, part, along))
@@ -180,7 +182,7 @@ def hessians_to_metric(
         metric = power(determinants(metric), -1.0 / (2.0 * norm + d))[:, None, None] * metric
     if along is not None:
         metric = along.lifted(metric)
-    return scaled_to(points, cells, metric, count, limits, along)
+    return scaled_to(points, cells, metric, count, limits, along, norm)
 
 
 def error_by_signs(signs: FloatArray) -> FloatArray:
@@ -231,12 +233,13 @@ def _around(
 
 def scaled_to(
     points: FloatArray, cells: IntArray, metric: FloatArray, count: float,
-    limits: tuple[float, float], along: Tangents | None = None,
+    limits: tuple[float, float], along: Tangents | None = None, norm: float = math.inf,
 ) -> FloatArray:
     """The multiple of a metric that, once it is limited, has a number of cells.
 
     Growth and bounds add cells, by how many depends on the scale, which is found by steps that
-    divide the error in log(cells) by its slope between the last two scales.
+    divide the error in log(cells) by its slope between the last two scales.  For `norm` see
+    :func:`..limits.bounded_metric`.
     """
     d = cells.shape[1] - 1
     growth, ratio = limits
@@ -244,7 +247,9 @@ def scaled_to(
     least, most = LENGTHS[0] * size, LENGTHS[1] * size
 
     def limited(scale: float) -> tuple[FloatArray, float]:
-        out = bounded_metric(scale * metric, ratio, least, most)
+        out = scale * (metric if along is None else along.along(metric))
+        out = bounded_metric(out, ratio, least, most, norm)
+        out = out if along is None else along.lifted(out)
         out = bounded_metric(grown_metric(points, cells, out, growth), ratio)
         if along is not None:
             out = along.lifted(along.along(out))

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.engine.cells.elementary import exp, log
 from odt_plugins.engine.cells.tensors import (
     intersection,
     of_eigenvalues,
@@ -97,7 +98,8 @@ def _covers(larger: FloatArray, smaller: FloatArray) -> BoolArray:
 
 
 def bounded_metric(
-    metric: FloatArray, ratio: float, least: float = 0.0, most: float = np.inf
+    metric: FloatArray, ratio: float, least: float = 0.0, most: float = np.inf,
+    norm: float = np.inf,
 ) -> FloatArray:
     """Bring lengths into a range, then shorten the long ones to a ratio of the short ones.
 
@@ -106,10 +108,40 @@ def bounded_metric(
     metric : (n, d, d) float64
     ratio : float                largest ratio of the lengths in two directions
     least, most : float          range of the lengths
+    norm : float                 p of the L^p norm for which `metric` is best without bounds, with
+                                 a finite `most`; inf: lengths at `most` change no others
     """
     values, axes = positive_eigenvalues(metric)
     low = 0.0 if most == np.inf else most**-2.0
     high = np.inf if least == 0.0 else least**-2.0
+    if norm < np.inf:
+        values = _best_above(values, low, norm)
     values = np.minimum(np.maximum(values, low), high)
     values = np.maximum(values, values.max(axis=1, keepdims=True) / ratio**2)
     return of_eigenvalues(values, axes)
+
+
+def _best_above(values: FloatArray, low: float, norm: float) -> FloatArray:
+    """The metric that is best for a norm among those without eigenvalues below a bound.
+
+    A length at its bound is shorter than would be best, which costs cells, so that others are to
+    be longer.  M = c det(H)^(-1 / (2 p + d)) H, with H_i = s low for an M_i at the bound and
+    s = H_j / M_j of the k others; so that c^-(2 p + d) = s^(2 p + k) / (low^(d - k) prod H_j).
+
+    Parameters
+    ----------
+    values : (n, d) float64    eigenvalues of the best metric without a bound
+    low : float                the bound, above 0
+    norm : float               p of the L^p norm
+
+    Returns
+    -------
+    (n, d) float64             eigenvalues, below the bound where the best ones are at it
+    """
+    out = values
+    for _ in range(values.shape[1]):
+        short = out < low
+        added = np.where(short, log(low / values), 0.0).sum(axis=1)
+        fewer = exp(-added / (2.0 * norm + (~short).sum(axis=1)))
+        out = np.where(short, out, values * fewer[:, None])
+    return out

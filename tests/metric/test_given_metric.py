@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import surface_meshes as sm
+from scipy.optimize import brentq
 from strategies import jittered
 
 from odt_plugins.adapters.fields import named_metric
@@ -179,3 +180,33 @@ def test_bounds_of_lengths_and_ratios():
     found = np.diagonal(bounded_metric(metric, 1e3, 1e-3, 10.0)[0])
     assert found == pytest.approx([1e6, 1.0, 1.0])
     assert np.allclose(bounded_metric(metric, 1e9), metric)
+
+
+@pytest.mark.parametrize("norm", [1.0, 2.0, 8.0])
+def test_lengths_at_their_bound_are_those_of_a_larger_second_derivative(d, norm):
+    """M is c det(G)^(-1 / (2 p + d)) G of the form G whose own M is just at the bound."""
+    form = np.array([3.0, 0.2, 1e-6])[-d:]
+    best = 100.0 * form * form.prod() ** (-1.0 / (2.0 * norm + d))
+    found = np.diagonal(bounded_metric(np.diag(best)[None], 1e9, 0.0, 1.0, norm)[0])
+    free = best >= found
+    assert found[~free] == pytest.approx(1.0)
+    assert (found[free] < best[free]).all()
+    larger = np.where(free, form, form[free][0] / found[free][0])
+    again = 100.0 * larger * larger.prod() ** (-1.0 / (2.0 * norm + d))
+    assert found == pytest.approx(again, rel=1e-12)
+
+
+def test_bounded_lengths_leave_the_least_error():
+    """Half of the places curve along one axis alone; as many cells, none longer than 1."""
+    forms = np.array([[1e-9, 1.0], [1.0, 1.0]])
+    best = forms * (forms.prod(axis=1) ** (-1.0 / 6.0))[:, None]
+
+    def error(norm):
+        def bounded(scale):
+            scaled = scale * best[:, :, None] * np.eye(2)
+            return np.diagonal(bounded_metric(scaled, 1e9, 0.0, 1.0, norm), axis1=1, axis2=2)
+
+        scale = brentq(lambda s: np.sqrt(bounded(np.exp(s)).prod(axis=1)).mean() - 50.0, 0.0, 40.0)
+        return ((forms / bounded(np.exp(scale))).sum(axis=1) ** 2).mean()
+
+    assert error(2.0) < 0.9 * error(np.inf)

@@ -161,6 +161,20 @@ def test_cells_of_a_saddle_are_larger(norm):
     assert low / high == pytest.approx(8.0 ** (-0.25 * part), rel=1e-6)
 
 
+@pytest.mark.parametrize("norm", [1.0, 2.0, math.inf])
+def test_cells_as_stretched_as_they_may_be_are_best_for_what_they_are(norm):
+    """Where nothing curves along y, a metric of ratio 10 is that of u_yy = u_xx / 100."""
+    points, cells = jittered(2, 12, 0, jitter=0.1)
+    hessians = np.tile(np.diag([1.0, 0.01]), (len(points), 1, 1))
+    hessians[points[:, 0] < 0.5, 1, 1] = 0.0
+    metric = hessians_to_metric(points, cells, hessians[None], 1e-8, 900, norm, (1e3, 10.0))
+    low, high = (metric[near].mean(axis=0) for near in (points[:, 0] < 0.3, points[:, 0] > 0.7))
+    part = 1.0 if norm == math.inf else 2.0 * norm / (2.0 * norm + 2.0)
+    level = error_by_signs(np.array([[1.0, 0.0]]))[0]
+    assert low / low[0, 0] == pytest.approx(np.diag([1.0, 0.01]))
+    assert low[0, 0] / high[0, 0] == pytest.approx(level ** (0.5 * part), rel=1e-6)
+
+
 @pytest.mark.parametrize("norm", [1.0, 2.0, 4.0, math.inf])
 def test_the_norm_decides_where_cells_go(norm):
     """For x^3 + y^2, M_xx is 6 x (12 x)^(-1 / (2 p + 2)) but for a factor."""
