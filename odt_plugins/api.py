@@ -201,9 +201,6 @@ def _engine(options: Options, run: Mapping[str, Any]) -> Callable[..., Outcome] 
             msg = f"got {other}= without blocks; expected blocks=, how many the mesh is cut into"
             raise InvalidOptionError(msg)
         return None
-    if options.metric is not None:
-        msg = "got blocks= with a metric; expected a mesh in one, try threads="
-        raise InvalidOptionError(msg)
     from odt_plugins.distributed.optimize import block_engine
 
     return block_engine(options, *(run[name] for name in PLACE))

@@ -50,7 +50,7 @@ class Block:
         """Bytes of its arrays."""
         mesh, ground = self.mesh, self.mesh.ground
         arrays: list[NDArray[Any]] = [mesh.points, mesh.cells, mesh.regions, mesh.fixed,
-                                      mesh.stays, mesh.lines, mesh.body]
+                                      mesh.stays, mesh.lines, mesh.body, mesh.metric]
         arrays += [a for a in (self.within.cut, self.within.fresh) if a is not None]
         if ground is not None:
             arrays += [ground.points, ground.cells, ground.lines]
@@ -67,6 +67,7 @@ class Improved:
     cells : (m', d + 1) int32    in the numbering of the block
     regions : (m',) int32
     density : (n',) or None      values at the vertices, where these are now
+    metric : (n', k) float64     of the metric there, see :class:`SimplexMesh`
     counts : dict                what the engine counted
     fallback : str or None       why the engine went back to an earlier state
     """
@@ -75,13 +76,14 @@ class Improved:
     cells: IntArray
     regions: IntArray
     density: FloatArray | None
+    metric: FloatArray
     counts: dict[str, int]
     fallback: str | None
 
     @property
     def nbytes(self) -> int:
         """Bytes of its arrays."""
-        arrays = (self.points, self.cells, self.regions)
+        arrays = (self.points, self.cells, self.regions, self.metric)
         return sum(a.nbytes for a in arrays) + (0 if self.density is None else self.density.nbytes)
 
 
@@ -115,6 +117,7 @@ def cut_out(
         lines=_inner(mesh.lines, number, inside),
         anchored=mesh.anchored[vertices],
         body=mesh.body,
+        metric=mesh.metric[vertices] if len(mesh.metric) else mesh.metric,
         ground=mesh.ground and _under(mesh.ground, mesh.points[vertices]),
     )
     return block, vertices
@@ -152,7 +155,7 @@ def improve(block: Block) -> Improved:
     if mesh.is_surface:
         return _improved_surface(block, options)
     outcome = run(mesh, options, within=block.within)
-    points, cells, sizes = outcome.points, outcome.cells, outcome.sizes
+    points, cells, sizes, metric = outcome.points, outcome.cells, outcome.sizes, outcome.metric
     if outcome.origin is not None:
         n = len(mesh.points)
         number = old_numbers(outcome.origin, n)
@@ -162,7 +165,7 @@ def improve(block: Block) -> Improved:
             values[number] = sizes
             sizes = values
     return Improved(points, cells, outcome.regions, block.density if sizes is None else sizes,
-                    outcome.counts, outcome.fallback)
+                    metric, outcome.counts, outcome.fallback)
 
 
 def _improved_surface(block: Block, options: Options) -> Improved:
@@ -177,5 +180,5 @@ def _improved_surface(block: Block, options: Options) -> Improved:
         values = values.copy()
         values[moved] = values_on(
             mesh.points, mesh.cells, np.asarray(block.density), outcome.points[moved])
-    return Improved(outcome.points, outcome.cells, outcome.regions, values, outcome.counts,
-                    outcome.fallback)
+    return Improved(outcome.points, outcome.cells, outcome.regions, values, outcome.metric,
+                    outcome.counts, outcome.fallback)

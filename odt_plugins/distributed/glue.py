@@ -168,7 +168,7 @@ def one_round(
             sent.append(work.nbytes)
             yield work
 
-    points = [mesh.points.copy()]
+    points, metric = [mesh.points.copy()], mesh.metric.copy()
     density = None if whole.density is None else [whole.density.copy()]
     total = len(mesh.points)
     rest = label < 0
@@ -180,6 +180,8 @@ def one_round(
         _expect_fit(result, mesh.points[vertices], held[vertices], k)
         points[0][vertices] = result.points[:n]
         points.append(result.points[n:])
+        if len(metric):
+            metric[vertices] = result.metric
         if density is not None and result.density is not None:
             density[0][vertices] = result.density[:n]
             density.append(result.density[n:])
@@ -198,7 +200,7 @@ def one_round(
     glued = replace(mesh, points=np.concatenate(points), cells=np.concatenate(new_cells),
                     regions=np.concatenate(new_regions), frozen=frozen,
                     fixed=np.concatenate([mesh.fixed, added]),
-                    anchored=np.concatenate([mesh.anchored, added]))
+                    anchored=np.concatenate([mesh.anchored, added]), metric=metric)
     patch = np.concatenate([patch, np.full(len(added), -1, dtype=np.int32)])
     traffic = Traffic(len(members), inside, sum(sent), received, counts, fallbacks)
     values = None if density is None else np.concatenate(density)

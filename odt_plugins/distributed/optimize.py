@@ -29,6 +29,7 @@ from odt_plugins.engine.topology.part import rings
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import BoolArray, IntArray
 from odt_plugins.mesh.numbering import most_vertices, without_removed
+from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
@@ -126,7 +127,7 @@ def run_blocks(
     start, plain, power = _start(_with_features(mesh, options, kept), options)
     length = envelope_length(mesh, options) if kept or slides(mesh, options) else 0.0
     times = {"prepare": time.perf_counter() - clock}
-    figures = figures_of(mesh.points, mesh.cells[active])
+    figures = figures_of(*as_seen(mesh.points, mesh.cells[active], mesh.metric))
     found: list[tuple[int, Outcome]] = []
     for judged in (True,) if mesh.is_surface else (False, True):
         done = _Done([start])
@@ -213,7 +214,7 @@ def _worst(whole: Whole) -> BoolArray | None:
     if mesh.dim == 2:
         return None
     cells = mesh.cells[~mesh.frozen & ~rings(whole.waiting, mesh.cells, 1)]
-    shapes = cell_shapes(mesh.points, cells) * [1.0, -1.0, 1.0, 1.0]
+    shapes = cell_shapes(*as_seen(mesh.points, cells, mesh.metric)) * [1.0, -1.0, 1.0, 1.0]
     worst = np.zeros(len(mesh.points), dtype=np.bool_)
     small = min(int((shapes[:, 1] < -COS_SMALL).sum()), int(MOST_POLISHED * len(cells)))
     for column, count in zip(shapes.T, (WORST_CELLS, max(WORST_CELLS, small), WORST_CELLS),
@@ -298,7 +299,8 @@ def _judged(
     for index in range(len(done.states) - 1, 0, -1):
         last = done.states[index].mesh
         points, cells, origin = without_removed(mesh, last.points, last.cells)
-        outcome = leaving(Outcome(points, cells, last.regions, stop_reason=reason, origin=origin))
+        outcome = leaving(Outcome(points, cells, last.regions, stop_reason=reason, origin=origin,
+                                  metric=last.metric))
         outcome, now = _looked_at(mesh, outcome, options, kept)
         if not now:
             given_up = [f"a later round was given up ({'; '.join(broken)})"] if broken else []
@@ -320,9 +322,9 @@ def _looked_at(
     """A mesh that leaves, with what its judge measured, and what of the promise it breaks."""
     given = outcome.points, outcome.cells, outcome.regions, options
     if kept is None:
-        broken, slid = faults(mesh, *given, outcome.origin)
+        broken, slid = faults(mesh, *given, outcome.origin, outcome.metric)
         return replace(outcome, slid=slid), broken
-    broken, distance = surface_faults(mesh, kept, *given)
+    broken, distance = surface_faults(mesh, kept, *given, outcome.metric)
     return surface_outcome(outcome, kept, distance), broken
 
 

@@ -11,6 +11,7 @@ from typing import Any
 import meshio
 import numpy as np
 import pytest
+import surface_meshes
 import tet_meshes
 from policies import set_policy
 
@@ -65,7 +66,7 @@ def figures(points: Any, cells: Any) -> dict[str, float]:
 
 def unchanged(block: Block) -> Improved:
     mesh = block.mesh
-    return Improved(mesh.points, mesh.cells, mesh.regions, block.density, {}, None)
+    return Improved(mesh.points, mesh.cells, mesh.regions, block.density, mesh.metric, {}, None)
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 7, 16])
@@ -268,6 +269,66 @@ def test_blocks_are_about_as_good_as_one_piece(name, seed, monkeypatch):
     )
     assert abs(one["mean"] - blocks["mean"]) <= 0.003
     assert abs(one["p1"] - blocks["p1"]) <= 0.01
+
+
+def fine_near_the_middle(points: Any) -> Any:
+    """A metric that is five times as fine across a plane as along it, near that plane."""
+    out = np.tile(9.0 * np.eye(3), (len(points), 1, 1))
+    out[:, 2, 2] *= 1.0 + 24.0 * np.exp(-((points[:, 2] / 0.3) ** 2))
+    return out
+
+
+@pytest.mark.parametrize("boundary", ["fixed", "slide"])
+def test_blocks_see_the_metric(small_blocks, boundary):
+    start = ball(900)
+    mesh = start.points, start.cells
+
+    def seen(points, cells):
+        middle = points[cells].mean(axis=1, keepdims=True)
+        root = np.sqrt(fine_near_the_middle(middle[:, 0]).diagonal(axis1=1, axis2=2))
+        apart = (points[cells] * root[:, None]).reshape(-1, 3)
+        return figures(apart, np.arange(len(apart)).reshape(-1, 4))
+
+    how = {"metric": fine_near_the_middle, "boundary": boundary}
+    one, blocks = (odt_plugins.optimize(mesh, **how, **more) for more in ({}, {"blocks": 3}))
+    before, alone, apart = seen(*mesh), seen(*one), seen(*blocks)
+    assert not np.array_equal(one[1], blocks[1])
+    assert apart["mean"] > before["mean"] + 0.8 * (alone["mean"] - before["mean"])
+    assert apart["p1"] > before["p1"] + 0.5 * (alone["p1"] - before["p1"])
+    plain = seen(*odt_plugins.optimize(mesh, boundary=boundary, blocks=3))
+    assert apart["mean"] > plain["mean"] + 0.02
+
+
+def test_blocks_of_a_curved_surface_see_the_metric(small_blocks):
+    points, cells = surface_meshes.sphere(3)
+    rng = np.random.default_rng(0)
+    away = points + rng.normal(scale=0.03, size=points.shape)
+    mesh = away / np.linalg.norm(away, axis=1)[:, None], cells
+
+    def seen(points, cells):
+        middle = points[cells].mean(axis=1)
+        root = np.sqrt(fine_near_the_middle(middle).diagonal(axis1=1, axis2=2))
+        a, b, c = np.moveaxis(points[cells] * root[:, None], 1, 0)
+        area = 0.5 * np.linalg.norm(np.cross(b - a, c - a), axis=1)
+        squares = sum(((x - y) ** 2).sum(axis=1) for x, y in ((a, b), (b, c), (c, a)))
+        return (4.0 * np.sqrt(3.0) * area / squares).mean()
+
+    one, blocks = (odt_plugins.optimize(mesh, metric=fine_near_the_middle, envelope=0.01, **more)
+                   for more in ({}, {"blocks": 3}))
+    before, alone, apart = seen(*mesh), seen(*one), seen(*blocks)
+    assert not np.array_equal(one[1], blocks[1])
+    assert apart > before + 0.8 * (alone - before) > before + 0.01
+
+
+def test_the_metric_moves_with_the_vertices(small_blocks):
+    """After two rounds it is the one of the places where they are."""
+    start = ball(900)
+    mesh = simplex_mesh(start.points, start.cells)[0]
+    rows = np.zeros((len(mesh.points), 6))
+    rows[:, 5] = 0.3 * mesh.points[:, 2]
+    outcome = run_blocks(replace(mesh, metric=rows), Options(), 3, 2, map)
+    assert np.abs(outcome.points - mesh.points).max() > 0.01
+    assert outcome.metric[:, 5] == pytest.approx(0.3 * outcome.points[:, 2], abs=1e-12)
 
 
 def test_blocks_choose_their_flips_as_the_whole_would(small_blocks, monkeypatch):

@@ -73,7 +73,9 @@ def make_skin(
 def on_earlier_ground(skin: Skin, surface: SimplexMesh, points: FloatArray) -> Skin:
     """Let a boundary slide on a surface other than itself, whose vertices are at ``points``."""
     ground = earlier_ground(surface, points)
-    return skin._replace(ground=ground, sheet=laid_on(skin.sheet, ground, skin.limits.distance))
+    places = skin.sheet._replace(points=np.ascontiguousarray(skin.sheet.points[:, :3]))
+    laid = laid_on(places, ground, skin.limits.distance)
+    return skin._replace(ground=ground, sheet=laid._replace(points=skin.sheet.points))
 
 
 def skin_features(mesh: SimplexMesh, options: Options) -> tuple[IntArray, BoolArray]:
