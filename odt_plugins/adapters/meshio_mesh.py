@@ -186,7 +186,7 @@ def write(result: Result, host: HostMesh) -> Any:
     nodes = None if result.vertices is None else result.vertices.origin
     if host.higher_order:
         result, nodes = _with_mid_nodes(out, result, host)
-    elif result.vertices is not None and result.vertices.renumbered:
+    elif result.vertices is not None and (result.faces or result.vertices.renumbered):
         _renumber(out, result, result.vertices, host, origin)
     elif result.vertices is not None:
         for name in host.fields:
@@ -296,7 +296,7 @@ def _take(out: Any, i: int, local: NDArray[Any], size: int) -> None:
 def _renumber(
     out: Any, result: Result, vertices: NewVertices, host: HostMesh, origin: Origin | None
 ) -> None:
-    """Let point data, point sets and other blocks follow vertices that came and went."""
+    """Let point data, sets and other blocks follow vertices that came and went, or other faces."""
     others = _others(out, host.layout)
     for i, block in enumerate(out.cells):
         if i in others:

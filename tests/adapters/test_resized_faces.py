@@ -228,6 +228,31 @@ def test_files_are_written_with_the_new_faces(suffix, tmp_path):
                 assert now[label][0] == pytest.approx(size, rel=1e-6)
 
 
+@pytest.mark.parametrize("suffix", ["", "mesh", "med", "vtu", "inp", "msh"])
+def test_where_edges_flip_and_no_vertex_comes_or_goes_triangles_are_faces(suffix, tmp_path):
+    before = labelled_box(2)
+    name = {"mesh": "medit:ref", "med": "cell_tags", "msh": "gmsh:physical"}.get(suffix, "tag")
+    before = meshio.Mesh(before.points, before.cells[:2],
+                         cell_data={name: before.cell_data["tag"][:2]})
+    if suffix:
+        with warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            write_file(tmp_path / f"a.{suffix}", before)
+        before = read_file(tmp_path / f"a.{suffix}")
+    fixed = np.random.default_rng(0).random(len(before.points)) < 0.3
+    after = remesh(before, 0.6, fixed=fixed, keep=(), free="periodic")
+    if suffix:
+        write_file(tmp_path / f"b.{suffix}", after)
+        after = read_file(tmp_path / f"b.{suffix}")
+    assert len(before.points) == len(after.points)
+    cells, skin = (np.sort(after.cells_dict[kind], axis=1) for kind in ("tetra", "triangle"))
+    assert not np.array_equal(np.unique(skin, axis=0), np.unique(
+        np.sort(before.cells_dict["triangle"], axis=1), axis=0))
+    faces = np.concatenate([np.delete(cells, i, axis=1) for i in range(4)])
+    unique, count = np.unique(faces, axis=0, return_counts=True)
+    np.testing.assert_array_equal(np.unique(skin, axis=0), unique[count == 1])
+
+
 def test_boundaries_of_scikit_fem_are_turned_as_they_were():
     skfem = pytest.importorskip("skfem")
     mesh = skfem.MeshTet().refined(2).with_subdomains({"low": lambda x: x[2] < 0.5})

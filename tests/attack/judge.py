@@ -139,7 +139,7 @@ def broken_by_sizes(before: Mesh, after: Mesh, options: Options, *, curved: bool
     x, y = (np.pad(m.points, ((0, 0), (0, 3 - m.points.shape[1]))) for m in (before, after))
     # An edge is a triangle that has one end twice.
     a, b = (skin[:, np.arange(3) % skin.shape[1]] for skin in skins)
-    return faults + _far(x, a, y, b, free, before.cells)
+    return faults + beyond(x, a, y, b, free, before.cells)
 
 
 def euler(rows: np.ndarray) -> int:
@@ -467,11 +467,11 @@ def _slid(before: Mesh, after: Mesh, options: Options) -> list[str]:
         faults.append("other numbers of triangles meet in edges of the boundary")
     ground = before if options.reference is None else Mesh(*options.reference)
     skin = [f for f, labels in _owners(ground).items() if len(labels) == 1]
-    return faults + _far(ground.points, np.array(skin), after.points, np.array(b), options,
+    return faults + beyond(ground.points, np.array(skin), after.points, np.array(b), options,
                          ground.cells)
 
 
-def _far(
+def beyond(
     old: np.ndarray, old_cells: np.ndarray, new: np.ndarray, new_cells: np.ndarray,
     options: Options, used: np.ndarray,
 ) -> list[str]:
@@ -520,4 +520,5 @@ def _surface(old: Mesh, new: Mesh, options: Options) -> list[str]:
     if flat[1] > flat[0]:
         faults.append(f"{flat[1]} triangles have no area, {flat[0]} had none")
     ground = old if options.reference is None else Mesh(*options.reference)
-    return faults + _far(ground.points, ground.cells, new.points, new.cells, options, ground.cells)
+    return faults + beyond(
+        ground.points, ground.cells, new.points, new.cells, options, ground.cells)

@@ -40,6 +40,9 @@ ATTEMPTS = 4
 """Runs. The second has less of the envelope around the places where the first broke the promise; in
 those that follow the triangles of the input stay there."""
 
+FLAT = 64 * float(np.finfo(np.float64).eps)
+"""Part of the largest coordinate: no triangle is made with an altitude below it."""
+
 NARROWER = 0.3
 """Part of the envelope that is left there."""
 
@@ -178,8 +181,9 @@ def _base(start: SurfaceStart, options: Options) -> Base:
     kept = start.kept | held
     if options.boundary == "fixed":
         held = np.ones(len(key), dtype=np.bool_)
+    thin = FLAT * float(np.abs(mesh.points[np.unique(mesh.cells)]).max()) * start.frame.scale
     return Base(in_space(start.points), start.cells, start.regions, edges, fixed, kept, held,
-                metric_in_space(start.metric))
+                metric_in_space(start.metric), thin)
 
 
 def _judged(

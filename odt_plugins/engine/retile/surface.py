@@ -52,6 +52,10 @@ RELENT = 1.5
 FINISH = ((2.0, 10), (4.0, 10), (8.0, 10))
 """Powers p and sweeps of flips and Newton steps on F_p that follow."""
 
+THINNEST = 1e-8
+"""Altitude of a triangle, as a part of its longest edge, below which its edges are not split; less
+than that of triangles in any metric that is allowed."""
+
 PASSES = 24
 """Most passes of one operation in a round; a pass of splits halves the longest edges."""
 
@@ -67,6 +71,7 @@ class Base(NamedTuple):
     kept : (e,) bool       edges that are feature edges whatever their angle
     held : (e,) bool       edges that stay as they are
     metric : (n, 6) float64 of the metric at the vertices; (n, 0) without one
+    thin : float           altitude below which splits make no triangle
     """
 
     points: FloatArray
@@ -77,6 +82,7 @@ class Base(NamedTuple):
     kept: BoolArray
     held: BoolArray
     metric: FloatArray
+    thin: float
 
 
 def resize(
@@ -117,7 +123,7 @@ def resize(
     around = np.full(len(triangles), np.inf) if flat else reach
     rules = Rules(ground, tracks, around, cosine, bounds, LONGEST, SHORTEST)
     net = _net(base, features, marks, sizes, ground)
-    passes = Passes(rules, sizes, base.metric, most)
+    passes = Passes(rules, sizes, base, most)
     for turn in range(ROUNDS):
         net = passes.split(net, bounds if turn else FREELY)
         passes.collapse(net)
@@ -183,9 +189,9 @@ def _net(
 class Passes:
     """Passes over what has changed since the last pass of the same kind."""
 
-    def __init__(self, rules: Rules, sizes: FloatArray, metric: FloatArray, most: float) -> None:
+    def __init__(self, rules: Rules, sizes: FloatArray, base: Base, most: float) -> None:
         self.rules, self.sizes, self.most, self.room = rules, sizes, most, make_room()
-        self.metric = np.ascontiguousarray(metric.T)
+        self.metric, self.thin = np.ascontiguousarray(base.metric.T), base.thin
         self.since: dict[object, int] = {}
 
     def _since(self, net: Net, kind: object) -> int:
@@ -221,6 +227,9 @@ class Passes:
                 break
             pairs, ratio, degree = _edges(net, self._since(net, "split"))
             chosen = np.flatnonzero(ratio > LONGEST)
+            if len(chosen):
+                # A half of a triangle has at least half its altitude.
+                chosen = chosen[~at_thin(net, pairs[chosen], 2.0 * self.thin)]
             chosen = chosen[np.argsort(-ratio[chosen], kind="stable")]
             net = _grown(net, len(chosen), 2 * int(degree[chosen].sum()))
             done = split_edges(net, rules, pairs[chosen], self.room)
@@ -277,6 +286,26 @@ def _edges(net: Net, since: int) -> tuple[IntArray, FloatArray, IntArray]:
     length = np.empty(len(pairs))
     relative_lengths(net, pairs, length)
     return pairs, length, degree.astype(np.int32)
+
+
+def at_thin(net: Net, pairs: IntArray, least: float) -> BoolArray:
+    """Mark those of the edges (k, 2), sorted, that are of a triangle whose altitude is less.
+
+    Or less than THINNEST of its longest edge.
+    """
+    ends = np.zeros(len(net.points), dtype=np.bool_)
+    ends[pairs] = True
+    triangles = net.triangles[: net.count[1]]
+    triangles = triangles[(triangles[:, 0] >= 0) & (ends[triangles].sum(axis=1) > 1)]
+    corners = net.points[triangles.T, :3].transpose(2, 0, 1)
+    edges = corners - corners[:, [1, 2, 0]]
+    u, v = edges[:, 0], edges[:, 1]
+    area = ((u[[1, 2, 0]] * v[[2, 0, 1]] - u[[2, 0, 1]] * v[[1, 2, 0]]) ** 2).sum(axis=0)
+    longest = (edges**2).sum(axis=0).max(axis=0)
+    thin = np.sort(triangles[area < np.maximum(least**2, THINNEST**2 * longest) * longest], axis=1)
+    key = [a.astype(np.int64) * len(net.points) + b
+           for a, b in (thin[:, [0, 1]].T, thin[:, [0, 2]].T, thin[:, [1, 2]].T, pairs.T)]
+    return np.isin(key[3], np.concatenate(key[:3]))
 
 
 def _grown(net: Net, vertices: int, triangles: int) -> Net:

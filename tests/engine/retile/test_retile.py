@@ -3,13 +3,16 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import igl
 import numpy as np
 import pytest
 from surface_meshes import bowl, cube, cylinder, sphere, torus
 
+from odt_plugins.engine.cells.extremes import FREELY
 from odt_plugins.engine.retile.run import retile
+from odt_plugins.engine.retile.surface import Base, at_thin, resize
 from odt_plugins.engine.run.outcome import as_it_is
 from odt_plugins.mesh.simplex import simplex_mesh
 from odt_plugins.mesh.surface import surface_edges, surface_mesh
@@ -166,6 +169,27 @@ def test_no_vertex_may_go_where_two_lines_would_become_one():
     outcome = retile(mesh, np.full(6, 9.0), Options(boundary="slide", keep=()), as_it_is)
     assert len(outcome.cells) == 1
     assert {tuple(x) for x in outcome.points.tolist()} == {(0, 0), (4, 0), (2, 3.5)}
+
+
+@pytest.mark.parametrize(("thin", "least", "most"), [(0.0, 60, 1000), (10.0, 1, 18)])
+def test_no_edge_of_a_thin_triangle_is_split(thin, least, most):
+    points, cells = bowl(4, 0.2)
+    n, cells = len(points), cells.astype(np.int32)
+    edges = surface_edges(cells, n)
+    no = np.zeros(len(edges.degree), dtype=bool)
+    base = Base(points, cells, np.zeros(len(cells), dtype=np.int32), edges, np.zeros(n, dtype=bool),
+                no, no, np.empty((n, 0)), thin)
+    net, _ = resize(base, np.full(n, 0.2), np.full(len(cells), 0.1), FREELY, feature_angle=40.0)
+    assert least <= net.count[1] <= most
+
+
+def test_a_needle_is_not_split_into_triangles_that_are_flat_but_for_rounding():
+    points = np.array([[0.0, 0, 0], [1, 0, 0], [1, 1e-9, 0], [0, 1, 1]])
+    cells = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
+    net = SimpleNamespace(points=points, triangles=cells, count=[4, 2])
+    pairs = np.array([[0, 1], [0, 2], [0, 3], [1, 2], [2, 3]])
+    assert at_thin(net, pairs, 0.0).tolist() == [True, True, False, True, False]
+    assert at_thin(net, pairs, 2.0).all()
 
 
 def test_the_same_bits_twice():
