@@ -32,6 +32,12 @@ LARGEST = {2: 4000, 3: 10_000}
 HALVINGS = 3
 """How many times as few vertices, half each time, other meshes have, for the order."""
 
+BOTH = 1.5
+"""Norm by which errors in L1 and L2 are about as far above the least ones."""
+
+SPREAD = {"layers": range(2300, 2751, 50), "boundary": range(2300, 2751, 50)}
+"""Vertices of runs in space whose errors should be near each other."""
+
 PER_VERTEX = {2: 2.0, 3: 5.5}
 """Cells of a mesh for each of its vertices."""
 
@@ -125,13 +131,13 @@ WAYS: dict[str, Callable[[Mesh, FloatArray], Mesh]] = {"odt-plugins": by_us, "mm
 """Who makes the next mesh."""
 
 
-def adapted(test: str, d: int, vertices: int, way: str) -> Adapted:
-    """Adapt a mesh of about so many vertices to a function."""
+def adapted(test: str, d: int, vertices: int, way: str, norm: float = 2.0) -> Adapted:
+    """Adapt a mesh of about so many vertices to a function, for an L^p norm of the error."""
     f, mesh, clock = TESTS[test], start(d), time.perf_counter()
     limits = GROWTH if way == "odt-plugins" else 1e3, STRETCH
     for _ in range(ROUNDS):
         metric = hessians_to_metric(
-            *mesh, hessians(f, mesh[0])[None], LEAST, PER_VERTEX[d] * vertices, 2.0, limits)
+            *mesh, hessians(f, mesh[0])[None], LEAST, PER_VERTEX[d] * vertices, norm, limits)
         mesh = WAYS[way](mesh, metric)
     seconds = time.perf_counter() - clock
     return Adapted(mesh, interpolation_errors(*mesh, f), seconds)
@@ -166,7 +172,8 @@ def aniso_tables(say: Say, dims: Sequence[int] = (2, 3)) -> list[Table]:
             if len(found) > 1:
                 orders.append((name, *(f"{done.errors.l2:.3g}" for done in found),
                                order(d, found)))
-            done = {"odt-plugins": found[-1]}
+            done = {"odt-plugins": found[-1], f"odt-plugins, norm={BOTH}": adapted(
+                test, d, LARGEST[d], "odt-plugins", BOTH)}
             if find_spec("mmgpy") and (d == 2 or test == "sphere"):
                 done["mmg"] = adapted(test, d, LARGEST[d], "mmg")
             for way, last in done.items():
@@ -176,7 +183,19 @@ def aniso_tables(say: Say, dims: Sequence[int] = (2, 3)) -> list[Table]:
     heads = ("test", *(f"1 / {2**k}" if k else "all" for k in range(HALVINGS, -1, -1)), "order")
     return [Table("aniso", f"Errors after {ROUNDS} rounds", HEADS, rows),
             Table("order", "L2 errors with fewer vertices", heads, orders),
-            *([matched(say)] if 3 in dims else []), stretched(say, dims)]
+            *([spread(), matched(say)] if 3 in dims else []), stretched(say, dims)]
+
+
+def spread() -> Table:
+    """L2 errors of runs in space that differ by a few vertices."""
+    rows: list[tuple[Value, ...]] = []
+    for test, sizes in SPREAD.items():
+        runs = [adapted(test, 3, size, "odt-plugins") for size in sizes]
+        scaled = [run.vertices ** (2.0 / 3.0) * run.errors.l2 for run in runs]
+        rows.append((f"space, {test}", len(runs), f"{min(scaled):.4f}", f"{max(scaled):.4f}",
+                     max(scaled) / min(scaled)))
+    heads = ("test", "runs", "least N^(2/3) L2", "largest", "ratio")
+    return Table("spread", "Runs that differ by a few vertices", heads, rows)
 
 
 def _row(name: str, way: str, d: int, last: Adapted) -> tuple[Value, ...]:
