@@ -143,7 +143,7 @@ def test_the_same_bits_for_any_number_of_threads(many_threads):
     ({"metric": "input", "solver": "global"}, "solver"),
     ({"metric": "input", "density": np.ones(144)}, "density"),
     ({"metric": "input", "connectivity": "delaunay"}, "connectivity"),
-    ({"metric": "input", "blocks": 2}, "blocks"),
+    ({"metric": "input", "insert": True}, "insert"),
 ])
 def test_what_goes_with_no_metric_is_refused_in_a_sentence(options, said):
     with pytest.raises(InvalidOptionError, match=said):

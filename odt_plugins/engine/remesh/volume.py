@@ -143,7 +143,7 @@ def resize(work: Resizing, slides: bool, pool: Pool | None, tick: Callable[[floa
 
 
 def _split(work: Resizing, pool: Pool | None) -> int:
-    """Split long edges; where limits fall, edges that became short vanish before the next limit."""
+    """Split long edges; in a metric edges that became short vanish between the passes."""
     total = 0
     for limit in [*_halved(work), *PASSES * [LONG]]:
         edges = edges_beyond(work.body, limit, longer=True)
@@ -158,10 +158,10 @@ def _split(work: Resizing, pool: Pool | None) -> int:
                         work.body, work.scratch, work.guard, left, 8 * left + 4096)
         work.sizes(pool)
         total += int(done[0])
-        if limit > LONG:
-            work.log.add("collapses", _collapse(work, limit))
-        elif done[0] <= FEW * len(edges):
+        if limit == LONG and done[0] <= FEW * len(edges):
             break
+        if work.field.metric.size:
+            work.log.add("collapses", _collapse(work, limit))
     return total
 
 
