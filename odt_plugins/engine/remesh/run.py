@@ -23,6 +23,7 @@ from odt_plugins.engine.remesh.chords import curvature_sizes
 from odt_plugins.engine.remesh.lay_out import lay_out, surface_of
 from odt_plugins.engine.remesh.sizes import (
     Sizes,
+    expected_cells,
     lengths_of,
     local_sizes,
     unique_edges,
@@ -75,6 +76,10 @@ EXTREMES = frozenset({"min_quality", "min_angle", "max_angle", "min_altitude"})
 CROWDED = 200
 """Multiple of the triangles that are expected in a metric, or of those of the input, from which on
 none are split: triangles between feature lines that are needles in it take many more."""
+
+MOST_GIVEN_WAY = 10
+"""Multiple of the cells that are expected, or of those of the input, beyond which sizes do not give
+way to those of a surface or of the input."""
 
 REACH = 0.7
 """Vertices of the input are held that are nearer to a spoiled place, in units of the size."""
@@ -220,7 +225,7 @@ def _fallen(mesh: SimplexMesh, outcome: Outcome, options: Options, *, few: bool)
 
 def _nearer(mesh: SimplexMesh, sizes: Sizes, spoiled: BoolArray) -> Sizes | None:
     """Sizes nearer to those of the input where cells are spoiled, else everywhere; None where they
-    are no longer than these.
+    are no longer than these, or would make too many cells.
     """
     own = local_sizes(mesh)
     longer = sizes.values > CLOSE * own
@@ -231,7 +236,15 @@ def _nearer(mesh: SimplexMesh, sizes: Sizes, spoiled: BoolArray) -> Sizes | None
         most = np.where(longer, own, np.inf)
     else:
         most = np.where(longer, np.sqrt(own * sizes.values), np.inf)
-    return sizes.below(mesh, most) if longer.any() else None
+    if not longer.any():
+        return None
+    found = sizes.below(mesh, most)
+    return found if expected_cells(mesh, found.values) <= _most(mesh, sizes) else None
+
+
+def _most(mesh: SimplexMesh, sizes: Sizes) -> float:
+    """Cells, about, beyond which sizes do not give way."""
+    return MOST_GIVEN_WAY * max(sizes.cells, len(mesh.cells))
 
 
 def _explained(
@@ -365,7 +378,7 @@ def _resized(
         were = [frame.vertices[s.rows[s.live()]] for s in (body.segments, body.triangles)]
         work = Resizing(body, guard, scratch, field, field.walk_start(len(start.points)), log,
                         LONGER * local_sizes(mesh)[frame.vertices] * unit, sizes.growth,
-                        relents)
+                        relents, _most(mesh, sizes))
         resize(work, share > 0.0, pool, tick, threads)
         whole = make_density(NodalDensity(LONGER * asked[frame.vertices] * unit, 1.0), None,
                              start.points, start.cells, None)

@@ -122,20 +122,28 @@ def expected_cells(mesh: SimplexMesh, values: FloatArray) -> float:
 
     In a metric by the rule of the middle and the corners that is exact for quadratic polynomials.
     """
+    if not len(mesh.metric):
+        return cells_of_sizes(mesh.points, mesh.cells, values)
     d = mesh.dim
     dense = power(values, -float(d))
     content = np.abs(signed_volumes(*as_seen(mesh.points, mesh.cells, mesh.metric)))
     count = float((content * corner_mean(dense, mesh.cells)).sum())
-    if len(mesh.metric):
-        apart = mesh.points[mesh.cells].reshape(-1, mesh.points.shape[1])
-        rows = np.arange(len(apart), dtype=np.int32).reshape(mesh.cells.shape)
-        corners = 0.0
-        for corner in mesh.cells.T:
-            metric = np.repeat(mesh.metric[corner], d + 1, axis=0)
-            content = np.abs(signed_volumes(*as_seen(apart, rows, metric)))
-            corners += float((content * dense[corner]).sum())
-        count = ((d + 1) * count + corners / (d + 1)) / (d + 2)
+    apart = mesh.points[mesh.cells].reshape(-1, mesh.points.shape[1])
+    rows = np.arange(len(apart), dtype=np.int32).reshape(mesh.cells.shape)
+    corners = 0.0
+    for corner in mesh.cells.T:
+        metric = np.repeat(mesh.metric[corner], d + 1, axis=0)
+        content = np.abs(signed_volumes(*as_seen(apart, rows, metric)))
+        corners += float((content * dense[corner]).sum())
+    count = ((d + 1) * count + corners / (d + 1)) / (d + 2)
     return count / CONTENT[d + 1]
+
+
+def cells_of_sizes(points: FloatArray, cells: IntArray, values: FloatArray) -> float:
+    """As :func:`expected_cells` of points and cells, without a metric."""
+    dense = power(values, 1.0 - cells.shape[1])
+    content = np.abs(signed_volumes(points, cells))
+    return float((content * corner_mean(dense, cells)).sum()) / CONTENT[cells.shape[1]]
 
 
 def unique_edges(cells: IntArray) -> IntArray:

@@ -27,6 +27,7 @@ from odt_plugins.engine.remesh.lay_out import SPARE, edges_beyond
 from odt_plugins.engine.remesh.relax import relax_surface
 from odt_plugins.engine.remesh.relent import reached_sizes, relented
 from odt_plugins.engine.remesh.simplices import make_simplices
+from odt_plugins.engine.remesh.sizes import cells_of_sizes
 from odt_plugins.engine.remesh.split import split_edges
 from odt_plugins.engine.topology.complex import make_complex
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -77,6 +78,7 @@ class Resizing:
     own : (k,) float64             sizes that the input has
     growth : float                 see Wish
     relents : bool                 whether sizes give way where the surface stays finer
+    most : float                   cells, about, beyond which they do not
     """
 
     body: Body
@@ -88,6 +90,7 @@ class Resizing:
     own: FloatArray
     growth: float
     relents: bool
+    most: float
 
     def sizes(self, pool: Pool | None) -> None:
         """Take the sizes of the field at the places where vertices are now."""
@@ -114,7 +117,9 @@ class Resizing:
         surface = np.unique(self.body.triangles.rows[self.body.triangles.live()])
         if stuck > (0.0 if self.relents else MOST_STUCK) * len(surface):
             self.relents = True
-            self.field = relented(self.field, self.body, reached, self.own, self.growth)
+            field = relented(self.field, self.body, reached, self.own, self.growth)
+            if cells_of_sizes(field.nodes[:, :3], field.cells, field.nodes[:, 3]) <= self.most:
+                self.field = field
 
 
 def resize(work: Resizing, slides: bool, pool: Pool | None, tick: Callable[[float], None],
