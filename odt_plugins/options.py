@@ -337,7 +337,7 @@ class Options:
                             ("connectivity", ("auto", "flips", "none")), ("insert", (False,))):
             value = getattr(self, name)
             good = isinstance(value, str | bool) and value in known
-            expect(good, name, value, f"one of {known} with a metric")
+            expect(good, name, value, f"{' or '.join(map(str, known))} with a metric")
 
 
 OPTIONS = {about.name: about for about in dataclasses.fields(Options)}
