@@ -155,7 +155,7 @@ def improve(block: Block) -> Improved:
     if mesh.is_surface:
         return _improved_surface(block, options)
     outcome = run(mesh, options, within=block.within)
-    points, cells, sizes, metric = outcome.points, outcome.cells, outcome.sizes, outcome.metric
+    points, cells, sizes = outcome.points, outcome.cells, outcome.sizes
     if outcome.origin is not None:
         n = len(mesh.points)
         number = old_numbers(outcome.origin, n)
@@ -165,7 +165,7 @@ def improve(block: Block) -> Improved:
             values[number] = sizes
             sizes = values
     return Improved(points, cells, outcome.regions, block.density if sizes is None else sizes,
-                    metric, outcome.counts, outcome.fallback)
+                    outcome.metric, outcome.counts, outcome.fallback)
 
 
 def _improved_surface(block: Block, options: Options) -> Improved:

@@ -41,7 +41,7 @@ ATTEMPTS = 4
 those that follow the triangles of the input stay there."""
 
 FLAT = 64 * float(np.finfo(np.float64).eps)
-"""Part of the largest coordinate: no triangle is made with an altitude below it."""
+"""Least altitude of a triangle that a split makes, as a part of the largest coordinate."""
 
 NARROWER = 0.3
 """Part of the envelope that is left there."""

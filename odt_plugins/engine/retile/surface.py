@@ -53,8 +53,8 @@ FINISH = ((2.0, 10), (4.0, 10), (8.0, 10))
 """Powers p and sweeps of flips and Newton steps on F_p that follow."""
 
 THINNEST = 1e-8
-"""Altitude of a triangle, as a part of its longest edge, below which its edges are not split; less
-than that of triangles in any metric that is allowed."""
+"""Least altitude of a triangle whose edges are split, as a part of its longest edge. Triangles that
+are regular in an allowed metric have more."""
 
 PASSES = 24
 """Most passes of one operation in a round; a pass of splits halves the longest edges."""
@@ -289,10 +289,7 @@ def _edges(net: Net, since: int) -> tuple[IntArray, FloatArray, IntArray]:
 
 
 def at_thin(net: Net, pairs: IntArray, least: float) -> BoolArray:
-    """Mark those of the edges (k, 2), sorted, that are of a triangle whose altitude is less.
-
-    Or less than THINNEST of its longest edge.
-    """
+    """Mark the edges (k, 2), sorted, of triangles whose altitude is below a length or THINNEST."""
     ends = np.zeros(len(net.points), dtype=np.bool_)
     ends[pairs] = True
     triangles = net.triangles[: net.count[1]]
