@@ -212,6 +212,9 @@ def new_faces(
             source[here] = own[nearest]
         turned = _turned(before, rows[source], outcome, made)
         made[turned, -2:] = made[turned, :-3:-1]
+        same = number[rows[source]]
+        itself = (np.sort(made, axis=1) == np.sort(same, axis=1)).all(axis=1)
+        made[itself] = same[itself]
         stays = np.flatnonzero(labels < 0)
         both = np.concatenate([number[rows[stays]], made]).astype(np.int64)
         source = np.concatenate([stays, source])

@@ -63,7 +63,6 @@ from odt_plugins.mesh.plane import PlaneFrame, plane_frame
 from odt_plugins.mesh.simplex import (
     SimplexMesh,
     compact_labels,
-    diagonal,
     mesh_arrays,
     reverse,
     simplex_mesh,
@@ -73,6 +72,7 @@ from odt_plugins.mesh.surface import surface_mesh
 from odt_plugins.mesh.tangled import tangled_mesh
 from odt_plugins.metric.looks import ADVICE, MOST, looks_anisotropic
 from odt_plugins.metric.through import with_metric
+from odt_plugins.onto import in_space, near_geometry
 from odt_plugins.options import Options
 from odt_plugins.progress import kernels_shown, part, telling
 from odt_plugins.reference import within_reference
@@ -86,8 +86,6 @@ if TYPE_CHECKING:
 
 PLAIN = Wanted()
 """What is asked of a mesh with inverted or flat cells unless something else is."""
-LARGEST = 0.5
-"""Envelope, as a part of the diagonal, up to which the sag of a surface is added to it."""
 
 
 def run_engine(
@@ -126,8 +124,8 @@ def run_engine(
             and looks_anisotropic(work.mesh, options.threads))
         if stretched and options.metric is None:
             work = work._replace(notes=(*work.notes, ADVICE))
-        slides = options.boundary == "slide" and work.frame is None
-        moves = work.host.geometry is not None and (work.mesh.is_surface or slides)
+        moves = work.host.geometry is not None and (
+            work.mesh.is_surface or options.boundary == "slide")
         leaving = partial(_as_it_leaves, work, options.threads, onto=moves)
         with words_of(work.host):
             expect_overlaps(work, options)
@@ -139,7 +137,8 @@ def run_engine(
             work = work._replace(mesh=metric)
             chosen, left = within_reference(chosen, work.host)
             work = work._replace(notes=work.notes + left)
-            chosen = _with_sag(chosen, work) if moves else chosen
+            if moves:
+                work, chosen = near_geometry(work, chosen)
             then = progress if work.tangle is None else part(progress, wanted.share, 1.0)
             chosen = replace(chosen, progress=tell and then)
             curved = _run_kept(work, given, engine or optimized, chosen, leaving)
@@ -393,15 +392,6 @@ def _in_frame(options: Options, frame: PlaneFrame | None) -> Options:
     return replace(options, density=lambda x: density(frame.to_space(x)))
 
 
-def _with_sag(options: Options, work: Prepared) -> Options:
-    """Let the envelope be that around the geometry, from which the surface of the input sags."""
-    if work.host.geometry is None:
-        return options
-    used = work.mesh.points[np.unique(work.mesh.cells)]
-    sag = work.host.geometry.sag() / diagonal(used)
-    return replace(options, envelope=min(options.envelope + sag, LARGEST))
-
-
 def _of_mesh(options: Options, tangle: Tangle | None) -> Options:
     """Say for a mesh that was untangled what was said before: densities, how many vertices come.
 
@@ -446,10 +436,8 @@ def _as_it_leaves(
     origin = outcome.origin if outcome.origin is not None else np.arange(n)
     moved = (origin < 0) | (outcome.points != work.mesh.points[origin]).any(axis=1)
     written = np.array(work.host.points)[origin]
-    points, new = outcome.points.copy(), outcome.points[moved]
-    if onto and work.host.geometry is not None:
-        new = work.host.geometry.closest(origin[moved], new)
-    written[moved] = new if work.frame is None else work.frame.to_space(new)
+    points, new = outcome.points.copy(), in_space(work, outcome, moved, onto=onto)
+    written[moved] = new
     read = written[moved].astype(np.float64)
     points[moved] = read if work.frame is None else work.frame.to_plane(read)
     outcome = replace(outcome, points=points, written=written)

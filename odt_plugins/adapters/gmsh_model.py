@@ -8,7 +8,8 @@ physical groups, names, attributes, tags of nodes, tags of elements that are sti
 coordinates (computed anew where a node moved on a curve or surface), periodic links, elements of
 lower dimension and other linear ones. New elements and mid-nodes take tags that became free, then
 those above all others, inserted nodes only such. Elements of different entities never mix.
-Vertices of a face or curve that slide do so on the geometry itself, not on its triangles.
+Vertices of a face or curve that slide or come do so on the geometry itself, not on its triangles;
+faces and curves whose vertices came or went get other elements, in the same entities.
 Triangles and tetrahedra of higher order are optimised by their corners, see
 :mod:`odt_plugins.adapters.higher_order`. Views of
 post-processing stay as they are, and so do periodic curves and surfaces. Partitioned meshes and
@@ -26,60 +27,37 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters.gmsh_parts import (
+    Elements,
+    Entity,
+    IntArray,
+    Kind,
+    Part,
+    Rows,
+    chosen_kind,
+    kinds_of,
+    parts_of,
+)
 from odt_plugins.adapters.higher_order import (
     HigherOrder,
     check_mid_nodes,
     lattice,
     with_mid_nodes,
 )
-from odt_plugins.adapters.host import Geometry, HostMesh, KeptCells, Result
+from odt_plugins.adapters.host import (
+    Geometry,
+    HostMesh,
+    KeptCells,
+    Result,
+    each_once,
+    middles,
+)
 from odt_plugins.adapters.regions import AUTO, region_labels
-from odt_plugins.errors import InvalidMeshError, UnsupportedMeshError, counted
-
-Entity = tuple[int, int]
-"""Dimension and tag."""
-
-IntArray = NDArray[np.int64]
+from odt_plugins.errors import UnsupportedMeshError
+from odt_plugins.mesh.faces import Faces, labels_at
 
 WITHOUT_GEOMETRY = ("Discrete curve", "Discrete surface", "Unknown")
 """Types of entities that are nothing but their mesh."""
-
-
-class Kind(NamedTuple):
-    """A type of elements: its name, dimension, order, number of nodes, and that of corners."""
-
-    name: str
-    dim: int
-    order: int
-    nodes: int
-    corners: int
-
-    @property
-    def is_simplex(self) -> bool:
-        """Whether these are points, lines, triangles or tetrahedra with all their nodes."""
-        full = self.corners == self.dim + 1
-        return full and (self.dim == 0
-                         or self.nodes == len(lattice(self.dim, self.order, "gmsh")))
-
-
-class Elements(NamedTuple):
-    """The elements of one type on one entity: number of the type, tags (m,), nodes (m, k)."""
-
-    number: int
-    tags: NDArray[Any]
-    nodes: NDArray[Any]
-
-
-class Part(NamedTuple):
-    """The mesh of one entity: tags (n,), places (n, 3) and parameters (n, d) of its own nodes.
-
-    Where it has no parametrisation d is 0; a node without parameters on one that has has NaN.
-    """
-
-    tags: NDArray[Any]
-    places: NDArray[np.float64]
-    parameters: NDArray[np.float64]
-    elements: list[Elements]
 
 
 class Layout(NamedTuple):
@@ -92,7 +70,8 @@ class Layout(NamedTuple):
     kind : Kind                    that type
     entity : (n,) int              which of the parts every node belongs to
     tags : (n,) int                of all nodes
-    nodes : (m, k) int             nodes of the optimised elements, places among all nodes
+    cells : Rows                   the optimised elements
+    faces : dict                   lines and triangles beside these, by the numbers of their types
     """
 
     parts: dict[Entity, Part]
@@ -100,7 +79,8 @@ class Layout(NamedTuple):
     kind: Kind
     entity: IntArray
     tags: IntArray
-    nodes: IntArray
+    cells: Rows
+    faces: dict[int, Rows]
 
 
 def matches(mesh: object) -> bool:
@@ -122,9 +102,9 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     InvalidMeshError           Gmsh is not initialised, or the model has no elements
     InvalidOptionError         regions are named
     """
-    parts = _parts(mesh)
-    kinds = _kinds(mesh, parts)
-    number = _chosen(mesh, kinds)
+    parts = parts_of(mesh)
+    kinds = kinds_of(mesh, parts)
+    number = chosen_kind(mesh, kinds)
     kind = kinds[number]
     tags = np.concatenate([part.tags for part in parts.values()]).astype(np.int64)
     order = np.argsort(tags)
@@ -132,25 +112,36 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     def places_of(nodes: NDArray[Any]) -> IntArray:
         return order[np.searchsorted(tags, nodes, sorter=order)]
 
-    cells: list[IntArray] = []
-    blocks: list[IntArray] = []
     ids: list[IntArray] = []
     kept: list[KeptCells] = []
+    found: dict[int, list[Rows]] = {number: []}
     total = 0
     for i, part in enumerate(parts.values()):
         for elements in part.elements:
             rows, other = places_of(elements.nodes), kinds[elements.number]
+            own = Rows(elements.tags.astype(np.int64), rows, np.full(len(rows), i))
             if elements.number == number:
-                cells.append(rows)
-                blocks.append(np.full(len(rows), i))
+                found[number].append(own)
                 ids.append(total + np.arange(len(rows)))
             elif other.is_simplex and 0 < other.dim < kind.dim:
-                kept.append(KeptCells(other.name, rows[:, : other.corners]))
+                found.setdefault(elements.number, []).append(own)
             elif other.dim == 0 or not other.is_simplex:
                 kept.append(KeptCells(other.name, rows.reshape(-1, 1)))
             total += len(rows)
     entity = np.repeat(np.arange(len(parts)), [len(part.tags) for part in parts.values()])
-    nodes, where = np.concatenate(cells), np.concatenate(blocks)
+    every = {one: Rows(np.concatenate([rows.tags for rows in several]),
+                       np.concatenate([rows.nodes for rows in several]),
+                       np.concatenate([rows.part for rows in several]))
+             for one, several in found.items()}
+    cells = every.pop(number)
+    for one, whole in every.items():
+        groups = each_once(kinds[one].name, whole.nodes[:, : kinds[one].corners], whole.part)
+        every[one] = whole._replace(kept=tuple(
+            (len(kept) + i, chosen) for i, (_, chosen) in enumerate(groups)))
+        kept += [part for part, _ in groups]
+    bare = _bare(parts, entity, [*every.values(), cells])
+    kept += [KeptCells("edge of a curve", bare)] if len(bare) else []
+    nodes, where = cells.nodes, cells.part
     shape = lattice(kind.dim, kind.order, "gmsh")
     if kind.order > 1:
         check_mid_nodes(nodes, len(tags), shape)
@@ -158,22 +149,22 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     if regions not in (AUTO, None):
         region_labels({}, regions, nodes)
     several = len(np.unique(where)) > 1
-    own = np.array([tag for _, tag in parts])[where]
+    labels = np.array([tag for _, tag in parts])[where]
     return HostMesh(
         points=np.concatenate([part.places for part in parts.values()]),
         cells=nodes[:, : kind.corners],
-        regions=own if several else None,
+        regions=labels if several else None,
         regions_from=("entities",) if several else (),
         blocks=where if several else None,
         kept=tuple(kept),
         source=mesh,
-        layout=Layout(parts, number, kind, entity, tags, nodes),
+        layout=Layout(parts, number, kind, entity, tags, cells, every),
         coupled=_coupled(mesh, parts, places_of),
         higher_order=kind.order > 1,
         nodes=nodes if kind.order > 1 else None,
         shape=shape if kind.order > 1 else None,
         settle=partial(_settled, mesh),
-        geometry=_geometry(mesh, parts, entity, tags),
+        geometry=_geometry(mesh, parts, entity, tags, where),
         ids=np.concatenate(ids),
         total=total,
         words=in_words,
@@ -208,77 +199,6 @@ def in_words(text: str) -> str:
     return re.sub(r"\bcell(s?)\b", r"element\1", text)
 
 
-def _parts(model: Any) -> dict[Entity, Part]:
-    """The mesh of every entity.
-
-    Raises
-    ------
-    InvalidMeshError        Gmsh is not initialised
-    UnsupportedMeshError    the mesh is partitioned
-    """
-    import gmsh
-
-    if not gmsh.isInitialized():
-        msg = "Gmsh has no elements, since it is not initialised; try gmsh.initialize() first"
-        raise InvalidMeshError(msg)
-    count = model.getNumberOfPartitions()
-    if count:
-        msg = (f"got a model of {counted(count, 'partition')}; expected one that is not "
-               f"partitioned, try gmsh.model.mesh.unpartition()")
-        raise UnsupportedMeshError(msg)
-    parts = {}
-    for entity in model.getEntities():
-        tags, flat, parameters = model.mesh.getNodes(*entity)
-        elements = [Elements(int(number), own, nodes.reshape(len(own), -1)) for number, own, nodes
-                    in zip(*model.mesh.getElements(*entity), strict=True)]
-        width = entity[0] if len(parameters) else 0
-        if len(parameters) == width * len(tags):
-            own = parameters.reshape(len(tags), width)
-        else:
-            # Gmsh tells those of the nodes that have some, as if there were no others.
-            each = [model.mesh.getNode(tag)[1] for tag in tags]
-            own = np.array([found if len(found) else np.full(width, np.nan) for found in each])
-        parts[entity] = Part(tags, flat.reshape(-1, 3), own, elements)
-    return parts
-
-
-def _kinds(model: Any, parts: dict[Entity, Part]) -> dict[int, Kind]:
-    numbers = {elements.number for part in parts.values() for elements in part.elements}
-    out = {}
-    for number in sorted(numbers):
-        name, dim, order, nodes, _, corners = model.mesh.getElementProperties(number)
-        out[number] = Kind(name, dim, order, nodes, corners)
-    return out
-
-
-def _chosen(model: Any, kinds: dict[int, Kind]) -> int:
-    """Number of the type of the elements to optimise.
-
-    Raises
-    ------
-    InvalidMeshError        there are no elements
-    UnsupportedMeshError    there are none of that kind, or others that cannot be kept
-    """
-    most = max((kind.dim for kind in kinds.values()), default=0)
-    if most < 2:
-        msg = (f"the model {model.getCurrent()!r} has no elements of surfaces or volumes; expected "
-               f"tetrahedra or triangles, try gmsh.model.mesh.generate()")
-        raise InvalidMeshError(msg)
-    found = [number for number, kind in kinds.items() if kind.dim == most and kind.is_simplex]
-    if not found:
-        names = ", ".join(kind.name for kind in kinds.values() if kind.dim == most)
-        msg = f"got elements of type {names}; expected tetrahedra, or triangles without volumes"
-        raise UnsupportedMeshError(msg)
-    order = kinds[found[0]].order
-    for kind in kinds.values():
-        fits = kind.order == order if kind.is_simplex and kind.dim else kind.order <= 1
-        if not fits:
-            msg = (f"got elements of type {kind.name} beside {kinds[found[0]].name}; expected "
-                   f"others to be linear, try gmsh.model.mesh.setOrder(1)")
-            raise UnsupportedMeshError(msg)
-    return found[0]
-
-
 def _apart(
     parts: dict[Entity, Part], entity: IntArray, dim: int, kept: list[KeptCells], nodes: IntArray
 ) -> IntArray:
@@ -293,34 +213,57 @@ def _apart(
     return np.flatnonzero(used & ((low == 0) | ((low < dim) & ~held)))[:, None]
 
 
+def _bare(parts: dict[Entity, Part], entity: IntArray, several: list[Rows]) -> IntArray:
+    """Edges (q, 2) of triangles on curves whose lines the model does not hold."""
+    low = np.array([d for d, _ in parts])[entity]
+    ends: list[IntArray] = [np.zeros((0, 2), dtype=np.int64)]
+    owner, lines = [np.zeros(0, dtype=np.int64)], [np.zeros((0, 2), dtype=np.int64)]
+    dims = np.array([d for d, _ in parts])
+    for rows in several:
+        dim = int(dims[rows.part].max(initial=0))
+        if dim == 1:
+            lines.append(rows.nodes[:, :2])
+        for pair in ((0, 1), (1, 2), (2, 0)) if dim == 2 else ():
+            both = rows.nodes[:, pair]
+            on = (low[both] < 2).all(axis=1)
+            ends.append(both[on])
+            owner.append(rows.part[on])
+    edges, first, inverse, count = np.unique(
+        np.sort(np.concatenate(ends), axis=1), axis=0, return_index=True, return_inverse=True,
+        return_counts=True)
+    of = np.concatenate(owner)
+    several_parts = np.zeros(len(edges), dtype=np.bool_)
+    several_parts[inverse.ravel()[of != of[first][inverse.ravel()]]] = True
+    known = Faces(np.concatenate(lines).astype(np.int32),
+                  np.zeros(sum(map(len, lines)), dtype=np.int32))
+    bare: IntArray = edges[((count != 2) | several_parts) & (labels_at(edges, known) < 0)]
+    return bare
+
+
 def _geometry(
-    model: Any, parts: dict[Entity, Part], entity: IntArray, tags: IntArray
+    model: Any, parts: dict[Entity, Part], entity: IntArray, tags: IntArray, where: IntArray
 ) -> Geometry | None:
-    """The faces and curves of the model, unless all are discrete."""
+    """The faces and curves of the model, by the places of their parts, unless all are discrete."""
     keys = list(parts)
     shaped = _shaped(model, parts)
     if not any(keys[i][0] == 2 for i in shaped):
         return None
 
-    def closest(vertices: NDArray[Any], places: NDArray[np.float64]) -> NDArray[np.float64]:
-        return _put_on(model, parts, np.where(vertices < 0, -1, entity[vertices]), places)
-
     def sag() -> float:
         most = 0.0
-        where = np.concatenate([part.places for part in parts.values()])
+        places = np.concatenate([part.places for part in parts.values()])
         order = np.argsort(tags)
         for i in shaped:
-            for elements in parts[keys[i]].elements if keys[i][0] == 2 else ():
-                corners = order[np.searchsorted(tags, elements.nodes[:, :3], sorter=order)]
-                x = where[corners]
-                middle = np.concatenate([x.mean(axis=1), *(
-                    0.5 * (x[:, a] + x[:, b]) for a, b in ((0, 1), (1, 2), (2, 0)))])
+            for elements in parts[keys[i]].elements:
+                rows = elements.nodes[:, : keys[i][0] + 1]
+                middle = middles(places[order[np.searchsorted(tags, rows, sorter=order)]])
                 there = _put_on(model, parts, np.full(len(middle), i), middle)
                 most = max(most, float(np.linalg.norm(there - middle, axis=1).max()))
         return most
 
     curves = [i for i in range(len(keys)) if keys[i][0] == 1]
-    return Geometry(closest, sag, np.flatnonzero(np.isin(entity, curves)))
+    return Geometry(partial(_put_on, model, parts), sag, entity,
+                    np.flatnonzero(np.isin(entity, curves)), where)
 
 
 def _shaped(model: Any, parts: dict[Entity, Part]) -> list[int]:
@@ -353,49 +296,71 @@ def _new_parts(model: Any, result: Result, host: HostMesh) -> dict[Entity, Part]
         order = np.argsort(layout.tags)
         kept = order[np.searchsorted(layout.tags, np.unique(others[0]), sorter=order)]
         shape = lattice(layout.kind.dim, layout.kind.order, "gmsh")
-        q = with_mid_nodes(result, host.points, layout.nodes, kept, shape)
+        q = with_mid_nodes(result, host.points, layout.cells.nodes, kept, shape)
         q = _settled(model, host, q, result.source)
         points, cells, origin = q.points, q.cells.astype(np.int64), q.origin
     else:
         points, cells = result.points, result.cells.astype(np.int64)
         origin = np.arange(len(points)) if result.vertices is None else result.vertices.origin
-    entity, block = _entities(host, cells, origin, result.source)
+    now = {layout.number: Rows(layout.cells.tags[result.source], cells,
+                               layout.cells.part[result.source])}
+    if result.faces:
+        now |= {one: _followed(result, old) for one, old in layout.faces.items()}
+    entity = _entities(host, origin, now)
     fresh = origin < 0
     tags = layout.tags[origin]
     free = np.setdiff1d(layout.tags, tags[~fresh]) if host.higher_order else np.zeros(0, np.int64)
     tags[fresh] = _tags(free, int(model.mesh.getMaxNodeTag()), int(fresh.sum()))
-    own = _element_tags(model, result.source, cells, origin, layout)
-    out = {}
+    last = int(model.mesh.getMaxElementTag())
+    for number, rows in now.items():
+        old = layout.faces.get(number, layout.cells)
+        corners = layout.kind.corners if number == layout.number else rows.nodes.shape[1]
+        now[number] = rows._replace(tags=_element_tags(old, rows, origin, corners, last))
+        last = max(last, int(now[number].tags.max(initial=0)))
+    out, shaped = {}, _shaped(model, layout.parts)
     for i, (key, part) in enumerate(layout.parts.items()):
         mine = np.flatnonzero(entity == i)
-        elements = [Elements(e.number, own[block == i], tags[cells[block == i]])
-                    if e.number == layout.number else e for e in part.elements]
+        elements = [_on_entity(i, e, now.get(e.number), tags) for e in part.elements]
         moved = fresh[mine] | (points[mine] != host.points[origin[mine]]).any(axis=1)
         first = int(np.flatnonzero(layout.entity == i)[0]) if len(part.tags) else 0
         parameters = _parameters(model, key, part, points[mine],
-                                 np.where(moved, -1, origin[mine] - first))
+                                 np.where(moved, -1, origin[mine] - first), shaped=i in shaped)
         out[key] = Part(tags[mine], points[mine], parameters, elements)
     return out
 
 
-def _entities(
-    host: HostMesh, cells: IntArray, origin: IntArray, source: NDArray[Any]
-) -> tuple[IntArray, IntArray]:
-    """Entity of every node (n',) and of every cell (m',)."""
-    layout = host.layout
-    block = host.blocks[source] if host.blocks is not None else np.full(
-        len(cells), next(i for i, part in enumerate(layout.parts.values())
-                         if any(e.number == layout.number for e in part.elements)))
-    entity = layout.entity[origin]
-    inside = (origin < 0)[cells]
-    entity[cells[inside]] = np.broadcast_to(block[:, None], cells.shape)[inside]
-    return entity, block
+def _followed(result: Result, old: Rows) -> Rows:
+    """What lines or triangles have become, with the tags of those they come from."""
+    new = [result.faces_of(number, old.nodes[chosen]) for number, chosen in old.kept]
+    source = np.concatenate([chosen[faces.source] for faces, (_, chosen)
+                             in zip(new, old.kept, strict=True)])
+    order = np.argsort(source, kind="stable")
+    nodes = np.concatenate([faces.rows for faces in new])[order]
+    return Rows(old.tags[source[order]], nodes, old.part[source[order]])
+
+
+def _entities(host: HostMesh, origin: IntArray, now: dict[int, Rows]) -> IntArray:
+    """Entity of every node (n',): of one that came, that of the lowest dimension around it."""
+    entity: IntArray = host.layout.entity[origin]
+    for rows in sorted(now.values(), key=lambda rows: -rows.nodes.shape[1]):
+        inside = (origin < 0)[rows.nodes]
+        entity[rows.nodes[inside]] = np.broadcast_to(rows.part[:, None], inside.shape)[inside]
+    return entity
+
+
+def _on_entity(i: int, old: Elements, now: Rows | None, tags: IntArray) -> Elements:
+    """The elements of one type on an entity, which may be others."""
+    if now is None:
+        return old
+    own = now.part == i
+    return Elements(old.number, now.tags[own], tags[now.nodes[own]])
 
 
 def _settled(model: Any, host: HostMesh, q: HigherOrder, source: NDArray[Any]) -> HigherOrder:
     """The same with nodes between the corners on the geometry, where they moved or are new."""
     layout, points, cells = host.layout, q.points.copy(), q.cells.astype(np.int64)
-    entity, _ = _entities(host, cells, q.origin, source)
+    rows = Rows(layout.cells.tags[source], cells, layout.cells.part[source])
+    entity = _entities(host, q.origin, {layout.number: rows})
     between = (q.origin < 0) | (points != host.points[q.origin]).any(axis=1)
     between[cells[:, : layout.kind.corners]] = False
     points[between] = _put_on(model, layout.parts, entity[between], points[between])
@@ -408,30 +373,27 @@ def _tags(free: IntArray, last: int, count: int) -> IntArray:
     return np.concatenate([np.sort(free)[:count], more])
 
 
-def _element_tags(
-    model: Any, source: NDArray[Any], cells: IntArray, origin: IntArray, layout: Layout
-) -> IntArray:
-    """Tags (m',) of the optimised elements; those with the corners of their source keep its own."""
-    old = np.concatenate([e.tags for part in layout.parts.values() for e in part.elements
-                          if e.number == layout.number]).astype(np.int64)
-    corners = layout.kind.corners
-    same = (np.sort(origin[cells[:, :corners]], axis=1)
-            == np.sort(layout.nodes[source, :corners], axis=1)).all(axis=1)
-    tags: IntArray = old[source]
-    free = np.setdiff1d(old, tags[same])
-    tags[~same] = _tags(free, int(model.mesh.getMaxElementTag()), int((~same).sum()))
+def _element_tags(old: Rows, now: Rows, origin: IntArray, corners: int, last: int) -> IntArray:
+    """Tags (m',) of elements of one type; those with the corners of their source keep its own."""
+    order = np.argsort(old.tags)
+    source = order[np.searchsorted(old.tags, now.tags, sorter=order)]
+    same = (np.sort(origin[now.nodes[:, :corners]], axis=1)
+            == np.sort(old.nodes[source, :corners], axis=1)).all(axis=1)
+    tags = now.tags.copy()
+    tags[~same] = _tags(np.setdiff1d(old.tags, tags[same]), last, int((~same).sum()))
     return tags
 
 
 def _parameters(
-    model: Any, entity: Entity, part: Part, places: NDArray[Any], origin: IntArray
+    model: Any, entity: Entity, part: Part, places: NDArray[Any], origin: IntArray, *, shaped: bool
 ) -> NDArray[np.float64]:
     """Parametric coordinates (n', d) of nodes on an entity, anew where `origin` is negative."""
-    width = part.parameters.shape[1] if len(part.tags) else 0
-    if not width:
-        return np.zeros((len(places), 0))
-    out: NDArray[np.float64] = part.parameters[origin].copy()
-    anew = (origin < 0) | np.isnan(out).any(axis=1)
+    width = part.parameters.shape[1] if len(part.tags) else entity[0] * shaped
+    if not (width and len(places)):
+        return np.zeros((len(places), width))
+    out = np.full((len(places), width), np.nan)
+    out[origin >= 0] = part.parameters[origin[origin >= 0]]
+    anew = np.isnan(out).any(axis=1)
     if anew.any():
         # The parameters that getClosestPoint gives on curves are no numbers of theirs.
         found = (model.getParametrization(*entity, places[anew].ravel()) if entity[0] == 1 else
@@ -475,16 +437,28 @@ def _expect_links_kept(
 
 
 def _fill(model: Any, dim: int, old: dict[Entity, Part], new: dict[Entity, Part]) -> None:
-    """Give the entities of a dimension their new mesh, and nodes of others their new places."""
-    model.mesh.clear([key for key in old if key[0] == dim])
+    """Give the entities of a dimension their new mesh, and others where it has other elements; to
+    the nodes of those that are left their new places.
+    """
+    anew = [key for key in sorted(old, reverse=True)
+            if key[0] == dim or not _alike(old[key], new[key])]
+    for key in anew:
+        model.mesh.clear([key])
     for key, part in new.items():
-        if key[0] == dim:
+        if key in anew:
             model.mesh.addNodes(*key, part.tags, part.places.ravel(), part.parameters.ravel())
             continue
         moved = (part.places != old[key].places).any(axis=1)
         for i in np.flatnonzero(moved):
             model.mesh.setNode(part.tags[i], part.places[i], part.parameters[i])
     for key, part in new.items():
-        for elements in part.elements if key[0] == dim else ():
+        for elements in part.elements if key in anew else ():
             model.mesh.addElementsByType(key[1], elements.number, elements.tags,
                                          elements.nodes.ravel())
+
+
+def _alike(one: Part, other: Part) -> bool:
+    """Whether two meshes of an entity have the same nodes and elements."""
+    return np.array_equal(one.tags, other.tags) and all(
+        np.array_equal(a.tags, b.tags) and np.array_equal(a.nodes, b.nodes)
+        for a, b in zip(one.elements, other.elements, strict=True))

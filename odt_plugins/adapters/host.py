@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
+from itertools import combinations
 from types import MappingProxyType
 from typing import Any, NamedTuple, Protocol
 
@@ -12,9 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.errors import InvalidOptionError, ODTError
+from odt_plugins.mesh.facets import row_keys
 
 SET_VERTEX, NAMED_VERTEX = "vertex of point set", "vertex named by its file"
 """Kind of kept cells of a vertex each, with the name of the set behind it."""
+
+SPLINE_VERTEX = "vertex on a spline"
+"""Kind of kept cells of a vertex each, of a mesh of Netgen in the plane."""
 
 
 class KeptCells(NamedTuple):
@@ -32,6 +37,27 @@ class KeptCells(NamedTuple):
     kind: str
     rows: NDArray[Any]
     classes: NDArray[Any] | None = None
+
+
+def middles(corners: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Barycentres of lines or triangles (q, r, D), then the middles of the edges of these."""
+    pairs = list(combinations(range(corners.shape[1]), 2))
+    return np.concatenate([corners.mean(axis=1),
+                           *(0.5 * (corners[:, a] + corners[:, b]) for a, b in pairs)])
+
+
+def each_once(
+    kind: str, rows: NDArray[Any], classes: NDArray[Any]
+) -> list[tuple[KeptCells, NDArray[np.int64]]]:
+    """Kept cells with classes such that none is there twice, and which of the rows they are."""
+    order = np.argsort(classes, kind="stable")
+    key = row_keys(np.sort(rows, axis=1), int(rows.max(initial=0)) + 1)[order]
+    again = np.argsort(key, kind="stable")
+    first = np.searchsorted(key[again], key[again])
+    turn = np.empty(len(rows), dtype=np.int64)
+    turn[order[again]] = np.arange(len(rows)) - first
+    own = [np.flatnonzero(turn == i) for i in range(int(turn.max(initial=-1)) + 1)]
+    return [(KeptCells(kind, rows[chosen], classes[chosen]), chosen) for chosen in own]
 
 
 def classes_of(columns: Sequence[NDArray[Any]], count: int) -> NDArray[np.int64] | None:
@@ -53,17 +79,23 @@ def classes_of(columns: Sequence[NDArray[Any]], count: int) -> NDArray[np.int64]
 class Geometry(NamedTuple):
     """The geometry that a mesh was made of, on which the vertices of its surface slide.
 
+    Faces and curves have numbers, which are the classes of the kept cells on them.
+
     Attributes
     ----------
-    closest : callable       places (k, 3) nearest to given ones (k, 3) on the faces and curves on
-                             which the vertices (k,) are; of vertices on none the given ones
+    closest : callable       places (k, D) nearest to given ones (k, D) on the faces and curves of
+                             given numbers (k,); for those of other numbers the given ones
     sag : callable           how far the surface of the mesh is from it
+    on : (n,) int            face or curve on which every vertex is, -1 of none
     on_curves : (c,) int     vertices on curves, which stay unless the boundary slides
+    cells : (m,) int         face on which every cell of a surface is
     """
 
     closest: Callable[[NDArray[Any], NDArray[np.float64]], NDArray[np.float64]]
     sag: Callable[[], float]
+    on: NDArray[Any]
     on_curves: NDArray[Any]
+    cells: NDArray[Any]
 
 
 @dataclass(frozen=True)

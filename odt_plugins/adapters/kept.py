@@ -9,7 +9,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import NAMED_VERTEX, SET_VERTEX, HostMesh, KeptCells
+from odt_plugins.adapters.host import (
+    NAMED_VERTEX,
+    SET_VERTEX,
+    SPLINE_VERTEX,
+    HostMesh,
+    KeptCells,
+)
 from odt_plugins.errors import InvalidMeshError, counted
 from odt_plugins.mesh.arrays import BoolArray, IntArray
 from odt_plugins.mesh.components import components
@@ -359,6 +365,10 @@ def hold_places(
         notes.append(f"{counted(len(same), 'vertex', 'vertices')} (first: {same[0]}) at the place "
                      f"of another one stay, so that patches do not come apart there; try merging "
                      f"vertices at the same place")
+    splines = sum(len(rows) for kind, rows, _ in host.kept if kind == SPLINE_VERTEX)
+    if splines:
+        notes.append(f"{counted(splines, 'vertex', 'vertices')} on splines stay, since Netgen "
+                     f"takes no parameters of points there")
     disagree = mesh.is_surface and mesh.frozen.any()
     if periodic and mesh.points.shape[1] == 3:
         mesh, count = _hold_periodic(mesh, host.coupled)

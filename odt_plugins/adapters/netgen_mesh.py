@@ -3,8 +3,8 @@
 Everything survives: domains with their materials, names of boundaries, edges and points, face
 descriptors, elements of lower dimension, periodic identifications, the geometry. Elements of
 different domains never mix. A curved mesh is curved anew on its geometry, in its order. Points of a
-surface that slide do so on the faces of the geometry, not on their triangles; those on its edges
-stay, since Netgen keeps where they lie there. Lost are the levels of refinement, and of
+surface that slide or come do so on the faces and edges of the geometry, not on their triangles.
+Lost are the levels of refinement, and of
 ngsolve.Mesh a deformation and absorbing layers: a warning names them. Elements of second order
 (Netgen's `SecondOrder`), and others than triangles and tetrahedra, are refused by name.
 """
@@ -13,12 +13,22 @@ from __future__ import annotations
 
 import re
 from collections.abc import Sequence
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.host import Geometry, HostMesh, KeptCells, Result, is_instance
+from odt_plugins.adapters.host import (
+    SPLINE_VERTEX,
+    Geometry,
+    HostMesh,
+    KeptCells,
+    NewFaces,
+    Result,
+    each_once,
+    is_instance,
+    middles,
+)
 from odt_plugins.adapters.regions import region_labels
 from odt_plugins.errors import (
     DataNotKeptWarning,
@@ -27,9 +37,31 @@ from odt_plugins.errors import (
     counted,
     warn,
 )
+from odt_plugins.mesh.faces import Faces, ends_of
 
 TRIANGLE, TETRAHEDRON = 10, 20
 """Netgen's numbers of element types."""
+
+OVER = 1.25
+"""How many times too far from its chord a parabola by Netgen is in the middle, where all that it is
+to pass through is one place: the best fit of a bubble to a constant."""
+
+IntArray = NDArray[np.int64]
+
+
+class Layout(NamedTuple):
+    """What :func:`write` needs to know of a mesh.
+
+    Attributes
+    ----------
+    labels : (m,) int    number of the domain of every element
+    faces, edges : tuple of (int, (k,) int)    of elements beside these, the numbers of parts of the
+                         kept cells, and which elements each holds
+    """
+
+    labels: IntArray
+    faces: tuple[tuple[int, IntArray], ...]
+    edges: tuple[tuple[int, IntArray], ...]
 
 
 def matches(mesh: object) -> bool:
@@ -60,14 +92,21 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     points, table = np.array(inner.Coordinates(), dtype=np.float64), _elements(inner, dim)
     cells = np.array(table["nodes"], dtype=np.int64) - 1
     kept = [KeptCells("point element", _points_of(inner))]
-    if dim == 3 and len(inner.Elements2D()):
-        faces = np.array(_elements(inner, 2)["nodes"], dtype=np.int64) - 1
-        kept.append(KeptCells("surface element", faces))
-    if len(inner.Elements1D()):
-        edges = np.array(inner.Elements1D().NumPy()["nodes"][:, :2], dtype=np.int64) - 1
-        kept.append(KeptCells("edge element", edges))
-        if has_geometry(inner):
-            kept.append(KeptCells("point of an edge", edges.reshape(-1, 1)))
+    faces, edges = _faces_of(inner), _edges_of(inner)
+    places: list[tuple[tuple[int, IntArray], ...]] = []
+    for kind, (rows, classes) in (("surface element", faces), ("edge element", edges)):
+        groups = each_once(kind, rows, classes) if dim == 3 or rows.shape[1] == 2 else []
+        if _on_splines(inner):
+            groups = [(cells._replace(classes=None), own) for cells, own in groups]
+        places.append(tuple((len(kept) + i, own) for i, (_, own) in enumerate(groups)))
+        kept += [cells for cells, _ in groups]
+    if _on_splines(inner):
+        kept.append(KeptCells(SPLINE_VERTEX, np.unique(edges[0])[:, None]))
+    elif has_geometry(inner) and len(edges[0]):
+        own = places[1][0][1]
+        lines = Faces(edges[0][own].astype(np.int32), edges[1][own].astype(np.int32))
+        kept.append(KeptCells("end of an edge", np.flatnonzero(
+            ends_of(lines, len(points)))[:, None]))
     used = np.zeros(len(points) + 1, dtype=np.bool_)
     used[cells] = True
     for part in kept:
@@ -80,9 +119,9 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     labels = np.array(table["index"], dtype=np.int64)
     return HostMesh(
         points, cells, *region_labels({"material": labels}, regions, cells), kept=tuple(kept),
-        source=mesh, layout=labels, words=in_words,
+        source=mesh, layout=Layout(labels, *places), words=in_words,
         blocks=labels - labels.min() if labels.min() != labels.max() else None,
-        geometry=_geometry(inner, points) if points.shape[1] == 3 else None,
+        geometry=None if _on_splines(inner) else _geometry(inner, points, faces, edges),
         coupled=_coupled(inner),
     )
 
@@ -130,31 +169,58 @@ def has_geometry(mesh: Any) -> bool:
     return type(mesh.GetGeometry()).__name__ not in ("NetgenGeometry", "NoneType")
 
 
-def _geometry(mesh: Any, points: NDArray[np.float64]) -> Geometry | None:
-    """The faces of the geometry, if there is one."""
-    if not (has_geometry(mesh) and len(mesh.Elements2D())):
-        return None
+def _faces_of(mesh: Any) -> tuple[IntArray, IntArray]:
+    """Points (q, 3) and face (q,), from 1 on, of the surface elements."""
+    if not len(mesh.Elements2D()):
+        return np.zeros((0, 3), dtype=np.int64), np.zeros(0, dtype=np.int64)
     table = _elements(mesh, 2)
-    faces = np.array(table["nodes"], dtype=np.int64) - 1
-    index = np.array(table["index"], dtype=np.int64)
-    face = np.zeros(len(points), dtype=np.int64)
-    face[faces] = index[:, None]
-    edges = np.zeros((0, 2), dtype=np.int64)
-    if len(mesh.Elements1D()):
-        edges = np.array(mesh.Elements1D().NumPy()["nodes"][:, :2], dtype=np.int64) - 1
-    face[edges] = 0
+    return np.array(table["nodes"], dtype=np.int64) - 1, np.array(table["index"], dtype=np.int64)
 
-    def closest(vertices: NDArray[Any], places: NDArray[np.float64]) -> NDArray[np.float64]:
-        return _put_on(mesh, np.where(vertices < 0, 0, face[vertices]), places)
+
+def _edges_of(mesh: Any) -> tuple[IntArray, IntArray]:
+    """Points (q, 2) and edge (q,), above the numbers of all faces, of the edge elements."""
+    if not len(mesh.Elements1D()):
+        return np.zeros((0, 2), dtype=np.int64), np.zeros(0, dtype=np.int64)
+    table = mesh.Elements1D().NumPy()
+    number = np.unique(table["index"], return_inverse=True)[1].ravel()
+    return (np.array(table["nodes"][:, :2], dtype=np.int64) - 1,
+            mesh.GetNFaceDescriptors() + 1 + number.astype(np.int64))
+
+
+def _on_splines(mesh: Any) -> bool:
+    """Say whether edges are on splines of the plane, which Netgen knows by parameters alone."""
+    return type(mesh.GetGeometry()).__name__ == "SplineGeometry"
+
+
+def _geometry(
+    mesh: Any, points: NDArray[np.float64], faces: tuple[IntArray, IntArray],
+    edges: tuple[IntArray, IntArray],
+) -> Geometry | None:
+    """The faces and edges of the geometry, if there is one."""
+    if not (has_geometry(mesh) and len(faces[0])):
+        return None
+    on = np.full(len(points), -1, dtype=np.int64)
+    for rows, number in (faces, edges):
+        on[rows] = number[:, None]
+    segments = dict(zip(edges[1].tolist(), mesh.Elements1D(), strict=True))
+
+    def closest(of: IntArray, places: NDArray[np.float64]) -> NDArray[np.float64]:
+        out = places if mesh.dim == 2 else _put_on(mesh, of, places)
+        here = np.isin(of, edges[1])
+        if here.any():
+            out = out.copy()
+            out[here] = _put_on_edges(mesh, [segments[k] for k in of[here].tolist()], out[here])
+        return out
 
     def sag() -> float:
-        x = points[faces]
-        middle = np.concatenate([x.mean(axis=1), *(
-            0.5 * (x[:, a] + x[:, b]) for a, b in ((0, 1), (1, 2), (2, 0)))])
-        there = _put_on(mesh, np.tile(index, 4), middle)
-        return float(np.linalg.norm(there - middle, axis=1).max())
+        most = 0.0
+        for rows, number in (faces, edges):
+            middle = middles(points[rows])
+            there = closest(np.tile(number, len(middle) // max(len(rows), 1)), middle)
+            most = max(most, float(np.linalg.norm(there - middle, axis=1).max(initial=0.0)))
+        return most
 
-    return Geometry(closest, sag, np.unique(edges))
+    return Geometry(closest, sag, on, np.unique(edges[0]), faces[1])
 
 
 def _put_on(
@@ -167,7 +233,7 @@ def _put_on(
     from netgen.meshing import FaceDescriptor, Mesh
 
     out = places.copy()
-    on = np.flatnonzero(face > 0)
+    on = np.flatnonzero((face > 0) & (face <= mesh.GetNFaceDescriptors()))
     if not on.size:
         return out
     scratch = Mesh(3)
@@ -183,6 +249,46 @@ def _put_on(
                             project_geometry=True)
     out[on] = scratch.Coordinates()
     return out
+
+
+def _put_on_edges(
+    mesh: Any, segments: list[Any], places: NDArray[np.float64]
+) -> NDArray[np.float64]:
+    """Places (k, D) nearest to given ones on the edges of the geometry that segments (k,) are of.
+
+    Netgen curves edges that are as long as nothing: all of their points are the one that is sought.
+    """
+    from netgen.meshing import FaceDescriptor, Mesh
+
+    k, dim = places.shape
+    scratch = Mesh(dim)
+    scratch.SetGeometry(mesh.GetGeometry())
+    scratch.Add(FaceDescriptor(surfnr=mesh.FaceDescriptor(1).surfnr, domin=1, domout=0, bc=1))
+    for descriptor in mesh.EdgeDescriptors() if hasattr(mesh, "EdgeDescriptors") else ():
+        scratch.Add(descriptor)
+    points = np.repeat(places, 3, axis=0)
+    points[2::3, 0] += max(float(np.ptp(places)), 1.0)
+    scratch.AddPoints(points)
+    corners = np.arange(3 * k, dtype=np.int32).reshape(-1, 3)
+    _add_segments(scratch, segments, corners[:, :2] + 1)
+    scratch.AddElements(dim=2, index=1, data=corners, base=0)
+    scratch.Curve(2)
+    middle = np.zeros((k, 1, dim))
+    scratch.CalcElementMapping(np.array([[0.5, 0.5]]), middle)
+    return np.asarray(places + (middle[:, 0] - places) / OVER)
+
+
+def _add_segments(mesh: Any, segments: list[Any], rows: NDArray[Any]) -> None:
+    """Add edge elements like others, between points (k, 2), from 1 on."""
+    from netgen.meshing import Mesh
+
+    copies = Mesh(mesh.dim)
+    for segment in segments:
+        copies.Add(segment)
+    if segments:
+        copies.Elements1D().NumPy()["nodes"][:, :2] = rows
+    for segment in copies.Elements1D():
+        mesh.Add(segment)
 
 
 def _inner(mesh: Any) -> Any:
@@ -217,10 +323,11 @@ def _points_of(mesh: Any) -> NDArray[np.int64]:
 def _fill(out: Any, result: Result, host: HostMesh) -> None:
     """Write points and elements into a copy of the mesh.
 
-    Elements take the places of old ones; those that are too many get no points, which Netgen takes
-    for deleted, and go with `Compress`, as points that are in no element do.
+    Elements take the places of old ones; those that are too many are deleted, and go by `Compress`
+    in the order of those before them, as points that are in no element do.
     """
     n, dim = len(host.points), host.cells.shape[1] - 1
+    layout: Layout = host.layout
     origin = np.arange(n)
     if result.vertices is not None:
         origin = result.vertices.origin
@@ -229,27 +336,76 @@ def _fill(out: Any, result: Result, host: HostMesh) -> None:
         out.AddPoints(np.ascontiguousarray(result.points[fresh]))
     number = origin.copy()
     number[fresh] = n + np.arange(int(fresh.sum()))
-    places = out.Coordinates()
-    places[number] = result.points
-    rows = (number[result.cells] + 1).astype(np.int32)
-    labels = host.layout[result.source]
+    out.Coordinates()[number] = result.points
+    rows, labels = number[result.cells] + 1, layout.labels[result.source]
     table = _elements(out, dim)
     old = len(table)
     table["nodes"][: len(rows)] = rows[:old]
     table["index"][: len(rows)] = labels[:old]
-    table["nodes"][len(rows):] = 0
-    del table, places
-    ends = np.flatnonzero(np.diff(labels[old:])) + 1
-    for part in np.split(np.arange(old, len(rows)), ends) if len(rows) > old else ():
-        out.AddElements(dim=dim, index=int(labels[part[0]]), data=np.ascontiguousarray(rows[part]),
-                        base=1)
-    if dim == 3 and (len(rows) < old or (~fresh).sum() < n):
-        out.Compress()
+    if dim == 3:
+        table["nodes"][len(rows):] = 0
+    del table
+    _add_elements(out, dim, rows[old:], labels[old:])
+    if dim == 2:
+        _delete_faces(out, range(len(rows), old))
+    faces = _followed(result, host, layout.faces)
+    if result.faces and faces is not None:
+        index = np.array(out.Elements2D().NumPy()["index"])[faces.source]
+        _exchange_faces(out, number[faces.rows] + 1, index, faces.source)
+    lines = _followed(result, host, layout.edges)
+    if result.faces and lines is not None:
+        segments = list(_inner(host.source).Elements1D())
+        _add_segments(out, [segments[i] for i in lines.source.tolist()], number[lines.rows] + 1)
+        out.Elements1D().NumPy()["nodes"][: len(segments)] = 0
+    out.Coordinates()[number] = result.points
+    out.Compress()
     elements = out.Elements3D() if dim == 3 else out.Elements2D()
     found = len(elements), len(out.Points())
     if found != (len(rows), len(result.points)):
         msg = f"Netgen made {found} elements and points of {(len(rows), len(result.points))}"
         raise InvalidMeshError(msg)
+
+
+def _followed(
+    result: Result, host: HostMesh, parts: tuple[tuple[int, IntArray], ...]
+) -> NewFaces | None:
+    """What the elements beside the others have become, None where there are none."""
+    if not parts:
+        return None
+    new = [result.faces_of(number, host.kept[number].rows) for number, _ in parts]
+    source = np.concatenate([own[now.source] for now, (_, own) in zip(new, parts, strict=True)])
+    order = np.argsort(source, kind="stable")
+    return NewFaces(np.concatenate([now.rows for now in new])[order], source[order])
+
+
+def _add_elements(
+    mesh: Any, dim: int, rows: IntArray, labels: IntArray, **options: Any
+) -> None:
+    """Add elements of points (k, dim + 1), from 1 on, with labels (k,), in their order."""
+    ends = np.flatnonzero(np.diff(labels)) + 1
+    for part in np.split(np.arange(len(rows)), ends) if len(rows) else ():
+        mesh.AddElements(dim=dim, index=int(labels[part[0]]),
+                         data=np.ascontiguousarray(rows[part], dtype=np.int32), base=1, **options)
+
+
+def _exchange_faces(
+    mesh: Any, rows: IntArray, labels: IntArray, source: NDArray[Any]
+) -> None:
+    """Let the surface elements be others, each with the mark for refinement of one of before."""
+    old = len(mesh.Elements2D())
+    marks = np.array(_elements(mesh, 2)["refine"])
+    project = mesh.dim == 3 and has_geometry(mesh)
+    _add_elements(mesh, 2, rows, labels, **({"project_geometry": True} if project else {}))
+    _elements(mesh, 2)["refine"][old:] = marks[source]
+    _delete_faces(mesh, range(old))
+
+
+def _delete_faces(mesh: Any, numbers: range) -> None:
+    """Let surface elements go with `Compress`."""
+    from netgen.meshing import ElementId2D
+
+    for i in numbers:
+        mesh.DeleteSurfaceElement(ElementId2D(i))
 
 
 def _identify(out: Any, source: Any, result: Result, host: HostMesh) -> None:

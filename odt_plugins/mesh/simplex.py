@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import combinations
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -24,6 +24,20 @@ FLAT = 1e-14
 SPAN_LIMIT = 1e40
 """Meshes must be between 1 / SPAN_LIMIT and SPAN_LIMIT long, and no cell smaller than the largest
 by more: squared volumes neither overflow nor vanish then."""
+
+
+class Smooth(NamedTuple):
+    """The geometry that a surface was made of.
+
+    Attributes
+    ----------
+    sag : float        how far the surface is from it
+    put : callable     points of a mesh that it has become, those that are on it there
+    """
+
+    sag: float
+    put: Callable[[Any], FloatArray]
+
 
 @dataclass(frozen=True)
 class SimplexMesh:
@@ -59,6 +73,7 @@ class SimplexMesh:
     metric : (n, d (d + 1) / 2) float64      upper triangle, row by row, of log(M) / 2, M the
                                              metric at every vertex; (n, 6) on a surface; no rows
                                              where lengths are those of the coordinates
+    smooth : Smooth or None                  the geometry on which vertices of the surface stay
     """
 
     points: FloatArray
@@ -76,6 +91,7 @@ class SimplexMesh:
     body: IntArray = field(default_factory=lambda: np.zeros(0, dtype=np.int32))
     faces: tuple[Faces, Faces] = field(default_factory=no_faces)
     metric: FloatArray = field(default_factory=lambda: np.zeros((0, 0)))
+    smooth: Smooth | None = None
 
     def __post_init__(self) -> None:
         for name in ("anchored", "coupled"):
@@ -88,6 +104,11 @@ class SimplexMesh:
     def dim(self) -> int:
         """Dimension d of the cells."""
         return int(self.cells.shape[1]) - 1
+
+    @property
+    def sag(self) -> float:
+        """How far the surface is from the geometry that it was made of, 0 without one."""
+        return 0.0 if self.smooth is None else self.smooth.sag
 
     @property
     def is_surface(self) -> bool:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.figures import cell_figures, summarize, volumes
+from odt_plugins.figures import cell_figures, summarize
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.faces import Faces, labels_at
 from odt_plugins.mesh.facets import row_keys, uneven_facets
@@ -22,8 +22,8 @@ from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.promise.faces import broken_lines
 from odt_plugins.promise.good import fallen_figures
 from odt_plugins.promise.locked_facets import LockedFacets, facet_census
+from odt_plugins.promise.region_sizes import broken_sizes
 from odt_plugins.promise.volume import (
-    VOLUME,
     _came_and_went,
     _dropped,
     _malformed,
@@ -120,11 +120,7 @@ def broken_by_remeshing(
         if a != b:
             broken.append(f"region {label} has {b[0]} components and Euler characteristic {b[1]}; "
                           f"it had {a[0]} and {a[1]}")
-        first, last = (float(volumes(x, t[r == label]).sum()) for x, t, r in (
-            (before.points, before.cells, before.regions), (points, cells, regions)))
-        if not abs(last - first) <= VOLUME * first:
-            broken.append(f"the volume of region {label} went from {first:.6g} to {last:.6g}")
-    return broken
+    return broken + broken_sizes(before, points, cells, regions)
 
 
 Piece = tuple[int, int, int]

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.figures import cell_figures, summarize, volumes
+from odt_plugins.figures import cell_figures, summarize
 from odt_plugins.mesh.components import components
 from odt_plugins.mesh.faces import Faces
 from odt_plugins.mesh.facets import row_keys
@@ -21,7 +21,8 @@ from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.mesh.surface import Edges, surface_edges
 from odt_plugins.promise.faces import broken_lines
 from odt_plugins.promise.good import fallen_figures
-from odt_plugins.promise.volume import VOLUME, _not_positive
+from odt_plugins.promise.region_sizes import broken_sizes
+from odt_plugins.promise.volume import _not_positive
 
 Shape = tuple[int, int]
 """Components and Euler characteristic."""
@@ -81,11 +82,7 @@ def broken_by_retiling(
                           f"had {was.get(name)}")
     broken += broken_lines(before.faces[0], lines, cells)
     if planar:
-        for label in np.unique(before.regions).tolist():
-            first, last = (float(volumes(x, t[r == label]).sum()) for x, t, r in (
-                (before.points, before.cells, before.regions), (points, cells, regions)))
-            if not abs(last - first) <= VOLUME * first:
-                broken.append(f"the area of region {label} went from {first:.6g} to {last:.6g}")
+        broken += broken_sizes(before, points, cells, regions)
     if keep:
         broken += fallen_figures(
             summarize(*as_seen(before.points, before.cells, before.metric)),

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import odt_plugins
+from odt_plugins.adapters.host import each_once
 from odt_plugins.errors import InvalidOptionError
 
 FACETS = {2: ("triangle", "line"), 3: ("tetra", "triangle")}
@@ -125,3 +126,14 @@ def test_remeshing_keeps_the_triangles_of_a_sheet_inside():
     assert set(map(tuple, new.tolist())) <= faces_of(result)
     with pytest.raises(InvalidOptionError, match="free='inside' for remeshing"):
         odt_plugins.remesh(mesh, 0.12, free="inside")
+
+
+def test_rows_that_are_there_twice_are_parted_into_groups_that_follow_their_classes():
+    rows = np.array([[0, 1], [1, 2], [1, 0], [3, 4], [2, 1], [0, 1]])
+    classes = np.array([5, 9, 7, 5, 4, 6])
+    groups = each_once("line", rows, classes)
+    assert [own.tolist() for _, own in groups] == [[0, 3, 4], [1, 5], [2]]
+    for cells, own in groups:
+        assert np.array_equal(cells.rows, rows[own])
+        assert np.array_equal(cells.classes, classes[own])
+    assert each_once("line", rows[:0], classes[:0]) == []

@@ -20,6 +20,7 @@ from odt_plugins.engine.record.memory import State
 from odt_plugins.engine.record.relaxed import relaxed
 from odt_plugins.engine.remesh.body import FREELY, STAYS, STIFF
 from odt_plugins.engine.remesh.chords import curvature_sizes
+from odt_plugins.engine.remesh.finish import Resized, finished
 from odt_plugins.engine.remesh.lay_out import lay_out, surface_of
 from odt_plugins.engine.remesh.sizes import (
     Sizes,
@@ -33,19 +34,13 @@ from odt_plugins.engine.remesh.volume import Resizing, arrays_of, resize
 from odt_plugins.engine.remesh.wish import Wish
 from odt_plugins.engine.retile.run import retile
 from odt_plugins.engine.run.judge import TOLERANCE, Slid, envelope_length
-from odt_plugins.engine.run.outcome import Leaving, Outcome, unchanged
-from odt_plugins.engine.run.plan import run
-from odt_plugins.engine.run.within import Within
+from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
 from odt_plugins.engine.run.work import make_start
 from odt_plugins.errors import counted
-from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.faces import (
     Faces,
-    Pieces,
-    followed,
     joined,
-    labels_at,
-    no_faces,
     renumbered,
     without,
 )
@@ -89,9 +84,6 @@ CLOSE = 1.1
 
 LONGER = 1.11
 """Sizes are worked with so many times as long, so that edges have them on average."""
-
-SLIDING = 0.4
-"""Part of the allowed change of the volume that sliding may use."""
 
 FINER = 1.1
 """Multiple of its size that must have been asked for at a vertex which is told to be finer."""
@@ -296,69 +288,62 @@ def _once(
     """Resize within a part of the envelope, optimise within the rest, and judge."""
     report = options.progress or silent
     clock = time.perf_counter()
-    resized, lengths, multiple, lines, log = _resized(
+    given, log = _resized(
         mesh, sizes, asked, options, share, partial(part(report, 0.0, 0.4), "resizing"),
         relents=relents)
-    origin: LongArray = resized.origin if resized.origin is not None else np.arange(0)
-    envelope = envelope_length(mesh, options)
+    resized, envelope = given.outcome, envelope_length(mesh, options)
+    onto = mesh.smooth if share > 0.0 else None
     left = envelope
     if share > 0.0:
         far = _furthest(mesh, resized, envelope)
-        left = envelope - max(far[0], far[1])
+        left = envelope - max(far[0], far[1]) - mesh.sag
         if not left > 0.0:
             return resized, [f"the resized surface is {max(far):.3g} from the input's, beyond the "
                              f"envelope of {envelope:.3g}"]
-    frozen = np.zeros(len(resized.cells), dtype=np.bool_)
-    frozen[: int(mesh.frozen.sum())] = True
-    new = origin < 0
-    middle = SimplexMesh(
-        resized.points, resized.cells, resized.regions,
-        fixed=np.where(new, False, mesh.fixed[origin]), frozen=frozen,
-        anchored=np.where(new, False, mesh.anchored[origin]), body=mesh.body,
-        stays=new_numbers(origin, len(mesh.points))[mesh.stays], lines=lines, metric=resized.metric,
-    )
     times = {"resizing": time.perf_counter() - clock}
     inner = replace(
         options, boundary="slide" if share > 0.0 else "fixed",
-        envelope=min(0.5, left / diagonal(middle.points[np.unique(middle.cells)])),
-        density=NodalDensity(lengths / lengths.mean(), -float(mesh.dim + 2)),
-        progress=part(report, 0.4, 1.0),
+        envelope=min(0.5, left / diagonal(resized.points[np.unique(resized.cells)])),
+        progress=part(report, 0.4, 0.8 if onto else 1.0),
     )
-
-    def as_it_leaves(outcome: Outcome) -> Outcome:
-        left = leaving(replace(outcome, origin=_composed(origin, outcome.origin)))
-        return replace(left, origin=outcome.origin)
-
-    best = run(middle, inner, as_it_leaves, within=Within(share=SLIDING))
-    if best.written is None:
-        best = as_it_leaves(best)
-    outcome = replace(best, origin=_composed(origin, best.origin), times=times | best.times,
-                      counts=log.counts | best.counts, fallback=None, slid=None)
-    faces = _followed(resized, outcome, best.origin, slides=share > 0.0)
-    if faces is None:
+    done, told = finished(mesh, given, inner, as_it_is if onto else leaving)
+    if onto is not None and told:
+        outcome = done.outcome
+        outcome = replace(outcome, points=onto.put(outcome))
+        if not (signed_volumes(outcome.points, outcome.cells) > 0.0).all():
+            return outcome, ["cells would fold where vertices are put on the geometry"]
+        times |= outcome.times
+        log.counts |= outcome.counts
+        inner = replace(inner, boundary="fixed", progress=part(report, 0.8, 1.0))
+        done, told = finished(mesh, done._replace(outcome=outcome), inner, leaving)
+    outcome = done.outcome
+    outcome = replace(outcome, times=_sums(times, outcome.times),
+                      counts=_sums(log.counts, outcome.counts))
+    if not told:
         return outcome, ["labels of the surface cannot be told apart"]
-    outcome = replace(outcome, faces=faces)
+    origin: Any = outcome.origin
     broken = broken_by_remeshing(
-        mesh, outcome.points, outcome.cells, outcome.regions, _composed(origin, best.origin),
-        tuple(options.keep), outcome.metric, outcome.faces, slides=share > 0.0,
-        threads=options.threads)
+        mesh, outcome.points, outcome.cells, outcome.regions, origin, tuple(options.keep),
+        outcome.metric, outcome.faces, slides=share > 0.0, threads=options.threads)
     if broken:
         return outcome, broken
     if share > 0.0:
         broken, slid = _beyond(mesh, outcome, envelope)
         outcome = replace(outcome, slid=slid)
-    if best.origin is not None:
-        multiple = multiple[best.origin]
-    return replace(outcome, notes=_told(outcome, lengths.mean() / LONGER, multiple)), broken
+    notes = _told(outcome, done.lengths.mean() / LONGER, done.multiple)
+    return replace(outcome, notes=notes), broken
+
+
+def _sums(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
+    """Both, with the sums of what they share."""
+    return one | {name: one.get(name, 0) + value for name, value in other.items()}
 
 
 def _resized(
     mesh: SimplexMesh, sizes: Sizes, asked: FloatArray, options: Options, share: float, tick: Any,
     *, relents: bool,
-) -> tuple[Outcome, FloatArray, FloatArray, IntArray, Log]:
-    """The mesh with edges as long as they should be, the lengths at its vertices, the multiples of
-    them that were asked for, its feature lines (k, 2), and counts.
-    """
+) -> tuple[Resized, Log]:
+    """The mesh with edges as long as they should be, and counts."""
     start = make_start(mesh)
     frame = start.frame
     log = Log()
@@ -373,7 +358,8 @@ def _resized(
         field = make_density(
             NodalDensity(values, 1.0), None, start.seen, start.cells, None)
         body, guard, scratch, names = lay_out(
-            start, hold[frame.vertices], share * envelope_length(mesh, options) * frame.scale,
+            start, hold[frame.vertices],
+            share * (envelope_length(mesh, options) - mesh.sag) * frame.scale,
             options.feature_angle)
         were = [frame.vertices[s.rows[s.live()]] for s in (body.segments, body.triangles)]
         work = Resizing(body, guard, scratch, field, field.walk_start(len(start.points)), log,
@@ -415,39 +401,7 @@ def _resized(
             Faces(number[s.rows[live]], label[s.tag[live]])))
     outcome = replace(outcome, faces=(faces[0], faces[1]))
     lines = number[work.body.segments.rows[work.body.segments.live()]].reshape(-1, 2)
-    return outcome, lengths, outside(multiple, asked / sizes.values), lines, log
-
-
-def _followed(
-    resized: Outcome, outcome: Outcome, origin: LongArray | None, *, slides: bool
-) -> tuple[Faces, Faces] | None:
-    """Faces of a mesh that was optimised after it was resized, None where labels are in doubt.
-
-    ``origin`` are its vertices of the resized mesh, of which borders between labels stay.
-    """
-    n = len(resized.points)
-    number = np.arange(n, dtype=np.int32) if origin is None else new_numbers(origin, n)
-    old, triangles = renumbered(resized.faces[0], number), renumbered(resized.faces[1], number)
-    if not slides or not len(triangles.rows):
-        return old, triangles
-    was, now = (Pieces(*_pieces(cells, x.regions)) for x, cells in (
-        (resized, number[resized.cells]), (outcome, outcome.cells)))
-    labels = followed(was, labels_at(was.rows, triangles), now, len(outcome.points))
-    if labels is None:
-        return None
-    named = labels >= 0
-    return old, Faces(now.rows[named], labels[named])
-
-
-def _pieces(cells: IntArray, regions: IntArray) -> tuple[IntArray, IntArray]:
-    """Triangles of surfaces (k, 3), and the pieces of them by the regions on their sides."""
-    triangles, patch, _ = surface_of(cells, regions, no_faces()[1])
-    return triangles, patch
-
-
-def _composed(first: LongArray, second: LongArray | None) -> LongArray:
-    """Vertex of the first mesh of every vertex of the third, by way of the second."""
-    return first if second is None else np.where(second < 0, -1, first[second])
+    return Resized(outcome, lengths, outside(multiple, asked / sizes.values), lines), log
 
 
 def _furthest(mesh: SimplexMesh, outcome: Outcome, envelope: float) -> tuple[float, float]:

@@ -87,7 +87,7 @@ def retile(
         report("resizing", attempt / ATTEMPTS)
         start = surface_start(held)
         frame = start.frame
-        reach = POLICY.surface_guard * length * frame.scale * part[frame.active]
+        reach = POLICY.surface_guard * (length - mesh.sag) * frame.scale * part[frame.active]
         unit = 1.0 if len(mesh.metric) else frame.scale
         base = _base(start, options)
         net, marks = resize(base, sizes[frame.vertices] * unit, reach, bounds,

@@ -1,0 +1,119 @@
+"""Vertices onto the geometry that a mesh was made of, those that came as well as those that moved.
+
+A vertex that came is on the curve or the face whose lines or triangles it is in.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.adapters.host import HostMesh
+from odt_plugins.following import Prepared
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, LongArray
+from odt_plugins.mesh.faces import Faces, labels_at
+from odt_plugins.mesh.simplex import Smooth, diagonal
+from odt_plugins.options import Options
+
+if TYPE_CHECKING:
+    from odt_plugins.engine.run.outcome import Outcome
+
+LARGEST = 0.5
+"""Envelope, as a part of the diagonal, up to which the sag of a surface is added to it."""
+
+THERE = 1e-11
+"""Distance, as a part of the largest coordinate, within which a vertex is on the geometry and stays
+where it is."""
+
+
+def near_geometry(work: Prepared, options: Options) -> tuple[Prepared, Options]:
+    """The mesh with the geometry that its surface is on, and an envelope around that.
+
+    The surface of the input sags from the geometry.
+    """
+    geometry = work.host.geometry
+    if geometry is None:
+        return work, options
+    sag = geometry.sag()
+
+    def put(outcome: Outcome) -> FloatArray:
+        points = outcome.points.copy()
+        origin = np.arange(len(points)) if outcome.origin is None else outcome.origin
+        moved = (origin < 0) | (points != work.mesh.points[origin]).any(axis=1)
+        new = in_space(work, outcome, moved, onto=True)
+        points[moved] = new if work.frame is None else work.frame.to_plane(new)
+        return points
+
+    used = work.mesh.points[np.unique(work.mesh.cells)]
+    envelope = min(options.envelope + sag / diagonal(used), LARGEST)
+    mesh = replace(work.mesh, smooth=Smooth(sag, put))
+    return work._replace(mesh=mesh), replace(options, envelope=envelope)
+
+
+def in_space(
+    work: Prepared, outcome: Outcome, moved: BoolArray, *, onto: bool
+) -> NDArray[Any]:
+    """Places (k, D) of vertices that moved or came, as the caller sees them.
+
+    Parameters
+    ----------
+    work : Prepared
+    outcome : Outcome    its `faces` tell on which pieces of the geometry vertices came
+    moved : (n,) bool
+    onto : bool          whether those of a surface are put on the geometry
+    """
+    places = outcome.points[moved]
+    if work.frame is not None:
+        places = work.frame.to_space(places)
+    if not onto or work.host.geometry is None:
+        return places
+    found = work.host.geometry.closest(_pieces(work, outcome)[moved], places)
+    off = np.abs(found - places).max(axis=1, initial=0.0)
+    there = off <= THERE * np.abs(places).max(initial=0.0)
+    return np.where(there[:, None], places, found)
+
+
+def _pieces(work: Prepared, outcome: Outcome) -> LongArray:
+    """Face or curve (n,) of the geometry on which every vertex is, -1 of none."""
+    geometry, mesh = work.host.geometry, work.mesh
+    n = len(outcome.points)
+    origin = np.arange(n) if outcome.origin is None else outcome.origin
+    out = np.full(n, -1, dtype=np.int64)
+    if geometry is None:
+        return out
+    known = (origin >= 0) & (origin < len(geometry.on))
+    out[known] = geometry.on[origin[known]]
+    came = origin < 0
+    if not came.any():
+        return out
+    found = []
+    if mesh.is_surface:
+        regions, first = np.unique(mesh.regions, return_index=True)
+        piece = geometry.cells[first][np.searchsorted(regions, outcome.regions)]
+        found.append((outcome.cells, piece))
+    for was, now in zip(mesh.faces[::-1], outcome.faces[::-1], strict=True):
+        if len(now.rows):
+            found.append((now.rows, _of_labels(was, work.host)[now.labels]))
+    for rows, piece in found:
+        low, high = np.full(n, np.iinfo(np.int64).max), np.full(n, -1)
+        np.minimum.at(low, rows.ravel(), np.repeat(piece, rows.shape[1]))
+        np.maximum.at(high, rows.ravel(), np.repeat(piece, rows.shape[1]))
+        here = came & (low <= high)
+        out[here] = np.where(low == high, low, -1)[here]
+    return out
+
+
+def _of_labels(faces: Faces, host: HostMesh) -> LongArray:
+    """Face or curve of the geometry of every label of lines or triangles."""
+    out = np.full(int(faces.labels.max(initial=-1)) + 1, -1, dtype=np.int64)
+    for _, raw, classes in host.kept:
+        if classes is None or np.shape(raw)[1] != faces.rows.shape[1]:
+            continue
+        label = labels_at(np.asarray(raw), faces)
+        own = np.flatnonzero(label >= 0)
+        own = own[out[label[own]] < 0]
+        out[label[own]] = classes[own]
+    return out

@@ -1,0 +1,43 @@
+"""The promise of the size of every region where a boundary has other vertices."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from odt_plugins.figures import volumes
+from odt_plugins.mesh.facets import uneven_facets
+from odt_plugins.mesh.simplex import SimplexMesh
+from odt_plugins.promise.volume import VOLUME
+
+
+def broken_sizes(
+    before: SimplexMesh, points: NDArray[np.float64], cells: NDArray[np.int32],
+    regions: NDArray[np.int32],
+) -> list[str]:
+    """Say of which regions the area or volume changed by more than VOLUME of it.
+
+    Where the boundary stays on the geometry that it was made of, what is between it and the
+    geometry may be added.
+    """
+    broken = []
+    for label in np.unique(before.regions).tolist():
+        own = before.cells[before.regions == label]
+        first = float(volumes(before.points, own).sum())
+        last = float(volumes(points, cells[regions == label]).sum())
+        most = VOLUME * first
+        if before.sag > 0.0:
+            most += before.sag * _outside(before.points, own)
+        if not abs(last - first) <= most:
+            size = "area" if before.dim == 2 else "volume"
+            broken.append(f"the {size} of region {label} went from {first:.6g} to {last:.6g}")
+    return broken
+
+
+def _outside(points: NDArray[np.float64], cells: NDArray[np.int32]) -> float:
+    """Length or area of the boundary of some cells."""
+    x = points[uneven_facets(cells, len(points)).open]
+    if cells.shape[1] == 3:
+        return float(np.linalg.norm(x[:, 1] - x[:, 0], axis=1).sum())
+    return 0.5 * float(np.linalg.norm(
+        np.cross(x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]), axis=1).sum())
