@@ -1,4 +1,4 @@
-"""Where a surface cuts through itself, in rational numbers: a slow twin of the engine's kernel.
+"""Where a surface cuts through itself, in whole numbers: a slow twin of the engine's kernel.
 
 Boxes of triangles along a curve through space are put together in pairs; pairs of boxes that
 meet are opened until pairs of triangles are left.
@@ -6,7 +6,6 @@ meet are opened until pairs of triangles are left.
 
 from __future__ import annotations
 
-from fractions import Fraction
 from typing import Any
 
 import numpy as np
@@ -137,30 +136,46 @@ def _curve(x: NDArray[np.float64]) -> NDArray[np.int64]:
 
 
 def cut(points: NDArray[Any], triangle: Any, other: Any) -> bool:
-    """Whether an edge of a triangle goes through the inside of another, in rational numbers."""
+    """Whether an edge of a triangle goes through the inside of another, in whole numbers."""
+    corners = np.asarray([*triangle, *other])
+    x = _whole(points[corners])
+    return _cut(x[:3], x[3:])
+
+
+def _whole(points: NDArray[Any]) -> list[list[int]]:
+    """The same multiple of all coordinates, of which each is a whole number."""
+    ratios = [[x.as_integer_ratio() for x in point] for point in points.tolist()]
+    # These are powers of two, so the largest is a multiple of every other.
+    unit = max((below for point in ratios for _, below in point), default=1)
+    return [[above * (unit // below) for above, below in point] for point in ratios]
+
+
+def _cut(triangle: list[list[int]], other: list[list[int]]) -> bool:
+    """Whether an edge of a triangle goes through the inside of another."""
     a, b, c = other
-    sides = [_exact_volume(points, a, b, c, v) for v in triangle]
+    sides = [_exact_volume(a, b, c, v) for v in triangle]
     for i, j in ((0, 1), (1, 2), (2, 0)):
         if sides[i] * sides[j] < 0:
             u, v = triangle[i], triangle[j]
-            turns = [_exact_volume(points, u, v, *pair) for pair in ((a, b), (b, c), (c, a))]
+            turns = [_exact_volume(u, v, *pair) for pair in ((a, b), (b, c), (c, a))]
             if min(turns) > 0 or max(turns) < 0:
                 return True
     return False
 
 
-def _exact_volume(points: NDArray[Any], *corners: Any) -> Fraction:
+def _exact_volume(a: list[int], b: list[int], c: list[int], d: list[int]) -> int:
     """Six times the signed volume of a tetrahedron."""
-    a, b, c, d = ([Fraction(x) for x in points[k].tolist()] for k in corners)
-    u, v, w = ([x - y for x, y in zip(k, d, strict=True)] for k in (a, b, c))
-    return (u[0] * (v[1] * w[2] - v[2] * w[1]) + u[1] * (v[2] * w[0] - v[0] * w[2])
-            + u[2] * (v[0] * w[1] - v[1] * w[0]))
+    x, y, z = d
+    ux, uy, uz = a[0] - x, a[1] - y, a[2] - z
+    vx, vy, vz = b[0] - x, b[1] - y, b[2] - z
+    wx, wy, wz = c[0] - x, c[1] - y, c[2] - z
+    return (ux * (vy * wz - vz * wy) + uy * (vz * wx - vx * wz) + uz * (vx * wy - vy * wx))
 
 
 def _crossing(
     points: NDArray[Any], cells: NDArray[Any], pairs: NDArray[Any]
 ) -> NDArray[np.int64]:
-    """Those of the pairs (k, 2) that cross, by rational numbers where neither is on one side."""
+    """Those of the pairs (k, 2) that cross, by whole numbers where neither is on one side."""
     x = np.ascontiguousarray(points.T)
     corners = np.ascontiguousarray(cells.T)
     for one, two in ((0, 1), (1, 0)):
@@ -171,8 +186,11 @@ def _crossing(
         near = ROUNDING * np.ptp(corner, axis=1).max(axis=1) ** 3
         above, below = ((apart & (s > -near)).any(axis=0) for s in (sides, -sides))
         pairs = pairs[above & below]
-    hit = [cut(points, cells[i], cells[j]) or cut(points, cells[j], cells[i])
-           for i, j in pairs.tolist()]
+    used, number = np.unique(cells[pairs], return_inverse=True)
+    whole = _whole(points[used])
+    both = [([whole[k] for k in one], [whole[k] for k in two])
+            for one, two in number.reshape(-1, 2, 3).tolist()]
+    hit = [_cut(one, two) or _cut(two, one) for one, two in both]
     return np.asarray(pairs[np.array(hit, dtype=np.bool_)], dtype=np.int64)
 
 

@@ -122,6 +122,8 @@ class Kernel:
 
     def __call__(self, *args: Any) -> Any:
         """Run the machine code for arguments of these types."""
+        if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+            return self.py_func(*args)
         kinds: list[Any] = []
         slots: list[Any] = []
         lay_out(args, kinds, slots)
@@ -132,8 +134,6 @@ class Kernel:
         return run(args, slots)
 
     def _find(self, args: tuple[Any, ...]) -> Run:
-        if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
-            return lambda args, slots: self.py_func(*args)
         name = f"{self.py_func.__module__}.{self.py_func.__qualname__}"
         line = f"{name}({', '.join(map(spelled, args))})"
         run = self.loaded[line] = library().get(line) or by_numba(self, args)
