@@ -100,9 +100,10 @@ def _command(size: int, say: Say) -> tuple[float, float]:
         line = [sys.executable, "-P", "-m", "odt_plugins", "optimize", str(source), str(target),
                 "--quiet"]
         paths = os.pathsep.join(map(os.path.abspath, sys.path))
-        # Python's own code is compiled at the first call, as an installation does.
-        work = {**os.environ, "PYTHONPATH": paths, "PYTHONPYCACHEPREFIX": folder,
-                "PYTHONDONTWRITEBYTECODE": ""}
+        work = {**os.environ, "PYTHONPATH": paths}
+        if sys.dont_write_bytecode:
+            # Python's own code is compiled at the first call, as an installation does.
+            work |= {"PYTHONPYCACHEPREFIX": folder, "PYTHONDONTWRITEBYTECODE": ""}
         found = _least(lambda: subprocess.run(line, check=True, env=work), REPEATS)
     say(f"the command: {found[0]:.2f} s, processor {found[1]:.2f} s")
     return found

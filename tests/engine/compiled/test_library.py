@@ -240,14 +240,16 @@ sys.modules["numba"] = sys.modules["llvmlite"] = None
 from odt_plugins import ahead, optimize
 from odt_plugins.compare.start import ball, plate, stored
 from odt_plugins.engine.compiled import threads
+from odt_plugins.engine.topology import coloring, order
 threads.THREADED_CELLS = 0
 for name in ahead.RUNS:
     ahead.run(name)
 for name in ("bunny", "bunny-surface"):
     optimize((stored(name).points, stored(name).cells))
 optimize((plate(1000).points, plate(1000).cells))
-optimize((ball(15_000).points, ball(15_000).cells), threads=2, smoothing={"rounds": 2})
 optimize((stored("bone").points, stored("bone").cells), boundary="slide", insert=True, threads=2)
+coloring.ONE_BLOCK, coloring.SMALLEST, order.LAYERS = 0, 8, 4
+optimize((ball(1500).points, ball(1500).cells), threads=2, smoothing={"rounds": 2})
 """
 
 

@@ -515,7 +515,7 @@ def test_a_surface_is_left_alone_where_cells_would_pass_the_extremes(monkeypatch
 def fixed_ones():
     """Hard meshes by name, and what becomes of them within their surface."""
     meshes = {hard.name: simplex_mesh(hard.points, hard.cells, regions=hard.regions)[0]
-              for hard in hard_meshes(60, (3,))}
+              for hard in hard_meshes(30, (3,))}
     return {name: (mesh, run(mesh, Options())) for name, mesh in meshes.items()}
 
 
