@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from odt_plugins.adapters.host import HostMesh
+from odt_plugins.errors import counted
 from odt_plugins.following import Prepared
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, LongArray
 from odt_plugins.mesh.faces import Faces, labels_at
@@ -27,6 +28,26 @@ LARGEST = 0.5
 THERE = 1e-11
 """Distance, as a part of the largest coordinate, within which a vertex is on the geometry and stays
 where it is."""
+
+ASTRAY = 1e-4
+"""Distance, as a part of the diagonal, from which on a vertex is not on the geometry."""
+
+
+def on_geometry(work: Prepared) -> Prepared:
+    """The same mesh, without a geometry on which its vertices are not, such as that of another."""
+    geometry = work.host.geometry
+    if geometry is None:
+        return work
+    own = np.flatnonzero(geometry.on >= 0)
+    places = np.asarray(work.host.points[own], dtype=np.float64)
+    off = np.abs(geometry.closest(geometry.on[own], places) - places).max(axis=1, initial=0.0)
+    astray = int((off > ASTRAY * diagonal(places)).sum()) if len(own) else 0
+    if not astray:
+        return work
+    note = (f"{counted(astray, 'vertex', 'vertices')} of the surface are not on the geometry that "
+            f"the mesh refers to, {off.max():.3g} from it at most; the surface slides on its own "
+            f"triangles")
+    return work._replace(host=replace(work.host, geometry=None), notes=(*work.notes, note))
 
 
 def near_geometry(work: Prepared, options: Options) -> tuple[Prepared, Options]:

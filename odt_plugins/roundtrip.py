@@ -72,7 +72,7 @@ from odt_plugins.mesh.surface import surface_mesh
 from odt_plugins.mesh.tangled import tangled_mesh
 from odt_plugins.metric.looks import ADVICE, MOST, looks_anisotropic
 from odt_plugins.metric.through import with_metric
-from odt_plugins.onto import in_space, near_geometry
+from odt_plugins.onto import in_space, near_geometry, on_geometry
 from odt_plugins.options import Options
 from odt_plugins.progress import kernels_shown, part, telling
 from odt_plugins.reference import within_reference
@@ -124,8 +124,8 @@ def run_engine(
             and looks_anisotropic(work.mesh, options.threads))
         if stretched and options.metric is None:
             work = work._replace(notes=(*work.notes, ADVICE))
-        moves = work.host.geometry is not None and (
-            work.mesh.is_surface or options.boundary == "slide")
+        moves = work.mesh.is_surface or options.boundary == "slide"
+        work = on_geometry(work) if moves else work
         leaving = partial(_as_it_leaves, work, options.threads, onto=moves)
         with words_of(work.host):
             expect_overlaps(work, options)
