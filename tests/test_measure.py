@@ -14,6 +14,7 @@ from measure.local_global import forty_sweeps_part, moved_rhombohedron, moved_tr
 from measure.meshes import ball_of, kuhn_lattice
 from measure.multigrid import multigrid_part
 from measure.stages import fit, surface_part
+from measure.stretched import stretched
 
 from odt_plugins.compare.start import pebble
 from odt_plugins.compare.table import Table, as_text, shown
@@ -110,6 +111,16 @@ def test_the_stages_of_curved_surfaces_are_measured():
     assert min(seconds.values()) > 0
     assert seconds["memory [MB]"] > 50
     assert len(part.charts) == 2
+
+
+def test_layers_in_their_own_metric_keep_ratios_and_directions():
+    rows = stretched(silent, (2,)).rows
+    assert [row[0] for row in rows] == ["plane, fixed", "plane, slide"]
+    for row in rows:
+        before, after = map(float, str(row[2]).split(" to "))
+        assert after > before + 0.02
+        assert 0.95 < float(row[5]) < 1.05
+        assert float(row[6]) < 2.0
 
 
 def test_moved_triangle_is_that_of_the_paper():

@@ -129,6 +129,13 @@ def triangle_root(points: FloatArray, i: int, j: int, k: int) -> Root:
     return exponential(_times(1.0 / 3.0, one))
 
 
+@apart_kernel
+def hat_root(points: FloatArray, i: int, j: int, k: int) -> Root:
+    """S of a triangle as the hat function of its vertex i weighs it."""
+    one = _sum(_times(2.0, _row(points, i)), _sum(_row(points, j), _row(points, k)))
+    return exponential(_times(0.25, one))
+
+
 @kernel
 def through(root: Root, x: float, y: float, z: float) -> tuple[float, float, float]:
     """S (x, y, z)."""

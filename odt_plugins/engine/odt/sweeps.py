@@ -17,6 +17,7 @@ from odt_plugins.engine.cells.geometry import signed_volumes
 from odt_plugins.engine.cells.metric import (
     edges_through,
     exponential,
+    product,
     root_volume,
     solved,
     through,
@@ -148,10 +149,11 @@ def _seen_chunk(
     nodes: FloatArray, cells: IntArray, indices: IntArray, first: int, count: int, i: int,
     rows: FloatArray,
 ) -> None:
-    """Let cells have the circumcenters and the density that a metric gives them.
+    """Let cells have the circumcenters and the weights W = |tau| det(S) M that a metric gives them.
 
-    The moment is 2 det S (c - x_i), c the centre of the image back through S^-1, or S (c - x_i) of
-    a barycenter; S goes into the rows of corners.
+    S and M = S S are those of the mean of the logarithms that the hat function of vertex i weighs.
+    M goes into the rows of corners. The moment is 2 det M (c - x_i), c the centre of the image back
+    through S^-1, or M (c - x_i) of a barycenter.
     """
     d = cells.shape[1] - 1
     for s in range(count):
@@ -161,23 +163,25 @@ def _seen_chunk(
         a = b = e = f = g = h = 0.0
         for r in range(d + 1):
             v = cells[c, r]
+            t = 2.0
             if v != i:
-                j, k, l = v, j, k
+                j, k, l, t = v, j, k, 1.0
             if d == 2:
-                a, b, f = a + nodes[v, 4], b + nodes[v, 5], f + nodes[v, 6]
+                a, b, f = a + t * nodes[v, 4], b + t * nodes[v, 5], f + t * nodes[v, 6]
             else:
-                a, b, e = a + nodes[v, 4], b + nodes[v, 5], e + nodes[v, 6]
-                f, g, h = f + nodes[v, 7], g + nodes[v, 8], h + nodes[v, 9]
-        w = 1.0 / (d + 1)
+                a, b, e = a + t * nodes[v, 4], b + t * nodes[v, 5], e + t * nodes[v, 6]
+                f, g, h = f + t * nodes[v, 7], g + t * nodes[v, 8], h + t * nodes[v, 9]
+        w = 1.0 / (d + 2)
         root = exponential((w * a, w * b, w * e, w * f, w * g, w * h))
         size = root_volume(root)
         rows[RHO + s] *= size
-        xx, xy, xz, yy, yz, zz = root
+        metric = product(root, root)
+        xx, xy, xz, yy, yz, zz = metric
         rows[XX + s], rows[XY + s], rows[XZ + s] = xx, xy, xz
         rows[YY + s], rows[YZ + s], rows[ZZ + s] = yy, yz, zz
         if rows[RHO + s] < 0.0:
             ox, oy, oz = rows[OX + s], rows[OY + s], rows[OZ + s]
-            rows[OX + s], rows[OY + s], rows[OZ + s] = through(root, ox, oy, oz)
+            rows[OX + s], rows[OY + s], rows[OZ + s] = through(metric, ox, oy, oz)
             continue
         x, y, z = nodes[i, 0], nodes[i, 1], nodes[i, 2]
         edges = edges_through(root, (
@@ -186,7 +190,7 @@ def _seen_chunk(
             nodes[l, 0] - x, nodes[l, 1] - y, nodes[l, 2] - z) if d == 3 else (
             nodes[j, 0] - x, nodes[j, 1] - y, 0.0, nodes[k, 0] - x, nodes[k, 1] - y, 0.0,
             0.0, 0.0, 1.0))
-        ox, oy, oz = _twice_moment(edges, d)
+        ox, oy, oz = through(root, *_twice_moment(edges, d))
         # of a positive cell
         scale = (1.0 if six_volumes(*edges) * rows[DET + s] > 0.0 else -1.0) / size
         rows[OX + s], rows[OY + s], rows[OZ + s] = scale * ox, scale * oy, scale * oz

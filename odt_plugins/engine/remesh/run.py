@@ -68,9 +68,9 @@ before sizes give way."""
 EXTREMES = frozenset({"min_quality", "min_angle", "max_angle", "min_altitude"})
 """Figures of the worst cell."""
 
-CROWDED = 200
-"""Multiple of the triangles that are expected in a metric, or of those of the input, from which on
-none are split: triangles between feature lines that are needles in it take many more."""
+CROWDED = 20
+"""Multiple of the cells that are expected in a metric, or of those of the input, from which on none
+are split: needles in it between feature lines, or where it differs a lot, take many more."""
 
 MOST_GIVEN_WAY = 10
 """Multiple of the cells that are expected, or of those of the input, beyond which sizes do not give
@@ -151,8 +151,7 @@ def _triangles(mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leavi
     for _ in range(ATTEMPTS):
         if wanted is None:
             break
-        most = CROWDED * max(wanted.cells, len(mesh.cells)) if len(mesh.metric) else np.inf
-        outcome = retile(mesh, wanted.values, options, leaving, most)
+        outcome = retile(mesh, wanted.values, options, leaving, _crowded(mesh, wanted))
         if why is None and outcome.fallback is None:
             return outcome
         if why is None or (outcome.origin is not None and (
@@ -237,6 +236,11 @@ def _nearer(mesh: SimplexMesh, sizes: Sizes, spoiled: BoolArray) -> Sizes | None
 def _most(mesh: SimplexMesh, sizes: Sizes) -> float:
     """Cells, about, beyond which sizes do not give way."""
     return MOST_GIVEN_WAY * max(sizes.cells, len(mesh.cells))
+
+
+def _crowded(mesh: SimplexMesh, sizes: Sizes) -> float:
+    """Cells from which on none are split."""
+    return CROWDED * max(sizes.cells, len(mesh.cells)) if len(mesh.metric) else np.inf
 
 
 def _explained(
@@ -364,7 +368,7 @@ def _resized(
         were = [frame.vertices[s.rows[s.live()]] for s in (body.segments, body.triangles)]
         work = Resizing(body, guard, scratch, field, field.walk_start(len(start.points)), log,
                         LONGER * local_sizes(mesh)[frame.vertices] * unit, sizes.growth,
-                        relents, _most(mesh, sizes))
+                        relents, _most(mesh, sizes), _crowded(mesh, sizes))
         resize(work, share > 0.0, pool, tick, threads)
         whole = make_density(NodalDensity(LONGER * asked[frame.vertices] * unit, 1.0), None,
                              start.points, start.cells, None)

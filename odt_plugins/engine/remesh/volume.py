@@ -79,6 +79,7 @@ class Resizing:
     growth : float                 see Wish
     relents : bool                 whether sizes give way where the surface stays finer
     most : float                   cells, about, beyond which they do not
+    crowded : float                cells from which on none are split
     """
 
     body: Body
@@ -91,6 +92,7 @@ class Resizing:
     growth: float
     relents: bool
     most: float
+    crowded: float
 
     def sizes(self, pool: Pool | None) -> None:
         """Take the sizes of the field at the places where vertices are now."""
@@ -151,6 +153,8 @@ def _split(work: Resizing, pool: Pool | None) -> int:
     """Split long edges; in a metric edges that became short vanish between the passes."""
     total = 0
     for limit in [*_halved(work), *PASSES * [LONG]]:
+        if len(work.body.tets.live()) > work.crowded:
+            break
         edges = edges_beyond(work.body, limit, longer=True)
         done = np.zeros(1, dtype=np.int32)
         for first, last in pieces(0, len(edges)):

@@ -1,9 +1,9 @@
 """A vertex moves to the mean barycentre of its star, weighted by sizes, and back to the ground.
 
 Triangles weigh area times rho, rho = h^-4 (4.20): then neighbours share the error alike. In a
-metric they weigh W, the root S of the metric times the area as it is seen: then the pulls of
-triangles that have their lengths are alike. On a track a vertex moves to where both its edges are
-as long, measured by their sizes.
+metric M they weigh W, area times M: then the pulls of triangles that have their lengths balance,
+whether lengths along one axis grow or all. On a track a vertex moves to where both its edges are as
+long, measured by their sizes.
 """
 
 from __future__ import annotations
@@ -14,12 +14,13 @@ from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.measures import QUALITY
 from odt_plugins.engine.cells.metric import (
     has_metric,
+    product,
     solved,
     through,
     triangle_root,
     vertex_root,
 )
-from odt_plugins.engine.cells.triangle import offset, squares, triangle_in_space
+from odt_plugins.engine.cells.triangle import offset, triangle_in_space
 from odt_plugins.engine.compiled.kernel import apart_kernel, kernel
 from odt_plugins.engine.ground.closest import walk
 from odt_plugins.engine.ground.replace import ROOM
@@ -207,7 +208,11 @@ def _pulled(net: Net, v: int, count: int, room: Room) -> tuple[float, float, flo
     for i in range(count):
         c = room.exchange.new[i]
         root = triangle_root(p, c[0], c[1], c[2])
-        share = math.sqrt(max(squares(p, c[0], c[1], c[2])[3], 0.0))
+        root = product(root, root)
+        ux, uy, uz = offset(p, c[0], c[1])
+        vx, vy, vz = offset(p, c[0], c[2])
+        nx, ny, nz = uy * vz - uz * vy, uz * vx - ux * vz, ux * vy - uy * vx
+        share = math.sqrt(nx * nx + ny * ny + nz * nz)
         x, y, z = through(
             root, (p[c[0], 0] + p[c[1], 0] + p[c[2], 0]) / 3.0 - p[v, 0],
             (p[c[0], 1] + p[c[1], 1] + p[c[2], 1]) / 3.0 - p[v, 1],

@@ -8,7 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from odt_plugins.engine.cells.extremes import Extremes
-from odt_plugins.engine.cells.metric import has_metric, through, triangle_root
+from odt_plugins.engine.cells.metric import has_metric, hat_root, product, solved, through
 from odt_plugins.engine.cells.triangle import opposite_edge
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.position import NO_COST, Body, Step, along_line, try_move
@@ -55,13 +55,15 @@ def star_centre(
 ) -> tuple[float, float, float]:
     """Vector to the weighted mean of the centres of a star (4.13), (4.20) or (4.21).
 
-    In a metric circumcentres are those of the triangles as they are seen, and rho is det(S)^2, the
-    square of the ratio of the areas.
+    In a metric circumcentres are those of the triangles as they are seen, and weights are areas as
+    they are seen times M, see ``odt.sweeps``.
     """
     p, t = sheet.points, sheet.triangles
     indptr, indices = stars
     rho = target.rho
     x, y, z = p[vertex, 0], p[vertex, 1], p[vertex, 2]
+    seen = has_metric(p) and target.centre != LAPLACIAN
+    xx = xy = xz = yy = yz = zz = 0.0
     tx = ty = tz = weight = 0.0
     for s in range(indptr[vertex], indptr[vertex + 1]):
         c = indices[s]
@@ -73,16 +75,14 @@ def star_centre(
         uv = ux * vx + uy * vy + uz * vz
         # square of twice the area
         square = uu * vv - uv * uv
-        size = 1.0
-        if has_metric(p):
-            root = triangle_root(p, vertex, b, d)
+        if seen:
+            root = hat_root(p, vertex, b, d)
             ax, ay, az = through(root, ux, uy, uz)
             bx, by, bz = through(root, vx, vy, vz)
             uu = ax * ax + ay * ay + az * az
             vv = bx * bx + by * by + bz * bz
             uv = ax * bx + ay * by + az * bz
-            area, square = square, uu * vv - uv * uv
-            size = square / area if area > 0.0 else 0.0
+            square = uu * vv - uv * uv
         if target.centre == LAPLACIAN:
             share, left, right = 1.0, 0.5, 0.5
         elif not square > SLENDER * uu * vv:
@@ -90,17 +90,24 @@ def star_centre(
         else:
             share = 1.0
             if not target.equal_weights:
-                share = math.sqrt(square * size) * (rho[vertex] + rho[b] + rho[d])
+                share = math.sqrt(square) * (rho[vertex] + rho[b] + rho[d])
             left = right = 1.0 / 3.0
             if target.centre == ODT and sheet.kind[vertex] + sheet.kind[b] + sheet.kind[d] == 0:
                 left = 0.5 * vv * (uu - uv) / square
                 right = 0.5 * uu * (vv - uv) / square
+        ax, ay, az = left * ux + right * vx, left * uy + right * vy, left * uz + right * vz
+        if seen:
+            metric = product(root, root)
+            ax, ay, az = through(metric, ax, ay, az)
+            bx, by, bz, cx, cy, cz = metric
+            xx, xy, xz = xx + share * bx, xy + share * by, xz + share * bz
+            yy, yz, zz = yy + share * cx, yz + share * cy, zz + share * cz
         weight += share
-        tx += share * (left * ux + right * vx)
-        ty += share * (left * uy + right * vy)
-        tz += share * (left * uz + right * vz)
+        tx, ty, tz = tx + share * ax, ty + share * ay, tz + share * az
     if not weight > 0.0:
         return 0.0, 0.0, 0.0
+    if seen:
+        return solved((xx, xy, xz, yy, yz, zz), tx, ty, tz)
     return tx / weight, ty / weight, tz / weight
 
 
