@@ -68,9 +68,9 @@ before sizes give way."""
 EXTREMES = frozenset({"min_quality", "min_angle", "max_angle", "min_altitude"})
 """Figures of the worst cell."""
 
-CROWDED = 20
+CROWDED = {2: 200, 3: 20}
 """Multiple of the cells that are expected in a metric, or of those of the input, from which on none
-are split: needles in it between feature lines, or where it differs a lot, take many more."""
+are split, by dimension: needles in it, along feature lines or where it differs a lot, take more."""
 
 MOST_GIVEN_WAY = 10
 """Multiple of the cells that are expected, or of those of the input, beyond which sizes do not give
@@ -176,7 +176,7 @@ def _tries(
     smaller and smaller parts of the envelope, at last with a boundary that stays.
     """
     whys: list[str] = []
-    wanted, relents = sizes, False
+    wanted, relents = sizes, len(mesh.metric) > 0
     for share in (*(SHARES if slides else ()), 0.0):
         held = mesh
         for _ in range(ATTEMPTS):
@@ -240,7 +240,8 @@ def _most(mesh: SimplexMesh, sizes: Sizes) -> float:
 
 def _crowded(mesh: SimplexMesh, sizes: Sizes) -> float:
     """Cells from which on none are split."""
-    return CROWDED * max(sizes.cells, len(mesh.cells)) if len(mesh.metric) else np.inf
+    most = CROWDED[mesh.dim] * max(sizes.cells, len(mesh.cells))
+    return most if len(mesh.metric) else np.inf
 
 
 def _explained(
