@@ -200,13 +200,13 @@ def test_every_kernel_that_python_calls_is_written_down():
                          for alias in node.names if (node.module, alias.name) in kernels}
         for node in ast.walk(tree) if here else ():
             if isinstance(node, ast.FunctionDef) and not is_kernel(node):
+                parts = [*ast.walk(node)]
                 # Of a kernel's ``py_func`` there is no machine code.
-                others = {id(part.value) for part in ast.walk(node)
-                          if isinstance(part, ast.Attribute)}
-                names = [part for part in ast.walk(node)
+                others = {id(part.value) for part in parts if isinstance(part, ast.Attribute)}
+                names = [part for part in parts
                          if isinstance(part, ast.Name) and id(part) not in others]
                 own = {part.id for part in names if isinstance(part.ctx, ast.Store)}
-                own |= {arg.arg for arg in ast.walk(node) if isinstance(arg, ast.arg)}
+                own |= {arg.arg for arg in parts if isinstance(arg, ast.arg)}
                 called |= {".".join(here[part.id]) for part in names if part.id in here
                            and part.id not in own}
     assert len(called) > 70
