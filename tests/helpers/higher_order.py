@@ -17,7 +17,7 @@ def raised(points, cells, shape, off=0.05):
     dim = cells.shape[1] - 1
     order = int(shape[0, 0])
     owners = Counter(f for c in cells.tolist() for f in combinations(sorted(c), dim))
-    rim = [set(f) for f, count in owners.items() if count == 1]
+    rim = sides(f for f, count in owners.items() if count == 1)
     nodes, rows = list(points), []
     places = {frozenset([(i, order)]): i for i in range(len(points))}
     for cell in cells.tolist():
@@ -27,11 +27,17 @@ def raised(points, cells, shape, off=0.05):
             if place not in places:
                 places[place] = len(nodes)
                 x = sum(w * points[v] for v, w in place) / order
-                on_rim = any({v for v, _ in place} <= face for face in rim)
+                on_rim = frozenset(v for v, _ in place) in rim
                 nodes.append(x + on_rim * off * np.sin(len(nodes) + np.arange(len(x))))
             row.append(places[place])
         rows.append(row)
     return np.array(nodes), np.array(rows), places
+
+
+def sides(facets):
+    """All sets of vertices of the facets."""
+    return {frozenset(part) for facet in facets for k in range(1, len(facet) + 1)
+            for part in combinations(facet, k)}
 
 
 def places_of(rows, shape):

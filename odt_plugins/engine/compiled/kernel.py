@@ -119,10 +119,11 @@ class Kernel:
         self.allocates, self.inlined, self.apart = allocates, inlined, apart
         self.loaded: dict[str, Run] = {}
         self.runs: dict[Any, Run] = {}
+        self.in_python = False
 
     def __call__(self, *args: Any) -> Any:
         """Run the machine code for arguments of these types."""
-        if os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0"):
+        if self.in_python:
             return self.py_func(*args)
         kinds: list[Any] = []
         slots: list[Any] = []
@@ -134,6 +135,9 @@ class Kernel:
         return run(args, slots)
 
     def _find(self, args: tuple[Any, ...]) -> Run:
+        self.in_python = os.environ.get("NUMBA_DISABLE_JIT", "0") not in ("", "0")
+        if self.in_python:
+            return lambda args, slots: self.py_func(*args)
         name = f"{self.py_func.__module__}.{self.py_func.__qualname__}"
         line = f"{name}({', '.join(map(spelled, args))})"
         run = self.loaded[line] = library().get(line) or by_numba(self, args)
