@@ -69,6 +69,10 @@ def broken_by_retiling(
         bad = _not_positive(points, cells, cell_figures(points, cells))
         if len(bad):
             broken.append(f"triangle {bad[0]} has no positive area, {len(bad)} in all")
+    else:
+        flat = without_area(points, cells)
+        if flat.sum() > without_area(before.points, before.cells).sum():
+            broken.append(f"triangle {flat.argmax()} has no area, {flat.sum()} in all")
     old, new = (surface_edges(t, len(x)) for t, x in (
         (before.cells, before.points), (cells, points)))
     turned = [int(_turned(e).sum()) for e in (old, new)]
@@ -88,6 +92,19 @@ def broken_by_retiling(
             summarize(*as_seen(before.points, before.cells, before.metric)),
             summarize(*as_seen(points, cells, metric)), keep, 3)
     return broken
+
+
+def without_area(
+    points: NDArray[np.float64], cells: NDArray[np.int32]
+) -> NDArray[np.bool_]:
+    """Mark the triangles (m,) in space with an altitude that the rounding of coordinates hides."""
+    x = points[cells]
+    u, v = x[:, 1] - x[:, 0], x[:, 2] - x[:, 0]
+    area = np.cross(u, v)
+    longest = np.maximum(np.maximum((u**2).sum(axis=1), (v**2).sum(axis=1)),
+                         ((u - v) ** 2).sum(axis=1))
+    least = float(np.finfo(np.float64).eps) * float(np.abs(x).max(initial=0.0))
+    return np.asarray(~((area**2).sum(axis=1) > least**2 * longest))
 
 
 def _malformed(

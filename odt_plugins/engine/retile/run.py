@@ -33,7 +33,7 @@ from odt_plugins.mesh.simplex import SimplexMesh, diagonal, freeze
 from odt_plugins.mesh.surface import Edges, surface_edges
 from odt_plugins.options import Options
 from odt_plugins.progress import silent
-from odt_plugins.promise.retiled import broken_by_retiling
+from odt_plugins.promise.retiled import broken_by_retiling, without_area
 from odt_plugins.promise.surface import bad_places
 
 ATTEMPTS = 4
@@ -200,6 +200,8 @@ def _judged(
         bounds = relaxed(figures(*as_seen(mesh.points, mesh.cells, mesh.metric)), keep, 3)
         passed = bounds.passed_by(cell_shapes(*as_seen(points, cells, metric)), keep)
         bad[cells[passed]] = True
+        if mesh.is_surface:
+            bad[cells[without_area(points, cells)]] = True
     x, y = in_space(mesh.points), in_space(points)
     old, new = surface_edges(mesh.cells, len(x)), surface_edges(cells, len(y))
     was, now = (e.vertices[bad_places(*args, e)[1]] for e, args in (
