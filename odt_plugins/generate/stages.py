@@ -7,7 +7,6 @@ from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
-from scipy.spatial import Delaunay, QhullError
 
 from odt_plugins.engine.cells.elementary import power
 from odt_plugins.engine.cells.geometry import boundary_vertices, signed_volumes
@@ -168,6 +167,8 @@ def check_cover(mesh: Mesh, domain: Domain, scale: float, samples: FloatArray) -
     ------
     TooCoarseError
     """
+    from scipy.spatial import Delaunay, QhullError
+
     samples = samples[-domain.distance(samples) > 0.0]
     deep = -domain.distance(samples) > UNCOVERED * scale * domain.size(samples)
     samples = samples[deep]

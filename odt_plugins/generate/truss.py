@@ -12,7 +12,6 @@ import math
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.spatial import Delaunay, QhullError, cKDTree
 
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.generate.distance import Distance
@@ -75,6 +74,8 @@ def initial_points(
     size = domain.size(points)
     points = points[rng.random(len(points)) < (least / size) ** 2]
     if len(fixed) and len(points):
+        from scipy.spatial import cKDTree
+
         near = cKDTree(fixed).query(points)[0]
         points = points[near > 0.5 * spacing * domain.size(points) / least]
     return np.concatenate([fixed, points])
@@ -93,6 +94,8 @@ def triangulate(points: FloatArray, domain: Domain, scale: float) -> IntArray:
     -------
     (m, 3) int32              none that has its three vertices on the boundary and is flat
     """
+    from scipy.spatial import Delaunay, QhullError
+
     if len(points) < 3:
         return np.empty((0, 3), dtype=np.int32)
     try:
