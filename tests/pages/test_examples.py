@@ -114,7 +114,7 @@ def test_a_rotor_turns_and_no_cell_stays_inverted(here, capsys, monkeypatch):
 
 
 def test_a_sizing_field_is_kept():
-    """TetWild makes another mesh every time; of 30 about one allows little at its worst cell."""
+    """TetWild makes another mesh every time; a few allow little at their worst cell."""
     for name in ("pytetwild", "pyvista"):
         pytest.importorskip(name)
     for _ in range(3):
