@@ -67,7 +67,7 @@ def retile(
     sizes : (n,) float64     length that edges are to have at the vertices
     options : Options        `envelope`, `feature_angle`, `boundary` and `keep` count
     leaving : callable       applied to every mesh before it is judged
-    most : float             triangles from which on no edges are split
+    most : float             triangles from which on no edges are split, and none is resized anew
 
     Returns
     -------
@@ -82,6 +82,7 @@ def retile(
     old = make_reference(in_space(mesh.points), mesh.cells)
     bounds = _bounds(mesh, tuple(options.keep))
     before: list[str] = []
+    made = 0
     report = options.progress or silent
     for attempt in range(ATTEMPTS):
         report("resizing", attempt / ATTEMPTS)
@@ -106,7 +107,8 @@ def retile(
         if not judged.broken:
             return _told(outcome, origin, judged, before, clock)
         before = before or judged.broken
-        if not len(judged.bad):
+        made += len(net.triangles)
+        if not len(judged.bad) or made > most:
             break
         near = np.zeros(len(mesh.points), dtype=np.bool_)
         near[mesh.cells[old.closest(in_space(judged.bad))[1]]] = True

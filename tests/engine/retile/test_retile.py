@@ -198,6 +198,23 @@ def test_the_same_bits_twice():
     assert np.array_equal(first.cells, second.cells)
 
 
+@pytest.mark.parametrize(("most", "attempts"), [(np.inf, 4), (100.0, 1)])
+def test_what_made_too_many_triangles_is_not_made_again(most, attempts):
+    points, cells = sphere(2)
+    mesh = surface_mesh(points, cells)
+    judged = []
+
+    def spoil(outcome):
+        judged.append(len(outcome.points))
+        moved = outcome.points.copy()
+        moved[0] *= 1.0 + 0.02 * len(judged)
+        return replace(outcome, points=moved)
+
+    outcome = retile(mesh, np.full(len(points), 0.2), Options(envelope=1e-3), spoil, most)
+    assert len(judged) == attempts + 1
+    assert "the input is returned" in outcome.fallback
+
+
 def broken(mesh, outcome):
     return " ".join(broken_by_retiling(
         mesh, outcome.points, outcome.cells, outcome.regions, outcome.origin, (), outcome.metric,
