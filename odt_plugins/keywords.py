@@ -14,13 +14,10 @@ from odt_plugins.objectives import Objective
 from odt_plugins.options import (
     OPTIONS,
     Boundary,
-    Connectivity,
     Fields,
-    Layers,
     Method,
     Progress,
     Repair,
-    Solver,
 )
 
 FunctionT = TypeVar("FunctionT", bound=Callable[..., Any])
@@ -33,8 +30,6 @@ class OptionKeywords(TypedDict, total=False):
     """
 
     method: Method
-    solver: Solver
-    connectivity: Connectivity
     density: str | ArrayLike | Callable[[NDArray[np.float64]], ArrayLike]
     metric: str | ArrayLike | Callable[[NDArray[np.float64]], ArrayLike] | None
     smoothing: Mapping[str, Any]
@@ -49,7 +44,6 @@ class OptionKeywords(TypedDict, total=False):
     selection: ArrayLike | None
     regions: str | Sequence[str] | ArrayLike | None
     fields: Fields
-    layers: Layers
     free: str | tuple[str, ...]
     keep: str | tuple[str, ...]
     repair: Repair

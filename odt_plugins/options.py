@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, field
 from numbers import Integral
@@ -42,11 +42,10 @@ FIGURES = (*KEPT, "min_altitude")
 EDGE_LENGTH = 0.05
 """Part of the diagonal of a surface: edges that TetWild aims at, unless another is given."""
 
-Layers = Literal["keep", "improve"]
-STAYS = ("periodic", "inside")
+STAYS = ("periodic", "inside", "layers")
 """What stays unless the option `free` names it."""
 
-OF_MESHES = ("reference", "fixed", "selection", "regions", "fields", "layers", "free")
+OF_MESHES = ("reference", "fixed", "selection", "regions", "fields", "free")
 """Options for what a mesh has that is there already, none for a surface that is to be filled."""
 
 NOT_SIZED = ("insert", "density")
@@ -87,22 +86,40 @@ def _check_fields(options: Options | Smoothing) -> None:
         choices, least = about.metadata["choices"], about.metadata["least"]
         if choices:
             good = isinstance(value, str) and value in choices
-            expect(good, name, value, f"one of {choices}")
+            expect(good, *worded(name, value), f"one of {choices}")
         if about.metadata["share"] and not isinstance(value, bool):
             good = is_number(value) and 0 < value < float("inf")
-            expect(good, name, value, "a bool, or a number above 0")
+            expect(good, *worded(name, value), "a bool, or a number above 0")
         elif isinstance(about.default, bool):
-            expect(isinstance(value, bool), name, value, "a bool")
+            expect(isinstance(value, bool), *worded(name, value), "a bool")
         elif isinstance(about.default, int):
             good = isinstance(value, Integral) and not isinstance(value, bool)
             good = good and int(value) >= least
-            expect(good, name, value, f"an integer of at least {least}")
+            expect(good, *worded(name, value), f"an integer of at least {least}")
+
+
+def worded(name: str, value: Any) -> tuple[str, Any]:
+    """Name and value of an option, or of a value of `smoothing`, as a caller gives it."""
+    return ("smoothing", {name: value}) if name in SMOOTHING else (name, value)
 
 
 @dataclass(frozen=True)
 class Smoothing:
     """Values of the option `smoothing`; printed are those that are not as usual."""
 
+    solver: Solver = field(default="gauss-seidel", metadata=_told(
+        "How the positions are iterated. All solvers go with odt; gauss-seidel, jacobi and global "
+        "with cpt; gauss-seidel and jacobi with laplacian; cvt has Lloyd's iteration only, under "
+        "the default.",
+        python="Sections 4.1 and 4.3, formulas (4.27) and (4.28); lbfgs runs through scipy.",
+        choices=get_args(Solver)))
+    connectivity: Connectivity = field(default="auto", metadata=_told(
+        "How cells are reconnected in stage 1. delaunay: by Qhull each round. flips: by local "
+        "flips. none: cells stay, in finishing and untangling, too. auto: flips, after one round "
+        "of Qhull for meshes of at most 20,000 cells (tetrahedra: only if their mean q is below "
+        "0.6).",
+        python="Sections 3.1 and 3.2.",
+        choices=get_args(Connectivity)))
     linear_solver: LinearSolver = field(default="auto", metadata=_told(
         "Solver of the global step; auto chooses by size.", choices=get_args(LinearSolver)))
     exponent: float | None = field(default=None, metadata=_told(
@@ -122,9 +139,9 @@ class Smoothing:
         _check_fields(self)
         good = self.exponent is None or (
             is_number(self.exponent) and 0 < self.exponent < float("inf"))
-        expect(good, "exponent", self.exponent, "a positive number or None")
+        expect(good, *worded("exponent", self.exponent), "a positive number or None")
         good = self.omega is None or (is_number(self.omega) and 0 < self.omega <= 3)
-        expect(good, "omega", self.omega, "a number above 0 and at most 3, or None")
+        expect(good, *worded("omega", self.omega), "a number above 0 and at most 3, or None")
 
     def __repr__(self) -> str:
         return repr({name: getattr(self, name) for name, about in SMOOTHING.items()
@@ -133,6 +150,16 @@ class Smoothing:
 
 SMOOTHING = {about.name: about for about in dataclasses.fields(Smoothing)}
 """Every value of the option `smoothing` by its name, with its metadata, see :func:`_told`."""
+
+
+def _of_smoothing(key: str) -> str:
+    """What is told of the values of the option `smoothing`, one after the other."""
+    words = []
+    for name, about in SMOOTHING.items():
+        choices = ", ".join(about.metadata["choices"] if key == "help" else ())
+        if told := about.metadata[key]:
+            words.append(f"{name} ({choices}): {told}" if choices else f"{name}: {told}")
+    return " ".join(words)
 
 
 def listed(words: Sequence[str]) -> str:
@@ -149,19 +176,6 @@ class Options:
         "(laplacian), centroids of Voronoi cells (cvt).",
         python="Formulas (4.13), (4.20), (4.21) and Remark 4.8.",
         choices=get_args(Method)))
-    solver: Solver = field(default="gauss-seidel", metadata=_told(
-        "How the positions are iterated. All solvers go with odt; gauss-seidel, jacobi and global "
-        "with cpt; gauss-seidel and jacobi with laplacian; cvt has Lloyd's iteration only, under "
-        "the default.",
-        python="Sections 4.1 and 4.3, formulas (4.27) and (4.28); lbfgs runs through scipy.",
-        choices=get_args(Solver)))
-    connectivity: Connectivity = field(default="auto", metadata=_told(
-        "How cells are reconnected in stage 1. delaunay: by Qhull each round. flips: by local "
-        "flips. none: cells stay, in finishing and untangling, too. auto: flips, after one round "
-        "of Qhull for meshes of at most 20,000 cells (tetrahedra: only if their mean q is below "
-        "0.6).",
-        python="Sections 3.1 and 3.2.",
-        choices=get_args(Connectivity)))
     density: Any = field(default="keep", metadata=_told(
         "Sizes of the result: those of the input (keep), all alike (uniform), averages that weigh "
         "all cells alike (inverse-volume, not for laplacian), fine where a curved surface bends "
@@ -179,9 +193,10 @@ class Options:
         flag="Or the name of a point array of INPUT with 3 or 6 components, m11 m12 m22 m13 m23 "
         "m33."))
     smoothing: Any = field(default=Smoothing(), metadata=_told(
-        "Values for the laboratory of stage 1. "
-        + " ".join(f"{name}: {about.metadata['help']}" for name, about in SMOOTHING.items()),
-        python="A dict of them, such as {'rounds': 80}.",
+        "Values for the laboratory of stage 1; of several words the first is taken unless another "
+        "is given. "
+        + _of_smoothing("help"),
+        python="A dict of them, such as {'rounds': 80}. " + _of_smoothing("python"),
         flag="NAME=VALUE, such as rounds=80, once for each value."))
     finish: bool = field(default=True, metadata=_told(
         "Whether bad cells are finished by their quality, stage 2.",
@@ -238,19 +253,15 @@ class Options:
         "open3d, whose own filters keep. conserve keeps integrals over "
         "regions, of such cell arrays too. Other arrays, ids and normals stay in any case.",
         choices=get_args(Fields)))
-    layers: Layers = field(default="keep", metadata=_told(
-        "What happens to layers, which are many tetrahedra, or triangles in the plane, that are "
-        "stretched alike with their neighbours, as at walls, in thin plates and along shocks: keep "
-        "lets them stay as they are, improve treats them as any other cells. The report says how "
-        "many there are.",
-        choices=get_args(Layers)))
     free: tuple[str, ...] = field(default=(), metadata=_told(
         "What is treated as any other, though it stays as it is unless it is named. periodic: "
         "faces that correspond to each other when the boundary slides, which are those that the "
         "mesh calls so, and opposite plane ones of tetrahedra whose triangles match under one "
         "translation. inside: vertices of triangles beside tetrahedra, and of lines beside "
         "triangles in the plane, inside of a region, such as baffles, cracks and membranes; each "
-        "remains a face of a cell, and what they make up bends.",
+        "remains a face of a cell, and what they make up bends. layers: many tetrahedra, or "
+        "triangles in the plane, that are stretched alike with their neighbours, as at walls, in "
+        "thin plates and along shocks; the report says how many there are.",
         python="A single one may be given as a word.",
         flag="Separated by commas."))
     keep: tuple[str, ...] = field(default=KEPT, metadata=_told(
@@ -283,10 +294,11 @@ class Options:
         lab = self.smoothing
         _check_fields(self)
         known = SOLVERS[self.method]
-        if self.solver not in known:
+        if lab.solver not in known:
             msg = (
-                f"got method={self.method!r}, solver={self.solver!r}; expected one of {known} as "
-                f"the solver of this method, try solver={known[0]!r} or method='odt'"
+                f"got method={self.method!r}, smoothing={{'solver': {lab.solver!r}}}; expected one "
+                f"of {known} as the solver of this method, try smoothing="
+                f"{{'solver': {known[0]!r}}} or method='odt'"
             )
             raise InvalidOptionError(msg)
         if isinstance(self.density, str):
@@ -297,12 +309,13 @@ class Options:
             expect(good, "density", self.density, what)
         keeps = isinstance(self.density, str) and self.density == "keep"
         good = lab.exponent is None or keeps
-        expect(good, "exponent", lab.exponent, "None unless density is 'keep'")
-        local = self.solver in ("gauss-seidel", "jacobi") and self.method != "cvt"
+        expect(good, *worded("exponent", lab.exponent), "None unless density is 'keep'")
+        local = lab.solver in ("gauss-seidel", "jacobi") and self.method != "cvt"
         good = lab.omega is None or local
-        expect(good, "omega", lab.omega, "None unless the solver is a local sweep")
-        good = lab.linear_solver == "auto" or self.solver == "global"
-        expect(good, "linear_solver", lab.linear_solver, "'auto' unless solver is 'global'")
+        expect(good, *worded("omega", lab.omega), "None unless the solver is a local sweep")
+        good = lab.linear_solver == "auto" or lab.solver == "global"
+        what = "'auto' unless solver is 'global'"
+        expect(good, *worded("linear_solver", lab.linear_solver), what)
         good = is_number(self.envelope) and 0 < self.envelope < 1
         expect(good, "envelope", self.envelope, "a part of the diagonal, between 0 and 1")
         good = is_number(self.feature_angle) and 0 < self.feature_angle <= 180
@@ -310,13 +323,13 @@ class Options:
         if not self.finish:
             good = AIMS[self.objective].by_ratios
             expect(good, "objective", self.objective, "'radius_ratio' without finishing")
-            expect(lab.cycles == 1, "cycles", lab.cycles, "1 without finishing")
+            expect(lab.cycles == 1, *worded("cycles", lab.cycles), "1 without finishing")
         if self.metric is not None:
             self._expect_of_metric()
         expect(self.finish or not self.insert, "insert", self.insert, "False without finishing")
-        good = self.connectivity != "none" or not self.insert
-        expect(good, "insert", self.insert, "False with connectivity='none', since vertices that "
-                "come change cells; try another connectivity")
+        good = lab.connectivity != "none" or not self.insert
+        expect(good, "insert", self.insert, "False with smoothing={'connectivity': 'none'}, since "
+               "vertices that come change cells; try another connectivity")
         for name, known in (("keep", FIGURES), ("free", STAYS)):
             value = getattr(self, name)
             words = (value,) if isinstance(value, str) else value
@@ -335,9 +348,10 @@ class Options:
         for name, known in (("density", ("keep", "uniform")), ("method", ("odt", "cpt")),
                             ("solver", ("gauss-seidel", "jacobi")),
                             ("connectivity", ("auto", "flips", "none")), ("insert", (False,))):
-            value = getattr(self, name)
+            value = getattr(self.smoothing if name in SMOOTHING else self, name)
             good = isinstance(value, str | bool) and value in known
-            expect(good, name, value, f"{' or '.join(map(str, known))} with a metric")
+            what = f"{' or '.join(map(str, known))} with a metric"
+            expect(good, *worded(name, value), what)
 
 
 OPTIONS = {about.name: about for about in dataclasses.fields(Options)}
@@ -391,12 +405,21 @@ def make_options(odt: Mapping[str, Any] | None = None, /, **options: Any) -> Opt
 def _expect_known(given: Mapping[str, Any], known: Mapping[str, Any], what: str) -> None:
     unknown = [name for name in given if name not in known]
     if unknown:
-        near = difflib.get_close_matches(unknown[0], [*known, *SMOOTHING], n=1)
-        hint = f", did you mean {near[0]!r}?" if near else ""
-        if near and near[0] not in known:
-            hint = f", try smoothing={{{near[0]!r}: ...}}"
+        hint = hint_for(unknown[0], known)
         msg = f"got unknown {what} {unknown}; expected some of {list(known)}{hint}"
         raise InvalidOptionError(msg)
+
+
+def hint_for(unknown: str, known: Collection[str]) -> str:
+    """What may be meant by an unknown name, as the end of a sentence."""
+    near = difflib.get_close_matches(unknown, [*known, *SMOOTHING, *STAYS], n=1)
+    if not near:
+        return ""
+    if near[0] in known:
+        return f", did you mean {near[0]!r}?"
+    if near[0] in SMOOTHING:
+        return f", try smoothing={{{near[0]!r}: ...}}"
+    return f", try free={near[0]!r}"
 
 
 def smoothing_of(words: Sequence[str]) -> dict[str, Any]:

@@ -115,12 +115,12 @@ def run_engine(
         first = part(progress, 0.0, wanted.share)
         work, given = _prepare(mesh, replace(options, progress=tell and first), wanted)
         layers = 0
-        if options.layers == "keep" and options.metric is None:
+        if "layers" not in options.free and options.metric is None:
             was = () if work.tangle is None else (work.tangle.before, work.tangle.source)
             kept, layers = keep_layers(work.mesh, options.threads, *was)
             work = work._replace(mesh=kept)
         stretched = layers > MOST * len(work.mesh.cells) or (
-            options.layers == "improve" and "metric" not in wanted.refused
+            "layers" in options.free and "metric" not in wanted.refused
             and looks_anisotropic(work.mesh, options.threads))
         if stretched and options.metric is None:
             work = work._replace(notes=(*work.notes, ADVICE))

@@ -6,7 +6,6 @@ working directory, and it cannot be interrupted. pytetwild is imported in that p
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import pickle
 import re
@@ -36,7 +35,7 @@ from odt_plugins.errors import (
 )
 from odt_plugins.keywords import OptionKeywords, with_option_signature
 from odt_plugins.mesh.simplex import barycentric, diagonal, mesh_arrays, reverse
-from odt_plugins.options import EDGE_LENGTH, OPTIONS, Progress, make_options
+from odt_plugins.options import EDGE_LENGTH, OPTIONS, Progress, hint_for, make_options
 from odt_plugins.progress import part, telling
 from odt_plugins.remeshing import check_sizes, remesh, remesh_with_report
 
@@ -202,7 +201,7 @@ def _made(given: Mapping[str, Any], chosen: dict[str, Any]) -> Iterator[tuple[Me
         points, cells = run_tetwild(given, *first)
         seconds = time.perf_counter() - clock
         chosen["progress"] = part(tell, BY_TETWILD, 1.0)
-        improving = {"layers": "improve"} | _with_field(chosen, points, cells, given)
+        improving = {"free": "layers"} | _with_field(chosen, points, cells, given)
         yield (points, cells), seconds, improving
 
 
@@ -233,8 +232,7 @@ def _expect_known(options: Mapping[str, Any], own: Mapping[str, Any]) -> None:
     """Refuse keywords that are neither options nor pytetwild's own."""
     unknown = [name for name in options if name not in OPTIONS]
     if unknown:
-        near = difflib.get_close_matches(unknown[0], [*OPTIONS, *own], n=1)
-        hint = f", did you mean {near[0]!r}?" if near else ""
+        hint = hint_for(unknown[0], [*OPTIONS, *own])
         msg = (f"got unknown keywords {unknown}; expected those of pytetwild.tetrahedralize, or "
                f"options of odt_plugins.optimize{hint}")
         raise InvalidOptionError(msg)

@@ -117,15 +117,16 @@ def untangle_mesh(
     used = len(np.unique(mesh.cells))
     room = most_vertices(used, options.insert) - used if options.insert else 0
     tell = options.progress if callable(options.progress) else silent
-    flips = options.connectivity != "none"
+    flips = options.smoothing.connectivity != "none"
     found = untangled(mesh, options.threads, Wishes(wanted.rest, room, rounded, tell, flips))
     moved = replace(mesh, points=found.points[:n])
     cells, regions, source = in_input_order(moved, found.points, found.cells, found.regions,
                                             options.threads)
     if found.bad.any() and not wanted.partial:
         left = cell_signs(found.points, cells)[0] <= 0
-        tried = "no other places of their vertices were found, with connectivity='none'"
-        may = "connectivity='auto', "
+        tried = ("no other places of their vertices were found, with "
+                 "smoothing={'connectivity': 'none'}")
+        may = "smoothing={'connectivity': 'auto'}, "
         if flips:
             more = "flips nor vertices more" if options.insert else "flips"
             tried = f"neither other places of their vertices nor {more} were found"

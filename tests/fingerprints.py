@@ -59,18 +59,18 @@ VOLUME = {
 """Options for tetrahedra."""
 
 SOLID = {
-    "global, amg": {"solver": "global", "smoothing": {"linear_solver": "amg"}},
-    "global, direct": {"solver": "global", "smoothing": {"linear_solver": "direct"}},
-    "global cpt": {"solver": "global", "method": "cpt"},
-    "lbfgs": {"solver": "lbfgs", "smoothing": {"rounds": 5}},
-    "jacobi": {"solver": "jacobi"},
-    "richardson": {"solver": "richardson"},
+    "global, amg": {"smoothing": {"solver": "global", "linear_solver": "amg"}},
+    "global, direct": {"smoothing": {"solver": "global", "linear_solver": "direct"}},
+    "global cpt": {"smoothing": {"solver": "global"}, "method": "cpt"},
+    "lbfgs": {"smoothing": {"solver": "lbfgs", "rounds": 5}},
+    "jacobi": {"smoothing": {"solver": "jacobi"}},
+    "richardson": {"smoothing": {"solver": "richardson"}},
     "cpt": {"method": "cpt"},
     "laplacian": {"method": "laplacian"},
     "cvt": {"method": "cvt"},
-    "connectivity delaunay": {"connectivity": "delaunay"},
-    "connectivity flips": {"connectivity": "flips"},
-    "connectivity none": {"connectivity": "none"},
+    "connectivity delaunay": {"smoothing": {"connectivity": "delaunay"}},
+    "connectivity flips": {"smoothing": {"connectivity": "flips"}},
+    "connectivity none": {"smoothing": {"connectivity": "none"}},
     "objective min_dihedral": {"objective": "min_dihedral"},
     "objective amips": {"objective": "amips"},
     "density uniform": {"density": "uniform"},
@@ -224,9 +224,10 @@ def runs() -> dict[str, Run]:
         for name, options in VOLUME.items():
             found[f"{title}: {name}"] = partial(optimized, start, **options)
     found["bunny: slide"] = partial(optimized, partial(standard, "bunny"), boundary="slide")
-    found["bunny: global"] = partial(optimized, partial(standard, "bunny"), solver="global")
-    found["plate-7k: global"] = partial(optimized, partial(standard, "plate-7k"), solver="global",
-                                        smoothing={"linear_solver": "amg"})
+    found["bunny: global"] = partial(optimized, partial(standard, "bunny"),
+                                     smoothing={"solver": "global"})
+    found["plate-7k: global"] = partial(optimized, partial(standard, "plate-7k"),
+                                        smoothing={"solver": "global", "linear_solver": "amg"})
     found["bunny: two threads"] = partial(optimized, partial(standard, "bunny"), threads=2)
     found["labelled ball"] = partial(optimized, labelled)
     found["labelled ball: slide"] = partial(optimized, labelled, boundary="slide")

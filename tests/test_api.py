@@ -64,7 +64,7 @@ def test_the_verbs_are_few_and_those_that_give_a_mesh_have_a_twin_with_a_report(
     verbs = {name for name in functions if not name.endswith("_with_report")}
     arrays = {"metric_from_field"}
     assert len(verbs - arrays) <= 8
-    assert len(OPTIONS) <= 23
+    assert len(OPTIONS) <= 20
     plain = {"quality", "register", "run_filter_script", *arrays}
     assert functions - verbs == {f"{name}_with_report" for name in verbs - plain}
 
@@ -81,7 +81,7 @@ def test_hosts_show_the_keywords_that_they_take():
     for function, without in (
         (open3d_filters.optimize_odt, set()),
         (open3d_filters.filter_smooth_cpt,
-         {"method", "connectivity", "finish", "objective", "insert"}),
+         {"method", "finish", "objective", "insert"}),
         (pyvista_accessor.OdtAccessor.optimize, set()),
         (odt_plugins.refine_with_report, set()),
         (odt_plugins.tetrahedralize, set()),
@@ -117,10 +117,17 @@ def test_the_table_of_options_on_the_page_is_that_of_the_package():
         "run python tests/helpers/option_table.py")
 
 
-@pytest.mark.parametrize("name", ["method", "solver", "connectivity", "boundary"])
+@pytest.mark.parametrize("name", ["method", "boundary"])
 def test_every_named_choice_is_accepted(name):
     for choice in OPTIONS[name].metadata["choices"]:
         assert getattr(make_options(**{name: choice}), name) == choice
+
+
+@pytest.mark.parametrize("name", ["solver", "connectivity"])
+def test_every_named_choice_of_smoothing_is_accepted_and_told(name):
+    for choice in SMOOTHING[name].metadata["choices"]:
+        assert getattr(make_options(smoothing={name: choice}).smoothing, name) == choice
+        assert choice in OPTIONS["smoothing"].metadata["help"]
 
 
 PAIRS = list(product(get_args(Method), get_args(Solver)))
@@ -132,17 +139,20 @@ def test_every_pair_of_method_and_solver_that_there_is_has_its_step():
     assert set(surface_rounds.STEPS) < made
     for method, solver in PAIRS:
         if (method, solver) in made:
-            assert Options(method=method, solver=solver).solver == solver
+            found = Options(method=method, smoothing={"solver": solver})
+            assert found.smoothing.solver == solver
             continue
-        message = (f"got method='{method}', solver='{solver}'; expected one of .* as the solver of "
-                   "this method, try solver='gauss-seidel'")
+        message = (f"got method='{method}', smoothing={{'solver': '{solver}'}}; expected one of .* "
+                   "as the solver of this method, try smoothing={'solver': 'gauss-seidel'}")
         with pytest.raises(InvalidOptionError, match=message):
-            Options(method=method, solver=solver)
+            Options(method=method, smoothing={"solver": solver})
 
 
 @pytest.mark.parametrize(("options", "message"), [
-    ({"smoothing": {"cycles": 2}, "finish": False}, "got cycles=2; expected 1 without finishing"),
-    ({"smoothing": {"cycles": 0}, "finish": False}, "got cycles=0; expected 1 without finishing"),
+    ({"smoothing": {"cycles": 2}, "finish": False},
+     "got smoothing={'cycles': 2}; expected 1 without finishing"),
+    ({"smoothing": {"cycles": 0}, "finish": False},
+     "got smoothing={'cycles': 0}; expected 1 without finishing"),
     ({"method": "laplacian", "density": "inverse-volume"},
      "got density='inverse-volume'; expected 'uniform' for the method 'laplacian'"),
 ])
@@ -174,7 +184,7 @@ def test_every_parameter_is_documented(name):
 
 
 def test_options_cannot_be_made_wrong_by_hand_either():
-    with pytest.raises(InvalidOptionError, match="got rounds=-3"):
+    with pytest.raises(InvalidOptionError, match=r"got smoothing={'rounds': -3}"):
         Options(smoothing={"rounds": -3})
 
 

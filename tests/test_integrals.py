@@ -61,7 +61,7 @@ def test_nothing_is_told_where_nothing_changed():
     mesh = mesh_with_arrays(3)
     everything = np.ones(len(mesh.points), dtype=bool)
     _, report = odt_plugins.optimize_with_report(
-        mesh, fixed=everything, connectivity="none", finish=False)
+        mesh, fixed=everything, smoothing={"connectivity": "none"}, finish=False)
     assert report.integrals == {}
     assert "integrals" not in str(report)
 

@@ -51,7 +51,8 @@ def test_cells_far_smaller_than_the_mesh_are_no_flat_ones(d, method, solver):
     small = odt_plugins.quality((points, cells)).mean_quality
     for size in (1e-13, 1e-16, 1e-17, 1e-30):
         both = beside_a_large_cell(points, cells, size)
-        result, report = odt_plugins.optimize_with_report(both, method=method, solver=solver)
+        result, report = odt_plugins.optimize_with_report(
+            both, method=method, smoothing={"solver": solver})
         mine = result[1][(result[1] < len(points)).all(axis=1)]
         mean = odt_plugins.quality((result[0] / size, mine)).mean_quality
         assert mean > small + 0.01, report.fallback
@@ -71,7 +72,7 @@ DENSITIES = ["keep", "uniform", "inverse-volume", "array"]
 )
 def test_another_unit_changes_no_bit(kind, seed, power, method, density, finish, slide):
     points, cells = KINDS[kind](seed)
-    options = {"method": method[0], "solver": method[1], "smoothing": {"rounds": 4},
+    options = {"method": method[0], "smoothing": {"solver": method[1], "rounds": 4},
                "finish": finish}
     options["density"] = density
     if density == "array":

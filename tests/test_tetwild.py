@@ -92,7 +92,8 @@ def test_options_are_checked_before_tetwild_runs(monkeypatch):
     monkeypatch.setattr(tetwild, "run_tetwild", lambda given: pytest.fail("TetWild ran"))
     for given, message in (
         ({"odt": {"repai": 3}}, "did you mean 'repair'"),
-        ({"smoothing": {"rounds": -1}}, "rounds=-1"),
+        ({"smoothing": {"rounds": -1}}, r"smoothing={'rounds': -1}"),
+        ({"solver": "global"}, r"unknown keywords \['solver'\].*, try smoothing={'solver': "),
         ({"regios": 3}, "did you mean 'regions'"),
         ({"odt": "yes"}, "got odt='yes'; expected a dict"),
         ({"odt": False, "smoothing": {"rounds": 3}}, r"TetWild alone, and options \['smoothing'\]"),

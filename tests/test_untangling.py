@@ -330,14 +330,15 @@ def test_the_promise_knows_the_exact_sign_of_a_thin_cell():
 def test_cells_stay_without_connectivity():
     dart = np.array([[0.0, 0.0], [1.0, 0.4], [2.0, 0.0], [1.0, 2.0]]), [[0, 1, 2], [0, 2, 3]]
     assert len(odt_plugins.optimize(dart)[1]) == 2
-    with pytest.raises(TangledMeshError, match=r"no other places .* connectivity='none'.*auto"):
-        odt_plugins.optimize(dart, connectivity="none")
+    said = r"no other places .* smoothing={'connectivity': 'none'}.*auto"
+    with pytest.raises(TangledMeshError, match=said):
+        odt_plugins.optimize(dart, smoothing={"connectivity": "none"})
     points, cells = knotted(3)[:2]
-    out, rows = odt_plugins.optimize((points, cells), connectivity="none")
+    out, rows = odt_plugins.optimize((points, cells), smoothing={"connectivity": "none"})
     assert (out != points).any()
     assert {frozenset(row) for row in rows.tolist()} == {frozenset(row) for row in cells.tolist()}
-    with pytest.raises(odt_plugins.InvalidOptionError, match="connectivity='none'"):
-        odt_plugins.optimize((points, cells), connectivity="none", insert=True)
+    with pytest.raises(odt_plugins.InvalidOptionError, match=r"smoothing={'connectivity': 'none'}"):
+        odt_plugins.optimize((points, cells), smoothing={"connectivity": "none"}, insert=True)
 
 
 @pytest.mark.parametrize("more", [False, True])
@@ -436,6 +437,8 @@ def test_options_without_effect_on_untangling_are_refused():
         with pytest.raises(InvalidOptionError,
                            match="got smoothing= for untangling; expected some"):
             function(mesh, smoothing={"cycles": 2})
+        with pytest.raises(odt_plugins.InvalidOptionError, match="got solver= for untangling"):
+            function(mesh, solver="global")
         with pytest.raises(InvalidOptionError, match="did you mean 'threads'"):
             function(mesh, thread=2)
 

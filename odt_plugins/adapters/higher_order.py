@@ -436,7 +436,8 @@ def carried_point_data(
     if lost.size:
         msg = (
             f"point data {name!r} of {lost.size} mid-nodes (first: node {q.gone[lost[0]]}) are "
-            f"not kept: their edges were flipped away; try connectivity='none', finish=False"
+            f"not kept: their edges were flipped away; try "
+            f"smoothing={{'connectivity': 'none'}}, finish=False"
         )
         warn(msg, DataNotKeptWarning)
     return out
@@ -488,7 +489,7 @@ def renumbered(mapping: Mapping[str, Any], q: HigherOrder) -> dict[str, Any]:
         if (new < 0).any():
             msg = (
                 f"point set {name!r} loses {int((new < 0).sum())} mid-nodes whose edges were "
-                f"flipped away; try connectivity='none', finish=False"
+                "flipped away; try smoothing={'connectivity': 'none'}, finish=False"
             )
             warn(msg, DataNotKeptWarning)
     return out

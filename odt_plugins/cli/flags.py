@@ -11,7 +11,7 @@ from click.core import ParameterSource
 
 from odt_plugins.cli.terminal import ShareOption
 from odt_plugins.options import EDGE_LENGTH as DEFAULT_EDGE_LENGTH
-from odt_plugins.options import FIGURES, OPTIONS, STAYS, Options, smoothing_of
+from odt_plugins.options import FIGURES, OPTIONS, STAYS, Options, hint_for, smoothing_of
 
 EDGE_LENGTH = click.option(
     "--edge-length", type=click.FloatRange(min=0.0, max=1.0, min_open=True, max_open=True),
@@ -123,6 +123,15 @@ def given(*names: str) -> list[str]:
     """Those of some parameters whose flags stand on the command line."""
     source = click.get_current_context().get_parameter_source
     return [name for name in names if source(name) is ParameterSource.COMMANDLINE]
+
+
+def instead_of(error: click.UsageError) -> str:
+    """What to try where a flag is none but names a value of another, as the end of a sentence."""
+    if not isinstance(error, click.NoSuchOption) or error.ctx is None:
+        return ""
+    hint = hint_for(error.option_name.lstrip("-").replace("-", "_"), ())
+    option = hint.removeprefix(", try ").partition("=")[0]
+    return hint if any(known.name == option for known in error.ctx.command.params) else ""
 
 
 def refuse(name: str, what: str, instead: str) -> None:

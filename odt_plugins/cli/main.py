@@ -21,6 +21,7 @@ from odt_plugins.cli.flags import (
     chosen,
     cluster_flags,
     given,
+    instead_of,
     limit_flags,
     option_flags,
     refuse,
@@ -63,7 +64,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             return WRONG_USE
         except click.UsageError as exc:
             where = exc.ctx.command_path if exc.ctx else "odt-plugins"
-            return _fail(f"{exc.format_message().rstrip('.')} (see {where} --help)", WRONG_USE)
+            said = exc.format_message().rstrip(".") + instead_of(exc)
+            return _fail(f"{said} (see {where} --help)", WRONG_USE)
         except InvalidOptionError as exc:
             return _fail(exc, WRONG_USE)
         except ODTError as exc:

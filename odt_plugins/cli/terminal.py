@@ -152,7 +152,7 @@ def in_flags(text: str) -> str:
     own = (name for name, about in OPTIONS.items() if about.metadata["flag"] is not None)
     names = "|".join(("size", *WISHES, *own))
     value = r"""'[^']*'|"[^"]*"|\([^()]*\)|[-+.\w]*\w"""
-    text = re.sub(r"smoothing=\{'(\w+)': '?([-+.\w]+)'?\}", r"--smoothing \1=\2", text)
+    text = re.sub(r"smoothing=\{'(\w+)': '?([^{}']*)'?\}", r"--smoothing \1=\2", text)
     text = re.sub(rf"(?<![\w.-])({names})=({value})", flag, text)
     return re.sub(rf"(?<![\w.-])({names})=(?=[\s,.;)]|$)",
                   lambda found: "--" + found[1].replace("_", "-"), text)

@@ -84,11 +84,11 @@ FLIPS = ("meshing_edge_flip_by_planar_optimization", {"planartype": "delaunay", 
 def _ours() -> list[Contestant]:
     """Every default, and each method by itself as in the paper, without finishing."""
     alone: dict[str, Any] = {"finish": False, "keep": []}
-    methods = {
+    methods: dict[str, dict[str, Any]] = {
         "ODT local": {"method": "odt"}, "CPT local": {"method": "cpt"},
         "Laplacian": {"method": "laplacian"}, "CVT": {"method": "cvt"},
-        "ODT global": {"method": "odt", "solver": "global"},
-        "CPT global": {"method": "cpt", "solver": "global"},
+        "ODT global": {"method": "odt", "smoothing": {"solver": "global"}},
+        "CPT global": {"method": "cpt", "smoothing": {"solver": "global"}},
     }
     rows = [Contestant(OURS, "odt-plugins", (*SOLID, *FLAT, *CURVED), "ours", {"options": {}},
                        package="odt-plugins", remark="every default")]

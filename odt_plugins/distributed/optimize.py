@@ -275,9 +275,9 @@ def _start(mesh: SimplexMesh, options: Options) -> tuple[Whole, Options, float]:
 
 def first(options: Options, cells: int) -> Options:
     """Options of the first round: its blocks choose as the whole, of so many cells, would."""
-    if options.connectivity != "auto" or cells <= POLICY.exchange_cells:
+    if options.smoothing.connectivity != "auto" or cells <= POLICY.exchange_cells:
         return options
-    return replace(options, connectivity="flips")
+    return replace(options, smoothing=replace(options.smoothing, connectivity="flips"))
 
 
 def later(options: Options) -> Options:
@@ -286,8 +286,10 @@ def later(options: Options) -> Options:
     Means and quantiles of such a part say nothing; the whole is judged by them at the end.
     """
     keep = tuple(name for name in options.keep if name in EXTREMES)
-    connectivity = "flips" if options.connectivity == "auto" else options.connectivity
-    return replace(options, keep=keep, connectivity=connectivity)
+    lab = options.smoothing
+    if lab.connectivity == "auto":
+        lab = replace(lab, connectivity="flips")
+    return replace(options, keep=keep, smoothing=lab)
 
 
 def _judged(

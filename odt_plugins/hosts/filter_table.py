@@ -16,7 +16,7 @@ import numpy as np
 
 from odt_plugins.adapters.host import is_instance
 from odt_plugins.errors import InvalidOptionError
-from odt_plugins.options import DENSITIES, OPTIONS, SMOOTHING, Fields, Layers, Options, Smoothing
+from odt_plugins.options import DENSITIES, OPTIONS, SMOOTHING, Fields, Options, Smoothing
 
 Kind = Literal["int", "float", "bool", "enum", "length", "string"]
 
@@ -247,10 +247,9 @@ ITERATIONS = _of_option("cycles", "Iterations", "int", "Iterations", least=1)
 
 FIELDS = _of_option("fields", "Fields", "enum", "Vertex values", choices=get_args(Fields))
 LAYERS = _of_option(
-    "layers", "Layers", "enum", "Layers",
-    "What happens to many triangles of a planar mesh that are stretched alike with their "
-    "neighbours: keep lets them stay as they are, improve treats them as any other.",
-    choices=get_args(Layers))
+    "free", "freeLayers", "bool", "Free layers",
+    "Whether many triangles of a planar mesh that are stretched alike with their neighbours are "
+    "treated as any other; otherwise they stay as they are.", default=False)
 
 TARGET = Parameter("TargetLen", "length", 1.0, "Target Length",
                    "Length that edges are to have; with Adaptive they have none in common.")

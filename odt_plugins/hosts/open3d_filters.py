@@ -6,7 +6,6 @@ They take a TriangleMesh (legacy or tensor) or a TetraMesh and return a new mesh
 
 from __future__ import annotations
 
-import difflib
 import inspect
 import re
 from typing import Any, TypeVar, Unpack, cast
@@ -16,16 +15,15 @@ from odt_plugins.adapters.host import is_instance
 from odt_plugins.api import optimize as optimize_mesh
 from odt_plugins.errors import InvalidOptionError, ODTError, UnsupportedMeshError
 from odt_plugins.keywords import OptionKeywords, with_option_signature
-from odt_plugins.options import OPTIONS
+from odt_plugins.options import OPTIONS, hint_for, worded
 from odt_plugins.remeshing import remesh
 
 MeshT = TypeVar("MeshT")
 
-STILL = {"connectivity": "none", "finish": False}
-"""Options that make smoothing of the optimisation."""
-
-OWN = ("method", *STILL)
-"""Options that the smoothing filters set; number_of_iterations is `rounds` of `smoothing`."""
+OWN = ("method", "finish")
+"""Options that the smoothing filters set, with `connectivity` and `cycles` of `smoothing`, of which
+`rounds` is number_of_iterations.
+"""
 
 
 @with_option_signature(*OWN, "objective", "insert")
@@ -49,7 +47,7 @@ def filter_smooth_odt(
         Those of a TetraMesh stay either way: only on its boundary, which does not move, do they
         mean something. Colours are never averaged.
     **options                      of :func:`odt_plugins.optimize`; without those that make this
-                                   filter what it is: connectivity, finish, method
+                                   filter what it is: finish, method, connectivity in smoothing
 
     Returns
     -------
@@ -66,7 +64,7 @@ def filter_smooth_odt(
     L. Chen, M. Holst, CMAME 200 (2011) 967-984, doi:10.1016/j.cma.2010.11.007, (4.13).
     """
     return cast("MeshT", _smooth(filter_smooth_odt, mesh, number_of_iterations, filter_scope,
-                                 {"method": "odt"}, options))
+                                 "odt", {}, options))
 
 
 @with_option_signature(*OWN, "objective", "insert")
@@ -81,10 +79,10 @@ def filter_smooth_cpt(
     Every vertex moves to the weighted mean of the barycenters around it.
     """
     return cast("MeshT", _smooth(filter_smooth_cpt, mesh, number_of_iterations, filter_scope,
-                                 {"method": "cpt"}, options))
+                                 "cpt", {}, options))
 
 
-@with_option_signature(*OWN, "objective", "insert", "solver")
+@with_option_signature(*OWN, "objective", "insert")
 def filter_smooth_odt_global(
     mesh: MeshT,
     number_of_iterations: int = 1,
@@ -96,7 +94,7 @@ def filter_smooth_odt_global(
     Every round solves a linear system with the graph Laplacian.
     """
     return cast("MeshT", _smooth(filter_smooth_odt_global, mesh, number_of_iterations, filter_scope,
-                                 {"method": "odt", "solver": "global"}, options))
+                                 "odt", {"solver": "global"}, options))
 
 
 @with_option_signature()
@@ -148,7 +146,7 @@ def register() -> None:
 
 
 def _smooth(
-    function: Any, mesh: Any, iterations: int, scope: Any, kind: Any, options: Any
+    function: Any, mesh: Any, iterations: int, scope: Any, method: str, kind: Any, options: Any
 ) -> Any:
     _expect_mesh(mesh)
     name = "All" if scope is None else getattr(scope, "name", str(scope))
@@ -158,16 +156,18 @@ def _smooth(
             f"follow the vertices, and colours stay with them"
         )
         raise InvalidOptionError(msg)
-    own = {**STILL, **kind}
-    lab = {"rounds": iterations, "cycles": 1}
-    given, fixed = {**options, **options.get("smoothing", {})}, own | lab
-    wrong = next((name for name in fixed if given.get(name, fixed[name]) != fixed[name]), None)
-    if wrong is not None:
+    own = {"method": method, "finish": False}
+    lab = {"rounds": iterations, "cycles": 1, "connectivity": "none", **kind}
+    for given, fixed in ((options, own), (options.get("smoothing", {}), lab)):
+        wrong = next((name for name in fixed if given.get(name, fixed[name]) != fixed[name]), None)
+        if wrong is None:
+            continue
         instead = "optimize_odt()" if wrong != "rounds" else (
             f"number_of_iterations={given[wrong]!r}")
+        where, value = worded(wrong, given[wrong])
         msg = (
-            f"got {wrong}={given[wrong]!r}, which this filter sets to {fixed[wrong]!r}; expected "
-            f"other options only, try {instead}"
+            f"got {where}={value!r}, which this filter sets to {fixed[wrong]!r}; expected other "
+            f"options only, try {instead}"
         )
         raise InvalidOptionError(msg)
     _expect_known(options, own, list(inspect.signature(function).parameters)[1:])
@@ -175,7 +175,7 @@ def _smooth(
         lab = {**options.get("smoothing", {}), **lab}
         out = optimize_mesh(mesh, **{**options, **own, "smoothing": lab})
     except ODTError as exc:
-        words = re.sub(r"\brounds=", "number_of_iterations=", str(exc))
+        words = re.sub(r"smoothing=\{'rounds': ([^{}]*)\}", r"number_of_iterations=\1", str(exc))
         raise type(exc)(words) from exc
     if name == "Vertex":
         _restore_normals(out, mesh)
@@ -188,9 +188,7 @@ def _expect_known(options: Any, own: Any, parameters: list[str]) -> None:
         plain = name in own or (name in OPTIONS and value == OPTIONS[name].default)
         if name in parameters or plain:
             continue
-        near = difflib.get_close_matches(name, parameters, n=1)
-        hint = f", did you mean {near[0]!r}?" if near and name not in OPTIONS else ""
-        hint = ", try optimize_odt()" if name in OPTIONS else hint
+        hint = ", try optimize_odt()" if name in OPTIONS else hint_for(name, parameters)
         msg = f"got {name}={value!r}; expected some of {parameters} for this filter{hint}"
         raise InvalidOptionError(msg)
 

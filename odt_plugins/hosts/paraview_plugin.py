@@ -82,6 +82,7 @@ def property_of(name: str, default: Any, told: Mapping[str, Any], plain: bool) -
         value = ",".join(default)
     elif name == "smoothing":
         value = ""
+        told = {**told, "flag": "NAME=VALUE, such as solver=global, with a space between two."}
     words = f"{told['help']} {told['flag'] or ''}".strip()
     return (
         f'<{kind}VectorProperty name="{camel(name)}" command="Set{camel(name)}" '

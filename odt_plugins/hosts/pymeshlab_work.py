@@ -41,10 +41,10 @@ class Effect(NamedTuple):
 
 def _smooth(meshes: Any, values: Mapping[str, Any], method: str, solver: str) -> Effect:
     old = np.array(meshes.current_mesh().vertex_matrix())
-    options = _options(values, diagonal(meshes)) | {"method": method, "solver": solver}
+    options = _options(values, diagonal(meshes)) | {"method": method, "finish": False}
+    options["smoothing"] |= {"solver": solver, "connectivity": "none"}
     _, report = optimize_with_report(
-        InPlace(meshes), connectivity="none", finish=False, **options,
-        **_scope(meshes, values["selected"]),
+        InPlace(meshes), **options, **_scope(meshes, values["selected"]),
     )
     return _effect(old, meshes.current_mesh().vertex_matrix(), report, "Smoothed {} vertices")
 
@@ -166,9 +166,11 @@ def _options(values: Mapping[str, Any], length: float) -> dict[str, Any]:
     lab = {"rounds": values["stepsmoothnum"], "cycles": values.get("iterations", 1)}
     options = {"smoothing": lab, "density": values["density"],
                "keep": KEPT if values["keepquality"] else ()}
-    for name in ("fields", "layers", "objective", "insert"):
+    for name in ("fields", "objective", "insert"):
         if name in values:
             options[name] = values[name]
+    if values.get("freelayers"):
+        options["free"] = "layers"
     if values.get("regions"):
         options["regions"] = values["regions"]
     if values.get("boundary"):

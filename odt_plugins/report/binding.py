@@ -59,22 +59,34 @@ class Freeing(NamedTuple):
     held : dict     option, as a keyword with its value -> vertices (n,) bool that it frees
     insert : str    option that adds vertices inside, "" for none
     moving : str    option that gives vertices that move more freedom, "" for none
+    free : tuple    words that the option `free` has already
     """
 
     held: Mapping[str, NDArray[np.bool_]]
     insert: str = ""
     moving: str = ""
+    free: tuple[str, ...] = ()
 
     def of(self, cell: NDArray[np.int32], movable: NDArray[np.bool_], corner: bool) -> str:
         """Options that free a cell; of a corner of two facets only those that free vertices."""
         stay = cell[~movable[cell]]
-        found = [option for option, mask in self.held.items() if mask[stay].any()]
+        held = [option for option, mask in self.held.items() if mask[stay].any()]
+        found = [option for option in held if not option.startswith("free=")]
+        if len(found) < len(held):
+            words = [option.split('"')[1] for option in held if option not in found]
+            found.append(free_option((*self.free, *words)))
         if not corner:
             found += [self.insert, *([] if len(stay) else [self.moving])]
         return " and ".join(option for option in found if option)
 
 
 NOTHING = Freeing({})
+
+
+def free_option(words: Sequence[str]) -> str:
+    """The option `free` of some words, as a keyword."""
+    quoted = ", ".join(f'"{word}"' for word in words)
+    return f"free={quoted}" if len(words) == 1 else f"free=({quoted})"
 
 
 def joined_lines(cells: Sequence[BindingCell], most: int) -> list[str]:

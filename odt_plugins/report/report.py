@@ -69,7 +69,7 @@ class Report:
     interpolated : tuple of str             names of the point arrays whose values at vertices that
                                             moved are those that the field has there
     layers : int                            cells of layers that stay as they are, see the option
-                                            `layers`
+                                            `free`
     notes : tuple of str                    what was done to the mesh on its way in, and what may be
                                             done about it
     untangled : dict or None                of a mesh with inverted or flat cells: the numbers of
@@ -365,7 +365,7 @@ def _freeing(
         'free="inside"': before.fixed & before.anchored & (before.body.size > 0) & ~(
             held["boundary"] | held["interface"] | held["frozen"] | given),
         "fewer vertices in fixed": given & ~held["frozen"],
-        'layers="improve"' if options.selection is None else "a larger selection": held["frozen"],
+        'free="layers"' if options.selection is None else "a larger selection": held["frozen"],
     }
     wider = f"envelope={2.0 * options.envelope:g}" if solid or surface else ""
     if not (solid or surface) or options.boundary == "slide":
@@ -378,10 +378,11 @@ def _freeing(
             known[name] = np.zeros(len(kept), bool)
             known[name][kept] = mask[old]
     insert = "insert=True" if solid and options.finish and not options.insert else ""
+    without = {*refused, *(f"free='{word}'" for word in options.free)}
     known = {name: mask for name, mask in known.items()
-             if not {name.partition("=")[0], name.replace('"', "'")} & {*refused}}
+             if not {name.partition("=")[0], name.replace('"', "'")} & without}
     return Freeing(known, insert * ("insert" not in refused),
-                   wider if surface and "envelope" not in refused else "")
+                   wider if surface and "envelope" not in refused else "", options.free)
 
 
 def _surface_facts(

@@ -8,7 +8,7 @@ from typing import Any
 
 from odt_plugins.errors import counted
 from odt_plugins.mesh.numbering import AS_MANY_AS_PAY, most_vertices
-from odt_plugins.report.binding import joined_lines
+from odt_plugins.report.binding import free_option, joined_lines
 
 
 def story(report: Any) -> list[str]:
@@ -20,9 +20,10 @@ def story(report: Any) -> list[str]:
     if report.interpolated:
         lines.append(fields_line(report.interpolated))
     if report.layers:
+        free = free_option((*report.options["free"], "layers")).replace('"', "'")
         lines.append(
             f"layers {report.layers} cells that are stretched alike with their neighbours stay "
-            "as they are; layers='improve' lets them change")
+            f"as they are; {free} lets them change")
     for kind, changes in (("cell", report.integrals), ("point", report.point_integrals)):
         if changes:
             lines.append(integrals_line(kind, changes))

@@ -69,7 +69,7 @@ def test_fixed_everything_gives_identical_bytes(name, indices):
     mesh = host.make()
     n = len(host.view(mesh).points)
     fixed = np.arange(n) if indices else np.ones(n, dtype=bool)
-    out = host.optimize(mesh, fixed=fixed, connectivity="none", finish=False)
+    out = host.optimize(mesh, fixed=fixed, smoothing={"connectivity": "none"}, finish=False)
     assert contract.same_bits(host.view(mesh), host.view(out))
 
 

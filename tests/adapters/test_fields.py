@@ -200,8 +200,8 @@ def test_fields_on_quadratic_cells(kind, dim):
     for place, field in ((nodes, sloping), (flat, sloping), (flat, square)):
         mesh = quadratic_meshes.MAKERS[kind](
             place, rows, labels, {"T": field(place), "id": np.arange(len(nodes)) * 1.0}, dim)
-        out, report = odt_plugins.optimize_with_report(mesh, connectivity="none", finish=False,
-                                                       keep=())
+        out, report = odt_plugins.optimize_with_report(
+            mesh, smoothing={"connectivity": "none"}, finish=False, keep=())
         new, _, data, _ = quadratic_meshes.view(out, dim)
         assert report.interpolated == ("T",)
         assert (new != place).any(axis=1).sum() > len(place) // 5
@@ -211,7 +211,8 @@ def test_fields_on_quadratic_cells(kind, dim):
         out = odt_plugins.optimize(mesh)
         new, _, data, _ = quadratic_meshes.view(out, dim)
         assert np.abs(data["T"] - field(new)).max() < 1e-12
-        kept = odt_plugins.optimize(mesh, connectivity="none", finish=False, fields="keep")
+        kept = odt_plugins.optimize(
+            mesh, smoothing={"connectivity": "none"}, finish=False, fields="keep")
         assert np.array_equal(quadratic_meshes.view(kept, dim)[2]["T"], field(place))
 
 
@@ -251,7 +252,7 @@ def test_pymeshlab_interpolates_scalars_and_custom_attributes_when_asked_to():
     mesh.add_vertex_custom_scalar_attribute(linear(points) * 2.0, "twice")
     mesh.add_vertex_custom_point_attribute(points * 3.0, "thrice")
     mesh.add_vertex_custom_scalar_attribute(np.arange(len(points)) * 1.0, "node_id")
-    for given in ({}, {"connectivity": "none", "finish": False}):
+    for given in ({}, {"smoothing": {"connectivity": "none"}, "finish": False}):
         out, report = odt_plugins.optimize_with_report(mesh, fields="interpolate", **given)
         new = out.vertex_matrix()
         assert (new != points).any(axis=1).sum() > 50

@@ -99,8 +99,8 @@ def test_files_of_several_volumes_keep_their_groups(name, changed, model, tmp_pa
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         if changed:
-            odt_plugins.optimize(model / name, target=target, connectivity="none", finish=False,
-                                      smoothing={"rounds": 1})
+            odt_plugins.optimize(model / name, target=target, finish=False,
+                                 smoothing={"rounds": 1, "connectivity": "none"})
         else:
             files.write_file(target, files.read_file(model / name))
     assert _groups(target) == _groups(model / name)

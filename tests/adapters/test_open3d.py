@@ -114,8 +114,8 @@ def test_a_mesh_that_does_not_change_keeps_its_own_normals(kind):
         mesh.vertex["normals"] = strange
     else:
         mesh.vertex_normals = open3d.utility.Vector3dVector(strange)
-    out = odt_plugins.optimize(mesh, fixed=np.arange(len(strange)), connectivity="none",
-                               finish=False)
+    out = odt_plugins.optimize(mesh, fixed=np.arange(len(strange)),
+                               smoothing={"connectivity": "none"}, finish=False)
     assert out is not mesh
     kept = out.vertex.normals.numpy() if kind == "tensor" else np.asarray(out.vertex_normals)
     assert kept.tobytes() == strange.tobytes()
@@ -350,14 +350,13 @@ def test_options_may_be_tensors_and_labels_a_column():
 @pytest.mark.parametrize("name", ["filter_smooth_odt", "filter_smooth_cpt",
                                   "filter_smooth_odt_global"])
 def test_filters_smooth_as_the_options_say_and_flip_nothing(kind, name):
-    options = {"filter_smooth_odt": {}, "filter_smooth_cpt": {"method": "cpt"},
-               "filter_smooth_odt_global": {"solver": "global"}}[name]
+    method = "cpt" if "cpt" in name else "odt"
+    solver = "global" if "global" in name else "gauss-seidel"
     mesh = make(kind)
     before = view(kind, mesh)
     out = getattr(open3d_filters, name)(mesh, number_of_iterations=3)
-    truth = odt_plugins.optimize(mesh, smoothing={"rounds": 3, "cycles": 1}, finish=False,
-                                 connectivity="none",
-                                 **options)
+    lab = {"rounds": 3, "cycles": 1, "solver": solver, "connectivity": "none"}
+    truth = odt_plugins.optimize(mesh, method=method, smoothing=lab, finish=False)
     assert type(out) is type(mesh)
     assert contract.same_bits(view(kind, out), view(kind, truth))
     assert np.array_equal(view(kind, out).cells, before.cells)
@@ -491,7 +490,7 @@ def test_wrong_arguments_are_named():
     for name in ("filter_smooth_odt", "filter_smooth_cpt", "filter_smooth_odt_global"):
         with pytest.raises(InvalidOptionError, match="got number_of_iterations=-1"):
             getattr(open3d_filters, name)(make("triangle"), -1)
-    with pytest.raises(InvalidOptionError, match="got rounds=-1"):
+    with pytest.raises(InvalidOptionError, match=r"got smoothing={'rounds': -1}"):
         open3d_filters.optimize_odt(make("triangle"), smoothing={"rounds": -1})
     with pytest.raises(UnsupportedMeshError, match="expected an open3d TriangleMesh"):
         open3d_filters.filter_smooth_odt((CORNERS, np.array([[0, 1, 2]])))
@@ -501,18 +500,21 @@ def test_wrong_arguments_are_named():
 
 @pytest.mark.parametrize(("name", "options", "message"), [
     ("filter_smooth_odt", {"smoothing": {"rounds": 7}},
-     r"got rounds=7, .* to 3; .*number_of_iterations=7"),
+     r"got smoothing={'rounds': 7}, .* to 3; .*number_of_iterations=7"),
     ("filter_smooth_cpt", {"method": "odt"}, r"got method='odt', .* to 'cpt'; .*optimize_odt\(\)"),
     ("filter_smooth_odt", {"finish": True}, "got finish=True"),
-    ("filter_smooth_odt", {"connectivity": "flips"}, "got connectivity='flips'"),
-    ("filter_smooth_odt", {"smoothing": {"cycles": 2}}, "got cycles=2"),
-    ("filter_smooth_odt_global", {"solver": "lbfgs"}, "got solver='lbfgs'"),
+    ("filter_smooth_odt", {"smoothing": {"connectivity": "flips"}},
+     "got smoothing={'connectivity': 'flips'}, .* to 'none'"),
+    ("filter_smooth_odt", {"smoothing": {"cycles": 2}}, "got smoothing={'cycles': 2}"),
+    ("filter_smooth_odt_global", {"smoothing": {"solver": "lbfgs"}},
+     "got smoothing={'solver': 'lbfgs'}, .* to 'global'"),
+    ("filter_smooth_odt", {"solver": "lbfgs"}, "got solver='lbfgs'.*, try smoothing={'solver'"),
     ("filter_smooth_odt_global", {"method": "cpt"}, "got method='cpt'"),
     ("filter_smooth_odt", {"iterations": 3}, r"did you mean 'number_of_iterations'\?"),
     ("filter_smooth_cpt", {"objective": "amips"}, r"got objective='amips'.*, try optimize_odt\(\)"),
     ("filter_smooth_odt", {"insert": True}, r"got insert=True.*, try optimize_odt\(\)"),
     ("filter_smooth_odt_global", {"smoothing": {"omega": 1.0}},
-     r"got omega=1\.0.*unless the solver"),
+     r"got smoothing={'omega': 1\.0}.*unless the solver"),
 ])
 def test_options_that_contradict_a_filter_are_refused(name, options, message):
     function, mesh = getattr(open3d_filters, name), make("triangle")

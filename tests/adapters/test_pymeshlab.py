@@ -413,9 +413,9 @@ def test_filters_give_the_coordinates_of_plain_arrays(name):
     meshes.add_mesh(pymeshlab.Mesh(space, faces))
     meshes.apply_filter(name)
     options = {} if name.startswith("meshing") else {
-        "connectivity": "none", "finish": False, "smoothing": {"rounds": 10},
-        "method": "cpt" if "cpt" in name else "odt",
-        "solver": "global" if "global" in name else "gauss-seidel"}
+        "finish": False, "method": "cpt" if "cpt" in name else "odt",
+        "smoothing": {"rounds": 10, "connectivity": "none",
+                      "solver": "global" if "global" in name else "gauss-seidel"}}
     expected, cells = odt_plugins.optimize((space, faces), **options)
     assert (expected != space).any()
     assert meshes.current_mesh().vertex_matrix().tobytes() == expected.tobytes()
@@ -613,7 +613,8 @@ def test_a_texture_without_wedges_survives(flips, tmp_path):
     (tmp_path / "scan.ply").write_text("\n".join([*text, ""]), encoding="utf-8")
     meshes = pymeshlab.MeshSet()
     meshes.load_new_mesh(str(tmp_path / "scan.ply"))
-    out = odt_plugins.optimize(meshes, connectivity="auto" if flips else "none", finish=flips)
+    lab = {"connectivity": "auto" if flips else "none"}
+    out = odt_plugins.optimize(meshes, smoothing=lab, finish=flips)
     old, new = meshes.current_mesh(), out.current_mesh()
     assert flips != np.array_equal(old.face_matrix(), new.face_matrix())
     assert not new.has_wedge_tex_coord()

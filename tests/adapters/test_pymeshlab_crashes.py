@@ -107,7 +107,7 @@ def survive_function_filters():
         if name == "optimize":
             meshes = odt_plugins.optimize(meshes)
         elif name == "smooth":
-            meshes = odt_plugins.optimize(meshes, connectivity="none", finish=False)
+            meshes = odt_plugins.optimize(meshes, smoothing={"connectivity": "none"}, finish=False)
         elif name == "mesh":
             mesh = odt_plugins.optimize(plate())
             meshes.clear()

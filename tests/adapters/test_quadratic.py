@@ -147,7 +147,8 @@ def test_without_flips_all_indices_stay_and_nothing_is_lost(host, d):
     pytest.importorskip(host)
     points, rows, labels = quadratic_grid(d)
     mesh = MAKERS[host](points, rows, labels, {"name": np.arange(len(points)) / 7}, d)
-    out = odt_plugins.optimize(mesh, connectivity="none", finish=False, fields="keep")
+    out = odt_plugins.optimize(
+        mesh, smoothing={"connectivity": "none"}, finish=False, fields="keep")
     new_points, new_rows, point, _ = view(out, d)
     assert np.array_equal(new_rows, rows)
     assert np.array_equal(point["name"], np.arange(len(points)) / 7)
@@ -159,8 +160,8 @@ def test_a_mesh_that_does_not_change_comes_back_bit_for_bit(host, d):
     pytest.importorskip(host)
     points, rows, labels = quadratic_grid(d)
     mesh = MAKERS[host](points, rows, labels, {"name": np.arange(len(points))}, d)
-    out = odt_plugins.optimize(mesh, fixed=np.arange(len(points)), connectivity="none",
-                               finish=False)
+    out = odt_plugins.optimize(mesh, fixed=np.arange(len(points)),
+                               smoothing={"connectivity": "none"}, finish=False)
     for a, b in zip(view(mesh, d)[:2], view(out, d)[:2], strict=True):
         assert a.tobytes() == b.tobytes()
 

@@ -62,8 +62,8 @@ def test_a_class_of_the_users_comes_back_and_normals_that_were_set_do_where_noth
     mesh.mine = ["kept"]
     mesh.vertex_normals = np.tile([0.6, 0.0, 0.8], (len(mesh.vertices), 1))
     mesh.face_normals = -mesh.face_normals
-    out = odt_plugins.optimize(mesh, fixed=np.ones(len(mesh.vertices), bool), connectivity="none",
-                               finish=False)
+    out = odt_plugins.optimize(mesh, fixed=np.ones(len(mesh.vertices), bool),
+                               smoothing={"connectivity": "none"}, finish=False)
     assert type(out) is Mine
     assert out.mine == ["kept"]
     assert out.mine is not mesh.mine

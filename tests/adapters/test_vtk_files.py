@@ -43,8 +43,7 @@ def test_all_arrays_of_a_grid_come_back_in_their_types(suffix, binary, tmp_path)
     mesh = _grid()
     mesh.save(tmp_path / f"in{suffix}", binary=binary)
     odt_plugins.optimize(tmp_path / f"in{suffix}", target=tmp_path / f"out{suffix}",
-                              smoothing={"rounds": 1},
-                              connectivity="none", finish=False)
+                              smoothing={"rounds": 1, "connectivity": "none"}, finish=False)
     out = pyvista.read(tmp_path / f"out{suffix}")
     # Cells of one type come together.
     order = np.argsort(mesh.celltypes != 10, kind="stable")

@@ -34,7 +34,7 @@ def attack(rng: Rng, folder: Path) -> None:
     resized = bool(rng.random() < 0.5)
     mesh = _mesh(rng, resized=resized)
     before = Mesh(*mesh)
-    options: dict[str, Any] = {"metric": random_metric(rng, mesh[0]), "layers": "improve"}
+    options: dict[str, Any] = {"metric": random_metric(rng, mesh[0]), "free": "layers"}
     if rng.random() < 0.3:
         options["keep"] = tuple(name for name in FIGURES if rng.random() < 0.5)
     if rng.random() < 0.2:

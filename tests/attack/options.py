@@ -9,7 +9,15 @@ from typing import TYPE_CHECKING, Any, Literal, get_args, get_origin, get_type_h
 import numpy as np
 
 from odt_plugins.errors import InvalidOptionError
-from odt_plugins.options import DENSITIES, FIGURES, STAYS, LinearSolver, Options
+from odt_plugins.options import (
+    DENSITIES,
+    FIGURES,
+    STAYS,
+    Connectivity,
+    LinearSolver,
+    Options,
+    Solver,
+)
 
 if TYPE_CHECKING:
     from attack.shapes import RandomMesh
@@ -19,8 +27,9 @@ Rng = np.random.Generator
 GIVEN = 0.25
 """Probability that an option is given."""
 
-OFTEN = {"repair": 0.6}
-"""The same of some: a mesh that needs no turning is not changed by it."""
+OFTEN = {"repair": 0.6, "smoothing": 0.6}
+"""The same of some: a mesh that needs no turning is not changed by it, and of the values of the
+other each is given seldom."""
 
 
 def random_options(
@@ -122,6 +131,8 @@ def _share(rng: Rng) -> float:
 
 
 SMOOTHING: dict[str, Callable[[Rng], Any]] = {
+    "solver": lambda rng: str(rng.choice(get_args(Solver))),
+    "connectivity": lambda rng: str(rng.choice(get_args(Connectivity))),
     "linear_solver": lambda rng: str(rng.choice(get_args(LinearSolver))),
     "exponent": lambda rng: float(10.0 ** rng.uniform(-2, 1)),
     "omega": lambda rng: float(rng.uniform(0.05, 3.0)),

@@ -90,8 +90,7 @@ def test_flags_are_the_fields_of_options_with_their_defaults() -> None:
 def test_choices_are_those_of_options() -> None:
     hints = get_type_hints(Options)
     choices = {name for name, hint in hints.items() if get_origin(hint) is Literal}
-    assert choices == {"method", "solver", "connectivity", "objective",
-                       "boundary", "fields", "layers", "repair"}
+    assert choices == {"method", "objective", "boundary", "fields", "repair"}
     for name in choices:
         assert tuple(flags()[name].type.choices) == get_args(hints[name])
     assert choices == {name for name, about in OPTIONS.items() if about.metadata["choices"]}
@@ -112,15 +111,16 @@ def test_no_flag_given_means_the_defaults_of_options(place: Path, still: list[Op
 
 
 def test_every_flag_reaches_the_engine(place: Path, still: list[Options]) -> None:
-    words = ("--method cpt --solver global --smoothing linear_solver=direct --connectivity flips "
-             "--density keep --smoothing exponent=3.5 --smoothing rounds=7 --no-finish "
-             "--boundary fixed --regions part --keep min_quality,max_angle --repair orient "
-             "--threads 2")
+    words = ("--method cpt --smoothing solver=global --smoothing linear_solver=direct "
+             "--smoothing connectivity=flips --density keep --smoothing exponent=3.5 "
+             "--smoothing rounds=7 --no-finish --boundary fixed --regions part "
+             "--keep min_quality,max_angle --repair orient --threads 2")
     assert cli.main(["optimize", "in.vtu", "out.vtu", *words.split()]) == 0
     asked = still[0]
     assert asked == Options(
-        method="cpt", solver="global", connectivity="flips", finish=False, regions="part",
-        smoothing={"linear_solver": "direct", "exponent": 3.5, "rounds": 7},
+        method="cpt", finish=False, regions="part",
+        smoothing={"solver": "global", "connectivity": "flips", "linear_solver": "direct",
+                   "exponent": 3.5, "rounds": 7},
         keep=("min_quality", "max_angle"), repair="orient", threads=2)
     assert cli.main(["optimize", "in.vtu", "out.vtu", "--keep", "none", "--regions", "none"]) == 0
     assert still[1].keep == ()
@@ -371,12 +371,19 @@ BAD = [
     ("optimize", 2, "Missing argument 'INPUT'"),
     ("optimize in.vtu", 2, "Missing argument 'OUTPUT'"),
     ("optimize in.vtu out.vtu --frob", 2, "No such option"),
+    ("optimize in.vtu out.vtu --solver global", 2, r", try --smoothing solver=\.\.\. \(see"),
+    ("remesh in.vtu out.vtu --layers", 2, r", try --free layers \(see odt-plugins remesh"),
+    ("quality in.vtu --solver global", 2, r"'--solver' \(see"),
     ("optimize in.vtu out.vtu --method best", 2, "'best' is not one of 'odt', 'cpt'"),
-    ("optimize in.vtu out.vtu --smoothing rounds=many", 2, "got rounds='many'; expected an int"),
-    ("optimize in.vtu out.vtu --smoothing rounds=-1", 2, "got rounds=-1; expected an integer of"),
+    ("optimize in.vtu out.vtu --smoothing rounds=many", 2,
+     "got --smoothing rounds=many; expected an int"),
+    ("optimize in.vtu out.vtu --smoothing rounds=-1", 2,
+     "got --smoothing rounds=-1; expected an integer of"),
     ("optimize in.vtu out.vtu --threads 0", 2, "0 is not in the range x>=1"),
-    ("optimize in.vtu out.vtu --smoothing exponent=-2", 2, "got exponent=-2; expected a pos"),
-    ("optimize in.vtu out.vtu --smoothing exponent=nan", 2, "got exponent=nan; expected a p"),
+    ("optimize in.vtu out.vtu --smoothing exponent=-2", 2,
+     "got --smoothing exponent=-2; expected a pos"),
+    ("optimize in.vtu out.vtu --smoothing exponent=nan", 2,
+     "got --smoothing exponent=nan; expected a p"),
     ("optimize in.vtu out.vtu --keep beauty", 2, "got 'beauty'; expected some of min_quality"),
     ("optimize in.vtu out.vtu --keep=", 2, "got no name; expected some of min_quality"),
     ("optimize in.vtu out.vtu --fixed empty.txt", 2, "empty.txt holds no index; expected at"),
@@ -565,7 +572,9 @@ print(gc.get_threshold()[0] == __main__.RARELY, gc.get_freeze_count() > 1000)
      "smaller, see --growth; expected at most --most-cells 20, try a larger --most-cells"),
     ("try repair='orient'.", "try --repair orient."), ("finish=False, or", "--no-finish, or"),
     ('boundary="slide" and insert=True', "--boundary slide and --insert"),
-    ("got solver='jacobi'; try x", "got --solver jacobi; try x"),
+    ("got method='cpt'; try x", "got --method cpt; try x"),
+    ("smoothing={'solver': 'jacobi'}; try x", "--smoothing solver=jacobi; try x"),
+    ("try smoothing={'solver': ...}", "try --smoothing solver=..."),
     ("try keep=('min_quality', 'p1_quality')", "try --keep min_quality,p1_quality"),
     ("try keep=('min_quality',)", "try --keep min_quality"), ("keep=()", "--keep none"),
     ("regions=None", "--regions none"), ("envelope=0.002; q=3", "--envelope 0.002; q=3"),
@@ -594,7 +603,7 @@ def test_a_printed_report_names_flags(tmp_path, monkeypatch, capsys):
     ("optimize in.vtu o.vtu --envelope 0.01",
      "--envelope for triangles in the plane whose boundary stays"),
     ("optimize ball.vtu o.vtu --block-rounds 2", "expected --blocks beside it"),
-    ("optimize ball.vtu o.vtu --smoothing omega=1.5 --solver global",
+    ("optimize ball.vtu o.vtu --smoothing omega=1.5 --smoothing solver=global",
      "expected None unless the solver is a"),
     ("optimize ball.vtu o.vtu --smoothing omega=1.5 --method cvt",
      "expected None unless the solver is a"),

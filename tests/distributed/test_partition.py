@@ -337,7 +337,7 @@ def test_blocks_choose_their_flips_as_the_whole_would(small_blocks, monkeypatch)
 
     def sees(function: Any, items: Iterable[Block]) -> Iterator[Improved]:
         for block in items:
-            seen.append(block.options.connectivity)
+            seen.append(block.options.smoothing.connectivity)
             yield unchanged(block)
 
     run_blocks(mesh, Options(), 4, 1, sees)
@@ -345,7 +345,7 @@ def test_blocks_choose_their_flips_as_the_whole_would(small_blocks, monkeypatch)
     seen.clear()
     set_policy(monkeypatch, blocks_module, exchange_cells=len(mesh.cells) - 1)
     run_blocks(mesh, Options(), 4, 1, sees)
-    run_blocks(mesh, Options(connectivity="delaunay"), 4, 1, sees)
+    run_blocks(mesh, Options(smoothing={"connectivity": "delaunay"}), 4, 1, sees)
     assert seen == ["flips"] * 4 + ["delaunay"] * 4
 
 

@@ -151,7 +151,7 @@ def test_pieces_choose_flips_as_the_whole_would(tmp_path, monkeypatch):
     first_round = pieces.first_round
 
     def sees_options(item: Any, options: Options) -> Any:
-        flips.append(options.connectivity)
+        flips.append(options.smoothing.connectivity)
         return first_round(item, options)
 
     monkeypatch.setattr(pieces, "first_round", sees_options)

@@ -110,8 +110,9 @@ def test_method_and_apply_filter_do_the_same_for_the_options_they_stand_for(name
     assert same(one, other)
     method = "cpt" if "cpt" in name else "odt"
     solver = "global" if "global" in name else "gauss-seidel"
-    third = odt_plugins.optimize(flat(), method=method, solver=solver, connectivity="none",
-                                 finish=False, smoothing={"rounds": 4}, density="uniform", keep=())
+    third = odt_plugins.optimize(
+        flat(), method=method, finish=False, density="uniform", keep=(),
+        smoothing={"rounds": 4, "solver": solver, "connectivity": "none"})
     assert np.array_equal(third.vertex_matrix(), one.current_mesh().vertex_matrix())
     moved = (flat().vertex_matrix() != third.vertex_matrix()).any(axis=1)
     assert result["moved_vertices"] == moved.sum() > 0
@@ -581,5 +582,5 @@ def test_scripts_without_pymeshlab(tmp_path, capsys, monkeypatch):
 
 def test_layers_that_a_filter_shall_improve_are_improved():
     base = {"stepsmoothnum": 1, "density": "keep", "keepquality": True}
-    for layers in ("keep", "improve"):
-        assert pymeshlab_work._options(base | {"layers": layers}, 1.0)["layers"] == layers
+    for given, free in (({}, ()), ({"freelayers": False}, ()), ({"freelayers": True}, "layers")):
+        assert pymeshlab_work._options(base | given, 1.0).get("free", ()) == free

@@ -111,7 +111,7 @@ def test_tetrahedralize_passes_everything_on(monkeypatch):
     better = cube.odt.tetrahedralize(smoothing={"rounds": 2}, stop_energy=9.0,
                                      disable_filtering=True)
     assert better.odt.quality().mean_quality > grid.odt.quality().mean_quality
-    with pytest.raises(InvalidOptionError, match="rounds=-1"):
+    with pytest.raises(InvalidOptionError, match=r"smoothing={'rounds': -1}"):
         cube.odt.tetrahedralize(smoothing={"rounds": -1})
     with pytest.raises(InvalidOptionError, match="mean 'edge_length_"):
         cube.odt.tetrahedralize(edge_length=3.0)

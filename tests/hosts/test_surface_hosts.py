@@ -56,7 +56,7 @@ def check_texture(p, t, x, c, uv, tolerance, seams):
 
 def run(mesh, flips, seams):
     """Optimise; triangles across the seam are warned of."""
-    options = {"connectivity": "auto" if flips else "none", "finish": flips,
+    options = {"smoothing": {"connectivity": "auto" if flips else "none"}, "finish": flips,
                "regions": "charts" if seams else None}
     warned = nullcontext() if seams else pytest.warns(DataNotKeptWarning, match="across seams")
     with warned:

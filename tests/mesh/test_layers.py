@@ -101,7 +101,7 @@ def rows_of(cells: Any) -> set[tuple[int, ...]]:
 
 
 @pytest.mark.parametrize("made", [around_ellipse, prisms, thin_plate])
-def test_layers_stay_bit_for_bit_by_default_and_not_with_improve(made: Any) -> None:
+def test_layers_stay_bit_for_bit_by_default_and_not_when_freed(made: Any) -> None:
     points, cells, layer = made()
     vertices = np.unique(cells[layer])
     (out, rows), report = odt_plugins.optimize_with_report((points, cells))
@@ -112,14 +112,14 @@ def test_layers_stay_bit_for_bit_by_default_and_not_with_improve(made: Any) -> N
     line = [line for line in str(report).splitlines() if line.startswith("layers ")]
     assert len(line) == 1
     assert str(report.layers) in line[0]
-    assert "layers='improve'" in line[0]
+    assert "free='layers'" in line[0]
     (out, rows), report = odt_plugins.optimize_with_report(
-        (points, cells), layers="improve", keep=())
+        (points, cells), free="layers", keep=())
     changed = (out[vertices] != points[vertices]).any() or not (
         rows_of(cells[layer]) <= rows_of(rows))
     assert changed
     assert report.layers == 0
-    assert "layers='improve'" not in str(report)
+    assert "free='layers'" not in str(report)
 
 
 def test_what_lies_beyond_a_layer_is_improved_as_ever() -> None:
@@ -200,7 +200,7 @@ def test_the_boundary_layer_of_gmsh_around_an_ellipse_stays() -> None:
     out, rows = odt_plugins.optimize((points, cells))
     assert (out[layer] == points[layer]).all()
     assert rows_of(cells[np.isin(cells, layer).all(axis=1)]) <= rows_of(rows)
-    out, rows = odt_plugins.optimize((points, cells), layers="improve")
+    out, rows = odt_plugins.optimize((points, cells), free="layers")
     assert (out[layer] != points[layer]).any(axis=1).sum() > 50
 
 
@@ -281,5 +281,5 @@ def test_eigenvalues_and_logarithms_are_those_of_numpy(d: int) -> None:
 
 
 def test_an_unknown_way_is_refused() -> None:
-    with pytest.raises(odt_plugins.InvalidOptionError, match="layers='skip'"):
-        odt_plugins.Options(layers="skip")  # type: ignore[arg-type]
+    with pytest.raises(odt_plugins.InvalidOptionError, match="free='skip'"):
+        odt_plugins.Options(free="skip")  # type: ignore[arg-type]

@@ -110,7 +110,7 @@ def test_a_stretched_mesh_is_improved_in_its_own_metric_and_stays_stretched(make
     d = points.shape[1]
     shape = np.diag([1.0, 0.1, 0.1][:d])
     stretched = points @ shape
-    better, t = odt_plugins.optimize((stretched, cells), metric="input", layers="improve")
+    better, t = odt_plugins.optimize((stretched, cells), metric="input", free="layers")
     before, after = (odt_plugins.quality((x @ np.linalg.inv(shape), c)) for x, c in (
         (stretched, cells), (better, t)))
     assert after.mean_quality > before.mean_quality + 0.005
@@ -140,9 +140,9 @@ def test_the_same_bits_for_any_number_of_threads(many_threads):
     ({"metric": np.eye(2)}, "metric of shape"),
     ({"metric": np.tile([1.0, 0, -1.0], (144, 1))}, "at vertex 0"),
     ({"metric": "nothing"}, "expected 'input', or the name"),
-    ({"metric": "input", "solver": "global"}, "solver"),
+    ({"metric": "input", "smoothing": {"solver": "global"}}, "solver"),
     ({"metric": "input", "density": np.ones(144)}, "density"),
-    ({"metric": "input", "connectivity": "delaunay"}, "connectivity"),
+    ({"metric": "input", "smoothing": {"connectivity": "delaunay"}}, "connectivity"),
     ({"metric": "input", "insert": True}, "insert"),
 ])
 def test_what_goes_with_no_metric_is_refused_in_a_sentence(options, said):
@@ -165,7 +165,7 @@ def test_a_boundary_that_slides_is_seen_as_all_else(make):
     root = np.array([[5.0, 1.0, 0.2], [1.0, 1.0, 0.1], [0.2, 0.1, 1.2]])[:d, :d]
     (p, t), report = odt_plugins.optimize_with_report(
         (points @ np.linalg.inv(root), cells), metric=np.tile(root @ root, (len(points), 1, 1)),
-        boundary="slide", layers="improve", free="periodic")
+        boundary="slide", free=("layers", "periodic"))
     before, image = odt_plugins.quality((points, cells)), odt_plugins.quality((p @ root, t))
     for name in ("mean_quality", "min_quality", "min_angle", "max_angle"):
         assert np.isclose(getattr(report.before, name), getattr(before, name), atol=1e-9)
@@ -205,7 +205,8 @@ def test_a_run_in_a_constant_metric_is_that_of_the_image(d):
     s = axes @ np.diag([0.3, 2.0, 1.0][:d]) @ axes.T
     points, found = odt_plugins.optimize(
         (image @ np.linalg.inv(s), cells), metric=np.tile(s @ s, (300, 1, 1)))
-    wanted = odt_plugins.optimize((image, cells), density="uniform", connectivity="flips")
+    wanted = odt_plugins.optimize(
+        (image, cells), density="uniform", smoothing={"connectivity": "flips"})
     assert len({*map(frozenset, found.tolist())} ^ {*map(frozenset, wanted[1].tolist())}) == 0
     np.testing.assert_allclose(points @ s, wanted[0], atol=1e-9)
     assert np.abs(wanted[0] - image).max() > 0.1

@@ -63,12 +63,12 @@ def test_nothing_is_said_of_surfaces():
     assert not looks_anisotropic(surface_mesh(points * np.array([1.0, 1.0, 20.0]), cells))
 
 
-@pytest.mark.parametrize("layers", ["keep", "improve"])
-def test_the_report_of_a_stretched_mesh_names_its_metric(layers):
+@pytest.mark.parametrize("free", [(), "layers"])
+def test_the_report_of_a_stretched_mesh_names_its_metric(free):
     points, cells = jittered(2, 10, 0)
     for stretch, said in ((1.0, 0), (10.0, 1)):
         mesh = points * np.array([1.0, 1.0 / stretch]), cells
-        report = odt_plugins.optimize_with_report(mesh, layers=layers, finish=False)[1]
+        report = odt_plugins.optimize_with_report(mesh, free=free, finish=False)[1]
         assert sum("metric='input'" in note for note in report.notes) == said
     _, report = odt_plugins.optimize_with_report(mesh, metric="input", finish=False)
     assert not report.notes

@@ -210,6 +210,21 @@ def test_what_binds_names_the_option_that_frees_it() -> None:
     assert {b.hint for b in binding_cells(*given, mask, figures)} == {""}
 
 
+@pytest.mark.parametrize(("given", "names", "said"), [
+    ((), ("layers",), 'free="layers"'), ((), ("inside", "layers"), 'free=("inside", "layers")'),
+    (("periodic",), ("layers",), 'free=("periodic", "layers")'), (("periodic",), (), ""),
+])
+def test_words_of_free_are_one_option_with_those_that_were_given(
+    given: Any, names: Any, said: str
+) -> None:
+    mesh = fan()
+    held = {f'free="{name}"': np.ones(len(mesh.points), bool) for name in names}
+    cells = binding_cells(
+        mesh.points, mesh.cells, mesh.regions, np.zeros(len(mesh.points), bool),
+        cell_figures(mesh.points, mesh.cells), binding.Freeing(held, free=given))
+    assert {b.hint for b in cells} == {said}
+
+
 def test_equal_reasons_are_one_line_with_a_count() -> None:
     cells = list(bind(fan(), []).values())
     assert len(cells) > 2
@@ -246,6 +261,16 @@ def test_no_option_is_advised_that_the_call_refuses(refused: Any, said: str) -> 
     assert {b.hint for b in report.binding} == {said}
 
 
+@pytest.mark.parametrize(("free", "said"), [
+    ((), {'free="layers" and insert=True'}), (("layers",), {"insert=True"}),
+    (("inside",), {'free=("inside", "layers") and insert=True'}),
+])
+def test_a_word_of_free_is_advised_unless_it_is_given(free: Any, said: Any) -> None:
+    mesh = replace(fan(), frozen=np.ones(len(fan().cells), bool))
+    report = make_report(mesh, outcome(mesh), Options(free=free))
+    assert {b.hint for b in report.binding} == said
+
+
 def test_each_call_tells_what_it_refuses(monkeypatch: pytest.MonkeyPatch) -> None:
     from odt_plugins import api, remeshing
 
@@ -263,7 +288,7 @@ def test_each_call_tells_what_it_refuses(monkeypatch: pytest.MonkeyPatch) -> Non
     with pytest.raises(MeshFileError):
         odt_plugins.untangle(tet)
     assert {"insert", "free='inside'"} <= {*told[0]}
-    assert {"boundary", "envelope", "layers", "free"} <= {*told[1]}
+    assert {"boundary", "envelope", "free"} <= {*told[1]}
     assert "insert" not in told[1]
 
 

@@ -72,7 +72,7 @@ def overrelaxes(options: Options, dim: int) -> bool:
     """
     return (
         options.smoothing.omega is None and dim == 3 and options.finish
-        and (options.method, options.solver) == ("odt", "gauss-seidel")
+        and (options.method, options.smoothing.solver) == ("odt", "gauss-seidel")
     )
 
 
@@ -82,7 +82,7 @@ def relaxation(options: Options, dim: int, k: int) -> float:
         return POLICY.stirred if k < POLICY.stirred_rounds else POLICY.overrelaxed
     if options.smoothing.omega is not None:
         return options.smoothing.omega
-    return POLICY.damped if options.solver == "jacobi" else 1.0
+    return POLICY.damped if options.smoothing.solver == "jacobi" else 1.0
 
 
 Step = Callable[
@@ -121,7 +121,7 @@ def _descent(
     """All vertices down the gradient of the energy, or by what L-BFGS makes of it."""
     from odt_plugins.engine.odt.descent import lbfgs_step, richardson_step
 
-    step = lbfgs_step if options.solver == "lbfgs" else richardson_step
+    step = lbfgs_step if options.smoothing.solver == "lbfgs" else richardson_step
     return step(points, topology, rho, inverse_volume=inverse_volume)
 
 
@@ -165,7 +165,7 @@ def position_step(
     inverse_volume : bool          density (4.22)
     omega : float                  first alpha of a local sweep, see :func:`relaxation`
     """
-    step = STEPS[options.method, options.solver]
+    step = STEPS[options.method, options.smoothing.solver]
     return step(points, topology, rho, options, inverse_volume, omega)
 
 
@@ -250,8 +250,8 @@ def local_flips(
 
 def _cells(mesh: Complex, options: Options) -> IntArray:
     """Cells of a mesh; sweeps over stars take its slots as they are, free ones among them."""
-    sweeps = options.solver == "gauss-seidel" and options.method != "cvt" and options.finish
-    return mesh.cells[: mesh.used] if sweeps else mesh.mesh_arrays()[0]
+    sweeps = options.smoothing.solver == "gauss-seidel" and options.method != "cvt"
+    return mesh.cells[: mesh.used] if sweeps and options.finish else mesh.mesh_arrays()[0]
 
 
 def smooth(
@@ -292,7 +292,7 @@ def smooth(
     if overrelaxes(options, mesh.dim):
         settled = POLICY.stirred_settled * topology.movable_share
     scattered = 0
-    pays = options.connectivity == "auto" and exchange_pays(mesh)
+    pays = options.smoothing.connectivity == "auto" and exchange_pays(mesh)
     walk = density.walk_start(len(mesh.points))
     for k in range(options.smoothing.rounds):
         rho = density.at(mesh.points, pool, walk)
@@ -310,10 +310,10 @@ def smooth(
         far = stats.max_move > POLICY.exchange_move
         old = mesh
         flips = 0
-        if options.connectivity == "delaunay" or (k == 0 and far and pays):
+        if options.smoothing.connectivity == "delaunay" or (k == 0 and far and pays):
             mesh = exchange(mesh, bounds, log)
-        if options.connectivity in ("auto", "flips") or (
-            options.connectivity == "delaunay" and not far
+        if options.smoothing.connectivity in ("auto", "flips") or (
+            options.smoothing.connectivity == "delaunay" and not far
         ):
             flips = local_flips(mesh, bounds, log, pool)
         scattered += flips

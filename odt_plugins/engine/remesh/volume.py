@@ -227,7 +227,7 @@ def _smooth(work: Resizing, pool: Pool | None, threads: int) -> None:
     locked = (kind != INSIDE) | (work.body.hold[:n] != FREELY)
     mesh = make_complex(points, cells, regions, locked, kind != INSIDE)
     density = replace(work.field, power=-5.0, start=work.walk)
-    options = Options(smoothing={"rounds": SWEEPS}, connectivity="flips", threads=threads)
+    options = Options(smoothing={"rounds": SWEEPS, "connectivity": "flips"}, threads=threads)
     mesh, _ = smooth(mesh, density, options, FREE_BOUNDS, Log(), lambda _: None, None, pool)
     work.body.points[:n] = mesh.points
     cells, regions = mesh.mesh_arrays()

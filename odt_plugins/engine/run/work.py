@@ -172,7 +172,7 @@ def begin(
 ) -> tuple[Work, Complex]:
     """Number, lock, measure: what a run begins with, and the input as its first complex."""
     clock = time.perf_counter()
-    log = Log(without=within.without, flips=options.connectivity != "none")
+    log = Log(without=within.without, flips=options.smoothing.connectivity != "none")
     neighbors = cell_neighbors(mesh.cells, pool=pool)
     locked, boundary = locked_vertices(mesh, neighbors)
     start = make_start(mesh)

@@ -134,7 +134,7 @@ def _run_until_kept(
     clock = time.perf_counter()
     start = surface_start(mesh)
     log = Log(times={"prepare": time.perf_counter() - clock}, without=without,
-              flips=options.connectivity != "none")
+              flips=options.smoothing.connectivity != "none")
     first = tried = _attempts(start, options, leaving, log, 0)
     every = list(first.found)
     for halving in range(1, POLICY.surface_halvings + 1):

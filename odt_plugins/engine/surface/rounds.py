@@ -38,7 +38,7 @@ from odt_plugins.engine.topology.stencil import make_topology
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.components import components
-from odt_plugins.options import Options
+from odt_plugins.options import Options, worded
 
 CONNECTIVITY = ("auto", "flips", "none")
 """How a surface is reconnected; scipy triangulates the plane and space only."""
@@ -60,10 +60,11 @@ def check_method(options: Options) -> None:
     methods = tuple(dict.fromkeys(method for method, _ in STEPS))
     solvers = tuple(solver for method, solver in STEPS if method == options.method)
     for name, value, known in (("method", options.method, methods),
-                               ("solver", options.solver, solvers),
-                               ("connectivity", options.connectivity, CONNECTIVITY)):
+                               ("solver", options.smoothing.solver, solvers),
+                               ("connectivity", options.smoothing.connectivity, CONNECTIVITY)):
         if value not in known:
-            msg = f"got {name}={value!r} for a curved surface; expected one of {known} there"
+            where, given = worded(name, value)
+            msg = f"got {where}={given!r} for a curved surface; expected one of {known} there"
             raise InvalidOptionError(msg)
 
 
@@ -115,7 +116,8 @@ def step(
     equal_weights: bool,
 ) -> None:
     """Move all vertices once, in place, by the chosen method and solver (Sections 4.1 to 4.3)."""
-    moved = STEPS[options.method, options.solver](surface, rho, options, bounds, equal_weights)
+    move = STEPS[options.method, options.smoothing.solver]
+    moved = move(surface, rho, options, bounds, equal_weights)
     log.add("vertex moves", moved)
 
 
@@ -229,7 +231,7 @@ def _tangential(vectors: FloatArray, points: FloatArray, triangles: IntArray) ->
 
 def _flip(surface: Surface, options: Options, bounds: Extremes, log: Log) -> None:
     """Flip to intrinsic Delaunay unless the connectivity is to stay."""
-    if options.connectivity == "none":
+    if options.smoothing.connectivity == "none":
         return
     m = len(surface.triangles)
     everything, changed = np.ones(m, dtype=np.bool_), np.zeros(m, dtype=np.bool_)

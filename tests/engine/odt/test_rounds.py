@@ -18,7 +18,7 @@ from odt_plugins.options import Options
 def stepped(method, solver, *, inverse_volume):
     points, cells, boundary = planar.jittered_grid(6, 6, np.random.default_rng(3))
     topology = make_topology(cells, ~boundary, boundary)
-    options = Options(method=method, solver=solver)
+    options = Options(method=method, smoothing={"solver": solver})
     return position_step(points, topology, None, options, inverse_volume)[0]
 
 

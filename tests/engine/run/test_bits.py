@@ -97,8 +97,8 @@ digest = hashlib.sha256()
 rng = np.random.default_rng(5)
 for d, n in ((2, 600), (3, 500)):
     mesh = shaken(rng, d, n)
-    for options in ({}, {"solver": "global", "smoothing": {"linear_solver": "amg", "rounds": 3}},
-                    {"solver": "global", "smoothing": {"linear_solver": "direct", "rounds": 3}},
+    for options in ({}, {"smoothing": {"solver": "global", "linear_solver": "amg", "rounds": 3}},
+                    {"smoothing": {"solver": "global", "linear_solver": "direct", "rounds": 3}},
                     {"objective": "min_dihedral"}):
         for part in odt_plugins.optimize(mesh, **options):
             digest.update(part.tobytes())

@@ -69,8 +69,8 @@ def test_methods(d, method, finish):
 )
 def test_solvers(d, solver, linear_solver):
     mesh = start(d)
-    outcome = run(mesh, Options(solver=solver, smoothing={"linear_solver": linear_solver,
-                                                          "rounds": 3, "cycles": 1}))
+    outcome = run(mesh, Options(smoothing={"solver": solver, "linear_solver": linear_solver,
+                                           "rounds": 3, "cycles": 1}))
     assert_promise(mesh, outcome)
     assert outcome.fallback is None
 
@@ -78,7 +78,7 @@ def test_solvers(d, solver, linear_solver):
 @pytest.mark.parametrize("connectivity", ["delaunay", "flips", "none", "auto"])
 def test_connectivity(d, connectivity):
     mesh = start(d)
-    outcome = run(mesh, Options(connectivity=connectivity, finish=False, smoothing={"rounds": 5},
+    outcome = run(mesh, Options(finish=False, smoothing={"rounds": 5, "connectivity": connectivity},
                                 keep=()))
     assert_promise(mesh, outcome, keep=False)
     same = {frozenset(c) for c in outcome.cells.tolist()} == {
@@ -89,7 +89,7 @@ def test_connectivity(d, connectivity):
 
 
 def test_the_energy_falls_in_every_round_where_cells_stay(d):
-    outcome = run(start(d), Options(connectivity="none", finish=False, smoothing={"rounds": 5},
+    outcome = run(start(d), Options(finish=False, smoothing={"rounds": 5, "connectivity": "none"},
                                     keep=()))
     energies = [value for _, value in outcome.energy]
     assert len(energies) == 5
@@ -100,7 +100,8 @@ def test_the_energy_falls_in_every_round_where_cells_stay(d):
 @pytest.mark.parametrize(("d", "boundary"), [(2, "fixed"), (3, "fixed"), (3, "slide")])
 def test_without_connectivity_finishing_moves_vertices_alone(d, boundary, objective):
     mesh = start(d)
-    outcome = run(mesh, Options(connectivity="none", boundary=boundary, objective=objective))
+    outcome = run(mesh, Options(smoothing={"connectivity": "none"}, boundary=boundary,
+                                objective=objective))
     assert {frozenset(c) for c in outcome.cells.tolist()} == {
         frozenset(c) for c in mesh.cells.tolist()}
     assert (outcome.points != mesh.points).any()
@@ -110,7 +111,7 @@ def test_without_connectivity_finishing_moves_vertices_alone(d, boundary, object
 
 def test_scipy_early_and_flips_late(d):
     mesh = start(d)
-    outcome = run(mesh, Options(connectivity="auto", finish=False, smoothing={"rounds": 8},
+    outcome = run(mesh, Options(finish=False, smoothing={"rounds": 8, "connectivity": "auto"},
                                 keep=()))
     assert outcome.counts["delaunay calls"] == 1
     assert outcome.counts["energy flips"] > 0
@@ -181,7 +182,7 @@ def test_everything_frozen_or_fixed_comes_back_byte_identical(d):
         replace(base, frozen=np.ones(len(base.cells), dtype=bool)),
         replace(base, fixed=np.ones(len(base.points), dtype=bool)),
     ):
-        outcome = run(mesh, Options(connectivity="none", finish=False))
+        outcome = run(mesh, Options(smoothing={"connectivity": "none"}, finish=False))
         assert outcome.points.tobytes() == mesh.points.tobytes()
         assert_promise(mesh, outcome)
 
@@ -355,7 +356,7 @@ def test_literal_method_falls_back_when_it_spoils_the_mesh(d):
 @pytest.mark.parametrize("method", ["odt", "cpt", "laplacian"])
 def test_smoothing_alone_moves_what_it_may(d, method):
     mesh = start(d)
-    options = Options(method=method, finish=False, connectivity="none", smoothing={"rounds": 3},
+    options = Options(method=method, finish=False, smoothing={"rounds": 3, "connectivity": "none"},
                       keep=("min_quality", "min_angle", "max_angle"))
     outcome = run(mesh, options)
     before, after = measure(mesh.points, mesh.cells), measure(outcome.points, outcome.cells)

@@ -190,26 +190,27 @@ def test_flat_triangles_are_improved():
 
 
 @pytest.mark.parametrize("options", [
-    {"method": "cpt"}, {"method": "laplacian"}, {"solver": "jacobi"}, {"solver": "global"},
-    {"solver": "global", "method": "cpt", "smoothing": {"linear_solver": "amg"}},
+    {"method": "cpt"}, {"method": "laplacian"},
+    {"smoothing": {"solver": "jacobi"}}, {"smoothing": {"solver": "global"}},
+    {"method": "cpt", "smoothing": {"solver": "global", "linear_solver": "amg"}},
     {"density": "uniform"},
     {"density": "curvature"}, {"density": "inverse-volume"}, {"smoothing": {"exponent": 2.0}},
     {"smoothing": {"omega": 1.5}},
     {"density": lambda x: np.exp(x[:, 2])}, {"smoothing": {"cycles": 2}}, {"finish": False},
-    {"connectivity": "none"}, {"threads": 3}, {"keep": ()}, {"boundary": "slide"},
+    {"smoothing": {"connectivity": "none"}}, {"threads": 3}, {"keep": ()}, {"boundary": "slide"},
 ], ids=lambda o: "-".join(map(str, o)) or "nothing")
 def test_options(options, many_threads):
     p, t = sm.torus(40, 16, noise=0.5)
     _, c, report = improved((p, t), 3e-3, **options)
     assert report.after.mean_quality > report.before.mean_quality + 0.03
-    if options.get("connectivity") == "none":
+    if options.get("smoothing") == {"connectivity": "none"}:
         assert np.array_equal(c, t)
 
 
 def test_smoothing_alone_lowers_the_energy_and_keeps_every_triangle():
     p, t = sm.torus(60, 24, noise=0.5)
-    _, c, report = improved((p, t), 3e-3, finish=False, connectivity="none",
-                            smoothing={"rounds": 5})
+    _, c, report = improved((p, t), 3e-3, finish=False,
+                            smoothing={"rounds": 5, "connectivity": "none"})
     energy = [e for _, e in report.energy]
     assert len(energy) == 5
     assert energy == sorted(energy, reverse=True)
@@ -222,7 +223,8 @@ def test_the_global_step_lowers_the_energy_like_many_sweeps():
     ends = {}
     for solver in ("gauss-seidel", "global"):
         _, report = odt_plugins.optimize_with_report(
-            mesh, solver=solver, finish=False, keep=(), envelope=1e-2, density="uniform")
+            mesh, smoothing={"solver": solver}, finish=False, keep=(), envelope=1e-2,
+            density="uniform")
         ends[solver] = report.energy[-1][1] / report.energy[0][1]
         assert report.energy[-1][1] < report.energy[0][1]
     assert ends["global"] < 1.0
@@ -235,7 +237,7 @@ def test_the_global_step_bears_a_vertex_among_flat_triangles(linear_solver):
     around = np.setdiff1d(t[(t == v).any(axis=1)], v)
     p[around] = p[around[0]]
     _, _, report = improved(
-        (p, t), solver="global", smoothing={"linear_solver": linear_solver}, boundary="fixed")
+        (p, t), smoothing={"solver": "global", "linear_solver": linear_solver}, boundary="fixed")
     assert report.after.mean_quality > report.before.mean_quality + 0.01
 
 
@@ -420,9 +422,11 @@ def test_orientation_is_put_right_on_demand_only():
     ({"envelope": -1e-3}, "envelope=-0.001"),
     ({"envelope": float("nan")}, "envelope=nan"),
     ({"feature_angle": 0}, "feature_angle=0"),
-    ({"solver": "lbfgs"}, r"solver='lbfgs' for a curved surface; expected one of"),
+    ({"smoothing": {"solver": "lbfgs"}},
+     r"smoothing={'solver': 'lbfgs'} for a curved surface; expected one of"),
     ({"method": "cvt"}, r"method='cvt' for a curved surface"),
-    ({"connectivity": "delaunay"}, r"connectivity='delaunay' for a curved surface"),
+    ({"smoothing": {"connectivity": "delaunay"}},
+     r"smoothing={'connectivity': 'delaunay'} for a curved surface"),
     ({"density": "curved"}, "density='curved'"),
     ({"density": np.ones(7)}, r"density of shape \(7,\)"),
     ({"density": -1.0 * np.ones(642)}, r"density -1\.0 at index 0"),

@@ -122,7 +122,7 @@ def test_a_moved_vertex_takes_the_metric_of_its_foot():
 @pytest.mark.parametrize(("points", "cells"), [sm.sphere(3, 0.2), sm.bowl(15, noise=0.8)])
 def test_a_stretched_surface_becomes_as_good_as_its_twin_was(points, cells):
     back = np.linalg.inv(ROOT)
-    how = {"envelope": 3e-3, "feature_angle": 100.0, "layers": "improve"}
+    how = {"envelope": 3e-3, "feature_angle": 100.0, "free": "layers"}
     _, twin = odt_plugins.optimize_with_report((points, cells), **how)
     (p, t), report = odt_plugins.optimize_with_report(
         (points @ back, cells), metric=lambda x: np.broadcast_to(METRIC, (len(x), 3, 3)), **how)
@@ -142,7 +142,7 @@ def test_a_surface_that_is_stretched_stays_so_in_its_own_metric(many_threads):
     points, cells = sm.sphere(2, 0.2)
     stretch = np.array([8.0, 1.0, 1.0])
     found = [odt_plugins.optimize((points * stretch, cells), metric="input", envelope=5e-3,
-                                  feature_angle=100.0, layers="improve", threads=k) for k in (1, 3)]
+                                  feature_angle=100.0, free="layers", threads=k) for k in (1, 3)]
     assert all(np.array_equal(*pair) for pair in zip(*found, strict=True))
     p, t = found[0]
     before, after = (odt_plugins.quality(m) for m in ((points, cells), (p / stretch, t)))
