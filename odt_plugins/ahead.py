@@ -37,15 +37,15 @@ RUNS: dict[str, dict[tuple[str, int], tuple[dict[str, Any], ...]]] = {
         ("ball", SMALL): ({}, {"insert": True}, {"objective": "time_step", "insert": True},
                           {"objective": "min_dihedral", "insert": True, "boundary": "slide"},
                           {"density": "inverse-volume"}, {"metric": "input"},
-                          {"solver": "global", "finish": False},
-                          {"method": "cpt", "solver": "jacobi", "finish": False}),
+                          {"smoothing": {"solver": "global"}, "finish": False},
+                          {"method": "cpt", "smoothing": {"solver": "jacobi"}, "finish": False}),
         ("ball", LARGE): ({"smoothing": {"rounds": 1}, "finish": False, "threads": 2},),
     },
     "triangles": {
         ("plate", SMALL): ({}, {"objective": "min_dihedral"}, {"density": "inverse-volume"},
                            {"metric": "input"}),
         ("pebble", SMALL): ({}, {"boundary": "fixed"}, {"density": "curvature"},
-                            {"solver": "jacobi", "finish": False}),
+                            {"smoothing": {"solver": "jacobi"}, "finish": False}),
     },
 }
 """For every process the start meshes, their vertices, and the options of their runs."""
@@ -158,12 +158,12 @@ def run(name: str) -> None:
         if mesh != "pebble" and vertices == SMALL:
             inside = ~boundary_vertices(cells, len(points))
             noise = np.random.default_rng(0).normal(scale=0.1, size=points.shape)
-            optimize((points + noise * inside[:, None], cells), layers="improve")
+            optimize((points + noise * inside[:, None], cells), free="layers")
             before, same = simplex_mesh(points, cells)[0], np.arange(max(len(points), len(cells)))
             after = After(0.9 * points, before.cells, same[:len(cells)], same[:len(points)])
             conserved(before, after, {"": before.cells[:, 0] * 1.0}, {"": (points, after.points)})
             squeezed = points * np.where(np.arange(points.shape[1]) > 0, 1.0, 0.2)
-            optimize((squeezed, cells), layers="improve")
+            optimize((squeezed, cells), free="layers")
         if mesh == "plate":
             refine_triangles(points, cells)
             plane = Triangles(points.copy(), cells.copy(), cell_neighbors(cells), 0 * cells[:, 0])
