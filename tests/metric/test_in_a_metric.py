@@ -192,9 +192,10 @@ def test_an_inverted_mesh_is_seen_before_and_after():
 
 
 @pytest.mark.parametrize("d", [2, 3])
-def test_a_run_in_a_constant_metric_is_that_of_the_image(d):
+@pytest.mark.parametrize("seed", [3, 4, 5])
+def test_a_run_in_a_constant_metric_is_that_of_the_image(d, seed):
     """The same cells, and vertices that differ by what rounding becomes in some hundred steps."""
-    rng = np.random.default_rng(2)
+    rng = np.random.default_rng(seed)
     image = rng.normal(size=(300, d))
     image /= np.maximum(1.0, np.linalg.norm(image, axis=1))[:, None]
     cells = Delaunay(image).simplices
@@ -208,5 +209,5 @@ def test_a_run_in_a_constant_metric_is_that_of_the_image(d):
     wanted = odt_plugins.optimize(
         (image, cells), density="uniform", smoothing={"connectivity": "flips"})
     assert len({*map(frozenset, found.tolist())} ^ {*map(frozenset, wanted[1].tolist())}) == 0
-    np.testing.assert_allclose(points @ s, wanted[0], atol=1e-9)
+    np.testing.assert_allclose(points @ s, wanted[0], atol=1e-10)
     assert np.abs(wanted[0] - image).max() > 0.1

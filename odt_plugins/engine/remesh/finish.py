@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from odt_plugins.engine.odt.density import NodalDensity
+from odt_plugins.engine.record.figures import figures
 from odt_plugins.engine.remesh.lay_out import surface_of
 from odt_plugins.engine.run.outcome import Leaving, Outcome
 from odt_plugins.engine.run.plan import run
@@ -17,9 +18,16 @@ from odt_plugins.mesh.faces import Faces, Pieces, followed, labels_at, no_faces,
 from odt_plugins.mesh.numbering import new_numbers
 from odt_plugins.mesh.simplex import SimplexMesh
 from odt_plugins.options import Options
+from odt_plugins.progress import part, silent
 
 SLIDING = 0.4
 """Part of the allowed change of the volume that sliding may use."""
+
+POOR = 0.6
+"""1 % quantile of the radius ratio below which vertices are added and removed."""
+
+MORE = 0.1
+"""Part of the vertices by which these may become more then."""
 
 
 class Resized(NamedTuple):
@@ -77,15 +85,36 @@ def finished(
                                faces=_renumbered(resized, outcome.origin)))
         return replace(left, origin=outcome.origin)
 
-    best = run(middle, options, as_it_leaves, within=Within(share=SLIDING))
+    def once(first: float, last: float, insert: float) -> Outcome:
+        some = replace(options, insert=insert or False, progress=part(report, first, last))
+        return run(middle, some, as_it_leaves, within=Within(share=SLIDING))
+
+    report = options.progress or silent
+    if _may_insert(middle, options):
+        best = once(0.0, 0.7, 0.0)
+        if figures(best.points, best.cells).p1_quality < POOR:
+            best = once(0.7, 1.0, MORE)
+    else:
+        best = once(0.0, 1.0, 0.0)
+    report("finishing", 1.0)
     if best.written is None:
         best = as_it_leaves(best)
     outcome = replace(best, origin=_composed(origin, best.origin), fallback=None, slid=None)
     faces = _followed(resized, outcome, best.origin, slides=options.boundary == "slide")
     if best.origin is not None:
-        given = given._replace(lengths=lengths[best.origin], multiple=given.multiple[best.origin],
-                               lines=new_numbers(best.origin, len(origin))[given.lines])
+        came = best.origin < 0
+        sizes: FloatArray = np.ones(len(came)) if best.sizes is None else best.sizes
+        given = given._replace(
+            lengths=np.where(came, lengths.mean() * sizes, lengths[best.origin]),
+            multiple=np.where(came, 1.0, given.multiple[best.origin]),
+            lines=new_numbers(best.origin, len(origin))[given.lines])
     return given._replace(outcome=replace(outcome, faces=faces or no_faces())), faces is not None
+
+
+def _may_insert(mesh: SimplexMesh, options: Options) -> bool:
+    """Whether vertices may be added and removed inside."""
+    free = options.finish and options.smoothing.connectivity != "none"
+    return free and not len(mesh.metric)
 
 
 def _renumbered(resized: Outcome, origin: LongArray | None) -> tuple[Faces, Faces]:

@@ -9,7 +9,11 @@ import numpy as np
 
 from odt_plugins.engine.cells.extremes import FREELY as ANY
 from odt_plugins.engine.cells.extremes import Bounds
+from odt_plugins.engine.cells.measures import QUALITY
 from odt_plugins.engine.compiled.threads import pieces
+from odt_plugins.engine.finish.phases import Phase
+from odt_plugins.engine.finish.volume import finish
+from odt_plugins.engine.moves.passes import measures
 from odt_plugins.engine.odt.density import Density
 from odt_plugins.engine.odt.rounds import Log, smooth
 from odt_plugins.engine.remesh.body import (
@@ -61,6 +65,9 @@ RELENTING = 2
 
 MOST_STUCK = 0.5
 """Part of the vertices of the surface beyond which sizes give way without being asked to."""
+
+SLIVER = 0.1
+"""Radius ratio of tetrahedra at which stage 2 flips and moves in a round, but in a metric."""
 
 FREE_BOUNDS = Bounds(ANY, ANY)
 
@@ -220,7 +227,7 @@ def arrays_of(body: Body) -> tuple[FloatArray, IntArray, IntArray]:
 
 
 def _smooth(work: Resizing, pool: Pool | None, threads: int) -> None:
-    """Rounds of ODT and flips inside."""
+    """Rounds of ODT and flips inside; then slivers, at which no edge is cut and none vanishes."""
     points, cells, regions = arrays_of(work.body)
     n = len(points)
     kind = work.body.kind[:n]
@@ -229,6 +236,9 @@ def _smooth(work: Resizing, pool: Pool | None, threads: int) -> None:
     density = replace(work.field, power=-5.0, start=work.walk)
     options = Options(smoothing={"rounds": SWEEPS, "connectivity": "flips"}, threads=threads)
     mesh, _ = smooth(mesh, density, options, FREE_BOUNDS, Log(), lambda _: None, None, pool)
+    slivers = float((measures(mesh, QUALITY, pool) < SLIVER).sum()) / mesh.count()
+    if slivers and not work.field.metric.size:
+        finish(mesh, (Phase(2.0, slivers, 2, 1, name="slivers"),), FREE_BOUNDS, pool, threads)
     work.body.points[:n] = mesh.points
     cells, regions = mesh.mesh_arrays()
     work.body = work.body._replace(tets=make_simplices(

@@ -1,6 +1,7 @@
 """Tetrahedra of other sizes: the shape stays, the sizes come, and what is held is held."""
 
 from itertools import combinations
+from pathlib import Path
 
 import boxes
 import igl
@@ -11,7 +12,12 @@ import pyvista
 from tet_meshes import ball
 
 import odt_plugins
+import odt_plugins.engine.remesh.volume as remesh_volume
+from odt_plugins.engine.cells.measures import QUALITY
+from odt_plugins.engine.moves.passes import measures
 from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
+
+DATA = Path(__file__).parents[2] / "data"
 
 
 def volumes(points, cells):
@@ -44,6 +50,12 @@ def furthest(points, cells, others, other_cells):
     x = np.einsum("kc,mcd->mkd", np.concatenate([weights, np.eye(3)]), points[rows]).reshape(-1, 3)
     square, _, _ = igl.point_mesh_squared_distance(x, others, facets_once(other_cells))
     return np.sqrt(square.max())
+
+
+@pytest.fixture(scope="module")
+def csg():
+    mesh = meshio.read(DATA / "tetwild_csg.vtu")
+    return mesh.points, mesh.cells_dict["tetra"]
 
 
 @pytest.fixture(scope="module")
@@ -200,3 +212,37 @@ def test_the_accessor_of_pyvista_takes_a_size(box):
     grid = pyvista.UnstructuredGrid({pyvista.CellType.TETRA: cells}, points)
     grid.point_data["h"] = np.full(len(points), 0.15)
     assert grid.odt.remesh("h").n_cells > len(cells)
+
+
+def test_a_poor_tail_gets_vertices_inside(csg, monkeypatch):
+    (points, cells), report = odt_plugins.remesh_with_report(csg, scale=2)
+    monkeypatch.setattr("odt_plugins.engine.remesh.finish.POOR", 0.0)
+    (others, other_cells), without = odt_plugins.remesh_with_report(csg, scale=2)
+    assert without.after.p1_quality < 0.5
+    assert report.after.p1_quality > without.after.p1_quality + 0.05
+    assert len(others) < len(points) <= 1.1 * len(others)
+    inside = [len(x) - len(np.unique(facets_once(t))) for x, t in ((points, cells),
+                                                                  (others, other_cells))]
+    assert inside[0] - inside[1] == len(points) - len(others)
+    assert (volumes(points, cells) > 0).all()
+
+
+def test_no_vertex_comes_where_cells_may_not_change(csg, monkeypatch):
+    how = {"scale": 2, "smoothing": {"connectivity": "none"}}
+    points, cells = odt_plugins.remesh(csg, **how)
+    monkeypatch.setattr("odt_plugins.engine.remesh.finish.POOR", 0.0)
+    others, other_cells = odt_plugins.remesh(csg, **how)
+    assert (points == others).all()
+    assert (cells == other_cells).all()
+
+
+def test_slivers_go_between_rounds(monkeypatch):
+    mesh = ball(400, 0)
+    taken = []
+    finish = remesh_volume.finish
+    monkeypatch.setattr(remesh_volume, "finish", lambda mesh, phases, *how: taken.append(
+        ((measures(mesh, QUALITY) < remesh_volume.SLIVER).sum(), finish(mesh, phases, *how),
+         (measures(mesh, QUALITY) < remesh_volume.SLIVER).sum())))
+    odt_plugins.remesh(mesh, scale=1)
+    assert taken
+    assert sum(after for _, _, after in taken) < 0.5 * sum(before for before, _, _ in taken)
