@@ -136,8 +136,8 @@ def _followed(
         return old, triangles
     n = len(resized.points)
     number = np.arange(n, dtype=np.int32) if origin is None else new_numbers(origin, n)
-    was, now = (Pieces(*_pieces(cells, x.regions)) for x, cells in (
-        (resized, number[resized.cells]), (outcome, outcome.cells)))
+    rows, piece = _pieces(resized)
+    was, now = Pieces(number[rows], piece), Pieces(*_pieces(outcome))
     labels = followed(was, labels_at(was.rows, triangles), now, len(outcome.points))
     if labels is None:
         return None
@@ -145,9 +145,9 @@ def _followed(
     return old, Faces(now.rows[named], labels[named])
 
 
-def _pieces(cells: IntArray, regions: IntArray) -> tuple[IntArray, IntArray]:
+def _pieces(mesh: Outcome) -> tuple[IntArray, IntArray]:
     """Triangles of surfaces (k, 3), and the pieces of them by the regions on their sides."""
-    triangles, patch, _ = surface_of(cells, regions, no_faces()[1])
+    triangles, patch, _ = surface_of(mesh.cells, mesh.regions, no_faces()[1])
     return triangles, patch
 
 

@@ -12,6 +12,7 @@ import pyvista
 from tet_meshes import ball
 
 import odt_plugins
+import odt_plugins.engine.remesh.finish as remesh_finish
 import odt_plugins.engine.remesh.volume as remesh_volume
 from odt_plugins.engine.cells.measures import QUALITY
 from odt_plugins.engine.moves.passes import measures
@@ -216,7 +217,7 @@ def test_the_accessor_of_pyvista_takes_a_size(box):
 
 def test_a_poor_tail_gets_vertices_inside(csg, monkeypatch):
     (points, cells), report = odt_plugins.remesh_with_report(csg, scale=2)
-    monkeypatch.setattr("odt_plugins.engine.remesh.finish.POOR", 0.0)
+    monkeypatch.setattr(remesh_finish, "POOR", 0.0)
     (others, other_cells), without = odt_plugins.remesh_with_report(csg, scale=2)
     assert without.after.p1_quality < 0.5
     assert report.after.p1_quality > without.after.p1_quality + 0.05
@@ -227,10 +228,38 @@ def test_a_poor_tail_gets_vertices_inside(csg, monkeypatch):
     assert (volumes(points, cells) > 0).all()
 
 
+def test_labels_follow_where_vertices_come_and_go_inside(monkeypatch):
+    seen, gone = [], []
+    surface_of, run = remesh_finish.surface_of, remesh_finish.run
+
+    def looked_at(cells, *others):
+        seen.append(cells.min())
+        return surface_of(cells, *others)
+
+    def finished(mesh, *how, **within):
+        found = run(mesh, *how, **within)
+        gone.append(0 if found.origin is None else len(mesh.points) - (found.origin >= 0).sum())
+        return found
+
+    monkeypatch.setattr(remesh_finish, "surface_of", looked_at)
+    monkeypatch.setattr(remesh_finish, "run", finished)
+    for seed in range(4):
+        points, cells = ball(60, seed)
+        rows = facets_once(cells)
+        mesh = meshio.Mesh(points, [("tetra", cells), ("triangle", rows)], cell_data={
+            "side": [np.zeros(len(cells), int), np.full(len(rows), 7)]})
+        after = odt_plugins.remesh(mesh, scale=0.7, envelope=1e-4, keep=())
+        found = np.sort(after.cells_dict["triangle"], axis=1)
+        assert {*map(tuple, found)} == {*map(tuple, facets_once(after.cells_dict["tetra"]))}
+        assert (after.cell_data_dict["side"]["triangle"] == 7).all()
+    assert max(gone) > 0
+    assert min(seen) >= 0
+
+
 def test_no_vertex_comes_where_cells_may_not_change(csg, monkeypatch):
     how = {"scale": 2, "smoothing": {"connectivity": "none"}}
     points, cells = odt_plugins.remesh(csg, **how)
-    monkeypatch.setattr("odt_plugins.engine.remesh.finish.POOR", 0.0)
+    monkeypatch.setattr(remesh_finish, "POOR", 0.0)
     others, other_cells = odt_plugins.remesh(csg, **how)
     assert (points == others).all()
     assert (cells == other_cells).all()
