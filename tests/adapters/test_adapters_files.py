@@ -197,7 +197,11 @@ def test_unreadable_files_are_named(tmp_path, capsys):
     (tmp_path / "noise.msh").write_text("hello\n")
     cases = {"missing.vtu": "is missing", "noise.vtu": "cannot read .*noise.vtu as vtu",
              "noise.msh": "cannot read .*noise.msh as gmsh or ansys", "mesh": "no suffix of a mesh",
-             "mesh.docx": r"expected one of .*\.vtu"}
+             "mesh.docx": r"expected one of .*\.vtu",
+             "empty.vtu": "is empty", "empty.off": "is empty", "empty.obj": "is empty"}
+    for name in cases:
+        if name.startswith("empty"):
+            (tmp_path / name).write_bytes(b"")
     for name, message in cases.items():
         with pytest.raises(MeshFileError, match=message) as caught:
             odt_plugins.optimize(tmp_path / name)
