@@ -10,6 +10,7 @@ import pytest
 from gmsh_sessions import group_sizes, session, two_solids
 
 import odt_plugins
+import odt_plugins.engine.remesh.finish as remesh_finish
 from odt_plugins.errors import UnsupportedMeshError
 
 
@@ -160,6 +161,23 @@ def test_new_nodes_of_a_curved_surface_are_on_it(scale):
         after = len(elements(gmsh.model, 2)[0])
         assert (after < 0.6 * count) if scale > 1 else (after > 2 * count)
         assert off_the_geometry(gmsh.model) < 1e-9
+
+
+def test_vertices_come_inside_once_though_a_body_on_its_geometry_is_finished_twice(monkeypatch):
+    run, asked = remesh_finish.run, []
+    monkeypatch.setattr(remesh_finish, "POOR", 1.0)
+    monkeypatch.setattr(remesh_finish, "run", lambda mesh, options, *how, **more: asked.append(
+        (options.boundary, options.insert > 0)) or run(mesh, options, *how, **more))
+    with session() as gmsh:
+        plate(gmsh.model)
+        gmsh.option.setNumber("Mesh.MeshSizeMax", 0.4)
+        gmsh.model.mesh.generate(3)
+        odt_plugins.remesh(gmsh.model, scale=1.2, envelope=0.02, free="periodic")
+        expect_sound(gmsh.model, 3)
+        assert off_the_geometry(gmsh.model) < 1e-9
+    assert ("slide", False) in asked
+    assert ("slide", True) not in asked
+    assert ("fixed", True) in asked
 
 
 def dump(model, dims):

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
 from odt_plugins.engine.odt.density import NodalDensity
-from odt_plugins.engine.record.figures import figures
+from odt_plugins.engine.record.figures import Figures, figures
 from odt_plugins.engine.remesh.lay_out import surface_of
 from odt_plugins.engine.run.outcome import Leaving, Outcome
 from odt_plugins.engine.run.plan import run
 from odt_plugins.engine.run.within import Within
-from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
+from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
 from odt_plugins.mesh.faces import Faces, Pieces, followed, labels_at, no_faces, renumbered
 from odt_plugins.mesh.numbering import new_numbers
 from odt_plugins.mesh.simplex import SimplexMesh
@@ -27,7 +28,10 @@ POOR = 0.6
 """1 % quantile of the radius ratio below which vertices are added and removed."""
 
 MORE = 0.1
-"""Part of the vertices by which these may become more then."""
+"""Part of the vertices by which these may become more then, at most."""
+
+Room = Callable[[Outcome], float]
+"""Part of its vertices by which those of a mesh may become more."""
 
 
 class Resized(NamedTuple):
@@ -48,7 +52,7 @@ class Resized(NamedTuple):
 
 
 def finished(
-    mesh: SimplexMesh, given: Resized, options: Options, leaving: Leaving
+    mesh: SimplexMesh, given: Resized, options: Options, leaving: Leaving, room: Room
 ) -> tuple[Resized, bool]:
     """Optimise a mesh that was resized.
 
@@ -58,6 +62,7 @@ def finished(
     given : Resized
     options : Options
     leaving : callable    applied to every mesh before it is judged
+    room : callable       above 0 where vertices may come to a mesh with a poor tail
 
     Returns
     -------
@@ -92,8 +97,12 @@ def finished(
     report = options.progress or silent
     if _may_insert(middle, options):
         best = once(0.0, 0.7, 0.0)
-        if figures(best.points, best.cells).p1_quality < POOR:
-            best = once(0.7, 1.0, MORE)
+        reached, more = _figures(best, options), room(best)
+        if reached.p1_quality < POOR and more > 0.0:
+            other = once(0.7, 1.0, more)
+            times = sums(best.times, other.times)
+            better = _figures(other, options).score > reached.score
+            best = replace(other if better else best, times=times)
     else:
         best = once(0.0, 1.0, 0.0)
     report("finishing", 1.0)
@@ -106,9 +115,19 @@ def finished(
         sizes: FloatArray = np.ones(len(came)) if best.sizes is None else best.sizes
         given = given._replace(
             lengths=np.where(came, lengths.mean() * sizes, lengths[best.origin]),
-            multiple=np.where(came, 1.0, given.multiple[best.origin]),
+            multiple=given.multiple[best.origin[_nearest(best.points, ~came)]],
             lines=new_numbers(best.origin, len(origin))[given.lines])
     return given._replace(outcome=replace(outcome, faces=faces or no_faces())), faces is not None
+
+
+def sums(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
+    """Both, with the sums of what they share."""
+    return one | {name: one.get(name, 0) + value for name, value in other.items()}
+
+
+def _figures(outcome: Outcome, options: Options) -> Figures:
+    """Figures of an outcome, with those of the objective."""
+    return figures(outcome.points, outcome.cells, options.objective)
 
 
 def _may_insert(mesh: SimplexMesh, options: Options) -> bool:
@@ -149,6 +168,15 @@ def _pieces(mesh: Outcome) -> tuple[IntArray, IntArray]:
     """Triangles of surfaces (k, 3), and the pieces of them by the regions on their sides."""
     triangles, patch, _ = surface_of(mesh.cells, mesh.regions, no_faces()[1])
     return triangles, patch
+
+
+def _nearest(points: FloatArray, known: BoolArray) -> LongArray:
+    """Vertex (n,) among the known ones that is nearest to each; of those it is itself."""
+    from scipy.spatial import cKDTree
+
+    number, old = np.arange(len(points)), np.flatnonzero(known)
+    number[~known] = old[cKDTree(points[old]).query(points[~known])[1]]
+    return number
 
 
 def _composed(first: LongArray, second: LongArray | None) -> LongArray:

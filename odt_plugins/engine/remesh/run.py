@@ -20,7 +20,7 @@ from odt_plugins.engine.record.memory import State
 from odt_plugins.engine.record.relaxed import relaxed
 from odt_plugins.engine.remesh.body import FREELY, STAYS, STIFF
 from odt_plugins.engine.remesh.chords import curvature_sizes
-from odt_plugins.engine.remesh.finish import Resized, finished
+from odt_plugins.engine.remesh.finish import MORE, Resized, Room, finished, sums
 from odt_plugins.engine.remesh.lay_out import lay_out, surface_of
 from odt_plugins.engine.remesh.sizes import (
     Sizes,
@@ -115,16 +115,17 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
     if mesh.frozen.all() or not len(mesh.cells):
         return unchanged(mesh, "no cell may change")
 
-    def tries(sizes: Sizes) -> Outcome:
+    def tries(sizes: Sizes, room: Room) -> Outcome:
         if mesh.dim == 2:
             return _triangles(mesh, sizes, options, leaving)
-        return _tries(mesh, sizes, options, leaving, slides=options.boundary == "slide")
+        return _tries(mesh, sizes, options, leaving, room, slides=options.boundary == "slide")
 
-    outcome = tries(sizes)
+    outcome = tries(sizes, lambda _: MORE)
     goal = wish.cells if wish.vertices is None else wish.vertices
     if goal is not None:
         if outcome.origin is not None and abs(_count(outcome, wish) - goal) > NEAR * goal:
-            outcome = tries(sizes.scaled((_count(outcome, wish) / goal) ** (1.0 / mesh.dim)))
+            scaled = sizes.scaled((_count(outcome, wish) / goal) ** (1.0 / mesh.dim))
+            outcome = tries(scaled, lambda found: min(MORE, goal / _count(found, wish) - 1.0))
         count = _count(outcome, wish)
         if abs(count - goal) > NEAR * goal:
             what = "vertices" if wish.cells is None else "cells"
@@ -167,7 +168,8 @@ def _triangles(mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leavi
 
 
 def _tries(
-    mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving, *, slides: bool
+    mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving, room: Room, *,
+    slides: bool,
 ) -> Outcome:
     """Resize until the promise holds.
 
@@ -181,7 +183,7 @@ def _tries(
         held = mesh
         for _ in range(ATTEMPTS):
             outcome, broken = _once(
-                held, wanted, sizes.values, options, leaving, share, relents=relents)
+                held, wanted, sizes.values, options, leaving, share, room, relents=relents)
             if not broken:
                 return _explained(mesh, held, outcome, whys, slides and share == 0.0)
             whys.append(broken[0])
@@ -288,7 +290,7 @@ def _spoiled(
 
 def _once(
     mesh: SimplexMesh, sizes: Sizes, asked: FloatArray, options: Options, leaving: Leaving,
-    share: float, *, relents: bool,
+    share: float, room: Room, *, relents: bool,
 ) -> tuple[Outcome, list[str]]:
     """Resize within a part of the envelope, optimise within the rest, and judge."""
     report = options.progress or silent
@@ -311,7 +313,10 @@ def _once(
         envelope=min(0.5, left / diagonal(resized.points[np.unique(resized.cells)])),
         progress=part(report, 0.4, 0.8 if onto else 1.0),
     )
-    done, told = finished(mesh, given, inner, as_it_is if onto else leaving)
+    if onto is None:
+        done, told = finished(mesh, given, inner, leaving, room)
+    else:
+        done, told = finished(mesh, given, inner, as_it_is, lambda _: 0.0)
     if onto is not None and told:
         outcome = done.outcome
         outcome = replace(outcome, points=onto.put(outcome))
@@ -320,10 +325,11 @@ def _once(
         times |= outcome.times
         log.counts |= outcome.counts
         inner = replace(inner, boundary="fixed", progress=part(report, 0.8, 1.0))
-        done, told = finished(mesh, done._replace(outcome=outcome), inner, leaving)
+        given = done._replace(outcome=outcome)
+        done, told = finished(mesh, given, inner, leaving, room)
     outcome = done.outcome
-    outcome = replace(outcome, times=_sums(times, outcome.times),
-                      counts=_sums(log.counts, outcome.counts))
+    outcome = replace(outcome, times=sums(times, outcome.times),
+                      counts=sums(log.counts, outcome.counts))
     if not told:
         return outcome, ["labels of the surface cannot be told apart"]
     origin: Any = outcome.origin
@@ -335,13 +341,8 @@ def _once(
     if share > 0.0:
         broken, slid = _beyond(mesh, outcome, envelope)
         outcome = replace(outcome, slid=slid)
-    notes = _told(outcome, done.lengths.mean() / LONGER, done.multiple)
+    notes = _told(outcome, given.lengths.mean() / LONGER, done.multiple)
     return replace(outcome, notes=notes), broken
-
-
-def _sums(one: dict[str, Any], other: dict[str, Any]) -> dict[str, Any]:
-    """Both, with the sums of what they share."""
-    return one | {name: one.get(name, 0) + value for name, value in other.items()}
 
 
 def _resized(

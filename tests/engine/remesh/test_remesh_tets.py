@@ -13,9 +13,11 @@ from tet_meshes import ball
 
 import odt_plugins
 import odt_plugins.engine.remesh.finish as remesh_finish
+import odt_plugins.engine.remesh.run as remesh_run
 import odt_plugins.engine.remesh.volume as remesh_volume
 from odt_plugins.engine.cells.measures import QUALITY
 from odt_plugins.engine.moves.passes import measures
+from odt_plugins.engine.run.outcome import unchanged
 from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
 
 DATA = Path(__file__).parents[2] / "data"
@@ -254,6 +256,54 @@ def test_labels_follow_where_vertices_come_and_go_inside(monkeypatch):
         assert (after.cell_data_dict["side"]["triangle"] == 7).all()
     assert max(gone) > 0
     assert min(seen) >= 0
+
+
+@pytest.mark.parametrize("wish", [{"cells": 625}, {"vertices": 130}])
+def test_vertices_that_come_make_no_more_than_asked_for(csg, wish):
+    points, cells = odt_plugins.remesh(csg, **wish)
+    count = len(cells) if "cells" in wish else len(points)
+    assert count == pytest.approx(next(iter(wish.values())), rel=0.05)
+
+
+@pytest.fixture
+def told(monkeypatch):
+    """What the notes on sizes of a run are made of."""
+    calls = []
+    tell = remesh_run._told
+    monkeypatch.setattr(remesh_run, "_told", lambda *how: calls.append(how) or tell(*how))
+    return calls
+
+
+def test_sizes_in_notes_are_those_that_were_asked_for_though_vertices_came(csg, told):
+    low, high = csg[0][:, 0].min(), csg[0][:, 0].max()
+
+    def size(points):
+        return 0.2 + 0.8 * (points[:, 0] - low) / (high - low)
+
+    odt_plugins.remesh(csg, size, growth=3)
+    outcome, unit, multiple = told[-1]
+    assert (outcome.origin < 0).any()
+    assert unit * outcome.sizes * multiple == pytest.approx(size(outcome.points), rel=5e-3)
+
+
+def test_a_vertex_that_came_has_the_multiple_of_sizes_of_one_beside_it(told, monkeypatch):
+    monkeypatch.setattr(remesh_finish, "POOR", 1.0)
+    odt_plugins.remesh(odt_plugins.optimize(ball(200, 3)), scale=2, envelope=1e-3)
+    outcome, _, multiple = told[-1]
+    assert multiple.min() > 1.05
+    came = len(multiple) - np.flatnonzero(outcome.origin >= 0)[-1] - 1
+    assert came > 0
+
+
+def test_a_run_with_vertices_that_came_is_taken_only_if_it_is_better(csg, monkeypatch):
+    run = remesh_finish.run
+    monkeypatch.setattr(remesh_finish, "run", lambda mesh, options, *how, **more: (
+        unchanged(mesh, "") if options.insert else run(mesh, options, *how, **more)))
+    points, cells = odt_plugins.remesh(csg, scale=2)
+    monkeypatch.setattr("odt_plugins.engine.remesh.finish.POOR", 0.0)
+    others, other_cells = odt_plugins.remesh(csg, scale=2)
+    assert (points == others).all()
+    assert (cells == other_cells).all()
 
 
 def test_no_vertex_comes_where_cells_may_not_change(csg, monkeypatch):
