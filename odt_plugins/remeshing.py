@@ -11,8 +11,9 @@ import numpy as np
 
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.keywords import OptionKeywords, with_option_signature
+from odt_plugins.mesh.bodies import of_bodies
 from odt_plugins.mesh.facets import directed_facets
-from odt_plugins.mesh.simplex import SimplexMesh, freeze, with_same_cells
+from odt_plugins.mesh.simplex import SimplexMesh, freeze
 from odt_plugins.multiblock import has_parts, run_parts
 from odt_plugins.options import NOT_SIZED, Options, make_options
 from odt_plugins.roundtrip import run_engine
@@ -155,8 +156,7 @@ def _with_still_walls(mesh: SimplexMesh) -> SimplexMesh:
         mesh.bodies()[one] == mesh.bodies()[other])
     frozen = np.zeros(len(mesh.cells), dtype=np.bool_)
     frozen[np.where(mesh.regions[one] > mesh.regions[other], one, other)[inside]] = True
-    bodies = with_same_cells(mesh, regions=mesh.bodies(), body=mesh.body[:0])
-    return freeze(bodies, frozen)
+    return freeze(of_bodies(mesh), frozen)
 
 
 def check_sizes(size: Any = None, **given: Any) -> None:

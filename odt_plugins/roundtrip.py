@@ -52,6 +52,7 @@ from odt_plugins.following import (
     new_vertices,
 )
 from odt_plugins.mesh.arrays import FloatArray, IntArray
+from odt_plugins.mesh.bodies import of_bodies
 from odt_plugins.mesh.layers import keep_layers
 from odt_plugins.mesh.numbering import (
     in_old_numbers,
@@ -110,6 +111,10 @@ def run_engine(
     before, outcome : the input as the engine reads it, and what the engine handed back
     told : dict          what its report is told besides, by the names of the fields
     """
+    def as_after(mesh: SimplexMesh) -> SimplexMesh:
+        """The mesh with regions such as the result has: bodies where its cells are others."""
+        return of_bodies(mesh) if wanted.linear else mesh
+
     with kernels_shown(options.progress), telling(options.progress, "preparing") as progress:
         tell = progress if options.progress else None
         first = part(progress, 0.0, wanted.share)
@@ -126,7 +131,8 @@ def run_engine(
             work = work._replace(notes=(*work.notes, ADVICE))
         moves = work.mesh.is_surface or options.boundary == "slide"
         work = on_geometry(work) if moves else work
-        leaving = partial(_as_it_leaves, work, options.threads, onto=moves)
+        leaving = partial(_as_it_leaves, work._replace(mesh=as_after(work.mesh)), options.threads,
+                          onto=moves)
         with words_of(work.host):
             expect_overlaps(work, options)
             if wanted.sizes:
@@ -142,7 +148,7 @@ def run_engine(
             then = progress if work.tangle is None else part(progress, wanted.share, 1.0)
             chosen = replace(chosen, progress=tell and then)
             curved = _run_kept(work, given, engine or optimized, chosen, leaving)
-    work, outcome = work._replace(mesh=curved.mesh), curved.outcome
+    work, outcome = work._replace(mesh=as_after(curved.mesh)), curved.outcome
     points: Any = outcome.written
     source: Any = outcome.source
     cells, places = outcome.cells, outcome.points
@@ -161,7 +167,7 @@ def run_engine(
         cells = at_copies(cells, source, old, same, work.host.blocks)
     before = work.mesh
     if work.tangle is not None:
-        before = replace(work.tangle.before, metric=work.mesh.metric)
+        before = as_after(replace(work.tangle.before, metric=work.mesh.metric))
         source = work.tangle.source[source]
         outcome = replace(outcome, origin=work.tangle.origin(outcome.origin))
     fields = interpolated(work, options)

@@ -11,7 +11,7 @@ numbering to the other. `same_places` finds the vertices that a soup has several
 determinants in numpy, for the figures that leave the package. `quantile` computes what that of
 numpy does, faster. `layer_cells` finds the cells that are stretched alike with their neighbours,
 and `keep_layers` freezes them; `periodic_triangles` finds opposite faces that match; `eigen` and
-`logarithms` are of small symmetric matrices.
+`logarithms` are of small symmetric matrices. `of_bodies` takes back that regions were parted.
 
 `Faces` are lines and triangles with labels, which `followed` finds again after flips.
 

@@ -258,6 +258,25 @@ def test_labels_follow_where_vertices_come_and_go_inside(monkeypatch):
     assert min(seen) >= 0
 
 
+def test_cells_take_their_data_from_their_region_where_lines_inside_have_labels():
+    points, cells = boxes.box(3, 4, plane=0.5)
+    labels = (points[cells][:, :, 0].mean(axis=1) < 0.5).astype(int)
+    inner = np.setdiff1d(cells, facets_once(cells))
+    edges = np.unique(np.sort(cells[:, list(combinations(range(4), 2))].reshape(-1, 2)), axis=0)
+    lines = edges[(np.isin(edges, inner) & (points[edges][:, :, 0] < 0.5)).all(axis=1)][:3]
+    mesh = meshio.Mesh(points, [("tetra", cells), ("line", lines)], {"f": points @ [1.0, 2.0, 3.0]},
+                       {"lab": [labels, np.full(len(lines), 7)]})
+    for fields in ("interpolate", "conserve"):
+        new = odt_plugins.remesh(mesh, 0.2, regions="lab", fields=fields, free="periodic")
+        tets, found = new.cells_dict["tetra"], new.cell_data_dict["lab"]["tetra"]
+        assert len(new.cells_dict["line"]) == len(lines)
+        for label in (0, 1):
+            volume = volumes(new.points, tets[found == label])
+            assert volume.sum() == pytest.approx(0.5, rel=3e-3)
+        far = np.abs(new.point_data["f"] - new.points @ [1.0, 2.0, 3.0]).max()
+        assert far < (1e-9 if fields == "interpolate" else 0.1)
+
+
 @pytest.mark.parametrize("wish", [{"cells": 625}, {"vertices": 130}])
 def test_vertices_that_come_make_no_more_than_asked_for(csg, wish):
     points, cells = odt_plugins.remesh(csg, **wish)
