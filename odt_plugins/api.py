@@ -23,7 +23,7 @@ from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
 from odt_plugins.keywords import RUN, OptionKeywords, RunKeywords, with_option_signature
 from odt_plugins.mesh.simplex import mesh_arrays, turned_alike
 from odt_plugins.multiblock import has_parts, run_parts
-from odt_plugins.options import OF_UNTANGLING, OPTIONS, SMOOTHING, make_options
+from odt_plugins.options import OF_UNTANGLING, OPTIONS, SMOOTHING, STAYS, make_options
 from odt_plugins.roundtrip import flat_points, run_engine
 from odt_plugins.untangling import Wanted
 
@@ -287,7 +287,7 @@ def untangle_with_report(
 
 def _untangling(options: Mapping[str, Any]) -> Options:
     """Options of untangling alone; others would have no effect."""
-    others = [name for name in options if name in {*OPTIONS, *SMOOTHING} - {*OF_UNTANGLING}]
+    others = [name for name in options if name in {*OPTIONS, *SMOOTHING, *STAYS} - {*OF_UNTANGLING}]
     if others:
         msg = f"got {others[0]}= for untangling; expected some of {list(OF_UNTANGLING)}"
         raise InvalidOptionError(msg)

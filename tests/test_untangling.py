@@ -437,8 +437,9 @@ def test_options_without_effect_on_untangling_are_refused():
         with pytest.raises(InvalidOptionError,
                            match="got smoothing= for untangling; expected some"):
             function(mesh, smoothing={"cycles": 2})
-        with pytest.raises(odt_plugins.InvalidOptionError, match="got solver= for untangling"):
-            function(mesh, solver="global")
+        for name in ("solver", "layers"):
+            with pytest.raises(InvalidOptionError, match=f"got {name}= for untangling"):
+                function(mesh, **{name: "keep"})
         with pytest.raises(InvalidOptionError, match="did you mean 'threads'"):
             function(mesh, thread=2)
 

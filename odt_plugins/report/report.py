@@ -377,7 +377,8 @@ def _freeing(
         for name, mask in known.items():
             known[name] = np.zeros(len(kept), bool)
             known[name][kept] = mask[old]
-    insert = "insert=True" if solid and options.finish and not options.insert else ""
+    may = options.finish and options.smoothing.connectivity != "none" and options.metric is None
+    insert = "insert=True" if solid and may and not options.insert else ""
     without = {*refused, *(f"free='{word}'" for word in options.free)}
     known = {name: mask for name, mask in known.items()
              if not {name.partition("=")[0], name.replace('"', "'")} & without}

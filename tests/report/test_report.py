@@ -261,6 +261,15 @@ def test_no_option_is_advised_that_the_call_refuses(refused: Any, said: str) -> 
     assert {b.hint for b in report.binding} == {said}
 
 
+@pytest.mark.parametrize("given", [
+    {"finish": False}, {"smoothing": {"connectivity": "none"}}, {"metric": "input"},
+])
+def test_vertices_inside_are_not_advised_where_none_may_come(given: Any) -> None:
+    mesh = replace(fan(), frozen=np.ones(len(fan().cells), bool))
+    report = make_report(mesh, outcome(mesh), Options(**given))
+    assert {b.hint for b in report.binding} == {'free="layers"'}
+
+
 @pytest.mark.parametrize(("free", "said"), [
     ((), {'free="layers" and insert=True'}), (("layers",), {"insert=True"}),
     (("inside",), {'free=("inside", "layers") and insert=True'}),
