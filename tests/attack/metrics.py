@@ -51,7 +51,7 @@ def attack(rng: Rng, folder: Path) -> None:
     after = Mesh(*found)
     judge = broken_by_sizes if resized else broken
     faults = judge(before, after, Options(**options), curved=curved(before))
-    sound = not resized and report.before.inverted == 0
+    sound = not resized and report.untangled is None
     for name in Options(**options).keep if sound else ():
         was, now = getattr(report.before, name), getattr(report.after, name)
         if (now - was if name in LOWER_IS_BETTER else was - now) > SLACK * abs(was):

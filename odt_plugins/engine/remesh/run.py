@@ -69,8 +69,9 @@ EXTREMES = frozenset({"min_quality", "min_angle", "max_angle", "min_altitude"})
 """Figures of the worst cell."""
 
 CROWDED = {2: 200, 3: 20}
-"""Multiple of the cells that are expected in a metric, or of those of the input, from which on none
-are split, by dimension: needles in it, along feature lines or where it differs a lot, take more."""
+"""Multiple of the cells that are expected, or of those of the input, from which on none are split,
+by dimension: a metric that differs a lot, needles in it along feature lines, and feature lines much
+shorter than the sizes take more."""
 
 MOST_GIVEN_WAY = 10
 """Multiple of the cells that are expected, or of those of the input, beyond which sizes do not give
@@ -242,8 +243,7 @@ def _most(mesh: SimplexMesh, sizes: Sizes) -> float:
 
 def _crowded(mesh: SimplexMesh, sizes: Sizes) -> float:
     """Cells from which on none are split."""
-    most = CROWDED[mesh.dim] * max(sizes.cells, len(mesh.cells))
-    return most if len(mesh.metric) else np.inf
+    return CROWDED[mesh.dim] * max(sizes.cells, len(mesh.cells))
 
 
 def _explained(

@@ -5,9 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import pyvista
-from surface_meshes import bowl, sphere
+from surface_meshes import bowl, cube, sphere
 
 import odt_plugins
+import odt_plugins.engine.retile.run as retile_run
 from odt_plugins.generate import clouds
 
 
@@ -87,3 +88,17 @@ def test_sizes_that_figures_forbid_are_the_nearest_that_hold():
 def test_a_count_that_is_missed_is_told():
     _, report = odt_plugins.remesh_with_report(clouds.plate(200), cells=3)
     assert any("cells are as near to the 3 asked for" in note for note in report.notes)
+
+
+def test_a_plate_far_thinner_than_the_sizes_does_not_fill_the_memory(monkeypatch):
+    points, cells = cube(2)
+    resize, room = retile_run.resize, []
+
+    def resized(*how, **more):
+        net, marks = resize(*how, **more)
+        room.append(len(net.triangles))
+        return net, marks
+
+    monkeypatch.setattr(retile_run, "resize", resized)
+    odt_plugins.remesh((points * [0.5, 0.4, 7e-6], cells), 0.5, envelope=2e-3, keep=())
+    assert 100 * len(cells) < max(room) < 1000 * len(cells)
