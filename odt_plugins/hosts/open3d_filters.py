@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import inspect
 import re
+from collections.abc import Mapping
 from typing import Any, TypeVar, Unpack, cast
 
 from odt_plugins.adapters import open3d_mesh
@@ -15,7 +16,7 @@ from odt_plugins.adapters.host import is_instance
 from odt_plugins.api import optimize as optimize_mesh
 from odt_plugins.errors import InvalidOptionError, ODTError, UnsupportedMeshError
 from odt_plugins.keywords import OptionKeywords, with_option_signature
-from odt_plugins.options import OPTIONS, hint_for, worded
+from odt_plugins.options import OPTIONS, SMOOTHING, hint_for, make_options, worded
 from odt_plugins.remeshing import remesh
 
 MeshT = TypeVar("MeshT")
@@ -158,7 +159,12 @@ def _smooth(
         raise InvalidOptionError(msg)
     own = {"method": method, "finish": False}
     lab = {"rounds": iterations, "cycles": 1, "connectivity": "none", **kind}
-    for given, fixed in ((options, own), (options.get("smoothing", {}), lab)):
+    values = options.get("smoothing", {})
+    if not isinstance(values, Mapping):
+        made = make_options(smoothing=values).smoothing
+        values = {name: getattr(made, name) for name, about in SMOOTHING.items()
+                  if getattr(made, name) != about.default}
+    for given, fixed in ((options, own), (values, lab)):
         wrong = next((name for name in fixed if given.get(name, fixed[name]) != fixed[name]), None)
         if wrong is None:
             continue
@@ -172,8 +178,7 @@ def _smooth(
         raise InvalidOptionError(msg)
     _expect_known(options, own, list(inspect.signature(function).parameters)[1:])
     try:
-        lab = {**options.get("smoothing", {}), **lab}
-        out = optimize_mesh(mesh, **{**options, **own, "smoothing": lab})
+        out = optimize_mesh(mesh, **{**options, **own, "smoothing": {**values, **lab}})
     except ODTError as exc:
         words = re.sub(r"smoothing=\{'rounds': ([^{}]*)\}", r"number_of_iterations=\1", str(exc))
         raise type(exc)(words) from exc

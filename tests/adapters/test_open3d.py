@@ -492,6 +492,8 @@ def test_wrong_arguments_are_named():
             getattr(open3d_filters, name)(make("triangle"), -1)
     with pytest.raises(InvalidOptionError, match=r"got smoothing={'rounds': -1}"):
         open3d_filters.optimize_odt(make("triangle"), smoothing={"rounds": -1})
+    with pytest.raises(InvalidOptionError, match=r"got smoothing='global'"):
+        open3d_filters.filter_smooth_odt(make("triangle"), smoothing="global")
     with pytest.raises(UnsupportedMeshError, match="expected an open3d TriangleMesh"):
         open3d_filters.filter_smooth_odt((CORNERS, np.array([[0, 1, 2]])))
     with pytest.raises(UnsupportedMeshError, match="without triangles"):
