@@ -98,8 +98,8 @@ def read_file(path: str | os.PathLike[str]) -> Any:
     Raises
     ------
     MeshFileError             there is no such file, its suffix is unknown, or it cannot be read:
-                              it is empty or broken, states more than it has bytes for, or takes
-                              longer than 20 s and a second for every 50 kB
+                              it is broken, states more than it has bytes for, or takes longer
+                              than 20 s and a second for every 50 kB
     InvalidMeshError          a .vtu file without cells
     MissingDependencyError    meshio needs another package for this format
 
@@ -116,8 +116,8 @@ def read_file(path: str | os.PathLike[str]) -> Any:
     """
     path = Path(path)
     formats = _formats(path)
-    if not path.is_file() or not path.stat().st_size:
-        kind = "a directory" if path.is_dir() else "empty" if path.is_file() else "missing"
+    if not path.is_file():
+        kind = "a directory" if path.is_dir() else "missing"
         msg = f"cannot read {path}: it is {kind}; expected a mesh file"
         raise MeshFileError(msg)
     if path.suffix.lower() in scene_files.SUFFIXES:

@@ -111,7 +111,8 @@ def _lines(data: bytes) -> _Lines:
     head = _words(lines[full[0]]) if full else []
     kind = KIND.match(head[0]) if head else None
     if kind is None or head[1:2] == [b"BINARY"]:
-        msg = (f"it begins with {b' '.join(head)[:20]!r}; expected OFF, or COFF, NOFF and the like "
+        words = repr(b" ".join(head)[:20]) if head else "nothing"
+        msg = (f"it begins with {words}; expected OFF, or COFF, NOFF and the like "
                f"of text")
         raise MeshFileError(msg)
     start = 1

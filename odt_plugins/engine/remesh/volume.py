@@ -9,7 +9,6 @@ import numpy as np
 
 from odt_plugins.engine.cells.extremes import FREELY as ANY
 from odt_plugins.engine.cells.extremes import Bounds
-from odt_plugins.engine.cells.measures import QUALITY
 from odt_plugins.engine.compiled.threads import pieces
 from odt_plugins.engine.finish.phases import Phase
 from odt_plugins.engine.finish.volume import finish
@@ -68,6 +67,9 @@ MOST_STUCK = 0.5
 
 SLIVER = 0.1
 """Radius ratio of tetrahedra at which stage 2 flips and moves in a round, but in a metric."""
+
+SLIVERS = Phase(2.0, 0.0, 2, 1, name="slivers")
+"""What it does there."""
 
 FREE_BOUNDS = Bounds(ANY, ANY)
 
@@ -236,9 +238,9 @@ def _smooth(work: Resizing, pool: Pool | None, threads: int) -> None:
     density = replace(work.field, power=-5.0, start=work.walk)
     options = Options(smoothing={"rounds": SWEEPS, "connectivity": "flips"}, threads=threads)
     mesh, _ = smooth(mesh, density, options, FREE_BOUNDS, Log(), lambda _: None, None, pool)
-    slivers = float((measures(mesh, QUALITY, pool) < SLIVER).sum()) / mesh.count()
-    if slivers and not work.field.metric.size:
-        finish(mesh, (Phase(2.0, slivers, 2, 1, name="slivers"),), FREE_BOUNDS, pool, threads)
+    few = float((measures(mesh, SLIVERS.objective, pool) < SLIVER).sum()) / mesh.count()
+    if few and not work.field.metric.size:
+        finish(mesh, (replace(SLIVERS, share=few),), FREE_BOUNDS, pool, threads)
     work.body.points[:n] = mesh.points
     cells, regions = mesh.mesh_arrays()
     work.body = work.body._replace(tets=make_simplices(
