@@ -206,6 +206,7 @@ class Passes:
         Lengths that vary from edge to edge make worse triangles than smaller ones.
         """
         pairs, ratio, _ = _edges(net, -1)
+        pairs, ratio = pairs[ratio > 0.0], ratio[ratio > 0.0]
         n = len(net.points)
         length = ratio * 0.5 * net.size[pairs].sum(axis=1)
         count = np.bincount(pairs.ravel(), minlength=n)

@@ -12,7 +12,7 @@ from surface_meshes import bowl, cube, cylinder, sphere, torus
 
 from odt_plugins.engine.cells.extremes import FREELY
 from odt_plugins.engine.retile.run import retile
-from odt_plugins.engine.retile.surface import Base, at_thin, resize
+from odt_plugins.engine.retile.surface import Base, Passes, at_thin, resize
 from odt_plugins.engine.run.outcome import as_it_is
 from odt_plugins.mesh.simplex import simplex_mesh
 from odt_plugins.mesh.surface import surface_edges, surface_mesh
@@ -213,6 +213,25 @@ def test_what_made_too_many_triangles_is_not_made_again(most, attempts):
     outcome = retile(mesh, np.full(len(points), 0.2), Options(envelope=1e-3), spoil, most)
     assert len(judged) == attempts + 1
     assert "the input is returned" in outcome.fallback
+
+
+def test_edges_without_length_ask_for_no_sizes(monkeypatch):
+    relent, seen = Passes.relent, []
+
+    def with_twins(self, net, edges):
+        a, b = net.triangles[0, :2]
+        there = net.points[b].copy()
+        net.points[b] = net.points[a]
+        relent(self, net, edges)
+        net.points[b] = there
+        seen.append(self.sizes.min())
+
+    monkeypatch.setattr(Passes, "relent", with_twins)
+    points, cells = sphere(2)
+    with np.errstate(divide="raise"):
+        retile(surface_mesh(points, cells), np.full(len(points), 0.2), Options(envelope=1e-2),
+               as_it_is)
+    assert min(seen) > 1e-3
 
 
 def broken(mesh, outcome):
