@@ -25,10 +25,10 @@ SLIDING = 0.4
 """Part of the allowed change of the volume that sliding may use."""
 
 POOR = 0.6
-"""1 % quantile of the radius ratio below which vertices are added and removed."""
+"""Least 1 % quantile of the radius ratio for which no vertices are added."""
 
 MORE = 0.1
-"""Part of the vertices by which these may become more then, at most."""
+"""Largest part of its vertices by which a mesh below that grows."""
 
 Room = Callable[[Outcome], float]
 """Part of its vertices by which those of a mesh may become more."""

@@ -66,10 +66,10 @@ MOST_STUCK = 0.5
 """Part of the vertices of the surface beyond which sizes give way without being asked to."""
 
 SLIVER = 0.1
-"""Radius ratio of tetrahedra at which stage 2 flips and moves in a round, but in a metric."""
+"""Largest radius ratio of a tetrahedron that stage 2 improves between rounds, without a metric."""
 
 SLIVERS = Phase(2.0, 0.0, 2, 1, name="slivers")
-"""What it does there."""
+"""Phase of stage 2 at slivers; its share is their part of the cells."""
 
 FREE_BOUNDS = Bounds(ANY, ANY)
 
@@ -229,7 +229,7 @@ def arrays_of(body: Body) -> tuple[FloatArray, IntArray, IntArray]:
 
 
 def _smooth(work: Resizing, pool: Pool | None, threads: int) -> None:
-    """Rounds of ODT and flips inside; then slivers, at which no edge is cut and none vanishes."""
+    """Run rounds of ODT and flips inside, then improve slivers, beside which no edge is resized."""
     points, cells, regions = arrays_of(work.body)
     n = len(points)
     kind = work.body.kind[:n]
