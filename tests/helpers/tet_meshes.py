@@ -34,6 +34,24 @@ def ball(n, seed):
     return points, oriented(points, mesh.simplices)
 
 
+def shelled(gap):
+    """Two bodies: a ball, and a shell around it across a narrow gap."""
+    rng = np.random.default_rng(3)
+    directions = rng.normal(size=(180, 3))
+    directions /= np.linalg.norm(directions, axis=1)[:, None]
+    whole = Delaunay(np.concatenate([directions, [[0.0, 0.0, 0.0]]]))
+    inner, hull = whole.simplices, whole.convex_hull
+    n = len(directions)
+    points = np.concatenate([directions, [[0.0, 0.0, 0.0]], (1.0 + gap) * directions,
+                             1.4 * directions])
+    prisms = np.sort(hull, axis=1)
+    a, b = prisms + n + 1, prisms + 2 * n + 1
+    layers = [np.column_stack([a[:, 0], a[:, 1], a[:, 2], b[:, 2]]),
+              np.column_stack([a[:, 0], a[:, 1], b[:, 1], b[:, 2]]),
+              np.column_stack([a[:, 0], b[:, 0], b[:, 1], b[:, 2]])]
+    return points, oriented(points, np.concatenate([inner, *layers]))
+
+
 def grid(n, seed, jitter=0.2, hole=False):
     """Jittered (n + 1)^3 lattice cut into six tetrahedra a cube; a hole in the middle if asked."""
     rng = np.random.default_rng(seed)

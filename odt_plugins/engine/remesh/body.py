@@ -82,6 +82,7 @@ class Guard(NamedTuple):
     boxes, curves : Boxes           its triangles by patch, and the segments of its lines by line
     first, following : int32        lists of the ground's vertices, see ``ground.replace``
     on_line, next_on_line : int32   the same of vertices of ``curves`` that a segment stands for
+    reach : (triangles,) float64    largest distance from a triangle of the ground
     limits : (4,) float64           envelope, cosines of the turn against the ground and against
                                     what a triangle was, least radius ratio
     volume : (regions, 3) float64   change so far, largest change, work
@@ -96,6 +97,7 @@ class Guard(NamedTuple):
     following: IntArray
     on_line: IntArray
     next_on_line: IntArray
+    reach: FloatArray
     limits: FloatArray
     volume: FloatArray
     sides: IntArray

@@ -142,13 +142,25 @@ def _patches(
 
 
 @kernel
+def near_ground(body: Body, guard: Guard, tag: int, w: int, scratch: Scratch) -> float:
+    """Length, how far a patch may be from its ground near vertex w, -1 where w is too far; the
+    triangle of the ground is written down.
+    """
+    p, limit = body.points, guard.limits[0]
+    _, face, _, _, _ = closest_of(guard.boxes, tag, p[w, 0], p[w, 1], p[w, 2], limit * limit)
+    if face < 0:
+        return -1.0
+    scratch.foot[w] = face
+    return guard.reach[face]
+
+
+@kernel
 def _patch(
     body: Body, guard: Guard, u: int, v: int, count: int, scratch: Scratch, tag: int, write: bool
 ) -> bool:
     """The same of one patch."""
     p, room, limits = body.points, scratch.exchange, guard.limits
-    limit = limits[0] * limits[0]
-    old, new = 0, 0
+    old, new, reach = 0, 0, limits[0]
     for s in range(count):
         c = scratch.second[s]
         if body.triangles.tag[c] != tag:
@@ -160,15 +172,14 @@ def _patch(
         for i in range(3):
             w = corner(body.triangles.rows, c, i, u, v)
             room.new[new, i] = w
-            _, face, _, _, _ = closest_of(guard.boxes, tag, p[w, 0], p[w, 1], p[w, 2], limit)
-            if face < 0:
+            reach = min(reach, near_ground(body, guard, tag, w, scratch))
+            if reach < 0.0:
                 return False
-            scratch.foot[w] = face
         scratch.places[new] = c
         new += 1
     number = gather(guard.first, guard.following, old, room)
     if number < 0 or not may_replace(
-            p, scratch.foot, new, number, limits[1], guard.ground, limits[0], room):
+            p, scratch.foot, new, number, limits[1], guard.ground, reach, room):
         return False
     if write:
         for s in range(old):

@@ -109,7 +109,7 @@ def line_numbers(segments: IntArray, kind: ByteArray) -> IntArray:
 
 
 def lay_out(
-    start: Start, hold: ByteArray, envelope: float, angle: float
+    start: Start, hold: ByteArray, reach: FloatArray, angle: float
 ) -> tuple[Body, Guard, Scratch, tuple[IntArray, IntArray]]:
     """Lay a mesh out.
 
@@ -117,7 +117,8 @@ def lay_out(
     ----------
     start : Start            its lines count as feature edges, those with labels among them
     hold : (n,) uint8        FREELY, STAYS or STIFF
-    envelope : float         length; 0: the surface stays as it is
+    reach : (n,) float64     length by which the surface may move at a vertex; 0 everywhere: it
+                             stays as it is
     angle : float            degrees by which the surface turns at a feature edge
 
     Returns
@@ -125,7 +126,7 @@ def lay_out(
     Body, Guard, Scratch, and the labels of lines and of patches, -1 without one
     """
     points, metric, cells, regions = start.points, start.metric, start.cells, start.regions
-    n = len(points)
+    n, envelope = len(points), float(reach.max())
     lines, named = (renumbered(faces, start.number) for faces in start.mesh.faces)
     labels, inverse = np.unique(regions, return_inverse=True)
     tag: IntArray = inverse.ravel().astype(np.int32)
@@ -180,7 +181,8 @@ def lay_out(
     on_line, next_on_line = _lists(segments, n, len(body.segments.rows))
     guard = Guard(
         ground, make_boxes(own, ground_rows, patch), curves, first, following, on_line,
-        next_on_line, np.array([envelope, TURN, NEW_TURN, FLOOR]), volume,
+        next_on_line, reach[triangles].min(axis=1),
+        np.array([envelope, TURN, NEW_TURN, FLOOR]), volume,
         np.ascontiguousarray(sides[:, :2]), area,
     )
     scratch = Scratch(

@@ -80,6 +80,9 @@ way to those of a surface or of the input."""
 REACH = 0.7
 """Vertices of the input are held that are nearer to a spoiled place, in units of the size."""
 
+NARROWER, NARROW = 0.2, 0.01
+"""Part of its envelope that a surface may use where it cut through itself, and the least of it."""
+
 CLOSE = 1.1
 """Multiple of the sizes of the input up to which sizes are no longer than those."""
 
@@ -124,24 +127,34 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
     outcome = tries(sizes, lambda _: MORE)
     goal = wish.cells if wish.vertices is None else wish.vertices
     if goal is not None:
-        if outcome.origin is not None and abs(_count(outcome, wish) - goal) > NEAR * goal:
-            scaled = sizes.scaled((_count(outcome, wish) / goal) ** (1.0 / mesh.dim))
-            outcome = tries(scaled, lambda found: min(MORE, goal / _count(found, wish) - 1.0))
-        count = _count(outcome, wish)
-        if abs(count - goal) > NEAR * goal:
+        scaled, other = sizes, outcome
+        for _ in range(CORRECTIONS):
+            if other.origin is None or _off(outcome, wish, goal) <= NEAR:
+                break
+            scaled = scaled.scaled((_count(other, wish) / goal) ** (1.0 / mesh.dim))
+            other = tries(scaled, lambda found: min(MORE, goal / _count(found, wish) - 1.0))
+            outcome = min(outcome, other, key=lambda found: _off(found, wish, goal))
+        if _off(outcome, wish, goal) > NEAR:
             what = "vertices" if wish.cells is None else "cells"
-            note = f"{count} {what} are as near to the {goal} asked for as the promise allows"
+            note = (f"{_count(outcome, wish)} {what} are as near to the {goal} asked for as the "
+                    "promise allows")
             outcome = replace(outcome, notes=(note, *outcome.notes))
     return replace(outcome, notes=sizes.notes + outcome.notes)
 
 
-NEAR = 0.03
-"""Sizes are corrected once when the number of cells or vertices is off by more than this part."""
+NEAR, CORRECTIONS = 0.03, 2
+"""Sizes are corrected while the number of cells or vertices is off by more than this part, at most
+so often; the nearest result is taken."""
 
 
 def _count(outcome: Outcome, wish: Wish) -> int:
     """Number of cells or vertices, whichever is asked for."""
     return len(outcome.points if wish.cells is None else outcome.cells)
+
+
+def _off(outcome: Outcome, wish: Wish, goal: int) -> float:
+    """Part by which the number of cells or vertices is off."""
+    return abs(_count(outcome, wish) / goal - 1.0)
 
 
 def _triangles(mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving) -> Outcome:
@@ -175,16 +188,18 @@ def _tries(
     """Resize until the promise holds.
 
     Where figures fall, sizes give way to those that the surface has reached, and then to those of
-    the input. Cells of the input stay where cells that it does not allow came nevertheless; within
+    the input. Where the surface cuts through itself it may use less of the envelope. Cells of the
+    input stay where cells that it does not allow came nevertheless; within
     smaller and smaller parts of the envelope, at last with a boundary that stays.
     """
     whys: list[str] = []
-    wanted, relents = sizes, len(mesh.metric) > 0
+    wanted, relents, narrow = sizes, len(mesh.metric) > 0, np.ones(len(mesh.points))
     for share in (*(SHARES if slides else ()), 0.0):
         held = mesh
         for _ in range(ATTEMPTS):
             outcome, broken = _once(
-                held, wanted, sizes.values, options, leaving, share, room, relents=relents)
+                held, wanted, sizes.values, options, leaving, share * narrow, room,
+                relents=relents)
             if not broken:
                 return _explained(mesh, held, outcome, whys, slides and share == 0.0)
             whys.append(broken[0])
@@ -196,6 +211,10 @@ def _tries(
             nearer = _nearer(mesh, wanted, spoiled) if falls else None
             if nearer is not None:
                 wanted = nearer
+                continue
+            narrower = _narrower(mesh, outcome, wanted, narrow) if share > 0.0 else None
+            if narrower is not None:
+                narrow = narrower
                 continue
             spoiled &= ~held.frozen
             if not spoiled.any() or held.frozen.mean() > MOST_HELD or (
@@ -268,35 +287,58 @@ def _spoiled(
     mesh: SimplexMesh, outcome: Outcome, sizes: Sizes, options: Options
 ) -> BoolArray:
     """Cells (m,) of the input near cells that pass its extremes, or near triangles that cross."""
-    from scipy.spatial import cKDTree
-
     keep = tuple(options.keep)
     before = relaxed(_figures(mesh), keep, 4)
     shapes = cell_shapes(*as_seen(outcome.points, outcome.cells, outcome.metric))
     bad = before.passed_by(shapes, keep)
     if "p1_quality" in _figures(outcome).worse_than(before, keep):
         bad |= shapes[:, 0] < before.p1_quality
-    places = outcome.points[outcome.cells[bad]].reshape(-1, 3)
-    facets = boundary_facets(outcome.cells)
-    crossed = facets[crossing_triangles(outcome.points, facets)]
-    places = np.concatenate([places, outcome.points[crossed].reshape(-1, 3)])
-    if not len(places):
-        return np.zeros(len(mesh.cells), dtype=np.bool_)
-    far = cKDTree(places).query(mesh.points[np.unique(mesh.cells)])[0]
-    near = np.zeros(len(mesh.points), dtype=np.bool_)
-    near[np.unique(mesh.cells)] = far <= REACH * sizes.values[np.unique(mesh.cells)]
+    near = _near(mesh, outcome, outcome.cells[bad], sizes) | _near(
+        mesh, outcome, _crossed(outcome), sizes)
     return np.asarray(near[mesh.cells].any(axis=1))
+
+
+def _narrower(
+    mesh: SimplexMesh, outcome: Outcome, sizes: Sizes, narrow: FloatArray
+) -> FloatArray | None:
+    """Parts (n,) of the envelope that are smaller where the surface cuts through itself, None where
+    it does not, or where they are small.
+    """
+    near = _near(mesh, outcome, _crossed(outcome), sizes)
+    if not near.any() or narrow[near].max() <= NARROW:
+        return None
+    return np.where(near, NARROWER * narrow, narrow)
+
+
+def _crossed(outcome: Outcome) -> IntArray:
+    """Triangles (k, 3) of the boundary that cut others."""
+    facets = boundary_facets(outcome.cells)
+    crossed: IntArray = facets[crossing_triangles(outcome.points, facets)]
+    return crossed
+
+
+def _near(mesh: SimplexMesh, outcome: Outcome, places: IntArray, sizes: Sizes) -> BoolArray:
+    """Vertices (n,) of the input near vertices of an outcome."""
+    from scipy.spatial import cKDTree
+
+    near = np.zeros(len(mesh.points), dtype=np.bool_)
+    if len(places):
+        used = np.unique(mesh.cells)
+        far = cKDTree(outcome.points[np.unique(places)]).query(mesh.points[used])[0]
+        near[used] = far <= REACH * sizes.values[used]
+    return near
 
 
 def _once(
     mesh: SimplexMesh, sizes: Sizes, asked: FloatArray, options: Options, leaving: Leaving,
-    share: float, room: Room, *, relents: bool,
+    shares: FloatArray, room: Room, *, relents: bool,
 ) -> tuple[Outcome, list[str]]:
-    """Resize within a part of the envelope, optimise within the rest, and judge."""
+    """Resize within parts (n,) of the envelope, optimise within the rest, and judge."""
+    share = float(shares.max())
     report = options.progress or silent
     clock = time.perf_counter()
     given, log = _resized(
-        mesh, sizes, asked, options, share, partial(part(report, 0.0, 0.4), "resizing"),
+        mesh, sizes, asked, options, shares, partial(part(report, 0.0, 0.4), "resizing"),
         relents=relents)
     resized, envelope = given.outcome, envelope_length(mesh, options)
     onto = mesh.smooth if share > 0.0 else None
@@ -346,8 +388,8 @@ def _once(
 
 
 def _resized(
-    mesh: SimplexMesh, sizes: Sizes, asked: FloatArray, options: Options, share: float, tick: Any,
-    *, relents: bool,
+    mesh: SimplexMesh, sizes: Sizes, asked: FloatArray, options: Options,
+    shares: FloatArray, tick: Any, *, relents: bool,
 ) -> tuple[Resized, Log]:
     """The mesh with edges as long as they should be, and counts."""
     start = make_start(mesh)
@@ -365,13 +407,13 @@ def _resized(
             NodalDensity(values, 1.0), None, start.seen, start.cells, None)
         body, guard, scratch, names = lay_out(
             start, hold[frame.vertices],
-            share * (envelope_length(mesh, options) - mesh.sag) * frame.scale,
+            shares[frame.vertices] * (envelope_length(mesh, options) - mesh.sag) * frame.scale,
             options.feature_angle)
         were = [frame.vertices[s.rows[s.live()]] for s in (body.segments, body.triangles)]
         work = Resizing(body, guard, scratch, field, field.walk_start(len(start.points)), log,
                         LONGER * local_sizes(mesh)[frame.vertices] * unit, sizes.growth,
                         relents, _most(mesh, sizes), _crowded(mesh, sizes))
-        resize(work, share > 0.0, pool, tick, threads)
+        resize(work, bool(shares.any()), pool, tick, threads)
         whole = make_density(NodalDensity(LONGER * asked[frame.vertices] * unit, 1.0), None,
                              start.points, start.cells, None)
         size = work.body.size[: len(work.walk)]

@@ -130,6 +130,16 @@ def replace_corner(s: Simplices, c: int, old: int, new: int) -> None:
 
 
 @kernel
+def become(s: Simplices, c: int, rows: IntArray, k: int) -> None:
+    """Let simplex c have the vertices in row k of others."""
+    for i in range(s.rows.shape[1]):
+        _unlink_corner(s, c, i)
+    for i in range(s.rows.shape[1]):
+        s.rows[c, i] = rows[k, i]
+    link(s, c)
+
+
+@kernel
 def has_room_for(s: Simplices, more: int) -> bool:
     """Whether there are so many slots for further simplices; what is missing is written down."""
     if more > s.slots[FREE] + s.rows.shape[0] - s.slots[USED]:

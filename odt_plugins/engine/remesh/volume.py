@@ -26,11 +26,12 @@ from odt_plugins.engine.remesh.body import (
     with_room,
 )
 from odt_plugins.engine.remesh.collapse import collapse_edges
+from odt_plugins.engine.remesh.flip import flip_patches
 from odt_plugins.engine.remesh.lay_out import SPARE, edges_beyond
 from odt_plugins.engine.remesh.relax import relax_surface
 from odt_plugins.engine.remesh.relent import reached_sizes, relented
 from odt_plugins.engine.remesh.simplices import make_simplices
-from odt_plugins.engine.remesh.sizes import cells_of_sizes
+from odt_plugins.engine.remesh.sizes import cells_of_sizes, unique_edges
 from odt_plugins.engine.remesh.split import split_edges
 from odt_plugins.engine.topology.complex import make_complex
 from odt_plugins.mesh.arrays import FloatArray, IntArray
@@ -145,6 +146,7 @@ def resize(work: Resizing, slides: bool, pool: Pool | None, tick: Callable[[floa
         work.log.add("collapses", gone)
         tick((k + 0.4) / ROUNDS)
         if slides:
+            work.log.add("boundary flips", _flip(work))
             for _ in range(SWEEPS):
                 _relax(work)
         _smooth(work, pool, threads)
@@ -208,6 +210,13 @@ def _collapse(work: Resizing, longest: float = LONG) -> int:
         if done <= FEW * len(edges):
             break
     return total
+
+
+def _flip(work: Resizing) -> int:
+    rows = work.body.triangles.rows[work.body.triangles.live()]
+    edges = unique_edges(rows)
+    return sum(int(flip_patches(work.body, work.guard, edges[first:last], work.scratch))
+               for first, last in pieces(0, len(edges)))
 
 
 def _relax(work: Resizing) -> int:

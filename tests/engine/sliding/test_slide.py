@@ -19,6 +19,7 @@ from tet_meshes import (
     facets_of,
     oriented,
     quality,
+    shelled,
     signed_volumes,
 )
 
@@ -426,30 +427,6 @@ def test_mid_nodes_follow_the_edges_of_a_surface_that_slides():
     for i, (a, b) in enumerate(sides):
         middle = 0.5 * (x[t[:, a]] + x[t[:, b]])
         assert np.abs(x[t[:, 4 + i]] - middle).max() <= 1e-12
-
-
-def shelled(gap):
-    """Two bodies: a ball, and a shell around it across a narrow gap."""
-    rng = np.random.default_rng(3)
-    directions = rng.normal(size=(180, 3))
-    directions /= np.linalg.norm(directions, axis=1)[:, None]
-    from scipy.spatial import Delaunay
-
-    inner = Delaunay(np.concatenate([directions, [[0.0, 0.0, 0.0]]])).simplices
-    hull = boundary(inner)
-    n = len(directions)
-    points = np.concatenate([directions, [[0.0, 0.0, 0.0]], (1.0 + gap) * directions,
-                             1.4 * directions])
-    a, b = hull + n + 1, hull + 2 * n + 1
-    prisms = np.sort(hull, axis=1)
-    a, b = prisms + n + 1, prisms + 2 * n + 1
-    layers = [np.column_stack([a[:, 0], a[:, 1], a[:, 2], b[:, 2]]),
-              np.column_stack([a[:, 0], a[:, 1], b[:, 1], b[:, 2]]),
-              np.column_stack([a[:, 0], b[:, 0], b[:, 1], b[:, 2]])]
-    cells = np.concatenate([inner, *layers]).astype(np.int32)
-    cells[signed_volumes(points, cells) < 0.0] = cells[signed_volumes(points, cells) < 0.0][
-        :, [1, 0, 2, 3]]
-    return points, cells
 
 
 def test_bodies_close_to_each_other_never_overlap(monkeypatch):
