@@ -34,10 +34,10 @@ def ball(n, seed):
     return points, oriented(points, mesh.simplices)
 
 
-def shelled(gap):
+def shelled(gap, count=180):
     """Two bodies: a ball, and a shell around it across a narrow gap."""
     rng = np.random.default_rng(3)
-    directions = rng.normal(size=(180, 3))
+    directions = rng.normal(size=(count, 3))
     directions /= np.linalg.norm(directions, axis=1)[:, None]
     whole = Delaunay(np.concatenate([directions, [[0.0, 0.0, 0.0]]]))
     inner, hull = whole.simplices, whole.convex_hull

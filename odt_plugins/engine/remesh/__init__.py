@@ -3,9 +3,9 @@
 A mesh here is its simplices of every dimension: tetrahedra with the label of their region, the
 triangles of its boundary and interfaces with that of their patch, and the segments of its feature
 lines. `split_edges` cuts all that hold a long edge, `collapse_edges` takes a vertex out of all that
-hold it, `relax_surface` moves the vertices of patches and lines. The last two ask one guard,
-`fits`. Rounds of these and of ODT with rho = h^-(d + 2) follow each other, and the run of
-``engine.run`` finishes.
+hold it, `flip_patches` exchanges the diagonals of two triangles of a patch, `relax_surface` moves
+the vertices of patches and lines. Collapses and moves ask one guard, `fits`. Rounds of these and of
+ODT with rho = h^-(d + 2) follow each other, and the run of ``engine.run`` finishes.
 
 References
 ----------

@@ -152,12 +152,12 @@ def test_any_surface_stays_closed_and_all_cells_positive(seed, regions):
 
 
 def test_bodies_that_cut_each_other_use_less_of_the_envelope(monkeypatch):
-    mesh = shelled(2e-3)
+    mesh = shelled(2e-3, 60)
     calls = []
     once = remesh_run._once
     monkeypatch.setattr(remesh_run, "_once", lambda *how, **more: calls.append(
         (how[5].min(), once(*how, **more))) or calls[-1][1])
-    (points, cells), report = odt_plugins.remesh_with_report(mesh, scale=0.6, envelope=0.01)
+    (points, cells), report = odt_plugins.remesh_with_report(mesh, scale=1, envelope=0.01)
     assert report.fallback is None
     assert not any("stay as they are" in note for note in report.notes)
     assert calls[0][0] > calls[-1][0]
