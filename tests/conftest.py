@@ -34,6 +34,14 @@ def many_blocks(monkeypatch: pytest.MonkeyPatch, many_threads: None) -> None:
     monkeypatch.setattr(coloring, "SMALLEST", 8)
 
 
+@pytest.fixture
+def kernels_in_python(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Kernels are functions of Python, where numba would compile for longer than these take."""
+    from odt_plugins.engine.compiled.kernel import Kernel
+
+    monkeypatch.setattr(Kernel, "__call__", lambda self, *args: self.py_func(*args))
+
+
 @pytest.fixture(params=[2, 3], ids=["d2", "d3"])
 def d(request: pytest.FixtureRequest) -> int:
     """Dimension of the space."""

@@ -237,6 +237,7 @@ def test_units_of_a_metric():
     np.testing.assert_allclose(in_unit(rows, 4.0), rows_of(np.diag([0.5, 0.75, 1.25]), 1))
 
 
+@pytest.mark.usefixtures("kernels_in_python")
 @pytest.mark.parametrize("kind", ["tets", "plane", "surface"])
 def test_a_newton_step_is_that_of_the_image(kind):
     rng = np.random.default_rng(13)

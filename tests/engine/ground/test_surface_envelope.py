@@ -31,6 +31,7 @@ def test_closest_point_of_one_triangle(a, b, c, x):
     assert sm.distances(np.array([foot]), corners, ONE)[0] < 1e-7
 
 
+@pytest.mark.usefixtures("kernels_in_python")
 def test_tree_and_walk_agree_with_the_slow_twin():
     points, cells = sm.sphere(3)
     rng = np.random.default_rng(11)

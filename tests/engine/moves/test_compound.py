@@ -23,6 +23,7 @@ from odt_plugins.engine.topology.tets import FREE
 from odt_plugins.options import Options
 
 
+@pytest.mark.usefixtures("kernels_in_python")
 @pytest.mark.parametrize("seed", [1, 2])
 def test_the_journal_takes_every_flip_back(seed):
     points, cells = tm.ball(200, seed)

@@ -98,6 +98,7 @@ def all_triangulations(polygon):
     return found
 
 
+@pytest.mark.usefixtures("kernels_in_python")
 @pytest.mark.parametrize("n", [3, 4, 5, 6, 7, 8])
 def test_ring_triangulation_is_the_best_of_all(n):
     rng = np.random.default_rng(n)
@@ -274,6 +275,7 @@ def test_renumbered_cells_are_the_same_mesh_in_order():
     assert_sound(fresh, points, tm.signed_volumes(points, cells).sum())
 
 
+@pytest.mark.usefixtures("kernels_in_python")
 def test_two_cells_of_the_same_vertices_stay_next_to_each_other_at_the_same_facets():
     """Where all is flat, two cells of the same four vertices may share two facets."""
     before = np.array([[0, 1, 2, 3], [0, 1, 2, 4], [0, 1, 3, 4]], dtype=np.int32)

@@ -75,6 +75,7 @@ EVERY = pytest.mark.parametrize("objective", MEASURES,
                                 ids=["radius ratio", "mean ratio", "angle", "step"])
 
 
+@pytest.mark.usefixtures("kernels_in_python")
 @EVERY
 def test_measure_of_a_triangle(objective):
     regular = np.array([[0.0, 0.0], [1.0, 0.0], [0.5, np.sqrt(0.75)]])
@@ -97,6 +98,7 @@ def test_measure_of_a_triangle(objective):
         assert triangle_measure(turned, 0, 1, 2, objective) == pytest.approx(m, rel=1e-9)
 
 
+@pytest.mark.usefixtures("kernels_in_python")
 @EVERY
 @settings(max_examples=40, deadline=None)
 @given(seed=st.integers(0, 10**6), power=st.sampled_from([0.5, 1.0, 2.0, 4.0, 8.0]))

@@ -345,6 +345,7 @@ def centres(p, star):
     return np.array(found)
 
 
+@pytest.mark.usefixtures("kernels_in_python")
 @pytest.mark.parametrize(("target", "weights"), [
     (ODT, "rho"), (CPT, "rho"), (ODT, "equal"), (CPT, "equal"), (LAPLACIAN, "equal")])
 def test_the_mean_centre_of_a_star(target, weights):
@@ -368,6 +369,7 @@ def test_the_mean_centre_of_a_star(target, weights):
         assert p[v] + found == pytest.approx(expected, abs=1e-10)
 
 
+@pytest.mark.usefixtures("kernels_in_python")
 def test_an_edge_over_a_sphere_is_as_far_as_its_sagitta():
     p, t = sm.sphere(5)
     surface = build(p, t)
