@@ -58,8 +58,8 @@ holds; sliding has the rest."""
 ATTEMPTS = 4
 """Most times within one part; each holds the input around what those before spoiled."""
 
-MOST_HELD = 0.3
-"""Part of the cells of the input from which on no more are held."""
+MOST_HELD, NEARLY_ALL = 0.3, 0.9
+"""Part of the cells of the input from which on no more are held, and largest part that is held."""
 
 FEW_SPOILED = 0.05
 """Part of the cells of the input up to which they stay, where the worst cells alone are spoiled,
@@ -80,8 +80,12 @@ way to those of a surface or of the input."""
 REACH = 0.7
 """Vertices of the input are held that are nearer to a spoiled place, in units of the size."""
 
-NARROWER, NARROW = 0.2, 0.01
-"""Part of its envelope that a surface may use where it cut through itself, and the least of it."""
+NARROWER, NARROW = 0.2, 0.05
+"""Part of its envelope that a surface may use where it cut through itself, and largest part that
+becomes no smaller."""
+
+CUT = "the boundary cuts through itself"
+"""What is broken then."""
 
 CLOSE = 1.1
 """Multiple of the sizes of the input up to which sizes are no longer than those."""
@@ -133,7 +137,8 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
                 break
             scaled = scaled.scaled((_count(other, wish) / goal) ** (1.0 / mesh.dim))
             other = tries(scaled, lambda found: min(MORE, goal / _count(found, wish) - 1.0))
-            outcome = min(outcome, other, key=lambda found: _off(found, wish, goal))
+            if other.origin is not None and _off(other, wish, goal) < _off(outcome, wish, goal):
+                outcome = other
         if _off(outcome, wish, goal) > NEAR:
             what = "vertices" if wish.cells is None else "cells"
             note = (f"{_count(outcome, wish)} {what} are as near to the {goal} asked for as the "
@@ -212,13 +217,13 @@ def _tries(
             if nearer is not None:
                 wanted = nearer
                 continue
-            narrower = _narrower(mesh, outcome, wanted, narrow) if share > 0.0 else None
-            if narrower is not None:
-                narrow = narrower
+            cut = _newly_cut(mesh, outcome, wanted)
+            if broken[0] == CUT and cut.any() and narrow.min() > NARROW:
+                narrow = np.where(cut, NARROWER * narrow, narrow)
                 continue
             spoiled &= ~held.frozen
             if not spoiled.any() or held.frozen.mean() > MOST_HELD or (
-                    spoiled | held.frozen).all():
+                    spoiled | held.frozen).mean() > NEARLY_ALL:
                 break
             held = freeze(held, held.frozen | spoiled)
     outcome = leaving(unchanged(mesh, "no other sizes kept the promise"))
@@ -298,26 +303,22 @@ def _spoiled(
     return np.asarray(near[mesh.cells].any(axis=1))
 
 
-def _narrower(
-    mesh: SimplexMesh, outcome: Outcome, sizes: Sizes, narrow: FloatArray
-) -> FloatArray | None:
-    """Parts (n,) of the envelope that are smaller where the surface cuts through itself, None where
-    it does not, or where they are small.
-    """
-    near = _near(mesh, outcome, _crossed(outcome), sizes)
-    if not near.any() or narrow[near].max() <= NARROW:
-        return None
-    return np.where(near, NARROWER * narrow, narrow)
+def _newly_cut(mesh: SimplexMesh, outcome: Outcome, sizes: Sizes) -> BoolArray:
+    """Vertices (n,) of the input near triangles that cut others, but near none of its own."""
+    return _near(mesh, outcome, _crossed(outcome), sizes) & ~_near(
+        mesh, mesh, _crossed(mesh), sizes)
 
 
-def _crossed(outcome: Outcome) -> IntArray:
+def _crossed(outcome: SimplexMesh | Outcome) -> IntArray:
     """Triangles (k, 3) of the boundary that cut others."""
     facets = boundary_facets(outcome.cells)
     crossed: IntArray = facets[crossing_triangles(outcome.points, facets)]
     return crossed
 
 
-def _near(mesh: SimplexMesh, outcome: Outcome, places: IntArray, sizes: Sizes) -> BoolArray:
+def _near(
+    mesh: SimplexMesh, outcome: SimplexMesh | Outcome, places: IntArray, sizes: Sizes
+) -> BoolArray:
     """Vertices (n,) of the input near vertices of an outcome."""
     from scipy.spatial import cKDTree
 
@@ -490,7 +491,7 @@ def _beyond(
     before, after = boundary_facets(mesh.cells), boundary_facets(outcome.cells)
     crossings = count_crossings(outcome.points, after)
     if crossings and crossings > count_crossings(mesh.points, before):
-        return ["the boundary cuts through itself"], slid
+        return [CUT], slid
     return [], slid
 
 

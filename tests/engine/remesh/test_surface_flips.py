@@ -151,17 +151,40 @@ def test_any_surface_stays_closed_and_all_cells_positive(seed, regions):
     assert (np.sort(np.unique(found)) == np.unique(cells)).all()
 
 
-def test_bodies_that_cut_each_other_use_less_of_the_envelope(monkeypatch):
-    mesh = shelled(2e-3, 60)
-    calls = []
+@pytest.fixture
+def calls(monkeypatch):
+    """Parts of the envelope of every attempt, and what it broke."""
+    found = []
     once = remesh_run._once
-    monkeypatch.setattr(remesh_run, "_once", lambda *how, **more: calls.append(
-        (how[5].min(), once(*how, **more))) or calls[-1][1])
+
+    def noted(*how, **more):
+        result = once(*how, **more)
+        found.append((how[5], result[1]))
+        return result
+
+    monkeypatch.setattr(remesh_run, "_once", noted)
+    return found
+
+
+def test_bodies_that_cut_each_other_use_less_of_the_envelope(calls):
+    mesh = shelled(2e-3, 60)
     (points, cells), report = odt_plugins.remesh_with_report(mesh, scale=1, envelope=0.01)
     assert report.fallback is None
     assert not any("stay as they are" in note for note in report.notes)
-    assert calls[0][0] > calls[-1][0]
-    assert calls[0][1][1] == ["the boundary cuts through itself"]
+    assert calls[0][0].min() > calls[-1][0].min()
+    assert calls[0][1] == ["the boundary cuts through itself"]
     rim = surface(cells, np.zeros(len(cells), dtype=int))
     assert not len(crossing_pairs(points, rim))
     assert volumes(points, cells).min() > 0
+
+
+def test_where_bodies_cut_each_other_already_the_envelope_is_whole(calls):
+    points, cells = ball(150, 1)
+    points, cells = (np.vstack([points, 0.9 * points + [1, 0, 0]]),
+                     np.vstack([cells, cells + len(points)]))
+    odt_plugins.remesh((points, cells), scale=0.8, envelope=0.03)
+    rim = surface(cells, np.zeros(len(cells), dtype=int))
+    own = np.unique(rim[crossing_pairs(points, rim)])
+    assert calls[0][1] == ["the boundary cuts through itself"]
+    assert all((shares[own] == calls[0][0][0]).all() for shares, _ in calls[:-1])
+    assert len({shares.min() for shares, _ in calls}) <= 3
