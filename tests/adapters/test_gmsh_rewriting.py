@@ -12,6 +12,7 @@ import pytest
 
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
+from odt_plugins.cli import main as cli
 from odt_plugins.errors import DataNotKeptWarning, MeshFileError
 
 KINDS = [(2.2, 0), (2.2, 1), (4.0, 0), (4.1, 0), (4.1, 1)]
@@ -180,6 +181,39 @@ def test_values_belong_to_the_nodes_that_they_name(tmp_path):
     path.write_bytes(head + b"".join(body.splitlines(keepends=True)[::-1]) + end)
     mesh = read_file(path)
     assert np.allclose(mesh.point_data["u"], mesh.points @ FIELD)
+
+
+@pytest.mark.parametrize("version", [2.2, 4.1])
+def test_values_of_nodes_that_come_and_go_are_right_for_readers_that_go_by_the_order(
+        version, gmsh, tmp_path):
+    """meshio takes values of nodes one after the other, Gmsh by their tags."""
+    file, out = tmp_path / "in.msh", tmp_path / "out.msh"
+    model = gmsh.model
+    model.occ.fragment([(3, model.occ.addBox(0, 0, 0, 2, 1, 1))],
+                       [(3, model.occ.addCylinder(1, 0.5, 0, 0, 0, 1, 0.3))])
+    model.occ.synchronize()
+    for dim in (2, 3):
+        for _, tag in model.getEntities(dim):
+            model.addPhysicalGroup(dim, [tag], 10 * dim + tag)
+    for name, value in (("MeshSizeMax", 0.4), ("MshFileVersion", version)):
+        gmsh.option.setNumber(f"Mesh.{name}", value)
+    model.mesh.generate(3)
+    nodes, places, _ = model.mesh.getNodes()
+    gmsh.option.setNumber("PostProcessing.SaveMesh", 0)
+    gmsh.write(str(file))
+    view = gmsh.view.add("heat")
+    gmsh.view.addModelData(view, 0, model.getCurrent(), "NodeData", nodes,
+                           (places.reshape(-1, 3) @ FIELD)[:, None])
+    gmsh.view.write(view, str(file), append=True)
+    words = ["remesh", str(file), str(out), "--scale", "0.7", "--free", "periodic"]
+    assert cli.main(words) == 0
+    mesh = meshio.read(out)
+    assert len(mesh.points) != len(nodes)
+    assert np.ravel(mesh.point_data["heat"]) == pytest.approx(mesh.points @ FIELD, abs=1e-12)
+    gmsh.open(str(out))
+    _, tags, values, _, _ = gmsh.view.getModelData(gmsh.view.getTags()[-1], 0)
+    for tag, value in zip(tags.tolist(), values, strict=True):
+        assert value[0] == pytest.approx(model.mesh.getNode(tag)[0] @ FIELD, abs=1e-12)
 
 
 @pytest.mark.parametrize(("version", "binary"), [(2.2, 0), (4.1, 1)])

@@ -158,10 +158,25 @@ def _row(file: File, values: Any) -> bytes:
     return (b" " if file.text else b"").join(coded(file, float(x), "f8") for x in values)
 
 
+def _positions(nodes: Nodes, change: Change) -> NDArray[np.int64]:
+    """Place (n',) of every node of the result among those of the file, block after block."""
+    new = _arrivals(nodes, change, parted=False)
+    order = []
+    for block in nodes.blocks:
+        here = change.number[block.first: block.last]
+        order += [here[here >= 0], new.pop(block.entity, here[:0])]
+    out = np.empty(len(change.points), dtype=np.int64)
+    out[np.concatenate([*order, *new.values()])] = np.arange(len(out))
+    return out
+
+
 def values(
     file: File, nodes: Nodes, part: Values, change: Change, array: NDArray[Any]
 ) -> list[Edit]:
-    """What replaces the values of nodes that are others; all that were and are somewhere else."""
+    """What replaces the values of nodes that are others; all that were and are somewhere else.
+
+    Values in the order of the nodes stay so, as some readers go by it.
+    """
     known = np.isin(part.tags, nodes.tags)
     before = np.full(len(known), -1, dtype=np.int64)
     before[known] = gmsh_read.places(nodes.tags, part.tags[known], "node")
@@ -185,6 +200,9 @@ def values(
                      if changed[k].any() else line)
     lines += [coded(file, int(every[k]), "i4") + between + _row(file, table[k])
               for k in new.tolist()]
+    if np.array_equal(part.tags, nodes.tags):
+        order = np.argsort(_positions(nodes, change)[[*number[kept], *new]], kind="stable")
+        lines = [lines[k] for k in order.tolist()]
     end = b"" if not file.text else gmsh_tables.line_end(file)
     start, stop = (int(part.rows[0, 0]), int(part.rows[-1, 1])) if len(part.rows) else (0, 0)
     return [(*part.at, str(len(lines)).encode()), (start, stop, end.join(lines))]
