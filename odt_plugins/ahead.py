@@ -14,7 +14,8 @@ import shlex
 import subprocess
 import sys
 from argparse import ArgumentParser
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import Any
@@ -23,7 +24,7 @@ SIGNATURES = Path(__file__).parent / "engine" / "compiled" / "signatures.txt"
 """Kernels that Python calls, with the types of their arguments."""
 
 WORKERS = 4
-"""Most processes side by side: each compiles what its kernels have in common with others anew."""
+"""Most processes side by side."""
 
 PART = "from odt_plugins.ahead import build_part; build_part({lines!r}, {first}, {folder!r})"
 
@@ -68,11 +69,12 @@ def build(file: Path, lines: Sequence[str] = ()) -> None:
 
     chosen = {name: "" for name in os.environ if name.startswith("NUMBA_")}
     work = os.environ | chosen | {
-        "NUMBA_OPT": "0", "NUMBA_LLVM_REFPRUNE_PASS": "0", "PYTHONHASHSEED": "0"}
+        "NUMBA_OPT": "0", "PYTHONHASHSEED": "0"}
     with TemporaryDirectory() as made:
         lines = lines or SIGNATURES.read_text(encoding="utf-8").splitlines()
-        parts = [PART.format(lines=lines[first:stop], first=first, folder=made)
-                 for first, stop in _shares(lines)]
+        count = min(os.cpu_count() or 1, WORKERS)
+        parts = [PART.format(lines=lines, first=len(lines) * each // count, folder=made)
+                 for each in range(count)]
         processes = [subprocess.Popen([sys.executable, "-c", part], env=work) for part in parts]
         for process in [process for process in processes if process.wait()]:
             raise subprocess.CalledProcessError(process.returncode, process.args)
@@ -85,32 +87,20 @@ def build(file: Path, lines: Sequence[str] = ()) -> None:
         subprocess.run([*linker, "-shared", "-s", "-o", str(file), *objects, "-lm"], check=True)
 
 
-def _shares(lines: Sequence[str]) -> Iterator[tuple[int, int]]:
-    """Cut the lines into as many ranges as there are processors, about as long to compile."""
-    lengths = [len(line) for line in lines]
-    count = min(os.cpu_count() or 1, WORKERS)
-    first = 0
-    for share in range(1, count + 1):
-        stop = first
-        while stop < len(lengths) and sum(lengths[:stop]) < sum(lengths) * share / count:
-            stop += 1
-        if stop > first:
-            yield first, stop
-        first = stop
-
-
 def build_part(lines: Sequence[str], first: int, folder: str) -> None:
-    """Compile kernels into object files, numbered from ``first``; write down what they return."""
+    """Compile kernels into object files; write down what they return.
+
+    Kernels are taken in turn from number ``first`` on, but those that another process took.
+    """
     from odt_plugins.engine.compiled.building import Units, levels
 
-    units = Units()
-    with (Path(folder) / f"{first:04}.txt").open("w", encoding="utf-8") as contents:
-        for number, line in enumerate(lines, first):
-            entry, results = units.entry(line)
-            contents.write(f"{line} -> {results}\n")
-            for level, processor in enumerate(levels(), 1):
-                name = f"odt_{level}_{number}"
-                code = units.machine_code(entry, name, processor)
+    units = Units(Path(folder))
+    for number in (*range(first, len(lines)), *range(first)):
+        with suppress(FileExistsError), (Path(folder) / f"{number:04}.txt").open("x") as contents:
+            entry, results = units.entry(lines[number])
+            contents.write(f"{lines[number]} -> {results}\n")
+            names = [f"odt_{level}_{number}" for level, _ in enumerate(levels(), 1)]
+            for name, code in zip(names, units.machine_code(entry, names), strict=True):
                 (Path(folder) / f"{name}.o").write_bytes(code)
 
 

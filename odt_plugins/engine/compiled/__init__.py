@@ -9,8 +9,9 @@ which NUMBA_CPU_NAME may name a lower one, and goes with the sources of all kern
 
 ``building`` makes it, by public interfaces of numba and llvmlite: a kernel is compiled once for
 the types it is called with, by itself; what it calls are functions that are somewhere else. What a
-kernel of the library needs is put together and optimised as a whole. ``odt_plugins.ahead`` does so
-in processes side by side and links the library.
+kernel of the library needs is put together and optimised as a whole, once for all levels.
+``odt_plugins.ahead`` does so in processes side by side, which share what they compile, and links
+the library: the same bytes for any number of processes.
 
 Where there is no such library, for types that it has not, and where a user has chosen how numba
 compiles (`CHOSEN`), ``plain`` gives the same kernels to ``numba.njit``, which keeps them in a

@@ -1,18 +1,23 @@
 """From the sources of kernels to the code of a library: what happens where the package is built.
 
 Every kernel becomes code of LLVM by itself (`Units.unit`), and calls others as functions that are
-somewhere else.  What a kernel needs that Python calls is put together and optimised as a whole, for
-each level of the processor (`Units.machine_code`).
+somewhere else.  It lies in a folder, from which all processes take it that build a library.  What a
+kernel needs that Python calls is put together and optimised as a whole, then made for each level of
+the processor (`Units.machine_code`).
 """
 
 from __future__ import annotations
 
 import ast
 import inspect
+import os
+import pickle
 import re
 import sys
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Iterator, Sequence
+from hashlib import sha256
 from importlib import import_module
+from pathlib import Path
 from typing import Any
 
 import llvmlite.binding as llvm
@@ -49,8 +54,8 @@ COUNTED = re.compile(r"^ *(?:tail )?call void @NRT_(?:in|de)cref\(.*\n", re.MULT
 WRAPPER = re.compile(r'^define [^@]*@"?(cfunc\.[^"(]+)"?\(', re.MULTILINE)
 """Where IR has the function that takes a kernel's arguments as they are."""
 
-CALLED = re.compile(r'^declare [^@]*@"?(cfunc\.[^"(]+)"?\(', re.MULTILINE)
-"""Where IR refers to such a function that is somewhere else."""
+CALLED = re.compile(r'^declare [^@]*@"?(unit\.\w+)"?\(', re.MULTILINE)
+"""Where IR refers to such a function of another kernel, by the name that it has here."""
 
 APART = re.compile(r"^(attributes #\d+ = \{[^}]*)\bnoinline\b", re.MULTILINE)
 """Where IR forbids that a function becomes part of its caller."""
@@ -215,14 +220,30 @@ class Slots:
         return array, f"array{axes}(words[{slot}] + words[0], {kind.__name__})"
 
 
-class Units:
-    """Kernels as IR, each compiled once for some types of arguments."""
+def name_of(kernel: Kernel, args: Sequence[Any]) -> str:
+    """Name in IR of a kernel compiled for some types, the same in all processes."""
+    def told(kind: Any) -> str:
+        return f"{getattr(kind, 'instance_class', None)} {kind}" + "".join(
+            map(told, getattr(kind, "types", ())))
 
-    def __init__(self) -> None:
-        self._parts: dict[str, tuple[bytes, set[str]]] = {}
+    text = " ".join(
+        [kernel.py_func.__module__, kernel.py_func.__qualname__, *map(told, args)])
+    return f"unit.{sha256(text.encode()).hexdigest()[:16]}"
+
+
+class Units:
+    """Kernels as IR, each compiled once for some types of arguments.
+
+    Parameters
+    ----------
+    folder : path    holds what is compiled, for other processes as well
+    """
+
+    def __init__(self, folder: Path) -> None:
+        self._folder = folder
+        self._parts: dict[str, tuple[bytes, list[str]]] = {}
         self._known: dict[Any, tuple[str, Any]] = {}
         self._told: set[Kernel] = set()
-        self._apart: set[str] = set()
 
     def tell(self) -> None:
         """Tell numba how kernels call the kernels of all modules that are imported."""
@@ -255,19 +276,30 @@ class Units:
         """Compile a kernel for some types; gives its name in IR and the type of its result."""
         key = kernel, tuple(map(types.unliteral, args))
         if key not in self._known:
-            made = njit(  # type: ignore[call-overload]
-                error_model="numpy", forceinline=kernel.inlined, no_cpython_wrapper=True,
-            )(kernel.py_func)
-            made.compile(key[1])
-            text = made.inspect_llvm(key[1])
-            (name,) = WRAPPER.findall(text)
+            name = name_of(*key)
             # numba asks for all addresses, though nothing is run here.
             llvm.add_symbol(name, 1)
-            self._keep(name, text if kernel.allocates else COUNTED.sub("", text))
-            self._known[key] = name, made.nopython_signatures[0].return_type
-            if kernel.apart:
-                self._apart.add(name)
+            file = self._folder / name
+            if not file.exists():
+                part, result = self._compiled(name, *key)
+                own = file.with_suffix(f".{os.getpid()}")
+                own.write_bytes(pickle.dumps((part, result)))
+                os.replace(own, file)
+            self._parts[name], result = pickle.loads(file.read_bytes())
+            self._known[key] = name, result
         return self._known[key]
+
+    def _compiled(self, name: str, kernel: Kernel, args: tuple[Any, ...]) -> tuple[Any, Any]:
+        made = njit(  # type: ignore[call-overload]
+            error_model="numpy", forceinline=kernel.inlined, no_cpython_wrapper=True,
+        )(kernel.py_func)
+        made.compile(args)
+        text = made.inspect_llvm(args)
+        (wrapper,) = WRAPPER.findall(text)
+        text = re.sub(f'@"?{re.escape(wrapper)}"?(?=\\()', f"@{name}", text)
+        text = text if kernel.allocates else COUNTED.sub("", text)
+        mark = "noinline" if kernel.apart else "alwaysinline"
+        return linkable(text, name, mark), made.nopython_signatures[0].return_type
 
     def entry(self, line: str) -> tuple[str, str]:
         """Compile what Python calls of a kernel: reads slots, and leaves results there.
@@ -294,41 +326,40 @@ class Units:
         exec(ENTRY.format(slots=max(slots.count, len(made)), kept="; ".join(kept),
                           given=", ".join(code for _, code in given)), names)
         whole = cfunc(types.void(types.voidptr), error_model="numpy")(names["entry"])
-        self._keep(whole.native_name, whole.inspect_llvm())
-        return whole.native_name, f"({', '.join(made)})" if several else ", ".join(made)
+        name: str = whole.native_name
+        self._parts[name] = linkable(whole.inspect_llvm(), name, "nounwind")
+        return name, f"({', '.join(made)})" if several else ", ".join(made)
 
-    def _keep(self, name: str, text: str) -> None:
-        self._parts[name] = linkable(text), {*CALLED.findall(text)}
+    def machine_code(self, entry: str, names: Sequence[str]) -> Iterator[bytes]:
+        """Optimise an entry with all that it needs; gives an object file for each level.
 
-    def machine_code(self, entry: str, name: str, processor: str) -> bytes:
-        """Optimise an entry with all that it needs, for one processor; gives an object file.
+        LLVM's passes run for the best level alone, and the code of all is made of their result.
 
         Parameters
         ----------
-        entry : str        its name in IR
-        name : str         what it is called in the object file
-        processor : str    LLVM's name
+        entry : str            its name in IR
+        names : list of str    what it is called in the files, in the order of :func:`levels`
         """
         whole, waiting, taken = llvm.parse_assembly(RUNTIME), [entry], {entry}
         for part in waiting:
-            code, called = self._parts[part]
+            code, called = self._part(part)
             whole.link_in(llvm.parse_bitcode(code))
-            waiting += sorted(called - taken)
-            taken |= called
+            waiting += [name for name in called if name not in taken]
+            taken |= {*called}
         for function in whole.functions:
-            if function.name == entry:
-                function.name = name
-            elif not function.is_declaration:
+            if function.name != entry and not function.is_declaration:
                 function.linkage = "internal"
-                if function.name in self._apart:
-                    function.add_function_attribute("noinline")
-                elif function.name.startswith("cfunc."):
-                    function.add_function_attribute("alwaysinline")
-        for variable in whole.global_variables:
-            if not variable.is_declaration:
-                variable.linkage = "internal"
-        target = machine(processor, 3)
-        return _compiled(optimised(whole, target, 3), target)
+        targets = [machine(processor, 3) for processor in levels()]
+        optimised(whole, targets[-1], 3)
+        for name, target in zip(names, targets, strict=True):
+            own = whole.clone()
+            own.get_function(entry).name = name
+            yield _emitted(own, target)
+
+    def _part(self, name: str) -> tuple[bytes, list[str]]:
+        if name not in self._parts:
+            self._parts[name], _ = pickle.loads((self._folder / name).read_bytes())
+        return self._parts[name]
 
 
 def table(lines: Iterable[str]) -> bytes:
@@ -339,7 +370,7 @@ def table(lines: Iterable[str]) -> bytes:
     text = "\n".join(lines).encode() + b"\0"
     letters = "".join(f"\\{byte:02x}" for byte in text)
     asks = ASKS if len(levels()) > 1 else "define i32 @odt_level() { ret i32 1 }"
-    return _compiled(llvm.parse_assembly(
+    return _emitted(llvm.parse_assembly(
         f'@odt_kernels = constant [{len(text)} x i8] c"{letters}"\n{asks}'), machine("", 0))
 
 
@@ -366,10 +397,11 @@ def optimised(module: Any, target: Any, effort: int) -> Any:
     return module
 
 
-def linkable(text: str) -> bytes:
-    """Code in LLVM's bits that needs nothing of Python: nothing raises, arrays are of RUNTIME.
+def linkable(text: str, name: str, mark: str) -> tuple[bytes, list[str]]:
+    """Code in LLVM's bits that needs nothing of Python, and the names of the units it calls.
 
-    It is made shorter at once: numba takes tuples of many arrays apart and together at every use.
+    Nothing raises, arrays are of RUNTIME, and others see of it one function alone, ``name``. It is
+    made shorter at once: numba takes tuples of many arrays apart and together at every use.
     """
     def empty(found: re.Match[str]) -> str:
         kind = found[2]
@@ -378,11 +410,16 @@ def linkable(text: str) -> bytes:
         return f"{head} {{ ret {kind} {value} }}"
 
     text = FROM_END.sub(r"  \4 = add i64 \2, 0\n", APART.sub(r"\1nounwind", text))
-    module = llvm.parse_assembly(RAISING.sub(empty, text))
-    code: bytes = optimised(module, machine("", 1), 1).as_bitcode()
-    return code
+    module = optimised(llvm.parse_assembly(RAISING.sub(empty, text)), machine("", 1), 1)
+    for value in (*module.functions, *module.global_variables):
+        if value.name == name:
+            value.add_function_attribute(mark)
+        elif not value.is_declaration:
+            value.linkage = "internal"
+    code: bytes = module.as_bitcode()
+    return code, sorted({*CALLED.findall(text)})
 
 
-def _compiled(module: Any, target: Any) -> bytes:
+def _emitted(module: Any, target: Any) -> bytes:
     code: bytes = target.emit_object(module)
     return code

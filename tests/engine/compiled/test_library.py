@@ -67,6 +67,8 @@ LINES = (
     "odt_kernels_of_a_test.sums(i4[2], odt_kernels_of_a_test.Pair(f8[1], tuple(float64, int64)),"
     " bool)",
     "odt_kernels_of_a_test.last(i4[2])",
+    "odt_kernels_of_a_test.shifted(odt_kernels_of_a_test.Pair(f8[1], tuple(float64, int64)),"
+    " float64)",
 )
 
 
@@ -129,6 +131,16 @@ def test_arrays_that_lie_otherwise_go_through_copies(loaded):
     assert values[1::2].tolist() == [1.0, 3.0, 5.0, 7.0]
     for seen in (table, table.T, table[:, ::2], table[:0:-1], table.astype(np.int32, order="F")):
         assert loaded.last(seen) == seen[-1, -1]
+
+
+def test_any_number_of_processes_builds_the_same_library(built, tmp_path, monkeypatch):
+    file, module = built
+    folder = Path(module.__file__).parent
+    monkeypatch.setenv("PYTHONPATH", f"{folder}{os.pathsep}{PACKAGE.parent}")
+    monkeypatch.setattr(ahead.os, "cpu_count", lambda: 3)
+    monkeypatch.setattr(ahead, "WORKERS", 3)
+    ahead.build(tmp_path / "small.so", LINES)
+    assert (tmp_path / "small.so").read_bytes() == file.read_bytes()
 
 
 def test_other_types_are_for_numba(loaded):
