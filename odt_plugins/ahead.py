@@ -9,6 +9,7 @@ Parts of the library are made side by side.  What the runs below call is written
 
 from __future__ import annotations
 
+import gc
 import os
 import shlex
 import subprocess
@@ -68,8 +69,7 @@ def build(file: Path, lines: Sequence[str] = ()) -> None:
     from odt_plugins.engine.compiled.library import stamp
 
     chosen = {name: "" for name in os.environ if name.startswith("NUMBA_")}
-    work = os.environ | chosen | {
-        "NUMBA_OPT": "0", "PYTHONHASHSEED": "0"}
+    work = os.environ | chosen | {"NUMBA_OPT": "0", "PYTHONHASHSEED": "0"}
     with TemporaryDirectory() as made:
         lines = lines or SIGNATURES.read_text(encoding="utf-8").splitlines()
         count = min(os.cpu_count() or 1, WORKERS)
@@ -94,6 +94,8 @@ def build_part(lines: Sequence[str], first: int, folder: str) -> None:
     """
     from odt_plugins.engine.compiled.building import Units, levels
 
+    # What numba makes of a kernel lives on: looking for garbage finds little.
+    gc.set_threshold(100_000, 20, 20)
     units = Units(Path(folder))
     for number in (*range(first, len(lines)), *range(first)):
         with suppress(FileExistsError), (Path(folder) / f"{number:04}.txt").open("x") as contents:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import gc
 import os
 import signal
 
@@ -10,6 +11,10 @@ from hypothesis import settings
 
 settings.register_profile("odt", deadline=None, max_examples=25, derandomize=True)
 settings.load_profile("odt")
+
+
+# A process of tests holds many toolkits: looking through all of them for garbage takes long.
+gc.set_threshold(100_000, 20, 20)
 
 
 # Shells start what runs in the background deaf to Ctrl-C, and processes of tests inherit that.
