@@ -282,7 +282,7 @@ class Units:
             file = self._folder / name
             if not file.exists():
                 part, result = self._compiled(name, *key)
-                own = file.with_suffix(f".{os.getpid()}")
+                own = Path(f"{file}.{os.getpid()}")
                 own.write_bytes(pickle.dumps((part, result)))
                 os.replace(own, file)
             self._parts[name], result = pickle.loads(file.read_bytes())
