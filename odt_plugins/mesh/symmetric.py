@@ -78,25 +78,38 @@ def exponentials(matrices: FloatArray) -> FloatArray:
 
     Notes
     -----
-    One k serves all, so the error is about 2^k roundings of the largest eigenvalue's exponential.
+    With A = 2^k (m I + D) and tr D = 0, Cayley and Hamilton's D^3 = j D + l I, j = tr(D^2) / 2 and
+    l = tr(D^3) / 3, makes of exp(D) and its squares x I + y D + z D^2. One k serves all, so the
+    error is about 2^k roundings of the largest eigenvalue's exponential.
     """
     d = matrices.shape[1]
     size = float(np.abs(matrices).sum(axis=2).max(initial=0.0))
     halvings = max(0, math.frexp(size)[1] + 2)
     result = np.empty(matrices.shape)
     for first in range(0, len(matrices), AT_ONCE):
-        part = matrices[first : first + AT_ONCE]
-        small = [0.5**halvings * part[:, i, j] for i, j in _upper(d)]
-        out = [np.full(len(part), float(i == j)) for i, j in _upper(d)]
-        for k in range(TERMS, 0, -1):
-            out = [x / k for x in _product(small, out, d)]
-            for n, (i, j) in enumerate(_upper(d)):
-                if i == j:
-                    out[n] += 1.0
+        part = 0.5**halvings * np.ascontiguousarray(
+            matrices[first : first + AT_ONCE].transpose(1, 2, 0))
+        none = np.zeros(part.shape[2])
+        mean = sum((part[i, i] for i in range(d)), none) / d
+        small = _whole({(i, j): part[i, j] - mean * (i == j) for i, j in _upper(d)})
+        square = _whole({
+            (i, j): sum((small[i, k] * small[k, j] for k in range(d)), none)
+            for i, j in _upper(d)})
+        two = 0.5 * sum((square[i, i] for i in range(d)), none)
+        three = sum((square[pair] * small[pair] for pair in small), none) / 3.0
+        w = x = none + 1.0 / math.factorial(TERMS)
+        y = z = none
+        for k in range(TERMS - 1, -1, -1):
+            w, x, y, z = (w * mean + 1.0 / math.factorial(k), z * three + 1.0 / math.factorial(k),
+                          x + z * two, y)
         for _ in range(halvings):
-            out = _product(out, out, d)
-        for n, (i, j) in enumerate(_upper(d)):
-            result[first : first + AT_ONCE, i, j] = result[first : first + AT_ONCE, j, i] = out[n]
+            twice, own = 2.0 * z * y, z * z
+            w, x, y, z = (w * w, x * x + twice * three, 2.0 * x * y + twice * two + own * three,
+                          y * y + 2.0 * x * z + own * two)
+        x, y, z = w * x, w * y, w * z
+        for i, j in small:
+            result[first : first + AT_ONCE, i, j] = (
+                y * small[i, j] + z * square[i, j] + x * (i == j))
     return result
 
 
@@ -105,14 +118,6 @@ def _upper(d: int) -> list[tuple[int, int]]:
     return list(combinations_with_replacement(range(d), 2))
 
 
-def _product(a: list[FloatArray], b: list[FloatArray], d: int) -> list[FloatArray]:
-    """Upper triangles of products of symmetric matrices that commute."""
-    at = {pair: n for n, pair in enumerate(_upper(d))}
-    at |= {(j, i): n for (i, j), n in at.items()}
-    out = []
-    for i, j in _upper(d):
-        total = a[at[i, 0]] * b[at[0, j]]
-        for k in range(1, d):
-            total += a[at[i, k]] * b[at[k, j]]
-        out.append(total)
-    return out
+def _whole(upper: dict[tuple[int, int], FloatArray]) -> dict[tuple[int, int], FloatArray]:
+    """All entries of symmetric matrices."""
+    return upper | {(j, i): entry for (i, j), entry in upper.items()}

@@ -59,7 +59,7 @@ class Scratch(NamedTuple):
     mark : (n,) int64                       stamps of vertices
     clock : (1,) int64                      the last stamp
     exchange : Exchange
-    foot : (n,) int32                       triangles of the ground near vertices
+    foot : (n,) int32                       triangles of the ground near vertices, -1 unknown
     places : (STAR,) int32
     """
 
@@ -139,7 +139,7 @@ def with_room(body: Body, scratch: Scratch, guard: Guard, vertices: int, cells: 
         segments=enlarged(body.segments, n, room[2]),
     )
     scratch = scratch._replace(mark=np.pad(scratch.mark, (0, n - len(scratch.mark))),
-                               foot=np.pad(scratch.foot, (0, n - len(scratch.foot))))
+                               foot=_longer(scratch.foot, n))
     guard = guard._replace(first=_longer(guard.first, len(body.triangles.rows)),
                            on_line=_longer(guard.on_line, len(body.segments.rows)))
     return body, scratch, guard

@@ -127,10 +127,14 @@ def _no_longer(body: Body, u: int, v: int, longest: float, scratch: Scratch) -> 
     cells = star(body.tets, u, scratch.first)
     if cells < 0:
         return False
+    mark = scratch.mark
+    scratch.clock[0] += 1
+    mark[u] = mark[v] = scratch.clock[0]
     for s in range(cells):
         for i in range(4):
             w = body.tets.rows[scratch.first[s], i]
-            if w != u and w != v:
+            if mark[w] != scratch.clock[0]:
+                mark[w] = scratch.clock[0]
                 new = ratio(body, v, w)
                 if new > longest and new > ratio(body, u, w):
                     return False

@@ -13,7 +13,7 @@ from odt_plugins.engine.cells.corner import corner_edges, six_volumes
 from odt_plugins.engine.cells.tetrahedron import tet_quality
 from odt_plugins.engine.cells.triangle import triangle_in_space
 from odt_plugins.engine.compiled.kernel import kernel
-from odt_plugins.engine.ground.closest import closest_on_triangle
+from odt_plugins.engine.ground.closest import closest_on_triangle, walk
 from odt_plugins.engine.ground.replace import COVERED, ROOM, gather, may_replace, settle
 from odt_plugins.engine.remesh.body import INSIDE, LINE, Body, Guard, Scratch
 from odt_plugins.engine.remesh.boxes import closest_of
@@ -63,20 +63,21 @@ def corner(rows: IntArray, c: int, i: int, u: int, v: int) -> int:
 def _tets_fit(body: Body, guard: Guard, u: int, v: int, count: int, cells: IntArray) -> bool:
     """Whether the new tetrahedra are positive, and none worse than the worst and the floor."""
     t, p = body.tets.rows, body.points
-    old, new = 1.0, 1.0
-    for s in range(count):
-        c = cells[s]
-        old = min(old, tet_quality(p, t[c, 0], t[c, 1], t[c, 2], t[c, 3]))
-    floor = max(min(old, guard.limits[3]), FLAT)
+    new, old = 1.0, 1.0
     for s in range(count):
         c = cells[s]
         if not holds(body.tets, c, v):
-            new = tet_quality(
+            new = min(new, tet_quality(
                 p, corner(t, c, 0, u, v), corner(t, c, 1, u, v), corner(t, c, 2, u, v),
-                corner(t, c, 3, u, v))
-            if not new >= floor:
+                corner(t, c, 3, u, v)))
+            if not new >= FLAT:
                 return False
-    return True
+    if new >= guard.limits[3]:
+        return True
+    for s in range(count):
+        c = cells[s]
+        old = min(old, tet_quality(p, t[c, 0], t[c, 1], t[c, 2], t[c, 3]))
+    return new >= old
 
 
 @kernel
@@ -144,10 +145,15 @@ def _patches(
 @kernel
 def near_ground(body: Body, guard: Guard, tag: int, w: int, scratch: Scratch) -> float:
     """Length, how far a patch may be from its ground near vertex w, -1 where w is too far; the
-    triangle of the ground is written down.
+    triangle of the ground is written down, and the next search starts there.
     """
-    p, limit = body.points, guard.limits[0]
-    _, face, _, _, _ = closest_of(guard.boxes, tag, p[w, 0], p[w, 1], p[w, 2], limit * limit)
+    x, y, z = body.points[w, 0], body.points[w, 1], body.points[w, 2]
+    square, face = math.inf, scratch.foot[w]
+    limit = guard.limits[0] * guard.limits[0]
+    if face >= 0 and guard.boxes.label[face] == tag:
+        square, face, _, _, _ = walk(x, y, z, face, guard.ground, False)
+    if not square <= limit:
+        _, face, _, _, _ = closest_of(guard.boxes, tag, x, y, z, limit)
     if face < 0:
         return -1.0
     scratch.foot[w] = face
@@ -161,6 +167,7 @@ def _patch(
     """The same of one patch."""
     p, room, limits = body.points, scratch.exchange, guard.limits
     old, new, reach = 0, 0, limits[0]
+    scratch.clock[0] += 1
     for s in range(count):
         c = scratch.second[s]
         if body.triangles.tag[c] != tag:
@@ -172,6 +179,9 @@ def _patch(
         for i in range(3):
             w = corner(body.triangles.rows, c, i, u, v)
             room.new[new, i] = w
+            if scratch.mark[w] == scratch.clock[0]:
+                continue
+            scratch.mark[w] = scratch.clock[0]
             reach = min(reach, near_ground(body, guard, tag, w, scratch))
             if reach < 0.0:
                 return False
@@ -264,9 +274,11 @@ def move(
     p = body.points
     last = p.shape[0] - 1
     p[last, 0], p[last, 1], p[last, 2] = place
+    scratch.foot[last] = scratch.foot[u]
     if not fits(body, guard, u, last, scratch):
         return False
     carry(body, guard, u, last, scratch)
+    scratch.foot[u] = scratch.foot[last]
     p[u, 0], p[u, 1], p[u, 2] = place
     return True
 

@@ -187,8 +187,8 @@ def lay_out(
     )
     scratch = Scratch(
         np.empty(STAR, np.int32), np.empty(STAR, np.int32), np.empty(STAR, np.int32),
-        np.zeros(room, np.int64),
-        np.zeros(1, np.int64), make_exchange(), np.zeros(room, np.int32), np.empty(STAR, np.int32),
+        np.zeros(room, np.int64), np.zeros(1, np.int64), make_exchange(),
+        np.full(room, -1, np.int32), np.empty(STAR, np.int32),
     )
     return body, guard, scratch, (names, sides[:, 2])
 
