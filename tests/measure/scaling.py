@@ -43,6 +43,12 @@ PARTS: dict[str, Callable[[Sequence[int], int, Say], Part]] = {
 """Every part of the report: takes the sizes, the number of threads, and whom to tell."""
 
 
+def sizes_between(smallest: int, largest: int) -> list[int]:
+    """The powers of sqrt(10) from the smallest on, and the largest."""
+    return [*(round(10 ** (p / 2)) for p in range(6, 19)
+              if smallest <= round(10 ** (p / 2)) < 0.9 * largest), largest]
+
+
 def run_scaling(
     out: Path,
     largest: int,
@@ -67,8 +73,7 @@ def run_scaling(
     ------
     MeshFileError        `out` cannot be written to
     """
-    sizes = [*(round(10 ** (p / 2)) for p in range(6, 19)
-               if smallest <= round(10 ** (p / 2)) < 0.9 * largest), largest]
+    sizes = sizes_between(smallest, largest)
     done = {name: PARTS[name](sizes, threads, say) for name in parts}
     tables = [table for part in done.values() for table in part.tables]
     facts = describe(threads, SEED)
