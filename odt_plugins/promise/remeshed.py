@@ -165,17 +165,22 @@ def _solid(rows: NDArray[Any]) -> tuple[int, int]:
     """Components, by facets, and Euler characteristic of tetrahedra."""
     if not len(rows):
         return 0, 0
-    used, rows = np.unique(rows, return_inverse=True)
-    rows = rows.reshape(-1, 4)
-    ordered = np.sort(rows, axis=1)
-    facets = np.concatenate([np.delete(ordered, i, axis=1) for i in range(4)])
-    _, inverse = np.unique(row_keys(facets, len(used)), return_inverse=True)
-    inverse = inverse.ravel()
-    owner = np.tile(np.arange(len(rows)), 4)
-    label = components(owner, len(rows) + inverse, len(rows) + int(inverse.max()) + 1)
-    edges, _ = _faces(rows, 2)
-    euler = len(used) - len(edges) + int(inverse.max()) + 1 - len(rows)
-    return len(np.unique(label[: len(rows)])), euler
+    used = np.zeros(int(rows.max()) + 1, dtype=np.bool_)
+    used[rows] = True
+    n = int(np.count_nonzero(used))
+    ordered = np.sort((np.cumsum(used, dtype=np.int32) - np.int32(1))[rows], axis=1)
+    key = row_keys(np.concatenate([np.delete(ordered, i, axis=1) for i in range(4)]), n)
+    order = np.argsort(key)
+    key = key[order]
+    same = key[1:] == key[:-1]
+    order %= len(rows)
+    label = components(order[:-1][same], order[1:][same], len(rows))
+    facets = len(key) - int(np.count_nonzero(same))
+    pairs = [list(pair) for pair in combinations(range(4), 2)]
+    key = row_keys(np.concatenate([ordered[:, pair] for pair in pairs]), n)
+    key.sort()
+    edges = 1 + int(np.count_nonzero(key[1:] != key[:-1]))
+    return int(label.max()) + 1, n - edges + facets - len(rows)
 
 
 def _faces(rows: NDArray[Any], size: int) -> tuple[NDArray[Any], NDArray[Any]]:

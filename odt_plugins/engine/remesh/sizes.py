@@ -15,7 +15,6 @@ from odt_plugins.engine.remesh.wish import GROWTH, Wish
 from odt_plugins.engine.topology.star import star_sum
 from odt_plugins.errors import InvalidOptionError
 from odt_plugins.mesh.arrays import FloatArray, IntArray
-from odt_plugins.mesh.facets import row_keys
 from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh, corner_mean, diagonal
 
@@ -148,12 +147,12 @@ def cells_of_sizes(points: FloatArray, cells: IntArray, values: FloatArray) -> f
 
 def unique_edges(cells: IntArray) -> IntArray:
     """Edges (e, 2) of cells, each once."""
-    corners = combinations(range(cells.shape[1]), 2)
-    pairs = np.concatenate([cells[:, list(pair)] for pair in corners])
-    pairs.sort(axis=1)
-    key = row_keys(pairs, int(cells.max()) + 1)
-    _, first = np.unique(key, return_index=True)
-    edges: IntArray = pairs[first]
+    n = int(cells.max()) + 1
+    key = np.concatenate([np.minimum(one, two).astype(np.int64) * n + np.maximum(one, two)
+                          for one, two in combinations(cells.T, 2)])
+    key.sort()
+    key = key[np.append(True, key[1:] != key[:-1])]
+    edges: IntArray = np.column_stack([key // n, key % n]).astype(np.int32)
     return edges
 
 
