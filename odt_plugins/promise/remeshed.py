@@ -174,13 +174,17 @@ def _solid(rows: NDArray[Any]) -> tuple[int, int]:
     key = key[order]
     same = key[1:] == key[:-1]
     order %= len(rows)
-    label = components(order[:-1][same], order[1:][same], len(rows))
+    parts = int(components(order[:-1][same], order[1:][same], len(rows)).max()) + 1
     facets = len(key) - int(np.count_nonzero(same))
-    pairs = [list(pair) for pair in combinations(range(4), 2)]
-    key = row_keys(np.concatenate([ordered[:, pair] for pair in pairs]), n)
+    del order, same, key
+    ends = np.empty((6, len(rows)), dtype=np.int64)
+    for row, (i, j) in zip(ends, combinations(range(4), 2), strict=True):
+        np.multiply(ordered[:, i], n, out=row, dtype=np.int64)
+        row += ordered[:, j]
+    key = ends.ravel()
     key.sort()
     edges = 1 + int(np.count_nonzero(key[1:] != key[:-1]))
-    return int(label.max()) + 1, n - edges + facets - len(rows)
+    return parts, n - edges + facets - len(rows)
 
 
 def _faces(rows: NDArray[Any], size: int) -> tuple[NDArray[Any], NDArray[Any]]:
