@@ -66,12 +66,14 @@ def _tets_fit(body: Body, guard: Guard, u: int, v: int, count: int, cells: IntAr
     new, old = 1.0, 1.0
     for s in range(count):
         c = cells[s]
-        if not holds(body.tets, c, v):
-            new = min(new, tet_quality(
-                p, corner(t, c, 0, u, v), corner(t, c, 1, u, v), corner(t, c, 2, u, v),
-                corner(t, c, 3, u, v)))
-            if not new >= FLAT:
-                return False
+        if holds(body.tets, c, v):
+            continue
+        quality = tet_quality(
+            p, corner(t, c, 0, u, v), corner(t, c, 1, u, v), corner(t, c, 2, u, v),
+            corner(t, c, 3, u, v))
+        if not quality >= FLAT:
+            return False
+        new = min(new, quality)
     if new >= guard.limits[3]:
         return True
     for s in range(count):
