@@ -161,11 +161,15 @@ def _parted(mesh: SimplexMesh, faces: list[NDArray[np.int64]]) -> SimplexMesh:
     label[own] = label.max() + 1 + np.arange(len(own), dtype=np.int32)
     body = np.zeros(int(label.max()) + 1, dtype=np.int32)
     body[label] = mesh.bodies()
-    some = np.zeros(n, dtype=np.int32)
-    some[mesh.cells] = label[:, None]
-    anchored = mesh.anchored.copy()
-    anchored[mesh.cells[some[mesh.cells] != label[:, None]]] = True
-    return with_same_cells(mesh, regions=label, body=body, anchored=anchored)
+    several = _labels_at(mesh.cells, label, n) > _labels_at(mesh.cells, body[label], n)
+    return with_same_cells(mesh, regions=label, body=body, anchored=mesh.anchored | several)
+
+
+def _labels_at(cells: IntArray, label: NDArray[np.integer], n: int) -> NDArray[np.intp]:
+    """How many labels (n,) the cells at each vertex have."""
+    width = int(label.max(initial=0)) + 1
+    pairs = np.unique(cells.astype(np.int64) * width + label[:, None])
+    return np.bincount(pairs // width, minlength=n)
 
 
 def _edges(rows: NDArray[np.int64]) -> IntArray:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import boxes
 import contract
 import meshio
 import numpy as np
@@ -137,3 +138,17 @@ def test_rows_that_are_there_twice_are_parted_into_groups_that_follow_their_clas
         assert np.array_equal(cells.rows, rows[own])
         assert np.array_equal(cells.classes, classes[own])
     assert each_once("line", rows[:0], classes[:0]) == []
+
+
+def test_a_triangle_inside_leaves_the_interface_between_labels_to_be_resized():
+    points, cells = boxes.box(3, 8, plane=0.5)
+    centres = points[cells].mean(axis=1)
+    labels = (centres[:, 0] > 0.5).astype(int)
+    one = cells[[np.linalg.norm(centres - [0.8, 0.5, 0.5], axis=1).argmin()], :3]
+    counts = []
+    for rows in (cells[:0, :3], one):
+        result = odt_plugins.remesh(beside(points, cells, rows, labels), scale=2, free="periodic")
+        sides = [result.cells[0].data[result.cell_data["material"][0] == label] for label in (0, 1)]
+        counts.append(len(np.intersect1d(*sides)))
+    assert counts[0] < 50
+    assert abs(counts[1] - counts[0]) < 5
