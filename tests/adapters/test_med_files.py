@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from format_table import mesh_of_everything
 
+from odt_plugins import remesh
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
 from odt_plugins.errors import DataNotKeptWarning
@@ -136,6 +137,17 @@ def test_groups_numbers_and_fields_stay(gmsh, tmp_path):
             rows = own["CO"][()].reshape((-1, 3), order="F")[of]
             assert own.attrs["NBR"] == len(numbers)
             assert np.array_equal(rows[:, 0], t * (numbers[of] - 700))
+
+
+def test_new_elements_of_all_kinds_have_numbers_that_nobody_else_has(gmsh, tmp_path):
+    source, target = tmp_path / "a.med", tmp_path / "b.med"
+    cube(gmsh, source)
+    write_file(target, remesh(read_file(source), 0.2))
+    gmsh.clear()
+    gmsh.open(str(target))
+    tags = np.concatenate(gmsh.model.mesh.getElements()[1])
+    assert len(tags) > 500
+    assert len(set(tags.tolist())) == len(tags)
 
 
 def test_groups_go_to_gmsh_and_back(gmsh, tmp_path):

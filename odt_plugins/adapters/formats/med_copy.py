@@ -114,8 +114,8 @@ def _counted(table: Any, count: int) -> None:
         table.attrs.modify("NBR", np.asarray(count, dtype=np.asarray(table.attrs["NBR"]).dtype))
 
 
-def _rows(group: Any, name: str, rows: NDArray[np.int64]) -> None:
-    """Take rows of a table; letters of names come in one piece a row."""
+def _rows(group: Any, name: str, rows: NDArray[np.int64], last: int = 0) -> None:
+    """Take rows of a table; letters of names come in one piece a row, new numbers after `last`."""
     data = np.asarray(group[name][()])
     count = int(group[name].attrs.get("NBR", len(data)))
     values = data.reshape((count, -1))[rows]
@@ -123,7 +123,7 @@ def _rows(group: Any, name: str, rows: NDArray[np.int64]) -> None:
         fresh = np.ones(len(rows), dtype=np.bool_)
         fresh[np.unique(rows, return_index=True)[1]] = False
         fresh |= rows < 0
-        values[fresh, 0] = data.max(initial=0) + 1 + np.arange(fresh.sum())
+        values[fresh, 0] = data.max(initial=last) + 1 + np.arange(fresh.sum())
     _put(group, name, values.reshape((-1, *data.shape[1:])))
     _counted(group[name], len(rows))
 
@@ -152,9 +152,11 @@ def _write_cells(group: Any, block: Cells, change: Change, i: int) -> None:
     nodes = nodes[:, TURNED[block.kind]] if block.turned else nodes
     _put(group, "NOD", nodes.ravel(order="F"))
     _counted(group["NOD"], len(nodes))
+    last = max(int(kind["NUM"][()].max(initial=0)) if "NUM" in kind else 0
+               for kind in group.parent.values())
     for name in ("FAM", "NUM", "NOM"):
         if name in group:
-            _rows(group, name, change.cells[i])
+            _rows(group, name, change.cells[i], last)
 
 
 def _write_fields(file: Any, name: str, blocks: list[Cells], change: Change) -> None:
