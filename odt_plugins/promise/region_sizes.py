@@ -15,12 +15,22 @@ def broken_sizes(
     before: SimplexMesh, points: NDArray[np.float64], cells: NDArray[np.int32],
     regions: NDArray[np.int32],
 ) -> list[str]:
-    """Say of which regions the area or volume changed by more than VOLUME of it.
+    """Say of which regions the area or volume changed by more than VOLUME of it."""
+    size = "area" if before.dim == 2 else "volume"
+    return [f"the {size} of region {label} went from {first:.6g} to {last:.6g}"
+            for label, first, last in other_sizes(before, points, cells, regions)]
+
+
+def other_sizes(
+    before: SimplexMesh, points: NDArray[np.float64], cells: NDArray[np.int32],
+    regions: NDArray[np.int32],
+) -> list[tuple[int, float, float]]:
+    """Regions whose area or volume changed by more than VOLUME of it, with both.
 
     Where the boundary stays on the geometry that it was made of, what is between it and the
     geometry may be added.
     """
-    broken = []
+    others = []
     for label in np.unique(before.regions).tolist():
         own = before.cells[before.regions == label]
         first = float(volumes(before.points, own).sum())
@@ -29,9 +39,8 @@ def broken_sizes(
         if before.sag > 0.0:
             most += before.sag * _outside(before.points, own)
         if not abs(last - first) <= most:
-            size = "area" if before.dim == 2 else "volume"
-            broken.append(f"the {size} of region {label} went from {first:.6g} to {last:.6g}")
-    return broken
+            others.append((label, first, last))
+    return others
 
 
 def _outside(points: NDArray[np.float64], cells: NDArray[np.int32]) -> float:

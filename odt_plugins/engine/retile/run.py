@@ -27,18 +27,21 @@ from odt_plugins.engine.surface.judge import TOLERANCE, Distance
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray, LongArray
 from odt_plugins.mesh.faces import Faces, joined, labels_at, renumbered, without
+from odt_plugins.mesh.facets import uneven_facets
 from odt_plugins.mesh.numbering import new_numbers
 from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal, freeze
 from odt_plugins.mesh.surface import Edges, surface_edges
 from odt_plugins.options import Options
 from odt_plugins.progress import silent
+from odt_plugins.promise.region_sizes import other_sizes
 from odt_plugins.promise.retiled import broken_by_retiling, without_area
 from odt_plugins.promise.surface import bad_places
 
 ATTEMPTS = 4
-"""Runs. The second has less of the envelope around the places where the first broke the promise; in
-those that follow the triangles of the input stay there."""
+"""Runs. The second has less of the envelope around the places where the first broke the promise,
+and so has the third where the area of a region is another; in those that follow the triangles of
+the input stay there."""
 
 FLAT = 64 * float(np.finfo(np.float64).eps)
 """Least altitude of a triangle that a split makes, as a part of the largest coordinate."""
@@ -48,11 +51,15 @@ NARROWER = 0.3
 
 
 class Judged(NamedTuple):
-    """What a mesh breaks of the promise, near which of its vertices, and how far it is."""
+    """What a mesh breaks of the promise, near which of its vertices, and how far it is.
+
+    `unlike` are the triangles of the input around regions whose area is another.
+    """
 
     broken: list[str]
     bad: FloatArray
     distance: Distance
+    unlike: BoolArray
 
 
 def retile(
@@ -108,7 +115,7 @@ def retile(
             return _told(outcome, origin, judged, before, clock)
         before = before or judged.broken
         made += len(net.triangles)
-        if not len(judged.bad) or made > most:
+        if not (len(judged.bad) or judged.unlike.any()) or made > most:
             break
         near = np.zeros(len(mesh.points), dtype=np.bool_)
         near[mesh.cells[old.closest(in_space(judged.bad))[1]]] = True
@@ -117,6 +124,10 @@ def retile(
         if attempt == 0 and mesh.is_surface:
             part[spoiled] = NARROWER
             continue
+        if attempt < ATTEMPTS - 2:
+            part[judged.unlike] *= NARROWER
+        else:
+            spoiled |= judged.unlike
         held = freeze(held, held.frozen | spoiled)
         if held.frozen.all():
             break
@@ -249,7 +260,19 @@ def _judged(
         count = counted(int(cut.sum()), "vertex", "vertices")
         broken.append(f"the result cuts through itself at {count}")
         bad |= cut
-    return Judged(broken, np.concatenate([points[bad], near]), Distance(*far))
+    unlike = np.zeros(len(mesh.cells), dtype=np.bool_)
+    if broken and not mesh.is_surface:
+        unlike = _around(mesh, [label for label, *_ in other_sizes(mesh, points, cells,
+                                                                   outcome.regions)])
+    return Judged(broken, np.concatenate([points[bad], near]), Distance(*far), unlike)
+
+
+def _around(mesh: SimplexMesh, labels: list[int]) -> BoolArray:
+    """Mark the triangles (m,) at the rims of regions."""
+    rim = np.zeros(len(mesh.points), dtype=np.bool_)
+    for label in labels:
+        rim[uneven_facets(mesh.cells[mesh.regions == label], len(mesh.points)).open] = True
+    return np.asarray(rim[mesh.cells].any(axis=1))
 
 
 def _lines(cells: IntArray, regions: IntArray, edges: Edges) -> dict[tuple[int, ...], IntArray]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 import pyvista
+from scipy.spatial import Delaunay
 from surface_meshes import bowl, cube, sphere
 
 import odt_plugins
@@ -102,3 +103,24 @@ def test_a_plate_far_thinner_than_the_sizes_does_not_fill_the_memory(monkeypatch
     monkeypatch.setattr(retile_run, "resize", resized)
     odt_plugins.remesh((points * [0.5, 0.4, 7e-6], cells), 0.5, envelope=2e-3, keep=())
     assert 100 * len(cells) < max(room) < 1000 * len(cells)
+
+
+@pytest.mark.parametrize("radius", [0.1, 0.2])
+def test_a_small_round_region_leaves_the_rest_to_be_resized(radius):
+    turns = 2 * np.pi * np.arange(16) / 16
+    ring = radius * np.stack([np.cos(turns), np.sin(turns)], axis=1)
+    grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, 31)] * 2), axis=-1).reshape(-1, 2)
+    away = np.linalg.norm(grid, axis=1)
+    points = np.concatenate([ring, 0.5 * ring, [[0.0, 0.0]], grid[away > 1.2 * radius]])
+    cells = Delaunay(points).simplices
+    disk = np.linalg.norm(points[cells].mean(axis=1), axis=1) < radius
+    corners = np.sort(cells[disk], axis=1)
+    assert (corners[:, 2] < 33).all()
+    (new, rows, labels), report = odt_plugins.remesh_with_report(
+        (points, cells, disk.astype(int)), scale=1.5, envelope=2e-3)
+    assert len(rows) < 0.6 * len(cells)
+    for label in (0, 1):
+        was, now = (abs(area(x, c)) for x, c in (
+            (points, cells[disk == label]), (new, rows[labels == label])))
+        assert now == pytest.approx(was, rel=3e-3)
+    assert "the area of region 1" in report.fallback
