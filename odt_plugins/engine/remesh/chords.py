@@ -19,7 +19,7 @@ from odt_plugins.engine.surface.curvature import AVERAGES, vertex_curvature
 from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal
-from odt_plugins.mesh.surface import surface_edges
+from odt_plugins.mesh.surface import disagreeing_edges, surface_edges
 
 PART = 0.5
 """Part of the envelope for the height of an edge of its size; longer edges and the finishing have
@@ -42,13 +42,19 @@ def curvature_sizes(mesh: SimplexMesh, envelope: float, angle: float) -> FloatAr
     -----
     A chord of length h is kappa h^2 / 8 from an arc of curvature kappa, which is that of the
     boundary, of interfaces, and of feature lines; for surfaces sqrt(kappa_1^2 + kappa_2^2), with
-    which triangles of a sphere are as near to it as the chords of a cylinder.
+    which triangles of a sphere are as near to it as the chords of a cylinder. Triangles at edges
+    where neighbours disagree about the outside, which stay, are left out.
     """
     n = len(mesh.points)
     points = np.ascontiguousarray(np.pad(mesh.points, ((0, 0), (0, 3 - mesh.points.shape[1]))))
     triangles, patch = mesh.cells, mesh.regions
     if mesh.dim == 3:
         triangles, patch, _ = surface_of(mesh.cells, mesh.regions, mesh.faces[1])
+    elif mesh.is_surface:
+        turned = np.zeros(n, dtype=np.bool_)
+        turned[disagreeing_edges(mesh)] = True
+        agree = ~turned[triangles].any(axis=1)
+        triangles, patch = triangles[agree], patch[agree]
     edges = surface_edges(triangles, n)
     features = find_features(
         points, triangles, edges, vertex_stars(triangles, n), angle=angle,

@@ -71,6 +71,16 @@ def test_flat_parts_have_a_share_of_the_diagonal_and_none_is_finer_than_the_inpu
     assert curvature_sizes(surface_mesh(points, cells), 1e-5, 40.0).min() >= edges.min()
 
 
+def test_where_neighbours_disagree_about_the_outside_the_rest_has_its_sizes():
+    points, cells = sphere(4)
+    turned = cells.copy()
+    turned[7] = turned[7, ::-1]
+    found = curvature_sizes(surface_mesh(points, turned), 0.02, 40.0)
+    away = np.linalg.norm(points - points[cells[7]].mean(axis=0), axis=1) > 0.5
+    assert found[away] == pytest.approx(
+        curvature_sizes(surface_mesh(points, cells), 0.02, 40.0)[away], rel=1e-2)
+
+
 def test_edges_by_the_curvature_are_as_long_as_asked_for():
     points, cells = odt_plugins.remesh(sphere(4), "curvature", envelope=0.01)
     ends = points[np.unique(np.sort(cells[:, [[0, 1], [1, 2], [2, 0]]].reshape(-1, 2)), axis=0)]
