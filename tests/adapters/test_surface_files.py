@@ -6,10 +6,12 @@ import warnings
 
 import meshio
 import numpy as np
+import open3d
 import pymeshlab
 import pytest
 import trimesh
 
+from odt_plugins import remesh
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize, optimize_file
 from odt_plugins.errors import DataNotKeptWarning, MeshFileError
@@ -111,6 +113,38 @@ def test_obj_keeps_groups_materials_lines_and_relative_indices(ball, tmp_path):
     assert sorted(len(part.faces) for part in parts) == sorted([top.sum(), (~top).sum()])
 
 
+@pytest.mark.parametrize("scale", [0.7, 1.5])
+def test_obj_of_other_sizes_keeps_materials_groups_colours_and_texture(scale, tmp_path):
+    box = trimesh.creation.box().subdivide().subdivide()
+    upper = box.face_normals[:, 2] > 0.5
+    rows = [" ".join(f"{v + 1}/{v + 1}/{i + 1}" for v in face)
+            for i, face in enumerate(box.faces.tolist())]
+    text = ["# by hand", "mtllib a.mtl",
+            *("v {} {} {} {} {} {}".format(*v, *(v + 0.5)) for v in box.vertices),
+            *("vt {} {}".format(*(v[:2] + 0.5)) for v in box.vertices),
+            *("vn {} {} {}".format(*n) for n in box.face_normals),
+            "g lid", "usemtl red", *(f"f {rows[i]}" for i in np.flatnonzero(upper)),
+            "g sides", "usemtl blue", *(f"f {rows[i]}" for i in np.flatnonzero(~upper))]
+    (tmp_path / "a.obj").write_text("\n".join(text) + "\n")
+    (tmp_path / "a.mtl").write_text("newmtl red\nKd 1 0 0\nnewmtl blue\nKd 0 0 1\n")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DataNotKeptWarning)
+        write_file(tmp_path / "b.obj", remesh(read_file(tmp_path / "a.obj"), scale=scale))
+    told = [line for line in (tmp_path / "b.obj").read_text().splitlines()
+            if line[0] in "#mgu"]
+    assert told == [line for line in text if line[0] in "#mgu"]
+    back = open3d.io.read_triangle_mesh(str(tmp_path / "b.obj"))
+    points = np.asarray(back.vertices)
+    corners = points[np.asarray(back.triangles)]
+    assert len(corners) != len(box.faces)
+    assert np.asarray(back.triangle_uvs) == pytest.approx(
+        corners.reshape(-1, 3)[:, :2] + 0.5, abs=1e-6)
+    assert np.asarray(back.vertex_colors) == pytest.approx(points + 0.5, abs=0.01)
+    scene = trimesh.load_scene(tmp_path / "b.obj", process=False, split_object=False,
+                               group_material=True)
+    assert sorted(part.area for part in scene.geometry.values()) == pytest.approx([1.0, 5.0])
+
+
 def test_obj_keeps_colours_and_texture_of_a_seam_where_nothing_moved(ball, tmp_path):
     points, cells, _ = ball
     text = ["v {!r} {!r} {!r} 0.25 0.5 0.75".format(*map(float, v)) for v in points]
@@ -123,6 +157,24 @@ def test_obj_keeps_colours_and_texture_of_a_seam_where_nothing_moved(ball, tmp_p
     assert mesh.cell_data["texcoord"][0][0].tolist() == [0, 0, 1, 0, 0, 1]
     write_file(target, mesh)
     assert target.read_bytes() == source.read_bytes()
+
+
+@pytest.mark.parametrize("scale", [None, 0.7])
+def test_texture_goes_into_an_obj_that_had_none(ball, scale, tmp_path):
+    points, cells, _ = ball
+    text = ["v {!r} {!r} {!r}".format(*map(float, v)) for v in points]
+    text += [f"f {a} {b} {c}" for a, b, c in cells + 1]
+    (tmp_path / "a.obj").write_text("\n".join(text) + "\n")
+    mesh = read_file(tmp_path / "a.obj")
+    mesh.cell_data["texcoord"] = [points[cells][:, :, :2].reshape(-1, 6)]
+    if scale is not None:
+        mesh = remesh(mesh, scale=scale)
+    write_file(tmp_path / "b.obj", mesh)
+    back = open3d.io.read_triangle_mesh(str(tmp_path / "b.obj"))
+    assert len(back.triangles) == len(mesh.cells[0].data)
+    corners = np.asarray(back.vertices)[np.asarray(back.triangles)]
+    assert np.asarray(back.triangle_uvs) == pytest.approx(
+        corners.reshape(-1, 3)[:, :2], abs=1e-6 if scale is None else 0.05)
 
 
 def test_obj_texture_is_that_of_the_place_and_normals_are_of_the_new_surface(tmp_path):

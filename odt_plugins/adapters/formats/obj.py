@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import pairwise
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -102,10 +103,10 @@ def read(path: Path) -> Any:
 
 def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     """Replace vertices that moved, triangles that changed, and what their corners refer to."""
-    if change.renumbered:
-        msg = "vertices came or went"
-        raise NotRewritable(msg)
     found = _lines(source.read_bytes())
+    if change.renumbered:
+        target.write_bytes(b"".join(_with_others(found, change)))
+        return []
     lines = list(found.lines)
     points = np.asarray(change.after.points)
     moved = change.moved
@@ -136,7 +137,7 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
             named = [(v, int(t), n) for (v, _, n), t in zip(corners[face], numbers[k], strict=True)]
             changed[face] |= named != corners[face]
             corners[face] = named
-        _listed(lines, found.texture, [_line(b"vt", row) for row in values])
+        _put_texture(lines, found, values)
     if found.normals and (moved.any() or fresh.any()):
         has = np.array([all(c[2] >= 0 for c in found.corners[i]) for i in sources.tolist()])
         every = [[c[0] for c in face] for face in corners]
@@ -152,6 +153,50 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
         lines[at] = _face(corners[face], texts[face]) if changed[face] else texts[face]
     target.write_bytes(b"".join(lines))
     return []
+
+
+def _with_others(found: _Lines, change: Change) -> list[bytes]:
+    """Lines with other vertices; triangles are where those are from which their data come.
+
+    Raises
+    ------
+    NotRewritable    there are lines or polygons, or only some triangles have texture coordinates
+    """
+    after = change.after
+    if [block.type for block in after.cells] != ["triangle"] or found.ends:
+        msg = "vertices came or went"
+        raise NotRewritable(msg)
+    texture = _texture(found, change, 0)
+    if found.texture and texture is None:
+        msg = "vertices came or went, and some triangles have no texture coordinates"
+        raise NotRewritable(msg)
+    points, cells = np.asarray(after.points), np.asarray(after.cells[0].data)
+    numbers, values = texture or (np.full(cells.shape, -1), [])
+    used, inverse = np.unique(numbers, return_inverse=True)
+    if values:
+        numbers, values = inverse.reshape(cells.shape), [values[i] for i in used.tolist()]
+    of, normals = np.full(cells.shape, -1), np.zeros((0, 3))
+    if found.normals:
+        parts, normals = _normals(points, cells.tolist(),
+                                  _of_vertices(found, len(change.before.points)) is not None)
+        of = np.array(parts)
+    lines = list(found.lines)
+    rest = np.asarray(after.point_data.get(COLOURS, points[:, :0]))
+    end = b"\r\n" if lines[found.vertices[0]].endswith(b"\r\n") else b"\n"
+    _listed(lines, found.vertices, [
+        b" ".join([b"v", *(repr(x).encode() for x in [*place, *more])]) + end
+        for place, more in zip(points.tolist(), rest.tolist(), strict=True)])
+    if texture is not None:
+        _put_texture(lines, found, values)
+    if found.normals:
+        _listed(lines, found.normals, [_line(b"vn", row) for row in normals])
+    faces: list[list[bytes]] = [[] for _ in found.faces]
+    for corners, source in zip(np.stack([cells, numbers, of], axis=2).tolist(),
+                               change.cells[0].tolist(), strict=True):
+        faces[source].append(_face(corners, found.lines[found.faces[source]]))
+    for at, texts in zip(found.faces, faces, strict=True):
+        lines[at] = b"".join(texts)
+    return lines
 
 
 def _lines(data: bytes) -> _Lines:
@@ -308,6 +353,15 @@ def _listed(lines: list[bytes], at: list[int], new: list[bytes]) -> None:
     lines[at[0]] = b"".join(new)
 
 
+def _put_texture(lines: list[bytes], found: _Lines, values: list[list[float]]) -> None:
+    """Put texture coordinates in place of those of the file, or behind its vertices."""
+    new = [_line(b"vt", row) for row in values]
+    if found.texture:
+        _listed(lines, found.texture, new)
+    else:
+        lines[found.vertices[-1]] += b"".join(new)
+
+
 def _line(head: bytes, numbers: Any) -> bytes:
     return head + b" " + b" ".join(f"{float(x):.9g}".encode() for x in numbers) + b"\n"
 
@@ -319,7 +373,7 @@ def _placed(line: bytes, place: list[float]) -> bytes:
     return b" ".join([words[0], *(repr(x).encode() for x in place), *rest]) + end
 
 
-def _face(corners: list[tuple[int, int, int]], like: bytes) -> bytes:
+def _face(corners: Sequence[Sequence[int]], like: bytes) -> bytes:
     end = b"\r\n" if like.endswith(b"\r\n") else b"\n"
     words = []
     for v, t, n in corners:
