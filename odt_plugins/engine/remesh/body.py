@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.metric import seen_square
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.closest import Ground
@@ -83,8 +84,9 @@ class Guard(NamedTuple):
     first, following : int32        lists of the ground's vertices, see ``ground.replace``
     on_line, next_on_line : int32   the same of vertices of ``curves`` that a segment stands for
     reach : (triangles,) float64    largest distance from a triangle of the ground
-    limits : (4,) float64           envelope, cosines of the turn against the ground and against
-                                    what a triangle was, least radius ratio
+    limits : (3,) float64           envelope, cosines of the turn against the ground and against
+                                    what a triangle was
+    least : Extremes                of tetrahedra; none that passes them becomes worse
     volume : (regions, 3) float64   change so far, largest change, work
     sides : (patches, 2) int32      regions on the sides of a patch, -1 outside
     area : (patches,) float64
@@ -99,6 +101,7 @@ class Guard(NamedTuple):
     next_on_line: IntArray
     reach: FloatArray
     limits: FloatArray
+    least: Extremes
     volume: FloatArray
     sides: IntArray
     area: FloatArray

@@ -9,6 +9,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from odt_plugins.engine.odt.density import NodalDensity
+from odt_plugins.engine.odt.rounds import overrelaxes
+from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import Figures, figures
 from odt_plugins.engine.remesh.lay_out import surface_of
 from odt_plugins.engine.run.outcome import Leaving, Outcome
@@ -84,6 +86,10 @@ def finished(
     lengths = given.lengths
     options = replace(
         options, density=NodalDensity(lengths / lengths.mean(), -float(mesh.dim + 2)))
+    if overrelaxes(options, mesh.dim):
+        # the rounds of resizing have stirred enough
+        options = replace(
+            options, smoothing=replace(options.smoothing, omega=POLICY.overrelaxed))
 
     def as_it_leaves(outcome: Outcome) -> Outcome:
         left = leaving(replace(outcome, origin=_composed(origin, outcome.origin),

@@ -13,14 +13,14 @@ import numpy as np
 
 from odt_plugins.engine.cells.corner import corner_edges, six_volumes
 from odt_plugins.engine.cells.cost import Cost
-from odt_plugins.engine.cells.measures import QUALITY
-from odt_plugins.engine.cells.tetrahedron import tet_quality
+from odt_plugins.engine.cells.extremes import keeps, worse
+from odt_plugins.engine.cells.measures import QUALITY, tet_shape
 from odt_plugins.engine.cells.triangle import offset, triangle_in_space
 from odt_plugins.engine.compiled.kernel import allocating_kernel, kernel
 from odt_plugins.engine.ground.replace import gather, may_replace, settle
 from odt_plugins.engine.moves.cavity import MAX_RING, Ring, make_ring, triangulate_ring, write_ring
 from odt_plugins.engine.remesh.body import FREELY, Body, Guard, Scratch
-from odt_plugins.engine.remesh.guard import FLAT, near_ground
+from odt_plugins.engine.remesh.guard import FLAT, POOR, near_ground
 from odt_plugins.engine.remesh.simplices import (
     Simplices,
     around,
@@ -195,21 +195,21 @@ def _ring(
 
 @kernel
 def _filled(body: Body, guard: Guard, a: int, b: int, n: int, ring: Ring) -> bool:
-    """Fill the polygon of a ring of n; whether none is worse than the worst and the floor."""
+    """Fill the polygon of a ring of n; whether none passes the limits and those that go."""
     if n <= 1:
         return True
     p, t = body.points, body.tets.rows
-    old = 1.0
+    limit = guard.least
     for m in range(n):
         k = ring.cells[m]
-        old = min(old, tet_quality(p, t[k, 0], t[k, 1], t[k, 2], t[k, 3]))
+        limit = worse(limit, tet_shape(p, t[k, 0], t[k, 1], t[k, 2], t[k, 3]))
     cost = Cost(QUALITY, POWER)
     if not triangulate_ring(p, a, b, n + 1, cost, math.inf, ring) < math.inf:
         return False
-    new, floor = write_ring(a, b, n + 1, ring), max(min(old, guard.limits[3]), FLAT)
-    for m in range(new):
+    for m in range(write_ring(a, b, n + 1, ring)):
         v = ring.new
-        if not tet_quality(p, v[m, 0], v[m, 1], v[m, 2], v[m, 3]) >= floor:
+        found = tet_shape(p, v[m, 0], v[m, 1], v[m, 2], v[m, 3])
+        if not found.quality >= FLAT or (found.quality < POOR and not keeps(found, limit)):
             return False
     return True
 

@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 
 from odt_plugins.engine.cells.corner import corner_edges, six_volumes
+from odt_plugins.engine.cells.extremes import BEST, keeps, worse
+from odt_plugins.engine.cells.measures import tet_shape
 from odt_plugins.engine.cells.tetrahedron import tet_quality
 from odt_plugins.engine.cells.triangle import triangle_in_space
 from odt_plugins.engine.compiled.kernel import kernel
@@ -22,6 +24,10 @@ from odt_plugins.mesh.arrays import FloatArray, IntArray
 
 FLAT = 1e-6
 """No new tetrahedron has a smaller radius ratio."""
+
+POOR = 0.5
+"""Radius ratio below which the angles of new tetrahedra count: those of no better one are below 15
+or above 150 degrees."""
 
 
 @kernel
@@ -61,25 +67,26 @@ def corner(rows: IntArray, c: int, i: int, u: int, v: int) -> int:
 
 @kernel
 def _tets_fit(body: Body, guard: Guard, u: int, v: int, count: int, cells: IntArray) -> bool:
-    """Whether the new tetrahedra are positive, and none worse than the worst and the floor."""
+    """Whether the new tetrahedra are positive, and none passes the limits and those that go."""
     t, p = body.tets.rows, body.points
-    new, old = 1.0, 1.0
+    new, old = BEST, BEST
     for s in range(count):
         c = cells[s]
         if holds(body.tets, c, v):
             continue
-        quality = tet_quality(
-            p, corner(t, c, 0, u, v), corner(t, c, 1, u, v), corner(t, c, 2, u, v),
-            corner(t, c, 3, u, v))
+        i, j = corner(t, c, 0, u, v), corner(t, c, 1, u, v)
+        k, l = corner(t, c, 2, u, v), corner(t, c, 3, u, v)
+        quality = tet_quality(p, i, j, k, l)
         if not quality >= FLAT:
             return False
-        new = min(new, quality)
-    if new >= guard.limits[3]:
+        if quality < POOR:
+            new = worse(new, tet_shape(p, i, j, k, l))
+    if keeps(new, guard.least):
         return True
     for s in range(count):
         c = cells[s]
-        old = min(old, tet_quality(p, t[c, 0], t[c, 1], t[c, 2], t[c, 3]))
-    return new >= old
+        old = worse(old, tet_shape(p, t[c, 0], t[c, 1], t[c, 2], t[c, 3]))
+    return keeps(new, worse(old, guard.least))
 
 
 @kernel

@@ -6,6 +6,7 @@ import math
 
 import numpy as np
 
+from odt_plugins.engine.cells.extremes import Extremes
 from odt_plugins.engine.cells.geometry import FACETS, signed_volumes
 from odt_plugins.engine.compiled.kernel import kernel
 from odt_plugins.engine.ground.features import find_features, label_borders, marked_edges
@@ -41,7 +42,7 @@ TURN, NEW_TURN = 0.25, 0.6
 """Least cosine between a new triangle and the ground under it, and the triangle that it was."""
 
 FLOOR = 0.12
-"""Radius ratio of tetrahedra below which none becomes worse."""
+"""Radius ratio of tetrahedra below which none becomes worse, whatever the input has."""
 
 
 VOLUME = 1.7e-3
@@ -109,7 +110,7 @@ def line_numbers(segments: IntArray, kind: ByteArray) -> IntArray:
 
 
 def lay_out(
-    start: Start, hold: ByteArray, reach: FloatArray, angle: float
+    start: Start, hold: ByteArray, reach: FloatArray, angle: float, least: Extremes
 ) -> tuple[Body, Guard, Scratch, tuple[IntArray, IntArray]]:
     """Lay a mesh out.
 
@@ -120,6 +121,7 @@ def lay_out(
     reach : (n,) float64     length by which the surface may move at a vertex; 0 everywhere: it
                              stays as it is
     angle : float            degrees by which the surface turns at a feature edge
+    least : Extremes         of tetrahedra that may come
 
     Returns
     -------
@@ -182,7 +184,8 @@ def lay_out(
     guard = Guard(
         ground, make_boxes(own, ground_rows, patch), curves, first, following, on_line,
         next_on_line, reach[triangles].min(axis=1),
-        np.array([envelope, TURN, NEW_TURN, FLOOR]), volume,
+        np.array([envelope, TURN, NEW_TURN]),
+        least._replace(quality=FLOOR), volume,
         np.ascontiguousarray(sides[:, :2]), area,
     )
     scratch = Scratch(

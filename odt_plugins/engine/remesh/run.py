@@ -35,7 +35,7 @@ from odt_plugins.engine.remesh.wish import Wish
 from odt_plugins.engine.retile.run import retile
 from odt_plugins.engine.run.judge import TOLERANCE, Slid, envelope_length
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
-from odt_plugins.engine.run.work import make_start
+from odt_plugins.engine.run.work import extremes, make_start
 from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
 from odt_plugins.mesh.faces import (
@@ -235,9 +235,7 @@ def _fallen(mesh: SimplexMesh, outcome: Outcome, options: Options, *, few: bool)
 
     Those of the worst cells do not count where these are few, near which the input may stay.
     """
-    keep = tuple(options.keep)
-    before = relaxed(_figures(mesh), keep, 4)
-    fallen = set(_figures(outcome).worse_than(before, keep))
+    fallen = set(_figures(outcome).worse_than(_allowed(mesh, options), tuple(options.keep)))
     return bool(fallen - EXTREMES if few else fallen)
 
 
@@ -288,12 +286,16 @@ def _figures(mesh: SimplexMesh | Outcome) -> Figures:
     return figures(*as_seen(mesh.points, mesh.cells, mesh.metric))
 
 
+def _allowed(mesh: SimplexMesh, options: Options) -> Figures:
+    """Figures down to which those of a mesh may fall."""
+    return relaxed(_figures(mesh), tuple(options.keep), 4)
+
+
 def _spoiled(
     mesh: SimplexMesh, outcome: Outcome, sizes: Sizes, options: Options
 ) -> BoolArray:
     """Cells (m,) of the input near cells that pass its extremes, or near triangles that cross."""
-    keep = tuple(options.keep)
-    before = relaxed(_figures(mesh), keep, 4)
+    keep, before = tuple(options.keep), _allowed(mesh, options)
     shapes = cell_shapes(*as_seen(outcome.points, outcome.cells, outcome.metric))
     bad = before.passed_by(shapes, keep)
     if "p1_quality" in _figures(outcome).worse_than(before, keep):
@@ -406,10 +408,10 @@ def _resized(
     with thread_pool(threads) as pool:
         field = make_density(
             NodalDensity(values, 1.0), None, start.seen, start.cells, None)
+        reach = shares[frame.vertices] * (envelope_length(mesh, options) - mesh.sag) * frame.scale
         body, guard, scratch, names = lay_out(
-            start, hold[frame.vertices],
-            shares[frame.vertices] * (envelope_length(mesh, options) - mesh.sag) * frame.scale,
-            options.feature_angle)
+            start, hold[frame.vertices], reach, options.feature_angle,
+            extremes(_allowed(mesh, options), tuple(options.keep)).cells)
         were = [frame.vertices[s.rows[s.live()]] for s in (body.segments, body.triangles)]
         work = Resizing(body, guard, scratch, field, field.walk_start(len(start.points)), log,
                         LONGER * local_sizes(mesh)[frame.vertices] * unit, sizes.growth,

@@ -39,7 +39,7 @@ from odt_plugins.mesh.chunks import Pool
 from odt_plugins.options import Options
 
 ROUNDS = 6
-"""Rounds of all operations."""
+"""Most rounds of all operations."""
 
 PASSES = 6
 """Most passes of splits, and of collapses, in a round."""
@@ -47,6 +47,9 @@ PASSES = 6
 STEADY = 0.5
 """Rounds in a metric end with one that changed more than this part of what the one before did: what
 splits make collapses take away again."""
+
+SETTLED = 2.5e-3
+"""Part of the cells: rounds without a metric end with one of fewer splits and collapses."""
 
 LONG, SHORT = 4.0 / 3.0, 4.0 / 5.0
 """Edges longer, or shorter, than so many times their size are cut or vanish."""
@@ -154,10 +157,18 @@ def resize(work: Resizing, slides: bool, pool: Pool | None, tick: Callable[[floa
             work.relent()
         work.sizes(pool)
         tick((k + 1.0) / ROUNDS)
-        if work.field.metric.size and splits + gone > STEADY * before:
+        changed = splits + gone
+        if _settled(work, k, changed, before):
             break
-        before = splits + gone
+        before = changed
     _collapse(work)
+
+
+def _settled(work: Resizing, k: int, changed: int, before: float) -> bool:
+    """Whether round k is the last, of so many splits and collapses, where k - 1 had ``before``."""
+    if work.field.metric.size:
+        return changed > STEADY * before
+    return k > RELENTING and changed < SETTLED * len(work.body.tets.live())
 
 
 def _split(work: Resizing, pool: Pool | None) -> int:
@@ -199,16 +210,26 @@ def _halved(work: Resizing) -> list[float]:
 
 
 def _collapse(work: Resizing, longest: float = LONG) -> int:
-    total = 0
+    """Let short edges vanish; after the first pass those alone near which cells have changed."""
+    body, total = work.body, 0
+    n = int(body.used[0])
+    near = np.ones(n, dtype=np.bool_)
     for _ in range(PASSES):
-        edges = edges_beyond(work.body, SHORT, longer=False)
+        edges = edges_beyond(body, SHORT, longer=False)
+        count = len(edges)
+        edges = np.ascontiguousarray(edges[near[edges].any(axis=1)])
+        rows, points = body.tets.rows.copy(), body.points[:n].copy()
         done = sum(
-            int(collapse_edges(work.body, work.guard, edges[first:last], (SHORT, longest),
+            int(collapse_edges(body, work.guard, edges[first:last], (SHORT, longest),
                                work.scratch))
             for first, last in pieces(0, len(edges)))
         total += done
-        if done <= FEW * len(edges):
+        if done <= FEW * count:
             break
+        moved = (points != body.points[:n]).any(axis=1)
+        changed = (rows != body.tets.rows).any(axis=1) | moved[rows].any(axis=1)
+        near = np.zeros(n, dtype=np.bool_)
+        near[rows[changed]] = True
     return total
 
 

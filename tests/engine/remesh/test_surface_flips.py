@@ -9,6 +9,7 @@ from tet_meshes import ball, shelled
 
 import odt_plugins
 import odt_plugins.engine.remesh.run as remesh_run
+from odt_plugins.engine.cells.extremes import FREELY as EVERYTHING
 from odt_plugins.engine.remesh.body import FREELY, STAYS
 from odt_plugins.engine.remesh.flip import flip_patches
 from odt_plugins.engine.remesh.lay_out import lay_out
@@ -38,7 +39,8 @@ def flipped(points, cells, regions=None, *, edges=None, reach=1.0, hold=(), line
     held[list(hold)] = STAYS
     vertices = start.frame.vertices
     body, guard, scratch, _ = lay_out(
-        start, held[vertices], np.full(len(vertices), reach * start.frame.scale), 80.0)
+        start, held[vertices], np.full(len(vertices), reach * start.frame.scale), 80.0,
+        EVERYTHING)
     pairs = start.number[np.array(edges, dtype=np.int32)] if edges is not None else unique_edges(
         body.triangles.rows[body.triangles.live()])
     count = flip_patches(body, guard, np.ascontiguousarray(pairs), scratch)
