@@ -11,8 +11,7 @@ import numpy as np
 
 from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
 from odt_plugins.engine.compiled.threads import thread_pool, worth
-from odt_plugins.engine.ground.crossings import count_crossings, crossing_triangles
-from odt_plugins.engine.ground.envelope import distances
+from odt_plugins.engine.ground.crossings import crossing_triangles
 from odt_plugins.engine.odt.density import NodalDensity, make_density
 from odt_plugins.engine.odt.rounds import Log
 from odt_plugins.engine.record.figures import Figures, cell_shapes, figures
@@ -20,6 +19,7 @@ from odt_plugins.engine.record.memory import State
 from odt_plugins.engine.record.relaxed import relaxed
 from odt_plugins.engine.remesh.body import FREELY, STAYS, STIFF
 from odt_plugins.engine.remesh.chords import curvature_sizes
+from odt_plugins.engine.remesh.distance import CUT, beyond, furthest
 from odt_plugins.engine.remesh.finish import MORE, Resized, Room, finished, sums
 from odt_plugins.engine.remesh.lay_out import lay_out, surface_of
 from odt_plugins.engine.remesh.sizes import (
@@ -33,7 +33,7 @@ from odt_plugins.engine.remesh.sizes import (
 from odt_plugins.engine.remesh.volume import Resizing, arrays_of, resize
 from odt_plugins.engine.remesh.wish import Wish
 from odt_plugins.engine.retile.run import retile
-from odt_plugins.engine.run.judge import TOLERANCE, Slid, envelope_length
+from odt_plugins.engine.run.judge import envelope_length
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
 from odt_plugins.engine.run.work import extremes, make_start
 from odt_plugins.errors import counted
@@ -83,9 +83,6 @@ REACH = 0.7
 NARROWER, NARROW = 0.2, 0.05
 """Part of its envelope that a surface may use where it cut through itself, and largest part that
 becomes no smaller."""
-
-CUT = "the boundary cuts through itself"
-"""What is broken then."""
 
 CLOSE = 1.1
 """Multiple of the sizes of the input up to which sizes are no longer than those."""
@@ -347,7 +344,7 @@ def _once(
     onto = mesh.smooth if share > 0.0 else None
     left = envelope
     if share > 0.0:
-        far = _furthest(mesh, resized, envelope)
+        far = furthest(mesh, resized, envelope)
         left = envelope - max(far[0], far[1]) - mesh.sag
         if not left > 0.0:
             return resized, [f"the resized surface is {max(far):.3g} from the input's, beyond the "
@@ -384,7 +381,7 @@ def _once(
     if broken:
         return outcome, broken
     if share > 0.0:
-        broken, slid = _beyond(mesh, outcome, envelope)
+        broken, slid = beyond(mesh, outcome, envelope)
         outcome = replace(outcome, slid=slid)
     notes = _told(outcome, given.lengths.mean() / LONGER, done.multiple)
     return replace(outcome, notes=notes), broken
@@ -453,48 +450,6 @@ def _resized(
     outcome = replace(outcome, faces=(faces[0], faces[1]))
     lines = number[work.body.segments.rows[work.body.segments.live()]].reshape(-1, 2)
     return Resized(outcome, lengths, outside(multiple, asked / sizes.values), lines), log
-
-
-def _furthest(mesh: SimplexMesh, outcome: Outcome, envelope: float) -> tuple[float, float]:
-    """How far surfaces and lines with labels are apart at most, both ways: the furthest pair."""
-    forward = backward = 0.0
-    old, new = _surfaces(mesh), _surfaces(outcome)
-    for pair, rows in new.items():
-        if pair not in old:
-            return np.inf, np.inf
-        both = distances((outcome.points, rows), (mesh.points, old[pair]), TOLERANCE * envelope)
-        forward, backward = max(forward, both.forward_upper), max(backward, both.backward_upper)
-    return forward, backward
-
-
-def _surfaces(mesh: SimplexMesh | Outcome) -> dict[tuple[int, ...], IntArray]:
-    """Triangles of every piece of surface by the regions on its sides and its label, and lines as
-    triangles without area by theirs.
-    """
-    triangles, patch, names = surface_of(mesh.cells, mesh.regions, mesh.faces[1])
-    rows, labels = mesh.faces[0]
-    return {tuple(name): triangles[patch == i] for i, name in enumerate(names.tolist())} | {
-        (label,): rows[labels == label][:, [0, 1, 1]] for label in np.unique(labels).tolist()}
-
-
-def _beyond(
-    mesh: SimplexMesh, outcome: Outcome, envelope: float
-) -> tuple[list[str], Slid]:
-    """What surfaces that were resized break: the envelope, or that they do not cross."""
-    forward, backward = _furthest(mesh, outcome, envelope)
-    origin: Any = outcome.origin
-    kept = origin >= 0
-    moved = (outcome.points[kept] != mesh.points[origin[kept]]).any(axis=1)
-    was, now = (float(signed_volumes(x.points, x.cells).sum()) for x in (mesh, outcome))
-    slid = Slid(envelope, forward, backward, now / was - 1.0, int(moved.sum()))
-    if not max(forward, backward) <= envelope:
-        return [f"the boundary is up to {max(forward, backward):.3g} from the input's, beyond the "
-                f"envelope of {envelope:.3g}"], slid
-    before, after = boundary_facets(mesh.cells), boundary_facets(outcome.cells)
-    crossings = count_crossings(outcome.points, after)
-    if crossings and crossings > count_crossings(mesh.points, before):
-        return [CUT], slid
-    return [], slid
 
 
 def _told(outcome: Outcome, unit: float, multiple: FloatArray) -> tuple[str, ...]:

@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from odt_plugins.engine.cells.extremes import Extremes
+from odt_plugins.engine.cells.geometry import signed_volumes
 from odt_plugins.engine.ground.crossings import crossed_facets
 from odt_plugins.engine.ground.envelope import distances, uncovered, within
 from odt_plugins.engine.ground.reference import make_reference
@@ -50,10 +51,14 @@ NARROWER = 0.3
 """Part of the envelope that is left there."""
 
 
+MOST_UNLIKE = 0.5
+"""Part of the area from which on regions whose area is another are not small."""
+
+
 class Judged(NamedTuple):
     """What a mesh breaks of the promise, near which of its vertices, and how far it is.
 
-    `unlike` are the triangles of the input around regions whose area is another.
+    `unlike` are the triangles of the input around regions whose area is another, if these are small.
     """
 
     broken: list[str]
@@ -262,8 +267,10 @@ def _judged(
         bad |= cut
     unlike = np.zeros(len(mesh.cells), dtype=np.bool_)
     if broken and not mesh.is_surface:
-        unlike = _around(mesh, [label for label, *_ in other_sizes(mesh, points, cells,
-                                                                   outcome.regions)])
+        others = other_sizes(mesh, points, cells, outcome.regions)
+        area = sum(first for _, first, _ in others)
+        if area < MOST_UNLIKE * signed_volumes(mesh.points, mesh.cells).sum():
+            unlike = _around(mesh, [label for label, *_ in others])
     return Judged(broken, np.concatenate([points[bad], near]), Distance(*far), unlike)
 
 

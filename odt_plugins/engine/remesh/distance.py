@@ -1,0 +1,61 @@
+"""How far the surfaces of a resized mesh are from those of its input, and what they break."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from odt_plugins.engine.cells.geometry import boundary_facets, signed_volumes
+from odt_plugins.engine.ground.crossings import count_crossings
+from odt_plugins.engine.ground.envelope import distances
+from odt_plugins.engine.remesh.lay_out import surface_of
+from odt_plugins.engine.run.judge import TOLERANCE, Slid
+from odt_plugins.engine.run.outcome import Outcome
+from odt_plugins.mesh.arrays import IntArray
+from odt_plugins.mesh.simplex import SimplexMesh
+
+CUT = "the boundary cuts through itself"
+"""What is broken where more triangles of the boundary cross than in the input."""
+
+
+def furthest(mesh: SimplexMesh, outcome: Outcome, envelope: float) -> tuple[float, float]:
+    """How far surfaces and lines with labels are apart at most, both ways: the furthest pair."""
+    forward = backward = 0.0
+    old, new = _surfaces(mesh), _surfaces(outcome)
+    for pair, rows in new.items():
+        if pair not in old:
+            return np.inf, np.inf
+        both = distances((outcome.points, rows), (mesh.points, old[pair]), TOLERANCE * envelope)
+        forward, backward = max(forward, both.forward_upper), max(backward, both.backward_upper)
+    return forward, backward
+
+
+def _surfaces(mesh: SimplexMesh | Outcome) -> dict[tuple[int, ...], IntArray]:
+    """Triangles of every piece of surface by the regions on its sides and its label, and lines as
+    triangles without area by theirs.
+    """
+    triangles, patch, names = surface_of(mesh.cells, mesh.regions, mesh.faces[1])
+    rows, labels = mesh.faces[0]
+    return {tuple(name): triangles[patch == i] for i, name in enumerate(names.tolist())} | {
+        (label,): rows[labels == label][:, [0, 1, 1]] for label in np.unique(labels).tolist()}
+
+
+def beyond(
+    mesh: SimplexMesh, outcome: Outcome, envelope: float
+) -> tuple[list[str], Slid]:
+    """What surfaces that were resized break: the envelope, or that they do not cross."""
+    forward, backward = furthest(mesh, outcome, envelope)
+    origin: Any = outcome.origin
+    kept = origin >= 0
+    moved = (outcome.points[kept] != mesh.points[origin[kept]]).any(axis=1)
+    was, now = (float(signed_volumes(x.points, x.cells).sum()) for x in (mesh, outcome))
+    slid = Slid(envelope, forward, backward, now / was - 1.0, int(moved.sum()))
+    if not max(forward, backward) <= envelope:
+        return [f"the boundary is up to {max(forward, backward):.3g} from the input's, beyond the "
+                f"envelope of {envelope:.3g}"], slid
+    before, after = boundary_facets(mesh.cells), boundary_facets(outcome.cells)
+    crossings = count_crossings(outcome.points, after)
+    if crossings and crossings > count_crossings(mesh.points, before):
+        return [CUT], slid
+    return [], slid
