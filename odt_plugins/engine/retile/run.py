@@ -58,7 +58,7 @@ MOST_UNLIKE = 0.5
 class Judged(NamedTuple):
     """What a mesh breaks of the promise, near which of its vertices, and how far it is.
 
-    `unlike` are the triangles of the input around regions whose area is another, if these are small.
+    `unlike` are the triangles of the input around regions whose area is another, if small.
     """
 
     broken: list[str]
