@@ -11,12 +11,13 @@ from measure.against import against_table
 from measure.aniso import aniso_tables
 from measure.resizing import resizing_table
 from measure.robustness import FILE, run_hard
+from measure.rounds import rounds_table
 from measure.scaling import FILES, PARTS, run_scaling, sizes_between
 from odt_plugins.compare.start import read_start, suite
 from odt_plugins.compare.table import as_text
 from odt_plugins.options import Options
 
-NAMES = (*PARTS, "hard", "ablation", "aniso", "against", "resize")
+NAMES = (*PARTS, "hard", "ablation", "aniso", "against", "resize", "rounds")
 
 
 def _known(_ctx: click.Context, _param: click.Parameter, words: tuple[str, ...]) -> tuple[str, ...]:
@@ -49,8 +50,9 @@ def main(words: tuple[str, ...], out: Path, smallest: int, largest: int, threads
     bandwidth, threads, blocks, generation, ladder, small, cold. Default runs on hard meshes, and
     whether the promise holds on each: hard. What each phase of the schedule gains on each MESH, or
     on the standard suite: ablation. Errors of meshes that are adapted to functions, and how
-    well others match metrics: aniso. How remeshing grows, beside other tools: resize. Processor
-    time beside the source tree in a folder, which is given as MESH: against.
+    well others match metrics: aniso. How remeshing grows, beside other tools: resize; what each
+    part of its rounds gains on each MESH of tetrahedra, or on those of the standard suite: rounds.
+    Processor time beside the source tree in a folder, which is given as MESH: against.
     """
     def say(line: str) -> None:
         click.echo(line, err=True)
@@ -72,6 +74,10 @@ def main(words: tuple[str, ...], out: Path, smallest: int, largest: int, threads
     if "resize" in words:
         table = resizing_table(sizes_between(smallest, largest), say)
         click.echo("\n".join(as_text(table)))
+    if "rounds" in words:
+        meshes = [read_start(Path(word)) for word in words if word not in NAMES]
+        solid = [start for start in meshes or suite("standard") if start.kind == "tets"]
+        click.echo("\n".join(as_text(rounds_table(solid, say))[1:]))
     if "against" in words:
         for tree in [Path(word) for word in words if word not in NAMES]:
             if not (tree / "odt_plugins").is_dir():
