@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from odt_plugins.adapters.fields import sampled
 from odt_plugins.adapters.formats.change import Origin
-from odt_plugins.adapters.formats.decks import HELD, indices
+from odt_plugins.adapters.formats.decks import HELD, UNREAD, indices
 from odt_plugins.adapters.formats.medit import REQUIRED
 from odt_plugins.adapters.higher_order import (
     HIGHER,
@@ -109,7 +109,13 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
             )
             raise UnsupportedMeshError(msg)
     if not found:
-        msg = f"the mesh has no cells ({len(mesh.points)} vertices); expected tetra or triangle"
+        info = mesh.info if isinstance(mesh.info, dict) else {}
+        what, more, hint = "no cells", "", ""
+        if info.get(UNREAD):
+            what, more = "no cells that can be read", f", and {' and '.join(info[UNREAD])}"
+            hint = ", try a mesh of first order, or a .msh or .vtu file"
+        msg = (f"the mesh has {what} ({len(mesh.points)} vertices{more}); expected tetra or "
+               f"triangle{hint}")
         raise InvalidMeshError(msg)
     if kind not in found:
         msg = f"got a mesh with cells of {', '.join(sorted(found))}; expected tetra or triangle"

@@ -244,6 +244,62 @@ def test_ply_keeps_elements_comments_types_and_order_of_bytes(ball, tmp_path, ki
     assert np.allclose(mesh.vertex_color_matrix()[:, 0], 200 / 255)
 
 
+@pytest.mark.parametrize("scale", [0.7, 1.5])
+@pytest.mark.parametrize("kind", ["ascii", "binary_little_endian", "binary_big_endian"])
+def test_ply_of_other_sizes_keeps_kind_comments_elements_and_types(tmp_path, kind, scale):
+    box = trimesh.creation.box().subdivide().subdivide()
+    points, cells, upper = box.vertices, box.faces, box.face_normals[:, 2] > 0.5
+    order = ">" if kind == "binary_big_endian" else "<"
+    vertex = [(x, y, z, x + 0.5, y + 0.5, 200, 100, 50) for x, y, z in points.tolist()]
+    face = [(3, v, i) for v, i in zip(cells.tolist(), upper.tolist(), strict=True)]
+    kinds = [(k, order + "f4") for k in ("x", "y", "z", "s", "t")]
+    vertices = np.array(vertex, [*kinds, ("red", "u1"), ("green", "u1"), ("blue", "u1")])
+    faces = np.array(face, [("n", "u1"), ("v", "u1", 3), ("part", order + "i2")])
+    head = ["ply", f"format {kind} 1.0", "comment by hand", "obj_info num_cols 7",
+            "element camera 1", "property float view", f"element vertex {len(points)}",
+            *(f"property float {k}" for k, _ in kinds),
+            *(f"property uchar {k}" for k in ("red", "green", "blue")),
+            f"element face {len(cells)}", "comment of faces",
+            "property list uchar uchar vertex_indices", "property short part",
+            "element marks 2", "property int vertex", "element stamp 1", "property uint day",
+            "end_header"]
+    source, target = tmp_path / "a.ply", tmp_path / "b.ply"
+    if kind == "ascii":
+        rows = ["0.5", *(" ".join(map(str, row)) for row in vertices.tolist()),
+                *(f"3 {a} {b} {c} {int(i)}" for _, (a, b, c), i in face), "0", "1", "77"]
+        source.write_text("\n".join([*head, *rows]) + "\n")
+    else:
+        first, marks, last = (np.array(v, order + t).tobytes() for v, t in (
+            ([0.5], "f4"), ([0, 1], "i4"), ([77], "u4")))
+        source.write_bytes(("\n".join(head) + "\n").encode() + first + vertices.tobytes()
+                           + faces.tobytes() + marks + last)
+    mesh = remesh(remesh(read_file(source), scale=scale), scale=0.5 if scale < 1 else 1.2)
+    with pytest.warns(DataNotKeptWarning) as told:
+        write_file(target, mesh)
+    assert len(told) == 1
+    assert "does not keep the element 'marks', which names vertices or faces of before;" in str(
+        told[0].message)
+    n, m = len(mesh.points), len(mesh.cells[0].data)
+    assert (n > len(points)) == (scale < 1)
+    wanted = [line for line in head if line not in ("element marks 2", "property int vertex")]
+    wanted[wanted.index(f"element vertex {len(points)}")] = f"element vertex {n}"
+    wanted[wanted.index(f"element face {len(cells)}")] = f"element face {m}"
+    if n > 256:
+        at = wanted.index("property list uchar uchar vertex_indices")
+        wanted[at] = "property list uchar int vertex_indices"
+    data = target.read_bytes()
+    assert data.partition(b"end_header")[0].decode().splitlines() == wanted[:-1]
+    assert data.endswith(b"77\n" if kind == "ascii" else np.array([77], order + "u4").tobytes())
+    back = open3d.io.read_triangle_mesh(str(target))
+    assert len(back.triangles) == m
+    assert np.asarray(back.vertex_colors) == pytest.approx(
+        np.tile([200, 100, 50], (n, 1)) / 255, abs=0.01)
+    seen = read_file(target)
+    assert seen.point_data["s"] == pytest.approx(seen.points[:, 0] + 0.5, abs=1e-6)
+    normal = true_normals(seen.points, seen.cells[0].data)
+    assert np.array_equal(seen.cell_data["part"][0] == 1, normal[:, 2] > 0.5)
+
+
 def test_normals_of_a_ply_are_of_the_new_surface(ball, tmp_path):
     points, cells, _ = ball
     mesh = trimesh.Trimesh(points, cells, process=False)

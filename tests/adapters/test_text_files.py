@@ -12,6 +12,7 @@ import pytest
 
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
+from odt_plugins.errors import InvalidMeshError
 
 KINDS = [".su2", ".inp", ".mesh", ".bdf", ".msh", ".vol", ".avs", ".dato", ".f3grid", ".ele"]
 
@@ -107,3 +108,24 @@ def test_gmsh_reads_the_medit_file_that_was_written(tmp_path):
     finally:
         gmsh.finalize()
     assert found == report.after.n_cells
+
+
+def test_second_order_sections_of_medit_are_named_where_nothing_else_is_there(tmp_path):
+    gmsh = pytest.importorskip("gmsh")
+    source, target = tmp_path / "a.mesh", tmp_path / "b.mesh"
+    gmsh.initialize(interruptible=False)
+    try:
+        gmsh.option.setNumber("General.Terminal", 0)
+        gmsh.model.occ.addBox(0, 0, 0, 1, 1, 1)
+        gmsh.model.occ.synchronize()
+        gmsh.model.mesh.generate(3)
+        gmsh.model.mesh.setOrder(2)
+        gmsh.write(str(source))
+    finally:
+        gmsh.finalize()
+    with pytest.raises(InvalidMeshError, match=(
+            r"no cells that can be read \(\d+ vertices, and the sections EdgesP2, TetrahedraP2, "
+            r"TrianglesP2\); expected tetra or triangle, try a mesh of first order, or a \.msh or "
+            r"\.vtu file")):
+        optimize_file(source, target)
+    assert not target.exists()

@@ -14,6 +14,7 @@ from odt_plugins.adapters.formats.ply_tables import (
     Element,
     Property,
     Table,
+    changed_header,
     decoded,
     encoded,
     header,
@@ -28,6 +29,9 @@ CORNERS, ENDS = ("vertex_indices", "vertex_index"), ("vertex1", "vertex2")
 
 NORMALS = "Normals"
 """Array of the normals of vertices or of faces."""
+
+TEXTURE = "texcoord"
+"""Array of the texture coordinates of the corners of faces."""
 
 COLOURS = ("red", "green", "blue", "alpha")
 
@@ -77,8 +81,7 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     kind, elements, start = parsed(data)
     tables, spans = decoded(data, kind, elements, start)
     if change.renumbered:
-        msg = "vertices came or went"
-        raise NotRewritable(msg)
+        return _with_others(data, target, change)
     triangle = [i for i, block in enumerate(change.after.cells) if block.type == "triangle"]
     face = tables["face"]
     _, order = as_mesh(np.asarray(change.before.points), face[_corners(face)])
@@ -112,6 +115,80 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
         pieces.append(span)
     target.write_bytes(b"".join([*pieces, data[spans[elements[-1].name][1]:]]))
     return []
+
+
+def _with_others(data: bytes, target: Path, change: Change) -> list[str]:
+    """Write rows of other vertices and faces; what else names such rows is lost.
+
+    Returns
+    -------
+    list of str    what is lost
+    """
+    kind, elements, start = parsed(data)
+    tables, spans = decoded(data, kind, elements, start)
+    after, face = change.after, tables["face"]
+    _, order = as_mesh(np.asarray(change.before.points), face[_corners(face)])
+    parts = {"vertex": [change.points],
+             "face": [rows[of] for rows, of in zip(order, change.cells, strict=False)]}
+    blocks = {"face": [np.asarray(block.data) for block in after.cells[: len(order)]]}
+    arrays = {"vertex": dict(zip(PLACE, np.asarray(after.points).T, strict=False)) | {
+                  name: np.asarray(values) for name, values in after.point_data.items()},
+              "face": {name: np.concatenate(values[: len(order)])
+                       for name, values in after.cell_data.items()}}
+    if len(after.cells) > len(order):
+        parts["edge"], ends = [change.cells[-1]], np.asarray(after.cells[-1].data)
+        arrays["edge"] = {name: values[-1] for name, values in after.cell_data.items()}
+        arrays["edge"] |= dict(zip(ENDS, ends.T, strict=True))
+    lost, kept, pieces = [], [], []
+    for element in elements:
+        name, was = element.name, data[slice(*spans[element.name])]
+        if name not in parts:
+            if element.size and any(_names_rows(p) for p in element.properties):
+                lost.append(f"the element {name!r}, which names vertices or faces of before")
+                continue
+            kept.append(element)
+            pieces.append(was)
+            continue
+        rows = np.concatenate(parts[name])
+        old = tables[name]
+        table = {key: _taken(values, rows) for key, values in old.items()}
+        _put(table, arrays[name], slice(None))
+        if name in blocks:
+            corners: Any = [row for block in blocks[name] for row in block]
+            table[_corners(old)] = np.array(corners) if len(
+                {len(row) for row in corners}) == 1 else corners
+        gone = [p.name for p in element.properties if _stale(
+            p.name, old[p.name], arrays[name], fresh=bool((rows < 0).any()))]
+        lost += [f"the property {key!r} of the element {name!r}" for key in gone]
+        now = Element(name, len(rows), tuple(
+            _wide_enough(p, table[p.name]) for p in element.properties if p.name not in gone))
+        kept.append(now)
+        pieces.append(encoded(kind, now, table) if gone else
+                      encoded(kind, now, table, old, rows, was))
+    head = changed_header(data[:start], kept)
+    target.write_bytes(b"".join([head, *pieces, data[spans[elements[-1].name][1]:]]))
+    return lost
+
+
+def _names_rows(of: Property) -> bool:
+    """Whether a property holds numbers of vertices or faces, by its name and type."""
+    return TYPES[of.type][0] in "iu" and any(word in of.name for word in ("vert", "face"))
+
+
+def _stale(name: str, values: Any, arrays: dict[str, Any], *, fresh: bool) -> bool:
+    """Whether a property says nothing of rows that are new, or is texture of other corners."""
+    if name == TEXTURE:
+        return name not in arrays
+    known = name in arrays or (name in NORMAL and NORMALS in arrays)
+    return fresh and (isinstance(values, list) or not known)
+
+
+def _wide_enough(of: Property, values: Any) -> Property:
+    """A property of rows' numbers, in a type that holds them."""
+    if not _names_rows(of) or not len(values):
+        return of
+    greatest = max(int(row.max(initial=0)) for row in values)
+    return of if greatest <= np.iinfo(TYPES[of.type]).max else of._replace(type="int")
 
 
 def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
@@ -177,7 +254,7 @@ def _columns(arrays: dict[str, Any], what: str, lost: list[str]) -> Table:
             out |= dict(zip(NORMAL, values.T, strict=True))
         elif values.dtype == np.uint8 and width in (3, 4) and COLOURS[0] not in arrays:
             out |= dict(zip(COLOURS, values.T, strict=False))
-        elif name == "texcoord" and width == 6:
+        elif name == TEXTURE and width == 6:
             out[name] = values
         else:
             lost.append(f"{what} {name!r}")

@@ -86,6 +86,27 @@ def header(kind: str, elements: list[Element]) -> bytes:
     return "\n".join([*lines, "end_header", ""]).encode()
 
 
+def changed_header(head: bytes, elements: list[Element]) -> bytes:
+    """A header with other sizes and types, without the elements and properties that are gone."""
+    left = {element.name: element for element in elements}
+    now: Element | None = None
+    out = []
+    for line in head.splitlines(keepends=True):
+        words = line.decode("ascii", "replace").split()
+        end = line[len(line.rstrip()):]
+        text = line
+        if words[:1] == ["element"]:
+            now = left.get(words[1])
+            text = b"" if now is None else f"element {now.name} {now.size}".encode() + end
+        elif words[:1] == ["property"]:
+            of = next((p for p in now.properties if p.name == words[-1]), None) if now else None
+            text = b"" if of is None else line
+            if of is not None and of.type != words[-2]:
+                text = " ".join([*words[:-2], of.type, of.name]).encode() + end
+        out.append(text)
+    return b"".join(out)
+
+
 def decoded(
     data: bytes, kind: str, elements: list[Element], start: int
 ) -> tuple[dict[str, Table], dict[str, tuple[int, int]]]:
