@@ -358,6 +358,36 @@ def test_off_with_comments_and_colours_of_faces(ball, tmp_path, head):
     assert sorted(e[2] for e in ends).count("31") >= top.sum() - 5
 
 
+@pytest.mark.parametrize("scale", [0.7, 1.5])
+@pytest.mark.parametrize("head", ["{}OFF # by hand\n# second\n{} {} 9\n",
+                                  "# by hand\r\n{}OFF {} {} 0 # counts\r\n"])
+def test_off_of_other_sizes_keeps_comments_colours_and_normals(tmp_path, head, scale):
+    box = trimesh.creation.box().subdivide().subdivide()
+    points, cells, upper = box.vertices, box.faces, box.face_normals[:, 2] > 0.5
+    end = "\r\n" if "\r" in head else "\n"
+    rows = [" ".join(map(repr, [x, y, z, 0.0, 0.0, 1.0, x + 0.5, y + 0.5, 0.25, 1.0]))
+            for x, y, z in points.tolist()]
+    rows += ["3 {} {} {}{}".format(*c, " 255 0 0 # lid" if i else " 0 0 255")
+             for c, i in zip(cells.tolist(), upper, strict=True)]
+    source, target = tmp_path / "a.off", tmp_path / "b.off"
+    source.write_text(head.format("CN", len(points), len(cells)) + end.join(rows), newline="")
+    with warnings.catch_warnings():
+        warnings.simplefilter("error", DataNotKeptWarning)
+        mesh = remesh(read_file(source), scale=scale)
+        write_file(target, mesh)
+    n, m = len(mesh.points), len(mesh.cells[0].data)
+    text = target.read_bytes().decode()
+    assert text.startswith(head.format("CN", n, m).replace(" 9\n", " 0\n"))
+    assert text.count("\n") == head.count("\n") + n + m
+    assert (text.count("\r") == 0) == ("\r" not in head)
+    back = read_file(target)
+    assert back.point_data["off:colour"][:, :2] == pytest.approx(back.points[:, :2] + 0.5, abs=1e-6)
+    assert np.allclose(np.linalg.norm(back.point_data["Normals"], axis=1), 1)
+    top = true_normals(back.points, back.cells[0].data)[:, 2] > 0.5
+    assert np.array_equal(back.cell_data["off:colour"][0][:, 0] == 255, top)
+    assert text.count("# lid") == top.sum()
+
+
 def test_off_of_meshlab_with_colours_and_normals(ball, tmp_path):
     points, cells, _ = ball
     meshes = pymeshlab.MeshSet()

@@ -27,12 +27,14 @@ class _Lines(NamedTuple):
     lines : list of bytes
     vertices, faces : list of int    number of the line of each
     normals : int or None            first word of the normal of a vertex
+    counts : (int, int)              line of the numbers of vertices and faces, and their first word
     """
 
     lines: list[bytes]
     vertices: list[int]
     faces: list[int]
     normals: int | None
+    counts: tuple[int, int]
 
 
 def read(path: Path) -> Any:
@@ -73,8 +75,7 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     """Replace the vertices that moved and the triangles that changed; all else stays as it is."""
     found = _lines(source.read_bytes())
     if change.renumbered:
-        msg = "vertices came or went"
-        raise NotRewritable(msg)
+        return _with_others(found, target, change)
     lines = list(found.lines)
     points, moved = np.asarray(change.after.points), change.moved
     for v in np.flatnonzero(moved).tolist():
@@ -85,9 +86,7 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
             at = found.vertices[v]
             span = range(found.normals, found.normals + 3)
             lines[at] = _replaced(lines[at], span, [f"{x:.9g}" for x in normal])
-    faces = [[int(x) for x in _words(lines[i])[1: 1 + int(_words(lines[i])[0])]]
-             for i in found.faces]
-    _, order = as_mesh(np.asarray(change.before.points), faces)
+    order = _order(found, change)
     for i, block in enumerate(change.after.cells):
         if block.type != "triangle":
             continue
@@ -103,6 +102,73 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
                 fresh[k]) else text
     target.write_bytes(b"".join(lines))
     return []
+
+
+def _with_others(found: _Lines, target: Path, change: Change) -> list[str]:
+    """Write lines of other vertices and faces; comments and what stands behind them stay.
+
+    Returns
+    -------
+    list of str    what is lost
+    """
+    before, after, lines = change.before, change.after, list(found.lines)
+    end = b"\r\n" if lines[0].endswith(b"\r\n") else b"\n"
+    points, moved = np.asarray(after.points).tolist(), change.moved.tolist()
+    first = 3 if found.normals is None else found.normals + 3
+    normals = None if found.normals is None else np.asarray(after.point_data["Normals"]).tolist()
+    texts = _texts(after.point_data.get(COLOURS))
+    old = _texts(before.point_data.get(COLOURS))
+    vertices = []
+    for v, source in enumerate(change.points.tolist()):
+        line = lines[found.vertices[source]] if source >= 0 else b""
+        new = [repr(x) for x in points[v]] if moved[v] else []
+        new += [f"{x:.9g}" for x in normals[v]] if normals is not None else []
+        which = [*range(0 if moved[v] else 3, first)]
+        if texts and (source < 0 or not old or texts[v] != old[source]):
+            new += texts[v]
+            which += range(first, first + len(texts[v]))
+        vertices.append(_ended(_replaced(line, which, new), end) if source >= 0
+                        else " ".join(new).encode() + end)
+    faces = []
+    colours = after.cell_data.get(COLOURS, [None] * len(after.cells))
+    others = before.cell_data.get(COLOURS, [None] * len(after.cells))
+    for i, (rows, block) in enumerate(zip(_order(found, change), after.cells, strict=True)):
+        texts, old = _texts(colours[i]), _texts(others[i])
+        for k, (row, corners) in enumerate(zip(change.cells[i].tolist(), block.data.tolist(),
+                                               strict=True)):
+            new = [str(v) for v in corners]
+            if texts and old and texts[k] != old[row]:
+                new += texts[k]
+            line = _replaced(lines[found.faces[rows[row]]], range(1, 1 + len(new)), new)
+            faces.append(_ended(line, end))
+    behind = any(len(_words(lines[at])) > first for at in found.vertices)
+    lost = COLOURS not in before.point_data and behind and bool((change.points < 0).any())
+    at, word = found.counts
+    counts = [str(len(vertices)), str(len(faces)), "0"][: len(_words(lines[at])) - word]
+    lines[at] = _replaced(lines[at], range(word, word + len(counts)), counts)
+    for slots, new_lines in ((found.vertices, vertices), (found.faces, faces)):
+        for slot in slots:
+            lines[slot] = b""
+        lines[slots[0]] = b"".join(new_lines)
+    target.write_bytes(b"".join(lines))
+    return ["what stands behind some vertices, at new ones"] if lost else []
+
+
+def _order(found: _Lines, change: Change) -> list[Any]:
+    """Faces of every block of the mesh of a file."""
+    rows = [_words(found.lines[at]) for at in found.faces]
+    faces = [[int(x) for x in row[1: 1 + int(row[0])]] for row in rows]
+    return as_mesh(np.asarray(change.before.points), faces)[1]
+
+
+def _texts(values: Any) -> list[list[str]]:
+    """Numbers of every row as words; none of no array."""
+    return [] if values is None else [
+        list(map(repr, np.atleast_1d(row).tolist())) for row in np.asarray(values)]
+
+
+def _ended(line: bytes, end: bytes) -> bytes:
+    return line if line.endswith(b"\n") else line + end
 
 
 def _lines(data: bytes) -> _Lines:
@@ -128,7 +194,8 @@ def _lines(data: bytes) -> _Lines:
     if len(rest) < n + m:
         msg = f"it has {len(rest)} lines for {n} vertices and {m} faces"
         raise MeshFileError(msg)
-    return _Lines(lines, rest[:n], rest[n: n + m], 3 if b"N" in kind[1] else None)
+    at = (full[start - 1], 1 if start == 1 else 0)
+    return _Lines(lines, rest[:n], rest[n: n + m], 3 if b"N" in kind[1] else None, at)
 
 
 def _words(line: bytes) -> list[bytes]:
