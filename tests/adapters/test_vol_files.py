@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 from made_files import two_boxes
 
+from odt_plugins import remesh
 from odt_plugins.adapters.files import read_file, write_file
 from odt_plugins.api import optimize_file
 from odt_plugins.errors import DataNotKeptWarning
@@ -174,3 +175,33 @@ def test_names_stay_in_files_of_second_order_that_are_written_anew(d, tmp_path):
         write_file(tmp_path / "b.inp", read_file(source))
     found = {*read_file(tmp_path / "b.inp").cell_sets}
     assert {"air (2D)"} <= found if d == 2 else {"air", "air (3D)", "my box", "b"} <= found
+
+
+@pytest.mark.parametrize("scale", [0.7, 1.5])
+def test_triangles_of_a_resized_file_tell_the_materials_beside_them(scale, tmp_path):
+    two_boxes(tmp_path / "a.vol")
+    with pytest.warns(DataNotKeptWarning, match="sections"):
+        write_file(tmp_path / "b.vol", remesh(read_file(tmp_path / "a.vol"), scale=scale))
+    found = []
+    for path in (tmp_path / "a.vol", tmp_path / "b.vol"):
+        mesh = loaded(path)
+        points = np.array(mesh.Coordinates())
+        materials = {}
+        for cell in mesh.Elements3D():
+            nodes = [v.nr - 1 for v in cell.vertices]
+            for k, tip in enumerate(nodes):
+                side = frozenset(nodes[:k] + nodes[k + 1:])
+                materials.setdefault(side, []).append((tip, cell.index))
+        area = {}
+        for triangle in mesh.Elements2D():
+            a, b, c = (v.nr - 1 for v in triangle.vertices)
+            normal = np.cross(points[b] - points[a], points[c] - points[a])
+            face = mesh.FaceDescriptor(triangle.index)
+            beside = [0, 0]
+            for tip, index in materials[frozenset((a, b, c))]:
+                beside[int(normal @ (points[tip] - points[a]) > 0)] = index
+            assert [face.domin, face.domout] == beside
+            key = (face.bcname, face.domin, face.domout)
+            area[key] = area.get(key, 0) + np.linalg.norm(normal) / 2
+        found.append(area)
+    assert found[1] == pytest.approx(found[0], rel=1e-9)

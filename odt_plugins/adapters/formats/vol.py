@@ -15,6 +15,7 @@ from odt_plugins.adapters.formats.change import Change, NotRewritable
 from odt_plugins.adapters.formats.decks import edited, unread
 from odt_plugins.adapters.formats.titles import plain, titled
 from odt_plugins.errors import MeshFileError
+from odt_plugins.mesh.facets import row_keys
 
 NODES = {"triangle": 3, "triangle6": 6, "quad": 4, "tetra": 4, "tetra10": 10}
 """Numbers of nodes of types of cells that may be optimised, and of quadrilaterals."""
@@ -88,7 +89,7 @@ def names(path: Path) -> dict[str, NDArray[np.int64]]:
 
 
 def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
-    """Write a mesh by meshio, with the names that it has and no others."""
+    """Write a mesh by meshio, with the names that it has, and the domains beside triangles."""
     import meshio
 
     meshio.write(path, mesh, file_format="netgen")
@@ -102,9 +103,44 @@ def write(path: Path, mesh: Any, binary: bool | None) -> list[str]:
         lines = [f"{k} {own.get(k, UNNAMED)}\n" for k in range(1, max(own, default=0) + 1)]
         if lines:
             data += b"\n%s\n%d\n%s" % (name, len(lines), "".join(lines).encode())
+    if dim == 3:
+        data = _with_domains(data, np.asarray(mesh.points))
     whole = data + b"\n" + end + rest
     path.write_bytes(gzip.compress(whole) if path.suffix.lower() == ".gz" else whole)
     return []
+
+
+def _with_domains(data: bytes, points: NDArray[Any]) -> bytes:
+    """A file whose triangles tell the materials behind them and before them, 0 of none."""
+    if _section(data, SURFACE) is None or _section(data, VOLUME) is None:
+        return data
+    rows = [row for row in _rows(data, SURFACE)[0] if row.words[4] in (b"3", b"6")]
+    bodies = [row for row in _rows(data, VOLUME)[0] if row.words[1] in (b"4", b"10")]
+    faces = np.array([row.words[5:8] for row in rows], np.bytes_).astype(np.int64).reshape(-1, 3)
+    cells = np.array([row.words[2:6] for row in bodies], np.bytes_).astype(np.int64)
+    faces, cells = faces - 1, cells.reshape(-1, 4) - 1
+    label = np.tile(np.array([row.words[0] for row in bodies], np.bytes_).astype(np.int64), 4)
+    sides = np.concatenate([np.delete(cells, k, axis=1) for k in range(4)])
+    key = row_keys(np.sort(np.concatenate([faces, sides]), axis=1), len(points))
+    wanted, first, which = np.unique(key[: len(faces)], return_index=True, return_inverse=True)
+    hit = np.isin(key[len(faces):], wanted)
+    at = np.searchsorted(wanted, key[len(faces):][hit])
+    normal = _normals(points, faces)
+    tip, base = points[cells.T.ravel()[hit]], points[faces[first[at], 0]]
+    before = ((tip - base) * normal[first[at]]).sum(axis=1) > 0
+    found = np.zeros((len(wanted), 2), dtype=np.int64)
+    found[at, before.astype(np.int64)] = label[hit]
+    turned = (normal * normal[first[which]]).sum(axis=1) < 0
+    edits = []
+    for row, pair, turn in zip(rows, found[which].tolist(), turned, strict=True):
+        told = pair[::-1] if turn else pair
+        edits += [(*row.spans[k], str(told[k - 2]).encode()) for k in (2, 3)]
+    return edited(data, edits)
+
+
+def _normals(points: NDArray[Any], faces: NDArray[np.int64]) -> NDArray[Any]:
+    a, b, c = (points[faces[:, k]] for k in range(3))
+    return np.cross(b - a, c - a)
 
 
 def besides(path: Path) -> dict[str, list[str]]:
