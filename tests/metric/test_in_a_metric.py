@@ -40,7 +40,7 @@ def cube(n=6):
     return g, t
 
 
-def test_resizing_in_a_metric_ends_where_collapses_undo_what_splits_did(monkeypatch):
+def test_resizing_ends_where_little_changes_in_a_metric_where_collapses_undo_what_splits_did(monkeypatch):
     turns = []
     smooth = volume._smooth
     monkeypatch.setattr(volume, "_smooth", lambda *given: turns.append(smooth(*given)))
@@ -49,8 +49,13 @@ def test_resizing_in_a_metric_ends_where_collapses_undo_what_splits_did(monkeypa
     odt_plugins.remesh(mesh, metric=np.tile(np.eye(3) / 0.3**2, (64, 1, 1)), **options)
     assert 2 <= len(turns) < volume.ROUNDS
     turns.clear()
+    monkeypatch.setattr(volume, "SETTLED", 0.0)
     odt_plugins.remesh(mesh, 0.3, **options)
     assert len(turns) == volume.ROUNDS
+    turns.clear()
+    monkeypatch.setattr(volume, "SETTLED", 1.0)
+    odt_plugins.remesh(mesh, 0.3, **options)
+    assert len(turns) == volume.RELENTING + 2
 
 
 def test_cells_that_stay_are_not_made_by_way_of_many_more(monkeypatch):
