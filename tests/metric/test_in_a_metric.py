@@ -40,7 +40,7 @@ def cube(n=6):
     return g, t
 
 
-def test_resizing_ends_where_little_changes_in_a_metric_where_collapses_undo_what_splits_did(monkeypatch):
+def test_resizing_ends_where_little_changes_or_collapses_undo_what_splits_did(monkeypatch):
     turns = []
     smooth = volume._smooth
     monkeypatch.setattr(volume, "_smooth", lambda *given: turns.append(smooth(*given)))
