@@ -80,7 +80,8 @@ def _do(job: dict[str, Any]) -> None:
         if (any(isinstance(cause, MemoryError) for cause in _causes(exc))
                 or beyond_limit(row["message"], job["memory_limit"])):
             row |= {"status": "memory", "message": too_little(job["memory_limit"])}
-    row["message"] = " ".join(row["message"].split())
+    place = f"{Path(job['folder']) / RESULT}{os.sep}"
+    row["message"] = " ".join(row["message"].replace(place, "").split())
     row["seconds"] = time.perf_counter() - clock
     (Path(job["folder"]) / ROW).write_text(json.dumps(row), encoding="utf-8")
 

@@ -331,6 +331,25 @@ def test_compiling_kernels_does_not_count_for_the_time_limit(place, monkeypatch)
         run(0.1)
 
 
+def test_what_a_result_loses_is_told_by_its_name_and_no_place_that_is_gone(place):
+    angles = np.linspace(0.0, 2.0 * np.pi, 12, endpoint=False)
+    rows = [f"{np.cos(t)} {np.sin(t)} {z}" for z in (0.0, 0.4, 0.8) for t in angles]
+    faces = [f"3 {a} {b} {c}" for ring in (0, 12) for k in range(12)
+             for a, b, c in ((ring + k, ring + (k + 1) % 12, ring + 12 + k),
+                             (ring + (k + 1) % 12, ring + 12 + (k + 1) % 12, ring + 12 + k))]
+    head = ["ply", "format ascii 1.0", f"element vertex {len(rows)}", "property double x",
+            "property double y", "property double z", f"element face {len(faces)}",
+            "property list uchar int vertex_indices", "element seam 1", "property int vertex",
+            "end_header"]
+    Path("models/tube.ply").write_text("\n".join([*head, *rows, *faces, "3", ""]))
+    (row,) = run_batch(make_jobs(["models/tube.ply"], place / "out", {}, sizes={"scale": 0.5}))
+    assert row["status"] == "ok"
+    assert "tube.ply" in row["message"]
+    assert "the element 'seam'" in row["message"]
+    assert HIDDEN not in row["message"]
+    assert str(place) not in row["message"]
+
+
 def test_a_bar_is_told_once_that_kernels_are_compiled(place, monkeypatch):
     told: list[str] = []
     paths = [str(write_ball(place / "models" / f"{n}.vtu", n)) for n in (60, 70)]
