@@ -49,6 +49,7 @@ from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal, freeze
 from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
+from odt_plugins.promise.region_sizes import other_sizes
 from odt_plugins.promise.remeshed import broken_by_remeshing
 
 SHARES = (0.7, 0.4)
@@ -77,12 +78,15 @@ MOST_GIVEN_WAY = 10
 """Multiple of the cells that are expected, or of those of the input, beyond which sizes do not give
 way to those of a surface or of the input."""
 
+MOST_UNLIKE = 0.5
+"""Part of the volume from which on regions whose volume is another are not small."""
+
 REACH = 0.7
 """Vertices of the input are held that are nearer to a spoiled place, in units of the size."""
 
 NARROWER, NARROW = 0.2, 0.05
-"""Part of its envelope that a surface may use where it cut through itself, and largest part that
-becomes no smaller."""
+"""Part of its envelope that a surface may use where it cut through itself, or where it bounds a
+small region whose volume became another, and largest part that becomes no smaller."""
 
 CLOSE = 1.1
 """Multiple of the sizes of the input up to which sizes are no longer than those."""
@@ -190,9 +194,10 @@ def _tries(
     """Resize until the promise holds.
 
     Where figures fall, sizes give way to those that the surface has reached, and then to those of
-    the input. Where the surface cuts through itself it may use less of the envelope. Cells of the
-    input stay where cells that it does not allow came nevertheless; within
-    smaller and smaller parts of the envelope, at last with a boundary that stays.
+    the input. Where the surface cuts through itself, and around small regions whose volume becomes
+    another, it may use less of the envelope; such a region stays where that does not help. Cells of
+    the input stay where cells that it does not allow came nevertheless; within smaller and smaller
+    parts of the envelope, at last with a boundary that stays.
     """
     whys: list[str] = []
     wanted, relents, narrow = sizes, len(mesh.metric) > 0, np.ones(len(mesh.points))
@@ -214,11 +219,12 @@ def _tries(
             if nearer is not None:
                 wanted = nearer
                 continue
-            cut = _newly_cut(mesh, outcome, wanted)
-            if broken[0] == CUT and cut.any() and narrow.min() > NARROW:
-                narrow = np.where(cut, NARROWER * narrow, narrow)
+            cut, small = _newly_cut(mesh, outcome, wanted), _of_small_regions(mesh, outcome)
+            near, least = (cut, NARROW) if broken[0] == CUT else (small, NARROWER)
+            if near.any() and narrow[near].min() > least:
+                narrow = np.where(near, NARROWER * narrow, narrow)
                 continue
-            spoiled &= ~held.frozen
+            spoiled = (spoiled | small[mesh.cells].all(axis=1)) & ~held.frozen
             if not spoiled.any() or held.frozen.mean() > MOST_HELD or (
                     spoiled | held.frozen).mean() > NEARLY_ALL:
                 break
@@ -306,6 +312,16 @@ def _newly_cut(mesh: SimplexMesh, outcome: Outcome, sizes: Sizes) -> BoolArray:
     """Vertices (n,) of the input near triangles that cut others, but near none of its own."""
     return _near(mesh, outcome, _crossed(outcome), sizes) & ~_near(
         mesh, mesh, _crossed(mesh), sizes)
+
+
+def _of_small_regions(mesh: SimplexMesh, outcome: Outcome) -> BoolArray:
+    """Vertices (n,) of the input of regions whose volume is another, if these are small."""
+    near = np.zeros(len(mesh.points), dtype=np.bool_)
+    others = other_sizes(mesh, outcome.points, outcome.cells, outcome.regions)
+    volume = sum(first for _, first, _ in others)
+    if volume < MOST_UNLIKE * float(signed_volumes(mesh.points, mesh.cells).sum()):
+        near[mesh.cells[np.isin(mesh.regions, [label for label, *_ in others])]] = True
+    return near
 
 
 def _crossed(outcome: SimplexMesh | Outcome) -> IntArray:

@@ -344,3 +344,35 @@ def test_slivers_go_between_rounds(monkeypatch):
     odt_plugins.remesh(mesh, scale=1)
     assert taken
     assert sum(after for _, _, after in taken) < 0.5 * sum(before for before, _, _ in taken)
+
+
+def test_a_small_region_of_another_volume_has_less_of_the_envelope_and_then_stays(monkeypatch):
+    points, cells = ball(400, 2)
+    small = np.linalg.norm(points[cells].mean(axis=1), axis=1) < 0.4
+    own = np.unique(cells[small])
+    calls = []
+    once = remesh_run._once
+
+    def refused(mesh, sizes, asked, options, leaving, shares, room, *, relents):
+        outcome, broken = once(mesh, sizes, asked, options, leaving, shares, room, relents=relents)
+        calls.append((mesh, shares.copy()))
+        return outcome, ["the volume of region 1 is another"] if len(calls) < 3 else broken
+
+    monkeypatch.setattr(remesh_run, "_once", refused)
+    monkeypatch.setattr(remesh_run, "other_sizes", lambda *_: [(1, 0.1, 0.2)])
+    monkeypatch.setattr(remesh_run, "_fallen", lambda *_args, **_named: False)
+    x, rows, labels = odt_plugins.remesh(
+        (points, cells, small.astype(np.int32)), scale=0.8, envelope=0.02, keep=())
+    first, second, third = calls[:3]
+    assert np.ptp(first[1]) == 0
+    assert np.ptp(second[1][own]) == 0
+    assert second[1][own[0]] < 0.5 * first[1][0]
+    assert (np.delete(second[1], own) == first[1][0]).all()
+    assert not first[0].frozen.any()
+    assert not second[0].frozen.any()
+    assert third[0].frozen[third[0].regions == 1].all()
+    assert third[0].frozen.mean() < 0.5
+    place = {tuple(p): v for v, p in enumerate(x.tolist())}
+    now = {tuple(sorted(row)) for row in rows[labels == 1].tolist()}
+    assert {tuple(sorted(place[tuple(p)] for p in points[row].tolist()))
+            for row in cells[small]} == now
