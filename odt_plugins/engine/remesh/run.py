@@ -32,7 +32,7 @@ from odt_plugins.engine.remesh.sizes import (
 )
 from odt_plugins.engine.remesh.volume import Resizing, arrays_of, resize
 from odt_plugins.engine.remesh.wish import Wish
-from odt_plugins.engine.retile.run import retile
+from odt_plugins.engine.retile.run import retile, small_unlike
 from odt_plugins.engine.run.judge import envelope_length
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
 from odt_plugins.engine.run.work import extremes, make_start
@@ -49,7 +49,6 @@ from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal, freeze
 from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
-from odt_plugins.promise.region_sizes import other_sizes
 from odt_plugins.promise.remeshed import broken_by_remeshing
 
 SHARES = (0.7, 0.4)
@@ -77,9 +76,6 @@ shorter than the sizes take more."""
 MOST_GIVEN_WAY = 10
 """Multiple of the cells that are expected, or of those of the input, beyond which sizes do not give
 way to those of a surface or of the input."""
-
-MOST_UNLIKE = 0.5
-"""Part of the volume from which on regions whose volume is another are not small."""
 
 REACH = 0.7
 """Vertices of the input are held that are nearer to a spoiled place, in units of the size."""
@@ -317,10 +313,7 @@ def _newly_cut(mesh: SimplexMesh, outcome: Outcome, sizes: Sizes) -> BoolArray:
 def _of_small_regions(mesh: SimplexMesh, outcome: Outcome) -> BoolArray:
     """Vertices (n,) of the input of regions whose volume is another, if these are small."""
     near = np.zeros(len(mesh.points), dtype=np.bool_)
-    others = other_sizes(mesh, outcome.points, outcome.cells, outcome.regions)
-    volume = sum(first for _, first, _ in others)
-    if volume < MOST_UNLIKE * float(signed_volumes(mesh.points, mesh.cells).sum()):
-        near[mesh.cells[np.isin(mesh.regions, [label for label, *_ in others])]] = True
+    near[mesh.cells[np.isin(mesh.regions, small_unlike(mesh, outcome))]] = True
     return near
 
 

@@ -52,7 +52,7 @@ NARROWER = 0.3
 
 
 MOST_UNLIKE = 0.5
-"""Part of the area from which on regions whose area is another are not small."""
+"""Part of the whole from which on regions whose area or volume is another are not small."""
 
 
 class Judged(NamedTuple):
@@ -267,11 +267,16 @@ def _judged(
         bad |= cut
     unlike = np.zeros(len(mesh.cells), dtype=np.bool_)
     if broken and not mesh.is_surface:
-        others = other_sizes(mesh, points, cells, outcome.regions)
-        area = sum(first for _, first, _ in others)
-        if area < MOST_UNLIKE * signed_volumes(mesh.points, mesh.cells).sum():
-            unlike = _around(mesh, [label for label, *_ in others])
+        unlike = _around(mesh, small_unlike(mesh, outcome))
     return Judged(broken, np.concatenate([points[bad], near]), Distance(*far), unlike)
+
+
+def small_unlike(mesh: SimplexMesh, outcome: Outcome) -> list[int]:
+    """Labels of regions whose area or volume is another, none if these are not small."""
+    others = other_sizes(mesh, outcome.points, outcome.cells, outcome.regions)
+    whole = float(signed_volumes(mesh.points, mesh.cells).sum())
+    small = sum(first for _, first, _ in others) < MOST_UNLIKE * whole
+    return [label for label, *_ in others] if small else []
 
 
 def _around(mesh: SimplexMesh, labels: list[int]) -> BoolArray:
