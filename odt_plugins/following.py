@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters.fields import numbers
 from odt_plugins.adapters.host import Adapter, HostMesh, NewFaces, NewVertices
 from odt_plugins.carry import in_order_of, surrounding_cells
 from odt_plugins.conserve import After, conserved
@@ -72,7 +73,7 @@ def follow(
         return Followed(vertices, {}, {}, {})
     before, source = work.mesh, np.asarray(outcome.source)
     cells = given.densities_of(work.own)
-    old_points = {} if work.same is not None or given.higher_order else dict(given.fields)
+    old_points = {} if work.same is not None or given.higher_order else numbers(given.fields)
     points = {name: (values, values if vertices is None else vertices.carried(
         values, field=name in interpolated(work, options))) for name, values in old_points.items()}
     kept: dict[str, NDArray[Any]] = {}

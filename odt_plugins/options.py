@@ -247,11 +247,12 @@ class Options:
         python="Also (m,) integers, the names of cell arrays, whose labels are combined, or None.",
         flag="Also names of cell arrays, between commas, whose labels are combined, or none."))
     fields: Fields = field(default="auto", metadata=_told(
-        "Point arrays of floating-point numbers: interpolate gives vertices that moved the value "
-        "that the field of the input has there, keep lets values stay with their vertices, auto "
-        "interpolates for tetrahedra and meshes in the plane unless they come from pymeshlab or "
-        "open3d, whose own filters keep. conserve keeps integrals over "
-        "regions, of such cell arrays too. Other arrays, ids and normals stay in any case.",
+        "Point arrays of floating-point numbers, or of colours in bytes: interpolate gives "
+        "vertices that moved the value that the field of the input has there, keep lets values "
+        "stay with their vertices, auto interpolates for tetrahedra and meshes in the plane unless "
+        "they come from pymeshlab or open3d, whose own filters keep. conserve keeps integrals over "
+        "regions, of cell arrays too, but not of colours. Other arrays, ids and normals stay in "
+        "any case.",
         choices=get_args(Fields)))
     free: tuple[str, ...] = field(default=(), metadata=_told(
         "What is treated as any other, though it stays as it is unless it is named. periodic: "

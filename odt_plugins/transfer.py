@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, Literal
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
+from odt_plugins.adapters.colours import varies
 from odt_plugins.adapters.host import HostMesh, NewVertices
 from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
 from odt_plugins.following import (
@@ -84,7 +85,7 @@ class Transfer:
             msg = ("got values at the points of cells of higher order; expected values of cells, "
                    "or linear cells; try a point array of the mesh itself")
             raise UnsupportedMeshError(msg)
-        is_field = values.dtype.kind in "fc" and interpolates(self.work, self.options)
+        is_field = varies(OWN, values) and interpolates(self.work, self.options)
         host = replace(self.work.host, fields={OWN: values} if is_field else {})
         work = self.work._replace(host=host)
         vertices = follow(work, host, self.outcome, self._vertices, self.options).vertices

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters.colours import varies
 from odt_plugins.errors import InvalidOptionError
 
 if TYPE_CHECKING:
@@ -26,29 +27,35 @@ that are computed anew, and which stay whatever their type."""
 def field_names(
     arrays: Mapping[str, NDArray[Any]], besides: Collection[str | None] = ()
 ) -> tuple[str, ...]:
-    """Names of the arrays of floating-point numbers that sample a field, or are densities.
+    """Names of the arrays of floating-point numbers, and of colours, that sample a field.
 
     Parameters
     ----------
-    arrays : dict of (n, ...)    point or cell arrays by their names
+    arrays : dict of (n, ...)    point arrays by their names
     besides : names              of arrays that do not, such as normals and texture coordinates
     """
     return tuple(name for name, values in arrays.items()
-                 if values.dtype.kind in "fc" and name not in besides
+                 if varies(name, values) and name not in besides
                  and not STAY.fullmatch(re.sub(r"[^a-z]", "", name.lower())))
 
 
 def sampled(
     arrays: Mapping[str, NDArray[Any]], besides: Collection[str | None] = ()
 ) -> dict[str, NDArray[Any]]:
-    """Take the point or cell arrays of floating-point numbers that are no normals and tell no one.
-
-    Parameters
-    ----------
-    arrays : dict of (n, ...) or (m, ...)    arrays by their names
-    besides : names                          of others that are none, such as texture coordinates
-    """
+    """Take the point arrays that sample a field, see :func:`field_names`."""
     return {name: arrays[name] for name in field_names(arrays, besides)}
+
+
+def dense(
+    arrays: Mapping[str, NDArray[Any]], besides: Collection[str | None] = ()
+) -> dict[str, NDArray[Any]]:
+    """Take the cell arrays that are densities: of floating-point numbers."""
+    return numbers(sampled(arrays, besides))
+
+
+def numbers(fields: Mapping[str, NDArray[Any]]) -> dict[str, NDArray[Any]]:
+    """Take the fields whose integrals and derivatives mean something: no colours of bytes."""
+    return {name: values for name, values in fields.items() if values.dtype.kind in "fc"}
 
 
 def named_metric(host: HostMesh, name: str) -> NDArray[Any]:
@@ -58,9 +65,9 @@ def named_metric(host: HostMesh, name: str) -> NDArray[Any]:
     ------
     InvalidOptionError    there is none
     """
-    if name in host.fields and host.fields[name].ndim > 1:
-        return host.fields[name]
-    known = [key for key, values in host.fields.items() if values.ndim > 1]
+    known = {key: values for key, values in numbers(host.fields).items() if values.ndim > 1}
+    if name in known:
+        return known[name]
     msg = (f"got metric={name!r}; expected 'input', or the name of a point array of symmetric "
            f"tensors of this mesh, it has {', '.join(known) or 'none'}")
     raise InvalidOptionError(msg)
@@ -75,7 +82,7 @@ def named_array(host: HostMesh, name: str) -> NDArray[Any]:
     ------
     InvalidOptionError    there is none of one number each
     """
-    points, cells = host.fields, host.densities
+    points, cells = numbers(host.fields), host.densities
     if name not in points and name not in cells:
         known = [*(f"{key} (point)" for key in points), *(f"{key} (cell)" for key in cells)]
         msg = (f"got size={name!r}; expected the name of a point or cell array of floating-point "

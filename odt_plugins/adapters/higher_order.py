@@ -19,6 +19,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters.colours import in_kind, varies
 from odt_plugins.adapters.host import Result, interpolated
 from odt_plugins.errors import DataNotKeptWarning, InvalidMeshError, warn
 from odt_plugins.mesh.facets import row_keys
@@ -395,7 +396,8 @@ def _at_places(values: NDArray[Any], placed: Placed) -> NDArray[Any]:
     wide = values[placed.cell].astype(np.result_type(values, np.float64))
     more = wide[:, c:] - np.einsum("kec,kc...->ke...", placed.middle, wide[:, :c])
     straight = interpolated(wide[:, :c], placed.weights)
-    return np.asarray(straight + np.einsum("ke,ke...->k...", placed.share, more))
+    found = straight + np.einsum("ke,ke...->k...", placed.share, more)
+    return in_kind(found, values)
 
 
 def carried_point_data(
@@ -414,7 +416,8 @@ def carried_point_data(
     -------
     (n', ...)             nodes that are still there keep their value; the node of a new place takes
                           the linear interpolation of its corners, or for data other than
-                          floating-point numbers the value of the nearest, of lowest index
+                          floating-point numbers and colours the value of the nearest, of lowest
+                          index
 
     Warns
     -----
@@ -426,8 +429,9 @@ def carried_point_data(
         out[placed.node] = _at_places(values, placed)
         return out
     new = np.flatnonzero(q.origin < 0)
-    out[new] = _between(values, q.origin[q.corners[new]], q.weights[new])
-    expected = _between(values, q.gone_places.corners, q.gone_places.weights)
+    between = _between if varies(name, values) else _nearest
+    out[new] = between(values, q.origin[q.corners[new]], q.weights[new])
+    expected = between(values, q.gone_places.corners, q.gone_places.weights)
     off = expected != values[q.gone]
     if values.dtype.kind in "fc":
         size = np.abs(values).max() if values.size else 0.0
@@ -446,13 +450,16 @@ def carried_point_data(
 def _between(
     values: NDArray[Any], corners: NDArray[np.int64], weights: NDArray[np.float64]
 ) -> NDArray[Any]:
-    if values.dtype.kind not in "fc":
-        nearest = weights.argmax(axis=1)
-        values_there: NDArray[Any] = values[corners[np.arange(len(corners)), nearest]]
-        return values_there
     wide = values.astype(np.result_type(values, np.float64), copy=False)
-    mean: NDArray[Any] = _mean(wide, corners, weights).astype(values.dtype)
+    mean: NDArray[Any] = in_kind(_mean(wide, corners, weights), values).astype(values.dtype)
     return mean
+
+
+def _nearest(
+    values: NDArray[Any], corners: NDArray[np.int64], weights: NDArray[np.float64]
+) -> NDArray[Any]:
+    there: NDArray[Any] = values[corners[np.arange(len(corners)), weights.argmax(axis=1)]]
+    return there
 
 
 def shape_values(shape: Lattice, weights: NDArray[np.float64]) -> NDArray[np.float64]:

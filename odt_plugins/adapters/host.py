@@ -12,6 +12,7 @@ from typing import Any, NamedTuple, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from odt_plugins.adapters.colours import in_kind, varies
 from odt_plugins.errors import InvalidOptionError, ODTError
 from odt_plugins.mesh.facets import row_keys
 
@@ -120,7 +121,7 @@ class HostMesh:
     ids : (m,) int or None            place of every cell among all cells of the object, ascending,
                                       where there may be others; they stay in that order
     total : int                       number of all cells of the object, with `ids`
-    fields : dict of (n, ...)         point arrays that sample a field, by their names
+    fields : dict of (n, ...)         point arrays that sample a field, colours of bytes among them
     densities : dict of (m, ...)      cell arrays of floating-point numbers, by their names
     follows : bool                    whether fields are interpolated unless the caller says so
     geometry : Geometry or None       that the vertices of the surface are on, and stay on
@@ -198,16 +199,16 @@ class NewVertices(NamedTuple):
         """Point data (n, ...) of the input for the vertices of the result, (n', ...).
 
         A vertex that is still there keeps its value, unless it moved and the values are those of a
-        `field`. For one that was added, floating-point numbers are interpolated linearly, of
-        anything else the value of the nearest corner is taken. Those whose integrals stay are
-        there already.
+        `field`. For one that was added, floating-point numbers and colours are interpolated
+        linearly, of anything else the value of the nearest corner is taken. Those whose integrals
+        stay are there already.
         """
         if name in self.conserved:
             return self.conserved[name].reshape(-1, *values.shape[1:])
         out = values[self.origin]
         added = self.origin[self.placed] < 0
         at_corners = values[self.corners]
-        if values.dtype.kind in "fc":
+        if varies(name, values):
             new = added | field
             out[self.placed[new]] = interpolated(at_corners[new], self.weights[new])
         else:
@@ -219,12 +220,13 @@ class NewVertices(NamedTuple):
 def interpolated(at_corners: NDArray[Any], weights: NDArray[np.float64]) -> NDArray[Any]:
     """Values (k, ...) of linear functions with values (k, c, ...) at corners, weights (k, c).
 
-    Equal values at all corners are taken as they are.
+    Equal values at all corners are taken as they are; bytes are interpolated to the nearest ones.
     """
     wide = at_corners.astype(np.result_type(at_corners, np.float64))
     first = wide[:, :1]
     with np.errstate(all="ignore"):
-        return np.asarray(first[:, 0] + np.einsum("kc,kc...->k...", weights, wide - first))
+        found = first[:, 0] + np.einsum("kc,kc...->k...", weights, wide - first)
+    return in_kind(found, at_corners)
 
 
 class Feet(NamedTuple):

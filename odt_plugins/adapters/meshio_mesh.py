@@ -15,7 +15,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.fields import sampled
+from odt_plugins.adapters.fields import dense, sampled
 from odt_plugins.adapters.formats.change import Origin
 from odt_plugins.adapters.formats.decks import HELD, UNREAD, indices
 from odt_plugins.adapters.formats.medit import REQUIRED
@@ -160,7 +160,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         texture=_texture(arrays, kind),
         total=sum(sizes),
         fields=sampled({name: np.asarray(v) for name, v in mesh.point_data.items()}),
-        densities=sampled(arrays, (TEXTURE,)),
+        densities=dense(arrays, (TEXTURE,)),
     )
 
 

@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.fields import sampled
+from odt_plugins.adapters.fields import dense, sampled
 from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
 from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.wedges import carried, charts
@@ -169,7 +169,7 @@ def _host(
         kept = (seams,) if len(seams.rows) else ()
     return HostMesh(points, cells, *labels, blocks, kept, source=mesh, layout=uv,
                     follows=False, words=partial(in_words, mesh=mesh), texture=uv,
-                    densities=sampled(arrays, ("texture_uvs",)))
+                    densities=dense(arrays, ("texture_uvs",)))
 
 
 def _in_range(cells: NDArray[Any], n: int) -> bool:

@@ -29,7 +29,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.fields import sampled
+from odt_plugins.adapters.fields import dense, sampled
 from odt_plugins.adapters.host import HostMesh, KeptCells, Result, is_instance
 from odt_plugins.adapters.pymeshlab_copy import (
     Attribute,
@@ -45,7 +45,7 @@ from odt_plugins.adapters.pymeshlab_faces import (
     result_in_place,
     set_faces,
 )
-from odt_plugins.adapters.pymeshlab_ply import FACE_SCALAR, VERTEX_SCALAR
+from odt_plugins.adapters.pymeshlab_ply import FACE_SCALAR, VERTEX_COLOUR, VERTEX_SCALAR, in_bytes
 from odt_plugins.adapters.pymeshlab_set import copy_of_set, exchange
 from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.wedges import charts
@@ -120,7 +120,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         words=lambda text: text.replace("merging vertices at the same place",
                                         "meshing_remove_duplicate_vertices()"),
         fields=sampled(_vertex_data(inner, copy)),
-        densities=sampled(arrays | _face_scalar(inner)),
+        densities=dense(arrays | _face_scalar(inner)),
         follows=False,
     )
 
@@ -158,10 +158,14 @@ def standing_alone(owner: Any) -> Any:
 
 
 def _vertex_data(mesh: Any, meshes: Any) -> dict[str, NDArray[Any]]:
-    """Custom attributes of the vertices, and their scalars where there are others than 0."""
-    out = {attribute.name: attribute.values(mesh) for attribute in custom_attributes(meshes)
-           if attribute.reader.startswith("vertex")}
+    """Custom attributes of the vertices, their colours if several, their scalars if not all 0."""
+    out: dict[str, NDArray[Any]] = {
+        attribute.name: attribute.values(mesh) for attribute in custom_attributes(meshes)
+        if attribute.reader.startswith("vertex")}
     scalars = np.array(mesh.vertex_scalar_array())
+    colours = in_bytes(mesh.vertex_color_matrix() if mesh.has_vertex_color() else np.zeros((0, 4)))
+    if (colours != colours[:1]).any():
+        out[VERTEX_COLOUR] = colours
     return out | ({VERTEX_SCALAR: scalars} if scalars.any() else {})
 
 

@@ -15,7 +15,8 @@ SELECTED = 0x20
 """Bit of a selected vertex or face in the property `flags` of MeshLab's PLY files."""
 
 VERTEX_SCALAR, FACE_SCALAR = "vertex scalar", "face scalar"
-"""Names of MeshLab's own scalars among custom attributes."""
+VERTEX_COLOUR = "vertex color"
+"""Names of MeshLab's own scalars and colours among custom attributes."""
 
 Columns = list[tuple[str, str, Any]]
 """Title in the header (none for the length of a list), numpy dtype and values of each column."""
@@ -53,7 +54,7 @@ def encode(
     selected = of_vertices(np.asarray(mesh.vertex_selection_array()))
     vertex.append(("int flags", "<i4", SELECTED * selected))
     if mesh.has_vertex_color():
-        vertex += _colours(of_vertices(mesh.vertex_color_matrix()))
+        vertex += _colours(of_vertices(in_bytes(mesh.vertex_color_matrix()), field=True))
     if mesh.has_vertex_scalar():
         scalars = of_vertices(mesh.vertex_scalar_array(), VERTEX_SCALAR, field=True)
         vertex.append(("double quality", "<f8", scalars))
@@ -75,7 +76,7 @@ def encode(
             under = source if result.feet is None else result.feet.under
             face.append(("int texnumber", "<i4", numbers[under]))
     if mesh.has_face_color():
-        face += _colours(mesh.face_color_matrix()[source])
+        face += _colours(in_bytes(mesh.face_color_matrix()[source]))
     if mesh.has_face_scalar():
         scalars = result.carried(mesh.face_scalar_array(), FACE_SCALAR)
         face.append(("double quality", "<f8", scalars))
@@ -122,7 +123,11 @@ def _element(header: list[str], name: str, count: int, columns: Columns) -> byte
     return rows.tobytes()
 
 
-def _colours(rgba: NDArray[np.float64]) -> Columns:
-    whole = np.rint(rgba * 255.0)
+def in_bytes(rgba: NDArray[np.float64]) -> NDArray[np.uint8]:
+    """Colours (k, 4) as MeshLab holds them, from its numbers up to 1."""
+    return np.rint(rgba * 255.0).astype(np.uint8)
+
+
+def _colours(rgba: NDArray[np.uint8]) -> Columns:
     names = ("red", "green", "blue", "alpha")
-    return [(f"uchar {name}", "u1", column) for name, column in zip(names, whole.T, strict=True)]
+    return [(f"uchar {name}", "u1", column) for name, column in zip(names, rgba.T, strict=True)]

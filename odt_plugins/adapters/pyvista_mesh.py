@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.fields import sampled
+from odt_plugins.adapters.fields import dense, sampled
 from odt_plugins.adapters.higher_order import (
     carried_point_data,
     check_mid_nodes,
@@ -119,7 +119,7 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
         fields=sampled(
             {name: np.asarray(mesh.point_data[name]) for name in mesh.point_data.keys()},
             (mesh.point_data.active_normals_name, name)),
-        densities=sampled(arrays, (mesh.cell_data.active_normals_name,)),
+        densities=dense(arrays, (mesh.cell_data.active_normals_name,)),
         anchors=_anchors(mesh, grid),
         higher_order=wide,
         nodes=nodes if wide else None,

@@ -17,13 +17,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from odt_plugins.adapters.fields import sampled
+from odt_plugins.adapters.fields import dense, sampled
 from odt_plugins.adapters.host import HostMesh, Result, is_instance
 from odt_plugins.adapters.regions import region_labels
 from odt_plugins.adapters.wedges import slid
 from odt_plugins.errors import UnsupportedMeshError
 
-MATERIALS = "face_materials"
+MATERIALS, COLOURS = "face_materials", "vertex_colors"
 
 REMEDIES = (
     (r"merging vertices at the same place", "mesh.merge_vertices()"),
@@ -66,10 +66,13 @@ def read(mesh: Any, regions: str | Sequence[str] | None = None) -> HostMesh:
     if _materials(mesh) is not None:
         arrays[MATERIALS] = np.asarray(_materials(mesh))
     uv = getattr(mesh.visual, "uv", None)
+    fields = _of_length(mesh.vertex_attributes, n)
+    if mesh.visual.kind == "vertex":
+        fields[COLOURS] = np.array(mesh.visual.vertex_colors)
     return HostMesh(
         np.array(mesh.vertices), cells, *region_labels(arrays, regions, cells), source=mesh,
-        fields=sampled(_of_length(mesh.vertex_attributes, n)), words=in_words,
-        densities=sampled(arrays),
+        fields=sampled(fields), words=in_words,
+        densities=dense(arrays),
         texture=None if uv is None or len(uv) != n else np.array(uv),
     )
 
@@ -87,9 +90,8 @@ def write(result: Result, host: HostMesh) -> Any:
     colours = np.array(mesh.visual.face_colors) if mesh.visual.kind == "face" else None
     of_vertices = np.array(mesh.visual.vertex_colors) if mesh.visual.kind == "vertex" else None
     moved = result.vertices
-    anew = moved is not None and moved.renumbered
-    if moved is not None and anew and of_vertices is not None:
-        of_vertices = moved.carried(of_vertices, field=False)
+    if moved is not None and of_vertices is not None:
+        of_vertices = moved.carried(of_vertices, COLOURS)
     out.vertices, out.faces = result.points, result.cells
     if colours is not None:
         out.visual.face_colors = colours[result.source]
@@ -102,10 +104,9 @@ def write(result: Result, host: HostMesh) -> Any:
     for name, values in _of_length(mesh.face_attributes, len(host.cells)).items():
         out.face_attributes[name] = result.carried(values, name)
     if moved is not None:
-        known = _of_length(mesh.vertex_attributes, len(host.points)) if anew else host.fields
-        for name in known:
-            values = np.asarray(mesh.vertex_attributes[name])
-            out.vertex_attributes[name] = moved.carried(values, name, field=name in host.fields)
+        for name, values in _of_length(mesh.vertex_attributes, len(host.points)).items():
+            if moved.renumbered or name in host.fields:
+                out.vertex_attributes[name] = moved.carried(values, name, field=name in host.fields)
     return out
 
 

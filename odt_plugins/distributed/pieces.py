@@ -163,7 +163,8 @@ def _run(
     labels = region_names(spreads) if given == AUTO else tuple(spreads[0])
     kept = _data_of_all(taken)
     kinds = taken[0].kinds["data"]
-    fields = field_names({name: np.empty(0, kinds[name][1]) for name in kept["data"]})
+    fields = field_names({name: np.empty((0, *kinds[name][0]), kinds[name][1])
+                          for name in kept["data"]})
     valid = [(part.path, part.figures) for part in taken if part.figures is not None]
     untangled = sum(part.inverted for part in taken)
     if untangled:

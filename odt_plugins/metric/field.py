@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from odt_plugins.adapters.fields import numbers
 from odt_plugins.adapters.host import HostMesh, words_of
 from odt_plugins.adapters.registry import find_adapter
 from odt_plugins.engine.cells.elementary import power
@@ -295,12 +296,13 @@ def _values(host: HostMesh, given: Any) -> FloatArray:
     """Components (n, c) of one field."""
     n = len(host.points)
     if isinstance(given, str):
-        if given not in host.fields:
-            known = ", ".join(host.fields) or "none"
+        fields = numbers(host.fields)
+        if given not in fields:
+            known = ", ".join(fields) or "none"
             msg = (f"got field {given!r}; expected the name of a point array of floating-point "
                    f"numbers of this mesh, it has {known}")
             raise InvalidOptionError(msg)
-        given = host.fields[given]
+        given = fields[given]
     raw = given(np.array(host.points, dtype=np.float64)) if callable(given) else given
     try:
         found = np.asarray(raw)

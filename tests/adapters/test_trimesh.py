@@ -34,7 +34,11 @@ def test_colours_and_what_is_set_survive_on_a_curved_surface():
     assert out.is_watertight
     assert (out.density, out.center_mass.tolist()) == (3.0, [0.1, 0.2, 0.3])
     assert out.visual.kind == "vertex"
-    assert np.array_equal(out.visual.vertex_colors, mesh.visual.vertex_colors)
+    colours = np.array(mesh.visual.vertex_colors)
+    assert np.array_equal(out.visual.vertex_colors, np.rint(report.transfer(colours * 1.0)))
+    kept = odt_plugins.optimize(mesh, envelope=0.02)
+    assert (kept.vertices != before).any()
+    assert np.array_equal(kept.visual.vertex_colors, colours)
     assert np.array_equal(out.face_attributes["odd"], mesh.face_attributes["odd"])
     assert np.abs(out.vertex_attributes["heat"] - out.vertices[:, 2]).max() < 1e-9
     assert (out.vertex_normals * out.vertices).sum(axis=1).min() > 0.95

@@ -110,8 +110,12 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
     lines = list(found.lines)
     points = np.asarray(change.after.points)
     moved = change.moved
-    for v in np.flatnonzero(moved).tolist():
-        lines[found.vertices[v]] = _placed(lines[found.vertices[v]], points[v].tolist())
+    was, now = (np.asarray(mesh.point_data.get(COLOURS, points[:, :0]))
+                for mesh in (change.before, change.after))
+    other = (was != now).any(axis=1) if was.shape == now.shape else np.zeros(len(points), np.bool_)
+    for v in np.flatnonzero(moved | other).tolist():
+        lines[found.vertices[v]] = _placed(lines[found.vertices[v]], points[v].tolist(),
+                                           now[v].tolist() if other[v] else [])
     _, order = as_mesh(np.asarray(change.before.points), [[c[0] for c in f] for f in found.corners])
     block = next(i for i, b in enumerate(change.after.cells) if b.type == "triangle")
     rows, cells = change.cells[block], np.asarray(change.after.cells[block].data)
@@ -366,11 +370,11 @@ def _line(head: bytes, numbers: Any) -> bytes:
     return head + b" " + b" ".join(f"{float(x):.9g}".encode() for x in numbers) + b"\n"
 
 
-def _placed(line: bytes, place: list[float]) -> bytes:
+def _placed(line: bytes, place: list[float], colour: list[float]) -> bytes:
     words = line.partition(b"#")[0].split()
-    rest = words[4:]
+    rest = words[4 + len(colour):]
     end = b"\r\n" if line.endswith(b"\r\n") else b"\n"
-    return b" ".join([words[0], *(repr(x).encode() for x in place), *rest]) + end
+    return b" ".join([words[0], *(repr(x).encode() for x in [*place, *colour]), *rest]) + end
 
 
 def _face(corners: Sequence[Sequence[int]], like: bytes) -> bytes:

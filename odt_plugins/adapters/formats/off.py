@@ -86,6 +86,11 @@ def rewrite(source: Path, target: Path, change: Change) -> list[str]:
             at = found.vertices[v]
             span = range(found.normals, found.normals + 3)
             lines[at] = _replaced(lines[at], span, [f"{x:.9g}" for x in normal])
+    first = 3 if found.normals is None else found.normals + 3
+    old, new = (_texts(mesh.point_data.get(COLOURS)) for mesh in (change.before, change.after))
+    for at, was, now in zip(found.vertices, old, new, strict=False):
+        if was != now:
+            lines[at] = _replaced(lines[at], range(first, first + len(now)), now)
     order = _order(found, change)
     for i, block in enumerate(change.after.cells):
         if block.type != "triangle":
@@ -203,13 +208,14 @@ def _words(line: bytes) -> list[bytes]:
 
 
 def _table(rows: list[list[bytes]]) -> Any:
-    """Numbers (n, k) where all rows have k > 0 words; None otherwise."""
+    """Numbers (n, k) where all rows have k > 0 words, colours as bytes; None otherwise."""
     width = {len(row) for row in rows}
     if len(width) != 1 or width == {0}:
         return None
     numbers = np.array(rows, dtype=np.bytes_).astype(np.float64)
     whole = all(b"." not in word and b"e" not in word for row in rows for word in row)
-    return numbers.astype(np.int64) if whole else numbers
+    bytes_of = whole and len(rows[0]) in (3, 4) and 0 <= numbers.min() and numbers.max() <= 255
+    return numbers.astype(np.uint8 if bytes_of else np.int64) if whole else numbers
 
 
 def _replaced(line: bytes, which: Any, texts: Any) -> bytes:
