@@ -5,7 +5,9 @@ from __future__ import annotations
 import gc
 import os
 import signal
+from collections.abc import Iterator
 
+import numpy as np
 import pytest
 from hypothesis import settings
 
@@ -45,6 +47,32 @@ def kernels_in_python(monkeypatch: pytest.MonkeyPatch) -> None:
     from odt_plugins.engine.compiled.kernel import Kernel
 
     monkeypatch.setattr(Kernel, "__call__", lambda self, *args: self.py_func(*args))
+
+
+@pytest.fixture
+def nothing_compiled(monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    """Kernels are those of the library; one that it lacks, and all it calls, run in Python.
+
+    What the library lacks is part of kernels that it has, and numba compiles it for many seconds.
+    """
+    from odt_plugins.engine.compiled import kernel as kernels
+
+    lacking = []
+
+    def run(kernel, args):
+        with pytest.MonkeyPatch.context() as within, np.errstate(all="ignore"):
+            within.setattr(kernels.Kernel, "__call__", lambda self, *args: self.py_func(*args))
+            return kernel.py_func(*args)
+
+    def in_python(kernel, args):
+        lacking.append(kernel)
+        return lambda args, slots: run(kernel, args)
+
+    monkeypatch.setattr(kernels, "by_numba", in_python)
+    yield
+    for kernel in lacking:
+        kernel.runs.clear()
+        kernel.loaded.clear()
 
 
 @pytest.fixture(params=[2, 3], ids=["d2", "d3"])

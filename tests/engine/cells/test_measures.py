@@ -36,6 +36,7 @@ EVEN = [p for p in permutations(range(4)) if np.linalg.det(np.eye(4)[list(p)]) >
 
 ALL = pytest.mark.parametrize("objective", TWINS, ids=["radius ratio", "mean ratio", "dihedral",
                                                             "step"])
+IN_PYTHON = pytest.mark.usefixtures("nothing_compiled")
 SHAPES = pytest.mark.parametrize("objective", [name for name in TWINS if name != STEP])
 
 
@@ -71,6 +72,7 @@ def test_extremes_of_slots_are_those_of_the_cells_in_them_alone():
     assert tet_extremes(points, slots, 0, 1)[0] > 1.0
 
 
+@IN_PYTHON
 @SHAPES
 def test_regular_cell_is_one_and_no_cell_is_more(objective):
     assert tet_measure(REGULAR, 0, 1, 2, 3, objective) == pytest.approx(1.0, abs=1e-14)
@@ -91,6 +93,7 @@ def test_cells_that_are_not_positive_are_told(objective):
         assert terms(points, [order], Cost(objective, 2.0)) is None
 
 
+@IN_PYTHON
 def test_right_angled_corner():
     # dihedral angles: three of 90 degrees, three with the tangent sqrt(2)
     m = 1.125 * ((3 + 3 * 1.5**4) / 6) ** -0.25
@@ -104,6 +107,7 @@ def test_right_angled_corner():
     assert amips_energies(*both) == pytest.approx([3.0, e], rel=1e-14)
 
 
+@IN_PYTHON
 @ALL
 @settings(max_examples=50, deadline=None)
 @given(seed=st.integers(0, 10**6), scale=st.floats(1e-3, 1e3))
@@ -119,6 +123,7 @@ def test_measure_agrees_with_its_twin_and_is_invariant(objective, seed, scale):
     assert tet_measure(moved, 0, 1, 2, 3, objective) == pytest.approx(m, rel=1e-9)
 
 
+@IN_PYTHON
 @ALL
 @pytest.mark.parametrize("power", [1 / 3, 2.0, 8.0])
 @pytest.mark.parametrize("seed", range(6))
@@ -143,6 +148,7 @@ def test_gradient_and_hessian_of_the_cost_agree_with_differences(objective, powe
     assert out[4:] == pytest.approx(packed, abs=1e-4 * np.abs(packed).max())
 
 
+@IN_PYTHON
 @ALL
 def test_costs_of_a_star_add_up(objective):
     points, other = positive(1), positive(2)

@@ -18,6 +18,8 @@ from odt_plugins.engine.topology.stencil import make_topology
 from odt_plugins.mesh.seen import as_seen, in_unit
 from odt_plugins.metric.through import halved_logarithms
 
+pytestmark = pytest.mark.usefixtures("nothing_compiled")
+
 TETS = np.array([[0, 1, 2, 3], [0, 2, 1, 4]], dtype=np.int32)
 TRIANGLES = np.array([[0, 1, 2], [0, 2, 3]], dtype=np.int32)
 

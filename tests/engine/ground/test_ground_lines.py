@@ -8,6 +8,8 @@ import pytest
 from odt_plugins.engine.ground.budget import affordable, spend
 from odt_plugins.engine.ground.lines import Lines, line_direction, line_is_near, on_line
 
+pytestmark = pytest.mark.usefixtures("nothing_compiled")
+
 GROUND = np.array([[0.0, 0, 0], [1, 0, 0], [1, 2, 0], [1, 2, 3]])
 
 

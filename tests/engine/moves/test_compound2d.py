@@ -22,6 +22,8 @@ from odt_plugins.engine.topology.lookup import place_in
 from odt_plugins.engine.topology.triangles import Triangles
 from odt_plugins.metric.through import halved_logarithms
 
+pytestmark = pytest.mark.usefixtures("nothing_compiled")
+
 
 def mesh_of(points, cells, regions=None):
     regions = np.zeros(len(cells), dtype=np.int32) if regions is None else regions

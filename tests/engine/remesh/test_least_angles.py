@@ -18,6 +18,8 @@ from odt_plugins.engine.remesh.lay_out import FLOOR, edges_beyond, lay_out
 from odt_plugins.engine.run.work import make_start
 from odt_plugins.mesh.simplex import SimplexMesh
 
+pytestmark = pytest.mark.usefixtures("nothing_compiled")
+
 
 def shapes(points, cells):
     """Radius ratio, least and largest dihedral angle in degrees, (m, 3)."""

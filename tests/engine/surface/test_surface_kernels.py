@@ -39,6 +39,8 @@ from odt_plugins.figures import angles, radius_ratio
 from odt_plugins.mesh.chunks import Pool
 from odt_plugins.mesh.surface import surface_edges
 
+pytestmark = pytest.mark.usefixtures("nothing_compiled")
+
 ENERGY_ONLY = Cost(ENERGY, 1.0)
 
 

@@ -20,6 +20,8 @@ from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.mesh.surface import surface_edges
 from odt_plugins.metric.through import halved_logarithms
 
+pytestmark = pytest.mark.usefixtures("nothing_compiled")
+
 ROOT = np.array([[3.0, 1.0, 0.4], [1.0, 1.2, -0.1], [0.4, -0.1, 0.8]])
 METRIC = ROOT @ ROOT
 
