@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import functools
 import itertools
 import tempfile
 import weakref
@@ -100,6 +101,11 @@ def grid(dim, n, seed=0):
 
     The plane x = 1/2 is kept and is the interface of the labels 7 and -2. All cells positive.
     """
+    return tuple(a.copy() for a in _grid(dim, n, seed))
+
+
+@functools.cache
+def _grid(dim, n, seed):
     axis = np.arange(n + 1)
     lattice = np.stack(np.meshgrid(*[axis] * dim, indexing="ij"), -1).reshape(-1, dim)
     index = {tuple(p): i for i, p in enumerate(lattice.tolist())}
@@ -136,6 +142,15 @@ def facets(cells, labels):
     return {f for f, have in owners.items() if len(have) == 1 or have[0] != have[-1]}
 
 
+def neighbours(cells):
+    """Pairs of cells with a facet in common, in order."""
+    owners: dict[tuple[int, ...], list[int]] = {}
+    for i, cell in enumerate(np.asarray(cells).tolist()):
+        for facet in itertools.combinations(sorted(cell), len(cell) - 1):
+            owners.setdefault(facet, []).append(i)
+    return sorted({p for have in owners.values() for p in itertools.combinations(have, 2)})
+
+
 def churn(mesh, options, leaving=None):
     """Stand-in for the engine: moves vertices, flips facets, turns rows round, shuffles cells.
 
@@ -156,7 +171,7 @@ def churn(mesh, options, leaving=None):
     frozen = mesh.frozen.tolist()
     touched: set[int] = set()
     flips = 0
-    for i, j in itertools.combinations(range(len(mesh.cells)), 2):
+    for i, j in neighbours(mesh.cells):
         shared = set(cells[i]) & set(cells[j])
         if len(shared) != d or {i, j} & touched or regions[i] != regions[j]:
             continue
@@ -303,9 +318,11 @@ def sources(before, after, old, new):
     out = []
     for cell, label in zip(after.cells, new, strict=True):
         same = rows.get(tuple(sorted(cell.tolist())))
-        y = after.points.astype(np.float64)[cell].mean(axis=0)
-        distance = np.where(old == label, ((x - y) ** 2).sum(axis=1), np.inf)
-        out.append(int(np.argmin(distance)) if same is None else same)
+        if same is None:
+            y = after.points[cell].astype(np.float64).mean(axis=0)
+            distance = np.where(old == label, ((x - y) ** 2).sum(axis=1), np.inf)
+            same = int(np.argmin(distance))
+        out.append(same)
     return np.array(out)
 
 
