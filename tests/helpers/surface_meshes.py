@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from itertools import chain
+
 import numpy as np
 from scipy.spatial import cKDTree
 
@@ -203,11 +205,15 @@ def distances(x, points, cells):
     """
     corner = points[cells]
     centre = corner.mean(axis=1)
-    reach = np.linalg.norm(corner - centre[:, None], axis=2).max()
+    reach = np.linalg.norm(corner - centre[:, None], axis=2).max(axis=1)
     nearest = cKDTree(points[np.unique(cells)]).query(x)[0]
-    near = cKDTree(centre).query_ball_point(x, (nearest + reach) * (1 + 1e-9))
+    near = cKDTree(centre).query_ball_point(
+        x, (nearest + reach.max()) * (1 + 1e-9), return_sorted=False)
     row = np.repeat(np.arange(len(x)), [len(n) for n in near])
-    column = np.fromiter((i for n in near for i in n), dtype=np.int64, count=len(row))
+    column = np.fromiter(chain.from_iterable(near), dtype=np.int64, count=len(row))
+    within = np.linalg.norm(x[row] - centre[column], axis=1) <= (
+        nearest[row] + reach[column]) * (1 + 1e-9)
+    row, column = row[within], column[within]
     p = x[row]
     a, b, c = (corner[column, i] for i in range(3))
     normal = np.cross(b - a, c - a)

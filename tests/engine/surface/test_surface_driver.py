@@ -69,8 +69,8 @@ def test_surfaces_get_better_within_their_envelope(name):
 
 NAMED = {
     "min_dihedral": lambda p, t: angles(p, t).min(),
-    "amips": lambda p, t: -amips_energies(p, t).mean(),
-    "time_step": lambda p, t: figures(p, t).min_altitude,
+    "amips": lambda p, t: -amips_energies(p, t.astype(np.int32)).mean(),
+    "time_step": lambda p, t: figures(p, t.astype(np.int32)).min_altitude,
 }
 """What every other objective raises."""
 
