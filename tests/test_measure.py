@@ -226,9 +226,9 @@ def test_tables_are_aligned():
 
 
 def test_generators_are_measured_on_the_circle():
-    table = generation_part([1200, 2400], 1, silent).tables[0]
+    table = generation_part([500, 1000], 1, silent).tables[0]
     assert [row[0] for row in table.rows] == ["odtmesh2d"] * 2 + ["distmesh, 100 steps"] * 2
-    assert table.rows[1][1] == pytest.approx(2400, rel=0.1)
+    assert table.rows[1][1] == pytest.approx(1000, rel=0.1)
     assert min(row[2] for row in table.rows) > 0
     assert table.rows[0][4] > 0.7
     assert len(table.notes) == 2

@@ -6,6 +6,7 @@ import html
 import json
 import re
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -153,6 +154,7 @@ def test_scaling_report_opens_and_holds_every_part(tmp_path, monkeypatch):
     monkeypatch.setattr(small, "MANY", (300, 500, 3))
     for module in (small, local_global, bandwidth):
         monkeypatch.setattr(module, "REPEATS", 1)
+    monkeypatch.setattr(bandwidth, "triad_bandwidth", partial(bandwidth.triad_bandwidth, 1 << 16))
     for name in ("SWEEPS", "RUNS", "RUNNING"):
         monkeypatch.setattr(threads, name, 1)
     monkeypatch.setattr(blocks, "WAYS", blocks.WAYS[:2])

@@ -171,7 +171,7 @@ def test_a_size_larger_than_the_domain_is_said(box):
 
 
 def test_where_the_envelope_forbids_the_size_the_nearest_one_comes_and_is_told():
-    points, cells = odt_plugins.optimize(ball(200, 3))
+    points, cells = odt_plugins.optimize(ball(120, 2))
     (x, _), report = odt_plugins.remesh_with_report((points, cells), scale=2, envelope=1e-3)
     assert report.fallback is None
     assert len(x) != len(points)
@@ -308,7 +308,7 @@ def test_sizes_in_notes_are_those_that_were_asked_for_though_vertices_came(csg, 
 
 def test_a_vertex_that_came_has_the_multiple_of_sizes_of_one_beside_it(told, monkeypatch):
     monkeypatch.setattr(remesh_finish, "POOR", 1.0)
-    odt_plugins.remesh(odt_plugins.optimize(ball(200, 3)), scale=2, envelope=1e-3)
+    odt_plugins.remesh(odt_plugins.optimize(ball(120, 2)), scale=2, envelope=1e-3)
     outcome, _, multiple = told[-1]
     assert multiple.min() > 1.05
     came = len(multiple) - np.flatnonzero(outcome.origin >= 0)[-1] - 1
