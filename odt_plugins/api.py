@@ -23,7 +23,7 @@ from odt_plugins.errors import InvalidOptionError, UnsupportedMeshError
 from odt_plugins.keywords import RUN, OptionKeywords, RunKeywords, with_option_signature
 from odt_plugins.mesh.simplex import mesh_arrays, turned_alike
 from odt_plugins.multiblock import has_parts, run_parts
-from odt_plugins.options import OF_UNTANGLING, OPTIONS, SMOOTHING, STAYS, make_options
+from odt_plugins.options import OF_UNTANGLING, OPTIONS, SMOOTHING, STAYS, expect_known, make_options
 from odt_plugins.roundtrip import flat_points, run_engine
 from odt_plugins.untangling import Wanted
 
@@ -291,6 +291,7 @@ def _untangling(options: Mapping[str, Any]) -> Options:
     if others:
         msg = f"got {others[0]}= for untangling; expected some of {list(OF_UNTANGLING)}"
         raise InvalidOptionError(msg)
+    expect_known(options, OF_UNTANGLING, "options")
     return make_options(**options, free="layers")
 
 

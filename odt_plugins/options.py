@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-import difflib
 from collections.abc import Callable, Collection, Mapping, Sequence
-from contextlib import suppress
 from dataclasses import dataclass, field
 from numbers import Integral
 from textwrap import wrap
@@ -14,6 +12,7 @@ from typing import Any, Literal, get_args
 import numpy as np
 
 from odt_plugins.errors import InvalidOptionError, expect, is_number
+from odt_plugins.hints import meant
 from odt_plugins.objectives import AIMS, Objective
 
 Method = Literal["odt", "cpt", "laplacian", "cvt"]
@@ -48,8 +47,14 @@ STAYS = ("periodic", "inside", "layers")
 OF_MESHES = ("reference", "fixed", "selection", "regions", "fields", "free")
 """Options for what a mesh has that is there already, none for a surface that is to be filled."""
 
+SIZES = ("size", "scale", "cells", "vertices")
+"""What says how fine a mesh is to be, of which :func:`odt_plugins.remesh` takes one."""
+
 NOT_SIZED = ("insert", "density")
 """Options whose part sizes take in :func:`odt_plugins.remesh`."""
+
+STAYS_SIZED = ("periodic", "layers")
+"""What its option `free` may name."""
 
 OF_UNTANGLING = ("insert", "fixed", "selection", "regions", "threads", "progress")
 """Options of :func:`odt_plugins.untangle`."""
@@ -288,7 +293,7 @@ class Options:
     def __post_init__(self) -> None:
         """Refuse values outside their range, and options that would have no effect."""
         if isinstance(self.smoothing, Mapping):
-            _expect_known(self.smoothing, SMOOTHING, "values of smoothing")
+            expect_known(self.smoothing, SMOOTHING, "values of smoothing")
             object.__setattr__(self, "smoothing", Smoothing(**self.smoothing))
         good = isinstance(self.smoothing, Smoothing)
         expect(good, "smoothing", self.smoothing, f"a dict with some of {list(SMOOTHING)}")
@@ -399,41 +404,37 @@ def make_options(odt: Mapping[str, Any] | None = None, /, **options: Any) -> Opt
         msg = f"got {twice} as keywords and in odt={{...}}; expected each option once"
         raise InvalidOptionError(msg)
     given = {**(odt or {}), **options}
-    _expect_known(given, OPTIONS, "options")
+    expect_known(given, OPTIONS, "options")
     return Options(**{name: _plain(value) for name, value in given.items()})
 
 
-def _expect_known(given: Mapping[str, Any], known: Mapping[str, Any], what: str) -> None:
+def expect_known(
+    given: Mapping[str, Any], known: Collection[str], what: str, stays: Collection[str] = STAYS
+) -> None:
+    """Refuse names that are none of the known ones, where `free` takes those in `stays`.
+
+    Raises
+    ------
+    InvalidOptionError
+    """
     unknown = [name for name in given if name not in known]
     if unknown:
-        hint = hint_for(unknown[0], known)
+        hint = hint_for(unknown[0], known, stays)
         msg = f"got unknown {what} {unknown}; expected some of {list(known)}{hint}"
         raise InvalidOptionError(msg)
 
 
-def hint_for(unknown: str, known: Collection[str]) -> str:
+def hint_for(unknown: str, known: Collection[str], stays: Collection[str] = STAYS) -> str:
     """What may be meant by an unknown name, as the end of a sentence."""
-    near = difflib.get_close_matches(unknown, [*known, *SMOOTHING, *STAYS], n=1)
-    if not near:
-        return ""
-    if near[0] in known:
-        return f", did you mean {near[0]!r}?"
-    if near[0] in SMOOTHING:
-        return f", try smoothing={{{near[0]!r}: ...}}"
-    return f", try free={near[0]!r}"
-
-
-def smoothing_of(words: Sequence[str]) -> dict[str, Any]:
-    """Values of the option `smoothing` from words such as rounds=80."""
-    values: dict[str, Any] = {}
-    for word in words:
-        name, _, text = word.partition("=")
-        values[name] = text
-        for kind in (int, float):
-            with suppress(ValueError):
-                values[name] = kind(text)
-                break
-    return values
+    places = {name: f"smoothing={{{name!r}: ...}}" for name in SMOOTHING if "smoothing" in known}
+    places |= {name: f"free={name!r}" for name in stays if "free" in known}
+    places |= {name: "remesh" for name in SIZES if "method" in known}
+    if unknown in {*SMOOTHING, *STAYS, *SIZES} - {*places, *known}:
+        return f", and free={unknown!r} is for optimize alone" if "free" in known else ""
+    name = meant(unknown, known, places)
+    if name in known:
+        return f", did you mean {name!r}?"
+    return f", try {places[name]}" if name else ""
 
 
 def _plain(value: Any) -> Any:

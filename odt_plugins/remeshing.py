@@ -15,7 +15,14 @@ from odt_plugins.mesh.bodies import of_bodies
 from odt_plugins.mesh.facets import directed_facets
 from odt_plugins.mesh.simplex import SimplexMesh, freeze
 from odt_plugins.multiblock import has_parts, run_parts
-from odt_plugins.options import NOT_SIZED, Options, make_options
+from odt_plugins.options import (
+    NOT_SIZED,
+    OPTIONS,
+    STAYS_SIZED,
+    Options,
+    expect_known,
+    make_options,
+)
 from odt_plugins.roundtrip import run_engine
 from odt_plugins.untangling import Wanted
 
@@ -137,9 +144,12 @@ def _checked(options: Any) -> Options:
     if given:
         msg = f"got {given[0]}= for remeshing; expected sizes by size, scale, cells or vertices"
         raise InvalidOptionError(msg)
+    known = [name for name in OPTIONS if name not in NOT_SIZED]
+    expect_known(options, ["size", *WISHES, *known], "options", STAYS_SIZED)
     chosen = make_options(**{"boundary": "slide", **options})
-    if "inside" in chosen.free:
-        msg = "got free='inside' for remeshing, where facets inside of a region stay"
+    if not {*chosen.free} <= {*STAYS_SIZED}:
+        msg = (f"got free='inside' for remeshing, where facets inside of a region stay; expected "
+               f"some of {list(STAYS_SIZED)}")
         raise InvalidOptionError(msg)
     return chosen
 

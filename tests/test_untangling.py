@@ -442,6 +442,8 @@ def test_options_without_effect_on_untangling_are_refused():
                 function(mesh, **{name: "keep"})
         with pytest.raises(InvalidOptionError, match="did you mean 'threads'"):
             function(mesh, thread=2)
+        with pytest.raises(InvalidOptionError, match=r"\['boundry'\]; .*'progress'\]$"):
+            function(mesh, boundry="slide")
 
 
 def test_blocks_of_a_pyvista_mesh_are_untangled_one_by_one():

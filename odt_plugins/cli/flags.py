@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any, get_args, get_type_hints
@@ -11,7 +12,15 @@ from click.core import ParameterSource
 
 from odt_plugins.cli.terminal import ShareOption
 from odt_plugins.options import EDGE_LENGTH as DEFAULT_EDGE_LENGTH
-from odt_plugins.options import FIGURES, OPTIONS, STAYS, Options, hint_for, smoothing_of
+from odt_plugins.options import (
+    FIGURES,
+    OPTIONS,
+    STAYS,
+    STAYS_SIZED,
+    Options,
+    hint_for,
+)
+from odt_plugins.words import smoothing_of
 
 EDGE_LENGTH = click.option(
     "--edge-length", type=click.FloatRange(min=0.0, max=1.0, min_open=True, max_open=True),
@@ -126,12 +135,15 @@ def given(*names: str) -> list[str]:
 
 
 def instead_of(error: click.UsageError) -> str:
-    """What to try where a flag is none but names a value of another, as the end of a sentence."""
+    """What to try where a flag is none, as the end of a sentence."""
     if not isinstance(error, click.NoSuchOption) or error.ctx is None:
         return ""
-    hint = hint_for(error.option_name.lstrip("-").replace("-", "_"), ())
-    option = hint.removeprefix(", try ").partition("=")[0]
-    return hint if any(known.name == option for known in error.ctx.command.params) else ""
+    flags = {flag.lstrip("-").replace("-", "_"): flag
+             for param in error.ctx.command.get_params(error.ctx)
+             for flag in (*param.opts, *param.secondary_opts) if flag.startswith("-")}
+    stays = STAYS_SIZED if "size" in flags else STAYS
+    hint = hint_for(error.option_name.lstrip("-").replace("-", "_"), flags, stays)
+    return re.sub(r"mean '(\w+)'", lambda found: f"mean {flags[found[1]]}", hint)
 
 
 def refuse(name: str, what: str, instead: str) -> None:

@@ -64,8 +64,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             return WRONG_USE
         except click.UsageError as exc:
             where = exc.ctx.command_path if exc.ctx else "odt-plugins"
-            instead = instead_of(exc)
-            said = (exc.message if instead else exc.format_message()).rstrip(".") + instead
+            unknown = isinstance(exc, click.NoSuchOption)
+            said = (exc.message if unknown else exc.format_message()).rstrip(".") + instead_of(exc)
             return _fail(f"{said} (see {where} --help)", WRONG_USE)
         except InvalidOptionError as exc:
             return _fail(exc, WRONG_USE)

@@ -150,7 +150,7 @@ def chosen(given: Mapping[str, Any]) -> dict[str, Any]:
             words = (word.strip() for word in value.split(","))
             value = tuple(word for word in words if word not in ("", "none"))
         elif name == "smoothing":
-            value, default = of_package("options").smoothing_of(value.split()), {}
+            value, default = of_package("words").smoothing_of(value.split()), {}
         elif value == "":
             value = None
         elif default is None and "float" in str(OPTIONS[name].type):

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import boxes
 import contract
 import meshio
@@ -126,8 +128,13 @@ def test_remeshing_keeps_the_triangles_of_a_sheet_inside():
     new = np.sort(result.cells[1].data, axis=1)
     assert len(new) == len(mesh.cells[1].data)
     assert set(map(tuple, new.tolist())) <= faces_of(result)
-    with pytest.raises(InvalidOptionError, match="free='inside' for remeshing"):
+    with pytest.raises(InvalidOptionError, match=r"free='inside' for remeshing.*\['periodic', 'la"):
         odt_plugins.remesh(mesh, 0.15, free="inside")
+    for given, advice in (({"inside": True}, ", and free='inside' is for optimize alone"),
+                          ({"layer": True}, ", try free='layers'"),
+                          ({"sise": 0.1}, ", did you mean 'size'?"), ({"insrt": True}, "]")):
+        with pytest.raises(InvalidOptionError, match=f"'progress'\\]?{re.escape(advice)}$"):
+            odt_plugins.remesh(mesh, 0.15, **given)
 
 
 def test_rows_that_are_there_twice_are_parted_into_groups_that_follow_their_classes():
