@@ -119,33 +119,39 @@ def _cover_first(by: IntArray, first: IntArray, following: IntArray) -> None:
 
 
 @kernel
+def ground_value(
+    ground: Ground, values: FloatArray, f: int, x: float, y: float, z: float
+) -> float:
+    """Value at a point of a triangle of the ground, linear between values at its vertices."""
+    g, t = ground.points, ground.triangles
+    a, b, c = t[f, 0], t[f, 1], t[f, 2]
+    uu = uv = vv = up = vp = 0.0
+    for k in range(3):
+        u = g[b, k] - g[a, k]
+        w = g[c, k] - g[a, k]
+        p = (x if k == 0 else y if k == 1 else z) - g[a, k]
+        uu += u * u
+        uv += u * w
+        vv += w * w
+        up += u * p
+        vp += w * p
+    det = uu * vv - uv * uv
+    if not det > 0.0:
+        return float((values[a] + values[b] + values[c]) / 3.0)
+    s = min(max((vv * up - uv * vp) / det, 0.0), 1.0)
+    r = min(max((uu * vp - uv * up) / det, 0.0), 1.0 - s)
+    return float((1.0 - s - r) * values[a] + s * values[b] + r * values[c])
+
+
+@kernel
 def ground_values(
     ground: Ground, values: FloatArray, points: FloatArray, foot: IntArray, out: FloatArray
 ) -> None:
     """Interpolate values at the vertices of the ground linearly at the feet of points."""
-    g, t = ground.points, ground.triangles
     for v in range(points.shape[0]):
         f = foot[v]
-        if f < 0:
-            continue
-        a, b, c = t[f, 0], t[f, 1], t[f, 2]
-        uu = uv = vv = up = vp = 0.0
-        for k in range(3):
-            u = g[b, k] - g[a, k]
-            w = g[c, k] - g[a, k]
-            p = points[v, k] - g[a, k]
-            uu += u * u
-            uv += u * w
-            vv += w * w
-            up += u * p
-            vp += w * p
-        det = uu * vv - uv * uv
-        if det > 0.0:
-            s = min(max((vv * up - uv * vp) / det, 0.0), 1.0)
-            r = min(max((uu * vp - uv * up) / det, 0.0), 1.0 - s)
-            out[v] = (1.0 - s - r) * values[a] + s * values[b] + r * values[c]
-        else:
-            out[v] = (values[a] + values[b] + values[c]) / 3.0
+        if f >= 0:
+            out[v] = ground_value(ground, values, f, points[v, 0], points[v, 1], points[v, 2])
 
 
 def resample_metric(

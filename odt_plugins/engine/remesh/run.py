@@ -32,7 +32,7 @@ from odt_plugins.engine.remesh.sizes import (
 )
 from odt_plugins.engine.remesh.volume import Resizing, arrays_of, resize
 from odt_plugins.engine.remesh.wish import Wish
-from odt_plugins.engine.retile.run import retile, small_unlike
+from odt_plugins.engine.retile.run import retile
 from odt_plugins.engine.run.judge import envelope_length
 from odt_plugins.engine.run.outcome import Leaving, Outcome, as_it_is, unchanged
 from odt_plugins.engine.run.work import extremes, make_start
@@ -49,6 +49,7 @@ from odt_plugins.mesh.seen import as_seen
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal, freeze
 from odt_plugins.options import Options
 from odt_plugins.progress import part, silent
+from odt_plugins.promise.region_sizes import other_sizes
 from odt_plugins.promise.remeshed import broken_by_remeshing
 
 SHARES = (0.7, 0.4)
@@ -95,6 +96,9 @@ FINER = 1.1
 
 IN = (0.5**0.5, 2.0**0.5)
 """Edges whose length is within these multiples of their size have it."""
+
+MOST_UNLIKE = 0.5
+"""Part of the whole from which on regions whose volume is another are not small."""
 
 
 def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) -> Outcome:
@@ -313,8 +317,16 @@ def _newly_cut(mesh: SimplexMesh, outcome: Outcome, sizes: Sizes) -> BoolArray:
 def _of_small_regions(mesh: SimplexMesh, outcome: Outcome) -> BoolArray:
     """Vertices (n,) of the input of regions whose volume is another, if these are small."""
     near = np.zeros(len(mesh.points), dtype=np.bool_)
-    near[mesh.cells[np.isin(mesh.regions, small_unlike(mesh, outcome))]] = True
+    near[mesh.cells[np.isin(mesh.regions, _small_unlike(mesh, outcome))]] = True
     return near
+
+
+def _small_unlike(mesh: SimplexMesh, outcome: Outcome) -> list[int]:
+    """Labels of regions whose volume is another, none if these are not small."""
+    others = other_sizes(mesh, outcome.points, outcome.cells, outcome.regions)
+    whole = float(signed_volumes(mesh.points, mesh.cells).sum())
+    small = sum(first for _, first, _ in others) < MOST_UNLIKE * whole
+    return [label for label, *_ in others] if small else []
 
 
 def _crossed(outcome: SimplexMesh | Outcome) -> IntArray:

@@ -11,11 +11,13 @@ operations, `resize` runs rounds of them.
 - Feature lines, rims and borders between labels are tracks: edges on them are split and collapse
   along themselves, and stay close to what they stand for.
 
-A surface in the plane is one with z = 0, where the tracks alone keep the shape.
+A surface in the plane is one with z = 0, where the tracks alone keep the shape. After the first
+round, without a metric, tracks get like edges there (`even_lines`), and the vertices between them
+give way to others in rows (`place_rows`, `lay_in_rows`): most have six neighbours then.
 
 References
 ----------
 M. Botsch, L. Kobbelt, A remeshing approach to multiresolution modeling, SGP (2004) 189-196, for the
 thresholds; T. K. Dey et al., Topology preserving edge contraction, Publ. Inst. Math. 66 (1999)
-23-45, for the link condition.
+23-45, for the link condition; S. Rebay, J. Comput. Phys. 106 (1993) 125-138, for the rows.
 """

@@ -10,7 +10,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from odt_plugins.engine.cells.extremes import Extremes
-from odt_plugins.engine.cells.geometry import signed_volumes
 from odt_plugins.engine.ground.crossings import crossed_facets
 from odt_plugins.engine.ground.envelope import distances, uncovered, within
 from odt_plugins.engine.ground.reference import make_reference
@@ -51,14 +50,10 @@ NARROWER = 0.3
 """Part of the envelope that is left there."""
 
 
-MOST_UNLIKE = 0.5
-"""Part of the whole from which on regions whose area or volume is another are not small."""
-
-
 class Judged(NamedTuple):
     """What a mesh breaks of the promise, near which of its vertices, and how far it is.
 
-    `unlike` are the triangles of the input around regions whose area is another, if small.
+    `unlike` are the triangles of the input, in the plane, around regions whose area is another.
     """
 
     broken: list[str]
@@ -267,16 +262,9 @@ def _judged(
         bad |= cut
     unlike = np.zeros(len(mesh.cells), dtype=np.bool_)
     if broken and not mesh.is_surface:
-        unlike = _around(mesh, small_unlike(mesh, outcome))
+        others = other_sizes(mesh, points, cells, outcome.regions)
+        unlike = _around(mesh, [label for label, *_ in others])
     return Judged(broken, np.concatenate([points[bad], near]), Distance(*far), unlike)
-
-
-def small_unlike(mesh: SimplexMesh, outcome: Outcome) -> list[int]:
-    """Labels of regions whose area or volume is another, none if these are not small."""
-    others = other_sizes(mesh, outcome.points, outcome.cells, outcome.regions)
-    whole = float(signed_volumes(mesh.points, mesh.cells).sum())
-    small = sum(first for _, first, _ in others) < MOST_UNLIKE * whole
-    return [label for label, *_ in others] if small else []
 
 
 def _around(mesh: SimplexMesh, labels: list[int]) -> BoolArray:

@@ -10,6 +10,8 @@ from __future__ import annotations
 
 import math
 
+import numpy as np
+
 from odt_plugins.engine.cells.cost import Cost
 from odt_plugins.engine.cells.measures import QUALITY
 from odt_plugins.engine.cells.metric import (
@@ -30,6 +32,7 @@ from odt_plugins.engine.moves.tangent import axis_across, set_axes, star_normal
 from odt_plugins.engine.retile.lines import chain_of, neighbor_on
 from odt_plugins.engine.retile.net import Net, Room, Rules, exchange, fits, put, relative_square
 from odt_plugins.engine.retile.tracks import on_track, track_is_near
+from odt_plugins.mesh.arrays import FloatArray
 
 FINE = 0.5
 """Radius ratio below which a move makes no star worse."""
@@ -65,11 +68,21 @@ def shift_vertices(net: Net, rules: Rules, since: int, power: float, room: Room)
         if net.head[v] < 0 or net.stamp[v] <= since or net.kind[v] == LOCKED:
             continue
         if net.kind[v] == LINE:
-            count += _slide(net, rules, v, power, room)
+            count += _slide(net, rules, v, power, np.nan, room)
         elif power > 0.0:
             count += _polish(net, rules, v, power, room)
         else:
             count += _shift(net, rules, v, room)
+    return count
+
+
+@kernel
+def slide_vertices(net: Net, rules: Rules, goals: FloatArray, room: Room) -> int:
+    """Move vertices along their tracks to goals (n,), nan for those that stay; how many moved."""
+    count = 0
+    for v in range(goals.shape[0]):
+        if goals[v] == goals[v] and _slide(net, rules, v, 0.0, goals[v], room):
+            count += 1
     return count
 
 
@@ -246,8 +259,8 @@ def _size_along(net: Net, v: int, w: int) -> float:
 
 
 @kernel
-def _slide(net: Net, rules: Rules, v: int, power: float, room: Room) -> bool:
-    """Move a vertex along its track."""
+def _slide(net: Net, rules: Rules, v: int, power: float, goal: float, room: Room) -> bool:
+    """Move a vertex along its track, to a goal if there is one, else as :func:`shift_vertices`."""
     tracks, p = rules.tracks, net.points
     last = net.after[v]
     chain = chain_of(net, v, last)
@@ -262,9 +275,12 @@ def _slide(net: Net, rules: Rules, v: int, power: float, room: Room) -> bool:
     if not left + right > 0.0:
         return False
     target = low + (high - low) * left / (left + right)
-    if power > 0.0:
+    if goal == goal:
+        target = goal
+    elif power > 0.0:
         target = place + _along(net, v, first, last, count, power, room)
-        target = min(max(target, low + APART * (high - low)), high - APART * (high - low))
+    target = min(max(target, low + APART * (high - low)), high - APART * (high - low))
+    if power > 0.0:
         before = (1.0 - DECREASE) * _cost(net, count, power, room)
     else:
         before = min(before, FINE)

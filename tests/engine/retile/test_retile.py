@@ -11,8 +11,9 @@ import pytest
 from surface_meshes import bowl, cube, cylinder, sphere, torus
 
 from odt_plugins.engine.cells.extremes import FREELY
+from odt_plugins.engine.retile.passes import Passes, at_thin
 from odt_plugins.engine.retile.run import retile
-from odt_plugins.engine.retile.surface import Base, Passes, at_thin, resize
+from odt_plugins.engine.retile.surface import Base, resize
 from odt_plugins.engine.run.outcome import as_it_is
 from odt_plugins.mesh.simplex import simplex_mesh
 from odt_plugins.mesh.surface import surface_edges, surface_mesh

@@ -1,0 +1,125 @@
+"""Lines with as many edges as their length asks for, as long as another by their sizes."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from odt_plugins.engine.ground.build import ground_values
+from odt_plugins.engine.ground.sheet import LINE
+from odt_plugins.engine.retile.collapse import collapse_edges
+from odt_plugins.engine.retile.net import Net, relative_lengths
+from odt_plugins.engine.retile.passes import Passes, grown
+from odt_plugins.engine.retile.shift import slide_vertices
+from odt_plugins.engine.retile.split import split_edges
+from odt_plugins.engine.retile.tracks import Tracks
+from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
+
+UNLIKE = 1e-3
+"""Part of the area of a region by which lines may change it."""
+
+TURNS = 8
+"""Most passes of splits and collapses."""
+
+SWEEPS = 12
+"""Moves of all vertices towards their goals."""
+
+
+def even_lines(net: Net, passes: Passes) -> Net:
+    """Give every line that is not held the integral of 1 / h along it, rounded, of like edges.
+
+    What the envelope forbids stays; all of it, if the area of a region would change by more than
+    UNLIKE.
+    """
+    before = net._replace(**{name: np.copy(array) for name, array in net._asdict().items()})
+    areas = _areas(net)
+    tracks = passes.rules.tracks
+    total = np.diff(_counted(tracks, passes)[[tracks.start, tracks.stop]], axis=0)[0]
+    wanted = np.maximum(np.rint(total), 1).astype(np.int64)
+    for _ in range(TURNS):
+        pairs, chain, ratio = _line_edges(net)
+        lacking = np.where(tracks.held, 0, wanted - np.bincount(chain, minlength=len(wanted)))
+        done = 0
+        for sign, change in ((1, _split), (-1, _collapse)):
+            order = np.lexsort((-sign * ratio, chain))
+            rank = np.arange(len(order)) - np.searchsorted(chain[order], chain[order])
+            chosen = order[rank < sign * lacking[chain[order]]]
+            net, count = change(net, passes, pairs[chosen])
+            done += count
+        if not done:
+            break
+        passes.measure(net)
+        passes.flip(net, 1.0)
+        passes.shift(net, 0.0)
+    goals = _goals(net, passes)
+    for _ in range(SWEEPS):
+        if not slide_vertices(net, passes.rules, goals, passes.room):
+            break
+        passes.flip(net, 1.0)
+        passes.shift(net, 0.0)
+    passes.measure(net)
+    if (np.abs(_areas(net) - areas) > UNLIKE * areas).any():
+        return before
+    return net
+
+
+def _areas(net: Net) -> FloatArray:
+    """Area of every label of a net in the plane."""
+    triangles, labels = net.triangles[: net.count[1]], net.labels[: net.count[1]]
+    used = triangles[:, 0] >= 0
+    a, b, c = (net.points[triangles[used, i], :2] for i in range(3))
+    twice = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    _, number = np.unique(labels[used], return_inverse=True)
+    return np.asarray(np.bincount(number.ravel(), 0.5 * twice))
+
+
+def _split(net: Net, passes: Passes, pairs: IntArray) -> tuple[Net, int]:
+    """Split edges of lines, however short."""
+    net = grown(net, len(pairs), 4 * len(pairs))
+    return net, split_edges(net, passes.rules._replace(longest=0.0), pairs, passes.room)
+
+
+def _collapse(net: Net, passes: Passes, pairs: IntArray) -> tuple[Net, int]:
+    """Collapse edges of lines, however long."""
+    rules = passes.rules._replace(longest=math.inf, shortest=math.inf)
+    return net, collapse_edges(net, rules, pairs, passes.room)
+
+
+def _counted(tracks: Tracks, passes: Passes) -> FloatArray:
+    """Integral (k,) of 1 / h along the tracks up to each of their vertices."""
+    size = np.empty(len(tracks.arc))
+    face = tracks.face.copy()
+    face[tracks.stop] = face[tracks.stop - 1]
+    ground_values(passes.rules.ground, passes.sizes, tracks.points, face, size)
+    density = 0.5 * (1.0 / size[1:] + 1.0 / size[:-1]) * np.diff(tracks.arc)
+    return np.concatenate([[0.0], np.cumsum(density)])
+
+
+def _line_edges(net: Net) -> tuple[IntArray, LongArray, FloatArray]:
+    """Edges (e, 2) on tracks, their tracks, and their lengths as parts of their sizes."""
+    triangles, marks = net.triangles[: net.count[1]], net.marks[: net.count[1]]
+    row, corner = np.nonzero((marks >= 0) & (triangles[:, :1] >= 0))
+    ends = np.sort(triangles[row[:, None], (corner[:, None] + [1, 2]) % 3], axis=1)
+    pairs, first = np.unique(ends, axis=0, return_index=True)
+    pairs = np.ascontiguousarray(pairs, dtype=np.int32)
+    ratio = np.empty(len(pairs))
+    relative_lengths(net, pairs, ratio)
+    return pairs, marks[row, corner][first].astype(np.int64), ratio
+
+
+def _goals(net: Net, passes: Passes) -> FloatArray:
+    """Place that each vertex (n,) is to have on its track, nan for those on none."""
+    tracks = passes.rules.tracks
+    counted = _counted(tracks, passes)
+    n = int(net.count[0])
+    goals = np.full(n, np.nan)
+    on = np.flatnonzero((net.kind[:n] == LINE) & (net.head[:n] >= 0))
+    on = on[np.argsort(net.place[on], kind="stable")]
+    chain = np.searchsorted(tracks.arc[tracks.start], net.place[on], side="right") - 1
+    there = np.bincount(chain, minlength=len(tracks.start))
+    rank = np.arange(len(on)) - (np.cumsum(there) - there)[chain] + 1
+    low, high = counted[tracks.start[chain]], counted[tracks.stop[chain]]
+    goals[on] = np.interp(low + (high - low) * rank / (there[chain] + 1), counted, tracks.arc)
+    goals[on[tracks.held[chain]]] = np.nan
+    return goals

@@ -1,0 +1,127 @@
+"""Vertices of a surface in the plane that are laid out in rows, and lines of like edges."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy.spatial import Delaunay
+from scipy.spatial.distance import pdist
+
+import odt_plugins
+from odt_plugins.engine.ground.build import make_ground
+from odt_plugins.engine.retile.front import APART, make_front, place_rows
+from odt_plugins.engine.topology.star import vertex_stars
+from odt_plugins.mesh.surface import surface_edges
+
+
+def square(n, seed=0):
+    """Points at random in the unit square, n to an edge of its rim, and their triangles."""
+    rng = np.random.default_rng(seed)
+    along = np.linspace(0, 1, n + 1)[1:-1]
+    along = along + rng.uniform(-0.35, 0.35, n - 1) / n
+    zero, one = np.zeros(n - 1), np.ones(n - 1)
+    rim = [np.array([[0, 0], [1, 0], [1, 1], [0, 1.0]])]
+    rim += [np.column_stack(xy) for xy in (
+        (along, zero), (along, one), (zero, along), (one, along))]
+    inner = rng.uniform(0.5 / n, 1 - 0.5 / n, (n * n, 2))
+    points = np.concatenate([*rim, inner])
+    cells = Delaunay(points).simplices
+    u, v = points[cells[:, 1]] - points[cells[:, 0]], points[cells[:, 2]] - points[cells[:, 0]]
+    area = u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]
+    return points, cells[area > 1e-12].astype(np.int32)
+
+
+def qualities(points, cells):
+    """Ratio of twice the inner to the outer radius: 4 |sin A sin B sin C| / (sin A + ...)."""
+    sides = points[cells[:, [1, 2, 0]]] - points[cells[:, [2, 0, 1]]]
+    a, b, c = np.linalg.norm(sides, axis=2).T
+    return (b + c - a) * (c + a - b) * (a + b - c) / (a * b * c)
+
+
+def on_rim(points):
+    return ((points == 0) | (points == 1)).any(axis=1)
+
+
+@pytest.mark.parametrize("length", [0.04, 0.0625])
+def test_most_vertices_of_a_plane_get_six_neighbours(length):
+    made, cells = odt_plugins.remesh(square(14), length, envelope=1e-3)
+    q = qualities(made, cells)
+    assert q.mean() > 0.99
+    assert np.quantile(q, 0.01) > 0.9
+    degree = np.bincount(cells.ravel())[~on_rim(made)]
+    assert (degree == 6).mean() > 0.8
+
+
+def test_lines_get_as_many_like_edges_as_their_length_asks_for():
+    made, _ = odt_plugins.remesh(square(14), 0.05, envelope=1e-3)
+    for axis in range(2):
+        for side in (0.0, 1.0):
+            at = np.sort(made[made[:, axis] == side, 1 - axis])
+            assert len(at) == 21
+            np.testing.assert_allclose(np.diff(at), 0.05, rtol=0.2)
+
+
+def test_rows_keep_to_regions_lines_and_what_is_frozen():
+    points, cells = square(16)
+    middle = points[cells].mean(axis=1)
+    regions = (middle[:, 0] > 0.5).astype(np.int32)
+    frozen = np.linalg.norm(middle - 0.25, axis=1) < 0.12
+    (made, new, _), report = odt_plugins.remesh_with_report(
+        (points, cells), 0.05, envelope=1e-3, regions=regions, selection=~frozen)
+    assert report.fallback is None
+    assert {tuple(np.sort(points[c], axis=0).ravel()) for c in cells[frozen]} <= {
+        tuple(np.sort(made[c], axis=0).ravel()) for c in new}
+    assert qualities(made, new).mean() > 0.95
+
+
+def placed(points, cells, labels, edges, length):
+    """Places of a front that starts at edges (e, 3)."""
+    flat = np.column_stack([points, np.zeros(len(points))])
+    found, stars = surface_edges(cells, len(points)), vertex_stars(cells, len(points))
+    ground = make_ground(flat, cells, found, stars, np.zeros(len(found.degree), dtype=np.bool_))
+    outer = np.unique(edges[:, :2])
+    foot = np.zeros(len(points), dtype=np.int32)
+    foot[cells.ravel()] = np.repeat(np.arange(len(cells), dtype=np.int32), 3)
+    numbered = np.column_stack([np.searchsorted(outer, edges[:, :2]), edges[:, 2]])
+    n = len(outer)
+    front = make_front(flat[outer], foot[outer], np.full(n, length), numbered.astype(np.int32),
+                       4 * math.ceil(length**-2))
+    sizes = np.full(len(points), length)
+    assert place_rows(front, ground, sizes, labels, length)
+    return front.points[n : front.count[0], :2], front.points[:n, :2]
+
+
+def test_places_are_apart_and_leave_no_gap():
+    points, cells = square(20)
+    ends = surface_edges(cells, len(points))
+    rim = np.flatnonzero(ends.degree == 1)
+    row, corner = np.nonzero(np.isin(ends.of_cell, rim))
+    edges = np.column_stack([cells[row, (corner + 1) % 3], cells[row, (corner + 2) % 3],
+                             np.zeros(len(row), dtype=np.int32)])
+    length = 0.05
+    places, outer = placed(points, cells, np.zeros(len(cells), np.int32), edges, length)
+    assert ((places > 0) & (places < 1)).all()
+    assert pdist(places).min() >= APART * length
+    assert len(places) == pytest.approx(2 / 3**0.5 / length**2, rel=0.15)
+    every = np.concatenate([places, outer])
+    corners = every[Delaunay(every).simplices]
+    inside = ((corners > 2 * length) & (corners < 1 - 2 * length)).all(axis=(1, 2))
+    longest = np.linalg.norm(corners - corners[:, [1, 2, 0]], axis=2).max(axis=1)
+    assert longest[inside].max() < 1.8 * length
+
+
+def test_places_stay_on_their_side_of_a_border():
+    points, cells = square(20)
+    labels = (points[cells].mean(axis=1)[:, 0] > 0.5).astype(np.int32)
+    ends = surface_edges(cells, len(points))
+    left = np.flatnonzero(labels == 0)
+    row, corner = np.nonzero(ends.degree[ends.of_cell[left]] == 1)
+    edges = np.column_stack([cells[left[row], (corner + 1) % 3], cells[left[row], (corner + 2) % 3],
+                             np.zeros(len(row), dtype=np.int32)])
+    places, _ = placed(points, cells, labels, edges, 0.05)
+    held = Delaunay(points).find_simplex(places)
+    middle = points[Delaunay(points).simplices].mean(axis=1)[held]
+    assert len(places) > 100
+    assert (middle[:, 0] <= 0.5).all()
