@@ -9,6 +9,7 @@ import numpy as np
 from odt_plugins.engine.ground.build import ground_values
 from odt_plugins.engine.ground.sheet import LINE
 from odt_plugins.engine.retile.collapse import collapse_edges
+from odt_plugins.engine.retile.grading import spread
 from odt_plugins.engine.retile.net import Net, relative_lengths
 from odt_plugins.engine.retile.passes import Passes, grown
 from odt_plugins.engine.retile.shift import slide_vertices
@@ -18,6 +19,10 @@ from odt_plugins.mesh.arrays import FloatArray, IntArray, LongArray
 
 UNLIKE = 1e-3
 """Part of the area of a region by which lines may change it."""
+
+RELENT, NEAR = 1.4, 3
+"""Multiple of the mean of edges of a line above which sizes there are not kept, and how many of
+them count on both sides."""
 
 TURNS = 8
 """Most passes of splits and collapses."""
@@ -62,6 +67,36 @@ def even_lines(net: Net, passes: Passes) -> Net:
     if (np.abs(_areas(net) - areas) > UNLIKE * areas).any():
         return before
     return net
+
+
+def relent_along(net: Net, passes: Passes, nodes: IntArray, edges: IntArray) -> None:
+    """Make sizes smaller where edges of lines are much shorter, as the envelope asks them to be.
+
+    Parameters
+    ----------
+    net : Net
+    passes : Passes            their sizes change
+    nodes : (k,) int32         vertices of the ground that those of the tracks are
+    edges : (e, 2) int32       of the ground
+    """
+    tracks, n = passes.rules.tracks, int(net.count[0])
+    on = (net.kind[:n] == LINE) & (net.head[:n] >= 0)
+    sizes = passes.sizes.copy()
+    for first, last, held in zip(tracks.start, tracks.stop, tracks.held, strict=True):
+        if held:
+            continue
+        arc = tracks.arc[first : last + 1]
+        inside = net.place[:n][on & (net.place[:n] > arc[0]) & (net.place[:n] < arc[-1])]
+        knots = np.concatenate([arc[:1], np.sort(inside), arc[-1:]])
+        near = np.searchsorted(knots, arc, side="right")
+        low = np.maximum(near - NEAR, 0)
+        high = np.minimum(near + NEAR - 1, len(knots) - 1)
+        mean = (knots[high] - knots[low]) / (high - low)
+        at = nodes[first : last + 1]
+        sizes[at] = np.minimum(sizes[at], RELENT * mean)
+    if (sizes < passes.sizes).any():
+        passes.sizes = spread(passes.rules.ground.points, edges, sizes)
+        passes.measure(net)
 
 
 def _areas(net: Net) -> FloatArray:

@@ -13,6 +13,8 @@ from odt_plugins.engine.ground.closest import Ground
 from odt_plugins.engine.ground.features import Features, find_features
 from odt_plugins.engine.ground.sheet import LINE
 from odt_plugins.engine.policy import POLICY
+from odt_plugins.engine.retile.areas import heights
+from odt_plugins.engine.retile.even import relent_along
 from odt_plugins.engine.retile.grading import fitting
 from odt_plugins.engine.retile.net import Net, Rules, link_all
 from odt_plugins.engine.retile.passes import LONGEST, SHORTEST, Passes, compact
@@ -108,6 +110,7 @@ def resize(
         if not flat and turn >= 1:
             passes.relent(net, edges.vertices)
         if in_rows and turn == 0:
+            relent_along(net, passes, features.lines.nodes, edges.vertices)
             net = lay_in_rows(net, passes, base.labels)
     for power, sweeps in FINISH:
         for _ in range(sweeps):
@@ -135,6 +138,10 @@ def _tracks(base: Base, features: Features, reach: FloatArray) -> tuple[Tracks, 
     held[chain[base.held[number]]] = True
     near = np.full(len(start), np.inf)
     np.minimum.at(near, chain, reach[lines.face[slot]])
+    if not base.points[:, 2].any():
+        near = np.minimum(near, heights(
+            base.points, base.triangles, base.labels, edges, number, np.column_stack([one, two]),
+            chain, len(near)))
     return Tracks(
         np.ascontiguousarray(base.points[nodes]), lines.arc, lines.face, start, stop, held, near
     ), marks

@@ -10,6 +10,7 @@ from surface_meshes import bowl, cube, sphere
 
 import odt_plugins
 import odt_plugins.engine.retile.run as retile_run
+import odt_plugins.engine.retile.surface as retile_surface
 from odt_plugins.generate import clouds
 
 
@@ -74,12 +75,16 @@ def test_as_coarse_as_the_topology_allows():
     assert 4 <= len(few) < 40
 
 
-def test_sizes_that_figures_forbid_are_the_nearest_that_hold():
+@pytest.mark.parametrize("relenting", [False, True])
+def test_sizes_that_figures_forbid_are_the_nearest_that_hold(relenting, monkeypatch):
+    if not relenting:
+        monkeypatch.setattr(retile_surface, "relent_along", lambda *_: None)
     mesh = clouds.plate(200)
     (points, cells), report = odt_plugins.remesh_with_report(mesh, 1.0)
     assert report.fallback is None
-    assert any("nearer to those of the input than asked for, since" in n for n in report.notes)
-    assert len(points) < 0.6 * len(mesh[0])
+    nearer = "nearer to those of the input than asked for, since"
+    assert any(nearer in note for note in report.notes) is not relenting
+    assert len(points) < (0.65 if relenting else 0.6) * len(mesh[0])
     assert report.after.mean_quality > report.before.mean_quality
     assert report.after.min_quality >= report.before.min_quality
     sides = np.linalg.det(points[cells][:, 1:] - points[cells][:, :1])
@@ -105,8 +110,11 @@ def test_a_plate_far_thinner_than_the_sizes_does_not_fill_the_memory(monkeypatch
     assert 100 * len(cells) < max(room) < 1000 * len(cells)
 
 
+@pytest.mark.parametrize("guarded", [False, True])
 @pytest.mark.parametrize("radius", [0.1, 0.2])
-def test_a_small_round_region_leaves_the_rest_to_be_resized(radius):
+def test_a_small_round_region_leaves_the_rest_to_be_resized(radius, guarded, monkeypatch):
+    if not guarded:
+        monkeypatch.setattr(retile_surface, "heights", lambda *lines: np.full(lines[-1], np.inf))
     turns = 2 * np.pi * np.arange(16) / 16
     ring = radius * np.stack([np.cos(turns), np.sin(turns)], axis=1)
     grid = np.stack(np.meshgrid(*[np.linspace(-1, 1, 31)] * 2), axis=-1).reshape(-1, 2)
@@ -123,4 +131,7 @@ def test_a_small_round_region_leaves_the_rest_to_be_resized(radius):
         was, now = (abs(area(x, c)) for x, c in (
             (points, cells[disk == label]), (new, rows[labels == label])))
         assert now == pytest.approx(was, rel=3e-3)
-    assert "the area of region 1" in report.fallback
+    if guarded:
+        assert report.fallback is None
+    else:
+        assert "the area of region 1" in report.fallback

@@ -11,6 +11,7 @@ from scipy.spatial.distance import pdist
 
 import odt_plugins
 from odt_plugins.engine.ground.build import make_ground
+from odt_plugins.engine.retile.areas import PART, heights
 from odt_plugins.engine.retile.front import APART, make_front, place_rows
 from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.mesh.surface import surface_edges
@@ -125,3 +126,55 @@ def test_places_stay_on_their_side_of_a_border():
     middle = points[Delaunay(points).simplices].mean(axis=1)[held]
     assert len(places) > 100
     assert (middle[:, 0] <= 0.5).all()
+
+
+def disc(n):
+    """A fine mesh of the unit disc, and the area of its polygon."""
+    rings = [np.zeros((1, 2))]
+    for k in range(1, n + 1):
+        angle = 2 * np.pi * (np.arange(6 * k) + 0.5 * (k % 2)) / (6 * k)
+        rings.append(k / n * np.column_stack([np.cos(angle), np.sin(angle)]))
+    points = np.concatenate(rings)
+    return points, Delaunay(points).simplices.astype(np.int32)
+
+
+def area(points, cells):
+    u, v = points[cells[:, 1]] - points[cells[:, 0]], points[cells[:, 2]] - points[cells[:, 0]]
+    return float(np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum() / 2)
+
+
+@pytest.mark.parametrize("length", [0.15, 0.5])
+def test_a_coarse_rim_keeps_the_area_and_sizes_grow_from_it(length):
+    points, cells = disc(30)
+    (made, new), report = odt_plugins.remesh_with_report((points, cells), length, envelope=0.02)
+    assert report.fallback is None
+    assert area(made, new) == pytest.approx(area(points, cells), rel=3e-3)
+    assert len(made) < 0.1 * len(points)
+    assert qualities(made, new).min() > 0.6
+
+
+def test_heights_of_a_circle_and_of_straight_lines():
+    points, cells = disc(30)
+    edges = surface_edges(cells, len(points))
+    rim = np.flatnonzero(edges.degree == 1)
+    order = rim[np.argsort(np.arctan2(*points[edges.vertices[rim]].mean(axis=1).T))]
+    chain = np.zeros(len(order), dtype=np.int32)
+    labels = np.zeros(len(cells), dtype=np.int32)
+    ends = edges.vertices[order].astype(np.int64)
+    turned = [set(a) & set(b) for a, b in zip(ends, np.roll(ends, -1, axis=0), strict=True)]
+    assert all(len(shared) == 1 for shared in turned)
+    for k in range(len(ends)):
+        if {ends[k, 0]} == turned[k]:
+            ends[k] = ends[k, ::-1]
+    found = heights(points, cells, labels, edges, order, ends, chain, 1)
+    perimeter = 2 * len(order) * np.sin(np.pi / len(order))
+    assert found[0] == pytest.approx(1.5 * PART * area(points, cells) / perimeter, rel=1e-12)
+    square_points, square_cells = square(8)
+    edges = surface_edges(square_cells, len(square_points))
+    bottom = np.flatnonzero((square_points[edges.vertices, 1] == 0).all(axis=1))
+    bottom = bottom[np.argsort(square_points[edges.vertices[bottom], 0].min(axis=1))]
+    ends = edges.vertices[bottom].astype(np.int64)
+    ends = np.take_along_axis(ends, np.argsort(square_points[ends, 0], axis=1), axis=1)
+    straight = heights(square_points, square_cells, np.zeros(len(square_cells), np.int32), edges,
+                       bottom, ends, np.zeros(len(bottom), np.int32), 1)
+    assert straight[0] == np.inf
