@@ -13,8 +13,8 @@ operations, `resize` runs rounds of them.
 
 A surface in the plane is one with z = 0, where the tracks alone keep the shape. After the first
 round, without a metric, tracks get like edges there (`even_lines`), and the vertices between them
-give way to others in rows (`place_rows`, `lay_in_rows`): most have six neighbours then. Curved tracks
-are followed so closely that regions keep their areas (`heights`).
+give way to others in rows (`place_rows`, `lay_in_rows`): most have six neighbours then. Curved
+tracks are followed so closely that regions keep their areas (`heights`).
 
 References
 ----------
