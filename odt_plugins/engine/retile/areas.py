@@ -37,19 +37,16 @@ def heights(
     chain : (k,) int32        their lines
     count : int               lines
     """
-    low = np.full(len(edges.degree), np.iinfo(np.int32).max)
-    high = np.full(len(edges.degree), -1)
     _, rank = np.unique(labels, return_inverse=True)
-    np.minimum.at(low, edges.of_cell.ravel(), np.repeat(rank, 3))
-    np.maximum.at(high, edges.of_cell.ravel(), np.repeat(rank, 3))
+    low, high = labels_beside(rank, edges)
     step = points[ends[:, 1], :2] - points[ends[:, 0], :2]
     length = np.sqrt((step**2).sum(axis=1))
     curved = _turned(step, length, chain)
-    border = (edges.degree[number] == 1) | (low[number] != high[number])
+    sides = low[number], high[number]
+    border = (edges.degree[number] == 1) | (sides[0] != sides[1])
     u, v = (points[triangles[:, i], :2] - points[triangles[:, 0], :2] for i in (1, 2))
     area = np.bincount(rank, 0.5 * np.abs(u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]))
     around = np.zeros(len(area))
-    sides = (low[number], np.where(edges.degree[number] == 1, low[number], high[number]))
     counted = curved & border
     np.add.at(around, sides[0][counted], length[counted])
     both = counted & (sides[1] != sides[0])
@@ -60,6 +57,15 @@ def heights(
     for side in sides:
         np.minimum.at(out, chain[border], limit[side[border]])
     return out
+
+
+def labels_beside(labels: IntArray | LongArray, edges: Edges) -> tuple[LongArray, LongArray]:
+    """Least and largest label (e,) of the triangles at every edge."""
+    low = np.full(len(edges.degree), np.iinfo(np.int64).max, dtype=np.int64)
+    high = np.full(len(edges.degree), np.iinfo(np.int64).min, dtype=np.int64)
+    np.minimum.at(low, edges.of_cell.ravel(), np.repeat(labels, 3))
+    np.maximum.at(high, edges.of_cell.ravel(), np.repeat(labels, 3))
+    return low, high
 
 
 def _turned(step: FloatArray, length: FloatArray, chain: IntArray) -> BoolArray:

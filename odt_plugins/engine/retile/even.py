@@ -1,4 +1,4 @@
-"""Lines with as many edges as their length asks for, as long as another by their sizes."""
+"""Every line gets as many edges as the integral of 1 / h along it, of like length in h."""
 
 from __future__ import annotations
 
@@ -80,14 +80,15 @@ def relent_along(net: Net, passes: Passes, nodes: IntArray, edges: IntArray) -> 
     edges : (e, 2) int32       of the ground
     """
     tracks, n = passes.rules.tracks, int(net.count[0])
-    on = (net.kind[:n] == LINE) & (net.head[:n] >= 0)
+    places = np.sort(net.place[:n][(net.kind[:n] == LINE) & (net.head[:n] >= 0)])
     sizes = passes.sizes.copy()
     for first, last, held in zip(tracks.start, tracks.stop, tracks.held, strict=True):
         if held:
             continue
         arc = tracks.arc[first : last + 1]
-        inside = net.place[:n][on & (net.place[:n] > arc[0]) & (net.place[:n] < arc[-1])]
-        knots = np.concatenate([arc[:1], np.sort(inside), arc[-1:]])
+        inside = places[np.searchsorted(places, arc[0], side="right")
+                        : np.searchsorted(places, arc[-1])]
+        knots = np.concatenate([arc[:1], inside, arc[-1:]])
         near = np.searchsorted(knots, arc, side="right")
         low = np.maximum(near - NEAR, 0)
         high = np.minimum(near + NEAR - 1, len(knots) - 1)

@@ -17,6 +17,7 @@ from odt_plugins.engine.policy import POLICY
 from odt_plugins.engine.record.figures import cell_shapes, figures
 from odt_plugins.engine.record.memory import State
 from odt_plugins.engine.record.relaxed import relaxed
+from odt_plugins.engine.retile.areas import labels_beside
 from odt_plugins.engine.retile.net import Net
 from odt_plugins.engine.retile.surface import Base, resize
 from odt_plugins.engine.run.outcome import Leaving, Outcome, unchanged
@@ -277,10 +278,7 @@ def _around(mesh: SimplexMesh, labels: list[int]) -> BoolArray:
 
 def _lines(cells: IntArray, regions: IntArray, edges: Edges) -> dict[tuple[int, ...], IntArray]:
     """Rims, seams and borders as triangles without area, by the labels at them and their degree."""
-    low = np.full(len(edges.degree), len(cells), dtype=np.int64)
-    high = np.full(len(edges.degree), -1, dtype=np.int64)
-    np.minimum.at(low, edges.of_cell.ravel(), np.repeat(regions, 3))
-    np.maximum.at(high, edges.of_cell.ravel(), np.repeat(regions, 3))
+    low, high = labels_beside(regions, edges)
     border = np.flatnonzero((edges.degree != 2) | (low != high))
     rows = np.stack([np.minimum(edges.degree, 3), low, high], axis=1)[border]
     names, number = np.unique(rows, axis=0, return_inverse=True)
