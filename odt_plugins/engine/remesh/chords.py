@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 
@@ -14,9 +15,10 @@ from odt_plugins.engine.ground.features import (
 )
 from odt_plugins.engine.ground.sheet import LINE
 from odt_plugins.engine.remesh.lay_out import surface_of
-from odt_plugins.engine.remesh.sizes import local_sizes
+from odt_plugins.engine.remesh.sizes import FINER, Sizes, local_sizes
 from odt_plugins.engine.surface.curvature import AVERAGES, vertex_curvature
 from odt_plugins.engine.topology.star import vertex_stars
+from odt_plugins.errors import counted
 from odt_plugins.mesh.arrays import FloatArray
 from odt_plugins.mesh.simplex import SimplexMesh, diagonal
 from odt_plugins.mesh.surface import disagreeing_edges, surface_edges
@@ -25,12 +27,40 @@ PART = 0.5
 """Part of the envelope for the height of an edge of its size; longer edges and the finishing have
 the rest."""
 
+MOST = 1.2
+"""Multiple of the chords that the envelope allows up to which sizes of surfaces are kept."""
+
 LONGEST = 0.1
 """Largest size, as a part of the diagonal, where nothing is curved."""
 
 
 def curvature_sizes(mesh: SimplexMesh, envelope: float, angle: float) -> FloatArray:
-    """Sizes (n,) as long as an envelope allows, but no smaller than those of the input.
+    """Sizes (n,) as long as an envelope allows, see :func:`chords`, and LONGEST at most."""
+    longest = LONGEST * diagonal(mesh.points[np.unique(mesh.cells)])
+    return np.maximum(np.minimum(chords(mesh, envelope, angle), longest), local_sizes(mesh))
+
+
+def within_chords(mesh: SimplexMesh, sizes: Sizes, envelope: float, angle: float) -> Sizes:
+    """Sizes of a surface no longer than MOST times its :func:`chords`, or than those of the input.
+
+    Longer edges would come in the direction alone in which the surface is less curved.
+    """
+    most = np.maximum(MOST * chords(mesh, envelope, angle), local_sizes(mesh))
+    used = np.unique(mesh.cells)
+    finer = used[sizes.values[used] > FINER * most[used]]
+    if not len(finer):
+        return sizes
+    ratio = sizes.values[finer] / most[finer]
+    place = ", ".join(f"{x:.4g}" for x in mesh.points[finer[np.argmax(ratio)]])
+    note = (f"sizes are smaller than asked for at {counted(len(finer), 'vertex', 'vertices')} of "
+            f"the input, {np.median(ratio):.2g} times in the middle and {ratio.max():.2g} times at "
+            f"most, near ({place}): the envelope allows no longer edges")
+    found = sizes.below(mesh, most)
+    return replace(found, notes=(*found.notes, note))
+
+
+def chords(mesh: SimplexMesh, envelope: float, angle: float) -> FloatArray:
+    """Sizes (n,) as long as an envelope allows, inf where nothing is curved.
 
     Parameters
     ----------
@@ -65,10 +95,10 @@ def curvature_sizes(mesh: SimplexMesh, envelope: float, angle: float) -> FloatAr
     curvature = np.maximum(
         vertex_curvature(points, triangles, np.where(apart, -1, edges.neighbors)),
         line_curvature(points, features))
-    sizes = np.full(n, LONGEST * diagonal(mesh.points[np.unique(mesh.cells)]))
+    sizes = np.full(n, np.inf)
     curved = curvature > 0.0
-    sizes[curved] = np.minimum(sizes[curved], np.sqrt(8.0 * PART * envelope / curvature[curved]))
-    return np.maximum(sizes, local_sizes(mesh))
+    sizes[curved] = np.sqrt(8.0 * PART * envelope / curvature[curved])
+    return sizes
 
 
 def line_curvature(points: FloatArray, features: Features) -> FloatArray:

@@ -18,11 +18,12 @@ from odt_plugins.engine.record.figures import Figures, cell_shapes, figures
 from odt_plugins.engine.record.memory import State
 from odt_plugins.engine.record.relaxed import relaxed
 from odt_plugins.engine.remesh.body import FREELY, STAYS, STIFF
-from odt_plugins.engine.remesh.chords import curvature_sizes
+from odt_plugins.engine.remesh.chords import curvature_sizes, within_chords
 from odt_plugins.engine.remesh.distance import CUT, beyond, furthest
 from odt_plugins.engine.remesh.finish import MORE, Resized, Room, finished, sums
 from odt_plugins.engine.remesh.lay_out import lay_out, surface_of
 from odt_plugins.engine.remesh.sizes import (
+    FINER,
     Sizes,
     expected_cells,
     lengths_of,
@@ -91,9 +92,6 @@ CLOSE = 1.1
 LONGER = 1.11
 """Sizes are worked with so many times as long, so that edges have them on average."""
 
-FINER = 1.1
-"""Multiple of its size that must have been asked for at a vertex which is told to be finer."""
-
 IN = (0.5**0.5, 2.0**0.5)
 """Edges whose length is within these multiples of their size have it."""
 
@@ -119,6 +117,9 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
     if wish.curved:
         given = curvature_sizes(mesh, envelope_length(mesh, options), options.feature_angle)
     sizes = wanted_sizes(mesh, wish, given)
+    if mesh.is_surface and not len(mesh.metric):
+        sizes = within_chords(
+            mesh, sizes, envelope_length(mesh, options), options.feature_angle)
     options = replace(
         options, density="keep", smoothing=replace(options.smoothing, exponent=None), insert=False)
     if mesh.frozen.all() or not len(mesh.cells):

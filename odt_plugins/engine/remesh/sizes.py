@@ -24,6 +24,9 @@ CONTENT = {3: 0.44, 4: 0.105}
 LEAST = 1e-6
 """Smallest size, as a part of the diagonal."""
 
+FINER = 1.1
+"""Multiple of its size that must have been asked for at a vertex which is told to be finer."""
+
 PASSES = 2
 """Averaging passes over the logarithm of the sizes that the input has."""
 

@@ -18,6 +18,7 @@ from odt_plugins.engine.retile.even import relent_along
 from odt_plugins.engine.retile.grading import fitting
 from odt_plugins.engine.retile.net import Net, Rules, link_all
 from odt_plugins.engine.retile.passes import LONGEST, SHORTEST, Passes, compact
+from odt_plugins.engine.retile.polish import polish
 from odt_plugins.engine.retile.rows import lay_in_rows
 from odt_plugins.engine.retile.tracks import Tracks
 from odt_plugins.engine.topology.star import vertex_stars
@@ -31,8 +32,8 @@ of them."""
 MOVES = 3
 """Flips and moves of all vertices in a round."""
 
-FINISH = ((2.0, 10), (4.0, 10), (8.0, 10))
-"""Powers p and sweeps of flips and Newton steps on F_p that follow."""
+FINISH = ((2.0, 3), (8.0, 3))
+"""Powers p and sweeps of flips and Newton steps on F_p, in which vertices on lines take part."""
 
 
 class Base(NamedTuple):
@@ -116,7 +117,9 @@ def resize(
         for _ in range(sweeps):
             passes.flip(net, power)
             passes.shift(net, power)
-    return compact(net), marks
+    net = compact(net)
+    polish(net, rules, passes.metric)
+    return net, marks
 
 
 def _tracks(base: Base, features: Features, reach: FloatArray) -> tuple[Tracks, IntArray]:
