@@ -165,8 +165,8 @@ def _off(outcome: Outcome, wish: Wish, goal: int) -> float:
 
 
 def _triangles(mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leaving) -> Outcome:
-    """Resize triangles; where the promise does not allow that everywhere, also to sizes nearer to
-    those of the input: the coarsest result.
+    """Resize triangles; where much of the input stays for the promise's sake, also to sizes nearer
+    to those of the input: the coarsest result.
     """
     wanted: Sizes | None = sizes
     best, why = unchanged(mesh, "no other sizes kept the promise"), None
@@ -182,10 +182,21 @@ def _triangles(mesh: SimplexMesh, sizes: Sizes, options: Options, leaving: Leavi
                     + (why or "").partition("since ")[2])
             best = outcome if why is None else replace(outcome, notes=(note, *outcome.notes))
         why = why or outcome.fallback
-        if outcome.fallback is None:
+        if outcome.fallback is None or _stays(mesh, outcome) <= MOST_HELD:
             break
         wanted = _nearer(mesh, wanted, np.zeros(len(mesh.cells), dtype=np.bool_))
     return best
+
+
+def _stays(mesh: SimplexMesh, outcome: Outcome) -> float:
+    """Part of the triangles of a mesh that an outcome has."""
+    if outcome.origin is None:
+        return 1.0
+    number = new_numbers(outcome.origin, len(mesh.points))
+    both = np.concatenate([number[mesh.cells], outcome.cells])
+    _, which = np.unique(np.sort(both, axis=1), axis=0, return_inverse=True)
+    m = len(mesh.cells)
+    return float(np.isin(which[:m], which[m:]).mean())
 
 
 def _tries(

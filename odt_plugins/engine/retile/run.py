@@ -256,11 +256,11 @@ def _judged(
     if max(far) > length:
         broken.append(f"the result is up to {max(far):.3g} from the input, beyond the envelope of "
                       f"{length:.3g}")
-    cut = _crossed(y, cells, new, planar=not mesh.is_surface)
-    if cut.any() and cut.sum() > _crossed(x, mesh.cells, old, planar=not mesh.is_surface).sum():
-        count = counted(int(cut.sum()), "vertex", "vertices")
+    cut = newly_crossed(_shell(y, cells, new, mesh), _shell(x, mesh.cells, old, mesh), length)
+    if len(cut):
+        count = counted(len(cut), "vertex", "vertices")
         broken.append(f"the result cuts through itself at {count}")
-        bad |= cut
+        bad[cut] = True
     unlike = np.zeros(len(mesh.cells), dtype=np.bool_)
     if broken and not mesh.is_surface:
         others = other_sizes(mesh, points, cells, outcome.regions)
@@ -286,13 +286,37 @@ def _lines(cells: IntArray, regions: IntArray, edges: Edges) -> dict[tuple[int, 
             for i, name in enumerate(names.tolist())}
 
 
-def _crossed(
-    points: FloatArray, cells: IntArray, edges: Edges, *, planar: bool
-) -> BoolArray:
-    """Vertices (n,) of triangles that cross others, in the plane of edges of the rim."""
-    facets = edges.vertices[edges.degree == 1] if planar else cells
-    mask = np.zeros(len(points), dtype=np.bool_)
-    if len(facets):
-        flat = points[:, :2] if planar else points
-        mask[facets[crossed_facets(np.ascontiguousarray(flat), facets) >= 0]] = True
-    return mask
+class Shell(NamedTuple):
+    """Points (n, 2) or (n, 3), and what of a mesh must not cross: edges of a rim, or triangles."""
+
+    points: FloatArray
+    facets: IntArray
+
+    def crossed(self) -> IntArray:
+        """Facets that cross others, as triangles (k, 3), those of an edge without area."""
+        if not len(self.facets):
+            return np.zeros((0, 3), dtype=np.int32)
+        rows: IntArray = self.facets[crossed_facets(self.points, self.facets) >= 0]
+        return rows if rows.shape[1] == 3 else rows[:, [0, 1, 1]]
+
+
+def _shell(points: FloatArray, cells: IntArray, edges: Edges, like: SimplexMesh) -> Shell:
+    """What of triangles must not cross."""
+    if like.is_surface:
+        return Shell(points, cells)
+    return Shell(np.ascontiguousarray(points[:, :2]), edges.vertices[edges.degree == 1])
+
+
+def newly_crossed(now: Shell, before: Shell, length: float) -> IntArray:
+    """Vertices of facets that cross others, further than a length from all that did before."""
+    crossed = now.crossed()
+    if not len(crossed):
+        return crossed.ravel()
+    known = before.crossed()
+    if len(known):
+        corners = in_space(now.points)[crossed]
+        middle = corners.mean(axis=1)
+        size = np.sqrt(((corners - middle[:, None]) ** 2).sum(axis=2).max(axis=1))
+        away = make_reference(in_space(before.points), known).closest(middle)[0]
+        crossed = crossed[away > length + size]
+    return np.unique(crossed)
