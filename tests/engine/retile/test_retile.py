@@ -12,7 +12,7 @@ from surface_meshes import bowl, cube, cylinder, sphere, torus
 
 from odt_plugins.engine.cells.extremes import FREELY
 from odt_plugins.engine.retile.passes import Passes, at_thin
-from odt_plugins.engine.retile.run import retile
+from odt_plugins.engine.retile.run import ATTEMPTS, retile
 from odt_plugins.engine.retile.surface import Base, resize
 from odt_plugins.engine.run.outcome import as_it_is
 from odt_plugins.mesh.simplex import simplex_mesh
@@ -199,7 +199,7 @@ def test_the_same_bits_twice():
     assert np.array_equal(first.cells, second.cells)
 
 
-@pytest.mark.parametrize(("most", "attempts"), [(np.inf, 4), (100.0, 1)])
+@pytest.mark.parametrize(("most", "attempts"), [(np.inf, ATTEMPTS), (100.0, 1)])
 def test_what_made_too_many_triangles_is_not_made_again(most, attempts):
     points, cells = sphere(2)
     mesh = surface_mesh(points, cells)
