@@ -11,7 +11,7 @@ from odt_plugins.engine.ground.sheet import LINE
 from odt_plugins.engine.retile.collapse import collapse_edges
 from odt_plugins.engine.retile.grading import spread
 from odt_plugins.engine.retile.net import Net, relative_lengths
-from odt_plugins.engine.retile.passes import Passes, grown
+from odt_plugins.engine.retile.passes import Passes, at_thin, grown
 from odt_plugins.engine.retile.shift import slide_vertices
 from odt_plugins.engine.retile.split import split_edges
 from odt_plugins.engine.retile.tracks import Tracks
@@ -37,11 +37,15 @@ def even_lines(net: Net, passes: Passes) -> Net:
     What the envelope forbids stays; all of it, if the area of a region would change by more than
     UNLIKE.
     """
-    before = net._replace(**{name: np.copy(array) for name, array in net._asdict().items()})
-    areas = _areas(net)
     tracks = passes.rules.tracks
+    if not len(tracks.start):
+        return net
     total = np.diff(_counted(tracks, passes)[[tracks.start, tracks.stop]], axis=0)[0]
     wanted = np.maximum(np.rint(total), 1).astype(np.int64)
+    if net.count[1] + 2 * wanted.sum() > passes.most:
+        return net
+    before = passes.kept(net)
+    areas = _areas(net)
     for _ in range(TURNS):
         pairs, chain, ratio = _line_edges(net)
         lacking = np.where(tracks.held, 0, wanted - np.bincount(chain, minlength=len(wanted)))
@@ -65,7 +69,7 @@ def even_lines(net: Net, passes: Passes) -> Net:
         passes.shift(net, 0.0)
     passes.measure(net)
     if (np.abs(_areas(net) - areas) > UNLIKE * areas).any():
-        return before
+        return passes.back(before)
     return net
 
 
@@ -101,17 +105,19 @@ def relent_along(net: Net, passes: Passes, nodes: IntArray, edges: IntArray) -> 
 
 
 def _areas(net: Net) -> FloatArray:
-    """Area of every label of a net in the plane."""
+    """Area of every label of a net."""
     triangles, labels = net.triangles[: net.count[1]], net.labels[: net.count[1]]
     used = triangles[:, 0] >= 0
-    a, b, c = (net.points[triangles[used, i], :2] for i in range(3))
-    twice = (b - a)[:, 0] * (c - a)[:, 1] - (b - a)[:, 1] * (c - a)[:, 0]
+    a, b, c = (net.points[triangles[used, i], :3] for i in range(3))
+    twice = np.sqrt((np.cross(b - a, c - a) ** 2).sum(axis=1))
     _, number = np.unique(labels[used], return_inverse=True)
     return np.asarray(np.bincount(number.ravel(), 0.5 * twice))
 
 
 def _split(net: Net, passes: Passes, pairs: IntArray) -> tuple[Net, int]:
-    """Split edges of lines, however short."""
+    """Split edges of lines, however short, but none of a thin triangle."""
+    if len(pairs):
+        pairs = pairs[~at_thin(net, pairs, 2.0 * passes.thin)]
     net = grown(net, len(pairs), 4 * len(pairs))
     return net, split_edges(net, passes.rules._replace(longest=0.0), pairs, passes.room)
 

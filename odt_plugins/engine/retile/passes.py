@@ -54,6 +54,16 @@ class Passes:
         self.last[kind] = int(net.count[2])
         return last
 
+    def kept(self, net: Net) -> tuple[Net, dict[object, int]]:
+        """A copy of a net, and what was looked at, for :meth:`back`."""
+        copy = net._replace(**{name: np.copy(array) for name, array in net._asdict().items()})
+        return copy, dict(self.last)
+
+    def back(self, kept: tuple[Net, dict[object, int]]) -> Net:
+        """The net of which a copy was kept."""
+        net, self.last = kept
+        return net
+
     def relent(self, net: Net, edges: IntArray) -> None:
         """Make sizes smaller where edges are much shorter, which collapse nowhere near their size.
 

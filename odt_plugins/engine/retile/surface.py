@@ -23,11 +23,12 @@ from odt_plugins.engine.retile.rows import lay_in_rows
 from odt_plugins.engine.retile.tracks import Tracks
 from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.mesh.arrays import BoolArray, FloatArray, IntArray
+from odt_plugins.mesh.components import components
 from odt_plugins.mesh.surface import Edges
 
-ROUNDS, ROUNDS_OF_ROWS = 5, 3
-"""Rounds of splits, collapses, flips and moves; where vertices are laid out in rows after the first
-of them."""
+ROUNDS = 4
+"""Rounds of splits, collapses, flips and moves; at the end of the first, vertices are laid out in
+rows."""
 
 MOVES = 3
 """Flips and moves of all vertices in a round."""
@@ -100,8 +101,7 @@ def resize(
     rules = Rules(ground, tracks, around, cosine, bounds, LONGEST, SHORTEST)
     net = _net(base, features, marks, sizes, ground)
     passes = Passes(rules, sizes, base.metric, base.thin, most)
-    in_rows = flat and not base.metric.size
-    for turn in range(ROUNDS_OF_ROWS if in_rows else ROUNDS):
+    for turn in range(ROUNDS):
         net = passes.split(net, bounds if turn else FREELY)
         passes.collapse(net)
         for _ in range(MOVES):
@@ -110,9 +110,9 @@ def resize(
         net = compact(net)
         if not flat and turn >= 1:
             passes.relent(net, edges.vertices)
-        if in_rows and turn == 0:
+        if turn == 0 and not base.metric.size:
             relent_along(net, passes, features.lines.nodes, edges.vertices)
-            net = lay_in_rows(net, passes, base.labels)
+            net = lay_in_rows(net, passes, _patches(edges, features))
     for power, sweeps in FINISH:
         for _ in range(sweeps):
             passes.flip(net, power)
@@ -120,6 +120,13 @@ def resize(
     net = compact(net)
     polish(net, rules, passes.metric)
     return net, marks
+
+
+def _patches(edges: Edges, features: Features) -> IntArray:
+    """Number (m,) of the piece of the ground, between lines, that a triangle is on."""
+    apart = (edges.neighbors < 0) | features.edges[edges.of_cell]
+    row, side = np.nonzero(~apart)
+    return components(row, edges.neighbors[row, side], len(edges.of_cell))
 
 
 def _tracks(base: Base, features: Features, reach: FloatArray) -> tuple[Tracks, IntArray]:

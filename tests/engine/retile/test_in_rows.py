@@ -1,4 +1,4 @@
-"""Vertices of a surface in the plane that are laid out in rows, and lines of like edges."""
+"""Vertices of a surface that are laid out in rows, and lines of like edges."""
 
 from __future__ import annotations
 
@@ -6,13 +6,17 @@ import math
 
 import numpy as np
 import pytest
-from scipy.spatial import Delaunay
+from scipy.spatial import Delaunay, cKDTree
 from scipy.spatial.distance import pdist
+from surface_meshes import cube, cylinder, sphere, torus
 
 import odt_plugins
 from odt_plugins.engine.ground.build import make_ground
+from odt_plugins.engine.retile import rows
+from odt_plugins.engine.retile import surface as resizing
 from odt_plugins.engine.retile.areas import PART, heights
-from odt_plugins.engine.retile.front import APART, make_front, place_rows
+from odt_plugins.engine.retile.front import APART, Field, make_front, place_rows
+from odt_plugins.engine.retile.rows import lay_in_rows
 from odt_plugins.engine.topology.star import vertex_stars
 from odt_plugins.mesh.surface import surface_edges
 
@@ -77,32 +81,29 @@ def test_rows_keep_to_regions_lines_and_what_is_frozen():
     assert qualities(made, new).mean() > 0.95
 
 
-def placed(points, cells, labels, edges, length):
-    """Places of a front that starts at edges (e, 3)."""
-    flat = np.column_stack([points, np.zeros(len(points))])
+def placed(points, cells, patches, row, corner, length, bend=1e-8):
+    """Places of a front that starts at the edges opposite to corners of triangles."""
+    points = np.pad(points, ((0, 0), (0, 3 - points.shape[1])))
     found, stars = surface_edges(cells, len(points)), vertex_stars(cells, len(points))
-    ground = make_ground(flat, cells, found, stars, np.zeros(len(found.degree), dtype=np.bool_))
-    outer = np.unique(edges[:, :2])
-    foot = np.zeros(len(points), dtype=np.int32)
-    foot[cells.ravel()] = np.repeat(np.arange(len(cells), dtype=np.int32), 3)
-    numbered = np.column_stack([np.searchsorted(outer, edges[:, :2]), edges[:, 2]])
+    ground = make_ground(points, cells, found, stars, np.zeros(len(found.degree), dtype=np.bool_))
+    edges = np.column_stack([cells[row, (corner + 1) % 3], cells[row, (corner + 2) % 3]])
+    outer, at, number = np.unique(edges, return_index=True, return_inverse=True)
     n = len(outer)
-    front = make_front(flat[outer], foot[outer], np.full(n, length), numbered.astype(np.int32),
-                       4 * math.ceil(length**-2))
+    front = make_front(points[outer], np.repeat(row, 2)[at].astype(np.int32), np.full(n, length),
+                       number.reshape(-1, 2).astype(np.int32), 30 * math.ceil(length**-2))
     sizes = np.full(len(points), length)
-    assert place_rows(front, ground, sizes, labels, length)
-    return front.points[n : front.count[0], :2], front.points[:n, :2]
+    assert place_rows(front, Field(ground, sizes, patches, length, bend))
+    return front.points[n : front.count[0]], front.points[:n]
 
 
 def test_places_are_apart_and_leave_no_gap():
     points, cells = square(20)
     ends = surface_edges(cells, len(points))
     rim = np.flatnonzero(ends.degree == 1)
-    row, corner = np.nonzero(np.isin(ends.of_cell, rim))
-    edges = np.column_stack([cells[row, (corner + 1) % 3], cells[row, (corner + 2) % 3],
-                             np.zeros(len(row), dtype=np.int32)])
     length = 0.05
-    places, outer = placed(points, cells, np.zeros(len(cells), np.int32), edges, length)
+    places, outer = placed(points, cells, np.zeros(len(cells), np.int32),
+                           *np.nonzero(np.isin(ends.of_cell, rim)), length)
+    places, outer = places[:, :2], outer[:, :2]
     assert ((places > 0) & (places < 1)).all()
     assert pdist(places).min() >= APART * length
     assert len(places) == pytest.approx(2 / 3**0.5 / length**2, rel=0.15)
@@ -115,17 +116,69 @@ def test_places_are_apart_and_leave_no_gap():
 
 def test_places_stay_on_their_side_of_a_border():
     points, cells = square(20)
-    labels = (points[cells].mean(axis=1)[:, 0] > 0.5).astype(np.int32)
+    patches = (points[cells].mean(axis=1)[:, 0] > 0.5).astype(np.int32)
     ends = surface_edges(cells, len(points))
-    left = np.flatnonzero(labels == 0)
+    left = np.flatnonzero(patches == 0)
     row, corner = np.nonzero(ends.degree[ends.of_cell[left]] == 1)
-    edges = np.column_stack([cells[left[row], (corner + 1) % 3], cells[left[row], (corner + 2) % 3],
-                             np.zeros(len(row), dtype=np.int32)])
-    places, _ = placed(points, cells, labels, edges, 0.05)
-    held = Delaunay(points).find_simplex(places)
+    places, _ = placed(points, cells, patches, left[row], corner, 0.05)
+    held = Delaunay(points).find_simplex(places[:, :2])
     middle = points[Delaunay(points).simplices].mean(axis=1)[held]
     assert len(places) > 100
     assert (middle[:, 0] <= 0.5).all()
+
+
+def test_places_cover_a_sphere_from_one_triangle_on():
+    points, cells = sphere(4)
+    length = 0.15
+    cells = cells.astype(np.int32)
+    beside = surface_edges(cells, len(points)).neighbors[0]
+    corner = (~np.isin(cells[beside], cells[0])).argmax(axis=1)
+    places, _ = placed(points, cells, np.zeros(len(cells), np.int32), beside, corner, length, 0.25)
+    assert np.linalg.norm(places, axis=1) == pytest.approx(1.0, abs=5e-3)
+    assert pdist(places).min() >= APART * length
+    assert len(places) == pytest.approx(4 * np.pi * 2 / 3**0.5 / length**2, rel=0.15)
+    gaps = cKDTree(places).query(points)[0]
+    assert gaps.max() < length
+
+
+def test_sides_of_a_thin_plate_do_not_see_each_other():
+    points, cells = cube(8)
+    (made, new), report = odt_plugins.remesh_with_report(
+        (points * [1.0, 1.0, 0.02], cells), 0.08, envelope=1e-3)
+    assert report.fallback is None
+    for z in (points[:, 2].min(), points[:, 2].max()):
+        side = new[(made[new, 2] == 0.02 * z).all(axis=1)]
+        inner = np.setdiff1d(side, new[(made[new, 2] != 0.02 * z).any(axis=1)])
+        assert len(inner) > 60
+        degree = np.bincount(side.ravel())[inner]
+        assert (degree == 6).mean() > 0.8
+        assert qualities(made, side).mean() > 0.97
+
+
+@pytest.mark.parametrize("shape", ["torus", "cylinder"])
+def test_most_vertices_of_a_curved_surface_get_six_neighbours(shape):
+    points, cells = torus(80, 32) if shape == "torus" else cylinder(64, 24, 10)
+    made, new = odt_plugins.remesh((points, cells), 0.1, envelope=1e-2)
+    assert (np.bincount(new.ravel()) == 6).mean() > 0.85
+    assert qualities(made, new).mean() > 0.985
+    assert np.quantile(qualities(made, new), 0.01) > 0.9
+
+
+@pytest.mark.parametrize("most", [-1.0, 0.06])
+def test_a_net_in_which_old_vertices_are_left_is_as_it_was(most, monkeypatch):
+    seen = []
+
+    def watched(net, passes, patches):
+        before = passes.kept(net)
+        found = lay_in_rows(net, passes, patches)
+        assert (passes.last == before[1]) is (most < 0)
+        seen.append(all(map(np.array_equal, before[0], found)))
+        return found
+
+    monkeypatch.setattr(resizing, "lay_in_rows", watched)
+    monkeypatch.setattr(rows, "MOST_LEFT", most)
+    odt_plugins.remesh(sphere(3, 0.1), scale=1.5, envelope=1e-2)
+    assert seen == [most < 0]
 
 
 def disc(n):
