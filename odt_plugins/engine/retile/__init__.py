@@ -10,11 +10,13 @@ operations, `resize` runs rounds of them.
   rho = h^-4, on feature lines to where both edges are as long, by their sizes.
 - Feature lines, rims and borders between labels are tracks: edges on them are split and collapse
   along themselves, and stay close to what they stand for.
+- At the end of the first round, without a metric, tracks get like edges (`even_lines`), and the
+  vertices between them give way to others in rows (`place_rows`, `lay_in_rows`): most have six
+  neighbours then.
+- At last the phases of stage 2 lower F_p with compound moves (`polish`).
 
-A surface in the plane is one with z = 0, where the tracks alone keep the shape. After the first
-round, without a metric, tracks get like edges there (`even_lines`), and the vertices between them
-give way to others in rows (`place_rows`, `lay_in_rows`): most have six neighbours then. Curved
-tracks are followed so closely that regions keep their areas (`heights`).
+A surface in the plane is one with z = 0, where the tracks alone keep the shape. Curved tracks are
+followed so closely there that regions keep their areas (`heights`).
 
 References
 ----------
