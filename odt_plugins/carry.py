@@ -48,7 +48,9 @@ def cell_source(
     Returns
     -------
     (m',) int32    the input cell of the same vertices where there is one, otherwise the input
-                   cell of the same region whose barycentre is nearest, see :func:`nearest_cells`
+                   cell of the same region whose barycentre is nearest, see :func:`nearest_cells`;
+                   of triangles in space, where vertices came, the triangle that is closest to the
+                   barycentre, so that creases divide them
     """
     if np.array_equal(cells0, cells1):
         return np.arange(len(cells0), dtype=np.int32)
@@ -61,6 +63,9 @@ def cell_source(
     if not new.size:
         return source
     rows, labels = cells1[new], regions1[new]
+    if cells0.shape[1] == points0.shape[1] == 3 and n > len(points0):
+        source[new] = _closest(points0, cells0, regions0, corner_mean(points1, rows), labels)
+        return source
     centres, x = corner_mean(points0, cells0, threads), corner_mean(points1, rows, threads)
     found = nearest_cells(cells0, centres, regions0, rows, x, labels, n, threads)
     far = np.flatnonzero(found < 0)
@@ -225,6 +230,20 @@ def _nearest(
         tree = cKDTree(centres[own], balanced_tree=False, compact_nodes=False)
         ranks = [min(i, len(own)) for i in range(1, count + 1)]
         out[rows] = own[tree.query(x[rows], k=ranks, workers=threads)[1]]
+    return out
+
+
+def _closest(
+    points: FloatArray, cells: IntArray, regions: IntArray, x: FloatArray, labels: IntArray
+) -> IntArray:
+    """The triangles (k,) in space of the regions (k,) that are closest to places (k, 3)."""
+    from odt_plugins.engine.ground.reference import make_reference
+
+    out = np.empty(len(x), dtype=np.int32)
+    members = _groups(regions)
+    for label, rows in _groups(labels).items():
+        own = members[label]
+        out[rows] = own[make_reference(points, cells[own]).closest(x[rows])[1]]
     return out
 
 

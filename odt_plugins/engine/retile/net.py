@@ -35,6 +35,11 @@ FOLD = -0.45
 """Cosine of the largest turn at an edge that is made; the judge allows 120 degrees."""
 
 
+THINNEST = 1e-8
+"""Least altitude of a triangle that is divided, as a part of its longest edge. Triangles that
+are regular in an allowed metric have more."""
+
+
 class Net(NamedTuple):
     """Triangles on the ground, with room for more.
 

@@ -12,6 +12,7 @@ from odt_plugins.engine.retile.collapse import collapse_edges
 from odt_plugins.engine.retile.flip import swap_edges
 from odt_plugins.engine.retile.grading import spread
 from odt_plugins.engine.retile.net import (
+    THINNEST,
     Net,
     Rules,
     link_all,
@@ -29,10 +30,6 @@ doubles of the other are nearer to the size."""
 
 RELENT = 1.5
 """Multiple of the harmonic mean of the edges at a vertex above which its size is not kept."""
-
-THINNEST = 1e-8
-"""Least altitude of a triangle whose edges are split, as a part of its longest edge. Triangles that
-are regular in an allowed metric have more."""
 
 PASSES = 24
 """Most passes of one operation in a round; a pass of splits halves the longest edges."""

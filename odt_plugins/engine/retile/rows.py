@@ -18,8 +18,17 @@ from odt_plugins.engine.ground.sheet import LINE, LOCKED, SMOOTH
 from odt_plugins.engine.retile.collapse import collapse_edges
 from odt_plugins.engine.retile.even import even_lines
 from odt_plugins.engine.retile.front import Field, Front, make_front, place_rows
-from odt_plugins.engine.retile.net import Net, Room, Rules, edge_triangles, exchange, fits, put
-from odt_plugins.engine.retile.passes import THINNEST, Passes, edges_of, grown
+from odt_plugins.engine.retile.net import (
+    THINNEST,
+    Net,
+    Room,
+    Rules,
+    edge_triangles,
+    exchange,
+    fits,
+    put,
+)
+from odt_plugins.engine.retile.passes import Passes, edges_of, grown
 from odt_plugins.mesh.arrays import IntArray
 
 INSIDE = 0.02
