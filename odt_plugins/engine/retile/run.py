@@ -37,7 +37,7 @@ from odt_plugins.options import Options
 from odt_plugins.progress import silent
 from odt_plugins.promise.region_sizes import other_sizes
 from odt_plugins.promise.retiled import broken_by_retiling, without_area
-from odt_plugins.promise.surface import bad_places
+from odt_plugins.promise.surface import FOLD, bad_places
 
 ATTEMPTS = 5
 """Runs. In space the second and third have less and less of the envelope around the places where
@@ -49,6 +49,10 @@ FLAT = 64 * float(np.finfo(np.float64).eps)
 
 NARROWER, NARROWED = 0.3, 2
 """Part of the envelope that is left there each time, and how often it is narrowed in space."""
+
+
+TURNED = 20.0
+"""Degrees by which a surface may turn more at a crease, as its edges are other chords of it."""
 
 
 class Judged(NamedTuple):
@@ -218,8 +222,8 @@ def _judged(
             bad[cells[without_area(points, cells)]] = True
     x, y = in_space(mesh.points), in_space(points)
     old, new = surface_edges(mesh.cells, len(x)), surface_edges(cells, len(y))
-    was, now = (e.vertices[bad_places(*args, e)[1]] for e, args in (
-        (old, (x, mesh.cells)), (new, (y, cells))))
+    was = old.vertices[bad_places(x, mesh.cells, old, FOLD - TURNED)[1]]
+    now = new.vertices[bad_places(y, cells, new)[1]]
     if len(now):
         fresh = now
         if len(was):

@@ -1,4 +1,4 @@
-"""Surfaces that cut through themselves, and runs after one that left places as they were."""
+"""Surfaces that cut through themselves or nearly fold, and runs after one that left places."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ from surface_meshes import sphere
 
 import odt_plugins
 import odt_plugins.engine.remesh.run as remesh_run
+import odt_plugins.engine.retile.run as retile_run
 from odt_plugins.engine.retile.run import Shell, newly_crossed
 from odt_plugins.engine.run.outcome import unchanged
 
@@ -64,3 +65,32 @@ def test_other_sizes_are_tried_only_where_much_of_the_input_stays(much, monkeypa
     monkeypatch.setattr(remesh_run, "retile", told)
     odt_plugins.remesh(sphere(3, 0.1), scale=2.0, envelope=0.02)
     assert (len(calls) > 1) is much
+
+
+def double_cone(turn, around=48, rings=8):
+    """Two cones on one circle, at which the surface turns by some degrees; shaken."""
+    height = np.tan(np.radians(90 - turn / 2))
+    angle = 2 * np.pi * np.arange(around) / around
+    radius = np.r_[np.arange(1, rings + 1), np.arange(rings - 1, 0, -1)] / rings
+    side = np.r_[np.ones(rings), -np.ones(rings - 1)]
+    points = np.concatenate([
+        [[0, 0, height]],
+        np.stack([np.outer(radius, np.cos(angle)), np.outer(radius, np.sin(angle)),
+                  np.outer(side * height * (1 - radius), np.ones(around))], axis=-1).reshape(-1, 3),
+        [[0, 0, -height]]])
+    j, k = np.arange(around), (np.arange(around) + 1) % around
+    cells = [np.column_stack([0 * j, 1 + j, 1 + k])]
+    for i in range(len(radius) - 1):
+        a, b = 1 + i * around, 1 + (i + 1) * around
+        cells += [np.column_stack([a + j, b + j, b + k]), np.column_stack([a + j, b + k, a + k])]
+    last = 1 + (len(radius) - 1) * around
+    cells.append(np.column_stack([0 * j + len(points) - 1, last + k, last + j]))
+    shaken = points + 0.004 * np.random.default_rng(3).normal(size=points.shape)
+    return shaken, np.concatenate(cells)
+
+
+@pytest.mark.parametrize("turned", [0.0, 20.0])
+def test_a_crease_that_nearly_folds_may_turn_a_little_more(turned, monkeypatch):
+    monkeypatch.setattr(retile_run, "TURNED", turned)
+    _, report = odt_plugins.remesh_with_report(double_cone(117), scale=1, envelope=1e-2)
+    assert (report.fallback is None) is (turned > 0)
