@@ -117,7 +117,7 @@ def remesh(mesh: SimplexMesh, options: Options, leaving: Leaving, wish: Wish) ->
     if wish.curved:
         given = curvature_sizes(mesh, envelope_length(mesh, options), options.feature_angle)
     sizes = wanted_sizes(mesh, wish, given)
-    if mesh.is_surface and not len(mesh.metric):
+    if mesh.is_surface and not wish.curved and not len(mesh.metric):
         sizes = within_chords(
             mesh, sizes, envelope_length(mesh, options), options.feature_angle)
     options = replace(
