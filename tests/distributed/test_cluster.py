@@ -95,17 +95,19 @@ def test_processes_are_started_for_large_meshes_only(monkeypatch, more, processe
         asked.append(workers)
         return executor()
 
-    monkeypatch.setattr(blocks_module, "WORTH_CELLS", len(START.cells) + more)
+    start = ball(600)
+    monkeypatch.setattr(blocks_module, "WORTH_CELLS", len(start.cells) + more)
     monkeypatch.setattr(blocks_module, "executor", seen)
-    odt_plugins.optimize(MESH, blocks=BLOCKS, workers=2)
+    odt_plugins.optimize((start.points, start.cells), blocks=BLOCKS, workers=2)
     assert asked == [processes]
 
 
 def test_pieces_on_a_cluster_give_the_bits_of_one_process(client, tmp_path):
+    start = ball(1000)
     for k, name in enumerate(("left", "right")):
-        cells = START.cells[(START.points[START.cells].mean(axis=1)[:, 0] > 0.0) == k]
+        cells = start.cells[(start.points[start.cells].mean(axis=1)[:, 0] > 0.0) == k]
         used, number = np.unique(cells, return_inverse=True)
-        mesh = meshio.Mesh(START.points[used], [("tetra", number.reshape(-1, 4))])
+        mesh = meshio.Mesh(start.points[used], [("tetra", number.reshape(-1, 4))])
         (tmp_path / "in").mkdir(exist_ok=True)
         mesh.write(tmp_path / "in" / f"{name}.vtu")
     odt_plugins.optimize(tmp_path / "in", target=tmp_path / "here.pvtu")

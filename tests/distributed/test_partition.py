@@ -124,7 +124,7 @@ def test_clusters_are_whole_components():
 
 @pytest.mark.parametrize(("count", "rounds"), [(2, 2), (5, 2), (8, 3), (20, 3), (20, 4)])
 def test_every_vertex_is_inside_a_block_in_some_round(count, rounds):
-    mesh = mesh_of(900)
+    mesh = mesh_of(600)
     n = len(mesh.points)
     inside = np.zeros(n, dtype=bool)
     whole = whole_of(mesh)
@@ -173,7 +173,7 @@ def test_the_last_round_looks_after_the_worst_cells_too():
 
 
 def test_the_worst_cells_are_looked_for_away_from_the_cuts():
-    mesh = mesh_of(900)
+    mesh = mesh_of(600)
     q = tet_meshes.quality(mesh.points, mesh.cells)
     waiting = np.zeros(len(mesh.points), dtype=bool)
     waiting[mesh.cells[q.argsort()[:30]]] = True
@@ -183,7 +183,7 @@ def test_the_worst_cells_are_looked_for_away_from_the_cuts():
 
 
 def test_phases_for_the_worst_cells_of_the_whole_wait_for_the_last_round(small_blocks):
-    mesh = mesh_of(900)
+    mesh = mesh_of(600)
     seen: list[tuple[str, ...]] = []
     at_work: list[Any] = []
 
@@ -216,7 +216,7 @@ def test_few_cells_around_the_cuts_are_done_in_one_last_round(
             seen[-1].append(block)
             yield unchanged(block)
 
-    mesh = mesh_of(900)
+    mesh = mesh_of(600)
     run_blocks(mesh, Options(), 4, 3, sees)
     assert len(seen) == rounds
     assert all(block.within.fresh is None for block in seen[0])
@@ -259,7 +259,7 @@ def test_blocks_are_about_as_good_as_one_piece(name, seed, monkeypatch):
     monkeypatch.setattr(blocks_module, "LEAST_CELLS", 5000)
     # as in the larger blocks of a run
     monkeypatch.setattr(coloring, "ONE_BLOCK", 0)
-    start = ball(7000) if name == "ball" else stored(name)
+    start = ball(4000) if name == "ball" else stored(name)
     start = start if seed is None else reordered(start, seed)
     mesh = start.points, start.cells
     one, blocks = (
@@ -280,7 +280,7 @@ def fine_near_the_middle(points: Any) -> Any:
 
 @pytest.mark.parametrize("boundary", ["fixed", "slide"])
 def test_blocks_see_the_metric(small_blocks, boundary):
-    start = ball(900)
+    start = ball(600)
     mesh = start.points, start.cells
 
     def seen(points, cells):
@@ -322,7 +322,7 @@ def test_blocks_of_a_curved_surface_see_the_metric(small_blocks):
 
 def test_the_metric_moves_with_the_vertices(small_blocks):
     """After two rounds it is the one of the places where they are."""
-    start = ball(900)
+    start = ball(600)
     mesh = simplex_mesh(start.points, start.cells)[0]
     rows = np.zeros((len(mesh.points), 6))
     rows[:, 5] = 0.3 * mesh.points[:, 2]
@@ -332,7 +332,7 @@ def test_the_metric_moves_with_the_vertices(small_blocks):
 
 
 def test_blocks_choose_their_flips_as_the_whole_would(small_blocks, monkeypatch):
-    mesh = mesh_of(900)
+    mesh = mesh_of(600)
     seen: list[str] = []
 
     def sees(function: Any, items: Iterable[Block]) -> Iterator[Improved]:
@@ -357,7 +357,7 @@ def backwards(function: Callable[[Any], Any], items: Iterable[Any]) -> Iterator[
 
 
 def test_the_whole_keeps_the_promise_in_any_order_of_completion(small_blocks):
-    start = ball(900)
+    start = ball(600)
     rng = np.random.default_rng(5)
     m = len(start.cells)
     x = start.points[start.cells].mean(axis=1)
@@ -417,7 +417,7 @@ def test_a_round_that_breaks_the_promise_of_the_whole_is_done_again_or_given_up(
 def test_blocks_are_held_to_the_worst_cells_of_the_whole_then_to_their_own(
     small_blocks, monkeypatch
 ):
-    mesh = mesh_of(900)
+    mesh = mesh_of(600)
     seen: list[Any] = []
     real = blocks_module.faults
 
@@ -540,7 +540,7 @@ def same_in_any_order(mesh: SimplexMesh, options: Options, blocks: int) -> Any:
 
 
 def test_a_boundary_slides_in_blocks(small_blocks):
-    mesh = mesh_of(900)
+    mesh = mesh_of(600)
     options = Options(boundary="slide")
     rims: list[Any] = []
 
@@ -568,7 +568,7 @@ def test_a_boundary_slides_in_blocks(small_blocks):
 
 
 def test_vertices_are_inserted_in_blocks(small_blocks):
-    mesh = mesh_of(900)
+    mesh = mesh_of(600)
     n = len(mesh.points)
     outcome = same_in_any_order(mesh, Options(insert=0.02, density="keep"), 3)
     added = int((outcome.origin < 0).sum())

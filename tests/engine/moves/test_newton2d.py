@@ -123,6 +123,7 @@ def test_cost_gradient_and_hessian(objective, seed, power):
     np.testing.assert_allclose(hessian, numeric_hessian, atol=1e-3 * scale)
 
 
+@pytest.mark.usefixtures("nothing_compiled")
 def test_cost_of_an_inverted_star_is_infinite():
     points, cells, inner, _ = jittered(1)
     points[inner[0]] += 50.0

@@ -243,7 +243,7 @@ def test_the_global_step_bears_a_vertex_among_flat_triangles(linear_solver):
 
 @pytest.mark.parametrize("kind", ["vertices", "cells", "function"])
 def test_a_density_of_any_form_grades_the_surface(kind):
-    p, t = sm.sphere(4)
+    p, t = sm.sphere(3)
     rho = {"vertices": np.exp(3 * p[:, 2]), "cells": np.exp(3 * p[t].mean(axis=1)[:, 2]),
            "function": lambda x: np.exp(3 * x[:, 2])}[kind]
     x, c, _ = improved((p, t), 5e-3, density=rho, smoothing={"rounds": 60}, keep=())
