@@ -93,9 +93,11 @@ def test_straight_cells_have_no_such_figures():
     assert report.curved is None
 
 
-@pytest.mark.parametrize("suffix", [".msh", ".vtu"])
-def test_a_torus_of_quadratic_tetrahedra_stays_valid(suffix, tmp_path):
+@pytest.fixture(scope="module")
+def torus(tmp_path_factory):
+    """A file of Gmsh with quadratic tetrahedra."""
     gmsh = pytest.importorskip("gmsh")
+    path = tmp_path_factory.mktemp("torus") / "torus.msh"
     own = not gmsh.isInitialized()
     if own:
         gmsh.initialize(interruptible=False)
@@ -109,17 +111,22 @@ def test_a_torus_of_quadratic_tetrahedra_stays_valid(suffix, tmp_path):
         gmsh.model.occ.addTorus(0, 0, 0, 1, 0.3)
         gmsh.model.occ.synchronize()
         gmsh.model.mesh.generate(3)
-        gmsh.write(str(tmp_path / "torus.msh"))
+        gmsh.write(str(path))
     finally:
         for name, value in before.items():
             gmsh.option.setNumber(name, value)
         gmsh.model.remove()
         if own:
             gmsh.finalize()
+    return path
+
+
+@pytest.mark.parametrize("suffix", [".msh", ".vtu"])
+def test_a_torus_of_quadratic_tetrahedra_stays_valid(suffix, torus, tmp_path):
     source, target = tmp_path / f"a{suffix}", tmp_path / f"b{suffix}"
-    mesh = meshio.read(tmp_path / "torus.msh")
+    mesh = meshio.read(torus)
     if suffix == ".msh":
-        source = tmp_path / "torus.msh"
+        source = torus
     else:
         meshio.Mesh(mesh.points, {"tetra10": mesh.cells_dict["tetra10"]}).write(source)
     odt_plugins.optimize(source, target=target)

@@ -225,7 +225,7 @@ def test_whatever_a_contestant_does_is_a_row(faulty, name, status, message):
 
 
 def test_a_hanging_contestant_is_ended_in_time(faulty):
-    assert run_contestant(ball(60), faulty("hangs"), Limits(seconds=3.0)).status == "timeout"
+    assert run_contestant(ball(60), faulty("hangs"), Limits(seconds=1.0)).status == "timeout"
 
 
 def test_compiling_does_not_count(faulty):

@@ -163,7 +163,7 @@ def test_pieces_choose_flips_as_the_whole_would(tmp_path, monkeypatch):
 
 
 def test_a_directory_and_a_second_run_onto_the_same_place(tmp_path):
-    start = ball(600)
+    start = ball(300)
     turned = start.cells[:, [0, 1, 3, 2]]
     write_pieces(tmp_path / "in", start.points, turned, bricks(start.points, turned, 3),
                  size=np.ones(len(turned)))
@@ -452,7 +452,7 @@ def with_ghosts(folder: Path, start: Any, label: Any, marker: Any) -> None:
 
 
 def test_ghost_cells_and_empty_pieces_are_left_out(tmp_path, recwarn):
-    start = ball(600)
+    start = ball(300)
     marker = (start.points[start.cells].mean(axis=1)[:, 0] > 0.1).astype(np.int64)
     label = bricks(start.points, start.cells, 3)
     write_pieces(tmp_path / "plain", start.points, start.cells, label, marker=marker)

@@ -46,6 +46,7 @@ def test_shapes_in_rows_are_those_of_the_single_cells_bit_for_bit():
     assert {-1.0, 1.0} <= signs <= {-1.0, 0.0, 1.0}
 
 
+@pytest.mark.usefixtures("nothing_compiled")
 @pytest.mark.parametrize("count", [20, 2 * r.CHUNK + 3])
 @pytest.mark.parametrize("power", [0.5, 2.0, 3.0])
 def test_a_star_has_the_cost_and_derivatives_of_its_cells(power, count):

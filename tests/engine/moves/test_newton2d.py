@@ -130,6 +130,7 @@ def test_cost_of_an_inverted_star_is_infinite():
     assert cost_and_derivatives(points, cells, int(inner[0]), 2.0)[0] == np.inf
 
 
+@pytest.mark.usefixtures("nothing_compiled")
 @pytest.mark.parametrize("power", [1.0, 2.0, 8.0])
 def test_vertex_of_a_hexagon_goes_to_its_centre(power):
     angle = np.arange(6) * np.pi / 3.0

@@ -185,7 +185,7 @@ def test_the_command_tells_of_every_mesh_whether_the_promise_holds(tmp_path, mon
 
     monkeypatch.setattr(robustness, "optimize_with_report", careless)
     said = []
-    table = robustness.run_hard(tmp_path, 1, said.append, size=40).splitlines()
+    table = robustness.run_hard(tmp_path, 1, said.append, size=25).splitlines()
     rows = json.loads((tmp_path / robustness.FILE).read_text())["meshes"]
     assert [row["name"] for row in rows] == said
     assert len(rows) == len(HARD) + 3
